@@ -1,0 +1,123 @@
+//! Scenes: posed images, label maps, class tables, initial points; dataset formats; the built-in procedural scene.
+
+use crate::camera::Camera;
+use glam::DVec3;
+
+/// A scene as loaded: everything centred on [`Scene::origin`].
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Name for reports.
+    pub name: String,
+    /// All views, in file order.
+    pub views: Vec<View>,
+    /// Class table; empty for scenes without labels.
+    pub classes: Classes,
+    /// Initial cloud, relative to [`Scene::origin`].
+    pub points: Points,
+    /// What was subtracted from every world position (f64); exports add it back.
+    pub origin: DVec3,
+    /// World direction that points up, unit length.
+    pub up: DVec3,
+}
+
+impl Scene {
+    /// Views of one split, in file order.
+    pub fn split(&self, split: Split) -> impl Iterator<Item = &View> {
+        self.views.iter().filter(move |v| v.split == split)
+    }
+}
+
+/// Which use a view is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Split {
+    /// Trained on.
+    Train,
+    /// Held out.
+    Test,
+}
+
+/// One posed photo with what is known of it.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// File stem, unique within the scene.
+    pub name: String,
+    /// Train or test.
+    pub split: Split,
+    /// Pose and intrinsics, centre relative to [`Scene::origin`].
+    pub camera: Camera,
+    /// The photo, 8-bit sRGB.
+    pub image: image::RgbImage,
+    /// True labels, where known. Only for scoring.
+    pub truth: Option<LabelMap>,
+    /// Raw labels of a 2D segmenter, where given. Those of test views only score the 2D baseline.
+    pub raw: Option<LabelMap>,
+}
+
+/// Label ids of an image, `[H, W]` row-major. Ids are those of the [`Classes`] table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LabelMap {
+    /// Pixels across.
+    pub width: usize,
+    /// Pixels down.
+    pub height: usize,
+    /// Row-major ids, length `width * height`.
+    pub ids: Vec<u16>,
+}
+
+/// Points with colours, for initialisation.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Points {
+    /// `[N, 3]`, world units relative to the scene origin.
+    pub positions: Vec<[f32; 3]>,
+    /// `[N, 3]` sRGB in 0..1.
+    pub colors: Vec<[f32; 3]>,
+}
+
+/// One class of a scene.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Class {
+    /// Id in the label maps.
+    pub id: u16,
+    /// Name for people.
+    pub name: String,
+    /// Colour in legends and pictures, 8-bit sRGB.
+    pub color: [u8; 3],
+}
+
+/// The class table: id, name, colour, and the id that means 'unlabelled'.
+///
+/// *Class indices* (0..len, the channels of logits) are positions in [`Classes::entries`]; *ids* are what files hold.
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Classes {
+    /// All classes but the ignored one, ascending by id.
+    pub entries: Vec<Class>,
+    /// The id of unlabelled pixels: never counted, never trained on.
+    pub ignore: u16,
+}
+
+impl Classes {
+    /// Number of classes, the ignored one not counted.
+    pub fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// Whether the table is empty.
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+
+    /// Class index of an id; `None` for the ignored id and for ids not in the table.
+    pub fn index(&self, id: u16) -> Option<usize> {
+        self.entries.binary_search_by_key(&id, |c| c.id).ok()
+    }
+
+    /// Table from id to class index, `u16::MAX` where there is none; length 65536.
+    pub fn lookup(&self) -> Vec<u16> {
+        let mut table = vec![u16::MAX; 1 << 16];
+        for (i, c) in self.entries.iter().enumerate() {
+            table[c.id as usize] = i as u16;
+        }
+        table
+    }
+}

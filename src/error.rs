@@ -1,0 +1,124 @@
+//! The one error type of the library.
+//!
+//! Every variant tells the caller a different thing to do:
+//! [`Error::Input`] - mend the named field of the named file; [`Error::Config`] - mend a setting;
+//! [`Error::Io`] - look at the path; [`Error::Limit`] - the request does not fit, the numbers are in the message;
+//! [`Error::NonFinite`] - training met a NaN or an infinity, and where; [`Error::Device`] - the backend is not usable.
+
+use std::path::{Path, PathBuf};
+
+/// Shorthand for results of this crate.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// What went wrong, with the file, the field, what was found, what was expected and how to mend it.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file could not be read or written.
+    #[error("{}: {action} failed: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What was being done, such as `read` or `create`.
+        action: &'static str,
+        /// The system's own error.
+        source: std::io::Error,
+    },
+    /// A file was read but what it holds cannot be used.
+    #[error("{}: {field}: found {found}, expected {expected}; {mend}", path.display())]
+    Input {
+        /// The file.
+        path: PathBuf,
+        /// Line, field or tensor name within it.
+        field: String,
+        /// What stands there.
+        found: String,
+        /// What should stand there.
+        expected: String,
+        /// What the user can do.
+        mend: String,
+    },
+    /// A setting (config file, `--set`, or an argument of a library call) has an unusable value.
+    #[error("setting {key}: found {found}, expected {expected}; {mend}")]
+    Config {
+        /// The setting, as a dotted path.
+        key: String,
+        /// The value given.
+        found: String,
+        /// What is allowed.
+        expected: String,
+        /// What the user can do.
+        mend: String,
+    },
+    /// The request is larger than this device or this format can hold.
+    #[error("{what}: {found} exceeds the limit of {limit}; {mend}")]
+    Limit {
+        /// The quantity.
+        what: String,
+        /// Its value.
+        found: String,
+        /// The largest value that works.
+        limit: String,
+        /// What the user can do.
+        mend: String,
+    },
+    /// A tensor holds a NaN or an infinity.
+    #[error("non-finite value in {tensor}, row {row}{context}")]
+    NonFinite {
+        /// The tensor's name.
+        tensor: String,
+        /// Its first offending row.
+        row: usize,
+        /// View and iteration, where known; starts with `, ` when not empty.
+        context: String,
+    },
+    /// The compute device is missing or refused the work.
+    #[error("device {device}: {reason}; {mend}")]
+    Device {
+        /// The backend asked for.
+        device: String,
+        /// Why it cannot be used.
+        reason: String,
+        /// What the user can do.
+        mend: String,
+    },
+}
+
+impl Error {
+    /// An [`Error::Io`] for `path`.
+    pub fn io(path: impl AsRef<Path>, action: &'static str, source: std::io::Error) -> Self {
+        Self::Io { path: path.as_ref().to_owned(), action, source }
+    }
+
+    /// An [`Error::Input`] naming file, field, found, expected and mend.
+    pub fn input(
+        path: impl AsRef<Path>,
+        field: impl Into<String>,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+        mend: impl Into<String>,
+    ) -> Self {
+        Self::Input {
+            path: path.as_ref().to_owned(),
+            field: field.into(),
+            found: found.into(),
+            expected: expected.into(),
+            mend: mend.into(),
+        }
+    }
+
+    /// An [`Error::Config`] naming the setting, found, expected and mend.
+    pub fn config(
+        key: impl Into<String>,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+        mend: impl Into<String>,
+    ) -> Self {
+        Self::Config { key: key.into(), found: found.into(), expected: expected.into(), mend: mend.into() }
+    }
+
+    /// An [`Error::NonFinite`] without context.
+    pub fn non_finite(tensor: impl Into<String>, row: usize) -> Self {
+        Self::NonFinite { tensor: tensor.into(), row, context: String::new() }
+    }
+}

@@ -1,0 +1,11 @@
+//! Segmented 3D Gaussian scenes from posed photos and noisy 2D label maps.
+
+pub mod camera;
+pub mod config;
+pub mod data;
+pub mod device;
+pub mod error;
+pub mod gaussians;
+pub mod ops;
+
+pub use error::{Error, Result};

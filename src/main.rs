@@ -1,0 +1,2 @@
+//! The `coseg` command line.
+fn main() {}

@@ -1,0 +1,169 @@
+//! Constant sparse linear maps as a differentiable burn operation.
+//!
+//! With frozen geometry, blending (`S = W s`) and distance-weighted interpolation are both such maps. The gradient
+//! with respect to the input is the adjoint `W^T g`; the matrix itself gets none.
+
+use super::{HostBackend, device_of};
+use super::{Real, real_kernel};
+use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
+use burn::backend::autodiff::grads::Gradients;
+use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
+use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
+use burn::tensor::Tensor;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Channels handled together: one cache line of f32.
+const LANES: usize = 16;
+
+/// A constant sparse matrix in compressed rows, `[rows, columns]`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SparseMatrix {
+    /// Number of columns.
+    pub columns: usize,
+    /// Start of each row in [`SparseMatrix::indices`]; `rows + 1` entries, the first 0, ascending.
+    pub offsets: Vec<u32>,
+    /// Column of each entry.
+    pub indices: Vec<u32>,
+    /// Value of each entry.
+    pub values: Vec<f32>,
+}
+
+impl SparseMatrix {
+    /// Number of rows.
+    pub fn rows(&self) -> usize {
+        self.offsets.len().saturating_sub(1)
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        4 * (self.offsets.len() + self.indices.len() + self.values.len())
+    }
+
+    /// Entries of row `r` as (columns, values).
+    pub fn row(&self, r: usize) -> (&[u32], &[f32]) {
+        let span = self.offsets[r] as usize..self.offsets[r + 1] as usize;
+        (&self.indices[span.clone()], &self.values[span])
+    }
+
+    /// `W x`: `x` is `[columns, channels]` row-major, the result `[rows, channels]`.
+    pub fn apply<E: Real>(&self, x: &[E], channels: usize) -> Vec<E> {
+        let mut out = vec![E::zero(); self.rows() * channels];
+        if channels == 0 {
+            return out;
+        }
+        out.par_chunks_mut(channels * 64).enumerate().for_each(|(block, out)| {
+            for (k, out) in out.chunks_exact_mut(channels).enumerate() {
+                let (columns, values) = self.row(block * 64 + k);
+                for (&c, &w) in columns.iter().zip(values) {
+                    let w = E::of(f64::from(w));
+                    let x = &x[c as usize * channels..][..channels];
+                    for (o, &x) in out.iter_mut().zip(x) {
+                        *o += w * x;
+                    }
+                }
+            }
+        });
+        out
+    }
+
+    /// `W^T g`: `g` is `[rows, channels]` row-major, the result `[columns, channels]`.
+    ///
+    /// Threads own disjoint channel ranges and walk the rows in order, so the sums do not depend on their number.
+    pub fn apply_adjoint<E: Real>(&self, g: &[E], channels: usize) -> Vec<E> {
+        let mut out = vec![E::zero(); self.columns * channels];
+        let blocks: Vec<Vec<E>> = (0..channels.div_ceil(LANES))
+            .into_par_iter()
+            .map(|block| {
+                let first = block * LANES;
+                let width = LANES.min(channels - first);
+                let mut sum = vec![E::zero(); self.columns * width];
+                for r in 0..self.rows() {
+                    let g = &g[r * channels + first..][..width];
+                    let (columns, values) = self.row(r);
+                    for (&c, &w) in columns.iter().zip(values) {
+                        let w = E::of(f64::from(w));
+                        for (o, &g) in sum[c as usize * width..][..width].iter_mut().zip(g) {
+                            *o += w * g;
+                        }
+                    }
+                }
+                sum
+            })
+            .collect();
+        if channels > 0 {
+            out.par_chunks_mut(channels).enumerate().for_each(|(c, out)| {
+                for (out, block) in out.chunks_mut(LANES).zip(&blocks) {
+                    out.copy_from_slice(&block[c * out.len()..][..out.len()]);
+                }
+            });
+        }
+        out
+    }
+}
+
+/// Backend side of [`sparse_apply`].
+#[backend_extension(
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Cube: cfg(feature = "wgpu"),
+    Autodiff
+)]
+pub trait SparseBackend: Backend {
+    /// `W x`, see [`SparseMatrix::apply`].
+    fn sparse_apply(x: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self>;
+    /// `W^T g`, see [`SparseMatrix::apply_adjoint`].
+    fn sparse_apply_adjoint(g: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self>;
+}
+
+impl<B: HostBackend> SparseBackend for B {
+    fn sparse_apply(x: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
+        let (device, channels) = (device_of::<B>(&x), x.shape()[1]);
+        real_kernel!(x, E => B::tensor::<E>(matrix.apply::<E>(&B::values(x), channels), &[matrix.rows(), channels], &device))
+    }
+    fn sparse_apply_adjoint(g: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
+        let (device, channels) = (device_of::<B>(&g), g.shape()[1]);
+        real_kernel!(g, E => B::tensor::<E>(matrix.apply_adjoint::<E>(&B::values(g), channels), &[matrix.columns, channels], &device))
+    }
+}
+
+#[derive(Debug)]
+struct SparseBackward;
+
+impl<B: SparseBackend> Backward<B, 1> for SparseBackward {
+    type State = Arc<SparseMatrix>;
+
+    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
+        let g = grads.consume::<B>(&ops.node);
+        let [parent] = ops.parents;
+        if let Some(node) = parent {
+            grads.register::<B>(node.id, B::sparse_apply_adjoint(g, ops.state));
+        }
+    }
+}
+
+impl<B: SparseBackend, C: CheckpointStrategy> SparseBackend for Autodiff<B, C> {
+    fn sparse_apply(x: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
+        let (x, node) = x.into_parts();
+        match SparseBackward.prepare::<C>([node]).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => {
+                let out = B::sparse_apply(x, matrix.clone());
+                prep.finish(matrix, out)
+            }
+            OpsKind::UnTracked(prep) => prep.finish(B::sparse_apply(x, matrix)),
+        }
+    }
+
+    fn sparse_apply_adjoint(_g: FloatTensor<Self>, _matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
+        unimplemented!("second-order gradients")
+    }
+}
+
+/// `W x` with gradients to `x`: `x` is `[columns, channels]`, the result `[rows, channels]`.
+///
+/// # Panics
+/// If `x` has another number of rows than the matrix has columns.
+pub fn sparse_apply(x: Tensor<2>, matrix: Arc<SparseMatrix>) -> Tensor<2> {
+    assert_eq!(x.dims()[0], matrix.columns, "sparse_apply: rows of x against columns of the matrix");
+    Tensor::from_dispatch(Dispatch::sparse_apply(x.into_dispatch(), matrix))
+}

@@ -1,0 +1,16 @@
+//! All public behaviour, one module a subject, in one binary.
+
+mod ops;
+
+use std::path::PathBuf;
+
+/// The folder of real scenes and weights that some tests use, if it is there; those tests say so and pass otherwise.
+pub fn shared_dir() -> Option<PathBuf> {
+    let dir = std::env::var_os("COSEG_SHARED")
+        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
+    if dir.is_dir() {
+        return Some(dir);
+    }
+    eprintln!("SKIPPED: {} is absent", dir.display());
+    None
+}
