@@ -7,5 +7,7 @@ pub mod device;
 pub mod error;
 pub mod gaussians;
 pub mod ops;
+pub mod random;
+pub mod train;
 
 pub use error::{Error, Result};
