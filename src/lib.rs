@@ -8,5 +8,7 @@ pub mod error;
 pub mod gaussians;
 pub mod metrics;
 pub mod ops;
+pub mod random;
+pub mod train;
 
 pub use error::{Error, Result};

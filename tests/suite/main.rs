@@ -1,6 +1,9 @@
 //! All public behaviour, one module a subject, in one binary.
 
+mod adam;
+mod densify;
 mod ops;
+mod photometric;
 
 use std::path::PathBuf;
 
