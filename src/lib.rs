@@ -7,5 +7,6 @@ pub mod device;
 pub mod error;
 pub mod gaussians;
 pub mod ops;
+pub mod segmentation;
 
 pub use error::{Error, Result};

@@ -1,10 +1,12 @@
 //! What every custom burn operation of this crate stands on: kernels are plain slices-in, slices-out Rust, and
 //! [`HostBackend`] lends them the contents of a tensor on any backend.
 
+mod attentive_pool;
 mod host;
 mod real;
 mod sparse;
 
+pub use attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
 pub(crate) use host::device_of;
 pub(crate) use host::real_kernel;
 pub use host::{HostBackend, HostValues, warn_host_fallback};

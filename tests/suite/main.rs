@@ -1,6 +1,8 @@
 //! All public behaviour, one module a subject, in one binary.
 
+mod neighbours;
 mod ops;
+mod randla;
 
 use std::path::PathBuf;
 
