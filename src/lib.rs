@@ -10,5 +10,6 @@ pub mod metrics;
 pub mod ops;
 pub mod random;
 pub mod train;
+pub mod segmentation;
 
 pub use error::{Error, Result};

@@ -2,6 +2,7 @@
 //! [`HostBackend`] lends them the contents of a tensor on any backend.
 
 mod adam;
+mod attentive_pool;
 mod host;
 mod photometric;
 mod real;
@@ -10,6 +11,7 @@ mod sparse;
 mod window;
 
 pub use adam::{AdamBackend, AdamStep, AdamTensors, adam_step, adam_step_plain};
+pub use attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
 pub(crate) use host::device_of;
 pub(crate) use host::real_kernel;
 pub use host::{HostBackend, HostValues, warn_host_fallback};

@@ -4,6 +4,9 @@ mod adam;
 mod densify;
 mod ops;
 mod photometric;
+mod neighbours;
+mod ops;
+mod randla;
 
 use std::path::PathBuf;
 
