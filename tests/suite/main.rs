@@ -1,5 +1,6 @@
 //! All public behaviour, one module a subject, in one binary.
 
+mod config;
 mod ops;
 
 use std::path::PathBuf;
