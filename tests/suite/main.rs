@@ -2,6 +2,7 @@
 
 mod adam;
 mod densify;
+mod config;
 mod ops;
 mod photometric;
 mod neighbours;
