@@ -17,4 +17,4 @@ pub(crate) use host::real_kernel;
 pub use host::{HostBackend, HostValues, warn_host_fallback};
 pub use photometric::{Photo, PhotometricBackend, photometric_loss, photometric_loss_plain};
 pub use real::Real;
-pub use sparse::{SparseBackend, SparseMatrix, sparse_apply};
+pub use sparse::{Compact, SparseBackend, SparseMatrix, sparse_apply};

@@ -6,7 +6,6 @@ mod config;
 mod ops;
 mod photometric;
 mod neighbours;
-mod ops;
 mod randla;
 
 use std::path::PathBuf;
