@@ -1,11 +1,11 @@
 //! All public behaviour, one module a subject, in one binary.
 
 mod adam;
-mod densify;
 mod config;
+mod densify;
+mod neighbours;
 mod ops;
 mod photometric;
-mod neighbours;
 mod randla;
 
 use std::path::PathBuf;

@@ -3,11 +3,13 @@
 mod fused;
 mod optimiser;
 mod per_gaussian;
+mod session;
 mod views;
 
 pub use fused::{Fused, Source};
 pub use optimiser::{ModuleAdam, NamedValues};
 pub use per_gaussian::PerGaussian;
+pub use session::{Pace, Score, train};
 pub use views::{TrainingViews, ViewWeights, view_at};
 
 use crate::config::SegmentationConfig;
