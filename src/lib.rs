@@ -6,6 +6,7 @@ pub mod data;
 pub mod device;
 pub mod error;
 pub mod gaussians;
+pub mod metrics;
 pub mod ops;
 pub mod random;
 pub mod train;

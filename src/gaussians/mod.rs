@@ -2,6 +2,7 @@
 
 pub mod densify;
 pub mod init;
+pub mod ply;
 
 /// N Gaussians in host memory, structure of arrays.
 ///

@@ -1,16 +1,16 @@
 //! Checkpoints: named tensors and settings in one safetensors file, written so that a crash leaves the old one whole.
 //!
-//! The file goes to a temporary name, is synced, then renamed. Metadata is one JSON object under the key `coseg` of
+//! Metadata is one JSON object under the key `coseg` of
 //! `__metadata__`; numbers that must come back bit for bit belong in tensors.
 
+use crate::data::atomic;
 use crate::error::{Error, Result};
 use safetensors::{Dtype, SafeTensors, View};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
-use std::fs::{self, File};
-use std::io::Write;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Version of the layout; files of another one are refused.
@@ -215,7 +215,7 @@ impl Checkpoint {
         Error::input(&self.path, field, found, expected, "resume from another checkpoint, or start the run again")
     }
 
-    /// Writes `path` through a temporary file beside it; the old file stays whole until the new one is on disk.
+    /// Writes `path`; what stood there before stays whole until the new file is on disk.
     ///
     /// # Errors
     /// [`Error::Io`] naming the file.
@@ -225,18 +225,7 @@ impl Checkpoint {
         let tensors = self.tensors.iter().map(|(name, (shape, values))| (name, Stored(shape, values)));
         let bytes = safetensors::serialize(tensors, Some(metadata))
             .map_err(|e| Error::io(path, "encode", std::io::Error::other(e.to_string())))?;
-        let temporary = path.with_added_extension("tmp");
-        let write = || -> std::io::Result<()> {
-            let mut file = File::create(&temporary)?;
-            file.write_all(&bytes)?;
-            file.sync_all()
-        };
-        write().map_err(|e| Error::io(&temporary, "write", e))?;
-        fs::rename(&temporary, path).map_err(|e| Error::io(path, "rename to", e))?;
-        // The rename itself is on disk once the folder is; not every system can sync a folder.
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let _ = File::open(folder).and_then(|f| f.sync_all());
-        Ok(())
+        atomic::write_bytes(path, &bytes)
     }
 
     /// Reads a checkpoint of `kind`.
