@@ -2,6 +2,7 @@
 
 mod adam;
 mod config;
+mod checkpoint;
 mod densify;
 mod neighbours;
 mod ops;
