@@ -1,6 +1,8 @@
 //! All public behaviour, one module a subject, in one binary.
 
+mod features;
 mod ops;
+mod pca;
 
 use std::path::PathBuf;
 
