@@ -7,6 +7,10 @@ pub mod device;
 pub mod error;
 pub mod features;
 pub mod gaussians;
+pub mod metrics;
 pub mod ops;
+pub mod random;
+pub mod train;
+pub mod segmentation;
 
 pub use error::{Error, Result};

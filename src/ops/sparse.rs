@@ -102,6 +102,67 @@ impl SparseMatrix {
     }
 }
 
+/// Rows and columns of a matrix that a computation needs, see [`SparseMatrix::compact`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Compact {
+    /// The chosen rows over the used columns only.
+    pub matrix: SparseMatrix,
+    /// For each column of [`Compact::matrix`], the column of the original; ascending.
+    pub columns: Vec<u32>,
+}
+
+impl SparseMatrix {
+    /// The same matrix with each row divided by its sum; rows that sum to less than `floor` become empty.
+    ///
+    /// Of blending weights this makes weighted means: a row sums to `1 - T`.
+    #[must_use]
+    pub fn normalised(&self, floor: f32) -> Self {
+        let mut out = Self { columns: self.columns, offsets: vec![0], ..Self::default() };
+        for r in 0..self.rows() {
+            let (columns, values) = self.row(r);
+            let sum: f32 = values.iter().sum();
+            if sum >= floor && sum > 0.0 {
+                out.indices.extend_from_slice(columns);
+                out.values.extend(values.iter().map(|v| v / sum));
+            }
+            out.offsets.push(out.indices.len() as u32);
+        }
+        out
+    }
+
+    /// The rows `rows` in that order.
+    #[must_use]
+    pub fn select_rows(&self, rows: &[u32]) -> Self {
+        let mut out = Self { columns: self.columns, offsets: Vec::with_capacity(rows.len() + 1), ..Self::default() };
+        out.offsets.push(0);
+        for &r in rows {
+            let (columns, values) = self.row(r as usize);
+            out.indices.extend_from_slice(columns);
+            out.values.extend_from_slice(values);
+            out.offsets.push(out.indices.len() as u32);
+        }
+        out
+    }
+
+    /// The matrix over its used columns, and which those are.
+    #[must_use]
+    pub fn compact(self) -> Compact {
+        let mut place = vec![u32::MAX; self.columns];
+        for &c in &self.indices {
+            place[c as usize] = 0;
+        }
+        let mut columns = Vec::new();
+        for (c, place) in place.iter_mut().enumerate() {
+            if *place == 0 {
+                *place = columns.len() as u32;
+                columns.push(c as u32);
+            }
+        }
+        let indices = self.indices.iter().map(|&c| place[c as usize]).collect();
+        Compact { matrix: Self { columns: columns.len(), indices, ..self }, columns }
+    }
+}
+
 /// Backend side of [`sparse_apply`].
 #[backend_extension(
     NdArray: cfg(feature = "ndarray"),

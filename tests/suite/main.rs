@@ -3,6 +3,13 @@
 mod features;
 mod ops;
 mod pca;
+mod adam;
+mod densify;
+mod config;
+mod ops;
+mod photometric;
+mod neighbours;
+mod randla;
 
 use std::path::PathBuf;
 
