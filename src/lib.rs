@@ -5,6 +5,7 @@ pub mod config;
 pub mod data;
 pub mod device;
 pub mod error;
+pub mod features;
 pub mod gaussians;
 pub mod metrics;
 pub mod ops;

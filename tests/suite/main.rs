@@ -1,5 +1,8 @@
 //! All public behaviour, one module a subject, in one binary.
 
+mod features;
+mod ops;
+mod pca;
 mod adam;
 mod config;
 mod checkpoint;
