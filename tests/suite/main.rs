@@ -1,6 +1,8 @@
 //! All public behaviour, one module a subject, in one binary.
 
 mod ops;
+mod raster;
+mod raster_reference;
 
 use std::path::PathBuf;
 
