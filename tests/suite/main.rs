@@ -11,6 +11,8 @@ mod neighbours;
 mod ops;
 mod photometric;
 mod randla;
+mod raster;
+mod raster_reference;
 
 use std::path::PathBuf;
 
