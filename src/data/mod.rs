@@ -1,5 +1,7 @@
 //! Scenes: posed images, label maps, class tables, initial points; dataset formats; the built-in procedural scene.
 
+pub mod builtin;
+
 use crate::camera::Camera;
 use glam::DVec3;
 
