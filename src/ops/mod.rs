@@ -3,6 +3,7 @@
 
 mod attentive_pool;
 mod host;
+mod label_loss;
 mod real;
 mod sparse;
 
@@ -10,5 +11,6 @@ pub use attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
 pub(crate) use host::device_of;
 pub(crate) use host::real_kernel;
 pub use host::{HostBackend, HostValues, warn_host_fallback};
+pub use label_loss::{Kind, LabelLossBackend, UNLABELLED, label_loss};
 pub use real::Real;
 pub use sparse::{SparseBackend, SparseMatrix, sparse_apply};
