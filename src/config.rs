@@ -1,6 +1,13 @@
 //! Every setting of a run, as plain data. `config.toml` in a run folder is this structure as it ran.
 //!
 //! Sections follow the pipeline. Unknown keys are errors. `--set section.key=value` overrides one key.
+//! [`Config::load`] reads files and overrides, [`Config::preset`] holds the named sets of defaults,
+//! [`Config::validate`] the allowed ranges.
+
+mod load;
+mod presets;
+mod row;
+mod validate;
 
 use serde::{Deserialize, Serialize};
 

@@ -2,8 +2,16 @@
 
 mod decoder;
 mod loss;
+mod features;
+mod ops;
+mod pca;
+mod adam;
+mod config;
+mod checkpoint;
+mod densify;
 mod neighbours;
 mod ops;
+mod photometric;
 mod randla;
 
 use std::path::PathBuf;
