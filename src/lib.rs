@@ -7,5 +7,6 @@ pub mod device;
 pub mod error;
 pub mod gaussians;
 pub mod ops;
+pub mod report;
 
 pub use error::{Error, Result};

@@ -2,6 +2,7 @@
 
 mod config;
 mod ops;
+mod report;
 
 use std::path::PathBuf;
 
