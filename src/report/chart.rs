@@ -1,6 +1,6 @@
 //! Line charts as inline SVG: ticks, units, direct labels, no script. Colours are CSS classes of the page.
 
-use super::markup::escape;
+use super::markup::{escape, thousands};
 use std::fmt::Write;
 
 /// One line of a chart.
@@ -102,6 +102,9 @@ fn tick_text(value: f64) -> String {
     if magnitude >= 10_000.0 {
         return format!("{}k", trim(format!("{:.1}", value / 1_000.0)));
     }
+    if value >= 1_000.0 {
+        return thousands(value.round() as u64);
+    }
     if magnitude > 0.0 && magnitude < 1e-3 {
         return format!("{value:e}");
     }
@@ -136,7 +139,7 @@ impl Chart {
         let pad = if log { 1.15 } else { 0.06 * (high - low).max(1e-9) };
         (low, high) = if log { (low / pad, high * pad) } else { (low - pad, high + pad) };
         let longest = self.end_labels().iter().map(|(_, _, text)| text.chars().count()).max().unwrap_or(0);
-        let right = 12.0 + 6.4 * longest as f64;
+        let right = 14.0 + 7.3 * longest as f64;
         let (first, last) = range(points().map(|p| p.0))?;
         let x = Axis { low: first.min(0.0), high: last, from: LEFT, to: WIDTH - right, log: false };
         let y = Axis { low, high, from: HEIGHT - BOTTOM, to: TOP, log };
@@ -163,7 +166,7 @@ impl Chart {
     fn end_labels(&self) -> Vec<(f64, &str, String)> {
         let text = |name: &str, value: f64| {
             let value = if self.decimals == 0 && value >= 1_000.0 {
-                super::markup::thousands(value as u64)
+                thousands(value as u64)
             } else {
                 format!("{value:.*}", self.decimals)
             };
@@ -273,5 +276,9 @@ fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     if low > high {
         return None;
     }
-    Some(if high - low > 1e-12 * high.abs() { (low, high) } else { (low - 0.5 * low.abs().max(1e-3), high + 0.5 * high.abs().max(1e-3)) })
+    Some(if high - low > 1e-12 * high.abs() {
+        (low, high)
+    } else {
+        (low - 0.5 * low.abs().max(1e-3), high + 0.5 * high.abs().max(1e-3))
+    })
 }

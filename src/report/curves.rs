@@ -29,7 +29,7 @@ fn single(title: &str, y_title: &str, samples: &[Sample], decimals: usize) -> Ch
 fn loss(title: &str, class: &str, samples: &[Sample]) -> Chart {
     let (points, group) = thinned(samples);
     let span = match (samples.first(), samples.get(group)) {
-        (Some(first), Some(next)) if group > 1 => format!(", means of {} iterations", next.0 - first.0),
+        (Some(first), Some(next)) if group > 1 => format!(" (means of {} iterations)", next.0 - first.0),
         _ => String::new(),
     };
     Chart {
@@ -70,6 +70,6 @@ pub(super) fn segmentation(report: &Report<'_>) -> String {
         log: false,
         decimals: 1,
     };
-    let losses = rows.iter().map(|r| loss(&format!("Training loss: {}", r.row.title()), row_class(r.row), &r.loss));
+    let losses = rows.iter().map(|r| loss(&format!("Loss, {}", r.row.title()), row_class(r.row), &r.loss));
     std::iter::once(miou).chain(losses).filter_map(|chart| chart.figure()).collect()
 }

@@ -14,7 +14,7 @@ const UNKNOWN: [u8; 3] = [255, 0, 200];
 /// Colours of [`label_error`]: right, wrong, truth unlabelled.
 pub const AGREEMENT: [[u8; 3]; 3] = [[226, 229, 226], [208, 52, 44], [112, 114, 120]];
 /// Mean absolute RGB error at which [`rgb_error`] reaches its brightest colour.
-pub const ERROR_FULL: f32 = 0.25;
+pub const ERROR_FULL: f32 = 0.1;
 
 /// `[H, W, 3]` floats as 8-bit sRGB: clamped to 0..1 and rounded. NaN becomes 0.
 ///
@@ -137,7 +137,9 @@ fn draw_text(image: &mut RgbImage, (x, y): (usize, usize), scale: usize, text: &
 /// [`Error::Io`] naming `path`, for which the bytes are meant, when encoding fails.
 pub fn png(image: &RgbImage, path: &Path) -> Result<Vec<u8>> {
     let mut bytes = Cursor::new(Vec::new());
-    image.write_to(&mut bytes, image::ImageFormat::Png).map_err(|e| Error::io(path, "encode", std::io::Error::other(e)))?;
+    image
+        .write_to(&mut bytes, image::ImageFormat::Png)
+        .map_err(|e| Error::io(path, "encode", std::io::Error::other(e)))?;
     Ok(bytes.into_inner())
 }
 
@@ -152,9 +154,13 @@ pub fn label_png(labels: &LabelMap, path: &Path) -> Result<Vec<u8>> {
         let ids = labels.ids.iter().map(|&id| id as u8).collect();
         image::GrayImage::from_raw(width, height, ids).ok_or_else(mismatch)?.into()
     } else {
-        image::ImageBuffer::<image::Luma<u16>, _>::from_raw(width, height, labels.ids.clone()).ok_or_else(mismatch)?.into()
+        image::ImageBuffer::<image::Luma<u16>, _>::from_raw(width, height, labels.ids.clone())
+            .ok_or_else(mismatch)?
+            .into()
     };
     let mut bytes = Cursor::new(Vec::new());
-    image.write_to(&mut bytes, image::ImageFormat::Png).map_err(|e| Error::io(path, "encode", std::io::Error::other(e)))?;
+    image
+        .write_to(&mut bytes, image::ImageFormat::Png)
+        .map_err(|e| Error::io(path, "encode", std::io::Error::other(e)))?;
     Ok(bytes.into_inner())
 }

@@ -49,7 +49,15 @@ pub(super) fn scores(report: &Report<'_>) -> String {
             );
         }
     }
-    let head = ["", "mIoU pooled, %", "mIoU per view, %", "accuracy, %", "iterations", "learning rate", "time"];
+    let head = [
+        "",
+        "mIoU pooled,&nbsp;%",
+        "mIoU per&nbsp;view,&nbsp;%",
+        "accuracy,&nbsp;%",
+        "iterations",
+        "learning rate",
+        "time",
+    ];
     table(&head.map(String::from), &body)
 }
 
@@ -110,7 +118,8 @@ pub(super) fn times(report: &Report<'_>) -> String {
             duration(seconds)
         );
     }
-    let _ = writeln!(body, "<tr><th scope=\"row\">total</th><td class=\"best\">{}</td><td></td></tr>", duration(s.total));
+    let _ =
+        writeln!(body, "<tr><th scope=\"row\">total</th><td class=\"best\">{}</td><td></td></tr>", duration(s.total));
     let head = ["stage", "time", "share"].map(String::from);
     format!("<div class=\"bar\" aria-hidden=\"true\">{bar}</div>\n{}", table(&head, &body))
 }

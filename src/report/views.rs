@@ -1,7 +1,9 @@
 //! Pictures of held-out views, side by side.
 
 use super::markup::{escape, percent};
-use super::pictures::{AGREEMENT, ERROR_FULL, UNLABELLED, accuracy, colored, from_floats, heat, label_error, png, rgb_error};
+use super::pictures::{
+    AGREEMENT, ERROR_FULL, UNLABELLED, accuracy, colored, from_floats, heat, label_error, png, rgb_error,
+};
 use super::{HeldOutView, Report};
 use crate::config::Row;
 use crate::data::LabelMap;
@@ -13,6 +15,8 @@ use std::path::Path;
 
 /// More views than this are only in `renders/`.
 const SHOWN: usize = 6;
+/// Views after these are folded away.
+const OPEN: usize = 2;
 
 /// The section's content: legend and, for up to [`SHOWN`] views spread over the split, all pictures.
 pub(super) fn views(report: &Report<'_>, path: &Path) -> Result<String> {
@@ -33,9 +37,15 @@ pub(super) fn views(report: &Report<'_>, path: &Path) -> Result<String> {
     }
     out.push_str(&scales(report));
     for i in 0..shown {
+        if i == OPEN {
+            let _ = writeln!(out, "<details><summary>{} more</summary>", shown - OPEN);
+        }
         // The middle of each of `shown` equal parts.
         let view = &report.views[(2 * i + 1) * all / (2 * shown)];
         out.push_str(&one(report, view, path)?);
+    }
+    if shown > OPEN {
+        out.push_str("</details>\n");
     }
     Ok(out)
 }
@@ -57,7 +67,8 @@ fn legend(report: &Report<'_>) -> String {
 
 /// What the colours of the error maps mean.
 fn scales(report: &Report<'_>) -> String {
-    let stops: Vec<String> = (0..=8).map(|i| heat(i as f32 / 8.0)).map(|[r, g, b]| format!("rgb({r} {g} {b})")).collect();
+    let stops: Vec<String> =
+        (0..=8).map(|i| heat(i as f32 / 8.0)).map(|[r, g, b]| format!("rgb({r} {g} {b})")).collect();
     let mut text = format!(
         "<p class=\"quiet\">Colour error: mean |render − photo| over the channels, 0 \
          <span class=\"ramp\" style=\"background:linear-gradient(90deg,{})\"></span> {ERROR_FULL} or more.",

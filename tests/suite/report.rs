@@ -79,7 +79,11 @@ fn scores(miou: f64, trained: bool) -> LabelScores {
         miou,
         miou_per_view: miou + 0.013,
         accuracy: 0.5 + 0.5 * miou,
-        void_left_out: (miou < 0.65).then_some(Scores { miou: miou + 0.02, miou_per_view: miou + 0.03, accuracy: 0.82 }),
+        void_left_out: (miou < 0.65).then_some(Scores {
+            miou: miou + 0.02,
+            miou_per_view: miou + 0.03,
+            accuracy: 0.82,
+        }),
         class_iou: (1..6_u16).map(|id| (id, miou - 0.0625 * (f64::from(id) - 3.0))).collect(),
         iterations: trained.then_some(2_000),
         learning_rate: trained.then_some(1e-3),
@@ -249,7 +253,8 @@ fn assert_balanced(page: &str) {
     let empty = ["meta", "img", "!doctype"];
     for tag in page.split('<').skip(1) {
         let inner = tag.split('>').next().unwrap();
-        let name: String = inner.trim_start_matches('/').chars().take_while(|c| c.is_alphanumeric() || *c == '!').collect();
+        let name: String =
+            inner.trim_start_matches('/').chars().take_while(|c| c.is_alphanumeric() || *c == '!').collect();
         if inner.starts_with('/') {
             assert_eq!(open.pop().as_deref(), Some(name.as_str()), "at </{name}>");
         } else if !inner.ends_with('/') && !empty.contains(&name.as_str()) {
@@ -319,7 +324,7 @@ fn label_pictures_show_classes_errors_and_void() {
 fn colour_errors_grow_from_black_to_bright() {
     let a = image::RgbImage::from_pixel(3, 1, image::Rgb([0, 0, 0]));
     let mut b = a.clone();
-    b.put_pixel(1, 0, image::Rgb([30, 30, 30]));
+    b.put_pixel(1, 0, image::Rgb([12, 12, 12]));
     b.put_pixel(2, 0, image::Rgb([255, 255, 255]));
     let error = pictures::rgb_error(&a, &b);
     let light = |x| error.get_pixel(x, 0).0.iter().map(|&c| u32::from(c)).sum::<u32>();
