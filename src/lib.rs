@@ -5,8 +5,13 @@ pub mod config;
 pub mod data;
 pub mod device;
 pub mod error;
+pub mod features;
 pub mod gaussians;
+pub mod metrics;
 pub mod ops;
 pub mod report;
+pub mod random;
+pub mod segmentation;
+pub mod train;
 
 pub use error::{Error, Result};

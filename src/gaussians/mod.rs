@@ -1,5 +1,9 @@
 //! The scene as 3D Gaussians: parameters on the host, initialisation, densification, spherical harmonics, PLY.
 
+pub mod densify;
+pub mod init;
+pub mod ply;
+
 /// N Gaussians in host memory, structure of arrays.
 ///
 /// Row `i` of every field belongs to the same Gaussian. Values are unactivated, as the 3DGS PLY stores them.

@@ -1,8 +1,17 @@
 //! All public behaviour, one module a subject, in one binary.
 
-mod config;
+mod features;
 mod ops;
 mod report;
+mod pca;
+mod adam;
+mod config;
+mod checkpoint;
+mod densify;
+mod neighbours;
+mod ops;
+mod photometric;
+mod randla;
 
 use std::path::PathBuf;
 

@@ -1,0 +1,8 @@
+//! Segmentation identities: where image features meet the shape of the scene.
+
+pub mod checkpoint;
+pub mod encoder;
+pub mod interpolation;
+pub mod neighbours;
+pub mod randla;
+pub mod sampling;
