@@ -13,5 +13,6 @@ pub mod report;
 pub mod random;
 pub mod segmentation;
 pub mod train;
+pub mod raster;
 
 pub use error::{Error, Result};

@@ -12,6 +12,8 @@ mod neighbours;
 mod ops;
 mod photometric;
 mod randla;
+mod raster;
+mod raster_reference;
 
 use std::path::PathBuf;
 
