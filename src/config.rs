@@ -299,6 +299,10 @@ pub enum LabelLoss {
     Js,
     /// Cross-entropy.
     Ce,
+    /// Generalised cross-entropy, q = 0.7.
+    Gce,
+    /// Half the absolute error, 1 - p of the label.
+    Mae,
 }
 
 /// A row of the results table that a run trains.

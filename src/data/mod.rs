@@ -11,6 +11,7 @@ pub mod transforms;
 
 pub use classes::class_color;
 pub use limits::Limits;
+pub mod builtin;
 
 use crate::camera::Camera;
 use glam::DVec3;

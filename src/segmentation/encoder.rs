@@ -105,7 +105,12 @@ impl Encoding {
 /// [`Error::NonFinite`] naming the first bad row of the input, or of the features when the weights overflow.
 pub fn encode(encoder: &RandlaEncoder, cloud: &Cloud, seed: u64, device: &Device) -> Result<Encoding> {
     if cloud.positions.is_empty() {
-        return Err(Error::config("positions to encode", "none", "at least one point", "encode a scene with Gaussians"));
+        return Err(Error::config(
+            "positions to encode",
+            "none",
+            "at least one point",
+            "encode a scene with Gaussians",
+        ));
     }
     let positions = cloud.oriented()?;
     let hierarchy = Hierarchy::build(&positions, LAYERS, RATIO, NEIGHBOURS, seed)?;
@@ -224,7 +229,10 @@ pub fn random_weights(inputs: usize, seed: u64) -> Checkpoint {
         }
         for stage in [1, 2] {
             let values = he_uniform(d * d, d, &mut rng);
-            weights.insert(&block(&format!("lfa.att_pooling_{stage}.fc.weight")), HostTensor { shape: vec![d, d], values });
+            weights.insert(
+                &block(&format!("lfa.att_pooling_{stage}.fc.weight")),
+                HostTensor { shape: vec![d, d], values },
+            );
         }
         input = 2 * d;
     }
@@ -236,7 +244,8 @@ pub(crate) fn add_random_mlp(weights: &mut Checkpoint, name: &str, [input, outpu
     let values = he_uniform(input * output, input, rng);
     weights.insert(&format!("{name}.conv.weight"), HostTensor { shape: vec![output, input], values });
     for (part, value) in [("weight", 1.0), ("bias", 0.0), ("running_mean", 0.0), ("running_var", 1.0)] {
-        weights.insert(&format!("{name}.bn.bn.{part}"), HostTensor { shape: vec![output], values: vec![value; output] });
+        weights
+            .insert(&format!("{name}.bn.bn.{part}"), HostTensor { shape: vec![output], values: vec![value; output] });
     }
 }
 

@@ -1,5 +1,7 @@
 //! All public behaviour, one module a subject, in one binary.
 
+mod decoder;
+mod loss;
 mod features;
 mod ops;
 mod report;
