@@ -306,7 +306,7 @@ pub enum LabelLoss {
 }
 
 /// A row of the results table that a run trains.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Row {
     /// Raw labels of the test views, as they are.

@@ -9,6 +9,7 @@ pub mod features;
 pub mod gaussians;
 pub mod metrics;
 pub mod ops;
+pub mod report;
 pub mod random;
 pub mod segmentation;
 pub mod train;

@@ -4,6 +4,7 @@ mod decoder;
 mod loss;
 mod features;
 mod ops;
+mod report;
 mod pca;
 mod adam;
 mod config;
