@@ -102,6 +102,15 @@ impl DecoderInput {
         Ok(Self { levels, coarsest: coarsest.then(|| encoding.coarsest.features.clone()) })
     }
 
+    /// Bytes of the features and maps of the `depth` finest levels: what a restriction to that depth holds of its own.
+    pub fn bytes(&self, depth: usize) -> usize {
+        let level = |l: &DecoderLevel| {
+            let features = l.features.as_ref().map_or(0, |f| 4 * f.shape().num_elements());
+            features + l.upsample.as_ref().map_or(0, |m| m.bytes())
+        };
+        self.levels.iter().take(depth).map(level).sum()
+    }
+
     /// Number of points of the finest level.
     pub fn points(&self) -> usize {
         let level = self.levels.first();

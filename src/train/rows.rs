@@ -1,15 +1,15 @@
 //! The rows of the label table: what each is, and its training and scoring.
 
 use super::progress::{CurvePoint, Progress};
-use super::segmentation::{Fused, Model, Pace, PerGaussian, Plan, TrainingViews, train};
+use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, TrainingViews, train};
 use super::segmentation_inputs::{Inputs, Spatial};
-use crate::config::{LabelLoss, Row, SegmentationConfig};
+use crate::config::{Row, SegmentationConfig};
 use crate::data::{LabelMap, Split, View};
 use crate::error::Result;
 use crate::metrics::{LabelScores, Void, label_scores};
 use crate::objects::{Identities, label_map, vote};
 use crate::raster::Projected;
-use crate::segmentation::decoder::DecoderConfig;
+use crate::segmentation::decoder::Decoder;
 use crate::segmentation::loss::Kind;
 use std::path::Path;
 
@@ -158,10 +158,10 @@ fn untrained(row: Row) -> RowOutcome {
 }
 
 /// Loss of a row after the warm-up.
-fn loss(row: Row, config: &SegmentationConfig) -> Kind {
-    match (row, config.loss) {
-        (Row::PerGaussian | Row::OursCe, _) | (_, LabelLoss::Ce) => Kind::Ce,
-        (_, LabelLoss::Js) => Kind::Js { pi_rl: config.pi_rl },
+fn loss(row: Row, config: &SegmentationConfig) -> Result<Kind> {
+    match row {
+        Row::PerGaussian | Row::OursCe => Ok(Kind::Ce),
+        _ => Kind::from_config(config),
     }
 }
 
@@ -176,7 +176,7 @@ fn trained(
 ) -> Result<RowOutcome> {
     let config = &inputs.config.segmentation;
     let seed = inputs.config.seed;
-    let plan = Plan::new(config, loss(row, config), seed);
+    let plan = Plan::new(config, loss(row, config)?, seed);
     let tenth = |every: usize| if every == 0 { config.iterations.div_ceil(10) } else { every };
     let pace = Pace {
         row: row.name(),
@@ -185,7 +185,7 @@ fn trained(
         checkpoint: Some(checkpoints.join(format!("{}.safetensors", row.name()))),
     };
     let device = inputs.device.clone().autodiff();
-    let classes = inputs.scene.classes.len();
+    let (classes, count) = (inputs.scene.classes.len(), views.len());
     let mut score = |identities: &Identities| Ok(held_out.score(identities, inputs).miou);
     let mut fit = |model: &mut dyn Model, rate: f64| -> Result<RowOutcome> {
         let curve = train(model, views, &plan, &pace, &mut score, progress)?;
@@ -205,19 +205,13 @@ fn trained(
         return fit(&mut PerGaussian::new(inputs.gaussians.len(), classes, rate, &device), rate);
     }
     let source = spatial.source(row, inputs)?;
-    let decoder = DecoderConfig::for_pyramid(source.scene(), classes, row != Row::SingleScale);
-    device.seed(seed);
-    let mut model = Fused::new(
-        decoder.init(&device),
-        source,
-        &inputs.gaussians.means,
-        views.len(),
-        classes,
-        config.lr,
+    let plan = FusedPlan {
         config,
-        row != Row::OursCe && config.lambda_reg > 0.0,
+        rate: config.lr,
+        regularised: row != Row::OursCe && config.lambda_reg > 0.0,
+        size: [inputs.gaussians.len(), classes],
         seed,
-        &device,
-    );
-    fit(&mut model, config.lr)
+    };
+    let decoder = Decoder::new(&source.scene().input, classes, config.layer_norm, seed, &device)?;
+    fit(&mut Fused::new(decoder, source, count, plan, &device), config.lr)
 }

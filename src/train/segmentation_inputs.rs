@@ -1,19 +1,22 @@
 //! The frozen inputs of stage two: image features lifted onto the Gaussians, spatial features, and their pyramids.
 
 use super::progress::{Event, Progress};
-use super::segmentation::Source;
+use super::segmentation::{Encoded, REGULARISED, Source};
 use crate::config::{Config, Encode, Row, SpatialConfig, SpatialSource};
 use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::features::{self, SCALES};
 use crate::gaussians::Gaussians;
 use crate::raster::{Projected, Settings};
+use crate::segmentation::decoder::{DecoderInput, Switches};
 use crate::segmentation::encoder::{Cloud, Encoding, encode, load_spatial, metres_per_unit};
-use crate::segmentation::pyramid::{Level, Pyramid};
+use crate::segmentation::loss::drop_self;
 use crate::segmentation::unprojection::unproject;
 use burn::tensor::{Device, Tensor, TensorData};
-use std::sync::Arc;
 use std::time::Instant;
+
+/// Scale (zero-based) whose image features the single-scale row reads.
+const SINGLE_SCALE: usize = 0;
 
 /// Image features lifted onto the Gaussians that were seen often enough.
 pub struct Seen {
@@ -76,23 +79,21 @@ pub struct Inputs<'a> {
     pub device: &'a Device,
 }
 
-/// What a row's decoder is shown.
+/// What a row's decoder is shown, and whether the encoder is a random one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Flavour {
-    image: bool,
-    spatial: bool,
-    multi_scale: bool,
+    switches: Switches,
     random: bool,
 }
 
 impl Flavour {
     fn of(row: Row) -> Self {
-        Self {
+        let switches = Switches {
             image: row != Row::NoImageFeatures,
             spatial: row != Row::NoSpatial,
-            multi_scale: row != Row::SingleScale,
-            random: row == Row::RandomSpatial,
-        }
+            single_scale: (row == Row::SingleScale).then_some(SINGLE_SCALE),
+        };
+        Self { switches, random: row == Row::RandomSpatial }
     }
 }
 
@@ -137,11 +138,15 @@ impl Spatial {
             _ => self.encode(flavour.random, inputs)?,
         };
         let all: Vec<u32> = (0..inputs.gaussians.len() as u32).collect();
-        let scene = pyramid(&encodings.scene, &all, flavour, inputs);
+        let scene = join(&encodings.scene, all, flavour, inputs)?;
         let source = match inputs.config.spatial.encode {
             Encode::Scene => Source::Scene(scene),
             Encode::View => Source::Views {
-                views: encodings.views.iter().map(|v| pyramid(&v.encoding, &v.visible, flavour, inputs)).collect(),
+                views: encodings
+                    .views
+                    .iter()
+                    .map(|v| join(&v.encoding, v.visible.clone(), flavour, inputs))
+                    .collect::<Result<_>>()?,
                 weights: encodings.views.iter().map(|v| v.weights.clone()).collect(),
                 scene,
             },
@@ -192,31 +197,20 @@ fn camera_extent(scene: &Scene) -> f64 {
 }
 
 /// Joins an encoding of the Gaussians `points` with their lifted features.
-fn pyramid(encoding: &Encoding, points: &[u32], flavour: Flavour, inputs: &Inputs) -> Pyramid {
-    let scales = if flavour.multi_scale { encoding.levels.len() } else { 1 };
-    let levels = encoding.levels[..scales].iter().zip(&encoding.upsample).enumerate().map(|(scale, (level, upsample))| {
-        let rows: Vec<u32> = level.indices.iter().map(|&i| points[i as usize]).collect();
-        let image = match (&inputs.seen, flavour.image) {
-            (Some(seen), true) => {
-                let d = seen.dimensions;
-                let values: Vec<f32> =
-                    rows.iter().flat_map(|&i| &seen.lifted[scale][i as usize * d..][..d]).copied().collect();
-                Tensor::from_data(TensorData::new(values, [rows.len(), d]), inputs.device)
-            }
-            _ => Tensor::zeros([rows.len(), 0], inputs.device),
-        };
-        let spatial = match flavour.spatial {
-            true => level.features.clone(),
-            false => Tensor::zeros([rows.len(), 0], inputs.device),
-        };
-        Level { points: Arc::new(rows), image, spatial, upsample: upsample.clone() }
+fn join(encoding: &Encoding, points: Vec<u32>, flavour: Flavour, inputs: &Inputs) -> Result<Encoded> {
+    let mut image = Vec::new();
+    if let (Some(seen), true) = (&inputs.seen, flavour.switches.image) {
+        let d = seen.dimensions;
+        for lifted in &seen.lifted {
+            let rows: Vec<f32> = points.iter().flat_map(|&i| &lifted[i as usize * d..][..d]).copied().collect();
+            image.push(Tensor::from_data(TensorData::new(rows, [points.len(), d]), inputs.device));
+        }
+    }
+    let input = DecoderInput::new(encoding, &image, flavour.switches)?;
+    let k = inputs.config.segmentation.reg_neighbours;
+    let neighbours = REGULARISED.map(|scale| match flavour.switches.single_scale {
+        Some(_) => Vec::new(),
+        None => drop_self(&encoding.levels[scale].neighbours, k),
     });
-    let levels: Vec<Level> = levels.collect();
-    // Without spatial features or coarser scales nothing stands below the last level: its top has no channels.
-    let below = encoding.upsample[scales - 1].columns;
-    let top = match flavour.spatial && flavour.multi_scale {
-        true => encoding.coarsest.features.clone(),
-        false => Tensor::zeros([below, 0], inputs.device),
-    };
-    Pyramid { levels, top }
+    Ok(Encoded { input, points, neighbours })
 }
