@@ -10,5 +10,6 @@ pub mod metrics;
 pub mod ops;
 pub mod random;
 pub mod train;
+pub mod raster;
 
 pub use error::{Error, Result};

@@ -6,6 +6,8 @@ mod checkpoint;
 mod densify;
 mod ops;
 mod photometric;
+mod raster;
+mod raster_reference;
 
 use std::path::PathBuf;
 
