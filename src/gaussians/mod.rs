@@ -1,6 +1,7 @@
 //! The scene as 3D Gaussians: parameters on the host, initialisation, densification, spherical harmonics, PLY.
 
 pub mod densify;
+pub mod frusta;
 pub mod init;
 pub mod ply;
 

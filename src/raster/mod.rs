@@ -13,6 +13,7 @@ mod backward;
 mod blend;
 mod footprint;
 mod geometry;
+mod op;
 mod projected;
 mod settings;
 mod sh;
@@ -21,6 +22,7 @@ mod tile_pairs;
 mod tiles;
 
 pub use backward::SplatGradients;
+pub use op::{RasterBackend, RasterCall, RasterInput, RasterOutput, RasterTensors, rasterize};
 pub use projected::{Blended, Projected, Rendered, render};
 pub use settings::{PairCounts, Settings, Splats, Stats};
 pub use sh::eval_sh;
