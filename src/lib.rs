@@ -8,11 +8,12 @@ pub mod error;
 pub mod features;
 pub mod gaussians;
 pub mod metrics;
+pub mod objects;
 pub mod ops;
-pub mod report;
 pub mod random;
+pub mod raster;
+pub mod report;
 pub mod segmentation;
 pub mod train;
-pub mod raster;
 
 pub use error::{Error, Result};
