@@ -65,7 +65,10 @@ pub(super) fn segmentation(report: &Report<'_>) -> String {
         y_title: "mIoU, %".into(),
         lines: rows.iter().map(|r| line(r.row.title(), row_class(r.row), &as_percent(&r.miou))).collect(),
         levels: scored
-            .map(|(row, s)| Level { name: row.title().into(), class: row_class(*row).into(), value: 100.0 * s.miou })
+            .filter_map(|(row, s)| {
+                let value = 100.0 * s.miou?;
+                Some(Level { name: row.title().into(), class: row_class(*row).into(), value })
+            })
             .collect(),
         log: false,
         decimals: 1,

@@ -1,6 +1,7 @@
 //! `metrics.json`: the figures of a run, for programs.
 
 use crate::config::Row;
+use crate::metrics::LabelScores;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -33,18 +34,18 @@ pub struct TestScores {
     /// Mean of the per-image SSIM.
     pub ssim: Option<f64>,
     /// Label scores by row.
-    pub labels: BTreeMap<Row, LabelScores>,
+    pub labels: BTreeMap<Row, RowScores>,
 }
 
 /// Label scores of one row.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct LabelScores {
-    /// Mean IoU over the classes in the test truth, all held-out pixels in one confusion matrix.
-    pub miou: f64,
+pub struct RowScores {
+    /// Mean IoU over the classes in the test truth, all held-out pixels in one confusion matrix; `None` without truth.
+    pub miou: Option<f64>,
     /// Mean over the held-out views of each view's own mean IoU.
-    pub miou_per_view: f64,
+    pub miou_per_view: Option<f64>,
     /// Share of labelled pixels that are right.
-    pub accuracy: f64,
+    pub accuracy: Option<f64>,
     /// The same scores with unlabelled predictions left out instead of counted as wrong (raw labels).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub void_left_out: Option<Scores>,
@@ -62,15 +63,33 @@ pub struct LabelScores {
     pub seconds: Option<f64>,
 }
 
-/// The three label scores; see [`LabelScores`].
+impl From<&LabelScores> for RowScores {
+    fn from(scores: &LabelScores) -> Self {
+        Self {
+            miou: scores.miou,
+            miou_per_view: scores.miou_per_view,
+            accuracy: scores.accuracy,
+            class_iou: scores.per_class.iter().copied().collect(),
+            ..Self::default()
+        }
+    }
+}
+
+impl From<&LabelScores> for Scores {
+    fn from(scores: &LabelScores) -> Self {
+        Self { miou: scores.miou, miou_per_view: scores.miou_per_view, accuracy: scores.accuracy }
+    }
+}
+
+/// The three label scores; see [`RowScores`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
     /// Pooled mean IoU.
-    pub miou: f64,
+    pub miou: Option<f64>,
     /// Mean IoU per view, averaged.
-    pub miou_per_view: f64,
+    pub miou_per_view: Option<f64>,
     /// Pixel accuracy.
-    pub accuracy: f64,
+    pub accuracy: Option<f64>,
 }
 
 /// Wall-clock seconds by stage.

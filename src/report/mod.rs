@@ -12,11 +12,12 @@ mod tables;
 mod views;
 
 pub use history::{BuildingHistory, History, RowHistory, Sample};
-pub use metrics::{LabelScores, Metrics, Scores, Seconds, TestScores, peak_memory_bytes};
+pub use metrics::{Metrics, RowScores, Scores, Seconds, TestScores, peak_memory_bytes};
 
 use crate::config::{Config, Row};
-use crate::data::{Classes, LabelMap, View};
+use crate::data::{Classes, LabelMap, View, atomic};
 use crate::error::{Error, Result};
+use crate::metrics::ImageScores;
 use std::path::Path;
 
 /// Everything a run has to show.
@@ -47,10 +48,8 @@ pub struct HeldOutView<'a> {
     pub view: &'a View,
     /// Rendered colour, `[H, W, 3]`, not clamped.
     pub rgb: Vec<f32>,
-    /// PSNR against the photo, dB.
-    pub psnr: f64,
-    /// SSIM against the photo.
-    pub ssim: f64,
+    /// PSNR and SSIM against the photo.
+    pub scores: ImageScores,
     /// Rendered labels by row. `Row::Raw` is not among them: raw labels are the view's own.
     pub labels: Vec<(Row, LabelMap)>,
 }
@@ -72,16 +71,16 @@ impl Report<'_> {
     /// # Errors
     /// [`Error::Io`] naming the file that could not be written.
     pub fn write(&self, dir: &Path) -> Result<()> {
-        self.write_classes(dir)?;
-        place(&dir.join("config.toml"), self.config.to_toml()?.as_bytes())?;
+        self.classes.write(&dir.join("classes.json"))?;
+        atomic::write_bytes(&dir.join("config.toml"), self.config.to_toml()?.as_bytes())?;
         for view in &self.views {
             self.write_pictures(view, &dir.join("renders"))?;
         }
         let path = dir.join("metrics.json");
         let json = serde_json::to_string_pretty(&self.metrics).map_err(|e| Error::io(&path, "encode", e.into()))?;
-        place(&path, (json + "\n").as_bytes())?;
+        atomic::write_bytes(&path, (json + "\n").as_bytes())?;
         let path = dir.join("report.html");
-        place(&path, self.html(&path)?.as_bytes())
+        atomic::write_bytes(&path, self.html(&path)?.as_bytes())
     }
 
     /// `report.html` as text. `path` only serves error messages.
@@ -92,18 +91,6 @@ impl Report<'_> {
         page::page(self, path)
     }
 
-    fn write_classes(&self, dir: &Path) -> Result<()> {
-        #[derive(serde::Serialize)]
-        struct ClassesFile<'c> {
-            ignore: u16,
-            classes: &'c [crate::data::Class],
-        }
-        let path = dir.join("classes.json");
-        let file = ClassesFile { ignore: self.classes.ignore, classes: &self.classes.entries };
-        let json = serde_json::to_string_pretty(&file).map_err(|e| Error::io(&path, "encode", e.into()))?;
-        place(&path, (json + "\n").as_bytes())
-    }
-
     fn write_pictures(&self, held_out: &HeldOutView<'_>, dir: &Path) -> Result<()> {
         let stem = held_out.view.name.replace(['/', '\\'], "_");
         let file = |kind: &str| dir.join(format!("{stem}.{kind}.png"));
@@ -111,13 +98,12 @@ impl Report<'_> {
         let rgb = pictures::from_floats(&held_out.rgb, camera.width, camera.height)?;
         let save = |kind: &str, image: &image::RgbImage| {
             let path = file(kind);
-            place(&path, &pictures::png(image, &path)?)
+            atomic::write_bytes(&path, &pictures::png(image, &path)?)
         };
         save("rgb", &rgb)?;
         save("rgb_error", &pictures::rgb_error(&rgb, &held_out.view.image))?;
         let Some((_, labels)) = held_out.stored() else { return Ok(()) };
-        let path = file("label");
-        place(&path, &pictures::label_png(labels, &path)?)?;
+        labels.write(&file("label"))?;
         let colored = pictures::colored(labels, self.classes);
         save("label_color", &pictures::with_legend(&colored, labels, self.classes))?;
         match &held_out.view.truth {
@@ -125,16 +111,4 @@ impl Report<'_> {
             None => Ok(()),
         }
     }
-}
-
-/// Writes a file whole: temporary name, sync, rename.
-fn place(path: &Path, bytes: &[u8]) -> Result<()> {
-    let folder = path.parent().unwrap_or(Path::new("."));
-    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create folder", e))?;
-    let mut name = std::ffi::OsString::from(".");
-    name.push(path.file_name().unwrap_or_default());
-    name.push(".tmp");
-    let temporary = folder.join(name);
-    let written = std::fs::write(&temporary, bytes).and_then(|()| std::fs::File::open(&temporary)?.sync_all());
-    written.and_then(|()| std::fs::rename(&temporary, path)).map_err(|e| Error::io(path, "write", e))
 }

@@ -86,11 +86,12 @@ fn tiles(report: &Report<'_>) -> String {
         tiles.push((format!("{ssim:.3}"), "", "held-out SSIM".into()));
     }
     let labels = &m.test.labels;
-    if let Some(ours) = labels.get(&Row::Ours) {
-        tiles.push((percent(ours.miou), "%", "held-out mIoU, pooled".into()));
+    let miou = |row| labels.get(&row).and_then(|scores| scores.miou);
+    if let Some(ours) = miou(Row::Ours) {
+        tiles.push((percent(ours), "%", "held-out mIoU, pooled".into()));
         for row in [Row::Raw, Row::Vote] {
-            if let Some(other) = labels.get(&row) {
-                let gain = 100.0 * (ours.miou - other.miou);
+            if let Some(other) = miou(row) {
+                let gain = 100.0 * (ours - other);
                 let against = if row == Row::Raw { "mIoU against the raw labels" } else { "mIoU against the vote" };
                 tiles.push((format!("{gain:+.1}").replace('-', "−"), "points", against.into()));
             }

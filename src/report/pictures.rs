@@ -142,25 +142,3 @@ pub fn png(image: &RgbImage, path: &Path) -> Result<Vec<u8>> {
         .map_err(|e| Error::io(path, "encode", std::io::Error::other(e)))?;
     Ok(bytes.into_inner())
 }
-
-/// Label ids as PNG bytes: 8-bit grey when all ids fit, else 16-bit grey.
-///
-/// # Errors
-/// [`Error::Io`] naming `path`, for which the bytes are meant, when encoding fails.
-pub fn label_png(labels: &LabelMap, path: &Path) -> Result<Vec<u8>> {
-    let (width, height) = (labels.width as u32, labels.height as u32);
-    let mismatch = || Error::io(path, "encode", std::io::Error::other("label map of another size than it states"));
-    let image: image::DynamicImage = if labels.ids.iter().all(|&id| id <= 255) {
-        let ids = labels.ids.iter().map(|&id| id as u8).collect();
-        image::GrayImage::from_raw(width, height, ids).ok_or_else(mismatch)?.into()
-    } else {
-        image::ImageBuffer::<image::Luma<u16>, _>::from_raw(width, height, labels.ids.clone())
-            .ok_or_else(mismatch)?
-            .into()
-    };
-    let mut bytes = Cursor::new(Vec::new());
-    image
-        .write_to(&mut bytes, image::ImageFormat::Png)
-        .map_err(|e| Error::io(path, "encode", std::io::Error::other(e)))?;
-    Ok(bytes.into_inner())
-}

@@ -2,7 +2,7 @@
 
 use super::curves::row_class;
 use super::markup::{bytes, duration, escape, percent};
-use super::{LabelScores, Report};
+use super::{Report, RowScores};
 use crate::config::Row;
 use std::fmt::Write;
 
@@ -16,18 +16,25 @@ fn row_name(row: Row) -> String {
     format!("<th scope=\"row\" class=\"{}\"><span class=\"mark\"></span>{}</th>", row_class(row), row.title())
 }
 
+type Pick = fn(&RowScores) -> Option<f64>;
+
+/// A share as percent, or a dash.
+fn cell(share: Option<f64>) -> String {
+    share.map_or("–".into(), percent)
+}
+
 /// Scores of all rows. Raw labels have two lines: their unlabelled pixels as wrong, and left out.
 pub(super) fn scores(report: &Report<'_>) -> String {
     let labels = &report.metrics.test.labels;
-    let best = |pick: fn(&LabelScores) -> f64| labels.values().map(pick).fold(f64::NEG_INFINITY, f64::max);
-    let columns: [fn(&LabelScores) -> f64; 3] = [|s| s.miou, |s| s.miou_per_view, |s| s.accuracy];
+    let best = |pick: Pick| labels.values().filter_map(pick).max_by(f64::total_cmp);
+    let columns: [Pick; 3] = [|s| s.miou, |s| s.miou_per_view, |s| s.accuracy];
     let mut body = String::new();
     for (row, scores) in labels {
         let class = if *row == Row::Ours { " class=\"ours\"" } else { "" };
         let _ = write!(body, "<tr{class}>{}", row_name(*row));
         for pick in columns {
-            let mark = if pick(scores) >= best(pick) { " class=\"best\"" } else { "" };
-            let _ = write!(body, "<td{mark}>{}</td>", percent(pick(scores)));
+            let mark = if pick(scores).is_some() && pick(scores) == best(pick) { " class=\"best\"" } else { "" };
+            let _ = write!(body, "<td{mark}>{}</td>", cell(pick(scores)));
         }
         let or_dash = |text: Option<String>| text.unwrap_or_else(|| "–".into());
         let _ = writeln!(
@@ -38,8 +45,7 @@ pub(super) fn scores(report: &Report<'_>) -> String {
             or_dash(scores.seconds.map(duration)),
         );
         if let Some(s) = scores.void_left_out {
-            let cells: String =
-                [s.miou, s.miou_per_view, s.accuracy].iter().map(|&v| format!("<td>{}</td>", percent(v))).collect();
+            let cells: String = [s.miou, s.miou_per_view, s.accuracy].map(|v| format!("<td>{}</td>", cell(v))).concat();
             let _ = writeln!(
                 body,
                 "<tr class=\"quiet\"><th scope=\"row\" class=\"{}\"><span class=\"mark\"></span>{}, unlabelled left out</th>\
@@ -83,7 +89,7 @@ pub(super) fn class_iou(report: &Report<'_>) -> String {
         );
         for cell in cells {
             let mark = if cell == Some(best) { " class=\"best\"" } else { "" };
-            let _ = write!(body, "<td{mark}>{}</td>", cell.map_or("–".into(), percent));
+            let _ = write!(body, "<td{mark}>{}</td>", self::cell(cell));
         }
         body.push_str("</tr>\n");
     }

@@ -85,7 +85,9 @@ fn one(report: &Report<'_>, held_out: &HeldOutView<'_>, path: &Path) -> Result<S
     let view = held_out.view;
     let rgb = from_floats(&held_out.rgb, view.camera.width, view.camera.height)?;
     let mut out = format!("<h3>{}</h3>\n<div class=\"pictures\">\n", escape(&view.name));
-    let figures = format!("{:.2} dB, SSIM {:.3}", held_out.psnr, held_out.ssim);
+    let psnr = held_out.scores.psnr.map(|v| format!("{v:.2} dB"));
+    let ssim = held_out.scores.ssim.map(|v| format!("SSIM {v:.3}"));
+    let figures = psnr.into_iter().chain(ssim).collect::<Vec<_>>().join(", ");
     out.push_str(&figure(&view.image, "photo", "", false, path)?);
     out.push_str(&figure(&rgb, "render", &figures, false, path)?);
     out.push_str(&figure(&rgb_error(&rgb, &view.image), "colour error", "", false, path)?);
