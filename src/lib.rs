@@ -10,7 +10,7 @@ pub mod gaussians;
 pub mod metrics;
 pub mod ops;
 pub mod random;
-pub mod train;
 pub mod segmentation;
+pub mod train;
 
 pub use error::{Error, Result};

@@ -113,7 +113,13 @@ fn flatten<'a>(
             }
             (Some(Value::Table(_)), other) => {
                 let found = describe(&other);
-                return Err(fault(origin, &key, found, "a section".into(), format!("write [{key}] on a line of its own")));
+                return Err(fault(
+                    origin,
+                    &key,
+                    found,
+                    "a section".into(),
+                    format!("write [{key}] on a line of its own"),
+                ));
             }
             (Some(_), value) => out.push(Given { key, value, origin }),
         }
@@ -201,7 +207,13 @@ fn wrong_value(given: &Given<'_>, message: &str) -> Error {
         },
         _ => message.to_owned(),
     };
-    fault(given.origin, &given.key, describe(&given.value), expected, "write it as expected, or leave the key out".into())
+    fault(
+        given.origin,
+        &given.key,
+        describe(&given.value),
+        expected,
+        "write it as expected, or leave the key out".into(),
+    )
 }
 
 fn describe(value: &Value) -> String {

@@ -107,16 +107,34 @@ impl Config {
         check.positive("features.dimensions", f.dimensions);
         let needs_weights = f.source == FeatureSource::Mobilenetv2 && f.weights.is_none();
         let expected = "a path to MobileNetV2 weights, because features.source = \"mobilenetv2\"";
-        check.that(!needs_weights, "features.weights", "nothing", expected, "give it, or set features.source = \"auto\"");
+        check.that(
+            !needs_weights,
+            "features.weights",
+            "nothing",
+            expected,
+            "give it, or set features.source = \"auto\"",
+        );
         let needs_maps = f.source == FeatureSource::Import && f.import_dir.is_none();
         let expected = "a folder of feature maps, because features.source = \"import\"";
-        check.that(!needs_maps, "features.import_dir", "nothing", expected, "give it, or set features.source = \"auto\"");
+        check.that(
+            !needs_maps,
+            "features.import_dir",
+            "nothing",
+            expected,
+            "give it, or set features.source = \"auto\"",
+        );
         check.within("unprojection.attendance", self.unprojection.attendance, 0.0, 1.0);
         let s = &self.spatial;
         check.amount("spatial.scale", s.scale);
         let needs_weights = s.source == SpatialSource::Pretrained && s.weights.is_none();
         let expected = "a path to RandLA-Net weights, because spatial.source = \"pretrained\"";
-        check.that(!needs_weights, "spatial.weights", "nothing", expected, "give it, or set spatial.source = \"builtin\"");
+        check.that(
+            !needs_weights,
+            "spatial.weights",
+            "nothing",
+            expected,
+            "give it, or set spatial.source = \"builtin\"",
+        );
     }
 
     fn validate_segmentation(&self, check: &mut Check) {
@@ -124,7 +142,13 @@ impl Config {
         check.positive("segmentation.iterations", s.iterations);
         for (i, row) in s.rows.iter().enumerate() {
             let twice = s.rows[..i].contains(row);
-            check.that(!twice, "segmentation.rows", format!("{row} twice"), "each row once", "leave the second one out");
+            check.that(
+                !twice,
+                "segmentation.rows",
+                format!("{row} twice"),
+                "each row once",
+                "leave the second one out",
+            );
         }
         check.rate("segmentation.lr", s.lr);
         check.rate("segmentation.lr_per_gaussian", s.lr_per_gaussian);

@@ -1,8 +1,8 @@
 //! The scene as 3D Gaussians: parameters on the host, initialisation, densification, spherical harmonics, PLY.
 
-pub mod ply;
 pub mod densify;
 pub mod init;
+pub mod ply;
 
 /// N Gaussians in host memory, structure of arrays.
 ///

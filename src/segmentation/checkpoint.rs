@@ -110,7 +110,8 @@ impl Checkpoint {
     /// # Errors
     /// [`Error::Input`] when it is missing, has another shape than `shape`, or holds a value that is not finite.
     pub fn get(&self, name: &str, shape: &[usize]) -> Result<&[f32]> {
-        let tensor = self.tensors.get(name).ok_or_else(|| self.problem(name, "no such tensor", format!("{shape:?}")))?;
+        let tensor =
+            self.tensors.get(name).ok_or_else(|| self.problem(name, "no such tensor", format!("{shape:?}")))?;
         let mut found = tensor.shape.as_slice();
         while found.len() > shape.len() && found.last() == Some(&1) {
             found = &found[..found.len() - 1];

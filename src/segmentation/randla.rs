@@ -151,9 +151,8 @@ pub struct ResidualBlock {
 impl ResidualBlock {
     fn load(weights: &Checkpoint, n: usize, [input, d]: [usize; 2], form: Form, device: &Device) -> Result<Self> {
         let name = |part: &str| format!("dilated_res_blocks.{n}.{part}");
-        let mlp = |part: &str, shape, linear_only| {
-            SharedMlp::load(weights, &name(part), shape, linear_only, form, device)
-        };
+        let mlp =
+            |part: &str, shape, linear_only| SharedMlp::load(weights, &name(part), shape, linear_only, form, device);
         let pooling = |part: &str, shape| AttentivePooling::load(weights, &name(part), shape, form, device);
         Ok(Self {
             narrow: mlp("mlp1", [input, d / 2], false)?,
@@ -186,8 +185,7 @@ impl ResidualBlock {
         let chunk = (CHUNK_VALUES / (k * self.width)).max(1);
         let chunks = |stage: &(dyn Fn(std::ops::Range<usize>) -> Tensor<2> + Sync)| {
             let starts: Vec<usize> = (0..points).step_by(chunk).collect();
-            let parts: Vec<Tensor<2>> =
-                starts.into_par_iter().map(|s| stage(s..(s + chunk).min(points))).collect();
+            let parts: Vec<Tensor<2>> = starts.into_par_iter().map(|s| stage(s..(s + chunk).min(points))).collect();
             Tensor::cat(parts, 0)
         };
         let narrow = self.narrow.forward(features.clone());

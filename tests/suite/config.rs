@@ -48,8 +48,12 @@ fn a_set_preset_replaces_the_files_preset() {
 
 #[test]
 fn set_takes_lists_text_and_numbers_without_quotes() {
-    let sets =
-        ["segmentation.rows=raw,vote, ours", "segmentation.loss=ce", "raster.background=1,1,0.5", "building.lr_means=1"];
+    let sets = [
+        "segmentation.rows=raw,vote, ours",
+        "segmentation.loss=ce",
+        "raster.background=1,1,0.5",
+        "building.lr_means=1",
+    ];
     let config = load("", &sets).unwrap();
     assert_eq!(config.segmentation.rows, [Row::Raw, Row::Vote, Row::Ours]);
     assert_eq!(config.segmentation.loss, LabelLoss::Ce);

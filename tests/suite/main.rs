@@ -1,14 +1,13 @@
 //! All public behaviour, one module a subject, in one binary.
 
+mod adam;
+mod config;
+mod densify;
 mod features;
+mod neighbours;
 mod ops;
 mod pca;
-mod adam;
-mod densify;
-mod config;
-mod ops;
 mod photometric;
-mod neighbours;
 mod randla;
 
 use std::path::PathBuf;

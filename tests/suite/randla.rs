@@ -40,7 +40,11 @@ fn reference(bytes: &[u8]) -> Reference {
         let positions: Vec<[f32; 3]> = xyz.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
         let neighbours = Neighbours { k: 16, indices: integers(&file, &format!("neigh_idx.{n}")) };
         let kept = positions.len() / 4;
-        assert_eq!(neighbours.indices[..kept * 16], integers(&file, &format!("sub_idx.{n}")), "the first quarter is kept");
+        assert_eq!(
+            neighbours.indices[..kept * 16],
+            integers(&file, &format!("sub_idx.{n}")),
+            "the first quarter is kept"
+        );
         let indices = (0..positions.len() as u32).collect();
         pyramid.levels.push(PyramidLevel { indices, positions, neighbours, kept: (0..kept as u32).collect() });
     }
