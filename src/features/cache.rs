@@ -5,6 +5,7 @@
 //! synced and renamed. An entry that does not check is computed again with a warning.
 
 use super::{FeatureMap, SCALES};
+use crate::data::atomic;
 use crate::error::{Error, Result};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use sha2::{Digest, Sha256};
@@ -78,23 +79,7 @@ pub fn store(path: &Path, maps: &[FeatureMap; SCALES]) -> Result<()> {
     let metadata = HashMap::from([("sha256".to_owned(), format!("{:x}", hash.finalize()))]);
     let file = safetensors::serialize(views, Some(metadata))
         .map_err(|e| Error::io(path, "encode", std::io::Error::other(e.to_string())))?;
-    if let Some(dir) = path.parent() {
-        std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "create", e))?;
-    }
-    static SERIAL: std::sync::atomic::AtomicUsize = std::sync::atomic::AtomicUsize::new(0);
-    let serial = SERIAL.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-    let temporary = path.with_extension(format!("{}-{serial}.tmp", std::process::id()));
-    let written = write_synced(&temporary, &file).and_then(|()| std::fs::rename(&temporary, path));
-    written.map_err(|e| {
-        let _ = std::fs::remove_file(&temporary);
-        Error::io(path, "write", e)
-    })
-}
-
-fn write_synced(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let mut file = std::fs::File::create(path)?;
-    std::io::Write::write_all(&mut file, bytes)?;
-    file.sync_all()
+    atomic::write_bytes(path, &file)
 }
 
 fn digest(hash: &mut Sha256, shape: [usize; 3], bytes: &[u8]) {

@@ -4,8 +4,7 @@ use super::{Extractor, FeatureMap, Moments, Pca, SCALES, cache};
 use crate::config::FeatureConfig;
 use crate::data::{Scene, Split, View};
 use crate::error::{Error, Result};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use crate::random::{self, Purpose};
 use rayon::prelude::*;
 
 /// Cells per scale that the PCA is fitted on at most, in equal seeded shares of all training views.
@@ -103,8 +102,8 @@ fn run(
             let maps = maps?;
             let moments = moments.get_or_insert_with(|| std::array::from_fn(|n| Moments::new(maps[n].channels)));
             for (n, (map, moments)) in maps.iter().zip(moments).enumerate() {
-                let stream = (kept.len() * SCALES + n) as u64;
-                moments.add(&subsample(map, quota, seed, stream), &what(view, n), map.channels)?;
+                let index = (kept.len() * SCALES + n) as u64;
+                moments.add(&subsample(map, quota, seed, index), &what(view, n), map.channels)?;
             }
             let bytes: usize = maps.iter().map(|m| 4 * m.data.len()).sum();
             kept_bytes += bytes;
@@ -153,12 +152,11 @@ fn what(view: &View, scale: usize) -> String {
 }
 
 /// At most `quota` cells of a map, in cell order.
-fn subsample(map: &FeatureMap, quota: usize, seed: u64, stream: u64) -> Vec<f32> {
+fn subsample(map: &FeatureMap, quota: usize, seed: u64, index: u64) -> Vec<f32> {
     if map.cells() <= quota {
         return map.data.clone();
     }
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    rng.set_stream(0x7063_6100_0000_0000 | stream); // "pca"
+    let mut rng = random::stream(seed, Purpose::PcaCells, index);
     let mut cells = rand::seq::index::sample(&mut rng, map.cells(), quota).into_vec();
     cells.sort_unstable();
     cells.iter().flat_map(|&cell| &map.data[cell * map.channels..][..map.channels]).copied().collect()

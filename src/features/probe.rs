@@ -6,10 +6,10 @@
 use super::FeatureMap;
 use crate::data::{Classes, LabelMap};
 use crate::error::{Error, Result};
+use crate::metrics::{Confusion, Void};
+use crate::random::{self, Purpose};
 use nalgebra::DMatrix;
-use rand::SeedableRng;
 use rand::seq::{SliceRandom, index};
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 /// One view: its true labels and any number of feature maps, read bilinearly and concatenated.
@@ -79,8 +79,7 @@ pub fn linear_probe(
         }
     }
     let mut drawn = gather(classes, train, dimensions, |view, truth| {
-        let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
-        rng.set_stream(view as u64);
+        let mut rng = random::stream(settings.seed, Purpose::ProbePixels, view as u64);
         let count = truth.ids.len();
         index::sample(&mut rng, count, settings.pixels_per_view.min(count)).into_vec()
     });
@@ -184,12 +183,10 @@ fn fit(samples: &Samples, dimensions: usize, classes: usize, settings: &ProbeSet
     let mut weights = DMatrix::<f32>::zeros(classes, width);
     let (mut m, mut v) = (weights.clone(), weights.clone());
     let mut order: Vec<usize> = (0..samples.classes.len()).collect();
-    let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
-    rng.set_stream(u64::MAX);
     let steps = settings.epochs * order.len().div_ceil(BATCH);
     let mut step = 0_i32;
-    for _ in 0..settings.epochs {
-        order.shuffle(&mut rng);
+    for epoch in 0..settings.epochs {
+        order.shuffle(&mut random::stream(settings.seed, Purpose::ProbeOrder, epoch as u64));
         for rows in order.chunks(BATCH) {
             let x = samples.batch(rows, width);
             let mut residual = softmax(&weights * &x);
@@ -230,23 +227,12 @@ fn score(samples: &Samples, weights: &DMatrix<f32>, dimensions: usize, trained: 
             logits.column_iter().map(|c| c.argmax().0).collect::<Vec<_>>()
         })
         .collect();
-    let mut confusion = vec![0_u64; classes * classes];
-    for (&truth, &found) in samples.classes.iter().zip(&predicted) {
-        confusion[truth * classes + found] += 1;
-    }
-    let hits = |c: usize| confusion[c * classes + c];
-    let (mut ious, mut correct) = (vec![], 0);
-    for c in 0..classes {
-        let truth: u64 = confusion[c * classes..][..classes].iter().sum();
-        let found: u64 = (0..classes).map(|t| confusion[t * classes + c]).sum();
-        correct += hits(c);
-        if truth > 0 {
-            ious.push(hits(c) as f64 / (truth + found - hits(c)) as f64);
-        }
-    }
+    let mut confusion = Confusion::new(classes);
+    confusion.add(samples.classes.iter().copied(), predicted);
+    // Both are known: there is at least one scored pixel, and each has a class.
     ProbeScore {
-        accuracy: correct as f64 / rows.len() as f64,
-        miou: ious.iter().sum::<f64>() / ious.len() as f64,
+        accuracy: confusion.accuracy(Void::Wrong).unwrap_or(0.0),
+        miou: confusion.miou(Void::Wrong).unwrap_or(0.0),
         dimensions,
         pixels: [trained, rows.len()],
     }

@@ -8,3 +8,4 @@ pub mod loss;
 pub mod neighbours;
 pub mod randla;
 pub mod sampling;
+pub mod unprojection;

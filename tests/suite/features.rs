@@ -2,6 +2,7 @@
 
 use coseg::camera::Camera;
 use coseg::config::{FeatureConfig, FeatureSource};
+use coseg::data::transforms::{self, LoadOptions};
 use coseg::data::{Class, Classes, LabelMap, Points, Scene, Split, View};
 use coseg::features::probe::{ProbeScore, ProbeSettings, ProbeView, linear_probe};
 use coseg::features::{FeatureMap, FeatureSet, ViewFeatures, descriptor, extract, extract_all};
@@ -309,32 +310,6 @@ fn linear_probe_reads_a_linear_rule_and_nothing_from_noise() {
     assert!(score.miou < 0.45, "{score:?}");
 }
 
-/// Photos and true labels of a scene folder; poses are not needed here.
-fn photos(dir: &Path) -> Scene {
-    let text = std::fs::read_to_string(dir.join("transforms.json")).expect("transforms");
-    let json: serde_json::Value = serde_json::from_str(&text).expect("json");
-    let frames = json["frames"].as_array().expect("frames");
-    let views = frames.iter().map(|f| {
-        let path = |key: &str| dir.join(f[key].as_str().expect("path"));
-        let labels = image::open(path("label_path")).expect("labels").into_luma8();
-        let truth = LabelMap {
-            width: labels.width() as usize,
-            height: labels.height() as usize,
-            ids: labels.pixels().map(|p| u16::from(p[0])).collect(),
-        };
-        let split = if f["split"] == "train" { Split::Train } else { Split::Test };
-        let name = path("file_path").file_stem().expect("stem").to_string_lossy().into_owned();
-        view(&name, split, image::open(path("file_path")).expect("photo").into_rgb8(), Some(truth))
-    });
-    let views: Vec<View> = views.collect();
-    let mut ids: Vec<u16> = views.iter().flat_map(|v| v.truth.iter().flat_map(|t| t.ids.iter().copied())).collect();
-    ids.sort_unstable();
-    ids.dedup();
-    let entries =
-        ids.into_iter().filter(|&id| id != 0).map(|id| Class { id, name: id.to_string(), color: [0; 3] }).collect();
-    scene(views, Classes { entries, ignore: 0 })
-}
-
 fn probe_of(scene: &Scene, train: &[ViewFeatures], test: &[ViewFeatures]) -> ProbeScore {
     fn views<'a>(scene: &'a Scene, split: Split, features: &'a [ViewFeatures]) -> Vec<ProbeView<'a>> {
         let pairs = scene.split(split).zip(features);
@@ -363,7 +338,7 @@ fn rgb_maps(scene: &Scene, split: Split) -> Vec<ViewFeatures> {
 #[test]
 fn probe_of_house_living() {
     let Some(shared) = super::shared_dir() else { return };
-    let scene = photos(&shared.join("data/house_living"));
+    let scene = transforms::load(&shared.join("data/house_living"), &LoadOptions::default()).expect("scene");
     let rgb = probe_of(&scene, &rgb_maps(&scene, Split::Train), &rgb_maps(&scene, Split::Test));
     eprintln!("rgb {rgb:?}");
     let start = std::time::Instant::now();
