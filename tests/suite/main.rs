@@ -1,6 +1,10 @@
 //! All public behaviour, one module a subject, in one binary.
 
+mod classes;
+mod metrics;
 mod ops;
+mod ply;
+mod transforms;
 
 use std::path::PathBuf;
 
