@@ -94,7 +94,7 @@ fn the_small_scene_loads_as_written() {
     assert_eq!(view.image.get_pixel(3, 4).0, [27, 28, 2]);
     assert_eq!(view.rgb()[(4 * WIDTH as usize + 3) * 3..][..3], [27.0 / 255.0, 28.0 / 255.0, 2.0 / 255.0]);
     assert_eq!(view.truth.as_ref().expect("truth").ids[..5], [0, 1, 2, 300, 0]);
-    // The point half a metre nearer (z up the optical axis is -z) projects right of the principal point's mirror image.
+    // Cameras look along -z with y up: straight ahead is the principal point, right is +u, up is -v.
     assert_eq!(view.camera.project(DVec3::new(1.0, 0.0, -2.0)), Some((8.5, 6.25, 2.0)));
     let (u, v, _) = view.camera.project(DVec3::new(1.2, 0.1, -2.0)).expect("in front");
     assert!((u - 10.5).abs() < 1e-12 && (v - (6.25 - 1.05)).abs() < 1e-12, "{u} {v}");
