@@ -19,6 +19,11 @@ mod randla;
 mod raster;
 mod raster_reference;
 mod report;
+mod classes;
+mod metrics;
+mod ops;
+mod ply;
+mod transforms;
 
 use std::path::PathBuf;
 
