@@ -2,6 +2,7 @@
 
 mod ops;
 mod raster;
+mod raster_gradients;
 mod raster_reference;
 
 use std::path::PathBuf;
