@@ -1,5 +1,16 @@
 //! Scenes: posed images, label maps, class tables, initial points; dataset formats; the built-in procedural scene.
 
+pub mod atomic;
+mod classes;
+mod image_file;
+mod labels;
+mod limits;
+pub(crate) mod ply;
+mod points;
+pub mod transforms;
+
+pub use classes::class_color;
+pub use limits::Limits;
 pub mod builtin;
 
 use crate::camera::Camera;
@@ -54,6 +65,13 @@ pub struct View {
     pub truth: Option<LabelMap>,
     /// Raw labels of a 2D segmenter, where given. Those of test views only score the 2D baseline.
     pub raw: Option<LabelMap>,
+}
+
+impl View {
+    /// The photo as `[H, W, 3]` row-major sRGB in 0..1.
+    pub fn rgb(&self) -> Vec<f32> {
+        self.image.as_raw().iter().map(|&v| f32::from(v) / 255.0).collect()
+    }
 }
 
 /// Label ids of an image, `[H, W]` row-major. Ids are those of the [`Classes`] table.

@@ -1,6 +1,21 @@
 //! All public behaviour, one module a subject, in one binary.
 
+mod adam;
+mod building;
+mod checkpoint;
+mod config;
+mod decoder;
+mod densify;
+mod features;
+mod loss;
+mod neighbours;
 mod ops;
+mod pca;
+mod photometric;
+mod randla;
+mod raster;
+mod raster_reference;
+mod report;
 
 use std::path::PathBuf;
 

@@ -1,0 +1,137 @@
+//! PNG and JPEG files, whole or refused: decoders forgive files that were cut off, training would not.
+
+use super::Limits;
+use crate::error::{Error, Result};
+use image::{DynamicImage, ImageFormat, ImageReader, RgbImage};
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+/// An image file in memory, its header read and its end seen, not yet decoded.
+pub(crate) struct ImageFile {
+    path: PathBuf,
+    bytes: Vec<u8>,
+    format: ImageFormat,
+    /// Pixels across and down.
+    pub size: (usize, usize),
+}
+
+impl ImageFile {
+    /// Reads `path` and checks that it is a complete PNG or JPEG of an acceptable size.
+    pub fn open(path: &Path, limits: &Limits) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read image", e))?;
+        let again = "copy or export it again";
+        let format = match image::guess_format(&bytes) {
+            Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
+            _ => {
+                let start = String::from_utf8_lossy(&bytes[..bytes.len().min(8)]).escape_debug().to_string();
+                let found = format!("a file of {} bytes starting with \"{start}\"", bytes.len());
+                return Err(Error::input(path, "format", found, "PNG or JPEG", "convert it"));
+            }
+        };
+        let complete = if format == ImageFormat::Png { png_is_complete(&bytes) } else { jpeg_is_complete(&bytes) };
+        if !complete {
+            let found = format!("{} bytes without the end of the image", bytes.len());
+            return Err(Error::input(path, "image data", found, format!("a complete {}", name(format)), again));
+        }
+        let size = ImageReader::with_format(Cursor::new(&bytes), format)
+            .into_dimensions()
+            .map_err(|e| Error::input(path, "header", e.to_string(), format!("a valid {}", name(format)), again))?;
+        let pixels = u64::from(size.0) * u64::from(size.1);
+        Limits::check(format!("{}: pixels", path.display()), pixels, limits.image_pixels, "scale the image down")?;
+        Ok(Self { path: path.to_owned(), bytes, format, size: (size.0 as usize, size.1 as usize) })
+    }
+
+    /// An error unless the image has the size that `whose` expects.
+    pub fn expect_size(&self, width: usize, height: usize, whose: &str) -> Result<()> {
+        let (w, h) = self.size;
+        if (w, h) == (width, height) {
+            return Ok(());
+        }
+        Err(Error::input(
+            &self.path,
+            "size",
+            format!("{w}x{h} pixels"),
+            format!("{width}x{height}, as {whose}"),
+            "mend w and h with the focal length and centre, or scale the image",
+        ))
+    }
+
+    /// Bits a sample and colour type of a PNG's header (0 grey, 2 RGB, 3 palette, 4 grey + alpha, 6 RGBA).
+    pub fn png_color(&self) -> Option<(u8, u8)> {
+        (self.format == ImageFormat::Png).then(|| self.bytes.get(24).copied().zip(self.bytes.get(25).copied()))?
+    }
+
+    pub fn decode(&self) -> Result<DynamicImage> {
+        let mut reader = ImageReader::with_format(Cursor::new(&self.bytes), self.format);
+        // The size was checked against our own limits.
+        reader.no_limits();
+        reader.decode().map_err(|e| {
+            let expected = format!("a valid {}", name(self.format));
+            Error::input(&self.path, "image data", e.to_string(), expected, "copy or export it again")
+        })
+    }
+
+    /// The photo as 8-bit sRGB; transparent pixels are blended onto black.
+    pub fn decode_rgb(&self) -> Result<RgbImage> {
+        let image = self.decode()?;
+        if !image.color().has_alpha() {
+            return Ok(image.into_rgb8());
+        }
+        let rgba = image.into_rgba8();
+        let (width, height) = rgba.dimensions();
+        let blend = |c: u8, a: u8| ((u16::from(c) * u16::from(a) + 127) / 255) as u8;
+        Ok(RgbImage::from_fn(width, height, |x, y| {
+            let [r, g, b, a] = rgba.get_pixel(x, y).0;
+            image::Rgb([r, g, b].map(|c| blend(c, a)))
+        }))
+    }
+}
+
+fn name(format: ImageFormat) -> &'static str {
+    if format == ImageFormat::Png { "PNG" } else { "JPEG" }
+}
+
+/// Whether the chunks of a PNG lead to its end chunk.
+fn png_is_complete(bytes: &[u8]) -> bool {
+    let mut rest = bytes.get(8..).unwrap_or_default();
+    while let [a, b, c, d, kind @ ..] = rest {
+        // Length, type, data, checksum.
+        let end = (u32::from_be_bytes([*a, *b, *c, *d]) as usize).saturating_add(12);
+        if end > rest.len() {
+            return false;
+        }
+        if kind.starts_with(b"IEND") {
+            return true;
+        }
+        rest = &rest[end..];
+    }
+    false
+}
+
+/// Whether the segments and scans of a JPEG lead to its end marker. (Cut-off files end in grey rows when decoded, and
+/// an embedded thumbnail has an end marker of its own, so neither the decoder nor a search tells.)
+fn jpeg_is_complete(bytes: &[u8]) -> bool {
+    const END: u8 = 0xD9;
+    const SCAN: u8 = 0xDA;
+    let standalone = |m: u8| m == 0x01 || (0xD0..=0xD8).contains(&m);
+    let mut at = 2;
+    while let (Some(0xFF), Some(&marker)) = (bytes.get(at), bytes.get(at + 1)) {
+        match marker {
+            END => return true,
+            0xFF => at += 1,
+            m if standalone(m) => at += 2,
+            _ => {
+                let (Some(&high), Some(&low)) = (bytes.get(at + 2), bytes.get(at + 3)) else { return false };
+                at += 2 + usize::from(u16::from_be_bytes([high, low])).max(2);
+                if marker == SCAN {
+                    // Entropy-coded data: up to the next marker that is neither a stuffed byte nor a restart.
+                    let Some(data) = bytes.get(at..) else { return false };
+                    let next = data.windows(2).position(|w| w[0] == 0xFF && w[1] != 0 && !standalone(w[1]));
+                    let Some(next) = next else { return false };
+                    at += next;
+                }
+            }
+        }
+    }
+    false
+}

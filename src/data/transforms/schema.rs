@@ -1,0 +1,242 @@
+//! What a `transforms.json` says, field by field, and the camera that follows from it.
+
+use crate::camera::{Camera, Intrinsics};
+use crate::data::Split;
+use crate::error::{Error, Result};
+use glam::{DMat4, DVec4};
+use serde::Deserialize;
+use std::path::Path;
+
+/// The file. Unknown keys are ignored: every tool adds its own.
+#[derive(Deserialize)]
+pub(super) struct Transforms {
+    #[serde(flatten)]
+    pub lens: Lens,
+    pub convention: Option<String>,
+    pub ply_file_path: Option<String>,
+    pub frames: Vec<Frame>,
+}
+
+/// One frame. Its own intrinsics come before those of the file.
+#[derive(Deserialize)]
+pub(super) struct Frame {
+    pub file_path: String,
+    pub label_path: Option<String>,
+    pub raw_label_path: Option<String>,
+    pub split: Option<String>,
+    pub transform_matrix: Vec<Vec<f64>>,
+    #[serde(flatten)]
+    pub lens: Lens,
+}
+
+/// Intrinsics, each of which may be missing. Sizes are JSON numbers of any kind (some tools write `1080.0`).
+#[derive(Clone, Default, Deserialize)]
+pub(super) struct Lens {
+    camera_model: Option<String>,
+    camera_angle_x: Option<f64>,
+    camera_angle_y: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    w: Option<f64>,
+    h: Option<f64>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    k5: Option<f64>,
+    k6: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+}
+
+/// Models that are a pinhole when every distortion coefficient is zero.
+const PINHOLE_MODELS: [&str; 7] =
+    ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "OPENCV_PINHOLE", "FULL_OPENCV", "SIMPLE_RADIAL", "RADIAL"];
+
+impl Transforms {
+    /// Reads and checks what concerns the file as a whole.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        let transforms: Self = serde_json::from_str(&text).map_err(|e| {
+            let line = text.lines().nth(e.line().saturating_sub(1)).unwrap_or_default();
+            let not_finite = e.is_syntax() && ["NaN", "Infinity"].iter().any(|w| line.contains(w));
+            let found = if not_finite { format!("{} ({e})", line.trim()) } else { e.to_string() };
+            let expected =
+                if not_finite { "finite numbers" } else { "transforms.json as nerfstudio and instant-ngp have it" };
+            Error::input(path, format!("line {}", e.line()), found, expected, "mend the file there or export it again")
+        })?;
+        if transforms.frames.is_empty() {
+            return Err(Error::input(path, "frames", "no frames", "at least one", "add views"));
+        }
+        let convention = transforms.convention.as_deref().unwrap_or_default().to_lowercase();
+        if convention.contains("opencv") && !convention.contains("opengl") {
+            let mend = "negate the second and third column of every transform_matrix";
+            return Err(Error::input(path, "convention", convention, "OpenGL camera-to-world", mend));
+        }
+        Ok(transforms)
+    }
+
+    /// Whether the file says that the world's z axis points up.
+    pub fn z_up(&self) -> bool {
+        self.convention.as_deref().is_some_and(|c| c.to_lowercase().contains("world z up"))
+    }
+
+    /// Train or test for each frame: as the frames say; when none says, every 8th from the first on is test.
+    pub fn splits(&self, path: &Path) -> Result<Vec<Split>> {
+        let none = self.frames.iter().all(|f| f.split.is_none());
+        self.frames
+            .iter()
+            .enumerate()
+            .map(|(i, frame)| match frame.split.as_deref() {
+                Some("train") => Ok(Split::Train),
+                Some("test") => Ok(Split::Test),
+                None if none => Ok(if i % 8 == 0 { Split::Test } else { Split::Train }),
+                other => Err(Error::input(
+                    path,
+                    format!("{}.split", self.field(i)),
+                    other.map_or("nothing, though other frames have one".into(), |s| format!("{s:?}")),
+                    "\"train\" or \"test\"",
+                    "give every frame a split, or none (then every 8th is test)",
+                )),
+            })
+            .collect()
+    }
+
+    /// `frames[I] (FILE)`, for messages.
+    pub fn field(&self, frame: usize) -> String {
+        format!("frames[{frame}] ({})", self.frames[frame].file_path)
+    }
+
+    /// File stem of each frame.
+    ///
+    /// # Errors
+    /// A stem is empty or appears twice; both frames are named.
+    pub fn names(&self, path: &Path) -> Result<Vec<String>> {
+        let mut seen = std::collections::HashMap::new();
+        let mut names = Vec::with_capacity(self.frames.len());
+        for (i, frame) in self.frames.iter().enumerate() {
+            let field = || format!("{}.file_path", self.field(i));
+            let Some(stem) = Path::new(&frame.file_path).file_stem().and_then(|s| s.to_str()) else {
+                let found = format!("{:?}", frame.file_path);
+                return Err(Error::input(path, field(), found, "the path of an image", "name the image file"));
+            };
+            if let Some(first) = seen.insert(stem, i) {
+                return Err(Error::input(
+                    path,
+                    field(),
+                    format!("stem {stem:?}, which {} has too", self.field(first)),
+                    "file stems that differ: views and outputs are named by them",
+                    "rename one of the images or drop the repeated frame",
+                ));
+            }
+            names.push(stem.to_owned());
+        }
+        Ok(names)
+    }
+
+    /// Width and height that the file gives for a frame.
+    pub fn declared_size(&self, path: &Path, frame: usize) -> Result<Option<(usize, usize)>> {
+        let lens = &self.frames[frame].lens;
+        let whole = |name: &str, value: f64| {
+            if value.fract() == 0.0 && (1.0..=4_294_967_295.0).contains(&value) {
+                return Ok(value as usize);
+            }
+            let field = format!("{}.{name}", self.field(frame));
+            Err(Error::input(path, field, value.to_string(), "a whole number of pixels, at least 1", "mend the size"))
+        };
+        match (lens.w.or(self.lens.w), lens.h.or(self.lens.h)) {
+            (Some(w), Some(h)) => Ok(Some((whole("w", w)?, whole("h", h)?))),
+            _ => Ok(None),
+        }
+    }
+
+    /// The camera of a frame, in world units.
+    pub fn camera(&self, path: &Path, frame: usize, (width, height): (usize, usize)) -> Result<Camera> {
+        let intrinsics = self.intrinsics(path, frame, width, height)?;
+        let matrix = self.matrix(path, frame)?;
+        Camera::from_opengl(&matrix, intrinsics).ok_or_else(|| {
+            let m = glam::DMat3::from_mat4(matrix);
+            let lengths = [m.x_axis, m.y_axis, m.z_axis].map(|a| a.length());
+            Error::input(
+                path,
+                format!("{}.transform_matrix", self.field(frame)),
+                format!("column lengths {lengths:.4?}, determinant {:.4}", m.determinant()),
+                "a rotation (orthonormal columns, determinant +1) and a translation",
+                "remove scale, shear and mirroring from the pose",
+            )
+        })
+    }
+
+    /// The pose, finite, 4x4.
+    fn matrix(&self, path: &Path, frame: usize) -> Result<DMat4> {
+        let rows = &self.frames[frame].transform_matrix;
+        let error = |field: &str, found: String, expected: &str| {
+            let field = format!("{}.transform_matrix{field}", self.field(frame));
+            Err(Error::input(path, field, found, expected, "export the pose again"))
+        };
+        if !(3..=4).contains(&rows.len()) || rows.iter().any(|r| r.len() != 4) {
+            let lengths: Vec<_> = rows.iter().map(Vec::len).collect();
+            return error("", format!("rows of lengths {lengths:?}"), "4 rows of 4 numbers");
+        }
+        let mut m = [[0.0, 0.0, 0.0, 1.0]; 4];
+        for (r, row) in rows.iter().enumerate() {
+            for (c, &value) in row.iter().enumerate() {
+                if !value.is_finite() {
+                    return error(&format!("[{r}][{c}]"), value.to_string(), "a finite number");
+                }
+                m[r][c] = value;
+            }
+        }
+        if m[3] != [0.0, 0.0, 0.0, 1.0] {
+            return error("[3]", format!("{:?}", m[3]), "[0, 0, 0, 1]");
+        }
+        let [x, y, z, w] = m.map(DVec4::from);
+        Ok(DMat4::from_cols(x, y, z, w).transpose())
+    }
+
+    fn intrinsics(&self, path: &Path, frame: usize, width: usize, height: usize) -> Result<Intrinsics> {
+        let (own, all) = (&self.frames[frame].lens, &self.lens);
+        let error = |name: &str, found: String, expected: &str, mend: &str| {
+            Error::input(path, format!("{}.{name}", self.field(frame)), found, expected, mend)
+        };
+        let model = own.camera_model.as_ref().or(all.camera_model.as_ref());
+        if let Some(model) = model.filter(|m| !PINHOLE_MODELS.contains(&m.to_uppercase().as_str())) {
+            let mend = "undistort the images (colmap image_undistorter) and export again";
+            return Err(error("camera_model", model.clone(), "PINHOLE", mend));
+        }
+        let distortion = [
+            ("k1", own.k1.or(all.k1)),
+            ("k2", own.k2.or(all.k2)),
+            ("k3", own.k3.or(all.k3)),
+            ("k4", own.k4.or(all.k4)),
+            ("k5", own.k5.or(all.k5)),
+            ("k6", own.k6.or(all.k6)),
+            ("p1", own.p1.or(all.p1)),
+            ("p2", own.p2.or(all.p2)),
+        ];
+        if let Some((name, Some(k))) = distortion.iter().find(|(_, k)| k.is_some_and(|k| k != 0.0)) {
+            let mend =
+                "undistort the images (colmap image_undistorter, or OpenCV undistort) and export poses with zeros";
+            return Err(error(name, k.to_string(), "0: cameras here have no lens distortion", mend));
+        }
+        let from_angle = |pixels: usize, angle: Option<f64>| angle.map(|a| 0.5 * pixels as f64 / (0.5 * a).tan());
+        let fx = own.fl_x.or(all.fl_x).or_else(|| from_angle(width, own.camera_angle_x.or(all.camera_angle_x)));
+        let Some(fx) = fx else {
+            let mend = "add the focal length in pixels";
+            return Err(error("fl_x", "neither fl_x nor camera_angle_x".into(), "one of them", mend));
+        };
+        let fy = own.fl_y.or(all.fl_y).or_else(|| from_angle(height, own.camera_angle_y.or(all.camera_angle_y)));
+        // One focal length only: square pixels.
+        let fy = fy.unwrap_or(fx);
+        for (name, f) in [("fl_x", fx), ("fl_y", fy)] {
+            if !(f.is_finite() && f > 0.0) {
+                return Err(error(name, f.to_string(), "a positive number of pixels", "mend the focal length"));
+            }
+        }
+        let cx = own.cx.or(all.cx).unwrap_or(0.5 * width as f64);
+        let cy = own.cy.or(all.cy).unwrap_or(0.5 * height as f64);
+        Ok(Intrinsics { fx, fy, cx, cy, width, height })
+    }
+}

@@ -1,0 +1,98 @@
+//! 2D image features: where they come from, reduction by PCA, and the on-disk cache.
+//!
+//! For every view an [`Extractor`] gives four [`FeatureMap`]s, fine and local to coarse and global. [`extract`] fits a PCA per
+//! scale on the training views, reduces every map to [`crate::config::FeatureConfig::dimensions`] channels and
+//! L2-normalises each cell.
+
+mod cache;
+pub mod descriptor;
+mod extract;
+mod import;
+mod map;
+mod pca;
+pub mod probe;
+
+pub use extract::{FeatureSet, PCA_CELLS, ViewFeatures, extract, extract_all};
+pub use map::FeatureMap;
+pub(crate) use map::axis_taps;
+pub use pca::{Moments, Pca};
+
+use crate::config::{FeatureConfig, FeatureSource};
+use crate::data::View;
+use crate::error::{Error, Result};
+use std::path::PathBuf;
+
+/// Scales per view.
+pub const SCALES: usize = 4;
+
+/// Where feature maps come from.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum Extractor {
+    /// The built-in descriptor, see [`descriptor`].
+    Descriptor,
+    /// Maps read from files of this folder, see [`Extractor::maps`].
+    Import(PathBuf),
+}
+
+impl Extractor {
+    /// The extractor that the settings ask for; reads weights where it has any.
+    ///
+    /// # Errors
+    /// [`Error::Config`] when a needed path is not set; [`Error::Io`] and [`Error::Input`] for unusable weights.
+    pub fn open(config: &FeatureConfig) -> Result<Self> {
+        match config.source {
+            FeatureSource::Descriptor => Ok(Self::Descriptor),
+            FeatureSource::Auto => {
+                if let Some(dir) = &config.import_dir {
+                    tracing::warn!(
+                        "features.import_dir = {} is not read: features.source is not import",
+                        dir.display()
+                    );
+                }
+                Ok(Self::Descriptor)
+            }
+            FeatureSource::Mobilenetv2 => Err(Error::config("features.weights", "", "", "")),
+            FeatureSource::Import => match &config.import_dir {
+                Some(dir) if dir.is_dir() => Ok(Self::Import(dir.clone())),
+                Some(dir) => Err(Error::io(dir, "open folder", std::io::ErrorKind::NotFound.into())),
+                None => Err(Error::config(
+                    "features.import_dir",
+                    "nothing",
+                    "a folder of maps, since features.source = \"import\"",
+                    "set features.import_dir",
+                )),
+            },
+        }
+    }
+
+    /// Name for reports: `descriptor`, `mobilenetv2 FILE` or `imported DIR`.
+    pub fn name(&self) -> String {
+        match self {
+            Self::Descriptor => "descriptor".into(),
+            Self::Import(dir) => format!("imported {}", dir.display()),
+        }
+    }
+
+    /// The four maps of a view before reduction, fine to coarse.
+    ///
+    /// Imported maps are `STEM.1.npy` to `STEM.4.npy` (`[H, W, C]`, f32 or f16) or the tensors `scale1` to `scale4` of
+    /// `STEM.safetensors`, STEM being the view's name.
+    ///
+    /// # Errors
+    /// [`Error::Io`], [`Error::Input`] and [`Error::NonFinite`] for imported files that cannot be used.
+    pub fn maps(&self, view: &View) -> Result<[FeatureMap; SCALES]> {
+        match self {
+            Self::Descriptor => Ok(descriptor::describe(&view.image)),
+            Self::Import(dir) => import::read(dir, &view.name),
+        }
+    }
+
+    /// What the maps of an image depend on besides its pixels; `None` when caching them gains nothing.
+    fn cache_key(&self) -> Option<String> {
+        match self {
+            Self::Descriptor => Some(descriptor::VERSION.into()),
+            Self::Import(_) => None,
+        }
+    }
+}

@@ -1,0 +1,17 @@
+//! Scores: PSNR, SSIM, mIoU and accuracy of label maps, Calinski-Harabasz and Davies-Bouldin of clusterings.
+//!
+//! No score is ever NaN: where there is nothing to score the answer is `None`.
+
+mod clusters;
+mod image;
+mod labels;
+
+pub use clusters::{calinski_harabasz, davies_bouldin};
+pub use image::{ImageScores, PSNR_CAP, psnr, ssim};
+pub use labels::{Confusion, LabelScores, Void, label_scores};
+
+/// Mean of the values that are there; `None` when there are none.
+fn mean(values: impl IntoIterator<Item = Option<f64>>) -> Option<f64> {
+    let (sum, n) = values.into_iter().flatten().fold((0.0, 0_usize), |(sum, n), v| (sum + v, n + 1));
+    (n > 0).then(|| sum / n as f64)
+}
