@@ -6,5 +6,6 @@ pub mod encoder;
 pub mod interpolation;
 pub mod loss;
 pub mod neighbours;
+pub mod pyramid;
 pub mod randla;
 pub mod sampling;

@@ -1,16 +1,15 @@
 //! All public behaviour, one module a subject, in one binary.
 
-mod decoder;
-mod loss;
-mod features;
-mod ops;
-mod pca;
 mod adam;
-mod config;
 mod checkpoint;
+mod config;
+mod decoder;
 mod densify;
+mod features;
+mod loss;
 mod neighbours;
 mod ops;
+mod pca;
 mod photometric;
 mod randla;
 
