@@ -6,6 +6,8 @@ pub mod encoder;
 pub mod interpolation;
 pub mod loss;
 pub mod neighbours;
+pub mod pretrain;
+pub mod probe;
 pub mod pyramid;
 pub mod randla;
 pub mod sampling;

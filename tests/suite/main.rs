@@ -11,6 +11,7 @@ mod neighbours;
 mod ops;
 mod pca;
 mod photometric;
+mod pretrain;
 mod randla;
 
 use std::path::PathBuf;
