@@ -15,6 +15,7 @@ mod neighbours;
 mod ops;
 mod pca;
 mod photometric;
+mod pretrain;
 mod randla;
 mod raster;
 mod raster_gradients;

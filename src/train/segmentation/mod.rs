@@ -6,7 +6,7 @@ mod per_gaussian;
 mod session;
 mod views;
 
-pub use fused::{Encoded, Fused, FusedPlan, REGULARISED, Source};
+pub use fused::{Encoded, Fused, FusedPlan, Source};
 pub use optimiser::{ModuleAdam, NamedValues};
 pub use per_gaussian::PerGaussian;
 pub use session::{Pace, Score, train};
