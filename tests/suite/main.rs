@@ -4,6 +4,7 @@ mod adam;
 mod config;
 mod densify;
 mod features;
+mod mobilenet;
 mod neighbours;
 mod ops;
 mod pca;
