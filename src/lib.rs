@@ -12,5 +12,6 @@ pub mod ops;
 pub mod random;
 pub mod segmentation;
 pub mod train;
+pub mod raster;
 
 pub use error::{Error, Result};

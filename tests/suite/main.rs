@@ -10,6 +10,8 @@ mod ops;
 mod pca;
 mod photometric;
 mod randla;
+mod raster;
+mod raster_reference;
 
 use std::path::PathBuf;
 

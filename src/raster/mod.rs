@@ -1,0 +1,28 @@
+//! The rasterizer: N-channel alpha blending of 3D Gaussians, its adjoint, and the handwritten backward pass.
+//!
+//! With frozen geometry rendering is a constant sparse linear map `S = W s`, `W[p, i] = alpha'_i(p) T_i(p)`
+//! (Eq. 3-4). [`Projected`] holds what one view needs for it (projection, depth order, tile lists), and applies it both
+//! ways: [`Projected::blend`] and [`Projected::blend_adjoint`]. [`rasterize`] is the burn operation with gradients to
+//! every input.
+//!
+//! Kernels are generic over `f32` and `f64`; geometry is computed in `f64` in both, so that the depth order and the
+//! tile lists of an `f32` render are those of its `f64` reference. Results do not depend on the number of threads.
+//! They may differ in the last bits between machines with and without fused multiply-add.
+
+mod backward;
+mod blend;
+mod footprint;
+mod geometry;
+mod op;
+mod projected;
+mod settings;
+mod sh;
+mod simd;
+mod tile_pairs;
+mod tiles;
+
+pub use backward::SplatGradients;
+pub use op::{RasterBackend, RasterCall, RasterInput, RasterOutput, RasterTensors, rasterize};
+pub use projected::{Blended, Projected, Rendered, render};
+pub use settings::{PairCounts, Settings, Splats, Stats};
+pub use sh::eval_sh;

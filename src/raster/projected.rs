@@ -1,0 +1,267 @@
+//! One view of the Gaussians: projected, sorted, binned; and the linear map that blending then is.
+
+use super::blend;
+use super::footprint::Splat2;
+use super::geometry::{Fate, Splat3, Viewpoint, project};
+use super::settings::{PairCounts, Settings, Splats, Stats};
+use super::sh::eval_sh_rows;
+use super::tile_pairs;
+use super::tiles::{TileLists, depth_order, tile_lists};
+use crate::camera::Camera;
+use crate::error::Result;
+use crate::gaussians::Gaussians;
+use crate::ops::{Real, SparseMatrix};
+use rayon::prelude::*;
+use std::marker::PhantomData;
+
+/// Gaussians that one task projects.
+const CHUNK: usize = 1024;
+
+/// One view: projection and tile lists, computed once and shared by all passes.
+#[derive(Clone, Debug)]
+pub struct Projected<E> {
+    pub(super) viewpoint: Viewpoint,
+    pub(super) settings: Settings,
+    /// Visible Gaussians front to back.
+    pub(super) splats: Vec<Splat2>,
+    /// Index of each in the scene.
+    pub(super) ids: Vec<u32>,
+    pub(super) tiles: TileLists,
+    radii: Vec<u32>,
+    stats: Stats,
+    scalar: PhantomData<E>,
+}
+
+/// A blended image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Blended<E> {
+    /// `sum_i alpha'_i T_i s_i`, `[H, W, C]`, without background.
+    pub image: Vec<E>,
+    /// What is left of the background, `[H, W]`, in (0, 1].
+    pub transmittance: Vec<E>,
+}
+
+impl<E: Real> Projected<E> {
+    /// Projects and sorts `splats` for `camera`.
+    ///
+    /// Culled: Gaussians at or before the near plane, with an alpha_min ellipse that is empty or outside the image, or
+    /// whose projection overflows; [`Projected::stats`] counts them.
+    ///
+    /// # Errors
+    /// [`crate::Error::Config`] for array lengths that disagree, settings out of range, or an unusable camera;
+    /// [`crate::Error::NonFinite`] for a NaN or an infinity in `splats`; [`crate::Error::Limit`] for tile lists beyond 2^32.
+    pub fn new(splats: &Splats<'_, E>, camera: &Camera, settings: &Settings) -> Result<Self> {
+        settings.check()?;
+        splats.check()?;
+        let viewpoint = Viewpoint::new(camera)?;
+        let n = splats.len();
+        let mut radii = vec![0; n];
+        let chunks: Vec<(Vec<(f64, u32, Splat2)>, Stats)> = radii
+            .par_chunks_mut(CHUNK)
+            .enumerate()
+            .map(|(chunk, radii)| {
+                let mut visible = Vec::with_capacity(radii.len());
+                let mut stats = Stats { gaussians: radii.len(), ..Stats::default() };
+                for (radius, i) in radii.iter_mut().zip(chunk * CHUNK..) {
+                    let (fate, zero) = project::<E>(&Splat3::read(splats, i), &viewpoint, settings);
+                    stats.zero_quaternions += usize::from(zero);
+                    match fate {
+                        Fate::Visible(ellipse) => {
+                            *radius = ellipse.radius();
+                            visible.push((ellipse.depth, i as u32, Splat2::from(&ellipse)));
+                        }
+                        Fate::Behind => stats.behind += 1,
+                        Fate::OffScreen => stats.off_screen += 1,
+                        Fate::NonFinite => stats.non_finite += 1,
+                    }
+                }
+                stats.visible = visible.len();
+                (visible, stats)
+            })
+            .collect();
+        let mut stats = Stats::default();
+        for (_, s) in &chunks {
+            stats.gaussians += s.gaussians;
+            stats.visible += s.visible;
+            stats.behind += s.behind;
+            stats.off_screen += s.off_screen;
+            stats.non_finite += s.non_finite;
+            stats.zero_quaternions += s.zero_quaternions;
+        }
+        let visible: Vec<(f64, u32, Splat2)> = chunks.into_iter().flat_map(|(v, _)| v).collect();
+        let depths: Vec<f64> = visible.iter().map(|v| v.0).collect();
+        let order = depth_order(&depths);
+        let ids = order.iter().map(|&i| visible[i as usize].1).collect();
+        let ordered: Vec<Splat2> = order.par_iter().with_min_len(CHUNK).map(|&i| visible[i as usize].2).collect();
+        let tiles = tile_lists(&ordered, viewpoint.size)?;
+        stats.tile_entries = tiles.ranks.len();
+        Ok(Self { viewpoint, settings: *settings, splats: ordered, ids, tiles, radii, stats, scalar: PhantomData })
+    }
+
+    /// Number of Gaussians given, visible or not.
+    pub fn len(&self) -> usize {
+        self.radii.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.radii.is_empty()
+    }
+
+    /// Image width and height, pixels.
+    pub fn size(&self) -> [usize; 2] {
+        self.viewpoint.size
+    }
+
+    /// `S = W s` (Eq. 3-4) and the transmittance: `values` is `[N, channels]`, the image `[H, W, channels]`.
+    ///
+    /// # Panics
+    /// If `values` does not have `N * channels` entries.
+    pub fn blend(&self, values: &[E], channels: usize) -> Blended<E> {
+        assert_eq!(values.len(), self.len() * channels, "blend: values against Gaussians times channels");
+        match channels {
+            0 => {
+                let empty = blend::blend::<E, 0>(self, &[]);
+                Blended { image: Vec::new(), transmittance: empty.transmittance }
+            }
+            1 => blend::blend::<E, 1>(self, &self.in_depth_order(values, 1, 1)),
+            2 => blend::blend::<E, 2>(self, &self.in_depth_order(values, 2, 2)),
+            3 => blend::blend::<E, 3>(self, &self.in_depth_order(values, 3, 3)),
+            4 => blend::blend::<E, 4>(self, &self.in_depth_order(values, 4, 4)),
+            _ => tile_pairs::blend(self, values, channels),
+        }
+    }
+
+    /// `W^T y`: `image` is `[H, W, channels]`, the result `[N, channels]`; the adjoint of [`Projected::blend`].
+    ///
+    /// # Panics
+    /// If `image` does not have `H * W * channels` entries.
+    pub fn blend_adjoint(&self, image: &[E], channels: usize) -> Vec<E> {
+        let [w, h] = self.size();
+        assert_eq!(image.len(), w * h * channels, "blend_adjoint: image against pixels times channels");
+        let sums = match channels {
+            0 => return Vec::new(),
+            1 => blend::adjoint::<E, 1>(self, image),
+            2 => blend::adjoint::<E, 2>(self, image),
+            3 => blend::adjoint::<E, 3>(self, image),
+            4 => blend::adjoint::<E, 4>(self, image),
+            _ => tile_pairs::adjoint(self, image, channels),
+        };
+        self.in_scene_order(&sums, channels)
+    }
+
+    /// `W^T 1`: the sum of alpha' T over all pixels, `[N]`.
+    pub fn weight_sums(&self) -> Vec<E> {
+        let [w, h] = self.size();
+        self.blend_adjoint(&vec![E::one(); w * h], 1)
+    }
+
+    /// `W` itself: rows are `pixels` (row-major indices; all when `None`), columns the N Gaussians, entries front to back.
+    ///
+    /// Values are exactly the weights that [`Projected::blend`] applies, rounded to `f32`.
+    ///
+    /// # Panics
+    /// If a pixel index is outside the image.
+    pub fn weights(&self, pixels: Option<&[u32]>) -> SparseMatrix {
+        tile_pairs::weights(self, pixels)
+    }
+
+    /// Algorithm 1's counter: pixels whose centre lies within [`Projected::radii`] of the projected centre, in the image.
+    pub fn counts(&self) -> Vec<u32> {
+        let [w, h] = self.size();
+        let mut counts = vec![0; self.len()];
+        for (splat, &id) in self.splats.iter().zip(&self.ids) {
+            let r = f64::from(self.radii[id as usize]);
+            let [x, y] = splat.center;
+            // Pixel centres within low..=high, of n.
+            let span = |low: f64, high: f64, n: usize| {
+                let first = (low - 0.5).ceil().max(0.0);
+                (first, (high - 0.5).floor().min(n as f64 - 1.0))
+            };
+            let (first, last) = span(y - r, y + r, h);
+            let mut sum = 0.0;
+            let mut row = first;
+            while row <= last {
+                let dy = row + 0.5 - y;
+                let half = (r * r - dy * dy).max(0.0).sqrt();
+                let (a, b) = span(x - half, x + half, w);
+                sum += (b - a + 1.0).max(0.0);
+                row += 1.0;
+            }
+            counts[id as usize] = sum as u32;
+        }
+        counts
+    }
+
+    /// `ceil(3 sqrt(lambda_max))` of the 2D covariance in pixels, `[N]`; 0 = culled.
+    pub fn radii(&self) -> &[u32] {
+        &self.radii
+    }
+
+    /// What was culled and why.
+    pub fn stats(&self) -> Stats {
+        self.stats
+    }
+
+    /// Evaluated and contributing pairs.
+    pub fn count_pairs(&self) -> PairCounts {
+        blend::count_pairs(self)
+    }
+
+    /// Rows of `values` `[N, channels]` of the visible Gaussians, front to back, each padded with zeros to `width`.
+    pub(super) fn in_depth_order(&self, values: &[E], channels: usize, width: usize) -> Vec<E> {
+        let mut out = vec![E::zero(); self.ids.len() * width];
+        if width == 0 {
+            return out;
+        }
+        out.par_chunks_mut(width * CHUNK).zip(self.ids.par_chunks(CHUNK)).for_each(|(out, ids)| {
+            for (out, &id) in out.chunks_exact_mut(width).zip(ids) {
+                out[..channels].copy_from_slice(&values[id as usize * channels..][..channels]);
+            }
+        });
+        out
+    }
+
+    /// The inverse of [`Projected::in_depth_order`]; rows of culled Gaussians are zero.
+    pub(super) fn in_scene_order(&self, rows: &[E], channels: usize) -> Vec<E> {
+        let mut out = vec![E::zero(); self.len() * channels];
+        if channels == 0 {
+            return out;
+        }
+        for (row, &id) in rows.chunks_exact(channels).zip(&self.ids) {
+            out[id as usize * channels..][..channels].copy_from_slice(row);
+        }
+        out
+    }
+}
+
+/// A picture of the scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rendered {
+    /// Colour, `[H, W, 3]`, background included, not clamped.
+    pub rgb: Vec<f32>,
+    /// What shows of the background, `[H, W]`.
+    pub transmittance: Vec<f32>,
+    /// What was culled and why.
+    pub stats: Stats,
+}
+
+/// Renders the colours of `gaussians` seen by `camera` over `background`.
+///
+/// # Errors
+/// As [`Projected::new`], and [`crate::Error::NonFinite`] for the SH coefficients.
+pub fn render(gaussians: &Gaussians, camera: &Camera, settings: &Settings, background: [f32; 3]) -> Result<Rendered> {
+    super::settings::check_finite("sh", &gaussians.sh, 3 * gaussians.sh_len())?;
+    let projected = Projected::new(&gaussians.splats(), camera, settings)?;
+    let center = camera.center.to_array();
+    let degree = gaussians.sh_degree;
+    let colours =
+        eval_sh_rows(gaussians.means.as_flattened(), &gaussians.sh, degree, degree, center, projected.radii());
+    let Blended { mut image, transmittance } = projected.blend(&colours, 3);
+    for (pixel, &t) in image.chunks_exact_mut(3).zip(&transmittance) {
+        for (value, &b) in pixel.iter_mut().zip(&background) {
+            *value += t * b;
+        }
+    }
+    Ok(Rendered { rgb: image, transmittance, stats: projected.stats() })
+}

@@ -1,0 +1,145 @@
+//! What the rasterizer is given and what it counts.
+
+use crate::config::RasterConfig;
+use crate::error::{Error, Result};
+use crate::gaussians::Gaussians;
+use crate::ops::Real;
+
+/// Blending constants.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Cap of alpha', in (0, 1]; its gradient is masked there.
+    pub alpha_max: f64,
+    /// Pairs with alpha' below this are skipped.
+    pub alpha_min: f64,
+    /// A splat that would bring the transmittance to this or below is not added, and the pixel ends.
+    pub t_min: f64,
+    /// Near plane, world units: Gaussians with camera z at or below it are culled.
+    pub near: f64,
+    /// Added to the diagonal of the 2D covariance, pixels squared.
+    pub low_pass: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self::from(&RasterConfig::default())
+    }
+}
+
+impl From<&RasterConfig> for Settings {
+    fn from(c: &RasterConfig) -> Self {
+        Self { alpha_max: c.alpha_max, alpha_min: c.alpha_min, t_min: c.t_min, near: c.near, low_pass: c.low_pass }
+    }
+}
+
+impl Settings {
+    /// [`Error::Config`] for a value outside its range.
+    pub(super) fn check(&self) -> Result<()> {
+        let unit = |key: &str, v: f64, ok: bool, range: &str| {
+            let mend = "choose a value in that range";
+            if ok { Ok(()) } else { Err(Error::config(format!("raster.{key}"), v.to_string(), range, mend)) }
+        };
+        unit("alpha_max", self.alpha_max, self.alpha_max > 0.0 && self.alpha_max <= 1.0, "a number in (0, 1]")?;
+        unit("alpha_min", self.alpha_min, (0.0..1.0).contains(&self.alpha_min), "a number in [0, 1)")?;
+        unit("t_min", self.t_min, (0.0..1.0).contains(&self.t_min), "a number in [0, 1)")?;
+        unit("near", self.near, self.near > 0.0 && self.near.is_finite(), "a positive number")?;
+        unit("low_pass", self.low_pass, self.low_pass >= 0.0 && self.low_pass.is_finite(), "a number of 0 or more")
+    }
+}
+
+/// The geometry of N Gaussians, unactivated, row-major.
+#[derive(Clone, Copy, Debug)]
+pub struct Splats<'a, E> {
+    /// Centres, `[N, 3]`, world units.
+    pub means: &'a [E],
+    /// Natural logarithm of the standard deviations, `[N, 3]`.
+    pub log_scales: &'a [E],
+    /// Quaternions (w, x, y, z), not normalised, `[N, 4]`.
+    pub rotations: &'a [E],
+    /// Logits of the opacities, `[N]`.
+    pub opacity_logits: &'a [E],
+}
+
+impl<E: Real> Splats<'_, E> {
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.opacity_logits.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.opacity_logits.is_empty()
+    }
+
+    /// [`Error::Config`] when the lengths disagree, [`Error::NonFinite`] for the first row with a NaN or an infinity.
+    pub(super) fn check(&self) -> Result<()> {
+        let n = self.len();
+        for (name, values, width) in [
+            ("means", self.means, 3),
+            ("log_scales", self.log_scales, 3),
+            ("rotations", self.rotations, 4),
+            ("opacity_logits", self.opacity_logits, 1),
+        ] {
+            if values.len() != n * width {
+                return Err(Error::config(
+                    format!("splats.{name}"),
+                    format!("{} values", values.len()),
+                    format!("{} ({n} opacity logits, {width} values each)", n * width),
+                    "pass arrays of one scene",
+                ));
+            }
+            check_finite(name, values, width)?;
+        }
+        Ok(())
+    }
+}
+
+/// [`Error::NonFinite`] naming the first row of `[rows, width]` values that holds a NaN or an infinity.
+pub(super) fn check_finite<E: Real>(name: &str, values: &[E], width: usize) -> Result<()> {
+    // x - x is 0 for finite x, else NaN: a sum that vectorises, so that the common case costs one pass over memory.
+    let finite = values.chunks(4096).all(|c| c.iter().fold(E::zero(), |a, &x| a + (x - x)) == E::zero());
+    match values.iter().position(|v| !v.is_finite()).filter(|_| !finite) {
+        Some(at) => Err(Error::non_finite(name, at / width.max(1))),
+        None => Ok(()),
+    }
+}
+
+impl Gaussians {
+    /// The geometry as the rasterizer takes it.
+    pub fn splats(&self) -> Splats<'_, f32> {
+        Splats {
+            means: self.means.as_flattened(),
+            log_scales: self.log_scales.as_flattened(),
+            rotations: self.rotations.as_flattened(),
+            opacity_logits: &self.opacity_logits,
+        }
+    }
+}
+
+/// What happened to the Gaussians of one view.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Stats {
+    /// Gaussians given.
+    pub gaussians: usize,
+    /// Gaussians in the tile lists.
+    pub visible: usize,
+    /// Culled: at or before the near plane.
+    pub behind: usize,
+    /// Culled: the alpha_min ellipse is empty or outside the image.
+    pub off_screen: usize,
+    /// Culled: the projection overflowed although the input was finite.
+    pub non_finite: usize,
+    /// Zero quaternions, taken as the identity.
+    pub zero_quaternions: usize,
+    /// Entries of all tile lists.
+    pub tile_entries: usize,
+}
+
+/// (Pixel, Gaussian) pairs of one view; the unit of the timings.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PairCounts {
+    /// Pairs whose alpha' was computed, idle vector lanes included.
+    pub evaluated: u64,
+    /// Pairs with alpha' of at least alpha_min, before the pixel's stop.
+    pub contributing: u64,
+}
