@@ -10,8 +10,8 @@ pub mod gaussians;
 pub mod metrics;
 pub mod ops;
 pub mod random;
+pub mod raster;
 pub mod segmentation;
 pub mod train;
-pub mod raster;
 
 pub use error::{Error, Result};

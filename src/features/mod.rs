@@ -20,8 +20,8 @@ pub use pca::{Moments, Pca};
 
 use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::View;
-use crate::error::{Error, Result};
 use crate::device;
+use crate::error::{Error, Result};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 

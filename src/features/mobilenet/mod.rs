@@ -5,11 +5,11 @@
 
 mod load;
 
+use super::{FeatureMap, SCALES};
+use crate::error::Result;
 use burn::module::Module;
 use burn::nn::conv::{Conv2d, Conv2dConfig};
 use burn::nn::{BatchNorm, BatchNormConfig, PaddingConfig2d};
-use super::{FeatureMap, SCALES};
-use crate::error::Result;
 use burn::tensor::{Device, Tensor, TensorData};
 
 /// Part of cache keys; raise it when the arithmetic changes.
