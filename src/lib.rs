@@ -8,9 +8,11 @@ pub mod error;
 pub mod features;
 pub mod gaussians;
 pub mod metrics;
+pub mod objects;
 pub mod ops;
 pub mod random;
 pub mod raster;
+pub mod report;
 pub mod segmentation;
 pub mod train;
 

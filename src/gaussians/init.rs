@@ -1,12 +1,9 @@
-//! Initial Gaussians: from a point cloud, or from points placed in the camera frusta.
+//! Initial Gaussians from a point cloud.
 
 use super::Gaussians;
-use crate::data::{Points, View};
+use crate::data::Points;
 use crate::error::{Error, Result};
-use glam::{DMat3, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use rand::Rng;
-use rand_chacha::ChaCha8Rng;
 use std::num::NonZero;
 
 /// SH basis function of degree 0, 1 / (2 sqrt(pi)).
@@ -101,69 +98,4 @@ fn neighbour_distances(positions: &[[f32; 3]]) -> Result<Vec<Option<f64>>> {
         })
         .collect();
     Ok(slot.into_iter().map(|s| distances[s]).collect())
-}
-
-/// `count` points in the frusta of `views`, for scenes without a point cloud, coloured as the pixel they were drawn at.
-///
-/// Each point lies on the ray of a random pixel of a random view. Depths are log-uniform between a quarter and four
-/// times the distance at which the views' optical axes meet best (least squares), or, for parallel axes, the reach of
-/// ten baselines. Points that only one view sees are drawn again, a few times.
-///
-/// Empty when there is no view with pixels.
-pub fn random_points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Points {
-    let views: Vec<&View> = views.iter().copied().filter(|v| v.camera.width > 0 && v.camera.height > 0).collect();
-    let mut points = Points::default();
-    if views.is_empty() {
-        return points;
-    }
-    let focus = focus_distance(&views);
-    let wanted = views.len().min(2);
-    for _ in 0..count {
-        for attempt in 0..8 {
-            let view = views[rng.random_range(0..views.len())];
-            let camera = &view.camera;
-            let (x, y) = (rng.random_range(0..camera.width), rng.random_range(0..camera.height));
-            let depth = focus * 4.0_f64.powf(rng.random_range(-1.0..1.0));
-            let position = camera.center + camera.ray(x as f64 + 0.5, y as f64 + 0.5) * depth;
-            let seen = views.iter().filter(|v| sees(v, position)).take(wanted).count();
-            if seen < wanted && attempt < 7 {
-                continue;
-            }
-            points.positions.push(position.as_vec3().to_array());
-            points.colors.push(view.image.get_pixel(x as u32, y as u32).0.map(|c| f32::from(c) / 255.0));
-            break;
-        }
-    }
-    points
-}
-
-fn sees(view: &View, position: DVec3) -> bool {
-    let camera = &view.camera;
-    camera
-        .project(position)
-        .is_some_and(|(u, v, _)| u >= 0.0 && v >= 0.0 && u < camera.width as f64 && v < camera.height as f64)
-}
-
-/// Median depth of the point nearest to all optical axes, or ten baselines where that point is not in front.
-fn focus_distance(views: &[&View]) -> f64 {
-    let mean = views.iter().map(|v| v.camera.center).sum::<DVec3>() / views.len() as f64;
-    let baseline = views.iter().map(|v| v.camera.center.distance(mean)).fold(0.0, f64::max);
-    let fallback = if baseline > 0.0 { 10.0 * baseline } else { 1.0 };
-    // normal equations of sum |(I - d d^T) (x - c)|^2
-    let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
-    for view in views {
-        let d = view.camera.rotation.transpose().z_axis;
-        let p = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
-        a += p;
-        b += p * (view.camera.center - mean);
-    }
-    // parallel axes leave the depth undetermined
-    if a.determinant() < 1e-4 * (views.len() as f64).powi(3) {
-        return fallback;
-    }
-    let focus = a.inverse() * b + mean;
-    let mut depths: Vec<f64> = views.iter().map(|v| v.camera.to_camera(focus).z).collect();
-    depths.sort_by(f64::total_cmp);
-    let median = depths[depths.len() / 2];
-    if median.is_finite() && median > 0.1 * baseline { median } else { fallback }
 }

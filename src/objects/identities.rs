@@ -37,7 +37,7 @@ impl Identities {
         let bytes = view
             .and_then(|view| safetensors::serialize([("scores", view)], None))
             .map_err(|e| Error::io(path, "serialise", std::io::Error::other(e)))?;
-        crate::data::atomic::write(path, &bytes)
+        crate::data::atomic::write_bytes(path, &bytes)
     }
 
     /// Reads what [`Identities::write`] wrote.
@@ -79,7 +79,7 @@ fn largest(row: &[f32]) -> Option<u16> {
 pub fn label_map(projected: &Projected<f32>, identities: &Identities, classes: &Classes, min_coverage: f32) -> LabelMap {
     let c = identities.classes;
     let blended = projected.blend(&identities.scores, c);
-    let (width, height) = projected.size();
+    let [width, height] = projected.size();
     let ids = blended
         .image
         .chunks_exact(c.max(1))

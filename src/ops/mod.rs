@@ -4,6 +4,7 @@
 mod adam;
 mod attentive_pool;
 mod host;
+mod label_loss;
 mod photometric;
 mod real;
 mod simd;
@@ -15,6 +16,7 @@ pub use attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
 pub(crate) use host::device_of;
 pub(crate) use host::real_kernel;
 pub use host::{HostBackend, HostValues, warn_host_fallback};
+pub use label_loss::{Kind, LabelLossBackend, UNLABELLED, label_loss};
 pub use photometric::{Photo, PhotometricBackend, photometric_loss, photometric_loss_plain};
 pub use real::Real;
 pub use sparse::{Compact, SparseBackend, SparseMatrix, sparse_apply};

@@ -155,15 +155,25 @@ fn multiply<E: Real>(a: &[E], b: &[E], out: &mut [E]) {
     out.iter_mut().zip(a.iter().zip(b)).for_each(|(o, (&a, &b))| *o = a * b);
 }
 
-/// Sum in f64 over eight fixed lanes.
-fn sum_wide<E: Real>(values: &[E]) -> f64 {
+wide_kernel! {
+    /// Sum in f64 over eight fixed lanes.
+    fn sum_wide(values: &[E]) -> f64 => sum_wide_body
+}
+
+#[inline(always)]
+fn sum_wide_body<E: Real, const FMA: bool>(values: &[E]) -> f64 {
     let mut lanes = [0.0; 8];
-    let chunks = values.chunks_exact(8);
-    let rest: f64 = chunks.remainder().iter().map(|v| v.wide()).sum();
+    let (chunks, rest) = values.as_chunks::<8>();
     for chunk in chunks {
-        lanes.iter_mut().zip(chunk).for_each(|(lane, v)| *lane += v.wide());
+        for (lane, v) in lanes.iter_mut().zip(chunk) {
+            *lane += v.wide();
+        }
     }
-    lanes.iter().sum::<f64>() + rest
+    let mut sum = 0.0;
+    for v in rest {
+        sum += v.wide();
+    }
+    lanes.iter().sum::<f64>() + sum
 }
 
 wide_kernel! {

@@ -5,7 +5,7 @@
 //! whose checkpoints are published.
 
 use super::checkpoint::Checkpoint;
-use super::pyramid::{Pyramid, PyramidLevel};
+use super::sampling::{Hierarchy, SampledLevel};
 use crate::error::{Error, Result};
 use crate::ops::{SparseMatrix, attentive_pool, sparse_apply};
 use burn::module::{Module, Param};
@@ -115,16 +115,11 @@ pub struct AttentivePooling {
 }
 
 impl AttentivePooling {
-    fn load(
-        weights: &Checkpoint,
-        name: &str,
-        [input, output]: [usize; 2],
-        form: Form,
-        device: &Device,
-    ) -> Result<Self> {
+    fn load(weights: &Checkpoint, name: &str, shape: [usize; 2], form: Form, device: &Device) -> Result<Self> {
+        let [input, _] = shape;
         let score = weights.get(&format!("{name}.fc.weight"), &[input, input])?;
         let weight = parameter(transposed(score, input, input), [input, input], device);
-        let mlp = SharedMlp::load(weights, &format!("{name}.mlp"), [input, output], false, form, device)?;
+        let mlp = SharedMlp::load(weights, &format!("{name}.mlp"), shape, false, form, device)?;
         Ok(Self { score: Linear { weight, bias: None }, mlp })
     }
 
@@ -167,7 +162,7 @@ impl ResidualBlock {
     }
 
     /// All points at once: what training differentiates.
-    fn forward(&self, features: Tensor<2>, level: &PyramidLevel) -> Tensor<2> {
+    fn forward(&self, features: Tensor<2>, level: &SampledLevel) -> Tensor<2> {
         let all = 0..level.positions.len();
         let narrow = self.narrow.forward(features.clone());
         let code = self.first_code.forward(position_code(level, all.clone(), &features.device()));
@@ -180,7 +175,7 @@ impl ResidualBlock {
     }
 
     /// The same in chunks of points, side by side: memory for `[points, K, d]` tensors stays bounded.
-    fn forward_chunked(&self, features: Tensor<2>, level: &PyramidLevel) -> Tensor<2> {
+    fn forward_chunked(&self, features: Tensor<2>, level: &SampledLevel) -> Tensor<2> {
         let (points, k, device) = (level.positions.len(), level.neighbours.k, features.device());
         let chunk = (CHUNK_VALUES / (k * self.width)).max(1);
         let chunks = |stage: &(dyn Fn(std::ops::Range<usize>) -> Tensor<2> + Sync)| {
@@ -256,10 +251,10 @@ impl RandlaEncoder {
     /// Features of every level before its sampling, then those of the coarsest set (Eq. 6 with the sampling innermost).
     /// `input` is `[N, 3 or 6]` on the points of level 1. Whole levels at once, for training, or chunk by chunk
     /// (`chunked`), which holds less and uses all cores.
-    pub fn encode_levels(&self, input: Tensor<2>, pyramid: &Pyramid, chunked: bool) -> (Vec<Tensor<2>>, Tensor<2>) {
+    pub fn encode_levels(&self, input: Tensor<2>, hierarchy: &Hierarchy, chunked: bool) -> (Vec<Tensor<2>>, Tensor<2>) {
         let mut features = self.stem.forward(input);
         let mut outputs = Vec::with_capacity(self.blocks.len());
-        for (block, level) in self.blocks.iter().zip(&pyramid.levels) {
+        for (block, level) in self.blocks.iter().zip(&hierarchy.levels) {
             let output = match chunked {
                 true => block.forward_chunked(features, level),
                 false => block.forward(features, level),
@@ -272,7 +267,7 @@ impl RandlaEncoder {
 }
 
 /// Local spatial encoding's input for the neighbours of the points in `range`: distance, p_i - p_k, p_i, p_k.
-fn position_code(level: &PyramidLevel, range: std::ops::Range<usize>, device: &Device) -> Tensor<2> {
+fn position_code(level: &SampledLevel, range: std::ops::Range<usize>, device: &Device) -> Tensor<2> {
     let rows = range.len() * level.neighbours.k;
     let mut code = Vec::with_capacity(rows * POSITION_CHANNELS);
     for i in range {
@@ -288,14 +283,14 @@ fn position_code(level: &PyramidLevel, range: std::ops::Range<usize>, device: &D
 }
 
 /// Rows of `features` for the neighbours of the points in `range`: `[range K, d]`.
-fn gather(features: Tensor<2>, level: &PyramidLevel, range: std::ops::Range<usize>) -> Tensor<2> {
+fn gather(features: Tensor<2>, level: &SampledLevel, range: std::ops::Range<usize>) -> Tensor<2> {
     let k = level.neighbours.k;
     let indices = level.neighbours.indices[range.start * k..range.end * k].to_vec();
     sparse_apply(features, Arc::new(selection(indices, level.positions.len())))
 }
 
 /// Random sampling's pooling: the kept points take the element-wise maximum over their neighbours' features.
-fn sample(features: Tensor<2>, level: &PyramidLevel) -> Tensor<2> {
+fn sample(features: Tensor<2>, level: &SampledLevel) -> Tensor<2> {
     let [points, channels] = features.dims();
     let (k, kept) = (level.neighbours.k, level.kept.len());
     let indices = level.kept.iter().flat_map(|&i| level.neighbours.row(i as usize)).copied().collect();

@@ -1,6 +1,13 @@
 //! All public behaviour, one module a subject, in one binary.
 
 mod adam;
+mod building;
+mod checkpoint;
+mod config;
+mod decoder;
+mod densify;
+mod features;
+mod loss;
 mod config;
 mod densify;
 mod features;
@@ -12,6 +19,12 @@ mod photometric;
 mod randla;
 mod raster;
 mod raster_reference;
+mod report;
+mod classes;
+mod metrics;
+mod ops;
+mod ply;
+mod transforms;
 
 use std::path::PathBuf;
 

@@ -5,46 +5,81 @@
 
 use super::optimiser::{self, ModuleAdam, NamedValues};
 use super::views::ViewWeights;
-use crate::random::{Purpose, stream};
 use super::{Model, Prediction};
 use crate::config::SegmentationConfig;
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::{SparseMatrix, sparse_apply};
-use crate::segmentation::decoder::Decoder;
+use crate::random::{Purpose, stream};
+use crate::segmentation::decoder::{Decoder, DecoderInput};
 use crate::segmentation::loss::neighbour_divergence;
-use crate::segmentation::neighbours;
-use crate::segmentation::pyramid::{Pyramid, Restriction};
+use burn::module::Module;
 use burn::tensor::{Device, Gradients, Tensor};
 use std::sync::Arc;
 
-/// Scales of the 3D regularisation, zero-based (n = 3, 4).
-const REGULARISED: [usize; 2] = [2, 3];
+/// Scales of the 3D regularisation (n = 3, 4), zero-based.
+pub const REGULARISED: [usize; 2] = [2, 3];
+/// Finest scales of which a step decodes only what its view depends on; the regularised ones stay whole.
+const RESTRICTED: usize = REGULARISED[0];
 /// Gaussians decoded at once when the stored identities are made.
 const CHUNK: usize = 16_384;
+
+/// A set of Gaussians with the decoder's frozen inputs.
+#[derive(Clone, Debug)]
+pub struct Encoded {
+    /// Frozen inputs of all scales.
+    pub input: DecoderInput,
+    /// Scene index of each finest point, ascending.
+    pub points: Vec<u32>,
+    /// K nearest points of the same level for each point of the regularised scales, `[N_n, K]`; empty where a scale is
+    /// not there.
+    pub neighbours: [Vec<u32>; REGULARISED.len()],
+}
 
 /// Where the decoder's input comes from.
 pub enum Source {
     /// The whole scene, encoded once; views use the part they see.
-    Scene(Pyramid),
-    /// One pyramid per training view over the Gaussians visible there (the paper), and one of the whole scene for
-    /// Gaussians that no view sees.
+    Scene(Encoded),
+    /// Each training view's visible Gaussians encoded alone (the paper), and the whole scene for those no view sees.
     Views {
         /// In the order of the training views.
-        views: Vec<Pyramid>,
-        /// The whole scene.
-        scene: Pyramid,
-        /// Summed alpha' T of each view's finest points, for the weighted mean of identities.
+        views: Vec<Encoded>,
+        /// Summed alpha' T of each view's points, for the weighted mean of identities.
         weights: Vec<Vec<f32>>,
+        /// The whole scene.
+        scene: Encoded,
     },
 }
 
-/// What a step of one view needs besides its weights; made at the view's first use.
-#[derive(Clone)]
-struct Prepared {
-    restriction: Arc<Restriction>,
-    /// K neighbours within the restricted points of each regularised scale, `[N_n, K]`.
-    neighbours: [Arc<Vec<u32>>; REGULARISED.len()],
+impl Source {
+    /// The encoding of the whole scene.
+    pub fn scene(&self) -> &Encoded {
+        match self {
+            Self::Scene(scene) | Self::Views { scene, .. } => scene,
+        }
+    }
+
+    fn view(&self, view: usize) -> &Encoded {
+        match self {
+            Self::Scene(scene) => scene,
+            Self::Views { views, .. } => &views[view],
+        }
+    }
+}
+
+/// How a decoder row is trained.
+#[derive(Clone, Copy, Debug)]
+pub struct FusedPlan<'a> {
+    /// Settings of stage two.
+    pub config: &'a SegmentationConfig,
+    /// Learning rate.
+    pub rate: f64,
+    /// Whether Eq. 9 is part of the loss.
+    pub regularised: bool,
+    /// Number of Gaussians and of classes.
+    pub size: [usize; 2],
+    /// Seed of the regularisation's samples.
+    pub seed: u64,
 }
 
 /// A decoder in training.
@@ -52,93 +87,61 @@ pub struct Fused<'a> {
     decoder: Option<Decoder>,
     adam: ModuleAdam,
     source: &'a Source,
-    positions: &'a [[f32; 3]],
-    prepared: Vec<Option<Prepared>>,
-    config: &'a SegmentationConfig,
-    regularised: bool,
-    seed: u64,
+    plan: FusedPlan<'a>,
+    /// Inputs restricted to what each view sees, made at its first use, while `budget` bytes last.
+    restricted: Vec<Option<Arc<DecoderInput>>>,
+    budget: usize,
     iteration: usize,
-    classes: usize,
     device: Device,
 }
 
 impl<'a> Fused<'a> {
-    /// A model around a fresh `decoder` on an autodiff `device`; `regularised` switches Eq. 9 on.
-    #[expect(clippy::too_many_arguments, reason = "built in one place")]
-    pub fn new(
-        decoder: Decoder,
-        source: &'a Source,
-        positions: &'a [[f32; 3]],
-        views: usize,
-        classes: usize,
-        rate: f64,
-        config: &'a SegmentationConfig,
-        regularised: bool,
-        seed: u64,
-        device: &Device,
-    ) -> Self {
+    /// A model around a fresh `decoder` on an autodiff `device`, for a scene of `views` training views.
+    pub fn new(decoder: Decoder, source: &'a Source, views: usize, plan: FusedPlan<'a>, device: &Device) -> Self {
         Self {
             decoder: Some(decoder),
-            adam: ModuleAdam::new(rate),
+            adam: ModuleAdam::new(plan.rate),
             source,
-            positions,
-            prepared: vec![None; views],
-            config,
-            regularised,
-            seed,
+            plan,
+            restricted: vec![None; views],
+            budget: plan.config.weight_cache_mb << 19,
             iteration: 0,
-            classes,
             device: device.clone(),
         }
     }
 
-    fn pyramid(&self, view: usize) -> &Pyramid {
-        match self.source {
-            Source::Scene(pyramid) => pyramid,
-            Source::Views { views, .. } => &views[view],
+    fn restricted(&mut self, view: usize, visible: &[u32]) -> Arc<DecoderInput> {
+        if let Some(input) = &self.restricted[view] {
+            return input.clone();
         }
-    }
-
-    fn prepare(&mut self, view: usize, visible: &[u32]) -> Result<Prepared> {
-        if let Some(prepared) = &self.prepared[view] {
-            return Ok(prepared.clone());
-        }
-        let pyramid = self.pyramid(view);
-        let finest: Vec<u32> = match self.source {
+        let encoded = self.source.view(view);
+        let rows: Vec<u32> = match self.source {
             Source::Scene(_) => visible.to_vec(),
             Source::Views { .. } => {
-                let points = &pyramid.levels[0].points;
-                visible.iter().filter_map(|g| points.binary_search(g).ok().map(|row| row as u32)).collect()
+                visible.iter().filter_map(|g| encoded.points.binary_search(g).ok().map(|row| row as u32)).collect()
             }
         };
-        let restriction = Restriction::new(pyramid, Arc::new(finest));
-        let mut tables = [Arc::new(Vec::new()), Arc::new(Vec::new())];
-        if self.regularised {
-            for (table, scale) in tables.iter_mut().zip(REGULARISED) {
-                let points = &pyramid.levels[scale].points;
-                let rows = restriction.rows(scale);
-                let cloud: Vec<[f32; 3]> =
-                    rows.iter().map(|&r| self.positions[points[r as usize] as usize]).collect();
-                *table = Arc::new(neighbours::without_self(&cloud, self.config.reg_neighbours)?);
-            }
+        let input = Arc::new(encoded.input.restrict(&rows, RESTRICTED));
+        if let Some(left) = self.budget.checked_sub(input.bytes(RESTRICTED)) {
+            self.budget = left;
+            self.restricted[view] = Some(input.clone());
         }
-        let prepared = Prepared { restriction: Arc::new(restriction), neighbours: tables };
-        self.prepared[view] = Some(prepared.clone());
-        Ok(prepared)
+        input
     }
 
-    fn regularisation(&self, fused: &[Tensor<2>], prepared: &Prepared) -> Option<Tensor<1>> {
+    fn regularisation(&self, fused: &[Tensor<2>], view: usize) -> Option<Tensor<1>> {
+        let k = self.plan.config.reg_neighbours;
         let mut sum: Option<Tensor<1>> = None;
-        for (scale, table) in REGULARISED.into_iter().zip(&prepared.neighbours) {
+        for (scale, table) in REGULARISED.into_iter().zip(&self.source.view(view).neighbours) {
             let Some(features) = fused.get(scale) else { continue };
-            if table.is_empty() || features.dims()[0] < 2 {
+            let points = features.dims()[0];
+            if table.len() != points * k || points < 2 {
                 continue;
             }
-            let mut rng = stream(self.seed, Purpose::Regularisation, (self.iteration * 8 + scale) as u64);
-            let samples = self.config.reg_samples.min(features.dims()[0]);
-            let chosen = rand::seq::index::sample(&mut rng, features.dims()[0], samples);
+            let mut rng = stream(self.plan.seed, Purpose::Regularisation, (self.iteration * 4 + scale) as u64);
+            let chosen = rand::seq::index::sample(&mut rng, points, self.plan.config.reg_samples.min(points));
             let chosen: Vec<u32> = chosen.iter().map(|i| i as u32).collect();
-            let term = neighbour_divergence(features.clone(), &chosen, table, self.config.reg_neighbours);
+            let term = neighbour_divergence(features.clone(), &chosen, table, k);
             sum = Some(match sum {
                 Some(sum) => sum + term,
                 None => term,
@@ -147,13 +150,13 @@ impl<'a> Fused<'a> {
         sum
     }
 
-    /// Scores of the finest points of `pyramid`, in chunks so that memory does not grow with the scene.
-    fn decode(&self, decoder: &Decoder, pyramid: &Pyramid) -> Vec<f32> {
-        let count = pyramid.levels[0].points.len() as u32;
-        let mut scores = Vec::with_capacity(count as usize * self.classes);
+    /// Scores of the finest points, in chunks so that memory does not grow with the scene.
+    fn decode(&self, decoder: &Decoder, encoded: &Encoded) -> Vec<f32> {
+        let count = encoded.points.len() as u32;
+        let mut scores = Vec::with_capacity(count as usize * self.plan.size[1]);
         for first in (0..count).step_by(CHUNK) {
-            let rows = Arc::new((first..(first + CHUNK as u32).min(count)).collect::<Vec<_>>());
-            let part = pyramid.restrict(&Restriction::new(pyramid, rows));
+            let rows: Vec<u32> = (first..(first + CHUNK as u32).min(count)).collect();
+            let part = encoded.input.restrict(&rows, RESTRICTED);
             scores.extend(optimiser::values(decoder.classify(decoder.forward(&part).hidden)));
         }
         scores
@@ -162,12 +165,12 @@ impl<'a> Fused<'a> {
 
 impl Model for Fused<'_> {
     fn predict(&mut self, view: usize, weights: &ViewWeights, sampled: SparseMatrix) -> Result<Prediction> {
-        let prepared = self.prepare(view, &weights.visible)?;
-        let pyramid = self.pyramid(view).restrict(&prepared.restriction);
-        let Some(decoder) = &self.decoder else { return Ok(Prediction::empty(self.classes, &self.device)) };
-        let decoded = decoder.forward(&pyramid);
+        let input = self.restricted(view, &weights.visible);
+        let Some(decoder) = &self.decoder else { return Ok(Prediction::empty(self.plan.size[1], &self.device)) };
+        let decoded = decoder.forward(&input);
         let logits = decoder.classify(sparse_apply(decoded.hidden, Arc::new(sampled)));
-        let regularisation = if self.regularised { self.regularisation(&decoded.fused, &prepared) } else { None };
+        let regularisation =
+            if self.plan.regularised { self.regularisation(&decoded.fused, view) } else { None };
         self.iteration += 1;
         Ok(Prediction { logits, regularisation })
     }
@@ -180,18 +183,17 @@ impl Model for Fused<'_> {
     }
 
     fn identities(&mut self) -> Result<Identities> {
-        use burn::module::AutodiffModule;
         let Some(decoder) = self.decoder.as_ref().map(|d| d.valid()) else { return Ok(Identities::default()) };
-        let classes = self.classes;
+        let [count, classes] = self.plan.size;
         let scores = match self.source {
-            Source::Scene(pyramid) => self.decode(&decoder, pyramid),
+            Source::Scene(scene) => self.decode(&decoder, scene),
             Source::Views { views, scene, weights } => {
                 // s_i = sum_v w_iv s_iv / sum_v w_iv; the whole-scene encoding where no view sees i.
-                let mut sums = vec![0.0_f32; self.positions.len() * classes];
-                let mut totals = vec![0.0_f32; self.positions.len()];
-                for (pyramid, weights) in views.iter().zip(weights) {
-                    let decoded = self.decode(&decoder, pyramid);
-                    let rows = decoded.chunks_exact(classes.max(1)).zip(pyramid.levels[0].points.iter());
+                let mut sums = vec![0.0_f32; count * classes];
+                let mut totals = vec![0.0_f32; count];
+                for (view, weights) in views.iter().zip(weights) {
+                    let decoded = self.decode(&decoder, view);
+                    let rows = decoded.chunks_exact(classes.max(1)).zip(&view.points);
                     for ((row, &i), &w) in rows.zip(weights) {
                         totals[i as usize] += w;
                         let sum = &mut sums[i as usize * classes..][..classes];

@@ -99,6 +99,11 @@ impl<'a> TrainingViews<'a> {
         self.views.is_empty()
     }
 
+    /// Number of Gaussians in the scene.
+    pub fn gaussians(&self) -> usize {
+        self.gaussians.len()
+    }
+
     /// Name of view `index`.
     pub fn name(&self, index: usize) -> &str {
         &self.views[index].name

@@ -9,12 +9,12 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
-/// Purpose of the random stream that shuffles points, see [`Pyramid::build`].
-const SHUFFLE_STREAM: u64 = 0x7079_7261;
+/// Purpose of the random stream that shuffles points, see [`Hierarchy::build`].
+const SHUFFLE_STREAM: u64 = 0x7261_6e64;
 
-/// One point set of a [`Pyramid`].
+/// One point set of a [`Hierarchy`].
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct PyramidLevel {
+pub struct SampledLevel {
     /// `[N_n]` rows of the encoded cloud.
     pub indices: Vec<u32>,
     /// `[N_n, 3]` positions, in the unit the encoder is given.
@@ -27,16 +27,16 @@ pub struct PyramidLevel {
 
 /// Point sets from fine to coarse, level n + 1 a random quarter of level n.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Pyramid {
+pub struct Hierarchy {
     /// Levels 1 to L: where features are computed. Level 1 is the cloud in its own order.
-    pub levels: Vec<PyramidLevel>,
+    pub levels: Vec<SampledLevel>,
     /// Rows of the cloud in the last sampled set.
     pub coarsest_indices: Vec<u32>,
     /// Positions of the last sampled set.
     pub coarsest_positions: Vec<[f32; 3]>,
 }
 
-impl Pyramid {
+impl Hierarchy {
     /// Samples `positions` (`[N, 3]`) `layers` times: each next level keeps the first `1 / ratio` (at least one point)
     /// of one seeded shuffle. `k` neighbours a point, itself included; sets smaller than `k` repeat theirs.
     ///
@@ -56,7 +56,7 @@ impl Pyramid {
             order.truncate(count);
             // from level 2 on, the rows already are the shuffle's first ones
             let kept = if n == 0 { order.clone() } else { (0..count as u32).collect() };
-            levels.push(PyramidLevel { indices, positions: points, neighbours, kept });
+            levels.push(SampledLevel { indices, positions: points, neighbours, kept });
             indices = order.clone();
         }
         let coarsest_positions = indices.iter().map(|&i| positions[i as usize]).collect();

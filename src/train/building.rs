@@ -1,0 +1,382 @@
+//! The building stage: 3D Gaussians from posed photos.
+
+use super::building_state::BuildingState;
+use super::parameters::{Parameters, Rates, read};
+use super::photos::Photos;
+use super::progress::{CurvePoint, Event, Progress};
+use super::schedule::{Schedule, extent};
+use crate::config::Config;
+use crate::data::{Scene, Split, View};
+use crate::error::{Error, Result};
+use crate::gaussians::densify::{DensityRules, DensityStats, RowPlan, reset_opacity};
+use crate::gaussians::{Gaussians, frusta, init};
+use crate::metrics::ImageScores;
+use crate::ops::photometric_loss;
+use crate::random::{Purpose, stream};
+use crate::raster::{RasterInput, RasterOutput, Settings, rasterize};
+use burn::tensor::{Device, Tensor};
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// What one iteration did.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepReport {
+    /// Its number, from 1.
+    pub iteration: usize,
+    /// Name of the view it trained on.
+    pub view: String,
+    /// Its loss, before the step.
+    pub loss: f64,
+    /// Gaussians afterwards.
+    pub gaussians: usize,
+    /// The densification that followed, if one did.
+    pub densified: Option<RowPlan>,
+    /// Whether opacities were reset.
+    pub reset: bool,
+}
+
+/// Trains Gaussians on the training views of a scene.
+///
+/// An iteration renders one view, compares it with its photo ((1 - w) L1 + w (1 - SSIM)), takes one Adam step on all
+/// parameters, and densifies or resets when the [`Schedule`] says so. The same scene, settings and seed give the same
+/// bits at any thread count, interrupted or not.
+pub struct BuildingStage<'a> {
+    config: Config,
+    settings: Settings,
+    schedule: Schedule,
+    extent: f64,
+    device: Device,
+    train: Vec<&'a View>,
+    test: Vec<&'a View>,
+    photos: Photos,
+    parameters: Parameters,
+    stats: DensityStats,
+    iteration: usize,
+    losses: (f64, u64),
+    curve: Vec<CurvePoint>,
+    seconds: f64,
+    checkpoint: Option<PathBuf>,
+}
+
+impl<'a> BuildingStage<'a> {
+    /// Initial Gaussians from the scene's points, or in the camera frusta where it has none.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for settings that cannot work, or a scene without training views; [`Error::NonFinite`] for
+    /// points that are not finite.
+    pub fn new(scene: &'a Scene, config: &Config, device: &Device) -> Result<Self> {
+        let train: Vec<&View> = scene.split(Split::Train).collect();
+        let (size, building) = (extent(&train, &scene.points), &config.building);
+        check_settings(config)?;
+        let gaussians = if scene.points.positions.is_empty() {
+            let mut rng = stream(config.seed, Purpose::InitialPoints, 0);
+            let points = frusta::points(&train, building.random_points, &mut rng);
+            init::from_points(&points, building.sh_degree, size)?
+        } else {
+            init::from_points(&scene.points, building.sh_degree, size)?
+        };
+        Self::from_state(scene, config, device, BuildingState::new(gaussians, config.seed))
+    }
+
+    /// Goes on from a state, exactly as the run that it is of would have.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for settings that cannot work or are not those of the state, or a scene without training views.
+    pub fn from_state(scene: &'a Scene, config: &Config, device: &Device, state: BuildingState) -> Result<Self> {
+        check_settings(config)?;
+        let train: Vec<&View> = scene.split(Split::Train).collect();
+        let test: Vec<&View> = scene.split(Split::Test).collect();
+        if train.is_empty() {
+            let found = format!("{} without training views", scene.name);
+            return Err(Error::config("data", found, "a scene with training views", "mark some views as `train`"));
+        }
+        if let Some(view) = train
+            .iter()
+            .chain(&test)
+            .find(|v| (v.image.width() as usize, v.image.height() as usize) != (v.camera.width, v.camera.height))
+        {
+            let found = format!("{}x{} pixels in view {}", view.image.width(), view.image.height(), view.name);
+            let expected = format!("{}x{} as its camera", view.camera.width, view.camera.height);
+            return Err(Error::config("data", found, expected, "resize the photo or mend the intrinsics"));
+        }
+        if state.seed != config.seed {
+            let (found, expected) = (config.seed.to_string(), state.seed.to_string());
+            return Err(Error::config("seed", found, expected, "resume with the seed of the checkpoint"));
+        }
+        if state.gaussians.sh_degree != config.building.sh_degree {
+            let (found, expected) = (config.building.sh_degree.to_string(), state.gaussians.sh_degree.to_string());
+            return Err(Error::config("building.sh_degree", found, expected, "resume with the checkpoint's degree"));
+        }
+        let size = extent(&train, &scene.points);
+        let device = device.clone().inner();
+        let BuildingState { iteration, gaussians, first, second, stats, losses, curve, seconds, .. } = state;
+        Ok(Self {
+            settings: Settings::from(&config.raster),
+            schedule: Schedule::new(&config.building, train.len(), size),
+            extent: size,
+            photos: Photos::new(train.len()),
+            parameters: Parameters::new(gaussians, first, second, &device),
+            config: config.clone(),
+            checkpoint: None,
+            device,
+            train,
+            test,
+            stats,
+            iteration,
+            losses,
+            curve,
+            seconds,
+        })
+    }
+
+    /// Has [`BuildingStage::run`] keep its checkpoint at `path`.
+    #[must_use]
+    pub fn checkpoint_at(mut self, path: impl Into<PathBuf>) -> Self {
+        self.checkpoint = Some(path.into());
+        self
+    }
+
+    /// Iterations done.
+    pub fn iteration(&self) -> usize {
+        self.iteration
+    }
+
+    /// Curves so far, one point an evaluation.
+    pub fn curve(&self) -> &[CurvePoint] {
+        &self.curve
+    }
+
+    /// Seconds of training so far.
+    pub fn seconds(&self) -> f64 {
+        self.seconds
+    }
+
+    /// The Gaussians as they are now.
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not give them back.
+    pub fn gaussians(&self) -> Result<Gaussians> {
+        Ok(self.parameters.clone().into_host()?.0)
+    }
+
+    /// Everything needed to go on later.
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not give the parameters back.
+    pub fn state(&self) -> Result<BuildingState> {
+        let (gaussians, first, second) = self.parameters.clone().into_host()?;
+        Ok(BuildingState {
+            seed: self.config.seed,
+            iteration: self.iteration,
+            gaussians,
+            first,
+            second,
+            stats: self.stats.clone(),
+            losses: self.losses,
+            curve: self.curve.clone(),
+            seconds: self.seconds,
+        })
+    }
+
+    /// One iteration. After an error nothing has changed.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] naming tensor, row, view and iteration when the loss or a gradient is not finite.
+    pub fn step(&mut self) -> Result<StepReport> {
+        let start = Instant::now();
+        let iteration = self.iteration + 1;
+        let index = self.schedule.view(self.config.seed, iteration);
+        let view = self.train[index];
+        let context = format!(", view {}, iteration {iteration}", view.name);
+        let locate = |error| match error {
+            Error::NonFinite { tensor, row, .. } => Error::NonFinite { tensor, row, context: context.clone() },
+            other => other,
+        };
+        let photo = self.photos.get(index, view);
+        let leaves = self.parameters.leaves();
+        let screen = Tensor::<2>::zeros([self.parameters.len(), 2], &self.device).autodiff().require_grad();
+        let input = RasterInput {
+            means: leaves.means.clone(),
+            log_scales: leaves.log_scales.clone(),
+            rotations: leaves.rotations.clone(),
+            opacity_logits: leaves.opacity_logits.clone(),
+            sh: Some(leaves.sh.clone()),
+            active_sh_degree: self.schedule.sh_degree(iteration),
+            features: None,
+            screen: Some(screen.clone()),
+        };
+        let background = self.config.raster.background;
+        let RasterOutput { image, radii, .. } =
+            rasterize(input, &view.camera, &self.settings, background).map_err(locate)?;
+        let loss = photometric_loss(image, photo, f64::from(self.config.building.ssim_weight));
+        let value = f64::from(loss.clone().into_scalar::<f32>());
+        if !value.is_finite() {
+            return Err(locate(Error::non_finite("loss", 0)));
+        }
+        let mut gradients = loss.backward();
+        let screen_gradient = match screen.grad_remove(&mut gradients) {
+            Some(gradient) => read("screen-space gradient", gradient)?,
+            None => vec![0.0; 2 * self.parameters.len()],
+        };
+        self.parameters.step(leaves, &mut gradients, &self.rates(iteration), iteration as u32).map_err(locate)?;
+        self.stats.record(&screen_gradient, &radii);
+        self.iteration = iteration;
+        self.losses.0 += value;
+        self.losses.1 += 1;
+        let densified = if self.schedule.densifies(iteration) { Some(self.densify()?) } else { None };
+        let reset = self.schedule.resets(iteration);
+        if reset {
+            self.reset()?;
+        }
+        self.seconds += start.elapsed().as_secs_f64();
+        let (view, gaussians) = (view.name.clone(), self.parameters.len());
+        Ok(StepReport { iteration, view, loss: value, gaussians, densified, reset })
+    }
+
+    /// Trains to the end of the run, or until `progress` says stop, scoring the held-out views and keeping the
+    /// checkpoint as the settings say.
+    ///
+    /// # Errors
+    /// As [`BuildingStage::step`], and [`Error::Io`] from the checkpoint. The last checkpoint stays.
+    pub fn run(&mut self, progress: &mut dyn Progress) -> Result<()> {
+        let iterations = self.config.building.iterations;
+        progress.event(&Event::Started { stage: "building", done: self.iteration, iterations });
+        while self.iteration < iterations {
+            let report = self.step()?;
+            let StepReport { iteration, loss, gaussians, .. } = report;
+            progress.event(&Event::Step { iteration, loss, gaussians });
+            if let Some(RowPlan { cloned, split, pruned, .. }) = report.densified {
+                progress.event(&Event::Densified { iteration, cloned, split, pruned });
+            }
+            if self.schedule.evaluates(iteration) {
+                progress.event(&Event::Evaluated(self.evaluate()?));
+            }
+            let stop = progress.stop();
+            if stop || self.schedule.saves(iteration) {
+                self.save(progress)?;
+            }
+            if stop {
+                return Ok(());
+            }
+        }
+        progress.event(&Event::Finished);
+        Ok(())
+    }
+
+    /// Scores the held-out views and adds a point to the curve.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] when a parameter is not finite.
+    pub fn evaluate(&mut self) -> Result<CurvePoint> {
+        let start = Instant::now();
+        let scores: Vec<ImageScores> = self.test.iter().map(|view| self.score(view)).collect::<Result<_>>()?;
+        self.seconds += start.elapsed().as_secs_f64();
+        let (sum, count) = std::mem::take(&mut self.losses);
+        let point = CurvePoint {
+            iteration: self.iteration,
+            seconds: self.seconds,
+            loss: sum / count.max(1) as f64,
+            held_out: ImageScores::mean(&scores),
+            miou: None,
+            gaussians: self.parameters.len(),
+        };
+        self.curve.push(point);
+        Ok(point)
+    }
+
+    fn score(&self, view: &View) -> Result<ImageScores> {
+        let leaves = self.parameters.leaves();
+        let input = RasterInput {
+            means: leaves.means.inner(),
+            log_scales: leaves.log_scales.inner(),
+            rotations: leaves.rotations.inner(),
+            opacity_logits: leaves.opacity_logits.inner(),
+            sh: Some(leaves.sh.inner()),
+            active_sh_degree: self.schedule.sh_degree(self.iteration.max(1)),
+            features: None,
+            screen: None,
+        };
+        let output = rasterize(input, &view.camera, &self.settings, self.config.raster.background)?;
+        let image = read("image", output.image)?;
+        Ok(ImageScores::of(&image, &view.rgb(), view.camera.width, view.camera.height))
+    }
+
+    fn save(&self, progress: &mut dyn Progress) -> Result<()> {
+        if let Some(path) = &self.checkpoint {
+            self.state()?.save(path)?;
+            progress.event(&Event::Saved { iteration: self.iteration });
+        }
+        Ok(())
+    }
+
+    fn rates(&self, iteration: usize) -> Rates {
+        let b = &self.config.building;
+        Rates {
+            means: self.schedule.means_rate(iteration),
+            log_scales: b.lr_scales,
+            rotations: b.lr_rotations,
+            opacity_logits: b.lr_opacity,
+            sh_dc: b.lr_sh_dc,
+            sh_rest: b.lr_sh_rest,
+        }
+    }
+
+    fn densify(&mut self) -> Result<RowPlan> {
+        let b = &self.config.building;
+        let rules = DensityRules {
+            threshold: b.densify_threshold,
+            clone_below: b.clone_below * self.extent as f32,
+            prune_opacity: b.prune_opacity,
+            prune_scale: b.prune_scale * self.extent as f32,
+            max_gaussians: b.max_gaussians,
+        };
+        let (gaussians, first, second) = self.parameters.clone().into_host()?;
+        let plan = RowPlan::new(&gaussians, &self.stats, &rules)?;
+        let widths = super::parameters::widths(&gaussians);
+        let edit = |moments: [Vec<f32>; 5]| std::array::from_fn(|k| plan.moments(&moments[k], widths[k]));
+        let mut rng = stream(self.config.seed, Purpose::Densification, self.iteration as u64);
+        let gaussians = plan.gaussians(&gaussians, &mut rng);
+        self.stats = DensityStats::new(gaussians.len());
+        self.parameters = Parameters::new(gaussians, edit(first), edit(second), &self.device);
+        Ok(plan)
+    }
+
+    fn reset(&mut self) -> Result<()> {
+        let (mut gaussians, mut first, mut second) = self.parameters.clone().into_host()?;
+        reset_opacity(&mut gaussians.opacity_logits);
+        first[super::parameters::OPACITY].fill(0.0);
+        second[super::parameters::OPACITY].fill(0.0);
+        self.parameters = Parameters::new(gaussians, first, second, &self.device);
+        Ok(())
+    }
+}
+
+/// Settings that no run can work with.
+fn check_settings(config: &Config) -> Result<()> {
+    let b = &config.building;
+    let fault = |key: &str, found: String, expected: &str| {
+        Err(Error::config(format!("building.{key}"), found, expected, "change the setting"))
+    };
+    if b.sh_degree > 3 {
+        return fault("sh_degree", b.sh_degree.to_string(), "0 to 3");
+    }
+    if !(0.0..=1.0).contains(&b.ssim_weight) {
+        return fault("ssim_weight", b.ssim_weight.to_string(), "0 to 1");
+    }
+    if b.iterations > u32::MAX as usize {
+        return fault("iterations", b.iterations.to_string(), "fewer than 2^32");
+    }
+    let rates = [
+        ("lr_means", b.lr_means),
+        ("lr_means_final", b.lr_means_final),
+        ("lr_sh_dc", b.lr_sh_dc),
+        ("lr_sh_rest", b.lr_sh_rest),
+        ("lr_opacity", b.lr_opacity),
+        ("lr_scales", b.lr_scales),
+        ("lr_rotations", b.lr_rotations),
+    ];
+    match rates.into_iter().find(|(_, rate)| !rate.is_finite() || *rate < 0.0) {
+        Some((key, rate)) => fault(key, rate.to_string(), "a finite number, not negative"),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,265 @@
+//! Checkpoints: named tensors and settings in one safetensors file, written so that a crash leaves the old one whole.
+//!
+//! Metadata is one JSON object under the key `coseg` of
+//! `__metadata__`; numbers that must come back bit for bit belong in tensors.
+
+use crate::data::atomic;
+use crate::error::{Error, Result};
+use safetensors::{Dtype, SafeTensors, View};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::borrow::Cow;
+use std::collections::{BTreeMap, HashMap};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Version of the layout; files of another one are refused.
+const VERSION: u64 = 1;
+/// Key of the JSON object within `__metadata__`.
+const KEY: &str = "coseg";
+
+/// Contents of a stored tensor.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Values {
+    /// 32-bit floats.
+    F32(Vec<f32>),
+    /// 64-bit floats.
+    F64(Vec<f64>),
+    /// 32-bit unsigned integers.
+    U32(Vec<u32>),
+    /// 64-bit unsigned integers.
+    U64(Vec<u64>),
+}
+
+/// Scalar types that a checkpoint holds.
+pub trait Scalar: Sized {
+    /// Wraps a vector.
+    fn wrap(values: Vec<Self>) -> Values;
+    /// The vector, when it is of this type.
+    fn unwrap(values: Values) -> Option<Vec<Self>>;
+    /// Name in error messages.
+    const NAME: &'static str;
+}
+
+macro_rules! scalar {
+    ($type:ty, $variant:ident) => {
+        impl Scalar for $type {
+            fn wrap(values: Vec<Self>) -> Values {
+                Values::$variant(values)
+            }
+            fn unwrap(values: Values) -> Option<Vec<Self>> {
+                match values {
+                    Values::$variant(values) => Some(values),
+                    _ => None,
+                }
+            }
+            const NAME: &'static str = stringify!($variant);
+        }
+    };
+}
+scalar!(f32, F32);
+scalar!(f64, F64);
+scalar!(u32, U32);
+scalar!(u64, U64);
+
+impl Values {
+    fn len(&self) -> usize {
+        match self {
+            Self::F32(v) => v.len(),
+            Self::F64(v) => v.len(),
+            Self::U32(v) => v.len(),
+            Self::U64(v) => v.len(),
+        }
+    }
+
+    fn dtype(&self) -> Dtype {
+        match self {
+            Self::F32(_) => Dtype::F32,
+            Self::F64(_) => Dtype::F64,
+            Self::U32(_) => Dtype::U32,
+            Self::U64(_) => Dtype::U64,
+        }
+    }
+
+    fn bytes(&self) -> Vec<u8> {
+        match self {
+            Self::F32(v) => v.iter().flat_map(|x| x.to_le_bytes()).collect(),
+            Self::F64(v) => v.iter().flat_map(|x| x.to_le_bytes()).collect(),
+            Self::U32(v) => v.iter().flat_map(|x| x.to_le_bytes()).collect(),
+            Self::U64(v) => v.iter().flat_map(|x| x.to_le_bytes()).collect(),
+        }
+    }
+
+    /// `None` for a type that checkpoints do not use.
+    fn from_bytes(dtype: Dtype, bytes: &[u8]) -> Option<Self> {
+        let (words, _) = bytes.as_chunks::<4>();
+        let (long, _) = bytes.as_chunks::<8>();
+        match dtype {
+            Dtype::F32 => Some(Self::F32(words.iter().map(|b| f32::from_le_bytes(*b)).collect())),
+            Dtype::U32 => Some(Self::U32(words.iter().map(|b| u32::from_le_bytes(*b)).collect())),
+            Dtype::F64 => Some(Self::F64(long.iter().map(|b| f64::from_le_bytes(*b)).collect())),
+            Dtype::U64 => Some(Self::U64(long.iter().map(|b| u64::from_le_bytes(*b)).collect())),
+            _ => None,
+        }
+    }
+}
+
+/// Named tensors and settings, in memory.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Checkpoint {
+    /// Where it was loaded from, for error messages.
+    path: PathBuf,
+    kind: String,
+    settings: BTreeMap<String, serde_json::Value>,
+    tensors: BTreeMap<String, (Vec<usize>, Values)>,
+}
+
+/// A tensor on its way to the file.
+struct Stored<'a>(&'a [usize], &'a Values);
+
+impl View for Stored<'_> {
+    fn dtype(&self) -> Dtype {
+        self.1.dtype()
+    }
+    fn shape(&self) -> &[usize] {
+        self.0
+    }
+    fn data(&self) -> Cow<'_, [u8]> {
+        self.1.bytes().into()
+    }
+    fn data_len(&self) -> usize {
+        self.1.len() * self.1.dtype().bitsize() / 8
+    }
+}
+
+impl Checkpoint {
+    /// An empty one; `kind` says what it is a state of, such as `building`.
+    pub fn new(kind: impl Into<String>) -> Self {
+        Self { kind: kind.into(), ..Self::default() }
+    }
+
+    /// Adds a tensor, row-major.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] when the number of values is not that of `shape`.
+    pub fn put<T: Scalar>(&mut self, name: impl Into<String>, shape: &[usize], values: Vec<T>) -> Result<()> {
+        let name = name.into();
+        if values.len() != shape.iter().product::<usize>() {
+            return Err(Error::Limit {
+                what: format!("values of checkpoint tensor {name}"),
+                found: values.len().to_string(),
+                limit: format!("{shape:?}"),
+                mend: "give as many values as the shape has".into(),
+            });
+        }
+        self.tensors.insert(name, (shape.to_vec(), T::wrap(values)));
+        Ok(())
+    }
+
+    /// Shape of a tensor.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when there is none of this name.
+    pub fn shape(&self, name: &str) -> Result<&[usize]> {
+        match self.tensors.get(name) {
+            Some((shape, _)) => Ok(shape),
+            None => Err(self.wrong(format!("tensor {name}"), "nothing", "a tensor of this name")),
+        }
+    }
+
+    /// Moves a tensor out, checking its type and shape.
+    ///
+    /// # Errors
+    /// [`Error::Input`] naming file and tensor when it is missing or of another type or shape.
+    pub fn take<T: Scalar>(&mut self, name: &str, shape: &[usize]) -> Result<Vec<T>> {
+        let found = self.shape(name)?.to_vec();
+        let field = format!("tensor {name}");
+        if found != shape {
+            return Err(self.wrong(field, format!("shape {found:?}"), format!("shape {shape:?}")));
+        }
+        let (_, values) = self.tensors.remove(name).unwrap_or((found, Values::F32(Vec::new())));
+        let dtype = values.dtype();
+        T::unwrap(values).ok_or_else(|| self.wrong(field, format!("type {dtype:?}"), format!("type {}", T::NAME)))
+    }
+
+    /// Adds a setting.
+    ///
+    /// # Errors
+    /// [`Error::Config`] when the value cannot be written as JSON.
+    pub fn set<T: Serialize>(&mut self, key: &str, value: &T) -> Result<()> {
+        let value = serde_json::to_value(value)
+            .map_err(|e| Error::config(key, e.to_string(), "a value that JSON can hold", "change the value"))?;
+        self.settings.insert(key.to_owned(), value);
+        Ok(())
+    }
+
+    /// Reads a setting.
+    ///
+    /// # Errors
+    /// [`Error::Input`] naming file and key when it is missing or of another type.
+    pub fn get<T: DeserializeOwned>(&self, key: &str) -> Result<T> {
+        let field = format!("metadata {key}");
+        let Some(value) = self.settings.get(key) else {
+            return Err(self.wrong(field, "nothing", "a value"));
+        };
+        serde_json::from_value(value.clone()).map_err(|e| self.wrong(field, e.to_string(), std::any::type_name::<T>()))
+    }
+
+    /// What this is a state of.
+    pub fn kind(&self) -> &str {
+        &self.kind
+    }
+
+    /// An [`Error::Input`] about this checkpoint's file.
+    pub fn wrong(&self, field: impl Into<String>, found: impl Into<String>, expected: impl Into<String>) -> Error {
+        Error::input(&self.path, field, found, expected, "resume from another checkpoint, or start the run again")
+    }
+
+    /// Writes `path`; what stood there before stays whole until the new file is on disk.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let settings = serde_json::json!({ "kind": self.kind, "version": VERSION, "settings": self.settings });
+        let metadata = HashMap::from([(KEY.to_owned(), settings.to_string())]);
+        let tensors = self.tensors.iter().map(|(name, (shape, values))| (name, Stored(shape, values)));
+        let bytes = safetensors::serialize(tensors, Some(metadata))
+            .map_err(|e| Error::io(path, "encode", std::io::Error::other(e.to_string())))?;
+        atomic::write_bytes(path, &bytes)
+    }
+
+    /// Reads a checkpoint of `kind`.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is truncated, no checkpoint, or of another
+    /// kind or version.
+    pub fn load(path: &Path, kind: &str) -> Result<Self> {
+        let bytes = fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        let mut checkpoint = Self { path: path.to_owned(), kind: kind.to_owned(), ..Self::default() };
+        let (file, (_, header)) =
+            SafeTensors::deserialize(&bytes).and_then(|file| Ok((file, SafeTensors::read_metadata(&bytes)?))).map_err(
+                |e| checkpoint.wrong("header", format!("{} bytes, {e}", bytes.len()), "a whole safetensors file"),
+            )?;
+        let text = header.metadata().as_ref().and_then(|m| m.get(KEY)).map_or("{}", |s| s.as_str());
+        let json: serde_json::Value = serde_json::from_str(text)
+            .map_err(|e| checkpoint.wrong(format!("metadata {KEY}"), e.to_string(), "a JSON object"))?;
+        if json["version"] != VERSION {
+            let found = json.get("version").map_or("nothing".to_owned(), |v| v.to_string());
+            return Err(checkpoint.wrong("metadata version", found, VERSION.to_string()));
+        }
+        if json["kind"] != kind {
+            return Err(checkpoint.wrong("metadata kind", json["kind"].to_string(), format!("\"{kind}\"")));
+        }
+        if let Some(settings) = json["settings"].as_object() {
+            checkpoint.settings.extend(settings.iter().map(|(k, v)| (k.clone(), v.clone())));
+        }
+        for (name, view) in file.tensors() {
+            let Some(values) = Values::from_bytes(view.dtype(), view.data()) else {
+                let found = format!("type {:?}", view.dtype());
+                return Err(checkpoint.wrong(format!("tensor {name}"), found, "F32, F64, U32 or U64"));
+            };
+            checkpoint.tensors.insert(name, (view.shape().to_vec(), values));
+        }
+        Ok(checkpoint)
+    }
+}

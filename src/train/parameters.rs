@@ -1,0 +1,216 @@
+//! The Gaussians as tensors on the device, with the moments of their optimiser.
+
+use crate::error::{Error, Result};
+use crate::gaussians::Gaussians;
+use crate::ops::{AdamStep, AdamTensors, adam_step};
+use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use std::sync::Arc;
+
+/// Names of the parameters, in the order of [`Moments`].
+pub const NAMES: [&str; 5] = ["means", "log_scales", "rotations", "opacity_logits", "sh"];
+
+/// Place of the opacity logits in [`Moments`].
+pub const OPACITY: usize = 3;
+
+/// One value for each scalar of each parameter: a first or second moment, row-major.
+pub type Moments = [Vec<f32>; 5];
+
+/// Learning rates of one step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rates {
+    /// Of the means, world units.
+    pub means: f64,
+    /// Of the log-scales.
+    pub log_scales: f64,
+    /// Of the rotations.
+    pub rotations: f64,
+    /// Of the opacity logits.
+    pub opacity_logits: f64,
+    /// Of the SH constant term.
+    pub sh_dc: f64,
+    /// Of the higher SH terms.
+    pub sh_rest: f64,
+}
+
+/// A tensor that is trained.
+#[derive(Clone, Debug)]
+struct Parameter<const D: usize> {
+    name: &'static str,
+    state: AdamTensors<D>,
+}
+
+impl<const D: usize> Parameter<D> {
+    fn new(name: &'static str, shape: [usize; D], [value, first, second]: [Vec<f32>; 3], device: &Device) -> Self {
+        let tensor = |values| Tensor::from_data(TensorData::new(values, shape), device);
+        Self { name, state: AdamTensors { param: tensor(value), first: tensor(first), second: tensor(second) } }
+    }
+
+    /// A tracked handle on the present value.
+    fn leaf(&self) -> Tensor<D> {
+        Tensor::from_inner(self.state.param.clone()).require_grad()
+    }
+
+    fn gradient(&self, leaf: &Tensor<D>, gradients: &mut Gradients) -> Result<Tensor<D>> {
+        let gradient = leaf.grad_remove(gradients).unwrap_or_else(|| self.state.param.zeros_like());
+        check_finite(self.name, &gradient)?;
+        Ok(gradient)
+    }
+
+    fn step(&mut self, gradient: Tensor<D>, rates: Vec<f64>, step: u32) {
+        let empty = Tensor::empty([0; D], &gradient.device());
+        let emptied = AdamTensors { param: empty.clone(), first: empty.clone(), second: empty };
+        // moved out, so that the step finds buffers nobody else holds
+        let state = std::mem::replace(&mut self.state, emptied);
+        self.state = adam_step(state, gradient, &Arc::new(AdamStep::splatting(rates, step)));
+    }
+
+    /// Value and moments, moved to the host.
+    fn into_host(self) -> Result<[Vec<f32>; 3]> {
+        Ok([
+            read(self.name, self.state.param)?,
+            read(self.name, self.state.first)?,
+            read(self.name, self.state.second)?,
+        ])
+    }
+}
+
+/// The row-major values of a tensor.
+///
+/// # Errors
+/// [`Error::Device`] when the device cannot give them back as f32.
+pub(super) fn read<const D: usize>(name: &str, tensor: Tensor<D>) -> Result<Vec<f32>> {
+    tensor.into_data().into_vec::<f32>().map_err(|e| Error::Device {
+        device: "in use".into(),
+        reason: format!("reading {name} back failed: {e:?}"),
+        mend: "use another backend".into(),
+    })
+}
+
+/// # Errors
+/// [`Error::NonFinite`] naming the tensor and its first bad row.
+fn check_finite<const D: usize>(name: &str, gradient: &Tensor<D>) -> Result<()> {
+    // A NaN or an infinity always reaches the sum; so may an overflow, which the search then clears.
+    if gradient.clone().sum().into_scalar::<f32>().is_finite() {
+        return Ok(());
+    }
+    let name = format!("gradient of {name}");
+    let values = read(&name, gradient.clone())?;
+    let width = (values.len() / gradient.dims()[0].max(1)).max(1);
+    match values.iter().position(|v| !v.is_finite()) {
+        Some(i) => Err(Error::non_finite(name, i / width)),
+        None => Ok(()),
+    }
+}
+
+/// All trained tensors of a scene.
+#[derive(Clone, Debug)]
+pub struct Parameters {
+    sh_degree: usize,
+    means: Parameter<2>,
+    log_scales: Parameter<2>,
+    rotations: Parameter<2>,
+    opacity_logits: Parameter<1>,
+    sh: Parameter<3>,
+}
+
+/// Tracked handles on the parameters, for one pass.
+#[derive(Clone, Debug)]
+pub struct Leaves {
+    /// `[N, 3]`.
+    pub means: Tensor<2>,
+    /// `[N, 3]`.
+    pub log_scales: Tensor<2>,
+    /// `[N, 4]`.
+    pub rotations: Tensor<2>,
+    /// `[N]`.
+    pub opacity_logits: Tensor<1>,
+    /// `[N, K, 3]`.
+    pub sh: Tensor<3>,
+}
+
+/// Zero moments for these Gaussians.
+pub fn zero_moments(gaussians: &Gaussians) -> Moments {
+    widths(gaussians).map(|width| vec![0.0; gaussians.len() * width])
+}
+
+/// Scalars of a row of each parameter.
+pub fn widths(gaussians: &Gaussians) -> [usize; 5] {
+    [3, 3, 4, 1, 3 * gaussians.sh_len()]
+}
+
+impl Parameters {
+    /// Puts Gaussians and moments on `device` (without autodiff).
+    pub fn new(gaussians: Gaussians, first: Moments, second: Moments, device: &Device) -> Self {
+        let (n, k) = (gaussians.len(), gaussians.sh_len());
+        let Gaussians { means, log_scales, rotations, opacity_logits, sh, sh_degree } = gaussians;
+        let [m0, m1, m2, m3, m4] = first;
+        let [v0, v1, v2, v3, v4] = second;
+        Self {
+            sh_degree,
+            means: Parameter::new(NAMES[0], [n, 3], [means.into_flattened(), m0, v0], device),
+            log_scales: Parameter::new(NAMES[1], [n, 3], [log_scales.into_flattened(), m1, v1], device),
+            rotations: Parameter::new(NAMES[2], [n, 4], [rotations.into_flattened(), m2, v2], device),
+            opacity_logits: Parameter::new(NAMES[3], [n], [opacity_logits, m3, v3], device),
+            sh: Parameter::new(NAMES[4], [n, k, 3], [sh, m4, v4], device),
+        }
+    }
+
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.means.state.param.dims()[0]
+    }
+
+    /// Tracked handles on the present values.
+    pub fn leaves(&self) -> Leaves {
+        Leaves {
+            means: self.means.leaf(),
+            log_scales: self.log_scales.leaf(),
+            rotations: self.rotations.leaf(),
+            opacity_logits: self.opacity_logits.leaf(),
+            sh: self.sh.leaf(),
+        }
+    }
+
+    /// One Adam step, number `step` from 1. Nothing changes when a gradient is not finite.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] naming the gradient and its first bad row.
+    pub fn step(&mut self, leaves: Leaves, gradients: &mut Gradients, rates: &Rates, step: u32) -> Result<()> {
+        let means = self.means.gradient(&leaves.means, gradients)?;
+        let log_scales = self.log_scales.gradient(&leaves.log_scales, gradients)?;
+        let rotations = self.rotations.gradient(&leaves.rotations, gradients)?;
+        let opacity_logits = self.opacity_logits.gradient(&leaves.opacity_logits, gradients)?;
+        let sh = self.sh.gradient(&leaves.sh, gradients)?;
+        // the handles share the parameters' buffers
+        drop(leaves);
+        let mut sh_rates = vec![rates.sh_rest; 3 * (self.sh_degree + 1).pow(2)];
+        sh_rates[..3].fill(rates.sh_dc);
+        self.means.step(means, vec![rates.means], step);
+        self.log_scales.step(log_scales, vec![rates.log_scales], step);
+        self.rotations.step(rotations, vec![rates.rotations], step);
+        self.opacity_logits.step(opacity_logits, vec![rates.opacity_logits], step);
+        self.sh.step(sh, sh_rates, step);
+        Ok(())
+    }
+
+    /// Gaussians and both moments, on the host.
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not give them back.
+    pub fn into_host(self) -> Result<(Gaussians, Moments, Moments)> {
+        let [means, m0, v0] = self.means.into_host()?;
+        let [log_scales, m1, v1] = self.log_scales.into_host()?;
+        let [rotations, m2, v2] = self.rotations.into_host()?;
+        let [opacity_logits, m3, v3] = self.opacity_logits.into_host()?;
+        let [sh, m4, v4] = self.sh.into_host()?;
+        let gaussians = Gaussians {
+            means: means.as_chunks().0.to_vec(),
+            log_scales: log_scales.as_chunks().0.to_vec(),
+            rotations: rotations.as_chunks().0.to_vec(),
+            opacity_logits,
+            sh,
+            sh_degree: self.sh_degree,
+        };
+        Ok((gaussians, [m0, m1, m2, m3, m4], [v0, v1, v2, v3, v4]))
+    }
+}

@@ -1,0 +1,84 @@
+//! What a running stage tells its caller.
+
+use crate::metrics::ImageScores;
+use serde::{Deserialize, Serialize};
+
+/// Something that happened in a stage; iterations count from 1.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Event {
+    /// A stage begins, or goes on, after `done` of `iterations`.
+    Started {
+        /// Name of the stage.
+        stage: &'static str,
+        /// Iterations done before.
+        done: usize,
+        /// Iterations of the whole stage.
+        iterations: usize,
+    },
+    /// One iteration is done.
+    Step {
+        /// Its number.
+        iteration: usize,
+        /// Its training loss.
+        loss: f64,
+        /// Gaussians in the scene.
+        gaussians: usize,
+    },
+    /// The held-out views were scored.
+    Evaluated(CurvePoint),
+    /// The Gaussians were densified.
+    Densified {
+        /// After this iteration.
+        iteration: usize,
+        /// Gaussians that gained a clone.
+        cloned: usize,
+        /// Gaussians replaced by two.
+        split: usize,
+        /// Gaussians removed.
+        pruned: usize,
+    },
+    /// A checkpoint was written.
+    Saved {
+        /// After this iteration.
+        iteration: usize,
+    },
+    /// The stage is done.
+    Finished,
+}
+
+/// One point of the curves of a report.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CurvePoint {
+    /// Iterations done.
+    pub iteration: usize,
+    /// Seconds of training so far, evaluations and earlier parts of a resumed run included.
+    pub seconds: f64,
+    /// Mean training loss since the point before.
+    pub loss: f64,
+    /// Mean scores of the held-out views.
+    pub held_out: ImageScores,
+    /// Mean IoU of the held-out labels, in stages that have labels.
+    pub miou: Option<f64>,
+    /// Gaussians in the scene.
+    pub gaussians: usize,
+}
+
+/// Listens to a running stage.
+pub trait Progress {
+    /// Called after each event.
+    fn event(&mut self, event: &Event);
+
+    /// Asked after each iteration; true ends the run there, after a checkpoint.
+    fn stop(&mut self) -> bool {
+        false
+    }
+}
+
+/// Listens to nothing.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Silent;
+
+impl Progress for Silent {
+    fn event(&mut self, _event: &Event) {}
+}

@@ -1,0 +1,147 @@
+//! When what happens in the building stage: learning rates, SH degree, densification, resets, order of views.
+//!
+//! Steps count from 1; everything is a function of the step, so a resumed run needs no memory of it.
+
+use crate::config::BuildingConfig;
+use crate::data::{Points, View};
+use crate::random::{Purpose, stream};
+use glam::{DVec3, Vec3};
+use rand::seq::SliceRandom;
+
+/// Densification starts at this share of the run at the latest.
+const LATEST_START: f64 = 0.08;
+/// Passes over all views between two opacity resets, at least.
+const PASSES_BETWEEN_RESETS: usize = 5;
+
+/// The schedule of one run.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    config: BuildingConfig,
+    views: usize,
+    extent: f64,
+}
+
+impl Schedule {
+    /// Of a run over `views` training views of a scene of size `extent` (world units).
+    pub fn new(config: &BuildingConfig, views: usize, extent: f64) -> Self {
+        Self { config: config.clone(), views, extent }
+    }
+
+    /// Learning rate of the means: exponential from `lr_means` to `lr_means_final`, times the extent.
+    pub fn means_rate(&self, step: usize) -> f64 {
+        let share = (step.saturating_sub(1)) as f64 / self.config.iterations.max(1) as f64;
+        let (start, end) = (self.config.lr_means, self.config.lr_means_final);
+        if start <= 0.0 || end <= 0.0 {
+            return start.max(0.0) * self.extent;
+        }
+        ((1.0 - share) * start.ln() + share * end.ln()).exp() * self.extent
+    }
+
+    /// SH degree in use: one more at each eighth of the run, up to the third and to `sh_degree`.
+    pub fn sh_degree(&self, step: usize) -> usize {
+        let eighths = 8 * step.saturating_sub(1) / self.config.iterations.max(1);
+        eighths.min(3).min(self.config.sh_degree)
+    }
+
+    /// Whether the Gaussians are densified after `step`.
+    pub fn densifies(&self, step: usize) -> bool {
+        let latest = (LATEST_START * self.config.iterations as f64) as usize;
+        let from = self.config.densify_from.min(latest);
+        step.is_multiple_of(self.config.densify_every.max(1)) && step >= from && step <= self.densify_until()
+    }
+
+    /// Whether opacities are reset after `step`.
+    pub fn resets(&self, step: usize) -> bool {
+        let every = self.config.reset_every.max(PASSES_BETWEEN_RESETS * self.views).max(1);
+        step.is_multiple_of(every) && step < self.densify_until()
+    }
+
+    /// Whether the held-out views are scored after `step`.
+    pub fn evaluates(&self, step: usize) -> bool {
+        self.every(self.config.eval_every, step)
+    }
+
+    /// Whether a checkpoint is written after `step`.
+    pub fn saves(&self, step: usize) -> bool {
+        self.every(self.config.checkpoint_every, step)
+    }
+
+    /// Index among the training views at `step`: each epoch is a shuffle of all views.
+    pub fn view(&self, seed: u64, step: usize) -> usize {
+        let (epoch, place) = (step.saturating_sub(1) / self.views.max(1), step.saturating_sub(1) % self.views.max(1));
+        let mut order: Vec<usize> = (0..self.views).collect();
+        order.shuffle(&mut stream(seed, Purpose::ViewOrder, epoch as u64));
+        order.get(place).copied().unwrap_or(0)
+    }
+
+    fn densify_until(&self) -> usize {
+        (f64::from(self.config.densify_until) * self.config.iterations as f64) as usize
+    }
+
+    /// Every `interval` steps (0: ten times in the run) and at the end.
+    fn every(&self, interval: usize, step: usize) -> bool {
+        let interval = if interval == 0 { self.config.iterations.div_ceil(10) } else { interval };
+        step.is_multiple_of(interval.max(1)) || step == self.config.iterations
+    }
+}
+
+/// Size of the scene in world units: 1.1 times the largest distance of a camera from the mean camera.
+///
+/// Where all cameras stand at one place: the rms distance of the points from it, or 1 without points.
+pub fn extent(views: &[&View], points: &Points) -> f64 {
+    let mean = views.iter().map(|v| v.camera.center).sum::<DVec3>() / views.len().max(1) as f64;
+    let reach = views.iter().map(|v| v.camera.center.distance(mean)).fold(0.0, f64::max);
+    if reach > 0.0 {
+        return 1.1 * reach;
+    }
+    let squared: f64 = points.positions.iter().map(|&p| Vec3::from(p).as_dvec3().distance_squared(mean)).sum();
+    let rms = (squared / points.positions.len().max(1) as f64).sqrt();
+    if rms.is_finite() && rms > 0.0 { rms } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn schedule(iterations: usize, views: usize) -> Schedule {
+        Schedule::new(&BuildingConfig { iterations, ..BuildingConfig::default() }, views, 2.0)
+    }
+
+    #[test]
+    fn rates_degrees_and_intervals_are_those_of_the_design() {
+        let s = schedule(7000, 50);
+        assert!((s.means_rate(1) - 3.2e-4).abs() < 1e-12);
+        assert!((s.means_rate(7001) - 3.2e-6).abs() < 1e-14);
+        assert!((s.means_rate(3501) - 3.2e-5).abs() < 1e-12);
+        let degrees = [1, 875, 876, 1750, 1751, 2625, 2626, 7000].map(|step| s.sh_degree(step));
+        assert_eq!(degrees, [0, 0, 1, 1, 2, 2, 3, 3]);
+        let densified: Vec<usize> = (1..=7000).filter(|&step| s.densifies(step)).collect();
+        assert_eq!((densified[0], densified[1], densified.last()), (500, 600, Some(&3500)));
+        let resets: Vec<usize> = (1..=7000).filter(|&step| s.resets(step)).collect();
+        assert_eq!(resets, [1000, 2000, 3000]);
+        assert_eq!((1..=7000).filter(|&step| s.evaluates(step)).count(), 10);
+    }
+
+    #[test]
+    fn short_runs_and_many_views_stretch_the_schedule() {
+        assert_eq!((1..=2000).find(|&step| schedule(2000, 10).densifies(step)), Some(200));
+        let resets: Vec<usize> = (1..=7000).filter(|&step| schedule(7000, 300).resets(step)).collect();
+        assert_eq!(resets, [1500, 3000]);
+        let tiny: Vec<usize> = (1..=3).filter(|&step| schedule(3, 1).evaluates(step)).collect();
+        assert_eq!(tiny, [1, 2, 3]);
+    }
+
+    #[test]
+    fn every_epoch_visits_every_view_once() {
+        let s = schedule(100, 7);
+        let epoch = |e: usize| -> Vec<usize> { (1..=7).map(|k| s.view(5, 7 * e + k)).collect() };
+        let sorted = |mut v: Vec<usize>| {
+            v.sort_unstable();
+            v
+        };
+        for e in 0..5 {
+            assert_eq!(sorted(epoch(e)), [0, 1, 2, 3, 4, 5, 6]);
+        }
+        assert!((1..5).any(|e| epoch(e) != epoch(0)));
+    }
+}
