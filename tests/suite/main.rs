@@ -11,6 +11,7 @@ mod loss;
 mod config;
 mod densify;
 mod features;
+mod mobilenet;
 mod neighbours;
 mod ops;
 mod pca;
