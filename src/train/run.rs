@@ -7,7 +7,7 @@ use super::rows::{RowOutcome, run_rows};
 use super::segmentation_inputs::{Inputs, Seen};
 use crate::config::{Config, Row};
 use crate::data::{Scene, Split, View, builtin, transforms};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::gaussians::{Gaussians, ply};
 use crate::metrics::ImageScores;
 use crate::objects::Identities;
@@ -109,7 +109,7 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
     let scene = load_scene(config)?;
     let settings = Settings::from(&config.raster);
     let checkpoints = out.join("checkpoint");
-    crate::data::atomic::create_folder(&checkpoints)?;
+    std::fs::create_dir_all(&checkpoints).map_err(|e| Error::io(&checkpoints, "create", e))?;
     let mut seconds = Seconds::default();
 
     let clock = Instant::now();

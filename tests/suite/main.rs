@@ -17,6 +17,7 @@ mod pca;
 mod photometric;
 mod randla;
 mod raster;
+mod raster_gradients;
 mod raster_reference;
 mod report;
 mod classes;

@@ -22,9 +22,11 @@ struct Node {
     link: usize,
     /// Solids of a leaf; 0 for inner nodes.
     count: usize,
+    /// Axis an inner node is split along; the left child lies lower.
+    axis: usize,
 }
 
-/// Binary tree, split at the median of the widest axis.
+/// Binary tree, split where the surface-area estimate of the cost of a ray is least.
 #[derive(Clone, Debug)]
 pub(super) struct Bvh {
     nodes: Vec<Node>,
@@ -86,8 +88,10 @@ impl Bvh {
                 continue;
             }
             if node.count == 0 {
-                stack[top] = node.link;
-                stack[top + 1] = at + 1;
+                // The nearer child is visited first.
+                let (first, second) = if d[node.axis] < 0.0 { (node.link, at + 1) } else { (at + 1, node.link) };
+                stack[top] = second;
+                stack[top + 1] = first;
                 top += 2;
                 continue;
             }
@@ -100,32 +104,56 @@ impl Bvh {
     }
 }
 
+/// Smallest box around some solids.
+fn hull(order: &[usize], bounds: &[(DVec3, DVec3)]) -> (DVec3, DVec3) {
+    let empty = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    order.iter().fold(empty, |(l, h), &i| (l.min(bounds[i].0), h.max(bounds[i].1)))
+}
+
+fn area((low, high): (DVec3, DVec3)) -> f64 {
+    let s = high - low;
+    s.x * s.y + s.y * s.z + s.z * s.x
+}
+
 /// Appends the subtree over `order` (whose first entry is number `first` of the whole order).
 fn build(nodes: &mut Vec<Node>, order: &mut [usize], first: usize, bounds: &[(DVec3, DVec3)]) {
-    let (low, high) = order
-        .iter()
-        .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), &i| (l.min(bounds[i].0), h.max(bounds[i].1)));
+    let whole = hull(order, bounds);
     // A hair of slack keeps rays that lie in a face of the box.
     let slack = DVec3::splat(1e-9);
     let at = nodes.len();
-    nodes.push(Node { low: low - slack, high: high + slack, link: first, count: order.len() });
-    if order.len() <= 2 {
-        return;
-    }
-    let size = high - low;
-    let axis = if size.x >= size.y && size.x >= size.z {
-        0
-    } else if size.y >= size.z {
-        1
-    } else {
-        2
+    nodes.push(Node { low: whole.0 - slack, high: whole.1 + slack, link: first, count: order.len(), axis: 0 });
+    let count = order.len();
+    let sort = |order: &mut [usize], axis: usize| {
+        let key = |i: usize| bounds[i].0[axis] + bounds[i].1[axis];
+        order.sort_by(|&i, &j| key(i).total_cmp(&key(j)).then(i.cmp(&j)));
     };
-    let key = |i: usize| bounds[i].0[axis] + bounds[i].1[axis];
-    order.sort_by(|&i, &j| key(i).total_cmp(&key(j)).then(i.cmp(&j)));
-    let half = order.len() / 2;
+    // Cost of a leaf, in solid tests; two box tests cost about as much as one solid.
+    let (mut best, mut choice) = (count as f64 * area(whole), None);
+    for axis in 0..3 {
+        sort(order, axis);
+        let mut box_so_far = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        let mut right = vec![0.0; count];
+        for k in (1..count).rev() {
+            let (l, h) = bounds[order[k]];
+            box_so_far = (box_so_far.0.min(l), box_so_far.1.max(h));
+            right[k] = area(box_so_far);
+        }
+        box_so_far = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for k in 1..count {
+            let (l, h) = bounds[order[k - 1]];
+            box_so_far = (box_so_far.0.min(l), box_so_far.1.max(h));
+            let cost = 0.7 * area(whole) + area(box_so_far) * k as f64 + right[k] * (count - k) as f64;
+            if cost < best {
+                (best, choice) = (cost, Some((axis, k)));
+            }
+        }
+    }
+    let Some((axis, half)) = choice.or((count > 8).then_some((0, count / 2))) else { return };
+    sort(order, axis);
     let (left, right) = order.split_at_mut(half);
     build(nodes, left, first, bounds);
     nodes[at].count = 0;
+    nodes[at].axis = axis;
     nodes[at].link = nodes.len();
     build(nodes, right, first + half, bounds);
 }

@@ -65,17 +65,22 @@ impl Lit<'_> {
     fn direct(&self, light: &Light, o: DVec3, n: DVec3) -> DVec3 {
         match *light {
             Light::Lamp { center, color } => {
+                // Too far or behind the surface to matter.
+                let to = center - o;
+                let d2 = to.length_squared();
+                if n.dot(to) < -0.1 || color.max_element() * n.dot(to).max(0.1) / (d2.sqrt() * (d2 + 0.25)) < 0.004 {
+                    return DVec3::ZERO;
+                }
                 let mut sum = 0.0;
-                let radius = 0.09;
-                for offset in [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z] {
-                    let to = center + offset * radius - o;
+                for corner in [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]] {
+                    let to = center + DVec3::from(corner) * 0.06 - o;
                     let d2 = to.length_squared();
                     let cos = n.dot(to) / d2.sqrt();
                     if cos > 0.0 && !self.bvh.blocked(self.solids, o, to, 0.0, 1.0) {
                         sum += cos / (d2 + 0.25);
                     }
                 }
-                color * (sum / 6.0)
+                color * (sum / 4.0)
             }
             Light::Pane { center, across, up, normal, color } => {
                 let k = self.quality.1;

@@ -13,9 +13,6 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-/// Where colour is sampled within a pixel: its centre, where labels and depth are taken, and a rotated 2x2 grid.
-const SAMPLES: [(f64, f64); 5] = [(0.5, 0.5), (0.125, 0.375), (0.375, 0.875), (0.875, 0.625), (0.625, 0.125)];
-
 /// What is drawn from a seed. Rooms of different purposes come from unrelated random streams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Purpose {
@@ -101,9 +98,9 @@ impl Room {
     }
 
     fn bake(&mut self) {
-        let lit = self.lit((64, 3));
+        let lit = self.lit((40, 3));
         let fixed = |c: u16| matches!(c, class::WALL | class::FLOOR | class::CEILING);
-        let texel = |s: &Solid| if fixed(s.class) { 0.06 } else { 0.04 };
+        let texel = |s: &Solid| if fixed(s.class) { 0.08 } else { 0.05 };
         let maps = (0..self.solids.len())
             .into_par_iter()
             .map(|i| LightMap::bake(&lit, i, texel(&self.solids[i]), self.size))
@@ -161,28 +158,32 @@ fn display(x: f64) -> f32 {
     TABLE[i] * (1.0 - f) + TABLE[i + 1] * f
 }
 
-/// Ray-casts what `camera` sees of `room`: photo, exact labels, objects and depth. Light is the same from every
+/// Ray-casts what `camera` sees of `room`: photo, exact labels, objects and depth. Colour is sampled at pixel centres
+/// (weight 1/2) and pixel corners (1/8 each), which anti-aliases for two rays a pixel. Light is the same from every
 /// direction. The camera must be inside the room; pixels without a hit (outside it) are black with label and depth 0.
 pub fn render_truth(room: &Room, camera: &Camera) -> Truth {
     let (w, h) = (camera.width, camera.height);
+    let see = |u: f64, v: f64| {
+        let d = camera.ray(u, v);
+        let hit = room.cast(camera.center, d);
+        (hit, hit.map_or([0.0; 3], |hit| room.shade(&hit, camera.center, d, (0, 0))))
+    };
+    let corners: Vec<Vec<[f32; 3]>> =
+        (0..=h).into_par_iter().map(|y| (0..=w).map(|x| see(x as f64, y as f64).1).collect()).collect();
     let rows: Vec<Vec<([u8; 3], u16, u16, f32)>> = (0..h)
         .into_par_iter()
         .map(|y| {
             (0..w)
                 .map(|x| {
-                    let (mut sum, mut center) = ([0.0_f32; 3], (0, 0, 0.0));
-                    for (i, (dx, dy)) in SAMPLES.into_iter().enumerate() {
-                        let d = camera.ray(x as f64 + dx, y as f64 + dy);
-                        let Some(hit) = room.cast(camera.center, d) else { continue };
-                        if i == 0 {
-                            let s = &room.solids[hit.solid];
-                            center = (s.class, s.instance, hit.t as f32);
-                        }
-                        let c = room.shade(&hit, camera.center, d, (0, 0));
-                        (0..3).for_each(|k| sum[k] += c[k]);
-                    }
-                    let byte = |c: f32| (c / SAMPLES.len() as f32 * 255.0 + 0.5) as u8;
-                    (sum.map(byte), center.0, center.1, center.2)
+                    let (hit, center) = see(x as f64 + 0.5, y as f64 + 0.5);
+                    let around = [corners[y][x], corners[y][x + 1], corners[y + 1][x], corners[y + 1][x + 1]];
+                    let color = [0, 1, 2].map(|k| {
+                        let c = 0.5 * center[k] + 0.125 * around.iter().map(|a| a[k]).sum::<f32>();
+                        (c * 255.0 + 0.5) as u8
+                    });
+                    let solid = hit.map(|hit| &room.solids[hit.solid]);
+                    let depth = hit.map_or(0.0, |hit| hit.t as f32);
+                    (color, solid.map_or(0, |s| s.class), solid.map_or(0, |s| s.instance), depth)
                 })
                 .collect()
         })

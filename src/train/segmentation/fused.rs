@@ -13,6 +13,7 @@ use crate::ops::{SparseMatrix, sparse_apply};
 use crate::random::{Purpose, stream};
 use crate::segmentation::decoder::{Decoder, DecoderInput};
 use crate::segmentation::loss::neighbour_divergence;
+use burn::module::Module;
 use burn::tensor::{Device, Gradients, Tensor};
 use std::sync::Arc;
 
@@ -182,7 +183,6 @@ impl Model for Fused<'_> {
     }
 
     fn identities(&mut self) -> Result<Identities> {
-        use burn::module::AutodiffModule;
         let Some(decoder) = self.decoder.as_ref().map(|d| d.valid()) else { return Ok(Identities::default()) };
         let [count, classes] = self.plan.size;
         let scores = match self.source {

@@ -72,6 +72,6 @@ impl Model for PerGaussian {
     fn restore(&mut self, state: &dyn Fn(&str) -> Option<Vec<f32>>) -> Option<()> {
         self.adam = self.adam.clone().with_state(state, &self.device)?;
         self.logits = Some(optimiser::with_parameters(self.logits.take()?, state)?);
-        Ok(()).ok()
+        Some(())
     }
 }
