@@ -3,6 +3,7 @@
 mod chart;
 mod curves;
 mod font;
+mod from_run;
 mod history;
 mod markup;
 mod metrics;
@@ -11,6 +12,7 @@ pub mod pictures;
 mod tables;
 mod views;
 
+pub use from_run::held_out_views;
 pub use history::{BuildingHistory, History, RowHistory, Sample};
 pub use metrics::{Metrics, RowScores, Scores, Seconds, TestScores, peak_memory_bytes};
 
