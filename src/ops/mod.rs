@@ -3,6 +3,7 @@
 
 mod host;
 mod real;
+pub(crate) mod simd;
 mod sparse;
 
 pub(crate) use host::device_of;
