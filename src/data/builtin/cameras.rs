@@ -10,7 +10,7 @@ use std::f64::consts::{PI, TAU};
 /// Distance every test camera keeps from every training camera, metres.
 pub const TEST_DISTANCE: f64 = 0.3;
 /// Free space around every camera, metres.
-const FREE: f64 = 0.22;
+const FREE: f64 = 0.32;
 
 /// A camera with its use and its place along the walk (0..1), by which runs of neighbouring views are defined.
 pub(super) struct Shot {
