@@ -94,7 +94,7 @@ fn depth_and_labels_agree_between_views() {
     for (a, b) in views.iter().zip(views.iter().cycle().skip(3)) {
         let truth = render_truth(&ROOM, &a.camera);
         assert_eq!(Some(&truth.labels), a.truth.as_ref());
-        for i in (0..truth.depth.len()).step_by(397) {
+        for i in (0..truth.depth.len()).step_by(193) {
             let (x, y) = ((i % 320) as f64 + 0.5, (i / 320) as f64 + 0.5);
             let p = a.camera.center + a.camera.ray(x, y) * f64::from(truth.depth[i]);
             let Some((u, v, z)) = b.camera.project(p) else { continue };
@@ -186,7 +186,8 @@ fn corruption_of_strength_zero_changes_nothing() {
 fn wrong_classes_last_over_runs_of_views() {
     let (labels, instances) = strips(200);
     let instances: Vec<&[u16]> = instances.iter().map(Vec::as_slice).collect();
-    let zero = Corruption { swap: 0.0, merge: 0.0, split: 0.0, drop: 0.0, warp: 0.0, void_borders: 0.0, ..Default::default() };
+    let zero =
+        Corruption { swap: 0.0, merge: 0.0, split: 0.0, drop: 0.0, warp: 0.0, void_borders: 0.0, ..Default::default() };
     let params = Corruption { run_share: 0.4, confusions: Vec::new(), ..zero };
     let (mut wrong, mut runs, mut changes) = (0, 0, 0);
     for seed in 0..6 {
