@@ -9,7 +9,7 @@ pub mod gaussians;
 pub mod metrics;
 pub mod ops;
 pub mod random;
-pub mod train;
 pub mod raster;
+pub mod train;
 
 pub use error::{Error, Result};

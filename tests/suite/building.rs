@@ -21,8 +21,8 @@ fn camera(center: DVec3) -> Camera {
 
 /// Colour of the plane z = 0 at (x, y).
 fn paint(x: f64, y: f64) -> [f64; 3] {
-    let check = if ((2.0 * x).floor() + (2.0 * y).floor()).rem_euclid(2.0) < 1.0 { 0.25 } else { 0.0 };
-    [0.4 + 0.3 * x.sin() + check, 0.4 + 0.3 * (1.3 * y).cos() - check, 0.5 + 0.2 * (x + y).sin()]
+    let check = 0.2 * (4.0 * x).sin() * (4.0 * y).sin();
+    [0.45 + 0.3 * x.sin() + check, 0.45 + 0.3 * (1.3 * y).cos() - check, 0.5 + 0.2 * (x + y).sin()]
 }
 
 fn photo(camera: &Camera) -> image::RgbImage {
@@ -99,7 +99,7 @@ impl Progress for Recorder {
 #[test]
 fn training_learns_the_scene() {
     let (scene, device) = (scene(), device());
-    let building = BuildingConfig { iterations: 400, densify_threshold: 2e-4, ..config().building };
+    let building = BuildingConfig { iterations: 400, sh_degree: 2, ..BuildingConfig::default() };
     let mut stage = BuildingStage::new(&scene, &Config { building, ..config() }, &device).expect("a stage");
     let before = stage.evaluate().expect("scores").held_out.psnr.expect("test views");
     let mut recorder = Recorder::default();
@@ -113,7 +113,7 @@ fn training_learns_the_scene() {
     let count = |kind: fn(&Event) -> bool| recorder.0.iter().filter(|e| kind(e)).count();
     assert_eq!(count(|e| matches!(e, Event::Step { .. })), 400);
     assert_eq!(count(|e| matches!(e, Event::Evaluated(_))), 10);
-    assert!(count(|e| matches!(e, Event::Densified { .. })) > 20);
+    assert_eq!(count(|e| matches!(e, Event::Densified { .. })), 2);
     assert_eq!(recorder.0.last(), Some(&Event::Finished));
 }
 
@@ -268,4 +268,36 @@ fn unusable_settings_and_scenes_are_refused() {
     let other = Config { seed: 8, ..config() };
     let message = BuildingStage::from_state(&scene, &other, &device, state).err().expect("another seed").to_string();
     assert!(message.contains("seed"), "{message}");
+}
+
+/// The real photos, measured: `cargo test --release --test suite -- --ignored --nocapture fox`. `FOX_ITERATIONS`
+/// shortens the run.
+#[test]
+#[ignore = "minutes"]
+fn fox_at_270x480() {
+    let Some(dir) = crate::shared_dir().map(|d| d.join("data/fox")) else { return };
+    let options = coseg::data::transforms::LoadOptions { transforms: "transforms_4.json".into(), ..Default::default() };
+    let scene = coseg::data::transforms::load(&dir, &options).expect("the fox");
+    let iterations = std::env::var("FOX_ITERATIONS").ok().and_then(|v| v.parse().ok()).unwrap_or(7_000);
+    let config = Config { building: BuildingConfig { iterations, ..BuildingConfig::default() }, ..Config::default() };
+    let mut stage = BuildingStage::new(&scene, &config, &device()).expect("a stage");
+    struct Print;
+    impl Progress for Print {
+        fn event(&mut self, event: &Event) {
+            match event {
+                Event::Step { .. } => (),
+                Event::Evaluated(p) => eprintln!(
+                    "{:5} {:7.1} s, loss {:.4}, PSNR {:.2}, SSIM {:.4}, {} Gaussians",
+                    p.iteration,
+                    p.seconds,
+                    p.loss,
+                    p.held_out.psnr.unwrap_or(f64::NAN),
+                    p.held_out.ssim.unwrap_or(f64::NAN),
+                    p.gaussians
+                ),
+                other => eprintln!("{other:?}"),
+            }
+        }
+    }
+    stage.run(&mut Print).expect("a run");
 }
