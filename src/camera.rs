@@ -35,7 +35,7 @@ impl Camera {
         let center = c2w.w_axis.truncate();
         let gram = m.transpose() * m;
         let off = (gram - DMat3::IDENTITY).to_cols_array().iter().fold(0.0_f64, |a, &b| a.max(b.abs()));
-        if !m.is_finite() || !center.is_finite() || !(off < 1e-3) || m.determinant() < 0.0 {
+        if !m.is_finite() || !center.is_finite() || off.is_nan() || off >= 1e-3 || m.determinant() < 0.0 {
             return None;
         }
         // Camera axes in OpenCV order: x stays, y and z flip.

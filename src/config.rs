@@ -1,6 +1,13 @@
 //! Every setting of a run, as plain data. `config.toml` in a run folder is this structure as it ran.
 //!
 //! Sections follow the pipeline. Unknown keys are errors. `--set section.key=value` overrides one key.
+//! [`Config::load`] reads files and overrides, [`Config::preset`] holds the named sets of defaults,
+//! [`Config::validate`] the allowed ranges.
+
+mod load;
+mod presets;
+mod row;
+mod validate;
 
 use serde::{Deserialize, Serialize};
 
@@ -292,10 +299,14 @@ pub enum LabelLoss {
     Js,
     /// Cross-entropy.
     Ce,
+    /// Generalised cross-entropy, q = 0.7.
+    Gce,
+    /// Half the absolute error, 1 - p of the label.
+    Mae,
 }
 
 /// A row of the results table that a run trains.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Row {
     /// Raw labels of the test views, as they are.
@@ -328,6 +339,8 @@ pub struct SegmentationConfig {
     pub rows: Vec<Row>,
     /// Learning rate of the decoder.
     pub lr: f64,
+    /// LayerNorm in the decoder's shared MLPs.
+    pub layer_norm: bool,
     /// Learning rate of per-Gaussian identities.
     pub lr_per_gaussian: f64,
     /// Loss of row `ours`.
@@ -362,6 +375,7 @@ impl Default for SegmentationConfig {
             iterations: 2_000,
             rows: vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::OursCe, Row::Ours],
             lr: 1e-3,
+            layer_norm: false,
             lr_per_gaussian: 5e-2,
             loss: LabelLoss::Js,
             pi_rl: 0.9,

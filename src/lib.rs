@@ -5,11 +5,15 @@ pub mod config;
 pub mod data;
 pub mod device;
 pub mod error;
+pub mod features;
 pub mod gaussians;
 pub mod metrics;
+pub mod objects;
 pub mod ops;
 pub mod random;
 pub mod raster;
+pub mod report;
+pub mod segmentation;
 pub mod train;
 
 pub use error::{Error, Result};

@@ -1,2 +1,19 @@
 //! The `coseg` command line.
-fn main() {}
+
+mod commands;
+
+use clap::Parser;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    commands::terminal::report_panics();
+    let cli = commands::Cli::parse();
+    commands::terminal::show_warnings(cli.verbose);
+    match cli.command.run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            commands::terminal::error(&error);
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -14,6 +14,18 @@ pub enum Purpose {
     ViewOrder = 2,
     /// Positions of split Gaussians; index = iteration.
     Densification = 3,
+    /// Order of the views in stage two; index = epoch.
+    SegmentationViews = 4,
+    /// Pixels of a step of stage two; index = iteration.
+    Pixels = 5,
+    /// Samples of the 3D regularisation; index = 4 iteration + scale.
+    Regularisation = 6,
+    /// Cells that a PCA is fitted on; index = 4 * training view + scale.
+    PcaCells = 32,
+    /// Pixels that a linear probe is trained on; index = view.
+    ProbePixels = 33,
+    /// Order of a linear probe's training pixels; index = epoch.
+    ProbeOrder = 34,
 }
 
 /// The stream of `purpose` at `index` (an epoch or iteration, below 2^56) under `seed`.

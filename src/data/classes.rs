@@ -1,6 +1,6 @@
 //! Class tables: `classes.json` in and out, and the colours of legends.
 
-use super::{Class, Classes, atomic};
+use super::{Class, Classes, atomic, class_color};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Deserializer, Serialize, de};
 use std::path::Path;
@@ -87,36 +87,6 @@ impl Classes {
         let file = ClassFile { ignore: self.ignore, classes };
         atomic::write(path, |out| serde_json::to_writer_pretty(out, &file).map_err(Into::into))
     }
-}
-
-/// A colour for a class id: well separated among the first forty ids, the same for the same id everywhere.
-///
-/// Hue turns by 82.07 degrees an id in OKLCH while four pairs of lightness and chroma alternate; the numbers are the
-/// best of a random search for the smallest distance within the first 20 and 40 ids.
-pub fn class_color(id: u16) -> [u8; 3] {
-    const LIGHTNESS_CHROMA: [(f64, f64); 4] = [(0.873, 0.226), (0.456, 0.169), (0.739, 0.155), (0.643, 0.218)];
-    let (lightness, chroma) = LIGHTNESS_CHROMA[usize::from(id % 4)];
-    let (sin, cos) = (f64::from(id) * 82.07).to_radians().sin_cos();
-    oklab_to_srgb(lightness, chroma * cos, chroma * sin).map(|v| (v * 255.0).round() as u8)
-}
-
-/// OKLab to sRGB in 0..1, clipped (B. Ottosson, "A perceptual color space for image processing", 2020).
-fn oklab_to_srgb(l: f64, a: f64, b: f64) -> [f64; 3] {
-    let cone = [
-        l + 0.396_337_777_4 * a + 0.215_803_757_3 * b,
-        l - 0.105_561_345_8 * a - 0.063_854_172_8 * b,
-        l - 0.089_484_177_5 * a - 1.291_485_548_0 * b,
-    ]
-    .map(|v| v * v * v);
-    let rows = [
-        [4.076_741_662_1, -3.307_711_591_3, 0.230_969_929_2],
-        [-1.268_438_004_6, 2.609_757_401_1, -0.341_319_396_5],
-        [-0.004_196_086_3, -0.703_418_614_7, 1.707_614_701_0],
-    ];
-    rows.map(|r| {
-        let linear = (r[0] * cone[0] + r[1] * cone[1] + r[2] * cone[2]).clamp(0.0, 1.0);
-        if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
-    })
 }
 
 fn check_unique(path: &Path, ids: impl Iterator<Item = u16>) -> Result<()> {

@@ -5,12 +5,14 @@ mod classes;
 mod image_file;
 mod labels;
 mod limits;
+mod palette;
 pub(crate) mod ply;
 mod points;
 pub mod transforms;
 
-pub use classes::class_color;
 pub use limits::Limits;
+pub mod builtin;
+pub use palette::class_color;
 
 use crate::camera::Camera;
 use glam::DVec3;

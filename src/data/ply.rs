@@ -22,7 +22,7 @@ const BLOCK: usize = 2_048;
 #[derive(Clone, Debug)]
 pub(crate) struct Row<const N: usize>(pub [f64; N]);
 
-/// Column number of a renamed property: decimal digits were parsed millions of times, one character is not.
+/// Column number of a renamed property: its key is one character, which costs nothing to read millions of times.
 fn slot(key: &str) -> Option<usize> {
     let mut chars = key.chars();
     match (chars.next(), chars.next()) {
@@ -93,7 +93,7 @@ impl PlyFile {
         let mut reader = Reader::new(BufReader::with_capacity(1 << 20, file));
         let header = Parser::<Row<0>>::new().read_header(&mut reader).map_err(|e| {
             let line = e.line().map_or_else(|| "header".into(), |l| format!("header, line {l}"));
-            Error::input(path, line, first_line(&e.to_string()), "a PLY header", "export the file again")
+            Error::input(path, line, what(&e.to_string()), "a PLY header", "export the file again")
         })?;
         let Some(def) = header.elements.get(element) else {
             let found: Vec<_> = header.elements.keys().map(String::as_str).collect();
@@ -195,9 +195,9 @@ impl PlyFile {
                 Error::input(
                     &self.path,
                     format!("element {}, rows {first} to {}", def.name, first + block.count - 1),
-                    first_line(&e.to_string()),
+                    what(&e.to_string()),
                     format!("{rows} complete rows"),
-                    "the file is damaged or cut off; copy or export it again",
+                    "the file is damaged or cut off (in ascii files, nan and inf count as damage); copy or export it again",
                 )
             })?;
             for (i, row) in parsed.iter().enumerate() {
@@ -247,9 +247,11 @@ fn size_of_scalar(t: &PropertyType) -> usize {
     }
 }
 
-/// The parser quotes whole lines of the file in its messages; the first line of the message says what is wrong.
-fn first_line(message: &str) -> String {
-    message.lines().next().unwrap_or_default().chars().take(200).collect()
+/// What went wrong, without the whole lines of the file that the parser quotes in its messages.
+fn what(message: &str) -> String {
+    let first = message.lines().next().unwrap_or_default();
+    let detail = message.rsplit_once("Error: ").map_or("", |(_, detail)| detail.lines().next().unwrap_or_default());
+    [first, detail].join(" ").trim().chars().take(300).collect()
 }
 
 /// Writes one element `vertex` as binary little-endian PLY. `fill(i, row)` sets the cells of row `i`.

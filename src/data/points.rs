@@ -42,13 +42,13 @@ impl Points {
         let mut points = Self::default();
         let mut brightest = 0.0_f32;
         file.read(&columns, |row, cells| {
-            if let Some(bad) = cells.iter().position(|v| !v.is_finite()) {
+            if let Some(bad) = cells.iter().position(|&v| !(v as f32).is_finite()) {
                 let column = columns[bad].clone().unwrap_or_default();
                 return Err(crate::Error::input(
                     path,
                     format!("row {row}, column {column}"),
                     cells[bad].to_string(),
-                    "a finite number",
+                    "a finite number (f32)",
                     "remove this point",
                 ));
             }

@@ -35,6 +35,33 @@ impl Gaussians {
         self.means.is_empty()
     }
 
+    /// The Gaussians `rows`, in that order.
+    ///
+    /// # Panics
+    /// If a row is not below [`Gaussians::len`].
+    #[must_use]
+    pub fn select(&self, rows: &[u32]) -> Self {
+        fn pick<T: Copy>(values: &[T], rows: &[u32]) -> Vec<T> {
+            rows.iter().map(|&i| values[i as usize]).collect()
+        }
+        let width = 3 * self.sh_len();
+        Self {
+            means: pick(&self.means, rows),
+            log_scales: pick(&self.log_scales, rows),
+            rotations: pick(&self.rotations, rows),
+            opacity_logits: pick(&self.opacity_logits, rows),
+            sh: rows.iter().flat_map(|&i| &self.sh[i as usize * width..][..width]).copied().collect(),
+            sh_degree: self.sh_degree,
+        }
+    }
+
+    /// View-independent colours from the constant SH term, `[N, 3]` sRGB in 0..1.
+    pub fn base_colors(&self) -> Vec<[f32; 3]> {
+        const SH_0: f32 = 0.282_094_8;
+        let colour = |dc: &[f32]| [0, 1, 2].map(|c| (dc[c] * SH_0 + 0.5).clamp(0.0, 1.0));
+        self.sh.chunks_exact(3 * self.sh_len()).map(colour).collect()
+    }
+
     /// SH coefficients per colour channel, `(sh_degree + 1)^2`.
     pub fn sh_len(&self) -> usize {
         (self.sh_degree + 1).pow(2)

@@ -40,7 +40,9 @@ pub struct PlyScene {
 pub fn write(path: &Path, gaussians: &Gaussians, origin: DVec3, labels: Option<&[u16]>) -> Result<()> {
     check(gaussians, labels)?;
     let names = column_names(gaussians.sh_degree, labels.is_some());
-    let position = if float_loses_position(gaussians, origin) { ScalarType::Double } else { ScalarType::Float };
+    let world = gaussians.means.iter().map(|&m| DVec3::from(m.map(f64::from)) + origin);
+    let (_, size) = centre_and_size(world.clone());
+    let position = if float_loses(world, size) { ScalarType::Double } else { ScalarType::Float };
     let columns: Vec<_> = names
         .into_iter()
         .enumerate()
@@ -110,7 +112,7 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
             Error::input(path, format!("row {row}, column {name}"), cells[column].to_string(), expected, mend)
         };
         // What does not fit an f32 is as unusable as what is no number.
-        if let Some(column) = cells.iter().position(|v| !(v.abs() <= f64::from(f32::MAX))) {
+        if let Some(column) = cells.iter().position(|&v| !(v as f32).is_finite()) {
             return Err(bad(column, "a finite number", "remove this Gaussian (splat-transform --filter-nan)"));
         }
         let g = &mut scene.gaussians;
@@ -181,19 +183,17 @@ fn centre_and_size(positions: impl Iterator<Item = DVec3> + Clone) -> (DVec3, f6
     (centre, positions.map(|p| p.distance(centre)).sum::<f64>() / n)
 }
 
-/// Whether rounding world positions to float moves one of them too far.
-fn float_loses_position(gaussians: &Gaussians, origin: DVec3) -> bool {
-    let world = gaussians.means.iter().map(|&m| DVec3::from(m.map(f64::from)) + origin);
-    let (_, size) = centre_and_size(world.clone());
-    world.map(|p| (p - p.as_vec3().as_dvec3()).abs().max_element()).any(|loss| loss > POSITION_LOSS * size)
+/// Whether rounding a position to float moves it by more than [`POSITION_LOSS`] of `size`.
+fn float_loses(mut positions: impl Iterator<Item = DVec3>, size: f64) -> bool {
+    positions.any(|p| (p - p.as_vec3().as_dvec3()).abs().max_element() > POSITION_LOSS * size)
 }
 
 /// Zero for scenes near their coordinate origin, so that their float positions stay as they are.
 fn origin_of(positions: &[DVec3]) -> DVec3 {
     let (centre, size) = centre_and_size(positions.iter().copied());
-    // Spacing of f32 at the centre against the size of the scene.
-    let loses = centre.length() * f64::from(f32::EPSILON) > POSITION_LOSS * size;
-    if loses { centre } else { DVec3::ZERO }
+    // Float positions show no rounding, but their spacing far out may be coarse for the scene.
+    let coarse = size > 0.0 && centre.length() * f64::from(f32::EPSILON) > POSITION_LOSS * size;
+    if coarse || float_loses(positions.iter().copied(), size) { centre } else { DVec3::ZERO }
 }
 
 /// Lengths agree and every value is finite.

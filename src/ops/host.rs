@@ -125,6 +125,7 @@ mod on_flex {
 #[cfg(feature = "wgpu")]
 mod on_cube {
     use super::*;
+    use burn::backend::ops::FloatTensorOps;
     use burn::tensor::TensorData;
     use burn_cubecl::CubeBackend;
 

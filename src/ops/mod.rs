@@ -2,7 +2,9 @@
 //! [`HostBackend`] lends them the contents of a tensor on any backend.
 
 mod adam;
+mod attentive_pool;
 mod host;
+mod label_loss;
 mod photometric;
 mod real;
 mod simd;
@@ -10,9 +12,11 @@ mod sparse;
 mod window;
 
 pub use adam::{AdamBackend, AdamStep, AdamTensors, adam_step, adam_step_plain};
+pub use attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
 pub(crate) use host::device_of;
 pub(crate) use host::real_kernel;
 pub use host::{HostBackend, HostValues, warn_host_fallback};
+pub use label_loss::{Kind, LabelLossBackend, UNLABELLED, label_loss};
 pub use photometric::{Photo, PhotometricBackend, photometric_loss, photometric_loss_plain};
 pub use real::Real;
-pub use sparse::{SparseBackend, SparseMatrix, sparse_apply};
+pub use sparse::{Compact, SparseBackend, SparseMatrix, sparse_apply};

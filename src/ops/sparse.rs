@@ -3,6 +3,7 @@
 //! With frozen geometry, blending (`S = W s`) and distance-weighted interpolation are both such maps. The gradient
 //! with respect to the input is the adjoint `W^T g`; the matrix itself gets none.
 
+use super::simd::{multiply_add, wide_kernel};
 use super::{HostBackend, device_of};
 use super::{Real, real_kernel};
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
@@ -15,6 +16,53 @@ use std::sync::Arc;
 
 /// Channels handled together: one cache line of f32.
 const LANES: usize = 16;
+
+/// Rows of a task.
+const BLOCK: usize = 64;
+
+wide_kernel! {
+    /// `out[k, :] = sum_j W[first + k, j] x[j, :]`.
+    fn rows_kernel(w: &SparseMatrix, first: usize, x: &[E], channels: usize, out: &mut [E]) => rows_body
+}
+wide_kernel! {
+    /// `sum[j, :] += W[r, j] g[r, first..first + width]` over all rows r in order.
+    fn adjoint_kernel(w: &SparseMatrix, g: &[E], channels: usize, first: usize, width: usize, sum: &mut [E]) => adjoint_body
+}
+
+#[inline(always)]
+fn rows_body<E: Real, const FMA: bool>(w: &SparseMatrix, first: usize, x: &[E], channels: usize, out: &mut [E]) {
+    for (k, out) in out.chunks_exact_mut(channels).enumerate() {
+        let (columns, values) = w.row(first + k);
+        for (&c, &v) in columns.iter().zip(values) {
+            axpy::<E, FMA>(E::of(f64::from(v)), &x[c as usize * channels..][..channels], out);
+        }
+    }
+}
+
+#[inline(always)]
+fn adjoint_body<E: Real, const FMA: bool>(
+    w: &SparseMatrix,
+    g: &[E],
+    channels: usize,
+    first: usize,
+    width: usize,
+    sum: &mut [E],
+) {
+    for r in 0..w.rows() {
+        let g = &g[r * channels + first..][..width];
+        let (columns, values) = w.row(r);
+        for (&c, &v) in columns.iter().zip(values) {
+            axpy::<E, FMA>(E::of(f64::from(v)), g, &mut sum[c as usize * width..][..width]);
+        }
+    }
+}
+
+#[inline(always)]
+fn axpy<E: Real, const FMA: bool>(a: E, x: &[E], y: &mut [E]) {
+    for (y, &x) in y.iter_mut().zip(x) {
+        *y = multiply_add::<E, FMA>(a, x, *y);
+    }
+}
 
 /// A constant sparse matrix in compressed rows, `[rows, columns]`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -52,18 +100,9 @@ impl SparseMatrix {
         if channels == 0 {
             return out;
         }
-        out.par_chunks_mut(channels * 64).enumerate().for_each(|(block, out)| {
-            for (k, out) in out.chunks_exact_mut(channels).enumerate() {
-                let (columns, values) = self.row(block * 64 + k);
-                for (&c, &w) in columns.iter().zip(values) {
-                    let w = E::of(f64::from(w));
-                    let x = &x[c as usize * channels..][..channels];
-                    for (o, &x) in out.iter_mut().zip(x) {
-                        *o += w * x;
-                    }
-                }
-            }
-        });
+        out.par_chunks_mut(channels * BLOCK)
+            .enumerate()
+            .for_each(|(block, out)| rows_kernel(self, block * BLOCK, x, channels, out));
         out
     }
 
@@ -78,16 +117,7 @@ impl SparseMatrix {
                 let first = block * LANES;
                 let width = LANES.min(channels - first);
                 let mut sum = vec![E::zero(); self.columns * width];
-                for r in 0..self.rows() {
-                    let g = &g[r * channels + first..][..width];
-                    let (columns, values) = self.row(r);
-                    for (&c, &w) in columns.iter().zip(values) {
-                        let w = E::of(f64::from(w));
-                        for (o, &g) in sum[c as usize * width..][..width].iter_mut().zip(g) {
-                            *o += w * g;
-                        }
-                    }
-                }
+                adjoint_kernel(self, g, channels, first, width, &mut sum);
                 sum
             })
             .collect();
@@ -99,6 +129,67 @@ impl SparseMatrix {
             });
         }
         out
+    }
+}
+
+/// Rows and columns of a matrix that a computation needs, see [`SparseMatrix::compact`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Compact {
+    /// The chosen rows over the used columns only.
+    pub matrix: SparseMatrix,
+    /// For each column of [`Compact::matrix`], the column of the original; ascending.
+    pub columns: Vec<u32>,
+}
+
+impl SparseMatrix {
+    /// The same matrix with each row divided by its sum; rows that sum to less than `floor` become empty.
+    ///
+    /// Of blending weights this makes weighted means: a row sums to `1 - T`.
+    #[must_use]
+    pub fn normalised(&self, floor: f32) -> Self {
+        let mut out = Self { columns: self.columns, offsets: vec![0], ..Self::default() };
+        for r in 0..self.rows() {
+            let (columns, values) = self.row(r);
+            let sum: f32 = values.iter().sum();
+            if sum >= floor && sum > 0.0 {
+                out.indices.extend_from_slice(columns);
+                out.values.extend(values.iter().map(|v| v / sum));
+            }
+            out.offsets.push(out.indices.len() as u32);
+        }
+        out
+    }
+
+    /// The rows `rows` in that order.
+    #[must_use]
+    pub fn select_rows(&self, rows: &[u32]) -> Self {
+        let mut out = Self { columns: self.columns, offsets: Vec::with_capacity(rows.len() + 1), ..Self::default() };
+        out.offsets.push(0);
+        for &r in rows {
+            let (columns, values) = self.row(r as usize);
+            out.indices.extend_from_slice(columns);
+            out.values.extend_from_slice(values);
+            out.offsets.push(out.indices.len() as u32);
+        }
+        out
+    }
+
+    /// The matrix over its used columns, and which those are.
+    #[must_use]
+    pub fn compact(self) -> Compact {
+        let mut place = vec![u32::MAX; self.columns];
+        for &c in &self.indices {
+            place[c as usize] = 0;
+        }
+        let mut columns = Vec::new();
+        for (c, place) in place.iter_mut().enumerate() {
+            if *place == 0 {
+                *place = columns.len() as u32;
+                columns.push(c as u32);
+            }
+        }
+        let indices = self.indices.iter().map(|&c| place[c as usize]).collect();
+        Compact { matrix: Self { columns: columns.len(), indices, ..self }, columns }
     }
 }
 

@@ -60,11 +60,6 @@ impl Viewpoint {
             limits: [limits(*fx, *cx, *width), limits(*fy, *cy, *height)],
         })
     }
-
-    /// Camera centre, world units.
-    pub fn center(&self) -> Vec3 {
-        self.center
-    }
 }
 
 /// One Gaussian in world space, in `f64`.

@@ -6,8 +6,15 @@ pub mod checkpoint;
 mod parameters;
 mod photos;
 pub mod progress;
+mod rows;
+mod run;
+pub mod segmentation;
+mod segmentation_inputs;
 pub mod schedule;
 
 pub use building::{BuildingStage, StepReport};
 pub use building_state::BuildingState;
 pub use parameters::Moments;
+pub use rows::RowOutcome;
+pub use run::{Outcome, Pruned, Seconds, load_scene, render_and_score, run, score_images};
+pub use segmentation_inputs::{Inputs, Seen};

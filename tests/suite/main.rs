@@ -3,11 +3,30 @@
 mod adam;
 mod building;
 mod checkpoint;
+mod config;
+mod decoder;
 mod densify;
+mod features;
+mod loss;
+mod config;
+mod densify;
+mod features;
+mod mobilenet;
+mod neighbours;
 mod ops;
+mod pca;
 mod photometric;
+mod pretrain;
+mod randla;
 mod raster;
+mod raster_gradients;
 mod raster_reference;
+mod report;
+mod classes;
+mod metrics;
+mod ops;
+mod ply;
+mod transforms;
 
 use std::path::PathBuf;
 

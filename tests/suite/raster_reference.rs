@@ -101,6 +101,18 @@ pub struct Reference {
 
 /// Renders `values` `[N, channels]`.
 pub fn render(cloud: &Cloud, values: &[f64], channels: usize, camera: &Camera, s: &Settings) -> Reference {
+    render_shifted(cloud, values, channels, camera, s, &vec![0.0; 2 * cloud.len()])
+}
+
+/// [`render`] with the projected centres moved by `shifts` pixels, `[N, 2]`.
+pub fn render_shifted(
+    cloud: &Cloud,
+    values: &[f64],
+    channels: usize,
+    camera: &Camera,
+    s: &Settings,
+    shifts: &[f64],
+) -> Reference {
     struct Flat {
         id: usize,
         z: f64,
@@ -131,7 +143,10 @@ pub fn render(cloud: &Cloud, values: &[f64], channels: usize, camera: &Camera, s
         flat.push(Flat {
             id,
             z: p.z,
-            mean: [camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy],
+            mean: [
+                camera.fx * p.x / p.z + camera.cx + shifts[2 * id],
+                camera.fy * p.y / p.z + camera.cy + shifts[2 * id + 1],
+            ],
             inverse: [c / det, -b / det, a / det],
             opacity: 1.0 / (1.0 + (-cloud.opacity_logits[id]).exp()),
         });

@@ -55,6 +55,9 @@ pub(super) struct Lens {
 const PINHOLE_MODELS: [&str; 7] =
     ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "OPENCV_PINHOLE", "FULL_OPENCV", "SIMPLE_RADIAL", "RADIAL"];
 
+/// Intrinsics beyond this many pixels are mistakes.
+const MAX_PIXELS: f64 = 1e9;
+
 impl Transforms {
     /// Reads and checks what concerns the file as a whole.
     pub fn read(path: &Path) -> Result<Self> {
@@ -144,7 +147,13 @@ impl Transforms {
                 return Ok(value as usize);
             }
             let field = format!("{}.{name}", self.field(frame));
-            Err(Error::input(path, field, value.to_string(), "a whole number of pixels, at least 1", "mend the size"))
+            Err(Error::input(
+                path,
+                field,
+                format!("{value:?}"),
+                "a whole number of pixels, at least 1",
+                "mend the size",
+            ))
         };
         match (lens.w.or(self.lens.w), lens.h.or(self.lens.h)) {
             (Some(w), Some(h)) => Ok(Some((whole("w", w)?, whole("h", h)?))),
@@ -183,8 +192,8 @@ impl Transforms {
         let mut m = [[0.0, 0.0, 0.0, 1.0]; 4];
         for (r, row) in rows.iter().enumerate() {
             for (c, &value) in row.iter().enumerate() {
-                if !value.is_finite() {
-                    return error(&format!("[{r}][{c}]"), value.to_string(), "a finite number");
+                if !(value as f32).is_finite() {
+                    return error(&format!("[{r}][{c}]"), format!("{value:?}"), "a finite number (f32)");
                 }
                 m[r][c] = value;
             }
@@ -231,12 +240,18 @@ impl Transforms {
         // One focal length only: square pixels.
         let fy = fy.unwrap_or(fx);
         for (name, f) in [("fl_x", fx), ("fl_y", fy)] {
-            if !(f.is_finite() && f > 0.0) {
-                return Err(error(name, f.to_string(), "a positive number of pixels", "mend the focal length"));
+            if !(1e-3..=MAX_PIXELS).contains(&f) {
+                let expected = "a positive number of pixels, 0.001 to 1e9";
+                return Err(error(name, format!("{f:?}"), expected, "mend the focal length or camera_angle"));
             }
         }
         let cx = own.cx.or(all.cx).unwrap_or(0.5 * width as f64);
         let cy = own.cy.or(all.cy).unwrap_or(0.5 * height as f64);
+        for (name, c) in [("cx", cx), ("cy", cy)] {
+            if c.abs() > MAX_PIXELS {
+                return Err(error(name, format!("{c:?}"), "pixels from the image corner", "mend the principal point"));
+            }
+        }
         Ok(Intrinsics { fx, fy, cx, cy, width, height })
     }
 }

@@ -1,0 +1,130 @@
+//! `coseg eval`: the scores of a run.
+
+use super::run_folder::RunFolder;
+use super::terminal;
+use clap::Args;
+use coseg::config::Config;
+use coseg::data::{Classes, LabelMap, Limits, Scene, Split, View};
+use coseg::error::{Error, Result};
+use coseg::gaussians::ply::{self, PlyScene};
+use coseg::metrics::{ImageScores, Void, label_scores};
+use coseg::objects::{Identities, hard_label_map, label_map};
+use coseg::raster::{Projected, Settings, render};
+use std::path::PathBuf;
+
+/// Arguments of `coseg eval`.
+///
+/// Prints PSNR and SSIM of the run's scene on the held-out views, and mIoU and accuracy of its stored identities where
+/// these views have true labels.
+#[derive(Args, Debug)]
+pub struct EvalArgs {
+    /// Folder that `coseg train` wrote
+    #[arg(value_name = "RUN")]
+    run: PathBuf,
+    /// Scene folder, where it has moved or another one is meant [default: the run's own]
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// What labels are rendered from.
+enum Stored {
+    Identities(Identities),
+    Labels(Vec<u16>),
+}
+
+impl EvalArgs {
+    /// Scores the run.
+    pub fn run(self) -> Result<()> {
+        let run = RunFolder::existing(&self.run)?;
+        let mut config = run.config(&[])?;
+        if let Some(dir) = &self.data {
+            config.data.dir = Some(dir.clone());
+        }
+        let mut scene = coseg::train::load_scene(&config)?;
+        let ply = ply::read(&run.scene_path(), &Limits::default())?;
+        for view in &mut scene.views {
+            view.camera.center += scene.origin - ply.origin;
+        }
+        let stored = stored(&run, &ply)?;
+        let (images, labels) = score(&scene, &ply, stored.as_ref(), &run.classes()?, &config)?;
+        let labels = label_scores(
+            &scene.classes,
+            labels.iter().map(|(truth, found)| (&truth.ids[..], &found.ids[..])),
+            Void::Wrong,
+        );
+        let views = scene.split(Split::Test).count();
+        if self.json {
+            let labels = stored.is_some().then_some(&labels);
+            terminal::say(
+                &serde_json::json!({ "views": views, "psnr": images.psnr, "ssim": images.ssim, "labels": labels })
+                    .to_string(),
+            );
+            return Ok(());
+        }
+        terminal::say(&format!("{}: {} Gaussians, {views} held-out views", scene.name, ply.gaussians.len()));
+        let figures = [
+            ("PSNR", images.psnr, " dB", 2),
+            ("SSIM", images.ssim, "", 4),
+            ("mIoU pooled", labels.miou, "", 4),
+            ("mIoU per view", labels.miou_per_view, "", 4),
+            ("accuracy", labels.accuracy, "", 4),
+        ];
+        for (name, value, unit, decimals) in figures {
+            if let Some(value) = value {
+                terminal::say(&format!("{name:>14}  {value:.decimals$}{unit}"));
+            }
+        }
+        for (id, iou) in &labels.per_class {
+            terminal::say(&format!("{:>14}  {iou:.4}  IoU of {id} {}", "", scene.classes.name(*id)));
+        }
+        Ok(())
+    }
+}
+
+/// The identities of the run, or else the labels in its PLY; nothing when it has neither.
+fn stored(run: &RunFolder, ply: &PlyScene) -> Result<Option<Stored>> {
+    let path = run.identities_path();
+    if !path.is_file() {
+        return Ok(ply.labels.clone().map(Stored::Labels));
+    }
+    let identities = Identities::read(&path)?;
+    let (rows, n) = (identities.scores.len() / identities.classes.max(1), ply.gaussians.len());
+    if rows != n {
+        let mend = "the two files are of different runs; train again";
+        return Err(Error::input(&path, "scores", format!("{rows} rows"), format!("{n}, as in scene.ply"), mend));
+    }
+    Ok(Some(Stored::Identities(identities)))
+}
+
+/// Mean image scores, and (truth, rendered labels) of the views that have truth.
+fn score<'s>(
+    scene: &'s Scene,
+    ply: &PlyScene,
+    stored: Option<&Stored>,
+    classes: &Classes,
+    config: &Config,
+) -> Result<(ImageScores, Vec<(&'s LabelMap, LabelMap)>)> {
+    let settings = Settings::from(&config.raster);
+    let coverage = config.segmentation.min_coverage as f32;
+    let bar = terminal::bar("eval", scene.split(Split::Test).count() as u64);
+    let (mut images, mut labels) = (Vec::new(), Vec::new());
+    for view in scene.split(Split::Test) {
+        let View { camera, truth, .. } = view;
+        let rendered = render(&ply.gaussians, camera, &settings, config.raster.background)?;
+        images.push(ImageScores::of(&rendered.rgb, &view.rgb(), camera.width, camera.height));
+        if let (Some(truth), Some(stored)) = (truth, stored) {
+            let projected = Projected::new(&ply.gaussians.splats(), camera, &settings)?;
+            let found = match stored {
+                Stored::Identities(identities) => label_map(&projected, identities, classes, coverage),
+                Stored::Labels(ids) => hard_label_map(&projected, ids, coverage),
+            };
+            labels.push((truth, found));
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok((ImageScores::mean(&images), labels))
+}

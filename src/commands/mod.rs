@@ -1,0 +1,88 @@
+//! Subcommands: each parses its arguments, calls the library, and says what came out.
+
+mod eval;
+mod progress;
+mod render;
+mod run_folder;
+pub mod terminal;
+mod train;
+mod vote;
+
+use clap::{Args, Parser, Subcommand};
+use coseg::config::Config;
+use coseg::error::Result;
+use std::path::PathBuf;
+
+/// Segmented 3D Gaussian scenes from posed photos and noisy 2D label maps.
+#[derive(Debug, Parser)]
+#[command(name = "coseg", version, propagate_version = true, after_help = EXAMPLES)]
+pub struct Cli {
+    /// Say more about what is going on
+    #[arg(long, short, global = true)]
+    pub verbose: bool,
+    /// What to do
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  coseg train                                  the built-in room, both stages, into runs/builtin
+  coseg train --data scenes/living --out runs/living
+  coseg train --resume runs/living             go on where a run was stopped
+  coseg eval runs/living                       its scores on the held-out views
+  coseg render --scene runs/living/scene.ply --cameras scenes/living/transforms.json --out pictures --labels
+  coseg vote --scene scene.ply --data scenes/living --out runs/voted
+
+Exit code: 0 done, 1 an error that names what to mend, 2 a mistake on the command line.";
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Turn photos and raw label maps into a segmented Gaussian scene
+    Train(train::TrainArgs),
+    /// Score a run on held-out views
+    Eval(eval::EvalArgs),
+    /// Render a scene in colour and labels
+    Render(render::RenderArgs),
+    /// Label the Gaussians of a scene by a vote of raw label maps, without training
+    Vote(vote::VoteArgs),
+}
+
+impl Command {
+    /// Runs the command.
+    pub fn run(self) -> Result<()> {
+        match self {
+            Self::Train(args) => args.run(),
+            Self::Eval(args) => args.run(),
+            Self::Render(args) => args.run(),
+            Self::Vote(args) => args.run(),
+        }
+    }
+}
+
+/// Settings as several commands take them.
+#[derive(Args, Debug)]
+pub struct Settings {
+    /// Settings file (TOML); see configs/ for examples
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Override one setting, for instance segmentation.pi_rl=0.97; may be repeated
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub sets: Vec<String>,
+}
+
+impl Settings {
+    /// The checked settings, with `--data` and `--seed` as the last words.
+    pub fn load(&self, data: Option<&PathBuf>, seed: Option<u64>) -> Result<Config> {
+        let mut config = Config::load(self.config.as_deref(), &self.sets)?;
+        if let Some(dir) = data {
+            config.data.dir = Some(dir.clone());
+        }
+        if let Some(seed) = seed {
+            config.seed = seed;
+        }
+        config.validate()?;
+        Ok(config)
+    }
+}

@@ -1,0 +1,148 @@
+//! `coseg render`: pictures of a PLY scene.
+
+use super::terminal;
+use clap::{Args, ValueEnum};
+use coseg::camera::Camera;
+use coseg::data::transforms::{NamedCamera, load_cameras};
+use coseg::data::{LabelMap, Limits, Split, atomic};
+use coseg::error::{Error, Result};
+use coseg::gaussians::ply::{self, PlyScene};
+use coseg::objects::hard_label_map;
+use coseg::raster::{Projected, Settings, render};
+use coseg::report::pictures;
+use std::path::{Path, PathBuf};
+
+/// Pixels covered less than this have label 0.
+const MIN_COVERAGE: f32 = 0.5;
+
+/// Arguments of `coseg render`.
+///
+/// For each frame, STEM being the frame's file name without extension:
+///   npy  STEM.rgb.npy ([H, W, 3] float32, not clamped), STEM.alpha.npy ([H, W] float32, 1 - transmittance)
+///   png  STEM.rgb.png (8 bits a channel), STEM.alpha.png (8-bit grey)
+/// and with --labels STEM.label.png: the id with the largest blended weight, 8-bit grey or 16-bit where ids exceed
+/// 255, 0 where the scene covers less than half of the pixel.
+#[derive(Args, Debug)]
+#[command(verbatim_doc_comment)]
+pub struct RenderArgs {
+    /// Scene in the 3DGS PLY convention; its `label` column is needed for --labels
+    #[arg(long, value_name = "FILE.ply")]
+    scene: PathBuf,
+    /// Cameras: a transforms.json with w and h (OpenGL camera-to-world)
+    #[arg(long, value_name = "FILE.json")]
+    cameras: PathBuf,
+    /// Folder to write to; made if absent
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Kind of files
+    #[arg(long, value_enum, default_value_t = Format::Png)]
+    format: Format,
+    /// Only the frames of this split
+    #[arg(long, value_enum)]
+    split: Option<SplitArg>,
+    /// Render the labels too
+    #[arg(long)]
+    labels: bool,
+    /// Colour behind the scene, each 0 to 1
+    #[arg(long, value_name = "R,G,B", default_value = "0,0,0", value_parser = parse_color)]
+    background: [f32; 3],
+    /// Cap of the opacity of one splat at a pixel, above 0, at most 1; 0.99 matches gsplat and graphdeco
+    #[arg(long, value_name = "X")]
+    alpha_max: Option<f64>,
+}
+
+/// Kinds of image files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// 8-bit images for people
+    Png,
+    /// float32 arrays for programs
+    Npy,
+}
+
+/// A split, or all frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum SplitArg {
+    Train,
+    Test,
+    All,
+}
+
+/// `r,g,b` in 0..1.
+fn parse_color(text: &str) -> std::result::Result<[f32; 3], String> {
+    let values: Vec<f32> = text.split(',').filter_map(|v| v.trim().parse().ok()).collect();
+    match <[f32; 3]>::try_from(values) {
+        Ok(color) if text.split(',').count() == 3 && color.iter().all(|v| (0.0..=1.0).contains(v)) => Ok(color),
+        _ => Err("expected three numbers from 0 to 1 with commas between, for instance 1,1,1".into()),
+    }
+}
+
+impl RenderArgs {
+    /// Renders every frame.
+    pub fn run(self) -> Result<()> {
+        let mut settings = Settings::default();
+        settings.alpha_max = self.alpha_max.unwrap_or(settings.alpha_max);
+        if !(settings.alpha_max > 0.0 && settings.alpha_max <= 1.0) {
+            let mend = "0.999 is the default";
+            return Err(Error::config("--alpha-max", settings.alpha_max.to_string(), "above 0, at most 1", mend));
+        }
+        let split = match self.split {
+            Some(SplitArg::Train) => Some(Split::Train),
+            Some(SplitArg::Test) => Some(Split::Test),
+            Some(SplitArg::All) | None => None,
+        };
+        let cameras = load_cameras(&self.cameras, split)?;
+        let scene = ply::read(&self.scene, &Limits::default())?;
+        if self.labels && scene.labels.is_none() {
+            let mend = "leave --labels out, or give the scene labels with `coseg vote` or `coseg train`";
+            return Err(Error::input(&self.scene, "column label", "nothing", "one label a Gaussian", mend));
+        }
+        let bar = terminal::bar("render", cameras.len() as u64);
+        for frame in &cameras {
+            self.frame(&scene, frame, &settings)?;
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        terminal::say(&format!("{} frames in {}", cameras.len(), self.out.display()));
+        Ok(())
+    }
+
+    fn frame(&self, scene: &PlyScene, frame: &NamedCamera, settings: &Settings) -> Result<()> {
+        let camera = Camera { center: frame.camera.center - scene.origin, ..frame.camera.clone() };
+        let file = |kind: &str| self.out.join(format!("{}.{kind}", frame.name));
+        let rendered = render(&scene.gaussians, &camera, settings, self.background)?;
+        let alpha: Vec<f32> = rendered.transmittance.iter().map(|t| 1.0 - t).collect();
+        let (width, height) = (camera.width, camera.height);
+        match self.format {
+            Format::Npy => {
+                write_npy(&file("rgb.npy"), &[height, width, 3], &rendered.rgb)?;
+                write_npy(&file("alpha.npy"), &[height, width], &alpha)?;
+            }
+            Format::Png => {
+                let path = file("rgb.png");
+                let rgb = pictures::from_floats(&rendered.rgb, width, height)?;
+                atomic::write_bytes(&path, &pictures::png(&rgb, &path)?)?;
+                let ids = alpha.iter().map(|a| (a.clamp(0.0, 1.0) * 255.0).round() as u16).collect();
+                LabelMap { width, height, ids }.write(&file("alpha.png"))?;
+            }
+        }
+        match &scene.labels {
+            Some(labels) if self.labels => {
+                let projected = Projected::new(&scene.gaussians.splats(), &camera, settings)?;
+                hard_label_map(&projected, labels, MIN_COVERAGE).write(&file("label.png"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Writes a little-endian float32 array in C order.
+fn write_npy(path: &Path, shape: &[usize], values: &[f32]) -> Result<()> {
+    use npyz::WriterBuilder;
+    let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
+    atomic::write(path, |out| {
+        let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(out).begin_nd()?;
+        writer.extend(values.iter())?;
+        writer.finish()
+    })
+}

@@ -1,0 +1,90 @@
+//! What lies where in a run folder.
+
+use coseg::config::Config;
+use coseg::data::Classes;
+use coseg::error::{Error, Result};
+use std::path::{Path, PathBuf};
+
+/// A run folder.
+#[derive(Clone, Debug)]
+pub struct RunFolder(PathBuf);
+
+impl RunFolder {
+    /// An existing run.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when `dir` holds no `config.toml`.
+    pub fn existing(dir: &Path) -> Result<Self> {
+        let run = Self(dir.to_owned());
+        if !run.config_path().is_file() {
+            let mend = "give the folder that `coseg train` wrote";
+            return Err(Error::input(dir, "config.toml", "no such file", "a run folder", mend));
+        }
+        Ok(run)
+    }
+
+    /// A place for a new run: `dir`, or `runs/NAME` with a number behind it when that is taken.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when `dir` already holds a run.
+    pub fn new(dir: Option<&Path>, name: &str) -> Result<Self> {
+        let Some(dir) = dir else {
+            let base = Path::new("runs");
+            let numbered = (2..).map(|i| base.join(format!("{name}-{i}")));
+            let free = std::iter::once(base.join(name)).chain(numbered).map(Self).find(|run| !run.is_used());
+            return Ok(free.unwrap_or_else(|| Self(base.join(name))));
+        };
+        let run = Self(dir.to_owned());
+        if run.is_used() {
+            let mend = format!("go on with it (--resume {}) or choose another folder", dir.display());
+            return Err(Error::input(dir, "config.toml", "a run", "no run there yet", mend));
+        }
+        Ok(run)
+    }
+
+    fn is_used(&self) -> bool {
+        self.config_path().exists()
+    }
+
+    /// The folder itself.
+    pub fn path(&self) -> &Path {
+        &self.0
+    }
+
+    /// Settings as run.
+    pub fn config_path(&self) -> PathBuf {
+        self.0.join("config.toml")
+    }
+
+    /// The scene.
+    pub fn scene_path(&self) -> PathBuf {
+        self.0.join("scene.ply")
+    }
+
+    /// Scores of each Gaussian for each class.
+    pub fn identities_path(&self) -> PathBuf {
+        self.0.join("identities.safetensors")
+    }
+
+    /// The page.
+    pub fn report_path(&self) -> PathBuf {
+        self.0.join("report.html")
+    }
+
+    /// Settings as run, with overrides.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn config(&self, sets: &[String]) -> Result<Config> {
+        Config::load(Some(&self.config_path()), sets)
+    }
+
+    /// The class table; empty for runs without labels.
+    ///
+    /// # Errors
+    /// As [`Classes::read`].
+    pub fn classes(&self) -> Result<Classes> {
+        let path = self.0.join("classes.json");
+        if path.is_file() { Classes::read(&path) } else { Ok(Classes::default()) }
+    }
+}

@@ -1,0 +1,99 @@
+//! What a person sees: lines, warnings, errors, and a bar while something runs.
+
+use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::{self, IsTerminal, Write};
+use std::sync::LazyLock;
+
+/// All bars, so that a line printed meanwhile goes above them.
+static BARS: LazyLock<MultiProgress> =
+    LazyLock::new(|| MultiProgress::with_draw_target(ProgressDrawTarget::stderr_with_hz(4)));
+
+/// One line of result on standard output. A closed pipe ends the output, not the work.
+pub fn say(line: &str) {
+    BARS.suspend(|| {
+        let _ = writeln!(io::stdout(), "{line}");
+    });
+}
+
+/// One line of progress on standard error.
+pub fn note(line: &str) {
+    BARS.suspend(|| {
+        let _ = writeln!(io::stderr(), "{line}");
+    });
+}
+
+/// An error, with whatever caused it.
+pub fn error(error: &coseg::Error) {
+    note(&format!("error: {error}"));
+}
+
+/// A panic is a fault of this program: say so in one place, without a trace unless asked for.
+pub fn report_panics() {
+    let trace = std::env::var_os("RUST_BACKTRACE").is_some_and(|v| v != "0");
+    let default = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |info| {
+        let payload = info.payload();
+        let text = payload.downcast_ref::<&str>().copied().or_else(|| payload.downcast_ref::<String>().map(|s| &**s));
+        let place = info.location().map_or(String::new(), |l| format!(" at {}:{}", l.file(), l.line()));
+        note(&format!(
+            "error: coseg {} met a fault of its own{place}: {}\n\
+             This is a bug. Please report it with the command line; checkpoints and results written before are intact.",
+            env!("CARGO_PKG_VERSION"),
+            text.unwrap_or("no message"),
+        ));
+        if trace {
+            default(info);
+        }
+    }));
+}
+
+/// Shows the library's warnings, and with `verbose` what it is doing, above the bars.
+pub fn show_warnings(verbose: bool) {
+    let level = if verbose { tracing::Level::INFO } else { tracing::Level::WARN };
+    let color = io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    tracing_subscriber::fmt()
+        .with_max_level(level)
+        .with_target(false)
+        .without_time()
+        .with_ansi(color)
+        .with_writer(|| AboveBars(Vec::new()))
+        .init();
+}
+
+/// Collects one message and writes it above the bars.
+struct AboveBars(Vec<u8>);
+
+impl Write for AboveBars {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Drop for AboveBars {
+    fn drop(&mut self) {
+        BARS.suspend(|| {
+            let _ = io::stderr().write_all(&self.0);
+        });
+    }
+}
+
+/// Whether bars can be drawn.
+pub fn draws_bars() -> bool {
+    io::stderr().is_terminal()
+}
+
+/// A bar over `steps` named `name`; hidden when standard error is no terminal.
+pub fn bar(name: &str, steps: u64) -> ProgressBar {
+    let bar = BARS.add(ProgressBar::new(steps));
+    let template = "{prefix:>14} {bar:28} {pos}/{len} {elapsed_precise} left {eta_precise} {msg}";
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style.progress_chars("━╸─"));
+    }
+    bar.set_prefix(name.to_owned());
+    bar
+}

@@ -1,0 +1,126 @@
+//! `coseg train`: the main job.
+
+use super::progress::Bars;
+use super::run_folder::RunFolder;
+use super::{Settings, terminal};
+use clap::Args;
+use coseg::config::{Config, Row};
+use coseg::data::atomic;
+use coseg::device::{self, BackendName};
+use coseg::error::Result;
+use coseg::gaussians::ply;
+use coseg::report::{History, Metrics, Report, held_out_views};
+use coseg::train::{self, Outcome};
+use std::path::PathBuf;
+
+/// Arguments of `coseg train`.
+///
+/// Stage one builds Gaussians from the photos, stage two learns what each of them belongs to from raw label maps. The
+/// run folder holds scene.ply (3DGS convention, with a label column), report.html, metrics.json, classes.json,
+/// config.toml (all settings as run), renders/ of the held-out views, and checkpoints.
+#[derive(Args, Debug)]
+pub struct TrainArgs {
+    /// Scene folder: transforms.json, photos, label maps [default: the built-in room]
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Run folder to write [default: runs/NAME of the scene, numbered when taken]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Go on with this run from its last checkpoint, exactly as if it had not stopped
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["data", "out", "seed", "config"])]
+    resume: Option<PathBuf>,
+    /// Where to compute: wgpu, flex or ndarray [default: the first of these in this build]
+    #[arg(long, value_name = "NAME")]
+    backend: Option<BackendName>,
+    /// Seed of every random choice [default: 0]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    #[command(flatten)]
+    settings: Settings,
+}
+
+impl TrainArgs {
+    /// Trains, or goes on training, and writes the run folder.
+    pub fn run(self) -> Result<()> {
+        let (run, config) = match &self.resume {
+            Some(dir) => {
+                let run = RunFolder::existing(dir)?;
+                let config = run.config(&self.settings.sets)?;
+                (run, config)
+            }
+            None => {
+                let config = self.settings.load(self.data.as_ref(), self.seed)?;
+                (RunFolder::new(self.out.as_deref(), &scene_name(&config))?, config)
+            }
+        };
+        let device = device::open(self.backend)?;
+        atomic::write_bytes(run.config_path(), config.to_toml()?.as_bytes())?;
+        let backend = self.backend.or_else(|| BackendName::compiled().first().copied());
+        let backend = backend.map_or_else(|| "no".to_owned(), |name| name.to_string());
+        let device_text = format!("{backend} backend, {} threads", rayon::current_num_threads());
+        terminal::note(&format!("{} -> {} ({device_text})", scene_name(&config), run.path().display()));
+
+        let outcome = train::run(&config, run.path(), &device, &mut Bars::default())?;
+        let labels = outcome.stored().map(|(_, identities)| identities);
+        let ids = labels.map(|identities| identities.ids(&outcome.scene.classes));
+        ply::write(&run.scene_path(), &outcome.gaussians, outcome.scene.origin, ids.as_deref())?;
+        if let Some(identities) = labels {
+            identities.write(&run.identities_path())?;
+        }
+        let history = History::of(&outcome);
+        let report = Report {
+            metrics: Metrics::of(&outcome),
+            classes: &outcome.scene.classes,
+            config: &config,
+            command: command_line(),
+            device: device_text,
+            history: &history,
+            views: held_out_views(&outcome, &config)?,
+            notes: Report::notes_of(&outcome, &config),
+        };
+        report.write(run.path())?;
+        summary(&outcome);
+        terminal::say(&format!("report: {}", run.report_path().display()));
+        Ok(())
+    }
+}
+
+/// Name of the scene, for the run folder.
+fn scene_name(config: &Config) -> String {
+    let dir = config.data.dir.as_deref().map(|dir| dir.canonicalize().unwrap_or_else(|_| dir.to_owned()));
+    let name = dir.as_deref().and_then(|dir| dir.file_name()).map(|name| name.to_string_lossy().into_owned());
+    name.unwrap_or_else(|| if config.data.dir.is_some() { "scene".into() } else { "builtin".into() })
+}
+
+/// This command line, quoted where a shell would need it.
+fn command_line() -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=,:+".contains(c);
+    let quoted = |arg: String| if arg.chars().all(plain) { arg } else { format!("'{}'", arg.replace('\'', "'\\''")) };
+    std::iter::once("coseg".to_owned()).chain(std::env::args().skip(1).map(quoted)).collect::<Vec<_>>().join(" ")
+}
+
+/// The headline figures, for those who do not open the page.
+fn summary(outcome: &Outcome) {
+    if let (Some(psnr), Some(ssim)) = (outcome.test.psnr, outcome.test.ssim) {
+        terminal::say(&format!(
+            "held-out PSNR {psnr:.2} dB, SSIM {ssim:.4}, {} Gaussians, {:.0} s",
+            outcome.gaussians.len(),
+            outcome.seconds.total
+        ));
+    }
+    if outcome.rows.is_empty() {
+        return;
+    }
+    terminal::say(&format!("{:<28} {:>8} {:>9} {:>9}", "row", "mIoU", "per view", "accuracy"));
+    let cell = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |v| format!("{v:.4}"));
+    for row in &outcome.rows {
+        let name = if row.row == Row::Ours { "ours" } else { row.row.title() };
+        let s = &row.scores;
+        terminal::say(&format!(
+            "{name:<28} {:>8} {:>9} {:>9}",
+            cell(s.miou),
+            cell(s.miou_per_view),
+            cell(s.accuracy)
+        ));
+    }
+}

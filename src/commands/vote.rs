@@ -1,0 +1,74 @@
+//! `coseg vote`: labels for a scene that exists already.
+
+use super::{Settings, terminal};
+use clap::Args;
+use coseg::data::transforms::{self, LoadOptions};
+use coseg::data::{Limits, Split};
+use coseg::error::{Error, Result};
+use coseg::gaussians::ply;
+use coseg::metrics::{Void, label_scores};
+use coseg::objects::{label_map, vote};
+use coseg::raster::{self, Projected};
+use std::path::PathBuf;
+
+/// Arguments of `coseg vote`.
+///
+/// Each Gaussian takes the class with the largest summed alpha' T over the raw labels of the training views. Writes
+/// scene.ply with a label column and classes.json; with true labels of test views it also says the score.
+#[derive(Args, Debug)]
+pub struct VoteArgs {
+    /// Scene in the 3DGS PLY convention
+    #[arg(long, value_name = "FILE.ply")]
+    scene: PathBuf,
+    /// Scene folder with transforms.json, photos and raw labels
+    #[arg(long, value_name = "DIR")]
+    data: PathBuf,
+    /// Folder to write to; made if absent
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    #[command(flatten)]
+    settings: Settings,
+}
+
+impl VoteArgs {
+    /// Votes, writes and scores.
+    pub fn run(self) -> Result<()> {
+        let config = self.settings.load(Some(&self.data), None)?;
+        let raster = raster::Settings::from(&config.raster);
+        let mut scene = transforms::load(&self.data, &LoadOptions::from(&config.data))?;
+        if !scene.split(Split::Train).any(|v| v.raw.is_some()) {
+            let mend = "add raw_label_path to the frames, or name a folder with --set data.raw_labels=FOLDER";
+            let path = self.data.join(&config.data.transforms);
+            return Err(Error::input(path, "raw_label_path", "nothing", "raw labels of training views", mend));
+        }
+        let ply = ply::read(&self.scene, &Limits::default())?;
+        for view in &mut scene.views {
+            view.camera.center += scene.origin - ply.origin;
+        }
+        let votes = vote(&ply.gaussians, scene.split(Split::Train), &scene.classes, &raster)?;
+        let identities = votes.identities();
+        let ids = identities.ids(&scene.classes);
+        let path = self.out.join("scene.ply");
+        ply::write(&path, &ply.gaussians, ply.origin, Some(&ids))?;
+        scene.classes.write(&self.out.join("classes.json"))?;
+        let unseen = ids.iter().filter(|&&id| id == scene.classes.ignore).count();
+        terminal::say(&format!("{}: {} Gaussians labelled, {unseen} without a vote", path.display(), ids.len() - unseen));
+
+        let coverage = config.segmentation.min_coverage as f32;
+        let mut scored = Vec::new();
+        for view in scene.split(Split::Test) {
+            let Some(truth) = &view.truth else { continue };
+            let projected = Projected::new(&ply.gaussians.splats(), &view.camera, &raster)?;
+            scored.push((truth, label_map(&projected, &identities, &scene.classes, coverage)));
+        }
+        let pairs = scored.iter().map(|(truth, found)| (&truth.ids[..], &found.ids[..]));
+        let scores = label_scores(&scene.classes, pairs, Void::Wrong);
+        if let (Some(miou), Some(per_view), Some(accuracy)) = (scores.miou, scores.miou_per_view, scores.accuracy) {
+            terminal::say(&format!(
+                "{} held-out views: mIoU {miou:.4} pooled, {per_view:.4} per view, accuracy {accuracy:.4}",
+                scored.len()
+            ));
+        }
+        Ok(())
+    }
+}

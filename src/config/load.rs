@@ -1,0 +1,286 @@
+//! From files and `--set` overrides to a checked [`Config`], and back to TOML.
+
+use super::{Config, Preset};
+use crate::error::{Error, Result};
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+
+/// Where a value was given; decides what an error names.
+#[derive(Clone, Copy)]
+enum Origin<'a> {
+    /// A config file, with its text for line numbers.
+    File(&'a Path, &'a str),
+    /// `--set`.
+    Set,
+}
+
+/// One value somebody gave.
+struct Given<'a> {
+    key: String,
+    value: Value,
+    origin: Origin<'a>,
+}
+
+impl Config {
+    /// Reads the settings of a run: the preset first, then `file`, then each `section.key=value` of `sets`.
+    ///
+    /// The values of `sets` are TOML; text needs no quotes, lists of names may be written `a,b,c`, and an empty value
+    /// takes an optional path away. Relative paths are meant from the working folder.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be read; [`Error::Input`] for a fault in the file (syntax, unknown key, wrong
+    /// type, value out of range), naming line and key; [`Error::Config`] for the same in `sets`.
+    pub fn load(file: Option<&Path>, sets: &[String]) -> Result<Self> {
+        let template = template()?;
+        let text = match file {
+            Some(path) => std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?,
+            None => String::new(),
+        };
+        let mut given = Vec::new();
+        if let Some(path) = file {
+            let table = text.parse::<Table>().map_err(|e| syntax_error(path, &text, &e))?;
+            flatten(table, "", &template, Origin::File(path, &text), &mut given)?;
+        }
+        for set in sets {
+            given.push(parse_set(set, &template)?);
+        }
+        let mut config = Self::preset(chosen_preset(&given)?);
+        for one in &given {
+            config = apply(&config, one)?;
+        }
+        config.validate().map_err(|error| in_file(error, &given))?;
+        Ok(config)
+    }
+
+    /// This config as TOML; [`Config::load`] of it gives the same config.
+    ///
+    /// # Errors
+    /// [`Error::Config`] when a value has no TOML form (a seed beyond 2^63 - 1).
+    pub fn to_toml(&self) -> Result<String> {
+        toml::to_string(self).map_err(|e| unrepresentable(&e))
+    }
+}
+
+fn unrepresentable(error: &toml::ser::Error) -> Error {
+    Error::config("(all)", error.to_string(), "settings that TOML can hold", "check seed and paths")
+}
+
+/// Every key there is, optional ones included, with a value of its type.
+fn template() -> Result<Table> {
+    let mut full = Config::default();
+    let path = || Some(PathBuf::from("path"));
+    full.data.dir = path();
+    full.features.weights = path();
+    full.features.import_dir = path();
+    full.features.cache_dir = path();
+    full.spatial.weights = path();
+    Table::try_from(&full).map_err(|e| unrepresentable(&e))
+}
+
+/// The template's value at a dotted key.
+fn lookup<'t>(template: &'t Table, key: &str) -> Option<&'t Value> {
+    let mut parts = key.split('.');
+    let first = template.get(parts.next()?)?;
+    parts.try_fold(first, |value, part| value.as_table()?.get(part))
+}
+
+/// All dotted keys that hold values.
+fn leaf_keys(table: &Table, prefix: &str) -> Vec<String> {
+    let mut keys = Vec::new();
+    for (name, value) in table {
+        match value {
+            Value::Table(inner) => keys.extend(leaf_keys(inner, &format!("{prefix}{name}."))),
+            _ => keys.push(format!("{prefix}{name}")),
+        }
+    }
+    keys
+}
+
+/// The table's values in dotted form; unknown keys are errors.
+fn flatten<'a>(
+    table: Table,
+    prefix: &str,
+    template: &Table,
+    origin: Origin<'a>,
+    out: &mut Vec<Given<'a>>,
+) -> Result<()> {
+    for (name, value) in table {
+        let key = format!("{prefix}{name}");
+        match (lookup(template, &key), value) {
+            (None, _) => return Err(unknown_key(&key, template, origin)),
+            (Some(Value::Table(_)), Value::Table(inner)) => {
+                flatten(inner, &format!("{key}."), template, origin, out)?;
+            }
+            (Some(Value::Table(_)), other) => {
+                let found = describe(&other);
+                return Err(fault(
+                    origin,
+                    &key,
+                    found,
+                    "a section".into(),
+                    format!("write [{key}] on a line of its own"),
+                ));
+            }
+            (Some(_), value) => out.push(Given { key, value, origin }),
+        }
+    }
+    Ok(())
+}
+
+fn parse_set<'a>(set: &str, template: &Table) -> Result<Given<'a>> {
+    let Some((key, text)) = set.split_once('=') else {
+        return Err(Error::config("--set", set, "section.key=value", "for instance --set building.iterations=3000"));
+    };
+    let (key, text) = (key.trim().to_owned(), text.trim());
+    let expected = match lookup(template, &key) {
+        None => return Err(unknown_key(&key, template, Origin::Set)),
+        Some(Value::Table(section)) => {
+            let keys = leaf_keys(section, &format!("{key}."));
+            let mend = format!("for instance --set {}=...", keys.first().unwrap_or(&key));
+            return Err(Error::config(&key, "a section", "a key within it", mend));
+        }
+        Some(expected) => expected,
+    };
+    let parsed = format!("v = {text}").parse::<Table>().ok().and_then(|mut t| t.remove("v"));
+    let value = match (expected, parsed) {
+        (Value::String(_), Some(Value::String(text))) => Value::String(text),
+        (Value::String(_), _) => Value::String(text.to_owned()),
+        (Value::Array(_), None) => {
+            let list = text.trim_start_matches('[').trim_end_matches(']');
+            Value::Array(list.split(',').filter(|s| !s.trim().is_empty()).map(scalar).collect())
+        }
+        (_, Some(value)) => value,
+        (_, None) => Value::String(text.to_owned()),
+    };
+    Ok(Given { key, value, origin: Origin::Set })
+}
+
+/// A list item of `--set key=a,b,c`: a number where it reads as one, else text.
+fn scalar(text: &str) -> Value {
+    let text = text.trim();
+    text.parse().map(Value::Integer).or_else(|_| text.parse().map(Value::Float)).unwrap_or_else(|_| text.into())
+}
+
+/// The preset that applies: the last one given.
+fn chosen_preset(given: &[Given<'_>]) -> Result<Preset> {
+    let Some(last) = given.iter().rfind(|g| g.key == "preset") else { return Ok(Preset::Default) };
+    last.value.clone().try_into().map_err(|e: toml::de::Error| wrong_value(last, e.message()))
+}
+
+/// `config` with one value replaced. One at a time, so that an error belongs to one key.
+fn apply(config: &Config, given: &Given<'_>) -> Result<Config> {
+    let mut table = Table::try_from(config).map_err(|e| unrepresentable(&e))?;
+    let mut section = &mut table;
+    let mut name = given.key.as_str();
+    while let Some((first, rest)) = name.split_once('.') {
+        let Some(inner) = section.get_mut(first).and_then(Value::as_table_mut) else {
+            return Err(wrong_value(given, "not a section"));
+        };
+        (section, name) = (inner, rest);
+    }
+    let optional = !section.contains_key(name);
+    if given.value.as_str() == Some("") && (optional || is_optional(&given.key)) {
+        section.remove(name);
+    } else {
+        section.insert(name.to_owned(), given.value.clone());
+    }
+    table.try_into().map_err(|e: toml::de::Error| wrong_value(given, e.message()))
+}
+
+/// Whether a key may be absent from a written config.
+fn is_optional(key: &str) -> bool {
+    Table::try_from(Config::default()).is_ok_and(|table| lookup(&table, key).is_none())
+}
+
+fn wrong_value(given: &Given<'_>, message: &str) -> Error {
+    let expected = match template().ok().as_ref().and_then(|t| lookup(t, &given.key)) {
+        // An enumeration: serde lists what there is.
+        _ if message.starts_with("unknown variant") => {
+            message.split_once("expected ").map_or(message, |(_, list)| list).replace('`', "\"")
+        }
+        Some(Value::Integer(_)) => "a whole number of 0 or more".to_owned(),
+        Some(Value::Float(_)) => "a number".to_owned(),
+        Some(Value::String(_)) => "text".to_owned(),
+        Some(Value::Array(items)) => match items.first() {
+            Some(Value::String(_)) => "a list of names".to_owned(),
+            _ => format!("a list of {} numbers", items.len()),
+        },
+        _ => message.to_owned(),
+    };
+    fault(
+        given.origin,
+        &given.key,
+        describe(&given.value),
+        expected,
+        "write it as expected, or leave the key out".into(),
+    )
+}
+
+fn describe(value: &Value) -> String {
+    match value {
+        Value::Table(_) => "a section".to_owned(),
+        other => other.to_string(),
+    }
+}
+
+fn fault(origin: Origin<'_>, key: &str, found: String, expected: String, mend: String) -> Error {
+    match origin {
+        Origin::File(path, text) => Error::input(path, located(text, key), found, expected, mend),
+        Origin::Set => Error::config(key, found, expected, mend),
+    }
+}
+
+/// `line 12, building.iterations`, or the key alone when the line is not to be found.
+fn located(text: &str, key: &str) -> String {
+    match line_of(text, key) {
+        Some(line) => format!("line {line}, {key}"),
+        None => key.to_owned(),
+    }
+}
+
+/// Line on which a dotted key is given, from 1.
+fn line_of(text: &str, key: &str) -> Option<usize> {
+    let document = toml::de::DeTable::parse(text).ok()?;
+    let mut table = document.get_ref();
+    let mut name = key;
+    loop {
+        let (first, rest) = name.split_once('.').map_or((name, None), |(first, rest)| (first, Some(rest)));
+        let (found, value) = table.iter().find(|(k, _)| k.get_ref() == first)?;
+        match rest {
+            None => return Some(line_at(text, found.span().start)),
+            Some(rest) => (table, name) = (value.get_ref().as_table()?, rest),
+        }
+    }
+}
+
+fn line_at(text: &str, offset: usize) -> usize {
+    text.bytes().take(offset).filter(|&b| b == b'\n').count() + 1
+}
+
+fn syntax_error(path: &Path, text: &str, error: &toml::de::Error) -> Error {
+    let line = error.span().map_or(1, |span| line_at(text, span.start));
+    let found = text.lines().nth(line - 1).unwrap_or_default().trim().to_owned();
+    Error::input(path, format!("line {line}"), format!("`{found}`"), "TOML", error.message().replace('\n', ", "))
+}
+
+fn unknown_key(key: &str, template: &Table, origin: Origin<'_>) -> Error {
+    let mut keys = leaf_keys(template, "");
+    keys.extend(template.iter().filter(|(_, v)| v.is_table()).map(|(k, _)| k.clone()));
+    let last = |k: &str| k.rsplit('.').next().unwrap_or_default().to_owned();
+    // The whole key may be misspelt, or only its last part be right and the section be missing or wrong.
+    let score = |k: &String| strsim::jaro_winkler(k, key).max(strsim::jaro_winkler(&last(k), &last(key)) - 0.05);
+    let nearest = keys.iter().max_by(|a, b| score(a).total_cmp(&score(b)));
+    let mend = nearest.map_or_else(|| "remove it".to_owned(), |k| format!("did you mean {k}?"));
+    fault(origin, key, "an unknown key".into(), "a known key".into(), mend)
+}
+
+/// A range error as the file's fault, when the value came from the file.
+fn in_file(error: Error, given: &[Given<'_>]) -> Error {
+    match error {
+        Error::Config { key, found, expected, mend } => {
+            let origin = given.iter().rfind(|g| g.key == key).map_or(Origin::Set, |g| g.origin);
+            fault(origin, &key, found, expected, mend)
+        }
+        other => other,
+    }
+}

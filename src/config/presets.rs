@@ -1,0 +1,27 @@
+//! The named sets of defaults.
+
+use super::{Config, Encode, Normalisation, Preset, Resolution};
+
+impl Config {
+    /// All settings of a preset; a config file and `--set` override single keys of it.
+    pub fn preset(preset: Preset) -> Self {
+        let mut config = Self { preset, ..Self::default() };
+        match preset {
+            Preset::Default => {}
+            Preset::Paper => {
+                config.raster.alpha_max = 0.99;
+                config.building.iterations = 6_000;
+                config.unprojection.normalisation = Normalisation::Count;
+                config.unprojection.resolution = Resolution::Feature;
+                config.spatial.encode = Encode::View;
+                config.segmentation.iterations = 6_000;
+                config.segmentation.warmup = 0.0;
+            }
+            Preset::Fast => {
+                config.segmentation.pixel_share = 0.25;
+                config.segmentation.weight_cache_mb = 8_192;
+            }
+        }
+        config
+    }
+}

@@ -1,0 +1,164 @@
+//! Allowed ranges of every setting.
+
+use super::{Config, FeatureSource, SpatialSource};
+use crate::error::{Error, Result};
+
+/// Collects the checks of one config; the first failure wins.
+struct Check(Result<()>);
+
+impl Check {
+    fn that(&mut self, ok: bool, key: &str, found: impl std::fmt::Display, expected: &str, mend: &str) {
+        if self.0.is_ok() && !ok {
+            self.0 = Err(Error::config(key, found.to_string(), expected, mend));
+        }
+    }
+
+    fn positive(&mut self, key: &str, value: usize) {
+        self.that(value > 0, key, value, "a whole number above 0", "give at least 1");
+    }
+
+    /// Learning rates: above zero and finite.
+    fn rate(&mut self, key: &str, value: f64) {
+        let mend = "leave the key out for the default";
+        self.that(value > 0.0 && value.is_finite(), key, value, "a finite number above 0", mend);
+    }
+
+    /// Finite and not negative.
+    fn amount(&mut self, key: &str, value: f64) {
+        let mend = "leave the key out for the default";
+        self.that(value >= 0.0 && value.is_finite(), key, value, "a finite number of 0 or more", mend);
+    }
+
+    /// `low` to `high`, both allowed.
+    fn within(&mut self, key: &str, value: f64, low: f64, high: f64) {
+        let (expected, mend) = (format!("a number from {low} to {high}"), "leave the key out for the default");
+        self.that(value >= low && value <= high, key, value, &expected, mend);
+    }
+
+    /// Strictly between 0 and 1.
+    fn open_share(&mut self, key: &str, value: f64) {
+        let mend = "leave the key out for the default";
+        self.that(value > 0.0 && value < 1.0, key, value, "a number above 0 and below 1", mend);
+    }
+
+    /// Above 0, 1 allowed.
+    fn share(&mut self, key: &str, value: f64) {
+        let mend = "leave the key out for the default";
+        self.that(value > 0.0 && value <= 1.0, key, value, "a number above 0, at most 1", mend);
+    }
+}
+
+impl Config {
+    /// Checks that every value is in its allowed range and that values that need each other are there.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for the first value that is not.
+    pub fn validate(&self) -> Result<()> {
+        let mut check = Check(Ok(()));
+        let largest_seed = i64::MAX as u64;
+        check.that(self.seed <= largest_seed, "seed", self.seed, "at most 2^63 - 1", "choose a smaller seed");
+        self.validate_building(&mut check);
+        self.validate_raster(&mut check);
+        self.validate_features(&mut check);
+        self.validate_segmentation(&mut check);
+        check.0
+    }
+
+    fn validate_building(&self, check: &mut Check) {
+        let b = &self.building;
+        check.positive("building.iterations", b.iterations);
+        check.that(b.sh_degree <= 3, "building.sh_degree", b.sh_degree, "0, 1, 2 or 3", "3 is the usual choice");
+        check.within("building.ssim_weight", b.ssim_weight.into(), 0.0, 1.0);
+        for (key, rate) in [
+            ("building.lr_means", b.lr_means),
+            ("building.lr_means_final", b.lr_means_final),
+            ("building.lr_sh_dc", b.lr_sh_dc),
+            ("building.lr_sh_rest", b.lr_sh_rest),
+            ("building.lr_opacity", b.lr_opacity),
+            ("building.lr_scales", b.lr_scales),
+            ("building.lr_rotations", b.lr_rotations),
+        ] {
+            check.rate(key, rate);
+        }
+        check.positive("building.densify_every", b.densify_every);
+        check.within("building.densify_until", b.densify_until.into(), 0.0, 1.0);
+        check.amount("building.densify_threshold", b.densify_threshold.into());
+        check.amount("building.clone_below", b.clone_below.into());
+        check.within("building.prune_opacity", b.prune_opacity.into(), 0.0, 1.0);
+        check.rate("building.prune_scale", b.prune_scale.into());
+        check.positive("building.reset_every", b.reset_every);
+        check.positive("building.random_points", b.random_points);
+    }
+
+    fn validate_raster(&self, check: &mut Check) {
+        let r = &self.raster;
+        check.share("raster.alpha_max", r.alpha_max);
+        check.within("raster.alpha_min", r.alpha_min, 0.0, 1.0);
+        check.within("raster.t_min", r.t_min, 0.0, 1.0);
+        check.rate("raster.near", r.near);
+        check.amount("raster.low_pass", r.low_pass);
+        for channel in r.background {
+            check.within("raster.background", channel.into(), 0.0, 1.0);
+        }
+    }
+
+    fn validate_features(&self, check: &mut Check) {
+        let f = &self.features;
+        check.positive("features.dimensions", f.dimensions);
+        let needs_weights = f.source == FeatureSource::Mobilenetv2 && f.weights.is_none();
+        let expected = "a path to MobileNetV2 weights, because features.source = \"mobilenetv2\"";
+        check.that(
+            !needs_weights,
+            "features.weights",
+            "nothing",
+            expected,
+            "give it, or set features.source = \"auto\"",
+        );
+        let needs_maps = f.source == FeatureSource::Import && f.import_dir.is_none();
+        let expected = "a folder of feature maps, because features.source = \"import\"";
+        check.that(
+            !needs_maps,
+            "features.import_dir",
+            "nothing",
+            expected,
+            "give it, or set features.source = \"auto\"",
+        );
+        check.within("unprojection.attendance", self.unprojection.attendance, 0.0, 1.0);
+        let s = &self.spatial;
+        check.amount("spatial.scale", s.scale);
+        let needs_weights = s.source == SpatialSource::Pretrained && s.weights.is_none();
+        let expected = "a path to RandLA-Net weights, because spatial.source = \"pretrained\"";
+        check.that(
+            !needs_weights,
+            "spatial.weights",
+            "nothing",
+            expected,
+            "give it, or set spatial.source = \"builtin\"",
+        );
+    }
+
+    fn validate_segmentation(&self, check: &mut Check) {
+        let s = &self.segmentation;
+        check.positive("segmentation.iterations", s.iterations);
+        for (i, row) in s.rows.iter().enumerate() {
+            let twice = s.rows[..i].contains(row);
+            check.that(
+                !twice,
+                "segmentation.rows",
+                format!("{row} twice"),
+                "each row once",
+                "leave the second one out",
+            );
+        }
+        check.rate("segmentation.lr", s.lr);
+        check.rate("segmentation.lr_per_gaussian", s.lr_per_gaussian);
+        check.open_share("segmentation.pi_rl", s.pi_rl);
+        check.amount("segmentation.lambda_pix", s.lambda_pix);
+        check.amount("segmentation.lambda_reg", s.lambda_reg);
+        check.within("segmentation.warmup", s.warmup, 0.0, 1.0);
+        check.within("segmentation.min_coverage", s.min_coverage, 0.0, 1.0);
+        check.share("segmentation.pixel_share", s.pixel_share);
+        check.positive("segmentation.reg_samples", s.reg_samples);
+        check.positive("segmentation.reg_neighbours", s.reg_neighbours);
+    }
+}

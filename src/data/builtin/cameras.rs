@@ -1,0 +1,110 @@
+//! Where the photos of the built-in scene are taken.
+
+use super::room::{Purpose, Room, stream};
+use crate::camera::Camera;
+use crate::data::Split;
+use glam::{DMat3, DVec2, DVec3};
+use rand::Rng;
+use std::f64::consts::{PI, TAU};
+
+/// Distance every test camera keeps from every training camera, metres.
+pub const TEST_DISTANCE: f64 = 0.3;
+/// Free space around every camera, metres.
+const FREE: f64 = 0.22;
+
+/// A camera with its use and its place along the walk (0..1), by which runs of neighbouring views are defined.
+pub(super) struct Shot {
+    pub camera: Camera,
+    pub split: Split,
+    pub along: f64,
+}
+
+/// Training cameras along a walk of two rounds, an outer one that looks across the room and an inner one that looks
+/// about; test cameras between and beside them. Training views come first.
+pub(super) fn shots(room: &Room, (width, height): (usize, usize), train: usize, test: usize, seed: u64) -> Vec<Shot> {
+    let rng = &mut stream(seed, Purpose::Cameras);
+    let start: f64 = rng.random_range(0.0..TAU);
+    let mut shots: Vec<Shot> = Vec::with_capacity(train + test);
+    for i in 0..train {
+        let along = i as f64 / train as f64;
+        let (eye, target) = walk(room, start, along);
+        let camera = look(free_place(room, eye), target, width, height);
+        shots.push(Shot { camera, split: Split::Train, along });
+    }
+    for i in 0..test {
+        let along = (i as f64 + 0.5) / test as f64;
+        let (eye, target) = walk(room, start, along);
+        // Off the walk: drawn towards or away from the room's middle, higher or lower, looking elsewhere.
+        let mut best: Option<(f64, DVec3)> = None;
+        for _ in 0..60 {
+            let scale = rng.random_range(0.35..1.1);
+            let flat = DVec2::from_angle(rng.random_range(-0.35..0.35)).rotate(eye.truncate() * scale);
+            let at = free_place(room, flat.extend(rng.random_range(1.15..1.75)));
+            let near = shots.iter().filter(|s| s.split == Split::Train);
+            let distance = near.map(|s| s.camera.center.distance(at)).fold(f64::INFINITY, f64::min);
+            if best.is_none_or(|(d, _)| distance > d) {
+                best = Some((distance, at));
+            }
+            if distance > TEST_DISTANCE * 1.2 {
+                break;
+            }
+        }
+        let at = best.map_or(eye, |b| b.1);
+        let shift = DVec3::new(rng.random_range(-0.7..0.7), rng.random_range(-0.7..0.7), rng.random_range(-0.25..0.25));
+        shots.push(Shot { camera: look(at, target + shift, width, height), split: Split::Test, along });
+    }
+    shots
+}
+
+/// Place and target of the walk at `along` in 0..1.
+fn walk(room: &Room, start: f64, along: f64) -> (DVec3, DVec3) {
+    let reach = room.size.truncate() / 2.0;
+    let outer = along < 0.58;
+    let round = if outer { along / 0.58 } else { (along - 0.58) / 0.42 };
+    let angle = start + TAU * round;
+    let (ring, height) =
+        if outer { (0.74, 1.5 + 0.2 * (2.0 * angle).sin()) } else { (0.34, 1.35 + 0.15 * (3.0 * angle).sin()) };
+    let out = DVec2::from_angle(angle);
+    let eye = (out * reach * ring).extend(height);
+    // The outer round looks across, the inner one over its shoulder at the walls near by and far.
+    let turn = if outer { PI + 0.45 * (3.0 * angle).sin() } else { 2.0 * PI / 3.0 };
+    let far = DVec2::from_angle(angle + turn) * reach * if outer { 0.55 } else { 0.95 };
+    let target = far.extend(if outer { 0.85 } else { 1.05 } + 0.3 * (5.0 * angle).sin());
+    (eye, target)
+}
+
+/// Moves a place towards the room's middle line, in small steps, until nothing is too near.
+fn free_place(room: &Room, eye: DVec3) -> DVec3 {
+    let mut best = (room.clearance(eye), eye);
+    for step in 1..400 {
+        if best.0 > FREE {
+            break;
+        }
+        // A spiral around the wanted place finds the nearest free one.
+        let (r, a) = (0.02 * f64::from(step).sqrt() * 3.0, f64::from(step) * 2.399_963);
+        let at = eye + DVec3::new(r * a.cos(), r * a.sin(), 0.0);
+        let c = room.clearance(at);
+        if c > best.0 && (at.abs().truncate() - room.size.truncate() / 2.0).max_element() < -FREE {
+            best = (c, at);
+        }
+    }
+    best.1
+}
+
+/// A camera at `eye` that looks at `target`, upright; 66 degrees wide.
+fn look(eye: DVec3, target: DVec3, width: usize, height: usize) -> Camera {
+    let forward = (target - eye).normalize_or(DVec3::Y);
+    let right = forward.cross(DVec3::Z).normalize_or(DVec3::X);
+    let down = forward.cross(right);
+    let f = 0.77 * width as f64;
+    Camera {
+        rotation: DMat3::from_cols(right, down, forward).transpose(),
+        center: eye,
+        fx: f,
+        fy: f,
+        cx: width as f64 / 2.0,
+        cy: height as f64 / 2.0,
+        width,
+        height,
+    }
+}

@@ -1,0 +1,197 @@
+//! View-independent light: soft daylight from windows, lamps with shadows, and ambient occlusion, kept in light maps.
+
+use super::build::Light;
+use super::bvh::Bvh;
+use super::shapes::Solid;
+use glam::DVec3;
+use rayon::prelude::*;
+use std::f64::consts::PI;
+
+/// Reach of ambient occlusion, metres.
+const REACH: f64 = 1.5;
+/// Offset of shadow rays off their surface, metres.
+const LIFT: f64 = 2e-3;
+
+/// Solids, their tree and the lights: all that light depends on.
+#[derive(Clone, Debug)]
+pub(super) struct Lit<'a> {
+    pub solids: &'a [Solid],
+    pub bvh: &'a Bvh,
+    pub lights: &'a [Light],
+    /// Ambient rays a point, and samples along each side of a window.
+    pub quality: (usize, usize),
+}
+
+impl Lit<'_> {
+    /// Light arriving at room point `p` with unit normal `n` (linear, white is about 1), and the share of open
+    /// directions, which is 0 for points buried in furniture.
+    pub fn arriving(&self, p: DVec3, n: DVec3) -> (DVec3, f64) {
+        let o = p + n * LIFT;
+        let (open, ambient) = self.ambient(o, n);
+        if open <= 0.02 {
+            return (DVec3::ZERO, 0.0);
+        }
+        // A little more light from above, a little warmth from the floor.
+        let tint = DVec3::new(0.50, 0.50, 0.51).lerp(DVec3::new(0.44, 0.41, 0.37), 0.5 - 0.5 * n.z);
+        let direct: DVec3 = self.lights.iter().map(|l| self.direct(l, o, n)).sum();
+        (tint * ambient + direct, open)
+    }
+
+    /// Share of open directions and occlusion-weighted share, over fixed cosine-weighted rays.
+    fn ambient(&self, o: DVec3, n: DVec3) -> (f64, f64) {
+        let (t, b) = n.any_orthonormal_pair();
+        let count = self.quality.0;
+        let (mut open, mut sum) = (0.0, 0.0);
+        for i in 0..count {
+            // Vogel spiral, lifted to the hemisphere: the same rays for every point, so light maps stay smooth.
+            let (r2, angle) = ((i as f64 + 0.5) / count as f64, i as f64 * 2.399_963_229_728_653);
+            let r = r2.sqrt();
+            let d = t * (r * angle.cos()) + b * (r * angle.sin()) + n * (1.0 - r2).sqrt();
+            match self.bvh.first(self.solids, o, d, (0.0, REACH), |s| s.casts_shadow) {
+                Some(hit) => {
+                    let f = hit.t / REACH;
+                    open += f64::from(u8::from(hit.t > 0.02));
+                    sum += 0.18 + 0.82 * f.powf(0.6);
+                }
+                None => {
+                    open += 1.0;
+                    sum += 1.0;
+                }
+            }
+        }
+        (open / count as f64, sum / count as f64)
+    }
+
+    fn direct(&self, light: &Light, o: DVec3, n: DVec3) -> DVec3 {
+        match *light {
+            Light::Lamp { center, color } => {
+                // Too far or behind the surface to matter.
+                let to = center - o;
+                let d2 = to.length_squared();
+                if n.dot(to) < -0.1 || color.max_element() * n.dot(to).max(0.1) / (d2.sqrt() * (d2 + 0.25)) < 0.004 {
+                    return DVec3::ZERO;
+                }
+                let mut sum = 0.0;
+                for corner in [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]] {
+                    let to = center + DVec3::from(corner) * 0.06 - o;
+                    let d2 = to.length_squared();
+                    let cos = n.dot(to) / d2.sqrt();
+                    if cos > 0.0 && !self.bvh.blocked(self.solids, o, to, 0.0, 1.0) {
+                        sum += cos / (d2 + 0.25);
+                    }
+                }
+                color * (sum / 4.0)
+            }
+            Light::Pane { center, across, up, normal, color } => {
+                let k = self.quality.1;
+                let mut sum = 0.0;
+                for i in 0..k * k {
+                    let at = |j: usize| (2.0 * j as f64 + 1.0) / k as f64 - 1.0;
+                    let to = center + across * at(i % k) + up * at(i / k) - o;
+                    let d2 = to.length_squared().max(0.05);
+                    let (here, there) = (n.dot(to) / d2.sqrt(), -normal.dot(to) / d2.sqrt());
+                    if here > 0.0 && there > 0.0 && !self.bvh.blocked(self.solids, o, to, 0.0, 1.0) {
+                        sum += here * there / (PI * d2);
+                    }
+                }
+                let area = 4.0 * across.length() * up.length();
+                color * (sum * area / (k * k) as f64)
+            }
+        }
+    }
+}
+
+/// Light over the six sides of a solid's bounding cube, projected from its centre.
+#[derive(Clone, Debug)]
+pub(super) struct LightMap {
+    sides: [Side; 6],
+}
+
+#[derive(Clone, Debug)]
+struct Side {
+    columns: usize,
+    rows: usize,
+    texels: Vec<[f32; 3]>,
+}
+
+impl LightMap {
+    /// Bakes solid `index` with texels of about `texel` metres; `interior` is the room's size, points outside stay dark.
+    pub fn bake(lit: &Lit, index: usize, texel: f64, interior: DVec3) -> Self {
+        let solid = &lit.solids[index];
+        let sides = [0, 1, 2, 3, 4, 5].map(|side| {
+            let (axis, sign) = (side / 2, if side % 2 == 0 { -1.0 } else { 1.0 });
+            let (ua, va) = ((axis + 1) % 3, (axis + 2) % 3);
+            let cells = |half: f64| ((2.0 * half / texel).round() as usize).clamp(2, 160);
+            let (columns, rows) = (cells(solid.half[ua]), cells(solid.half[va]));
+            let raw: Vec<(DVec3, f64)> = (0..columns * rows)
+                .into_par_iter()
+                .map(|i| {
+                    let mut q = DVec3::ZERO;
+                    q[axis] = sign;
+                    q[ua] = (2 * (i % columns) + 1) as f64 / columns as f64 - 1.0;
+                    q[va] = (2 * (i / columns) + 1) as f64 / rows as f64 - 1.0;
+                    let o = q * solid.half * 2.0;
+                    let Some(entry) = solid.hit_local(o, -o) else {
+                        return (DVec3::ZERO, 0.0);
+                    };
+                    let p = solid.to_room(o - o * entry.t);
+                    let outside =
+                        (p.truncate().abs() - interior.truncate() / 2.0).max_element().max(p.z - interior.z).max(-p.z);
+                    if outside > 1e-6 {
+                        return (DVec3::ZERO, 0.0);
+                    }
+                    lit.arriving(p, solid.axes * entry.normal)
+                })
+                .collect();
+            Side { columns, rows, texels: smooth(&raw, columns, rows) }
+        });
+        Self { sides }
+    }
+
+    /// Light at local point `p` of a solid with half extents `half`.
+    pub fn at(&self, p: DVec3, half: DVec3) -> DVec3 {
+        let q = p / half;
+        let a = q.abs();
+        let axis = if a.x >= a.y && a.x >= a.z { 0 } else { 2 - usize::from(a.y >= a.z) };
+        let side = &self.sides[2 * axis + usize::from(q[axis] > 0.0)];
+        let scale = 1.0 / a[axis];
+        let cell = |v: f64, n: usize| {
+            let x = ((v * scale + 1.0) * 0.5 * n as f64 - 0.5).clamp(0.0, (n - 1) as f64);
+            let i = (x as usize).min(n - 2);
+            (i, (x - i as f64) as f32)
+        };
+        let ((i, u), (j, v)) = (cell(q[(axis + 1) % 3], side.columns), cell(q[(axis + 2) % 3], side.rows));
+        let at = j * side.columns + i;
+        let [a, b, c, d] = [at, at + 1, at + side.columns, at + side.columns + 1].map(|k| &side.texels[k]);
+        let mix = |k: usize| {
+            let (low, high) = (a[k] + (b[k] - a[k]) * u, c[k] + (d[k] - c[k]) * u);
+            f64::from(low + (high - low) * v)
+        };
+        DVec3::new(mix(0), mix(1), mix(2))
+    }
+}
+
+/// 3x3 mean over texels that see light; buried texels take their neighbours' mean, so no dark fringes form.
+fn smooth(raw: &[(DVec3, f64)], columns: usize, rows: usize) -> Vec<[f32; 3]> {
+    let gather = |i: usize, reach: usize| {
+        let (x, y) = (i % columns, i / columns);
+        let (mut sum, mut weight) = (DVec3::ZERO, 0.0);
+        for v in y.saturating_sub(reach)..(y + reach + 1).min(rows) {
+            for u in x.saturating_sub(reach)..(x + reach + 1).min(columns) {
+                let (value, open) = raw[v * columns + u];
+                if open > 0.0 {
+                    sum += value;
+                    weight += 1.0;
+                }
+            }
+        }
+        if weight > 0.0 { sum / weight } else { DVec3::splat(-1.0) }
+    };
+    (0..raw.len())
+        .map(|i| {
+            let near = gather(i, 1);
+            let value = if near.x >= 0.0 { near } else { gather(i, 3).max(DVec3::ZERO) };
+            value.to_array().map(|c| c as f32)
+        })
+        .collect()
+}

@@ -1,0 +1,85 @@
+//! Colours for class ids: far apart, the same for the same id everywhere.
+
+use std::sync::LazyLock;
+
+/// Levels of each channel of the candidate colours, 0 to 255.
+const LEVELS: usize = 11;
+/// Colours before they repeat.
+const LENGTH: usize = 255;
+
+/// The colour of a class id, 8-bit sRGB; ids 255 apart share one. Never black or white.
+pub fn class_color(id: u16) -> [u8; 3] {
+    static PALETTE: LazyLock<Vec<[u8; 3]>> = LazyLock::new(palette);
+    PALETTE[usize::from(id) % PALETTE.len()]
+}
+
+/// Farthest-point order of a grid of sRGB colours in OKLab: each colour is the one farthest from black (the colour of void), white
+/// (of paper) and all before it, ties by grid order.
+fn palette() -> Vec<[u8; 3]> {
+    let candidates: Vec<([u8; 3], [f64; 3])> = (0..LEVELS.pow(3))
+        .map(|i| [i / (LEVELS * LEVELS), i / LEVELS % LEVELS, i % LEVELS])
+        .map(|levels| levels.map(|l| (l * 255 / (LEVELS - 1)) as u8))
+        .map(|rgb| (rgb, oklab(rgb)))
+        .collect();
+    let ends = [oklab([0; 3]), oklab([255; 3])];
+    let mut nearest: Vec<f64> =
+        candidates.iter().map(|(_, lab)| distance(lab, &ends[0]).min(distance(lab, &ends[1]))).collect();
+    let mut colors = Vec::with_capacity(LENGTH);
+    for _ in 0..LENGTH {
+        let best = (1..nearest.len()).fold(0, |best, i| if nearest[i] > nearest[best] { i } else { best });
+        let (rgb, chosen) = candidates[best];
+        colors.push(rgb);
+        for (near, (_, lab)) in nearest.iter_mut().zip(&candidates) {
+            *near = near.min(distance(lab, &chosen));
+        }
+    }
+    colors
+}
+
+fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
+/// sRGB to OKLab (B. Ottosson, "A perceptual color space for image processing", 2020).
+fn oklab(rgb: [u8; 3]) -> [f64; 3] {
+    let linear = rgb.map(|v| {
+        let v = f64::from(v) / 255.0;
+        if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+    });
+    let multiply = |m: [[f64; 3]; 3], v: [f64; 3]| m.map(|r| r[0] * v[0] + r[1] * v[1] + r[2] * v[2]);
+    let cones = multiply(
+        [
+            [0.412_221_470_8, 0.536_332_536_3, 0.051_445_992_9],
+            [0.211_903_498_2, 0.680_699_545_1, 0.107_396_956_6],
+            [0.088_302_461_9, 0.281_718_837_6, 0.629_978_700_5],
+        ],
+        linear,
+    );
+    multiply(
+        [
+            [0.210_454_255_3, 0.793_617_785_0, -0.004_072_046_8],
+            [1.977_998_495_1, -2.428_592_205_0, 0.450_593_709_9],
+            [0.025_904_037_1, 0.782_771_766_2, -0.808_675_766_0],
+        ],
+        cones.map(f64::cbrt),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_are_far_apart() {
+        // White is (1, 0, 0) in OKLab; a step of 0.02 is just visible.
+        assert!(distance(&oklab([255; 3]), &[1.0, 0.0, 0.0]) < 1e-6);
+        for (ids, apart) in [(10, 0.2), (40, 0.11), (254, 0.03)] {
+            let mut labs: Vec<_> = (0..=ids).map(|id| oklab(class_color(id))).collect();
+            labs.extend([oklab([0; 3]), oklab([255; 3])]);
+            for (i, a) in labs.iter().enumerate() {
+                assert!(labs[..i].iter().all(|b| distance(a, b) > apart), "{i} of {ids}");
+            }
+        }
+        assert_eq!(class_color(7), class_color(7 + 255));
+    }
+}

@@ -1,0 +1,176 @@
+//! From a scene to reduced feature maps.
+
+use super::{Extractor, FeatureMap, Moments, Pca, SCALES, cache};
+use crate::config::FeatureConfig;
+use crate::data::{Scene, Split, View};
+use crate::error::{Error, Result};
+use crate::random::{self, Purpose};
+use rayon::prelude::*;
+
+/// Cells per scale that the PCA is fitted on at most, in equal seeded shares of all training views.
+pub const PCA_CELLS: usize = 100_000;
+
+/// Unreduced maps kept in memory between fitting and applying, bytes; views beyond it are extracted twice (or read from
+/// the cache).
+const KEPT_BYTES: usize = 1 << 30;
+
+/// Views extracted at once.
+const BATCH: usize = 8;
+
+/// Reduced maps of one view.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ViewFeatures {
+    /// Name of the view.
+    pub view: String,
+    /// Fine to coarse, `dimensions` channels each, every cell of unit length (or zero where nothing varies).
+    pub maps: [FeatureMap; SCALES],
+}
+
+/// Reduced features of a scene's training views.
+#[derive(Clone, Debug)]
+pub struct FeatureSet {
+    /// Where they come from: `descriptor`, `mobilenetv2 FILE` or `imported DIR`.
+    pub name: String,
+    /// The fitted reductions, one a scale.
+    pub reductions: [Pca; SCALES],
+    /// Training views in the scene's order.
+    pub views: Vec<ViewFeatures>,
+}
+
+/// Features of the training views: four maps each, reduced by a PCA per scale that is fitted on all of them, then
+/// L2-normalised.
+///
+/// The fit reads at most [`PCA_CELLS`] cells per scale, drawn with `seed`. `progress` is told how many of how many steps
+/// are done.
+///
+/// # Errors
+/// [`Error::Config`] for unusable settings or a scene without training views; what [`Extractor::open`] and
+/// [`Extractor::maps`] return. A cache that cannot be written is warned of, no more.
+pub fn extract(
+    scene: &Scene,
+    config: &FeatureConfig,
+    seed: u64,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<FeatureSet> {
+    Ok(run(scene, config, seed, false, progress)?.0)
+}
+
+/// [`extract`], and the test views reduced by the same PCA, in the scene's order. Test views do not enter the fit.
+///
+/// # Errors
+/// As [`extract`].
+pub fn extract_all(
+    scene: &Scene,
+    config: &FeatureConfig,
+    seed: u64,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<(FeatureSet, Vec<ViewFeatures>)> {
+    run(scene, config, seed, true, progress)
+}
+
+fn run(
+    scene: &Scene,
+    config: &FeatureConfig,
+    seed: u64,
+    with_test: bool,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<(FeatureSet, Vec<ViewFeatures>)> {
+    if config.dimensions == 0 {
+        return Err(Error::config("features.dimensions", "0", "1 or more", "64 is the usual choice"));
+    }
+    let extractor = Extractor::open(config)?;
+    let train: Vec<&View> = scene.split(Split::Train).collect();
+    let test: Vec<&View> = if with_test { scene.split(Split::Test).collect() } else { vec![] };
+    if train.is_empty() {
+        return Err(Error::config(
+            "data",
+            format!("no training view in {}", scene.name),
+            "one or more",
+            "mend the splits",
+        ));
+    }
+    let total = 2 * train.len() + test.len();
+    let maps_of = |view: &View| cached_maps(&extractor, config, view);
+
+    let mut kept: Vec<Option<[FeatureMap; SCALES]>> = Vec::with_capacity(train.len());
+    let mut kept_bytes = 0;
+    let mut moments: Option<[Moments; SCALES]> = None;
+    let quota = PCA_CELLS.div_ceil(train.len());
+    for batch in train.chunks(BATCH) {
+        let batch_maps: Vec<_> = batch.par_iter().map(|view| maps_of(view)).collect();
+        for (view, maps) in batch.iter().zip(batch_maps) {
+            let maps = maps?;
+            let moments = moments.get_or_insert_with(|| std::array::from_fn(|n| Moments::new(maps[n].channels)));
+            for (n, (map, moments)) in maps.iter().zip(moments).enumerate() {
+                let index = (kept.len() * SCALES + n) as u64;
+                moments.add(&subsample(map, quota, seed, index), &what(view, n), map.channels)?;
+            }
+            let bytes: usize = maps.iter().map(|m| 4 * m.data.len()).sum();
+            kept_bytes += bytes;
+            kept.push((kept_bytes <= KEPT_BYTES).then_some(maps));
+            progress(kept.len(), total);
+        }
+    }
+    let Some(moments) = moments else { return Err(Error::config("data", "no view", "one or more", "mend the splits")) };
+    let reductions = moments.map(|m| Pca::fit(&m, config.dimensions));
+
+    let mut done = train.len();
+    let mut reduce = |views: &[&View], kept: &mut [Option<[FeatureMap; SCALES]>]| -> Result<Vec<ViewFeatures>> {
+        let mut reduced = Vec::with_capacity(views.len());
+        for (batch, kept) in views.chunks(BATCH).zip(kept.chunks_mut(BATCH)) {
+            let batch: Vec<Result<ViewFeatures>> = batch
+                .par_iter()
+                .zip(kept)
+                .map(|(view, kept)| {
+                    let maps = kept.take().map_or_else(|| maps_of(view), Ok)?;
+                    reduce_view(view, &maps, &reductions)
+                })
+                .collect();
+            done += batch.len();
+            progress(done, total);
+            for view in batch {
+                reduced.push(view?);
+            }
+        }
+        Ok(reduced)
+    };
+    let views = reduce(&train, &mut kept)?;
+    let test_views = reduce(&test, &mut vec![None; test.len()])?;
+    Ok((FeatureSet { name: extractor.name(), reductions, views }, test_views))
+}
+
+fn reduce_view(view: &View, maps: &[FeatureMap; SCALES], reductions: &[Pca; SCALES]) -> Result<ViewFeatures> {
+    let mut reduced: [FeatureMap; SCALES] = Default::default();
+    for (n, (out, (map, pca))) in reduced.iter_mut().zip(maps.iter().zip(reductions)).enumerate() {
+        *out = pca.apply(map, &what(view, n))?;
+    }
+    Ok(ViewFeatures { view: view.name.clone(), maps: reduced })
+}
+
+fn what(view: &View, scale: usize) -> String {
+    format!("features of view {}, scale {}", view.name, scale + 1)
+}
+
+/// At most `quota` cells of a map, in cell order.
+fn subsample(map: &FeatureMap, quota: usize, seed: u64, index: u64) -> Vec<f32> {
+    if map.cells() <= quota {
+        return map.data.clone();
+    }
+    let mut rng = random::stream(seed, Purpose::PcaCells, index);
+    let mut cells = rand::seq::index::sample(&mut rng, map.cells(), quota).into_vec();
+    cells.sort_unstable();
+    cells.iter().flat_map(|&cell| &map.data[cell * map.channels..][..map.channels]).copied().collect()
+}
+
+fn cached_maps(extractor: &Extractor, config: &FeatureConfig, view: &View) -> Result<[FeatureMap; SCALES]> {
+    let (Some(dir), Some(key)) = (&config.cache_dir, extractor.cache_key()) else { return extractor.maps(view) };
+    let path = cache::entry(dir, &view.image, &key);
+    if let Some(maps) = cache::load(&path) {
+        return Ok(maps);
+    }
+    let maps = extractor.maps(view)?;
+    if let Err(error) = cache::store(&path, &maps) {
+        tracing::warn!("features are not cached: {error}");
+    }
+    Ok(maps)
+}

@@ -1,0 +1,161 @@
+//! Feature maps and how their cells lie on the image.
+
+use crate::error::{Error, Result};
+use rayon::prelude::*;
+
+/// A grid of feature vectors that covers an image.
+///
+/// Cell `(x, y)` stands for the image point `((x + 0.5) W / width, (y + 0.5) H / height)` of a `W` x `H` image, pixel
+/// centres at +0.5: the grid's outer border is the image's outer border.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FeatureMap {
+    /// Cells down.
+    pub height: usize,
+    /// Cells across.
+    pub width: usize,
+    /// Values per cell.
+    pub channels: usize,
+    /// Row-major `[height, width, channels]`.
+    pub data: Vec<f32>,
+}
+
+impl FeatureMap {
+    /// A map of zeros.
+    pub fn zeros(height: usize, width: usize, channels: usize) -> Self {
+        Self { height, width, channels, data: vec![0.0; height * width * channels] }
+    }
+
+    /// Number of cells.
+    pub fn cells(&self) -> usize {
+        self.height * self.width
+    }
+
+    /// The vector of cell `(x, y)`.
+    pub fn cell(&self, x: usize, y: usize) -> &[f32] {
+        &self.data[(y * self.width + x) * self.channels..][..self.channels]
+    }
+
+    /// The four cells and weights of the bilinear read at image point `(u, v)` of a `width` x `height` image.
+    ///
+    /// Beyond the outermost cell centres the border cell is read. The weights are not negative and sum to 1.
+    pub fn taps(&self, u: f64, v: f64, width: usize, height: usize) -> [(usize, f32); 4] {
+        let (x0, x1, fx) = axis_taps(u, width, self.width);
+        let (y0, y1, fy) = axis_taps(v, height, self.height);
+        let at = |x: usize, y: usize| y * self.width + x;
+        [
+            (at(x0, y0), (1.0 - fx) * (1.0 - fy)),
+            (at(x1, y0), fx * (1.0 - fy)),
+            (at(x0, y1), (1.0 - fx) * fy),
+            (at(x1, y1), fx * fy),
+        ]
+    }
+
+    /// Adds the bilinear read at image point `(u, v)` of a `width` x `height` image to `out`, length `channels`.
+    pub fn sample(&self, u: f64, v: f64, width: usize, height: usize, out: &mut [f32]) {
+        for (cell, weight) in self.taps(u, v, width, height) {
+            for (o, &x) in out.iter_mut().zip(&self.data[cell * self.channels..][..self.channels]) {
+                *o += weight * x;
+            }
+        }
+    }
+
+    /// The map on another grid over the same image: area mean along an axis that shrinks, linear along one that grows.
+    pub fn resized(&self, height: usize, width: usize) -> Self {
+        let c = self.channels;
+        let mut rows = Self::zeros(height, self.width, c);
+        rows.data.par_chunks_mut((self.width * c).max(1)).zip(axis_weights(self.height, height)).for_each(
+            |(out, taps)| {
+                for (y, weight) in taps {
+                    for (o, &x) in out.iter_mut().zip(&self.data[y * self.width * c..]) {
+                        *o += weight * x;
+                    }
+                }
+            },
+        );
+        if width == self.width {
+            return rows;
+        }
+        let columns = axis_weights(self.width, width);
+        let mut out = Self::zeros(height, width, c);
+        out.data.par_chunks_mut((width * c).max(1)).zip(rows.data.par_chunks((self.width * c).max(1))).for_each(
+            |(out, row)| {
+                for (out, taps) in out.chunks_exact_mut(c.max(1)).zip(&columns) {
+                    for &(x, weight) in taps {
+                        for (o, &x) in out.iter_mut().zip(&row[x * c..][..c]) {
+                            *o += weight * x;
+                        }
+                    }
+                }
+            },
+        );
+        out
+    }
+
+    /// Checks that the sizes agree and every value is finite; `what` names the map in the error.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] with the first offending cell; [`Error::Config`] when the length is not `h * w * c`.
+    pub fn check(&self, what: &str) -> Result<()> {
+        let expected = self.height * self.width * self.channels;
+        if self.data.len() != expected {
+            return Err(Error::config(
+                what,
+                format!("{} values", self.data.len()),
+                format!("{expected} = {} x {} x {}", self.height, self.width, self.channels),
+                "give height * width * channels values",
+            ));
+        }
+        match self.data.iter().position(|x| !x.is_finite()) {
+            Some(at) => Err(Error::non_finite(what, at / self.channels.max(1))),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Two neighbouring cells of `cells` and the weight of the second, for coordinate `at` on an axis of `size` pixels.
+pub(crate) fn axis_taps(at: f64, size: usize, cells: usize) -> (usize, usize, f32) {
+    let x = (at * cells as f64 / size as f64 - 0.5).clamp(0.0, (cells.max(1) - 1) as f64);
+    let x0 = x as usize;
+    (x0, (x0 + 1).min(cells.max(1) - 1), (x - x0 as f64) as f32)
+}
+
+/// For each of `to` cells the source cells of `from` and their weights, which sum to 1.
+fn axis_weights(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
+    let step = from as f64 / to as f64;
+    let area = |i: usize| {
+        let (a, b) = (i as f64 * step, (i + 1) as f64 * step);
+        let span = a as usize..(b.ceil() as usize).min(from);
+        span.filter_map(|k| {
+            let overlap = b.min((k + 1) as f64) - a.max(k as f64);
+            (overlap > 1e-9).then_some((k, (overlap / step) as f32))
+        })
+        .collect()
+    };
+    let linear = |i: usize| {
+        let (a, b, f) = axis_taps(i as f64 + 0.5, to, from);
+        vec![(a, 1.0 - f), (b, f)]
+    };
+    (0..to).map(|i| if to <= from { area(i) } else { linear(i) }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_sum_to_one_and_a_ramp_stays_a_ramp() {
+        for (from, to) in [(480, 120), (270, 68), (7, 7), (5, 2), (3, 11), (1, 4), (9, 1)] {
+            for taps in axis_weights(from, to) {
+                let sum: f32 = taps.iter().map(|t| t.1).sum();
+                assert!((sum - 1.0).abs() < 1e-6, "{from} {to}: {sum}");
+            }
+        }
+        let ramp = FeatureMap { height: 1, width: 40, channels: 1, data: (0..40).map(|x| x as f32 + 0.5).collect() };
+        for (x, value) in ramp.resized(1, 16).data.iter().enumerate() {
+            assert!((value - (x as f32 + 0.5) * 2.5).abs() < 1e-4);
+        }
+        let mut out = [0.0];
+        ramp.sample(101.0, 0.3, 400, 3, &mut out);
+        assert!((out[0] - 10.1).abs() < 1e-5);
+    }
+}

@@ -1,0 +1,123 @@
+//! 2D image features: where they come from, reduction by PCA, and the on-disk cache.
+//!
+//! For every view an [`Extractor`] gives four [`FeatureMap`]s, fine and local to coarse and global. [`extract`] fits a PCA per
+//! scale on the training views, reduces every map to [`crate::config::FeatureConfig::dimensions`] channels and
+//! L2-normalises each cell.
+
+mod cache;
+pub mod descriptor;
+mod extract;
+mod import;
+mod map;
+pub mod mobilenet;
+mod pca;
+pub mod probe;
+
+pub use extract::{FeatureSet, PCA_CELLS, ViewFeatures, extract, extract_all};
+pub use map::FeatureMap;
+pub(crate) use map::axis_taps;
+pub use pca::{Moments, Pca};
+
+use crate::config::{FeatureConfig, FeatureSource};
+use crate::data::View;
+use crate::device;
+use crate::error::{Error, Result};
+use sha2::{Digest, Sha256};
+use std::path::{Path, PathBuf};
+
+/// Scales per view.
+pub const SCALES: usize = 4;
+
+/// Where feature maps come from.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum Extractor {
+    /// The built-in descriptor, see [`descriptor`].
+    Descriptor,
+    /// MobileNetV2, see [`mobilenet`].
+    MobileNetV2 {
+        /// The network.
+        net: Box<mobilenet::MobileNetV2>,
+        /// Where its weights were read from.
+        path: PathBuf,
+        /// SHA-256 of that file.
+        hash: String,
+    },
+    /// Maps read from files of this folder, see [`Extractor::maps`].
+    Import(PathBuf),
+}
+
+impl Extractor {
+    /// The extractor that the settings ask for; reads weights where it has any.
+    ///
+    /// # Errors
+    /// [`Error::Config`] when a needed path is not set; [`Error::Io`] and [`Error::Input`] for unusable weights.
+    pub fn open(config: &FeatureConfig) -> Result<Self> {
+        if let (Some(dir), true) = (&config.import_dir, config.source != FeatureSource::Import) {
+            tracing::warn!("features.import_dir = {} is not read: features.source is not import", dir.display());
+        }
+        match config.source {
+            FeatureSource::Descriptor => Ok(Self::Descriptor),
+            FeatureSource::Auto | FeatureSource::Mobilenetv2 => match &config.weights {
+                Some(path) => Self::mobilenet(path),
+                None if config.source == FeatureSource::Auto => Ok(Self::Descriptor),
+                None => Err(Error::config(
+                    "features.weights",
+                    "nothing",
+                    "a path to MobileNetV2 weights, since features.source = \"mobilenetv2\"",
+                    "set features.weights",
+                )),
+            },
+            FeatureSource::Import => match &config.import_dir {
+                Some(dir) if dir.is_dir() => Ok(Self::Import(dir.clone())),
+                Some(dir) => Err(Error::io(dir, "open folder", std::io::ErrorKind::NotFound.into())),
+                None => Err(Error::config(
+                    "features.import_dir",
+                    "nothing",
+                    "a folder of maps, since features.source = \"import\"",
+                    "set features.import_dir",
+                )),
+            },
+        }
+    }
+
+    fn mobilenet(path: &Path) -> Result<Self> {
+        let net = mobilenet::MobileNetV2::load(path, &device::open(None)?)?;
+        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        let hash = format!("{:x}", Sha256::digest(&bytes));
+        Ok(Self::MobileNetV2 { net: Box::new(net), path: path.to_owned(), hash })
+    }
+
+    /// Name for reports: `descriptor`, `mobilenetv2 FILE` or `imported DIR`.
+    pub fn name(&self) -> String {
+        match self {
+            Self::Descriptor => "descriptor".into(),
+            Self::MobileNetV2 { path, .. } => format!("mobilenetv2 {}", path.display()),
+            Self::Import(dir) => format!("imported {}", dir.display()),
+        }
+    }
+
+    /// The four maps of a view before reduction, fine to coarse.
+    ///
+    /// Imported maps are `STEM.1.npy` to `STEM.4.npy` (`[H, W, C]`, f32 or f16) or the tensors `scale1` to `scale4` of
+    /// `STEM.safetensors`, STEM being the view's name.
+    ///
+    /// # Errors
+    /// [`Error::Io`], [`Error::Input`] and [`Error::NonFinite`] for imported files that cannot be used.
+    pub fn maps(&self, view: &View) -> Result<[FeatureMap; SCALES]> {
+        match self {
+            Self::Descriptor => Ok(descriptor::describe(&view.image)),
+            Self::MobileNetV2 { net, .. } => net.maps(&view.image),
+            Self::Import(dir) => import::read(dir, &view.name),
+        }
+    }
+
+    /// What the maps of an image depend on besides its pixels; `None` when caching them gains nothing.
+    fn cache_key(&self) -> Option<String> {
+        match self {
+            Self::Descriptor => Some(descriptor::VERSION.into()),
+            Self::MobileNetV2 { hash, .. } => Some(format!("{} {hash}", mobilenet::VERSION)),
+            Self::Import(_) => None,
+        }
+    }
+}

@@ -1,0 +1,93 @@
+//! Segmentation identities stored on the Gaussians (`s_i` of Eq. 3), and label maps rendered from them.
+
+use crate::data::{Classes, LabelMap};
+use crate::error::{Error, Result};
+use crate::raster::Projected;
+use std::path::Path;
+
+/// One score per Gaussian and class, view-independent.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Identities {
+    /// `[N, C]` row-major: logits, or weights of the vote; all zero where nothing is known.
+    pub scores: Vec<f32>,
+    /// C.
+    pub classes: usize,
+}
+
+impl Identities {
+    /// Class index of each Gaussian's largest score, `None` where all scores are equal (nothing is known).
+    pub fn labels(&self) -> Vec<Option<u16>> {
+        self.scores.chunks_exact(self.classes.max(1)).map(largest).collect()
+    }
+
+    /// Class ids of [`Identities::labels`], the ignored id where nothing is known: the PLY's `label` column.
+    pub fn ids(&self, classes: &Classes) -> Vec<u16> {
+        let id = |c: u16| classes.entries.get(usize::from(c)).map(|c| c.id);
+        self.labels().into_iter().map(|c| c.and_then(id).unwrap_or(classes.ignore)).collect()
+    }
+
+    /// Writes `identities.safetensors`: tensor `scores` `[N, C]` f32, atomically.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let bytes: Vec<u8> = self.scores.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let rows = self.scores.len() / self.classes.max(1);
+        let view = safetensors::tensor::TensorView::new(safetensors::Dtype::F32, vec![rows, self.classes], &bytes);
+        let bytes = view
+            .and_then(|view| safetensors::serialize([("scores", view)], None))
+            .map_err(|e| Error::io(path, "serialise", std::io::Error::other(e)))?;
+        crate::data::atomic::write_bytes(path, &bytes)
+    }
+
+    /// Reads what [`Identities::write`] wrote.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Input`] when the file is not a safetensors file with a 2D f32 tensor `scores`.
+    pub fn read(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        let bad = |found: String| {
+            Error::input(path, "scores", found, "a 2D float32 tensor", "write the run again with `coseg train`")
+        };
+        let file = safetensors::SafeTensors::deserialize(&bytes).map_err(|e| bad(e.to_string()))?;
+        let tensor = file.tensor("scores").map_err(|e| bad(e.to_string()))?;
+        match (tensor.dtype(), tensor.shape()) {
+            (safetensors::Dtype::F32, &[_, classes]) => {
+                let scores = tensor.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+                Ok(Self { scores, classes })
+            }
+            (dtype, shape) => Err(bad(format!("{dtype:?} {shape:?}"))),
+        }
+    }
+}
+
+/// Index of the largest value; `None` when all are equal. Ties go to the lower index.
+fn largest(row: &[f32]) -> Option<u16> {
+    let mut best = 0;
+    for (c, v) in row.iter().enumerate() {
+        if *v > row[best] {
+            best = c;
+        }
+    }
+    let known = row.len() == 1 || row.iter().any(|v| *v < row[best]);
+    known.then_some(best as u16)
+}
+
+/// Renders identities: the class with the largest blended score at each pixel (`argmax` of Eq. 3).
+///
+/// Pixels covered by less than `min_coverage` (1 - T), or where nothing is known, take the ignored id.
+pub fn label_map(projected: &Projected<f32>, identities: &Identities, classes: &Classes, min_coverage: f32) -> LabelMap {
+    let c = identities.classes;
+    let blended = projected.blend(&identities.scores, c);
+    let [width, height] = projected.size();
+    let ids = blended
+        .image
+        .chunks_exact(c.max(1))
+        .zip(&blended.transmittance)
+        .map(|(row, t)| {
+            let class = if 1.0 - t >= min_coverage { largest(row) } else { None };
+            class.and_then(|c| classes.entries.get(usize::from(c))).map_or(classes.ignore, |c| c.id)
+        })
+        .collect();
+    LabelMap { width, height, ids }
+}

@@ -1,0 +1,9 @@
+//! Which thing each Gaussian belongs to: the vote over raw labels, stored identities, label rendering.
+
+mod hard_labels;
+mod identities;
+mod vote;
+
+pub use hard_labels::hard_label_map;
+pub use identities::{Identities, label_map};
+pub use vote::{Votes, vote};

@@ -1,0 +1,88 @@
+//! The vote: each Gaussian takes the class with the largest summed alpha' T over the raw labels of the training views.
+//!
+//! This is the closed-form baseline that a trained decoder has to beat (FlashSplat solves the same table as a linear
+//! programme). The table itself also says how contested a Gaussian is.
+
+use super::Identities;
+use crate::data::{Classes, View};
+use crate::error::Result;
+use crate::gaussians::Gaussians;
+use crate::raster::{Projected, Settings};
+
+/// Summed weights of each class on each Gaussian.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Votes {
+    /// `[N, C]` row-major: sum over labelled training pixels of alpha' T where the label is class c.
+    pub table: Vec<f32>,
+    /// C.
+    pub classes: usize,
+}
+
+/// Collects the votes of all `views` that have raw labels.
+///
+/// # Errors
+/// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite.
+pub fn vote<'a>(
+    gaussians: &Gaussians,
+    views: impl Iterator<Item = &'a View>,
+    classes: &Classes,
+    settings: &Settings,
+) -> Result<Votes> {
+    let (n, c) = (gaussians.len(), classes.len());
+    let lookup = classes.lookup();
+    let mut table = vec![0.0_f32; n * c];
+    for view in views {
+        let Some(raw) = &view.raw else { continue };
+        let mut one_hot = vec![0.0_f32; raw.ids.len() * c];
+        for (pixel, &id) in one_hot.chunks_exact_mut(c.max(1)).zip(&raw.ids) {
+            if let Some(channel) = pixel.get_mut(usize::from(lookup[usize::from(id)])) {
+                *channel = 1.0;
+            }
+        }
+        let projected = Projected::new(&gaussians.splats(), &view.camera, settings)?;
+        for (sum, w) in table.iter_mut().zip(projected.blend_adjoint(&one_hot, c)) {
+            *sum += w;
+        }
+    }
+    Ok(Votes { table, classes: c })
+}
+
+impl Votes {
+    /// Class index of each Gaussian's largest vote; `None` where nothing was voted. Ties go to the lower index.
+    pub fn winners(&self) -> Vec<Option<u16>> {
+        self.table
+            .chunks_exact(self.classes.max(1))
+            .map(|row| {
+                let mut best = (0, 0.0);
+                for (c, &v) in row.iter().enumerate() {
+                    if v > best.1 {
+                        best = (c, v);
+                    }
+                }
+                (best.1 > 0.0).then_some(best.0 as u16)
+            })
+            .collect()
+    }
+
+    /// One-hot identities of the winners; zero where nothing was voted.
+    pub fn identities(&self) -> Identities {
+        let mut scores = vec![0.0; self.table.len()];
+        for (row, winner) in scores.chunks_exact_mut(self.classes.max(1)).zip(self.winners()) {
+            if let Some(c) = winner {
+                row[usize::from(c)] = 1.0;
+            }
+        }
+        Identities { scores, classes: self.classes }
+    }
+
+    /// Shannon entropy (nats) of each Gaussian's votes: 0 where all views agree or nothing was voted.
+    pub fn entropy(&self) -> Vec<f32> {
+        self.table
+            .chunks_exact(self.classes.max(1))
+            .map(|row| {
+                let sum: f32 = row.iter().sum();
+                row.iter().filter(|v| **v > 0.0).map(|v| -(v / sum) * (v / sum).ln()).sum()
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,182 @@
+//! Losses between softmaxed logits and one label a pixel, value and gradient in one pass.
+//!
+//! For a one-hot label every loss here is a function of p_y, the probability of the labelled class, alone. Its gradient
+//! to logit k is therefore h (delta_ky - p_k) with h = p_y dL/dp_y, and no loop over classes but the softmax's.
+
+use super::{HostBackend, Real, device_of, real_kernel};
+use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
+use burn::backend::autodiff::grads::Gradients;
+use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
+use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
+use burn::tensor::Tensor;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Pixels handled by one task; also the unit of the fixed summation order.
+const BLOCK: usize = 1024;
+/// The label of pixels that are not counted.
+pub const UNLABELLED: u16 = u16::MAX;
+
+/// A loss of p_y.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Kind {
+    /// Cross-entropy, -ln p_y.
+    Ce,
+    /// Jensen-Shannon (Eq. 8) with weight `pi_rl` of the raw label, in (0, 1), divided by Z = -(1 - pi_rl) ln(1 - pi_rl).
+    /// Tends to cross-entropy for `pi_rl` to 0 and to [`Kind::Mae`] for `pi_rl` to 1.
+    Js {
+        /// Weight of the raw label.
+        pi_rl: f64,
+    },
+    /// Generalised cross-entropy, (1 - p_y^q) / q, q in (0, 1].
+    Gce {
+        /// The exponent.
+        q: f64,
+    },
+    /// Half the absolute error of the distribution, 1 - p_y.
+    Mae,
+}
+
+impl Kind {
+    /// The loss and p_y dL/dp_y, from ln p_y.
+    pub fn of_log_probability(self, log_p: f64) -> (f64, f64) {
+        let p = log_p.exp();
+        let rest = -log_p.exp_m1(); // 1 - p without cancellation
+        match self {
+            Self::Ce => (-log_p, -1.0),
+            Self::Mae => (rest, -p),
+            Self::Gce { q } => (-(q * log_p).exp_m1() / q, -(q * log_p).exp()),
+            Self::Js { pi_rl } => {
+                let log_pi_p = (-pi_rl).ln_1p(); // ln(1 - pi_rl)
+                let (a, b) = (pi_rl.ln(), log_pi_p + log_p);
+                let log_m = a.max(b) + (-(a - b).abs()).exp().ln_1p();
+                // ln(m / p) = ln(1 + pi_rl (1 - p) / p): the first form for small p, the second for small pi_rl
+                let ratio = pi_rl * rest / p;
+                let log_m_over_p = if ratio < 1.0 { ratio.ln_1p() } else { log_m - log_p };
+                let label = -pi_rl * log_m;
+                let prediction = (1.0 - pi_rl) * (-rest * log_pi_p - p * log_m_over_p);
+                let z = -(1.0 - pi_rl) * log_pi_p;
+                ((label + prediction) / z, p * (log_m_over_p - log_pi_p) / log_pi_p)
+            }
+        }
+    }
+}
+
+/// Mean loss over labelled pixels and its gradient: `logits` is `[P, classes]`, `labels` `[P]`. No labelled pixel: zeros.
+pub fn value_and_gradient<E: Real>(logits: &[E], labels: &[u16], classes: usize, kind: Kind) -> (E, Vec<E>) {
+    let mut gradient = vec![E::zero(); logits.len()];
+    let count = labels.iter().filter(|&&l| l != UNLABELLED).count();
+    if count == 0 || classes == 0 {
+        return (E::zero(), gradient);
+    }
+    let scale = 1.0 / count as f64;
+    let blocks = gradient.par_chunks_mut(BLOCK * classes).zip(logits.par_chunks(BLOCK * classes));
+    let sums: Vec<f64> = blocks
+        .zip(labels.par_chunks(BLOCK))
+        .map(|((gradient, logits), labels)| {
+            let rows = gradient.chunks_exact_mut(classes).zip(logits.chunks_exact(classes));
+            let mut sum = 0.0;
+            for ((gradient, logits), &label) in rows.zip(labels) {
+                if label == UNLABELLED {
+                    continue;
+                }
+                let mut highest = logits[0];
+                for &z in logits {
+                    highest = if z > highest { z } else { highest };
+                }
+                let mut total = E::zero();
+                for (g, &z) in gradient.iter_mut().zip(logits) {
+                    *g = (z - highest).exp();
+                    total += *g;
+                }
+                let y = usize::from(label);
+                let (loss, h) = kind.of_log_probability((logits[y] - highest).wide() - total.wide().ln());
+                sum += loss;
+                let factor = E::of(-h * scale) / total;
+                gradient.iter_mut().for_each(|g| *g *= factor);
+                gradient[y] += E::of(h * scale);
+            }
+            sum
+        })
+        .collect();
+    (E::of(sums.iter().sum::<f64>() * scale), gradient)
+}
+
+/// Backend side of [`label_loss`].
+#[backend_extension(
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Cube: cfg(feature = "wgpu"),
+    Autodiff
+)]
+pub trait LabelLossBackend: Backend {
+    /// The mean loss `[1]` and its gradient `[P, C]`, see [`value_and_gradient`].
+    fn label_loss(
+        logits: FloatTensor<Self>,
+        labels: Arc<Vec<u16>>,
+        kind: Kind,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>);
+}
+
+impl<B: HostBackend> LabelLossBackend for B {
+    fn label_loss(
+        logits: FloatTensor<Self>,
+        labels: Arc<Vec<u16>>,
+        kind: Kind,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let (device, [rows, classes]) = (device_of::<B>(&logits), logits.shape().dims());
+        real_kernel!(logits, E => {
+            let (value, gradient) = value_and_gradient::<E>(&B::values(logits), &labels, classes, kind);
+            (B::tensor::<E>(vec![value], &[1], &device), B::tensor::<E>(gradient, &[rows, classes], &device))
+        })
+    }
+}
+
+#[derive(Debug)]
+struct LabelLossBackward;
+
+impl<B: LabelLossBackend> Backward<B, 1> for LabelLossBackward {
+    type State = FloatTensor<B>;
+
+    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
+        let g = grads.consume::<B>(&ops.node);
+        let [parent] = ops.parents;
+        if let Some(node) = parent {
+            let g = B::float_reshape(g, burn::tensor::Shape::new([1, 1]));
+            grads.register::<B>(node.id, B::float_mul(ops.state, g));
+        }
+    }
+}
+
+impl<B: LabelLossBackend, C: CheckpointStrategy> LabelLossBackend for Autodiff<B, C> {
+    fn label_loss(
+        logits: FloatTensor<Self>,
+        labels: Arc<Vec<u16>>,
+        kind: Kind,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let (logits, node) = logits.into_parts();
+        let (value, gradient) = B::label_loss(logits, labels, kind);
+        let constant = <Self as burn::backend::AutodiffBackend>::from_inner(gradient.clone());
+        let value = match LabelLossBackward.prepare::<C>([node]).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(gradient, value),
+            OpsKind::UnTracked(prep) => prep.finish(value),
+        };
+        (value, constant)
+    }
+}
+
+/// Mean loss `[1]` over the labelled pixels, with gradient to `logits`.
+///
+/// `logits` is `[P, C]`; `labels` holds a class index a pixel, [`UNLABELLED`] where it is not counted. Without labelled
+/// pixels the loss and its gradient are zero.
+///
+/// # Panics
+/// If there is not one label a row, or a label is neither below C nor [`UNLABELLED`].
+pub fn label_loss(logits: Tensor<2>, labels: &[u16], kind: &Kind) -> Tensor<1> {
+    let [rows, classes] = logits.dims();
+    assert_eq!(labels.len(), rows, "label_loss: labels against rows of logits");
+    let known = labels.iter().all(|&l| l == UNLABELLED || usize::from(l) < classes);
+    assert!(known, "label_loss: a label is no class index below {classes}");
+    let (value, _) = Dispatch::label_loss(logits.into_dispatch(), Arc::new(labels.to_vec()), *kind);
+    Tensor::from_dispatch(value)
+}

@@ -1,0 +1,127 @@
+//! From what a run made to what its report shows.
+
+use super::{BuildingHistory, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Sample, Seconds, TestScores};
+use super::peak_memory_bytes;
+use crate::config::{Config, Row};
+use crate::data::Split;
+use crate::error::Result;
+use crate::objects::label_map;
+use crate::raster::{Projected, Settings};
+use crate::train::progress::CurvePoint;
+use crate::train::{Outcome, RowOutcome, render_and_score};
+
+impl Metrics {
+    /// The figures of a finished run; peak memory is that of this process until now.
+    pub fn of(outcome: &Outcome) -> Self {
+        let s = &outcome.seconds;
+        Self {
+            scene: outcome.scene.name.clone(),
+            gaussians: outcome.gaussians.len(),
+            test: TestScores {
+                psnr: outcome.test.psnr,
+                ssim: outcome.test.ssim,
+                labels: outcome.rows.iter().map(|row| (row.row, row_scores(row))).collect(),
+            },
+            seconds: Seconds {
+                building: s.building,
+                features: s.features,
+                unprojection: s.unprojection,
+                segmentation: s.segmentation,
+                total: s.total,
+            },
+            peak_memory_bytes: peak_memory_bytes(),
+            learnable_bytes: outcome.learnable_bytes().into_iter().collect(),
+            spatial: outcome.spatial.clone(),
+            features: outcome.features.clone(),
+        }
+    }
+}
+
+fn row_scores(row: &RowOutcome) -> RowScores {
+    RowScores {
+        void_left_out: row.void_left_out.as_ref().map(Into::into),
+        iterations: row.curve.last().map(|point| point.iteration),
+        learning_rate: row.rate,
+        seconds: row.curve.last().map(|_| row.seconds),
+        ..RowScores::from(&row.scores)
+    }
+}
+
+/// One measurement of every point of a curve that has it.
+fn samples(curve: &[CurvePoint], pick: impl Fn(&CurvePoint) -> Option<f64>) -> Vec<Sample> {
+    curve.iter().filter_map(|point| Some((point.iteration, pick(point)?))).collect()
+}
+
+impl History {
+    /// The curves of a finished run.
+    pub fn of(outcome: &Outcome) -> Self {
+        // A point at iteration 0 has no training loss yet.
+        let loss = |curve: &[CurvePoint]| samples(curve, |p| (p.iteration > 0).then_some(p.loss));
+        let b = &outcome.building;
+        let rows = outcome.rows.iter().filter(|row| !row.curve.is_empty());
+        Self {
+            building: BuildingHistory {
+                loss: loss(b),
+                psnr: samples(b, |p| p.held_out.psnr),
+                ssim: samples(b, |p| p.held_out.ssim),
+                gaussians: samples(b, |p| Some(p.gaussians as f64)),
+            },
+            rows: rows
+                .map(|r| RowHistory { row: r.row, loss: loss(&r.curve), miou: samples(&r.curve, |p| p.miou) })
+                .collect(),
+        }
+    }
+}
+
+/// Renders the held-out views of a finished run in colour and in the labels of the vote, of the per-Gaussian identities
+/// and of the row that the scene stores, as far as the run has them.
+///
+/// # Errors
+/// As [`crate::raster::render`].
+pub fn held_out_views<'a>(outcome: &'a Outcome, config: &Config) -> Result<Vec<HeldOutView<'a>>> {
+    let settings = Settings::from(&config.raster);
+    let stored = outcome.stored().map(|(row, _)| row.row);
+    let shown = |row: Row| Some(row) == stored || matches!(row, Row::Vote | Row::PerGaussian);
+    let rows: Vec<_> = outcome.rows.iter().filter_map(|r| Some((r.row, r.identities.as_ref()?))).collect();
+    let coverage = config.segmentation.min_coverage as f32;
+    let mut views = Vec::new();
+    for view in outcome.scene.split(Split::Test) {
+        let (rgb, scores) = render_and_score(&outcome.gaussians, view, config)?;
+        let projected = Projected::new(&outcome.gaussians.splats(), &view.camera, &settings)?;
+        let labels = rows.iter().filter(|(row, _)| shown(*row));
+        let labels = labels.map(|(row, s)| (*row, label_map(&projected, s, &outcome.scene.classes, coverage))).collect();
+        views.push(HeldOutView { view, rgb, scores, labels });
+    }
+    Ok(views)
+}
+
+impl Report<'_> {
+    /// What a reader of a run's figures should know, as far as the run itself shows it.
+    pub fn notes_of(outcome: &Outcome, config: &Config) -> Vec<String> {
+        let mut notes = Vec::new();
+        if config.data.dir.is_none() {
+            notes.push(
+                "The scene is the built-in one: procedural, ray-cast, with simulated raw labels (errors drawn on the true \
+                 labels), not those of a segmentation network."
+                    .to_owned(),
+            );
+        }
+        if outcome.rows.iter().any(|row| row.row == Row::Raw) {
+            notes.push("Raw labels of held-out views are scored, never trained on.".to_owned());
+        }
+        if let Some(pruned) = &outcome.pruned {
+            let psnr = |scores: &crate::metrics::ImageScores| match scores.psnr {
+                Some(psnr) => format!("{psnr:.2} dB"),
+                None => "not measured".to_owned(),
+            };
+            notes.push(format!(
+                "Attendance pruning removed {} of {} Gaussians; held-out PSNR before {}, after {}.",
+                pruned.before - pruned.after,
+                pruned.before,
+                psnr(&pruned.scores_before),
+                psnr(&pruned.scores_after),
+            ));
+        }
+        notes
+    }
+}

@@ -1,0 +1,49 @@
+//! What is measured while a run trains. Plain data, so that a checkpoint can carry it.
+
+use crate::config::Row;
+use serde::{Deserialize, Serialize};
+
+/// One measurement: iteration and value.
+pub type Sample = (usize, f64);
+
+/// Measurements of both stages.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct History {
+    /// Stage one.
+    pub building: BuildingHistory,
+    /// Stage two, one entry for each trained row.
+    pub rows: Vec<RowHistory>,
+}
+
+/// Measurements of the building stage.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct BuildingHistory {
+    /// Training loss.
+    pub loss: Vec<Sample>,
+    /// Held-out PSNR, dB.
+    pub psnr: Vec<Sample>,
+    /// Held-out SSIM.
+    pub ssim: Vec<Sample>,
+    /// Number of Gaussians.
+    pub gaussians: Vec<Sample>,
+}
+
+/// Measurements of one row of the results table.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RowHistory {
+    /// The row.
+    pub row: Row,
+    /// Training loss.
+    pub loss: Vec<Sample>,
+    /// Held-out mIoU, pooled, 0..1.
+    pub miou: Vec<Sample>,
+}
+
+/// How much a curve still rose over the last fifth of its run; `None` with fewer than three measurements there or
+/// before.
+pub fn late_gain(samples: &[Sample]) -> Option<f64> {
+    let &(end, last) = samples.last()?;
+    let start = end - end / 5;
+    let &(_, before) = samples.iter().rfind(|(iteration, _)| *iteration <= start)?;
+    (samples.len() >= 3).then_some(last - before)
+}

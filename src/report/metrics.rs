@@ -1,0 +1,116 @@
+//! `metrics.json`: the figures of a run, for programs.
+
+use crate::config::Row;
+use crate::metrics::LabelScores;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Everything measured in a run. Shares and scores are in 0..1, PSNR in dB, times in seconds, sizes in bytes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Metrics {
+    /// Name of the scene.
+    pub scene: String,
+    /// Gaussians in `scene.ply`.
+    pub gaussians: usize,
+    /// Scores on the held-out views.
+    pub test: TestScores,
+    /// Where the time went.
+    pub seconds: Seconds,
+    /// Largest resident memory of the process; `None` where the system does not say.
+    pub peak_memory_bytes: Option<u64>,
+    /// Size of what was trained, part by part (`gaussians`, `decoder`, ...).
+    pub learnable_bytes: BTreeMap<String, u64>,
+    /// Where the point encoder's weights came from, such as `pretrained FILE`, `trained here` or `random`.
+    pub spatial: String,
+    /// Where the 2D features came from.
+    pub features: String,
+}
+
+/// Scores on the held-out views.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TestScores {
+    /// Mean of the per-image PSNR, dB; `None` without held-out views.
+    pub psnr: Option<f64>,
+    /// Mean of the per-image SSIM.
+    pub ssim: Option<f64>,
+    /// Label scores by row.
+    pub labels: BTreeMap<Row, RowScores>,
+}
+
+/// Label scores of one row.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RowScores {
+    /// Mean IoU over the classes in the test truth, all held-out pixels in one confusion matrix; `None` without truth.
+    pub miou: Option<f64>,
+    /// Mean over the held-out views of each view's own mean IoU.
+    pub miou_per_view: Option<f64>,
+    /// Share of labelled pixels that are right.
+    pub accuracy: Option<f64>,
+    /// The same scores with unlabelled predictions left out instead of counted as wrong (raw labels).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub void_left_out: Option<Scores>,
+    /// IoU by class id, pooled, for the classes in the test truth.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub class_iou: BTreeMap<u16, f64>,
+    /// Optimiser steps, for trained rows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub iterations: Option<usize>,
+    /// Learning rate, for trained rows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub learning_rate: Option<f64>,
+    /// Training time of this row alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seconds: Option<f64>,
+}
+
+impl From<&LabelScores> for RowScores {
+    fn from(scores: &LabelScores) -> Self {
+        Self {
+            miou: scores.miou,
+            miou_per_view: scores.miou_per_view,
+            accuracy: scores.accuracy,
+            class_iou: scores.per_class.iter().copied().collect(),
+            ..Self::default()
+        }
+    }
+}
+
+impl From<&LabelScores> for Scores {
+    fn from(scores: &LabelScores) -> Self {
+        Self { miou: scores.miou, miou_per_view: scores.miou_per_view, accuracy: scores.accuracy }
+    }
+}
+
+/// The three label scores; see [`RowScores`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Scores {
+    /// Pooled mean IoU.
+    pub miou: Option<f64>,
+    /// Mean IoU per view, averaged.
+    pub miou_per_view: Option<f64>,
+    /// Pixel accuracy.
+    pub accuracy: Option<f64>,
+}
+
+/// Wall-clock seconds by stage.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Seconds {
+    /// Gaussians from photos.
+    pub building: f64,
+    /// 2D features.
+    pub features: f64,
+    /// Lifting features onto Gaussians.
+    pub unprojection: f64,
+    /// Training and scoring of all label rows, point encoding included.
+    pub segmentation: f64,
+    /// Everything, loading and writing included.
+    pub total: f64,
+}
+
+/// Largest resident memory of this process so far, bytes (`VmHWM`); `None` where the system does not say.
+pub fn peak_memory_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kilobytes * 1024)
+}

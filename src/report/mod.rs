@@ -1,0 +1,116 @@
+//! The run folder's results: `metrics.json`, `classes.json`, `config.toml`, held-out pictures, and `report.html`.
+
+mod chart;
+mod curves;
+mod font;
+mod from_run;
+mod history;
+mod markup;
+mod metrics;
+mod page;
+pub mod pictures;
+mod tables;
+mod views;
+
+pub use from_run::held_out_views;
+pub use history::{BuildingHistory, History, RowHistory, Sample};
+pub use metrics::{Metrics, RowScores, Scores, Seconds, TestScores, peak_memory_bytes};
+
+use crate::config::{Config, Row};
+use crate::data::{Classes, LabelMap, View, atomic};
+use crate::error::{Error, Result};
+use crate::metrics::ImageScores;
+use std::path::Path;
+
+/// Everything a run has to show.
+#[derive(Clone, Debug)]
+pub struct Report<'a> {
+    /// The figures.
+    pub metrics: Metrics,
+    /// Class table of the scene.
+    pub classes: &'a Classes,
+    /// Settings as run.
+    pub config: &'a Config,
+    /// The command line that started the run.
+    pub command: String,
+    /// Backend and processor threads, in words.
+    pub device: String,
+    /// Curves of both stages.
+    pub history: &'a History,
+    /// Held-out views, in file order.
+    pub views: Vec<HeldOutView<'a>>,
+    /// What a reader should know: where the raw labels come from, what was skipped, what the figures do not say.
+    pub notes: Vec<String>,
+}
+
+/// One held-out view as the trained scene shows it.
+#[derive(Clone, Debug)]
+pub struct HeldOutView<'a> {
+    /// The photo, its truth and its raw labels.
+    pub view: &'a View,
+    /// Rendered colour, `[H, W, 3]`, not clamped.
+    pub rgb: Vec<f32>,
+    /// PSNR and SSIM against the photo.
+    pub scores: ImageScores,
+    /// Rendered labels by row. `Row::Raw` is not among them: raw labels are the view's own.
+    pub labels: Vec<(Row, LabelMap)>,
+}
+
+impl HeldOutView<'_> {
+    /// The labels of the row that the scene stores: `ours` where present, else the last.
+    fn stored(&self) -> Option<&(Row, LabelMap)> {
+        self.labels.iter().find(|(row, _)| *row == Row::Ours).or(self.labels.last())
+    }
+}
+
+impl Report<'_> {
+    /// Writes `classes.json`, `config.toml`, `renders/`, `metrics.json` and `report.html` into `dir`, in this order,
+    /// each under a temporary name first.
+    ///
+    /// For each held-out view `renders/` gets `STEM.rgb.png`, `STEM.rgb_error.png` and, with labels, `STEM.label.png`
+    /// (ids), `STEM.label_color.png` (with a legend) and `STEM.label_error.png` (with truth).
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file that could not be written.
+    pub fn write(&self, dir: &Path) -> Result<()> {
+        self.classes.write(&dir.join("classes.json"))?;
+        atomic::write_bytes(&dir.join("config.toml"), self.config.to_toml()?.as_bytes())?;
+        for view in &self.views {
+            self.write_pictures(view, &dir.join("renders"))?;
+        }
+        let path = dir.join("metrics.json");
+        let json = serde_json::to_string_pretty(&self.metrics).map_err(|e| Error::io(&path, "encode", e.into()))?;
+        atomic::write_bytes(&path, (json + "\n").as_bytes())?;
+        let path = dir.join("report.html");
+        atomic::write_bytes(&path, self.html(&path)?.as_bytes())
+    }
+
+    /// `report.html` as text. `path` only serves error messages.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when a picture cannot be encoded, [`Error::Limit`] when one has another size than its photo.
+    pub fn html(&self, path: &Path) -> Result<String> {
+        page::page(self, path)
+    }
+
+    fn write_pictures(&self, held_out: &HeldOutView<'_>, dir: &Path) -> Result<()> {
+        let stem = held_out.view.name.replace(['/', '\\'], "_");
+        let file = |kind: &str| dir.join(format!("{stem}.{kind}.png"));
+        let camera = &held_out.view.camera;
+        let rgb = pictures::from_floats(&held_out.rgb, camera.width, camera.height)?;
+        let save = |kind: &str, image: &image::RgbImage| {
+            let path = file(kind);
+            atomic::write_bytes(&path, &pictures::png(image, &path)?)
+        };
+        save("rgb", &rgb)?;
+        save("rgb_error", &pictures::rgb_error(&rgb, &held_out.view.image))?;
+        let Some((_, labels)) = held_out.stored() else { return Ok(()) };
+        labels.write(&file("label"))?;
+        let colored = pictures::colored(labels, self.classes);
+        save("label_color", &pictures::with_legend(&colored, labels, self.classes))?;
+        match &held_out.view.truth {
+            Some(truth) => save("label_error", &pictures::label_error(labels, truth, self.classes.ignore)),
+            None => Ok(()),
+        }
+    }
+}

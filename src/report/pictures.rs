@@ -1,0 +1,144 @@
+//! Pictures for people: coloured label maps with legends, error maps, floats as 8-bit images.
+
+use super::font;
+use crate::data::{Classes, LabelMap};
+use crate::error::{Error, Result};
+use image::{Rgb, RgbImage};
+use std::io::Cursor;
+use std::path::Path;
+
+/// Colour of unlabelled pixels.
+pub const UNLABELLED: [u8; 3] = [38, 38, 42];
+/// Colour of ids that the class table lacks.
+const UNKNOWN: [u8; 3] = [255, 0, 200];
+/// Colours of [`label_error`]: right, wrong, truth unlabelled.
+pub const AGREEMENT: [[u8; 3]; 3] = [[226, 229, 226], [208, 52, 44], [112, 114, 120]];
+/// Mean absolute RGB error at which [`rgb_error`] reaches its brightest colour.
+pub const ERROR_FULL: f32 = 0.1;
+
+/// `[H, W, 3]` floats as 8-bit sRGB: clamped to 0..1 and rounded. NaN becomes 0.
+///
+/// # Errors
+/// [`Error::Limit`] when `rgb` has not `width * height * 3` values.
+pub fn from_floats(rgb: &[f32], width: usize, height: usize) -> Result<RgbImage> {
+    let bytes: Vec<u8> = rgb.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
+    RgbImage::from_raw(width as u32, height as u32, bytes).ok_or_else(|| Error::Limit {
+        what: "image values".into(),
+        found: rgb.len().to_string(),
+        limit: format!("{width} x {height} x 3"),
+        mend: "pass an [H, W, 3] image".into(),
+    })
+}
+
+/// A label map in class colours.
+pub fn colored(labels: &LabelMap, classes: &Classes) -> RgbImage {
+    let color = |id: u16| match classes.index(id) {
+        Some(i) => classes.entries[i].color,
+        None if id == classes.ignore => UNLABELLED,
+        None => UNKNOWN,
+    };
+    per_pixel(labels.width, labels.height, |p| color(labels.ids[p]))
+}
+
+/// Where the labels agree with the truth (light), differ (red), and where the truth has no label (grey).
+pub fn label_error(labels: &LabelMap, truth: &LabelMap, ignore: u16) -> RgbImage {
+    per_pixel(truth.width, truth.height, |p| match (truth.ids[p], labels.ids.get(p)) {
+        (t, _) if t == ignore => AGREEMENT[2],
+        (t, Some(&id)) if t == id => AGREEMENT[0],
+        _ => AGREEMENT[1],
+    })
+}
+
+/// Share of labelled pixels that are right; `None` when the truth has no labelled pixel.
+pub fn accuracy(labels: &LabelMap, truth: &LabelMap, ignore: u16) -> Option<f64> {
+    let (mut right, mut all) = (0_usize, 0_usize);
+    for (id, t) in labels.ids.iter().zip(&truth.ids).filter(|(_, t)| **t != ignore) {
+        all += 1;
+        right += usize::from(id == t);
+    }
+    (all > 0).then(|| right as f64 / all as f64)
+}
+
+/// Mean absolute RGB error a pixel as a heat map: black is none, bright yellow [`ERROR_FULL`] or more.
+pub fn rgb_error(a: &RgbImage, b: &RgbImage) -> RgbImage {
+    let (width, height) = (a.width().min(b.width()), a.height().min(b.height()));
+    RgbImage::from_fn(width, height, |x, y| {
+        let (p, q) = (a.get_pixel(x, y).0, b.get_pixel(x, y).0);
+        let sum: u32 = p.iter().zip(q).map(|(&p, q)| u32::from(p.abs_diff(q))).sum();
+        Rgb(heat(sum as f32 / (3.0 * 255.0) / ERROR_FULL))
+    })
+}
+
+/// Black, violet, red, orange, pale yellow: even steps in lightness.
+pub fn heat(share: f32) -> [u8; 3] {
+    const STOPS: [[f32; 3]; 5] =
+        [[0.0, 0.0, 4.0], [87.0, 16.0, 110.0], [188.0, 55.0, 84.0], [249.0, 142.0, 9.0], [252.0, 255.0, 164.0]];
+    let at = share.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
+    let i = (at as usize).min(STOPS.len() - 2);
+    let f = at - i as f32;
+    std::array::from_fn(|c| (STOPS[i][c] + f * (STOPS[i + 1][c] - STOPS[i][c])).round() as u8)
+}
+
+fn per_pixel(width: usize, height: usize, color: impl Fn(usize) -> [u8; 3]) -> RgbImage {
+    RgbImage::from_fn(width as u32, height as u32, |x, y| Rgb(color(y as usize * width + x as usize)))
+}
+
+/// `picture` with a strip below that names every class that occurs in `labels`: swatch, id, name.
+pub fn with_legend(picture: &RgbImage, labels: &LabelMap, classes: &Classes) -> RgbImage {
+    let mut present = vec![false; 1 << 16];
+    for &id in &labels.ids {
+        present[id as usize] = true;
+    }
+    let listed = classes.entries.iter().filter(|c| present[c.id as usize]);
+    let mut entries: Vec<([u8; 3], String)> = listed.map(|c| (c.color, format!("{} {}", c.id, c.name))).collect();
+    if present[classes.ignore as usize] {
+        entries.push((UNLABELLED, "unlabelled".into()));
+    }
+    let scale = if picture.width() >= 900 { 2 } else { 1 };
+    let (swatch, gap, line) = (9 * scale, 4 * scale, 14 * scale);
+    let cell = |text: &str| swatch + gap + font::ADVANCE * scale * text.chars().count() + 3 * gap;
+    let widest = entries.iter().map(|(_, text)| cell(text)).max().unwrap_or(0);
+    let columns = (picture.width() as usize / widest.max(1)).max(1);
+    let rows = entries.len().div_ceil(columns);
+    let strip = if rows == 0 { 0 } else { rows * line + 2 * gap };
+    let mut out = RgbImage::from_pixel(picture.width(), picture.height() + strip as u32, Rgb([250, 250, 248]));
+    image::imageops::replace(&mut out, picture, 0, 0);
+    for (i, (color, text)) in entries.iter().enumerate() {
+        let x = gap + (i % columns) * (picture.width() as usize / columns);
+        let y = picture.height() as usize + gap + (i / columns) * line;
+        fill(&mut out, (x, y), (swatch, swatch), *color);
+        draw_text(&mut out, (x + swatch + gap, y + scale), scale, text);
+    }
+    out
+}
+
+fn fill(image: &mut RgbImage, (x, y): (usize, usize), (width, height): (usize, usize), color: [u8; 3]) {
+    for row in y..(y + height).min(image.height() as usize) {
+        for column in x..(x + width).min(image.width() as usize) {
+            image.put_pixel(column as u32, row as u32, Rgb(color));
+        }
+    }
+}
+
+fn draw_text(image: &mut RgbImage, (x, y): (usize, usize), scale: usize, text: &str) {
+    for (i, c) in text.chars().enumerate() {
+        for (row, bits) in font::glyph(c).into_iter().enumerate() {
+            for column in (0..5).filter(|column| bits >> (4 - column) & 1 == 1) {
+                let at = (x + scale * (font::ADVANCE * i + column), y + scale * row);
+                fill(image, at, (scale, scale), [28, 28, 30]);
+            }
+        }
+    }
+}
+
+/// An RGB image as PNG bytes.
+///
+/// # Errors
+/// [`Error::Io`] naming `path`, for which the bytes are meant, when encoding fails.
+pub fn png(image: &RgbImage, path: &Path) -> Result<Vec<u8>> {
+    let mut bytes = Cursor::new(Vec::new());
+    image
+        .write_to(&mut bytes, image::ImageFormat::Png)
+        .map_err(|e| Error::io(path, "encode", std::io::Error::other(e)))?;
+    Ok(bytes.into_inner())
+}

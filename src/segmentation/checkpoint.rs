@@ -1,0 +1,152 @@
+//! Named tensors read from PyTorch and safetensors files.
+
+use crate::error::{Error, Result};
+use burn::store::pytorch_reader::{DType as TorchType, PytorchReader};
+use safetensors::{Dtype, SafeTensors};
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
+
+/// Keys under which training scripts nest their weights.
+const NESTS: [&str; 3] = ["model_state_dict", "state_dict", "model"];
+
+/// A tensor in host memory.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct HostTensor {
+    /// Extents, outermost first.
+    pub shape: Vec<usize>,
+    /// Row-major values.
+    pub values: Vec<f32>,
+}
+
+/// All floating-point tensors of a weight file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Checkpoint {
+    /// Where they came from, for messages.
+    pub origin: PathBuf,
+    /// By name, without a leading `module.`.
+    pub tensors: BTreeMap<String, HostTensor>,
+    /// The file's own notes (safetensors only).
+    pub metadata: BTreeMap<String, String>,
+}
+
+impl Checkpoint {
+    /// Reads a `.safetensors` file, or anything else as a PyTorch checkpoint (zip, legacy or tar), nested under
+    /// `model_state_dict`, `state_dict`, `model` or not at all.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is truncated, or is no such file.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let safetensors = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("safetensors"));
+        if safetensors {
+            let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+            return Self::from_safetensors(&bytes, path);
+        }
+        std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
+        let reader = PytorchReader::new(path).map_err(|e| unreadable(path, "checkpoint", e))?;
+        let mut checkpoint = Self { origin: path.to_owned(), ..Self::default() };
+        for (name, tensor) in reader.tensors() {
+            let convert: fn(&[u8]) -> f32 = match tensor.dtype() {
+                TorchType::F32 => |b| f32::from_ne_bytes(array(b)),
+                TorchType::F64 => |b| f64::from_ne_bytes(array(b)) as f32,
+                _ => continue, // counters such as num_batches_tracked
+            };
+            let size = tensor.byte_len() / tensor.num_elements().max(1);
+            let bytes = tensor.read().map_err(|e| unreadable(path, name, e))?;
+            let values = bytes.chunks_exact(size.max(1)).map(convert).collect();
+            let name = NESTS.iter().find_map(|n| name.strip_prefix(n)?.strip_prefix('.')).unwrap_or(name);
+            checkpoint.insert(name, HostTensor { shape: tensor.shape().to_vec(), values });
+        }
+        Ok(checkpoint)
+    }
+
+    /// Reads the bytes of a safetensors file; `origin` names them in messages.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when the bytes are truncated or are no safetensors file.
+    pub fn from_safetensors(bytes: &[u8], origin: impl AsRef<Path>) -> Result<Self> {
+        let origin = origin.as_ref();
+        let file = SafeTensors::deserialize(bytes).map_err(|e| unreadable(origin, "header", e))?;
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| unreadable(origin, "header", e))?;
+        let metadata = header.metadata().iter().flatten().map(|(k, v)| (k.clone(), v.clone())).collect();
+        let mut checkpoint = Self { origin: origin.to_owned(), tensors: BTreeMap::new(), metadata };
+        for (name, view) in file.iter() {
+            let values = match view.dtype() {
+                Dtype::F32 => view.data().chunks_exact(4).map(|b| f32::from_le_bytes(array(b))).collect(),
+                Dtype::F64 => view.data().chunks_exact(8).map(|b| f64::from_le_bytes(array(b)) as f32).collect(),
+                _ => continue,
+            };
+            checkpoint.insert(name, HostTensor { shape: view.shape().to_vec(), values });
+        }
+        Ok(checkpoint)
+    }
+
+    /// The bytes of a safetensors file with these tensors and notes.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when a tensor's shape does not match its values.
+    pub fn to_safetensors(&self) -> Result<Vec<u8>> {
+        let bytes: BTreeMap<&String, Vec<u8>> = self
+            .tensors
+            .iter()
+            .map(|(name, t)| (name, t.values.iter().flat_map(|v| v.to_le_bytes()).collect()))
+            .collect();
+        let mut views = Vec::with_capacity(bytes.len());
+        for (name, bytes) in &bytes {
+            let view = safetensors::tensor::TensorView::new(Dtype::F32, self.tensors[*name].shape.clone(), bytes);
+            views.push(((*name).clone(), view.map_err(|e| unreadable(&self.origin, name, e))?));
+        }
+        let metadata: HashMap<String, String> = self.metadata.clone().into_iter().collect();
+        safetensors::serialize(views, Some(metadata)).map_err(|e| unreadable(&self.origin, "tensors", e))
+    }
+
+    /// Adds a tensor under `name`, without a leading `module.` (DataParallel).
+    pub fn insert(&mut self, name: &str, tensor: HostTensor) {
+        self.tensors.insert(name.strip_prefix("module.").unwrap_or(name).to_owned(), tensor);
+    }
+
+    /// The tensor `name`, its trailing extents of 1 dropped (1x1 convolutions are linear maps).
+    ///
+    /// # Errors
+    /// [`Error::Input`] when it is missing, has another shape than `shape`, or holds a value that is not finite.
+    pub fn get(&self, name: &str, shape: &[usize]) -> Result<&[f32]> {
+        let tensor =
+            self.tensors.get(name).ok_or_else(|| self.problem(name, "no such tensor", format!("{shape:?}")))?;
+        let mut found = tensor.shape.as_slice();
+        while found.len() > shape.len() && found.last() == Some(&1) {
+            found = &found[..found.len() - 1];
+        }
+        if found != shape {
+            return Err(self.problem(name, format!("shape {:?}", tensor.shape), format!("{shape:?}")));
+        }
+        match tensor.values.iter().position(|v| !v.is_finite()) {
+            Some(i) => Err(self.problem(name, format!("{} at element {i}", tensor.values[i]), "finite values")),
+            None => Ok(&tensor.values),
+        }
+    }
+
+    /// Extents of the tensor `name`.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when it is missing.
+    pub fn shape(&self, name: &str) -> Result<&[usize]> {
+        match self.tensors.get(name) {
+            Some(tensor) => Ok(&tensor.shape),
+            None => Err(self.problem(name, "no such tensor", "one")),
+        }
+    }
+
+    fn problem(&self, name: &str, found: impl Into<String>, expected: impl Into<String>) -> Error {
+        Error::input(&self.origin, name, found, expected, "give a RandLA-Net checkpoint (keys `dilated_res_blocks.*`)")
+    }
+}
+
+fn unreadable(path: &Path, field: &str, cause: impl std::fmt::Display) -> Error {
+    Error::input(path, field, cause.to_string(), "a whole weight file", "check that the download is complete")
+}
+
+fn array<const N: usize>(bytes: &[u8]) -> [u8; N] {
+    let mut out = [0; N];
+    out.copy_from_slice(bytes); // chunks_exact(N): always N bytes
+    out
+}

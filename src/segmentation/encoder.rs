@@ -1,0 +1,255 @@
+//! The frozen spatial encoder of a run: which weights, and a cloud of Gaussian centres turned into features (Eq. 6).
+
+use super::checkpoint::{Checkpoint, HostTensor};
+use super::neighbours::{Neighbours, check_finite};
+use super::randla::{Form, LAYERS, NEIGHBOURS, POSITION_CHANNELS, RATIO, RandlaEncoder, tensor};
+use super::sampling::Hierarchy;
+use crate::config::{SpatialConfig, SpatialSource};
+use crate::error::{Error, Result};
+use crate::ops::SparseMatrix;
+use burn::tensor::{Device, Tensor};
+use glam::{DQuat, DVec3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
+
+/// Radius in metres that a camera path is taken to have when nothing says how large a scene is.
+const ASSUMED_EXTENT: f64 = 2.0;
+/// Stem width and block widths of encoders made here; a block's features are twice as wide.
+const WIDTHS: [usize; 1 + LAYERS] = [8, 16, 32, 64, 128];
+
+/// Points to encode.
+#[derive(Clone, Copy, Debug)]
+pub struct Cloud<'a> {
+    /// `[N, 3]`, world units, any origin.
+    pub positions: &'a [[f32; 3]],
+    /// `[N, 3]` sRGB in 0..1; read only by encoders with six inputs.
+    pub colors: Option<&'a [[f32; 3]]>,
+    /// World direction that points up; any length but zero.
+    pub up: DVec3,
+    /// Metres per world unit.
+    pub scale: f64,
+}
+
+impl Cloud<'_> {
+    /// Positions in metres, z up, the median at the origin.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] naming the first bad row; [`Error::Config`] for an unusable scale or up direction.
+    pub fn oriented(&self) -> Result<Vec<[f32; 3]>> {
+        check_finite("positions to encode", self.positions)?;
+        if !(self.scale.is_finite() && self.scale > 0.0) {
+            let expected = "a finite number above 0";
+            return Err(Error::config("spatial.scale", self.scale.to_string(), expected, "give metres per world unit"));
+        }
+        let up = self.up.try_normalize().ok_or_else(|| {
+            Error::config("up", self.up.to_string(), "a finite direction", "give the direction that points up")
+        })?;
+        let turn = DQuat::from_rotation_arc(up, DVec3::Z);
+        let turned: Vec<DVec3> =
+            self.positions.iter().map(|p| turn * DVec3::from(p.map(f64::from)) * self.scale).collect();
+        let median = |axis: fn(&DVec3) -> f64| {
+            let mut values: Vec<f64> = turned.iter().map(axis).collect();
+            let middle = values.len() / 2;
+            match values.is_empty() {
+                true => 0.0,
+                false => *values.select_nth_unstable_by(middle, f64::total_cmp).1,
+            }
+        };
+        let centre = DVec3::new(median(|p| p.x), median(|p| p.y), median(|p| p.z));
+        Ok(turned.iter().map(|p| (*p - centre).as_vec3().to_array()).collect())
+    }
+}
+
+/// A point set of an [`Encoding`].
+#[derive(Clone, Debug)]
+pub struct Level {
+    /// `[N_n]` rows of the encoded cloud; level 1 holds them all, in order.
+    pub indices: Vec<u32>,
+    /// `[N_n, 3]` in metres, z up, centred.
+    pub positions: Vec<[f32; 3]>,
+    /// `[N_n, K]` nearest points of this level, itself first; empty for the coarsest set.
+    pub neighbours: Neighbours,
+    /// `f_s,n` before its sampling, `[N_n, S_n]`; without autodiff.
+    pub features: Tensor<2>,
+}
+
+/// Spatial features of a cloud from local to global (Eq. 6).
+#[derive(Clone, Debug)]
+pub struct Encoding {
+    /// Levels 1 to 4, `N / 4^(n-1)` points.
+    pub levels: Vec<Level>,
+    /// The last sampled set and its features `f_e`.
+    pub coarsest: Level,
+    /// For n = 1 to 4, interpolation onto level n from level n + 1 (from the coarsest set for n = 4).
+    pub upsample: Vec<Arc<SparseMatrix>>,
+}
+
+impl Encoding {
+    /// Bytes held by features, neighbours and maps: what a cache of encodings is bounded by.
+    pub fn bytes(&self) -> usize {
+        let levels = self.levels.iter().chain([&self.coarsest]);
+        let levels: usize = levels
+            .map(|l| 4 * (l.features.shape().num_elements() + 4 * l.indices.len() + l.neighbours.indices.len()))
+            .sum();
+        levels + self.upsample.iter().map(|m| m.bytes()).sum::<usize>()
+    }
+}
+
+/// Encodes a cloud; `seed` decides the random sampling.
+///
+/// Memory beyond the result is bounded: a few 2 MB tensors a thread, and 17 indices a point.
+///
+/// # Errors
+/// [`Error::Config`] for an empty cloud, missing or miscounted colours, an unusable scale or up direction;
+/// [`Error::NonFinite`] naming the first bad row of the input, or of the features when the weights overflow.
+pub fn encode(encoder: &RandlaEncoder, cloud: &Cloud, seed: u64, device: &Device) -> Result<Encoding> {
+    if cloud.positions.is_empty() {
+        return Err(Error::config(
+            "positions to encode",
+            "none",
+            "at least one point",
+            "encode a scene with Gaussians",
+        ));
+    }
+    let positions = cloud.oriented()?;
+    let hierarchy = Hierarchy::build(&positions, LAYERS, RATIO, NEIGHBOURS, seed)?;
+    let device = device.clone().inner();
+    let input = encoder_input(encoder.inputs(), &positions, cloud.colors, &device)?;
+    let (features, coarsest) = encoder.encode_levels(input, &hierarchy, true);
+    let upsample = hierarchy.upsampling()?;
+    for (n, f) in features.iter().chain([&coarsest]).enumerate() {
+        check_features(n, f)?;
+    }
+    let coarsest = Level {
+        indices: hierarchy.coarsest_indices,
+        positions: hierarchy.coarsest_positions,
+        neighbours: Neighbours::default(),
+        features: coarsest,
+    };
+    let levels = hierarchy.levels.into_iter().zip(features);
+    let levels = levels
+        .map(|(l, features)| Level { indices: l.indices, positions: l.positions, neighbours: l.neighbours, features })
+        .collect();
+    Ok(Encoding { levels, coarsest, upsample })
+}
+
+/// `[N, 3]` positions, or `[N, 6]` with colours, for an encoder of `inputs` channels.
+pub(crate) fn encoder_input(
+    inputs: usize,
+    positions: &[[f32; 3]],
+    colors: Option<&[[f32; 3]]>,
+    device: &Device,
+) -> Result<Tensor<2>> {
+    let points = positions.len();
+    if inputs == 3 {
+        return Ok(tensor(positions.as_flattened().to_vec(), [points, 3], device));
+    }
+    match colors {
+        Some(colors) if colors.len() == points => {
+            check_finite("colours to encode", colors)?;
+            let values = positions.iter().zip(colors).flat_map(|(p, c)| p.iter().chain(c)).copied().collect();
+            Ok(tensor(values, [points, 6], device))
+        }
+        other => Err(Error::config(
+            "colours to encode",
+            other.map_or("none".into(), |c| format!("{} rows", c.len())),
+            format!("{points} rows: these weights read xyz and rgb"),
+            "give the cloud's colours, or weights that read xyz only",
+        )),
+    }
+}
+
+fn check_features(level: usize, features: &Tensor<2>) -> Result<()> {
+    let width = features.dims()[1];
+    let values = features.to_data();
+    let bad = values.as_slice::<f32>().ok().and_then(|v| v.iter().position(|v| !v.is_finite()));
+    match bad {
+        Some(i) => Err(Error::non_finite(format!("spatial features of level {}", level + 1), i / width)),
+        None => Ok(()),
+    }
+}
+
+/// Metres per world unit: the setting, or, where it is 0, what makes the cameras' extent (the largest distance of a
+/// camera from their mean, world units) two metres.
+///
+/// # Errors
+/// [`Error::Config`] for a negative or non-finite setting, and for 0 without a usable extent.
+pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64> {
+    let (scale, mend) = match config.scale {
+        0.0 => (ASSUMED_EXTENT / camera_extent, "set spatial.scale: the cameras do not tell how large the scene is"),
+        scale => (scale, "give metres per world unit, or 0 to derive it from the cameras"),
+    };
+    match scale.is_finite() && scale > 0.0 {
+        true => Ok(scale),
+        false => Err(Error::config("spatial.scale", config.scale.to_string(), "a finite number above 0, or 0", mend)),
+    }
+}
+
+/// The encoder that the settings ask for, frozen, and how a run names it: `pretrained FILE`, `trained here`, `random`.
+///
+/// # Errors
+/// [`Error::Config`] when a checkpoint is asked for and not named; [`Error::Io`], [`Error::Input`] when it cannot be
+/// read or does not fit.
+pub fn load_spatial(config: &SpatialConfig, seed: u64, device: &Device) -> Result<(RandlaEncoder, String)> {
+    let (weights, name) = match (config.source, &config.weights) {
+        (SpatialSource::Builtin, _) => {
+            let mend = "set spatial.source = \"random\" or \"pretrained\"";
+            return Err(Error::config("spatial.source", "builtin", "weights that are part of this build", mend));
+        }
+        (SpatialSource::Random, _) => (random_weights(3, seed), "random".to_owned()),
+        (SpatialSource::Pretrained, Some(path)) => (Checkpoint::open(path)?, format!("pretrained {}", path.display())),
+        (SpatialSource::Pretrained, None) => {
+            let mend = "set it to a RandLA-Net checkpoint, or set spatial.source = \"builtin\"";
+            return Err(Error::config("spatial.weights", "nothing", "a .safetensors, .pth or .pt file", mend));
+        }
+    };
+    Ok((RandlaEncoder::load(&weights, Form::Frozen, &device.clone().inner())?, name))
+}
+
+/// Untrained weights (He-uniform, running statistics 0 and 1) in the layout of the published checkpoints: where
+/// pretraining starts, and the ablation row `random`. `inputs` is 3 or 6.
+pub fn random_weights(inputs: usize, seed: u64) -> Checkpoint {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut weights = Checkpoint { origin: "random RandLA weights".into(), ..Checkpoint::default() };
+    add_random_mlp(&mut weights, "fc0", [inputs, WIDTHS[0]], &mut rng);
+    let mut input = WIDTHS[0];
+    for (n, &d) in WIDTHS[1..].iter().enumerate() {
+        let block = |part: &str| format!("dilated_res_blocks.{n}.{part}");
+        for (part, shape) in [
+            ("mlp1", [input, d / 2]),
+            ("lfa.mlp1", [POSITION_CHANNELS, d / 2]),
+            ("lfa.att_pooling_1.mlp", [d, d / 2]),
+            ("lfa.mlp2", [d / 2, d / 2]),
+            ("lfa.att_pooling_2.mlp", [d, d]),
+            ("mlp2", [d, 2 * d]),
+            ("shortcut", [input, 2 * d]),
+        ] {
+            add_random_mlp(&mut weights, &block(part), shape, &mut rng);
+        }
+        for stage in [1, 2] {
+            let values = he_uniform(d * d, d, &mut rng);
+            weights.insert(
+                &block(&format!("lfa.att_pooling_{stage}.fc.weight")),
+                HostTensor { shape: vec![d, d], values },
+            );
+        }
+        input = 2 * d;
+    }
+    weights
+}
+
+/// Adds a shared MLP's `conv.weight` and `bn.bn.*` under `name`.
+pub(crate) fn add_random_mlp(weights: &mut Checkpoint, name: &str, [input, output]: [usize; 2], rng: &mut ChaCha8Rng) {
+    let values = he_uniform(input * output, input, rng);
+    weights.insert(&format!("{name}.conv.weight"), HostTensor { shape: vec![output, input], values });
+    for (part, value) in [("weight", 1.0), ("bias", 0.0), ("running_mean", 0.0), ("running_var", 1.0)] {
+        weights
+            .insert(&format!("{name}.bn.bn.{part}"), HostTensor { shape: vec![output], values: vec![value; output] });
+    }
+}
+
+fn he_uniform(count: usize, inputs: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    let bound = (6.0 / inputs.max(1) as f64).sqrt() as f32;
+    (0..count).map(|_| bound * rng.random_range(-1.0f32..1.0)).collect()
+}

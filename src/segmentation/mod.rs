@@ -1,0 +1,14 @@
+//! Segmentation identities: where image features meet the shape of the scene.
+
+pub mod checkpoint;
+pub mod decoder;
+pub mod encoder;
+pub mod interpolation;
+pub mod loss;
+pub mod neighbours;
+pub mod pretrain;
+pub mod probe;
+pub mod pyramid;
+pub mod randla;
+pub mod sampling;
+pub mod unprojection;

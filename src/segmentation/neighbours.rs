@@ -1,0 +1,226 @@
+//! Exact nearest neighbours in 3D, the same at any thread count and for any input order of equal distances.
+
+use crate::error::{Error, Result};
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use rayon::prelude::*;
+use std::num::NonZero;
+
+/// Two squared distances closer than this share of the larger are looked at again in our own arithmetic, because the
+/// tree may round them differently.
+const TIE: f64 = 1e-12;
+
+/// Rows of `k` neighbours.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Neighbours {
+    /// Neighbours a row.
+    pub k: usize,
+    /// `[N, k]` row-major indices of points.
+    pub indices: Vec<u32>,
+}
+
+impl Neighbours {
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        if self.k == 0 { 0 } else { self.indices.len() / self.k }
+    }
+
+    /// Whether there are no rows.
+    pub fn is_empty(&self) -> bool {
+        self.indices.is_empty()
+    }
+
+    /// Neighbours of row `i`.
+    pub fn row(&self, i: usize) -> &[u32] {
+        &self.indices[i * self.k..][..self.k]
+    }
+}
+
+/// A point set that answers nearest-neighbour queries.
+///
+/// Points at the same position share one entry of the tree, so that a cloud of identical points costs no more than any
+/// other. Ties are resolved by the smaller index.
+pub struct PointIndex {
+    /// All points, in f64 so that squared distances neither overflow nor lose bits.
+    points: Vec<[f64; 3]>,
+    /// Indices of points, grouped by position, ascending within a group.
+    members: Vec<u32>,
+    /// Start of each group in `members`; one more entry than groups.
+    offsets: Vec<u32>,
+    /// One entry a group; absent when there are no points.
+    tree: Option<ImmutableKdTree<f64, 3>>,
+}
+
+impl PointIndex {
+    /// Indexes `points` (`[N, 3]`, any unit).
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] naming the first bad row; [`Error::Limit`] above 2^32 - 1 points.
+    pub fn new(points: &[[f32; 3]]) -> Result<Self> {
+        check_finite("points", points)?;
+        if u32::try_from(points.len()).is_err() {
+            return Err(Error::Limit {
+                what: "points in a neighbour search".into(),
+                found: points.len().to_string(),
+                limit: u32::MAX.to_string(),
+                mend: "use fewer points".into(),
+            });
+        }
+        let points: Vec<[f64; 3]> = points.iter().map(wide).collect();
+        let mut members: Vec<u32> = (0..points.len() as u32).collect();
+        members.par_sort_unstable_by(|&a, &b| order(&points[a as usize], &points[b as usize]).then(a.cmp(&b)));
+        let mut offsets = Vec::new();
+        let mut unique = Vec::new();
+        for (i, &m) in members.iter().enumerate() {
+            if unique.last() != Some(&points[m as usize]) {
+                offsets.push(i as u32);
+                unique.push(points[m as usize]);
+            }
+        }
+        offsets.push(members.len() as u32);
+        let tree = match unique.is_empty() {
+            true => None,
+            false => Some(ImmutableKdTree::new_from_slice(&unique).map_err(|e| Error::Limit {
+                what: "points in a neighbour search".into(),
+                found: e.to_string(),
+                limit: u32::MAX.to_string(),
+                mend: "use fewer points".into(),
+            })?),
+        };
+        Ok(Self { points, members, offsets, tree })
+    }
+
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.points.is_empty()
+    }
+
+    /// The `k` nearest points of every point: itself first, then by distance, ties by index.
+    /// A set smaller than `k` repeats its members in that order.
+    pub fn neighbours(&self, k: usize) -> Neighbours {
+        let mut indices = vec![0; self.len() * k];
+        if k > 0 {
+            indices.par_chunks_mut(k).enumerate().for_each_init(Vec::new, |found, (i, row)| {
+                self.collect(&self.points[i], k, found);
+                row[0] = i as u32;
+                let others = found.iter().map(|&(_, j)| j).filter(|&j| j as usize != i);
+                fill(row, 1, others);
+            });
+        }
+        Neighbours { k, indices }
+    }
+
+    /// The `k` nearest points of every query, by distance, ties by index, and their squared distances (`[Q, k]`).
+    /// A set smaller than `k` repeats its members in that order; an empty one is an error.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] naming the first bad query; [`Error::Config`] when there are no points to find.
+    pub fn nearest(&self, queries: &[[f32; 3]], k: usize) -> Result<(Neighbours, Vec<f64>)> {
+        check_finite("queries", queries)?;
+        if self.is_empty() && k > 0 && !queries.is_empty() {
+            return Err(Error::config("points", "none", "at least one point", "give the search a point to find"));
+        }
+        let mut indices = vec![0; queries.len() * k];
+        let mut distances = vec![0.0; queries.len() * k];
+        if k > 0 {
+            let rows = indices.par_chunks_mut(k).zip(distances.par_chunks_mut(k));
+            rows.zip(queries).for_each_init(Vec::new, |found, ((row, distance), query)| {
+                let query = wide(query);
+                self.collect(&query, k, found);
+                fill(row, 0, found.iter().map(|&(_, j)| j));
+                for (d, &j) in distance.iter_mut().zip(&*row) {
+                    *d = squared_distance(&self.points[j as usize], &query);
+                }
+            });
+        }
+        Ok((Neighbours { k, indices }, distances))
+    }
+
+    /// Puts the nearest `k` points (fewer in a small set) into `found` as (squared distance, index), ascending.
+    fn collect(&self, query: &[f64; 3], k: usize, found: &mut Vec<(f64, u32)>) {
+        found.clear();
+        let Some(tree) = &self.tree else { return };
+        let groups = self.offsets.len() - 1;
+        // one more than asked for shows whether the cut falls between equal distances
+        let Some(wanted) = NonZero::new((k + 1).min(groups)) else { return };
+        let near = tree.query(query).nearest_n::<SquaredEuclidean<f64>>(wanted).execute();
+        let mut add = |group: u32| {
+            let span = self.offsets[group as usize] as usize..self.offsets[group as usize + 1] as usize;
+            let members = &self.members[span];
+            let distance = squared_distance(&self.points[members[0] as usize], query);
+            found.extend(members.iter().take(k + 1).map(|&m| (distance, m)));
+        };
+        let cut = (near.len() > k && k > 0).then(|| (near[k - 1].distance, near[k].distance));
+        match cut {
+            Some((inside, outside)) if outside <= inside * (1.0 + TIE) => {
+                let radius = inside * (1.0 + TIE);
+                for hit in tree.query(query).within::<SquaredEuclidean<f64>>(radius).unsorted().execute() {
+                    add(hit.item);
+                }
+            }
+            _ => near.iter().for_each(|hit| add(hit.item)),
+        }
+        found.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        // one spare, because a point's own row puts it first wherever it stands here
+        found.truncate(k + 1);
+    }
+}
+
+/// `[N, k]` nearest other points of every point; a set of k points or fewer repeats them, a single point itself.
+///
+/// # Errors
+/// [`Error::NonFinite`] naming the first bad row.
+pub fn without_self(points: &[[f32; 3]], k: usize) -> Result<Vec<u32>> {
+    Ok(drop_self(&PointIndex::new(points)?.neighbours((k + 1).min(points.len().max(1))), k))
+}
+
+/// The same from rows that begin with the point itself, as an encoding's levels hold them.
+pub fn drop_self(neighbours: &Neighbours, k: usize) -> Vec<u32> {
+    let mut rows = Vec::with_capacity(neighbours.len() * k);
+    for i in 0..neighbours.len() {
+        let row = neighbours.row(i);
+        // a set smaller than K repeats its members, itself among them, after all others
+        let others = &row[1..1 + row[1..].iter().position(|&j| j as usize == i).unwrap_or(row.len() - 1)];
+        let others = if others.is_empty() { row } else { others };
+        rows.extend((0..k).map(|n| others[n % others.len()]));
+    }
+    rows
+}
+
+/// Writes `found` into `row` from `first` on, and repeats the row's beginning when it runs out.
+fn fill(row: &mut [u32], first: usize, found: impl Iterator<Item = u32>) {
+    let mut end = first;
+    for (slot, j) in row[first..].iter_mut().zip(found) {
+        *slot = j;
+        end += 1;
+    }
+    for i in end..row.len() {
+        row[i] = row[i - end];
+    }
+}
+
+fn wide(p: &[f32; 3]) -> [f64; 3] {
+    p.map(|v| f64::from(v) + 0.0) // -0 becomes 0, so that equal positions have equal bits
+}
+
+fn order(a: &[f64; 3], b: &[f64; 3]) -> std::cmp::Ordering {
+    a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2]))
+}
+
+fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    let d = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+    d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+}
+
+/// # Errors
+/// [`Error::NonFinite`] naming `tensor` and its first row that is not finite.
+pub(crate) fn check_finite(tensor: &str, rows: &[[f32; 3]]) -> Result<()> {
+    match rows.iter().position(|p| p.iter().any(|v| !v.is_finite())) {
+        Some(row) => Err(Error::non_finite(tensor, row)),
+        None => Ok(()),
+    }
+}

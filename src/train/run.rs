@@ -1,0 +1,213 @@
+//! The main job: a scene in, a segmented Gaussian scene out, with everything that a report needs.
+
+use super::building::BuildingStage;
+use super::building_state::BuildingState;
+use super::progress::{CurvePoint, Progress};
+use super::rows::{RowOutcome, run_rows};
+use super::segmentation_inputs::{Inputs, Seen};
+use crate::config::{Config, Row};
+use crate::data::{Scene, Split, View, builtin, transforms};
+use crate::error::{Error, Result};
+use crate::gaussians::{Gaussians, ply};
+use crate::metrics::ImageScores;
+use crate::objects::Identities;
+use crate::raster::{Settings, render};
+use burn::tensor::Device;
+use std::path::Path;
+use std::time::Instant;
+
+/// Seconds spent in each part of the job; evaluations are part of the stage they belong to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Seconds {
+    /// Stage one.
+    pub building: f64,
+    /// 2D feature extraction and reduction.
+    pub features: f64,
+    /// Lifting features onto Gaussians.
+    pub unprojection: f64,
+    /// Stage two, the point encoder included.
+    pub segmentation: f64,
+    /// Everything from loading to the last score.
+    pub total: f64,
+}
+
+/// What attendance pruning (Algorithm 1, line 8) removed and what it cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pruned {
+    /// Gaussians before.
+    pub before: usize,
+    /// Gaussians after.
+    pub after: usize,
+    /// Mean held-out scores before.
+    pub scores_before: ImageScores,
+    /// Mean held-out scores after.
+    pub scores_after: ImageScores,
+}
+
+/// All that a run made.
+pub struct Outcome {
+    /// The scene as loaded.
+    pub scene: Scene,
+    /// The trained Gaussians, after attendance pruning.
+    pub gaussians: Gaussians,
+    /// Curve of stage one.
+    pub building: Vec<CurvePoint>,
+    /// Mean held-out scores of the final Gaussians.
+    pub test: ImageScores,
+    /// Attendance pruning, where features were unprojected.
+    pub pruned: Option<Pruned>,
+    /// Rows of the label table, in the order of the configuration; empty without labels.
+    pub rows: Vec<RowOutcome>,
+    /// Where the 2D features came from; empty when none were needed.
+    pub features: String,
+    /// Where the point encoder came from; empty when none was needed.
+    pub spatial: String,
+    /// Where the time went.
+    pub seconds: Seconds,
+}
+
+impl Outcome {
+    /// The row whose identities the scene stores: `ours` where it was trained, else the last with identities.
+    pub fn stored(&self) -> Option<(&RowOutcome, &Identities)> {
+        let with = |row: &RowOutcome| row.identities.is_some();
+        let row = self.rows.iter().find(|r| r.row == Row::Ours && with(r));
+        let row = row.or_else(|| self.rows.iter().rfind(|r| with(r)))?;
+        Some((row, row.identities.as_ref()?))
+    }
+
+    /// Mean size of the learned parts in bytes: (name, bytes).
+    pub fn learnable_bytes(&self) -> Vec<(String, u64)> {
+        let g = &self.gaussians;
+        let floats = g.len() * (3 + 3 + 4 + 1 + 3 * g.sh_len());
+        let mut parts = vec![("gaussians".to_owned(), 4 * floats as u64)];
+        for row in &self.rows {
+            if row.learnable_bytes > 0 {
+                parts.push((row.name().to_owned(), row.learnable_bytes as u64));
+            }
+        }
+        parts
+    }
+}
+
+/// The scene that `config.data` names: a folder, or the built-in scene.
+///
+/// # Errors
+/// Those of the loader, each naming file and field.
+pub fn load_scene(config: &Config) -> Result<Scene> {
+    match &config.data.dir {
+        None => Ok(builtin::scene(builtin::EVALUATED_SEED)),
+        Some(dir) => transforms::load(dir, &transforms::LoadOptions::from(&config.data)),
+    }
+}
+
+/// Runs both stages. Checkpoints go to and come from `out/checkpoint`; a run that finds its own there goes on.
+///
+/// # Errors
+/// Those of loading, of both stages, and of writing; nothing written before is lost.
+pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Progress) -> Result<Outcome> {
+    let start = Instant::now();
+    let scene = load_scene(config)?;
+    let settings = Settings::from(&config.raster);
+    let checkpoints = out.join("checkpoint");
+    std::fs::create_dir_all(&checkpoints).map_err(|e| Error::io(&checkpoints, "create", e))?;
+    let mut seconds = Seconds::default();
+
+    let clock = Instant::now();
+    let (gaussians, building) = build(&scene, config, &checkpoints.join("building.safetensors"), device, progress)?;
+    ply::write(&out.join("scene.ply"), &gaussians, scene.origin, None)?;
+    seconds.building = clock.elapsed().as_secs_f64();
+
+    let test = score_images(&gaussians, &scene, config)?;
+    let mut outcome = Outcome {
+        gaussians,
+        building,
+        test,
+        pruned: None,
+        rows: Vec::new(),
+        features: String::new(),
+        spatial: String::new(),
+        seconds,
+        scene,
+    };
+    let labelled = outcome.scene.split(Split::Train).any(|v| v.raw.is_some()) && !outcome.scene.classes.is_empty();
+    if labelled && !config.segmentation.rows.is_empty() && !progress.stop() {
+        segment(&mut outcome, config, &settings, &checkpoints, device, progress)?;
+    }
+    outcome.seconds.total = start.elapsed().as_secs_f64();
+    Ok(outcome)
+}
+
+fn build(
+    scene: &Scene,
+    config: &Config,
+    checkpoint: &Path,
+    device: &Device,
+    progress: &mut dyn Progress,
+) -> Result<(Gaussians, Vec<CurvePoint>)> {
+    let mut stage = match checkpoint.is_file() {
+        true => BuildingStage::from_state(scene, config, device, BuildingState::load(checkpoint)?)?,
+        false => BuildingStage::new(scene, config, device)?,
+    }
+    .checkpoint_at(checkpoint);
+    stage.run(progress)?;
+    Ok((stage.gaussians()?, stage.curve().to_vec()))
+}
+
+fn segment(
+    outcome: &mut Outcome,
+    config: &Config,
+    settings: &Settings,
+    checkpoints: &Path,
+    device: &Device,
+    progress: &mut dyn Progress,
+) -> Result<()> {
+    let fused = config.segmentation.rows.iter().any(|row| row.is_fused());
+    let seen = match fused {
+        true => Some(Seen::new(&outcome.scene, &outcome.gaussians, config, settings, progress)?),
+        false => None,
+    };
+    if let Some(seen) = &seen {
+        let before = (outcome.gaussians.len(), outcome.test);
+        outcome.gaussians = outcome.gaussians.select(&seen.kept);
+        if outcome.gaussians.len() < before.0 {
+            outcome.test = score_images(&outcome.gaussians, &outcome.scene, config)?;
+        }
+        outcome.pruned = Some(Pruned {
+            before: before.0,
+            after: outcome.gaussians.len(),
+            scores_before: before.1,
+            scores_after: outcome.test,
+        });
+        outcome.seconds.features = seen.seconds[0];
+        outcome.seconds.unprojection = seen.seconds[1];
+        outcome.features = seen.name.clone();
+    }
+    let clock = Instant::now();
+    let inputs = Inputs { scene: &outcome.scene, gaussians: &outcome.gaussians, seen, config, settings: *settings, device };
+    let (rows, spatial) = run_rows(&inputs, checkpoints, progress)?;
+    (outcome.rows, outcome.spatial) = (rows, spatial);
+    outcome.seconds.segmentation = clock.elapsed().as_secs_f64();
+    Ok(())
+}
+
+/// Mean held-out PSNR and SSIM.
+///
+/// # Errors
+/// [`crate::Error::NonFinite`] when a parameter is not finite.
+pub fn score_images(gaussians: &Gaussians, scene: &Scene, config: &Config) -> Result<ImageScores> {
+    let scores: Vec<_> =
+        scene.split(Split::Test).map(|v| Ok(render_and_score(gaussians, v, config)?.1)).collect::<Result<_>>()?;
+    Ok(ImageScores::mean(&scores))
+}
+
+/// Renders one view in colour (`[H, W, 3]`, not clamped) and scores it against its photo.
+///
+/// # Errors
+/// As [`score_images`].
+pub fn render_and_score(gaussians: &Gaussians, view: &View, config: &Config) -> Result<(Vec<f32>, ImageScores)> {
+    let settings = Settings::from(&config.raster);
+    let rendered = render(gaussians, &view.camera, &settings, config.raster.background)?;
+    let (width, height) = (view.camera.width, view.camera.height);
+    let scores = ImageScores::of(&rendered.rgb, &view.rgb(), width, height);
+    Ok((rendered.rgb, scores))
+}

@@ -1,0 +1,266 @@
+//! The decoder rows: multi-scale fusion (Eq. 7) trained by the label loss and the 3D regularisation (Eq. 10).
+//!
+//! The last layer is linear, so hidden features are blended and the layer is applied per pixel: exact, and cheaper by
+//! the ratio of classes to hidden width. Only what a view's visible Gaussians depend on is decoded in a step.
+
+use super::optimiser::{self, ModuleAdam, NamedValues};
+use super::views::ViewWeights;
+use super::{Model, Prediction};
+use crate::config::SegmentationConfig;
+use crate::error::Result;
+use crate::objects::Identities;
+use crate::ops::{SparseMatrix, sparse_apply};
+use crate::random::{Purpose, stream};
+use crate::segmentation::decoder::Decoder;
+use crate::segmentation::loss::neighbour_divergence;
+use crate::segmentation::neighbours::without_self;
+use crate::segmentation::pyramid::{Pyramid, Restriction};
+use burn::module::Module;
+use burn::tensor::{Device, Gradients, Tensor};
+use std::sync::Arc;
+
+/// Scales of the 3D regularisation (n = 3, 4), zero-based.
+const REGULARISED: [usize; 2] = [2, 3];
+/// Gaussians decoded at once when the stored identities are made.
+const CHUNK: usize = 16_384;
+
+/// A set of Gaussians with the decoder's frozen inputs.
+#[derive(Clone, Debug)]
+pub struct Encoded {
+    /// Frozen inputs of all scales; level 1 holds every point of the set.
+    pub pyramid: Pyramid,
+    /// Scene index of each point of the set, ascending.
+    pub points: Vec<u32>,
+}
+
+/// What a step needs of a view besides its weights.
+#[derive(Clone, Debug)]
+struct Prepared {
+    /// The part of the pyramid that the view's visible Gaussians depend on.
+    pyramid: Pyramid,
+    /// K nearest points within that part for each point of the regularised scales, `[N_n, K]`; empty without them.
+    neighbours: [Vec<u32>; REGULARISED.len()],
+}
+
+impl Prepared {
+    fn bytes(&self) -> usize {
+        let level = |l: &crate::segmentation::pyramid::Level| {
+            4 * (l.image.shape().num_elements() + l.spatial.shape().num_elements() + l.points.len()) + l.upsample.bytes()
+        };
+        self.pyramid.levels.iter().map(level).sum::<usize>() + 4 * self.neighbours.iter().map(Vec::len).sum::<usize>()
+    }
+}
+
+/// Where the decoder's input comes from.
+pub enum Source {
+    /// The whole scene, encoded once; views use the part they see.
+    Scene(Encoded),
+    /// Each training view's visible Gaussians encoded alone (the paper), and the whole scene for those no view sees.
+    Views {
+        /// In the order of the training views.
+        views: Vec<Encoded>,
+        /// Summed alpha' T of each view's points, for the weighted mean of identities.
+        weights: Vec<Vec<f32>>,
+        /// The whole scene.
+        scene: Encoded,
+    },
+}
+
+impl Source {
+    /// The encoding of the whole scene.
+    pub fn scene(&self) -> &Encoded {
+        match self {
+            Self::Scene(scene) | Self::Views { scene, .. } => scene,
+        }
+    }
+
+    fn view(&self, view: usize) -> &Encoded {
+        match self {
+            Self::Scene(scene) => scene,
+            Self::Views { views, .. } => &views[view],
+        }
+    }
+}
+
+/// How a decoder row is trained.
+#[derive(Clone, Copy, Debug)]
+pub struct FusedPlan<'a> {
+    /// Settings of stage two.
+    pub config: &'a SegmentationConfig,
+    /// Learning rate.
+    pub rate: f64,
+    /// Whether Eq. 9 is part of the loss.
+    pub regularised: bool,
+    /// Number of Gaussians and of classes.
+    pub size: [usize; 2],
+    /// Seed of the regularisation's samples.
+    pub seed: u64,
+}
+
+/// A decoder in training.
+pub struct Fused<'a> {
+    decoder: Option<Decoder>,
+    adam: ModuleAdam,
+    source: &'a Source,
+    plan: FusedPlan<'a>,
+    /// Centres of all Gaussians.
+    means: &'a [[f32; 3]],
+    /// Made at a view's first use and kept while `budget` bytes last.
+    prepared: Vec<Option<Arc<Prepared>>>,
+    budget: usize,
+    iteration: usize,
+    device: Device,
+}
+
+impl<'a> Fused<'a> {
+    /// A model around a fresh `decoder` on an autodiff `device`, for a scene with Gaussians at `means` and `views`
+    /// training views.
+    pub fn new(
+        decoder: Decoder,
+        source: &'a Source,
+        means: &'a [[f32; 3]],
+        views: usize,
+        plan: FusedPlan<'a>,
+        device: &Device,
+    ) -> Self {
+        Self {
+            decoder: Some(decoder),
+            adam: ModuleAdam::new(plan.rate),
+            source,
+            plan,
+            means,
+            prepared: vec![None; views],
+            budget: plan.config.weight_cache_mb << 19,
+            iteration: 0,
+            device: device.clone(),
+        }
+    }
+
+    fn prepare(&mut self, view: usize, visible: &[u32]) -> Result<Arc<Prepared>> {
+        if let Some(prepared) = &self.prepared[view] {
+            return Ok(prepared.clone());
+        }
+        let encoded = self.source.view(view);
+        let row = |g: &u32| encoded.points.binary_search(g).ok().map(|row| row as u32);
+        let rows: Vec<u32> = visible.iter().filter_map(row).collect();
+        let pyramid = encoded.pyramid.restrict(&Restriction::new(&encoded.pyramid, Arc::new(rows)));
+        let mut neighbours = REGULARISED.map(|_| Vec::new());
+        for (table, scale) in neighbours.iter_mut().zip(REGULARISED) {
+            if let (true, Some(level)) = (self.plan.regularised, pyramid.levels.get(scale)) {
+                let at = |&i: &u32| self.means[encoded.points[i as usize] as usize];
+                let cloud: Vec<[f32; 3]> = level.points.iter().map(at).collect();
+                *table = without_self(&cloud, self.plan.config.reg_neighbours)?;
+            }
+        }
+        let prepared = Arc::new(Prepared { pyramid, neighbours });
+        if let Some(left) = self.budget.checked_sub(prepared.bytes()) {
+            self.budget = left;
+            self.prepared[view] = Some(prepared.clone());
+        }
+        Ok(prepared)
+    }
+
+    fn regularisation(&self, fused: &[Tensor<2>], prepared: &Prepared) -> Option<Tensor<1>> {
+        let k = self.plan.config.reg_neighbours;
+        let mut sum: Option<Tensor<1>> = None;
+        for (scale, table) in REGULARISED.into_iter().zip(&prepared.neighbours) {
+            let Some(features) = fused.get(scale) else { continue };
+            let points = features.dims()[0];
+            if table.len() != points * k || points < 2 {
+                continue;
+            }
+            let mut rng = stream(self.plan.seed, Purpose::Regularisation, (self.iteration * 4 + scale) as u64);
+            let chosen = rand::seq::index::sample(&mut rng, points, self.plan.config.reg_samples.min(points));
+            let chosen: Vec<u32> = chosen.iter().map(|i| i as u32).collect();
+            let term = neighbour_divergence(features.clone(), &chosen, table, k);
+            sum = Some(match sum {
+                Some(sum) => sum + term,
+                None => term,
+            });
+        }
+        sum
+    }
+
+    /// Scores of the finest points, in chunks so that memory does not grow with the scene.
+    fn decode(&self, decoder: &Decoder, encoded: &Encoded) -> Vec<f32> {
+        let count = encoded.points.len() as u32;
+        let mut scores = Vec::with_capacity(count as usize * self.plan.size[1]);
+        for first in (0..count).step_by(CHUNK) {
+            let rows = Arc::new((first..(first + CHUNK as u32).min(count)).collect::<Vec<_>>());
+            let part = encoded.pyramid.restrict(&Restriction::new(&encoded.pyramid, rows));
+            scores.extend(optimiser::values(decoder.classify(decoder.forward(&part).hidden)));
+        }
+        scores
+    }
+}
+
+impl Model for Fused<'_> {
+    fn predict(&mut self, view: usize, weights: &ViewWeights, sampled: SparseMatrix) -> Result<Prediction> {
+        let prepared = self.prepare(view, &weights.visible)?;
+        let Some(decoder) = &self.decoder else { return Ok(Prediction::empty(self.plan.size[1], &self.device)) };
+        let decoded = decoder.forward(&prepared.pyramid);
+        let logits = decoder.classify(sparse_apply(decoded.hidden, Arc::new(sampled)));
+        let regularisation =
+            if self.plan.regularised { self.regularisation(&decoded.fused, &prepared) } else { None };
+        self.iteration += 1;
+        Ok(Prediction { logits, regularisation })
+    }
+
+    fn step(&mut self, gradients: &mut Gradients) -> Result<()> {
+        if let Some(decoder) = self.decoder.take() {
+            self.decoder = Some(self.adam.step(decoder, gradients)?);
+        }
+        Ok(())
+    }
+
+    fn identities(&mut self) -> Result<Identities> {
+        let Some(decoder) = self.decoder.as_ref().map(|d| d.valid()) else { return Ok(Identities::default()) };
+        let [count, classes] = self.plan.size;
+        let scores = match self.source {
+            Source::Scene(scene) => self.decode(&decoder, scene),
+            Source::Views { views, scene, weights } => {
+                // s_i = sum_v w_iv s_iv / sum_v w_iv; the whole-scene encoding where no view sees i.
+                let mut sums = vec![0.0_f32; count * classes];
+                let mut totals = vec![0.0_f32; count];
+                for (view, weights) in views.iter().zip(weights) {
+                    let decoded = self.decode(&decoder, view);
+                    let rows = decoded.chunks_exact(classes.max(1)).zip(&view.points);
+                    for ((row, &i), &w) in rows.zip(weights) {
+                        totals[i as usize] += w;
+                        let sum = &mut sums[i as usize * classes..][..classes];
+                        sum.iter_mut().zip(row).for_each(|(s, v)| *s += w * v);
+                    }
+                }
+                let whole = self.decode(&decoder, scene);
+                for (i, &total) in totals.iter().enumerate() {
+                    let span = i * classes..(i + 1) * classes;
+                    if total > 0.0 {
+                        sums[span].iter_mut().for_each(|s| *s /= total);
+                    } else {
+                        sums[span.clone()].copy_from_slice(&whole[span]);
+                    }
+                }
+                sums
+            }
+        };
+        Ok(Identities { scores, classes })
+    }
+
+    fn learnable_bytes(&self) -> usize {
+        self.decoder.as_ref().map_or(0, optimiser::parameter_bytes)
+    }
+
+    fn state(&self) -> NamedValues {
+        let mut state = self.adam.state();
+        state.extend(self.decoder.as_ref().map(optimiser::parameters).unwrap_or_default());
+        state.push(("iteration".into(), vec![self.iteration as f32]));
+        state
+    }
+
+    fn restore(&mut self, state: &dyn Fn(&str) -> Option<Vec<f32>>) -> Option<()> {
+        self.iteration = *state("iteration")?.first()? as usize;
+        self.adam = self.adam.clone().with_state(state, &self.device)?;
+        self.decoder = Some(optimiser::with_parameters(self.decoder.take()?, state)?);
+        Some(())
+    }
+}

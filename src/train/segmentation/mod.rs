@@ -1,0 +1,129 @@
+//! Stage two: segmentation identities from raw labels, geometry frozen.
+
+mod fused;
+mod optimiser;
+mod per_gaussian;
+mod session;
+mod views;
+
+pub use fused::{Encoded, Fused, FusedPlan, Source};
+pub use optimiser::{ModuleAdam, NamedValues};
+pub use per_gaussian::PerGaussian;
+pub use session::{Pace, Score, train};
+pub use views::{TrainingViews, ViewWeights, view_at};
+
+use crate::config::SegmentationConfig;
+use crate::error::{Error, Result};
+use crate::objects::Identities;
+use crate::ops::SparseMatrix;
+use crate::random::{Purpose, stream};
+use crate::segmentation::loss::{Kind, label_loss};
+use burn::tensor::{Device, Gradients, Tensor};
+
+/// What a model says of some pixels.
+pub struct Prediction {
+    /// Blended logits over `1 - T`, `[P, C]`.
+    pub logits: Tensor<2>,
+    /// Eq. 9, where the model has one.
+    pub regularisation: Option<Tensor<1>>,
+}
+
+/// Something that stage two trains: it predicts blended logits and stores identities.
+pub trait Model {
+    /// Logits of the rows of `sampled`, pixels of training view `view` over the columns of `weights`.
+    ///
+    /// # Errors
+    /// When a frozen input is not finite.
+    fn predict(&mut self, view: usize, weights: &ViewWeights, sampled: SparseMatrix) -> Result<Prediction>;
+    /// One optimiser step.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] naming the parameter.
+    fn step(&mut self, gradients: &mut Gradients) -> Result<()>;
+    /// The identities as they are to be stored, `[N, C]`.
+    ///
+    /// # Errors
+    /// When a frozen input is not finite.
+    fn identities(&mut self) -> Result<Identities>;
+    /// Bytes of everything that is learned.
+    fn learnable_bytes(&self) -> usize;
+    /// Parameters, moments and counters, by name.
+    fn state(&self) -> NamedValues;
+    /// Takes back what [`Model::state`] gave; `None` when something is missing.
+    fn restore(&mut self, state: &dyn Fn(&str) -> Option<Vec<f32>>) -> Option<()>;
+}
+
+/// How a row is trained.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// Loss after the warm-up.
+    pub loss: Kind,
+    /// Iterations of cross-entropy before it.
+    pub warmup: usize,
+    /// All iterations.
+    pub iterations: usize,
+    /// Weights of the label loss and of the 3D regularisation.
+    pub lambda: [f64; 2],
+    /// Share of the pixels in a step.
+    pub pixel_share: f64,
+    /// Seed of view order and pixel choice.
+    pub seed: u64,
+}
+
+impl Plan {
+    /// The plan of `config` under `loss`.
+    pub fn new(config: &SegmentationConfig, loss: Kind, seed: u64) -> Self {
+        let warmup = match loss {
+            Kind::Ce => 0,
+            _ => (config.warmup * config.iterations as f64).round() as usize,
+        };
+        Self {
+            loss,
+            warmup,
+            iterations: config.iterations,
+            lambda: [config.lambda_pix, config.lambda_reg],
+            pixel_share: config.pixel_share,
+            seed,
+        }
+    }
+}
+
+/// One iteration of `model`: returns the loss.
+///
+/// # Errors
+/// [`Error::NonFinite`] naming view and iteration, before anything is changed.
+pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan, iteration: usize) -> Result<f32> {
+    let view = view_at(plan.seed, iteration, views.len());
+    let weights = views.weights(view)?;
+    let mut rng = stream(plan.seed, Purpose::Pixels, iteration as u64);
+    let (sampled, labels) = weights.sample(plan.pixel_share, &mut rng);
+    if labels.is_empty() {
+        return Ok(0.0);
+    }
+    let at = |error: Error| match error {
+        Error::NonFinite { tensor, row, .. } => {
+            let context = format!(", view {}, segmentation iteration {iteration}", views.name(view));
+            Error::NonFinite { tensor, row, context }
+        }
+        other => other,
+    };
+    let prediction = model.predict(view, &weights, sampled).map_err(at)?;
+    let kind = if iteration < plan.warmup { Kind::Ce } else { plan.loss };
+    let mut loss = label_loss(prediction.logits, &labels, &kind) * plan.lambda[0];
+    if let Some(regularisation) = prediction.regularisation {
+        loss = loss + regularisation * plan.lambda[1];
+    }
+    let value = optimiser::values(loss.clone().inner()).first().copied().unwrap_or(f32::NAN);
+    if !value.is_finite() {
+        return Err(at(Error::non_finite("segmentation loss", 0)));
+    }
+    model.step(&mut loss.backward()).map_err(at)?;
+    Ok(value)
+}
+
+impl Prediction {
+    /// No pixels.
+    fn empty(classes: usize, device: &Device) -> Self {
+        Self { logits: Tensor::zeros([0, classes], device), regularisation: None }
+    }
+}

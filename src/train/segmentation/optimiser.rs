@@ -1,0 +1,188 @@
+//! Adam over all parameters of a burn module, with state that a checkpoint can hold exactly.
+
+use crate::error::{Error, Result};
+use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
+use burn::tensor::{Gradients, Tensor, TensorData};
+
+/// Named flat tensors, as checkpoints store them.
+pub type NamedValues = Vec<(String, Vec<f32>)>;
+
+/// Adam (betas 0.9 and 0.999, eps 1e-8) with one pair of moments per parameter, in the module's own order.
+#[derive(Clone, Debug)]
+pub struct ModuleAdam {
+    rate: f64,
+    steps: i32,
+    moments: Vec<[Tensor<1>; 2]>,
+}
+
+const BETAS: [f64; 2] = [0.9, 0.999];
+const EPSILON: f64 = 1e-8;
+
+impl ModuleAdam {
+    /// Fresh state.
+    pub fn new(rate: f64) -> Self {
+        Self { rate, steps: 0, moments: Vec::new() }
+    }
+
+    /// One step of every parameter that has a gradient.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] naming the parameter when a gradient holds a NaN or an infinity; nothing is changed then.
+    pub fn step<M: Module>(&mut self, module: M, gradients: &mut Gradients) -> Result<M> {
+        let mut check = Norm { gradients, path: Vec::new(), total: None, worst: None };
+        module.visit(&mut check);
+        if let Some(tensor) = check.worst() {
+            return Err(Error::non_finite(format!("gradient of {tensor}"), 0));
+        }
+        self.steps += 1;
+        Ok(module.map(&mut Step { adam: self, gradients, place: 0 }))
+    }
+
+    /// Moments and step count, named `m.0`, `v.0`, ... and `steps`.
+    pub fn state(&self) -> NamedValues {
+        let mut out = vec![("steps".to_owned(), vec![self.steps as f32])];
+        for (i, [m, v]) in self.moments.iter().enumerate() {
+            out.push((format!("m.{i}"), values(m.clone())));
+            out.push((format!("v.{i}"), values(v.clone())));
+        }
+        out
+    }
+
+    /// Takes back what [`ModuleAdam::state`] gave, on `device`. `None` when a name is missing.
+    pub fn with_state(mut self, state: &dyn Fn(&str) -> Option<Vec<f32>>, device: &burn::tensor::Device) -> Option<Self> {
+        let plain = device.clone().inner();
+        let tensor = |v: Vec<f32>| Tensor::<1>::from_data(TensorData::new(v.clone(), [v.len()]), &plain);
+        self.steps = *state("steps")?.first()? as i32;
+        self.moments.clear();
+        while let (Some(m), Some(v)) =
+            (state(&format!("m.{}", self.moments.len())), state(&format!("v.{}", self.moments.len())))
+        {
+            self.moments.push([tensor(m), tensor(v)]);
+        }
+        Some(self)
+    }
+}
+
+/// Host values of a tensor, flattened.
+pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().convert::<f32>().into_vec().unwrap_or_default()
+}
+
+struct Step<'a> {
+    adam: &'a mut ModuleAdam,
+    gradients: &'a mut Gradients,
+    place: usize,
+}
+
+impl ModuleMapper for Step<'_> {
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        let place = self.place;
+        self.place += 1;
+        param.map(|tensor| {
+            if self.adam.moments.len() <= place {
+                let zeros = tensor.clone().inner().zeros_like().flatten::<1>(0, D - 1);
+                self.adam.moments.push([zeros.clone(), zeros]);
+            }
+            let Some(gradient) = tensor.grad_remove(self.gradients) else { return tensor };
+            let shape = gradient.dims();
+            let g = gradient.flatten::<1>(0, D - 1);
+            let [m, v] = self.adam.moments[place].clone();
+            let m = m * BETAS[0] + g.clone() * (1.0 - BETAS[0]);
+            let v = v * BETAS[1] + g.powi_scalar(2) * (1.0 - BETAS[1]);
+            let unbias = |beta: f64| 1.0 - beta.powi(self.adam.steps);
+            let step = (m.clone() / unbias(BETAS[0])) / ((v.clone() / unbias(BETAS[1])).sqrt() + EPSILON);
+            self.adam.moments[place] = [m, v];
+            let moved = tensor.inner() - step.reshape(shape) * self.adam.rate;
+            Tensor::from_inner(moved).require_grad()
+        })
+    }
+}
+
+/// Sum of squares of all gradients, read back once.
+struct Norm<'a> {
+    gradients: &'a Gradients,
+    path: Vec<String>,
+    total: Option<Tensor<1>>,
+    worst: Option<Vec<(String, Tensor<1>)>>,
+}
+
+impl Norm<'_> {
+    /// The first parameter whose gradient is not finite.
+    fn worst(self) -> Option<String> {
+        let finite = |t: &Tensor<1>| values(t.clone()).iter().all(|v| v.is_finite());
+        if self.total.as_ref().is_none_or(finite) {
+            return None;
+        }
+        let named = self.worst.unwrap_or_default();
+        named.into_iter().find(|(_, t)| !finite(t)).map(|(name, _)| name)
+    }
+}
+
+impl ModuleVisitor for Norm<'_> {
+    fn enter_module(&mut self, name: &str, _container: &str) {
+        self.path.push(name.to_owned());
+    }
+    fn exit_module(&mut self, _name: &str, _container: &str) {
+        self.path.pop();
+    }
+    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+        if let Some(g) = param.val().grad(self.gradients) {
+            let sum = g.powi_scalar(2).sum();
+            self.worst.get_or_insert_default().push((self.path.join("."), sum.clone()));
+            self.total = Some(match self.total.take() {
+                Some(total) => total + sum,
+                None => sum,
+            });
+        }
+    }
+}
+
+/// Host values of all parameters of a module, in its own order, named `p.0`, `p.1`, ...
+pub fn parameters<M: Module>(module: &M) -> NamedValues {
+    struct Read(NamedValues);
+    impl ModuleVisitor for Read {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            self.0.push((format!("p.{}", self.0.len()), values(param.val())));
+        }
+    }
+    let mut read = Read(Vec::new());
+    module.visit(&mut read);
+    read.0
+}
+
+/// The module with the parameters that [`parameters`] gave; `None` when one is missing or has another length.
+pub fn with_parameters<M: Module>(module: M, state: &dyn Fn(&str) -> Option<Vec<f32>>) -> Option<M> {
+    struct Write<'a> {
+        state: &'a dyn Fn(&str) -> Option<Vec<f32>>,
+        place: usize,
+        complete: bool,
+    }
+    impl ModuleMapper for Write<'_> {
+        fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+            let stored = (self.state)(&format!("p.{}", self.place));
+            self.place += 1;
+            param.map(|tensor| {
+                let shape = tensor.dims();
+                match stored.filter(|v| v.len() == shape.iter().product::<usize>()) {
+                    Some(v) => {
+                        let device = tensor.device().inner();
+                        let fresh = Tensor::<D>::from_data(TensorData::new(v, shape), &device);
+                        if tensor.is_require_grad() { Tensor::from_inner(fresh).require_grad() } else { fresh }
+                    }
+                    None => {
+                        self.complete = false;
+                        tensor
+                    }
+                }
+            })
+        }
+    }
+    let mut write = Write { state, place: 0, complete: true };
+    let module = module.map(&mut write);
+    write.complete.then_some(module)
+}
+
+/// Bytes of all parameters of a module as f32.
+pub fn parameter_bytes<M: Module>(module: &M) -> usize {
+    4 * module.num_params()
+}

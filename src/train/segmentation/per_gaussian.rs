@@ -1,0 +1,77 @@
+//! Identities learned per Gaussian (ablation row 1 of the paper): `N x C` free logits under cross-entropy.
+
+use super::optimiser::{self, ModuleAdam, NamedValues};
+use super::views::ViewWeights;
+use super::{Model, Prediction};
+use crate::error::Result;
+use crate::objects::Identities;
+use crate::ops::{SparseMatrix, sparse_apply};
+use burn::module::{Module, Param};
+use burn::tensor::{Device, Gradients, Int, Tensor, TensorData};
+use std::sync::Arc;
+
+#[derive(Module, Debug)]
+struct Logits {
+    scores: Param<Tensor<2>>,
+}
+
+/// The free logits with their optimiser.
+pub struct PerGaussian {
+    logits: Option<Logits>,
+    adam: ModuleAdam,
+    size: [usize; 2],
+    device: Device,
+}
+
+impl PerGaussian {
+    /// Zero logits for `gaussians` x `classes`, on an autodiff `device`.
+    pub fn new(gaussians: usize, classes: usize, rate: f64, device: &Device) -> Self {
+        let size = [gaussians, classes];
+        let scores = Param::from_tensor(Tensor::zeros(size, device));
+        Self { logits: Some(Logits { scores }), adam: ModuleAdam::new(rate), size, device: device.clone() }
+    }
+
+    fn scores(&self) -> Tensor<2> {
+        match &self.logits {
+            Some(logits) => logits.scores.val(),
+            None => Tensor::zeros(self.size, &self.device),
+        }
+    }
+}
+
+impl Model for PerGaussian {
+    fn predict(&mut self, _view: usize, weights: &ViewWeights, sampled: SparseMatrix) -> Result<Prediction> {
+        let columns: Vec<i64> = weights.visible.iter().map(|&i| i64::from(i)).collect();
+        let count = columns.len();
+        let index = Tensor::<1, Int>::from_data(TensorData::new(columns, [count]), &self.device.clone().inner());
+        let logits = sparse_apply(self.scores().select(0, index), Arc::new(sampled));
+        Ok(Prediction { logits, regularisation: None })
+    }
+
+    fn step(&mut self, gradients: &mut Gradients) -> Result<()> {
+        if let Some(logits) = self.logits.take() {
+            self.logits = Some(self.adam.step(logits, gradients)?);
+        }
+        Ok(())
+    }
+
+    fn identities(&mut self) -> Result<Identities> {
+        Ok(Identities { scores: optimiser::values(self.scores().inner()), classes: self.size[1] })
+    }
+
+    fn learnable_bytes(&self) -> usize {
+        4 * self.size[0] * self.size[1]
+    }
+
+    fn state(&self) -> NamedValues {
+        let mut state = self.adam.state();
+        state.extend(self.logits.as_ref().map(optimiser::parameters).unwrap_or_default());
+        state
+    }
+
+    fn restore(&mut self, state: &dyn Fn(&str) -> Option<Vec<f32>>) -> Option<()> {
+        self.adam = self.adam.clone().with_state(state, &self.device)?;
+        self.logits = Some(optimiser::with_parameters(self.logits.take()?, state)?);
+        Some(())
+    }
+}

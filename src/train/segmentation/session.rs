@@ -1,0 +1,116 @@
+//! Training of one row from start to end: curve, held-out scores, checkpoints, resuming.
+
+use super::{Model, Plan, TrainingViews, train_step};
+use crate::error::Result;
+use crate::objects::Identities;
+use crate::train::checkpoint::Checkpoint;
+use crate::train::progress::{CurvePoint, Event, Progress};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// When a row is measured and saved, and where.
+#[derive(Clone, Debug)]
+pub struct Pace {
+    /// Name of the row, for progress.
+    pub row: &'static str,
+    /// Iterations between held-out evaluations.
+    pub eval_every: usize,
+    /// Iterations between checkpoints.
+    pub checkpoint_every: usize,
+    /// The checkpoint; absent means none is written or read.
+    pub checkpoint: Option<PathBuf>,
+}
+
+/// Scores identities on the held-out views: pooled mIoU.
+pub type Score<'a> = &'a mut dyn FnMut(&Identities) -> Result<Option<f64>>;
+
+/// What a checkpoint holds besides the model.
+#[derive(Clone, Debug, Default)]
+struct Place {
+    iteration: usize,
+    curve: Vec<CurvePoint>,
+    /// Seconds so far; sum and number of the losses since the last point of the curve.
+    running: [f64; 3],
+}
+
+/// Trains `model` by `plan` from its checkpoint, or from the start when there is none; returns the curve.
+///
+/// # Errors
+/// Those of [`train_step`]; the last checkpoint stays as it was. Those of reading or writing the checkpoint.
+pub fn train(
+    model: &mut dyn Model,
+    views: &mut TrainingViews,
+    plan: &Plan,
+    pace: &Pace,
+    score: Score,
+    progress: &mut dyn Progress,
+) -> Result<Vec<CurvePoint>> {
+    let mut place = match &pace.checkpoint {
+        Some(path) if path.is_file() => restore(model, path)?,
+        _ => Place::default(),
+    };
+    let gaussians = views.gaussians();
+    progress.event(&Event::Started { stage: pace.row, done: place.iteration, iterations: plan.iterations });
+    while place.iteration < plan.iterations {
+        let clock = Instant::now();
+        let loss = f64::from(train_step(model, views, plan, place.iteration)?);
+        place.iteration += 1;
+        let iteration = place.iteration;
+        place.running[0] += clock.elapsed().as_secs_f64();
+        place.running[1] += loss;
+        place.running[2] += 1.0;
+        progress.event(&Event::Step { iteration, loss, gaussians });
+        let stop = progress.stop();
+        let end = iteration == plan.iterations || stop;
+        if end || iteration.is_multiple_of(pace.eval_every.max(1)) {
+            let [seconds, sum, count] = place.running;
+            let miou = score(&model.identities()?)?;
+            let point = CurvePoint { iteration, seconds, loss: sum / count.max(1.0), miou, gaussians, ..CurvePoint::default() };
+            place.running = [seconds, 0.0, 0.0];
+            place.curve.push(point);
+            progress.event(&Event::Evaluated(point));
+        }
+        if let Some(path) = &pace.checkpoint
+            && (end || iteration.is_multiple_of(pace.checkpoint_every.max(1)))
+        {
+            save(model, path, &place)?;
+            progress.event(&Event::Saved { iteration });
+        }
+        if stop {
+            break;
+        }
+    }
+    progress.event(&Event::Finished);
+    Ok(place.curve)
+}
+
+const KIND: &str = "segmentation row";
+
+fn save(model: &dyn Model, path: &Path, place: &Place) -> Result<()> {
+    let mut checkpoint = Checkpoint::new(KIND);
+    checkpoint.set("iteration", &place.iteration)?;
+    checkpoint.set("curve", &place.curve)?;
+    checkpoint.put("running", &[3], place.running.to_vec())?;
+    let state = model.state();
+    checkpoint.set("tensors", &state.iter().map(|(name, v)| (name.clone(), v.len())).collect::<Vec<_>>())?;
+    for (name, values) in state {
+        checkpoint.put(name, &[values.len()], values)?;
+    }
+    checkpoint.save(path)
+}
+
+fn restore(model: &mut dyn Model, path: &Path) -> Result<Place> {
+    let mut checkpoint = Checkpoint::load(path, KIND)?;
+    let tensors: Vec<(String, usize)> = checkpoint.get("tensors")?;
+    let mut state = std::collections::HashMap::new();
+    for (name, length) in tensors {
+        let values: Vec<f32> = checkpoint.take(&name, &[length])?;
+        state.insert(name, values);
+    }
+    if model.restore(&|name| state.get(name).cloned()).is_none() {
+        return Err(checkpoint.wrong("tensors", "those of another model", "parameters and moments of this row"));
+    }
+    let running: Vec<f64> = checkpoint.take("running", &[3])?;
+    let running = [running[0], running[1], running[2]];
+    Ok(Place { iteration: checkpoint.get("iteration")?, curve: checkpoint.get("curve")?, running })
+}

@@ -1,0 +1,209 @@
+//! The frozen inputs of stage two: image features lifted onto the Gaussians, spatial features, and their pyramids.
+
+use super::progress::{Event, Progress};
+use super::segmentation::{Encoded, Source};
+use crate::config::{Config, Encode, Row, SpatialConfig, SpatialSource};
+use crate::data::{Scene, Split};
+use crate::error::Result;
+use crate::features::{self, SCALES};
+use crate::gaussians::Gaussians;
+use crate::raster::{Projected, Settings};
+use crate::segmentation::encoder::{Cloud, Encoding, encode, load_spatial, metres_per_unit};
+use crate::segmentation::pyramid::{Pyramid, Switches};
+use crate::segmentation::unprojection::unproject;
+use burn::tensor::{Device, Tensor, TensorData};
+use std::time::Instant;
+
+/// Scale (zero-based) whose image features the single-scale row reads.
+const SINGLE_SCALE: usize = 0;
+
+/// Image features lifted onto the Gaussians that were seen often enough.
+pub struct Seen {
+    /// Rows of the Gaussians that attendance pruning keeps, ascending.
+    pub kept: Vec<u32>,
+    /// Lifted features of the kept Gaussians per scale, `[N, D]`.
+    pub lifted: [Vec<f32>; SCALES],
+    /// D.
+    pub dimensions: usize,
+    /// Where the features came from.
+    pub name: String,
+    /// Seconds of extraction and of unprojection.
+    pub seconds: [f64; 2],
+}
+
+impl Seen {
+    /// Extracts and unprojects features of the training views.
+    ///
+    /// # Errors
+    /// Those of the extractor and of the unprojection.
+    pub fn new(
+        scene: &Scene,
+        gaussians: &Gaussians,
+        config: &Config,
+        settings: &Settings,
+        progress: &mut dyn Progress,
+    ) -> Result<Self> {
+        let clock = Instant::now();
+        progress.event(&Event::Started { stage: "features", done: 0, iterations: 1 });
+        let set = features::extract(scene, &config.features, config.seed, &|_, _| ())?;
+        progress.event(&Event::Finished);
+        let extraction = clock.elapsed().as_secs_f64();
+        let clock = Instant::now();
+        progress.event(&Event::Started { stage: "unprojection", done: 0, iterations: 1 });
+        let lifted = unproject(gaussians, scene.split(Split::Train), &set, &config.unprojection, settings)?;
+        progress.event(&Event::Finished);
+        let kept: Vec<u32> = (0..gaussians.len() as u32).filter(|&i| lifted.keep[i as usize]).collect();
+        let dimensions = config.features.dimensions;
+        let rows = |all: &Vec<f32>| {
+            kept.iter().flat_map(|&i| &all[i as usize * dimensions..][..dimensions]).copied().collect()
+        };
+        let seconds = [extraction, clock.elapsed().as_secs_f64()];
+        Ok(Self { lifted: lifted.features.each_ref().map(rows), kept, dimensions, name: set.name.clone(), seconds })
+    }
+}
+
+/// Everything stage two reads.
+pub struct Inputs<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Its Gaussians, after attendance pruning.
+    pub gaussians: &'a Gaussians,
+    /// Lifted image features; absent when no row decodes.
+    pub seen: Option<Seen>,
+    /// Settings of the run.
+    pub config: &'a Config,
+    /// Blending constants.
+    pub settings: Settings,
+    /// Device without autodiff.
+    pub device: &'a Device,
+}
+
+/// What a row's decoder is shown, and whether the encoder is a random one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Flavour {
+    switches: Switches,
+    random: bool,
+}
+
+impl Flavour {
+    fn of(row: Row) -> Self {
+        let switches = Switches {
+            image: row != Row::NoImageFeatures,
+            spatial: row != Row::NoSpatial,
+            single_scale: (row == Row::SingleScale).then_some(SINGLE_SCALE),
+        };
+        Self { switches, random: row == Row::RandomSpatial }
+    }
+}
+
+/// Encodings of the scene, made at the first row that needs them and shared by the others.
+#[derive(Default)]
+pub struct Spatial {
+    /// Where the weights came from; empty until an encoder was needed.
+    pub name: String,
+    encodings: Option<(bool, Encodings)>,
+    source: Option<(Flavour, Source)>,
+}
+
+struct Encodings {
+    scene: Encoding,
+    views: Vec<EncodedView>,
+}
+
+/// A view's visible Gaussians, encoded alone.
+struct EncodedView {
+    visible: Vec<u32>,
+    weights: Vec<f32>,
+    encoding: Encoding,
+}
+
+impl Spatial {
+    /// The decoder's input for `row`.
+    ///
+    /// # Errors
+    /// Those of the encoder's weights and of the encoding.
+    pub fn source(&mut self, row: Row, inputs: &Inputs) -> Result<&Source> {
+        let flavour = Flavour::of(row);
+        let made = match self.source.take() {
+            Some((of, source)) if of == flavour => source,
+            _ => self.make(flavour, inputs)?,
+        };
+        Ok(&self.source.insert((flavour, made)).1)
+    }
+
+    fn make(&mut self, flavour: Flavour, inputs: &Inputs) -> Result<Source> {
+        let encodings = match self.encodings.take() {
+            Some((random, encodings)) if random == flavour.random => encodings,
+            _ => self.encode(flavour.random, inputs)?,
+        };
+        let all: Vec<u32> = (0..inputs.gaussians.len() as u32).collect();
+        let scene = join(&encodings.scene, all, flavour, inputs)?;
+        let source = match inputs.config.spatial.encode {
+            Encode::Scene => Source::Scene(scene),
+            Encode::View => Source::Views {
+                views: encodings
+                    .views
+                    .iter()
+                    .map(|v| join(&v.encoding, v.visible.clone(), flavour, inputs))
+                    .collect::<Result<_>>()?,
+                weights: encodings.views.iter().map(|v| v.weights.clone()).collect(),
+                scene,
+            },
+        };
+        self.encodings = Some((flavour.random, encodings));
+        Ok(source)
+    }
+
+    fn encode(&mut self, random: bool, inputs: &Inputs) -> Result<Encodings> {
+        let Config { seed, spatial, .. } = inputs.config;
+        let spatial = match random {
+            true => SpatialConfig { source: SpatialSource::Random, ..spatial.clone() },
+            false => spatial.clone(),
+        };
+        let (encoder, name) = load_spatial(&spatial, *seed, inputs.device)?;
+        if !random || self.name.is_empty() {
+            self.name = name;
+        }
+        let scale = metres_per_unit(&spatial, camera_extent(inputs.scene))?;
+        let gaussians = inputs.gaussians;
+        let colors: Vec<[f32; 3]> = gaussians.base_colors();
+        let one = |positions: &[[f32; 3]], colors: &[[f32; 3]]| {
+            let cloud = Cloud { positions, colors: Some(colors), up: inputs.scene.up, scale };
+            encode(&encoder, &cloud, *seed, inputs.device)
+        };
+        let scene = one(&gaussians.means, &colors)?;
+        let mut views = Vec::new();
+        if spatial.encode == Encode::View {
+            for view in inputs.scene.split(Split::Train).filter(|v| v.raw.is_some()) {
+                let projected = Projected::new(&gaussians.splats(), &view.camera, &inputs.settings)?;
+                let sums = projected.weight_sums();
+                let visible: Vec<u32> = (0..gaussians.len() as u32).filter(|&i| projected.radii()[i as usize] > 0).collect();
+                let positions: Vec<_> = visible.iter().map(|&i| gaussians.means[i as usize]).collect();
+                let tints: Vec<_> = visible.iter().map(|&i| colors[i as usize]).collect();
+                let weights = visible.iter().map(|&i| sums[i as usize]).collect();
+                views.push(EncodedView { encoding: one(&positions, &tints)?, visible, weights });
+            }
+        }
+        Ok(Encodings { scene, views })
+    }
+}
+
+/// Largest distance of a camera from the mean camera, world units.
+fn camera_extent(scene: &Scene) -> f64 {
+    let centers: Vec<_> = scene.split(Split::Train).map(|v| v.camera.center).collect();
+    let mean = centers.iter().sum::<glam::DVec3>() / centers.len().max(1) as f64;
+    centers.iter().map(|c| c.distance(mean)).fold(0.0, f64::max)
+}
+
+/// Joins an encoding of the Gaussians `points` with their lifted features.
+fn join(encoding: &Encoding, points: Vec<u32>, flavour: Flavour, inputs: &Inputs) -> Result<Encoded> {
+    let mut image = Vec::new();
+    if let (Some(seen), true) = (&inputs.seen, flavour.switches.image) {
+        let d = seen.dimensions;
+        for lifted in &seen.lifted {
+            let rows: Vec<f32> = points.iter().flat_map(|&i| &lifted[i as usize * d..][..d]).copied().collect();
+            image.push(Tensor::from_data(TensorData::new(rows, [points.len(), d]), inputs.device));
+        }
+    }
+    Ok(Encoded { pyramid: Pyramid::new(encoding, &image, flavour.switches)?, points })
+}

@@ -1,0 +1,131 @@
+//! The RandLA encoder against stored activations of the published one.
+
+use burn::tensor::{Tensor, TensorData};
+use coseg::config::{SpatialConfig, SpatialSource};
+use coseg::device;
+use coseg::segmentation::checkpoint::Checkpoint;
+use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
+use coseg::segmentation::neighbours::Neighbours;
+use coseg::segmentation::randla::{Form, LAYERS, RandlaEncoder};
+use coseg::segmentation::sampling::{Hierarchy, SampledLevel};
+use glam::DVec3;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use safetensors::SafeTensors;
+
+/// The stored cloud with its stored indices, and its stored activations as `[N, channels]`.
+struct Reference {
+    hierarchy: Hierarchy,
+    input: Vec<f32>,
+    levels: Vec<Vec<f32>>,
+    coarsest: Vec<f32>,
+}
+
+fn floats(file: &SafeTensors, name: &str) -> Vec<f32> {
+    let view = file.tensor(name).expect(name);
+    view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
+}
+
+fn integers(file: &SafeTensors, name: &str) -> Vec<u32> {
+    let view = file.tensor(name).expect(name);
+    view.data().chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
+}
+
+/// `[channels, points]` to `[points, channels]`.
+fn rows(values: &[f32], points: usize) -> Vec<f32> {
+    let channels = values.len() / points;
+    (0..values.len()).map(|i| values[i % channels * points + i / channels]).collect()
+}
+
+fn reference(bytes: &[u8]) -> Reference {
+    let file = SafeTensors::deserialize(bytes).expect("a safetensors file");
+    let mut hierarchy = Hierarchy::default();
+    for n in 0..LAYERS {
+        let xyz = floats(&file, &format!("xyz.{n}"));
+        let positions: Vec<[f32; 3]> = xyz.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+        let neighbours = Neighbours { k: 16, indices: integers(&file, &format!("neigh_idx.{n}")) };
+        let kept = positions.len() / 4;
+        assert_eq!(
+            neighbours.indices[..kept * 16],
+            integers(&file, &format!("sub_idx.{n}")),
+            "the first quarter is kept"
+        );
+        let indices = (0..positions.len() as u32).collect();
+        hierarchy.levels.push(SampledLevel { indices, positions, neighbours, kept: (0..kept as u32).collect() });
+    }
+    let points = |n: usize| hierarchy.levels[n].positions.len();
+    let levels = (0..LAYERS).map(|n| rows(&floats(&file, &format!("enc_out.{n}")), points(n))).collect();
+    let input = rows(&floats(&file, "features_in"), points(0));
+    let coarsest = rows(&floats(&file, "enc_sampled.3"), points(3) / 4);
+    Reference { hierarchy, input, levels, coarsest }
+}
+
+fn largest_difference(found: Tensor<2>, stored: &[f32]) -> f64 {
+    let found: Vec<f32> = found.into_data().into_vec().expect("f32");
+    assert_eq!(found.len(), stored.len());
+    assert!(found.iter().all(|v| v.is_finite()));
+    found.iter().zip(stored).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max)
+}
+
+#[test]
+fn encoder_equals_the_published_one_on_its_stored_activations() {
+    let Some(dir) = crate::shared_dir() else { return };
+    let dir = dir.join("weights/randlanet");
+    let weights = Checkpoint::open(dir.join("randlanet_semantickitti.safetensors")).expect("weights");
+    let bytes = std::fs::read(dir.join("randlanet_parity_4096.safetensors")).expect("reference");
+    let reference = reference(&bytes);
+    let device = device::open(None).expect("a backend");
+    for (form, chunked) in [(Form::Frozen, false), (Form::Frozen, true), (Form::Trainable, false)] {
+        let encoder = RandlaEncoder::load(&weights, form, &device).expect("RandLA weights");
+        assert_eq!((encoder.inputs(), encoder.widths()), (3, vec![32, 128, 256, 512]));
+        let input = Tensor::<2>::from_data(TensorData::new(reference.input.clone(), [4096, 3]), &device);
+        let (levels, coarsest) = encoder.encode_levels(input, &reference.hierarchy, chunked);
+        for (n, (found, stored)) in levels.into_iter().zip(&reference.levels).enumerate() {
+            let difference = largest_difference(found, stored);
+            eprintln!("{form:?}, chunked {chunked}, level {}: largest difference {difference:.2e}", n + 1);
+            assert!(difference < 2e-3, "level {}: {difference}", n + 1);
+        }
+        let difference = largest_difference(coarsest, &reference.coarsest);
+        eprintln!("{form:?}, chunked {chunked}, coarsest: largest difference {difference:.2e}");
+        assert!(difference < 2e-3, "coarsest: {difference}");
+    }
+}
+
+fn room(count: usize, seed: u64) -> Vec<[f32; 3]> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    // the six sides of a box, as a scan would see them
+    (0..count)
+        .map(|_| {
+            let mut p: [f32; 3] = std::array::from_fn(|_| rng.random_range(-2.0f32..2.0));
+            p[rng.random_range(0..3)] = if rng.random_bool(0.5) { 2.0 } else { -2.0 };
+            p
+        })
+        .collect()
+}
+
+fn spatial(source: SpatialSource) -> SpatialConfig {
+    SpatialConfig { source, ..SpatialConfig::default() }
+}
+
+/// Encoding 1e5 points is to take 5 seconds on 2 cores; the test allows for a busy machine.
+#[test]
+fn encodes_a_hundred_thousand_points_in_seconds() {
+    let device = device::open(None).expect("a backend");
+    let points = room(100_000, 1);
+    let cloud = Cloud { positions: &points, colors: None, up: DVec3::Z, scale: 1.0 };
+    let mut encoders = vec![load_spatial(&spatial(SpatialSource::Random), 0, &device).expect("random weights")];
+    if let Some(dir) = crate::shared_dir() {
+        let weights = Some(dir.join("weights/randlanet/randlanet_semantickitti.safetensors"));
+        let config = SpatialConfig { weights, ..spatial(SpatialSource::Pretrained) };
+        encoders.push(load_spatial(&config, 0, &device).expect("published weights"));
+    }
+    for (encoder, name) in encoders {
+        let start = std::time::Instant::now();
+        let encoding = encode(&encoder, &cloud, 0, &device).expect("finite");
+        let seconds = start.elapsed().as_secs_f64();
+        eprintln!("{name}: 100,000 points in {seconds:.2} s, {:.0} MB kept", encoding.bytes() as f64 / 1e6);
+        let sizes: Vec<usize> = encoding.levels.iter().map(|l| l.features.dims()[0]).collect();
+        assert_eq!((sizes, encoding.coarsest.features.dims()[0]), (vec![100_000, 25_000, 6_250, 1_562], 390));
+        assert!(seconds < 20.0, "{seconds}");
+    }
+}
