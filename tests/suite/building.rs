@@ -269,35 +269,3 @@ fn unusable_settings_and_scenes_are_refused() {
     let message = BuildingStage::from_state(&scene, &other, &device, state).err().expect("another seed").to_string();
     assert!(message.contains("seed"), "{message}");
 }
-
-/// The real photos, measured: `cargo test --release --test suite -- --ignored --nocapture fox`. `FOX_ITERATIONS`
-/// shortens the run.
-#[test]
-#[ignore = "minutes"]
-fn fox_at_270x480() {
-    let Some(dir) = crate::shared_dir().map(|d| d.join("data/fox")) else { return };
-    let options = coseg::data::transforms::LoadOptions { transforms: "transforms_4.json".into(), ..Default::default() };
-    let scene = coseg::data::transforms::load(&dir, &options).expect("the fox");
-    let iterations = std::env::var("FOX_ITERATIONS").ok().and_then(|v| v.parse().ok()).unwrap_or(7_000);
-    let config = Config { building: BuildingConfig { iterations, ..BuildingConfig::default() }, ..Config::default() };
-    let mut stage = BuildingStage::new(&scene, &config, &device()).expect("a stage");
-    struct Print;
-    impl Progress for Print {
-        fn event(&mut self, event: &Event) {
-            match event {
-                Event::Step { .. } => (),
-                Event::Evaluated(p) => eprintln!(
-                    "{:5} {:7.1} s, loss {:.4}, PSNR {:.2}, SSIM {:.4}, {} Gaussians",
-                    p.iteration,
-                    p.seconds,
-                    p.loss,
-                    p.held_out.psnr.unwrap_or(f64::NAN),
-                    p.held_out.ssim.unwrap_or(f64::NAN),
-                    p.gaussians
-                ),
-                other => eprintln!("{other:?}"),
-            }
-        }
-    }
-    stage.run(&mut Print).expect("a run");
-}
