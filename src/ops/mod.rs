@@ -7,7 +7,7 @@ mod host;
 mod label_loss;
 mod photometric;
 mod real;
-mod simd;
+pub(crate) mod simd;
 mod sparse;
 mod window;
 

@@ -18,6 +18,7 @@ mod projected;
 mod settings;
 mod sh;
 mod simd;
+mod tile_map;
 mod tile_pairs;
 mod tiles;
 
@@ -26,3 +27,4 @@ pub use op::{RasterBackend, RasterCall, RasterInput, RasterOutput, RasterTensors
 pub use projected::{Blended, Projected, Rendered, render};
 pub use settings::{PairCounts, Settings, Splats, Stats};
 pub use sh::eval_sh;
+pub use tile_map::TilePairs;

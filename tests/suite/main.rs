@@ -3,29 +3,26 @@
 mod adam;
 mod building;
 mod checkpoint;
+mod classes;
 mod config;
 mod decoder;
 mod densify;
 mod features;
 mod loss;
-mod config;
-mod densify;
-mod features;
+mod metrics;
 mod mobilenet;
 mod neighbours;
 mod ops;
 mod pca;
 mod photometric;
+mod ply;
 mod randla;
 mod raster;
 mod raster_gradients;
 mod raster_reference;
 mod report;
-mod classes;
-mod metrics;
-mod ops;
-mod ply;
 mod transforms;
+mod unprojection;
 
 use std::path::PathBuf;
 

@@ -169,8 +169,7 @@ impl Model for Fused<'_> {
         let Some(decoder) = &self.decoder else { return Ok(Prediction::empty(self.plan.size[1], &self.device)) };
         let decoded = decoder.forward(&input);
         let logits = decoder.classify(sparse_apply(decoded.hidden, Arc::new(sampled)));
-        let regularisation =
-            if self.plan.regularised { self.regularisation(&decoded.fused, view) } else { None };
+        let regularisation = if self.plan.regularised { self.regularisation(&decoded.fused, view) } else { None };
         self.iteration += 1;
         Ok(Prediction { logits, regularisation })
     }
