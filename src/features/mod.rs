@@ -37,7 +37,7 @@ pub enum Extractor {
     /// MobileNetV2, see [`mobilenet`].
     MobileNetV2 {
         /// The network.
-        net: Box<mobilenet::MobileNetV2>,
+        net: Box<mobilenet::FoldedNet>,
         /// Where its weights were read from.
         path: PathBuf,
         /// SHA-256 of that file.
@@ -82,7 +82,7 @@ impl Extractor {
     }
 
     fn mobilenet(path: &Path) -> Result<Self> {
-        let net = mobilenet::MobileNetV2::load(path, &device::open(None)?)?;
+        let net = mobilenet::FoldedNet::new(&mobilenet::MobileNetV2::load(path, &device::open(None)?)?);
         let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
         let hash = format!("{:x}", Sha256::digest(&bytes));
         Ok(Self::MobileNetV2 { net: Box::new(net), path: path.to_owned(), hash })

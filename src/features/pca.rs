@@ -116,6 +116,10 @@ impl Pca {
     /// largest value) are left out; the output has zeros in their place.
     pub fn fit(moments: &Moments, dimensions: usize) -> Self {
         let channels = moments.mean.len();
+        if channels == 0 {
+            let (mean, components, variances) = (vec![], vec![], vec![]);
+            return Self { channels, dimensions, rank: 0, mean, components, variances, explained: 1.0, floor: 0.0 };
+        }
         let covariance = &moments.scatter / moments.count.max(1.0);
         let total: f64 = covariance.diagonal().iter().sum();
         let eigen = SymmetricEigen::new(covariance);

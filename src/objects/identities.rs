@@ -76,7 +76,12 @@ fn largest(row: &[f32]) -> Option<u16> {
 /// Renders identities: the class with the largest blended score at each pixel (`argmax` of Eq. 3).
 ///
 /// Pixels covered by less than `min_coverage` (1 - T), or where nothing is known, take the ignored id.
-pub fn label_map(projected: &Projected<f32>, identities: &Identities, classes: &Classes, min_coverage: f32) -> LabelMap {
+pub fn label_map(
+    projected: &Projected<f32>,
+    identities: &Identities,
+    classes: &Classes,
+    min_coverage: f32,
+) -> LabelMap {
     let c = identities.classes;
     let blended = projected.blend(&identities.scores, c);
     let [width, height] = projected.size();

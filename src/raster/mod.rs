@@ -17,6 +17,7 @@ mod op;
 mod projected;
 mod settings;
 mod sh;
+mod tile_map;
 mod tile_pairs;
 mod tiles;
 
@@ -25,3 +26,4 @@ pub use op::{RasterBackend, RasterCall, RasterInput, RasterOutput, RasterTensors
 pub use projected::{Blended, Projected, Rendered, render};
 pub use settings::{PairCounts, Settings, Splats, Stats};
 pub use sh::eval_sh;
+pub use tile_map::TilePairs;

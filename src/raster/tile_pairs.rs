@@ -22,10 +22,10 @@ pub(super) struct Pairs<E, const GEOMETRY: bool> {
     /// Transmittance in the tile's buffer layout, ended pixels negative.
     t: [E; BUFFER],
     /// One past the last pair of each of the tile's Gaussians that was looked at.
-    ends: Vec<u32>,
+    pub ends: Vec<u32>,
     /// Pixel within the tile, `row * TILE + column`.
-    pixels: Vec<u16>,
-    weights: Vec<E>,
+    pub pixels: Vec<u16>,
+    pub weights: Vec<E>,
     /// alpha', u, v of each pair when `GEOMETRY`.
     shape: Vec<[E; 3]>,
 }
@@ -98,13 +98,13 @@ impl<E: Real, const GEOMETRY: bool> Kernel<E> for Gather<'_, E, GEOMETRY> {
 
 impl<E: Real, const GEOMETRY: bool> Pairs<E, GEOMETRY> {
     /// The pairs of `tile`, of pixels where `t` is positive.
-    fn gather(p: &Projected<E>, tile: Tile<'_>, t: [E; BUFFER]) -> Self {
+    pub fn gather(p: &Projected<E>, tile: Tile<'_>, t: [E; BUFFER]) -> Self {
         dispatch(Gather { p, tile, t })
     }
 
     /// Pairs of the tile's `i`-th Gaussian, as positions.
     #[inline(always)]
-    fn range(&self, i: usize) -> std::ops::Range<usize> {
+    pub fn range(&self, i: usize) -> std::ops::Range<usize> {
         let first = if i == 0 { 0 } else { self.ends[i - 1] as usize };
         first..self.ends[i] as usize
     }

@@ -1,8 +1,205 @@
-//! placeholder
-use crate::config::UnprojectionConfig; use crate::data::View; use crate::features::FeatureSet; use crate::gaussians::Gaussians; use crate::raster::Settings; use crate::error::Result;
-/// x
-pub struct U { /// x
- pub features: [Vec<f32>;4], /// x
- pub keep: Vec<bool> }
-/// x
-pub fn unproject<'a>(_g:&Gaussians,_v: impl Iterator<Item=&'a View>,_f:&FeatureSet,_c:&UnprojectionConfig,_s:&Settings)->Result<U>{ unimplemented!() }
+//! Lifting 2D feature maps onto the Gaussians (Eq. 5, Algorithm 1): the adjoint of rendering them.
+//!
+//! With the blending weights `W` of a view and its map `F`, the buffer is the sum over views of `W^T F`. At `image`
+//! resolution `F` is read bilinearly, `U F`, and the buffer is `(W U)^T F`: the exact adjoint of rendering at image
+//! resolution and comparing with `U F`. At `feature` resolution (the paper) the camera is scaled to the map, and `U` is
+//! the identity.
+
+mod view;
+
+use crate::config::{Normalisation, Resolution, UnprojectionConfig};
+use crate::data::View;
+use crate::error::{Error, Result};
+use crate::features::{FeatureMap, FeatureSet, SCALES};
+use crate::gaussians::Gaussians;
+use crate::ops::Real;
+use crate::raster::{Settings, Splats};
+
+/// Added to the counter before dividing (Algorithm 1).
+pub const EPSILON: f64 = 1e-6;
+
+/// Sums over the views added so far, per Gaussian and scale.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sums<E> {
+    /// `sum_v (W U)^T F_v` per scale, `[N, channels]`.
+    pub buffers: Vec<Vec<E>>,
+    /// Channels per scale.
+    pub channels: Vec<usize>,
+    /// `sum_v W^T 1` per scale, `[N]`: at `image` resolution the same at every scale.
+    pub weights: Vec<Vec<E>>,
+    /// Algorithm 1's counter per scale, `[N]`: pixels (at `feature` resolution: cells) whose centre lies within the radius.
+    pub counts: Vec<Vec<u64>>,
+    /// Pixels (cells) of all views per scale, `sum_v H_v W_v`.
+    pub pixels: Vec<u64>,
+}
+
+impl<E: Real> Sums<E> {
+    /// Of no views yet, for `n` Gaussians and one entry of `channels` per scale.
+    pub fn new(n: usize, channels: &[usize]) -> Self {
+        Self {
+            buffers: channels.iter().map(|c| vec![E::zero(); n * c]).collect(),
+            channels: channels.to_vec(),
+            weights: vec![vec![E::zero(); n]; channels.len()],
+            counts: vec![vec![0; n]; channels.len()],
+            pixels: vec![0; channels.len()],
+        }
+    }
+
+    /// Adds a view with one map per scale.
+    ///
+    /// Results do not depend on the number of threads. Memory beside the sums: the view's contributing pairs folded to
+    /// (Gaussian, cell) weights, and nothing per pixel and channel.
+    ///
+    /// # Errors
+    /// [`Error::Config`] when maps or Gaussians do not match what this was made for; [`Error::NonFinite`] for maps with
+    /// such values; what [`crate::raster::Projected::new`] returns.
+    pub fn add(
+        &mut self,
+        splats: &Splats<'_, E>,
+        camera: &crate::camera::Camera,
+        maps: &[FeatureMap],
+        resolution: Resolution,
+        settings: &Settings,
+    ) -> Result<()> {
+        self.check(splats.len(), maps)?;
+        // Scales on one grid share the projection and the scalar weights.
+        let mut grids: Vec<([usize; 2], Vec<usize>)> = Vec::new();
+        for (scale, map) in maps.iter().enumerate() {
+            let size = [map.width, map.height];
+            match grids.iter_mut().find(|(of, _)| *of == size) {
+                Some((_, scales)) => scales.push(scale),
+                None => grids.push((size, vec![scale])),
+            }
+        }
+        match resolution {
+            Resolution::Image => view::add(self, splats, camera, maps, &grids, settings),
+            Resolution::Feature => grids.iter().try_for_each(|grid| {
+                let [width, height] = grid.0;
+                view::add(self, splats, &camera.resized(width, height), maps, std::slice::from_ref(grid), settings)
+            }),
+        }
+    }
+
+    fn check(&self, n: usize, maps: &[FeatureMap]) -> Result<()> {
+        let channels: Vec<usize> = maps.iter().map(|m| m.channels).collect();
+        if channels != self.channels {
+            return Err(Error::config(
+                "feature maps",
+                format!("channels {channels:?}"),
+                format!("{:?}, one map a scale", self.channels),
+                "reduce all views alike",
+            ));
+        }
+        let expected = self.counts.first().map_or(n, Vec::len);
+        if n != expected {
+            let (found, expected) = (format!("{n} Gaussians"), format!("{expected}"));
+            return Err(Error::config("unprojection", found, expected, "make new sums for another scene"));
+        }
+        for (scale, map) in maps.iter().enumerate() {
+            map.check(&format!("feature map of scale {}", scale + 1))?;
+            if map.cells() == 0 {
+                return Err(Error::config("feature map", "no cells", "one or more", "leave the view out"));
+            }
+        }
+        Ok(())
+    }
+
+    /// The buffers divided: by the counter + [`EPSILON`] (Eq. 5) or by the sum of weights, which makes each feature a
+    /// weighted mean. Gaussians without any weight get zeros.
+    pub fn normalised(mut self, normalisation: Normalisation) -> Self {
+        for (scale, buffer) in self.buffers.iter_mut().enumerate() {
+            let divisors = self.weights[scale].iter().zip(&self.counts[scale]);
+            for (row, (&weight, &count)) in buffer.chunks_exact_mut(self.channels[scale].max(1)).zip(divisors) {
+                let divisor = match normalisation {
+                    Normalisation::Count => E::of(count as f64 + EPSILON),
+                    Normalisation::Weight => weight,
+                };
+                let factor = if weight > E::zero() { divisor.recip() } else { E::zero() };
+                for x in row {
+                    *x *= factor;
+                }
+            }
+        }
+        self
+    }
+
+    /// Gaussians counted on at least the share `attendance` of all pixels of the finest scale's views (Algorithm 1).
+    pub fn attended(&self, attendance: f64) -> Vec<bool> {
+        match (self.counts.first(), self.pixels.first()) {
+            (Some(counts), Some(&pixels)) => counts.iter().map(|&c| c as f64 >= attendance * pixels as f64).collect(),
+            _ => Vec::new(),
+        }
+    }
+}
+
+/// Features of every Gaussian.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Unprojected {
+    /// Per scale `[N, channels]`; zeros for Gaussians that no view sees.
+    pub features: [Vec<f32>; SCALES],
+    /// Sum of alpha' T over all views per scale, `[N]`.
+    pub weights: [Vec<f32>; SCALES],
+    /// Algorithm 1's counter per scale, `[N]`.
+    pub counts: [Vec<u64>; SCALES],
+    /// Whether attendance pruning keeps the Gaussian, `[N]`.
+    pub keep: Vec<bool>,
+    /// Whether the Gaussian has weight in some view at every scale, `[N]`.
+    pub seen: Vec<bool>,
+}
+
+impl Unprojected {
+    /// Share of the Gaussians that attendance pruning removes, 0..1.
+    pub fn pruned_share(&self) -> f64 {
+        self.keep.iter().filter(|k| !**k).count() as f64 / self.keep.len().max(1) as f64
+    }
+}
+
+/// Lifts the features `set` of `views` (the training views, in the order of the set) onto `gaussians`.
+///
+/// # Errors
+/// [`Error::Config`] when views and features do not match; what [`Sums::add`] returns.
+pub fn unproject<'a>(
+    gaussians: &Gaussians,
+    views: impl Iterator<Item = &'a View>,
+    set: &FeatureSet,
+    config: &UnprojectionConfig,
+    settings: &Settings,
+) -> Result<Unprojected> {
+    let views: Vec<&View> = views.collect();
+    let mismatch = |found: String, expected: String| {
+        Error::config("views of the unprojection", found, expected, "pass the views that features were extracted from")
+    };
+    if views.len() != set.views.len() {
+        return Err(mismatch(format!("{} views", views.len()), format!("{}", set.views.len())));
+    }
+    let channels = set.views.first().map_or([0; SCALES], |v| v.maps.each_ref().map(|m| m.channels));
+    let mut sums = Sums::<f32>::new(gaussians.len(), &channels);
+    for (view, features) in views.iter().zip(&set.views) {
+        if view.name != features.view {
+            return Err(mismatch(view.name.clone(), features.view.clone()));
+        }
+        sums.add(&gaussians.splats(), &view.camera, &features.maps, config.resolution, settings)?;
+    }
+    let keep = sums.attended(config.attendance);
+    let sums = sums.normalised(config.normalisation);
+    let seen = (0..gaussians.len()).map(|i| sums.weights.iter().all(|w| w[i] > 0.0)).collect();
+    let scales = |all: Vec<Vec<f32>>| -> [Vec<f32>; SCALES] {
+        let mut all = all.into_iter();
+        std::array::from_fn(|_| all.next().unwrap_or_default()) // there are SCALES of them
+    };
+    let mut counts = sums.counts.into_iter();
+    let unprojected = Unprojected {
+        features: scales(sums.buffers),
+        weights: scales(sums.weights),
+        counts: std::array::from_fn(|_| counts.next().unwrap_or_default()),
+        keep,
+        seen,
+    };
+    let unseen = unprojected.seen.iter().filter(|s| !**s).count();
+    tracing::info!(
+        "unprojection: attendance pruning removes {:.2} % of {} Gaussians; {unseen} are seen by no view",
+        100.0 * unprojected.pruned_share(),
+        gaussians.len()
+    );
+    Ok(unprojected)
+}

@@ -8,9 +8,9 @@ mod photos;
 pub mod progress;
 mod rows;
 mod run;
+pub mod schedule;
 pub mod segmentation;
 mod segmentation_inputs;
-pub mod schedule;
 
 pub use building::{BuildingStage, StepReport};
 pub use building_state::BuildingState;

@@ -183,7 +183,8 @@ fn segment(
         outcome.features = seen.name.clone();
     }
     let clock = Instant::now();
-    let inputs = Inputs { scene: &outcome.scene, gaussians: &outcome.gaussians, seen, config, settings: *settings, device };
+    let inputs =
+        Inputs { scene: &outcome.scene, gaussians: &outcome.gaussians, seen, config, settings: *settings, device };
     let (rows, spatial) = run_rows(&inputs, checkpoints, progress)?;
     (outcome.rows, outcome.spatial) = (rows, spatial);
     outcome.seconds.segmentation = clock.elapsed().as_secs_f64();

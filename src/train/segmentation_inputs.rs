@@ -177,7 +177,8 @@ impl Spatial {
             for view in inputs.scene.split(Split::Train).filter(|v| v.raw.is_some()) {
                 let projected = Projected::new(&gaussians.splats(), &view.camera, &inputs.settings)?;
                 let sums = projected.weight_sums();
-                let visible: Vec<u32> = (0..gaussians.len() as u32).filter(|&i| projected.radii()[i as usize] > 0).collect();
+                let visible: Vec<u32> =
+                    (0..gaussians.len() as u32).filter(|&i| projected.radii()[i as usize] > 0).collect();
                 let positions: Vec<_> = visible.iter().map(|&i| gaussians.means[i as usize]).collect();
                 let tints: Vec<_> = visible.iter().map(|&i| colors[i as usize]).collect();
                 let weights = visible.iter().map(|&i| sums[i as usize]).collect();

@@ -24,6 +24,7 @@ mod raster_gradients;
 mod raster_reference;
 mod report;
 mod transforms;
+mod unprojection;
 
 use std::path::PathBuf;
 

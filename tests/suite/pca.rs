@@ -100,6 +100,7 @@ fn rank_deficient_and_constant_features_give_no_nan() {
     assert_eq!(pca.rank, 0);
     assert!(pca.apply(&map(constant, 3), "map").expect("same channels").data.iter().all(|&x| x == 0.0));
     assert_eq!(fit(&[], 3, 2).rank, 0);
+    assert_eq!(Pca::fit(&Moments::new(0), 2).rank, 0, "no channels at all");
     assert_eq!(fit(&[1.0, 2.0, 3.0], 3, 2).rank, 0, "one row has no variance");
 }
 

@@ -3,14 +3,17 @@
 //! [`MobileNetV2::forward`] gives the outputs of torchvision's `features.3`, `.6`, `.13` and `.17` (24, 32, 96 and 320
 //! channels at strides 4, 8, 16 and 32).
 
+mod fused;
 mod load;
+
+pub use fused::FoldedNet;
 
 use super::{FeatureMap, SCALES};
 use crate::error::Result;
 use burn::module::Module;
 use burn::nn::conv::{Conv2d, Conv2dConfig};
 use burn::nn::{BatchNorm, BatchNormConfig, PaddingConfig2d};
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 
 /// Part of cache keys; raise it when the arithmetic changes.
 pub const VERSION: &str = "mobilenetv2-1";
@@ -137,29 +140,19 @@ impl MobileNetV2 {
     }
 }
 
-impl MobileNetV2 {
-    /// The four scales of an image, normalised here, at image resolution.
+impl FoldedNet {
+    /// The four scales of an image at its own resolution; normalised here.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] when an activation is not finite.
+    /// As [`FoldedNet::forward`].
     pub fn maps(&self, image: &image::RgbImage) -> Result<[FeatureMap; SCALES]> {
         let (width, height) = (image.width() as usize, image.height() as usize);
-        let mut planes = vec![0.0; 3 * width * height];
-        for (c, plane) in planes.chunks_exact_mut((width * height).max(1)).enumerate() {
-            for (o, pixel) in plane.iter_mut().zip(image.as_raw().chunks_exact(3)) {
-                *o = (f32::from(pixel[c]) / 255.0 - MEAN[c]) / STD[c];
-            }
+        let mut planes = Vec::with_capacity(3 * width * height);
+        for (c, (mean, std)) in MEAN.iter().zip(STD).enumerate() {
+            let channel = image.as_raw().iter().skip(c).step_by(3);
+            planes.extend(channel.map(|&x| (f32::from(x) / 255.0 - mean) / std));
         }
-        let device = self.stem.conv.weight.device();
-        let input = Tensor::from_data(TensorData::new(planes, [1, 3, height, width]), &device);
-        let mut maps: [FeatureMap; SCALES] = Default::default();
-        for (n, (map, x)) in maps.iter_mut().zip(self.forward(input)).enumerate() {
-            let [_, channels, height, width] = x.dims();
-            let data = x.permute([0, 2, 3, 1]).into_data().into_vec::<f32>().unwrap_or_default();
-            *map = FeatureMap { height, width, channels, data };
-            map.check(&format!("MobileNetV2 scale {}", n + 1))?;
-        }
-        Ok(maps)
+        self.forward(planes, height, width)
     }
 }
 

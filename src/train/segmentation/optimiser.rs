@@ -49,7 +49,11 @@ impl ModuleAdam {
     }
 
     /// Takes back what [`ModuleAdam::state`] gave, on `device`. `None` when a name is missing.
-    pub fn with_state(mut self, state: &dyn Fn(&str) -> Option<Vec<f32>>, device: &burn::tensor::Device) -> Option<Self> {
+    pub fn with_state(
+        mut self,
+        state: &dyn Fn(&str) -> Option<Vec<f32>>,
+        device: &burn::tensor::Device,
+    ) -> Option<Self> {
         let plain = device.clone().inner();
         let tensor = |v: Vec<f32>| Tensor::<1>::from_data(TensorData::new(v.clone(), [v.len()]), &plain);
         self.steps = *state("steps")?.first()? as i32;

@@ -65,7 +65,8 @@ pub fn train(
         if end || iteration.is_multiple_of(pace.eval_every.max(1)) {
             let [seconds, sum, count] = place.running;
             let miou = score(&model.identities()?)?;
-            let point = CurvePoint { iteration, seconds, loss: sum / count.max(1.0), miou, gaussians, ..CurvePoint::default() };
+            let point =
+                CurvePoint { iteration, seconds, loss: sum / count.max(1.0), miou, gaussians, ..CurvePoint::default() };
             place.running = [seconds, 0.0, 0.0];
             place.curve.push(point);
             progress.event(&Event::Evaluated(point));

@@ -4,8 +4,8 @@ use crate::data::{Classes, View};
 use crate::error::Result;
 use crate::gaussians::Gaussians;
 use crate::ops::SparseMatrix;
-use crate::raster::{Projected, Settings};
 use crate::random::{Purpose, stream};
+use crate::raster::{Projected, Settings};
 use rand::{Rng, seq::SliceRandom};
 use std::sync::Arc;
 
@@ -117,13 +117,8 @@ impl<'a> TrainingViews<'a> {
         if let Some(kept) = &self.kept[index] {
             return Ok(kept.clone());
         }
-        let weights = ViewWeights::new(
-            self.gaussians,
-            self.views[index],
-            self.classes,
-            &self.settings,
-            self.min_coverage,
-        )?;
+        let weights =
+            ViewWeights::new(self.gaussians, self.views[index], self.classes, &self.settings, self.min_coverage)?;
         let weights = Arc::new(weights);
         if let Some(left) = self.budget.checked_sub(weights.bytes()) {
             self.budget = left;
