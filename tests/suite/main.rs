@@ -13,6 +13,7 @@ mod pca;
 mod photometric;
 mod pretrain;
 mod randla;
+mod weights;
 
 use std::path::PathBuf;
 
