@@ -193,10 +193,7 @@ pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64
 /// read or does not fit.
 pub fn load_spatial(config: &SpatialConfig, seed: u64, device: &Device) -> Result<(RandlaEncoder, String)> {
     let (weights, name) = match (config.source, &config.weights) {
-        (SpatialSource::Builtin, _) => {
-            let mend = "set spatial.source = \"random\" or \"pretrained\"";
-            return Err(Error::config("spatial.source", "builtin", "weights that are part of this build", mend));
-        }
+        (SpatialSource::Builtin, _) => (builtin_weights()?, "trained here".to_owned()),
         (SpatialSource::Random, _) => (random_weights(3, seed), "random".to_owned()),
         (SpatialSource::Pretrained, Some(path)) => (Checkpoint::open(path)?, format!("pretrained {}", path.display())),
         (SpatialSource::Pretrained, None) => {
@@ -205,6 +202,14 @@ pub fn load_spatial(config: &SpatialConfig, seed: u64, device: &Device) -> Resul
         }
     };
     Ok((RandlaEncoder::load(&weights, Form::Frozen, &device.clone().inner())?, name))
+}
+
+/// The weights inside this crate; `assets/README.md` holds the command that made them and its scores.
+///
+/// # Errors
+/// [`Error::Input`] when the build embedded a broken file.
+pub fn builtin_weights() -> Result<Checkpoint> {
+    Checkpoint::from_safetensors(include_bytes!("../../assets/randla_builtin.safetensors"), "built-in RandLA weights")
 }
 
 /// Untrained weights (He-uniform, running statistics 0 and 1) in the layout of the published checkpoints: where

@@ -21,7 +21,7 @@ pub struct Neighbours {
 impl Neighbours {
     /// Number of rows.
     pub fn len(&self) -> usize {
-        if self.k == 0 { 0 } else { self.indices.len() / self.k }
+        self.indices.len().checked_div(self.k).unwrap_or(0)
     }
 
     /// Whether there are no rows.

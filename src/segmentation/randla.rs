@@ -20,7 +20,7 @@ pub const SLOPE: f64 = 0.2;
 /// Epsilon of batch normalisation in the published port (PyTorch's default).
 pub const NORM_EPSILON: f64 = 1e-5;
 /// Share of a new batch in the running statistics while pretraining.
-const NORM_MOMENTUM: f64 = 0.1;
+const NORM_MOMENTUM: f64 = 0.03;
 /// Channels of the relative position code: distance, p_i - p_k, p_i, p_k.
 pub const POSITION_CHANNELS: usize = 10;
 /// Encoder layers; the decoder has as many upsamplings.
@@ -94,6 +94,12 @@ impl SharedMlp {
             bias: Some(parameter(bias, [output], device)),
         };
         Ok(Self { linear, norm: None, linear_only })
+    }
+
+    fn freeze_statistics(&mut self) {
+        if let Some(norm) = &mut self.norm {
+            norm.training = Param::from_bool(false);
+        }
     }
 
     /// Writes what [`SharedMlp::load`] reads.
@@ -281,6 +287,18 @@ impl RandlaEncoder {
         }
         let stem = SharedMlp::load(weights, "fc0", [inputs, stem], false, form, device)?;
         Ok(Self { stem, blocks, inputs })
+    }
+
+    /// From here on batch normalisation reads its running statistics, as it will when frozen; weights go on training.
+    #[must_use]
+    pub fn freeze_statistics(mut self) -> Self {
+        self.stem.freeze_statistics();
+        for b in &mut self.blocks {
+            let mlps = [&mut b.narrow, &mut b.first_code, &mut b.second_code, &mut b.widen, &mut b.shortcut];
+            let pooled = [&mut b.first_pooling.mlp, &mut b.second_pooling.mlp];
+            mlps.into_iter().chain(pooled).for_each(SharedMlp::freeze_statistics);
+        }
+        self
     }
 
     /// All weights under the names that [`RandlaEncoder::load`] reads.

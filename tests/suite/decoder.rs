@@ -83,9 +83,9 @@ fn decodes_as_equation_7_says() {
                 let mut x = lifted[level.indices[i] as usize * 8..][..8].to_vec();
                 x.extend_from_slice(&spatial[i * spatial_width..][..spatial_width]);
                 let (columns, weights) = encoding.upsample[n].row(i);
-                for c in 0..below[0].len() {
-                    x.push(columns.iter().zip(weights).map(|(&j, w)| w * below[j as usize][c]).sum());
-                }
+                let upsampled =
+                    |c: usize| columns.iter().zip(weights).map(|(&j, w)| w * below[j as usize][c]).sum::<f32>();
+                x.extend((0..below[0].len()).map(upsampled));
                 (0..width)
                     .map(|o| {
                         let y: f32 = bias[o] + x.iter().enumerate().map(|(j, x)| x * all[j * width + o]).sum::<f32>();

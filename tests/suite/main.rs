@@ -25,6 +25,7 @@ mod raster_reference;
 mod report;
 mod transforms;
 mod unprojection;
+mod weights;
 
 use std::path::PathBuf;
 

@@ -1,13 +1,14 @@
 //! The RandLA encoder against stored activations of the published one.
 
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::{DType, Tensor, TensorData};
 use coseg::config::{SpatialConfig, SpatialSource};
-use coseg::device;
+use coseg::ops::{attentive_pool, attentive_pool_plain};
 use coseg::segmentation::checkpoint::Checkpoint;
-use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
+use coseg::segmentation::encoder::{Cloud, encode, load_spatial, random_weights};
 use coseg::segmentation::neighbours::Neighbours;
 use coseg::segmentation::randla::{Form, LAYERS, RandlaEncoder};
 use coseg::segmentation::sampling::{Hierarchy, SampledLevel};
+use coseg::{Error, device};
 use glam::DVec3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -127,5 +128,92 @@ fn encodes_a_hundred_thousand_points_in_seconds() {
         let sizes: Vec<usize> = encoding.levels.iter().map(|l| l.features.dims()[0]).collect();
         assert_eq!((sizes, encoding.coarsest.features.dims()[0]), (vec![100_000, 25_000, 6_250, 1_562], 390));
         assert!(seconds < 20.0, "{seconds}");
+    }
+}
+
+#[test]
+fn encoding_follows_up_and_scale_and_repeats_at_any_thread_count() {
+    let device = device::open(None).expect("a backend");
+    let (encoder, _) = load_spatial(&spatial(SpatialSource::Random), 2, &device).expect("random weights");
+    let points = room(4_000, 3);
+    let features = |cloud: &Cloud, threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        let encoding = pool.install(|| encode(&encoder, cloud, 9, &device)).expect("finite");
+        let mut all: Vec<Vec<f32>> =
+            encoding.levels.into_iter().map(|l| l.features.into_data().into_vec().expect("f32")).collect();
+        all.push(encoding.coarsest.features.into_data().into_vec().expect("f32"));
+        all.concat()
+    };
+    let cloud = Cloud { positions: &points, colors: None, up: DVec3::Z, scale: 1.0 };
+    let want = features(&cloud, 1);
+    assert_eq!(want, features(&cloud, 2));
+    // the same room in other units, elsewhere, and lying on its side: x to y to z to x
+    let moved: Vec<[f32; 3]> = points.iter().map(|[x, y, z]| [z * 4.0 + 8.0, x * 4.0 - 16.0, y * 4.0 + 4.0]).collect();
+    let found = features(&Cloud { positions: &moved, colors: None, up: DVec3::X * 5.0, scale: 0.25 }, 2);
+    let upright = Cloud { positions: &moved, colors: None, up: DVec3::X, scale: 0.25 }.oriented().expect("finite");
+    let heights = upright.iter().zip(cloud.oriented().expect("finite"));
+    assert!(heights.clone().all(|(a, b)| (a[2] - b[2]).abs() < 1e-5), "up is the third axis");
+    assert_eq!(found.len(), want.len());
+    assert!(found.iter().all(|v| v.is_finite()));
+}
+
+#[test]
+fn hard_clouds_encode_or_say_why_not() {
+    let device = device::open(None).expect("a backend");
+    let (encoder, _) = load_spatial(&spatial(SpatialSource::Random), 2, &device).expect("random weights");
+    let run = |positions: &[[f32; 3]], scale: f64, up: DVec3| {
+        encode(&encoder, &Cloud { positions, colors: None, up, scale }, 0, &device)
+    };
+    for points in [vec![[1.0, 2.0, 3.0]], vec![[0.5; 3]; 300], room(5, 1), room(17, 1)] {
+        let encoding = run(&points, 1.0, DVec3::Z).expect("small and identical clouds are fine");
+        assert_eq!(encoding.levels[0].indices.len(), points.len());
+        for level in encoding.levels.iter().chain([&encoding.coarsest]) {
+            assert_eq!(level.features.dims()[0], level.indices.len());
+        }
+    }
+    assert!(matches!(run(&[], 1.0, DVec3::Z), Err(Error::Config { .. })));
+    assert!(matches!(run(&[[0.0; 3], [0.0, f32::NAN, 0.0]], 1.0, DVec3::Z), Err(Error::NonFinite { row: 1, .. })));
+    assert!(matches!(run(&room(50, 1), 0.0, DVec3::Z), Err(Error::Config { .. })));
+    assert!(matches!(run(&room(50, 1), 1.0, DVec3::ZERO), Err(Error::Config { .. })));
+    let vast: Vec<[f32; 3]> = room(50, 1).into_iter().map(|p| p.map(|v| v * 1e37)).collect();
+    assert!(matches!(run(&vast, 1.0, DVec3::Z), Err(Error::NonFinite { .. })), "features beyond f32 are an error");
+}
+
+#[test]
+fn encoders_of_colour_ask_for_it() {
+    let device = device::open(None).expect("a backend");
+    let encoder = RandlaEncoder::load(&random_weights(6, 1), Form::Frozen, &device).expect("weights");
+    let points = room(200, 1);
+    let run = |colors: Option<&[[f32; 3]]>| {
+        encode(&encoder, &Cloud { positions: &points, colors, up: DVec3::Z, scale: 1.0 }, 0, &device)
+    };
+    assert!(matches!(run(None), Err(Error::Config { .. })));
+    assert!(matches!(run(Some(&points[..7])), Err(Error::Config { .. })));
+    assert_eq!(run(Some(&vec![[0.5; 3]; 200])).expect("colours").levels.len(), LAYERS);
+}
+
+#[test]
+fn attentive_pooling_equals_its_plain_form_and_its_gradients() {
+    let device = device::open(None).expect("a backend").autodiff();
+    let (k, channels, points) = (5, 7, 6);
+    let wave = |a: f64| (0..points * k * channels).map(|i| (i as f64 * a).sin() * 3.0).collect::<Vec<f64>>();
+    let input = |values: Vec<f64>| -> Tensor<2> {
+        Tensor::from_data(TensorData::new(values, [points * k, channels]), (&device, DType::F64)).require_grad()
+    };
+    let run = |op: fn(Tensor<2>, Tensor<2>, usize) -> Tensor<2>, huge: f64| {
+        let (x, scores) = (input(wave(0.7)), input(wave(1.3).into_iter().map(|s| s * huge).collect()));
+        let y = op(x.clone(), scores.clone(), k);
+        let g = y.clone().powi_scalar(3).sum().backward();
+        let host = |t: Tensor<2>| t.into_data().into_vec::<f64>().expect("f64");
+        [host(y.inner()), host(x.grad(&g).expect("tracked")), host(scores.grad(&g).expect("tracked"))]
+    };
+    for huge in [1.0, 3e3] {
+        for (fused, plain) in run(attentive_pool, huge).iter().zip(&run(attentive_pool_plain, huge)) {
+            let rms = (plain.iter().map(|v| v * v).sum::<f64>() / plain.len() as f64).sqrt();
+            assert!(
+                fused.iter().zip(plain).all(|(a, b)| (a - b).abs() <= 1e-12 * rms.max(1e-9)),
+                "scores times {huge}"
+            );
+        }
     }
 }
