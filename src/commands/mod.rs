@@ -18,7 +18,7 @@ use std::path::PathBuf;
 #[command(name = "coseg", version, propagate_version = true, after_help = EXAMPLES)]
 pub struct Cli {
     /// Say more about what is going on
-    #[arg(long, short, global = true)]
+    #[arg(long, short, global = true, display_order = 900)]
     pub verbose: bool,
     /// What to do
     #[command(subcommand)]
