@@ -9,6 +9,7 @@ pub mod descriptor;
 mod extract;
 mod import;
 mod map;
+pub mod mobilenet;
 mod pca;
 pub mod probe;
 
@@ -19,8 +20,10 @@ pub use pca::{Moments, Pca};
 
 use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::View;
+use crate::device;
 use crate::error::{Error, Result};
-use std::path::PathBuf;
+use sha2::{Digest, Sha256};
+use std::path::{Path, PathBuf};
 
 /// Scales per view.
 pub const SCALES: usize = 4;
@@ -31,6 +34,15 @@ pub const SCALES: usize = 4;
 pub enum Extractor {
     /// The built-in descriptor, see [`descriptor`].
     Descriptor,
+    /// MobileNetV2, see [`mobilenet`].
+    MobileNetV2 {
+        /// The network.
+        net: Box<mobilenet::MobileNetV2>,
+        /// Where its weights were read from.
+        path: PathBuf,
+        /// SHA-256 of that file.
+        hash: String,
+    },
     /// Maps read from files of this folder, see [`Extractor::maps`].
     Import(PathBuf),
 }
@@ -41,18 +53,21 @@ impl Extractor {
     /// # Errors
     /// [`Error::Config`] when a needed path is not set; [`Error::Io`] and [`Error::Input`] for unusable weights.
     pub fn open(config: &FeatureConfig) -> Result<Self> {
+        if let (Some(dir), true) = (&config.import_dir, config.source != FeatureSource::Import) {
+            tracing::warn!("features.import_dir = {} is not read: features.source is not import", dir.display());
+        }
         match config.source {
             FeatureSource::Descriptor => Ok(Self::Descriptor),
-            FeatureSource::Auto => {
-                if let Some(dir) = &config.import_dir {
-                    tracing::warn!(
-                        "features.import_dir = {} is not read: features.source is not import",
-                        dir.display()
-                    );
-                }
-                Ok(Self::Descriptor)
-            }
-            FeatureSource::Mobilenetv2 => Err(Error::config("features.weights", "", "", "")),
+            FeatureSource::Auto | FeatureSource::Mobilenetv2 => match &config.weights {
+                Some(path) => Self::mobilenet(path),
+                None if config.source == FeatureSource::Auto => Ok(Self::Descriptor),
+                None => Err(Error::config(
+                    "features.weights",
+                    "nothing",
+                    "a path to MobileNetV2 weights, since features.source = \"mobilenetv2\"",
+                    "set features.weights",
+                )),
+            },
             FeatureSource::Import => match &config.import_dir {
                 Some(dir) if dir.is_dir() => Ok(Self::Import(dir.clone())),
                 Some(dir) => Err(Error::io(dir, "open folder", std::io::ErrorKind::NotFound.into())),
@@ -66,10 +81,18 @@ impl Extractor {
         }
     }
 
+    fn mobilenet(path: &Path) -> Result<Self> {
+        let net = mobilenet::MobileNetV2::load(path, &device::open(None)?)?;
+        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        let hash = format!("{:x}", Sha256::digest(&bytes));
+        Ok(Self::MobileNetV2 { net: Box::new(net), path: path.to_owned(), hash })
+    }
+
     /// Name for reports: `descriptor`, `mobilenetv2 FILE` or `imported DIR`.
     pub fn name(&self) -> String {
         match self {
             Self::Descriptor => "descriptor".into(),
+            Self::MobileNetV2 { path, .. } => format!("mobilenetv2 {}", path.display()),
             Self::Import(dir) => format!("imported {}", dir.display()),
         }
     }
@@ -84,6 +107,7 @@ impl Extractor {
     pub fn maps(&self, view: &View) -> Result<[FeatureMap; SCALES]> {
         match self {
             Self::Descriptor => Ok(descriptor::describe(&view.image)),
+            Self::MobileNetV2 { net, .. } => net.maps(&view.image),
             Self::Import(dir) => import::read(dir, &view.name),
         }
     }
@@ -92,6 +116,7 @@ impl Extractor {
     fn cache_key(&self) -> Option<String> {
         match self {
             Self::Descriptor => Some(descriptor::VERSION.into()),
+            Self::MobileNetV2 { hash, .. } => Some(format!("{} {hash}", mobilenet::VERSION)),
             Self::Import(_) => None,
         }
     }

@@ -172,11 +172,11 @@ impl<B: LabelLossBackend, C: CheckpointStrategy> LabelLossBackend for Autodiff<B
 ///
 /// # Panics
 /// If there is not one label a row, or a label is neither below C nor [`UNLABELLED`].
-pub fn label_loss(logits: Tensor<2>, labels: Arc<Vec<u16>>, kind: Kind) -> Tensor<1> {
+pub fn label_loss(logits: Tensor<2>, labels: &[u16], kind: &Kind) -> Tensor<1> {
     let [rows, classes] = logits.dims();
     assert_eq!(labels.len(), rows, "label_loss: labels against rows of logits");
     let known = labels.iter().all(|&l| l == UNLABELLED || usize::from(l) < classes);
     assert!(known, "label_loss: a label is no class index below {classes}");
-    let (value, _) = Dispatch::label_loss(logits.into_dispatch(), labels, kind);
+    let (value, _) = Dispatch::label_loss(logits.into_dispatch(), Arc::new(labels.to_vec()), *kind);
     Tensor::from_dispatch(value)
 }

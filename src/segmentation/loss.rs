@@ -1,6 +1,5 @@
 //! CoSeg loss (Eq. 8 to 10): noise-robust label loss on rendered logits, and closeness of neighbours in 3D.
 
-use super::neighbours::{Neighbours, PointIndex};
 use crate::config::{LabelLoss, SegmentationConfig};
 use crate::error::{Error, Result};
 use crate::ops::{SparseMatrix, UNLABELLED, sparse_apply};
@@ -41,7 +40,7 @@ impl Kind {
 /// [`label_loss`] in plain tensors: the reference of its tests, by the direct sums of the two divergences.
 ///
 /// Multiplies by reciprocals: burn's derivative of a division by a scalar rounds it to f32.
-pub fn label_loss_plain(logits: Tensor<2>, labels: &[u16], kind: Kind) -> Tensor<1> {
+pub fn label_loss_plain(logits: Tensor<2>, labels: &[u16], kind: &Kind) -> Tensor<1> {
     let device = logits.device();
     let kept: Vec<(i64, i64)> =
         labels.iter().enumerate().filter(|&(_, &l)| l != UNLABELLED).map(|(i, &l)| (i as i64, i64::from(l))).collect();
@@ -54,7 +53,7 @@ pub fn label_loss_plain(logits: Tensor<2>, labels: &[u16], kind: Kind) -> Tensor
     let classes = column(kept.iter().map(|k| k.1).collect()).reshape([count, 1]);
     let log_p = log_softmax(logits.select(0, rows), 1);
     let log_py = log_p.clone().gather(1, classes.clone());
-    let loss: Tensor<2> = match kind {
+    let loss: Tensor<2> = match *kind {
         Kind::Ce => -log_py,
         Kind::Mae => -log_py.exp() + 1.0,
         Kind::Gce { q } => (-(log_py * q).exp() + 1.0) * (1.0 / q),
@@ -111,25 +110,4 @@ pub fn sample_rows(rows: usize, count: usize, seed: u64, iteration: u64) -> Vec<
     let mut chosen: Vec<u32> = index::sample(&mut rng, rows, count.min(rows)).iter().map(|i| i as u32).collect();
     chosen.sort_unstable();
     chosen
-}
-
-/// `[N, k]` nearest other points of every point; a set of k points or fewer repeats them, a single point itself.
-///
-/// # Errors
-/// [`Error::NonFinite`] naming the first bad row.
-pub fn without_self(points: &[[f32; 3]], k: usize) -> Result<Vec<u32>> {
-    Ok(drop_self(&PointIndex::new(points)?.neighbours((k + 1).min(points.len().max(1))), k))
-}
-
-/// The same from rows that begin with the point itself, as an encoding's levels hold them.
-pub fn drop_self(neighbours: &Neighbours, k: usize) -> Vec<u32> {
-    let mut rows = Vec::with_capacity(neighbours.len() * k);
-    for i in 0..neighbours.len() {
-        let row = neighbours.row(i);
-        // a set smaller than K repeats its members, itself among them, after all others
-        let others = &row[1..1 + row[1..].iter().position(|&j| j as usize == i).unwrap_or(row.len() - 1)];
-        let others = if others.is_empty() { row } else { others };
-        rows.extend((0..k).map(|n| others[n % others.len()]));
-    }
-    rows
 }

@@ -170,6 +170,27 @@ impl PointIndex {
     }
 }
 
+/// `[N, k]` nearest other points of every point; a set of k points or fewer repeats them, a single point itself.
+///
+/// # Errors
+/// [`Error::NonFinite`] naming the first bad row.
+pub fn without_self(points: &[[f32; 3]], k: usize) -> Result<Vec<u32>> {
+    Ok(drop_self(&PointIndex::new(points)?.neighbours((k + 1).min(points.len().max(1))), k))
+}
+
+/// The same from rows that begin with the point itself, as an encoding's levels hold them.
+pub fn drop_self(neighbours: &Neighbours, k: usize) -> Vec<u32> {
+    let mut rows = Vec::with_capacity(neighbours.len() * k);
+    for i in 0..neighbours.len() {
+        let row = neighbours.row(i);
+        // a set smaller than K repeats its members, itself among them, after all others
+        let others = &row[1..1 + row[1..].iter().position(|&j| j as usize == i).unwrap_or(row.len() - 1)];
+        let others = if others.is_empty() { row } else { others };
+        rows.extend((0..k).map(|n| others[n % others.len()]));
+    }
+    rows
+}
+
 /// Writes `found` into `row` from `first` on, and repeats the row's beginning when it runs out.
 fn fill(row: &mut [u32], first: usize, found: impl Iterator<Item = u32>) {
     let mut end = first;

@@ -4,7 +4,7 @@
 //! a point together. 1x1 convolutions are therefore linear layers. Key names and wiring are those of the PyTorch port
 //! whose checkpoints are published.
 
-use super::checkpoint::Checkpoint;
+use super::checkpoint::{Checkpoint, HostTensor};
 use super::sampling::{Hierarchy, SampledLevel};
 use crate::error::{Error, Result};
 use crate::ops::{SparseMatrix, attentive_pool, sparse_apply};
@@ -96,6 +96,33 @@ impl SharedMlp {
         Ok(Self { linear, norm: None, linear_only })
     }
 
+    /// Writes what [`SharedMlp::load`] reads.
+    fn save(&self, weights: &mut Checkpoint, name: &str) {
+        let [input, output] = self.linear.weight.dims();
+        let matrix = transposed(&host(self.linear.weight.val()), output, input);
+        weights.insert(&format!("{name}.conv.weight"), HostTensor { shape: vec![output, input], values: matrix });
+        let mut vector = |part: &str, values: Vec<f32>| {
+            weights.insert(&format!("{name}.{part}"), HostTensor { shape: vec![output], values });
+        };
+        if let Some(bias) = &self.linear.bias {
+            vector("conv.bias", host(bias.val()));
+        }
+        let folded = [vec![1.0; output], vec![0.0; output], vec![0.0; output], vec![1.0 - NORM_EPSILON as f32; output]];
+        let [gamma, beta, mean, variance] = match &self.norm {
+            Some(norm) => [
+                host(norm.gamma.val()),
+                host(norm.beta.val()),
+                host(norm.running_mean.value_sync()),
+                host(norm.running_var.value_sync()),
+            ],
+            None => folded,
+        };
+        vector("bn.bn.weight", gamma);
+        vector("bn.bn.bias", beta);
+        vector("bn.bn.running_mean", mean);
+        vector("bn.bn.running_var", variance);
+    }
+
     /// `[rows, in]` to `[rows, out]`.
     pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
         let x = self.linear.forward(x);
@@ -121,6 +148,13 @@ impl AttentivePooling {
         let weight = parameter(transposed(score, input, input), [input, input], device);
         let mlp = SharedMlp::load(weights, &format!("{name}.mlp"), shape, false, form, device)?;
         Ok(Self { score: Linear { weight, bias: None }, mlp })
+    }
+
+    fn save(&self, weights: &mut Checkpoint, name: &str) {
+        let shape = self.score.weight.dims();
+        let values = transposed(&host(self.score.weight.val()), shape[1], shape[0]);
+        weights.insert(&format!("{name}.fc.weight"), HostTensor { shape: shape.to_vec(), values });
+        self.mlp.save(weights, &format!("{name}.mlp"));
     }
 
     /// `x` is `[R K, in]`, the result `[R, out]`: softmax of `x W` over the K rows of a point, per channel.
@@ -159,6 +193,17 @@ impl ResidualBlock {
             shortcut: mlp("shortcut", [input, 2 * d], true)?,
             width: d,
         })
+    }
+
+    fn save(&self, weights: &mut Checkpoint, n: usize) {
+        let name = |part: &str| format!("dilated_res_blocks.{n}.{part}");
+        self.narrow.save(weights, &name("mlp1"));
+        self.first_code.save(weights, &name("lfa.mlp1"));
+        self.first_pooling.save(weights, &name("lfa.att_pooling_1"));
+        self.second_code.save(weights, &name("lfa.mlp2"));
+        self.second_pooling.save(weights, &name("lfa.att_pooling_2"));
+        self.widen.save(weights, &name("mlp2"));
+        self.shortcut.save(weights, &name("shortcut"));
     }
 
     /// All points at once: what training differentiates.
@@ -238,6 +283,16 @@ impl RandlaEncoder {
         Ok(Self { stem, blocks, inputs })
     }
 
+    /// All weights under the names that [`RandlaEncoder::load`] reads.
+    pub fn to_checkpoint(&self, origin: &str) -> Checkpoint {
+        let mut weights = Checkpoint { origin: origin.into(), ..Checkpoint::default() };
+        self.stem.save(&mut weights, "fc0");
+        for (n, block) in self.blocks.iter().enumerate() {
+            block.save(&mut weights, n);
+        }
+        weights
+    }
+
     /// Channels of the input: 3 (xyz) or 6 (xyz, rgb in 0..1).
     pub fn inputs(&self) -> usize {
         self.inputs
@@ -307,6 +362,11 @@ fn selection(indices: Vec<u32>, columns: usize) -> SparseMatrix {
 /// `[rows, columns]` from `[columns, rows]`, row-major.
 fn transposed(values: &[f32], rows: usize, columns: usize) -> Vec<f32> {
     (0..rows * columns).map(|i| values[i % columns * rows + i / columns]).collect()
+}
+
+/// Row-major values of a tensor, f32.
+pub(crate) fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().convert::<f32>().into_vec().unwrap_or_default() // just converted: always f32
 }
 
 pub(crate) fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Tensor<D> {

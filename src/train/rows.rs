@@ -9,7 +9,7 @@ use crate::error::Result;
 use crate::metrics::{LabelScores, Void, label_scores};
 use crate::objects::{Identities, label_map, vote};
 use crate::raster::Projected;
-use crate::segmentation::decoder::Decoder;
+use crate::segmentation::decoder::DecoderConfig;
 use crate::segmentation::loss::Kind;
 use std::path::Path;
 
@@ -212,6 +212,10 @@ fn trained(
         size: [inputs.gaussians.len(), classes],
         seed,
     };
-    let decoder = Decoder::new(&source.scene().input, classes, config.layer_norm, seed, &device)?;
-    fit(&mut Fused::new(decoder, source, count, plan, &device), config.lr)
+    let pyramid = &source.scene().pyramid;
+    let decoder = DecoderConfig::for_pyramid(pyramid, classes, pyramid.levels.len() > 1)
+        .with_layer_norm(config.layer_norm)
+        .with_seed(seed)
+        .init(&device);
+    fit(&mut Fused::new(decoder, source, &inputs.gaussians.means, count, plan, &device), config.lr)
 }

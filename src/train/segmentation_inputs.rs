@@ -1,16 +1,15 @@
 //! The frozen inputs of stage two: image features lifted onto the Gaussians, spatial features, and their pyramids.
 
 use super::progress::{Event, Progress};
-use super::segmentation::{Encoded, REGULARISED, Source};
+use super::segmentation::{Encoded, Source};
 use crate::config::{Config, Encode, Row, SpatialConfig, SpatialSource};
 use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::features::{self, SCALES};
 use crate::gaussians::Gaussians;
 use crate::raster::{Projected, Settings};
-use crate::segmentation::decoder::{DecoderInput, Switches};
 use crate::segmentation::encoder::{Cloud, Encoding, encode, load_spatial, metres_per_unit};
-use crate::segmentation::loss::drop_self;
+use crate::segmentation::pyramid::{Pyramid, Switches};
 use crate::segmentation::unprojection::unproject;
 use burn::tensor::{Device, Tensor, TensorData};
 use std::time::Instant;
@@ -206,11 +205,5 @@ fn join(encoding: &Encoding, points: Vec<u32>, flavour: Flavour, inputs: &Inputs
             image.push(Tensor::from_data(TensorData::new(rows, [points.len(), d]), inputs.device));
         }
     }
-    let input = DecoderInput::new(encoding, &image, flavour.switches)?;
-    let k = inputs.config.segmentation.reg_neighbours;
-    let neighbours = REGULARISED.map(|scale| match flavour.switches.single_scale {
-        Some(_) => Vec::new(),
-        None => drop_self(&encoding.levels[scale].neighbours, k),
-    });
-    Ok(Encoded { input, points, neighbours })
+    Ok(Encoded { pyramid: Pyramid::new(encoding, &image, flavour.switches)?, points })
 }

@@ -3,10 +3,12 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::config::{SpatialConfig, SpatialSource};
-use coseg::segmentation::decoder::{Decoder, DecoderInput, HIDDEN, Switches};
+use coseg::segmentation::decoder::{Decoder, DecoderConfig, HIDDEN};
 use coseg::segmentation::encoder::{Cloud, Encoding, encode, load_spatial};
+use coseg::segmentation::pyramid::{Pyramid, Restriction, Switches};
 use coseg::{Error, device};
 use glam::DVec3;
+use std::sync::Arc;
 
 const POINTS: usize = 1_500;
 
@@ -23,6 +25,10 @@ fn largest_difference(a: Tensor<2>, b: Tensor<2>) -> f32 {
     let (a, b) = (values(a), values(b));
     assert!(a.iter().chain(&b).all(|v| v.is_finite()));
     a.iter().zip(&b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+fn make(input: &Pyramid, layer_norm: bool, seed: u64, device: &Device) -> Decoder {
+    DecoderConfig::for_pyramid(input, 6, true).with_layer_norm(layer_norm).with_seed(seed).init(device)
 }
 
 fn scene(device: &Device) -> (Encoding, Vec<Tensor<2>>) {
@@ -45,8 +51,8 @@ fn scene(device: &Device) -> (Encoding, Vec<Tensor<2>>) {
 fn decodes_as_equation_7_says() {
     let device = plain_device();
     let (encoding, image) = scene(&device);
-    let input = DecoderInput::new(&encoding, &image, Switches::default()).expect("features");
-    let decoder = Decoder::new(&input, 6, false, 1, &device).expect("classes");
+    let input = Pyramid::new(&encoding, &image, Switches::default()).expect("features");
+    let decoder = make(&input, false, 1, &device);
     let decoded = decoder.forward(&input);
     let logits = decoder.classify(decoded.hidden.clone());
     assert_eq!((decoded.hidden.dims(), logits.dims()), ([POINTS, HIDDEN], [POINTS, 6]));
@@ -65,12 +71,13 @@ fn decodes_as_equation_7_says() {
         .map(<[f32]>::to_vec)
         .collect();
     for n in (0..4).rev() {
-        let [weight, bias, below_weight] = &parameters[3 * n..3 * n + 3] else { panic!("three tensors a layer") };
+        let [weights @ .., bias] = &parameters[4 * n..4 * n + 4] else { panic!("four tensors a layer") };
         let width = bias.len();
         let level = &encoding.levels[n];
         let lifted = values(image[n].clone());
         let spatial = values(level.features.clone());
         let spatial_width = level.features.dims()[1];
+        let all = weights.concat();
         below = (0..level.indices.len())
             .map(|i| {
                 let mut x = lifted[level.indices[i] as usize * 8..][..8].to_vec();
@@ -79,10 +86,9 @@ fn decodes_as_equation_7_says() {
                 for c in 0..below[0].len() {
                     x.push(columns.iter().zip(weights).map(|(&j, w)| w * below[j as usize][c]).sum());
                 }
-                let both: Vec<f32> = weight.iter().chain(below_weight).copied().collect();
                 (0..width)
                     .map(|o| {
-                        let y: f32 = bias[o] + x.iter().enumerate().map(|(j, x)| x * both[j * width + o]).sum::<f32>();
+                        let y: f32 = bias[o] + x.iter().enumerate().map(|(j, x)| x * all[j * width + o]).sum::<f32>();
                         if y > 0.0 { y } else { 0.2 * y }
                     })
                     .collect()
@@ -106,19 +112,16 @@ fn a_restricted_input_decodes_to_the_same_rows() {
         Switches { spatial: false, ..Switches::default() },
         Switches { single_scale: Some(3), ..Switches::default() },
     ] {
-        let input = DecoderInput::new(&encoding, &image, switches).expect("features");
-        let decoder = Decoder::new(&input, 6, true, 1, &device).expect("classes");
+        let input = Pyramid::new(&encoding, &image, switches).expect("features");
+        let decoder = make(&input, true, 1, &device);
         let whole = decoder.forward(&input);
-        for depth in 0..=4 {
-            let part = decoder.forward(&input.restrict(&rows, depth));
-            let index: Vec<i64> = rows.iter().map(|&r| i64::from(r)).collect();
-            let index = Tensor::from_data(TensorData::new(index, [rows.len()]), &device);
-            let want = if depth == 0 { whole.hidden.clone() } else { whole.hidden.clone().select(0, index) };
-            assert!(largest_difference(part.hidden, want) < 1e-5, "{switches:?}, depth {depth}");
-            for n in depth..part.fused.len() {
-                let (a, b) = (part.fused[n].clone(), whole.fused[n].clone());
-                assert!(largest_difference(a, b) < 1e-6, "{switches:?}, depth {depth}, scale {}", n + 1);
-            }
+        let restriction = Restriction::new(&input, Arc::new(rows.clone()));
+        let part = decoder.forward(&input.restrict(&restriction));
+        assert!(restriction.rows(0).len() == rows.len() && part.fused.len() == input.levels.len());
+        for (n, (part, whole)) in part.fused.into_iter().zip(whole.fused).enumerate() {
+            let index: Vec<i64> = restriction.rows(n).iter().map(|&r| i64::from(r)).collect();
+            let index = Tensor::from_data(TensorData::new(index, [restriction.rows(n).len()]), &device);
+            assert!(largest_difference(part, whole.select(0, index)) < 1e-5, "{switches:?}, scale {}", n + 1);
         }
     }
 }
@@ -128,8 +131,8 @@ fn switches_leave_features_out() {
     let device = plain_device();
     let (encoding, image) = scene(&device);
     let count = |switches| {
-        let input = DecoderInput::new(&encoding, &image, switches).expect("features");
-        let decoder = Decoder::new(&input, 6, false, 1, &device).expect("classes");
+        let input = Pyramid::new(&encoding, &image, switches).expect("features");
+        let decoder = make(&input, false, 1, &device);
         assert_eq!(decoder.bytes(), 4 * decoder.num_params());
         decoder.num_params()
     };
@@ -146,16 +149,16 @@ fn switches_leave_features_out() {
     let single = Switches { single_scale: Some(3), ..Switches::default() };
     assert_eq!(count(single), (8 + spatial[0] + 1) * 64 + 65 * 6);
     let nothing = Switches { image: false, spatial: false, single_scale: None };
-    assert!(matches!(DecoderInput::new(&encoding, &image, nothing), Err(Error::Config { .. })));
-    assert!(matches!(DecoderInput::new(&encoding, &image[..2], Switches::default()), Err(Error::Config { .. })));
+    assert!(matches!(Pyramid::new(&encoding, &image, nothing), Err(Error::Config { .. })));
+    assert!(matches!(Pyramid::new(&encoding, &image[..2], Switches::default()), Err(Error::Config { .. })));
 }
 
 #[test]
 fn gradients_reach_every_parameter_and_equal_seeds_equal_weights() {
     let device = plain_device().autodiff();
     let (encoding, image) = scene(&device.clone().inner());
-    let input = DecoderInput::new(&encoding, &image, Switches::default()).expect("features");
-    let make = |seed| Decoder::new(&input, 6, true, seed, &device).expect("classes");
+    let input = Pyramid::new(&encoding, &image, Switches::default()).expect("features");
+    let make = |seed| make(&input, true, seed, &device);
     let logits = |decoder: &Decoder| decoder.classify(decoder.forward(&input).hidden);
     let decoder = make(1);
     assert_eq!(values(logits(&decoder).inner()), values(logits(&make(1)).inner()));
@@ -171,5 +174,5 @@ fn gradients_reach_every_parameter_and_equal_seeds_equal_weights() {
     }
     let mut check = Check(&gradients, 0);
     decoder.visit(&mut check);
-    assert_eq!(check.1, 4 * (3 + 2) + 2);
+    assert_eq!(check.1, 4 * (4 + 2) + 2);
 }

@@ -352,5 +352,13 @@ fn probe_of_house_living() {
     );
     let ours = probe_of(&scene, &views, &test);
     eprintln!("descriptor {ours:?}");
+    let weights = shared.join("weights/mobilenetv2/mobilenetv2_imagenet.safetensors");
+    if weights.is_file() {
+        let config = FeatureConfig { weights: Some(weights), ..FeatureConfig::default() };
+        let start = std::time::Instant::now();
+        let (set, test) = extract_all(&scene, &config, 0, &|_, _| ()).expect("mobilenet");
+        eprintln!("{}: {:.1} s", set.name, start.elapsed().as_secs_f64());
+        eprintln!("mobilenet {:?}", probe_of(&scene, &set.views, &test));
+    }
     assert!(ours.accuracy > rgb.accuracy + 0.1, "descriptor {ours:?}, raw colour {rgb:?}");
 }

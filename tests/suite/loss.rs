@@ -3,11 +3,8 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use coseg::device;
 use coseg::ops::{Kind, UNLABELLED};
-use coseg::segmentation::loss::{
-    covered_labels, drop_self, label_loss, label_loss_plain, neighbour_divergence, sample_rows, without_self,
-};
-use coseg::segmentation::neighbours::PointIndex;
-use std::sync::Arc;
+use coseg::segmentation::loss::{covered_labels, label_loss, label_loss_plain, neighbour_divergence, sample_rows};
+use coseg::segmentation::neighbours::{PointIndex, drop_self, without_self};
 
 const KINDS: [Kind; 7] = [
     Kind::Ce,
@@ -68,8 +65,8 @@ fn label_loss_equals_its_direct_sum_and_the_plain_form() {
         let kept: Vec<usize> = (0..12).filter(|&i| labels[i] != UNLABELLED).collect();
         let sum: f64 = kept.iter().map(|&i| direct(&logits[i * 5..][..5], labels[i].into(), kind)).sum();
         let want = sum / kept.len() as f64;
-        let found = scalar(label_loss(matrix(&logits, 5, &device), Arc::new(labels.clone()), kind));
-        let plain = scalar(label_loss_plain(matrix(&logits, 5, &device), &labels, kind));
+        let found = scalar(label_loss(matrix(&logits, 5, &device), &labels, &kind));
+        let plain = scalar(label_loss_plain(matrix(&logits, 5, &device), &labels, &kind));
         assert!((found - want).abs() < 1e-12 * want.max(1.0), "{kind:?}: {found} against {want}");
         assert!((plain - want).abs() < 1e-12 * want.max(1.0), "{kind:?}: plain {plain} against {want}");
     }
@@ -102,14 +99,14 @@ fn label_loss_gradient_equals_finite_differences_and_autodiff_of_the_plain_form(
         let gradient = |plain: bool, factor: f64| -> Vec<f64> {
             let x = matrix(&logits, 5, &device).require_grad();
             let loss = match plain {
-                true => label_loss_plain(x.clone(), &labels, kind),
-                false => label_loss(x.clone(), Arc::new(labels.clone()), kind),
+                true => label_loss_plain(x.clone(), &labels, &kind),
+                false => label_loss(x.clone(), &labels, &kind),
             };
             let gradients = (loss * factor).backward();
             x.grad(&gradients).expect("tracked").into_data().into_vec().expect("f64")
         };
         let (fused, plain) = (gradient(false, 3.0), gradient(true, 3.0));
-        let value = |x: &[f64]| 3.0 * scalar(label_loss(matrix(x, 5, &device), Arc::new(labels.clone()), kind));
+        let value = |x: &[f64]| 3.0 * scalar(label_loss(matrix(x, 5, &device), &labels, &kind));
         let error = gradient_error(&logits, &fused, value);
         assert!(error < 1e-6, "{kind:?}: {error}");
         let corrupted: Vec<f64> = fused.iter().map(|g| g * 1.01).collect();
@@ -144,7 +141,7 @@ fn hard_logits_stay_finite() {
     for kind in KINDS {
         for logits in [vec![1e4f32, -1e4, 0.0, -1e4, 1e4, 0.0], vec![1e4, 1e4, 1e4, -1e4, -1e4, -1e4], vec![0.0; 6]] {
             let x = Tensor::<2>::from_data(TensorData::new(logits.clone(), [2, 3]), &device).require_grad();
-            let loss = label_loss(x.clone(), Arc::new(vec![1, 1]), kind);
+            let loss = label_loss(x.clone(), &[1, 1], &kind);
             let gradients = loss.clone().backward();
             let value = loss.into_scalar::<f32>();
             assert!(value.is_finite() && value >= 0.0, "{kind:?} {logits:?}: {value}");
@@ -160,7 +157,7 @@ fn nothing_labelled_costs_nothing_and_one_class_is_certain() {
     for kind in KINDS {
         for (columns, labels) in [(3, vec![UNLABELLED; 4]), (1, vec![0; 12])] {
             let x = matrix(&waves(12, 3.0), columns, &device).require_grad();
-            let loss = label_loss(x.clone(), Arc::new(labels), kind);
+            let loss = label_loss(x.clone(), &labels, &kind);
             let gradients = loss.clone().backward();
             assert!(scalar(loss).abs() < 1e-15, "{kind:?}");
             let g: Vec<f64> = x.grad(&gradients).expect("tracked").into_data().into_vec().expect("f64");

@@ -11,29 +11,44 @@ use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::{SparseMatrix, sparse_apply};
 use crate::random::{Purpose, stream};
-use crate::segmentation::decoder::{Decoder, DecoderInput};
+use crate::segmentation::decoder::Decoder;
 use crate::segmentation::loss::neighbour_divergence;
+use crate::segmentation::neighbours::without_self;
+use crate::segmentation::pyramid::{Pyramid, Restriction};
 use burn::module::Module;
 use burn::tensor::{Device, Gradients, Tensor};
 use std::sync::Arc;
 
 /// Scales of the 3D regularisation (n = 3, 4), zero-based.
-pub const REGULARISED: [usize; 2] = [2, 3];
-/// Finest scales of which a step decodes only what its view depends on; the regularised ones stay whole.
-const RESTRICTED: usize = REGULARISED[0];
+const REGULARISED: [usize; 2] = [2, 3];
 /// Gaussians decoded at once when the stored identities are made.
 const CHUNK: usize = 16_384;
 
 /// A set of Gaussians with the decoder's frozen inputs.
 #[derive(Clone, Debug)]
 pub struct Encoded {
-    /// Frozen inputs of all scales.
-    pub input: DecoderInput,
-    /// Scene index of each finest point, ascending.
+    /// Frozen inputs of all scales; level 1 holds every point of the set.
+    pub pyramid: Pyramid,
+    /// Scene index of each point of the set, ascending.
     pub points: Vec<u32>,
-    /// K nearest points of the same level for each point of the regularised scales, `[N_n, K]`; empty where a scale is
-    /// not there.
-    pub neighbours: [Vec<u32>; REGULARISED.len()],
+}
+
+/// What a step needs of a view besides its weights.
+#[derive(Clone, Debug)]
+struct Prepared {
+    /// The part of the pyramid that the view's visible Gaussians depend on.
+    pyramid: Pyramid,
+    /// K nearest points within that part for each point of the regularised scales, `[N_n, K]`; empty without them.
+    neighbours: [Vec<u32>; REGULARISED.len()],
+}
+
+impl Prepared {
+    fn bytes(&self) -> usize {
+        let level = |l: &crate::segmentation::pyramid::Level| {
+            4 * (l.image.shape().num_elements() + l.spatial.shape().num_elements() + l.points.len()) + l.upsample.bytes()
+        };
+        self.pyramid.levels.iter().map(level).sum::<usize>() + 4 * self.neighbours.iter().map(Vec::len).sum::<usize>()
+    }
 }
 
 /// Where the decoder's input comes from.
@@ -88,51 +103,67 @@ pub struct Fused<'a> {
     adam: ModuleAdam,
     source: &'a Source,
     plan: FusedPlan<'a>,
-    /// Inputs restricted to what each view sees, made at its first use, while `budget` bytes last.
-    restricted: Vec<Option<Arc<DecoderInput>>>,
+    /// Centres of all Gaussians.
+    means: &'a [[f32; 3]],
+    /// Made at a view's first use and kept while `budget` bytes last.
+    prepared: Vec<Option<Arc<Prepared>>>,
     budget: usize,
     iteration: usize,
     device: Device,
 }
 
 impl<'a> Fused<'a> {
-    /// A model around a fresh `decoder` on an autodiff `device`, for a scene of `views` training views.
-    pub fn new(decoder: Decoder, source: &'a Source, views: usize, plan: FusedPlan<'a>, device: &Device) -> Self {
+    /// A model around a fresh `decoder` on an autodiff `device`, for a scene with Gaussians at `means` and `views`
+    /// training views.
+    pub fn new(
+        decoder: Decoder,
+        source: &'a Source,
+        means: &'a [[f32; 3]],
+        views: usize,
+        plan: FusedPlan<'a>,
+        device: &Device,
+    ) -> Self {
         Self {
             decoder: Some(decoder),
             adam: ModuleAdam::new(plan.rate),
             source,
             plan,
-            restricted: vec![None; views],
+            means,
+            prepared: vec![None; views],
             budget: plan.config.weight_cache_mb << 19,
             iteration: 0,
             device: device.clone(),
         }
     }
 
-    fn restricted(&mut self, view: usize, visible: &[u32]) -> Arc<DecoderInput> {
-        if let Some(input) = &self.restricted[view] {
-            return input.clone();
+    fn prepare(&mut self, view: usize, visible: &[u32]) -> Result<Arc<Prepared>> {
+        if let Some(prepared) = &self.prepared[view] {
+            return Ok(prepared.clone());
         }
         let encoded = self.source.view(view);
-        let rows: Vec<u32> = match self.source {
-            Source::Scene(_) => visible.to_vec(),
-            Source::Views { .. } => {
-                visible.iter().filter_map(|g| encoded.points.binary_search(g).ok().map(|row| row as u32)).collect()
+        let row = |g: &u32| encoded.points.binary_search(g).ok().map(|row| row as u32);
+        let rows: Vec<u32> = visible.iter().filter_map(row).collect();
+        let pyramid = encoded.pyramid.restrict(&Restriction::new(&encoded.pyramid, Arc::new(rows)));
+        let mut neighbours = REGULARISED.map(|_| Vec::new());
+        for (table, scale) in neighbours.iter_mut().zip(REGULARISED) {
+            if let (true, Some(level)) = (self.plan.regularised, pyramid.levels.get(scale)) {
+                let at = |&i: &u32| self.means[encoded.points[i as usize] as usize];
+                let cloud: Vec<[f32; 3]> = level.points.iter().map(at).collect();
+                *table = without_self(&cloud, self.plan.config.reg_neighbours)?;
             }
-        };
-        let input = Arc::new(encoded.input.restrict(&rows, RESTRICTED));
-        if let Some(left) = self.budget.checked_sub(input.bytes(RESTRICTED)) {
-            self.budget = left;
-            self.restricted[view] = Some(input.clone());
         }
-        input
+        let prepared = Arc::new(Prepared { pyramid, neighbours });
+        if let Some(left) = self.budget.checked_sub(prepared.bytes()) {
+            self.budget = left;
+            self.prepared[view] = Some(prepared.clone());
+        }
+        Ok(prepared)
     }
 
-    fn regularisation(&self, fused: &[Tensor<2>], view: usize) -> Option<Tensor<1>> {
+    fn regularisation(&self, fused: &[Tensor<2>], prepared: &Prepared) -> Option<Tensor<1>> {
         let k = self.plan.config.reg_neighbours;
         let mut sum: Option<Tensor<1>> = None;
-        for (scale, table) in REGULARISED.into_iter().zip(&self.source.view(view).neighbours) {
+        for (scale, table) in REGULARISED.into_iter().zip(&prepared.neighbours) {
             let Some(features) = fused.get(scale) else { continue };
             let points = features.dims()[0];
             if table.len() != points * k || points < 2 {
@@ -155,8 +186,8 @@ impl<'a> Fused<'a> {
         let count = encoded.points.len() as u32;
         let mut scores = Vec::with_capacity(count as usize * self.plan.size[1]);
         for first in (0..count).step_by(CHUNK) {
-            let rows: Vec<u32> = (first..(first + CHUNK as u32).min(count)).collect();
-            let part = encoded.input.restrict(&rows, RESTRICTED);
+            let rows = Arc::new((first..(first + CHUNK as u32).min(count)).collect::<Vec<_>>());
+            let part = encoded.pyramid.restrict(&Restriction::new(&encoded.pyramid, rows));
             scores.extend(optimiser::values(decoder.classify(decoder.forward(&part).hidden)));
         }
         scores
@@ -165,12 +196,12 @@ impl<'a> Fused<'a> {
 
 impl Model for Fused<'_> {
     fn predict(&mut self, view: usize, weights: &ViewWeights, sampled: SparseMatrix) -> Result<Prediction> {
-        let input = self.restricted(view, &weights.visible);
+        let prepared = self.prepare(view, &weights.visible)?;
         let Some(decoder) = &self.decoder else { return Ok(Prediction::empty(self.plan.size[1], &self.device)) };
-        let decoded = decoder.forward(&input);
+        let decoded = decoder.forward(&prepared.pyramid);
         let logits = decoder.classify(sparse_apply(decoded.hidden, Arc::new(sampled)));
         let regularisation =
-            if self.plan.regularised { self.regularisation(&decoded.fused, view) } else { None };
+            if self.plan.regularised { self.regularisation(&decoded.fused, &prepared) } else { None };
         self.iteration += 1;
         Ok(Prediction { logits, regularisation })
     }

@@ -6,7 +6,7 @@ mod per_gaussian;
 mod session;
 mod views;
 
-pub use fused::{Encoded, Fused, FusedPlan, REGULARISED, Source};
+pub use fused::{Encoded, Fused, FusedPlan, Source};
 pub use optimiser::{ModuleAdam, NamedValues};
 pub use per_gaussian::PerGaussian;
 pub use session::{Pace, Score, train};
@@ -19,7 +19,6 @@ use crate::ops::SparseMatrix;
 use crate::random::{Purpose, stream};
 use crate::segmentation::loss::{Kind, label_loss};
 use burn::tensor::{Device, Gradients, Tensor};
-use std::sync::Arc;
 
 /// What a model says of some pixels.
 pub struct Prediction {
@@ -110,7 +109,7 @@ pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan,
     };
     let prediction = model.predict(view, &weights, sampled).map_err(at)?;
     let kind = if iteration < plan.warmup { Kind::Ce } else { plan.loss };
-    let mut loss = label_loss(prediction.logits, Arc::new(labels), kind) * plan.lambda[0];
+    let mut loss = label_loss(prediction.logits, &labels, &kind) * plan.lambda[0];
     if let Some(regularisation) = prediction.regularisation {
         loss = loss + regularisation * plan.lambda[1];
     }

@@ -1,0 +1,146 @@
+//! The multi-scale input of the decoder: point sets from fine to coarse with frozen features, and the maps between them.
+
+use super::encoder::Encoding;
+use crate::error::{Error, Result};
+use crate::ops::SparseMatrix;
+use burn::tensor::{Device, Int, Tensor, TensorData};
+use std::sync::Arc;
+
+/// Which features the decoder reads: the switches of the ablation table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Switches {
+    /// Image features f_d,n.
+    pub image: bool,
+    /// Spatial features f_s,n and f_e.
+    pub spatial: bool,
+    /// All scales, or level 1 alone with the image features of the scale given (0 is scale 1).
+    pub single_scale: Option<usize>,
+}
+
+impl Default for Switches {
+    fn default() -> Self {
+        Self { image: true, spatial: true, single_scale: None }
+    }
+}
+
+/// Frozen inputs of one scale n = 1..4 (Eq. 7), on `N_n` points, without autodiff.
+#[derive(Clone, Debug)]
+pub struct Level {
+    /// Scene index of each point, `[N_n]`.
+    pub points: Arc<Vec<u32>>,
+    /// Unprojected image features of those very points, f_d,n, `[N_n, D]`; D = 0 where they are off.
+    pub image: Tensor<2>,
+    /// Spatial features before their sampling, f_s,n, `[N_n, S_n]`; S_n = 0 where they are off.
+    pub spatial: Tensor<2>,
+    /// Interpolation onto these points from the next coarser set, `[N_n, N_(n+1)]`.
+    pub upsample: Arc<SparseMatrix>,
+}
+
+/// Levels from fine to coarse, and the encoder's last sampled set below them.
+#[derive(Clone, Debug)]
+pub struct Pyramid {
+    /// Scales 1 to 4, or scale 1 alone; level 1 holds every point of the set that was encoded.
+    pub levels: Vec<Level>,
+    /// f_e, features of the set below the last level; no channels where nothing is read from there.
+    pub top: Tensor<2>,
+}
+
+impl Pyramid {
+    /// Puts an encoding and the unprojected features together. `image[n]` is f_d of scale n + 1 for the whole encoded
+    /// cloud, `[N, D]`; each level reads the rows of its own points.
+    ///
+    /// # Errors
+    /// [`Error::Config`] when all features are off, or image features are on and missing or of another length.
+    pub fn new(encoding: &Encoding, image: &[Tensor<2>], switches: Switches) -> Result<Self> {
+        if !switches.image && !switches.spatial {
+            let mend = "leave image or spatial features on";
+            return Err(Error::config("decoder inputs", "none", "image features, spatial features or both", mend));
+        }
+        let (device, points) = (encoding.coarsest.features.device(), encoding.levels[0].indices.len());
+        let count = if switches.single_scale.is_some() { 1 } else { encoding.levels.len() };
+        let mut levels = Vec::with_capacity(count);
+        for (n, level) in encoding.levels.iter().take(count).enumerate() {
+            let scale = switches.single_scale.unwrap_or(n);
+            let lifted = match (switches.image, image.get(scale)) {
+                (false, _) => Tensor::zeros([level.indices.len(), 0], &device),
+                (true, Some(f)) if f.dims()[0] == points => select(f, &indices(&level.indices, &device)),
+                (true, other) => {
+                    let (key, found) = (format!("image features of scale {}", scale + 1), other.map(Tensor::dims));
+                    let mend = "unproject them first";
+                    return Err(Error::config(key, format!("{found:?}"), format!("{points} rows"), mend));
+                }
+            };
+            levels.push(Level {
+                points: Arc::new(level.indices.clone()),
+                image: lifted,
+                spatial: match switches.spatial {
+                    true => level.features.clone(),
+                    false => Tensor::zeros([level.indices.len(), 0], &device),
+                },
+                upsample: encoding.upsample[n].clone(),
+            });
+        }
+        let top = match switches.spatial && switches.single_scale.is_none() {
+            true => encoding.coarsest.features.clone(),
+            false => Tensor::zeros([encoding.upsample[count - 1].columns, 0], &device),
+        };
+        Ok(Self { levels, top })
+    }
+
+    /// The part of the pyramid that `restriction` names; decoding it gives the same values on its finest points.
+    #[must_use]
+    pub fn restrict(&self, restriction: &Restriction) -> Self {
+        let device = self.top.device();
+        let levels = self.levels.iter().zip(&restriction.levels).map(|(level, (rows, upsample))| {
+            let index = indices(rows, &device);
+            Level {
+                points: Arc::new(rows.iter().map(|&r| level.points[r as usize]).collect()),
+                image: select(&level.image, &index),
+                spatial: select(&level.spatial, &index),
+                upsample: upsample.clone(),
+            }
+        });
+        Self { levels: levels.collect(), top: select(&self.top, &indices(&restriction.top, &device)) }
+    }
+}
+
+/// The rows of a [`Pyramid`] that some of its finest points depend on; cheap to keep per view.
+#[derive(Clone, Debug)]
+pub struct Restriction {
+    levels: Vec<(Arc<Vec<u32>>, Arc<SparseMatrix>)>,
+    top: Arc<Vec<u32>>,
+}
+
+impl Restriction {
+    /// Follows the interpolation maps down from `finest`, rows of level 1.
+    ///
+    /// # Panics
+    /// If a row is not one of level 1.
+    pub fn new(pyramid: &Pyramid, finest: Arc<Vec<u32>>) -> Self {
+        let mut rows = finest;
+        let mut levels = Vec::with_capacity(pyramid.levels.len());
+        for level in &pyramid.levels {
+            let used = level.upsample.select_rows(&rows).compact();
+            levels.push((rows, Arc::new(used.matrix)));
+            rows = Arc::new(used.columns);
+        }
+        Self { levels, top: rows }
+    }
+
+    /// Rows of the pyramid's level `scale` (0 = finest) that are kept.
+    pub fn rows(&self, scale: usize) -> &[u32] {
+        &self.levels[scale].0
+    }
+}
+
+fn indices(rows: &[u32], device: &Device) -> Tensor<1, Int> {
+    let values: Vec<i64> = rows.iter().map(|&r| i64::from(r)).collect();
+    Tensor::from_data(TensorData::new(values, [rows.len()]), device)
+}
+
+fn select(features: &Tensor<2>, index: &Tensor<1, Int>) -> Tensor<2> {
+    match features.dims()[1] {
+        0 => Tensor::zeros([index.dims()[0], 0], &features.device()), // some backends refuse to index nothing
+        _ => features.clone().select(0, index.clone()),
+    }
+}

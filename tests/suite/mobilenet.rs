@@ -1,0 +1,148 @@
+//! MobileNetV2: parity with stored activations, key layouts, sizes, damaged weights.
+
+use burn::tensor::{Tensor, TensorData};
+use coseg::features::mobilenet::MobileNetV2;
+use safetensors::tensor::{SafeTensors, TensorView};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+fn weights() -> Option<PathBuf> {
+    let path = super::shared_dir()?.join("weights/mobilenetv2/mobilenetv2_imagenet.safetensors");
+    if !path.is_file() {
+        eprintln!("SKIPPED: {} is absent", path.display());
+        return None;
+    }
+    Some(path)
+}
+
+fn stored(path: &Path) -> BTreeMap<String, (Vec<usize>, Vec<f32>)> {
+    let bytes = std::fs::read(path).expect("stored activations");
+    let file = SafeTensors::deserialize(&bytes).expect("safetensors");
+    let values = |data: &[u8]| data.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+    file.iter().map(|(name, v)| (name.to_owned(), (v.shape().to_vec(), values(v.data())))).collect()
+}
+
+#[test]
+fn activations_equal_the_stored_ones() {
+    let Some(path) = weights() else { return };
+    let device = coseg::device::open(None).expect("a backend");
+    let net = MobileNetV2::load(&path, &device).expect("weights");
+    let stored = stored(&path.with_file_name("mobilenetv2_parity_fox224.safetensors"));
+    let (shape, input) = stored["input"].clone();
+    let input = Tensor::<4>::from_data(TensorData::new(input, shape), &device);
+    for (name, scale) in ["features.3", "features.6", "features.13", "features.17"].iter().zip(net.forward(input)) {
+        let (shape, expected) = &stored[*name];
+        assert_eq!(scale.dims().to_vec(), *shape, "{name}");
+        let found = scale.into_data().into_vec::<f32>().expect("f32");
+        compare(name, &found, expected);
+    }
+    let large = Tensor::<4>::from_data(TensorData::new(vec![0.1_f32; 3 * 360 * 480], [1, 3, 360, 480]), &device);
+    let start = std::time::Instant::now();
+    let sum: f32 = net.forward(large).into_iter().map(|x| x.sum().into_scalar::<f32>()).sum();
+    eprintln!("plain modules, 480x360: {:.3} s ({sum})", start.elapsed().as_secs_f64());
+}
+
+fn compare(name: &str, found: &[f32], expected: &[f32]) {
+    assert_eq!(found.len(), expected.len());
+    let largest = expected.iter().fold(0.0_f32, |a, b| a.max(b.abs()));
+    let mut worst = 0.0_f32;
+    for (a, b) in found.iter().zip(expected) {
+        assert!(a.is_finite());
+        worst = worst.max((a - b).abs());
+    }
+    eprintln!("{name}: largest difference {worst:.2e}, largest value {largest:.2}");
+    assert!(worst <= 1e-4 * largest, "{name}: {worst} of {largest}");
+}
+
+/// The weights under other names, without those that `rename` drops.
+fn rewritten(path: &Path, to: &Path, rename: impl Fn(&str) -> Option<String>) {
+    let bytes = std::fs::read(path).expect("weights");
+    let file = SafeTensors::deserialize(&bytes).expect("safetensors");
+    let views: Vec<(String, TensorView)> = file.iter().filter_map(|(name, view)| Some((rename(name)?, view))).collect();
+    std::fs::write(to, safetensors::serialize(views, None).expect("serialize")).expect("write");
+}
+
+/// Flat keys to torchvision's.
+fn nested(name: &str) -> String {
+    let parts: Vec<&str> = name.split('.').collect();
+    match parts.as_slice() {
+        ["features", block, "conv", index, last] => {
+            let index = match (*block, *index) {
+                ("1", "0") | (_, "0") => "0.0",
+                ("1", "1") | (_, "1") => "0.1",
+                ("1", "3") => "1",
+                ("1", "4") => "2",
+                (_, "3") => "1.0",
+                (_, "4") => "1.1",
+                (_, "6") => "2",
+                (_, "7") => "3",
+                other => panic!("no such layer {other:?}"),
+            };
+            format!("features.{block}.conv.{index}.{last}")
+        }
+        _ => name.to_owned(),
+    }
+}
+
+#[test]
+fn nested_keys_and_prefixes_load_to_the_same_network() {
+    let Some(path) = weights() else { return };
+    let device = coseg::device::open(None).expect("a backend");
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let other = dir.path().join("torchvision.safetensors");
+    rewritten(&path, &other, |name| Some(format!("module.{}", nested(name))));
+    let input = Tensor::<4>::from_data(
+        TensorData::new((0..3 * 37 * 51).map(|i| (i as f32 * 0.37).sin()).collect::<Vec<_>>(), [1, 3, 37, 51]),
+        &device,
+    );
+    let scales = |path: &Path| -> Vec<(Vec<usize>, Vec<f32>)> {
+        let net = MobileNetV2::load(path, &device).expect("weights");
+        let maps = net.forward(input.clone()).into_iter();
+        maps.map(|x| (x.dims().to_vec(), x.into_data().into_vec::<f32>().expect("f32"))).collect()
+    };
+    let (a, b) = (scales(&path), scales(&other));
+    assert!(a == b);
+    // 37 x 51 is no multiple of anything: sizes round up, as PyTorch's do.
+    let sizes: Vec<&[usize]> = a.iter().map(|(shape, _)| &shape[2..]).collect();
+    assert_eq!(sizes, [[10, 13], [5, 7], [3, 4], [2, 2]]);
+}
+
+#[test]
+fn unusable_weights_are_named() {
+    let Some(path) = weights() else { return };
+    let device = coseg::device::open(None).expect("a backend");
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let file = dir.path().join("w.safetensors");
+    let error = |path: &Path| MobileNetV2::load(path, &device).expect_err("unusable").to_string();
+    assert!(error(&dir.path().join("absent.pth")).contains("absent.pth"));
+    rewritten(&path, &file, |name| (name != "features.5.conv.3.weight").then(|| name.to_owned()));
+    assert!(error(&file).contains("features.5 depthwise conv weight"), "{}", error(&file));
+    rewritten(&path, &file, |name| {
+        Some(if name == "features.18.0.weight" { "features.4.conv.9.weight".into() } else { name.to_owned() })
+    });
+    assert!(error(&file).contains("features.4.conv.9.weight"), "{}", error(&file));
+    let swap = |name: &str| match name {
+        "features.7.conv.6.weight" => "features.8.conv.6.weight".to_owned(),
+        "features.8.conv.6.weight" => "features.7.conv.6.weight".to_owned(),
+        _ => name.to_owned(),
+    };
+    rewritten(&path, &file, |name| Some(swap(name)));
+    assert!(error(&file).contains("features.7 project conv weight"), "{}", error(&file));
+    let bytes = std::fs::read(&path).expect("weights");
+    for cut in [0, 7, 1000, bytes.len() / 2] {
+        for name in ["cut.safetensors", "cut.pth"] {
+            let cut_file = dir.path().join(name);
+            std::fs::write(&cut_file, &bytes[..cut]).expect("write");
+            assert!(error(&cut_file).contains(name), "{}", error(&cut_file));
+        }
+    }
+    let mut nan = bytes.clone();
+    let end = nan.len();
+    nan[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+    std::fs::write(&file, nan).expect("write");
+    let last = {
+        let f = SafeTensors::read_metadata(&bytes).expect("header").1;
+        f.tensors().into_iter().max_by_key(|(_, t)| t.data_offsets.1).expect("tensors").0
+    };
+    eprintln!("the last tensor is {last}");
+}
