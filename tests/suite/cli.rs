@@ -129,10 +129,10 @@ fn read_json(path: &Path) -> serde_json::Value {
 #[test]
 fn help_names_every_command_and_shows_examples() {
     let help = succeeds(&["--help"]);
-    for word in ["train", "eval", "render", "vote", "Examples:", "Exit code"] {
+    for word in ["train", "eval", "render", "vote", "pretrain", "Examples:", "Exit code"] {
         assert!(help.contains(word), "{word}");
     }
-    for command in ["train", "eval", "render", "vote"] {
+    for command in ["train", "eval", "render", "vote", "pretrain"] {
         let help = succeeds(&[command, "--help"]);
         assert!(help.contains("Example"), "{command}");
         let wide: Vec<&str> = help.lines().filter(|line| line.chars().count() > 130).collect();
