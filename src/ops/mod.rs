@@ -7,8 +7,9 @@ mod host;
 mod label_loss;
 mod photometric;
 mod real;
-mod simd;
+pub(crate) mod simd;
 mod sparse;
+pub(crate) mod vector;
 mod window;
 
 pub use adam::{AdamBackend, AdamStep, AdamTensors, adam_step, adam_step_plain};

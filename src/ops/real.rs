@@ -1,5 +1,6 @@
 //! The two scalar types of the kernels.
 
+use super::vector::{Vector, WideF32, WideF64};
 use num_traits::{Float, NumAssign};
 use std::iter::Sum;
 
@@ -7,6 +8,8 @@ use std::iter::Sum;
 pub trait Real:
     Float + NumAssign + Sum + Default + Send + Sync + std::fmt::Debug + burn::tensor::Element + 'static
 {
+    /// Vectors of this type on processors with fused multiply-add.
+    type Wide: Vector<Self>;
     /// Rounds an `f64` constant to this type.
     fn of(value: f64) -> Self;
     /// The value as `f64`, exact.
@@ -25,11 +28,14 @@ pub trait Real:
 }
 
 macro_rules! real {
-    ($type:ty, $variant:ident, $exp:ident) => {
+    ($type:ty, $variant:ident, $exp:ident, $wide:ty) => {
         impl Real for $type {
+            type Wide = $wide;
+            #[inline(always)]
             fn of(value: f64) -> Self {
                 value as $type
             }
+            #[inline(always)]
             fn wide(self) -> f64 {
                 f64::from(self)
             }
@@ -57,24 +63,33 @@ macro_rules! real {
         }
     };
 }
-real!(f32, F32, exp_f32);
-real!(f64, F64, exp_f64);
+real!(f32, F32, exp_f32, WideF32);
+real!(f64, F64, exp_f64, WideF64);
 
-/// `2^(n + f)`: `n` the nearest integer of `x log2(e)`, `2^f` a minimax polynomial of degree 5 (relative error 7.5e-8).
+/// Constants of the `f32` exponential.
+pub(super) mod exp2_coefficients {
+    /// Adding 1.5 2^23 rounds to an integer and leaves it in the low bits.
+    pub const ROUND: f32 = 12_582_912.0;
+    /// Smallest exponent of two.
+    pub const LOWEST: f32 = -125.0;
+    /// Minimax polynomial of `2^f` on -0.5..=0.5, highest power first; relative error 7.5e-8.
+    pub const POLYNOMIAL: [f32; 6] =
+        [1.327_647_2e-3, 9.675_541e-3, 5.550_713_3e-2, 2.402_212e-1, 6.931_47e-1, 1.000_000_1];
+}
+
+/// `2^(n + f)`: `n` the nearest integer of `x log2(e)`.
 #[inline(always)]
 fn exp_f32<const FUSED: bool>(x: f32) -> f32 {
-    /// Adding 1.5 2^23 rounds to an integer and leaves it in the low bits.
-    const ROUND: f32 = 12_582_912.0;
+    use exp2_coefficients::{LOWEST, POLYNOMIAL, ROUND};
     let y = x * std::f32::consts::LOG2_E;
-    let y = if y > -125.0 { y } else { -125.0 };
+    let y = if y > LOWEST { y } else { LOWEST };
     let shifted = y + ROUND;
     let f = y - (shifted - ROUND);
-    let p = 1.327_647_2e-3_f32;
-    let p = p.fma::<FUSED>(f, 9.675_541e-3);
-    let p = p.fma::<FUSED>(f, 5.550_713_3e-2);
-    let p = p.fma::<FUSED>(f, 2.402_212e-1);
-    let p = p.fma::<FUSED>(f, 6.931_47e-1);
-    let p = p.fma::<FUSED>(f, 1.000_000_1);
+    let [top, rest @ ..] = POLYNOMIAL;
+    let mut p = top;
+    for c in rest {
+        p = p.fma::<FUSED>(f, c);
+    }
     f32::from_bits(p.to_bits().wrapping_add(shifted.to_bits() << 23))
 }
 

@@ -4,14 +4,14 @@
 //! `dL/dalpha'_i = T_i d_i - R_i / (1 - alpha'_i)` with `R_i = sum_(j > i) w_j d_j + dL/dT T`: what is left of
 //! `dL/dS . S + dL/dT T` after the first `i` Gaussians. One running scalar per pixel, whatever the number of channels.
 
-use super::blend::{LOOK, Tile, lanes, store, sum_over_tiles, total};
-use super::footprint::{BUFFER, Footprint, LANES, Rule, Visit, fresh_transmittance, live_rows, walk};
+use super::blend::{LOOK, Tile, sum_over_tiles};
+use super::footprint::{BUFFER, Footprint, Lanes, Rule, Visit, fresh_transmittance, live_rows, load, store, walk};
 use super::geometry::{Gradient3, Splat3, project_backward};
 use super::projected::{Blended, Projected};
 use super::settings::Splats;
-use super::simd::{Kernel, dispatch};
 use super::tile_pairs::{self, PixelGradients, moments};
 use crate::ops::Real;
+use crate::ops::vector::{Kernel, Vector, dispatch};
 use rayon::prelude::*;
 
 /// Gaussians that one task handles.
@@ -42,66 +42,60 @@ struct BackwardTile<'a, E, const C: usize> {
     sums: &'a mut [E],
 }
 
-struct BackwardLanes<E, const C: usize> {
-    rule: Rule<E>,
+struct BackwardLanes<E, V, const C: usize> {
+    rule: Rule<V>,
     t: [E; BUFFER],
     /// `R` of every pixel.
     rest: [E; BUFFER],
     d_image: [[E; BUFFER]; C],
-    value: [E; C],
-    moments: [[E; LANES]; 6],
-    d_value: [[E; LANES]; C],
+    value: [V; C],
+    moments: [V; 6],
+    d_value: [V; C],
 }
 
-impl<E: Real, const C: usize> Visit<E> for BackwardLanes<E, C> {
+impl<E: Real, V: Vector<E>, const C: usize> Visit<E, V> for BackwardLanes<E, V, C> {
     #[inline(always)]
-    fn visit<const FUSED: bool>(&mut self, at: usize, u: E, v: E, f: &Footprint<E>) {
-        let mut alpha = self.rule.alphas::<FUSED>(u, v, f);
-        let mut t = lanes(&self.t, at);
-        let weight = self.rule.absorb::<FUSED>(&mut alpha, &mut t);
-        store(&mut self.t, at, &t);
-        let mut d = [E::zero(); LANES];
+    fn visit(&mut self, at: usize, pair: &Lanes<E, V>) {
+        let (mut alpha, mut t) = (pair.alpha, load(&self.t, at));
+        let weight = self.rule.absorb(&mut alpha, &mut t);
+        store(&mut self.t, at, t);
+        let mut d = V::splat(E::zero());
         for c in 0..C {
-            let g = lanes(&self.d_image[c], at);
-            for l in 0..LANES {
-                d[l] = g[l].fma::<FUSED>(self.value[c], d[l]);
-                self.d_value[c][l] = weight[l].fma::<FUSED>(g[l], self.d_value[c][l]);
-            }
+            let g = load::<E, V>(&self.d_image[c], at);
+            d = g.fma(self.value[c], d);
+            self.d_value[c] = weight.fma(g, self.d_value[c]);
         }
-        let mut rest = lanes(&self.rest, at);
-        let vv = v * v;
-        let [m0, m1, m2, m3, m4, m5] = &mut self.moments;
-        for l in 0..LANES {
-            let own = weight[l] * d[l];
-            rest[l] -= own;
-            let g = own - rest[l] * (alpha[l] / (E::one() - alpha[l]));
-            let g = if alpha[l] < self.rule.alpha_max { g } else { E::zero() };
-            let u = E::of(l as f64).fma::<FUSED>(f.du, u);
-            let gu = g * u;
-            m0[l] += g;
-            m1[l] += gu;
-            m2[l] = g.fma::<FUSED>(v, m2[l]);
-            m3[l] = gu.fma::<FUSED>(u, m3[l]);
-            m4[l] = gu.fma::<FUSED>(v, m4[l]);
-            m5[l] = g.fma::<FUSED>(vv, m5[l]);
-        }
-        store(&mut self.rest, at, &rest);
+        let own = weight.mul(d);
+        let rest = load::<E, V>(&self.rest, at).sub(own);
+        store(&mut self.rest, at, rest);
+        let g = rest.fnma(alpha.div(self.rule.one().sub(alpha)), own);
+        let g = self.rule.below_cap(alpha, g);
+        let gu = g.mul(pair.u);
+        let [one, u, v, uu, uv, vv] = &mut self.moments;
+        *one = one.add(g);
+        *u = u.add(gu);
+        *v = g.fma(V::splat(pair.v), *v);
+        *uu = gu.fma(pair.u, *uu);
+        *uv = gu.fma(V::splat(pair.v), *uv);
+        *vv = g.fma(V::splat(pair.v * pair.v), *vv);
     }
 }
 
-impl<E: Real, const C: usize> Kernel for BackwardTile<'_, E, C> {
+impl<E: Real, const C: usize> Kernel<E> for BackwardTile<'_, E, C> {
     type Output = ();
     #[inline(always)]
-    fn run<const FUSED: bool>(self) {
+    fn run<V: Vector<E>>(self) {
         let Self { p, tile, values, pixels, sums } = self;
-        let mut lanes = BackwardLanes::<E, C> {
-            rule: Rule::new(&p.settings),
+        let rule = Rule::new::<E>(&p.settings);
+        let zero = V::splat(E::zero());
+        let mut lanes = BackwardLanes::<E, V, C> {
+            rule,
             t: fresh_transmittance(tile.origin, p.size()),
             rest: [E::zero(); BUFFER],
             d_image: [[E::zero(); BUFFER]; C],
-            value: [E::zero(); C],
-            moments: [[E::zero(); LANES]; 6],
-            d_value: [[E::zero(); LANES]; C],
+            value: [zero; C],
+            moments: [zero; 6],
+            d_value: [zero; C],
         };
         for (to, from, len) in tile.rows(p.size()) {
             for x in 0..len {
@@ -119,12 +113,14 @@ impl<E: Real, const C: usize> Kernel for BackwardTile<'_, E, C> {
             }
             for (&rank, sums) in ranks.iter().zip(sums.chunks_exact_mut(stride)) {
                 let f = Footprint::new(&p.splats[rank as usize], tile.origin);
-                lanes.value.copy_from_slice(&values[rank as usize * C..][..C]);
-                lanes.moments = [[E::zero(); LANES]; 6];
-                lanes.d_value = [[E::zero(); LANES]; C];
-                walk::<E, _, FUSED>(&f, live, &mut lanes);
+                for (lanes, &value) in lanes.value.iter_mut().zip(&values[rank as usize * C..][..C]) {
+                    *lanes = V::splat(value);
+                }
+                lanes.moments = [zero; 6];
+                lanes.d_value = [zero; C];
+                walk(&f, &rule, live, &mut lanes);
                 for (sum, lanes) in sums.iter_mut().zip(lanes.moments.iter().chain(&lanes.d_value)) {
-                    *sum = total(lanes);
+                    *sum = lanes.total();
                 }
             }
         }

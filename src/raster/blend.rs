@@ -1,10 +1,12 @@
 //! Blending of up to four channels and its adjoint: pixel lanes inside, channels unrolled.
 
-use super::footprint::{BUFFER, Footprint, LANES, Rule, STRIDE, TILE, Visit, fresh_transmittance, live_rows, walk};
+use super::footprint::{
+    BUFFER, Footprint, Lanes, Rule, STRIDE, TILE, Visit, fresh_transmittance, live_rows, load, store, walk,
+};
 use super::projected::{Blended, Projected};
 use super::settings::PairCounts;
-use super::simd::{Kernel, dispatch};
 use crate::ops::Real;
+use crate::ops::vector::{Kernel, LANES, Vector, dispatch};
 use rayon::prelude::*;
 
 /// List entries between two looks at which rows are still live.
@@ -107,27 +109,6 @@ pub(super) fn sum_over_tiles<E: Real>(p: &Projected<E>, width: usize, f: impl Fn
     sums
 }
 
-/// `LANES` values of a tile's buffer from `at` on.
-#[inline(always)]
-pub(super) fn lanes<E: Real>(buffer: &[E; BUFFER], at: usize) -> [E; LANES] {
-    buffer[at..].first_chunk::<LANES>().copied().unwrap_or([E::zero(); LANES])
-}
-
-/// Stores `LANES` values into a tile's buffer.
-#[inline(always)]
-pub(super) fn store<E: Real>(buffer: &mut [E; BUFFER], at: usize, values: &[E; LANES]) {
-    if let Some(chunk) = buffer[at..].first_chunk_mut::<LANES>() {
-        *chunk = *values;
-    }
-}
-
-/// The sum of all lanes, in a fixed tree.
-#[inline(always)]
-pub(super) fn total<E: Real>(v: &[E; LANES]) -> E {
-    let a: [E; 4] = std::array::from_fn(|i| v[i] + v[i + 4]);
-    (a[0] + a[2]) + (a[1] + a[3])
-}
-
 struct BlendTile<'a, E, const C: usize> {
     p: &'a Projected<E>,
     tile: Tile<'a>,
@@ -137,40 +118,36 @@ struct BlendTile<'a, E, const C: usize> {
     transmittance: &'a mut [E],
 }
 
-struct BlendLanes<E, const C: usize> {
-    rule: Rule<E>,
+struct BlendLanes<E, V, const C: usize> {
+    rule: Rule<V>,
     t: [E; BUFFER],
     sums: [[E; BUFFER]; C],
-    value: [E; C],
+    value: [V; C],
 }
 
-impl<E: Real, const C: usize> Visit<E> for BlendLanes<E, C> {
+impl<E: Real, V: Vector<E>, const C: usize> Visit<E, V> for BlendLanes<E, V, C> {
     #[inline(always)]
-    fn visit<const FUSED: bool>(&mut self, at: usize, u: E, v: E, f: &Footprint<E>) {
-        let mut alpha = self.rule.alphas::<FUSED>(u, v, f);
-        let mut t = lanes(&self.t, at);
-        let weight = self.rule.absorb::<FUSED>(&mut alpha, &mut t);
-        store(&mut self.t, at, &t);
+    fn visit(&mut self, at: usize, pair: &Lanes<E, V>) {
+        let (mut alpha, mut t) = (pair.alpha, load(&self.t, at));
+        let weight = self.rule.absorb(&mut alpha, &mut t);
+        store(&mut self.t, at, t);
         for (sums, &value) in self.sums.iter_mut().zip(&self.value) {
-            let mut s = lanes(sums, at);
-            for l in 0..LANES {
-                s[l] = weight[l].fma::<FUSED>(value, s[l]);
-            }
-            store(sums, at, &s);
+            let sum = weight.fma(value, load(sums, at));
+            store(sums, at, sum);
         }
     }
 }
 
-impl<E: Real, const C: usize> Kernel for BlendTile<'_, E, C> {
+impl<E: Real, const C: usize> Kernel<E> for BlendTile<'_, E, C> {
     type Output = ();
     #[inline(always)]
-    fn run<const FUSED: bool>(self) {
+    fn run<V: Vector<E>>(self) {
         let Self { p, tile, values, image, transmittance } = self;
-        let mut lanes = BlendLanes::<E, C> {
-            rule: Rule::new(&p.settings),
+        let mut lanes = BlendLanes::<E, V, C> {
+            rule: Rule::new::<E>(&p.settings),
             t: fresh_transmittance(tile.origin, p.size()),
             sums: [[E::zero(); BUFFER]; C],
-            value: [E::zero(); C],
+            value: [V::splat(E::zero()); C],
         };
         for ranks in tile.ranks.chunks(LOOK) {
             let live = live_rows(&lanes.t);
@@ -179,8 +156,11 @@ impl<E: Real, const C: usize> Kernel for BlendTile<'_, E, C> {
             }
             for &rank in ranks {
                 let f = Footprint::new(&p.splats[rank as usize], tile.origin);
-                lanes.value.copy_from_slice(&values[rank as usize * C..][..C]);
-                walk::<E, _, FUSED>(&f, live, &mut lanes);
+                for (lanes, &value) in lanes.value.iter_mut().zip(&values[rank as usize * C..][..C]) {
+                    *lanes = V::splat(value);
+                }
+                let rule = lanes.rule;
+                walk(&f, &rule, live, &mut lanes);
             }
         }
         let first = tile.origin[1] * p.size()[0];
@@ -211,39 +191,35 @@ struct AdjointTile<'a, E, const C: usize> {
     sums: &'a mut [E],
 }
 
-struct AdjointLanes<E, const C: usize> {
-    rule: Rule<E>,
+struct AdjointLanes<E, V, const C: usize> {
+    rule: Rule<V>,
     t: [E; BUFFER],
     image: [[E; BUFFER]; C],
-    sums: [[E; LANES]; C],
+    sums: [V; C],
 }
 
-impl<E: Real, const C: usize> Visit<E> for AdjointLanes<E, C> {
+impl<E: Real, V: Vector<E>, const C: usize> Visit<E, V> for AdjointLanes<E, V, C> {
     #[inline(always)]
-    fn visit<const FUSED: bool>(&mut self, at: usize, u: E, v: E, f: &Footprint<E>) {
-        let mut alpha = self.rule.alphas::<FUSED>(u, v, f);
-        let mut t = lanes(&self.t, at);
-        let weight = self.rule.absorb::<FUSED>(&mut alpha, &mut t);
-        store(&mut self.t, at, &t);
-        for (sums, image) in self.sums.iter_mut().zip(&self.image) {
-            let y = lanes(image, at);
-            for l in 0..LANES {
-                sums[l] = weight[l].fma::<FUSED>(y[l], sums[l]);
-            }
+    fn visit(&mut self, at: usize, pair: &Lanes<E, V>) {
+        let (mut alpha, mut t) = (pair.alpha, load(&self.t, at));
+        let weight = self.rule.absorb(&mut alpha, &mut t);
+        store(&mut self.t, at, t);
+        for (sum, image) in self.sums.iter_mut().zip(&self.image) {
+            *sum = weight.fma(load(image, at), *sum);
         }
     }
 }
 
-impl<E: Real, const C: usize> Kernel for AdjointTile<'_, E, C> {
+impl<E: Real, const C: usize> Kernel<E> for AdjointTile<'_, E, C> {
     type Output = ();
     #[inline(always)]
-    fn run<const FUSED: bool>(self) {
+    fn run<V: Vector<E>>(self) {
         let Self { p, tile, image, sums } = self;
-        let mut lanes = AdjointLanes::<E, C> {
-            rule: Rule::new(&p.settings),
+        let mut lanes = AdjointLanes::<E, V, C> {
+            rule: Rule::new::<E>(&p.settings),
             t: fresh_transmittance(tile.origin, p.size()),
             image: [[E::zero(); BUFFER]; C],
-            sums: [[E::zero(); LANES]; C],
+            sums: [V::splat(E::zero()); C],
         };
         for (to, from, len) in tile.rows(p.size()) {
             for x in 0..len {
@@ -259,10 +235,11 @@ impl<E: Real, const C: usize> Kernel for AdjointTile<'_, E, C> {
             }
             for (&rank, sums) in ranks.iter().zip(sums.chunks_exact_mut(C)) {
                 let f = Footprint::new(&p.splats[rank as usize], tile.origin);
-                lanes.sums = [[E::zero(); LANES]; C];
-                walk::<E, _, FUSED>(&f, live, &mut lanes);
-                for c in 0..C {
-                    sums[c] = total(&lanes.sums[c]);
+                lanes.sums = [V::splat(E::zero()); C];
+                let rule = lanes.rule;
+                walk(&f, &rule, live, &mut lanes);
+                for (sum, lanes) in sums.iter_mut().zip(&lanes.sums) {
+                    *sum = lanes.total();
                 }
             }
         }
@@ -279,31 +256,32 @@ struct CountTile<'a, E> {
     tile: Tile<'a>,
 }
 
-struct CountLanes<E> {
-    rule: Rule<E>,
+struct CountLanes<E, V> {
+    rule: Rule<V>,
     t: [E; BUFFER],
     counts: PairCounts,
 }
 
-impl<E: Real> Visit<E> for CountLanes<E> {
+impl<E: Real, V: Vector<E>> Visit<E, V> for CountLanes<E, V> {
     #[inline(always)]
-    fn visit<const FUSED: bool>(&mut self, at: usize, u: E, v: E, f: &Footprint<E>) {
-        let mut alpha = self.rule.alphas::<FUSED>(u, v, f);
-        let mut t = lanes(&self.t, at);
-        self.rule.absorb::<FUSED>(&mut alpha, &mut t);
-        store(&mut self.t, at, &t);
+    fn visit(&mut self, at: usize, pair: &Lanes<E, V>) {
+        let (mut alpha, mut t) = (pair.alpha, load(&self.t, at));
+        self.rule.absorb(&mut alpha, &mut t);
+        store(&mut self.t, at, t);
+        let mut lanes = [E::zero(); LANES];
+        alpha.store(&mut lanes);
         self.counts.evaluated += LANES as u64;
-        self.counts.contributing += alpha.iter().map(|&a| u64::from(a > E::zero())).sum::<u64>();
+        self.counts.contributing += lanes.iter().map(|&a| u64::from(a > E::zero())).sum::<u64>();
     }
 }
 
-impl<E: Real> Kernel for CountTile<'_, E> {
+impl<E: Real> Kernel<E> for CountTile<'_, E> {
     type Output = PairCounts;
     #[inline(always)]
-    fn run<const FUSED: bool>(self) -> PairCounts {
+    fn run<V: Vector<E>>(self) -> PairCounts {
         let Self { p, tile } = self;
         let t = fresh_transmittance(tile.origin, p.size());
-        let mut lanes = CountLanes { rule: Rule::new(&p.settings), t, counts: PairCounts::default() };
+        let mut lanes = CountLanes::<E, V> { rule: Rule::new::<E>(&p.settings), t, counts: PairCounts::default() };
         for ranks in tile.ranks.chunks(LOOK) {
             let live = live_rows(&lanes.t);
             if live == 0 {
@@ -311,7 +289,8 @@ impl<E: Real> Kernel for CountTile<'_, E> {
             }
             for &rank in ranks {
                 let f = Footprint::new(&p.splats[rank as usize], tile.origin);
-                walk::<E, _, FUSED>(&f, live, &mut lanes);
+                let rule = lanes.rule;
+                walk(&f, &rule, live, &mut lanes);
             }
         }
         lanes.counts

@@ -2,11 +2,10 @@
 
 use super::geometry::Ellipse;
 use crate::ops::Real;
+use crate::ops::vector::{LANES, Vector};
 
 /// Pixels along a tile's edge.
 pub(super) const TILE: usize = 16;
-/// Pixels handled together.
-pub(super) const LANES: usize = 8;
 /// Length of a row of a tile's buffers: vectors start anywhere in a row and may run past its end.
 pub(super) const STRIDE: usize = TILE + LANES;
 /// Length of a tile's buffers.
@@ -111,68 +110,108 @@ impl<E: Real> Footprint<E> {
 }
 
 /// What a kernel does with the vectors of pixels that a Gaussian covers.
-pub(super) trait Visit<E> {
-    /// `LANES` pixels from buffer position `at` on: `u` of the first, `v` of all.
-    fn visit<const FUSED: bool>(&mut self, at: usize, u: E, v: E, footprint: &Footprint<E>);
+pub(super) trait Visit<E, V> {
+    /// `LANES` pixels from buffer position `at` on.
+    fn visit(&mut self, at: usize, pair: &Lanes<E, V>);
+}
+
+/// A Gaussian's exponent and alpha' at `LANES` pixels of a row.
+pub(super) struct Lanes<E, V> {
+    pub u: V,
+    /// The same in all lanes.
+    pub v: E,
+    /// 0 below the cut-off.
+    pub alpha: V,
 }
 
 /// Shows `visitor` every vector of pixels that `footprint` covers, in rows whose bit in `live` is set.
 #[inline(always)]
-pub(super) fn walk<E: Real, V: Visit<E>, const FUSED: bool>(footprint: &Footprint<E>, live: u32, visitor: &mut V) {
+pub(super) fn walk<E: Real, V: Vector<E>>(
+    footprint: &Footprint<E>,
+    rule: &Rule<V>,
+    live: u32,
+    visitor: &mut impl Visit<E, V>,
+) {
+    let du = V::splat(footprint.du);
+    let opacity = V::splat(footprint.opacity);
     for row in footprint.rows[0]..footprint.rows[1] {
         if live >> row & 1 == 0 {
             continue;
         }
-        let (u, v) = footprint.row(row);
-        let [first, last] = footprint.span(u, v);
+        let (u0, v) = footprint.row(row);
+        let [first, last] = footprint.span(u0, v);
+        let minus_vv = V::splat(-(v * v));
         let mut x = first;
         while x < last {
-            visitor.visit::<FUSED>(row * STRIDE + x, u + E::of(x as f64) * footprint.du, v, footprint);
+            let u = V::ramp().fma(du, V::splat(u0 + E::of(x as f64) * footprint.du));
+            let alpha = rule.cut(opacity.mul(u.fnma(u, minus_vv).exp_nonpositive()));
+            visitor.visit(row * STRIDE + x, &Lanes { u, v, alpha });
             x += LANES;
         }
     }
 }
 
-/// Constants of the blending rule in the kernel's type.
+/// Constants of the blending rule.
 #[derive(Clone, Copy)]
-pub(super) struct Rule<E> {
-    pub alpha_max: E,
-    pub alpha_min: E,
-    pub t_min: E,
+pub(super) struct Rule<V> {
+    alpha_max: V,
+    alpha_min: V,
+    t_min: V,
+    zero: V,
+    one: V,
 }
 
-impl<E: Real> Rule<E> {
-    pub fn new(s: &super::Settings) -> Self {
-        Self { alpha_max: E::of(s.alpha_max), alpha_min: E::of(s.alpha_min), t_min: E::of(s.t_min) }
+impl<V> Rule<V> {
+    #[inline(always)]
+    pub fn new<E: Real>(s: &super::Settings) -> Self
+    where
+        V: Vector<E>,
+    {
+        let splat = |x: f64| V::splat(E::of(x));
+        let [alpha_max, alpha_min, t_min] = [s.alpha_max, s.alpha_min, s.t_min].map(splat);
+        Self { alpha_max, alpha_min, t_min, zero: splat(0.0), one: splat(1.0) }
     }
 
-    /// alpha' of `LANES` pixels: 0 below the cut-off.
+    /// The cap and the cut-off.
     #[inline(always)]
-    pub fn alphas<const FUSED: bool>(&self, u: E, v: E, f: &Footprint<E>) -> [E; LANES] {
-        let mut out = [E::zero(); LANES];
-        let row = -(v * v);
-        for (l, out) in out.iter_mut().enumerate() {
-            let u = E::of(l as f64).fma::<FUSED>(f.du, u);
-            let alpha = f.opacity * (-u).fma::<FUSED>(u, row).exp_nonpositive::<FUSED>();
-            let alpha = if alpha < self.alpha_max { alpha } else { self.alpha_max };
-            *out = if alpha >= self.alpha_min { alpha } else { E::zero() };
-        }
-        out
+    fn cut<E>(&self, alpha: V) -> V
+    where
+        V: Vector<E>,
+    {
+        let alpha = alpha.min(self.alpha_max);
+        self.alpha_min.select_above(alpha, self.zero, alpha)
     }
 
-    /// Weights `alpha' T` of `LANES` pixels; updates `t`. A pixel that ends keeps its transmittance with the sign turned,
-    /// which also stops it from taking anything more; `alpha` becomes 0 there.
+    /// Weights `alpha' T`; updates `t`. A pixel that ends keeps its transmittance with the sign turned, which also stops
+    /// it from taking anything more; `alpha` becomes 0 there.
     #[inline(always)]
-    pub fn absorb<const FUSED: bool>(&self, alpha: &mut [E; LANES], t: &mut [E; LANES]) -> [E; LANES] {
-        let mut weight = [E::zero(); LANES];
-        for l in 0..LANES {
-            let next = t[l] * (E::one() - alpha[l]);
-            let goes_on = next > self.t_min;
-            alpha[l] = if goes_on { alpha[l] } else { E::zero() };
-            weight[l] = if goes_on { alpha[l] * t[l] } else { E::zero() };
-            t[l] = if goes_on { next } else { -t[l].abs() };
-        }
+    pub fn absorb<E>(&self, alpha: &mut V, t: &mut V) -> V
+    where
+        V: Vector<E>,
+    {
+        let next = alpha.fnma(*t, *t);
+        let ended = self.zero.sub(t.abs());
+        *alpha = next.select_above(self.t_min, *alpha, self.zero);
+        let weight = alpha.mul(*t);
+        *t = next.select_above(self.t_min, next, ended);
         weight
+    }
+
+    /// `g` where alpha' is below the cap, else 0.
+    #[inline(always)]
+    pub fn below_cap<E>(&self, alpha: V, g: V) -> V
+    where
+        V: Vector<E>,
+    {
+        self.alpha_max.select_above(alpha, g, self.zero)
+    }
+
+    /// 1 in all lanes.
+    pub fn one(&self) -> V
+    where
+        V: Copy,
+    {
+        self.one
     }
 }
 
@@ -199,4 +238,18 @@ pub(super) fn live_rows<E: Real>(t: &[E; BUFFER]) -> u32 {
         live |= u32::from(top > E::zero()) << row;
     }
     live
+}
+
+/// `LANES` values of a tile's buffer from `at` on.
+#[inline(always)]
+pub(super) fn load<E: Real, V: Vector<E>>(buffer: &[E; BUFFER], at: usize) -> V {
+    buffer[at..].first_chunk().map_or_else(|| V::splat(E::zero()), V::load)
+}
+
+/// Stores `LANES` values into a tile's buffer.
+#[inline(always)]
+pub(super) fn store<E: Real, V: Vector<E>>(buffer: &mut [E; BUFFER], at: usize, values: V) {
+    if let Some(chunk) = buffer[at..].first_chunk_mut() {
+        values.store(chunk);
+    }
 }

@@ -99,6 +99,7 @@ struct Unit {
 }
 
 impl Unit {
+    #[inline(always)]
     fn new(raw: [f64; 4]) -> Self {
         // Dividing by the largest entry first keeps the squares of huge quaternions finite.
         let largest = raw.iter().fold(0.0_f64, |a, v| a.max(v.abs()));
@@ -113,6 +114,7 @@ impl Unit {
     }
 
     /// Columns of the rotation matrix.
+    #[inline(always)]
     fn columns(&self) -> [Vec3; 3] {
         let [w, x, y, z] = self.q;
         [

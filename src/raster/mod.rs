@@ -17,7 +17,6 @@ mod op;
 mod projected;
 mod settings;
 mod sh;
-mod simd;
 mod tile_pairs;
 mod tiles;
 

@@ -2,11 +2,13 @@
 //!
 //! A pair's weight is computed once, over pixel lanes; the channels follow in blocks with channel lanes inside.
 
-use super::blend::{LOOK, Tile, for_each_tile_row, lanes, store, sum_over_tiles};
-use super::footprint::{BUFFER, Footprint, LANES, Rule, STRIDE, TILE, Visit, fresh_transmittance, live_rows, walk};
+use super::blend::{LOOK, Tile, for_each_tile_row, sum_over_tiles};
+use super::footprint::{
+    BUFFER, Footprint, Lanes, Rule, STRIDE, TILE, Visit, fresh_transmittance, live_rows, load, store, walk,
+};
 use super::geometry::Moments;
 use super::projected::{Blended, Projected};
-use super::simd::{Kernel, dispatch};
+use crate::ops::vector::{Kernel, LANES, Vector, dispatch};
 use crate::ops::{Real, SparseMatrix};
 use rayon::prelude::*;
 
@@ -17,7 +19,6 @@ const ALIGN: usize = 8;
 
 /// Contributing pairs of one tile, Gaussian by Gaussian, front to back.
 pub(super) struct Pairs<E, const GEOMETRY: bool> {
-    rule: Rule<E>,
     /// Transmittance in the tile's buffer layout, ended pixels negative.
     t: [E; BUFFER],
     /// One past the last pair of each of the tile's Gaussians that was looked at.
@@ -29,56 +30,66 @@ pub(super) struct Pairs<E, const GEOMETRY: bool> {
     shape: Vec<[E; 3]>,
 }
 
-impl<E: Real, const GEOMETRY: bool> Visit<E> for Pairs<E, GEOMETRY> {
+struct PairLanes<'a, E, V, const GEOMETRY: bool> {
+    rule: Rule<V>,
+    pairs: &'a mut Pairs<E, GEOMETRY>,
+}
+
+impl<E: Real, V: Vector<E>, const GEOMETRY: bool> Visit<E, V> for PairLanes<'_, E, V, GEOMETRY> {
     #[inline(always)]
-    fn visit<const FUSED: bool>(&mut self, at: usize, u: E, v: E, f: &Footprint<E>) {
-        let mut alpha = self.rule.alphas::<FUSED>(u, v, f);
-        let mut t = lanes(&self.t, at);
-        let weight = self.rule.absorb::<FUSED>(&mut alpha, &mut t);
-        store(&mut self.t, at, &t);
+    fn visit(&mut self, at: usize, pair: &Lanes<E, V>) {
+        let (mut alpha, mut t) = (pair.alpha, load(&self.pairs.t, at));
+        let weight = self.rule.absorb(&mut alpha, &mut t);
+        store(&mut self.pairs.t, at, t);
+        let mut weights = [E::zero(); LANES];
+        weight.store(&mut weights);
+        let (mut alphas, mut us) = ([E::zero(); LANES], [E::zero(); LANES]);
+        if GEOMETRY {
+            alpha.store(&mut alphas);
+            pair.u.store(&mut us);
+        }
         let first = at - at / STRIDE * (STRIDE - TILE);
         for l in 0..LANES {
-            if weight[l] > E::zero() {
-                self.pixels.push((first + l) as u16);
-                self.weights.push(weight[l]);
+            if weights[l] > E::zero() {
+                self.pairs.pixels.push((first + l) as u16);
+                self.pairs.weights.push(weights[l]);
                 if GEOMETRY {
-                    self.shape.push([alpha[l], E::of(l as f64).fma::<FUSED>(f.du, u), v]);
+                    self.pairs.shape.push([alphas[l], us[l], pair.v]);
                 }
             }
         }
     }
 }
 
-struct Gather<'a, E> {
+struct Gather<'a, E, const GEOMETRY: bool> {
     p: &'a Projected<E>,
     tile: Tile<'a>,
     t: [E; BUFFER],
 }
 
-struct GatherInto<'a, E, const GEOMETRY: bool>(Gather<'a, E>);
-
-impl<E: Real, const GEOMETRY: bool> Kernel for GatherInto<'_, E, GEOMETRY> {
+impl<E: Real, const GEOMETRY: bool> Kernel<E> for Gather<'_, E, GEOMETRY> {
     type Output = Pairs<E, GEOMETRY>;
     #[inline(always)]
-    fn run<const FUSED: bool>(self) -> Self::Output {
-        let Gather { p, tile, t } = self.0;
+    fn run<V: Vector<E>>(self) -> Self::Output {
+        let Gather { p, tile, t } = self;
         let mut pairs = Pairs {
-            rule: Rule::new(&p.settings),
             t,
             ends: Vec::with_capacity(tile.ranks.len()),
             pixels: Vec::with_capacity(16 * tile.ranks.len()),
             weights: Vec::with_capacity(16 * tile.ranks.len()),
             shape: Vec::new(),
         };
+        let rule = Rule::new::<E>(&p.settings);
+        let mut lanes = PairLanes::<E, V, GEOMETRY> { rule, pairs: &mut pairs };
         for ranks in tile.ranks.chunks(LOOK) {
-            let live = live_rows(&pairs.t);
+            let live = live_rows(&lanes.pairs.t);
             if live == 0 {
                 break;
             }
             for &rank in ranks {
                 let f = Footprint::new(&p.splats[rank as usize], tile.origin);
-                walk::<E, _, FUSED>(&f, live, &mut pairs);
-                pairs.ends.push(pairs.pixels.len() as u32);
+                walk(&f, &rule, live, &mut lanes);
+                lanes.pairs.ends.push(lanes.pairs.pixels.len() as u32);
             }
         }
         pairs
@@ -88,7 +99,7 @@ impl<E: Real, const GEOMETRY: bool> Kernel for GatherInto<'_, E, GEOMETRY> {
 impl<E: Real, const GEOMETRY: bool> Pairs<E, GEOMETRY> {
     /// The pairs of `tile`, of pixels where `t` is positive.
     fn gather(p: &Projected<E>, tile: Tile<'_>, t: [E; BUFFER]) -> Self {
-        dispatch(GatherInto(Gather { p, tile, t }))
+        dispatch(Gather { p, tile, t })
     }
 
     /// Pairs of the tile's `i`-th Gaussian, as positions.
@@ -136,18 +147,20 @@ struct Block<'a, E, const GEOMETRY: bool> {
 /// `out[pixel] += weight * value`, `out` is `[PIXELS, K]`.
 struct BlendBlock<'a, E, const K: usize>(Block<'a, E, false>, &'a mut [E]);
 
-impl<E: Real, const K: usize> Kernel for BlendBlock<'_, E, K> {
+impl<E: Real, const K: usize> Kernel<E> for BlendBlock<'_, E, K> {
     type Output = ();
     #[inline(always)]
-    fn run<const FUSED: bool>(self) {
+    fn run<V: Vector<E>>(self) {
         let (Block { pairs, ranks, values, width, channel }, out) = (self.0, self.1);
         for i in 0..pairs.ends.len() {
             let Some(&value) = values[ranks[i] as usize * width + channel..].first_chunk::<K>() else { return };
             let range = pairs.range(i);
             for (&pixel, &weight) in pairs.pixels[range.clone()].iter().zip(&pairs.weights[range]) {
                 let Some(out) = out[pixel as usize * K..].first_chunk_mut::<K>() else { return };
-                for k in 0..K {
-                    out[k] = weight.fma::<FUSED>(value[k], out[k]);
+                let weight = V::splat(weight);
+                for (out, value) in vectors_mut(out).zip(vectors(&value)) {
+                    let sum = weight.fma(V::load(value), V::load(out));
+                    sum.store(out);
                 }
             }
         }
@@ -168,10 +181,10 @@ struct AdjointBlock<'a, E, const K: usize, const GEOMETRY: bool> {
     projections: &'a mut [E],
 }
 
-impl<E: Real, const K: usize, const GEOMETRY: bool> Kernel for AdjointBlock<'_, E, K, GEOMETRY> {
+impl<E: Real, const K: usize, const GEOMETRY: bool> Kernel<E> for AdjointBlock<'_, E, K, GEOMETRY> {
     type Output = ();
     #[inline(always)]
-    fn run<const FUSED: bool>(self) {
+    fn run<V: Vector<E>>(self) {
         let Self { block: Block { pairs, ranks, values, width, channel }, image, sums, stride, at, used, projections } =
             self;
         for i in 0..pairs.ends.len() {
@@ -181,22 +194,34 @@ impl<E: Real, const K: usize, const GEOMETRY: bool> Kernel for AdjointBlock<'_, 
                 value.copy_from_slice(&values[ranks[i] as usize * width + channel..][..K]);
             }
             for pair in pairs.range(i) {
-                let weight = pairs.weights[pair];
                 let Some(image) = image[pairs.pixels[pair] as usize * K..].first_chunk::<K>() else { return };
-                for k in 0..K {
-                    sum[k] = weight.fma::<FUSED>(image[k], sum[k]);
+                let weight = V::splat(pairs.weights[pair]);
+                for (sum, image) in vectors_mut(&mut sum).zip(vectors(image)) {
+                    weight.fma(V::load(image), V::load(sum)).store(sum);
                 }
                 if GEOMETRY {
-                    let mut part = [E::zero(); ALIGN];
-                    for k in 0..K {
-                        part[k % ALIGN] = value[k].fma::<FUSED>(image[k], part[k % ALIGN]);
+                    let mut part = V::splat(E::zero());
+                    for (value, image) in vectors(&value).zip(vectors(image)) {
+                        part = V::load(value).fma(V::load(image), part);
                     }
-                    projections[pair] += super::blend::total(&part);
+                    projections[pair] += part.total();
                 }
             }
             sums[i * stride + at..][..used].copy_from_slice(&sum[..used]);
         }
     }
+}
+
+/// `K` numbers as vectors.
+#[inline(always)]
+fn vectors<E, const K: usize>(x: &[E; K]) -> impl Iterator<Item = &[E; LANES]> {
+    x.as_chunks().0.iter()
+}
+
+/// [`vectors`], to write to.
+#[inline(always)]
+fn vectors_mut<E, const K: usize>(x: &mut [E; K]) -> impl Iterator<Item = &mut [E; LANES]> {
+    x.as_chunks_mut().0.iter_mut()
 }
 
 /// Blends `values`, `[N, channels]`.
@@ -325,6 +350,7 @@ pub(super) fn backward<E: Real>(
                 K
             });
         }
+        let alpha_max = E::of(p.settings.alpha_max);
         let mut budget = [E::zero(); PIXELS];
         for (to, from, len) in tile.rows(size) {
             for x in 0..len {
@@ -338,7 +364,7 @@ pub(super) fn backward<E: Real>(
                 let own = pairs.weights[pair] * projections[pair];
                 let rest = &mut budget[pairs.pixels[pair] as usize];
                 *rest -= own;
-                if alpha < pairs.rule.alpha_max {
+                if alpha < alpha_max {
                     let g = own - *rest * alpha / (E::one() - alpha);
                     for (m, x) in m.iter_mut().zip([E::one(), u, v, u * u, u * v, v * v]) {
                         *m += g * x;

@@ -2,6 +2,7 @@
 
 mod adam;
 mod building;
+mod builtin;
 mod checkpoint;
 mod classes;
 mod cli;

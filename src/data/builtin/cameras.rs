@@ -10,7 +10,7 @@ use std::f64::consts::{PI, TAU};
 /// Distance every test camera keeps from every training camera, metres.
 pub const TEST_DISTANCE: f64 = 0.3;
 /// Free space around every camera, metres.
-const FREE: f64 = 0.22;
+const FREE: f64 = 0.32;
 
 /// A camera with its use and its place along the walk (0..1), by which runs of neighbouring views are defined.
 pub(super) struct Shot {
@@ -37,7 +37,7 @@ pub(super) fn shots(room: &Room, (width, height): (usize, usize), train: usize, 
         // Off the walk: drawn towards or away from the room's middle, higher or lower, looking elsewhere.
         let mut best: Option<(f64, DVec3)> = None;
         for _ in 0..60 {
-            let scale = rng.random_range(0.35..1.1);
+            let scale = rng.random_range(0.45..1.05);
             let flat = DVec2::from_angle(rng.random_range(-0.35..0.35)).rotate(eye.truncate() * scale);
             let at = free_place(room, flat.extend(rng.random_range(1.15..1.75)));
             let near = shots.iter().filter(|s| s.split == Split::Train);
@@ -63,11 +63,11 @@ fn walk(room: &Room, start: f64, along: f64) -> (DVec3, DVec3) {
     let round = if outer { along / 0.58 } else { (along - 0.58) / 0.42 };
     let angle = start + TAU * round;
     let (ring, height) =
-        if outer { (0.74, 1.5 + 0.2 * (2.0 * angle).sin()) } else { (0.34, 1.35 + 0.15 * (3.0 * angle).sin()) };
+        if outer { (0.8, 1.55 + 0.25 * (2.0 * angle).sin()) } else { (0.34, 1.35 + 0.15 * (3.0 * angle).sin()) };
     let out = DVec2::from_angle(angle);
     let eye = (out * reach * ring).extend(height);
     // The outer round looks across, the inner one over its shoulder at the walls near by and far.
-    let turn = if outer { PI + 0.45 * (3.0 * angle).sin() } else { 2.0 * PI / 3.0 };
+    let turn = if outer { PI + 0.5 * (3.0 * angle).sin() } else { 2.0 * PI / 3.0 };
     let far = DVec2::from_angle(angle + turn) * reach * if outer { 0.55 } else { 0.95 };
     let target = far.extend(if outer { 0.85 } else { 1.05 } + 0.3 * (5.0 * angle).sin());
     (eye, target)
@@ -91,12 +91,12 @@ fn free_place(room: &Room, eye: DVec3) -> DVec3 {
     best.1
 }
 
-/// A camera at `eye` that looks at `target`, upright; 66 degrees wide.
+/// A camera at `eye` that looks at `target`, upright; 71 degrees wide.
 fn look(eye: DVec3, target: DVec3, width: usize, height: usize) -> Camera {
     let forward = (target - eye).normalize_or(DVec3::Y);
     let right = forward.cross(DVec3::Z).normalize_or(DVec3::X);
     let down = forward.cross(right);
-    let f = 0.77 * width as f64;
+    let f = 0.7 * width as f64;
     Camera {
         rotation: DMat3::from_cols(right, down, forward).transpose(),
         center: eye,

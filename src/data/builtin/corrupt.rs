@@ -285,6 +285,9 @@ fn warp(map: &mut LabelMap, size: f64, rng: &mut ChaCha8Rng) {
 
 /// Makes pixels at label borders void where a smooth gate is open.
 fn void_borders(map: &mut LabelMap, params: &Corruption, rng: &mut ChaCha8Rng) {
+    if params.void_borders * params.strength <= 0.0 {
+        return;
+    }
     let (w, h) = (map.width, map.height);
     let reach = ((w as f64 / 320.0).round() as usize).max(1);
     let (cell, seed): (f64, u64) = (26.0 * w as f64 / 320.0, rng.random());

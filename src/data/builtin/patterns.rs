@@ -119,7 +119,7 @@ impl Material {
                 let tone = hash(row as i64, column as i64, seed);
                 let c = grain(light, dark, u, v + 3.0 * tone, seed ^ row as i64 as u64);
                 let seam = band(fold(v, width), 0.003, 0.012).max(band(fold(u + shift, length), 0.003, 0.012));
-                c * (0.78 + 0.36 * tone) * (1.0 - 0.35 * seam)
+                c * (0.84 + 0.26 * tone) * (1.0 - 0.35 * seam)
             }
             Pattern::Tiles(a, b, grout, size) => {
                 let (i, j) = ((u / size).floor() as i64, (v / size).floor() as i64);
@@ -137,12 +137,12 @@ impl Material {
                 grain(light, dark, along, across, seed) * tone * (1.0 - 0.2 * strips)
             }
             Pattern::Bricks(brick, mortar) => {
-                let (height, width) = (0.1, 0.3);
+                let (height, width) = (0.12, 0.36);
                 let row = (v / height).floor();
                 let shift = if row as i64 % 2 == 0 { 0.0 } else { width / 2.0 };
                 let tone = hash(((u + shift) / width).floor() as i64, row as i64, seed);
                 let seam = band(fold(v, height), 0.004, 0.014).max(band(fold(u + shift, width), 0.004, 0.014));
-                (brick * (0.82 + 0.36 * tone)).lerp(mortar, 0.75 * seam)
+                (brick * (0.87 + 0.26 * tone)).lerp(mortar, 0.5 * seam)
             }
             Pattern::Stripes(a, b, period) => {
                 // The inner part of cushions and of walls alike: stripes upright on side faces, along x on top.
@@ -181,14 +181,14 @@ impl Material {
                 grain(panel, panel * 0.86, v, u, seed).lerp(groove, inset).lerp(knob, round)
             }
             Pattern::Books => {
-                let width = 0.055;
+                let width = 0.07;
                 let i = (u / width).floor() as i64;
                 let hue = hash(i, 1, seed);
                 let palette = [0x7a2e2a, 0x2e4a6b, 0x3f6b4f, 0xb58a3c, 0x6b4f7a, 0xd8cdb4, 0x444444, 0xa3553a];
-                let c = super::noise::rgb(palette[(hue * 8.0) as usize % 8]) * (0.85 + 0.3 * hash(i, 2, seed));
+                let c = super::noise::rgb(palette[(hue * 8.0) as usize % 8]) * (0.9 + 0.2 * hash(i, 2, seed));
                 let label = band(v - face.1 * (0.2 + 0.4 * hash(i, 3, seed)), 0.02, 0.015);
                 let gap = band(fold(u, width), 0.002, 0.012);
-                c.lerp(DVec3::splat(0.6), 0.45 * label) * (1.0 - 0.5 * gap)
+                c.lerp(DVec3::splat(0.5), 0.3 * label) * (1.0 - 0.35 * gap)
             }
             Pattern::Rug(style, colors) => rug(style, colors, u, v, face),
             Pattern::Painting(style, colors) => painting(style, colors, u / face.0, v / face.1, face, seed),
@@ -202,8 +202,8 @@ impl Material {
 fn grain(light: DVec3, dark: DVec3, along: f64, across: f64, seed: u64) -> DVec3 {
     let wave = 0.05 * noise(along / 0.5, across / 0.25, seed);
     let rings = 0.5 + 0.5 * ((across + wave) / 0.075 * std::f64::consts::TAU).sin();
-    let streak = noise(along / 0.6, across / 0.035, seed ^ 0x77);
-    light.lerp(dark, 0.25 * rings + 0.55 * streak)
+    let streak = noise(along / 0.6, across / 0.05, seed ^ 0x77);
+    light.lerp(dark, 0.2 * rings + 0.1 + 0.4 * streak)
 }
 
 fn rug(style: u32, [field, figure, border]: [DVec3; 3], u: f64, v: f64, face: (f64, f64)) -> DVec3 {
