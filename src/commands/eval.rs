@@ -12,11 +12,17 @@ use coseg::objects::{Identities, hard_label_map, label_map};
 use coseg::raster::{Projected, Settings, render};
 use std::path::PathBuf;
 
+const HELP: &str = "\
+Prints PSNR and SSIM of the run's scene on the held-out views and, where these have true labels, mIoU (all views in
+one confusion matrix, and the mean over views), accuracy and the IoU of each class, 0 to 1, of the stored identities.
+
+Examples:
+  coseg eval runs/living
+  coseg eval runs/living --data elsewhere/living --json";
+
 /// Arguments of `coseg eval`.
-///
-/// Prints PSNR and SSIM of the run's scene on the held-out views, and mIoU and accuracy of its stored identities where
-/// these views have true labels.
 #[derive(Args, Debug)]
+#[command(after_help = HELP)]
 pub struct EvalArgs {
     /// Folder that `coseg train` wrote
     #[arg(value_name = "RUN")]

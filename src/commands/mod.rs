@@ -1,6 +1,7 @@
 //! Subcommands: each parses its arguments, calls the library, and says what came out.
 
 mod eval;
+mod pretrain;
 mod progress;
 mod render;
 mod run_folder;
@@ -18,7 +19,7 @@ use std::path::PathBuf;
 #[command(name = "coseg", version, propagate_version = true, after_help = EXAMPLES)]
 pub struct Cli {
     /// Say more about what is going on
-    #[arg(long, short, global = true)]
+    #[arg(long, short, global = true, display_order = 900)]
     pub verbose: bool,
     /// What to do
     #[command(subcommand)]
@@ -47,6 +48,8 @@ pub enum Command {
     Render(render::RenderArgs),
     /// Label the Gaussians of a scene by a vote of raw label maps, without training
     Vote(vote::VoteArgs),
+    /// Train the point encoder on procedural rooms
+    Pretrain(pretrain::PretrainArgs),
 }
 
 impl Command {
@@ -57,6 +60,7 @@ impl Command {
             Self::Eval(args) => args.run(),
             Self::Render(args) => args.run(),
             Self::Vote(args) => args.run(),
+            Self::Pretrain(args) => args.run(),
         }
     }
 }

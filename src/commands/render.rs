@@ -15,15 +15,22 @@ use std::path::{Path, PathBuf};
 /// Pixels covered less than this have label 0.
 const MIN_COVERAGE: f32 = 0.5;
 
+const HELP: &str = "\
+For each frame, STEM being its file name without extension, the output folder gets
+  --format npy   STEM.rgb.npy    [H, W, 3] float32, not clamped, background included
+                 STEM.alpha.npy  [H, W] float32, what covers the background (1 - transmittance)
+  --format png   STEM.rgb.png    8 bits a channel
+                 STEM.alpha.png  8-bit grey
+  --labels       STEM.label.png  the label with the largest blended weight, 0 where alpha is below 0.5;
+                                 8-bit grey, or 16-bit where ids exceed 255
+
+Examples:
+  coseg render --scene runs/room/scene.ply --cameras room/transforms.json --out pictures --split test --labels
+  coseg render --scene other.ply --cameras path.json --out arrays --format npy --background 1,1,1 --alpha-max 0.99";
+
 /// Arguments of `coseg render`.
-///
-/// For each frame, STEM being the frame's file name without extension:
-///   npy  STEM.rgb.npy ([H, W, 3] float32, not clamped), STEM.alpha.npy ([H, W] float32, 1 - transmittance)
-///   png  STEM.rgb.png (8 bits a channel), STEM.alpha.png (8-bit grey)
-/// and with --labels STEM.label.png: the id with the largest blended weight, 8-bit grey or 16-bit where ids exceed
-/// 255, 0 where the scene covers less than half of the pixel.
 #[derive(Args, Debug)]
-#[command(verbatim_doc_comment)]
+#[command(after_help = HELP)]
 pub struct RenderArgs {
     /// Scene in the 3DGS PLY convention; its `label` column is needed for --labels
     #[arg(long, value_name = "FILE.ply")]
@@ -34,19 +41,19 @@ pub struct RenderArgs {
     /// Folder to write to; made if absent
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Kind of files
+    /// Kind of files: 8-bit images or float32 arrays
     #[arg(long, value_enum, default_value_t = Format::Png)]
     format: Format,
-    /// Only the frames of this split
-    #[arg(long, value_enum)]
-    split: Option<SplitArg>,
+    /// Which frames
+    #[arg(long, value_enum, default_value_t = SplitArg::All)]
+    split: SplitArg,
     /// Render the labels too
     #[arg(long)]
     labels: bool,
     /// Colour behind the scene, each 0 to 1
     #[arg(long, value_name = "R,G,B", default_value = "0,0,0", value_parser = parse_color)]
     background: [f32; 3],
-    /// Cap of the opacity of one splat at a pixel, above 0, at most 1; 0.99 matches gsplat and graphdeco
+    /// Cap of a splat's opacity at a pixel, in (0, 1]; gsplat has 0.99 [default: 0.999]
     #[arg(long, value_name = "X")]
     alpha_max: Option<f64>,
 }
@@ -54,9 +61,7 @@ pub struct RenderArgs {
 /// Kinds of image files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
-    /// 8-bit images for people
     Png,
-    /// float32 arrays for programs
     Npy,
 }
 
@@ -87,9 +92,9 @@ impl RenderArgs {
             return Err(Error::config("--alpha-max", settings.alpha_max.to_string(), "above 0, at most 1", mend));
         }
         let split = match self.split {
-            Some(SplitArg::Train) => Some(Split::Train),
-            Some(SplitArg::Test) => Some(Split::Test),
-            Some(SplitArg::All) | None => None,
+            SplitArg::Train => Some(Split::Train),
+            SplitArg::Test => Some(Split::Test),
+            SplitArg::All => None,
         };
         let cameras = load_cameras(&self.cameras, split)?;
         let scene = ply::read(&self.scene, &Limits::default())?;

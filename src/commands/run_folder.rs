@@ -46,6 +46,16 @@ impl RunFolder {
         self.config_path().exists()
     }
 
+    /// Takes `config.toml` away, and the folder when that empties it, if training has not begun: input was at fault, and
+    /// the folder is free for another try.
+    pub fn forget_unless_started(&self) {
+        if !self.0.join("checkpoint").exists() {
+            // What cannot be removed does no harm.
+            let _ = std::fs::remove_file(self.config_path());
+            let _ = std::fs::remove_dir(&self.0);
+        }
+    }
+
     /// The folder itself.
     pub fn path(&self) -> &Path {
         &self.0

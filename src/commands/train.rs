@@ -13,12 +13,31 @@ use coseg::report::{History, Metrics, Report, held_out_views};
 use coseg::train::{self, Outcome};
 use std::path::PathBuf;
 
+const HELP: &str = "\
+Stage one builds Gaussians from the photos; stage two learns from the raw label maps what each of them belongs to.
+
+The run folder gets
+  scene.ply      the Gaussians in the 3DGS convention, with a label column
+  report.html    curves, pictures, tables; one page that needs nothing else
+  metrics.json   the same figures for programs
+  classes.json   id, name and colour of each class
+  config.toml    all settings as run
+  renders/       held-out views: colour, labels, error maps
+  checkpoint/    what --resume goes on from
+
+Settings come from the preset (preset = \"default\", \"paper\" or \"fast\"), then --config, then --set; sections are
+data, building, raster, features, unprojection, spatial and segmentation. Relative paths are meant from the working
+folder. Times are seconds, lengths world units, shares 0 to 1.
+
+Examples:
+  coseg train
+  coseg train --data scenes/living --set data.raw_labels=labels_raw --set segmentation.rows=raw,vote,ours
+  coseg train --config configs/fox.toml --data scenes/fox --out runs/fox
+  coseg train --resume runs/fox";
+
 /// Arguments of `coseg train`.
-///
-/// Stage one builds Gaussians from the photos, stage two learns what each of them belongs to from raw label maps. The
-/// run folder holds scene.ply (3DGS convention, with a label column), report.html, metrics.json, classes.json,
-/// config.toml (all settings as run), renders/ of the held-out views, and checkpoints.
 #[derive(Args, Debug)]
+#[command(after_help = HELP)]
 pub struct TrainArgs {
     /// Scene folder: transforms.json, photos, label maps [default: the built-in room]
     #[arg(long, value_name = "DIR")]
@@ -60,7 +79,12 @@ impl TrainArgs {
         let device_text = format!("{backend} backend, {} threads", rayon::current_num_threads());
         terminal::note(&format!("{} -> {} ({device_text})", scene_name(&config), run.path().display()));
 
-        let outcome = train::run(&config, run.path(), &device, &mut Bars::default())?;
+        let outcome = train::run(&config, run.path(), &device, &mut Bars::default());
+        let outcome = outcome.inspect_err(|_| {
+            if self.resume.is_none() {
+                run.forget_unless_started();
+            }
+        })?;
         let labels = outcome.stored().map(|(_, identities)| identities);
         let ids = labels.map(|identities| identities.ids(&outcome.scene.classes));
         ply::write(&run.scene_path(), &outcome.gaussians, outcome.scene.origin, ids.as_deref())?;
@@ -116,11 +140,6 @@ fn summary(outcome: &Outcome) {
     for row in &outcome.rows {
         let name = if row.row == Row::Ours { "ours" } else { row.row.title() };
         let s = &row.scores;
-        terminal::say(&format!(
-            "{name:<28} {:>8} {:>9} {:>9}",
-            cell(s.miou),
-            cell(s.miou_per_view),
-            cell(s.accuracy)
-        ));
+        terminal::say(&format!("{name:<28} {:>8} {:>9} {:>9}", cell(s.miou), cell(s.miou_per_view), cell(s.accuracy)));
     }
 }

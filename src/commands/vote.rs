@@ -11,11 +11,16 @@ use coseg::objects::{label_map, vote};
 use coseg::raster::{self, Projected};
 use std::path::PathBuf;
 
+const HELP: &str = "\
+Each Gaussian takes the class with the largest summed alpha' T over the raw labels of the training views. Writes
+scene.ply with a label column, and classes.json. Where test views have true labels, prints the scores.
+
+Example:
+  coseg vote --scene scene.ply --data scenes/living --out runs/voted --set data.raw_labels=labels_raw";
+
 /// Arguments of `coseg vote`.
-///
-/// Each Gaussian takes the class with the largest summed alpha' T over the raw labels of the training views. Writes
-/// scene.ply with a label column and classes.json; with true labels of test views it also says the score.
 #[derive(Args, Debug)]
+#[command(after_help = HELP)]
 pub struct VoteArgs {
     /// Scene in the 3DGS PLY convention
     #[arg(long, value_name = "FILE.ply")]
@@ -52,7 +57,11 @@ impl VoteArgs {
         ply::write(&path, &ply.gaussians, ply.origin, Some(&ids))?;
         scene.classes.write(&self.out.join("classes.json"))?;
         let unseen = ids.iter().filter(|&&id| id == scene.classes.ignore).count();
-        terminal::say(&format!("{}: {} Gaussians labelled, {unseen} without a vote", path.display(), ids.len() - unseen));
+        terminal::say(&format!(
+            "{}: {} Gaussians labelled, {unseen} without a vote",
+            path.display(),
+            ids.len() - unseen
+        ));
 
         let coverage = config.segmentation.min_coverage as f32;
         let mut scored = Vec::new();

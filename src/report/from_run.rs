@@ -1,7 +1,9 @@
 //! From what a run made to what its report shows.
 
-use super::{BuildingHistory, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Sample, Seconds, TestScores};
 use super::peak_memory_bytes;
+use super::{
+    BuildingHistory, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Sample, Seconds, TestScores,
+};
 use crate::config::{Config, Row};
 use crate::data::Split;
 use crate::error::Result;
@@ -89,7 +91,8 @@ pub fn held_out_views<'a>(outcome: &'a Outcome, config: &Config) -> Result<Vec<H
         let (rgb, scores) = render_and_score(&outcome.gaussians, view, config)?;
         let projected = Projected::new(&outcome.gaussians.splats(), &view.camera, &settings)?;
         let labels = rows.iter().filter(|(row, _)| shown(*row));
-        let labels = labels.map(|(row, s)| (*row, label_map(&projected, s, &outcome.scene.classes, coverage))).collect();
+        let labels =
+            labels.map(|(row, s)| (*row, label_map(&projected, s, &outcome.scene.classes, coverage))).collect();
         views.push(HeldOutView { view, rgb, scores, labels });
     }
     Ok(views)

@@ -108,7 +108,7 @@ fn wrong_types_name_found_and_expected() {
     let error = load("seed = -4\n", &[]).unwrap_err();
     assert_names(&error, &["seed", "-4", "a whole number of 0 or more"]);
     let error = load("[segmentation]\nloss = \"mse\"\n", &[]).unwrap_err();
-    assert_names(&error, &["segmentation.loss", "\"mse\"", "\"js\" or \"ce\""]);
+    assert_names(&error, &["segmentation.loss", "\"mse\"", "\"js\"", "\"ce\""]);
     let error = load("preset = \"best\"\n", &[]).unwrap_err();
     assert_names(&error, &["line 1, preset", "\"best\"", "\"fast\""]);
     let error = load("building = 3\n", &[]).unwrap_err();

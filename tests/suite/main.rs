@@ -5,6 +5,7 @@ mod building;
 mod builtin;
 mod checkpoint;
 mod classes;
+mod cli;
 mod config;
 mod decoder;
 mod densify;

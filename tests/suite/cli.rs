@@ -1,0 +1,289 @@
+//! The program as a person runs it: exit codes, messages, and what lies in the folders afterwards.
+
+use coseg::camera::{Camera, Intrinsics};
+use coseg::data::{Classes, LabelMap, Limits};
+use coseg::gaussians::{Gaussians, ply};
+use coseg::objects::hard_label_map;
+use coseg::raster::{Projected, Settings, render};
+use glam::{DMat4, DVec3};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+const WIDTH: usize = 80;
+const HEIGHT: usize = 64;
+const VIEWS: usize = 6;
+
+fn coseg(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_coseg")).args(arguments).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+#[track_caller]
+fn succeeds(arguments: &[&str]) -> String {
+    let output = coseg(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", text(&output.stderr));
+    text(&output.stdout)
+}
+
+/// Runs, expects `code`, and gives back standard error, which must not show a panic or a trace.
+#[track_caller]
+fn fails(arguments: &[&str], code: i32) -> String {
+    let output = coseg(arguments);
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
+    assert!(message.contains("error: "), "{message}");
+    assert!(!message.contains("panicked") && !message.contains("fault of its own"), "{message}");
+    message
+}
+
+fn utf8(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// Three square plates of Gaussians and a wall behind them.
+fn plates() -> (Gaussians, Vec<u16>) {
+    let (mut means, mut log_scales, mut colors, mut labels) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let plates =
+        [([-0.9, 0.0, 0.1], [0.9, 0.1, 0.1]), ([0.0, 0.3, 0.0], [0.1, 0.8, 0.2]), ([0.8, -0.3, 0.2], [0.2, 0.3, 0.9])];
+    for (label, (center, color)) in (1..).zip(plates) {
+        for i in 0..25 {
+            means.push([center[0] + 0.15 * (i % 5 - 2) as f32, center[1] + 0.15 * (i / 5 - 2) as f32, center[2]]);
+            log_scales.push([-2.3_f32; 3]);
+            colors.push(color);
+            labels.push(label);
+        }
+    }
+    for i in 0..36 {
+        means.push([-2.0 + 0.8 * (i % 6) as f32, -2.0 + 0.8 * (i / 6) as f32, -1.5]);
+        log_scales.push([-0.6, -0.6, -3.0]);
+        colors.push([0.6 + 0.05 * (i % 5) as f32, 0.5, 0.4 + 0.05 * (i % 7) as f32]);
+        labels.push(4);
+    }
+    let n = means.len();
+    let sh = colors.iter().flatten().map(|c| (c - 0.5) / 0.282_094_8).collect();
+    let rotations = vec![[1.0, 0.0, 0.0, 0.0]; n];
+    (Gaussians { means, log_scales, rotations, opacity_logits: vec![3.0; n], sh, sh_degree: 0 }, labels)
+}
+
+/// Cameras on an arc, looking at the plates from +z.
+fn pose(i: usize) -> DMat4 {
+    let angle = -0.3 + 0.6 * i as f64 / (VIEWS - 1) as f64;
+    let eye = DVec3::new(4.0 * angle.sin(), 0.3, 4.0 * angle.cos());
+    DMat4::look_at_rh(eye, DVec3::ZERO, DVec3::Y).inverse()
+}
+
+fn camera(i: usize) -> Camera {
+    let (cx, cy) = (WIDTH as f64 / 2.0, HEIGHT as f64 / 2.0);
+    Camera::from_opengl(&pose(i), Intrinsics { fx: 80.0, fy: 80.0, cx, cy, width: WIDTH, height: HEIGHT }).unwrap()
+}
+
+/// A scene folder of the plates: photos, exact labels, raw labels with one object swapped in one view, a PLY file.
+fn scene(dir: &Path) -> PathBuf {
+    let (gaussians, labels) = plates();
+    let mut frames = Vec::new();
+    for i in 0..VIEWS {
+        let picture = render(&gaussians, &camera(i), &Settings::default(), [0.0; 3]).unwrap();
+        let bytes = picture.rgb.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
+        let photo = image::RgbImage::from_raw(WIDTH as u32, HEIGHT as u32, bytes).unwrap();
+        std::fs::create_dir_all(dir.join("images")).unwrap();
+        photo.save(dir.join(format!("images/v{i}.png"))).unwrap();
+        let projected = Projected::new(&gaussians.splats(), &camera(i), &Settings::default()).unwrap();
+        let truth = hard_label_map(&projected, &labels, 0.5);
+        truth.write(&dir.join(format!("labels/v{i}.png"))).unwrap();
+        let swap = |id: &u16| if i == 1 && *id == 1 { 2 } else { *id };
+        let raw = LabelMap { ids: truth.ids.iter().map(swap).collect(), ..truth };
+        raw.write(&dir.join(format!("raw/v{i}.png"))).unwrap();
+        frames.push(serde_json::json!({
+            "file_path": format!("images/v{i}.png"),
+            "label_path": format!("labels/v{i}.png"),
+            "raw_label_path": format!("raw/v{i}.png"),
+            "split": if i % 3 == 2 { "test" } else { "train" },
+            "transform_matrix": (0..4).map(|r| pose(i).row(r).to_array()).collect::<Vec<_>>(),
+        }));
+    }
+    let transforms = serde_json::json!({
+        "fl_x": 80.0, "fl_y": 80.0, "cx": WIDTH as f64 / 2.0, "cy": HEIGHT as f64 / 2.0, "w": WIDTH, "h": HEIGHT,
+        "frames": frames,
+    });
+    std::fs::write(dir.join("transforms.json"), transforms.to_string()).unwrap();
+    Classes::from_names(0, [(1, "red"), (2, "green"), (3, "blue"), (4, "wall")])
+        .write(&dir.join("classes.json"))
+        .unwrap();
+    let path = dir.join("plates.ply");
+    ply::write(&path, &gaussians, DVec3::ZERO, Some(&labels)).unwrap();
+    path
+}
+
+fn read_npy(path: &Path) -> (Vec<u64>, Vec<f32>) {
+    let file = npyz::NpyFile::new(std::io::BufReader::new(std::fs::File::open(path).unwrap())).unwrap();
+    (file.shape().to_vec(), file.into_vec().unwrap())
+}
+
+fn read_json(path: &Path) -> serde_json::Value {
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+#[test]
+fn help_names_every_command_and_shows_examples() {
+    let help = succeeds(&["--help"]);
+    for word in ["train", "eval", "render", "vote", "pretrain", "Examples:", "Exit code"] {
+        assert!(help.contains(word), "{word}");
+    }
+    for command in ["train", "eval", "render", "vote", "pretrain"] {
+        let help = succeeds(&[command, "--help"]);
+        assert!(help.contains("Example"), "{command}");
+        let wide: Vec<&str> = help.lines().filter(|line| line.chars().count() > 130).collect();
+        assert!(wide.is_empty(), "{wide:?}");
+    }
+    assert!(succeeds(&["--version"]).contains(env!("CARGO_PKG_VERSION")));
+}
+
+#[test]
+fn mistakes_on_the_command_line_exit_with_2() {
+    fails(&["train", "--bogus"], 2);
+    fails(&["paint"], 2);
+    fails(&["render", "--scene", "x.ply"], 2);
+    fails(&["train", "--resume", "a", "--data", "b"], 2);
+    let message = fails(&["train", "--backend", "abacus"], 2);
+    assert!(message.contains("wgpu, flex or ndarray"), "{message}");
+    let render = ["render", "--scene", "x.ply", "--cameras", "y.json", "--out", "z", "--background"];
+    for color in ["1,2,3", "0,0", "0,0,0,0", "a,b,c", "nan,0,0"] {
+        let message = fails(&[&render[..], &[color]].concat(), 2);
+        assert!(message.contains("three numbers from 0 to 1"), "{message}");
+    }
+}
+
+#[test]
+fn bad_input_exits_with_1_and_names_what_to_mend() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let message = fails(&["train", "--out", utf8(&out), "--set", "building.iteratons=5"], 1);
+    assert!(message.contains("did you mean building.iterations?"), "{message}");
+    let message = fails(&["train", "--out", utf8(&out), "--data", "no/such/scene"], 1);
+    assert!(message.contains("no/such/scene"), "{message}");
+    let message = fails(&["train", "--resume", utf8(folder.path())], 1);
+    assert!(message.contains("config.toml"), "{message}");
+    let message = fails(&["eval", utf8(folder.path())], 1);
+    assert!(message.contains("a run folder"), "{message}");
+
+    let scene = scene(folder.path());
+    let cameras = folder.path().join("transforms.json");
+    let render = ["render", "--scene", utf8(&scene), "--cameras", utf8(&cameras), "--out", utf8(&out)];
+    let message = fails(&[&render[..], &["--alpha-max", "1.5"]].concat(), 1);
+    assert!(message.contains("--alpha-max") && message.contains("1.5"), "{message}");
+    let whole = std::fs::read(&scene).unwrap();
+    std::fs::write(&scene, &whole[..whole.len() - 30]).unwrap();
+    let message = fails(&render, 1);
+    assert!(message.contains("plates.ply"), "{message}");
+    let (gaussians, _) = plates();
+    ply::write(&scene, &gaussians, DVec3::ZERO, None).unwrap();
+    let message = fails(&[&render[..], &["--labels"]].concat(), 1);
+    assert!(message.contains("column label"), "{message}");
+    assert!(!out.exists(), "nothing is written before input is known to be good");
+}
+
+#[test]
+fn render_writes_arrays_labels_and_pictures() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, out) = (scene(folder.path()), folder.path().join("out"));
+    let cameras = folder.path().join("transforms.json");
+    let render_args = ["render", "--scene", utf8(&scene), "--cameras", utf8(&cameras), "--out", utf8(&out)];
+    let more = ["--format", "npy", "--labels", "--split", "test", "--background", "1,0.5,0", "--alpha-max", "0.9"];
+    succeeds(&[&render_args[..], &more].concat());
+    let mut files: Vec<_> = std::fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name()).collect();
+    files.sort();
+    let expected = ["v2.alpha.npy", "v2.label.png", "v2.rgb.npy", "v5.alpha.npy", "v5.label.png", "v5.rgb.npy"];
+    assert_eq!(files, expected);
+
+    let read = ply::read(&scene, &Limits::default()).unwrap();
+    let camera = Camera { center: camera(5).center - read.origin, ..camera(5) };
+    let settings = Settings { alpha_max: 0.9, ..Settings::default() };
+    let expected = render(&read.gaussians, &camera, &settings, [1.0, 0.5, 0.0]).unwrap();
+    let (shape, rgb) = read_npy(&out.join("v5.rgb.npy"));
+    assert_eq!(shape, [HEIGHT as u64, WIDTH as u64, 3]);
+    assert_eq!(rgb, expected.rgb);
+    let (shape, alpha) = read_npy(&out.join("v5.alpha.npy"));
+    assert_eq!(shape, [HEIGHT as u64, WIDTH as u64]);
+    assert!(alpha.iter().zip(&expected.transmittance).all(|(a, t)| *a == 1.0 - t));
+
+    let labels = image::open(out.join("v5.label.png")).unwrap().into_luma8();
+    assert_eq!((labels.width() as usize, labels.height() as usize), (WIDTH, HEIGHT));
+    let mut seen: Vec<u8> = labels.as_raw().clone();
+    for (id, a) in seen.iter().zip(&alpha) {
+        assert_eq!(*id == 0, *a < 0.5, "no label exactly where the scene covers less than half");
+    }
+    seen.sort_unstable();
+    seen.dedup();
+    assert!([1, 2, 3, 4].iter().all(|id| seen.contains(id)), "{seen:?}");
+
+    succeeds(&[&render_args[..], &["--split", "train"]].concat());
+    let picture = image::open(out.join("v0.rgb.png")).unwrap().into_rgb8();
+    let photo = image::open(folder.path().join("images/v0.png")).unwrap().into_rgb8();
+    let largest = picture.iter().zip(photo.iter()).map(|(a, b)| a.abs_diff(*b)).max().unwrap();
+    assert!(largest <= 1, "a render of the scene that made the photo differs by {largest}");
+    assert!(out.join("v0.alpha.png").is_file() && !out.join("v0.label.png").exists());
+}
+
+#[test]
+fn vote_outvotes_wrong_views() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, out) = (scene(folder.path()), folder.path().join("voted"));
+    // Without the label column: labels come from the raw maps alone.
+    let (gaussians, truth) = plates();
+    ply::write(&scene, &gaussians, DVec3::ZERO, None).unwrap();
+    let said = succeeds(&["vote", "--scene", utf8(&scene), "--data", utf8(folder.path()), "--out", utf8(&out)]);
+    assert!(said.contains("mIoU") && said.contains("2 held-out views"), "{said}");
+    let voted = ply::read(&out.join("scene.ply"), &Limits::default()).unwrap();
+    // Red is called green in one training view of four. The outermost Gaussians of a plate reach over its border.
+    let labels = voted.labels.unwrap();
+    let right = labels.iter().zip(&truth).filter(|(a, b)| a == b).count();
+    assert!(right * 10 >= truth.len() * 9, "{right} of {}: {labels:?}", truth.len());
+    for middle in [12, 37, 62] {
+        assert_eq!(labels[middle], truth[middle]);
+    }
+    assert_eq!(Classes::read(&out.join("classes.json")).unwrap().len(), 4);
+}
+
+#[test]
+fn train_fills_the_run_folder_and_eval_agrees() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let run = folder.path().join("run");
+    let small = ["--set", "building.iterations=40", "--set", "building.random_points=300"];
+    let rows = ["--set", "segmentation.iterations=20", "--set", "segmentation.rows=raw,vote,per_gaussian"];
+    let train = ["train", "--data", utf8(folder.path()), "--out", utf8(&run), "--seed", "3"];
+    let said = succeeds(&[&train[..], &small, &rows].concat());
+    assert!(said.contains("held-out PSNR") && said.contains("per-Gaussian CE"), "{said}");
+    for file in ["scene.ply", "classes.json", "config.toml", "metrics.json", "report.html", "identities.safetensors"] {
+        assert!(run.join(file).is_file(), "{file}");
+    }
+    for kind in ["rgb", "rgb_error", "label", "label_color", "label_error"] {
+        assert!(run.join(format!("renders/v2.{kind}.png")).is_file(), "{kind}");
+    }
+    let metrics = read_json(&run.join("metrics.json"));
+    let labels = &metrics["test"]["labels"];
+    assert_eq!(labels["raw"]["miou"], 1.0, "raw labels of the held-out views are right in this scene");
+    assert!(labels["vote"]["miou"].is_f64() && labels["per_gaussian"]["iterations"] == 20, "{labels}");
+    assert!(metrics["test"]["psnr"].as_f64().unwrap() > 12.0 && metrics["peak_memory_bytes"].is_u64());
+
+    let scores: serde_json::Value = serde_json::from_str(&succeeds(&["eval", utf8(&run), "--json"])).unwrap();
+    let near = |a: &serde_json::Value, b: &serde_json::Value| (a.as_f64().unwrap() - b.as_f64().unwrap()).abs() < 1e-4;
+    assert!(near(&scores["psnr"], &metrics["test"]["psnr"]), "{scores}");
+    assert!(near(&scores["ssim"], &metrics["test"]["ssim"]), "{scores}");
+    for score in ["miou", "miou_per_view", "accuracy"] {
+        assert!(near(&scores["labels"][score], &labels["per_gaussian"][score]), "{score}: {scores} {labels}");
+    }
+    let plain = succeeds(&["eval", utf8(&run)]);
+    assert!(plain.contains("PSNR") && plain.contains("IoU of 2 green"), "{plain}");
+
+    // A second run does not write over the first, and a finished run can be gone on with.
+    let message = fails(&train, 1);
+    assert!(message.contains("--resume"), "{message}");
+    let before = std::fs::read(run.join("scene.ply")).unwrap();
+    succeeds(&["train", "--resume", utf8(&run)]);
+    assert_eq!(std::fs::read(run.join("scene.ply")).unwrap(), before);
+    assert_eq!(read_json(&run.join("metrics.json"))["test"], metrics["test"]);
+}
