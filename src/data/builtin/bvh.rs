@@ -84,7 +84,7 @@ impl Bvh {
             let node = &self.nodes[at];
             let (a, b) = ((node.low - o) * inv, (node.high - o) * inv);
             let (enter, leave) = (a.min(b).max_element().max(near), a.max(b).min_element().min(far));
-            if !(enter <= leave) {
+            if enter > leave {
                 continue;
             }
             if node.count == 0 {

@@ -25,6 +25,19 @@ pub(super) enum Kind {
     FloorLamp,
 }
 
+/// Where a piece stands and which one it is.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    /// Point of the floor under its middle.
+    pub at: DVec3,
+    /// Turn about z; 0 looks along +y.
+    pub yaw: f64,
+    /// Width, depth and height, metres.
+    pub size: [f64; 3],
+    /// Picks among its looks.
+    pub variant: usize,
+}
+
 impl Kind {
     /// Width, depth and height, metres.
     pub fn size(self, rng: &mut impl Rng) -> [f64; 3] {
@@ -56,17 +69,9 @@ impl Kind {
         }
     }
 
-    /// Adds one of `size` at a place of the room; `variant` picks among its looks.
-    pub fn build(
-        self,
-        b: &mut Builder,
-        style: &Style,
-        at: DVec3,
-        yaw: f64,
-        size: [f64; 3],
-        variant: usize,
-        rng: &mut impl Rng,
-    ) {
+    /// Adds one to the room.
+    pub fn build(self, b: &mut Builder, style: &Style, place: Place, rng: &mut impl Rng) {
+        let Place { at, yaw, size, variant } = place;
         let o = &mut b.object(self.class(), at, yaw);
         match self {
             Self::Sofa | Self::Armchair => sofa(o, style, size, variant, rng),
@@ -113,7 +118,7 @@ fn sofa(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize, rng: &mu
 
 fn coffee_table(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) {
     let wood = s.woods[variant % 2];
-    if variant / 2 % 2 == 0 {
+    if (variant / 2).is_multiple_of(2) {
         o.cushion([0.0, 0.0, h - 0.025], [w, d, 0.05], 0.02, wood);
         o.cuboid([0.0, 0.0, 0.14], [w - 0.12, d - 0.12, 0.025], wood);
         o.legs(w - 0.04, d - 0.04, h - 0.05, 0.06, wood);
@@ -161,7 +166,7 @@ fn dining_table(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) 
     let wood = s.woods[variant % 2];
     o.cushion([0.0, 0.0, h - 0.025], [w, d, 0.05], 0.015, wood);
     o.cuboid([0.0, 0.0, h - 0.09], [w - 0.16, d - 0.16, 0.08], wood);
-    o.legs(w - 0.08, d - 0.08, h - 0.05, 0.08, if variant / 2 % 2 == 0 { wood } else { s.white });
+    o.legs(w - 0.08, d - 0.08, h - 0.05, 0.08, if (variant / 2).is_multiple_of(2) { wood } else { s.white });
     let cloth = o.builder.matt(Pattern::Checks(s.palette[4], s.palette[variant % 3], 0.24));
     o.cuboid([0.0, 0.0, h + 0.004], [w * 0.36, d - 0.01, 0.008], cloth);
     vase(o, [0.05, 0.0, h], s.palette[(variant + 1) % 4]);
@@ -197,7 +202,7 @@ fn chair(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) {
         o.solid(Shape::Box, [x * (w - 0.05), -d / 2.0, (h + 0.42) / 2.0], [0.045, 0.04, h - 0.42], lean, wood);
     }
     let back = -d / 2.0 - 0.008;
-    if variant / 3 % 2 == 0 {
+    if (variant / 3).is_multiple_of(2) {
         o.solid(Shape::Rounded(0.015), [0.0, back - 0.01, h - 0.16], [w - 0.04, 0.035, 0.3], lean, wood);
     } else {
         for i in 0..3 {
@@ -251,7 +256,8 @@ fn sideboard(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) {
 
 fn wardrobe(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) {
     let [light, dark] = s.wood_colors[variant % 2];
-    let (panel, groove) = if variant / 2 % 2 == 0 { (light, dark * 0.6) } else { (rgb(0xdfe3dc), rgb(0x8f968d)) };
+    let (panel, groove) =
+        if (variant / 2).is_multiple_of(2) { (light, dark * 0.6) } else { (rgb(0xdfe3dc), rgb(0x8f968d)) };
     let doors = o.builder.matt(Pattern::Panels(panel, groove, rgb(0x3d3a36), [if w > 1.3 { 3 } else { 2 }, 1]));
     o.cuboid([0.0, 0.0, h / 2.0 + 0.04], [w, d, h - 0.08], doors);
     o.cuboid([0.0, 0.0, 0.04], [w - 0.06, d - 0.06, 0.08], s.woods[1]);

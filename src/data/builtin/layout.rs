@@ -1,7 +1,7 @@
 //! Drawing a furnished room: walls with windows and pictures, a seating group, a dining group, cabinets and lamps.
 
 use super::build::{Builder, class};
-use super::furniture::{Kind, pendant, table_lamp};
+use super::furniture::{Kind, Place, pendant, table_lamp};
 use super::shell;
 use super::style::Style;
 use glam::{DMat2, DVec2, DVec3};
@@ -21,12 +21,12 @@ pub(super) struct Plan {
 impl Plan {
     /// Length of wall `k` (0 south, 1 east, 2 north, 3 west).
     pub fn length(&self, k: usize) -> f64 {
-        if k % 2 == 0 { self.size.x } else { self.size.y }
+        if k.is_multiple_of(2) { self.size.x } else { self.size.y }
     }
 
     /// Point of wall `k` at `s` along it from its middle, `out` into the room, height `z`.
     pub fn on_wall(&self, k: usize, s: f64, out: f64, z: f64) -> DVec3 {
-        let across = if k % 2 == 0 { self.size.y } else { self.size.x };
+        let across = if k.is_multiple_of(2) { self.size.y } else { self.size.x };
         let flat = DMat2::from_angle(yaw(k)) * DVec2::new(s, out - across / 2.0);
         flat.extend(z)
     }
@@ -116,7 +116,7 @@ pub(super) fn furnish(b: &mut Builder, size: Option<DVec3>, rng: &mut impl Rng) 
         let piece = Kind::FloorLamp.size(rng);
         if let Some((k, s)) = plan.place_at_wall(&shuffled(rng), piece, rng) {
             let at = plan.on_wall(k, s, piece[1] / 2.0 + 0.03, 0.0);
-            Kind::FloorLamp.build(b, style, at, 0.0, piece, 0, rng);
+            Kind::FloorLamp.build(b, style, Place { at, yaw: 0.0, size: piece, variant: 0 }, rng);
         }
     }
     let wanted = rng.random_range(5..9);
@@ -141,13 +141,15 @@ fn seating(b: &mut Builder, plan: &mut Plan, style: &Style, walls: [usize; 4], r
         return false;
     };
     let variant = rng.random_range(0..12);
-    Kind::Sofa.build(b, style, plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0), yaw(k), size, variant, rng);
+    let at = plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
+    Kind::Sofa.build(b, style, Place { at, yaw: yaw(k), size, variant }, rng);
     let low = Kind::CoffeeTable.size(rng);
     let front = size[1] + 0.42 + low[1] / 2.0;
     let middle = plan.on_wall(k, s, front, 0.0);
-    shell::rug(b, plan, style, middle + DVec3::Z * 0.0, yaw(k), [size[0] + 0.5, low[1] + 1.3], rng);
+    shell::rug(b, plan, style, middle, yaw(k), [size[0] + 0.5, low[1] + 1.3], rng);
     if plan.take_floor(middle, yaw(k), low[0], low[1], 0.1) {
-        Kind::CoffeeTable.build(b, style, middle, yaw(k), low, rng.random_range(0..4), rng);
+        let variant = rng.random_range(0..4);
+        Kind::CoffeeTable.build(b, style, Place { at: middle, yaw: yaw(k), size: low, variant }, rng);
     }
     let across = rng.random_range(0..3);
     for side in [-1.0, 1.0] {
@@ -161,7 +163,8 @@ fn seating(b: &mut Builder, plan: &mut Plan, style: &Style, walls: [usize; 4], r
         let turn = turn + rng.random_range(-0.25..0.25);
         let at = plan.on_wall(k, s + ds, dy, 0.0);
         if plan.take_floor(at, yaw(k) + turn, chair[0], chair[1], 0.08) {
-            Kind::Armchair.build(b, style, at, yaw(k) + turn, chair, variant + 1, rng);
+            let place = Place { at, yaw: yaw(k) + turn, size: chair, variant: variant + 1 };
+            Kind::Armchair.build(b, style, place, rng);
         }
     }
     let table = Kind::SideTable.size(rng);
@@ -170,7 +173,8 @@ fn seating(b: &mut Builder, plan: &mut Plan, style: &Style, walls: [usize; 4], r
         let at = plan.on_wall(k, s + ds, 0.3, 0.0);
         let free = plan.take_floor(at, 0.0, table[0], table[0], 0.02);
         if free && plan.take_wall(k, [s + ds - 0.24, s + ds + 0.24, 0.0, 1.15], 0.02) {
-            Kind::SideTable.build(b, style, at, 0.0, table, rng.random_range(0..2), rng);
+            let variant = rng.random_range(0..2);
+            Kind::SideTable.build(b, style, Place { at, yaw: 0.0, size: table, variant }, rng);
             table_lamp(b, style, at + DVec3::Z * table[2], rng);
         }
     }
@@ -189,7 +193,8 @@ fn dining_group(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl 
         if !plan.take_floor(at, turn, size[0] + 0.7, size[1] + 1.0, 0.15) {
             continue;
         }
-        Kind::DiningTable.build(b, style, at, turn, size, rng.random_range(0..4), rng);
+        let look = rng.random_range(0..4);
+        Kind::DiningTable.build(b, style, Place { at, yaw: turn, size, variant: look }, rng);
         let variant = rng.random_range(0..12);
         let r = glam::DMat3::from_rotation_z(turn);
         let (w, d) = (size[0] / 2.0, size[1] / 2.0);
@@ -201,8 +206,10 @@ fn dining_group(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl 
         for (i, (sx, sy, facing)) in seats.into_iter().enumerate() {
             let jitter = rng.random_range(-0.2..0.2);
             let chair = Kind::Chair.size(rng);
-            let place = at + r * DVec3::new(sx, sy, 0.0);
-            Kind::Chair.build(b, style, place, turn + facing + jitter, chair, variant + i % 2 * 7, rng);
+            let at = at + r * DVec3::new(sx, sy, 0.0);
+            let yaw = turn + facing + jitter;
+            let place = Place { at, yaw, size: chair, variant: variant + i % 2 * 7 };
+            Kind::Chair.build(b, style, place, rng);
         }
         let drop = plan.size.z - rng.random_range(1.75..1.85);
         pendant(b, style, at + DVec3::Z * plan.size.z, drop, rng);
@@ -221,7 +228,8 @@ fn cabinets(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl Rng)
             continue;
         };
         let at = plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
-        kind.build(b, style, at, yaw(k), size, rng.random_range(0..12), rng);
+        let variant = rng.random_range(0..12);
+        kind.build(b, style, Place { at, yaw: yaw(k), size, variant }, rng);
         let top = matches!(kind, Kind::Sideboard | Kind::Chest);
         // Something tall on a low cabinet needs free wall behind it.
         if top && plan.take_wall(k, [s - size[0] / 2.0, s + size[0] / 2.0, size[2] + 0.05, size[2] + 0.5], 0.0) {
@@ -240,11 +248,12 @@ fn desk_corner(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl R
         return;
     };
     let variant = rng.random_range(0..12);
-    Kind::Desk.build(b, style, plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0), yaw(k), size, variant, rng);
+    let at = plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
+    Kind::Desk.build(b, style, Place { at, yaw: yaw(k), size, variant }, rng);
     let turn = yaw(k) + PI + rng.random_range(-0.3..0.3);
     let at = plan.on_wall(k, s - 0.15, size[1] + 0.18, 0.0);
-    let chair = Kind::Chair.size(rng);
-    Kind::Chair.build(b, style, at, turn, chair, variant + 1, rng);
+    let size = Kind::Chair.size(rng);
+    Kind::Chair.build(b, style, Place { at, yaw: turn, size, variant: variant + 1 }, rng);
 }
 
 /// How many objects of each class id (0..=10) a room holds.

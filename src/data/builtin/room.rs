@@ -158,6 +158,14 @@ fn display(x: f64) -> f32 {
     TABLE[i] * (1.0 - f) + TABLE[i + 1] * f
 }
 
+/// What one pixel holds.
+struct Pixel {
+    color: [u8; 3],
+    class: u16,
+    instance: u16,
+    depth: f32,
+}
+
 /// Ray-casts what `camera` sees of `room`: photo, exact labels, objects and depth. Colour is sampled at pixel centres
 /// (weight 1/2) and pixel corners (1/8 each), which anti-aliases for two rays a pixel. Light is the same from every
 /// direction. The camera must be inside the room; pixels without a hit (outside it) are black with label and depth 0.
@@ -170,7 +178,7 @@ pub fn render_truth(room: &Room, camera: &Camera) -> Truth {
     };
     let corners: Vec<Vec<[f32; 3]>> =
         (0..=h).into_par_iter().map(|y| (0..=w).map(|x| see(x as f64, y as f64).1).collect()).collect();
-    let rows: Vec<Vec<([u8; 3], u16, u16, f32)>> = (0..h)
+    let rows: Vec<Vec<Pixel>> = (0..h)
         .into_par_iter()
         .map(|y| {
             (0..w)
@@ -183,17 +191,22 @@ pub fn render_truth(room: &Room, camera: &Camera) -> Truth {
                     });
                     let solid = hit.map(|hit| &room.solids[hit.solid]);
                     let depth = hit.map_or(0.0, |hit| hit.t as f32);
-                    (color, solid.map_or(0, |s| s.class), solid.map_or(0, |s| s.instance), depth)
+                    Pixel {
+                        color,
+                        class: solid.map_or(0, |s| s.class),
+                        instance: solid.map_or(0, |s| s.instance),
+                        depth,
+                    }
                 })
                 .collect()
         })
         .collect();
     let pixels = || rows.iter().flatten();
-    let bytes = pixels().flat_map(|p| p.0).collect();
+    let bytes = pixels().flat_map(|p| p.color).collect();
     Truth {
         image: image::RgbImage::from_raw(w as u32, h as u32, bytes).unwrap_or_default(),
-        labels: LabelMap { width: w, height: h, ids: pixels().map(|p| p.1).collect() },
-        instances: pixels().map(|p| p.2).collect(),
-        depth: pixels().map(|p| p.3).collect(),
+        labels: LabelMap { width: w, height: h, ids: pixels().map(|p| p.class).collect() },
+        instances: pixels().map(|p| p.instance).collect(),
+        depth: pixels().map(|p| p.depth).collect(),
     }
 }

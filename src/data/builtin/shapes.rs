@@ -94,7 +94,7 @@ fn enter_box(o: DVec3, d: DVec3, half: DVec3) -> Option<Entry> {
     let (a, b) = ((-half - o) * inv, (half - o) * inv);
     let (near, far) = (a.min(b), a.max(b));
     let t = near.max_element();
-    if !(t <= far.min_element()) {
+    if t > far.min_element() {
         return None;
     }
     let axis = if near.x == t {
