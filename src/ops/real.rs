@@ -27,9 +27,11 @@ pub trait Real:
 macro_rules! real {
     ($type:ty, $variant:ident, $exp:ident) => {
         impl Real for $type {
+            #[inline(always)]
             fn of(value: f64) -> Self {
                 value as $type
             }
+            #[inline(always)]
             fn wide(self) -> f64 {
                 f64::from(self)
             }
