@@ -5,6 +5,7 @@
 //! resolution and comparing with `U F`. At `feature` resolution (the paper) the camera is scaled to the map, and `U` is
 //! the identity.
 
+mod fold;
 mod view;
 
 use crate::config::{Normalisation, Resolution, UnprojectionConfig};

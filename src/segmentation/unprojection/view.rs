@@ -5,53 +5,19 @@
 //! order.
 
 use super::Sums;
+use super::fold::{Taps, TileSums, fold_tile};
 use crate::camera::Camera;
 use crate::error::Result;
-use crate::features::{FeatureMap, axis_taps};
+use crate::features::FeatureMap;
 use crate::ops::Real;
 use crate::ops::simd::{multiply_add, wide_kernel};
-use crate::raster::{Projected, Settings, Splats, TilePairs};
+use crate::raster::{Projected, Settings, Splats};
 use rayon::prelude::*;
 
 /// Gaussians that one task gathers for.
 const CHUNK: usize = 512;
 /// Channels summed in registers.
-const LANES: usize = 32;
-
-/// Bilinear taps along both axes of a grid: cells before and after each pixel centre, and the weight of the latter.
-struct Taps {
-    /// Cells across.
-    width: usize,
-    x: Vec<(usize, usize, f32)>,
-    y: Vec<(usize, usize, f32)>,
-    /// Grid and image have one size: every pixel reads its own cell.
-    same: bool,
-}
-
-impl Taps {
-    fn new([width, height]: [usize; 2], camera: &Camera) -> Self {
-        let axis =
-            |pixels: usize, cells| (0..pixels).map(|i| axis_taps(i as f64 + 0.5, pixels, cells)).collect::<Vec<_>>();
-        let same = (width, height) == (camera.width, camera.height);
-        Self { width, x: axis(camera.width, width), y: axis(camera.height, height), same }
-    }
-}
-
-/// Weights of the cells of one grid, for each Gaussian of one tile.
-struct Cells<E> {
-    /// One past each Gaussian's last entry.
-    ends: Vec<u32>,
-    cells: Vec<u32>,
-    weights: Vec<E>,
-}
-
-/// A tile's pairs, folded.
-struct TileSums<E> {
-    ids: Vec<u32>,
-    weights: Vec<E>,
-    /// One per grid.
-    grids: Vec<Cells<E>>,
-}
+const LANES: usize = 64;
 
 /// Adds the view of `camera`; `grids` lists the sizes of the maps and the scales that have them.
 pub fn add<E: Real>(
@@ -90,72 +56,6 @@ pub fn add<E: Real>(
         }
     }
     Ok(())
-}
-
-/// Folds the pairs of a tile onto the cells of every grid.
-fn fold_tile<E: Real>(pairs: &TilePairs<'_, E>, taps: &[Taps]) -> TileSums<E> {
-    let n = pairs.len();
-    let mut out = TileSums { ids: Vec::with_capacity(n), weights: Vec::with_capacity(n), grids: Vec::new() };
-    for i in 0..n {
-        let (id, _, weights) = pairs.gaussian(i);
-        out.ids.push(id);
-        out.weights.push(weights.iter().copied().sum());
-    }
-    out.grids = taps.iter().map(|taps| fold_grid(pairs, taps)).collect();
-    out
-}
-
-fn fold_grid<E: Real>(pairs: &TilePairs<'_, E>, taps: &Taps) -> Cells<E> {
-    let edge = TilePairs::<E>::EDGE;
-    let [x0, y0] = pairs.origin;
-    let mut out = Cells { ends: Vec::with_capacity(pairs.len()), cells: Vec::new(), weights: Vec::new() };
-    if taps.same {
-        for i in 0..pairs.len() {
-            let (_, pixels, weights) = pairs.gaussian(i);
-            let cell = |p: &u16| ((y0 + *p as usize / edge) * taps.width + x0 + *p as usize % edge) as u32;
-            out.cells.extend(pixels.iter().map(cell));
-            out.weights.extend_from_slice(weights);
-            out.ends.push(out.cells.len() as u32);
-        }
-        return out;
-    }
-    // The tile's window of cells, and taps relative to its corner.
-    let xs = &taps.x[x0..(x0 + edge).min(taps.x.len())];
-    let ys = &taps.y[y0..(y0 + edge).min(taps.y.len())];
-    let (Some(&(left, ..)), Some(&(top, ..))) = (xs.first(), ys.first()) else { return out };
-    let columns = xs.iter().map(|t| t.1).max().unwrap_or(left) + 1 - left;
-    let rows = ys.iter().map(|t| t.1).max().unwrap_or(top) + 1 - top;
-    let xs: Vec<(usize, usize, E)> = xs.iter().map(|&(a, b, f)| (a - left, b - left, E::of(f64::from(f)))).collect();
-    let ys: Vec<(usize, usize, E)> =
-        ys.iter().map(|&(a, b, f)| ((a - top) * columns, (b - top) * columns, E::of(f64::from(f)))).collect();
-    let mut window = vec![E::zero(); rows * columns];
-    for i in 0..pairs.len() {
-        let (_, pixels, weights) = pairs.gaussian(i);
-        let (Some(&first), Some(&last)) = (pixels.first(), pixels.last()) else {
-            out.ends.push(out.cells.len() as u32);
-            continue;
-        };
-        for (&pixel, &weight) in pixels.iter().zip(weights) {
-            let ((xa, xb, fx), (ya, yb, fy)) = (xs[pixel as usize % edge], ys[pixel as usize / edge]);
-            let below = weight * fy;
-            let above = weight - below;
-            let (above_right, below_right) = (above * fx, below * fx);
-            window[ya + xa] += above - above_right;
-            window[ya + xb] += above_right;
-            window[yb + xa] += below - below_right;
-            window[yb + xb] += below_right;
-        }
-        // Rows ascend with the pixels, so only these were touched.
-        let touched = ys[first as usize / edge].0..ys[last as usize / edge].1 + columns;
-        for (weight, at) in window[touched.clone()].iter_mut().zip(touched) {
-            if *weight != E::zero() {
-                out.cells.push(((top + at / columns) * taps.width + left + at % columns) as u32);
-                out.weights.push(std::mem::take(weight));
-            }
-        }
-        out.ends.push(out.cells.len() as u32);
-    }
-    out
 }
 
 /// For each Gaussian the tiles that hold it, ascending, and its position in them.
@@ -213,11 +113,8 @@ fn gather_rows<E: Real, const FMA: bool>(rows: &mut [E], map: &[f32], channels: 
         for (block, out) in row.chunks_mut(LANES).enumerate() {
             let mut sum = [E::zero(); LANES];
             for &[tile, k] in places {
-                let cells = &entries.tiles[tile as usize].grids[entries.grid];
-                let k = k as usize;
-                let start = if k == 0 { 0 } else { cells.ends[k - 1] as usize };
-                let span = start..cells.ends[k] as usize;
-                for (&cell, &weight) in cells.cells[span.clone()].iter().zip(&cells.weights[span]) {
+                let (cells, weights) = entries.tiles[tile as usize].grids[entries.grid].of(k as usize);
+                for (&cell, &weight) in cells.iter().zip(weights) {
                     let from = &map[cell as usize * channels + block * LANES..];
                     if let Some(from) = from.first_chunk::<LANES>().filter(|_| out.len() == LANES) {
                         for l in 0..LANES {
