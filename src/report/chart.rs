@@ -41,7 +41,7 @@ pub(super) struct Chart {
 
 const WIDTH: f64 = 460.0;
 const HEIGHT: f64 = 270.0;
-const LEFT: f64 = 56.0;
+const LEFT: f64 = 64.0;
 const TOP: f64 = 12.0;
 const BOTTOM: f64 = 44.0;
 /// Lines with more points than this are averaged in groups.

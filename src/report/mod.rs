@@ -74,7 +74,7 @@ impl Report<'_> {
     /// [`Error::Io`] naming the file that could not be written.
     pub fn write(&self, dir: &Path) -> Result<()> {
         self.classes.write(&dir.join("classes.json"))?;
-        atomic::write_bytes(&dir.join("config.toml"), self.config.to_toml()?.as_bytes())?;
+        atomic::write_bytes(dir.join("config.toml"), self.config.to_toml()?.as_bytes())?;
         for view in &self.views {
             self.write_pictures(view, &dir.join("renders"))?;
         }

@@ -101,12 +101,15 @@ fn one(report: &Report<'_>, held_out: &HeldOutView<'_>, path: &Path) -> Result<S
         let note = share.map_or(String::new(), |share| format!("{} % right", percent(share)));
         out.push_str(&figure(&colored(labels, report.classes), row.title(), &note, true, path)?);
     }
-    out.push_str("</div>\n");
-    let Some(truth) = view.truth.as_ref().filter(|_| !rows.is_empty()) else { return Ok(out) };
-    out.push_str("<div class=\"pictures\" style=\"margin-top:12px\">\n");
-    for (row, labels) in rows {
-        let map = label_error(labels, truth, report.classes.ignore);
-        out.push_str(&figure(&map, &format!("errors: {}", row.title()), "", true, path)?);
+    if let Some(truth) = &view.truth {
+        if rows.len() > 2 {
+            // A line of their own, each below its labels.
+            out.push_str("</div>\n<div class=\"pictures\" style=\"margin-top:12px\">\n");
+        }
+        for (row, labels) in rows {
+            let map = label_error(labels, truth, report.classes.ignore);
+            out.push_str(&figure(&map, &format!("errors: {}", row.title()), "", true, path)?);
+        }
     }
     out.push_str("</div>\n");
     Ok(out)
