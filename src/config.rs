@@ -339,6 +339,8 @@ pub struct SegmentationConfig {
     pub rows: Vec<Row>,
     /// Learning rate of the decoder.
     pub lr: f64,
+    /// Frozen features brought to mean 0 and spread 1 per channel before the decoder (not in the paper).
+    pub standardise: bool,
     /// LayerNorm in the decoder's shared MLPs.
     pub layer_norm: bool,
     /// Learning rate of per-Gaussian identities.
@@ -375,6 +377,7 @@ impl Default for SegmentationConfig {
             iterations: 2_000,
             rows: vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::OursCe, Row::Ours],
             lr: 1e-3,
+            standardise: true,
             layer_norm: false,
             lr_per_gaussian: 5e-2,
             loss: LabelLoss::Js,

@@ -16,6 +16,7 @@ impl Config {
                 config.spatial.encode = Encode::View;
                 config.segmentation.iterations = 6_000;
                 config.segmentation.warmup = 0.0;
+                config.segmentation.standardise = false;
             }
             Preset::Fast => {
                 config.segmentation.pixel_share = 0.25;

@@ -144,3 +144,69 @@ fn select(features: &Tensor<2>, index: &Tensor<1, Int>) -> Tensor<2> {
         _ => features.clone().select(0, index.clone()),
     }
 }
+
+/// Per-channel mean and spread of a pyramid's frozen features.
+///
+/// Image features are unit vectors and spatial ones grow with depth; brought to one scale, the decoder learns in far
+/// fewer steps. The paper says nothing of it; `standardise = false` leaves the features as they are.
+#[derive(Clone, Debug)]
+pub struct Standardisation {
+    levels: Vec<[ChannelScale; 2]>,
+    top: ChannelScale,
+}
+
+/// `[1, C]` mean and reciprocal spread; 0 for channels that do not vary.
+#[derive(Clone, Debug)]
+struct ChannelScale {
+    mean: Tensor<2>,
+    factor: Tensor<2>,
+}
+
+/// Spreads below this share of the channel's root mean square count as none.
+const FLAT: f32 = 1e-5;
+
+impl ChannelScale {
+    fn of(features: &Tensor<2>) -> Option<Self> {
+        let [rows, channels] = features.dims();
+        if rows == 0 || channels == 0 {
+            return None;
+        }
+        let mean = features.clone().mean_dim(0);
+        let square = features.clone().powi_scalar(2).mean_dim(0);
+        let spread = (features.clone() - mean.clone()).powi_scalar(2).mean_dim(0).sqrt();
+        let varies = spread.clone().greater(square.sqrt() * FLAT).float();
+        let factor = varies / spread.clamp_min(f32::MIN_POSITIVE);
+        Some(Self { mean, factor })
+    }
+
+    fn or_none(features: &Tensor<2>) -> Self {
+        let empty = || Tensor::zeros([1, features.dims()[1]], &features.device());
+        Self::of(features).unwrap_or_else(|| Self { mean: empty(), factor: empty() })
+    }
+
+    fn apply(&self, features: &Tensor<2>) -> Tensor<2> {
+        match features.shape().num_elements() {
+            0 => features.clone(),
+            _ => (features.clone() - self.mean.clone()) * self.factor.clone(),
+        }
+    }
+}
+
+impl Standardisation {
+    /// Statistics of `pyramid`.
+    pub fn of(pyramid: &Pyramid) -> Self {
+        let level = |l: &Level| [&l.image, &l.spatial].map(ChannelScale::or_none);
+        Self { levels: pyramid.levels.iter().map(level).collect(), top: ChannelScale::or_none(&pyramid.top) }
+    }
+
+    /// The pyramid with every channel brought to mean 0 and spread 1 by these statistics.
+    #[must_use]
+    pub fn apply(&self, pyramid: Pyramid) -> Pyramid {
+        let levels = pyramid.levels.into_iter().zip(&self.levels).map(|(level, [image, spatial])| Level {
+            image: image.apply(&level.image),
+            spatial: spatial.apply(&level.spatial),
+            ..level
+        });
+        Pyramid { levels: levels.collect(), top: self.top.apply(&pyramid.top) }
+    }
+}

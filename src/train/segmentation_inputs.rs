@@ -9,7 +9,7 @@ use crate::features::{self, SCALES};
 use crate::gaussians::Gaussians;
 use crate::raster::{Projected, Settings};
 use crate::segmentation::encoder::{Cloud, Encoding, encode, load_spatial, metres_per_unit};
-use crate::segmentation::pyramid::{Pyramid, Switches};
+use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};
 use crate::segmentation::unprojection::unproject;
 use burn::tensor::{Device, Tensor, TensorData};
 use std::time::Instant;
@@ -138,17 +138,21 @@ impl Spatial {
         };
         let all: Vec<u32> = (0..inputs.gaussians.len() as u32).collect();
         let scene = join(&encodings.scene, all, flavour, inputs)?;
+        let scales = inputs.config.segmentation.standardise.then(|| Standardisation::of(&scene.pyramid));
+        let scaled = |encoded: Encoded| match &scales {
+            Some(scales) => Encoded { pyramid: scales.apply(encoded.pyramid), ..encoded },
+            None => encoded,
+        };
         let source = match inputs.config.spatial.encode {
-            Encode::Scene => Source::Scene(scene),
-            Encode::View => Source::Views {
-                views: encodings
-                    .views
-                    .iter()
-                    .map(|v| join(&v.encoding, v.visible.clone(), flavour, inputs))
-                    .collect::<Result<_>>()?,
-                weights: encodings.views.iter().map(|v| v.weights.clone()).collect(),
-                scene,
-            },
+            Encode::Scene => Source::Scene(scaled(scene)),
+            Encode::View => {
+                let view = |v: &EncodedView| Ok(scaled(join(&v.encoding, v.visible.clone(), flavour, inputs)?));
+                Source::Views {
+                    views: encodings.views.iter().map(view).collect::<Result<_>>()?,
+                    weights: encodings.views.iter().map(|v| v.weights.clone()).collect(),
+                    scene: scaled(scene),
+                }
+            }
         };
         self.encodings = Some((flavour.random, encodings));
         Ok(source)

@@ -5,7 +5,7 @@ use coseg::ops::{AdamStep, AdamTensors, adam_step, adam_step_plain};
 use std::sync::Arc;
 
 fn device() -> Device {
-    coseg::device::open(None).expect("a backend")
+    crate::device()
 }
 
 fn wave(n: usize, frequency: f64) -> Vec<f64> {

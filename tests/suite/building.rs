@@ -71,7 +71,7 @@ fn config() -> Config {
 }
 
 fn device() -> burn::tensor::Device {
-    coseg::device::open(None).expect("a backend")
+    crate::device()
 }
 
 fn advance(stage: &mut BuildingStage, to: usize) {

@@ -2,18 +2,18 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
+use coseg::Error;
 use coseg::config::{SpatialConfig, SpatialSource};
 use coseg::segmentation::decoder::{Decoder, DecoderConfig, HIDDEN};
 use coseg::segmentation::encoder::{Cloud, Encoding, encode, load_spatial};
 use coseg::segmentation::pyramid::{Pyramid, Restriction, Switches};
-use coseg::{Error, device};
 use glam::DVec3;
 use std::sync::Arc;
 
 const POINTS: usize = 1_500;
 
 fn plain_device() -> Device {
-    device::open(None).expect("a backend")
+    crate::device()
 }
 
 fn values(t: Tensor<2>) -> Vec<f32> {

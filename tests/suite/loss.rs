@@ -1,7 +1,6 @@
 //! Label losses and 3D regularisation: values by direct sums, gradients by finite differences, limits, hard cases.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use coseg::device;
 use coseg::ops::{Kind, UNLABELLED};
 use coseg::segmentation::loss::{covered_labels, label_loss, label_loss_plain, neighbour_divergence, sample_rows};
 use coseg::segmentation::neighbours::{PointIndex, drop_self, without_self};
@@ -17,7 +16,7 @@ const KINDS: [Kind; 7] = [
 ];
 
 fn plain_device() -> Device {
-    device::open(None).expect("a backend")
+    crate::device()
 }
 
 fn matrix(values: &[f64], columns: usize, device: &Device) -> Tensor<2> {

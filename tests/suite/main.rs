@@ -1,6 +1,7 @@
 //! All public behaviour, one module a subject, in one binary.
 
 mod adam;
+mod backends;
 mod building;
 mod builtin;
 mod checkpoint;
@@ -28,7 +29,15 @@ mod transforms;
 mod unprojection;
 mod weights;
 
+use burn::tensor::Device;
+use coseg::device::BackendName;
 use std::path::PathBuf;
+
+/// The device of tests that are not about devices: ndarray, or the first CPU backend compiled in.
+pub fn device() -> Device {
+    let name = BackendName::compiled().iter().rfind(|name| **name != BackendName::Wgpu);
+    coseg::device::open(name.copied()).expect("a CPU backend")
+}
 
 /// The folder of real scenes and weights that some tests use, if it is there; those tests say so and pass otherwise.
 pub fn shared_dir() -> Option<PathBuf> {

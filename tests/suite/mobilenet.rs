@@ -26,7 +26,7 @@ fn stored(path: &Path) -> BTreeMap<String, (Vec<usize>, Vec<f32>)> {
 #[test]
 fn activations_equal_the_stored_ones() {
     let Some(path) = weights() else { return };
-    let device = coseg::device::open(None).expect("a backend");
+    let device = crate::device();
     let net = MobileNetV2::load(&path, &device).expect("weights");
     let stored = stored(&path.with_file_name("mobilenetv2_parity_fox224.safetensors"));
     let (shape, input) = stored["input"].clone();
@@ -55,7 +55,7 @@ fn unfold(map: &FeatureMap) -> Vec<f32> {
 #[test]
 fn folded_kernels_equal_the_modules_at_any_size() {
     let Some(path) = weights() else { return };
-    let device = coseg::device::open(None).expect("a backend");
+    let device = crate::device();
     let net = MobileNetV2::load(&path, &device).expect("weights");
     let folded = FoldedNet::new(&net);
     for (height, width) in [(1, 1), (2, 3), (33, 47), (64, 32)] {
@@ -74,7 +74,7 @@ fn folded_kernels_equal_the_modules_at_any_size() {
 #[ignore = "a measurement"]
 fn timing() {
     let Some(path) = weights() else { return };
-    let net = MobileNetV2::load(&path, &coseg::device::open(None).expect("a backend")).expect("weights");
+    let net = MobileNetV2::load(&path, &crate::device()).expect("weights");
     let folded = FoldedNet::new(&net);
     let image = vec![0.1_f32; 3 * 360 * 480];
     let start = std::time::Instant::now();
@@ -82,10 +82,7 @@ fn timing() {
         folded.forward(image.clone(), 360, 480).expect("maps");
     }
     eprintln!("folded kernels, 480x360, one thread: {:.3} s", start.elapsed().as_secs_f64() / 5.0);
-    let input = Tensor::<4>::from_data(
-        TensorData::new(image, [1, 3, 360, 480]),
-        &coseg::device::open(None).expect("a backend"),
-    );
+    let input = Tensor::<4>::from_data(TensorData::new(image, [1, 3, 360, 480]), &crate::device());
     let start = std::time::Instant::now();
     let sum: f32 = net.forward(input).into_iter().map(|x| x.sum().into_scalar::<f32>()).sum();
     eprintln!("plain modules, 480x360, all threads: {:.3} s ({sum})", start.elapsed().as_secs_f64());
@@ -136,7 +133,7 @@ fn nested(name: &str) -> String {
 #[test]
 fn nested_keys_and_prefixes_load_to_the_same_network() {
     let Some(path) = weights() else { return };
-    let device = coseg::device::open(None).expect("a backend");
+    let device = crate::device();
     let dir = tempfile::tempdir().expect("temporary folder");
     let other = dir.path().join("torchvision.safetensors");
     rewritten(&path, &other, |name| Some(format!("module.{}", nested(name))));
@@ -159,7 +156,7 @@ fn nested_keys_and_prefixes_load_to_the_same_network() {
 #[test]
 fn unusable_weights_are_named() {
     let Some(path) = weights() else { return };
-    let device = coseg::device::open(None).expect("a backend");
+    let device = crate::device();
     let dir = tempfile::tempdir().expect("temporary folder");
     let file = dir.path().join("w.safetensors");
     let error = |path: &Path| MobileNetV2::load(path, &device).expect_err("unusable").to_string();

@@ -48,7 +48,7 @@ fn sparse_apply_equals_dense_product_and_its_adjoint() {
 
 #[test]
 fn sparse_apply_gradient_matches_plain_matmul() {
-    let device = coseg::device::open(None).expect("a backend").autodiff();
+    let device = crate::device().autodiff();
     let m = matrix();
     let d: Vec<f32> = dense(&m).into_iter().map(|v| v as f32).collect();
     let dense = Tensor::<2>::from_data(TensorData::new(d, [3, 4]), &device);

@@ -59,7 +59,7 @@ fn gradient_matches_central_differences() {
 
 #[test]
 fn fused_loss_and_gradient_equal_plain_tensors() {
-    let device = coseg::device::open(None).expect("a backend").autodiff();
+    let device = crate::device().autodiff();
     for (height, width) in [(70, 41), (9, 5)] {
         let (x, y) = (narrow(&picture(height, width, 0.0)), narrow(&picture(height, width, 0.4)));
         let tensor = |v: &[f32]| Tensor::<3>::from_data(TensorData::new(v.to_vec(), [height, width, 3]), &device);

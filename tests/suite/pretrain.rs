@@ -1,6 +1,5 @@
 //! Pretraining on procedural rooms: it learns, it repeats, and what it stores is what it trained.
 
-use coseg::device;
 use coseg::ops::UNLABELLED;
 use coseg::segmentation::checkpoint::Checkpoint;
 use coseg::segmentation::encoder::random_weights;
@@ -12,7 +11,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 fn run(options: &PretrainOptions) -> Result<TrainedEncoder> {
-    pretrain(options, &device::open(None).expect("a backend"), &mut |_| ())
+    pretrain(options, &crate::device(), &mut |_| ())
 }
 
 fn small() -> PretrainOptions {
@@ -68,7 +67,7 @@ fn make_builtin_weights() {
         options.steps = steps;
     }
     let start = std::time::Instant::now();
-    let device = device::open(None).expect("a backend");
+    let device = crate::device();
     let trained = pretrain(&options, &device, &mut |p| {
         if p.steps[0] % 20 == 0 {
             eprintln!("{:6.1} s  {p:?}", start.elapsed().as_secs_f64());
@@ -126,7 +125,7 @@ fn split_in_space(cloud: &LabelledCloud) -> [LabelledCloud; 2] {
 #[test]
 #[ignore = "minutes; prints a table"]
 fn probe_table() {
-    let device = device::open(None).expect("a backend");
+    let device = crate::device();
     let shared = crate::shared_dir();
     let mut encoders = Vec::new();
     let mut add = |name: &str, weights: Checkpoint| {

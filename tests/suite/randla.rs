@@ -1,6 +1,7 @@
 //! The RandLA encoder against stored activations of the published one.
 
 use burn::tensor::{DType, Tensor, TensorData};
+use coseg::Error;
 use coseg::config::{SpatialConfig, SpatialSource};
 use coseg::ops::{attentive_pool, attentive_pool_plain};
 use coseg::segmentation::checkpoint::Checkpoint;
@@ -8,7 +9,6 @@ use coseg::segmentation::encoder::{Cloud, encode, load_spatial, random_weights};
 use coseg::segmentation::neighbours::Neighbours;
 use coseg::segmentation::randla::{Form, LAYERS, RandlaEncoder};
 use coseg::segmentation::sampling::{Hierarchy, SampledLevel};
-use coseg::{Error, device};
 use glam::DVec3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -75,7 +75,7 @@ fn encoder_equals_the_published_one_on_its_stored_activations() {
     let weights = Checkpoint::open(dir.join("randlanet_semantickitti.safetensors")).expect("weights");
     let bytes = std::fs::read(dir.join("randlanet_parity_4096.safetensors")).expect("reference");
     let reference = reference(&bytes);
-    let device = device::open(None).expect("a backend");
+    let device = crate::device();
     for (form, chunked) in [(Form::Frozen, false), (Form::Frozen, true), (Form::Trainable, false)] {
         let encoder = RandlaEncoder::load(&weights, form, &device).expect("RandLA weights");
         assert_eq!((encoder.inputs(), encoder.widths()), (3, vec![32, 128, 256, 512]));
@@ -111,7 +111,7 @@ fn spatial(source: SpatialSource) -> SpatialConfig {
 /// Encoding 1e5 points is to take 5 seconds on 2 cores; the test allows for a busy machine.
 #[test]
 fn encodes_a_hundred_thousand_points_in_seconds() {
-    let device = device::open(None).expect("a backend");
+    let device = crate::device();
     let points = room(100_000, 1);
     let cloud = Cloud { positions: &points, colors: None, up: DVec3::Z, scale: 1.0 };
     let mut encoders = vec![load_spatial(&spatial(SpatialSource::Random), 0, &device).expect("random weights")];
@@ -133,7 +133,7 @@ fn encodes_a_hundred_thousand_points_in_seconds() {
 
 #[test]
 fn encoding_follows_up_and_scale_and_repeats_at_any_thread_count() {
-    let device = device::open(None).expect("a backend");
+    let device = crate::device();
     let (encoder, _) = load_spatial(&spatial(SpatialSource::Random), 2, &device).expect("random weights");
     let points = room(4_000, 3);
     let features = |cloud: &Cloud, threads: usize| {
@@ -159,7 +159,7 @@ fn encoding_follows_up_and_scale_and_repeats_at_any_thread_count() {
 
 #[test]
 fn hard_clouds_encode_or_say_why_not() {
-    let device = device::open(None).expect("a backend");
+    let device = crate::device();
     let (encoder, _) = load_spatial(&spatial(SpatialSource::Random), 2, &device).expect("random weights");
     let run = |positions: &[[f32; 3]], scale: f64, up: DVec3| {
         encode(&encoder, &Cloud { positions, colors: None, up, scale }, 0, &device)
@@ -181,7 +181,7 @@ fn hard_clouds_encode_or_say_why_not() {
 
 #[test]
 fn encoders_of_colour_ask_for_it() {
-    let device = device::open(None).expect("a backend");
+    let device = crate::device();
     let encoder = RandlaEncoder::load(&random_weights(6, 1), Form::Frozen, &device).expect("weights");
     let points = room(200, 1);
     let run = |colors: Option<&[[f32; 3]]>| {
@@ -194,7 +194,7 @@ fn encoders_of_colour_ask_for_it() {
 
 #[test]
 fn attentive_pooling_equals_its_plain_form_and_its_gradients() {
-    let device = device::open(None).expect("a backend").autodiff();
+    let device = crate::device().autodiff();
     let (k, channels, points) = (5, 7, 6);
     let wave = |a: f64| (0..points * k * channels).map(|i| (i as f64 * a).sin() * 3.0).collect::<Vec<f64>>();
     let input = |values: Vec<f64>| -> Tensor<2> {

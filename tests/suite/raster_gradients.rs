@@ -190,7 +190,7 @@ fn values_of<const D: usize>(t: Tensor<D>) -> Vec<f64> {
 
 #[test]
 fn gradients_of_the_operation_equal_finite_differences() {
-    let device = coseg::device::open(None).expect("a backend").autodiff();
+    let device = crate::device().autodiff();
     let camera = camera(19, 17);
     let c = cloud(8, 0.08, &camera, 9);
     let n = c.len();
@@ -259,7 +259,7 @@ fn gradients_of_the_operation_equal_finite_differences() {
 
 #[test]
 fn the_operation_equals_the_slices() {
-    let device = coseg::device::open(None).expect("a backend").autodiff();
+    let device = crate::device().autodiff();
     let camera = camera(40, 31);
     let c = cloud(60, 0.04, &camera, 12);
     let n = c.len();
@@ -302,7 +302,7 @@ fn the_operation_equals_the_slices() {
 
 #[test]
 fn a_loss_on_the_transmittance_alone_reaches_the_geometry() {
-    let device = coseg::device::open(None).expect("a backend").autodiff();
+    let device = crate::device().autodiff();
     let camera = camera(20, 15);
     let c = cloud(20, 0.05, &camera, 2);
     let values = numbers(c.len(), 4);

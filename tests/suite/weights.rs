@@ -67,7 +67,7 @@ fn truncated_files_are_named_and_never_panic() {
 
 #[test]
 fn every_missing_misshapen_or_non_finite_tensor_is_named() {
-    let device = device::open(None).expect("a backend");
+    let device = crate::device();
     let whole = random_weights(3, 0);
     let field = |weights: &Checkpoint| match RandlaEncoder::load(weights, Form::Frozen, &device) {
         Err(Error::Input { field, .. }) => field,
@@ -91,7 +91,7 @@ fn every_missing_misshapen_or_non_finite_tensor_is_named() {
 
 #[test]
 fn stored_again_an_encoder_is_the_same() {
-    let device = device::open(None).expect("a backend");
+    let device = crate::device();
     let weights = random_weights(6, 4);
     let encoder = RandlaEncoder::load(&weights, Form::Trainable, &device).expect("weights");
     assert_eq!(encoder.inputs(), 6);
@@ -100,7 +100,7 @@ fn stored_again_an_encoder_is_the_same() {
 
 #[test]
 fn settings_choose_the_weights_and_unusable_ones_are_refused() {
-    let device = device::open(None).expect("a backend");
+    let device = crate::device();
     let config = SpatialConfig { source: SpatialSource::Pretrained, ..SpatialConfig::default() };
     assert!(matches!(load_spatial(&config, 0, &device), Err(Error::Config { .. })));
     let (_, name) = load_spatial(&SpatialConfig::default(), 0, &device).expect("the weights inside this crate");

@@ -45,7 +45,8 @@ struct Prepared {
 impl Prepared {
     fn bytes(&self) -> usize {
         let level = |l: &crate::segmentation::pyramid::Level| {
-            4 * (l.image.shape().num_elements() + l.spatial.shape().num_elements() + l.points.len()) + l.upsample.bytes()
+            4 * (l.image.shape().num_elements() + l.spatial.shape().num_elements() + l.points.len())
+                + l.upsample.bytes()
         };
         self.pyramid.levels.iter().map(level).sum::<usize>() + 4 * self.neighbours.iter().map(Vec::len).sum::<usize>()
     }
@@ -200,8 +201,7 @@ impl Model for Fused<'_> {
         let Some(decoder) = &self.decoder else { return Ok(Prediction::empty(self.plan.size[1], &self.device)) };
         let decoded = decoder.forward(&prepared.pyramid);
         let logits = decoder.classify(sparse_apply(decoded.hidden, Arc::new(sampled)));
-        let regularisation =
-            if self.plan.regularised { self.regularisation(&decoded.fused, &prepared) } else { None };
+        let regularisation = if self.plan.regularised { self.regularisation(&decoded.fused, &prepared) } else { None };
         self.iteration += 1;
         Ok(Prediction { logits, regularisation })
     }
