@@ -211,8 +211,8 @@ impl<E: Real> Projected<E> {
             for a in 0..4 {
                 out.rotations[4 * i + a] = E::of(g.rotation[a]);
             }
-            for a in 0..2 {
-                out.screen[2 * i + a] = E::of(g.center[a] * half[a]);
+            for (a, half) in half.iter().enumerate() {
+                out.screen[2 * i + a] = E::of(g.center[a] * half);
             }
             out.opacity_logits[i] = E::of(g.logit);
             out.values[i * channels..][..channels].copy_from_slice(&sums[6..]);

@@ -98,7 +98,7 @@ impl<E: Real> Footprint<E> {
     #[inline(always)]
     pub fn span(&self, u: E, v: E) -> [usize; 2] {
         let rest = self.reach2 - v * v;
-        if !(rest >= E::zero()) {
+        if rest.is_nan() || rest < E::zero() {
             return [0, 0];
         }
         let middle = -u * self.inverse_du;

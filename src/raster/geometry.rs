@@ -106,8 +106,8 @@ impl Unit {
         let scaled = raw.map(|v| v / largest);
         let norm = scaled.iter().map(|v| v * v).sum::<f64>().sqrt();
         let length = norm * largest;
-        // Not `<`, so that 0 / 0 counts as zero too.
-        if !(length * length >= 1e-12) {
+        // 0 / 0 counts as zero too.
+        if length.is_nan() || length * length < 1e-12 {
             return Self { q: [1.0, 0.0, 0.0, 0.0], length: 1.0, zero: true };
         }
         Self { q: scaled.map(|v| v / norm), length, zero: false }
@@ -263,9 +263,8 @@ pub(super) fn project<E: Real>(s: &Splat3, v: &Viewpoint, settings: &Settings) -
     // What the kernels use must also be representable in their type.
     let fits = |x: f64| E::of(x).is_normal();
     let [du, dv] = [s2, yy].map(|v| (2.0 * v).sqrt().recip());
-    if !(center[0].is_finite() && center[1].is_finite() && slope.is_finite() && ellipse.xx().is_finite())
-        || !(fits(du) && fits(dv))
-    {
+    let finite = [center[0], center[1], slope, ellipse.xx()].iter().all(|v| v.is_finite());
+    if !finite || !fits(du) || !fits(dv) {
         return (Fate::NonFinite, zero);
     }
     if tau < 0.0 || opacity <= 0.0 {

@@ -17,6 +17,9 @@ use std::marker::PhantomData;
 /// Gaussians that one task projects.
 const CHUNK: usize = 1024;
 
+/// Depth, index in the scene and footprint of a Gaussian that is not culled.
+type Visible = (f64, u32, Splat2);
+
 /// One view: projection and tile lists, computed once and shared by all passes.
 #[derive(Clone, Debug)]
 pub struct Projected<E> {
@@ -56,7 +59,7 @@ impl<E: Real> Projected<E> {
         let viewpoint = Viewpoint::new(camera)?;
         let n = splats.len();
         let mut radii = vec![0; n];
-        let chunks: Vec<(Vec<(f64, u32, Splat2)>, Stats)> = radii
+        let chunks: Vec<(Vec<Visible>, Stats)> = radii
             .par_chunks_mut(CHUNK)
             .enumerate()
             .map(|(chunk, radii)| {
@@ -88,7 +91,7 @@ impl<E: Real> Projected<E> {
             stats.non_finite += s.non_finite;
             stats.zero_quaternions += s.zero_quaternions;
         }
-        let visible: Vec<(f64, u32, Splat2)> = chunks.into_iter().flat_map(|(v, _)| v).collect();
+        let visible: Vec<Visible> = chunks.into_iter().flat_map(|(v, _)| v).collect();
         let depths: Vec<f64> = visible.iter().map(|v| v.0).collect();
         let order = depth_order(&depths);
         let ids = order.iter().map(|&i| visible[i as usize].1).collect();

@@ -223,8 +223,7 @@ fn maps_are_imported_from_npy_and_safetensors() {
     };
     let set = extract(&scene, &config, 0, &|_, _| ()).expect("imported");
     assert_eq!(set.name, format!("imported {}", dir.path().display()));
-    for n in 0..4 {
-        let [h, w, _] = shapes[n];
+    for (n, [h, w, _]) in shapes.into_iter().enumerate() {
         let map = &set.views[0].maps[n];
         assert_eq!((map.height, map.width, map.channels), (h, w, 64));
         assert!(set.views[0].maps[n] == set.views[1].maps[n]);
@@ -290,7 +289,7 @@ fn linear_probe_reads_a_linear_rule_and_nothing_from_noise() {
     let labels = |seed: usize| LabelMap {
         width: w,
         height: h,
-        ids: (0..w * h).map(|i| if (i / 7 + seed) % 3 == 0 { 1 } else { 4 }).collect(),
+        ids: (0..w * h).map(|i| if (i / 7 + seed).is_multiple_of(3) { 1 } else { 4 }).collect(),
     };
     let maps = |truth: &LabelMap, seed: usize| {
         let noise = ramp(w * h, seed);

@@ -22,6 +22,7 @@ mod ply;
 mod pretrain;
 mod randla;
 mod raster;
+mod raster_contract;
 mod raster_gradients;
 mod raster_reference;
 mod report;

@@ -99,16 +99,12 @@ fn buffers_are_the_adjoint_of_rendering() {
                 }
             }
         }
-        for scale in 0..4 {
+        for (scale, &left) in left.iter().enumerate() {
             let right: f64 = sums.buffers[scale].iter().enumerate().map(|(i, b)| b * x(i)).sum();
             let size: f64 = sums.buffers[scale].iter().enumerate().map(|(i, b)| (b * x(i)).powi(2)).sum::<f64>().sqrt();
             assert!(size > 1.0, "the test sees something");
             // The read is rounded to f32 in the test, the only rounding of note.
-            assert!(
-                (left[scale] - right).abs() < 1e-6 * size.max(right.abs()),
-                "{resolution:?} {scale}: {} {right}",
-                left[scale]
-            );
+            assert!((left - right).abs() < 1e-6 * size.max(right.abs()), "{resolution:?} {scale}: {left} {right}",);
         }
     }
 }
@@ -196,7 +192,7 @@ fn count_is_algorithm_one_by_brute_force() {
     let exact = exact.normalised(Normalisation::Count).buffers;
     let lifted = unproject(&scene, views.iter(), &set, &config, &settings).expect("features");
     let n = scene.len();
-    for scale in 0..4 {
+    for (scale, exact) in exact.iter().enumerate() {
         let c = set.views[0].maps[scale].channels;
         let (mut counter, mut buffer, mut pixels) = (vec![0_u64; n], vec![0.0; n * c], 0);
         for (view, features) in views.iter().zip(&set.views) {
@@ -233,7 +229,7 @@ fn count_is_algorithm_one_by_brute_force() {
         assert_eq!(lifted.counts[scale], counter);
         let largest =
             buffer.iter().zip(0..).map(|(b, k)| (b / (counter[k / c] as f64 + EPSILON)).abs()).fold(0.0, f64::max);
-        for (k, (&x, &single)) in exact[scale].iter().zip(&lifted.features[scale]).enumerate() {
+        for (k, (&x, &single)) in exact.iter().zip(&lifted.features[scale]).enumerate() {
             let expected = buffer[k] / (counter[k / c] as f64 + EPSILON);
             assert!((x - expected).abs() < 1e-6 * largest, "{scale} {k}: {x} {expected}"); // W is rounded to f32 here
             assert!((f64::from(single) - expected).abs() < 1e-4 * largest, "{scale} {k}: {single} {expected}");

@@ -11,6 +11,8 @@ use std::f64::consts::{PI, TAU};
 pub const TEST_DISTANCE: f64 = 0.3;
 /// Free space around every camera, metres.
 const FREE: f64 = 0.32;
+/// Depth that nine tenths of a picture are to exceed, metres.
+const NEAR: f64 = 1.1;
 
 /// A camera with its use and its place along the walk (0..1), by which runs of neighbouring views are defined.
 pub(super) struct Shot {
@@ -28,30 +30,33 @@ pub(super) fn shots(room: &Room, (width, height): (usize, usize), train: usize, 
     for i in 0..train {
         let along = i as f64 / train as f64;
         let (eye, target) = walk(room, start, along);
-        let camera = look(free_place(room, eye), target, width, height);
+        let camera = look(good_place(room, eye, target), target, width, height);
         shots.push(Shot { camera, split: Split::Train, along });
     }
     for i in 0..test {
         let along = (i as f64 + 0.5) / test as f64;
         let (eye, target) = walk(room, start, along);
-        // Off the walk: drawn towards or away from the room's middle, higher or lower, looking elsewhere.
+        let shift = DVec3::new(rng.random_range(-0.6..0.6), rng.random_range(-0.6..0.6), rng.random_range(-0.25..0.25));
+        let target = target + shift;
+        // Off the walk: drawn towards the room's middle, to the side, higher or lower.
         let mut best: Option<(f64, DVec3)> = None;
-        for _ in 0..60 {
+        for _ in 0..200 {
             let scale = rng.random_range(0.45..1.05);
             let flat = DVec2::from_angle(rng.random_range(-0.35..0.35)).rotate(eye.truncate() * scale);
-            let at = free_place(room, flat.extend(rng.random_range(1.15..1.75)));
+            let at = flat.extend(rng.random_range(1.2..1.75));
             let near = shots.iter().filter(|s| s.split == Split::Train);
             let distance = near.map(|s| s.camera.center.distance(at)).fold(f64::INFINITY, f64::min);
-            if best.is_none_or(|(d, _)| distance > d) {
-                best = Some((distance, at));
+            // Distance counts most: below the promised one no view is good.
+            let good = (distance / (1.2 * TEST_DISTANCE)).min(1.0) * 2.0 + goodness(room, at, target).min(1.0);
+            if best.is_none_or(|(g, _)| good > g) {
+                best = Some((good, at));
             }
-            if distance > TEST_DISTANCE * 1.2 {
+            if good >= 3.0 {
                 break;
             }
         }
         let at = best.map_or(eye, |b| b.1);
-        let shift = DVec3::new(rng.random_range(-0.7..0.7), rng.random_range(-0.7..0.7), rng.random_range(-0.25..0.25));
-        shots.push(Shot { camera: look(at, target + shift, width, height), split: Split::Test, along });
+        shots.push(Shot { camera: look(at, target, width, height), split: Split::Test, along });
     }
     shots
 }
@@ -73,19 +78,35 @@ fn walk(room: &Room, start: f64, along: f64) -> (DVec3, DVec3) {
     (eye, target)
 }
 
-/// Moves a place towards the room's middle line, in small steps, until nothing is too near.
-fn free_place(room: &Room, eye: DVec3) -> DVec3 {
-    let mut best = (room.clearance(eye), eye);
-    for step in 1..400 {
-        if best.0 > FREE {
+/// How well a camera at `eye` that looks at `target` stands, 1 and more being good: free space around it, and not more
+/// than a tenth of the picture filled by things near by.
+fn goodness(room: &Room, eye: DVec3, target: DVec3) -> f64 {
+    let free = room.clearance(eye) / FREE;
+    if free < 0.7 || (eye.abs().truncate() - room.size.truncate() / 2.0).max_element() > -FREE {
+        return free.min(0.0);
+    }
+    let camera = look(eye, target, 8, 6);
+    let depth = |i: usize| {
+        let d = camera.ray((i % 8) as f64 + 0.5, (i / 8) as f64 + 0.5);
+        room.cast(eye, d).map_or(0.0, |hit| hit.t)
+    };
+    let mut depths: Vec<f64> = (0..48).map(depth).collect();
+    depths.sort_by(f64::total_cmp);
+    free.min(depths[4] / NEAR)
+}
+
+/// The nearest good place to `eye`, on a spiral around it.
+fn good_place(room: &Room, eye: DVec3, target: DVec3) -> DVec3 {
+    let mut best = (goodness(room, eye, target), eye);
+    for step in 1..250 {
+        if best.0 >= 1.0 {
             break;
         }
-        // A spiral around the wanted place finds the nearest free one.
-        let (r, a) = (0.02 * f64::from(step).sqrt() * 3.0, f64::from(step) * 2.399_963);
-        let at = eye + DVec3::new(r * a.cos(), r * a.sin(), 0.0);
-        let c = room.clearance(at);
-        if c > best.0 && (at.abs().truncate() - room.size.truncate() / 2.0).max_element() < -FREE {
-            best = (c, at);
+        let (r, a) = (0.06 * f64::from(step).sqrt(), f64::from(step) * 2.399_963);
+        let at = eye + DVec3::new(r * a.cos(), r * a.sin(), 0.1 * f64::from(step % 3));
+        let good = goodness(room, at, target);
+        if good > best.0 {
+            best = (good, at);
         }
     }
     best.1

@@ -132,9 +132,9 @@ impl Material {
                 let (i, j) = ((u / size).floor() as i64, (v / size).floor() as i64);
                 let turned = (i + j).rem_euclid(2) == 0;
                 let (along, across) = if turned { (u, v) } else { (v, u) };
-                let tone = if turned { 1.06 } else { 0.88 } * (0.93 + 0.14 * hash(i, j, seed));
+                let tone = if turned { 1.04 } else { 0.92 } * (0.95 + 0.1 * hash(i, j, seed));
                 let strips = band(fold(across, size / 3.0), 0.002, 0.012);
-                grain(light, dark, along, across, seed) * tone * (1.0 - 0.2 * strips)
+                grain(light, dark, along, across, seed) * tone * (1.0 - 0.12 * strips)
             }
             Pattern::Bricks(brick, mortar) => {
                 let (height, width) = (0.12, 0.36);
