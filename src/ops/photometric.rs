@@ -7,7 +7,7 @@
 
 use super::simd::{multiply_add, wide_kernel};
 use super::window::{Band, RADIUS, TAPS, taps};
-use super::{HostBackend, Real, device_of};
+use super::{HostBackend, Real, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
@@ -254,6 +254,8 @@ pub trait PhotometricBackend: Backend {
         photo: Arc<Photo>,
         ssim_weight: f64,
     ) -> (FloatTensor<Self>, FloatTensor<Self>);
+    /// `gradient` times the one value of `factor`, in place where nobody else holds the buffer.
+    fn photometric_scale(gradient: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self>;
 }
 
 impl<B: HostBackend> PhotometricBackend for B {
@@ -273,6 +275,19 @@ impl<B: HostBackend> PhotometricBackend for B {
             (B::tensor(vec![loss as f32], &[1], &device), B::tensor(gradient, &shape, &device))
         }
     }
+
+    fn photometric_scale(gradient: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self> {
+        let (device, shape) = (device_of::<B>(&gradient), gradient.shape());
+        real_kernel!(gradient, E => {
+            let factor = B::values::<E>(factor).first().copied().unwrap_or(E::of(1.0));
+            let mut values = B::values::<E>(gradient).into_vec();
+            // a loss that nothing else is added to: nothing to do
+            if factor != E::of(1.0) {
+                values.par_iter_mut().with_min_len(1 << 14).for_each(|v| *v *= factor);
+            }
+            B::tensor(values, &shape, &device)
+        })
+    }
 }
 
 #[derive(Debug)]
@@ -286,8 +301,7 @@ impl<B: PhotometricBackend> Backward<B, 1> for PhotometricBackward {
         let upstream = grads.consume::<B>(&ops.node);
         let [parent] = ops.parents;
         if let Some(node) = parent {
-            let upstream = B::float_reshape(upstream, [1, 1, 1].into());
-            grads.register::<B>(node.id, B::float_mul(ops.state, upstream));
+            grads.register::<B>(node.id, B::photometric_scale(ops.state, upstream));
         }
     }
 }
@@ -306,6 +320,10 @@ impl<B: PhotometricBackend, C: CheckpointStrategy> PhotometricBackend for Autodi
             OpsKind::UnTracked(prep) => prep.finish(loss),
         };
         (loss, constant)
+    }
+
+    fn photometric_scale(_gradient: FloatTensor<Self>, _factor: FloatTensor<Self>) -> FloatTensor<Self> {
+        unimplemented!("second-order gradients")
     }
 }
 
