@@ -151,8 +151,9 @@ mod tests {
             }
         }
         let ramp = FeatureMap { height: 1, width: 40, channels: 1, data: (0..40).map(|x| x as f32 + 0.5).collect() };
-        for (x, value) in ramp.resized(1, 16).data.iter().enumerate() {
-            assert!((value - (x as f32 + 0.5) * 2.5).abs() < 1e-4);
+        // A whole number of cells: cells are constant inside, so a cut one would not give the ramp back exactly.
+        for (x, value) in ramp.resized(1, 8).data.iter().enumerate() {
+            assert!((value - (x as f32 + 0.5) * 5.0).abs() < 1e-4);
         }
         let mut out = [0.0];
         ramp.sample(101.0, 0.3, 400, 3, &mut out);
