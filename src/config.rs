@@ -6,6 +6,7 @@
 
 mod load;
 mod presets;
+pub use presets::BUILTIN_SCENE;
 mod row;
 mod validate;
 
@@ -339,6 +340,8 @@ pub struct SegmentationConfig {
     pub rows: Vec<Row>,
     /// Learning rate of the decoder.
     pub lr: f64,
+    /// Both learning rates fall along a half cosine, to 1 % at the end (the paper keeps them constant).
+    pub lr_decay: bool,
     /// Frozen features brought to mean 0 and spread 1 per channel before the decoder (not in the paper).
     pub standardise: bool,
     /// LayerNorm in the decoder's shared MLPs.
@@ -376,7 +379,8 @@ impl Default for SegmentationConfig {
         Self {
             iterations: 2_000,
             rows: vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::OursCe, Row::Ours],
-            lr: 1e-3,
+            lr: 3e-3,
+            lr_decay: true,
             standardise: true,
             layer_norm: false,
             lr_per_gaussian: 5e-2,

@@ -10,7 +10,7 @@ mod train;
 mod vote;
 
 use clap::{Args, Parser, Subcommand};
-use coseg::config::Config;
+use coseg::config::{BUILTIN_SCENE, Config};
 use coseg::error::Result;
 use std::path::PathBuf;
 
@@ -79,7 +79,12 @@ pub struct Settings {
 impl Settings {
     /// The checked settings, with `--data` and `--seed` as the last words.
     pub fn load(&self, data: Option<&PathBuf>, seed: Option<u64>) -> Result<Config> {
-        let mut config = Config::load(self.config.as_deref(), &self.sets)?;
+        let own = |key: &str| self.sets.iter().any(|set| set.starts_with(key));
+        let mut sets = self.sets.clone();
+        if self.config.is_none() && data.is_none() && !own("preset") && !own("data.dir") {
+            sets.splice(0..0, BUILTIN_SCENE.map(str::to_owned));
+        }
+        let mut config = Config::load(self.config.as_deref(), &sets)?;
         if let Some(dir) = data {
             config.data.dir = Some(dir.clone());
         }

@@ -2,6 +2,14 @@
 
 use super::{Config, Encode, Normalisation, Preset, Resolution};
 
+/// What the built-in scene needs to be done in five minutes on two cores, as `--set` would give it.
+pub const BUILTIN_SCENE: [&str; 4] = [
+    "building.iterations=2400",
+    "building.max_gaussians=25000",
+    "segmentation.iterations=800",
+    "segmentation.pixel_share=0.25",
+];
+
 impl Config {
     /// All settings of a preset; a config file and `--set` override single keys of it.
     pub fn preset(preset: Preset) -> Self {
@@ -17,6 +25,8 @@ impl Config {
                 config.segmentation.iterations = 6_000;
                 config.segmentation.warmup = 0.0;
                 config.segmentation.standardise = false;
+                config.segmentation.lr_decay = false;
+                config.segmentation.lr = 1e-3;
             }
             Preset::Fast => {
                 config.segmentation.pixel_share = 0.25;

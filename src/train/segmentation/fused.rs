@@ -206,9 +206,9 @@ impl Model for Fused<'_> {
         Ok(Prediction { logits, regularisation })
     }
 
-    fn step(&mut self, gradients: &mut Gradients) -> Result<()> {
+    fn step(&mut self, gradients: &mut Gradients, factor: f64) -> Result<()> {
         if let Some(decoder) = self.decoder.take() {
-            self.decoder = Some(self.adam.step(decoder, gradients)?);
+            self.decoder = Some(self.adam.step(decoder, gradients, factor)?);
         }
         Ok(())
     }

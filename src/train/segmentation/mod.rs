@@ -35,11 +35,11 @@ pub trait Model {
     /// # Errors
     /// When a frozen input is not finite.
     fn predict(&mut self, view: usize, weights: &ViewWeights, sampled: SparseMatrix) -> Result<Prediction>;
-    /// One optimiser step.
+    /// One optimiser step at `factor` times the learning rate.
     ///
     /// # Errors
     /// [`Error::NonFinite`] naming the parameter.
-    fn step(&mut self, gradients: &mut Gradients) -> Result<()>;
+    fn step(&mut self, gradients: &mut Gradients, factor: f64) -> Result<()>;
     /// The identities as they are to be stored, `[N, C]`.
     ///
     /// # Errors
@@ -66,6 +66,8 @@ pub struct Plan {
     pub lambda: [f64; 2],
     /// Share of the pixels in a step.
     pub pixel_share: f64,
+    /// Whether the learning rate falls along a half cosine, to 1 % at the end.
+    pub decay: bool,
     /// Seed of view order and pixel choice.
     pub seed: u64,
 }
@@ -83,8 +85,17 @@ impl Plan {
             iterations: config.iterations,
             lambda: [config.lambda_pix, config.lambda_reg],
             pixel_share: config.pixel_share,
+            decay: config.lr_decay,
             seed,
         }
+    }
+}
+
+impl Plan {
+    /// Share of the learning rate in force at `iteration` (from 0).
+    pub fn rate_factor(&self, iteration: usize) -> f64 {
+        let done = iteration as f64 / self.iterations.max(1) as f64;
+        if self.decay { 0.01 + 0.99 * 0.5 * (1.0 + (std::f64::consts::PI * done).cos()) } else { 1.0 }
     }
 }
 
@@ -117,7 +128,7 @@ pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan,
     if !value.is_finite() {
         return Err(at(Error::non_finite("segmentation loss", 0)));
     }
-    model.step(&mut loss.backward()).map_err(at)?;
+    model.step(&mut loss.backward(), plan.rate_factor(iteration)).map_err(at)?;
     Ok(value)
 }
 

@@ -24,18 +24,19 @@ impl ModuleAdam {
         Self { rate, steps: 0, moments: Vec::new() }
     }
 
-    /// One step of every parameter that has a gradient.
+    /// One step of every parameter that has a gradient, at `factor` times the learning rate.
     ///
     /// # Errors
     /// [`Error::NonFinite`] naming the parameter when a gradient holds a NaN or an infinity; nothing is changed then.
-    pub fn step<M: Module>(&mut self, module: M, gradients: &mut Gradients) -> Result<M> {
+    pub fn step<M: Module>(&mut self, module: M, gradients: &mut Gradients, factor: f64) -> Result<M> {
         let mut check = Norm { gradients, path: Vec::new(), total: None, worst: None };
         module.visit(&mut check);
         if let Some(tensor) = check.worst() {
             return Err(Error::non_finite(format!("gradient of {tensor}"), 0));
         }
         self.steps += 1;
-        Ok(module.map(&mut Step { adam: self, gradients, place: 0 }))
+        let rate = self.rate * factor;
+        Ok(module.map(&mut Step { adam: self, gradients, rate, place: 0 }))
     }
 
     /// Moments and step count, named `m.0`, `v.0`, ... and `steps`.
@@ -75,6 +76,7 @@ pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
 struct Step<'a> {
     adam: &'a mut ModuleAdam,
     gradients: &'a mut Gradients,
+    rate: f64,
     place: usize,
 }
 
@@ -96,7 +98,7 @@ impl ModuleMapper for Step<'_> {
             let unbias = |beta: f64| 1.0 - beta.powi(self.adam.steps);
             let step = (m.clone() / unbias(BETAS[0])) / ((v.clone() / unbias(BETAS[1])).sqrt() + EPSILON);
             self.adam.moments[place] = [m, v];
-            let moved = tensor.inner() - step.reshape(shape) * self.adam.rate;
+            let moved = tensor.inner() - step.reshape(shape) * self.rate;
             Tensor::from_inner(moved).require_grad()
         })
     }

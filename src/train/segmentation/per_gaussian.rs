@@ -48,9 +48,9 @@ impl Model for PerGaussian {
         Ok(Prediction { logits, regularisation: None })
     }
 
-    fn step(&mut self, gradients: &mut Gradients) -> Result<()> {
+    fn step(&mut self, gradients: &mut Gradients, factor: f64) -> Result<()> {
         if let Some(logits) = self.logits.take() {
-            self.logits = Some(self.adam.step(logits, gradients)?);
+            self.logits = Some(self.adam.step(logits, gradients, factor)?);
         }
         Ok(())
     }
