@@ -36,7 +36,8 @@ fn file_overrides_preset_and_set_overrides_file() {
     assert_eq!(config.segmentation.iterations, 500);
     assert_eq!(config.segmentation.pi_rl, 0.97);
     assert_eq!(config.data.dir, Some(PathBuf::from("scenes/room")));
-    assert_eq!(config.segmentation.lr, Config::default().segmentation.lr);
+    assert_eq!(config.segmentation.lr, 1e-3, "the paper's own rate");
+    assert_eq!(config.building.lr_opacity, Config::default().building.lr_opacity);
 }
 
 #[test]
