@@ -37,7 +37,7 @@ pub struct RowOutcome {
 impl RowOutcome {
     /// The row's name in settings and reports.
     pub fn name(&self) -> &'static str {
-        self.row.name()
+        self.row.key()
     }
 
     /// Labels of a view: rendered from the stored identities, or the raw labels themselves.
@@ -50,21 +50,6 @@ impl RowOutcome {
 }
 
 impl Row {
-    /// Name in settings and reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Raw => "raw",
-            Self::Vote => "vote",
-            Self::PerGaussian => "per_gaussian",
-            Self::OursCe => "ours_ce",
-            Self::Ours => "ours",
-            Self::NoImageFeatures => "no_image_features",
-            Self::NoSpatial => "no_spatial",
-            Self::SingleScale => "single_scale",
-            Self::RandomSpatial => "random_spatial",
-        }
-    }
-
     /// Whether the row trains the decoder.
     pub fn is_fused(self) -> bool {
         !matches!(self, Self::Raw | Self::Vote | Self::PerGaussian)
@@ -179,10 +164,10 @@ fn trained(
     let plan = Plan::new(config, loss(row, config)?, seed);
     let tenth = |every: usize| if every == 0 { config.iterations.div_ceil(10) } else { every };
     let pace = Pace {
-        row: row.name(),
+        row: row.key(),
         eval_every: tenth(config.eval_every),
         checkpoint_every: tenth(config.checkpoint_every),
-        checkpoint: Some(checkpoints.join(format!("{}.safetensors", row.name()))),
+        checkpoint: Some(checkpoints.join(format!("{}.safetensors", row.key()))),
     };
     let device = inputs.device.clone().autodiff();
     let (classes, count) = (inputs.scene.classes.len(), views.len());

@@ -27,7 +27,7 @@ pub struct LabelledPoints {
 /// places inside, denser where they were seen from near, 1-2 cm off the surface, with 1 % of outliers (which keep the
 /// class of the nearest thing along their ray). Layout, furniture, colours and lights are drawn from `seed`, of a
 /// random stream that no scene uses: whatever the seed, the room is not one that [`super::scene`] makes.
-/// 40k points take about half a second on 2 cores.
+/// Takes time in proportion to `count`.
 pub fn labelled_points(seed: u64, count: usize) -> LabelledPoints {
     let room = Room::for_pretraining(seed);
     let rng = &mut stream(seed, Purpose::Points);
