@@ -1,7 +1,8 @@
 //! MobileNetV2 on plain slices: batch normalisation folded into the convolutions, bias and ReLU6 in the same pass.
 //!
-//! The modules' `conv2d` cost about seven times as much on the CPU (1.4 s against 0.19 s an image of 480x360, one thread); they remain the reference of the tests. Activations
-//! are planes, `[C, H, W]`. A call uses one thread: views run side by side.
+//! The modules' `conv2d` costs about seven times as much on the CPU (1.4 s against 0.19 s an image of 480x360, one
+//! thread); they remain the reference of the tests. Activations are planes, `[C, H, W]`. A call uses one thread:
+//! views run side by side.
 
 use super::{Block, ConvNorm, EPSILON, MobileNetV2, TAPS};
 use crate::error::{Error, Result};
