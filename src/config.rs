@@ -330,6 +330,26 @@ pub enum Row {
     RandomSpatial,
 }
 
+/// What is blended along a ray to give a pixel its classes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Blend {
+    /// Logits, softmax after blending (Eq. 3 and 8 of the paper).
+    Logits,
+    /// Class probabilities of each Gaussian: a convex mixture, so one confident Gaussian cannot outvote those in front.
+    Probabilities,
+}
+
+/// What the decoder starts from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Prior {
+    /// Nothing (the paper): the features have to say everything.
+    None,
+    /// The votes of each Gaussian's raw labels, as log-shares: the decoder learns what to correct in them.
+    Votes,
+}
+
 /// Stage two: segmentation identities.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -340,6 +360,9 @@ pub struct SegmentationConfig {
     pub rows: Vec<Row>,
     /// Learning rate of the decoder.
     pub lr: f64,
+    /// Factors of the learning rates to try for each trained row; the best on held-out raw labels of training views is
+    /// taken. One factor or none: no trial.
+    pub lr_trials: Vec<f64>,
     /// Both learning rates fall along a half cosine, to 1 % at the end (the paper keeps them constant).
     pub lr_decay: bool,
     /// Frozen features brought to mean 0 and spread 1 per channel before the decoder (not in the paper).
@@ -348,6 +371,10 @@ pub struct SegmentationConfig {
     pub layer_norm: bool,
     /// Learning rate of per-Gaussian identities.
     pub lr_per_gaussian: f64,
+    /// What is blended, in training and in the stored identities.
+    pub blend: Blend,
+    /// What the decoder's scores are added to; `votes` needs `blend = "probabilities"`.
+    pub prior: Prior,
     /// Loss of row `ours`.
     pub loss: LabelLoss,
     /// Weight of the raw label in the JS loss, in (0, 1).
@@ -380,10 +407,13 @@ impl Default for SegmentationConfig {
             iterations: 2_000,
             rows: vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::OursCe, Row::Ours],
             lr: 3e-3,
+            lr_trials: Vec::new(),
             lr_decay: true,
             standardise: true,
             layer_norm: false,
             lr_per_gaussian: 5e-2,
+            blend: Blend::Probabilities,
+            prior: Prior::Votes,
             loss: LabelLoss::Js,
             pi_rl: 0.9,
             lambda_pix: 0.8,

@@ -1,6 +1,6 @@
 //! The named sets of defaults.
 
-use super::{Config, Encode, Normalisation, Preset, Resolution};
+use super::{Blend, Config, Encode, Normalisation, Preset, Prior, Resolution};
 
 /// What the built-in scene needs to be done in five minutes on two cores, as `--set` would give it.
 pub const BUILTIN_SCENE: [&str; 4] = [
@@ -23,6 +23,8 @@ impl Config {
                 config.unprojection.resolution = Resolution::Feature;
                 config.spatial.encode = Encode::View;
                 config.segmentation.iterations = 6_000;
+                config.segmentation.blend = Blend::Logits;
+                config.segmentation.prior = Prior::None;
                 config.segmentation.warmup = 0.0;
                 config.segmentation.standardise = false;
                 config.segmentation.lr_decay = false;

@@ -1,6 +1,6 @@
 //! Allowed ranges of every setting.
 
-use super::{Config, FeatureSource, SpatialSource};
+use super::{Blend, Config, FeatureSource, Prior, SpatialSource};
 use crate::error::{Error, Result};
 
 /// Collects the checks of one config; the first failure wins.
@@ -152,6 +152,16 @@ impl Config {
         }
         check.rate("segmentation.lr", s.lr);
         check.rate("segmentation.lr_per_gaussian", s.lr_per_gaussian);
+        for &factor in &s.lr_trials {
+            check.rate("segmentation.lr_trials", factor);
+        }
+        check.that(
+            s.prior == Prior::None || s.blend == Blend::Probabilities,
+            "segmentation.prior",
+            "votes",
+            "none where logits are blended",
+            "set segmentation.blend = \"probabilities\", or segmentation.prior = \"none\"",
+        );
         check.open_share("segmentation.pi_rl", s.pi_rl);
         check.amount("segmentation.lambda_pix", s.lambda_pix);
         check.amount("segmentation.lambda_reg", s.lambda_reg);

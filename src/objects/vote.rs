@@ -75,6 +75,17 @@ impl Votes {
         Identities { scores, classes: self.classes }
     }
 
+    /// Logarithms of the shares of each Gaussian's votes, `[N, C]`, every share raised by `floor`: what the votes say to a
+    /// softmax. Equal in all classes where nothing was voted.
+    pub fn log_shares(&self, floor: f32) -> Vec<f32> {
+        let rows = self.table.chunks_exact(self.classes.max(1));
+        let shares = rows.flat_map(|row| {
+            let total = row.iter().sum::<f32>().max(f32::MIN_POSITIVE);
+            row.iter().map(move |v| (v / total + floor).ln())
+        });
+        shares.collect()
+    }
+
     /// Shannon entropy (nats) of each Gaussian's votes: 0 where all views agree or nothing was voted.
     pub fn entropy(&self) -> Vec<f32> {
         self.table

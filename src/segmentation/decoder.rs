@@ -155,6 +155,15 @@ impl Decoder {
         self.last.forward(hidden)
     }
 
+    /// The decoder with its last layer at zero: it says nothing until it has learned.
+    #[must_use]
+    pub fn with_silent_start(mut self) -> Self {
+        let silent = |tensor: Tensor<2>| Tensor::from_inner(tensor.inner().zeros_like()).require_grad();
+        self.last.weight = self.last.weight.map(silent);
+        self.last.bias = self.last.bias.map(|b| b.map(|t| Tensor::from_inner(t.inner().zeros_like()).require_grad()));
+        self
+    }
+
     /// Bytes of the learned parameters; [`Module::num_params`] counts them.
     pub fn bytes(&self) -> usize {
         4 * self.num_params()

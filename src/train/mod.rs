@@ -6,6 +6,7 @@ pub mod checkpoint;
 mod parameters;
 mod photos;
 pub mod progress;
+mod rates;
 mod rows;
 mod run;
 pub mod schedule;

@@ -1,9 +1,10 @@
 //! The rows of the label table: what each is, and its training and scoring.
 
 use super::progress::{CurvePoint, Progress};
+use super::rates::choose_rate;
 use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, TrainingViews, train};
 use super::segmentation_inputs::{Inputs, Spatial};
-use crate::config::{Row, SegmentationConfig};
+use crate::config::{Prior, Row, SegmentationConfig};
 use crate::data::{LabelMap, Split, View};
 use crate::error::Result;
 use crate::metrics::{LabelScores, Void, label_scores};
@@ -12,6 +13,10 @@ use crate::raster::Projected;
 use crate::segmentation::decoder::DecoderConfig;
 use crate::segmentation::loss::Kind;
 use std::path::Path;
+use std::sync::Arc;
+
+/// Share added to every class of the votes that a decoder starts from.
+const VOTE_FLOOR: f32 = 0.02;
 
 /// One row, trained and scored.
 #[derive(Clone, Debug)]
@@ -172,7 +177,8 @@ fn trained(
     let device = inputs.device.clone().autodiff();
     let (classes, count) = (inputs.scene.classes.len(), views.len());
     let mut score = |identities: &Identities| Ok(held_out.score(identities, inputs).miou);
-    let mut fit = |model: &mut dyn Model, rate: f64| -> Result<RowOutcome> {
+    let rate_file = checkpoints.join(format!("{}.rate.safetensors", row.key()));
+    let mut fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: f64| -> Result<RowOutcome> {
         let curve = train(model, views, &plan, &pace, &mut score, progress)?;
         let identities = model.identities()?;
         Ok(RowOutcome {
@@ -186,21 +192,28 @@ fn trained(
         })
     };
     if !row.is_fused() {
-        let rate = config.lr_per_gaussian;
-        return fit(&mut PerGaussian::new(inputs.gaussians.len(), classes, rate, &device), rate);
+        let model = |rate| PerGaussian::new([inputs.gaussians.len(), classes], rate, config.blend, &device);
+        let mut boxed = |rate, _: &TrainingViews| Ok(Box::new(model(rate)) as Box<dyn Model>);
+        let rate = choose_rate(config.lr_per_gaussian, &plan, views, inputs, &rate_file, &mut boxed)?;
+        return fit(views, &mut model(rate), rate);
     }
     let source = spatial.source(row, inputs)?;
-    let plan = FusedPlan {
-        config,
-        rate: config.lr,
-        regularised: row != Row::OursCe && config.lambda_reg > 0.0,
-        size: [inputs.gaussians.len(), classes],
-        seed,
-    };
     let pyramid = &source.scene().pyramid;
     let decoder = DecoderConfig::for_pyramid(pyramid, classes, pyramid.levels.len() > 1)
         .with_layer_norm(config.layer_norm)
-        .with_seed(seed)
-        .init(&device);
-    fit(&mut Fused::new(decoder, source, &inputs.gaussians.means, count, plan, &device), config.lr)
+        .with_seed(seed);
+    let model = |rate, views: &TrainingViews| -> Result<_> {
+        let size = [inputs.gaussians.len(), classes];
+        let regularised = row != Row::OursCe && config.lambda_reg > 0.0;
+        let plan = FusedPlan { config, rate, regularised, size, seed };
+        let fused = Fused::new(decoder.init(&device), source, &inputs.gaussians.means, count, plan, &device);
+        Ok(match config.prior {
+            Prior::None => fused,
+            Prior::Votes => fused.with_prior(Arc::new(views.votes()?.log_shares(VOTE_FLOOR))),
+        })
+    };
+    let mut boxed = |rate, views: &TrainingViews| Ok(Box::new(model(rate, views)?) as Box<dyn Model + '_>);
+    let rate = choose_rate(config.lr, &plan, views, inputs, &rate_file, &mut boxed)?;
+    let mut model = model(rate, views)?;
+    fit(views, &mut model, rate)
 }

@@ -1,12 +1,11 @@
 //! The decoder rows: multi-scale fusion (Eq. 7) trained by the label loss and the 3D regularisation (Eq. 10).
 //!
-//! The last layer is linear, so hidden features are blended and the layer is applied per pixel: exact, and cheaper by
-//! the ratio of classes to hidden width. Only what a view's visible Gaussians depend on is decoded in a step.
+//! Where logits are blended, the linear last layer is applied per pixel, after blending the hidden features. Only what a view's visible Gaussians depend on is decoded in a step.
 
 use super::optimiser::{self, ModuleAdam, NamedValues};
 use super::views::ViewWeights;
-use super::{Model, Prediction};
-use crate::config::SegmentationConfig;
+use super::{Model, Prediction, blended, stored};
+use crate::config::{Blend, SegmentationConfig};
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::{SparseMatrix, sparse_apply};
@@ -16,7 +15,7 @@ use crate::segmentation::loss::neighbour_divergence;
 use crate::segmentation::neighbours::without_self;
 use crate::segmentation::pyramid::{Pyramid, Restriction};
 use burn::module::Module;
-use burn::tensor::{Device, Gradients, Tensor};
+use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use std::sync::Arc;
 
 /// Scales of the 3D regularisation (n = 3, 4), zero-based.
@@ -101,6 +100,8 @@ pub struct FusedPlan<'a> {
 /// A decoder in training.
 pub struct Fused<'a> {
     decoder: Option<Decoder>,
+    /// Added to the scores of each Gaussian, `[N, C]`; empty for nothing.
+    prior: Arc<Vec<f32>>,
     adam: ModuleAdam,
     source: &'a Source,
     plan: FusedPlan<'a>,
@@ -126,6 +127,7 @@ impl<'a> Fused<'a> {
     ) -> Self {
         Self {
             decoder: Some(decoder),
+            prior: Arc::default(),
             adam: ModuleAdam::new(plan.rate),
             source,
             plan,
@@ -135,6 +137,28 @@ impl<'a> Fused<'a> {
             iteration: 0,
             device: device.clone(),
         }
+    }
+
+    /// Adds `prior` `[N, C]` to the scores of every Gaussian, and lets the decoder start from zero beside it.
+    #[must_use]
+    pub fn with_prior(mut self, prior: Arc<Vec<f32>>) -> Self {
+        assert_eq!(prior.len(), self.plan.size[0] * self.plan.size[1], "one prior score a Gaussian and class");
+        self.decoder = self.decoder.map(Decoder::with_silent_start);
+        self.prior = prior;
+        self
+    }
+
+    /// Scores `[rows, C]` of hidden features of the scene's Gaussians `points`.
+    fn scores(&self, decoder: &Decoder, hidden: Tensor<2>, points: &[u32]) -> Tensor<2> {
+        let classes = self.plan.size[1];
+        let scores = decoder.classify(hidden);
+        if self.prior.is_empty() {
+            return scores;
+        }
+        let rows: Vec<f32> =
+            points.iter().flat_map(|&i| &self.prior[i as usize * classes..][..classes]).copied().collect();
+        let prior = TensorData::new(rows, [points.len(), classes]);
+        scores.clone() + Tensor::from_data(prior, &scores.device())
     }
 
     fn prepare(&mut self, view: usize, visible: &[u32]) -> Result<Arc<Prepared>> {
@@ -189,7 +213,9 @@ impl<'a> Fused<'a> {
         for first in (0..count).step_by(CHUNK) {
             let rows = Arc::new((first..(first + CHUNK as u32).min(count)).collect::<Vec<_>>());
             let part = encoded.pyramid.restrict(&Restriction::new(&encoded.pyramid, rows));
-            scores.extend(optimiser::values(decoder.classify(decoder.forward(&part).hidden)));
+            let points = &encoded.points[first as usize..][..part.levels[0].points.len()];
+            let part = self.scores(decoder, decoder.forward(&part).hidden, points);
+            scores.extend(optimiser::values(stored(part, self.plan.config.blend)));
         }
         scores
     }
@@ -200,7 +226,11 @@ impl Model for Fused<'_> {
         let prepared = self.prepare(view, &weights.visible)?;
         let Some(decoder) = &self.decoder else { return Ok(Prediction::empty(self.plan.size[1], &self.device)) };
         let decoded = decoder.forward(&prepared.pyramid);
-        let logits = decoder.classify(sparse_apply(decoded.hidden, Arc::new(sampled)));
+        let logits = match self.plan.config.blend {
+            // The last layer is linear: hidden features are blended and it is applied per pixel.
+            Blend::Logits => decoder.classify(sparse_apply(decoded.hidden, Arc::new(sampled))),
+            blend => blended(self.scores(decoder, decoded.hidden, &weights.visible), sampled, blend),
+        };
         let regularisation = if self.plan.regularised { self.regularisation(&decoded.fused, &prepared) } else { None };
         self.iteration += 1;
         Ok(Prediction { logits, regularisation })

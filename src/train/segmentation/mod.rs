@@ -12,17 +12,22 @@ pub use per_gaussian::PerGaussian;
 pub use session::{Pace, Score, train};
 pub use views::{TrainingViews, ViewWeights, view_at};
 
-use crate::config::SegmentationConfig;
+use crate::config::{Blend, SegmentationConfig};
 use crate::error::{Error, Result};
 use crate::objects::Identities;
-use crate::ops::SparseMatrix;
+use crate::ops::{SparseMatrix, sparse_apply};
 use crate::random::{Purpose, stream};
 use crate::segmentation::loss::{Kind, label_loss};
+use burn::tensor::activation::softmax;
 use burn::tensor::{Device, Gradients, Tensor};
+use std::sync::Arc;
+
+/// Keeps the logarithm of a blended probability finite.
+const LEAST_PROBABILITY: f64 = 1e-8;
 
 /// What a model says of some pixels.
 pub struct Prediction {
-    /// Blended logits over `1 - T`, `[P, C]`.
+    /// Blended logits over `1 - T`, `[P, C]`, or the logarithm of blended probabilities.
     pub logits: Tensor<2>,
     /// Eq. 9, where the model has one.
     pub regularisation: Option<Tensor<1>>,
@@ -104,7 +109,7 @@ impl Plan {
 /// # Errors
 /// [`Error::NonFinite`] naming view and iteration, before anything is changed.
 pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan, iteration: usize) -> Result<f32> {
-    let view = view_at(plan.seed, iteration, views.len());
+    let view = views.at(plan.seed, iteration);
     let weights = views.weights(view)?;
     let mut rng = stream(plan.seed, Purpose::Pixels, iteration as u64);
     let (sampled, labels) = weights.sample(plan.pixel_share, &mut rng);
@@ -130,6 +135,23 @@ pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan,
     }
     model.step(&mut loss.backward(), plan.rate_factor(iteration)).map_err(at)?;
     Ok(value)
+}
+
+/// Blends what `blend` says of the scores `[N, C]` with `weights` `[P, N]`, whose rows sum to 1.
+fn blended(scores: Tensor<2>, weights: SparseMatrix, blend: Blend) -> Tensor<2> {
+    match blend {
+        Blend::Logits => sparse_apply(scores, Arc::new(weights)),
+        // softmax(log p) = p: the label losses see the mixture itself.
+        Blend::Probabilities => (sparse_apply(softmax(scores, 1), Arc::new(weights)) + LEAST_PROBABILITY).log(),
+    }
+}
+
+/// Scores as they are stored.
+fn stored(scores: Tensor<2>, blend: Blend) -> Tensor<2> {
+    match blend {
+        Blend::Logits => scores,
+        Blend::Probabilities => softmax(scores, 1),
+    }
 }
 
 impl Prediction {

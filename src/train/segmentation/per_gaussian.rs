@@ -2,13 +2,13 @@
 
 use super::optimiser::{self, ModuleAdam, NamedValues};
 use super::views::ViewWeights;
-use super::{Model, Prediction};
+use super::{Model, Prediction, blended, stored};
+use crate::config::Blend;
 use crate::error::Result;
 use crate::objects::Identities;
-use crate::ops::{SparseMatrix, sparse_apply};
+use crate::ops::SparseMatrix;
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Gradients, Int, Tensor, TensorData};
-use std::sync::Arc;
 
 #[derive(Module, Debug)]
 struct Logits {
@@ -20,15 +20,15 @@ pub struct PerGaussian {
     logits: Option<Logits>,
     adam: ModuleAdam,
     size: [usize; 2],
+    blend: Blend,
     device: Device,
 }
 
 impl PerGaussian {
-    /// Zero logits for `gaussians` x `classes`, on an autodiff `device`.
-    pub fn new(gaussians: usize, classes: usize, rate: f64, device: &Device) -> Self {
-        let size = [gaussians, classes];
+    /// Zero logits for `size` = Gaussians x classes, on an autodiff `device`.
+    pub fn new(size: [usize; 2], rate: f64, blend: Blend, device: &Device) -> Self {
         let scores = Param::from_tensor(Tensor::zeros(size, device));
-        Self { logits: Some(Logits { scores }), adam: ModuleAdam::new(rate), size, device: device.clone() }
+        Self { logits: Some(Logits { scores }), adam: ModuleAdam::new(rate), size, blend, device: device.clone() }
     }
 
     fn scores(&self) -> Tensor<2> {
@@ -44,7 +44,7 @@ impl Model for PerGaussian {
         let columns: Vec<i64> = weights.visible.iter().map(|&i| i64::from(i)).collect();
         let count = columns.len();
         let index = Tensor::<1, Int>::from_data(TensorData::new(columns, [count]), &self.device.clone().inner());
-        let logits = sparse_apply(self.scores().select(0, index), Arc::new(sampled));
+        let logits = blended(self.scores().select(0, index), sampled, self.blend);
         Ok(Prediction { logits, regularisation: None })
     }
 
@@ -56,7 +56,7 @@ impl Model for PerGaussian {
     }
 
     fn identities(&mut self) -> Result<Identities> {
-        Ok(Identities { scores: optimiser::values(self.scores().inner()), classes: self.size[1] })
+        Ok(Identities { scores: optimiser::values(stored(self.scores().inner(), self.blend)), classes: self.size[1] })
     }
 
     fn learnable_bytes(&self) -> usize {

@@ -3,6 +3,7 @@
 use crate::data::{Classes, View};
 use crate::error::Result;
 use crate::gaussians::Gaussians;
+use crate::objects::{Votes, vote};
 use crate::ops::SparseMatrix;
 use crate::random::{Purpose, stream};
 use crate::raster::{Projected, Settings};
@@ -68,6 +69,8 @@ impl ViewWeights {
 pub struct TrainingViews<'a> {
     gaussians: &'a Gaussians,
     views: Vec<&'a View>,
+    /// Views in use.
+    used: Vec<usize>,
     classes: &'a Classes,
     settings: Settings,
     min_coverage: f32,
@@ -86,7 +89,8 @@ impl<'a> TrainingViews<'a> {
         budget: usize,
     ) -> Self {
         let views: Vec<_> = views.filter(|v| v.raw.is_some()).collect();
-        Self { gaussians, kept: vec![None; views.len()], views, classes, settings, min_coverage, budget }
+        let (kept, used) = (vec![None; views.len()], (0..views.len()).collect());
+        Self { gaussians, kept, views, used, classes, settings, min_coverage, budget }
     }
 
     /// Number of views.
@@ -97,6 +101,33 @@ impl<'a> TrainingViews<'a> {
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.views.is_empty()
+    }
+
+    /// Leaves out every `every`-th view, or none.
+    pub fn hold_back(&mut self, every: Option<usize>) {
+        let out = |i: &usize| every.is_some_and(|every| i % every.max(1) == every / 2);
+        self.used = (0..self.views.len()).filter(|i| !out(i)).collect();
+    }
+
+    /// The views left out.
+    pub fn held_back(&self) -> impl Iterator<Item = &'a View> {
+        self.views.iter().enumerate().filter(|(i, _)| self.used.binary_search(i).is_err()).map(|(_, view)| *view)
+    }
+
+    /// The view of `iteration`: those in use in a fresh shuffle every epoch, a function of (seed, iteration) alone.
+    ///
+    /// # Panics
+    /// If no view is in use.
+    pub fn at(&self, seed: u64, iteration: usize) -> usize {
+        self.used[view_at(seed, iteration, self.used.len())]
+    }
+
+    /// The votes of the views in use.
+    ///
+    /// # Errors
+    /// As [`ViewWeights::new`].
+    pub fn votes(&self) -> Result<Votes> {
+        vote(self.gaussians, self.used.iter().map(|&i| self.views[i]), self.classes, &self.settings)
     }
 
     /// Number of Gaussians in the scene.

@@ -1,0 +1,77 @@
+//! Learning rates chosen without test truth: short trials, scored on raw labels of training views that were held back.
+
+use super::checkpoint::Checkpoint;
+use super::segmentation::{Model, Plan, TrainingViews, train_step};
+use super::segmentation_inputs::Inputs;
+use crate::error::Result;
+use crate::metrics::{Void, label_scores};
+use crate::objects::{Identities, label_map};
+use crate::raster::Projected;
+use std::path::Path;
+
+/// Every so many training views one is held back in a trial.
+pub const HELD_BACK: usize = 8;
+/// A trial runs for this share of the row's iterations.
+const TRIAL_SHARE: f64 = 0.25;
+const KIND: &str = "learning rate";
+
+/// The rate that does best of `base` times `segmentation.lr_trials`: a fresh `model` is trained for each, a quarter as
+/// long as the row will be, without every eighth training view; it is scored by its accuracy on the raw labels of those.
+///
+/// The choice is kept at `path`, where a resumed run finds it.
+///
+/// # Errors
+/// Those of training and of the file.
+pub fn choose_rate<'a>(
+    base: f64,
+    plan: &Plan,
+    views: &mut TrainingViews,
+    inputs: &Inputs,
+    path: &Path,
+    model: &mut dyn FnMut(f64, &TrainingViews) -> Result<Box<dyn Model + 'a>>,
+) -> Result<f64> {
+    let factors = &inputs.config.segmentation.lr_trials;
+    if factors.len() < 2 {
+        return Ok(base * factors.first().copied().unwrap_or(1.0));
+    }
+    if path.is_file() {
+        let (of, rate): (Vec<f64>, f64) = Checkpoint::load(path, KIND)?.get("choice")?;
+        if of == *factors {
+            return Ok(rate);
+        }
+    }
+    let trial = Plan { iterations: ((plan.iterations as f64 * TRIAL_SHARE).ceil() as usize).max(1), ..plan.clone() };
+    let trial = Plan { warmup: (plan.warmup as f64 * TRIAL_SHARE).round() as usize, ..trial };
+    views.hold_back(Some(HELD_BACK));
+    let mut best = (f64::NEG_INFINITY, base);
+    for factor in factors {
+        let mut model = model(base * factor, views)?;
+        for iteration in 0..trial.iterations {
+            train_step(model.as_mut(), views, &trial, iteration)?;
+        }
+        let score = raw_accuracy(&model.identities()?, views, inputs)?;
+        if score > best.0 {
+            best = (score, base * factor);
+        }
+    }
+    views.hold_back(None);
+    let mut checkpoint = Checkpoint::new(KIND);
+    checkpoint.set("choice", &(factors, best.1))?;
+    checkpoint.save(path)?;
+    Ok(best.1)
+}
+
+/// Share of the labelled pixels of the views held back on which rendered and raw label agree.
+fn raw_accuracy(identities: &Identities, views: &TrainingViews, inputs: &Inputs) -> Result<f64> {
+    let classes = &inputs.scene.classes;
+    let coverage = inputs.config.segmentation.min_coverage as f32;
+    let splats = inputs.gaussians.splats();
+    let mut maps = Vec::new();
+    for view in views.held_back() {
+        let projected = Projected::new(&splats, &view.camera, &inputs.settings)?;
+        maps.push(label_map(&projected, identities, classes, coverage));
+    }
+    let raw = views.held_back().filter_map(|view| view.raw.as_ref());
+    let pairs = raw.zip(&maps).map(|(raw, map)| (&raw.ids[..], &map.ids[..]));
+    Ok(label_scores(classes, pairs, Void::Wrong).accuracy.unwrap_or(0.0))
+}
