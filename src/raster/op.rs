@@ -1,10 +1,9 @@
 //! Rasterization as a differentiable burn operation.
 
-use super::backward::SplatGradients;
+use super::backward::{PixelGradients, SplatGradients};
 use super::projected::{Blended, Projected};
 use super::settings::{Settings, Splats, check_finite};
 use super::sh::{ShBackward, eval_sh_rows};
-use super::tile_pairs::PixelGradients;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::ops::{HostBackend, HostValues, Real, device_of, real_kernel};
