@@ -101,6 +101,11 @@ impl Vector<f32> for Avx {
         Self(avx!(_mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(p.0), exponent))))
     }
     #[inline(always)]
+    fn permute(self, from: &[u8; LANES]) -> Self {
+        let from = avx!(_mm256_cvtepu8_epi32(_mm_cvtsi64_si128(i64::from_le_bytes(*from))));
+        Self(avx!(_mm256_permutevar8x32_ps(self.0, from)))
+    }
+    #[inline(always)]
     fn total(self) -> f32 {
         avx!({
             let x = _mm_add_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));

@@ -6,6 +6,24 @@ use super::Real;
 /// Numbers handled together.
 pub const LANES: usize = 8;
 
+/// For every set of lanes its members in order, and then zeros.
+pub(crate) static MEMBERS: [[u8; LANES]; 1 << LANES] = {
+    let mut members = [[0; LANES]; 1 << LANES];
+    let mut set = 0;
+    while set < members.len() {
+        let (mut lane, mut count) = (0, 0);
+        while lane < LANES {
+            if set >> lane & 1 == 1 {
+                members[set][count] = lane as u8;
+                count += 1;
+            }
+            lane += 1;
+        }
+        set += 1;
+    }
+    members
+};
+
 /// `LANES` numbers.
 pub trait Vector<E>: Copy {
     fn splat(x: E) -> Self;
@@ -37,6 +55,8 @@ pub trait Vector<E>: Copy {
     fn keep_from(self, low: Self) -> Self;
     /// [`Real::exp2_nonpositive`].
     fn exp2_nonpositive(self) -> Self;
+    /// Lane `from[l]` in lane `l`.
+    fn permute(self, from: &[u8; LANES]) -> Self;
     /// The sum of all lanes, in a fixed tree.
     fn total(self) -> E;
     /// Asks for `value` to be brought near, where the hardware can be asked.
@@ -146,6 +166,10 @@ impl<E: Real, const FUSED: bool> Vector<E> for Plain<E, FUSED> {
     #[inline(always)]
     fn exp2_nonpositive(self) -> Self {
         self.zip(self, |a, _| a.exp2_nonpositive::<FUSED>())
+    }
+    #[inline(always)]
+    fn permute(self, from: &[u8; LANES]) -> Self {
+        Self(from.map(|l| self.0[l as usize % LANES]))
     }
     #[inline(always)]
     fn total(self) -> E {

@@ -229,7 +229,7 @@ pub(super) fn backward<E: Real>(
         for (i, sums) in (0..pairs.ends.len()).zip(sums.chunks_exact_mut(stride)) {
             let mut m = [E::zero(); 6];
             for pair in pairs.range(i) {
-                let [alpha, u, v] = pairs.shape[pair];
+                let (alpha, u, v) = (pairs.alphas[pair], pairs.us[pair], pairs.vs[pair]);
                 let own = pairs.weights[pair] * projections[pair];
                 let rest = &mut budget[pairs.pixels[pair] as usize];
                 *rest -= own;

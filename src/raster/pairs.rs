@@ -7,7 +7,7 @@ use super::settings::PairCounts;
 use super::tile_loop::{Pass, Tile, walk};
 use crate::ops::Real;
 use crate::ops::simd::{Kernel, dispatch};
-use crate::ops::vector::{LANES, Vector};
+use crate::ops::vector::{LANES, MEMBERS, Vector};
 
 /// Contributing pairs of one tile, Gaussian by Gaussian, front to back.
 pub(super) struct Pairs<E, const GEOMETRY: bool> {
@@ -19,7 +19,9 @@ pub(super) struct Pairs<E, const GEOMETRY: bool> {
     pub pixels: Vec<u16>,
     pub weights: Vec<E>,
     /// alpha' and the kernels' u, v of each pair when `GEOMETRY`.
-    pub shape: Vec<[E; 3]>,
+    pub alphas: Vec<E>,
+    pub us: Vec<E>,
+    pub vs: Vec<E>,
     pub counts: PairCounts,
 }
 
@@ -50,22 +52,24 @@ impl<E: Real, V: Vector<E>, const GEOMETRY: bool> Pass<E, V> for PairPass<V, E, 
             if len + LANES > pairs.pixels.len() {
                 pairs.resize(2 * len + LANES);
             }
-            let lanes = |v: V| {
-                let mut out = [E::zero(); LANES];
-                v.store(&mut out);
-                out
-            };
-            let weights = lanes(weight);
-            let (alphas, us) = if GEOMETRY { (lanes(alpha), lanes(footprint.u(strip))) } else { (weights, weights) };
-            // Every lane is written, the next one over it if it does not contribute: no branch to mispredict.
-            for l in 0..LANES {
-                pairs.pixels[len] = (strip * LANES + l) as u16;
-                pairs.weights[len] = weights[l];
-                if GEOMETRY {
-                    pairs.shape[len] = [alphas[l], us[l], footprint.v(strip)];
-                }
-                len += usize::from(weights[l] > E::zero());
+            // The lanes that contribute come first; the next pairs are written over the others.
+            let members = weight.bits_above(V::splat(E::zero())) as usize;
+            let from = &MEMBERS[members];
+            if let Some(pixels) = pairs.pixels[len..].first_chunk_mut() {
+                *pixels = from.map(|lane| (strip * LANES) as u16 + u16::from(lane));
             }
+            let put = |list: &mut [E], lanes: V| {
+                if let Some(to) = list[len..].first_chunk_mut() {
+                    lanes.permute(from).store(to);
+                }
+            };
+            put(&mut pairs.weights, weight);
+            if GEOMETRY {
+                put(&mut pairs.alphas, alpha);
+                put(&mut pairs.us, footprint.u(strip));
+                put(&mut pairs.vs, V::splat(footprint.v(strip)));
+            }
+            len += members.count_ones() as usize;
         });
         self.len = len;
         pairs.ends.push(len as u32);
@@ -88,7 +92,9 @@ impl<E: Real, const GEOMETRY: bool> Kernel<E> for Gather<'_, E, GEOMETRY> {
             ends: Vec::with_capacity(tile.ranks.len()),
             pixels: Vec::new(),
             weights: Vec::new(),
-            shape: Vec::new(),
+            alphas: Vec::new(),
+            us: Vec::new(),
+            vs: Vec::new(),
             counts: PairCounts::default(),
         };
         pairs.resize(64 * tile.ranks.len());
@@ -111,7 +117,9 @@ impl<E: Real, const GEOMETRY: bool> Pairs<E, GEOMETRY> {
         self.pixels.resize(len, 0);
         self.weights.resize(len, E::zero());
         if GEOMETRY {
-            self.shape.resize(len, [E::zero(); 3]);
+            for list in [&mut self.alphas, &mut self.us, &mut self.vs] {
+                list.resize(len, E::zero());
+            }
         }
     }
 

@@ -8,8 +8,10 @@ use rayon::prelude::*;
 
 /// List entries between two looks at which rows are still live.
 pub(super) const LOOK: usize = 16;
-/// Bytes of per-entry sums held at once.
-const BAND_BYTES: usize = 64 << 20;
+/// Bytes of per-entry sums held at once: few, so that they stay in the cache, but not so few that there are more than
+/// [`BANDS`] bands, each of which looks at all Gaussians.
+const BAND_BYTES: std::ops::RangeInclusive<usize> = 4 << 20..=64 << 20;
+const BANDS: usize = 8;
 
 /// One tile: its first pixel and its Gaussians' ranks, front to back.
 #[derive(Clone, Copy)]
@@ -61,17 +63,19 @@ pub(super) fn sum_over_tiles<E: Real>(p: &Projected<E>, width: usize, f: impl Fn
         return sums;
     }
     let mut cursors = vec![0_u32; p.splats.len()];
+    let entry = width * std::mem::size_of::<E>();
+    let limit = (p.tiles.ranks.len() * entry / BANDS).clamp(*BAND_BYTES.start(), *BAND_BYTES.end());
+    let mut partial = Vec::new();
     let mut row = 0;
     while row < p.tiles.rows {
         // As many rows of tiles as fit, at least one.
         let mut end = row + 1;
-        while end < p.tiles.rows
-            && p.tiles.tile_rows(row..end + 1).len() * width * std::mem::size_of::<E>() <= BAND_BYTES
-        {
+        while end < p.tiles.rows && p.tiles.tile_rows(row..end + 1).len() * entry <= limit {
             end += 1;
         }
         let band = p.tiles.tile_rows(row..end);
-        let mut partial = vec![E::zero(); band.len() * width];
+        partial.clear();
+        partial.resize(band.len() * width, E::zero());
         let mut rest = partial.as_mut_slice();
         let mut parts = Vec::with_capacity((end - row) * p.tiles.columns);
         for tile_row in row..end {
