@@ -3,6 +3,8 @@
 
 mod adam;
 mod attentive_pool;
+#[cfg(target_arch = "x86_64")]
+mod avx;
 mod host;
 mod label_loss;
 mod photometric;

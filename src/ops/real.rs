@@ -1,6 +1,9 @@
 //! The two scalar types of the kernels.
 
-use super::vector::{Vector, WideF32, WideF64};
+#[cfg(target_arch = "x86_64")]
+use super::avx::Avx;
+use super::vector::Plain;
+use super::vector::Vector;
 use num_traits::{Float, NumAssign};
 use std::iter::Sum;
 
@@ -8,7 +11,9 @@ use std::iter::Sum;
 pub trait Real:
     Float + NumAssign + Sum + Default + Send + Sync + std::fmt::Debug + burn::tensor::Element + 'static
 {
-    /// Vectors of this type on processors with fused multiply-add.
+    /// Whether kernels have a second copy on x86-64, for AVX2 with FMA.
+    const WIDE: bool;
+    /// The vectors of that copy.
     type Wide: Vector<Self>;
     /// Rounds an `f64` constant to this type.
     fn of(value: f64) -> Self;
@@ -16,9 +21,9 @@ pub trait Real:
     fn wide(self) -> f64;
     /// `self * b + c`; one rounding when `FUSED`, which callers may set only where the hardware has the instruction.
     fn fma<const FUSED: bool>(self, b: Self, c: Self) -> Self;
-    /// `e^self` for `self <= 0`, without branches. `f32`: a polynomial, relative error below 5e-7 down to -86, and below
-    /// that a positive number under 1e-37. `f64`: the library function.
-    fn exp_nonpositive<const FUSED: bool>(self) -> Self;
+    /// `2^self` for `self <= 0`, without branches. `f32`: a polynomial, relative error below 2e-7 down to -125, and below
+    /// that `2^-125`. `f64`: the library function.
+    fn exp2_nonpositive<const FUSED: bool>(self) -> Self;
     /// The row-major values of an ndarray-backend tensor of this element type.
     #[cfg(feature = "ndarray")]
     fn of_ndarray(tensor: burn::backend::ndarray::NdArrayTensor) -> Option<burn::backend::ndarray::SharedArray<Self>>;
@@ -28,9 +33,10 @@ pub trait Real:
 }
 
 macro_rules! real {
-    ($type:ty, $variant:ident, $exp:ident, $wide:ty) => {
+    ($type:ty, $variant:ident, $exp2:ident, $wide:expr, $vector:ty) => {
         impl Real for $type {
-            type Wide = $wide;
+            const WIDE: bool = $wide;
+            type Wide = $vector;
             #[inline(always)]
             fn of(value: f64) -> Self {
                 value as $type
@@ -44,8 +50,8 @@ macro_rules! real {
                 if FUSED { self.mul_add(b, c) } else { self * b + c }
             }
             #[inline(always)]
-            fn exp_nonpositive<const FUSED: bool>(self) -> Self {
-                $exp::<FUSED>(self)
+            fn exp2_nonpositive<const FUSED: bool>(self) -> Self {
+                $exp2::<FUSED>(self)
             }
             #[cfg(feature = "ndarray")]
             fn of_ndarray(
@@ -63,8 +69,11 @@ macro_rules! real {
         }
     };
 }
-real!(f32, F32, exp_f32, WideF32);
-real!(f64, F64, exp_f64, WideF64);
+#[cfg(target_arch = "x86_64")]
+real!(f32, F32, exp2_f32, true, Avx);
+#[cfg(not(target_arch = "x86_64"))]
+real!(f32, F32, exp2_f32, false, Plain<f32, false>);
+real!(f64, F64, exp2_f64, false, Plain<f64, false>);
 
 /// Constants of the `f32` exponential.
 pub(super) mod exp2_coefficients {
@@ -78,12 +87,11 @@ pub(super) mod exp2_coefficients {
         [1.327_647_2e-3, 9.675_541e-3, 5.550_713_3e-2, 2.402_212e-1, 6.931_47e-1, 1.000_000_1];
 }
 
-/// `2^(n + f)`: `n` the nearest integer of `x log2(e)`.
+/// `2^(n + f)`: `n` the nearest integer of `x`.
 #[inline(always)]
-fn exp_f32<const FUSED: bool>(x: f32) -> f32 {
+fn exp2_f32<const FUSED: bool>(x: f32) -> f32 {
     use exp2_coefficients::{LOWEST, POLYNOMIAL, ROUND};
-    let y = x * std::f32::consts::LOG2_E;
-    let y = if y > LOWEST { y } else { LOWEST };
+    let y = if x > LOWEST { x } else { LOWEST };
     let shifted = y + ROUND;
     let f = y - (shifted - ROUND);
     let [top, rest @ ..] = POLYNOMIAL;
@@ -95,6 +103,6 @@ fn exp_f32<const FUSED: bool>(x: f32) -> f32 {
 }
 
 #[inline(always)]
-fn exp_f64<const FUSED: bool>(x: f64) -> f64 {
-    x.exp()
+fn exp2_f64<const FUSED: bool>(x: f64) -> f64 {
+    x.exp2()
 }

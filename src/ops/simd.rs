@@ -1,22 +1,58 @@
-//! Run-time choice of instruction set for inner loops written once as plain Rust.
+//! Run-time choice of instruction set for kernels written once.
+//!
+//! `f32` kernels are compiled twice on x86-64, for the build's baseline and for AVX2 with FMA, which is several times
+//! as fast. `f64`, the precision of references, has the baseline copy only: every copy costs
+//! build time.
 
 use super::Real;
+use super::vector::{Plain, Vector};
 
-/// Declares `fn $name`, which runs `$body::<E, FMA>` compiled for AVX2 with FMA where the CPU has them and for the
-/// build's baseline otherwise. `$body` must be `#[inline(always)]`, and closures that it does not inline lose the wider
-/// instructions.
+/// Work over vectors. `run` must be `#[inline(always)]`, so that it lands in a function with wider instructions enabled.
+pub(crate) trait Kernel<E> {
+    type Output;
+    fn run<V: Vector<E>>(self) -> Self::Output;
+}
+
+/// Runs `kernel` with the widest instructions that it is compiled for and this processor has.
+pub(crate) fn dispatch<E: Real, K: Kernel<E>>(kernel: K) -> K::Output {
+    #[cfg(target_arch = "x86_64")]
+    if const { E::WIDE } {
+        #[target_feature(enable = "avx2,fma")]
+        fn wide<E: Real, K: Kernel<E>>(kernel: K) -> K::Output {
+            kernel.run::<E::Wide>()
+        }
+        if wide_instructions() {
+            // SAFETY: the processor has both, checked just now.
+            return unsafe { wide(kernel) };
+        }
+    }
+    // Fused multiply-add is part of aarch64.
+    kernel.run::<Plain<E, { cfg!(target_arch = "aarch64") }>>()
+}
+
+/// Whether the processor has AVX2 and FMA.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+pub(crate) fn wide_instructions() -> bool {
+    is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
+}
+
+/// Declares `fn $name`, which runs `$body::<E, FMA>`: [`dispatch`] for loops that the compiler vectorises by itself.
+/// `$body` must be `#[inline(always)]`, and closures that it does not inline lose the wider instructions.
 macro_rules! wide_kernel {
     ($(#[$meta:meta])* $visibility:vis fn $name:ident($($arg:ident: $type:ty),* $(,)?) $(-> $out:ty)? => $body:ident) => {
         $(#[$meta])*
         $visibility fn $name<E: Real>($($arg: $type),*) $(-> $out)? {
             #[cfg(target_arch = "x86_64")]
-            if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
+            if const { E::WIDE } {
                 #[target_feature(enable = "avx2,fma")]
                 fn wide<E: Real>($($arg: $type),*) $(-> $out)? {
                     $body::<E, true>($($arg),*)
                 }
-                // SAFETY: the CPU has both, checked just now.
-                return unsafe { wide::<E>($($arg),*) };
+                if $crate::ops::simd::wide_instructions() {
+                    // SAFETY: the processor has both, checked just now.
+                    return unsafe { wide::<E>($($arg),*) };
+                }
             }
             $body::<E, false>($($arg),*)
         }

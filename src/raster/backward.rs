@@ -4,18 +4,22 @@
 //! `dL/dalpha'_i = T_i d_i - R_i / (1 - alpha'_i)` with `R_i = sum_(j > i) w_j d_j + dL/dT T`: what is left of
 //! `dL/dS . S + dL/dT T` after the first `i` Gaussians. One running scalar per pixel, whatever the number of channels.
 
-use super::blend::{LOOK, Tile, sum_over_tiles};
-use super::footprint::{BUFFER, Footprint, Lanes, Rule, Visit, fresh_transmittance, live_rows, load, store, walk};
-use super::geometry::{Gradient3, Splat3, project_backward};
+use super::blend::tile_image;
+use super::channel_blocks;
+use super::footprint::{Buffer, Footprint, Rule, STRIPS, Splat2, UNIT, fresh_transmittance};
+use super::geometry::{Moments, Splat3, project_backward};
 use super::projected::{Blended, Projected};
 use super::settings::Splats;
-use super::tile_pairs::{self, PixelGradients, moments};
+use super::tile_loop::{LOOK, Pass, Tile, gather_rows, sum_over_tiles, walk};
 use crate::ops::Real;
-use crate::ops::vector::{Kernel, Vector, dispatch};
+use crate::ops::simd::{Kernel, dispatch};
+use crate::ops::vector::{LANES, Vector};
 use rayon::prelude::*;
 
 /// Gaussians that one task handles.
 const CHUNK: usize = 512;
+/// Gaussians whose sums are read together.
+const NEAR: usize = 16;
 
 /// Gradients of all that [`Projected::blend`] depends on; rows of culled Gaussians are zero.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -34,50 +38,102 @@ pub struct SplatGradients<E> {
     pub screen: Vec<E>,
 }
 
+/// What the backward pass over a tile reads besides the projection.
+#[derive(Clone, Copy)]
+pub(super) struct PixelGradients<'a, E> {
+    /// What was rendered, `[H, W, C]`, background included.
+    pub image: &'a [E],
+    pub transmittance: &'a [E],
+    pub d_image: &'a [E],
+    pub d_transmittance: Option<&'a [E]>,
+}
+
+impl<E: Real> PixelGradients<'_, E> {
+    /// `d_image . image + d_transmittance transmittance` of a pixel: the part of the loss's differential that is still
+    /// to be shared out before the first Gaussian.
+    #[inline(always)]
+    pub fn budget(&self, pixel: usize, channels: usize) -> E {
+        let at = pixel * channels;
+        let mut sum = self.d_transmittance.map_or(E::zero(), |d| d[pixel] * self.transmittance[pixel]);
+        for c in 0..channels {
+            sum += self.d_image[at + c] * self.image[at + c];
+        }
+        sum
+    }
+}
+
 struct BackwardTile<'a, E, const C: usize> {
     p: &'a Projected<E>,
     tile: Tile<'a>,
+    /// `[visible, C]`.
     values: &'a [E],
     pixels: PixelGradients<'a, E>,
+    /// `[entries, 6 + C]`: moments, then gradients of the values.
     sums: &'a mut [E],
 }
 
-struct BackwardLanes<E, V, const C: usize> {
+struct BackwardPass<'a, E, V, const C: usize> {
     rule: Rule<V>,
-    t: [E; BUFFER],
+    values: &'a [E],
+    t: Buffer<E>,
     /// `R` of every pixel.
-    rest: [E; BUFFER],
-    d_image: [[E; BUFFER]; C],
-    value: [V; C],
-    moments: [V; 6],
-    d_value: [V; C],
+    rest: Buffer<E>,
+    d_image: [Buffer<E>; C],
+    /// `dL/dalpha' alpha'` of the present Gaussian.
+    g: Buffer<E>,
+    /// Values of the next Gaussians.
+    near: [[E; C]; LOOK],
+    sums: &'a mut [E],
 }
 
-impl<E: Real, V: Vector<E>, const C: usize> Visit<E, V> for BackwardLanes<E, V, C> {
+impl<E: Real, V: Vector<E>, const C: usize> Pass<E, V> for BackwardPass<'_, E, V, C> {
     #[inline(always)]
-    fn visit(&mut self, at: usize, pair: &Lanes<E, V>) {
-        let (mut alpha, mut t) = (pair.alpha, load(&self.t, at));
-        let weight = self.rule.absorb(&mut alpha, &mut t);
-        store(&mut self.t, at, t);
-        let mut d = V::splat(E::zero());
-        for c in 0..C {
-            let g = load::<E, V>(&self.d_image[c], at);
-            d = g.fma(self.value[c], d);
-            self.d_value[c] = weight.fma(g, self.d_value[c]);
+    fn transmittance(&self) -> &Buffer<E> {
+        &self.t
+    }
+
+    #[inline(always)]
+    fn gather(&mut self, ranks: &[u32]) {
+        gather_rows(self.values, ranks, &mut self.near);
+    }
+
+    #[inline(always)]
+    fn take(&mut self, next: usize, entry: usize, footprint: &Footprint<E>) {
+        let value = self.near[next].map(V::splat);
+        let mut d_value = [V::splat(E::zero()); C];
+        footprint.for_each(|strip| {
+            let (mut alpha, mut t) = (footprint.alpha(strip, &self.rule), V::load(&self.t[strip]));
+            let weight = self.rule.absorb(&mut alpha, &mut t);
+            t.store(&mut self.t[strip]);
+            let mut d = V::splat(E::zero());
+            for c in 0..C {
+                let g = V::load(&self.d_image[c][strip]);
+                d = g.fma(value[c], d);
+                d_value[c] = weight.fma(g, d_value[c]);
+            }
+            let own = weight.mul(d);
+            let rest = V::load(&self.rest[strip]).sub(own);
+            rest.store(&mut self.rest[strip]);
+            let g = rest.fnma(alpha.div(self.rule.one().sub(alpha)), own);
+            self.rule.below_cap(alpha, g).store(&mut self.g[strip]);
+        });
+        // A second loop, because the sums of both do not fit into 16 registers.
+        let mut moments = [V::splat(E::zero()); 6];
+        footprint.for_each(|strip| {
+            let (g, u, v) = (V::load(&self.g[strip]), footprint.u::<V>(strip), V::splat(footprint.v(strip)));
+            let (gu, gv) = (g.mul(u), g.mul(v));
+            let [m, m_u, m_v, m_uu, m_uv, m_vv] = &mut moments;
+            *m = m.add(g);
+            *m_u = m_u.add(gu);
+            *m_v = m_v.add(gv);
+            *m_uu = gu.fma(u, *m_uu);
+            *m_uv = gu.fma(v, *m_uv);
+            *m_vv = gv.fma(v, *m_vv);
+        });
+        let sums = &mut self.sums[entry * (6 + C)..][..6 + C];
+        for (to, sum) in sums.iter_mut().zip(moments.into_iter().chain(d_value)) {
+            *to = sum.total();
         }
-        let own = weight.mul(d);
-        let rest = load::<E, V>(&self.rest, at).sub(own);
-        store(&mut self.rest, at, rest);
-        let g = rest.fnma(alpha.div(self.rule.one().sub(alpha)), own);
-        let g = self.rule.below_cap(alpha, g);
-        let gu = g.mul(pair.u);
-        let [one, u, v, uu, uv, vv] = &mut self.moments;
-        *one = one.add(g);
-        *u = u.add(gu);
-        *v = g.fma(V::splat(pair.v), *v);
-        *uu = gu.fma(pair.u, *uu);
-        *uv = gu.fma(V::splat(pair.v), *uv);
-        *vv = g.fma(V::splat(pair.v * pair.v), *vv);
     }
 }
 
@@ -86,44 +142,35 @@ impl<E: Real, const C: usize> Kernel<E> for BackwardTile<'_, E, C> {
     #[inline(always)]
     fn run<V: Vector<E>>(self) {
         let Self { p, tile, values, pixels, sums } = self;
-        let rule = Rule::new::<E>(&p.settings);
-        let zero = V::splat(E::zero());
-        let mut lanes = BackwardLanes::<E, V, C> {
-            rule,
-            t: fresh_transmittance(tile.origin, p.size()),
-            rest: [E::zero(); BUFFER],
-            d_image: [[E::zero(); BUFFER]; C],
-            value: [zero; C],
-            moments: [zero; 6],
-            d_value: [zero; C],
+        let mut pass = BackwardPass::<E, V, C> {
+            rule: Rule::new::<E>(&p.settings),
+            values,
+            t: fresh_transmittance(tile, p.size()),
+            rest: [[E::zero(); LANES]; STRIPS],
+            d_image: tile_image(pixels.d_image, tile, p.size()),
+            g: [[E::zero(); LANES]; STRIPS],
+            near: [[E::zero(); C]; LOOK],
+            sums,
         };
         for (to, from, len) in tile.rows(p.size()) {
             for x in 0..len {
-                lanes.rest[to + x] = pixels.budget(from + x, C);
-                for c in 0..C {
-                    lanes.d_image[c][to + x] = pixels.d_image[(from + x) * C + c];
-                }
+                pass.rest.as_flattened_mut()[to + x] = pixels.budget(from + x, C);
             }
         }
-        let stride = 6 + C;
-        for (ranks, sums) in tile.ranks.chunks(LOOK).zip(sums.chunks_mut(LOOK * stride)) {
-            let live = live_rows(&lanes.t);
-            if live == 0 {
-                break;
-            }
-            for (&rank, sums) in ranks.iter().zip(sums.chunks_exact_mut(stride)) {
-                let f = Footprint::new(&p.splats[rank as usize], tile.origin);
-                for (lanes, &value) in lanes.value.iter_mut().zip(&values[rank as usize * C..][..C]) {
-                    *lanes = V::splat(value);
-                }
-                lanes.moments = [zero; 6];
-                lanes.d_value = [zero; C];
-                walk(&f, &rule, live, &mut lanes);
-                for (sum, lanes) in sums.iter_mut().zip(lanes.moments.iter().chain(&lanes.d_value)) {
-                    *sum = lanes.total();
-                }
-            }
-        }
+        walk(p, tile, &mut pass);
+    }
+}
+
+/// Six sums of kernels as [`Moments`].
+fn moments<E: Real>(m: &[E]) -> Moments {
+    let (first, second) = (UNIT.recip(), (UNIT * UNIT).recip());
+    Moments {
+        one: m[0].wide(),
+        u: first * m[1].wide(),
+        v: first * m[2].wide(),
+        uu: second * m[3].wide(),
+        uv: second * m[4].wide(),
+        vv: second * m[5].wide(),
     }
 }
 
@@ -172,26 +219,30 @@ impl<E: Real> Projected<E> {
         assert_eq!(pixels.d_image.len(), w * h * channels, "backward: d_image against pixels times channels");
         assert_eq!(pixels.transmittance.len(), w * h, "backward: transmittance against pixels");
         assert!(pixels.d_transmittance.is_none_or(|d| d.len() == w * h), "backward: d_transmittance against pixels");
-        let sums = match channels {
-            0 => fused::<E, 0>(self, values, pixels),
-            1 => fused::<E, 1>(self, values, pixels),
-            2 => fused::<E, 2>(self, values, pixels),
-            3 => fused::<E, 3>(self, values, pixels),
-            4 => fused::<E, 4>(self, values, pixels),
-            _ => tile_pairs::backward(self, values, channels, pixels),
+        // Without channels there is still the transmittance: one channel of zeros.
+        let nothing = if channels == 0 { vec![E::zero(); n.max(w * h)] } else { Vec::new() };
+        let (pixels, values, lanes) = match channels {
+            0 => {
+                let image = &nothing[..w * h];
+                (PixelGradients { image, d_image: image, ..pixels }, &nothing[..n], 1)
+            }
+            _ => (pixels, values, channels),
         };
-        let stride = 6 + channels;
-        let geometry: Vec<Gradient3> = sums
-            .par_chunks(stride * CHUNK)
-            .zip(self.ids.par_chunks(CHUNK))
-            .zip(self.splats.par_chunks(CHUNK))
-            .flat_map_iter(|((sums, ids), projected)| {
-                sums.chunks_exact(stride).zip(ids).zip(projected).map(|((sums, &id), projected)| {
-                    let splat = Splat3::read(splats, id as usize);
-                    project_backward(&splat, &self.viewpoint, projected, &moments(sums), self.settings.low_pass)
-                })
-            })
-            .collect();
+        let sums = match lanes {
+            1 => fused::<E, 1>(self, values, pixels),
+            3 => fused::<E, 3>(self, values, pixels),
+            _ => channel_blocks::backward(self, values, lanes, pixels),
+        };
+        self.to_parameters(splats, &sums, channels, 6 + lanes)
+    }
+
+    /// Gradients of the parameters from `sums`: a row of `stride` a visible Gaussian, moments and then values.
+    fn to_parameters(&self, splats: &Splats<'_, E>, sums: &[E], channels: usize, stride: usize) -> SplatGradients<E> {
+        let n = self.len();
+        let mut ranks = vec![u32::MAX; n];
+        for (&id, rank) in self.ids.iter().zip(0..) {
+            ranks[id as usize] = rank;
+        }
         let zeros = |width: usize| vec![E::zero(); n * width];
         let mut out = SplatGradients {
             means: zeros(3),
@@ -201,22 +252,47 @@ impl<E: Real> Projected<E> {
             values: zeros(channels),
             screen: zeros(2),
         };
-        let half = [w as f64 / 2.0, h as f64 / 2.0];
-        for ((g, sums), &id) in geometry.iter().zip(sums.chunks_exact(stride)).zip(&self.ids) {
-            let i = id as usize;
-            for a in 0..3 {
-                out.means[3 * i + a] = E::of(g.mean[a]);
-                out.log_scales[3 * i + a] = E::of(g.log_scale[a]);
-            }
-            for a in 0..4 {
-                out.rotations[4 * i + a] = E::of(g.rotation[a]);
-            }
-            for (a, half) in half.iter().enumerate() {
-                out.screen[2 * i + a] = E::of(g.center[a] * half);
-            }
-            out.opacity_logits[i] = E::of(g.logit);
-            out.values[i * channels..][..channels].copy_from_slice(&sums[6..]);
-        }
+        let half = self.size().map(|s| s as f64 / 2.0);
+        // chunks_mut(0) panics; without channels no row has values.
+        let value_rows = CHUNK * channels.max(1);
+        let mut values: Vec<&mut [E]> = out.values.chunks_mut(value_rows).collect();
+        values.resize_with(n.div_ceil(CHUNK), Default::default);
+        out.means
+            .par_chunks_mut(CHUNK * 3)
+            .zip(out.log_scales.par_chunks_mut(CHUNK * 3))
+            .zip(out.rotations.par_chunks_mut(CHUNK * 4))
+            .zip(out.opacity_logits.par_chunks_mut(CHUNK))
+            .zip(out.screen.par_chunks_mut(CHUNK * 2))
+            .zip(values)
+            .zip(ranks.par_chunks(CHUNK))
+            .enumerate()
+            .for_each(|(chunk, ((((((means, log_scales), rotations), logits), screen), values), ranks))| {
+                let visible: Vec<_> = ranks.iter().copied().enumerate().filter(|(_, rank)| *rank != u32::MAX).collect();
+                for visible in visible.chunks(NEAR) {
+                    // All reads of far memory first, so that they wait for each other as little as possible.
+                    let mut near = [(Splat2::default(), Moments::default()); NEAR];
+                    for (near, &(row, rank)) in near.iter_mut().zip(visible) {
+                        let (rank, sums) = (rank as usize, &sums[rank as usize * stride..][..stride]);
+                        *near = (self.splats[rank], moments(sums));
+                        values[channels * row..][..channels].copy_from_slice(&sums[6..6 + channels]);
+                    }
+                    for ((projected, moments), &(row, _)) in near.iter().zip(visible) {
+                        let splat = Splat3::read(splats, chunk * CHUNK + row);
+                        let g = project_backward(&splat, &self.viewpoint, projected, moments, self.settings.low_pass);
+                        write(&mut means[3 * row..], g.mean);
+                        write(&mut log_scales[3 * row..], g.log_scale);
+                        write(&mut rotations[4 * row..], g.rotation);
+                        write(&mut screen[2 * row..], [g.center[0] * half[0], g.center[1] * half[1]]);
+                        logits[row] = E::of(g.logit);
+                    }
+                }
+            });
         out
     }
+}
+
+/// `values` at the start of `to`.
+#[inline(always)]
+fn write<E: Real, const K: usize>(to: &mut [E], values: [f64; K]) {
+    to[..K].copy_from_slice(&values.map(E::of));
 }

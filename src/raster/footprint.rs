@@ -1,15 +1,21 @@
 //! Which pixels of a tile a projected Gaussian reaches, and its alpha' there.
+//!
+//! A tile is cut into strips of `LANES` neighbouring pixels of a row. Strips are fixed in place: a kernel's state lies
+//! in aligned vectors, so that a strip's next load finds the whole of its last store.
 
 use super::geometry::Ellipse;
+use super::tile_loop::Tile;
 use crate::ops::Real;
 use crate::ops::vector::{LANES, Vector};
 
 /// Pixels along a tile's edge.
 pub(super) const TILE: usize = 16;
-/// Length of a row of a tile's buffers: vectors start anywhere in a row and may run past its end.
-pub(super) const STRIDE: usize = TILE + LANES;
-/// Length of a tile's buffers.
-pub(super) const BUFFER: usize = TILE * STRIDE;
+/// Pixels of a tile.
+pub(super) const PIXELS: usize = TILE * TILE;
+/// Strips of a tile, in the order of their pixels.
+pub(super) const STRIPS: usize = PIXELS / LANES;
+/// A value for every pixel of a tile, row-major.
+pub(super) type Buffer<E> = [[E; LANES]; STRIPS];
 
 /// A projected Gaussian as the tile kernels read it.
 #[derive(Clone, Copy, Debug, Default)]
@@ -24,8 +30,8 @@ pub(super) struct Splat2 {
     pub dv: f64,
     /// Largest `sqrt(u^2 + v^2)` that contributes, with a margin for rounding; infinite when alpha_min is 0.
     pub reach: f64,
-    /// In 0..=1.
-    pub opacity: f64,
+    /// Natural logarithm of the opacity.
+    pub log_opacity: f64,
 }
 
 impl From<&Ellipse> for Splat2 {
@@ -36,118 +42,135 @@ impl From<&Ellipse> for Splat2 {
             du: (2.0 * e.s2).sqrt().recip(),
             dv: (2.0 * e.yy).sqrt().recip(),
             reach: (e.tau + 1e-3).sqrt(),
-            opacity: e.opacity,
+            log_opacity: e.log_opacity,
         }
     }
 }
 
-/// One Gaussian over one tile: the rows it covers, and `u`, `v` there.
-pub(super) struct Footprint<E> {
-    /// First and one past the last row.
-    pub rows: [usize; 2],
-    /// `u` at column 0 of the first row, and its steps along a row and from row to row.
-    u: E,
-    pub du: E,
-    du_row: E,
-    /// `v` at the first row, and its step.
-    v: E,
-    dv: E,
-    reach2: E,
-    inverse_du: E,
-    pub opacity: E,
+/// Rows and columns of the first pixels of the first `LANES` strips, which are [`GROUP_ROWS`] rows.
+#[derive(Clone, Copy)]
+pub(super) struct Grid<V> {
+    rows: V,
+    columns: V,
 }
 
-/// `x` rounded to an integer in `0..=limit` by `as`, which saturates.
-#[inline(always)]
-fn clip(x: f64, limit: usize) -> usize {
-    (x.max(0.0) as usize).min(limit)
+/// Rows that `LANES` strips make.
+const GROUP_ROWS: usize = LANES * LANES / TILE;
+const GROUPS: usize = TILE / GROUP_ROWS;
+
+impl<V> Grid<V> {
+    #[inline(always)]
+    pub fn new<E: Real>() -> Self
+    where
+        V: Vector<E>,
+    {
+        let pixel: [usize; LANES] = std::array::from_fn(|strip| strip * LANES);
+        let load = |x: [usize; LANES]| V::load(&x.map(|x| E::of(x as f64)));
+        Self { rows: load(pixel.map(|p| p / TILE)), columns: load(pixel.map(|p| p % TILE)) }
+    }
+}
+
+/// A Gaussian seen from the corner of a tile. Kernels work with base 2: their `u`, `v` are [`UNIT`] times those of
+/// [`Splat2`], and alpha' is `2^(peak - u^2 - v^2)` before the cap.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Corner<E> {
+    /// At the tile's first pixel.
+    u: E,
+    v: E,
+    /// Steps of `u` along a row and from row to row, and of `v` from row to row.
+    du: E,
+    du_row: E,
+    dv: E,
+    reach2: E,
+    peak: E,
+}
+
+/// `sqrt(log2 e)`.
+pub(super) const UNIT: f64 = 1.201_122_408_786_449_8;
+
+impl<E: Real> Corner<E> {
+    /// Of `s` over `tile`.
+    #[inline(always)]
+    pub fn new(s: &Splat2, tile: Tile<'_>) -> Self {
+        // In f64 as far as the corner: a huge splat centred far away would lose its edge in f32.
+        let x = tile.origin[0] as f64 + 0.5 - s.center[0];
+        let y = tile.origin[1] as f64 + 0.5 - s.center[1];
+        let (du, dv) = (UNIT * s.du, UNIT * s.dv);
+        Self {
+            u: E::of(du * (x - s.slope * y)),
+            v: E::of(dv * y),
+            du: E::of(du),
+            du_row: E::of(-du * s.slope),
+            dv: E::of(dv),
+            reach2: E::of(UNIT * UNIT * s.reach * s.reach),
+            peak: E::of(UNIT * UNIT * s.log_opacity),
+        }
+    }
+}
+
+/// One Gaussian over one tile.
+pub(super) struct Footprint<E> {
+    /// A bit for every strip that the ellipse reaches.
+    pub strips: u32,
+    /// `u` at the first pixel of every strip; `v` and `peak - v^2` there.
+    u: [[E; LANES]; GROUPS],
+    v: [[E; LANES]; GROUPS],
+    top: [[E; LANES]; GROUPS],
+    /// Step of `u` along a row.
+    du: E,
 }
 
 impl<E: Real> Footprint<E> {
-    /// Of `s` over the tile whose first pixel is `origin`.
     #[inline(always)]
-    pub fn new(s: &Splat2, origin: [usize; 2]) -> Self {
-        // In f64 from the tile's corner on: a huge splat centred far away would lose its edge in f32.
-        let x = origin[0] as f64 + 0.5 - s.center[0];
-        let y = origin[1] as f64 + 0.5 - s.center[1];
-        let half = s.reach / s.dv;
-        let first = clip((-half - y).ceil(), TILE);
-        let last = clip((half - y).floor() + 1.0, TILE);
-        let y = y + first as f64;
-        Self {
-            rows: [first, last],
-            u: E::of(s.du * (x - s.slope * y)),
-            du: E::of(s.du),
-            du_row: E::of(-s.du * s.slope),
-            v: E::of(s.dv * y),
-            dv: E::of(s.dv),
-            reach2: E::of(s.reach * s.reach),
-            inverse_du: E::of(s.du.recip()),
-            opacity: E::of(s.opacity),
+    pub fn new<V: Vector<E>>(corner: &Corner<E>, grid: &Grid<V>) -> Self {
+        let du = corner.du;
+        let [u, v, du_row, dv] = [corner.u, corner.v, corner.du_row, corner.dv].map(V::splat);
+        let (top_u, top_v) = (grid.rows.fma(du_row, grid.columns.fma(V::splat(du), u)), grid.rows.fma(dv, v));
+        let minus_length = V::splat(-du * E::of((LANES - 1) as f64));
+        let [reach2, peak, zero] = [corner.reach2, corner.peak, E::zero()].map(V::splat);
+        let nothing = [[E::zero(); LANES]; GROUPS];
+        let mut out = Self { strips: 0, u: nothing, v: nothing, top: nothing, du };
+        for group in 0..GROUPS {
+            let rows = V::splat(E::of((group * GROUP_ROWS) as f64));
+            let (u, v) = (rows.fma(du_row, top_u), rows.fma(dv, top_v));
+            // Distance in u from the strip to the middle of the row section; NaN stays NaN, and reaches nothing.
+            let away = zero.max(u.max(minus_length.sub(u)));
+            let vv = v.mul(v);
+            out.strips |= reach2.bits_above(away.fma(away, vv)) << (group * LANES);
+            u.store(&mut out.u[group]);
+            v.store(&mut out.v[group]);
+            peak.sub(vv).store(&mut out.top[group]);
+        }
+        out
+    }
+
+    /// Calls `f` with every strip that is reached, in order.
+    #[inline(always)]
+    pub fn for_each(&self, mut f: impl FnMut(usize)) {
+        let mut strips = self.strips;
+        while strips != 0 {
+            f(strips.trailing_zeros() as usize % STRIPS);
+            strips &= strips - 1;
         }
     }
 
-    /// `u` at column 0 and `v` of row `row`.
+    /// alpha' at the pixels of a strip, 0 below the cut-off.
     #[inline(always)]
-    pub fn row(&self, row: usize) -> (E, E) {
-        let step = E::of((row - self.rows[0]) as f64);
-        (self.u + step * self.du_row, self.v + step * self.dv)
+    pub fn alpha<V: Vector<E>>(&self, strip: usize, rule: &Rule<V>) -> V {
+        let u: V = self.u(strip);
+        rule.cut(u.fnma(u, V::splat(self.top.as_flattened()[strip])).exp2_nonpositive())
     }
 
-    /// First and one past the last column that the ellipse may cover in a row with these `u`, `v`.
+    /// `u` at the pixels of a strip.
     #[inline(always)]
-    pub fn span(&self, u: E, v: E) -> [usize; 2] {
-        let rest = self.reach2 - v * v;
-        if rest.is_nan() || rest < E::zero() {
-            return [0, 0];
-        }
-        let middle = -u * self.inverse_du;
-        let half = rest.sqrt() * self.inverse_du;
-        let first = clip((middle - half).wide().ceil(), TILE);
-        let last = clip((middle + half).wide().floor() + 1.0, TILE);
-        [first, last]
+    pub fn u<V: Vector<E>>(&self, strip: usize) -> V {
+        V::ramp().fma(V::splat(self.du), V::splat(self.u.as_flattened()[strip]))
     }
-}
 
-/// What a kernel does with the vectors of pixels that a Gaussian covers.
-pub(super) trait Visit<E, V> {
-    /// `LANES` pixels from buffer position `at` on.
-    fn visit(&mut self, at: usize, pair: &Lanes<E, V>);
-}
-
-/// A Gaussian's exponent and alpha' at `LANES` pixels of a row.
-pub(super) struct Lanes<E, V> {
-    pub u: V,
-    /// The same in all lanes.
-    pub v: E,
-    /// 0 below the cut-off.
-    pub alpha: V,
-}
-
-/// Shows `visitor` every vector of pixels that `footprint` covers, in rows whose bit in `live` is set.
-#[inline(always)]
-pub(super) fn walk<E: Real, V: Vector<E>>(
-    footprint: &Footprint<E>,
-    rule: &Rule<V>,
-    live: u32,
-    visitor: &mut impl Visit<E, V>,
-) {
-    let du = V::splat(footprint.du);
-    let opacity = V::splat(footprint.opacity);
-    for row in footprint.rows[0]..footprint.rows[1] {
-        if live >> row & 1 == 0 {
-            continue;
-        }
-        let (u0, v) = footprint.row(row);
-        let [first, last] = footprint.span(u0, v);
-        let minus_vv = V::splat(-(v * v));
-        let mut x = first;
-        while x < last {
-            let u = V::ramp().fma(du, V::splat(u0 + E::of(x as f64) * footprint.du));
-            let alpha = rule.cut(opacity.mul(u.fnma(u, minus_vv).exp_nonpositive()));
-            visitor.visit(row * STRIDE + x, &Lanes { u, v, alpha });
-            x += LANES;
-        }
+    /// `v` at the pixels of a strip.
+    #[inline(always)]
+    pub fn v(&self, strip: usize) -> E {
+        self.v.as_flattened()[strip]
     }
 }
 
@@ -157,7 +180,6 @@ pub(super) struct Rule<V> {
     alpha_max: V,
     alpha_min: V,
     t_min: V,
-    zero: V,
     one: V,
 }
 
@@ -169,7 +191,7 @@ impl<V> Rule<V> {
     {
         let splat = |x: f64| V::splat(E::of(x));
         let [alpha_max, alpha_min, t_min] = [s.alpha_max, s.alpha_min, s.t_min].map(splat);
-        Self { alpha_max, alpha_min, t_min, zero: splat(0.0), one: splat(1.0) }
+        Self { alpha_max, alpha_min, t_min, one: splat(1.0) }
     }
 
     /// The cap and the cut-off.
@@ -178,8 +200,7 @@ impl<V> Rule<V> {
     where
         V: Vector<E>,
     {
-        let alpha = alpha.min(self.alpha_max);
-        self.alpha_min.select_above(alpha, self.zero, alpha)
+        alpha.min(self.alpha_max).keep_from(self.alpha_min)
     }
 
     /// Weights `alpha' T`; updates `t`. A pixel that ends keeps its transmittance with the sign turned, which also stops
@@ -190,10 +211,9 @@ impl<V> Rule<V> {
         V: Vector<E>,
     {
         let next = alpha.fnma(*t, *t);
-        let ended = self.zero.sub(t.abs());
-        *alpha = next.select_above(self.t_min, *alpha, self.zero);
+        *alpha = alpha.keep_above(next, self.t_min);
         let weight = alpha.mul(*t);
-        *t = next.select_above(self.t_min, next, ended);
+        *t = next.select_above(self.t_min, next, t.minus_abs());
         weight
     }
 
@@ -203,7 +223,7 @@ impl<V> Rule<V> {
     where
         V: Vector<E>,
     {
-        self.alpha_max.select_above(alpha, g, self.zero)
+        g.keep_above(self.alpha_max, alpha)
     }
 
     /// 1 in all lanes.
@@ -215,41 +235,19 @@ impl<V> Rule<V> {
     }
 }
 
-/// Transmittance of a tile's pixels: 1 inside an image of `size`, ended outside and in the margin.
+/// Transmittance of a tile's pixels: 1 inside an image of `size`, ended outside.
 #[inline(always)]
-pub(super) fn fresh_transmittance<E: Real>(origin: [usize; 2], size: [usize; 2]) -> [E; BUFFER] {
-    let mut t = [-E::one(); BUFFER];
-    let [w, h] = [(size[0] - origin[0]).min(TILE), (size[1] - origin[1]).min(TILE)];
-    for row in t.chunks_exact_mut(STRIDE).take(h) {
-        row[..w].fill(E::one());
+pub(super) fn fresh_transmittance<E: Real>(tile: Tile<'_>, size: [usize; 2]) -> Buffer<E> {
+    let mut t = [[-E::one(); LANES]; STRIPS];
+    for (at, _, len) in tile.rows(size) {
+        t.as_flattened_mut()[at..at + len].fill(E::one());
     }
     t
 }
 
-/// A bit for every row that still has a pixel which takes more.
+/// A bit for every strip that still has a pixel which takes more.
 #[inline(always)]
-pub(super) fn live_rows<E: Real>(t: &[E; BUFFER]) -> u32 {
-    let mut live = 0;
-    for (row, t) in t.chunks_exact(STRIDE).enumerate() {
-        let mut top = -E::one();
-        for &t in &t[..TILE] {
-            top = if t > top { t } else { top };
-        }
-        live |= u32::from(top > E::zero()) << row;
-    }
-    live
-}
-
-/// `LANES` values of a tile's buffer from `at` on.
-#[inline(always)]
-pub(super) fn load<E: Real, V: Vector<E>>(buffer: &[E; BUFFER], at: usize) -> V {
-    buffer[at..].first_chunk().map_or_else(|| V::splat(E::zero()), V::load)
-}
-
-/// Stores `LANES` values into a tile's buffer.
-#[inline(always)]
-pub(super) fn store<E: Real, V: Vector<E>>(buffer: &mut [E; BUFFER], at: usize, values: V) {
-    if let Some(chunk) = buffer[at..].first_chunk_mut() {
-        values.store(chunk);
-    }
+pub(super) fn live_strips<E: Real, V: Vector<E>>(t: &Buffer<E>) -> u32 {
+    let zero = V::splat(E::zero());
+    t.iter().enumerate().fold(0, |live, (strip, t)| live | u32::from(V::load(t).bits_above(zero) != 0) << strip)
 }

@@ -91,6 +91,9 @@ fn sigmoid(x: f64) -> f64 {
     if x >= 0.0 { 1.0 / (1.0 + e) } else { e / (1.0 + e) }
 }
 
+/// Squared length below which a quaternion is taken for the identity.
+const ZERO_QUATERNION: f64 = 1e-12;
+
 /// A unit quaternion, the length it was divided by, and whether it stands in for a zero one.
 struct Unit {
     q: [f64; 4],
@@ -107,7 +110,7 @@ impl Unit {
         let norm = scaled.iter().map(|v| v * v).sum::<f64>().sqrt();
         let length = norm * largest;
         // 0 / 0 counts as zero too.
-        if length.is_nan() || length * length < 1e-12 {
+        if length.is_nan() || length * length < ZERO_QUATERNION {
             return Self { q: [1.0, 0.0, 0.0, 0.0], length: 1.0, zero: true };
         }
         Self { q: scaled.map(|v| v / norm), length, zero: false }
@@ -201,8 +204,8 @@ pub(super) struct Ellipse {
     pub s2: f64,
     /// Variance of y, `Y`, pixels squared.
     pub yy: f64,
-    /// In 0..=1.
-    pub opacity: f64,
+    /// Natural logarithm of the opacity.
+    pub log_opacity: f64,
     /// `u^2 + v^2` at which alpha' reaches alpha_min; infinite when alpha_min is 0.
     pub tau: f64,
     /// Camera z.
@@ -231,6 +234,24 @@ pub(super) enum Fate {
     NonFinite,
 }
 
+/// Whether a sphere around the Gaussian is off-screen: a cheap test that spares most of the work for most of a scene.
+#[inline(always)]
+fn far_off_screen(s: &Splat3, v: &Viewpoint, p: Vec3, settings: &Settings) -> bool {
+    let largest = s.log_scale[0].max(s.log_scale[1]).max(s.log_scale[2]).exp();
+    // ln(sigmoid(x)) is below both 0 and x.
+    let tau = (s.logit.min(0.0) - settings.alpha_min.ln()).max(0.0);
+    (0..2).any(|a| {
+        let ratio = p[a] / p[2];
+        let tangent = ratio.clamp(v.limits[a][0], v.limits[a][1]);
+        let scale = largest * v.focal[a] / p[2];
+        // A little more than the variance that the projection may have, for rounding.
+        let variance = 1.001 * (scale * scale * (1.0 + tangent * tangent) + settings.low_pass);
+        let (center, reach) = (v.focal[a] * ratio + v.principal[a], (2.0 * variance * tau).sqrt());
+        // False where something overflowed: the projection is to find and count that.
+        variance < 1e30 && (center + reach < -1.0 || center - reach > v.size[a] as f64 + 1.0)
+    })
+}
+
 /// Projects one Gaussian; also says whether its quaternion was zero.
 #[inline(always)]
 pub(super) fn project<E: Real>(s: &Splat3, v: &Viewpoint, settings: &Settings) -> (Fate, bool) {
@@ -242,6 +263,10 @@ pub(super) fn project<E: Real>(s: &Splat3, v: &Viewpoint, settings: &Settings) -
     if p[2] <= settings.near {
         return (Fate::Behind, false);
     }
+    if far_off_screen(s, v, p, settings) {
+        let squares: f64 = s.rotation.iter().map(|q| q * q).sum();
+        return (Fate::OffScreen, squares < ZERO_QUATERNION);
+    }
     let ewa = Ewa::new(s, v, p);
     let zero = ewa.unit.zero;
     let low = settings.low_pass;
@@ -250,16 +275,12 @@ pub(super) fn project<E: Real>(s: &Splat3, v: &Viewpoint, settings: &Settings) -
     let yy = n2 + low;
     let slope = dot(m1, m2) / yy;
     let s2 = (ewa.cross_squared(v) + low * (n1 + n2) + low * low) / yy;
-    let opacity = sigmoid(s.logit);
+    // ln(sigmoid(x)) = -ln(1 + e^-x)
+    let log_opacity = s.logit.min(0.0) - (-s.logit.abs()).exp().ln_1p();
     let center = [v.focal[0] * p[0] / p[2] + v.principal[0], v.focal[1] * p[1] / p[2] + v.principal[1]];
-    let tau = if settings.alpha_min > 0.0 {
-        // ln(sigmoid(x)) = -ln(1 + e^-x)
-        let log_opacity = s.logit.min(0.0) - (-s.logit.abs()).exp().ln_1p();
-        log_opacity - settings.alpha_min.ln()
-    } else {
-        f64::INFINITY
-    };
-    let ellipse = Ellipse { center, slope, s2, yy, opacity, tau, depth: p[2] };
+    // Infinite when alpha_min is 0.
+    let tau = log_opacity - settings.alpha_min.ln();
+    let ellipse = Ellipse { center, slope, s2, yy, log_opacity, tau, depth: p[2] };
     // What the kernels use must also be representable in their type.
     let fits = |x: f64| E::of(x).is_normal();
     let [du, dv] = [s2, yy].map(|v| (2.0 * v).sqrt().recip());
@@ -267,7 +288,7 @@ pub(super) fn project<E: Real>(s: &Splat3, v: &Viewpoint, settings: &Settings) -
     if !finite || !fits(du) || !fits(dv) {
         return (Fate::NonFinite, zero);
     }
-    if tau < 0.0 || opacity <= 0.0 {
+    if tau < 0.0 || log_opacity < f64::MIN_POSITIVE.ln() {
         return (Fate::OffScreen, zero);
     }
     let reach = [(2.0 * ellipse.xx() * tau).sqrt(), (2.0 * yy * tau).sqrt()];

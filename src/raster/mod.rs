@@ -11,15 +11,18 @@
 
 mod backward;
 mod blend;
+mod channel_blocks;
 mod footprint;
 mod geometry;
 mod op;
+mod pairs;
 mod projected;
 mod settings;
 mod sh;
+mod tile_loop;
 mod tile_map;
-mod tile_pairs;
 mod tiles;
+mod weights;
 
 pub use backward::SplatGradients;
 pub use op::{RasterBackend, RasterCall, RasterInput, RasterOutput, RasterTensors, rasterize};

@@ -1,12 +1,13 @@
 //! One view of the Gaussians: projected, sorted, binned; and the linear map that blending then is.
 
 use super::blend;
+use super::channel_blocks;
 use super::footprint::Splat2;
 use super::geometry::{Fate, Splat3, Viewpoint, project};
-use super::settings::{PairCounts, Settings, Splats, Stats};
+use super::settings::{Settings, Splats, Stats};
 use super::sh::eval_sh_rows;
-use super::tile_pairs;
 use super::tiles::{TileLists, depth_order, tile_lists};
+use super::weights;
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::gaussians::Gaussians;
@@ -123,15 +124,10 @@ impl<E: Real> Projected<E> {
     pub fn blend(&self, values: &[E], channels: usize) -> Blended<E> {
         assert_eq!(values.len(), self.len() * channels, "blend: values against Gaussians times channels");
         match channels {
-            0 => {
-                let empty = blend::blend::<E, 0>(self, &[]);
-                Blended { image: Vec::new(), transmittance: empty.transmittance }
-            }
+            0 => Blended { image: Vec::new(), ..blend::blend::<E, 1>(self, &vec![E::zero(); self.ids.len()]) },
             1 => blend::blend::<E, 1>(self, &self.in_depth_order(values, 1, 1)),
-            2 => blend::blend::<E, 2>(self, &self.in_depth_order(values, 2, 2)),
             3 => blend::blend::<E, 3>(self, &self.in_depth_order(values, 3, 3)),
-            4 => blend::blend::<E, 4>(self, &self.in_depth_order(values, 4, 4)),
-            _ => tile_pairs::blend(self, values, channels),
+            _ => channel_blocks::blend(self, values, channels),
         }
     }
 
@@ -145,10 +141,8 @@ impl<E: Real> Projected<E> {
         let sums = match channels {
             0 => return Vec::new(),
             1 => blend::adjoint::<E, 1>(self, image),
-            2 => blend::adjoint::<E, 2>(self, image),
             3 => blend::adjoint::<E, 3>(self, image),
-            4 => blend::adjoint::<E, 4>(self, image),
-            _ => tile_pairs::adjoint(self, image, channels),
+            _ => channel_blocks::adjoint(self, image, channels),
         };
         self.in_scene_order(&sums, channels)
     }
@@ -166,7 +160,7 @@ impl<E: Real> Projected<E> {
     /// # Panics
     /// If a pixel index is outside the image.
     pub fn weights(&self, pixels: Option<&[u32]>) -> SparseMatrix {
-        tile_pairs::weights(self, pixels)
+        weights::weights(self, pixels)
     }
 
     /// Algorithm 1's counter: pixels whose centre lies within [`Projected::radii`] of the projected centre, in the image.
@@ -204,11 +198,6 @@ impl<E: Real> Projected<E> {
     /// What was culled and why.
     pub fn stats(&self) -> Stats {
         self.stats
-    }
-
-    /// Evaluated and contributing pairs.
-    pub fn count_pairs(&self) -> PairCounts {
-        blend::count_pairs(self)
     }
 
     /// Rows of `values` `[N, channels]` of the visible Gaussians, front to back, each padded with zeros to `width`.

@@ -1,9 +1,10 @@
 //! The contributing pairs of a view, tile by tile, for linear reads of the image other than pixel by pixel.
 
-use super::blend::Tile;
 use super::footprint::{TILE, fresh_transmittance};
+use super::pairs::Pairs;
 use super::projected::Projected;
-use super::tile_pairs::Pairs;
+use super::settings::PairCounts;
+use super::tile_loop::Tile;
 use crate::ops::Real;
 use rayon::prelude::*;
 
@@ -46,11 +47,19 @@ impl<E: Real> Projected<E> {
             .into_par_iter()
             .map(|tile| {
                 let (x, y) = (tile % columns, tile / columns);
-                let ranks = &self.tiles.ranks[self.tiles.tile(x, y)];
-                let origin = [x * TILE, y * TILE];
-                let pairs = Pairs::gather(self, Tile { origin, ranks }, fresh_transmittance(origin, self.size()));
-                f(&TilePairs { origin, ids: &self.ids, ranks, pairs })
+                let tile = Tile { origin: [x * TILE, y * TILE], ranks: &self.tiles.ranks[self.tiles.tile(x, y)] };
+                let pairs = Pairs::gather(self, tile, fresh_transmittance(tile, self.size()));
+                f(&TilePairs { origin: tile.origin, ids: &self.ids, ranks: tile.ranks, pairs })
             })
             .collect()
+    }
+
+    /// Evaluated and contributing pairs.
+    pub fn count_pairs(&self) -> PairCounts {
+        let counts = self.map_tiles(|tile| tile.pairs.counts);
+        counts.iter().fold(PairCounts::default(), |a, b| PairCounts {
+            evaluated: a.evaluated + b.evaluated,
+            contributing: a.contributing + b.contributing,
+        })
     }
 }

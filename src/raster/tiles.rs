@@ -85,7 +85,7 @@ struct Outline {
 impl Outline {
     fn new(s: &Splat2) -> Self {
         let (sx, sy) = (s.du.recip(), s.dv.recip());
-        let wide = sx.hypot(s.slope * sy);
+        let wide = (sx * sx + s.slope * s.slope * sy * sy).sqrt();
         let right_at = if s.reach.is_finite() { s.reach * s.slope * sy * sy / wide } else { 0.0 };
         Self { center: s.center, slope: s.slope, half: [s.reach * sx, s.reach * sy], reach: s.reach, right_at }
     }
@@ -130,10 +130,13 @@ impl Outline {
 }
 
 /// Pixels whose centres lie within `low..=high`, of `limit`.
+#[inline(always)]
 fn between(low: f64, high: f64, limit: usize) -> Range<usize> {
-    let first = ((low - 0.5).ceil().max(0.0) as usize).min(limit);
-    let end = ((high - 0.5).floor() + 1.0).max(0.0) as usize;
-    first..end.min(limit).max(first)
+    // Rounded by casts, which saturate: `ceil` and `floor` are calls on baseline x86-64.
+    let low = (low - 0.5).clamp(0.0, limit as f64);
+    let first = low as usize + usize::from((low as usize as f64) < low);
+    let end = if high >= 0.5 { ((high - 0.5).min(limit as f64) as usize + 1).min(limit) } else { 0 };
+    first..end.max(first)
 }
 
 /// Lists for `splats` in depth order over an image of `size` pixels.

@@ -1,0 +1,155 @@
+//! The loops over tiles, and over the Gaussians of a tile, that all kernels share.
+
+use super::footprint::{Buffer, Corner, Footprint, Grid, TILE, live_strips};
+use super::projected::{Blended, Projected};
+use crate::ops::Real;
+use crate::ops::vector::Vector;
+use rayon::prelude::*;
+
+/// List entries between two looks at which rows are still live.
+pub(super) const LOOK: usize = 16;
+/// Bytes of per-entry sums held at once: few, so that they stay in the cache, but not so few that there are more than
+/// [`BANDS`] bands, each of which looks at all Gaussians.
+const BAND_BYTES: std::ops::RangeInclusive<usize> = 4 << 20..=64 << 20;
+const BANDS: usize = 8;
+
+/// One tile: its first pixel and its Gaussians' ranks, front to back.
+#[derive(Clone, Copy)]
+pub(super) struct Tile<'a> {
+    pub origin: [usize; 2],
+    pub ranks: &'a [u32],
+}
+
+impl Tile<'_> {
+    /// For every row of the tile inside an image of `size`: its position in the tile's buffers and in the image, and its
+    /// length there.
+    #[inline(always)]
+    pub fn rows(&self, size: [usize; 2]) -> impl Iterator<Item = (usize, usize, usize)> + use<> {
+        let [x, y] = self.origin;
+        let len = (size[0] - x).min(TILE);
+        (0..(size[1] - y).min(TILE)).map(move |row| (row * TILE, (y + row) * size[0] + x, len))
+    }
+}
+
+/// Runs `f` over all tiles in parallel, each with its part of the image and transmittance rows of its row of tiles.
+pub(super) fn for_each_tile_row<E: Real>(
+    p: &Projected<E>,
+    channels: usize,
+    f: impl Fn(Tile<'_>, &mut [E], &mut [E]) + Sync,
+) -> Blended<E> {
+    let [w, h] = p.size();
+    let mut out = Blended { image: vec![E::zero(); w * h * channels], transmittance: vec![E::zero(); w * h] };
+    let mut image = out.image.as_mut_slice();
+    let mut parts = Vec::with_capacity(p.tiles.rows);
+    for (row, transmittance) in out.transmittance.chunks_mut(w * TILE).enumerate() {
+        let (own, rest) = image.split_at_mut(transmittance.len() * channels);
+        parts.push((row, own, transmittance));
+        image = rest;
+    }
+    parts.into_par_iter().with_max_len(1).for_each(|(row, image, transmittance)| {
+        for column in 0..p.tiles.columns {
+            let ranks = &p.tiles.ranks[p.tiles.tile(column, row)];
+            f(Tile { origin: [column * TILE, row * TILE], ranks }, image, transmittance);
+        }
+    });
+    out
+}
+
+/// Runs `f` over all tiles in parallel; it writes `width` sums for each of the tile's list entries. Returns the sums
+/// per rank, `[visible, width]`, added up in an order that does not depend on the number of threads.
+pub(super) fn sum_over_tiles<E: Real>(p: &Projected<E>, width: usize, f: impl Fn(Tile<'_>, &mut [E]) + Sync) -> Vec<E> {
+    let mut sums = vec![E::zero(); p.splats.len() * width];
+    if width == 0 {
+        return sums;
+    }
+    let mut cursors = vec![0_u32; p.splats.len()];
+    let entry = width * std::mem::size_of::<E>();
+    let limit = (p.tiles.ranks.len() * entry / BANDS).clamp(*BAND_BYTES.start(), *BAND_BYTES.end());
+    let mut partial = Vec::new();
+    let mut row = 0;
+    while row < p.tiles.rows {
+        // As many rows of tiles as fit, at least one.
+        let mut end = row + 1;
+        while end < p.tiles.rows && p.tiles.tile_rows(row..end + 1).len() * entry <= limit {
+            end += 1;
+        }
+        let band = p.tiles.tile_rows(row..end);
+        partial.clear();
+        partial.resize(band.len() * width, E::zero());
+        let mut rest = partial.as_mut_slice();
+        let mut parts = Vec::with_capacity((end - row) * p.tiles.columns);
+        for tile_row in row..end {
+            for column in 0..p.tiles.columns {
+                let ranks = &p.tiles.ranks[p.tiles.tile(column, tile_row)];
+                let (own, others) = rest.split_at_mut(ranks.len() * width);
+                rest = others;
+                if !ranks.is_empty() {
+                    parts.push((Tile { origin: [column * TILE, tile_row * TILE], ranks }, own));
+                }
+            }
+        }
+        parts.into_par_iter().for_each(|(tile, own)| f(tile, own));
+        sums.par_chunks_mut(width * 256).zip(cursors.par_chunks_mut(256)).enumerate().for_each(
+            |(chunk, (sums, cursors))| {
+                for ((sum, cursor), rank) in sums.chunks_exact_mut(width).zip(cursors).zip(chunk * 256..) {
+                    for &slot in &p.tiles.slots(rank)[*cursor as usize..] {
+                        if slot as usize >= band.end {
+                            break;
+                        }
+                        *cursor += 1;
+                        let part = &partial[(slot as usize - band.start) * width..][..width];
+                        for (s, &x) in sum.iter_mut().zip(part) {
+                            *s += x;
+                        }
+                    }
+                }
+            },
+        );
+        row = end;
+    }
+    sums
+}
+
+/// What a kernel does with the Gaussians of a tile, front to back.
+pub(super) trait Pass<E, V> {
+    /// Transmittance of the tile's pixels, ended ones negative.
+    fn transmittance(&self) -> &Buffer<E>;
+    /// The next Gaussians have these ranks, [`LOOK`] at most.
+    fn gather(&mut self, ranks: &[u32]);
+    /// The `next`-th of them, which is entry `entry` of the tile's list.
+    fn take(&mut self, next: usize, entry: usize, footprint: &Footprint<E>);
+}
+
+/// Shows `pass` the Gaussians of `tile` until all pixels have ended.
+#[inline(always)]
+pub(super) fn walk<E: Real, V: Vector<E>>(p: &Projected<E>, tile: Tile<'_>, pass: &mut impl Pass<E, V>) {
+    let grid = Grid::<V>::new::<E>();
+    let mut corners = [Corner::default(); LOOK];
+    for (look, ranks) in tile.ranks.chunks(LOOK).enumerate() {
+        for &rank in tile.ranks.iter().skip((look + 1) * LOOK).take(LOOK) {
+            V::prefetch(&p.splats[rank as usize]);
+        }
+        let live = live_strips::<E, V>(pass.transmittance());
+        if live == 0 {
+            break;
+        }
+        // All reads of far memory first, so that they wait for each other as little as possible.
+        for (corner, &rank) in corners.iter_mut().zip(ranks) {
+            *corner = Corner::new(&p.splats[rank as usize], tile);
+        }
+        pass.gather(ranks);
+        for (next, corner) in corners[..ranks.len()].iter().enumerate() {
+            let mut footprint = Footprint::new::<V>(corner, &grid);
+            footprint.strips &= live;
+            pass.take(next, look * LOOK + next, &footprint);
+        }
+    }
+}
+
+/// Rows of `values`, `[visible, C]`, of these ranks.
+#[inline(always)]
+pub(super) fn gather_rows<E: Copy, const C: usize>(values: &[E], ranks: &[u32], out: &mut [[E; C]; LOOK]) {
+    for (out, &rank) in out.iter_mut().zip(ranks) {
+        out.copy_from_slice(&values[rank as usize * C..][..C]);
+    }
+}
