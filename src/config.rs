@@ -385,6 +385,8 @@ pub struct SegmentationConfig {
     pub lambda_reg: f64,
     /// Share of the run trained with CE before the JS loss.
     pub warmup: f64,
+    /// Identities come from the mean of the decoder's parameters over the steps after the warm-up (not in the paper).
+    pub average: bool,
     /// Pixels whose coverage 1 - T is below this are not trained on.
     pub min_coverage: f64,
     /// Share of the pixels used in a step.
@@ -419,6 +421,7 @@ impl Default for SegmentationConfig {
             lambda_pix: 0.8,
             lambda_reg: 0.2,
             warmup: 0.1,
+            average: true,
             min_coverage: 0.5,
             pixel_share: 1.0,
             reg_samples: 1_000,

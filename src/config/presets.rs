@@ -26,6 +26,7 @@ impl Config {
                 config.segmentation.blend = Blend::Logits;
                 config.segmentation.prior = Prior::None;
                 config.segmentation.warmup = 0.0;
+                config.segmentation.average = false;
                 config.segmentation.standardise = false;
                 config.segmentation.lr_decay = false;
                 config.segmentation.lr = 1e-3;

@@ -15,6 +15,9 @@ pub const HELD_BACK: usize = 8;
 const TRIAL_SHARE: f64 = 0.25;
 const KIND: &str = "learning rate";
 
+/// Makes an untrained model that learns at a rate, for the views in use.
+pub type Fresh<'m, 'a> = &'m mut dyn FnMut(f64, &TrainingViews) -> Result<Box<dyn Model + 'a>>;
+
 /// The rate that does best of `base` times `segmentation.lr_trials`: a fresh `model` is trained for each, a quarter as
 /// long as the row will be, without every eighth training view; it is scored by its accuracy on the raw labels of those.
 ///
@@ -28,7 +31,7 @@ pub fn choose_rate<'a>(
     views: &mut TrainingViews,
     inputs: &Inputs,
     path: &Path,
-    model: &mut dyn FnMut(f64, &TrainingViews) -> Result<Box<dyn Model + 'a>>,
+    model: Fresh<'_, 'a>,
 ) -> Result<f64> {
     let factors = &inputs.config.segmentation.lr_trials;
     if factors.len() < 2 {

@@ -205,7 +205,8 @@ fn trained(
     let model = |rate, views: &TrainingViews| -> Result<_> {
         let size = [inputs.gaussians.len(), classes];
         let regularised = row != Row::OursCe && config.lambda_reg > 0.0;
-        let plan = FusedPlan { config, rate, regularised, size, seed };
+        let average_from = config.average.then_some((config.warmup * config.iterations as f64) as usize);
+        let plan = FusedPlan { config, rate, regularised, size, average_from, seed };
         let fused = Fused::new(decoder.init(&device), source, &inputs.gaussians.means, count, plan, &device);
         Ok(match config.prior {
             Prior::None => fused,

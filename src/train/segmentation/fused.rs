@@ -93,6 +93,8 @@ pub struct FusedPlan<'a> {
     pub regularised: bool,
     /// Number of Gaussians and of classes.
     pub size: [usize; 2],
+    /// Step from which on the decoder is averaged; the average is what stores identities.
+    pub average_from: Option<usize>,
     /// Seed of the regularisation's samples.
     pub seed: u64,
 }
@@ -128,7 +130,10 @@ impl<'a> Fused<'a> {
         Self {
             decoder: Some(decoder),
             prior: Arc::default(),
-            adam: ModuleAdam::new(plan.rate),
+            adam: match plan.average_from {
+                Some(from) => ModuleAdam::new(plan.rate).averaging(from),
+                None => ModuleAdam::new(plan.rate),
+            },
             source,
             plan,
             means,
@@ -244,7 +249,9 @@ impl Model for Fused<'_> {
     }
 
     fn identities(&mut self) -> Result<Identities> {
-        let Some(decoder) = self.decoder.as_ref().map(|d| d.valid()) else { return Ok(Identities::default()) };
+        let Some(decoder) = self.decoder.as_ref().map(|d| self.adam.averaged(d.valid())) else {
+            return Ok(Identities::default());
+        };
         let [count, classes] = self.plan.size;
         let scores = match self.source {
             Source::Scene(scene) => self.decode(&decoder, scene),

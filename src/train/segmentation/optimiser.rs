@@ -13,6 +13,9 @@ pub struct ModuleAdam {
     rate: f64,
     steps: i32,
     moments: Vec<[Tensor<1>; 2]>,
+    /// Step from which on parameters are averaged.
+    average_from: Option<i32>,
+    averages: Vec<Tensor<1>>,
 }
 
 const BETAS: [f64; 2] = [0.9, 0.999];
@@ -21,7 +24,25 @@ const EPSILON: f64 = 1e-8;
 impl ModuleAdam {
     /// Fresh state.
     pub fn new(rate: f64) -> Self {
-        Self { rate, steps: 0, moments: Vec::new() }
+        Self { rate, steps: 0, moments: Vec::new(), average_from: None, averages: Vec::new() }
+    }
+
+    /// Keeps the mean of the parameters over all steps after the first `from` (Polyak and Juditsky 1992).
+    #[must_use]
+    pub fn averaging(self, from: usize) -> Self {
+        Self { average_from: Some(from as i32), ..self }
+    }
+
+    /// `module` with the mean of its parameters; as it is where nothing was averaged yet.
+    pub fn averaged<M: Module>(&self, module: M) -> M {
+        let averages = self.averages.clone();
+        if averages.is_empty() {
+            return module;
+        }
+        let name = |i: usize| format!("p.{i}");
+        let means: std::collections::HashMap<_, _> =
+            averages.into_iter().enumerate().map(|(i, mean)| (name(i), values(mean))).collect();
+        with_parameters(module.clone(), &|name| means.get(name).cloned()).unwrap_or(module)
     }
 
     /// One step of every parameter that has a gradient, at `factor` times the learning rate.
@@ -46,6 +67,9 @@ impl ModuleAdam {
             out.push((format!("m.{i}"), values(m.clone())));
             out.push((format!("v.{i}"), values(v.clone())));
         }
+        for (i, mean) in self.averages.iter().enumerate() {
+            out.push((format!("mean.{i}"), values(mean.clone())));
+        }
         out
     }
 
@@ -64,7 +88,21 @@ impl ModuleAdam {
         {
             self.moments.push([tensor(m), tensor(v)]);
         }
+        self.averages.clear();
+        while let Some(mean) = state(&format!("mean.{}", self.averages.len())) {
+            self.averages.push(tensor(mean));
+        }
         Some(self)
+    }
+}
+
+impl ModuleAdam {
+    fn average(&mut self, place: usize, value: Tensor<1>) {
+        let Some(count) = self.average_from.map(|from| self.steps - from).filter(|count| *count > 0) else { return };
+        match self.averages.get_mut(place) {
+            Some(mean) => *mean = mean.clone() + (value - mean.clone()) * (1.0 / f64::from(count)),
+            None => self.averages.push(value),
+        }
     }
 }
 
@@ -89,7 +127,10 @@ impl ModuleMapper for Step<'_> {
                 let zeros = tensor.clone().inner().zeros_like().flatten::<1>(0, D - 1);
                 self.adam.moments.push([zeros.clone(), zeros]);
             }
-            let Some(gradient) = tensor.grad_remove(self.gradients) else { return tensor };
+            let Some(gradient) = tensor.grad_remove(self.gradients) else {
+                self.adam.average(place, tensor.clone().inner().flatten(0, D - 1));
+                return tensor;
+            };
             let shape = gradient.dims();
             let g = gradient.flatten::<1>(0, D - 1);
             let [m, v] = self.adam.moments[place].clone();
@@ -99,6 +140,7 @@ impl ModuleMapper for Step<'_> {
             let step = (m.clone() / unbias(BETAS[0])) / ((v.clone() / unbias(BETAS[1])).sqrt() + EPSILON);
             self.adam.moments[place] = [m, v];
             let moved = tensor.inner() - step.reshape(shape) * self.rate;
+            self.adam.average(place, moved.clone().flatten(0, D - 1));
             Tensor::from_inner(moved).require_grad()
         })
     }
