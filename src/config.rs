@@ -4,11 +4,18 @@
 //! [`Config::load`] reads files and overrides, [`Config::preset`] holds the named sets of defaults,
 //! [`Config::validate`] the allowed ranges.
 
+mod building;
+mod features;
 mod load;
 mod presets;
-pub use presets::BUILTIN_SCENE;
 mod row;
 mod validate;
+
+pub use building::{BuildingConfig, RasterConfig};
+pub use features::{
+    Encode, FeatureConfig, FeatureSource, Normalisation, Resolution, SpatialConfig, SpatialSource, UnprojectionConfig,
+};
+pub use presets::BUILTIN_SCENE;
 
 use serde::{Deserialize, Serialize};
 
@@ -59,235 +66,29 @@ pub struct DataConfig {
     pub transforms: String,
     /// Folder of raw labels within `dir`; replaces the folder named in the frames. Empty: as the frames say.
     pub raw_labels: String,
+    /// Where the raw labels come from, for the report: a network's name, or that they are simulated. Empty: nothing is
+    /// said, but for the built-in scene, whose raw labels are simulated.
+    pub raw_labels_note: String,
 }
 
 impl Default for DataConfig {
     fn default() -> Self {
-        Self { dir: None, transforms: "transforms.json".into(), raw_labels: String::new() }
+        let transforms = "transforms.json".into();
+        Self { dir: None, transforms, raw_labels: String::new(), raw_labels_note: String::new() }
     }
 }
 
-/// Stage one (3DGS): 0.8 L1 + 0.2 (1 - SSIM), Adam, adaptive density control.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct BuildingConfig {
-    /// Optimiser steps.
-    pub iterations: usize,
-    /// Highest SH degree, 0 to 3.
-    pub sh_degree: usize,
-    /// Weight of the SSIM term; L1 has the rest.
-    pub ssim_weight: f32,
-    /// Learning rate of the means at the start, times the scene extent.
-    pub lr_means: f64,
-    /// Learning rate of the means at the end, times the scene extent.
-    pub lr_means_final: f64,
-    /// Learning rate of the SH constant term.
-    pub lr_sh_dc: f64,
-    /// Learning rate of the higher SH terms.
-    pub lr_sh_rest: f64,
-    /// Learning rate of the opacity logits.
-    pub lr_opacity: f64,
-    /// Learning rate of the log-scales.
-    pub lr_scales: f64,
-    /// Learning rate of the rotations.
-    pub lr_rotations: f64,
-    /// Iterations between densifications.
-    pub densify_every: usize,
-    /// First densification: the smaller of this and 8 % of the run.
-    pub densify_from: usize,
-    /// Densification ends at this share of the run.
-    pub densify_until: f32,
-    /// Threshold on the mean screen-space gradient |(dL/du W/2, dL/dv H/2)|.
-    pub densify_threshold: f32,
-    /// Gaussians below this share of the extent are cloned, others split.
-    pub clone_below: f32,
-    /// Gaussians less opaque than this are pruned.
-    pub prune_opacity: f32,
-    /// Gaussians larger than this share of the extent are pruned.
-    pub prune_scale: f32,
-    /// Smallest number of iterations between opacity resets; at least 5 passes over the views are kept as well.
-    pub reset_every: usize,
-    /// No more Gaussians than this; 0 means no limit.
-    pub max_gaussians: usize,
-    /// Points when the scene has no initial cloud.
-    pub random_points: usize,
-    /// Iterations between held-out evaluations; 0 means ten in the run.
-    pub eval_every: usize,
-    /// Iterations between checkpoints; 0 means ten in the run.
-    pub checkpoint_every: usize,
-}
-
-impl Default for BuildingConfig {
-    fn default() -> Self {
-        Self {
-            iterations: 7_000,
-            sh_degree: 3,
-            ssim_weight: 0.2,
-            lr_means: 1.6e-4,
-            lr_means_final: 1.6e-6,
-            lr_sh_dc: 2.5e-3,
-            lr_sh_rest: 1.25e-4,
-            lr_opacity: 5e-2,
-            lr_scales: 5e-3,
-            lr_rotations: 1e-3,
-            densify_every: 100,
-            densify_from: 500,
-            densify_until: 0.5,
-            densify_threshold: 2e-4,
-            clone_below: 0.01,
-            prune_opacity: 0.005,
-            prune_scale: 0.1,
-            reset_every: 1_000,
-            max_gaussians: 0,
-            random_points: 20_000,
-            eval_every: 0,
-            checkpoint_every: 0,
+impl DataConfig {
+    /// A sentence on where the raw labels come from, where that is known: nothing in a scene folder says so.
+    pub fn raw_labels_origin(&self) -> Option<String> {
+        match (self.raw_labels_note.trim(), &self.dir) {
+            ("", None) => Some(
+                "Simulated raw labels: errors drawn on the true labels, not the output of a segmentation network."
+                    .to_owned(),
+            ),
+            ("", Some(_)) => None,
+            (note, _) => Some(format!("Raw labels: {}.", note.trim_end_matches('.'))),
         }
-    }
-}
-
-/// Blending constants (DESIGN: cap, cut-offs).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct RasterConfig {
-    /// Cap of alpha'; 0.99 matches gsplat and graphdeco.
-    pub alpha_max: f64,
-    /// Pairs below this alpha' are skipped.
-    pub alpha_min: f64,
-    /// A splat that would bring the transmittance to this or below is not added and the pixel ends.
-    pub t_min: f64,
-    /// Near plane, world units.
-    pub near: f64,
-    /// Added to the diagonal of the 2D covariance, pixels squared.
-    pub low_pass: f64,
-    /// Background, linear blend weight T, sRGB 0..1.
-    pub background: [f32; 3],
-}
-
-impl Default for RasterConfig {
-    fn default() -> Self {
-        Self { alpha_max: 0.999, alpha_min: 1.0 / 255.0, t_min: 1e-4, near: 0.01, low_pass: 0.3, background: [0.0; 3] }
-    }
-}
-
-/// Where 2D image features come from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum FeatureSource {
-    /// MobileNetV2 when weights are given, else the descriptor.
-    #[default]
-    Auto,
-    /// The built-in multi-scale descriptor; needs no weights.
-    Descriptor,
-    /// MobileNetV2, blocks 3, 6, 13, 17.
-    Mobilenetv2,
-    /// Maps read from files, one set a view.
-    Import,
-}
-
-/// 2D image features.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct FeatureConfig {
-    /// The extractor.
-    pub source: FeatureSource,
-    /// Weights of the extractor.
-    pub weights: Option<std::path::PathBuf>,
-    /// Folder of imported maps: `STEM.N.npy` ([H, W, C] f32, N = 1..4) or `STEM.safetensors` (tensors `scale1`..`scale4`).
-    pub import_dir: Option<std::path::PathBuf>,
-    /// Dimensions kept by PCA, per scale.
-    pub dimensions: usize,
-    /// Folder of cached maps, keyed by content; absent means no cache.
-    pub cache_dir: Option<std::path::PathBuf>,
-}
-
-impl Default for FeatureConfig {
-    fn default() -> Self {
-        Self { source: FeatureSource::Auto, weights: None, import_dir: None, dimensions: 64, cache_dir: None }
-    }
-}
-
-/// What the weighted sum of Eq. 5 is divided by.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Normalisation {
-    /// Pixels inside the radius (the paper).
-    Count,
-    /// Sum of alpha' T: a weighted mean.
-    #[default]
-    Weight,
-}
-
-/// At which resolution the blending weights of the unprojection are taken.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Resolution {
-    /// Cameras scaled to the feature map (the paper).
-    Feature,
-    /// Image resolution, the map read bilinearly.
-    #[default]
-    Image,
-}
-
-/// Lifting 2D features onto Gaussians (Eq. 5, Algorithm 1).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct UnprojectionConfig {
-    /// The divisor.
-    pub normalisation: Normalisation,
-    /// The resolution.
-    pub resolution: Resolution,
-    /// Gaussians counted on fewer than this share of all training pixels are pruned.
-    pub attendance: f64,
-}
-
-impl Default for UnprojectionConfig {
-    fn default() -> Self {
-        Self { normalisation: Normalisation::Weight, resolution: Resolution::Image, attendance: 1e-5 }
-    }
-}
-
-/// Where the point encoder's weights come from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum SpatialSource {
-    /// The weights inside this crate, made by `coseg pretrain`.
-    #[default]
-    Builtin,
-    /// A checkpoint, see [`SpatialConfig::weights`].
-    Pretrained,
-    /// Random weights: an ablation row.
-    Random,
-}
-
-/// What is encoded at once.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Encode {
-    /// The whole scene, once.
-    #[default]
-    Scene,
-    /// The Gaussians visible in each view (the paper).
-    View,
-}
-
-/// The frozen RandLA encoder.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SpatialConfig {
-    /// Which weights.
-    pub source: SpatialSource,
-    /// Checkpoint (`.safetensors`, `.pth`) when `source = "pretrained"`.
-    pub weights: Option<std::path::PathBuf>,
-    /// Metres per world unit, applied before encoding; 0 means from the camera extent.
-    pub scale: f64,
-    /// What is encoded at once.
-    pub encode: Encode,
-}
-
-impl Default for SpatialConfig {
-    fn default() -> Self {
-        Self { source: SpatialSource::Builtin, weights: None, scale: 1.0, encode: Encode::Scene }
     }
 }
 
@@ -408,7 +209,7 @@ impl Default for SegmentationConfig {
         Self {
             iterations: 2_000,
             rows: vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::OursCe, Row::Ours],
-            lr: 3e-3,
+            lr: 2e-3,
             lr_trials: Vec::new(),
             lr_decay: true,
             standardise: true,

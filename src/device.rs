@@ -1,4 +1,5 @@
-//! Which burn device a run uses. Order when several are compiled in: wgpu, flex, ndarray; `--backend` overrides.
+//! Which burn device a run uses. Order when several are compiled in: wgpu (where there is an adapter), flex, ndarray;
+//! `--backend` overrides.
 
 use crate::error::{Error, Result};
 use burn::tensor::Device;
@@ -50,21 +51,51 @@ impl std::str::FromStr for BackendName {
     }
 }
 
-/// The device of `name`, or of the best backend compiled in. Without autodiff; add it with `Device::autodiff`.
+/// The device of `name`, or of the best backend compiled in that this machine can run. Without autodiff; add it with
+/// `Device::autodiff`.
 ///
 /// # Errors
-/// [`Error::Device`] when the backend is not compiled in or has no usable adapter.
+/// As [`choose`].
 pub fn open(name: Option<BackendName>) -> Result<Device> {
-    let Some(name) = name.or_else(|| BackendName::compiled().first().copied()) else {
-        return Err(Error::Device {
-            device: "none".into(),
-            reason: "no backend is compiled in".into(),
-            mend: "build with --features ndarray".into(),
-        });
-    };
+    Ok(choose(name)?.1)
+}
+
+/// [`open`], and which backend it is.
+///
+/// Without a name, a wgpu backend that finds no adapter gives way to the next one, with one warning. The devices
+/// themselves are lazy: wgpu's adapter is asked for here, so that its absence is an error and not a later panic.
+///
+/// # Errors
+/// [`Error::Device`] when the backend asked for is not compiled in or has no usable adapter.
+pub fn choose(name: Option<BackendName>) -> Result<(BackendName, Device)> {
+    if let Some(name) = name {
+        return Ok((name, device(name)?));
+    }
+    let compiled = BackendName::compiled();
+    for (i, &name) in compiled.iter().enumerate() {
+        match (device(name), compiled.get(i + 1)) {
+            (Ok(device), _) => return Ok((name, device)),
+            (Err(error), None) => return Err(error),
+            (Err(error), Some(next)) => {
+                let reason = match error {
+                    Error::Device { reason, .. } => reason,
+                    other => other.to_string(),
+                };
+                tracing::warn!("{name}: {reason}; computing with {next} instead");
+            }
+        }
+    }
+    Err(Error::Device {
+        device: "none".into(),
+        reason: "no backend is compiled in".into(),
+        mend: "build with --features ndarray".into(),
+    })
+}
+
+fn device(name: BackendName) -> Result<Device> {
     match name {
         #[cfg(feature = "wgpu")]
-        BackendName::Wgpu => Ok(Device::wgpu(burn::tensor::DeviceKind::DefaultDevice)),
+        BackendName::Wgpu => wgpu(),
         #[cfg(feature = "flex")]
         BackendName::Flex => Ok(Device::flex()),
         #[cfg(feature = "ndarray")]
@@ -74,6 +105,30 @@ pub fn open(name: Option<BackendName>) -> Result<Device> {
             device: other.to_string(),
             reason: "not part of this build".into(),
             mend: format!("build with --features {other}"),
+        }),
+    }
+}
+
+/// The default wgpu device, its adapter acquired once a process.
+#[cfg(feature = "wgpu")]
+fn wgpu() -> Result<Device> {
+    use burn::tensor::DeviceKind::DefaultDevice;
+    use burn::tensor::wgpu::WgpuInitError;
+    static ADAPTER: std::sync::OnceLock<Result<(), String>> = std::sync::OnceLock::new();
+    let adapter = ADAPTER.get_or_init(|| match Device::wgpu_options().init() {
+        // Registered already: somebody computes on it.
+        Ok(_) | Err(WgpuInitError::Registration { .. }) => Ok(()),
+        Err(WgpuInitError::AdapterUnavailable { message, .. }) => Err(message),
+        Err(error) => Err(error.to_string()),
+    });
+    match adapter {
+        Ok(()) => Ok(Device::wgpu(DefaultDevice)),
+        Err(reason) => Err(Error::Device {
+            device: BackendName::Wgpu.to_string(),
+            reason: format!("no usable adapter ({reason})"),
+            mend: "install a Vulkan, Metal or DX12 driver (Debian: mesa-vulkan-drivers has a software one), or choose \
+                   another backend"
+                .into(),
         }),
     }
 }

@@ -2,8 +2,9 @@
 //!
 //! Every variant tells the caller a different thing to do:
 //! [`Error::Input`] - mend the named field of the named file; [`Error::Config`] - mend a setting;
-//! [`Error::Io`] - look at the path; [`Error::Limit`] - the request does not fit, the numbers are in the message;
-//! [`Error::NonFinite`] - training met a NaN or an infinity, and where; [`Error::Device`] - the backend is not usable.
+//! [`Error::Missing`] - name another path; [`Error::Io`] - look at the path; [`Error::Limit`] - the request does not fit,
+//! the numbers are in the message; [`Error::NonFinite`] - training met a NaN or an infinity, and where;
+//! [`Error::Device`] - the backend is not usable.
 
 use std::path::{Path, PathBuf};
 
@@ -23,6 +24,16 @@ pub enum Error {
         action: &'static str,
         /// The system's own error.
         source: std::io::Error,
+    },
+    /// A file or folder that was named is not there.
+    #[error("no such {what}: {}; {mend}", path.display())]
+    Missing {
+        /// `file` or `folder`.
+        what: &'static str,
+        /// Where it should be.
+        path: PathBuf,
+        /// What the user can do.
+        mend: String,
     },
     /// A file was read but what it holds cannot be used.
     #[error("{}: {field}: found {found}, expected {expected}; {mend}", path.display())]

@@ -1,7 +1,7 @@
 //! What lies where in a run folder.
 
 use coseg::config::Config;
-use coseg::data::Classes;
+use coseg::data::{Classes, atomic};
 use coseg::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -44,6 +44,22 @@ impl RunFolder {
 
     fn is_used(&self) -> bool {
         self.config_path().exists()
+    }
+
+    /// Writes `config.toml`; returns what stood there, which is something in a run that is gone on with.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file; [`Error::Config`] for settings that TOML cannot hold.
+    pub fn replace_config(&self, config: &Config) -> Result<Option<Vec<u8>>> {
+        let before = std::fs::read(self.config_path()).ok();
+        atomic::write_bytes(self.config_path(), config.to_toml()?.as_bytes())?;
+        Ok(before)
+    }
+
+    /// Puts back what [`RunFolder::replace_config`] returned: the run did not go on with other settings.
+    pub fn restore_config(&self, before: &[u8]) {
+        // The error that led here is told; this file only says less of it.
+        let _ = atomic::write_bytes(self.config_path(), before);
     }
 
     /// Takes `config.toml` away, and the folder when that empties it, if training has not begun: input was at fault, and

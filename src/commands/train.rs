@@ -5,7 +5,7 @@ use super::run_folder::RunFolder;
 use super::{Settings, terminal};
 use clap::Args;
 use coseg::config::{Config, Row};
-use coseg::data::atomic;
+use coseg::data::transforms;
 use coseg::device::{self, BackendName};
 use coseg::error::Result;
 use coseg::gaussians::ply;
@@ -72,18 +72,18 @@ impl TrainArgs {
                 (RunFolder::new(self.out.as_deref(), &scene_name(&config))?, config)
             }
         };
-        let device = device::open(self.backend)?;
-        atomic::write_bytes(run.config_path(), config.to_toml()?.as_bytes())?;
-        let backend = self.backend.or_else(|| BackendName::compiled().first().copied());
-        let backend = backend.map_or_else(|| "no".to_owned(), |name| name.to_string());
+        if let Some(dir) = &config.data.dir {
+            transforms::locate(dir, &config.data.transforms)?;
+        }
+        let (backend, device) = device::choose(self.backend)?;
+        let before = run.replace_config(&config)?;
         let device_text = format!("{backend} backend, {} threads", rayon::current_num_threads());
         terminal::note(&format!("{} -> {} ({device_text})", scene_name(&config), run.path().display()));
 
         let outcome = train::run(&config, run.path(), &device, &mut Bars::default());
-        let outcome = outcome.inspect_err(|_| {
-            if self.resume.is_none() {
-                run.forget_unless_started();
-            }
+        let outcome = outcome.inspect_err(|_| match before {
+            Some(text) => run.restore_config(&text),
+            None => run.forget_unless_started(),
         })?;
         let labels = outcome.stored().map(|(_, identities)| identities);
         let ids = labels.map(|identities| identities.ids(&outcome.scene.classes));

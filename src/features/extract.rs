@@ -5,6 +5,7 @@ use crate::config::FeatureConfig;
 use crate::data::{Scene, Split, View};
 use crate::error::{Error, Result};
 use crate::random::{self, Purpose};
+use burn::tensor::Device;
 use rayon::prelude::*;
 
 /// Cells per scale that the PCA is fitted on at most, in equal seeded shares of all training views.
@@ -40,8 +41,8 @@ pub struct FeatureSet {
 /// Features of the training views: four maps each, reduced by a PCA per scale that is fitted on all of them, then
 /// L2-normalised.
 ///
-/// The fit reads at most [`PCA_CELLS`] cells per scale, drawn with `seed`. `progress` is told how many of how many steps
-/// are done.
+/// The fit reads at most [`PCA_CELLS`] cells per scale, drawn with `seed`. Weights are read by way of `device`. `progress`
+/// is told how many of how many steps are done.
 ///
 /// # Errors
 /// [`Error::Config`] for unusable settings or a scene without training views; what [`Extractor::open`] and
@@ -50,9 +51,10 @@ pub fn extract(
     scene: &Scene,
     config: &FeatureConfig,
     seed: u64,
+    device: &Device,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<FeatureSet> {
-    Ok(run(scene, config, seed, false, progress)?.0)
+    Ok(run(scene, config, seed, false, device, progress)?.0)
 }
 
 /// [`extract`], and the test views reduced by the same PCA, in the scene's order. Test views do not enter the fit.
@@ -63,9 +65,10 @@ pub fn extract_all(
     scene: &Scene,
     config: &FeatureConfig,
     seed: u64,
+    device: &Device,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<(FeatureSet, Vec<ViewFeatures>)> {
-    run(scene, config, seed, true, progress)
+    run(scene, config, seed, true, device, progress)
 }
 
 fn run(
@@ -73,12 +76,13 @@ fn run(
     config: &FeatureConfig,
     seed: u64,
     with_test: bool,
+    device: &Device,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<(FeatureSet, Vec<ViewFeatures>)> {
     if config.dimensions == 0 {
         return Err(Error::config("features.dimensions", "0", "1 or more", "64 is the usual choice"));
     }
-    let extractor = Extractor::open(config)?;
+    let extractor = Extractor::open(config, device)?;
     let train: Vec<&View> = scene.split(Split::Train).collect();
     let test: Vec<&View> = if with_test { scene.split(Split::Test).collect() } else { vec![] };
     if train.is_empty() {

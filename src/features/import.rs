@@ -1,4 +1,5 @@
-//! Feature maps from files: `STEM.1.npy` to `STEM.4.npy`, or `STEM.safetensors` with `scale1` to `scale4`.
+//! Feature maps from files: `STEM.1.npy` to `STEM.4.npy`, or `STEM.safetensors` with `scale1` to `scale4`. Their cells
+//! divide the image evenly.
 
 use super::{FeatureMap, SCALES};
 use crate::error::{Error, Result};
@@ -78,7 +79,7 @@ fn read_npy(path: &Path) -> Result<FeatureMap> {
             cells.flat_map(|(y, x)| (0..channels).map(move |c| (y, x, c))).map(|(y, x, c)| at(y, x, c)).collect()
         }
     };
-    finite(path, "data", FeatureMap { height, width, channels, data })
+    finite(path, "data", FeatureMap { height, width, channels, data, steps: None })
 }
 
 fn read_bundle(path: &Path) -> Result<Vec<FeatureMap>> {
@@ -99,7 +100,7 @@ fn read_bundle(path: &Path) -> Result<Vec<FeatureMap>> {
                 Dtype::F16 => bytes.as_chunks::<2>().0.iter().map(|b| f16::from_le_bytes(*b).to_f32()).collect(),
                 other => return Err(bad(format!("{other:?}"))),
             };
-            finite(path, &name, FeatureMap { height, width, channels, data })
+            finite(path, &name, FeatureMap { height, width, channels, data, steps: None })
         })
         .collect()
 }

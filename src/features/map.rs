@@ -1,12 +1,10 @@
-//! Feature maps and how their cells lie on the image.
+//! Feature maps: grids of vectors.
 
+use super::lattice::{Axis, Lattice, Steps};
 use crate::error::{Error, Result};
 use rayon::prelude::*;
 
-/// A grid of feature vectors that covers an image.
-///
-/// Cell `(x, y)` stands for the image point `((x + 0.5) W / width, (y + 0.5) H / height)` of a `W` x `H` image, pixel
-/// centres at +0.5: the grid's outer border is the image's outer border.
+/// A grid of feature vectors over an image; [`Lattice`] says where its cells are.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FeatureMap {
     /// Cells down.
@@ -17,12 +15,19 @@ pub struct FeatureMap {
     pub channels: usize,
     /// Row-major `[height, width, channels]`.
     pub data: Vec<f32>,
+    /// Where the cells are, when they do not divide the image evenly.
+    pub steps: Option<Steps>,
 }
 
 impl FeatureMap {
-    /// A map of zeros.
+    /// A map of zeros that divides its image evenly.
     pub fn zeros(height: usize, width: usize, channels: usize) -> Self {
-        Self { height, width, channels, data: vec![0.0; height * width * channels] }
+        Self { height, width, channels, data: vec![0.0; height * width * channels], steps: None }
+    }
+
+    /// Where the cells are.
+    pub fn lattice(&self) -> Lattice {
+        Lattice { width: self.width, height: self.height, steps: self.steps }
     }
 
     /// Number of cells.
@@ -39,8 +44,9 @@ impl FeatureMap {
     ///
     /// Beyond the outermost cell centres the border cell is read. The weights are not negative and sum to 1.
     pub fn taps(&self, u: f64, v: f64, width: usize, height: usize) -> [(usize, f32); 4] {
-        let (x0, x1, fx) = axis_taps(u, width, self.width);
-        let (y0, y1, fy) = axis_taps(v, height, self.height);
+        let lattice = self.lattice();
+        let (x0, x1, fx) = lattice.columns(width).taps(u);
+        let (y0, y1, fy) = lattice.rows(height).taps(v);
         let at = |x: usize, y: usize| y * self.width + x;
         [
             (at(x0, y0), (1.0 - fx) * (1.0 - fy)),
@@ -60,7 +66,8 @@ impl FeatureMap {
     }
 
     /// The map on another grid over the same image: area mean along an axis that shrinks, linear along one that grows.
-    pub fn resized(&self, height: usize, width: usize) -> Self {
+    /// Both divide the image evenly.
+    pub(crate) fn resized(&self, height: usize, width: usize) -> Self {
         let c = self.channels;
         let mut rows = Self::zeros(height, self.width, c);
         rows.data.par_chunks_mut((self.width * c).max(1)).zip(axis_weights(self.height, height)).for_each(
@@ -112,13 +119,6 @@ impl FeatureMap {
     }
 }
 
-/// Two neighbouring cells of `cells` and the weight of the second, for coordinate `at` on an axis of `size` pixels.
-pub(crate) fn axis_taps(at: f64, size: usize, cells: usize) -> (usize, usize, f32) {
-    let x = (at * cells as f64 / size as f64 - 0.5).clamp(0.0, (cells.max(1) - 1) as f64);
-    let x0 = x as usize;
-    (x0, (x0 + 1).min(cells.max(1) - 1), (x - x0 as f64) as f32)
-}
-
 /// For each of `to` cells the source cells of `from` and their weights, which sum to 1.
 fn axis_weights(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
     let step = from as f64 / to as f64;
@@ -132,7 +132,7 @@ fn axis_weights(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
         .collect()
     };
     let linear = |i: usize| {
-        let (a, b, f) = axis_taps(i as f64 + 0.5, to, from);
+        let (a, b, f) = Axis::even(from, to).taps(i as f64 + 0.5);
         vec![(a, 1.0 - f), (b, f)]
     };
     (0..to).map(|i| if to <= from { area(i) } else { linear(i) }).collect()
@@ -150,7 +150,13 @@ mod tests {
                 assert!((sum - 1.0).abs() < 1e-6, "{from} {to}: {sum}");
             }
         }
-        let ramp = FeatureMap { height: 1, width: 40, channels: 1, data: (0..40).map(|x| x as f32 + 0.5).collect() };
+        let ramp = FeatureMap {
+            height: 1,
+            width: 40,
+            channels: 1,
+            data: (0..40).map(|x| x as f32 + 0.5).collect(),
+            ..FeatureMap::default()
+        };
         // A whole number of cells: cells are constant inside, so a cut one would not give the ramp back exactly.
         for (x, value) in ramp.resized(1, 8).data.iter().enumerate() {
             assert!((value - (x as f32 + 0.5) * 5.0).abs() < 1e-4);

@@ -8,20 +8,22 @@ mod cache;
 pub mod descriptor;
 mod extract;
 mod import;
+mod lattice;
 mod map;
 pub mod mobilenet;
 mod pca;
 pub mod probe;
 
 pub use extract::{FeatureSet, PCA_CELLS, ViewFeatures, extract, extract_all};
+pub(crate) use lattice::Axis;
+pub use lattice::{Lattice, Steps};
 pub use map::FeatureMap;
-pub(crate) use map::axis_taps;
 pub use pca::{Moments, Pca};
 
 use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::View;
-use crate::device;
 use crate::error::{Error, Result};
+use burn::tensor::Device;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 
@@ -48,18 +50,18 @@ pub enum Extractor {
 }
 
 impl Extractor {
-    /// The extractor that the settings ask for; reads weights where it has any.
+    /// The extractor that the settings ask for; reads weights where it has any, by way of `device`.
     ///
     /// # Errors
     /// [`Error::Config`] when a needed path is not set; [`Error::Io`] and [`Error::Input`] for unusable weights.
-    pub fn open(config: &FeatureConfig) -> Result<Self> {
+    pub fn open(config: &FeatureConfig, device: &Device) -> Result<Self> {
         if let (Some(dir), true) = (&config.import_dir, config.source != FeatureSource::Import) {
             tracing::warn!("features.import_dir = {} is not read: features.source is not import", dir.display());
         }
         match config.source {
             FeatureSource::Descriptor => Ok(Self::Descriptor),
             FeatureSource::Auto | FeatureSource::Mobilenetv2 => match &config.weights {
-                Some(path) => Self::mobilenet(path),
+                Some(path) => Self::mobilenet(path, device),
                 None if config.source == FeatureSource::Auto => Ok(Self::Descriptor),
                 None => Err(Error::config(
                     "features.weights",
@@ -81,8 +83,8 @@ impl Extractor {
         }
     }
 
-    fn mobilenet(path: &Path) -> Result<Self> {
-        let net = mobilenet::FoldedNet::new(&mobilenet::MobileNetV2::load(path, &device::open(None)?)?);
+    fn mobilenet(path: &Path, device: &Device) -> Result<Self> {
+        let net = mobilenet::FoldedNet::new(&mobilenet::MobileNetV2::load(path, &device.clone().inner())?);
         let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
         let hash = format!("{:x}", Sha256::digest(&bytes));
         Ok(Self::MobileNetV2 { net: Box::new(net), path: path.to_owned(), hash })

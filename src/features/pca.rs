@@ -153,7 +153,7 @@ impl Pca {
         map.check(what)?;
         check_channels(what, map.channels, self.channels)?;
         let (c, d, rank) = (self.channels, self.dimensions, self.rank);
-        let mut out = FeatureMap::zeros(map.height, map.width, d);
+        let mut out = FeatureMap { steps: map.steps, ..FeatureMap::zeros(map.height, map.width, d) };
         // [channels, rank], so that the inner loop runs over outputs.
         let mut basis = vec![0.0_f64; c * rank];
         for (k, component) in self.components.chunks_exact(c.max(1)).enumerate() {

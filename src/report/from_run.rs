@@ -103,11 +103,7 @@ impl Report<'_> {
     pub fn notes_of(outcome: &Outcome, config: &Config) -> Vec<String> {
         let mut notes = Vec::new();
         if config.data.dir.is_none() {
-            notes.push(
-                "The scene is the built-in one: procedural, ray-cast, with simulated raw labels (errors drawn on the true \
-                 labels), not those of a segmentation network."
-                    .to_owned(),
-            );
+            notes.push("The scene is the built-in one: procedural and ray-cast.".to_owned());
         }
         if outcome.rows.iter().any(|row| row.row == Row::Raw) {
             notes.push("Raw labels of held-out views are scored, never trained on.".to_owned());

@@ -39,7 +39,7 @@ pub struct Report<'a> {
     pub history: &'a History,
     /// Held-out views, in file order.
     pub views: Vec<HeldOutView<'a>>,
-    /// What a reader should know: where the raw labels come from, what was skipped, what the figures do not say.
+    /// What a reader should know besides: what was skipped, what the figures do not say.
     pub notes: Vec<String>,
 }
 

@@ -23,6 +23,9 @@ pub(super) fn page(report: &Report<'_>, path: &Path) -> Result<String> {
     if !m.test.labels.is_empty() {
         out.push_str("<h2>Labels</h2>\n<p class=\"quiet\">Scored on held-out views against the true labels; unlabelled truth is left out. \
             Every row but the raw labels is rendered from the Gaussian scene. The best of each column is bold.</p>\n");
+        if let Some(origin) = report.config.data.raw_labels_origin() {
+            let _ = writeln!(out, "<p class=\"quiet\">{}</p>", escape(&origin));
+        }
         out.push_str(&tables::scores(report));
         out.push_str(&tables::class_iou(report));
     }

@@ -11,7 +11,7 @@ mod view;
 use crate::config::{Normalisation, Resolution, UnprojectionConfig};
 use crate::data::View;
 use crate::error::{Error, Result};
-use crate::features::{FeatureMap, FeatureSet, SCALES};
+use crate::features::{FeatureMap, FeatureSet, Lattice, SCALES};
 use crate::gaussians::Gaussians;
 use crate::ops::Real;
 use crate::raster::{Settings, Splats};
@@ -64,19 +64,20 @@ impl<E: Real> Sums<E> {
     ) -> Result<()> {
         self.check(splats.len(), maps)?;
         // Scales on one grid share the projection and the scalar weights.
-        let mut grids: Vec<([usize; 2], Vec<usize>)> = Vec::new();
+        let mut grids: Vec<(Lattice, Vec<usize>)> = Vec::new();
         for (scale, map) in maps.iter().enumerate() {
-            let size = [map.width, map.height];
-            match grids.iter_mut().find(|(of, _)| *of == size) {
+            let lattice = map.lattice();
+            match grids.iter_mut().find(|(of, _)| *of == lattice) {
                 Some((_, scales)) => scales.push(scale),
-                None => grids.push((size, vec![scale])),
+                None => grids.push((lattice, vec![scale])),
             }
         }
         match resolution {
             Resolution::Image => view::add(self, splats, camera, maps, &grids, settings),
             Resolution::Feature => grids.iter().try_for_each(|grid| {
-                let [width, height] = grid.0;
-                view::add(self, splats, &camera.resized(width, height), maps, std::slice::from_ref(grid), settings)
+                // Cells are the pixels of the scaled camera.
+                let pixels = (Lattice { steps: None, ..grid.0 }, grid.1.clone());
+                view::add(self, splats, &grid.0.camera(camera), maps, &[pixels], settings)
             }),
         }
     }

@@ -4,6 +4,7 @@ use super::building_state::BuildingState;
 use super::parameters::{Parameters, Rates, read};
 use super::photos::Photos;
 use super::progress::{CurvePoint, Event, Progress};
+use super::provenance::Provenance;
 use super::schedule::{Schedule, extent};
 use crate::config::Config;
 use crate::data::{Scene, Split, View};
@@ -15,7 +16,7 @@ use crate::ops::photometric_loss;
 use crate::random::{Purpose, stream};
 use crate::raster::{RasterInput, RasterOutput, Settings, rasterize};
 use burn::tensor::{Device, Tensor};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// What one iteration did.
@@ -56,6 +57,7 @@ pub struct BuildingStage<'a> {
     curve: Vec<CurvePoint>,
     seconds: f64,
     checkpoint: Option<PathBuf>,
+    provenance: Provenance,
 }
 
 impl<'a> BuildingStage<'a> {
@@ -81,7 +83,8 @@ impl<'a> BuildingStage<'a> {
     /// Goes on from a state, exactly as the run that it is of would have.
     ///
     /// # Errors
-    /// [`Error::Config`] for settings that cannot work or are not those of the state, or a scene without training views.
+    /// [`Error::Config`] for settings that cannot work or are not those of the state, or a scene without training views;
+    /// [`Error::Input`] when the state is of another scene.
     pub fn from_state(scene: &'a Scene, config: &Config, device: &Device, state: BuildingState) -> Result<Self> {
         check_settings(config)?;
         let train: Vec<&View> = scene.split(Split::Train).collect();
@@ -98,6 +101,10 @@ impl<'a> BuildingStage<'a> {
             let found = format!("{}x{} pixels in view {}", view.image.width(), view.image.height(), view.name);
             let expected = format!("{}x{} as its camera", view.camera.width, view.camera.height);
             return Err(Error::config("data", found, expected, "resize the photo or mend the intrinsics"));
+        }
+        let provenance = Provenance::building(config, scene);
+        if state.provenance.is_known() {
+            provenance.check(&state.provenance, Path::new("the building checkpoint"))?;
         }
         if state.seed != config.seed {
             let (found, expected) = (config.seed.to_string(), state.seed.to_string());
@@ -118,6 +125,7 @@ impl<'a> BuildingStage<'a> {
             parameters: Parameters::new(gaussians, first, second, &device),
             config: config.clone(),
             checkpoint: None,
+            provenance,
             device,
             train,
             test,
@@ -166,6 +174,7 @@ impl<'a> BuildingStage<'a> {
     pub fn state(&self) -> Result<BuildingState> {
         let (gaussians, first, second) = self.parameters.clone().into_host()?;
         Ok(BuildingState {
+            provenance: self.provenance.clone(),
             seed: self.config.seed,
             iteration: self.iteration,
             gaussians,

@@ -1,22 +1,23 @@
 //! Everything a building stage remembers, on the host and in checkpoints.
 
 use super::checkpoint::Checkpoint;
+use super::curve;
 use super::parameters::{Moments, NAMES, widths, zero_moments};
 use super::progress::CurvePoint;
+use super::provenance::Provenance;
 use crate::error::Result;
 use crate::gaussians::Gaussians;
 use crate::gaussians::densify::DensityStats;
-use crate::metrics::ImageScores;
 use std::path::Path;
 
 /// Kind of checkpoint.
 const KIND: &str = "building";
-/// Columns of the stored curve.
-const CURVE: usize = 6;
 
 /// State of a building stage after some iterations; with scene and settings it determines the rest of the run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BuildingState {
+    /// What it was made from; nothing for a state that no stage has had.
+    pub provenance: Provenance,
     /// Seed of the run.
     pub seed: u64,
     /// Iterations done; also the number of Adam steps.
@@ -68,13 +69,8 @@ impl BuildingState {
         c.put("loss.sum", &[], vec![self.losses.0])?;
         c.put("loss.count", &[], vec![self.losses.1])?;
         c.put("seconds", &[], vec![self.seconds])?;
-        let row = |p: &CurvePoint| {
-            let score = |s: Option<f64>| s.unwrap_or(f64::NAN);
-            let (psnr, ssim) = (score(p.held_out.psnr), score(p.held_out.ssim));
-            [p.iteration as f64, p.seconds, p.loss, psnr, ssim, p.gaussians as f64]
-        };
-        let curve: Vec<f64> = self.curve.iter().flat_map(row).collect();
-        c.put("curve", &[self.curve.len(), CURVE], curve)?;
+        c.set("provenance", &self.provenance)?;
+        curve::put(&mut c, &self.curve)?;
         c.save(path)
     }
 
@@ -114,18 +110,8 @@ impl BuildingState {
             DensityStats { gradient: c.take("density.gradient", &[n])?, visible: c.take("density.visible", &[n])? };
         state.losses = (scalar(&mut c, "loss.sum")?, scalar(&mut c, "loss.count")?);
         state.seconds = scalar(&mut c, "seconds")?;
-        let points = c.shape("curve")?.first().copied().unwrap_or(0);
-        let curve: Vec<f64> = c.take("curve", &[points, CURVE])?;
-        let score = |v: f64| (!v.is_nan()).then_some(v);
-        let point = |p: &[f64; CURVE]| CurvePoint {
-            iteration: p[0] as usize,
-            seconds: p[1],
-            loss: p[2],
-            held_out: ImageScores { psnr: score(p[3]), ssim: score(p[4]) },
-            miou: None,
-            gaussians: p[5] as usize,
-        };
-        state.curve = curve.as_chunks().0.iter().map(point).collect();
+        state.provenance = c.get("provenance")?;
+        state.curve = curve::take(&mut c)?;
         Ok(state)
     }
 }

@@ -14,7 +14,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Version of the layout; files of another one are refused.
-const VERSION: u64 = 1;
+const VERSION: u64 = 2;
 /// Key of the JSON object within `__metadata__`.
 const KEY: &str = "coseg";
 

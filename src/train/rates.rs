@@ -38,8 +38,8 @@ pub fn choose_rate<'a>(
         return Ok(base * factors.first().copied().unwrap_or(1.0));
     }
     if path.is_file() {
-        let (of, rate): (Vec<f64>, f64) = Checkpoint::load(path, KIND)?.get("choice")?;
-        if of == *factors {
+        let (of, from, rate): (Vec<f64>, f64, f64) = Checkpoint::load(path, KIND)?.get("choice")?;
+        if (&of, from) == (factors, base) {
             return Ok(rate);
         }
     }
@@ -59,7 +59,7 @@ pub fn choose_rate<'a>(
     }
     views.hold_back(None);
     let mut checkpoint = Checkpoint::new(KIND);
-    checkpoint.set("choice", &(factors, best.1))?;
+    checkpoint.set("choice", &(factors, base, best.1))?;
     checkpoint.save(path)?;
     Ok(best.1)
 }

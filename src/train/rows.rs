@@ -1,6 +1,7 @@
 //! The rows of the label table: what each is, and its training and scoring.
 
 use super::progress::{CurvePoint, Progress};
+use super::provenance::Provenance;
 use super::rates::choose_rate;
 use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, TrainingViews, train};
 use super::segmentation_inputs::{Inputs, Spatial};
@@ -173,6 +174,7 @@ fn trained(
         eval_every: tenth(config.eval_every),
         checkpoint_every: tenth(config.checkpoint_every),
         checkpoint: Some(checkpoints.join(format!("{}.safetensors", row.key()))),
+        provenance: Provenance::row(row, inputs),
     };
     let device = inputs.device.clone().autodiff();
     let (classes, count) = (inputs.scene.classes.len(), views.len());

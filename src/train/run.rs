@@ -163,7 +163,7 @@ fn segment(
 ) -> Result<()> {
     let fused = config.segmentation.rows.iter().any(|row| row.is_fused());
     let seen = match fused {
-        true => Some(Seen::new(&outcome.scene, &outcome.gaussians, config, settings, progress)?),
+        true => Some(Seen::new(&outcome.scene, &outcome.gaussians, config, settings, device, progress)?),
         false => None,
     };
     if let Some(seen) = &seen {

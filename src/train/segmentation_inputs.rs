@@ -41,11 +41,12 @@ impl Seen {
         gaussians: &Gaussians,
         config: &Config,
         settings: &Settings,
+        device: &Device,
         progress: &mut dyn Progress,
     ) -> Result<Self> {
         let clock = Instant::now();
         progress.event(&Event::Started { stage: "features", done: 0, iterations: 1 });
-        let set = features::extract(scene, &config.features, config.seed, &|_, _| ())?;
+        let set = features::extract(scene, &config.features, config.seed, device, &|_, _| ())?;
         progress.event(&Event::Finished);
         let extraction = clock.elapsed().as_secs_f64();
         let clock = Instant::now();

@@ -81,7 +81,7 @@ fn camera(i: usize) -> Camera {
 }
 
 /// A scene folder of the plates: photos, exact labels, raw labels with one object swapped in one view, a PLY file.
-fn scene(dir: &Path) -> PathBuf {
+pub fn scene(dir: &Path) -> PathBuf {
     let (gaussians, labels) = plates();
     let mut frames = Vec::new();
     for i in 0..VIEWS {
@@ -286,4 +286,126 @@ fn train_fills_the_run_folder_and_eval_agrees() {
     succeeds(&["train", "--resume", utf8(&run)]);
     assert_eq!(std::fs::read(run.join("scene.ply")).unwrap(), before);
     assert_eq!(read_json(&run.join("metrics.json"))["test"], metrics["test"]);
+}
+
+#[test]
+fn folders_that_are_no_scenes_are_found_before_anything_is_begun() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("runs/a");
+    let refused = |data: &Path| {
+        let message = fails(&["train", "--data", utf8(data), "--out", utf8(&out)], 1);
+        assert!(!message.contains(" -> "), "nothing is said to be running: {message}");
+        assert!(!folder.path().join("runs").exists(), "no folder is left behind");
+        message
+    };
+    let absent = folder.path().join("absent");
+    let message = refused(&absent);
+    assert!(
+        message.contains(&format!("error: no such folder: {}; give the scene folder", absent.display())),
+        "{message}"
+    );
+    let config = folder.path().join("run.toml");
+    std::fs::write(&config, format!("[data]\ndir = {:?}\n", utf8(&absent))).unwrap();
+    let message = fails(&["train", "--config", utf8(&config), "--out", utf8(&out)], 1);
+    assert!(message.contains("no such folder") && !message.contains(" -> ") && !out.exists(), "{message}");
+    assert!(refused(&config).contains("a scene folder"));
+    let message = fails(&["vote", "--scene", "x.ply", "--data", utf8(&absent), "--out", utf8(&out)], 1);
+    assert!(message.contains("no such folder"), "{message}");
+
+    let data = folder.path().join("data");
+    std::fs::create_dir(&data).unwrap();
+    let message = refused(&data);
+    for word in ["transforms.json: found no such file", "expected cameras and frames", "README"] {
+        assert!(message.contains(word), "{word}: {message}");
+    }
+    std::fs::write(data.join("transforms_4.json"), "{}").unwrap();
+    let message = refused(&data);
+    assert!(message.contains("--set data.transforms=transforms_4.json"), "{message}");
+    std::fs::create_dir_all(data.join("sparse/0")).unwrap();
+    std::fs::write(data.join("sparse/0/cameras.bin"), [0; 8]).unwrap();
+    let message = refused(&data);
+    assert!(message.contains("COLMAP") && message.contains("sparse/0/cameras.bin"), "{message}");
+    assert!(message.contains("not read yet"), "{message}");
+}
+
+#[test]
+fn a_run_is_not_gone_on_with_under_other_settings() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let run = folder.path().join("run");
+    let small = ["--set", "building.iterations=12", "--set", "building.random_points=200"];
+    let rows = ["--set", "segmentation.iterations=6", "--set", "segmentation.rows=per_gaussian"];
+    let train = ["train", "--data", utf8(folder.path()), "--out", utf8(&run)];
+    succeeds(&[&train[..], &small, &rows].concat());
+    let before = std::fs::read(run.join("config.toml")).unwrap();
+    let resume = ["train", "--resume", utf8(&run)];
+    for (set, then) in [("building.iterations=20", "12"), ("segmentation.iterations=3", "6"), ("seed=4", "0")] {
+        let message = fails(&[&resume[..], &["--set", set]].concat(), 1);
+        let (key, now) = set.split_once('=').unwrap();
+        for word in [key, &format!("found {now}"), &format!("expected {then}")] {
+            assert!(message.contains(word), "{word}: {message}");
+        }
+        assert_eq!(std::fs::read(run.join("config.toml")).unwrap(), before, "the run keeps its settings");
+    }
+    succeeds(&resume);
+}
+
+/// Where the loaders of Vulkan and OpenGL find no driver.
+#[cfg(all(feature = "wgpu", target_os = "linux"))]
+const WITHOUT_DRIVERS: [(&str, &str); 4] = [
+    ("VK_ICD_FILENAMES", "/nonexistent"),
+    ("VK_DRIVER_FILES", "/nonexistent"),
+    ("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent"),
+    ("XDG_RUNTIME_DIR", "/nonexistent"),
+];
+
+#[cfg(all(feature = "wgpu", target_os = "linux"))]
+fn without_drivers(arguments: &[&str]) -> (Option<i32>, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_coseg")).args(arguments).envs(WITHOUT_DRIVERS).output().unwrap();
+    let message = text(&output.stderr);
+    assert!(!message.contains("panicked") && !message.contains("fault of its own"), "{message}");
+    (output.status.code(), message)
+}
+
+#[test]
+#[cfg(all(feature = "wgpu", target_os = "linux"))]
+fn a_missing_adapter_is_an_error_or_a_notice_and_no_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let run = folder.path().join("run");
+    let small = ["--set", "building.iterations=3", "--set", "building.random_points=100"];
+    let train = ["train", "--data", utf8(folder.path()), "--out", utf8(&run), "--set", "segmentation.rows=raw"];
+    let (code, message) = without_drivers(&[&train[..], &small, &["--backend", "wgpu"]].concat());
+    assert_eq!(code, Some(1), "{message}");
+    for word in ["error: device wgpu: no usable adapter", "driver", "another backend"] {
+        assert!(message.contains(word), "{word}: {message}");
+    }
+    assert!(!message.contains(" -> ") && !run.exists(), "{message}");
+
+    let (code, message) = without_drivers(&[&train[..], &small].concat());
+    assert_eq!(code, Some(0), "{message}");
+    let next = if cfg!(feature = "flex") { "flex" } else { "ndarray" };
+    assert_eq!(message.matches("no usable adapter").count(), 1, "{message}");
+    assert!(message.contains(&format!("computing with {next} instead")), "{message}");
+    assert!(message.contains(&format!("({next} backend")), "{message}");
+}
+
+#[test]
+#[cfg(all(feature = "wgpu", feature = "ndarray", target_os = "linux"))]
+fn weights_of_features_are_read_on_the_device_of_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let (run, weights) = (folder.path().join("run"), folder.path().join("blur.safetensors"));
+    crate::mobilenet::write_blur_weights(&weights);
+    let source = format!("features.weights={}", utf8(&weights));
+    let sets = ["building.iterations=3", "building.random_points=100", "segmentation.iterations=1", &source];
+    let sets = sets.iter().flat_map(|set| ["--set", set]);
+    let train = ["train", "--data", utf8(folder.path()), "--out", utf8(&run), "--backend", "ndarray"];
+    let arguments: Vec<&str> = train.into_iter().chain(sets).chain(["--set", "segmentation.rows=ours"]).collect();
+    // Nothing else may be asked for: there is no adapter.
+    let (code, message) = without_drivers(&arguments);
+    assert_eq!(code, Some(0), "{message}");
+    assert!(!message.contains("adapter"), "{message}");
+    let features = &read_json(&run.join("metrics.json"))["features"];
+    assert!(features.as_str().unwrap().starts_with("mobilenetv2"), "{features}");
 }

@@ -85,7 +85,7 @@ fn descriptor_knows_no_position() {
 #[test]
 fn extraction_reduces_every_view_and_fits_on_training_views_only() {
     let mut scene = pictures(8);
-    let (set, test) = extract_all(&scene, &descriptor_config(), 1, &|_, _| ()).expect("descriptor");
+    let (set, test) = extract_all(&scene, &descriptor_config(), 1, &crate::device(), &|_, _| ()).expect("descriptor");
     assert_eq!(set.name, "descriptor");
     assert_eq!((set.views.len(), test.len()), (6, 2));
     for view in set.views.iter().chain(&test) {
@@ -99,9 +99,10 @@ fn extraction_reduces_every_view_and_fits_on_training_views_only() {
     for view in scene.views.iter_mut().filter(|v| v.split == Split::Test) {
         view.image = RgbImage::from_pixel(70, 54, image::Rgb([250, 0, 0]));
     }
-    let (other, _) = extract_all(&scene, &descriptor_config(), 1, &|_, _| ()).expect("descriptor");
+    let (other, _) = extract_all(&scene, &descriptor_config(), 1, &crate::device(), &|_, _| ()).expect("descriptor");
     assert_eq!(set.reductions, other.reductions, "test views must not enter the fit");
-    let (train_only, again) = (extract(&scene, &descriptor_config(), 1, &|_, _| ()).expect("descriptor"), other);
+    let (train_only, again) =
+        (extract(&scene, &descriptor_config(), 1, &crate::device(), &|_, _| ()).expect("descriptor"), other);
     assert_eq!(train_only.views, again.views);
 }
 
@@ -110,7 +111,9 @@ fn extraction_gives_the_same_bits_at_one_and_two_threads() {
     let scene = pictures(9);
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        pool.install(|| extract(&scene, &descriptor_config(), 5, &|_, _| ()).expect("descriptor").views)
+        pool.install(|| {
+            extract(&scene, &descriptor_config(), 5, &crate::device(), &|_, _| ()).expect("descriptor").views
+        })
     };
     assert!(with(1) == with(2));
 }
@@ -118,7 +121,9 @@ fn extraction_gives_the_same_bits_at_one_and_two_threads() {
 #[test]
 fn unusable_settings_are_named() {
     let scene = pictures(3);
-    let error = |config: &FeatureConfig| extract(&scene, config, 0, &|_, _| ()).expect_err("unusable").to_string();
+    let error = |config: &FeatureConfig| {
+        extract(&scene, config, 0, &crate::device(), &|_, _| ()).expect_err("unusable").to_string()
+    };
     assert!(error(&FeatureConfig { dimensions: 0, ..descriptor_config() }).contains("features.dimensions"));
     let import = FeatureConfig { source: FeatureSource::Import, ..FeatureConfig::default() };
     assert!(error(&import).contains("features.import_dir"));
@@ -128,7 +133,7 @@ fn unusable_settings_are_named() {
     let mut empty = pictures(3);
     empty.views.clear();
     assert!(
-        extract(&empty, &descriptor_config(), 0, &|_, _| ())
+        extract(&empty, &descriptor_config(), 0, &crate::device(), &|_, _| ())
             .expect_err("no view")
             .to_string()
             .contains("training view")
@@ -140,7 +145,7 @@ fn cache_is_used_and_damage_is_mended() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let scene = pictures(4);
     let config = FeatureConfig { cache_dir: Some(dir.path().join("cache")), ..descriptor_config() };
-    let run = || extract(&scene, &config, 0, &|_, _| ()).expect("descriptor").views;
+    let run = || extract(&scene, &config, 0, &crate::device(), &|_, _| ()).expect("descriptor").views;
     let fresh = run();
     let entries = || -> Vec<_> {
         let mut paths: Vec<_> =
@@ -151,7 +156,7 @@ fn cache_is_used_and_damage_is_mended() {
     let paths = entries();
     assert_eq!(paths.len(), 3, "one entry a training view, no temporary left");
     assert!(run() == fresh, "cached maps are the computed ones");
-    let plain = extract(&scene, &descriptor_config(), 0, &|_, _| ()).expect("descriptor").views;
+    let plain = extract(&scene, &descriptor_config(), 0, &crate::device(), &|_, _| ()).expect("descriptor").views;
     assert!(plain == fresh);
     // A flipped bit, a cut file and rubbish: computed again, and written again.
     let whole: Vec<Vec<u8>> = paths.iter().map(|p| std::fs::read(p).expect("entry")).collect();
@@ -173,14 +178,14 @@ fn a_used_cache_entry_is_read_not_computed() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let one = scene(vec![view("a", Split::Train, picture(64, 48, 1), None)], Classes::default());
     let config = FeatureConfig { cache_dir: Some(dir.path().to_owned()), ..descriptor_config() };
-    extract(&one, &config, 0, &|_, _| ()).expect("descriptor");
+    extract(&one, &config, 0, &crate::device(), &|_, _| ()).expect("descriptor");
     let other = scene(vec![view("b", Split::Train, picture(64, 48, 2), None)], Classes::default());
-    let expected = extract(&other, &config, 0, &|_, _| ()).expect("descriptor");
+    let expected = extract(&other, &config, 0, &crate::device(), &|_, _| ()).expect("descriptor");
     // Put the entry of `b` where that of `a` is expected: if it is read, `a` looks like `b`.
     let mut paths: Vec<_> = std::fs::read_dir(dir.path()).expect("cache").map(|e| e.expect("entry").path()).collect();
     paths.sort_by_key(|p| std::fs::metadata(p).and_then(|m| m.modified()).expect("time"));
     std::fs::copy(&paths[1], &paths[0]).expect("copy");
-    let read = extract(&one, &config, 0, &|_, _| ()).expect("descriptor");
+    let read = extract(&one, &config, 0, &crate::device(), &|_, _| ()).expect("descriptor");
     assert!(read.views[0].maps == expected.views[0].maps);
 }
 
@@ -221,7 +226,7 @@ fn maps_are_imported_from_npy_and_safetensors() {
         import_dir: Some(dir.path().to_owned()),
         ..FeatureConfig::default()
     };
-    let set = extract(&scene, &config, 0, &|_, _| ()).expect("imported");
+    let set = extract(&scene, &config, 0, &crate::device(), &|_, _| ()).expect("imported");
     assert_eq!(set.name, format!("imported {}", dir.path().display()));
     for (n, [h, w, _]) in shapes.into_iter().enumerate() {
         let map = &set.views[0].maps[n];
@@ -245,10 +250,10 @@ fn hostile_maps_are_refused_by_name() {
     };
     let file = |n: usize| dir.path().join(format!("a.{n}.npy"));
     let good = || (1..=4).for_each(|n| write_npy(&file(n), &[2, 3, 4], &ramp(24, n)));
-    let error = || extract(&one, &config, 0, &|_, _| ()).expect_err("hostile").to_string();
+    let error = || extract(&one, &config, 0, &crate::device(), &|_, _| ()).expect_err("hostile").to_string();
     assert!(error().contains("view a, scale 1"), "absent");
     good();
-    extract(&one, &config, 0, &|_, _| ()).expect("good maps");
+    extract(&one, &config, 0, &crate::device(), &|_, _| ()).expect("good maps");
     let bytes = std::fs::read(file(3)).expect("map");
     for cut in [0, 5, 9, 40, bytes.len() - 3] {
         std::fs::write(file(3), &bytes[..cut]).expect("write");
@@ -294,7 +299,7 @@ fn linear_probe_reads_a_linear_rule_and_nothing_from_noise() {
     let maps = |truth: &LabelMap, seed: usize| {
         let noise = ramp(w * h, seed);
         let told = truth.ids.iter().zip(&noise).flat_map(|(&id, &n)| [f32::from(id) + n, 3.0]).collect();
-        [FeatureMap { height: h, width: w, channels: 2, data: told }]
+        [FeatureMap { height: h, width: w, channels: 2, data: told, steps: None }]
     };
     let truths: Vec<LabelMap> = (0..4).map(labels).collect();
     let told: Vec<_> = truths.iter().enumerate().map(|(i, t)| maps(t, i)).collect();
@@ -303,7 +308,7 @@ fn linear_probe_reads_a_linear_rule_and_nothing_from_noise() {
     let score = linear_probe(&two_classes(), &views[..3], &views[3..], &settings).expect("labelled");
     assert!(score.accuracy > 0.999 && score.miou > 0.999, "{score:?}");
     let blind: Vec<_> =
-        (0..4).map(|i| [FeatureMap { height: h, width: w, channels: 1, data: ramp(w * h, i) }]).collect();
+        (0..4).map(|i| [FeatureMap { height: h, width: w, channels: 1, data: ramp(w * h, i), steps: None }]).collect();
     let views: Vec<ProbeView> = truths.iter().zip(&blind).map(|(truth, maps)| ProbeView { truth, maps }).collect();
     let score = linear_probe(&two_classes(), &views[..3], &views[3..], &settings).expect("labelled");
     assert!(score.miou < 0.45, "{score:?}");
@@ -324,6 +329,7 @@ fn rgb_maps(scene: &Scene, split: Split) -> Vec<ViewFeatures> {
         width: v.image.width() as usize,
         channels: 3,
         data: v.image.as_raw().iter().map(|&x| f32::from(x) / 255.0).collect(),
+        steps: None,
     };
     scene
         .split(split)
@@ -348,7 +354,7 @@ fn house(step: usize) -> Option<(Scene, std::path::PathBuf)> {
 
 fn probed(scene: &Scene, config: &FeatureConfig) -> ProbeScore {
     let start = std::time::Instant::now();
-    let (set, test) = extract_all(scene, config, 0, &|_, _| ()).expect("features");
+    let (set, test) = extract_all(scene, config, 0, &crate::device(), &|_, _| ()).expect("features");
     let seconds = start.elapsed().as_secs_f64();
     let score = probe_of(scene, &set.views, &test);
     eprintln!("{}: {score:?}, {} views in {seconds:.1} s", set.name, scene.views.len());

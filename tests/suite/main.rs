@@ -26,6 +26,7 @@ mod raster_contract;
 mod raster_gradients;
 mod raster_reference;
 mod report;
+mod resume;
 mod transforms;
 mod unprojection;
 mod weights;

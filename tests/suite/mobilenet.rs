@@ -52,6 +52,84 @@ fn unfold(map: &FeatureMap) -> Vec<f32> {
     (0..map.channels).flat_map(|c| map.data.iter().skip(c).step_by(map.channels).copied()).collect()
 }
 
+/// Writes weights under which every layer is a mean: of its channels, and of its 3x3 neighbourhood with binomial weights.
+/// At any stride these pass on all inputs alike, so that the centre of mass of what is passed on stays.
+pub fn write_blur_weights(path: &Path) {
+    let mut tensors: Vec<(String, Vec<usize>, Vec<f32>)> = Vec::new();
+    let mut layer = |conv: String, norm: String, shape: [usize; 4]| {
+        let fan: usize = shape[1..].iter().product();
+        let kernel: &[f32] =
+            if shape[2] == 3 { &[0.0625, 0.125, 0.0625, 0.125, 0.25, 0.125, 0.0625, 0.125, 0.0625] } else { &[1.0] };
+        let planes = kernel.iter().cycle().take(shape[0] * fan).map(|v| v / shape[1] as f32);
+        tensors.push((format!("{conv}.weight"), shape.to_vec(), planes.collect()));
+        // The variance that batch normalisation with epsilon 1e-5 leaves alone.
+        for (name, value) in [("weight", 1.0), ("bias", 0.0), ("running_mean", 0.0), ("running_var", 1.0 - 1e-5)] {
+            tensors.push((format!("{norm}.{name}"), vec![shape[0]], vec![value; shape[0]]));
+        }
+    };
+    layer("features.0.0".into(), "features.0.1".into(), [32, 3, 3, 3]);
+    let outputs = [16, 24, 24, 32, 32, 32, 64, 64, 64, 64, 96, 96, 96, 160, 160, 160, 320];
+    let mut input = 32;
+    for (n, output) in (1..).zip(outputs) {
+        let hidden = if n == 1 { input } else { 6 * input };
+        let mut next = 0;
+        let mut add = |shape| {
+            layer(format!("features.{n}.conv.{next}"), format!("features.{n}.conv.{}", next + 1), shape);
+            next += 3;
+        };
+        if n > 1 {
+            add([hidden, input, 1, 1]);
+        }
+        add([hidden, 1, 3, 3]);
+        add([output, hidden, 1, 1]);
+        input = output;
+    }
+    let bytes: Vec<Vec<u8>> =
+        tensors.iter().map(|(_, _, values)| values.iter().flat_map(|v| v.to_le_bytes()).collect()).collect();
+    let views = tensors.iter().zip(&bytes).map(|((name, shape, _), bytes)| {
+        (name.clone(), TensorView::new(safetensors::Dtype::F32, shape.clone(), bytes).expect("a tensor"))
+    });
+    std::fs::write(path, safetensors::serialize(views, None).expect("serialize")).expect("write");
+}
+
+#[test]
+fn cells_are_where_the_maps_say() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let path = dir.path().join("blur.safetensors");
+    write_blur_weights(&path);
+    let net = FoldedNet::new(&MobileNetV2::load(&path, &crate::device()).expect("weights"));
+    // A single bright pixel further from every border than the network sees (245 pixels).
+    let (width, height) = (541_usize, 525_usize);
+    for (x, y) in [(256_usize, 256_usize), (271, 262), (263, 268)] {
+        let mut image = vec![0.0_f32; 3 * width * height];
+        (0..3).for_each(|c| image[(c * height + y) * width + x] = 1.0);
+        let maps = net.forward(image, height, width).expect("maps");
+        for (map, stride) in maps.iter().zip([4, 8, 16, 32]) {
+            assert_eq!((map.width, map.height), (width.div_ceil(stride), height.div_ceil(stride)));
+            let lattice = map.lattice();
+            let (mut total, mut sum) = (0.0, [0.0; 2]);
+            for (cell, values) in map.data.chunks_exact(map.channels).enumerate() {
+                let (u, v) = lattice.center(cell % map.width, cell / map.width, width, height);
+                let weight = f64::from(values[0]);
+                total += weight;
+                sum = [sum[0] + weight * u, sum[1] + weight * v];
+            }
+            let [u, v] = sum.map(|s| s / total);
+            let (at_u, at_v) = (x as f64 + 0.5, y as f64 + 0.5);
+            assert!(
+                (u - at_u).hypot(v - at_v) < 0.02,
+                "stride {stride}: the pixel at {at_u} {at_v} is seen at {u} {v}"
+            );
+        }
+        // What is read at the centre of a cell is that cell.
+        let map = &maps[2];
+        let (u, v) = map.lattice().center(16, 17, width, height);
+        let mut read = vec![0.0; map.channels];
+        map.sample(u, v, width, height, &mut read);
+        assert_eq!(read, map.cell(16, 17));
+    }
+}
+
 #[test]
 fn folded_kernels_equal_the_modules_at_any_size() {
     let Some(path) = weights() else { return };

@@ -27,7 +27,7 @@ fn fit(data: &[f32], channels: usize, dimensions: usize) -> Pca {
 }
 
 fn map(data: Vec<f32>, channels: usize) -> FeatureMap {
-    FeatureMap { height: 1, width: data.len() / channels, channels, data }
+    FeatureMap { height: 1, width: data.len() / channels, channels, data, steps: None }
 }
 
 #[test]

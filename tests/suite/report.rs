@@ -265,6 +265,27 @@ fn assert_balanced(page: &str) {
 }
 
 #[test]
+fn the_page_says_where_raw_labels_come_from_where_that_is_known() {
+    let page = |dir: Option<&str>, note: &str| {
+        let mut config = Config::default();
+        config.data.dir = dir.map(Into::into);
+        config.data.raw_labels_note = note.into();
+        let mut page = String::new();
+        let write = |report: &Report| {
+            page = Report { config: &config, notes: Vec::new(), ..report.clone() }.html(Path::new("r")).unwrap();
+        };
+        with_report(write);
+        page.split("<details>").next().unwrap().to_lowercase()
+    };
+    let builtin = page(None, "");
+    assert!(builtin.contains("simulated raw labels: errors drawn on the true labels"));
+    let unknown = page(Some("scenes/living"), "");
+    assert!(!unknown.contains("simulated") && !unknown.contains("raw labels: "));
+    let told = page(Some("scenes/living"), "Mask2Former (ADE20K), <not> tuned.");
+    assert!(told.contains("raw labels: mask2former (ade20k), &lt;not&gt; tuned.</p>"));
+}
+
+#[test]
 fn a_scene_without_labels_and_views_has_a_page_too() {
     let (classes, config, history) = (Classes::default(), Config::default(), History::default());
     let metrics = Metrics { scene: "bare".into(), ..Metrics::default() };

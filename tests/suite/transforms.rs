@@ -242,7 +242,7 @@ fn json_errors_name_the_line() {
     fs::write(&path, [0xFF, 0xFE, b'{']).expect("write");
     expect_error(dir.path(), &options, &["transforms.json", "read failed"]);
     fs::remove_file(&path).expect("remove");
-    expect_error(dir.path(), &options, &["transforms.json", "read failed"]);
+    expect_error(dir.path(), &options, &["transforms.json", "no such file", "nerfstudio"]);
 }
 
 #[test]

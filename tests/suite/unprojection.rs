@@ -3,7 +3,7 @@
 use coseg::camera::Camera;
 use coseg::config::{Normalisation, Resolution, UnprojectionConfig};
 use coseg::data::{Split, View};
-use coseg::features::{FeatureMap, FeatureSet, Moments, Pca, ViewFeatures};
+use coseg::features::{FeatureMap, FeatureSet, Moments, Pca, Steps, ViewFeatures};
 use coseg::gaussians::Gaussians;
 use coseg::raster::{Projected, Settings, Splats};
 use coseg::segmentation::unprojection::{EPSILON, Sums, unproject};
@@ -45,12 +45,13 @@ fn cameras(width: usize, height: usize) -> Vec<Camera> {
 
 fn map(width: usize, height: usize, channels: usize, salt: usize) -> FeatureMap {
     let data = (0..width * height * channels).map(|i| noise(i, salt) as f32).collect();
-    FeatureMap { height, width, channels, data }
+    FeatureMap { height, width, channels, data, steps: None }
 }
 
-/// Maps of one view: two scales on one grid, one of odd size, one finer than the image.
+/// Maps of one view: two scales on one grid, one with steps of its own, one finer than the image.
 fn maps(salt: usize) -> [FeatureMap; 4] {
-    [map(24, 18, 5, salt), map(24, 18, 40, salt + 1), map(7, 5, 64, salt + 2), map(130, 99, 3, salt + 3)]
+    let stepped = FeatureMap { steps: Some(Steps { stride: 16.0, offset: 0.5 }), ..map(7, 5, 64, salt + 2) };
+    [map(24, 18, 5, salt), map(24, 18, 40, salt + 1), stepped, map(130, 99, 3, salt + 3)]
 }
 
 fn wide(values: &[f32]) -> Vec<f64> {
@@ -86,7 +87,7 @@ fn buffers_are_the_adjoint_of_rendering() {
                 let c = map.channels;
                 let camera = match resolution {
                     Resolution::Image => camera.clone(),
-                    Resolution::Feature => camera.resized(map.width, map.height),
+                    Resolution::Feature => map.lattice().camera(camera),
                 };
                 let values: Vec<f64> = (0..n * c).map(x).collect();
                 let image =
@@ -94,7 +95,10 @@ fn buffers_are_the_adjoint_of_rendering() {
                 for (p, rendered) in image.chunks_exact(c).enumerate() {
                     let (u, v) = ((p % camera.width) as f64 + 0.5, (p / camera.width) as f64 + 0.5);
                     let mut read = vec![0.0_f32; c];
-                    map.sample(u, v, camera.width, camera.height, &mut read);
+                    match resolution {
+                        Resolution::Image => map.sample(u, v, camera.width, camera.height, &mut read),
+                        Resolution::Feature => read.copy_from_slice(map.cell(p % map.width, p / map.width)),
+                    }
                     left[scale] += rendered.iter().zip(&read).map(|(a, &b)| a * f64::from(b)).sum::<f64>();
                 }
             }
@@ -116,7 +120,7 @@ fn feature_resolution_is_the_adjoint_blend_of_the_scaled_camera() {
     let mut sums = Sums::<f32>::new(scene.len(), &maps(0).each_ref().map(|m| m.channels));
     sums.add(&scene.splats(), camera, &maps(4), Resolution::Feature, &settings).expect("sums");
     for (scale, map) in maps(4).iter().enumerate() {
-        let scaled = camera.resized(map.width, map.height);
+        let scaled = map.lattice().camera(camera);
         let view = Projected::<f32>::new(&scene.splats(), &scaled, &settings).expect("view");
         let expected = view.blend_adjoint(&map.data, map.channels);
         let largest = expected.iter().fold(0.0_f32, |a, b| a.max(b.abs()));
@@ -126,6 +130,46 @@ fn feature_resolution_is_the_adjoint_blend_of_the_scaled_camera() {
         assert_eq!(sums.counts[scale], view.counts().iter().map(|&c| u64::from(c)).collect::<Vec<_>>());
         for (a, b) in sums.weights[scale].iter().zip(view.weight_sums()) {
             assert!((a - b).abs() <= 1e-5 * b.max(1.0));
+        }
+    }
+}
+
+#[test]
+fn small_gaussians_read_the_cells_that_lie_under_them() {
+    // Each cell holds the image point of its centre, so a small Gaussian must get the point at which it is seen.
+    let camera = &cameras(480, 360)[0];
+    let strides = [4.0, 8.0, 16.0, 32.0];
+    let maps: [FeatureMap; 4] = strides.map(|stride| {
+        let steps = Some(Steps { stride, offset: 0.5 });
+        let (width, height) = (480_usize.div_ceil(stride as usize), 360_usize.div_ceil(stride as usize));
+        let cells = (0..height).flat_map(|y| (0..width).map(move |x| [x, y]));
+        let data = cells.flat_map(|cell| cell.map(|i| (stride * i as f64 + 0.5) as f32)).collect();
+        FeatureMap { width, height, channels: 2, data, steps }
+    });
+    let even = |n: usize| FeatureMap { steps: None, ..maps[n].clone() };
+    assert_eq!(maps[3].lattice().center(2, 1, 480, 360), (64.5, 32.5));
+    assert_eq!(even(3).lattice().center(2, 0, 480, 360), (80.0, 15.0));
+    let settings = Settings { alpha_min: 0.0, ..Settings::default() };
+    for (u, v) in [(131.0, 107.3), (222.7, 180.5), (300.1, 140.9), (352.4, 236.2)] {
+        let at = camera.center + 4.0 * camera.ray(u, v);
+        let gaussian = Gaussians {
+            means: vec![at.as_vec3().to_array()],
+            log_scales: vec![[-7.0; 3]],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacity_logits: vec![-1.0],
+            sh: vec![0.0; 3],
+            sh_degree: 0,
+        };
+        for resolution in [Resolution::Image, Resolution::Feature] {
+            let mut sums = Sums::<f32>::new(1, &[2; 4]);
+            sums.add(&gaussian.splats(), camera, &maps, resolution, &settings).expect("sums");
+            let features = sums.normalised(Normalisation::Weight).buffers;
+            for (stride, found) in strides.iter().zip(&features) {
+                // A splat of half a pixel (half a cell) is not an integral: a few hundredths of one are lost.
+                let tolerance = 0.03 * if resolution == Resolution::Image { 1.0 } else { *stride };
+                let off = [f64::from(found[0]) - u, f64::from(found[1]) - v];
+                assert!(off.iter().all(|d| d.abs() < tolerance), "{resolution:?} {stride}: {found:?} for {u} {v}");
+            }
         }
     }
 }

@@ -1,7 +1,10 @@
 //! Scenes as folders with a `transforms.json` (nerfstudio, instant-ngp): OpenGL camera-to-world poses, photos, and the
 //! fields of this crate: per frame `split`, `label_path`, `raw_label_path`; per folder `classes.json`.
 
+mod locate;
 mod schema;
+
+pub use locate::locate;
 
 use super::image_file::ImageFile;
 use super::{Classes, LabelMap, Limits, Points, Scene, Split, View};
@@ -59,10 +62,11 @@ pub struct NamedCamera {
 /// which [`Scene::points`] is empty. Frames may lack labels; where they have some, `classes.json` must be there.
 ///
 /// # Errors
-/// [`Error::Input`], [`Error::Io`] or [`Error::Limit`] naming file and field: malformed JSON, missing or damaged files,
-/// sizes that disagree, poses that are no rotations, distortion, unknown label ids, repeated stems, no training view.
+/// [`Error::Missing`], [`Error::Input`], [`Error::Io`] or [`Error::Limit`] naming file and field: malformed JSON, missing
+/// or damaged files, sizes that disagree, poses that are no rotations, distortion, unknown label ids, repeated stems, no
+/// training view.
 pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
-    let path = dir.join(&options.transforms);
+    let path = locate(dir, &options.transforms)?;
     let transforms = Transforms::read(&path)?;
     let limits = &options.limits;
     Limits::check(

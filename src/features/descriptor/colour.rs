@@ -18,7 +18,13 @@ pub const COLOUR: usize = MEANS + SQUARES + HUES + LIGHTS;
 pub fn luma(image: &image::RgbImage) -> FeatureMap {
     let data =
         image.pixels().map(|p| (0.299 * f32::from(p[0]) + 0.587 * f32::from(p[1]) + 0.114 * f32::from(p[2])) / 255.0);
-    FeatureMap { height: image.height() as usize, width: image.width() as usize, channels: 1, data: data.collect() }
+    FeatureMap {
+        height: image.height() as usize,
+        width: image.width() as usize,
+        channels: 1,
+        data: data.collect(),
+        steps: None,
+    }
 }
 
 /// Responses of every pixel, `[H, W, COLOUR]`.

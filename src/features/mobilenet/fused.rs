@@ -4,7 +4,7 @@
 //! thread); they remain the reference of the tests. Activations are planes, `[C, H, W]`. A call uses one thread:
 //! views run side by side.
 
-use super::{Block, ConvNorm, EPSILON, MobileNetV2, TAPS};
+use super::{Block, ConvNorm, EPSILON, MobileNetV2, TAPS, steps};
 use crate::error::{Error, Result};
 use crate::features::{FeatureMap, SCALES};
 use crate::ops::Real;
@@ -221,7 +221,7 @@ impl FoldedNet {
         for (n, block) in self.blocks.iter().enumerate() {
             x = block.forward(x);
             if let Some(scale) = TAPS.iter().position(|&tap| tap == n + 1) {
-                maps[scale] = cells(&x);
+                maps[scale] = FeatureMap { steps: Some(steps(scale)), ..cells(&x) };
                 maps[scale].check(&format!("MobileNetV2 scale {}", scale + 1))?;
             }
         }
@@ -233,5 +233,5 @@ impl FoldedNet {
 fn cells(x: &Planes) -> FeatureMap {
     let (n, channels) = (x.size(), x.data.len() / x.size());
     let data = (0..n).flat_map(|p| (0..channels).map(move |c| (p, c))).map(|(p, c)| x.data[c * n + p]).collect();
-    FeatureMap { height: x.height, width: x.width, channels, data }
+    FeatureMap { height: x.height, width: x.width, channels, data, steps: None }
 }

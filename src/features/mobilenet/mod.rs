@@ -1,14 +1,15 @@
 //! MobileNetV2 (Sandler et al. 2018), width 1, as burn modules for inference.
 //!
 //! [`MobileNetV2::forward`] gives the outputs of torchvision's `features.3`, `.6`, `.13` and `.17` (24, 32, 96 and 320
-//! channels at strides 4, 8, 16 and 32).
+//! channels at strides 4, 8, 16 and 32). Cell `x` of a map is centred on image coordinate `stride * x + 0.5`, not in the
+//! middle of `stride` pixels: the maps carry that ([`Steps`]).
 
 mod fused;
 mod load;
 
 pub use fused::FoldedNet;
 
-use super::{FeatureMap, SCALES};
+use super::{FeatureMap, SCALES, Steps};
 use crate::error::Result;
 use burn::module::Module;
 use burn::nn::conv::{Conv2d, Conv2dConfig};
@@ -16,7 +17,7 @@ use burn::nn::{BatchNorm, BatchNormConfig, PaddingConfig2d};
 use burn::tensor::{Device, Tensor};
 
 /// Part of cache keys; raise it when the arithmetic changes.
-pub const VERSION: &str = "mobilenetv2-1";
+pub const VERSION: &str = "mobilenetv2-2";
 
 /// Mean of ImageNet's RGB, 0..1.
 pub const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
@@ -52,6 +53,17 @@ const BLOCKS: [(usize, usize, usize); 17] = [
 
 /// Blocks (numbered from 1) whose outputs are the scales.
 const TAPS: [usize; 4] = [3, 6, 13, 17];
+
+/// Strides of the scales, pixels.
+const STRIDES: [f64; 4] = [4.0, 8.0, 16.0, 32.0];
+
+/// Where the cells of a scale are.
+///
+/// A 3x3 convolution of stride 2 with padding 1 centres its output `x` on its input `2 x`, and any of stride 1 keeps the
+/// centres: in sum cell `x` is centred on pixel `s x`, that is on image coordinate `s x + 0.5`, whatever the image's size.
+fn steps(scale: usize) -> Steps {
+    Steps { stride: STRIDES[scale], offset: 0.5 }
+}
 
 /// Convolution without bias and batch normalisation with running statistics.
 #[derive(Module, Debug)]

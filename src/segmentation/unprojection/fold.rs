@@ -4,7 +4,7 @@
 //! by side in lanes. A Gaussian's pixels of one row are spread over the lanes first, then the lanes over the rows.
 
 use crate::camera::Camera;
-use crate::features::axis_taps;
+use crate::features::{Axis, Lattice};
 use crate::ops::Real;
 use crate::ops::simd::{multiply_add, wide_kernel};
 use crate::raster::TilePairs;
@@ -23,12 +23,12 @@ pub struct Taps {
 }
 
 impl Taps {
-    /// Of a grid of `width` x `height` cells over the image of `camera`.
-    pub fn new([width, height]: [usize; 2], camera: &Camera) -> Self {
-        let axis =
-            |pixels: usize, cells| (0..pixels).map(|i| axis_taps(i as f64 + 0.5, pixels, cells)).collect::<Vec<_>>();
-        let same = (width, height) == (camera.width, camera.height);
-        Self { width, x: axis(camera.width, width), y: axis(camera.height, height), same }
+    /// Of the cells of `lattice` over the image of `camera`.
+    pub fn new(lattice: &Lattice, camera: &Camera) -> Self {
+        let of = |axis: Axis, pixels: usize| (0..pixels).map(|i| axis.taps(i as f64 + 0.5)).collect();
+        let (x, y) = (lattice.columns(camera.width), lattice.rows(camera.height));
+        let same = lattice.is_of_pixels(camera.width, camera.height);
+        Self { width: lattice.width, x: of(x, camera.width), y: of(y, camera.height), same }
     }
 }
 

@@ -8,7 +8,7 @@ use super::Sums;
 use super::fold::{Taps, TileSums, fold_tile};
 use crate::camera::Camera;
 use crate::error::Result;
-use crate::features::FeatureMap;
+use crate::features::{FeatureMap, Lattice};
 use crate::ops::Real;
 use crate::ops::simd::{multiply_add, wide_kernel};
 use crate::raster::{Projected, Settings, Splats};
@@ -19,17 +19,17 @@ const CHUNK: usize = 512;
 /// Channels summed in registers.
 const LANES: usize = 64;
 
-/// Adds the view of `camera`; `grids` lists the sizes of the maps and the scales that have them.
+/// Adds the view of `camera`; `grids` lists the lattices of the maps and the scales that have them.
 pub fn add<E: Real>(
     sums: &mut Sums<E>,
     splats: &Splats<'_, E>,
     camera: &Camera,
     maps: &[FeatureMap],
-    grids: &[([usize; 2], Vec<usize>)],
+    grids: &[(Lattice, Vec<usize>)],
     settings: &Settings,
 ) -> Result<()> {
     let projected = Projected::new(splats, camera, settings)?;
-    let taps: Vec<Taps> = grids.iter().map(|(size, _)| Taps::new(*size, camera)).collect();
+    let taps: Vec<Taps> = grids.iter().map(|(lattice, _)| Taps::new(lattice, camera)).collect();
     let tiles = projected.map_tiles(|pairs| fold_tile(pairs, &taps));
     let places = places(&tiles, splats.len());
     let counts = projected.counts();

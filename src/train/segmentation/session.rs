@@ -4,7 +4,9 @@ use super::{Model, Plan, TrainingViews, train_step};
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::train::checkpoint::Checkpoint;
+use crate::train::curve;
 use crate::train::progress::{CurvePoint, Event, Progress};
+use crate::train::provenance::Provenance;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -19,6 +21,8 @@ pub struct Pace {
     pub checkpoint_every: usize,
     /// The checkpoint; absent means none is written or read.
     pub checkpoint: Option<PathBuf>,
+    /// What the row is trained from; a checkpoint of anything else is refused.
+    pub provenance: Provenance,
 }
 
 /// Scores identities on the held-out views: pooled mIoU.
@@ -36,7 +40,8 @@ struct Place {
 /// Trains `model` by `plan` from its checkpoint, or from the start when there is none; returns the curve.
 ///
 /// # Errors
-/// Those of [`train_step`]; the last checkpoint stays as it was. Those of reading or writing the checkpoint.
+/// Those of [`train_step`]; the last checkpoint stays as it was. Those of reading or writing the checkpoint;
+/// [`crate::Error::Config`] and [`crate::Error::Input`] when it was made from other settings or data.
 pub fn train(
     model: &mut dyn Model,
     views: &mut TrainingViews,
@@ -46,7 +51,7 @@ pub fn train(
     progress: &mut dyn Progress,
 ) -> Result<Vec<CurvePoint>> {
     let mut place = match &pace.checkpoint {
-        Some(path) if path.is_file() => restore(model, path)?,
+        Some(path) if path.is_file() => restore(model, &pace.provenance, path)?,
         _ => Place::default(),
     };
     let gaussians = views.gaussians();
@@ -61,7 +66,8 @@ pub fn train(
         place.running[2] += 1.0;
         progress.event(&Event::Step { iteration, loss, gaussians });
         let stop = progress.stop();
-        let end = iteration == plan.iterations || stop;
+        let end = iteration == plan.iterations;
+        // No point for a stop: the curve of a resumed run is that of an uninterrupted one.
         if end || iteration.is_multiple_of(pace.eval_every.max(1)) {
             let [seconds, sum, count] = place.running;
             let miou = score(&model.identities()?)?;
@@ -72,9 +78,9 @@ pub fn train(
             progress.event(&Event::Evaluated(point));
         }
         if let Some(path) = &pace.checkpoint
-            && (end || iteration.is_multiple_of(pace.checkpoint_every.max(1)))
+            && (end || stop || iteration.is_multiple_of(pace.checkpoint_every.max(1)))
         {
-            save(model, path, &place)?;
+            save(model, &pace.provenance, path, &place)?;
             progress.event(&Event::Saved { iteration });
         }
         if stop {
@@ -87,10 +93,11 @@ pub fn train(
 
 const KIND: &str = "segmentation row";
 
-fn save(model: &dyn Model, path: &Path, place: &Place) -> Result<()> {
+fn save(model: &dyn Model, provenance: &Provenance, path: &Path, place: &Place) -> Result<()> {
     let mut checkpoint = Checkpoint::new(KIND);
     checkpoint.set("iteration", &place.iteration)?;
-    checkpoint.set("curve", &place.curve)?;
+    checkpoint.set("provenance", provenance)?;
+    curve::put(&mut checkpoint, &place.curve)?;
     checkpoint.put("running", &[3], place.running.to_vec())?;
     let state = model.state();
     checkpoint.set("tensors", &state.iter().map(|(name, v)| (name.clone(), v.len())).collect::<Vec<_>>())?;
@@ -100,8 +107,9 @@ fn save(model: &dyn Model, path: &Path, place: &Place) -> Result<()> {
     checkpoint.save(path)
 }
 
-fn restore(model: &mut dyn Model, path: &Path) -> Result<Place> {
+fn restore(model: &mut dyn Model, provenance: &Provenance, path: &Path) -> Result<Place> {
     let mut checkpoint = Checkpoint::load(path, KIND)?;
+    provenance.check(&checkpoint.get("provenance")?, path)?;
     let tensors: Vec<(String, usize)> = checkpoint.get("tensors")?;
     let mut state = std::collections::HashMap::new();
     for (name, length) in tensors {
@@ -113,5 +121,5 @@ fn restore(model: &mut dyn Model, path: &Path) -> Result<Place> {
     }
     let running: Vec<f64> = checkpoint.take("running", &[3])?;
     let running = [running[0], running[1], running[2]];
-    Ok(Place { iteration: checkpoint.get("iteration")?, curve: checkpoint.get("curve")?, running })
+    Ok(Place { iteration: checkpoint.get("iteration")?, curve: curve::take(&mut checkpoint)?, running })
 }
