@@ -1,7 +1,7 @@
 //! The rows of the label table: what each is, and its training and scoring.
 
 use super::progress::{CurvePoint, Progress};
-use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, TrainingViews, train};
+use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Source, TrainingViews, train};
 use super::segmentation_inputs::{Inputs, Spatial};
 use crate::config::{Row, SegmentationConfig};
 use crate::data::{LabelMap, Split, View};
@@ -190,6 +190,13 @@ fn trained(
         return fit(&mut PerGaussian::new(inputs.gaussians.len(), classes, rate, &device), rate);
     }
     let source = spatial.source(row, inputs)?;
+    fit(&mut decoder_row(row, source, inputs, count), config.lr)
+}
+
+/// The decoder of `row` before its first step, over the frozen inputs `source`, for `views` training views.
+pub fn decoder_row<'a>(row: Row, source: &'a Source, inputs: &'a Inputs, views: usize) -> Fused<'a> {
+    let config = &inputs.config.segmentation;
+    let (seed, classes) = (inputs.config.seed, inputs.scene.classes.len());
     let plan = FusedPlan {
         config,
         rate: config.lr,
@@ -197,10 +204,11 @@ fn trained(
         size: [inputs.gaussians.len(), classes],
         seed,
     };
+    let device = inputs.device.clone().autodiff();
     let pyramid = &source.scene().pyramid;
     let decoder = DecoderConfig::for_pyramid(pyramid, classes, pyramid.levels.len() > 1)
         .with_layer_norm(config.layer_norm)
         .with_seed(seed)
         .init(&device);
-    fit(&mut Fused::new(decoder, source, &inputs.gaussians.means, count, plan, &device), config.lr)
+    Fused::new(decoder, source, &inputs.gaussians.means, views, plan, &device)
 }
