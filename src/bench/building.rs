@@ -41,7 +41,7 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
                 "{steps} iterations of the middle of a run, all SH degrees on, after {} that are not",
                 effort.settle
             ),
-            "counted; densified on schedule but held at their number. The mean over all of them is what a run pays."
+            "counted; densified on schedule, but never to more than at first. The mean over all of them is what a run pays."
                 .to_owned(),
         ],
     );

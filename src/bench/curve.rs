@@ -98,16 +98,16 @@ fn points(default: &Settings, exact: &Settings, gaussians: &Gaussians) -> Vec<Po
         seconds: Samples::default(),
     };
     let Settings { alpha_min, t_min, alpha_max, .. } = *default;
-    let named = format!("alpha_min {}, t_min {t_min}, alpha_max {alpha_max}", fraction(alpha_min));
+    let named = format!("alpha_min {}, t_min {}, alpha_max {alpha_max}", number(alpha_min), number(t_min));
     let mut points = vec![point(named, *default)];
     for value in [NEARLY_ZERO, 1.0 / 1024.0, 1.0 / 255.0, 1.0 / 128.0, 1.0 / 64.0, 1.0 / 32.0] {
         if value != alpha_min {
-            points.push(point(format!("alpha_min {}", fraction(value)), Settings { alpha_min: value, ..*default }));
+            points.push(point(format!("alpha_min {}", number(value)), Settings { alpha_min: value, ..*default }));
         }
     }
     for value in [0.0, 1e-5, 1e-4, 1e-3, 1e-2] {
         if value != t_min {
-            points.push(point(format!("t_min {value}"), Settings { t_min: value, ..*default }));
+            points.push(point(format!("t_min {}", number(value)), Settings { t_min: value, ..*default }));
         }
     }
     for value in [1.0, 0.999, 0.99, 0.95] {
@@ -124,15 +124,16 @@ fn points(default: &Settings, exact: &Settings, gaussians: &Gaussians) -> Vec<Po
     points
 }
 
-/// `1/255` for such numbers.
-fn fraction(value: f64) -> String {
+/// `1/255` for such numbers below 0.1, `1e-5` for other small ones.
+fn number(value: f64) -> String {
     let parts = 1.0 / value.max(f64::MIN_POSITIVE);
-    if value == 0.0 {
-        "0".to_owned()
-    } else if (parts - parts.round()).abs() < 1e-9 * parts && (2.0..1e6).contains(&parts) {
+    let whole = (parts - parts.round()).abs() < 1e-9 * parts && parts.round() % 10.0 != 0.0 && parts < 1e6;
+    if whole && parts > 10.0 {
         format!("1/{parts:.0}")
-    } else {
+    } else if value > 0.0 && value < 0.01 {
         format!("{value:e}")
+    } else {
+        value.to_string()
     }
 }
 

@@ -206,6 +206,7 @@ pub(super) fn short(value: f64) -> String {
     match value.abs() {
         0.0 => "0".to_owned(),
         v if v < 1e-2 => format!("{value:.1e}"),
+        v if v < 0.1 => format!("{value:.3}"),
         v if v < 10.0 && value.fract() != 0.0 => format!("{value:.2}"),
         v if v < 100.0 && value.fract() != 0.0 => format!("{value:.1}"),
         _ => thousands(value),
@@ -231,8 +232,15 @@ mod tests {
 
     #[test]
     fn numbers_are_short() {
-        let cases =
-            [(0.0, "0"), (3.2e-5, "3.2e-5"), (3.987, "3.99"), (28.44, "28.4"), (30.0, "30"), (12345.6, "12,346")];
+        let cases = [
+            (0.0, "0"),
+            (3.2e-5, "3.2e-5"),
+            (0.0804, "0.080"),
+            (3.987, "3.99"),
+            (28.44, "28.4"),
+            (30.0, "30"),
+            (12345.6, "12,346"),
+        ];
         for (value, text) in cases {
             assert_eq!(short(value), text);
         }

@@ -20,6 +20,8 @@ pub struct Machine {
     pub optimised: bool,
     /// Mean number of runnable processes in the minute before the start, where the system says.
     pub load: Option<f64>,
+    /// Memory that could be had at the start without swapping, bytes, where the system says.
+    pub available_memory_bytes: Option<u64>,
     /// Version of this crate.
     pub version: &'static str,
 }
@@ -39,6 +41,7 @@ impl Machine {
             backend,
             optimised: !cfg!(debug_assertions),
             load: load.and_then(|text| text.split_whitespace().next()?.parse().ok()),
+            available_memory_bytes: available_memory(),
             version: env!("CARGO_PKG_VERSION"),
         }
     }
@@ -64,6 +67,13 @@ impl Machine {
         }
         out
     }
+}
+
+fn available_memory() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kilobytes * 1024)
 }
 
 fn instructions() -> Vec<&'static str> {

@@ -93,6 +93,9 @@ impl std::str::FromStr for Section {
     }
 }
 
+/// Memory in which a million Gaussians can be measured with room to spare.
+pub const LARGE_BYTES: u64 = 3_000_000_000;
+
 /// How much work measurements may be.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Effort {
@@ -121,7 +124,7 @@ pub struct Effort {
 }
 
 impl Effort {
-    /// What the bars are set for; `large` adds a million Gaussians.
+    /// What the bars are set for; `large` adds a million Gaussians, which take [`LARGE_BYTES`].
     pub fn full(repeats: usize, large: bool) -> Self {
         let sizes = [10_000, 100_000, 1_000_000];
         Self {

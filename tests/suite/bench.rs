@@ -84,7 +84,7 @@ fn coarser_settings_err_more_and_exact_ones_least() {
         row.unwrap_or_else(|| panic!("{case}: {found:?}"))["median"].as_f64().unwrap()
     };
     assert!(error("alpha_min 1/32") > error("alpha_min 1/64") && error("alpha_min 1/64") > error("alpha_min 1/1024"));
-    assert!(error("alpha_max 0.95") > error("alpha_max 0.99"));
+    assert!(error("t_min 0.01") > error("t_min 1e-3"));
     assert!(error("all exact, f32") < 1e-6, "{}", error("all exact, f32"));
     assert!(error("all exact, f64 (the reference)") < 1e-15);
     assert_eq!(found[1]["name"], "of the first");
