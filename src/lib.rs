@@ -1,5 +1,6 @@
 //! Segmented 3D Gaussian scenes from posed photos and noisy 2D label maps.
 
+pub mod bench;
 pub mod camera;
 pub mod config;
 pub mod data;

@@ -26,6 +26,8 @@ pub enum Purpose {
     ProbePixels = 33,
     /// Order of a linear probe's training pixels; index = epoch.
     ProbeOrder = 34,
+    /// Scenes and maps that benchmarks make up; index = size.
+    Benchmark = 48,
 }
 
 /// The stream of `purpose` at `index` (an epoch or iteration, below 2^56) under `seed`.

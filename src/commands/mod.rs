@@ -1,5 +1,6 @@
 //! Subcommands: each parses its arguments, calls the library, and says what came out.
 
+mod bench;
 mod eval;
 mod pretrain;
 mod progress;
@@ -34,6 +35,7 @@ Examples:
   coseg eval runs/living                       its scores on the held-out views
   coseg render --scene runs/living/scene.ply --cameras scenes/living/transforms.json --out pictures --labels
   coseg vote --scene scene.ply --data scenes/living --out runs/voted
+  coseg bench --run runs/living                speed on this machine, beside the bars of the design
 
 Exit code: 0 done, 1 an error that names what to mend, 2 a mistake on the command line.";
 
@@ -50,6 +52,8 @@ pub enum Command {
     Vote(vote::VoteArgs),
     /// Train the point encoder on procedural rooms
     Pretrain(pretrain::PretrainArgs),
+    /// Measure speed against error on this machine
+    Bench(bench::BenchArgs),
 }
 
 impl Command {
@@ -61,6 +65,7 @@ impl Command {
             Self::Render(args) => args.run(),
             Self::Vote(args) => args.run(),
             Self::Pretrain(args) => args.run(),
+            Self::Bench(args) => args.run(),
         }
     }
 }

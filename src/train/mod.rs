@@ -19,6 +19,6 @@ pub use building::{BuildingStage, StepReport};
 pub use building_state::BuildingState;
 pub use parameters::Moments;
 pub use provenance::Provenance;
-pub use rows::RowOutcome;
+pub use rows::{RowOutcome, decoder_row};
 pub use run::{Outcome, Pruned, Seconds, load_scene, render_and_score, run, score_images};
-pub use segmentation_inputs::{Inputs, Seen};
+pub use segmentation_inputs::{Inputs, Seen, Spatial};

@@ -3,7 +3,7 @@
 use super::progress::{CurvePoint, Progress};
 use super::provenance::Provenance;
 use super::rates::choose_rate;
-use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, TrainingViews, train};
+use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Source, TrainingViews, train};
 use super::segmentation_inputs::{Inputs, Spatial};
 use crate::config::{Prior, Row, SegmentationConfig};
 use crate::data::{LabelMap, Split, View};
@@ -177,7 +177,7 @@ fn trained(
         provenance: Provenance::row(row, inputs),
     };
     let device = inputs.device.clone().autodiff();
-    let (classes, count) = (inputs.scene.classes.len(), views.len());
+    let classes = inputs.scene.classes.len();
     let mut score = |identities: &Identities| Ok(held_out.score(identities, inputs).miou);
     let rate_file = checkpoints.join(format!("{}.rate.safetensors", row.key()));
     let mut fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: f64| -> Result<RowOutcome> {
@@ -200,23 +200,44 @@ fn trained(
         return fit(views, &mut model(rate), rate);
     }
     let source = spatial.source(row, inputs)?;
+    let mut boxed = |rate, views: &TrainingViews| -> Result<Box<dyn Model + '_>> {
+        Ok(Box::new(decoder_row(row, rate, source, inputs, views)?))
+    };
+    let rate = choose_rate(config.lr, &plan, views, inputs, &rate_file, &mut boxed)?;
+    fit(views, &mut decoder_row(row, rate, source, inputs, views)?, rate)
+}
+
+/// The decoder of `row` before its first step at learning rate `rate`, over the frozen inputs `source`; its prior, where
+/// settings ask for one, is the votes of the views in use.
+///
+/// # Errors
+/// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite.
+pub fn decoder_row<'a>(
+    row: Row,
+    rate: f64,
+    source: &'a Source,
+    inputs: &'a Inputs,
+    views: &TrainingViews,
+) -> Result<Fused<'a>> {
+    let config = &inputs.config.segmentation;
+    let (seed, classes) = (inputs.config.seed, inputs.scene.classes.len());
+    let plan = FusedPlan {
+        config,
+        rate,
+        regularised: row != Row::OursCe && config.lambda_reg > 0.0,
+        size: [inputs.gaussians.len(), classes],
+        average_from: config.average.then_some((config.warmup * config.iterations as f64) as usize),
+        seed,
+    };
+    let device = inputs.device.clone().autodiff();
     let pyramid = &source.scene().pyramid;
     let decoder = DecoderConfig::for_pyramid(pyramid, classes, pyramid.levels.len() > 1)
         .with_layer_norm(config.layer_norm)
-        .with_seed(seed);
-    let model = |rate, views: &TrainingViews| -> Result<_> {
-        let size = [inputs.gaussians.len(), classes];
-        let regularised = row != Row::OursCe && config.lambda_reg > 0.0;
-        let average_from = config.average.then_some((config.warmup * config.iterations as f64) as usize);
-        let plan = FusedPlan { config, rate, regularised, size, average_from, seed };
-        let fused = Fused::new(decoder.init(&device), source, &inputs.gaussians.means, count, plan, &device);
-        Ok(match config.prior {
-            Prior::None => fused,
-            Prior::Votes => fused.with_prior(Arc::new(views.votes()?.log_shares(VOTE_FLOOR))),
-        })
-    };
-    let mut boxed = |rate, views: &TrainingViews| Ok(Box::new(model(rate, views)?) as Box<dyn Model + '_>);
-    let rate = choose_rate(config.lr, &plan, views, inputs, &rate_file, &mut boxed)?;
-    let mut model = model(rate, views)?;
-    fit(views, &mut model, rate)
+        .with_seed(seed)
+        .init(&device);
+    let fused = Fused::new(decoder, source, &inputs.gaussians.means, views.len(), plan, &device);
+    Ok(match config.prior {
+        Prior::None => fused,
+        Prior::Votes => fused.with_prior(Arc::new(views.votes()?.log_shares(VOTE_FLOOR))),
+    })
 }

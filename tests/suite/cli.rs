@@ -22,7 +22,7 @@ fn text(bytes: &[u8]) -> String {
 }
 
 #[track_caller]
-fn succeeds(arguments: &[&str]) -> String {
+pub fn succeeds(arguments: &[&str]) -> String {
     let output = coseg(arguments);
     assert!(output.status.success(), "{arguments:?}: {}", text(&output.stderr));
     text(&output.stdout)
@@ -30,7 +30,7 @@ fn succeeds(arguments: &[&str]) -> String {
 
 /// Runs, expects `code`, and gives back standard error, which must not show a panic or a trace.
 #[track_caller]
-fn fails(arguments: &[&str], code: i32) -> String {
+pub fn fails(arguments: &[&str], code: i32) -> String {
     let output = coseg(arguments);
     let message = text(&output.stderr);
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
@@ -39,7 +39,7 @@ fn fails(arguments: &[&str], code: i32) -> String {
     message
 }
 
-fn utf8(path: &Path) -> &str {
+pub fn utf8(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
@@ -122,17 +122,17 @@ fn read_npy(path: &Path) -> (Vec<u64>, Vec<f32>) {
     (file.shape().to_vec(), file.into_vec().unwrap())
 }
 
-fn read_json(path: &Path) -> serde_json::Value {
+pub fn read_json(path: &Path) -> serde_json::Value {
     serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
 #[test]
 fn help_names_every_command_and_shows_examples() {
     let help = succeeds(&["--help"]);
-    for word in ["train", "eval", "render", "vote", "pretrain", "Examples:", "Exit code"] {
+    for word in ["train", "eval", "render", "vote", "pretrain", "bench", "Examples:", "Exit code"] {
         assert!(help.contains(word), "{word}");
     }
-    for command in ["train", "eval", "render", "vote", "pretrain"] {
+    for command in ["train", "eval", "render", "vote", "pretrain", "bench"] {
         let help = succeeds(&[command, "--help"]);
         assert!(help.contains("Example"), "{command}");
         let wide: Vec<&str> = help.lines().filter(|line| line.chars().count() > 130).collect();

@@ -2,6 +2,7 @@
 
 mod adam;
 mod backends;
+mod bench;
 mod building;
 mod builtin;
 mod checkpoint;

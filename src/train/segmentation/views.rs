@@ -93,7 +93,7 @@ impl<'a> TrainingViews<'a> {
         Self { gaussians, kept, views, used, classes, settings, min_coverage, budget }
     }
 
-    /// Number of views.
+    /// Number of views, those left out included.
     pub fn len(&self) -> usize {
         self.views.len()
     }

@@ -1,0 +1,153 @@
+//! `coseg bench` as a person runs it. What it measures is never asserted, only that it measures and says what.
+
+use crate::cli::{fails, read_json, scene, succeeds, utf8};
+use coseg::bench::{Effort, Section, Source, Subject, Surfaces};
+use coseg::config::Config;
+use coseg::data::builtin::{BuiltinOptions, scene_with};
+use coseg::device::BackendName;
+use std::path::Path;
+
+/// The name of a CPU backend.
+fn backend() -> String {
+    BackendName::compiled().iter().rfind(|name| **name != BackendName::Wgpu).unwrap().to_string()
+}
+
+/// `bench --quick` on a CPU backend.
+fn quick(more: &[&str]) -> String {
+    succeeds(&[&["bench", "--quick", "--backend", &backend()], more].concat())
+}
+
+/// The figures of a section in a JSON file.
+fn figures(path: &Path, section: &str) -> Vec<serde_json::Value> {
+    let json = read_json(path);
+    let sections = json["sections"].as_array().unwrap();
+    let found = sections.iter().find(|s| s["section"] == section).unwrap_or_else(|| panic!("{section}: {json}"));
+    let figures = found["figures"].as_array().unwrap();
+    for figure in figures {
+        let number = |key: &str| figure[key].as_f64().unwrap_or_else(|| panic!("{key}: {figure}"));
+        let (low, median, high) = (number("low"), number("median"), number("high"));
+        assert!(low <= median && median <= high && low >= 0.0, "{figure}");
+        assert!(!figure["case"].as_str().unwrap().is_empty() && figure["samples"].as_u64().unwrap() > 0, "{figure}");
+    }
+    figures.clone()
+}
+
+fn named<'f>(figures: &'f [serde_json::Value], name: &str) -> Vec<&'f serde_json::Value> {
+    figures.iter().filter(|f| f["name"].as_str().unwrap().starts_with(name)).collect()
+}
+
+#[test]
+fn the_rasterizer_gets_a_table_and_json() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("deep/figures.json");
+    let said = quick(&["--only", "raster", "--repeats", "2", "--json", utf8(&json)]);
+    for word in
+        ["raster: ", "thread", "made without training", "1,200 Gaussians", "forward + backward", "pairs a pixel"]
+    {
+        assert!(said.contains(word), "{word}: {said}");
+    }
+    assert!(said.contains("figures mean nothing") && !said.contains("building: "), "{said}");
+    let found = figures(&json, "raster");
+    let forward = named(&found, "forward");
+    assert!(forward.iter().any(|f| f["samples"] == 2 && f["unit"] == "ms"), "{forward:?}");
+    let pairs = named(&found, "forward, a pair and core");
+    assert_eq!(pairs.len(), 2);
+    // Bars are for full size: shown, not judged.
+    assert!(pairs[0]["bar"]["limit"] == 4.0 && pairs[0]["bar"]["met"].is_null(), "{pairs:?}");
+    assert!(named(&found, "pairs a pixel").iter().all(|f| f["median"].as_f64().unwrap() > 1.0));
+    let growth = named(&found, "growth of forward from 300");
+    assert!(growth[0]["bar"]["limit"] == 4.0 && growth[0]["bar"]["met"].is_boolean(), "{growth:?}");
+    let machine = &read_json(&json)["machine"];
+    assert!(machine["threads"].as_u64().unwrap() > 0 && !machine["cpu"].as_str().unwrap().is_empty(), "{machine}");
+}
+
+#[test]
+fn every_section_runs_on_the_built_in_room() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("figures.json");
+    let said = quick(&["--json", utf8(&json)]);
+    for section in Section::ALL {
+        assert!(said.contains(&format!("{section}: {}", section.title())), "{section}: {said}");
+        assert!(!figures(&json, section.key()).is_empty(), "{section}: {said}");
+    }
+    assert!(!said.contains("skipped"), "{said}");
+}
+
+#[test]
+fn coarser_settings_err_more_and_exact_ones_least() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("figures.json");
+    quick(&["--only", "curve", "--json", utf8(&json)]);
+    let found = figures(&json, "curve");
+    let error = |case: &str| {
+        let row = found.iter().find(|f| f["case"] == case && f["name"] == "mean error");
+        row.unwrap_or_else(|| panic!("{case}: {found:?}"))["median"].as_f64().unwrap()
+    };
+    assert!(error("alpha_min 1/32") > error("alpha_min 1/64") && error("alpha_min 1/64") > error("alpha_min 1/1024"));
+    assert!(error("t_min 0.01") > error("t_min 1e-3"));
+    assert!(error("all exact, f32") < 1e-6, "{}", error("all exact, f32"));
+    assert!(error("all exact, f64 (the reference)") < 1e-15);
+    assert_eq!(found[1]["name"], "of the first");
+    assert_eq!(found[1]["median"], 1.0);
+}
+
+#[test]
+fn trained_scenes_come_from_files_or_from_a_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let (ply, cameras) = (scene(folder.path()), folder.path().join("transforms.json"));
+    let said = quick(&["--scene", utf8(&ply), "--cameras", utf8(&cameras), "--only", "raster,building"]);
+    assert!(said.contains("plates.ply, 111 trained Gaussians") && said.contains("300 Gaussians"), "{said}");
+    assert!(said.contains("skipped: --scene and --cameras come without photos"), "{said}");
+
+    // A folder with photos: sections in their own order, whatever the order they are named in.
+    let said = quick(&[
+        "--data",
+        utf8(folder.path()),
+        "--only",
+        "segmentation,building",
+        "--set",
+        "building.random_points=90",
+    ]);
+    let places = ["building: ", "its initial 90 Gaussians, not trained", "segmentation: "].map(|word| said.find(word));
+    assert!(places.is_sorted() && places[0].is_some(), "{said}");
+    let run = folder.path().join("run");
+    let small =
+        ["--set", "building.iterations=3", "--set", "building.random_points=200", "--set", "segmentation.rows=raw"];
+    let train = ["train", "--data", utf8(folder.path()), "--out", utf8(&run), "--backend", &backend()];
+    succeeds(&[&train[..], &small].concat());
+    let said = quick(&["--run", utf8(&run), "--only", "encoding"]);
+    assert!(said.contains("scene.ply, 200 trained Gaussians"), "{said}");
+}
+
+#[test]
+fn mistakes_are_named() {
+    let message = fails(&["bench", "--only", "raster,speed"], 2);
+    assert!(message.contains("speed") && message.contains("raster, curve, building"), "{message}");
+    fails(&["bench", "--repeats", "0"], 2);
+    fails(&["bench", "--scene", "x.ply"], 2);
+    fails(&["bench", "--run", "runs/x", "--data", "y"], 2);
+    let message = fails(&["bench", "--quick", "--run", "no/such/run"], 1);
+    assert!(message.contains("a run folder"), "{message}");
+}
+
+#[test]
+fn untrained_scenes_have_the_number_asked_for_and_are_seen() {
+    let options = BuiltinOptions { width: 64, height: 48, train_views: 4, test_views: 0, ..Default::default() };
+    let room = scene_with(&options).unwrap();
+    let surfaces = Surfaces::new(&room);
+    for count in [1, 700] {
+        let gaussians = surfaces.gaussians(count, 1, 5).unwrap();
+        assert_eq!((gaussians.len(), gaussians.sh.len()), (count, 12 * count));
+        assert_eq!(gaussians, surfaces.gaussians(count, 1, 5).unwrap());
+    }
+    // Discs: the normal is the short axis, and faces a camera that saw it.
+    let gaussians = surfaces.gaussians(700, 0, 5).unwrap();
+    assert!(gaussians.log_scales.iter().all(|s| s[2] < s[0] - 2.0 && s[0] == s[1]));
+
+    let device = crate::device();
+    let subject = Subject::load(&Source::Untrained, &Config::default(), true, &device).unwrap();
+    let cameras = subject.cameras(9, [32, 32]);
+    assert_eq!((subject.cameras.len(), cameras.len(), &cameras[0]), (6, 9, &cameras[6]));
+    assert!(subject.trained().is_none() && subject.extent() > 0.0);
+    assert!(Effort::full(5, true).sizes.len() > Effort::full(5, false).sizes.len());
+}
