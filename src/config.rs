@@ -218,7 +218,7 @@ impl Default for SegmentationConfig {
             blend: Blend::Probabilities,
             prior: Prior::Votes,
             loss: LabelLoss::Js,
-            pi_rl: 0.9,
+            pi_rl: 0.99,
             lambda_pix: 0.8,
             lambda_reg: 0.2,
             warmup: 0.1,

@@ -25,6 +25,7 @@ impl Config {
                 config.segmentation.iterations = 6_000;
                 config.segmentation.blend = Blend::Logits;
                 config.segmentation.prior = Prior::None;
+                config.segmentation.pi_rl = 0.9;
                 config.segmentation.warmup = 0.0;
                 config.segmentation.average = false;
                 config.segmentation.standardise = false;

@@ -29,7 +29,7 @@ impl Kind {
             LabelLoss::Mae => Self::Mae,
             LabelLoss::Js if config.pi_rl > 0.0 && config.pi_rl < 1.0 => Self::Js { pi_rl: config.pi_rl },
             LabelLoss::Js => {
-                let mend = "0.9 is the default; use segmentation.loss = \"ce\" or \"mae\" for the limits 0 and 1";
+                let mend = "0.99 is the default; use segmentation.loss = \"ce\" or \"mae\" for the limits 0 and 1";
                 let found = config.pi_rl.to_string();
                 return Err(Error::config("segmentation.pi_rl", found, "a number above 0 and below 1", mend));
             }

@@ -34,7 +34,7 @@ pub fn choose_rate<'a>(
     model: Fresh<'_, 'a>,
 ) -> Result<f64> {
     let factors = &inputs.config.segmentation.lr_trials;
-    if factors.len() < 2 {
+    if factors.len() < 2 || views.len() < 2 {
         return Ok(base * factors.first().copied().unwrap_or(1.0));
     }
     if path.is_file() {
@@ -45,7 +45,7 @@ pub fn choose_rate<'a>(
     }
     let trial = Plan { iterations: ((plan.iterations as f64 * TRIAL_SHARE).ceil() as usize).max(1), ..plan.clone() };
     let trial = Plan { warmup: (plan.warmup as f64 * TRIAL_SHARE).round() as usize, ..trial };
-    views.hold_back(Some(HELD_BACK));
+    views.hold_back(Some(HELD_BACK.min(views.len())));
     let mut best = (f64::NEG_INFINITY, base);
     for factor in factors {
         let mut model = model(base * factor, views)?;

@@ -28,6 +28,7 @@ mod raster_gradients;
 mod raster_reference;
 mod report;
 mod resume;
+mod stage_two;
 mod transforms;
 mod unprojection;
 mod weights;

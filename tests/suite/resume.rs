@@ -127,8 +127,8 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     named("raster.alpha_max", "0.9", "0.999", &|c| c.raster.alpha_max = 0.9);
     let message = named("segmentation.iterations", "20", "30", &|c| c.segmentation.iterations = 20);
     assert!(message.contains("per_gaussian.safetensors"), "{message}");
-    named("segmentation.lr", "0.01", "0.003", &|c| c.segmentation.lr = 0.01);
-    named("segmentation.pi_rl", "0.5", "0.9", &|c| c.segmentation.pi_rl = 0.5);
+    named("segmentation.lr", "0.01", "0.002", &|c| c.segmentation.lr = 0.01);
+    named("segmentation.pi_rl", "0.5", "0.99", &|c| c.segmentation.pi_rl = 0.5);
     // What a row does not read is no obstacle to it, but to the next.
     let message = named("features.dimensions", "8", "64", &|c| c.features.dimensions = 8);
     assert!(message.contains("ours.safetensors"), "{message}");

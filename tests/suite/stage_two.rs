@@ -1,0 +1,94 @@
+//! Stage two on the plates: what the decoder starts from, what is stored, how learning rates are chosen.
+
+use coseg::Error;
+use coseg::config::{Blend, BuildingConfig, Config, Prior, Row, SegmentationConfig};
+use coseg::data::Split;
+use coseg::objects::vote;
+use coseg::raster::Settings;
+use coseg::train::progress::Silent;
+use coseg::train::{Outcome, run};
+
+fn trained(edit: impl Fn(&mut SegmentationConfig)) -> Outcome {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::cli::scene(folder.path());
+    let mut config = Config {
+        building: BuildingConfig { iterations: 40, random_points: 400, ..BuildingConfig::default() },
+        segmentation: SegmentationConfig { iterations: 20, rows: vec![Row::Ours], ..SegmentationConfig::default() },
+        ..Config::default()
+    };
+    edit(&mut config.segmentation);
+    config.data.dir = Some(folder.path().to_owned());
+    run(&config, &folder.path().join("run"), &crate::device(), &mut Silent).expect("a run")
+}
+
+/// A rate at which nothing is learned in 20 steps.
+const STILL: f64 = 1e-12;
+
+#[test]
+fn a_decoder_that_has_learned_nothing_stores_the_shares_of_the_votes() {
+    let outcome = trained(|s| s.lr = STILL);
+    let scene = &outcome.scene;
+    let votes =
+        vote(&outcome.gaussians, scene.split(Split::Train), &scene.classes, &Settings::default()).expect("votes");
+    let identities = outcome.rows[0].identities.as_ref().expect("identities");
+    let classes = scene.classes.len();
+    let (mut checked, floor) = (0, 0.02_f32);
+    for (stored, row) in identities.scores.chunks_exact(classes).zip(votes.table.chunks_exact(classes)) {
+        let total: f32 = row.iter().sum();
+        assert!((stored.iter().sum::<f32>() - 1.0).abs() < 1e-5, "probabilities: {stored:?}");
+        for (s, v) in stored.iter().zip(row) {
+            let share = if total > 0.0 { v / total } else { 0.0 };
+            let expected =
+                if total > 0.0 { (share + floor) / (1.0 + classes as f32 * floor) } else { 1.0 / classes as f32 };
+            assert!((s - expected).abs() < 1e-5, "{stored:?} of {row:?}");
+        }
+        checked += usize::from(total > 0.0);
+    }
+    assert!(checked > 100, "{checked} Gaussians were voted on");
+}
+
+#[test]
+fn blended_logits_without_a_prior_are_the_papers_rule_and_learn() {
+    let edit = |s: &mut SegmentationConfig| {
+        (s.blend, s.prior) = (Blend::Logits, Prior::None);
+        s.iterations = 100;
+    };
+    let outcome = trained(edit);
+    let scores = &outcome.rows[0].identities.as_ref().expect("identities").scores;
+    assert!(scores.iter().any(|s| *s < 0.0), "logits, not probabilities");
+    let untaught = trained(|s| {
+        edit(s);
+        s.lr = STILL;
+    });
+    let miou = |o: &Outcome| o.rows[0].scores.miou.expect("a score");
+    assert!(miou(&outcome) > miou(&untaught) + 0.1, "{} against {}", miou(&outcome), miou(&untaught));
+}
+
+#[test]
+fn votes_under_blended_logits_are_refused() {
+    let mut config = Config::default();
+    config.segmentation.blend = Blend::Logits;
+    let error = config.validate().expect_err("refused");
+    assert!(matches!(error, Error::Config { .. }) && error.to_string().contains("segmentation.prior"), "{error}");
+}
+
+#[test]
+fn averaged_parameters_differ_from_the_last_ones() {
+    let scores = |average| {
+        let outcome = trained(|s| s.average = average);
+        outcome.rows[0].identities.as_ref().expect("identities").scores.clone()
+    };
+    assert_ne!(scores(true), scores(false));
+}
+
+#[test]
+fn the_rate_that_learns_is_taken_and_one_factor_needs_no_trial() {
+    let base = SegmentationConfig::default().lr_per_gaussian;
+    for (trials, expected) in [(vec![STILL, 1.0], base), (vec![1.0, STILL], base), (vec![0.5], 0.5 * base)] {
+        let outcome = trained(|s| {
+            s.rows = vec![Row::PerGaussian];
+            s.lr_trials = trials.clone();
+        });
+        assert_eq!(outcome.rows[0].rate, Some(expected), "{trials:?}");
+    }
+}
