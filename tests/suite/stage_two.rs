@@ -51,7 +51,7 @@ fn a_decoder_that_has_learned_nothing_stores_the_shares_of_the_votes() {
 fn blended_logits_without_a_prior_are_the_papers_rule_and_learn() {
     let edit = |s: &mut SegmentationConfig| {
         (s.blend, s.prior) = (Blend::Logits, Prior::None);
-        s.iterations = 100;
+        (s.rows, s.iterations, s.lr) = (vec![Row::OursCe], 100, 1e-2);
     };
     let outcome = trained(edit);
     let scores = &outcome.rows[0].identities.as_ref().expect("identities").scores;
