@@ -2,7 +2,7 @@
 
 use burn::tensor::{Tensor, TensorData};
 use coseg::features::FeatureMap;
-use coseg::features::mobilenet::{FoldedNet, MobileNetV2};
+use coseg::features::mobilenet::{FoldedNet, MobileNetV2, STEPS};
 use safetensors::tensor::{SafeTensors, TensorView};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -92,8 +92,20 @@ pub fn write_blur_weights(path: &Path) {
     std::fs::write(path, safetensors::serialize(views, None).expect("serialize")).expect("write");
 }
 
+/// Centre of mass of a weight per cell, image coordinates.
+fn center_of_mass(map: &FeatureMap, [width, height]: [usize; 2], weight: impl Fn(&[f32], usize) -> f64) -> [f64; 2] {
+    let (mut total, mut sum) = (0.0, [0.0; 2]);
+    for (cell, values) in map.data.chunks_exact(map.channels).enumerate() {
+        let (u, v) = map.lattice().center(cell % map.width, cell / map.width, width, height);
+        let weight = weight(values, cell);
+        total += weight;
+        sum = [sum[0] + weight * u, sum[1] + weight * v];
+    }
+    sum.map(|s| s / total)
+}
+
 #[test]
-fn cells_are_where_the_maps_say() {
+fn cells_keep_their_stride_at_any_image_size() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let path = dir.path().join("blur.safetensors");
     write_blur_weights(&path);
@@ -104,29 +116,62 @@ fn cells_are_where_the_maps_say() {
         let mut image = vec![0.0_f32; 3 * width * height];
         (0..3).for_each(|c| image[(c * height + y) * width + x] = 1.0);
         let maps = net.forward(image, height, width).expect("maps");
-        for (map, stride) in maps.iter().zip([4, 8, 16, 32]) {
+        for (map, steps) in maps.iter().zip(STEPS) {
+            let stride = steps.stride as usize;
             assert_eq!((map.width, map.height), (width.div_ceil(stride), height.div_ceil(stride)));
-            let lattice = map.lattice();
-            let (mut total, mut sum) = (0.0, [0.0; 2]);
-            for (cell, values) in map.data.chunks_exact(map.channels).enumerate() {
-                let (u, v) = lattice.center(cell % map.width, cell / map.width, width, height);
-                let weight = f64::from(values[0]);
-                total += weight;
-                sum = [sum[0] + weight * u, sum[1] + weight * v];
-            }
-            let [u, v] = sum.map(|s| s / total);
-            let (at_u, at_v) = (x as f64 + 0.5, y as f64 + 0.5);
-            assert!(
-                (u - at_u).hypot(v - at_v) < 0.02,
-                "stride {stride}: the pixel at {at_u} {at_v} is seen at {u} {v}"
-            );
+            assert_eq!(map.steps, Some(steps));
+            // Symmetric kernels see it where padding puts it: half a pixel into the first cell, not at the trained offset.
+            let [u, v] = center_of_mass(map, [width, height], |values, _| f64::from(values[0]));
+            let (at_u, at_v) = (x as f64 + steps.offset, y as f64 + steps.offset);
+            assert!((u - at_u).hypot(v - at_v) < 0.02, "stride {stride}: {at_u} {at_v} is seen at {u} {v}");
         }
         // What is read at the centre of a cell is that cell.
         let map = &maps[2];
         let (u, v) = map.lattice().center(16, 17, width, height);
         let mut read = vec![0.0; map.channels];
         map.sample(u, v, width, height, &mut read);
-        assert_eq!(read, map.cell(16, 17));
+        assert!(read.iter().zip(map.cell(16, 17)).all(|(a, b)| (a - b).abs() <= 1e-6 * b.abs()));
+    }
+}
+
+#[test]
+fn cells_are_where_the_maps_say() {
+    let Some(path) = weights() else { return };
+    let net = FoldedNet::new(&MobileNetV2::load(&path, &crate::device()).expect("weights"));
+    let Some(scenes) = super::shared_dir() else { return };
+    // Where maps change when a small patch of a photo changes colour.
+    let mut sums = [[0.0; 2]; 4];
+    let mut patches = 0.0;
+    for photo in ["train_000", "train_032", "train_064"] {
+        let file = scenes.join(format!("data/house_living/images/{photo}.jpg"));
+        let Ok(photo) = image::open(&file) else { return eprintln!("SKIPPED: {} is absent", file.display()) };
+        let photo = photo.into_rgb8();
+        let size = [photo.width() as usize, photo.height() as usize];
+        let before = net.maps(&photo).expect("maps");
+        // At every phase of the coarsest cells.
+        for k in 0..8_u32 {
+            let (x, y) = (200 + 37 * k % 81, 150 + 23 * k % 59);
+            let mut other = photo.clone();
+            for (i, j) in (0..12).flat_map(|j| (0..12).map(move |i| (i, j))) {
+                let pixel = other.get_pixel_mut(x - 6 + i, y - 6 + j);
+                pixel.0 = [pixel.0[0] / 2 + 100, pixel.0[1] / 2, pixel.0[2] / 2 + 40 * (k as u8 % 2)];
+            }
+            let after = net.maps(&other).expect("maps");
+            patches += 1.0;
+            for ((sum, a), b) in sums.iter_mut().zip(&before).zip(&after) {
+                let change = |values: &[f32], cell: usize| -> f64 {
+                    let old = &a.data[cell * a.channels..][..a.channels];
+                    values.iter().zip(old).map(|(p, q)| f64::from(p - q).powi(2)).sum()
+                };
+                let [u, v] = center_of_mass(b, size, change);
+                *sum = [sum[0] + u - f64::from(x), sum[1] + v - f64::from(y)];
+            }
+        }
+    }
+    for (sum, steps) in sums.iter().zip(STEPS) {
+        let off = sum.map(|s| s / patches);
+        eprintln!("stride {}: off by {off:?} pixels", steps.stride);
+        assert!(off.iter().all(|d| d.abs() < 0.12 * steps.stride), "stride {}: off by {off:?} pixels", steps.stride);
     }
 }
 

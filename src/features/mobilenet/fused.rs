@@ -4,7 +4,7 @@
 //! thread); they remain the reference of the tests. Activations are planes, `[C, H, W]`. A call uses one thread:
 //! views run side by side.
 
-use super::{Block, ConvNorm, EPSILON, MobileNetV2, TAPS, steps};
+use super::{Block, ConvNorm, EPSILON, MobileNetV2, STEPS, TAPS};
 use crate::error::{Error, Result};
 use crate::features::{FeatureMap, SCALES};
 use crate::ops::Real;
@@ -221,7 +221,7 @@ impl FoldedNet {
         for (n, block) in self.blocks.iter().enumerate() {
             x = block.forward(x);
             if let Some(scale) = TAPS.iter().position(|&tap| tap == n + 1) {
-                maps[scale] = FeatureMap { steps: Some(steps(scale)), ..cells(&x) };
+                maps[scale] = FeatureMap { steps: Some(STEPS[scale]), ..cells(&x) };
                 maps[scale].check(&format!("MobileNetV2 scale {}", scale + 1))?;
             }
         }
