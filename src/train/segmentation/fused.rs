@@ -145,6 +145,9 @@ impl<'a> Fused<'a> {
     }
 
     /// Adds `prior` `[N, C]` to the scores of every Gaussian, and lets the decoder start from zero beside it.
+    ///
+    /// # Panics
+    /// If `prior` does not hold one score for each Gaussian and class.
     #[must_use]
     pub fn with_prior(mut self, prior: Arc<Vec<f32>>) -> Self {
         assert_eq!(prior.len(), self.plan.size[0] * self.plan.size[1], "one prior score a Gaussian and class");
@@ -233,7 +236,7 @@ impl Model for Fused<'_> {
         let decoded = decoder.forward(&prepared.pyramid);
         let logits = match self.plan.config.blend {
             // The last layer is linear: hidden features are blended and it is applied per pixel.
-            Blend::Logits => decoder.classify(sparse_apply(decoded.hidden, Arc::new(sampled))),
+            Blend::Logits if self.prior.is_empty() => decoder.classify(sparse_apply(decoded.hidden, Arc::new(sampled))),
             blend => blended(self.scores(decoder, decoded.hidden, &weights.visible), sampled, blend),
         };
         let regularisation = if self.plan.regularised { self.regularisation(&decoded.fused, &prepared) } else { None };
