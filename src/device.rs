@@ -2,6 +2,7 @@
 //! `--backend` overrides.
 
 use crate::error::{Error, Result};
+use burn::backend::DispatchDevice;
 use burn::tensor::Device;
 
 /// A compute backend by name.
@@ -90,6 +91,20 @@ pub fn choose(name: Option<BackendName>) -> Result<(BackendName, Device)> {
         reason: "no backend is compiled in".into(),
         mend: "build with --features ndarray".into(),
     })
+}
+
+/// Whether tensors on `device`, with or without autodiff, lie in host memory.
+///
+/// Fused operations lend such tensors to kernels for the CPU; elsewhere their plain form keeps the data on the device.
+pub fn in_host_memory(device: &Device) -> bool {
+    match device.clone().inner().as_dispatch() {
+        #[cfg(feature = "flex")]
+        DispatchDevice::Flex(_) => true,
+        #[cfg(feature = "ndarray")]
+        DispatchDevice::NdArray(_) => true,
+        #[allow(unreachable_patterns, reason = "unreachable without a GPU backend")]
+        _ => false,
+    }
 }
 
 fn device(name: BackendName) -> Result<Device> {

@@ -6,7 +6,7 @@ use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::features::SCALES;
 use crate::objects::Identities;
-use crate::ops::SparseMatrix;
+use crate::ops::LabelledPixels;
 use crate::random::{Purpose, stream};
 use crate::raster::Settings;
 use crate::segmentation::loss::Kind;
@@ -116,9 +116,9 @@ struct Timed<'a> {
 }
 
 impl Model for Timed<'_> {
-    fn predict(&mut self, view: usize, weights: &ViewWeights, sampled: SparseMatrix) -> Result<Prediction> {
+    fn predict(&mut self, view: usize, weights: &ViewWeights, pixels: &LabelledPixels) -> Result<Prediction> {
         let start = Instant::now();
-        let prediction = self.model.predict(view, weights, sampled);
+        let prediction = self.model.predict(view, weights, pixels);
         self.seconds[0] += start.elapsed().as_secs_f64();
         prediction
     }

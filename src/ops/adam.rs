@@ -2,6 +2,7 @@
 
 use super::simd::{multiply_add, wide_kernel};
 use super::{HostBackend, Real, device_of, real_kernel};
+use crate::device::in_host_memory;
 use burn::backend::{Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
 use burn::tensor::{Tensor, TensorData};
 use rayon::prelude::*;
@@ -149,7 +150,7 @@ pub struct AdamTensors<const D: usize> {
     pub second: Tensor<D>,
 }
 
-/// One fused Adam step; equals [`adam_step_plain`].
+/// One fused Adam step; equals [`adam_step_plain`], which it is on a GPU.
 ///
 /// # Panics
 /// If shapes differ, `step.rates` is empty, or a tensor has autodiff.
@@ -159,6 +160,9 @@ pub fn adam_step<const D: usize>(state: AdamTensors<D>, grad: Tensor<D>, step: &
     assert_eq!(param.dims(), grad.dims(), "adam_step: parameter against gradient");
     assert_eq!(param.dims(), first.dims(), "adam_step: parameter against first moment");
     assert_eq!(param.dims(), second.dims(), "adam_step: parameter against second moment");
+    if !in_host_memory(&param.device()) {
+        return adam_step_plain(AdamTensors { param, first, second }, grad, step);
+    }
     let (param, first, second) = Dispatch::adam_step(
         param.into_dispatch(),
         grad.into_dispatch(),
@@ -173,16 +177,21 @@ pub fn adam_step<const D: usize>(state: AdamTensors<D>, grad: Tensor<D>, step: &
     }
 }
 
-/// The same step in plain tensor operations: the reference of [`adam_step`].
+/// The same step in plain tensor operations: what runs on a GPU, and the reference of [`adam_step`].
 pub fn adam_step_plain<const D: usize>(state: AdamTensors<D>, grad: Tensor<D>, step: &AdamStep) -> AdamTensors<D> {
     let (c1, c2) = step.corrections();
-    let (shape, device) = (state.param.dims(), state.param.device());
-    let count = shape.iter().product::<usize>();
-    let rates: Vec<f64> = step.rates.iter().copied().cycle().take(count).collect();
-    let rates = Tensor::<D>::from_data(TensorData::new(rates, shape), (&device, state.param.dtype()));
     let first = state.first * step.beta1 + grad.clone() * (1.0 - step.beta1);
     let second = state.second * step.beta2 + grad.clone() * grad * (1.0 - step.beta2);
-    let update = rates * (first.clone() / c1) / ((second.clone() / c2).sqrt() + step.epsilon);
+    let direction = first.clone() * (1.0 / c1) / ((second.clone() * (1.0 / c2)).sqrt() + step.epsilon);
+    let update = match step.rates[..] {
+        [rate] => direction * rate,
+        _ => {
+            let (shape, device) = (state.param.dims(), state.param.device());
+            let rates = step.rates.iter().copied().cycle().take(shape.iter().product()).collect();
+            let rates = TensorData::new::<f64, _>(rates, shape);
+            direction * Tensor::<D>::from_data(rates, (&device, state.param.dtype()))
+        }
+    };
     AdamTensors { param: state.param - update, first, second }
 }
 

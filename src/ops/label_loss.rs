@@ -132,10 +132,11 @@ impl<B: HostBackend> LabelLossBackend for B {
     }
 }
 
+/// Backward of a scalar loss whose gradient to its one parent, `[R, C]`, was made with its value.
 #[derive(Debug)]
-struct LabelLossBackward;
+pub(super) struct GradientInHand;
 
-impl<B: LabelLossBackend> Backward<B, 1> for LabelLossBackward {
+impl<B: Backend> Backward<B, 1> for GradientInHand {
     type State = FloatTensor<B>;
 
     fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
@@ -157,7 +158,7 @@ impl<B: LabelLossBackend, C: CheckpointStrategy> LabelLossBackend for Autodiff<B
         let (logits, node) = logits.into_parts();
         let (value, gradient) = B::label_loss(logits, labels, kind);
         let constant = <Self as burn::backend::AutodiffBackend>::from_inner(gradient.clone());
-        let value = match LabelLossBackward.prepare::<C>([node]).compute_bound().stateful() {
+        let value = match GradientInHand.prepare::<C>([node]).compute_bound().stateful() {
             OpsKind::Tracked(prep) => prep.finish(gradient, value),
             OpsKind::UnTracked(prep) => prep.finish(value),
         };

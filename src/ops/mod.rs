@@ -5,8 +5,11 @@ mod adam;
 mod attentive_pool;
 #[cfg(target_arch = "x86_64")]
 mod avx;
+mod blended_labels;
+mod fusion_layer;
 mod host;
 mod label_loss;
+mod matmul;
 mod photometric;
 mod real;
 pub(crate) mod simd;
@@ -16,6 +19,8 @@ mod window;
 
 pub use adam::{AdamBackend, AdamStep, AdamTensors, adam_step, adam_step_plain};
 pub use attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
+pub use blended_labels::{BlendedLabelBackend, LabelledPixels, blended_label_loss, blended_label_loss_plain};
+pub use fusion_layer::{FusionBackend, LayerGradients, LayerMap, LayerTensors, fusion_layer, fusion_layer_plain};
 pub(crate) use host::device_of;
 pub(crate) use host::real_kernel;
 pub use host::{HostBackend, HostValues, warn_host_fallback};

@@ -4,12 +4,13 @@
 use super::avx::Avx;
 use super::vector::Plain;
 use super::vector::Vector;
+use ndarray::LinalgScalar;
 use num_traits::{Float, NumAssign};
 use std::iter::Sum;
 
 /// `f32` (training) or `f64` (reference, finite differences).
 pub trait Real:
-    Float + NumAssign + Sum + Default + Send + Sync + std::fmt::Debug + burn::tensor::Element + 'static
+    Float + NumAssign + Sum + Default + Send + Sync + std::fmt::Debug + burn::tensor::Element + LinalgScalar
 {
     /// Whether kernels have a second copy on x86-64, for AVX2 with FMA.
     const WIDE: bool;

@@ -14,14 +14,14 @@ use burn::tensor::Tensor;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Channels handled together: one cache line of f32.
+/// At most this many channels are handled together: one cache line of f32.
 const LANES: usize = 16;
 
 /// Rows of a task.
 const BLOCK: usize = 64;
 
 wide_kernel! {
-    /// `out[k, :] = sum_j W[first + k, j] x[j, :]`.
+    /// `out[k, :] += sum_j W[first + k, j] x[j, :]`.
     fn rows_kernel(w: &SparseMatrix, first: usize, x: &[E], channels: usize, out: &mut [E]) => rows_body
 }
 wide_kernel! {
@@ -94,6 +94,13 @@ impl SparseMatrix {
         (&self.indices[span.clone()], &self.values[span])
     }
 
+    /// `out += W[first.., :] x`, as many rows as `out` holds: `x` is `[columns, channels]`.
+    pub(super) fn add_rows<E: Real>(&self, first: usize, x: &[E], channels: usize, out: &mut [E]) {
+        if channels > 0 {
+            rows_kernel(self, first, x, channels, out);
+        }
+    }
+
     /// `W x`: `x` is `[columns, channels]` row-major, the result `[rows, channels]`.
     pub fn apply<E: Real>(&self, x: &[E], channels: usize) -> Vec<E> {
         let mut out = vec![E::zero(); self.rows() * channels];
@@ -111,11 +118,13 @@ impl SparseMatrix {
     /// Threads own disjoint channel ranges and walk the rows in order, so the sums do not depend on their number.
     pub fn apply_adjoint<E: Real>(&self, g: &[E], channels: usize) -> Vec<E> {
         let mut out = vec![E::zero(); self.columns * channels];
-        let blocks: Vec<Vec<E>> = (0..channels.div_ceil(LANES))
+        let count = channels.div_ceil(LANES);
+        let even = channels.div_ceil(count.max(1));
+        let blocks: Vec<Vec<E>> = (0..count)
             .into_par_iter()
             .map(|block| {
-                let first = block * LANES;
-                let width = LANES.min(channels - first);
+                let first = block * even;
+                let width = even.min(channels - first);
                 let mut sum = vec![E::zero(); self.columns * width];
                 adjoint_kernel(self, g, channels, first, width, &mut sum);
                 sum
@@ -123,7 +132,7 @@ impl SparseMatrix {
             .collect();
         if channels > 0 {
             out.par_chunks_mut(channels).enumerate().for_each(|(c, out)| {
-                for (out, block) in out.chunks_mut(LANES).zip(&blocks) {
+                for (out, block) in out.chunks_mut(even).zip(&blocks) {
                     out.copy_from_slice(&block[c * out.len()..][..out.len()]);
                 }
             });

@@ -1,13 +1,14 @@
 //! The decoder (Eq. 7): image and spatial features fused from global to local into one identity a Gaussian.
 //!
 //! Only its parameters are learned. The linear map of a concatenation is the sum of the maps of its parts, and a linear
-//! map may be applied before upsampling, US(x) W = US(x W), on a quarter of the rows: nothing is concatenated.
+//! map may be applied before upsampling, US(x) W = US(x W), on a quarter of the rows: what comes up from below is never
+//! put beside the frozen features.
 
-use super::pyramid::Pyramid;
+use super::pyramid::{Pyramid, Restriction};
 use super::randla::{SLOPE, parameter};
-use crate::ops::sparse_apply;
+use crate::ops::{LayerMap, fusion_layer};
 use burn::config::Config;
-use burn::module::Module;
+use burn::module::{Module, Param};
 use burn::nn::{LayerNorm, LayerNormConfig, Linear};
 use burn::tensor::activation::leaky_relu;
 use burn::tensor::{Device, Tensor};
@@ -24,10 +25,8 @@ const INIT_STREAM: u64 = 0x6465_636f;
 /// Shape of a [`Decoder`].
 #[derive(Config, Debug)]
 pub struct DecoderConfig {
-    /// Channels of f_d,n at each scale that is read, finest first; 0 where image features are off.
-    pub image: Vec<usize>,
-    /// Channels of f_s,n at those scales; 0 where spatial features are off.
-    pub spatial: Vec<usize>,
+    /// Channels of f_d,n and f_s,n together at each scale that is read, finest first.
+    pub features: Vec<usize>,
     /// Channels of f_e; 0 where nothing is read from below the last scale.
     pub top: usize,
     /// Classes.
@@ -45,26 +44,23 @@ impl DecoderConfig {
     pub fn for_pyramid(pyramid: &Pyramid, classes: usize, multi_scale: bool) -> Self {
         let scales = if multi_scale { pyramid.levels.len().min(WIDTHS.len()) } else { 1.min(pyramid.levels.len()) };
         let levels = &pyramid.levels[..scales];
-        let widths = |of: fn(&super::pyramid::Level) -> &Tensor<2>| levels.iter().map(|l| of(l).dims()[1]).collect();
         let top = if multi_scale { pyramid.top.dims()[1] } else { 0 };
-        Self::new(widths(|l| &l.image), widths(|l| &l.spatial), top, classes)
+        Self::new(levels.iter().map(|l| l.features.dims()[1]).collect(), top, classes)
     }
 
     /// A decoder with seeded first weights, uniform in +-1/sqrt(inputs of the layer).
     pub fn init(&self, device: &Device) -> Decoder {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(INIT_STREAM);
-        let scales = self.image.len().min(self.spatial.len()).min(WIDTHS.len());
+        let scales = self.features.len().min(WIDTHS.len());
         let layers = (0..scales).map(|n| {
             let (width, below) = (WIDTHS[n], if n + 1 < scales { WIDTHS[n + 1] } else { self.top });
-            let bound = bound(self.image[n] + self.spatial[n] + below);
+            let bound = bound(self.features[n] + below);
             let mut map = |inputs: usize| {
-                let weight = parameter(uniform(inputs * width, bound, &mut rng), [inputs, width], device);
-                (inputs > 0).then_some(Linear { weight, bias: None })
+                (inputs > 0).then(|| parameter(uniform(inputs * width, bound, &mut rng), [inputs, width], device))
             };
             FusionLayer {
-                image: map(self.image[n]),
-                spatial: map(self.spatial[n]),
+                features: map(self.features[n]),
                 below: map(below),
                 bias: parameter(uniform(width, bound, &mut rng), [width], device),
                 norm: self.layer_norm.then(|| LayerNormConfig::new(width).init(device)),
@@ -92,11 +88,29 @@ fn uniform(count: usize, bound: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
 /// Shared MLP over the frozen features of a level and what comes up from below.
 #[derive(Module, Debug)]
 struct FusionLayer {
-    image: Option<Linear>,
-    spatial: Option<Linear>,
-    below: Option<Linear>,
-    bias: burn::module::Param<Tensor<1>>,
+    features: Option<Param<Tensor<2>>>,
+    below: Option<Param<Tensor<2>>>,
+    bias: Param<Tensor<1>>,
     norm: Option<LayerNorm>,
+}
+
+impl FusionLayer {
+    /// `features` are the frozen rows of the level, `below` what comes up from the next coarser one, before upsampling.
+    fn forward(&self, features: Tensor<2>, below: Tensor<2>, mut map: LayerMap) -> Tensor<2> {
+        let (bias, device) = (self.bias.val(), features.device());
+        let width = bias.dims()[0];
+        let weight = match &self.features {
+            Some(weight) => weight.val(),
+            None => Tensor::zeros([features.dims()[1], width], &device),
+        };
+        let below = match &self.below {
+            Some(weight) => below.matmul(weight.val()),
+            None => Tensor::zeros([map.upsample.columns, width], &device),
+        };
+        let Some(norm) = &self.norm else { return fusion_layer(features, weight, below, bias, map) };
+        map.slope = 1.0;
+        leaky_relu(norm.forward(fusion_layer(features, weight, below, bias, map)), SLOPE)
+    }
 }
 
 /// What one decoding gives.
@@ -116,31 +130,19 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// Decodes from global to local. Gradients flow to the parameters only.
+    /// Decodes the kept part of `pyramid` from global to local: row `i` of what comes out at a scale belongs to the
+    /// `i`-th kept row of that level. Gradients flow to the parameters, and to features that track them.
     ///
     /// # Panics
-    /// If `pyramid` has fewer levels or other widths than the decoder was made for.
-    pub fn forward(&self, pyramid: &Pyramid) -> Decoded {
+    /// If `pyramid` has fewer levels or other widths than the decoder was made for, or `kept` is of another pyramid.
+    pub fn forward(&self, pyramid: &Pyramid, kept: &Restriction) -> Decoded {
         let device = self.last.weight.device();
         assert!(self.layers.len() <= pyramid.levels.len(), "levels of the pyramid against layers of the decoder");
-        let mut below = tracked(&pyramid.top, &device);
+        let mut below = tracked(&kept.of_top(&pyramid.top), &device);
         let mut fused = Vec::with_capacity(self.layers.len());
-        for (layer, level) in self.layers.iter().zip(&pyramid.levels).rev() {
-            let image = layer.image.as_ref().map(|map| map.forward(tracked(&level.image, &device)));
-            let spatial = layer.spatial.as_ref().map(|map| map.forward(tracked(&level.spatial, &device)));
-            let below_map = layer.below.as_ref();
-            let upsampled = below_map.map(|map| sparse_apply(map.forward(below.clone()), level.upsample.clone()));
-            let bias = layer.bias.val().unsqueeze();
-            let sum = [image, spatial, upsampled].into_iter().flatten().reduce(|a, b| a + b);
-            let x = match sum {
-                Some(sum) => sum + bias,
-                None => bias.expand([level.points.len() as i64, -1]), // all features off: a constant
-            };
-            let x = match &layer.norm {
-                Some(norm) => norm.forward(x),
-                None => x,
-            };
-            below = leaky_relu(x, SLOPE);
+        for (n, (layer, level)) in self.layers.iter().zip(&pyramid.levels).enumerate().rev() {
+            let map = LayerMap { rows: kept.rows(n).cloned(), upsample: kept.upsample(n).clone(), slope: SLOPE };
+            below = layer.forward(tracked(&level.features, &device), below, map);
             fused.push(below.clone());
         }
         fused.reverse();

@@ -7,7 +7,7 @@ use super::decoder::{Decoder, DecoderConfig};
 use super::encoder::{Cloud, encode, encoder_input, random_weights};
 use super::loss::{Kind, label_loss};
 use super::probe::{LabelledCloud, Scores, best};
-use super::pyramid::{Level, Pyramid, Switches};
+use super::pyramid::{Level, Pyramid, Restriction, Switches};
 use super::randla::{Form, LAYERS, NEIGHBOURS, RATIO, RandlaEncoder, host};
 use super::sampling::Hierarchy;
 use crate::data::builtin::{PRETRAINING_SEEDS, classes, labelled_points};
@@ -106,7 +106,7 @@ pub fn pretrain(
     let device = device.clone().inner().autodiff();
     let encoder = RandlaEncoder::load(&random_weights(3, options.seed), Form::Trainable, &device)?;
     let (spatial, top) = (encoder.widths(), encoder.widths().last().copied().unwrap_or_default());
-    let head = DecoderConfig::new(vec![0; LAYERS], spatial, top, classes).with_layer_norm(true);
+    let head = DecoderConfig::new(spatial, top, classes).with_layer_norm(true);
     let mut student = Student { encoder, head: head.with_seed(options.seed).init(&device) };
     let mut adam = AdamConfig::new().with_epsilon(1e-8).init();
     let mut losses = Vec::with_capacity(options.steps);
@@ -178,12 +178,11 @@ fn student_loss(
     let upsample = hierarchy.upsampling()?;
     let levels = hierarchy.levels.iter().zip(features).zip(upsample).map(|((level, spatial), upsample)| Level {
         points: Arc::new(level.indices.clone()),
-        image: Tensor::zeros([level.indices.len(), 0], device),
-        spatial,
+        features: spatial,
         upsample,
     });
     let pyramid = Pyramid { levels: levels.collect(), top };
-    let logits = student.head.classify(student.head.forward(&pyramid).hidden);
+    let logits = student.head.classify(student.head.forward(&pyramid, &Restriction::none(&pyramid)).hidden);
     Ok(label_loss(logits, &balanced(&cloud.labels, &mut rng), &Kind::Ce))
 }
 
@@ -251,7 +250,7 @@ fn finish(
         let points = Cloud { positions: &cloud.positions, colors: None, up: DVec3::Z, scale: 1.0 };
         let encoding = encode(&encoder, &points, options.seed ^ i as u64, &plain)?;
         let pyramid = Pyramid::new(&encoding, &[], Switches { image: false, ..Switches::default() })?;
-        let logits = host(head.classify(head.forward(&pyramid).hidden));
+        let logits = host(head.classify(head.forward(&pyramid, &Restriction::none(&pyramid)).hidden));
         let truth = cloud.labels.iter().map(|&l| usize::from(l));
         confusion.add(truth, best(&logits, classes().len()));
     }

@@ -3,7 +3,7 @@
 use super::encoder::Encoding;
 use crate::error::{Error, Result};
 use crate::ops::SparseMatrix;
-use burn::tensor::{Device, Int, Tensor, TensorData};
+use burn::tensor::{Int, Tensor, TensorData};
 use std::sync::Arc;
 
 /// Which features the decoder reads: the switches of the ablation table.
@@ -28,10 +28,9 @@ impl Default for Switches {
 pub struct Level {
     /// Scene index of each point, `[N_n]`.
     pub points: Arc<Vec<u32>>,
-    /// Unprojected image features of those very points, f_d,n, `[N_n, D]`; D = 0 where they are off.
-    pub image: Tensor<2>,
-    /// Spatial features before their sampling, f_s,n, `[N_n, S_n]`; S_n = 0 where they are off.
-    pub spatial: Tensor<2>,
+    /// Features side by side, `[N_n, D + S_n]`: unprojected image features of those very points, f_d,n, then spatial
+    /// features before their sampling, f_s,n; either is left out where it is off.
+    pub features: Tensor<2>,
     /// Interpolation onto these points from the next coarser set, `[N_n, N_(n+1)]`.
     pub upsample: Arc<SparseMatrix>,
 }
@@ -62,20 +61,21 @@ impl Pyramid {
         for (n, level) in encoding.levels.iter().take(count).enumerate() {
             let scale = switches.single_scale.unwrap_or(n);
             let lifted = match (switches.image, image.get(scale)) {
-                (false, _) => Tensor::zeros([level.indices.len(), 0], &device),
-                (true, Some(f)) if f.dims()[0] == points => select(f, &indices(&level.indices, &device)),
+                (false, _) => None,
+                (true, Some(f)) if f.dims()[0] == points => Some(select(f, &level.indices)),
                 (true, other) => {
                     let (key, found) = (format!("image features of scale {}", scale + 1), other.map(Tensor::dims));
                     let mend = "unproject them first";
                     return Err(Error::config(key, format!("{found:?}"), format!("{points} rows"), mend));
                 }
             };
+            let spatial = switches.spatial.then(|| level.features.clone());
+            let parts: Vec<_> = [lifted, spatial].into_iter().flatten().filter(|f| f.dims()[1] > 0).collect();
             levels.push(Level {
                 points: Arc::new(level.indices.clone()),
-                image: lifted,
-                spatial: match switches.spatial {
-                    true => level.features.clone(),
-                    false => Tensor::zeros([level.indices.len(), 0], &device),
+                features: match parts.is_empty() {
+                    true => Tensor::zeros([level.indices.len(), 0], &device),
+                    false => Tensor::cat(parts, 1),
                 },
                 upsample: encoding.upsample[n].clone(),
             });
@@ -86,29 +86,13 @@ impl Pyramid {
         };
         Ok(Self { levels, top })
     }
-
-    /// The part of the pyramid that `restriction` names; decoding it gives the same values on its finest points.
-    #[must_use]
-    pub fn restrict(&self, restriction: &Restriction) -> Self {
-        let device = self.top.device();
-        let levels = self.levels.iter().zip(&restriction.levels).map(|(level, (rows, upsample))| {
-            let index = indices(rows, &device);
-            Level {
-                points: Arc::new(rows.iter().map(|&r| level.points[r as usize]).collect()),
-                image: select(&level.image, &index),
-                spatial: select(&level.spatial, &index),
-                upsample: upsample.clone(),
-            }
-        });
-        Self { levels: levels.collect(), top: select(&self.top, &indices(&restriction.top, &device)) }
-    }
 }
 
 /// The rows of a [`Pyramid`] that some of its finest points depend on; cheap to keep per view.
 #[derive(Clone, Debug)]
 pub struct Restriction {
-    levels: Vec<(Arc<Vec<u32>>, Arc<SparseMatrix>)>,
-    top: Arc<Vec<u32>>,
+    levels: Vec<(Option<Arc<Vec<u32>>>, Arc<SparseMatrix>)>,
+    top: Option<Arc<Vec<u32>>>,
 }
 
 impl Restriction {
@@ -121,28 +105,46 @@ impl Restriction {
         let mut levels = Vec::with_capacity(pyramid.levels.len());
         for level in &pyramid.levels {
             let used = level.upsample.select_rows(&rows).compact();
-            levels.push((rows, Arc::new(used.matrix)));
+            levels.push((Some(rows), Arc::new(used.matrix)));
             rows = Arc::new(used.columns);
         }
-        Self { levels, top: rows }
+        Self { levels, top: Some(rows) }
     }
 
-    /// Rows of the pyramid's level `scale` (0 = finest) that are kept.
-    pub fn rows(&self, scale: usize) -> &[u32] {
-        &self.levels[scale].0
+    /// All of `pyramid`.
+    pub fn none(pyramid: &Pyramid) -> Self {
+        Self { levels: pyramid.levels.iter().map(|level| (None, level.upsample.clone())).collect(), top: None }
+    }
+
+    /// Rows of the pyramid's level `scale` (0 = finest) that are kept; `None`: all.
+    pub fn rows(&self, scale: usize) -> Option<&Arc<Vec<u32>>> {
+        self.levels[scale].0.as_ref()
+    }
+
+    /// Interpolation onto the kept rows of level `scale` from those of the next coarser set.
+    pub fn upsample(&self, scale: usize) -> &Arc<SparseMatrix> {
+        &self.levels[scale].1
+    }
+
+    /// The kept rows of `top`, the features below the last level.
+    pub fn of_top(&self, top: &Tensor<2>) -> Tensor<2> {
+        self.top.as_ref().map_or_else(|| top.clone(), |rows| select(top, rows))
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        let rows = self.levels.iter().map(|level| &level.0).chain([&self.top]).flatten();
+        4 * rows.map(|r| r.len()).sum::<usize>() + self.levels.iter().map(|level| level.1.bytes()).sum::<usize>()
     }
 }
 
-fn indices(rows: &[u32], device: &Device) -> Tensor<1, Int> {
-    let values: Vec<i64> = rows.iter().map(|&r| i64::from(r)).collect();
-    Tensor::from_data(TensorData::new(values, [rows.len()]), device)
-}
-
-fn select(features: &Tensor<2>, index: &Tensor<1, Int>) -> Tensor<2> {
-    match features.dims()[1] {
-        0 => Tensor::zeros([index.dims()[0], 0], &features.device()), // some backends refuse to index nothing
-        _ => features.clone().select(0, index.clone()),
+fn select(features: &Tensor<2>, rows: &[u32]) -> Tensor<2> {
+    let device = features.device();
+    if features.dims()[1] == 0 {
+        return Tensor::zeros([rows.len(), 0], &device); // some backends refuse to index nothing
     }
+    let index: Vec<i64> = rows.iter().map(|&r| i64::from(r)).collect();
+    features.clone().select(0, Tensor::<1, Int>::from_data(TensorData::new(index, [rows.len()]), &device))
 }
 
 /// Per-channel mean and spread of a pyramid's frozen features.
@@ -151,7 +153,7 @@ fn select(features: &Tensor<2>, index: &Tensor<1, Int>) -> Tensor<2> {
 /// fewer steps. The paper says nothing of it; `standardise = false` leaves the features as they are.
 #[derive(Clone, Debug)]
 pub struct Standardisation {
-    levels: Vec<[ChannelScale; 2]>,
+    levels: Vec<ChannelScale>,
     top: ChannelScale,
 }
 
@@ -195,18 +197,15 @@ impl ChannelScale {
 impl Standardisation {
     /// Statistics of `pyramid`.
     pub fn of(pyramid: &Pyramid) -> Self {
-        let level = |l: &Level| [&l.image, &l.spatial].map(ChannelScale::or_none);
-        Self { levels: pyramid.levels.iter().map(level).collect(), top: ChannelScale::or_none(&pyramid.top) }
+        let levels = pyramid.levels.iter().map(|l| ChannelScale::or_none(&l.features)).collect();
+        Self { levels, top: ChannelScale::or_none(&pyramid.top) }
     }
 
     /// The pyramid with every channel brought to mean 0 and spread 1 by these statistics.
     #[must_use]
     pub fn apply(&self, pyramid: Pyramid) -> Pyramid {
-        let levels = pyramid.levels.into_iter().zip(&self.levels).map(|(level, [image, spatial])| Level {
-            image: image.apply(&level.image),
-            spatial: spatial.apply(&level.spatial),
-            ..level
-        });
+        let levels = pyramid.levels.into_iter().zip(&self.levels);
+        let levels = levels.map(|(level, scale)| Level { features: scale.apply(&level.features), ..level });
         Pyramid { levels: levels.collect(), top: self.top.apply(&pyramid.top) }
     }
 }

@@ -12,6 +12,7 @@ mod config;
 mod decoder;
 mod densify;
 mod features;
+mod fused;
 mod loss;
 mod metrics;
 mod mobilenet;

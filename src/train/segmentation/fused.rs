@@ -1,14 +1,15 @@
 //! The decoder rows: multi-scale fusion (Eq. 7) trained by the label loss and the 3D regularisation (Eq. 10).
 //!
-//! Where logits are blended, the linear last layer is applied per pixel, after blending the hidden features. Only what a view's visible Gaussians depend on is decoded in a step.
+//! Where logits are blended, the linear last layer is applied per pixel, after blending the hidden features. Only what a
+//! view's visible Gaussians depend on is decoded in a step.
 
 use super::optimiser::{self, ModuleAdam, NamedValues};
 use super::views::ViewWeights;
-use super::{Model, Prediction, blended, stored};
+use super::{Model, Prediction, Scores, stored};
 use crate::config::{Blend, SegmentationConfig};
 use crate::error::Result;
 use crate::objects::Identities;
-use crate::ops::{SparseMatrix, sparse_apply};
+use crate::ops::{LabelledPixels, sparse_apply};
 use crate::random::{Purpose, stream};
 use crate::segmentation::decoder::Decoder;
 use crate::segmentation::loss::neighbour_divergence;
@@ -36,18 +37,14 @@ pub struct Encoded {
 #[derive(Clone, Debug)]
 struct Prepared {
     /// The part of the pyramid that the view's visible Gaussians depend on.
-    pyramid: Pyramid,
+    kept: Restriction,
     /// K nearest points within that part for each point of the regularised scales, `[N_n, K]`; empty without them.
     neighbours: [Vec<u32>; REGULARISED.len()],
 }
 
 impl Prepared {
     fn bytes(&self) -> usize {
-        let level = |l: &crate::segmentation::pyramid::Level| {
-            4 * (l.image.shape().num_elements() + l.spatial.shape().num_elements() + l.points.len())
-                + l.upsample.bytes()
-        };
-        self.pyramid.levels.iter().map(level).sum::<usize>() + 4 * self.neighbours.iter().map(Vec::len).sum::<usize>()
+        self.kept.bytes() + 4 * self.neighbours.iter().map(Vec::len).sum::<usize>()
     }
 }
 
@@ -176,16 +173,16 @@ impl<'a> Fused<'a> {
         let encoded = self.source.view(view);
         let row = |g: &u32| encoded.points.binary_search(g).ok().map(|row| row as u32);
         let rows: Vec<u32> = visible.iter().filter_map(row).collect();
-        let pyramid = encoded.pyramid.restrict(&Restriction::new(&encoded.pyramid, Arc::new(rows)));
+        let kept = Restriction::new(&encoded.pyramid, Arc::new(rows));
         let mut neighbours = REGULARISED.map(|_| Vec::new());
         for (table, scale) in neighbours.iter_mut().zip(REGULARISED) {
-            if let (true, Some(level)) = (self.plan.regularised, pyramid.levels.get(scale)) {
-                let at = |&i: &u32| self.means[encoded.points[i as usize] as usize];
-                let cloud: Vec<[f32; 3]> = level.points.iter().map(at).collect();
+            if let (true, Some(level)) = (self.plan.regularised, encoded.pyramid.levels.get(scale)) {
+                let at = |&r: &u32| self.means[encoded.points[level.points[r as usize] as usize] as usize];
+                let cloud: Vec<[f32; 3]> = kept.rows(scale).into_iter().flat_map(|rows| rows.iter()).map(at).collect();
                 *table = without_self(&cloud, self.plan.config.reg_neighbours)?;
             }
         }
-        let prepared = Arc::new(Prepared { pyramid, neighbours });
+        let prepared = Arc::new(Prepared { kept, neighbours });
         if let Some(left) = self.budget.checked_sub(prepared.bytes()) {
             self.budget = left;
             self.prepared[view] = Some(prepared.clone());
@@ -220,9 +217,9 @@ impl<'a> Fused<'a> {
         let mut scores = Vec::with_capacity(count as usize * self.plan.size[1]);
         for first in (0..count).step_by(CHUNK) {
             let rows = Arc::new((first..(first + CHUNK as u32).min(count)).collect::<Vec<_>>());
-            let part = encoded.pyramid.restrict(&Restriction::new(&encoded.pyramid, rows));
-            let points = &encoded.points[first as usize..][..part.levels[0].points.len()];
-            let part = self.scores(decoder, decoder.forward(&part).hidden, points);
+            let points = &encoded.points[first as usize..][..rows.len()];
+            let kept = Restriction::new(&encoded.pyramid, rows);
+            let part = self.scores(decoder, decoder.forward(&encoded.pyramid, &kept).hidden, points);
             scores.extend(optimiser::values(stored(part, self.plan.config.blend)));
         }
         scores
@@ -230,18 +227,20 @@ impl<'a> Fused<'a> {
 }
 
 impl Model for Fused<'_> {
-    fn predict(&mut self, view: usize, weights: &ViewWeights, sampled: SparseMatrix) -> Result<Prediction> {
+    fn predict(&mut self, view: usize, weights: &ViewWeights, pixels: &LabelledPixels) -> Result<Prediction> {
         let prepared = self.prepare(view, &weights.visible)?;
         let Some(decoder) = &self.decoder else { return Ok(Prediction::empty(self.plan.size[1], &self.device)) };
-        let decoded = decoder.forward(&prepared.pyramid);
-        let logits = match self.plan.config.blend {
+        let decoded = decoder.forward(&self.source.view(view).pyramid, &prepared.kept);
+        let scores = match self.plan.config.blend {
             // The last layer is linear: hidden features are blended and it is applied per pixel.
-            Blend::Logits if self.prior.is_empty() => decoder.classify(sparse_apply(decoded.hidden, Arc::new(sampled))),
-            blend => blended(self.scores(decoder, decoded.hidden, &weights.visible), sampled, blend),
+            Blend::Logits if self.prior.is_empty() => {
+                Scores::Pixels(decoder.classify(sparse_apply(decoded.hidden, Arc::new(pixels.chosen()))))
+            }
+            blend => Scores::blended(self.scores(decoder, decoded.hidden, &weights.visible), pixels, blend),
         };
         let regularisation = if self.plan.regularised { self.regularisation(&decoded.fused, &prepared) } else { None };
         self.iteration += 1;
-        Ok(Prediction { logits, regularisation })
+        Ok(Prediction { scores, regularisation })
     }
 
     fn step(&mut self, gradients: &mut Gradients, factor: f64) -> Result<()> {

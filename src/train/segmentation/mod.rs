@@ -15,31 +15,46 @@ pub use views::{TrainingViews, ViewWeights, view_at};
 use crate::config::{Blend, SegmentationConfig};
 use crate::error::{Error, Result};
 use crate::objects::Identities;
-use crate::ops::{SparseMatrix, sparse_apply};
+use crate::ops::{LabelledPixels, blended_label_loss, sparse_apply};
 use crate::random::{Purpose, stream};
 use crate::segmentation::loss::{Kind, label_loss};
 use burn::tensor::activation::softmax;
 use burn::tensor::{Device, Gradients, Tensor};
 use std::sync::Arc;
 
-/// Keeps the logarithm of a blended probability finite.
-const LEAST_PROBABILITY: f64 = 1e-8;
+/// Class scores, before or after blending.
+pub enum Scores {
+    /// Of pixels: blended logits over `1 - T`, `[P, C]`.
+    Pixels(Tensor<2>),
+    /// Of the view's visible Gaussians, `[V, C]`: the probabilities they stand for are blended.
+    Gaussians(Tensor<2>),
+}
+
+impl Scores {
+    /// Those of `scores` `[V, C]` of visible Gaussians as `blend` says.
+    pub fn blended(scores: Tensor<2>, pixels: &LabelledPixels, blend: Blend) -> Self {
+        match blend {
+            Blend::Logits => Self::Pixels(sparse_apply(scores, Arc::new(pixels.chosen()))),
+            Blend::Probabilities => Self::Gaussians(scores),
+        }
+    }
+}
 
 /// What a model says of some pixels.
 pub struct Prediction {
-    /// Blended logits over `1 - T`, `[P, C]`, or the logarithm of blended probabilities.
-    pub logits: Tensor<2>,
+    /// Class scores.
+    pub scores: Scores,
     /// Eq. 9, where the model has one.
     pub regularisation: Option<Tensor<1>>,
 }
 
-/// Something that stage two trains: it predicts blended logits and stores identities.
+/// Something that stage two trains: it predicts class scores and stores identities.
 pub trait Model {
-    /// Logits of the rows of `sampled`, pixels of training view `view` over the columns of `weights`.
+    /// Scores of `pixels`, of training view `view` over the columns of `weights`.
     ///
     /// # Errors
     /// When a frozen input is not finite.
-    fn predict(&mut self, view: usize, weights: &ViewWeights, sampled: SparseMatrix) -> Result<Prediction>;
+    fn predict(&mut self, view: usize, weights: &ViewWeights, pixels: &LabelledPixels) -> Result<Prediction>;
     /// One optimiser step at `factor` times the learning rate.
     ///
     /// # Errors
@@ -112,8 +127,8 @@ pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan,
     let view = views.at(plan.seed, iteration);
     let weights = views.weights(view)?;
     let mut rng = stream(plan.seed, Purpose::Pixels, iteration as u64);
-    let (sampled, labels) = weights.sample(plan.pixel_share, &mut rng);
-    if labels.is_empty() {
+    let pixels = Arc::new(weights.sample(plan.pixel_share, &mut rng));
+    if pixels.labels.is_empty() {
         return Ok(0.0);
     }
     let at = |error: Error| match error {
@@ -123,9 +138,13 @@ pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan,
         }
         other => other,
     };
-    let prediction = model.predict(view, &weights, sampled).map_err(at)?;
+    let prediction = model.predict(view, &weights, &pixels).map_err(at)?;
     let kind = if iteration < plan.warmup { Kind::Ce } else { plan.loss };
-    let mut loss = label_loss(prediction.logits, &labels, &kind) * plan.lambda[0];
+    let loss = match prediction.scores {
+        Scores::Pixels(logits) => label_loss(logits, &pixels.labels, &kind),
+        Scores::Gaussians(scores) => blended_label_loss(scores, pixels, &kind),
+    };
+    let mut loss = loss * plan.lambda[0];
     if let Some(regularisation) = prediction.regularisation {
         loss = loss + regularisation * plan.lambda[1];
     }
@@ -135,15 +154,6 @@ pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan,
     }
     model.step(&mut loss.backward(), plan.rate_factor(iteration)).map_err(at)?;
     Ok(value)
-}
-
-/// Blends what `blend` says of the scores `[N, C]` with `weights` `[P, N]`, whose rows sum to 1.
-fn blended(scores: Tensor<2>, weights: SparseMatrix, blend: Blend) -> Tensor<2> {
-    match blend {
-        Blend::Logits => sparse_apply(scores, Arc::new(weights)),
-        // softmax(log p) = p: the label losses see the mixture itself.
-        Blend::Probabilities => (sparse_apply(softmax(scores, 1), Arc::new(weights)) + LEAST_PROBABILITY).log(),
-    }
 }
 
 /// Scores as they are stored.
@@ -157,6 +167,6 @@ fn stored(scores: Tensor<2>, blend: Blend) -> Tensor<2> {
 impl Prediction {
     /// No pixels.
     fn empty(classes: usize, device: &Device) -> Self {
-        Self { logits: Tensor::zeros([0, classes], device), regularisation: None }
+        Self { scores: Scores::Pixels(Tensor::zeros([0, classes], device)), regularisation: None }
     }
 }

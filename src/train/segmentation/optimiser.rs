@@ -1,8 +1,10 @@
 //! Adam over all parameters of a burn module, with state that a checkpoint can hold exactly.
 
 use crate::error::{Error, Result};
+use crate::ops::{AdamStep, AdamTensors, adam_step};
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Gradients, Tensor, TensorData};
+use std::sync::Arc;
 
 /// Named flat tensors, as checkpoints store them.
 pub type NamedValues = Vec<(String, Vec<f32>)>;
@@ -12,7 +14,8 @@ pub type NamedValues = Vec<(String, Vec<f32>)>;
 pub struct ModuleAdam {
     rate: f64,
     steps: i32,
-    moments: Vec<[Tensor<1>; 2]>,
+    /// Absent only while a step is at work on them.
+    moments: Vec<Option<[Tensor<1>; 2]>>,
     /// Step from which on parameters are averaged.
     average_from: Option<i32>,
     averages: Vec<Tensor<1>>,
@@ -56,14 +59,16 @@ impl ModuleAdam {
             return Err(Error::non_finite(format!("gradient of {tensor}"), 0));
         }
         self.steps += 1;
-        let rate = self.rate * factor;
-        Ok(module.map(&mut Step { adam: self, gradients, rate, place: 0 }))
+        let [beta1, beta2] = BETAS;
+        let rates = vec![self.rate * factor];
+        let step = Arc::new(AdamStep { rates, beta1, beta2, epsilon: EPSILON, step: self.steps as u32 });
+        Ok(module.map(&mut Step { adam: self, gradients, step, place: 0 }))
     }
 
     /// Moments and step count, named `m.0`, `v.0`, ... and `steps`.
     pub fn state(&self) -> NamedValues {
         let mut out = vec![("steps".to_owned(), vec![self.steps as f32])];
-        for (i, [m, v]) in self.moments.iter().enumerate() {
+        for (i, [m, v]) in self.moments.iter().flatten().enumerate() {
             out.push((format!("m.{i}"), values(m.clone())));
             out.push((format!("v.{i}"), values(v.clone())));
         }
@@ -86,7 +91,7 @@ impl ModuleAdam {
         while let (Some(m), Some(v)) =
             (state(&format!("m.{}", self.moments.len())), state(&format!("v.{}", self.moments.len())))
         {
-            self.moments.push([tensor(m), tensor(v)]);
+            self.moments.push(Some([tensor(m), tensor(v)]));
         }
         self.averages.clear();
         while let Some(mean) = state(&format!("mean.{}", self.averages.len())) {
@@ -114,7 +119,7 @@ pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
 struct Step<'a> {
     adam: &'a mut ModuleAdam,
     gradients: &'a mut Gradients,
-    rate: f64,
+    step: Arc<AdamStep>,
     place: usize,
 }
 
@@ -124,23 +129,24 @@ impl ModuleMapper for Step<'_> {
         self.place += 1;
         param.map(|tensor| {
             if self.adam.moments.len() <= place {
-                let zeros = tensor.clone().inner().zeros_like().flatten::<1>(0, D - 1);
-                self.adam.moments.push([zeros.clone(), zeros]);
+                self.adam.moments.push(None);
             }
+            let param = tensor.clone().inner().flatten(0, D - 1);
             let Some(gradient) = tensor.grad_remove(self.gradients) else {
-                self.adam.average(place, tensor.clone().inner().flatten(0, D - 1));
+                self.adam.average(place, param);
                 return tensor;
             };
             let shape = gradient.dims();
             let g = gradient.flatten::<1>(0, D - 1);
-            let [m, v] = self.adam.moments[place].clone();
-            let m = m * BETAS[0] + g.clone() * (1.0 - BETAS[0]);
-            let v = v * BETAS[1] + g.powi_scalar(2) * (1.0 - BETAS[1]);
-            let unbias = |beta: f64| 1.0 - beta.powi(self.adam.steps);
-            let step = (m.clone() / unbias(BETAS[0])) / ((v.clone() / unbias(BETAS[1])).sqrt() + EPSILON);
-            self.adam.moments[place] = [m, v];
-            let moved = tensor.inner() - step.reshape(shape) * self.rate;
-            self.adam.average(place, moved.clone().flatten(0, D - 1));
+            // taken, not cloned: buffers that nobody else holds are updated in place
+            let moments = self.adam.moments[place].take();
+            let [first, second] = moments.unwrap_or_else(|| [param.zeros_like(), param.zeros_like()]);
+            drop(tensor);
+            let state = AdamTensors { param, first, second };
+            let AdamTensors { param, first, second } = adam_step(state, g, &self.step);
+            self.adam.moments[place] = Some([first, second]);
+            self.adam.average(place, param.clone());
+            let moved = param.reshape(shape);
             Tensor::from_inner(moved).require_grad()
         })
     }

@@ -2,11 +2,11 @@
 
 use super::optimiser::{self, ModuleAdam, NamedValues};
 use super::views::ViewWeights;
-use super::{Model, Prediction, blended, stored};
+use super::{Model, Prediction, Scores, stored};
 use crate::config::Blend;
 use crate::error::Result;
 use crate::objects::Identities;
-use crate::ops::SparseMatrix;
+use crate::ops::LabelledPixels;
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Gradients, Int, Tensor, TensorData};
 
@@ -40,12 +40,12 @@ impl PerGaussian {
 }
 
 impl Model for PerGaussian {
-    fn predict(&mut self, _view: usize, weights: &ViewWeights, sampled: SparseMatrix) -> Result<Prediction> {
+    fn predict(&mut self, _view: usize, weights: &ViewWeights, pixels: &LabelledPixels) -> Result<Prediction> {
         let columns: Vec<i64> = weights.visible.iter().map(|&i| i64::from(i)).collect();
         let count = columns.len();
         let index = Tensor::<1, Int>::from_data(TensorData::new(columns, [count]), &self.device.clone().inner());
-        let logits = blended(self.scores().select(0, index), sampled, self.blend);
-        Ok(Prediction { logits, regularisation: None })
+        let scores = Scores::blended(self.scores().select(0, index), pixels, self.blend);
+        Ok(Prediction { scores, regularisation: None })
     }
 
     fn step(&mut self, gradients: &mut Gradients, factor: f64) -> Result<()> {

@@ -4,7 +4,7 @@ use crate::data::{Classes, View};
 use crate::error::Result;
 use crate::gaussians::Gaussians;
 use crate::objects::{Votes, vote};
-use crate::ops::SparseMatrix;
+use crate::ops::{LabelledPixels, SparseMatrix};
 use crate::random::{Purpose, stream};
 use crate::raster::{Projected, Settings};
 use rand::{Rng, seq::SliceRandom};
@@ -14,7 +14,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug)]
 pub struct ViewWeights {
     /// Rows: pixels; columns: entries of [`ViewWeights::visible`]. Each row sums to 1 (weights over 1 - T).
-    pub matrix: SparseMatrix,
+    pub matrix: Arc<SparseMatrix>,
     /// Scene index of each column, ascending.
     pub visible: Arc<Vec<u32>>,
     /// Class index of each row's raw label.
@@ -42,7 +42,7 @@ impl ViewWeights {
         let kept: Vec<u32> = (0..weights.rows() as u32).filter(|&r| !weights.row(r as usize).0.is_empty()).collect();
         let labels = kept.iter().map(|&r| class(labelled[r as usize])).collect();
         let compact = weights.select_rows(&kept).compact();
-        Ok(Self { matrix: compact.matrix, visible: Arc::new(compact.columns), labels })
+        Ok(Self { matrix: Arc::new(compact.matrix), visible: Arc::new(compact.columns), labels })
     }
 
     /// Bytes held.
@@ -51,17 +51,18 @@ impl ViewWeights {
     }
 
     /// A random share of the pixels (one of each run of `1 / share` neighbours in row order), with their labels.
-    pub fn sample(&self, share: f64, rng: &mut impl Rng) -> (SparseMatrix, Vec<u16>) {
+    pub fn sample(&self, share: f64, rng: &mut impl Rng) -> LabelledPixels {
         let stride = (1.0 / share.clamp(1e-6, 1.0)).round().max(1.0) as usize;
-        if stride == 1 {
-            return (self.matrix.clone(), self.labels.clone());
-        }
-        let rows: Vec<u32> = (0..self.labels.len())
-            .step_by(stride)
-            .map(|first| rng.random_range(first..(first + stride).min(self.labels.len())) as u32)
-            .collect();
+        let count = self.labels.len();
+        let rows: Vec<u32> = match stride {
+            1 => (0..count as u32).collect(),
+            _ => (0..count)
+                .step_by(stride)
+                .map(|first| rng.random_range(first..(first + stride).min(count)) as u32)
+                .collect(),
+        };
         let labels = rows.iter().map(|&r| self.labels[r as usize]).collect();
-        (self.matrix.select_rows(&rows), labels)
+        LabelledPixels { weights: self.matrix.clone(), rows, labels }
     }
 }
 

@@ -1,0 +1,207 @@
+//! Label losses of blended class probabilities, from the scores of the Gaussians to the loss in one pass.
+//!
+//! A pixel's probability of its label y is `q = sum_j w_j p_j(y)`: only the labelled class of each Gaussian is read. Its
+//! gradient goes to those `p_j(y)` alone, for the sum of a Gaussian's probabilities does not change. A pixel therefore
+//! costs one multiplication a contribution each way, however many classes there are.
+
+use super::label_loss::{GradientInHand, Kind, UNLABELLED};
+use super::sparse::{SparseMatrix, sparse_apply};
+use super::{HostBackend, Real, device_of, label_loss, real_kernel};
+use crate::device::in_host_memory;
+use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
+use burn::backend::autodiff::ops::{Backward, OpsKind};
+use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
+use burn::tensor::Tensor;
+use burn::tensor::activation::softmax;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Keeps the logarithm of a blended probability finite.
+const LEAST_PROBABILITY: f64 = 1e-8;
+/// Pixels of one class in a task; also the unit of the fixed summation order.
+const TASK: usize = 8192;
+/// Gaussians in a task.
+const BLOCK: usize = 1024;
+
+/// Labelled pixels of a view over the Gaussians it sees.
+#[derive(Clone, Debug)]
+pub struct LabelledPixels {
+    /// Frozen blending weights, `[P, V]`; rows sum to 1.
+    pub weights: Arc<SparseMatrix>,
+    /// Rows of `weights` that are looked at.
+    pub rows: Vec<u32>,
+    /// Class index of each of those rows, [`UNLABELLED`] where it is not counted.
+    pub labels: Vec<u16>,
+}
+
+impl LabelledPixels {
+    /// The weights of the chosen rows alone.
+    pub fn chosen(&self) -> SparseMatrix {
+        self.weights.select_rows(&self.rows)
+    }
+
+    /// Mean loss over the labelled pixels and its gradient to `scores`, `[V, classes]`. No labelled pixel: zeros.
+    pub fn value_and_gradient<E: Real>(&self, scores: &[E], classes: usize, kind: Kind) -> (E, Vec<E>) {
+        let mut gradient = vec![E::zero(); scores.len()];
+        let mut of_class = vec![Vec::new(); classes];
+        for (&row, &label) in self.rows.iter().zip(&self.labels) {
+            if label != UNLABELLED {
+                of_class[usize::from(label)].push(row);
+            }
+        }
+        let count: usize = of_class.iter().map(Vec::len).sum();
+        if count == 0 {
+            return (E::zero(), gradient);
+        }
+        let points = scores.len() / classes;
+        let p = probabilities(scores, classes);
+        let tasks: Vec<(usize, &[u32])> =
+            of_class.iter().enumerate().flat_map(|(class, rows)| rows.chunks(TASK).map(move |r| (class, r))).collect();
+        let scale = 1.0 / count as f64;
+        let done: Vec<(f64, Vec<E>)> = tasks
+            .par_iter()
+            .map(|&(class, rows)| self.class(rows, &p[class * points..][..points], classes, kind, scale))
+            .collect();
+        let mut d_p: Vec<Option<Vec<E>>> = vec![None; classes];
+        let mut loss = 0.0;
+        for ((class, _), (value, d)) in tasks.into_iter().zip(done) {
+            loss += value;
+            d_p[class] = Some(match d_p[class].take() {
+                None => d,
+                Some(mut sum) => {
+                    sum.iter_mut().zip(d).for_each(|(s, d)| *s += d);
+                    sum
+                }
+            });
+        }
+        let named: Vec<(usize, Vec<E>)> = d_p.into_iter().enumerate().filter_map(|(c, d)| Some((c, d?))).collect();
+        gradient.par_chunks_mut(BLOCK * classes).enumerate().for_each(|(block, gradient)| {
+            for (i, gradient) in gradient.chunks_exact_mut(classes).enumerate() {
+                let j = block * BLOCK + i;
+                let mean: E = named.iter().map(|(c, d)| p[c * points + j] * d[j]).sum();
+                for (c, gradient) in gradient.iter_mut().enumerate() {
+                    *gradient = -mean * p[c * points + j];
+                }
+                for (c, d) in &named {
+                    gradient[*c] += p[c * points + j] * d[j];
+                }
+            }
+        });
+        (E::of(loss * scale), gradient)
+    }
+
+    /// Summed loss of `rows`, all labelled with one class of probabilities `p` (`[V]`), and its gradient times `scale`.
+    fn class<E: Real>(&self, rows: &[u32], p: &[E], classes: usize, kind: Kind, scale: f64) -> (f64, Vec<E>) {
+        let mut gradient = vec![E::zero(); p.len()];
+        let mut sum = 0.0;
+        for &row in rows {
+            let (columns, weights) = self.weights.row(row as usize);
+            let (mut q, mut total) = (E::zero(), E::zero());
+            for (&j, &w) in columns.iter().zip(weights) {
+                let w = E::of(f64::from(w));
+                q += w * p[j as usize];
+                total += w;
+            }
+            let q = q.wide() + LEAST_PROBABILITY;
+            let total = total.wide() + classes as f64 * LEAST_PROBABILITY;
+            // p_y dL/dp_y over q is dL/dq, but for the total, which does not change
+            let (loss, h) = kind.of_log_probability((q / total).min(1.0).ln());
+            sum += loss;
+            let factor = E::of(h * scale / q);
+            for (&j, &w) in columns.iter().zip(weights) {
+                gradient[j as usize] += factor * E::of(f64::from(w));
+            }
+        }
+        (sum, gradient)
+    }
+}
+
+/// Softmax of `scores` `[V, classes]`, transposed to `[classes, V]`.
+fn probabilities<E: Real>(scores: &[E], classes: usize) -> Vec<E> {
+    let points = scores.len() / classes;
+    let (mut powers, mut factors) = (vec![E::zero(); scores.len()], vec![E::zero(); points]);
+    let blocks = powers.par_chunks_mut(BLOCK * classes).zip(factors.par_chunks_mut(BLOCK));
+    blocks.zip(scores.par_chunks(BLOCK * classes)).for_each(|((powers, factors), scores)| {
+        let rows = powers.chunks_exact_mut(classes).zip(scores.chunks_exact(classes));
+        for ((powers, scores), factor) in rows.zip(factors) {
+            let highest = scores.iter().fold(scores[0], |h, &s| if s > h { s } else { h });
+            powers.iter_mut().zip(scores).for_each(|(p, &s)| *p = (s - highest).exp());
+            *factor = E::one() / powers.iter().copied().sum();
+        }
+    });
+    let mut out = vec![E::zero(); scores.len()];
+    out.par_chunks_mut(points).enumerate().for_each(|(c, out)| {
+        for ((out, powers), &factor) in out.iter_mut().zip(powers.chunks_exact(classes)).zip(&factors) {
+            *out = powers[c] * factor;
+        }
+    });
+    out
+}
+
+/// Backend side of [`blended_label_loss`], for backends whose tensors lie in host memory.
+#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
+pub trait BlendedLabelBackend: Backend {
+    /// The mean loss `[1]` and its gradient `[V, C]`, see [`LabelledPixels::value_and_gradient`].
+    fn blended_label_loss(
+        scores: FloatTensor<Self>,
+        pixels: Arc<LabelledPixels>,
+        kind: Kind,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>);
+}
+
+impl<B: HostBackend> BlendedLabelBackend for B {
+    fn blended_label_loss(
+        scores: FloatTensor<Self>,
+        pixels: Arc<LabelledPixels>,
+        kind: Kind,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let (device, [rows, classes]) = (device_of::<B>(&scores), scores.shape().dims());
+        real_kernel!(scores, E => {
+            let (value, gradient) = pixels.value_and_gradient::<E>(&B::values(scores), classes, kind);
+            (B::tensor::<E>(vec![value], &[1], &device), B::tensor::<E>(gradient, &[rows, classes], &device))
+        })
+    }
+}
+
+impl<B: BlendedLabelBackend, C: CheckpointStrategy> BlendedLabelBackend for Autodiff<B, C> {
+    fn blended_label_loss(
+        scores: FloatTensor<Self>,
+        pixels: Arc<LabelledPixels>,
+        kind: Kind,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let (scores, node) = scores.into_parts();
+        let (value, gradient) = B::blended_label_loss(scores, pixels, kind);
+        let constant = <Self as burn::backend::AutodiffBackend>::from_inner(gradient.clone());
+        let value = match GradientInHand.prepare::<C>([node]).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(gradient, value),
+            OpsKind::UnTracked(prep) => prep.finish(value),
+        };
+        (value, constant)
+    }
+}
+
+/// Mean loss `[1]` of the blended class probabilities of `pixels`, with gradient to `scores`, `[V, C]`: class scores of
+/// the Gaussians of which each takes the softmax before blending. On a GPU it is [`blended_label_loss_plain`].
+///
+/// # Panics
+/// If `scores` has not one row a column of the weights, there is not one label a row, or a label is neither below C nor
+/// [`UNLABELLED`].
+pub fn blended_label_loss(scores: Tensor<2>, pixels: Arc<LabelledPixels>, kind: &Kind) -> Tensor<1> {
+    let [rows, classes] = scores.dims();
+    assert_eq!(rows, pixels.weights.columns, "blended_label_loss: scores against columns of the weights");
+    assert_eq!(pixels.rows.len(), pixels.labels.len(), "blended_label_loss: labels against rows");
+    let known = pixels.labels.iter().all(|&l| l == UNLABELLED || usize::from(l) < classes);
+    assert!(known, "blended_label_loss: a label is no class index below {classes}");
+    if !in_host_memory(&scores.device()) {
+        return blended_label_loss_plain(scores, &pixels, kind);
+    }
+    let (value, _) = Dispatch::blended_label_loss(scores.into_dispatch(), pixels, *kind);
+    Tensor::from_dispatch(value)
+}
+
+/// [`blended_label_loss`] in plain tensors around [`label_loss`]: what runs on a GPU, and the reference of its tests.
+pub fn blended_label_loss_plain(scores: Tensor<2>, pixels: &LabelledPixels, kind: &Kind) -> Tensor<1> {
+    let blended = sparse_apply(softmax(scores, 1), Arc::new(pixels.chosen()));
+    // softmax(log q) = q / sum q: the loss sees the mixture itself
+    label_loss((blended + LEAST_PROBABILITY).log(), &pixels.labels, kind)
+}
