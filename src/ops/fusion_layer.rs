@@ -253,7 +253,11 @@ pub fn fusion_layer(x: Tensor<2>, weight: Tensor<2>, below: Tensor<2>, bias: Ten
     let ([rows, inputs], [coarse, width]) = (x.dims(), below.dims());
     let used = map.rows.as_ref().map_or(rows, |r| r.len());
     assert_eq!((weight.dims(), bias.dims()), ([inputs, width], [width]), "fusion_layer: weight and bias");
-    assert_eq!((used, coarse), (map.upsample.rows(), map.upsample.columns), "fusion_layer: rows against the upsampling");
+    assert_eq!(
+        (used, coarse),
+        (map.upsample.rows(), map.upsample.columns),
+        "fusion_layer: rows against the upsampling"
+    );
     if !in_host_memory(&bias.device()) {
         return fusion_layer_plain(x, weight, below, bias, &map);
     }

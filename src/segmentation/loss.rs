@@ -2,20 +2,14 @@
 
 use crate::config::{LabelLoss, SegmentationConfig};
 use crate::error::{Error, Result};
-use crate::ops::{SparseMatrix, UNLABELLED, sparse_apply};
+use crate::ops::UNLABELLED;
 use burn::tensor::activation::log_softmax;
 use burn::tensor::{Int, Tensor, TensorData};
-use rand::SeedableRng;
-use rand::seq::index;
-use rand_chacha::ChaCha8Rng;
-use std::sync::Arc;
 
-pub use crate::ops::{Kind, label_loss};
+pub use crate::ops::{Kind, NeighbourPairs, label_loss, neighbour_divergence};
 
 /// Exponent of [`LabelLoss::Gce`].
 const GCE_EXPONENT: f64 = 0.7;
-/// Purpose of the random stream of [`sample_rows`].
-const SAMPLE_STREAM: u64 = 0x6b6c_3364;
 
 impl Kind {
     /// The loss that the settings ask for after the warm-up.
@@ -68,46 +62,4 @@ pub fn label_loss_plain(logits: Tensor<2>, labels: &[u16], kind: &Kind) -> Tenso
         }
     };
     loss.mean()
-}
-
-/// Labels with pixels of coverage `1 - T` below `floor` set to [`UNLABELLED`]: they are scored, not trained on.
-pub fn covered_labels(labels: &[u16], coverage: &[f32], floor: f32) -> Vec<u16> {
-    labels.iter().zip(coverage).map(|(&l, &c)| if c >= floor { l } else { UNLABELLED }).collect()
-}
-
-/// Eq. 9 for one scale: the mean over M K pairs of D_KL(softmax f_j || softmax f_k).
-///
-/// `features` is `[N, D]`, fused features of the scale; `chosen` the M sampled rows; `neighbours` `[N, k]` the nearest
-/// rows of each row, not itself. Only the M (K + 1) rows involved are read. No sample: zero.
-///
-/// # Panics
-/// If an index is not below N.
-pub fn neighbour_divergence(features: Tensor<2>, chosen: &[u32], neighbours: &[u32], k: usize) -> Tensor<1> {
-    let [points, width] = features.dims();
-    if chosen.is_empty() || k == 0 {
-        return (features * 0.0).sum();
-    }
-    let pairs = chosen.len() * k;
-    let rows: Vec<u32> = chosen.iter().flat_map(|&j| &neighbours[j as usize * k..][..k]).copied().collect();
-    let own = log_softmax(pick(features.clone(), chosen.to_vec(), points), 1);
-    let others = log_softmax(pick(features, rows, points), 1).reshape([chosen.len(), k, width]);
-    // sum_k p_j (l_j - l_k) = p_j (K l_j - sum_k l_k)
-    let others: Tensor<2> = others.sum_dim(1).reshape([chosen.len(), width]);
-    (own.clone().exp() * (own * k as f64 - others)).sum() * (1.0 / pairs as f64)
-}
-
-fn pick(features: Tensor<2>, rows: Vec<u32>, columns: usize) -> Tensor<2> {
-    assert!(rows.iter().all(|&r| (r as usize) < columns), "neighbour_divergence: a row is not below {columns}");
-    let offsets = (0..=rows.len() as u32).collect();
-    let matrix = SparseMatrix { columns, offsets, values: vec![1.0; rows.len()], indices: rows };
-    sparse_apply(features, Arc::new(matrix))
-}
-
-/// `min(count, rows)` distinct rows, ascending, for one iteration of the 3D regularisation.
-pub fn sample_rows(rows: usize, count: usize, seed: u64, iteration: u64) -> Vec<u32> {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ iteration.wrapping_mul(0x9e37_79b9_7f4a_7c15));
-    rng.set_stream(SAMPLE_STREAM);
-    let mut chosen: Vec<u32> = index::sample(&mut rng, rows, count.min(rows)).iter().map(|i| i as u32).collect();
-    chosen.sort_unstable();
-    chosen
 }

@@ -1,6 +1,7 @@
 //! `coseg bench` as a person runs it. What it measures is never asserted, only that it measures and says what.
 
-use crate::cli::{fails, read_json, scene, succeeds, utf8};
+use crate::cli::{fails, read_json, succeeds, utf8};
+use crate::plates::scene;
 use coseg::bench::{Effort, Section, Source, Subject, Surfaces};
 use coseg::config::Config;
 use coseg::data::builtin::{BuiltinOptions, scene_with};

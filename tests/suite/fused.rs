@@ -2,13 +2,12 @@
 
 use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
 use coseg::ops::{
-    Kind, LabelledPixels, LayerMap, SparseMatrix, UNLABELLED, blended_label_loss, blended_label_loss_plain,
-    fusion_layer, fusion_layer_plain,
+    Kind, LabelledPixels, LayerMap, NeighbourPairs, SparseMatrix, UNLABELLED, blended_label_loss,
+    blended_label_loss_plain, fusion_layer, fusion_layer_plain, neighbour_divergence, neighbour_divergence_plain,
 };
 use std::sync::Arc;
 
-const KINDS: [Kind; 5] =
-    [Kind::Ce, Kind::Mae, Kind::Gce { q: 0.7 }, Kind::Js { pi_rl: 0.9 }, Kind::Js { pi_rl: 0.99 }];
+const KINDS: [Kind; 5] = [Kind::Ce, Kind::Mae, Kind::Gce { q: 0.7 }, Kind::Js { pi_rl: 0.9 }, Kind::Js { pi_rl: 0.99 }];
 
 fn device() -> Device {
     crate::device().autodiff()
@@ -169,6 +168,34 @@ fn blended_label_loss_has_the_same_bits_at_any_number_of_threads() {
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         pool.install(|| blended(true, &scores, &pixels, &Kind::Js { pi_rl: 0.9 }, DType::F32))
+    };
+    assert_eq!(run(1), run(2));
+}
+
+/// Eq. 9 and its gradient; more samples than one task takes, some rows their own neighbours' neighbours.
+fn divergence(fused: bool, dtype: DType) -> [Vec<f64>; 2] {
+    let (points, width, k) = (1500, 6, 3);
+    let features = tensor(waves(points * width, 0.83).iter().map(|v| 2.0 * v).collect(), [points, width], dtype);
+    let chosen = (0..1400).map(|i| i * 7 % 1500).collect();
+    let table: Vec<u32> = (0..(points * k) as u32).map(|i| (i / 3 + 1 + i % 3 * 5) % 1500).collect();
+    let pairs = NeighbourPairs::new(chosen, &table, k);
+    let value = match fused {
+        true => neighbour_divergence(features.clone(), pairs),
+        false => neighbour_divergence_plain(features.clone(), &pairs),
+    };
+    let gradients = (value.clone() * 2.0).backward();
+    [host(value), host(features.grad(&gradients).expect("tracked"))]
+}
+
+#[test]
+fn neighbour_divergence_equals_its_plain_form_at_any_number_of_threads() {
+    let [got, want] = [true, false].map(|fused| divergence(fused, DType::F64));
+    assert!(want[0][0] > 0.1);
+    assert_close(&got[0], &want[0], 1e-12, "divergence");
+    assert_close(&got[1], &want[1], 1e-11, "its gradient");
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        pool.install(|| divergence(true, DType::F32))
     };
     assert_eq!(run(1), run(2));
 }

@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use coseg::ops::{Kind, UNLABELLED};
-use coseg::segmentation::loss::{covered_labels, label_loss, label_loss_plain, neighbour_divergence, sample_rows};
+use coseg::segmentation::loss::{NeighbourPairs, label_loss, label_loss_plain, neighbour_divergence};
 use coseg::segmentation::neighbours::{PointIndex, drop_self, without_self};
 
 const KINDS: [Kind; 7] = [
@@ -166,11 +166,6 @@ fn nothing_labelled_costs_nothing_and_one_class_is_certain() {
 }
 
 #[test]
-fn barely_covered_pixels_are_not_trained_on() {
-    assert_eq!(covered_labels(&[1, 2, 3, UNLABELLED], &[0.5, 0.49, 1.0, 1.0], 0.5), [1, UNLABELLED, 3, UNLABELLED]);
-}
-
-#[test]
 fn regularisation_equals_its_direct_sum_and_its_gradient_finite_differences() {
     let (points, width, k) = (9, 4, 5);
     let features = waves(points * width, 1.5);
@@ -196,13 +191,13 @@ fn regularisation_equals_its_direct_sum_and_its_gradient_finite_differences() {
     };
     let device = plain_device().autodiff();
     let x = matrix(&features, width, &device).require_grad();
-    let loss = neighbour_divergence(x.clone(), &chosen, &neighbours, k);
+    let loss = neighbour_divergence(x.clone(), NeighbourPairs::new(chosen.to_vec(), &neighbours, k));
     let gradients = loss.clone().backward();
     assert!((scalar(loss) - value(&features)).abs() < 1e-12);
     let g: Vec<f64> = x.grad(&gradients).expect("tracked").into_data().into_vec().expect("f64");
     let error = gradient_error(&features, &g, value);
     assert!(error < 1e-6, "{error}");
-    let none = neighbour_divergence(matrix(&features, width, &device), &[], &neighbours, k);
+    let none = neighbour_divergence(matrix(&features, width, &device), NeighbourPairs::new(Vec::new(), &neighbours, k));
     assert_eq!(scalar(none), 0.0);
 }
 
@@ -215,14 +210,4 @@ fn neighbours_without_self_repeat_in_small_sets() {
     let points: Vec<[f32; 3]> = (0..300).map(|i| std::array::from_fn(|a| ((i * 7 + a * 13) as f32).sin())).collect();
     let own = PointIndex::new(&points).expect("finite").neighbours(16);
     assert_eq!(without_self(&points, 5).expect("finite"), drop_self(&own, 5));
-}
-
-#[test]
-fn sampled_rows_are_distinct_and_belong_to_seed_and_iteration() {
-    let rows = sample_rows(5_000, 1_000, 7, 3);
-    assert!(rows.len() == 1_000 && rows.windows(2).all(|w| w[0] < w[1]) && rows[999] < 5_000);
-    assert_eq!(rows, sample_rows(5_000, 1_000, 7, 3));
-    assert_ne!(rows, sample_rows(5_000, 1_000, 7, 4));
-    assert_ne!(rows, sample_rows(5_000, 1_000, 8, 3));
-    assert_eq!(sample_rows(4, 1_000, 7, 3), [0, 1, 2, 3]);
 }

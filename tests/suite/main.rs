@@ -20,6 +20,7 @@ mod neighbours;
 mod ops;
 mod pca;
 mod photometric;
+mod plates;
 mod ply;
 mod pretrain;
 mod randla;

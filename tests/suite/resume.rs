@@ -79,7 +79,7 @@ fn same(a: &Outcome, b: &Outcome) {
 #[test]
 fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
     let folder = tempfile::tempdir().expect("a folder");
-    crate::cli::scene(folder.path());
+    crate::plates::scene(folder.path());
     for encode in [Encode::Scene, Encode::View] {
         let mut config = config(folder.path());
         config.spatial.encode = encode;
@@ -107,7 +107,7 @@ fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
 #[test]
 fn checkpoints_of_other_settings_or_data_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");
-    crate::cli::scene(folder.path());
+    crate::plates::scene(folder.path());
     let (base, out) = (config(folder.path()), folder.path().join("run"));
     let done = whole(&base, &out);
     let refusal = |edit: &dyn Fn(&mut Config)| {
@@ -163,7 +163,7 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
 #[test]
 fn a_row_of_other_gaussians_or_labels_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
-    crate::cli::scene(folder.path());
+    crate::plates::scene(folder.path());
     let mut config = config(folder.path());
     config.segmentation.rows = vec![Row::PerGaussian];
     let out = folder.path().join("run");

@@ -10,7 +10,7 @@ use coseg::train::{Outcome, run};
 
 fn trained(edit: impl Fn(&mut SegmentationConfig)) -> Outcome {
     let folder = tempfile::tempdir().expect("a folder");
-    crate::cli::scene(folder.path());
+    crate::plates::scene(folder.path());
     let mut config = Config {
         building: BuildingConfig { iterations: 40, random_points: 400, ..BuildingConfig::default() },
         segmentation: SegmentationConfig { iterations: 20, rows: vec![Row::Ours], ..SegmentationConfig::default() },

@@ -12,7 +12,7 @@ use crate::objects::Identities;
 use crate::ops::{LabelledPixels, sparse_apply};
 use crate::random::{Purpose, stream};
 use crate::segmentation::decoder::Decoder;
-use crate::segmentation::loss::neighbour_divergence;
+use crate::segmentation::loss::{NeighbourPairs, neighbour_divergence};
 use crate::segmentation::neighbours::without_self;
 use crate::segmentation::pyramid::{Pyramid, Restriction};
 use burn::module::Module;
@@ -202,7 +202,7 @@ impl<'a> Fused<'a> {
             let mut rng = stream(self.plan.seed, Purpose::Regularisation, (self.iteration * 4 + scale) as u64);
             let chosen = rand::seq::index::sample(&mut rng, points, self.plan.config.reg_samples.min(points));
             let chosen: Vec<u32> = chosen.iter().map(|i| i as u32).collect();
-            let term = neighbour_divergence(features.clone(), &chosen, table, k);
+            let term = neighbour_divergence(features.clone(), NeighbourPairs::new(chosen, table, k));
             sum = Some(match sum {
                 Some(sum) => sum + term,
                 None => term,
