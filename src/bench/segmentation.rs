@@ -6,11 +6,10 @@ use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::features::SCALES;
 use crate::objects::Identities;
-use crate::ops::LabelledPixels;
 use crate::random::{Purpose, stream};
 use crate::raster::Settings;
 use crate::segmentation::loss::Kind;
-use crate::train::segmentation::{Fused, Model, NamedValues, Plan, Prediction, TrainingViews, ViewWeights, train_step};
+use crate::train::segmentation::{Drawn, Fused, Model, NamedValues, Plan, Prediction, TrainingViews, train_step};
 use crate::train::{Inputs, Seen, Spatial, decoder_row};
 use burn::tensor::Gradients;
 use rand::Rng;
@@ -116,9 +115,9 @@ struct Timed<'a> {
 }
 
 impl Model for Timed<'_> {
-    fn predict(&mut self, view: usize, weights: &ViewWeights, pixels: &LabelledPixels) -> Result<Prediction> {
+    fn predict(&mut self, view: usize, drawn: &Drawn) -> Result<Prediction> {
         let start = Instant::now();
-        let prediction = self.model.predict(view, weights, pixels);
+        let prediction = self.model.predict(view, drawn);
         self.seconds[0] += start.elapsed().as_secs_f64();
         prediction
     }

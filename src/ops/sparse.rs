@@ -183,6 +183,23 @@ impl SparseMatrix {
         out
     }
 
+    /// The matrix over `columns` (ascending, below [`SparseMatrix::columns`]) alone.
+    ///
+    /// # Panics
+    /// If an entry lies in another column.
+    #[must_use]
+    pub fn over_columns(mut self, columns: &[u32]) -> Self {
+        let mut place = vec![u32::MAX; self.columns];
+        for (i, &c) in columns.iter().enumerate() {
+            place[c as usize] = i as u32;
+        }
+        for c in &mut self.indices {
+            *c = place[*c as usize];
+        }
+        assert!(!self.indices.contains(&u32::MAX), "over_columns: an entry in a column that is left out");
+        Self { columns: columns.len(), ..self }
+    }
+
     /// The matrix over its used columns, and which those are.
     #[must_use]
     pub fn compact(self) -> Compact {

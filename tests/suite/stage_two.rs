@@ -73,6 +73,21 @@ fn votes_under_blended_logits_are_refused() {
 }
 
 #[test]
+fn weights_made_again_at_each_step_give_the_same_bits_as_kept_ones() {
+    let scores = |megabytes| {
+        let outcome = trained(|s| {
+            (s.weight_cache_mb, s.pixel_share) = (megabytes, 0.25);
+            s.rows = vec![Row::PerGaussian, Row::Ours];
+        });
+        let bits = |row: &coseg::train::RowOutcome| -> Vec<u32> {
+            row.identities.iter().flat_map(|i| &i.scores).map(|s| s.to_bits()).collect()
+        };
+        outcome.rows.iter().map(bits).collect::<Vec<_>>()
+    };
+    assert!(scores(0) == scores(2_048));
+}
+
+#[test]
 fn averaged_parameters_differ_from_the_last_ones() {
     let scores = |average| {
         let outcome = trained(|s| s.average = average);

@@ -4,12 +4,12 @@
 //! view's visible Gaussians depend on is decoded in a step.
 
 use super::optimiser::{self, ModuleAdam, NamedValues};
-use super::views::ViewWeights;
+use super::views::Drawn;
 use super::{Model, Prediction, Scores, stored};
 use crate::config::{Blend, SegmentationConfig};
 use crate::error::Result;
 use crate::objects::Identities;
-use crate::ops::{LabelledPixels, sparse_apply};
+use crate::ops::sparse_apply;
 use crate::random::{Purpose, stream};
 use crate::segmentation::decoder::Decoder;
 use crate::segmentation::loss::{NeighbourPairs, neighbour_divergence};
@@ -227,16 +227,16 @@ impl<'a> Fused<'a> {
 }
 
 impl Model for Fused<'_> {
-    fn predict(&mut self, view: usize, weights: &ViewWeights, pixels: &LabelledPixels) -> Result<Prediction> {
-        let prepared = self.prepare(view, &weights.visible)?;
+    fn predict(&mut self, view: usize, drawn: &Drawn) -> Result<Prediction> {
+        let prepared = self.prepare(view, &drawn.visible)?;
         let Some(decoder) = &self.decoder else { return Ok(Prediction::empty(self.plan.size[1], &self.device)) };
         let decoded = decoder.forward(&self.source.view(view).pyramid, &prepared.kept);
         let scores = match self.plan.config.blend {
             // The last layer is linear: hidden features are blended and it is applied per pixel.
             Blend::Logits if self.prior.is_empty() => {
-                Scores::Pixels(decoder.classify(sparse_apply(decoded.hidden, Arc::new(pixels.chosen()))))
+                Scores::Pixels(decoder.classify(sparse_apply(decoded.hidden, Arc::new(drawn.pixels.chosen()))))
             }
-            blend => Scores::blended(self.scores(decoder, decoded.hidden, &weights.visible), pixels, blend),
+            blend => Scores::blended(self.scores(decoder, decoded.hidden, &drawn.visible), &drawn.pixels, blend),
         };
         let regularisation = if self.plan.regularised { self.regularisation(&decoded.fused, &prepared) } else { None };
         self.iteration += 1;

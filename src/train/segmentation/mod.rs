@@ -10,7 +10,7 @@ pub use fused::{Encoded, Fused, FusedPlan, Source};
 pub use optimiser::{ModuleAdam, NamedValues};
 pub use per_gaussian::PerGaussian;
 pub use session::{Pace, Score, train};
-pub use views::{TrainingViews, ViewWeights, view_at};
+pub use views::{Drawn, TrainingViews, view_at};
 
 use crate::config::{Blend, SegmentationConfig};
 use crate::error::{Error, Result};
@@ -50,11 +50,11 @@ pub struct Prediction {
 
 /// Something that stage two trains: it predicts class scores and stores identities.
 pub trait Model {
-    /// Scores of `pixels`, of training view `view` over the columns of `weights`.
+    /// Scores of what was drawn of training view `view`.
     ///
     /// # Errors
     /// When a frozen input is not finite.
-    fn predict(&mut self, view: usize, weights: &ViewWeights, pixels: &LabelledPixels) -> Result<Prediction>;
+    fn predict(&mut self, view: usize, drawn: &Drawn) -> Result<Prediction>;
     /// One optimiser step at `factor` times the learning rate.
     ///
     /// # Errors
@@ -125,10 +125,9 @@ impl Plan {
 /// [`Error::NonFinite`] naming view and iteration, before anything is changed.
 pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan, iteration: usize) -> Result<f32> {
     let view = views.at(plan.seed, iteration);
-    let weights = views.weights(view)?;
     let mut rng = stream(plan.seed, Purpose::Pixels, iteration as u64);
-    let pixels = Arc::new(weights.sample(plan.pixel_share, &mut rng));
-    if pixels.labels.is_empty() {
+    let drawn = views.draw(view, plan.pixel_share, &mut rng)?;
+    if drawn.pixels.labels.is_empty() {
         return Ok(0.0);
     }
     let at = |error: Error| match error {
@@ -138,11 +137,11 @@ pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan,
         }
         other => other,
     };
-    let prediction = model.predict(view, &weights, &pixels).map_err(at)?;
+    let prediction = model.predict(view, &drawn).map_err(at)?;
     let kind = if iteration < plan.warmup { Kind::Ce } else { plan.loss };
     let loss = match prediction.scores {
-        Scores::Pixels(logits) => label_loss(logits, &pixels.labels, &kind),
-        Scores::Gaussians(scores) => blended_label_loss(scores, pixels, &kind),
+        Scores::Pixels(logits) => label_loss(logits, &drawn.pixels.labels, &kind),
+        Scores::Gaussians(scores) => blended_label_loss(scores, Arc::new(drawn.pixels), &kind),
     };
     let mut loss = loss * plan.lambda[0];
     if let Some(regularisation) = prediction.regularisation {

@@ -1,12 +1,11 @@
 //! Identities learned per Gaussian (ablation row 1 of the paper): `N x C` free logits under cross-entropy.
 
 use super::optimiser::{self, ModuleAdam, NamedValues};
-use super::views::ViewWeights;
+use super::views::Drawn;
 use super::{Model, Prediction, Scores, stored};
 use crate::config::Blend;
 use crate::error::Result;
 use crate::objects::Identities;
-use crate::ops::LabelledPixels;
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Gradients, Int, Tensor, TensorData};
 
@@ -40,11 +39,11 @@ impl PerGaussian {
 }
 
 impl Model for PerGaussian {
-    fn predict(&mut self, _view: usize, weights: &ViewWeights, pixels: &LabelledPixels) -> Result<Prediction> {
-        let columns: Vec<i64> = weights.visible.iter().map(|&i| i64::from(i)).collect();
+    fn predict(&mut self, _view: usize, drawn: &Drawn) -> Result<Prediction> {
+        let columns: Vec<i64> = drawn.visible.iter().map(|&i| i64::from(i)).collect();
         let count = columns.len();
         let index = Tensor::<1, Int>::from_data(TensorData::new(columns, [count]), &self.device.clone().inner());
-        let scores = Scores::blended(self.scores().select(0, index), pixels, self.blend);
+        let scores = Scores::blended(self.scores().select(0, index), &drawn.pixels, self.blend);
         Ok(Prediction { scores, regularisation: None })
     }
 

@@ -1,72 +1,54 @@
-//! What stage two needs of a training view: normalised blending weights of its labelled pixels, kept while memory allows.
+//! What stage two needs of a training view: its labelled pixels, and their normalised blending weights.
 
 use crate::data::{Classes, View};
 use crate::error::Result;
 use crate::gaussians::Gaussians;
 use crate::objects::{Votes, vote};
-use crate::ops::{LabelledPixels, SparseMatrix};
+use crate::ops::{LabelledPixels, SparseMatrix, UNLABELLED};
 use crate::random::{Purpose, stream};
 use crate::raster::{Projected, Settings};
 use rand::{Rng, seq::SliceRandom};
 use std::sync::Arc;
 
-/// The labelled, covered pixels of one view over the Gaussians it sees.
+/// The labelled, covered pixels of one view, and the Gaussians that they show.
 #[derive(Clone, Debug)]
-pub struct ViewWeights {
-    /// Rows: pixels; columns: entries of [`ViewWeights::visible`]. Each row sums to 1 (weights over 1 - T).
-    pub matrix: Arc<SparseMatrix>,
-    /// Scene index of each column, ascending.
-    pub visible: Arc<Vec<u32>>,
-    /// Class index of each row's raw label.
-    pub labels: Vec<u16>,
+struct LabelledView {
+    /// Scene index of each Gaussian that some of the pixels show, ascending.
+    visible: Arc<Vec<u32>>,
+    /// The pixels, ascending.
+    pixels: Vec<u32>,
+    /// Class index of each pixel's raw label.
+    labels: Vec<u16>,
+    /// Weights of the pixels over `visible`, where they are kept. Each row sums to 1 (weights over 1 - T).
+    weights: Option<Arc<SparseMatrix>>,
 }
 
-impl ViewWeights {
-    /// Projects `view` and keeps the rows of pixels that carry a class and are covered by at least `min_coverage`.
-    ///
-    /// # Errors
-    /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite.
-    pub fn new(
-        gaussians: &Gaussians,
-        view: &View,
-        classes: &Classes,
-        settings: &Settings,
-        min_coverage: f32,
-    ) -> Result<Self> {
-        let lookup = classes.lookup();
-        let ids = view.raw.as_ref().map_or(&[][..], |raw| &raw.ids);
-        let class = |pixel: u32| lookup[usize::from(ids[pixel as usize])];
-        let labelled: Vec<u32> = (0..ids.len() as u32).filter(|&p| class(p) != u16::MAX).collect();
-        let weights = Projected::new(&gaussians.splats(), &view.camera, settings)?.weights(Some(&labelled));
-        let weights = weights.normalised(min_coverage);
-        let kept: Vec<u32> = (0..weights.rows() as u32).filter(|&r| !weights.row(r as usize).0.is_empty()).collect();
-        let labels = kept.iter().map(|&r| class(labelled[r as usize])).collect();
-        let compact = weights.select_rows(&kept).compact();
-        Ok(Self { matrix: Arc::new(compact.matrix), visible: Arc::new(compact.columns), labels })
-    }
-
-    /// Bytes held.
-    pub fn bytes(&self) -> usize {
-        self.matrix.bytes() + 4 * self.visible.len() + 2 * self.labels.len()
-    }
-
-    /// A random share of the pixels (one of each run of `1 / share` neighbours in row order), with their labels.
-    pub fn sample(&self, share: f64, rng: &mut impl Rng) -> LabelledPixels {
+impl LabelledView {
+    /// Rows of a random share of the pixels: one of each run of `1 / share` neighbours.
+    fn sample(&self, share: f64, rng: &mut impl Rng) -> Vec<u32> {
         let stride = (1.0 / share.clamp(1e-6, 1.0)).round().max(1.0) as usize;
-        let count = self.labels.len();
-        let rows: Vec<u32> = match stride {
+        let count = self.pixels.len();
+        match stride {
             1 => (0..count as u32).collect(),
             _ => (0..count)
                 .step_by(stride)
                 .map(|first| rng.random_range(first..(first + stride).min(count)) as u32)
                 .collect(),
-        };
-        let labels = rows.iter().map(|&r| self.labels[r as usize]).collect();
-        LabelledPixels { weights: self.matrix.clone(), rows, labels }
+        }
     }
 }
 
-/// All training views of a scene; weights are computed once and kept up to a byte budget, else again at each use.
+/// The pixels of a step.
+#[derive(Clone, Debug)]
+pub struct Drawn {
+    /// Scene index of each Gaussian that the view's labelled pixels show, ascending.
+    pub visible: Arc<Vec<u32>>,
+    /// The drawn pixels over `visible`.
+    pub pixels: LabelledPixels,
+}
+
+/// All training views of a scene. Which pixels and Gaussians take part is found at a view's first use; weights are kept up
+/// to a byte budget, else computed again for the pixels of each step, to the same bits.
 pub struct TrainingViews<'a> {
     gaussians: &'a Gaussians,
     views: Vec<&'a View>,
@@ -75,7 +57,7 @@ pub struct TrainingViews<'a> {
     classes: &'a Classes,
     settings: Settings,
     min_coverage: f32,
-    kept: Vec<Option<Arc<ViewWeights>>>,
+    seen: Vec<Option<Arc<LabelledView>>>,
     budget: usize,
 }
 
@@ -90,8 +72,8 @@ impl<'a> TrainingViews<'a> {
         budget: usize,
     ) -> Self {
         let views: Vec<_> = views.filter(|v| v.raw.is_some()).collect();
-        let (kept, used) = (vec![None; views.len()], (0..views.len()).collect());
-        Self { gaussians, kept, views, used, classes, settings, min_coverage, budget }
+        let (seen, used) = (vec![None; views.len()], (0..views.len()).collect());
+        Self { gaussians, seen, views, used, classes, settings, min_coverage, budget }
     }
 
     /// Number of views, those left out included.
@@ -141,22 +123,56 @@ impl<'a> TrainingViews<'a> {
         &self.views[index].name
     }
 
-    /// Weights of view `index`.
+    /// A random share of the labelled, covered pixels of view `index`: one of each run of `1 / share` neighbours in row
+    /// order.
     ///
     /// # Errors
-    /// As [`ViewWeights::new`].
-    pub fn weights(&mut self, index: usize) -> Result<Arc<ViewWeights>> {
-        if let Some(kept) = &self.kept[index] {
-            return Ok(kept.clone());
-        }
-        let weights =
-            ViewWeights::new(self.gaussians, self.views[index], self.classes, &self.settings, self.min_coverage)?;
-        let weights = Arc::new(weights);
-        if let Some(left) = self.budget.checked_sub(weights.bytes()) {
-            self.budget = left;
-            self.kept[index] = Some(weights.clone());
-        }
-        Ok(weights)
+    /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite.
+    pub fn draw(&mut self, index: usize, share: f64, rng: &mut impl Rng) -> Result<Drawn> {
+        let (view, weights) = match &self.seen[index] {
+            Some(view) => (view.clone(), view.weights.clone()),
+            None => {
+                let (view, weights) = self.look(index)?;
+                (view, Some(weights))
+            }
+        };
+        let rows = view.sample(share, rng);
+        let labels = rows.iter().map(|&r| view.labels[r as usize]).collect();
+        let visible = view.visible.clone();
+        let pixels = match weights {
+            Some(weights) => LabelledPixels { weights, rows, labels },
+            None => {
+                let pixels: Vec<u32> = rows.iter().map(|&r| view.pixels[r as usize]).collect();
+                let weights = self.normalised_weights(index, &pixels)?.over_columns(&visible);
+                LabelledPixels { weights: Arc::new(weights), rows: (0..pixels.len() as u32).collect(), labels }
+            }
+        };
+        Ok(Drawn { visible, pixels })
+    }
+
+    /// Weights of `pixels` of view `index` over all Gaussians; rows of barely covered pixels are empty.
+    fn normalised_weights(&self, index: usize, pixels: &[u32]) -> Result<SparseMatrix> {
+        let projected = Projected::new(&self.gaussians.splats(), &self.views[index].camera, &self.settings)?;
+        Ok(projected.weights(Some(pixels)).normalised(self.min_coverage))
+    }
+
+    /// Finds the labelled, covered pixels of view `index`; their weights are kept where the budget allows it.
+    fn look(&mut self, index: usize) -> Result<(Arc<LabelledView>, Arc<SparseMatrix>)> {
+        let lookup = self.classes.lookup();
+        let ids = self.views[index].raw.as_ref().map_or(&[][..], |raw| &raw.ids);
+        let class = |pixel: u32| lookup[usize::from(ids[pixel as usize])];
+        let labelled: Vec<u32> = (0..ids.len() as u32).filter(|&p| class(p) != UNLABELLED).collect();
+        let weights = self.normalised_weights(index, &labelled)?;
+        let kept: Vec<u32> = (0..weights.rows() as u32).filter(|&r| !weights.row(r as usize).0.is_empty()).collect();
+        let pixels: Vec<u32> = kept.iter().map(|&r| labelled[r as usize]).collect();
+        let labels = pixels.iter().map(|&p| class(p)).collect();
+        let compact = weights.select_rows(&kept).compact();
+        let weights = Arc::new(compact.matrix);
+        let left = self.budget.checked_sub(weights.bytes());
+        self.budget = left.unwrap_or(self.budget);
+        let view =
+            LabelledView { visible: Arc::new(compact.columns), pixels, labels, weights: left.map(|_| weights.clone()) };
+        Ok((self.seen[index].insert(Arc::new(view)).clone(), weights))
     }
 }
 
