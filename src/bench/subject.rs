@@ -127,10 +127,11 @@ impl Subject {
     /// # Errors
     /// [`Error::Limit`] beyond what a scene can hold.
     pub fn gaussians(&self, count: usize) -> Result<Gaussians> {
-        match &self.origin {
-            Origin::Room(surfaces) => surfaces.gaussians(count, self.sh_degree, self.seed),
-            Origin::Trained(gaussians) | Origin::Cloud(gaussians) => Ok(resampled(gaussians, count, self.seed)),
-        }
+        let gaussians = match &self.origin {
+            Origin::Room(surfaces) => surfaces.gaussians(count, self.sh_degree, self.seed)?,
+            Origin::Trained(gaussians) | Origin::Cloud(gaussians) => resampled(gaussians, count, self.seed),
+        };
+        Ok(gaussians.select(&gaussians.spatial_order()))
     }
 
     /// `count` of the cameras, evenly chosen and cycled where there are fewer, cut and scaled to `width` x `height`.

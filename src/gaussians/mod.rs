@@ -3,6 +3,7 @@
 pub mod densify;
 pub mod frusta;
 pub mod init;
+mod order;
 pub mod ply;
 
 /// N Gaussians in host memory, structure of arrays.

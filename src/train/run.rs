@@ -48,7 +48,7 @@ pub struct Pruned {
 pub struct Outcome {
     /// The scene as loaded.
     pub scene: Scene,
-    /// The trained Gaussians, after attendance pruning.
+    /// The trained Gaussians in spatial order, after attendance pruning.
     pub gaussians: Gaussians,
     /// Curve of stage one.
     pub building: Vec<CurvePoint>,
@@ -150,7 +150,8 @@ fn build(
     }
     .checkpoint_at(checkpoint);
     stage.run(progress)?;
-    Ok((stage.gaussians()?, stage.curve().to_vec()))
+    let gaussians = stage.gaussians()?;
+    Ok((gaussians.select(&gaussians.spatial_order()), stage.curve().to_vec()))
 }
 
 fn segment(
