@@ -1,21 +1,52 @@
 //! Scenes: posed images, label maps, class tables, initial points; dataset formats; the built-in procedural scene.
 
 pub mod atomic;
+pub mod builtin;
 mod classes;
+mod colmap;
 mod image_file;
 mod labels;
+mod layout;
+mod lens;
 mod limits;
+mod listing;
+mod options;
 mod palette;
 pub(crate) mod ply;
 mod points;
+mod replica;
+mod scannet;
+mod sequence;
 pub mod transforms;
 
+pub use layout::locate;
 pub use limits::Limits;
-pub mod builtin;
+pub use options::LoadOptions;
 pub use palette::class_color;
 
 use crate::camera::Camera;
+use crate::error::Result;
 use glam::DVec3;
+use std::path::Path;
+
+/// Loads the scene in folder `dir`, in whatever layout it is or the options say.
+///
+/// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. Photos with lens distortion become
+/// those of pinholes, and so do their label maps. Photos are decoded in parallel. What was left out is told as warnings.
+///
+/// # Errors
+/// [`crate::Error::Missing`], [`crate::Error::Input`], [`crate::Error::Io`] or [`crate::Error::Limit`] naming file and field:
+/// malformed, missing or damaged files, sizes that disagree, poses that are no rotations, camera models that are no pinhole
+/// after undistortion, unknown label ids, repeated names, no training view.
+pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
+    let mut problems = listing::Problems::default();
+    let listing = layout::list(dir, options, &mut problems)?;
+    problems.none()?;
+    for notice in &listing.notices {
+        tracing::warn!("{}: {notice}", dir.display());
+    }
+    listing.load(dir, &options.limits)
+}
 
 /// A scene as loaded: everything centred on [`Scene::origin`].
 #[derive(Clone, Debug)]

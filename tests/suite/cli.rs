@@ -324,8 +324,11 @@ fn folders_that_are_no_scenes_are_found_before_anything_is_begun() {
     std::fs::create_dir_all(data.join("sparse/0")).unwrap();
     std::fs::write(data.join("sparse/0/cameras.bin"), [0; 8]).unwrap();
     let message = refused(&data);
-    assert!(message.contains("COLMAP") && message.contains("sparse/0/cameras.bin"), "{message}");
-    assert!(message.contains("not read yet"), "{message}");
+    assert!(message.contains("sparse/0") && message.contains("images.bin or images.txt"), "{message}");
+    std::fs::write(data.join("transforms.json"), "{}").unwrap();
+    let message = refused(&data);
+    assert!(message.contains("transforms.json (transforms) and sparse/0/cameras.bin (colmap)"), "{message}");
+    assert!(message.contains("--set data.layout=transforms"), "{message}");
 }
 
 #[test]
