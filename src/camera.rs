@@ -51,6 +51,12 @@ impl Camera {
         Some(Self { rotation: m.transpose(), center, fx, fy, cx, cy, width, height })
     }
 
+    /// A camera of this image size without a pose of its own, for looking at files whose pose cannot be read.
+    pub(crate) fn unposed((width, height): (usize, usize)) -> Self {
+        let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
+        Self { rotation: DMat3::IDENTITY, center: DVec3::ZERO, fx: cx.max(1.0), fy: cx.max(1.0), cx, cy, width, height }
+    }
+
     /// The OpenGL camera-to-world matrix; the inverse of [`Camera::from_opengl`].
     pub fn to_opengl(&self) -> DMat4 {
         let r = self.rotation.transpose();

@@ -20,11 +20,18 @@ impl LabelMap {
     pub(super) fn check_ids(&self, path: &Path, classes: &Classes, known: &[u16]) -> Result<()> {
         let unknown = |&id: &u16| id != classes.ignore && known[usize::from(id)] == u16::MAX;
         let Some(i) = self.ids.iter().position(unknown) else { return Ok(()) };
+        let mut found: Vec<u16> = self.ids.iter().copied().filter(|id| unknown(id)).collect();
+        found.sort_unstable();
+        found.dedup();
+        let more = match &found[..] {
+            [_] => String::new(),
+            all => format!(", and {} other unknown ids", all.len() - 1),
+        };
         let ids: Vec<_> = classes.entries.iter().map(|c| c.id.to_string()).collect();
         Err(Error::input(
             path,
             self.pixel(i),
-            format!("label id {}", self.ids[i]),
+            format!("label id {}{more}", self.ids[i]),
             format!("{} (ignored) or one of the {} class ids [{}]", classes.ignore, ids.len(), ids.join(" ")),
             "add the id to classes.json or mend the map",
         ))

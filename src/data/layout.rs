@@ -34,20 +34,25 @@ pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
         let mend = "give the folder that holds the photos and their cameras, not a file";
         return Err(Error::input(dir, "scene", "a file", "a scene folder", mend));
     }
-    if options.layout != Layout::Auto {
-        return Ok(options.layout);
-    }
-    match &found(dir, &options.transforms)[..] {
-        [(layout, _)] => Ok(*layout),
+    let layout = match (options.layout, &found(dir, &options.transforms)[..]) {
+        (Layout::Auto, [(layout, _)]) => *layout,
         // nerfstudio keeps the model that its transforms.json was made from.
-        [(Layout::Transforms, _), (Layout::Colmap, model)] if model.starts_with("colmap") => Ok(Layout::Transforms),
-        [] => Err(nothing(dir, options)),
-        several => {
+        (Layout::Auto, [(layout, _), (Layout::Colmap, model)]) if model.starts_with("colmap") => *layout,
+        (Layout::Auto, []) => return Err(nothing(dir, options)),
+        (Layout::Auto, several) => {
             let list: Vec<_> = several.iter().map(|(l, file)| format!("{file} ({})", l.name())).collect();
             let mend = format!("choose one with --set data.layout={}", several[0].0.name());
-            Err(Error::input(dir, "layout", list.join(" and "), "the files of one layout", mend))
+            return Err(Error::input(dir, "layout", list.join(" and "), "the files of one layout", mend));
         }
+        (named, _) => named,
+    };
+    match layout {
+        Layout::Auto | Layout::Transforms => transforms::expect(dir, options)?,
+        Layout::Colmap => colmap::expect(dir, options)?,
+        Layout::Replica => replica::expect(dir)?,
+        Layout::Scannet => scannet::expect(dir)?,
     }
+    Ok(layout)
 }
 
 /// Layouts whose files lie in `dir`, with the file that tells.

@@ -1,5 +1,6 @@
 //! What a scene folder says before any photo is decoded, whatever its layout, and the scene that follows from it.
 
+use super::depth::Depth;
 use super::image_file::ImageFile;
 use super::lens::{Lens, Remap};
 use super::{Classes, LabelMap, Limits, Points, Scene, Split, View, colmap};
@@ -47,6 +48,8 @@ pub(crate) struct Frame {
     pub name: String,
     pub split: Split,
     pub image: PathBuf,
+    /// `false` where the photo is known to be missing, which was told.
+    pub present: bool,
     /// Pose and intrinsics of the photo as it lies there, in world units.
     pub camera: Camera,
     pub lens: Lens,
@@ -63,13 +66,20 @@ pub(crate) enum Cloud {
     Ply(PathBuf),
     /// `points3D` of a COLMAP model.
     Colmap(PathBuf),
+    /// What depth images show.
+    Depth(Depth),
 }
 
 impl Cloud {
-    /// `points.ply` in the scene folder, where it is there: for layouts that name no cloud.
-    pub fn beside(dir: &Path) -> Self {
+    /// For layouts that name no cloud: `points.ply` in the scene folder, else the depth images of `frames`, which `file`
+    /// gives.
+    pub fn of_sequence(dir: &Path, frames: &[Frame], scale: f64, file: impl Fn(&Frame) -> PathBuf) -> Self {
         let path = dir.join("points.ply");
-        if path.is_file() { Self::Ply(path) } else { Self::None }
+        if path.is_file() {
+            return Self::Ply(path);
+        }
+        let files: Vec<_> = frames.iter().map(|frame| Some(file(frame)).filter(|file| file.is_file())).collect();
+        if files.iter().all(Option::is_none) { Self::None } else { Self::Depth(Depth { files, scale }) }
     }
 }
 
@@ -91,6 +101,10 @@ impl Problems {
     /// The first fault.
     pub fn none(self) -> Result<()> {
         self.0.into_iter().next().map_or(Ok(()), Err)
+    }
+
+    pub fn messages(&self) -> impl Iterator<Item = String> {
+        self.0.iter().map(ToString::to_string)
     }
 
     pub fn all(self) -> Vec<Error> {
@@ -217,6 +231,7 @@ impl Listing {
             Cloud::None => Ok(Points::default()),
             Cloud::Ply(path) => Points::read(path, origin, limits),
             Cloud::Colmap(path) => colmap::read_points(path, origin, limits),
+            Cloud::Depth(depth) => depth.points(&self.frames, &self.file, origin, limits),
         }
     }
 
@@ -240,7 +255,6 @@ impl Listing {
         self.check_sizes(limits)?;
         self.check_bytes(limits)?;
         let (origin, up) = (self.origin(), self.up());
-        let points = self.points(origin, limits)?;
         let known = self.classes.lookup();
         let views = in_order(self.frames.par_iter().map(|frame| {
             let (file, geometry) = frame.open(&self.file, limits)?;
@@ -250,6 +264,7 @@ impl Listing {
             let camera = Camera { center: geometry.camera.center - origin, ..geometry.camera };
             Ok(View { name: frame.name.clone(), split: frame.split, camera, image, truth, raw })
         }))?;
+        let points = self.points(origin, limits)?;
         let mut classes = self.classes;
         if self.occurring_classes {
             let mut occurs = vec![false; 1 << 16];
@@ -261,13 +276,13 @@ impl Listing {
     }
 }
 
-fn scene_name(dir: &Path) -> String {
+pub(crate) fn scene_name(dir: &Path) -> String {
     let full = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
     full.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned())
 }
 
 /// All results, or the first error in frame order, whichever thread met one first.
-fn in_order<T: Send>(results: impl IndexedParallelIterator<Item = Result<T>>) -> Result<Vec<T>> {
+pub(crate) fn in_order<T: Send>(results: impl IndexedParallelIterator<Item = Result<T>>) -> Result<Vec<T>> {
     let mut all = Vec::new();
     results.collect_into_vec(&mut all);
     all.into_iter().collect()

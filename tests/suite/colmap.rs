@@ -2,7 +2,7 @@
 
 use coseg::camera::Camera;
 use coseg::config::Layout;
-use coseg::data::{LabelMap, Limits, LoadOptions, Split, load, locate};
+use coseg::data::{LabelMap, Limits, LoadOptions, Split, load, load_cameras, locate};
 use glam::{DMat3, DQuat, DVec3};
 use std::fs;
 use std::path::Path;
@@ -161,6 +161,12 @@ fn colmap_models_load_in_both_forms() {
     assert!((seen - (q * world + t)).length() < 1e-12, "{seen}");
     let mean = a.views.iter().map(|v| v.camera.center).sum::<DVec3>();
     assert!(mean.length() < 1e-12);
+    // Cameras alone need no photos.
+    let dir = scene(text, &pinhole());
+    fs::remove_file(dir.path().join("images").join(name(2))).expect("remove");
+    let cameras = load_cameras(dir.path(), &options, Some(Split::Train)).expect("cameras");
+    assert_eq!((cameras.len(), cameras[0].name.as_str()), (7, "cam0_photo 2"));
+    assert!((cameras[0].camera.center - a.origin - *center).length() < 1e-12);
     for (k, (position, color, _)) in POINTS.iter().enumerate() {
         let found = DVec3::from(a.points.positions[k].map(f64::from)) + a.origin;
         assert!((found - DVec3::from(*position)).length() < 1e-6, "{found}");
@@ -274,6 +280,8 @@ fn broken_colmap_models_are_refused_by_name() {
     expect_error(dir.path(), &options, &["points3D.txt", "line 1", "z", "finite"]);
     fs::write(&points, "0 1 2 3 1 2 300 0.5\n").expect("write");
     expect_error(dir.path(), &options, &["points3D.txt", "line 1", "R G B", "300"]);
+    fs::rename(dir.path().join("images"), dir.path().join("images_8")).expect("move");
+    expect_error(dir.path(), &options, &["images: found no such folder, but images_8", "--set data.images=images_8"]);
     fs::remove_file(dir.path().join("sparse/0/cameras.txt")).expect("remove");
     expect_error(dir.path(), &options, &["sparse/0", "cameras.bin or cameras.txt"]);
 }

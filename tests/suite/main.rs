@@ -10,6 +10,7 @@ mod classes;
 mod cli;
 mod colmap;
 mod config;
+mod data_check;
 mod decoder;
 mod densify;
 mod features;

@@ -29,6 +29,10 @@ fn semantic_nerf() -> TempDir {
         let ids = (0..192).map(|k| [0, 40, 93][k % 3]).collect();
         let map = LabelMap { width: 16, height: 12, ids };
         map.write(&dir.path().join(format!("semantic_class/semantic_class_{i}.png"))).expect("labels");
+        // Two metres, unknown in the upper half.
+        let ids = (0..192).map(|k| if k < 96 { 0 } else { 2000 }).collect();
+        let depth = LabelMap { width: 16, height: 12, ids };
+        depth.write(&dir.path().join(format!("depth/depth_{i}.png"))).expect("depth");
     }
     fs::write(dir.path().join("traj_w_c.txt"), (0..FRAMES).map(row).collect::<String>()).expect("poses");
     dir
@@ -40,7 +44,8 @@ fn nice_slam() -> (TempDir, PathBuf) {
     fs::create_dir_all(scene.join("results")).expect("folder");
     for i in 0..FRAMES {
         photo((60, 34), i, &scene.join(format!("results/frame{i:06}.jpg")));
-        fs::write(scene.join(format!("results/depth{i:06}.png")), b"").expect("depth");
+        let depth = LabelMap { width: 60, height: 34, ids: vec![65_535; 60 * 34] };
+        depth.write(&scene.join(format!("results/depth{i:06}.png"))).expect("depth");
     }
     fs::write(scene.join("traj.txt"), (0..FRAMES).map(row).collect::<String>()).expect("poses");
     let camera = r#"{"camera": {"w": 60, "h": 34, "fx": 30.0, "fy": 30.0, "cx": 29.5, "cy": 16.5, "scale": 6553.5}}"#;
@@ -78,7 +83,12 @@ fn replica_of_semantic_nerf_loads() {
     let classes: Vec<_> = scene.classes.entries.iter().map(|c| (c.id, c.name.as_str())).collect();
     assert_eq!((classes, scene.classes.ignore), (vec![(40, "floor"), (93, "wall")], 0));
     assert_eq!(scene.views[0].truth.as_ref().expect("truth").ids[..4], [0, 40, 93, 0]);
-    assert!(scene.views[0].raw.is_none() && scene.points.is_empty());
+    assert!(scene.views[0].raw.is_none());
+    // The cloud: a wall two metres off, below the horizon, as seen by the nine training views.
+    assert_eq!(scene.points.len(), 9 * 96);
+    let p = scene.points.positions[0];
+    assert!((p[1] - 2.0).abs() < 1e-6 && p[2] < 0.0 && p[2] > -1.5, "{p:?}");
+    assert_eq!(scene.points.colors[0], [1.0 / 255.0, 2.0 / 255.0, 3.0 / 255.0]);
     // A table of the folder's own comes first.
     fs::write(dir.path().join("classes.json"), r#"{"40": "ground", "93": "wall", "5": "five"}"#).expect("write");
     assert_eq!(load(dir.path(), &options).expect("scene").classes.len(), 3);
@@ -94,6 +104,8 @@ fn replica_of_nice_slam_loads() {
     let c = &scene.views[1].camera;
     assert_eq!((c.fx, c.cx, c.cy, c.width, c.height), (30.0, 30.0, 17.0, 60, 34), "half a pixel more than in the file");
     assert!(scene.classes.is_empty());
+    let far = scene.points.positions.iter().all(|p| (p[1] - 10.0).abs() < 1e-5);
+    assert!(far && scene.points.len() == 3 * 60 * 34, "{}", scene.points.len());
     // The folder above holds scenes, not one.
     let message = locate(dir.path(), &options).expect_err("none").to_string();
     assert!(message.contains("a folder room0 of layout replica") && message.contains("give "), "{message}");

@@ -21,7 +21,7 @@ fn pose(i: usize) -> String {
 fn scene() -> TempDir {
     let dir = tempfile::tempdir().expect("folder");
     let at = |p: String| dir.path().join(p);
-    for folder in ["color", "pose", "intrinsic", "label-filt"] {
+    for folder in ["color", "depth", "pose", "intrinsic", "label-filt"] {
         fs::create_dir(at(folder.into())).expect("folder");
     }
     for i in 0..FRAMES {
@@ -32,6 +32,9 @@ fn scene() -> TempDir {
         let ids = (0..32 * 24).map(|k| if k < 32 * 12 { 1 } else { [0, 1163][k % 32 / 16] }).collect();
         LabelMap { width: 32, height: 24, ids }.write(&at(format!("label-filt/{i}.png"))).expect("labels");
     }
+    // Depth of one frame, of another size than the photo.
+    let depth = LabelMap { width: 8, height: 6, ids: vec![3000; 48] };
+    depth.write(&at("depth/3.png".into())).expect("depth");
     let k = "60 0 31 0\n0 61 23 0\n0 0 1 0\n0 0 0 1\n";
     fs::write(at("intrinsic/intrinsic_color.txt".into()), k).expect("intrinsics");
     let table = "id\traw_category\tcategory\tcount\tnyu40id\teigen13id\n1\twall\twall\t8277\t1\t12\n\
@@ -65,6 +68,11 @@ fn scannet_scenes_load() {
     assert_eq!(scene.up, glam::DVec3::Z);
     let classes: Vec<_> = scene.classes.entries.iter().map(|c| (c.id, c.name.as_str())).collect();
     assert_eq!(classes, [(1, "wall"), (40, "otherprop")]);
+    let point = scene.points.positions[0].map(f64::from);
+    let seen = scene.views[3].camera.to_camera(glam::DVec3::from(point));
+    assert!(scene.points.len() == 48 && (seen.z - 3.0).abs() < 1e-5, "{seen}");
+    let (u, v, _) = scene.views[3].camera.project(point.into()).expect("in front");
+    assert!((u - 4.0).abs() < 1e-4 && (v - 4.0).abs() < 1e-4, "the middle of the first depth pixel: {u} {v}");
     // Label maps of half the size are resampled without blending.
     let truth = scene.views[0].truth.as_ref().expect("truth");
     assert_eq!((truth.width, truth.height), (64, 48));

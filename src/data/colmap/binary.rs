@@ -1,7 +1,7 @@
 //! COLMAP's binary model files: little-endian, counts first.
 
 use super::cameras::{Model, ModelCamera};
-use super::{AGAIN, ModelPoint, PosedImage};
+use super::{AGAIN, ModelPoint, PosedImage, TakePoint};
 use crate::data::Limits;
 use crate::error::{Error, Result};
 use std::fs::File;
@@ -167,11 +167,7 @@ pub(super) fn images(path: &Path, limits: &Limits) -> Result<Vec<PosedImage>> {
 }
 
 /// Hands each point with its place to `take`.
-pub(super) fn points(
-    path: &Path,
-    limits: &Limits,
-    take: &mut dyn FnMut(&dyn Fn() -> String, ModelPoint) -> Result<()>,
-) -> Result<()> {
+pub(super) fn points(path: &Path, limits: &Limits, take: &mut TakePoint<'_>) -> Result<()> {
     let mut file = Bytes::open(path)?;
     let count = file.count(SMALLEST[2], "number of points")?;
     Limits::check(format!("{}: points", path.display()), count, limits.points, "thin the cloud out")?;

@@ -8,7 +8,7 @@ mod text;
 
 use super::listing::{Cloud, Frame, LabelFolder, Listing, Problems, read_classes};
 use super::options::LoadOptions;
-use super::{Classes, Limits, Points};
+use super::{Limits, Points};
 use crate::camera::{Camera, Intrinsics};
 use crate::config::Layout;
 use crate::error::{Error, Result};
@@ -42,6 +42,9 @@ struct ModelPoint {
     position: [f64; 3],
     color: [u8; 3],
 }
+
+/// Takes points one by one, each with where it stands in the file.
+type TakePoint<'t> = dyn FnMut(&dyn Fn() -> String, ModelPoint) -> Result<()> + 't;
 
 /// A file of a model in either form.
 #[derive(Clone, Debug)]
@@ -77,19 +80,43 @@ pub(super) fn found(dir: &Path) -> Option<String> {
     })
 }
 
-/// What the folder says.
-pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
-    let folder = FOLDERS
-        .iter()
-        .map(|f| dir.join(f))
-        .find(|f| ["cameras", "images"].iter().any(|n| ModelFile::find(f, n).is_some()));
-    let Some(folder) = folder else {
+/// Cameras and images of the model.
+///
+/// # Errors
+/// There is no model, or only a part of it.
+fn model(dir: &Path) -> Result<(PathBuf, ModelFile, ModelFile)> {
+    let has = |folder: &PathBuf| ["cameras", "images"].iter().any(|name| ModelFile::find(folder, name).is_some());
+    let Some(folder) = FOLDERS.iter().map(|folder| dir.join(folder)).find(has) else {
         let expected = "a model in sparse/0 or sparse: cameras, images and points3D as .bin or .txt";
         return Err(Error::input(dir, "sparse/0", "no model", expected, "run `colmap mapper`, or give another folder"));
     };
+    let (cameras, images) = (part(&folder, "cameras")?, part(&folder, "images")?);
+    Ok((folder, cameras, images))
+}
+
+/// Refuses a folder without a whole model or without the folder of photos.
+pub(super) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
+    model(dir)?;
+    if dir.join(&options.images).is_dir() {
+        return Ok(());
+    }
+    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten().filter(|entry| entry.path().is_dir());
+    let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
+    let mut others: Vec<String> = names.filter(|name| name.starts_with("images")).collect();
+    others.sort_unstable();
+    let (found, mend) = match &others[..] {
+        [] => ("no such folder".to_owned(), "put the photos there, or name their folder with data.images".to_owned()),
+        [first, ..] => {
+            (format!("no such folder, but {}", others.join(", ")), format!("name one with --set data.images={first}"))
+        }
+    };
+    Err(Error::input(dir, &options.images, found, "the folder of the photos that the model was made from", mend))
+}
+
+/// What the folder says.
+pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
     let limits = &options.limits;
-    let cameras_file = part(&folder, "cameras")?;
-    let images_file = part(&folder, "images")?;
+    let (folder, cameras_file, images_file) = model(dir)?;
     let cameras = match &cameras_file {
         ModelFile::Binary(path) => binary::cameras(path)?,
         ModelFile::Text(path) => text::cameras(path)?,
@@ -123,6 +150,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             name,
             split,
             image: dir.join(&options.images).join(below),
+            present: true,
             camera,
             lens,
             scales: options.images != "images",
@@ -148,7 +176,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         layout: Layout::Colmap,
         file: images_file.path().to_owned(),
         frames,
-        classes: problems.keep(read_classes(dir, labelled)).unwrap_or_else(Classes::default),
+        classes: problems.keep(read_classes(dir, labelled)).unwrap_or_default(),
         occurring_classes: false,
         truth_ids: None,
         resample_labels: false,

@@ -1,7 +1,7 @@
 //! COLMAP's text model files: one item a line, two lines an image, comments behind `#`.
 
 use super::cameras::{Model, ModelCamera};
-use super::{AGAIN, ModelPoint, PosedImage};
+use super::{AGAIN, ModelPoint, PosedImage, TakePoint};
 use crate::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -117,7 +117,7 @@ pub(super) fn images(path: &Path) -> Result<Vec<PosedImage>> {
 }
 
 /// Hands each point with its place to `take`.
-pub(super) fn points(path: &Path, take: &mut dyn FnMut(&dyn Fn() -> String, ModelPoint) -> Result<()>) -> Result<()> {
+pub(super) fn points(path: &Path, take: &mut TakePoint<'_>) -> Result<()> {
     let mut lines = Lines::open(path)?;
     while let Some(mut fields) = lines.next()? {
         fields.word("POINT3D_ID")?;

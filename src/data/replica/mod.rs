@@ -11,7 +11,7 @@ use super::image_file::ImageFile;
 use super::lens::Lens;
 use super::listing::{Cloud, Frame, LabelFolder, Listing, Problems, read_classes};
 use super::options::LoadOptions;
-use super::{Classes, Limits, sequence};
+use super::{Limits, sequence};
 use crate::camera::Intrinsics;
 use crate::config::Layout;
 use crate::error::{Error, Result};
@@ -23,6 +23,9 @@ use std::path::{Path, PathBuf};
 const NICE_SLAM: [&str; 3] = ["traj.txt", "results", "frame"];
 const SEMANTIC_NERF: [&str; 3] = ["traj_w_c.txt", "rgb", "rgb_"];
 
+/// Value of a metre in the depth images of Semantic-NeRF.
+const MILLIMETRES: f64 = 1000.0;
+
 /// The trajectory in a scene folder, if it is of this layout.
 pub(super) fn found(dir: &Path) -> Option<String> {
     version(dir).map(|[trajectory, ..]| trajectory.to_owned())
@@ -32,12 +35,21 @@ fn version(dir: &Path) -> Option<[&'static str; 3]> {
     [SEMANTIC_NERF, NICE_SLAM].into_iter().find(|[t, photos, _]| dir.join(t).is_file() && dir.join(photos).is_dir())
 }
 
+/// Refuses a folder of another layout.
+pub(super) fn expect(dir: &Path) -> Result<()> {
+    checked_version(dir).map(|_| ())
+}
+
+fn checked_version(dir: &Path) -> Result<[&'static str; 3]> {
+    version(dir).ok_or_else(|| {
+        let expected = "traj.txt with results/ (NICE-SLAM) or traj_w_c.txt with rgb/ (Semantic-NeRF)";
+        Error::input(dir, "traj.txt", "neither", expected, "give the folder of one scene or sequence")
+    })
+}
+
 /// What the folder says.
 pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
-    let Some(version) = version(dir) else {
-        let expected = "traj.txt with results/ (NICE-SLAM) or traj_w_c.txt with rgb/ (Semantic-NeRF)";
-        return Err(Error::input(dir, "traj.txt", "neither", expected, "give the folder of one scene or sequence"));
-    };
+    let version = checked_version(dir)?;
     let [trajectory, folder, prefix] = version;
     let path = dir.join(trajectory);
     let photos = sequence::numbered(&dir.join(folder), prefix, &["png", "jpg", "jpeg"])?;
@@ -55,9 +67,9 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         let expected = format!("{prefix}0.png and so on");
         return Err(Error::input(dir, folder, "no photos", expected, "unpack the whole scene"));
     };
-    let intrinsics = match version == NICE_SLAM {
+    let (intrinsics, scale) = match version == NICE_SLAM {
         true => nice_slam(dir, &mut notices)?,
-        false => right_angle(&photos[first].1, &options.limits)?,
+        false => (right_angle(&photos[first].1, &options.limits)?, MILLIMETRES),
     };
     let truth = match version == NICE_SLAM {
         true => BTreeMap::new(),
@@ -81,6 +93,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             name: file.with_extension("").to_string_lossy().into_owned(),
             split,
             image: image.clone(),
+            present: true,
             camera,
             lens: Lens::default(),
             scales: false,
@@ -94,15 +107,20 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         true => Ok(classes::replica()),
         false => read_classes(dir, labelled),
     };
+    let depth = |frame: &Frame| match version == NICE_SLAM {
+        true => dir.join(format!("{folder}/{}.png", frame.name.replacen(prefix, "depth", 1))),
+        false => dir.join(format!("depth/{}.png", frame.name.replacen(prefix, "depth_", 1))),
+    };
+    let cloud = Cloud::of_sequence(dir, &frames, scale, depth);
     Ok(Listing {
         layout: Layout::Replica,
         file: path,
         frames,
-        classes: problems.keep(classes).unwrap_or_else(Classes::default),
+        classes: problems.keep(classes).unwrap_or_default(),
         occurring_classes: !own,
         truth_ids: None,
         resample_labels: false,
-        cloud: Cloud::beside(dir),
+        cloud,
         z_up: false,
         notices,
     })
@@ -116,7 +134,7 @@ fn truth_of(dir: &Path) -> Result<BTreeMap<usize, PathBuf>> {
     sequence::numbered(&folder, "semantic_class_", &["png"])
 }
 
-/// `cam_params.json`. Unknown keys, such as the scale of depth, are ignored.
+/// `cam_params.json`.
 #[derive(Deserialize)]
 struct CameraFile {
     camera: CameraParams,
@@ -130,16 +148,22 @@ struct CameraParams {
     fy: f64,
     cx: f64,
     cy: f64,
+    /// Value of a metre in the depth images.
+    scale: Option<f64>,
 }
 
 /// As NICE-SLAM publishes it for all eight scenes.
-const PUBLISHED: CameraParams = CameraParams { w: 1200, h: 680, fx: 600.0, fy: 600.0, cx: 599.5, cy: 339.5 };
+const PUBLISHED: CameraParams =
+    CameraParams { w: 1200, h: 680, fx: 600.0, fy: 600.0, cx: 599.5, cy: 339.5, scale: None };
+/// Value of a metre in the depth images, as NICE-SLAM publishes it.
+const SCALE: f64 = 6553.5;
 
-fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<Intrinsics> {
+/// Intrinsics and the value of a metre in the depth images.
+fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Intrinsics, f64)> {
     let path = [dir.join("cam_params.json"), dir.join("../cam_params.json")].into_iter().find(|path| path.is_file());
     let Some(path) = path else {
         notices.push("no cam_params.json here or above: 1200x680 photos with a focal length of 600 are assumed".into());
-        return Ok(intrinsics(&PUBLISHED));
+        return Ok((intrinsics(&PUBLISHED), SCALE));
     };
     let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
     let CameraFile { camera } = serde_json::from_str(&text).map_err(|e| {
@@ -147,19 +171,20 @@ fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<Intrinsics> {
         Error::input(&path, format!("line {}", e.line()), e.to_string(), expected, "copy the file again")
     })?;
     let sides = [camera.w, camera.h];
-    let pixels = [camera.fx, camera.fy, camera.cx, camera.cy];
+    let scale = camera.scale.unwrap_or(SCALE);
+    let pixels = [camera.fx, camera.fy, camera.cx, camera.cy, scale];
     let positive = |v: &f64| (1e-3..=1e9).contains(v);
     if sides.iter().any(|s| !(1..=1 << 32).contains(s)) || !pixels.iter().all(positive) {
         let found = format!("{sides:?} {pixels:?}");
-        let expected = "sizes, focal lengths and centre in pixels, above 0";
+        let expected = "sizes, focal lengths, centre and scale above 0";
         return Err(Error::input(&path, "camera", found, expected, "copy the file again"));
     }
-    Ok(intrinsics(&camera))
+    Ok((intrinsics(&camera), scale))
 }
 
 /// Pixel centres move from whole numbers to halves.
 fn intrinsics(camera: &CameraParams) -> Intrinsics {
-    let CameraParams { w: width, h: height, fx, fy, cx, cy } = *camera;
+    let CameraParams { w: width, h: height, fx, fy, cx, cy, .. } = *camera;
     Intrinsics { fx, fy, cx: cx + 0.5, cy: cy + 0.5, width, height }
 }
 

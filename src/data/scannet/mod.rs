@@ -9,7 +9,7 @@ use super::image_file::ImageFile;
 use super::lens::Lens;
 use super::listing::{Cloud, Frame, LabelFolder, Listing, Problems, read_classes};
 use super::options::LoadOptions;
-use super::{Classes, Limits, sequence};
+use super::{Limits, sequence};
 use crate::camera::Intrinsics;
 use crate::config::Layout;
 use crate::error::{Error, Result};
@@ -18,9 +18,21 @@ use sequence::Pose;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+/// Value of a metre in depth images.
+const MILLIMETRES: f64 = 1000.0;
+
 /// The folder of photos in a scene folder, if it is of this layout.
 pub(super) fn found(dir: &Path) -> Option<String> {
     (dir.join("color").is_dir() && dir.join("pose").is_dir()).then(|| "color/ with pose/".to_owned())
+}
+
+/// Refuses a folder of another layout.
+pub(super) fn expect(dir: &Path) -> Result<()> {
+    if found(dir).is_some() {
+        return Ok(());
+    }
+    let expected = "color/ and pose/, as ScanNet's SensReader writes them";
+    Err(Error::input(dir, "color", "not both folders", expected, "export the .sens file of the scan"))
 }
 
 /// A photo with the file of its pose.
@@ -32,10 +44,6 @@ struct Shot {
 
 /// What the folder says.
 pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
-    if found(dir).is_none() {
-        let expected = "color/ and pose/, as ScanNet's SensReader writes them";
-        return Err(Error::input(dir, "color", "not both folders", expected, "export the .sens file of the scan"));
-    }
     let photos = sequence::numbered(&dir.join("color"), "", &["jpg", "jpeg", "png"])?;
     let poses = dir.join("pose");
     let shots = photos.into_iter().map(|(number, image)| {
@@ -77,6 +85,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             name: file.with_extension("").to_string_lossy().into_owned(),
             split,
             image: shot.image.clone(),
+            present: true,
             camera,
             lens: Lens::default(),
             scales: false,
@@ -100,15 +109,16 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         true => Ok(classes::classes(options.scannet_classes)),
         false => read_classes(dir, labelled),
     };
+    let cloud = Cloud::of_sequence(dir, &frames, MILLIMETRES, |frame| dir.join(format!("depth/{}.png", frame.name)));
     Ok(Listing {
         layout: Layout::Scannet,
         file: dir.join("intrinsic/intrinsic_color.txt"),
         frames,
-        classes: problems.keep(classes).unwrap_or_else(Classes::default),
+        classes: problems.keep(classes).unwrap_or_default(),
         occurring_classes: general,
         truth_ids: table,
         resample_labels: true,
-        cloud: Cloud::beside(dir),
+        cloud,
         z_up: true,
         notices,
     })

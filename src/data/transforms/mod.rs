@@ -4,29 +4,19 @@
 mod not_finite;
 mod schema;
 
+pub use super::NamedCamera;
 pub use super::options::LoadOptions;
 
 use super::image_file::ImageFile;
 use super::lens::Lens;
 use super::listing::{Cloud, Frame, Listing, Problems, read_classes};
-use super::{Classes, Limits, Scene, Split};
+use super::{Limits, Scene, Split};
 use crate::camera::Camera;
 use crate::config::Layout;
 use crate::error::{Error, Result};
 use rayon::prelude::*;
 use schema::Transforms;
 use std::path::{Path, PathBuf};
-
-/// A camera with the name of its frame.
-#[derive(Clone, Debug, PartialEq)]
-pub struct NamedCamera {
-    /// File stem of the frame.
-    pub name: String,
-    /// Train or test.
-    pub split: Split,
-    /// Pose and intrinsics, world units.
-    pub camera: Camera,
-}
 
 /// Loads the scene in folder `dir` from its `transforms.json`, whatever else lies there.
 ///
@@ -40,14 +30,27 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
     super::load(dir, &LoadOptions { layout: Layout::Transforms, ..options.clone() })
 }
 
+/// Refuses a folder without the file.
+pub(super) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
+    if dir.join(&options.transforms).is_file() {
+        return Ok(());
+    }
+    let expected = "cameras and frames as nerfstudio and instant-ngp write them (README, 'Data')";
+    let (found, mend) = match alternatives(dir) {
+        others if others.is_empty() => {
+            ("no such file".to_owned(), "give another folder, or name another layout with data.layout".to_owned())
+        }
+        others => (
+            format!("no such file, but {}", others.join(", ")),
+            format!("name one with --set data.transforms={}", others[0]),
+        ),
+    };
+    Err(Error::input(dir, &options.transforms, found, expected, mend))
+}
+
 /// What the folder says.
 pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
     let path = dir.join(&options.transforms);
-    if !path.is_file() {
-        let expected = "cameras and frames as nerfstudio and instant-ngp write them (README, 'Data')";
-        let mend = "name the file with --set data.transforms=FILE, or another layout with data.layout";
-        return Err(Error::input(dir, &options.transforms, "no such file", expected, mend));
-    }
     let transforms = Transforms::read(&path)?;
     let names = transforms.names(&path, problems);
     let kept = options.pick(&transforms.splits(&path, problems));
@@ -58,13 +61,23 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let mut found = Vec::new();
     kept.par_iter().map(|&(i, _)| photo(dir, &path, &transforms, i, limits)).collect_into_vec(&mut found);
     let mut frames = Vec::with_capacity(kept.len());
-    for ((i, split), found) in kept.into_iter().zip(found) {
-        let (Some(name), Some((image, camera, lens))) = (&names[i], problems.keep(found)) else { continue };
+    for ((i, split), (image, mut faults, size)) in kept.into_iter().zip(found) {
+        // Of a repeated frame nothing else is told.
+        let Some(name) = &names[i] else { continue };
+        let present = faults.is_empty();
+        let camera = size.map(|size| {
+            transforms.camera(&path, i, size).unwrap_or_else(|fault| {
+                faults.push(fault);
+                (Camera::unposed(size), Lens::default())
+            })
+        });
+        faults.into_iter().for_each(|fault| problems.push(fault));
+        let Some((camera, lens)) = camera else { continue };
         let [truth, raw] = label_paths(&transforms, i, name, dir, options);
-        frames.push(Frame { name: name.clone(), split, image, camera, lens, scales: false, truth, raw });
+        frames.push(Frame { name: name.clone(), split, image, present, camera, lens, scales: false, truth, raw });
     }
     let labelled = frames.iter().any(|frame| frame.truth.is_some() || frame.raw.is_some());
-    let classes = problems.keep(read_classes(dir, labelled)).unwrap_or_else(Classes::default);
+    let classes = problems.keep(read_classes(dir, labelled)).unwrap_or_default();
     Ok(Listing {
         layout: Layout::Transforms,
         z_up: transforms.z_up(),
@@ -102,7 +115,7 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
         Limits::check(format!("{}: pixels", path.display()), pixels, Limits::default().image_pixels, "lower w and h")?;
         let (camera, lens) = transforms.camera(path, i, size)?;
         let image = PathBuf::from(&transforms.frames[i].file_path);
-        let frame = Frame { name, split: s, image, camera, lens, scales: false, truth: None, raw: None };
+        let frame = Frame { name, split: s, image, present: true, camera, lens, scales: false, truth: None, raw: None };
         cameras.push(NamedCamera { camera: frame.geometry(size)?.camera, name: frame.name, split: s });
     }
     if cameras.is_empty() {
@@ -112,26 +125,29 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
     Ok(cameras)
 }
 
-/// Image path, camera (world units) and lens of a frame; a size that the file leaves out comes from the image.
+/// Image path of a frame, what is wrong with the image, and its size, which is the image's own where the file leaves it out.
 fn photo(
     dir: &Path,
     path: &Path,
     transforms: &Transforms,
     i: usize,
     limits: &Limits,
-) -> Result<(PathBuf, Camera, Lens)> {
+) -> (PathBuf, Vec<Error>, Option<(usize, usize)>) {
+    let mut faults = Vec::new();
     let image = image_path(dir, &transforms.frames[i].file_path);
     if !image.is_file() {
         let field = format!("{}.file_path", transforms.field(i));
         let mend = "put the image there or drop the frame";
-        return Err(Error::input(path, field, format!("no file {}", image.display()), "an image", mend));
+        faults.push(Error::input(path, field, format!("no file {}", image.display()), "an image", mend));
     }
-    let size = match transforms.declared_size(path, i)? {
-        Some(size) => size,
-        None => ImageFile::open(&image, limits)?.size,
+    let declared = transforms.declared_size(path, i).map_err(|fault| faults.push(fault)).ok().flatten();
+    let size = match declared {
+        None if faults.is_empty() => {
+            ImageFile::open(&image, limits).map(|file| file.size).map_err(|e| faults.push(e)).ok()
+        }
+        declared => declared,
     };
-    let (camera, lens) = transforms.camera(path, i, size)?;
-    Ok((image, camera, lens))
+    (image, faults, size)
 }
 
 /// Blender-made files leave the extension out.
