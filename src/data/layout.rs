@@ -6,6 +6,9 @@ use crate::config::Layout;
 use crate::error::{Error, Result};
 use std::path::Path;
 
+/// The usual name of the file of cameras.
+const TRANSFORMS: &str = "transforms.json";
+
 impl Layout {
     /// As settings have it.
     pub fn name(self) -> &'static str {
@@ -36,6 +39,8 @@ pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
     }
     let layout = match (options.layout, &found(dir, &options.transforms)[..]) {
         (Layout::Auto, [(layout, _)]) => *layout,
+        // Who names another file of cameras means that one.
+        (Layout::Auto, [(Layout::Transforms, file), ..]) if file != TRANSFORMS => Layout::Transforms,
         // nerfstudio keeps the model that its transforms.json was made from.
         (Layout::Auto, [(layout, _), (Layout::Colmap, model)]) if model.starts_with("colmap") => *layout,
         (Layout::Auto, []) => return Err(nothing(dir, options)),
@@ -72,7 +77,7 @@ fn below(dir: &Path) -> Option<(String, Layout)> {
     let mut names: Vec<String> = folders.take(256).filter_map(|entry| entry.file_name().into_string().ok()).collect();
     names.sort_unstable();
     names.into_iter().find_map(|name| {
-        let layout = found(&dir.join(&name), "transforms.json").first()?.0;
+        let layout = found(&dir.join(&name), TRANSFORMS).first()?.0;
         Some((name, layout))
     })
 }

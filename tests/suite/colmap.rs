@@ -351,3 +351,49 @@ fn damaged_colmap_files_never_panic() {
         }
     }
 }
+
+#[test]
+fn a_real_scene_is_the_same_as_a_colmap_model() {
+    let Some(shared) = crate::shared_dir() else { return };
+    let source = shared.join("data/house_living");
+    let transforms = load(&source, &LoadOptions { max_frames: 12, ..LoadOptions::default() }).expect("scene");
+    let dir = tempfile::tempdir().expect("folder");
+    fs::create_dir_all(dir.path().join("sparse/0")).expect("folder");
+    fs::create_dir(dir.path().join("images")).expect("folder");
+    let mut images = String::new();
+    for (i, view) in transforms.views.iter().enumerate() {
+        view.image.save(dir.path().join(format!("images/{}.png", view.name))).expect("photo");
+        let q = DQuat::from_mat3(&view.camera.rotation);
+        let t = -(view.camera.rotation * (view.camera.center + transforms.origin));
+        let pose = [q.w, q.x, q.y, q.z, t.x, t.y, t.z].map(|v| v.to_string()).join(" ");
+        images += &format!("{i} {pose} 1 {}.png\n\n", view.name);
+    }
+    let Camera { fx, fy, cx, cy, width, height, .. } = transforms.views[0].camera;
+    let camera = format!("1 OPENCV {width} {height} {fx} {fy} {cx} {cy} 0 0 0 0\n");
+    fs::write(dir.path().join("sparse/0/cameras.txt"), camera).expect("cameras");
+    fs::write(dir.path().join("sparse/0/images.txt"), images).expect("images");
+    let mut points = String::new();
+    for (p, c) in transforms.points.positions.iter().zip(&transforms.points.colors) {
+        let p = (DVec3::from(p.map(f64::from)) + transforms.origin).to_array().map(|v| v.to_string()).join(" ");
+        let [r, g, b] = c.map(|v| (v * 255.0).round() as u8);
+        points += &format!("1 {p} {r} {g} {b} 0.5\n");
+    }
+    fs::write(dir.path().join("sparse/0/points3D.txt"), points).expect("points");
+    let model = load(dir.path(), &LoadOptions::default()).expect("scene");
+    assert!((model.origin - transforms.origin).length() < 1e-9);
+    assert_eq!((model.views.len(), model.points.len()), (transforms.views.len(), transforms.points.len()));
+    for view in &transforms.views {
+        let other = model.views.iter().find(|v| v.name == view.name).expect("view");
+        let off = other.camera.rotation - view.camera.rotation;
+        assert!(off.to_cols_array().iter().all(|v| v.abs() < 1e-6), "{off}");
+        assert!((other.camera.center - view.camera.center).length() < 1e-6 && other.image == view.image);
+        assert_eq!(
+            (other.camera.fx, other.camera.cy),
+            (view.camera.fx, view.camera.cy),
+            "no distortion, nothing scaled"
+        );
+    }
+    for (a, b) in model.points.positions.iter().zip(&transforms.points.positions) {
+        assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5));
+    }
+}

@@ -151,6 +151,9 @@ fn layouts_are_told_apart_or_asked_for() {
     let message = locate(dir, &options).unwrap_err().to_string();
     assert!(message.contains("traj.txt (replica) and color/ with pose/ (scannet)"), "{message}");
     assert!(message.contains("--set data.layout=replica"), "{message}");
+    fs::write(dir.join("transforms_4.json"), "{}").unwrap();
+    let named = LoadOptions { transforms: "transforms_4.json".into(), ..LoadOptions::default() };
+    assert_eq!(locate(dir, &named).unwrap(), Layout::Transforms);
     let config = Config::load(None, &["data.layout=scannet".into()]).unwrap();
     assert_eq!(locate(dir, &LoadOptions::from(&config.data)).unwrap(), Layout::Scannet);
     let message = Config::load(None, &["data.layout=blender".into()]).unwrap_err().to_string();

@@ -1,7 +1,7 @@
 //! ScanNet as its exporter writes it, small.
 
 use coseg::config::{Layout, ScannetClasses};
-use coseg::data::{LabelMap, LoadOptions, Split, load, locate};
+use coseg::data::{LabelMap, LoadOptions, Split, check, load, locate};
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
@@ -61,6 +61,9 @@ fn scannet_scenes_load() {
     assert_eq!(names, ["0", "1", "2", "3", "5", "6", "8", "9", "10", "11"], "by number, lost ones left out");
     let tests: Vec<_> = scene.split(Split::Test).map(|v| v.name.as_str()).collect();
     assert_eq!(tests, ["0", "10"]);
+    let checked = check(dir.path(), &options);
+    assert!(checked.problems.is_empty() && checked.notices.len() == 1, "{checked:?}");
+    assert!(checked.notices[0].starts_with("2 of 12 frames left out"), "{checked:?}");
     let c = &scene.views[4].camera;
     assert_eq!((c.fx, c.fy, c.cx, c.cy, c.width, c.height), (60.0, 61.0, 31.0, 23.0, 64, 48));
     let center = c.center + scene.origin;
