@@ -13,8 +13,8 @@ pub struct DataConfig {
     pub layout: Layout,
     /// File within `dir` that lists frames, of layout `transforms`.
     pub transforms: String,
-    /// Folder of photos within `dir`, of layout `colmap`. In another one than `images` photos may be smaller than the model
-    /// says, in the same proportion: cameras are scaled to them.
+    /// Folder of photos within `dir`, of layout `colmap`. In another one than `images` photos may be smaller than the
+    /// model says, in the same proportion: cameras are scaled to them.
     pub images: String,
     /// Folder of raw labels within `dir`; replaces the folder named in the frames. Empty: as the frames say.
     pub raw_labels: String,

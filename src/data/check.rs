@@ -21,8 +21,8 @@ pub struct Checked {
     pub notices: Vec<String>,
 }
 
-/// Looks at every file that [`super::load`] would read, decodes it, and goes on after each fault. Needs memory for a few
-/// images only.
+/// Looks at every file that [`super::load`] would read, decodes it, and goes on after each fault. Needs memory for a
+/// few images only.
 pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
     let mut problems = Problems::default();
     let listing = match layout::list(dir, options, &mut problems) {

@@ -22,12 +22,12 @@ impl Layout {
     }
 }
 
-/// The layout of the scene folder `dir`: the one that the options name, or the one whose files are there. Cheap, so that a run
-/// can ask before it begins.
+/// The layout of the scene folder `dir`: the one that the options name, or the one whose files are there. Cheap, so
+/// that a run can ask before it begins.
 ///
 /// # Errors
-/// [`Error::Missing`] when there is no such folder; [`Error::Input`] when it is no folder, or has the files of no layout or of
-/// several: then the error says what was looked for, or found.
+/// [`Error::Missing`] when there is no such folder; [`Error::Input`] when it is no folder, or has the files of no
+/// layout or of several: then the error says what was looked for, or found.
 pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
     if !dir.try_exists().map_err(|e| Error::io(dir, "look at", e))? {
         let mend = "give the scene folder that holds the photos and their cameras (--data, or data.dir)".into();

@@ -1,8 +1,8 @@
 //! Lens distortion (Brown-Conrady, as OpenCV and COLMAP have it) and how photos and label maps are freed of it.
 //!
-//! The pinhole that a distorted photo becomes has its size and principal point, and the focal lengths times one factor: the
-//! smallest, hence the widest view, at which every pixel lies within the photo. So no pixel is made up, and none has to be
-//! masked; with barrel distortion the corners of the photo, with cushion distortion its rims are lost.
+//! The pinhole that a distorted photo becomes has its size and principal point, and the focal lengths times one factor:
+//! the smallest, hence the widest view, at which every pixel lies within the photo. So no pixel is made up, and none
+//! has to be masked; with barrel distortion the corners of the photo, with cushion distortion its rims are lost.
 
 use super::LabelMap;
 use crate::camera::Camera;
@@ -69,7 +69,8 @@ pub(crate) struct Remap {
 }
 
 impl Remap {
-    /// `None` when no factor from 0.25 to 4 gives a whole image: the coefficients are beyond what the model is made for.
+    /// `None` when no factor from 0.25 to 4 gives a whole image: the coefficients are beyond what the model is made
+    /// for.
     pub fn new(photo: &Camera, lens: Lens) -> Option<Self> {
         let zoomed = |s: f64| Self {
             photo: photo.clone(),

@@ -12,8 +12,8 @@ use image::RgbImage;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
-/// How far the proportions of a label map may be from those of its photo when it is resampled: ScanNet's own sizes, 1296x968
-/// and 640x480, differ by 0.4 %.
+/// How far the proportions of a label map may be from those of its photo when it is resampled: ScanNet's own sizes,
+/// 1296x968 and 640x480, differ by 0.4 %.
 const PROPORTION: f64 = 0.02;
 
 /// The frames of a folder with all that is known of them.
@@ -71,8 +71,8 @@ pub(crate) enum Cloud {
 }
 
 impl Cloud {
-    /// For layouts that name no cloud: `points.ply` in the scene folder, else the depth images of `frames`, which `file`
-    /// gives.
+    /// For layouts that name no cloud: `points.ply` in the scene folder, else the depth images of `frames`, which
+    /// `file` gives.
     pub fn of_sequence(dir: &Path, frames: &[Frame], scale: f64, file: impl Fn(&Frame) -> PathBuf) -> Self {
         let path = dir.join("points.ply");
         if path.is_file() {
@@ -321,8 +321,8 @@ impl LabelFolder {
         }
     }
 
-    /// The map of the photo that lies at `photo` below the folder of photos: the same path with `.png` for its extension or
-    /// behind it, or its stem alone.
+    /// The map of the photo that lies at `photo` below the folder of photos: the same path with `.png` for its
+    /// extension or behind it, or its stem alone.
     pub fn of(&self, photo: &Path) -> Option<PathBuf> {
         let expected = self.folder.join(photo).with_extension("png");
         let behind = format!("{}.png", photo.to_string_lossy());

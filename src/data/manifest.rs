@@ -1,4 +1,5 @@
-//! Manifests: what is known of a published scene that cannot be shipped, so that two people mean the same data by its name.
+//! Manifests: what is known of a published scene that cannot be shipped, so that two people mean the same data by its
+//! name.
 
 use super::LoadOptions;
 use crate::config::{Layout, ScannetClasses};
@@ -72,7 +73,8 @@ impl Manifest {
     /// Reads a manifest.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Input`] naming line and fault: no TOML, unknown or missing keys, a class table that there is not.
+    /// [`Error::Io`]; [`Error::Input`] naming line and fault: no TOML, unknown or missing keys, a class table that
+    /// there is not.
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
         let manifest: Self = toml::from_str(&text).map_err(|e: toml::de::Error| {

@@ -38,13 +38,14 @@ use std::path::Path;
 
 /// Loads the scene in folder `dir`, in whatever layout it is or the options say.
 ///
-/// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. Photos with lens distortion become
-/// those of pinholes, and so do their label maps. Photos are decoded in parallel. What was left out is told as warnings.
+/// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. Photos with lens distortion
+/// become those of pinholes, and so do their label maps. Photos are decoded in parallel. What was left out is told as
+/// warnings.
 ///
 /// # Errors
-/// [`crate::Error::Missing`], [`crate::Error::Input`], [`crate::Error::Io`] or [`crate::Error::Limit`] naming file and field:
-/// malformed, missing or damaged files, sizes that disagree, poses that are no rotations, camera models that are no pinhole
-/// after undistortion, unknown label ids, repeated names, no training view.
+/// [`crate::Error::Missing`], [`crate::Error::Input`], [`crate::Error::Io`] or [`crate::Error::Limit`] naming file and
+/// field: malformed, missing or damaged files, sizes that disagree, poses that are no rotations, camera models that are
+/// no pinhole after undistortion, unknown label ids, repeated names, no training view.
 pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
     let mut problems = listing::Problems::default();
     let listing = layout::list(dir, options, &mut problems)?;
@@ -55,9 +56,9 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
     listing.load(dir, &options.limits)
 }
 
-/// The cameras of the scene in folder `dir`, in whatever layout, in file order: pinholes as [`load`] makes them of distorted
-/// photos, in world units; subtract a scene's origin before rendering it. `split` keeps only those frames. Photos need not be
-/// there where their sizes are known without them.
+/// The cameras of the scene in folder `dir`, in whatever layout, in the order of its views: pinholes as [`load`] makes
+/// them of distorted photos, in world units; subtract a scene's origin before rendering it. `split` keeps only those
+/// frames. Photos need not be there where their sizes are known without them.
 ///
 /// # Errors
 /// As [`load`]; also when no frame is left.

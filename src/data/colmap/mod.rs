@@ -1,6 +1,7 @@
 //! COLMAP folders: a sparse model (cameras, images, points3D as `.bin` or `.txt`) beside the photos.
 //!
-//! Formats: <https://colmap.github.io/format.html>. Poses are world-to-camera in OpenCV axes, pixel centres lie at +0.5: ours.
+//! Formats: <https://colmap.github.io/format.html>. Poses are world-to-camera in OpenCV axes, pixel centres lie at
+//! +0.5: ours.
 
 mod binary;
 mod cameras;
@@ -215,7 +216,8 @@ pub(super) fn read_points(path: &Path, origin: DVec3, limits: &Limits) -> Result
 }
 
 impl PosedImage {
-    /// Its path without extension, folders joined by `_`: unique where photos of several cameras have the same file names.
+    /// Its path without extension, folders joined by `_`: unique where photos of several cameras have the same file
+    /// names.
     fn view_name(&self) -> String {
         let path = Path::new(&self.name).with_extension("");
         let parts = path.components().filter_map(|part| match part {

@@ -20,9 +20,10 @@ use std::path::{Path, PathBuf};
 
 /// Loads the scene in folder `dir` from its `transforms.json`, whatever else lies there.
 ///
-/// As [`super::load`]; `up` is +z when the file's `convention` says `world z up`, else the mean up direction of the cameras.
-/// Frames without any `split` in the file: every 8th from the first on is test. `ply_file_path` names the initial cloud,
-/// without which [`Scene::points`] is empty. Frames may lack labels; where they have some, `classes.json` must be there.
+/// As [`super::load`]; `up` is +z when the file's `convention` says `world z up`, else the mean up direction of the
+/// cameras. Frames without any `split` in the file: every 8th from the first on is test. `ply_file_path` names the
+/// initial cloud, without which [`Scene::points`] is empty. Frames may lack labels; where they have some,
+/// `classes.json` must be there.
 ///
 /// # Errors
 /// As [`super::load`].
@@ -92,9 +93,9 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     })
 }
 
-/// The cameras of a `transforms.json`, in file order, without looking at images: each frame or the file must say `w` and
-/// `h`. Lens distortion is taken out as [`super::load`] takes it out of photos. Positions are world units; subtract a scene's
-/// origin before rendering it. `split` keeps only those frames.
+/// The cameras of a `transforms.json`, in file order, without looking at images: each frame or the file must say `w`
+/// and `h`. Lens distortion is taken out as [`super::load`] takes it out of photos. Positions are world units; subtract
+/// a scene's origin before rendering it. `split` keeps only those frames.
 ///
 /// # Errors
 /// As [`load`]; also when no frame is left.
@@ -125,7 +126,8 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
     Ok(cameras)
 }
 
-/// Image path of a frame, what is wrong with the image, and its size, which is the image's own where the file leaves it out.
+/// Image path of a frame, what is wrong with the image, and its size, which is the image's own where the file leaves it
+/// out.
 fn photo(
     dir: &Path,
     path: &Path,
