@@ -31,6 +31,15 @@ impl Camera {
     ///
     /// Returns `None` when the matrix is not finite or its rotation part is not a proper rotation within 1e-3.
     pub fn from_opengl(c2w: &DMat4, intrinsics: Intrinsics) -> Option<Self> {
+        // Camera axes in OpenCV order: x stays, y and z flip.
+        let flipped = DMat4::from_cols(c2w.x_axis, -c2w.y_axis, -c2w.z_axis, c2w.w_axis);
+        Self::from_opencv(&flipped, intrinsics)
+    }
+
+    /// A camera from an OpenCV camera-to-world matrix (x right, y down, looking along +z).
+    ///
+    /// Returns `None` when the matrix is not finite or its rotation part is not a proper rotation within 1e-3.
+    pub fn from_opencv(c2w: &DMat4, intrinsics: Intrinsics) -> Option<Self> {
         let m = DMat3::from_mat4(*c2w);
         let center = c2w.w_axis.truncate();
         let gram = m.transpose() * m;
@@ -38,10 +47,14 @@ impl Camera {
         if !m.is_finite() || !center.is_finite() || off.is_nan() || off >= 1e-3 || m.determinant() < 0.0 {
             return None;
         }
-        // Camera axes in OpenCV order: x stays, y and z flip.
-        let c2w_cv = DMat3::from_cols(m.x_axis, -m.y_axis, -m.z_axis);
         let Intrinsics { fx, fy, cx, cy, width, height } = intrinsics;
-        Some(Self { rotation: c2w_cv.transpose(), center, fx, fy, cx, cy, width, height })
+        Some(Self { rotation: m.transpose(), center, fx, fy, cx, cy, width, height })
+    }
+
+    /// A camera of this image size without a pose of its own, for looking at files whose pose cannot be read.
+    pub(crate) fn unposed((width, height): (usize, usize)) -> Self {
+        let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
+        Self { rotation: DMat3::IDENTITY, center: DVec3::ZERO, fx: cx.max(1.0), fy: cx.max(1.0), cx, cy, width, height }
     }
 
     /// The OpenGL camera-to-world matrix; the inverse of [`Camera::from_opengl`].

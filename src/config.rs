@@ -5,6 +5,7 @@
 //! [`Config::validate`] the allowed ranges.
 
 mod building;
+mod data;
 mod features;
 mod load;
 mod presets;
@@ -12,6 +13,7 @@ mod row;
 mod validate;
 
 pub use building::{BuildingConfig, RasterConfig};
+pub use data::{DataConfig, Layout, ScannetClasses};
 pub use features::{
     Encode, FeatureConfig, FeatureSource, Normalisation, Resolution, SpatialConfig, SpatialSource, UnprojectionConfig,
 };
@@ -54,42 +56,6 @@ pub enum Preset {
     Paper,
     /// A quarter of the pixels a step, cached blending weights.
     Fast,
-}
-
-/// Where the scene comes from.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct DataConfig {
-    /// Scene folder; absent means the built-in scene.
-    pub dir: Option<std::path::PathBuf>,
-    /// File within `dir` that lists frames.
-    pub transforms: String,
-    /// Folder of raw labels within `dir`; replaces the folder named in the frames. Empty: as the frames say.
-    pub raw_labels: String,
-    /// Where the raw labels come from, for the report: a network's name, or that they are simulated. Empty: nothing is
-    /// said, but for the built-in scene, whose raw labels are simulated.
-    pub raw_labels_note: String,
-}
-
-impl Default for DataConfig {
-    fn default() -> Self {
-        let transforms = "transforms.json".into();
-        Self { dir: None, transforms, raw_labels: String::new(), raw_labels_note: String::new() }
-    }
-}
-
-impl DataConfig {
-    /// A sentence on where the raw labels come from, where that is known: nothing in a scene folder says so.
-    pub fn raw_labels_origin(&self) -> Option<String> {
-        match (self.raw_labels_note.trim(), &self.dir) {
-            ("", None) => Some(
-                "Simulated raw labels: errors drawn on the true labels, not the output of a segmentation network."
-                    .to_owned(),
-            ),
-            ("", Some(_)) => None,
-            (note, _) => Some(format!("Raw labels: {}.", note.trim_end_matches('.'))),
-        }
-    }
 }
 
 /// Loss on rendered labels.

@@ -1,6 +1,7 @@
 //! Subcommands: each parses its arguments, calls the library, and says what came out.
 
 mod bench;
+mod data;
 mod eval;
 mod pretrain;
 mod progress;
@@ -31,6 +32,7 @@ const EXAMPLES: &str = "\
 Examples:
   coseg train                                  the built-in room, both stages, into runs/builtin
   coseg train --data scenes/living --out runs/living
+  coseg data check scenes/living               everything that is wrong with a folder, at once
   coseg train --resume runs/living             go on where a run was stopped
   coseg eval runs/living                       its scores on the held-out views
   coseg render --scene runs/living/scene.ply --cameras scenes/living/transforms.json --out pictures --labels
@@ -44,6 +46,8 @@ Exit code: 0 done, 1 an error that names what to mend, 2 a mistake on the comman
 pub enum Command {
     /// Turn photos and raw label maps into a segmented Gaussian scene
     Train(train::TrainArgs),
+    /// Look at a scene folder: its problems, what it holds
+    Data(data::DataArgs),
     /// Score a run on held-out views
     Eval(eval::EvalArgs),
     /// Render a scene in colour and labels
@@ -61,6 +65,7 @@ impl Command {
     pub fn run(self) -> Result<()> {
         match self {
             Self::Train(args) => args.run(),
+            Self::Data(args) => args.run(),
             Self::Eval(args) => args.run(),
             Self::Render(args) => args.run(),
             Self::Vote(args) => args.run(),

@@ -3,8 +3,7 @@
 use super::terminal;
 use clap::{Args, ValueEnum};
 use coseg::camera::Camera;
-use coseg::data::transforms::{NamedCamera, load_cameras};
-use coseg::data::{LabelMap, Limits, Split, atomic};
+use coseg::data::{self, LabelMap, Limits, LoadOptions, NamedCamera, Split, atomic, transforms};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::objects::hard_label_map;
@@ -35,8 +34,8 @@ pub struct RenderArgs {
     /// Scene in the 3DGS PLY convention; its `label` column is needed for --labels
     #[arg(long, value_name = "FILE.ply")]
     scene: PathBuf,
-    /// Cameras: a transforms.json with w and h (OpenGL camera-to-world)
-    #[arg(long, value_name = "FILE.json")]
+    /// Cameras: a transforms.json with w and h (OpenGL camera-to-world), or a scene folder of any layout
+    #[arg(long, value_name = "FILE.json|DIR")]
     cameras: PathBuf,
     /// Folder to write to; made if absent
     #[arg(long, value_name = "DIR")]
@@ -96,7 +95,10 @@ impl RenderArgs {
             SplitArg::Test => Some(Split::Test),
             SplitArg::All => None,
         };
-        let cameras = load_cameras(&self.cameras, split)?;
+        let cameras = match self.cameras.is_dir() {
+            true => data::load_cameras(&self.cameras, &LoadOptions::default(), split)?,
+            false => transforms::load_cameras(&self.cameras, split)?,
+        };
         let scene = ply::read(&self.scene, &Limits::default())?;
         if self.labels && scene.labels.is_none() {
             let mend = "leave --labels out, or give the scene labels with `coseg vote` or `coseg train`";

@@ -5,7 +5,7 @@ use super::run_folder::RunFolder;
 use super::{Settings, terminal};
 use clap::Args;
 use coseg::config::{Config, Row};
-use coseg::data::transforms;
+use coseg::data::{self, LoadOptions};
 use coseg::device::{self, BackendName};
 use coseg::error::Result;
 use coseg::gaussians::ply;
@@ -39,7 +39,7 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_help = HELP)]
 pub struct TrainArgs {
-    /// Scene folder: transforms.json, photos, label maps [default: the built-in room]
+    /// Scene folder: photos, cameras, label maps; README, 'Data' [default: the built-in room]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     /// Run folder to write [default: runs/NAME of the scene, numbered when taken]
@@ -73,7 +73,7 @@ impl TrainArgs {
             }
         };
         if let Some(dir) = &config.data.dir {
-            transforms::locate(dir, &config.data.transforms)?;
+            data::locate(dir, &LoadOptions::from(&config.data))?;
         }
         let (backend, device) = device::choose(self.backend)?;
         let before = run.replace_config(&config)?;

@@ -2,8 +2,7 @@
 
 use super::{Settings, terminal};
 use clap::Args;
-use coseg::data::transforms::{self, LoadOptions};
-use coseg::data::{Limits, Split};
+use coseg::data::{self, Limits, LoadOptions, Split};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply;
 use coseg::metrics::{Void, label_scores};
@@ -25,7 +24,7 @@ pub struct VoteArgs {
     /// Scene in the 3DGS PLY convention
     #[arg(long, value_name = "FILE.ply")]
     scene: PathBuf,
-    /// Scene folder with transforms.json, photos and raw labels
+    /// Scene folder with photos, cameras and raw labels
     #[arg(long, value_name = "DIR")]
     data: PathBuf,
     /// Folder to write to; made if absent
@@ -40,11 +39,10 @@ impl VoteArgs {
     pub fn run(self) -> Result<()> {
         let config = self.settings.load(Some(&self.data), None)?;
         let raster = raster::Settings::from(&config.raster);
-        let mut scene = transforms::load(&self.data, &LoadOptions::from(&config.data))?;
+        let mut scene = data::load(&self.data, &LoadOptions::from(&config.data))?;
         if !scene.split(Split::Train).any(|v| v.raw.is_some()) {
-            let mend = "add raw_label_path to the frames, or name a folder with --set data.raw_labels=FOLDER";
-            let path = self.data.join(&config.data.transforms);
-            return Err(Error::input(path, "raw_label_path", "nothing", "raw labels of training views", mend));
+            let mend = "add raw_label_path to the frames of a transforms.json, or name a folder with --set data.raw_labels=FOLDER";
+            return Err(Error::input(&self.data, "raw_label_path", "nothing", "raw labels of training views", mend));
         }
         let ply = ply::read(&self.scene, &Limits::default())?;
         for view in &mut scene.views {

@@ -70,6 +70,7 @@ fn template() -> Result<Table> {
     let mut full = Config::default();
     let path = || Some(PathBuf::from("path"));
     full.data.dir = path();
+    full.data.scannet_labels = path();
     full.features.weights = path();
     full.features.import_dir = path();
     full.features.cache_dir = path();

@@ -57,6 +57,7 @@ impl Config {
         let mut check = Check(Ok(()));
         let largest_seed = i64::MAX as u64;
         check.that(self.seed <= largest_seed, "seed", self.seed, "at most 2^63 - 1", "choose a smaller seed");
+        check.positive("data.stride", self.data.stride);
         self.validate_building(&mut check);
         self.validate_raster(&mut check);
         self.validate_features(&mut check);

@@ -41,7 +41,7 @@ impl ImageFile {
         Ok(Self { path: path.to_owned(), bytes, format, size: (size.0 as usize, size.1 as usize) })
     }
 
-    /// An error unless the image has the size that `whose` expects.
+    /// An error unless the photo or label map has the size that `whose` expects.
     pub fn expect_size(&self, width: usize, height: usize, whose: &str) -> Result<()> {
         let (w, h) = self.size;
         if (w, h) == (width, height) {
@@ -52,7 +52,7 @@ impl ImageFile {
             "size",
             format!("{w}x{h} pixels"),
             format!("{width}x{height}, as {whose}"),
-            "mend w and h with the focal length and centre, or scale the image",
+            "scale the image to that size (label maps without blending), or mend the size with focal length and centre",
         ))
     }
 

@@ -16,32 +16,45 @@ impl LabelMap {
         Self::decode(path, &ImageFile::open(path, limits)?)
     }
 
-    /// Reads a label map that must have this size and hold no id but those of `classes` and the ignored one.
-    pub(super) fn read_checked(
-        path: &Path,
-        (width, height): (usize, usize),
-        classes: &Classes,
-        known: &[u16],
-        limits: &Limits,
-    ) -> Result<Self> {
-        let file = ImageFile::open(path, limits)?;
-        file.expect_size(width, height, "its photo")?;
-        let map = Self::decode(path, &file)?;
+    /// Refuses ids other than those of `classes`, whose lookup `known` is, and the ignored one.
+    pub(super) fn check_ids(&self, path: &Path, classes: &Classes, known: &[u16]) -> Result<()> {
         let unknown = |&id: &u16| id != classes.ignore && known[usize::from(id)] == u16::MAX;
-        if let Some(i) = map.ids.iter().position(unknown) {
-            let ids: Vec<_> = classes.entries.iter().map(|c| c.id.to_string()).collect();
-            return Err(Error::input(
-                path,
-                format!("pixel x {}, y {}", i % width, i / width),
-                format!("label id {}", map.ids[i]),
-                format!("{} (ignored) or one of the {} class ids [{}]", classes.ignore, ids.len(), ids.join(" ")),
-                "add the id to classes.json or mend the map",
-            ));
-        }
-        Ok(map)
+        let Some(i) = self.ids.iter().position(unknown) else { return Ok(()) };
+        let mut found: Vec<u16> = self.ids.iter().copied().filter(|id| unknown(id)).collect();
+        found.sort_unstable();
+        found.dedup();
+        let more = match &found[..] {
+            [_] => String::new(),
+            all => format!(", and {} other unknown ids", all.len() - 1),
+        };
+        let ids: Vec<_> = classes.entries.iter().map(|c| c.id.to_string()).collect();
+        Err(Error::input(
+            path,
+            self.pixel(i),
+            format!("label id {}{more}", self.ids[i]),
+            format!("{} (ignored) or one of the {} class ids [{}]", classes.ignore, ids.len(), ids.join(" ")),
+            "add the id to classes.json or mend the map",
+        ))
     }
 
-    fn decode(path: &Path, file: &ImageFile) -> Result<Self> {
+    /// Replaces ids by what `table` (length 65536) has for them.
+    pub(super) fn translate(&mut self, path: &Path, table: &[u32]) -> Result<()> {
+        for i in 0..self.ids.len() {
+            let id = self.ids[i];
+            self.ids[i] = u16::try_from(table[usize::from(id)]).map_err(|_| {
+                let expected = "an id of the dataset's table of labels";
+                let mend = "use the table that belongs to these label maps, or mend the map";
+                Error::input(path, self.pixel(i), format!("label id {id}"), expected, mend)
+            })?;
+        }
+        Ok(())
+    }
+
+    fn pixel(&self, i: usize) -> String {
+        format!("pixel x {}, y {}", i % self.width, i / self.width)
+    }
+
+    pub(super) fn decode(path: &Path, file: &ImageFile) -> Result<Self> {
         let grey = "a grey PNG of 8 or 16 bits whose values are class ids";
         let reject = |found: &str, mend: &str| Err(Error::input(path, "pixel format", found, grey, mend));
         match file.png_color() {

@@ -1,21 +1,96 @@
 //! Scenes: posed images, label maps, class tables, initial points; dataset formats; the built-in procedural scene.
 
 pub mod atomic;
+pub mod builtin;
+mod check;
 mod classes;
+mod colmap;
+mod depth;
 mod image_file;
+mod info;
 mod labels;
+mod layout;
+mod lens;
 mod limits;
+mod listing;
+mod manifest;
+mod options;
 mod palette;
 pub(crate) mod ply;
 mod points;
+mod replica;
+mod scannet;
+mod sequence;
 pub mod transforms;
 
+pub use check::{Checked, check};
+pub use info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
+pub use layout::locate;
 pub use limits::Limits;
-pub mod builtin;
+pub use manifest::{ExpectedFile, LabelMapping, Manifest};
+pub use options::LoadOptions;
 pub use palette::class_color;
 
 use crate::camera::Camera;
+use crate::error::{Error, Result};
 use glam::DVec3;
+use std::path::Path;
+
+/// Loads the scene in folder `dir`, in whatever layout it is or the options say.
+///
+/// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. Photos with lens distortion
+/// become those of pinholes, and so do their label maps. Photos are decoded in parallel. What was left out is told as
+/// warnings.
+///
+/// # Errors
+/// [`crate::Error::Missing`], [`crate::Error::Input`], [`crate::Error::Io`] or [`crate::Error::Limit`] naming file and
+/// field: malformed, missing or damaged files, sizes that disagree, poses that are no rotations, camera models that are
+/// no pinhole after undistortion, unknown label ids, repeated names, no training view.
+pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
+    let mut problems = listing::Problems::default();
+    let listing = layout::list(dir, options, &mut problems)?;
+    problems.none()?;
+    for notice in &listing.notices {
+        tracing::warn!("{}: {notice}", dir.display());
+    }
+    listing.load(dir, &options.limits)
+}
+
+/// The cameras of the scene in folder `dir`, in whatever layout, in the order of its views: pinholes as [`load`] makes
+/// them of distorted photos, in world units; subtract a scene's origin before rendering it. `split` keeps only those
+/// frames. Photos need not be there where their sizes are known without them.
+///
+/// # Errors
+/// As [`load`]; also when no frame is left.
+pub fn load_cameras(dir: &Path, options: &LoadOptions, split: Option<Split>) -> Result<Vec<NamedCamera>> {
+    let mut problems = listing::Problems::default();
+    let listing = layout::list(dir, options, &mut problems)?;
+    problems.none()?;
+    let mut cameras = Vec::new();
+    for frame in listing.frames.iter().filter(|frame| split.is_none_or(|wanted| wanted == frame.split)) {
+        let camera = match frame.scales {
+            true => frame.open(&listing.file, &options.limits)?.1.camera,
+            false => frame.geometry((frame.camera.width, frame.camera.height))?.camera,
+        };
+        cameras.push(NamedCamera { name: frame.name.clone(), split: frame.split, camera });
+    }
+    if cameras.is_empty() {
+        let found = format!("no frame of split {split:?}");
+        return Err(Error::input(&listing.file, "frames", found, "at least one", "choose the other split or all"));
+    }
+    Ok(cameras)
+}
+
+/// A camera with the name of its frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NamedCamera {
+    /// Name of the view.
+    pub name: String,
+    /// Train or test.
+    pub split: Split,
+    /// Pose and intrinsics, world units.
+    pub camera: Camera,
+}
 
 /// A scene as loaded: everything centred on [`Scene::origin`].
 #[derive(Clone, Debug)]

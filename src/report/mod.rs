@@ -9,6 +9,7 @@ mod markup;
 mod metrics;
 mod page;
 pub mod pictures;
+pub mod sheet;
 mod tables;
 mod views;
 

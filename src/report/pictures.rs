@@ -120,7 +120,7 @@ fn fill(image: &mut RgbImage, (x, y): (usize, usize), (width, height): (usize, u
     }
 }
 
-fn draw_text(image: &mut RgbImage, (x, y): (usize, usize), scale: usize, text: &str) {
+pub(super) fn draw_text(image: &mut RgbImage, (x, y): (usize, usize), scale: usize, text: &str) {
     for (i, c) in text.chars().enumerate() {
         for (row, bits) in font::glyph(c).into_iter().enumerate() {
             for column in (0..5).filter(|column| bits >> (4 - column) & 1 == 1) {

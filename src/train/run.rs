@@ -6,7 +6,7 @@ use super::progress::{CurvePoint, Progress};
 use super::rows::{RowOutcome, run_rows};
 use super::segmentation_inputs::{Inputs, Seen};
 use crate::config::{Config, Row};
-use crate::data::{Scene, Split, View, builtin, transforms};
+use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::{Error, Result};
 use crate::gaussians::{Gaussians, ply};
 use crate::metrics::ImageScores;
@@ -96,7 +96,7 @@ impl Outcome {
 pub fn load_scene(config: &Config) -> Result<Scene> {
     match &config.data.dir {
         None => Ok(builtin::scene(builtin::EVALUATED_SEED)),
-        Some(dir) => transforms::load(dir, &transforms::LoadOptions::from(&config.data)),
+        Some(dir) => data::load(dir, &LoadOptions::from(&config.data)),
     }
 }
 

@@ -51,10 +51,10 @@ pub fn read_json(path: &Path) -> serde_json::Value {
 #[test]
 fn help_names_every_command_and_shows_examples() {
     let help = succeeds(&["--help"]);
-    for word in ["train", "eval", "render", "vote", "pretrain", "bench", "Examples:", "Exit code"] {
+    for word in ["train", "data", "eval", "render", "vote", "pretrain", "bench", "Examples:", "Exit code"] {
         assert!(help.contains(word), "{word}");
     }
-    for command in ["train", "eval", "render", "vote", "pretrain", "bench"] {
+    for command in ["train", "data", "eval", "render", "vote", "pretrain", "bench"] {
         let help = succeeds(&[command, "--help"]);
         assert!(help.contains("Example"), "{command}");
         let wide: Vec<&str> = help.lines().filter(|line| line.chars().count() > 130).collect();
@@ -246,8 +246,11 @@ fn folders_that_are_no_scenes_are_found_before_anything_is_begun() {
     std::fs::create_dir_all(data.join("sparse/0")).unwrap();
     std::fs::write(data.join("sparse/0/cameras.bin"), [0; 8]).unwrap();
     let message = refused(&data);
-    assert!(message.contains("COLMAP") && message.contains("sparse/0/cameras.bin"), "{message}");
-    assert!(message.contains("not read yet"), "{message}");
+    assert!(message.contains("sparse/0") && message.contains("images.bin or images.txt"), "{message}");
+    std::fs::write(data.join("transforms.json"), "{}").unwrap();
+    let message = refused(&data);
+    assert!(message.contains("transforms.json (transforms) and sparse/0/cameras.bin (colmap)"), "{message}");
+    assert!(message.contains("--set data.layout=transforms"), "{message}");
 }
 
 #[test]

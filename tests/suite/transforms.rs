@@ -170,10 +170,10 @@ fn cameras_alone_need_no_images() {
 #[test]
 fn broken_manifests_are_refused_by_name() {
     type Change = fn(&mut Value);
-    let cases: [(Change, &[&str]); 25] = [
+    let cases: [(Change, &[&str]); 26] = [
         (|v| v["frames"][1]["file_path"] = json!("images/none.png"), &["frames[1]", "none.png", "file_path"]),
         (|v| v["frames"][1]["file_path"] = json!("images/v0.png"), &["frames[1]", "frames[0]", "v0", "rename"]),
-        (|v| v["frames"][1]["label_path"] = json!("labels/none.png"), &["none.png", "read image"]),
+        (|v| v["frames"][1]["label_path"] = json!("labels/none.png"), &["none.png", "no such file", "label map"]),
         (|v| v["frames"] = json!([]), &["frames", "no frames"]),
         (
             |v| v["frames"].as_array_mut().into_iter().flatten().for_each(|f| f["split"] = json!("test")),
@@ -185,8 +185,9 @@ fn broken_manifests_are_refused_by_name() {
         (|v| v["w"] = json!(0), &["frames[0]", ".w", "0", "at least 1"]),
         (|v| v["h"] = json!(12.5), &["frames[0]", ".h", "12.5"]),
         (|v| v["w"] = json!(1e300), &["frames[0]", ".w"]),
-        (|v| v["k1"] = json!(-0.05), &["k1", "-0.05", "undistort"]),
-        (|v| v["frames"][1]["p2"] = json!(1e-3), &["frames[1]", "p2", "undistort"]),
+        (|v| v["k4"] = json!(-0.05), &["frames[0]", "k4", "-0.05", "undistort"]),
+        (|v| v["frames"][1]["p2"] = json!(1e3), &["v1.png", "lens distortion", "1000", "fold"]),
+        (|v| v["is_fisheye"] = json!(true), &["is_fisheye", "undistort"]),
         (|v| v["camera_model"] = json!("OPENCV_FISHEYE"), &["camera_model", "OPENCV_FISHEYE", "undistort"]),
         (|v| v["fl_x"] = Value::Null, &["fl_x", "camera_angle_x"]),
         (|v| v["fl_y"] = json!(-3), &["fl_y", "-3", "positive"]),
@@ -229,7 +230,11 @@ fn json_errors_name_the_line() {
     // Python writes NaN into JSON.
     let broken = pretty.replacen("1000000.0", "NaN", 1);
     fs::write(&path, &broken).expect("write");
-    expect_error(dir.path(), &options, &[&format!("line {}: found NaN", line_of(&broken, "NaN")), "finite"]);
+    let line = format!("line {}: found NaN", line_of(&broken, "NaN"));
+    expect_error(dir.path(), &options, &["frames[0] (images/v0.png).transform_matrix[2][3]", &line, "finite"]);
+    let broken = pretty.replacen("21.0", "NaN", 1);
+    fs::write(&path, &broken).expect("write");
+    expect_error(dir.path(), &options, &[&format!("line {}: found \"fl_y\": NaN", line_of(&broken, "NaN")), "finite"]);
     let broken = pretty.replacen("1000000.0", "1e999", 1);
     fs::write(&path, &broken).expect("write");
     expect_error(dir.path(), &options, &[&format!("line {}", line_of(&broken, "1e999")), "number out of range"]);

@@ -1,159 +1,123 @@
 //! Scenes as folders with a `transforms.json` (nerfstudio, instant-ngp): OpenGL camera-to-world poses, photos, and the
 //! fields of this crate: per frame `split`, `label_path`, `raw_label_path`; per folder `classes.json`.
 
-mod locate;
+mod not_finite;
 mod schema;
 
-pub use locate::locate;
+pub use super::NamedCamera;
+pub use super::options::LoadOptions;
 
 use super::image_file::ImageFile;
-use super::{Classes, LabelMap, Limits, Points, Scene, Split, View};
+use super::lens::Lens;
+use super::listing::{Cloud, Frame, Listing, Problems, read_classes};
+use super::{Limits, Scene, Split};
 use crate::camera::Camera;
-use crate::config::DataConfig;
+use crate::config::Layout;
 use crate::error::{Error, Result};
-use glam::DVec3;
 use rayon::prelude::*;
 use schema::Transforms;
 use std::path::{Path, PathBuf};
 
-/// How [`load`] reads a folder.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct LoadOptions {
-    /// File within the folder that lists the frames.
-    pub transforms: String,
-    /// Folder of raw labels within the scene folder, instead of the one that the frames name.
-    pub raw_labels: Option<String>,
-    /// Largest sizes accepted.
-    pub limits: Limits,
-}
-
-impl Default for LoadOptions {
-    fn default() -> Self {
-        Self::from(&DataConfig::default())
-    }
-}
-
-impl From<&DataConfig> for LoadOptions {
-    fn from(config: &DataConfig) -> Self {
-        Self {
-            transforms: config.transforms.clone(),
-            raw_labels: (!config.raw_labels.is_empty()).then(|| config.raw_labels.clone()),
-            limits: Limits::default(),
-        }
-    }
-}
-
-/// A camera with the name of its frame.
-#[derive(Clone, Debug, PartialEq)]
-pub struct NamedCamera {
-    /// File stem of the frame.
-    pub name: String,
-    /// Train or test.
-    pub split: Split,
-    /// Pose and intrinsics, world units.
-    pub camera: Camera,
-}
-
-/// Loads the scene in folder `dir`.
+/// Loads the scene in folder `dir` from its `transforms.json`, whatever else lies there.
 ///
-/// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. `up` is +z when the file's
-/// `convention` says `world z up`, else the mean up direction of the cameras. Frames without any `split` in the file:
-/// every 8th from the first on is test. Photos are decoded in parallel; `ply_file_path` names the initial cloud, without
-/// which [`Scene::points`] is empty. Frames may lack labels; where they have some, `classes.json` must be there.
+/// As [`super::load`]; `up` is +z when the file's `convention` says `world z up`, else the mean up direction of the
+/// cameras. Frames without any `split` in the file: every 8th from the first on is test. `ply_file_path` names the
+/// initial cloud, without which [`Scene::points`] is empty. Frames may lack labels; where they have some,
+/// `classes.json` must be there.
 ///
 /// # Errors
-/// [`Error::Missing`], [`Error::Input`], [`Error::Io`] or [`Error::Limit`] naming file and field: malformed JSON, missing
-/// or damaged files, sizes that disagree, poses that are no rotations, distortion, unknown label ids, repeated stems, no
-/// training view.
+/// As [`super::load`].
 pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
-    let path = locate(dir, &options.transforms)?;
-    let transforms = Transforms::read(&path)?;
-    let limits = &options.limits;
-    Limits::check(
-        format!("{}: frames", path.display()),
-        transforms.frames.len() as u64,
-        limits.views as u64,
-        "thin out",
-    )?;
-    let splits = transforms.splits(&path)?;
-    let names = transforms.names(&path)?;
-    if !splits.contains(&Split::Train) {
-        let found = format!("{} test frames", splits.len());
-        return Err(Error::input(&path, "frames", found, "at least one training view", "mark frames \"train\""));
-    }
-    let labels: Vec<[Option<PathBuf>; 2]> =
-        (0..names.len()).map(|i| label_paths(&transforms, i, &names[i], dir, options)).collect();
-    let labelled = labels.iter().flatten().any(Option::is_some);
-    let classes = read_classes(dir, labelled)?;
-    let (images, mut cameras) = photos(dir, &path, &transforms, limits)?;
-
-    let bytes: u64 = cameras
-        .iter()
-        .zip(&labels)
-        .map(|(c, l)| {
-            let maps = l.iter().flatten().count() as u64;
-            (c.width as u64 * c.height as u64).saturating_mul(3 + 2 * maps)
-        })
-        .fold(0, u64::saturating_add);
-    Limits::check(
-        format!("{}: bytes of decoded images", path.display()),
-        bytes,
-        limits.scene_bytes,
-        "scale the images down",
-    )?;
-
-    let origin = cameras.iter().map(|c| c.center).sum::<DVec3>() / cameras.len() as f64;
-    let up = if transforms.z_up() { DVec3::Z } else { mean_up(&cameras) };
-    for camera in &mut cameras {
-        camera.center -= origin;
-    }
-    let points = match &transforms.ply_file_path {
-        Some(file) => Points::read(&dir.join(file), origin, limits)?,
-        None => Points::default(),
-    };
-    let lookup = classes.lookup();
-    let views = in_order((0..names.len()).into_par_iter().map(|i| {
-        let camera = cameras[i].clone();
-        let size = (camera.width, camera.height);
-        let file = ImageFile::open(&images[i], limits)?;
-        file.expect_size(size.0, size.1, &format!("{} says", options.transforms))?;
-        let read = |file: &Option<PathBuf>| {
-            file.as_ref().map(|f| LabelMap::read_checked(f, size, &classes, &lookup, limits)).transpose()
-        };
-        let [truth, raw] = &labels[i];
-        Ok(View {
-            name: names[i].clone(),
-            split: splits[i],
-            camera,
-            image: file.decode_rgb()?,
-            truth: read(truth)?,
-            raw: read(raw)?,
-        })
-    }))?;
-    Ok(Scene { name: scene_name(dir), views, classes, points, origin, up })
+    super::load(dir, &LoadOptions { layout: Layout::Transforms, ..options.clone() })
 }
 
-/// The cameras of a `transforms.json`, in file order, without looking at images: each frame or the file must say `w` and
-/// `h`. Positions are world units; subtract a scene's origin before rendering it. `split` keeps only those frames.
+/// Refuses a folder without the file.
+pub(super) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
+    if dir.join(&options.transforms).is_file() {
+        return Ok(());
+    }
+    let expected = "cameras and frames as nerfstudio and instant-ngp write them (README, 'Data')";
+    let (found, mend) = match alternatives(dir) {
+        others if others.is_empty() => {
+            ("no such file".to_owned(), "give another folder, or name another layout with data.layout".to_owned())
+        }
+        others => (
+            format!("no such file, but {}", others.join(", ")),
+            format!("name one with --set data.transforms={}", others[0]),
+        ),
+    };
+    Err(Error::input(dir, &options.transforms, found, expected, mend))
+}
+
+/// What the folder says.
+pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
+    let path = dir.join(&options.transforms);
+    let transforms = Transforms::read(&path)?;
+    let names = transforms.names(&path, problems);
+    let kept = options.pick(&transforms.splits(&path, problems));
+    let limits = &options.limits;
+    let what = format!("{}: frames", path.display());
+    Limits::check(what, kept.len() as u64, limits.views as u64, "thin out with data.stride or data.max_frames")?;
+
+    let mut found = Vec::new();
+    kept.par_iter().map(|&(i, _)| photo(dir, &path, &transforms, i, limits)).collect_into_vec(&mut found);
+    let mut frames = Vec::with_capacity(kept.len());
+    for ((i, split), (image, mut faults, size)) in kept.into_iter().zip(found) {
+        // Of a repeated frame nothing else is told.
+        let Some(name) = &names[i] else { continue };
+        let present = faults.is_empty();
+        let camera = size.map(|size| {
+            transforms.camera(&path, i, size).unwrap_or_else(|fault| {
+                faults.push(fault);
+                (Camera::unposed(size), Lens::default())
+            })
+        });
+        faults.into_iter().for_each(|fault| problems.push(fault));
+        let Some((camera, lens)) = camera else { continue };
+        let [truth, raw] = label_paths(&transforms, i, name, dir, options);
+        frames.push(Frame { name: name.clone(), split, image, present, camera, lens, scales: false, truth, raw });
+    }
+    let labelled = frames.iter().any(|frame| frame.truth.is_some() || frame.raw.is_some());
+    let classes = problems.keep(read_classes(dir, labelled)).unwrap_or_default();
+    Ok(Listing {
+        layout: Layout::Transforms,
+        z_up: transforms.z_up(),
+        cloud: transforms.ply_file_path.as_ref().map_or(Cloud::None, |file| Cloud::Ply(dir.join(file))),
+        file: path,
+        frames,
+        classes,
+        occurring_classes: false,
+        truth_ids: None,
+        resample_labels: false,
+        notices: Vec::new(),
+    })
+}
+
+/// The cameras of a `transforms.json`, in file order, without looking at images: each frame or the file must say `w`
+/// and `h`. Lens distortion is taken out as [`super::load`] takes it out of photos. Positions are world units; subtract
+/// a scene's origin before rendering it. `split` keeps only those frames.
 ///
 /// # Errors
 /// As [`load`]; also when no frame is left.
 pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera>> {
     let transforms = Transforms::read(path)?;
-    let splits = transforms.splits(path)?;
-    let names = transforms.names(path)?;
+    let mut problems = Problems::default();
+    let splits = LoadOptions::default().pick(&transforms.splits(path, &mut problems));
+    let names = transforms.names(path, &mut problems);
+    problems.none()?;
     let mut cameras = Vec::new();
-    for (i, (name, s)) in names.into_iter().zip(splits).enumerate() {
-        if split.is_some_and(|wanted| wanted != s) {
-            continue;
-        }
+    for (i, s) in splits {
+        let Some(name) = names[i].clone().filter(|_| split.is_none_or(|wanted| wanted == s)) else { continue };
         let Some(size) = transforms.declared_size(path, i)? else {
             let field = format!("{}.w", transforms.field(i));
             return Err(Error::input(path, field, "no image size", "w and h in pixels", "add w and h"));
         };
         let pixels = (size.0 as u64).saturating_mul(size.1 as u64);
         Limits::check(format!("{}: pixels", path.display()), pixels, Limits::default().image_pixels, "lower w and h")?;
-        cameras.push(NamedCamera { name, split: s, camera: transforms.camera(path, i, size)? });
+        let (camera, lens) = transforms.camera(path, i, size)?;
+        let image = PathBuf::from(&transforms.frames[i].file_path);
+        let frame = Frame { name, split: s, image, present: true, camera, lens, scales: false, truth: None, raw: None };
+        cameras.push(NamedCamera { camera: frame.geometry(size)?.camera, name: frame.name, split: s });
     }
     if cameras.is_empty() {
         let found = format!("no frame of split {split:?}");
@@ -162,22 +126,30 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
     Ok(cameras)
 }
 
-/// Image path and camera (world units) of every frame; sizes that the file leaves out come from the images.
-fn photos(dir: &Path, path: &Path, transforms: &Transforms, limits: &Limits) -> Result<(Vec<PathBuf>, Vec<Camera>)> {
-    let found = in_order((0..transforms.frames.len()).into_par_iter().map(|i| {
-        let image = image_path(dir, &transforms.frames[i].file_path);
-        if !image.is_file() {
-            let field = format!("{}.file_path", transforms.field(i));
-            let mend = "put the image there or drop the frame";
-            return Err(Error::input(path, field, format!("no file {}", image.display()), "an image", mend));
+/// Image path of a frame, what is wrong with the image, and its size, which is the image's own where the file leaves it
+/// out.
+fn photo(
+    dir: &Path,
+    path: &Path,
+    transforms: &Transforms,
+    i: usize,
+    limits: &Limits,
+) -> (PathBuf, Vec<Error>, Option<(usize, usize)>) {
+    let mut faults = Vec::new();
+    let image = image_path(dir, &transforms.frames[i].file_path);
+    if !image.is_file() {
+        let field = format!("{}.file_path", transforms.field(i));
+        let mend = "put the image there or drop the frame";
+        faults.push(Error::input(path, field, format!("no file {}", image.display()), "an image", mend));
+    }
+    let declared = transforms.declared_size(path, i).map_err(|fault| faults.push(fault)).ok().flatten();
+    let size = match declared {
+        None if faults.is_empty() => {
+            ImageFile::open(&image, limits).map(|file| file.size).map_err(|e| faults.push(e)).ok()
         }
-        let size = match transforms.declared_size(path, i)? {
-            Some(size) => size,
-            None => ImageFile::open(&image, limits)?.size,
-        };
-        Ok((image, transforms.camera(path, i, size)?))
-    }))?;
-    Ok(found.into_iter().unzip())
+        declared => declared,
+    };
+    (image, faults, size)
 }
 
 /// Blender-made files leave the extension out.
@@ -210,34 +182,12 @@ fn label_paths(
     [truth, raw]
 }
 
-/// `classes.json`; only scenes without labels may lack it.
-fn read_classes(dir: &Path, labelled: bool) -> Result<Classes> {
-    let path = dir.join("classes.json");
-    if path.is_file() {
-        return Classes::read(&path);
-    }
-    if labelled {
-        let mend = "list the classes: {\"0\": \"void\", \"1\": \"wall\", ..}";
-        return Err(Error::input(&path, "file", "nothing", "a class table, as frames have labels", mend));
-    }
-    Ok(Classes::default())
-}
-
-/// Mean up direction of cameras; +z when they cancel.
-fn mean_up(cameras: &[Camera]) -> DVec3 {
-    // OpenCV's y points down; row 1 of the world-to-camera rotation is that axis in the world.
-    let sum: DVec3 = cameras.iter().map(|c| -c.rotation.row(1)).sum();
-    sum.try_normalize().unwrap_or(DVec3::Z)
-}
-
-fn scene_name(dir: &Path) -> String {
-    let full = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
-    full.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned())
-}
-
-/// All results, or the first error in frame order, whichever thread met one first.
-fn in_order<T: Send>(results: impl IndexedParallelIterator<Item = Result<T>>) -> Result<Vec<T>> {
-    let mut all = Vec::new();
-    results.collect_into_vec(&mut all);
-    all.into_iter().collect()
+/// Files of `dir` that may be meant, by name.
+pub(super) fn alternatives(dir: &Path) -> Vec<String> {
+    let names = std::fs::read_dir(dir).into_iter().flatten().flatten();
+    let names = names.filter_map(|entry| entry.file_name().into_string().ok());
+    let mut names: Vec<String> = names.filter(|n| n.starts_with("transforms") && n.ends_with(".json")).collect();
+    names.sort_unstable();
+    names.truncate(4);
+    names
 }

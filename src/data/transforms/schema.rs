@@ -1,7 +1,10 @@
 //! What a `transforms.json` says, field by field, and the camera that follows from it.
 
+use super::not_finite::{Token, blanked};
 use crate::camera::{Camera, Intrinsics};
 use crate::data::Split;
+use crate::data::lens::Lens;
+use crate::data::listing::Problems;
 use crate::error::{Error, Result};
 use glam::{DMat4, DVec4};
 use serde::Deserialize;
@@ -11,10 +14,13 @@ use std::path::Path;
 #[derive(Deserialize)]
 pub(super) struct Transforms {
     #[serde(flatten)]
-    pub lens: Lens,
+    pub lens: LensFields,
     pub convention: Option<String>,
     pub ply_file_path: Option<String>,
     pub frames: Vec<Frame>,
+    /// What stood where matrices have `None`, in order.
+    #[serde(skip)]
+    not_finite: Vec<Token>,
 }
 
 /// One frame. Its own intrinsics come before those of the file.
@@ -24,15 +30,17 @@ pub(super) struct Frame {
     pub label_path: Option<String>,
     pub raw_label_path: Option<String>,
     pub split: Option<String>,
-    pub transform_matrix: Vec<Vec<f64>>,
+    /// `None` where the file has NaN or an infinity.
+    pub transform_matrix: Vec<Vec<Option<f64>>>,
     #[serde(flatten)]
-    pub lens: Lens,
+    pub lens: LensFields,
 }
 
 /// Intrinsics, each of which may be missing. Sizes are JSON numbers of any kind (some tools write `1080.0`).
 #[derive(Clone, Default, Deserialize)]
-pub(super) struct Lens {
+pub(super) struct LensFields {
     camera_model: Option<String>,
+    is_fisheye: Option<bool>,
     camera_angle_x: Option<f64>,
     camera_angle_y: Option<f64>,
     fl_x: Option<f64>,
@@ -51,7 +59,7 @@ pub(super) struct Lens {
     p2: Option<f64>,
 }
 
-/// Models that are a pinhole when every distortion coefficient is zero.
+/// Models that are a pinhole once the distortion is taken out.
 const PINHOLE_MODELS: [&str; 7] =
     ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "OPENCV_PINHOLE", "FULL_OPENCV", "SIMPLE_RADIAL", "RADIAL"];
 
@@ -62,7 +70,14 @@ impl Transforms {
     /// Reads and checks what concerns the file as a whole.
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
-        let transforms: Self = serde_json::from_str(&text).map_err(|e| {
+        let parse = |text: &str| serde_json::from_str::<Self>(text);
+        let transforms = parse(&text).or_else(|e| {
+            // Python writes NaN into JSON. In a pose, the frame can be named.
+            let (blank, tokens) = blanked(&text);
+            let lenient = parse(&blank).ok().filter(|t| !tokens.is_empty() && t.gaps().count() == tokens.len());
+            lenient.map(|t| Self { not_finite: tokens, ..t }).ok_or(e)
+        });
+        let transforms = transforms.map_err(|e| {
             let line = text.lines().nth(e.line().saturating_sub(1)).unwrap_or_default();
             let not_finite = e.is_syntax() && ["NaN", "Infinity"].iter().any(|w| line.contains(w));
             let found = if not_finite { format!("{} ({e})", line.trim()) } else { e.to_string() };
@@ -86,25 +101,34 @@ impl Transforms {
         self.convention.as_deref().is_some_and(|c| c.to_lowercase().contains("world z up"))
     }
 
-    /// Train or test for each frame: as the frames say; when none says, every 8th from the first on is test.
-    pub fn splits(&self, path: &Path) -> Result<Vec<Split>> {
+    /// Cells of matrices that hold no number, as (frame, row, column), in order.
+    fn gaps(&self) -> impl Iterator<Item = (usize, usize, usize)> {
+        self.frames.iter().enumerate().flat_map(|(i, frame)| {
+            let rows = frame.transform_matrix.iter().enumerate();
+            let cells = rows.flat_map(|(r, row)| row.iter().enumerate().map(move |(c, cell)| (r, c, cell)));
+            cells.filter(|(.., cell)| cell.is_none()).map(move |(r, c, _)| (i, r, c))
+        })
+    }
+
+    /// What the frames say of their split: all of them or none.
+    pub fn splits(&self, path: &Path, problems: &mut Problems) -> Vec<Option<Split>> {
         let none = self.frames.iter().all(|f| f.split.is_none());
-        self.frames
-            .iter()
-            .enumerate()
-            .map(|(i, frame)| match frame.split.as_deref() {
-                Some("train") => Ok(Split::Train),
-                Some("test") => Ok(Split::Test),
-                None if none => Ok(if i % 8 == 0 { Split::Test } else { Split::Train }),
-                other => Err(Error::input(
+        let mut one = |(i, frame): (usize, &Frame)| match frame.split.as_deref() {
+            Some("train") => Some(Split::Train),
+            Some("test") => Some(Split::Test),
+            None if none => None,
+            other => {
+                problems.push(Error::input(
                     path,
                     format!("{}.split", self.field(i)),
                     other.map_or("nothing, though other frames have one".into(), |s| format!("{s:?}")),
                     "\"train\" or \"test\"",
                     "give every frame a split, or none (then every 8th is test)",
-                )),
-            })
-            .collect()
+                ));
+                Some(Split::Train)
+            }
+        };
+        self.frames.iter().enumerate().map(&mut one).collect()
     }
 
     /// `frames[I] (FILE)`, for messages.
@@ -112,31 +136,31 @@ impl Transforms {
         format!("frames[{frame}] ({})", self.frames[frame].file_path)
     }
 
-    /// File stem of each frame.
-    ///
-    /// # Errors
-    /// A stem is empty or appears twice; both frames are named.
-    pub fn names(&self, path: &Path) -> Result<Vec<String>> {
+    /// File stem of each frame; `None` where it is empty or an earlier frame has it, which is a fault.
+    pub fn names(&self, path: &Path, problems: &mut Problems) -> Vec<Option<String>> {
         let mut seen = std::collections::HashMap::new();
         let mut names = Vec::with_capacity(self.frames.len());
         for (i, frame) in self.frames.iter().enumerate() {
-            let field = || format!("{}.file_path", self.field(i));
-            let Some(stem) = Path::new(&frame.file_path).file_stem().and_then(|s| s.to_str()) else {
-                let found = format!("{:?}", frame.file_path);
-                return Err(Error::input(path, field(), found, "the path of an image", "name the image file"));
-            };
-            if let Some(first) = seen.insert(stem, i) {
-                return Err(Error::input(
+            let field = format!("{}.file_path", self.field(i));
+            let stem = Path::new(&frame.file_path).file_stem().and_then(|s| s.to_str());
+            let earlier = stem.and_then(|stem| seen.insert(stem, i));
+            match (stem, earlier) {
+                (None, _) => {
+                    let found = format!("{:?}", frame.file_path);
+                    problems.push(Error::input(path, field, found, "the path of an image", "name the image file"));
+                }
+                (Some(stem), Some(first)) => problems.push(Error::input(
                     path,
-                    field(),
+                    field,
                     format!("stem {stem:?}, which {} has too", self.field(first)),
                     "file stems that differ: views and outputs are named by them",
                     "rename one of the images or drop the repeated frame",
-                ));
+                )),
+                (Some(_), None) => {}
             }
-            names.push(stem.to_owned());
+            names.push(stem.filter(|_| earlier.is_none()).map(str::to_owned));
         }
-        Ok(names)
+        names
     }
 
     /// Width and height that the file gives for a frame.
@@ -161,11 +185,11 @@ impl Transforms {
         }
     }
 
-    /// The camera of a frame, in world units.
-    pub fn camera(&self, path: &Path, frame: usize, (width, height): (usize, usize)) -> Result<Camera> {
-        let intrinsics = self.intrinsics(path, frame, width, height)?;
+    /// The camera of a frame, in world units, and its lens.
+    pub fn camera(&self, path: &Path, frame: usize, (width, height): (usize, usize)) -> Result<(Camera, Lens)> {
+        let (intrinsics, lens) = self.intrinsics(path, frame, width, height)?;
         let matrix = self.matrix(path, frame)?;
-        Camera::from_opengl(&matrix, intrinsics).ok_or_else(|| {
+        let camera = Camera::from_opengl(&matrix, intrinsics).ok_or_else(|| {
             let m = glam::DMat3::from_mat4(matrix);
             let lengths = [m.x_axis, m.y_axis, m.z_axis].map(|a| a.length());
             Error::input(
@@ -175,7 +199,8 @@ impl Transforms {
                 "a rotation (orthonormal columns, determinant +1) and a translation",
                 "remove scale, shear and mirroring from the pose",
             )
-        })
+        })?;
+        Ok((camera, lens))
     }
 
     /// The pose, finite, 4x4.
@@ -192,6 +217,12 @@ impl Transforms {
         let mut m = [[0.0, 0.0, 0.0, 1.0]; 4];
         for (r, row) in rows.iter().enumerate() {
             for (c, &value) in row.iter().enumerate() {
+                let Some(value) = value else {
+                    let token = self.gaps().position(|gap| gap == (frame, r, c)).and_then(|k| self.not_finite.get(k));
+                    let line = token.map_or(String::new(), |t| format!(", line {}", t.line));
+                    let found = token.map_or("null", |t| t.text).to_owned();
+                    return error(&format!("[{r}][{c}]{line}"), found, "a finite number");
+                };
                 if !(value as f32).is_finite() {
                     return error(&format!("[{r}][{c}]"), format!("{value:?}"), "a finite number (f32)");
                 }
@@ -205,7 +236,7 @@ impl Transforms {
         Ok(DMat4::from_cols(x, y, z, w).transpose())
     }
 
-    fn intrinsics(&self, path: &Path, frame: usize, width: usize, height: usize) -> Result<Intrinsics> {
+    fn intrinsics(&self, path: &Path, frame: usize, width: usize, height: usize) -> Result<(Intrinsics, Lens)> {
         let (own, all) = (&self.frames[frame].lens, &self.lens);
         let error = |name: &str, found: String, expected: &str, mend: &str| {
             Error::input(path, format!("{}.{name}", self.field(frame)), found, expected, mend)
@@ -213,23 +244,24 @@ impl Transforms {
         let model = own.camera_model.as_ref().or(all.camera_model.as_ref());
         if let Some(model) = model.filter(|m| !PINHOLE_MODELS.contains(&m.to_uppercase().as_str())) {
             let mend = "undistort the images (colmap image_undistorter) and export again";
-            return Err(error("camera_model", model.clone(), "PINHOLE", mend));
+            return Err(error("camera_model", model.clone(), "PINHOLE, OPENCV, SIMPLE_RADIAL or RADIAL", mend));
         }
-        let distortion = [
-            ("k1", own.k1.or(all.k1)),
-            ("k2", own.k2.or(all.k2)),
-            ("k3", own.k3.or(all.k3)),
-            ("k4", own.k4.or(all.k4)),
-            ("k5", own.k5.or(all.k5)),
-            ("k6", own.k6.or(all.k6)),
-            ("p1", own.p1.or(all.p1)),
-            ("p2", own.p2.or(all.p2)),
-        ];
-        if let Some((name, Some(k))) = distortion.iter().find(|(_, k)| k.is_some_and(|k| k != 0.0)) {
+        if own.is_fisheye.or(all.is_fisheye) == Some(true) {
+            let mend = "undistort the images (colmap image_undistorter) and export again";
+            return Err(error("is_fisheye", "true".into(), "a lens that is no fisheye", mend));
+        }
+        // Of what follows k3 tools differ on the meaning: a further power of the radius, or a denominator.
+        let beyond = [("k4", own.k4.or(all.k4)), ("k5", own.k5.or(all.k5)), ("k6", own.k6.or(all.k6))];
+        if let Some((name, Some(k))) = beyond.iter().find(|(_, k)| k.is_some_and(|k| k != 0.0)) {
             let mend =
                 "undistort the images (colmap image_undistorter, or OpenCV undistort) and export poses with zeros";
-            return Err(error(name, k.to_string(), "0: cameras here have no lens distortion", mend));
+            return Err(error(name, k.to_string(), "0: of lens distortion only k1 k2 k3 p1 p2 are read", mend));
         }
+        let value = |own: Option<f64>, all: Option<f64>| own.or(all).unwrap_or(0.0);
+        let lens = Lens {
+            k: [value(own.k1, all.k1), value(own.k2, all.k2), value(own.k3, all.k3)],
+            p: [value(own.p1, all.p1), value(own.p2, all.p2)],
+        };
         let from_angle = |pixels: usize, angle: Option<f64>| angle.map(|a| 0.5 * pixels as f64 / (0.5 * a).tan());
         let fx = own.fl_x.or(all.fl_x).or_else(|| from_angle(width, own.camera_angle_x.or(all.camera_angle_x)));
         let Some(fx) = fx else {
@@ -252,6 +284,6 @@ impl Transforms {
                 return Err(error(name, format!("{c:?}"), "pixels from the image corner", "mend the principal point"));
             }
         }
-        Ok(Intrinsics { fx, fy, cx, cy, width, height })
+        Ok((Intrinsics { fx, fy, cx, cy, width, height }, lens))
     }
 }

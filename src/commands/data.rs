@@ -1,0 +1,163 @@
+//! `coseg data`: looks at a scene folder without training on it.
+
+use super::{Settings, terminal};
+use clap::{Args, Subcommand};
+use coseg::data::{self, Info, LoadOptions, Manifest, atomic};
+use coseg::error::{Error, Result};
+use coseg::report::pictures;
+use coseg::report::sheet::contact_sheet;
+use std::path::PathBuf;
+
+/// Pictures on a contact sheet, at most, and pixels across each.
+const SHEET: (usize, u32) = (25, 200);
+
+const HELP: &str = "\
+Layouts: transforms.json of nerfstudio and instant-ngp, COLMAP models, Replica as NICE-SLAM and Semantic-NeRF ship it,
+ScanNet exports. The layout is found by the files that are there; --set data.layout=NAME says which.
+
+Examples:
+  coseg data check scenes/living
+  coseg data check room_0/Sequence_1 --manifest data_manifests/replica_room_0.toml
+  coseg data info scenes/living --sheet living.png
+  coseg data info scans/scene0000_00 --set data.stride=20 --json";
+
+/// Arguments of `coseg data`.
+#[derive(Args, Debug)]
+#[command(after_help = HELP)]
+pub struct DataArgs {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, Subcommand)]
+enum Action {
+    /// Tell every problem of a scene folder at once; exit code 1 when there is one
+    Check(CheckArgs),
+    /// Counts, splits, image sizes, camera extent, classes
+    Info(InfoArgs),
+}
+
+#[derive(Args, Debug)]
+struct CheckArgs {
+    /// Scene folder
+    #[arg(value_name = "DIR")]
+    dir: PathBuf,
+    /// Manifest of the scene: its files must be there, its layout is taken
+    #[arg(long, value_name = "FILE.toml")]
+    manifest: Option<PathBuf>,
+    #[command(flatten)]
+    settings: Settings,
+}
+
+#[derive(Args, Debug)]
+struct InfoArgs {
+    /// Scene folder
+    #[arg(value_name = "DIR")]
+    dir: PathBuf,
+    /// Write a contact sheet: photos with their labels and a legend
+    #[arg(long, value_name = "FILE.png")]
+    sheet: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    settings: Settings,
+}
+
+impl DataArgs {
+    /// Checks or describes the folder.
+    pub fn run(self) -> Result<()> {
+        match self.action {
+            Action::Check(args) => args.run(),
+            Action::Info(args) => args.run(),
+        }
+    }
+}
+
+impl CheckArgs {
+    fn run(self) -> Result<()> {
+        let config = self.settings.load(Some(&self.dir), None)?;
+        let mut options = LoadOptions::from(&config.data);
+        let mut faults = Vec::new();
+        if let Some(path) = &self.manifest {
+            let manifest = Manifest::read(path)?;
+            options = manifest.options(&options);
+            faults = manifest.check(&self.dir);
+        }
+        let checked = data::check(&self.dir, &options);
+        faults.extend(checked.problems);
+        for notice in &checked.notices {
+            terminal::note(&format!("note: {notice}"));
+        }
+        for fault in &faults {
+            terminal::error(fault);
+        }
+        let layout = checked.layout.map_or("unknown", |layout| layout.name());
+        match faults.len() {
+            0 => {
+                terminal::say(&format!(
+                    "{}: layout {layout}, {} frames, no problems",
+                    self.dir.display(),
+                    checked.frames
+                ));
+                Ok(())
+            }
+            n => {
+                let found = if n == 1 { "1 problem".to_owned() } else { format!("{n} problems") };
+                let field = format!("layout {layout}, {} frames", checked.frames);
+                Err(Error::input(&self.dir, field, found, "none", "mend what is listed above and check again"))
+            }
+        }
+    }
+}
+
+impl InfoArgs {
+    fn run(self) -> Result<()> {
+        let config = self.settings.load(Some(&self.dir), None)?;
+        let options = LoadOptions::from(&config.data);
+        let info = data::info(&self.dir, &options)?;
+        if let Some(path) = &self.sheet {
+            let (tiles, classes) = data::thumbnails(&self.dir, &options, SHEET.0, SHEET.1)?;
+            atomic::write_bytes(path, &pictures::png(&contact_sheet(&tiles, &classes), path)?)?;
+        }
+        if self.json {
+            terminal::say(&serde_json::json!(info).to_string());
+            return Ok(());
+        }
+        print(&info);
+        if let Some(path) = &self.sheet {
+            terminal::say(&format!("contact sheet: {}", path.display()));
+        }
+        Ok(())
+    }
+}
+
+fn print(info: &Info) {
+    let say = |name: &str, value: String| terminal::say(&format!("{name:>14}  {value}"));
+    terminal::say(&format!("{}: layout {}", info.name, info.layout));
+    say("views", format!("{} train, {} test", info.train, info.test));
+    for (w, h, n) in &info.sizes {
+        say("photos", format!("{n} of {w}x{h} pixels"));
+    }
+    if info.distorted > 0 {
+        say("distorted", format!("{} photos, undistorted on loading", info.distorted));
+    }
+    let c = &info.cameras;
+    let numbers = |v: [f64; 3]| v.map(|v| format!("{v:.3}")).join(" ");
+    say(
+        "cameras",
+        format!("{} to {}, extent {:.3} about {}", numbers(c.low), numbers(c.high), c.extent, numbers(c.mean)),
+    );
+    say("points", info.points.to_string());
+    say("labels", format!("{} views true, {} views raw", info.labelled, info.raw_labelled));
+    if !info.classes.is_empty() {
+        terminal::say(&format!("{:>14}  {:>7} {:>7} {:>6}  class", "id", "true", "raw", "views"));
+    }
+    for class in &info.classes {
+        let (truth, raw) = (100.0 * class.truth, 100.0 * class.raw);
+        terminal::say(&format!("{:>14}  {truth:>6.2}% {raw:>6.2}% {:>6}  {}", class.id, class.views, class.name));
+    }
+    for notice in &info.notices {
+        say("note", notice.clone());
+    }
+}

@@ -1,0 +1,92 @@
+//! Where the scene comes from and how its folder is read.
+
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Where the scene comes from.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DataConfig {
+    /// Scene folder; absent means the built-in scene.
+    pub dir: Option<PathBuf>,
+    /// How the folder is laid out.
+    pub layout: Layout,
+    /// File within `dir` that lists frames, of layout `transforms`.
+    pub transforms: String,
+    /// Folder of photos within `dir`, of layout `colmap`. In another one than `images` photos may be smaller than the
+    /// model says, in the same proportion: cameras are scaled to them.
+    pub images: String,
+    /// Folder of raw labels within `dir`; replaces the folder named in the frames. Empty: as the frames say.
+    pub raw_labels: String,
+    /// Where the raw labels come from, for the report: a network's name, or that they are simulated. Empty: nothing is
+    /// said, but for the built-in scene, whose raw labels are simulated.
+    pub raw_labels_note: String,
+    /// Of each split every so many-th frame is used; 1 means all.
+    pub stride: usize,
+    /// No more frames than this, evenly chosen; 0 means no limit.
+    pub max_frames: usize,
+    /// Class table that ScanNet's label ids are mapped to.
+    pub scannet_classes: ScannetClasses,
+    /// ScanNet's table of label ids, `scannetv2-labels.combined.tsv`; absent: looked for in `dir` and the three folders
+    /// above it.
+    pub scannet_labels: Option<PathBuf>,
+}
+
+impl Default for DataConfig {
+    fn default() -> Self {
+        Self {
+            dir: None,
+            layout: Layout::Auto,
+            transforms: "transforms.json".into(),
+            images: "images".into(),
+            raw_labels: String::new(),
+            raw_labels_note: String::new(),
+            stride: 1,
+            max_frames: 0,
+            scannet_classes: ScannetClasses::Nyu40,
+            scannet_labels: None,
+        }
+    }
+}
+
+impl DataConfig {
+    /// A sentence on where the raw labels come from, where that is known: nothing in a scene folder says so.
+    pub fn raw_labels_origin(&self) -> Option<String> {
+        match (self.raw_labels_note.trim(), &self.dir) {
+            ("", None) => Some(
+                "Simulated raw labels: errors drawn on the true labels, not the output of a segmentation network."
+                    .to_owned(),
+            ),
+            ("", Some(_)) => None,
+            (note, _) => Some(format!("Raw labels: {}.", note.trim_end_matches('.'))),
+        }
+    }
+}
+
+/// How a scene folder is laid out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Layout {
+    /// By the files that are there.
+    #[default]
+    Auto,
+    /// `transforms.json` of nerfstudio and instant-ngp.
+    Transforms,
+    /// A COLMAP model in `sparse/0` or `sparse`.
+    Colmap,
+    /// Replica as NICE-SLAM or Semantic-NeRF ship it.
+    Replica,
+    /// ScanNet as its SensReader exports it.
+    Scannet,
+}
+
+/// Class tables for ScanNet.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ScannetClasses {
+    /// The 40 classes of NYU Depth v2.
+    #[default]
+    Nyu40,
+    /// The 20 of those that ScanNet's benchmark counts; the others are ignored.
+    Scannet20,
+}

@@ -1,0 +1,270 @@
+//! COLMAP folders: a sparse model (cameras, images, points3D as `.bin` or `.txt`) beside the photos.
+//!
+//! Formats: <https://colmap.github.io/format.html>. Poses are world-to-camera in OpenCV axes, pixel centres lie at
+//! +0.5: ours.
+
+mod binary;
+mod cameras;
+mod text;
+
+use super::listing::{Cloud, Frame, LabelFolder, Listing, Problems, read_classes};
+use super::options::LoadOptions;
+use super::{Limits, Points};
+use crate::camera::{Camera, Intrinsics};
+use crate::config::Layout;
+use crate::error::{Error, Result};
+use cameras::ModelCamera;
+use glam::{DMat3, DQuat, DVec3};
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Component, Path, PathBuf};
+
+/// Folders of a model, relative to the scene folder; the last is nerfstudio's.
+const FOLDERS: [&str; 3] = ["sparse/0", "sparse", "colmap/sparse/0"];
+/// What to do with a file that is damaged.
+const AGAIN: &str = "copy the model again, or write it again with `colmap model_converter`";
+
+/// A registered image as the model has it.
+#[derive(Clone, Debug, PartialEq)]
+struct PosedImage {
+    /// Path below the folder of photos, with `/`.
+    name: String,
+    /// World-to-camera, w x y z.
+    rotation: [f64; 4],
+    /// World-to-camera.
+    translation: [f64; 3],
+    camera: u32,
+    /// Where it stands in the file, for messages.
+    place: String,
+}
+
+/// A point of `points3D`.
+#[derive(Clone, Debug, PartialEq)]
+struct ModelPoint {
+    position: [f64; 3],
+    color: [u8; 3],
+}
+
+/// Takes points one by one, each with where it stands in the file.
+type TakePoint<'t> = dyn FnMut(&dyn Fn() -> String, ModelPoint) -> Result<()> + 't;
+
+/// A file of a model in either form.
+#[derive(Clone, Debug)]
+enum ModelFile {
+    Binary(PathBuf),
+    Text(PathBuf),
+}
+
+impl ModelFile {
+    /// `folder/name.bin`, or else `folder/name.txt`.
+    fn find(folder: &Path, name: &str) -> Option<Self> {
+        let [binary, text] = ["bin", "txt"].map(|e| folder.join(format!("{name}.{e}")));
+        match (binary.is_file(), text.is_file()) {
+            (true, _) => Some(Self::Binary(binary)),
+            (false, true) => Some(Self::Text(text)),
+            _ => None,
+        }
+    }
+
+    fn path(&self) -> &Path {
+        match self {
+            Self::Binary(path) | Self::Text(path) => path,
+        }
+    }
+}
+
+/// The model in a scene folder, relative to it, if there is one.
+pub(super) fn found(dir: &Path) -> Option<String> {
+    FOLDERS.into_iter().find_map(|folder| {
+        let file =
+            ModelFile::find(&dir.join(folder), "cameras").or_else(|| ModelFile::find(&dir.join(folder), "images"))?;
+        Some(format!("{folder}/{}", file.path().file_name()?.to_string_lossy()))
+    })
+}
+
+/// Cameras and images of the model.
+///
+/// # Errors
+/// There is no model, or only a part of it.
+fn model(dir: &Path) -> Result<(PathBuf, ModelFile, ModelFile)> {
+    let has = |folder: &PathBuf| ["cameras", "images"].iter().any(|name| ModelFile::find(folder, name).is_some());
+    let Some(folder) = FOLDERS.iter().map(|folder| dir.join(folder)).find(has) else {
+        let expected = "a model in sparse/0 or sparse: cameras, images and points3D as .bin or .txt";
+        return Err(Error::input(dir, "sparse/0", "no model", expected, "run `colmap mapper`, or give another folder"));
+    };
+    let (cameras, images) = (part(&folder, "cameras")?, part(&folder, "images")?);
+    Ok((folder, cameras, images))
+}
+
+/// Refuses a folder without a whole model or without the folder of photos.
+pub(super) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
+    model(dir)?;
+    if dir.join(&options.images).is_dir() {
+        return Ok(());
+    }
+    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten().filter(|entry| entry.path().is_dir());
+    let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
+    let mut others: Vec<String> = names.filter(|name| name.starts_with("images")).collect();
+    others.sort_unstable();
+    let (found, mend) = match &others[..] {
+        [] => ("no such folder".to_owned(), "put the photos there, or name their folder with data.images".to_owned()),
+        [first, ..] => {
+            (format!("no such folder, but {}", others.join(", ")), format!("name one with --set data.images={first}"))
+        }
+    };
+    Err(Error::input(dir, &options.images, found, "the folder of the photos that the model was made from", mend))
+}
+
+/// What the folder says.
+pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
+    let limits = &options.limits;
+    let (folder, cameras_file, images_file) = model(dir)?;
+    let cameras = match &cameras_file {
+        ModelFile::Binary(path) => binary::cameras(path)?,
+        ModelFile::Text(path) => text::cameras(path)?,
+    };
+    let mut images = match &images_file {
+        ModelFile::Binary(path) => binary::images(path, limits)?,
+        ModelFile::Text(path) => text::images(path)?,
+    };
+    images.sort_by(|a, b| a.name.cmp(&b.name));
+
+    let kept = options.pick(&vec![None; images.len()]);
+    let cameras: BTreeMap<u32, ModelCamera> = cameras.into_iter().map(|c| (c.id, c)).collect();
+    let truth = LabelFolder::optional(dir, "labels");
+    let raw = LabelFolder::raw(dir, options.raw_labels.as_deref());
+    let mut names = HashMap::new();
+    let mut frames = Vec::with_capacity(kept.len());
+    for (i, split) in kept {
+        let image = &images[i];
+        let name = image.view_name();
+        let posed = images_file.path();
+        if let Some(first) = names.insert(name.clone(), &image.place) {
+            let expected = "an image once: views and outputs are named by their path without extension";
+            let found = format!("{}, which {first} has too", image.name);
+            problems.push(Error::input(posed, &image.place, found, expected, "drop the repeated image from the model"));
+            continue;
+        }
+        let camera = image.camera(posed, cameras_file.path(), &cameras);
+        let Some((camera, lens)) = problems.keep(camera) else { continue };
+        let below = Path::new(&image.name);
+        frames.push(Frame {
+            name,
+            split,
+            image: dir.join(&options.images).join(below),
+            present: true,
+            camera,
+            lens,
+            scales: options.images != "images",
+            truth: truth.of(below),
+            raw: raw.of(below),
+        });
+    }
+    let labelled = frames.iter().any(|frame| frame.truth.is_some() || frame.raw.is_some());
+    let points = ModelFile::find(&folder, "points3D");
+    let mut notices = Vec::new();
+    if points.is_none() {
+        notices.push(format!("no points3D in {}: Gaussians start from random points", folder.display()));
+    }
+    for (what, missing) in [
+        ("labels", frames.iter().filter(|f| f.truth.is_none()).count()),
+        ("raw labels", frames.iter().filter(|f| f.raw.is_none()).count()),
+    ] {
+        if missing > 0 && missing < frames.len() {
+            notices.push(format!("{missing} of {} photos have no {what}", frames.len()));
+        }
+    }
+    Ok(Listing {
+        layout: Layout::Colmap,
+        file: images_file.path().to_owned(),
+        frames,
+        classes: problems.keep(read_classes(dir, labelled)).unwrap_or_default(),
+        occurring_classes: false,
+        truth_ids: None,
+        resample_labels: false,
+        cloud: points.map_or(Cloud::None, |file| Cloud::Colmap(file.path().to_owned())),
+        z_up: false,
+        notices,
+    })
+}
+
+fn part(folder: &Path, name: &str) -> Result<ModelFile> {
+    ModelFile::find(folder, name).ok_or_else(|| {
+        let expected = format!("{name}.bin or {name}.txt");
+        Error::input(folder, name, "no such file", expected, "copy the whole model: cameras, images and points3D")
+    })
+}
+
+/// Reads `points3D`, relative to `origin`; colours are sRGB.
+pub(super) fn read_points(path: &Path, origin: DVec3, limits: &Limits) -> Result<Points> {
+    let mut points = Points::default();
+    let mut take = |place: &dyn Fn() -> String, point: ModelPoint| {
+        let position = (DVec3::from(point.position) - origin).to_array().map(|v| v as f32);
+        if let Some(axis) = position.iter().position(|v| !v.is_finite()) {
+            let field = format!("{}: {}", place(), ["x", "y", "z"][axis]);
+            let found = point.position[axis].to_string();
+            return Err(Error::input(path, field, found, "a finite number (f32)", "remove this point"));
+        }
+        points.positions.push(position);
+        points.colors.push(point.color.map(|c| f32::from(c) / 255.0));
+        Limits::check(format!("{}: points", path.display()), points.len() as u64, limits.points, "thin the cloud out")
+    };
+    match path.extension().is_some_and(|e| e == "bin") {
+        true => binary::points(path, limits, &mut take)?,
+        false => text::points(path, &mut take)?,
+    }
+    Ok(points)
+}
+
+impl PosedImage {
+    /// Its path without extension, folders joined by `_`: unique where photos of several cameras have the same file
+    /// names.
+    fn view_name(&self) -> String {
+        let path = Path::new(&self.name).with_extension("");
+        let parts = path.components().filter_map(|part| match part {
+            Component::Normal(name) => Some(name.to_string_lossy()),
+            _ => None,
+        });
+        parts.collect::<Vec<_>>().join("_")
+    }
+
+    /// The camera in world units, and its lens. `posed` and `calibrated` are the two files, for messages.
+    fn camera(
+        &self,
+        posed: &Path,
+        calibrated: &Path,
+        cameras: &BTreeMap<u32, ModelCamera>,
+    ) -> Result<(Camera, super::lens::Lens)> {
+        let error = |field: &str, found: String, expected: &str, mend: &str| {
+            Err(Error::input(posed, format!("{} ({}): {field}", self.place, self.name), found, expected, mend))
+        };
+        if self.view_name().is_empty()
+            || Path::new(&self.name).components().any(|c| !matches!(c, Component::Normal(_) | Component::CurDir))
+        {
+            return error(
+                "NAME",
+                format!("{:?}", self.name),
+                "a path below the folder of photos",
+                "write the model with relative names",
+            );
+        }
+        let Some(model) = cameras.get(&self.camera) else {
+            let expected = format!("one of the {} cameras of {}", cameras.len(), calibrated.display());
+            return error("CAMERA_ID", self.camera.to_string(), &expected, "copy cameras and images of the same model");
+        };
+        let [w, x, y, z] = self.rotation;
+        let norm = self.rotation.iter().map(|v| v * v).sum::<f64>().sqrt();
+        // Text files round; anything farther off is no rotation.
+        if (norm - 1.0).abs().partial_cmp(&0.01) != Some(std::cmp::Ordering::Less) {
+            let found = format!("{:?} of length {norm:.4}", self.rotation);
+            return error("QW QX QY QZ", found, "a quaternion of length 1", AGAIN);
+        }
+        let translation = DVec3::from(self.translation);
+        if self.translation.iter().any(|&v| !(v as f32).is_finite()) {
+            return error("TX TY TZ", format!("{:?}", self.translation), "finite numbers (f32)", AGAIN);
+        }
+        let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
+        let (Intrinsics { fx, fy, cx, cy, width, height }, lens) = model.checked(calibrated)?;
+        let center = -(rotation.transpose() * translation);
+        Ok((Camera { rotation, center, fx, fy, cx, cy, width, height }, lens))
+    }
+}

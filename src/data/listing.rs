@@ -1,0 +1,334 @@
+//! What a scene folder says before any photo is decoded, whatever its layout, and the scene that follows from it.
+
+use super::depth::Depth;
+use super::image_file::ImageFile;
+use super::lens::{Lens, Remap};
+use super::{Classes, LabelMap, Limits, Points, Scene, Split, View, colmap};
+use crate::camera::Camera;
+use crate::config::Layout;
+use crate::error::{Error, Result};
+use glam::DVec3;
+use image::RgbImage;
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+
+/// How far the proportions of a label map may be from those of its photo when it is resampled: ScanNet's own sizes,
+/// 1296x968 and 640x480, differ by 0.4 %.
+const PROPORTION: f64 = 0.02;
+
+/// The frames of a folder with all that is known of them.
+pub(crate) struct Listing {
+    /// How the folder is laid out; never `auto`.
+    pub layout: Layout,
+    /// The file that lists the frames, for messages.
+    pub file: PathBuf,
+    /// Those that are read, in file order or by name.
+    pub frames: Vec<Frame>,
+    /// Class table; empty without labels, and where it could not be read.
+    pub classes: Classes,
+    /// Of the class table, which is that of a whole dataset, only classes that occur in the scene are kept.
+    pub occurring_classes: bool,
+    /// Class id of each id in the true labels, where they hold others; [`UNMAPPED`] where there is none. Length 65536.
+    pub truth_ids: Option<Vec<u32>>,
+    /// Label maps of another size than their photos are resampled.
+    pub resample_labels: bool,
+    /// The initial cloud.
+    pub cloud: Cloud,
+    /// Whether +z is up in the world; else the cameras tell.
+    pub z_up: bool,
+    /// What was left out or taken for granted, in sentences.
+    pub notices: Vec<String>,
+}
+
+/// An id of true labels without a class id.
+pub(crate) const UNMAPPED: u32 = u32::MAX;
+
+/// One posed photo.
+pub(crate) struct Frame {
+    pub name: String,
+    pub split: Split,
+    pub image: PathBuf,
+    /// `false` where the photo is known to be missing, which was told.
+    pub present: bool,
+    /// Pose and intrinsics of the photo as it lies there, in world units.
+    pub camera: Camera,
+    pub lens: Lens,
+    /// A photo of another size is taken, and the camera scaled to it.
+    pub scales: bool,
+    pub truth: Option<PathBuf>,
+    pub raw: Option<PathBuf>,
+}
+
+/// Where the initial cloud comes from.
+pub(crate) enum Cloud {
+    None,
+    /// A PLY file.
+    Ply(PathBuf),
+    /// `points3D` of a COLMAP model.
+    Colmap(PathBuf),
+    /// What depth images show.
+    Depth(Depth),
+}
+
+impl Cloud {
+    /// For layouts that name no cloud: `points.ply` in the scene folder, else the depth images of `frames`, which
+    /// `file` gives.
+    pub fn of_sequence(dir: &Path, frames: &[Frame], scale: f64, file: impl Fn(&Frame) -> PathBuf) -> Self {
+        let path = dir.join("points.ply");
+        if path.is_file() {
+            return Self::Ply(path);
+        }
+        let files: Vec<_> = frames.iter().map(|frame| Some(file(frame)).filter(|file| file.is_file())).collect();
+        if files.iter().all(Option::is_none) { Self::None } else { Self::Depth(Depth { files, scale }) }
+    }
+}
+
+/// Faults that do not keep the rest of a folder from being looked at.
+#[derive(Default)]
+pub(crate) struct Problems(Vec<Error>);
+
+impl Problems {
+    pub fn push(&mut self, error: Error) {
+        self.0.push(error);
+    }
+
+    /// The value, or nothing and a fault more.
+    pub fn keep<T>(&mut self, result: Result<T>) -> Option<T> {
+        result.map_err(|error| self.push(error)).ok()
+    }
+
+    /// # Errors
+    /// The first fault.
+    pub fn none(self) -> Result<()> {
+        self.0.into_iter().next().map_or(Ok(()), Err)
+    }
+
+    pub fn messages(&self) -> impl Iterator<Item = String> {
+        self.0.iter().map(ToString::to_string)
+    }
+
+    pub fn all(self) -> Vec<Error> {
+        self.0
+    }
+}
+
+/// The camera of a view and how its photo becomes a pinhole's.
+pub(crate) struct Geometry {
+    /// Undistorted, in world units.
+    pub camera: Camera,
+    remap: Option<Remap>,
+}
+
+impl Frame {
+    /// Reads the photo's file, not yet decoded, and settles the camera.
+    pub fn open(&self, file: &Path, limits: &Limits) -> Result<(ImageFile, Geometry)> {
+        if !self.image.is_file() {
+            let mend = "put the image there or drop the frame".into();
+            return Err(Error::Missing { what: "file", path: self.image.clone(), mend });
+        }
+        let image = ImageFile::open(&self.image, limits)?;
+        let (w, h) = (self.camera.width, self.camera.height);
+        let geometry = match self.scales && proportional(image.size, (w, h)) {
+            true => self.geometry(image.size)?,
+            false => {
+                image.expect_size(w, h, &format!("{} says", file.display()))?;
+                self.geometry((w, h))?
+            }
+        };
+        Ok((image, geometry))
+    }
+
+    /// The camera for a photo of this size.
+    pub fn geometry(&self, (width, height): (usize, usize)) -> Result<Geometry> {
+        let camera = self.camera.resized(width, height);
+        if self.lens.is_pinhole() {
+            return Ok(Geometry { camera, remap: None });
+        }
+        let Some(remap) = Remap::new(&camera, self.lens) else {
+            let found = format!("radial {:?}, tangential {:?}", self.lens.k, self.lens.p);
+            let expected = "a distortion that does not fold the image over";
+            let mend = "calibrate again, or undistort the photos with the tool that made the poses";
+            return Err(Error::input(&self.image, "lens distortion", found, expected, mend));
+        };
+        Ok(Geometry { camera: remap.pinhole.clone(), remap: Some(remap) })
+    }
+}
+
+fn proportional((w, h): (usize, usize), (width, height): (usize, usize)) -> bool {
+    let ratio = (w as f64 / h as f64) / (width as f64 / height as f64);
+    (ratio - 1.0).abs() < PROPORTION
+}
+
+impl Geometry {
+    pub fn photo(&self, file: &ImageFile) -> Result<RgbImage> {
+        let photo = file.decode_rgb()?;
+        Ok(match &self.remap {
+            Some(remap) => remap.photo(&photo),
+            None => photo,
+        })
+    }
+}
+
+impl Listing {
+    /// Refuses a listing without training views, or of more than the limits allow.
+    pub fn check_sizes(&self, limits: &Limits) -> Result<()> {
+        let views = self.frames.len() as u64;
+        let what = format!("{}: frames", self.file.display());
+        Limits::check(what, views, limits.views as u64, "thin out with data.stride or data.max_frames")?;
+        if !self.frames.iter().any(|frame| frame.split == Split::Train) {
+            let found = format!("{views} test frames");
+            let mend = "mark frames \"train\", or use more of them";
+            return Err(Error::input(&self.file, "frames", found, "at least one training view", mend));
+        }
+        Ok(())
+    }
+
+    /// Refuses more bytes of decoded images than the limits allow.
+    pub fn check_bytes(&self, limits: &Limits) -> Result<()> {
+        let of_frame = |frame: &Frame| {
+            let maps = frame.truth.iter().chain(&frame.raw).count() as u64;
+            (frame.camera.width as u64).saturating_mul(frame.camera.height as u64).saturating_mul(3 + 2 * maps)
+        };
+        let bytes = self.frames.iter().map(of_frame).fold(0, u64::saturating_add);
+        let what = format!("{}: bytes of decoded images", self.file.display());
+        Limits::check(what, bytes, limits.scene_bytes, "scale the images down, or use fewer with data.stride")
+    }
+
+    /// A label map as the view's camera sees it, in class ids; `truth` tells which of the two.
+    pub fn labels(
+        &self,
+        frame: &Frame,
+        truth: bool,
+        geometry: &Geometry,
+        known: &[u16],
+        limits: &Limits,
+    ) -> Result<Option<LabelMap>> {
+        let Some(path) = (if truth { &frame.truth } else { &frame.raw }) else { return Ok(None) };
+        if !path.is_file() {
+            let mend = "put the label map there, or do not name it".into();
+            return Err(Error::Missing { what: "file", path: path.clone(), mend });
+        }
+        let file = ImageFile::open(path, limits)?;
+        let (w, h) = (geometry.camera.width, geometry.camera.height);
+        let resampled = self.resample_labels || frame.scales;
+        if !(resampled && proportional(file.size, (w, h))) {
+            file.expect_size(w, h, "its photo")?;
+        }
+        let mut map = LabelMap::decode(path, &file)?;
+        if let Some(ids) = self.truth_ids.as_ref().filter(|_| truth) {
+            map.translate(path, ids)?;
+        }
+        map.check_ids(path, &self.classes, known)?;
+        Ok(Some(match &geometry.remap {
+            Some(remap) => remap.labels(&map),
+            None => map.resized(w, h),
+        }))
+    }
+
+    /// The cloud, relative to `origin`.
+    pub fn points(&self, origin: DVec3, limits: &Limits) -> Result<Points> {
+        match &self.cloud {
+            Cloud::None => Ok(Points::default()),
+            Cloud::Ply(path) => Points::read(path, origin, limits),
+            Cloud::Colmap(path) => colmap::read_points(path, origin, limits),
+            Cloud::Depth(depth) => depth.points(&self.frames, &self.file, origin, limits),
+        }
+    }
+
+    /// Mean of the camera centres.
+    pub fn origin(&self) -> DVec3 {
+        self.frames.iter().map(|f| f.camera.center).sum::<DVec3>() / self.frames.len().max(1) as f64
+    }
+
+    /// World direction that points up.
+    fn up(&self) -> DVec3 {
+        if self.z_up {
+            return DVec3::Z;
+        }
+        // OpenCV's y points down; row 1 of the world-to-camera rotation is that axis in the world.
+        let sum: DVec3 = self.frames.iter().map(|f| -f.camera.rotation.row(1)).sum();
+        sum.try_normalize().unwrap_or(DVec3::Z)
+    }
+
+    /// Decodes everything.
+    pub fn load(self, dir: &Path, limits: &Limits) -> Result<Scene> {
+        self.check_sizes(limits)?;
+        self.check_bytes(limits)?;
+        let (origin, up) = (self.origin(), self.up());
+        let known = self.classes.lookup();
+        let views = in_order(self.frames.par_iter().map(|frame| {
+            let (file, geometry) = frame.open(&self.file, limits)?;
+            let image = geometry.photo(&file)?;
+            let truth = self.labels(frame, true, &geometry, &known, limits)?;
+            let raw = self.labels(frame, false, &geometry, &known, limits)?;
+            let camera = Camera { center: geometry.camera.center - origin, ..geometry.camera };
+            Ok(View { name: frame.name.clone(), split: frame.split, camera, image, truth, raw })
+        }))?;
+        let points = self.points(origin, limits)?;
+        let mut classes = self.classes;
+        if self.occurring_classes {
+            let mut occurs = vec![false; 1 << 16];
+            let maps = views.iter().flat_map(|view| view.truth.iter().chain(&view.raw));
+            maps.flat_map(|map| &map.ids).for_each(|&id| occurs[usize::from(id)] = true);
+            classes.entries.retain(|class| occurs[usize::from(class.id)]);
+        }
+        Ok(Scene { name: scene_name(dir), views, classes, points, origin, up })
+    }
+}
+
+pub(crate) fn scene_name(dir: &Path) -> String {
+    let full = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
+    full.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned())
+}
+
+/// All results, or the first error in frame order, whichever thread met one first.
+pub(crate) fn in_order<T: Send>(results: impl IndexedParallelIterator<Item = Result<T>>) -> Result<Vec<T>> {
+    let mut all = Vec::new();
+    results.collect_into_vec(&mut all);
+    all.into_iter().collect()
+}
+
+/// `classes.json` of a scene folder; only scenes without labels may lack it.
+pub(crate) fn read_classes(dir: &Path, labelled: bool) -> Result<Classes> {
+    let path = dir.join("classes.json");
+    if path.is_file() {
+        return Classes::read(&path);
+    }
+    if labelled {
+        let mend = "list the classes: {\"0\": \"void\", \"1\": \"wall\", ..}";
+        return Err(Error::input(&path, "file", "nothing", "a class table, as frames have labels", mend));
+    }
+    Ok(Classes::default())
+}
+
+/// Label maps of photos in a layout that does not name them: by name in a folder.
+pub(crate) struct LabelFolder {
+    folder: PathBuf,
+    required: bool,
+}
+
+impl LabelFolder {
+    /// Folder `name` of `dir`, where some photos may lack a map.
+    pub fn optional(dir: &Path, name: &str) -> Self {
+        Self { folder: dir.join(name), required: false }
+    }
+
+    /// The raw labels: the folder that the user names, where each photo must have a map, or `labels_raw`.
+    pub fn raw(dir: &Path, named: Option<&str>) -> Self {
+        match named {
+            Some(name) => Self { folder: dir.join(name), required: true },
+            None => Self::optional(dir, "labels_raw"),
+        }
+    }
+
+    /// The map of the photo that lies at `photo` below the folder of photos: the same path with `.png` for its
+    /// extension or behind it, or its stem alone.
+    pub fn of(&self, photo: &Path) -> Option<PathBuf> {
+        let expected = self.folder.join(photo).with_extension("png");
+        let behind = format!("{}.png", photo.to_string_lossy());
+        let stem = photo.file_stem().map(|stem| format!("{}.png", stem.to_string_lossy()));
+        let others = [Some(behind), stem].into_iter().flatten().map(|name| self.folder.join(name));
+        let found = std::iter::once(expected.clone()).chain(others).find(|path| path.is_file());
+        found.or_else(|| self.required.then_some(expected))
+    }
+}

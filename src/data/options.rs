@@ -1,0 +1,112 @@
+//! How a scene folder is read, and which of its frames.
+
+use super::{Limits, Split};
+use crate::config::{DataConfig, Layout, ScannetClasses};
+use std::path::PathBuf;
+
+/// How [`super::load`] reads a folder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LoadOptions {
+    /// How the folder is laid out.
+    pub layout: Layout,
+    /// File within the folder that lists the frames, of layout `transforms`.
+    pub transforms: String,
+    /// Folder of photos within the folder, of layout `colmap`.
+    pub images: String,
+    /// Folder of raw labels within the scene folder, instead of the one that the frames or the layout name.
+    pub raw_labels: Option<String>,
+    /// Of each split every so many-th frame is read, at least 1.
+    pub stride: usize,
+    /// No more frames than this, evenly chosen; 0 means no limit.
+    pub max_frames: usize,
+    /// Class table for ScanNet.
+    pub scannet_classes: ScannetClasses,
+    /// ScanNet's table of label ids, where it does not lie near the scene.
+    pub scannet_labels: Option<PathBuf>,
+    /// Largest sizes accepted.
+    pub limits: Limits,
+}
+
+impl Default for LoadOptions {
+    fn default() -> Self {
+        Self::from(&DataConfig::default())
+    }
+}
+
+impl From<&DataConfig> for LoadOptions {
+    fn from(config: &DataConfig) -> Self {
+        Self {
+            layout: config.layout,
+            transforms: config.transforms.clone(),
+            images: config.images.clone(),
+            raw_labels: (!config.raw_labels.is_empty()).then(|| config.raw_labels.clone()),
+            stride: config.stride,
+            max_frames: config.max_frames,
+            scannet_classes: config.scannet_classes,
+            scannet_labels: config.scannet_labels.clone(),
+            limits: Limits::default(),
+        }
+    }
+}
+
+impl LoadOptions {
+    /// Which frames are read, as (index, split), ascending. `given` is what the folder says of each; where it says
+    /// nothing of any, every 8th of those that are read is test, from the first on.
+    pub(super) fn pick(&self, given: &[Option<Split>]) -> Vec<(usize, Split)> {
+        let wanted = if self.max_frames == 0 { given.len() } else { self.max_frames };
+        let mut stride = self.stride.max(given.len().div_ceil(wanted.max(1))).max(1);
+        loop {
+            let picked = every(given, stride);
+            // Each split is rounded up by itself.
+            if picked.len() <= wanted || stride >= given.len() {
+                return picked;
+            }
+            stride += 1;
+        }
+    }
+}
+
+fn every(given: &[Option<Split>], stride: usize) -> Vec<(usize, Split)> {
+    if given.iter().all(Option::is_none) {
+        let split = |i: usize| if i.is_multiple_of(8) { Split::Test } else { Split::Train };
+        return (0..given.len()).step_by(stride).enumerate().map(|(place, i)| (i, split(place))).collect();
+    }
+    let mut seen = [0_usize; 2];
+    let mut picked = Vec::new();
+    for (i, split) in given.iter().enumerate() {
+        let split = split.unwrap_or(Split::Train);
+        let count = &mut seen[usize::from(split == Split::Test)];
+        if count.is_multiple_of(stride) {
+            picked.push((i, split));
+        }
+        *count += 1;
+    }
+    picked
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn options(stride: usize, max_frames: usize) -> LoadOptions {
+        LoadOptions { stride, max_frames, ..LoadOptions::default() }
+    }
+
+    #[test]
+    fn thinning_keeps_both_splits() {
+        let none = [None; 40];
+        assert_eq!(options(1, 0).pick(&none).iter().filter(|p| p.1 == Split::Test).count(), 5);
+        let picked = options(3, 0).pick(&none);
+        assert_eq!((picked.len(), picked[1].0, picked[8]), (14, 3, (24, Split::Test)));
+        // A stride of 8 does not leave the held-out frames only.
+        assert_eq!(options(8, 0).pick(&none).iter().filter(|p| p.1 == Split::Test).count(), 1);
+        assert_eq!(options(1, 7).pick(&none).len(), 7);
+        let given: Vec<_> = (0..40).map(|i| Some(if i % 4 == 3 { Split::Test } else { Split::Train })).collect();
+        let picked = options(5, 0).pick(&given);
+        assert_eq!(picked.iter().filter(|p| p.1 == Split::Test).count(), 2);
+        assert_eq!(picked.len(), 8);
+        assert!(options(1, 9).pick(&given).len() <= 9);
+        assert!(options(1, 0).pick(&[]).is_empty());
+        assert_eq!(options(0, 0).pick(&none).len(), 40);
+    }
+}
