@@ -3,9 +3,14 @@
 mod autodiff;
 mod backend;
 mod call;
+#[cfg(feature = "wgpu")]
+mod cube;
+mod on_host;
+mod radii;
 
 pub use backend::{RasterBackend, RasterTensors};
 pub use call::RasterCall;
+pub use radii::Radii;
 
 use super::settings::Settings;
 use crate::camera::Camera;
@@ -42,8 +47,8 @@ pub struct RasterOutput {
     pub image: Tensor<3>,
     /// What shows of the background, `[H, W]`.
     pub transmittance: Tensor<2>,
-    /// Radius in pixels, `[N]`; 0 = not visible.
-    pub radii: Arc<Vec<u32>>,
+    /// Radius in pixels of every Gaussian.
+    pub radii: Radii,
 }
 
 /// Renders `input` seen by `camera` (Eq. 1-4), with gradients to every input.
@@ -59,6 +64,30 @@ pub fn rasterize(
     camera: &Camera,
     settings: &Settings,
     background: [f32; 3],
+) -> Result<RasterOutput> {
+    run(input, camera, settings, background, false)
+}
+
+/// [`rasterize`] by the CPU's kernels wherever the tensors live, copying them from and to a GPU: what the GPU's kernels
+/// are checked against, and the way around them.
+///
+/// # Errors
+/// As [`rasterize`].
+pub fn rasterize_on_host(
+    input: RasterInput,
+    camera: &Camera,
+    settings: &Settings,
+    background: [f32; 3],
+) -> Result<RasterOutput> {
+    run(input, camera, settings, background, true)
+}
+
+fn run(
+    input: RasterInput,
+    camera: &Camera,
+    settings: &Settings,
+    background: [f32; 3],
+    host_kernels: bool,
 ) -> Result<RasterOutput> {
     let RasterInput { means, log_scales, rotations, opacity_logits, sh, active_sh_degree, features, screen } = input;
     let [n] = opacity_logits.dims();
@@ -101,6 +130,7 @@ pub fn rasterize(
         has_features: features.is_some(),
         sh_degree: terms.isqrt() - 1,
         active_sh_degree,
+        host_kernels,
         state: Mutex::default(),
     });
     let device = means.device();
