@@ -229,7 +229,7 @@ fn equal_depths_blend_in_the_order_of_the_scene() {
     for i in 0..40 {
         scene.push(
             (camera.center + forward * 2.0).to_array(),
-            [0.2; 3],
+            [0.2, 0.1, 0.3],
             [1.0, 0.1, 0.2, 0.0],
             0.05 * f64::from(i) - 1.0,
         );

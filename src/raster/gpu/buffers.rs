@@ -21,6 +21,12 @@ impl Gpu {
         Self { client: tensor.client.clone(), device: tensor.device.clone() }
     }
 
+    /// A device without a tensor at hand.
+    #[cfg(test)]
+    pub fn on(device: CubeDevice) -> Self {
+        Self { client: device.client(), device }
+    }
+
     /// Uninitialised floats; at least one, because a binding cannot be empty.
     pub fn floats(&self, shape: impl Into<Shape>) -> CubeTensor {
         self.empty(shape.into(), DType::F32)

@@ -20,6 +20,8 @@ mod project;
 mod radix_sort;
 mod scan;
 mod sh;
+#[cfg(test)]
+mod tests;
 mod vec3;
 mod view;
 

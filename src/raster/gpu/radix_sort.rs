@@ -1,17 +1,21 @@
 //! Stable radix sort of keys with a value each, least significant digit first.
 //!
-//! A digit has four bits, so that a cube can keep a counter for every digit and unit in shared memory: units count
-//! their own consecutive keys, one scan ranks all of them, and no subgroup operation is needed.
+//! A digit has eight bits. Within its block a cube sorts by them four at a time, so that it can keep a counter for every
+//! unit and half digit in shared memory: units count their own consecutive keys, one scan ranks all of them, and no
+//! subgroup operation is needed. Then every key goes to its place among all, neighbours together.
 
 use super::buffers::{Gpu, UNITS, arg};
 use super::scan::{exclusive_sums, scan_cube};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
-const BITS: u32 = 4;
+/// Bits of a digit.
+const BITS: u32 = 8;
 const DIGITS: usize = 1 << BITS;
-/// Counters are packed in pairs: digits `d` and `d + HALF`.
-const HALF: usize = DIGITS / 2;
+/// Bits that a block is sorted by at a time.
+const HALF_BITS: u32 = BITS / 2;
+/// Counters are packed in pairs: half digits `d` and `d + PAIRED`.
+const PAIRED: usize = 1 << (HALF_BITS - 1);
 /// Consecutive keys of a unit.
 const ITEMS: usize = 8;
 /// Keys of a cube.
@@ -23,23 +27,76 @@ fn count_digits(keys: &[u32], counts: &mut [u32], count: u32, blocks: u32, shift
     if CUBE_POS >= blocks as usize {
         terminate!();
     }
+    // There are as many units as digits.
     let unit = UNIT_POS as usize;
     let bins = Shared::<[Atomic<u32>]>::new_slice(DIGITS);
-    if unit < DIGITS {
-        bins[unit].store(0u32);
-    }
+    bins[unit].store(0u32);
     sync_cube();
     #[unroll]
     for k in 0..ITEMS {
         let i = CUBE_POS * BLOCK + k * UNITS as usize + unit;
         if i < count as usize {
-            bins[((keys[i] >> shift) & 15u32) as usize].fetch_add(1u32);
+            bins[((keys[i] >> shift) & 255u32) as usize].fetch_add(1u32);
         }
     }
     sync_cube();
-    if unit < DIGITS {
-        counts[unit * blocks as usize + CUBE_POS] = bins[unit].load();
+    counts[unit * blocks as usize + CUBE_POS] = bins[unit].load();
+}
+
+/// Shared memory of [`rank`].
+#[derive(CubeType)]
+struct Counters {
+    /// `[PAIRED, UNITS]`.
+    pairs: Shared<[u32]>,
+    sums: Shared<[u32]>,
+    totals: Shared<[u32]>,
+}
+
+/// Places of the unit's keys when the block is sorted by the four bits from `shift` on.
+#[cube]
+fn rank(keys: &Array<u32>, shift: u32, counters: &mut Counters) -> Array<u32> {
+    let unit = UNIT_POS as usize;
+    let mut places = Array::<u32>::new(ITEMS);
+    #[unroll]
+    for d in 0..PAIRED {
+        counters.pairs[d * UNITS as usize + unit] = 0u32;
     }
+    #[unroll]
+    for k in 0..ITEMS {
+        let digit = (keys[k] >> shift) & 15u32;
+        let half = (digit / 8u32) * 16u32;
+        let at = (digit % 8u32) as usize * UNITS as usize + unit;
+        let counter = counters.pairs[at];
+        places[k] = (counter >> half) & 0xffffu32;
+        counters.pairs[at] = counter + (1u32 << half);
+    }
+    sync_cube();
+    let mut sum = 0u32;
+    #[unroll]
+    for k in 0..PAIRED {
+        let value = counters.pairs[unit * PAIRED + k];
+        counters.pairs[unit * PAIRED + k] = sum;
+        sum += value;
+    }
+    counters.sums[unit] = sum;
+    sync_cube();
+    scan_cube(&mut counters.sums, &mut counters.totals);
+    let before = counters.sums[unit];
+    #[unroll]
+    for k in 0..PAIRED {
+        counters.pairs[unit * PAIRED + k] += before;
+    }
+    sync_cube();
+    // Half digits of the upper half come after all of the lower one.
+    let lower = counters.totals[16] & 0xffffu32;
+    #[unroll]
+    for k in 0..ITEMS {
+        let digit = (keys[k] >> shift) & 15u32;
+        let half = digit / 8u32;
+        let at = (digit % 8u32) as usize * UNITS as usize + unit;
+        places[k] += ((counters.pairs[at] >> (half * 16u32)) & 0xffffu32) + half * lower;
+    }
+    places
 }
 
 /// Moves every key to its place among all, `starts` being the exclusive sums of the counts.
@@ -59,75 +116,62 @@ fn scatter(
         terminate!();
     }
     let unit = UNIT_POS as usize;
-    let mut counters = Shared::<[u32]>::new_slice(HALF * UNITS as usize);
     let mut block_keys = Shared::<[u32]>::new_slice(BLOCK);
     let mut block_values = Shared::<[u32]>::new_slice(BLOCK);
-    let mut sums = Shared::<[u32]>::new_slice(UNITS as usize);
-    let mut totals = Shared::<[u32]>::new_slice(17usize);
     let mut digit_starts = Shared::<[u32]>::new_slice(DIGITS);
+    let mut counters = Counters {
+        pairs: Shared::<[u32]>::new_slice(PAIRED * UNITS as usize),
+        sums: Shared::<[u32]>::new_slice(UNITS as usize),
+        totals: Shared::<[u32]>::new_slice(17usize),
+    };
     let first = CUBE_POS * BLOCK + unit * ITEMS;
-
     let mut own_keys = Array::<u32>::new(ITEMS);
-    let mut own_ranks = Array::<u32>::new(ITEMS);
-    #[unroll]
-    for d in 0..HALF {
-        counters[d * UNITS as usize + unit] = 0u32;
-    }
+    let mut own_values = Array::<u32>::new(ITEMS);
     #[unroll]
     for k in 0..ITEMS {
-        // Past the end the largest key: it comes after all real ones of its digit.
-        let mut key = 0xffff_ffffu32;
+        // Past the end the largest key: it comes after all real ones.
+        own_keys[k] = 0xffff_ffffu32;
+        own_values[k] = 0u32;
         if first + k < count as usize {
-            key = keys[first + k];
+            own_keys[k] = keys[first + k];
+            if comptime![values_are_positions] {
+                own_values[k] = (first + k) as u32;
+            } else {
+                own_values[k] = values[first + k];
+            }
         }
-        let digit = (key >> shift) & 15u32;
-        let half = (digit / 8u32) * 16u32;
-        let at = (digit % 8u32) as usize * UNITS as usize + unit;
-        let counter = counters[at];
-        own_keys[k] = key;
-        own_ranks[k] = (counter >> half) & 0xffffu32;
-        counters[at] = counter + (1u32 << half);
     }
-    sync_cube();
-
-    let mut sum = 0u32;
-    #[unroll]
-    for k in 0..HALF {
-        let value = counters[unit * HALF + k];
-        counters[unit * HALF + k] = sum;
-        sum += value;
-    }
-    sums[unit] = sum;
-    sync_cube();
-    scan_cube(&mut sums, &mut totals);
-    let before = sums[unit];
-    #[unroll]
-    for k in 0..HALF {
-        counters[unit * HALF + k] += before;
-    }
-    sync_cube();
-
-    // Digits of the upper half come after all of the lower half.
-    let lower = totals[16] & 0xffffu32;
+    let places = rank(&own_keys, shift, &mut counters);
     #[unroll]
     for k in 0..ITEMS {
-        let key = own_keys[k];
-        let digit = (key >> shift) & 15u32;
-        let half = digit / 8u32;
-        let at = (digit % 8u32) as usize * UNITS as usize + unit;
-        let place = ((counters[at] >> (half * 16u32)) & 0xffffu32) + half * lower + own_ranks[k];
-        block_keys[place as usize] = key;
-        if comptime![values_are_positions] {
-            block_values[place as usize] = (first + k) as u32;
-        } else if first + k < count as usize {
-            block_values[place as usize] = values[first + k];
-        }
+        block_keys[places[k] as usize] = own_keys[k];
+        block_values[places[k] as usize] = own_values[k];
     }
-    if unit < DIGITS {
-        let half = unit as u32 / 8u32;
-        let local = ((counters[(unit % 8) * UNITS as usize] >> (half * 16u32)) & 0xffffu32) + half * lower;
-        // Wraps where the block's part starts before the digit's place; adding the place within the block undoes that.
-        digit_starts[unit] = starts[unit * blocks as usize + CUBE_POS] - local;
+    sync_cube();
+    #[unroll]
+    for k in 0..ITEMS {
+        own_keys[k] = block_keys[unit * ITEMS + k];
+        own_values[k] = block_values[unit * ITEMS + k];
+    }
+    let places = rank(&own_keys, shift + HALF_BITS, &mut counters);
+    #[unroll]
+    for k in 0..ITEMS {
+        block_keys[places[k] as usize] = own_keys[k];
+        block_values[places[k] as usize] = own_values[k];
+    }
+    sync_cube();
+    #[unroll]
+    for k in 0..ITEMS {
+        let place = k * UNITS as usize + unit;
+        let digit = (block_keys[place] >> shift) & 255u32;
+        let mut before = 0xffff_ffffu32;
+        if place > 0 {
+            before = (block_keys[place - 1] >> shift) & 255u32;
+        }
+        if before != digit {
+            // Wraps where the digit starts later in the block than among all; adding a place in the block undoes that.
+            digit_starts[digit as usize] = starts[digit as usize * blocks as usize + CUBE_POS] - place as u32;
+        }
     }
     sync_cube();
     #[unroll]
@@ -135,7 +179,7 @@ fn scatter(
         let place = k * UNITS as usize + unit;
         if CUBE_POS * BLOCK + place < count as usize {
             let key = block_keys[place];
-            let to = (digit_starts[((key >> shift) & 15u32) as usize] + place as u32) as usize;
+            let to = (digit_starts[((key >> shift) & 255u32) as usize] + place as u32) as usize;
             sorted_keys[to] = key;
             sorted_values[to] = block_values[place];
         }
