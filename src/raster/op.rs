@@ -57,7 +57,7 @@ pub struct RasterOutput {
 /// includes the path of the viewing direction to the means.
 ///
 /// # Errors
-/// [`Error::Config`] for shapes that disagree, neither `sh` nor `features`, or an SH degree above 3;
+/// [`Error::Config`] for shapes or float types that disagree, neither `sh` nor `features`, or an SH degree above 3;
 /// [`Error::NonFinite`] for a NaN or an infinity in any input; otherwise as [`Projected::new`].
 pub fn rasterize(
     input: RasterInput,
@@ -121,6 +121,18 @@ fn run(
     let dtype = means.dtype();
     if !matches!(dtype, DType::F32 | DType::F64) {
         return Err(Error::config("raster input", format!("{dtype:?}"), "f32 or f64", "cast the tensors"));
+    }
+    let types = [
+        ("log_scales", log_scales.dtype()),
+        ("rotations", rotations.dtype()),
+        ("opacity_logits", opacity_logits.dtype()),
+        ("sh", sh.as_ref().map_or(dtype, Tensor::dtype)),
+        ("features", features.as_ref().map_or(dtype, Tensor::dtype)),
+        ("screen", screen.as_ref().map_or(dtype, Tensor::dtype)),
+    ];
+    if let Some((name, found)) = types.into_iter().find(|(_, found)| *found != dtype) {
+        let (found, expected) = (format!("{found:?}"), format!("{dtype:?}, as the means have"));
+        return Err(Error::config(format!("raster input {name}"), found, expected, "cast the tensors"));
     }
     let call = Arc::new(RasterCall {
         camera: camera.clone(),

@@ -11,6 +11,7 @@ use super::buffers::{Gpu, UNITS, arg};
 use super::lists::{Order, TileEntries, tile_counts};
 use super::pixel::{alpha_at, pixel, rule};
 use super::project::SPLAT;
+use super::row_sums::{PixelSums, Slab, add_rows};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
@@ -84,10 +85,8 @@ fn tiles_backward(
         d_own[k] = d;
         d_pixels[k * units + unit] = d;
     }
-    if comptime![with_transmittance] {
-        if own.inside {
-            rest += d_transmittance[own.index] * transmittance[own.index];
-        }
+    if comptime![with_transmittance] && own.inside {
+        rest += d_transmittance[own.index] * transmittance[own.index];
     }
     if unit == 0 {
         live[0].store(0u32);
@@ -228,70 +227,6 @@ fn tiles_backward(
     }
 }
 
-/// Adds up each Gaussian's rows: one unit a Gaussian and column.
-#[cube(launch)]
-fn sum_rows(
-    ids: &[u32],
-    offsets: &[u32],
-    rows: &[f32],
-    moments: &mut [f32],
-    d_colours: &mut [f32],
-    d_features: &mut [f32],
-    gaussians: u32,
-    channels: u32,
-    first_channel: u32,
-    first_entry: u32,
-    end_entry: u32,
-    #[comptime] block: usize,
-    #[comptime] with_colours: bool,
-    #[comptime] add_moments: bool,
-    #[comptime] add_values: bool,
-) {
-    let columns = comptime![MOMENTS + block];
-    let rank = ABSOLUTE_POS / columns;
-    let column = ABSOLUTE_POS % columns;
-    if rank >= gaussians as usize {
-        terminate!();
-    }
-    let id = ids[rank] as usize;
-    let first = max(offsets[rank], first_entry);
-    let end = min(offsets[rank + 1], end_entry);
-    let mut sum = 0.0f32;
-    let mut entry = first;
-    while entry < end {
-        sum += rows[(entry - first_entry) as usize * columns + column];
-        entry += 1u32;
-    }
-    if column < MOMENTS {
-        let to = id * MOMENTS + column;
-        if comptime![add_moments] {
-            sum += moments[to];
-        }
-        moments[to] = sum;
-    } else {
-        let channel = first_channel + (column - MOMENTS) as u32;
-        if channel < channels {
-            let mut colours_before = 0u32;
-            if comptime![with_colours] {
-                colours_before = 3u32;
-            }
-            if channel < colours_before {
-                let to = 3 * id + channel as usize;
-                if comptime![add_values] {
-                    sum += d_colours[to];
-                }
-                d_colours[to] = sum;
-            } else {
-                let to = id * (channels - colours_before) as usize + (channel - colours_before) as usize;
-                if comptime![add_values] {
-                    sum += d_features[to];
-                }
-                d_features[to] = sum;
-            }
-        }
-    }
-}
-
 /// What was rendered and its gradient.
 pub(super) struct PixelGradients<'a> {
     /// `[H, W, C]`, background included.
@@ -309,16 +244,6 @@ pub(super) struct Tiles<'a> {
     pub entries: &'a TileEntries,
     /// Image width and height, pixels.
     pub size: [usize; 2],
-}
-
-/// Sums over all pixels, a row for every Gaussian of the scene; zero for culled ones.
-pub(super) struct PixelSums {
-    /// `[N, MOMENTS]`.
-    pub moments: CubeTensor,
-    /// `[N, 3]`; of any length without colours.
-    pub d_colours: CubeTensor,
-    /// `[N, C]`; of any length without features.
-    pub d_features: CubeTensor,
 }
 
 /// Bytes that the rows of one pass may take: more entries go through in several passes.
@@ -339,26 +264,31 @@ pub(super) fn pixel_sums(
 ) -> PixelSums {
     let Tiles { order, entries, size } = tiles;
     let [w, h] = size;
-    let tiles: usize = tile_counts(size).iter().product();
+    let tile_count: usize = tile_counts(size).iter().product();
     let colours = if values.colours.is_some() { 3 } else { 0 };
     let out = PixelSums {
         moments: gpu.floats([order.len, MOMENTS]),
         d_colours: gpu.floats([order.len, colours]),
         d_features: gpu.floats([order.len, values.channels - colours]),
     };
-    let none = (values.channels == 0).then_some((0, 1));
-    for (first_channel, block) in blocks(values.channels, WIDEST).chain(none) {
+    for (first_channel, block) in blocks(values.channels, WIDEST) {
         let columns = MOMENTS + block;
         let most = (row_bytes / (columns * size_of::<f32>())).clamp(1, entries.len.max(1));
         let rows = gpu.floats([most, columns]);
         // Without entries once all the same, for the zeros.
         for first_entry in (0..entries.len.max(1)).step_by(most) {
-            let end_entry = (first_entry + most).min(entries.len);
+            let slab = Slab {
+                channels: values.channels,
+                first_channel,
+                block,
+                with_colours: values.colours.is_some(),
+                first_entry,
+                end_entry: (first_entry + most).min(entries.len),
+            };
             let [colours, features] = values.args(gpu);
-            let with_transmittance = first_channel == 0 && pixels.d_transmittance.is_some();
             tiles_backward::launch(
                 &gpu.client,
-                gpu.cubes(tiles),
+                gpu.cubes(tile_count),
                 gpu.dim(),
                 arg(&entries.ranges),
                 arg(&entries.gaussians),
@@ -374,35 +304,16 @@ pub(super) fn pixel_sums(
                 arg(&rows),
                 w as u32,
                 h as u32,
-                tiles as u32,
-                values.channels as u32,
-                first_channel as u32,
-                first_entry as u32,
-                end_entry as u32,
-                block,
-                values.colours.is_some(),
-                with_transmittance,
+                tile_count as u32,
+                slab.channels as u32,
+                slab.first_channel as u32,
+                slab.first_entry as u32,
+                slab.end_entry as u32,
+                slab.block,
+                slab.with_colours,
+                first_channel == 0 && pixels.d_transmittance.is_some(),
             );
-            sum_rows::launch(
-                &gpu.client,
-                gpu.cubes_for(order.len * columns),
-                gpu.dim(),
-                arg(&order.ids),
-                arg(&order.offsets),
-                arg(&rows),
-                arg(&out.moments),
-                arg(&out.d_colours),
-                arg(&out.d_features),
-                order.len as u32,
-                values.channels as u32,
-                first_channel as u32,
-                first_entry as u32,
-                end_entry as u32,
-                block,
-                values.colours.is_some(),
-                first_channel > 0 || first_entry > 0,
-                first_entry > 0,
-            );
+            add_rows(gpu, order, &rows, &slab, &out);
         }
     }
     out

@@ -134,10 +134,8 @@ fn blend_tiles(
             let channel = first_channel + k as u32;
             if channel < channels {
                 let mut value = sums[k];
-                if comptime![with_colours] {
-                    if channel < 3u32 {
-                        value += t * view[BACKGROUND + channel as usize];
-                    }
+                if comptime![with_colours] && channel < 3u32 {
+                    value += t * view[BACKGROUND + channel as usize];
                 }
                 image[own.index * channels as usize + channel as usize] = value;
             }
@@ -187,9 +185,7 @@ pub(super) fn blend(
     let tiles: usize = tile_counts(size).iter().product();
     let image = gpu.floats(Shape::new([h, w, values.channels]));
     let transmittance = gpu.floats(Shape::new([h, w]));
-    // Without channels there is still the transmittance.
-    let none = (values.channels == 0).then_some((0, 1));
-    for (first, block) in blocks(values.channels, WIDEST).chain(none) {
+    for (first, block) in blocks(values.channels, WIDEST) {
         let [colours, features] = values.args(gpu);
         blend_tiles::launch(
             &gpu.client,

@@ -18,6 +18,7 @@ mod parameters;
 mod pixel;
 mod project;
 mod radix_sort;
+mod row_sums;
 mod scan;
 mod sh;
 #[cfg(test)]
@@ -75,14 +76,6 @@ pub(super) struct Forward {
     size: [usize; 2],
     /// `[H, W]`.
     pub transmittance: CubeTensor,
-}
-
-/// How the forward pass ended.
-pub(super) enum Outcome {
-    /// The image `[H, W, C]`.
-    Image(CubeTensor, Box<Forward>),
-    /// Some input holds a NaN or an infinity.
-    NonFinite,
 }
 
 /// Gradients in the order of the inputs.
@@ -150,12 +143,13 @@ fn check_size(gpu: &Gpu, what: &str, count: usize, bytes: usize) -> Result<()> {
     })
 }
 
-/// Renders `inputs`, of which there is at least one Gaussian.
+/// Renders `inputs`, of which there is at least one Gaussian and one channel: the image `[H, W, C]`, or nothing when some input holds a NaN
+/// or an infinity.
 ///
 /// # Errors
 /// [`Error::Config`] for settings out of range or an unusable camera, [`Error::Limit`] for what the device cannot hold,
 /// [`Error::Device`] when it fails.
-pub(super) fn forward(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Outcome> {
+pub(super) fn forward(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<(CubeTensor, Forward)>> {
     let Scenery { camera, settings, background } = scenery;
     settings.check()?;
     let viewpoint = Viewpoint::new(camera)?;
@@ -183,14 +177,14 @@ pub(super) fn forward(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Outcome> 
     let colours = harmonics.map(|h| sh::colours(&gpu, &scene, &h, &projected.radii, &view));
     let [non_finite, count] = read_report(&gpu, &report)?;
     if non_finite > 0 {
-        return Ok(Outcome::NonFinite);
+        return Ok(None);
     }
     check_size(&gpu, "entries of the tile lists of one view", count as usize, size_of::<u32>())?;
     let entries = lists::tile_entries(&gpu, &projected, &order, count as usize, size, everywhere);
     let values = inputs.values(colours);
     let (image, transmittance) = blend::blend(&gpu, &projected.splats, &entries, &values, &view, size);
     let Values { colours, .. } = values;
-    Ok(Outcome::Image(image, Box::new(Forward { view, projected, order, entries, colours, size, transmittance })))
+    Ok(Some((image, Forward { view, projected, order, entries, colours, size, transmittance })))
 }
 
 /// Non-finite rows, and entries.

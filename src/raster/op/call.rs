@@ -24,6 +24,7 @@ pub struct RasterCall {
     pub(super) sh_degree: usize,
     pub(super) active_sh_degree: usize,
     /// The host's kernels wherever the tensors live.
+    #[cfg_attr(not(feature = "wgpu"), allow(dead_code, reason = "no other kernels are compiled in"))]
     pub(super) host_kernels: bool,
     pub(super) state: Mutex<CallState>,
 }

@@ -5,7 +5,7 @@ use super::call::{HostInputs, RasterCall};
 use super::on_host;
 use super::radii::Radii;
 use crate::error::{Error, Result};
-use crate::raster::gpu::{self, Forward, Gradients, Inputs, Outcome, Scenery};
+use crate::raster::gpu::{self, Forward, Gradients, Inputs, Scenery};
 use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::kernel::into_contiguous;
@@ -13,9 +13,15 @@ use burn_cubecl::ops::numeric::zeros_client;
 use burn_cubecl::tensor::CubeTensor;
 use std::sync::Arc;
 
-/// Whether the GPU kernels take this call. Without a Gaussian there is nothing to compute, and no buffer to bind.
+/// Whether the GPU kernels take this call. Without a Gaussian or a channel there is next to nothing to compute, and no
+/// buffer to bind.
 fn on_device(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> bool {
-    !call.host_kernels && tensors.opacity_logits.meta.num_elements() > 0 && gpu::covers(&tensors.means)
+    let something = tensors.opacity_logits.meta.num_elements() > 0 && channels(tensors, call) > 0;
+    something && !call.host_kernels && gpu::covers(&tensors.means)
+}
+
+fn channels(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> usize {
+    call.colours() + tensors.features.meta.shape()[1]
 }
 
 fn inputs(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> Inputs {
@@ -38,14 +44,14 @@ fn zeros_like(tensor: &CubeTensor) -> CubeTensor {
 fn forward(tensors: RasterTensors<CubeBackend>, call: &RasterCall) -> Result<CubeTensor> {
     let scenery = Scenery { camera: &call.camera, settings: &call.settings, background: call.background };
     match gpu::forward(&inputs(&tensors, call), scenery)? {
-        Outcome::Image(image, forward) => {
+        Some((image, forward)) => {
             let mut state = call.state();
             state.radii = Radii::on_device(forward.radii());
-            state.forward = Some(forward);
+            state.forward = Some(Box::new(forward));
             Ok(image)
         }
         // The host's own check names tensor and row.
-        Outcome::NonFinite => match HostInputs::<f32>::read::<CubeBackend>(tensors).forward(call) {
+        None => match HostInputs::<f32>::read::<CubeBackend>(tensors).forward(call) {
             Err(error) => Err(error),
             Ok(_) => Err(Error::non_finite("raster input", 0)),
         },
@@ -58,7 +64,7 @@ impl RasterBackend for CubeBackend {
             return on_host::image::<Self>(tensors, call);
         }
         let like = tensors.means.clone();
-        let channels = call.colours() + tensors.features.meta.shape()[1];
+        let channels = channels(&tensors, &call);
         forward(tensors, &call).unwrap_or_else(|error| {
             call.state().error = Some(error);
             // The caller of `rasterize` gets the error; the graph needs a tensor all the same.
