@@ -114,6 +114,7 @@ fn compare(what: &str, cloud: &Cloud, channels: Channels, camera: &Camera, setti
     for (part, (got, want)) in got.iter().zip(&want).enumerate() {
         let off = outside(part, got, want);
         let worst = got.iter().zip(want).map(|(g, w)| (g - w).abs()).fold(0.0, f64::max);
+        eprintln!("{what}, {channels:?}, {}: {off} of {} off, the worst by {worst:e}", NAMES[part], want.len());
         assert!(
             off as f64 <= allowed * want.len() as f64,
             "{what}, {channels:?}: {off} of {} values of {} are off, the worst by {worst:e}",

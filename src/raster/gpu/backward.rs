@@ -214,9 +214,10 @@ fn tiles_backward(
         sync_cube();
         if going == 0u32 {
             // Nothing reaches the rest of the list.
-            let mut k = at as usize * columns + unit;
-            while k < end as usize * columns {
-                let entry = entries[k / columns];
+            let left = (end - at) as usize * columns;
+            let mut k = unit;
+            while k < left {
+                let entry = entries[at as usize + k / columns];
                 if entry >= first_entry && entry < end_entry {
                     rows[(entry - first_entry) as usize * columns + k % columns] = 0.0f32;
                 }

@@ -5,8 +5,8 @@
 //! subgroup operation and no float atomic is used, and sums are taken in a fixed order: a device gives the same bits
 //! every time. One readback a forward pass: the number of tile entries, and the count of non-finite rows beside it.
 //!
-//! Memory besides inputs and outputs, bytes: 60 a Gaussian (84 in the backward pass), 28 a tile entry while sorting and
-//! 8 afterwards, and in the backward pass up to 56 a tile entry, bounded by 1 GiB (more entries go through in slabs).
+//! Memory besides inputs and outputs, bytes: 60 a Gaussian (96 in the backward pass), 28 a tile entry while they are sorted
+//! and 8 afterwards, and in the backward pass up to 56 a tile entry, 1 GiB at most (more entries go through in slabs).
 
 mod backward;
 mod blend;
