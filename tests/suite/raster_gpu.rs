@@ -154,7 +154,7 @@ fn any_number_of_channels() {
     let channels = [1, 2, 3, 4, 5, 8, 9, 20, 33, 64].map(plain);
     let mixed = [(0, 0, 20), (2, 1, 1), (3, 2, 64)].map(|(d, a, features)| Channels { sh: Some((d, a)), features });
     for channels in channels.into_iter().chain(mixed) {
-        compare("channels", &scene, channels, &camera, &Settings::default(), 2e-3);
+        compare("channels", &scene, channels, &camera, &Settings::default(), 1e-3);
     }
 }
 
@@ -164,7 +164,7 @@ fn images_of_any_size() {
         [(1, 1, 20, 0.5, 3), (16, 16, 40, 0.2, 2), (33, 70, 500, 0.004, 4), (97, 61, 2_000, 0.01, 5)]
     {
         let camera = camera(width, height);
-        compare("size", &cloud(n, scale, &camera, seed).rounded(), RGB, &camera, &Settings::default(), 3e-3);
+        compare("size", &cloud(n, scale, &camera, seed).rounded(), RGB, &camera, &Settings::default(), 1e-3);
     }
 }
 
@@ -174,8 +174,8 @@ fn thousands_of_gaussians_in_a_tile() {
     let mut scene = cloud(3_000, 0.05, &camera, 6);
     // Faint ones, so that the lists are read to their end.
     scene.opacity_logits.iter_mut().for_each(|l| *l -= 4.0);
-    compare("deep", &scene.rounded(), Channels { sh: Some((0, 0)), features: 5 }, &camera, &Settings::default(), 1e-2);
-    compare("dense", &cloud(3_000, 0.05, &camera, 7).rounded(), RGB, &camera, &Settings::default(), 1e-2);
+    compare("deep", &scene.rounded(), Channels { sh: Some((0, 0)), features: 5 }, &camera, &Settings::default(), 1e-3);
+    compare("dense", &cloud(3_000, 0.05, &camera, 7).rounded(), RGB, &camera, &Settings::default(), 1e-3);
 }
 
 #[test]
@@ -218,7 +218,7 @@ fn hard_cases_stay_finite_and_agree() {
     for (i, (mean, scale, rotation, logit)) in cases.into_iter().enumerate() {
         let mut scene = Cloud::default();
         scene.push(mean, scale, rotation, logit);
-        compare(&format!("case {i}"), &scene.rounded(), plain(3), &camera, &Settings::default(), 2e-3);
+        compare(&format!("case {i}"), &scene.rounded(), plain(3), &camera, &Settings::default(), 1e-3);
     }
 }
 
@@ -323,5 +323,15 @@ fn a_far_away_scene_keeps_its_digits() {
     let near = camera(41, 30);
     let far = Camera { center: near.center + glam::DVec3::new(1000.1, -700.3, 300.7), ..near.clone() };
     let scene = cloud(60, 0.05, &far, 4).rounded();
-    compare("far", &scene, RGB, &far, &Settings::default(), 5e-3);
+    compare("far", &scene, RGB, &far, &Settings::default(), 1e-3);
+}
+
+#[test]
+fn a_wide_image_keeps_its_digits() {
+    // At pixel 1900 an f32 holds a ten-thousandth of a pixel, and small splats see it.
+    let mut camera = camera(1920, 40);
+    camera.cy = 20.0;
+    for (n, scale, seed) in [(1500, 0.003, 1), (1500, 0.0003, 2)] {
+        compare("wide", &cloud(n, scale, &camera, seed).rounded(), plain(3), &camera, &Settings::default(), 1e-3);
+    }
 }
