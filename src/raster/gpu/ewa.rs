@@ -121,16 +121,17 @@ pub(super) fn ewa(view: &[f32], p: &Vec3, log_scales: &[f32], rotations: &[f32],
     }
 }
 
-/// `(m1 x m2) / sqrt(yy)` squared, without cancellation; divided first, because the square alone may overflow.
+/// `(m1 x m2) / by` without cancellation; divided early, because the product alone may overflow.
 #[cube]
-pub(super) fn cross_squared_over(e: &Ewa, view: &[f32], z: f32, yy: f32) -> f32 {
-    let area = (view[FOCAL] / z) * (view[FOCAL + 1] / z) / yy.sqrt();
+pub(super) fn rows_cross(e: &Ewa, view: &[f32], z: f32, by: f32) -> Vec3 {
+    let area = (view[FOCAL] / z) * (view[FOCAL + 1] / z) / by;
     let x = read3(view, AXES);
     let y = read3(view, AXES + 3);
     let forward = read3(view, AXES + 6);
     let ray = add_scaled(&add_scaled(&forward, e.tx, &x), e.ty, &y);
-    let a = e.scale.y * (e.scale.z * area) * dot(&ray, &e.r0);
-    let b = e.scale.x * (e.scale.z * area) * dot(&ray, &e.r1);
-    let c = e.scale.x * (e.scale.y * area) * dot(&ray, &e.r2);
-    a * a + b * b + c * c
+    vec3(
+        e.scale.y * (e.scale.z * area) * dot(&ray, &e.r0),
+        e.scale.x * (e.scale.z * area) * dot(&ray, &e.r1),
+        e.scale.x * (e.scale.y * area) * dot(&ray, &e.r2),
+    )
 }

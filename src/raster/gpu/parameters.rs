@@ -2,9 +2,9 @@
 
 use super::backward::MOMENTS;
 use super::buffers::{Gpu, arg};
-use super::ewa::{Unit, ewa, offset_from_camera, to_camera};
+use super::ewa::{Unit, ewa, offset_from_camera, rows_cross, to_camera};
 use super::project::{SPLAT, Scene};
-use super::vec3::{Vec3, add_scaled, dot, read3, scaled, vec3, write3};
+use super::vec3::{Vec3, add_scaled, cross, dot, read3, scaled, vec3, write3};
 use super::view::{AXES, FOCAL, LOW_PASS, SIZE};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
@@ -71,17 +71,19 @@ fn parameters_backward(
 
     let d_x = 2.0f32 * du * sum_u;
     let d_y = 2.0f32 * dv * sum_v - slope * d_x;
-    let d_slope = 2.0f32 * (du / dv) * sum_uv;
-    // s2 = X - B^2 / Y, slope = B / Y.
-    let d_xx = 2.0f32 * du * du * sum_uu;
-    let d_b = d_slope / yy - 2.0f32 * slope * d_xx;
-    let d_yy = slope * slope * d_xx - d_slope * slope / yy + sum_vv / yy;
-
-    let d_m1 = add_scaled(&scaled(2.0f32 * d_xx, &e.m1), d_b, &e.m2);
-    let d_m2 = add_scaled(&scaled(2.0f32 * d_yy, &e.m2), d_b, &e.m1);
-    d_log_scales[3 * i] = d_m1.x * e.m1.x + d_m2.x * e.m2.x;
-    d_log_scales[3 * i + 1] = d_m1.y * e.m1.y + d_m2.y * e.m2.y;
-    d_log_scales[3 * i + 2] = d_m1.z * e.m1.z + d_m2.z * e.m2.z;
+    // The columns c_i = (m1_i, m2_i) of M as offsets in u and v, where m1_i - slope m2_i would cancel for needles:
+    // Y m1 - B m2 = low_pass m1 + m2 x (m1 x m2).
+    let across = cross(&e.m2, &rows_cross(&e, view, p.z, yy));
+    let cu = scaled(du, &add_scaled(&across, view[LOW_PASS] / yy, &e.m1));
+    let cv = scaled(dv, &e.m2);
+    // The exponent grows by (2 u cu_i + 2 v cv_i) times its own derivative by the offset.
+    let du_sum = add_scaled(&scaled(4.0f32 * sum_uu, &cu), 4.0f32 * sum_uv, &cv);
+    let dv_sum = add_scaled(&scaled(4.0f32 * sum_uv, &cu), 4.0f32 * sum_vv, &cv);
+    d_log_scales[3 * i] = cu.x * du_sum.x + cv.x * dv_sum.x;
+    d_log_scales[3 * i + 1] = cu.y * du_sum.y + cv.y * dv_sum.y;
+    d_log_scales[3 * i + 2] = cu.z * du_sum.z + cv.z * dv_sum.z;
+    let d_m1 = scaled(du, &du_sum);
+    let d_m2 = add_scaled(&scaled(dv, &dv_sum), -slope, &d_m1);
     // m1_i = s_i (jx . r_i), m2_i = s_i (jy . r_i).
     let a = vec3(d_m1.x * e.scale.x, d_m1.y * e.scale.y, d_m1.z * e.scale.z);
     let b = vec3(d_m2.x * e.scale.x, d_m2.y * e.scale.y, d_m2.z * e.scale.z);

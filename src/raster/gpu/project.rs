@@ -1,7 +1,7 @@
 //! Projection and culling: one unit a Gaussian.
 
 use super::buffers::{Gpu, arg};
-use super::ewa::{cross_squared_over, ewa, offset_from_camera, to_camera};
+use super::ewa::{ewa, offset_from_camera, rows_cross, to_camera};
 use super::vec3::{dot, is_finite, read3};
 use super::view::{FOCAL, LN_ALPHA_MIN, LOW_PASS, NEAR, PRINCIPAL, SIZE};
 use burn_cubecl::cubecl::{self, prelude::*};
@@ -60,7 +60,8 @@ fn project_kernel(
     let n2 = dot(&e.m2, &e.m2);
     let yy = n2 + low;
     let slope = dot(&e.m1, &e.m2) / yy;
-    let s2 = cross_squared_over(&e, view, p.z, yy) + low * ((n1 + n2 + low) / yy);
+    let area = rows_cross(&e, view, p.z, yy.sqrt());
+    let s2 = dot(&area, &area) + low * ((n1 + n2 + low) / yy);
     let xx = s2 + slope * slope * yy;
     // ln(sigmoid(x)) = -ln(1 + e^-x)
     let log_opacity = min(logit, 0.0f32) - ((-logit.abs()).exp() + 1.0f32).ln();

@@ -32,6 +32,11 @@ pub(super) fn dot(a: &Vec3, b: &Vec3) -> f32 {
     a.x * b.x + a.y * b.y + a.z * b.z
 }
 
+#[cube]
+pub(super) fn cross(a: &Vec3, b: &Vec3) -> Vec3 {
+    Vec3 { x: a.y * b.z - a.z * b.y, y: a.z * b.x - a.x * b.z, z: a.x * b.y - a.y * b.x }
+}
+
 /// `a + s b`.
 #[cube]
 pub(super) fn add_scaled(a: &Vec3, s: f32, b: &Vec3) -> Vec3 {
