@@ -60,7 +60,7 @@ fn one_size(
     let forward = Samples::of(repeats, || {
         for camera in cameras {
             let output = rasterize(plain.input(), camera, &settings, background)?;
-            black_box(output.image.into_data());
+            finish(output.image);
         }
         Ok(())
     })?;
@@ -70,7 +70,9 @@ fn one_size(
             let output = rasterize(tracked.input(), camera, &settings, background)?;
             // Of an image, the gradient of the sum of its values.
             let gradients = output.image.backward();
-            black_box(tracked.means.grad(&gradients).map(Tensor::into_data));
+            if let Some(gradient) = tracked.means.grad(&gradients) {
+                finish(gradient);
+            }
         }
         Ok(())
     })?;
@@ -121,6 +123,11 @@ fn one_size(
         figures.push(Figure::counted(&case, name, "MB", peak as f64 / 1e6));
     }
     Ok(medians)
+}
+
+/// Waits until `tensor` is computed: on a GPU the copy, and what it waits for, happen when the bytes are touched.
+fn finish<const D: usize>(tensor: Tensor<D>) {
+    black_box(tensor.into_data().as_bytes().last().copied());
 }
 
 /// Pairs of all views together.

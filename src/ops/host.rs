@@ -72,11 +72,11 @@ macro_rules! real_kernel {
 }
 pub(crate) use real_kernel;
 
-/// Warns once that the kernels of this build run on the CPU although the tensors live on a GPU.
+/// Warns once that a kernel runs on the CPU although its tensors live on a GPU.
 pub fn warn_host_fallback() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| {
-        tracing::warn!("the rasterizer runs on the CPU and copies from and to the GPU: its GPU kernels are not part of this version");
+        tracing::warn!("an operation without a GPU kernel for this call runs on the CPU and copies from and to the GPU (Adam, the photometric and label losses, attentive pooling, sparse products; the rasterizer in f64)");
     });
 }
 

@@ -60,6 +60,18 @@ impl Viewpoint {
             limits: [limits(*fx, *cx, *width), limits(*fy, *cy, *height)],
         })
     }
+
+    /// Rows of the world-to-camera rotation.
+    #[cfg(feature = "wgpu")]
+    pub fn axes(&self) -> [Vec3; 3] {
+        self.axes
+    }
+
+    /// Range of x/z and of y/z within which the Jacobian is taken.
+    #[cfg(feature = "wgpu")]
+    pub fn limits(&self) -> [[f64; 2]; 2] {
+        self.limits
+    }
 }
 
 /// One Gaussian in world space, in `f64`.

@@ -14,6 +14,8 @@ mod blend;
 mod channel_blocks;
 mod footprint;
 mod geometry;
+#[cfg(feature = "wgpu")]
+mod gpu;
 mod op;
 mod pairs;
 mod projected;
@@ -25,7 +27,9 @@ mod tiles;
 mod weights;
 
 pub use backward::SplatGradients;
-pub use op::{RasterBackend, RasterCall, RasterInput, RasterOutput, RasterTensors, rasterize};
+pub use op::{
+    Radii, RasterBackend, RasterCall, RasterInput, RasterOutput, RasterTensors, rasterize, rasterize_on_host,
+};
 pub use projected::{Blended, Projected, Rendered, render};
 pub use settings::{PairCounts, Settings, Splats, Stats};
 pub use sh::eval_sh;

@@ -3,9 +3,14 @@
 mod autodiff;
 mod backend;
 mod call;
+#[cfg(feature = "wgpu")]
+mod cube;
+mod on_host;
+mod radii;
 
 pub use backend::{RasterBackend, RasterTensors};
 pub use call::RasterCall;
+pub use radii::Radii;
 
 use super::settings::Settings;
 use crate::camera::Camera;
@@ -42,8 +47,8 @@ pub struct RasterOutput {
     pub image: Tensor<3>,
     /// What shows of the background, `[H, W]`.
     pub transmittance: Tensor<2>,
-    /// Radius in pixels, `[N]`; 0 = not visible.
-    pub radii: Arc<Vec<u32>>,
+    /// Radius in pixels of every Gaussian.
+    pub radii: Radii,
 }
 
 /// Renders `input` seen by `camera` (Eq. 1-4), with gradients to every input.
@@ -52,13 +57,37 @@ pub struct RasterOutput {
 /// includes the path of the viewing direction to the means.
 ///
 /// # Errors
-/// [`Error::Config`] for shapes that disagree, neither `sh` nor `features`, or an SH degree above 3;
+/// [`Error::Config`] for shapes or float types that disagree, neither `sh` nor `features`, or an SH degree above 3;
 /// [`Error::NonFinite`] for a NaN or an infinity in any input; otherwise as [`Projected::new`].
 pub fn rasterize(
     input: RasterInput,
     camera: &Camera,
     settings: &Settings,
     background: [f32; 3],
+) -> Result<RasterOutput> {
+    run(input, camera, settings, background, false)
+}
+
+/// [`rasterize`] by the CPU's kernels wherever the tensors live, copying them from and to a GPU: what the GPU's kernels
+/// are checked against, and the way around them.
+///
+/// # Errors
+/// As [`rasterize`].
+pub fn rasterize_on_host(
+    input: RasterInput,
+    camera: &Camera,
+    settings: &Settings,
+    background: [f32; 3],
+) -> Result<RasterOutput> {
+    run(input, camera, settings, background, true)
+}
+
+fn run(
+    input: RasterInput,
+    camera: &Camera,
+    settings: &Settings,
+    background: [f32; 3],
+    host_kernels: bool,
 ) -> Result<RasterOutput> {
     let RasterInput { means, log_scales, rotations, opacity_logits, sh, active_sh_degree, features, screen } = input;
     let [n] = opacity_logits.dims();
@@ -93,6 +122,18 @@ pub fn rasterize(
     if !matches!(dtype, DType::F32 | DType::F64) {
         return Err(Error::config("raster input", format!("{dtype:?}"), "f32 or f64", "cast the tensors"));
     }
+    let types = [
+        ("log_scales", log_scales.dtype()),
+        ("rotations", rotations.dtype()),
+        ("opacity_logits", opacity_logits.dtype()),
+        ("sh", sh.as_ref().map_or(dtype, Tensor::dtype)),
+        ("features", features.as_ref().map_or(dtype, Tensor::dtype)),
+        ("screen", screen.as_ref().map_or(dtype, Tensor::dtype)),
+    ];
+    if let Some((name, found)) = types.into_iter().find(|(_, found)| *found != dtype) {
+        let (found, expected) = (format!("{found:?}"), format!("{dtype:?}, as the means have"));
+        return Err(Error::config(format!("raster input {name}"), found, expected, "cast the tensors"));
+    }
     let call = Arc::new(RasterCall {
         camera: camera.clone(),
         settings: *settings,
@@ -101,6 +142,7 @@ pub fn rasterize(
         has_features: features.is_some(),
         sh_degree: terms.isqrt() - 1,
         active_sh_degree,
+        host_kernels,
         state: Mutex::default(),
     });
     let device = means.device();

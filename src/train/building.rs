@@ -228,7 +228,7 @@ impl<'a> BuildingStage<'a> {
             None => vec![0.0; 2 * self.parameters.len()],
         };
         self.parameters.step(leaves, &mut gradients, &self.rates(iteration), iteration as u32).map_err(locate)?;
-        self.stats.record(&screen_gradient, &radii);
+        self.stats.record(&screen_gradient, &radii.read()?);
         self.iteration = iteration;
         self.losses.0 += value;
         self.losses.1 += 1;

@@ -29,6 +29,8 @@ mod pretrain;
 mod randla;
 mod raster;
 mod raster_contract;
+#[cfg(feature = "wgpu")]
+mod raster_gpu;
 mod raster_gradients;
 mod raster_reference;
 mod replica;

@@ -1,9 +1,10 @@
 //! The rasterizer's numerical contract: f32 against f64, one operator in two directions, hard cases, thread counts.
 
 use crate::raster_reference::{Cloud, camera, cloud, numbers};
+use burn::tensor::{DType, Tensor};
 use coseg::Error;
 use coseg::camera::Camera;
-use coseg::raster::{Projected, Settings, Splats};
+use coseg::raster::{Projected, RasterInput, Settings, Splats, rasterize};
 
 fn single(c: &Cloud) -> [Vec<f32>; 4] {
     c.single()
@@ -162,4 +163,24 @@ fn thread_count_changes_no_bit() {
         })
     };
     assert!(run(1) == run(2));
+}
+
+#[test]
+fn tensors_of_two_float_types_are_refused() {
+    let device = crate::device();
+    let zeros = |width: usize, dtype: DType| Tensor::<2>::zeros([5, width], (&device, dtype));
+    let input = RasterInput {
+        means: zeros(3, DType::F32),
+        log_scales: zeros(3, DType::F32),
+        rotations: zeros(4, DType::F32),
+        opacity_logits: Tensor::zeros([5], (&device, DType::F32)),
+        sh: None,
+        active_sh_degree: 0,
+        features: Some(zeros(2, DType::F64)),
+        screen: None,
+    };
+    match rasterize(input, &camera(8, 8), &Settings::default(), [0.0; 3]) {
+        Err(Error::Config { key, .. }) => assert_eq!(key, "raster input features"),
+        other => panic!("{other:?}"),
+    }
 }

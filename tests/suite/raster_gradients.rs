@@ -282,7 +282,7 @@ fn the_operation_equals_the_slices() {
         let out = rasterize(input.clone(), &camera, &Settings::default(), [0.5; 3]).expect("valid");
         let projected = Projected::new(&c.splats(), &camera, &Settings::default()).expect("valid");
         let blended = projected.blend(&values, features);
-        assert_eq!(out.radii.as_slice(), projected.radii());
+        assert_eq!(out.radii.read().expect("on the host").as_slice(), projected.radii());
         assert_eq!(values_of(out.image.clone()), blended.image);
         assert_eq!(values_of(out.transmittance.clone()), blended.transmittance);
         let data = |v: &[f64], shape: Vec<usize>| TensorData::new(v.to_vec(), shape);

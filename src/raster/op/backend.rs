@@ -1,8 +1,8 @@
-//! The operation on backends that lend their tensors to host kernels.
+//! The operation's trait, and its implementation for backends that lend their tensors to host kernels.
 
-use super::call::{Forward, HostInputs, RasterCall};
-use crate::ops::{HostBackend, device_of, real_kernel};
-use burn::backend::{Backend, ExtensionType, TensorMetadata, backend_extension, tensor::FloatTensor};
+use super::call::RasterCall;
+use super::on_host;
+use burn::backend::{Backend, ExtensionType, backend_extension, tensor::FloatTensor};
 use std::sync::Arc;
 
 /// The tensors of one call; absent ones are empty.
@@ -59,76 +59,35 @@ pub trait RasterBackend: Backend {
     ) -> RasterTensors<Self>;
 }
 
-impl<B: HostBackend> RasterBackend for B {
-    fn raster_image(tensors: RasterTensors<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
-        let device = device_of::<B>(&tensors.means);
-        let channels = call.colours() + tensors.features.shape().dims::<2>()[1];
-        let [w, h] = call.size();
-        real_kernel!(tensors.means, E => {
-            let image = match HostInputs::<E>::read::<B>(tensors).forward(&call) {
-                Ok((image, forward)) => {
-                    let mut state = call.state();
-                    state.radii = Arc::new(forward.projected.radii().to_vec());
-                    state.forward = Some(Box::new(forward));
-                    image
-                }
-                Err(error) => {
-                    call.state().error = Some(error);
-                    vec![E::default(); w * h * channels]
-                }
-            };
-            B::tensor::<E>(image, &[h, w, channels], &device)
-        })
-    }
-
-    fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
-        let device = device_of::<B>(&image);
-        let [w, h] = call.size();
-        real_kernel!(image, E => {
-            let state = call.state();
-            let forward = state.forward.as_ref().and_then(|f| f.downcast_ref::<Forward<E>>());
-            let values = forward.map_or_else(|| vec![E::default(); w * h], |f| f.transmittance.clone());
-            B::tensor::<E>(values, &[h, w], &device)
-        })
-    }
-
-    fn raster_transmittance_backward(
-        image: FloatTensor<Self>,
-        d_transmittance: FloatTensor<Self>,
-        call: Arc<RasterCall>,
-    ) -> FloatTensor<Self> {
-        let (device, shape) = (device_of::<B>(&image), image.shape());
-        real_kernel!(image, E => {
-            call.state().d_transmittance = Some(Box::new(B::values::<E>(d_transmittance).into_vec()));
-            B::tensor::<E>(vec![E::default(); shape.num_elements()], &shape.dims::<3>(), &device)
-        })
-    }
-
-    fn raster_backward(
-        tensors: RasterTensors<Self>,
-        image: FloatTensor<Self>,
-        d_image: FloatTensor<Self>,
-        call: Arc<RasterCall>,
-    ) -> RasterTensors<Self> {
-        let device = device_of::<B>(&image);
-        let tensors = tensors.into_array();
-        let shapes = tensors.each_ref().map(|t| t.shape());
-        real_kernel!(image, E => {
-            let forward: Option<Forward<E>> = RasterCall::take(&mut call.state().forward);
-            let inputs = HostInputs::<E>::read::<B>(RasterTensors::from_array(tensors));
-            let gradients = match forward {
-                Some(forward) => inputs.backward(&call, forward, &B::values(image), &B::values(d_image)),
-                // Only after an error, which the caller of `rasterize` has in hands.
-                None => shapes.each_ref().map(|s| vec![E::default(); s.num_elements()]),
-            };
-            let mut at = 0;
-            RasterTensors::from_array(gradients.map(|values| {
-                let shape = &shapes[at];
-                at += 1;
-                // No screen tensor given: its gradient goes nowhere.
-                let shape = if shape.num_elements() == values.len() { shape.to_vec() } else { vec![values.len()] };
-                B::tensor::<E>(values, &shape, &device)
-            }))
-        })
-    }
+/// The operation by the host's kernels, on any backend that lends them its tensors.
+macro_rules! by_host_kernels {
+    ($backend:ty) => {
+        impl RasterBackend for $backend {
+            fn raster_image(tensors: RasterTensors<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
+                on_host::image::<Self>(tensors, call)
+            }
+            fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
+                on_host::transmittance::<Self>(image, call)
+            }
+            fn raster_transmittance_backward(
+                image: FloatTensor<Self>,
+                d_transmittance: FloatTensor<Self>,
+                call: Arc<RasterCall>,
+            ) -> FloatTensor<Self> {
+                on_host::transmittance_backward::<Self>(image, d_transmittance, call)
+            }
+            fn raster_backward(
+                tensors: RasterTensors<Self>,
+                image: FloatTensor<Self>,
+                d_image: FloatTensor<Self>,
+                call: Arc<RasterCall>,
+            ) -> RasterTensors<Self> {
+                on_host::backward::<Self>(tensors, image, d_image, call)
+            }
+        }
+    };
 }
+#[cfg(feature = "ndarray")]
+by_host_kernels!(burn::backend::NdArray);
+#[cfg(feature = "flex")]
+by_host_kernels!(burn::backend::Flex);

@@ -1,6 +1,7 @@
 //! One call of the operation on the host: slices in, slices out.
 
 use super::backend::{INPUTS, RasterTensors};
+use super::radii::Radii;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::ops::{HostBackend, HostValues, Real};
@@ -9,7 +10,7 @@ use crate::raster::projected::{Blended, Projected};
 use crate::raster::settings::{Settings, Splats, check_finite};
 use crate::raster::sh::{ShBackward, eval_sh_rows};
 use std::any::Any;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 /// Host side of one call: what it is asked, and what the forward pass leaves for the backward pass, so that nothing is
 /// projected twice.
@@ -22,15 +23,18 @@ pub struct RasterCall {
     pub(super) has_features: bool,
     pub(super) sh_degree: usize,
     pub(super) active_sh_degree: usize,
+    /// The host's kernels wherever the tensors live.
+    #[cfg_attr(not(feature = "wgpu"), allow(dead_code, reason = "no other kernels are compiled in"))]
+    pub(super) host_kernels: bool,
     pub(super) state: Mutex<CallState>,
 }
 
 #[derive(Debug, Default)]
 pub(super) struct CallState {
-    pub radii: Arc<Vec<u32>>,
-    /// A [`Forward`] of the element type of the tensors.
+    pub radii: Radii,
+    /// A [`Forward`] of the element type of the tensors, or what the GPU kernels leave.
     pub forward: Option<Box<dyn Any + Send>>,
-    /// dL/dT of the transmittance output, a `Vec` of the element type.
+    /// dL/dT of the transmittance output, a `Vec` of the element type or a tensor on the device.
     pub d_transmittance: Option<Box<dyn Any + Send>>,
     pub error: Option<Error>,
 }

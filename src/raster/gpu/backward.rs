@@ -1,0 +1,321 @@
+//! Backward pass over the tiles, and the sums over each Gaussian's tiles.
+//!
+//! A cube takes [`BATCH`] Gaussians of its tile at a time. First every unit is a pixel: it blends them once more, front
+//! to back, and leaves `alpha' T` and `g = dL/dalpha' alpha'` in shared memory. Then [`LANES`] units share a Gaussian and
+//! sum over all pixels; their sums meet in shared memory again. What a tile has for a Gaussian goes to that entry's own
+//! row, and a second kernel adds up each Gaussian's rows, which are neighbours: no atomics, and the same bits every time.
+//! All is linear in the image's gradient, so that channels come in blocks, and the moments of the blocks add up.
+
+use super::blend::{Values, blocks, value_of};
+use super::buffers::{Gpu, UNITS, arg};
+use super::lists::{Order, TileEntries, tile_counts};
+use super::pixel::{alpha_at, pixel, rule};
+use super::project::SPLAT;
+use super::row_sums::{PixelSums, Slab, add_rows};
+use burn_cubecl::cubecl::{self, prelude::*};
+use burn_cubecl::tensor::CubeTensor;
+
+/// Sums over pixels of g times 1, u, v, u^2, u v, v^2.
+pub(super) const MOMENTS: usize = 6;
+/// Gaussians that a cube takes together.
+const BATCH: usize = 8;
+/// Units that sum for one Gaussian.
+const LANES: usize = UNITS as usize / BATCH;
+/// Widest block of channels: the sums of all units have to fit where the weights were.
+const WIDEST: usize = 8;
+/// Shared floats of a batch: alpha' T and g of every pixel.
+const PAIRS: usize = 2 * BATCH * UNITS as usize;
+
+#[cube(launch)]
+fn tiles_backward(
+    ranges: &[u32],
+    gaussians: &[u32],
+    entries: &[u32],
+    splats: &[f32],
+    colours: &[f32],
+    features: &[f32],
+    view: &[f32],
+    image: &[f32],
+    d_image: &[f32],
+    transmittance: &[f32],
+    d_transmittance: &[f32],
+    rows: &mut [f32],
+    width: u32,
+    height: u32,
+    tiles: u32,
+    channels: u32,
+    first_channel: u32,
+    first_entry: u32,
+    end_entry: u32,
+    #[comptime] block: usize,
+    #[comptime] with_colours: bool,
+    #[comptime] with_transmittance: bool,
+) {
+    let tile = CUBE_POS;
+    if tile >= tiles as usize {
+        terminate!();
+    }
+    let unit = UNIT_POS as usize;
+    let columns = comptime![MOMENTS + block];
+    let units = comptime![UNITS as usize];
+    let mut batch = Shared::<[f32]>::new_slice(BATCH * SPLAT);
+    let mut values = Shared::<[f32]>::new_slice(BATCH * block);
+    let mut d_pixels = Shared::<[f32]>::new_slice(units * block);
+    let mut pairs = Shared::<[f32]>::new_slice(PAIRS);
+    let mut batch_entries = Shared::<[u32]>::new_slice(BATCH);
+    // Whether any pixel takes something of a Gaussian.
+    let touched = Shared::<[Atomic<u32>]>::new_slice(BATCH);
+    let live = Shared::<[Atomic<u32>]>::new_slice(3usize);
+    let rule = rule(view);
+    let own = pixel(tile, UNIT_POS, width, height);
+    let mut done = !own.inside;
+    let mut t = 1.0f32;
+    // What is left of dL/dS . S + dL/dT T after the Gaussians so far.
+    let mut rest = 0.0f32;
+    let mut d_own = Array::<f32>::new(block);
+    #[unroll]
+    for k in 0..block {
+        let channel = first_channel + k as u32;
+        let mut d = 0.0f32;
+        if own.inside && channel < channels {
+            let i = own.index * channels as usize + channel as usize;
+            d = d_image[i];
+            rest += d * image[i];
+        }
+        d_own[k] = d;
+        d_pixels[k * units + unit] = d;
+    }
+    if comptime![with_transmittance] && own.inside {
+        rest += d_transmittance[own.index] * transmittance[own.index];
+    }
+    if unit == 0 {
+        live[0].store(0u32);
+    }
+    // The pixels that this unit sums over, all in one column of the tile.
+    let member = unit / LANES;
+    let lane = unit % LANES;
+    let origin = pixel(tile, 0u32, width, height);
+    let lane_x = origin.x + f32::cast_from((lane % 16) as u32);
+    let lane_y = origin.y + f32::cast_from((lane / 16) as u32);
+
+    let mut at = ranges[2 * tile];
+    let mut end = ranges[2 * tile + 1];
+    let mut slot = 0u32;
+    while at < end {
+        let count = min(end - at, BATCH as u32);
+        if unit < count as usize * SPLAT {
+            let id = gaussians[at as usize + unit / SPLAT] as usize;
+            batch[unit] = splats[id * SPLAT + unit % SPLAT];
+        }
+        if unit < count as usize * block {
+            let id = gaussians[at as usize + unit / block] as usize;
+            let channel = first_channel + (unit % block) as u32;
+            values[unit] = value_of(colours, features, id, channel, channels, with_colours);
+        }
+        if unit < BATCH {
+            touched[unit].store(0u32);
+            if unit < count as usize {
+                batch_entries[unit] = entries[at as usize + unit];
+            }
+        }
+        if unit == 0 {
+            live[((slot + 1u32) % 3u32) as usize].store(0u32);
+        }
+        sync_cube();
+
+        for j in 0..BATCH {
+            let mut weight = 0.0f32;
+            let mut g = 0.0f32;
+            if j < count as usize && !done {
+                let seen = alpha_at(&batch, j, own.x, own.y, &rule);
+                let alpha = min(seen, rule.alpha_max);
+                if alpha > 0.0f32 && alpha >= rule.alpha_min {
+                    let next = t - alpha * t;
+                    if next <= rule.t_min {
+                        done = true;
+                    } else {
+                        weight = alpha * t;
+                        let mut d = 0.0f32;
+                        #[unroll]
+                        for k in 0..block {
+                            d += d_own[k] * values[j * block + k];
+                        }
+                        let share = weight * d;
+                        rest -= share;
+                        // Nothing passes the cap.
+                        if alpha < rule.alpha_max {
+                            g = share - rest * (alpha / (1.0f32 - alpha));
+                        }
+                        t = next;
+                        touched[j].store(1u32);
+                    }
+                }
+            }
+            pairs[j * units + unit] = weight;
+            pairs[(BATCH + j) * units + unit] = g;
+        }
+        if !done {
+            live[slot as usize].fetch_add(1u32);
+        }
+        sync_cube();
+
+        let mut sums = Array::<f32>::new(columns);
+        #[unroll]
+        for k in 0..columns {
+            sums[k] = 0.0f32;
+        }
+        if touched[member].load() > 0u32 {
+            let du = batch[member * SPLAT + 3];
+            let dv = batch[member * SPLAT + 4];
+            let slope = batch[member * SPLAT + 2];
+            let dx = lane_x - batch[member * SPLAT];
+            let dy = lane_y - batch[member * SPLAT + 1];
+            for i in 0..BATCH {
+                let at_pixel = i * LANES + lane;
+                let g = pairs[(BATCH + member) * units + at_pixel];
+                let row = dy + f32::cast_from((i * 2) as u32);
+                let u = du * (dx - slope * row);
+                let v = dv * row;
+                sums[0] += g;
+                sums[1] += g * u;
+                sums[2] += g * v;
+                sums[3] += g * u * u;
+                sums[4] += g * u * v;
+                sums[5] += g * v * v;
+                let weight = pairs[member * units + at_pixel];
+                #[unroll]
+                for k in 0..block {
+                    sums[MOMENTS + k] += weight * d_pixels[k * units + at_pixel];
+                }
+            }
+        }
+        sync_cube();
+        #[unroll]
+        for k in 0..columns {
+            pairs[k * units + unit] = sums[k];
+        }
+        sync_cube();
+        let sum_of = unit / columns;
+        let column = unit % columns;
+        if sum_of < count as usize {
+            let mut sum = 0.0f32;
+            for i in 0..LANES {
+                // Each unit starts elsewhere, so that no two of a warp meet in a memory bank.
+                sum += pairs[column * units + sum_of * LANES + (i + unit) % LANES];
+            }
+            let entry = batch_entries[sum_of];
+            if entry >= first_entry && entry < end_entry {
+                rows[(entry - first_entry) as usize * columns + column] = sum;
+            }
+        }
+        at += count;
+        let going = live[slot as usize].load();
+        slot = (slot + 1u32) % 3u32;
+        sync_cube();
+        if going == 0u32 {
+            // Nothing reaches the rest of the list.
+            let left = (end - at) as usize * columns;
+            let mut k = unit;
+            while k < left {
+                let entry = entries[at as usize + k / columns];
+                if entry >= first_entry && entry < end_entry {
+                    rows[(entry - first_entry) as usize * columns + k % columns] = 0.0f32;
+                }
+                k += units;
+            }
+            end = at;
+        }
+    }
+}
+
+/// What was rendered and its gradient.
+pub(super) struct PixelGradients<'a> {
+    /// `[H, W, C]`, background included.
+    pub image: &'a CubeTensor,
+    pub d_image: &'a CubeTensor,
+    /// `[H, W]`.
+    pub transmittance: &'a CubeTensor,
+    pub d_transmittance: Option<&'a CubeTensor>,
+}
+
+/// The tile lists of a view.
+#[derive(Clone, Copy)]
+pub(super) struct Tiles<'a> {
+    pub order: &'a Order,
+    pub entries: &'a TileEntries,
+    /// Image width and height, pixels.
+    pub size: [usize; 2],
+}
+
+/// Bytes that the rows of one pass may take: more entries go through in several passes.
+pub(super) fn row_bytes(gpu: &Gpu) -> usize {
+    let limit = usize::try_from(gpu.client.properties().memory.max_page_size).unwrap_or(usize::MAX);
+    limit.min(1 << 30)
+}
+
+/// Runs the backward pass over the tiles; rows take `row_bytes` at most.
+pub(super) fn pixel_sums(
+    gpu: &Gpu,
+    splats: &CubeTensor,
+    tiles: Tiles<'_>,
+    values: &Values,
+    pixels: &PixelGradients<'_>,
+    view: &CubeTensor,
+    row_bytes: usize,
+) -> PixelSums {
+    let Tiles { order, entries, size } = tiles;
+    let [w, h] = size;
+    let tile_count: usize = tile_counts(size).iter().product();
+    let colours = if values.colours.is_some() { 3 } else { 0 };
+    let out = PixelSums {
+        moments: gpu.floats([order.len, MOMENTS]),
+        d_colours: gpu.floats([order.len, colours]),
+        d_features: gpu.floats([order.len, values.channels - colours]),
+    };
+    for (first_channel, block) in blocks(values.channels, WIDEST) {
+        let columns = MOMENTS + block;
+        let most = (row_bytes / (columns * size_of::<f32>())).clamp(1, entries.len.max(1));
+        let rows = gpu.floats([most, columns]);
+        // Without entries once all the same, for the zeros.
+        for first_entry in (0..entries.len.max(1)).step_by(most) {
+            let slab = Slab {
+                channels: values.channels,
+                first_channel,
+                block,
+                with_colours: values.colours.is_some(),
+                first_entry,
+                end_entry: (first_entry + most).min(entries.len),
+            };
+            let [colours, features] = values.args(gpu);
+            tiles_backward::launch(
+                &gpu.client,
+                gpu.cubes(tile_count),
+                gpu.dim(),
+                arg(&entries.ranges),
+                arg(&entries.gaussians),
+                arg(&entries.entries),
+                arg(splats),
+                colours,
+                features,
+                arg(view),
+                arg(pixels.image),
+                arg(pixels.d_image),
+                arg(pixels.transmittance),
+                arg(pixels.d_transmittance.unwrap_or(pixels.transmittance)),
+                arg(&rows),
+                w as u32,
+                h as u32,
+                tile_count as u32,
+                slab.channels as u32,
+                slab.first_channel as u32,
+                slab.first_entry as u32,
+                slab.end_entry as u32,
+                slab.block,
+                slab.with_colours,
+                first_channel == 0 && pixels.d_transmittance.is_some(),
+            );
+            add_rows(gpu, order, &rows, &slab, &out);
+        }
+    }
+    out
+}

@@ -1,0 +1,213 @@
+//! Forward blending: a cube a tile, a unit a pixel, a block of channels in registers.
+
+use super::buffers::{Gpu, UNITS, arg};
+use super::lists::{TileEntries, tile_counts};
+use super::pixel::{alpha_at, pixel, rule};
+use super::project::SPLAT;
+use super::view::BACKGROUND;
+use burn::tensor::Shape;
+use burn_cubecl::cubecl::{self, prelude::*};
+use burn_cubecl::tensor::CubeTensor;
+
+/// Gaussians that a cube loads together.
+const BATCH: usize = 64;
+/// Widest block of channels.
+const WIDEST: usize = 32;
+
+/// Value of Gaussian `id` in channel `channel`: colours come before features, and zeros after.
+#[cube]
+pub(super) fn value_of(
+    colours: &[f32],
+    features: &[f32],
+    id: usize,
+    channel: u32,
+    channels: u32,
+    #[comptime] with_colours: bool,
+) -> f32 {
+    let mut value = 0.0f32;
+    if comptime![with_colours] {
+        if channel < 3u32 {
+            value = colours[3 * id + channel as usize];
+        } else if channel < channels {
+            value = features[id * (channels - 3u32) as usize + (channel - 3u32) as usize];
+        }
+    } else if channel < channels {
+        value = features[id * channels as usize + channel as usize];
+    }
+    value
+}
+
+#[cube(launch)]
+fn blend_tiles(
+    ranges: &[u32],
+    gaussians: &[u32],
+    splats: &[f32],
+    colours: &[f32],
+    features: &[f32],
+    view: &[f32],
+    image: &mut [f32],
+    transmittance: &mut [f32],
+    width: u32,
+    height: u32,
+    tiles: u32,
+    channels: u32,
+    first_channel: u32,
+    #[comptime] block: usize,
+    #[comptime] with_colours: bool,
+    #[comptime] with_transmittance: bool,
+) {
+    let tile = CUBE_POS;
+    if tile >= tiles as usize {
+        terminate!();
+    }
+    let unit = UNIT_POS as usize;
+    let mut batch = Shared::<[f32]>::new_slice(BATCH * SPLAT);
+    let mut values = Shared::<[f32]>::new_slice(BATCH * block);
+    // Units that still take something: counted in one slot, while another is read and the third is cleared.
+    let live = Shared::<[Atomic<u32>]>::new_slice(3usize);
+    let rule = rule(view);
+    let own = pixel(tile, UNIT_POS, width, height);
+    let mut done = !own.inside;
+    let mut t = 1.0f32;
+    let mut sums = Array::<f32>::new(block);
+    #[unroll]
+    for k in 0..block {
+        sums[k] = 0.0f32;
+    }
+    if unit == 0 {
+        live[0].store(0u32);
+    }
+    let mut at = ranges[2 * tile];
+    let end = ranges[2 * tile + 1];
+    let mut slot = 0u32;
+    while at < end {
+        let count = min(end - at, BATCH as u32);
+        let mut k = unit;
+        while k < count as usize * SPLAT {
+            let id = gaussians[at as usize + k / SPLAT] as usize;
+            batch[k] = splats[id * SPLAT + k % SPLAT];
+            k += UNITS as usize;
+        }
+        k = unit;
+        while k < count as usize * block {
+            let id = gaussians[at as usize + k / block] as usize;
+            let channel = first_channel + (k % block) as u32;
+            values[k] = value_of(colours, features, id, channel, channels, with_colours);
+            k += UNITS as usize;
+        }
+        if unit == 0 {
+            live[((slot + 1u32) % 3u32) as usize].store(0u32);
+        }
+        sync_cube();
+        let mut j = 0usize;
+        while j < count as usize && !done {
+            let seen = alpha_at(&batch, j, own.x, own.y, &rule);
+            let alpha = min(seen, rule.alpha_max);
+            if alpha > 0.0f32 && alpha >= rule.alpha_min {
+                let next = t - alpha * t;
+                if next <= rule.t_min {
+                    done = true;
+                } else {
+                    let weight = alpha * t;
+                    #[unroll]
+                    for k in 0..block {
+                        sums[k] += weight * values[j * block + k];
+                    }
+                    t = next;
+                }
+            }
+            j += 1;
+        }
+        if !done {
+            live[slot as usize].fetch_add(1u32);
+        }
+        sync_cube();
+        at += count;
+        if live[slot as usize].load() == 0u32 {
+            at = end;
+        }
+        slot = (slot + 1u32) % 3u32;
+    }
+    if own.inside {
+        #[unroll]
+        for k in 0..block {
+            let channel = first_channel + k as u32;
+            if channel < channels {
+                let mut value = sums[k];
+                if comptime![with_colours] && channel < 3u32 {
+                    value += t * view[BACKGROUND + channel as usize];
+                }
+                image[own.index * channels as usize + channel as usize] = value;
+            }
+        }
+        if comptime![with_transmittance] {
+            transmittance[own.index] = t;
+        }
+    }
+}
+
+/// What is blended.
+pub(super) struct Values {
+    /// `[N, 3]`.
+    pub colours: Option<CubeTensor>,
+    /// `[N, C]`.
+    pub features: Option<CubeTensor>,
+    /// Of both together.
+    pub channels: usize,
+}
+
+impl Values {
+    /// Both tensors as kernel arguments; an absent one is stood in for.
+    pub fn args(&self, gpu: &Gpu) -> [BufferArg; 2] {
+        [&self.colours, &self.features].map(|t| t.as_ref().map_or_else(|| arg(&gpu.floats([1])), arg))
+    }
+}
+
+/// First channel and width of the blocks that `channels` are cut into: `widest` at most, the last one a multiple of 4
+/// (so that few kernels are compiled) when above 4.
+pub(super) fn blocks(channels: usize, widest: usize) -> impl Iterator<Item = (usize, usize)> {
+    (0..channels).step_by(widest).map(move |first| match channels - first {
+        left @ 0..=4 => (first, left),
+        left => (first, left.next_multiple_of(4).min(widest)),
+    })
+}
+
+/// Image `[H, W, C]`, background included, and transmittance `[H, W]`.
+pub(super) fn blend(
+    gpu: &Gpu,
+    splats: &CubeTensor,
+    entries: &TileEntries,
+    values: &Values,
+    view: &CubeTensor,
+    size: [usize; 2],
+) -> (CubeTensor, CubeTensor) {
+    let [w, h] = size;
+    let tiles: usize = tile_counts(size).iter().product();
+    let image = gpu.floats(Shape::new([h, w, values.channels]));
+    let transmittance = gpu.floats(Shape::new([h, w]));
+    for (first, block) in blocks(values.channels, WIDEST) {
+        let [colours, features] = values.args(gpu);
+        blend_tiles::launch(
+            &gpu.client,
+            gpu.cubes(tiles),
+            gpu.dim(),
+            arg(&entries.ranges),
+            arg(&entries.gaussians),
+            arg(splats),
+            colours,
+            features,
+            arg(view),
+            arg(&image),
+            arg(&transmittance),
+            w as u32,
+            h as u32,
+            tiles as u32,
+            values.channels as u32,
+            first as u32,
+            block,
+            values.colours.is_some(),
+            first == 0,
+        );
+    }
+    (image, transmittance)
+}

@@ -1,0 +1,71 @@
+//! Device buffers of one call, and how many cubes a kernel is launched with.
+
+use burn::tensor::{DType, Shape};
+use burn_cubecl::cubecl::{calculate_cube_count_elemwise, prelude::*};
+use burn_cubecl::ops::numeric::empty_device_contiguous_dtype;
+use burn_cubecl::{CubeDevice, tensor::CubeTensor};
+
+/// Units of a cube, in all kernels: the pixels of a tile.
+pub(super) const UNITS: u32 = 256;
+
+/// Where a call's buffers live.
+#[derive(Clone)]
+pub(super) struct Gpu {
+    pub client: Client,
+    device: CubeDevice,
+}
+
+impl Gpu {
+    /// The device of `tensor`.
+    pub fn of(tensor: &CubeTensor) -> Self {
+        Self { client: tensor.client.clone(), device: tensor.device.clone() }
+    }
+
+    /// A device without a tensor at hand.
+    #[cfg(test)]
+    pub fn on(device: CubeDevice) -> Self {
+        Self { client: device.client(), device }
+    }
+
+    /// Uninitialised floats; at least one, because a binding cannot be empty.
+    pub fn floats(&self, shape: impl Into<Shape>) -> CubeTensor {
+        self.empty(shape.into(), DType::F32)
+    }
+
+    /// Uninitialised `u32`s; at least one.
+    pub fn words(&self, len: usize) -> CubeTensor {
+        self.empty(Shape::new([len]), DType::U32)
+    }
+
+    fn empty(&self, shape: Shape, dtype: DType) -> CubeTensor {
+        let shape = if shape.num_elements() == 0 { Shape::new([1]) } else { shape };
+        empty_device_contiguous_dtype(self.client.clone(), self.device.clone(), shape, dtype)
+    }
+
+    /// `values` on the device.
+    pub fn upload<E: CubeElement>(&self, values: &[E], dtype: DType) -> CubeTensor {
+        let handle = self.client.create_from_slice(E::as_bytes(values));
+        let shape = Shape::new([values.len()]);
+        CubeTensor::new_contiguous(self.client.clone(), self.device.clone(), shape, handle, dtype)
+    }
+
+    /// Cubes for `units` units.
+    pub fn cubes_for(&self, units: usize) -> CubeCount {
+        calculate_cube_count_elemwise(&self.client, units, self.dim())
+    }
+
+    /// `cubes` cubes; there may be a few more, which a kernel has to turn away.
+    pub fn cubes(&self, cubes: usize) -> CubeCount {
+        self.cubes_for(cubes * UNITS as usize)
+    }
+
+    /// Size of all cubes.
+    pub fn dim(&self) -> CubeDim {
+        CubeDim::new_1d(UNITS)
+    }
+}
+
+/// A buffer as a kernel argument.
+pub(super) fn arg(tensor: &CubeTensor) -> BufferArg {
+    tensor.clone().into_buffer_arg()
+}

@@ -1,0 +1,242 @@
+//! Tile lists: how many tiles each Gaussian reaches, an entry for each of them in depth order, entries by tile.
+
+use super::buffers::{Gpu, arg};
+use super::outline::{outline, pixel_rows, tile_columns, tile_rows};
+use super::project::ProjectedScene;
+use super::radix_sort::sort_positions;
+use super::scan::exclusive_sums;
+use crate::raster::footprint::TILE;
+use burn_cubecl::cubecl::{self, prelude::*};
+use burn_cubecl::tensor::CubeTensor;
+
+/// Tiles of every Gaussian in depth order; a 0 follows the last, so that the exclusive sums end with the total.
+#[cube(launch)]
+fn count_tiles(
+    splats: &[f32],
+    radii: &[u32],
+    ids: &[u32],
+    counts: &mut [u32],
+    gaussians: u32,
+    width: u32,
+    height: u32,
+    #[comptime] everywhere: bool,
+) {
+    let rank = ABSOLUTE_POS;
+    if rank > gaussians as usize {
+        terminate!();
+    }
+    let mut sum = 0u32;
+    if rank < gaussians as usize {
+        let id = ids[rank] as usize;
+        if radii[id] > 0u32 {
+            let o = outline(splats, id);
+            let pixels = pixel_rows(&o, height, everywhere);
+            let rows = tile_rows(&pixels);
+            for row in rows.first..rows.end {
+                let columns = tile_columns(&o, &pixels, row, width, everywhere);
+                sum += columns.end - columns.first;
+            }
+        }
+    }
+    counts[rank] = sum;
+}
+
+/// The total behind the last Gaussian, where the host reads it.
+#[cube(launch)]
+fn report_total(offsets: &[u32], report: &[Atomic<u32>], gaussians: u32) {
+    if ABSOLUTE_POS == 0 {
+        report[1].store(offsets[gaussians as usize]);
+    }
+}
+
+/// Tile and Gaussian of every entry.
+#[cube(launch)]
+fn emit_entries(
+    splats: &[f32],
+    ids: &[u32],
+    offsets: &[u32],
+    tiles: &mut [u32],
+    gaussian_of: &mut [u32],
+    gaussians: u32,
+    width: u32,
+    height: u32,
+    #[comptime] everywhere: bool,
+) {
+    let rank = ABSOLUTE_POS;
+    if rank >= gaussians as usize {
+        terminate!();
+    }
+    let mut at = offsets[rank];
+    let end = offsets[rank + 1];
+    if at < end {
+        let tiles_across = (width + (TILE - 1) as u32) / TILE as u32;
+        let tiles_down = (height + (TILE - 1) as u32) / TILE as u32;
+        let id = ids[rank];
+        let o = outline(splats, id as usize);
+        let pixels = pixel_rows(&o, height, everywhere);
+        let rows = tile_rows(&pixels);
+        for row in rows.first..rows.end {
+            let columns = tile_columns(&o, &pixels, row, width, everywhere);
+            for column in columns.first..columns.end {
+                // Two kernels need not round alike: never more entries than were counted,
+                if at < end {
+                    tiles[at as usize] = row * tiles_across + column;
+                    gaussian_of[at as usize] = id;
+                    at += 1u32;
+                }
+            }
+        }
+        // and what is missing goes to a tile that does not exist.
+        while at < end {
+            tiles[at as usize] = tiles_across * tiles_down;
+            gaussian_of[at as usize] = id;
+            at += 1u32;
+        }
+    }
+}
+
+#[cube(launch)]
+fn clear(values: &mut [u32], count: u32) {
+    if ABSOLUTE_POS < count as usize {
+        values[ABSOLUTE_POS] = 0u32;
+    }
+}
+
+/// Start and end of every tile's entries, and their Gaussians.
+#[cube(launch)]
+fn find_ranges(
+    tiles: &[u32],
+    entries: &[u32],
+    gaussian_of: &[u32],
+    ranges: &mut [u32],
+    gaussians: &mut [u32],
+    count: u32,
+    tile_count: u32,
+) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    gaussians[i] = gaussian_of[entries[i] as usize];
+    let tile = tiles[i];
+    if tile < tile_count {
+        let mut before = tile_count;
+        if i > 0 {
+            before = tiles[i - 1];
+        }
+        if before != tile {
+            ranges[2 * tile as usize] = i as u32;
+        }
+        let mut after = tile_count;
+        if i + 1 < count as usize {
+            after = tiles[i + 1];
+        }
+        if after != tile {
+            ranges[2 * tile as usize + 1] = i as u32 + 1u32;
+        }
+    }
+}
+
+/// Gaussians in depth order.
+pub(super) struct Order {
+    /// Index in the scene of every rank; culled ones come last.
+    pub ids: CubeTensor,
+    /// First entry of every rank, and the end of the last.
+    pub offsets: CubeTensor,
+    pub len: usize,
+}
+
+/// Sorts by depth and counts tiles; the number of entries goes to `report[1]`, capped at [`super::scan::CEILING`].
+pub(super) fn depth_order(
+    gpu: &Gpu,
+    scene: &ProjectedScene,
+    len: usize,
+    size: [usize; 2],
+    everywhere: bool,
+    report: &CubeTensor,
+) -> Order {
+    let (_, ids) = sort_positions(gpu, scene.depths.clone(), len, 32);
+    let counts = gpu.words(len + 1);
+    count_tiles::launch(
+        &gpu.client,
+        gpu.cubes_for(len + 1),
+        gpu.dim(),
+        arg(&scene.splats),
+        arg(&scene.radii),
+        arg(&ids),
+        arg(&counts),
+        len as u32,
+        size[0] as u32,
+        size[1] as u32,
+        everywhere,
+    );
+    let offsets = exclusive_sums(gpu, &counts, len + 1);
+    report_total::launch(&gpu.client, gpu.cubes_for(1), gpu.dim(), arg(&offsets), arg(report), len as u32);
+    Order { ids, offsets, len }
+}
+
+/// Entries sorted by tile, front to back within each.
+pub(super) struct TileEntries {
+    /// Number of entries.
+    pub len: usize,
+    /// Start and end of each tile's list, row-major.
+    pub ranges: CubeTensor,
+    /// The Gaussian of each entry of the lists.
+    pub gaussians: CubeTensor,
+    /// Where each entry of the lists stands among the entries in depth order, in which a Gaussian's are neighbours.
+    pub entries: CubeTensor,
+}
+
+/// Tiles across and down.
+pub(super) fn tile_counts(size: [usize; 2]) -> [usize; 2] {
+    size.map(|s| s.div_ceil(TILE))
+}
+
+/// The `len` entries of `order`.
+pub(super) fn tile_entries(
+    gpu: &Gpu,
+    scene: &ProjectedScene,
+    order: &Order,
+    len: usize,
+    size: [usize; 2],
+    everywhere: bool,
+) -> TileEntries {
+    let tile_count: usize = tile_counts(size).iter().product();
+    let ranges = gpu.words(2 * tile_count);
+    clear::launch(&gpu.client, gpu.cubes_for(2 * tile_count), gpu.dim(), arg(&ranges), 2 * tile_count as u32);
+    let (tiles, gaussian_of) = (gpu.words(len), gpu.words(len));
+    let gaussians = gpu.words(len);
+    if len == 0 {
+        return TileEntries { len, ranges, gaussians, entries: gaussian_of };
+    }
+    emit_entries::launch(
+        &gpu.client,
+        gpu.cubes_for(order.len),
+        gpu.dim(),
+        arg(&scene.splats),
+        arg(&order.ids),
+        arg(&order.offsets),
+        arg(&tiles),
+        arg(&gaussian_of),
+        order.len as u32,
+        size[0] as u32,
+        size[1] as u32,
+        everywhere,
+    );
+    // One number more than there are tiles, for entries without a tile.
+    let bits = usize::BITS - tile_count.leading_zeros();
+    let (tiles, entries) = sort_positions(gpu, tiles, len, bits);
+    find_ranges::launch(
+        &gpu.client,
+        gpu.cubes_for(len),
+        gpu.dim(),
+        arg(&tiles),
+        arg(&entries),
+        arg(&gaussian_of),
+        arg(&ranges),
+        arg(&gaussians),
+        len as u32,
+        tile_count as u32,
+    );
+    TileEntries { len, ranges, gaussians, entries }
+}

@@ -1,0 +1,260 @@
+//! The rasterizer's kernels for GPUs, one CubeCL source for every device.
+//!
+//! They follow the CPU's formulas step by step, in `f32`: the camera centre is split in two floats, and the exponent is
+//! `-(u^2 + v^2)` with the determinant as a sum of positive terms, so that what is lost is digits and not splats. No
+//! subgroup operation and no float atomic is used, and sums are taken in a fixed order: a device gives the same bits
+//! every time. One readback a forward pass: the number of tile entries, and the count of non-finite rows beside it.
+//!
+//! Memory besides inputs and outputs, bytes: 60 a Gaussian (96 in the backward pass), 28 a tile entry while they are sorted
+//! and 8 afterwards, and in the backward pass up to 56 a tile entry, 1 GiB at most (more entries go through in slabs).
+
+mod backward;
+mod blend;
+mod buffers;
+mod ewa;
+mod lists;
+mod outline;
+mod parameters;
+mod pixel;
+mod project;
+mod radix_sort;
+mod row_sums;
+mod scan;
+mod sh;
+#[cfg(test)]
+mod tests;
+mod vec3;
+mod view;
+
+use super::geometry::Viewpoint;
+use super::settings::Settings;
+use crate::camera::Camera;
+use crate::error::{Error, Result};
+use blend::Values;
+use buffers::Gpu;
+use burn::tensor::DType;
+use burn_cubecl::cubecl::prelude::*;
+use burn_cubecl::tensor::CubeTensor;
+use lists::{Order, TileEntries};
+use project::{ProjectedScene, Scene};
+use sh::Harmonics;
+
+/// Buffers that the widest kernel binds, with room for cubecl's own.
+const BINDINGS: u32 = 16;
+
+/// The inputs of one call, contiguous `f32` tensors on one device.
+pub(super) struct Inputs {
+    /// `[N, 3]`.
+    pub means: CubeTensor,
+    /// `[N, 3]`.
+    pub log_scales: CubeTensor,
+    /// `[N, 4]`.
+    pub rotations: CubeTensor,
+    /// `[N]`.
+    pub logits: CubeTensor,
+    /// `[N, K, 3]`, and the degree in use.
+    pub sh: Option<(CubeTensor, usize)>,
+    /// `[N, C]`, C above 0.
+    pub features: Option<CubeTensor>,
+}
+
+/// What is seen, and how.
+#[derive(Clone, Copy)]
+pub(super) struct Scenery<'a> {
+    pub camera: &'a Camera,
+    pub settings: &'a Settings,
+    pub background: [f64; 3],
+}
+
+/// What the forward pass leaves for the backward pass.
+pub(super) struct Forward {
+    view: CubeTensor,
+    projected: ProjectedScene,
+    order: Order,
+    entries: TileEntries,
+    colours: Option<CubeTensor>,
+    size: [usize; 2],
+    /// `[H, W]`.
+    pub transmittance: CubeTensor,
+}
+
+/// Gradients in the order of the inputs.
+pub(super) struct Gradients {
+    pub means: CubeTensor,
+    pub log_scales: CubeTensor,
+    pub rotations: CubeTensor,
+    pub logits: CubeTensor,
+    pub sh: Option<CubeTensor>,
+    pub features: Option<CubeTensor>,
+    /// `[N, 2]`.
+    pub screen: CubeTensor,
+}
+
+/// Whether the device of `tensor` can run the kernels.
+pub(super) fn covers(tensor: &CubeTensor) -> bool {
+    let hardware = &tensor.client.properties().hardware;
+    tensor.dtype == DType::F32
+        && hardware.max_bindings >= BINDINGS
+        && hardware.max_shared_memory_size >= 32 << 10
+        && hardware.max_units_per_cube >= buffers::UNITS
+}
+
+impl Inputs {
+    fn len(&self) -> usize {
+        self.logits.meta.num_elements()
+    }
+
+    fn scene(&self) -> Scene {
+        Scene {
+            means: self.means.clone(),
+            log_scales: self.log_scales.clone(),
+            rotations: self.rotations.clone(),
+            logits: self.logits.clone(),
+            len: self.len(),
+        }
+    }
+
+    fn harmonics(&self) -> Option<Harmonics> {
+        let (sh, active) = self.sh.as_ref()?;
+        let stored = sh.meta.num_elements() / (3 * self.len().max(1));
+        let degree = (*active).min(stored.isqrt().saturating_sub(1)) as u32;
+        Some(Harmonics { sh: sh.clone(), stored, degree })
+    }
+
+    fn values(&self, colours: Option<CubeTensor>) -> Values {
+        let width = |t: &CubeTensor| t.meta.num_elements() / self.len().max(1);
+        let channels = colours.as_ref().map_or(0, |_| 3) + self.features.as_ref().map_or(0, width);
+        Values { colours, features: self.features.clone(), channels }
+    }
+}
+
+/// [`Error::Limit`] when `bytes` of `what` are more than one allocation of the device holds, or than 32 bits count.
+fn check_size(gpu: &Gpu, what: &str, count: usize, bytes: usize) -> Result<()> {
+    let page = usize::try_from(gpu.client.properties().memory.max_page_size).unwrap_or(usize::MAX);
+    let limit = (page / bytes.max(1)).min(scan::CEILING as usize - 1);
+    if count <= limit {
+        return Ok(());
+    }
+    Err(Error::Limit {
+        what: format!("{what} on this device"),
+        found: count.to_string(),
+        limit: limit.to_string(),
+        mend: "render a smaller image or fewer channels, remove very large Gaussians, or use a CPU backend".into(),
+    })
+}
+
+/// Renders `inputs`, of which there is at least one Gaussian and one channel: the image `[H, W, C]`, or nothing when some input holds a NaN
+/// or an infinity.
+///
+/// # Errors
+/// [`Error::Config`] for settings out of range or an unusable camera, [`Error::Limit`] for what the device cannot hold,
+/// [`Error::Device`] when it fails.
+pub(super) fn forward(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<(CubeTensor, Forward)>> {
+    let Scenery { camera, settings, background } = scenery;
+    settings.check()?;
+    let viewpoint = Viewpoint::new(camera)?;
+    let size = viewpoint.size;
+    let gpu = Gpu::of(&inputs.means);
+    let len = inputs.len();
+    let harmonics = inputs.harmonics();
+    let pixels = size[0].saturating_mul(size[1]);
+    let channels = harmonics.as_ref().map_or(0, |_| 3) + inputs.values(None).channels;
+    check_size(&gpu, "pixels times channels", pixels.saturating_mul(channels.max(1)), size_of::<f32>())?;
+    check_size(&gpu, "Gaussians", len, project::SPLAT * size_of::<f32>())?;
+    for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
+        check_size(&gpu, "values of the Gaussians", tensor.meta.num_elements(), size_of::<f32>())?;
+    }
+
+    let scene = inputs.scene();
+    let view = gpu.upload(&view::constants(&viewpoint, camera, settings, background), DType::F32);
+    let report = gpu.upload(&[0_u32, 0], DType::U32);
+    let everywhere = settings.alpha_min == 0.0;
+    for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
+        project::check_finite(&gpu, tensor, tensor.meta.num_elements(), &report);
+    }
+    let projected = project::project(&gpu, &scene, &view, &report, everywhere);
+    let order = lists::depth_order(&gpu, &projected, len, size, everywhere, &report);
+    let colours = harmonics.map(|h| sh::colours(&gpu, &scene, &h, &projected.radii, &view));
+    let [non_finite, count] = read_report(&gpu, &report)?;
+    if non_finite > 0 {
+        return Ok(None);
+    }
+    check_size(&gpu, "entries of the tile lists of one view", count as usize, size_of::<u32>())?;
+    let entries = lists::tile_entries(&gpu, &projected, &order, count as usize, size, everywhere);
+    let values = inputs.values(colours);
+    let (image, transmittance) = blend::blend(&gpu, &projected.splats, &entries, &values, &view, size);
+    let Values { colours, .. } = values;
+    Ok(Some((image, Forward { view, projected, order, entries, colours, size, transmittance })))
+}
+
+/// Non-finite rows, and entries.
+fn read_report(gpu: &Gpu, report: &CubeTensor) -> Result<[u32; 2]> {
+    let words = read_words(gpu, report)?;
+    match words[..] {
+        [non_finite, entries, ..] => Ok([non_finite, entries]),
+        _ => Err(device_error(gpu, "a readback came short".into())),
+    }
+}
+
+fn device_error(gpu: &Gpu, reason: String) -> Error {
+    Error::Device {
+        device: gpu.client.name().into(),
+        reason,
+        mend: "see whether the device has memory left, or choose a CPU backend".into(),
+    }
+}
+
+fn read_words(gpu: &Gpu, tensor: &CubeTensor) -> Result<Vec<u32>> {
+    match gpu.client.read_one(tensor.handle.clone()) {
+        Ok(bytes) => Ok(u32::from_bytes(&bytes).to_vec()),
+        Err(error) => Err(device_error(gpu, format!("reading from the device failed: {error:?}"))),
+    }
+}
+
+/// Radii in pixels, `[N]`; 0 = culled.
+pub(super) fn read_radii(radii: &CubeTensor) -> Result<Vec<u32>> {
+    read_words(&Gpu::of(radii), radii)
+}
+
+impl Forward {
+    /// Radii in pixels, `[N]`, `u32`; 0 = culled.
+    pub fn radii(&self) -> CubeTensor {
+        self.projected.radii.clone()
+    }
+
+    /// Gradients of all inputs; `image` is what [`forward`] gave, `d_image` (`[H, W, C]`) and `d_transmittance`
+    /// (`[H, W]`) are contiguous.
+    pub fn backward(
+        &self,
+        inputs: &Inputs,
+        image: &CubeTensor,
+        d_image: &CubeTensor,
+        d_transmittance: Option<&CubeTensor>,
+    ) -> Gradients {
+        let gpu = Gpu::of(&inputs.means);
+        let (view, projected) = (&self.view, &self.projected);
+        let values = inputs.values(self.colours.clone());
+        let pixels = backward::PixelGradients { image, d_image, transmittance: &self.transmittance, d_transmittance };
+        let tiles = backward::Tiles { order: &self.order, entries: &self.entries, size: self.size };
+        let row_bytes = backward::row_bytes(&gpu);
+        let sums = backward::pixel_sums(&gpu, &projected.splats, tiles, &values, &pixels, view, row_bytes);
+        let scene = inputs.scene();
+        let d = parameters::backward(&gpu, &scene, view, &projected.splats, &projected.radii, &sums.moments);
+        let sh = match (inputs.harmonics(), &self.colours) {
+            (Some(harmonics), Some(colours)) => {
+                let from = sh::ColourGradients { colours, d_colours: &sums.d_colours, radii: &projected.radii };
+                Some(sh::backward(&gpu, &scene, &harmonics, &from, view, &d.means))
+            }
+            _ => None,
+        };
+        Gradients {
+            means: d.means,
+            log_scales: d.log_scales,
+            rotations: d.rotations,
+            logits: d.logits,
+            sh,
+            features: inputs.features.as_ref().map(|_| sums.d_features),
+            screen: d.screen,
+        }
+    }
+}

@@ -1,0 +1,66 @@
+//! What a pixel sees of a projected Gaussian.
+
+use super::project::SPLAT;
+use super::view::{ALPHA_MAX, ALPHA_MIN, LN_ALPHA_MIN, T_MIN};
+use crate::raster::footprint::TILE;
+use burn_cubecl::cubecl::{self, prelude::*};
+
+/// Constants of the blending rule.
+#[derive(CubeType, Clone, Copy)]
+pub(super) struct Rule {
+    pub alpha_min: f32,
+    /// No exponent below this reaches alpha_min, rounding included.
+    lowest: f32,
+    pub alpha_max: f32,
+    pub t_min: f32,
+}
+
+#[cube]
+pub(super) fn rule(view: &[f32]) -> Rule {
+    Rule {
+        alpha_min: view[ALPHA_MIN],
+        lowest: view[LN_ALPHA_MIN] - 1e-3f32,
+        alpha_max: view[ALPHA_MAX],
+        t_min: view[T_MIN],
+    }
+}
+
+/// Column and row of a unit's pixel, and its index in the image.
+#[derive(CubeType, Clone, Copy)]
+pub(super) struct Pixel {
+    /// Centre, pixels.
+    pub x: f32,
+    pub y: f32,
+    pub inside: bool,
+    /// Row-major; that of the first pixel when outside.
+    pub index: usize,
+}
+
+/// The pixel of unit `unit` in tile `tile`.
+#[cube]
+pub(super) fn pixel(tile: usize, unit: u32, width: u32, height: u32) -> Pixel {
+    let across = (width + (TILE - 1) as u32) / TILE as u32;
+    let x = (tile as u32 % across) * TILE as u32 + unit % TILE as u32;
+    let y = (tile as u32 / across) * TILE as u32 + unit / TILE as u32;
+    let inside = x < width && y < height;
+    Pixel {
+        x: f32::cast_from(x) + 0.5f32,
+        y: f32::cast_from(y) + 0.5f32,
+        inside,
+        index: select(inside, y * width + x, 0u32) as usize,
+    }
+}
+
+/// alpha' of the `at`-th Gaussian of a batch at (x, y) before the cap; 0 where it is surely below the cut-off.
+#[cube]
+pub(super) fn alpha_at(batch: &Shared<[f32]>, at: usize, x: f32, y: f32, rule: &Rule) -> f32 {
+    let dy = y - batch[at * SPLAT + 1];
+    let u = batch[at * SPLAT + 3] * (x - batch[at * SPLAT] - batch[at * SPLAT + 2] * dy);
+    let v = batch[at * SPLAT + 4] * dy;
+    let exponent = batch[at * SPLAT + 5] - u * u - v * v;
+    let mut alpha = 0.0f32;
+    if exponent >= rule.lowest {
+        alpha = exponent.exp();
+    }
+    alpha
+}

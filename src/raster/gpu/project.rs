@@ -1,0 +1,177 @@
+//! Projection and culling: one unit a Gaussian.
+
+use super::buffers::{Gpu, arg};
+use super::ewa::{ewa, offset_from_camera, rows_cross, to_camera};
+use super::vec3::{dot, is_finite, read3};
+use super::view::{FOCAL, LN_ALPHA_MIN, LOW_PASS, NEAR, PRINCIPAL, SIZE};
+use burn_cubecl::cubecl::{self, prelude::*};
+use burn_cubecl::tensor::CubeTensor;
+
+/// Floats a projected Gaussian takes: centre x and y (pixels), slope `B / Y`, `du = 1 / sqrt(2 s2)`,
+/// `dv = 1 / sqrt(2 Y)`, ln(opacity), reach (largest `sqrt(u^2 + v^2)` that contributes, with a margin), depth.
+pub(super) const SPLAT: usize = 8;
+/// Depth key of a culled Gaussian: above that of every finite depth.
+const CULLED: u32 = 0xffff_ffff;
+/// Smallest normal f32.
+const NORMAL: f32 = 1.175_494_4e-38;
+
+#[cube(launch)]
+fn project_kernel(
+    means: &[f32],
+    log_scales: &[f32],
+    rotations: &[f32],
+    logits: &[f32],
+    view: &[f32],
+    splats: &mut [f32],
+    depths: &mut [u32],
+    radii: &mut [u32],
+    report: &[Atomic<u32>],
+    count: u32,
+    #[comptime] everywhere: bool,
+) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    depths[i] = CULLED;
+    radii[i] = 0u32;
+    let mean = read3(means, 3 * i);
+    let log_scale = read3(log_scales, 3 * i);
+    let logit = logits[i];
+    let mut usable = is_finite(logit);
+    usable = usable && is_finite(mean.x) && is_finite(mean.y) && is_finite(mean.z);
+    usable = usable && is_finite(log_scale.x) && is_finite(log_scale.y) && is_finite(log_scale.z);
+    #[unroll]
+    for k in 0..4usize {
+        usable = usable && is_finite(rotations[4 * i + k]);
+    }
+    if !usable {
+        report[0].fetch_add(1u32);
+        terminate!();
+    }
+    let offset = offset_from_camera(view, &mean);
+    let p = to_camera(view, &offset);
+    if !(is_finite(p.x) && is_finite(p.y) && is_finite(p.z)) || p.z <= view[NEAR] {
+        terminate!();
+    }
+    let e = ewa(view, &p, log_scales, rotations, i);
+    let low = view[LOW_PASS];
+    let n1 = dot(&e.m1, &e.m1);
+    let n2 = dot(&e.m2, &e.m2);
+    let yy = n2 + low;
+    let slope = dot(&e.m1, &e.m2) / yy;
+    let area = rows_cross(&e, view, p.z, yy.sqrt());
+    let s2 = dot(&area, &area) + low * ((n1 + n2 + low) / yy);
+    let xx = s2 + slope * slope * yy;
+    // ln(sigmoid(x)) = -ln(1 + e^-x)
+    let log_opacity = min(logit, 0.0f32) - ((-logit.abs()).exp() + 1.0f32).ln();
+    let x = view[FOCAL] * p.x / p.z + view[PRINCIPAL];
+    let y = view[FOCAL + 1] * p.y / p.z + view[PRINCIPAL + 1];
+    let du = 1.0f32 / (2.0f32 * s2).sqrt();
+    let dv = 1.0f32 / (2.0f32 * yy).sqrt();
+    let finite = is_finite(x) && is_finite(y) && is_finite(slope) && is_finite(xx) && is_finite(yy);
+    if !finite || !is_finite(du) || !is_finite(dv) || du < NORMAL || dv < NORMAL {
+        terminate!();
+    }
+    let tau = log_opacity - view[LN_ALPHA_MIN];
+    if tau < 0.0f32 {
+        terminate!();
+    }
+    if comptime![!everywhere] {
+        let reach_x = (2.0f32 * tau).sqrt() * xx.sqrt();
+        let reach_y = (2.0f32 * tau).sqrt() * yy.sqrt();
+        let out_x = x + reach_x < 0.0f32 || x - reach_x > view[SIZE];
+        let out_y = y + reach_y < 0.0f32 || y - reach_y > view[SIZE + 1];
+        if out_x || out_y {
+            terminate!();
+        }
+    }
+    let covariance = slope * yy;
+    let difference = 0.5f32 * (xx - yy);
+    let lambda = 0.5f32 * (xx + yy) + (difference * difference + covariance * covariance).sqrt();
+    radii[i] = u32::cast_from(max(1.0f32, min((3.0f32 * lambda.sqrt()).ceil(), 4e9f32)));
+    depths[i] = u32::reinterpret(p.z);
+    splats[SPLAT * i] = x;
+    splats[SPLAT * i + 1] = y;
+    splats[SPLAT * i + 2] = slope;
+    splats[SPLAT * i + 3] = du;
+    splats[SPLAT * i + 4] = dv;
+    splats[SPLAT * i + 5] = log_opacity;
+    splats[SPLAT * i + 6] = (tau + 1e-3f32).sqrt();
+    splats[SPLAT * i + 7] = p.z;
+}
+
+/// Counts values that are NaN or infinite.
+#[cube(launch)]
+fn count_non_finite(values: &[f32], report: &[Atomic<u32>], count: u32) {
+    let stride = CUBE_COUNT * CUBE_DIM as usize;
+    let mut i = ABSOLUTE_POS;
+    while i < count as usize {
+        if !is_finite(values[i]) {
+            report[0].fetch_add(1u32);
+        }
+        i += stride;
+    }
+}
+
+/// What [`project`] gives, a row for every Gaussian of the scene.
+pub(super) struct ProjectedScene {
+    /// `[N, SPLAT]`; rows of culled Gaussians hold anything.
+    pub splats: CubeTensor,
+    /// Bits of camera z, which ascend with it.
+    pub depths: CubeTensor,
+    /// 0 = culled.
+    pub radii: CubeTensor,
+}
+
+/// Geometry of `N` Gaussians on the device.
+pub(super) struct Scene {
+    pub means: CubeTensor,
+    pub log_scales: CubeTensor,
+    pub rotations: CubeTensor,
+    pub logits: CubeTensor,
+    pub len: usize,
+}
+
+/// Projects `scene`; adds rows with a NaN or an infinity to `report[0]`.
+pub(super) fn project(
+    gpu: &Gpu,
+    scene: &Scene,
+    view: &CubeTensor,
+    report: &CubeTensor,
+    everywhere: bool,
+) -> ProjectedScene {
+    let out = ProjectedScene {
+        splats: gpu.floats([scene.len, SPLAT]),
+        depths: gpu.words(scene.len),
+        radii: gpu.words(scene.len),
+    };
+    if scene.len > 0 {
+        project_kernel::launch(
+            &gpu.client,
+            gpu.cubes_for(scene.len),
+            gpu.dim(),
+            arg(&scene.means),
+            arg(&scene.log_scales),
+            arg(&scene.rotations),
+            arg(&scene.logits),
+            arg(view),
+            arg(&out.splats),
+            arg(&out.depths),
+            arg(&out.radii),
+            arg(report),
+            scene.len as u32,
+            everywhere,
+        );
+    }
+    out
+}
+
+/// Adds the non-finite ones among `len` values to `report[0]`.
+pub(super) fn check_finite(gpu: &Gpu, values: &CubeTensor, len: usize, report: &CubeTensor) {
+    if len > 0 {
+        // A unit looks at several values.
+        let units = len.min(1 << 20);
+        count_non_finite::launch(&gpu.client, gpu.cubes_for(units), gpu.dim(), arg(values), arg(report), len as u32);
+    }
+}

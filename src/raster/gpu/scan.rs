@@ -1,0 +1,129 @@
+//! Prefix sums.
+
+use super::buffers::{Gpu, UNITS, arg};
+use burn_cubecl::cubecl::{self, prelude::*};
+use burn_cubecl::tensor::CubeTensor;
+
+/// Consecutive values of a unit.
+const ITEMS: usize = 8;
+/// Values of a cube.
+const BLOCK: usize = UNITS as usize * ITEMS;
+/// Sums stop here, so that none wraps: a total of [`CEILING`] means this or more.
+pub(super) const CEILING: u32 = 0x7fff_ffff;
+const GROUP: usize = 16;
+
+/// Replaces the [`UNITS`] values in `sums` by the sums of those before each. All units of the cube call it; `sums` is
+/// complete before and after. `totals` holds [`GROUP`] + 1 values, the last of them the sum of all.
+#[cube]
+pub(super) fn scan_cube(sums: &mut Shared<[u32]>, totals: &mut Shared<[u32]>) {
+    // Two levels of 16 serial sums: a third of the barriers of a doubling scan.
+    let unit = UNIT_POS as usize;
+    if unit < GROUP {
+        let mut sum = 0u32;
+        for k in 0..GROUP {
+            let value = sums[unit * GROUP + k];
+            sums[unit * GROUP + k] = sum;
+            sum += value;
+        }
+        totals[unit] = sum;
+    }
+    sync_cube();
+    if unit == 0 {
+        let mut sum = 0u32;
+        for k in 0..GROUP {
+            let value = totals[k];
+            totals[k] = sum;
+            sum += value;
+        }
+        totals[GROUP] = sum;
+    }
+    sync_cube();
+    sums[unit] += totals[unit / GROUP];
+    sync_cube();
+}
+
+#[cube]
+fn capped(a: u32, b: u32) -> u32 {
+    min(a + b, CEILING)
+}
+
+/// Exclusive sums within each block of [`BLOCK`] values, and the blocks' totals.
+#[cube(launch)]
+fn scan_blocks(values: &[u32], sums: &mut [u32], totals: &mut [u32], count: u32, blocks: u32) {
+    if CUBE_POS >= blocks as usize {
+        terminate!();
+    }
+    let unit = UNIT_POS as usize;
+    let first = CUBE_POS * BLOCK + unit * ITEMS;
+    let mut before = Array::<u32>::new(ITEMS);
+    let mut sum = 0u32;
+    #[unroll]
+    for k in 0..ITEMS {
+        before[k] = sum;
+        if first + k < count as usize {
+            sum = capped(sum, values[first + k]);
+        }
+    }
+    // Capped sums need a scan of their own: 256 capped values may wrap when simply added.
+    let mut shared = Shared::<[u32]>::new_slice(UNITS as usize);
+    shared[unit] = sum;
+    sync_cube();
+    let mut step = 1usize;
+    while step < UNITS as usize {
+        let mut other = 0u32;
+        if unit >= step {
+            other = shared[unit - step];
+        }
+        sync_cube();
+        shared[unit] = capped(shared[unit], other);
+        sync_cube();
+        step *= 2;
+    }
+    let mut base = 0u32;
+    if unit > 0 {
+        base = shared[unit - 1];
+    }
+    #[unroll]
+    for k in 0..ITEMS {
+        if first + k < count as usize {
+            sums[first + k] = capped(base, before[k]);
+        }
+    }
+    if unit == UNITS as usize - 1 {
+        totals[CUBE_POS] = shared[unit];
+    }
+}
+
+/// Adds to every value what its block starts from.
+#[cube(launch)]
+fn add_block_starts(sums: &mut [u32], starts: &[u32], count: u32) {
+    let i = ABSOLUTE_POS;
+    if i < count as usize {
+        sums[i] = capped(sums[i], starts[i / BLOCK]);
+    }
+}
+
+/// The sum of the values before each of `values`, `len` of them, capped at [`CEILING`].
+pub(super) fn exclusive_sums(gpu: &Gpu, values: &CubeTensor, len: usize) -> CubeTensor {
+    let sums = gpu.words(len);
+    if len == 0 {
+        return sums;
+    }
+    let blocks = len.div_ceil(BLOCK);
+    let totals = gpu.words(blocks);
+    scan_blocks::launch(
+        &gpu.client,
+        gpu.cubes(blocks),
+        gpu.dim(),
+        arg(values),
+        arg(&sums),
+        arg(&totals),
+        len as u32,
+        blocks as u32,
+    );
+    if blocks > 1 {
+        let starts = exclusive_sums(gpu, &totals, blocks);
+        add_block_starts::launch(&gpu.client, gpu.cubes_for(len), gpu.dim(), arg(&sums), arg(&starts), len as u32);
+    }
+    sums
+}

@@ -1,0 +1,133 @@
+//! The operation on CubeCL backends: the GPU kernels, or the host's where those do not reach.
+
+use super::backend::{RasterBackend, RasterTensors};
+use super::call::{HostInputs, RasterCall};
+use super::on_host;
+use super::radii::Radii;
+use crate::error::{Error, Result};
+use crate::raster::gpu::{self, Forward, Gradients, Inputs, Scenery};
+use burn::backend::tensor::FloatTensor;
+use burn_cubecl::CubeBackend;
+use burn_cubecl::kernel::into_contiguous;
+use burn_cubecl::ops::numeric::zeros_client;
+use burn_cubecl::tensor::CubeTensor;
+use std::sync::Arc;
+
+/// Whether the GPU kernels take this call. Without a Gaussian or a channel there is next to nothing to compute, and no
+/// buffer to bind.
+fn on_device(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> bool {
+    let something = tensors.opacity_logits.meta.num_elements() > 0 && channels(tensors, call) > 0;
+    something && !call.host_kernels && gpu::covers(&tensors.means)
+}
+
+fn channels(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> usize {
+    call.colours() + tensors.features.meta.shape()[1]
+}
+
+fn inputs(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> Inputs {
+    let whole = |t: &CubeTensor| into_contiguous(t.clone());
+    Inputs {
+        means: whole(&tensors.means),
+        log_scales: whole(&tensors.log_scales),
+        rotations: whole(&tensors.rotations),
+        logits: whole(&tensors.opacity_logits),
+        sh: call.has_sh.then(|| (whole(&tensors.sh), call.active_sh_degree)),
+        features: (tensors.features.meta.num_elements() > 0).then(|| whole(&tensors.features)),
+    }
+}
+
+fn zeros_like(tensor: &CubeTensor) -> CubeTensor {
+    let shape = tensor.meta.shape().clone();
+    zeros_client(tensor.client.clone(), tensor.device.clone(), shape, tensor.dtype)
+}
+
+fn forward(tensors: RasterTensors<CubeBackend>, call: &RasterCall) -> Result<CubeTensor> {
+    let scenery = Scenery { camera: &call.camera, settings: &call.settings, background: call.background };
+    match gpu::forward(&inputs(&tensors, call), scenery)? {
+        Some((image, forward)) => {
+            let mut state = call.state();
+            state.radii = Radii::on_device(forward.radii());
+            state.forward = Some(Box::new(forward));
+            Ok(image)
+        }
+        // The host's own check names tensor and row.
+        None => match HostInputs::<f32>::read::<CubeBackend>(tensors).forward(call) {
+            Err(error) => Err(error),
+            Ok(_) => Err(Error::non_finite("raster input", 0)),
+        },
+    }
+}
+
+impl RasterBackend for CubeBackend {
+    fn raster_image(tensors: RasterTensors<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
+        if !on_device(&tensors, &call) {
+            return on_host::image::<Self>(tensors, call);
+        }
+        let like = tensors.means.clone();
+        let channels = channels(&tensors, &call);
+        forward(tensors, &call).unwrap_or_else(|error| {
+            call.state().error = Some(error);
+            // The caller of `rasterize` gets the error; the graph needs a tensor all the same.
+            zeros_client(like.client, like.device, [1, 1, channels].into(), like.dtype)
+        })
+    }
+
+    fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
+        let state = call.state();
+        match state.forward.as_ref().and_then(|f| f.downcast_ref::<Forward>()) {
+            Some(forward) => forward.transmittance.clone(),
+            None => {
+                drop(state);
+                on_host::transmittance::<Self>(image, call)
+            }
+        }
+    }
+
+    fn raster_transmittance_backward(
+        image: FloatTensor<Self>,
+        d_transmittance: FloatTensor<Self>,
+        call: Arc<RasterCall>,
+    ) -> FloatTensor<Self> {
+        if call.state().forward.as_ref().is_none_or(|f| !f.is::<Forward>()) {
+            return on_host::transmittance_backward::<Self>(image, d_transmittance, call);
+        }
+        call.state().d_transmittance = Some(Box::new(into_contiguous(d_transmittance)));
+        zeros_like(&image)
+    }
+
+    fn raster_backward(
+        tensors: RasterTensors<Self>,
+        image: FloatTensor<Self>,
+        d_image: FloatTensor<Self>,
+        call: Arc<RasterCall>,
+    ) -> RasterTensors<Self> {
+        let forward: Box<Forward> = {
+            let mut state = call.state();
+            match state.forward.take().map(|f| f.downcast()) {
+                Some(Ok(forward)) => forward,
+                other => {
+                    state.forward = other.and_then(Result::err);
+                    drop(state);
+                    return on_host::backward::<Self>(tensors, image, d_image, call);
+                }
+            }
+        };
+        let d_transmittance: Option<CubeTensor> = RasterCall::take(&mut call.state().d_transmittance);
+        let Gradients { means, log_scales, rotations, logits, sh, features, screen } = forward.backward(
+            &inputs(&tensors, &call),
+            &into_contiguous(image),
+            &into_contiguous(d_image),
+            d_transmittance.as_ref(),
+        );
+        RasterTensors {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits: logits,
+            // An absent input is empty, and so is its gradient.
+            sh: sh.unwrap_or(tensors.sh),
+            features: features.unwrap_or(tensors.features),
+            screen: if tensors.screen.meta.num_elements() > 0 { screen } else { tensors.screen },
+        }
+    }
+}
