@@ -63,8 +63,9 @@ pub fn open(name: Option<BackendName>) -> Result<Device> {
 
 /// [`open`], and which backend it is.
 ///
-/// Without a name, a wgpu backend that finds no adapter gives way to the next one, with one warning. The devices
-/// themselves are lazy: wgpu's adapter is asked for here, so that its absence is an error and not a later panic.
+/// Without a name, a wgpu backend that finds no adapter, or only a software one, gives way to the next one, with one
+/// warning. The devices themselves are lazy: wgpu's adapter is asked for here, so that its absence is an error and not a
+/// later panic.
 ///
 /// # Errors
 /// [`Error::Device`] when the backend asked for is not compiled in or has no usable adapter.
@@ -74,16 +75,18 @@ pub fn choose(name: Option<BackendName>) -> Result<(BackendName, Device)> {
     }
     let compiled = BackendName::compiled();
     for (i, &name) in compiled.iter().enumerate() {
-        match (device(name), compiled.get(i + 1)) {
-            (Ok(device), _) => return Ok((name, device)),
+        let next = compiled.get(i + 1);
+        let reason = match (device(name), next) {
             (Err(error), None) => return Err(error),
-            (Err(error), Some(next)) => {
-                let reason = match error {
-                    Error::Device { reason, .. } => reason,
-                    other => other.to_string(),
-                };
-                tracing::warn!("{name}: {reason}; computing with {next} instead");
-            }
+            (Err(Error::Device { reason, .. }), _) => reason,
+            (Err(other), _) => other.to_string(),
+            (Ok(device), next) => match software_adapter(name).filter(|_| next.is_some()) {
+                None => return Ok((name, device)),
+                Some(adapter) => format!("the only adapter is {adapter}, a software one (--backend {name} takes it)"),
+            },
+        };
+        if let Some(next) = next {
+            tracing::warn!("{name}: {reason}; computing with {next} instead");
         }
     }
     Err(Error::Device {
@@ -124,20 +127,11 @@ fn device(name: BackendName) -> Result<Device> {
     }
 }
 
-/// The default wgpu device, its adapter acquired once a process.
+/// The default wgpu device.
 #[cfg(feature = "wgpu")]
 fn wgpu() -> Result<Device> {
-    use burn::tensor::DeviceKind::DefaultDevice;
-    use burn::tensor::wgpu::WgpuInitError;
-    static ADAPTER: std::sync::OnceLock<Result<(), String>> = std::sync::OnceLock::new();
-    let adapter = ADAPTER.get_or_init(|| match Device::wgpu_options().init() {
-        // Registered already: somebody computes on it.
-        Ok(_) | Err(WgpuInitError::Registration { .. }) => Ok(()),
-        Err(WgpuInitError::AdapterUnavailable { message, .. }) => Err(message),
-        Err(error) => Err(error.to_string()),
-    });
-    match adapter {
-        Ok(()) => Ok(Device::wgpu(DefaultDevice)),
+    match adapter() {
+        Ok(_) => Ok(Device::wgpu(burn::tensor::DeviceKind::DefaultDevice)),
         Err(reason) => Err(Error::Device {
             device: BackendName::Wgpu.to_string(),
             reason: format!("no usable adapter ({reason})"),
@@ -145,5 +139,32 @@ fn wgpu() -> Result<Device> {
                    another backend"
                 .into(),
         }),
+    }
+}
+
+/// Acquires the adapter of the default wgpu device, once a process: its name where it is a software one, or why there is
+/// none.
+#[cfg(feature = "wgpu")]
+fn adapter() -> &'static std::result::Result<Option<String>, String> {
+    use burn::tensor::wgpu::{WgpuInitError, wgpu::DeviceType};
+    static ADAPTER: std::sync::OnceLock<std::result::Result<Option<String>, String>> = std::sync::OnceLock::new();
+    ADAPTER.get_or_init(|| match Device::wgpu_options().init_with_setup() {
+        Ok((_, setup)) => {
+            let info = setup.adapter.get_info();
+            Ok((info.device_type == DeviceType::Cpu).then_some(info.name))
+        }
+        // Registered already: somebody computes on it.
+        Err(WgpuInitError::Registration { .. }) => Ok(None),
+        Err(WgpuInitError::AdapterUnavailable { message, .. }) => Err(message),
+        Err(error) => Err(error.to_string()),
+    })
+}
+
+/// Name of the software adapter that `name` would compute on, if it is one.
+fn software_adapter(name: BackendName) -> Option<String> {
+    match name {
+        #[cfg(feature = "wgpu")]
+        BackendName::Wgpu => adapter().clone().ok().flatten(),
+        _ => None,
     }
 }
