@@ -6,7 +6,7 @@ use super::{Blend, Config, Encode, Normalisation, Preset, Prior, Resolution};
 pub const BUILTIN_SCENE: [&str; 4] = [
     "building.iterations=2400",
     "building.max_gaussians=25000",
-    "segmentation.iterations=800",
+    "segmentation.iterations=2000",
     "segmentation.pixel_share=0.25",
 ];
 
