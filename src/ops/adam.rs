@@ -183,13 +183,17 @@ pub fn adam_step_plain<const D: usize>(state: AdamTensors<D>, grad: Tensor<D>, s
     let first = state.first * step.beta1 + grad.clone() * (1.0 - step.beta1);
     let second = state.second * step.beta2 + grad.clone() * grad * (1.0 - step.beta2);
     let direction = first.clone() * (1.0 / c1) / ((second.clone() * (1.0 / c2)).sqrt() + step.epsilon);
+    let (shape, device, dtype) = (state.param.dims(), state.param.device(), state.param.dtype());
+    let (count, period) = (shape.iter().product::<usize>(), step.rates.len());
     let update = match step.rates[..] {
         [rate] => direction * rate,
+        _ if count.is_multiple_of(period) => {
+            let rates = Tensor::<2>::from_data(TensorData::new(step.rates.clone(), [1, period]), (&device, dtype));
+            (direction.reshape([count / period, period]) * rates).reshape(shape)
+        }
         _ => {
-            let (shape, device) = (state.param.dims(), state.param.device());
-            let rates = step.rates.iter().copied().cycle().take(shape.iter().product()).collect();
-            let rates = TensorData::new::<f64, _>(rates, shape);
-            direction * Tensor::<D>::from_data(rates, (&device, state.param.dtype()))
+            let rates = step.rates.iter().copied().cycle().take(count).collect();
+            direction * Tensor::<D>::from_data(TensorData::new::<f64, _>(rates, shape), (&device, dtype))
         }
     };
     AdamTensors { param: state.param - update, first, second }

@@ -76,7 +76,10 @@ pub(crate) use real_kernel;
 pub fn warn_host_fallback() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| {
-        tracing::warn!("an operation without a GPU kernel for this call runs on the CPU and copies from and to the GPU (Adam, the photometric and label losses, attentive pooling, sparse products; the rasterizer in f64)");
+        tracing::warn!(
+            "operations without a GPU kernel run on the CPU and copy from and to the GPU: photometric and label losses, \
+             attentive pooling, sparse products, and the rasterizer in f64"
+        );
     });
 }
 
