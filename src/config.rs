@@ -107,6 +107,16 @@ pub enum Blend {
     Probabilities,
 }
 
+/// What label maps are rendered from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LabelSource {
+    /// One label a Gaussian, that of its largest score: what `label` in the PLY says.
+    Labels,
+    /// The class scores, blended (Eq. 3): the paper.
+    Scores,
+}
+
 /// What the decoder starts from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -154,7 +164,9 @@ pub struct SegmentationConfig {
     pub warmup: f64,
     /// Identities come from the mean of the decoder's parameters over the steps after the warm-up (not in the paper).
     pub average: bool,
-    /// Pixels whose coverage 1 - T is below this are not trained on.
+    /// What label maps are rendered from.
+    pub render: LabelSource,
+    /// Pixels whose coverage 1 - T is below this are not trained on, and show no label.
     pub min_coverage: f64,
     /// Share of the pixels used in a step.
     pub pixel_share: f64,
@@ -189,6 +201,7 @@ impl Default for SegmentationConfig {
             lambda_reg: 0.2,
             warmup: 0.1,
             average: true,
+            render: LabelSource::Labels,
             min_coverage: 0.5,
             pixel_share: 1.0,
             reg_samples: 1_000,

@@ -8,7 +8,7 @@ use coseg::data::{Classes, LabelMap, Limits, Scene, Split, View};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::metrics::{ImageScores, Void, label_scores};
-use coseg::objects::{Identities, hard_label_map, label_map};
+use coseg::objects::{Identities, LabelRule, hard_label_map, label_map};
 use coseg::raster::{Projected, Settings, render};
 use std::path::PathBuf;
 
@@ -114,7 +114,7 @@ fn score<'s>(
     config: &Config,
 ) -> Result<(ImageScores, Vec<(&'s LabelMap, LabelMap)>)> {
     let settings = Settings::from(&config.raster);
-    let coverage = config.segmentation.min_coverage as f32;
+    let rule = LabelRule::from(&config.segmentation);
     let bar = terminal::bar("eval", scene.split(Split::Test).count() as u64);
     let (mut images, mut labels) = (Vec::new(), Vec::new());
     for view in scene.split(Split::Test) {
@@ -124,8 +124,8 @@ fn score<'s>(
         if let (Some(truth), Some(stored)) = (truth, stored) {
             let projected = Projected::new(&ply.gaussians.splats(), camera, &settings)?;
             let found = match stored {
-                Stored::Identities(identities) => label_map(&projected, identities, classes, coverage),
-                Stored::Labels(ids) => hard_label_map(&projected, ids, coverage),
+                Stored::Identities(identities) => label_map(&projected, identities, classes, &rule),
+                Stored::Labels(ids) => hard_label_map(&projected, ids, rule.min_coverage),
             };
             labels.push((truth, found));
         }

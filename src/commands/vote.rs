@@ -6,7 +6,7 @@ use coseg::data::{self, Limits, LoadOptions, Split};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply;
 use coseg::metrics::{Void, label_scores};
-use coseg::objects::{label_map, vote};
+use coseg::objects::{LabelRule, label_map, vote};
 use coseg::raster::{self, Projected};
 use std::path::PathBuf;
 
@@ -61,12 +61,12 @@ impl VoteArgs {
             ids.len() - unseen
         ));
 
-        let coverage = config.segmentation.min_coverage as f32;
+        let rule = LabelRule::from(&config.segmentation);
         let mut scored = Vec::new();
         for view in scene.split(Split::Test) {
             let Some(truth) = &view.truth else { continue };
             let projected = Projected::new(&ply.gaussians.splats(), &view.camera, &raster)?;
-            scored.push((truth, label_map(&projected, &identities, &scene.classes, coverage)));
+            scored.push((truth, label_map(&projected, &identities, &scene.classes, &rule)));
         }
         let pairs = scored.iter().map(|(truth, found)| (&truth.ids[..], &found.ids[..]));
         let scores = label_scores(&scene.classes, pairs, Void::Wrong);

@@ -1,6 +1,6 @@
 //! The named sets of defaults.
 
-use super::{Blend, Config, Encode, Normalisation, Preset, Prior, Resolution};
+use super::{Blend, Config, Encode, LabelSource, Normalisation, Preset, Prior, Resolution};
 
 /// What the built-in scene needs to be done in five minutes on two cores, as `--set` would give it.
 pub const BUILTIN_SCENE: [&str; 4] = [
@@ -28,6 +28,7 @@ impl Config {
                 config.segmentation.pi_rl = 0.9;
                 config.segmentation.warmup = 0.0;
                 config.segmentation.average = false;
+                config.segmentation.render = LabelSource::Scores;
                 config.segmentation.standardise = false;
                 config.segmentation.lr_decay = false;
                 config.segmentation.lr = 1e-3;

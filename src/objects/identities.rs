@@ -1,5 +1,6 @@
 //! Segmentation identities stored on the Gaussians (`s_i` of Eq. 3), and label maps rendered from them.
 
+use crate::config::{LabelSource, SegmentationConfig};
 use crate::data::{Classes, LabelMap};
 use crate::error::{Error, Result};
 use crate::raster::Projected;
@@ -18,6 +19,17 @@ impl Identities {
     /// Class index of each Gaussian's largest score, `None` where all scores are equal (nothing is known).
     pub fn labels(&self) -> Vec<Option<u16>> {
         self.scores.chunks_exact(self.classes.max(1)).map(largest).collect()
+    }
+
+    /// 1 at each Gaussian's largest score and 0 elsewhere, `[N, C]`; all 0 where nothing is known.
+    pub fn one_hot(&self) -> Vec<f32> {
+        let mut rows = vec![0.0; self.scores.len()];
+        for (row, label) in rows.chunks_exact_mut(self.classes.max(1)).zip(self.labels()) {
+            if let Some(label) = label {
+                row[usize::from(label)] = 1.0;
+            }
+        }
+        rows
     }
 
     /// Class ids of [`Identities::labels`], the ignored id where nothing is known: the PLY's `label` column.
@@ -73,24 +85,38 @@ fn largest(row: &[f32]) -> Option<u16> {
     known.then_some(best as u16)
 }
 
-/// Renders identities: the class with the largest blended score at each pixel (`argmax` of Eq. 3).
+/// How label maps are rendered from identities.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LabelRule {
+    /// What is blended.
+    pub source: LabelSource,
+    /// Pixels covered by less (1 - T) show nothing.
+    pub min_coverage: f32,
+}
+
+impl From<&SegmentationConfig> for LabelRule {
+    fn from(config: &SegmentationConfig) -> Self {
+        Self { source: config.render, min_coverage: config.min_coverage as f32 }
+    }
+}
+
+/// Renders identities: at each pixel the class with the largest blended score (`argmax` of Eq. 3), or the class whose
+/// Gaussians have the largest summed alpha' T.
 ///
-/// Pixels covered by less than `min_coverage` (1 - T), or where nothing is known, take the ignored id.
-pub fn label_map(
-    projected: &Projected<f32>,
-    identities: &Identities,
-    classes: &Classes,
-    min_coverage: f32,
-) -> LabelMap {
+/// Pixels that are barely covered, or where nothing is known, take the ignored id.
+pub fn label_map(projected: &Projected<f32>, identities: &Identities, classes: &Classes, rule: &LabelRule) -> LabelMap {
     let c = identities.classes;
-    let blended = projected.blend(&identities.scores, c);
+    let blended = match rule.source {
+        LabelSource::Scores => projected.blend(&identities.scores, c),
+        LabelSource::Labels => projected.blend(&identities.one_hot(), c),
+    };
     let [width, height] = projected.size();
     let ids = blended
         .image
         .chunks_exact(c.max(1))
         .zip(&blended.transmittance)
         .map(|(row, t)| {
-            let class = if 1.0 - t >= min_coverage { largest(row) } else { None };
+            let class = if 1.0 - t >= rule.min_coverage { largest(row) } else { None };
             class.and_then(|c| classes.entries.get(usize::from(c))).map_or(classes.ignore, |c| c.id)
         })
         .collect();

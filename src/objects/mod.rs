@@ -5,5 +5,5 @@ mod identities;
 mod vote;
 
 pub use hard_labels::hard_label_map;
-pub use identities::{Identities, label_map};
+pub use identities::{Identities, LabelRule, label_map};
 pub use vote::{Votes, vote};

@@ -7,7 +7,7 @@ use super::{
 use crate::config::{Config, Row};
 use crate::data::Split;
 use crate::error::Result;
-use crate::objects::label_map;
+use crate::objects::{LabelRule, label_map};
 use crate::raster::{Projected, Settings};
 use crate::train::progress::CurvePoint;
 use crate::train::{Outcome, RowOutcome, render_and_score};
@@ -85,14 +85,13 @@ pub fn held_out_views<'a>(outcome: &'a Outcome, config: &Config) -> Result<Vec<H
     let stored = outcome.stored().map(|(row, _)| row.row);
     let shown = |row: Row| Some(row) == stored || matches!(row, Row::Vote | Row::PerGaussian);
     let rows: Vec<_> = outcome.rows.iter().filter_map(|r| Some((r.row, r.identities.as_ref()?))).collect();
-    let coverage = config.segmentation.min_coverage as f32;
+    let rule = LabelRule::from(&config.segmentation);
     let mut views = Vec::new();
     for view in outcome.scene.split(Split::Test) {
         let (rgb, scores) = render_and_score(&outcome.gaussians, view, config)?;
         let projected = Projected::new(&outcome.gaussians.splats(), &view.camera, &settings)?;
         let labels = rows.iter().filter(|(row, _)| shown(*row));
-        let labels =
-            labels.map(|(row, s)| (*row, label_map(&projected, s, &outcome.scene.classes, coverage))).collect();
+        let labels = labels.map(|(row, s)| (*row, label_map(&projected, s, &outcome.scene.classes, &rule))).collect();
         views.push(HeldOutView { view, rgb, scores, labels });
     }
     Ok(views)

@@ -5,7 +5,7 @@ use super::segmentation::{Model, Plan, TrainingViews, train_step};
 use super::segmentation_inputs::Inputs;
 use crate::error::Result;
 use crate::metrics::{Void, label_scores};
-use crate::objects::{Identities, label_map};
+use crate::objects::{Identities, LabelRule, label_map};
 use crate::raster::Projected;
 use std::path::Path;
 
@@ -67,12 +67,12 @@ pub fn choose_rate<'a>(
 /// Share of the labelled pixels of the views held back on which rendered and raw label agree.
 fn raw_accuracy(identities: &Identities, views: &TrainingViews, inputs: &Inputs) -> Result<f64> {
     let classes = &inputs.scene.classes;
-    let coverage = inputs.config.segmentation.min_coverage as f32;
+    let rule = LabelRule::from(&inputs.config.segmentation);
     let splats = inputs.gaussians.splats();
     let mut maps = Vec::new();
     for view in views.held_back() {
         let projected = Projected::new(&splats, &view.camera, &inputs.settings)?;
-        maps.push(label_map(&projected, identities, classes, coverage));
+        maps.push(label_map(&projected, identities, classes, &rule));
     }
     let raw = views.held_back().filter_map(|view| view.raw.as_ref());
     let pairs = raw.zip(&maps).map(|(raw, map)| (&raw.ids[..], &map.ids[..]));

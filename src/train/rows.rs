@@ -9,7 +9,7 @@ use crate::config::{Prior, Row, SegmentationConfig};
 use crate::data::{LabelMap, Split, View};
 use crate::error::Result;
 use crate::metrics::{LabelScores, Void, label_scores};
-use crate::objects::{Identities, label_map, vote};
+use crate::objects::{Identities, LabelRule, label_map, vote};
 use crate::raster::Projected;
 use crate::segmentation::decoder::DecoderConfig;
 use crate::segmentation::loss::Kind;
@@ -63,7 +63,7 @@ impl Row {
 }
 
 fn render_labels(projected: &Projected<f32>, identities: &Identities, inputs: &Inputs) -> LabelMap {
-    label_map(projected, identities, &inputs.scene.classes, inputs.config.segmentation.min_coverage as f32)
+    label_map(projected, identities, &inputs.scene.classes, &LabelRule::from(&inputs.config.segmentation))
 }
 
 /// Test views with truth, projected once.
