@@ -1,10 +1,10 @@
 //! Stage two on the plates: what the decoder starts from, what is stored, how learning rates are chosen.
 
 use coseg::Error;
-use coseg::config::{Blend, BuildingConfig, Config, Prior, Row, SegmentationConfig};
+use coseg::config::{Blend, BuildingConfig, Config, LabelSource, Prior, Row, SegmentationConfig};
 use coseg::data::Split;
-use coseg::objects::vote;
-use coseg::raster::Settings;
+use coseg::objects::{Identities, LabelRule, hard_label_map, label_map, vote};
+use coseg::raster::{Projected, Settings};
 use coseg::train::progress::Silent;
 use coseg::train::{Outcome, run};
 
@@ -85,6 +85,24 @@ fn weights_made_again_at_each_step_give_the_same_bits_as_kept_ones() {
         outcome.rows.iter().map(bits).collect::<Vec<_>>()
     };
     assert!(scores(0) == scores(2_048));
+}
+
+#[test]
+fn label_maps_show_the_labels_of_the_ply() {
+    let outcome = trained(|s| s.rows = vec![Row::Vote]);
+    let (gaussians, classes) = (&outcome.gaussians, &outcome.scene.classes);
+    let scores = (0..gaussians.len() * classes.len()).map(|i| (i as f32 * 1.7).sin()).collect();
+    let identities = Identities { scores, classes: classes.len() };
+    let (mut labelled, mut differ) = (0, 0);
+    for view in outcome.scene.split(Split::Test) {
+        let projected = Projected::new(&gaussians.splats(), &view.camera, &Settings::default()).expect("finite");
+        let map = |source| label_map(&projected, &identities, classes, &LabelRule { source, min_coverage: 0.5 }).ids;
+        let labels = map(LabelSource::Labels);
+        assert_eq!(labels, hard_label_map(&projected, &identities.ids(classes), 0.5).ids);
+        labelled += labels.iter().filter(|id| **id != classes.ignore).count();
+        differ += labels.iter().zip(map(LabelSource::Scores)).filter(|(a, b)| *a != b).count();
+    }
+    assert!(labelled > 1000 && differ > 100, "{labelled} labelled, {differ} otherwise by their scores");
 }
 
 #[test]
