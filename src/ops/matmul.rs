@@ -36,7 +36,7 @@ pub(super) fn add_product_of_transposed<E: Real>(a: &[E], k: usize, b: &[E], n: 
 }
 
 /// `out = a b^T`: `a` is `[m, n]`, `b` `[k, n]`, `out` `[m, k]`.
-pub(super) fn product_with_transposed<E: Real>(a: &[E], n: usize, b: &[E], k: usize, out: &mut [E]) {
+pub(crate) fn product_with_transposed<E: Real>(a: &[E], n: usize, b: &[E], k: usize, out: &mut [E]) {
     if k > 0 && n > 0 {
         general_mat_mul(E::one(), &view(a, n), &view(b, n).t(), E::zero(), &mut view_mut(out, k));
     }
