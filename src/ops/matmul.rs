@@ -22,7 +22,7 @@ fn view_mut<E>(values: &mut [E], columns: usize) -> ArrayViewMut2<'_, E> {
 }
 
 /// `out += a b`: `a` is `[m, k]`, `b` `[k, n]`, `out` `[m, n]`, all row-major.
-pub(super) fn add_product<E: Real>(a: &[E], k: usize, b: &[E], n: usize, out: &mut [E]) {
+pub(crate) fn add_product<E: Real>(a: &[E], k: usize, b: &[E], n: usize, out: &mut [E]) {
     if k > 0 && n > 0 {
         general_mat_mul(E::one(), &view(a, k), &view(b, n), E::one(), &mut view_mut(out, n));
     }
@@ -36,7 +36,7 @@ pub(super) fn add_product_of_transposed<E: Real>(a: &[E], k: usize, b: &[E], n: 
 }
 
 /// `out = a b^T`: `a` is `[m, n]`, `b` `[k, n]`, `out` `[m, k]`.
-pub(crate) fn product_with_transposed<E: Real>(a: &[E], n: usize, b: &[E], k: usize, out: &mut [E]) {
+pub(super) fn product_with_transposed<E: Real>(a: &[E], n: usize, b: &[E], k: usize, out: &mut [E]) {
     if k > 0 && n > 0 {
         general_mat_mul(E::one(), &view(a, n), &view(b, n).t(), E::zero(), &mut view_mut(out, k));
     }

@@ -3,7 +3,7 @@
 use super::attention::attend;
 use super::kernels::gelu;
 use crate::error::Result;
-use crate::ops::matmul::product_with_transposed;
+use crate::ops::matmul::add_product;
 use rayon::prelude::*;
 
 /// Tokens handled at once, per thread.
@@ -15,30 +15,35 @@ const EPSILON: f64 = 1e-6;
 /// `x W^T + b`.
 #[derive(Clone, Debug)]
 pub(super) struct Linear {
-    /// `[out, in]`.
-    pub weights: Vec<f32>,
+    /// W transposed, `[in, out]`: products read it as it lies.
+    weights: Vec<f32>,
     /// `[out]`.
-    pub bias: Vec<f32>,
+    bias: Vec<f32>,
 }
 
 impl Linear {
-    fn inputs(&self) -> usize {
-        self.weights.len() / self.bias.len().max(1)
+    /// From weights `[out, in]` as files have them, and a bias `[out]`.
+    pub fn new(weights: &[f32], bias: Vec<f32>) -> Self {
+        let inputs = weights.len() / bias.len().max(1);
+        let column = |i: usize| weights.iter().skip(i).step_by(inputs).copied();
+        Self { weights: (0..inputs).flat_map(column).collect(), bias }
     }
 
-    /// `out = x W^T + b` for rows `x`.
-    pub fn apply(&self, x: &[f32], out: &mut [f32]) {
-        product_with_transposed(x, self.inputs(), &self.weights, self.bias.len(), out);
-        for row in out.chunks_exact_mut(self.bias.len().max(1)) {
-            row.iter_mut().zip(&self.bias).for_each(|(x, b)| *x += b);
-        }
+    /// `x W^T + b` for rows `x`.
+    pub fn apply(&self, x: &[f32]) -> Vec<f32> {
+        let inputs = self.weights.len() / self.bias.len();
+        let mut out = vec![0.0; x.len() / inputs * self.bias.len()];
+        self.add_to(x, &mut out);
+        out
     }
 
     /// `out += x W^T + b` for rows `x`.
     pub fn add_to(&self, x: &[f32], out: &mut [f32]) {
-        let mut product = vec![0.0; out.len()];
-        self.apply(x, &mut product);
-        out.iter_mut().zip(product).for_each(|(x, p)| *x += p);
+        let (inputs, outputs) = (self.weights.len() / self.bias.len(), self.bias.len());
+        for row in out.chunks_exact_mut(outputs) {
+            row.iter_mut().zip(&self.bias).for_each(|(x, b)| *x += b);
+        }
+        add_product(x, inputs, &self.weights, outputs, out);
     }
 }
 
@@ -90,13 +95,11 @@ impl Block {
         let mut qkv = vec![0.0; 3 * x.len()];
         qkv.par_chunks_mut(ROWS * 3 * d)
             .zip(x.par_chunks(ROWS * d))
-            .for_each(|(out, x)| self.qkv.apply(&self.norm1.applied(x), out));
+            .for_each(|(out, x)| self.qkv.add_to(&self.norm1.applied(x), out));
         attend(&qkv, d, queries, x, &self.projection, number)?;
         drop(qkv);
         x.par_chunks_mut(ROWS * d).for_each(|x| {
-            let normed = self.norm2.applied(x);
-            let mut hidden = vec![0.0; x.len() / d * self.fc1.bias.len()];
-            self.fc1.apply(&normed, &mut hidden);
+            let mut hidden = self.fc1.apply(&self.norm2.applied(x));
             gelu(&mut hidden);
             self.fc2.add_to(&hidden, x);
         });

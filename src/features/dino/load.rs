@@ -57,10 +57,10 @@ impl Vit {
                 return Err(weights.problem("pos_embed", format!("shape {other:?}"), expected));
             }
         };
-        let embedding = Linear {
-            weights: weights.values("patch_embed.proj.weight", &[width, 3, patch, patch])?,
-            bias: weights.values("patch_embed.proj.bias", &[width])?,
-        };
+        let embedding = Linear::new(
+            &weights.values("patch_embed.proj.weight", &[width, 3, patch, patch])?,
+            weights.values("patch_embed.proj.bias", &[width])?,
+        );
         let depth = weights.depth()?;
         Ok(Self {
             width,
@@ -172,10 +172,8 @@ impl Weights {
     }
 
     fn linear(&self, name: &str, [input, output]: [usize; 2]) -> Result<Linear> {
-        Ok(Linear {
-            weights: self.values(&format!("{name}.weight"), &[output, input])?,
-            bias: self.values(&format!("{name}.bias"), &[output])?,
-        })
+        let weights = self.values(&format!("{name}.weight"), &[output, input])?;
+        Ok(Linear::new(&weights, self.values(&format!("{name}.bias"), &[output])?))
     }
 
     fn norm(&self, name: &str, width: usize) -> Result<LayerNorm> {
