@@ -114,6 +114,10 @@ fn run(
     }
     let Some(moments) = moments else { return Err(Error::config("data", "no view", "one or more", "mend the splits")) };
     let reductions = moments.map(|m| Pca::fit(&m, config.dimensions));
+    let again = kept.iter().filter(|maps| maps.is_none()).count();
+    if again > 0 && config.cache_dir.is_none() && matches!(extractor, Extractor::Dino { .. }) {
+        tracing::warn!("{again} of {} views are computed twice: set features.cache_dir", train.len());
+    }
 
     let mut done = train.len();
     let mut reduce = |views: &[&View], kept: &mut [Option<[FeatureMap; SCALES]>]| -> Result<Vec<ViewFeatures>> {

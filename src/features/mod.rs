@@ -163,6 +163,8 @@ impl Extractor {
 
 /// SHA-256 of a file.
 fn hash(path: &Path) -> Result<String> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-    Ok(format!("{:x}", Sha256::digest(&bytes)))
+    let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let mut hash = Sha256::new();
+    std::io::copy(&mut file, &mut hash).map_err(|e| Error::io(path, "read", e))?;
+    Ok(format!("{:x}", hash.finalize()))
 }

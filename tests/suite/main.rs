@@ -14,6 +14,7 @@ mod data_check;
 mod decoder;
 mod densify;
 mod dino;
+mod dino_reference;
 mod dino_weights;
 mod features;
 mod fused;
