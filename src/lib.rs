@@ -16,5 +16,6 @@ pub mod raster;
 pub mod report;
 pub mod segmentation;
 pub mod train;
+pub mod weights;
 
 pub use error::{Error, Result};

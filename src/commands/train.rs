@@ -33,6 +33,7 @@ Examples:
   coseg train
   coseg train --data scenes/living --set data.raw_labels=labels_raw --set segmentation.rows=raw,vote,ours
   coseg train --config configs/fox.toml --data scenes/fox --out runs/fox
+  coseg train --data scenes/fox --set features.source=dino --set features.weights=dino_deitsmall8_pretrain.pth
   coseg train --resume runs/fox";
 
 /// Arguments of `coseg train`.

@@ -13,6 +13,8 @@ pub enum FeatureSource {
     Descriptor,
     /// MobileNetV2, blocks 3, 6, 13, 17.
     Mobilenetv2,
+    /// A DINO ViT of any size, the ends of the quarters of its depth (the paper).
+    Dino,
     /// Maps read from files, one set a view.
     Import,
 }
@@ -25,6 +27,8 @@ pub struct FeatureConfig {
     pub source: FeatureSource,
     /// Weights of the extractor.
     pub weights: Option<std::path::PathBuf>,
+    /// Whether the four blocks of a DINO ViT take its final layer normalisation; other sources have none.
+    pub final_norm: bool,
     /// Folder of imported maps: `STEM.N.npy` ([H, W, C] f32, N = 1..4) or `STEM.safetensors` (tensors `scale1`..`scale4`).
     pub import_dir: Option<std::path::PathBuf>,
     /// Dimensions kept by PCA, per scale.
@@ -35,7 +39,14 @@ pub struct FeatureConfig {
 
 impl Default for FeatureConfig {
     fn default() -> Self {
-        Self { source: FeatureSource::Auto, weights: None, import_dir: None, dimensions: 64, cache_dir: None }
+        Self {
+            source: FeatureSource::Auto,
+            weights: None,
+            final_norm: true,
+            import_dir: None,
+            dimensions: 64,
+            cache_dir: None,
+        }
     }
 }
 

@@ -106,15 +106,14 @@ impl Config {
     fn validate_features(&self, check: &mut Check) {
         let f = &self.features;
         check.positive("features.dimensions", f.dimensions);
-        let needs_weights = f.source == FeatureSource::Mobilenetv2 && f.weights.is_none();
-        let expected = "a path to MobileNetV2 weights, because features.source = \"mobilenetv2\"";
-        check.that(
-            !needs_weights,
-            "features.weights",
-            "nothing",
-            expected,
-            "give it, or set features.source = \"auto\"",
-        );
+        for (source, expected) in [
+            (FeatureSource::Mobilenetv2, "a path to MobileNetV2 weights, because features.source = \"mobilenetv2\""),
+            (FeatureSource::Dino, "a path to DINO weights, because features.source = \"dino\""),
+        ] {
+            let needs_weights = f.source == source && f.weights.is_none();
+            let mend = "give it, or set features.source = \"auto\"";
+            check.that(!needs_weights, "features.weights", "nothing", expected, mend);
+        }
         let needs_maps = f.source == FeatureSource::Import && f.import_dir.is_none();
         let expected = "a folder of feature maps, because features.source = \"import\"";
         check.that(

@@ -15,9 +15,6 @@ pub const PCA_CELLS: usize = 100_000;
 /// the cache).
 const KEPT_BYTES: usize = 1 << 30;
 
-/// Views extracted at once.
-const BATCH: usize = 8;
-
 /// Reduced maps of one view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ViewFeatures {
@@ -30,7 +27,7 @@ pub struct ViewFeatures {
 /// Reduced features of a scene's training views.
 #[derive(Clone, Debug)]
 pub struct FeatureSet {
-    /// Where they come from: `descriptor`, `mobilenetv2 FILE` or `imported DIR`.
+    /// Where they come from, see [`Extractor::name`].
     pub name: String,
     /// The fitted reductions, one a scale.
     pub reductions: [Pca; SCALES],
@@ -100,7 +97,7 @@ fn run(
     let mut kept_bytes = 0;
     let mut moments: Option<[Moments; SCALES]> = None;
     let quota = PCA_CELLS.div_ceil(train.len());
-    for batch in train.chunks(BATCH) {
+    for batch in train.chunks(extractor.batch()) {
         let batch_maps: Vec<_> = batch.par_iter().map(|view| maps_of(view)).collect();
         for (view, maps) in batch.iter().zip(batch_maps) {
             let maps = maps?;
@@ -117,11 +114,15 @@ fn run(
     }
     let Some(moments) = moments else { return Err(Error::config("data", "no view", "one or more", "mend the splits")) };
     let reductions = moments.map(|m| Pca::fit(&m, config.dimensions));
+    let again = kept.iter().filter(|maps| maps.is_none()).count();
+    if again > 0 && config.cache_dir.is_none() && matches!(extractor, Extractor::Dino { .. }) {
+        tracing::warn!("{again} of {} views are computed twice: set features.cache_dir", train.len());
+    }
 
     let mut done = train.len();
     let mut reduce = |views: &[&View], kept: &mut [Option<[FeatureMap; SCALES]>]| -> Result<Vec<ViewFeatures>> {
         let mut reduced = Vec::with_capacity(views.len());
-        for (batch, kept) in views.chunks(BATCH).zip(kept.chunks_mut(BATCH)) {
+        for (batch, kept) in views.chunks(extractor.batch()).zip(kept.chunks_mut(extractor.batch())) {
             let batch: Vec<Result<ViewFeatures>> = batch
                 .par_iter()
                 .zip(kept)

@@ -6,6 +6,7 @@
 
 mod cache;
 pub mod descriptor;
+pub mod dino;
 mod extract;
 mod import;
 mod lattice;
@@ -45,6 +46,17 @@ pub enum Extractor {
         /// SHA-256 of that file.
         hash: String,
     },
+    /// DINO's vision transformer, see [`dino`].
+    Dino {
+        /// The network.
+        net: Box<dino::Vit>,
+        /// Where its weights were read from.
+        path: PathBuf,
+        /// SHA-256 of that file.
+        hash: String,
+        /// Whether maps take the final layer normalisation.
+        final_norm: bool,
+    },
     /// Maps read from files of this folder, see [`Extractor::maps`].
     Import(PathBuf),
 }
@@ -70,6 +82,15 @@ impl Extractor {
                     "set features.weights",
                 )),
             },
+            FeatureSource::Dino => match &config.weights {
+                Some(path) => Self::dino(path, config.final_norm),
+                None => Err(Error::config(
+                    "features.weights",
+                    "nothing",
+                    "a path to DINO weights, since features.source = \"dino\"",
+                    "set features.weights",
+                )),
+            },
             FeatureSource::Import => match &config.import_dir {
                 Some(dir) if dir.is_dir() => Ok(Self::Import(dir.clone())),
                 Some(dir) => Err(Error::io(dir, "open folder", std::io::ErrorKind::NotFound.into())),
@@ -85,16 +106,20 @@ impl Extractor {
 
     fn mobilenet(path: &Path, device: &Device) -> Result<Self> {
         let net = mobilenet::FoldedNet::new(&mobilenet::MobileNetV2::load(path, &device.clone().inner())?);
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-        let hash = format!("{:x}", Sha256::digest(&bytes));
-        Ok(Self::MobileNetV2 { net: Box::new(net), path: path.to_owned(), hash })
+        Ok(Self::MobileNetV2 { net: Box::new(net), path: path.to_owned(), hash: hash(path)? })
     }
 
-    /// Name for reports: `descriptor`, `mobilenetv2 FILE` or `imported DIR`.
+    fn dino(path: &Path, final_norm: bool) -> Result<Self> {
+        let net = dino::Vit::load(path)?.with_final_norm(final_norm);
+        Ok(Self::Dino { net: Box::new(net), path: path.to_owned(), hash: hash(path)?, final_norm })
+    }
+
+    /// Name for reports: `descriptor`, `mobilenetv2 FILE`, `dino FILE` or `imported DIR`.
     pub fn name(&self) -> String {
         match self {
             Self::Descriptor => "descriptor".into(),
             Self::MobileNetV2 { path, .. } => format!("mobilenetv2 {}", path.display()),
+            Self::Dino { path, .. } => format!("dino {}", path.display()),
             Self::Import(dir) => format!("imported {}", dir.display()),
         }
     }
@@ -105,11 +130,13 @@ impl Extractor {
     /// `STEM.safetensors`, STEM being the view's name.
     ///
     /// # Errors
-    /// [`Error::Io`], [`Error::Input`] and [`Error::NonFinite`] for imported files that cannot be used.
+    /// [`Error::Io`], [`Error::Input`] and [`Error::NonFinite`] for imported files that cannot be used; [`Error::NonFinite`]
+    /// for weights under which an activation is not finite.
     pub fn maps(&self, view: &View) -> Result<[FeatureMap; SCALES]> {
         match self {
             Self::Descriptor => Ok(descriptor::describe(&view.image)),
             Self::MobileNetV2 { net, .. } => net.maps(&view.image),
+            Self::Dino { net, .. } => net.maps(&view.image),
             Self::Import(dir) => import::read(dir, &view.name),
         }
     }
@@ -119,7 +146,25 @@ impl Extractor {
         match self {
             Self::Descriptor => Some(descriptor::VERSION.into()),
             Self::MobileNetV2 { hash, .. } => Some(format!("{} {hash}", mobilenet::VERSION)),
+            Self::Dino { hash, final_norm, .. } => Some(format!("{} {hash} norm {final_norm}", dino::VERSION)),
             Self::Import(_) => None,
         }
     }
+
+    /// Views extracted side by side.
+    fn batch(&self) -> usize {
+        match self {
+            // One occupies all threads, and takes some hundred megabytes.
+            Self::Dino { .. } => 1,
+            _ => 8,
+        }
+    }
+}
+
+/// SHA-256 of a file.
+fn hash(path: &Path) -> Result<String> {
+    let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let mut hash = Sha256::new();
+    std::io::copy(&mut file, &mut hash).map_err(|e| Error::io(path, "read", e))?;
+    Ok(format!("{:x}", hash.finalize()))
 }

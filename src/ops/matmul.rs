@@ -22,7 +22,7 @@ fn view_mut<E>(values: &mut [E], columns: usize) -> ArrayViewMut2<'_, E> {
 }
 
 /// `out += a b`: `a` is `[m, k]`, `b` `[k, n]`, `out` `[m, n]`, all row-major.
-pub(super) fn add_product<E: Real>(a: &[E], k: usize, b: &[E], n: usize, out: &mut [E]) {
+pub(crate) fn add_product<E: Real>(a: &[E], k: usize, b: &[E], n: usize, out: &mut [E]) {
     if k > 0 && n > 0 {
         general_mat_mul(E::one(), &view(a, k), &view(b, n), E::one(), &mut view_mut(out, n));
     }

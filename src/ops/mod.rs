@@ -9,7 +9,7 @@ mod blended_labels;
 mod fusion_layer;
 mod host;
 mod label_loss;
-mod matmul;
+pub(crate) mod matmul;
 mod neighbour_divergence;
 mod photometric;
 mod real;

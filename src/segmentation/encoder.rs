@@ -1,12 +1,12 @@
 //! The frozen spatial encoder of a run: which weights, and a cloud of Gaussian centres turned into features (Eq. 6).
 
-use super::checkpoint::{Checkpoint, HostTensor};
 use super::neighbours::{Neighbours, check_finite};
 use super::randla::{Form, LAYERS, NEIGHBOURS, POSITION_CHANNELS, RATIO, RandlaEncoder, tensor};
 use super::sampling::Hierarchy;
 use crate::config::{SpatialConfig, SpatialSource};
 use crate::error::{Error, Result};
 use crate::ops::SparseMatrix;
+use crate::weights::{Checkpoint, HostTensor};
 use burn::tensor::{Device, Tensor};
 use glam::{DQuat, DVec3};
 use rand::{Rng, SeedableRng};
@@ -195,7 +195,10 @@ pub fn load_spatial(config: &SpatialConfig, seed: u64, device: &Device) -> Resul
     let (weights, name) = match (config.source, &config.weights) {
         (SpatialSource::Builtin, _) => (builtin_weights()?, "trained here".to_owned()),
         (SpatialSource::Random, _) => (random_weights(3, seed), "random".to_owned()),
-        (SpatialSource::Pretrained, Some(path)) => (Checkpoint::open(path)?, format!("pretrained {}", path.display())),
+        (SpatialSource::Pretrained, Some(path)) => {
+            let weights = Checkpoint::open(path)?.of_network("RandLA-Net (keys `dilated_res_blocks.*`)");
+            (weights, format!("pretrained {}", path.display()))
+        }
         (SpatialSource::Pretrained, None) => {
             let mend = "set it to a RandLA-Net checkpoint, or set spatial.source = \"builtin\"";
             return Err(Error::config("spatial.weights", "nothing", "a .safetensors, .pth or .pt file", mend));

@@ -1,6 +1,5 @@
 //! Segmentation identities: where image features meet the shape of the scene.
 
-pub mod checkpoint;
 pub mod decoder;
 pub mod encoder;
 pub mod interpolation;

@@ -2,7 +2,6 @@
 //!
 //! The head is the decoder of Eq. 7 without image features, so the encoder learns to be useful where it will be used.
 
-use super::checkpoint::Checkpoint;
 use super::decoder::{Decoder, DecoderConfig};
 use super::encoder::{Cloud, encode, encoder_input, random_weights};
 use super::loss::{Kind, label_loss};
@@ -14,6 +13,7 @@ use crate::data::builtin::{PRETRAINING_SEEDS, classes, labelled_points};
 use crate::error::{Error, Result};
 use crate::metrics::Confusion;
 use crate::ops::UNLABELLED;
+use crate::weights::Checkpoint;
 use burn::module::Module;
 use burn::optim::{AdamConfig, GradientsParams};
 use burn::tensor::{Device, Tensor};

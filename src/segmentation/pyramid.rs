@@ -88,11 +88,14 @@ impl Pyramid {
     }
 }
 
+/// Row numbers of a level.
+type Rows = Arc<Vec<u32>>;
+
 /// The rows of a [`Pyramid`] that some of its finest points depend on; cheap to keep per view.
 #[derive(Clone, Debug)]
 pub struct Restriction {
-    levels: Vec<(Option<Arc<Vec<u32>>>, Arc<SparseMatrix>)>,
-    top: Option<Arc<Vec<u32>>>,
+    levels: Vec<(Option<Rows>, Arc<SparseMatrix>)>,
+    top: Option<Rows>,
 }
 
 impl Restriction {

@@ -4,10 +4,10 @@
 //! a point together. 1x1 convolutions are therefore linear layers. Key names and wiring are those of the PyTorch port
 //! whose checkpoints are published.
 
-use super::checkpoint::{Checkpoint, HostTensor};
 use super::sampling::{Hierarchy, SampledLevel};
 use crate::error::{Error, Result};
 use crate::ops::{SparseMatrix, attentive_pool, sparse_apply};
+use crate::weights::{Checkpoint, HostTensor};
 use burn::module::{Module, Param};
 use burn::nn::{BatchNorm, BatchNormConfig, Linear};
 use burn::tensor::activation::leaky_relu;

@@ -152,7 +152,8 @@ fn values_out_of_range_are_refused() {
 #[test]
 fn values_that_need_each_other_are_checked() {
     assert_names(&load("", &["features.source=import"]).unwrap_err(), &["features.import_dir"]);
-    assert_names(&load("", &["features.source=mobilenetv2"]).unwrap_err(), &["features.weights"]);
+    assert_names(&load("", &["features.source=mobilenetv2"]).unwrap_err(), &["features.weights", "MobileNetV2"]);
+    assert_names(&load("", &["features.source=dino"]).unwrap_err(), &["features.weights", "DINO"]);
     assert_names(&load("", &["spatial.source=pretrained"]).unwrap_err(), &["spatial.weights"]);
     assert!(load("", &["spatial.source=pretrained", "spatial.weights=w.pth"]).is_ok());
 }

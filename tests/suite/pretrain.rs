@@ -1,11 +1,11 @@
 //! Pretraining on procedural rooms: it learns, it repeats, and what it stores is what it trained.
 
 use coseg::ops::UNLABELLED;
-use coseg::segmentation::checkpoint::Checkpoint;
 use coseg::segmentation::encoder::random_weights;
 use coseg::segmentation::pretrain::{PretrainOptions, TrainedEncoder, pretrain, room};
 use coseg::segmentation::probe::{LabelledCloud, linear_probe};
 use coseg::segmentation::randla::{Form, RandlaEncoder};
+use coseg::weights::Checkpoint;
 use coseg::{Error, Result};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -3,9 +3,9 @@
 use base64::Engine;
 use coseg::Error;
 use coseg::config::{SpatialConfig, SpatialSource};
-use coseg::segmentation::checkpoint::{Checkpoint, HostTensor};
 use coseg::segmentation::encoder::{load_spatial, metres_per_unit, random_weights};
 use coseg::segmentation::randla::{Form, RandlaEncoder};
+use coseg::weights::{Checkpoint, HostTensor};
 use std::path::PathBuf;
 
 /// What `torch.save` writes for `{"epoch": 3, "model_state_dict": {"module.fc0.conv.weight": [2, 3, 1] of 1, 2, 3, 4, 5, 6.5,

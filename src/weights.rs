@@ -2,6 +2,7 @@
 
 use crate::error::{Error, Result};
 use burn::store::pytorch_reader::{DType as TorchType, PytorchReader};
+use half::{bf16, f16};
 use safetensors::{Dtype, SafeTensors};
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -27,6 +28,8 @@ pub struct Checkpoint {
     pub tensors: BTreeMap<String, HostTensor>,
     /// The file's own notes (safetensors only).
     pub metadata: BTreeMap<String, String>,
+    /// The network that [`Checkpoint::get`] asks for in its messages.
+    pub network: &'static str,
 }
 
 impl Checkpoint {
@@ -36,19 +39,29 @@ impl Checkpoint {
     /// # Errors
     /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is truncated, or is no such file.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        Self::open_where(path, |_| true)
+    }
+
+    /// [`Checkpoint::open`] for the tensors whose name in the file `keep` accepts: the rest is not read from PyTorch files.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::open`].
+    pub fn open_where(path: impl AsRef<Path>, keep: impl Fn(&str) -> bool) -> Result<Self> {
         let path = path.as_ref();
         let safetensors = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("safetensors"));
         if safetensors {
             let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-            return Self::from_safetensors(&bytes, path);
+            return Self::selected(&bytes, path, keep);
         }
         std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
         let reader = PytorchReader::new(path).map_err(|e| unreadable(path, "checkpoint", e))?;
         let mut checkpoint = Self { origin: path.to_owned(), ..Self::default() };
-        for (name, tensor) in reader.tensors() {
+        for (name, tensor) in reader.tensors().iter().filter(|(name, _)| keep(name)) {
             let convert: fn(&[u8]) -> f32 = match tensor.dtype() {
                 TorchType::F32 => |b| f32::from_ne_bytes(array(b)),
                 TorchType::F64 => |b| f64::from_ne_bytes(array(b)) as f32,
+                TorchType::F16 => |b| f16::from_ne_bytes(array(b)).to_f32(),
+                TorchType::BF16 => |b| bf16::from_ne_bytes(array(b)).to_f32(),
                 _ => continue, // counters such as num_batches_tracked
             };
             let size = tensor.byte_len() / tensor.num_elements().max(1);
@@ -65,15 +78,20 @@ impl Checkpoint {
     /// # Errors
     /// [`Error::Input`] when the bytes are truncated or are no safetensors file.
     pub fn from_safetensors(bytes: &[u8], origin: impl AsRef<Path>) -> Result<Self> {
-        let origin = origin.as_ref();
+        Self::selected(bytes, origin.as_ref(), |_| true)
+    }
+
+    fn selected(bytes: &[u8], origin: &Path, keep: impl Fn(&str) -> bool) -> Result<Self> {
         let file = SafeTensors::deserialize(bytes).map_err(|e| unreadable(origin, "header", e))?;
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| unreadable(origin, "header", e))?;
         let metadata = header.metadata().iter().flatten().map(|(k, v)| (k.clone(), v.clone())).collect();
-        let mut checkpoint = Self { origin: origin.to_owned(), tensors: BTreeMap::new(), metadata };
-        for (name, view) in file.iter() {
+        let mut checkpoint = Self { origin: origin.to_owned(), metadata, ..Self::default() };
+        for (name, view) in file.iter().filter(|(name, _)| keep(name)) {
             let values = match view.dtype() {
                 Dtype::F32 => view.data().chunks_exact(4).map(|b| f32::from_le_bytes(array(b))).collect(),
                 Dtype::F64 => view.data().chunks_exact(8).map(|b| f64::from_le_bytes(array(b)) as f32).collect(),
+                Dtype::F16 => view.data().chunks_exact(2).map(|b| f16::from_le_bytes(array(b)).to_f32()).collect(),
+                Dtype::BF16 => view.data().chunks_exact(2).map(|b| bf16::from_le_bytes(array(b)).to_f32()).collect(),
                 _ => continue,
             };
             checkpoint.insert(name, HostTensor { shape: view.shape().to_vec(), values });
@@ -98,6 +116,12 @@ impl Checkpoint {
         }
         let metadata: HashMap<String, String> = self.metadata.clone().into_iter().collect();
         safetensors::serialize(views, Some(metadata)).map_err(|e| unreadable(&self.origin, "tensors", e))
+    }
+
+    /// The same, with the network named that messages of [`Checkpoint::get`] ask for.
+    pub fn of_network(mut self, network: &'static str) -> Self {
+        self.network = network;
+        self
     }
 
     /// Adds a tensor under `name`, without a leading `module.` (DataParallel).
@@ -137,7 +161,8 @@ impl Checkpoint {
     }
 
     fn problem(&self, name: &str, found: impl Into<String>, expected: impl Into<String>) -> Error {
-        Error::input(&self.origin, name, found, expected, "give a RandLA-Net checkpoint (keys `dilated_res_blocks.*`)")
+        let network = if self.network.is_empty() { "the network that is asked for" } else { self.network };
+        Error::input(&self.origin, name, found, expected, format!("give a checkpoint of {network}"))
     }
 }
 
