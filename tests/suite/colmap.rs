@@ -122,10 +122,7 @@ fn scene(write: fn(&Path, &Calibrated), camera: &Calibrated) -> TempDir {
 
 #[track_caller]
 fn expect_error(dir: &Path, options: &LoadOptions, parts: &[&str]) {
-    let message = load(dir, options).expect_err("an error").to_string();
-    for part in parts {
-        assert!(message.contains(part), "{part:?} is not in: {message}");
-    }
+    crate::assert_names(&load(dir, options).expect_err("an error"), parts);
 }
 
 #[test]

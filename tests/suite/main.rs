@@ -56,6 +56,15 @@ pub fn device() -> Device {
     coseg::device::open(name.copied()).expect("a CPU backend")
 }
 
+/// The message of `error` must hold all of `parts`.
+#[track_caller]
+pub fn assert_names(error: &coseg::Error, parts: &[&str]) {
+    let message = error.to_string();
+    for part in parts {
+        assert!(message.contains(part), "{part:?} is not in: {message}");
+    }
+}
+
 /// The folder of real scenes and weights that some tests use, if it is there; those tests say so and pass otherwise.
 pub fn shared_dir() -> Option<PathBuf> {
     let dir = std::env::var_os("COSEG_SHARED")

@@ -68,10 +68,7 @@ fn edit(dir: &TempDir, change: impl Fn(&mut Value)) {
 /// The message of the error that loading gives, which must contain all of `parts`.
 #[track_caller]
 fn expect_error(dir: &Path, options: &LoadOptions, parts: &[&str]) {
-    let message = load(dir, options).expect_err("an error").to_string();
-    for part in parts {
-        assert!(message.contains(part), "{part:?} is not in: {message}");
-    }
+    crate::assert_names(&load(dir, options).expect_err("an error"), parts);
 }
 
 #[test]
