@@ -4,12 +4,12 @@
 //! gradient goes to those `p_j(y)` alone, for the sum of a Gaussian's probabilities does not change. A pixel therefore
 //! costs one multiplication a contribution each way, however many classes there are.
 
-use super::label_loss::{GradientInHand, Kind, UNLABELLED};
+use super::gradient_in_hand::with_gradient_in_hand;
+use super::label_loss::{Kind, UNLABELLED};
 use super::sparse::{SparseMatrix, sparse_apply};
 use super::{HostBackend, Real, device_of, label_loss, real_kernel};
 use crate::device::in_host_memory;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
-use burn::backend::autodiff::ops::{Backward, OpsKind};
 use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
 use burn::tensor::Tensor;
 use burn::tensor::activation::softmax;
@@ -169,14 +169,7 @@ impl<B: BlendedLabelBackend, C: CheckpointStrategy> BlendedLabelBackend for Auto
         pixels: Arc<LabelledPixels>,
         kind: Kind,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let (scores, node) = scores.into_parts();
-        let (value, gradient) = B::blended_label_loss(scores, pixels, kind);
-        let constant = <Self as burn::backend::AutodiffBackend>::from_inner(gradient.clone());
-        let value = match GradientInHand.prepare::<C>([node]).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish(gradient, value),
-            OpsKind::UnTracked(prep) => prep.finish(value),
-        };
-        (value, constant)
+        with_gradient_in_hand::<B, C>(scores, |scores| B::blended_label_loss(scores, pixels, kind))
     }
 }
 

@@ -3,10 +3,9 @@
 //! For a one-hot label every loss here is a function of p_y, the probability of the labelled class, alone. Its gradient
 //! to logit k is therefore h (delta_ky - p_k) with h = p_y dL/dp_y, and no loop over classes but the softmax's.
 
+use super::gradient_in_hand::with_gradient_in_hand;
 use super::{HostBackend, Real, device_of, real_kernel};
-use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
-use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
+use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
 use burn::tensor::Tensor;
 use rayon::prelude::*;
@@ -132,37 +131,13 @@ impl<B: HostBackend> LabelLossBackend for B {
     }
 }
 
-/// Backward of a scalar loss whose gradient to its one parent, `[R, C]`, was made with its value.
-#[derive(Debug)]
-pub(super) struct GradientInHand;
-
-impl<B: Backend> Backward<B, 1> for GradientInHand {
-    type State = FloatTensor<B>;
-
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
-        let g = grads.consume::<B>(&ops.node);
-        let [parent] = ops.parents;
-        if let Some(node) = parent {
-            let g = B::float_reshape(g, burn::tensor::Shape::new([1, 1]));
-            grads.register::<B>(node.id, B::float_mul(ops.state, g));
-        }
-    }
-}
-
 impl<B: LabelLossBackend, C: CheckpointStrategy> LabelLossBackend for Autodiff<B, C> {
     fn label_loss(
         logits: FloatTensor<Self>,
         labels: Arc<Vec<u16>>,
         kind: Kind,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let (logits, node) = logits.into_parts();
-        let (value, gradient) = B::label_loss(logits, labels, kind);
-        let constant = <Self as burn::backend::AutodiffBackend>::from_inner(gradient.clone());
-        let value = match GradientInHand.prepare::<C>([node]).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish(gradient, value),
-            OpsKind::UnTracked(prep) => prep.finish(value),
-        };
-        (value, constant)
+        with_gradient_in_hand::<B, C>(logits, |logits| B::label_loss(logits, labels, kind))
     }
 }
 

@@ -7,6 +7,7 @@ mod attentive_pool;
 mod avx;
 mod blended_labels;
 mod fusion_layer;
+mod gradient_in_hand;
 mod host;
 mod label_loss;
 pub(crate) mod matmul;

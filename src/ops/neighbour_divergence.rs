@@ -1,11 +1,10 @@
 //! The 3D regularisation (Eq. 9) as a fused operation: value and gradient together, each row's softmax taken once.
 
-use super::label_loss::GradientInHand;
+use super::gradient_in_hand::with_gradient_in_hand;
 use super::sparse::{SparseMatrix, sparse_apply};
 use super::{HostBackend, Real, device_of, real_kernel};
 use crate::device::in_host_memory;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
-use burn::backend::autodiff::ops::{Backward, OpsKind};
 use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
 use burn::tensor::Tensor;
 use burn::tensor::activation::log_softmax;
@@ -121,14 +120,7 @@ impl<B: DivergenceBackend, C: CheckpointStrategy> DivergenceBackend for Autodiff
         features: FloatTensor<Self>,
         pairs: Arc<NeighbourPairs>,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let (features, node) = features.into_parts();
-        let (value, gradient) = B::neighbour_divergence(features, pairs);
-        let constant = <Self as burn::backend::AutodiffBackend>::from_inner(gradient.clone());
-        let value = match GradientInHand.prepare::<C>([node]).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish(gradient, value),
-            OpsKind::UnTracked(prep) => prep.finish(value),
-        };
-        (value, constant)
+        with_gradient_in_hand::<B, C>(features, |features| B::neighbour_divergence(features, pairs))
     }
 }
 
