@@ -10,7 +10,8 @@ use rand_chacha::ChaCha8Rng;
 ///
 /// Fewer: a random choice; more: all of them several times, copies moved by a draw from the Gaussian itself. Scales grow
 /// or shrink with the square root of the ratio, as surfaces ask for, so that each pixel meets about as many as before.
-/// Opacities and colours stay. Nothing is made of nothing: an empty scene stays empty.
+/// Opacities and colours stay. They come in spatial order, as training stores them. Nothing is made of nothing: an empty
+/// scene stays empty.
 #[must_use]
 pub fn resampled(gaussians: &Gaussians, count: usize, seed: u64) -> Gaussians {
     let n = gaussians.len();
@@ -36,7 +37,7 @@ pub fn resampled(gaussians: &Gaussians, count: usize, seed: u64) -> Gaussians {
             *s += (0.5 * ratio.ln()) as f32;
         }
     }
-    out
+    out.select(&out.spatial_order())
 }
 
 /// A standard normal number (Box-Muller).

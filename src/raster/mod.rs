@@ -33,4 +33,4 @@ pub use op::{
 pub use projected::{Blended, Projected, Rendered, render};
 pub use settings::{PairCounts, Settings, Splats, Stats};
 pub use sh::eval_sh;
-pub use tile_map::TilePairs;
+pub use tile_map::{Positions, TilePairs};

@@ -6,7 +6,7 @@ use super::footprint::Splat2;
 use super::geometry::{Fate, Splat3, Viewpoint, project};
 use super::settings::{Settings, Splats, Stats};
 use super::sh::eval_sh_rows;
-use super::tiles::{TileLists, depth_order, tile_lists};
+use super::tiles::{TileLists, between, depth_order, tile_lists};
 use super::weights;
 use crate::camera::Camera;
 use crate::error::Result;
@@ -92,11 +92,21 @@ impl<E: Real> Projected<E> {
             stats.non_finite += s.non_finite;
             stats.zero_quaternions += s.zero_quaternions;
         }
-        let visible: Vec<Visible> = chunks.into_iter().flat_map(|(v, _)| v).collect();
-        let depths: Vec<f64> = visible.iter().map(|v| v.0).collect();
-        let order = depth_order(&depths);
-        let ids = order.iter().map(|&i| visible[i as usize].1).collect();
-        let ordered: Vec<Splat2> = order.par_iter().with_min_len(CHUNK).map(|&i| visible[i as usize].2).collect();
+        // Depths of the visible ones, and where in `chunks` they are.
+        let (mut depths, mut places) = (Vec::with_capacity(stats.visible), Vec::with_capacity(stats.visible));
+        for (chunk, (visible, _)) in chunks.iter().enumerate() {
+            depths.extend(visible.iter().map(|v| v.0));
+            places.extend((0..visible.len()).map(|i| (chunk * CHUNK + i) as u32));
+        }
+        let (ids, ordered): (Vec<u32>, Vec<Splat2>) = depth_order(&depths)
+            .into_par_iter()
+            .with_min_len(CHUNK)
+            .map(|i| {
+                let place = places[i as usize] as usize;
+                let (_, id, splat) = chunks[place / CHUNK].0[place % CHUNK];
+                (id, splat)
+            })
+            .unzip();
         let tiles = tile_lists(&ordered, viewpoint.size)?;
         stats.tile_entries = tiles.ranks.len();
         Ok(Self { viewpoint, settings: *settings, splats: ordered, ids, tiles, radii, stats, scalar: PhantomData })
@@ -166,26 +176,21 @@ impl<E: Real> Projected<E> {
     /// Algorithm 1's counter: pixels whose centre lies within [`Projected::radii`] of the projected centre, in the image.
     pub fn counts(&self) -> Vec<u32> {
         let [w, h] = self.size();
+        let mut visible = vec![0; self.ids.len()];
+        visible.par_iter_mut().zip(&self.splats).zip(&self.ids).with_min_len(CHUNK).for_each(
+            |((count, splat), &id)| {
+                let r = f64::from(self.radii[id as usize]);
+                let [x, y] = splat.center;
+                for row in between(y - r, y + r, h) {
+                    let dy = row as f64 + 0.5 - y;
+                    let half = (r * r - dy * dy).max(0.0).sqrt();
+                    *count += between(x - half, x + half, w).len() as u32;
+                }
+            },
+        );
         let mut counts = vec![0; self.len()];
-        for (splat, &id) in self.splats.iter().zip(&self.ids) {
-            let r = f64::from(self.radii[id as usize]);
-            let [x, y] = splat.center;
-            // Pixel centres within low..=high, of n.
-            let span = |low: f64, high: f64, n: usize| {
-                let first = (low - 0.5).ceil().max(0.0);
-                (first, (high - 0.5).floor().min(n as f64 - 1.0))
-            };
-            let (first, last) = span(y - r, y + r, h);
-            let mut sum = 0.0;
-            let mut row = first;
-            while row <= last {
-                let dy = row + 0.5 - y;
-                let half = (r * r - dy * dy).max(0.0).sqrt();
-                let (a, b) = span(x - half, x + half, w);
-                sum += (b - a + 1.0).max(0.0);
-                row += 1.0;
-            }
-            counts[id as usize] = sum as u32;
+        for (count, &id) in visible.into_iter().zip(&self.ids) {
+            counts[id as usize] = count;
         }
         counts
     }

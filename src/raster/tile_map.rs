@@ -5,6 +5,7 @@ use super::pairs::Pairs;
 use super::projected::Projected;
 use super::settings::PairCounts;
 use super::tile_loop::Tile;
+use super::tiles::TileLists;
 use crate::ops::Real;
 use rayon::prelude::*;
 
@@ -40,26 +41,70 @@ impl<E: Real> TilePairs<'_, E> {
 }
 
 impl<E: Real> Projected<E> {
-    /// Runs `f` over all tiles in parallel; the results are in row-major order of the tiles.
-    pub fn map_tiles<R: Send>(&self, f: impl Fn(&TilePairs<'_, E>) -> R + Sync) -> Vec<R> {
+    /// Runs `f` over all tiles in parallel, with the tile's number (row-major) and its part of `entries`, which has
+    /// [`Stats::tile_entries`](super::Stats::tile_entries) of them: the tile's Gaussians in order, those behind
+    /// [`TilePairs::len`] too. The results are in order of the tiles.
+    ///
+    /// # Panics
+    /// If `entries` has another length.
+    pub fn map_tiles<T: Send, R: Send>(
+        &self,
+        entries: &mut [T],
+        f: impl Fn(usize, &TilePairs<'_, E>, &mut [T]) -> R + Sync,
+    ) -> Vec<R> {
+        assert_eq!(entries.len(), self.tiles.ranks.len(), "map_tiles: entries against tile lists");
         let columns = self.tiles.columns;
-        (0..columns * self.tiles.rows)
+        let mut rest = entries;
+        let mut parts = Vec::with_capacity(columns * self.tiles.rows);
+        for tile in 0..columns * self.tiles.rows {
+            let (x, y) = (tile % columns, tile / columns);
+            let ranks = &self.tiles.ranks[self.tiles.tile(x, y)];
+            let (own, others) = rest.split_at_mut(ranks.len());
+            parts.push((tile, Tile { origin: [x * TILE, y * TILE], ranks }, own));
+            rest = others;
+        }
+        parts
             .into_par_iter()
-            .map(|tile| {
-                let (x, y) = (tile % columns, tile / columns);
-                let tile = Tile { origin: [x * TILE, y * TILE], ranks: &self.tiles.ranks[self.tiles.tile(x, y)] };
+            .map(|(number, tile, own)| {
                 let pairs = Pairs::gather(self, tile, fresh_transmittance(tile, self.size()));
-                f(&TilePairs { origin: tile.origin, ids: &self.ids, ranks: tile.ranks, pairs })
+                f(number, &TilePairs { origin: tile.origin, ids: &self.ids, ranks: tile.ranks, pairs }, own)
             })
             .collect()
     }
 
+    /// Where each Gaussian stands in the tile lists.
+    pub fn positions(&self) -> Positions<'_> {
+        let mut ranks = vec![u32::MAX; self.len()];
+        for (rank, &id) in (0..).zip(&self.ids) {
+            ranks[id as usize] = rank;
+        }
+        Positions { ranks, tiles: &self.tiles }
+    }
+
     /// Evaluated and contributing pairs.
     pub fn count_pairs(&self) -> PairCounts {
-        let counts = self.map_tiles(|tile| tile.pairs.counts);
+        let counts = self.map_tiles(&mut vec![(); self.tiles.ranks.len()], |_, tile, _| tile.pairs.counts);
         counts.iter().fold(PairCounts::default(), |a, b| PairCounts {
             evaluated: a.evaluated + b.evaluated,
             contributing: a.contributing + b.contributing,
         })
+    }
+}
+
+/// Where Gaussians stand in the tile lists.
+pub struct Positions<'a> {
+    /// Position in depth order of each Gaussian of the scene; culled ones have `u32::MAX`.
+    ranks: Vec<u32>,
+    tiles: &'a TileLists,
+}
+
+impl Positions<'_> {
+    /// Positions of Gaussian `i` among the entries of [`Projected::map_tiles`], ascending; none for a culled one.
+    #[inline(always)]
+    pub fn of(&self, i: usize) -> &[u32] {
+        match self.ranks[i] {
+            u32::MAX => &[],
+            rank => self.tiles.slots(rank as usize),
+        }
     }
 }

@@ -4,6 +4,7 @@ use super::footprint::{Splat2, TILE};
 use crate::error::{Error, Result};
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Gaussians that one task bins.
 const CHUNK: usize = 4096;
@@ -131,7 +132,7 @@ impl Outline {
 
 /// Pixels whose centres lie within `low..=high`, of `limit`.
 #[inline(always)]
-fn between(low: f64, high: f64, limit: usize) -> Range<usize> {
+pub(super) fn between(low: f64, high: f64, limit: usize) -> Range<usize> {
     // Rounded by casts, which saturate: `ceil` and `floor` are calls on baseline x86-64.
     let low = (low - 0.5).clamp(0.0, limit as f64);
     let first = low as usize + usize::from((low as usize as f64) < low);
@@ -205,16 +206,20 @@ pub(super) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Result<TileList
             *next += 1;
         }
     });
-    let mut ranks = vec![0_u32; total];
     let mut runs = Vec::with_capacity(splats.len() + 1);
-    let mut at = 0_usize;
-    for (rank, &count) in (0_u32..).zip(chunks.iter().flat_map(|c| &c.counts)) {
-        runs.push(at as u32);
-        for &slot in &slots[at..at + count as usize] {
-            ranks[slot as usize] = rank;
-        }
-        at += count as usize;
+    let mut at = 0;
+    for &count in chunks.iter().flat_map(|c| &c.counts) {
+        runs.push(at);
+        at += count;
     }
-    runs.push(at as u32);
+    runs.push(at);
+    // Every slot is written once, by one thread: the order of the stores does not matter.
+    let ranks: Vec<AtomicU32> = std::iter::repeat_with(AtomicU32::default).take(total).collect();
+    (0..splats.len()).into_par_iter().with_min_len(CHUNK).for_each(|rank| {
+        for &slot in &slots[runs[rank] as usize..runs[rank + 1] as usize] {
+            ranks[slot as usize].store(rank as u32, Ordering::Relaxed);
+        }
+    });
+    let ranks = ranks.into_iter().map(AtomicU32::into_inner).collect();
     Ok(TileLists { columns, rows, starts, ranks, runs, slots })
 }

@@ -4,7 +4,7 @@
 //! by side in lanes. A Gaussian's pixels of one row are spread over the lanes first, then the lanes over the rows.
 
 use crate::camera::Camera;
-use crate::features::{Axis, Lattice};
+use crate::features::{Axis, Lattice, SCALES};
 use crate::ops::Real;
 use crate::ops::simd::{multiply_add, wide_kernel};
 use crate::raster::TilePairs;
@@ -32,133 +32,133 @@ impl Taps {
     }
 }
 
-/// Weights of the cells of one grid, for each Gaussian of one tile.
-#[derive(Default)]
-pub struct Cells<E> {
-    /// One past each Gaussian's last entry.
-    ends: Vec<u32>,
-    cells: Vec<u32>,
-    weights: Vec<E>,
+/// Weight of a cell of a grid.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CellWeight<E> {
+    pub cell: u32,
+    pub weight: E,
 }
 
-impl<E> Cells<E> {
-    /// Cells and weights of the tile's `k`-th Gaussian.
+/// One Gaussian in one tile.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Entry<E> {
+    /// Sum of its weights.
+    pub weight: E,
+    /// Number of the tile, and where this Gaussian begins in the tile's list.
+    tile: u32,
+    at: u32,
+    /// For each grid one past its last cell, from `at`.
+    ends: [u32; SCALES],
+}
+
+impl<E> Entry<E> {
+    /// Cells of `grid` that the Gaussian touches; `tiles` are the lists that [`fold_tile`] made.
     #[inline(always)]
-    pub fn of(&self, k: usize) -> (&[u32], &[E]) {
-        let start = if k == 0 { 0 } else { self.ends[k - 1] as usize };
-        let span = start..self.ends[k] as usize;
-        (&self.cells[span.clone()], &self.weights[span])
+    pub fn cells<'a>(&self, tiles: &'a [Vec<CellWeight<E>>], grid: usize) -> &'a [CellWeight<E>] {
+        let start = if grid == 0 { 0 } else { self.ends[grid - 1] };
+        &tiles[self.tile as usize][(self.at + start) as usize..(self.at + self.ends[grid]) as usize]
     }
 }
 
-/// A tile's pairs, folded.
-pub struct TileSums<E> {
-    /// The Gaussians, front to back.
-    pub ids: Vec<u32>,
-    /// Sum of each one's weights.
-    pub weights: Vec<E>,
-    /// One per grid.
-    pub grids: Vec<Cells<E>>,
-}
-
-/// Folds the pairs of a tile onto the cells of every grid.
-pub fn fold_tile<E: Real>(pairs: &TilePairs<'_, E>, taps: &[Taps]) -> TileSums<E> {
-    let n = pairs.len();
-    let empty = |_: &Taps| Cells { ends: Vec::with_capacity(n), cells: Vec::new(), weights: Vec::new() };
-    let mut out = TileSums {
-        ids: Vec::with_capacity(n),
-        weights: Vec::with_capacity(n),
-        grids: taps.iter().map(empty).collect(),
-    };
-    for i in 0..n {
-        let (id, _, weights) = pairs.gaussian(i);
-        out.ids.push(id);
-        out.weights.push(weights.iter().copied().sum());
-    }
-    for (taps, grid) in taps.iter().zip(&mut out.grids).filter(|(taps, _)| taps.same) {
-        copy(pairs, taps.width, grid);
-    }
+/// Folds the pairs of the tile with number `tile` onto the cells of every grid, [`SCALES`] at most. `entries` has one
+/// for each of its Gaussians; returned are the cells of the first Gaussian grid by grid, then those of the next.
+pub fn fold_tile<E: Real>(
+    tile: usize,
+    pairs: &TilePairs<'_, E>,
+    taps: &[Taps],
+    entries: &mut [Entry<E>],
+) -> Vec<CellWeight<E>> {
     let window = Window::new(pairs.origin, TilePairs::<E>::EDGE, taps);
-    if !window.bands.is_empty() {
-        fold(pairs, &window, &mut out.grids);
+    let mut cells = Vec::new();
+    for entry in entries.iter_mut() {
+        entry.tile = tile as u32;
     }
-    out
+    fold(pairs, &window, entries, &mut cells);
+    cells
 }
 
-/// Every pair is an entry.
-fn copy<E: Real>(pairs: &TilePairs<'_, E>, width: usize, out: &mut Cells<E>) {
-    let edge = TilePairs::<E>::EDGE;
-    let [x0, y0] = pairs.origin;
-    for i in 0..pairs.len() {
-        let (_, pixels, weights) = pairs.gaussian(i);
-        out.cells.extend(pixels.iter().map(|&p| ((y0 + p as usize / edge) * width + x0 + p as usize % edge) as u32));
-        out.weights.extend_from_slice(weights);
-        out.ends.push(out.cells.len() as u32);
-    }
+/// How a tile reads one grid.
+enum Part {
+    /// Its cells are the pixels; `width` of them across.
+    Pixels { width: usize },
+    /// Through bilinear taps.
+    Band(Band),
 }
 
 /// The lanes of one grid.
 struct Band {
-    grid: usize,
     /// Cells across the whole grid.
     width: usize,
-    lanes: std::ops::Range<usize>,
-    /// First column and row of cells.
+    /// First lane, and the first column and row of cells that the tile reaches.
+    lane: usize,
     left: usize,
     top: usize,
-    /// For each row of pixels the first and one past the last row it reaches, from `top`.
+    /// For each column and row of pixels the cells it reaches: the first and one past the last, from `left` and `top`.
+    columns: Vec<[usize; 2]>,
     rows: Vec<[usize; 2]>,
 }
 
 /// What a tile reads of the grids.
 struct Window<E> {
-    bands: Vec<Band>,
-    /// Lanes, a multiple of [`LANES`].
+    /// One per grid.
+    grids: Vec<Part>,
+    /// Lanes of all bands, a multiple of [`LANES`].
     lanes: usize,
-    /// Rows of cells of the grid that has most.
+    /// Rows of cells of the band that has most.
     rows: usize,
+    /// For each row of pixels the rows of cells of any band that it reaches.
+    reach: Vec<[usize; 2]>,
     /// `[pixel columns, lanes]`: weight of a column of pixels in each lane.
-    columns: Vec<E>,
-    /// `[pixel rows, rows, lanes]`: weight of a row of pixels in each row of each lane's grid.
+    spread: Vec<E>,
+    /// `[pixel rows, rows, lanes]`: weight of a row of pixels in each row of each lane's band.
     across: Vec<E>,
 }
 
 impl<E: Real> Window<E> {
     fn new([x0, y0]: [usize; 2], edge: usize, taps: &[Taps]) -> Self {
-        let mut out = Self { bands: vec![], lanes: 0, rows: 0, columns: vec![], across: vec![] };
-        for (grid, taps) in taps.iter().enumerate().filter(|(_, taps)| !taps.same) {
-            let (xs, ys) = (part(&taps.x, x0, edge), part(&taps.y, y0, edge));
-            let (Some(first), Some(last), Some(above), Some(below)) = (xs.first(), xs.last(), ys.first(), ys.last())
-            else {
+        let (mut grids, mut lanes, mut rows) = (Vec::with_capacity(taps.len()), 0, 0);
+        let mut reach = vec![[usize::MAX, 0]; edge];
+        for taps in taps {
+            if taps.same {
+                grids.push(Part::Pixels { width: taps.width });
                 continue;
+            }
+            let span = |taps: &[(usize, usize, f32)], from: usize| -> (usize, Vec<[usize; 2]>) {
+                let taps = part(taps, from, edge);
+                let first = taps.first().map_or(0, |t| t.0);
+                (first, taps.iter().map(|t| [t.0 - first, t.1 + 1 - first]).collect())
             };
-            let (left, top) = (first.0, above.0);
-            let lanes = out.lanes..out.lanes + last.1 + 1 - left;
-            let rows = ys.iter().map(|t| [t.0 - top, t.1 + 1 - top]).collect();
-            out.lanes = lanes.end;
-            out.rows = out.rows.max(below.1 + 1 - top);
-            out.bands.push(Band { grid, width: taps.width, lanes, left, top, rows });
+            let (left, columns) = span(&taps.x, x0);
+            let (top, own) = span(&taps.y, y0);
+            for (reach, own) in reach.iter_mut().zip(&own) {
+                *reach = [reach[0].min(own[0]), reach[1].max(own[1])];
+            }
+            let end = |spans: &[[usize; 2]]| spans.last().map_or(0, |s| s[1]);
+            let lane = lanes;
+            lanes += end(&columns);
+            rows = rows.max(end(&own));
+            grids.push(Part::Band(Band { width: taps.width, lane, left, top, columns, rows: own }));
         }
-        out.lanes = out.lanes.next_multiple_of(LANES);
-        out.columns = vec![E::zero(); edge * out.lanes];
-        out.across = vec![E::zero(); edge * out.rows * out.lanes];
-        for band in &out.bands {
-            let taps = &taps[band.grid];
+        lanes = lanes.next_multiple_of(LANES);
+        let (mut spread, mut across) = (vec![E::zero(); edge * lanes], vec![E::zero(); edge * rows * lanes]);
+        for (grid, taps) in grids.iter().zip(taps) {
+            let Part::Band(band) = grid else { continue };
             for (pixel, &(a, b, f)) in part(&taps.x, x0, edge).iter().enumerate() {
                 let f = E::of(f64::from(f));
-                let at = pixel * out.lanes + band.lanes.start - band.left;
-                out.columns[at + a] += E::one() - f;
-                out.columns[at + b] += f;
+                let at = pixel * lanes + band.lane - band.left;
+                spread[at + a] += E::one() - f;
+                spread[at + b] += f;
             }
+            let own = band.lane..band.lane + band.columns.last().map_or(0, |c| c[1]);
             for (pixel, &(a, b, f)) in part(&taps.y, y0, edge).iter().enumerate() {
                 let f = E::of(f64::from(f));
                 for (row, weight) in [(a - band.top, E::one() - f), (b - band.top, f)] {
-                    let at = (pixel * out.rows + row) * out.lanes;
-                    out.across[at..][band.lanes.clone()].iter_mut().for_each(|w| *w += weight);
+                    let at = (pixel * rows + row) * lanes;
+                    across[at..][own.clone()].iter_mut().for_each(|w| *w += weight);
                 }
             }
         }
-        out
+        Self { grids, lanes, rows, reach, spread, across }
     }
 }
 
@@ -167,64 +167,99 @@ fn part<T>(all: &[T], from: usize, len: usize) -> &[T] {
 }
 
 wide_kernel! {
-    /// Folds all Gaussians of a tile onto the window.
-    fn fold(pairs: &TilePairs<'_, E>, window: &Window<E>, out: &mut [Cells<E>]) => fold_all
+    /// Folds all Gaussians of a tile.
+    fn fold(
+        pairs: &TilePairs<'_, E>, window: &Window<E>, entries: &mut [Entry<E>], out: &mut Vec<CellWeight<E>>,
+    ) => fold_all
 }
 
 #[inline(always)]
-fn fold_all<E: Real, const FMA: bool>(pairs: &TilePairs<'_, E>, window: &Window<E>, out: &mut [Cells<E>]) {
+fn fold_all<E: Real, const FMA: bool>(
+    pairs: &TilePairs<'_, E>,
+    window: &Window<E>,
+    entries: &mut [Entry<E>],
+    out: &mut Vec<CellWeight<E>>,
+) {
     let edge = TilePairs::<E>::EDGE;
     let lanes = window.lanes;
     let mut sums = vec![E::zero(); window.rows * lanes];
-    for i in 0..pairs.len() {
+    // `out` is longer than what is written, so that cells need no asking for room.
+    let mut len = 0;
+    for (i, entry) in entries.iter_mut().enumerate().take(pairs.len()) {
         let (_, pixels, weights) = pairs.gaussian(i);
+        let (Some(&first), Some(&last)) = (pixels.first(), pixels.last()) else { continue };
+        let (top, bottom) = (usize::from(first) / edge, usize::from(last) / edge);
+        let (mut left, mut right) = (edge, 0);
         let mut from = 0;
         while from < pixels.len() {
             // Pixels of one row.
-            let y = pixels[from] as usize / edge;
-            let mut to = from + 1;
-            while to < pixels.len() && pixels[to] as usize / edge == y {
-                to += 1;
-            }
-            let across = &window.across[y * window.rows * lanes..][..window.rows * lanes];
+            let y = usize::from(pixels[from]) / edge;
+            let to = from + pixels[from..].iter().take_while(|&&p| usize::from(p) / edge == y).count();
+            left = left.min(usize::from(pixels[from]) % edge);
+            right = right.max(usize::from(pixels[to - 1]) % edge);
+            let [low, high] = window.reach[y];
             for block in (0..lanes).step_by(LANES) {
                 let mut sum = [E::zero(); LANES];
                 for (&pixel, &weight) in pixels[from..to].iter().zip(&weights[from..to]) {
-                    let at = pixel as usize % edge * lanes + block;
-                    let Some(column) = window.columns[at..].first_chunk::<LANES>() else { continue };
+                    let at = usize::from(pixel) % edge * lanes + block;
+                    let Some(spread) = window.spread[at..].first_chunk::<LANES>() else { continue };
                     for l in 0..LANES {
-                        sum[l] = multiply_add::<E, FMA>(weight, column[l], sum[l]);
+                        sum[l] = multiply_add::<E, FMA>(weight, spread[l], sum[l]);
                     }
                 }
-                for row in 0..window.rows {
-                    let at = row * lanes + block;
-                    let (Some(out), Some(weight)) =
-                        (sums[at..].first_chunk_mut::<LANES>(), across[at..].first_chunk::<LANES>())
+                for row in low..high {
+                    let across = &window.across[(y * window.rows + row) * lanes + block..];
+                    let (Some(sums), Some(across)) =
+                        (sums[row * lanes + block..].first_chunk_mut::<LANES>(), across.first_chunk::<LANES>())
                     else {
                         continue;
                     };
                     for l in 0..LANES {
-                        out[l] = multiply_add::<E, FMA>(weight[l], sum[l], out[l]);
+                        sums[l] = multiply_add::<E, FMA>(across[l], sum[l], sums[l]);
                     }
                 }
             }
             from = to;
         }
-        let (first, last) = (pixels.first().copied().unwrap_or(0), pixels.last().copied().unwrap_or(0));
-        for band in &window.bands {
-            let grid = &mut out[band.grid];
-            let touched = band.rows[first as usize / edge][0]..band.rows[last as usize / edge][1];
-            for row in touched {
-                let cell = (band.top + row) * band.width + band.left;
-                for (k, &weight) in sums[row * lanes..][band.lanes.clone()].iter().enumerate() {
-                    if weight != E::zero() {
-                        grid.cells.push((cell + k) as u32);
-                        grid.weights.push(weight);
+        entry.weight = weights.iter().copied().sum();
+        entry.at = len as u32;
+        for (end, grid) in entry.ends.iter_mut().zip(&window.grids) {
+            match grid {
+                Part::Pixels { width } => {
+                    make_room(out, len + pixels.len());
+                    let [x, y] = pairs.origin.map(|o| o as u32);
+                    for (to, (&pixel, &weight)) in out[len..].iter_mut().zip(pixels.iter().zip(weights)) {
+                        let (row, column) = (u32::from(pixel) / edge as u32, u32::from(pixel) % edge as u32);
+                        *to = CellWeight { cell: (y + row) * *width as u32 + x + column, weight };
+                    }
+                    len += pixels.len();
+                }
+                Part::Band(band) => {
+                    let columns = band.columns[left][0]..band.columns[right][1];
+                    let rows = band.rows[top][0]..band.rows[bottom][1];
+                    make_room(out, len + rows.len() * columns.len());
+                    for row in rows {
+                        let first = ((band.top + row) * band.width + band.left + columns.start) as u32;
+                        let weights = &sums[row * lanes + band.lane..][columns.clone()];
+                        for (cell, &weight) in (first..).zip(weights) {
+                            // Cells without weight are written over.
+                            out[len] = CellWeight { cell, weight };
+                            len += usize::from(weight != E::zero());
+                        }
                     }
                 }
             }
-            grid.ends.push(grid.cells.len() as u32);
+            *end = len as u32 - entry.at;
         }
         sums.fill(E::zero());
+    }
+    out.truncate(len);
+}
+
+/// Makes `list` at least `len` long.
+#[inline(always)]
+fn make_room<E: Real>(list: &mut Vec<CellWeight<E>>, len: usize) {
+    if list.len() < len {
+        list.resize((2 * list.len()).max(len).max(1024), CellWeight::default());
     }
 }

@@ -5,13 +5,13 @@
 //! order.
 
 use super::Sums;
-use super::fold::{Taps, TileSums, fold_tile};
+use super::fold::{CellWeight, Entry, Taps, fold_tile};
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::features::{FeatureMap, Lattice};
 use crate::ops::Real;
 use crate::ops::simd::{multiply_add, wide_kernel};
-use crate::raster::{Projected, Settings, Splats};
+use crate::raster::{Positions, Projected, Settings, Splats};
 use rayon::prelude::*;
 
 /// Gaussians that one task gathers for.
@@ -30,105 +30,92 @@ pub fn add<E: Real>(
 ) -> Result<()> {
     let projected = Projected::new(splats, camera, settings)?;
     let taps: Vec<Taps> = grids.iter().map(|(lattice, _)| Taps::new(lattice, camera)).collect();
-    let tiles = projected.map_tiles(|pairs| fold_tile(pairs, &taps));
-    let places = places(&tiles, splats.len());
+    let mut entries = vec![Entry::default(); projected.stats().tile_entries];
+    let tiles = projected.map_tiles(&mut entries, |tile, pairs, own| fold_tile(tile, pairs, &taps, own));
+    let view = Folded { tiles, entries, positions: projected.positions() };
     let counts = projected.counts();
-    for (grid, (_, scales)) in grids.iter().enumerate() {
-        for &scale in scales {
-            let channels = sums.channels[scale];
-            sums.pixels[scale] += (camera.width * camera.height) as u64;
-            for (sum, &count) in sums.counts[scale].iter_mut().zip(&counts) {
-                *sum += u64::from(count);
-            }
-            sums.weights[scale].par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, weights)| {
-                for (weight, i) in weights.iter_mut().zip(chunk * CHUNK..) {
-                    *weight += places.of(i).iter().map(|&[tile, k]| tiles[tile as usize].weights[k as usize]).sum();
-                }
-            });
-            if channels == 0 {
-                continue;
-            }
-            let map = &maps[scale].data;
-            sums.buffers[scale].par_chunks_mut(CHUNK * channels).enumerate().for_each(|(chunk, rows)| {
-                let entries = Entries { tiles: &tiles, places: &places, grid, first: chunk * CHUNK };
-                gather(rows, map, channels, &entries);
-            });
+    // For each chunk of Gaussians its rows at every scale.
+    let mut chunks: Vec<Vec<Rows<'_, E>>> =
+        (0..splats.len().div_ceil(CHUNK)).map(|_| Vec::with_capacity(maps.len())).collect();
+    for (scale, ((buffer, weights), map)) in sums.buffers.iter_mut().zip(&mut sums.weights).zip(maps).enumerate() {
+        let Some(grid) = grids.iter().position(|(_, scales)| scales.contains(&scale)) else { continue };
+        sums.pixels[scale] += (camera.width * camera.height) as u64;
+        for (sum, &count) in sums.counts[scale].iter_mut().zip(&counts) {
+            *sum += u64::from(count);
+        }
+        let mut rest = buffer.as_mut_slice();
+        for (chunk, weights) in chunks.iter_mut().zip(weights.chunks_mut(CHUNK)) {
+            let (buffer, others) = rest.split_at_mut(weights.len() * map.channels);
+            rest = others;
+            chunk.push(Rows { buffer, weights, map, grid });
         }
     }
+    chunks.par_iter_mut().enumerate().for_each(|(chunk, scales)| gather(scales, chunk * CHUNK, &view));
     Ok(())
 }
 
-/// For each Gaussian the tiles that hold it, ascending, and its position in them.
-struct Places {
-    starts: Vec<u32>,
-    entries: Vec<[u32; 2]>,
+/// The pairs of a view, folded.
+struct Folded<'a, E> {
+    tiles: Vec<Vec<CellWeight<E>>>,
+    /// In the order of the tile lists.
+    entries: Vec<Entry<E>>,
+    positions: Positions<'a>,
 }
 
-impl Places {
-    fn of(&self, i: usize) -> &[[u32; 2]] {
-        &self.entries[self.starts[i] as usize..self.starts[i + 1] as usize]
-    }
-}
-
-fn places<E>(tiles: &[TileSums<E>], n: usize) -> Places {
-    let mut starts = vec![0_u32; n + 1];
-    for &id in tiles.iter().flat_map(|t| &t.ids) {
-        starts[id as usize + 1] += 1;
-    }
-    for i in 0..n {
-        starts[i + 1] += starts[i];
-    }
-    let mut next = starts.clone();
-    let mut entries = vec![[0; 2]; starts[n] as usize];
-    for (t, tile) in tiles.iter().enumerate() {
-        for (k, &id) in tile.ids.iter().enumerate() {
-            let at = &mut next[id as usize];
-            entries[*at as usize] = [t as u32, k as u32];
-            *at += 1;
-        }
-    }
-    Places { starts, entries }
-}
-
-/// The (cell, weight) entries of one grid for the Gaussians from `first` on.
-struct Entries<'a, E> {
-    tiles: &'a [TileSums<E>],
-    places: &'a Places,
+/// What neighbouring Gaussians gather at one scale.
+struct Rows<'a, E> {
+    /// `[Gaussians, channels]`.
+    buffer: &'a mut [E],
+    /// `[Gaussians]`.
+    weights: &'a mut [E],
+    map: &'a FeatureMap,
+    /// Number of the map's grid.
     grid: usize,
-    first: usize,
 }
 
 wide_kernel! {
-    /// `row += sum of weight * map[cell]` for every row of `rows`, `[Gaussians, channels]`.
-    fn gather(rows: &mut [E], map: &[f32], channels: usize, entries: &Entries<'_, E>) => gather_rows
+    /// `row += sum of weight * map[cell]` at every scale, for the Gaussians from `first` on.
+    fn gather(scales: &mut [Rows<'_, E>], first: usize, view: &Folded<'_, E>) => gather_rows
 }
 
 #[inline(always)]
-fn gather_rows<E: Real, const FMA: bool>(rows: &mut [E], map: &[f32], channels: usize, entries: &Entries<'_, E>) {
-    for (i, row) in rows.chunks_exact_mut(channels).enumerate() {
-        let places = entries.places.of(entries.first + i);
-        if places.is_empty() {
+fn gather_rows<E: Real, const FMA: bool>(scales: &mut [Rows<'_, E>], first: usize, view: &Folded<'_, E>) {
+    // All entries first: reads all over the memory that do not wait for each other.
+    let (mut near, mut ends) = (Vec::new(), Vec::new());
+    for i in (first..).take(scales.first().map_or(0, |rows| rows.weights.len())) {
+        near.extend(view.positions.of(i).iter().map(|&at| view.entries[at as usize]));
+        ends.push(near.len());
+    }
+    let mut start = 0;
+    for (i, end) in ends.into_iter().enumerate() {
+        let entries = &near[start..end];
+        start = end;
+        if entries.is_empty() {
             continue;
         }
-        for (block, out) in row.chunks_mut(LANES).enumerate() {
-            let mut sum = [E::zero(); LANES];
-            for &[tile, k] in places {
-                let (cells, weights) = entries.tiles[tile as usize].grids[entries.grid].of(k as usize);
-                for (&cell, &weight) in cells.iter().zip(weights) {
-                    let from = &map[cell as usize * channels + block * LANES..];
-                    if let Some(from) = from.first_chunk::<LANES>().filter(|_| out.len() == LANES) {
-                        for l in 0..LANES {
-                            sum[l] = multiply_add::<E, FMA>(weight, E::of(f64::from(from[l])), sum[l]);
-                        }
-                    } else {
-                        for (s, &x) in sum.iter_mut().zip(&from[..out.len()]) {
-                            *s = multiply_add::<E, FMA>(weight, E::of(f64::from(x)), *s);
+        let weight = entries.iter().map(|entry| entry.weight).sum();
+        for Rows { buffer, weights, map, grid } in scales.iter_mut() {
+            weights[i] += weight;
+            let channels = map.channels;
+            for (block, out) in buffer[i * channels..(i + 1) * channels].chunks_mut(LANES).enumerate() {
+                let mut sum = [E::zero(); LANES];
+                for entry in entries {
+                    for &CellWeight { cell, weight } in entry.cells(&view.tiles, *grid) {
+                        let from = &map.data[cell as usize * channels + block * LANES..];
+                        if let Some(from) = from.first_chunk::<LANES>().filter(|_| out.len() == LANES) {
+                            for l in 0..LANES {
+                                sum[l] = multiply_add::<E, FMA>(weight, E::of(f64::from(from[l])), sum[l]);
+                            }
+                        } else {
+                            for (s, &x) in sum.iter_mut().zip(&from[..out.len()]) {
+                                *s = multiply_add::<E, FMA>(weight, E::of(f64::from(x)), *s);
+                            }
                         }
                     }
                 }
-            }
-            for (o, s) in out.iter_mut().zip(sum) {
-                *o += s;
+                for (o, s) in out.iter_mut().zip(sum) {
+                    *o += s;
+                }
             }
         }
     }
