@@ -60,7 +60,7 @@ pub enum Preset {
 
 /// Loss on rendered labels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "snake_case")]
 pub enum LabelLoss {
     /// Jensen-Shannon with a one-hot label (Eq. 8).
     #[default]
@@ -71,6 +71,8 @@ pub enum LabelLoss {
     Gce,
     /// Half the absolute error, 1 - p of the label.
     Mae,
+    /// Normalised cross-entropy and reverse cross-entropy, added with equal weights (Ma et al. 2020).
+    NceRce,
 }
 
 /// A row of the results table that a run trains.

@@ -41,7 +41,11 @@ impl LabelledPixels {
     }
 
     /// Mean loss over the labelled pixels and its gradient to `scores`, `[V, classes]`. No labelled pixel: zeros.
+    ///
+    /// # Panics
+    /// If the loss reads more than the labelled class ([`Kind::reads_all_classes`]).
     pub fn value_and_gradient<E: Real>(&self, scores: &[E], classes: usize, kind: Kind) -> (E, Vec<E>) {
+        assert!(!kind.reads_all_classes(), "value_and_gradient: {kind:?} reads all classes of a pixel");
         let mut gradient = vec![E::zero(); scores.len()];
         let mut of_class = vec![Vec::new(); classes];
         for (&row, &label) in self.rows.iter().zip(&self.labels) {
@@ -174,7 +178,8 @@ impl<B: BlendedLabelBackend, C: CheckpointStrategy> BlendedLabelBackend for Auto
 }
 
 /// Mean loss `[1]` of the blended class probabilities of `pixels`, with gradient to `scores`, `[V, C]`: class scores of
-/// the Gaussians of which each takes the softmax before blending. On a GPU it is [`blended_label_loss_plain`].
+/// the Gaussians of which each takes the softmax before blending. On a GPU, and for a loss that reads all classes, it is
+/// [`blended_label_loss_plain`].
 ///
 /// # Panics
 /// If `scores` has not one row a column of the weights, there is not one label a row, or a label is neither below C nor
@@ -185,7 +190,7 @@ pub fn blended_label_loss(scores: Tensor<2>, pixels: Arc<LabelledPixels>, kind: 
     assert_eq!(pixels.rows.len(), pixels.labels.len(), "blended_label_loss: labels against rows");
     let known = pixels.labels.iter().all(|&l| l == UNLABELLED || usize::from(l) < classes);
     assert!(known, "blended_label_loss: a label is no class index below {classes}");
-    if !in_host_memory(&scores.device()) {
+    if kind.reads_all_classes() || !in_host_memory(&scores.device()) {
         return blended_label_loss_plain(scores, &pixels, kind);
     }
     let (value, _) = Dispatch::blended_label_loss(scores.into_dispatch(), pixels, *kind);

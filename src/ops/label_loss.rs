@@ -1,7 +1,8 @@
 //! Losses between softmaxed logits and one label a pixel, value and gradient in one pass.
 //!
-//! For a one-hot label every loss here is a function of p_y, the probability of the labelled class, alone. Its gradient
-//! to logit k is therefore h (delta_ky - p_k) with h = p_y dL/dp_y, and no loop over classes but the softmax's.
+//! For a one-hot label every loss here but one is a function of p_y, the probability of the labelled class, alone. Its
+//! gradient to logit k is therefore h (delta_ky - p_k) with h = p_y dL/dp_y, and no loop over classes but the softmax's.
+//! [`Kind::NceRce`] also reads S = -sum_k ln p_k, which adds u (1 - K p_k) with u = -dL/dS for K classes.
 
 use super::gradient_in_hand::with_gradient_in_hand;
 use super::{HostBackend, Real, device_of, real_kernel};
@@ -16,7 +17,10 @@ const BLOCK: usize = 1024;
 /// The label of pixels that are not counted.
 pub const UNLABELLED: u16 = u16::MAX;
 
-/// A loss of p_y.
+/// Logarithm of a label's zeros in [`Kind::NceRce`] (Ma et al. 2020).
+const LOG_ZERO: f64 = -4.0;
+
+/// A loss of the probabilities p of all classes, given the labelled one, y.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Kind {
     /// Cross-entropy, -ln p_y.
@@ -34,16 +38,33 @@ pub enum Kind {
     },
     /// Half the absolute error of the distribution, 1 - p_y.
     Mae,
+    /// Normalised cross-entropy ln p_y / sum_k ln p_k plus reverse cross-entropy 4 (1 - p_y), alpha = beta = 1 (Ma et al.
+    /// 2020, Normalized Loss Functions for Deep Learning with Noisy Labels).
+    NceRce,
 }
 
 impl Kind {
-    /// The loss and p_y dL/dp_y, from ln p_y.
+    /// Whether the loss reads more than p_y.
+    pub fn reads_all_classes(self) -> bool {
+        self == Self::NceRce
+    }
+
+    /// The loss with its h and u, see the module; `log_sum` is sum_k ln p_k, and read only by such losses.
+    fn of_row(self, log_p: f64, log_sum: impl FnOnce() -> f64) -> (f64, f64, f64) {
+        let (loss, h) = self.of_log_probability(log_p);
+        let all = if self.reads_all_classes() { -log_sum() } else { 0.0 };
+        // A single class has no entropy to compare with.
+        if all > 0.0 { (loss - log_p / all, h - 1.0 / all, -log_p / (all * all)) } else { (loss, h, 0.0) }
+    }
+
+    /// The loss and p_y dL/dp_y, from ln p_y; of [`Kind::NceRce`] the part that depends on p_y alone.
     pub fn of_log_probability(self, log_p: f64) -> (f64, f64) {
         let p = log_p.exp();
         let rest = -log_p.exp_m1(); // 1 - p without cancellation
         match self {
             Self::Ce => (-log_p, -1.0),
             Self::Mae => (rest, -p),
+            Self::NceRce => (-LOG_ZERO * rest, LOG_ZERO * p),
             Self::Gce { q } => (-(q * log_p).exp_m1() / q, -(q * log_p).exp()),
             Self::Js { pi_rl } => {
                 let log_pi_p = (-pi_rl).ln_1p(); // ln(1 - pi_rl)
@@ -89,10 +110,13 @@ pub fn value_and_gradient<E: Real>(logits: &[E], labels: &[u16], classes: usize,
                     total += *g;
                 }
                 let y = usize::from(label);
-                let (loss, h) = kind.of_log_probability((logits[y] - highest).wide() - total.wide().ln());
+                let log_total = total.wide().ln();
+                let log_sum = || logits.iter().map(|&z| (z - highest).wide() - log_total).sum();
+                let (loss, h, u) = kind.of_row((logits[y] - highest).wide() - log_total, log_sum);
                 sum += loss;
-                let factor = E::of(-h * scale) / total;
-                gradient.iter_mut().for_each(|g| *g *= factor);
+                let factor = E::of(-(h + u * classes as f64) * scale) / total;
+                let each = E::of(u * scale);
+                gradient.iter_mut().for_each(|g| *g = *g * factor + each);
                 gradient[y] += E::of(h * scale);
             }
             sum

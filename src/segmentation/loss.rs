@@ -21,6 +21,7 @@ impl Kind {
             LabelLoss::Ce => Self::Ce,
             LabelLoss::Gce => Self::Gce { q: GCE_EXPONENT },
             LabelLoss::Mae => Self::Mae,
+            LabelLoss::NceRce => Self::NceRce,
             LabelLoss::Js if config.pi_rl > 0.0 && config.pi_rl < 1.0 => Self::Js { pi_rl: config.pi_rl },
             LabelLoss::Js => {
                 let mend = "0.99 is the default; use segmentation.loss = \"ce\" or \"mae\" for the limits 0 and 1";
@@ -51,6 +52,7 @@ pub fn label_loss_plain(logits: Tensor<2>, labels: &[u16], kind: &Kind) -> Tenso
         Kind::Ce => -log_py,
         Kind::Mae => -log_py.exp() + 1.0,
         Kind::Gce { q } => (-(log_py * q).exp() + 1.0) * (1.0 / q),
+        Kind::NceRce => log_py.clone() / log_p.sum_dim(1) + (-log_py.exp() + 1.0) * 4.0,
         Kind::Js { pi_rl } => {
             let p = log_p.clone().exp();
             let one_hot = p.zeros_like().scatter(1, classes, log_py.ones_like(), burn::tensor::IndexingUpdateOp::Add);

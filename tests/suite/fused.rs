@@ -7,7 +7,8 @@ use coseg::ops::{
 };
 use std::sync::Arc;
 
-const KINDS: [Kind; 5] = [Kind::Ce, Kind::Mae, Kind::Gce { q: 0.7 }, Kind::Js { pi_rl: 0.9 }, Kind::Js { pi_rl: 0.99 }];
+const KINDS: [Kind; 6] =
+    [Kind::Ce, Kind::Mae, Kind::Gce { q: 0.7 }, Kind::Js { pi_rl: 0.9 }, Kind::Js { pi_rl: 0.99 }, Kind::NceRce];
 
 fn device() -> Device {
     crate::device().autodiff()

@@ -5,7 +5,7 @@ use coseg::ops::{Kind, UNLABELLED};
 use coseg::segmentation::loss::{NeighbourPairs, label_loss, label_loss_plain, neighbour_divergence};
 use coseg::segmentation::neighbours::{PointIndex, drop_self, without_self};
 
-const KINDS: [Kind; 7] = [
+const KINDS: [Kind; 8] = [
     Kind::Ce,
     Kind::Mae,
     Kind::Gce { q: 0.7 },
@@ -13,6 +13,7 @@ const KINDS: [Kind; 7] = [
     Kind::Js { pi_rl: 0.5 },
     Kind::Js { pi_rl: 0.9 },
     Kind::Js { pi_rl: 0.97 },
+    Kind::NceRce,
 ];
 
 fn plain_device() -> Device {
@@ -45,6 +46,10 @@ fn direct(logits: &[f64], label: usize, kind: Kind) -> f64 {
         Kind::Ce => -p[label].ln(),
         Kind::Mae => 0.5 * p.iter().enumerate().map(|(k, p)| (f64::from(u8::from(k == label)) - p).abs()).sum::<f64>(),
         Kind::Gce { q } => (1.0 - p[label].powf(q)) / q,
+        // Reverse cross-entropy: -sum_k p_k ln of the label, ln 0 = -4
+        Kind::NceRce => {
+            p[label].ln() / p.iter().map(|p| p.ln()).sum::<f64>() + 4.0 * (p.iter().sum::<f64>() - p[label])
+        }
         Kind::Js { pi_rl } => {
             let kappa = |k: usize| f64::from(u8::from(k == label));
             let m = |k: usize| pi_rl * kappa(k) + (1.0 - pi_rl) * p[k];
