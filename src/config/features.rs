@@ -82,11 +82,22 @@ pub struct UnprojectionConfig {
     pub resolution: Resolution,
     /// Gaussians counted on fewer than this share of all training pixels are pruned.
     pub attendance: f64,
+    /// Steps of conjugate gradients from the weighted mean towards features that render as the maps; 0: the mean itself.
+    /// Each step renders all channels of all views.
+    pub solve_iterations: usize,
+    /// Pull back to the weighted mean while solving, above 0; 1 weighs it as much as the maps.
+    pub solve_ridge: f64,
 }
 
 impl Default for UnprojectionConfig {
     fn default() -> Self {
-        Self { normalisation: Normalisation::Weight, resolution: Resolution::Image, attendance: 1e-5 }
+        Self {
+            normalisation: Normalisation::Weight,
+            resolution: Resolution::Image,
+            attendance: 1e-5,
+            solve_iterations: 0,
+            solve_ridge: 0.1,
+        }
     }
 }
 

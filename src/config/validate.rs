@@ -1,6 +1,6 @@
 //! Allowed ranges of every setting.
 
-use super::{Blend, Config, FeatureSource, Prior, SpatialSource};
+use super::{Blend, Config, FeatureSource, Normalisation, Prior, SpatialSource};
 use crate::error::{Error, Result};
 
 /// Collects the checks of one config; the first failure wins.
@@ -123,7 +123,16 @@ impl Config {
             expected,
             "give it, or set features.source = \"auto\"",
         );
-        check.within("unprojection.attendance", self.unprojection.attendance, 0.0, 1.0);
+        let u = &self.unprojection;
+        check.within("unprojection.attendance", u.attendance, 0.0, 1.0);
+        check.rate("unprojection.solve_ridge", u.solve_ridge);
+        check.that(
+            u.solve_iterations == 0 || u.normalisation == Normalisation::Weight,
+            "unprojection.normalisation",
+            "count",
+            "weight where unprojection.solve_iterations is above 0",
+            "set unprojection.normalisation = \"weight\", or unprojection.solve_iterations = 0",
+        );
         let s = &self.spatial;
         check.amount("spatial.scale", s.scale);
         let needs_weights = s.source == SpatialSource::Pretrained && s.weights.is_none();

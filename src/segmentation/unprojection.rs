@@ -3,10 +3,13 @@
 //! With the blending weights `W` of a view and its map `F`, the buffer is the sum over views of `W^T F`. At `image`
 //! resolution `F` is read bilinearly, `U F`, and the buffer is `(W U)^T F`: the exact adjoint of rendering at image
 //! resolution and comparing with `U F`. At `feature` resolution (the paper) the camera is scaled to the map, and `U` is
-//! the identity.
+//! the identity. [`Problem`] goes on from there to features that render as the maps.
 
 mod fold;
+mod solve;
 mod view;
+
+pub use solve::{Problem, Solved};
 
 use crate::config::{Normalisation, Resolution, UnprojectionConfig};
 use crate::data::View;
@@ -183,7 +186,10 @@ pub fn unproject<'a>(
         sums.add(&gaussians.splats(), &view.camera, &features.maps, config.resolution, settings)?;
     }
     let keep = sums.attended(config.attendance);
-    let sums = sums.normalised(config.normalisation);
+    let sums = match config.solve_iterations {
+        0 => sums.normalised(config.normalisation),
+        _ => solved(sums, gaussians, &views, set, config, settings)?,
+    };
     let seen = (0..gaussians.len()).map(|i| sums.weights.iter().all(|w| w[i] > 0.0)).collect();
     let scales = |all: Vec<Vec<f32>>| -> [Vec<f32>; SCALES] {
         let mut all = all.into_iter();
@@ -204,4 +210,33 @@ pub fn unproject<'a>(
         gaussians.len()
     );
     Ok(unprojected)
+}
+
+/// `sums` with features in place of the buffers.
+fn solved(
+    mut sums: Sums<f32>,
+    gaussians: &Gaussians,
+    views: &[&View],
+    set: &FeatureSet,
+    config: &UnprojectionConfig,
+    settings: &Settings,
+) -> Result<Sums<f32>> {
+    for (scale, (buffer, &channels)) in sums.buffers.iter_mut().zip(&sums.channels).enumerate() {
+        let camera = |(view, features): (&&View, &crate::features::ViewFeatures)| match config.resolution {
+            Resolution::Image => view.camera.clone(),
+            Resolution::Feature => features.maps[scale].lattice().camera(&view.camera),
+        };
+        let cameras: Vec<_> = views.iter().zip(&set.views).map(camera).collect();
+        let (splats, weights, ridge) = (gaussians.splats(), &sums.weights[scale], config.solve_ridge);
+        let problem = Problem { splats, cameras: &cameras, settings, weights, ridge };
+        let done = problem.solve(buffer, channels, config.solve_iterations)?;
+        tracing::info!(
+            "unprojection: scale {} solved in {} steps to a residual of {:.1e}",
+            scale + 1,
+            done.iterations,
+            done.residual
+        );
+        *buffer = done.features;
+    }
+    Ok(sums)
 }

@@ -40,6 +40,7 @@ mod replica;
 mod report;
 mod resume;
 mod scannet;
+mod solve;
 mod stage_two;
 mod torch_file;
 mod transforms;

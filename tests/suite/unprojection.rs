@@ -227,8 +227,12 @@ fn count_is_algorithm_one_by_brute_force() {
     let (wide, settings) = (Wide::of(&scene), Settings::default());
     let maps = |i: usize| [map(40, 30, 3, i), map(20, 15, 2, i + 7), map(10, 8, 2, i + 8), map(5, 4, 2, i + 9)];
     let set = features(&views, maps);
-    let config =
-        UnprojectionConfig { normalisation: Normalisation::Count, resolution: Resolution::Feature, attendance: 0.02 };
+    let config = UnprojectionConfig {
+        normalisation: Normalisation::Count,
+        resolution: Resolution::Feature,
+        attendance: 0.02,
+        ..UnprojectionConfig::default()
+    };
     let mut exact = Sums::<f64>::new(scene.len(), &maps(0).each_ref().map(|m| m.channels));
     for (view, features) in views.iter().zip(&set.views) {
         exact.add(&wide.splats(), &view.camera, &features.maps, config.resolution, &settings).expect("sums");
