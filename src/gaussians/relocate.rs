@@ -127,12 +127,15 @@ impl RelocationPlan {
         new
     }
 
-    /// Optimiser moments of the new rows: `old` is `[N, width]` row-major; those of all that share a place are zero.
+    /// Optimiser moments of the new rows: `old` is `[N, width]` row-major; those of copies are zero.
+    ///
+    /// What was copied keeps its own. Gaussians alike in everything have the same gradients; with the same moments as well they
+    /// would stay together, and be one Gaussian at the cost of several.
     pub fn moments(&self, old: &[f32], width: usize) -> Vec<f32> {
         let mut new = vec![0.0; self.rows.len() * width];
-        for (&row, new) in self.rows.iter().zip(new.chunks_exact_mut(width.max(1))) {
-            if self.copies[row as usize] == 1 {
-                new.copy_from_slice(&old[row as usize * width..][..width]);
+        for (i, (&row, new)) in self.rows.iter().zip(new.chunks_exact_mut(width.max(1))).enumerate() {
+            if row as usize == i {
+                new.copy_from_slice(&old[i * width..][..width]);
             }
         }
         new
