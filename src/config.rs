@@ -12,7 +12,7 @@ mod presets;
 mod row;
 mod validate;
 
-pub use building::{BuildingConfig, RasterConfig};
+pub use building::{BuildingConfig, McmcConfig, RasterConfig, Strategy};
 pub use data::{DataConfig, Layout, ScannetClasses};
 pub use features::{
     Encode, FeatureConfig, FeatureSource, Normalisation, Resolution, SpatialConfig, SpatialSource, UnprojectionConfig,

@@ -8,11 +8,11 @@ use rand_chacha::ChaCha8Rng;
 /// What a stream is for; different purposes never share numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// Initial points of scenes that have none; index 0.
+    /// Initial points of scenes that have none, index 0; which points of a cloud that is too large are kept, index 1.
     InitialPoints = 1,
     /// Order of the training views; index = epoch.
     ViewOrder = 2,
-    /// Positions of split Gaussians; index = iteration.
+    /// Positions of split Gaussians, and which ones others are moved to; index = iteration.
     Densification = 3,
     /// Order of the views in stage two; index = epoch.
     SegmentationViews = 4,
@@ -20,6 +20,8 @@ pub enum Purpose {
     Pixels = 5,
     /// Samples of the 3D regularisation; index = 4 iteration + scale.
     Regularisation = 6,
+    /// Noise on the means; index = iteration.
+    PositionNoise = 7,
     /// Cells that a PCA is fitted on; index = 4 * training view + scale.
     PcaCells = 32,
     /// Pixels that a linear probe is trained on; index = view.

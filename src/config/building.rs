@@ -2,7 +2,60 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Stage one (3DGS): 0.8 L1 + 0.2 (1 - SSIM), Adam, adaptive density control.
+/// How the Gaussians spread while they are trained.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Strategy {
+    /// Adaptive density control (Kerbl et al. 2023): cloned and split where the screen-space gradient is large, pruned where
+    /// transparent or huge, opacities reset now and then.
+    #[default]
+    Adc,
+    /// 3DGS-MCMC (Kheradmand et al. 2024, arXiv 2404.09591): noise on the means, transparent ones moved to opaque ones, their
+    /// number grown to `max_gaussians` by a fixed share at a time. Nothing is reset.
+    Mcmc,
+}
+
+/// Constants of [`Strategy::Mcmc`], by default those of the paper; the other strategy reads none of them. After each step
+/// the means get `lr noise sigmoid(-k (o - t)) Sigma eta`, with lr their learning rate, o the opacity, Sigma the covariance
+/// and eta standard normal. Lengths are taken in units of the scene's extent (1.1 times the largest distance of a camera
+/// from the mean one), so that the constants mean the same in every scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct McmcConfig {
+    /// Noise on the means, per learning rate; 0 is none.
+    pub noise: f64,
+    /// How sharply the noise fades out above `noise_opacity`: k.
+    pub noise_sharpness: f64,
+    /// Opacity at which half the noise is left: t.
+    pub noise_opacity: f64,
+    /// A densification adds this share of the Gaussians there are; short runs need more to reach the cap early.
+    pub growth: f64,
+    /// Weight of the mean opacity in the loss.
+    pub opacity_reg: f64,
+    /// Weight of the mean standard deviation, in extents, in the loss.
+    pub scale_reg: f64,
+    /// Opacity of initial Gaussians.
+    pub init_opacity: f32,
+    /// Standard deviation of initial Gaussians, in rms distances to their three neighbours.
+    pub init_scale: f32,
+}
+
+impl Default for McmcConfig {
+    fn default() -> Self {
+        Self {
+            noise: 5e5,
+            noise_sharpness: 100.0,
+            noise_opacity: 0.005,
+            growth: 0.05,
+            opacity_reg: 0.01,
+            scale_reg: 0.01,
+            init_opacity: 0.5,
+            init_scale: 0.1,
+        }
+    }
+}
+
+/// Stage one (3DGS): 0.8 L1 + 0.2 (1 - SSIM), Adam, a strategy of densification.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BuildingConfig {
@@ -26,23 +79,29 @@ pub struct BuildingConfig {
     pub lr_scales: f64,
     /// Learning rate of the rotations.
     pub lr_rotations: f64,
+    /// How the Gaussians spread.
+    pub strategy: Strategy,
     /// Iterations between densifications.
     pub densify_every: usize,
     /// First densification: the smaller of this and 8 % of the run.
     pub densify_from: usize,
-    /// Densification ends at this share of the run.
-    pub densify_until: f32,
-    /// Threshold on the mean screen-space gradient |(dL/du W/2, dL/dv H/2)|.
-    pub densify_threshold: f32,
+    /// Densification ends at this share of the run; without a value at 0.5, or 0.8 with `strategy = "mcmc"`.
+    pub densify_until: Option<f32>,
+    /// Threshold on the mean screen-space gradient |(dL/du W/2, dL/dv H/2)|; without a value 2e-4, or 8e-4 with `absgrad`.
+    pub densify_threshold: Option<f32>,
+    /// That gradient has the absolute values of dL/du and dL/dv of each pixel summed, where otherwise those of the two sides
+    /// of an edge cancel (AbsGS, Ye et al. 2024, arXiv 2404.10484). For `strategy = "adc"`.
+    pub absgrad: bool,
     /// Gaussians below this share of the extent are cloned, others split.
     pub clone_below: f32,
-    /// Gaussians less opaque than this are pruned.
+    /// Gaussians less opaque than this are pruned, or moved with `strategy = "mcmc"`.
     pub prune_opacity: f32,
     /// Gaussians larger than this share of the extent are pruned.
     pub prune_scale: f32,
     /// Smallest number of iterations between opacity resets; at least 5 passes over the views are kept as well.
     pub reset_every: usize,
-    /// No more Gaussians than this; 0 means no limit.
+    /// No more Gaussians than this; larger initial clouds are thinned to it. 0 means no limit, and is refused with
+    /// `strategy = "mcmc"`, which grows until it meets one.
     pub max_gaussians: usize,
     /// Points when the scene has no initial cloud.
     pub random_points: usize,
@@ -50,6 +109,24 @@ pub struct BuildingConfig {
     pub eval_every: usize,
     /// Iterations between checkpoints; 0 means ten in the run.
     pub checkpoint_every: usize,
+    /// Constants of `strategy = "mcmc"`.
+    pub mcmc: McmcConfig,
+}
+
+impl BuildingConfig {
+    /// `densify_until`, or what its absence stands for.
+    pub fn densify_until(&self) -> f32 {
+        let usual = match self.strategy {
+            Strategy::Adc => 0.5,
+            Strategy::Mcmc => 0.8,
+        };
+        self.densify_until.unwrap_or(usual)
+    }
+
+    /// `densify_threshold`, or what its absence stands for.
+    pub fn densify_threshold(&self) -> f32 {
+        self.densify_threshold.unwrap_or(if self.absgrad { 8e-4 } else { 2e-4 })
+    }
 }
 
 impl Default for BuildingConfig {
@@ -65,10 +142,12 @@ impl Default for BuildingConfig {
             lr_opacity: 5e-2,
             lr_scales: 5e-3,
             lr_rotations: 1e-3,
+            strategy: Strategy::Adc,
             densify_every: 100,
             densify_from: 500,
-            densify_until: 0.5,
-            densify_threshold: 2e-4,
+            densify_until: None,
+            densify_threshold: None,
+            absgrad: false,
             clone_below: 0.01,
             prune_opacity: 0.005,
             prune_scale: 0.1,
@@ -77,6 +156,7 @@ impl Default for BuildingConfig {
             random_points: 20_000,
             eval_every: 0,
             checkpoint_every: 0,
+            mcmc: McmcConfig::default(),
         }
     }
 }

@@ -69,6 +69,8 @@ fn unrepresentable(error: &toml::ser::Error) -> Error {
 fn template() -> Result<Table> {
     let mut full = Config::default();
     let path = || Some(PathBuf::from("path"));
+    full.building.densify_until = Some(0.5);
+    full.building.densify_threshold = Some(2e-4);
     full.data.dir = path();
     full.data.scannet_labels = path();
     full.features.weights = path();

@@ -1,6 +1,6 @@
 //! Allowed ranges of every setting.
 
-use super::{Blend, Config, FeatureSource, Normalisation, Prior, SpatialSource};
+use super::{Blend, Config, FeatureSource, Normalisation, Prior, SpatialSource, Strategy};
 use crate::error::{Error, Result};
 
 /// Collects the checks of one config; the first failure wins.
@@ -82,13 +82,41 @@ impl Config {
             check.rate(key, rate);
         }
         check.positive("building.densify_every", b.densify_every);
-        check.within("building.densify_until", b.densify_until.into(), 0.0, 1.0);
-        check.amount("building.densify_threshold", b.densify_threshold.into());
+        check.within("building.densify_until", b.densify_until().into(), 0.0, 1.0);
+        check.amount("building.densify_threshold", b.densify_threshold().into());
         check.amount("building.clone_below", b.clone_below.into());
         check.within("building.prune_opacity", b.prune_opacity.into(), 0.0, 1.0);
         check.rate("building.prune_scale", b.prune_scale.into());
         check.positive("building.reset_every", b.reset_every);
         check.positive("building.random_points", b.random_points);
+        self.validate_strategy(check);
+    }
+
+    fn validate_strategy(&self, check: &mut Check) {
+        let (b, m) = (&self.building, &self.building.mcmc);
+        let mcmc = b.strategy == Strategy::Mcmc;
+        check.that(
+            !mcmc || b.max_gaussians > 0,
+            "building.max_gaussians",
+            b.max_gaussians,
+            "the number of Gaussians to grow to, because building.strategy = \"mcmc\"",
+            "give it, such as 100_000",
+        );
+        check.that(
+            !(mcmc && b.absgrad),
+            "building.absgrad",
+            b.absgrad,
+            "false, because building.strategy = \"mcmc\" uses no gradients",
+            "leave it out, or set building.strategy = \"adc\"",
+        );
+        check.amount("building.mcmc.noise", m.noise);
+        check.amount("building.mcmc.noise_sharpness", m.noise_sharpness);
+        check.within("building.mcmc.noise_opacity", m.noise_opacity, 0.0, 1.0);
+        check.amount("building.mcmc.growth", m.growth);
+        check.amount("building.mcmc.opacity_reg", m.opacity_reg);
+        check.amount("building.mcmc.scale_reg", m.scale_reg);
+        check.open_share("building.mcmc.init_opacity", m.init_opacity.into());
+        check.rate("building.mcmc.init_scale", m.init_scale.into());
     }
 
     fn validate_raster(&self, check: &mut Check) {

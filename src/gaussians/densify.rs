@@ -1,4 +1,5 @@
-//! Adaptive density control: which Gaussians are cloned, split and pruned (3DGS), as pure functions on host vectors.
+//! Adaptive density control: which Gaussians are cloned, split and pruned (3DGS, Kerbl et al. 2023), as pure functions on
+//! host vectors.
 //!
 //! A [`RowPlan`] is decided once and then applied to the parameters and to the optimiser's moments alike, so that
 //! row `i` of all of them stays the same Gaussian.
@@ -17,7 +18,7 @@ const RESET_OPACITY: f32 = 0.01;
 /// Screen-space gradients gathered between densifications.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DensityStats {
-    /// Sum of |(dL/du W/2, dL/dv H/2)|, `[N]`.
+    /// Sum of |(dL/du W/2, dL/dv H/2)|, `[N]`; with AbsGS of sums of absolute values.
     pub gradient: Vec<f32>,
     /// Iterations in which the Gaussian was visible, `[N]`.
     pub visible: Vec<u32>,
@@ -184,20 +185,23 @@ impl RowPlan {
 }
 
 /// One sample of the Gaussian: mean + R diag(scales) z, z standard normal.
-fn sample(mean: &[f32; 3], log_scales: &[f32; 3], rotation: &[f32; 4], rng: &mut ChaCha8Rng) -> [f32; 3] {
-    let [w, x, y, z] = rotation.map(f64::from);
-    let q = glam::DQuat::from_xyzw(x, y, z, w);
-    // a quaternion without direction is the identity, as in the rasterizer
-    let q = if q.length_squared() < 1e-12 { glam::DQuat::IDENTITY } else { q.normalize() };
+fn sample(mean: &[f32; 3], log_scales: &[f32; 3], quaternion: &[f32; 4], rng: &mut ChaCha8Rng) -> [f32; 3] {
     let mut z = [0.0; 3];
     z.iter_mut().for_each(|z| *z = standard_normal(rng));
     let local = glam::DVec3::from_array(std::array::from_fn(|k| z[k] * f64::from(log_scales[k]).exp()));
-    let moved = q * local;
+    let moved = rotation(quaternion) * local;
     std::array::from_fn(|k| (f64::from(mean[k]) + moved[k]) as f32)
 }
 
+/// The rotation of a quaternion (w, x, y, z) of any length; one without direction is the identity, as in the rasterizer.
+pub(super) fn rotation(quaternion: &[f32; 4]) -> glam::DQuat {
+    let [w, x, y, z] = quaternion.map(f64::from);
+    let q = glam::DQuat::from_xyzw(x, y, z, w);
+    if q.length_squared() < 1e-12 { glam::DQuat::IDENTITY } else { q.normalize() }
+}
+
 /// Box-Muller; two uniform numbers a draw, so the stream's position does not depend on the values.
-fn standard_normal(rng: &mut ChaCha8Rng) -> f64 {
+pub(super) fn standard_normal(rng: &mut ChaCha8Rng) -> f64 {
     let (u, v): (f64, f64) = (rng.random(), rng.random());
     (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }

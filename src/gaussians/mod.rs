@@ -3,8 +3,10 @@
 pub mod densify;
 pub mod frusta;
 pub mod init;
+pub mod noise;
 mod order;
 pub mod ply;
+pub mod relocate;
 
 /// N Gaussians in host memory, structure of arrays.
 ///

@@ -78,7 +78,7 @@ pub fn warn_host_fallback() {
     ONCE.call_once(|| {
         tracing::warn!(
             "operations without a GPU kernel run on the CPU and copy from and to the GPU: photometric and label losses, \
-             attentive pooling, sparse products, and the rasterizer in f64"
+             attentive pooling, sparse products, and the rasterizer in f64 or with building.absgrad"
         );
     });
 }

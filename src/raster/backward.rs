@@ -3,6 +3,9 @@
 //! Front to back, with the forward pass's own transmittances. For a pixel let `d_i = dL/dS . s_i`; then
 //! `dL/dalpha'_i = T_i d_i - R_i / (1 - alpha'_i)` with `R_i = sum_(j > i) w_j d_j + dL/dT T`: what is left of
 //! `dL/dS . S + dL/dT T` after the first `i` Gaussians. One running scalar per pixel, whatever the number of channels.
+//!
+//! AbsGS (Ye et al. 2024) asks for the absolute values of the gradients of the projected centres before they are summed
+//! over the pixels. The kernels do so when `ABSOLUTE`, and are otherwise those without.
 
 use super::blend::tile_image;
 use super::channel_blocks;
@@ -36,6 +39,19 @@ pub struct SplatGradients<E> {
     pub values: Vec<E>,
     /// Of the projected centres, in units of half the image: `(dL/du W/2, dL/dv H/2)`, `[N, 2]`.
     pub screen: Vec<E>,
+    /// Sums of the absolute values of what single pixels add to `screen`, `[N, 2]`; empty unless asked for.
+    pub screen_absolute: Vec<E>,
+}
+
+/// Sums of a row besides those of the values, for each Gaussian: moments, and the two of absolute values.
+pub(super) const fn geometry_sums(absolute: bool) -> usize {
+    if absolute { 8 } else { 6 }
+}
+
+/// By how much the kernels' `u` and `v` grow as the centre moves by a pixel: `u` along x, `u` along y, `v` along y.
+#[inline(always)]
+pub(super) fn drift<E: Real>(s: &Splat2) -> [E; 3] {
+    [UNIT * s.du, -UNIT * s.du * s.slope, UNIT * s.dv].map(E::of)
 }
 
 /// What the backward pass over a tile reads besides the projection.
@@ -62,31 +78,33 @@ impl<E: Real> PixelGradients<'_, E> {
     }
 }
 
-struct BackwardTile<'a, E, const C: usize> {
+struct BackwardTile<'a, E, const C: usize, const ABSOLUTE: bool> {
     p: &'a Projected<E>,
     tile: Tile<'a>,
     /// `[visible, C]`.
     values: &'a [E],
     pixels: PixelGradients<'a, E>,
-    /// `[entries, 6 + C]`: moments, then gradients of the values.
+    /// `[entries, geometry_sums + C]`: moments, gradients of the values, and sums of absolute values.
     sums: &'a mut [E],
 }
 
-struct BackwardPass<'a, E, V, const C: usize> {
+struct BackwardPass<'a, E, V, const C: usize, const ABSOLUTE: bool> {
     rule: Rule<V>,
     values: &'a [E],
+    splats: &'a [Splat2],
     t: Buffer<E>,
     /// `R` of every pixel.
     rest: Buffer<E>,
     d_image: [Buffer<E>; C],
     /// `dL/dalpha' alpha'` of the present Gaussian.
     g: Buffer<E>,
-    /// Values of the next Gaussians.
+    /// Values of the next Gaussians, and [`drift`] of each when `ABSOLUTE`.
     near: [[E; C]; LOOK],
+    drifts: [[E; 3]; LOOK],
     sums: &'a mut [E],
 }
 
-impl<E: Real, V: Vector<E>, const C: usize> Pass<E, V> for BackwardPass<'_, E, V, C> {
+impl<E: Real, V: Vector<E>, const C: usize, const ABSOLUTE: bool> Pass<E, V> for BackwardPass<'_, E, V, C, ABSOLUTE> {
     #[inline(always)]
     fn transmittance(&self) -> &Buffer<E> {
         &self.t
@@ -95,6 +113,11 @@ impl<E: Real, V: Vector<E>, const C: usize> Pass<E, V> for BackwardPass<'_, E, V
     #[inline(always)]
     fn gather(&mut self, ranks: &[u32]) {
         gather_rows(self.values, ranks, &mut self.near);
+        if ABSOLUTE {
+            for (drift_of, &rank) in self.drifts.iter_mut().zip(ranks) {
+                *drift_of = drift(&self.splats[rank as usize]);
+            }
+        }
     }
 
     #[inline(always)]
@@ -119,6 +142,8 @@ impl<E: Real, V: Vector<E>, const C: usize> Pass<E, V> for BackwardPass<'_, E, V
         });
         // A second loop, because the sums of both do not fit into 16 registers.
         let mut moments = [V::splat(E::zero()); 6];
+        let mut minus_absolute = [V::splat(E::zero()); 2];
+        let [u_x, u_y, v_y] = self.drifts[next].map(V::splat);
         footprint.for_each(|strip| {
             let (g, u, v) = (V::load(&self.g[strip]), footprint.u::<V>(strip), V::splat(footprint.v(strip)));
             let (gu, gv) = (g.mul(u), g.mul(v));
@@ -129,27 +154,40 @@ impl<E: Real, V: Vector<E>, const C: usize> Pass<E, V> for BackwardPass<'_, E, V
             *m_uu = gu.fma(u, *m_uu);
             *m_uv = gu.fma(v, *m_uv);
             *m_vv = gv.fma(v, *m_vv);
+            if ABSOLUTE {
+                let [x, y] = &mut minus_absolute;
+                *x = x.add(gu.mul(u_x).minus_abs());
+                *y = y.add(gv.fma(v_y, gu.mul(u_y)).minus_abs());
+            }
         });
-        let sums = &mut self.sums[entry * (6 + C)..][..6 + C];
+        let width = geometry_sums(ABSOLUTE) + C;
+        let sums = &mut self.sums[entry * width..][..width];
         for (to, sum) in sums.iter_mut().zip(moments.into_iter().chain(d_value)) {
             *to = sum.total();
+        }
+        if ABSOLUTE {
+            for (to, sum) in sums[6 + C..].iter_mut().zip(minus_absolute) {
+                *to = -sum.total();
+            }
         }
     }
 }
 
-impl<E: Real, const C: usize> Kernel<E> for BackwardTile<'_, E, C> {
+impl<E: Real, const C: usize, const ABSOLUTE: bool> Kernel<E> for BackwardTile<'_, E, C, ABSOLUTE> {
     type Output = ();
     #[inline(always)]
     fn run<V: Vector<E>>(self) {
         let Self { p, tile, values, pixels, sums } = self;
-        let mut pass = BackwardPass::<E, V, C> {
+        let mut pass = BackwardPass::<E, V, C, ABSOLUTE> {
             rule: Rule::new::<E>(&p.settings),
             values,
+            splats: &p.splats,
             t: fresh_transmittance(tile, p.size()),
             rest: [[E::zero(); LANES]; STRIPS],
             d_image: tile_image(pixels.d_image, tile, p.size()),
             g: [[E::zero(); LANES]; STRIPS],
             near: [[E::zero(); C]; LOOK],
+            drifts: [[E::zero(); 3]; LOOK],
             sums,
         };
         for (to, from, len) in tile.rows(p.size()) {
@@ -174,11 +212,29 @@ fn moments<E: Real>(m: &[E]) -> Moments {
     }
 }
 
-fn fused<E: Real, const C: usize>(p: &Projected<E>, values: &[E], pixels: PixelGradients<'_, E>) -> Vec<E> {
+fn fused<E: Real, const C: usize, const ABSOLUTE: bool>(
+    p: &Projected<E>,
+    values: &[E],
+    pixels: PixelGradients<'_, E>,
+) -> Vec<E> {
     let values = p.in_depth_order(values, C, C);
-    sum_over_tiles(p, 6 + C, |tile, sums| {
-        dispatch(BackwardTile::<E, C> { p, tile, values: &values, pixels, sums });
+    sum_over_tiles(p, geometry_sums(ABSOLUTE) + C, |tile, sums| {
+        dispatch(BackwardTile::<E, C, ABSOLUTE> { p, tile, values: &values, pixels, sums });
     })
+}
+
+/// Rows of `geometry_sums + lanes` for every visible Gaussian, front to back.
+fn pixel_sums<E: Real, const ABSOLUTE: bool>(
+    p: &Projected<E>,
+    values: &[E],
+    lanes: usize,
+    pixels: PixelGradients<'_, E>,
+) -> Vec<E> {
+    match lanes {
+        1 => fused::<E, 1, ABSOLUTE>(p, values, pixels),
+        3 => fused::<E, 3, ABSOLUTE>(p, values, pixels),
+        _ => channel_blocks::backward::<E, ABSOLUTE>(p, values, lanes, pixels),
+    }
 }
 
 impl<E: Real> Projected<E> {
@@ -201,7 +257,7 @@ impl<E: Real> Projected<E> {
     ) -> SplatGradients<E> {
         let pixels =
             PixelGradients { image: &forward.image, transmittance: &forward.transmittance, d_image, d_transmittance };
-        self.backward_slices(splats, values, channels, pixels)
+        self.backward_slices(splats, values, channels, pixels, false)
     }
 
     pub(super) fn backward_slices(
@@ -210,6 +266,7 @@ impl<E: Real> Projected<E> {
         values: &[E],
         channels: usize,
         pixels: PixelGradients<'_, E>,
+        absolute: bool,
     ) -> SplatGradients<E> {
         let [w, h] = self.size();
         let n = self.len();
@@ -228,12 +285,28 @@ impl<E: Real> Projected<E> {
             }
             _ => (pixels, values, channels),
         };
-        let sums = match lanes {
-            1 => fused::<E, 1>(self, values, pixels),
-            3 => fused::<E, 3>(self, values, pixels),
-            _ => channel_blocks::backward(self, values, lanes, pixels),
-        };
-        self.to_parameters(splats, &sums, channels, 6 + lanes)
+        let mut out;
+        if absolute {
+            let sums = pixel_sums::<E, true>(self, values, lanes, pixels);
+            let stride = geometry_sums(true) + lanes;
+            out = self.to_parameters(splats, &sums, channels, stride);
+            out.screen_absolute = self.screen_absolute(&sums, stride);
+        } else {
+            let sums = pixel_sums::<E, false>(self, values, lanes, pixels);
+            out = self.to_parameters(splats, &sums, channels, geometry_sums(false) + lanes);
+        }
+        out
+    }
+
+    /// [`SplatGradients::screen_absolute`] from the last two of each row of `stride` sums.
+    fn screen_absolute(&self, sums: &[E], stride: usize) -> Vec<E> {
+        // The derivative of u^2 is 2 u, and the kernels' u and v are both longer by the unit than those of alpha'.
+        let scale = self.size().map(|s| E::of(s as f64 / (UNIT * UNIT)));
+        let rows = sums.chunks_exact(stride).flat_map(|row| {
+            let [x, y] = [row[stride - 2], row[stride - 1]];
+            [x * scale[0], y * scale[1]]
+        });
+        self.in_scene_order(&rows.collect::<Vec<E>>(), 2)
     }
 
     /// Gradients of the parameters from `sums`: a row of `stride` a visible Gaussian, moments and then values.
@@ -251,6 +324,7 @@ impl<E: Real> Projected<E> {
             opacity_logits: zeros(1),
             values: zeros(channels),
             screen: zeros(2),
+            screen_absolute: Vec::new(),
         };
         let half = self.size().map(|s| s as f64 / 2.0);
         // chunks_mut(0) panics; without channels no row has values.

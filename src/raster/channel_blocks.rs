@@ -1,7 +1,7 @@
 //! Blending of many channels, its adjoint and its backward pass: the pairs of a tile first, then the channels in blocks,
 //! with channel lanes inside.
 
-use super::backward::PixelGradients;
+use super::backward::{PixelGradients, drift, geometry_sums};
 use super::footprint::{PIXELS, fresh_transmittance};
 use super::pairs::Pairs;
 use super::projected::{Blended, Projected};
@@ -191,9 +191,9 @@ pub(super) fn adjoint<E: Real>(p: &Projected<E>, image: &[E], channels: usize) -
     })
 }
 
-/// Moments (6) and channel gradients of every visible Gaussian, `[visible, 6 + channels]` front to back. `values` is
-/// `[N, channels]`.
-pub(super) fn backward<E: Real>(
+/// Moments (6), channel gradients and, when `ABSOLUTE`, the two sums of absolute values of every visible Gaussian,
+/// `[visible, geometry_sums + channels]` front to back. `values` is `[N, channels]`.
+pub(super) fn backward<E: Real, const ABSOLUTE: bool>(
     p: &Projected<E>,
     values: &[E],
     channels: usize,
@@ -201,7 +201,7 @@ pub(super) fn backward<E: Real>(
 ) -> Vec<E> {
     let size = p.size();
     let width = channels.next_multiple_of(ALIGN);
-    let stride = 6 + channels;
+    let stride = geometry_sums(ABSOLUTE) + channels;
     let values = p.in_depth_order(values, channels, width);
     sum_over_tiles(p, stride, |tile, sums| {
         let pairs = Pairs::<E, true>::gather(p, tile, fresh_transmittance(tile, size));
@@ -228,6 +228,8 @@ pub(super) fn backward<E: Real>(
         }
         for (i, sums) in (0..pairs.ends.len()).zip(sums.chunks_exact_mut(stride)) {
             let mut m = [E::zero(); 6];
+            let mut absolute = [E::zero(); 2];
+            let [u_x, u_y, v_y] = if ABSOLUTE { drift(&p.splats[tile.ranks[i] as usize]) } else { [E::zero(); 3] };
             for pair in pairs.range(i) {
                 let (alpha, u, v) = (pairs.alphas[pair], pairs.us[pair], pairs.vs[pair]);
                 let own = pairs.weights[pair] * projections[pair];
@@ -238,9 +240,16 @@ pub(super) fn backward<E: Real>(
                     for (m, x) in m.iter_mut().zip([E::one(), u, v, u * u, u * v, v * v]) {
                         *m += g * x;
                     }
+                    if ABSOLUTE {
+                        absolute[0] += (g * u * u_x).abs();
+                        absolute[1] += (g * (v * v_y + u * u_y)).abs();
+                    }
                 }
             }
             sums[..6].copy_from_slice(&m);
+            if ABSOLUTE {
+                sums[6 + channels..].copy_from_slice(&absolute);
+            }
         }
     })
 }

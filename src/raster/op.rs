@@ -36,7 +36,8 @@ pub struct RasterInput {
     pub active_sh_degree: usize,
     /// `[N, C]`: adds C channels after the colour.
     pub features: Option<Tensor<2>>,
-    /// `[N, 2]`, any values: its gradient is the screen-space gradient `(dL/du W/2, dL/dv H/2)`.
+    /// `[N, 2]` or `[N, 4]`, any values: its gradient is the screen-space gradient `(dL/du W/2, dL/dv H/2)`, followed in four
+    /// columns by the sums over pixels of the absolute values of both (AbsGS), which the CPU's kernels alone compute.
     pub screen: Option<Tensor<2>>,
 }
 
@@ -115,8 +116,9 @@ fn run(
     if let Some(features) = &features {
         shape("features", &features.dims(), &[n, features.dims()[1]])?;
     }
+    let absolute_screen = screen.as_ref().is_some_and(|screen| screen.dims()[1] == 4);
     if let Some(screen) = &screen {
-        shape("screen", &screen.dims(), &[n, 2])?;
+        shape("screen", &screen.dims(), &[n, if absolute_screen { 4 } else { 2 }])?;
     }
     let dtype = means.dtype();
     if !matches!(dtype, DType::F32 | DType::F64) {
@@ -142,6 +144,7 @@ fn run(
         has_features: features.is_some(),
         sh_degree: terms.isqrt() - 1,
         active_sh_degree,
+        absolute_screen,
         host_kernels,
         state: Mutex::default(),
     });

@@ -1,21 +1,22 @@
 //! The building stage: 3D Gaussians from posed photos.
 
+mod density;
+
 use super::building_state::BuildingState;
 use super::parameters::{Parameters, Rates, read};
 use super::photos::Photos;
 use super::progress::{CurvePoint, Event, Progress};
 use super::provenance::Provenance;
 use super::schedule::{Schedule, extent};
-use crate::config::Config;
+use crate::config::{Config, Strategy};
 use crate::data::{Scene, Split, View};
 use crate::error::{Error, Result};
-use crate::gaussians::densify::{DensityRules, DensityStats, RowPlan, reset_opacity};
-use crate::gaussians::{Gaussians, frusta, init};
+use crate::gaussians::Gaussians;
+use crate::gaussians::densify::DensityStats;
 use crate::metrics::ImageScores;
 use crate::ops::photometric_loss;
-use crate::random::{Purpose, stream};
 use crate::raster::{RasterInput, RasterOutput, Settings, rasterize};
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -31,16 +32,30 @@ pub struct StepReport {
     /// Gaussians afterwards.
     pub gaussians: usize,
     /// The densification that followed, if one did.
-    pub densified: Option<RowPlan>,
+    pub densified: Option<Densified>,
     /// Whether opacities were reset.
     pub reset: bool,
+}
+
+/// What one densification did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Densified {
+    /// Gaussians added as copies of others.
+    pub cloned: usize,
+    /// Gaussians replaced by two.
+    pub split: usize,
+    /// Gaussians removed.
+    pub pruned: usize,
+    /// Transparent Gaussians moved onto opaque ones.
+    pub relocated: usize,
 }
 
 /// Trains Gaussians on the training views of a scene.
 ///
 /// An iteration renders one view, compares it with its photo ((1 - w) L1 + w (1 - SSIM)), takes one Adam step on all
-/// parameters, and densifies or resets when the [`Schedule`] says so. The same scene, settings and seed give the same
-/// bits at any thread count, interrupted or not.
+/// parameters, and densifies or resets when the [`Schedule`] says so. [`Strategy::Mcmc`] adds to the loss what keeps
+/// opacities and scales small, and noise to the means after the step. The same scene, settings and seed give the same bits
+/// at any thread count, interrupted or not.
 pub struct BuildingStage<'a> {
     config: Config,
     settings: Settings,
@@ -68,15 +83,8 @@ impl<'a> BuildingStage<'a> {
     /// points that are not finite.
     pub fn new(scene: &'a Scene, config: &Config, device: &Device) -> Result<Self> {
         let train: Vec<&View> = scene.split(Split::Train).collect();
-        let (size, building) = (extent(&train, &scene.points), &config.building);
         check_settings(config)?;
-        let gaussians = if scene.points.positions.is_empty() {
-            let mut rng = stream(config.seed, Purpose::InitialPoints, 0);
-            let points = frusta::points(&train, building.random_points, &mut rng);
-            init::from_points(&points, building.sh_degree, size)?
-        } else {
-            init::from_points(&scene.points, building.sh_degree, size)?
-        };
+        let gaussians = density::initial(scene, &train, config)?;
         Self::from_state(scene, config, device, BuildingState::new(gaussians, config.seed))
     }
 
@@ -203,7 +211,7 @@ impl<'a> BuildingStage<'a> {
         };
         let photo = self.photos.get(index, view);
         let leaves = self.parameters.leaves();
-        let screen = Tensor::<2>::zeros([self.parameters.len(), 2], &self.device).autodiff().require_grad();
+        let screen = self.screen();
         let input = RasterInput {
             means: leaves.means.clone(),
             log_scales: leaves.log_scales.clone(),
@@ -212,23 +220,27 @@ impl<'a> BuildingStage<'a> {
             sh: Some(leaves.sh.clone()),
             active_sh_degree: self.schedule.sh_degree(iteration),
             features: None,
-            screen: Some(screen.clone()),
+            screen: screen.clone(),
         };
         let background = self.config.raster.background;
         let RasterOutput { image, radii, .. } =
             rasterize(input, &view.camera, &self.settings, background).map_err(locate)?;
         let loss = photometric_loss(image, photo, f64::from(self.config.building.ssim_weight));
+        let loss = self.regularised(loss, &leaves);
         let value = f64::from(loss.clone().into_scalar::<f32>());
         if !value.is_finite() {
             return Err(locate(Error::non_finite("loss", 0)));
         }
         let mut gradients = loss.backward();
-        let screen_gradient = match screen.grad_remove(&mut gradients) {
-            Some(gradient) => read("screen-space gradient", gradient)?,
-            None => vec![0.0; 2 * self.parameters.len()],
+        let seen = match screen {
+            Some(screen) => Some((self.screen_gradient(&screen, &mut gradients)?, radii.read()?)),
+            None => None,
         };
         self.parameters.step(leaves, &mut gradients, &self.rates(iteration), iteration as u32).map_err(locate)?;
-        self.stats.record(&screen_gradient, &radii.read()?);
+        if let Some((gradient, radii)) = seen {
+            self.stats.record(&gradient, &radii);
+        }
+        self.add_noise(iteration)?;
         self.iteration = iteration;
         self.losses.0 += value;
         self.losses.1 += 1;
@@ -254,8 +266,8 @@ impl<'a> BuildingStage<'a> {
             let report = self.step()?;
             let StepReport { iteration, loss, gaussians, .. } = report;
             progress.event(&Event::Step { iteration, loss, gaussians });
-            if let Some(RowPlan { cloned, split, pruned, .. }) = report.densified {
-                progress.event(&Event::Densified { iteration, cloned, split, pruned });
+            if let Some(Densified { cloned, split, pruned, relocated }) = report.densified {
+                progress.event(&Event::Densified { iteration, cloned, split, pruned, relocated });
             }
             if self.schedule.evaluates(iteration) {
                 progress.event(&Event::Evaluated(self.evaluate()?));
@@ -329,35 +341,6 @@ impl<'a> BuildingStage<'a> {
             sh_rest: b.lr_sh_rest,
         }
     }
-
-    fn densify(&mut self) -> Result<RowPlan> {
-        let b = &self.config.building;
-        let rules = DensityRules {
-            threshold: b.densify_threshold,
-            clone_below: b.clone_below * self.extent as f32,
-            prune_opacity: b.prune_opacity,
-            prune_scale: b.prune_scale * self.extent as f32,
-            max_gaussians: b.max_gaussians,
-        };
-        let (gaussians, first, second) = self.parameters.clone().into_host()?;
-        let plan = RowPlan::new(&gaussians, &self.stats, &rules)?;
-        let widths = super::parameters::widths(&gaussians);
-        let edit = |moments: [Vec<f32>; 5]| std::array::from_fn(|k| plan.moments(&moments[k], widths[k]));
-        let mut rng = stream(self.config.seed, Purpose::Densification, self.iteration as u64);
-        let gaussians = plan.gaussians(&gaussians, &mut rng);
-        self.stats = DensityStats::new(gaussians.len());
-        self.parameters = Parameters::new(gaussians, edit(first), edit(second), &self.device);
-        Ok(plan)
-    }
-
-    fn reset(&mut self) -> Result<()> {
-        let (mut gaussians, mut first, mut second) = self.parameters.clone().into_host()?;
-        reset_opacity(&mut gaussians.opacity_logits);
-        first[super::parameters::OPACITY].fill(0.0);
-        second[super::parameters::OPACITY].fill(0.0);
-        self.parameters = Parameters::new(gaussians, first, second, &self.device);
-        Ok(())
-    }
 }
 
 /// Settings that no run can work with.
@@ -374,6 +357,9 @@ fn check_settings(config: &Config) -> Result<()> {
     }
     if b.iterations > u32::MAX as usize {
         return fault("iterations", b.iterations.to_string(), "fewer than 2^32");
+    }
+    if b.strategy == Strategy::Mcmc && b.max_gaussians == 0 {
+        return fault("max_gaussians", "0".into(), "the number of Gaussians that strategy mcmc grows to");
     }
     let rates = [
         ("lr_means", b.lr_means),

@@ -15,7 +15,7 @@ pub mod schedule;
 pub mod segmentation;
 mod segmentation_inputs;
 
-pub use building::{BuildingStage, StepReport};
+pub use building::{BuildingStage, Densified, StepReport};
 pub use building_state::BuildingState;
 pub use parameters::Moments;
 pub use provenance::Provenance;

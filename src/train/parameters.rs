@@ -2,8 +2,11 @@
 
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
+use crate::gaussians::noise::PositionNoise;
 use crate::ops::{AdamStep, AdamTensors, adam_step};
+use crate::raster::Splats;
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
 /// Names of the parameters, in the order of [`Moments`].
@@ -190,6 +193,23 @@ impl Parameters {
         self.rotations.step(rotations, vec![rates.rotations], step);
         self.opacity_logits.step(opacity_logits, vec![rates.opacity_logits], step);
         self.sh.step(sh, sh_rates, step);
+        Ok(())
+    }
+
+    /// Adds noise to the means. The host draws it: on a GPU the geometry is copied there, and the means back.
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not give the geometry back.
+    pub fn add_noise(&mut self, noise: &PositionNoise, rng: &ChaCha8Rng) -> Result<()> {
+        let means = &mut self.means.state.param;
+        let old = read(NAMES[0], means.clone())?;
+        let splats = Splats {
+            means: &old,
+            log_scales: &read(NAMES[1], self.log_scales.state.param.clone())?,
+            rotations: &read(NAMES[2], self.rotations.state.param.clone())?,
+            opacity_logits: &read(NAMES[OPACITY], self.opacity_logits.state.param.clone())?,
+        };
+        *means = Tensor::from_data(TensorData::new(noise.applied(&splats, rng), means.dims()), &means.device());
         Ok(())
     }
 

@@ -31,12 +31,14 @@ pub enum Event {
     Densified {
         /// After this iteration.
         iteration: usize,
-        /// Gaussians that gained a clone.
+        /// Gaussians added as copies of others.
         cloned: usize,
         /// Gaussians replaced by two.
         split: usize,
         /// Gaussians removed.
         pruned: usize,
+        /// Transparent Gaussians moved onto opaque ones.
+        relocated: usize,
     },
     /// A checkpoint was written.
     Saved {

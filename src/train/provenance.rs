@@ -89,16 +89,25 @@ fn settings(config: &Config, sections: &[&str]) -> BTreeMap<String, String> {
     let json: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
     let mut out = BTreeMap::from([("seed".to_owned(), config.seed.to_string())]);
     for section in sections {
-        for (name, value) in json[*section].as_object().into_iter().flatten() {
-            let key = format!("{section}.{name}");
-            if WITHOUT_EFFECT.iter().any(|skipped| *skipped == key || skipped == name) {
-                continue;
-            }
-            let file = value.as_str().filter(|_| PATHS.contains(&&*key)).and_then(|path| Path::new(path).file_name());
-            out.insert(key, file.map_or_else(|| value.to_string(), |file| file.to_string_lossy().into_owned()));
-        }
+        collect(section, &json[*section], &mut out);
     }
     out
+}
+
+/// Adds the values of a section, and of those within it.
+fn collect(section: &str, values: &serde_json::Value, out: &mut BTreeMap<String, String>) {
+    for (name, value) in values.as_object().into_iter().flatten() {
+        let key = format!("{section}.{name}");
+        if WITHOUT_EFFECT.iter().any(|skipped| *skipped == key || skipped == name) {
+            continue;
+        }
+        if value.is_object() {
+            collect(&key, value, out);
+            continue;
+        }
+        let file = value.as_str().filter(|_| PATHS.contains(&&*key)).and_then(|path| Path::new(path).file_name());
+        out.insert(key, file.map_or_else(|| value.to_string(), |file| file.to_string_lossy().into_owned()));
+    }
 }
 
 fn named((name, hash): (&str, Sha256)) -> (String, String) {

@@ -2,7 +2,7 @@
 //!
 //! Steps count from 1; everything is a function of the step, so a resumed run needs no memory of it.
 
-use crate::config::BuildingConfig;
+use crate::config::{BuildingConfig, Strategy};
 use crate::data::{Points, View};
 use crate::random::{Purpose, stream};
 use glam::{DVec3, Vec3};
@@ -50,10 +50,10 @@ impl Schedule {
         step.is_multiple_of(self.config.densify_every.max(1)) && step >= from && step <= self.densify_until()
     }
 
-    /// Whether opacities are reset after `step`.
+    /// Whether opacities are reset after `step`; never with [`Strategy::Mcmc`].
     pub fn resets(&self, step: usize) -> bool {
         let every = self.config.reset_every.max(PASSES_BETWEEN_RESETS * self.views).max(1);
-        step.is_multiple_of(every) && step < self.densify_until()
+        self.config.strategy == Strategy::Adc && step.is_multiple_of(every) && step < self.densify_until()
     }
 
     /// Whether the held-out views are scored after `step`.
@@ -75,7 +75,7 @@ impl Schedule {
     }
 
     fn densify_until(&self) -> usize {
-        (f64::from(self.config.densify_until) * self.config.iterations as f64) as usize
+        (f64::from(self.config.densify_until()) * self.config.iterations as f64) as usize
     }
 
     /// Every `interval` steps (0: ten times in the run) and at the end.
@@ -120,6 +120,14 @@ mod tests {
         let resets: Vec<usize> = (1..=7000).filter(|&step| s.resets(step)).collect();
         assert_eq!(resets, [1000, 2000, 3000]);
         assert_eq!((1..=7000).filter(|&step| s.evaluates(step)).count(), 10);
+    }
+
+    #[test]
+    fn mcmc_densifies_for_longer_and_resets_nothing() {
+        let config = BuildingConfig { strategy: Strategy::Mcmc, ..BuildingConfig::default() };
+        let s = Schedule::new(&config, 50, 2.0);
+        assert_eq!((1..=7000).rfind(|&step| s.densifies(step)), Some(5600));
+        assert!((1..=7000).all(|step| !s.resets(step)));
     }
 
     #[test]

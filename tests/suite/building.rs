@@ -34,7 +34,7 @@ fn photo(camera: &Camera) -> image::RgbImage {
 }
 
 /// A painted plane seen from an arc; every fourth view is held out.
-fn scene() -> Scene {
+pub fn scene() -> Scene {
     let views = (0..8)
         .map(|i| {
             let angle = 0.5 + 0.25 * f64::from(i);
@@ -57,13 +57,13 @@ fn scene() -> Scene {
 }
 
 /// Densifies every 10 iterations from 10 to 45 and resets at 30.
-fn config() -> Config {
+pub fn config() -> Config {
     let building = BuildingConfig {
         iterations: 60,
         sh_degree: 2,
         densify_every: 10,
-        densify_until: 0.75,
-        densify_threshold: 2e-5,
+        densify_until: Some(0.75),
+        densify_threshold: Some(2e-5),
         reset_every: 30,
         ..BuildingConfig::default()
     };
@@ -74,14 +74,14 @@ fn device() -> burn::tensor::Device {
     crate::device()
 }
 
-fn advance(stage: &mut BuildingStage, to: usize) {
+pub fn advance(stage: &mut BuildingStage, to: usize) {
     while stage.iteration() < to {
         stage.step().expect("a step");
     }
 }
 
 /// Clocks differ between runs; everything else must not.
-fn untimed(mut state: BuildingState) -> BuildingState {
+pub fn untimed(mut state: BuildingState) -> BuildingState {
     state.seconds = 0.0;
     state.curve.iter_mut().for_each(|p| p.seconds = 0.0);
     state

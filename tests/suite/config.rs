@@ -1,6 +1,6 @@
 //! Loading settings: what overrides what, and what an error says.
 
-use coseg::config::{Config, Encode, LabelLoss, Normalisation, Preset, Resolution, Row};
+use coseg::config::{Config, Encode, LabelLoss, Normalisation, Preset, Resolution, Row, Strategy};
 use std::path::PathBuf;
 
 fn load(toml: &str, sets: &[&str]) -> Result<Config, String> {
@@ -133,6 +133,9 @@ fn values_out_of_range_are_refused() {
         ("building.densify_until=1.5", "from 0 to 1"),
         ("raster.alpha_max=0", "at most 1"),
         ("raster.background=0,0,-0.1", "from 0 to 1"),
+        ("building.strategy=best", "\"adc\" or \"mcmc\""),
+        ("building.mcmc.growth=-0.1", "finite number of 0 or more"),
+        ("building.mcmc.init_opacity=1", "above 0 and below 1"),
         ("segmentation.pi_rl=1.0", "above 0 and below 1"),
         ("segmentation.pi_rl=0", "above 0 and below 1"),
         ("segmentation.pixel_share=0.0", "above 0, at most 1"),
@@ -156,6 +159,25 @@ fn values_that_need_each_other_are_checked() {
     assert_names(&load("", &["features.source=dino"]).unwrap_err(), &["features.weights", "DINO"]);
     assert_names(&load("", &["spatial.source=pretrained"]).unwrap_err(), &["spatial.weights"]);
     assert!(load("", &["spatial.source=pretrained", "spatial.weights=w.pth"]).is_ok());
+}
+
+#[test]
+fn strategies_of_densification_have_defaults_and_needs_of_their_own() {
+    let adc = load("", &[]).unwrap().building;
+    assert_eq!((adc.strategy, adc.densify_threshold(), adc.densify_until()), (Strategy::Adc, 2e-4, 0.5));
+    assert_eq!(load("", &["building.absgrad=true"]).unwrap().building.densify_threshold(), 8e-4);
+    let set = load("[building]\ndensify_threshold = 1e-3\n", &["building.absgrad=true"]).unwrap().building;
+    assert_eq!(set.densify_threshold(), 1e-3);
+
+    let toml = "[building]\nstrategy = \"mcmc\"\nmax_gaussians = 9_000\n[building.mcmc]\ngrowth = 0.1\n";
+    let config = load(toml, &["building.mcmc.noise=1e5"]).unwrap();
+    let mcmc = &config.building.mcmc;
+    assert_eq!((mcmc.growth, mcmc.noise, mcmc.opacity_reg, config.building.densify_until()), (0.1, 1e5, 0.01, 0.8));
+    assert_eq!(load(&config.to_toml().unwrap(), &[]).unwrap(), config);
+    assert_names(&load(toml, &["building.max_gaussians=0"]).unwrap_err(), &["max_gaussians", "found 0", "mcmc"]);
+    assert_names(&load(toml, &["building.absgrad=true"]).unwrap_err(), &["building.absgrad", "mcmc"]);
+    let error = load("[building.mcmc]\ngrow = 1\n", &[]).unwrap_err();
+    assert_names(&error, &["line 2", "building.mcmc.grow", "did you mean building.mcmc.growth?"]);
 }
 
 #[test]

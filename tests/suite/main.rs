@@ -1,5 +1,6 @@
 //! All public behaviour, one module a subject, in one binary.
 
+mod absgrad;
 mod adam;
 mod backends;
 mod bench;
@@ -20,6 +21,7 @@ mod features;
 mod fused;
 mod lens;
 mod loss;
+mod mcmc;
 mod metrics;
 mod mobilenet;
 mod neighbours;
@@ -36,6 +38,7 @@ mod raster_contract;
 mod raster_gpu;
 mod raster_gradients;
 mod raster_reference;
+mod relocation;
 mod replica;
 mod report;
 mod resume;

@@ -23,6 +23,8 @@ pub struct RasterCall {
     pub(super) has_features: bool,
     pub(super) sh_degree: usize,
     pub(super) active_sh_degree: usize,
+    /// Whether the gradient of the screen has the columns of AbsGS too.
+    pub(super) absolute_screen: bool,
     /// The host's kernels wherever the tensors live.
     #[cfg_attr(not(feature = "wgpu"), allow(dead_code, reason = "no other kernels are compiled in"))]
     pub(super) host_kernels: bool,
@@ -145,8 +147,16 @@ impl<E: Real> HostInputs<E> {
             d_transmittance: d_transmittance.as_deref(),
         };
         let values = values.as_deref().unwrap_or(&self.features);
-        let SplatGradients { mut means, log_scales, rotations, opacity_logits, values: d_values, screen } =
-            projected.backward_slices(&self.splats(), values, channels, pixels);
+        let absolute = call.absolute_screen;
+        let SplatGradients {
+            mut means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            values: d_values,
+            screen,
+            screen_absolute,
+        } = projected.backward_slices(&self.splats(), values, channels, pixels, absolute);
         let d_sh = if call.has_sh {
             ShBackward {
                 means: &self.means,
@@ -173,6 +183,12 @@ impl<E: Real> HostInputs<E> {
             }
             (true, true) => Vec::new(),
         };
-        [means, log_scales, rotations, opacity_logits, d_sh, d_features, screen]
+        let d_screen = if absolute {
+            let rows = screen.as_chunks::<2>().0.iter().zip(screen_absolute.as_chunks::<2>().0);
+            rows.flat_map(|(&[u, v], &[sum_u, sum_v])| [u, v, sum_u, sum_v]).collect()
+        } else {
+            screen
+        };
+        [means, log_scales, rotations, opacity_logits, d_sh, d_features, d_screen]
     }
 }

@@ -13,11 +13,11 @@ use burn_cubecl::ops::numeric::zeros_client;
 use burn_cubecl::tensor::CubeTensor;
 use std::sync::Arc;
 
-/// Whether the GPU kernels take this call. Without a Gaussian or a channel there is next to nothing to compute, and no
+/// Whether the GPU kernels take this call: they have no sums of absolute screen-space gradients. Without a Gaussian or a channel there is next to nothing to compute, and no
 /// buffer to bind.
 fn on_device(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> bool {
     let something = tensors.opacity_logits.meta.num_elements() > 0 && channels(tensors, call) > 0;
-    something && !call.host_kernels && gpu::covers(&tensors.means)
+    something && !call.host_kernels && !call.absolute_screen && gpu::covers(&tensors.means)
 }
 
 fn channels(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> usize {
