@@ -23,11 +23,14 @@ impl<B: Backend> Backward<B, 1> for GradientInHand {
     }
 }
 
-/// The loss `[1]` of `parent` and its gradient, a constant, as `make` gives them on the inner backend.
+/// A loss `[1]` and its gradient.
+type WithGradient<B> = (FloatTensor<B>, FloatTensor<B>);
+
+/// The loss of `parent` and its gradient, a constant, as `make` gives them on the inner backend.
 pub(super) fn with_gradient_in_hand<B: Backend, C: CheckpointStrategy>(
     parent: FloatTensor<Autodiff<B, C>>,
-    make: impl FnOnce(FloatTensor<B>) -> (FloatTensor<B>, FloatTensor<B>),
-) -> (FloatTensor<Autodiff<B, C>>, FloatTensor<Autodiff<B, C>>) {
+    make: impl FnOnce(FloatTensor<B>) -> WithGradient<B>,
+) -> WithGradient<Autodiff<B, C>> {
     let (parent, node) = parent.into_parts();
     let (value, gradient) = make(parent);
     let constant = <Autodiff<B, C> as AutodiffBackend>::from_inner(gradient.clone());
