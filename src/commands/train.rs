@@ -26,7 +26,7 @@ The run folder gets
   checkpoint/    what --resume goes on from
 
 Settings come from the preset (preset = \"default\", \"paper\" or \"fast\"), then --config, then --set; sections are
-data, building, raster, features, unprojection, spatial and segmentation. Relative paths are meant from the working
+data, association, building, raster, features, unprojection, spatial and segmentation. Relative paths are meant from the working
 folder. Times are seconds, lengths world units, shares 0 to 1.
 
 Examples:

@@ -1,16 +1,18 @@
 //! Association: segments with ids of their own in every view become objects.
 
+use crate::cli::{fails, read_json, succeeds, utf8};
 use crate::plates::{self, camera, plates};
 use coseg::config::{Association, AssociationConfig};
-use coseg::data::{LabelMap, Limits, LoadOptions, Scene, Segment, Split, View, load};
+use coseg::data::{Classes, LabelMap, Limits, LoadOptions, Scene, Segment, Split, View, load};
 use coseg::gaussians::{Gaussians, ply};
 use coseg::metrics::{InstanceScores, instance_scores};
 use coseg::objects::{self, LabelRule, associate, hard_label_map, label_map, vote};
 use coseg::raster::{Projected, Settings};
 use rand::{Rng, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
-use std::collections::{BTreeMap, HashMap};
-use std::path::PathBuf;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::fs;
+use std::path::{Path, PathBuf};
 
 /// Six views of the plates with exact instances; raw labels are the same under ids drawn anew in each view.
 fn plate_scene() -> (Gaussians, Scene) {
@@ -225,23 +227,31 @@ fn rendered_scores(gaussians: &Gaussians, scene: &mut Scene, config: &Associatio
     let (groups, segments, dropped) = (association.groups.len(), association.segments, association.dropped);
     let seconds = clock.elapsed().as_secs_f64();
     association.apply(scene);
-    let votes = vote(gaussians, scene.split(Split::Train), &scene.classes, &settings).expect("votes").identities();
-    let rule = LabelRule { source: coseg::config::LabelSource::Labels, min_coverage: 0.5 };
-    let render = |view: &View| {
-        let projected = Projected::new(&gaussians.splats(), &view.camera, &settings).expect("view");
-        label_map(&projected, &votes, &scene.classes, &rule)
-    };
-    let maps: Vec<(&View, LabelMap)> = scene.split(Split::Test).map(|view| (view, render(view))).collect();
-    let truth = |view: &'_ View| view.instances.as_ref().expect("truth").ids.clone();
-    let truths: Vec<Vec<u16>> = maps.iter().map(|(view, _)| truth(view)).collect();
-    let own = maps.iter().zip(&truths).map(|((view, _), t)| (&t[..], &view.raw.as_ref().expect("map").ids[..]));
-    let own = instance_scores(own);
+    let own = scene.split(Split::Test).map(|view| {
+        let map = |map: &Option<LabelMap>| map.as_ref().expect("map").ids.clone();
+        (map(&view.instances), map(&view.raw))
+    });
+    let own: Vec<_> = own.collect();
+    let own = instance_scores(own.iter().map(|(truth, map)| (&truth[..], &map[..])));
     eprintln!(
         "{segments} segments, {groups} groups, {dropped} dropped, {seconds:.1} s; maps of test views: accuracy {:.4}, mIoU {:.4}",
         own.accuracy.unwrap_or_default(),
         own.miou.unwrap_or_default(),
     );
-    instance_scores(maps.iter().zip(&truths).map(|((_, map), t)| (&t[..], &map.ids[..])))
+    rendered(gaussians, scene)
+}
+
+/// Scores of what a vote of the raw labels of the training views shows in the test views.
+fn rendered(gaussians: &Gaussians, scene: &Scene) -> InstanceScores {
+    let settings = Settings::default();
+    let votes = vote(gaussians, scene.split(Split::Train), &scene.classes, &settings).expect("votes").identities();
+    let rule = LabelRule { source: coseg::config::LabelSource::Labels, min_coverage: 0.5 };
+    let render = |view: &View| {
+        let projected = Projected::new(&gaussians.splats(), &view.camera, &settings).expect("view");
+        (view.instances.as_ref().expect("truth").ids.clone(), label_map(&projected, &votes, &scene.classes, &rule).ids)
+    };
+    let maps: Vec<(Vec<u16>, Vec<u16>)> = scene.split(Split::Test).map(render).collect();
+    instance_scores(maps.iter().map(|(truth, map)| (&truth[..], &map[..])))
 }
 
 /// Figures for a trained scene whose folder has `instances_gt`: `COSEG_SCENE_PLY` names the Gaussians and
@@ -270,6 +280,15 @@ fn measure_a_trained_scene() {
         ("drop 30 %", Noise { drop: 0.3, ..clean }),
         ("all", Noise { split: 0.3, merge: 0.15, erode: 2, drop: 0.3 }),
     ];
+    // What true ids give: the limit of these Gaussians.
+    let mut oracle = scene.clone();
+    let mut classes: Vec<u16> =
+        oracle.views.iter().flat_map(|v| &v.instances.as_ref().expect("truth").ids).copied().collect();
+    classes.sort_unstable();
+    classes.dedup();
+    oracle.classes = Classes::from_names(0, classes.into_iter().map(|id| (id, id.to_string())));
+    oracle.views.iter_mut().for_each(|view| view.raw = view.instances.clone());
+    print("true ids", &rendered(&trained.gaussians, &oracle));
     for (name, noise) in cases {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let mut scene = scene.clone();
@@ -278,14 +297,101 @@ fn measure_a_trained_scene() {
             view.raw = Some(spoilt(view.instances.as_ref().expect("truth"), noise, &mut rng));
         }
         let s = rendered_scores(&trained.gaussians, &mut scene, &AssociationConfig::default());
-        eprintln!(
-            "{name}: rendered accuracy {:.4}, mIoU {:.4}, PQ {:.4} (scene {:.4}), {} instances, {} objects",
-            s.accuracy.unwrap_or_default(),
-            s.miou.unwrap_or_default(),
-            s.panoptic.pq.unwrap_or_default(),
-            s.scene.pq.unwrap_or_default(),
-            s.instances,
-            s.objects
-        );
+        print(name, &s);
     }
+}
+
+fn print(name: &str, s: &InstanceScores) {
+    eprintln!(
+        "{name}: rendered accuracy {:.4}, mIoU {:.4}, PQ {:.4} (scene {:.4}), {} instances, {} objects",
+        s.accuracy.unwrap_or_default(),
+        s.miou.unwrap_or_default(),
+        s.panoptic.pq.unwrap_or_default(),
+        s.scene.pq.unwrap_or_default(),
+        s.instances,
+        s.objects
+    );
+}
+
+/// The plates with raw labels under shuffled ids, and true instances.
+fn plate_folder(dir: &Path) {
+    plates::scene(dir);
+    let mut value = read_json(&dir.join("transforms.json"));
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    for frame in value["frames"].as_array_mut().expect("frames") {
+        frame["instance_path"] = frame["label_path"].take();
+        frame.as_object_mut().expect("frame").remove("label_path");
+        let truth = LabelMap::read(&dir.join(frame["instance_path"].as_str().expect("path")), &Limits::default());
+        let raw = dir.join(frame["raw_label_path"].as_str().expect("path"));
+        shuffled(&truth.expect("truth"), &mut rng).write(&raw).expect("raw labels");
+    }
+    fs::write(dir.join("transforms.json"), value.to_string()).expect("write");
+    fs::remove_file(dir.join("classes.json")).expect("remove");
+}
+
+#[test]
+fn associate_writes_maps_of_global_ids() {
+    let folder = tempfile::tempdir().expect("folder");
+    let dir = folder.path();
+    plate_folder(dir);
+    let (ply, out) = (dir.join("plates.ply"), dir.join("out"));
+    let arguments = ["associate", "--scene", utf8(&ply), "--data", utf8(dir), "--out", utf8(&out)];
+    let said = succeeds(&arguments);
+    assert!(said.contains("16 segments of training views: 4 objects, 0 segments of none"), "{said}");
+    assert!(said.contains("held-out views, maps: accuracy 1.0000, mIoU 1.0000, PQ 1.0000"), "{said}");
+    assert!(said.contains("held-out views, rendered: accuracy 1.0000"), "{said}");
+    let classes = Classes::read(&out.join("classes.json")).expect("classes");
+    assert_eq!((classes.len(), classes.name(4)), (4, "object 4"));
+    let bytes = fs::read(out.join("labels/v2.png")).expect("map");
+    assert_eq!(bytes[24..26], [16, 0], "16-bit grey");
+    let labels = ply::read(&out.join("scene.ply"), &Limits::default()).expect("scene").labels.expect("labels");
+    let (_, truth) = plates();
+    let pairs: BTreeSet<(u16, u16)> = labels.iter().copied().zip(truth).filter(|(found, _)| *found > 0).collect();
+    assert_eq!(pairs.len(), 4, "{pairs:?}");
+    // The ids mean the same in all views.
+    let mut pairs = BTreeSet::new();
+    for i in 0..6 {
+        let map = LabelMap::read(&out.join(format!("labels/v{i}.png")), &Limits::default()).expect("map");
+        let truth = LabelMap::read(&dir.join(format!("labels/v{i}.png")), &Limits::default()).expect("truth");
+        pairs.extend(map.ids.into_iter().zip(truth.ids));
+    }
+    assert_eq!(pairs.iter().filter(|(found, _)| *found > 0).count(), 4, "{pairs:?}");
+    let message = fails(&[&arguments[..], &["--set", "association.min_overlap=0"]].concat(), 1);
+    assert!(message.contains("association.min_overlap") && message.contains("above 0"), "{message}");
+    let message = fails(&[&arguments[..], &["--set", "data.association=tracks"]].concat(), 1);
+    assert!(message.contains("\"none\"") && message.contains("\"gaussians\""), "{message}");
+}
+
+#[test]
+fn a_run_trains_on_objects_and_scores_them() {
+    let folder = tempfile::tempdir().expect("folder");
+    let dir = folder.path();
+    plate_folder(dir);
+    let run = dir.join("run");
+    let sets = [
+        "data.association=gaussians",
+        "building.iterations=60",
+        "building.random_points=400",
+        "segmentation.iterations=20",
+        "segmentation.rows=raw,vote,per_gaussian",
+    ];
+    let sets: Vec<&str> = sets.iter().flat_map(|set| ["--set", set]).collect();
+    let said = succeeds(&[&["train", "--data", utf8(dir), "--out", utf8(&run)][..], &sets].concat());
+    assert!(said.contains("16 segments put together into"), "{said}");
+    let metrics = read_json(&run.join("metrics.json"));
+    assert_eq!(metrics["association"]["segments"], 16);
+    let labels = &metrics["test"]["labels"];
+    for row in ["raw", "vote", "per_gaussian"] {
+        let scores = &labels[row]["instances"];
+        assert_eq!((&scores["instances"], &labels[row]["miou"]), (&4.into(), &serde_json::Value::Null), "{labels}");
+        assert!(scores["accuracy"].as_f64().expect("accuracy") > 0.5, "{row}: {scores}");
+    }
+    let page = fs::read_to_string(run.join("report.html")).expect("page");
+    assert!(page.contains("Objects against true instances") && page.contains("put together"), "the page says so");
+    let classes = Classes::read(&run.join("classes.json")).expect("classes");
+    assert!(classes.name(1).starts_with("object "));
+    let said: serde_json::Value = serde_json::from_str(&succeeds(&["eval", utf8(&run), "--json"])).expect("JSON");
+    let [found, told] = [&said["instances"]["accuracy"], &labels["per_gaussian"]["instances"]["accuracy"]];
+    assert!((found.as_f64().expect("score") - told.as_f64().expect("score")).abs() < 1e-3, "{said}");
+    assert_eq!(said["labels"]["miou"], serde_json::Value::Null);
 }

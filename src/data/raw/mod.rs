@@ -98,7 +98,8 @@ fn detect(dir: &Path, options: &LoadOptions, frames: &[Frame]) -> Result<RawForm
     if first.is_dir() {
         return Ok(RawFormat::Masks);
     }
-    let file = ImageFile::open(first, &options.limits)?;
+    // A file that cannot be read is told of where it is read.
+    let Ok(file) = ImageFile::open(first, &options.limits) else { return Ok(RawFormat::Grey) };
     Ok(match file.png_color() {
         Some((_, 2 | 6)) if coco::find(&folder(dir, options, first)).is_some() => RawFormat::CocoPanoptic,
         Some((_, 2 | 3 | 6)) if ade20k::matches(&file) => RawFormat::Ade20k,

@@ -7,27 +7,21 @@ use std::collections::BTreeMap;
 /// Share of a group's weight that another must have on the same Gaussians before the two can be one: neighbours share
 /// the Gaussians of their border.
 const SHARED: f64 = 0.15;
-/// A group that is the largest one on Gaussians with less than this share of its weight is a stray.
-const STANDING: f64 = 0.25;
+/// A group whose Gaussians others have by more than the rest of this share is a stray.
+const PURITY: f64 = 0.3;
 
-/// Total weight of each group, and what of it lies on Gaussians where the group is the largest; pixels.
-pub(super) fn standing(groups: &Groups) -> Vec<[f64; 2]> {
-    let mut sums = vec![[0.0; 2]; groups.len()];
+/// Weight of each group, pixels, and its purity, the mean of its share `W_gi / W_i` of the Gaussians that it covers.
+pub(super) fn totals(groups: &Groups) -> Vec<(f64, f64)> {
+    let mut sums = vec![(0.0, 0.0); groups.len()];
     for owners in groups.owners() {
-        // Of equal weights the group that was opened first.
-        let most =
-            owners.iter().fold(
-                (u32::MAX, 0.0),
-                |best: (u32, f32), &(g, w)| {
-                    if w > best.1 || (w == best.1 && g < best.0) { (g, w) } else { best }
-                },
-            );
+        let all: f64 = owners.iter().map(|(_, w)| f64::from(*w)).sum();
         for &(group, weight) in owners {
-            sums[group as usize][0] += f64::from(weight);
-            sums[group as usize][1] += if group == most.0 { f64::from(weight) } else { 0.0 };
+            let (weight, sum) = (f64::from(weight), &mut sums[group as usize]);
+            sum.0 += weight;
+            sum.1 += weight * weight / all;
         }
     }
-    sums
+    sums.into_iter().map(|(total, pure)| (total, if total > 0.0 { pure / total } else { 0.0 })).collect()
 }
 
 /// Pairs (smaller, larger) of groups to be made one, each group in one pair at most.
@@ -59,10 +53,10 @@ pub(super) fn pairs(groups: &Groups, views: &[Vec<Mask>], assigned: &[Assigned],
             }
         }
     }
-    let totals = standing(groups);
+    let totals = totals(groups);
     let mut candidates = Vec::new();
     for ((a, b), pixels) in shared {
-        let [wa, wb] = [a, b].map(|g| totals[g as usize][0]);
+        let [wa, wb] = [a, b].map(|g| totals[g as usize].0);
         let (large, small) = if wa >= wb { (a, b) } else { (b, a) };
         let kind = groups.kind(large);
         let [seen, taken] = shown.get(&(large, small)).copied().unwrap_or_default();
@@ -84,7 +78,7 @@ pub(super) fn pairs(groups: &Groups, views: &[Vec<Mask>], assigned: &[Assigned],
 
 /// Which groups are dropped: those of less than `least` of all weight, and strays.
 pub(super) fn negligible(groups: &Groups, least: f64) -> Vec<bool> {
-    let sums = standing(groups);
-    let all: f64 = sums.iter().map(|s| s[0]).sum();
-    sums.iter().map(|[total, own]| *total <= least * all || *own < STANDING * total).collect()
+    let totals = totals(groups);
+    let all: f64 = totals.iter().map(|(total, _)| total).sum();
+    totals.iter().map(|(total, purity)| *total <= least * all || *purity < PURITY).collect()
 }

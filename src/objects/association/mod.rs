@@ -97,7 +97,7 @@ pub fn associate(
     let mut groups = Groups::new(gaussians.len());
     let assigned = group(&mut groups, &views, config);
 
-    let totals = merge::standing(&groups);
+    let totals = merge::totals(&groups);
     let mut counts = vec![0; groups.len()];
     for assigned in &assigned {
         let mut present: Vec<u32> = assigned.iter().flatten().copied().collect();
@@ -106,7 +106,7 @@ pub fn associate(
         present.into_iter().for_each(|group| counts[group as usize] += 1);
     }
     let mut kept: Vec<u32> = (0..groups.len() as u32).filter(|&g| counts[g as usize] > 0).collect();
-    kept.sort_by(|&a, &b| totals[b as usize][0].total_cmp(&totals[a as usize][0]).then(a.cmp(&b)));
+    kept.sort_by(|&a, &b| totals[b as usize].0.total_cmp(&totals[a as usize].0).then(a.cmp(&b)));
     if kept.len() >= usize::from(u16::MAX) {
         return Err(Error::Limit {
             what: "groups of segments".into(),
@@ -127,7 +127,7 @@ pub fn associate(
         *map = Some(translated(labels, &masks, &assigned, &ids));
     }
     let group =
-        |(&g, id)| Group { id, class: groups.kind(g).class, views: counts[g as usize], weight: totals[g as usize][0] };
+        |(&g, id)| Group { id, class: groups.kind(g).class, views: counts[g as usize], weight: totals[g as usize].0 };
     let dropped = assigned.iter().flatten().filter(|group| group.is_none()).count();
     Ok(Association {
         classes: named(kept.iter().map(|&g| groups.kind(g)), &scene.classes),
