@@ -1,14 +1,15 @@
 //! Groups that turn out to be one thing, and groups that turn out to be nothing.
 
-use super::groups::{Assigned, Groups};
+use super::groups::{Assigned, Groups, Overlaps};
 use super::masks::Mask;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Share of a group's weight that another must have on the same Gaussians before the two can be one: neighbours share
 /// the Gaussians of their border.
 const SHARED: f64 = 0.15;
-/// A group whose Gaussians others have by more than the rest of this share is a stray.
-const PURITY: f64 = 0.3;
+/// A group that has less than this share of its Gaussians is a stray: others have the rest.
+const PURITY: f64 = 0.15;
 
 /// Weight of each group, pixels, and its purity, the mean of its share `W_gi / W_i` of the Gaussians that it covers.
 pub(super) fn totals(groups: &Groups) -> Vec<(f64, f64)> {
@@ -32,8 +33,8 @@ pub(super) fn totals(groups: &Groups) -> Vec<(f64, f64)> {
 pub(super) fn pairs(groups: &Groups, views: &[Vec<Mask>], assigned: &[Assigned], above: f64) -> Vec<(u32, u32)> {
     // For (g, h): pixels of h in the views of g, and those of them in the segments of g.
     let mut shown: BTreeMap<(u32, u32), [f64; 2]> = BTreeMap::new();
-    for (masks, assigned) in views.iter().zip(assigned) {
-        let overlaps = groups.overlaps(masks);
+    let overlaps: Vec<Overlaps> = views.par_iter().map(|masks| groups.overlaps(masks)).collect();
+    for (overlaps, assigned) in overlaps.iter().zip(assigned) {
         let mut present: Vec<u32> = assigned.iter().flatten().copied().collect();
         present.sort_unstable();
         present.dedup();

@@ -77,6 +77,9 @@ impl Association {
 /// # Errors
 /// [`Error::NonFinite`] when a Gaussian's parameters are not finite; [`Error::Limit`] for more groups than u16 has ids;
 /// [`Error::Config`] when no training view has raw labels.
+///
+/// # Panics
+/// If raw labels are not of the size of their view's camera.
 pub fn associate(
     gaussians: &Gaussians,
     scene: &Scene,
