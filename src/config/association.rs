@@ -29,6 +29,6 @@ pub struct AssociationConfig {
 
 impl Default for AssociationConfig {
     fn default() -> Self {
-        Self { sweeps: 4, min_overlap: 0.25, merge_above: 0.75, min_weight: 1e-5 }
+        Self { sweeps: 4, min_overlap: 0.25, merge_above: 0.5, min_weight: 1e-5 }
     }
 }
