@@ -1,6 +1,7 @@
 //! All public behaviour, one module a subject, in one binary.
 
 mod adam;
+mod assignment;
 mod association;
 mod backends;
 mod bench;
