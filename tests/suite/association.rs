@@ -37,9 +37,7 @@ fn shuffled(map: &LabelMap, rng: &mut ChaCha8Rng) -> LabelMap {
     let mut ids: Vec<u16> = (1..60_000).collect();
     ids.shuffle(rng);
     for &id in &map.ids {
-        if !table.contains_key(&id) {
-            table.insert(id, ids.pop().expect("enough ids"));
-        }
+        table.entry(id).or_insert_with(|| ids.pop().expect("enough ids"));
     }
     LabelMap { ids: map.ids.iter().map(|id| table[id]).collect(), ..*map }
 }
