@@ -4,6 +4,7 @@
 //! [`Config::load`] reads files and overrides, [`Config::preset`] holds the named sets of defaults,
 //! [`Config::validate`] the allowed ranges.
 
+mod association;
 mod building;
 mod data;
 mod features;
@@ -12,8 +13,9 @@ mod presets;
 mod row;
 mod validate;
 
+pub use association::{Association, AssociationConfig};
 pub use building::{BuildingConfig, McmcConfig, RasterConfig, Strategy};
-pub use data::{DataConfig, Layout, ScannetClasses};
+pub use data::{DataConfig, Layout, RawFormat, ScannetClasses};
 pub use features::{
     Encode, FeatureConfig, FeatureSource, Normalisation, Resolution, SpatialConfig, SpatialSource, UnprojectionConfig,
 };
@@ -35,6 +37,8 @@ pub struct Config {
     pub building: BuildingConfig,
     /// Blending constants.
     pub raster: RasterConfig,
+    /// Association of raw labels whose ids differ from view to view.
+    pub association: AssociationConfig,
     /// 2D image features.
     pub features: FeatureConfig,
     /// Lifting 2D features onto Gaussians.

@@ -150,6 +150,12 @@ fn print(info: &Info) {
     );
     say("points", info.points.to_string());
     say("labels", format!("{} views true, {} views raw", info.labelled, info.raw_labelled));
+    if info.segments > 0 {
+        say("segments", format!("{} in the raw labels, to be put together over Gaussians", info.segments));
+    }
+    if info.instances > 0 {
+        say("instances", format!("{} views true", info.instances));
+    }
     if !info.classes.is_empty() {
         terminal::say(&format!("{:>14}  {:>7} {:>7} {:>6}  class", "id", "true", "raw", "views"));
     }

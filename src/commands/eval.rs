@@ -3,11 +3,11 @@
 use super::run_folder::RunFolder;
 use super::terminal;
 use clap::Args;
-use coseg::config::Config;
+use coseg::config::{Association, Config};
 use coseg::data::{Classes, LabelMap, Limits, Scene, Split, View};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
-use coseg::metrics::{ImageScores, Void, label_scores};
+use coseg::metrics::{ImageScores, InstanceScores, Void, instance_scores, label_scores};
 use coseg::objects::{Identities, LabelRule, hard_label_map, label_map};
 use coseg::raster::{Projected, Settings, render};
 use std::path::PathBuf;
@@ -56,27 +56,42 @@ impl EvalArgs {
         }
         let stored = stored(&run, &ply)?;
         let (images, labels) = score(&scene, &ply, stored.as_ref(), &run.classes()?, &config)?;
+        // Classes that association found are objects; true labels are of other classes.
+        let objects = config.data.association != Association::None;
+        let instances = objects.then(|| {
+            let known = labels.iter().filter_map(|(view, found)| Some((view.instances.as_ref()?, found)));
+            instance_scores(known.map(|(truth, found)| (&truth.ids[..], &found.ids[..])))
+        });
         let labels = label_scores(
             &scene.classes,
-            labels.iter().map(|(truth, found)| (&truth.ids[..], &found.ids[..])),
+            labels
+                .iter()
+                .filter(|_| !objects)
+                .filter_map(|(view, found)| Some((&view.truth.as_ref()?.ids[..], &found.ids[..]))),
             Void::Wrong,
         );
         let views = scene.split(Split::Test).count();
         if self.json {
             let labels = stored.is_some().then_some(&labels);
-            terminal::say(
-                &serde_json::json!({ "views": views, "psnr": images.psnr, "ssim": images.ssim, "labels": labels })
-                    .to_string(),
-            );
+            let mut json =
+                serde_json::json!({ "views": views, "psnr": images.psnr, "ssim": images.ssim, "labels": labels });
+            if let Some(instances) = instances {
+                json["instances"] = serde_json::json!(instances);
+            }
+            terminal::say(&json.to_string());
             return Ok(());
         }
         terminal::say(&format!("{}: {} Gaussians, {views} held-out views", scene.name, ply.gaussians.len()));
+        let of_objects = |pick: fn(&InstanceScores) -> Option<f64>| instances.as_ref().and_then(pick);
         let figures = [
             ("PSNR", images.psnr, " dB", 2),
             ("SSIM", images.ssim, "", 4),
             ("mIoU pooled", labels.miou, "", 4),
             ("mIoU per view", labels.miou_per_view, "", 4),
             ("accuracy", labels.accuracy, "", 4),
+            ("object accuracy", of_objects(|s| s.accuracy), "", 4),
+            ("object mIoU", of_objects(|s| s.miou), "", 4),
+            ("PQ", of_objects(|s| s.panoptic.pq), "", 4),
         ];
         for (name, value, unit, decimals) in figures {
             if let Some(value) = value {
@@ -105,29 +120,29 @@ fn stored(run: &RunFolder, ply: &PlyScene) -> Result<Option<Stored>> {
     Ok(Some(Stored::Identities(identities)))
 }
 
-/// Mean image scores, and (truth, rendered labels) of the views that have truth.
+/// Mean image scores, and the rendered labels of the views that have truth.
 fn score<'s>(
     scene: &'s Scene,
     ply: &PlyScene,
     stored: Option<&Stored>,
     classes: &Classes,
     config: &Config,
-) -> Result<(ImageScores, Vec<(&'s LabelMap, LabelMap)>)> {
+) -> Result<(ImageScores, Vec<(&'s View, LabelMap)>)> {
     let settings = Settings::from(&config.raster);
     let rule = LabelRule::from(&config.segmentation);
     let bar = terminal::bar("eval", scene.split(Split::Test).count() as u64);
     let (mut images, mut labels) = (Vec::new(), Vec::new());
     for view in scene.split(Split::Test) {
-        let View { camera, truth, .. } = view;
+        let View { camera, truth, instances, .. } = view;
         let rendered = render(&ply.gaussians, camera, &settings, config.raster.background)?;
         images.push(ImageScores::of(&rendered.rgb, &view.rgb(), camera.width, camera.height));
-        if let (Some(truth), Some(stored)) = (truth, stored) {
+        if let (true, Some(stored)) = (truth.is_some() || instances.is_some(), stored) {
             let projected = Projected::new(&ply.gaussians.splats(), camera, &settings)?;
             let found = match stored {
                 Stored::Identities(identities) => label_map(&projected, identities, classes, &rule),
                 Stored::Labels(ids) => hard_label_map(&projected, ids, rule.min_coverage),
             };
-            labels.push((truth, found));
+            labels.push((view, found));
         }
         bar.inc(1);
     }

@@ -1,5 +1,6 @@
 //! Subcommands: each parses its arguments, calls the library, and says what came out.
 
+mod associate;
 mod bench;
 mod data;
 mod eval;
@@ -37,6 +38,7 @@ Examples:
   coseg eval runs/living                       its scores on the held-out views
   coseg render --scene runs/living/scene.ply --cameras scenes/living/transforms.json --out pictures --labels
   coseg vote --scene scene.ply --data scenes/living --out runs/voted
+  coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=masks
   coseg bench --run runs/living                speed on this machine, beside the bars of the design
 
 Exit code: 0 done, 1 an error that names what to mend, 2 a mistake on the command line.";
@@ -54,6 +56,8 @@ pub enum Command {
     Render(render::RenderArgs),
     /// Label the Gaussians of a scene by a vote of raw label maps, without training
     Vote(vote::VoteArgs),
+    /// Give segments that show the same thing one id in all views, by way of a scene's Gaussians
+    Associate(associate::AssociateArgs),
     /// Train the point encoder on procedural rooms
     Pretrain(pretrain::PretrainArgs),
     /// Measure speed against error on this machine
@@ -69,6 +73,7 @@ impl Command {
             Self::Eval(args) => args.run(),
             Self::Render(args) => args.run(),
             Self::Vote(args) => args.run(),
+            Self::Associate(args) => args.run(),
             Self::Pretrain(args) => args.run(),
             Self::Bench(args) => args.run(),
         }

@@ -26,7 +26,7 @@ The run folder gets
   checkpoint/    what --resume goes on from
 
 Settings come from the preset (preset = \"default\", \"paper\" or \"fast\"), then --config, then --set; sections are
-data, building, raster, features, unprojection, spatial and segmentation. Relative paths are meant from the working
+data, association, building, raster, features, unprojection, spatial and segmentation. Relative paths are meant from the working
 folder. Times are seconds, lengths world units, shares 0 to 1.
 
 Examples:
@@ -133,6 +133,12 @@ fn summary(outcome: &Outcome) {
             outcome.seconds.total
         ));
     }
+    if let Some(a) = &outcome.association {
+        terminal::say(&format!(
+            "{} segments put together into {} objects, {} of none; scores are against true instances",
+            a.segments, a.objects, a.dropped
+        ));
+    }
     if outcome.rows.is_empty() {
         return;
     }
@@ -141,6 +147,10 @@ fn summary(outcome: &Outcome) {
     for row in &outcome.rows {
         let name = if row.row == Row::Ours { "ours" } else { row.row.title() };
         let s = &row.scores;
-        terminal::say(&format!("{name:<28} {:>8} {:>9} {:>9}", cell(s.miou), cell(s.miou_per_view), cell(s.accuracy)));
+        let [miou, per_view, accuracy] = match &row.instances {
+            Some(s) => [s.miou, None, s.accuracy],
+            None => [s.miou, s.miou_per_view, s.accuracy],
+        };
+        terminal::say(&format!("{name:<28} {:>8} {:>9} {:>9}", cell(miou), cell(per_view), cell(accuracy)));
     }
 }

@@ -1,5 +1,6 @@
 //! Where the scene comes from and how its folder is read.
 
+use super::Association;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -21,6 +22,11 @@ pub struct DataConfig {
     /// Where the raw labels come from, for the report: a network's name, or that they are simulated. Empty: nothing is
     /// said, but for the built-in scene, whose raw labels are simulated.
     pub raw_labels_note: String,
+    /// How raw labels are stored.
+    pub raw_format: RawFormat,
+    /// Whether ids of raw labels are class ids, or mean something within their view only and are put together after
+    /// stage one.
+    pub association: Association,
     /// Of each split every so many-th frame is used; 1 means all.
     pub stride: usize,
     /// No more frames than this, evenly chosen; 0 means no limit.
@@ -41,6 +47,8 @@ impl Default for DataConfig {
             images: "images".into(),
             raw_labels: String::new(),
             raw_labels_note: String::new(),
+            raw_format: RawFormat::Auto,
+            association: Association::None,
             stride: 1,
             max_frames: 0,
             scannet_classes: ScannetClasses::Nyu40,
@@ -78,6 +86,23 @@ pub enum Layout {
     Replica,
     /// ScanNet as its SensReader exports it.
     Scannet,
+}
+
+/// How raw labels are stored.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RawFormat {
+    /// By the files that are there.
+    #[default]
+    Auto,
+    /// Grey PNG of 8 or 16 bits: ids.
+    Grey,
+    /// COCO panoptic: a JSON file and PNG whose colours are segment ids.
+    CocoPanoptic,
+    /// PNG in the 150 colours of ADE20K that mmsegmentation and Mask2Former draw with.
+    Ade20k,
+    /// A folder of binary masks for each photo, as Segment Anything's `amg.py` writes them.
+    Masks,
 }
 
 /// Class tables for ScanNet.

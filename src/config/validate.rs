@@ -60,6 +60,7 @@ impl Config {
         check.positive("data.stride", self.data.stride);
         self.validate_building(&mut check);
         self.validate_raster(&mut check);
+        self.validate_association(&mut check);
         self.validate_features(&mut check);
         self.validate_segmentation(&mut check);
         check.0
@@ -129,6 +130,14 @@ impl Config {
         for channel in r.background {
             check.within("raster.background", channel.into(), 0.0, 1.0);
         }
+    }
+
+    fn validate_association(&self, check: &mut Check) {
+        let a = &self.association;
+        check.positive("association.sweeps", a.sweeps);
+        check.share("association.min_overlap", a.min_overlap);
+        check.within("association.merge_above", a.merge_above, 0.0, 1.0);
+        check.within("association.min_weight", a.min_weight, 0.0, 1.0);
     }
 
     fn validate_features(&self, check: &mut Check) {

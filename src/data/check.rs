@@ -68,10 +68,10 @@ fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOp
         // Label maps are as large as the photo should be.
         None => frame.geometry((frame.camera.width, frame.camera.height)).ok(),
     };
-    for truth in [true, false] {
-        if let Some(geometry) = &geometry {
-            problems.keep(listing.labels(frame, truth, geometry, known, limits));
-        }
+    if let Some(geometry) = &geometry {
+        problems.keep(listing.truth(frame, geometry, known, limits));
+        problems.keep(listing.raw(frame, geometry, known, limits));
+        problems.keep(listing.instances(frame, geometry, limits));
     }
     problems.all()
 }

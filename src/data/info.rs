@@ -1,6 +1,7 @@
 //! What a scene folder holds, in figures and small pictures, without holding all of it in memory.
 
 use super::listing::{Frame, Listing, Problems, in_order, scene_name};
+use super::raw::RawMap;
 use super::{Classes, LabelMap, LoadOptions, Split, layout};
 use crate::error::Result;
 use glam::DVec3;
@@ -34,6 +35,10 @@ pub struct Info {
     pub labelled: usize,
     /// Views with raw labels.
     pub raw_labelled: usize,
+    /// Segments of all raw labels, where their ids mean something within a view only (`data.association`); else 0.
+    pub segments: usize,
+    /// Views with true instances.
+    pub instances: usize,
     /// The classes, and last the ignored id.
     pub classes: Vec<ClassShare>,
     /// What loading leaves out or takes for granted.
@@ -68,8 +73,15 @@ pub struct ClassShare {
     pub views: usize,
 }
 
-/// Size of a photo and whether it was distorted; pixels of each id in the true and in the raw labels.
-type Looked = ((usize, usize), bool, [BTreeMap<u16, u64>; 2]);
+/// What a frame holds.
+struct Looked {
+    size: (usize, usize),
+    distorted: bool,
+    /// Pixels of each class in the true and in the raw labels.
+    counts: [BTreeMap<u16, u64>; 2],
+    /// Raw segments, where ids are not classes.
+    segments: usize,
+}
 
 /// Reads the headers of all photos and all label maps.
 ///
@@ -82,7 +94,7 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
     let mut sizes = BTreeMap::new();
     let mut views = BTreeMap::new();
     let mut pixels: [BTreeMap<u16, u64>; 2] = Default::default();
-    for (size, _, counts) in &looked {
+    for Looked { size, counts, .. } in &looked {
         *sizes.entry(*size).or_insert(0) += 1;
         let mut ids: Vec<&u16> = counts.iter().flat_map(BTreeMap::keys).collect();
         ids.sort_unstable();
@@ -115,11 +127,13 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
         train: count(|frame| frame.split == Split::Train),
         test: count(|frame| frame.split == Split::Test),
         sizes,
-        distorted: looked.iter().filter(|(_, distorted, _)| *distorted).count(),
+        distorted: looked.iter().filter(|l| l.distorted).count(),
         cameras: camera_box(&listing),
         points: listing.points(listing.origin(), &options.limits)?.len(),
         labelled: count(|frame| frame.truth.is_some()),
         raw_labelled: count(|frame| frame.raw.is_some()),
+        segments: looked.iter().map(|l| l.segments).sum(),
+        instances: count(|frame| frame.instances.is_some()),
         classes,
         notices: listing.notices,
     })
@@ -136,13 +150,29 @@ fn listing(dir: &Path, options: &LoadOptions) -> Result<Listing> {
 fn look(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) -> Result<Looked> {
     let (file, geometry) = frame.open(&listing.file, &options.limits)?;
     let mut counts: [BTreeMap<u16, u64>; 2] = Default::default();
-    for (counts, truth) in counts.iter_mut().zip([true, false]) {
-        let Some(map) = listing.labels(frame, truth, &geometry, known, &options.limits)? else { continue };
-        let mut all = vec![0_u64; 1 << 16];
-        map.ids.iter().for_each(|&id| all[usize::from(id)] += 1);
-        counts.extend((0..=u16::MAX).zip(all).filter(|(_, n)| *n > 0));
+    let mut segments = 0;
+    if let Some(map) = listing.truth(frame, &geometry, known, &options.limits)? {
+        counts[0] = pixels_by_id(&map);
     }
-    Ok((file.size, !frame.lens.is_pinhole(), counts))
+    if let Some(RawMap { map, segments: told }) = listing.raw(frame, &geometry, known, &options.limits)? {
+        let pixels = pixels_by_id(&map);
+        if listing.raw.are_segments() {
+            segments = pixels.keys().filter(|id| **id != 0).count();
+            for (id, n) in pixels {
+                let class = told.iter().find(|segment| segment.id == id).and_then(|segment| segment.class);
+                *counts[1].entry(class.unwrap_or(listing.classes.ignore)).or_default() += n;
+            }
+        } else {
+            counts[1] = pixels;
+        }
+    }
+    Ok(Looked { size: file.size, distorted: !frame.lens.is_pinhole(), counts, segments })
+}
+
+fn pixels_by_id(map: &LabelMap) -> BTreeMap<u16, u64> {
+    let mut all = vec![0_u64; 1 << 16];
+    map.ids.iter().for_each(|&id| all[usize::from(id)] += 1);
+    (0..=u16::MAX).zip(all).filter(|(_, n)| *n > 0).collect()
 }
 
 fn camera_box(listing: &Listing) -> CameraBox {
@@ -184,9 +214,9 @@ pub fn thumbnails(dir: &Path, options: &LoadOptions, count: usize, width: u32) -
         let height = (u64::from(photo.height()) * u64::from(width) / u64::from(photo.width().max(1)))
             .clamp(1, 4 * u64::from(width));
         let photo = resize(&photo, width.max(1), height as u32, FilterType::Triangle);
-        let mut labels = listing.labels(frame, true, &geometry, &known, &options.limits)?;
+        let mut labels = listing.truth(frame, &geometry, &known, &options.limits)?;
         if labels.is_none() {
-            labels = listing.labels(frame, false, &geometry, &known, &options.limits)?;
+            labels = listing.raw(frame, &geometry, &known, &options.limits)?.map(|raw| raw.map);
         }
         let labels = labels.map(|map| map.resized(photo.width() as usize, photo.height() as usize));
         Ok(Thumbnail { name: frame.name.clone(), split: frame.split, photo, labels })

@@ -86,7 +86,18 @@ impl LabelMap {
     /// # Errors
     /// [`Error::Io`], also when `ids` does not fill `width` x `height`.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let wide = self.ids.iter().any(|&id| id > 255);
+        self.write_as(path, self.ids.iter().any(|&id| id > 255))
+    }
+
+    /// Writes a grey PNG of 16 bits, whatever the ids are.
+    ///
+    /// # Errors
+    /// As [`LabelMap::write`].
+    pub fn write_wide(&self, path: &Path) -> Result<()> {
+        self.write_as(path, true)
+    }
+
+    fn write_as(&self, path: &Path, wide: bool) -> Result<()> {
         let (bytes, color): (Vec<u8>, _) = if wide {
             // The encoder takes 16-bit samples in the machine's own order.
             (self.ids.iter().flat_map(|id| id.to_ne_bytes()).collect(), ExtendedColorType::L16)

@@ -105,10 +105,11 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
 
 /// What the folder says, by its layout. What is wrong with single frames goes to `problems`.
 pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
-    match locate(dir, options)? {
+    let listing = match locate(dir, options)? {
         Layout::Auto | Layout::Transforms => transforms::list(dir, options, problems),
         Layout::Colmap => colmap::list(dir, options, problems),
         Layout::Replica => replica::list(dir, options, problems),
         Layout::Scannet => scannet::list(dir, options, problems),
-    }
+    }?;
+    Ok(listing.with_raw_labels(dir, options, problems))
 }

@@ -3,7 +3,8 @@
 use super::depth::Depth;
 use super::image_file::ImageFile;
 use super::lens::{Lens, Remap};
-use super::{Classes, LabelMap, Limits, Points, Scene, Split, View, colmap};
+use super::raw::{RawLabels, RawMap};
+use super::{Classes, LabelMap, Limits, LoadOptions, Points, Scene, Split, View, colmap};
 use crate::camera::Camera;
 use crate::config::Layout;
 use crate::error::{Error, Result};
@@ -30,6 +31,8 @@ pub(crate) struct Listing {
     pub occurring_classes: bool,
     /// Class id of each id in the true labels, where they hold others; [`UNMAPPED`] where there is none. Length 65536.
     pub truth_ids: Option<Vec<u32>>,
+    /// How the raw labels are stored.
+    pub raw: RawLabels,
     /// Label maps of another size than their photos are resampled.
     pub resample_labels: bool,
     /// The initial cloud.
@@ -56,7 +59,10 @@ pub(crate) struct Frame {
     /// A photo of another size is taken, and the camera scaled to it.
     pub scales: bool,
     pub truth: Option<PathBuf>,
+    /// Raw labels: a map, or a folder of masks.
     pub raw: Option<PathBuf>,
+    /// True instance ids.
+    pub instances: Option<PathBuf>,
 }
 
 /// Where the initial cloud comes from.
@@ -167,9 +173,30 @@ impl Geometry {
             None => photo,
         })
     }
+
+    /// A label map as the camera sees it.
+    fn labels(&self, map: LabelMap) -> LabelMap {
+        match &self.remap {
+            Some(remap) => remap.labels(&map),
+            None => map.resized(self.camera.width, self.camera.height),
+        }
+    }
 }
 
 impl Listing {
+    /// Settles how the raw labels are stored. Where that fails they are left out, which is a fault.
+    pub fn with_raw_labels(mut self, dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Self {
+        let settled = RawLabels::settle(dir, options, &self.frames, &mut self.classes, &mut self.notices);
+        match problems.keep(settled) {
+            Some((raw, own)) => {
+                self.raw = raw;
+                self.occurring_classes |= own;
+            }
+            None => self.frames.iter_mut().for_each(|frame| frame.raw = None),
+        }
+        self
+    }
+
     /// Refuses a listing without training views, or of more than the limits allow.
     pub fn check_sizes(&self, limits: &Limits) -> Result<()> {
         let views = self.frames.len() as u64;
@@ -186,7 +213,7 @@ impl Listing {
     /// Refuses more bytes of decoded images than the limits allow.
     pub fn check_bytes(&self, limits: &Limits) -> Result<()> {
         let of_frame = |frame: &Frame| {
-            let maps = frame.truth.iter().chain(&frame.raw).count() as u64;
+            let maps = frame.truth.iter().chain(&frame.raw).chain(&frame.instances).count() as u64;
             (frame.camera.width as u64).saturating_mul(frame.camera.height as u64).saturating_mul(3 + 2 * maps)
         };
         let bytes = self.frames.iter().map(of_frame).fold(0, u64::saturating_add);
@@ -194,35 +221,53 @@ impl Listing {
         Limits::check(what, bytes, limits.scene_bytes, "scale the images down, or use fewer with data.stride")
     }
 
-    /// A label map as the view's camera sees it, in class ids; `truth` tells which of the two.
-    pub fn labels(
+    /// The true labels as the view's camera sees them, in class ids.
+    pub fn truth(
         &self,
         frame: &Frame,
-        truth: bool,
         geometry: &Geometry,
         known: &[u16],
         limits: &Limits,
     ) -> Result<Option<LabelMap>> {
-        let Some(path) = (if truth { &frame.truth } else { &frame.raw }) else { return Ok(None) };
-        if !path.is_file() {
-            let mend = "put the label map there, or do not name it".into();
-            return Err(Error::Missing { what: "file", path: path.clone(), mend });
-        }
-        let file = ImageFile::open(path, limits)?;
-        let (w, h) = (geometry.camera.width, geometry.camera.height);
-        let resampled = self.resample_labels || frame.scales;
-        if !(resampled && proportional(file.size, (w, h))) {
-            file.expect_size(w, h, "its photo")?;
-        }
-        let mut map = LabelMap::decode(path, &file)?;
-        if let Some(ids) = self.truth_ids.as_ref().filter(|_| truth) {
+        let Some(path) = &frame.truth else { return Ok(None) };
+        let mut map = self.grey_map(path, frame, geometry, limits)?;
+        if let Some(ids) = &self.truth_ids {
             map.translate(path, ids)?;
         }
         map.check_ids(path, &self.classes, known)?;
-        Ok(Some(match &geometry.remap {
-            Some(remap) => remap.labels(&map),
-            None => map.resized(w, h),
-        }))
+        Ok(Some(geometry.labels(map)))
+    }
+
+    /// The true instances as the view's camera sees them.
+    pub fn instances(&self, frame: &Frame, geometry: &Geometry, limits: &Limits) -> Result<Option<LabelMap>> {
+        let Some(path) = &frame.instances else { return Ok(None) };
+        Ok(Some(geometry.labels(self.grey_map(path, frame, geometry, limits)?)))
+    }
+
+    /// The raw labels as the view's camera sees them.
+    pub fn raw(&self, frame: &Frame, geometry: &Geometry, known: &[u16], limits: &Limits) -> Result<Option<RawMap>> {
+        let Some(path) = &frame.raw else { return Ok(None) };
+        let check = |file: &ImageFile| self.check_map_size(file, frame, geometry);
+        let raw = self.raw.read(path, &self.classes, known, limits, &check)?;
+        Ok(Some(RawMap { map: geometry.labels(raw.map), ..raw }))
+    }
+
+    /// A grey label map of the size of its file.
+    fn grey_map(&self, path: &Path, frame: &Frame, geometry: &Geometry, limits: &Limits) -> Result<LabelMap> {
+        expect_file(path)?;
+        let file = ImageFile::open(path, limits)?;
+        self.check_map_size(&file, frame, geometry)?;
+        LabelMap::decode(path, &file)
+    }
+
+    /// Refuses a label map of another size than its photo, or, where maps are resampled, of other proportions.
+    fn check_map_size(&self, file: &ImageFile, frame: &Frame, geometry: &Geometry) -> Result<()> {
+        let (w, h) = (geometry.camera.width, geometry.camera.height);
+        let resampled = self.resample_labels || frame.scales;
+        match resampled && proportional(file.size, (w, h)) {
+            true => Ok(()),
+            false => file.expect_size(w, h, "its photo"),
+        }
     }
 
     /// The cloud, relative to `origin`.
@@ -259,21 +304,35 @@ impl Listing {
         let views = in_order(self.frames.par_iter().map(|frame| {
             let (file, geometry) = frame.open(&self.file, limits)?;
             let image = geometry.photo(&file)?;
-            let truth = self.labels(frame, true, &geometry, &known, limits)?;
-            let raw = self.labels(frame, false, &geometry, &known, limits)?;
+            let truth = self.truth(frame, &geometry, &known, limits)?;
+            let (raw, segments) =
+                self.raw(frame, &geometry, &known, limits)?.map_or((None, Vec::new()), |r| (Some(r.map), r.segments));
+            let instances = self.instances(frame, &geometry, limits)?;
             let camera = Camera { center: geometry.camera.center - origin, ..geometry.camera };
-            Ok(View { name: frame.name.clone(), split: frame.split, camera, image, truth, raw })
+            Ok(View { name: frame.name.clone(), split: frame.split, camera, image, truth, raw, segments, instances })
         }))?;
         let points = self.points(origin, limits)?;
         let mut classes = self.classes;
         if self.occurring_classes {
             let mut occurs = vec![false; 1 << 16];
-            let maps = views.iter().flat_map(|view| view.truth.iter().chain(&view.raw));
+            let of_classes = !self.raw.are_segments();
+            let maps = views.iter().flat_map(|view| view.truth.iter().chain(view.raw.iter().filter(|_| of_classes)));
             maps.flat_map(|map| &map.ids).for_each(|&id| occurs[usize::from(id)] = true);
+            let told = views.iter().flat_map(|view| &view.segments).filter_map(|segment| segment.class);
+            told.for_each(|id| occurs[usize::from(id)] = true);
             classes.entries.retain(|class| occurs[usize::from(class.id)]);
         }
         Ok(Scene { name: scene_name(dir), views, classes, points, origin, up })
     }
+}
+
+/// Refuses a label map that is not there.
+pub(super) fn expect_file(path: &Path) -> Result<()> {
+    if path.is_file() {
+        return Ok(());
+    }
+    let mend = "put the label map there, or do not name it".into();
+    Err(Error::Missing { what: "file", path: path.to_owned(), mend })
 }
 
 pub(crate) fn scene_name(dir: &Path) -> String {
@@ -322,13 +381,15 @@ impl LabelFolder {
     }
 
     /// The map of the photo that lies at `photo` below the folder of photos: the same path with `.png` for its
-    /// extension or behind it, or its stem alone.
+    /// extension or behind it, or its stem alone; or a folder of masks of one of these names without `.png`.
     pub fn of(&self, photo: &Path) -> Option<PathBuf> {
         let expected = self.folder.join(photo).with_extension("png");
         let behind = format!("{}.png", photo.to_string_lossy());
         let stem = photo.file_stem().map(|stem| format!("{}.png", stem.to_string_lossy()));
         let others = [Some(behind), stem].into_iter().flatten().map(|name| self.folder.join(name));
-        let found = std::iter::once(expected.clone()).chain(others).find(|path| path.is_file());
+        let files: Vec<PathBuf> = std::iter::once(expected.clone()).chain(others).collect();
+        let masks = files.iter().map(|path| path.with_extension("")).find(|path| path.is_dir());
+        let found = files.into_iter().find(|path| path.is_file()).or(masks);
         found.or_else(|| self.required.then_some(expected))
     }
 }

@@ -18,6 +18,7 @@ mod options;
 mod palette;
 pub(crate) mod ply;
 mod points;
+mod raw;
 mod replica;
 mod scannet;
 mod sequence;
@@ -141,6 +142,21 @@ pub struct View {
     pub truth: Option<LabelMap>,
     /// Raw labels of a 2D segmenter, where given. Those of test views only score the 2D baseline.
     pub raw: Option<LabelMap>,
+    /// What is known of the ids of [`View::raw`] where they are segments of this view, not classes.
+    pub segments: Vec<Segment>,
+    /// True instance ids, where known; 0 is none. Only for scoring.
+    pub instances: Option<LabelMap>,
+}
+
+/// A segment of one view; its id says nothing about other views.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Segment {
+    /// Id in the view's raw labels.
+    pub id: u16,
+    /// Class id, where the segmenter says one.
+    pub class: Option<u16>,
+    /// Whether it is a thing, of which there may be several, and not stuff such as floor.
+    pub thing: bool,
 }
 
 impl View {

@@ -1,7 +1,7 @@
 //! How a scene folder is read, and which of its frames.
 
 use super::{Limits, Split};
-use crate::config::{DataConfig, Layout, ScannetClasses};
+use crate::config::{Association, DataConfig, Layout, RawFormat, ScannetClasses};
 use std::path::PathBuf;
 
 /// How [`super::load`] reads a folder.
@@ -15,6 +15,10 @@ pub struct LoadOptions {
     pub images: String,
     /// Folder of raw labels within the scene folder, instead of the one that the frames or the layout name.
     pub raw_labels: Option<String>,
+    /// How raw labels are stored.
+    pub raw_format: RawFormat,
+    /// Whether ids of raw labels are classes, or segments of their view that are to be put together.
+    pub association: Association,
     /// Of each split every so many-th frame is read, at least 1.
     pub stride: usize,
     /// No more frames than this, evenly chosen; 0 means no limit.
@@ -40,6 +44,8 @@ impl From<&DataConfig> for LoadOptions {
             transforms: config.transforms.clone(),
             images: config.images.clone(),
             raw_labels: (!config.raw_labels.is_empty()).then(|| config.raw_labels.clone()),
+            raw_format: config.raw_format,
+            association: config.association,
             stride: config.stride,
             max_frames: config.max_frames,
             scannet_classes: config.scannet_classes,

@@ -1,13 +1,16 @@
-//! Scores: PSNR, SSIM, mIoU and accuracy of label maps, Calinski-Harabasz and Davies-Bouldin of clusterings.
+//! Scores: PSNR, SSIM, mIoU and accuracy of label maps, association accuracy and panoptic
+//! quality of instance maps, Calinski-Harabasz and Davies-Bouldin of clusterings.
 //!
 //! No score is ever NaN: where there is nothing to score the answer is `None`.
 
 mod clusters;
 mod image;
+mod instances;
 mod labels;
 
 pub use clusters::{calinski_harabasz, davies_bouldin};
 pub use image::{ImageScores, PSNR_CAP, psnr, ssim};
+pub use instances::{InstanceScores, PanopticQuality, Quality, instance_scores};
 pub use labels::{Confusion, LabelScores, Void, label_scores};
 
 /// Mean of the values that are there; `None` when there are none.

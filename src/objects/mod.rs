@@ -1,9 +1,11 @@
-//! Which thing each Gaussian belongs to: the vote over raw labels, stored identities, label rendering.
+//! Which thing each Gaussian belongs to: association of segments across views, the vote over raw labels, stored identities, label rendering.
 
+mod association;
 mod hard_labels;
 mod identities;
 mod vote;
 
+pub use association::{Association, Group, associate};
 pub use hard_labels::hard_label_map;
 pub use identities::{Identities, LabelRule, label_map};
 pub use vote::{Votes, vote};

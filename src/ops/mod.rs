@@ -2,6 +2,7 @@
 //! [`HostBackend`] lends them the contents of a tensor on any backend.
 
 mod adam;
+mod assignment;
 mod attentive_pool;
 #[cfg(target_arch = "x86_64")]
 mod avx;
@@ -20,6 +21,7 @@ pub(crate) mod vector;
 mod window;
 
 pub use adam::{AdamBackend, AdamStep, AdamTensors, adam_step, adam_step_plain};
+pub use assignment::assignment;
 pub use attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
 pub use blended_labels::{BlendedLabelBackend, LabelledPixels, blended_label_loss, blended_label_loss_plain};
 pub use fusion_layer::{FusionBackend, LayerGradients, LayerMap, LayerTensors, fusion_layer, fusion_layer_plain};

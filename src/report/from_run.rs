@@ -1,6 +1,6 @@
 //! From what a run made to what its report shows.
 
-use super::peak_memory_bytes;
+use super::{AssociationFigures, peak_memory_bytes};
 use super::{
     BuildingHistory, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Sample, Seconds, TestScores,
 };
@@ -19,6 +19,12 @@ impl Metrics {
         Self {
             scene: outcome.scene.name.clone(),
             gaussians: outcome.gaussians.len(),
+            association: outcome.association.map(|a| AssociationFigures {
+                segments: a.segments,
+                objects: a.objects,
+                dropped: a.dropped,
+                seconds: a.seconds,
+            }),
             test: TestScores {
                 psnr: outcome.test.psnr,
                 ssim: outcome.test.ssim,
@@ -42,6 +48,7 @@ impl Metrics {
 fn row_scores(row: &RowOutcome) -> RowScores {
     RowScores {
         void_left_out: row.void_left_out.as_ref().map(Into::into),
+        instances: row.instances.clone(),
         iterations: row.curve.last().map(|point| point.iteration),
         learning_rate: row.rate,
         seconds: row.curve.last().map(|_| row.seconds),
@@ -106,6 +113,13 @@ impl Report<'_> {
         }
         if outcome.rows.iter().any(|row| row.row == Row::Raw) {
             notes.push("Raw labels of held-out views are scored, never trained on.".to_owned());
+        }
+        if let Some(a) = &outcome.association {
+            notes.push(format!(
+                "Ids of the raw labels meant something within a view only: their {} segments in training views were put \
+                 together into {} objects over the Gaussians, {} of them belong to none.",
+                a.segments, a.objects, a.dropped
+            ));
         }
         if let Some(pruned) = &outcome.pruned {
             let psnr = |scores: &crate::metrics::ImageScores| match scores.psnr {

@@ -1,7 +1,7 @@
 //! `metrics.json`: the figures of a run, for programs.
 
 use crate::config::Row;
-use crate::metrics::LabelScores;
+use crate::metrics::{InstanceScores, LabelScores};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -12,6 +12,9 @@ pub struct Metrics {
     pub scene: String,
     /// Gaussians in `scene.ply`.
     pub gaussians: usize,
+    /// What association made of the raw labels, where settings asked for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub association: Option<AssociationFigures>,
     /// Scores on the held-out views.
     pub test: TestScores,
     /// Where the time went.
@@ -24,6 +27,19 @@ pub struct Metrics {
     pub spatial: String,
     /// Where the 2D features came from.
     pub features: String,
+}
+
+/// What association made of segments whose ids meant something within a view only.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct AssociationFigures {
+    /// Segments of the training views.
+    pub segments: usize,
+    /// Objects that they show.
+    pub objects: usize,
+    /// Segments that belong to none.
+    pub dropped: usize,
+    /// Wall-clock seconds, part of the total.
+    pub seconds: f64,
 }
 
 /// Scores on the held-out views.
@@ -52,6 +68,9 @@ pub struct RowScores {
     /// IoU by class id, pooled, for the classes in the test truth.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub class_iou: BTreeMap<u16, f64>,
+    /// Scores against true instances, where classes are objects that association found.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub instances: Option<InstanceScores>,
     /// Optimiser steps, for trained rows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,

@@ -15,7 +15,7 @@ mod views;
 
 pub use from_run::held_out_views;
 pub use history::{BuildingHistory, History, RowHistory, Sample};
-pub use metrics::{Metrics, RowScores, Scores, Seconds, TestScores, peak_memory_bytes};
+pub use metrics::{AssociationFigures, Metrics, RowScores, Scores, Seconds, TestScores, peak_memory_bytes};
 
 use crate::config::{Config, Row};
 use crate::data::{Classes, LabelMap, View, atomic};

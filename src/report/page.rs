@@ -27,6 +27,7 @@ pub(super) fn page(report: &Report<'_>, path: &Path) -> Result<String> {
             let _ = writeln!(out, "<p class=\"quiet\">{}</p>", escape(&origin));
         }
         out.push_str(&tables::scores(report));
+        out.push_str(&tables::instances(report));
         out.push_str(&tables::class_iou(report));
     }
     out.push_str("<h2>Held-out views</h2>\n");

@@ -67,6 +67,30 @@ pub(super) fn scores(report: &Report<'_>) -> String {
     table(&head.map(String::from), &body)
 }
 
+/// Scores of objects against true instances; empty where no row has them.
+pub(super) fn instances(report: &Report<'_>) -> String {
+    let labels = &report.metrics.test.labels;
+    let rows: Vec<_> = labels.iter().filter_map(|(row, s)| Some((*row, s.instances.as_ref()?))).collect();
+    if rows.is_empty() {
+        return String::new();
+    }
+    let mut body = String::new();
+    for (row, s) in rows {
+        let shares = [s.accuracy, s.miou, s.panoptic.pq, s.panoptic.sq, s.panoptic.rq, s.scene.pq];
+        let cells: String = shares.map(|share| format!("<td>{}</td>", cell(share))).concat();
+        let _ = writeln!(body, "<tr>{}{cells}<td>{}</td><td>{}</td></tr>", row_name(row), s.instances, s.objects);
+    }
+    let head =
+        ["", "accuracy,&nbsp;%", "mIoU,&nbsp;%", "PQ,&nbsp;%", "SQ,&nbsp;%", "RQ,&nbsp;%", "PQ of the scene,&nbsp;%"];
+    let head = head.into_iter().chain(["true instances", "objects"]).map(String::from);
+    format!(
+        "<h3>Objects against true instances</h3>\n<p class=\"quiet\">Accuracy and mIoU after matching objects and instances one \
+         to one over all held-out views; PQ, SQ and RQ (Kirillov et al. 2019) of each view's segments as one class, and PQ \
+         with all views as one image.</p>\n{}",
+        table(&head.collect::<Vec<_>>(), &body)
+    )
+}
+
 /// IoU by class and row; empty when no row has them.
 pub(super) fn class_iou(report: &Report<'_>) -> String {
     let labels = &report.metrics.test.labels;

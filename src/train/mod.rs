@@ -20,5 +20,5 @@ pub use building_state::BuildingState;
 pub use parameters::Moments;
 pub use provenance::Provenance;
 pub use rows::{RowOutcome, decoder_row};
-pub use run::{Outcome, Pruned, Seconds, load_scene, render_and_score, run, score_images};
+pub use run::{Associated, Outcome, Pruned, Seconds, load_scene, render_and_score, run, score_images};
 pub use segmentation_inputs::{Inputs, Seen, Spatial};

@@ -5,10 +5,10 @@ use super::provenance::Provenance;
 use super::rates::choose_rate;
 use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Source, TrainingViews, train};
 use super::segmentation_inputs::{Inputs, Spatial};
-use crate::config::{Prior, Row, SegmentationConfig};
+use crate::config::{Association, Prior, Row, SegmentationConfig};
 use crate::data::{LabelMap, Split, View};
 use crate::error::Result;
-use crate::metrics::{LabelScores, Void, label_scores};
+use crate::metrics::{InstanceScores, LabelScores, Void, instance_scores, label_scores};
 use crate::objects::{Identities, LabelRule, label_map, vote};
 use crate::raster::Projected;
 use crate::segmentation::decoder::DecoderConfig;
@@ -30,6 +30,8 @@ pub struct RowOutcome {
     pub scores: LabelScores,
     /// Held-out scores with void predictions left out; raw labels only.
     pub void_left_out: Option<LabelScores>,
+    /// Held-out scores against true instances, where classes are objects that association found.
+    pub instances: Option<InstanceScores>,
     /// Training curve; empty where nothing was trained.
     pub curve: Vec<CurvePoint>,
     /// Bytes of everything learned.
@@ -67,27 +69,53 @@ fn render_labels(projected: &Projected<f32>, identities: &Identities, inputs: &I
 }
 
 /// Test views with truth, projected once.
-struct HeldOut<'a>(Vec<(&'a View, &'a LabelMap, Projected<f32>)>);
+struct HeldOut<'a> {
+    views: Vec<(&'a View, Projected<f32>)>,
+    /// Classes are objects that association found: their ids are not those of a truth.
+    objects: bool,
+}
 
 impl<'a> HeldOut<'a> {
     fn new(inputs: &Inputs<'a>) -> Result<Self> {
         let splats = inputs.gaussians.splats();
-        let views = inputs.scene.split(Split::Test).filter_map(|v| Some((v, v.truth.as_ref()?)));
-        let project = |(view, truth): (&'a View, &'a LabelMap)| {
-            Ok((view, truth, Projected::new(&splats, &view.camera, &inputs.settings)?))
-        };
-        Ok(Self(views.map(project).collect::<Result<_>>()?))
+        let objects = inputs.config.data.association != Association::None;
+        let known = |v: &&View| if objects { v.instances.is_some() } else { v.truth.is_some() };
+        let views = inputs.scene.split(Split::Test).filter(known);
+        let project = |view: &'a View| Ok((view, Projected::new(&splats, &view.camera, &inputs.settings)?));
+        Ok(Self { views: views.map(project).collect::<Result<_>>()?, objects })
     }
 
-    fn score(&self, identities: &Identities, inputs: &Inputs) -> LabelScores {
-        let predicted: Vec<LabelMap> = self.0.iter().map(|(_, _, p)| render_labels(p, identities, inputs)).collect();
-        let pairs = self.0.iter().zip(&predicted).map(|((_, truth, _), p)| (&truth.ids[..], &p.ids[..]));
-        label_scores(&inputs.scene.classes, pairs, Void::Wrong)
+    /// Scores of a row with these identities.
+    fn score(&self, identities: &Identities, inputs: &Inputs) -> (LabelScores, Option<InstanceScores>) {
+        let predicted: Vec<LabelMap> = self.views.iter().map(|(_, p)| render_labels(p, identities, inputs)).collect();
+        let found = || self.views.iter().zip(&predicted).map(|((view, _), found)| (*view, found));
+        (self.labels(found(), inputs, Void::Wrong), self.instances(found()))
     }
 
-    fn score_raw(&self, inputs: &Inputs, void: Void) -> LabelScores {
-        let pairs = self.0.iter().filter_map(|(v, truth, _)| Some((&truth.ids[..], &v.raw.as_ref()?.ids[..])));
+    /// Scores of the raw labels of the test views.
+    fn score_raw(&self, inputs: &Inputs) -> RowOutcome {
+        let raw = || self.views.iter().filter_map(|(view, _)| Some((*view, view.raw.as_ref()?)));
+        RowOutcome {
+            scores: self.labels(raw(), inputs, Void::Wrong),
+            void_left_out: (!self.objects).then(|| self.labels(raw(), inputs, Void::LeftOut)),
+            instances: self.instances(raw()),
+            ..untrained(Row::Raw)
+        }
+    }
+
+    fn labels<'m>(
+        &self,
+        found: impl Iterator<Item = (&'m View, &'m LabelMap)>,
+        inputs: &Inputs,
+        void: Void,
+    ) -> LabelScores {
+        let pairs = found.filter_map(|(view, map)| Some((&view.truth.as_ref()?.ids[..], &map.ids[..])));
         label_scores(&inputs.scene.classes, pairs, void)
+    }
+
+    fn instances<'m>(&self, found: impl Iterator<Item = (&'m View, &'m LabelMap)>) -> Option<InstanceScores> {
+        let pairs = found.filter_map(|(view, map)| Some((&view.instances.as_ref()?.ids[..], &map.ids[..])));
+        (self.objects && !self.views.is_empty()).then(|| instance_scores(pairs))
     }
 }
 
@@ -110,20 +138,13 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
     let mut rows = Vec::new();
     for &row in &config.rows {
         let outcome = match row {
-            Row::Raw => RowOutcome {
-                scores: held_out.score_raw(inputs, Void::Wrong),
-                void_left_out: Some(held_out.score_raw(inputs, Void::LeftOut)),
-                ..untrained(row)
-            },
+            Row::Raw => held_out.score_raw(inputs),
             Row::Vote => {
                 let train = inputs.scene.split(Split::Train);
                 let votes = vote(inputs.gaussians, train, &inputs.scene.classes, &inputs.settings)?;
                 let identities = votes.identities();
-                RowOutcome {
-                    scores: held_out.score(&identities, inputs),
-                    identities: Some(identities),
-                    ..untrained(row)
-                }
+                let (scores, instances) = held_out.score(&identities, inputs);
+                RowOutcome { scores, instances, identities: Some(identities), ..untrained(row) }
             }
             _ => trained(row, inputs, &mut views, &mut spatial, &held_out, checkpoints, progress)?,
         };
@@ -141,6 +162,7 @@ fn untrained(row: Row) -> RowOutcome {
         identities: None,
         scores: LabelScores::default(),
         void_left_out: None,
+        instances: None,
         curve: Vec::new(),
         learnable_bytes: 0,
         rate: None,
@@ -178,13 +200,18 @@ fn trained(
     };
     let device = inputs.device.clone().autodiff();
     let classes = inputs.scene.classes.len();
-    let mut score = |identities: &Identities| Ok(held_out.score(identities, inputs).miou);
+    let mut score = |identities: &Identities| {
+        let (labels, instances) = held_out.score(identities, inputs);
+        Ok(labels.miou.or(instances.and_then(|scores| scores.miou)))
+    };
     let rate_file = checkpoints.join(format!("{}.rate.safetensors", row.key()));
     let mut fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: f64| -> Result<RowOutcome> {
         let curve = train(model, views, &plan, &pace, &mut score, progress)?;
         let identities = model.identities()?;
+        let (scores, instances) = held_out.score(&identities, inputs);
         Ok(RowOutcome {
-            scores: held_out.score(&identities, inputs),
+            scores,
+            instances,
             identities: Some(identities),
             learnable_bytes: model.learnable_bytes(),
             rate: Some(rate),

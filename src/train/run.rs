@@ -2,15 +2,15 @@
 
 use super::building::BuildingStage;
 use super::building_state::BuildingState;
-use super::progress::{CurvePoint, Progress};
+use super::progress::{CurvePoint, Event, Progress};
 use super::rows::{RowOutcome, run_rows};
 use super::segmentation_inputs::{Inputs, Seen};
-use crate::config::{Config, Row};
+use crate::config::{Association, Config, Row};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::{Error, Result};
 use crate::gaussians::{Gaussians, ply};
 use crate::metrics::ImageScores;
-use crate::objects::Identities;
+use crate::objects::{Identities, associate};
 use crate::raster::{Settings, render};
 use burn::tensor::Device;
 use std::path::Path;
@@ -44,9 +44,22 @@ pub struct Pruned {
     pub scores_after: ImageScores,
 }
 
+/// What association made of the raw labels.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Associated {
+    /// Segments of the training views.
+    pub segments: usize,
+    /// Objects that they show.
+    pub objects: usize,
+    /// Segments that belong to none.
+    pub dropped: usize,
+    /// Seconds that it took.
+    pub seconds: f64,
+}
+
 /// All that a run made.
 pub struct Outcome {
-    /// The scene as loaded.
+    /// The scene as loaded; after association its classes are objects and its raw labels say which.
     pub scene: Scene,
     /// The trained Gaussians in spatial order, after attendance pruning.
     pub gaussians: Gaussians,
@@ -56,6 +69,8 @@ pub struct Outcome {
     pub test: ImageScores,
     /// Attendance pruning, where features were unprojected.
     pub pruned: Option<Pruned>,
+    /// Association, where settings ask for it and training views have raw labels.
+    pub association: Option<Associated>,
     /// Rows of the label table, in the order of the configuration; empty without labels.
     pub rows: Vec<RowOutcome>,
     /// Where the 2D features came from; empty when none were needed.
@@ -123,12 +138,16 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
         building,
         test,
         pruned: None,
+        association: None,
         rows: Vec::new(),
         features: String::new(),
         spatial: String::new(),
         seconds,
         scene,
     };
+    if config.data.association == Association::Gaussians && outcome.scene.split(Split::Train).any(|v| v.raw.is_some()) {
+        outcome.association = Some(put_together(&mut outcome.scene, &outcome.gaussians, config, progress)?);
+    }
     let labelled = outcome.scene.split(Split::Train).any(|v| v.raw.is_some()) && !outcome.scene.classes.is_empty();
     if labelled && !config.segmentation.rows.is_empty() && !progress.stop() {
         segment(&mut outcome, config, &settings, &checkpoints, device, progress)?;
@@ -152,6 +171,22 @@ fn build(
     stage.run(progress)?;
     let gaussians = stage.gaussians()?;
     Ok((gaussians.select(&gaussians.spatial_order()), stage.curve().to_vec()))
+}
+
+/// Makes objects of the segments that the raw labels of `scene` hold.
+fn put_together(
+    scene: &mut Scene,
+    gaussians: &Gaussians,
+    config: &Config,
+    progress: &mut dyn Progress,
+) -> Result<Associated> {
+    let clock = Instant::now();
+    progress.event(&Event::Started { stage: "association", done: 0, iterations: 1 });
+    let found = associate(gaussians, scene, &config.association, &Settings::from(&config.raster))?;
+    progress.event(&Event::Finished);
+    let (segments, objects, dropped) = (found.segments, found.groups.len(), found.dropped);
+    found.apply(scene);
+    Ok(Associated { segments, objects, dropped, seconds: clock.elapsed().as_secs_f64() })
 }
 
 fn segment(

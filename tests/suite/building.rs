@@ -40,7 +40,16 @@ pub fn scene() -> Scene {
             let angle = 0.5 + 0.25 * f64::from(i);
             let camera = camera(DVec3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 2.5));
             let split = if i % 4 == 2 { Split::Test } else { Split::Train };
-            View { name: format!("view{i}"), split, image: photo(&camera), camera, truth: None, raw: None }
+            View {
+                name: format!("view{i}"),
+                split,
+                image: photo(&camera),
+                camera,
+                truth: None,
+                raw: None,
+                segments: Vec::new(),
+                instances: None,
+            }
         })
         .collect();
     let positions: Vec<[f32; 3]> =

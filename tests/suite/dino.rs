@@ -263,7 +263,16 @@ fn extraction_reduces_the_maps_and_names_the_file() {
             height: 26,
         };
         let split = if n == 3 { Split::Test } else { Split::Train };
-        View { name: format!("v{n}"), split, camera, image: picture(38, 26, n), truth: None, raw: None }
+        View {
+            name: format!("v{n}"),
+            split,
+            camera,
+            image: picture(38, 26, n),
+            truth: None,
+            raw: None,
+            segments: Vec::new(),
+            instances: None,
+        }
     };
     let scene = Scene {
         name: "test".into(),

@@ -17,7 +17,7 @@ fn camera(width: usize, height: usize) -> Camera {
 
 fn view(name: &str, split: Split, image: RgbImage, truth: Option<LabelMap>) -> View {
     let camera = camera(image.width() as usize, image.height() as usize);
-    View { name: name.into(), split, camera, image, truth, raw: None }
+    View { name: name.into(), split, camera, image, truth, raw: None, segments: Vec::new(), instances: None }
 }
 
 fn scene(views: Vec<View>, classes: Classes) -> Scene {

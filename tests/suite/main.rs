@@ -2,6 +2,8 @@
 
 mod absgrad;
 mod adam;
+mod assignment;
+mod association;
 mod backends;
 mod bench;
 mod building;
@@ -19,6 +21,7 @@ mod dino_reference;
 mod dino_weights;
 mod features;
 mod fused;
+mod instance_metrics;
 mod lens;
 mod loss;
 mod mcmc;
@@ -38,6 +41,7 @@ mod raster_contract;
 mod raster_gpu;
 mod raster_gradients;
 mod raster_reference;
+mod raw_formats;
 mod relocation;
 mod replica;
 mod report;

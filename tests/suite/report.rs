@@ -62,6 +62,8 @@ fn views(classes: &Classes) -> Vec<View> {
         image: photo.clone(),
         truth: Some(truth.clone()),
         raw: Some(labels(9.0 + i as f64)),
+        segments: Vec::new(),
+        instances: None,
     };
     (0..8).map(view).collect()
 }
@@ -86,6 +88,7 @@ fn scores(miou: f64, trained: bool) -> RowScores {
             accuracy: Some(0.82),
         }),
         class_iou: (1..6_u16).map(|id| (id, miou - 0.0625 * (f64::from(id) - 3.0))).collect(),
+        instances: None,
         iterations: trained.then_some(2_000),
         learning_rate: trained.then_some(1e-3),
         seconds: trained.then_some(74.2),
@@ -113,6 +116,7 @@ fn metrics() -> Metrics {
     let rows = [(Row::Raw, 0.612, false), (Row::Vote, 0.798, false), (Row::PerGaussian, 0.712, true)];
     let more = [(Row::OursCe, 0.801, true), (Row::Ours, 0.834, true)];
     Metrics {
+        association: None,
         scene: "a made-up room".into(),
         gaussians: 41_250,
         test: TestScores {

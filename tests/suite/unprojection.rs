@@ -176,7 +176,7 @@ fn small_gaussians_read_the_cells_that_lie_under_them() {
 
 fn view(name: String, camera: Camera) -> View {
     let image = image::RgbImage::new(camera.width as u32, camera.height as u32);
-    View { name, split: Split::Train, camera, image, truth: None, raw: None }
+    View { name, split: Split::Train, camera, image, truth: None, raw: None, segments: Vec::new(), instances: None }
 }
 
 fn features(views: &[View], maps: impl Fn(usize) -> [FeatureMap; 4]) -> FeatureSet {

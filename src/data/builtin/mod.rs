@@ -135,6 +135,7 @@ fn assemble(options: &BuiltinOptions) -> Scene {
         let test = shot.split == Split::Test;
         let number = counts[usize::from(test)];
         counts[usize::from(test)] += 1;
+        let LabelMap { width, height, .. } = truth.labels;
         View {
             name: format!("{}_{number:03}", if test { "test" } else { "train" }),
             split: shot.split,
@@ -142,6 +143,8 @@ fn assemble(options: &BuiltinOptions) -> Scene {
             image: truth.image,
             truth: Some(truth.labels),
             raw,
+            segments: Vec::new(),
+            instances: Some(LabelMap { width, height, ids: truth.instances }),
         }
     });
     Scene {

@@ -9,6 +9,7 @@ mod text;
 
 use super::listing::{Cloud, Frame, LabelFolder, Listing, Problems, read_classes};
 use super::options::LoadOptions;
+use super::raw::{self, RawLabels};
 use super::{Limits, Points};
 use crate::camera::{Camera, Intrinsics};
 use crate::config::Layout;
@@ -131,7 +132,8 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let kept = options.pick(&vec![None; images.len()]);
     let cameras: BTreeMap<u32, ModelCamera> = cameras.into_iter().map(|c| (c.id, c)).collect();
     let truth = LabelFolder::optional(dir, "labels");
-    let raw = LabelFolder::raw(dir, options.raw_labels.as_deref());
+    let raw_folder = LabelFolder::raw(dir, options.raw_labels.as_deref());
+    let instances = LabelFolder::optional(dir, "instances");
     let mut names = HashMap::new();
     let mut frames = Vec::with_capacity(kept.len());
     for (i, split) in kept {
@@ -156,10 +158,11 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             lens,
             scales: options.images != "images",
             truth: truth.of(below),
-            raw: raw.of(below),
+            raw: raw_folder.of(below),
+            instances: instances.of(below),
         });
     }
-    let labelled = frames.iter().any(|frame| frame.truth.is_some() || frame.raw.is_some());
+    let labelled = raw::need_table(dir, options, &frames);
     let points = ModelFile::find(&folder, "points3D");
     let mut notices = Vec::new();
     if points.is_none() {
@@ -180,6 +183,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         classes: problems.keep(read_classes(dir, labelled)).unwrap_or_default(),
         occurring_classes: false,
         truth_ids: None,
+        raw: RawLabels::grey(),
         resample_labels: false,
         cloud: points.map_or(Cloud::None, |file| Cloud::Colmap(file.path().to_owned())),
         z_up: false,

@@ -11,6 +11,7 @@ use super::image_file::ImageFile;
 use super::lens::Lens;
 use super::listing::{Cloud, Frame, LabelFolder, Listing, Problems, read_classes};
 use super::options::LoadOptions;
+use super::raw::{self, RawLabels};
 use super::{Limits, sequence};
 use crate::camera::Intrinsics;
 use crate::config::Layout;
@@ -73,10 +74,11 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     };
     let truth = match version == NICE_SLAM {
         true => BTreeMap::new(),
-        false => truth_of(dir)?,
+        false => numbered_if_there(dir, "semantic_class")?,
     };
+    let instances = numbered_if_there(dir, "semantic_instance")?;
     let other_truth = LabelFolder::optional(dir, "labels");
-    let raw = LabelFolder::raw(dir, options.raw_labels.as_deref());
+    let raw_folder = LabelFolder::raw(dir, options.raw_labels.as_deref());
     let mut frames = Vec::with_capacity(kept.len());
     for (i, split) in kept {
         let (number, image) = &photos[i];
@@ -98,11 +100,12 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             lens: Lens::default(),
             scales: false,
             truth: truth.get(number).cloned().or_else(|| other_truth.of(&file)),
-            raw: raw.of(&file),
+            raw: raw_folder.of(&file),
+            instances: instances.get(number).cloned(),
         });
     }
     let own = dir.join("classes.json").is_file();
-    let labelled = frames.iter().any(|frame| frame.truth.is_some() || frame.raw.is_some());
+    let labelled = raw::need_table(dir, options, &frames);
     let classes = match labelled && !own {
         true => Ok(classes::replica()),
         false => read_classes(dir, labelled),
@@ -119,6 +122,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         classes: problems.keep(classes).unwrap_or_default(),
         occurring_classes: !own,
         truth_ids: None,
+        raw: RawLabels::grey(),
         resample_labels: false,
         cloud,
         z_up: false,
@@ -126,12 +130,13 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     })
 }
 
-fn truth_of(dir: &Path) -> Result<BTreeMap<usize, PathBuf>> {
-    let folder = dir.join("semantic_class");
+/// Maps in a folder of Semantic-NeRF, such as `semantic_class/semantic_class_0.png`.
+fn numbered_if_there(dir: &Path, name: &str) -> Result<BTreeMap<usize, PathBuf>> {
+    let folder = dir.join(name);
     if !folder.is_dir() {
         return Ok(BTreeMap::new());
     }
-    sequence::numbered(&folder, "semantic_class_", &["png"])
+    sequence::numbered(&folder, &format!("{name}_"), &["png"])
 }
 
 /// `cam_params.json`.

@@ -9,6 +9,7 @@ use super::image_file::ImageFile;
 use super::lens::Lens;
 use super::listing::{Cloud, Frame, LabelFolder, Listing, Problems, read_classes};
 use super::options::LoadOptions;
+use super::raw::{self, RawLabels};
 use super::{Limits, sequence};
 use crate::camera::Intrinsics;
 use crate::config::Layout;
@@ -73,8 +74,9 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         return Err(Error::input(dir, "color", found, "photos with poses", mend));
     };
     let intrinsics = read_intrinsics(dir, &posed[first].0.image, &options.limits)?;
-    let truth = truth_of(dir)?;
-    let raw = LabelFolder::raw(dir, options.raw_labels.as_deref());
+    let truth = maps_of(dir, ["label-filt", "label"])?;
+    let instances = maps_of(dir, ["instance-filt", "instance"])?;
+    let raw_folder = LabelFolder::raw(dir, options.raw_labels.as_deref());
     let mut frames = Vec::with_capacity(kept.len());
     for (i, split) in kept {
         let (shot, pose) = &posed[i];
@@ -90,11 +92,12 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             lens: Lens::default(),
             scales: false,
             truth: truth.get(&shot.number).cloned(),
-            raw: raw.of(&file),
+            raw: raw_folder.of(&file),
+            instances: instances.get(&shot.number).cloned(),
         });
     }
     let own = dir.join("classes.json").is_file();
-    let labelled = frames.iter().any(|frame| frame.truth.is_some() || frame.raw.is_some());
+    let labelled = raw::need_table(dir, options, &frames);
     let general = labelled && !own;
     let needs_table = general && frames.iter().any(|frame| frame.truth.is_some());
     let table = match needs_table {
@@ -117,6 +120,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         classes: problems.keep(classes).unwrap_or_default(),
         occurring_classes: general,
         truth_ids: table,
+        raw: RawLabels::grey(),
         resample_labels: true,
         cloud,
         z_up: true,
@@ -133,8 +137,9 @@ fn read_pose(path: &Path) -> Result<Pose> {
     sequence::pose(&text, path, "matrix")
 }
 
-fn truth_of(dir: &Path) -> Result<BTreeMap<usize, PathBuf>> {
-    let folder = ["label-filt", "label"].map(|name| dir.join(name)).into_iter().find(|folder| folder.is_dir());
+/// Maps in the first of two folders that is there.
+fn maps_of(dir: &Path, names: [&str; 2]) -> Result<BTreeMap<usize, PathBuf>> {
+    let folder = names.map(|name| dir.join(name)).into_iter().find(|folder| folder.is_dir());
     folder.map_or_else(|| Ok(BTreeMap::new()), |folder| sequence::numbered(&folder, "", &["png"]))
 }
 

@@ -1,5 +1,5 @@
 //! Scenes as folders with a `transforms.json` (nerfstudio, instant-ngp): OpenGL camera-to-world poses, photos, and the
-//! fields of this crate: per frame `split`, `label_path`, `raw_label_path`; per folder `classes.json`.
+//! fields of this crate: per frame `split`, `label_path`, `raw_label_path`, `instance_path`; per folder `classes.json`.
 
 mod not_finite;
 mod schema;
@@ -10,6 +10,7 @@ pub use super::options::LoadOptions;
 use super::image_file::ImageFile;
 use super::lens::Lens;
 use super::listing::{Cloud, Frame, Listing, Problems, read_classes};
+use super::raw::{self, RawLabels};
 use super::{Limits, Scene, Split};
 use crate::camera::Camera;
 use crate::config::Layout;
@@ -74,10 +75,11 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         });
         faults.into_iter().for_each(|fault| problems.push(fault));
         let Some((camera, lens)) = camera else { continue };
-        let [truth, raw] = label_paths(&transforms, i, name, dir, options);
-        frames.push(Frame { name: name.clone(), split, image, present, camera, lens, scales: false, truth, raw });
+        let [truth, raw, instances] = label_paths(&transforms, i, name, dir, options);
+        let name = name.clone();
+        frames.push(Frame { name, split, image, present, camera, lens, scales: false, truth, raw, instances });
     }
-    let labelled = frames.iter().any(|frame| frame.truth.is_some() || frame.raw.is_some());
+    let labelled = raw::need_table(dir, options, &frames);
     let classes = problems.keep(read_classes(dir, labelled)).unwrap_or_default();
     Ok(Listing {
         layout: Layout::Transforms,
@@ -88,6 +90,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         classes,
         occurring_classes: false,
         truth_ids: None,
+        raw: RawLabels::grey(),
         resample_labels: false,
         notices: Vec::new(),
     })
@@ -116,7 +119,8 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
         Limits::check(format!("{}: pixels", path.display()), pixels, Limits::default().image_pixels, "lower w and h")?;
         let (camera, lens) = transforms.camera(path, i, size)?;
         let image = PathBuf::from(&transforms.frames[i].file_path);
-        let frame = Frame { name, split: s, image, present: true, camera, lens, scales: false, truth: None, raw: None };
+        let (truth, raw, instances) = (None, None, None);
+        let frame = Frame { name, split: s, image, present: true, camera, lens, scales: false, truth, raw, instances };
         cameras.push(NamedCamera { camera: frame.geometry(size)?.camera, name: frame.name, split: s });
     }
     if cameras.is_empty() {
@@ -161,25 +165,26 @@ fn image_path(dir: &Path, file: &str) -> PathBuf {
     ["png", "jpg", "jpeg"].map(|e| path.with_extension(e)).into_iter().find(|p| p.is_file()).unwrap_or(path)
 }
 
-/// Paths of the true and the raw labels of a frame.
+/// Paths of the true labels, the raw labels and the true instances of a frame.
 fn label_paths(
     transforms: &Transforms,
     i: usize,
     name: &str,
     dir: &Path,
     options: &LoadOptions,
-) -> [Option<PathBuf>; 2] {
+) -> [Option<PathBuf>; 3] {
     let frame = &transforms.frames[i];
     let truth = frame.label_path.as_ref().map(|p| dir.join(p));
     let raw = match &options.raw_labels {
         Some(folder) => {
             let named = frame.raw_label_path.as_ref().and_then(|p| Path::new(p).file_name());
             let file = named.map_or_else(|| PathBuf::from(format!("{name}.png")), PathBuf::from);
-            Some(dir.join(folder).join(file))
+            let (file, masks) = (dir.join(folder).join(&file), dir.join(folder).join(file.with_extension("")));
+            Some(if !file.is_file() && masks.is_dir() { masks } else { file })
         }
         None => frame.raw_label_path.as_ref().map(|p| dir.join(p)),
     };
-    [truth, raw]
+    [truth, raw, frame.instance_path.as_ref().map(|p| dir.join(p))]
 }
 
 /// Files of `dir` that may be meant, by name.

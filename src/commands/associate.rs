@@ -1,0 +1,95 @@
+//! `coseg associate`: one id for each thing, from label maps whose ids differ from view to view.
+
+use super::{Settings, terminal};
+use clap::Args;
+use coseg::config::Association;
+use coseg::data::{self, Limits, LoadOptions, Split};
+use coseg::error::Result;
+use coseg::gaussians::ply;
+use coseg::metrics::{InstanceScores, instance_scores};
+use coseg::objects::{LabelRule, associate, label_map, vote};
+use coseg::raster::{self, Projected};
+use std::path::PathBuf;
+
+const HELP: &str = "\
+Instance masks of unordered photos have ids that mean nothing in other views. Segments that cover the same Gaussians get
+one id. Writes labels/VIEW.png (16-bit grey, 0 is unlabelled) for each view with raw labels, classes.json, and scene.ply
+with a label column from a vote of the maps. Where frames have true instances, prints scores. coseg train does the same
+after stage one with data.association = \"gaussians\".
+
+Example:
+  coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=masks";
+
+/// Arguments of `coseg associate`.
+#[derive(Args, Debug)]
+#[command(after_help = HELP)]
+pub struct AssociateArgs {
+    /// Scene in the 3DGS PLY convention
+    #[arg(long, value_name = "FILE.ply")]
+    scene: PathBuf,
+    /// Scene folder with photos, cameras and raw labels
+    #[arg(long, value_name = "DIR")]
+    data: PathBuf,
+    /// Folder to write to; made if absent
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    #[command(flatten)]
+    settings: Settings,
+}
+
+impl AssociateArgs {
+    /// Associates, writes and scores.
+    pub fn run(self) -> Result<()> {
+        let mut config = self.settings.load(Some(&self.data), None)?;
+        config.data.association = Association::Gaussians;
+        let raster = raster::Settings::from(&config.raster);
+        let mut scene = data::load(&self.data, &LoadOptions::from(&config.data))?;
+        let ply = ply::read(&self.scene, &Limits::default())?;
+        for view in &mut scene.views {
+            view.camera.center += scene.origin - ply.origin;
+        }
+        let found = associate(&ply.gaussians, &scene, &config.association, &raster)?;
+        terminal::say(&format!(
+            "{} segments of training views: {} objects, {} segments of none",
+            found.segments,
+            found.groups.len(),
+            found.dropped
+        ));
+        found.apply(&mut scene);
+        for view in &scene.views {
+            if let Some(map) = &view.raw {
+                let name = view.name.replace(['/', '\\'], "_");
+                map.write_wide(&self.out.join("labels").join(format!("{name}.png")))?;
+            }
+        }
+        scene.classes.write(&self.out.join("classes.json"))?;
+        let identities = vote(&ply.gaussians, scene.split(Split::Train), &scene.classes, &raster)?.identities();
+        let path = self.out.join("scene.ply");
+        ply::write(&path, &ply.gaussians, ply.origin, Some(&identities.ids(&scene.classes)))?;
+        terminal::say(&format!("{}: maps in labels, classes.json and scene.ply", self.out.display()));
+
+        let rule = LabelRule::from(&config.segmentation);
+        let mut rendered = Vec::new();
+        for view in scene.split(Split::Test) {
+            let Some(truth) = &view.instances else { continue };
+            let projected = Projected::new(&ply.gaussians.splats(), &view.camera, &raster)?;
+            rendered.push((truth, label_map(&projected, &identities, &scene.classes, &rule)));
+        }
+        let own = scene.split(Split::Test).filter_map(|view| Some((view.instances.as_ref()?, view.raw.as_ref()?)));
+        print("maps", &instance_scores(own.map(|(truth, map)| (&truth.ids[..], &map.ids[..]))));
+        print("rendered", &instance_scores(rendered.iter().map(|(truth, map)| (&truth.ids[..], &map.ids[..]))));
+        Ok(())
+    }
+}
+
+/// The scores of held-out views, where there are true instances.
+fn print(what: &str, scores: &InstanceScores) {
+    if let (Some(accuracy), Some(miou), Some(pq)) = (scores.accuracy, scores.miou, scores.panoptic.pq) {
+        let [sq, rq] = [scores.panoptic.sq, scores.panoptic.rq].map(Option::unwrap_or_default);
+        terminal::say(&format!(
+            "held-out views, {what}: accuracy {accuracy:.4}, mIoU {miou:.4}, PQ {pq:.4} (SQ {sq:.4}, RQ {rq:.4}), {} true \
+             instances, {} objects",
+            scores.instances, scores.objects
+        ));
+    }
+}

@@ -1,0 +1,34 @@
+//! How label maps whose ids differ from view to view are put together.
+
+use serde::{Deserialize, Serialize};
+
+/// What makes one id of many that mean the same thing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Association {
+    /// Nothing: ids of raw labels are class ids.
+    #[default]
+    None,
+    /// The Gaussians that the segments of the views cover.
+    Gaussians,
+}
+
+/// Association over Gaussians; used with `data.association = "gaussians"`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AssociationConfig {
+    /// Passes over all views; the first forms groups, the others assign every view again.
+    pub sweeps: usize,
+    /// Smallest overlap (IoU of a segment and a group as the view shows it) at which the two belong together, 0 to 1.
+    pub min_overlap: f64,
+    /// Two groups become one when the views of the larger one give it more than this share of the smaller one, 0 to 1.
+    pub merge_above: f64,
+    /// Groups with a smaller share of all labelled weight are dropped, 0 to 1.
+    pub min_weight: f64,
+}
+
+impl Default for AssociationConfig {
+    fn default() -> Self {
+        Self { sweeps: 4, min_overlap: 0.25, merge_above: 0.5, min_weight: 1e-5 }
+    }
+}

@@ -1,0 +1,190 @@
+//! Scores of instance maps, whose predicted ids need not be those of the truth: association accuracy, instance mIoU,
+//! panoptic quality.
+
+use super::mean;
+use crate::ops::assignment;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Id of pixels without an instance, in truth and prediction.
+const VOID: u16 = 0;
+/// Two segments match above this IoU; then no segment has two matches.
+const MATCH: f64 = 0.5;
+
+/// Scores of a set of views against their true instances, each in 0..1.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct InstanceScores {
+    /// Association accuracy: share of the pixels with a true instance that carry the object which, over all views
+    /// together, is matched with it one to one at the largest sum of pixels. Pixels without an object are wrong.
+    pub accuracy: Option<f64>,
+    /// Mean over the true instances of the IoU with the object matched with it, all views counted together; 0 without one.
+    pub miou: Option<f64>,
+    /// Panoptic quality of each view's segments, all views counted together, one class.
+    pub panoptic: Quality,
+    /// The same with all views as one image, so that an object which changes its id between views is two.
+    pub scene: Quality,
+    /// True instances in the views.
+    pub instances: usize,
+    /// Objects in the views.
+    pub objects: usize,
+}
+
+/// Panoptic quality = segmentation quality x recognition quality (Kirillov et al. 2019, Eq. 1-2).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Quality {
+    /// Sum of the IoU of matched segments over `TP + FP / 2 + FN / 2`.
+    pub pq: Option<f64>,
+    /// Mean IoU of matched segments; 0 of a class where none match, as in panopticapi.
+    pub sq: Option<f64>,
+    /// `TP / (TP + FP / 2 + FN / 2)`.
+    pub rq: Option<f64>,
+}
+
+/// Pixels of each pair of a true and a predicted id.
+#[derive(Clone, Debug, Default)]
+struct Pairs(BTreeMap<(u16, u16), u64>);
+
+impl Pairs {
+    /// Counts one view; pixels past the shorter slice are not counted.
+    fn add(&mut self, truth: &[u16], prediction: &[u16]) {
+        let mut run: Option<((u16, u16), u64)> = None;
+        // Neighbours mostly have the same pair: one look into the map a run.
+        for pair in truth.iter().copied().zip(prediction.iter().copied()) {
+            match &mut run {
+                Some((last, n)) if *last == pair => *n += 1,
+                _ => {
+                    self.count(run);
+                    run = Some((pair, 1));
+                }
+            }
+        }
+        self.count(run);
+    }
+
+    fn count(&mut self, run: Option<((u16, u16), u64)>) {
+        if let Some((pair, n)) = run {
+            *self.0.entry(pair).or_default() += n;
+        }
+    }
+
+    fn merge(&mut self, other: &Self) {
+        other.0.iter().for_each(|(&pair, &n)| self.count(Some((pair, n))));
+    }
+
+    fn get(&self, truth: u16, prediction: u16) -> u64 {
+        self.0.get(&(truth, prediction)).copied().unwrap_or(0)
+    }
+
+    /// Pixels of each true, and of each predicted id.
+    fn areas(&self) -> [BTreeMap<u16, u64>; 2] {
+        let mut areas: [BTreeMap<u16, u64>; 2] = Default::default();
+        for (&(truth, prediction), n) in &self.0 {
+            *areas[0].entry(truth).or_default() += n;
+            *areas[1].entry(prediction).or_default() += n;
+        }
+        areas
+    }
+
+    /// IoU of a true and a predicted segment; predicted pixels without truth are left out.
+    fn iou(&self, truth: u16, prediction: u16, areas: &[BTreeMap<u16, u64>; 2]) -> f64 {
+        let both = self.get(truth, prediction);
+        let area = |side: usize, id| areas[side].get(&id).copied().unwrap_or(0);
+        let union = area(0, truth) + area(1, prediction) - both - self.get(VOID, prediction);
+        if union > 0 { both as f64 / union as f64 } else { 0.0 }
+    }
+}
+
+/// Matched segments and those without a match, by class.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Tally {
+    iou: f64,
+    matched: usize,
+    unmatched: usize,
+}
+
+/// Counts segments towards [`Quality`], image by image.
+///
+/// As in panopticapi: segments of one class match above an IoU of 0.5; pixels without truth (id 0) are taken out of
+/// unions, and a predicted segment without a match that lies on them by more than half is no false positive.
+#[derive(Clone, Debug, Default)]
+pub struct PanopticQuality(BTreeMap<u16, Tally>);
+
+impl PanopticQuality {
+    /// Counts one image, `[H, W]` segment ids, 0 is none. `classes` tells the class of a true and of a predicted segment.
+    pub fn add(&mut self, truth: &[u16], prediction: &[u16], classes: [&dyn Fn(u16) -> u16; 2]) {
+        let mut pairs = Pairs::default();
+        pairs.add(truth, prediction);
+        self.count(&pairs, classes);
+    }
+
+    fn count(&mut self, pairs: &Pairs, [true_class, predicted_class]: [&dyn Fn(u16) -> u16; 2]) {
+        let areas = pairs.areas();
+        let mut matched: [Vec<u16>; 2] = Default::default();
+        for &(truth, prediction) in pairs.0.keys().filter(|(t, p)| *t != VOID && *p != VOID) {
+            let iou = pairs.iou(truth, prediction, &areas);
+            if iou > MATCH && true_class(truth) == predicted_class(prediction) {
+                let tally = self.0.entry(true_class(truth)).or_default();
+                tally.iou += iou;
+                tally.matched += 1;
+                matched[0].push(truth);
+                matched[1].push(prediction);
+            }
+        }
+        for &truth in areas[0].keys().filter(|id| **id != VOID && !matched[0].contains(id)) {
+            self.0.entry(true_class(truth)).or_default().unmatched += 1;
+        }
+        for (&prediction, &area) in areas[1].iter().filter(|(id, _)| **id != VOID && !matched[1].contains(id)) {
+            if 2 * pairs.get(VOID, prediction) <= area {
+                self.0.entry(predicted_class(prediction)).or_default().unmatched += 1;
+            }
+        }
+    }
+
+    /// The mean over classes that occur.
+    pub fn quality(&self) -> Quality {
+        let weight = |t: &Tally| t.matched as f64 + 0.5 * t.unmatched as f64;
+        let occurs = || self.0.values().filter(|t| t.matched + t.unmatched > 0);
+        Quality {
+            pq: mean(occurs().map(|t| Some(t.iou / weight(t)))),
+            sq: mean(occurs().map(|t| Some(if t.matched > 0 { t.iou / t.matched as f64 } else { 0.0 }))),
+            rq: mean(occurs().map(|t| Some(t.matched as f64 / weight(t)))),
+        }
+    }
+}
+
+/// Scores `views` of (true instance ids, predicted object ids), each `[H, W]`; id 0 is no instance, and pixels whose
+/// truth is 0 are left out.
+pub fn instance_scores<'a>(views: impl IntoIterator<Item = (&'a [u16], &'a [u16])>) -> InstanceScores {
+    let (mut pooled, mut per_view) = (Pairs::default(), PanopticQuality::default());
+    let one: &dyn Fn(u16) -> u16 = &|_| 0;
+    for (truth, prediction) in views {
+        let mut pairs = Pairs::default();
+        pairs.add(truth, prediction);
+        per_view.count(&pairs, [one, one]);
+        pooled.merge(&pairs);
+    }
+    let mut scene = PanopticQuality::default();
+    scene.count(&pooled, [one, one]);
+    let areas = pooled.areas();
+    let [instances, objects] =
+        areas.each_ref().map(|areas| areas.keys().copied().filter(|id| *id != VOID).collect::<Vec<_>>());
+    let values: Vec<f64> = instances
+        .iter()
+        .flat_map(|&t| objects.iter().map(move |&p| (t, p)))
+        .map(|(t, p)| pooled.get(t, p) as f64)
+        .collect();
+    let mut partners = assignment(&values, objects.len());
+    partners.resize(instances.len(), None);
+    let matched: Vec<Option<u16>> = partners.into_iter().map(|p| p.map(|p| objects[p])).collect();
+    let pairs = || instances.iter().zip(&matched).map(|(&t, p)| (t, *p));
+    let right: u64 = pairs().map(|(t, p)| p.map_or(0, |p| pooled.get(t, p))).sum();
+    let all: u64 = areas[0].iter().filter(|(id, _)| **id != VOID).map(|(_, n)| n).sum();
+    InstanceScores {
+        accuracy: (all > 0).then(|| right as f64 / all as f64),
+        miou: mean(pairs().map(|(t, p)| Some(p.map_or(0.0, |p| pooled.iou(t, p, &areas))))),
+        panoptic: per_view.quality(),
+        scene: scene.quality(),
+        instances: instances.len(),
+        objects: objects.len(),
+    }
+}

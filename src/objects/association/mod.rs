@@ -1,0 +1,208 @@
+//! Association: segments whose ids mean something within their view only become segments of one thing.
+//!
+//! The Gaussians are what views have in common. A segment covers Gaussian i with weight `w_mi = sum_p alpha'_i T_i` over its
+//! pixels, and a group of segments with the sum of theirs. Of what a view shows, group g claims `sum_i w_mi W_gi / W_i`
+//! pixels of segment m; the IoU of segment and group in these pixels scores the pair. It compares what the view can
+//! see, so that a wall of which each view has a part is one wall. Pairs are chosen one to one in each view (as Gaga,
+//! arXiv 2404.07977, and CCGS, arXiv 2502.16303, do on sets of points; weights in place of point tests are ours).
+//!
+//! The first sweep takes the views in an order of overlap and opens groups. Later sweeps take each view out of the groups
+//! and assign it again, so that no view confirms itself; then groups that are one thing are merged, and strays dropped.
+//! Memory grows with the pairs of segments and Gaussians, not with their product.
+
+mod groups;
+mod masks;
+mod merge;
+mod order;
+
+use crate::config::AssociationConfig;
+use crate::data::{Class, Classes, LabelMap, Scene, Split, View, class_color};
+use crate::error::{Error, Result};
+use crate::gaussians::Gaussians;
+use crate::raster::Settings;
+use groups::{Assigned, Groups, Kind, Leftovers};
+use masks::{Mask, NOTHING, masks};
+use std::collections::HashMap;
+
+/// A thing that segments of several views show.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Group {
+    /// Id in the maps and in the class table.
+    pub id: u16,
+    /// Class of its segments, where the segmenter says one.
+    pub class: Option<u16>,
+    /// Training views with a segment of it.
+    pub views: usize,
+    /// Sum of alpha' T of its segments, pixels of the training views.
+    pub weight: f64,
+}
+
+/// Label maps with ids that mean the same in every view.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Association {
+    /// The groups as a class table; id 0 is unlabelled.
+    pub classes: Classes,
+    /// The groups, ascending by id, largest first.
+    pub groups: Vec<Group>,
+    /// For each view of the scene, its raw labels in ids of the groups.
+    pub maps: Vec<Option<LabelMap>>,
+    /// Segments of the training views.
+    pub segments: usize,
+    /// Those that belong to no group: their pixels become unlabelled.
+    pub dropped: usize,
+}
+
+impl Association {
+    /// Makes the groups the classes of `scene` and the maps its raw labels. True labels are of other classes and leave
+    /// the scene; [`View::instances`] stays to be scored against.
+    ///
+    /// # Panics
+    /// If the scene has another number of views than the one that was associated.
+    pub fn apply(self, scene: &mut Scene) {
+        assert_eq!(self.maps.len(), scene.views.len(), "association of another scene");
+        scene.classes = self.classes;
+        for (view, map) in scene.views.iter_mut().zip(self.maps) {
+            (view.raw, view.truth) = (map, None);
+            view.segments.clear();
+        }
+    }
+}
+
+/// Finds which segments of the raw labels of `scene` show one thing, by way of its Gaussians. Groups come from the
+/// training views; raw labels of test views are only told which groups they show.
+///
+/// Ids are those of [`View::segments`], or of the map itself where it says nothing of them: then all are things without a
+/// class. Of stuff all segments of a class are one group.
+///
+/// # Errors
+/// [`Error::NonFinite`] when a Gaussian's parameters are not finite; [`Error::Limit`] for more groups than u16 has ids;
+/// [`Error::Config`] when no training view has raw labels.
+///
+/// # Panics
+/// If raw labels are not of the size of their view's camera.
+pub fn associate(
+    gaussians: &Gaussians,
+    scene: &Scene,
+    config: &AssociationConfig,
+    settings: &Settings,
+) -> Result<Association> {
+    let raw = |view: &'_ View| match &view.raw {
+        Some(raw) => masks(gaussians, view, raw, settings),
+        None => Ok(Vec::new()),
+    };
+    let trained: Vec<usize> = (0..scene.views.len()).filter(|&v| scene.views[v].split == Split::Train).collect();
+    let views: Vec<Vec<Mask>> = trained.iter().map(|&v| raw(&scene.views[v])).collect::<Result<_>>()?;
+    if views.iter().all(Vec::is_empty) {
+        let expected = "raw labels of training views to put together";
+        let mend = "add raw labels, or set data.association = \"none\"";
+        return Err(Error::config("data.association", "gaussians, but no segments", expected, mend));
+    }
+    let mut groups = Groups::new(gaussians.len());
+    let assigned = group(&mut groups, &views, config);
+
+    let totals = merge::totals(&groups);
+    let mut counts = vec![0; groups.len()];
+    for assigned in &assigned {
+        let mut present: Vec<u32> = assigned.iter().flatten().copied().collect();
+        present.sort_unstable();
+        present.dedup();
+        present.into_iter().for_each(|group| counts[group as usize] += 1);
+    }
+    let mut kept: Vec<u32> = (0..groups.len() as u32).filter(|&g| counts[g as usize] > 0).collect();
+    kept.sort_by(|&a, &b| totals[b as usize].0.total_cmp(&totals[a as usize].0).then(a.cmp(&b)));
+    if kept.len() >= usize::from(u16::MAX) {
+        return Err(Error::Limit {
+            what: "groups of segments".into(),
+            found: kept.len().to_string(),
+            limit: (u16::MAX - 1).to_string(),
+            mend: "raise association.min_weight, or give a segmentation of larger things".into(),
+        });
+    }
+    let ids: HashMap<u32, u16> = kept.iter().copied().zip(1..).collect();
+    let mut maps = vec![None; scene.views.len()];
+    for ((&v, masks), assigned) in trained.iter().zip(&views).zip(&assigned) {
+        maps[v] = scene.views[v].raw.as_ref().map(|raw| translated(raw, masks, assigned, &ids));
+    }
+    for (map, view) in maps.iter_mut().zip(&scene.views).filter(|(_, view)| view.split == Split::Test) {
+        let Some(labels) = &view.raw else { continue };
+        let masks = masks(gaussians, view, labels, settings)?;
+        let assigned = groups.assign(&masks, config.min_overlap, Leftovers { join: true, open: false });
+        *map = Some(translated(labels, &masks, &assigned, &ids));
+    }
+    let group =
+        |(&g, id)| Group { id, class: groups.kind(g).class, views: counts[g as usize], weight: totals[g as usize].0 };
+    let dropped = assigned.iter().flatten().filter(|group| group.is_none()).count();
+    Ok(Association {
+        classes: named(kept.iter().map(|&g| groups.kind(g)), &scene.classes),
+        groups: kept.iter().zip(1..).map(group).collect(),
+        maps,
+        segments: views.iter().map(Vec::len).sum(),
+        dropped,
+    })
+}
+
+/// Forms the groups of `views`, and says which group each segment belongs to.
+fn group(groups: &mut Groups, views: &[Vec<Mask>], config: &AssociationConfig) -> Vec<Assigned> {
+    let order = order::overlapping_order(views, groups.owners().len());
+    let mut assigned: Vec<Assigned> = views.iter().map(|masks| vec![None; masks.len()]).collect();
+    for sweep in 0..config.sweeps {
+        for &v in &order {
+            groups.remove(&views[v], &assigned[v]);
+            assigned[v] = groups.assign(&views[v], config.min_overlap, Leftovers { join: sweep > 0, open: true });
+            groups.add(&views[v], &assigned[v]);
+        }
+        rebuild(groups, views, &assigned);
+        loop {
+            let pairs = merge::pairs(groups, views, &assigned, config.merge_above);
+            if pairs.is_empty() {
+                break;
+            }
+            let into: HashMap<u32, u32> = pairs.into_iter().collect();
+            for group in assigned.iter_mut().flatten().flatten() {
+                *group = into.get(group).copied().unwrap_or(*group);
+            }
+            rebuild(groups, views, &assigned);
+        }
+    }
+    let negligible = merge::negligible(groups, config.min_weight);
+    for group in assigned.iter_mut().flatten() {
+        *group = group.filter(|group| !negligible[*group as usize]);
+    }
+    rebuild(groups, views, &assigned);
+    for (masks, assigned) in views.iter().zip(&mut assigned) {
+        let overlaps = groups.overlaps(masks);
+        for ((mask, claimed), group) in masks.iter().zip(&overlaps.claimed).zip(assigned) {
+            *group = group.or_else(|| groups.container(mask, claimed));
+        }
+    }
+    rebuild(groups, views, &assigned);
+    assigned
+}
+
+/// Sums the weights of all groups afresh: the same bits in whichever order views came and went.
+fn rebuild(groups: &mut Groups, views: &[Vec<Mask>], assigned: &[Assigned]) {
+    groups.clear();
+    views.iter().zip(assigned).for_each(|(masks, assigned)| groups.add(masks, assigned));
+}
+
+/// A map in ids of the groups.
+fn translated(raw: &LabelMap, masks: &[Mask], assigned: &Assigned, ids: &HashMap<u32, u16>) -> LabelMap {
+    let mut table = vec![NOTHING; 1 << 16];
+    for (mask, group) in masks.iter().zip(assigned) {
+        table[usize::from(mask.segment.id)] = group.and_then(|group| ids.get(&group)).copied().unwrap_or(NOTHING);
+    }
+    LabelMap { ids: raw.ids.iter().map(|&id| table[usize::from(id)]).collect(), ..*raw }
+}
+
+/// The class table of groups of these kinds: `object 1`, or `chair 2` where the class is known, or `floor` for stuff.
+fn named(kinds: impl Iterator<Item = Kind>, classes: &Classes) -> Classes {
+    let mut numbers: HashMap<Option<u16>, usize> = HashMap::new();
+    let entry = |(kind, id): (Kind, u16)| {
+        let name = kind.class.map_or("object", |class| classes.name(class));
+        let number = numbers.entry(kind.class).or_default();
+        *number += 1;
+        let name = if kind.thing { format!("{name} {number}") } else { name.to_owned() };
+        Class { id, name, color: class_color(id) }
+    };
+    Classes { entries: kinds.zip(1..).map(entry).collect(), ignore: NOTHING }
+}
