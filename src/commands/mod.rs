@@ -1,5 +1,6 @@
 //! Subcommands: each parses its arguments, calls the library, and says what came out.
 
+pub mod allocator;
 mod associate;
 mod bench;
 mod data;
