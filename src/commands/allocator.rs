@@ -3,7 +3,7 @@
 /// Lets freed memory stay with the process.
 ///
 /// A training step allocates and frees the same large tensors again and again. By default glibc returns them to the system,
-/// which clears every page anew for the next step: a fifth of the time of a building iteration.
+/// which clears every page anew for the next step; small scenes feel it most.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 pub fn keep_freed_memory() {
     /// The largest that glibc takes: greater allocations still have pages of their own.

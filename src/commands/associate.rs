@@ -1,15 +1,15 @@
 //! `coseg associate`: one id for each thing, from label maps whose ids differ from view to view.
 
-use super::{Settings, terminal};
+use super::labelled::LabelledArgs;
+use super::terminal;
 use clap::Args;
 use coseg::config::Association;
-use coseg::data::{self, Limits, LoadOptions, Split};
+use coseg::data::Split;
 use coseg::error::Result;
 use coseg::gaussians::ply;
 use coseg::metrics::{InstanceScores, instance_scores};
 use coseg::objects::{LabelRule, associate, label_map, vote};
 use coseg::raster::{self, Projected};
-use std::path::PathBuf;
 
 const HELP: &str = "\
 Instance masks of unordered photos have ids that mean nothing in other views. Segments that cover the same Gaussians get
@@ -24,30 +24,17 @@ Example:
 #[derive(Args, Debug)]
 #[command(after_help = HELP)]
 pub struct AssociateArgs {
-    /// Scene in the 3DGS PLY convention
-    #[arg(long, value_name = "FILE.ply")]
-    scene: PathBuf,
-    /// Scene folder with photos, cameras and raw labels
-    #[arg(long, value_name = "DIR")]
-    data: PathBuf,
-    /// Folder to write to; made if absent
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
     #[command(flatten)]
-    settings: Settings,
+    input: LabelledArgs,
 }
 
 impl AssociateArgs {
     /// Associates, writes and scores.
     pub fn run(self) -> Result<()> {
-        let mut config = self.settings.load(Some(&self.data), None)?;
+        let mut config = self.input.config()?;
         config.data.association = Association::Gaussians;
         let raster = raster::Settings::from(&config.raster);
-        let mut scene = data::load(&self.data, &LoadOptions::from(&config.data))?;
-        let ply = ply::read(&self.scene, &Limits::default())?;
-        for view in &mut scene.views {
-            view.camera.center += scene.origin - ply.origin;
-        }
+        let (mut scene, ply) = self.input.read(&config)?;
         let found = associate(&ply.gaussians, &scene, &config.association, &raster)?;
         terminal::say(&format!(
             "{} segments of training views: {} objects, {} segments of none",
@@ -59,14 +46,14 @@ impl AssociateArgs {
         for view in &scene.views {
             if let Some(map) = &view.raw {
                 let name = view.name.replace(['/', '\\'], "_");
-                map.write_wide(&self.out.join("labels").join(format!("{name}.png")))?;
+                map.write_wide(&self.input.out.join("labels").join(format!("{name}.png")))?;
             }
         }
-        scene.classes.write(&self.out.join("classes.json"))?;
+        scene.classes.write(&self.input.out.join("classes.json"))?;
         let identities = vote(&ply.gaussians, scene.split(Split::Train), &scene.classes, &raster)?.identities();
-        let path = self.out.join("scene.ply");
+        let path = self.input.out.join("scene.ply");
         ply::write(&path, &ply.gaussians, ply.origin, Some(&identities.ids(&scene.classes)))?;
-        terminal::say(&format!("{}: maps in labels, classes.json and scene.ply", self.out.display()));
+        terminal::say(&format!("{}: maps in labels, classes.json and scene.ply", self.input.out.display()));
 
         let rule = LabelRule::from(&config.segmentation);
         let mut rendered = Vec::new();

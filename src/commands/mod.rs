@@ -5,6 +5,7 @@ mod associate;
 mod bench;
 mod data;
 mod eval;
+mod labelled;
 mod pretrain;
 mod progress;
 mod render;

@@ -1,14 +1,14 @@
 //! `coseg vote`: labels for a scene that exists already.
 
-use super::{Settings, terminal};
+use super::labelled::LabelledArgs;
+use super::terminal;
 use clap::Args;
-use coseg::data::{self, Limits, LoadOptions, Split};
+use coseg::data::Split;
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply;
 use coseg::metrics::{Void, label_scores};
 use coseg::objects::{LabelRule, label_map, vote};
 use coseg::raster::{self, Projected};
-use std::path::PathBuf;
 
 const HELP: &str = "\
 Each Gaussian takes the class with the largest summed alpha' T over the raw labels of the training views. Writes
@@ -21,39 +21,32 @@ Example:
 #[derive(Args, Debug)]
 #[command(after_help = HELP)]
 pub struct VoteArgs {
-    /// Scene in the 3DGS PLY convention
-    #[arg(long, value_name = "FILE.ply")]
-    scene: PathBuf,
-    /// Scene folder with photos, cameras and raw labels
-    #[arg(long, value_name = "DIR")]
-    data: PathBuf,
-    /// Folder to write to; made if absent
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
     #[command(flatten)]
-    settings: Settings,
+    input: LabelledArgs,
 }
 
 impl VoteArgs {
     /// Votes, writes and scores.
     pub fn run(self) -> Result<()> {
-        let config = self.settings.load(Some(&self.data), None)?;
+        let config = self.input.config()?;
         let raster = raster::Settings::from(&config.raster);
-        let mut scene = data::load(&self.data, &LoadOptions::from(&config.data))?;
+        let (scene, ply) = self.input.read(&config)?;
         if !scene.split(Split::Train).any(|v| v.raw.is_some()) {
             let mend = "add raw_label_path to the frames of a transforms.json, or name a folder with --set data.raw_labels=FOLDER";
-            return Err(Error::input(&self.data, "raw_label_path", "nothing", "raw labels of training views", mend));
-        }
-        let ply = ply::read(&self.scene, &Limits::default())?;
-        for view in &mut scene.views {
-            view.camera.center += scene.origin - ply.origin;
+            return Err(Error::input(
+                &self.input.data,
+                "raw_label_path",
+                "nothing",
+                "raw labels of training views",
+                mend,
+            ));
         }
         let votes = vote(&ply.gaussians, scene.split(Split::Train), &scene.classes, &raster)?;
         let identities = votes.identities();
         let ids = identities.ids(&scene.classes);
-        let path = self.out.join("scene.ply");
+        let path = self.input.out.join("scene.ply");
         ply::write(&path, &ply.gaussians, ply.origin, Some(&ids))?;
-        scene.classes.write(&self.out.join("classes.json"))?;
+        scene.classes.write(&self.input.out.join("classes.json"))?;
         let unseen = ids.iter().filter(|&&id| id == scene.classes.ignore).count();
         terminal::say(&format!(
             "{}: {} Gaussians labelled, {unseen} without a vote",

@@ -184,13 +184,14 @@ fn run_resumed_from_its_own_checkpoint_keeps_the_curves() {
     assert!(untimed(BuildingState::load(&path).expect("loaded")) == whole, "the last checkpoint is the end of the run");
 }
 
-#[test]
-fn same_seed_same_bits_at_one_and_two_threads() {
+/// Runs of `config` with equal seeds agree in every bit at one and two threads, and others differ.
+pub fn assert_bits_follow_the_seed(config: &Config) {
     let run = |threads, seed| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         pool.install(|| {
             let (scene, device) = (scene(), device());
-            let mut stage = BuildingStage::new(&scene, &Config { seed, ..config() }, &device).expect("a stage");
+            let config = Config { seed, ..config.clone() };
+            let mut stage = BuildingStage::new(&scene, &config, &device).expect("a stage");
             advance(&mut stage, 35);
             untimed(stage.state().expect("a state"))
         })
@@ -198,6 +199,11 @@ fn same_seed_same_bits_at_one_and_two_threads() {
     let one = run(1, 7);
     assert!(one == run(2, 7));
     assert!(one.gaussians != run(1, 8).gaussians);
+}
+
+#[test]
+fn same_seed_same_bits_at_one_and_two_threads() {
+    assert_bits_follow_the_seed(&config());
 }
 
 #[test]

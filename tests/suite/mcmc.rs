@@ -1,6 +1,6 @@
 //! The building stage with 3DGS-MCMC, and with AbsGS: both learn, keep to the cap, and resume exactly.
 
-use crate::building::{advance, config, scene, untimed};
+use crate::building::{advance, assert_bits_follow_the_seed, config, scene, untimed};
 use coseg::config::{BuildingConfig, Config, McmcConfig, Strategy};
 use coseg::data::Points;
 use coseg::gaussians::Gaussians;
@@ -58,18 +58,7 @@ fn resumed_run_equals_uninterrupted_run_across_relocation_and_growth() {
 
 #[test]
 fn same_seed_same_bits_at_one_and_two_threads() {
-    let run = |threads, seed| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
-        pool.install(|| {
-            let scene = scene();
-            let mut stage = stage(&scene, &Config { seed, ..mcmc() });
-            advance(&mut stage, 35);
-            untimed(stage.state().expect("a state"))
-        })
-    };
-    let one = run(1, 7);
-    assert!(one == run(2, 7));
-    assert!(one.gaussians != run(1, 8).gaussians);
+    assert_bits_follow_the_seed(&mcmc());
 }
 
 #[test]

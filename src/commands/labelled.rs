@@ -1,0 +1,42 @@
+//! A trained scene beside a folder of raw labels: what commands that give Gaussians labels work on.
+
+use super::Settings;
+use clap::Args;
+use coseg::config::Config;
+use coseg::data::{self, Limits, LoadOptions, Scene};
+use coseg::error::Result;
+use coseg::gaussians::ply::{self, PlyScene};
+use std::path::PathBuf;
+
+/// Arguments that name both, and where to write.
+#[derive(Args, Debug)]
+pub struct LabelledArgs {
+    /// Scene in the 3DGS PLY convention
+    #[arg(long, value_name = "FILE.ply")]
+    scene: PathBuf,
+    /// Scene folder with photos, cameras and raw labels
+    #[arg(long, value_name = "DIR")]
+    pub data: PathBuf,
+    /// Folder to write to; made if absent
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    #[command(flatten)]
+    settings: Settings,
+}
+
+impl LabelledArgs {
+    /// The settings.
+    pub fn config(&self) -> Result<Config> {
+        self.settings.load(Some(&self.data), None)
+    }
+
+    /// Reads both; cameras are put relative to the origin of the Gaussians.
+    pub fn read(&self, config: &Config) -> Result<(Scene, PlyScene)> {
+        let mut scene = data::load(&self.data, &LoadOptions::from(&config.data))?;
+        let ply = ply::read(&self.scene, &Limits::default())?;
+        for view in &mut scene.views {
+            view.camera.center += scene.origin - ply.origin;
+        }
+        Ok((scene, ply))
+    }
+}
