@@ -77,6 +77,8 @@ pub enum LabelLoss {
     Mae,
     /// Normalised cross-entropy and reverse cross-entropy, added with equal weights (Ma et al. 2020).
     NceRce,
+    /// Generalised Jensen-Shannon of the label and two predictions under dropout (Englesson and Azizpour 2021).
+    Gjs,
 }
 
 /// A row of the results table that a run trains.
@@ -160,8 +162,10 @@ pub struct SegmentationConfig {
     pub prior: Prior,
     /// Loss of row `ours`.
     pub loss: LabelLoss,
-    /// Weight of the raw label in the JS loss, in (0, 1).
+    /// Weight of the raw label in the JS and GJS losses, in (0, 1).
     pub pi_rl: f64,
+    /// Share of the frozen channels that each of the two predictions of `loss = "gjs"` does without, in (0, 1).
+    pub gjs_dropout: f64,
     /// Weight of the label loss.
     pub lambda_pix: f64,
     /// Weight of the 3D regularisation (Eq. 9).
@@ -203,6 +207,7 @@ impl Default for SegmentationConfig {
             prior: Prior::Votes,
             loss: LabelLoss::Js,
             pi_rl: 0.99,
+            gjs_dropout: 0.2,
             lambda_pix: 0.8,
             lambda_reg: 0.2,
             warmup: 0.1,

@@ -22,6 +22,8 @@ pub enum Purpose {
     Regularisation = 6,
     /// Noise on the means; index = iteration.
     PositionNoise = 7,
+    /// Channels that a prediction does without; index = 2 iteration + prediction.
+    Dropout = 8,
     /// Cells that a PCA is fitted on; index = 4 * training view + scale.
     PcaCells = 32,
     /// Pixels that a linear probe is trained on; index = view.

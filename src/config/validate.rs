@@ -209,6 +209,7 @@ impl Config {
             "set segmentation.blend = \"probabilities\", or segmentation.prior = \"none\"",
         );
         check.open_share("segmentation.pi_rl", s.pi_rl);
+        check.open_share("segmentation.gjs_dropout", s.gjs_dropout);
         check.amount("segmentation.lambda_pix", s.lambda_pix);
         check.amount("segmentation.lambda_reg", s.lambda_reg);
         check.within("segmentation.warmup", s.warmup, 0.0, 1.0);

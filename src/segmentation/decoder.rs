@@ -11,7 +11,7 @@ use burn::config::Config;
 use burn::module::{Module, Param};
 use burn::nn::{LayerNorm, LayerNormConfig, Linear};
 use burn::tensor::activation::leaky_relu;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -95,11 +95,17 @@ struct FusionLayer {
 }
 
 impl FusionLayer {
-    /// `features` are the frozen rows of the level, `below` what comes up from the next coarser one, before upsampling.
-    fn forward(&self, features: Tensor<2>, below: Tensor<2>, mut map: LayerMap) -> Tensor<2> {
+    /// `features` are the frozen rows of the level, each channel times its factor in `channels` where there are any;
+    /// `below` is what comes up from the next coarser one, before upsampling.
+    fn forward(&self, features: Tensor<2>, channels: &[f32], below: Tensor<2>, mut map: LayerMap) -> Tensor<2> {
         let (bias, device) = (self.bias.val(), features.device());
         let width = bias.dims()[0];
         let weight = match &self.features {
+            // (x diag(f)) W = x (diag(f) W)
+            Some(weight) if !channels.is_empty() => {
+                let factors = TensorData::new(channels.to_vec(), [channels.len(), 1]);
+                weight.val() * Tensor::from_data(factors, &device)
+            }
             Some(weight) => weight.val(),
             None => Tensor::zeros([features.dims()[1], width], &device),
         };
@@ -136,13 +142,23 @@ impl Decoder {
     /// # Panics
     /// If `pyramid` has fewer levels or other widths than the decoder was made for, or `kept` is of another pyramid.
     pub fn forward(&self, pyramid: &Pyramid, kept: &Restriction) -> Decoded {
+        self.forward_scaled(pyramid, kept, &[])
+    }
+
+    /// [`Decoder::forward`] of frozen features whose channels are first multiplied by `factors`, one list a scale, empty
+    /// for none: dropout is a list of zeros and 1 / (1 - rate).
+    ///
+    /// # Panics
+    /// As [`Decoder::forward`]; if a list is not as long as its scale has channels.
+    pub fn forward_scaled(&self, pyramid: &Pyramid, kept: &Restriction, factors: &[Vec<f32>]) -> Decoded {
         let device = self.last.weight.device();
         assert!(self.layers.len() <= pyramid.levels.len(), "levels of the pyramid against layers of the decoder");
         let mut below = tracked(&kept.of_top(&pyramid.top), &device);
         let mut fused = Vec::with_capacity(self.layers.len());
         for (n, (layer, level)) in self.layers.iter().zip(&pyramid.levels).enumerate().rev() {
             let map = LayerMap { rows: kept.rows(n).cloned(), upsample: kept.upsample(n).clone(), slope: SLOPE };
-            below = layer.forward(tracked(&level.features, &device), below, map);
+            let channels = factors.get(n).map_or(&[][..], |f| f);
+            below = layer.forward(tracked(&level.features, &device), channels, below, map);
             fused.push(below.clone());
         }
         fused.reverse();

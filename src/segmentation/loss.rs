@@ -12,7 +12,7 @@ pub use crate::ops::{Kind, NeighbourPairs, label_loss, neighbour_divergence};
 const GCE_EXPONENT: f64 = 0.7;
 
 impl Kind {
-    /// The loss that the settings ask for after the warm-up.
+    /// The loss that the settings ask for after the warm-up; of `"gjs"` the part that reads the label.
     ///
     /// # Errors
     /// [`Error::Config`] when `pi_rl` is not in (0, 1).
@@ -22,8 +22,10 @@ impl Kind {
             LabelLoss::Gce => Self::Gce { q: GCE_EXPONENT },
             LabelLoss::Mae => Self::Mae,
             LabelLoss::NceRce => Self::NceRce,
-            LabelLoss::Js if config.pi_rl > 0.0 && config.pi_rl < 1.0 => Self::Js { pi_rl: config.pi_rl },
-            LabelLoss::Js => {
+            LabelLoss::Js | LabelLoss::Gjs if config.pi_rl > 0.0 && config.pi_rl < 1.0 => {
+                Self::Js { pi_rl: config.pi_rl }
+            }
+            LabelLoss::Js | LabelLoss::Gjs => {
                 let mend = "0.99 is the default; use segmentation.loss = \"ce\" or \"mae\" for the limits 0 and 1";
                 let found = config.pi_rl.to_string();
                 return Err(Error::config("segmentation.pi_rl", found, "a number above 0 and below 1", mend));

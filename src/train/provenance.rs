@@ -15,6 +15,8 @@ use std::path::Path;
 /// Settings that change when something is measured, saved or kept, and nothing else.
 const WITHOUT_EFFECT: [&str; 5] =
     ["features.cache_dir", "segmentation.rows", "segmentation.weight_cache_mb", "eval_every", "checkpoint_every"];
+/// Sections that training follows from.
+const SECTIONS: [&str; 6] = ["building", "raster", "segmentation", "features", "unprojection", "spatial"];
 /// Settings that are paths: files may move, so their names are compared.
 const PATHS: [&str; 3] = ["features.weights", "features.import_dir", "spatial.weights"];
 
@@ -59,16 +61,19 @@ impl Provenance {
         *self != Self::default()
     }
 
-    /// Refuses a checkpoint, `stored` in `file`, that was made from other settings or data than these.
+    /// Refuses a checkpoint, `stored` in `file`, that was made from other settings or data than these. A setting that it does
+    /// not mention did not exist when it was written: it counts as the default, which leaves older runs as they were.
     ///
     /// # Errors
     /// [`Error::Config`] naming the first setting that differs; [`Error::Input`] naming the data.
     pub(super) fn check(&self, stored: &Self, file: &Path) -> Result<()> {
         let none = || "nothing".to_owned();
+        let defaults = settings(&Config::default(), &SECTIONS);
+        let then = |key: &str| stored.settings.get(key).or_else(|| defaults.get(key));
         let keys = self.settings.keys().chain(stored.settings.keys());
-        if let Some(key) = keys.into_iter().find(|key| self.settings.get(*key) != stored.settings.get(*key)) {
+        if let Some(key) = keys.into_iter().find(|key| self.settings.get(*key) != then(key)) {
             let found = self.settings.get(key).cloned().unwrap_or_else(none);
-            let then = stored.settings.get(key).cloned().unwrap_or_else(none);
+            let then = then(key).cloned().unwrap_or_else(none);
             let expected = format!("{then}, as when {} was written", file.display());
             let mend = "resume with that value, or train with this one into another folder";
             return Err(Error::config(key, found, expected, mend));

@@ -5,7 +5,7 @@ use super::provenance::Provenance;
 use super::rates::choose_rate;
 use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Source, TrainingViews, train};
 use super::segmentation_inputs::{Inputs, Spatial};
-use crate::config::{Association, Prior, Row, SegmentationConfig};
+use crate::config::{Association, LabelLoss, Prior, Row, SegmentationConfig};
 use crate::data::{LabelMap, Split, View};
 use crate::error::Result;
 use crate::metrics::{InstanceScores, LabelScores, Void, instance_scores, label_scores};
@@ -253,6 +253,7 @@ pub fn decoder_row<'a>(
         rate,
         regularised: row != Row::OursCe && config.lambda_reg > 0.0,
         size: [inputs.gaussians.len(), classes],
+        dropout: (row != Row::OursCe && config.loss == LabelLoss::Gjs).then_some(config.gjs_dropout),
         average_from: config.average.then_some((config.warmup * config.iterations as f64) as usize),
         seed,
     };

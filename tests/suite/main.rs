@@ -13,6 +13,7 @@ mod classes;
 mod cli;
 mod colmap;
 mod config;
+mod consistency;
 mod data_check;
 mod decoder;
 mod densify;

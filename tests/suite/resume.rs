@@ -1,6 +1,6 @@
 //! A run that was stopped and gone on with is the run that was not; a checkpoint of another run is refused.
 
-use coseg::config::{BuildingConfig, Config, Encode, Row, SegmentationConfig};
+use coseg::config::{BuildingConfig, Config, Encode, LabelLoss, Row, SegmentationConfig};
 use coseg::train::progress::{CurvePoint, Event, Progress, Silent};
 use coseg::train::{Outcome, run};
 use std::path::Path;
@@ -80,9 +80,10 @@ fn same(a: &Outcome, b: &Outcome) {
 fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::plates::scene(folder.path());
-    for encode in [Encode::Scene, Encode::View] {
+    for (encode, loss) in [(Encode::Scene, LabelLoss::Js), (Encode::View, LabelLoss::Gjs)] {
         let mut config = config(folder.path());
         config.spatial.encode = encode;
+        config.segmentation.loss = loss;
         let out = |name: &str| folder.path().join(format!("{encode:?}-{name}"));
         let uninterrupted = whole(&config, &out("whole"));
         assert_eq!(uninterrupted.rows[1].curve.len(), 3);
@@ -102,6 +103,16 @@ fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
         // And once more from the end: nothing is left to do.
         same(&uninterrupted, &whole(&config, &parts));
     }
+}
+
+/// Takes a text out of the header of a safetensors file, and gives its length back as blanks at the header's end.
+fn forget(path: &Path, text: &str) {
+    let bytes = std::fs::read(path).expect("read");
+    let length = u64::from_le_bytes(bytes[..8].try_into().expect("8 bytes")) as usize;
+    let header = std::str::from_utf8(&bytes[8..8 + length]).expect("text");
+    assert_eq!(header.matches(text).count(), 1, "{text} in {header}");
+    let shorter = format!("{}{}", header.replace(text, ""), " ".repeat(text.len()));
+    std::fs::write(path, [&bytes[..8], shorter.as_bytes(), &bytes[8 + length..]].concat()).expect("written");
 }
 
 #[test]
@@ -138,6 +149,21 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     other.segmentation.weight_cache_mb = 0;
     other.segmentation.rows = vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::Ours];
     assert_eq!(whole(&other, &out).rows.last().expect("a row").identities, done.rows[2].identities);
+
+    // A setting that came after a checkpoint was written counts as its default.
+    let path = out.join("checkpoint/building.safetensors");
+    let before = std::fs::read(&path).expect("read");
+    for (setting, now) in [(r#"\"building.absgrad\":\"false\","#, "true"), (r#"\"building.sh_degree\":\"3\","#, "2")] {
+        forget(&path, setting);
+        assert_eq!(whole(&base, &out).rows.last().expect("a row").identities, done.rows[2].identities);
+        let key = setting.split('"').nth(1).expect("quoted").trim_end_matches('\\');
+        let edit = |c: &mut Config| match now {
+            "true" => c.building.absgrad = true,
+            _ => c.building.sh_degree = 2,
+        };
+        named(key, now, if now == "true" { "false" } else { "3" }, &edit);
+        std::fs::write(&path, &before).expect("written");
+    }
 
     // Another geometry under the same settings: the building stage done anew from another seed of points.
     let elsewhere = folder.path().join("elsewhere");

@@ -3,6 +3,7 @@
 //! Where logits are blended, the linear last layer is applied per pixel, after blending the hidden features. Only what a
 //! view's visible Gaussians depend on is decoded in a step.
 
+use super::consistency::dropped_channels;
 use super::optimiser::{self, ModuleAdam, NamedValues};
 use super::views::Drawn;
 use super::{Model, Prediction, Scores, stored};
@@ -11,7 +12,7 @@ use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::sparse_apply;
 use crate::random::{Purpose, stream};
-use crate::segmentation::decoder::Decoder;
+use crate::segmentation::decoder::{Decoded, Decoder};
 use crate::segmentation::loss::{NeighbourPairs, neighbour_divergence};
 use crate::segmentation::neighbours::without_self;
 use crate::segmentation::pyramid::{Pyramid, Restriction};
@@ -92,7 +93,9 @@ pub struct FusedPlan<'a> {
     pub size: [usize; 2],
     /// Step from which on the decoder is averaged; the average is what stores identities.
     pub average_from: Option<usize>,
-    /// Seed of the regularisation's samples.
+    /// Share of the frozen channels that each of two predictions does without; absent: one prediction, of all channels.
+    pub dropout: Option<f64>,
+    /// Seed of the regularisation's samples, and of dropout.
     pub seed: u64,
 }
 
@@ -230,15 +233,28 @@ impl Model for Fused<'_> {
     fn predict(&mut self, view: usize, drawn: &Drawn) -> Result<Prediction> {
         let prepared = self.prepare(view, &drawn.visible)?;
         let Some(decoder) = &self.decoder else { return Ok(Prediction::empty(self.plan.size[1], &self.device)) };
-        let decoded = decoder.forward(&self.source.view(view).pyramid, &prepared.kept);
-        let scores = match self.plan.config.blend {
-            // The last layer is linear: hidden features are blended and it is applied per pixel.
-            Blend::Logits if self.prior.is_empty() => {
-                Scores::Pixels(decoder.classify(sparse_apply(decoded.hidden, Arc::new(drawn.pixels.chosen()))))
-            }
-            blend => Scores::blended(self.scores(decoder, decoded.hidden, &drawn.visible), &drawn.pixels, blend),
+        let pyramid = &self.source.view(view).pyramid;
+        let predicted = |factors: &[Vec<f32>]| {
+            let Decoded { hidden, fused } = decoder.forward_scaled(pyramid, &prepared.kept, factors);
+            let scores = match self.plan.config.blend {
+                // The last layer is linear: hidden features are blended and it is applied per pixel.
+                Blend::Logits if self.prior.is_empty() => {
+                    Scores::Pixels(decoder.classify(sparse_apply(hidden, Arc::new(drawn.pixels.chosen()))))
+                }
+                blend => Scores::blended(self.scores(decoder, hidden, &drawn.visible), &drawn.pixels, blend),
+            };
+            (scores, fused)
         };
-        let regularisation = if self.plan.regularised { self.regularisation(&decoded.fused, &prepared) } else { None };
+        let (scores, fused) = match self.plan.dropout {
+            None => predicted(&[]),
+            Some(rate) => {
+                let factors =
+                    |which: usize| dropped_channels(pyramid, rate, self.plan.seed, 2 * self.iteration + which);
+                let ((one, fused), (other, _)) = (predicted(&factors(0)), predicted(&factors(1)));
+                (Scores::Pair(Box::new([one, other])), fused)
+            }
+        };
+        let regularisation = if self.plan.regularised { self.regularisation(&fused, &prepared) } else { None };
         self.iteration += 1;
         Ok(Prediction { scores, regularisation })
     }

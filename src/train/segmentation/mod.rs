@@ -1,11 +1,13 @@
 //! Stage two: segmentation identities from raw labels, geometry frozen.
 
+mod consistency;
 mod fused;
 mod optimiser;
 mod per_gaussian;
 mod session;
 mod views;
 
+pub use consistency::{dropped_channels, generalised_js};
 pub use fused::{Encoded, Fused, FusedPlan, Source};
 pub use optimiser::{ModuleAdam, NamedValues};
 pub use per_gaussian::PerGaussian;
@@ -28,6 +30,8 @@ pub enum Scores {
     Pixels(Tensor<2>),
     /// Of the view's visible Gaussians, `[V, C]`: the probabilities they stand for are blended.
     Gaussians(Tensor<2>),
+    /// Two predictions from different parts of the input, each as one of the above.
+    Pair(Box<[Scores; 2]>),
 }
 
 impl Scores {
@@ -36,6 +40,18 @@ impl Scores {
         match blend {
             Blend::Logits => Self::Pixels(sparse_apply(scores, Arc::new(pixels.chosen()))),
             Blend::Probabilities => Self::Gaussians(scores),
+        }
+    }
+
+    /// Class probabilities of the pixels, `[P, C]`; of a pair their mean.
+    fn probabilities(self, pixels: &LabelledPixels) -> Tensor<2> {
+        match self {
+            Self::Pixels(logits) => softmax(logits, 1),
+            Self::Gaussians(scores) => sparse_apply(softmax(scores, 1), Arc::new(pixels.chosen())),
+            Self::Pair(pair) => {
+                let [a, b] = pair.map(|scores| scores.probabilities(pixels));
+                (a + b) * 0.5
+            }
         }
     }
 }
@@ -84,6 +100,8 @@ pub struct Plan {
     pub iterations: usize,
     /// Weights of the label loss and of the 3D regularisation.
     pub lambda: [f64; 2],
+    /// Weight, within the label loss, of how far two predictions are apart, where a model makes two.
+    pub consistency: f64,
     /// Share of the pixels in a step.
     pub pixel_share: f64,
     /// Whether the learning rate falls along a half cosine, to 1 % at the end.
@@ -104,6 +122,8 @@ impl Plan {
             warmup,
             iterations: config.iterations,
             lambda: [config.lambda_pix, config.lambda_reg],
+            // (1 - pi) / Z with the Z of Kind::Js
+            consistency: -(-config.pi_rl).ln_1p().recip(),
             pixel_share: config.pixel_share,
             decay: config.lr_decay,
             seed,
@@ -142,6 +162,11 @@ pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan,
     let loss = match prediction.scores {
         Scores::Pixels(logits) => label_loss(logits, &drawn.pixels.labels, &kind),
         Scores::Gaussians(scores) => blended_label_loss(scores, Arc::new(drawn.pixels), &kind),
+        Scores::Pair(pair) => {
+            let consistency = if iteration < plan.warmup { 0.0 } else { plan.consistency };
+            let pair = pair.map(|scores| scores.probabilities(&drawn.pixels));
+            generalised_js(pair, &drawn.pixels.labels, &kind, consistency)
+        }
     };
     let mut loss = loss * plan.lambda[0];
     if let Some(regularisation) = prediction.regularisation {
