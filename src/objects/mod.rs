@@ -3,9 +3,11 @@
 mod association;
 mod hard_labels;
 mod identities;
+mod smoothing;
 mod vote;
 
 pub use association::{Association, Group, associate};
 pub use hard_labels::hard_label_map;
 pub use identities::{Identities, LabelRule, label_map};
+pub use smoothing::{Diffusion, NeighbourGraph};
 pub use vote::{Votes, vote};

@@ -48,6 +48,7 @@ mod replica;
 mod report;
 mod resume;
 mod scannet;
+mod smoothing;
 mod solve;
 mod stage_two;
 mod torch_file;
