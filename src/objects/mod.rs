@@ -3,9 +3,11 @@
 mod association;
 mod hard_labels;
 mod identities;
+mod semantics;
 mod vote;
 
 pub use association::{Association, Group, associate};
 pub use hard_labels::hard_label_map;
 pub use identities::{Identities, LabelRule, label_map};
+pub use semantics::Semantics;
 pub use vote::{Votes, vote};
