@@ -53,7 +53,8 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let seen = Seen { kept, lifted, dimensions, name: "random numbers".into(), seconds: [0.0; 2] };
     let settings = Settings::from(&config.raster);
     let device = &bench.device;
-    let inputs = Inputs { scene: &few, gaussians: &gaussians, seen: Some(seen), config, settings, device };
+    let inputs =
+        Inputs { scene: &few, gaussians: &gaussians, seen: Some(seen), semantics: None, config, settings, device };
     let mut spatial = Spatial::default();
     let source = spatial.source(Row::Ours, &inputs)?;
     let segmentation = &config.segmentation;

@@ -4,18 +4,18 @@ use super::labelled::LabelledArgs;
 use super::terminal;
 use clap::Args;
 use coseg::config::Association;
-use coseg::data::Split;
+use coseg::data::{LabelMap, Split, View};
 use coseg::error::Result;
 use coseg::gaussians::ply;
-use coseg::metrics::{InstanceScores, instance_scores};
-use coseg::objects::{LabelRule, associate, label_map, vote};
+use coseg::metrics::{InstanceScores, SemanticScores, instance_scores};
+use coseg::objects::{LabelRule, Semantics, associate, label_map, vote};
 use coseg::raster::{self, Projected};
 
 const HELP: &str = "\
 Instance masks of unordered photos have ids that mean nothing in other views. Segments that cover the same Gaussians get
 one id. Writes labels/VIEW.png (16-bit grey, 0 is unlabelled) for each view with raw labels, classes.json, and scene.ply
-with a label column from a vote of the maps. Where frames have true instances, prints scores. coseg train does the same
-after stage one with data.association = \"gaussians\".
+with a label column from a vote of the maps. Where frames have true instances, prints scores; where segments have classes
+and frames true labels, scores by class. coseg train does the same after stage one with data.association = \"gaussians\".
 
 Example:
   coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=masks";
@@ -42,6 +42,7 @@ impl AssociateArgs {
             found.groups.len(),
             found.dropped
         ));
+        let semantics = Semantics::of(&scene);
         found.apply(&mut scene);
         for view in &scene.views {
             if let Some(map) = &view.raw {
@@ -58,14 +59,44 @@ impl AssociateArgs {
         let rule = LabelRule::from(&config.segmentation);
         let mut rendered = Vec::new();
         for view in scene.split(Split::Test) {
-            let Some(truth) = &view.instances else { continue };
-            let projected = Projected::new(&ply.gaussians.splats(), &view.camera, &raster)?;
-            rendered.push((truth, label_map(&projected, &identities, &scene.classes, &rule)));
+            if view.instances.is_some() || semantics.as_ref().is_some_and(|semantics| semantics.knows(view)) {
+                let projected = Projected::new(&ply.gaussians.splats(), &view.camera, &raster)?;
+                rendered.push((view, label_map(&projected, &identities, &scene.classes, &rule)));
+            }
         }
-        let own = scene.split(Split::Test).filter_map(|view| Some((view.instances.as_ref()?, view.raw.as_ref()?)));
-        print("maps", &instance_scores(own.map(|(truth, map)| (&truth.ids[..], &map.ids[..]))));
-        print("rendered", &instance_scores(rendered.iter().map(|(truth, map)| (&truth.ids[..], &map.ids[..]))));
+        let own: Vec<_> = scene.split(Split::Test).filter_map(|view| Some((view, view.raw.as_ref()?))).collect();
+        let rendered: Vec<_> = rendered.iter().map(|(view, map)| (*view, map)).collect();
+        for (what, maps) in [("maps", own), ("rendered", rendered)] {
+            print(what, &of_instances(&maps));
+            if let Some(semantics) = &semantics {
+                print_by_class(what, &semantics.score(&scene.classes, maps));
+            }
+        }
         Ok(())
+    }
+}
+
+/// Scores of the maps of views with true instances.
+fn of_instances(maps: &[(&View, &LabelMap)]) -> InstanceScores {
+    let known = maps.iter().filter_map(|(view, map)| Some((view.instances.as_ref()?, *map)));
+    instance_scores(known.map(|(truth, map)| (&truth.ids[..], &map.ids[..])))
+}
+
+/// The scores by class of held-out views, where there are true labels.
+fn print_by_class(what: &str, scores: &SemanticScores) {
+    if let (Some(miou), Some(accuracy)) = (scores.miou, scores.accuracy) {
+        let figure =
+            |name: &str, value: Option<f64>| value.map_or(String::new(), |value| format!(", {name} {value:.4}"));
+        let quality = scores.panoptic.unwrap_or_default();
+        let qualities = [
+            figure("PQ", quality.all.pq),
+            figure("of things", quality.things.pq),
+            figure("of stuff", quality.stuff.pq),
+        ];
+        terminal::say(&format!(
+            "held-out views, {what}, by class: mIoU {miou:.4}, accuracy {accuracy:.4}{}",
+            qualities.concat()
+        ));
     }
 }
 

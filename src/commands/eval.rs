@@ -7,14 +7,16 @@ use coseg::config::{Association, Config};
 use coseg::data::{Classes, LabelMap, Limits, Scene, Split, View};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
-use coseg::metrics::{ImageScores, InstanceScores, Void, instance_scores, label_scores};
-use coseg::objects::{Identities, LabelRule, hard_label_map, label_map};
+use coseg::metrics::{ImageScores, InstanceScores, SemanticScores, Void, instance_scores, label_scores};
+use coseg::objects::{Identities, LabelRule, Semantics, hard_label_map, label_map};
 use coseg::raster::{Projected, Settings, render};
 use std::path::PathBuf;
 
 const HELP: &str = "\
 Prints PSNR and SSIM of the run's scene on the held-out views and, where these have true labels, mIoU (all views in
-one confusion matrix, and the mean over views), accuracy and the IoU of each class, 0 to 1, of the stored identities.
+one confusion matrix, and the mean over views), accuracy and the IoU of each class, 0 to 1, of the stored identities. Of
+a run with data.association: scores of its objects against true instances, and, where they have classes, against true
+labels, an object counting as its class.
 
 Examples:
   coseg eval runs/living
@@ -55,13 +57,17 @@ impl EvalArgs {
             view.camera.center += scene.origin - ply.origin;
         }
         let stored = stored(&run, &ply)?;
-        let (images, labels) = score(&scene, &ply, stored.as_ref(), &run.classes()?, &config)?;
+        let classes = run.classes()?;
+        let (images, labels) = score(&scene, &ply, stored.as_ref(), &classes, &config)?;
         // Classes that association found are objects; true labels are of other classes.
         let objects = config.data.association != Association::None;
         let instances = objects.then(|| {
             let known = labels.iter().filter_map(|(view, found)| Some((view.instances.as_ref()?, found)));
             instance_scores(known.map(|(truth, found)| (&truth.ids[..], &found.ids[..])))
         });
+        let semantics = Semantics::of(&scene).filter(|_| objects && stored.is_some());
+        let semantic =
+            semantics.map(|semantics| semantics.score(&classes, labels.iter().map(|(view, found)| (*view, found))));
         let labels = label_scores(
             &scene.classes,
             labels
@@ -78,11 +84,15 @@ impl EvalArgs {
             if let Some(instances) = instances {
                 json["instances"] = serde_json::json!(instances);
             }
+            if let Some(semantic) = semantic {
+                json["semantic"] = serde_json::json!(semantic);
+            }
             terminal::say(&json.to_string());
             return Ok(());
         }
         terminal::say(&format!("{}: {} Gaussians, {views} held-out views", scene.name, ply.gaussians.len()));
         let of_objects = |pick: fn(&InstanceScores) -> Option<f64>| instances.as_ref().and_then(pick);
+        let by_class = |pick: fn(&SemanticScores) -> Option<f64>| semantic.as_ref().and_then(pick);
         let figures = [
             ("PSNR", images.psnr, " dB", 2),
             ("SSIM", images.ssim, "", 4),
@@ -92,6 +102,12 @@ impl EvalArgs {
             ("object accuracy", of_objects(|s| s.accuracy), "", 4),
             ("object mIoU", of_objects(|s| s.miou), "", 4),
             ("PQ", of_objects(|s| s.panoptic.pq), "", 4),
+            ("class mIoU", by_class(|s| s.miou), "", 4),
+            ("per view", by_class(|s| s.miou_per_view), "", 4),
+            ("class accuracy", by_class(|s| s.accuracy), "", 4),
+            ("PQ by class", by_class(|s| s.panoptic?.all.pq), "", 4),
+            ("PQ of things", by_class(|s| s.panoptic?.things.pq), "", 4),
+            ("PQ of stuff", by_class(|s| s.panoptic?.stuff.pq), "", 4),
         ];
         for (name, value, unit, decimals) in figures {
             if let Some(value) = value {
@@ -100,6 +116,9 @@ impl EvalArgs {
         }
         for (id, iou) in &labels.per_class {
             terminal::say(&format!("{:>14}  {iou:.4}  IoU of {id} {}", "", scene.classes.name(*id)));
+        }
+        for class in semantic.iter().flat_map(|s| &s.per_class) {
+            terminal::say(&format!("{:>14}  {:.4}  IoU of {} {}", "", class.iou, class.id, class.name));
         }
         Ok(())
     }

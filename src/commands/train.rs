@@ -152,5 +152,10 @@ fn summary(outcome: &Outcome) {
             None => [s.miou, s.miou_per_view, s.accuracy],
         };
         terminal::say(&format!("{name:<28} {:>8} {:>9} {:>9}", cell(miou), cell(per_view), cell(accuracy)));
+        if let Some(s) = &row.semantic {
+            let [miou, per_view, accuracy] = [s.miou, s.miou_per_view, s.accuracy].map(cell);
+            let name = format!("{name}, by class");
+            terminal::say(&format!("{name:<28} {miou:>8} {per_view:>9} {accuracy:>9}"));
+        }
     }
 }

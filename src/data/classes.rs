@@ -1,6 +1,6 @@
 //! Class tables: `classes.json` in and out, and the colours of legends.
 
-use super::{Class, Classes, atomic, class_color};
+use super::{Class, Classes, ObjectOf, atomic, class_color};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Deserializer, Serialize, de};
 use std::path::Path;
@@ -17,7 +17,7 @@ impl Classes {
         let mut entries: Vec<Class> = names
             .into_iter()
             .filter(|(id, _)| *id != ignore)
-            .map(|(id, name)| Class { id, name: name.into(), color: class_color(id) })
+            .map(|(id, name)| Class { id, name: name.into(), color: class_color(id), object_of: None })
             .collect();
         entries.sort_by_key(|c| c.id);
         entries.dedup_by_key(|c| c.id);
@@ -37,7 +37,7 @@ impl Classes {
     /// Reads `classes.json`, in either form:
     /// `{"0": "void", "1": "wall", ...}`, where id 0 must be absent or mean 'unlabelled' and is ignored;
     /// `{"ignore": 0, "classes": [{"id": 1, "name": "wall", "color": [r, g, b]}, ...]}` as [`Classes::write`] makes it
-    /// (`color` may be absent).
+    /// (`color` may be absent; objects have `class` and `thing` besides, see [`ObjectOf`]).
     ///
     /// # Errors
     /// [`Error::Io`]; [`Error::Input`] naming line or id: malformed JSON, ids that are not u16 or appear twice.
@@ -78,7 +78,7 @@ impl Classes {
         Ok(Self::from_names(VOID, named))
     }
 
-    /// Writes `{"ignore": .., "classes": [{"id", "name", "color"}, ..]}`.
+    /// Writes `{"ignore": .., "classes": [{"id", "name", "color"}, ..]}`, of objects `class` and `thing` too.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -112,11 +112,16 @@ struct ClassEntry {
     id: u16,
     name: String,
     color: Option<[u8; 3]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    class: Option<u16>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    thing: Option<bool>,
 }
 
 impl From<&Class> for ClassEntry {
     fn from(c: &Class) -> Self {
-        Self { id: c.id, name: c.name.clone(), color: Some(c.color) }
+        let (class, thing) = c.object_of.map(|of| (of.class, of.thing)).unzip();
+        Self { id: c.id, name: c.name.clone(), color: Some(c.color), class, thing }
     }
 }
 
@@ -125,9 +130,10 @@ impl ClassFile {
         check_unique(path, self.classes.iter().map(|c| c.id))?;
         let mut classes = Classes::from_names(self.ignore, self.classes.iter().map(|c| (c.id, c.name.clone())));
         for entry in self.classes {
-            if let (Some(color), Some(i)) = (entry.color, classes.index(entry.id)) {
-                classes.entries[i].color = color;
-            }
+            let Some(i) = classes.index(entry.id) else { continue };
+            let class = &mut classes.entries[i];
+            class.color = entry.color.unwrap_or(class.color);
+            class.object_of = entry.class.map(|class| ObjectOf { class, thing: entry.thing.unwrap_or(true) });
         }
         Ok(classes)
     }

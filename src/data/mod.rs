@@ -195,6 +195,17 @@ pub struct Class {
     pub name: String,
     /// Colour in legends and pictures, 8-bit sRGB.
     pub color: [u8; 3],
+    /// What it is, where the entry is an object that association found and its segments say so.
+    pub object_of: Option<ObjectOf>,
+}
+
+/// What an object is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+pub struct ObjectOf {
+    /// Id in the class table of the scene's true labels.
+    pub class: u16,
+    /// Whether it is one of several things, and not all stuff of its class.
+    pub thing: bool,
 }
 
 /// The class table: id, name, colour, and the id that means 'unlabelled'.

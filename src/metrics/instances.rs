@@ -42,11 +42,11 @@ pub struct Quality {
 
 /// Pixels of each pair of a true and a predicted id.
 #[derive(Clone, Debug, Default)]
-struct Pairs(BTreeMap<(u16, u16), u64>);
+pub(super) struct Pairs(BTreeMap<(u16, u16), u64>);
 
 impl Pairs {
     /// Counts one view; pixels past the shorter slice are not counted.
-    fn add(&mut self, truth: &[u16], prediction: &[u16]) {
+    pub fn add(&mut self, truth: &[u16], prediction: &[u16]) {
         let mut run: Option<((u16, u16), u64)> = None;
         // Neighbours mostly have the same pair: one look into the map a run.
         for pair in truth.iter().copied().zip(prediction.iter().copied()) {
@@ -67,7 +67,7 @@ impl Pairs {
         }
     }
 
-    fn merge(&mut self, other: &Self) {
+    pub fn merge(&mut self, other: &Self) {
         other.0.iter().for_each(|(&pair, &n)| self.count(Some((pair, n))));
     }
 
@@ -117,7 +117,7 @@ impl PanopticQuality {
         self.count(&pairs, classes);
     }
 
-    fn count(&mut self, pairs: &Pairs, [true_class, predicted_class]: [&dyn Fn(u16) -> u16; 2]) {
+    pub(super) fn count(&mut self, pairs: &Pairs, [true_class, predicted_class]: [&dyn Fn(u16) -> u16; 2]) {
         let areas = pairs.areas();
         let mut matched: [Vec<u16>; 2] = Default::default();
         for &(truth, prediction) in pairs.0.keys().filter(|(t, p)| *t != VOID && *p != VOID) {
@@ -142,8 +142,14 @@ impl PanopticQuality {
 
     /// The mean over classes that occur.
     pub fn quality(&self) -> Quality {
+        self.quality_of(|_| true)
+    }
+
+    /// The mean over those of these classes that occur.
+    pub fn quality_of(&self, wanted: impl Fn(u16) -> bool) -> Quality {
         let weight = |t: &Tally| t.matched as f64 + 0.5 * t.unmatched as f64;
-        let occurs = || self.0.values().filter(|t| t.matched + t.unmatched > 0);
+        let occurs =
+            || self.0.iter().filter(|(class, t)| wanted(**class) && t.matched + t.unmatched > 0).map(|(_, t)| t);
         Quality {
             pq: mean(occurs().map(|t| Some(t.iou / weight(t)))),
             sq: mean(occurs().map(|t| Some(if t.matched > 0 { t.iou / t.matched as f64 } else { 0.0 }))),

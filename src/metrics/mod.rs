@@ -1,5 +1,5 @@
 //! Scores: PSNR, SSIM, mIoU and accuracy of label maps, association accuracy and panoptic
-//! quality of instance maps, Calinski-Harabasz and Davies-Bouldin of clusterings.
+//! quality of instance maps, also by class, Calinski-Harabasz and Davies-Bouldin of clusterings.
 //!
 //! No score is ever NaN: where there is nothing to score the answer is `None`.
 
@@ -7,11 +7,13 @@ mod clusters;
 mod image;
 mod instances;
 mod labels;
+mod semantic;
 
 pub use clusters::{calinski_harabasz, davies_bouldin};
 pub use image::{ImageScores, PSNR_CAP, psnr, ssim};
 pub use instances::{InstanceScores, PanopticQuality, Quality, instance_scores};
 pub use labels::{Confusion, LabelScores, Void, label_scores};
+pub use semantic::{ClassIou, PanopticScores, SemanticScores, SemanticView, semantic_scores};
 
 /// Mean of the values that are there; `None` when there are none.
 fn mean(values: impl IntoIterator<Item = Option<f64>>) -> Option<f64> {

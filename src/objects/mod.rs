@@ -3,11 +3,13 @@
 mod association;
 mod hard_labels;
 mod identities;
+mod semantics;
 mod smoothing;
 mod vote;
 
 pub use association::{Association, Group, associate};
 pub use hard_labels::hard_label_map;
 pub use identities::{Identities, LabelRule, label_map};
+pub use semantics::Semantics;
 pub use smoothing::{Diffusion, NeighbourGraph};
 pub use vote::{Votes, vote};

@@ -1,7 +1,7 @@
 //! `metrics.json`: the figures of a run, for programs.
 
 use crate::config::Row;
-use crate::metrics::{InstanceScores, LabelScores};
+use crate::metrics::{InstanceScores, LabelScores, SemanticScores};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -71,6 +71,9 @@ pub struct RowScores {
     /// Scores against true instances, where classes are objects that association found.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub instances: Option<InstanceScores>,
+    /// Scores of these objects against true classes, where their segments say classes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub semantic: Option<SemanticScores>,
     /// Optimiser steps, for trained rows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,

@@ -7,6 +7,7 @@ mod from_run;
 mod history;
 mod markup;
 mod metrics;
+mod objects_by_class;
 mod page;
 pub mod pictures;
 pub mod sheet;

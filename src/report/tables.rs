@@ -7,19 +7,19 @@ use crate::config::Row;
 use std::fmt::Write;
 
 /// A table whose wide content scrolls on its own.
-fn table(head: &[String], body: &str) -> String {
+pub(super) fn table(head: &[String], body: &str) -> String {
     let head: String = head.iter().map(|h| format!("<th scope=\"col\">{h}</th>")).collect();
     format!("<div class=\"scroll\"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>\n")
 }
 
-fn row_name(row: Row) -> String {
+pub(super) fn row_name(row: Row) -> String {
     format!("<th scope=\"row\" class=\"{}\"><span class=\"mark\"></span>{}</th>", row_class(row), row.title())
 }
 
 type Pick = fn(&RowScores) -> Option<f64>;
 
 /// A share as percent, or a dash.
-fn cell(share: Option<f64>) -> String {
+pub(super) fn cell(share: Option<f64>) -> String {
     share.map_or("–".into(), percent)
 }
 

@@ -8,8 +8,8 @@ use super::segmentation_inputs::{Inputs, Spatial};
 use crate::config::{Association, LabelLoss, Prior, Row, SegmentationConfig};
 use crate::data::{LabelMap, Split, View};
 use crate::error::Result;
-use crate::metrics::{InstanceScores, LabelScores, Void, instance_scores, label_scores};
-use crate::objects::{Identities, LabelRule, label_map, vote};
+use crate::metrics::{InstanceScores, LabelScores, SemanticScores, Void, instance_scores, label_scores};
+use crate::objects::{Identities, LabelRule, Semantics, label_map, vote};
 use crate::raster::Projected;
 use crate::segmentation::decoder::DecoderConfig;
 use crate::segmentation::loss::Kind;
@@ -32,6 +32,8 @@ pub struct RowOutcome {
     pub void_left_out: Option<LabelScores>,
     /// Held-out scores against true instances, where classes are objects that association found.
     pub instances: Option<InstanceScores>,
+    /// Held-out scores against true classes, where these objects have classes.
+    pub semantic: Option<SemanticScores>,
     /// Training curve; empty where nothing was trained.
     pub curve: Vec<CurvePoint>,
     /// Bytes of everything learned.
@@ -73,34 +75,69 @@ struct HeldOut<'a> {
     views: Vec<(&'a View, Projected<f32>)>,
     /// Classes are objects that association found: their ids are not those of a truth.
     objects: bool,
+    /// The classes of these objects.
+    semantics: Option<&'a Semantics>,
+}
+
+/// Held-out scores of one row.
+#[derive(Default)]
+struct Scores {
+    labels: LabelScores,
+    instances: Option<InstanceScores>,
+    semantic: Option<SemanticScores>,
+}
+
+impl Scores {
+    /// The mIoU of a training curve.
+    fn miou(&self) -> Option<f64> {
+        let [instances, semantic] =
+            [self.instances.as_ref().and_then(|s| s.miou), self.semantic.as_ref().and_then(|s| s.miou)];
+        self.labels.miou.or(instances).or(semantic)
+    }
+
+    /// A row with these scores.
+    fn of(self, row: Row) -> RowOutcome {
+        let Self { labels, instances, semantic } = self;
+        RowOutcome { scores: labels, instances, semantic, ..untrained(row) }
+    }
 }
 
 impl<'a> HeldOut<'a> {
     fn new(inputs: &Inputs<'a>) -> Result<Self> {
         let splats = inputs.gaussians.splats();
         let objects = inputs.config.data.association != Association::None;
-        let known = |v: &&View| if objects { v.instances.is_some() } else { v.truth.is_some() };
+        let semantics = inputs.semantics;
+        let classed = |v: &View| semantics.is_some_and(|semantics| semantics.knows(v));
+        let known = |v: &&View| if objects { v.instances.is_some() || classed(v) } else { v.truth.is_some() };
         let views = inputs.scene.split(Split::Test).filter(known);
         let project = |view: &'a View| Ok((view, Projected::new(&splats, &view.camera, &inputs.settings)?));
-        Ok(Self { views: views.map(project).collect::<Result<_>>()?, objects })
+        Ok(Self { views: views.map(project).collect::<Result<_>>()?, objects, semantics })
     }
 
     /// Scores of a row with these identities.
-    fn score(&self, identities: &Identities, inputs: &Inputs) -> (LabelScores, Option<InstanceScores>) {
+    fn score(&self, identities: &Identities, inputs: &Inputs) -> Scores {
         let predicted: Vec<LabelMap> = self.views.iter().map(|(_, p)| render_labels(p, identities, inputs)).collect();
         let found = || self.views.iter().zip(&predicted).map(|((view, _), found)| (*view, found));
-        (self.labels(found(), inputs, Void::Wrong), self.instances(found()))
+        self.of_maps(found, inputs)
+    }
+
+    fn of_maps<'m, I: Iterator<Item = (&'m View, &'m LabelMap)>>(
+        &self,
+        found: impl Fn() -> I,
+        inputs: &Inputs,
+    ) -> Scores {
+        Scores {
+            labels: self.labels(found(), inputs, Void::Wrong),
+            instances: self.instances(found()),
+            semantic: self.semantics.map(|semantics| semantics.score(&inputs.scene.classes, found())),
+        }
     }
 
     /// Scores of the raw labels of the test views.
     fn score_raw(&self, inputs: &Inputs) -> RowOutcome {
         let raw = || self.views.iter().filter_map(|(view, _)| Some((*view, view.raw.as_ref()?)));
-        RowOutcome {
-            scores: self.labels(raw(), inputs, Void::Wrong),
-            void_left_out: (!self.objects).then(|| self.labels(raw(), inputs, Void::LeftOut)),
-            instances: self.instances(raw()),
-            ..untrained(Row::Raw)
-        }
+        let void_left_out = (!self.objects).then(|| self.labels(raw(), inputs, Void::LeftOut));
+        RowOutcome { void_left_out, ..self.of_maps(raw, inputs).of(Row::Raw) }
     }
 
     fn labels<'m>(
@@ -115,7 +152,8 @@ impl<'a> HeldOut<'a> {
 
     fn instances<'m>(&self, found: impl Iterator<Item = (&'m View, &'m LabelMap)>) -> Option<InstanceScores> {
         let pairs = found.filter_map(|(view, map)| Some((&view.instances.as_ref()?.ids[..], &map.ids[..])));
-        (self.objects && !self.views.is_empty()).then(|| instance_scores(pairs))
+        let known = self.views.iter().any(|(view, _)| view.instances.is_some());
+        (self.objects && known).then(|| instance_scores(pairs))
     }
 }
 
@@ -143,8 +181,8 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
                 let train = inputs.scene.split(Split::Train);
                 let votes = vote(inputs.gaussians, train, &inputs.scene.classes, &inputs.settings)?;
                 let identities = votes.identities();
-                let (scores, instances) = held_out.score(&identities, inputs);
-                RowOutcome { scores, instances, identities: Some(identities), ..untrained(row) }
+                let scores = held_out.score(&identities, inputs);
+                RowOutcome { identities: Some(identities), ..scores.of(row) }
             }
             _ => trained(row, inputs, &mut views, &mut spatial, &held_out, checkpoints, progress)?,
         };
@@ -163,6 +201,7 @@ fn untrained(row: Row) -> RowOutcome {
         scores: LabelScores::default(),
         void_left_out: None,
         instances: None,
+        semantic: None,
         curve: Vec::new(),
         learnable_bytes: 0,
         rate: None,
@@ -200,24 +239,19 @@ fn trained(
     };
     let device = inputs.device.clone().autodiff();
     let classes = inputs.scene.classes.len();
-    let mut score = |identities: &Identities| {
-        let (labels, instances) = held_out.score(identities, inputs);
-        Ok(labels.miou.or(instances.and_then(|scores| scores.miou)))
-    };
+    let mut score = |identities: &Identities| Ok(held_out.score(identities, inputs).miou());
     let rate_file = checkpoints.join(format!("{}.rate.safetensors", row.key()));
     let mut fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: f64| -> Result<RowOutcome> {
         let curve = train(model, views, &plan, &pace, &mut score, progress)?;
         let identities = model.identities()?;
-        let (scores, instances) = held_out.score(&identities, inputs);
+        let scores = held_out.score(&identities, inputs);
         Ok(RowOutcome {
-            scores,
-            instances,
             identities: Some(identities),
             learnable_bytes: model.learnable_bytes(),
             rate: Some(rate),
             seconds: curve.last().map_or(0.0, |p| p.seconds),
             curve,
-            ..untrained(row)
+            ..scores.of(row)
         })
     };
     if !row.is_fused() {

@@ -10,7 +10,7 @@ use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::{Error, Result};
 use crate::gaussians::{Gaussians, ply};
 use crate::metrics::ImageScores;
-use crate::objects::{Identities, associate};
+use crate::objects::{Identities, Semantics, associate};
 use crate::raster::{Settings, render};
 use burn::tensor::Device;
 use std::path::Path;
@@ -71,6 +71,8 @@ pub struct Outcome {
     pub pruned: Option<Pruned>,
     /// Association, where settings ask for it and training views have raw labels.
     pub association: Option<Associated>,
+    /// What the classes of objects are scored against, where association found objects with classes.
+    pub semantics: Option<Semantics>,
     /// Rows of the label table, in the order of the configuration; empty without labels.
     pub rows: Vec<RowOutcome>,
     /// Where the 2D features came from; empty when none were needed.
@@ -139,6 +141,7 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
         test,
         pruned: None,
         association: None,
+        semantics: None,
         rows: Vec::new(),
         features: String::new(),
         spatial: String::new(),
@@ -146,6 +149,7 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
         scene,
     };
     if config.data.association == Association::Gaussians && outcome.scene.split(Split::Train).any(|v| v.raw.is_some()) {
+        outcome.semantics = Semantics::of(&outcome.scene);
         outcome.association = Some(put_together(&mut outcome.scene, &outcome.gaussians, config, progress)?);
     }
     let labelled = outcome.scene.split(Split::Train).any(|v| v.raw.is_some()) && !outcome.scene.classes.is_empty();
@@ -219,8 +223,15 @@ fn segment(
         outcome.features = seen.name.clone();
     }
     let clock = Instant::now();
-    let inputs =
-        Inputs { scene: &outcome.scene, gaussians: &outcome.gaussians, seen, config, settings: *settings, device };
+    let inputs = Inputs {
+        scene: &outcome.scene,
+        gaussians: &outcome.gaussians,
+        seen,
+        semantics: outcome.semantics.as_ref(),
+        config,
+        settings: *settings,
+        device,
+    };
     let (rows, spatial) = run_rows(&inputs, checkpoints, progress)?;
     (outcome.rows, outcome.spatial) = (rows, spatial);
     outcome.seconds.segmentation = clock.elapsed().as_secs_f64();

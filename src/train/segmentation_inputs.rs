@@ -7,6 +7,7 @@ use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::features::{self, SCALES};
 use crate::gaussians::Gaussians;
+use crate::objects::Semantics;
 use crate::raster::{Projected, Settings};
 use crate::segmentation::encoder::{Cloud, Encoding, encode, load_spatial, metres_per_unit};
 use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};
@@ -71,6 +72,8 @@ pub struct Inputs<'a> {
     pub gaussians: &'a Gaussians,
     /// Lifted image features; absent when no row decodes.
     pub seen: Option<Seen>,
+    /// What the classes of objects are scored against, where classes are objects that association found.
+    pub semantics: Option<&'a Semantics>,
     /// Settings of the run.
     pub config: &'a Config,
     /// Blending constants.

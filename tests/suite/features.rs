@@ -284,7 +284,7 @@ fn hostile_maps_are_refused_by_name() {
 }
 
 fn two_classes() -> Classes {
-    let class = |id: u16| Class { id, name: format!("c{id}"), color: [0; 3] };
+    let class = |id: u16| Class { id, name: format!("c{id}"), color: [0; 3], object_of: None };
     Classes { entries: vec![class(1), class(4)], ignore: 0 }
 }
 

@@ -15,7 +15,8 @@ const HEIGHT: usize = 180;
 fn classes() -> Classes {
     let names = ["wall", "floor", "sofa", "table & chairs", "lamp <tall>"];
     let colors = [[174, 199, 232], [152, 118, 84], [214, 39, 40], [44, 160, 44], [255, 187, 40]];
-    let entries = (1..).zip(names).zip(colors).map(|((id, name), color)| Class { id, name: name.into(), color });
+    let entries =
+        (1..).zip(names).zip(colors).map(|((id, name), color)| Class { id, name: name.into(), color, object_of: None });
     Classes { entries: entries.collect(), ignore: 0 }
 }
 

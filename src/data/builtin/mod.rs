@@ -48,7 +48,7 @@ pub fn classes() -> Classes {
         (class::CABINET, "cabinet", [31, 119, 180]),
         (class::LAMP, "lamp", [96, 207, 209]),
     ];
-    let entry = |(id, name, color): (u16, &str, _)| Class { id, name: name.to_owned(), color };
+    let entry = |(id, name, color): (u16, &str, _)| Class { id, name: name.to_owned(), color, object_of: None };
     Classes { entries: table.into_iter().map(entry).collect(), ignore: 0 }
 }
 

@@ -16,7 +16,7 @@ mod merge;
 mod order;
 
 use crate::config::AssociationConfig;
-use crate::data::{Class, Classes, LabelMap, Scene, Split, View, class_color};
+use crate::data::{Class, Classes, LabelMap, ObjectOf, Scene, Split, View, class_color};
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::raster::Settings;
@@ -54,7 +54,7 @@ pub struct Association {
 
 impl Association {
     /// Makes the groups the classes of `scene` and the maps its raw labels. True labels are of other classes and leave
-    /// the scene; [`View::instances`] stays to be scored against.
+    /// the scene: [`Semantics`](super::Semantics) takes them up before. [`View::instances`] stays to be scored against.
     ///
     /// # Panics
     /// If the scene has another number of views than the one that was associated.
@@ -202,7 +202,8 @@ fn named(kinds: impl Iterator<Item = Kind>, classes: &Classes) -> Classes {
         let number = numbers.entry(kind.class).or_default();
         *number += 1;
         let name = if kind.thing { format!("{name} {number}") } else { name.to_owned() };
-        Class { id, name, color: class_color(id) }
+        let object_of = kind.class.map(|class| ObjectOf { class, thing: kind.thing });
+        Class { id, name, color: class_color(id), object_of }
     };
     Classes { entries: kinds.zip(1..).map(entry).collect(), ignore: NOTHING }
 }

@@ -1,0 +1,152 @@
+//! Scores of objects by what they are: mIoU over classes, and panoptic quality of things and stuff.
+
+use super::instances::{Pairs, PanopticQuality, Quality};
+use super::labels::{LabelScores, Void, label_scores};
+use crate::data::Classes;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Scores of a set of views against true classes, each in 0..1; an object counts as its class.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SemanticScores {
+    /// Mean IoU of all views counted together, over the classes in their truth.
+    pub miou: Option<f64>,
+    /// Mean over views of each view's mean IoU over the classes in its own truth.
+    pub miou_per_view: Option<f64>,
+    /// Share of labelled pixels whose object is of the right class.
+    pub accuracy: Option<f64>,
+    /// IoU of each class in the truth, all views together, ascending by id.
+    pub per_class: Vec<ClassIou>,
+    /// Panoptic quality by class, where views have true instances too.
+    pub panoptic: Option<PanopticScores>,
+}
+
+/// IoU of a class.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ClassIou {
+    /// Its id in the class table of the true labels.
+    pub id: u16,
+    /// Its name there.
+    pub name: String,
+    /// IoU, 0..1.
+    pub iou: f64,
+}
+
+/// Panoptic quality as a mean over classes; segments of different classes never match.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PanopticScores {
+    /// Of all classes, each view's segments, all views counted together.
+    pub all: Quality,
+    /// Of the classes of things alone.
+    pub things: Quality,
+    /// Of the classes of stuff alone.
+    pub stuff: Quality,
+    /// Of all classes with all views as one image, so that an object which changes its id between views is two.
+    pub scene: Quality,
+}
+
+/// A view to be scored; all maps are `[H, W]`.
+#[derive(Clone, Copy, Debug)]
+pub struct SemanticView<'a> {
+    /// True class ids.
+    pub truth: &'a [u16],
+    /// True instance ids, 0 is none.
+    pub instances: Option<&'a [u16]>,
+    /// Ids of objects.
+    pub objects: &'a [u16],
+}
+
+/// Scores `views`: `objects` says of which class each object is, `classes` is the table of the true labels, and `stuff`
+/// names its classes of which there are no instances.
+///
+/// Pixels whose truth is the ignored id are left out; an object without a class is void, which is wrong. A true segment is
+/// an instance of a class of things, or all of a class of stuff; pixels of things without an instance have no true segment.
+pub fn semantic_scores<'a>(
+    objects: &Classes,
+    classes: &Classes,
+    stuff: &BTreeSet<u16>,
+    views: impl IntoIterator<Item = SemanticView<'a>>,
+) -> SemanticScores {
+    let views: Vec<SemanticView<'_>> = views.into_iter().collect();
+    let mut class_of = vec![classes.ignore; 1 << 16];
+    for (object, of) in objects.entries.iter().filter_map(|object| Some((object, object.object_of?))) {
+        class_of[usize::from(object.id)] = of.class;
+    }
+    let found: Vec<Vec<u16>> =
+        views.iter().map(|view| view.objects.iter().map(|&id| class_of[usize::from(id)]).collect()).collect();
+    let pairs = views.iter().zip(&found).map(|(view, found)| (view.truth, &found[..]));
+    let LabelScores { miou, miou_per_view, accuracy, per_class } = label_scores(classes, pairs, Void::Wrong);
+    let named = |(id, iou)| ClassIou { id, name: classes.name(id).to_owned(), iou };
+    SemanticScores {
+        miou,
+        miou_per_view,
+        accuracy,
+        per_class: per_class.into_iter().map(named).collect(),
+        panoptic: panoptic(classes, stuff, &class_of, &views),
+    }
+}
+
+/// Panoptic quality of the views with true instances; `class_of` has the class id of each object.
+fn panoptic(
+    classes: &Classes,
+    stuff: &BTreeSet<u16>,
+    class_of: &[u16],
+    views: &[SemanticView<'_>],
+) -> Option<PanopticScores> {
+    let mut segments = Segments::default();
+    let (mut pooled, mut each) = (Pairs::default(), Vec::new());
+    for view in views {
+        let Some(instances) = view.instances else { continue };
+        let known = |class: u16| classes.index(class).is_some();
+        let truth: Vec<u16> = view
+            .truth
+            .iter()
+            .zip(instances)
+            .map(|(&class, &instance)| match (known(class), stuff.contains(&class), instance) {
+                (false, ..) | (true, false, 0) => 0,
+                (true, true, _) => segments.id(class, 0),
+                (true, false, _) => segments.id(class, instance),
+            })
+            .collect();
+        // Objects without a class show nothing.
+        let object = |&id: &u16| if known(class_of[usize::from(id)]) { id } else { 0 };
+        let found: Vec<u16> = view.objects.iter().map(object).collect();
+        let mut pairs = Pairs::default();
+        pairs.add(&truth, &found);
+        pooled.merge(&pairs);
+        each.push(pairs);
+    }
+    let of: [&dyn Fn(u16) -> u16; 2] = [&|id| segments.class(id), &|id| class_of[usize::from(id)]];
+    let (mut quality, mut scene) = (PanopticQuality::default(), PanopticQuality::default());
+    each.iter().for_each(|pairs| quality.count(pairs, of));
+    scene.count(&pooled, of);
+    (!each.is_empty()).then(|| PanopticScores {
+        all: quality.quality(),
+        things: quality.quality_of(|class| !stuff.contains(&class)),
+        stuff: quality.quality_of(|class| stuff.contains(&class)),
+        scene: scene.quality(),
+    })
+}
+
+/// True segments by class and instance, numbered from 1 on as they are met.
+#[derive(Default)]
+struct Segments {
+    ids: BTreeMap<(u16, u16), u16>,
+    classes: Vec<u16>,
+}
+
+impl Segments {
+    /// Its number; 0, which is none, past as many as u16 has.
+    fn id(&mut self, class: u16, instance: u16) -> u16 {
+        let next = u16::try_from(self.classes.len() + 1).unwrap_or(0);
+        let id = *self.ids.entry((class, instance)).or_insert(next);
+        if id == next && id > 0 {
+            self.classes.push(class);
+        }
+        id
+    }
+
+    fn class(&self, id: u16) -> u16 {
+        self.classes[usize::from(id) - 1]
+    }
+}
