@@ -186,6 +186,15 @@ pub struct SegmentationConfig {
     pub reg_neighbours: usize,
     /// Megabytes for cached blending weights; views beyond it are recomputed.
     pub weight_cache_mb: usize,
+    /// Passes of diffusion over the neighbour graph of the Gaussians, which every row's identities go through at the end; 0 is
+    /// none (not in the paper).
+    pub diffusion_steps: usize,
+    /// How much a Gaussian takes from its neighbours in a pass, in (0, 1); up to 0.5 a label that is certain never changes.
+    pub diffusion_strength: f64,
+    /// Difference of two image features, 1 - cos, at which neighbours count 1/e of what they would count.
+    pub diffusion_temperature: f64,
+    /// Neighbours of each Gaussian, in diffusion and in the figures of compactness.
+    pub diffusion_neighbours: usize,
     /// Iterations between held-out evaluations; 0 means ten in the run.
     pub eval_every: usize,
     /// Iterations between checkpoints; 0 means ten in the run.
@@ -218,6 +227,10 @@ impl Default for SegmentationConfig {
             reg_samples: 1_000,
             reg_neighbours: 5,
             weight_cache_mb: 2_048,
+            diffusion_steps: 0,
+            diffusion_strength: 0.9,
+            diffusion_temperature: 0.1,
+            diffusion_neighbours: 8,
             eval_every: 0,
             checkpoint_every: 0,
         }

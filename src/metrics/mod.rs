@@ -4,12 +4,14 @@
 //! No score is ever NaN: where there is nothing to score the answer is `None`.
 
 mod clusters;
+mod compactness;
 mod image;
 mod instances;
 mod labels;
 mod semantic;
 
 pub use clusters::{calinski_harabasz, davies_bouldin};
+pub use compactness::{Agreement, Compactness, WithoutDiffusion};
 pub use image::{ImageScores, PSNR_CAP, psnr, ssim};
 pub use instances::{InstanceScores, PanopticQuality, Quality, instance_scores};
 pub use labels::{Confusion, LabelScores, Void, label_scores};

@@ -21,6 +21,19 @@ impl Identities {
         self.scores.chunks_exact(self.classes.max(1)).map(largest).collect()
     }
 
+    /// The softmax of each row: what logits stand for.
+    #[must_use]
+    pub fn softmax(&self) -> Self {
+        let mut scores = self.scores.clone();
+        for row in scores.chunks_exact_mut(self.classes.max(1)) {
+            let highest = row.iter().fold(f32::NEG_INFINITY, |h, &s| h.max(s));
+            row.iter_mut().for_each(|s| *s = (*s - highest).exp());
+            let sum: f32 = row.iter().sum();
+            row.iter_mut().for_each(|s| *s /= sum);
+        }
+        Self { scores, classes: self.classes }
+    }
+
     /// 1 at each Gaussian's largest score and 0 elsewhere, `[N, C]`; all 0 where nothing is known.
     pub fn one_hot(&self) -> Vec<f32> {
         let mut rows = vec![0.0; self.scores.len()];

@@ -7,6 +7,7 @@ use super::Identities;
 use crate::data::{Classes, View};
 use crate::error::Result;
 use crate::gaussians::Gaussians;
+use crate::metrics::Agreement;
 use crate::raster::{Projected, Settings};
 
 /// Summed weights of each class on each Gaussian.
@@ -84,6 +85,22 @@ impl Votes {
             row.iter().map(move |v| (v / total + floor).ln())
         });
         shares.collect()
+    }
+
+    /// How far the views agree, over all Gaussians with votes; zeros when there are none.
+    pub fn agreement(&self) -> Agreement {
+        let rows = self.table.chunks_exact(self.classes.max(1)).zip(self.entropy());
+        let (mut voted, mut entropy, mut contested) = (0_u64, 0.0, 0_u64);
+        for (row, of_row) in rows {
+            let (sum, most) = row.iter().fold((0.0, 0.0_f32), |(sum, most), &v| (sum + v, most.max(v)));
+            if sum > 0.0 {
+                voted += 1;
+                entropy += f64::from(of_row);
+                contested += u64::from(3.0 * most < 2.0 * sum);
+            }
+        }
+        let count = voted.max(1) as f64;
+        Agreement { entropy: entropy / count, contested: contested as f64 / count }
     }
 
     /// Shannon entropy (nats) of each Gaussian's votes: 0 where all views agree or nothing was voted.

@@ -50,6 +50,8 @@ fn row_scores(row: &RowOutcome) -> RowScores {
         void_left_out: row.void_left_out.as_ref().map(Into::into),
         instances: row.instances.clone(),
         semantic: row.semantic.clone(),
+        compactness: row.compactness,
+        agreement: row.agreement,
         iterations: row.curve.last().map(|point| point.iteration),
         learning_rate: row.rate,
         seconds: row.curve.last().map(|_| row.seconds),

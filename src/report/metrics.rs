@@ -1,7 +1,7 @@
 //! `metrics.json`: the figures of a run, for programs.
 
 use crate::config::Row;
-use crate::metrics::{InstanceScores, LabelScores, SemanticScores};
+use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -74,6 +74,12 @@ pub struct RowScores {
     /// Scores of these objects against true classes, where their segments say classes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub semantic: Option<SemanticScores>,
+    /// How compact the identities are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compactness: Option<Compactness>,
+    /// How far the raw labels agree about the Gaussians; of the vote.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub agreement: Option<Agreement>,
     /// Optimiser steps, for trained rows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,

@@ -1,6 +1,7 @@
 //! The run folder's results: `metrics.json`, `classes.json`, `config.toml`, held-out pictures, and `report.html`.
 
 mod chart;
+mod compactness;
 mod curves;
 mod font;
 mod from_run;

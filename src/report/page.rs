@@ -2,7 +2,7 @@
 
 use super::history::late_gain;
 use super::markup::{bytes, duration, escape, percent, thousands};
-use super::{Report, curves, objects_by_class, tables, views};
+use super::{Report, compactness, curves, objects_by_class, tables, views};
 use crate::config::Row;
 use crate::error::Result;
 use std::fmt::Write;
@@ -29,6 +29,7 @@ pub(super) fn page(report: &Report<'_>, path: &Path) -> Result<String> {
         out.push_str(&tables::scores(report));
         out.push_str(&tables::instances(report));
         out.push_str(&objects_by_class::semantic(report));
+        out.push_str(&compactness::compactness(report));
         out.push_str(&tables::class_iou(report));
     }
     out.push_str("<h2>Held-out views</h2>\n");

@@ -3,6 +3,7 @@
 mod building;
 mod building_state;
 pub mod checkpoint;
+mod compactness;
 mod curve;
 mod parameters;
 mod photos;

@@ -12,9 +12,18 @@ use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Settings that change when something is measured, saved or kept, and nothing else.
-const WITHOUT_EFFECT: [&str; 5] =
-    ["features.cache_dir", "segmentation.rows", "segmentation.weight_cache_mb", "eval_every", "checkpoint_every"];
+/// Settings that change when something is measured, saved or kept, or what becomes of a row after its training, and nothing else.
+const WITHOUT_EFFECT: [&str; 9] = [
+    "features.cache_dir",
+    "segmentation.rows",
+    "segmentation.weight_cache_mb",
+    "segmentation.diffusion_steps",
+    "segmentation.diffusion_strength",
+    "segmentation.diffusion_temperature",
+    "segmentation.diffusion_neighbours",
+    "eval_every",
+    "checkpoint_every",
+];
 /// Sections that training follows from.
 const SECTIONS: [&str; 6] = ["building", "raster", "segmentation", "features", "unprojection", "spatial"];
 /// Settings that are paths: files may move, so their names are compared.

@@ -1,5 +1,6 @@
 //! The rows of the label table: what each is, and its training and scoring.
 
+use super::compactness::Compacting;
 use super::progress::{CurvePoint, Progress};
 use super::provenance::Provenance;
 use super::rates::choose_rate;
@@ -8,7 +9,9 @@ use super::segmentation_inputs::{Inputs, Spatial};
 use crate::config::{Association, LabelLoss, Prior, Row, SegmentationConfig};
 use crate::data::{LabelMap, Split, View};
 use crate::error::Result;
-use crate::metrics::{InstanceScores, LabelScores, SemanticScores, Void, instance_scores, label_scores};
+use crate::metrics::{
+    Agreement, Compactness, InstanceScores, LabelScores, SemanticScores, Void, instance_scores, label_scores,
+};
 use crate::objects::{Identities, LabelRule, Semantics, label_map, vote};
 use crate::raster::Projected;
 use crate::segmentation::decoder::DecoderConfig;
@@ -34,6 +37,10 @@ pub struct RowOutcome {
     pub instances: Option<InstanceScores>,
     /// Held-out scores against true classes, where these objects have classes.
     pub semantic: Option<SemanticScores>,
+    /// How compact the identities are.
+    pub compactness: Option<Compactness>,
+    /// How far the raw labels agree about the Gaussians; of the vote.
+    pub agreement: Option<Agreement>,
     /// Training curve; empty where nothing was trained.
     pub curve: Vec<CurvePoint>,
     /// Bytes of everything learned.
@@ -172,6 +179,7 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
         config.min_coverage as f32,
         config.weight_cache_mb << 20,
     );
+    let compacting = Compacting::new(inputs)?;
     let mut spatial = Spatial::default();
     let mut rows = Vec::new();
     for &row in &config.rows {
@@ -182,11 +190,14 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
                 let votes = vote(inputs.gaussians, train, &inputs.scene.classes, &inputs.settings)?;
                 let identities = votes.identities();
                 let scores = held_out.score(&identities, inputs);
-                RowOutcome { identities: Some(identities), ..scores.of(row) }
+                RowOutcome { identities: Some(identities), agreement: Some(votes.agreement()), ..scores.of(row) }
             }
             _ => trained(row, inputs, &mut views, &mut spatial, &held_out, checkpoints, progress)?,
         };
-        rows.push(outcome);
+        rows.push(compacting.finish(outcome, |identities, row| {
+            let Scores { labels, instances, semantic } = held_out.score(identities, inputs);
+            RowOutcome { scores: labels, instances, semantic, ..row }
+        })?);
         if progress.stop() {
             break;
         }
@@ -202,6 +213,8 @@ fn untrained(row: Row) -> RowOutcome {
         void_left_out: None,
         instances: None,
         semantic: None,
+        compactness: None,
+        agreement: None,
         curve: Vec::new(),
         learnable_bytes: 0,
         rate: None,

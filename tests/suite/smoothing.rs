@@ -1,7 +1,11 @@
 //! Compactness: diffusion of identities against the dense formula, what it must not do, and how disagreement is counted.
 
 use coseg::Error;
+use coseg::config::{BuildingConfig, Config, Row, SegmentationConfig};
 use coseg::objects::{Diffusion, Identities, NeighbourGraph};
+use coseg::report::Metrics;
+use coseg::train::progress::Silent;
+use coseg::train::run;
 
 const CLASSES: usize = 3;
 const K: usize = 4;
@@ -147,4 +151,42 @@ fn one_thread_gives_the_same_bits_as_two() {
         pool.install(|| NeighbourGraph::new(&means, &features, 8).and_then(|g| g.diffused(&x, &GENTLE)).expect("fits"))
     };
     assert!(at(1) == at(2));
+}
+
+#[test]
+fn a_finished_run_is_diffused_without_training_again() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::plates::scene(folder.path());
+    let mut config = Config {
+        building: BuildingConfig { iterations: 40, random_points: 400, ..BuildingConfig::default() },
+        segmentation: SegmentationConfig {
+            iterations: 30,
+            rows: vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::Ours],
+            ..SegmentationConfig::default()
+        },
+        ..Config::default()
+    };
+    config.data.dir = Some(folder.path().to_owned());
+    let out = folder.path().join("run");
+    let go = |config: &Config| run(config, &out, &crate::device(), &mut Silent).expect("a run");
+    let plain = go(&config);
+    assert!(plain.rows[0].compactness.is_none(), "raw labels are of pixels");
+    let agreement = plain.rows[1].agreement.expect("of the vote");
+    assert!(agreement.entropy > 0.0 && agreement.entropy < 2.0_f64.ln() * 3.0, "{agreement:?}");
+    assert!((0.0..1.0).contains(&agreement.contested));
+    config.segmentation.diffusion_steps = 5;
+    let diffused = go(&config);
+    for (before, after) in plain.rows.iter().zip(&diffused.rows).skip(1) {
+        let (was, is) = (before.compactness.expect("counted"), after.compactness.expect("counted"));
+        let without = is.without_diffusion.expect("diffused");
+        assert_eq!(was.without_diffusion, None);
+        assert_eq!((without.neighbours_differ, without.miou), (was.neighbours_differ, before.scores.miou));
+        assert!(is.neighbours_differ < was.neighbours_differ, "{}: {is:?} after {was:?}", after.name());
+        assert_ne!(before.identities, after.identities);
+        assert_eq!(before.curve.len(), after.curve.len());
+    }
+    let metrics = serde_json::to_value(Metrics::of(&diffused)).expect("plain data");
+    let row = &metrics["test"]["labels"]["ours"]["compactness"];
+    assert!(row["neighbours_differ"].is_number() && row["without_diffusion"]["miou"].is_number(), "{row}");
+    assert!(metrics["test"]["labels"]["vote"]["agreement"]["contested"].is_number());
 }
