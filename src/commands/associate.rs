@@ -4,7 +4,7 @@ use super::labelled::LabelledArgs;
 use super::terminal;
 use clap::Args;
 use coseg::config::Association;
-use coseg::data::Split;
+use coseg::data::{LabelRuns, Split};
 use coseg::error::Result;
 use coseg::gaussians::ply;
 use coseg::metrics::{InstanceScores, instance_scores};
@@ -46,7 +46,7 @@ impl AssociateArgs {
         for view in &scene.views {
             if let Some(map) = &view.raw {
                 let name = view.name.replace(['/', '\\'], "_");
-                map.write_wide(&self.input.out.join("labels").join(format!("{name}.png")))?;
+                map.map().write_wide(&self.input.out.join("labels").join(format!("{name}.png")))?;
             }
         }
         scene.classes.write(&self.input.out.join("classes.json"))?;
@@ -60,11 +60,11 @@ impl AssociateArgs {
         for view in scene.split(Split::Test) {
             let Some(truth) = &view.instances else { continue };
             let projected = Projected::new(&ply.gaussians.splats(), &view.camera, &raster)?;
-            rendered.push((truth, label_map(&projected, &identities, &scene.classes, &rule)));
+            rendered.push((truth, LabelRuns::from(label_map(&projected, &identities, &scene.classes, &rule))));
         }
         let own = scene.split(Split::Test).filter_map(|view| Some((view.instances.as_ref()?, view.raw.as_ref()?)));
-        print("maps", &instance_scores(own.map(|(truth, map)| (&truth.ids[..], &map.ids[..]))));
-        print("rendered", &instance_scores(rendered.iter().map(|(truth, map)| (&truth.ids[..], &map.ids[..]))));
+        print("maps", &instance_scores(own.map(|(truth, map)| (truth.map(), map.map()))));
+        print("rendered", &instance_scores(rendered.iter().map(|(truth, map)| (truth.map(), map.map()))));
         Ok(())
     }
 }

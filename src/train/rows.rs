@@ -6,18 +6,21 @@ use super::rates::choose_rate;
 use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Source, TrainingViews, train};
 use super::segmentation_inputs::{Inputs, Spatial};
 use crate::config::{Association, Prior, Row, SegmentationConfig};
-use crate::data::{LabelMap, Split, View};
+use crate::data::{LabelMap, LabelRuns, Split, View};
 use crate::error::Result;
 use crate::metrics::{InstanceScores, LabelScores, Void, instance_scores, label_scores};
 use crate::objects::{Identities, LabelRule, label_map, vote};
 use crate::raster::Projected;
 use crate::segmentation::decoder::DecoderConfig;
 use crate::segmentation::loss::Kind;
+use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 
 /// Share added to every class of the votes that a decoder starts from.
 const VOTE_FLOOR: f32 = 0.02;
+/// Bytes of projected test views that are kept; others are projected again at each use.
+const PROJECTED_BYTES: usize = 1 << 29;
 
 /// One row, trained and scored.
 #[derive(Clone, Debug)]
@@ -52,7 +55,7 @@ impl RowOutcome {
     pub fn labels(&self, view: &View, projected: &Projected<f32>, inputs: &Inputs) -> Option<LabelMap> {
         match &self.identities {
             Some(identities) => Some(render_labels(projected, identities, inputs)),
-            None => view.raw.clone(),
+            None => view.raw.as_ref().map(LabelRuns::map),
         }
     }
 }
@@ -68,55 +71,96 @@ fn render_labels(projected: &Projected<f32>, identities: &Identities, inputs: &I
     label_map(projected, identities, &inputs.scene.classes, &LabelRule::from(&inputs.config.segmentation))
 }
 
-/// Test views with truth, projected once.
+/// A test view with truth.
+struct Known<'a> {
+    view: &'a View,
+    /// Where it is kept.
+    projected: Option<Projected<f32>>,
+}
+
+/// Test views with truth, projected once as far as memory allows.
 struct HeldOut<'a> {
-    views: Vec<(&'a View, Projected<f32>)>,
+    views: Vec<Known<'a>>,
     /// Classes are objects that association found: their ids are not those of a truth.
     objects: bool,
 }
 
 impl<'a> HeldOut<'a> {
     fn new(inputs: &Inputs<'a>) -> Result<Self> {
-        let splats = inputs.gaussians.splats();
         let objects = inputs.config.data.association != Association::None;
         let known = |v: &&View| if objects { v.instances.is_some() } else { v.truth.is_some() };
-        let views = inputs.scene.split(Split::Test).filter(known);
-        let project = |view: &'a View| Ok((view, Projected::new(&splats, &view.camera, &inputs.settings)?));
-        Ok(Self { views: views.map(project).collect::<Result<_>>()?, objects })
+        let mut left = PROJECTED_BYTES;
+        let keep = |view| {
+            let projected = project(view, inputs)?;
+            let rest = left.checked_sub(projected.bytes());
+            left = rest.unwrap_or(left);
+            Ok(Known { view, projected: rest.map(|_| projected) })
+        };
+        let views = inputs.scene.split(Split::Test).filter(known).map(keep).collect::<Result<_>>()?;
+        Ok(Self { views, objects })
     }
 
     /// Scores of a row with these identities.
-    fn score(&self, identities: &Identities, inputs: &Inputs) -> (LabelScores, Option<InstanceScores>) {
-        let predicted: Vec<LabelMap> = self.views.iter().map(|(_, p)| render_labels(p, identities, inputs)).collect();
-        let found = || self.views.iter().zip(&predicted).map(|((view, _), found)| (*view, found));
-        (self.labels(found(), inputs, Void::Wrong), self.instances(found()))
+    fn score(&self, identities: &Identities, inputs: &Inputs) -> Result<(LabelScores, Option<InstanceScores>)> {
+        let found = |known: &Known| {
+            let projected = match &known.projected {
+                Some(projected) => Cow::Borrowed(projected),
+                None => Cow::Owned(project(known.view, inputs)?),
+            };
+            Ok(Some(render_labels(&projected, identities, inputs)))
+        };
+        Ok((self.labels(found, inputs, Void::Wrong)?, self.instances(found)?))
     }
 
     /// Scores of the raw labels of the test views.
-    fn score_raw(&self, inputs: &Inputs) -> RowOutcome {
-        let raw = || self.views.iter().filter_map(|(view, _)| Some((*view, view.raw.as_ref()?)));
-        RowOutcome {
-            scores: self.labels(raw(), inputs, Void::Wrong),
-            void_left_out: (!self.objects).then(|| self.labels(raw(), inputs, Void::LeftOut)),
-            instances: self.instances(raw()),
+    fn score_raw(&self, inputs: &Inputs) -> Result<RowOutcome> {
+        let raw = |known: &Known| Ok(known.view.raw.as_ref().map(LabelRuns::map));
+        let left_out = (!self.objects).then(|| self.labels(raw, inputs, Void::LeftOut));
+        Ok(RowOutcome {
+            scores: self.labels(raw, inputs, Void::Wrong)?,
+            void_left_out: left_out.transpose()?,
+            instances: self.instances(raw)?,
             ..untrained(Row::Raw)
-        }
+        })
     }
 
-    fn labels<'m>(
+    /// Against true labels, as far as there are any.
+    fn labels(
         &self,
-        found: impl Iterator<Item = (&'m View, &'m LabelMap)>,
+        found: impl Fn(&Known) -> Result<Option<LabelMap>>,
         inputs: &Inputs,
         void: Void,
-    ) -> LabelScores {
-        let pairs = found.filter_map(|(view, map)| Some((&view.truth.as_ref()?.ids[..], &map.ids[..])));
-        label_scores(&inputs.scene.classes, pairs, void)
+    ) -> Result<LabelScores> {
+        let pairs = self.pairs(|view| view.truth.as_ref(), found)?;
+        Ok(label_scores(&inputs.scene.classes, pairs.iter().map(|(truth, found)| (truth.map(), found.map())), void))
     }
 
-    fn instances<'m>(&self, found: impl Iterator<Item = (&'m View, &'m LabelMap)>) -> Option<InstanceScores> {
-        let pairs = found.filter_map(|(view, map)| Some((&view.instances.as_ref()?.ids[..], &map.ids[..])));
-        (self.objects && !self.views.is_empty()).then(|| instance_scores(pairs))
+    /// Against true instances, where classes are objects.
+    fn instances(&self, found: impl Fn(&Known) -> Result<Option<LabelMap>>) -> Result<Option<InstanceScores>> {
+        if !self.objects || self.views.is_empty() {
+            return Ok(None);
+        }
+        let pairs = self.pairs(|view| view.instances.as_ref(), found)?;
+        Ok(Some(instance_scores(pairs.iter().map(|(truth, found)| (truth.map(), found.map())))))
     }
+
+    /// Truth and what was found, of the views that have both.
+    fn pairs(
+        &self,
+        truth: impl Fn(&'a View) -> Option<&'a LabelRuns>,
+        found: impl Fn(&Known) -> Result<Option<LabelMap>>,
+    ) -> Result<Vec<(&'a LabelRuns, LabelRuns)>> {
+        let mut pairs = Vec::new();
+        for known in &self.views {
+            let Some(truth) = truth(known.view) else { continue };
+            pairs.extend(found(known)?.map(|found| (truth, LabelRuns::from(found))));
+        }
+        Ok(pairs)
+    }
+}
+
+fn project(view: &View, inputs: &Inputs) -> Result<Projected<f32>> {
+    Projected::new(&inputs.gaussians.splats(), &view.camera, &inputs.settings)
 }
 
 /// Trains and scores the configured rows in order; returns them and the name of the point encoder's weights.
@@ -138,12 +182,12 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
     let mut rows = Vec::new();
     for &row in &config.rows {
         let outcome = match row {
-            Row::Raw => held_out.score_raw(inputs),
+            Row::Raw => held_out.score_raw(inputs)?,
             Row::Vote => {
                 let train = inputs.scene.split(Split::Train);
                 let votes = vote(inputs.gaussians, train, &inputs.scene.classes, &inputs.settings)?;
                 let identities = votes.identities();
-                let (scores, instances) = held_out.score(&identities, inputs);
+                let (scores, instances) = held_out.score(&identities, inputs)?;
                 RowOutcome { scores, instances, identities: Some(identities), ..untrained(row) }
             }
             _ => trained(row, inputs, &mut views, &mut spatial, &held_out, checkpoints, progress)?,
@@ -201,14 +245,14 @@ fn trained(
     let device = inputs.device.clone().autodiff();
     let classes = inputs.scene.classes.len();
     let mut score = |identities: &Identities| {
-        let (labels, instances) = held_out.score(identities, inputs);
+        let (labels, instances) = held_out.score(identities, inputs)?;
         Ok(labels.miou.or(instances.and_then(|scores| scores.miou)))
     };
     let rate_file = checkpoints.join(format!("{}.rate.safetensors", row.key()));
     let mut fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: f64| -> Result<RowOutcome> {
         let curve = train(model, views, &plan, &pace, &mut score, progress)?;
         let identities = model.identities()?;
-        let (scores, instances) = held_out.score(&identities, inputs);
+        let (scores, instances) = held_out.score(&identities, inputs)?;
         Ok(RowOutcome {
             scores,
             instances,
