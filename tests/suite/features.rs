@@ -3,7 +3,7 @@
 use coseg::camera::Camera;
 use coseg::config::{FeatureConfig, FeatureSource};
 use coseg::data::transforms::{self, LoadOptions};
-use coseg::data::{Class, Classes, LabelMap, LabelRuns, Points, Scene, Split, View};
+use coseg::data::{Class, Classes, LabelMap, LabelRuns, Photo, Points, Scene, Split, View};
 use coseg::features::probe::{ProbeScore, ProbeSettings, ProbeView, linear_probe};
 use coseg::features::{FeatureMap, ViewFeatures, descriptor, extract, extract_all};
 use glam::{DMat3, DVec3};
@@ -16,8 +16,8 @@ fn camera(width: usize, height: usize) -> Camera {
 }
 
 fn view(name: &str, split: Split, image: RgbImage, truth: Option<LabelMap>) -> View {
-    let (image, truth) = (image.into(), truth.map(LabelRuns::from));
-    let camera = camera(image.width() as usize, image.height() as usize);
+    let (image, truth) = (Photo::from(image), truth.map(LabelRuns::from));
+    let camera = camera(image.width(), image.height());
     View { name: name.into(), split, camera, image, truth, raw: None, segments: Vec::new(), instances: None }
 }
 
