@@ -4,7 +4,7 @@ use super::labelled::LabelledArgs;
 use super::terminal;
 use clap::Args;
 use coseg::config::Association;
-use coseg::data::{LabelMap, Split, View};
+use coseg::data::{LabelRuns, Split, View};
 use coseg::error::Result;
 use coseg::gaussians::ply;
 use coseg::metrics::{InstanceScores, SemanticScores, instance_scores};
@@ -47,7 +47,7 @@ impl AssociateArgs {
         for view in &scene.views {
             if let Some(map) = &view.raw {
                 let name = view.name.replace(['/', '\\'], "_");
-                map.write_wide(&self.input.out.join("labels").join(format!("{name}.png")))?;
+                map.map().write_wide(&self.input.out.join("labels").join(format!("{name}.png")))?;
             }
         }
         scene.classes.write(&self.input.out.join("classes.json"))?;
@@ -61,15 +61,14 @@ impl AssociateArgs {
         for view in scene.split(Split::Test) {
             if view.instances.is_some() || semantics.as_ref().is_some_and(|semantics| semantics.knows(view)) {
                 let projected = Projected::new(&ply.gaussians.splats(), &view.camera, &raster)?;
-                rendered.push((view, label_map(&projected, &identities, &scene.classes, &rule)));
+                rendered.push((view, LabelRuns::from(label_map(&projected, &identities, &scene.classes, &rule))));
             }
         }
-        let own: Vec<_> = scene.split(Split::Test).filter_map(|view| Some((view, view.raw.as_ref()?))).collect();
-        let rendered: Vec<_> = rendered.iter().map(|(view, map)| (*view, map)).collect();
+        let own: Vec<_> = scene.split(Split::Test).filter_map(|view| Some((view, view.raw.clone()?))).collect();
         for (what, maps) in [("maps", own), ("rendered", rendered)] {
             print(what, &of_instances(&maps));
             if let Some(semantics) = &semantics {
-                print_by_class(what, &semantics.score(&scene.classes, maps));
+                print_by_class(what, &semantics.score(&scene.classes, &maps));
             }
         }
         Ok(())
@@ -77,9 +76,8 @@ impl AssociateArgs {
 }
 
 /// Scores of the maps of views with true instances.
-fn of_instances(maps: &[(&View, &LabelMap)]) -> InstanceScores {
-    let known = maps.iter().filter_map(|(view, map)| Some((view.instances.as_ref()?, *map)));
-    instance_scores(known.map(|(truth, map)| (&truth.ids[..], &map.ids[..])))
+fn of_instances(maps: &[(&View, LabelRuns)]) -> InstanceScores {
+    instance_scores(maps.iter().filter_map(|(view, map)| Some((view.instances.as_ref()?.map(), map.map()))))
 }
 
 /// The scores by class of held-out views, where there are true labels.

@@ -4,7 +4,7 @@ use super::run_folder::RunFolder;
 use super::terminal;
 use clap::Args;
 use coseg::config::{Association, Config};
-use coseg::data::{Classes, LabelMap, Limits, Scene, Split, View};
+use coseg::data::{Classes, LabelRuns, Limits, Scene, Split, View};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::metrics::{ImageScores, InstanceScores, SemanticScores, Void, instance_scores, label_scores};
@@ -63,17 +63,16 @@ impl EvalArgs {
         let objects = config.data.association != Association::None;
         let instances = objects.then(|| {
             let known = labels.iter().filter_map(|(view, found)| Some((view.instances.as_ref()?, found)));
-            instance_scores(known.map(|(truth, found)| (&truth.ids[..], &found.ids[..])))
+            instance_scores(known.map(|(truth, found)| (truth.map(), found.map())))
         });
         let semantics = Semantics::of(&scene).filter(|_| objects && stored.is_some());
-        let semantic =
-            semantics.map(|semantics| semantics.score(&classes, labels.iter().map(|(view, found)| (*view, found))));
+        let semantic = semantics.map(|semantics| semantics.score(&classes, &labels));
         let labels = label_scores(
             &scene.classes,
             labels
                 .iter()
                 .filter(|_| !objects)
-                .filter_map(|(view, found)| Some((&view.truth.as_ref()?.ids[..], &found.ids[..]))),
+                .filter_map(|(view, found)| Some((view.truth.as_ref()?.map(), found.map()))),
             Void::Wrong,
         );
         let views = scene.split(Split::Test).count();
@@ -146,7 +145,7 @@ fn score<'s>(
     stored: Option<&Stored>,
     classes: &Classes,
     config: &Config,
-) -> Result<(ImageScores, Vec<(&'s View, LabelMap)>)> {
+) -> Result<(ImageScores, Vec<(&'s View, LabelRuns)>)> {
     let settings = Settings::from(&config.raster);
     let rule = LabelRule::from(&config.segmentation);
     let bar = terminal::bar("eval", scene.split(Split::Test).count() as u64);
@@ -154,14 +153,14 @@ fn score<'s>(
     for view in scene.split(Split::Test) {
         let View { camera, truth, instances, .. } = view;
         let rendered = render(&ply.gaussians, camera, &settings, config.raster.background)?;
-        images.push(ImageScores::of(&rendered.rgb, &view.rgb(), camera.width, camera.height));
+        images.push(ImageScores::of(&rendered.rgb, &view.rgb()?, camera.width, camera.height));
         if let (true, Some(stored)) = (truth.is_some() || instances.is_some(), stored) {
             let projected = Projected::new(&ply.gaussians.splats(), camera, &settings)?;
             let found = match stored {
                 Stored::Identities(identities) => label_map(&projected, identities, classes, &rule),
                 Stored::Labels(ids) => hard_label_map(&projected, ids, rule.min_coverage),
             };
-            labels.push((view, found));
+            labels.push((view, found.into()));
         }
         bar.inc(1);
     }

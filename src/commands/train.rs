@@ -5,7 +5,7 @@ use super::run_folder::RunFolder;
 use super::{Settings, terminal};
 use clap::Args;
 use coseg::config::{Config, Row};
-use coseg::data::{self, LoadOptions};
+use coseg::data::{self, LoadOptions, Split};
 use coseg::device::{self, BackendName};
 use coseg::error::Result;
 use coseg::gaussians::ply;
@@ -92,6 +92,8 @@ impl TrainArgs {
         if let Some(identities) = labels {
             identities.write(&run.identities_path())?;
         }
+        let (classes, renders) = (&outcome.scene.classes, run.path().join("renders"));
+        let views = held_out_views(&outcome, &config, |view| view.write(classes, &renders))?;
         let history = History::of(&outcome);
         let report = Report {
             metrics: Metrics::of(&outcome),
@@ -100,7 +102,8 @@ impl TrainArgs {
             command: command_line(),
             device: device_text,
             history: &history,
-            views: held_out_views(&outcome, &config)?,
+            held_out: outcome.scene.split(Split::Test).count(),
+            views,
             notes: Report::notes_of(&outcome, &config),
         };
         report.write(run.path())?;

@@ -3,7 +3,7 @@
 use super::labelled::LabelledArgs;
 use super::terminal;
 use clap::Args;
-use coseg::data::Split;
+use coseg::data::{LabelRuns, Split};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply;
 use coseg::metrics::{Void, label_scores};
@@ -59,9 +59,9 @@ impl VoteArgs {
         for view in scene.split(Split::Test) {
             let Some(truth) = &view.truth else { continue };
             let projected = Projected::new(&ply.gaussians.splats(), &view.camera, &raster)?;
-            scored.push((truth, label_map(&projected, &identities, &scene.classes, &rule)));
+            scored.push((truth, LabelRuns::from(label_map(&projected, &identities, &scene.classes, &rule))));
         }
-        let pairs = scored.iter().map(|(truth, found)| (&truth.ids[..], &found.ids[..]));
+        let pairs = scored.iter().map(|(truth, found)| (truth.map(), found.map()));
         let scores = label_scores(&scene.classes, pairs, Void::Wrong);
         if let (Some(miou), Some(per_view), Some(accuracy)) = (scores.miou, scores.miou_per_view, scores.accuracy) {
             terminal::say(&format!(

@@ -31,6 +31,9 @@ pub struct DataConfig {
     pub stride: usize,
     /// No more frames than this, evenly chosen; 0 means no limit.
     pub max_frames: usize,
+    /// Megabytes (2^20 bytes) of decoded photos kept in memory, 3 bytes a pixel; the others are decoded again from their
+    /// files at each use. No result depends on it. The photos of the built-in room lie in no file and are kept.
+    pub decoded_mb: usize,
     /// Class table that ScanNet's label ids are mapped to.
     pub scannet_classes: ScannetClasses,
     /// ScanNet's table of label ids, `scannetv2-labels.combined.tsv`; absent: looked for in `dir` and the three folders
@@ -51,6 +54,7 @@ impl Default for DataConfig {
             association: Association::None,
             stride: 1,
             max_frames: 0,
+            decoded_mb: 1_024,
             scannet_classes: ScannetClasses::Nyu40,
             scannet_labels: None,
         }

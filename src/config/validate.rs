@@ -58,6 +58,9 @@ impl Config {
         let largest_seed = i64::MAX as u64;
         check.that(self.seed <= largest_seed, "seed", self.seed, "at most 2^63 - 1", "choose a smaller seed");
         check.positive("data.stride", self.data.stride);
+        let mend = "leave the key out for the default";
+        let most = "whole megabytes, at most 2^24";
+        check.that(self.data.decoded_mb <= 1 << 24, "data.decoded_mb", self.data.decoded_mb, most, mend);
         self.validate_building(&mut check);
         self.validate_raster(&mut check);
         self.validate_association(&mut check);

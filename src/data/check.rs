@@ -33,9 +33,7 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
         }
     };
     let limits = &options.limits;
-    for whole in [listing.check_sizes(limits), listing.check_bytes(limits)] {
-        problems.keep(whole);
-    }
+    problems.keep(listing.check_sizes(limits));
     // Without a class table, which is a fault that was told, no id can be wrong.
     let known = if listing.classes.is_empty() { vec![0; 1 << 16] } else { listing.classes.lookup() };
     let mut found = Vec::new();

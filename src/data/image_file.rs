@@ -3,6 +3,7 @@
 use super::Limits;
 use crate::error::{Error, Result};
 use image::{DynamicImage, ImageFormat, ImageReader, RgbImage};
+use sha2::{Digest, Sha256};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
@@ -39,6 +40,16 @@ impl ImageFile {
         let pixels = u64::from(size.0) * u64::from(size.1);
         Limits::check(format!("{}: pixels", path.display()), pixels, limits.image_pixels, "scale the image down")?;
         Ok(Self { path: path.to_owned(), bytes, format, size: (size.0 as usize, size.1 as usize) })
+    }
+
+    /// Where it lies.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// SHA-256 of the file.
+    pub fn digest(&self) -> [u8; 32] {
+        Sha256::digest(&self.bytes).into()
     }
 
     /// An error unless the photo or label map has the size that `whose` expects.

@@ -9,15 +9,13 @@ pub struct Limits {
     pub views: usize,
     /// Pixels of one image.
     pub image_pixels: u64,
-    /// Bytes of all photos and label maps of a scene, decoded.
-    pub scene_bytes: u64,
     /// Rows of a point cloud or Gaussian file.
     pub points: u64,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { views: 65_536, image_pixels: 1 << 27, scene_bytes: 1 << 36, points: 1 << 28 }
+        Self { views: 65_536, image_pixels: 1 << 27, points: 1 << 28 }
     }
 }
 

@@ -4,7 +4,8 @@ use super::depth::Depth;
 use super::image_file::ImageFile;
 use super::lens::{Lens, Remap};
 use super::raw::{RawLabels, RawMap};
-use super::{Classes, LabelMap, Limits, LoadOptions, Points, Scene, Split, View, colmap};
+use super::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, Split, View};
+use super::{colmap, photo};
 use crate::camera::Camera;
 use crate::config::Layout;
 use crate::error::{Error, Result};
@@ -12,6 +13,7 @@ use glam::DVec3;
 use image::RgbImage;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// How far the proportions of a label map may be from those of its photo when it is resampled: ScanNet's own sizes,
 /// 1296x968 and 640x480, differ by 0.4 %.
@@ -167,11 +169,7 @@ fn proportional((w, h): (usize, usize), (width, height): (usize, usize)) -> bool
 
 impl Geometry {
     pub fn photo(&self, file: &ImageFile) -> Result<RgbImage> {
-        let photo = file.decode_rgb()?;
-        Ok(match &self.remap {
-            Some(remap) => remap.photo(&photo),
-            None => photo,
-        })
+        photo::decode(file, self.remap.as_ref())
     }
 
     /// A label map as the camera sees it.
@@ -208,17 +206,6 @@ impl Listing {
             return Err(Error::input(&self.file, "frames", found, "at least one training view", mend));
         }
         Ok(())
-    }
-
-    /// Refuses more bytes of decoded images than the limits allow.
-    pub fn check_bytes(&self, limits: &Limits) -> Result<()> {
-        let of_frame = |frame: &Frame| {
-            let maps = frame.truth.iter().chain(&frame.raw).chain(&frame.instances).count() as u64;
-            (frame.camera.width as u64).saturating_mul(frame.camera.height as u64).saturating_mul(3 + 2 * maps)
-        };
-        let bytes = self.frames.iter().map(of_frame).fold(0, u64::saturating_add);
-        let what = format!("{}: bytes of decoded images", self.file.display());
-        Limits::check(what, bytes, limits.scene_bytes, "scale the images down, or use fewer with data.stride")
     }
 
     /// The true labels as the view's camera sees them, in class ids.
@@ -295,19 +282,20 @@ impl Listing {
         sum.try_normalize().unwrap_or(DVec3::Z)
     }
 
-    /// Decodes everything.
-    pub fn load(self, dir: &Path, limits: &Limits) -> Result<Scene> {
+    /// Decodes everything, a few files at a time.
+    pub fn load(self, dir: &Path, options: &LoadOptions) -> Result<Scene> {
+        let limits = &options.limits;
         self.check_sizes(limits)?;
-        self.check_bytes(limits)?;
+        let cache = Arc::new(PhotoCache::new(options.decoded_mb.saturating_mul(1 << 20)));
         let (origin, up) = (self.origin(), self.up());
         let known = self.classes.lookup();
         let views = in_order(self.frames.par_iter().map(|frame| {
             let (file, geometry) = frame.open(&self.file, limits)?;
-            let image = geometry.photo(&file)?;
-            let truth = self.truth(frame, &geometry, &known, limits)?;
-            let (raw, segments) =
-                self.raw(frame, &geometry, &known, limits)?.map_or((None, Vec::new()), |r| (Some(r.map), r.segments));
-            let instances = self.instances(frame, &geometry, limits)?;
+            let image = Photo::in_file(&file, geometry.remap.clone(), limits, &cache)?;
+            let truth = self.truth(frame, &geometry, &known, limits)?.map(LabelRuns::from);
+            let raw = self.raw(frame, &geometry, &known, limits)?;
+            let (raw, segments) = raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
+            let instances = self.instances(frame, &geometry, limits)?.map(LabelRuns::from);
             let camera = Camera { center: geometry.camera.center - origin, ..geometry.camera };
             Ok(View { name: frame.name.clone(), split: frame.split, camera, image, truth, raw, segments, instances })
         }))?;
@@ -317,7 +305,7 @@ impl Listing {
             let mut occurs = vec![false; 1 << 16];
             let of_classes = !self.raw.are_segments();
             let maps = views.iter().flat_map(|view| view.truth.iter().chain(view.raw.iter().filter(|_| of_classes)));
-            maps.flat_map(|map| &map.ids).for_each(|&id| occurs[usize::from(id)] = true);
+            maps.flat_map(LabelRuns::runs).for_each(|(id, _)| occurs[usize::from(id)] = true);
             let told = views.iter().flat_map(|view| &view.segments).filter_map(|segment| segment.class);
             told.for_each(|id| occurs[usize::from(id)] = true);
             classes.entries.retain(|class| occurs[usize::from(class.id)]);

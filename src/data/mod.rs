@@ -8,6 +8,7 @@ mod colmap;
 mod depth;
 mod image_file;
 mod info;
+mod label_runs;
 mod labels;
 mod layout;
 mod lens;
@@ -16,6 +17,8 @@ mod listing;
 mod manifest;
 mod options;
 mod palette;
+mod photo;
+mod photo_cache;
 pub(crate) mod ply;
 mod points;
 mod raw;
@@ -26,11 +29,14 @@ pub mod transforms;
 
 pub use check::{Checked, check};
 pub use info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
+pub use label_runs::LabelRuns;
 pub use layout::locate;
 pub use limits::Limits;
 pub use manifest::{ExpectedFile, LabelMapping, Manifest};
 pub use options::LoadOptions;
 pub use palette::class_color;
+pub use photo::Photo;
+pub use photo_cache::PhotoCache;
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
@@ -40,8 +46,9 @@ use std::path::Path;
 /// Loads the scene in folder `dir`, in whatever layout it is or the options say.
 ///
 /// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. Photos with lens distortion
-/// become those of pinholes, and so do their label maps. Photos are decoded in parallel. What was left out is told as
-/// warnings.
+/// become those of pinholes, and so do their label maps. Photos are decoded in parallel, and kept decoded as far as
+/// [`LoadOptions::decoded_mb`] allows; the others are decoded again at use, from files that must stay as they are. What
+/// was left out is told as warnings.
 ///
 /// # Errors
 /// [`crate::Error::Missing`], [`crate::Error::Input`], [`crate::Error::Io`] or [`crate::Error::Limit`] naming file and
@@ -54,7 +61,7 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
     for notice in &listing.notices {
         tracing::warn!("{}: {notice}", dir.display());
     }
-    listing.load(dir, &options.limits)
+    listing.load(dir, options)
 }
 
 /// The cameras of the scene in folder `dir`, in whatever layout, in the order of its views: pinholes as [`load`] makes
@@ -137,15 +144,15 @@ pub struct View {
     /// Pose and intrinsics, centre relative to [`Scene::origin`].
     pub camera: Camera,
     /// The photo, 8-bit sRGB.
-    pub image: image::RgbImage,
+    pub image: Photo,
     /// True labels, where known. Only for scoring.
-    pub truth: Option<LabelMap>,
+    pub truth: Option<LabelRuns>,
     /// Raw labels of a 2D segmenter, where given. Those of test views only score the 2D baseline.
-    pub raw: Option<LabelMap>,
+    pub raw: Option<LabelRuns>,
     /// What is known of the ids of [`View::raw`] where they are segments of this view, not classes.
     pub segments: Vec<Segment>,
     /// True instance ids, where known; 0 is none. Only for scoring.
-    pub instances: Option<LabelMap>,
+    pub instances: Option<LabelRuns>,
 }
 
 /// A segment of one view; its id says nothing about other views.
@@ -161,8 +168,11 @@ pub struct Segment {
 
 impl View {
     /// The photo as `[H, W, 3]` row-major sRGB in 0..1.
-    pub fn rgb(&self) -> Vec<f32> {
-        self.image.as_raw().iter().map(|&v| f32::from(v) / 255.0).collect()
+    ///
+    /// # Errors
+    /// As [`Photo::pixels`].
+    pub fn rgb(&self) -> Result<Vec<f32>> {
+        Ok(self.image.pixels()?.as_raw().iter().map(|&v| f32::from(v) / 255.0).collect())
     }
 }
 
@@ -175,6 +185,12 @@ pub struct LabelMap {
     pub height: usize,
     /// Row-major ids, length `width * height`.
     pub ids: Vec<u16>,
+}
+
+impl AsRef<[u16]> for LabelMap {
+    fn as_ref(&self) -> &[u16] {
+        &self.ids
+    }
 }
 
 /// Points with colours, for initialisation.

@@ -27,6 +27,8 @@ pub struct LoadOptions {
     pub scannet_classes: ScannetClasses,
     /// ScanNet's table of label ids, where it does not lie near the scene.
     pub scannet_labels: Option<PathBuf>,
+    /// Megabytes (2^20 bytes) of decoded photos that a scene keeps; the others are decoded again at each use.
+    pub decoded_mb: usize,
     /// Largest sizes accepted.
     pub limits: Limits,
 }
@@ -50,6 +52,7 @@ impl From<&DataConfig> for LoadOptions {
             max_frames: config.max_frames,
             scannet_classes: config.scannet_classes,
             scannet_labels: config.scannet_labels.clone(),
+            decoded_mb: config.decoded_mb,
             limits: Limits::default(),
         }
     }

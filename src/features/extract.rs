@@ -76,72 +76,105 @@ fn run(
     device: &Device,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<(FeatureSet, Vec<ViewFeatures>)> {
-    if config.dimensions == 0 {
-        return Err(Error::config("features.dimensions", "0", "1 or more", "64 is the usual choice"));
-    }
-    let extractor = Extractor::open(config, device)?;
-    let train: Vec<&View> = scene.split(Split::Train).collect();
     let test: Vec<&View> = if with_test { scene.split(Split::Test).collect() } else { vec![] };
-    if train.is_empty() {
-        return Err(Error::config(
-            "data",
-            format!("no training view in {}", scene.name),
-            "one or more",
-            "mend the splits",
-        ));
-    }
-    let total = 2 * train.len() + test.len();
-    let maps_of = |view: &View| cached_maps(&extractor, config, view);
+    let (train, fitted) = (scene.split(Split::Train).count(), &mut 0);
+    let total = 2 * train + test.len();
+    let mut reduction = Reduction::fit(scene, config, seed, device, &mut || {
+        *fitted += 1;
+        progress(*fitted, total);
+    })?;
+    let step = |done: usize| move |(i, _): &(usize, _)| progress(done + i + 1, total);
+    let views = reduction.training_views().enumerate().inspect(step(train)).map(|(_, view)| view);
+    let views = views.collect::<Result<_>>()?;
+    let tested = reduction.reduced(&test, Vec::new()).enumerate().inspect(step(2 * train)).map(|(_, view)| view);
+    let tested = tested.collect::<Result<_>>()?;
+    let Reduction { name, reductions, .. } = reduction;
+    Ok((FeatureSet { name, reductions, views }, tested))
+}
 
-    let mut kept: Vec<Option<[FeatureMap; SCALES]>> = Vec::with_capacity(train.len());
-    let mut kept_bytes = 0;
-    let mut moments: Option<[Moments; SCALES]> = None;
-    let quota = PCA_CELLS.div_ceil(train.len());
-    for batch in train.chunks(extractor.batch()) {
-        let batch_maps: Vec<_> = batch.par_iter().map(|view| maps_of(view)).collect();
-        for (view, maps) in batch.iter().zip(batch_maps) {
-            let maps = maps?;
-            let moments = moments.get_or_insert_with(|| std::array::from_fn(|n| Moments::new(maps[n].channels)));
-            for (n, (map, moments)) in maps.iter().zip(moments).enumerate() {
-                let index = (kept.len() * SCALES + n) as u64;
-                moments.add(&subsample(map, quota, seed, index), &what(view, n), map.channels)?;
-            }
-            let bytes: usize = maps.iter().map(|m| 4 * m.data.len()).sum();
-            kept_bytes += bytes;
-            kept.push((kept_bytes <= KEPT_BYTES).then_some(maps));
-            progress(kept.len(), total);
+/// The fitted reductions of a scene's features, and what makes its maps: for scenes whose maps are not all kept.
+pub struct Reduction<'a> {
+    /// Where the features come from, see [`Extractor::name`].
+    pub name: String,
+    /// One a scale.
+    pub reductions: [Pca; SCALES],
+    extractor: Extractor,
+    config: &'a FeatureConfig,
+    train: Vec<&'a View>,
+    /// Unreduced maps of the training views, as far as they were kept.
+    kept: Vec<Option<[FeatureMap; SCALES]>>,
+}
+
+impl<'a> Reduction<'a> {
+    /// Fits a PCA per scale to the training views, as [`extract`] does. `looked` is told of each view.
+    ///
+    /// # Errors
+    /// As [`extract`].
+    pub fn fit(
+        scene: &'a Scene,
+        config: &'a FeatureConfig,
+        seed: u64,
+        device: &Device,
+        looked: &mut dyn FnMut(),
+    ) -> Result<Self> {
+        if config.dimensions == 0 {
+            return Err(Error::config("features.dimensions", "0", "1 or more", "64 is the usual choice"));
         }
-    }
-    let Some(moments) = moments else { return Err(Error::config("data", "no view", "one or more", "mend the splits")) };
-    let reductions = moments.map(|m| Pca::fit(&m, config.dimensions));
-    let again = kept.iter().filter(|maps| maps.is_none()).count();
-    if again > 0 && config.cache_dir.is_none() && matches!(extractor, Extractor::Dino { .. }) {
-        tracing::warn!("{again} of {} views are computed twice: set features.cache_dir", train.len());
+        let extractor = Extractor::open(config, device)?;
+        let train: Vec<&View> = scene.split(Split::Train).collect();
+        let mut kept: Vec<Option<[FeatureMap; SCALES]>> = Vec::with_capacity(train.len());
+        let mut kept_bytes = 0;
+        let mut moments: Option<[Moments; SCALES]> = None;
+        let quota = PCA_CELLS.div_ceil(train.len().max(1));
+        for batch in train.chunks(extractor.batch()) {
+            let batch_maps: Vec<_> = batch.par_iter().map(|view| cached_maps(&extractor, config, view)).collect();
+            for (view, maps) in batch.iter().zip(batch_maps) {
+                let maps = maps?;
+                let moments = moments.get_or_insert_with(|| std::array::from_fn(|n| Moments::new(maps[n].channels)));
+                for (n, (map, moments)) in maps.iter().zip(moments).enumerate() {
+                    let index = (kept.len() * SCALES + n) as u64;
+                    moments.add(&subsample(map, quota, seed, index), &what(view, n), map.channels)?;
+                }
+                let bytes: usize = maps.iter().map(|m| 4 * m.data.len()).sum();
+                kept_bytes += bytes;
+                kept.push((kept_bytes <= KEPT_BYTES).then_some(maps));
+                looked();
+            }
+        }
+        let Some(moments) = moments else {
+            let found = format!("no training view in {}", scene.name);
+            return Err(Error::config("data", found, "one or more", "mend the splits"));
+        };
+        let again = kept.iter().filter(|maps| maps.is_none()).count();
+        if again > 0 && config.cache_dir.is_none() && matches!(extractor, Extractor::Dino { .. }) {
+            tracing::warn!("{again} of {} views are computed twice: set features.cache_dir", train.len());
+        }
+        let reductions = moments.map(|m| Pca::fit(&m, config.dimensions));
+        Ok(Self { name: extractor.name(), reductions, extractor, config, train, kept })
     }
 
-    let mut done = train.len();
-    let mut reduce = |views: &[&View], kept: &mut [Option<[FeatureMap; SCALES]>]| -> Result<Vec<ViewFeatures>> {
-        let mut reduced = Vec::with_capacity(views.len());
-        for (batch, kept) in views.chunks(extractor.batch()).zip(kept.chunks_mut(extractor.batch())) {
-            let batch: Vec<Result<ViewFeatures>> = batch
-                .par_iter()
-                .zip(kept)
-                .map(|(view, kept)| {
-                    let maps = kept.take().map_or_else(|| maps_of(view), Ok)?;
-                    reduce_view(view, &maps, &reductions)
-                })
-                .collect();
-            done += batch.len();
-            progress(done, total);
-            for view in batch {
-                reduced.push(view?);
-            }
-        }
-        Ok(reduced)
-    };
-    let views = reduce(&train, &mut kept)?;
-    let test_views = reduce(&test, &mut vec![None; test.len()])?;
-    Ok((FeatureSet { name: extractor.name(), reductions, views }, test_views))
+    /// Reduced maps of the training views in the scene's order, a few made at a time. What was kept for them goes.
+    pub fn training_views(&mut self) -> impl Iterator<Item = Result<ViewFeatures>> {
+        let kept = std::mem::take(&mut self.kept);
+        self.reduced(&self.train, kept)
+    }
+
+    /// Reduced maps of `views`, whose unreduced ones are those of `kept` where it has any.
+    fn reduced(
+        &self,
+        views: &[&View],
+        kept: Vec<Option<[FeatureMap; SCALES]>>,
+    ) -> impl Iterator<Item = Result<ViewFeatures>> {
+        let mut kept = kept.into_iter();
+        views.chunks(self.extractor.batch()).flat_map(move |batch| {
+            let kept: Vec<_> = batch.iter().map(|_| kept.next().flatten()).collect();
+            let reduced = batch.par_iter().zip(kept).map(|(view, kept)| {
+                let maps = kept.map_or_else(|| cached_maps(&self.extractor, self.config, view), Ok)?;
+                reduce_view(view, &maps, &self.reductions)
+            });
+            reduced.collect::<Vec<_>>()
+        })
+    }
 }
 
 fn reduce_view(view: &View, maps: &[FeatureMap; SCALES], reductions: &[Pca; SCALES]) -> Result<ViewFeatures> {
@@ -169,11 +202,12 @@ fn subsample(map: &FeatureMap, quota: usize, seed: u64, index: u64) -> Vec<f32> 
 
 fn cached_maps(extractor: &Extractor, config: &FeatureConfig, view: &View) -> Result<[FeatureMap; SCALES]> {
     let (Some(dir), Some(key)) = (&config.cache_dir, extractor.cache_key()) else { return extractor.maps(view) };
-    let path = cache::entry(dir, &view.image, &key);
+    let pixels = view.image.pixels()?;
+    let path = cache::entry(dir, &pixels, &key);
     if let Some(maps) = cache::load(&path) {
         return Ok(maps);
     }
-    let maps = extractor.maps(view)?;
+    let maps = extractor.maps_of(&view.name, || Ok(pixels))?;
     if let Err(error) = cache::store(&path, &maps) {
         tracing::warn!("features are not cached: {error}");
     }

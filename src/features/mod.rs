@@ -15,7 +15,7 @@ pub mod mobilenet;
 mod pca;
 pub mod probe;
 
-pub use extract::{FeatureSet, PCA_CELLS, ViewFeatures, extract, extract_all};
+pub use extract::{FeatureSet, PCA_CELLS, Reduction, ViewFeatures, extract, extract_all};
 pub(crate) use lattice::Axis;
 pub use lattice::{Lattice, Steps};
 pub use map::FeatureMap;
@@ -25,8 +25,10 @@ use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::View;
 use crate::error::{Error, Result};
 use burn::tensor::Device;
+use image::RgbImage;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Scales per view.
 pub const SCALES: usize = 4;
@@ -131,13 +133,18 @@ impl Extractor {
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::Input`] and [`Error::NonFinite`] for imported files that cannot be used; [`Error::NonFinite`]
-    /// for weights under which an activation is not finite.
+    /// for weights under which an activation is not finite; those of [`crate::data::Photo::pixels`].
     pub fn maps(&self, view: &View) -> Result<[FeatureMap; SCALES]> {
+        self.maps_of(&view.name, || view.image.pixels())
+    }
+
+    /// The maps of the view of this name, whose photo `pixels` gives where it is looked at.
+    fn maps_of(&self, name: &str, pixels: impl FnOnce() -> Result<Arc<RgbImage>>) -> Result<[FeatureMap; SCALES]> {
         match self {
-            Self::Descriptor => Ok(descriptor::describe(&view.image)),
-            Self::MobileNetV2 { net, .. } => net.maps(&view.image),
-            Self::Dino { net, .. } => net.maps(&view.image),
-            Self::Import(dir) => import::read(dir, &view.name),
+            Self::Descriptor => Ok(descriptor::describe(&*pixels()?)),
+            Self::MobileNetV2 { net, .. } => net.maps(&*pixels()?),
+            Self::Dino { net, .. } => net.maps(&*pixels()?),
+            Self::Import(dir) => import::read(dir, name),
         }
     }
 

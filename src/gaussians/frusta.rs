@@ -1,10 +1,14 @@
 //! Initial points for scenes without a point cloud: pixels pushed to the depth at which other photos agree best.
 
+use crate::camera::Camera;
 use crate::data::{Points, View};
+use crate::error::Result;
 use glam::{DMat3, DVec3};
+use image::RgbImage;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Depths tried for a pixel.
 const DEPTHS: usize = 24;
@@ -12,6 +16,8 @@ const DEPTHS: usize = 24;
 const REACH: f64 = 4.0;
 /// Other views a depth is checked in, at most.
 const WITNESSES: usize = 12;
+/// Photos looked at side by side.
+const AT_ONCE: usize = 16;
 
 /// `count` points in the frusta of `views`, coloured as the pixel they were drawn at.
 ///
@@ -20,46 +26,96 @@ const WITNESSES: usize = 12;
 /// show the most similar colour (mean absolute difference). The focus distance is the median depth of the point
 /// nearest to all optical axes, or ten baselines where the axes are parallel.
 ///
-/// Empty when there is no view with pixels.
-pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Points {
+/// Empty when there is no view with pixels. Each photo is decoded twice at most, and a few are in memory at a time.
+///
+/// # Errors
+/// Those of [`crate::data::Photo::pixels`].
+pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Points> {
     let views: Vec<&View> = views.iter().copied().filter(|v| v.camera.width > 0 && v.camera.height > 0).collect();
     if views.is_empty() {
-        return Points::default();
+        return Ok(Points::default());
     }
     let focus = focus_distance(&views);
-    let witnesses: Vec<Vec<&View>> = (0..views.len()).map(|i| witnesses(&views, i)).collect();
+    let witnesses: Vec<Vec<usize>> = (0..views.len()).map(|i| witnesses(&views, i)).collect();
     // drawn in order, judged in parallel
-    let draws: Vec<(usize, u32, u32, f64)> = (0..count)
+    let mut drawn: Vec<Drawn> = (0..count)
         .map(|_| {
-            let i = rng.random_range(0..views.len());
-            let camera = &views[i].camera;
+            let view = rng.random_range(0..views.len());
+            let camera = &views[view].camera;
             let (x, y) = (rng.random_range(0..camera.width), rng.random_range(0..camera.height));
-            (i, x as u32, y as u32, rng.random())
+            let offset = rng.random();
+            Drawn { view, x: x as u32, y: y as u32, offset, color: [0; 3], differences: Vec::new() }
         })
         .collect();
-    let placed: Vec<([f32; 3], [f32; 3])> = draws
+    let at = |drawn: &Drawn, k: usize| {
+        let camera = &views[drawn.view].camera;
+        let ray = camera.ray(f64::from(drawn.x) + 0.5, f64::from(drawn.y) + 0.5);
+        let share = 2.0 * (k as f64 + drawn.offset) / DEPTHS as f64 - 1.0;
+        camera.center + ray * (focus * REACH.powf(share))
+    };
+    each_photo(&views, |first, photos| {
+        drawn.par_iter_mut().for_each(|drawn| {
+            if let Some(photo) = drawn.view.checked_sub(first).and_then(|i| photos.get(i)) {
+                drawn.color = photo.get_pixel_checked(drawn.x, drawn.y).map_or([0; 3], |p| p.0);
+            }
+        });
+    })?;
+    each_photo(&views, |first, photos| {
+        drawn.par_iter_mut().for_each(|drawn| {
+            let here = first..first + photos.len();
+            let here: Vec<usize> = witnesses[drawn.view].iter().copied().filter(|w| here.contains(w)).collect();
+            for k in (0..DEPTHS).filter(|_| !here.is_empty()) {
+                let position = at(drawn, k);
+                let seen = here.iter().filter_map(|&w| {
+                    let difference = difference(&views[w].camera, &photos[w - first], position, drawn.color)?;
+                    Some((k as u8, difference))
+                });
+                drawn.differences.extend(seen);
+            }
+        });
+    })?;
+    let placed: Vec<([f32; 3], [f32; 3])> = drawn
         .into_par_iter()
-        .map(|(i, x, y, offset)| {
-            let view = views[i];
-            let color = view.image.get_pixel_checked(x, y).map_or([0; 3], |p| p.0);
-            let ray = view.camera.ray(f64::from(x) + 0.5, f64::from(y) + 0.5);
-            let at = |k: usize| {
-                let share = 2.0 * (k as f64 + offset) / DEPTHS as f64 - 1.0;
-                view.camera.center + ray * (focus * REACH.powf(share))
-            };
-            let judged = (0..DEPTHS).filter_map(|k| Some((disagreement(&witnesses[i], at(k), color)?, k)));
+        .map(|mut drawn| {
+            drawn.differences.sort_unstable();
+            let judged = drawn
+                .differences
+                .chunk_by(|a, b| a.0 == b.0)
+                .map(|of_depth| (disagreement(of_depth), usize::from(of_depth[0].0)));
             // a pixel that no other view sees keeps a depth that is as random as its offset
             let chosen =
-                judged.min_by(|a, b| a.0.total_cmp(&b.0)).map_or((offset * DEPTHS as f64) as usize, |(_, k)| k);
-            (at(chosen).as_vec3().to_array(), color.map(|c| f32::from(c) / 255.0))
+                judged.min_by(|a, b| a.0.total_cmp(&b.0)).map_or((drawn.offset * DEPTHS as f64) as usize, |(_, k)| k);
+            (at(&drawn, chosen).as_vec3().to_array(), drawn.color.map(|c| f32::from(c) / 255.0))
         })
         .collect();
     let (positions, colors) = placed.into_iter().unzip();
-    Points { positions, colors }
+    Ok(Points { positions, colors })
+}
+
+/// A random pixel of a random view.
+struct Drawn {
+    view: usize,
+    x: u32,
+    y: u32,
+    /// Shift of the depths tried, in steps, 0 to 1.
+    offset: f64,
+    /// Its colour.
+    color: [u8; 3],
+    /// Depths tried, by number, each with the colour difference in a view that sees the point there.
+    differences: Vec<(u8, u16)>,
+}
+
+/// Has `look` see the photos of all views, a few at a time: number of the first, and these.
+fn each_photo(views: &[&View], mut look: impl FnMut(usize, &[Arc<RgbImage>])) -> Result<()> {
+    for (batch, views) in views.chunks(AT_ONCE).enumerate() {
+        let photos = views.par_iter().map(|view| view.image.pixels()).collect::<Result<Vec<_>>>()?;
+        look(batch * AT_ONCE, &photos);
+    }
+    Ok(())
 }
 
 /// Up to [`WITNESSES`] other views, spread over the nearer half of them.
-fn witnesses<'a>(views: &[&'a View], index: usize) -> Vec<&'a View> {
+fn witnesses(views: &[&View], index: usize) -> Vec<usize> {
     let center = views[index].camera.center;
     let mut others: Vec<usize> = (0..views.len()).filter(|&i| i != index).collect();
     others.sort_by(|&a, &b| {
@@ -68,25 +124,24 @@ fn witnesses<'a>(views: &[&'a View], index: usize) -> Vec<&'a View> {
     });
     let near = others.len().div_ceil(2).max(WITNESSES.min(others.len()));
     let stride = near.div_ceil(WITNESSES).max(1);
-    others[..near].iter().step_by(stride).map(|&i| views[i]).collect()
+    others[..near].iter().step_by(stride).copied().collect()
 }
 
-/// Mean colour difference over the better half of the witnesses that see `position`; `None` when none does.
-fn disagreement(witnesses: &[&View], position: DVec3, color: [u8; 3]) -> Option<f64> {
-    let mut differences: Vec<u32> = witnesses
-        .iter()
-        .filter_map(|view| {
-            let (u, v, _) = view.camera.project(position)?;
-            if u < 0.0 || v < 0.0 {
-                return None;
-            }
-            let pixel = view.image.get_pixel_checked(u as u32, v as u32)?;
-            Some(pixel.0.iter().zip(color).map(|(&a, b)| u32::from(a.abs_diff(b))).sum())
-        })
-        .collect();
-    differences.sort_unstable();
+/// Difference between `color` and what a view shows at `position`; `None` where it does not see it.
+fn difference(camera: &Camera, photo: &RgbImage, position: DVec3, color: [u8; 3]) -> Option<u16> {
+    let (u, v, _) = camera.project(position)?;
+    if u < 0.0 || v < 0.0 {
+        return None;
+    }
+    let pixel = photo.get_pixel_checked(u as u32, v as u32)?;
+    Some(pixel.0.iter().zip(color).map(|(&a, b)| u16::from(a.abs_diff(b))).sum())
+}
+
+/// Mean over the better half of the differences of a depth, which ascend.
+fn disagreement(differences: &[(u8, u16)]) -> f64 {
     let half = differences.len().div_ceil(2);
-    (half > 0).then(|| f64::from(differences[..half].iter().sum::<u32>()) / half as f64)
+    let sum: u32 = differences[..half].iter().map(|(_, difference)| u32::from(*difference)).sum();
+    f64::from(sum) / half as f64
 }
 
 /// Median depth of the point nearest to all optical axes, or ten baselines where that point is not in front.

@@ -113,7 +113,7 @@ impl PanopticQuality {
     /// Counts one image, `[H, W]` segment ids, 0 is none. `classes` tells the class of a true and of a predicted segment.
     pub fn add(&mut self, truth: &[u16], prediction: &[u16], classes: [&dyn Fn(u16) -> u16; 2]) {
         let mut pairs = Pairs::default();
-        pairs.add(truth, prediction);
+        pairs.add(truth.as_ref(), prediction.as_ref());
         self.count(&pairs, classes);
     }
 
@@ -158,14 +158,14 @@ impl PanopticQuality {
     }
 }
 
-/// Scores `views` of (true instance ids, predicted object ids), each `[H, W]`; id 0 is no instance, and pixels whose
-/// truth is 0 are left out.
-pub fn instance_scores<'a>(views: impl IntoIterator<Item = (&'a [u16], &'a [u16])>) -> InstanceScores {
+/// Scores `views` of (true instance ids, predicted object ids), each `[H, W]`, one after the other; id 0 is no instance,
+/// and pixels whose truth is 0 are left out.
+pub fn instance_scores(views: impl IntoIterator<Item = (impl AsRef<[u16]>, impl AsRef<[u16]>)>) -> InstanceScores {
     let (mut pooled, mut per_view) = (Pairs::default(), PanopticQuality::default());
     let one: &dyn Fn(u16) -> u16 = &|_| 0;
     for (truth, prediction) in views {
         let mut pairs = Pairs::default();
-        pairs.add(truth, prediction);
+        pairs.add(truth.as_ref(), prediction.as_ref());
         per_view.count(&pairs, [one, one]);
         pooled.merge(&pairs);
     }

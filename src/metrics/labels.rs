@@ -102,12 +102,13 @@ pub struct LabelScores {
     pub per_class: Vec<(u16, f64)>,
 }
 
-/// Scores `views` of (true ids, predicted ids), each `[H, W]`; pixels whose truth is the ignored id are left out.
+/// Scores `views` of (true ids, predicted ids), each `[H, W]`, one after the other; pixels whose truth is the ignored id
+/// are left out.
 ///
 /// A view without any counted pixel adds nothing to the mean over views.
-pub fn label_scores<'a>(
+pub fn label_scores(
     classes: &Classes,
-    views: impl IntoIterator<Item = (&'a [u16], &'a [u16])>,
+    views: impl IntoIterator<Item = (impl AsRef<[u16]>, impl AsRef<[u16]>)>,
     void: Void,
 ) -> LabelScores {
     let mut pooled = Confusion::new(classes.len());
@@ -115,7 +116,7 @@ pub fn label_scores<'a>(
         .into_iter()
         .map(|(truth, prediction)| {
             let mut view = Confusion::new(classes.len());
-            view.add_ids(classes, truth, prediction);
+            view.add_ids(classes, truth.as_ref(), prediction.as_ref());
             pooled.merge(&view);
             view.miou(void)
         })

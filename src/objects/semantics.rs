@@ -1,6 +1,6 @@
 //! What is known of classes where the class table of a scene becomes one of objects.
 
-use crate::data::{Classes, LabelMap, Scene, Split, View};
+use crate::data::{Classes, LabelRuns, Scene, Split, View};
 use crate::metrics::{SemanticScores, SemanticView, semantic_scores};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,14 +12,14 @@ pub struct Semantics {
     /// Ids of the classes whose segments are stuff.
     pub stuff: BTreeSet<u16>,
     /// True labels of the test views by their names.
-    truth: BTreeMap<String, LabelMap>,
+    truth: BTreeMap<String, LabelRuns>,
 }
 
 impl Semantics {
     /// Of a scene as loaded, not yet associated; `None` where no segment has a class, or no test view true labels.
     pub fn of(scene: &Scene) -> Option<Self> {
         let told = || scene.views.iter().flat_map(|view| &view.segments).filter_map(|s| Some((s.class?, s.thing)));
-        let truth: BTreeMap<String, LabelMap> =
+        let truth: BTreeMap<String, LabelRuns> =
             scene.split(Split::Test).filter_map(|view| Some((view.name.clone(), view.truth.clone()?))).collect();
         let stuff = told().filter(|(_, thing)| !thing).map(|(class, _)| class).collect();
         (told().next().is_some() && !truth.is_empty()).then(|| Self { classes: scene.classes.clone(), stuff, truth })
@@ -31,15 +31,15 @@ impl Semantics {
     }
 
     /// Scores maps of objects, whose table is `objects`, in the views that have true labels.
-    pub fn score<'m>(
-        &self,
-        objects: &Classes,
-        found: impl IntoIterator<Item = (&'m View, &'m LabelMap)>,
-    ) -> SemanticScores {
-        let views = found.into_iter().filter_map(|(view, map)| {
-            let truth = &self.truth.get(&view.name)?.ids;
-            let instances = view.instances.as_ref().map(|map| &map.ids[..]);
-            Some(SemanticView { truth, instances, objects: &map.ids })
+    pub fn score(&self, objects: &Classes, found: &[(&View, LabelRuns)]) -> SemanticScores {
+        let maps = found.iter().filter_map(|(view, found)| {
+            let truth = self.truth.get(&view.name)?;
+            Some((truth.map(), view.instances.as_ref().map(LabelRuns::map), found.map()))
+        });
+        let maps: Vec<_> = maps.collect();
+        let views = maps.iter().map(|(truth, instances, objects)| {
+            let instances = instances.as_ref().map(|map| &map.ids[..]);
+            SemanticView { truth: &truth.ids, instances, objects: &objects.ids }
         });
         semantic_scores(objects, &self.classes, &self.stuff, views)
     }

@@ -34,6 +34,7 @@ pub fn vote<'a>(
     let mut table = vec![0.0_f32; n * c];
     for view in views {
         let Some(raw) = &view.raw else { continue };
+        let raw = raw.map();
         let mut one_hot = vec![0.0_f32; raw.ids.len() * c];
         for (pixel, &id) in one_hot.chunks_exact_mut(c.max(1)).zip(&raw.ids) {
             if let Some(channel) = pixel.get_mut(usize::from(lookup[usize::from(id)])) {

@@ -200,6 +200,12 @@ impl<E: Real> Projected<E> {
         &self.radii
     }
 
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        let of_splats = size_of_val(&*self.splats) + size_of_val(&*self.ids) + size_of_val(&*self.radii);
+        of_splats + self.tiles.bytes()
+    }
+
     /// What was culled and why.
     pub fn stats(&self) -> Stats {
         self.stats

@@ -1,11 +1,12 @@
 //! From what a run made to what its report shows.
 
+use super::views::shown_of;
 use super::{AssociationFigures, peak_memory_bytes};
 use super::{
     BuildingHistory, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Sample, Seconds, TestScores,
 };
 use crate::config::{Config, Row};
-use crate::data::Split;
+use crate::data::{Split, View};
 use crate::error::Result;
 use crate::objects::{LabelRule, label_map};
 use crate::raster::{Projected, Settings};
@@ -86,23 +87,34 @@ impl History {
 }
 
 /// Renders the held-out views of a finished run in colour and in the labels of the vote, of the per-Gaussian identities
-/// and of the row that the scene stores, as far as the run has them.
+/// and of the row that the scene stores, as far as the run has them. Those that the page shows are returned, each of the
+/// others goes to `beside` as soon as it is rendered.
 ///
 /// # Errors
-/// As [`crate::raster::render`].
-pub fn held_out_views<'a>(outcome: &'a Outcome, config: &Config) -> Result<Vec<HeldOutView<'a>>> {
+/// As [`crate::raster::render`] and [`crate::data::Photo::pixels`]; those of `beside`.
+pub fn held_out_views<'a>(
+    outcome: &'a Outcome,
+    config: &Config,
+    mut beside: impl FnMut(HeldOutView<'a>) -> Result<()>,
+) -> Result<Vec<HeldOutView<'a>>> {
     let settings = Settings::from(&config.raster);
     let stored = outcome.stored().map(|(row, _)| row.row);
     let shown = |row: Row| Some(row) == stored || matches!(row, Row::Vote | Row::PerGaussian);
     let rows: Vec<_> = outcome.rows.iter().filter_map(|r| Some((r.row, r.identities.as_ref()?))).collect();
     let rule = LabelRule::from(&config.segmentation);
+    let test: Vec<&View> = outcome.scene.split(Split::Test).collect();
+    let on_page: Vec<usize> = shown_of(test.len()).collect();
     let mut views = Vec::new();
-    for view in outcome.scene.split(Split::Test) {
+    for (i, view) in test.into_iter().enumerate() {
         let (rgb, scores) = render_and_score(&outcome.gaussians, view, config)?;
         let projected = Projected::new(&outcome.gaussians.splats(), &view.camera, &settings)?;
         let labels = rows.iter().filter(|(row, _)| shown(*row));
         let labels = labels.map(|(row, s)| (*row, label_map(&projected, s, &outcome.scene.classes, &rule))).collect();
-        views.push(HeldOutView { view, rgb, scores, labels });
+        let rendered = HeldOutView { view, rgb, scores, labels };
+        match on_page.contains(&i) {
+            true => views.push(rendered),
+            false => beside(rendered)?,
+        }
     }
     Ok(views)
 }

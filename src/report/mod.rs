@@ -40,7 +40,9 @@ pub struct Report<'a> {
     pub device: String,
     /// Curves of both stages.
     pub history: &'a History,
-    /// Held-out views, in file order.
+    /// Number of held-out views.
+    pub held_out: usize,
+    /// Those of them that the page shows, in file order.
     pub views: Vec<HeldOutView<'a>>,
     /// What a reader should know besides: what was skipped, what the figures do not say.
     pub notes: Vec<String>,
@@ -60,6 +62,33 @@ pub struct HeldOutView<'a> {
 }
 
 impl HeldOutView<'_> {
+    /// Writes its pictures into `dir`: `STEM.rgb.png`, `STEM.rgb_error.png` and, with labels, `STEM.label.png` (ids),
+    /// `STEM.label_color.png` (with a legend) and `STEM.label_error.png` (with truth).
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file that could not be written; those of [`crate::data::Photo::pixels`].
+    pub fn write(&self, classes: &Classes, dir: &Path) -> Result<()> {
+        let stem = self.view.name.replace(['/', '\\'], "_");
+        let file = |kind: &str| dir.join(format!("{stem}.{kind}.png"));
+        let camera = &self.view.camera;
+        let rgb = pictures::from_floats(&self.rgb, camera.width, camera.height)?;
+        let save = |kind: &str, image: &image::RgbImage| {
+            let path = file(kind);
+            atomic::write_bytes(&path, &pictures::png(image, &path)?)
+        };
+        save("rgb", &rgb)?;
+        let photo = self.view.image.pixels()?;
+        save("rgb_error", &pictures::rgb_error(&rgb, &photo))?;
+        let Some((_, labels)) = self.stored() else { return Ok(()) };
+        labels.write(&file("label"))?;
+        let colored = pictures::colored(labels, classes);
+        save("label_color", &pictures::with_legend(&colored, labels, classes))?;
+        match &self.view.truth {
+            Some(truth) => save("label_error", &pictures::label_error(labels, &truth.map(), classes.ignore)),
+            None => Ok(()),
+        }
+    }
+
     /// The labels of the row that the scene stores: `ours` where present, else the last.
     fn stored(&self) -> Option<&(Row, LabelMap)> {
         self.labels.iter().find(|(row, _)| *row == Row::Ours).or(self.labels.last())
@@ -70,16 +99,15 @@ impl Report<'_> {
     /// Writes `classes.json`, `config.toml`, `renders/`, `metrics.json` and `report.html` into `dir`, in this order,
     /// each under a temporary name first.
     ///
-    /// For each held-out view `renders/` gets `STEM.rgb.png`, `STEM.rgb_error.png` and, with labels, `STEM.label.png`
-    /// (ids), `STEM.label_color.png` (with a legend) and `STEM.label_error.png` (with truth).
+    /// `renders/` gets what [`HeldOutView::write`] makes of [`Report::views`].
     ///
     /// # Errors
-    /// [`Error::Io`] naming the file that could not be written.
+    /// [`Error::Io`] naming the file that could not be written; those of [`crate::data::Photo::pixels`].
     pub fn write(&self, dir: &Path) -> Result<()> {
         self.classes.write(&dir.join("classes.json"))?;
         atomic::write_bytes(dir.join("config.toml"), self.config.to_toml()?.as_bytes())?;
         for view in &self.views {
-            self.write_pictures(view, &dir.join("renders"))?;
+            view.write(self.classes, &dir.join("renders"))?;
         }
         let path = dir.join("metrics.json");
         let json = serde_json::to_string_pretty(&self.metrics).map_err(|e| Error::io(&path, "encode", e.into()))?;
@@ -94,26 +122,5 @@ impl Report<'_> {
     /// [`Error::Io`] when a picture cannot be encoded, [`Error::Limit`] when one has another size than its photo.
     pub fn html(&self, path: &Path) -> Result<String> {
         page::page(self, path)
-    }
-
-    fn write_pictures(&self, held_out: &HeldOutView<'_>, dir: &Path) -> Result<()> {
-        let stem = held_out.view.name.replace(['/', '\\'], "_");
-        let file = |kind: &str| dir.join(format!("{stem}.{kind}.png"));
-        let camera = &held_out.view.camera;
-        let rgb = pictures::from_floats(&held_out.rgb, camera.width, camera.height)?;
-        let save = |kind: &str, image: &image::RgbImage| {
-            let path = file(kind);
-            atomic::write_bytes(&path, &pictures::png(image, &path)?)
-        };
-        save("rgb", &rgb)?;
-        save("rgb_error", &pictures::rgb_error(&rgb, &held_out.view.image))?;
-        let Some((_, labels)) = held_out.stored() else { return Ok(()) };
-        labels.write(&file("label"))?;
-        let colored = pictures::colored(labels, self.classes);
-        save("label_color", &pictures::with_legend(&colored, labels, self.classes))?;
-        match &held_out.view.truth {
-            Some(truth) => save("label_error", &pictures::label_error(labels, truth, self.classes.ignore)),
-            None => Ok(()),
-        }
     }
 }

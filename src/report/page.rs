@@ -63,7 +63,7 @@ pub(super) fn page(report: &Report<'_>, path: &Path) -> Result<String> {
 /// What the run was, in a sentence.
 fn lead(report: &Report<'_>) -> String {
     let m = &report.metrics;
-    let views = match report.views.len() {
+    let views = match report.held_out {
         1 => "1 held-out view".to_owned(),
         n => format!("{n} held-out views"),
     };

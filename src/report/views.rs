@@ -6,7 +6,7 @@ use super::pictures::{
 };
 use super::{HeldOutView, Report};
 use crate::config::Row;
-use crate::data::LabelMap;
+use crate::data::{LabelMap, LabelRuns};
 use crate::error::Result;
 use base64::Engine;
 use image::RgbImage;
@@ -21,11 +21,11 @@ const OPEN: usize = 2;
 /// The section's content: legend and, for up to [`SHOWN`] views spread over the split, all pictures.
 pub(super) fn views(report: &Report<'_>, path: &Path) -> Result<String> {
     let mut out = String::new();
-    let all = report.views.len();
-    if all == 0 {
+    let (all, kept) = (report.held_out, report.views.len());
+    if kept == 0 {
         return Ok("<p class=\"quiet\">The scene has no held-out views.</p>\n".into());
     }
-    let shown = all.min(SHOWN);
+    let shown = kept.min(SHOWN);
     if shown < all {
         let _ = writeln!(
             out,
@@ -36,18 +36,22 @@ pub(super) fn views(report: &Report<'_>, path: &Path) -> Result<String> {
         out.push_str(&legend(report));
     }
     out.push_str(&scales(report));
-    for i in 0..shown {
+    for (i, place) in shown_of(kept).enumerate() {
         if i == OPEN {
             let _ = writeln!(out, "<details><summary>{} more</summary>", shown - OPEN);
         }
-        // The middle of each of `shown` equal parts.
-        let view = &report.views[(2 * i + 1) * all / (2 * shown)];
-        out.push_str(&one(report, view, path)?);
+        out.push_str(&one(report, &report.views[place], path)?);
     }
     if shown > OPEN {
         out.push_str("</details>\n");
     }
     Ok(out)
+}
+
+/// Which of `all` views the page shows: the middle of each of up to [`SHOWN`] equal parts.
+pub(super) fn shown_of(all: usize) -> impl Iterator<Item = usize> {
+    let shown = all.min(SHOWN);
+    (0..shown).map(move |i| (2 * i + 1) * all / (2 * shown))
 }
 
 fn swatch([r, g, b]: [u8; 3]) -> String {
@@ -88,20 +92,23 @@ fn one(report: &Report<'_>, held_out: &HeldOutView<'_>, path: &Path) -> Result<S
     let psnr = held_out.scores.psnr.map(|v| format!("{v:.2} dB"));
     let ssim = held_out.scores.ssim.map(|v| format!("SSIM {v:.3}"));
     let figures = psnr.into_iter().chain(ssim).collect::<Vec<_>>().join(", ");
-    out.push_str(&figure(&view.image, "photo", "", false, path)?);
+    let photo = view.image.pixels()?;
+    out.push_str(&figure(&photo, "photo", "", false, path)?);
     out.push_str(&figure(&rgb, "render", &figures, false, path)?);
-    out.push_str(&figure(&rgb_error(&rgb, &view.image), "colour error", "", false, path)?);
-    if let Some(truth) = &view.truth {
+    out.push_str(&figure(&rgb_error(&rgb, &photo), "colour error", "", false, path)?);
+    let truth = view.truth.as_ref().map(LabelRuns::map);
+    if let Some(truth) = &truth {
         out.push_str(&figure(&colored(truth, report.classes), "truth", "", true, path)?);
     }
-    let raw = view.raw.iter().map(|labels| (Row::Raw, labels));
+    let raw = view.raw.as_ref().map(LabelRuns::map);
+    let raw = raw.iter().map(|labels| (Row::Raw, labels));
     let rows: Vec<(Row, &LabelMap)> = raw.chain(held_out.labels.iter().map(|(row, labels)| (*row, labels))).collect();
     for (row, labels) in &rows {
-        let share = view.truth.as_ref().and_then(|truth| accuracy(labels, truth, report.classes.ignore));
+        let share = truth.as_ref().and_then(|truth| accuracy(labels, truth, report.classes.ignore));
         let note = share.map_or(String::new(), |share| format!("{} % right", percent(share)));
         out.push_str(&figure(&colored(labels, report.classes), row.title(), &note, true, path)?);
     }
-    if let Some(truth) = &view.truth {
+    if let Some(truth) = &truth {
         if rows.len() > 2 {
             // A line of their own, each below its labels.
             out.push_str("</div>\n<div class=\"pictures\" style=\"margin-top:12px\">\n");

@@ -14,10 +14,11 @@ pub use solve::{Problem, Solved};
 use crate::config::{Normalisation, Resolution, UnprojectionConfig};
 use crate::data::View;
 use crate::error::{Error, Result};
-use crate::features::{FeatureMap, FeatureSet, Lattice, SCALES};
+use crate::features::{FeatureMap, FeatureSet, Lattice, SCALES, ViewFeatures};
 use crate::gaussians::Gaussians;
 use crate::ops::Real;
 use crate::raster::{Settings, Splats};
+use std::borrow::Borrow;
 
 /// Added to the counter before dividing (Algorithm 1).
 pub const EPSILON: f64 = 1e-6;
@@ -170,25 +171,47 @@ pub fn unproject<'a>(
     config: &UnprojectionConfig,
     settings: &Settings,
 ) -> Result<Unprojected> {
-    let views: Vec<&View> = views.collect();
+    unproject_each(gaussians, views, set.views.iter().map(Ok), config, settings)
+}
+
+/// [`unproject`] with features that need not be in memory together: each view's are let go before the next are asked for.
+///
+/// # Errors
+/// As [`unproject`]; those of `features`.
+pub fn unproject_each<'a, F: Borrow<ViewFeatures>>(
+    gaussians: &Gaussians,
+    views: impl Iterator<Item = &'a View>,
+    features: impl Iterator<Item = Result<F>>,
+    config: &UnprojectionConfig,
+    settings: &Settings,
+) -> Result<Unprojected> {
+    let (views, mut features): (Vec<&View>, _) = (views.collect(), features);
     let mismatch = |found: String, expected: String| {
         Error::config("views of the unprojection", found, expected, "pass the views that features were extracted from")
     };
-    if views.len() != set.views.len() {
-        return Err(mismatch(format!("{} views", views.len()), format!("{}", set.views.len())));
-    }
-    let channels = set.views.first().map_or([0; SCALES], |v| v.maps.each_ref().map(|m| m.channels));
-    let mut sums = Sums::<f32>::new(gaussians.len(), &channels);
-    for (view, features) in views.iter().zip(&set.views) {
-        if view.name != features.view {
-            return Err(mismatch(view.name.clone(), features.view.clone()));
+    let mut sums: Option<Sums<f32>> = None;
+    let mut lattices = Vec::with_capacity(views.len());
+    for (i, view) in views.iter().enumerate() {
+        let Some(features) = features.next().transpose()? else {
+            return Err(mismatch(format!("{} views", views.len()), i.to_string()));
+        };
+        let ViewFeatures { view: name, maps } = features.borrow();
+        if view.name != *name {
+            return Err(mismatch(view.name.clone(), name.clone()));
         }
-        sums.add(&gaussians.splats(), &view.camera, &features.maps, config.resolution, settings)?;
+        let channels = maps.each_ref().map(|m| m.channels);
+        let sums = sums.get_or_insert_with(|| Sums::new(gaussians.len(), &channels));
+        sums.add(&gaussians.splats(), &view.camera, maps, config.resolution, settings)?;
+        lattices.push(maps.each_ref().map(FeatureMap::lattice));
     }
+    if features.next().is_some() {
+        return Err(mismatch(format!("{} views", views.len()), format!("{} or more", views.len() + 1)));
+    }
+    let sums = sums.unwrap_or_else(|| Sums::new(gaussians.len(), &[0; SCALES]));
     let keep = sums.attended(config.attendance);
     let sums = match config.solve_iterations {
         0 => sums.normalised(config.normalisation),
-        _ => solved(sums, gaussians, &views, set, config, settings)?,
+        _ => solved(sums, gaussians, &views, &lattices, config, settings)?,
     };
     let seen = (0..gaussians.len()).map(|i| sums.weights.iter().all(|w| w[i] > 0.0)).collect();
     let scales = |all: Vec<Vec<f32>>| -> [Vec<f32>; SCALES] {
@@ -217,16 +240,16 @@ fn solved(
     mut sums: Sums<f32>,
     gaussians: &Gaussians,
     views: &[&View],
-    set: &FeatureSet,
+    lattices: &[[Lattice; SCALES]],
     config: &UnprojectionConfig,
     settings: &Settings,
 ) -> Result<Sums<f32>> {
     for (scale, (buffer, &channels)) in sums.buffers.iter_mut().zip(&sums.channels).enumerate() {
-        let camera = |(view, features): (&&View, &crate::features::ViewFeatures)| match config.resolution {
+        let camera = |(view, lattices): (&&View, &[Lattice; SCALES])| match config.resolution {
             Resolution::Image => view.camera.clone(),
-            Resolution::Feature => features.maps[scale].lattice().camera(&view.camera),
+            Resolution::Feature => lattices[scale].camera(&view.camera),
         };
-        let cameras: Vec<_> = views.iter().zip(&set.views).map(camera).collect();
+        let cameras: Vec<_> = views.iter().zip(lattices).map(camera).collect();
         let (splats, weights, ridge) = (gaussians.splats(), &sums.weights[scale], config.solve_ridge);
         let problem = Problem { splats, cameras: &cameras, settings, weights, ridge };
         let done = problem.solve(buffer, channels, config.solve_iterations)?;

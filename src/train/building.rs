@@ -80,7 +80,7 @@ impl<'a> BuildingStage<'a> {
     ///
     /// # Errors
     /// [`Error::Config`] for settings that cannot work, or a scene without training views; [`Error::NonFinite`] for
-    /// points that are not finite.
+    /// points that are not finite; those of [`crate::data::Photo::pixels`].
     pub fn new(scene: &'a Scene, config: &Config, device: &Device) -> Result<Self> {
         let train: Vec<&View> = scene.split(Split::Train).collect();
         check_settings(config)?;
@@ -92,7 +92,7 @@ impl<'a> BuildingStage<'a> {
     ///
     /// # Errors
     /// [`Error::Config`] for settings that cannot work or are not those of the state, or a scene without training views;
-    /// [`Error::Input`] when the state is of another scene.
+    /// [`Error::Input`] when the state is of another scene; those of [`crate::data::Photo::pixels`].
     pub fn from_state(scene: &'a Scene, config: &Config, device: &Device, state: BuildingState) -> Result<Self> {
         check_settings(config)?;
         let train: Vec<&View> = scene.split(Split::Train).collect();
@@ -101,16 +101,14 @@ impl<'a> BuildingStage<'a> {
             let found = format!("{} without training views", scene.name);
             return Err(Error::config("data", found, "a scene with training views", "mark some views as `train`"));
         }
-        if let Some(view) = train
-            .iter()
-            .chain(&test)
-            .find(|v| (v.image.width() as usize, v.image.height() as usize) != (v.camera.width, v.camera.height))
+        if let Some(view) =
+            train.iter().chain(&test).find(|v| (v.image.width(), v.image.height()) != (v.camera.width, v.camera.height))
         {
             let found = format!("{}x{} pixels in view {}", view.image.width(), view.image.height(), view.name);
             let expected = format!("{}x{} as its camera", view.camera.width, view.camera.height);
             return Err(Error::config("data", found, expected, "resize the photo or mend the intrinsics"));
         }
-        let provenance = Provenance::building(config, scene);
+        let provenance = Provenance::building(config, scene)?;
         if state.provenance.is_known() {
             provenance.check(&state.provenance, Path::new("the building checkpoint"))?;
         }
@@ -198,7 +196,8 @@ impl<'a> BuildingStage<'a> {
     /// One iteration. After an error nothing has changed.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] naming tensor, row, view and iteration when the loss or a gradient is not finite.
+    /// [`Error::NonFinite`] naming tensor, row, view and iteration when the loss or a gradient is not finite; those of
+    /// [`crate::data::Photo::pixels`].
     pub fn step(&mut self) -> Result<StepReport> {
         let start = Instant::now();
         let iteration = self.iteration + 1;
@@ -209,7 +208,7 @@ impl<'a> BuildingStage<'a> {
             Error::NonFinite { tensor, row, .. } => Error::NonFinite { tensor, row, context: context.clone() },
             other => other,
         };
-        let photo = self.photos.get(index, view);
+        let photo = self.photos.get(index, view)?;
         let leaves = self.parameters.leaves();
         let screen = self.screen();
         let input = RasterInput {
@@ -287,7 +286,7 @@ impl<'a> BuildingStage<'a> {
     /// Scores the held-out views and adds a point to the curve.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] when a parameter is not finite.
+    /// [`Error::NonFinite`] when a parameter is not finite; those of [`crate::data::Photo::pixels`].
     pub fn evaluate(&mut self) -> Result<CurvePoint> {
         let start = Instant::now();
         let scores: Vec<ImageScores> = self.test.iter().map(|view| self.score(view)).collect::<Result<_>>()?;
@@ -319,7 +318,7 @@ impl<'a> BuildingStage<'a> {
         };
         let output = rasterize(input, &view.camera, &self.settings, self.config.raster.background)?;
         let image = read("image", output.image)?;
-        Ok(ImageScores::of(&image, &view.rgb(), view.camera.width, view.camera.height))
+        Ok(ImageScores::of(&image, &view.rgb()?, view.camera.width, view.camera.height))
     }
 
     fn save(&self, progress: &mut dyn Progress) -> Result<()> {

@@ -29,7 +29,11 @@ impl<'a> Compacting<'a> {
     ///
     /// # Errors
     /// Those of [`NeighbourGraph::diffused`].
-    pub fn finish(&self, row: RowOutcome, score: impl Fn(&Identities, RowOutcome) -> RowOutcome) -> Result<RowOutcome> {
+    pub fn finish(
+        &self,
+        row: RowOutcome,
+        score: impl Fn(&Identities, RowOutcome) -> Result<RowOutcome>,
+    ) -> Result<RowOutcome> {
         let Some(identities) = &row.identities else { return Ok(row) };
         let before = self.graph.disagreement(identities);
         if self.config.diffusion_steps == 0 {
@@ -49,7 +53,7 @@ impl<'a> Compacting<'a> {
         let without = WithoutDiffusion::new(&row.scores, before);
         let neighbours_differ = self.graph.disagreement(&diffused);
         let compactness = Some(Compactness { neighbours_differ, without_diffusion: Some(without) });
-        let scored = score(&diffused, row);
+        let scored = score(&diffused, row)?;
         Ok(RowOutcome { identities: Some(diffused), compactness, ..scored })
     }
 }

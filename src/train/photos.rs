@@ -1,6 +1,7 @@
 //! The training photos with their SSIM moments, made at first use and kept while memory allows.
 
 use crate::data::View;
+use crate::error::Result;
 use crate::ops::Photo;
 use std::sync::Arc;
 
@@ -20,12 +21,15 @@ impl Photos {
     }
 
     /// The photo of `view`, which is number `index`.
-    pub fn get(&mut self, index: usize, view: &View) -> Arc<Photo> {
+    ///
+    /// # Errors
+    /// Its file can no longer be read.
+    pub fn get(&mut self, index: usize, view: &View) -> Result<Arc<Photo>> {
         if let Some(Some(photo)) = self.kept.get(index) {
-            return photo.clone();
+            return Ok(photo.clone());
         }
-        let (width, height) = (view.image.width() as usize, view.image.height() as usize);
-        let photo = Arc::new(Photo::new(view.rgb(), height, width));
+        let (width, height) = (view.image.width(), view.image.height());
+        let photo = Arc::new(Photo::new(view.rgb()?, height, width));
         let bytes = Photo::<f32>::bytes(height, width);
         if let Some(slot) = self.kept.get_mut(index)
             && self.bytes + bytes <= BUDGET
@@ -33,6 +37,6 @@ impl Photos {
             *slot = Some(photo.clone());
             self.bytes += bytes;
         }
-        photo
+        Ok(photo)
     }
 }

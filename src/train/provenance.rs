@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 use std::path::Path;
 
 /// Settings that change when something is measured, saved or kept, or what becomes of a row after its training, and nothing else.
@@ -40,15 +41,21 @@ pub struct Provenance {
 
 impl Provenance {
     /// Of the building stage.
-    pub(super) fn building(config: &Config, scene: &Scene) -> Self {
+    ///
+    /// # Errors
+    /// A photo cannot be read.
+    pub(super) fn building(config: &Config, scene: &Scene) -> Result<Self> {
         let views: Vec<&View> = scene.views.iter().collect();
-        let mut photos = digest_views(&views, |view| view.image.as_raw().clone());
+        let mut photos = digest_views(&views, |view, hash| {
+            hash.update(view.image.pixels()?.as_raw());
+            Ok(())
+        })?;
         photos.update(bytes(scene.points.positions.as_flattened()));
         photos.update(bytes(scene.points.colors.as_flattened()));
-        Self {
+        Ok(Self {
             settings: settings(config, &["building", "raster"]),
             data: [("photos, cameras and points", photos)].map(named).into(),
-        }
+        })
     }
 
     /// Of a trained row of stage two.
@@ -58,8 +65,11 @@ impl Provenance {
             false => &["raster", "segmentation"],
         };
         let views: Vec<&View> = inputs.scene.split(Split::Train).filter(|v| v.raw.is_some()).collect();
-        let ids = |view: &View| view.raw.iter().flat_map(|raw| &raw.ids).flat_map(|id| id.to_le_bytes()).collect();
-        let mut labels = digest_views(&views, ids);
+        let Ok(mut labels) = digest_views(&views, |view, hash| {
+            let ids = view.raw.iter().flat_map(|raw| raw.map().ids);
+            hash.update(ids.flat_map(u16::to_le_bytes).collect::<Vec<u8>>());
+            Ok::<_, Infallible>(())
+        });
         inputs.scene.classes.entries.iter().for_each(|class| labels.update(class.id.to_le_bytes()));
         let data = [("Gaussians", digest_gaussians(inputs.gaussians)), ("raw labels and cameras", labels)];
         Self { settings: settings(inputs.config, sections), data: data.map(named).into() }
@@ -129,20 +139,23 @@ fn named((name, hash): (&str, Sha256)) -> (String, String) {
 }
 
 /// Name, split, camera and some bytes of each view.
-fn digest_views(views: &[&View], content: impl Fn(&View) -> Vec<u8> + Sync) -> Sha256 {
+fn digest_views<E: Send>(
+    views: &[&View],
+    content: impl Fn(&View, &mut Sha256) -> Result<(), E> + Sync,
+) -> Result<Sha256, E> {
     let one = |view: &&View| {
         let Camera { rotation, center, fx, fy, cx, cy, width, height } = &view.camera;
         let mut hash = Sha256::new();
         hash.update(format!("{} {:?} {width} {height}\n", view.name, view.split));
         let numbers = rotation.to_cols_array().into_iter().chain(center.to_array()).chain([*fx, *fy, *cx, *cy]);
         numbers.for_each(|v| hash.update(v.to_le_bytes()));
-        hash.update(content(view));
-        hash.finalize()
+        content(view, &mut hash)?;
+        Ok(hash.finalize())
     };
-    let parts: Vec<_> = views.par_iter().map(one).collect();
+    let parts = views.par_iter().map(one).collect::<Result<Vec<_>, E>>()?;
     let mut hash = Sha256::new();
     parts.iter().for_each(|part| hash.update(part));
-    hash
+    Ok(hash)
 }
 
 fn digest_gaussians(g: &Gaussians) -> Sha256 {

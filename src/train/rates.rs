@@ -3,6 +3,7 @@
 use super::checkpoint::Checkpoint;
 use super::segmentation::{Model, Plan, TrainingViews, train_step};
 use super::segmentation_inputs::Inputs;
+use crate::data::LabelRuns;
 use crate::error::Result;
 use crate::metrics::{Void, label_scores};
 use crate::objects::{Identities, LabelRule, label_map};
@@ -72,9 +73,9 @@ fn raw_accuracy(identities: &Identities, views: &TrainingViews, inputs: &Inputs)
     let mut maps = Vec::new();
     for view in views.held_back() {
         let projected = Projected::new(&splats, &view.camera, &inputs.settings)?;
-        maps.push(label_map(&projected, identities, classes, &rule));
+        maps.push(LabelRuns::from(label_map(&projected, identities, classes, &rule)));
     }
     let raw = views.held_back().filter_map(|view| view.raw.as_ref());
-    let pairs = raw.zip(&maps).map(|(raw, map)| (&raw.ids[..], &map.ids[..]));
+    let pairs = raw.zip(&maps).map(|(raw, map)| (raw.map(), map.map()));
     Ok(label_scores(classes, pairs, Void::Wrong).accuracy.unwrap_or(0.0))
 }

@@ -7,7 +7,7 @@ use super::rates::choose_rate;
 use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Source, TrainingViews, train};
 use super::segmentation_inputs::{Inputs, Spatial};
 use crate::config::{Association, LabelLoss, Prior, Row, SegmentationConfig};
-use crate::data::{LabelMap, Split, View};
+use crate::data::{LabelMap, LabelRuns, Split, View};
 use crate::error::Result;
 use crate::metrics::{
     Agreement, Compactness, InstanceScores, LabelScores, SemanticScores, Void, instance_scores, label_scores,
@@ -16,11 +16,14 @@ use crate::objects::{Identities, LabelRule, Semantics, label_map, vote};
 use crate::raster::Projected;
 use crate::segmentation::decoder::DecoderConfig;
 use crate::segmentation::loss::Kind;
+use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 
 /// Share added to every class of the votes that a decoder starts from.
 const VOTE_FLOOR: f32 = 0.02;
+/// Bytes of projected test views that are kept; others are projected again at each use.
+const PROJECTED_BYTES: usize = 1 << 29;
 
 /// One row, trained and scored.
 #[derive(Clone, Debug)]
@@ -61,7 +64,7 @@ impl RowOutcome {
     pub fn labels(&self, view: &View, projected: &Projected<f32>, inputs: &Inputs) -> Option<LabelMap> {
         match &self.identities {
             Some(identities) => Some(render_labels(projected, identities, inputs)),
-            None => view.raw.clone(),
+            None => view.raw.as_ref().map(LabelRuns::map),
         }
     }
 }
@@ -77,9 +80,16 @@ fn render_labels(projected: &Projected<f32>, identities: &Identities, inputs: &I
     label_map(projected, identities, &inputs.scene.classes, &LabelRule::from(&inputs.config.segmentation))
 }
 
-/// Test views with truth, projected once.
+/// A test view with truth.
+struct Known<'a> {
+    view: &'a View,
+    /// Where it is kept.
+    projected: Option<Projected<f32>>,
+}
+
+/// Test views with truth, projected once as far as memory allows.
 struct HeldOut<'a> {
-    views: Vec<(&'a View, Projected<f32>)>,
+    views: Vec<Known<'a>>,
     /// Classes are objects that association found: their ids are not those of a truth.
     objects: bool,
     /// The classes of these objects.
@@ -111,57 +121,65 @@ impl Scores {
 
 impl<'a> HeldOut<'a> {
     fn new(inputs: &Inputs<'a>) -> Result<Self> {
-        let splats = inputs.gaussians.splats();
         let objects = inputs.config.data.association != Association::None;
         let semantics = inputs.semantics;
         let classed = |v: &View| semantics.is_some_and(|semantics| semantics.knows(v));
         let known = |v: &&View| if objects { v.instances.is_some() || classed(v) } else { v.truth.is_some() };
-        let views = inputs.scene.split(Split::Test).filter(known);
-        let project = |view: &'a View| Ok((view, Projected::new(&splats, &view.camera, &inputs.settings)?));
-        Ok(Self { views: views.map(project).collect::<Result<_>>()?, objects, semantics })
+        let mut left = PROJECTED_BYTES;
+        let keep = |view| {
+            let projected = project(view, inputs)?;
+            let rest = left.checked_sub(projected.bytes());
+            left = rest.unwrap_or(left);
+            Ok(Known { view, projected: rest.map(|_| projected) })
+        };
+        let views = inputs.scene.split(Split::Test).filter(known).map(keep).collect::<Result<_>>()?;
+        Ok(Self { views, objects, semantics })
     }
 
     /// Scores of a row with these identities.
-    fn score(&self, identities: &Identities, inputs: &Inputs) -> Scores {
-        let predicted: Vec<LabelMap> = self.views.iter().map(|(_, p)| render_labels(p, identities, inputs)).collect();
-        let found = || self.views.iter().zip(&predicted).map(|((view, _), found)| (*view, found));
-        self.of_maps(found, inputs)
-    }
-
-    fn of_maps<'m, I: Iterator<Item = (&'m View, &'m LabelMap)>>(
-        &self,
-        found: impl Fn() -> I,
-        inputs: &Inputs,
-    ) -> Scores {
-        Scores {
-            labels: self.labels(found(), inputs, Void::Wrong),
-            instances: self.instances(found()),
-            semantic: self.semantics.map(|semantics| semantics.score(&inputs.scene.classes, found())),
-        }
+    fn score(&self, identities: &Identities, inputs: &Inputs) -> Result<Scores> {
+        let found = |known: &Known<'a>| {
+            let projected = match &known.projected {
+                Some(projected) => Cow::Borrowed(projected),
+                None => Cow::Owned(project(known.view, inputs)?),
+            };
+            Ok((known.view, LabelRuns::from(render_labels(&projected, identities, inputs))))
+        };
+        let found: Vec<_> = self.views.iter().map(found).collect::<Result<_>>()?;
+        Ok(self.scores(&found, inputs))
     }
 
     /// Scores of the raw labels of the test views.
     fn score_raw(&self, inputs: &Inputs) -> RowOutcome {
-        let raw = || self.views.iter().filter_map(|(view, _)| Some((*view, view.raw.as_ref()?)));
-        let void_left_out = (!self.objects).then(|| self.labels(raw(), inputs, Void::LeftOut));
-        RowOutcome { void_left_out, ..self.of_maps(raw, inputs).of(Row::Raw) }
+        let raw: Vec<_> = self.views.iter().filter_map(|known| Some((known.view, known.view.raw.clone()?))).collect();
+        let void_left_out = (!self.objects).then(|| self.labels(&raw, inputs, Void::LeftOut));
+        RowOutcome { void_left_out, ..self.scores(&raw, inputs).of(Row::Raw) }
     }
 
-    fn labels<'m>(
-        &self,
-        found: impl Iterator<Item = (&'m View, &'m LabelMap)>,
-        inputs: &Inputs,
-        void: Void,
-    ) -> LabelScores {
-        let pairs = found.filter_map(|(view, map)| Some((&view.truth.as_ref()?.ids[..], &map.ids[..])));
+    fn scores(&self, found: &[(&View, LabelRuns)], inputs: &Inputs) -> Scores {
+        Scores {
+            labels: self.labels(found, inputs, Void::Wrong),
+            instances: self.instances(found),
+            semantic: self.semantics.map(|semantics| semantics.score(&inputs.scene.classes, found)),
+        }
+    }
+
+    /// Against true labels, as far as there are any.
+    fn labels(&self, found: &[(&View, LabelRuns)], inputs: &Inputs, void: Void) -> LabelScores {
+        let pairs = found.iter().filter_map(|(view, found)| Some((view.truth.as_ref()?.map(), found.map())));
         label_scores(&inputs.scene.classes, pairs, void)
     }
 
-    fn instances<'m>(&self, found: impl Iterator<Item = (&'m View, &'m LabelMap)>) -> Option<InstanceScores> {
-        let pairs = found.filter_map(|(view, map)| Some((&view.instances.as_ref()?.ids[..], &map.ids[..])));
-        let known = self.views.iter().any(|(view, _)| view.instances.is_some());
+    /// Against true instances, where classes are objects.
+    fn instances(&self, found: &[(&View, LabelRuns)]) -> Option<InstanceScores> {
+        let pairs = found.iter().filter_map(|(view, found)| Some((view.instances.as_ref()?.map(), found.map())));
+        let known = self.views.iter().any(|known| known.view.instances.is_some());
         (self.objects && known).then(|| instance_scores(pairs))
     }
+}
+
+fn project(view: &View, inputs: &Inputs) -> Result<Projected<f32>> {
+    Projected::new(&inputs.gaussians.splats(), &view.camera, &inputs.settings)
 }
 
 /// Trains and scores the configured rows in order; returns them and the name of the point encoder's weights.
@@ -189,14 +207,14 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
                 let train = inputs.scene.split(Split::Train);
                 let votes = vote(inputs.gaussians, train, &inputs.scene.classes, &inputs.settings)?;
                 let identities = votes.identities();
-                let scores = held_out.score(&identities, inputs);
+                let scores = held_out.score(&identities, inputs)?;
                 RowOutcome { identities: Some(identities), agreement: Some(votes.agreement()), ..scores.of(row) }
             }
             _ => trained(row, inputs, &mut views, &mut spatial, &held_out, checkpoints, progress)?,
         };
         rows.push(compacting.finish(outcome, |identities, row| {
-            let Scores { labels, instances, semantic } = held_out.score(identities, inputs);
-            RowOutcome { scores: labels, instances, semantic, ..row }
+            let Scores { labels, instances, semantic } = held_out.score(identities, inputs)?;
+            Ok(RowOutcome { scores: labels, instances, semantic, ..row })
         })?);
         if progress.stop() {
             break;
@@ -252,12 +270,12 @@ fn trained(
     };
     let device = inputs.device.clone().autodiff();
     let classes = inputs.scene.classes.len();
-    let mut score = |identities: &Identities| Ok(held_out.score(identities, inputs).miou());
+    let mut score = |identities: &Identities| Ok(held_out.score(identities, inputs)?.miou());
     let rate_file = checkpoints.join(format!("{}.rate.safetensors", row.key()));
     let mut fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: f64| -> Result<RowOutcome> {
         let curve = train(model, views, &plan, &pace, &mut score, progress)?;
         let identities = model.identities()?;
-        let scores = held_out.score(&identities, inputs);
+        let scores = held_out.score(&identities, inputs)?;
         Ok(RowOutcome {
             identities: Some(identities),
             learnable_bytes: model.learnable_bytes(),

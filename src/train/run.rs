@@ -241,7 +241,7 @@ fn segment(
 /// Mean held-out PSNR and SSIM.
 ///
 /// # Errors
-/// [`crate::Error::NonFinite`] when a parameter is not finite.
+/// [`crate::Error::NonFinite`] when a parameter is not finite; those of [`crate::data::Photo::pixels`].
 pub fn score_images(gaussians: &Gaussians, scene: &Scene, config: &Config) -> Result<ImageScores> {
     let scores: Vec<_> =
         scene.split(Split::Test).map(|v| Ok(render_and_score(gaussians, v, config)?.1)).collect::<Result<_>>()?;
@@ -256,6 +256,6 @@ pub fn render_and_score(gaussians: &Gaussians, view: &View, config: &Config) -> 
     let settings = Settings::from(&config.raster);
     let rendered = render(gaussians, &view.camera, &settings, config.raster.background)?;
     let (width, height) = (view.camera.width, view.camera.height);
-    let scores = ImageScores::of(&rendered.rgb, &view.rgb(), width, height);
+    let scores = ImageScores::of(&rendered.rgb, &view.rgb()?, width, height);
     Ok((rendered.rgb, scores))
 }

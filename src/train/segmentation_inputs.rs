@@ -5,15 +5,15 @@ use super::segmentation::{Encoded, Source};
 use crate::config::{Config, Encode, Row, SpatialConfig, SpatialSource};
 use crate::data::{Scene, Split};
 use crate::error::Result;
-use crate::features::{self, SCALES};
+use crate::features::{Reduction, SCALES};
 use crate::gaussians::Gaussians;
 use crate::objects::Semantics;
 use crate::raster::{Projected, Settings};
 use crate::segmentation::encoder::{Cloud, Encoding, encode, load_spatial, metres_per_unit};
 use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};
-use crate::segmentation::unprojection::unproject;
+use crate::segmentation::unprojection::unproject_each;
 use burn::tensor::{Device, Tensor, TensorData};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Scale (zero-based) whose image features the single-scale row reads.
 const SINGLE_SCALE: usize = 0;
@@ -33,7 +33,7 @@ pub struct Seen {
 }
 
 impl Seen {
-    /// Extracts and unprojects features of the training views.
+    /// Extracts and unprojects features of the training views, a few views at a time.
     ///
     /// # Errors
     /// Those of the extractor and of the unprojection.
@@ -47,20 +47,31 @@ impl Seen {
     ) -> Result<Self> {
         let clock = Instant::now();
         progress.event(&Event::Started { stage: "features", done: 0, iterations: 1 });
-        let set = features::extract(scene, &config.features, config.seed, device, &|_, _| ())?;
+        let mut reduction = Reduction::fit(scene, &config.features, config.seed, device, &mut || ())?;
         progress.event(&Event::Finished);
-        let extraction = clock.elapsed().as_secs_f64();
+        let name = reduction.name.clone();
+        let mut extraction = clock.elapsed();
         let clock = Instant::now();
         progress.event(&Event::Started { stage: "unprojection", done: 0, iterations: 1 });
-        let lifted = unproject(gaussians, scene.split(Split::Train), &set, &config.unprojection, settings)?;
+        let mut maps = reduction.training_views();
+        let mut reducing = Duration::ZERO;
+        let maps = std::iter::from_fn(|| {
+            let clock = Instant::now();
+            let next = maps.next();
+            reducing += clock.elapsed();
+            next
+        });
+        let lifted = unproject_each(gaussians, scene.split(Split::Train), maps, &config.unprojection, settings)?;
+        extraction += reducing;
+        let unprojection = clock.elapsed().saturating_sub(reducing);
         progress.event(&Event::Finished);
         let kept: Vec<u32> = (0..gaussians.len() as u32).filter(|&i| lifted.keep[i as usize]).collect();
         let dimensions = config.features.dimensions;
         let rows = |all: &Vec<f32>| {
             kept.iter().flat_map(|&i| &all[i as usize * dimensions..][..dimensions]).copied().collect()
         };
-        let seconds = [extraction, clock.elapsed().as_secs_f64()];
-        Ok(Self { lifted: lifted.features.each_ref().map(rows), kept, dimensions, name: set.name.clone(), seconds })
+        let seconds = [extraction, unprojection].map(|time| time.as_secs_f64());
+        Ok(Self { lifted: lifted.features.each_ref().map(rows), kept, dimensions, name, seconds })
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::cli::{fails, read_json, succeeds, utf8};
 use crate::plates::{self, camera, plates};
 use coseg::config::{Association, AssociationConfig};
-use coseg::data::{Classes, LabelMap, Limits, LoadOptions, Scene, Segment, Split, View, load};
+use coseg::data::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, View, load};
 use coseg::gaussians::{Gaussians, ply};
 use coseg::metrics::{InstanceScores, instance_scores};
 use coseg::objects::{self, LabelRule, associate, hard_label_map, label_map, vote};
@@ -25,8 +25,8 @@ fn plate_scene() -> (Gaussians, Scene) {
         view.camera = camera(i);
         let projected = Projected::new(&gaussians.splats(), &view.camera, &Settings::default()).expect("view");
         let truth = hard_label_map(&projected, &labels, 0.5);
-        view.raw = Some(shuffled(&truth, &mut rng));
-        view.instances = Some(truth);
+        view.raw = Some(shuffled(&truth, &mut rng).into());
+        view.instances = Some(truth.into());
     }
     (gaussians, scene)
 }
@@ -46,12 +46,15 @@ fn found(gaussians: &Gaussians, scene: &Scene) -> objects::Association {
     associate(gaussians, scene, &AssociationConfig::default(), &Settings::default()).expect("association")
 }
 
+/// The map, which is there.
+fn map(runs: &Option<LabelRuns>) -> LabelMap {
+    runs.as_ref().expect("map").map()
+}
+
 /// Scores of the maps of both splits against the instances.
-fn map_scores(scene: &Scene, maps: &[Option<LabelMap>]) -> InstanceScores {
+fn map_scores(scene: &Scene, maps: &[Option<LabelRuns>]) -> InstanceScores {
     let pairs = scene.views.iter().zip(maps);
-    instance_scores(
-        pairs.map(|(v, m)| (&v.instances.as_ref().expect("truth").ids[..], &m.as_ref().expect("map").ids[..])),
-    )
+    instance_scores(pairs.map(|(v, m)| (map(&v.instances), map(m))))
 }
 
 #[test]
@@ -89,10 +92,10 @@ fn no_object_has_two_classes_and_stuff_is_one_object() {
     let (gaussians, mut scene) = plate_scene();
     // The wall is stuff, in two pieces; the plates are chairs, but the first view takes one for a table.
     for (i, view) in scene.views.iter_mut().enumerate() {
-        let truth = view.instances.as_ref().expect("truth");
+        let truth = map(&view.instances);
         let split = |(p, &id): (usize, &u16)| if id == 4 && p % truth.width < 40 { 5 } else { id };
         let ids: Vec<u16> = truth.ids.iter().enumerate().map(split).collect();
-        view.raw = Some(LabelMap { ids, ..*truth });
+        view.raw = Some(LabelMap { ids, ..truth }.into());
         let class = |id: u16| {
             if id > 3 {
                 4
@@ -112,10 +115,10 @@ fn no_object_has_two_classes_and_stuff_is_one_object() {
     let chairs = association.groups.iter().filter(|g| g.class == Some(2)).count();
     assert_eq!(chairs, 3, "{:?}", association.classes);
     assert!(association.classes.entries.iter().any(|c| c.name == "green 2"));
-    let map = association.maps[0].as_ref().expect("map");
+    let found = map(&association.maps[0]);
     let other: Vec<u16> = association.groups.iter().filter(|g| g.class == Some(3)).map(|g| g.id).collect();
-    let truth = scene.views[0].instances.as_ref().expect("truth");
-    assert!(map.ids.iter().zip(&truth.ids).all(|(found, t)| *t == 2 || !other.contains(found)));
+    let truth = map(&scene.views[0].instances);
+    assert!(found.ids.iter().zip(&truth.ids).all(|(found, t)| *t == 2 || !other.contains(found)));
 }
 
 #[test]
@@ -210,7 +213,7 @@ fn noise_of_single_views_is_outvoted() {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     for view in &mut scene.views {
         let noise = Noise { split: 0.3, merge: 0.1, erode: 1, drop: 0.2 };
-        view.raw = Some(spoilt(view.instances.as_ref().expect("truth"), noise, &mut rng));
+        view.raw = Some(spoilt(&map(&view.instances), noise, &mut rng).into());
     }
     let scores = rendered_scores(&gaussians, &mut scene, &AssociationConfig::default());
     assert_eq!(scores.instances, 4);
@@ -225,12 +228,7 @@ fn rendered_scores(gaussians: &Gaussians, scene: &mut Scene, config: &Associatio
     let (groups, segments, dropped) = (association.groups.len(), association.segments, association.dropped);
     let seconds = clock.elapsed().as_secs_f64();
     association.apply(scene);
-    let own = scene.split(Split::Test).map(|view| {
-        let map = |map: &Option<LabelMap>| map.as_ref().expect("map").ids.clone();
-        (map(&view.instances), map(&view.raw))
-    });
-    let own: Vec<_> = own.collect();
-    let own = instance_scores(own.iter().map(|(truth, map)| (&truth[..], &map[..])));
+    let own = instance_scores(scene.split(Split::Test).map(|view| (map(&view.instances), map(&view.raw))));
     eprintln!(
         "{segments} segments, {groups} groups, {dropped} dropped, {seconds:.1} s; maps of test views: accuracy {:.4}, mIoU {:.4}",
         own.accuracy.unwrap_or_default(),
@@ -246,10 +244,9 @@ fn rendered(gaussians: &Gaussians, scene: &Scene) -> InstanceScores {
     let rule = LabelRule { source: coseg::config::LabelSource::Labels, min_coverage: 0.5 };
     let render = |view: &View| {
         let projected = Projected::new(&gaussians.splats(), &view.camera, &settings).expect("view");
-        (view.instances.as_ref().expect("truth").ids.clone(), label_map(&projected, &votes, &scene.classes, &rule).ids)
+        (map(&view.instances), label_map(&projected, &votes, &scene.classes, &rule))
     };
-    let maps: Vec<(Vec<u16>, Vec<u16>)> = scene.split(Split::Test).map(render).collect();
-    instance_scores(maps.iter().map(|(truth, map)| (&truth[..], &map[..])))
+    instance_scores(scene.split(Split::Test).map(render))
 }
 
 /// Figures for a trained scene whose folder has `instances_gt`: `COSEG_SCENE_PLY` names the Gaussians and
@@ -280,8 +277,7 @@ fn measure_a_trained_scene() {
     ];
     // What true ids give: the limit of these Gaussians.
     let mut oracle = scene.clone();
-    let mut classes: Vec<u16> =
-        oracle.views.iter().flat_map(|v| &v.instances.as_ref().expect("truth").ids).copied().collect();
+    let mut classes: Vec<u16> = oracle.views.iter().flat_map(|v| map(&v.instances).ids).collect();
     classes.sort_unstable();
     classes.dedup();
     oracle.classes = Classes::from_names(0, classes.into_iter().map(|id| (id, id.to_string())));
@@ -292,7 +288,7 @@ fn measure_a_trained_scene() {
         let mut scene = scene.clone();
         for view in &mut scene.views {
             let noise = if view.split == Split::Test { clean } else { noise };
-            view.raw = Some(spoilt(view.instances.as_ref().expect("truth"), noise, &mut rng));
+            view.raw = Some(spoilt(&map(&view.instances), noise, &mut rng).into());
         }
         let s = rendered_scores(&trained.gaussians, &mut scene, &AssociationConfig::default());
         print(name, &s);

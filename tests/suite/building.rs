@@ -43,7 +43,7 @@ pub fn scene() -> Scene {
             View {
                 name: format!("view{i}"),
                 split,
-                image: photo(&camera),
+                image: photo(&camera).into(),
                 camera,
                 truth: None,
                 raw: None,

@@ -128,6 +128,7 @@ fn wrong_types_name_found_and_expected() {
 fn values_out_of_range_are_refused() {
     for (set, expected) in [
         ("building.iterations=0", "above 0"),
+        ("data.decoded_mb=16777217", "at most 2^24"),
         ("building.sh_degree=4", "0, 1, 2 or 3"),
         ("building.lr_opacity=nan", "finite number above 0"),
         ("building.densify_until=1.5", "from 0 to 1"),

@@ -267,7 +267,7 @@ fn extraction_reduces_the_maps_and_names_the_file() {
             name: format!("v{n}"),
             split,
             camera,
-            image: picture(38, 26, n),
+            image: picture(38, 26, n).into(),
             truth: None,
             raw: None,
             segments: Vec::new(),

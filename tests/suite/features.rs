@@ -3,7 +3,7 @@
 use coseg::camera::Camera;
 use coseg::config::{FeatureConfig, FeatureSource};
 use coseg::data::transforms::{self, LoadOptions};
-use coseg::data::{Class, Classes, LabelMap, Points, Scene, Split, View};
+use coseg::data::{Class, Classes, LabelMap, LabelRuns, Photo, Points, Scene, Split, View};
 use coseg::features::probe::{ProbeScore, ProbeSettings, ProbeView, linear_probe};
 use coseg::features::{FeatureMap, ViewFeatures, descriptor, extract, extract_all};
 use glam::{DMat3, DVec3};
@@ -16,7 +16,8 @@ fn camera(width: usize, height: usize) -> Camera {
 }
 
 fn view(name: &str, split: Split, image: RgbImage, truth: Option<LabelMap>) -> View {
-    let camera = camera(image.width() as usize, image.height() as usize);
+    let (image, truth) = (Photo::from(image), truth.map(LabelRuns::from));
+    let camera = camera(image.width(), image.height());
     View { name: name.into(), split, camera, image, truth, raw: None, segments: Vec::new(), instances: None }
 }
 
@@ -97,7 +98,7 @@ fn extraction_reduces_every_view_and_fits_on_training_views_only() {
         }
     }
     for view in scene.views.iter_mut().filter(|v| v.split == Split::Test) {
-        view.image = RgbImage::from_pixel(70, 54, image::Rgb([250, 0, 0]));
+        view.image = RgbImage::from_pixel(70, 54, image::Rgb([250, 0, 0])).into();
     }
     let (other, _) = extract_all(&scene, &descriptor_config(), 1, &crate::device(), &|_, _| ()).expect("descriptor");
     assert_eq!(set.reductions, other.reductions, "test views must not enter the fit");
@@ -315,20 +316,21 @@ fn linear_probe_reads_a_linear_rule_and_nothing_from_noise() {
 }
 
 fn probe_of(scene: &Scene, train: &[ViewFeatures], test: &[ViewFeatures]) -> ProbeScore {
-    fn views<'a>(scene: &'a Scene, split: Split, features: &'a [ViewFeatures]) -> Vec<ProbeView<'a>> {
-        let pairs = scene.split(split).zip(features);
-        pairs.map(|(v, f)| ProbeView { truth: v.truth.as_ref().expect("truth"), maps: &f.maps }).collect()
+    fn views<'a>(truth: &'a [LabelMap], features: &'a [ViewFeatures]) -> Vec<ProbeView<'a>> {
+        truth.iter().zip(features).map(|(truth, f)| ProbeView { truth, maps: &f.maps }).collect()
     }
-    let (train, test) = (views(scene, Split::Train, train), views(scene, Split::Test, test));
+    let truth = |split| scene.split(split).map(|v| v.truth.as_ref().expect("truth").map()).collect::<Vec<_>>();
+    let truth = [truth(Split::Train), truth(Split::Test)];
+    let (train, test) = (views(&truth[0], train), views(&truth[1], test));
     linear_probe(&scene.classes, &train, &test, &ProbeSettings::default()).expect("labelled")
 }
 
 fn rgb_maps(scene: &Scene, split: Split) -> Vec<ViewFeatures> {
     let map = |v: &View| FeatureMap {
-        height: v.image.height() as usize,
-        width: v.image.width() as usize,
+        height: v.image.height(),
+        width: v.image.width(),
         channels: 3,
-        data: v.image.as_raw().iter().map(|&x| f32::from(x) / 255.0).collect(),
+        data: v.rgb().expect("photo"),
         steps: None,
     };
     scene

@@ -77,12 +77,12 @@ fn compare(view: &View) -> (f64, f64) {
     let Camera { fx, fy, cx, cy, .. } = view.camera;
     let seen = |x, y| direction([fx, fy], [cx, cy], x, y);
     let mut worst = 0.0_f64;
-    for (x, y, pixel) in view.image.enumerate_pixels() {
+    for (x, y, pixel) in view.image.pixels().expect("photo").enumerate_pixels() {
         for (found, want) in pixel.0.iter().zip(color(seen(x, y))) {
             worst = worst.max((f64::from(*found) - want).abs());
         }
     }
-    let truth = view.truth.as_ref().expect("labels");
+    let truth = view.truth.as_ref().expect("labels").map();
     let wrong = (0..WIDTH * HEIGHT).filter(|&i| truth.ids[i as usize] != class(seen(i % WIDTH, i / WIDTH))).count();
     (worst, wrong as f64 / f64::from(WIDTH * HEIGHT))
 }
@@ -156,7 +156,7 @@ fn colmap_lenses_are_those_of_transforms() {
         for x in 0..WIDTH {
             let [dx, _] = direction([view.camera.fx; 2], CENTER, x, row);
             let want = color([dx, 0.0]);
-            let found = view.image.get_pixel(x, row).0;
+            let found = view.image.pixels().expect("photo").get_pixel(x, row).0;
             assert!((f64::from(found[0]) - want[0]).abs() < 8.0, "{model} {x}: {found:?} {want:?}");
         }
         assert!(view.camera.fx != 70.0 && view.camera.fx == view.camera.fy);

@@ -32,6 +32,7 @@ mod neighbours;
 mod ops;
 mod pca;
 mod photometric;
+mod photos;
 mod plates;
 mod ply;
 mod pretrain;

@@ -113,7 +113,7 @@ fn label_scores_of_nothing_are_absent() {
 
 /// Raw labels of the test views of a shared scene.
 fn raw_scores(scene: &Scene, void: Void) -> [f64; 3] {
-    let views = scene.split(Split::Test).filter_map(|v| Some((&v.truth.as_ref()?.ids[..], &v.raw.as_ref()?.ids[..])));
+    let views = scene.split(Split::Test).filter_map(|v| Some((v.truth.as_ref()?.map(), v.raw.as_ref()?.map())));
     let s = label_scores(&scene.classes, views, void);
     [s.miou, s.miou_per_view, s.accuracy].map(|v| v.expect("scored"))
 }

@@ -48,7 +48,7 @@ fn refused(dir: &Path, options: &LoadOptions, parts: &[&str]) {
 /// Raw labels of the views, from the scene's own grey maps.
 fn raw(dir: &Path) -> Vec<LabelMap> {
     let scene = load(dir, &LoadOptions::default()).expect("scene");
-    scene.views.into_iter().map(|view| view.raw.expect("raw labels")).collect()
+    scene.views.into_iter().map(|view| view.raw.expect("raw labels").map()).collect()
 }
 
 fn save(path: &Path, map: &LabelMap, color: impl Fn(u16) -> [u8; 3]) {
@@ -91,8 +91,8 @@ fn coco(dir: &Path) -> Vec<LabelMap> {
     maps
 }
 
-fn maps_of(scene: &Scene) -> Vec<&LabelMap> {
-    scene.views.iter().map(|view| view.raw.as_ref().expect("raw labels")).collect()
+fn maps_of(scene: &Scene) -> Vec<LabelMap> {
+    scene.views.iter().map(|view| view.raw.as_ref().expect("raw labels").map()).collect()
 }
 
 #[test]
@@ -115,7 +115,7 @@ fn coco_panoptic_names_classes_and_segments() {
     let told: Vec<_> = segments.iter().map(|s| (s.class, s.thing)).collect();
     assert_eq!(told, [(Some(1), true), (Some(2), true), (Some(4), false)]);
     for (view, map) in loaded.views.iter().zip(&maps) {
-        let found = view.raw.as_ref().expect("raw labels");
+        let found = view.raw.as_ref().expect("raw labels").map();
         for (&id, &class) in found.ids.iter().zip(&map.ids) {
             let of = view.segments.iter().find(|s| s.id == id).and_then(|s| s.class);
             assert_eq!(of, (class != 0 && class != 3).then_some(class));

@@ -75,11 +75,11 @@ fn replica_of_semantic_nerf_loads() {
     assert_eq!(c.center, DVec3::new(3.0 - 5.0, 0.0, 0.0));
     assert_eq!(c.project(DVec3::new(-2.0, 4.0, 1.0)), Some((8.0, 4.0, 4.0)), "looks along +y, z is up");
     assert!((scene.up - DVec3::Z).length() < 1e-12);
-    assert_eq!(scene.views[10].image.get_pixel(0, 0).0[0], 10);
+    assert_eq!(scene.views[10].image.pixels().expect("photo").get_pixel(0, 0).0[0], 10);
     // Of the dataset's 101 classes those that occur.
     let classes: Vec<_> = scene.classes.entries.iter().map(|c| (c.id, c.name.as_str())).collect();
     assert_eq!((classes, scene.classes.ignore), (vec![(40, "floor"), (93, "wall")], 0));
-    assert_eq!(scene.views[0].truth.as_ref().expect("truth").ids[..4], [0, 40, 93, 0]);
+    assert_eq!(scene.views[0].truth.as_ref().expect("truth").map().ids[..4], [0, 40, 93, 0]);
     assert!(scene.views[0].raw.is_none());
     // The cloud: a wall two metres off, below the horizon, as seen by the nine training views.
     assert_eq!(scene.points.len(), 9 * 96);

@@ -60,9 +60,9 @@ fn views(classes: &Classes) -> Vec<View> {
         name: format!("test_{i:03}"),
         split: Split::Test,
         camera: camera.clone(),
-        image: photo.clone(),
-        truth: Some(truth.clone()),
-        raw: Some(labels(9.0 + i as f64)),
+        image: photo.clone().into(),
+        truth: Some(truth.clone().into()),
+        raw: Some(labels(9.0 + i as f64).into()),
         segments: Vec::new(),
         instances: None,
     };
@@ -139,7 +139,7 @@ fn with_report(check: impl FnOnce(&Report<'_>)) {
     let views = views(&classes);
     let held_out = |(i, view): (usize, &'_ View)| {
         let noise = |j: usize| 0.04 * ((j * 7919 + i) as f32).sin();
-        (view.image.as_raw().iter().enumerate().map(|(j, &v)| f32::from(v) / 255.0 + noise(j))).collect::<Vec<f32>>()
+        view.rgb().unwrap().into_iter().enumerate().map(|(j, v)| v + noise(j)).collect::<Vec<f32>>()
     };
     let rgbs: Vec<Vec<f32>> = views.iter().enumerate().map(held_out).collect();
     let held_out = views.iter().zip(rgbs).map(|(view, rgb)| HeldOutView {
@@ -155,6 +155,7 @@ fn with_report(check: impl FnOnce(&Report<'_>)) {
         command: "coseg train --set data.raw_labels=\"labels\"".into(),
         device: "ndarray, 2 threads".into(),
         history: &history,
+        held_out: views.len(),
         views: held_out.collect(),
         notes: vec!["The raw labels are simulated: made from the true labels with errors.".into()],
     });
@@ -301,6 +302,7 @@ fn a_scene_without_labels_and_views_has_a_page_too() {
         command: "coseg train".into(),
         device: "ndarray".into(),
         history: &history,
+        held_out: 0,
         views: Vec::new(),
         notes: Vec::new(),
     };

@@ -6,7 +6,7 @@ use coseg::train::{Outcome, run};
 use std::path::Path;
 
 /// Both stages on the plates, a second or two.
-fn config(data: &Path) -> Config {
+pub fn config(data: &Path) -> Config {
     let mut config = Config {
         building: BuildingConfig { iterations: 40, random_points: 400, ..BuildingConfig::default() },
         segmentation: SegmentationConfig {
@@ -53,7 +53,7 @@ impl Progress for StopAt {
     }
 }
 
-fn whole(config: &Config, out: &Path) -> Outcome {
+pub fn whole(config: &Config, out: &Path) -> Outcome {
     run(config, out, &crate::device(), &mut Silent).expect("a run")
 }
 
@@ -63,7 +63,7 @@ fn bits(curve: &[CurvePoint]) -> Vec<(usize, u64, Option<u64>, usize)> {
 }
 
 #[track_caller]
-fn same(a: &Outcome, b: &Outcome) {
+pub fn same(a: &Outcome, b: &Outcome) {
     assert!(a.gaussians == b.gaussians, "Gaussians differ");
     assert_eq!(a.rows.len(), b.rows.len());
     for (a, b) in a.rows.iter().zip(&b.rows) {

@@ -74,14 +74,14 @@ fn scannet_scenes_load() {
     let (u, v, _) = scene.views[3].camera.project(point.into()).expect("in front");
     assert!((u - 4.0).abs() < 1e-4 && (v - 4.0).abs() < 1e-4, "the middle of the first depth pixel: {u} {v}");
     // Label maps of half the size are resampled without blending.
-    let truth = scene.views[0].truth.as_ref().expect("truth");
+    let truth = scene.views[0].truth.as_ref().expect("truth").map();
     assert_eq!((truth.width, truth.height), (64, 48));
     assert_eq!([0, 63, 24 * 64, 24 * 64 + 31, 24 * 64 + 32, 48 * 64 - 1].map(|i| truth.ids[i]), [1, 1, 0, 0, 40, 40]);
     // The 20 classes of the benchmark leave the other ids unlabelled.
     let options = LoadOptions { scannet_classes: ScannetClasses::Scannet20, max_frames: 4, ..options };
     let scene = load(dir.path(), &options).expect("scene");
     assert_eq!((scene.views.len(), scene.classes.len(), scene.classes.entries[0].id), (4, 1, 1));
-    assert_eq!(scene.views[0].truth.as_ref().expect("truth").ids[48 * 64 - 1], 0);
+    assert_eq!(scene.views[0].truth.as_ref().expect("truth").map().ids[48 * 64 - 1], 0);
     // The table may lie elsewhere.
     let elsewhere = tempfile::tempdir().expect("folder");
     let table = elsewhere.path().join("table.tsv");

@@ -175,7 +175,7 @@ fn small_gaussians_read_the_cells_that_lie_under_them() {
 }
 
 fn view(name: String, camera: Camera) -> View {
-    let image = image::RgbImage::new(camera.width as u32, camera.height as u32);
+    let image = image::RgbImage::new(camera.width as u32, camera.height as u32).into();
     View { name, split: Split::Train, camera, image, truth: None, raw: None, segments: Vec::new(), instances: None }
 }
 

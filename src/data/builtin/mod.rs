@@ -22,7 +22,7 @@ pub use corrupt::{Corruption, corrupt};
 pub use points::{LabelledPoints, PRETRAINING_SEEDS, labelled_points};
 pub use room::{Room, Truth, render_truth};
 
-use crate::data::{Class, Classes, LabelMap, Scene, Split, View};
+use crate::data::{Class, Classes, LabelMap, LabelRuns, Scene, Split, View};
 use crate::error::{Error, Result};
 use build::class;
 use glam::DVec3;
@@ -140,11 +140,11 @@ fn assemble(options: &BuiltinOptions) -> Scene {
             name: format!("{}_{number:03}", if test { "test" } else { "train" }),
             split: shot.split,
             camera: shot.camera,
-            image: truth.image,
-            truth: Some(truth.labels),
-            raw,
+            image: truth.image.into(),
+            truth: Some(truth.labels.into()),
+            raw: raw.map(LabelRuns::from),
             segments: Vec::new(),
-            instances: Some(LabelMap { width, height, ids: truth.instances }),
+            instances: Some(LabelMap { width, height, ids: truth.instances }.into()),
         }
     });
     Scene {

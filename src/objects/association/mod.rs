@@ -16,7 +16,7 @@ mod merge;
 mod order;
 
 use crate::config::AssociationConfig;
-use crate::data::{Class, Classes, LabelMap, ObjectOf, Scene, Split, View, class_color};
+use crate::data::{Class, Classes, LabelMap, LabelRuns, ObjectOf, Scene, Split, View, class_color};
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::raster::Settings;
@@ -45,7 +45,7 @@ pub struct Association {
     /// The groups, ascending by id, largest first.
     pub groups: Vec<Group>,
     /// For each view of the scene, its raw labels in ids of the groups.
-    pub maps: Vec<Option<LabelMap>>,
+    pub maps: Vec<Option<LabelRuns>>,
     /// Segments of the training views.
     pub segments: usize,
     /// Those that belong to no group: their pixels become unlabelled.
@@ -87,7 +87,7 @@ pub fn associate(
     settings: &Settings,
 ) -> Result<Association> {
     let raw = |view: &'_ View| match &view.raw {
-        Some(raw) => masks(gaussians, view, raw, settings),
+        Some(raw) => masks(gaussians, view, &raw.map(), settings),
         None => Ok(Vec::new()),
     };
     let trained: Vec<usize> = (0..scene.views.len()).filter(|&v| scene.views[v].split == Split::Train).collect();
@@ -121,13 +121,14 @@ pub fn associate(
     let ids: HashMap<u32, u16> = kept.iter().copied().zip(1..).collect();
     let mut maps = vec![None; scene.views.len()];
     for ((&v, masks), assigned) in trained.iter().zip(&views).zip(&assigned) {
-        maps[v] = scene.views[v].raw.as_ref().map(|raw| translated(raw, masks, assigned, &ids));
+        maps[v] = scene.views[v].raw.as_ref().map(|raw| translated(raw.map(), masks, assigned, &ids).into());
     }
     for (map, view) in maps.iter_mut().zip(&scene.views).filter(|(_, view)| view.split == Split::Test) {
         let Some(labels) = &view.raw else { continue };
-        let masks = masks(gaussians, view, labels, settings)?;
+        let labels = labels.map();
+        let masks = masks(gaussians, view, &labels, settings)?;
         let assigned = groups.assign(&masks, config.min_overlap, Leftovers { join: true, open: false });
-        *map = Some(translated(labels, &masks, &assigned, &ids));
+        *map = Some(translated(labels, &masks, &assigned, &ids).into());
     }
     let group =
         |(&g, id)| Group { id, class: groups.kind(g).class, views: counts[g as usize], weight: totals[g as usize].0 };
@@ -186,12 +187,13 @@ fn rebuild(groups: &mut Groups, views: &[Vec<Mask>], assigned: &[Assigned]) {
 }
 
 /// A map in ids of the groups.
-fn translated(raw: &LabelMap, masks: &[Mask], assigned: &Assigned, ids: &HashMap<u32, u16>) -> LabelMap {
+fn translated(mut raw: LabelMap, masks: &[Mask], assigned: &Assigned, ids: &HashMap<u32, u16>) -> LabelMap {
     let mut table = vec![NOTHING; 1 << 16];
     for (mask, group) in masks.iter().zip(assigned) {
         table[usize::from(mask.segment.id)] = group.and_then(|group| ids.get(&group)).copied().unwrap_or(NOTHING);
     }
-    LabelMap { ids: raw.ids.iter().map(|&id| table[usize::from(id)]).collect(), ..*raw }
+    raw.ids.iter_mut().for_each(|id| *id = table[usize::from(*id)]);
+    raw
 }
 
 /// The class table of groups of these kinds: `object 1`, or `chair 2` where the class is known, or `floor` for stuff.

@@ -18,12 +18,12 @@ use std::borrow::Cow;
 /// Gaussians at the scene's points, or in the camera frusta where it has none; no more than `max_gaussians`.
 ///
 /// # Errors
-/// [`crate::Error::NonFinite`] for points that are not finite.
+/// [`crate::Error::NonFinite`] for points that are not finite; those of [`crate::data::Photo::pixels`].
 pub(super) fn initial(scene: &Scene, train: &[&View], config: &Config) -> Result<Gaussians> {
     let building = &config.building;
     let points = if scene.points.positions.is_empty() {
         let mut rng = stream(config.seed, Purpose::InitialPoints, 0);
-        Cow::Owned(frusta::points(train, building.random_points, &mut rng))
+        Cow::Owned(frusta::points(train, building.random_points, &mut rng)?)
     } else {
         Cow::Borrowed(&scene.points)
     };

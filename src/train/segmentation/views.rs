@@ -1,6 +1,6 @@
 //! What stage two needs of a training view: its labelled pixels, and their normalised blending weights.
 
-use crate::data::{Classes, View};
+use crate::data::{Classes, LabelMap, LabelRuns, View};
 use crate::error::Result;
 use crate::gaussians::Gaussians;
 use crate::objects::{Votes, vote};
@@ -15,10 +15,10 @@ use std::sync::Arc;
 struct LabelledView {
     /// Scene index of each Gaussian that some of the pixels show, ascending.
     visible: Arc<Vec<u32>>,
-    /// The pixels, ascending.
-    pixels: Vec<u32>,
-    /// Class index of each pixel's raw label.
-    labels: Vec<u16>,
+    /// Class index of each pixel's raw label, [`UNLABELLED`] where it has none or is not covered.
+    labels: LabelRuns,
+    /// Number of labelled, covered pixels.
+    count: usize,
     /// Weights of the pixels over `visible`, where they are kept. Each row sums to 1 (weights over 1 - T).
     weights: Option<Arc<SparseMatrix>>,
 }
@@ -27,7 +27,7 @@ impl LabelledView {
     /// Rows of a random share of the pixels: one of each run of `1 / share` neighbours.
     fn sample(&self, share: f64, rng: &mut impl Rng) -> Vec<u32> {
         let stride = (1.0 / share.clamp(1e-6, 1.0)).round().max(1.0) as usize;
-        let count = self.pixels.len();
+        let count = self.count;
         match stride {
             1 => (0..count as u32).collect(),
             _ => (0..count)
@@ -35,6 +35,24 @@ impl LabelledView {
                 .map(|first| rng.random_range(first..(first + stride).min(count)) as u32)
                 .collect(),
         }
+    }
+
+    /// Pixel and class index of the labelled, covered pixels `rows`, which ascend.
+    fn pixels(&self, rows: &[u32]) -> (Vec<u32>, Vec<u16>) {
+        let (mut pixels, mut labels) = (Vec::with_capacity(rows.len()), Vec::with_capacity(rows.len()));
+        let mut rows = rows.iter().map(|&row| row as usize).peekable();
+        let (mut pixel, mut row) = (0, 0);
+        for (label, length) in self.labels.runs() {
+            if label != UNLABELLED {
+                while let Some(drawn) = rows.next_if(|drawn| *drawn < row + length) {
+                    pixels.push((pixel + drawn - row) as u32);
+                    labels.push(label);
+                }
+                row += length;
+            }
+            pixel += length;
+        }
+        (pixels, labels)
     }
 }
 
@@ -137,12 +155,11 @@ impl<'a> TrainingViews<'a> {
             }
         };
         let rows = view.sample(share, rng);
-        let labels = rows.iter().map(|&r| view.labels[r as usize]).collect();
+        let (pixels, labels) = view.pixels(&rows);
         let visible = view.visible.clone();
         let pixels = match weights {
             Some(weights) => LabelledPixels { weights, rows, labels },
             None => {
-                let pixels: Vec<u32> = rows.iter().map(|&r| view.pixels[r as usize]).collect();
                 let weights = self.normalised_weights(index, &pixels)?.over_columns(&visible);
                 LabelledPixels { weights: Arc::new(weights), rows: (0..pixels.len() as u32).collect(), labels }
             }
@@ -159,19 +176,23 @@ impl<'a> TrainingViews<'a> {
     /// Finds the labelled, covered pixels of view `index`; their weights are kept where the budget allows it.
     fn look(&mut self, index: usize) -> Result<(Arc<LabelledView>, Arc<SparseMatrix>)> {
         let lookup = self.classes.lookup();
-        let ids = self.views[index].raw.as_ref().map_or(&[][..], |raw| &raw.ids);
-        let class = |pixel: u32| lookup[usize::from(ids[pixel as usize])];
-        let labelled: Vec<u32> = (0..ids.len() as u32).filter(|&p| class(p) != UNLABELLED).collect();
+        let camera = &self.views[index].camera;
+        let none = || LabelMap { width: camera.width, height: camera.height, ids: Vec::new() };
+        let mut map = self.views[index].raw.as_ref().map_or_else(none, LabelRuns::map);
+        map.ids.iter_mut().for_each(|id| *id = lookup[usize::from(*id)]);
+        let class = |pixel: &u32| map.ids[*pixel as usize];
+        let labelled: Vec<u32> = (0..map.ids.len() as u32).filter(|p| class(p) != UNLABELLED).collect();
         let weights = self.normalised_weights(index, &labelled)?;
         let kept: Vec<u32> = (0..weights.rows() as u32).filter(|&r| !weights.row(r as usize).0.is_empty()).collect();
-        let pixels: Vec<u32> = kept.iter().map(|&r| labelled[r as usize]).collect();
-        let labels = pixels.iter().map(|&p| class(p)).collect();
+        let mut covered = vec![UNLABELLED; map.ids.len()];
+        kept.iter().map(|&r| labelled[r as usize]).for_each(|p| covered[p as usize] = class(&p));
+        let labels = LabelRuns::from(LabelMap { ids: covered, ..map });
         let compact = weights.select_rows(&kept).compact();
         let weights = Arc::new(compact.matrix);
         let left = self.budget.checked_sub(weights.bytes());
         self.budget = left.unwrap_or(self.budget);
-        let view =
-            LabelledView { visible: Arc::new(compact.columns), pixels, labels, weights: left.map(|_| weights.clone()) };
+        let visible = Arc::new(compact.columns);
+        let view = LabelledView { visible, labels, count: kept.len(), weights: left.map(|_| weights.clone()) };
         Ok((self.seen[index].insert(Arc::new(view)).clone(), weights))
     }
 }

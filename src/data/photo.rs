@@ -1,0 +1,126 @@
+//! The photo of a view: a file that is decoded when its pixels are asked for, or pixels made in memory.
+
+use super::image_file::ImageFile;
+use super::lens::Remap;
+use super::{Limits, PhotoCache};
+use crate::error::{Error, Result};
+use image::RgbImage;
+use std::fmt;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// The photo of a view, 8-bit sRGB.
+///
+/// Photos of a scene folder stay in their files, which must not change while the scene is in use: [`Photo::pixels`]
+/// decodes them, and takes out the distortion of the lens, where the scene's [`PhotoCache`] does not hold them. The
+/// pixels are the same ones each time. Photos made in memory stay there.
+#[derive(Clone)]
+pub struct Photo {
+    width: usize,
+    height: usize,
+    source: Source,
+}
+
+#[derive(Clone)]
+enum Source {
+    Pixels(Arc<RgbImage>),
+    File(Arc<PhotoFile>),
+}
+
+/// A photo that lies in a file.
+struct PhotoFile {
+    path: PathBuf,
+    /// SHA-256 of the file when the scene was loaded.
+    digest: [u8; 32],
+    limits: Limits,
+    remap: Option<Remap>,
+    cache: Arc<PhotoCache>,
+    /// Its number in the cache.
+    number: usize,
+}
+
+impl Photo {
+    /// The photo in `file`, decoded once to see that it can be.
+    pub(super) fn in_file(
+        file: &ImageFile,
+        remap: Option<Remap>,
+        limits: &Limits,
+        cache: &Arc<PhotoCache>,
+    ) -> Result<Self> {
+        let pixels = decode(file, remap.as_ref())?;
+        let (width, height) = (pixels.width() as usize, pixels.height() as usize);
+        let number = cache.admit(pixels);
+        let (path, digest) = (file.path().to_owned(), file.digest());
+        let file = PhotoFile { path, digest, limits: limits.clone(), remap, cache: cache.clone(), number };
+        Ok(Self { width, height, source: Source::File(Arc::new(file)) })
+    }
+
+    /// Pixels across.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Pixels down.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// The pixels. They stay in memory as long as the caller or the cache holds them.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file can no longer be read, [`Error::Input`] when it is another one than the scene was
+    /// loaded with.
+    pub fn pixels(&self) -> Result<Arc<RgbImage>> {
+        match &self.source {
+            Source::Pixels(pixels) => Ok(pixels.clone()),
+            Source::File(file) => file.cache.get(file.number, || file.read()),
+        }
+    }
+
+    /// What keeps decoded photos of the scene; none for photos made in memory.
+    pub fn cache(&self) -> Option<&PhotoCache> {
+        match &self.source {
+            Source::Pixels(_) => None,
+            Source::File(file) => Some(&file.cache),
+        }
+    }
+}
+
+impl From<RgbImage> for Photo {
+    fn from(pixels: RgbImage) -> Self {
+        let (width, height) = (pixels.width() as usize, pixels.height() as usize);
+        Self { width, height, source: Source::Pixels(Arc::new(pixels)) }
+    }
+}
+
+impl fmt::Debug for Photo {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut text = f.debug_struct("Photo");
+        text.field("width", &self.width).field("height", &self.height);
+        if let Source::File(file) = &self.source {
+            text.field("path", &file.path);
+        }
+        text.finish()
+    }
+}
+
+impl PhotoFile {
+    fn read(&self) -> Result<RgbImage> {
+        let file = ImageFile::open(&self.path, &self.limits)?;
+        if file.digest() != self.digest {
+            let expected = "the file that the scene was loaded with";
+            let mend = "put it back and resume, or start anew with the files as they are";
+            return Err(Error::input(&self.path, "content", "other bytes", expected, mend));
+        }
+        decode(&file, self.remap.as_ref())
+    }
+}
+
+/// The photo in `file` as a pinhole sees it.
+pub(super) fn decode(file: &ImageFile, remap: Option<&Remap>) -> Result<RgbImage> {
+    let photo = file.decode_rgb()?;
+    Ok(match remap {
+        Some(remap) => remap.photo(&photo),
+        None => photo,
+    })
+}
