@@ -180,8 +180,12 @@ pub struct SegmentationConfig {
     pub reg_samples: usize,
     /// Neighbours of each in the 3D regularisation.
     pub reg_neighbours: usize,
-    /// Megabytes for cached blending weights; views beyond it are recomputed.
+    /// Megabytes for cached blending weights, and half as much again for what the decoder keeps of each view; what is beyond it
+    /// is recomputed.
     pub weight_cache_mb: usize,
+    /// Gaussians decoded together in a training step, so that its memory does not grow with the scene: views that see more are
+    /// decoded in parts, twice, for the same gradients. 0: all at once.
+    pub decoder_chunk: usize,
     /// Iterations between held-out evaluations; 0 means ten in the run.
     pub eval_every: usize,
     /// Iterations between checkpoints; 0 means ten in the run.
@@ -213,6 +217,7 @@ impl Default for SegmentationConfig {
             reg_samples: 1_000,
             reg_neighbours: 5,
             weight_cache_mb: 2_048,
+            decoder_chunk: 65_536,
             eval_every: 0,
             checkpoint_every: 0,
         }

@@ -25,6 +25,11 @@ pub(super) struct TileLists {
 }
 
 impl TileLists {
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        4 * (self.starts.len() + self.ranks.len() + self.runs.len() + self.slots.len())
+    }
+
     /// Positions in [`TileLists::ranks`] of the tile in column `x`, row `y`.
     pub fn tile(&self, x: usize, y: usize) -> Range<usize> {
         let tile = y * self.columns + x;

@@ -136,17 +136,30 @@ impl Decoder {
     /// # Panics
     /// If `pyramid` has fewer levels or other widths than the decoder was made for, or `kept` is of another pyramid.
     pub fn forward(&self, pyramid: &Pyramid, kept: &Restriction) -> Decoded {
+        let (hidden, fused) = self.decode(pyramid, kept, 0);
+        Decoded { hidden, fused }
+    }
+
+    /// [`Decoded::fused`] of the scales from `finest` (zero-based) on alone, what Eq. 9 needs: finer ones are not decoded.
+    ///
+    /// # Panics
+    /// As [`Decoder::forward`].
+    pub fn fused(&self, pyramid: &Pyramid, kept: &Restriction, finest: usize) -> Vec<Tensor<2>> {
+        self.decode(pyramid, kept, finest).1
+    }
+
+    fn decode(&self, pyramid: &Pyramid, kept: &Restriction, finest: usize) -> (Tensor<2>, Vec<Tensor<2>>) {
         let device = self.last.weight.device();
         assert!(self.layers.len() <= pyramid.levels.len(), "levels of the pyramid against layers of the decoder");
         let mut below = tracked(&kept.of_top(&pyramid.top), &device);
         let mut fused = Vec::with_capacity(self.layers.len());
-        for (n, (layer, level)) in self.layers.iter().zip(&pyramid.levels).enumerate().rev() {
+        for (n, (layer, level)) in self.layers.iter().zip(&pyramid.levels).enumerate().skip(finest).rev() {
             let map = LayerMap { rows: kept.rows(n).cloned(), upsample: kept.upsample(n).clone(), slope: SLOPE };
             below = layer.forward(tracked(&level.features, &device), below, map);
             fused.push(below.clone());
         }
         fused.reverse();
-        Decoded { hidden: below, fused }
+        (below, fused)
     }
 
     /// Logits `[rows, C]` of hidden features `[rows, 64]`, of Gaussians or of pixels.

@@ -68,9 +68,12 @@ fn render_labels(projected: &Projected<f32>, identities: &Identities, inputs: &I
     label_map(projected, identities, &inputs.scene.classes, &LabelRule::from(&inputs.config.segmentation))
 }
 
-/// Test views with truth, projected once.
+/// Bytes of projections of held-out views that are kept between evaluations; the others are made again.
+const PROJECTED_BYTES: usize = 512 << 20;
+
+/// Test views with truth, projected once as far as memory allows.
 struct HeldOut<'a> {
-    views: Vec<(&'a View, Projected<f32>)>,
+    views: Vec<(&'a View, Option<Projected<f32>>)>,
     /// Classes are objects that association found: their ids are not those of a truth.
     objects: bool,
 }
@@ -80,16 +83,31 @@ impl<'a> HeldOut<'a> {
         let splats = inputs.gaussians.splats();
         let objects = inputs.config.data.association != Association::None;
         let known = |v: &&View| if objects { v.instances.is_some() } else { v.truth.is_some() };
-        let views = inputs.scene.split(Split::Test).filter(known);
-        let project = |view: &'a View| Ok((view, Projected::new(&splats, &view.camera, &inputs.settings)?));
-        Ok(Self { views: views.map(project).collect::<Result<_>>()?, objects })
+        let (mut views, mut left) = (Vec::new(), Some(PROJECTED_BYTES));
+        for view in inputs.scene.split(Split::Test).filter(known) {
+            let mut kept = None;
+            if let Some(bytes) = left {
+                let projected = Projected::new(&splats, &view.camera, &inputs.settings)?;
+                left = bytes.checked_sub(projected.bytes());
+                kept = left.map(|_| projected);
+            }
+            views.push((view, kept));
+        }
+        Ok(Self { views, objects })
     }
 
     /// Scores of a row with these identities.
-    fn score(&self, identities: &Identities, inputs: &Inputs) -> (LabelScores, Option<InstanceScores>) {
-        let predicted: Vec<LabelMap> = self.views.iter().map(|(_, p)| render_labels(p, identities, inputs)).collect();
+    fn score(&self, identities: &Identities, inputs: &Inputs) -> Result<(LabelScores, Option<InstanceScores>)> {
+        let rendered = |(view, projected): &(&View, Option<Projected<f32>>)| match projected {
+            Some(projected) => Ok(render_labels(projected, identities, inputs)),
+            None => {
+                let projected = Projected::new(&inputs.gaussians.splats(), &view.camera, &inputs.settings)?;
+                Ok(render_labels(&projected, identities, inputs))
+            }
+        };
+        let predicted: Vec<LabelMap> = self.views.iter().map(rendered).collect::<Result<_>>()?;
         let found = || self.views.iter().zip(&predicted).map(|((view, _), found)| (*view, found));
-        (self.labels(found(), inputs, Void::Wrong), self.instances(found()))
+        Ok((self.labels(found(), inputs, Void::Wrong), self.instances(found())))
     }
 
     /// Scores of the raw labels of the test views.
@@ -143,7 +161,7 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
                 let train = inputs.scene.split(Split::Train);
                 let votes = vote(inputs.gaussians, train, &inputs.scene.classes, &inputs.settings)?;
                 let identities = votes.identities();
-                let (scores, instances) = held_out.score(&identities, inputs);
+                let (scores, instances) = held_out.score(&identities, inputs)?;
                 RowOutcome { scores, instances, identities: Some(identities), ..untrained(row) }
             }
             _ => trained(row, inputs, &mut views, &mut spatial, &held_out, checkpoints, progress)?,
@@ -201,14 +219,14 @@ fn trained(
     let device = inputs.device.clone().autodiff();
     let classes = inputs.scene.classes.len();
     let mut score = |identities: &Identities| {
-        let (labels, instances) = held_out.score(identities, inputs);
+        let (labels, instances) = held_out.score(identities, inputs)?;
         Ok(labels.miou.or(instances.and_then(|scores| scores.miou)))
     };
     let rate_file = checkpoints.join(format!("{}.rate.safetensors", row.key()));
     let mut fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: f64| -> Result<RowOutcome> {
         let curve = train(model, views, &plan, &pace, &mut score, progress)?;
         let identities = model.identities()?;
-        let (scores, instances) = held_out.score(&identities, inputs);
+        let (scores, instances) = held_out.score(&identities, inputs)?;
         Ok(RowOutcome {
             scores,
             instances,

@@ -15,6 +15,7 @@ mod colmap;
 mod config;
 mod data_check;
 mod decoder;
+mod decoder_chunks;
 mod densify;
 mod dino;
 mod dino_reference;

@@ -80,10 +80,10 @@ fn same(a: &Outcome, b: &Outcome) {
 fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::plates::scene(folder.path());
-    for encode in [Encode::Scene, Encode::View] {
+    for (encode, chunk) in [(Encode::Scene, 65_536), (Encode::View, 65_536), (Encode::Scene, 97)] {
         let mut config = config(folder.path());
-        config.spatial.encode = encode;
-        let out = |name: &str| folder.path().join(format!("{encode:?}-{name}"));
+        (config.spatial.encode, config.segmentation.decoder_chunk) = (encode, chunk);
+        let out = |name: &str| folder.path().join(format!("{encode:?}-{chunk}-{name}"));
         let uninterrupted = whole(&config, &out("whole"));
         assert_eq!(uninterrupted.rows[1].curve.len(), 3);
         let mut point = uninterrupted.rows[2].curve.clone();

@@ -1,8 +1,10 @@
 //! Stage two: segmentation identities from raw labels, geometry frozen.
 
+mod chunked;
 mod fused;
 mod optimiser;
 mod per_gaussian;
+mod prepared;
 mod session;
 mod views;
 
@@ -55,7 +57,7 @@ pub trait Model {
     /// # Errors
     /// When a frozen input is not finite.
     fn predict(&mut self, view: usize, drawn: &Drawn) -> Result<Prediction>;
-    /// One optimiser step at `factor` times the learning rate.
+    /// One optimiser step at `factor` times the learning rate; `gradients` are those of a loss of the last prediction.
     ///
     /// # Errors
     /// [`Error::NonFinite`] naming the parameter.
