@@ -104,20 +104,6 @@ impl Pyramid {
 /// Row numbers of a level.
 pub type Rows = Arc<Vec<u32>>;
 
-/// The rows of both, ascending where both are; one of them as it is where the other is empty.
-fn union(a: Rows, b: Rows) -> Rows {
-    match (a.is_empty(), b.is_empty()) {
-        (true, _) => b,
-        (_, true) => a,
-        _ => {
-            let mut all = [&a[..], &b].concat();
-            all.sort_unstable();
-            all.dedup();
-            Arc::new(all)
-        }
-    }
-}
-
 /// The rows of a [`Pyramid`] that some of its finest points depend on; cheap to keep per view.
 #[derive(Clone, Debug)]
 pub struct Restriction {
@@ -134,21 +120,33 @@ impl Restriction {
         Self::of_levels(pyramid, [finest])
     }
 
-    /// What points of several levels depend on, and those points: `wanted` holds rows of level 1, of level 2 and so on, those
-    /// of coarser levels ascending. Levels that it does not reach add nothing of their own.
+    /// What points of several levels depend on, and those points: `wanted` holds rows of level 1, of level 2 and so on. Levels
+    /// that it does not reach add nothing of their own.
     ///
     /// # Panics
     /// If a row is not one of its level.
     pub fn of_levels(pyramid: &Pyramid, wanted: impl IntoIterator<Item = Rows>) -> Self {
-        let (mut wanted, mut below) = (wanted.into_iter(), Rows::default());
+        let mut wanted = wanted.into_iter();
+        let mut rows = wanted.next().unwrap_or_default();
         let mut levels = Vec::with_capacity(pyramid.levels.len());
         for level in &pyramid.levels {
-            let rows = union(below, wanted.next().unwrap_or_default());
-            let used = level.upsample.select_rows(&rows).compact();
-            levels.push((Some(rows), Arc::new(used.matrix)));
-            below = Arc::new(used.columns);
+            let used = level.upsample.select_rows(&rows);
+            let (upsample, below) = match wanted.next().filter(|more| !more.is_empty()) {
+                None => {
+                    let used = used.compact();
+                    (used.matrix, used.columns)
+                }
+                Some(more) => {
+                    let mut below = [&used.indices[..], &more].concat();
+                    below.sort_unstable();
+                    below.dedup();
+                    (used.over_columns(&below), below)
+                }
+            };
+            levels.push((Some(rows), Arc::new(upsample)));
+            rows = Arc::new(below);
         }
-        Self { levels, top: Some(below) }
+        Self { levels, top: Some(rows) }
     }
 
     /// All of `pyramid`.

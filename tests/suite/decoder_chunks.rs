@@ -130,7 +130,8 @@ fn parts_of_any_size_give_the_gradients_of_the_step_at_once() {
                 let rms = (want.iter().map(|v| v * v).sum::<f32>() / want.len() as f32).sqrt();
                 assert!(rms > 0.0, "{case}: {name} is at rest");
                 let worst = got.iter().zip(want).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-                assert!(worst <= 1e-5 * rms, "{case}: {name} is off by {worst}, rms {rms}");
+                // Parts are added up in f32: 2e-5 with twenty of them.
+                assert!(worst <= 1e-4 * rms, "{case}: {name} is off by {worst}, rms {rms}");
                 assert!(chunk < 1_286 || got == want, "{case}: one part is the step at once");
             }
         }
