@@ -184,7 +184,8 @@ pub struct SegmentationConfig {
     pub reg_samples: usize,
     /// Neighbours of each in the 3D regularisation.
     pub reg_neighbours: usize,
-    /// Megabytes for cached blending weights; views beyond it are recomputed.
+    /// Megabytes for cached blending weights, and half as much again for what the decoder keeps of each view; what is beyond it
+    /// is recomputed.
     pub weight_cache_mb: usize,
     /// Passes of diffusion over the neighbour graph of the Gaussians, which every row's identities go through at the end; 0 is
     /// none (not in the paper).
@@ -195,6 +196,9 @@ pub struct SegmentationConfig {
     pub diffusion_temperature: f64,
     /// Neighbours of each Gaussian, in diffusion and in the figures of compactness.
     pub diffusion_neighbours: usize,
+    /// Gaussians decoded together in a training step, so that its memory does not grow with the scene: views that see more are
+    /// decoded in parts, twice, for the same gradients. 0: all at once.
+    pub decoder_chunk: usize,
     /// Iterations between held-out evaluations; 0 means ten in the run.
     pub eval_every: usize,
     /// Iterations between checkpoints; 0 means ten in the run.
@@ -231,6 +235,7 @@ impl Default for SegmentationConfig {
             diffusion_strength: 0.9,
             diffusion_temperature: 0.1,
             diffusion_neighbours: 8,
+            decoder_chunk: 65_536,
             eval_every: 0,
             checkpoint_every: 0,
         }

@@ -9,6 +9,7 @@ mod curve;
 mod encoding;
 mod figures;
 mod machine;
+mod memory;
 mod raster;
 mod resample;
 mod samples;
@@ -45,12 +46,21 @@ pub enum Section {
     Encoding,
     /// An iteration of stage two.
     Segmentation,
+    /// Memory of an iteration of stage two.
+    Memory,
 }
 
 impl Section {
     /// All sections, in the order in which they run.
-    pub const ALL: [Self; 6] =
-        [Self::Raster, Self::Curve, Self::Building, Self::Unprojection, Self::Encoding, Self::Segmentation];
+    pub const ALL: [Self; 7] = [
+        Self::Raster,
+        Self::Curve,
+        Self::Building,
+        Self::Unprojection,
+        Self::Encoding,
+        Self::Segmentation,
+        Self::Memory,
+    ];
 
     /// Its name on the command line and in JSON.
     pub fn key(self) -> &'static str {
@@ -61,6 +71,7 @@ impl Section {
             Self::Unprojection => "unprojection",
             Self::Encoding => "encoding",
             Self::Segmentation => "segmentation",
+            Self::Memory => "memory",
         }
     }
 
@@ -73,6 +84,7 @@ impl Section {
             Self::Unprojection => "4 x 64 feature channels lifted onto the Gaussians",
             Self::Encoding => "the RandLA point encoder",
             Self::Segmentation => "an iteration of stage two, row `ours`",
+            Self::Memory => "peak memory of stage two against Gaussians decoded together (segmentation.decoder_chunk)",
         }
     }
 }
@@ -109,6 +121,8 @@ pub struct Effort {
     pub building: Vec<usize>,
     /// Gaussians of stage two where the scene is not trained.
     pub segmentation: usize,
+    /// Numbers of Gaussians that the memory of stage two is measured at, ascending.
+    pub memory: Vec<usize>,
     /// Image width and height of what is rendered, pixels.
     pub size: [usize; 2],
     /// Views of a pass of the rasterizer.
@@ -133,6 +147,7 @@ impl Effort {
             gaussians: 100_000,
             building: vec![15_000, 50_000],
             segmentation: 25_000,
+            memory: vec![100_000],
             size: [480, 360],
             views: 6,
             lifted_views: 80,
@@ -150,6 +165,7 @@ impl Effort {
             gaussians: 1_000,
             building: vec![400],
             segmentation: 600,
+            memory: vec![600],
             size: [64, 48],
             views: 2,
             lifted_views: 3,
@@ -185,6 +201,7 @@ impl Bench {
             Section::Unprojection => unprojection::measure(self),
             Section::Encoding => encoding::measure(self),
             Section::Segmentation => segmentation::measure(self),
+            Section::Memory => memory::measure(self),
         }
     }
 

@@ -1,7 +1,7 @@
 //! An iteration of stage two: decoder, blending, label loss, 3D regularisation, backward pass, Adam.
 
 use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words};
-use crate::config::{Preset, Row};
+use crate::config::{Config, Preset, Row};
 use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::features::SCALES;
@@ -19,42 +19,57 @@ use std::time::Instant;
 const BAR: f64 = 150.0;
 const MEANT_FOR: &str = "80 views at 480x360, preset fast";
 
-pub(super) fn measure(bench: &Bench) -> Result<Findings> {
-    let section = Section::Segmentation;
+/// `count` of the labelled training views, evenly chosen, or all of them where there are fewer; and how many there are.
+/// Findings that say why instead, where there are none.
+pub(super) fn labelled_views(
+    bench: &Bench,
+    section: Section,
+    count: usize,
+) -> std::result::Result<(Scene, usize), Findings> {
     let Some(scene) = &bench.subject.scene else {
-        return Ok(Findings::skipped(section, "--scene and --cameras come without labels; use --run or --data"));
+        return Err(Findings::skipped(section, "--scene and --cameras come without labels; use --run or --data"));
     };
     let labelled: Vec<_> = scene.split(Split::Train).filter(|v| v.raw.is_some()).collect();
     if labelled.is_empty() || scene.classes.is_empty() {
-        return Ok(Findings::skipped(section, format!("{} has no raw labels", scene.name)));
+        return Err(Findings::skipped(section, format!("{} has no raw labels", scene.name)));
     }
-    let (config, effort) = (&bench.config, &bench.effort);
-    let gaussians = bench.subject.gaussians(bench.subject.trained().unwrap_or(effort.segmentation))?;
-    let n = gaussians.len();
-    let views = effort.labelled_views.min(labelled.len());
-    let chosen: Vec<_> = (0..views).map(|i| labelled[i * labelled.len() / views].clone()).collect();
-    let camera = &chosen[0].camera;
-    let is_barred = labelled.len() == 80 && (camera.width, camera.height) == (480, 360);
-    let is_barred = is_barred && config.preset == Preset::Fast;
+    let views = count.min(labelled.len());
     let few = Scene {
         name: scene.name.clone(),
-        views: chosen,
+        views: (0..views).map(|i| labelled[i * labelled.len() / views].clone()).collect(),
         classes: scene.classes.clone(),
         points: Default::default(),
         origin: scene.origin,
         up: scene.up,
     };
+    Ok((few, labelled.len()))
+}
 
+/// Random numbers in place of the image features of `count` Gaussians.
+pub(super) fn random_features(count: usize, config: &Config) -> Seen {
     let mut rng = stream(config.seed, Purpose::Benchmark, 0);
     let dimensions = config.features.dimensions;
-    let mut lifted: [Vec<f32>; SCALES] = Default::default();
-    lifted.iter_mut().for_each(|rows| rows.extend((0..n * dimensions).map(|_| rng.random_range(-1.0_f32..1.0))));
-    let kept = (0..n as u32).collect();
-    let seen = Seen { kept, lifted, dimensions, name: "random numbers".into(), seconds: [0.0; 2] };
+    let mut rows = || (0..count * dimensions).map(|_| rng.random_range(-1.0_f32..1.0)).collect();
+    let lifted: [Vec<f32>; SCALES] = std::array::from_fn(|_| rows());
+    let kept = (0..count as u32).collect();
+    Seen { kept, lifted, dimensions, name: "random numbers".into(), seconds: [0.0; 2] }
+}
+
+pub(super) fn measure(bench: &Bench) -> Result<Findings> {
+    let section = Section::Segmentation;
+    let (config, effort) = (&bench.config, &bench.effort);
+    let (few, labelled) = match labelled_views(bench, section, effort.labelled_views) {
+        Ok(found) => found,
+        Err(skipped) => return Ok(skipped),
+    };
+    let gaussians = bench.subject.gaussians(bench.subject.trained().unwrap_or(effort.segmentation))?;
+    let (n, views) = (gaussians.len(), few.views.len());
+    let camera = &few.views[0].camera;
+    let is_barred = labelled == 80 && (camera.width, camera.height) == (480, 360);
+    let is_barred = is_barred && config.preset == Preset::Fast;
     let settings = Settings::from(&config.raster);
-    let device = &bench.device;
-    let inputs =
-        Inputs { scene: &few, gaussians: &gaussians, seen: Some(seen), semantics: None, config, settings, device };
+    let (seen, device) = (Some(random_features(n, config)), &bench.device);
+    let inputs = Inputs { scene: &few, gaussians: &gaussians, seen, semantics: None, config, settings, device };
     let mut spatial = Spatial::default();
     let source = spatial.source(Row::Ours, &inputs)?;
     let segmentation = &config.segmentation;
@@ -103,7 +118,7 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
         Figure::measured(&case, "the first on a view, which makes its weights", "ms", &making.scaled(1e3)),
         share("of it forward: decoding and blending", forward.sum()),
         share("of it losses and backward", rest),
-        share("of it Adam", update.sum()),
+        share("of it Adam, and what is decoded in parts", update.sum()),
     ]);
     Ok(findings)
 }

@@ -11,20 +11,25 @@ pub enum HostValues<E> {
     /// A shared ndarray buffer in standard layout.
     #[cfg(feature = "ndarray")]
     Shared(ndarray::ArcArray<E, ndarray::IxDyn>),
+    /// A flex buffer, perhaps shared, whose values lie in order.
+    #[cfg(feature = "flex")]
+    Flex(burn::backend::flex::FlexTensor),
 }
 
-impl<E> Deref for HostValues<E> {
+impl<E: Real> Deref for HostValues<E> {
     type Target = [E];
     fn deref(&self) -> &[E] {
         match self {
             Self::Owned(values) => values,
             #[cfg(feature = "ndarray")]
             Self::Shared(array) => array.as_slice().unwrap_or(&[]), // standard layout by construction: always Some
+            #[cfg(feature = "flex")]
+            Self::Flex(tensor) => E::of_flex(tensor).unwrap_or(&[]), // in order by construction: always Some
         }
     }
 }
 
-impl<E: Clone> HostValues<E> {
+impl<E: Real> HostValues<E> {
     /// The values as a vector; no copy when the buffer is not shared.
     pub fn into_vec(self) -> Vec<E> {
         match self {
@@ -41,6 +46,8 @@ impl<E: Clone> HostValues<E> {
                 }
                 Err(shared) => shared.iter().cloned().collect(),
             },
+            #[cfg(feature = "flex")]
+            Self::Flex(tensor) => copy_out::<burn::backend::Flex, E>(tensor), // takes the buffer over unless it is shared
         }
     }
 }
@@ -117,7 +124,10 @@ mod on_flex {
 
     impl HostBackend for Flex {
         fn values<E: Real>(tensor: FloatTensor<Self>) -> HostValues<E> {
-            HostValues::Owned(copy_out::<Self, E>(tensor))
+            match E::of_flex(&tensor) {
+                Some(_) => HostValues::Flex(tensor),
+                None => HostValues::Owned(copy_out::<Self, E>(tensor)),
+            }
         }
         fn tensor<E: Real>(values: Vec<E>, shape: &[usize], _device: &Self::Device) -> FloatTensor<Self> {
             FlexTensor::new(Bytes::from_elems(values), Layout::contiguous(Shape::from(shape.to_vec())), E::dtype())

@@ -31,6 +31,9 @@ pub trait Real:
     /// An ndarray-backend tensor of these values.
     #[cfg(feature = "ndarray")]
     fn into_ndarray(array: burn::backend::ndarray::SharedArray<Self>) -> burn::backend::ndarray::NdArrayTensor;
+    /// The row-major values of a flex tensor of this element type, where they lie in order.
+    #[cfg(feature = "flex")]
+    fn of_flex(tensor: &burn::backend::flex::FlexTensor) -> Option<&[Self]>;
 }
 
 macro_rules! real {
@@ -66,6 +69,10 @@ macro_rules! real {
             #[cfg(feature = "ndarray")]
             fn into_ndarray(array: burn::backend::ndarray::SharedArray<Self>) -> burn::backend::ndarray::NdArrayTensor {
                 array.into()
+            }
+            #[cfg(feature = "flex")]
+            fn of_flex(tensor: &burn::backend::flex::FlexTensor) -> Option<&[Self]> {
+                tensor.as_slice()
             }
         }
     };

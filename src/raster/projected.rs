@@ -122,6 +122,11 @@ impl<E: Real> Projected<E> {
         self.radii.is_empty()
     }
 
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&self.splats[..]) + size_of_val(&self.ids[..]) + size_of_val(&self.radii[..]) + self.tiles.bytes()
+    }
+
     /// Image width and height, pixels.
     pub fn size(&self) -> [usize; 2] {
         self.viewpoint.size
@@ -198,12 +203,6 @@ impl<E: Real> Projected<E> {
     /// `ceil(3 sqrt(lambda_max))` of the 2D covariance in pixels, `[N]`; 0 = culled.
     pub fn radii(&self) -> &[u32] {
         &self.radii
-    }
-
-    /// Bytes held.
-    pub fn bytes(&self) -> usize {
-        let of_splats = size_of_val(&*self.splats) + size_of_val(&*self.ids) + size_of_val(&*self.radii);
-        of_splats + self.tiles.bytes()
     }
 
     /// What was culled and why.

@@ -151,18 +151,38 @@ impl Decoder {
     /// # Panics
     /// As [`Decoder::forward`]; if a list is not as long as its scale has channels.
     pub fn forward_scaled(&self, pyramid: &Pyramid, kept: &Restriction, factors: &[Vec<f32>]) -> Decoded {
+        let (hidden, fused) = self.decode(pyramid, kept, factors, 0);
+        Decoded { hidden, fused }
+    }
+
+    /// [`Decoded::fused`] of the scales from `finest` (zero-based) on alone, what Eq. 9 needs: finer ones are not decoded.
+    /// `factors` as in [`Decoder::forward_scaled`].
+    ///
+    /// # Panics
+    /// As [`Decoder::forward_scaled`].
+    pub fn fused(&self, pyramid: &Pyramid, kept: &Restriction, factors: &[Vec<f32>], finest: usize) -> Vec<Tensor<2>> {
+        self.decode(pyramid, kept, factors, finest).1
+    }
+
+    fn decode(
+        &self,
+        pyramid: &Pyramid,
+        kept: &Restriction,
+        factors: &[Vec<f32>],
+        finest: usize,
+    ) -> (Tensor<2>, Vec<Tensor<2>>) {
         let device = self.last.weight.device();
         assert!(self.layers.len() <= pyramid.levels.len(), "levels of the pyramid against layers of the decoder");
         let mut below = tracked(&kept.of_top(&pyramid.top), &device);
         let mut fused = Vec::with_capacity(self.layers.len());
-        for (n, (layer, level)) in self.layers.iter().zip(&pyramid.levels).enumerate().rev() {
+        for (n, (layer, level)) in self.layers.iter().zip(&pyramid.levels).enumerate().skip(finest).rev() {
             let map = LayerMap { rows: kept.rows(n).cloned(), upsample: kept.upsample(n).clone(), slope: SLOPE };
             let channels = factors.get(n).map_or(&[][..], |f| f);
             below = layer.forward(tracked(&level.features, &device), channels, below, map);
             fused.push(below.clone());
         }
         fused.reverse();
-        Decoded { hidden: below, fused }
+        (below, fused)
     }
 
     /// Logits `[rows, C]` of hidden features `[rows, 64]`, of Gaussians or of pixels.

@@ -51,24 +51,37 @@ impl Pyramid {
     /// # Errors
     /// [`Error::Config`] when all features are off, or image features are on and missing or of another length.
     pub fn new(encoding: &Encoding, image: &[Tensor<2>], switches: Switches) -> Result<Self> {
+        let points = encoding.levels[0].indices.len();
+        Self::gathered(encoding, switches, |scale, rows| match image.get(scale) {
+            Some(features) if features.dims()[0] == points => Ok(select(features, rows)),
+            other => {
+                let (key, found) = (format!("image features of scale {}", scale + 1), other.map(Tensor::dims));
+                let mend = "unproject them first";
+                Err(Error::config(key, format!("{found:?}"), format!("{points} rows"), mend))
+            }
+        })
+    }
+
+    /// [`Pyramid::new`] with image features that are gathered where they are needed: `image(n, rows)` is f_d of scale n + 1
+    /// for the rows `rows` of the encoded cloud, `[rows, D]`. Nothing is asked for that no level reads.
+    ///
+    /// # Errors
+    /// [`Error::Config`] when all features are off; those of `image`.
+    pub fn gathered(
+        encoding: &Encoding,
+        switches: Switches,
+        image: impl Fn(usize, &[u32]) -> Result<Tensor<2>>,
+    ) -> Result<Self> {
         if !switches.image && !switches.spatial {
             let mend = "leave image or spatial features on";
             return Err(Error::config("decoder inputs", "none", "image features, spatial features or both", mend));
         }
-        let (device, points) = (encoding.coarsest.features.device(), encoding.levels[0].indices.len());
+        let device = encoding.coarsest.features.device();
         let count = if switches.single_scale.is_some() { 1 } else { encoding.levels.len() };
         let mut levels = Vec::with_capacity(count);
         for (n, level) in encoding.levels.iter().take(count).enumerate() {
             let scale = switches.single_scale.unwrap_or(n);
-            let lifted = match (switches.image, image.get(scale)) {
-                (false, _) => None,
-                (true, Some(f)) if f.dims()[0] == points => Some(select(f, &level.indices)),
-                (true, other) => {
-                    let (key, found) = (format!("image features of scale {}", scale + 1), other.map(Tensor::dims));
-                    let mend = "unproject them first";
-                    return Err(Error::config(key, format!("{found:?}"), format!("{points} rows"), mend));
-                }
-            };
+            let lifted = if switches.image { Some(image(scale, &level.indices)?) } else { None };
             let spatial = switches.spatial.then(|| level.features.clone());
             let parts: Vec<_> = [lifted, spatial].into_iter().flatten().filter(|f| f.dims()[1] > 0).collect();
             levels.push(Level {
@@ -89,7 +102,7 @@ impl Pyramid {
 }
 
 /// Row numbers of a level.
-type Rows = Arc<Vec<u32>>;
+pub type Rows = Arc<Vec<u32>>;
 
 /// The rows of a [`Pyramid`] that some of its finest points depend on; cheap to keep per view.
 #[derive(Clone, Debug)]
@@ -104,12 +117,34 @@ impl Restriction {
     /// # Panics
     /// If a row is not one of level 1.
     pub fn new(pyramid: &Pyramid, finest: Arc<Vec<u32>>) -> Self {
-        let mut rows = finest;
+        Self::of_levels(pyramid, [finest])
+    }
+
+    /// What points of several levels depend on, and those points: `wanted` holds rows of level 1, of level 2 and so on. Levels
+    /// that it does not reach add nothing of their own.
+    ///
+    /// # Panics
+    /// If a row is not one of its level.
+    pub fn of_levels(pyramid: &Pyramid, wanted: impl IntoIterator<Item = Rows>) -> Self {
+        let mut wanted = wanted.into_iter();
+        let mut rows = wanted.next().unwrap_or_default();
         let mut levels = Vec::with_capacity(pyramid.levels.len());
         for level in &pyramid.levels {
-            let used = level.upsample.select_rows(&rows).compact();
-            levels.push((Some(rows), Arc::new(used.matrix)));
-            rows = Arc::new(used.columns);
+            let used = level.upsample.select_rows(&rows);
+            let (upsample, below) = match wanted.next().filter(|more| !more.is_empty()) {
+                None => {
+                    let used = used.compact();
+                    (used.matrix, used.columns)
+                }
+                Some(more) => {
+                    let mut below = [&used.indices[..], &more].concat();
+                    below.sort_unstable();
+                    below.dedup();
+                    (used.over_columns(&below), below)
+                }
+            };
+            levels.push((Some(rows), Arc::new(upsample)));
+            rows = Arc::new(below);
         }
         Self { levels, top: Some(rows) }
     }
@@ -189,10 +224,11 @@ impl ChannelScale {
         Self::of(features).unwrap_or_else(|| Self { mean: empty(), factor: empty() })
     }
 
-    fn apply(&self, features: &Tensor<2>) -> Tensor<2> {
+    /// In place where nobody else holds `features`.
+    fn apply(&self, features: Tensor<2>) -> Tensor<2> {
         match features.shape().num_elements() {
-            0 => features.clone(),
-            _ => (features.clone() - self.mean.clone()) * self.factor.clone(),
+            0 => features,
+            _ => (features - self.mean.clone()) * self.factor.clone(),
         }
     }
 }
@@ -208,7 +244,7 @@ impl Standardisation {
     #[must_use]
     pub fn apply(&self, pyramid: Pyramid) -> Pyramid {
         let levels = pyramid.levels.into_iter().zip(&self.levels);
-        let levels = levels.map(|(level, scale)| Level { features: scale.apply(&level.features), ..level });
-        Pyramid { levels: levels.collect(), top: self.top.apply(&pyramid.top) }
+        let levels = levels.map(|(level, scale)| Level { features: scale.apply(level.features), ..level });
+        Pyramid { levels: levels.collect(), top: self.top.apply(pyramid.top) }
     }
 }

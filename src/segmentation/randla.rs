@@ -328,11 +328,11 @@ impl RandlaEncoder {
         let mut features = self.stem.forward(input);
         let mut outputs = Vec::with_capacity(self.blocks.len());
         for (block, level) in self.blocks.iter().zip(&hierarchy.levels) {
-            let output = match chunked {
-                true => block.forward_chunked(features, level),
-                false => block.forward(features, level),
+            let (output, together) = match chunked {
+                true => (block.forward_chunked(features, level), CHUNK_VALUES / (level.neighbours.k * 2 * block.width)),
+                false => (block.forward(features, level), level.kept.len()),
             };
-            features = sample(output.clone(), level);
+            features = sample(&output, level, together.max(1));
             outputs.push(output);
         }
         (outputs, features)
@@ -362,13 +362,16 @@ fn gather(features: Tensor<2>, level: &SampledLevel, range: std::ops::Range<usiz
     sparse_apply(features, Arc::new(selection(indices, level.positions.len())))
 }
 
-/// Random sampling's pooling: the kept points take the element-wise maximum over their neighbours' features.
-fn sample(features: Tensor<2>, level: &SampledLevel) -> Tensor<2> {
-    let [points, channels] = features.dims();
-    let (k, kept) = (level.neighbours.k, level.kept.len());
-    let indices = level.kept.iter().flat_map(|&i| level.neighbours.row(i as usize)).copied().collect();
-    let gathered: Tensor<2> = sparse_apply(features, Arc::new(selection(indices, points)));
-    gathered.reshape([kept, k, channels]).max_dim(1).reshape([kept, channels])
+/// Random sampling's pooling: the kept points, so many `together`, take the element-wise maximum over their neighbours'
+/// features.
+fn sample(features: &Tensor<2>, level: &SampledLevel, together: usize) -> Tensor<2> {
+    let ([points, channels], k) = (features.dims(), level.neighbours.k);
+    let parts = level.kept.chunks(together).map(|kept| {
+        let indices = kept.iter().flat_map(|&i| level.neighbours.row(i as usize)).copied().collect();
+        let gathered: Tensor<2> = sparse_apply(features.clone(), Arc::new(selection(indices, points)));
+        gathered.reshape([kept.len(), k, channels]).max_dim(1).reshape([kept.len(), channels])
+    });
+    Tensor::cat(parts.collect(), 0)
 }
 
 /// The matrix that picks rows.

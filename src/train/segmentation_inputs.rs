@@ -4,7 +4,7 @@ use super::progress::{Event, Progress};
 use super::segmentation::{Encoded, Source};
 use crate::config::{Config, Encode, Row, SpatialConfig, SpatialSource};
 use crate::data::{Scene, Split};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::features::{Reduction, SCALES};
 use crate::gaussians::Gaussians;
 use crate::objects::Semantics;
@@ -67,12 +67,21 @@ impl Seen {
         progress.event(&Event::Finished);
         let kept: Vec<u32> = (0..gaussians.len() as u32).filter(|&i| lifted.keep[i as usize]).collect();
         let dimensions = config.features.dimensions;
-        let rows = |all: &Vec<f32>| {
-            kept.iter().flat_map(|&i| &all[i as usize * dimensions..][..dimensions]).copied().collect()
-        };
+        let mut rows = lifted.features;
+        rows.iter_mut().for_each(|rows| keep_rows(rows, &kept, dimensions));
         let seconds = [extraction, unprojection].map(|time| time.as_secs_f64());
-        Ok(Self { lifted: lifted.features.each_ref().map(rows), kept, dimensions, name, seconds })
+        Ok(Self { lifted: rows, kept, dimensions, name, seconds })
     }
+}
+
+/// Leaves the rows `kept` (ascending) of `values`, `[N, width]`: the features of a large scene take a gigabyte, and are not
+/// copied.
+fn keep_rows(values: &mut Vec<f32>, kept: &[u32], width: usize) {
+    for (to, &from) in kept.iter().enumerate() {
+        let from = from as usize * width;
+        values.copy_within(from..from + width, to * width);
+    }
+    values.truncate(kept.len() * width);
 }
 
 /// Everything stage two reads.
@@ -217,13 +226,34 @@ fn camera_extent(scene: &Scene) -> f64 {
 
 /// Joins an encoding of the Gaussians `points` with their lifted features.
 fn join(encoding: &Encoding, points: Vec<u32>, flavour: Flavour, inputs: &Inputs) -> Result<Encoded> {
-    let mut image = Vec::new();
-    if let (Some(seen), true) = (&inputs.seen, flavour.switches.image) {
-        let d = seen.dimensions;
-        for lifted in &seen.lifted {
-            let rows: Vec<f32> = points.iter().flat_map(|&i| &lifted[i as usize * d..][..d]).copied().collect();
-            image.push(Tensor::from_data(TensorData::new(rows, [points.len(), d]), inputs.device));
+    let image = |scale: usize, rows: &[u32]| {
+        let Some(seen) = &inputs.seen else {
+            let mend = "unproject image features first, or leave them off";
+            return Err(Error::config("image features", "none", "those of every Gaussian", mend));
+        };
+        let (lifted, d) = (&seen.lifted[scale], seen.dimensions);
+        let mut values = Vec::with_capacity(rows.len() * d);
+        for &row in rows {
+            values.extend_from_slice(&lifted[points[row as usize] as usize * d..][..d]);
+        }
+        Ok(Tensor::from_data(TensorData::new(values, [rows.len(), d]), inputs.device))
+    };
+    Ok(Encoded { pyramid: Pyramid::gathered(encoding, flavour.switches, image)?, points })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::keep_rows;
+
+    #[test]
+    fn kept_rows_stay_in_order() {
+        let all: Vec<f32> = (0..12).map(|v| v as f32).collect();
+        for (kept, want) in
+            [(vec![0, 1, 2, 3], all.clone()), (vec![1, 3], vec![3.0, 4.0, 5.0, 9.0, 10.0, 11.0]), (vec![], vec![])]
+        {
+            let mut rows = all.clone();
+            keep_rows(&mut rows, &kept, 3);
+            assert_eq!(rows, want, "{kept:?}");
         }
     }
-    Ok(Encoded { pyramid: Pyramid::new(encoding, &image, flavour.switches)?, points })
 }

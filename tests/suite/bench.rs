@@ -75,6 +75,20 @@ fn every_section_runs_on_the_built_in_room() {
 }
 
 #[test]
+fn memory_is_told_for_each_size_of_the_parts() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("figures.json");
+    let said = quick(&["--only", "memory", "--json", utf8(&json)]);
+    let found = figures(&json, "memory");
+    assert_eq!(named(&found, "an iteration").len(), 4, "{said}");
+    assert!(said.contains("600 Gaussians, 4,096 together") && said.contains("600 Gaussians, all together"), "{said}");
+    if cfg!(target_os = "linux") {
+        let peaks = named(&found, "peak memory");
+        assert!(peaks.len() == 4 && peaks.iter().all(|f| f["median"].as_f64().unwrap() > 1.0), "{peaks:?}");
+    }
+}
+
+#[test]
 fn coarser_settings_err_more_and_exact_ones_least() {
     let folder = tempfile::tempdir().unwrap();
     let json = folder.path().join("figures.json");

@@ -16,6 +16,7 @@ mod config;
 mod consistency;
 mod data_check;
 mod decoder;
+mod decoder_chunks;
 mod densify;
 mod dino;
 mod dino_reference;

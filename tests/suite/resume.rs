@@ -80,11 +80,15 @@ pub fn same(a: &Outcome, b: &Outcome) {
 fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::plates::scene(folder.path());
-    for (encode, loss) in [(Encode::Scene, LabelLoss::Js), (Encode::View, LabelLoss::Gjs)] {
+    for (encode, loss, chunk) in [
+        (Encode::Scene, LabelLoss::Js, 65_536),
+        (Encode::View, LabelLoss::Gjs, 65_536),
+        (Encode::Scene, LabelLoss::Gjs, 97),
+    ] {
         let mut config = config(folder.path());
-        config.spatial.encode = encode;
+        (config.spatial.encode, config.segmentation.decoder_chunk) = (encode, chunk);
         config.segmentation.loss = loss;
-        let out = |name: &str| folder.path().join(format!("{encode:?}-{name}"));
+        let out = |name: &str| folder.path().join(format!("{encode:?}-{chunk}-{name}"));
         let uninterrupted = whole(&config, &out("whole"));
         assert_eq!(uninterrupted.rows[1].curve.len(), 3);
         let mut point = uninterrupted.rows[2].curve.clone();

@@ -1,27 +1,26 @@
 //! The decoder rows: multi-scale fusion (Eq. 7) trained by the label loss and the 3D regularisation (Eq. 10).
 //!
-//! Where logits are blended, the linear last layer is applied per pixel, after blending the hidden features. Only what a
-//! view's visible Gaussians depend on is decoded in a step.
+//! Only what a view's visible Gaussians depend on is decoded in a step. Where logits are blended, the linear last layer is
+//! applied per pixel, after blending the hidden features. Views that see more Gaussians than `segmentation.decoder_chunk` are
+//! decoded in parts, see [`super::chunked`].
 
+use super::chunked::{self, Waiting};
 use super::consistency::dropped_channels;
 use super::optimiser::{self, ModuleAdam, NamedValues};
+use super::prepared::{Part, Prepared, REGULARISED, Sampled};
 use super::views::Drawn;
 use super::{Model, Prediction, Scores, stored};
 use crate::config::{Blend, SegmentationConfig};
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::sparse_apply;
-use crate::random::{Purpose, stream};
-use crate::segmentation::decoder::{Decoded, Decoder};
-use crate::segmentation::loss::{NeighbourPairs, neighbour_divergence};
-use crate::segmentation::neighbours::without_self;
+use crate::segmentation::decoder::Decoder;
+use crate::segmentation::loss::neighbour_divergence;
 use crate::segmentation::pyramid::{Pyramid, Restriction};
 use burn::module::Module;
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use std::sync::Arc;
 
-/// Scales of the 3D regularisation (n = 3, 4), zero-based.
-const REGULARISED: [usize; 2] = [2, 3];
 /// Gaussians decoded at once when the stored identities are made.
 const CHUNK: usize = 16_384;
 
@@ -32,21 +31,6 @@ pub struct Encoded {
     pub pyramid: Pyramid,
     /// Scene index of each point of the set, ascending.
     pub points: Vec<u32>,
-}
-
-/// What a step needs of a view besides its weights.
-#[derive(Clone, Debug)]
-struct Prepared {
-    /// The part of the pyramid that the view's visible Gaussians depend on.
-    kept: Restriction,
-    /// K nearest points within that part for each point of the regularised scales, `[N_n, K]`; empty without them.
-    neighbours: [Vec<u32>; REGULARISED.len()],
-}
-
-impl Prepared {
-    fn bytes(&self) -> usize {
-        self.kept.bytes() + 4 * self.neighbours.iter().map(Vec::len).sum::<usize>()
-    }
 }
 
 /// Where the decoder's input comes from.
@@ -112,6 +96,8 @@ pub struct Fused<'a> {
     /// Made at a view's first use and kept while `budget` bytes last.
     prepared: Vec<Option<Arc<Prepared>>>,
     budget: usize,
+    /// What the next step carries on, after a view in parts.
+    waiting: Option<Waiting>,
     iteration: usize,
     device: Device,
 }
@@ -139,6 +125,7 @@ impl<'a> Fused<'a> {
             means,
             prepared: vec![None; views],
             budget: plan.config.weight_cache_mb << 19,
+            waiting: None,
             iteration: 0,
             device: device.clone(),
         }
@@ -165,27 +152,15 @@ impl<'a> Fused<'a> {
         }
         let rows: Vec<f32> =
             points.iter().flat_map(|&i| &self.prior[i as usize * classes..][..classes]).copied().collect();
-        let prior = TensorData::new(rows, [points.len(), classes]);
-        scores.clone() + Tensor::from_data(prior, &scores.device())
+        let prior = Tensor::from_data(TensorData::new(rows, [points.len(), classes]), &scores.device());
+        scores + prior
     }
 
     fn prepare(&mut self, view: usize, visible: &[u32]) -> Result<Arc<Prepared>> {
         if let Some(prepared) = &self.prepared[view] {
             return Ok(prepared.clone());
         }
-        let encoded = self.source.view(view);
-        let row = |g: &u32| encoded.points.binary_search(g).ok().map(|row| row as u32);
-        let rows: Vec<u32> = visible.iter().filter_map(row).collect();
-        let kept = Restriction::new(&encoded.pyramid, Arc::new(rows));
-        let mut neighbours = REGULARISED.map(|_| Vec::new());
-        for (table, scale) in neighbours.iter_mut().zip(REGULARISED) {
-            if let (true, Some(level)) = (self.plan.regularised, encoded.pyramid.levels.get(scale)) {
-                let at = |&r: &u32| self.means[encoded.points[level.points[r as usize] as usize] as usize];
-                let cloud: Vec<[f32; 3]> = kept.rows(scale).into_iter().flat_map(|rows| rows.iter()).map(at).collect();
-                *table = without_self(&cloud, self.plan.config.reg_neighbours)?;
-            }
-        }
-        let prepared = Arc::new(Prepared { kept, neighbours });
+        let prepared = Arc::new(Prepared::new(self.source.view(view), visible, self.means, &self.plan)?);
         if let Some(left) = self.budget.checked_sub(prepared.bytes()) {
             self.budget = left;
             self.prepared[view] = Some(prepared.clone());
@@ -193,25 +168,70 @@ impl<'a> Fused<'a> {
         Ok(prepared)
     }
 
-    fn regularisation(&self, fused: &[Tensor<2>], prepared: &Prepared) -> Option<Tensor<1>> {
-        let k = self.plan.config.reg_neighbours;
-        let mut sum: Option<Tensor<1>> = None;
-        for (scale, table) in REGULARISED.into_iter().zip(&prepared.neighbours) {
-            let Some(features) = fused.get(scale) else { continue };
-            let points = features.dims()[0];
-            if table.len() != points * k || points < 2 {
-                continue;
+    /// What this iteration samples of each regularised scale.
+    fn sampled(&self, prepared: &Prepared) -> Sampled {
+        let clouds = prepared.clouds.iter().zip(REGULARISED);
+        clouds.map(|(cloud, scale)| cloud.sample(&self.plan, scale, self.iteration)).collect()
+    }
+
+    /// All visible Gaussians at once, a prediction for each of `factors`: the loss's graph reaches down to the parameters.
+    fn predict_whole(
+        &self,
+        decoder: &Decoder,
+        view: usize,
+        part: &Part,
+        drawn: &Drawn,
+        factors: &[Vec<Vec<f32>>],
+        sampled: Sampled,
+    ) -> Prediction {
+        let pyramid = &self.source.view(view).pyramid;
+        let decoded: Vec<_> = factors.iter().map(|f| decoder.forward_scaled(pyramid, &part.kept, f)).collect();
+        let terms = REGULARISED.into_iter().zip(sampled).filter_map(|(scale, pairs)| {
+            Some(neighbour_divergence(decoded.first()?.fused.get(scale)?.clone(), pairs?))
+        });
+        let regularisation = terms.reduce(|sum, term| sum + term);
+        let scores = decoded.into_iter().map(|decoded| match self.plan.config.blend {
+            // The last layer is linear: hidden features are blended and it is applied per pixel.
+            Blend::Logits if self.prior.is_empty() => {
+                Scores::Pixels(decoder.classify(sparse_apply(decoded.hidden, Arc::new(drawn.pixels.chosen()))))
             }
-            let mut rng = stream(self.plan.seed, Purpose::Regularisation, (self.iteration * 4 + scale) as u64);
-            let chosen = rand::seq::index::sample(&mut rng, points, self.plan.config.reg_samples.min(points));
-            let chosen: Vec<u32> = chosen.iter().map(|i| i as u32).collect();
-            let term = neighbour_divergence(features.clone(), NeighbourPairs::new(chosen, table, k));
-            sum = Some(match sum {
-                Some(sum) => sum + term,
-                None => term,
-            });
+            blend => Scores::blended(self.scores(decoder, decoded.hidden, &drawn.visible), &drawn.pixels, blend),
+        });
+        match scores.reduce(Scores::and) {
+            Some(scores) => Prediction { scores, regularisation },
+            None => Prediction::empty(self.plan.size[1], &self.device),
         }
-        sum
+    }
+
+    /// Part by part: the loss's graph ends at the scores, whose gradient [`Model::step`] carries on.
+    fn predict_in_parts(
+        &self,
+        decoder: &Decoder,
+        view: usize,
+        prepared: Arc<Prepared>,
+        drawn: &Drawn,
+        factors: Vec<Vec<Vec<f32>>>,
+    ) -> (Prediction, Waiting) {
+        let pyramid = &self.source.view(view).pyramid;
+        let frozen = decoder.valid();
+        let sampled = self.sampled(&prepared);
+        let first = factors.first().map_or(&[][..], |factors| factors);
+        let regularisation = chunked::regularisation(decoder, pyramid, first, &prepared.clouds, sampled);
+        let leaf = |factors: Vec<Vec<f32>>| {
+            let parts = prepared.parts.iter().map(|part| {
+                let hidden = frozen.forward_scaled(pyramid, &part.kept, &factors).hidden;
+                self.scores(&frozen, hidden, &drawn.visible[part.rows.clone()])
+            });
+            (Tensor::from_inner(Tensor::cat(parts.collect(), 0)).require_grad(), factors)
+        };
+        let scores: Vec<_> = factors.into_iter().map(leaf).collect();
+        let blended =
+            scores.iter().map(|(scores, _)| Scores::blended(scores.clone(), &drawn.pixels, self.plan.config.blend));
+        let prediction = match blended.reduce(Scores::and) {
+            Some(scores) => Prediction { scores, regularisation },
+            None => Prediction::empty(self.plan.size[1], &self.device),
+        };
+        (prediction, Waiting { view, prepared, scores })
     }
 
     /// Scores of the finest points, in chunks so that memory does not grow with the scene.
@@ -233,34 +253,32 @@ impl Model for Fused<'_> {
     fn predict(&mut self, view: usize, drawn: &Drawn) -> Result<Prediction> {
         let prepared = self.prepare(view, &drawn.visible)?;
         let Some(decoder) = &self.decoder else { return Ok(Prediction::empty(self.plan.size[1], &self.device)) };
-        let pyramid = &self.source.view(view).pyramid;
-        let predicted = |factors: &[Vec<f32>]| {
-            let Decoded { hidden, fused } = decoder.forward_scaled(pyramid, &prepared.kept, factors);
-            let scores = match self.plan.config.blend {
-                // The last layer is linear: hidden features are blended and it is applied per pixel.
-                Blend::Logits if self.prior.is_empty() => {
-                    Scores::Pixels(decoder.classify(sparse_apply(hidden, Arc::new(drawn.pixels.chosen()))))
-                }
-                blend => Scores::blended(self.scores(decoder, hidden, &drawn.visible), &drawn.pixels, blend),
-            };
-            (scores, fused)
-        };
-        let (scores, fused) = match self.plan.dropout {
-            None => predicted(&[]),
+        // Factors of the channels of each prediction.
+        let factors = match self.plan.dropout {
+            None => vec![Vec::new()],
             Some(rate) => {
-                let factors =
-                    |which: usize| dropped_channels(pyramid, rate, self.plan.seed, 2 * self.iteration + which);
-                let ((one, fused), (other, _)) = (predicted(&factors(0)), predicted(&factors(1)));
-                (Scores::Pair(Box::new([one, other])), fused)
+                let pyramid = &self.source.view(view).pyramid;
+                let which = [2 * self.iteration, 2 * self.iteration + 1];
+                which.map(|index| dropped_channels(pyramid, rate, self.plan.seed, index)).into()
             }
         };
-        let regularisation = if self.plan.regularised { self.regularisation(&fused, &prepared) } else { None };
+        let (prediction, waiting) = match &prepared.parts[..] {
+            [part] => (self.predict_whole(decoder, view, part, drawn, &factors, self.sampled(&prepared)), None),
+            _ => {
+                let (prediction, waiting) = self.predict_in_parts(decoder, view, prepared, drawn, factors);
+                (prediction, Some(waiting))
+            }
+        };
+        self.waiting = waiting;
         self.iteration += 1;
-        Ok(Prediction { scores, regularisation })
+        Ok(prediction)
     }
 
     fn step(&mut self, gradients: &mut Gradients, factor: f64) -> Result<()> {
         if let Some(decoder) = self.decoder.take() {
+            if let Some(waiting) = self.waiting.take() {
+                waiting.add_gradients(&decoder, &self.source.view(waiting.view).pyramid, gradients);
+            }
             self.decoder = Some(self.adam.step(decoder, gradients, factor)?);
         }
         Ok(())

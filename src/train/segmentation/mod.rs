@@ -1,9 +1,11 @@
 //! Stage two: segmentation identities from raw labels, geometry frozen.
 
+mod chunked;
 mod consistency;
 mod fused;
 mod optimiser;
 mod per_gaussian;
+mod prepared;
 mod session;
 mod views;
 
@@ -43,6 +45,23 @@ impl Scores {
         }
     }
 
+    /// This prediction and another one.
+    fn and(self, other: Self) -> Self {
+        Self::Pair(Box::new([self, other]))
+    }
+
+    /// Mean loss `[1]` of `pixels`; of a pair [`generalised_js`], with the weight `consistency`.
+    pub fn loss(self, pixels: LabelledPixels, kind: &Kind, consistency: f64) -> Tensor<1> {
+        match self {
+            Self::Pixels(logits) => label_loss(logits, &pixels.labels, kind),
+            Self::Gaussians(scores) => blended_label_loss(scores, Arc::new(pixels), kind),
+            Self::Pair(pair) => {
+                let pair = pair.map(|scores| scores.probabilities(&pixels));
+                generalised_js(pair, &pixels.labels, kind, consistency)
+            }
+        }
+    }
+
     /// Class probabilities of the pixels, `[P, C]`; of a pair their mean.
     fn probabilities(self, pixels: &LabelledPixels) -> Tensor<2> {
         match self {
@@ -71,7 +90,7 @@ pub trait Model {
     /// # Errors
     /// When a frozen input is not finite.
     fn predict(&mut self, view: usize, drawn: &Drawn) -> Result<Prediction>;
-    /// One optimiser step at `factor` times the learning rate.
+    /// One optimiser step at `factor` times the learning rate; `gradients` are those of a loss of the last prediction.
     ///
     /// # Errors
     /// [`Error::NonFinite`] naming the parameter.
@@ -159,15 +178,8 @@ pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan,
     };
     let prediction = model.predict(view, &drawn).map_err(at)?;
     let kind = if iteration < plan.warmup { Kind::Ce } else { plan.loss };
-    let loss = match prediction.scores {
-        Scores::Pixels(logits) => label_loss(logits, &drawn.pixels.labels, &kind),
-        Scores::Gaussians(scores) => blended_label_loss(scores, Arc::new(drawn.pixels), &kind),
-        Scores::Pair(pair) => {
-            let consistency = if iteration < plan.warmup { 0.0 } else { plan.consistency };
-            let pair = pair.map(|scores| scores.probabilities(&drawn.pixels));
-            generalised_js(pair, &drawn.pixels.labels, &kind, consistency)
-        }
-    };
+    let consistency = if iteration < plan.warmup { 0.0 } else { plan.consistency };
+    let loss = prediction.scores.loss(drawn.pixels, &kind, consistency);
     let mut loss = loss * plan.lambda[0];
     if let Some(regularisation) = prediction.regularisation {
         loss = loss + regularisation * plan.lambda[1];

@@ -191,6 +191,23 @@ impl ModuleVisitor for Norm<'_> {
     }
 }
 
+/// Takes the gradients of the parameters of `module` out of `part` and adds them to those in `gradients`.
+pub fn add_gradients<M: Module>(module: &M, part: &mut Gradients, gradients: &mut Gradients) {
+    struct Add<'a>([&'a mut Gradients; 2]);
+    impl ModuleVisitor for Add<'_> {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            let ([part, gradients], param) = (&mut self.0, param.val());
+            let Some(more) = param.grad_remove(part) else { return };
+            let sum = match param.grad_remove(gradients) {
+                Some(sum) => sum + more,
+                None => more,
+            };
+            param.grad_replace(gradients, sum);
+        }
+    }
+    module.visit(&mut Add([part, gradients]));
+}
+
 /// Host values of all parameters of a module, in its own order, named `p.0`, `p.1`, ...
 pub fn parameters<M: Module>(module: &M) -> NamedValues {
     struct Read(NamedValues);
