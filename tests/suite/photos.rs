@@ -23,7 +23,7 @@ const PHOTO: usize = (WIDTH * HEIGHT * 3) as usize;
 fn scene() -> TempDir {
     let dir = tempfile::tempdir().expect("folder");
     fs::create_dir(dir.path().join("images")).expect("folder");
-    let name = |i: usize| format!("images/v{i}.{}", if i % 2 == 0 { "png" } else { "jpg" });
+    let name = |i: usize| format!("images/v{i}.{}", if i.is_multiple_of(2) { "png" } else { "jpg" });
     for i in 0..VIEWS {
         picture(i as u32).save(dir.path().join(name(i))).expect("photo");
     }
@@ -189,7 +189,7 @@ fn measure_a_scene_folder() {
             cache(&scene).bytes() >> 20,
             maps().count(),
             maps().map(LabelRuns::bytes).sum::<usize>() >> 10,
-            2 * ids >> 10,
+            (2 * ids) >> 10,
         );
     }
 }
