@@ -90,6 +90,7 @@ fn scores(miou: f64, trained: bool) -> RowScores {
         }),
         class_iou: (1..6_u16).map(|id| (id, miou - 0.0625 * (f64::from(id) - 3.0))).collect(),
         instances: None,
+        semantic: None,
         iterations: trained.then_some(2_000),
         learning_rate: trained.then_some(1e-3),
         seconds: trained.then_some(74.2),
