@@ -37,10 +37,11 @@ impl AssociateArgs {
         let (mut scene, ply) = self.input.read(&config)?;
         let found = associate(&ply.gaussians, &scene, &config.association, &raster)?;
         terminal::say(&format!(
-            "{} segments of training views: {} objects, {} segments of none",
+            "{} segments of training views: {} objects, {} segments of none, {} divided",
             found.segments,
             found.groups.len(),
-            found.dropped
+            found.dropped,
+            found.divided
         ));
         let semantics = Semantics::of(&scene);
         found.apply(&mut scene);

@@ -138,8 +138,8 @@ fn summary(outcome: &Outcome) {
     }
     if let Some(a) = &outcome.association {
         terminal::say(&format!(
-            "{} segments put together into {} objects, {} of none; scores are against true instances",
-            a.segments, a.objects, a.dropped
+            "{} segments put together into {} objects, {} of none, {} divided; scores are against true instances",
+            a.segments, a.objects, a.dropped, a.divided
         ));
     }
     if outcome.rows.is_empty() {

@@ -24,6 +24,7 @@ impl Metrics {
                 segments: a.segments,
                 objects: a.objects,
                 dropped: a.dropped,
+                divided: a.divided,
                 seconds: a.seconds,
             }),
             test: TestScores {
@@ -132,8 +133,8 @@ impl Report<'_> {
         if let Some(a) = &outcome.association {
             notes.push(format!(
                 "Ids of the raw labels meant something within a view only: their {} segments in training views were put \
-                 together into {} objects over the Gaussians, {} of them belong to none.",
-                a.segments, a.objects, a.dropped
+                 together into {} objects over the Gaussians, {} of them belong to none, {} were divided among several.",
+                a.segments, a.objects, a.dropped, a.divided
             ));
         }
         if let Some(pruned) = &outcome.pruned {

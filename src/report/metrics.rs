@@ -38,6 +38,9 @@ pub struct AssociationFigures {
     pub objects: usize,
     /// Segments that belong to none.
     pub dropped: usize,
+    /// Segments that were divided among several.
+    #[serde(default)]
+    pub divided: usize,
     /// Wall-clock seconds, part of the total.
     pub seconds: f64,
 }

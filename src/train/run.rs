@@ -53,6 +53,8 @@ pub struct Associated {
     pub objects: usize,
     /// Segments that belong to none.
     pub dropped: usize,
+    /// Segments that were divided among several.
+    pub divided: usize,
     /// Seconds that it took.
     pub seconds: f64,
 }
@@ -188,9 +190,10 @@ fn put_together(
     progress.event(&Event::Started { stage: "association", done: 0, iterations: 1 });
     let found = associate(gaussians, scene, &config.association, &Settings::from(&config.raster))?;
     progress.event(&Event::Finished);
-    let (segments, objects, dropped) = (found.segments, found.groups.len(), found.dropped);
+    let (segments, objects) = (found.segments, found.groups.len());
+    let (dropped, divided) = (found.dropped, found.divided);
     found.apply(scene);
-    Ok(Associated { segments, objects, dropped, seconds: clock.elapsed().as_secs_f64() })
+    Ok(Associated { segments, objects, dropped, divided, seconds: clock.elapsed().as_secs_f64() })
 }
 
 fn segment(

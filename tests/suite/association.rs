@@ -1,18 +1,20 @@
 //! Association: segments with ids of their own in every view become objects.
 
+use crate::association_figures::rendered;
 use crate::cli::{fails, read_json, succeeds, utf8};
 use crate::plates::{self, camera, plates};
-use coseg::config::{Association, AssociationConfig};
-use coseg::data::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, View, load};
+use crate::spoilt_masks::{Noise, shuffled, spoilt};
+use coseg::config::AssociationConfig;
+use coseg::data::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, load};
 use coseg::gaussians::{Gaussians, ply};
 use coseg::metrics::{InstanceScores, instance_scores};
-use coseg::objects::{self, LabelRule, associate, hard_label_map, label_map, vote};
+use coseg::objects::{self, associate, hard_label_map};
 use coseg::raster::{Projected, Settings};
-use rand::{Rng, SeedableRng, seq::SliceRandom};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::BTreeSet;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Six views of the plates with exact instances; raw labels are the same under ids drawn anew in each view.
 fn plate_scene() -> (Gaussians, Scene) {
@@ -29,17 +31,6 @@ fn plate_scene() -> (Gaussians, Scene) {
         view.instances = Some(truth.into());
     }
     (gaussians, scene)
-}
-
-/// The map under other ids, 1 to 60,000, 0 where it is 0.
-fn shuffled(map: &LabelMap, rng: &mut ChaCha8Rng) -> LabelMap {
-    let mut table: HashMap<u16, u16> = HashMap::from([(0, 0)]);
-    let mut ids: Vec<u16> = (1..60_000).collect();
-    ids.shuffle(rng);
-    for &id in &map.ids {
-        table.entry(id).or_insert_with(|| ids.pop().expect("enough ids"));
-    }
-    LabelMap { ids: map.ids.iter().map(|id| table[id]).collect(), ..*map }
 }
 
 fn found(gaussians: &Gaussians, scene: &Scene) -> objects::Association {
@@ -141,72 +132,6 @@ fn nothing_to_put_together_is_an_error() {
     assert_eq!((association.groups.len(), association.dropped), (0, association.segments));
 }
 
-/// How masks go wrong.
-#[derive(Clone, Copy, Debug, Default)]
-struct Noise {
-    /// Share of the larger segments that are cut in two by a line.
-    split: f64,
-    /// Share of the segments that swallow a neighbour.
-    merge: f64,
-    /// Pixels lost at each border.
-    erode: usize,
-    /// Share of the segments that are missing.
-    drop: f64,
-}
-
-fn spoilt(truth: &LabelMap, noise: Noise, rng: &mut ChaCha8Rng) -> LabelMap {
-    let (w, h) = (truth.width, truth.height);
-    let mut ids: Vec<u32> = truth.ids.iter().map(|&id| u32::from(id)).collect();
-    let mut areas: BTreeMap<u32, usize> = BTreeMap::new();
-    ids.iter().for_each(|id| *areas.entry(*id).or_default() += 1);
-    areas.remove(&0);
-    let all: Vec<u32> = areas.keys().copied().collect();
-    for &id in &all {
-        if rng.random_bool(noise.merge) {
-            // The neighbour across most of the border on the right.
-            let mut across: BTreeMap<u32, usize> = BTreeMap::new();
-            for p in (0..w * h - 1).filter(|p| (p + 1) % w != 0 && ids[*p] == id && ids[p + 1] != id && ids[p + 1] != 0)
-            {
-                *across.entry(ids[p + 1]).or_default() += 1;
-            }
-            if let Some((&other, _)) = across.iter().max_by_key(|(_, n)| **n) {
-                ids.iter_mut().filter(|v| **v == other).for_each(|v| *v = id);
-            }
-        }
-        if areas[&id] > 2_000 && rng.random_bool(noise.split) {
-            let angle: f64 = rng.random_range(0.0..std::f64::consts::PI);
-            let inside: Vec<usize> = (0..w * h).filter(|&p| ids[p] == id).collect();
-            let along = |p: usize| (p % w) as f64 * angle.cos() + (p / w) as f64 * angle.sin();
-            let mut places: Vec<f64> = inside.iter().map(|&p| along(p)).collect();
-            places.sort_by(f64::total_cmp);
-            let cut = places.get(places.len() * rng.random_range(30..71) / 100).copied().unwrap_or(0.0);
-            inside.iter().filter(|&&p| along(p) > cut).for_each(|&p| ids[p] = id + 100_000);
-        }
-    }
-    let whole = ids.clone();
-    let reach = noise.erode as isize;
-    for p in 0..w * h {
-        let (x, y) = ((p % w) as isize, (p / w) as isize);
-        let mut around = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (x + dx, y + dy)));
-        let other = |(x, y): (isize, isize)| {
-            x >= 0 && y >= 0 && x < w as isize && y < h as isize && whole[y as usize * w + x as usize] != whole[p]
-        };
-        if around.any(other) {
-            ids[p] = 0;
-        }
-    }
-    let mut table: BTreeMap<u32, u16> = ids.iter().map(|&id| (id, 0)).collect();
-    let mut next = 0;
-    for (id, to) in &mut table {
-        if *id != 0 && !rng.random_bool(noise.drop) {
-            next += 1;
-            *to = next;
-        }
-    }
-    let map = LabelMap { width: w, height: h, ids: ids.iter().map(|id| table[id]).collect() };
-    shuffled(&map, rng)
-}
-
 #[test]
 fn noise_of_single_views_is_outvoted() {
     let (gaussians, mut scene) = plate_scene();
@@ -215,96 +140,65 @@ fn noise_of_single_views_is_outvoted() {
         let noise = Noise { split: 0.3, merge: 0.1, erode: 1, drop: 0.2 };
         view.raw = Some(spoilt(&map(&view.instances), noise, &mut rng).into());
     }
-    let scores = rendered_scores(&gaussians, &mut scene, &AssociationConfig::default());
+    let scores = rendered_scores(&gaussians, scene);
     assert_eq!(scores.instances, 4);
     assert!(scores.accuracy > Some(0.95) && scores.miou > Some(0.85), "{scores:?}");
 }
 
-/// Scores of the objects as rendered in the test views.
-fn rendered_scores(gaussians: &Gaussians, scene: &mut Scene, config: &AssociationConfig) -> InstanceScores {
-    let settings = Settings::default();
-    let clock = std::time::Instant::now();
-    let association = associate(gaussians, scene, config, &settings).expect("association");
-    let (groups, segments, dropped) = (association.groups.len(), association.segments, association.dropped);
-    let seconds = clock.elapsed().as_secs_f64();
-    association.apply(scene);
-    let own = instance_scores(scene.split(Split::Test).map(|view| (map(&view.instances), map(&view.raw))));
-    eprintln!(
-        "{segments} segments, {groups} groups, {dropped} dropped, {seconds:.1} s; maps of test views: accuracy {:.4}, mIoU {:.4}",
-        own.accuracy.unwrap_or_default(),
-        own.miou.unwrap_or_default(),
-    );
-    rendered(gaussians, scene)
+/// Scores of what a vote of the objects shows in the test views.
+fn rendered_scores(gaussians: &Gaussians, mut scene: Scene) -> InstanceScores {
+    found(gaussians, &scene).apply(&mut scene);
+    let maps = rendered(gaussians, &scene);
+    let truth = scene.split(Split::Test).map(|view| map(&view.instances));
+    instance_scores(truth.zip(&maps))
 }
 
-/// Scores of what a vote of the raw labels of the training views shows in the test views.
-fn rendered(gaussians: &Gaussians, scene: &Scene) -> InstanceScores {
-    let settings = Settings::default();
-    let votes = vote(gaussians, scene.split(Split::Train), &scene.classes, &settings).expect("votes").identities();
-    let rule = LabelRule { source: coseg::config::LabelSource::Labels, min_coverage: 0.5 };
-    let render = |view: &View| {
-        let projected = Projected::new(&gaussians.splats(), &view.camera, &settings).expect("view");
-        (map(&view.instances), label_map(&projected, &votes, &scene.classes, &rule))
-    };
-    instance_scores(scene.split(Split::Test).map(render))
+/// The plates where in the training views, in order, `joined` are one segment: pairs of instances, one pair a view.
+fn joined(joined: [Option<(u16, u16)>; 4]) -> (Gaussians, Scene) {
+    let (gaussians, mut scene) = plate_scene();
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let trained = scene.views.iter_mut().filter(|view| view.split == Split::Train);
+    for (view, pair) in trained.zip(joined) {
+        let truth = map(&view.instances);
+        let one = |&id: &u16| pair.filter(|(_, b)| *b == id).map_or(id, |(a, _)| a);
+        let map = LabelMap { ids: truth.ids.iter().map(one).collect(), ..truth };
+        view.raw = Some(shuffled(&map, &mut rng).into());
+    }
+    (gaussians, scene)
 }
 
-/// Figures for a trained scene whose folder has `instances_gt`: `COSEG_SCENE_PLY` names the Gaussians and
-/// `COSEG_SCENE_DIR` the folder.
 #[test]
-#[ignore = "needs trained Gaussians and minutes; prints figures"]
-fn measure_a_trained_scene() {
-    let path = |key| std::env::var_os(key).map(PathBuf::from).expect("COSEG_SCENE_PLY and COSEG_SCENE_DIR");
-    let trained = ply::read(&path("COSEG_SCENE_PLY"), &Limits::default()).expect("Gaussians");
-    let options = LoadOptions {
-        raw_labels: Some("instances_gt".into()),
-        association: Association::Gaussians,
-        ..LoadOptions::default()
-    };
-    let mut scene = load(&path("COSEG_SCENE_DIR"), &options).expect("scene");
-    for view in &mut scene.views {
-        view.camera.center += scene.origin - trained.origin;
-        view.instances = view.raw.take();
-    }
-    let clean = Noise::default();
-    let cases = [
-        ("clean", clean),
-        ("split 30 %", Noise { split: 0.3, ..clean }),
-        ("merge 15 %", Noise { merge: 0.15, ..clean }),
-        ("erode 2 px", Noise { erode: 2, ..clean }),
-        ("drop 30 %", Noise { drop: 0.3, ..clean }),
-        ("all", Noise { split: 0.3, merge: 0.15, erode: 2, drop: 0.3 }),
-    ];
-    // What true ids give: the limit of these Gaussians.
-    let mut oracle = scene.clone();
-    let mut classes: Vec<u16> = oracle.views.iter().flat_map(|v| map(&v.instances).ids).collect();
-    classes.sort_unstable();
-    classes.dedup();
-    oracle.classes = Classes::from_names(0, classes.into_iter().map(|id| (id, id.to_string())));
-    oracle.views.iter_mut().for_each(|view| view.raw = view.instances.clone());
-    print("true ids", &rendered(&trained.gaussians, &oracle));
-    for (name, noise) in cases {
-        let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let mut scene = scene.clone();
-        for view in &mut scene.views {
-            let noise = if view.split == Split::Test { clean } else { noise };
-            view.raw = Some(spoilt(&map(&view.instances), noise, &mut rng).into());
-        }
-        let s = rendered_scores(&trained.gaussians, &mut scene, &AssociationConfig::default());
-        print(name, &s);
+fn a_segment_over_two_things_is_divided_and_joins_nothing() {
+    let pairs = [(4, 1), (4, 2), (1, 2), (3, 1)];
+    for (view, pair) in (0..4).flat_map(|view| pairs.map(|pair| (view, pair))) {
+        let mut one = [None; 4];
+        one[view] = Some(pair);
+        let (gaussians, scene) = joined(one);
+        let association = found(&gaussians, &scene);
+        assert_eq!((association.groups.len(), association.divided), (4, 1), "{pair:?} in view {view}");
+        let scores = map_scores(&scene, &association.maps);
+        assert!(scores.accuracy > Some(0.99) && scores.miou > Some(0.98), "{pair:?} in view {view}: {scores:?}");
     }
 }
 
-fn print(name: &str, s: &InstanceScores) {
-    eprintln!(
-        "{name}: rendered accuracy {:.4}, mIoU {:.4}, PQ {:.4} (scene {:.4}), {} instances, {} objects",
-        s.accuracy.unwrap_or_default(),
-        s.miou.unwrap_or_default(),
-        s.panoptic.pq.unwrap_or_default(),
-        s.scene.pq.unwrap_or_default(),
-        s.instances,
-        s.objects
-    );
+#[test]
+fn a_wall_that_is_never_alone_is_an_object() {
+    // In each view it is taken together with another plate, and one plate twice.
+    let (gaussians, scene) = joined([Some((1, 4)), Some((2, 4)), Some((3, 4)), Some((1, 4))]);
+    let association = found(&gaussians, &scene);
+    assert_eq!((association.groups.len(), association.divided), (4, 4));
+    let scores = rendered_scores(&gaussians, scene);
+    assert_eq!((scores.accuracy, scores.miou), (Some(1.0), Some(1.0)));
+}
+
+#[test]
+fn what_most_views_take_for_one_is_one() {
+    let pair = Some((1, 2));
+    for (views, groups) in [([pair, pair, pair, pair], 3), ([pair, None, pair, pair], 3), ([None, pair, None, pair], 4)]
+    {
+        let (gaussians, scene) = joined(views);
+        assert_eq!(found(&gaussians, &scene).groups.len(), groups, "{views:?}");
+    }
 }
 
 /// The plates with raw labels under shuffled ids, and true instances.

@@ -2,6 +2,7 @@
 
 use super::masks::Mask;
 use crate::ops::assignment;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 /// Pixels of evidence that count as much as none at all: a Gaussian that was seen in one pixel is half known.
@@ -26,8 +27,25 @@ impl From<&Mask> for Kind {
     }
 }
 
-/// Group of each segment of a view.
-pub(super) type Assigned = Vec<Option<u32>>;
+/// The segments of a view, some in pieces, and the group of each.
+#[derive(Clone, Default)]
+pub(super) struct Placed<'a> {
+    /// In the order of the segments; pieces of one have its id.
+    pub masks: Vec<Cow<'a, Mask>>,
+    /// The group of each, where it has one.
+    pub groups: Vec<Option<u32>>,
+}
+
+impl Placed<'_> {
+    /// For each segment, the groups of its pieces.
+    pub fn by_segment(&self) -> impl Iterator<Item = &[Option<u32>]> {
+        let mut from = 0;
+        self.masks.chunk_by(|a, b| a.segment.id == b.segment.id).map(move |pieces| {
+            from += pieces.len();
+            &self.groups[from - pieces.len()..from]
+        })
+    }
+}
 
 /// What happens to segments that no group takes one to one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,6 +100,12 @@ impl Groups {
         self.kinds[group as usize]
     }
 
+    /// Opens an empty group.
+    pub fn open(&mut self, kind: Kind) -> u32 {
+        self.kinds.push(kind);
+        self.len() as u32 - 1
+    }
+
     /// The groups of each Gaussian with their weights.
     pub fn owners(&self) -> &[Vec<(u32, f32)>] {
         &self.owners
@@ -93,8 +117,8 @@ impl Groups {
     }
 
     /// Adds the segments of a view to their groups.
-    pub fn add(&mut self, masks: &[Mask], assigned: &Assigned) {
-        for (mask, group) in masks.iter().zip(assigned) {
+    pub fn add(&mut self, view: &Placed<'_>) {
+        for (mask, group) in view.masks.iter().zip(&view.groups) {
             let Some(group) = *group else { continue };
             for &(gaussian, weight) in &mask.weights {
                 let owners = &mut self.owners[gaussian as usize];
@@ -107,8 +131,8 @@ impl Groups {
     }
 
     /// Takes the segments of a view out of their groups.
-    pub fn remove(&mut self, masks: &[Mask], assigned: &Assigned) {
-        for (mask, group) in masks.iter().zip(assigned) {
+    pub fn remove(&mut self, view: &Placed<'_>) {
+        for (mask, group) in view.masks.iter().zip(&view.groups) {
             let Some(group) = *group else { continue };
             for &(gaussian, weight) in &mask.weights {
                 let owners = &mut self.owners[gaussian as usize];
@@ -124,7 +148,7 @@ impl Groups {
 
     /// Overlaps of a view's segments with all groups: group g claims of segment m `sum_i w_mi W_gi / (W_i + 1)`, where
     /// `W_gi` is the group's weight on Gaussian i and `W_i` that of all groups.
-    pub fn overlaps(&self, masks: &[Mask]) -> Overlaps {
+    pub fn overlaps(&self, masks: &[Cow<'_, Mask>]) -> Overlaps {
         let mut sums = vec![0.0_f64; self.len()];
         let mut visible = BTreeMap::new();
         let (mut claimed, mut known) = (Vec::with_capacity(masks.len()), Vec::with_capacity(masks.len()));
@@ -154,9 +178,9 @@ impl Groups {
 
     /// The group of each segment of a view: one to one at the largest sum of IoU, pairs below `least` left out; what
     /// stays alone as `leftovers` says. All segments of a class of stuff belong to one group.
-    pub fn assign(&mut self, masks: &[Mask], least: f64, leftovers: Leftovers) -> Assigned {
-        let overlaps = self.overlaps(masks);
-        let mut assigned: Assigned = vec![None; masks.len()];
+    pub fn place<'a>(&mut self, masks: Vec<Cow<'a, Mask>>, least: f64, leftovers: Leftovers) -> Placed<'a> {
+        let overlaps = self.overlaps(&masks);
+        let mut assigned = vec![None; masks.len()];
         let things: Vec<usize> = (0..masks.len()).filter(|&m| masks[m].segment.thing).collect();
         let mut columns: Vec<u32> = things.iter().flat_map(|&m| overlaps.claimed[m].iter().map(|(g, _)| *g)).collect();
         columns.sort_unstable();
@@ -165,7 +189,8 @@ impl Groups {
         for (row, &m) in values.chunks_exact_mut(columns.len().max(1)).zip(&things) {
             for &(group, claimed) in &overlaps.claimed[m] {
                 let iou = overlaps.iou(m, masks[m].total, group, claimed);
-                if let (Ok(column), true) = (columns.binary_search(&group), self.kind(group) == Kind::from(&masks[m])) {
+                if let (Ok(column), true) = (columns.binary_search(&group), self.kind(group) == Kind::from(&*masks[m]))
+                {
                     row[column] = if iou >= least { iou } else { 0.0 };
                 }
             }
@@ -174,18 +199,17 @@ impl Groups {
             assigned[m] = column.map(|column| columns[column]);
         }
         for (m, mask) in masks.iter().enumerate().filter(|(_, mask)| !mask.weights.is_empty()) {
-            let kind = Kind::from(mask);
+            let kind = Kind::from(&**mask);
             if !kind.thing {
                 assigned[m] = self.kinds.iter().position(|k| *k == kind).map(|group| group as u32);
             } else if assigned[m].is_none() && leftovers.join {
                 assigned[m] = self.container(mask, &overlaps.claimed[m]);
             }
             if assigned[m].is_none() && leftovers.open {
-                assigned[m] = Some(self.len() as u32);
-                self.kinds.push(kind);
+                assigned[m] = Some(self.open(kind));
             }
         }
-        assigned
+        Placed { masks, groups: assigned }
     }
 
     /// The group that claims most of a segment.

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 /// The id of pixels that belong to no segment.
 pub(super) const NOTHING: u16 = 0;
 /// Pixels whose blending weights are held at once.
-const BAND: usize = 1 << 18;
+pub(super) const BAND: usize = 1 << 18;
 /// Weights below a hundredth of a pixel are left out.
 const LEAST: f64 = 0.01;
 
@@ -24,13 +24,21 @@ pub(super) struct Mask {
     pub total: f64,
 }
 
-/// The segments of `raw`, a map of `view`, ascending by id.
-pub(super) fn masks(gaussians: &Gaussians, view: &View, raw: &LabelMap, settings: &Settings) -> Result<Vec<Mask>> {
+/// All that a view's labels cover.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Masks {
+    /// The segments, ascending by id.
+    pub segments: Vec<Mask>,
+    /// The same weights of the pixels without a segment.
+    pub rest: Vec<(u32, f32)>,
+}
+
+/// The segments of `raw`, a map of `view`.
+pub(super) fn masks(gaussians: &Gaussians, view: &View, raw: &LabelMap, settings: &Settings) -> Result<Masks> {
     let mut place = vec![u32::MAX; 1 << 16];
     raw.ids.iter().for_each(|&id| place[usize::from(id)] = 0);
-    place[usize::from(NOTHING)] = u32::MAX;
     let mut masks = Vec::new();
-    for id in (0..=u16::MAX).filter(|id| *id != NOTHING) {
+    for id in 0..=u16::MAX {
         if place[usize::from(id)] == 0 {
             place[usize::from(id)] = masks.len() as u32;
             let told = view.segments.iter().find(|segment| segment.id == id);
@@ -38,9 +46,9 @@ pub(super) fn masks(gaussians: &Gaussians, view: &View, raw: &LabelMap, settings
             masks.push(Mask { segment, weights: Vec::new(), total: 0.0 });
         }
     }
-    let labelled: Vec<u32> = (0..raw.ids.len() as u32).filter(|&p| raw.ids[p as usize] != NOTHING).collect();
+    let pixels: Vec<u32> = (0..raw.ids.len() as u32).collect();
     let projected = Projected::new(&gaussians.splats(), &view.camera, settings)?;
-    for band in labelled.chunks(BAND) {
+    for band in pixels.chunks(BAND) {
         let weights = projected.weights(Some(band));
         let mut rows = vec![Vec::new(); masks.len()];
         for (row, &pixel) in band.iter().enumerate() {
@@ -79,5 +87,6 @@ pub(super) fn masks(gaussians: &Gaussians, view: &View, raw: &LabelMap, settings
         mask.weights.retain(|(_, weight)| f64::from(*weight) >= LEAST);
         mask.total = mask.weights.iter().map(|(_, weight)| f64::from(*weight)).sum();
     });
-    Ok(masks)
+    let rest = masks.first().is_some_and(|mask| mask.segment.id == NOTHING).then(|| masks.remove(0).weights);
+    Ok(Masks { segments: masks, rest: rest.unwrap_or_default() })
 }

@@ -1,15 +1,23 @@
 //! Groups that turn out to be one thing, and groups that turn out to be nothing.
 
-use super::groups::{Assigned, Groups, Overlaps};
-use super::masks::Mask;
-use rayon::prelude::*;
+use super::groups::Groups;
+use super::territory::{Shown, extents};
 use std::collections::BTreeMap;
 
 /// Share of a group's weight that another must have on the same Gaussians before the two can be one: neighbours share
 /// the Gaussians of their border.
-const SHARED: f64 = 0.15;
+const SHARED: f64 = 0.02;
+/// Views that say that two groups are two, before any was asked: one view alone does not make one of two.
+pub(super) const DOUBT: f64 = 1.0;
+/// A view that shows less than this share of a group than another view does counts less than one.
+const ENOUGH: f64 = 0.1;
 /// A group that has less than this share of its Gaussians is a stray: others have the rest.
 const PURITY: f64 = 0.15;
+
+/// How much a view counts that shows the share `part` of what the view does that shows most.
+pub(super) fn say(part: f64) -> f64 {
+    (part / ENOUGH).min(1.0)
+}
 
 /// Weight of each group, pixels, and its purity, the mean of its share `W_gi / W_i` of the Gaussians that it covers.
 pub(super) fn totals(groups: &Groups) -> Vec<(f64, f64)> {
@@ -25,27 +33,13 @@ pub(super) fn totals(groups: &Groups) -> Vec<(f64, f64)> {
     sums.into_iter().map(|(total, pure)| (total, if total > 0.0 { pure / total } else { 0.0 })).collect()
 }
 
-/// Pairs (smaller, larger) of groups to be made one, each group in one pair at most.
+/// Pairs (smaller, larger) of groups to be made one, each group in one pair at most. `shown` has what each view shows.
 ///
-/// Two groups are one where they share Gaussians and the views of the larger one, wherever they show the smaller one,
-/// mostly call it the larger one. Parts that a segmenter sees in few views go into the whole; things that it takes for
-/// one in few views stay two.
-pub(super) fn pairs(groups: &Groups, views: &[Vec<Mask>], assigned: &[Assigned], above: f64) -> Vec<(u32, u32)> {
-    // For (g, h): pixels of h in the views of g, and those of them in the segments of g.
-    let mut shown: BTreeMap<(u32, u32), [f64; 2]> = BTreeMap::new();
-    let overlaps: Vec<Overlaps> = views.par_iter().map(|masks| groups.overlaps(masks)).collect();
-    for (overlaps, assigned) in overlaps.iter().zip(assigned) {
-        let mut present: Vec<u32> = assigned.iter().flatten().copied().collect();
-        present.sort_unstable();
-        present.dedup();
-        for &g in &present {
-            overlaps.visible.iter().for_each(|(&h, pixels)| shown.entry((g, h)).or_default()[0] += pixels);
-        }
-        for (claimed, g) in overlaps.claimed.iter().zip(assigned) {
-            let Some(g) = *g else { continue };
-            claimed.iter().for_each(|&(h, pixels)| shown.entry((g, h)).or_default()[1] += pixels);
-        }
-    }
+/// Two groups are one where they share Gaussians and more than the share `above` of the views say so. A view has a say
+/// where a segment covers the one group and a segment the other; it says one where that is the same segment. Its say counts as much as it shows of that group, of the two, of which it shows the
+/// smaller part, the view that shows most being 1. So a segmenter that sees a part in few views does not keep it apart, and
+/// one that takes two things for one in few views, however large they are there, does not join them.
+pub(super) fn pairs(groups: &Groups, shown: &[Shown], above: f64) -> Vec<(u32, u32)> {
     let mut shared: BTreeMap<(u32, u32), f64> = BTreeMap::new();
     for owners in groups.owners() {
         for (i, &(g, a)) in owners.iter().enumerate() {
@@ -55,15 +49,24 @@ pub(super) fn pairs(groups: &Groups, views: &[Vec<Mask>], assigned: &[Assigned],
         }
     }
     let totals = totals(groups);
+    let extents = extents(groups.len(), shown);
+    let places: Vec<BTreeMap<u32, usize>> = shown.iter().map(|shown| shown.places()).collect();
     let mut candidates = Vec::new();
     for ((a, b), pixels) in shared {
         let [wa, wb] = [a, b].map(|g| totals[g as usize].0);
-        let (large, small) = if wa >= wb { (a, b) } else { (b, a) };
-        let kind = groups.kind(large);
-        let [seen, taken] = shown.get(&(large, small)).copied().unwrap_or_default();
-        let one = kind.thing && kind == groups.kind(small) && pixels > SHARED * wa.min(wb) && taken > above * seen;
-        if one {
-            candidates.push((taken / seen, small, large));
+        let kind = groups.kind(a);
+        if !kind.thing || kind != groups.kind(b) || pixels <= SHARED * wa.min(wb) {
+            continue;
+        }
+        let (mut one, mut two) = (0.0, DOUBT);
+        for (shown, places) in shown.iter().zip(&places) {
+            let (Some(at_a), Some(at_b)) = (places.get(&a), places.get(&b)) else { continue };
+            let part = |g: u32| shown.of(g) / extents[g as usize];
+            *(if at_a == at_b { &mut one } else { &mut two }) += say(part(a).min(part(b)));
+        }
+        if one > above * (one + two) {
+            let (large, small) = if wa >= wb { (a, b) } else { (b, a) };
+            candidates.push((one / (one + two), small, large));
         }
     }
     candidates.sort_by(|x, y| y.0.total_cmp(&x.0).then((x.1, x.2).cmp(&(y.1, y.2))));

@@ -7,21 +7,30 @@
 //! arXiv 2404.07977, and CCGS, arXiv 2502.16303, do on sets of points; weights in place of point tests are ours).
 //!
 //! The first sweep takes the views in an order of overlap and opens groups. Later sweeps take each view out of the groups
-//! and assign it again, so that no view confirms itself; then groups that are one thing are merged, and strays dropped.
+//! and assign it again, so that no view confirms itself; then groups that most views take for one are merged, and strays
+//! dropped. A segment that covers most of what its view shows of several groups is a segmenter's taking two things for
+//! one: since the other views keep these groups apart, it is divided among them, Gaussian by Gaussian and at last pixel by
+//! pixel. (MaskClustering, arXiv 2401.07745, also counts the views that agree, and leaves such segments out.)
 //! Memory grows with the pairs of segments and Gaussians, not with their product.
 
+mod divide;
 mod groups;
 mod masks;
 mod merge;
 mod order;
+mod paint;
+mod split;
+mod sweeps;
+mod territory;
 
 use crate::config::AssociationConfig;
-use crate::data::{Class, Classes, LabelMap, LabelRuns, ObjectOf, Scene, Split, View, class_color};
+use crate::data::{Class, Classes, LabelRuns, ObjectOf, Scene, Split, View, class_color};
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::raster::Settings;
-use groups::{Assigned, Groups, Kind, Leftovers};
-use masks::{Mask, NOTHING, masks};
+use groups::{Groups, Kind, Placed};
+use masks::{Masks, NOTHING, masks};
+use paint::paint;
 use std::collections::HashMap;
 
 /// A thing that segments of several views show.
@@ -50,6 +59,8 @@ pub struct Association {
     pub segments: usize,
     /// Those that belong to no group: their pixels become unlabelled.
     pub dropped: usize,
+    /// Those that cover several groups and were divided among them, pixel by pixel.
+    pub divided: usize,
 }
 
 impl Association {
@@ -88,22 +99,22 @@ pub fn associate(
 ) -> Result<Association> {
     let raw = |view: &'_ View| match &view.raw {
         Some(raw) => masks(gaussians, view, &raw.map(), settings),
-        None => Ok(Vec::new()),
+        None => Ok(Masks::default()),
     };
     let trained: Vec<usize> = (0..scene.views.len()).filter(|&v| scene.views[v].split == Split::Train).collect();
-    let views: Vec<Vec<Mask>> = trained.iter().map(|&v| raw(&scene.views[v])).collect::<Result<_>>()?;
-    if views.iter().all(Vec::is_empty) {
+    let views: Vec<Masks> = trained.iter().map(|&v| raw(&scene.views[v])).collect::<Result<_>>()?;
+    if views.iter().all(|view| view.segments.is_empty()) {
         let expected = "raw labels of training views to put together";
         let mend = "add raw labels, or set data.association = \"none\"";
         return Err(Error::config("data.association", "gaussians, but no segments", expected, mend));
     }
     let mut groups = Groups::new(gaussians.len());
-    let assigned = group(&mut groups, &views, config);
+    let placed = sweeps::group(&mut groups, &views, config);
 
     let totals = merge::totals(&groups);
     let mut counts = vec![0; groups.len()];
-    for assigned in &assigned {
-        let mut present: Vec<u32> = assigned.iter().flatten().copied().collect();
+    for placed in &placed {
+        let mut present: Vec<u32> = placed.groups.iter().flatten().copied().collect();
         present.sort_unstable();
         present.dedup();
         present.into_iter().for_each(|group| counts[group as usize] += 1);
@@ -120,80 +131,27 @@ pub fn associate(
     }
     let ids: HashMap<u32, u16> = kept.iter().copied().zip(1..).collect();
     let mut maps = vec![None; scene.views.len()];
-    for ((&v, masks), assigned) in trained.iter().zip(&views).zip(&assigned) {
-        maps[v] = scene.views[v].raw.as_ref().map(|raw| translated(raw.map(), masks, assigned, &ids).into());
+    let ids = |group: u32| ids.get(&group).copied().unwrap_or(NOTHING);
+    for (&v, placed) in trained.iter().zip(&placed) {
+        maps[v] = paint(gaussians, &scene.views[v], placed, &ids, settings)?.map(LabelRuns::from);
     }
+    let sizes = territory::sizes(&groups, &views);
     for (map, view) in maps.iter_mut().zip(&scene.views).filter(|(_, view)| view.split == Split::Test) {
-        let Some(labels) = &view.raw else { continue };
-        let labels = labels.map();
-        let masks = masks(gaussians, view, &labels, settings)?;
-        let assigned = groups.assign(&masks, config.min_overlap, Leftovers { join: true, open: false });
-        *map = Some(translated(labels, &masks, &assigned, &ids).into());
+        let masks = raw(view)?;
+        let placed = sweeps::place(&mut groups, &masks, &sizes, config.min_overlap);
+        *map = paint(gaussians, view, &placed, &ids, settings)?.map(LabelRuns::from);
     }
     let group =
         |(&g, id)| Group { id, class: groups.kind(g).class, views: counts[g as usize], weight: totals[g as usize].0 };
-    let dropped = assigned.iter().flatten().filter(|group| group.is_none()).count();
+    let segments = || placed.iter().flat_map(Placed::by_segment);
     Ok(Association {
         classes: named(kept.iter().map(|&g| groups.kind(g)), &scene.classes),
         groups: kept.iter().zip(1..).map(group).collect(),
         maps,
-        segments: views.iter().map(Vec::len).sum(),
-        dropped,
+        segments: segments().count(),
+        dropped: segments().filter(|pieces| pieces.iter().all(Option::is_none)).count(),
+        divided: segments().filter(|pieces| pieces.iter().any(|group| *group != pieces[0])).count(),
     })
-}
-
-/// Forms the groups of `views`, and says which group each segment belongs to.
-fn group(groups: &mut Groups, views: &[Vec<Mask>], config: &AssociationConfig) -> Vec<Assigned> {
-    let order = order::overlapping_order(views, groups.owners().len());
-    let mut assigned: Vec<Assigned> = views.iter().map(|masks| vec![None; masks.len()]).collect();
-    for sweep in 0..config.sweeps {
-        for &v in &order {
-            groups.remove(&views[v], &assigned[v]);
-            assigned[v] = groups.assign(&views[v], config.min_overlap, Leftovers { join: sweep > 0, open: true });
-            groups.add(&views[v], &assigned[v]);
-        }
-        rebuild(groups, views, &assigned);
-        loop {
-            let pairs = merge::pairs(groups, views, &assigned, config.merge_above);
-            if pairs.is_empty() {
-                break;
-            }
-            let into: HashMap<u32, u32> = pairs.into_iter().collect();
-            for group in assigned.iter_mut().flatten().flatten() {
-                *group = into.get(group).copied().unwrap_or(*group);
-            }
-            rebuild(groups, views, &assigned);
-        }
-    }
-    let negligible = merge::negligible(groups, config.min_weight);
-    for group in assigned.iter_mut().flatten() {
-        *group = group.filter(|group| !negligible[*group as usize]);
-    }
-    rebuild(groups, views, &assigned);
-    for (masks, assigned) in views.iter().zip(&mut assigned) {
-        let overlaps = groups.overlaps(masks);
-        for ((mask, claimed), group) in masks.iter().zip(&overlaps.claimed).zip(assigned) {
-            *group = group.or_else(|| groups.container(mask, claimed));
-        }
-    }
-    rebuild(groups, views, &assigned);
-    assigned
-}
-
-/// Sums the weights of all groups afresh: the same bits in whichever order views came and went.
-fn rebuild(groups: &mut Groups, views: &[Vec<Mask>], assigned: &[Assigned]) {
-    groups.clear();
-    views.iter().zip(assigned).for_each(|(masks, assigned)| groups.add(masks, assigned));
-}
-
-/// A map in ids of the groups.
-fn translated(mut raw: LabelMap, masks: &[Mask], assigned: &Assigned, ids: &HashMap<u32, u16>) -> LabelMap {
-    let mut table = vec![NOTHING; 1 << 16];
-    for (mask, group) in masks.iter().zip(assigned) {
-        table[usize::from(mask.segment.id)] = group.and_then(|group| ids.get(&group)).copied().unwrap_or(NOTHING);
-    }
-    raw.ids.iter_mut().for_each(|id| *id = table[usize::from(*id)]);
-    raw
 }
 
 /// The class table of groups of these kinds: `object 1`, or `chair 2` where the class is known, or `floor` for stuff.
