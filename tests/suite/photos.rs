@@ -1,8 +1,10 @@
 //! Photos stay in their files and label maps in runs: how much is in memory, and that nothing else changes.
 
+use crate::cli::read_json;
 use crate::resume;
 use coseg::Error;
 use coseg::data::{LabelMap, LabelRuns, LoadOptions, Photo, PhotoCache, Scene, load};
+use coseg::report::{HeldOutView, held_out_views};
 use coseg::train::RowOutcome;
 use image::RgbImage;
 use rayon::prelude::*;
@@ -139,6 +141,35 @@ fn a_run_that_keeps_no_decoded_photo_gives_the_same_bits() {
     assert_eq!((plenty.test.psnr, plenty.test.ssim), (none.test.psnr, none.test.ssim));
     let scores = |rows: &[RowOutcome]| rows.iter().map(|row| row.scores.clone()).collect::<Vec<_>>();
     assert_eq!(scores(&plenty.rows), scores(&none.rows));
+}
+
+#[test]
+fn views_that_the_page_does_not_show_are_handed_over() {
+    let folder = tempfile::tempdir().expect("folder");
+    let dir = folder.path();
+    crate::plates::scene(dir);
+    let mut transforms = read_json(&dir.join("transforms.json"));
+    let frames = transforms["frames"].as_array_mut().expect("frames");
+    for i in 0..6 {
+        fs::copy(dir.join(format!("images/v{i}.png")), dir.join(format!("images/w{i}.png"))).expect("photo");
+        let mut frame = frames[i].clone();
+        (frame["file_path"], frame["split"]) = (json!(format!("images/w{i}.png")), json!("test"));
+        frames.push(frame);
+    }
+    fs::write(dir.join("transforms.json"), transforms.to_string()).expect("transforms");
+    let mut config = resume::config(dir);
+    (config.building.iterations, config.segmentation.rows) = (2, Vec::new());
+    let outcome = resume::whole(&config, &dir.join("run"));
+    let mut names = Vec::new();
+    let beside = |view: HeldOutView| {
+        names.push(view.view.name.clone());
+        Ok(())
+    };
+    let shown = held_out_views(&outcome, &config, beside).expect("views");
+    assert_eq!((shown.len(), names.len()), (6, 2));
+    names.extend(shown.iter().map(|view| view.view.name.clone()));
+    names.sort();
+    assert_eq!(names, ["v2", "v5", "w0", "w1", "w2", "w3", "w4", "w5"]);
 }
 
 #[test]
