@@ -21,8 +21,8 @@ pub struct AssociationConfig {
     pub sweeps: usize,
     /// Smallest overlap (IoU of a segment and a group as the view shows it) at which the two belong together, 0 to 1.
     pub min_overlap: f64,
-    /// Two groups become one when more than this share of the views that have a say put both into one segment, 0 to 1; a
-    /// view counts by how much it shows, and one that keeps them apart is taken for granted.
+    /// Two groups become one when more than this share of the views that have a say put both into one segment, 0 to 1, one
+    /// view that keeps them apart taken for granted; one that more than the rest of them keep apart becomes two.
     pub merge_above: f64,
     /// Groups with a smaller share of all labelled weight are dropped, 0 to 1.
     pub min_weight: f64,

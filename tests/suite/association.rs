@@ -182,16 +182,6 @@ fn a_segment_over_two_things_is_divided_and_joins_nothing() {
 }
 
 #[test]
-fn a_wall_that_is_never_alone_is_an_object() {
-    // In each view it is taken together with another plate, and one plate twice.
-    let (gaussians, scene) = joined([Some((1, 4)), Some((2, 4)), Some((3, 4)), Some((1, 4))]);
-    let association = found(&gaussians, &scene);
-    assert_eq!((association.groups.len(), association.divided), (4, 4));
-    let scores = rendered_scores(&gaussians, scene);
-    assert_eq!((scores.accuracy, scores.miou), (Some(1.0), Some(1.0)));
-}
-
-#[test]
 fn what_most_views_take_for_one_is_one() {
     let pair = Some((1, 2));
     for (views, groups) in [([pair, pair, pair, pair], 3), ([pair, None, pair, pair], 3), ([None, pair, None, pair], 4)]

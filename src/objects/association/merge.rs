@@ -36,9 +36,10 @@ pub(super) fn totals(groups: &Groups) -> Vec<(f64, f64)> {
 /// Pairs (smaller, larger) of groups to be made one, each group in one pair at most. `shown` has what each view shows.
 ///
 /// Two groups are one where they share Gaussians and more than the share `above` of the views say so. A view has a say
-/// where a segment covers the one group and a segment the other; it says one where that is the same segment. Its say counts as much as it shows of that group, of the two, of which it shows the
-/// smaller part, the view that shows most being 1. So a segmenter that sees a part in few views does not keep it apart, and
-/// one that takes two things for one in few views, however large they are there, does not join them.
+/// where a segment covers the one group and a segment the other; it says one where that is the same segment. A view that
+/// shows little of either, of what the view does that shows most, counts less than one. So a segmenter that sees a part
+/// in few views does not keep it apart, and one that takes two things for one in few views, however large they are
+/// there, does not join them.
 pub(super) fn pairs(groups: &Groups, shown: &[Shown], above: f64) -> Vec<(u32, u32)> {
     let mut shared: BTreeMap<(u32, u32), f64> = BTreeMap::new();
     for owners in groups.owners() {

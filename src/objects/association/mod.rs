@@ -7,8 +7,8 @@
 //! arXiv 2404.07977, and CCGS, arXiv 2502.16303, do on sets of points; weights in place of point tests are ours).
 //!
 //! The first sweep takes the views in an order of overlap and opens groups. Later sweeps take each view out of the groups
-//! and assign it again, so that no view confirms itself; then groups that most views take for one are merged, and strays
-//! dropped. A segment that covers most of what its view shows of several groups is a segmenter's taking two things for
+//! and assign it again, so that no view confirms itself; then groups that most views take for two are split, groups that
+//! most take for one are merged, and at last strays dropped. A segment that covers most of what its view shows of several groups is a segmenter's taking two things for
 //! one: since the other views keep these groups apart, it is divided among them, Gaussian by Gaussian and at last pixel by
 //! pixel. (MaskClustering, arXiv 2401.07745, also counts the views that agree, and leaves such segments out.)
 //! Memory grows with the pairs of segments and Gaussians, not with their product.

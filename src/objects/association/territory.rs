@@ -1,13 +1,13 @@
 //! Where groups are at home, and what of that a view shows.
+//!
+//! A group is at home on the Gaussians on which none has more weight: what a few segments that cover two things leave on
+//! the other one is less than that one has. There it counts by its share of all weight.
 
 use super::groups::Groups;
 use super::masks::Masks;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// A group is at home on the Gaussians on which it has at least this share of the strongest group's weight. What a few
-/// segments that cover two things leave on the other one is less; a part that some views show as a part has more.
-const HOME: f64 = 1.0;
 /// A segment covers a group when it shows more than this share of what all segments of the view show of the group,
 const COVERED: f64 = 0.5;
 /// and more than this share of what the view shows of it: where its own segment is missing, neighbours show its rim.
@@ -81,7 +81,7 @@ fn at_home(groups: &Groups, weights: &[(u32, f32)], sums: &mut [f64]) -> Vec<(u3
         let owners = &groups.owners()[gaussian as usize];
         let most = owners.iter().map(|(_, w)| *w).fold(0.0, f32::max);
         let all: f64 = owners.iter().map(|(_, w)| f64::from(*w)).sum();
-        for &(group, w) in owners.iter().filter(|(_, w)| f64::from(*w) >= HOME * f64::from(most)) {
+        for &(group, w) in owners.iter().filter(|(_, w)| *w >= most) {
             let sum = &mut sums[group as usize];
             if *sum == 0.0 {
                 touched.push(group);
