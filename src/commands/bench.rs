@@ -61,7 +61,7 @@ pub struct BenchArgs {
     /// Measured passes behind each median [default: 5]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=1000))]
     repeats: Option<usize>,
-    /// Measure `raster` at a million Gaussians even where less than 3 GB of memory are free, and `memory` too
+    /// A million Gaussians in `memory` too, and in `raster` even where less than 3 GB are free
     #[arg(long)]
     large: bool,
     /// Tiny sizes, a few seconds in all: shows that everything runs; the figures mean nothing
