@@ -3,12 +3,12 @@
 use super::segmentation::{labelled_views, random_features};
 use super::{Bench, Figure, Findings, Layout, Samples, Section, figures, gaussians_in_words, reset_peak_memory};
 use crate::config::{Config, Row};
-use crate::data::Split;
+use crate::data::Scene;
 use crate::error::Result;
 use crate::raster::Settings;
 use crate::report::peak_memory_bytes;
 use crate::segmentation::loss::Kind;
-use crate::train::segmentation::{Plan, TrainingViews, train_step};
+use crate::train::segmentation::{Plan, train_step};
 use crate::train::{Inputs, Spatial, decoder_row};
 
 /// Training views that the steps go through.
@@ -48,7 +48,7 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
 }
 
 /// The figures of a scene of `count` Gaussians.
-fn with_gaussians(bench: &Bench, few: &crate::data::Scene, count: usize) -> Result<Vec<Figure>> {
+fn with_gaussians(bench: &Bench, few: &Scene, count: usize) -> Result<Vec<Figure>> {
     let gaussians = bench.subject.gaussians(count)?;
     let with = |decoder_chunk| {
         let mut config = bench.config.clone();
@@ -69,14 +69,7 @@ fn with_gaussians(bench: &Bench, few: &crate::data::Scene, count: usize) -> Resu
         inputs.config = config;
         let segmentation = &config.segmentation;
         let plan = Plan::new(segmentation, Kind::from_config(segmentation)?, config.seed);
-        let mut training = TrainingViews::new(
-            &gaussians,
-            few.split(Split::Train),
-            &few.classes,
-            settings,
-            segmentation.min_coverage as f32,
-            segmentation.weight_cache_mb << 20,
-        );
+        let mut training = inputs.training_views();
         let mut model = decoder_row(Row::Ours, segmentation.lr, source, &inputs, &training)?;
         // The first pass over the views makes their weights, which takes memory of its own.
         let first = plan.warmup.next_multiple_of(views);

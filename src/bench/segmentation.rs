@@ -9,7 +9,7 @@ use crate::objects::Identities;
 use crate::random::{Purpose, stream};
 use crate::raster::Settings;
 use crate::segmentation::loss::Kind;
-use crate::train::segmentation::{Drawn, Fused, Model, NamedValues, Plan, Prediction, TrainingViews, train_step};
+use crate::train::segmentation::{Drawn, Fused, Model, NamedValues, Plan, Prediction, train_step};
 use crate::train::{Inputs, Seen, Spatial, decoder_row};
 use burn::tensor::Gradients;
 use rand::Rng;
@@ -73,14 +73,7 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let mut spatial = Spatial::default();
     let source = spatial.source(Row::Ours, &inputs)?;
     let segmentation = &config.segmentation;
-    let mut training = TrainingViews::new(
-        &gaussians,
-        few.split(Split::Train),
-        &few.classes,
-        settings,
-        segmentation.min_coverage as f32,
-        segmentation.weight_cache_mb << 20,
-    );
+    let mut training = inputs.training_views();
     let plan = Plan::new(segmentation, Kind::from_config(segmentation)?, config.seed);
     let mut model =
         Timed { model: decoder_row(Row::Ours, segmentation.lr, source, &inputs, &training)?, seconds: [0.0; 2] };

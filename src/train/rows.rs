@@ -189,14 +189,7 @@ fn project(view: &View, inputs: &Inputs) -> Result<Projected<f32>> {
 pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress) -> Result<(Vec<RowOutcome>, String)> {
     let config = &inputs.config.segmentation;
     let held_out = HeldOut::new(inputs)?;
-    let mut views = TrainingViews::new(
-        inputs.gaussians,
-        inputs.scene.split(Split::Train),
-        &inputs.scene.classes,
-        inputs.settings,
-        config.min_coverage as f32,
-        config.weight_cache_mb << 20,
-    );
+    let mut views = inputs.training_views();
     let compacting = Compacting::new(inputs)?;
     let mut spatial = Spatial::default();
     let mut rows = Vec::new();

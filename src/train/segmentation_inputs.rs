@@ -1,7 +1,7 @@
 //! The frozen inputs of stage two: image features lifted onto the Gaussians, spatial features, and their pyramids.
 
 use super::progress::{Event, Progress};
-use super::segmentation::{Encoded, Source};
+use super::segmentation::{Encoded, Source, TrainingViews};
 use crate::config::{Config, Encode, Row, SpatialConfig, SpatialSource};
 use crate::data::{Scene, Split};
 use crate::error::{Error, Result};
@@ -100,6 +100,21 @@ pub struct Inputs<'a> {
     pub settings: Settings,
     /// Device without autodiff.
     pub device: &'a Device,
+}
+
+impl<'a> Inputs<'a> {
+    /// The labelled training views, with the coverage and the budget for weights that settings say.
+    pub fn training_views(&self) -> TrainingViews<'a> {
+        let config = &self.config.segmentation;
+        TrainingViews::new(
+            self.gaussians,
+            self.scene.split(Split::Train),
+            &self.scene.classes,
+            self.settings,
+            config.min_coverage as f32,
+            config.weight_cache_mb << 20,
+        )
+    }
 }
 
 /// What a row's decoder is shown, and whether the encoder is a random one.

@@ -191,6 +191,19 @@ fn what_most_views_take_for_one_is_one() {
     }
 }
 
+/// What `coseg train` says of a short run that associates the labels of `dir`.
+pub fn short_run(dir: &Path, run: &Path) -> String {
+    let sets = [
+        "data.association=gaussians",
+        "building.iterations=60",
+        "building.random_points=400",
+        "segmentation.iterations=20",
+        "segmentation.rows=raw,vote,per_gaussian",
+    ];
+    let sets: Vec<&str> = sets.iter().flat_map(|set| ["--set", set]).collect();
+    succeeds(&[&["train", "--data", utf8(dir), "--out", utf8(run)][..], &sets].concat())
+}
+
 /// The plates with raw labels under shuffled ids, and true instances.
 fn plate_folder(dir: &Path) {
     plates::scene(dir);
@@ -246,15 +259,7 @@ fn a_run_trains_on_objects_and_scores_them() {
     let dir = folder.path();
     plate_folder(dir);
     let run = dir.join("run");
-    let sets = [
-        "data.association=gaussians",
-        "building.iterations=60",
-        "building.random_points=400",
-        "segmentation.iterations=20",
-        "segmentation.rows=raw,vote,per_gaussian",
-    ];
-    let sets: Vec<&str> = sets.iter().flat_map(|set| ["--set", set]).collect();
-    let said = succeeds(&[&["train", "--data", utf8(dir), "--out", utf8(&run)][..], &sets].concat());
+    let said = short_run(dir, &run);
     assert!(said.contains("16 segments put together into"), "{said}");
     let metrics = read_json(&run.join("metrics.json"));
     assert_eq!(metrics["association"]["segments"], 16);

@@ -395,7 +395,6 @@ fn a_real_scene_is_the_same_as_a_colmap_model() {
             "no distortion, nothing scaled"
         );
     }
-    for (a, b) in model.points.positions.iter().zip(&transforms.points.positions) {
-        assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5));
-    }
+    let points = model.points.positions.iter().flatten().zip(transforms.points.positions.iter().flatten());
+    assert!(points.into_iter().all(|(a, b)| (a - b).abs() < 1e-5));
 }

@@ -1,5 +1,6 @@
 //! Objects that have classes: their scores by class, and how the classes travel.
 
+use crate::association::short_run;
 use crate::cli::{read_json, succeeds, utf8};
 use crate::plates;
 use coseg::data::{Class, Classes, LabelMap, Limits, ObjectOf};
@@ -146,15 +147,7 @@ fn runs_score_objects_by_class_and_eval_says_the_same() {
     let said = succeeds(&["associate", "--scene", utf8(&ply), "--data", utf8(dir), "--out", utf8(&out)]);
     let all = "by class: mIoU 1.0000, accuracy 1.0000, PQ 1.0000, of things 1.0000, of stuff 1.0000";
     assert!(said.contains(&format!("maps, {all}")) && said.contains(&format!("rendered, {all}")), "{said}");
-    let sets = [
-        "data.association=gaussians",
-        "building.iterations=60",
-        "building.random_points=400",
-        "segmentation.iterations=20",
-        "segmentation.rows=raw,vote,per_gaussian",
-    ];
-    let sets: Vec<&str> = sets.iter().flat_map(|set| ["--set", set]).collect();
-    let said = succeeds(&[&["train", "--data", utf8(dir), "--out", utf8(&run)][..], &sets].concat());
+    let said = short_run(dir, &run);
     assert!(said.contains("vote, by class"), "{said}");
     let labels = &read_json(&run.join("metrics.json"))["test"]["labels"];
     for row in ["raw", "vote", "per_gaussian"] {
