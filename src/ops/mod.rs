@@ -7,6 +7,7 @@ mod attentive_pool;
 #[cfg(target_arch = "x86_64")]
 mod avx;
 mod blended_labels;
+pub(crate) mod elementary;
 mod fusion_layer;
 mod gradient_in_hand;
 mod host;

@@ -3,7 +3,6 @@
 //! A tile is cut into strips of `LANES` neighbouring pixels of a row. Strips are fixed in place: a kernel's state lies
 //! in aligned vectors, so that a strip's next load finds the whole of its last store.
 
-use super::geometry::Ellipse;
 use super::tile_loop::Tile;
 use crate::ops::Real;
 use crate::ops::vector::{LANES, Vector};
@@ -32,19 +31,6 @@ pub(super) struct Splat2 {
     pub reach: f64,
     /// Natural logarithm of the opacity.
     pub log_opacity: f64,
-}
-
-impl From<&Ellipse> for Splat2 {
-    fn from(e: &Ellipse) -> Self {
-        Self {
-            center: e.center,
-            slope: e.slope,
-            du: (2.0 * e.s2).sqrt().recip(),
-            dv: (2.0 * e.yy).sqrt().recip(),
-            reach: (e.tau + 1e-3).sqrt(),
-            log_opacity: e.log_opacity,
-        }
-    }
 }
 
 /// Rows and columns of the first pixels of the first `LANES` strips, which are [`GROUP_ROWS`] rows.

@@ -6,7 +6,7 @@
 //! `det = |m1 x m2|^2 + low_pass (|m1|^2 + |m2|^2) + low_pass^2` is a sum of positive terms, and `m1 x m2` comes from the
 //! viewing ray, `(m1 x m2)_i = s_j s_k (n . r_i)` with `n = fx fy / z^2 (tx, ty, 1)` in camera axes: thin splats do not cancel.
 
-use super::settings::{Settings, Splats};
+use super::settings::Splats;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::ops::Real;
@@ -18,18 +18,24 @@ pub(super) fn dot(a: Vec3, b: Vec3) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// `f v`.
+#[inline(always)]
+fn times(f: f64, v: Vec3) -> Vec3 {
+    [f * v[0], f * v[1], f * v[2]]
+}
+
 /// A camera as the kernels use it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Viewpoint {
     /// Rows of the world-to-camera rotation.
-    axes: [Vec3; 3],
+    pub axes: [Vec3; 3],
     center: Vec3,
-    focal: [f64; 2],
-    principal: [f64; 2],
+    pub focal: [f64; 2],
+    pub principal: [f64; 2],
     /// Image size, pixels.
     pub size: [usize; 2],
     /// Range of x/z and of y/z within which the Jacobian is taken.
-    limits: [[f64; 2]; 2],
+    pub limits: [[f64; 2]; 2],
 }
 
 impl Viewpoint {
@@ -61,26 +67,21 @@ impl Viewpoint {
         })
     }
 
-    /// Rows of the world-to-camera rotation.
-    #[cfg(feature = "wgpu")]
-    pub fn axes(&self) -> [Vec3; 3] {
-        self.axes
-    }
-
-    /// Range of x/z and of y/z within which the Jacobian is taken.
-    #[cfg(feature = "wgpu")]
-    pub fn limits(&self) -> [[f64; 2]; 2] {
-        self.limits
+    /// A point of the world in camera coordinates.
+    #[inline(always)]
+    pub fn to_camera(&self, point: Vec3) -> Vec3 {
+        let offset = [point[0] - self.center[0], point[1] - self.center[1], point[2] - self.center[2]];
+        [dot(self.axes[0], offset), dot(self.axes[1], offset), dot(self.axes[2], offset)]
     }
 }
 
 /// One Gaussian in world space, in `f64`.
 #[derive(Clone, Copy)]
 pub(super) struct Splat3 {
-    mean: Vec3,
-    log_scale: Vec3,
-    rotation: [f64; 4],
-    logit: f64,
+    pub mean: Vec3,
+    pub log_scale: Vec3,
+    pub rotation: [f64; 4],
+    pub logit: f64,
 }
 
 impl Splat3 {
@@ -104,28 +105,29 @@ fn sigmoid(x: f64) -> f64 {
 }
 
 /// Squared length below which a quaternion is taken for the identity.
-const ZERO_QUATERNION: f64 = 1e-12;
+pub(super) const ZERO_QUATERNION: f64 = 1e-12;
 
 /// A unit quaternion, the length it was divided by, and whether it stands in for a zero one.
-struct Unit {
+pub(super) struct Unit {
     q: [f64; 4],
     length: f64,
-    zero: bool,
+    pub zero: bool,
 }
 
 impl Unit {
     #[inline(always)]
     fn new(raw: [f64; 4]) -> Self {
         // Dividing by the largest entry first keeps the squares of huge quaternions finite.
-        let largest = raw.iter().fold(0.0_f64, |a, v| a.max(v.abs()));
+        let largest = raw[0].abs().max(raw[1].abs()).max(raw[2].abs().max(raw[3].abs()));
         let scaled = raw.map(|v| v / largest);
-        let norm = scaled.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let norm =
+            (scaled[0] * scaled[0] + scaled[1] * scaled[1] + scaled[2] * scaled[2] + scaled[3] * scaled[3]).sqrt();
         let length = norm * largest;
         // 0 / 0 counts as zero too.
-        if length.is_nan() || length * length < ZERO_QUATERNION {
-            return Self { q: [1.0, 0.0, 0.0, 0.0], length: 1.0, zero: true };
-        }
-        Self { q: scaled.map(|v| v / norm), length, zero: false }
+        let zero = length.is_nan() | (length * length < ZERO_QUATERNION);
+        let identity = [1.0, 0.0, 0.0, 0.0];
+        let q = std::array::from_fn(|i| if zero { identity[i] } else { scaled[i] / norm });
+        Self { q, length: if zero { 1.0 } else { length }, zero }
     }
 
     /// Columns of the rotation matrix.
@@ -161,7 +163,7 @@ impl Unit {
 }
 
 /// The projection with everything that its derivative needs.
-struct Ewa {
+pub(super) struct Ewa {
     /// Camera coordinates.
     p: Vec3,
     /// x/z and y/z as the Jacobian takes them, and whether each is inside its limits.
@@ -169,146 +171,47 @@ struct Ewa {
     inside: [bool; 2],
     /// Rows of `J W`.
     jw: [Vec3; 2],
-    unit: Unit,
+    pub unit: Unit,
     columns: [Vec3; 3],
     scale: Vec3,
     /// Rows of `M`.
-    m: [Vec3; 2],
+    pub m: [Vec3; 2],
 }
 
 impl Ewa {
+    /// Of a Gaussian at `p` in camera coordinates.
     #[inline(always)]
-    fn new(s: &Splat3, v: &Viewpoint, p: Vec3) -> Self {
-        let raw = [p[0] / p[2], p[1] / p[2]];
-        let tangent: [f64; 2] = std::array::from_fn(|a| raw[a].clamp(v.limits[a][0], v.limits[a][1]));
-        let inside = std::array::from_fn(|a| raw[a] > v.limits[a][0] && raw[a] < v.limits[a][1]);
-        let jw: [Vec3; 2] = std::array::from_fn(|a| {
-            let f = v.focal[a] / p[2];
-            std::array::from_fn(|i| f * (v.axes[a][i] - tangent[a] * v.axes[2][i]))
-        });
-        let unit = Unit::new(s.rotation);
+    pub fn new(rotation: [f64; 4], scale: Vec3, v: &Viewpoint, p: Vec3) -> Self {
+        // Written out: closures that are not inlined would keep loops over Gaussians from becoming vectors.
+        let along = |a: usize| {
+            let (ratio, [low, high]) = (p[a] / p[2], v.limits[a]);
+            let tangent = ratio.max(low).min(high);
+            let (w, z) = (v.axes[a], v.axes[2]);
+            let row = [w[0] - tangent * z[0], w[1] - tangent * z[1], w[2] - tangent * z[2]];
+            (tangent, (ratio > low) & (ratio < high), times(v.focal[a] / p[2], row))
+        };
+        let (x, y) = (along(0), along(1));
+        let (tangent, inside, jw) = ([x.0, y.0], [x.1, y.1], [x.2, y.2]);
+        let unit = Unit::new(rotation);
         let columns = unit.columns();
-        let scale = s.log_scale.map(f64::exp);
-        let m = std::array::from_fn(|a| std::array::from_fn(|i| scale[i] * dot(jw[a], columns[i])));
+        let row =
+            |w: Vec3| [scale[0] * dot(w, columns[0]), scale[1] * dot(w, columns[1]), scale[2] * dot(w, columns[2])];
+        let m = [row(jw[0]), row(jw[1])];
         Self { p, tangent, inside, jw, unit, columns, scale, m }
     }
 
     /// `|m1 x m2|^2` without cancellation.
     #[inline(always)]
-    fn cross_squared(&self, v: &Viewpoint) -> f64 {
+    pub fn cross_squared(&self, v: &Viewpoint) -> f64 {
         let area = v.focal[0] * v.focal[1] / (self.p[2] * self.p[2]);
-        let ray: Vec3 =
-            std::array::from_fn(|i| self.tangent[0] * v.axes[0][i] + self.tangent[1] * v.axes[1][i] + v.axes[2][i]);
+        let [x, y, z] = v.axes;
+        let [tx, ty] = self.tangent;
+        let ray = [tx * x[0] + ty * y[0] + z[0], tx * x[1] + ty * y[1] + z[1], tx * x[2] + ty * y[2] + z[2]];
         let [a, b, c] = self.scale;
-        let others = [b * c, a * c, a * b];
-        (0..3).map(|i| (others[i] * area * dot(ray, self.columns[i])).powi(2)).sum()
+        let part = |others: f64, column: Vec3| others * area * dot(ray, column);
+        let parts = [part(b * c, self.columns[0]), part(a * c, self.columns[1]), part(a * b, self.columns[2])];
+        dot(parts, parts)
     }
-}
-
-/// A projected Gaussian: pixel coordinates, shape of the ellipse, opacity.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Ellipse {
-    /// Centre, pixels.
-    pub center: [f64; 2],
-    /// `k = B / Y`.
-    pub slope: f64,
-    /// Variance of x given y, `det / Y`, pixels squared.
-    pub s2: f64,
-    /// Variance of y, `Y`, pixels squared.
-    pub yy: f64,
-    /// Natural logarithm of the opacity.
-    pub log_opacity: f64,
-    /// `u^2 + v^2` at which alpha' reaches alpha_min; infinite when alpha_min is 0.
-    pub tau: f64,
-    /// Camera z.
-    pub depth: f64,
-}
-
-impl Ellipse {
-    /// Variance of x.
-    pub fn xx(&self) -> f64 {
-        self.s2 + self.slope * self.slope * self.yy
-    }
-
-    /// `ceil(3 sqrt(lambda_max))`, at least 1.
-    pub fn radius(&self) -> u32 {
-        let (x, y, b) = (self.xx(), self.yy, self.slope * self.yy);
-        let lambda = 0.5 * (x + y) + (0.25 * (x - y) * (x - y) + b * b).sqrt();
-        ((3.0 * lambda.sqrt()).ceil() as u32).max(1)
-    }
-}
-
-/// What becomes of a Gaussian in one view.
-pub(super) enum Fate {
-    Visible(Ellipse),
-    Behind,
-    OffScreen,
-    NonFinite,
-}
-
-/// Whether a sphere around the Gaussian is off-screen: a cheap test that spares most of the work for most of a scene.
-#[inline(always)]
-fn far_off_screen(s: &Splat3, v: &Viewpoint, p: Vec3, settings: &Settings) -> bool {
-    let largest = s.log_scale[0].max(s.log_scale[1]).max(s.log_scale[2]).exp();
-    // ln(sigmoid(x)) is below both 0 and x.
-    let tau = (s.logit.min(0.0) - settings.alpha_min.ln()).max(0.0);
-    (0..2).any(|a| {
-        let ratio = p[a] / p[2];
-        let tangent = ratio.clamp(v.limits[a][0], v.limits[a][1]);
-        let scale = largest * v.focal[a] / p[2];
-        // A little more than the variance that the projection may have, for rounding.
-        let variance = 1.001 * (scale * scale * (1.0 + tangent * tangent) + settings.low_pass);
-        let (center, reach) = (v.focal[a] * ratio + v.principal[a], (2.0 * variance * tau).sqrt());
-        // False where something overflowed: the projection is to find and count that.
-        variance < 1e30 && (center + reach < -1.0 || center - reach > v.size[a] as f64 + 1.0)
-    })
-}
-
-/// Projects one Gaussian; also says whether its quaternion was zero.
-#[inline(always)]
-pub(super) fn project<E: Real>(s: &Splat3, v: &Viewpoint, settings: &Settings) -> (Fate, bool) {
-    let offset: Vec3 = std::array::from_fn(|i| s.mean[i] - v.center[i]);
-    let p = v.axes.map(|axis| dot(axis, offset));
-    if !(p[0].is_finite() && p[1].is_finite() && p[2].is_finite()) {
-        return (Fate::NonFinite, false);
-    }
-    if p[2] <= settings.near {
-        return (Fate::Behind, false);
-    }
-    if far_off_screen(s, v, p, settings) {
-        let squares: f64 = s.rotation.iter().map(|q| q * q).sum();
-        return (Fate::OffScreen, squares < ZERO_QUATERNION);
-    }
-    let ewa = Ewa::new(s, v, p);
-    let zero = ewa.unit.zero;
-    let low = settings.low_pass;
-    let [m1, m2] = ewa.m;
-    let (n1, n2) = (dot(m1, m1), dot(m2, m2));
-    let yy = n2 + low;
-    let slope = dot(m1, m2) / yy;
-    let s2 = (ewa.cross_squared(v) + low * (n1 + n2) + low * low) / yy;
-    // ln(sigmoid(x)) = -ln(1 + e^-x)
-    let log_opacity = s.logit.min(0.0) - (-s.logit.abs()).exp().ln_1p();
-    let center = [v.focal[0] * p[0] / p[2] + v.principal[0], v.focal[1] * p[1] / p[2] + v.principal[1]];
-    // Infinite when alpha_min is 0.
-    let tau = log_opacity - settings.alpha_min.ln();
-    let ellipse = Ellipse { center, slope, s2, yy, log_opacity, tau, depth: p[2] };
-    // What the kernels use must also be representable in their type.
-    let fits = |x: f64| E::of(x).is_normal();
-    let [du, dv] = [s2, yy].map(|v| (2.0 * v).sqrt().recip());
-    let finite = [center[0], center[1], slope, ellipse.xx()].iter().all(|v| v.is_finite());
-    if !finite || !fits(du) || !fits(dv) {
-        return (Fate::NonFinite, zero);
-    }
-    if tau < 0.0 || log_opacity < f64::MIN_POSITIVE.ln() {
-        return (Fate::OffScreen, zero);
-    }
-    let reach = [(2.0 * ellipse.xx() * tau).sqrt(), (2.0 * yy * tau).sqrt()];
-    let out = |a: usize| center[a] + reach[a] < 0.0 || center[a] - reach[a] > v.size[a] as f64;
-    if out(0) || out(1) {
-        return (Fate::OffScreen, zero);
-    }
-    (Fate::Visible(ellipse), zero)
 }
 
 /// Sums over pixels of `g = dL/dalpha' alpha'` (zero where the cap holds) times 1, u, v, u^2, u v, v^2.
@@ -333,7 +236,7 @@ pub(super) struct Gradient3 {
     pub center: [f64; 2],
 }
 
-/// The derivative of [`project`] followed by the exponent, for a Gaussian that it called visible.
+/// The derivative of [`super::projection::project`] followed by the exponent, for a Gaussian that it called visible.
 pub(super) fn project_backward(
     s: &Splat3,
     v: &Viewpoint,
@@ -341,10 +244,9 @@ pub(super) fn project_backward(
     sums: &Moments,
     low_pass: f64,
 ) -> Gradient3 {
-    let offset: Vec3 = std::array::from_fn(|i| s.mean[i] - v.center[i]);
-    let p = v.axes.map(|axis| dot(axis, offset));
+    let p = v.to_camera(s.mean);
     let z = p[2];
-    let ewa = Ewa::new(s, v, p);
+    let ewa = Ewa::new(s.rotation, s.log_scale.map(f64::exp), v, p);
     let [m1, m2] = ewa.m;
     let yy = dot(m2, m2) + low_pass;
     let (slope, du, dv) = (e.slope, e.du, e.dv);

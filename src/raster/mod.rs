@@ -19,6 +19,7 @@ mod gpu;
 mod op;
 mod pairs;
 mod projected;
+mod projection;
 mod settings;
 mod sh;
 mod tile_loop;

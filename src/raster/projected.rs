@@ -3,7 +3,8 @@
 use super::blend;
 use super::channel_blocks;
 use super::footprint::Splat2;
-use super::geometry::{Fate, Splat3, Viewpoint, project};
+use super::geometry::Viewpoint;
+use super::projection::{Visible, project};
 use super::settings::{Settings, Splats, Stats};
 use super::sh::eval_sh_rows;
 use super::tiles::{TileLists, between, depth_order, tile_lists};
@@ -17,9 +18,6 @@ use std::marker::PhantomData;
 
 /// Gaussians that one task projects.
 const CHUNK: usize = 1024;
-
-/// Depth, index in the scene and footprint of a Gaussian that is not culled.
-type Visible = (f64, u32, Splat2);
 
 /// One view: projection and tile lists, computed once and shared by all passes.
 #[derive(Clone, Debug)]
@@ -65,21 +63,7 @@ impl<E: Real> Projected<E> {
             .enumerate()
             .map(|(chunk, radii)| {
                 let mut visible = Vec::with_capacity(radii.len());
-                let mut stats = Stats { gaussians: radii.len(), ..Stats::default() };
-                for (radius, i) in radii.iter_mut().zip(chunk * CHUNK..) {
-                    let (fate, zero) = project::<E>(&Splat3::read(splats, i), &viewpoint, settings);
-                    stats.zero_quaternions += usize::from(zero);
-                    match fate {
-                        Fate::Visible(ellipse) => {
-                            *radius = ellipse.radius();
-                            visible.push((ellipse.depth, i as u32, Splat2::from(&ellipse)));
-                        }
-                        Fate::Behind => stats.behind += 1,
-                        Fate::OffScreen => stats.off_screen += 1,
-                        Fate::NonFinite => stats.non_finite += 1,
-                    }
-                }
-                stats.visible = visible.len();
+                let stats = project(splats, chunk * CHUNK, &viewpoint, settings, radii, &mut visible);
                 (visible, stats)
             })
             .collect();
@@ -95,7 +79,7 @@ impl<E: Real> Projected<E> {
         // Depths of the visible ones, and where in `chunks` they are.
         let (mut depths, mut places) = (Vec::with_capacity(stats.visible), Vec::with_capacity(stats.visible));
         for (chunk, (visible, _)) in chunks.iter().enumerate() {
-            depths.extend(visible.iter().map(|v| v.0));
+            depths.extend(visible.iter().map(|v| v.depth));
             places.extend((0..visible.len()).map(|i| (chunk * CHUNK + i) as u32));
         }
         let (ids, ordered): (Vec<u32>, Vec<Splat2>) = depth_order(&depths)
@@ -103,7 +87,7 @@ impl<E: Real> Projected<E> {
             .with_min_len(CHUNK)
             .map(|i| {
                 let place = places[i as usize] as usize;
-                let (_, id, splat) = chunks[place / CHUNK].0[place % CHUNK];
+                let Visible { id, splat, .. } = chunks[place / CHUNK].0[place % CHUNK];
                 (id, splat)
             })
             .unzip();

@@ -34,13 +34,13 @@ pub(super) fn constants(view: &Viewpoint, camera: &Camera, settings: &Settings, 
             *out = v as f32;
         }
     };
-    put(AXES, view.axes().as_flattened());
+    put(AXES, view.axes.as_flattened());
     let center = camera.center.to_array();
     put(CENTER, &center);
     put(CENTER_REST, &center.map(|c| c - f64::from(c as f32)));
     put(FOCAL, &[camera.fx, camera.fy]);
     put(PRINCIPAL, &[camera.cx, camera.cy]);
-    put(LIMITS, view.limits().as_flattened());
+    put(LIMITS, view.limits.as_flattened());
     put(SIZE, &[camera.width as f64, camera.height as f64]);
     put(NEAR, &[settings.near]);
     put(LOW_PASS, &[settings.low_pass]);

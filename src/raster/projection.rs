@@ -1,0 +1,258 @@
+//! Projection of many Gaussians, in `f64`: loops without branches over columns of values, which become vectors.
+//!
+//! Nothing is fused, so that the depth order and the tile lists do not depend on the instruction set or on `E`.
+//! First what is certainly not in the image is put aside by a cheap test, then the others are projected in full.
+
+use super::footprint::Splat2;
+use super::geometry::{Ewa, Splat3, Viewpoint, ZERO_QUATERNION, dot};
+use super::settings::{Settings, Splats, Stats};
+use crate::ops::Real;
+use crate::ops::elementary::{exp, ln_1p_unit};
+use crate::ops::simd::wide_kernel;
+
+/// Gaussians of one loop.
+const BLOCK: usize = 32;
+/// A value of each.
+type Column = [f64; BLOCK];
+
+/// A Gaussian that is not culled.
+#[derive(Clone, Copy)]
+pub(super) struct Visible {
+    /// Camera z.
+    pub depth: f64,
+    /// Index in the scene.
+    pub id: u32,
+    pub splat: Splat2,
+}
+
+/// What becomes of a Gaussian; as wide as the numbers that it is found out from.
+#[derive(Clone, Copy, PartialEq)]
+#[repr(u64)]
+enum Fate {
+    InSight,
+    Behind,
+    OffScreen,
+    NonFinite,
+}
+
+/// Constants of one view.
+#[derive(Clone, Copy)]
+struct View {
+    point: Viewpoint,
+    near: f64,
+    low_pass: f64,
+    /// `ln alpha_min`, minus infinity for 0.
+    ln_alpha_min: f64,
+}
+
+wide_kernel! {
+    /// Projects the Gaussians from `first` on, one for each of `radii` (0 = culled); the visible ones are appended in order.
+    pub(super) fn project(
+        splats: &Splats<'_, E>, first: usize, viewpoint: &Viewpoint, settings: &Settings,
+        radii: &mut [u32], visible: &mut Vec<Visible>,
+    ) -> Stats => project_all
+}
+
+#[inline(always)]
+fn project_all<E: Real, const _FMA: bool>(
+    splats: &Splats<'_, E>,
+    first: usize,
+    viewpoint: &Viewpoint,
+    settings: &Settings,
+    radii: &mut [u32],
+    visible: &mut Vec<Visible>,
+) -> Stats {
+    let Settings { near, low_pass, alpha_min, .. } = *settings;
+    let view = View { point: *viewpoint, near, low_pass, ln_alpha_min: alpha_min.ln() };
+    let mut stats = Stats { gaussians: radii.len(), ..Stats::default() };
+    let mut in_sight = Vec::with_capacity(radii.len() + BLOCK);
+    for start in (0..radii.len()).step_by(BLOCK) {
+        let ids = first + start..first + radii.len().min(start + BLOCK);
+        let fates = sift(splats, ids.start, ids.len(), &view);
+        for (id, fate) in ids.zip(fates) {
+            match fate {
+                Fate::InSight => in_sight.push(id),
+                Fate::Behind => stats.behind += 1,
+                Fate::NonFinite => stats.non_finite += 1,
+                Fate::OffScreen => {
+                    stats.off_screen += 1;
+                    let squares: f64 = Splat3::read(splats, id).rotation.iter().map(|q| q * q).sum();
+                    stats.zero_quaternions += usize::from(squares < ZERO_QUATERNION);
+                }
+            }
+        }
+    }
+    let before = visible.len();
+    for ids in in_sight.chunks(BLOCK) {
+        let block = Block::new(splats, ids, &view);
+        for (l, &id) in ids.iter().enumerate() {
+            stats.zero_quaternions += usize::from(block.zero[l] != 0.0);
+            match block.fate::<E>(l, &view) {
+                Fate::InSight => {
+                    radii[id - first] = block.radius(l);
+                    visible.push(Visible { depth: block.depth[l], id: id as u32, splat: block.splat(l) });
+                }
+                Fate::NonFinite => stats.non_finite += 1,
+                _ => stats.off_screen += 1,
+            }
+        }
+    }
+    stats.visible = visible.len() - before;
+    stats
+}
+
+/// The cheap test: a sphere around each of the Gaussians `first..first + len` against the image.
+#[inline(always)]
+fn sift<E: Real>(splats: &Splats<'_, E>, first: usize, len: usize, view: &View) -> [Fate; BLOCK] {
+    let mut mean = [[0.0; BLOCK]; 3];
+    let (mut log_scale, mut logit) = ([0.0; BLOCK], [0.0; BLOCK]);
+    let rows = splats.means[3 * first..].chunks_exact(3).zip(splats.log_scales[3 * first..].chunks_exact(3));
+    for (l, ((m, s), o)) in rows.zip(&splats.opacity_logits[first..]).take(len).enumerate() {
+        for (column, &value) in mean.iter_mut().zip(m) {
+            column[l] = value.wide();
+        }
+        log_scale[l] = s[0].max(s[1]).max(s[2]).wide();
+        logit[l] = o.wide();
+    }
+    let View { point: v, near, low_pass, ln_alpha_min } = *view;
+    let mut fates = [Fate::InSight; BLOCK];
+    for l in 0..BLOCK {
+        let p = v.to_camera([mean[0][l], mean[1][l], mean[2][l]]);
+        let largest = exp(log_scale[l]);
+        // ln(sigmoid(x)) is below both 0 and x.
+        let tau = (logit[l].min(0.0) - ln_alpha_min).max(0.0);
+        let mut out = false;
+        for a in 0..2 {
+            let ratio = p[a] / p[2];
+            let tangent = ratio.max(v.limits[a][0]).min(v.limits[a][1]);
+            let scale = largest * (v.focal[a] / p[2]);
+            // A little more than the variance that the projection may have, for rounding.
+            let variance = 1.001 * (scale * scale * (1.0 + tangent * tangent) + low_pass);
+            let (center, reach) = (v.focal[a] * ratio + v.principal[a], (2.0 * variance * tau).sqrt());
+            // False where something overflowed: the projection is to find and count that.
+            out |= (variance < 1e30) & ((center + reach < -1.0) | (center - reach > v.size[a] as f64 + 1.0));
+        }
+        let fate = if out { Fate::OffScreen } else { Fate::InSight };
+        let fate = if p[2] <= near { Fate::Behind } else { fate };
+        let finite = (p[0].abs() < f64::INFINITY) & (p[1].abs() < f64::INFINITY) & (p[2].abs() < f64::INFINITY);
+        fates[l] = if finite { fate } else { Fate::NonFinite };
+    }
+    fates
+}
+
+/// Projected Gaussians, a column for each value; [`Splat2`] says what they are.
+struct Block {
+    center: [Column; 2],
+    slope: Column,
+    du: Column,
+    dv: Column,
+    log_opacity: Column,
+    /// `u^2 + v^2` at which alpha' reaches alpha_min; infinite when alpha_min is 0.
+    tau: Column,
+    /// Half the bounding box of the alpha_min ellipse, pixels.
+    reach: [Column; 2],
+    /// Variance of x, and the larger eigenvalue of the covariance, pixels squared.
+    xx: Column,
+    lambda: Column,
+    depth: Column,
+    /// 1 for a zero quaternion, else 0.
+    zero: Column,
+}
+
+impl Block {
+    /// Of the Gaussians `ids`, [`BLOCK`] at most.
+    #[inline(always)]
+    fn new<E: Real>(splats: &Splats<'_, E>, ids: &[usize], view: &View) -> Self {
+        let none = [0.0; BLOCK];
+        let (mut mean, mut log_scale, mut rotation, mut logit) = ([none; 3], [none; 3], [none; 4], none);
+        for (l, &id) in ids.iter().enumerate() {
+            let s = Splat3::read(splats, id);
+            for i in 0..3 {
+                (mean[i][l], log_scale[i][l]) = (s.mean[i], s.log_scale[i]);
+            }
+            for i in 0..4 {
+                rotation[i][l] = s.rotation[i];
+            }
+            logit[l] = s.logit;
+        }
+        let View { point: v, low_pass: low, ln_alpha_min, .. } = *view;
+        let mut out = Self {
+            center: [none; 2],
+            slope: none,
+            du: none,
+            dv: none,
+            log_opacity: none,
+            tau: none,
+            reach: [none; 2],
+            xx: none,
+            lambda: none,
+            depth: none,
+            zero: none,
+        };
+        for l in 0..BLOCK {
+            let p = v.to_camera([mean[0][l], mean[1][l], mean[2][l]]);
+            let scale = [exp(log_scale[0][l]), exp(log_scale[1][l]), exp(log_scale[2][l])];
+            let ewa = Ewa::new([rotation[0][l], rotation[1][l], rotation[2][l], rotation[3][l]], scale, &v, p);
+            let [m1, m2] = ewa.m;
+            let (n1, n2) = (dot(m1, m1), dot(m2, m2));
+            let yy = n2 + low;
+            let slope = dot(m1, m2) / yy;
+            let s2 = (ewa.cross_squared(&v) + low * (n1 + n2) + low * low) / yy;
+            let xx = s2 + slope * slope * yy;
+            // ln(sigmoid(x)) = -ln(1 + e^-x)
+            let log_opacity = logit[l].min(0.0) - ln_1p_unit(exp(-logit[l].abs()));
+            let tau = log_opacity - ln_alpha_min;
+            let (half, b) = (0.5 * (xx - yy), slope * yy);
+            for a in 0..2 {
+                out.center[a][l] = v.focal[a] * (p[a] / p[2]) + v.principal[a];
+            }
+            out.slope[l] = slope;
+            out.du[l] = 1.0 / (2.0 * s2).sqrt();
+            out.dv[l] = 1.0 / (2.0 * yy).sqrt();
+            out.log_opacity[l] = log_opacity;
+            out.tau[l] = tau;
+            out.reach[0][l] = (2.0 * xx * tau).sqrt();
+            out.reach[1][l] = (2.0 * yy * tau).sqrt();
+            out.xx[l] = xx;
+            out.lambda[l] = 0.5 * (xx + yy) + (half * half + b * b).sqrt();
+            out.depth[l] = p[2];
+            out.zero[l] = if ewa.unit.zero { 1.0 } else { 0.0 };
+        }
+        out
+    }
+
+    #[inline(always)]
+    fn fate<E: Real>(&self, l: usize, view: &View) -> Fate {
+        // What the kernels use must also be representable in their type.
+        let fits = |x: f64| E::of(x).is_normal();
+        let finite = [self.center[0][l], self.center[1][l], self.slope[l], self.xx[l]].iter().all(|v| v.is_finite());
+        if !finite || !fits(self.du[l]) || !fits(self.dv[l]) {
+            return Fate::NonFinite;
+        }
+        let out = |a: usize| {
+            let (center, reach) = (self.center[a][l], self.reach[a][l]);
+            center + reach < 0.0 || center - reach > view.point.size[a] as f64
+        };
+        // The logarithm of the smallest normal number.
+        let nothing = self.tau[l] < 0.0 || self.log_opacity[l] < -708.396_418_532_264_1;
+        if nothing || out(0) || out(1) { Fate::OffScreen } else { Fate::InSight }
+    }
+
+    /// `ceil(3 sqrt(lambda_max))`, at least 1.
+    #[inline(always)]
+    fn radius(&self, l: usize) -> u32 {
+        ((3.0 * self.lambda[l].sqrt()).ceil() as u32).max(1)
+    }
+
+    #[inline(always)]
+    fn splat(&self, l: usize) -> Splat2 {
+        Splat2 {
+            center: [self.center[0][l], self.center[1][l]],
+            slope: self.slope[l],
+            du: self.du[l],
+            dv: self.dv[l],
+            reach: (self.tau[l] + 1e-3).sqrt(),
+            log_opacity: self.log_opacity[l],
+        }
+    }
+}
