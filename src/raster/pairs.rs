@@ -97,7 +97,7 @@ impl<E: Real, const GEOMETRY: bool> Kernel<E> for Gather<'_, E, GEOMETRY> {
             vs: Vec::new(),
             counts: PairCounts::default(),
         };
-        pairs.resize(64 * tile.ranks.len());
+        pairs.resize(24 * tile.ranks.len());
         let mut pass = PairPass::<V, E, GEOMETRY> { rule: Rule::new::<E>(&p.settings), pairs, len: 0 };
         walk(p, tile, &mut pass);
         let PairPass { mut pairs, len, .. } = pass;

@@ -7,6 +7,7 @@ use crate::camera::Camera;
 use crate::features::{Axis, Lattice, SCALES};
 use crate::ops::Real;
 use crate::ops::simd::{multiply_add, wide_kernel};
+use crate::ops::vector::Vector;
 use crate::raster::TilePairs;
 
 /// Lanes summed in registers.
@@ -51,7 +52,15 @@ pub struct Entry<E> {
     ends: [u32; SCALES],
 }
 
-impl<E> Entry<E> {
+impl<E: Real> Entry<E> {
+    /// Asks for its cells to be brought near.
+    #[inline(always)]
+    pub fn prefetch(&self, tiles: &[Vec<CellWeight<E>>]) {
+        if let Some(first) = tiles[self.tile as usize].get(self.at as usize) {
+            E::Wide::prefetch(first);
+        }
+    }
+
     /// Cells of `grid` that the Gaussian touches; `tiles` are the lists that [`fold_tile`] made.
     #[inline(always)]
     pub fn cells<'a>(&self, tiles: &'a [Vec<CellWeight<E>>], grid: usize) -> &'a [CellWeight<E>] {
@@ -188,39 +197,9 @@ fn fold_all<E: Real, const FMA: bool>(
     for (i, entry) in entries.iter_mut().enumerate().take(pairs.len()) {
         let (_, pixels, weights) = pairs.gaussian(i);
         let (Some(&first), Some(&last)) = (pixels.first(), pixels.last()) else { continue };
-        let (top, bottom) = (usize::from(first) / edge, usize::from(last) / edge);
-        let (mut left, mut right) = (edge, 0);
-        let mut from = 0;
-        while from < pixels.len() {
-            // Pixels of one row.
-            let y = usize::from(pixels[from]) / edge;
-            let to = from + pixels[from..].iter().take_while(|&&p| usize::from(p) / edge == y).count();
-            left = left.min(usize::from(pixels[from]) % edge);
-            right = right.max(usize::from(pixels[to - 1]) % edge);
-            let [low, high] = window.reach[y];
-            for block in (0..lanes).step_by(LANES) {
-                let mut sum = [E::zero(); LANES];
-                for (&pixel, &weight) in pixels[from..to].iter().zip(&weights[from..to]) {
-                    let at = usize::from(pixel) % edge * lanes + block;
-                    let Some(spread) = window.spread[at..].first_chunk::<LANES>() else { continue };
-                    for l in 0..LANES {
-                        sum[l] = multiply_add::<E, FMA>(weight, spread[l], sum[l]);
-                    }
-                }
-                for row in low..high {
-                    let across = &window.across[(y * window.rows + row) * lanes + block..];
-                    let (Some(sums), Some(across)) =
-                        (sums[row * lanes + block..].first_chunk_mut::<LANES>(), across.first_chunk::<LANES>())
-                    else {
-                        continue;
-                    };
-                    for l in 0..LANES {
-                        sums[l] = multiply_add::<E, FMA>(across[l], sum[l], sums[l]);
-                    }
-                }
-            }
-            from = to;
-        }
+        let [top, bottom] = [first, last].map(|pixel| usize::from(pixel) / edge);
+        let [left, right] =
+            if lanes > 0 { spread::<E, FMA>(window, pixels, weights, &mut sums) } else { [0, edge - 1] };
         entry.weight = weights.iter().copied().sum();
         entry.at = len as u32;
         for (end, grid) in entry.ends.iter_mut().zip(&window.grids) {
@@ -254,6 +233,45 @@ fn fold_all<E: Real, const FMA: bool>(
         sums.fill(E::zero());
     }
     out.truncate(len);
+}
+
+/// Adds the pairs of one Gaussian to `sums`, `[rows, lanes]`; returns its first and last column of pixels.
+#[inline(always)]
+fn spread<E: Real, const FMA: bool>(window: &Window<E>, pixels: &[u16], weights: &[E], sums: &mut [E]) -> [usize; 2] {
+    let (edge, lanes) = (TilePairs::<E>::EDGE, window.lanes);
+    let (mut left, mut right) = (edge, 0);
+    let mut from = 0;
+    while from < pixels.len() {
+        // Pixels of one row.
+        let y = usize::from(pixels[from]) / edge;
+        let to = from + pixels[from..].iter().take_while(|&&p| usize::from(p) / edge == y).count();
+        left = left.min(usize::from(pixels[from]) % edge);
+        right = right.max(usize::from(pixels[to - 1]) % edge);
+        let [low, high] = window.reach[y];
+        for block in (0..lanes).step_by(LANES) {
+            let mut sum = [E::zero(); LANES];
+            for (&pixel, &weight) in pixels[from..to].iter().zip(&weights[from..to]) {
+                let at = usize::from(pixel) % edge * lanes + block;
+                let Some(spread) = window.spread[at..].first_chunk::<LANES>() else { continue };
+                for l in 0..LANES {
+                    sum[l] = multiply_add::<E, FMA>(weight, spread[l], sum[l]);
+                }
+            }
+            for row in low..high {
+                let across = &window.across[(y * window.rows + row) * lanes + block..];
+                let (Some(sums), Some(across)) =
+                    (sums[row * lanes + block..].first_chunk_mut::<LANES>(), across.first_chunk::<LANES>())
+                else {
+                    continue;
+                };
+                for l in 0..LANES {
+                    sums[l] = multiply_add::<E, FMA>(across[l], sum[l], sums[l]);
+                }
+            }
+        }
+        from = to;
+    }
+    [left, right]
 }
 
 /// Makes `list` at least `len` long.

@@ -86,6 +86,7 @@ fn gather_rows<E: Real, const FMA: bool>(scales: &mut [Rows<'_, E>], first: usiz
         near.extend(view.positions.of(i).iter().map(|&at| view.entries[at as usize]));
         ends.push(near.len());
     }
+    near.iter().for_each(|entry: &Entry<E>| entry.prefetch(&view.tiles));
     let mut start = 0;
     for (i, end) in ends.into_iter().enumerate() {
         let entries = &near[start..end];
@@ -97,24 +98,31 @@ fn gather_rows<E: Real, const FMA: bool>(scales: &mut [Rows<'_, E>], first: usiz
         for Rows { buffer, weights, map, grid } in scales.iter_mut() {
             weights[i] += weight;
             let channels = map.channels;
-            for (block, out) in buffer[i * channels..(i + 1) * channels].chunks_mut(LANES).enumerate() {
+            let (blocks, rest) = buffer[i * channels..(i + 1) * channels].as_chunks_mut::<LANES>();
+            let rest_at = blocks.len() * LANES;
+            for (block, out) in blocks.iter_mut().enumerate() {
                 let mut sum = [E::zero(); LANES];
                 for entry in entries {
                     for &CellWeight { cell, weight } in entry.cells(&view.tiles, *grid) {
                         let from = &map.data[cell as usize * channels + block * LANES..];
-                        if let Some(from) = from.first_chunk::<LANES>().filter(|_| out.len() == LANES) {
-                            for l in 0..LANES {
-                                sum[l] = multiply_add::<E, FMA>(weight, E::of(f64::from(from[l])), sum[l]);
-                            }
-                        } else {
-                            for (s, &x) in sum.iter_mut().zip(&from[..out.len()]) {
-                                *s = multiply_add::<E, FMA>(weight, E::of(f64::from(x)), *s);
-                            }
+                        let Some(from) = from.first_chunk::<LANES>() else { continue };
+                        for l in 0..LANES {
+                            sum[l] = multiply_add::<E, FMA>(weight, E::of(f64::from(from[l])), sum[l]);
                         }
                     }
                 }
-                for (o, s) in out.iter_mut().zip(sum) {
-                    *o += s;
+                for l in 0..LANES {
+                    out[l] += sum[l];
+                }
+            }
+            if rest.is_empty() {
+                continue;
+            }
+            for entry in entries {
+                for &CellWeight { cell, weight } in entry.cells(&view.tiles, *grid) {
+                    for (o, &x) in rest.iter_mut().zip(&map.data[cell as usize * channels + rest_at..]) {
+                        *o = multiply_add::<E, FMA>(weight, E::of(f64::from(x)), *o);
+                    }
                 }
             }
         }
