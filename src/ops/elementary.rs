@@ -40,7 +40,7 @@ fn polynomial<const N: usize>(coefficients: &[f64; N], x: f64) -> f64 {
 /// `e^x`: relative error below 3e-16 for `-708 <= x <= 709.4`; 0 below that, infinite above. NaN stays NaN.
 #[inline(always)]
 pub(crate) fn exp(x: f64) -> f64 {
-    let inside = x.max(RANGE[0]).min(RANGE[1]);
+    let inside = x.clamp(RANGE[0], RANGE[1]);
     let shifted = inside * std::f64::consts::LOG2_E + ROUND;
     let n = shifted - ROUND;
     let r = (inside - n * LN_2[0]) - n * LN_2[1];

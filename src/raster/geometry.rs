@@ -69,7 +69,7 @@ impl Viewpoint {
 
     /// A point of the world in camera coordinates.
     #[inline(always)]
-    pub fn to_camera(&self, point: Vec3) -> Vec3 {
+    pub fn to_camera(self, point: Vec3) -> Vec3 {
         let offset = [point[0] - self.center[0], point[1] - self.center[1], point[2] - self.center[2]];
         [dot(self.axes[0], offset), dot(self.axes[1], offset), dot(self.axes[2], offset)]
     }

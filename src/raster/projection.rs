@@ -170,8 +170,8 @@ impl Block {
             for i in 0..3 {
                 (mean[i][l], log_scale[i][l]) = (s.mean[i], s.log_scale[i]);
             }
-            for i in 0..4 {
-                rotation[i][l] = s.rotation[i];
+            for (column, value) in rotation.iter_mut().zip(s.rotation) {
+                column[l] = value;
             }
             logit[l] = s.logit;
         }

@@ -49,7 +49,7 @@ pub struct PretrainOptions {
 
 impl Default for PretrainOptions {
     fn default() -> Self {
-        let points = [8_000, 40_000];
+        let points = [4_000, 16_000];
         Self { seed: 0, rooms: 96, held_out: 16, room_points: 40_000, points, steps: 600, rate: 5e-3 }
     }
 }
@@ -110,12 +110,7 @@ pub fn pretrain(
     let mut student = Student { encoder, head: head.with_seed(options.seed).init(&device) };
     let mut adam = AdamConfig::new().with_epsilon(1e-8).init();
     let mut losses = Vec::with_capacity(options.steps);
-    // A single room is a biased batch: what is learned on its own statistics is off under the running ones.
-    let freeze_at = options.steps * 3 / 5;
     for step in 0..options.steps {
-        if step == freeze_at {
-            student.encoder = student.encoder.freeze_statistics();
-        }
         let loss = student_loss(&student, train, step, options, &device)?;
         state.loss = host(loss.clone().inner()).first().copied().unwrap_or(f32::NAN);
         if !state.loss.is_finite() {

@@ -96,12 +96,6 @@ impl SharedMlp {
         Ok(Self { linear, norm: None, linear_only })
     }
 
-    fn freeze_statistics(&mut self) {
-        if let Some(norm) = &mut self.norm {
-            norm.training = Param::from_bool(false);
-        }
-    }
-
     /// Writes what [`SharedMlp::load`] reads.
     fn save(&self, weights: &mut Checkpoint, name: &str) {
         let [input, output] = self.linear.weight.dims();
@@ -287,18 +281,6 @@ impl RandlaEncoder {
         }
         let stem = SharedMlp::load(weights, "fc0", [inputs, stem], false, form, device)?;
         Ok(Self { stem, blocks, inputs })
-    }
-
-    /// From here on batch normalisation reads its running statistics, as it will when frozen; weights go on training.
-    #[must_use]
-    pub fn freeze_statistics(mut self) -> Self {
-        self.stem.freeze_statistics();
-        for b in &mut self.blocks {
-            let mlps = [&mut b.narrow, &mut b.first_code, &mut b.second_code, &mut b.widen, &mut b.shortcut];
-            let pooled = [&mut b.first_pooling.mlp, &mut b.second_pooling.mlp];
-            mlps.into_iter().chain(pooled).for_each(SharedMlp::freeze_statistics);
-        }
-        self
     }
 
     /// All weights under the names that [`RandlaEncoder::load`] reads.

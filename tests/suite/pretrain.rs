@@ -9,6 +9,7 @@ use coseg::weights::Checkpoint;
 use coseg::{Error, Result};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::path::Path;
 
 fn run(options: &PretrainOptions) -> Result<TrainedEncoder> {
     pretrain(options, &crate::device(), &mut |_| ())
@@ -56,30 +57,16 @@ fn impossible_sizes_are_refused() {
     }
 }
 
-/// Makes the weights that ship: `COSEG_PRETRAIN_OUT=FILE cargo test --release -- --ignored make_builtin --nocapture`.
-/// `coseg pretrain` does the same for its users.
 #[test]
-#[ignore = "minutes; only run to make the weights anew"]
-fn make_builtin_weights() {
-    let Some(out) = std::env::var_os("COSEG_PRETRAIN_OUT") else { return };
-    let mut options = PretrainOptions::default();
-    if let Some(steps) = std::env::var("COSEG_PRETRAIN_STEPS").ok().and_then(|s| s.parse().ok()) {
-        options.steps = steps;
-    }
-    let start = std::time::Instant::now();
-    let device = crate::device();
-    let trained = pretrain(&options, &device, &mut |p| {
-        if p.steps[0] % 20 == 0 {
-            eprintln!("{:6.1} s  {p:?}", start.elapsed().as_secs_f64());
-        }
-    })
-    .expect("finite");
-    std::fs::write(out, trained.weights.to_safetensors().expect("whole tensors")).expect("a writable file");
-    eprintln!("{:.0} s, {:?}, {:?}", start.elapsed().as_secs_f64(), trained.held_out, trained.curve);
+fn the_weights_inside_the_crate_are_those_of_todays_defaults() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/randla_builtin.safetensors");
+    let notes = Checkpoint::open(file).expect("weights").metadata;
+    assert_eq!(notes["options"], format!("{:?}", PretrainOptions::default()));
+    assert_eq!(notes["command"], "coseg pretrain --seed 0");
 }
 
 /// Points of a labelled scene's training views by true depth, with 1 cm of noise, and their true labels.
-fn scene_points(dir: &std::path::Path, count: usize) -> LabelledCloud {
+fn scene_points(dir: &Path, count: usize) -> LabelledCloud {
     let text = std::fs::read_to_string(dir.join("transforms.json")).expect("transforms.json");
     let json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
     let number = |v: &serde_json::Value| v.as_f64().expect("a number");

@@ -171,3 +171,81 @@ fn says(groups: &Groups, views: &[Masks], parts: &Parts) -> (f64, f64) {
     }
     (one, two)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::data::Segment;
+    use crate::objects::association::groups::Kind;
+    use std::borrow::Cow;
+
+    const KIND: Kind = Kind { class: None, thing: true };
+
+    /// First Gaussian of a segment and one past its last.
+    type Span = (u32, u32);
+
+    /// Views of 20 Gaussians, each with ten pixels on every Gaussian of its segments.
+    fn views(of: &[&[Span]]) -> Vec<Masks> {
+        let mask = |(id, &(first, end)): (usize, &Span)| Mask {
+            segment: Segment { id: id as u16 + 1, class: None, thing: true },
+            weights: (first..end).map(|g| (g, 10.0)).collect(),
+            total: 10.0 * f64::from(end - first),
+        };
+        of.iter()
+            .map(|view| Masks { segments: view.iter().enumerate().map(mask).collect(), rest: Vec::new() })
+            .collect()
+    }
+
+    /// The groups of each view's segments after all segments of all `views` were one group.
+    fn parted(views: &[Masks]) -> (bool, Vec<Vec<u32>>) {
+        let mut groups = Groups::new(20);
+        let only = groups.open(KIND);
+        let mut placed: Vec<Placed<'_>> = views
+            .iter()
+            .map(|view| Placed {
+                masks: view.segments.iter().map(Cow::Borrowed).collect(),
+                groups: vec![Some(only); view.segments.len()],
+            })
+            .collect();
+        placed.iter().for_each(|view| groups.add(view));
+        let order: Vec<usize> = (0..views.len()).collect();
+        let any = split(&mut groups, views, &mut placed, &order, 0.5);
+        (any, placed.iter().map(|view| view.groups.iter().map(|g| g.expect("placed")).collect()).collect())
+    }
+
+    #[test]
+    fn two_things_that_one_view_joins_are_parted() {
+        let apart: &[Span] = &[(0, 12), (12, 20)];
+        let (any, groups) = parted(&views(&[&[(0, 20)], apart, apart, apart, &[(0, 12)], &[(12, 20)]]));
+        assert!(any);
+        // The larger part keeps its number, and the segment of both stays there.
+        assert_eq!(groups, [vec![0], vec![0, 1], vec![0, 1], vec![0, 1], vec![0], vec![1]]);
+    }
+
+    #[test]
+    fn one_thing_that_few_views_cut_stays_one() {
+        let cut: &[Span] = &[(0, 12), (12, 20)];
+        let whole: &[Span] = &[(0, 20)];
+        let (any, groups) = parted(&views(&[whole, whole, whole, cut, cut]));
+        assert!(!any);
+        assert!(groups.iter().flatten().all(|&g| g == 0), "{groups:?}");
+        // Nor do two views decide against none: more than one doubt is asked for.
+        assert!(!parted(&views(&[&[(0, 12)], &[(12, 20)], cut])).0);
+    }
+
+    #[test]
+    fn a_sliver_of_something_else_is_no_part() {
+        // Gaussians 0 and 1 belong to a much heavier group of their own.
+        let views = views(&[&[(2, 20), (0, 2)], &[(2, 20), (0, 2)], &[(2, 20), (0, 2)]]);
+        let mut groups = Groups::new(20);
+        let [one, other] = [groups.open(KIND), groups.open(KIND)];
+        let mut placed: Vec<Placed<'_>> = views
+            .iter()
+            .map(|view| Placed { masks: view.segments.iter().map(Cow::Borrowed).collect(), groups: vec![Some(one); 2] })
+            .collect();
+        placed.iter().for_each(|view| groups.add(view));
+        let heavy = Mask { weights: vec![(0, 1e3), (1, 1e3)], total: 2e3, ..views[0].segments[1].clone() };
+        groups.add(&Placed { masks: vec![Cow::Owned(heavy)], groups: vec![Some(other)] });
+        assert!(!split(&mut groups, &views, &mut placed, &[0, 1, 2], 0.5));
+    }
+}
