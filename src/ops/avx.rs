@@ -113,10 +113,4 @@ impl Vector<f32> for Avx {
             _mm_cvtss_f32(_mm_add_ss(x, _mm_shuffle_ps::<1>(x, x)))
         })
     }
-    #[inline(always)]
-    fn prefetch<T>(value: &T) {
-        let first: *const T = value;
-        avx!(_mm_prefetch::<_MM_HINT_T0>(first.cast()));
-        avx!(_mm_prefetch::<_MM_HINT_T0>(first.cast::<i8>().wrapping_add(size_of::<T>() - 1)));
-    }
 }

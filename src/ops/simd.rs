@@ -37,6 +37,23 @@ pub(crate) fn wide_instructions() -> bool {
     is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
 }
 
+/// Asks for the memory of `value`, its first and its last byte, to be brought near, where the hardware can be asked.
+#[inline(always)]
+pub(crate) fn prefetch<T>(value: &T) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        let first: *const i8 = std::ptr::from_ref(value).cast();
+        // SAFETY: SSE is part of x86-64, and a prefetch of any address has no effect that a program can see.
+        unsafe {
+            _mm_prefetch::<_MM_HINT_T0>(first);
+            _mm_prefetch::<_MM_HINT_T0>(first.wrapping_add(size_of::<T>().saturating_sub(1)));
+        }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = value;
+}
+
 /// Declares `fn $name`, which runs `$body::<E, FMA>`: [`dispatch`] for loops that the compiler vectorises by itself.
 /// `$body` must be `#[inline(always)]`, and closures that it does not inline lose the wider instructions.
 macro_rules! wide_kernel {

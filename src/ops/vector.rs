@@ -59,8 +59,6 @@ pub trait Vector<E>: Copy {
     fn permute(self, from: &[u8; LANES]) -> Self;
     /// The sum of all lanes, in a fixed tree.
     fn total(self) -> E;
-    /// Asks for `value` to be brought near, where the hardware can be asked.
-    fn prefetch<T>(_value: &T) {}
 }
 
 /// Lanes as an array. `FUSED`: the hardware multiplies and adds with one rounding.

@@ -10,6 +10,7 @@ use super::settings::Splats;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::ops::Real;
+use crate::ops::elementary::exp;
 
 pub(super) type Vec3 = [f64; 3];
 
@@ -100,7 +101,7 @@ impl Splat3 {
 /// `1 / (1 + e^-x)`.
 #[inline(always)]
 fn sigmoid(x: f64) -> f64 {
-    let e = (-x.abs()).exp();
+    let e = exp(-x.abs());
     if x >= 0.0 { 1.0 / (1.0 + e) } else { e / (1.0 + e) }
 }
 
@@ -182,7 +183,7 @@ impl Ewa {
     /// Of a Gaussian at `p` in camera coordinates.
     #[inline(always)]
     pub fn new(rotation: [f64; 4], scale: Vec3, v: &Viewpoint, p: Vec3) -> Self {
-        // Written out: closures that are not inlined would keep loops over Gaussians from becoming vectors.
+        // No `from_fn`: where its closure is not inlined, loops over Gaussians do not become vectors.
         let along = |a: usize| {
             let (ratio, [low, high]) = (p[a] / p[2], v.limits[a]);
             let tangent = ratio.max(low).min(high);
@@ -246,7 +247,7 @@ pub(super) fn project_backward(
 ) -> Gradient3 {
     let p = v.to_camera(s.mean);
     let z = p[2];
-    let ewa = Ewa::new(s.rotation, s.log_scale.map(f64::exp), v, p);
+    let ewa = Ewa::new(s.rotation, s.log_scale.map(exp), v, p);
     let [m1, m2] = ewa.m;
     let yy = dot(m2, m2) + low_pass;
     let (slope, du, dv) = (e.slope, e.du, e.dv);

@@ -9,6 +9,9 @@ use crate::ops::Real;
 use crate::ops::simd::{Kernel, dispatch};
 use crate::ops::vector::{LANES, MEMBERS, Vector};
 
+/// Pairs of a Gaussian in a tile for which room is made beforehand; there is more when there are more.
+const USUAL: usize = 24;
+
 /// Contributing pairs of one tile, Gaussian by Gaussian, front to back.
 pub(super) struct Pairs<E, const GEOMETRY: bool> {
     /// Transmittance, ended pixels negative.
@@ -97,7 +100,7 @@ impl<E: Real, const GEOMETRY: bool> Kernel<E> for Gather<'_, E, GEOMETRY> {
             vs: Vec::new(),
             counts: PairCounts::default(),
         };
-        pairs.resize(24 * tile.ranks.len());
+        pairs.resize(USUAL * tile.ranks.len());
         let mut pass = PairPass::<V, E, GEOMETRY> { rule: Rule::new::<E>(&p.settings), pairs, len: 0 };
         walk(p, tile, &mut pass);
         let PairPass { mut pairs, len, .. } = pass;

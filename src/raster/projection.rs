@@ -1,6 +1,7 @@
 //! Projection of many Gaussians, in `f64`: loops without branches over columns of values, which become vectors.
 //!
-//! Nothing is fused, so that the depth order and the tile lists do not depend on the instruction set or on `E`.
+//! Nothing is fused, so that the depth order and the tile lists do not depend on the instruction set, nor, but for numbers
+//! that `E` cannot hold, on `E`.
 //! First what is certainly not in the image is put aside by a cheap test, then the others are projected in full.
 
 use super::footprint::Splat2;
@@ -46,7 +47,8 @@ struct View {
 }
 
 wide_kernel! {
-    /// Projects the Gaussians from `first` on, one for each of `radii` (0 = culled); the visible ones are appended in order.
+    /// Projects the Gaussians from `first` on, one for each of `radii`, which is zero and stays so where
+    /// one is culled; the visible ones are appended in order.
     pub(super) fn project(
         splats: &Splats<'_, E>, first: usize, viewpoint: &Viewpoint, settings: &Settings,
         radii: &mut [u32], visible: &mut Vec<Visible>,
@@ -65,7 +67,7 @@ fn project_all<E: Real, const _FMA: bool>(
     let Settings { near, low_pass, alpha_min, .. } = *settings;
     let view = View { point: *viewpoint, near, low_pass, ln_alpha_min: alpha_min.ln() };
     let mut stats = Stats { gaussians: radii.len(), ..Stats::default() };
-    let mut in_sight = Vec::with_capacity(radii.len() + BLOCK);
+    let mut in_sight = Vec::with_capacity(radii.len());
     for start in (0..radii.len()).step_by(BLOCK) {
         let ids = first + start..first + radii.len().min(start + BLOCK);
         let fates = sift(splats, ids.start, ids.len(), &view);
@@ -93,7 +95,7 @@ fn project_all<E: Real, const _FMA: bool>(
                     visible.push(Visible { depth: block.depth[l], id: id as u32, splat: block.splat(l) });
                 }
                 Fate::NonFinite => stats.non_finite += 1,
-                _ => stats.off_screen += 1,
+                Fate::OffScreen | Fate::Behind => stats.off_screen += 1,
             }
         }
     }
@@ -151,8 +153,9 @@ struct Block {
     tau: Column,
     /// Half the bounding box of the alpha_min ellipse, pixels.
     reach: [Column; 2],
-    /// Variance of x, and the larger eigenvalue of the covariance, pixels squared.
+    /// Variance of x, pixels squared.
     xx: Column,
+    /// Larger eigenvalue of the covariance, pixels squared.
     lambda: Column,
     depth: Column,
     /// 1 for a zero quaternion, else 0.
@@ -233,7 +236,7 @@ impl Block {
             let (center, reach) = (self.center[a][l], self.reach[a][l]);
             center + reach < 0.0 || center - reach > view.point.size[a] as f64
         };
-        // The logarithm of the smallest normal number.
+        // The logarithm of the smallest normal `f64`.
         let nothing = self.tau[l] < 0.0 || self.log_opacity[l] < -708.396_418_532_264_1;
         if nothing || out(0) || out(1) { Fate::OffScreen } else { Fate::InSight }
     }

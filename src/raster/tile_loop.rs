@@ -3,6 +3,7 @@
 use super::footprint::{Buffer, Corner, Footprint, Grid, TILE, live_strips};
 use super::projected::{Blended, Projected};
 use crate::ops::Real;
+use crate::ops::simd::prefetch;
 use crate::ops::vector::Vector;
 use rayon::prelude::*;
 
@@ -127,7 +128,7 @@ pub(super) fn walk<E: Real, V: Vector<E>>(p: &Projected<E>, tile: Tile<'_>, pass
     let mut corners = [Corner::default(); LOOK];
     for (look, ranks) in tile.ranks.chunks(LOOK).enumerate() {
         for &rank in tile.ranks.iter().skip((look + 1) * LOOK).take(LOOK) {
-            V::prefetch(&p.splats[rank as usize]);
+            prefetch(&p.splats[rank as usize]);
         }
         let live = live_strips::<E, V>(pass.transmittance());
         if live == 0 {

@@ -4,7 +4,7 @@ use crate::raster_reference::{Cloud, camera, cloud, numbers};
 use burn::tensor::{DType, Tensor};
 use coseg::Error;
 use coseg::camera::Camera;
-use coseg::raster::{Projected, RasterInput, Settings, Splats, rasterize};
+use coseg::raster::{Projected, RasterInput, Settings, Splats, Stats, rasterize};
 
 fn single(c: &Cloud) -> [Vec<f32>; 4] {
     c.single()
@@ -117,6 +117,73 @@ fn hard_cases_stay_finite() {
     }
     let wide = Projected::new(&c.splats(), &camera, &settings).expect("finite input");
     assert!(wide.blend(&numbers(c.len() * 3, 3), 3).image.iter().all(|v| v.is_finite()));
+}
+
+/// Gaussians with every fate, in mixed order: more than one task projects, and no multiple of what a loop takes.
+fn every_fate(camera: &Camera) -> Cloud {
+    let forward = camera.rotation.transpose() * glam::DVec3::Z;
+    let side = camera.rotation.transpose() * glam::DVec3::X;
+    let at = |depth: f64, aside: f64| (camera.center + forward * depth + side * aside).to_array();
+    let turn = [0.9, 0.1, -0.3, 0.2];
+    let seen = cloud(1_200, 0.05, camera, 8);
+    let mut c = Cloud::default();
+    for i in 0..seen.len() {
+        let row = |v: &[f64], width: usize| v[width * i..width * (i + 1)].to_vec();
+        c.means.extend(row(&seen.means, 3));
+        c.log_scales.extend(row(&seen.log_scales, 3));
+        c.rotations.extend(row(&seen.rotations, 4));
+        c.opacity_logits.push(seen.opacity_logits[i]);
+        let depth = 1.0 + 0.01 * i as f64;
+        match i % 8 {
+            0 => c.push(at(-depth, 0.0), [0.1; 3], turn, 1.0),
+            1 => c.push(at(depth, 50.0 * depth), [0.1; 3], turn, 1.0),
+            2 => c.push(at(depth, 50.0 * depth), [0.1; 3], [0.0; 4], 1.0),
+            3 => c.push(at(depth, 0.2), [1e300; 3], turn, 1.0),
+            4 => c.push(at(depth, 0.2), [0.1; 3], [0.0; 4], 1.0),
+            5 => c.push(at(depth, 0.2), [0.1; 3], turn, -9.0),
+            6 => c.push(at(depth, 0.8 * depth), [0.01, 0.2, 0.01], turn, 1.0),
+            _ => {}
+        }
+    }
+    c.rounded()
+}
+
+#[test]
+fn each_gaussian_meets_the_fate_it_meets_alone() {
+    let camera = camera(97, 61);
+    let all = every_fate(&camera);
+    for alpha_min in [Settings::default().alpha_min, 0.0] {
+        let settings = Settings { alpha_min, ..Settings::default() };
+        let floats = single(&all);
+        let narrow = Projected::new(&splats(&floats), &camera, &settings).expect("finite");
+        let wide = Projected::new(&all.splats(), &camera, &settings).expect("finite");
+        assert_eq!((narrow.stats(), narrow.radii()), (wide.stats(), wide.radii()), "f32 against f64");
+        let mut sum = Stats::default();
+        for (i, &radius) in wide.radii().iter().enumerate() {
+            let alone = Splats {
+                means: &all.means[3 * i..3 * i + 3],
+                log_scales: &all.log_scales[3 * i..3 * i + 3],
+                rotations: &all.rotations[4 * i..4 * i + 4],
+                opacity_logits: &all.opacity_logits[i..=i],
+            };
+            let one = Projected::new(&alone, &camera, &settings).expect("finite");
+            assert_eq!(one.radii(), [radius], "Gaussian {i}");
+            let s = one.stats();
+            sum.gaussians += s.gaussians;
+            sum.visible += s.visible;
+            sum.behind += s.behind;
+            sum.off_screen += s.off_screen;
+            sum.non_finite += s.non_finite;
+            sum.zero_quaternions += s.zero_quaternions;
+            sum.tile_entries += s.tile_entries;
+        }
+        assert_eq!(wide.stats(), sum);
+        assert_eq!(sum.visible + sum.behind + sum.off_screen + sum.non_finite, all.len());
+        assert_eq!((sum.behind, sum.non_finite), (150, 150), "{sum:?}");
+        assert!(sum.visible > 1_200 && sum.zero_quaternions > 150, "{sum:?}");
+        // Without alpha_min every ellipse is the whole plane.
+        assert_eq!(sum.off_screen > 300, alpha_min > 0.0, "{sum:?}");
+    }
 }
 
 #[test]

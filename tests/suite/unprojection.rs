@@ -51,7 +51,7 @@ fn map(width: usize, height: usize, channels: usize, salt: usize) -> FeatureMap 
 /// Maps of one view: two scales on one grid, one with steps of its own, one finer than the image.
 fn maps(salt: usize) -> [FeatureMap; 4] {
     let stepped = FeatureMap { steps: Some(Steps { stride: 16.0, offset: 0.5 }), ..map(7, 5, 64, salt + 2) };
-    [map(24, 18, 5, salt), map(24, 18, 40, salt + 1), stepped, map(130, 99, 3, salt + 3)]
+    [map(24, 18, 5, salt), map(24, 18, 150, salt + 1), stepped, map(130, 99, 3, salt + 3)]
 }
 
 fn wide(values: &[f32]) -> Vec<f64> {

@@ -196,7 +196,7 @@ mod tests {
             .collect()
     }
 
-    /// The groups of each view's segments after all segments of all `views` were one group.
+    /// Whether anything was split, and the groups of each view's segments after all of them were one group.
     fn parted(views: &[Masks]) -> (bool, Vec<Vec<u32>>) {
         let mut groups = Groups::new(20);
         let only = groups.open(KIND);
@@ -229,8 +229,9 @@ mod tests {
         let (any, groups) = parted(&views(&[whole, whole, whole, cut, cut]));
         assert!(!any);
         assert!(groups.iter().flatten().all(|&g| g == 0), "{groups:?}");
-        // Nor do two views decide against none: more than one doubt is asked for.
+        // Nor does one view alone part what no view joins: `DOUBT` is one view. Two do.
         assert!(!parted(&views(&[&[(0, 12)], &[(12, 20)], cut])).0);
+        assert!(parted(&views(&[&[(0, 12)], &[(12, 20)], cut, cut])).0);
     }
 
     #[test]

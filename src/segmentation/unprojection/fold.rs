@@ -6,8 +6,7 @@
 use crate::camera::Camera;
 use crate::features::{Axis, Lattice, SCALES};
 use crate::ops::Real;
-use crate::ops::simd::{multiply_add, wide_kernel};
-use crate::ops::vector::Vector;
+use crate::ops::simd::{multiply_add, prefetch, wide_kernel};
 use crate::raster::TilePairs;
 
 /// Lanes summed in registers.
@@ -57,7 +56,7 @@ impl<E: Real> Entry<E> {
     #[inline(always)]
     pub fn prefetch(&self, tiles: &[Vec<CellWeight<E>>]) {
         if let Some(first) = tiles[self.tile as usize].get(self.at as usize) {
-            E::Wide::prefetch(first);
+            prefetch(first);
         }
     }
 
@@ -198,6 +197,7 @@ fn fold_all<E: Real, const FMA: bool>(
         let (_, pixels, weights) = pairs.gaussian(i);
         let (Some(&first), Some(&last)) = (pixels.first(), pixels.last()) else { continue };
         let [top, bottom] = [first, last].map(|pixel| usize::from(pixel) / edge);
+        // Only bands read the columns, and without lanes there are none.
         let [left, right] =
             if lanes > 0 { spread::<E, FMA>(window, pixels, weights, &mut sums) } else { [0, edge - 1] };
         entry.weight = weights.iter().copied().sum();

@@ -118,12 +118,17 @@ fn gather_rows<E: Real, const FMA: bool>(scales: &mut [Rows<'_, E>], first: usiz
             if rest.is_empty() {
                 continue;
             }
+            let mut sum = [E::zero(); LANES];
             for entry in entries {
                 for &CellWeight { cell, weight } in entry.cells(&view.tiles, *grid) {
-                    for (o, &x) in rest.iter_mut().zip(&map.data[cell as usize * channels + rest_at..]) {
-                        *o = multiply_add::<E, FMA>(weight, E::of(f64::from(x)), *o);
+                    let from = &map.data[cell as usize * channels + rest_at..][..rest.len()];
+                    for (s, &x) in sum.iter_mut().zip(from) {
+                        *s = multiply_add::<E, FMA>(weight, E::of(f64::from(x)), *s);
                     }
                 }
+            }
+            for (o, s) in rest.iter_mut().zip(sum) {
+                *o += s;
             }
         }
     }
