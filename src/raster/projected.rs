@@ -82,7 +82,8 @@ impl<E: Real> Projected<E> {
             depths.extend(visible.iter().map(|v| v.depth));
             places.extend((0..visible.len()).map(|i| (chunk * CHUNK + i) as u32));
         }
-        let (ids, ordered): (Vec<u32>, Vec<Splat2>) = depth_order(&depths)
+        let (mut ids, mut ordered): (Vec<u32>, Vec<Splat2>) = Default::default();
+        depth_order(&depths)
             .into_par_iter()
             .with_min_len(CHUNK)
             .map(|i| {
@@ -90,7 +91,7 @@ impl<E: Real> Projected<E> {
                 let Visible { id, splat, .. } = chunks[place / CHUNK].0[place % CHUNK];
                 (id, splat)
             })
-            .unzip();
+            .unzip_into_vecs(&mut ids, &mut ordered);
         let tiles = tile_lists(&ordered, viewpoint.size)?;
         stats.tile_entries = tiles.ranks.len();
         Ok(Self { viewpoint, settings: *settings, splats: ordered, ids, tiles, radii, stats, scalar: PhantomData })

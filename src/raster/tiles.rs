@@ -219,7 +219,7 @@ pub(super) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Result<TileList
     }
     runs.push(at);
     // Every slot is written once, by one thread: the order of the stores does not matter.
-    let ranks: Vec<AtomicU32> = std::iter::repeat_with(AtomicU32::default).take(total).collect();
+    let ranks: Vec<AtomicU32> = (0..total).into_par_iter().map(|_| AtomicU32::default()).collect();
     (0..splats.len()).into_par_iter().with_min_len(CHUNK).for_each(|rank| {
         for &slot in &slots[runs[rank] as usize..runs[rank + 1] as usize] {
             ranks[slot as usize].store(rank as u32, Ordering::Relaxed);
