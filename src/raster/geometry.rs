@@ -183,7 +183,7 @@ impl Ewa {
     /// Of a Gaussian at `p` in camera coordinates.
     #[inline(always)]
     pub fn new(rotation: [f64; 4], scale: Vec3, v: &Viewpoint, p: Vec3) -> Self {
-        // No `from_fn`: where its closure is not inlined, loops over Gaussians do not become vectors.
+        // No `from_fn` within `from_fn`: where a closure is not inlined, loops over Gaussians do not become vectors.
         let along = |a: usize| {
             let (ratio, [low, high]) = (p[a] / p[2], v.limits[a]);
             let tangent = ratio.max(low).min(high);
