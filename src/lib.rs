@@ -8,6 +8,8 @@ pub mod device;
 pub mod error;
 pub mod features;
 pub mod gaussians;
+#[cfg(feature = "wgpu")]
+mod gpu;
 pub mod metrics;
 pub mod objects;
 pub mod ops;

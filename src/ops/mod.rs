@@ -9,6 +9,8 @@ mod avx;
 mod blended_labels;
 pub(crate) mod elementary;
 mod fusion_layer;
+#[cfg(feature = "wgpu")]
+mod gpu;
 mod gradient_in_hand;
 mod host;
 mod label_loss;
@@ -28,7 +30,7 @@ pub use blended_labels::{BlendedLabelBackend, LabelledPixels, blended_label_loss
 pub use fusion_layer::{FusionBackend, LayerGradients, LayerMap, LayerTensors, fusion_layer, fusion_layer_plain};
 pub(crate) use host::device_of;
 pub(crate) use host::real_kernel;
-pub use host::{HostBackend, HostValues, warn_host_fallback};
+pub use host::{HostBackend, HostKernels, HostValues, warn_host_fallback};
 pub use label_loss::{Kind, LabelLossBackend, UNLABELLED, label_loss};
 pub use neighbour_divergence::{DivergenceBackend, NeighbourPairs, neighbour_divergence, neighbour_divergence_plain};
 pub use photometric::{Photo, PhotometricBackend, photometric_loss, photometric_loss_plain};

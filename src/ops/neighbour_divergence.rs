@@ -157,6 +157,6 @@ pub fn neighbour_divergence_plain(features: Tensor<2>, pairs: &NeighbourPairs) -
 
 fn pick(features: Tensor<2>, rows: &[u32], columns: usize) -> Tensor<2> {
     let offsets = (0..=rows.len() as u32).collect();
-    let matrix = SparseMatrix { columns, offsets, values: vec![1.0; rows.len()], indices: rows.to_vec() };
+    let matrix = SparseMatrix::unchecked(columns, offsets, rows.to_vec(), vec![1.0; rows.len()]);
     sparse_apply(features, Arc::new(matrix))
 }

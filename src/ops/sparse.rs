@@ -3,9 +3,12 @@
 //! With frozen geometry, blending (`S = W s`) and distance-weighted interpolation are both such maps. The gradient
 //! with respect to the input is the adjoint `W^T g`; the matrix itself gets none.
 
+#[cfg(feature = "wgpu")]
+use super::gpu::DeviceMatrix;
 use super::simd::{multiply_add, wide_kernel};
-use super::{HostBackend, device_of};
-use super::{Real, real_kernel};
+use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
+#[cfg(feature = "wgpu")]
+use crate::gpu::Resident;
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
@@ -75,9 +78,46 @@ pub struct SparseMatrix {
     pub indices: Vec<u32>,
     /// Value of each entry.
     pub values: Vec<f32>,
+    #[cfg(feature = "wgpu")]
+    pub(super) resident: ResidentMatrix,
+}
+
+/// Copies of a matrix on a device.
+#[cfg(feature = "wgpu")]
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct ResidentMatrix {
+    /// By rows, and by columns.
+    pub rows: Resident<DeviceMatrix>,
+    pub columns: Resident<DeviceMatrix>,
 }
 
 impl SparseMatrix {
+    /// Of compressed rows: `offsets` holds the start of each row in `indices`, and the end of the last.
+    ///
+    /// # Panics
+    /// If `offsets` does not rise from 0 to the number of entries, `indices` and `values` differ in length, or an index is
+    /// not below `columns`.
+    pub fn new(columns: usize, offsets: Vec<u32>, indices: Vec<u32>, values: Vec<f32>) -> Self {
+        assert_eq!(indices.len(), values.len(), "sparse matrix: indices against values");
+        let (first, last) = (offsets.first().map(|&o| o as usize), offsets.last().map(|&o| o as usize));
+        assert_eq!((first, last), (Some(0), Some(indices.len())), "sparse matrix: offsets against entries");
+        assert!(offsets.is_sorted(), "sparse matrix: offsets that fall");
+        assert!(indices.iter().all(|&i| (i as usize) < columns), "sparse matrix: an index is not below {columns}");
+        Self::unchecked(columns, offsets, indices, values)
+    }
+
+    /// [`SparseMatrix::new`] of what is right by construction.
+    pub(crate) fn unchecked(columns: usize, offsets: Vec<u32>, indices: Vec<u32>, values: Vec<f32>) -> Self {
+        Self {
+            columns,
+            offsets,
+            indices,
+            values,
+            #[cfg(feature = "wgpu")]
+            resident: ResidentMatrix::default(),
+        }
+    }
+
     /// Number of rows.
     pub fn rows(&self) -> usize {
         self.offsets.len().saturating_sub(1)
@@ -156,7 +196,7 @@ impl SparseMatrix {
     /// Of blending weights this makes weighted means: a row sums to `1 - T`.
     #[must_use]
     pub fn normalised(&self, floor: f32) -> Self {
-        let mut out = Self { columns: self.columns, offsets: vec![0], ..Self::default() };
+        let mut out = Self::unchecked(self.columns, vec![0], Vec::new(), Vec::new());
         for r in 0..self.rows() {
             let (columns, values) = self.row(r);
             let sum: f32 = values.iter().sum();
@@ -172,7 +212,7 @@ impl SparseMatrix {
     /// The rows `rows` in that order.
     #[must_use]
     pub fn select_rows(&self, rows: &[u32]) -> Self {
-        let mut out = Self { columns: self.columns, offsets: Vec::with_capacity(rows.len() + 1), ..Self::default() };
+        let mut out = Self::unchecked(self.columns, Vec::with_capacity(rows.len() + 1), Vec::new(), Vec::new());
         out.offsets.push(0);
         for &r in rows {
             let (columns, values) = self.row(r as usize);
@@ -197,7 +237,7 @@ impl SparseMatrix {
             *c = place[*c as usize];
         }
         assert!(!self.indices.contains(&u32::MAX), "over_columns: an entry in a column that is left out");
-        Self { columns: columns.len(), ..self }
+        Self::unchecked(columns.len(), self.offsets, self.indices, self.values)
     }
 
     /// The matrix over its used columns, and which those are.
@@ -215,7 +255,30 @@ impl SparseMatrix {
             }
         }
         let indices = self.indices.iter().map(|&c| place[c as usize]).collect();
-        Compact { matrix: Self { columns: columns.len(), indices, ..self }, columns }
+        Compact { matrix: Self::unchecked(columns.len(), self.offsets, indices, self.values), columns }
+    }
+
+    /// The transposed matrix; the entries of its rows ascend.
+    #[must_use]
+    pub fn transposed(&self) -> Self {
+        let mut offsets = vec![0_u32; self.columns + 1];
+        for &c in &self.indices {
+            offsets[c as usize + 1] += 1;
+        }
+        for c in 0..self.columns {
+            offsets[c + 1] += offsets[c];
+        }
+        let mut next = offsets.clone();
+        let (mut indices, mut values) = (vec![0; self.indices.len()], vec![0.0; self.values.len()]);
+        for r in 0..self.rows() {
+            let (columns, row) = self.row(r);
+            for (&c, &v) in columns.iter().zip(row) {
+                let at = next[c as usize] as usize;
+                (indices[at], values[at]) = (r as u32, v);
+                next[c as usize] += 1;
+            }
+        }
+        Self::unchecked(self.rows(), offsets, indices, values)
     }
 }
 
@@ -233,12 +296,25 @@ pub trait SparseBackend: Backend {
     fn sparse_apply_adjoint(g: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self>;
 }
 
-impl<B: HostBackend> SparseBackend for B {
+impl<B: HostKernels> SparseBackend for B {
     fn sparse_apply(x: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
+        on_host::apply::<Self>(x, &matrix)
+    }
+    fn sparse_apply_adjoint(g: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
+        on_host::apply_adjoint::<Self>(g, &matrix)
+    }
+}
+
+/// The products by the CPU's kernels, wherever the tensor lives.
+pub(super) mod on_host {
+    use super::*;
+
+    pub fn apply<B: HostBackend>(x: FloatTensor<B>, matrix: &SparseMatrix) -> FloatTensor<B> {
         let (device, channels) = (device_of::<B>(&x), x.shape()[1]);
         real_kernel!(x, E => B::tensor::<E>(matrix.apply::<E>(&B::values(x), channels), &[matrix.rows(), channels], &device))
     }
-    fn sparse_apply_adjoint(g: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
+
+    pub fn apply_adjoint<B: HostBackend>(g: FloatTensor<B>, matrix: &SparseMatrix) -> FloatTensor<B> {
         let (device, channels) = (device_of::<B>(&g), g.shape()[1]);
         real_kernel!(g, E => B::tensor::<E>(matrix.apply_adjoint::<E>(&B::values(g), channels), &[matrix.columns, channels], &device))
     }

@@ -28,7 +28,7 @@ pub(super) fn weights<E: Real>(p: &Projected<E>, pixels: Option<&[u32]>) -> Spar
         offsets.push(offset(sum));
     }
     if ascending {
-        return SparseMatrix { offsets, ..all };
+        return SparseMatrix::unchecked(all.columns, offsets, all.indices, all.values);
     }
     let mut indices = Vec::with_capacity(sum);
     let mut values = Vec::with_capacity(sum);
@@ -37,7 +37,7 @@ pub(super) fn weights<E: Real>(p: &Projected<E>, pixels: Option<&[u32]>) -> Spar
         indices.extend_from_slice(columns);
         values.extend_from_slice(weights);
     }
-    SparseMatrix { columns: all.columns, offsets, indices, values }
+    SparseMatrix::unchecked(all.columns, offsets, indices, values)
 }
 
 /// An entry count as the matrix stores it.
@@ -118,5 +118,5 @@ fn every_row<E: Real>(p: &Projected<E>, wanted: Option<&[bool]>) -> SparseMatrix
         indices.extend_from_slice(&strip.indices);
         values.extend_from_slice(&strip.values);
     }
-    SparseMatrix { columns: p.len(), offsets, indices, values }
+    SparseMatrix::unchecked(p.len(), offsets, indices, values)
 }

@@ -24,5 +24,5 @@ pub fn interpolation(coarse: &[[f32; 3]], fine: &[[f32; 3]]) -> Result<SparseMat
         values.extend(weights.map(|w| (w / sum) as f32));
     }
     let offsets = (0..=fine.len()).map(|i| (i * k) as u32).collect();
-    Ok(SparseMatrix { columns: coarse.len(), offsets, indices: neighbours.indices, values })
+    Ok(SparseMatrix::unchecked(coarse.len(), offsets, neighbours.indices, values))
 }

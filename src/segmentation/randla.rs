@@ -359,7 +359,8 @@ fn sample(features: &Tensor<2>, level: &SampledLevel, together: usize) -> Tensor
 /// The matrix that picks rows.
 fn selection(indices: Vec<u32>, columns: usize) -> SparseMatrix {
     let offsets = (0..=indices.len() as u32).collect();
-    SparseMatrix { columns, offsets, values: vec![1.0; indices.len()], indices }
+    let ones = vec![1.0; indices.len()];
+    SparseMatrix::unchecked(columns, offsets, indices, ones)
 }
 
 /// `[rows, columns]` from `[columns, rows]`, row-major.

@@ -40,12 +40,12 @@ impl Scene {
         let source = Source::Scene(Encoded { pyramid, points: (0..POINTS as u32).collect() });
         let visible: Vec<u32> = (0..POINTS as u32).filter(|i| i % 7 != 2).collect();
         let (k, columns) = (4, visible.len());
-        let weights = SparseMatrix {
+        let weights = SparseMatrix::new(
             columns,
-            offsets: (0..=PIXELS).map(|r| (r * k) as u32).collect(),
-            indices: (0..PIXELS * k).map(|i| ((i * 11 + i / k * 5) % columns) as u32).collect(),
-            values: (0..PIXELS).flat_map(|_| [0.5, 0.25, 0.125, 0.125]).collect(),
-        };
+            (0..=PIXELS).map(|r| (r * k) as u32).collect(),
+            (0..PIXELS * k).map(|i| ((i * 11 + i / k * 5) % columns) as u32).collect(),
+            (0..PIXELS).flat_map(|_| [0.5, 0.25, 0.125, 0.125]).collect(),
+        );
         let label = |r: usize| if r % 13 == 4 { UNLABELLED } else { (r * 3 / 7 % CLASSES) as u16 };
         let pixels = LabelledPixels {
             weights: Arc::new(weights),

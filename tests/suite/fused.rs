@@ -31,7 +31,7 @@ fn mixing(rows: usize, columns: usize, k: usize) -> SparseMatrix {
     let indices = (0..rows * k).map(|i| ((i * 7 + i / k * 3) % columns) as u32).collect();
     let raw: Vec<f32> = (0..rows * k).map(|i| 1.0 + (i as f32 * 0.7).sin()).collect();
     let values = raw.chunks_exact(k).flat_map(|row| row.iter().map(|v| v / row.iter().sum::<f32>())).collect();
-    SparseMatrix { columns, offsets: (0..=rows).map(|r| (r * k) as u32).collect(), indices, values }
+    SparseMatrix::new(columns, (0..=rows).map(|r| (r * k) as u32).collect(), indices, values)
 }
 
 fn assert_close(got: &[f64], want: &[f64], tolerance: f64, what: &str) {

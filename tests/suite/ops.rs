@@ -6,12 +6,7 @@ use std::sync::Arc;
 
 /// 3 x 4, one empty row.
 fn matrix() -> SparseMatrix {
-    SparseMatrix {
-        columns: 4,
-        offsets: vec![0, 2, 2, 5],
-        indices: vec![0, 3, 1, 2, 3],
-        values: vec![0.5, 2.0, 1.0, -1.5, 0.25],
-    }
+    SparseMatrix::new(4, vec![0, 2, 2, 5], vec![0, 3, 1, 2, 3], vec![0.5, 2.0, 1.0, -1.5, 0.25])
 }
 
 fn dense(m: &SparseMatrix) -> Vec<f64> {

@@ -7,11 +7,11 @@
 //! All is linear in the image's gradient, so that channels come in blocks, and the moments of the blocks add up.
 
 use super::blend::{Values, blocks, value_of};
-use super::buffers::{Gpu, UNITS, arg};
 use super::lists::{Order, TileEntries, tile_counts};
 use super::pixel::{alpha_at, pixel, rule};
 use super::project::SPLAT;
 use super::row_sums::{PixelSums, Slab, add_rows};
+use crate::gpu::{Gpu, UNITS, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 

@@ -1,10 +1,10 @@
 //! Forward blending: a cube a tile, a unit a pixel, a block of channels in registers.
 
-use super::buffers::{Gpu, UNITS, arg};
 use super::lists::{TileEntries, tile_counts};
 use super::pixel::{alpha_at, pixel, rule};
 use super::project::SPLAT;
 use super::view::BACKGROUND;
+use crate::gpu::{Gpu, UNITS, arg};
 use burn::tensor::Shape;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;

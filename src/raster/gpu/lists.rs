@@ -1,10 +1,10 @@
 //! Tile lists: how many tiles each Gaussian reaches, an entry for each of them in depth order, entries by tile.
 
-use super::buffers::{Gpu, arg};
 use super::outline::{outline, pixel_rows, tile_columns, tile_rows};
 use super::project::ProjectedScene;
 use super::radix_sort::sort_positions;
 use super::scan::exclusive_sums;
+use crate::gpu::{Gpu, arg};
 use crate::raster::footprint::TILE;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;

@@ -10,7 +10,6 @@
 
 mod backward;
 mod blend;
-mod buffers;
 mod ewa;
 mod lists;
 mod outline;
@@ -30,8 +29,8 @@ use super::geometry::Viewpoint;
 use super::settings::Settings;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
+use crate::gpu::{Gpu, UNITS};
 use blend::Values;
-use buffers::Gpu;
 use burn::tensor::DType;
 use burn_cubecl::cubecl::prelude::*;
 use burn_cubecl::tensor::CubeTensor;
@@ -96,7 +95,7 @@ pub(super) fn covers(tensor: &CubeTensor) -> bool {
     tensor.dtype == DType::F32
         && hardware.max_bindings >= BINDINGS
         && hardware.max_shared_memory_size >= 32 << 10
-        && hardware.max_units_per_cube >= buffers::UNITS
+        && hardware.max_units_per_cube >= UNITS
 }
 
 impl Inputs {

@@ -1,9 +1,9 @@
 //! Projection and culling: one unit a Gaussian.
 
-use super::buffers::{Gpu, arg};
 use super::ewa::{ewa, offset_from_camera, rows_cross, to_camera};
 use super::vec3::{dot, is_finite, read3};
 use super::view::{FOCAL, LN_ALPHA_MIN, LOW_PASS, NEAR, PRINCIPAL, SIZE};
+use crate::gpu::{Gpu, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 

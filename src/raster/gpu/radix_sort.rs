@@ -4,8 +4,8 @@
 //! unit and half digit in shared memory: units count their own consecutive keys, one scan ranks all of them, and no
 //! subgroup operation is needed. Then every key goes to its place among all, neighbours together.
 
-use super::buffers::{Gpu, UNITS, arg};
 use super::scan::{exclusive_sums, scan_cube};
+use crate::gpu::{Gpu, UNITS, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 

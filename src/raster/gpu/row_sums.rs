@@ -1,8 +1,8 @@
 //! The sums over each Gaussian's tiles: a row a tile entry, and a Gaussian's entries are neighbours.
 
 use super::backward::MOMENTS;
-use super::buffers::{Gpu, arg};
 use super::lists::Order;
+use crate::gpu::{Gpu, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 

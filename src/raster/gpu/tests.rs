@@ -2,7 +2,6 @@
 
 use super::backward::{PixelGradients, Tiles, pixel_sums};
 use super::blend::{Values, blend};
-use super::buffers::Gpu;
 use super::lists::{Order, TileEntries, depth_order, tile_counts, tile_entries};
 use super::project::{ProjectedScene, SPLAT, Scene, project};
 use super::radix_sort::sort_positions;
@@ -10,6 +9,7 @@ use super::scan::{CEILING, exclusive_sums};
 use super::{covers, view};
 use crate::camera::Camera;
 use crate::device::{BackendName, open};
+use crate::gpu::Gpu;
 use crate::raster::{Projected, Settings, Splats};
 use burn::tensor::DType;
 use burn_cubecl::{CubeDevice, tensor::CubeTensor};

@@ -6,11 +6,11 @@ use burn_cubecl::ops::numeric::empty_device_contiguous_dtype;
 use burn_cubecl::{CubeDevice, tensor::CubeTensor};
 
 /// Units of a cube, in all kernels: the pixels of a tile.
-pub(super) const UNITS: u32 = 256;
+pub const UNITS: u32 = 256;
 
 /// Where a call's buffers live.
 #[derive(Clone)]
-pub(super) struct Gpu {
+pub struct Gpu {
     pub client: Client,
     device: CubeDevice,
 }
@@ -25,6 +25,11 @@ impl Gpu {
     #[cfg(test)]
     pub fn on(device: CubeDevice) -> Self {
         Self { client: device.client(), device }
+    }
+
+    /// Which device it is.
+    pub fn device(&self) -> &CubeDevice {
+        &self.device
     }
 
     /// Uninitialised floats; at least one, because a binding cannot be empty.
@@ -66,6 +71,6 @@ impl Gpu {
 }
 
 /// A buffer as a kernel argument.
-pub(super) fn arg(tensor: &CubeTensor) -> BufferArg {
+pub fn arg(tensor: &CubeTensor) -> BufferArg {
     tensor.clone().into_buffer_arg()
 }

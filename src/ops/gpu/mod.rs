@@ -1,0 +1,13 @@
+//! Operations of this crate by CubeCL kernels: the CPU's formulas in `f32`, sums in a fixed order, no float atomics.
+
+mod sparse;
+
+pub(super) use sparse::DeviceMatrix;
+
+use burn::tensor::DType;
+use burn_cubecl::tensor::CubeTensor;
+
+/// Whether kernels take `tensor`; what is not `f32` goes to the host's.
+fn covers(tensor: &CubeTensor) -> bool {
+    tensor.dtype == DType::F32
+}

@@ -1,0 +1,86 @@
+//! Constant sparse matrices on a device: compressed rows, one unit a row and channel.
+
+use super::covers;
+use crate::gpu::{Gpu, arg};
+use crate::ops::sparse::{SparseBackend, SparseMatrix, on_host};
+use burn::backend::tensor::FloatTensor;
+use burn::tensor::DType;
+use burn_cubecl::CubeBackend;
+use burn_cubecl::cubecl::{self, prelude::*};
+use burn_cubecl::kernel::into_contiguous;
+use burn_cubecl::tensor::CubeTensor;
+use std::sync::Arc;
+
+/// The arrays of a [`SparseMatrix`].
+#[derive(Clone)]
+pub(in crate::ops) struct DeviceMatrix {
+    offsets: CubeTensor,
+    indices: CubeTensor,
+    values: CubeTensor,
+    rows: usize,
+}
+
+#[cube(launch)]
+fn multiply(offsets: &[u32], indices: &[u32], values: &[f32], x: &[f32], out: &mut [f32], rows: u32, channels: u32) {
+    let row = ABSOLUTE_POS / channels as usize;
+    let channel = ABSOLUTE_POS % channels as usize;
+    if row >= rows as usize {
+        terminate!();
+    }
+    let mut sum = 0.0f32;
+    for at in offsets[row]..offsets[row + 1] {
+        sum += values[at as usize] * x[indices[at as usize] as usize * channels as usize + channel];
+    }
+    out[row * channels as usize + channel] = sum;
+}
+
+impl DeviceMatrix {
+    fn upload(gpu: &Gpu, matrix: &SparseMatrix) -> Self {
+        // A binding cannot be empty.
+        let words = |values: &[u32]| gpu.upload(if values.is_empty() { &[0] } else { values }, DType::U32);
+        let values: &[f32] = if matrix.values.is_empty() { &[0.0] } else { &matrix.values };
+        Self {
+            offsets: words(&matrix.offsets),
+            indices: words(&matrix.indices),
+            values: gpu.upload(values, DType::F32),
+            rows: matrix.rows(),
+        }
+    }
+
+    /// `W x`, `[rows, channels]`.
+    fn apply(&self, gpu: &Gpu, x: CubeTensor) -> CubeTensor {
+        let channels = x.meta.shape()[1];
+        let out = gpu.floats([self.rows, channels]);
+        multiply::launch(
+            &gpu.client,
+            gpu.cubes_for(self.rows * channels),
+            gpu.dim(),
+            arg(&self.offsets),
+            arg(&self.indices),
+            arg(&self.values),
+            arg(&into_contiguous(x)),
+            arg(&out),
+            self.rows as u32,
+            channels as u32,
+        );
+        out
+    }
+}
+
+impl SparseBackend for CubeBackend {
+    fn sparse_apply(x: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
+        if !covers(&x) || matrix.rows() * x.meta.shape()[1] == 0 {
+            return on_host::apply::<Self>(x, &matrix);
+        }
+        let gpu = Gpu::of(&x);
+        matrix.resident.rows.on(&gpu, || DeviceMatrix::upload(&gpu, &matrix)).apply(&gpu, x)
+    }
+
+    fn sparse_apply_adjoint(g: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
+        if !covers(&g) || matrix.columns * g.meta.shape()[1] == 0 {
+            return on_host::apply_adjoint::<Self>(g, &matrix);
+        }
+        let gpu = Gpu::of(&g);
+        matrix.resident.columns.on(&gpu, || DeviceMatrix::upload(&gpu, &matrix.transposed())).apply(&gpu, g)
+    }
+}
