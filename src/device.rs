@@ -1,14 +1,16 @@
-//! Which burn device a run uses. Order when several are compiled in: wgpu (where there is an adapter), flex, ndarray;
-//! `--backend` overrides.
+//! Which burn device a run uses. Order when several are compiled in: cuda (where there is a driver), wgpu (where there is an
+//! adapter), flex, ndarray; `--backend` overrides.
 
 use crate::error::{Error, Result};
 use burn::backend::DispatchDevice;
-use burn::tensor::Device;
+use burn::tensor::{Device, Tensor};
 
 /// A compute backend by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BackendName {
-    /// burn-wgpu (WGSL).
+    /// burn-cuda.
+    Cuda,
+    /// burn-wgpu: WGSL, or SPIR-V with the feature `vulkan`.
     Wgpu,
     /// burn-flex, the named successor of ndarray.
     Flex,
@@ -20,6 +22,8 @@ impl BackendName {
     /// The backends compiled into this build, best first.
     pub fn compiled() -> &'static [Self] {
         &[
+            #[cfg(feature = "cuda")]
+            Self::Cuda,
             #[cfg(feature = "wgpu")]
             Self::Wgpu,
             #[cfg(feature = "flex")]
@@ -33,6 +37,7 @@ impl BackendName {
 impl std::fmt::Display for BackendName {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
+            Self::Cuda => "cuda",
             Self::Wgpu => "wgpu",
             Self::Flex => "flex",
             Self::Ndarray => "ndarray",
@@ -44,10 +49,11 @@ impl std::str::FromStr for BackendName {
     type Err = Error;
     fn from_str(name: &str) -> Result<Self> {
         match name {
+            "cuda" => Ok(Self::Cuda),
             "wgpu" => Ok(Self::Wgpu),
             "flex" => Ok(Self::Flex),
             "ndarray" => Ok(Self::Ndarray),
-            _ => Err(Error::config("backend", name, "wgpu, flex or ndarray", "choose one of them")),
+            _ => Err(Error::config("backend", name, "cuda, wgpu, flex or ndarray", "choose one of them")),
         }
     }
 }
@@ -110,8 +116,25 @@ pub fn in_host_memory(device: &Device) -> bool {
     }
 }
 
+/// The row-major values of a tensor of f32, on the host; `what` names it.
+///
+/// # Errors
+/// [`Error::Device`] when the device does not give them back, also for what went wrong on it since it was last read, such as
+/// memory that it had not.
+pub(crate) fn read<const D: usize>(what: &str, tensor: Tensor<D>) -> Result<Vec<f32>> {
+    let failed = |reason: String| Error::Device {
+        device: "in use".into(),
+        reason: format!("reading {what} back failed: {reason}"),
+        mend: "see whether the device has memory left, or choose a CPU backend".into(),
+    };
+    let data = tensor.try_into_data().map_err(|error| failed(format!("{error:?}")))?;
+    data.into_vec::<f32>().map_err(|error| failed(format!("{error:?}")))
+}
+
 fn device(name: BackendName) -> Result<Device> {
     match name {
+        #[cfg(feature = "cuda")]
+        BackendName::Cuda => cuda(),
         #[cfg(feature = "wgpu")]
         BackendName::Wgpu => wgpu(),
         #[cfg(feature = "flex")]
@@ -125,6 +148,21 @@ fn device(name: BackendName) -> Result<Device> {
             mend: format!("build with --features {other}"),
         }),
     }
+}
+
+/// The first CUDA device.
+#[cfg(feature = "cuda")]
+fn cuda() -> Result<Device> {
+    // The device itself is lazy, and panics where the driver's library is missing.
+    let found = ["/dev/nvidiactl", "/dev/dxg"].iter().any(|path| std::path::Path::new(path).exists());
+    if found || cfg!(windows) {
+        return Ok(Device::cuda(0));
+    }
+    Err(Error::Device {
+        device: BackendName::Cuda.to_string(),
+        reason: "no NVIDIA driver is loaded".into(),
+        mend: "install the NVIDIA driver, or choose another backend".into(),
+    })
 }
 
 /// The default wgpu device.

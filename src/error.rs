@@ -16,7 +16,7 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 #[non_exhaustive]
 pub enum Error {
     /// A file could not be read or written.
-    #[error("{}: {action} failed: {source}", path.display())]
+    #[error("{}: {action} failed: {source}{}", path.display(), what_to_do(source))]
     Io {
         /// The file or folder.
         path: PathBuf,
@@ -93,6 +93,19 @@ pub enum Error {
         /// What the user can do.
         mend: String,
     },
+}
+
+/// How to mend an error of the system, where its kind says so.
+fn what_to_do(error: &std::io::Error) -> &'static str {
+    use std::io::ErrorKind as Kind;
+    match error.kind() {
+        Kind::NotFound => "; check the path",
+        Kind::PermissionDenied => "; change the permissions, or choose another path",
+        Kind::StorageFull | Kind::QuotaExceeded => "; free some space, or choose another folder",
+        Kind::IsADirectory => "; name a file",
+        Kind::NotADirectory => "; name a folder",
+        _ => "",
+    }
 }
 
 impl Error {

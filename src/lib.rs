@@ -8,7 +8,7 @@ pub mod device;
 pub mod error;
 pub mod features;
 pub mod gaussians;
-#[cfg(feature = "wgpu")]
+#[cfg(feature = "cube")]
 mod gpu;
 pub mod metrics;
 pub mod objects;

@@ -5,6 +5,7 @@
 //! Warm-up runs are not counted. Nothing here decides whether a build is good: timings depend on the machine.
 
 mod building;
+mod channels;
 mod curve;
 mod encoding;
 mod figures;
@@ -36,6 +37,8 @@ use serde::Serialize;
 pub enum Section {
     /// The rasterizer, forward and backward, as the number of Gaussians grows.
     Raster,
+    /// The rasterizer, as the number of channels grows.
+    Channels,
     /// Time against error of the rasterizer's settings.
     Curve,
     /// An iteration of stage one.
@@ -52,8 +55,9 @@ pub enum Section {
 
 impl Section {
     /// All sections, in the order in which they run.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Raster,
+        Self::Channels,
         Self::Curve,
         Self::Building,
         Self::Unprojection,
@@ -66,6 +70,7 @@ impl Section {
     pub fn key(self) -> &'static str {
         match self {
             Self::Raster => "raster",
+            Self::Channels => "channels",
             Self::Curve => "curve",
             Self::Building => "building",
             Self::Unprojection => "unprojection",
@@ -79,6 +84,7 @@ impl Section {
     pub fn title(self) -> &'static str {
         match self {
             Self::Raster => "colour, forward and backward, as the number of Gaussians grows",
+            Self::Channels => "colour and labels in one pass, forward and backward",
             Self::Curve => "time against error of the rasterizer's settings",
             Self::Building => "an iteration of stage one, everything included",
             Self::Unprojection => "4 x 64 feature channels lifted onto the Gaussians",
@@ -125,6 +131,8 @@ pub struct Effort {
     pub memory: Vec<usize>,
     /// Image width and height of what is rendered, pixels.
     pub size: [usize; 2],
+    /// Another one, of the channels.
+    pub channels_size: [usize; 2],
     /// Views of a pass of the rasterizer.
     pub views: usize,
     /// Views of an unprojection.
@@ -149,6 +157,7 @@ impl Effort {
             segmentation: 25_000,
             memory: vec![100_000],
             size: [480, 360],
+            channels_size: [1920, 1080],
             views: 6,
             lifted_views: 80,
             labelled_views: 12,
@@ -167,6 +176,7 @@ impl Effort {
             segmentation: 600,
             memory: vec![600],
             size: [64, 48],
+            channels_size: [96, 64],
             views: 2,
             lifted_views: 3,
             labelled_views: 2,
@@ -196,6 +206,7 @@ impl Bench {
     pub fn measure(&self, section: Section) -> Result<Findings> {
         match section {
             Section::Raster => raster::measure(self),
+            Section::Channels => channels::measure(self),
             Section::Curve => curve::measure(self),
             Section::Building => building::measure(self),
             Section::Unprojection => unprojection::measure(self),

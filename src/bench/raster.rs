@@ -126,7 +126,7 @@ fn one_size(
 }
 
 /// Waits until `tensor` is computed: on a GPU the copy, and what it waits for, happen when the bytes are touched.
-fn finish<const D: usize>(tensor: Tensor<D>) {
+pub(super) fn finish<const D: usize>(tensor: Tensor<D>) {
     black_box(tensor.into_data().as_bytes().last().copied());
 }
 
@@ -142,7 +142,7 @@ pub(super) fn count_pairs(gaussians: &Gaussians, cameras: &[Camera], settings: &
 }
 
 /// The Gaussians as tensors.
-struct Leaves {
+pub(super) struct Leaves {
     means: Tensor<2>,
     log_scales: Tensor<2>,
     rotations: Tensor<2>,
@@ -152,7 +152,7 @@ struct Leaves {
 }
 
 impl Leaves {
-    fn new(g: &Gaussians, device: &Device) -> Self {
+    pub fn new(g: &Gaussians, device: &Device) -> Self {
         let n = g.len();
         let two = |v: &[f32], width: usize| Tensor::from_data(TensorData::new(v.to_vec(), [n, width]), device);
         Self {
@@ -165,7 +165,7 @@ impl Leaves {
         }
     }
 
-    fn tracked(self) -> Self {
+    pub fn tracked(self) -> Self {
         Self {
             means: self.means.require_grad(),
             log_scales: self.log_scales.require_grad(),
@@ -176,7 +176,7 @@ impl Leaves {
         }
     }
 
-    fn input(&self) -> RasterInput {
+    pub fn input(&self) -> RasterInput {
         RasterInput {
             means: self.means.clone(),
             log_scales: self.log_scales.clone(),

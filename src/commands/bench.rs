@@ -17,6 +17,8 @@ const HELP: &str = "\
 Sections
   raster        colour at 480x360, forward and with its backward pass, at 10,000, 100,000 and 1,000,000
                 Gaussians; cost of a contributing pair, growth, peak memory
+  channels      RGB, RGB + 20 classes and 64 channels at 480x360 and 1920x1080 of 100,000 Gaussians (and of a
+                million, where those fit), in milliseconds and frames a second
   curve         each setting of the rasterizer moved alone: time, and error against an f64 render with all exact
   building      an iteration of stage one on the scene's own photos, at 15,000 and 50,000 Gaussians
   unprojection  4 x 64 feature channels lifted onto 100,000 Gaussians from 80 views, at both resolutions
@@ -34,7 +36,7 @@ surfaces or, with --data, the points that training would start from. Trained one
 line states: fewer by chance and larger, more as smaller copies, so that each pixel meets about as many as before.
 
 Examples:
-  coseg bench                                              about three minutes on two cores
+  coseg bench                                              about four minutes on two cores
   coseg bench --run runs/living --json living.json
   coseg bench --only building --data scenes/fox --set data.transforms=transforms_4.json
   coseg bench --only raster,curve --scene scene.ply --cameras transforms.json";
@@ -80,9 +82,8 @@ pub struct BenchArgs {
 impl BenchArgs {
     /// Measures, prints a table a section, and writes the figures where asked.
     pub fn run(self) -> Result<()> {
-        let device = device::open(self.backend)?;
-        let backend = self.backend.or_else(|| BackendName::compiled().first().copied());
-        let machine = Machine::here(backend.map_or_else(|| "no".to_owned(), |name| name.to_string()));
+        let (backend, device) = device::choose(self.backend)?;
+        let machine = Machine::here(backend.to_string());
         let (config, source) = match (&self.run, &self.scene, &self.cameras) {
             (Some(dir), ..) => {
                 let run = RunFolder::existing(dir)?;

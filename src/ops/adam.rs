@@ -106,7 +106,7 @@ fn update_body<E: Real, const FMA: bool>(
 #[backend_extension(
     NdArray: cfg(feature = "ndarray"),
     Flex: cfg(feature = "flex"),
-    Cube: cfg(feature = "wgpu")
+    Cube: cfg(feature = "cube")
 )]
 pub trait AdamBackend: Backend {
     /// New (parameter, first moment, second moment), see [`AdamStep`]. Buffers nobody else holds are reused.

@@ -1,6 +1,7 @@
 //! Attentive pooling as one differentiable operation: the softmax over neighbours is never stored.
 
 use super::{HostBackend, Real, device_of, real_kernel};
+use crate::device::in_host_memory;
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
@@ -85,7 +86,6 @@ fn attention<E: Real>(scores: &[E], k: usize, channels: usize, out: &mut Vec<E>)
 #[backend_extension(
     NdArray: cfg(feature = "ndarray"),
     Flex: cfg(feature = "flex"),
-    Cube: cfg(feature = "wgpu"),
     Autodiff
 )]
 pub trait PoolBackend: Backend {
@@ -167,17 +167,20 @@ impl<B: PoolBackend, C: CheckpointStrategy> PoolBackend for Autodiff<B, C> {
 }
 
 /// Sum of the `k` rows of each point weighted by the softmax of their scores, per channel: `x` and `scores` are
-/// `[R k, channels]`, the result `[R, channels]`. Gradients to both.
+/// `[R k, channels]`, the result `[R, channels]`. Gradients to both. On a GPU it is [`attentive_pool_plain`].
 ///
 /// # Panics
 /// If the shapes differ or the rows are no multiple of `k`.
 pub fn attentive_pool(x: Tensor<2>, scores: Tensor<2>, k: usize) -> Tensor<2> {
     assert_eq!(x.dims(), scores.dims(), "attentive_pool: shapes of x and scores");
     assert_eq!(x.dims()[0] % k, 0, "attentive_pool: rows must be a multiple of {k}");
+    if !in_host_memory(&x.device()) {
+        return attentive_pool_plain(x, scores, k);
+    }
     Tensor::from_dispatch(Dispatch::attentive_pool(x.into_dispatch(), scores.into_dispatch(), k))
 }
 
-/// [`attentive_pool`] in plain tensors: the reference of its tests.
+/// [`attentive_pool`] in plain tensors: what runs on a GPU, and the reference of its tests.
 pub fn attentive_pool_plain(x: Tensor<2>, scores: Tensor<2>, k: usize) -> Tensor<2> {
     let [rows, channels] = x.dims();
     let shape = [rows / k, k, channels];

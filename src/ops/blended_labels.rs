@@ -9,6 +9,7 @@ use super::label_loss::{Kind, UNLABELLED};
 use super::sparse::{SparseMatrix, sparse_apply};
 use super::{HostBackend, Real, device_of, label_loss, real_kernel};
 use crate::device::in_host_memory;
+use crate::error::Result;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
 use burn::tensor::Tensor;
@@ -23,11 +24,29 @@ const TASK: usize = 8192;
 /// Gaussians in a task.
 const BLOCK: usize = 1024;
 
+/// Frozen blending of the V Gaussians that a view sees onto its pixels; the weights of a pixel sum to 1.
+pub trait Blending: std::fmt::Debug + Send + Sync {
+    /// The pixels `pixels` (row-major), `[P, C]`, of `values` `[V, C]`, with gradient to these.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn blend(&self, values: Tensor<2>, pixels: &[u32]) -> Result<Tensor<2>>;
+}
+
+/// The weights of [`LabelledPixels`].
+#[derive(Clone, Debug)]
+pub enum PixelWeights {
+    /// Kept, `[R, V]`; rows sum to 1.
+    Stored(Arc<SparseMatrix>),
+    /// Computed anew at each use: rows are the pixels of a view.
+    Rendered(Arc<dyn Blending>),
+}
+
 /// Labelled pixels of a view over the Gaussians it sees.
 #[derive(Clone, Debug)]
 pub struct LabelledPixels {
-    /// Frozen blending weights, `[P, V]`; rows sum to 1.
-    pub weights: Arc<SparseMatrix>,
+    /// Frozen blending weights.
+    pub weights: PixelWeights,
     /// Rows of `weights` that are looked at.
     pub rows: Vec<u32>,
     /// Class index of each of those rows, [`UNLABELLED`] where it is not counted.
@@ -35,16 +54,28 @@ pub struct LabelledPixels {
 }
 
 impl LabelledPixels {
-    /// The weights of the chosen rows alone.
-    pub fn chosen(&self) -> SparseMatrix {
-        self.weights.select_rows(&self.rows)
+    /// `values` `[V, C]` blended at the chosen rows, `[P, C]`, with gradient to `values`.
+    ///
+    /// # Errors
+    /// Those of [`Blending::blend`].
+    pub fn blend(&self, values: Tensor<2>) -> Result<Tensor<2>> {
+        match &self.weights {
+            PixelWeights::Stored(weights) => Ok(sparse_apply(values, Arc::new(weights.select_rows(&self.rows)))),
+            PixelWeights::Rendered(view) => view.blend(values, &self.rows),
+        }
     }
 
-    /// Mean loss over the labelled pixels and its gradient to `scores`, `[V, classes]`. No labelled pixel: zeros.
+    /// Mean loss over the labelled pixels by stored `weights`, and its gradient to `scores`, `[V, classes]`. No labelled pixel: zeros.
     ///
     /// # Panics
     /// If the loss reads more than the labelled class ([`Kind::reads_all_classes`]).
-    pub fn value_and_gradient<E: Real>(&self, scores: &[E], classes: usize, kind: Kind) -> (E, Vec<E>) {
+    fn value_and_gradient<E: Real>(
+        &self,
+        weights: &SparseMatrix,
+        scores: &[E],
+        classes: usize,
+        kind: Kind,
+    ) -> (E, Vec<E>) {
         assert!(!kind.reads_all_classes(), "value_and_gradient: {kind:?} reads all classes of a pixel");
         let mut gradient = vec![E::zero(); scores.len()];
         let mut of_class = vec![Vec::new(); classes];
@@ -64,7 +95,7 @@ impl LabelledPixels {
         let scale = 1.0 / count as f64;
         let done: Vec<(f64, Vec<E>)> = tasks
             .par_iter()
-            .map(|&(class, rows)| self.class(rows, &p[class * points..][..points], classes, kind, scale))
+            .map(|&(class, rows)| of_class_alone(weights, rows, &p[class * points..][..points], classes, kind, scale))
             .collect();
         let mut d_p: Vec<Option<Vec<E>>> = vec![None; classes];
         let mut loss = 0.0;
@@ -93,31 +124,38 @@ impl LabelledPixels {
         });
         (E::of(loss * scale), gradient)
     }
+}
 
-    /// Summed loss of `rows`, all labelled with one class of probabilities `p` (`[V]`), and its gradient times `scale`.
-    fn class<E: Real>(&self, rows: &[u32], p: &[E], classes: usize, kind: Kind, scale: f64) -> (f64, Vec<E>) {
-        let mut gradient = vec![E::zero(); p.len()];
-        let mut sum = 0.0;
-        for &row in rows {
-            let (columns, weights) = self.weights.row(row as usize);
-            let (mut q, mut total) = (E::zero(), E::zero());
-            for (&j, &w) in columns.iter().zip(weights) {
-                let w = E::of(f64::from(w));
-                q += w * p[j as usize];
-                total += w;
-            }
-            let q = q.wide() + LEAST_PROBABILITY;
-            let total = total.wide() + classes as f64 * LEAST_PROBABILITY;
-            // p_y dL/dp_y over q is dL/dq, but for the total, which does not change
-            let (loss, h) = kind.of_log_probability((q / total).min(1.0).ln());
-            sum += loss;
-            let factor = E::of(h * scale / q);
-            for (&j, &w) in columns.iter().zip(weights) {
-                gradient[j as usize] += factor * E::of(f64::from(w));
-            }
+/// Summed loss of `rows`, all labelled with one class of probabilities `p` (`[V]`), and its gradient times `scale`.
+fn of_class_alone<E: Real>(
+    weights: &SparseMatrix,
+    rows: &[u32],
+    p: &[E],
+    classes: usize,
+    kind: Kind,
+    scale: f64,
+) -> (f64, Vec<E>) {
+    let mut gradient = vec![E::zero(); p.len()];
+    let mut sum = 0.0;
+    for &row in rows {
+        let (columns, weights) = weights.row(row as usize);
+        let (mut q, mut total) = (E::zero(), E::zero());
+        for (&j, &w) in columns.iter().zip(weights) {
+            let w = E::of(f64::from(w));
+            q += w * p[j as usize];
+            total += w;
         }
-        (sum, gradient)
+        let q = q.wide() + LEAST_PROBABILITY;
+        let total = total.wide() + classes as f64 * LEAST_PROBABILITY;
+        // p_y dL/dp_y over q is dL/dq, but for the total, which does not change
+        let (loss, h) = kind.of_log_probability((q / total).min(1.0).ln());
+        sum += loss;
+        let factor = E::of(h * scale / q);
+        for (&j, &w) in columns.iter().zip(weights) {
+            gradient[j as usize] += factor * E::of(f64::from(w));
+        }
     }
+    (sum, gradient)
 }
 
 /// Softmax of `scores` `[V, classes]`, transposed to `[classes, V]`.
@@ -145,9 +183,10 @@ fn probabilities<E: Real>(scores: &[E], classes: usize) -> Vec<E> {
 /// Backend side of [`blended_label_loss`], for backends whose tensors lie in host memory.
 #[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
 pub trait BlendedLabelBackend: Backend {
-    /// The mean loss `[1]` and its gradient `[V, C]`, see [`LabelledPixels::value_and_gradient`].
+    /// The mean loss `[1]` of `pixels` by stored `weights`, and its gradient `[V, C]`.
     fn blended_label_loss(
         scores: FloatTensor<Self>,
+        weights: Arc<SparseMatrix>,
         pixels: Arc<LabelledPixels>,
         kind: Kind,
     ) -> (FloatTensor<Self>, FloatTensor<Self>);
@@ -156,12 +195,13 @@ pub trait BlendedLabelBackend: Backend {
 impl<B: HostBackend> BlendedLabelBackend for B {
     fn blended_label_loss(
         scores: FloatTensor<Self>,
+        weights: Arc<SparseMatrix>,
         pixels: Arc<LabelledPixels>,
         kind: Kind,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         let (device, [rows, classes]) = (device_of::<B>(&scores), scores.shape().dims());
         real_kernel!(scores, E => {
-            let (value, gradient) = pixels.value_and_gradient::<E>(&B::values(scores), classes, kind);
+            let (value, gradient) = pixels.value_and_gradient::<E>(&weights, &B::values(scores), classes, kind);
             (B::tensor::<E>(vec![value], &[1], &device), B::tensor::<E>(gradient, &[rows, classes], &device))
         })
     }
@@ -170,36 +210,46 @@ impl<B: HostBackend> BlendedLabelBackend for B {
 impl<B: BlendedLabelBackend, C: CheckpointStrategy> BlendedLabelBackend for Autodiff<B, C> {
     fn blended_label_loss(
         scores: FloatTensor<Self>,
+        weights: Arc<SparseMatrix>,
         pixels: Arc<LabelledPixels>,
         kind: Kind,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        with_gradient_in_hand::<B, C>(scores, |scores| B::blended_label_loss(scores, pixels, kind))
+        with_gradient_in_hand::<B, C>(scores, |scores| B::blended_label_loss(scores, weights, pixels, kind))
     }
 }
 
 /// Mean loss `[1]` of the blended class probabilities of `pixels`, with gradient to `scores`, `[V, C]`: class scores of
-/// the Gaussians of which each takes the softmax before blending. On a GPU, and for a loss that reads all classes, it is
-/// [`blended_label_loss_plain`].
+/// the Gaussians of which each takes the softmax before blending. On a GPU, without stored weights, and for a loss that reads
+/// all classes, it is [`blended_label_loss_plain`].
+///
+/// # Errors
+/// Those of [`LabelledPixels::blend`].
 ///
 /// # Panics
 /// If `scores` has not one row a column of the weights, there is not one label a row, or a label is neither below C nor
 /// [`UNLABELLED`].
-pub fn blended_label_loss(scores: Tensor<2>, pixels: Arc<LabelledPixels>, kind: &Kind) -> Tensor<1> {
+pub fn blended_label_loss(scores: Tensor<2>, pixels: Arc<LabelledPixels>, kind: &Kind) -> Result<Tensor<1>> {
     let [rows, classes] = scores.dims();
-    assert_eq!(rows, pixels.weights.columns, "blended_label_loss: scores against columns of the weights");
     assert_eq!(pixels.rows.len(), pixels.labels.len(), "blended_label_loss: labels against rows");
     let known = pixels.labels.iter().all(|&l| l == UNLABELLED || usize::from(l) < classes);
     assert!(known, "blended_label_loss: a label is no class index below {classes}");
+    let PixelWeights::Stored(weights) = &pixels.weights else {
+        return blended_label_loss_plain(scores, &pixels, kind);
+    };
+    assert_eq!(rows, weights.columns, "blended_label_loss: scores against columns of the weights");
     if kind.reads_all_classes() || !in_host_memory(&scores.device()) {
         return blended_label_loss_plain(scores, &pixels, kind);
     }
-    let (value, _) = Dispatch::blended_label_loss(scores.into_dispatch(), pixels, *kind);
-    Tensor::from_dispatch(value)
+    let (value, _) = Dispatch::blended_label_loss(scores.into_dispatch(), weights.clone(), pixels, *kind);
+    Ok(Tensor::from_dispatch(value))
 }
 
 /// [`blended_label_loss`] in plain tensors around [`label_loss`]: what runs on a GPU, and the reference of its tests.
-pub fn blended_label_loss_plain(scores: Tensor<2>, pixels: &LabelledPixels, kind: &Kind) -> Tensor<1> {
-    let blended = sparse_apply(softmax(scores, 1), Arc::new(pixels.chosen()));
+///
+/// # Errors
+/// Those of [`LabelledPixels::blend`].
+pub fn blended_label_loss_plain(scores: Tensor<2>, pixels: &LabelledPixels, kind: &Kind) -> Result<Tensor<1>> {
+    let blended = pixels.blend(softmax(scores, 1))?;
     // softmax(log q) = q / sum q: the loss sees the mixture itself
-    label_loss((blended + LEAST_PROBABILITY).log(), &pixels.labels, kind)
+    Ok(label_loss((blended + LEAST_PROBABILITY).log(), &pixels.labels, kind))
 }

@@ -92,8 +92,8 @@ pub fn warn_host_fallback() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| {
         tracing::warn!(
-            "operations without a GPU kernel run on the CPU and copy from and to the GPU: photometric and label losses, \
-             attentive pooling, sparse products, and the rasterizer in f64 or with building.absgrad"
+            "part of this run has no GPU kernel: it runs on the CPU and copies from and to the GPU (tensors of f64, and \
+             building.absgrad)"
         );
     });
 }
@@ -143,7 +143,7 @@ mod on_flex {
     }
 }
 
-#[cfg(feature = "wgpu")]
+#[cfg(feature = "cube")]
 mod on_cube {
     use super::*;
     use burn::backend::ops::FloatTensorOps;
@@ -161,7 +161,7 @@ mod on_cube {
     }
 }
 
-#[cfg(any(feature = "flex", feature = "wgpu"))]
+#[cfg(any(feature = "flex", feature = "cube"))]
 fn copy_out<B: Backend, E: Real>(tensor: FloatTensor<B>) -> Vec<E> {
     let dtype = tensor.dtype();
     let data = burn::tensor::read_sync(B::float_into_data(tensor));

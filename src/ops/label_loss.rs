@@ -5,7 +5,7 @@
 //! [`Kind::NceRce`] also reads S = -sum_k ln p_k, which adds u (1 - K p_k) with u = -dL/dS for K classes.
 
 use super::gradient_in_hand::with_gradient_in_hand;
-use super::{HostBackend, Real, device_of, real_kernel};
+use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
 use burn::tensor::Tensor;
@@ -18,7 +18,7 @@ const BLOCK: usize = 1024;
 pub const UNLABELLED: u16 = u16::MAX;
 
 /// Logarithm of a label's zeros in [`Kind::NceRce`] (Ma et al. 2020).
-const LOG_ZERO: f64 = -4.0;
+pub(super) const LOG_ZERO: f64 = -4.0;
 
 /// A loss of the probabilities p of all classes, given the labelled one, y.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,8 +68,9 @@ impl Kind {
             Self::Gce { q } => (-(q * log_p).exp_m1() / q, -(q * log_p).exp()),
             Self::Js { pi_rl } => {
                 let log_pi_p = (-pi_rl).ln_1p(); // ln(1 - pi_rl)
-                let (a, b) = (pi_rl.ln(), log_pi_p + log_p);
-                let log_m = a.max(b) + (-(a - b).abs()).exp().ln_1p();
+                // m = pi_rl + (1 - pi_rl) p = 1 - (1 - pi_rl)(1 - p), from whichever end keeps its digits
+                let missing = (1.0 - pi_rl) * rest;
+                let log_m = if missing < 0.5 { (-missing).ln_1p() } else { (pi_rl + (1.0 - pi_rl) * p).ln() };
                 // ln(m / p) = ln(1 + pi_rl (1 - p) / p): the first form for small p, the second for small pi_rl
                 let ratio = pi_rl * rest / p;
                 let log_m_over_p = if ratio < 1.0 { ratio.ln_1p() } else { log_m - log_p };
@@ -104,20 +105,27 @@ pub fn value_and_gradient<E: Real>(logits: &[E], labels: &[u16], classes: usize,
                 for &z in logits {
                     highest = if z > highest { z } else { highest };
                 }
-                let mut total = E::zero();
-                for (g, &z) in gradient.iter_mut().zip(logits) {
-                    *g = (z - highest).exp();
-                    total += *g;
-                }
                 let y = usize::from(label);
+                let mut others = E::zero();
+                for (k, (g, &z)) in gradient.iter_mut().zip(logits).enumerate() {
+                    *g = (z - highest).exp();
+                    others += if k == y { E::zero() } else { *g };
+                }
+                let (own, total) = (gradient[y], others + gradient[y]);
                 let log_total = total.wide().ln();
+                let log_p = match logits[y] == highest {
+                    true => -others.wide().ln_1p(), // a prediction that is nearly right keeps its digits
+                    false => (logits[y] - highest).wide() - log_total,
+                };
                 let log_sum = || logits.iter().map(|&z| (z - highest).wide() - log_total).sum();
-                let (loss, h, u) = kind.of_row((logits[y] - highest).wide() - log_total, log_sum);
+                let (loss, h, u) = kind.of_row(log_p, log_sum);
                 sum += loss;
                 let factor = E::of(-(h + u * classes as f64) * scale) / total;
                 let each = E::of(u * scale);
                 gradient.iter_mut().for_each(|g| *g = *g * factor + each);
-                gradient[y] += E::of(h * scale);
+                // h (1 - p_y), not h - h p_y
+                let [rest, p] = [others, own].map(|part| (part / total).wide());
+                gradient[y] = E::of((h * rest + u * (1.0 - classes as f64 * p)) * scale);
             }
             sum
         })
@@ -129,7 +137,7 @@ pub fn value_and_gradient<E: Real>(logits: &[E], labels: &[u16], classes: usize,
 #[backend_extension(
     NdArray: cfg(feature = "ndarray"),
     Flex: cfg(feature = "flex"),
-    Cube: cfg(feature = "wgpu"),
+    Cube: cfg(feature = "cube"),
     Autodiff
 )]
 pub trait LabelLossBackend: Backend {
@@ -141,15 +149,28 @@ pub trait LabelLossBackend: Backend {
     ) -> (FloatTensor<Self>, FloatTensor<Self>);
 }
 
-impl<B: HostBackend> LabelLossBackend for B {
+impl<B: HostKernels> LabelLossBackend for B {
     fn label_loss(
         logits: FloatTensor<Self>,
         labels: Arc<Vec<u16>>,
         kind: Kind,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        on_host::label_loss::<Self>(logits, &labels, kind)
+    }
+}
+
+/// The loss by the CPU's kernel, wherever the tensor lives.
+pub(super) mod on_host {
+    use super::*;
+
+    pub fn label_loss<B: HostBackend>(
+        logits: FloatTensor<B>,
+        labels: &[u16],
+        kind: Kind,
+    ) -> (FloatTensor<B>, FloatTensor<B>) {
         let (device, [rows, classes]) = (device_of::<B>(&logits), logits.shape().dims());
         real_kernel!(logits, E => {
-            let (value, gradient) = value_and_gradient::<E>(&B::values(logits), &labels, classes, kind);
+            let (value, gradient) = value_and_gradient::<E>(&B::values(logits), labels, classes, kind);
             (B::tensor::<E>(vec![value], &[1], &device), B::tensor::<E>(gradient, &[rows, classes], &device))
         })
     }

@@ -9,7 +9,7 @@ mod avx;
 mod blended_labels;
 pub(crate) mod elementary;
 mod fusion_layer;
-#[cfg(feature = "wgpu")]
+#[cfg(feature = "cube")]
 mod gpu;
 mod gradient_in_hand;
 mod host;
@@ -26,7 +26,9 @@ mod window;
 pub use adam::{AdamBackend, AdamStep, AdamTensors, adam_step, adam_step_plain};
 pub use assignment::assignment;
 pub use attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
-pub use blended_labels::{BlendedLabelBackend, LabelledPixels, blended_label_loss, blended_label_loss_plain};
+pub use blended_labels::{
+    BlendedLabelBackend, Blending, LabelledPixels, PixelWeights, blended_label_loss, blended_label_loss_plain,
+};
 pub use fusion_layer::{FusionBackend, LayerGradients, LayerMap, LayerTensors, fusion_layer, fusion_layer_plain};
 pub(crate) use host::device_of;
 pub(crate) use host::real_kernel;

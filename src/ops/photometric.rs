@@ -244,7 +244,7 @@ fn gradient_row_body<E: Real, const FMA: bool>(
 #[backend_extension(
     NdArray: cfg(feature = "ndarray"),
     Flex: cfg(feature = "flex"),
-    Cube: cfg(feature = "wgpu"),
+    Cube: cfg(feature = "cube"),
     Autodiff
 )]
 pub trait PhotometricBackend: Backend {

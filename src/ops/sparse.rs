@@ -3,11 +3,11 @@
 //! With frozen geometry, blending (`S = W s`) and distance-weighted interpolation are both such maps. The gradient
 //! with respect to the input is the adjoint `W^T g`; the matrix itself gets none.
 
-#[cfg(feature = "wgpu")]
+#[cfg(feature = "cube")]
 use super::gpu::DeviceMatrix;
 use super::simd::{multiply_add, wide_kernel};
 use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
-#[cfg(feature = "wgpu")]
+#[cfg(feature = "cube")]
 use crate::gpu::Resident;
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
@@ -78,12 +78,12 @@ pub struct SparseMatrix {
     pub indices: Vec<u32>,
     /// Value of each entry.
     pub values: Vec<f32>,
-    #[cfg(feature = "wgpu")]
+    #[cfg(feature = "cube")]
     pub(super) resident: ResidentMatrix,
 }
 
 /// Copies of a matrix on a device.
-#[cfg(feature = "wgpu")]
+#[cfg(feature = "cube")]
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct ResidentMatrix {
     /// By rows, and by columns.
@@ -113,7 +113,7 @@ impl SparseMatrix {
             offsets,
             indices,
             values,
-            #[cfg(feature = "wgpu")]
+            #[cfg(feature = "cube")]
             resident: ResidentMatrix::default(),
         }
     }
@@ -286,7 +286,7 @@ impl SparseMatrix {
 #[backend_extension(
     NdArray: cfg(feature = "ndarray"),
     Flex: cfg(feature = "flex"),
-    Cube: cfg(feature = "wgpu"),
+    Cube: cfg(feature = "cube"),
     Autodiff
 )]
 pub trait SparseBackend: Backend {

@@ -14,7 +14,7 @@ mod blend;
 mod channel_blocks;
 mod footprint;
 mod geometry;
-#[cfg(feature = "wgpu")]
+#[cfg(feature = "cube")]
 mod gpu;
 mod op;
 mod pairs;
@@ -29,7 +29,8 @@ mod weights;
 
 pub use backward::SplatGradients;
 pub use op::{
-    Radii, RasterBackend, RasterCall, RasterInput, RasterOutput, RasterTensors, rasterize, rasterize_on_host,
+    AdjointBackend, AdjointCall, AdjointTensors, Lifted, Radii, RasterBackend, RasterCall, RasterInput, RasterOutput,
+    RasterTensors, SplatTensors, rasterize, rasterize_on_host,
 };
 pub use projected::{Blended, Projected, Rendered, render};
 pub use settings::{PairCounts, Settings, Splats, Stats};

@@ -1,16 +1,20 @@
 //! Rasterization as a differentiable burn operation.
 
+mod adjoint;
 mod autodiff;
 mod backend;
 mod call;
-#[cfg(feature = "wgpu")]
+#[cfg(feature = "cube")]
 mod cube;
 mod on_host;
 mod radii;
+mod splats;
 
+pub use adjoint::{AdjointBackend, AdjointCall, AdjointTensors, Lifted};
 pub use backend::{RasterBackend, RasterTensors};
 pub use call::RasterCall;
 pub use radii::Radii;
+pub use splats::SplatTensors;
 
 use super::settings::Settings;
 use crate::camera::Camera;
@@ -164,6 +168,11 @@ fn run(
         return Err(error);
     }
     let transmittance = Tensor::from_dispatch(Dispatch::raster_transmittance(image.clone(), call.clone()));
-    let radii = call.state().radii.clone();
+    let on_device = Tensor::<1>::from_dispatch(Dispatch::raster_radii(image.clone(), call.clone()));
+    let radii = match on_device.dims() {
+        [0] => call.state().radii.clone(),
+        _ if on_device.device().is_autodiff() => Radii::on_device(on_device.inner()),
+        _ => Radii::on_device(on_device),
+    };
     Ok(RasterOutput { image: Tensor::from_dispatch(image), transmittance, radii })
 }

@@ -5,19 +5,24 @@
 //! resolution and comparing with `U F`. At `feature` resolution (the paper) the camera is scaled to the map, and `U` is
 //! the identity. [`Problem`] goes on from there to features that render as the maps.
 
+mod device;
 mod fold;
 mod solve;
 mod view;
 
 pub use solve::{Problem, Solved};
 
+use crate::camera::Camera;
 use crate::config::{Normalisation, Resolution, UnprojectionConfig};
 use crate::data::View;
+use crate::device::in_host_memory;
 use crate::error::{Error, Result};
 use crate::features::{FeatureMap, FeatureSet, Lattice, SCALES, ViewFeatures};
 use crate::gaussians::Gaussians;
 use crate::ops::Real;
-use crate::raster::{Settings, Splats};
+use crate::raster::{Settings, SplatTensors, Splats};
+use burn::tensor::Device;
+use device::DeviceSums;
 use std::borrow::Borrow;
 
 /// Added to the counter before dividing (Algorithm 1).
@@ -61,12 +66,12 @@ impl<E: Real> Sums<E> {
     pub fn add(
         &mut self,
         splats: &Splats<'_, E>,
-        camera: &crate::camera::Camera,
+        camera: &Camera,
         maps: &[FeatureMap],
         resolution: Resolution,
         settings: &Settings,
     ) -> Result<()> {
-        self.check(splats.len(), maps)?;
+        check(self.counts.first().map_or(splats.len(), Vec::len), &self.channels, splats.len(), maps)?;
         // Scales on one grid share the projection and the scalar weights.
         let mut grids: Vec<(Lattice, Vec<usize>)> = Vec::new();
         for (scale, map) in maps.iter().enumerate() {
@@ -84,30 +89,6 @@ impl<E: Real> Sums<E> {
                 view::add(self, splats, &grid.0.camera(camera), maps, &[pixels], settings)
             }),
         }
-    }
-
-    fn check(&self, n: usize, maps: &[FeatureMap]) -> Result<()> {
-        let channels: Vec<usize> = maps.iter().map(|m| m.channels).collect();
-        if channels != self.channels {
-            return Err(Error::config(
-                "feature maps",
-                format!("channels {channels:?}"),
-                format!("{:?}, one map a scale", self.channels),
-                "reduce all views alike",
-            ));
-        }
-        let expected = self.counts.first().map_or(n, Vec::len);
-        if n != expected {
-            let (found, expected) = (format!("{n} Gaussians"), format!("{expected}"));
-            return Err(Error::config("unprojection", found, expected, "make new sums for another scene"));
-        }
-        for (scale, map) in maps.iter().enumerate() {
-            map.check(&format!("feature map of scale {}", scale + 1))?;
-            if map.cells() == 0 {
-                return Err(Error::config("feature map", "no cells", "one or more", "leave the view out"));
-            }
-        }
-        Ok(())
     }
 
     /// The buffers divided: by the counter + [`EPSILON`] (Eq. 5) or by the sum of weights, which makes each feature a
@@ -138,6 +119,82 @@ impl<E: Real> Sums<E> {
     }
 }
 
+/// Whether sums over `n` Gaussians and maps of `channels` can take up `maps` of `gaussians`.
+fn check(n: usize, channels: &[usize], gaussians: usize, maps: &[FeatureMap]) -> Result<()> {
+    let found: Vec<usize> = maps.iter().map(|m| m.channels).collect();
+    if found != channels {
+        return Err(Error::config(
+            "feature maps",
+            format!("channels {found:?}"),
+            format!("{channels:?}, one map a scale"),
+            "reduce all views alike",
+        ));
+    }
+    if gaussians != n {
+        let (found, expected) = (format!("{gaussians} Gaussians"), format!("{n}"));
+        return Err(Error::config("unprojection", found, expected, "make new sums for another scene"));
+    }
+    for (scale, map) in maps.iter().enumerate() {
+        map.check(&format!("feature map of scale {}", scale + 1))?;
+        if map.cells() == 0 {
+            return Err(Error::config("feature map", "no cells", "one or more", "leave the view out"));
+        }
+    }
+    Ok(())
+}
+
+/// [`Sums`] in the making, on the host or on a GPU.
+pub struct Lifting<'a> {
+    gaussians: &'a Gaussians,
+    place: Place,
+}
+
+enum Place {
+    Host(Sums<f32>),
+    Device(Box<DeviceSums>),
+}
+
+impl<'a> Lifting<'a> {
+    /// Of no views yet, for one entry of `channels` per scale, where `device` says.
+    pub fn new(gaussians: &'a Gaussians, channels: &[usize], device: &Device) -> Self {
+        // Without a Gaussian there is nothing for a device to do.
+        let place = if in_host_memory(device) || gaussians.is_empty() {
+            Place::Host(Sums::new(gaussians.len(), channels))
+        } else {
+            Place::Device(Box::new(DeviceSums::new(SplatTensors::new(gaussians, device), channels)))
+        };
+        Self { gaussians, place }
+    }
+
+    /// Adds a view with one map per scale.
+    ///
+    /// # Errors
+    /// As [`Sums::add`]; on a GPU as [`SplatTensors::adjoint`].
+    pub fn add(
+        &mut self,
+        camera: &Camera,
+        maps: &[FeatureMap],
+        resolution: Resolution,
+        settings: &Settings,
+    ) -> Result<()> {
+        match &mut self.place {
+            Place::Host(sums) => sums.add(&self.gaussians.splats(), camera, maps, resolution, settings),
+            Place::Device(sums) => sums.add(camera, maps, resolution, settings),
+        }
+    }
+
+    /// The sums, on the host.
+    ///
+    /// # Errors
+    /// [`Error::Device`] when a device does not give them back.
+    pub fn finish(self) -> Result<Sums<f32>> {
+        match self.place {
+            Place::Host(sums) => Ok(sums),
+            Place::Device(sums) => sums.into_sums(),
+        }
+    }
+}
+
 /// Features of every Gaussian.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unprojected {
@@ -160,7 +217,8 @@ impl Unprojected {
     }
 }
 
-/// Lifts the features `set` of `views` (the training views, in the order of the set) onto `gaussians`.
+/// Lifts the features `set` of `views` (the training views, in the order of the set) onto `gaussians`. Where `device` is a GPU,
+/// the sums are made on it.
 ///
 /// # Errors
 /// [`Error::Config`] when views and features do not match; what [`Sums::add`] returns.
@@ -170,8 +228,9 @@ pub fn unproject<'a>(
     set: &FeatureSet,
     config: &UnprojectionConfig,
     settings: &Settings,
+    device: &Device,
 ) -> Result<Unprojected> {
-    unproject_each(gaussians, views, set.views.iter().map(Ok), config, settings)
+    unproject_each(gaussians, views, set.views.iter().map(Ok), config, settings, device)
 }
 
 /// [`unproject`] with features that need not be in memory together: each view's are let go before the next are asked for.
@@ -184,12 +243,13 @@ pub fn unproject_each<'a, F: Borrow<ViewFeatures>>(
     features: impl Iterator<Item = Result<F>>,
     config: &UnprojectionConfig,
     settings: &Settings,
+    device: &Device,
 ) -> Result<Unprojected> {
     let (views, mut features): (Vec<&View>, _) = (views.collect(), features);
     let mismatch = |found: String, expected: String| {
         Error::config("views of the unprojection", found, expected, "pass the views that features were extracted from")
     };
-    let mut sums: Option<Sums<f32>> = None;
+    let mut sums: Option<Lifting<'_>> = None;
     let mut lattices = Vec::with_capacity(views.len());
     for (i, view) in views.iter().enumerate() {
         let Some(features) = features.next().transpose()? else {
@@ -200,14 +260,14 @@ pub fn unproject_each<'a, F: Borrow<ViewFeatures>>(
             return Err(mismatch(view.name.clone(), name.clone()));
         }
         let channels = maps.each_ref().map(|m| m.channels);
-        let sums = sums.get_or_insert_with(|| Sums::new(gaussians.len(), &channels));
-        sums.add(&gaussians.splats(), &view.camera, maps, config.resolution, settings)?;
+        let sums = sums.get_or_insert_with(|| Lifting::new(gaussians, &channels, device));
+        sums.add(&view.camera, maps, config.resolution, settings)?;
         lattices.push(maps.each_ref().map(FeatureMap::lattice));
     }
     if features.next().is_some() {
         return Err(mismatch(format!("{} views", views.len()), format!("{} or more", views.len() + 1)));
     }
-    let sums = sums.unwrap_or_else(|| Sums::new(gaussians.len(), &[0; SCALES]));
+    let sums = sums.map_or_else(|| Ok(Sums::new(gaussians.len(), &[0; SCALES])), Lifting::finish)?;
     let keep = sums.attended(config.attendance);
     let sums = match config.solve_iterations {
         0 => sums.normalised(config.normalisation),

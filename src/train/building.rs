@@ -1,24 +1,26 @@
 //! The building stage: 3D Gaussians from posed photos.
 
 mod density;
+mod tally;
 
 use super::building_state::BuildingState;
-use super::parameters::{Parameters, Rates, read};
+use super::parameters::{Parameters, Rates};
 use super::photos::Photos;
 use super::progress::{CurvePoint, Event, Progress};
 use super::provenance::Provenance;
 use super::schedule::{Schedule, extent};
 use crate::config::{Config, Strategy};
 use crate::data::{Scene, Split, View};
+use crate::device::read;
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
-use crate::gaussians::densify::DensityStats;
 use crate::metrics::ImageScores;
 use crate::ops::photometric_loss;
 use crate::raster::{RasterInput, RasterOutput, Settings, rasterize};
 use burn::tensor::Device;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+use tally::Tally;
 
 /// What one iteration did.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,7 +68,7 @@ pub struct BuildingStage<'a> {
     test: Vec<&'a View>,
     photos: Photos,
     parameters: Parameters,
-    stats: DensityStats,
+    tally: Tally,
     iteration: usize,
     losses: (f64, u64),
     curve: Vec<CurvePoint>,
@@ -132,10 +134,10 @@ impl<'a> BuildingStage<'a> {
             config: config.clone(),
             checkpoint: None,
             provenance,
+            tally: Tally::new(stats, &device),
             device,
             train,
             test,
-            stats,
             iteration,
             losses,
             curve,
@@ -186,7 +188,7 @@ impl<'a> BuildingStage<'a> {
             gaussians,
             first,
             second,
-            stats: self.stats.clone(),
+            stats: self.tally.read()?,
             losses: self.losses,
             curve: self.curve.clone(),
             seconds: self.seconds,
@@ -226,18 +228,13 @@ impl<'a> BuildingStage<'a> {
             rasterize(input, &view.camera, &self.settings, background).map_err(locate)?;
         let loss = photometric_loss(image, photo, f64::from(self.config.building.ssim_weight));
         let loss = self.regularised(loss, &leaves);
-        let value = f64::from(loss.clone().into_scalar::<f32>());
-        if !value.is_finite() {
-            return Err(locate(Error::non_finite("loss", 0)));
-        }
         let mut gradients = loss.backward();
-        let seen = match screen {
-            Some(screen) => Some((self.screen_gradient(&screen, &mut gradients)?, radii.read()?)),
-            None => None,
-        };
-        self.parameters.step(leaves, &mut gradients, &self.rates(iteration), iteration as u32).map_err(locate)?;
-        if let Some((gradient, radii)) = seen {
-            self.stats.record(&gradient, &radii);
+        let of_screen = screen.and_then(|screen| screen.grad_remove(&mut gradients));
+        let gradients = self.parameters.gradients(leaves, &mut gradients);
+        let value = gradients.check(loss.inner()).map_err(locate)?;
+        self.parameters.step(gradients, &self.rates(iteration), iteration as u32);
+        if let Some(gradient) = of_screen {
+            self.tally.record(gradient, &radii)?;
         }
         self.add_noise(iteration)?;
         self.iteration = iteration;

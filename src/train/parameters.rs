@@ -1,5 +1,6 @@
 //! The Gaussians as tensors on the device, with the moments of their optimiser.
 
+use crate::device::read;
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::gaussians::noise::PositionNoise;
@@ -53,10 +54,8 @@ impl<const D: usize> Parameter<D> {
         Tensor::from_inner(self.state.param.clone()).require_grad()
     }
 
-    fn gradient(&self, leaf: &Tensor<D>, gradients: &mut Gradients) -> Result<Tensor<D>> {
-        let gradient = leaf.grad_remove(gradients).unwrap_or_else(|| self.state.param.zeros_like());
-        check_finite(self.name, &gradient)?;
-        Ok(gradient)
+    fn gradient(&self, leaf: &Tensor<D>, gradients: &mut Gradients) -> Tensor<D> {
+        leaf.grad_remove(gradients).unwrap_or_else(|| self.state.param.zeros_like())
     }
 
     fn step(&mut self, gradient: Tensor<D>, rates: Vec<f64>, step: u32) {
@@ -77,25 +76,9 @@ impl<const D: usize> Parameter<D> {
     }
 }
 
-/// The row-major values of a tensor.
-///
-/// # Errors
-/// [`Error::Device`] when the device cannot give them back as f32.
-pub(super) fn read<const D: usize>(name: &str, tensor: Tensor<D>) -> Result<Vec<f32>> {
-    tensor.into_data().into_vec::<f32>().map_err(|e| Error::Device {
-        device: "in use".into(),
-        reason: format!("reading {name} back failed: {e:?}"),
-        mend: "use another backend".into(),
-    })
-}
-
 /// # Errors
 /// [`Error::NonFinite`] naming the tensor and its first bad row.
-fn check_finite<const D: usize>(name: &str, gradient: &Tensor<D>) -> Result<()> {
-    // A NaN or an infinity always reaches the sum; so may an overflow, which the search then clears.
-    if gradient.clone().sum().into_scalar::<f32>().is_finite() {
-        return Ok(());
-    }
+fn find_non_finite<const D: usize>(name: &str, gradient: &Tensor<D>) -> Result<()> {
     let name = format!("gradient of {name}");
     let values = read(&name, gradient.clone())?;
     let width = (values.len() / gradient.dims()[0].max(1)).max(1);
@@ -129,6 +112,46 @@ pub struct Leaves {
     pub opacity_logits: Tensor<1>,
     /// `[N, K, 3]`.
     pub sh: Tensor<3>,
+}
+
+/// Gradients of all parameters.
+pub struct ParameterGradients {
+    means: Tensor<2>,
+    log_scales: Tensor<2>,
+    rotations: Tensor<2>,
+    opacity_logits: Tensor<1>,
+    sh: Tensor<3>,
+}
+
+impl ParameterGradients {
+    /// The value of `loss`, after a look at it and at all gradients: one readback.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] naming the loss, or the gradient and its first bad row.
+    pub fn check(&self, loss: Tensor<1>) -> Result<f64> {
+        let Self { means, log_scales, rotations, opacity_logits, sh } = self;
+        let sums = [
+            means.clone().sum(),
+            log_scales.clone().sum(),
+            rotations.clone().sum(),
+            opacity_logits.clone().sum(),
+            sh.clone().sum(),
+        ];
+        let found = read("loss", Tensor::cat([loss].into_iter().chain(sums).collect(), 0))?;
+        let value = found.first().copied().unwrap_or(f32::NAN);
+        if !value.is_finite() {
+            return Err(Error::non_finite("loss", 0));
+        }
+        // A NaN or an infinity always reaches the sum; so may an overflow, which the search then clears.
+        if !found.iter().all(|sum| sum.is_finite()) {
+            find_non_finite(NAMES[0], means)?;
+            find_non_finite(NAMES[1], log_scales)?;
+            find_non_finite(NAMES[2], rotations)?;
+            find_non_finite(NAMES[OPACITY], opacity_logits)?;
+            find_non_finite(NAMES[4], sh)?;
+        }
+        Ok(value.into())
+    }
 }
 
 /// Zero moments for these Gaussians.
@@ -174,18 +197,20 @@ impl Parameters {
         }
     }
 
-    /// One Adam step, number `step` from 1. Nothing changes when a gradient is not finite.
-    ///
-    /// # Errors
-    /// [`Error::NonFinite`] naming the gradient and its first bad row.
-    pub fn step(&mut self, leaves: Leaves, gradients: &mut Gradients, rates: &Rates, step: u32) -> Result<()> {
-        let means = self.means.gradient(&leaves.means, gradients)?;
-        let log_scales = self.log_scales.gradient(&leaves.log_scales, gradients)?;
-        let rotations = self.rotations.gradient(&leaves.rotations, gradients)?;
-        let opacity_logits = self.opacity_logits.gradient(&leaves.opacity_logits, gradients)?;
-        let sh = self.sh.gradient(&leaves.sh, gradients)?;
-        // the handles share the parameters' buffers
-        drop(leaves);
+    /// What `gradients` hold for `leaves`, which are let go: they share the parameters' buffers.
+    pub fn gradients(&self, leaves: Leaves, gradients: &mut Gradients) -> ParameterGradients {
+        ParameterGradients {
+            means: self.means.gradient(&leaves.means, gradients),
+            log_scales: self.log_scales.gradient(&leaves.log_scales, gradients),
+            rotations: self.rotations.gradient(&leaves.rotations, gradients),
+            opacity_logits: self.opacity_logits.gradient(&leaves.opacity_logits, gradients),
+            sh: self.sh.gradient(&leaves.sh, gradients),
+        }
+    }
+
+    /// One Adam step, number `step` from 1.
+    pub fn step(&mut self, gradients: ParameterGradients, rates: &Rates, step: u32) {
+        let ParameterGradients { means, log_scales, rotations, opacity_logits, sh } = gradients;
         let mut sh_rates = vec![rates.sh_rest; 3 * (self.sh_degree + 1).pow(2)];
         sh_rates[..3].fill(rates.sh_dc);
         self.means.step(means, vec![rates.means], step);
@@ -193,7 +218,6 @@ impl Parameters {
         self.rotations.step(rotations, vec![rates.rotations], step);
         self.opacity_logits.step(opacity_logits, vec![rates.opacity_logits], step);
         self.sh.step(sh, sh_rates, step);
-        Ok(())
     }
 
     /// Adds noise to the means. The host draws it: on a GPU the geometry is copied there, and the means back.

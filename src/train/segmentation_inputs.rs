@@ -61,7 +61,8 @@ impl Seen {
             reducing += clock.elapsed();
             next
         });
-        let lifted = unproject_each(gaussians, scene.split(Split::Train), maps, &config.unprojection, settings)?;
+        let lifted =
+            unproject_each(gaussians, scene.split(Split::Train), maps, &config.unprojection, settings, device)?;
         extraction += reducing;
         let unprojection = clock.elapsed().saturating_sub(reducing);
         progress.event(&Event::Finished);
@@ -113,6 +114,7 @@ impl<'a> Inputs<'a> {
             self.settings,
             config.min_coverage as f32,
             config.weight_cache_mb << 20,
+            self.device,
         )
     }
 }

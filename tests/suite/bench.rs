@@ -137,7 +137,7 @@ fn trained_scenes_come_from_files_or_from_a_folder() {
 #[test]
 fn mistakes_are_named() {
     let message = fails(&["bench", "--only", "raster,speed"], 2);
-    assert!(message.contains("speed") && message.contains("raster, curve, building"), "{message}");
+    assert!(message.contains("speed") && message.contains("raster, channels, curve, building"), "{message}");
     fails(&["bench", "--repeats", "0"], 2);
     fails(&["bench", "--scene", "x.ply"], 2);
     fails(&["bench", "--run", "runs/x", "--data", "y"], 2);

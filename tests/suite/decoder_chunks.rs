@@ -2,7 +2,7 @@
 
 use burn::tensor::{Tensor, TensorData};
 use coseg::config::{Blend, Config, LabelLoss, SegmentationConfig, SpatialConfig, SpatialSource};
-use coseg::ops::{Kind, LabelledPixels, SparseMatrix, UNLABELLED};
+use coseg::ops::{Kind, LabelledPixels, PixelWeights, SparseMatrix, UNLABELLED};
 use coseg::segmentation::decoder::DecoderConfig;
 use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
 use coseg::segmentation::pyramid::{Pyramid, Restriction, Switches};
@@ -48,7 +48,7 @@ impl Scene {
         );
         let label = |r: usize| if r % 13 == 4 { UNLABELLED } else { (r * 3 / 7 % CLASSES) as u16 };
         let pixels = LabelledPixels {
-            weights: Arc::new(weights),
+            weights: PixelWeights::Stored(Arc::new(weights)),
             rows: (0..PIXELS as u32).collect(),
             labels: (0..PIXELS).map(label).collect(),
         };
@@ -92,7 +92,7 @@ fn trained(model: &mut Fused, scene: &Scene, steps: usize) -> (Vec<f32>, NamedVa
     let kind = Kind::Js { pi_rl: 0.9 };
     let losses = (0..steps).map(|_| {
         let prediction = model.predict(0, &scene.drawn).expect("a prediction");
-        let mut loss = prediction.scores.loss(scene.drawn.pixels.clone(), &kind, 0.4) * 0.8;
+        let mut loss = prediction.scores.loss(scene.drawn.pixels.clone(), &kind, 0.4).expect("a loss") * 0.8;
         if let Some(regularisation) = prediction.regularisation {
             loss = loss + regularisation * 20.0;
         }

@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
 use coseg::ops::{
-    Kind, LabelledPixels, LayerMap, NeighbourPairs, SparseMatrix, UNLABELLED, blended_label_loss,
+    Kind, LabelledPixels, LayerMap, NeighbourPairs, PixelWeights, SparseMatrix, UNLABELLED, blended_label_loss,
     blended_label_loss_plain, fusion_layer, fusion_layer_plain, neighbour_divergence, neighbour_divergence_plain,
 };
 use std::sync::Arc;
@@ -99,7 +99,7 @@ fn pixels(rows: usize, points: usize) -> Arc<LabelledPixels> {
     let chosen: Vec<u32> = (0..rows as u32).filter(|r| r % 3 != 1).collect();
     let label = |&r: &u32| if r % 11 == 5 { UNLABELLED } else { [0, 1, 2, 4][(r / 2 % 4) as usize] };
     let labels = chosen.iter().map(label).collect();
-    Arc::new(LabelledPixels { weights: Arc::new(mixing(rows, points, 4)), rows: chosen, labels })
+    Arc::new(LabelledPixels { weights: PixelWeights::Stored(Arc::new(mixing(rows, points, 4))), rows: chosen, labels })
 }
 
 fn blended(fused: bool, scores: &[f64], pixels: &Arc<LabelledPixels>, kind: &Kind, dtype: DType) -> [Vec<f64>; 2] {
@@ -107,7 +107,8 @@ fn blended(fused: bool, scores: &[f64], pixels: &Arc<LabelledPixels>, kind: &Kin
     let loss = match fused {
         true => blended_label_loss(scores.clone(), pixels.clone(), kind),
         false => blended_label_loss_plain(scores.clone(), pixels, kind),
-    };
+    }
+    .expect("stored weights");
     // a factor, as in a sum of losses
     let gradients = (loss.clone() * 3.0).backward();
     [host(loss), host(scores.grad(&gradients).expect("tracked"))]

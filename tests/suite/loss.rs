@@ -216,3 +216,17 @@ fn neighbours_without_self_repeat_in_small_sets() {
     let own = PointIndex::new(&points).expect("finite").neighbours(16);
     assert_eq!(without_self(&points, 5).expect("finite"), drop_self(&own, 5));
 }
+
+/// To first order the loss is what the labelled class lacks, whatever the weight: digits that a difference of logarithms near
+/// ln 1 would lose.
+#[test]
+fn js_of_a_nearly_right_prediction_is_what_it_lacks() {
+    for pi_rl in [0.01, 0.1, 0.5, 0.9, 0.99] {
+        for height in [20.0_f64, 25.0, 30.0] {
+            let lacks = (-height).exp() / (1.0 + (-height).exp());
+            let logits = matrix(&[height, 0.0], 2, &plain_device());
+            let loss = scalar(label_loss(logits, &[0], &Kind::Js { pi_rl }));
+            assert!((loss / lacks - 1.0).abs() < 1e-7, "{pi_rl}, {height}: {loss:e} for {lacks:e}");
+        }
+    }
+}

@@ -19,6 +19,14 @@ mod data_check;
 mod decoder;
 mod decoder_chunks;
 mod densify;
+#[cfg(feature = "wgpu")]
+mod device_building;
+#[cfg(feature = "wgpu")]
+mod device_ops;
+#[cfg(feature = "wgpu")]
+mod device_stage_two;
+#[cfg(feature = "wgpu")]
+mod device_unprojection;
 mod dino;
 mod dino_reference;
 mod dino_weights;

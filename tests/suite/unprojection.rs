@@ -179,11 +179,17 @@ fn view(name: String, camera: Camera) -> View {
     View { name, split: Split::Train, camera, image, truth: None, raw: None, segments: Vec::new(), instances: None }
 }
 
-fn features(views: &[View], maps: impl Fn(usize) -> [FeatureMap; 4]) -> FeatureSet {
+pub fn features(views: &[View], maps: impl Fn(usize) -> [FeatureMap; 4]) -> FeatureSet {
     let identity = || Pca::fit(&Moments::new(0), 1);
     let of = |(i, v): (usize, &View)| ViewFeatures { view: v.name.clone(), maps: maps(i) };
     let views = views.iter().enumerate().map(of).collect();
     FeatureSet { name: "test".into(), reductions: std::array::from_fn(|_| identity()), views }
+}
+
+/// The view of `camera`, and two from beside it.
+pub fn views_of(camera: &Camera) -> Vec<View> {
+    let moved = |x: f64| Camera { center: camera.center + DVec3::new(x, 0.0, 0.0), ..camera.clone() };
+    [0.0, 0.3, -0.4].into_iter().enumerate().map(|(i, x)| view(format!("v{i}"), moved(x))).collect()
 }
 
 fn views(width: usize, height: usize) -> Vec<View> {
@@ -200,7 +206,8 @@ fn a_constant_map_unprojects_to_that_constant() {
     for resolution in [Resolution::Image, Resolution::Feature] {
         let config =
             UnprojectionConfig { normalisation: Normalisation::Weight, resolution, ..UnprojectionConfig::default() };
-        let lifted = unproject(&scene, views.iter(), &set, &config, &Settings::default()).expect("features");
+        let lifted =
+            unproject(&scene, views.iter(), &set, &config, &Settings::default(), &crate::device()).expect("features");
         let mut seen = 0;
         for (scale, features) in lifted.features.iter().enumerate() {
             let channels = features.len() / scene.len();
@@ -238,7 +245,7 @@ fn count_is_algorithm_one_by_brute_force() {
         exact.add(&wide.splats(), &view.camera, &features.maps, config.resolution, &settings).expect("sums");
     }
     let exact = exact.normalised(Normalisation::Count).buffers;
-    let lifted = unproject(&scene, views.iter(), &set, &config, &settings).expect("features");
+    let lifted = unproject(&scene, views.iter(), &set, &config, &settings, &crate::device()).expect("features");
     let n = scene.len();
     for (scale, exact) in exact.iter().enumerate() {
         let c = set.views[0].maps[scale].channels;
@@ -295,12 +302,14 @@ fn no_attendance_threshold_prunes_nothing() {
     let (scene, views) = (cloud(50), views(40, 30));
     let config = UnprojectionConfig { attendance: 0.0, ..UnprojectionConfig::default() };
     let lifted =
-        unproject(&scene, views.iter(), &features(&views, maps), &config, &Settings::default()).expect("features");
+        unproject(&scene, views.iter(), &features(&views, maps), &config, &Settings::default(), &crate::device())
+            .expect("features");
     assert!(lifted.keep.iter().all(|&k| k));
     assert!(lifted.features.iter().flatten().all(|x| x.is_finite()));
     let empty = Gaussians::default();
     let lifted =
-        unproject(&empty, views.iter(), &features(&views, maps), &config, &Settings::default()).expect("nothing");
+        unproject(&empty, views.iter(), &features(&views, maps), &config, &Settings::default(), &crate::device())
+            .expect("nothing");
     assert!(lifted.keep.is_empty() && lifted.features[0].is_empty());
 }
 
@@ -310,7 +319,16 @@ fn the_same_bits_at_one_and_two_threads() {
     let set = features(&views, maps);
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        let run = || unproject(&scene, views.iter(), &set, &UnprojectionConfig::default(), &Settings::default());
+        let run = || {
+            unproject(
+                &scene,
+                views.iter(),
+                &set,
+                &UnprojectionConfig::default(),
+                &Settings::default(),
+                &crate::device(),
+            )
+        };
         pool.install(run).expect("features")
     };
     assert!(with(1) == with(2));
@@ -321,7 +339,9 @@ fn views_and_maps_that_do_not_match_are_refused() {
     let (scene, views) = (cloud(20), views(40, 30));
     let config = UnprojectionConfig::default();
     let error = |views: &[View], set: &FeatureSet| {
-        unproject(&scene, views.iter(), set, &config, &Settings::default()).expect_err("refused").to_string()
+        unproject(&scene, views.iter(), set, &config, &Settings::default(), &crate::device())
+            .expect_err("refused")
+            .to_string()
     };
     let set = features(&views, maps);
     assert!(error(&views[..2], &set).contains("views of the unprojection"));

@@ -1,5 +1,7 @@
 //! Operations of this crate by CubeCL kernels: the CPU's formulas in `f32`, sums in a fixed order, no float atomics.
 
+mod label_loss;
+mod numeric;
 mod sparse;
 
 pub(super) use sparse::DeviceMatrix;

@@ -23,6 +23,8 @@ const BATCH: usize = 8;
 const LANES: usize = UNITS as usize / BATCH;
 /// Widest block of channels: the sums of all units have to fit where the weights were.
 const WIDEST: usize = 8;
+/// Widest block without moments: the image's values share memory with the weights.
+const ADJOINT_WIDEST: usize = 12;
 /// Shared floats of a batch: alpha' T and g of every pixel.
 const PAIRS: usize = 2 * BATCH * UNITS as usize;
 
@@ -48,6 +50,7 @@ fn tiles_backward(
     first_entry: u32,
     end_entry: u32,
     #[comptime] block: usize,
+    #[comptime] moments: usize,
     #[comptime] with_colours: bool,
     #[comptime] with_transmittance: bool,
 ) {
@@ -56,7 +59,7 @@ fn tiles_backward(
         terminate!();
     }
     let unit = UNIT_POS as usize;
-    let columns = comptime![MOMENTS + block];
+    let columns = comptime![moments + block];
     let units = comptime![UNITS as usize];
     let mut batch = Shared::<[f32]>::new_slice(BATCH * SPLAT);
     let mut values = Shared::<[f32]>::new_slice(BATCH * block);
@@ -80,7 +83,9 @@ fn tiles_backward(
         if own.inside && channel < channels {
             let i = own.index * channels as usize + channel as usize;
             d = d_image[i];
-            rest += d * image[i];
+            if comptime![moments > 0] {
+                rest += d * image[i];
+            }
         }
         d_own[k] = d;
         d_pixels[k * units + unit] = d;
@@ -107,10 +112,12 @@ fn tiles_backward(
             let id = gaussians[at as usize + unit / SPLAT] as usize;
             batch[unit] = splats[id * SPLAT + unit % SPLAT];
         }
-        if unit < count as usize * block {
-            let id = gaussians[at as usize + unit / block] as usize;
-            let channel = first_channel + (unit % block) as u32;
-            values[unit] = value_of(colours, features, id, channel, channels, with_colours);
+        if comptime![moments > 0] {
+            if unit < count as usize * block {
+                let id = gaussians[at as usize + unit / block] as usize;
+                let channel = first_channel + (unit % block) as u32;
+                values[unit] = value_of(colours, features, id, channel, channels, with_colours);
+            }
         }
         if unit < BATCH {
             touched[unit].store(0u32);
@@ -135,16 +142,18 @@ fn tiles_backward(
                         done = true;
                     } else {
                         weight = alpha * t;
-                        let mut d = 0.0f32;
-                        #[unroll]
-                        for k in 0..block {
-                            d += d_own[k] * values[j * block + k];
-                        }
-                        let share = weight * d;
-                        rest -= share;
-                        // Nothing passes the cap.
-                        if alpha < rule.alpha_max {
-                            g = share - rest * (alpha / (1.0f32 - alpha));
+                        if comptime![moments > 0] {
+                            let mut d = 0.0f32;
+                            #[unroll]
+                            for k in 0..block {
+                                d += d_own[k] * values[j * block + k];
+                            }
+                            let share = weight * d;
+                            rest -= share;
+                            // Nothing passes the cap.
+                            if alpha < rule.alpha_max {
+                                g = share - rest * (alpha / (1.0f32 - alpha));
+                            }
                         }
                         t = next;
                         touched[j].store(1u32);
@@ -152,7 +161,9 @@ fn tiles_backward(
                 }
             }
             pairs[j * units + unit] = weight;
-            pairs[(BATCH + j) * units + unit] = g;
+            if comptime![moments > 0] {
+                pairs[(BATCH + j) * units + unit] = g;
+            }
         }
         if !done {
             live[slot as usize].fetch_add(1u32);
@@ -172,20 +183,22 @@ fn tiles_backward(
             let dy = lane_y - batch[member * SPLAT + 1];
             for i in 0..BATCH {
                 let at_pixel = i * LANES + lane;
-                let g = pairs[(BATCH + member) * units + at_pixel];
-                let row = dy + f32::cast_from((i * 2) as u32);
-                let u = du * (dx - slope * row);
-                let v = dv * row;
-                sums[0] += g;
-                sums[1] += g * u;
-                sums[2] += g * v;
-                sums[3] += g * u * u;
-                sums[4] += g * u * v;
-                sums[5] += g * v * v;
+                if comptime![moments > 0] {
+                    let g = pairs[(BATCH + member) * units + at_pixel];
+                    let row = dy + f32::cast_from((i * 2) as u32);
+                    let u = du * (dx - slope * row);
+                    let v = dv * row;
+                    sums[0] += g;
+                    sums[1] += g * u;
+                    sums[2] += g * v;
+                    sums[3] += g * u * u;
+                    sums[4] += g * u * v;
+                    sums[5] += g * v * v;
+                }
                 let weight = pairs[member * units + at_pixel];
                 #[unroll]
                 for k in 0..block {
-                    sums[MOMENTS + k] += weight * d_pixels[k * units + at_pixel];
+                    sums[moments + k] += weight * d_pixels[k * units + at_pixel];
                 }
             }
         }
@@ -263,17 +276,50 @@ pub(super) fn pixel_sums(
     view: &CubeTensor,
     row_bytes: usize,
 ) -> PixelSums {
+    sums_over_tiles(gpu, splats, tiles, values, pixels, view, row_bytes, MOMENTS)
+}
+
+/// `W^T y` alone, `[N, channels]`: `y` is `[H, W, channels]`.
+pub(super) fn adjoint(
+    gpu: &Gpu,
+    splats: &CubeTensor,
+    tiles: Tiles<'_>,
+    y: &CubeTensor,
+    channels: usize,
+    view: &CubeTensor,
+    row_bytes: usize,
+) -> CubeTensor {
+    let values = Values { colours: None, features: None, channels };
+    // Read by the moments alone.
+    let absent = gpu.floats([1]);
+    let pixels = PixelGradients { image: &absent, d_image: y, transmittance: &absent, d_transmittance: None };
+    sums_over_tiles(gpu, splats, tiles, &values, &pixels, view, row_bytes, 0).d_features
+}
+
+/// [`pixel_sums`] with [`MOMENTS`] moments or none.
+#[allow(clippy::too_many_arguments, reason = "what both callers above have in hands")]
+fn sums_over_tiles(
+    gpu: &Gpu,
+    splats: &CubeTensor,
+    tiles: Tiles<'_>,
+    values: &Values,
+    pixels: &PixelGradients<'_>,
+    view: &CubeTensor,
+    row_bytes: usize,
+    moments: usize,
+) -> PixelSums {
     let Tiles { order, entries, size } = tiles;
     let [w, h] = size;
     let tile_count: usize = tile_counts(size).iter().product();
     let colours = if values.colours.is_some() { 3 } else { 0 };
     let out = PixelSums {
-        moments: gpu.floats([order.len, MOMENTS]),
+        moments: gpu.floats([order.len, moments]),
         d_colours: gpu.floats([order.len, colours]),
         d_features: gpu.floats([order.len, values.channels - colours]),
     };
-    for (first_channel, block) in blocks(values.channels, WIDEST) {
-        let columns = MOMENTS + block;
+    let widest = if moments > 0 { WIDEST } else { ADJOINT_WIDEST };
+    for (first_channel, block) in blocks(values.channels, widest) {
+        let columns = moments + block;
         let most = (row_bytes / (columns * size_of::<f32>())).clamp(1, entries.len.max(1));
         let rows = gpu.floats([most, columns]);
         // Without entries once all the same, for the zeros.
@@ -282,6 +328,7 @@ pub(super) fn pixel_sums(
                 channels: values.channels,
                 first_channel,
                 block,
+                moments,
                 with_colours: values.colours.is_some(),
                 first_entry,
                 end_entry: (first_entry + most).min(entries.len),
@@ -311,6 +358,7 @@ pub(super) fn pixel_sums(
                 slab.first_entry as u32,
                 slab.end_entry as u32,
                 slab.block,
+                slab.moments,
                 slab.with_colours,
                 first_channel == 0 && pixels.d_transmittance.is_some(),
             );

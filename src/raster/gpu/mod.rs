@@ -8,6 +8,7 @@
 //! Memory besides inputs and outputs, bytes: 60 a Gaussian (96 in the backward pass), 28 a tile entry while they are sorted
 //! and 8 afterwards, and in the backward pass up to 56 a tile entry, 1 GiB at most (more entries go through in slabs).
 
+mod adjoint;
 mod backward;
 mod blend;
 mod ewa;
@@ -24,6 +25,8 @@ mod sh;
 mod tests;
 mod vec3;
 mod view;
+
+pub(super) use adjoint::adjoint;
 
 use super::geometry::Viewpoint;
 use super::settings::Settings;
@@ -65,14 +68,20 @@ pub(super) struct Scenery<'a> {
     pub background: [f64; 3],
 }
 
-/// What the forward pass leaves for the backward pass.
-pub(super) struct Forward {
+/// A view's projection and tile lists.
+struct Prepared {
     view: CubeTensor,
     projected: ProjectedScene,
     order: Order,
     entries: TileEntries,
-    colours: Option<CubeTensor>,
     size: [usize; 2],
+}
+
+/// What the forward pass leaves for the backward pass.
+pub(super) struct Forward {
+    prepared: Prepared,
+    /// `[N, 3]`, where SH were given.
+    colours: Option<CubeTensor>,
     /// `[H, W]`.
     pub transmittance: CubeTensor,
 }
@@ -149,41 +158,47 @@ fn check_size(gpu: &Gpu, what: &str, count: usize, bytes: usize) -> Result<()> {
 /// [`Error::Config`] for settings out of range or an unusable camera, [`Error::Limit`] for what the device cannot hold,
 /// [`Error::Device`] when it fails.
 pub(super) fn forward(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<(CubeTensor, Forward)>> {
+    let gpu = Gpu::of(&inputs.means);
+    let harmonics = inputs.harmonics();
+    let channels = harmonics.as_ref().map_or(0, |_| 3) + inputs.values(None).channels;
+    let pixels = scenery.camera.width.saturating_mul(scenery.camera.height);
+    check_size(&gpu, "pixels times channels", pixels.saturating_mul(channels.max(1)), size_of::<f32>())?;
+    for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
+        check_size(&gpu, "values of the Gaussians", tensor.meta.num_elements(), size_of::<f32>())?;
+    }
+    let Some(prepared) = prepare(&gpu, inputs, scenery)? else { return Ok(None) };
+    let Prepared { view, projected, entries, size, .. } = &prepared;
+    let colours = harmonics.map(|h| sh::colours(&gpu, &inputs.scene(), &h, &projected.radii, view));
+    let values = inputs.values(colours);
+    let (image, transmittance) = blend::blend(&gpu, &projected.splats, entries, &values, view, *size);
+    let Values { colours, .. } = values;
+    Ok(Some((image, Forward { prepared, colours, transmittance })))
+}
+
+/// Projects and sorts `inputs`; nothing when some of them holds a NaN or an infinity.
+fn prepare(gpu: &Gpu, inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<Prepared>> {
     let Scenery { camera, settings, background } = scenery;
     settings.check()?;
     let viewpoint = Viewpoint::new(camera)?;
     let size = viewpoint.size;
-    let gpu = Gpu::of(&inputs.means);
     let len = inputs.len();
-    let harmonics = inputs.harmonics();
-    let pixels = size[0].saturating_mul(size[1]);
-    let channels = harmonics.as_ref().map_or(0, |_| 3) + inputs.values(None).channels;
-    check_size(&gpu, "pixels times channels", pixels.saturating_mul(channels.max(1)), size_of::<f32>())?;
-    check_size(&gpu, "Gaussians", len, project::SPLAT * size_of::<f32>())?;
-    for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
-        check_size(&gpu, "values of the Gaussians", tensor.meta.num_elements(), size_of::<f32>())?;
-    }
-
+    check_size(gpu, "Gaussians", len, project::SPLAT * size_of::<f32>())?;
     let scene = inputs.scene();
     let view = gpu.upload(&view::constants(&viewpoint, camera, settings, background), DType::F32);
     let report = gpu.upload(&[0_u32, 0], DType::U32);
     let everywhere = settings.alpha_min == 0.0;
     for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
-        project::check_finite(&gpu, tensor, tensor.meta.num_elements(), &report);
+        project::check_finite(gpu, tensor, tensor.meta.num_elements(), &report);
     }
-    let projected = project::project(&gpu, &scene, &view, &report, everywhere);
-    let order = lists::depth_order(&gpu, &projected, len, size, everywhere, &report);
-    let colours = harmonics.map(|h| sh::colours(&gpu, &scene, &h, &projected.radii, &view));
-    let [non_finite, count] = read_report(&gpu, &report)?;
+    let projected = project::project(gpu, &scene, &view, &report, everywhere);
+    let order = lists::depth_order(gpu, &projected, len, size, everywhere, &report);
+    let [non_finite, count] = read_report(gpu, &report)?;
     if non_finite > 0 {
         return Ok(None);
     }
-    check_size(&gpu, "entries of the tile lists of one view", count as usize, size_of::<u32>())?;
-    let entries = lists::tile_entries(&gpu, &projected, &order, count as usize, size, everywhere);
-    let values = inputs.values(colours);
-    let (image, transmittance) = blend::blend(&gpu, &projected.splats, &entries, &values, &view, size);
-    let Values { colours, .. } = values;
-    Ok(Some((image, Forward { view, projected, order, entries, colours, size, transmittance })))
+    check_size(gpu, "entries of the tile lists of one view", count as usize, size_of::<u32>())?;
+    let entries = lists::tile_entries(gpu, &projected, &order, count as usize, size, everywhere);
+    Ok(Some(Prepared { view, projected, order, entries, size }))
 }
 
 /// Non-finite rows, and entries.
@@ -210,15 +225,20 @@ fn read_words(gpu: &Gpu, tensor: &CubeTensor) -> Result<Vec<u32>> {
     }
 }
 
-/// Radii in pixels, `[N]`; 0 = culled.
-pub(super) fn read_radii(radii: &CubeTensor) -> Result<Vec<u32>> {
-    read_words(&Gpu::of(radii), radii)
-}
-
 impl Forward {
     /// Radii in pixels, `[N]`, `u32`; 0 = culled.
     pub fn radii(&self) -> CubeTensor {
-        self.projected.radii.clone()
+        self.prepared.projected.radii.clone()
+    }
+
+    /// Gradients of the features alone, where the geometry is frozen.
+    pub fn backward_to_features(&self, inputs: &Inputs, d_image: &CubeTensor) -> Option<CubeTensor> {
+        let channels = inputs.features.as_ref().map(|_| inputs.values(None).channels)?;
+        let gpu = Gpu::of(&inputs.means);
+        let Prepared { view, projected, order, entries, size } = &self.prepared;
+        let tiles = backward::Tiles { order, entries, size: *size };
+        let row_bytes = backward::row_bytes(&gpu);
+        Some(backward::adjoint(&gpu, &projected.splats, tiles, d_image, channels, view, row_bytes))
     }
 
     /// Gradients of all inputs; `image` is what [`forward`] gave, `d_image` (`[H, W, C]`) and `d_transmittance`
@@ -231,10 +251,10 @@ impl Forward {
         d_transmittance: Option<&CubeTensor>,
     ) -> Gradients {
         let gpu = Gpu::of(&inputs.means);
-        let (view, projected) = (&self.view, &self.projected);
+        let Prepared { view, projected, order, entries, size } = &self.prepared;
         let values = inputs.values(self.colours.clone());
         let pixels = backward::PixelGradients { image, d_image, transmittance: &self.transmittance, d_transmittance };
-        let tiles = backward::Tiles { order: &self.order, entries: &self.entries, size: self.size };
+        let tiles = backward::Tiles { order, entries, size: *size };
         let row_bytes = backward::row_bytes(&gpu);
         let sums = backward::pixel_sums(&gpu, &projected.splats, tiles, &values, &pixels, view, row_bytes);
         let scene = inputs.scene();

@@ -1,6 +1,5 @@
 //! The sums over each Gaussian's tiles: a row a tile entry, and a Gaussian's entries are neighbours.
 
-use super::backward::MOMENTS;
 use super::lists::Order;
 use crate::gpu::{Gpu, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
@@ -12,7 +11,7 @@ fn sum_rows(
     ids: &[u32],
     offsets: &[u32],
     rows: &[f32],
-    moments: &mut [f32],
+    moment_sums: &mut [f32],
     d_colours: &mut [f32],
     d_features: &mut [f32],
     gaussians: u32,
@@ -21,11 +20,12 @@ fn sum_rows(
     first_entry: u32,
     end_entry: u32,
     #[comptime] block: usize,
+    #[comptime] moments: usize,
     #[comptime] with_colours: bool,
     #[comptime] add_moments: bool,
     #[comptime] add_values: bool,
 ) {
-    let columns = comptime![MOMENTS + block];
+    let columns = comptime![moments + block];
     let rank = ABSOLUTE_POS / columns;
     let column = ABSOLUTE_POS % columns;
     if rank >= gaussians as usize {
@@ -51,14 +51,14 @@ fn sum_rows(
         sum += rows[(entry - first_entry) as usize * columns + column];
         entry += 1u32;
     }
-    if column < MOMENTS {
-        let to = id * MOMENTS + column;
+    if column < moments {
+        let to = id * moments + column;
         if comptime![add_moments] {
-            sum += moments[to];
+            sum += moment_sums[to];
         }
-        moments[to] = sum;
+        moment_sums[to] = sum;
     } else {
-        let channel = first_channel + (column - MOMENTS) as u32;
+        let channel = first_channel + (column - moments) as u32;
         if channel < channels {
             let mut colours_before = 0u32;
             if comptime![with_colours] {
@@ -83,7 +83,7 @@ fn sum_rows(
 
 /// Sums over all pixels, a row for every Gaussian of the scene; zero for culled ones.
 pub(super) struct PixelSums {
-    /// `[N, MOMENTS]`.
+    /// `[N, MOMENTS]`; of any length where none were asked for.
     pub moments: CubeTensor,
     /// `[N, 3]`; of any length without colours.
     pub d_colours: CubeTensor,
@@ -97,16 +97,18 @@ pub(super) struct Slab {
     pub channels: usize,
     pub first_channel: usize,
     pub block: usize,
+    /// Moments of a row, before the block: all of them or none.
+    pub moments: usize,
     pub with_colours: bool,
     pub first_entry: usize,
     pub end_entry: usize,
 }
 
-/// Adds `rows`, `[entries of the slab, MOMENTS + block]`, to `sums`; the first slab of each part overwrites it.
+/// Adds `rows`, `[entries of the slab, moments + block]`, to `sums`; the first slab of each part overwrites it.
 pub(super) fn add_rows(gpu: &Gpu, order: &Order, rows: &CubeTensor, slab: &Slab, sums: &PixelSums) {
     sum_rows::launch(
         &gpu.client,
-        gpu.cubes_for(order.len * (MOMENTS + slab.block)),
+        gpu.cubes_for(order.len * (slab.moments + slab.block)),
         gpu.dim(),
         arg(&order.ids),
         arg(&order.offsets),
@@ -120,6 +122,7 @@ pub(super) fn add_rows(gpu: &Gpu, order: &Order, rows: &CubeTensor, slab: &Slab,
         slab.first_entry as u32,
         slab.end_entry as u32,
         slab.block,
+        slab.moments,
         slab.with_colours,
         slab.first_channel > 0 || slab.first_entry > 0,
         slab.first_entry > 0,

@@ -1,11 +1,11 @@
 //! The operation in the autodiff graph.
 
-use super::backend::{INPUTS, RasterBackend, RasterTensors};
+use super::backend::{FEATURES, INPUTS, RasterBackend, RasterTensors};
 use super::call::RasterCall;
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::{Autodiff, tensor::FloatTensor};
+use burn::backend::{Autodiff, AutodiffBackend, tensor::FloatTensor};
 use std::sync::Arc;
 
 #[derive(Debug)]
@@ -17,7 +17,9 @@ impl<B: RasterBackend> Backward<B, INPUTS> for ImageBackward {
     fn backward(self, ops: Ops<Self::State, INPUTS>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
         let d_image = grads.consume::<B>(&ops.node);
         let (tensors, image, call) = ops.state;
-        let gradients = B::raster_backward(tensors, image, d_image, call);
+        // Means, log-scales, rotations, opacities, SH; features; screen.
+        let frozen = ops.parents.iter().enumerate().all(|(input, node)| input == FEATURES || node.is_none());
+        let gradients = B::raster_backward(tensors, image, d_image, call, frozen);
         for (parent, gradient) in ops.parents.into_iter().zip(gradients.into_array()) {
             if let Some(node) = parent {
                 grads.register::<B>(node.id, gradient);
@@ -57,6 +59,11 @@ impl<B: RasterBackend, C: CheckpointStrategy> RasterBackend for Autodiff<B, C> {
         }
     }
 
+    fn raster_radii(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
+        let (image, _) = image.into_parts();
+        <Self as AutodiffBackend>::from_inner(B::raster_radii(image, call))
+    }
+
     fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
         let (image, node) = image.into_parts();
         match TransmittanceBackward.prepare::<C>([node]).compute_bound().stateful() {
@@ -81,6 +88,7 @@ impl<B: RasterBackend, C: CheckpointStrategy> RasterBackend for Autodiff<B, C> {
         _image: FloatTensor<Self>,
         _d_image: FloatTensor<Self>,
         _call: Arc<RasterCall>,
+        _frozen: bool,
     ) -> RasterTensors<Self> {
         unimplemented!("second-order gradients")
     }

@@ -1,7 +1,8 @@
-//! The operation's trait, and its implementation for backends that lend their tensors to host kernels.
+//! The operation's trait, and its implementation for backends whose operations are host kernels.
 
 use super::call::RasterCall;
 use super::on_host;
+use crate::ops::HostKernels;
 use burn::backend::{Backend, ExtensionType, backend_extension, tensor::FloatTensor};
 use std::sync::Arc;
 
@@ -19,6 +20,8 @@ pub struct RasterTensors<B: Backend> {
 
 /// Inputs of the operation, and the index of each among its parents.
 pub(super) const INPUTS: usize = 7;
+/// Index of the features.
+pub(super) const FEATURES: usize = 5;
 
 impl<B: Backend> RasterTensors<B> {
     pub(super) fn from_array(tensors: [FloatTensor<B>; INPUTS]) -> Self {
@@ -36,12 +39,14 @@ impl<B: Backend> RasterTensors<B> {
 #[backend_extension(
     NdArray: cfg(feature = "ndarray"),
     Flex: cfg(feature = "flex"),
-    Cube: cfg(feature = "wgpu"),
+    Cube: cfg(feature = "cube"),
     Autodiff
 )]
 pub trait RasterBackend: Backend {
     /// The image `[H, W, C]`; leaves the rest of the forward pass in `call`.
     fn raster_image(#[extension_type] tensors: RasterTensors<Self>, call: Arc<RasterCall>) -> FloatTensor<Self>;
+    /// Radii `[N]` of the call that made `image`, as floats, where they lie on a device; empty where the call has them.
+    fn raster_radii(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self>;
     /// The transmittance `[H, W]` of the call that made `image`.
     fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self>;
     /// Keeps the gradient of the transmittance for [`RasterBackend::raster_backward`], and returns zeros like `image`.
@@ -50,44 +55,41 @@ pub trait RasterBackend: Backend {
         d_transmittance: FloatTensor<Self>,
         call: Arc<RasterCall>,
     ) -> FloatTensor<Self>;
-    /// Gradients of all inputs.
+    /// Gradients of all inputs; where the geometry is `frozen` and there are no SH, those of the features may be the only ones.
     fn raster_backward(
         #[extension_type] tensors: RasterTensors<Self>,
         image: FloatTensor<Self>,
         d_image: FloatTensor<Self>,
         call: Arc<RasterCall>,
+        frozen: bool,
     ) -> RasterTensors<Self>;
 }
 
-/// The operation by the host's kernels, on any backend that lends them its tensors.
-macro_rules! by_host_kernels {
-    ($backend:ty) => {
-        impl RasterBackend for $backend {
-            fn raster_image(tensors: RasterTensors<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
-                on_host::image::<Self>(tensors, call)
-            }
-            fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
-                on_host::transmittance::<Self>(image, call)
-            }
-            fn raster_transmittance_backward(
-                image: FloatTensor<Self>,
-                d_transmittance: FloatTensor<Self>,
-                call: Arc<RasterCall>,
-            ) -> FloatTensor<Self> {
-                on_host::transmittance_backward::<Self>(image, d_transmittance, call)
-            }
-            fn raster_backward(
-                tensors: RasterTensors<Self>,
-                image: FloatTensor<Self>,
-                d_image: FloatTensor<Self>,
-                call: Arc<RasterCall>,
-            ) -> RasterTensors<Self> {
-                on_host::backward::<Self>(tensors, image, d_image, call)
-            }
-        }
-    };
+/// The operation by the host's kernels.
+impl<B: HostKernels> RasterBackend for B {
+    fn raster_image(tensors: RasterTensors<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
+        on_host::image::<Self>(tensors, call)
+    }
+    fn raster_radii(image: FloatTensor<Self>, _call: Arc<RasterCall>) -> FloatTensor<Self> {
+        on_host::no_radii::<Self>(image)
+    }
+    fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
+        on_host::transmittance::<Self>(image, call)
+    }
+    fn raster_transmittance_backward(
+        image: FloatTensor<Self>,
+        d_transmittance: FloatTensor<Self>,
+        call: Arc<RasterCall>,
+    ) -> FloatTensor<Self> {
+        on_host::transmittance_backward::<Self>(image, d_transmittance, call)
+    }
+    fn raster_backward(
+        tensors: RasterTensors<Self>,
+        image: FloatTensor<Self>,
+        d_image: FloatTensor<Self>,
+        call: Arc<RasterCall>,
+        _frozen: bool,
+    ) -> RasterTensors<Self> {
+        on_host::backward::<Self>(tensors, image, d_image, call)
+    }
 }
-#[cfg(feature = "ndarray")]
-by_host_kernels!(burn::backend::NdArray);
-#[cfg(feature = "flex")]
-by_host_kernels!(burn::backend::Flex);

@@ -26,7 +26,7 @@ pub struct RasterCall {
     /// Whether the gradient of the screen has the columns of AbsGS too.
     pub(super) absolute_screen: bool,
     /// The host's kernels wherever the tensors live.
-    #[cfg_attr(not(feature = "wgpu"), allow(dead_code, reason = "no other kernels are compiled in"))]
+    #[cfg_attr(not(feature = "cube"), allow(dead_code, reason = "no other kernels are compiled in"))]
     pub(super) host_kernels: bool,
     pub(super) state: Mutex<CallState>,
 }

@@ -1,14 +1,15 @@
 //! The operation on CubeCL backends: the GPU kernels, or the host's where those do not reach.
 
+use super::adjoint::{self, AdjointBackend, AdjointCall, AdjointTensors};
 use super::backend::{RasterBackend, RasterTensors};
 use super::call::{HostInputs, RasterCall};
 use super::on_host;
-use super::radii::Radii;
 use crate::error::{Error, Result};
 use crate::raster::gpu::{self, Forward, Gradients, Inputs, Scenery};
 use burn::backend::tensor::FloatTensor;
+use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
-use burn_cubecl::kernel::into_contiguous;
+use burn_cubecl::kernel::{cast, into_contiguous};
 use burn_cubecl::ops::numeric::zeros_client;
 use burn_cubecl::tensor::CubeTensor;
 use std::sync::Arc;
@@ -45,9 +46,7 @@ fn forward(tensors: RasterTensors<CubeBackend>, call: &RasterCall) -> Result<Cub
     let scenery = Scenery { camera: &call.camera, settings: &call.settings, background: call.background };
     match gpu::forward(&inputs(&tensors, call), scenery)? {
         Some((image, forward)) => {
-            let mut state = call.state();
-            state.radii = Radii::on_device(forward.radii());
-            state.forward = Some(Box::new(forward));
+            call.state().forward = Some(Box::new(forward));
             Ok(image)
         }
         // The host's own check names tensor and row.
@@ -70,6 +69,13 @@ impl RasterBackend for CubeBackend {
             // The caller of `rasterize` gets the error; the graph needs a tensor all the same.
             zeros_client(like.client, like.device, [1, 1, channels].into(), like.dtype)
         })
+    }
+
+    fn raster_radii(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
+        match call.state().forward.as_ref().and_then(|f| f.downcast_ref::<Forward>()) {
+            Some(forward) => cast(forward.radii(), DType::F32),
+            None => on_host::no_radii::<Self>(image),
+        }
     }
 
     fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
@@ -100,6 +106,7 @@ impl RasterBackend for CubeBackend {
         image: FloatTensor<Self>,
         d_image: FloatTensor<Self>,
         call: Arc<RasterCall>,
+        frozen: bool,
     ) -> RasterTensors<Self> {
         let forward: Box<Forward> = {
             let mut state = call.state();
@@ -113,6 +120,10 @@ impl RasterBackend for CubeBackend {
             }
         };
         let d_transmittance: Option<CubeTensor> = RasterCall::take(&mut call.state().d_transmittance);
+        if frozen && !call.has_sh {
+            let features = forward.backward_to_features(&inputs(&tensors, &call), &into_contiguous(d_image));
+            return RasterTensors { features: features.unwrap_or(tensors.features), ..tensors };
+        }
         let Gradients { means, log_scales, rotations, logits, sh, features, screen } = forward.backward(
             &inputs(&tensors, &call),
             &into_contiguous(image),
@@ -129,5 +140,36 @@ impl RasterBackend for CubeBackend {
             features: features.unwrap_or(tensors.features),
             screen: if tensors.screen.meta.num_elements() > 0 { screen } else { tensors.screen },
         }
+    }
+}
+
+impl AdjointBackend for CubeBackend {
+    fn raster_adjoint(tensors: AdjointTensors<Self>, call: Arc<AdjointCall>) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let (n, channels) = (tensors.opacity_logits.meta.num_elements(), tensors.image.meta.shape()[2]);
+        if n * channels == 0 || !gpu::covers(&tensors.image) {
+            return adjoint::on_host::<Self>(tensors, &call);
+        }
+        let AdjointTensors { means, log_scales, rotations, opacity_logits, image } = &tensors;
+        let whole = |t: &CubeTensor| into_contiguous(t.clone());
+        let inputs = Inputs {
+            means: whole(means),
+            log_scales: whole(log_scales),
+            rotations: whole(rotations),
+            logits: whole(opacity_logits),
+            sh: None,
+            features: None,
+        };
+        let scenery = Scenery { camera: &call.camera, settings: &call.settings, background: [0.0; 3] };
+        match gpu::adjoint(&inputs, scenery, &whole(image), channels) {
+            Ok(Some(found)) => return found,
+            Err(error) => call.fail(error),
+            // The host's own check names tensor and row.
+            Ok(None) => return adjoint::on_host::<Self>(tensors, &call),
+        }
+        let nothing = |shape: &[usize]| {
+            let like = &tensors.means;
+            zeros_client(like.client.clone(), like.device.clone(), shape.to_vec().into(), like.dtype)
+        };
+        (nothing(&[n, channels]), nothing(&[n]))
     }
 }

@@ -28,6 +28,11 @@ pub(super) fn image<B: HostBackend>(tensors: RasterTensors<B>, call: Arc<RasterC
     })
 }
 
+/// The call has them.
+pub(super) fn no_radii<B: HostBackend>(image: FloatTensor<B>) -> FloatTensor<B> {
+    B::tensor::<f32>(Vec::new(), &[0], &device_of::<B>(&image))
+}
+
 pub(super) fn transmittance<B: HostBackend>(image: FloatTensor<B>, call: Arc<RasterCall>) -> FloatTensor<B> {
     let device = device_of::<B>(&image);
     let [w, h] = call.size();

@@ -1,8 +1,8 @@
 //! Radii of the Gaussians of one view.
 
+use crate::device::read;
 use crate::error::Result;
-#[cfg(feature = "wgpu")]
-use burn_cubecl::tensor::CubeTensor;
+use burn::tensor::{Device, Tensor, TensorData};
 use std::sync::Arc;
 
 /// Radius in pixels of every Gaussian, `[N]`; 0 = not visible. On a GPU they stay there until they are read.
@@ -12,8 +12,7 @@ pub struct Radii(Place);
 #[derive(Clone, Debug)]
 enum Place {
     Host(Arc<Vec<u32>>),
-    #[cfg(feature = "wgpu")]
-    Device(Box<CubeTensor>),
+    Device(Tensor<1>),
 }
 
 impl Default for Radii {
@@ -27,9 +26,8 @@ impl Radii {
         Self(Place::Host(Arc::new(radii)))
     }
 
-    #[cfg(feature = "wgpu")]
-    pub(super) fn on_device(radii: CubeTensor) -> Self {
-        Self(Place::Device(Box::new(radii)))
+    pub(super) fn on_device(radii: Tensor<1>) -> Self {
+        Self(Place::Device(radii))
     }
 
     /// The radii; from a GPU this waits for the device and copies.
@@ -39,8 +37,21 @@ impl Radii {
     pub fn read(&self) -> Result<Arc<Vec<u32>>> {
         match &self.0 {
             Place::Host(radii) => Ok(radii.clone()),
-            #[cfg(feature = "wgpu")]
-            Place::Device(radii) => crate::raster::gpu::read_radii(radii).map(Arc::new),
+            Place::Device(radii) => {
+                let radii = read("radii", radii.clone())?;
+                Ok(Arc::new(radii.into_iter().map(|radius| radius as u32).collect()))
+            }
+        }
+    }
+
+    /// The radii on `device`, without autodiff, as floats.
+    pub fn as_tensor(&self, device: &Device) -> Tensor<1> {
+        match &self.0 {
+            Place::Host(radii) => {
+                let values: Vec<f32> = radii.iter().map(|&radius| radius as f32).collect();
+                Tensor::from_data(TensorData::new(values, [radii.len()]), &device.clone().inner())
+            }
+            Place::Device(radii) => radii.clone(),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! What the strategies of densification add to an iteration, and where the first Gaussians come from.
 
-use super::{BuildingStage, Densified};
+use super::{BuildingStage, Densified, Tally};
 use crate::config::{Config, Strategy};
 use crate::data::{Points, Scene, View};
 use crate::error::Result;
@@ -9,10 +9,10 @@ use crate::gaussians::noise::PositionNoise;
 use crate::gaussians::relocate::{RelocationPlan, RelocationRules};
 use crate::gaussians::{Gaussians, frusta, init};
 use crate::random::{Purpose, stream};
-use crate::train::parameters::{Leaves, OPACITY, Parameters, read, widths};
+use crate::train::parameters::{Leaves, OPACITY, Parameters, widths};
 use crate::train::schedule::extent;
+use burn::tensor::Tensor;
 use burn::tensor::activation::sigmoid;
-use burn::tensor::{Gradients, Tensor};
 use std::borrow::Cow;
 
 /// Gaussians at the scene's points, or in the camera frusta where it has none; no more than `max_gaussians`.
@@ -62,20 +62,6 @@ impl BuildingStage<'_> {
         (building.strategy == Strategy::Adc).then(screen)
     }
 
-    /// The screen-space gradient that densification reads, `[N, 2]`.
-    pub(super) fn screen_gradient(&self, screen: &Tensor<2>, gradients: &mut Gradients) -> Result<Vec<f32>> {
-        let Some(gradient) = screen.grad_remove(gradients) else {
-            return Ok(vec![0.0; 2 * self.parameters.len()]);
-        };
-        let columns = gradient.dims()[1];
-        let values = read("screen-space gradient", gradient)?;
-        // of four columns the last two are the sums of absolute values
-        Ok(match columns {
-            4 => values.as_chunks::<4>().0.iter().flat_map(|row| [row[2], row[3]]).collect(),
-            _ => values,
-        })
-    }
-
     /// The loss with what 3DGS-MCMC adds to it: weights times the mean opacity and the mean standard deviation, the latter in
     /// extents.
     pub(super) fn regularised(&self, loss: Tensor<1>, leaves: &Leaves) -> Tensor<1> {
@@ -120,7 +106,7 @@ impl BuildingStage<'_> {
                     prune_scale: b.prune_scale * self.extent as f32,
                     max_gaussians: b.max_gaussians,
                 };
-                let plan = RowPlan::new(&gaussians, &self.stats, &rules)?;
+                let plan = RowPlan::new(&gaussians, &self.tally.read()?, &rules)?;
                 let moments = |old: &[f32], width: usize| plan.moments(old, width);
                 let RowPlan { cloned, split, pruned, .. } = plan;
                 let done = Densified { cloned, split, pruned, relocated: 0 };
@@ -135,7 +121,7 @@ impl BuildingStage<'_> {
                 (plan.gaussians(&gaussians), all(&moments, first), all(&moments, second), done)
             }
         };
-        self.stats = DensityStats::new(gaussians.len());
+        self.tally = Tally::new(DensityStats::new(gaussians.len()), &self.device);
         self.parameters = Parameters::new(gaussians, first, second, &self.device);
         Ok(done)
     }

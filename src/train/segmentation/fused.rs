@@ -13,7 +13,6 @@ use super::{Model, Prediction, Scores, stored};
 use crate::config::{Blend, SegmentationConfig};
 use crate::error::Result;
 use crate::objects::Identities;
-use crate::ops::sparse_apply;
 use crate::segmentation::decoder::Decoder;
 use crate::segmentation::loss::neighbour_divergence;
 use crate::segmentation::pyramid::{Pyramid, Restriction};
@@ -183,7 +182,7 @@ impl<'a> Fused<'a> {
         drawn: &Drawn,
         factors: &[Vec<Vec<f32>>],
         sampled: Sampled,
-    ) -> Prediction {
+    ) -> Result<Prediction> {
         let pyramid = &self.source.view(view).pyramid;
         let decoded: Vec<_> = factors.iter().map(|f| decoder.forward_scaled(pyramid, &part.kept, f)).collect();
         let terms = REGULARISED.into_iter().zip(sampled).filter_map(|(scale, pairs)| {
@@ -193,11 +192,17 @@ impl<'a> Fused<'a> {
         let scores = decoded.into_iter().map(|decoded| match self.plan.config.blend {
             // The last layer is linear: hidden features are blended and it is applied per pixel.
             Blend::Logits if self.prior.is_empty() => {
-                Scores::Pixels(decoder.classify(sparse_apply(decoded.hidden, Arc::new(drawn.pixels.chosen()))))
+                Ok(Scores::Pixels(decoder.classify(drawn.pixels.blend(decoded.hidden)?)))
             }
             blend => Scores::blended(self.scores(decoder, decoded.hidden, &drawn.visible), &drawn.pixels, blend),
         });
-        match scores.reduce(Scores::and) {
+        let scores: Vec<Scores> = scores.collect::<Result<_>>()?;
+        Ok(self.prediction(scores, regularisation))
+    }
+
+    /// One set of scores, or two.
+    fn prediction(&self, scores: Vec<Scores>, regularisation: Option<Tensor<1>>) -> Prediction {
+        match scores.into_iter().reduce(Scores::and) {
             Some(scores) => Prediction { scores, regularisation },
             None => Prediction::empty(self.plan.size[1], &self.device),
         }
@@ -211,7 +216,7 @@ impl<'a> Fused<'a> {
         prepared: Arc<Prepared>,
         drawn: &Drawn,
         factors: Vec<Vec<Vec<f32>>>,
-    ) -> (Prediction, Waiting) {
+    ) -> Result<(Prediction, Waiting)> {
         let pyramid = &self.source.view(view).pyramid;
         let frozen = decoder.valid();
         let sampled = self.sampled(&prepared);
@@ -227,11 +232,8 @@ impl<'a> Fused<'a> {
         let scores: Vec<_> = factors.into_iter().map(leaf).collect();
         let blended =
             scores.iter().map(|(scores, _)| Scores::blended(scores.clone(), &drawn.pixels, self.plan.config.blend));
-        let prediction = match blended.reduce(Scores::and) {
-            Some(scores) => Prediction { scores, regularisation },
-            None => Prediction::empty(self.plan.size[1], &self.device),
-        };
-        (prediction, Waiting { view, prepared, scores })
+        let blended: Vec<Scores> = blended.collect::<Result<_>>()?;
+        Ok((self.prediction(blended, regularisation), Waiting { view, prepared, scores }))
     }
 
     /// Scores of the finest points, in chunks so that memory does not grow with the scene.
@@ -263,9 +265,9 @@ impl Model for Fused<'_> {
             }
         };
         let (prediction, waiting) = match &prepared.parts[..] {
-            [part] => (self.predict_whole(decoder, view, part, drawn, &factors, self.sampled(&prepared)), None),
+            [part] => (self.predict_whole(decoder, view, part, drawn, &factors, self.sampled(&prepared))?, None),
             _ => {
-                let (prediction, waiting) = self.predict_in_parts(decoder, view, prepared, drawn, factors);
+                let (prediction, waiting) = self.predict_in_parts(decoder, view, prepared, drawn, factors)?;
                 (prediction, Some(waiting))
             }
         };

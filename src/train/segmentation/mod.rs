@@ -6,6 +6,7 @@ mod fused;
 mod optimiser;
 mod per_gaussian;
 mod prepared;
+mod rendered;
 mod session;
 mod views;
 
@@ -17,9 +18,10 @@ pub use session::{Pace, Score, train};
 pub use views::{Drawn, TrainingViews, view_at};
 
 use crate::config::{Blend, SegmentationConfig};
+use crate::device::read;
 use crate::error::{Error, Result};
 use crate::objects::Identities;
-use crate::ops::{LabelledPixels, blended_label_loss, sparse_apply};
+use crate::ops::{LabelledPixels, blended_label_loss};
 use crate::random::{Purpose, stream};
 use crate::segmentation::loss::{Kind, label_loss};
 use burn::tensor::activation::softmax;
@@ -38,11 +40,14 @@ pub enum Scores {
 
 impl Scores {
     /// Those of `scores` `[V, C]` of visible Gaussians as `blend` says.
-    pub fn blended(scores: Tensor<2>, pixels: &LabelledPixels, blend: Blend) -> Self {
-        match blend {
-            Blend::Logits => Self::Pixels(sparse_apply(scores, Arc::new(pixels.chosen()))),
+    ///
+    /// # Errors
+    /// Those of [`LabelledPixels::blend`].
+    pub fn blended(scores: Tensor<2>, pixels: &LabelledPixels, blend: Blend) -> Result<Self> {
+        Ok(match blend {
+            Blend::Logits => Self::Pixels(pixels.blend(scores)?),
             Blend::Probabilities => Self::Gaussians(scores),
-        }
+        })
     }
 
     /// This prediction and another one.
@@ -51,27 +56,30 @@ impl Scores {
     }
 
     /// Mean loss `[1]` of `pixels`; of a pair [`generalised_js`], with the weight `consistency`.
-    pub fn loss(self, pixels: LabelledPixels, kind: &Kind, consistency: f64) -> Tensor<1> {
-        match self {
+    ///
+    /// # Errors
+    /// Those of [`LabelledPixels::blend`].
+    pub fn loss(self, pixels: LabelledPixels, kind: &Kind, consistency: f64) -> Result<Tensor<1>> {
+        Ok(match self {
             Self::Pixels(logits) => label_loss(logits, &pixels.labels, kind),
-            Self::Gaussians(scores) => blended_label_loss(scores, Arc::new(pixels), kind),
+            Self::Gaussians(scores) => blended_label_loss(scores, Arc::new(pixels), kind)?,
             Self::Pair(pair) => {
-                let pair = pair.map(|scores| scores.probabilities(&pixels));
-                generalised_js(pair, &pixels.labels, kind, consistency)
+                let [a, b] = pair.map(|scores| scores.probabilities(&pixels));
+                generalised_js([a?, b?], &pixels.labels, kind, consistency)
             }
-        }
+        })
     }
 
     /// Class probabilities of the pixels, `[P, C]`; of a pair their mean.
-    fn probabilities(self, pixels: &LabelledPixels) -> Tensor<2> {
-        match self {
+    fn probabilities(self, pixels: &LabelledPixels) -> Result<Tensor<2>> {
+        Ok(match self {
             Self::Pixels(logits) => softmax(logits, 1),
-            Self::Gaussians(scores) => sparse_apply(softmax(scores, 1), Arc::new(pixels.chosen())),
+            Self::Gaussians(scores) => pixels.blend(softmax(scores, 1))?,
             Self::Pair(pair) => {
                 let [a, b] = pair.map(|scores| scores.probabilities(pixels));
-                (a + b) * 0.5
+                (a? + b?) * 0.5
             }
-        }
+        })
     }
 }
 
@@ -179,12 +187,12 @@ pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan,
     let prediction = model.predict(view, &drawn).map_err(at)?;
     let kind = if iteration < plan.warmup { Kind::Ce } else { plan.loss };
     let consistency = if iteration < plan.warmup { 0.0 } else { plan.consistency };
-    let loss = prediction.scores.loss(drawn.pixels, &kind, consistency);
+    let loss = prediction.scores.loss(drawn.pixels, &kind, consistency).map_err(at)?;
     let mut loss = loss * plan.lambda[0];
     if let Some(regularisation) = prediction.regularisation {
         loss = loss + regularisation * plan.lambda[1];
     }
-    let value = optimiser::values(loss.clone().inner()).first().copied().unwrap_or(f32::NAN);
+    let value = read("segmentation loss", loss.clone().inner())?.first().copied().unwrap_or(f32::NAN);
     if !value.is_finite() {
         return Err(at(Error::non_finite("segmentation loss", 0)));
     }

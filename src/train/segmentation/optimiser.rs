@@ -1,5 +1,6 @@
 //! Adam over all parameters of a burn module, with state that a checkpoint can hold exactly.
 
+use crate::device::read;
 use crate::error::{Error, Result};
 use crate::ops::{AdamStep, AdamTensors, adam_step};
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
@@ -51,11 +52,12 @@ impl ModuleAdam {
     /// One step of every parameter that has a gradient, at `factor` times the learning rate.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] naming the parameter when a gradient holds a NaN or an infinity; nothing is changed then.
+    /// [`Error::NonFinite`] naming the parameter when a gradient holds a NaN or an infinity, [`Error::Device`] when the device
+    /// fails; nothing is changed then.
     pub fn step<M: Module>(&mut self, module: M, gradients: &mut Gradients, factor: f64) -> Result<M> {
         let mut check = Norm { gradients, path: Vec::new(), total: None, worst: None };
         module.visit(&mut check);
-        if let Some(tensor) = check.worst() {
+        if let Some(tensor) = check.worst()? {
             return Err(Error::non_finite(format!("gradient of {tensor}"), 0));
         }
         self.steps += 1;
@@ -162,13 +164,17 @@ struct Norm<'a> {
 
 impl Norm<'_> {
     /// The first parameter whose gradient is not finite.
-    fn worst(self) -> Option<String> {
-        let finite = |t: &Tensor<1>| values(t.clone()).iter().all(|v| v.is_finite());
-        if self.total.as_ref().is_none_or(finite) {
-            return None;
+    fn worst(self) -> Result<Option<String>> {
+        let finite = |t: Tensor<1>| Ok(read("gradients", t)?.iter().all(|v| v.is_finite()));
+        if self.total.map_or(Ok(true), finite)? {
+            return Ok(None);
         }
-        let named = self.worst.unwrap_or_default();
-        named.into_iter().find(|(_, t)| !finite(t)).map(|(name, _)| name)
+        for (name, square) in self.worst.unwrap_or_default() {
+            if !finite(square)? {
+                return Ok(Some(name));
+            }
+        }
+        Ok(None)
     }
 }
 

@@ -43,7 +43,7 @@ impl Model for PerGaussian {
         let columns: Vec<i64> = drawn.visible.iter().map(|&i| i64::from(i)).collect();
         let count = columns.len();
         let index = Tensor::<1, Int>::from_data(TensorData::new(columns, [count]), &self.device.clone().inner());
-        let scores = Scores::blended(self.scores().select(0, index), &drawn.pixels, self.blend);
+        let scores = Scores::blended(self.scores().select(0, index), &drawn.pixels, self.blend)?;
         Ok(Prediction { scores, regularisation: None })
     }
 

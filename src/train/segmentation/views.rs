@@ -1,12 +1,15 @@
 //! What stage two needs of a training view: its labelled pixels, and their normalised blending weights.
 
+use super::rendered::{RenderedView, visible};
 use crate::data::{Classes, LabelMap, LabelRuns, View};
+use crate::device::in_host_memory;
 use crate::error::Result;
 use crate::gaussians::Gaussians;
 use crate::objects::{Votes, vote};
-use crate::ops::{LabelledPixels, SparseMatrix, UNLABELLED};
+use crate::ops::{LabelledPixels, PixelWeights, SparseMatrix, UNLABELLED};
 use crate::random::{Purpose, stream};
-use crate::raster::{Projected, Settings};
+use crate::raster::{Projected, Settings, SplatTensors};
+use burn::tensor::Device;
 use rand::{Rng, seq::SliceRandom};
 use std::sync::Arc;
 
@@ -19,8 +22,17 @@ struct LabelledView {
     labels: LabelRuns,
     /// Number of labelled, covered pixels.
     count: usize,
-    /// Weights of the pixels over `visible`, where they are kept. Each row sums to 1 (weights over 1 - T).
-    weights: Option<Arc<SparseMatrix>>,
+    kept: Kept,
+}
+
+/// What is kept of a view beside which pixels and Gaussians take part.
+#[derive(Clone, Debug)]
+enum Kept {
+    Nothing,
+    /// Weights of the labelled, covered pixels over the visible Gaussians. Each row sums to 1 (weights over 1 - T).
+    Weights(Arc<SparseMatrix>),
+    /// The visible Gaussians on a GPU.
+    OnDevice(Arc<RenderedView>),
 }
 
 impl LabelledView {
@@ -66,7 +78,8 @@ pub struct Drawn {
 }
 
 /// All training views of a scene. Which pixels and Gaussians take part is found at a view's first use; weights are kept up
-/// to a byte budget, else computed again for the pixels of each step, to the same bits.
+/// to a byte budget, else computed again for the pixels of each step, to the same bits. On a GPU no weights are kept, but the
+/// Gaussians that a view shows.
 pub struct TrainingViews<'a> {
     gaussians: &'a Gaussians,
     views: Vec<&'a View>,
@@ -77,10 +90,12 @@ pub struct TrainingViews<'a> {
     min_coverage: f32,
     seen: Vec<Option<Arc<LabelledView>>>,
     budget: usize,
+    /// All Gaussians, where they are rendered on a GPU.
+    splats: Option<SplatTensors>,
 }
 
 impl<'a> TrainingViews<'a> {
-    /// Views without raw labels are left out. `budget` is in bytes.
+    /// Views without raw labels are left out. `budget` is in bytes. Where `device` is a GPU, blending runs on it.
     pub fn new(
         gaussians: &'a Gaussians,
         views: impl Iterator<Item = &'a View>,
@@ -88,10 +103,12 @@ impl<'a> TrainingViews<'a> {
         settings: Settings,
         min_coverage: f32,
         budget: usize,
+        device: &Device,
     ) -> Self {
         let views: Vec<_> = views.filter(|v| v.raw.is_some()).collect();
         let (seen, used) = (vec![None; views.len()], (0..views.len()).collect());
-        Self { gaussians, seen, views, used, classes, settings, min_coverage, budget }
+        let splats = (!in_host_memory(device)).then(|| SplatTensors::new(gaussians, device));
+        Self { gaussians, seen, views, used, classes, settings, min_coverage, budget, splats }
     }
 
     /// Number of views, those left out included.
@@ -147,21 +164,34 @@ impl<'a> TrainingViews<'a> {
     /// # Errors
     /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite.
     pub fn draw(&mut self, index: usize, share: f64, rng: &mut impl Rng) -> Result<Drawn> {
-        let (view, weights) = match &self.seen[index] {
-            Some(view) => (view.clone(), view.weights.clone()),
-            None => {
+        let (view, kept) = match (&self.seen[index], self.splats.clone()) {
+            (Some(view), None) => (view.clone(), view.kept.clone()),
+            (None, None) => {
                 let (view, weights) = self.look(index)?;
-                (view, Some(weights))
+                (view, Kept::Weights(weights))
+            }
+            (seen, Some(splats)) => {
+                let view = match seen {
+                    Some(view) => view.clone(),
+                    None => self.look_on_device(index, &splats)?,
+                };
+                let rendered = match &view.kept {
+                    Kept::OnDevice(rendered) => rendered.clone(),
+                    _ => Arc::new(self.rendered(index, &splats, &view.visible)),
+                };
+                (view, Kept::OnDevice(rendered))
             }
         };
         let rows = view.sample(share, rng);
         let (pixels, labels) = view.pixels(&rows);
         let visible = view.visible.clone();
-        let pixels = match weights {
-            Some(weights) => LabelledPixels { weights, rows, labels },
-            None => {
-                let weights = self.normalised_weights(index, &pixels)?.over_columns(&visible);
-                LabelledPixels { weights: Arc::new(weights), rows: (0..pixels.len() as u32).collect(), labels }
+        let pixels = match kept {
+            Kept::Weights(weights) => LabelledPixels { weights: PixelWeights::Stored(weights), rows, labels },
+            Kept::OnDevice(view) => LabelledPixels { weights: PixelWeights::Rendered(view), rows: pixels, labels },
+            Kept::Nothing => {
+                let weights = Arc::new(self.normalised_weights(index, &pixels)?.over_columns(&visible));
+                let rows = (0..pixels.len() as u32).collect();
+                LabelledPixels { weights: PixelWeights::Stored(weights), rows, labels }
             }
         };
         Ok(Drawn { visible, pixels })
@@ -173,13 +203,47 @@ impl<'a> TrainingViews<'a> {
         Ok(projected.weights(Some(pixels)).normalised(self.min_coverage))
     }
 
-    /// Finds the labelled, covered pixels of view `index`; their weights are kept where the budget allows it.
-    fn look(&mut self, index: usize) -> Result<(Arc<LabelledView>, Arc<SparseMatrix>)> {
+    /// Class index of the raw label of each pixel of view `index`, [`UNLABELLED`] where it has none.
+    fn raw_classes(&self, index: usize) -> LabelMap {
         let lookup = self.classes.lookup();
         let camera = &self.views[index].camera;
         let none = || LabelMap { width: camera.width, height: camera.height, ids: Vec::new() };
         let mut map = self.views[index].raw.as_ref().map_or_else(none, LabelRuns::map);
         map.ids.iter_mut().for_each(|id| *id = lookup[usize::from(*id)]);
+        map
+    }
+
+    /// [`TrainingViews::look`] on a GPU.
+    fn look_on_device(&mut self, index: usize, splats: &SplatTensors) -> Result<Arc<LabelledView>> {
+        let mut map = self.raw_classes(index);
+        let covered = |pixel: usize, t: f32| {
+            let coverage = 1.0 - t;
+            map.ids.get(pixel).is_some_and(|&c| c != UNLABELLED) && coverage >= self.min_coverage && coverage > 0.0
+        };
+        let (transmittance, visible) = visible(splats, &self.views[index].camera, &self.settings, covered)?;
+        let kept: Vec<bool> = transmittance.iter().enumerate().map(|(pixel, &t)| covered(pixel, t)).collect();
+        map.ids.iter_mut().zip(&kept).for_each(|(class, kept)| *class = if *kept { *class } else { UNLABELLED });
+        let count = kept.iter().filter(|kept| **kept).count();
+        let kept = match self.budget.checked_sub(4 * SplatTensors::WIDTH * visible.len()) {
+            Some(left) => {
+                self.budget = left;
+                Kept::OnDevice(Arc::new(self.rendered(index, splats, &visible)))
+            }
+            None => Kept::Nothing,
+        };
+        let view = LabelledView { visible: Arc::new(visible), labels: LabelRuns::from(map), count, kept };
+        Ok(self.seen[index].insert(Arc::new(view)).clone())
+    }
+
+    /// View `index` of the Gaussians `visible`.
+    fn rendered(&self, index: usize, splats: &SplatTensors, visible: &[u32]) -> RenderedView {
+        let camera = self.views[index].camera.clone();
+        RenderedView { splats: splats.select(visible), camera, settings: self.settings }
+    }
+
+    /// Finds the labelled, covered pixels of view `index`; their weights are kept where the budget allows it.
+    fn look(&mut self, index: usize) -> Result<(Arc<LabelledView>, Arc<SparseMatrix>)> {
+        let map = self.raw_classes(index);
         let class = |pixel: &u32| map.ids[*pixel as usize];
         let labelled: Vec<u32> = (0..map.ids.len() as u32).filter(|p| class(p) != UNLABELLED).collect();
         let weights = self.normalised_weights(index, &labelled)?;
@@ -192,7 +256,8 @@ impl<'a> TrainingViews<'a> {
         let left = self.budget.checked_sub(weights.bytes());
         self.budget = left.unwrap_or(self.budget);
         let visible = Arc::new(compact.columns);
-        let view = LabelledView { visible, labels, count: kept.len(), weights: left.map(|_| weights.clone()) };
+        let keep = left.map_or(Kept::Nothing, |_| Kept::Weights(weights.clone()));
+        let view = LabelledView { visible, labels, count: kept.len(), kept: keep };
         Ok((self.seen[index].insert(Arc::new(view)).clone(), weights))
     }
 }

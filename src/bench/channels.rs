@@ -1,0 +1,78 @@
+//! Rendering of colour and labels together: the cost of channels, at two sizes.
+
+use super::raster::{Leaves, finish};
+use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words};
+use crate::error::Result;
+use crate::random::{Purpose, stream};
+use crate::raster::{RasterInput, Settings, rasterize};
+use burn::tensor::{Device, Tensor, TensorData};
+use rand::Rng;
+
+/// What is rendered: whether colour from SH, and how many channels besides.
+const CASES: [(bool, usize, &str); 3] = [(true, 0, "RGB"), (true, 20, "RGB + 20 classes"), (false, 64, "64 channels")];
+
+pub(super) fn measure(bench: &Bench) -> Result<Findings> {
+    let effort = &bench.effort;
+    let notes = vec![
+        format!("{} views of {}", effort.views, bench.subject.description),
+        "one pass blends all channels; with backward: gradients of geometry, colour and channels".to_owned(),
+    ];
+    let mut findings = Findings::new(Section::Channels, notes);
+    let large = effort.sizes.last().filter(|&&size| size > effort.gaussians);
+    for gaussians in [Some(&effort.gaussians), large].into_iter().flatten() {
+        for size in [effort.size, effort.channels_size] {
+            findings.figures.extend(with_size(bench, *gaussians, size)?);
+        }
+    }
+    Ok(findings)
+}
+
+fn with_size(bench: &Bench, gaussians: usize, size: [usize; 2]) -> Result<Vec<Figure>> {
+    let (settings, background) = (Settings::from(&bench.config.raster), bench.config.raster.background);
+    let gaussians = bench.subject.gaussians(gaussians)?;
+    let cameras = bench.subject.cameras(bench.effort.views, size);
+    let milliseconds = 1e3 / cameras.len().max(1) as f64;
+    let [width, height] = size;
+    let mut figures = Vec::new();
+    for (colour, channels, name) in CASES {
+        let case = format!("{width}x{height}, {}, {name}", gaussians_in_words(gaussians.len()));
+        let input = |device: &Device| -> RasterInput {
+            let leaves = Leaves::new(&gaussians, device);
+            let leaves = if device.is_autodiff() { leaves.tracked() } else { leaves };
+            let input = leaves.input();
+            let features = random_rows(gaussians.len(), channels, bench.config.seed, device);
+            let sh = if colour { input.sh.clone() } else { None };
+            RasterInput { sh, features, ..input }
+        };
+        let plain = input(&bench.device);
+        let forward = Samples::of(bench.effort.repeats, || {
+            for camera in &cameras {
+                finish(rasterize(plain.clone(), camera, &settings, background)?.image);
+            }
+            Ok(())
+        })?;
+        drop(plain);
+        let tracked = input(&bench.device.clone().autodiff());
+        let both = Samples::of(bench.effort.repeats, || {
+            for camera in &cameras {
+                let gradients = rasterize(tracked.clone(), camera, &settings, background)?.image.backward();
+                if let Some(gradient) = tracked.means.grad(&gradients) {
+                    finish(gradient);
+                }
+            }
+            Ok(())
+        })?;
+        figures.push(Figure::measured(&case, "forward", "ms", &forward.scaled(milliseconds)));
+        figures.push(Figure::counted(&case, "frames a second", "", 1e3 / (forward.median() * milliseconds)));
+        figures.push(Figure::measured(&case, "forward + backward", "ms", &both.scaled(milliseconds)));
+    }
+    Ok(figures)
+}
+
+/// `[rows, channels]` random numbers, tracked where `device` tracks.
+fn random_rows(rows: usize, channels: usize, seed: u64, device: &Device) -> Option<Tensor<2>> {
+    let mut rng = stream(seed, Purpose::Benchmark, 0);
+    let values: Vec<f32> = (0..rows * channels).map(|_| rng.random_range(0.0..1.0)).collect();
+    let tensor = (channels > 0).then(|| Tensor::from_data(TensorData::new(values, [rows, channels]), device))?;
+    Some(if device.is_autodiff() { tensor.require_grad() } else { tensor })
+}

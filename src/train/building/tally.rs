@@ -1,0 +1,71 @@
+//! What densification gathers, on the host or on the GPU that the gradients lie on.
+
+use crate::device::{in_host_memory, read};
+use crate::error::Result;
+use crate::gaussians::densify::DensityStats;
+use crate::raster::Radii;
+use burn::tensor::{Device, Tensor, TensorData};
+
+/// [`DensityStats`] in the making. On a GPU they stay there: an iteration reads nothing back for them.
+#[derive(Clone, Debug)]
+pub(super) enum Tally {
+    Host(DensityStats),
+    /// Sums of gradients, and numbers of views, `[N]`; exact up to 2^24 views.
+    Device([Tensor<1>; 2]),
+}
+
+impl Tally {
+    /// Goes on from `stats`, where tensors lie on `device`.
+    pub fn new(stats: DensityStats, device: &Device) -> Self {
+        if in_host_memory(device) {
+            return Self::Host(stats);
+        }
+        let tensor = |values: Vec<f32>| {
+            let n = values.len();
+            Tensor::from_data(TensorData::new(values, [n]), device)
+        };
+        let visible = stats.visible.iter().map(|&count| count as f32).collect();
+        Self::Device([tensor(stats.gradient), tensor(visible)])
+    }
+
+    /// Adds one iteration: `screen` is the screen-space gradient, `[N, 2]`, or `[N, 4]` of which the last two columns count.
+    ///
+    /// # Errors
+    /// [`crate::Error::Device`] when the device does not give back what the host sums.
+    pub fn record(&mut self, screen: Tensor<2>, radii: &Radii) -> Result<()> {
+        let columns = screen.dims()[1];
+        match self {
+            Self::Host(stats) => {
+                let values = read("screen-space gradient", screen)?;
+                let values = match columns {
+                    4 => values.as_chunks::<4>().0.iter().flat_map(|row| [row[2], row[3]]).collect(),
+                    _ => values,
+                };
+                stats.record(&values, &*radii.read()?);
+            }
+            Self::Device([gradient, visible]) => {
+                let n = gradient.dims()[0];
+                let seen = radii.as_tensor(&screen.device()).greater_elem(0.0).float();
+                let squares = screen.slice([0..n, columns - 2..columns]).powi_scalar(2).sum_dim(1).reshape([n]);
+                *gradient = gradient.clone() + squares.sqrt() * seen.clone();
+                *visible = visible.clone() + seen;
+            }
+        }
+        Ok(())
+    }
+
+    /// What was gathered.
+    ///
+    /// # Errors
+    /// [`crate::Error::Device`] when the device does not give it back.
+    pub fn read(&self) -> Result<DensityStats> {
+        match self {
+            Self::Host(stats) => Ok(stats.clone()),
+            Self::Device([gradient, visible]) => {
+                let visible = read("numbers of views", visible.clone())?.into_iter().map(|count| count as u32);
+                let gradient = read("screen-space gradients", gradient.clone())?;
+                Ok(DensityStats { gradient, visible: visible.collect() })
+            }
+        }
+    }
+}
