@@ -112,12 +112,10 @@ fn tiles_backward(
             let id = gaussians[at as usize + unit / SPLAT] as usize;
             batch[unit] = splats[id * SPLAT + unit % SPLAT];
         }
-        if comptime![moments > 0] {
-            if unit < count as usize * block {
-                let id = gaussians[at as usize + unit / block] as usize;
-                let channel = first_channel + (unit % block) as u32;
-                values[unit] = value_of(colours, features, id, channel, channels, with_colours);
-            }
+        if comptime![moments > 0] && unit < count as usize * block {
+            let id = gaussians[at as usize + unit / block] as usize;
+            let channel = first_channel + (unit % block) as u32;
+            values[unit] = value_of(colours, features, id, channel, channels, with_colours);
         }
         if unit < BATCH {
             touched[unit].store(0u32);
@@ -276,7 +274,7 @@ pub(super) fn pixel_sums(
     view: &CubeTensor,
     row_bytes: usize,
 ) -> PixelSums {
-    sums_over_tiles(gpu, splats, tiles, values, pixels, view, row_bytes, MOMENTS)
+    sums_over_tiles(gpu, splats, tiles, &Pass { values, pixels, moments: MOMENTS }, view, row_bytes)
 }
 
 /// `W^T y` alone, `[N, channels]`: `y` is `[H, W, channels]`.
@@ -293,22 +291,28 @@ pub(super) fn adjoint(
     // Read by the moments alone.
     let absent = gpu.floats([1]);
     let pixels = PixelGradients { image: &absent, d_image: y, transmittance: &absent, d_transmittance: None };
-    sums_over_tiles(gpu, splats, tiles, &values, &pixels, view, row_bytes, 0).d_features
+    sums_over_tiles(gpu, splats, tiles, &Pass { values: &values, pixels: &pixels, moments: 0 }, view, row_bytes)
+        .d_features
 }
 
-/// [`pixel_sums`] with [`MOMENTS`] moments or none.
-#[allow(clippy::too_many_arguments, reason = "what both callers above have in hands")]
+/// What is summed over the tiles.
+struct Pass<'a> {
+    values: &'a Values,
+    pixels: &'a PixelGradients<'a>,
+    /// [`MOMENTS`], or none.
+    moments: usize,
+}
+
 fn sums_over_tiles(
     gpu: &Gpu,
     splats: &CubeTensor,
     tiles: Tiles<'_>,
-    values: &Values,
-    pixels: &PixelGradients<'_>,
+    pass: &Pass<'_>,
     view: &CubeTensor,
     row_bytes: usize,
-    moments: usize,
 ) -> PixelSums {
     let Tiles { order, entries, size } = tiles;
+    let &Pass { values, pixels, moments } = pass;
     let [w, h] = size;
     let tile_count: usize = tile_counts(size).iter().product();
     let colours = if values.colours.is_some() { 3 } else { 0 };

@@ -71,10 +71,10 @@ pub(super) fn on_host<B: HostBackend>(
             [means, log_scales, rotations, opacity_logits, image].map(B::values::<E>);
         let n = opacity_logits.len();
         let splats = Splats {
-            means: &*means,
-            log_scales: &*log_scales,
-            rotations: &*rotations,
-            opacity_logits: &*opacity_logits,
+            means: &means,
+            log_scales: &log_scales,
+            rotations: &rotations,
+            opacity_logits: &opacity_logits,
         };
         let (sums, counts) = match Projected::new(&splats, &call.camera, &call.settings) {
             Ok(projected) => {

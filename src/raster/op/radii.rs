@@ -12,7 +12,7 @@ pub struct Radii(Place);
 #[derive(Clone, Debug)]
 enum Place {
     Host(Arc<Vec<u32>>),
-    Device(Tensor<1>),
+    Device(Box<Tensor<1>>),
 }
 
 impl Default for Radii {
@@ -27,7 +27,7 @@ impl Radii {
     }
 
     pub(super) fn on_device(radii: Tensor<1>) -> Self {
-        Self(Place::Device(radii))
+        Self(Place::Device(Box::new(radii)))
     }
 
     /// The radii; from a GPU this waits for the device and copies.
@@ -38,7 +38,7 @@ impl Radii {
         match &self.0 {
             Place::Host(radii) => Ok(radii.clone()),
             Place::Device(radii) => {
-                let radii = read("radii", radii.clone())?;
+                let radii = read("radii", (**radii).clone())?;
                 Ok(Arc::new(radii.into_iter().map(|radius| radius as u32).collect()))
             }
         }
@@ -51,7 +51,7 @@ impl Radii {
                 let values: Vec<f32> = radii.iter().map(|&radius| radius as f32).collect();
                 Tensor::from_data(TensorData::new(values, [radii.len()]), &device.clone().inner())
             }
-            Place::Device(radii) => radii.clone(),
+            Place::Device(radii) => (**radii).clone(),
         }
     }
 }

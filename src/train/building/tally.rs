@@ -11,7 +11,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 pub(super) enum Tally {
     Host(DensityStats),
     /// Sums of gradients, and numbers of views, `[N]`; exact up to 2^24 views.
-    Device([Tensor<1>; 2]),
+    Device(Box<[Tensor<1>; 2]>),
 }
 
 impl Tally {
@@ -25,7 +25,7 @@ impl Tally {
             Tensor::from_data(TensorData::new(values, [n]), device)
         };
         let visible = stats.visible.iter().map(|&count| count as f32).collect();
-        Self::Device([tensor(stats.gradient), tensor(visible)])
+        Self::Device(Box::new([tensor(stats.gradient), tensor(visible)]))
     }
 
     /// Adds one iteration: `screen` is the screen-space gradient, `[N, 2]`, or `[N, 4]` of which the last two columns count.
@@ -41,9 +41,10 @@ impl Tally {
                     4 => values.as_chunks::<4>().0.iter().flat_map(|row| [row[2], row[3]]).collect(),
                     _ => values,
                 };
-                stats.record(&values, &*radii.read()?);
+                stats.record(&values, &radii.read()?);
             }
-            Self::Device([gradient, visible]) => {
+            Self::Device(sums) => {
+                let [gradient, visible] = &mut **sums;
                 let n = gradient.dims()[0];
                 let seen = radii.as_tensor(&screen.device()).greater_elem(0.0).float();
                 let squares = screen.slice([0..n, columns - 2..columns]).powi_scalar(2).sum_dim(1).reshape([n]);
@@ -61,7 +62,8 @@ impl Tally {
     pub fn read(&self) -> Result<DensityStats> {
         match self {
             Self::Host(stats) => Ok(stats.clone()),
-            Self::Device([gradient, visible]) => {
+            Self::Device(sums) => {
+                let [gradient, visible] = &**sums;
                 let visible = read("numbers of views", visible.clone())?.into_iter().map(|count| count as u32);
                 let gradient = read("screen-space gradients", gradient.clone())?;
                 Ok(DensityStats { gradient, visible: visible.collect() })
