@@ -92,8 +92,8 @@ pub fn warn_host_fallback() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| {
         tracing::warn!(
-            "operations without a GPU kernel run on the CPU and copy from and to the GPU: photometric and label losses, \
-             attentive pooling, sparse products, and the rasterizer in f64 or with building.absgrad"
+            "operations without a GPU kernel run on the CPU and copy from and to the GPU: label losses, attentive \
+             pooling, sparse products, and the rasterizer in f64 or with building.absgrad"
         );
     });
 }

@@ -1,7 +1,9 @@
 //! Operations of this crate by CubeCL kernels: the CPU's formulas in `f32`, sums in a fixed order, no float atomics.
 
+mod photometric;
 mod sparse;
 
+pub(super) use photometric::DevicePhoto;
 pub(super) use sparse::DeviceMatrix;
 
 use burn::tensor::DType;
