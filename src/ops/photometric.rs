@@ -5,9 +5,13 @@
 //! S = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sxx + syy + C2)) and every moment a convolution with the
 //! symmetric window G, dS/dx = G * dS/dmx + 2 x (G * dS/dxx) + y (G * dS/dxy).
 
+#[cfg(feature = "cube")]
+use super::gpu::DevicePhoto;
 use super::simd::{multiply_add, wide_kernel};
 use super::window::{Band, RADIUS, TAPS, taps};
-use super::{HostBackend, Real, device_of, real_kernel};
+use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
+#[cfg(feature = "cube")]
+use crate::gpu::Resident;
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
@@ -19,11 +23,11 @@ use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Colour channels, interleaved.
-const CHANNELS: usize = 3;
+pub(super) const CHANNELS: usize = 3;
 /// Rows of a task.
 const BAND: usize = 32;
-const C1: f64 = 0.01 * 0.01;
-const C2: f64 = 0.03 * 0.03;
+pub(super) const C1: f64 = 0.01 * 0.01;
+pub(super) const C2: f64 = 0.03 * 0.03;
 
 /// A photo with its windowed moments: computed once, compared with many renders.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,11 +35,13 @@ pub struct Photo<E = f32> {
     height: usize,
     width: usize,
     /// `[H, W, 3]`.
-    rgb: Vec<E>,
+    pub(super) rgb: Vec<E>,
     /// Windowed mean, `[H, W, 3]`.
-    mean: Vec<E>,
+    pub(super) mean: Vec<E>,
     /// Windowed variance, `[H, W, 3]`.
-    variance: Vec<E>,
+    pub(super) variance: Vec<E>,
+    #[cfg(feature = "cube")]
+    pub(super) resident: Resident<DevicePhoto>,
 }
 
 impl<E: Real> Photo<E> {
@@ -59,7 +65,15 @@ impl<E: Real> Photo<E> {
                 variance.iter_mut().zip(&*mean).for_each(|(v, &m)| *v -= m * m);
             }
         });
-        Self { height, width, rgb, mean, variance }
+        Self {
+            height,
+            width,
+            rgb,
+            mean,
+            variance,
+            #[cfg(feature = "cube")]
+            resident: Resident::default(),
+        }
     }
 
     /// `[H, W, 3]` values.
@@ -72,7 +86,7 @@ impl<E: Real> Photo<E> {
         (self.height, self.width)
     }
 
-    /// Bytes held by a photo of this size.
+    /// Bytes held by a photo of this size in host memory; a GPU that it is compared on holds as many.
     pub fn bytes(height: usize, width: usize) -> usize {
         3 * height * width * CHANNELS * size_of::<E>()
     }
@@ -258,22 +272,13 @@ pub trait PhotometricBackend: Backend {
     fn photometric_scale(gradient: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self>;
 }
 
-impl<B: HostBackend> PhotometricBackend for B {
+impl<B: HostKernels> PhotometricBackend for B {
     fn photometric(
         image: FloatTensor<Self>,
         photo: Arc<Photo>,
         ssim_weight: f64,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let device = device_of::<B>(&image);
-        let shape = [photo.height, photo.width, CHANNELS];
-        if image.dtype() == DType::F64 {
-            let photo = Photo::new(photo.rgb.iter().map(|v| v.wide()).collect(), photo.height, photo.width);
-            let (loss, gradient) = photo.compare(&B::values::<f64>(image), ssim_weight);
-            (B::tensor(vec![loss], &[1], &device), B::tensor(gradient, &shape, &device))
-        } else {
-            let (loss, gradient) = photo.compare(&B::values::<f32>(image), ssim_weight);
-            (B::tensor(vec![loss as f32], &[1], &device), B::tensor(gradient, &shape, &device))
-        }
+        on_host::loss::<Self>(image, &photo, ssim_weight)
     }
 
     fn photometric_scale(gradient: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self> {
@@ -287,6 +292,28 @@ impl<B: HostBackend> PhotometricBackend for B {
             }
             B::tensor(values, &shape, &device)
         })
+    }
+}
+
+/// The loss by the CPU's kernels, wherever the tensor lives.
+pub(super) mod on_host {
+    use super::*;
+
+    pub fn loss<B: HostBackend>(
+        image: FloatTensor<B>,
+        photo: &Photo,
+        ssim_weight: f64,
+    ) -> (FloatTensor<B>, FloatTensor<B>) {
+        let device = device_of::<B>(&image);
+        let shape = [photo.height, photo.width, CHANNELS];
+        if image.dtype() == DType::F64 {
+            let photo = Photo::new(photo.rgb.iter().map(|v| v.wide()).collect(), photo.height, photo.width);
+            let (loss, gradient) = photo.compare(&B::values::<f64>(image), ssim_weight);
+            (B::tensor(vec![loss], &[1], &device), B::tensor(gradient, &shape, &device))
+        } else {
+            let (loss, gradient) = photo.compare(&B::values::<f32>(image), ssim_weight);
+            (B::tensor(vec![loss as f32], &[1], &device), B::tensor(gradient, &shape, &device))
+        }
     }
 }
 

@@ -115,3 +115,130 @@ fn photometric_takes_milliseconds() {
     times.sort_by(f64::total_cmp);
     eprintln!("photometric loss and gradient, 270x480: median {:.2} ms, best {:.2} ms", times[10], times[0]);
 }
+
+/// The kernels for GPUs against the CPU's in f64, fed the same f32 numbers.
+#[cfg(feature = "wgpu")]
+mod on_gpu {
+    use super::*;
+    use crate::raster_gpu::gpu;
+    use burn::tensor::{DType, Device};
+
+    fn widen(values: &[f32]) -> Vec<f64> {
+        values.iter().map(|&v| f64::from(v)).collect()
+    }
+
+    fn largest(values: impl Iterator<Item = f64>) -> f64 {
+        values.fold(0.0, |a, v| a.max(v.abs()))
+    }
+
+    /// Loss, and gradient to an image that lies in columns or in rows, of the loss times `factor`.
+    fn run(
+        device: &Device,
+        image: &[f32],
+        photo: &Arc<Photo>,
+        weight: f64,
+        factor: f64,
+        in_columns: bool,
+    ) -> (f32, Vec<f32>) {
+        let (height, width) = photo.size();
+        let options = (&device.clone().autodiff(), DType::F32);
+        let tensor = Tensor::<3>::from_data(TensorData::new(image.to_vec(), [height, width, 3]), options);
+        // by way of the host, so that the values do lie in columns
+        let columns = |t: Tensor<3>| Tensor::<3>::from_data(t.swap_dims(0, 1).into_data(), options);
+        let leaf = if in_columns { columns(tensor) } else { tensor }.require_grad();
+        let rows = if in_columns { leaf.clone().swap_dims(0, 1) } else { leaf.clone() };
+        let loss = photometric_loss(rows, photo.clone(), weight);
+        assert_eq!(loss.dims(), [1]);
+        let gradient = leaf.grad(&(loss.clone() * factor).backward()).expect("tracked");
+        let gradient = if in_columns { gradient.swap_dims(0, 1) } else { gradient };
+        assert_eq!(gradient.dims(), [height, width, 3]);
+        (loss.into_scalar::<f32>(), gradient.into_data().into_vec::<f32>().expect("f32"))
+    }
+
+    /// Errors of the loss, relative to it or to the 1 that SSIM is subtracted from, and of the gradient, relative to its
+    /// largest value: of the device and of the CPU's f32 kernels.
+    fn errors(device: &Device, images: [&[f32]; 2], size: (usize, usize), weight: f64) -> [[f64; 2]; 2] {
+        let [x, y] = images;
+        let (want_loss, want) = Photo::new(widen(y), size.0, size.1).compare(&widen(x), weight);
+        let scale = largest(want.iter().copied());
+        let photo = Arc::new(Photo::new(y.to_vec(), size.0, size.1));
+        let error = |loss: f64, gradient: &[f32], factor: f64| {
+            let off = gradient.iter().zip(&want).map(|(&g, w)| f64::from(g) / factor - w);
+            assert!(loss.is_finite() && gradient.iter().all(|g| g.is_finite()), "{size:?}, weight {weight}");
+            [(loss - want_loss).abs() / want_loss.max(weight), largest(off) / scale]
+        };
+        let (host_loss, host) = photo.compare(x, weight);
+        let mut worst = [0.0_f64; 2];
+        for (factor, in_columns) in [(1.0, false), (-2.7, false), (1.0, true)] {
+            let (loss, gradient) = run(device, x, &photo, weight, factor, in_columns);
+            let found = error(f64::from(loss), &gradient, factor);
+            worst = [worst[0].max(found[0]), worst[1].max(found[1])];
+        }
+        let host = error(host_loss, &host, 1.0);
+        eprintln!(
+            "{size:?}, weight {weight}: loss off by {:.1e} (CPU in f32 {:.1e}), gradient by {:.1e} ({:.1e})",
+            worst[0], host[0], worst[1], host[1]
+        );
+        [worst, host]
+    }
+
+    #[test]
+    fn loss_and_gradient_equal_the_cpu_in_f64() {
+        let Some(device) = gpu() else { return };
+        let mut worst = [0.0_f64; 2];
+        // the last one has more sums of tiles than the cube that adds them has units
+        for (height, width) in [(1, 1), (5, 7), (40, 3), (3, 40), (16, 16), (17, 33), (40, 50), (150, 160)] {
+            let (x, y) = (narrow(&picture(height, width, 0.0)), narrow(&picture(height, width, 0.4)));
+            for weight in [0.0, 0.2, 1.0] {
+                let [[loss, gradient], _] = errors(&device, [&x, &y], (height, width), weight);
+                worst = [worst[0].max(loss), worst[1].max(gradient)];
+            }
+        }
+        // 1e-7 is a rounding; the variances divide some of them by a few thousandths.
+        assert!(worst[0] < 5e-7, "loss off by {:e}", worst[0]);
+        assert!(worst[1] < 1e-5, "gradient off by {:e}", worst[1]);
+    }
+
+    #[test]
+    fn flat_and_saturated_images_are_about_as_near_as_on_the_cpu() {
+        let Some(device) = gpu() else { return };
+        let (height, width) = (37, 45);
+        let noisy = narrow(&picture(height, width, 0.0));
+        let flat = |value: f32| vec![value; height * width * 3];
+        // Variances are differences of squares there, and the digits that are left depend on the order of the sums.
+        for (x, y) in [(flat(0.9), flat(0.8)), (flat(1.0), noisy.clone()), (noisy, flat(0.0)), (flat(0.0), flat(1.0))] {
+            let [[loss, gradient], [host_loss, host_gradient]] = errors(&device, [&x, &y], (height, width), 0.2);
+            assert!(loss < 4.0 * host_loss + 1e-6, "loss off by {loss:e} against {host_loss:e}");
+            assert!(gradient < 4.0 * host_gradient + 1e-6, "gradient off by {gradient:e} against {host_gradient:e}");
+        }
+    }
+
+    #[test]
+    fn equal_images_have_next_to_no_loss_on_a_gpu() {
+        let Some(device) = gpu() else { return };
+        let x = narrow(&picture(40, 50, 0.0));
+        let photo = Arc::new(Photo::new(x.clone(), 40, 50));
+        let (loss, gradient) = run(&device, &x, &photo, 0.2, 1.0, false);
+        // against 1 / (values) of an image that differs
+        let worst = largest(gradient.iter().map(|&g| f64::from(g))) * x.len() as f64;
+        eprintln!("equal images: loss {loss:e}, gradient {worst:e} of that of another image");
+        assert!(loss.abs() < 1e-6 && worst < 1e-4, "loss {loss:e}, gradient {worst:e}");
+    }
+
+    #[test]
+    fn a_gpu_gives_the_same_bits_every_time() {
+        let Some(device) = gpu() else { return };
+        let (x, y) = (narrow(&picture(90, 133, 0.0)), narrow(&picture(90, 133, 0.4)));
+        // the photo is uploaded by each
+        let once = || run(&device, &x, &Arc::new(Photo::new(y.clone(), 90, 133)), 0.2, 1.3, false);
+        assert_eq!(once(), once());
+    }
+
+    #[test]
+    fn an_image_without_pixels_is_left_to_the_cpu() {
+        let Some(device) = gpu() else { return };
+        let image = Tensor::<3>::zeros([0, 20, 3], (&device, DType::F32));
+        let loss = photometric_loss(image, Arc::new(Photo::new(Vec::new(), 0, 20)), 0.2);
+        assert_eq!(loss.into_scalar::<f32>(), 0.0);
+    }
+}

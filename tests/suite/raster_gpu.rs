@@ -8,7 +8,7 @@ use coseg::device::{BackendName, open};
 use coseg::raster::{RasterInput, Settings, rasterize, rasterize_on_host};
 
 /// The wgpu device, if this machine has one.
-fn gpu() -> Option<Device> {
+pub fn gpu() -> Option<Device> {
     open(Some(BackendName::Wgpu)).inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()
 }
 

@@ -2,11 +2,11 @@
 
 use super::covers;
 use super::numeric::{exp_m1_nonpositive, ln_1p};
+use super::sum::sum;
 use crate::gpu::{Gpu, arg};
 use crate::ops::label_loss::{Kind, LOG_ZERO, LabelLossBackend, UNLABELLED, on_host};
-use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::FloatTensor;
-use burn::tensor::{DType, Shape};
+use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::kernel::into_contiguous;
@@ -194,7 +194,6 @@ impl LabelLossBackend for CubeBackend {
             (-parameter).ln_1p() as f32,
             formula,
         );
-        let sum = Self::float_sum(losses);
-        (Self::float_reshape(sum, Shape::new([1])), gradient)
+        (sum(&gpu, &losses, pixels), gradient)
     }
 }

@@ -2,8 +2,11 @@
 
 mod label_loss;
 mod numeric;
+mod photometric;
 mod sparse;
+mod sum;
 
+pub(super) use photometric::DevicePhoto;
 pub(super) use sparse::DeviceMatrix;
 
 use burn::tensor::DType;
