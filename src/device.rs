@@ -1,5 +1,5 @@
-//! Which burn device a run uses. Order when several are compiled in: cuda (where there is a driver), wgpu (where there is an
-//! adapter), flex, ndarray; `--backend` overrides.
+//! Which burn device a run uses. Order when several are compiled in: wgpu (where there is an adapter), flex, ndarray;
+//! `--backend` overrides, and alone takes cuda, which has never been run.
 
 use crate::error::{Error, Result};
 use burn::backend::DispatchDevice;
@@ -19,11 +19,9 @@ pub enum BackendName {
 }
 
 impl BackendName {
-    /// The backends compiled into this build, best first.
+    /// The backends compiled into this build that are taken unasked, best first.
     pub fn compiled() -> &'static [Self] {
         &[
-            #[cfg(feature = "cuda")]
-            Self::Cuda,
             #[cfg(feature = "wgpu")]
             Self::Wgpu,
             #[cfg(feature = "flex")]

@@ -2,7 +2,7 @@
 
 use super::raster::{Leaves, finish};
 use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::random::{Purpose, stream};
 use crate::raster::{RasterInput, Settings, rasterize};
 use burn::tensor::{Device, Tensor, TensorData};
@@ -21,52 +21,65 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let large = effort.sizes.last().filter(|&&size| size > effort.gaussians);
     for gaussians in [Some(&effort.gaussians), large].into_iter().flatten() {
         for size in [effort.size, effort.channels_size] {
-            findings.figures.extend(with_size(bench, *gaussians, size)?);
+            for case in CASES {
+                match one_case(bench, *gaussians, size, case) {
+                    Ok(figures) => findings.figures.extend(figures),
+                    // Smaller cases may fit all the same.
+                    Err(error @ Error::Limit { .. }) => {
+                        let [width, height] = size;
+                        findings.notes.push(format!("{width}x{height}, {}: left out, {error}", case.2));
+                    }
+                    Err(error) => return Err(error),
+                }
+            }
         }
     }
     Ok(findings)
 }
 
-fn with_size(bench: &Bench, gaussians: usize, size: [usize; 2]) -> Result<Vec<Figure>> {
+fn one_case(
+    bench: &Bench,
+    gaussians: usize,
+    size: [usize; 2],
+    (colour, channels, name): (bool, usize, &str),
+) -> Result<[Figure; 3]> {
     let (settings, background) = (Settings::from(&bench.config.raster), bench.config.raster.background);
     let gaussians = bench.subject.gaussians(gaussians)?;
     let cameras = bench.subject.cameras(bench.effort.views, size);
     let milliseconds = 1e3 / cameras.len().max(1) as f64;
     let [width, height] = size;
-    let mut figures = Vec::new();
-    for (colour, channels, name) in CASES {
-        let case = format!("{width}x{height}, {}, {name}", gaussians_in_words(gaussians.len()));
-        let input = |device: &Device| -> RasterInput {
-            let leaves = Leaves::new(&gaussians, device);
-            let leaves = if device.is_autodiff() { leaves.tracked() } else { leaves };
-            let input = leaves.input();
-            let features = random_rows(gaussians.len(), channels, bench.config.seed, device);
-            let sh = if colour { input.sh.clone() } else { None };
-            RasterInput { sh, features, ..input }
-        };
-        let plain = input(&bench.device);
-        let forward = Samples::of(bench.effort.repeats, || {
-            for camera in &cameras {
-                finish(rasterize(plain.clone(), camera, &settings, background)?.image);
+    let case = format!("{width}x{height}, {}, {name}", gaussians_in_words(gaussians.len()));
+    let input = |device: &Device| -> RasterInput {
+        let leaves = Leaves::new(&gaussians, device);
+        let leaves = if device.is_autodiff() { leaves.tracked() } else { leaves };
+        let input = leaves.input();
+        let features = random_rows(gaussians.len(), channels, bench.config.seed, device);
+        let sh = if colour { input.sh.clone() } else { None };
+        RasterInput { sh, features, ..input }
+    };
+    let plain = input(&bench.device);
+    let forward = Samples::of(bench.effort.repeats, || {
+        for camera in &cameras {
+            finish(rasterize(plain.clone(), camera, &settings, background)?.image);
+        }
+        Ok(())
+    })?;
+    drop(plain);
+    let tracked = input(&bench.device.clone().autodiff());
+    let both = Samples::of(bench.effort.repeats, || {
+        for camera in &cameras {
+            let gradients = rasterize(tracked.clone(), camera, &settings, background)?.image.backward();
+            if let Some(gradient) = tracked.means.grad(&gradients) {
+                finish(gradient);
             }
-            Ok(())
-        })?;
-        drop(plain);
-        let tracked = input(&bench.device.clone().autodiff());
-        let both = Samples::of(bench.effort.repeats, || {
-            for camera in &cameras {
-                let gradients = rasterize(tracked.clone(), camera, &settings, background)?.image.backward();
-                if let Some(gradient) = tracked.means.grad(&gradients) {
-                    finish(gradient);
-                }
-            }
-            Ok(())
-        })?;
-        figures.push(Figure::measured(&case, "forward", "ms", &forward.scaled(milliseconds)));
-        figures.push(Figure::counted(&case, "frames a second", "", 1e3 / (forward.median() * milliseconds)));
-        figures.push(Figure::measured(&case, "forward + backward", "ms", &both.scaled(milliseconds)));
-    }
-    Ok(figures)
+        }
+        Ok(())
+    })?;
+    Ok([
+        Figure::measured(&case, "forward", "ms", &forward.scaled(milliseconds)),
+        Figure::counted(&case, "frames a second", "", 1e3 / (forward.median() * milliseconds)),
+        Figure::measured(&case, "forward + backward", "ms", &both.scaled(milliseconds)),
+    ])
 }
 
 /// `[rows, channels]` random numbers, tracked where `device` tracks.

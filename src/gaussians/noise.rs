@@ -3,7 +3,9 @@
 
 use super::densify::{rotation, standard_normal};
 use super::relocate::sigmoid;
-use crate::raster::Splats;
+use crate::raster::{SplatTensors, Splats};
+use burn::tensor::activation::sigmoid as sigmoid_of;
+use burn::tensor::{Tensor, TensorData};
 use glam::DVec3;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -53,5 +55,33 @@ impl PositionNoise {
             }
         });
         means
+    }
+
+    /// [`PositionNoise::applied`] in tensors, `[N, 3]`: the host draws the normal numbers alone, for every row.
+    pub fn applied_to(&self, splats: &SplatTensors, rng: &ChaCha8Rng) -> Tensor<2> {
+        let SplatTensors { means, log_scales, rotations, opacity_logits } = splats.clone();
+        let n = splats.len();
+        let mut normal = vec![0.0_f32; 3 * n];
+        normal.par_chunks_mut(3 * CHUNK).enumerate().for_each(|(chunk, rows)| {
+            for (row, i) in rows.as_chunks_mut::<3>().0.iter_mut().zip(chunk * CHUNK..) {
+                let mut rng = rng.clone();
+                rng.set_word_pos(i as u128 * WORDS);
+                *row = [0; 3].map(|_| standard_normal(&mut rng) as f32);
+            }
+        });
+        let normal = Tensor::from_data(TensorData::new(normal, [n, 3]), &means.device());
+        let gate = sigmoid_of((sigmoid_of(opacity_logits) - self.opacity) * -self.sharpness).reshape([n, 1]);
+        let gate = gate.clone().mask_fill(gate.lower_equal_elem(f32::EPSILON), 0.0);
+        // A quaternion of zeros turns nothing, as on the host.
+        let square = rotations.clone().powi_scalar(2).sum_dim(1);
+        let turns = square.clone().greater_equal_elem(1e-12).float();
+        let unit = rotations * (turns / square.clamp_min(1e-12).sqrt());
+        let (real, axis) = (unit.clone().slice([0..n, 0..1]), unit.slice([0..n, 1..4]));
+        let turned = |v: Tensor<2>, real: Tensor<2>| {
+            let across = axis.clone().cross(v.clone(), 1);
+            v + (across.clone() * real + axis.clone().cross(across, 1)) * 2.0
+        };
+        let local = (log_scales * 2.0).exp() * turned(normal, real.clone().neg());
+        means + turned(local, real) * gate * self.scale
     }
 }

@@ -1,4 +1,4 @@
-//! Device buffers of one call, and how many cubes a kernel is launched with.
+//! Device buffers, and how many cubes a kernel is launched with.
 
 use burn::tensor::{DType, Shape};
 use burn_cubecl::cubecl::{calculate_cube_count_elemwise, prelude::*};

@@ -92,8 +92,9 @@ pub fn warn_host_fallback() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| {
         tracing::warn!(
-            "part of this run has no GPU kernel: it runs on the CPU and copies from and to the GPU (tensors of f64, and \
-             building.absgrad)"
+            "part of this run has no kernel for this GPU: it runs on the CPU and copies from and to the GPU (tensors of f64, \
+             building.absgrad, images beyond one allocation, and all rasterizing where the device binds fewer than 16 \
+             buffers or shares less than 32 KB)"
         );
     });
 }

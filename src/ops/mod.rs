@@ -37,4 +37,4 @@ pub use label_loss::{Kind, LabelLossBackend, UNLABELLED, label_loss};
 pub use neighbour_divergence::{DivergenceBackend, NeighbourPairs, neighbour_divergence, neighbour_divergence_plain};
 pub use photometric::{Photo, PhotometricBackend, photometric_loss, photometric_loss_plain};
 pub use real::Real;
-pub use sparse::{Compact, SparseBackend, SparseMatrix, sparse_apply};
+pub use sparse::{Compact, SparseBackend, SparseMatrix, gather_rows, sparse_apply};

@@ -156,7 +156,5 @@ pub fn neighbour_divergence_plain(features: Tensor<2>, pairs: &NeighbourPairs) -
 }
 
 fn pick(features: Tensor<2>, rows: &[u32], columns: usize) -> Tensor<2> {
-    let offsets = (0..=rows.len() as u32).collect();
-    let matrix = SparseMatrix::unchecked(columns, offsets, rows.to_vec(), vec![1.0; rows.len()]);
-    sparse_apply(features, Arc::new(matrix))
+    sparse_apply(features, Arc::new(SparseMatrix::selection(rows.to_vec(), columns)))
 }

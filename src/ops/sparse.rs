@@ -7,13 +7,14 @@
 use super::gpu::DeviceMatrix;
 use super::simd::{multiply_add, wide_kernel};
 use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
+use crate::device::in_host_memory;
 #[cfg(feature = "cube")]
 use crate::gpu::Resident;
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
-use burn::tensor::Tensor;
+use burn::tensor::{Int, Tensor, TensorData};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -70,14 +71,14 @@ fn axpy<E: Real, const FMA: bool>(a: E, x: &[E], y: &mut [E]) {
 /// A constant sparse matrix in compressed rows, `[rows, columns]`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SparseMatrix {
-    /// Number of columns.
-    pub columns: usize,
-    /// Start of each row in [`SparseMatrix::indices`]; `rows + 1` entries, the first 0, ascending.
-    pub offsets: Vec<u32>,
+    // Not to be changed: a device may hold copies.
+    pub(crate) columns: usize,
+    /// Start of each row in `indices`; `rows + 1` entries, the first 0, ascending.
+    pub(crate) offsets: Vec<u32>,
     /// Column of each entry.
-    pub indices: Vec<u32>,
+    pub(crate) indices: Vec<u32>,
     /// Value of each entry.
-    pub values: Vec<f32>,
+    pub(crate) values: Vec<f32>,
     #[cfg(feature = "cube")]
     pub(super) resident: ResidentMatrix,
 }
@@ -116,6 +117,25 @@ impl SparseMatrix {
             #[cfg(feature = "cube")]
             resident: ResidentMatrix::default(),
         }
+    }
+
+    /// The rows `rows` of what has `columns` rows, in that order.
+    ///
+    /// # Panics
+    /// If a row is not below `columns`.
+    pub fn selection(rows: Vec<u32>, columns: usize) -> Self {
+        let (offsets, ones) = ((0..=rows.len() as u32).collect(), vec![1.0; rows.len()]);
+        Self::new(columns, offsets, rows, ones)
+    }
+
+    /// Number of columns.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// Columns and values of all entries, row by row.
+    pub fn entries(&self) -> (&[u32], &[f32]) {
+        (&self.indices, &self.values)
     }
 
     /// Number of rows.
@@ -359,4 +379,20 @@ impl<B: SparseBackend, C: CheckpointStrategy> SparseBackend for Autodiff<B, C> {
 pub fn sparse_apply(x: Tensor<2>, matrix: Arc<SparseMatrix>) -> Tensor<2> {
     assert_eq!(x.dims()[0], matrix.columns, "sparse_apply: rows of x against columns of the matrix");
     Tensor::from_dispatch(Dispatch::sparse_apply(x.into_dispatch(), matrix))
+}
+
+/// The rows `rows` of `x`, `[R, channels]`, with gradient to `x`.
+///
+/// burn's own selection adds up the gradient of a column in one unit of a GPU, row after row.
+///
+/// # Panics
+/// If a row is not one of `x`.
+pub fn gather_rows(x: Tensor<2>, rows: &[u32]) -> Tensor<2> {
+    let device = x.device();
+    if in_host_memory(&device) {
+        let index: Vec<i64> = rows.iter().map(|&row| i64::from(row)).collect();
+        return x.select(0, Tensor::<1, Int>::from_data(TensorData::new(index, [rows.len()]), &device.inner()));
+    }
+    let columns = x.dims()[0];
+    sparse_apply(x, Arc::new(SparseMatrix::selection(rows.to_vec(), columns)))
 }

@@ -30,7 +30,7 @@ mod weights;
 pub use backward::SplatGradients;
 pub use op::{
     AdjointBackend, AdjointCall, AdjointTensors, Lifted, Radii, RasterBackend, RasterCall, RasterInput, RasterOutput,
-    RasterTensors, SplatTensors, rasterize, rasterize_on_host,
+    RasterTensors, SplatTensors, SplatView, rasterize, rasterize_on_host,
 };
 pub use projected::{Blended, Projected, Rendered, render};
 pub use settings::{PairCounts, Settings, Splats, Stats};

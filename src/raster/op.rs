@@ -10,7 +10,7 @@ mod on_host;
 mod radii;
 mod splats;
 
-pub use adjoint::{AdjointBackend, AdjointCall, AdjointTensors, Lifted};
+pub use adjoint::{AdjointBackend, AdjointCall, AdjointTensors, Lifted, SplatView};
 pub use backend::{RasterBackend, RasterTensors};
 pub use call::RasterCall;
 pub use radii::Radii;

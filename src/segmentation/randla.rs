@@ -341,7 +341,7 @@ fn position_code(level: &SampledLevel, range: std::ops::Range<usize>, device: &D
 fn gather(features: Tensor<2>, level: &SampledLevel, range: std::ops::Range<usize>) -> Tensor<2> {
     let k = level.neighbours.k;
     let indices = level.neighbours.indices[range.start * k..range.end * k].to_vec();
-    sparse_apply(features, Arc::new(selection(indices, level.positions.len())))
+    sparse_apply(features, Arc::new(SparseMatrix::selection(indices, level.positions.len())))
 }
 
 /// Random sampling's pooling: the kept points, so many `together`, take the element-wise maximum over their neighbours'
@@ -350,17 +350,10 @@ fn sample(features: &Tensor<2>, level: &SampledLevel, together: usize) -> Tensor
     let ([points, channels], k) = (features.dims(), level.neighbours.k);
     let parts = level.kept.chunks(together).map(|kept| {
         let indices = kept.iter().flat_map(|&i| level.neighbours.row(i as usize)).copied().collect();
-        let gathered: Tensor<2> = sparse_apply(features.clone(), Arc::new(selection(indices, points)));
+        let gathered: Tensor<2> = sparse_apply(features.clone(), Arc::new(SparseMatrix::selection(indices, points)));
         gathered.reshape([kept.len(), k, channels]).max_dim(1).reshape([kept.len(), channels])
     });
     Tensor::cat(parts.collect(), 0)
-}
-
-/// The matrix that picks rows.
-fn selection(indices: Vec<u32>, columns: usize) -> SparseMatrix {
-    let offsets = (0..=indices.len() as u32).collect();
-    let ones = vec![1.0; indices.len()];
-    SparseMatrix::unchecked(columns, offsets, indices, ones)
 }
 
 /// `[rows, columns]` from `[columns, rows]`, row-major.

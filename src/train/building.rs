@@ -198,8 +198,8 @@ impl<'a> BuildingStage<'a> {
     /// One iteration. After an error nothing has changed.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] naming tensor, row, view and iteration when the loss or a gradient is not finite; those of
-    /// [`crate::data::Photo::pixels`].
+    /// [`Error::NonFinite`] naming tensor, row, view and iteration when the loss or a gradient is not finite; [`Error::Limit`]
+    /// and [`Error::Device`] where a GPU cannot go on; those of [`crate::data::Photo::pixels`].
     pub fn step(&mut self) -> Result<StepReport> {
         let start = Instant::now();
         let iteration = self.iteration + 1;
@@ -232,10 +232,10 @@ impl<'a> BuildingStage<'a> {
         let of_screen = screen.and_then(|screen| screen.grad_remove(&mut gradients));
         let gradients = self.parameters.gradients(leaves, &mut gradients);
         let value = gradients.check(loss.inner()).map_err(locate)?;
-        self.parameters.step(gradients, &self.rates(iteration), iteration as u32);
         if let Some(gradient) = of_screen {
             self.tally.record(gradient, &radii)?;
         }
+        self.parameters.step(gradients, &self.rates(iteration), iteration as u32);
         self.add_noise(iteration)?;
         self.iteration = iteration;
         self.losses.0 += value;

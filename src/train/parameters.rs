@@ -1,11 +1,11 @@
 //! The Gaussians as tensors on the device, with the moments of their optimiser.
 
-use crate::device::read;
+use crate::device::{in_host_memory, read};
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::gaussians::noise::PositionNoise;
 use crate::ops::{AdamStep, AdamTensors, adam_step};
-use crate::raster::Splats;
+use crate::raster::{SplatTensors, Splats};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
@@ -220,11 +220,21 @@ impl Parameters {
         self.sh.step(sh, sh_rates, step);
     }
 
-    /// Adds noise to the means. The host draws it: on a GPU the geometry is copied there, and the means back.
+    /// Adds noise to the means.
     ///
     /// # Errors
     /// [`Error::Device`] when the device does not give the geometry back.
     pub fn add_noise(&mut self, noise: &PositionNoise, rng: &ChaCha8Rng) -> Result<()> {
+        if !in_host_memory(&self.means.state.param.device()) {
+            let splats = SplatTensors {
+                means: self.means.state.param.clone(),
+                log_scales: self.log_scales.state.param.clone(),
+                rotations: self.rotations.state.param.clone(),
+                opacity_logits: self.opacity_logits.state.param.clone(),
+            };
+            self.means.state.param = noise.applied_to(&splats, rng);
+            return Ok(());
+        }
         let means = &mut self.means.state.param;
         let old = read(NAMES[0], means.clone())?;
         let splats = Splats {

@@ -1,7 +1,6 @@
 //! Operations with GPU kernels against the CPU's in f64, fed the same f32 numbers.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use coseg::device::{BackendName, open};
 use coseg::ops::{
     Kind, LabelledPixels, PixelWeights, SparseMatrix, UNLABELLED, attentive_pool, blended_label_loss, sparse_apply,
 };
@@ -10,7 +9,7 @@ use std::sync::Arc;
 
 /// The wgpu device with autodiff, if this machine has one.
 fn gpu() -> Option<Device> {
-    open(Some(BackendName::Wgpu)).inspect_err(|error| eprintln!("SKIPPED: {error}")).ok().map(Device::autodiff)
+    crate::gpu().map(Device::autodiff)
 }
 
 fn waves(count: usize, amplitude: f32) -> Vec<f32> {

@@ -79,6 +79,12 @@ pub fn device() -> Device {
     coseg::device::open(name.copied()).expect("a CPU backend")
 }
 
+/// The wgpu device, if this machine has one; tests of it say so and pass otherwise.
+#[cfg(feature = "wgpu")]
+pub fn gpu() -> Option<Device> {
+    coseg::device::open(Some(BackendName::Wgpu)).inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()
+}
+
 /// The message of `error` must hold all of `parts`.
 #[track_caller]
 pub fn assert_names(error: &coseg::Error, parts: &[&str]) {

@@ -94,7 +94,7 @@ fn a_hundred_thousand_identical_points_have_neighbours_too() {
 fn interpolation_is_inverse_squared_distance_of_the_three_nearest() {
     let (coarse, fine) = (cloud(60, 9), cloud(400, 10));
     let m = interpolation(&coarse, &fine).expect("finite");
-    assert_eq!((m.rows(), m.columns), (400, 60));
+    assert_eq!((m.rows(), m.columns()), (400, 60));
     for (i, &p) in fine.iter().enumerate() {
         let mut all: Vec<usize> = (0..coarse.len()).collect();
         all.sort_by(|&a, &b| squared(coarse[a], p).total_cmp(&squared(coarse[b], p)));

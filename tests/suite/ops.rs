@@ -10,11 +10,11 @@ fn matrix() -> SparseMatrix {
 }
 
 fn dense(m: &SparseMatrix) -> Vec<f64> {
-    let mut d = vec![0.0; m.rows() * m.columns];
+    let mut d = vec![0.0; m.rows() * m.columns()];
     for r in 0..m.rows() {
         let (columns, values) = m.row(r);
         for (&c, &v) in columns.iter().zip(values) {
-            d[r * m.columns + c as usize] += f64::from(v);
+            d[r * m.columns() + c as usize] += f64::from(v);
         }
     }
     d
@@ -25,16 +25,16 @@ fn sparse_apply_equals_dense_product_and_its_adjoint() {
     let m = matrix();
     let d = dense(&m);
     for channels in [1, 3, 16, 37] {
-        let x: Vec<f64> = (0..m.columns * channels).map(|i| (i as f64 * 0.7).sin()).collect();
+        let x: Vec<f64> = (0..m.columns() * channels).map(|i| (i as f64 * 0.7).sin()).collect();
         let g: Vec<f64> = (0..m.rows() * channels).map(|i| (i as f64 * 1.3).cos()).collect();
         let (y, z) = (m.apply(&x, channels), m.apply_adjoint(&g, channels));
         for c in 0..channels {
             for r in 0..m.rows() {
-                let want: f64 = (0..m.columns).map(|k| d[r * m.columns + k] * x[k * channels + c]).sum();
+                let want: f64 = (0..m.columns()).map(|k| d[r * m.columns() + k] * x[k * channels + c]).sum();
                 assert!((y[r * channels + c] - want).abs() < 1e-12);
             }
-            for k in 0..m.columns {
-                let want: f64 = (0..m.rows()).map(|r| d[r * m.columns + k] * g[r * channels + c]).sum();
+            for k in 0..m.columns() {
+                let want: f64 = (0..m.rows()).map(|r| d[r * m.columns() + k] * g[r * channels + c]).sum();
                 assert!((z[k * channels + c] - want).abs() < 1e-12);
             }
         }

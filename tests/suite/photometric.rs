@@ -120,7 +120,7 @@ fn photometric_takes_milliseconds() {
 #[cfg(feature = "wgpu")]
 mod on_gpu {
     use super::*;
-    use crate::raster_gpu::gpu;
+    use crate::gpu;
     use burn::tensor::{DType, Device};
 
     fn widen(values: &[f32]) -> Vec<f64> {

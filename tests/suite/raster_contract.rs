@@ -194,7 +194,7 @@ fn nothing_to_see_is_an_empty_image() {
         let out = none.blend(&[], 3);
         assert!(out.image.iter().all(|&v| v == 0.0) && out.transmittance.iter().all(|&t| t == 1.0));
         assert_eq!(out.transmittance.len(), width * height);
-        assert!(none.weights(None).values.is_empty() && none.counts().is_empty());
+        assert!(none.weights(None).entries().1.is_empty() && none.counts().is_empty());
     }
 }
 

@@ -1,16 +1,11 @@
 //! The rasterizer's GPU kernels against the CPU's in f64, fed the same f32 numbers.
 
+use crate::gpu;
 use crate::raster_reference::{self as reference, Cloud, camera, cloud, numbers};
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use coseg::Error;
 use coseg::camera::Camera;
-use coseg::device::{BackendName, open};
 use coseg::raster::{RasterInput, Settings, rasterize, rasterize_on_host};
-
-/// The wgpu device, if this machine has one.
-pub fn gpu() -> Option<Device> {
-    open(Some(BackendName::Wgpu)).inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()
-}
 
 /// What is rendered.
 #[derive(Clone, Copy, Debug)]

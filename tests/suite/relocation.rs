@@ -5,6 +5,7 @@ use coseg::gaussians::noise::PositionNoise;
 use coseg::gaussians::relocate::{RelocationPlan, RelocationRules, shared};
 use coseg::gaussians::{Gaussians, init};
 use coseg::random::{Purpose, stream};
+use coseg::raster::SplatTensors;
 use coseg::raster::{Projected, Settings, Splats};
 use glam::{DMat3, DVec3};
 
@@ -257,4 +258,37 @@ fn noise_has_the_shape_of_the_gaussian_and_spares_the_opaque() {
     assert_eq!(rows[n + 1], [1.0, 2.0, 3.0], "and none at 0.5");
     assert_eq!(means, moved(2, 1), "at any number of threads");
     assert_ne!(means, moved(1, 2));
+}
+
+#[test]
+fn noise_in_tensors_is_the_same_noise() {
+    let n = 3000;
+    let opacities: Vec<f32> = (0..n).map(|i| 0.001 + 0.2 * (i as f32 * 0.7).sin().abs().powi(3)).collect();
+    let mut g = population(&opacities);
+    for (i, rotation) in g.rotations.iter_mut().enumerate() {
+        *rotation = [0.3, 0.9, 1.7, 2.3].map(|by| 3.0 * (i as f32 * by).sin());
+    }
+    g.rotations[5] = [0.0; 4];
+    for (i, scales) in g.log_scales.iter_mut().enumerate() {
+        *scales = [0.4, 1.1, 0.7].map(|by| (i as f32 * by).cos() - 1.0);
+    }
+    let noise = PositionNoise { scale: 0.8, sharpness: 100.0, opacity: 0.005 };
+    let rng = stream(4, Purpose::PositionNoise, 2);
+    let want = noise.applied(&g.splats(), &rng);
+    let moves: Vec<f32> = want.iter().zip(g.means.as_flattened()).map(|(to, from)| to - from).collect();
+    let largest = moves.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
+    assert!(moves.contains(&0.0) && largest > 0.1, "some rest, some move: {largest}");
+    let devices = [
+        Some(crate::device()),
+        #[cfg(feature = "wgpu")]
+        crate::gpu(),
+    ];
+    for device in devices.into_iter().flatten() {
+        let moved = noise.applied_to(&SplatTensors::new(&g, &device), &rng);
+        let got: Vec<f32> = moved.into_data().into_vec().expect("f32");
+        for (i, (got, want)) in got.iter().zip(&want).enumerate() {
+            // means of hundreds in f32, and a move of f32
+            assert!((got - want).abs() < 1e-5 * largest + f32::EPSILON * want.abs(), "{i}: {got} for {want}");
+        }
+    }
 }

@@ -69,7 +69,7 @@ impl DeviceMatrix {
 
 impl SparseBackend for CubeBackend {
     fn sparse_apply(x: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
-        if !covers(&x) || matrix.rows() * x.meta.shape()[1] == 0 {
+        if !covers(&x) || matrix.rows() * x.meta.num_elements() == 0 {
             return on_host::apply::<Self>(x, &matrix);
         }
         let gpu = Gpu::of(&x);
@@ -77,7 +77,7 @@ impl SparseBackend for CubeBackend {
     }
 
     fn sparse_apply_adjoint(g: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
-        if !covers(&g) || matrix.columns * g.meta.shape()[1] == 0 {
+        if !covers(&g) || matrix.columns * g.meta.num_elements() == 0 {
             return on_host::apply_adjoint::<Self>(g, &matrix);
         }
         let gpu = Gpu::of(&g);

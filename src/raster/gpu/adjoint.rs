@@ -2,7 +2,7 @@
 
 use super::backward::{self, Tiles};
 use super::project::SPLAT;
-use super::{Inputs, Scenery, check_size, prepare};
+use super::{Inputs, Prepared, Scenery, check_size, prepare};
 use crate::error::Result;
 use crate::gpu::{Gpu, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
@@ -41,35 +41,47 @@ fn count_pixels(splats: &[f32], radii: &[u32], counts: &mut [f32], gaussians: u3
     counts[i] = count;
 }
 
-/// `W^T y` `[N, channels]` and the counts `[N]`; `y` is `[H, W, channels]`, contiguous. `None` when some input holds a NaN or
-/// an infinity.
-///
-/// # Errors
-/// As [`super::forward`].
-pub(in crate::raster) fn adjoint(
-    inputs: &Inputs,
-    scenery: Scenery<'_>,
-    y: &CubeTensor,
-    channels: usize,
-) -> Result<Option<(CubeTensor, CubeTensor)>> {
-    let gpu = Gpu::of(&inputs.means);
-    check_size(&gpu, "Gaussians times channels", inputs.len().saturating_mul(channels), size_of::<f32>())?;
-    let Some(prepared) = prepare(&gpu, inputs, scenery)? else { return Ok(None) };
-    let (projected, size) = (&prepared.projected, prepared.size);
-    let tiles = Tiles { order: &prepared.order, entries: &prepared.entries, size };
-    let sums =
-        backward::adjoint(&gpu, &projected.splats, tiles, y, channels, &prepared.view, backward::row_bytes(&gpu));
-    let counts = gpu.floats([inputs.len()]);
-    count_pixels::launch(
-        &gpu.client,
-        gpu.cubes_for(inputs.len()),
-        gpu.dim(),
-        arg(&projected.splats),
-        arg(&projected.radii),
-        arg(&counts),
-        inputs.len() as u32,
-        size[0] as f32,
-        size[1] as f32,
-    );
-    Ok(Some((sums, counts)))
+/// A view's projection, tile lists and counts, for images to be lifted.
+pub(in crate::raster) struct Lists {
+    prepared: Prepared,
+    /// `[N]`.
+    counts: CubeTensor,
+}
+
+impl Lists {
+    /// Of `inputs`; `None` when some of them holds a NaN or an infinity.
+    ///
+    /// # Errors
+    /// As [`super::forward`].
+    pub fn new(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<Self>> {
+        let gpu = Gpu::of(&inputs.means);
+        let Some(prepared) = prepare(&gpu, inputs, scenery)? else { return Ok(None) };
+        let counts = gpu.floats([inputs.len()]);
+        count_pixels::launch(
+            &gpu.client,
+            gpu.cubes_for(inputs.len()),
+            gpu.dim(),
+            arg(&prepared.projected.splats),
+            arg(&prepared.projected.radii),
+            arg(&counts),
+            inputs.len() as u32,
+            prepared.size[0] as f32,
+            prepared.size[1] as f32,
+        );
+        Ok(Some(Self { prepared, counts }))
+    }
+
+    /// `W^T y` `[N, channels]` and the counts `[N]`; `y` is `[H, W, channels]`, contiguous.
+    ///
+    /// # Errors
+    /// [`crate::Error::Limit`] for what the device cannot hold.
+    pub fn lift(&self, y: &CubeTensor, channels: usize) -> Result<(CubeTensor, CubeTensor)> {
+        let gpu = Gpu::of(y);
+        let Prepared { view, projected, order, entries, size } = &self.prepared;
+        check_size(&gpu, "Gaussians times channels", order.len.saturating_mul(channels), size_of::<f32>())?;
+        let tiles = Tiles { order, entries, size: *size };
+        let row_bytes = backward::row_bytes(&gpu);
+        let sums = backward::adjoint(&gpu, &projected.splats, tiles, y, channels, view, row_bytes);
+        Ok((sums, self.counts.clone()))
+    }
 }

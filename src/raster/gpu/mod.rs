@@ -26,7 +26,7 @@ mod tests;
 mod vec3;
 mod view;
 
-pub(super) use adjoint::adjoint;
+pub(super) use adjoint::Lists;
 
 use super::geometry::Viewpoint;
 use super::settings::Settings;

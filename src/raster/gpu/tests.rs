@@ -1,6 +1,6 @@
 //! The parts of the pipeline, each against the CPU's.
 
-use super::backward::{PixelGradients, Tiles, pixel_sums};
+use super::backward::{PixelGradients, Tiles, adjoint, pixel_sums};
 use super::blend::{Values, blend};
 use super::lists::{Order, TileEntries, depth_order, tile_counts, tile_entries};
 use super::project::{ProjectedScene, SPLAT, Scene, project};
@@ -189,7 +189,15 @@ fn entries_in_slabs_give_the_same_sums() {
     };
     let whole = sums(usize::MAX);
     let slabs = sums(view.entries.len * 56 / 3);
-    for (whole, slabs) in whole.iter().zip(&slabs) {
+    let lift = |row_bytes: usize| {
+        let sums = adjoint(gpu, &view.projected.splats, tiles, &d_image, 12, &view.constants, row_bytes);
+        floats(gpu, &sums)
+    };
+    let lifted = [lift(usize::MAX), lift(view.entries.len * 48 / 3)];
+    let d_values: Vec<f32> =
+        whole[1].chunks_exact(3).zip(whole[2].chunks_exact(9)).flat_map(|(a, b)| [a, b].concat()).collect();
+    let pairs = whole.iter().zip(&slabs).chain([(&lifted[0], &lifted[1]), (&d_values, &lifted[0])]);
+    for (whole, slabs) in pairs {
         let largest = whole.iter().fold(0.0_f32, |a, v| a.max(v.abs()));
         assert!(largest > 0.0);
         assert!(whole.iter().zip(slabs).all(|(a, b)| (a - b).abs() <= 1e-5 * largest));

@@ -5,7 +5,7 @@ use super::backend::{RasterBackend, RasterTensors};
 use super::call::{HostInputs, RasterCall};
 use super::on_host;
 use crate::error::{Error, Result};
-use crate::raster::gpu::{self, Forward, Gradients, Inputs, Scenery};
+use crate::raster::gpu::{self, Forward, Gradients, Inputs, Lists, Scenery};
 use burn::backend::tensor::FloatTensor;
 use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
@@ -160,7 +160,7 @@ impl AdjointBackend for CubeBackend {
             features: None,
         };
         let scenery = Scenery { camera: &call.camera, settings: &call.settings, background: [0.0; 3] };
-        match gpu::adjoint(&inputs, scenery, &whole(image), channels) {
+        match call.prepared(|| Lists::new(&inputs, scenery), |lists| lists.lift(&whole(image), channels)) {
             Ok(Some(found)) => return found,
             Err(error) => call.fail(error),
             // The host's own check names tensor and row.

@@ -11,6 +11,7 @@ use super::prepared::{Part, Prepared, REGULARISED, Sampled};
 use super::views::Drawn;
 use super::{Model, Prediction, Scores, stored};
 use crate::config::{Blend, SegmentationConfig};
+use crate::device::in_host_memory;
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::segmentation::decoder::Decoder;
@@ -160,7 +161,9 @@ impl<'a> Fused<'a> {
             return Ok(prepared.clone());
         }
         let prepared = Arc::new(Prepared::new(self.source.view(view), visible, self.means, &self.plan)?);
-        if let Some(left) = self.budget.checked_sub(prepared.bytes()) {
+        // A GPU holds the maps between levels twice, by rows and by columns.
+        let copies = if in_host_memory(&self.device) { 1 } else { 3 };
+        if let Some(left) = self.budget.checked_sub(copies * prepared.bytes()) {
             self.budget = left;
             self.prepared[view] = Some(prepared.clone());
         }
@@ -277,12 +280,14 @@ impl Model for Fused<'_> {
     }
 
     fn step(&mut self, gradients: &mut Gradients, factor: f64) -> Result<()> {
-        if let Some(decoder) = self.decoder.take() {
+        if let Some(decoder) = &self.decoder {
             if let Some(waiting) = self.waiting.take() {
-                waiting.add_gradients(&decoder, &self.source.view(waiting.view).pyramid, gradients);
+                waiting.add_gradients(decoder, &self.source.view(waiting.view).pyramid, gradients);
             }
-            self.decoder = Some(self.adam.step(decoder, gradients, factor)?);
+            ModuleAdam::check(decoder, gradients)?;
         }
+        // taken, not cloned: buffers that nobody else holds are updated in place
+        self.decoder = self.decoder.take().map(|decoder| self.adam.step(decoder, gradients, factor));
         Ok(())
     }
 

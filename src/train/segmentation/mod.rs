@@ -96,12 +96,12 @@ pub trait Model {
     /// Scores of what was drawn of training view `view`.
     ///
     /// # Errors
-    /// When a frozen input is not finite.
+    /// When a frozen input is not finite; those of [`LabelledPixels::blend`].
     fn predict(&mut self, view: usize, drawn: &Drawn) -> Result<Prediction>;
     /// One optimiser step at `factor` times the learning rate; `gradients` are those of a loss of the last prediction.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] naming the parameter.
+    /// [`Error::NonFinite`] naming the parameter, [`Error::Device`] when the device fails; nothing has changed then.
     fn step(&mut self, gradients: &mut Gradients, factor: f64) -> Result<()>;
     /// The identities as they are to be stored, `[N, C]`.
     ///
@@ -169,7 +169,8 @@ impl Plan {
 /// One iteration of `model`: returns the loss.
 ///
 /// # Errors
-/// [`Error::NonFinite`] naming view and iteration, before anything is changed.
+/// [`Error::NonFinite`] naming view and iteration, [`Error::Limit`] and [`Error::Device`] where a GPU cannot go on: before
+/// anything is changed.
 pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan, iteration: usize) -> Result<f32> {
     let view = views.at(plan.seed, iteration);
     let mut rng = stream(plan.seed, Purpose::Pixels, iteration as u64);

@@ -49,22 +49,27 @@ impl ModuleAdam {
         with_parameters(module.clone(), &|name| means.get(name).cloned()).unwrap_or(module)
     }
 
-    /// One step of every parameter that has a gradient, at `factor` times the learning rate.
+    /// Looks at all gradients of `module`.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] naming the parameter when a gradient holds a NaN or an infinity, [`Error::Device`] when the device
-    /// fails; nothing is changed then.
-    pub fn step<M: Module>(&mut self, module: M, gradients: &mut Gradients, factor: f64) -> Result<M> {
+    /// [`Error::NonFinite`] naming the parameter whose gradient holds a NaN or an infinity, [`Error::Device`] when the device
+    /// fails.
+    pub fn check<M: Module>(module: &M, gradients: &Gradients) -> Result<()> {
         let mut check = Norm { gradients, path: Vec::new(), total: None, worst: None };
         module.visit(&mut check);
-        if let Some(tensor) = check.worst()? {
-            return Err(Error::non_finite(format!("gradient of {tensor}"), 0));
+        match check.worst()? {
+            Some(tensor) => Err(Error::non_finite(format!("gradient of {tensor}"), 0)),
+            None => Ok(()),
         }
+    }
+
+    /// One step of every parameter that has a gradient, at `factor` times the learning rate.
+    pub fn step<M: Module>(&mut self, module: M, gradients: &mut Gradients, factor: f64) -> M {
         self.steps += 1;
         let [beta1, beta2] = BETAS;
         let rates = vec![self.rate * factor];
         let step = Arc::new(AdamStep { rates, beta1, beta2, epsilon: EPSILON, step: self.steps as u32 });
-        Ok(module.map(&mut Step { adam: self, gradients, step, place: 0 }))
+        module.map(&mut Step { adam: self, gradients, step, place: 0 })
     }
 
     /// Moments and step count, named `m.0`, `v.0`, ... and `steps`.

@@ -6,8 +6,9 @@ use super::{Model, Prediction, Scores, stored};
 use crate::config::Blend;
 use crate::error::Result;
 use crate::objects::Identities;
+use crate::ops::gather_rows;
 use burn::module::{Module, Param};
-use burn::tensor::{Device, Gradients, Int, Tensor, TensorData};
+use burn::tensor::{Device, Gradients, Tensor};
 
 #[derive(Module, Debug)]
 struct Logits {
@@ -40,17 +41,16 @@ impl PerGaussian {
 
 impl Model for PerGaussian {
     fn predict(&mut self, _view: usize, drawn: &Drawn) -> Result<Prediction> {
-        let columns: Vec<i64> = drawn.visible.iter().map(|&i| i64::from(i)).collect();
-        let count = columns.len();
-        let index = Tensor::<1, Int>::from_data(TensorData::new(columns, [count]), &self.device.clone().inner());
-        let scores = Scores::blended(self.scores().select(0, index), &drawn.pixels, self.blend)?;
+        let scores = Scores::blended(gather_rows(self.scores(), &drawn.visible), &drawn.pixels, self.blend)?;
         Ok(Prediction { scores, regularisation: None })
     }
 
     fn step(&mut self, gradients: &mut Gradients, factor: f64) -> Result<()> {
-        if let Some(logits) = self.logits.take() {
-            self.logits = Some(self.adam.step(logits, gradients, factor)?);
+        if let Some(logits) = &self.logits {
+            ModuleAdam::check(logits, gradients)?;
         }
+        // taken, not cloned: buffers that nobody else holds are updated in place
+        self.logits = self.logits.take().map(|logits| self.adam.step(logits, gradients, factor));
         Ok(())
     }
 

@@ -4,8 +4,8 @@ use crate::camera::Camera;
 use crate::device::read;
 use crate::error::Result;
 use crate::ops::Blending;
-use crate::raster::{RasterOutput, Settings, SplatTensors};
-use burn::tensor::{Int, Tensor, TensorData};
+use crate::raster::{Settings, SplatTensors};
+use burn::tensor::{Tensor, TensorData};
 
 /// What is left of the background at every pixel, and the Gaussians of `splats` that some pixel shows for which `wanted` says so
 /// from its number and transmittance.
@@ -36,13 +36,8 @@ pub(super) struct RenderedView {
 
 impl Blending for RenderedView {
     fn blend(&self, values: Tensor<2>, pixels: &[u32]) -> Result<Tensor<2>> {
-        let RasterOutput { image, transmittance, .. } = self.splats.blend(values, &self.camera, &self.settings)?;
-        let [height, width, channels] = image.dims();
-        let index: Vec<i64> = pixels.iter().map(|&pixel| i64::from(pixel)).collect();
-        let index = Tensor::<1, Int>::from_data(TensorData::new(index, [pixels.len()]), &self.splats.means.device());
-        let image = image.reshape([height * width, channels]).select(0, index.clone());
-        // Frozen: no gradient goes this way.
-        let covered = 1.0 - transmittance.detach().reshape([height * width, 1]).select(0, index);
-        Ok(image / covered)
+        let (image, transmittance) = self.splats.blend_at(values, &self.camera, &self.settings, pixels)?;
+        let coverage = transmittance.neg() + 1.0;
+        Ok(image / coverage.reshape([pixels.len(), 1]))
     }
 }

@@ -162,7 +162,8 @@ impl<'a> TrainingViews<'a> {
     /// order.
     ///
     /// # Errors
-    /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite.
+    /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite; on a GPU those of
+    /// [`SplatTensors::blend`] and [`SplatTensors::adjoint`].
     pub fn draw(&mut self, index: usize, share: f64, rng: &mut impl Rng) -> Result<Drawn> {
         let (view, kept) = match (&self.seen[index], self.splats.clone()) {
             (Some(view), None) => (view.clone(), view.kept.clone()),
