@@ -29,7 +29,7 @@ mod weights;
 
 pub use backward::SplatGradients;
 pub use op::{
-    AdjointBackend, AdjointCall, AdjointTensors, Lifted, Radii, RasterBackend, RasterCall, RasterInput, RasterOutput,
+    FrozenBackend, FrozenCall, FrozenTensors, Lifted, Radii, RasterBackend, RasterCall, RasterInput, RasterOutput,
     RasterTensors, SplatTensors, SplatView, rasterize, rasterize_on_host,
 };
 pub use projected::{Blended, Projected, Rendered, render};

@@ -1,18 +1,18 @@
 //! Rasterization as a differentiable burn operation.
 
-mod adjoint;
 mod autodiff;
 mod backend;
 mod call;
 #[cfg(feature = "cube")]
 mod cube;
+mod frozen;
 mod on_host;
 mod radii;
 mod splats;
 
-pub use adjoint::{AdjointBackend, AdjointCall, AdjointTensors, Lifted, SplatView};
 pub use backend::{RasterBackend, RasterTensors};
 pub use call::RasterCall;
+pub use frozen::{FrozenBackend, FrozenCall, FrozenTensors, Lifted, SplatView};
 pub use radii::Radii;
 pub use splats::SplatTensors;
 

@@ -169,7 +169,7 @@ impl<'a> Lifting<'a> {
     /// Adds a view with one map per scale.
     ///
     /// # Errors
-    /// As [`Sums::add`]; on a GPU as [`SplatTensors::adjoint`].
+    /// As [`Sums::add`]; on a GPU as [`crate::raster::SplatView::adjoint`].
     pub fn add(
         &mut self,
         camera: &Camera,

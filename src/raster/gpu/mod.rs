@@ -8,10 +8,10 @@
 //! Memory besides inputs and outputs, bytes: 60 a Gaussian (96 in the backward pass), 28 a tile entry while they are sorted
 //! and 8 afterwards, and in the backward pass up to 56 a tile entry, 1 GiB at most (more entries go through in slabs).
 
-mod adjoint;
 mod backward;
 mod blend;
 mod ewa;
+mod frozen;
 mod lists;
 mod outline;
 mod parameters;
@@ -26,7 +26,7 @@ mod tests;
 mod vec3;
 mod view;
 
-pub(super) use adjoint::Lists;
+pub(super) use frozen::Lists;
 
 use super::geometry::Viewpoint;
 use super::settings::Settings;

@@ -1,8 +1,8 @@
 //! The operation on CubeCL backends: the GPU kernels, or the host's where those do not reach.
 
-use super::adjoint::{self, AdjointBackend, AdjointCall, AdjointTensors};
 use super::backend::{RasterBackend, RasterTensors};
 use super::call::{HostInputs, RasterCall};
+use super::frozen::{self, FrozenBackend, FrozenCall, FrozenTensors};
 use super::on_host;
 use crate::error::{Error, Result};
 use crate::raster::gpu::{self, Forward, Gradients, Inputs, Lists, Scenery};
@@ -37,9 +37,8 @@ fn inputs(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> Inputs {
     }
 }
 
-fn zeros_like(tensor: &CubeTensor) -> CubeTensor {
-    let shape = tensor.meta.shape().clone();
-    zeros_client(tensor.client.clone(), tensor.device.clone(), shape, tensor.dtype)
+fn zeros(like: &CubeTensor, shape: &[usize]) -> CubeTensor {
+    zeros_client(like.client.clone(), like.device.clone(), shape.to_vec().into(), like.dtype)
 }
 
 fn forward(tensors: RasterTensors<CubeBackend>, call: &RasterCall) -> Result<CubeTensor> {
@@ -98,7 +97,7 @@ impl RasterBackend for CubeBackend {
             return on_host::transmittance_backward::<Self>(image, d_transmittance, call);
         }
         call.state().d_transmittance = Some(Box::new(into_contiguous(d_transmittance)));
-        zeros_like(&image)
+        zeros(&image, &image.meta.shape().dims::<3>())
     }
 
     fn raster_backward(
@@ -143,14 +142,19 @@ impl RasterBackend for CubeBackend {
     }
 }
 
-impl AdjointBackend for CubeBackend {
-    fn raster_adjoint(tensors: AdjointTensors<Self>, call: Arc<AdjointCall>) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let (n, channels) = (tensors.opacity_logits.meta.num_elements(), tensors.image.meta.shape()[2]);
-        if n * channels == 0 || !gpu::covers(&tensors.image) {
-            return adjoint::on_host::<Self>(tensors, &call);
-        }
-        let AdjointTensors { means, log_scales, rotations, opacity_logits, image } = &tensors;
-        let whole = |t: &CubeTensor| into_contiguous(t.clone());
+/// What `then` makes of the lists of a view; `None` where the host's kernels are to do it, or after an error, which `call`
+/// keeps.
+fn with_lists<R>(
+    tensors: &FrozenTensors<CubeBackend>,
+    call: &FrozenCall,
+    then: impl FnOnce(&Lists) -> Result<R>,
+) -> Found<R> {
+    let FrozenTensors { means, log_scales, rotations, opacity_logits, operand } = tensors;
+    if opacity_logits.meta.num_elements() * operand.meta.num_elements() == 0 || !gpu::covers(operand) {
+        return Found::OnHost;
+    }
+    let whole = |t: &CubeTensor| into_contiguous(t.clone());
+    let make = || {
         let inputs = Inputs {
             means: whole(means),
             log_scales: whole(log_scales),
@@ -159,17 +163,46 @@ impl AdjointBackend for CubeBackend {
             sh: None,
             features: None,
         };
-        let scenery = Scenery { camera: &call.camera, settings: &call.settings, background: [0.0; 3] };
-        match call.prepared(|| Lists::new(&inputs, scenery), |lists| lists.lift(&whole(image), channels)) {
-            Ok(Some(found)) => return found,
-            Err(error) => call.fail(error),
-            // The host's own check names tensor and row.
-            Ok(None) => return adjoint::on_host::<Self>(tensors, &call),
+        Lists::new(&inputs, Scenery { camera: &call.camera, settings: &call.settings, background: [0.0; 3] })
+    };
+    match call.prepared(make, then) {
+        Ok(Some(found)) => Found::Here(found),
+        // The host's own check names tensor and row.
+        Ok(None) => Found::OnHost,
+        Err(error) => {
+            call.fail(error);
+            Found::Nothing
         }
-        let nothing = |shape: &[usize]| {
-            let like = &tensors.means;
-            zeros_client(like.client.clone(), like.device.clone(), shape.to_vec().into(), like.dtype)
-        };
-        (nothing(&[n, channels]), nothing(&[n]))
+    }
+}
+
+enum Found<R> {
+    Here(R),
+    OnHost,
+    Nothing,
+}
+
+impl FrozenBackend for CubeBackend {
+    fn frozen_blend(tensors: FrozenTensors<Self>, call: Arc<FrozenCall>) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let channels = tensors.operand.meta.shape()[1];
+        let values = into_contiguous(tensors.operand.clone());
+        match with_lists(&tensors, &call, |lists| lists.blend(values, channels)) {
+            Found::Here(found) => found,
+            Found::OnHost => frozen::on_host::blend::<Self>(tensors, &call),
+            Found::Nothing => {
+                let [h, w] = [call.camera.height, call.camera.width];
+                (zeros(&tensors.means, &[h, w, channels]), zeros(&tensors.means, &[h, w]))
+            }
+        }
+    }
+
+    fn frozen_adjoint(tensors: FrozenTensors<Self>, call: Arc<FrozenCall>) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let (n, channels) = (tensors.opacity_logits.meta.num_elements(), tensors.operand.meta.shape()[2]);
+        let image = into_contiguous(tensors.operand.clone());
+        match with_lists(&tensors, &call, |lists| lists.lift(&image, channels)) {
+            Found::Here(found) => found,
+            Found::OnHost => frozen::on_host::adjoint::<Self>(tensors, &call),
+            Found::Nothing => (zeros(&tensors.means, &[n, channels]), zeros(&tensors.means, &[n])),
+        }
     }
 }

@@ -163,7 +163,7 @@ impl<'a> TrainingViews<'a> {
     ///
     /// # Errors
     /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite; on a GPU those of
-    /// [`SplatTensors::blend`] and [`SplatTensors::adjoint`].
+    /// [`crate::raster::SplatView::blend`].
     pub fn draw(&mut self, index: usize, share: f64, rng: &mut impl Rng) -> Result<Drawn> {
         let (view, kept) = match (&self.seen[index], self.splats.clone()) {
             (Some(view), None) => (view.clone(), view.kept.clone()),
@@ -221,11 +221,11 @@ impl<'a> TrainingViews<'a> {
             let coverage = 1.0 - t;
             map.ids.get(pixel).is_some_and(|&c| c != UNLABELLED) && coverage >= self.min_coverage && coverage > 0.0
         };
-        let (transmittance, visible) = visible(splats, &self.views[index].camera, &self.settings, covered)?;
+        let (transmittance, visible) = visible(&splats.seen_by(&self.views[index].camera, &self.settings), covered)?;
         let kept: Vec<bool> = transmittance.iter().enumerate().map(|(pixel, &t)| covered(pixel, t)).collect();
         map.ids.iter_mut().zip(&kept).for_each(|(class, kept)| *class = if *kept { *class } else { UNLABELLED });
         let count = kept.iter().filter(|kept| **kept).count();
-        let kept = match self.budget.checked_sub(4 * SplatTensors::WIDTH * visible.len()) {
+        let kept = match self.budget.checked_sub(RenderedView::bytes(visible.len())) {
             Some(left) => {
                 self.budget = left;
                 Kept::OnDevice(Arc::new(self.rendered(index, splats, &visible)))
@@ -238,8 +238,7 @@ impl<'a> TrainingViews<'a> {
 
     /// View `index` of the Gaussians `visible`.
     fn rendered(&self, index: usize, splats: &SplatTensors, visible: &[u32]) -> RenderedView {
-        let camera = self.views[index].camera.clone();
-        RenderedView { splats: splats.select(visible), camera, settings: self.settings }
+        RenderedView(splats.select(visible).seen_by(&self.views[index].camera, &self.settings))
     }
 
     /// Finds the labelled, covered pixels of view `index`; their weights are kept where the budget allows it.

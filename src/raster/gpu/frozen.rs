@@ -1,6 +1,7 @@
-//! `W^T y` without a forward pass, and the counter of Algorithm 1.
+//! `W` and `W^T` of a view whose geometry is frozen, and the counter of Algorithm 1.
 
 use super::backward::{self, Tiles};
+use super::blend::{self, Values};
 use super::project::SPLAT;
 use super::{Inputs, Prepared, Scenery, check_size, prepare};
 use crate::error::Result;
@@ -41,7 +42,7 @@ fn count_pixels(splats: &[f32], radii: &[u32], counts: &mut [f32], gaussians: u3
     counts[i] = count;
 }
 
-/// A view's projection, tile lists and counts, for images to be lifted.
+/// A view's projection, tile lists and counts: for values to be blended, and images to be lifted.
 pub(in crate::raster) struct Lists {
     prepared: Prepared,
     /// `[N]`.
@@ -69,6 +70,18 @@ impl Lists {
             prepared.size[1] as f32,
         );
         Ok(Some(Self { prepared, counts }))
+    }
+
+    /// The image `[H, W, channels]` of `values` (`[N, channels]`, contiguous), and the transmittance `[H, W]`.
+    ///
+    /// # Errors
+    /// [`crate::Error::Limit`] for what the device cannot hold.
+    pub fn blend(&self, values: CubeTensor, channels: usize) -> Result<(CubeTensor, CubeTensor)> {
+        let gpu = Gpu::of(&values);
+        let Prepared { view, projected, entries, size, .. } = &self.prepared;
+        check_size(&gpu, "pixels times channels", (size[0] * size[1]).saturating_mul(channels), size_of::<f32>())?;
+        let values = Values { colours: None, features: Some(values), channels };
+        Ok(blend::blend(&gpu, &projected.splats, entries, &values, view, *size))
     }
 
     /// `W^T y` `[N, channels]` and the counts `[N]`; `y` is `[H, W, channels]`, contiguous.
