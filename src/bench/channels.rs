@@ -18,8 +18,7 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
         "one pass blends all channels; with backward: gradients of geometry, colour and channels".to_owned(),
     ];
     let mut findings = Findings::new(Section::Channels, notes);
-    let large = effort.sizes.last().filter(|&&size| size > effort.gaussians);
-    for gaussians in [Some(&effort.gaussians), large].into_iter().flatten() {
+    for gaussians in &effort.memory {
         for size in [effort.size, effort.channels_size] {
             for case in CASES {
                 match one_case(bench, *gaussians, size, case) {

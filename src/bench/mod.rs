@@ -127,7 +127,7 @@ pub struct Effort {
     pub building: Vec<usize>,
     /// Gaussians of stage two where the scene is not trained.
     pub segmentation: usize,
-    /// Numbers of Gaussians that the memory of stage two is measured at, ascending.
+    /// Numbers of Gaussians that channels and the memory of stage two are measured at, ascending.
     pub memory: Vec<usize>,
     /// Image width and height of what is rendered, pixels.
     pub size: [usize; 2],

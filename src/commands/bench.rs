@@ -17,8 +17,8 @@ const HELP: &str = "\
 Sections
   raster        colour at 480x360, forward and with its backward pass, at 10,000, 100,000 and 1,000,000
                 Gaussians; cost of a contributing pair, growth, peak memory
-  channels      RGB, RGB + 20 classes and 64 channels at 480x360 and 1920x1080 of 100,000 Gaussians (and of a
-                million, where those fit), in milliseconds and frames a second
+  channels      RGB, RGB + 20 classes and 64 channels at 480x360 and 1920x1080 of 100,000 Gaussians (--large:
+                a million too), in milliseconds and frames a second
   curve         each setting of the rasterizer moved alone: time, and error against an f64 render with all exact
   building      an iteration of stage one on the scene's own photos, at 15,000 and 50,000 Gaussians
   unprojection  4 x 64 feature channels lifted onto 100,000 Gaussians from 80 views, at both resolutions
@@ -36,7 +36,7 @@ surfaces or, with --data, the points that training would start from. Trained one
 line states: fewer by chance and larger, more as smaller copies, so that each pixel meets about as many as before.
 
 Examples:
-  coseg bench                                              about four minutes on two cores
+  coseg bench                                              some minutes on two cores
   coseg bench --run runs/living --json living.json
   coseg bench --only building --data scenes/fox --set data.transforms=transforms_4.json
   coseg bench --only raster,curve --scene scene.ply --cameras transforms.json";
@@ -63,7 +63,7 @@ pub struct BenchArgs {
     /// Measured passes behind each median [default: 5]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=1000))]
     repeats: Option<usize>,
-    /// A million Gaussians in `memory` too, and in `raster` even where less than 3 GB are free
+    /// A million Gaussians in `channels` and `memory` too, and in `raster` even where less than 3 GB are free
     #[arg(long)]
     large: bool,
     /// Tiny sizes, a few seconds in all: shows that everything runs; the figures mean nothing
@@ -72,7 +72,7 @@ pub struct BenchArgs {
     /// Write the figures to this file too
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Where tensors live: wgpu, flex or ndarray [default: the first of these in this build]
+    /// Where tensors live: wgpu, flex, ndarray or cuda [default: the first of the former three in this build]
     #[arg(long, value_name = "NAME")]
     backend: Option<BackendName>,
     #[command(flatten)]

@@ -43,7 +43,7 @@ fn the_adjoint_of_blending() {
             let y = numbers(width * height * channels, 5);
             let run = |device: &Device, dtype| {
                 let image = tensor(&y, [height, width, channels], device, dtype);
-                let lifted = splats(&cloud, device, dtype).adjoint(image, &camera, &settings).expect("valid");
+                let lifted = splats(&cloud, device, dtype).seen_by(&camera, &settings).adjoint(image).expect("valid");
                 (host(lifted.sums), host(lifted.counts))
             };
             let (want, want_counts) = run(&crate::device(), DType::F64);
@@ -64,31 +64,44 @@ fn the_adjoint_of_blending() {
 }
 
 #[test]
-fn frozen_geometry_has_the_gradient_of_the_features_that_learned_geometry_has() {
+fn frozen_geometry_renders_and_learns_features_as_learned_geometry_does() {
     let Some(gpu) = gpu() else { return };
-    let (camera, device) = (camera(64, 48), gpu.autodiff());
-    let cloud = cloud(300, 0.05, &camera, 3);
-    let gradient = |learned: bool| {
-        let SplatTensors { means, log_scales, rotations, opacity_logits } = splats(&cloud, &device, DType::F32);
-        let features = tensor::<2>(&numbers(300 * 21, 8), [300, 21], &device, DType::F32).require_grad();
-        let input = RasterInput {
-            means: if learned { means.require_grad() } else { means },
-            log_scales,
-            rotations,
-            opacity_logits,
-            sh: None,
-            active_sh_degree: 0,
-            features: Some(features.clone()),
-            screen: None,
-        };
-        let out = rasterize(input, &camera, &Settings::default(), [0.0; 3]).expect("valid");
+    let (camera, device) = (camera(64, 48), gpu.clone().autodiff());
+    let (cloud, settings) = (cloud(300, 0.05, &camera, 3), Settings::default());
+    let features = || tensor::<2>(&numbers(300 * 21, 8), [300, 21], &device, DType::F32).require_grad();
+    let finish = |image: Tensor<3>, features: Tensor<2>| {
         let towards = tensor::<3>(&numbers(48 * 64 * 21, 9), [48, 64, 21], &device, DType::F32);
-        host(features.grad(&(out.image * towards).sum().backward()).expect("tracked"))
+        let gradients = (image.clone() * towards).sum().backward();
+        [host(image.inner()), host(features.grad(&gradients).expect("tracked"))]
     };
-    let (frozen, learned) = (gradient(false), gradient(true));
-    let largest = learned.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-    let worst = frozen.iter().zip(&learned).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-    assert!(worst < 1e-6 * largest, "{worst} of {largest}");
+    let SplatTensors { means, log_scales, rotations, opacity_logits } = splats(&cloud, &device, DType::F32);
+    let of_learned = features();
+    let input = RasterInput {
+        means: means.require_grad(),
+        log_scales,
+        rotations,
+        opacity_logits,
+        sh: None,
+        active_sh_degree: 0,
+        features: Some(of_learned.clone()),
+        screen: None,
+    };
+    let out = rasterize(input, &camera, &settings, [0.0; 3]).expect("valid");
+    let (transmittance, learned) = (host(out.transmittance.inner()), finish(out.image, of_learned));
+    let view = splats(&cloud, &gpu, DType::F32).seen_by(&camera, &settings);
+    // Lists that are made at the first use serve the second.
+    for _ in 0..2 {
+        let of_frozen = features();
+        let (image, left) = view.blend(of_frozen.clone()).expect("valid");
+        assert_eq!(host(left.inner()), transmittance);
+        for ((frozen, learned), what) in finish(image, of_frozen).iter().zip(&learned).zip(["image", "gradient"]) {
+            let largest = learned.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+            let worst = frozen.iter().zip(learned).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(worst < 1e-6 * largest, "{what}: {worst} of {largest}");
+        }
+    }
+    let error = view.blend(Tensor::zeros([299, 2], &gpu)).expect_err("a row is missing");
+    crate::assert_names(&error, &["values to blend", "299", "300"]);
 }
 
 #[test]
@@ -100,7 +113,7 @@ fn what_cannot_be_lifted_is_refused() {
         let cloud = cloud(5, 0.05, &camera, 3);
         let image = |height| Tensor::<3>::ones([height, 20, 2], &device);
         let lift = |cloud: &Cloud, height| {
-            splats(cloud, &device, DType::F32).adjoint(image(height), &camera, &Settings::default())
+            splats(cloud, &device, DType::F32).seen_by(&camera, &Settings::default()).adjoint(image(height))
         };
         let error = lift(&cloud, 11).expect_err("another size");
         crate::assert_names(&error, &["20x11", "20x10"]);
@@ -110,7 +123,7 @@ fn what_cannot_be_lifted_is_refused() {
         assert!(matches!(error, Error::NonFinite { row: 1, .. }), "{error}");
         let mut uneven = splats(&cloud, &device, DType::F32);
         uneven.rotations = tensor(&[0.0; 16], [4, 4], &device, DType::F32);
-        let error = uneven.adjoint(image(10), &camera, &Settings::default()).expect_err("a row is missing");
+        let error = uneven.seen_by(&camera, &Settings::default()).adjoint(image(10)).expect_err("a row is missing");
         crate::assert_names(&error, &["frozen Gaussians", "[4, 4]"]);
         let none = lift(&Cloud::default(), 10).expect("nothing");
         assert_eq!((none.sums.dims(), none.counts.dims()), ([0, 2], [0]));

@@ -231,16 +231,6 @@ impl Forward {
         self.prepared.projected.radii.clone()
     }
 
-    /// Gradients of the features alone, where the geometry is frozen.
-    pub fn backward_to_features(&self, inputs: &Inputs, d_image: &CubeTensor) -> Option<CubeTensor> {
-        let channels = inputs.features.as_ref().map(|_| inputs.values(None).channels)?;
-        let gpu = Gpu::of(&inputs.means);
-        let Prepared { view, projected, order, entries, size } = &self.prepared;
-        let tiles = backward::Tiles { order, entries, size: *size };
-        let row_bytes = backward::row_bytes(&gpu);
-        Some(backward::adjoint(&gpu, &projected.splats, tiles, d_image, channels, view, row_bytes))
-    }
-
     /// Gradients of all inputs; `image` is what [`forward`] gave, `d_image` (`[H, W, C]`) and `d_transmittance`
     /// (`[H, W]`) are contiguous.
     pub fn backward(

@@ -1,6 +1,6 @@
 //! The operation in the autodiff graph.
 
-use super::backend::{FEATURES, INPUTS, RasterBackend, RasterTensors};
+use super::backend::{INPUTS, RasterBackend, RasterTensors};
 use super::call::RasterCall;
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
@@ -17,9 +17,7 @@ impl<B: RasterBackend> Backward<B, INPUTS> for ImageBackward {
     fn backward(self, ops: Ops<Self::State, INPUTS>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
         let d_image = grads.consume::<B>(&ops.node);
         let (tensors, image, call) = ops.state;
-        // Means, log-scales, rotations, opacities, SH; features; screen.
-        let frozen = ops.parents.iter().enumerate().all(|(input, node)| input == FEATURES || node.is_none());
-        let gradients = B::raster_backward(tensors, image, d_image, call, frozen);
+        let gradients = B::raster_backward(tensors, image, d_image, call);
         for (parent, gradient) in ops.parents.into_iter().zip(gradients.into_array()) {
             if let Some(node) = parent {
                 grads.register::<B>(node.id, gradient);
@@ -88,7 +86,6 @@ impl<B: RasterBackend, C: CheckpointStrategy> RasterBackend for Autodiff<B, C> {
         _image: FloatTensor<Self>,
         _d_image: FloatTensor<Self>,
         _call: Arc<RasterCall>,
-        _frozen: bool,
     ) -> RasterTensors<Self> {
         unimplemented!("second-order gradients")
     }

@@ -20,8 +20,6 @@ pub struct RasterTensors<B: Backend> {
 
 /// Inputs of the operation, and the index of each among its parents.
 pub(super) const INPUTS: usize = 7;
-/// Index of the features.
-pub(super) const FEATURES: usize = 5;
 
 impl<B: Backend> RasterTensors<B> {
     pub(super) fn from_array(tensors: [FloatTensor<B>; INPUTS]) -> Self {
@@ -55,13 +53,12 @@ pub trait RasterBackend: Backend {
         d_transmittance: FloatTensor<Self>,
         call: Arc<RasterCall>,
     ) -> FloatTensor<Self>;
-    /// Gradients of all inputs; where the geometry is `frozen` and there are no SH, those of the features may be the only ones.
+    /// Gradients of all inputs.
     fn raster_backward(
         #[extension_type] tensors: RasterTensors<Self>,
         image: FloatTensor<Self>,
         d_image: FloatTensor<Self>,
         call: Arc<RasterCall>,
-        frozen: bool,
     ) -> RasterTensors<Self>;
 }
 
@@ -88,7 +85,6 @@ impl<B: HostKernels> RasterBackend for B {
         image: FloatTensor<Self>,
         d_image: FloatTensor<Self>,
         call: Arc<RasterCall>,
-        _frozen: bool,
     ) -> RasterTensors<Self> {
         on_host::backward::<Self>(tensors, image, d_image, call)
     }

@@ -14,8 +14,8 @@ use burn_cubecl::ops::numeric::zeros_client;
 use burn_cubecl::tensor::CubeTensor;
 use std::sync::Arc;
 
-/// Whether the GPU kernels take this call: they have no sums of absolute screen-space gradients. Without a Gaussian or a channel there is next to nothing to compute, and no
-/// buffer to bind.
+/// Whether the GPU kernels take this call: they have no sums of absolute screen-space gradients. Without a Gaussian or a
+/// channel there is next to nothing to compute, and no buffer to bind.
 fn on_device(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> bool {
     let something = tensors.opacity_logits.meta.num_elements() > 0 && channels(tensors, call) > 0;
     something && !call.host_kernels && !call.absolute_screen && gpu::covers(&tensors.means)
@@ -105,7 +105,6 @@ impl RasterBackend for CubeBackend {
         image: FloatTensor<Self>,
         d_image: FloatTensor<Self>,
         call: Arc<RasterCall>,
-        frozen: bool,
     ) -> RasterTensors<Self> {
         let forward: Box<Forward> = {
             let mut state = call.state();
@@ -119,10 +118,6 @@ impl RasterBackend for CubeBackend {
             }
         };
         let d_transmittance: Option<CubeTensor> = RasterCall::take(&mut call.state().d_transmittance);
-        if frozen && !call.has_sh {
-            let features = forward.backward_to_features(&inputs(&tensors, &call), &into_contiguous(d_image));
-            return RasterTensors { features: features.unwrap_or(tensors.features), ..tensors };
-        }
         let Gradients { means, log_scales, rotations, logits, sh, features, screen } = forward.backward(
             &inputs(&tensors, &call),
             &into_contiguous(image),
@@ -142,8 +137,16 @@ impl RasterBackend for CubeBackend {
     }
 }
 
-/// What `then` makes of the lists of a view; `None` where the host's kernels are to do it, or after an error, which `call`
-/// keeps.
+/// What came of a view's lists.
+enum Found<R> {
+    Here(R),
+    /// The host's kernels are to do it.
+    OnHost,
+    /// After an error, which the call keeps.
+    Nothing,
+}
+
+/// What `then` makes of the lists of a view.
 fn with_lists<R>(
     tensors: &FrozenTensors<CubeBackend>,
     call: &FrozenCall,
@@ -174,12 +177,6 @@ fn with_lists<R>(
             Found::Nothing
         }
     }
-}
-
-enum Found<R> {
-    Here(R),
-    OnHost,
-    Nothing,
 }
 
 impl FrozenBackend for CubeBackend {

@@ -222,14 +222,6 @@ impl SplatTensors {
         let call = FrozenCall { camera: camera.clone(), settings: *settings, state: Mutex::default() };
         SplatView { splats: self.clone(), call: Arc::new(call) }
     }
-
-    /// [`SplatView::adjoint`] of one image.
-    ///
-    /// # Errors
-    /// As [`SplatView::adjoint`].
-    pub fn adjoint(&self, image: Tensor<3>, camera: &Camera, settings: &Settings) -> Result<Lifted> {
-        self.seen_by(camera, settings).adjoint(image)
-    }
 }
 
 impl SplatView {
