@@ -63,7 +63,7 @@ pub struct BenchArgs {
     /// Measured passes behind each median [default: 5]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=1000))]
     repeats: Option<usize>,
-    /// A million Gaussians in `channels` and `memory` too, and in `raster` even where less than 3 GB are free
+    /// A million Gaussians in `channels` and `memory` too, and in `raster` with little memory free
     #[arg(long)]
     large: bool,
     /// Tiny sizes, a few seconds in all: shows that everything runs; the figures mean nothing
@@ -72,7 +72,7 @@ pub struct BenchArgs {
     /// Write the figures to this file too
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Where tensors live: wgpu, flex, ndarray or cuda [default: the first of the former three in this build]
+    /// Where tensors live: wgpu, flex, ndarray or cuda [default: the first in this build, cuda aside]
     #[arg(long, value_name = "NAME")]
     backend: Option<BackendName>,
     #[command(flatten)]

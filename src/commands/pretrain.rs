@@ -33,7 +33,7 @@ pub struct PretrainArgs {
     /// Seed of weights, rooms and every other choice
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Where to compute: wgpu, flex, ndarray or cuda [default: the first of the former three in this build]
+    /// Where to compute: wgpu, flex, ndarray or cuda [default: the first in this build, cuda aside]
     #[arg(long, value_name = "NAME")]
     backend: Option<BackendName>,
 }

@@ -49,7 +49,7 @@ pub struct TrainArgs {
     /// Go on with this run from its last checkpoint, exactly as if it had not stopped
     #[arg(long, value_name = "RUN", conflicts_with_all = ["data", "out", "seed", "config"])]
     resume: Option<PathBuf>,
-    /// Where to compute: wgpu, flex, ndarray or cuda [default: the first of the former three in this build]
+    /// Where to compute: wgpu, flex, ndarray or cuda [default: the first in this build, cuda aside]
     #[arg(long, value_name = "NAME")]
     backend: Option<BackendName>,
     /// Seed of every random choice [default: 0]
