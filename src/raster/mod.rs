@@ -12,11 +12,13 @@
 mod backward;
 mod blend;
 mod channel_blocks;
+mod counter;
 mod footprint;
 mod geometry;
 #[cfg(feature = "cube")]
 mod gpu;
 mod op;
+mod outline;
 mod pairs;
 mod projected;
 mod projection;

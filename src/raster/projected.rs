@@ -2,12 +2,13 @@
 
 use super::blend;
 use super::channel_blocks;
+use super::counter::count;
 use super::footprint::Splat2;
 use super::geometry::Viewpoint;
 use super::projection::{Visible, project};
 use super::settings::{Settings, Splats, Stats};
 use super::sh::eval_sh_rows;
-use super::tiles::{TileLists, between, depth_order, tile_lists};
+use super::tiles::{TileLists, depth_order, tile_lists};
 use super::weights;
 use crate::camera::Camera;
 use crate::error::Result;
@@ -92,7 +93,7 @@ impl<E: Real> Projected<E> {
                 (id, splat)
             })
             .unzip_into_vecs(&mut ids, &mut ordered);
-        let tiles = tile_lists(&ordered, viewpoint.size)?;
+        let tiles = tile_lists::<E>(&ordered, viewpoint.size)?;
         stats.tile_entries = tiles.ranks.len();
         Ok(Self { viewpoint, settings: *settings, splats: ordered, ids, tiles, radii, stats, scalar: PhantomData })
     }
@@ -165,19 +166,11 @@ impl<E: Real> Projected<E> {
 
     /// Algorithm 1's counter: pixels whose centre lies within [`Projected::radii`] of the projected centre, in the image.
     pub fn counts(&self) -> Vec<u32> {
-        let [w, h] = self.size();
-        let mut visible = vec![0; self.ids.len()];
-        visible.par_iter_mut().zip(&self.splats).zip(&self.ids).with_min_len(CHUNK).for_each(
-            |((count, splat), &id)| {
-                let r = f64::from(self.radii[id as usize]);
-                let [x, y] = splat.center;
-                for row in between(y - r, y + r, h) {
-                    let dy = row as f64 + 0.5 - y;
-                    let half = (r * r - dy * dy).max(0.0).sqrt();
-                    *count += between(x - half, x + half, w).len() as u32;
-                }
-            },
-        );
+        let disc = |(splat, &id): (&Splat2, &u32)| (splat.center, self.radii[id as usize]);
+        let discs: Vec<_> = self.splats.par_iter().zip(&self.ids).with_min_len(CHUNK).map(disc).collect();
+        let mut visible = vec![0; discs.len()];
+        let chunks = visible.par_chunks_mut(CHUNK).zip(discs.par_chunks(CHUNK));
+        chunks.for_each(|(counts, discs)| count::<E>(discs, self.size(), counts));
         let mut counts = vec![0; self.len()];
         for (count, &id) in visible.into_iter().zip(&self.ids) {
             counts[id as usize] = count;

@@ -1,0 +1,128 @@
+//! The ellipses of projected Gaussians: which pixel rows, and which columns of a row of tiles, they cover.
+//!
+//! Nothing is fused, so that the lists do not depend on the instruction set.
+
+use super::footprint::{Splat2, TILE};
+use crate::ops::Real;
+use crate::ops::simd::wide_kernel;
+use std::ops::Range;
+
+/// Gaussians of one loop.
+const BLOCK: usize = 32;
+/// A value of each.
+type Column = [f64; BLOCK];
+
+/// The tiles of neighbouring ranks.
+#[derive(Debug, Default)]
+pub(super) struct Bins {
+    /// Numbers of the tiles of every rank, one rank after the other: rows of tiles in order, left to right.
+    pub tiles: Vec<u32>,
+    /// How many each rank has.
+    pub counts: Vec<u32>,
+    /// Entries per tile.
+    pub per_tile: Vec<u32>,
+}
+
+wide_kernel! {
+    /// Finds every tile of an image of `size` pixels that holds a pixel centre near the ellipse of each of `splats`.
+    pub(super) fn bin(splats: &[Splat2], size: [usize; 2]) -> Bins => bin_all
+}
+
+#[inline(always)]
+fn bin_all<E: Real, const _FMA: bool>(splats: &[Splat2], size: [usize; 2]) -> Bins {
+    let [across, down] = size.map(|s| s.div_ceil(TILE));
+    let mut bins = Bins {
+        tiles: Vec::with_capacity(4 * splats.len()),
+        counts: Vec::with_capacity(splats.len()),
+        per_tile: vec![0; across * down],
+    };
+    for splats in splats.chunks(BLOCK) {
+        let outlines = Outlines::new(splats);
+        for l in 0..splats.len() {
+            let before = bins.tiles.len();
+            let rows = outlines.pixel_rows(l, size[1]);
+            let reached = if rows.is_empty() { 0..0 } else { rows.start / TILE..rows.end.div_ceil(TILE) };
+            for row in reached {
+                let own = rows.start.max(row * TILE)..rows.end.min((row + 1) * TILE);
+                let columns = outlines.pixel_columns(l, own, size[0]);
+                if !columns.is_empty() {
+                    let span = columns.start / TILE..columns.end.div_ceil(TILE);
+                    for tile in row * across + span.start..row * across + span.end {
+                        bins.tiles.push(tile as u32);
+                        bins.per_tile[tile] += 1;
+                    }
+                }
+            }
+            bins.counts.push((bins.tiles.len() - before) as u32);
+        }
+    }
+    bins
+}
+
+/// Ellipses as far as tile lists need them.
+struct Outlines {
+    center: [Column; 2],
+    slope: Column,
+    /// Half axes of the row section and of the bounding box; infinite where every pixel is reached.
+    half: [Column; 2],
+    /// `1 / half[1]`.
+    per_half: Column,
+    /// Row offset at which the ellipse is furthest right.
+    right_at: Column,
+}
+
+impl Outlines {
+    /// Of `splats`, [`BLOCK`] at most.
+    #[inline(always)]
+    fn new(splats: &[Splat2]) -> Self {
+        let none = [0.0; BLOCK];
+        let (mut center, mut slope) = ([none; 2], none);
+        // The others are somewhere, and nobody asks where.
+        let (mut du, mut dv, mut reach) = ([1.0; BLOCK], [1.0; BLOCK], [1.0; BLOCK]);
+        for (l, s) in splats.iter().enumerate() {
+            (center[0][l], center[1][l], slope[l]) = (s.center[0], s.center[1], s.slope);
+            (du[l], dv[l], reach[l]) = (s.du, s.dv, s.reach);
+        }
+        let mut out = Self { center, slope, half: [none; 2], per_half: none, right_at: none };
+        for l in 0..BLOCK {
+            let (sx, sy) = (1.0 / du[l], 1.0 / dv[l]);
+            let wide = (sx * sx + slope[l] * slope[l] * sy * sy).sqrt();
+            let right_at = reach[l] * slope[l] * sy * sy / wide;
+            out.half[0][l] = reach[l] * sx;
+            out.half[1][l] = reach[l] * sy;
+            out.per_half[l] = 1.0 / out.half[1][l];
+            out.right_at[l] = if reach[l] < f64::INFINITY { right_at } else { 0.0 };
+        }
+        out
+    }
+
+    /// Pixel rows whose centres the `l`-th covers.
+    #[inline(always)]
+    fn pixel_rows(&self, l: usize, height: usize) -> Range<usize> {
+        between(self.center[1][l] - self.half[1][l], self.center[1][l] + self.half[1][l], height)
+    }
+
+    /// Pixel columns whose centres the `l`-th covers somewhere in pixel rows `rows`.
+    #[inline(always)]
+    fn pixel_columns(&self, l: usize, rows: Range<usize>, width: usize) -> Range<usize> {
+        let ([x, y], [half_x, half_y]) = ([self.center[0][l], self.center[1][l]], [self.half[0][l], self.half[1][l]]);
+        let low = (rows.start as f64 + 0.5 - y).max(-half_y);
+        let high = (rows.end as f64 - 0.5 - y).min(half_y);
+        // The right edge is concave in dy with its top at `right_at`; the left edge is its mirror image.
+        let (right, left) = (self.right_at[l].max(low).min(high), (-self.right_at[l]).max(low).min(high));
+        let (share_right, share_left) = (right * self.per_half[l], left * self.per_half[l]);
+        let half_right = half_x * (1.0 - share_right * share_right).max(0.0).sqrt();
+        let half_left = half_x * (1.0 - share_left * share_left).max(0.0).sqrt();
+        between(x + self.slope[l] * left - half_left, x + self.slope[l] * right + half_right, width)
+    }
+}
+
+/// Pixels whose centres lie within `low..=high`, of `limit`.
+#[inline(always)]
+fn between(low: f64, high: f64, limit: usize) -> Range<usize> {
+    // Rounded by casts, which saturate: `ceil` and `floor` are calls on baseline x86-64.
+    let low = (low - 0.5).clamp(0.0, limit as f64);
+    let first = low as usize + usize::from((low as usize as f64) < low);
+    let end = if high >= 0.5 { ((high - 0.5).min(limit as f64) as usize + 1).min(limit) } else { 0 };
+    first..end.max(first)
+}
