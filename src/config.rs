@@ -66,12 +66,12 @@ pub enum Preset {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LabelLoss {
-    /// Jensen-Shannon with a one-hot label (Eq. 8).
-    #[default]
+    /// Jensen-Shannon with a one-hot label (Eq. 8): the paper.
     Js,
     /// Cross-entropy.
     Ce,
-    /// Generalised cross-entropy, q = 0.7.
+    /// Generalised cross-entropy (Zhang and Sabuncu 2018), (1 - p^q) / q of the label.
+    #[default]
     Gce,
     /// Half the absolute error, 1 - p of the label.
     Mae,
@@ -162,6 +162,8 @@ pub struct SegmentationConfig {
     pub prior: Prior,
     /// Loss of row `ours`.
     pub loss: LabelLoss,
+    /// Exponent q of the GCE loss, in (0, 1]: towards 0 it is cross-entropy, at 1 the absolute error. 0.7 is its authors'.
+    pub gce_exponent: f64,
     /// Weight of the raw label in the JS and GJS losses, in (0, 1).
     pub pi_rl: f64,
     /// Share of the frozen channels that each of the two predictions of `loss = "gjs"` does without, in (0, 1).
@@ -170,7 +172,7 @@ pub struct SegmentationConfig {
     pub lambda_pix: f64,
     /// Weight of the 3D regularisation (Eq. 9).
     pub lambda_reg: f64,
-    /// Share of the run trained with CE before the JS loss.
+    /// Share of the run trained with CE before any other loss.
     pub warmup: f64,
     /// Identities come from the mean of the decoder's parameters over the steps after the warm-up (not in the paper).
     pub average: bool,
@@ -218,7 +220,8 @@ impl Default for SegmentationConfig {
             lr_per_gaussian: 5e-2,
             blend: Blend::Probabilities,
             prior: Prior::Votes,
-            loss: LabelLoss::Js,
+            loss: LabelLoss::Gce,
+            gce_exponent: 0.7,
             pi_rl: 0.99,
             gjs_dropout: 0.2,
             lambda_pix: 0.8,

@@ -88,7 +88,7 @@ pub struct Settings {
     /// Settings file (TOML); see configs/ for examples
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Override one setting, for instance segmentation.pi_rl=0.97; may be repeated
+    /// Override one setting, for instance segmentation.lr=6e-3; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub sets: Vec<String>,
 }

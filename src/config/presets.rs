@@ -1,6 +1,6 @@
 //! The named sets of defaults.
 
-use super::{Blend, Config, Encode, LabelSource, Normalisation, Preset, Prior, Resolution};
+use super::{Blend, Config, Encode, LabelLoss, LabelSource, Normalisation, Preset, Prior, Resolution};
 
 /// What the built-in scene needs to be done in five minutes on two cores, as `--set` would give it.
 pub const BUILTIN_SCENE: [&str; 4] = [
@@ -25,6 +25,7 @@ impl Config {
                 config.segmentation.iterations = 6_000;
                 config.segmentation.blend = Blend::Logits;
                 config.segmentation.prior = Prior::None;
+                config.segmentation.loss = LabelLoss::Js;
                 config.segmentation.pi_rl = 0.9;
                 config.segmentation.warmup = 0.0;
                 config.segmentation.average = false;

@@ -211,6 +211,7 @@ impl Config {
             "none where logits are blended",
             "set segmentation.blend = \"probabilities\", or segmentation.prior = \"none\"",
         );
+        check.share("segmentation.gce_exponent", s.gce_exponent);
         check.open_share("segmentation.pi_rl", s.pi_rl);
         check.open_share("segmentation.gjs_dropout", s.gjs_dropout);
         check.open_share("segmentation.diffusion_strength", s.diffusion_strength);

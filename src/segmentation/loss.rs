@@ -8,18 +8,22 @@ use burn::tensor::{Int, Tensor, TensorData};
 
 pub use crate::ops::{Kind, NeighbourPairs, label_loss, neighbour_divergence};
 
-/// Exponent of [`LabelLoss::Gce`].
-const GCE_EXPONENT: f64 = 0.7;
-
 impl Kind {
     /// The loss that the settings ask for after the warm-up; of `"gjs"` the part that reads the label.
     ///
     /// # Errors
-    /// [`Error::Config`] when `pi_rl` is not in (0, 1).
+    /// [`Error::Config`] when `pi_rl` is not in (0, 1), or `gce_exponent` not in (0, 1], and the loss needs it.
     pub fn from_config(config: &SegmentationConfig) -> Result<Self> {
         Ok(match config.loss {
             LabelLoss::Ce => Self::Ce,
-            LabelLoss::Gce => Self::Gce { q: GCE_EXPONENT },
+            LabelLoss::Gce if config.gce_exponent > 0.0 && config.gce_exponent <= 1.0 => {
+                Self::Gce { q: config.gce_exponent }
+            }
+            LabelLoss::Gce => {
+                let mend = "0.7 is the default; segmentation.loss = \"ce\" is the limit 0";
+                let found = config.gce_exponent.to_string();
+                return Err(Error::config("segmentation.gce_exponent", found, "a number above 0, at most 1", mend));
+            }
             LabelLoss::Mae => Self::Mae,
             LabelLoss::NceRce => Self::NceRce,
             LabelLoss::Js | LabelLoss::Gjs if config.pi_rl > 0.0 && config.pi_rl < 1.0 => {

@@ -37,6 +37,7 @@ fn file_overrides_preset_and_set_overrides_file() {
     assert_eq!(config.segmentation.pi_rl, 0.97);
     assert_eq!(config.data.dir, Some(PathBuf::from("scenes/room")));
     assert_eq!(config.segmentation.lr, 1e-3, "the paper's own rate");
+    assert_eq!(config.segmentation.loss, LabelLoss::Js, "the paper's own loss");
     assert_eq!(config.building.lr_opacity, Config::default().building.lr_opacity);
 }
 
@@ -137,6 +138,8 @@ fn values_out_of_range_are_refused() {
         ("building.strategy=best", "\"adc\" or \"mcmc\""),
         ("building.mcmc.growth=-0.1", "finite number of 0 or more"),
         ("building.mcmc.init_opacity=1", "above 0 and below 1"),
+        ("segmentation.gce_exponent=0", "above 0, at most 1"),
+        ("segmentation.gce_exponent=1.01", "above 0, at most 1"),
         ("segmentation.pi_rl=1.0", "above 0 and below 1"),
         ("segmentation.pi_rl=0", "above 0 and below 1"),
         ("segmentation.gjs_dropout=1", "above 0 and below 1"),

@@ -5,10 +5,11 @@ use coseg::ops::{Kind, UNLABELLED};
 use coseg::segmentation::loss::{NeighbourPairs, label_loss, label_loss_plain, neighbour_divergence};
 use coseg::segmentation::neighbours::{PointIndex, drop_self, without_self};
 
-const KINDS: [Kind; 8] = [
+const KINDS: [Kind; 9] = [
     Kind::Ce,
     Kind::Mae,
     Kind::Gce { q: 0.7 },
+    Kind::Gce { q: 0.01 },
     Kind::Js { pi_rl: 0.1 },
     Kind::Js { pi_rl: 0.5 },
     Kind::Js { pi_rl: 0.9 },

@@ -81,7 +81,7 @@ fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::plates::scene(folder.path());
     for (encode, loss, chunk) in [
-        (Encode::Scene, LabelLoss::Js, 65_536),
+        (Encode::Scene, LabelLoss::Gce, 65_536),
         (Encode::View, LabelLoss::Gjs, 65_536),
         (Encode::Scene, LabelLoss::Gjs, 97),
     ] {
@@ -143,7 +143,7 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     let message = named("segmentation.iterations", "20", "30", &|c| c.segmentation.iterations = 20);
     assert!(message.contains("per_gaussian.safetensors"), "{message}");
     named("segmentation.lr", "0.01", "0.002", &|c| c.segmentation.lr = 0.01);
-    named("segmentation.pi_rl", "0.5", "0.99", &|c| c.segmentation.pi_rl = 0.5);
+    named("segmentation.gce_exponent", "0.5", "0.7", &|c| c.segmentation.gce_exponent = 0.5);
     // What a row does not read is no obstacle to it, but to the next.
     let message = named("features.dimensions", "8", "64", &|c| c.features.dimensions = 8);
     assert!(message.contains("ours.safetensors"), "{message}");
