@@ -38,16 +38,25 @@ fn bin_all<E: Real, const _FMA: bool>(splats: &[Splat2], size: [usize; 2]) -> Bi
     };
     for splats in splats.chunks(BLOCK) {
         let outlines = Outlines::new(splats);
-        for l in 0..splats.len() {
+        let mut rows = [const { 0..0 }; BLOCK];
+        for (l, rows) in rows.iter_mut().enumerate() {
+            *rows = outlines.pixel_rows(l, size[1]);
+        }
+        // Most ellipses meet two rows of tiles at most.
+        let edges = [outlines.all_edges(&rows, 0), outlines.all_edges(&rows, 1)];
+        for (l, rows) in rows.iter().enumerate().take(splats.len()) {
             let before = bins.tiles.len();
-            let rows = outlines.pixel_rows(l, size[1]);
-            let reached = if rows.is_empty() { 0..0 } else { rows.start / TILE..rows.end.div_ceil(TILE) };
-            for row in reached {
-                let own = rows.start.max(row * TILE)..rows.end.min((row + 1) * TILE);
-                let columns = outlines.pixel_columns(l, own, size[0]);
+            let first = rows.start / TILE;
+            let reached = if rows.is_empty() { 0 } else { rows.end.div_ceil(TILE) - first };
+            for k in 0..reached {
+                let [left, right] = match edges.get(k) {
+                    Some(edges) => [edges[0][l], edges[1][l]],
+                    None => outlines.edges(l, tile_row(rows, k)),
+                };
+                let columns = between(left, right, size[0]);
                 if !columns.is_empty() {
-                    let span = columns.start / TILE..columns.end.div_ceil(TILE);
-                    for tile in row * across + span.start..row * across + span.end {
+                    let row = (first + k) * across;
+                    for tile in row + columns.start / TILE..row + columns.end.div_ceil(TILE) {
                         bins.tiles.push(tile as u32);
                         bins.per_tile[tile] += 1;
                     }
@@ -57,6 +66,13 @@ fn bin_all<E: Real, const _FMA: bool>(splats: &[Splat2], size: [usize; 2]) -> Bi
         }
     }
     bins
+}
+
+/// The first pixel row, and one past the last, that `rows` have in the `k`-th row of tiles that they meet.
+#[inline(always)]
+fn tile_row(rows: &Range<usize>, k: usize) -> [f64; 2] {
+    let top = (rows.start / TILE + k) * TILE;
+    [rows.start.max(top) as f64, rows.end.min(top + TILE) as f64]
 }
 
 /// Ellipses as far as tile lists need them.
@@ -102,18 +118,33 @@ impl Outlines {
         between(self.center[1][l] - self.half[1][l], self.center[1][l] + self.half[1][l], height)
     }
 
-    /// Pixel columns whose centres the `l`-th covers somewhere in pixel rows `rows`.
+    /// [`Outlines::edges`] of all in the `k`-th rows of tiles that they meet.
     #[inline(always)]
-    fn pixel_columns(&self, l: usize, rows: Range<usize>, width: usize) -> Range<usize> {
-        let ([x, y], [half_x, half_y]) = ([self.center[0][l], self.center[1][l]], [self.half[0][l], self.half[1][l]]);
-        let low = (rows.start as f64 + 0.5 - y).max(-half_y);
-        let high = (rows.end as f64 - 0.5 - y).min(half_y);
+    fn all_edges(&self, rows: &[Range<usize>; BLOCK], k: usize) -> [Column; 2] {
+        let (mut start, mut end, mut left, mut right) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
+        for (l, rows) in rows.iter().enumerate() {
+            [start[l], end[l]] = tile_row(rows, k);
+        }
+        for l in 0..BLOCK {
+            [left[l], right[l]] = self.edges(l, [start[l], end[l]]);
+        }
+        [left, right]
+    }
+
+    /// How far the `l`-th reaches to the left and right in pixel rows `start..end`.
+    #[inline(always)]
+    fn edges(&self, l: usize, [start, end]: [f64; 2]) -> [f64; 2] {
+        let (x, y, half_y) = (self.center[0][l], self.center[1][l], self.half[1][l]);
+        let low = (start + 0.5 - y).max(-half_y);
+        let high = (end - 0.5 - y).min(half_y);
+        let half = |dy: f64| {
+            let share = dy * self.per_half[l];
+            self.half[0][l] * (1.0 - share * share).max(0.0).sqrt()
+        };
         // The right edge is concave in dy with its top at `right_at`; the left edge is its mirror image.
-        let (right, left) = (self.right_at[l].max(low).min(high), (-self.right_at[l]).max(low).min(high));
-        let (share_right, share_left) = (right * self.per_half[l], left * self.per_half[l]);
-        let half_right = half_x * (1.0 - share_right * share_right).max(0.0).sqrt();
-        let half_left = half_x * (1.0 - share_left * share_left).max(0.0).sqrt();
-        between(x + self.slope[l] * left - half_left, x + self.slope[l] * right + half_right, width)
+        let right = self.right_at[l].max(low).min(high);
+        let left = (-self.right_at[l]).max(low).min(high);
+        [x + self.slope[l] * left - half(left), x + self.slope[l] * right + half(right)]
     }
 }
 

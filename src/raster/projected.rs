@@ -7,7 +7,7 @@ use super::footprint::Splat2;
 use super::geometry::Viewpoint;
 use super::projection::{Visible, project};
 use super::settings::{Settings, Splats, Stats};
-use super::sh::eval_sh_rows;
+use super::sh::visible_colours;
 use super::tiles::{TileLists, depth_order, tile_lists};
 use super::weights;
 use crate::camera::Camera;
@@ -231,12 +231,11 @@ pub struct Rendered {
 /// # Errors
 /// As [`Projected::new`], and [`crate::Error::NonFinite`] for the SH coefficients.
 pub fn render(gaussians: &Gaussians, camera: &Camera, settings: &Settings, background: [f32; 3]) -> Result<Rendered> {
-    super::settings::check_finite("sh", &gaussians.sh, 3 * gaussians.sh_len())?;
     let projected = Projected::new(&gaussians.splats(), camera, settings)?;
     let center = camera.center.to_array();
     let degree = gaussians.sh_degree;
     let colours =
-        eval_sh_rows(gaussians.means.as_flattened(), &gaussians.sh, degree, degree, center, projected.radii());
+        visible_colours(gaussians.means.as_flattened(), &gaussians.sh, degree, degree, center, projected.radii())?;
     let Blended { mut image, transmittance } = projected.blend(&colours, 3);
     for (pixel, &t) in image.chunks_exact_mut(3).zip(&transmittance) {
         for (value, &b) in pixel.iter_mut().zip(&background) {

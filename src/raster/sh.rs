@@ -1,7 +1,10 @@
 //! View-dependent colour: real spherical harmonics in the 3DGS sign and order, and their derivative.
 
 use super::geometry::{Vec3, dot};
+use super::settings::check_finite;
+use crate::error::Result;
 use crate::ops::Real;
+use crate::ops::simd::wide_kernel;
 use rayon::prelude::*;
 
 /// Gaussians that one task handles.
@@ -103,42 +106,90 @@ fn direction<E: Real>(means: &[E], i: usize, center: Vec3) -> (Vec3, f64) {
 /// # Panics
 /// If the lengths disagree, or a degree is above 3.
 pub fn eval_sh<E: Real>(means: &[E], sh: &[E], sh_degree: usize, active_degree: usize, center: [f64; 3]) -> Vec<E> {
-    eval_sh_rows(means, sh, sh_degree, active_degree, center, &[])
+    let rows = Coefficients::new(means, sh, sh_degree, active_degree, center);
+    let mut out = vec![E::zero(); means.len()];
+    out.par_chunks_mut(3 * CHUNK).enumerate().for_each(|(chunk, out)| {
+        evaluate(&rows, chunk * CHUNK, &[1; CHUNK], out);
+    });
+    out
 }
 
-/// [`eval_sh`] of the rows whose entry in `wanted` is not 0 (all when it is empty); the others are 0.
-pub(super) fn eval_sh_rows<E: Real>(
+/// [`eval_sh`] of the rows whose entry in `wanted` is not 0; the others are 0.
+///
+/// # Errors
+/// [`crate::Error::NonFinite`] for a NaN or an infinity in `sh`, wanted or not.
+pub(super) fn visible_colours<E: Real>(
     means: &[E],
     sh: &[E],
     sh_degree: usize,
     active_degree: usize,
     center: Vec3,
     wanted: &[u32],
-) -> Vec<E> {
-    let width = 3 * (sh_degree + 1).pow(2);
-    assert!(sh_degree <= 3, "eval_sh: degree {sh_degree} above 3");
-    assert_eq!(means.len() * width, sh.len() * 3, "eval_sh: means against SH coefficients");
-    let degree = active_degree.min(sh_degree);
-    let terms = (degree + 1).pow(2);
+) -> Result<Vec<E>> {
+    let rows = Coefficients::new(means, sh, sh_degree, active_degree, center);
     let mut out = vec![E::zero(); means.len()];
-    out.par_chunks_mut(3 * CHUNK).enumerate().for_each(|(chunk, out)| {
-        for (out, i) in out.chunks_exact_mut(3).zip(chunk * CHUNK..) {
-            if wanted.get(i) == Some(&0) {
-                continue;
-            }
-            let (d, _) = direction(means, i, center);
-            let basis = basis(d, degree);
-            let mut sum = [E::of(0.5); 3];
-            for (b, sh) in basis[..terms].iter().zip(sh[i * width..].chunks_exact(3)) {
-                let b = E::of(*b);
-                for c in 0..3 {
-                    sum[c] += b * sh[c];
-                }
-            }
-            out.copy_from_slice(&sum.map(|v| v.max(E::zero())));
+    // Coefficients are looked at and used while they are near: they are most of a scene's memory.
+    let finite =
+        out.par_chunks_mut(3 * CHUNK).zip(wanted.par_chunks(CHUNK)).enumerate().map(|(chunk, (out, wanted))| {
+            evaluate(&rows, chunk * CHUNK, wanted, out);
+            rows.are_finite(chunk * CHUNK, wanted.len())
+        });
+    // All of them, so that no thread's haste decides what is looked at.
+    if !finite.reduce(|| true, |a, b| a & b) {
+        check_finite("sh", sh, rows.width)?;
+    }
+    Ok(out)
+}
+
+/// Spherical harmonics of Gaussians seen from a point.
+struct Coefficients<'a, E> {
+    means: &'a [E],
+    sh: &'a [E],
+    /// Values a Gaussian.
+    width: usize,
+    degree: usize,
+    center: Vec3,
+}
+
+impl<'a, E: Real> Coefficients<'a, E> {
+    fn new(means: &'a [E], sh: &'a [E], sh_degree: usize, active_degree: usize, center: Vec3) -> Self {
+        let width = 3 * (sh_degree + 1).pow(2);
+        assert!(sh_degree <= 3, "eval_sh: degree {sh_degree} above 3");
+        assert_eq!(means.len() * width, sh.len() * 3, "eval_sh: means against SH coefficients");
+        Self { means, sh, width, degree: active_degree.min(sh_degree), center }
+    }
+
+    /// Whether those of `count` Gaussians from `first` on are finite.
+    fn are_finite(&self, first: usize, count: usize) -> bool {
+        // Counting vectorises where stopping at the first would not.
+        let own = &self.sh[first * self.width..(first + count) * self.width];
+        own.iter().map(|v| u32::from(!v.is_finite())).sum::<u32>() == 0
+    }
+}
+
+wide_kernel! {
+    /// Colours of the Gaussians from `first` on, one for each of `wanted`, where that is not 0.
+    fn evaluate(rows: &Coefficients<'_, E>, first: usize, wanted: &[u32], out: &mut [E]) => evaluate_all
+}
+
+#[inline(always)]
+fn evaluate_all<E: Real, const _FMA: bool>(rows: &Coefficients<'_, E>, first: usize, wanted: &[u32], out: &mut [E]) {
+    let terms = (rows.degree + 1).pow(2);
+    for ((out, i), &wanted) in out.chunks_exact_mut(3).zip(first..).zip(wanted) {
+        if wanted == 0 {
+            continue;
         }
-    });
-    out
+        let (d, _) = direction(rows.means, i, rows.center);
+        let basis = basis(d, rows.degree);
+        let mut sum = [E::of(0.5); 3];
+        for (b, sh) in basis[..terms].iter().zip(rows.sh[i * rows.width..].chunks_exact(3)) {
+            let b = E::of(*b);
+            for c in 0..3 {
+                sum[c] += b * sh[c];
+            }
+        }
+        out.copy_from_slice(&sum.map(|v| v.max(E::zero())));
+    }
 }
 
 /// What [`sh_backward`] reads.

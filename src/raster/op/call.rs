@@ -8,7 +8,7 @@ use crate::ops::{HostBackend, HostValues, Real};
 use crate::raster::backward::{PixelGradients, SplatGradients};
 use crate::raster::projected::{Blended, Projected};
 use crate::raster::settings::{Settings, Splats, check_finite};
-use crate::raster::sh::{ShBackward, eval_sh_rows};
+use crate::raster::sh::{ShBackward, visible_colours};
 use std::any::Any;
 use std::sync::{Mutex, PoisonError};
 
@@ -105,17 +105,15 @@ impl<E: Real> HostInputs<E> {
 
     /// Image `[H, W, channels]`, background included, and what the backward pass needs.
     pub fn forward(&self, call: &RasterCall) -> Result<(Vec<E>, Forward<E>)> {
-        let n = self.opacity_logits.len();
-        check_finite("sh", &self.sh, self.sh.len() / n.max(1))?;
         check_finite("features", &self.features, self.features_per_row())?;
         let projected = Projected::new(&self.splats(), &call.camera, &call.settings)?;
         let colours = call.colours();
         let extra = self.features_per_row();
         let channels = colours + extra;
         let center = call.camera.center.to_array();
-        let mut values = call.has_sh.then(|| {
-            eval_sh_rows(&self.means, &self.sh, call.sh_degree, call.active_sh_degree, center, projected.radii())
-        });
+        let colours_of =
+            |radii| visible_colours(&self.means, &self.sh, call.sh_degree, call.active_sh_degree, center, radii);
+        let mut values = if call.has_sh { Some(colours_of(projected.radii())?) } else { None };
         if let (Some(rgb), true) = (&values, extra > 0) {
             let rows = rgb.chunks_exact(3).zip(self.features.chunks_exact(extra));
             values = Some(rows.flat_map(|(rgb, features)| rgb.iter().chain(features).copied()).collect());
