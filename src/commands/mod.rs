@@ -4,8 +4,11 @@ pub mod allocator;
 mod associate;
 mod bench;
 mod data;
+mod edit;
 mod eval;
 mod labelled;
+mod object_scene;
+mod objects;
 mod pretrain;
 mod progress;
 mod render;
@@ -41,6 +44,8 @@ Examples:
   coseg render --scene runs/living/scene.ply --cameras scenes/living/transforms.json --out pictures --labels
   coseg vote --scene scene.ply --data scenes/living --out runs/voted
   coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=masks
+  coseg objects --scene runs/living/scene.ply  what there is in it, and where
+  coseg edit --scene runs/living/scene.ply --out without.ply --remove sofa
   coseg bench --run runs/living                speed on this machine, beside the bars of the design
 
 Exit code: 0 done, 1 an error that names what to mend, 2 a mistake on the command line.";
@@ -60,6 +65,10 @@ pub enum Command {
     Vote(vote::VoteArgs),
     /// Give segments that show the same thing one id in all views, by way of a scene's Gaussians
     Associate(associate::AssociateArgs),
+    /// List the objects of a labelled scene, or say which one a pixel shows
+    Objects(objects::ObjectsArgs),
+    /// Keep, remove, turn and move objects of a labelled scene
+    Edit(edit::EditArgs),
     /// Train the point encoder on procedural rooms
     Pretrain(pretrain::PretrainArgs),
     /// Measure speed against error on this machine
@@ -76,6 +85,8 @@ impl Command {
             Self::Render(args) => args.run(),
             Self::Vote(args) => args.run(),
             Self::Associate(args) => args.run(),
+            Self::Objects(args) => args.run(),
+            Self::Edit(args) => args.run(),
             Self::Pretrain(args) => args.run(),
             Self::Bench(args) => args.run(),
         }

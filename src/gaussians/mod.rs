@@ -3,10 +3,13 @@
 pub mod densify;
 pub mod frusta;
 pub mod init;
+mod motion;
 pub mod noise;
 mod order;
 pub mod ply;
 pub mod relocate;
+
+pub use motion::Motion;
 
 /// N Gaussians in host memory, structure of arrays.
 ///

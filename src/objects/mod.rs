@@ -3,6 +3,7 @@
 mod association;
 mod hard_labels;
 mod identities;
+mod inventory;
 mod semantics;
 mod smoothing;
 mod vote;
@@ -10,6 +11,7 @@ mod vote;
 pub use association::{Association, Group, associate};
 pub use hard_labels::hard_label_map;
 pub use identities::{Identities, LabelRule, label_map};
+pub use inventory::{Object, Picked, inventory, pick};
 pub use semantics::Semantics;
 pub use smoothing::{Diffusion, NeighbourGraph};
 pub use vote::{Votes, vote};

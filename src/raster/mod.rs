@@ -36,5 +36,6 @@ pub use op::{
 };
 pub use projected::{Blended, Projected, Rendered, render};
 pub use settings::{PairCounts, Settings, Splats, Stats};
+pub(crate) use sh::basis as sh_basis;
 pub use sh::eval_sh;
 pub use tile_map::{Positions, TilePairs};

@@ -30,7 +30,7 @@ pub(super) const C3: [f64; 7] = [
 
 /// The 16 functions of degrees 0 to 3 at the unit direction `d`; those above `degree` are 0.
 #[inline(always)]
-fn basis([x, y, z]: Vec3, degree: usize) -> [f64; 16] {
+pub(crate) fn basis([x, y, z]: Vec3, degree: usize) -> [f64; 16] {
     let mut b = [0.0; 16];
     b[0] = C0;
     if degree > 0 {

@@ -5,7 +5,7 @@ use super::{AssociationFigures, peak_memory_bytes};
 use super::{
     BuildingHistory, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Sample, Seconds, TestScores,
 };
-use crate::config::{Config, Row};
+use crate::config::{Config, LabelLoss, Row, SegmentationConfig};
 use crate::data::{Split, View};
 use crate::error::Result;
 use crate::objects::{LabelRule, label_map};
@@ -130,6 +130,9 @@ impl Report<'_> {
         if outcome.rows.iter().any(|row| row.row == Row::Raw) {
             notes.push("Raw labels of held-out views are scored, never trained on.".to_owned());
         }
+        if outcome.rows.iter().any(|row| row.row.is_fused() && row.row != Row::OursCe) {
+            notes.push(format!("The decoder of ours learns under {}.", loss_in_words(&config.segmentation)));
+        }
         if let Some(a) = &outcome.association {
             notes.push(format!(
                 "Ids of the raw labels meant something within a view only: their {} segments in training views were put \
@@ -151,5 +154,22 @@ impl Report<'_> {
             ));
         }
         notes
+    }
+}
+
+/// The label loss of row `ours` and what comes before it.
+fn loss_in_words(config: &SegmentationConfig) -> String {
+    let (q, pi_rl) = (config.gce_exponent, config.pi_rl);
+    let loss = match config.loss {
+        LabelLoss::Ce => return "cross-entropy".to_owned(),
+        LabelLoss::Js => format!("the Jensen-Shannon loss, pi_rl = {pi_rl}"),
+        LabelLoss::Gce => format!("generalised cross-entropy, q = {q}"),
+        LabelLoss::Mae => "the absolute error".to_owned(),
+        LabelLoss::NceRce => "normalised and reverse cross-entropy".to_owned(),
+        LabelLoss::Gjs => format!("the generalised Jensen-Shannon loss, pi_rl = {pi_rl}"),
+    };
+    match (config.warmup * config.iterations as f64).round() {
+        0.0 => loss,
+        steps => format!("{loss}, after {steps} steps of cross-entropy"),
     }
 }

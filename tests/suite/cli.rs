@@ -51,11 +51,23 @@ pub fn read_json(path: &Path) -> serde_json::Value {
 #[test]
 fn help_names_every_command_and_shows_examples() {
     let help = succeeds(&["--help"]);
-    for word in ["train", "data", "eval", "render", "vote", "associate", "pretrain", "bench", "Examples:", "Exit code"]
-    {
+    for word in [
+        "train",
+        "data",
+        "eval",
+        "render",
+        "vote",
+        "associate",
+        "objects",
+        "edit",
+        "pretrain",
+        "bench",
+        "Examples:",
+        "Exit code",
+    ] {
         assert!(help.contains(word), "{word}");
     }
-    for command in ["train", "data", "eval", "render", "vote", "associate", "pretrain", "bench"] {
+    for command in ["train", "data", "eval", "render", "vote", "associate", "objects", "edit", "pretrain", "bench"] {
         let help = succeeds(&[command, "--help"]);
         assert!(help.contains("Example"), "{command}");
         let wide: Vec<&str> = help.lines().filter(|line| line.chars().count() > 130).collect();

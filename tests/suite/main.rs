@@ -30,6 +30,7 @@ mod device_unprojection;
 mod dino;
 mod dino_reference;
 mod dino_weights;
+mod edit;
 mod features;
 mod fused;
 mod instance_metrics;

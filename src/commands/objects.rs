@@ -1,0 +1,131 @@
+//! `coseg objects`: what a labelled scene holds, and what a pixel shows.
+
+use super::object_scene::{ObjectScene, ObjectSceneArgs};
+use super::terminal;
+use clap::Args;
+use coseg::camera::Camera;
+use coseg::data::{self, LoadOptions, NamedCamera, transforms};
+use coseg::error::{Error, Result};
+use coseg::objects::pick;
+use coseg::raster::{Projected, Settings};
+use glam::DVec3;
+use serde_json::json;
+use std::path::PathBuf;
+
+const HELP: &str = "\
+Without --pixel: every label of the scene with its name, number of Gaussians, and the centre and size of its box in
+world units; of a box the outermost 1 % of the Gaussians on each side are left out.
+
+With --cameras, --frame and --pixel: the label whose Gaussians have most of that pixel, the share of the pixel that
+they have, and where they are.
+
+Examples:
+  coseg objects --scene runs/room/scene.ply
+  coseg objects --scene runs/room/scene.ply --cameras scenes/room --frame test_001 --pixel 240,180 --json";
+
+/// Arguments of `coseg objects`.
+#[derive(Args, Debug)]
+#[command(after_help = HELP)]
+pub struct ObjectsArgs {
+    #[command(flatten)]
+    input: ObjectSceneArgs,
+    /// Cameras: a transforms.json with w and h (OpenGL camera-to-world), or a scene folder of any layout
+    #[arg(long, value_name = "FILE.json|DIR", requires = "frame", requires = "pixel")]
+    cameras: Option<PathBuf>,
+    /// Name of a frame: its file name without extension
+    #[arg(long, value_name = "STEM", requires = "cameras")]
+    frame: Option<String>,
+    /// Column and row of a pixel, from 0 at the top left
+    #[arg(long, value_name = "X,Y", requires = "cameras", value_parser = parse_pixel)]
+    pixel: Option<[usize; 2]>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn parse_pixel(text: &str) -> std::result::Result<[usize; 2], String> {
+    let parsed = text.split_once(',').and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
+    parsed.ok_or_else(|| "expected a column and a row with a comma between, for instance 240,180".into())
+}
+
+impl ObjectsArgs {
+    /// Lists, or picks.
+    pub fn run(self) -> Result<()> {
+        let scene = self.input.read()?;
+        match (&self.cameras, &self.frame, self.pixel) {
+            (Some(cameras), Some(frame), Some(pixel)) => self.pick(&scene, cameras, frame, pixel),
+            _ => {
+                self.list(&scene);
+                Ok(())
+            }
+        }
+    }
+
+    fn list(&self, scene: &ObjectScene) {
+        let origin = scene.ply.origin;
+        if self.json {
+            let entries: Vec<_> = scene
+                .objects
+                .iter()
+                .map(|o| {
+                    let (low, high) = ((o.low + origin).to_array(), (o.high + origin).to_array());
+                    json!({"id": o.id, "name": scene.name(o.id), "gaussians": o.rows.len(), "low": low, "high": high})
+                })
+                .collect();
+            terminal::say(&format!("{:#}", json!(entries)));
+            return;
+        }
+        let width = scene.objects.iter().map(|o| scene.name(o.id).chars().count()).max().unwrap_or(0).max(4);
+        terminal::say(&format!("{:>5}  {:width$}  {:>9}  {:^26}  {:^23}", "id", "name", "Gaussians", "centre", "size"));
+        for o in &scene.objects {
+            let (name, count) = (scene.name(o.id), o.rows.len());
+            let (center, size) = (three(o.center() + origin, 8), three(o.high - o.low, 7));
+            terminal::say(&format!("{:>5}  {name:width$}  {count:>9}  {center}  {size}", o.id));
+        }
+    }
+
+    fn pick(&self, scene: &ObjectScene, cameras: &PathBuf, frame: &str, [x, y]: [usize; 2]) -> Result<()> {
+        let frames = match cameras.is_dir() {
+            true => data::load_cameras(cameras, &LoadOptions::default(), None)?,
+            false => transforms::load_cameras(cameras, None)?,
+        };
+        let Some(NamedCamera { camera, .. }) = frames.iter().find(|f| f.name == frame) else {
+            let some: Vec<&str> = frames.iter().take(5).map(|f| f.name.as_str()).collect();
+            let expected = format!("one of {} frames such as {}", frames.len(), some.join(", "));
+            return Err(Error::config("--frame", frame, expected, "name a frame of --cameras"));
+        };
+        let [width, height] = [camera.width, camera.height];
+        if x >= width || y >= height {
+            let expected = format!("a column below {width} and a row below {height}");
+            return Err(Error::config("--pixel", format!("{x},{y}"), expected, "choose a pixel of the frame"));
+        }
+        let camera = Camera { center: camera.center - scene.ply.origin, ..camera.clone() };
+        let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &Settings::default())?;
+        let picked = pick(&projected, &scene.ply.gaussians, &scene.labels, [x, y]);
+        let world = |point: DVec3| point + scene.ply.origin;
+        let line = match (picked, self.json) {
+            (None, true) => "null".to_owned(),
+            (None, false) => format!("{frame} {x},{y}: no Gaussian"),
+            (Some(p), true) => {
+                let point = world(p.point).to_array();
+                format!("{:#}", json!({"id": p.id, "name": scene.name(p.id), "share": p.weight, "point": point}))
+            }
+            (Some(p), false) => {
+                let at = three(world(p.point), 0);
+                format!(
+                    "{frame} {x},{y}: {} {}, {:.0} % of the pixel, at {at}",
+                    p.id,
+                    scene.name(p.id),
+                    100.0 * p.weight
+                )
+            }
+        };
+        terminal::say(&line);
+        Ok(())
+    }
+}
+
+/// Three numbers, each at least `width` wide.
+fn three(v: DVec3, width: usize) -> String {
+    format!("{:>width$.2} {:>width$.2} {:>width$.2}", v.x, v.y, v.z)
+}

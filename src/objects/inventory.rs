@@ -1,0 +1,84 @@
+//! What a labelled scene holds, and which of it a pixel shows.
+
+use crate::gaussians::Gaussians;
+use crate::raster::Projected;
+use glam::DVec3;
+use std::collections::BTreeMap;
+
+/// Share of an object's Gaussians that lie beyond its box on each side: strays would make it as large as the scene.
+const BEYOND: f64 = 0.01;
+
+/// The Gaussians of one label.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Object {
+    /// Label id.
+    pub id: u16,
+    /// Its Gaussians, ascending.
+    pub rows: Vec<u32>,
+    /// Corners of a box around the centres of all but the outermost 1 % along each axis and side, in the coordinates of
+    /// [`Gaussians::means`].
+    pub low: DVec3,
+    /// The other corner.
+    pub high: DVec3,
+}
+
+impl Object {
+    /// Middle of the box.
+    pub fn center(&self) -> DVec3 {
+        0.5 * (self.low + self.high)
+    }
+}
+
+/// The objects of a scene, ascending by id; every id that occurs is one.
+///
+/// # Panics
+/// If `labels` does not have one id a Gaussian.
+pub fn inventory(gaussians: &Gaussians, labels: &[u16]) -> Vec<Object> {
+    assert_eq!(labels.len(), gaussians.len(), "one label a Gaussian");
+    let mut rows: BTreeMap<u16, Vec<u32>> = BTreeMap::new();
+    for (row, &id) in (0..).zip(labels) {
+        rows.entry(id).or_default().push(row);
+    }
+    let object = |(id, rows): (u16, Vec<u32>)| {
+        let beyond = (BEYOND * rows.len() as f64) as usize;
+        let [x, y, z] = [0, 1, 2].map(|axis| {
+            let mut along: Vec<f32> = rows.iter().map(|&row| gaussians.means[row as usize][axis]).collect();
+            along.sort_unstable_by(f32::total_cmp);
+            [along[beyond], along[along.len() - 1 - beyond]].map(f64::from)
+        });
+        Object { id, rows, low: DVec3::new(x[0], y[0], z[0]), high: DVec3::new(x[1], y[1], z[1]) }
+    };
+    rows.into_iter().map(object).collect()
+}
+
+/// What a pixel shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Picked {
+    /// The label whose Gaussians have the largest summed alpha' T there; ties to the lower id.
+    pub id: u16,
+    /// That sum, in (0, 1].
+    pub weight: f64,
+    /// Where it is: the mean centre of its Gaussians by their weights, in the coordinates of [`Gaussians::means`].
+    pub point: DVec3,
+}
+
+/// The object at a pixel (column, row) of the image of `projected`; `None` where no Gaussian contributes.
+///
+/// # Panics
+/// If the pixel is outside the image, or `labels` does not have one id a Gaussian.
+pub fn pick(projected: &Projected<f32>, gaussians: &Gaussians, labels: &[u16], [x, y]: [usize; 2]) -> Option<Picked> {
+    let [width, height] = projected.size();
+    assert!(x < width && y < height, "pick: pixel {x}, {y} of an image of {width} x {height}");
+    assert_eq!(labels.len(), gaussians.len(), "one label a Gaussian");
+    let weights = projected.weights(Some(&[(y * width + x) as u32]));
+    let mut sums: BTreeMap<u16, (f64, DVec3)> = BTreeMap::new();
+    let (rows, values) = weights.row(0);
+    for (&row, &weight) in rows.iter().zip(values) {
+        let weight = f64::from(weight);
+        let sum = sums.entry(labels[row as usize]).or_default();
+        sum.0 += weight;
+        sum.1 += weight * DVec3::from(gaussians.means[row as usize].map(f64::from));
+    }
+    let best = sums.into_iter().reduce(|best, other| if other.1.0 > best.1.0 { other } else { best });
+    best.filter(|(_, (weight, _))| *weight > 0.0).map(|(id, (weight, sum))| Picked { id, weight, point: sum / weight })
+}

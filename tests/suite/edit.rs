@@ -1,0 +1,196 @@
+//! Objects of a labelled scene: listed, picked, removed, turned and moved.
+
+use crate::cli::{fails, succeeds, utf8};
+use crate::plates::{HEIGHT, WIDTH, camera, plates, scene};
+use coseg::camera::Camera;
+use coseg::data::Limits;
+use coseg::gaussians::{Gaussians, Motion, ply};
+use coseg::objects::{hard_label_map, inventory, pick};
+use coseg::raster::{Projected, Settings, render};
+use glam::{DMat3, DQuat, DVec3};
+use std::path::Path;
+
+/// The plates with long axes in all directions and colours of degree 3.
+fn colourful() -> Gaussians {
+    let (mut g, _) = plates();
+    g.sh_degree = 3;
+    let waves = |seed: f32| move |i: usize| (1.7 * i as f32 + seed).sin();
+    g.sh = (0..48 * g.len()).map(waves(0.2)).map(|v| 0.3 * v).collect();
+    for i in 0..g.len() {
+        g.rotations[i] = [0.3, 1.1, 2.3, 0.7].map(|seed| 1.5 * waves(seed)(i));
+        g.log_scales[i][0] -= 1.0;
+        g.log_scales[i][1] += 0.5;
+    }
+    g
+}
+
+fn rows(g: &Gaussians) -> Vec<u32> {
+    (0..g.len() as u32).collect()
+}
+
+#[test]
+fn a_camera_that_moves_along_sees_the_same() {
+    let before = colourful();
+    let turn = DQuat::from_axis_angle(DVec3::new(0.3, -0.8, 0.5).normalize(), 2.1);
+    let motion = Motion { rotation: turn, pivot: DVec3::new(0.4, -0.2, 0.9), translation: DVec3::new(-1.0, 0.5, 2.0) };
+    let mut after = before.clone();
+    motion.apply(&mut after, &rows(&before));
+    let still = camera(2);
+    let moved = Camera {
+        rotation: still.rotation * DMat3::from_quat(turn).transpose(),
+        center: turn * (still.center - motion.pivot) + motion.pivot + motion.translation,
+        ..still.clone()
+    };
+    let image = |g, camera| render(g, camera, &Settings::default(), [0.0; 3]).unwrap();
+    let (want, got) = (image(&before, &still), image(&after, &moved));
+    let largest = want.rgb.iter().zip(&got.rgb).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(largest < 2e-4, "a colour moved by {largest}");
+    // The scene is seen from elsewhere when the camera stays.
+    let other = image(&after, &still);
+    assert!(want.rgb.iter().zip(&other.rgb).any(|(a, b)| (a - b).abs() > 0.1));
+}
+
+#[test]
+fn colours_do_not_turn_with_a_mere_shift() {
+    let before = colourful();
+    let mut after = before.clone();
+    let shift = DVec3::new(0.25, -0.5, 2.0);
+    let motion = Motion { rotation: DQuat::IDENTITY, pivot: DVec3::new(3.0, 4.0, 5.0), translation: shift };
+    motion.apply(&mut after, &[3, 7]);
+    assert_eq!((&after.sh, &after.rotations, &after.log_scales), (&before.sh, &before.rotations, &before.log_scales));
+    for (i, (a, b)) in after.means.iter().zip(&before.means).enumerate() {
+        let by = if [3, 7].contains(&i) { shift } else { DVec3::ZERO };
+        let want = (DVec3::from(b.map(f64::from)) + by).as_vec3().to_array();
+        assert!(a.iter().zip(want).all(|(a, w)| (a - w).abs() <= 1e-6), "{i}: {a:?} for {want:?}");
+    }
+}
+
+#[test]
+fn a_turn_of_four_quarters_is_none_and_zero_quaternions_stay_harmless() {
+    let mut before = colourful();
+    before.rotations[5] = [0.0; 4];
+    let mut after = before.clone();
+    let quarter = DQuat::from_axis_angle(DVec3::Y, std::f64::consts::FRAC_PI_2);
+    let motion = Motion { rotation: quarter, pivot: DVec3::splat(0.3), translation: DVec3::ZERO };
+    for _ in 0..4 {
+        motion.apply(&mut after, &rows(&before));
+    }
+    let close = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5);
+    assert!(close(&after.sh, &before.sh) && close(after.means.as_flattened(), before.means.as_flattened()));
+    for (a, b) in after.rotations.iter().zip(&before.rotations) {
+        // q and -q are one rotation; a zero quaternion stands for none.
+        let b = if *b == [0.0; 4] { [1.0, 0.0, 0.0, 0.0] } else { *b };
+        assert!(close(a, &b) || close(a, &b.map(|v| -v)), "{a:?} for {b:?}");
+    }
+}
+
+#[test]
+fn a_pixel_gives_the_label_that_is_rendered_there() {
+    let (gaussians, labels) = plates();
+    let projected = Projected::new(&gaussians.splats(), &camera(3), &Settings::default()).unwrap();
+    let map = hard_label_map(&projected, &labels, 0.0);
+    let objects = inventory(&gaussians, &labels);
+    assert_eq!(objects.iter().map(|o| (o.id, o.rows.len())).collect::<Vec<_>>(), [(1, 25), (2, 25), (3, 25), (4, 36)]);
+    let mut seen = 0;
+    for y in 0..HEIGHT {
+        for x in 0..WIDTH {
+            let Some(picked) = pick(&projected, &gaussians, &labels, [x, y]) else { continue };
+            assert_eq!(picked.id, map.ids[y * WIDTH + x], "{x}, {y}");
+            assert!(picked.weight > 0.0 && picked.weight <= 1.0 + 1e-5);
+            let object = &objects[usize::from(picked.id) - 1];
+            let slack = DVec3::splat(1e-4);
+            let inside = picked.point.cmpge(object.low - slack).all() && picked.point.cmple(object.high + slack).all();
+            assert!(inside, "{picked:?} in {object:?}");
+            seen += 1;
+        }
+    }
+    assert!(seen > WIDTH * HEIGHT / 2, "{seen}");
+}
+
+#[test]
+fn a_box_leaves_strays_out() {
+    let mut gaussians = plates().0.select(&[0; 300]);
+    for (i, mean) in gaussians.means.iter_mut().enumerate() {
+        *mean = [i as f32 / 299.0, 0.0, 1.0];
+    }
+    gaussians.means[7] = [1e6, -1e6, 50.0];
+    let objects = inventory(&gaussians, &[9; 300]);
+    let [object] = objects.as_slice() else { panic!("one object") };
+    assert!(object.low.x > 0.0 && object.low.x < 0.02 && object.high.x > 0.98 && object.high.x < 1.0, "{object:?}");
+    assert_eq!((object.low.y, object.high.y, object.low.z, object.high.z), (0.0, 0.0, 1.0, 1.0));
+}
+
+fn read(path: &Path) -> (Gaussians, Vec<u16>) {
+    let scene = ply::read(path, &Limits::default()).unwrap();
+    (scene.gaussians, scene.labels.unwrap())
+}
+
+#[test]
+fn the_program_lists_picks_and_edits() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = scene(folder.path());
+    let list = succeeds(&["objects", "--scene", utf8(&path)]);
+    assert!(["red", "green", "blue", "wall", "   36  "].iter().all(|word| list.contains(word)), "{list}");
+    let json: serde_json::Value =
+        serde_json::from_str(&succeeds(&["objects", "--scene", utf8(&path), "--json"])).unwrap();
+    assert_eq!((json[1]["name"].as_str(), json[1]["gaussians"].as_u64()), (Some("green"), Some(25)));
+    // The green plate is in the middle of view 3.
+    let (x, y) = (WIDTH / 2, HEIGHT / 2 - 2);
+    let (cameras, pixel) = (folder.path().join("transforms.json"), format!("{x},{y}"));
+    let at = ["objects", "--scene", utf8(&path), "--cameras", utf8(&cameras), "--frame", "v3", "--pixel", &pixel];
+    assert!(succeeds(&at).contains("2 green"), "{}", succeeds(&at));
+    let json: serde_json::Value = serde_json::from_str(&succeeds(&[&at[..], &["--json"]].concat())).unwrap();
+    assert_eq!(json["id"].as_u64(), Some(2));
+
+    let out = folder.path().join("edited/scene.ply");
+    let edit = |more: &[&str]| succeeds(&[&["edit", "--scene", utf8(&path), "--out", utf8(&out)], more].concat());
+    let (before, labels) = read(&path);
+    let said = edit(&["--remove", "red,4"]);
+    assert!(said.contains("50 of 111"), "{said}");
+    let (left, left_labels) = read(&out);
+    assert_eq!(left_labels, [vec![2; 25], vec![3; 25]].concat());
+    assert_eq!(left, before.select(&(25..75).collect::<Vec<u32>>()));
+    assert!(out.with_file_name("classes.json").is_file());
+
+    edit(&["--keep", "green", "--turn", "green=z,90", "--move", "green=0,0,1"]);
+    let (moved, _) = read(&out);
+    // The square plate, turned by a quarter about its middle, covers the same places one unit nearer.
+    for mean in &before.means[25..50] {
+        let want = [mean[0], mean[1], mean[2] + 1.0];
+        let near = |m: &[f32; 3]| m.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-5);
+        assert_eq!(moved.means.iter().filter(|m| near(m)).count(), 1, "{want:?}");
+    }
+    assert!(moved.means.iter().zip(&before.means[25..50]).any(|(a, b)| (a[0] - b[0]).abs() > 0.1));
+    edit(&[]);
+    assert_eq!(read(&out), (before, labels));
+}
+
+#[test]
+fn mistakes_about_objects_say_what_there_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = scene(folder.path());
+    let out = folder.path().join("out.ply");
+    let edit =
+        |more: &[&str], code| fails(&[&["edit", "--scene", utf8(&path), "--out", utf8(&out)], more].concat(), code);
+    let message = edit(&["--remove", "sofa"], 1);
+    assert!(["--remove", "sofa", "1 red", "4 wall"].iter().all(|word| message.contains(word)), "{message}");
+    let message = edit(&["--keep", "red", "--remove", "1"], 1);
+    assert!(message.contains("no Gaussian left"), "{message}");
+    for wrong in [["--move", "red=1,2"], ["--move", "red=1,2,inf"], ["--turn", "red=w,90"], ["--turn", "red"]] {
+        let message = edit(&wrong, 2);
+        assert!(message.contains("for instance chair="), "{message}");
+    }
+    assert!(!out.exists());
+    let cameras = folder.path().join("transforms.json");
+    let at = |frame, pixel| {
+        fails(&["objects", "--scene", utf8(&path), "--cameras", utf8(&cameras), "--frame", frame, "--pixel", pixel], 1)
+    };
+    assert!(at("v9", "1,1").contains("6 frames such as v0"), "{}", at("v9", "1,1"));
+    assert!(at("v1", "80,0").contains("a column below 80 and a row below 64"), "{}", at("v1", "80,0"));
+    fails(&["objects", "--scene", utf8(&path), "--frame", "v1"], 2);
+
+    let (gaussians, _) = plates();
+    ply::write(&path, &gaussians, DVec3::ZERO, None).unwrap();
+    let message = fails(&["objects", "--scene", utf8(&path)], 1);
+    assert!(message.contains("column label") && message.contains("coseg vote"), "{message}");
+}
