@@ -135,6 +135,9 @@ pub enum Prior {
     Votes,
 }
 
+/// Smallest and largest [`SegmentationConfig::gce_exponent`]; at the first the loss is cross-entropy within f32's digits.
+pub const GCE_EXPONENTS: [f64; 2] = [1e-6, 1.0];
+
 /// Stage two: segmentation identities.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -162,7 +165,7 @@ pub struct SegmentationConfig {
     pub prior: Prior,
     /// Loss of row `ours`.
     pub loss: LabelLoss,
-    /// Exponent q of the GCE loss, in (0, 1]: towards 0 it is cross-entropy, at 1 the absolute error. 0.7 is its authors'.
+    /// Exponent q of the GCE loss, in [`GCE_EXPONENTS`]: towards 0 it is cross-entropy, at 1 the absolute error. 0.7 is its authors'.
     pub gce_exponent: f64,
     /// Weight of the raw label in the JS and GJS losses, in (0, 1).
     pub pi_rl: f64,
@@ -212,7 +215,7 @@ impl Default for SegmentationConfig {
         Self {
             iterations: 2_000,
             rows: vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::OursCe, Row::Ours],
-            lr: 2e-3,
+            lr: 6e-3,
             lr_trials: Vec::new(),
             lr_decay: true,
             standardise: true,

@@ -3,22 +3,28 @@
 use super::object_scene::{ObjectScene, ObjectSceneArgs};
 use super::terminal;
 use clap::Args;
+use coseg::data::Classes;
 use coseg::error::{Error, Result};
 use coseg::gaussians::{Motion, ply};
 use glam::{DQuat, DVec3};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 const HELP: &str = "\
-OBJECT is a label id or a name, as `coseg objects` lists them; all objects of a name are meant. First what is not kept
-goes, then what is removed, then objects turn, then they move. View-dependent colours turn with their object. The new
-file keeps its labels, and gets the names beside it as classes.json where there is none yet.
+OBJECT is a label id or a name, as `coseg objects` lists them; all objects of a name are meant, and of associated
+objects a class names all of its (chair: chair 1, chair 2). A name with a comma needs its id. First what is not kept
+goes, then what is removed; of what is left objects turn, then they move. Turns are counter-clockwise as seen from the
+tip of the axis; view-dependent colours turn with their object. The new file keeps its labels, and gets their names
+beside it as classes.json.
 
 What a scene's photos never showed, such as the floor below a sofa, is not there when the object is gone.
 
 Examples:
-  coseg edit --scene runs/room/scene.ply --out without.ply --remove sofa,table
-  coseg edit --scene runs/room/scene.ply --out lamp.ply --keep lamp
-  coseg edit --scene runs/room/scene.ply --out moved.ply --turn chair=z,90 --move chair=0.5,0,0";
+  coseg edit --scene runs/room/scene.ply --out without/scene.ply --remove sofa,table
+  coseg edit --scene runs/room/scene.ply --out lamp/scene.ply --keep lamp
+  coseg edit --scene runs/room/scene.ply --out moved/scene.ply --turn chair=z,90 --move chair=0.5,0,0";
+
+/// How far objects move at most, in diagonals of the scene: positions are f32.
+const FARTHEST: f64 = 100.0;
 
 /// Arguments of `coseg edit`.
 #[derive(Args, Debug)]
@@ -35,7 +41,7 @@ pub struct EditArgs {
     /// Remove these objects; may be repeated
     #[arg(long, value_name = "OBJECT,...", value_delimiter = ',')]
     remove: Vec<String>,
-    /// Turn an object about an axis of the world, x, y or z, through the centre of its box; may be repeated
+    /// Turn an object about the world's x, y or z through its box's centre; may be repeated
     #[arg(long, value_name = "OBJECT=AXIS,DEGREES", value_parser = parse_turn)]
     turn: Vec<(String, DQuat)>,
     /// Move an object, world units; may be repeated
@@ -73,32 +79,59 @@ impl EditArgs {
     /// Edits and writes.
     pub fn run(self) -> Result<()> {
         let mut scene = self.input.read()?;
-        let [kept, removed] =
-            [(&self.keep, "--keep"), (&self.remove, "--remove")].map(|(list, flag)| ids(&scene, list, flag));
-        let (kept, removed) = (kept?, removed?);
-        let motions = self.motions(&scene)?;
-        for (rows, motion) in &motions {
-            motion.apply(&mut scene.ply.gaussians, rows);
-        }
+        let [kept, removed] = [ids(&scene, &self.keep, "--keep")?, ids(&scene, &self.remove, "--remove")?];
+        self.check_output(&scene)?;
+        let farthest = FARTHEST * diagonal(&scene);
         let stays = |id: u16| (self.keep.is_empty() || kept.contains(&id)) && !removed.contains(&id);
-        let rows: Vec<u32> = (0..).zip(&scene.labels).filter(|&(_, &id)| stays(id)).map(|(row, _)| row).collect();
+        scene.objects.retain(|object| stays(object.id));
+        let mut rows: Vec<u32> = scene.objects.iter().flat_map(|object| object.rows.iter().copied()).collect();
         if rows.is_empty() {
             let mend = "keep an object, or remove fewer";
             return Err(Error::config("--keep, --remove", "no Gaussian left", "one or more", mend));
         }
+        rows.sort_unstable();
+        let motions = self.motions(&scene, farthest)?;
+        for (rows, motion) in &motions {
+            motion.apply(&mut scene.ply.gaussians, rows);
+        }
         let labels: Vec<u16> = rows.iter().map(|&row| scene.labels[row as usize]).collect();
         ply::write(&self.out, &scene.ply.gaussians.select(&rows), scene.ply.origin, Some(&labels))?;
-        let names = self.out.with_file_name("classes.json");
-        if !scene.classes.is_empty() && !names.exists() {
-            scene.classes.write(&names)?;
+        if !scene.classes.is_empty() {
+            scene.classes.write(&self.names())?;
         }
-        let (left, before) = (rows.len(), scene.labels.len());
-        terminal::say(&format!("{}: {left} of {before} Gaussians, {} motions", self.out.display(), motions.len()));
+        let (left, before, out) = (rows.len(), scene.labels.len(), self.out.display());
+        terminal::say(&format!("{out}: {left} of {before} Gaussians, {} objects turned or moved", motions.len()));
         Ok(())
     }
 
-    /// Rows and motions: turns before moves, each in the order of the command line.
-    fn motions(&self, scene: &ObjectScene) -> Result<Vec<(Vec<u32>, Motion)>> {
+    /// Where the names of the labels go.
+    fn names(&self) -> PathBuf {
+        self.out.with_file_name("classes.json")
+    }
+
+    /// Neither the scene itself nor the names of other labels are written over.
+    fn check_output(&self, scene: &ObjectScene) -> Result<()> {
+        let same = |a: &Path, b: &Path| matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b);
+        if same(self.input.path(), &self.out) {
+            let found = self.out.display().to_string();
+            return Err(Error::config("--out", found, "another file than --scene", "name a new file"));
+        }
+        let names = self.names();
+        if names.exists() && !scene.classes.is_empty() && Classes::read(&names)? != scene.classes {
+            let mend = "write into another folder";
+            return Err(Error::input(
+                &names,
+                "classes",
+                "other names",
+                "those of the scene's labels, or no file",
+                mend,
+            ));
+        }
+        Ok(())
+    }
+
+    /// Rows and motions of objects that stay: turns before moves, each in the order of the command line.
+    fn motions(&self, scene: &ObjectScene, farthest: f64) -> Result<Vec<(Vec<u32>, Motion)>> {
         let mut motions = Vec::new();
         for (what, rotation) in &self.turn {
             for object in scene.find(what, "--turn")? {
@@ -107,6 +140,12 @@ impl EditArgs {
             }
         }
         for (what, translation) in &self.moves {
+            if translation.length() > farthest {
+                let (found, expected) =
+                    (format!("{what}={translation}"), format!("at most {farthest:.3e} world units"));
+                let mend = "positions so far off would lose their digits: move by less";
+                return Err(Error::config("--move", found, expected, mend));
+            }
             for object in scene.find(what, "--move")? {
                 let motion = Motion { rotation: DQuat::IDENTITY, pivot: DVec3::ZERO, translation: *translation };
                 motions.push((object.rows.clone(), motion));
@@ -114,6 +153,12 @@ impl EditArgs {
         }
         Ok(motions)
     }
+}
+
+/// Diagonal of the box around the boxes of all objects.
+fn diagonal(scene: &ObjectScene) -> f64 {
+    let corners = scene.objects.iter().map(|o| (o.low, o.high));
+    corners.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).map_or(0.0, |(low, high)| (high - low).length())
 }
 
 /// Ids of the objects that `list` names.

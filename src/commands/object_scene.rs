@@ -5,7 +5,7 @@ use coseg::data::{Classes, Limits};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::objects::{Object, inventory};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Arguments that name both.
 #[derive(Args, Debug)]
@@ -17,6 +17,9 @@ pub struct ObjectSceneArgs {
     #[arg(long, value_name = "FILE.json")]
     classes: Option<PathBuf>,
 }
+
+/// Objects that an error names at most.
+const NAMED: usize = 20;
 
 /// A labelled scene.
 pub struct ObjectScene {
@@ -42,35 +45,53 @@ impl ObjectSceneArgs {
             None if beside.is_file() => Classes::read(&beside)?,
             None => Classes::default(),
         };
+        if labels.is_empty() {
+            let mend = "name a scene that holds something";
+            return Err(Error::input(&self.scene, "element vertex", "no Gaussian", "one or more", mend));
+        }
         let objects = inventory(&ply.gaussians, &labels);
         Ok(ObjectScene { ply, labels, classes, objects })
     }
 }
 
+impl ObjectSceneArgs {
+    /// The scene's file.
+    pub fn path(&self) -> &Path {
+        &self.scene
+    }
+}
+
 impl ObjectScene {
-    /// The name of a label, `-` where none is known.
-    pub fn name(&self, id: u16) -> &str {
-        if self.classes.index(id).is_some() || (id == self.classes.ignore && !self.classes.is_empty()) {
-            self.classes.name(id)
-        } else {
-            "-"
-        }
+    /// The name of a label, where one is known.
+    pub fn name(&self, id: u16) -> Option<&str> {
+        let known = self.classes.index(id).is_some() || (id == self.classes.ignore && !self.classes.is_empty());
+        known.then(|| self.classes.name(id))
     }
 
-    /// The objects that `what` names: an id, or a name, which several may have. `flag` is where it was said.
+    /// The object with the id `what`, or else all that are called so, which for associated objects their class is too: `chair`
+    /// for `chair 2`. `flag` is where it was said.
     pub fn find(&self, what: &str, flag: &str) -> Result<Vec<&Object>> {
-        let by_id = what.parse::<u16>().ok();
-        let found: Vec<&Object> =
-            self.objects.iter().filter(|o| Some(o.id) == by_id || self.name(o.id) == what).collect();
+        let what = what.trim();
+        if let Some(object) = what.parse().ok().and_then(|id: u16| self.objects.iter().find(|o| o.id == id)) {
+            return Ok(vec![object]);
+        }
+        let found: Vec<&Object> = self.objects.iter().filter(|o| self.is_called(o.id, what)).collect();
         if !found.is_empty() {
             return Ok(found);
         }
-        let known: Vec<String> = self.objects.iter().map(|o| format!("{} {}", o.id, self.name(o.id))).collect();
-        Err(Error::config(
-            flag,
-            what,
-            format!("an id or a name of the scene: {}", known.join(", ")),
-            "`coseg objects --scene FILE.ply` lists them",
-        ))
+        let known = |o: &Object| self.name(o.id).map_or_else(|| o.id.to_string(), |name| format!("{} {name}", o.id));
+        let mut known: Vec<String> = self.objects.iter().take(NAMED).map(known).collect();
+        if self.objects.len() > NAMED {
+            known.push(format!("or one of {} more", self.objects.len() - NAMED));
+        }
+        let expected = format!("an id or a name of the scene: {}", known.join(", "));
+        Err(Error::config(flag, what, expected, "`coseg objects --scene FILE.ply` lists them"))
+    }
+
+    fn is_called(&self, id: u16, what: &str) -> bool {
+        let Some(name) = self.name(id) else { return false };
+        let numbered = self.classes.index(id).is_some_and(|i| self.classes.entries[i].object_of.is_some());
+        let class = name.rsplit_once(' ').filter(|(_, number)| numbered && number.parse::<u32>().is_ok());
+        name == what || class.is_some_and(|(class, _)| class == what)
     }
 }

@@ -14,10 +14,11 @@ use std::path::PathBuf;
 
 const HELP: &str = "\
 Without --pixel: every label of the scene with its name, number of Gaussians, and the centre and size of its box in
-world units; of a box the outermost 1 % of the Gaussians on each side are left out.
+world units; a box leaves out the outermost 1 % of the centres on each side. --json: id, name, gaussians, and the
+corners low and high of the box.
 
 With --cameras, --frame and --pixel: the label whose Gaussians have most of that pixel, the share of the pixel that
-they have, and where they are.
+they have, and where they are. --json: id, name, share, point; null where there is no Gaussian.
 
 Examples:
   coseg objects --scene runs/room/scene.ply
@@ -32,7 +33,7 @@ pub struct ObjectsArgs {
     /// Cameras: a transforms.json with w and h (OpenGL camera-to-world), or a scene folder of any layout
     #[arg(long, value_name = "FILE.json|DIR", requires = "frame", requires = "pixel")]
     cameras: Option<PathBuf>,
-    /// Name of a frame: its file name without extension
+    /// Name of a frame: its file name without extension (COLMAP: with the folders below the photos')
     #[arg(long, value_name = "STEM", requires = "cameras")]
     frame: Option<String>,
     /// Column and row of a pixel, from 0 at the top left
@@ -75,10 +76,10 @@ impl ObjectsArgs {
             terminal::say(&format!("{:#}", json!(entries)));
             return;
         }
-        let width = scene.objects.iter().map(|o| scene.name(o.id).chars().count()).max().unwrap_or(0).max(4);
+        let width = scene.objects.iter().map(|o| shown(scene, o.id).chars().count()).max().unwrap_or(0).max(4);
         terminal::say(&format!("{:>5}  {:width$}  {:>9}  {:^26}  {:^23}", "id", "name", "Gaussians", "centre", "size"));
         for o in &scene.objects {
-            let (name, count) = (scene.name(o.id), o.rows.len());
+            let (name, count) = (shown(scene, o.id), o.rows.len());
             let (center, size) = (three(o.center() + origin, 8), three(o.high - o.low, 7));
             terminal::say(&format!("{:>5}  {name:width$}  {count:>9}  {center}  {size}", o.id));
         }
@@ -115,7 +116,7 @@ impl ObjectsArgs {
                 format!(
                     "{frame} {x},{y}: {} {}, {:.0} % of the pixel, at {at}",
                     p.id,
-                    scene.name(p.id),
+                    shown(scene, p.id),
                     100.0 * p.weight
                 )
             }
@@ -123,6 +124,11 @@ impl ObjectsArgs {
         terminal::say(&line);
         Ok(())
     }
+}
+
+/// The name of a label, `-` where none is known.
+fn shown(scene: &ObjectScene, id: u16) -> &str {
+    scene.name(id).unwrap_or("-")
 }
 
 /// Three numbers, each at least `width` wide.

@@ -1,6 +1,6 @@
 //! Allowed ranges of every setting.
 
-use super::{Blend, Config, FeatureSource, Normalisation, Prior, SpatialSource, Strategy};
+use super::{Blend, Config, FeatureSource, GCE_EXPONENTS, Normalisation, Prior, SpatialSource, Strategy};
 use crate::error::{Error, Result};
 
 /// Collects the checks of one config; the first failure wins.
@@ -211,7 +211,7 @@ impl Config {
             "none where logits are blended",
             "set segmentation.blend = \"probabilities\", or segmentation.prior = \"none\"",
         );
-        check.share("segmentation.gce_exponent", s.gce_exponent);
+        check.within("segmentation.gce_exponent", s.gce_exponent, GCE_EXPONENTS[0], GCE_EXPONENTS[1]);
         check.open_share("segmentation.pi_rl", s.pi_rl);
         check.open_share("segmentation.gjs_dropout", s.gjs_dropout);
         check.open_share("segmentation.diffusion_strength", s.diffusion_strength);

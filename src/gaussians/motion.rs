@@ -1,15 +1,15 @@
 //! Rigid motions of Gaussians: centres, axes and view-dependent colours.
 
 use super::Gaussians;
-use crate::raster::sh_basis;
+use crate::raster::{ZERO_QUATERNION, sh_basis};
 use glam::{DQuat, DVec3};
 
 /// `x -> rotation (x - pivot) + pivot + translation`, in the axes of the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
-    /// Unit quaternion.
+    /// Unit quaternion; right-handed, about axes through the pivot.
     pub rotation: DQuat,
-    /// The point that the rotation leaves where it is.
+    /// The point that the rotation leaves where it is, in the coordinates of [`Gaussians::means`].
     pub pivot: DVec3,
     /// World units.
     pub translation: DVec3,
@@ -45,8 +45,9 @@ impl Motion {
                 continue;
             }
             let [w, x, y, z] = gaussians.rotations[i].map(f64::from);
-            // The length of a raw quaternion stays as it is. One of length 0 stands for no rotation.
-            let raw = if [w, x, y, z] == [0.0; 4] { DQuat::IDENTITY } else { DQuat::from_xyzw(x, y, z, w) };
+            // The length of a raw quaternion stays as it is. One of no length stands for no rotation.
+            let raw = DQuat::from_xyzw(x, y, z, w);
+            let raw = if raw.length_squared() < ZERO_QUATERNION { DQuat::IDENTITY } else { raw };
             let q = self.rotation * raw;
             gaussians.rotations[i] = [q.w, q.x, q.y, q.z].map(|v| v as f32);
             let own = &mut gaussians.sh[3 * width * i..][..3 * width];

@@ -40,7 +40,7 @@ pub fn inventory(gaussians: &Gaussians, labels: &[u16]) -> Vec<Object> {
         rows.entry(id).or_default().push(row);
     }
     let object = |(id, rows): (u16, Vec<u32>)| {
-        let beyond = (BEYOND * rows.len() as f64) as usize;
+        let beyond = ((BEYOND * rows.len() as f64).ceil() as usize).min((rows.len() - 1) / 2);
         let [x, y, z] = [0, 1, 2].map(|axis| {
             let mut along: Vec<f32> = rows.iter().map(|&row| gaussians.means[row as usize][axis]).collect();
             along.sort_unstable_by(f32::total_cmp);
@@ -65,11 +65,11 @@ pub struct Picked {
 /// The object at a pixel (column, row) of the image of `projected`; `None` where no Gaussian contributes.
 ///
 /// # Panics
-/// If the pixel is outside the image, or `labels` does not have one id a Gaussian.
+/// If the pixel is outside the image, or `labels` does not have one id for each of `gaussians`, which `projected` shows.
 pub fn pick(projected: &Projected<f32>, gaussians: &Gaussians, labels: &[u16], [x, y]: [usize; 2]) -> Option<Picked> {
     let [width, height] = projected.size();
     assert!(x < width && y < height, "pick: pixel {x}, {y} of an image of {width} x {height}");
-    assert_eq!(labels.len(), gaussians.len(), "one label a Gaussian");
+    assert!(labels.len() == gaussians.len() && labels.len() == projected.len(), "one label a Gaussian");
     let weights = projected.weights(Some(&[(y * width + x) as u32]));
     let mut sums: BTreeMap<u16, (f64, DVec3)> = BTreeMap::new();
     let (rows, values) = weights.row(0);

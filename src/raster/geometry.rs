@@ -106,7 +106,7 @@ fn sigmoid(x: f64) -> f64 {
 }
 
 /// Squared length below which a quaternion is taken for the identity.
-pub(super) const ZERO_QUATERNION: f64 = 1e-12;
+pub(crate) const ZERO_QUATERNION: f64 = 1e-12;
 
 /// A unit quaternion, the length it was divided by, and whether it stands in for a zero one.
 pub(super) struct Unit {

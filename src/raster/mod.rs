@@ -30,6 +30,7 @@ mod tiles;
 mod weights;
 
 pub use backward::SplatGradients;
+pub(crate) use geometry::ZERO_QUATERNION;
 pub use op::{
     FrozenBackend, FrozenCall, FrozenTensors, Lifted, Radii, RasterBackend, RasterCall, RasterInput, RasterOutput,
     RasterTensors, SplatTensors, SplatView, rasterize, rasterize_on_host,

@@ -1,6 +1,6 @@
 //! CoSeg loss (Eq. 8 to 10): noise-robust label loss on rendered logits, and closeness of neighbours in 3D.
 
-use crate::config::{LabelLoss, SegmentationConfig};
+use crate::config::{GCE_EXPONENTS, LabelLoss, SegmentationConfig};
 use crate::error::{Error, Result};
 use crate::ops::UNLABELLED;
 use burn::tensor::activation::log_softmax;
@@ -12,17 +12,18 @@ impl Kind {
     /// The loss that the settings ask for after the warm-up; of `"gjs"` the part that reads the label.
     ///
     /// # Errors
-    /// [`Error::Config`] when `pi_rl` is not in (0, 1), or `gce_exponent` not in (0, 1], and the loss needs it.
+    /// [`Error::Config`] when `pi_rl` is not in (0, 1), or `gce_exponent` not in [`GCE_EXPONENTS`], and the loss needs it.
     pub fn from_config(config: &SegmentationConfig) -> Result<Self> {
         Ok(match config.loss {
             LabelLoss::Ce => Self::Ce,
-            LabelLoss::Gce if config.gce_exponent > 0.0 && config.gce_exponent <= 1.0 => {
+            LabelLoss::Gce if (GCE_EXPONENTS[0]..=GCE_EXPONENTS[1]).contains(&config.gce_exponent) => {
                 Self::Gce { q: config.gce_exponent }
             }
             LabelLoss::Gce => {
                 let mend = "0.7 is the default; segmentation.loss = \"ce\" is the limit 0";
                 let found = config.gce_exponent.to_string();
-                return Err(Error::config("segmentation.gce_exponent", found, "a number above 0, at most 1", mend));
+                let expected = format!("a number from {} to {}", GCE_EXPONENTS[0], GCE_EXPONENTS[1]);
+                return Err(Error::config("segmentation.gce_exponent", found, expected, mend));
             }
             LabelLoss::Mae => Self::Mae,
             LabelLoss::NceRce => Self::NceRce,

@@ -3,12 +3,12 @@
 use crate::cli::{fails, succeeds, utf8};
 use crate::plates::{HEIGHT, WIDTH, camera, plates, scene};
 use coseg::camera::Camera;
-use coseg::data::Limits;
+use coseg::data::{Classes, Limits, ObjectOf};
 use coseg::gaussians::{Gaussians, Motion, ply};
 use coseg::objects::{hard_label_map, inventory, pick};
 use coseg::raster::{Projected, Settings, render};
 use glam::{DMat3, DQuat, DVec3};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The plates with long axes in all directions and colours of degree 3.
 fn colourful() -> Gaussians {
@@ -69,6 +69,7 @@ fn colours_do_not_turn_with_a_mere_shift() {
 fn a_turn_of_four_quarters_is_none_and_zero_quaternions_stay_harmless() {
     let mut before = colourful();
     before.rotations[5] = [0.0; 4];
+    before.rotations[6] = [0.0, 1e-7, 0.0, 0.0];
     let mut after = before.clone();
     let quarter = DQuat::from_axis_angle(DVec3::Y, std::f64::consts::FRAC_PI_2);
     let motion = Motion { rotation: quarter, pivot: DVec3::splat(0.3), translation: DVec3::ZERO };
@@ -79,7 +80,7 @@ fn a_turn_of_four_quarters_is_none_and_zero_quaternions_stay_harmless() {
     assert!(close(&after.sh, &before.sh) && close(after.means.as_flattened(), before.means.as_flattened()));
     for (a, b) in after.rotations.iter().zip(&before.rotations) {
         // q and -q are one rotation; a zero quaternion stands for none.
-        let b = if *b == [0.0; 4] { [1.0, 0.0, 0.0, 0.0] } else { *b };
+        let b = if b.iter().all(|v| v.abs() < 1e-6) { [1.0, 0.0, 0.0, 0.0] } else { *b };
         assert!(close(a, &b) || close(a, &b.map(|v| -v)), "{a:?} for {b:?}");
     }
 }
@@ -97,10 +98,14 @@ fn a_pixel_gives_the_label_that_is_rendered_there() {
             let Some(picked) = pick(&projected, &gaussians, &labels, [x, y]) else { continue };
             assert_eq!(picked.id, map.ids[y * WIDTH + x], "{x}, {y}");
             assert!(picked.weight > 0.0 && picked.weight <= 1.0 + 1e-5);
-            let object = &objects[usize::from(picked.id) - 1];
+            let own = objects[usize::from(picked.id) - 1].rows.iter().map(|&row| gaussians.means[row as usize]);
+            let (low, high) = own.fold(([f64::MAX; 3], [f64::MIN; 3]), |(low, high), mean| {
+                let wide = mean.map(f64::from);
+                ([0, 1, 2].map(|c| low[c].min(wide[c])), [0, 1, 2].map(|c| high[c].max(wide[c])))
+            });
             let slack = DVec3::splat(1e-4);
-            let inside = picked.point.cmpge(object.low - slack).all() && picked.point.cmple(object.high + slack).all();
-            assert!(inside, "{picked:?} in {object:?}");
+            let inside = picked.point.cmpge(DVec3::from(low) - slack) & picked.point.cmple(DVec3::from(high) + slack);
+            assert!(inside.all(), "{picked:?} in {low:?}, {high:?}");
             seen += 1;
         }
     }
@@ -118,6 +123,11 @@ fn a_box_leaves_strays_out() {
     let [object] = objects.as_slice() else { panic!("one object") };
     assert!(object.low.x > 0.0 && object.low.x < 0.02 && object.high.x > 0.98 && object.high.x < 1.0, "{object:?}");
     assert_eq!((object.low.y, object.high.y, object.low.z, object.high.z), (0.0, 0.0, 1.0, 1.0));
+    // Of few Gaussians at least the outermost one.
+    let few = inventory(&gaussians.select(&(0..30).collect::<Vec<u32>>()), &[9; 30]);
+    assert!(few[0].high.x < 0.1 && few[0].low.x > 0.0, "{few:?}");
+    let one = inventory(&gaussians.select(&[4]), &[9]);
+    assert_eq!((one[0].low, one[0].high), (one[0].center(), one[0].center()));
 }
 
 fn read(path: &Path) -> (Gaussians, Vec<u16>) {
@@ -125,44 +135,105 @@ fn read(path: &Path) -> (Gaussians, Vec<u16>) {
     (scene.gaussians, scene.labels.unwrap())
 }
 
+/// Where the world's zero is, seen from that of the Gaussians: floats of such coordinates are 0.06 apart.
+const ORIGIN: DVec3 = DVec3::new(1e6, -2e6, 30.0);
+
+/// The plates and their cameras far from the world's zero.
+fn distant_scene(dir: &Path) -> PathBuf {
+    let path = scene(dir);
+    let (gaussians, labels) = plates();
+    ply::write(&path, &gaussians, ORIGIN, Some(&labels)).unwrap();
+    let file = dir.join("transforms.json");
+    let mut transforms = crate::cli::read_json(&file);
+    for frame in transforms["frames"].as_array_mut().unwrap() {
+        for (row, by) in ORIGIN.to_array().iter().enumerate() {
+            let cell = &mut frame["transform_matrix"][row][3];
+            *cell = (cell.as_f64().unwrap() + by).into();
+        }
+    }
+    std::fs::write(&file, transforms.to_string()).unwrap();
+    path
+}
+
 #[test]
 fn the_program_lists_picks_and_edits() {
     let folder = tempfile::tempdir().unwrap();
-    let path = scene(folder.path());
+    let path = distant_scene(folder.path());
+    let json_of = |arguments: &[&str]| -> serde_json::Value {
+        serde_json::from_str(&succeeds(&[arguments, &["--json"]].concat())).unwrap()
+    };
+    let near = |value: &serde_json::Value, want: DVec3, slack: f64| {
+        let found = DVec3::from([0, 1, 2].map(|c| value[c].as_f64().unwrap()));
+        assert!((found - want).abs().max_element() <= slack, "{found}, expected {want}");
+    };
     let list = succeeds(&["objects", "--scene", utf8(&path)]);
-    assert!(["red", "green", "blue", "wall", "   36  "].iter().all(|word| list.contains(word)), "{list}");
-    let json: serde_json::Value =
-        serde_json::from_str(&succeeds(&["objects", "--scene", utf8(&path), "--json"])).unwrap();
+    assert!(["red", "green", "blue", "wall", "   36  ", "1000000.00"].iter().all(|word| list.contains(word)), "{list}");
+    let json = json_of(&["objects", "--scene", utf8(&path)]);
     assert_eq!((json[1]["name"].as_str(), json[1]["gaussians"].as_u64()), (Some("green"), Some(25)));
+    near(&json[1]["low"], ORIGIN + DVec3::new(-0.3, 0.0, 0.0), 1e-6);
+    near(&json[1]["high"], ORIGIN + DVec3::new(0.3, 0.6, 0.0), 1e-6);
     // The green plate is in the middle of view 3.
     let (x, y) = (WIDTH / 2, HEIGHT / 2 - 2);
     let (cameras, pixel) = (folder.path().join("transforms.json"), format!("{x},{y}"));
     let at = ["objects", "--scene", utf8(&path), "--cameras", utf8(&cameras), "--frame", "v3", "--pixel", &pixel];
     assert!(succeeds(&at).contains("2 green"), "{}", succeeds(&at));
-    let json: serde_json::Value = serde_json::from_str(&succeeds(&[&at[..], &["--json"]].concat())).unwrap();
+    let json = json_of(&at);
     assert_eq!(json["id"].as_u64(), Some(2));
+    near(&json["point"], ORIGIN + DVec3::new(0.0, 0.3, 0.0), 0.31);
 
     let out = folder.path().join("edited/scene.ply");
     let edit = |more: &[&str]| succeeds(&[&["edit", "--scene", utf8(&path), "--out", utf8(&out)], more].concat());
     let (before, labels) = read(&path);
-    let said = edit(&["--remove", "red,4"]);
+    let said = edit(&["--remove", "red, 4"]);
     assert!(said.contains("50 of 111"), "{said}");
     let (left, left_labels) = read(&out);
     assert_eq!(left_labels, [vec![2; 25], vec![3; 25]].concat());
     assert_eq!(left, before.select(&(25..75).collect::<Vec<u32>>()));
+    assert_eq!(ply::read(&out, &Limits::default()).unwrap().origin, ORIGIN);
     assert!(out.with_file_name("classes.json").is_file());
 
     edit(&["--keep", "green", "--turn", "green=z,90", "--move", "green=0,0,1"]);
     let (moved, _) = read(&out);
-    // The square plate, turned by a quarter about its middle, covers the same places one unit nearer.
-    for mean in &before.means[25..50] {
-        let want = [mean[0], mean[1], mean[2] + 1.0];
-        let near = |m: &[f32; 3]| m.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-5);
-        assert_eq!(moved.means.iter().filter(|m| near(m)).count(), 1, "{want:?}");
+    assert_eq!(moved.len(), 25);
+    // Counter-clockwise about the middle, (0, 0.3): right becomes up, up becomes left.
+    for (got, mean) in moved.means.iter().zip(&before.means[25..50]) {
+        let want = [0.3 - mean[1], mean[0] + 0.3, mean[2] + 1.0];
+        assert!(got.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-5), "{got:?}, expected {want:?}");
     }
-    assert!(moved.means.iter().zip(&before.means[25..50]).any(|(a, b)| (a[0] - b[0]).abs() > 0.1));
+    edit(&["--turn", "blue=x,-90", "--turn", "blue=x,90"]);
+    let close = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5);
+    assert!(close(read(&out).0.means.as_flattened(), before.means.as_flattened()));
     edit(&[]);
     assert_eq!(read(&out), (before, labels));
+}
+
+#[test]
+fn a_number_is_an_id_first_and_a_class_names_all_its_objects() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = scene(folder.path());
+    let out = folder.path().join("out/scene.ply");
+    let left = |remove: &str| {
+        succeeds(&["edit", "--scene", utf8(&path), "--out", utf8(&out), "--remove", remove]);
+        let mut ids = read(&out).1;
+        ids.dedup();
+        std::fs::remove_dir_all(out.parent().unwrap()).unwrap();
+        ids
+    };
+    let mut classes = Classes::from_names(0, [(1, "2"), (2, "chair 1"), (3, "chair 2"), (4, "chair")]);
+    let write = |classes: &Classes| classes.write(&folder.path().join("classes.json")).unwrap();
+    write(&classes);
+    assert_eq!(left("2"), [1, 3, 4]);
+    assert_eq!(left("chair"), [1, 2, 3]);
+    for object in &mut classes.entries[1..3] {
+        object.object_of = Some(ObjectOf { class: 9, thing: true });
+    }
+    write(&classes);
+    assert_eq!(left("chair"), [1]);
+    // Without names there are ids, and a dash is none.
+    std::fs::remove_file(folder.path().join("classes.json")).unwrap();
+    assert_eq!(left("3"), [1, 2, 4]);
+    let message = fails(&["edit", "--scene", utf8(&path), "--out", utf8(&out), "--remove", "-"], 1);
+    assert!(message.contains("1, 2, 3, 4"), "{message}");
 }
 
 #[test]
@@ -176,11 +247,22 @@ fn mistakes_about_objects_say_what_there_is() {
     assert!(["--remove", "sofa", "1 red", "4 wall"].iter().all(|word| message.contains(word)), "{message}");
     let message = edit(&["--keep", "red", "--remove", "1"], 1);
     assert!(message.contains("no Gaussian left"), "{message}");
+    let message = edit(&["--keep", "red", "--move", "wall=0,0,1"], 1);
+    assert!(message.contains("--move") && message.contains("1 red") && !message.contains("4 wall"), "{message}");
+    let message = edit(&["--move", "red=1e5,0,0"], 1);
+    assert!(message.contains("--move") && message.contains("at most"), "{message}");
+    let onto = fails(&["edit", "--scene", utf8(&path), "--out", utf8(&path)], 1);
+    assert!(onto.contains("--out") && onto.contains("another file"), "{onto}");
     for wrong in [["--move", "red=1,2"], ["--move", "red=1,2,inf"], ["--turn", "red=w,90"], ["--turn", "red"]] {
         let message = edit(&wrong, 2);
         assert!(message.contains("for instance chair="), "{message}");
     }
-    assert!(!out.exists());
+    // The names of other labels beside the new file stay what they are.
+    let other = folder.path().join("other/classes.json");
+    Classes::from_names(0, [(1, "door")]).write(&other).unwrap();
+    let message = fails(&["edit", "--scene", utf8(&path), "--out", utf8(&other.with_file_name("a.ply"))], 1);
+    assert!(message.contains("classes.json") && message.contains("other names"), "{message}");
+    assert!(!out.exists() && !other.with_file_name("a.ply").exists());
     let cameras = folder.path().join("transforms.json");
     let at = |frame, pixel| {
         fails(&["objects", "--scene", utf8(&path), "--cameras", utf8(&cameras), "--frame", frame, "--pixel", pixel], 1)
@@ -190,6 +272,9 @@ fn mistakes_about_objects_say_what_there_is() {
     fails(&["objects", "--scene", utf8(&path), "--frame", "v1"], 2);
 
     let (gaussians, _) = plates();
+    ply::write(&path, &gaussians.select(&[]), DVec3::ZERO, Some(&[])).unwrap();
+    let message = fails(&["objects", "--scene", utf8(&path)], 1);
+    assert!(message.contains("no Gaussian"), "{message}");
     ply::write(&path, &gaussians, DVec3::ZERO, None).unwrap();
     let message = fails(&["objects", "--scene", utf8(&path)], 1);
     assert!(message.contains("column label") && message.contains("coseg vote"), "{message}");

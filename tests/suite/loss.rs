@@ -1,6 +1,7 @@
 //! Label losses and 3D regularisation: values by direct sums, gradients by finite differences, limits, hard cases.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use coseg::config::{LabelLoss, SegmentationConfig};
 use coseg::ops::{Kind, UNLABELLED};
 use coseg::segmentation::loss::{NeighbourPairs, label_loss, label_loss_plain, neighbour_divergence};
 use coseg::segmentation::neighbours::{PointIndex, drop_self, without_self};
@@ -230,4 +231,17 @@ fn js_of_a_nearly_right_prediction_is_what_it_lacks() {
             assert!((loss / lacks - 1.0).abs() < 1e-7, "{pi_rl}, {height}: {loss:e} for {lacks:e}");
         }
     }
+}
+
+#[test]
+fn settings_choose_the_loss() {
+    let of = |config: SegmentationConfig| Kind::from_config(&config);
+    let gce = |gce_exponent| SegmentationConfig { loss: LabelLoss::Gce, gce_exponent, ..Default::default() };
+    assert_eq!(of(gce(0.4)).unwrap(), Kind::Gce { q: 0.4 });
+    let js = |pi_rl| SegmentationConfig { loss: LabelLoss::Js, pi_rl, ..Default::default() };
+    assert_eq!(of(js(0.3)).unwrap(), Kind::Js { pi_rl: 0.3 });
+    for q in [0.0, 1e-9, 1.1, f64::NAN] {
+        crate::assert_names(&of(gce(q)).unwrap_err(), &["segmentation.gce_exponent", "from 0.000001 to 1"]);
+    }
+    crate::assert_names(&of(js(1.0)).unwrap_err(), &["segmentation.pi_rl"]);
 }

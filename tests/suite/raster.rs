@@ -11,6 +11,18 @@ fn close(got: &[f64], want: &[f64], tolerance: f64, what: &str) {
 }
 
 #[test]
+fn lists_of_many_gaussians_equal_the_plain_reference() {
+    // More than are binned by one task.
+    let (camera, n) = (camera(33, 24), 13_000);
+    let cloud = cloud(n, 0.004, &camera, 5);
+    let projected = Projected::new(&cloud.splats(), &camera, &Settings::default()).expect("valid");
+    assert!(projected.stats().visible > 9_000, "{:?}", projected.stats());
+    let values = numbers(3 * n, 15);
+    let want = render(&cloud, &values, 3, &camera, &Settings::default());
+    close(&projected.blend(&values, 3).image, &want.image, 1e-10, "image");
+}
+
+#[test]
 fn blending_equals_the_plain_reference() {
     for (width, height, n, scale, seed) in
         [(50, 37, 300, 0.02, 1), (16, 16, 40, 0.2, 2), (1, 1, 20, 0.5, 3), (33, 70, 500, 0.004, 4)]

@@ -215,14 +215,45 @@ fn non_finite_input_is_named() {
 }
 
 #[test]
+fn non_finite_colours_are_named_seen_or_not() {
+    let (g, _) = crate::plates::plates();
+    let many = g.select(&(0..1_500).map(|i| i % g.len() as u32).collect::<Vec<_>>());
+    let view = crate::plates::camera(0);
+    let away = Camera { rotation: glam::DMat3::from_rotation_y(std::f64::consts::PI) * view.rotation, ..view.clone() };
+    for (camera, bad, row) in [(&view, f32::NAN, 7), (&view, f32::INFINITY, 1_300), (&away, f32::NAN, 1_499)] {
+        let seen = coseg::raster::render(&many, camera, &Settings::default(), [0.0; 3]).expect("finite").stats.visible;
+        assert_eq!(seen == 0, std::ptr::eq(camera, &away), "{seen}");
+        let mut spoilt = many.clone();
+        spoilt.sh[3 * row + 1] = bad;
+        match coseg::raster::render(&spoilt, camera, &Settings::default(), [0.0; 3]) {
+            Err(Error::NonFinite { tensor, row: named, .. }) => assert_eq!((tensor.as_str(), named), ("sh", row)),
+            other => panic!("row {row}: {:?}", other.map(|r| r.stats)),
+        }
+    }
+}
+
+#[test]
+fn f32_counts_as_f64_does() {
+    // In f32 by wide instructions, where the processor has them.
+    let camera = camera(131, 97);
+    let c = cloud(4_000, 0.03, &camera, 21).rounded();
+    let single = single(&c);
+    let wide = Projected::new(&splats(&single), &camera, &Settings::default()).expect("finite");
+    let plain = Projected::new(&c.splats(), &camera, &Settings::default()).expect("finite");
+    assert_eq!(wide.counts(), plain.counts());
+    assert_eq!(wide.stats(), plain.stats());
+    assert!(plain.counts().iter().any(|&count| count > 1_000));
+}
+
+#[test]
 fn thread_count_changes_no_bit() {
     let camera = camera(130, 90);
-    let floats = single(&cloud(3_000, 0.03, &camera, 12));
+    let floats = single(&cloud(9_500, 0.03, &camera, 12));
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         pool.install(|| {
             let projected = Projected::new(&splats(&floats), &camera, &Settings::default()).expect("finite");
-            let values: Vec<f32> = numbers(3_000 * 19, 2).iter().map(|&v| v as f32).collect();
+            let values: Vec<f32> = numbers(9_500 * 19, 2).iter().map(|&v| v as f32).collect();
             let image = projected.blend(&values, 19).image;
             let sums = projected.blend_adjoint(&image, 19);
             let bits = |v: Vec<f32>| v.into_iter().map(f32::to_bits).collect::<Vec<_>>();

@@ -125,6 +125,9 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     crate::plates::scene(folder.path());
     let (base, out) = (config(folder.path()), folder.path().join("run"));
     let done = whole(&base, &out);
+    let notes = coseg::report::Report::notes_of(&done, &base);
+    let loss = "generalised cross-entropy, q = 0.7, after 3 steps of cross-entropy";
+    assert!(notes.iter().any(|note| note.contains(loss)), "{notes:?}");
     let refusal = |edit: &dyn Fn(&mut Config)| {
         let mut config = base.clone();
         edit(&mut config);
@@ -142,7 +145,7 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     named("raster.alpha_max", "0.9", "0.999", &|c| c.raster.alpha_max = 0.9);
     let message = named("segmentation.iterations", "20", "30", &|c| c.segmentation.iterations = 20);
     assert!(message.contains("per_gaussian.safetensors"), "{message}");
-    named("segmentation.lr", "0.01", "0.002", &|c| c.segmentation.lr = 0.01);
+    named("segmentation.lr", "0.01", "0.006", &|c| c.segmentation.lr = 0.01);
     named("segmentation.gce_exponent", "0.5", "0.7", &|c| c.segmentation.gce_exponent = 0.5);
     // What a row does not read is no obstacle to it, but to the next.
     let message = named("features.dimensions", "8", "64", &|c| c.features.dimensions = 8);

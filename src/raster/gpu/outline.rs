@@ -1,4 +1,4 @@
-//! Which tiles a projected Gaussian reaches: [`crate::raster::tiles`]'s formulas, in kernels.
+//! Which tiles a projected Gaussian reaches: [`crate::raster::outline`]'s formulas, in kernels.
 
 use super::project::SPLAT;
 use crate::raster::footprint::TILE;
