@@ -87,6 +87,11 @@ impl RunFolder {
         self.0.join("scene.ply")
     }
 
+    /// The views' cameras.
+    pub fn cameras_path(&self) -> PathBuf {
+        self.0.join("cameras.json")
+    }
+
     /// Scores of each Gaussian for each class.
     pub fn identities_path(&self) -> PathBuf {
         self.0.join("identities.safetensors")

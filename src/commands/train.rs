@@ -4,8 +4,9 @@ use super::progress::Bars;
 use super::run_folder::RunFolder;
 use super::{Settings, terminal};
 use clap::Args;
+use coseg::camera::Camera;
 use coseg::config::{Config, Row};
-use coseg::data::{self, LoadOptions, Split};
+use coseg::data::{self, LoadOptions, NamedCamera, Split, View, transforms};
 use coseg::device::{self, BackendName};
 use coseg::error::Result;
 use coseg::gaussians::ply;
@@ -21,6 +22,7 @@ The run folder gets
   report.html    curves, pictures, tables; one page that needs nothing else
   metrics.json   the same figures for programs
   classes.json   id, name and colour of each class
+  cameras.json   the views as a transforms.json, for render and objects
   config.toml    all settings as run
   renders/       held-out views: colour, labels, error maps
   checkpoint/    what --resume goes on from
@@ -89,6 +91,7 @@ impl TrainArgs {
         let labels = outcome.stored().map(|(_, identities)| identities);
         let ids = labels.map(|identities| identities.ids(&outcome.scene.classes));
         ply::write(&run.scene_path(), &outcome.gaussians, outcome.scene.origin, ids.as_deref())?;
+        transforms::write_cameras(&run.cameras_path(), &cameras_of(&outcome))?;
         if let Some(identities) = labels {
             identities.write(&run.identities_path())?;
         }
@@ -111,6 +114,14 @@ impl TrainArgs {
         terminal::say(&format!("report: {}", run.report_path().display()));
         Ok(())
     }
+}
+
+/// The views' cameras in world units.
+fn cameras_of(outcome: &Outcome) -> Vec<NamedCamera> {
+    let origin = outcome.scene.origin;
+    let camera = |view: &View| Camera { center: view.camera.center + origin, ..view.camera.clone() };
+    let named = |view: &View| NamedCamera { name: view.name.clone(), split: view.split, camera: camera(view) };
+    outcome.scene.views.iter().map(named).collect()
 }
 
 /// Name of the scene, for the run folder.

@@ -192,12 +192,27 @@ fn train_fills_the_run_folder_and_eval_agrees() {
     let train = ["train", "--data", utf8(folder.path()), "--out", utf8(&run), "--seed", "3"];
     let said = succeeds(&[&train[..], &small, &rows].concat());
     assert!(said.contains("held-out PSNR") && said.contains("per-Gaussian CE"), "{said}");
-    for file in ["scene.ply", "classes.json", "config.toml", "metrics.json", "report.html", "identities.safetensors"] {
+    for file in [
+        "scene.ply",
+        "classes.json",
+        "cameras.json",
+        "config.toml",
+        "metrics.json",
+        "report.html",
+        "identities.safetensors",
+    ] {
         assert!(run.join(file).is_file(), "{file}");
     }
     for kind in ["rgb", "rgb_error", "label", "label_color", "label_error"] {
         assert!(run.join(format!("renders/v2.{kind}.png")).is_file(), "{kind}");
     }
+    // A view rendered from the run folder alone is the run's own picture.
+    let (scene, cameras, out) = (run.join("scene.ply"), run.join("cameras.json"), folder.path().join("again"));
+    succeeds(&["render", "--scene", utf8(&scene), "--cameras", utf8(&cameras), "--out", utf8(&out), "--split", "test"]);
+    let [own, again] =
+        [run.join("renders/v2.rgb.png"), out.join("v2.rgb.png")].map(|p| image::open(p).unwrap().into_rgb8());
+    assert!(own.iter().zip(again.iter()).all(|(a, b)| a.abs_diff(*b) <= 1), "v2");
+    assert!(!out.join("v0.rgb.png").exists());
     let metrics = read_json(&run.join("metrics.json"));
     let labels = &metrics["test"]["labels"];
     assert_eq!(labels["raw"]["miou"], 1.0, "raw labels of the held-out views are right in this scene");

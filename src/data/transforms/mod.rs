@@ -3,9 +3,11 @@
 
 mod not_finite;
 mod schema;
+mod write;
 
 pub use super::NamedCamera;
 pub use super::options::LoadOptions;
+pub use write::write_cameras;
 
 use super::image_file::ImageFile;
 use super::lens::Lens;
