@@ -10,7 +10,7 @@ use coseg::objects::pick;
 use coseg::raster::{Projected, Settings};
 use glam::DVec3;
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 const HELP: &str = "\
 Without --pixel: every label of the scene with its name, number of Gaussians, and the centre and size of its box in
@@ -85,7 +85,7 @@ impl ObjectsArgs {
         }
     }
 
-    fn pick(&self, scene: &ObjectScene, cameras: &PathBuf, frame: &str, [x, y]: [usize; 2]) -> Result<()> {
+    fn pick(&self, scene: &ObjectScene, cameras: &Path, frame: &str, [x, y]: [usize; 2]) -> Result<()> {
         let frames = match cameras.is_dir() {
             true => data::load_cameras(cameras, &LoadOptions::default(), None)?,
             false => transforms::load_cameras(cameras, None)?,

@@ -77,6 +77,28 @@ macro_rules! wide_kernel {
 }
 pub(crate) use wide_kernel;
 
+/// [`wide_kernel`] for a body that works in `f64` whatever the kernels' type: compiled twice, used by both.
+macro_rules! wide_function {
+    ($(#[$meta:meta])* $visibility:vis fn $name:ident($($arg:ident: $type:ty),* $(,)?) $(-> $out:ty)? => $body:ident) => {
+        $(#[$meta])*
+        $visibility fn $name($($arg: $type),*) $(-> $out)? {
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2,fma")]
+                fn wide($($arg: $type),*) $(-> $out)? {
+                    $body($($arg),*)
+                }
+                if $crate::ops::simd::wide_instructions() {
+                    // SAFETY: the processor has both, checked just now.
+                    return unsafe { wide($($arg),*) };
+                }
+            }
+            $body($($arg),*)
+        }
+    };
+}
+pub(crate) use wide_function;
+
 /// `a b + c`, in one rounding where the kernel is compiled for it.
 #[inline(always)]
 pub(crate) fn multiply_add<E: Real, const FMA: bool>(a: E, b: E, c: E) -> E {

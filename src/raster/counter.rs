@@ -1,20 +1,19 @@
 //! Algorithm 1's counter: pixels within a radius.
 
-use crate::ops::Real;
-use crate::ops::simd::wide_kernel;
+use crate::ops::simd::wide_function;
 
 /// Rows of pixels of one loop.
 const BLOCK: usize = 8;
 /// Adding 1.5 2^52 rounds to an integer.
 const ROUND: f64 = 6_755_399_441_055_744.0;
 
-wide_kernel! {
+wide_function! {
     /// For each disc, a centre and a radius in pixels, the pixels of an image of `size` whose centres lie in it.
     pub(super) fn count(discs: &[([f64; 2], u32)], size: [usize; 2], counts: &mut [u32]) => count_all
 }
 
 #[inline(always)]
-fn count_all<E: Real, const _FMA: bool>(discs: &[([f64; 2], u32)], size: [usize; 2], counts: &mut [u32]) {
+fn count_all(discs: &[([f64; 2], u32)], size: [usize; 2], counts: &mut [u32]) {
     let [width, height] = size.map(|s| s as f64);
     for (count, &([x, y], radius)) in counts.iter_mut().zip(discs) {
         let r = f64::from(radius);
@@ -22,13 +21,13 @@ fn count_all<E: Real, const _FMA: bool>(discs: &[([f64; 2], u32)], size: [usize;
         let mut sum = [0.0; BLOCK];
         let mut row = first;
         while row <= last {
-            for l in 0..BLOCK {
+            for (l, sum) in sum.iter_mut().enumerate() {
                 let at = row + l as f64;
                 let dy = at + 0.5 - y;
                 let half = (r * r - dy * dy).max(0.0).sqrt();
                 let (left, right) = within(x - half, x + half, width);
                 let own = (right - left + 1.0).max(0.0);
-                sum[l] += if at <= last { own } else { 0.0 };
+                *sum += if at <= last { own } else { 0.0 };
             }
             row += BLOCK as f64;
         }

@@ -3,8 +3,7 @@
 //! Nothing is fused, so that the lists do not depend on the instruction set.
 
 use super::footprint::{Splat2, TILE};
-use crate::ops::Real;
-use crate::ops::simd::wide_kernel;
+use crate::ops::simd::wide_function;
 use std::ops::Range;
 
 /// Gaussians of one loop.
@@ -23,13 +22,13 @@ pub(super) struct Bins {
     pub per_tile: Vec<u32>,
 }
 
-wide_kernel! {
+wide_function! {
     /// Finds every tile of an image of `size` pixels that holds a pixel centre near the ellipse of each of `splats`.
     pub(super) fn bin(splats: &[Splat2], size: [usize; 2]) -> Bins => bin_all
 }
 
 #[inline(always)]
-fn bin_all<E: Real, const _FMA: bool>(splats: &[Splat2], size: [usize; 2]) -> Bins {
+fn bin_all(splats: &[Splat2], size: [usize; 2]) -> Bins {
     let [across, down] = size.map(|s| s.div_ceil(TILE));
     let mut bins = Bins {
         tiles: Vec::with_capacity(4 * splats.len()),

@@ -93,7 +93,7 @@ impl<E: Real> Projected<E> {
                 (id, splat)
             })
             .unzip_into_vecs(&mut ids, &mut ordered);
-        let tiles = tile_lists::<E>(&ordered, viewpoint.size)?;
+        let tiles = tile_lists(&ordered, viewpoint.size)?;
         stats.tile_entries = tiles.ranks.len();
         Ok(Self { viewpoint, settings: *settings, splats: ordered, ids, tiles, radii, stats, scalar: PhantomData })
     }
@@ -170,7 +170,7 @@ impl<E: Real> Projected<E> {
         let discs: Vec<_> = self.splats.par_iter().zip(&self.ids).with_min_len(CHUNK).map(disc).collect();
         let mut visible = vec![0; discs.len()];
         let chunks = visible.par_chunks_mut(CHUNK).zip(discs.par_chunks(CHUNK));
-        chunks.for_each(|(counts, discs)| count::<E>(discs, self.size(), counts));
+        chunks.for_each(|(counts, discs)| count(discs, self.size(), counts));
         let mut counts = vec![0; self.len()];
         for (count, &id) in visible.into_iter().zip(&self.ids) {
             counts[id as usize] = count;

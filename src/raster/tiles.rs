@@ -3,7 +3,6 @@
 use super::footprint::{Splat2, TILE};
 use super::outline::{Bins, bin};
 use crate::error::{Error, Result};
-use crate::ops::Real;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -83,12 +82,12 @@ pub(super) fn depth_order(depths: &[f64]) -> Vec<u32> {
 ///
 /// # Errors
 /// [`Error::Limit`] when the lists would have more than 2^32 - 1 entries.
-pub(super) fn tile_lists<E: Real>(splats: &[Splat2], size: [usize; 2]) -> Result<TileLists> {
+pub(super) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Result<TileLists> {
     let [columns, rows] = size.map(|s| s.div_ceil(TILE));
     let tiles = columns * rows;
     let chunk_len = CHUNK.max(splats.len().div_ceil(64));
     // `per_tile` becomes the next free position of each tile.
-    let mut chunks: Vec<Bins> = splats.par_chunks(chunk_len).map(|splats| bin::<E>(splats, size)).collect();
+    let mut chunks: Vec<Bins> = splats.par_chunks(chunk_len).map(|splats| bin(splats, size)).collect();
     let total: usize = chunks.iter().map(|c| c.tiles.len()).sum();
     if total > u32::MAX as usize {
         return Err(Error::Limit {

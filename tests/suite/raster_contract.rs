@@ -234,7 +234,6 @@ fn non_finite_colours_are_named_seen_or_not() {
 
 #[test]
 fn f32_counts_as_f64_does() {
-    // In f32 by wide instructions, where the processor has them.
     let camera = camera(131, 97);
     let c = cloud(4_000, 0.03, &camera, 21).rounded();
     let single = single(&c);
