@@ -5,7 +5,8 @@ use super::terminal;
 use clap::Args;
 use coseg::data::Classes;
 use coseg::error::{Error, Result};
-use coseg::gaussians::{Motion, ply};
+use coseg::gaussians::{Gaussians, Motion, ply};
+use coseg::objects::Object;
 use glam::{DQuat, DVec3};
 use std::path::{Path, PathBuf};
 
@@ -14,7 +15,7 @@ OBJECT is a label id or a name, as `coseg objects` lists them; all objects of a 
 objects a class names all of its (chair: chair 1, chair 2). A name with a comma needs its id. First what is not kept
 goes, then what is removed; of what is left objects turn, then they move. Turns are counter-clockwise as seen from the
 tip of the axis; view-dependent colours turn with their object. The new file keeps its labels, and gets their names
-beside it as classes.json.
+beside it as classes.json, unless they are there.
 
 What a scene's photos never showed, such as the floor below a sofa, is not there when the object is gone.
 
@@ -81,26 +82,23 @@ impl EditArgs {
         let mut scene = self.input.read()?;
         let [kept, removed] = [ids(&scene, &self.keep, "--keep")?, ids(&scene, &self.remove, "--remove")?];
         self.check_output(&scene)?;
-        let farthest = FARTHEST * diagonal(&scene);
         let stays = |id: u16| (self.keep.is_empty() || kept.contains(&id)) && !removed.contains(&id);
-        scene.objects.retain(|object| stays(object.id));
-        let mut rows: Vec<u32> = scene.objects.iter().flat_map(|object| object.rows.iter().copied()).collect();
+        let motions = self.motions(&scene, &stays)?;
+        for (rows, motion) in &motions {
+            motion.apply(&mut scene.ply.gaussians, rows);
+        }
+        let rows: Vec<u32> = (0..).zip(&scene.labels).filter(|&(_, &id)| stays(id)).map(|(row, _)| row).collect();
         if rows.is_empty() {
             let mend = "keep an object, or remove fewer";
             return Err(Error::config("--keep, --remove", "no Gaussian left", "one or more", mend));
         }
-        rows.sort_unstable();
-        let motions = self.motions(&scene, farthest)?;
-        for (rows, motion) in &motions {
-            motion.apply(&mut scene.ply.gaussians, rows);
-        }
         let labels: Vec<u16> = rows.iter().map(|&row| scene.labels[row as usize]).collect();
         ply::write(&self.out, &scene.ply.gaussians.select(&rows), scene.ply.origin, Some(&labels))?;
-        if !scene.classes.is_empty() {
+        if !scene.classes.is_empty() && !self.names().exists() {
             scene.classes.write(&self.names())?;
         }
         let (left, before, out) = (rows.len(), scene.labels.len(), self.out.display());
-        terminal::say(&format!("{out}: {left} of {before} Gaussians, {} objects turned or moved", motions.len()));
+        terminal::say(&format!("{out}: {left} of {before} Gaussians, {} turns and moves", motions.len()));
         Ok(())
     }
 
@@ -109,56 +107,57 @@ impl EditArgs {
         self.out.with_file_name("classes.json")
     }
 
-    /// Neither the scene itself nor the names of other labels are written over.
+    /// Neither what is read nor the class table of other labels is written over.
     fn check_output(&self, scene: &ObjectScene) -> Result<()> {
         let same = |a: &Path, b: &Path| matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b);
-        if same(self.input.path(), &self.out) {
-            let found = self.out.display().to_string();
-            return Err(Error::config("--out", found, "another file than --scene", "name a new file"));
-        }
         let names = self.names();
-        if names.exists() && !scene.classes.is_empty() && Classes::read(&names)? != scene.classes {
-            let mend = "write into another folder";
-            return Err(Error::input(
-                &names,
-                "classes",
-                "other names",
-                "those of the scene's labels, or no file",
-                mend,
-            ));
+        if self.input.paths().any(|path| same(path, &self.out)) || self.out == names {
+            let expected = "another file than the scene and its classes.json";
+            return Err(Error::config("--out", self.out.display().to_string(), expected, "name a new file"));
+        }
+        if names.exists() && Classes::read(&names)? != scene.classes {
+            let (found, mend) = ("another class table", "write into another folder");
+            return Err(Error::input(&names, "classes", found, "that of the scene's labels, or no file", mend));
         }
         Ok(())
     }
 
     /// Rows and motions of objects that stay: turns before moves, each in the order of the command line.
-    fn motions(&self, scene: &ObjectScene, farthest: f64) -> Result<Vec<(Vec<u32>, Motion)>> {
+    fn motions(&self, scene: &ObjectScene, stays: &dyn Fn(u16) -> bool) -> Result<Vec<(Vec<u32>, Motion)>> {
+        let still = Motion { rotation: DQuat::IDENTITY, pivot: DVec3::ZERO, translation: DVec3::ZERO };
         let mut motions = Vec::new();
-        for (what, rotation) in &self.turn {
-            for object in scene.find(what, "--turn")? {
-                let motion = Motion { rotation: *rotation, pivot: object.center(), translation: DVec3::ZERO };
-                motions.push((object.rows.clone(), motion));
+        let mut add = |what: &str, flag: &str, motion: &dyn Fn(&Object) -> Motion| {
+            let staying = scene.find(what, flag)?.into_iter().filter(|object| stays(object.id));
+            let before = motions.len();
+            motions.extend(staying.map(|object| (object.rows.clone(), motion(object))));
+            if motions.len() == before {
+                let mend = "leave it out, or keep the object";
+                return Err(Error::config(flag, what, "an object that is neither removed nor left out", mend));
             }
+            Ok(())
+        };
+        for (what, rotation) in &self.turn {
+            add(what, "--turn", &|object| Motion { rotation: *rotation, pivot: object.center(), ..still })?;
         }
+        let farthest = FARTHEST * diagonal(&scene.ply.gaussians);
         for (what, translation) in &self.moves {
-            if translation.length() > farthest {
+            if farthest > 0.0 && translation.length() > farthest {
                 let (found, expected) =
                     (format!("{what}={translation}"), format!("at most {farthest:.3e} world units"));
                 let mend = "positions so far off would lose their digits: move by less";
                 return Err(Error::config("--move", found, expected, mend));
             }
-            for object in scene.find(what, "--move")? {
-                let motion = Motion { rotation: DQuat::IDENTITY, pivot: DVec3::ZERO, translation: *translation };
-                motions.push((object.rows.clone(), motion));
-            }
+            add(what, "--move", &|_| Motion { translation: *translation, ..still })?;
         }
         Ok(motions)
     }
 }
 
-/// Diagonal of the box around the boxes of all objects.
-fn diagonal(scene: &ObjectScene) -> f64 {
-    let corners = scene.objects.iter().map(|o| (o.low, o.high));
-    corners.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).map_or(0.0, |(low, high)| (high - low).length())
+/// Diagonal of the box around all centres.
+fn diagonal(gaussians: &Gaussians) -> f64 {
+    let centres = gaussians.means.iter().map(|mean| DVec3::from(mean.map(f64::from)));
+    let corners = centres.map(|c| (c, c)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+    corners.map_or(0.0, |(low, high)| (high - low).length())
 }
 
 /// Ids of the objects that `list` names.

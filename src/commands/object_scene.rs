@@ -55,9 +55,9 @@ impl ObjectSceneArgs {
 }
 
 impl ObjectSceneArgs {
-    /// The scene's file.
-    pub fn path(&self) -> &Path {
-        &self.scene
+    /// The files that are read.
+    pub fn paths(&self) -> impl Iterator<Item = &Path> {
+        [Some(&self.scene), self.classes.as_ref()].into_iter().flatten().map(PathBuf::as_path)
     }
 }
 
@@ -90,7 +90,8 @@ impl ObjectScene {
 
     fn is_called(&self, id: u16, what: &str) -> bool {
         let Some(name) = self.name(id) else { return false };
-        let numbered = self.classes.index(id).is_some_and(|i| self.classes.entries[i].object_of.is_some());
+        let numbered =
+            self.classes.index(id).is_some_and(|i| self.classes.entries[i].object_of.is_some_and(|of| of.thing));
         let class = name.rsplit_once(' ').filter(|(_, number)| numbered && number.parse::<u32>().is_ok());
         name == what || class.is_some_and(|(class, _)| class == what)
     }

@@ -14,7 +14,8 @@ use std::path::{Path, PathBuf};
 
 const HELP: &str = "\
 Without --pixel: every label of the scene with its name, number of Gaussians, and the centre and size of its box in
-world units; a box leaves out the outermost 1 % of the centres on each side. --json: id, name, gaussians, and the
+world units; a box leaves out the outermost 1 % of the centres on each
+side, one at least of three or more. --json: id, name, gaussians, and the
 corners low and high of the box.
 
 With --cameras, --frame and --pixel: the label whose Gaussians have most of that pixel, the share of the pixel that
@@ -33,7 +34,7 @@ pub struct ObjectsArgs {
     /// Cameras: a transforms.json with w and h (OpenGL camera-to-world), or a scene folder of any layout
     #[arg(long, value_name = "FILE.json|DIR", requires = "frame", requires = "pixel")]
     cameras: Option<PathBuf>,
-    /// Name of a frame: its file name without extension (COLMAP: with the folders below the photos')
+    /// Name of a frame: its file name without extension (COLMAP: folders joined to it by _)
     #[arg(long, value_name = "STEM", requires = "cameras")]
     frame: Option<String>,
     /// Column and row of a pixel, from 0 at the top left

@@ -15,8 +15,8 @@ pub struct Object {
     pub id: u16,
     /// Its Gaussians, ascending.
     pub rows: Vec<u32>,
-    /// Corners of a box around the centres of all but the outermost 1 % along each axis and side, in the coordinates of
-    /// [`Gaussians::means`].
+    /// Corners of a box around the centres of all but the outermost 1 % along each axis and side, one at least of three or
+    /// more, in the coordinates of [`Gaussians::means`].
     pub low: DVec3,
     /// The other corner.
     pub high: DVec3,

@@ -48,3 +48,19 @@ fn within(low: f64, high: f64, limit: f64) -> (f64, f64) {
     let last = floor((high - 0.5).max(-1.0).min(limit - 1.0));
     (first, last)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{count, count_all};
+
+    #[test]
+    fn wide_instructions_count_the_same() {
+        let at = |i: usize| [170.0 * (1.3 * i as f64).sin(), 0.5 * (i % 300) as f64 - 20.0];
+        let discs: Vec<_> = (0..2_000).map(|i| (at(i), (i % 67) as u32)).collect();
+        let (mut wide, mut plain) = (vec![0; discs.len()], vec![0; discs.len()]);
+        count(&discs, [131, 97], &mut wide);
+        count_all(&discs, [131, 97], &mut plain);
+        assert_eq!(wide, plain);
+        assert!(plain.iter().any(|&count| count > 5_000) && plain.contains(&0));
+    }
+}

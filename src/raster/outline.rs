@@ -156,3 +156,27 @@ fn between(low: f64, high: f64, limit: usize) -> Range<usize> {
     let end = if high >= 0.5 { ((high - 0.5).min(limit as f64) as usize + 1).min(limit) } else { 0 };
     first..end.max(first)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Splat2, bin, bin_all};
+
+    #[test]
+    fn wide_instructions_list_the_same_tiles() {
+        let splat = |i: usize| {
+            let wave = |seed: f64| (1.7 * i as f64 + seed).sin();
+            Splat2 {
+                center: [150.0 * wave(0.1), 110.0 * wave(2.3)],
+                slope: 2.0 * wave(0.7),
+                du: (2.0 * wave(1.1) - 3.0).exp2(),
+                dv: (2.0 * wave(1.9) - 3.0).exp2(),
+                reach: if i.is_multiple_of(97) { f64::INFINITY } else { 1.0 + i as f64 % 7.0 / 3.0 },
+                log_opacity: 0.0,
+            }
+        };
+        let splats: Vec<Splat2> = (0..3_000).map(splat).collect();
+        let (wide, plain) = (bin(&splats, [131, 97]), bin_all(&splats, [131, 97]));
+        assert_eq!((wide.tiles, wide.counts, wide.per_tile), (plain.tiles.clone(), plain.counts, plain.per_tile));
+        assert!(plain.tiles.len() > 6_000, "{}", plain.tiles.len());
+    }
+}

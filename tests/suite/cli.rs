@@ -211,6 +211,7 @@ fn train_fills_the_run_folder_and_eval_agrees() {
     succeeds(&["render", "--scene", utf8(&scene), "--cameras", utf8(&cameras), "--out", utf8(&out), "--split", "test"]);
     let [own, again] =
         [run.join("renders/v2.rgb.png"), out.join("v2.rgb.png")].map(|p| image::open(p).unwrap().into_rgb8());
+    assert_eq!(own.dimensions(), again.dimensions());
     assert!(own.iter().zip(again.iter()).all(|(a, b)| a.abs_diff(*b) <= 1), "v2");
     assert!(!out.join("v0.rgb.png").exists());
     let metrics = read_json(&run.join("metrics.json"));

@@ -233,14 +233,14 @@ fn non_finite_colours_are_named_seen_or_not() {
 }
 
 #[test]
-fn f32_counts_as_f64_does() {
+fn f32_culls_and_counts_as_f64_does() {
     let camera = camera(131, 97);
     let c = cloud(4_000, 0.03, &camera, 21).rounded();
     let single = single(&c);
     let wide = Projected::new(&splats(&single), &camera, &Settings::default()).expect("finite");
     let plain = Projected::new(&c.splats(), &camera, &Settings::default()).expect("finite");
-    assert_eq!(wide.counts(), plain.counts());
     assert_eq!(wide.stats(), plain.stats());
+    assert_eq!((wide.counts(), wide.radii()), (plain.counts(), plain.radii()));
     assert!(plain.counts().iter().any(|&count| count > 1_000));
 }
 
