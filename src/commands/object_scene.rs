@@ -52,9 +52,7 @@ impl ObjectSceneArgs {
         let objects = inventory(&ply.gaussians, &labels);
         Ok(ObjectScene { ply, labels, classes, objects })
     }
-}
 
-impl ObjectSceneArgs {
     /// The files that are read.
     pub fn paths(&self) -> impl Iterator<Item = &Path> {
         [Some(&self.scene), self.classes.as_ref()].into_iter().flatten().map(PathBuf::as_path)

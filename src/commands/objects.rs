@@ -1,10 +1,11 @@
 //! `coseg objects`: what a labelled scene holds, and what a pixel shows.
 
 use super::object_scene::{ObjectScene, ObjectSceneArgs};
+use super::render::cameras_at;
 use super::terminal;
 use clap::Args;
 use coseg::camera::Camera;
-use coseg::data::{self, LoadOptions, NamedCamera, transforms};
+use coseg::data::NamedCamera;
 use coseg::error::{Error, Result};
 use coseg::objects::pick;
 use coseg::raster::{Projected, Settings};
@@ -14,9 +15,8 @@ use std::path::{Path, PathBuf};
 
 const HELP: &str = "\
 Without --pixel: every label of the scene with its name, number of Gaussians, and the centre and size of its box in
-world units; a box leaves out the outermost 1 % of the centres on each
-side, one at least of three or more. --json: id, name, gaussians, and the
-corners low and high of the box.
+world units; a box leaves out the outermost 1 % of the centres on each side, one at least of three or more. --json: id,
+name, gaussians, and the corners low and high of the box.
 
 With --cameras, --frame and --pixel: the label whose Gaussians have most of that pixel, the share of the pixel that
 they have, and where they are. --json: id, name, share, point; null where there is no Gaussian.
@@ -87,10 +87,7 @@ impl ObjectsArgs {
     }
 
     fn pick(&self, scene: &ObjectScene, cameras: &Path, frame: &str, [x, y]: [usize; 2]) -> Result<()> {
-        let frames = match cameras.is_dir() {
-            true => data::load_cameras(cameras, &LoadOptions::default(), None)?,
-            false => transforms::load_cameras(cameras, None)?,
-        };
+        let frames = cameras_at(cameras, None)?;
         let Some(NamedCamera { camera, .. }) = frames.iter().find(|f| f.name == frame) else {
             let some: Vec<&str> = frames.iter().take(5).map(|f| f.name.as_str()).collect();
             let expected = format!("one of {} frames such as {}", frames.len(), some.join(", "));

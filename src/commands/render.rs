@@ -95,10 +95,7 @@ impl RenderArgs {
             SplitArg::Test => Some(Split::Test),
             SplitArg::All => None,
         };
-        let cameras = match self.cameras.is_dir() {
-            true => data::load_cameras(&self.cameras, &LoadOptions::default(), split)?,
-            false => transforms::load_cameras(&self.cameras, split)?,
-        };
+        let cameras = cameras_at(&self.cameras, split)?;
         let scene = ply::read(&self.scene, &Limits::default())?;
         if self.labels && scene.labels.is_none() {
             let mend = "leave --labels out, or give the scene labels with `coseg vote` or `coseg train`";
@@ -140,6 +137,14 @@ impl RenderArgs {
             }
             _ => Ok(()),
         }
+    }
+}
+
+/// The cameras of a transforms.json or of a scene folder, world units; `split` keeps only those frames.
+pub fn cameras_at(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera>> {
+    match path.is_dir() {
+        true => data::load_cameras(path, &LoadOptions::default(), split),
+        false => transforms::load_cameras(path, split),
     }
 }
 

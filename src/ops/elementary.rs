@@ -51,6 +51,13 @@ pub(crate) fn exp(x: f64) -> f64 {
     if x.is_nan() { x } else { e }
 }
 
+/// The largest integer that is not above `x`, for `|x| < 2^51`.
+#[inline(always)]
+pub(crate) fn floor(x: f64) -> f64 {
+    let nearest = (x + ROUND) - ROUND;
+    if nearest > x { nearest - 1.0 } else { nearest }
+}
+
 /// `ln(1 + x)` for `0 <= x <= 1`, relative error below 5e-16.
 #[inline(always)]
 pub(crate) fn ln_1p_unit(x: f64) -> f64 {

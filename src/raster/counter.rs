@@ -1,11 +1,10 @@
 //! Algorithm 1's counter: pixels within a radius.
 
+use crate::ops::elementary::floor;
 use crate::ops::simd::wide_function;
 
 /// Rows of pixels of one loop.
 const BLOCK: usize = 8;
-/// Adding 1.5 2^52 rounds to an integer.
-const ROUND: f64 = 6_755_399_441_055_744.0;
 
 wide_function! {
     /// For each disc, a centre and a radius in pixels, the pixels of an image of `size` whose centres lie in it.
@@ -39,11 +38,6 @@ fn count_all(discs: &[([f64; 2], u32)], size: [usize; 2], counts: &mut [u32]) {
 /// The first and the last of `limit` pixels whose centres lie within `low..=high`; none where the last comes first.
 #[inline(always)]
 fn within(low: f64, high: f64, limit: f64) -> (f64, f64) {
-    // `floor` and `ceil` are calls on baseline x86-64.
-    let floor = |x: f64| {
-        let nearest = (x + ROUND) - ROUND;
-        if nearest > x { nearest - 1.0 } else { nearest }
-    };
     let first = -floor(-(low - 0.5).max(0.0).min(limit));
     let last = floor((high - 0.5).max(-1.0).min(limit - 1.0));
     (first, last)

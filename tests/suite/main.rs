@@ -9,6 +9,7 @@ mod backends;
 mod bench;
 mod building;
 mod builtin;
+mod cameras;
 mod checkpoint;
 mod classes;
 mod cli;
