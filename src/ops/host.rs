@@ -93,7 +93,7 @@ pub fn warn_host_fallback() {
     ONCE.call_once(|| {
         tracing::warn!(
             "part of this run has no kernel for this GPU: it runs on the CPU and copies from and to the GPU (tensors of f64, \
-             building.absgrad, images beyond one allocation, and all rasterizing where the device binds fewer than 16 \
+             images beyond one allocation, and all rasterizing where the device binds fewer than 16 \
              buffers or shares less than 32 KB)"
         );
     });

@@ -41,7 +41,7 @@ pub struct RasterInput {
     /// `[N, C]`: adds C channels after the colour.
     pub features: Option<Tensor<2>>,
     /// `[N, 2]` or `[N, 4]`, any values: its gradient is the screen-space gradient `(dL/du W/2, dL/dv H/2)`, followed in four
-    /// columns by the sums over pixels of the absolute values of both (AbsGS), which the CPU's kernels alone compute.
+    /// columns by the sums over pixels of the absolute values of both (AbsGS), on a GPU of no more than 8 channels.
     pub screen: Option<Tensor<2>>,
 }
 
@@ -63,7 +63,7 @@ pub struct RasterOutput {
 ///
 /// # Errors
 /// [`Error::Config`] for shapes or float types that disagree, neither `sh` nor `features`, or an SH degree above 3;
-/// [`Error::NonFinite`] for a NaN or an infinity in any input; otherwise as [`Projected::new`].
+/// [`Error::NonFinite`] for a NaN or an infinity in any input; otherwise as [`Projected::new`](super::Projected::new).
 pub fn rasterize(
     input: RasterInput,
     camera: &Camera,

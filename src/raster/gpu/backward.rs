@@ -16,13 +16,17 @@ use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
 /// Sums over pixels of g times 1, u, v, u^2, u v, v^2.
-pub(super) const MOMENTS: usize = 6;
+const MOMENTS: usize = 6;
+/// These and the sums over pixels of the absolute values of what each adds to the gradient of the projected centre, half of it,
+/// along x in units of the inverse width: `|g u|`, `|g (v dv - slope u du)|`.
+pub(super) const ABSOLUTE_MOMENTS: usize = 8;
 /// Gaussians that a cube takes together.
 const BATCH: usize = 8;
 /// Units that sum for one Gaussian.
 const LANES: usize = UNITS as usize / BATCH;
-/// Widest block of channels: the sums of all units have to fit where the weights were.
-const WIDEST: usize = 8;
+/// Widest block of channels: the sums of all units have to fit where the weights were. Sums of absolute values of more are not
+/// sums over blocks.
+pub(super) const WIDEST: usize = 8;
 /// Widest block without moments: the image's values share memory with the weights.
 const ADJOINT_WIDEST: usize = 12;
 /// Shared floats of a batch: alpha' T and g of every pixel.
@@ -192,6 +196,10 @@ fn tiles_backward(
                     sums[3] += g * u * u;
                     sums[4] += g * u * v;
                     sums[5] += g * v * v;
+                    if comptime![moments == ABSOLUTE_MOMENTS] {
+                        sums[6] += (g * u).abs();
+                        sums[7] += (g * (v * dv - slope * (u * du))).abs();
+                    }
                 }
                 let weight = pairs[member * units + at_pixel];
                 #[unroll]
@@ -247,6 +255,8 @@ pub(super) struct PixelGradients<'a> {
     /// `[H, W]`.
     pub transmittance: &'a CubeTensor,
     pub d_transmittance: Option<&'a CubeTensor>,
+    /// Whether sums of absolute values are wanted; of [`WIDEST`] channels at most.
+    pub absolute: bool,
 }
 
 /// The tile lists of a view.
@@ -274,7 +284,8 @@ pub(super) fn pixel_sums(
     view: &CubeTensor,
     row_bytes: usize,
 ) -> PixelSums {
-    sums_over_tiles(gpu, splats, tiles, &Pass { values, pixels, moments: MOMENTS }, view, row_bytes)
+    let moments = if pixels.absolute { ABSOLUTE_MOMENTS } else { MOMENTS };
+    sums_over_tiles(gpu, splats, tiles, &Pass { values, pixels, moments }, view, row_bytes)
 }
 
 /// `W^T y` alone, `[N, channels]`: `y` is `[H, W, channels]`.
@@ -290,7 +301,8 @@ pub(super) fn adjoint(
     let values = Values { colours: None, features: None, channels };
     // Read by the moments alone.
     let absent = gpu.floats([1]);
-    let pixels = PixelGradients { image: &absent, d_image: y, transmittance: &absent, d_transmittance: None };
+    let (image, transmittance) = (&absent, &absent);
+    let pixels = PixelGradients { image, d_image: y, transmittance, d_transmittance: None, absolute: false };
     sums_over_tiles(gpu, splats, tiles, &Pass { values: &values, pixels: &pixels, moments: 0 }, view, row_bytes)
         .d_features
 }
@@ -299,7 +311,7 @@ pub(super) fn adjoint(
 struct Pass<'a> {
     values: &'a Values,
     pixels: &'a PixelGradients<'a>,
-    /// [`MOMENTS`], or none.
+    /// [`MOMENTS`], [`ABSOLUTE_MOMENTS`], or none.
     moments: usize,
 }
 

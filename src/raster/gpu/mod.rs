@@ -43,6 +43,8 @@ use sh::Harmonics;
 
 /// Buffers that the widest kernel binds, with room for cubecl's own.
 const BINDINGS: u32 = 16;
+/// Most channels of which there are sums of absolute screen-space gradients.
+pub(super) const ABSOLUTE_CHANNELS: usize = backward::WIDEST;
 
 /// The inputs of one call, contiguous `f32` tensors on one device.
 pub(super) struct Inputs {
@@ -94,7 +96,7 @@ pub(super) struct Gradients {
     pub logits: CubeTensor,
     pub sh: Option<CubeTensor>,
     pub features: Option<CubeTensor>,
-    /// `[N, 2]`.
+    /// `[N, 2]`, or `[N, 4]` with sums of absolute values.
     pub screen: CubeTensor,
 }
 
@@ -232,18 +234,21 @@ impl Forward {
     }
 
     /// Gradients of all inputs; `image` is what [`forward`] gave, `d_image` (`[H, W, C]`) and `d_transmittance`
-    /// (`[H, W]`) are contiguous.
+    /// (`[H, W]`) are contiguous. `absolute` asks for sums of absolute screen-space gradients as well, which there are for
+    /// [`ABSOLUTE_CHANNELS`] channels at most.
     pub fn backward(
         &self,
         inputs: &Inputs,
         image: &CubeTensor,
         d_image: &CubeTensor,
         d_transmittance: Option<&CubeTensor>,
+        absolute: bool,
     ) -> Gradients {
         let gpu = Gpu::of(&inputs.means);
         let Prepared { view, projected, order, entries, size } = &self.prepared;
         let values = inputs.values(self.colours.clone());
-        let pixels = backward::PixelGradients { image, d_image, transmittance: &self.transmittance, d_transmittance };
+        let transmittance = &self.transmittance;
+        let pixels = backward::PixelGradients { image, d_image, transmittance, d_transmittance, absolute };
         let tiles = backward::Tiles { order, entries, size: *size };
         let row_bytes = backward::row_bytes(&gpu);
         let sums = backward::pixel_sums(&gpu, &projected.splats, tiles, &values, &pixels, view, row_bytes);

@@ -1,6 +1,6 @@
 //! From the sums over pixels to the gradients of the parameters: one unit a Gaussian.
 
-use super::backward::MOMENTS;
+use super::backward::ABSOLUTE_MOMENTS;
 use super::ewa::{Unit, ewa, offset_from_camera, rows_cross, to_camera};
 use super::project::{SPLAT, Scene};
 use super::vec3::{Vec3, add_scaled, cross, dot, read3, scaled, vec3, write3};
@@ -43,7 +43,9 @@ fn parameters_backward(
     d_logits: &mut [f32],
     d_screen: &mut [f32],
     count: u32,
+    #[comptime] sums: usize,
 ) {
+    let screen = comptime![if sums == ABSOLUTE_MOMENTS { 4usize } else { 2usize }];
     let i = ABSOLUTE_POS;
     if i >= count as usize {
         terminate!();
@@ -57,12 +59,14 @@ fn parameters_backward(
             d_rotations[4 * i + k] = 0.0f32;
         }
         d_logits[i] = 0.0f32;
-        d_screen[2 * i] = 0.0f32;
-        d_screen[2 * i + 1] = 0.0f32;
+        #[unroll]
+        for k in 0..screen {
+            d_screen[screen * i + k] = 0.0f32;
+        }
         terminate!();
     }
     let (slope, du, dv) = (splats[SPLAT * i + 2], splats[SPLAT * i + 3], splats[SPLAT * i + 4]);
-    let at = MOMENTS * i;
+    let at = sums * i;
     let (sum_u, sum_v) = (moments[at + 1], moments[at + 2]);
     let (sum_uu, sum_uv, sum_vv) = (moments[at + 3], moments[at + 4], moments[at + 5]);
     let p = to_camera(view, &offset_from_camera(view, &read3(means, 3 * i)));
@@ -110,8 +114,12 @@ fn parameters_backward(
     let logit = logits[i];
     let small = (-logit.abs()).exp();
     d_logits[i] = moments[at] * select(logit >= 0.0f32, small, 1.0f32) / (1.0f32 + small);
-    d_screen[2 * i] = 0.5f32 * view[SIZE] * d_x;
-    d_screen[2 * i + 1] = 0.5f32 * view[SIZE + 1] * d_y;
+    d_screen[screen * i] = 0.5f32 * view[SIZE] * d_x;
+    d_screen[screen * i + 1] = 0.5f32 * view[SIZE + 1] * d_y;
+    if comptime![sums == ABSOLUTE_MOMENTS] {
+        d_screen[screen * i + 2] = view[SIZE] * du.abs() * moments[at + 6];
+        d_screen[screen * i + 3] = view[SIZE + 1] * moments[at + 7];
+    }
 }
 
 /// Gradients of the geometry.
@@ -120,11 +128,11 @@ pub(super) struct GeometryGradients {
     pub log_scales: CubeTensor,
     pub rotations: CubeTensor,
     pub logits: CubeTensor,
-    /// Of the projected centres, in units of half the image, `[N, 2]`.
+    /// Of the projected centres, in units of half the image, `[N, 2]`, or `[N, 4]` with sums of absolute values.
     pub screen: CubeTensor,
 }
 
-/// Gradients from `moments`, zero for culled Gaussians.
+/// Gradients from `moments`, `[N, 6]` or `[N, 8]`, zero for culled Gaussians.
 pub(super) fn backward(
     gpu: &Gpu,
     scene: &Scene,
@@ -134,12 +142,13 @@ pub(super) fn backward(
     moments: &CubeTensor,
 ) -> GeometryGradients {
     let n = scene.len;
+    let sums = moments.meta.num_elements() / n.max(1);
     let out = GeometryGradients {
         means: gpu.floats([n, 3]),
         log_scales: gpu.floats([n, 3]),
         rotations: gpu.floats([n, 4]),
         logits: gpu.floats([n]),
-        screen: gpu.floats([n, 2]),
+        screen: gpu.floats([n, if sums == ABSOLUTE_MOMENTS { 4 } else { 2 }]),
     };
     parameters_backward::launch(
         &gpu.client,
@@ -159,6 +168,7 @@ pub(super) fn backward(
         arg(&out.logits),
         arg(&out.screen),
         n as u32,
+        sums,
     );
     out
 }

@@ -83,7 +83,7 @@ fn sum_rows(
 
 /// Sums over all pixels, a row for every Gaussian of the scene; zero for culled ones.
 pub(super) struct PixelSums {
-    /// `[N, MOMENTS]`; of any length where none were asked for.
+    /// `[N, 6]`, or `[N, 8]` with sums of absolute values; of any length where none were asked for.
     pub moments: CubeTensor,
     /// `[N, 3]`; of any length without colours.
     pub d_colours: CubeTensor,

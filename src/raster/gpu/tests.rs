@@ -181,6 +181,7 @@ fn entries_in_slabs_give_the_same_sums() {
         d_image: &d_image,
         transmittance: &transmittance,
         d_transmittance: Some(&d_transmittance),
+        absolute: false,
     };
     let tiles = Tiles { order: &view.order, entries: &view.entries, size: view.size };
     let sums = |row_bytes: usize| {

@@ -14,11 +14,13 @@ use burn_cubecl::ops::numeric::zeros_client;
 use burn_cubecl::tensor::CubeTensor;
 use std::sync::Arc;
 
-/// Whether the GPU kernels take this call: they have no sums of absolute screen-space gradients. Without a Gaussian or a
-/// channel there is next to nothing to compute, and no buffer to bind.
+/// Whether the GPU kernels take this call: sums of absolute screen-space gradients they have for few channels. Without a
+/// Gaussian or a channel there is next to nothing to compute, and no buffer to bind.
 fn on_device(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> bool {
-    let something = tensors.opacity_logits.meta.num_elements() > 0 && channels(tensors, call) > 0;
-    something && !call.host_kernels && !call.absolute_screen && gpu::covers(&tensors.means)
+    let channels = channels(tensors, call);
+    let something = tensors.opacity_logits.meta.num_elements() > 0 && channels > 0;
+    let absolute = !call.absolute_screen || channels <= gpu::ABSOLUTE_CHANNELS;
+    something && absolute && !call.host_kernels && gpu::covers(&tensors.means)
 }
 
 fn channels(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> usize {
@@ -123,6 +125,7 @@ impl RasterBackend for CubeBackend {
             &into_contiguous(image),
             &into_contiguous(d_image),
             d_transmittance.as_ref(),
+            call.absolute_screen,
         );
         RasterTensors {
             means,
