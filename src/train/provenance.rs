@@ -89,7 +89,7 @@ impl Provenance {
         let none = || "nothing".to_owned();
         let defaults = settings(&Config::default(), &SECTIONS);
         let then = |key: &str| stored.settings.get(key).or_else(|| defaults.get(key));
-        let keys = self.settings.keys().chain(stored.settings.keys());
+        let keys = self.settings.keys().chain(stored.settings.keys()).filter(|key| self.matters(key));
         if let Some(key) = keys.into_iter().find(|key| self.settings.get(*key) != then(key)) {
             let found = self.settings.get(key).cloned().unwrap_or_else(none);
             let then = then(key).cloned().unwrap_or_else(none);
@@ -103,6 +103,12 @@ impl Provenance {
             return Err(Error::input(file, name, "those of other data", "those that the run has now", mend));
         }
         Ok(())
+    }
+
+    /// Whether training follows from this setting. How label maps are rendered decides scores alone, but where a rate is
+    /// chosen by such scores.
+    fn matters(&self, key: &str) -> bool {
+        key != "segmentation.render" || self.settings.get("segmentation.lr_trials").is_some_and(|trials| trials != "[]")
     }
 }
 

@@ -1,6 +1,6 @@
 //! A run that was stopped and gone on with is the run that was not; a checkpoint of another run is refused.
 
-use coseg::config::{BuildingConfig, Config, Encode, LabelLoss, Row, SegmentationConfig};
+use coseg::config::{BuildingConfig, Config, Encode, LabelLoss, LabelSource, Row, SegmentationConfig};
 use coseg::train::progress::{CurvePoint, Event, Progress, Silent};
 use coseg::train::{Outcome, run};
 use std::path::Path;
@@ -156,6 +156,18 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     other.segmentation.weight_cache_mb = 0;
     other.segmentation.rows = vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::Ours];
     assert_eq!(whole(&other, &out).rows.last().expect("a row").identities, done.rows[2].identities);
+
+    // Nor how label maps are rendered, where no rate was chosen by their scores.
+    let mut scores = base.clone();
+    scores.segmentation.render = LabelSource::Scores;
+    assert_eq!(whole(&scores, &out).rows.last().expect("a row").identities, done.rows[2].identities);
+    let chosen = folder.path().join("chosen");
+    let mut trials = base.clone();
+    (trials.segmentation.rows, trials.segmentation.lr_trials) = (vec![Row::PerGaussian], vec![0.5, 1.0]);
+    whole(&trials, &chosen);
+    trials.segmentation.render = LabelSource::Scores;
+    let error = run(&trials, &chosen, &crate::device(), &mut Silent).err().expect("must be refused").to_string();
+    assert!(error.contains("segmentation.render") && error.contains("per_gaussian.safetensors"), "{error}");
 
     // A setting that came after a checkpoint was written counts as its default.
     let path = out.join("checkpoint/building.safetensors");

@@ -143,7 +143,7 @@ impl<'a> TrainingViews<'a> {
     /// The votes of the views in use.
     ///
     /// # Errors
-    /// As [`ViewWeights::new`].
+    /// As [`vote`].
     pub fn votes(&self) -> Result<Votes> {
         vote(self.gaussians, self.used.iter().map(|&i| self.views[i]), self.classes, &self.settings)
     }
