@@ -1,4 +1,4 @@
-//! `coseg edit`: objects of a labelled scene kept, removed, turned and moved.
+//! `coseg edit`: objects of a labelled scene kept, removed, turned, moved and painted.
 
 use super::object_scene::{ObjectScene, ObjectSceneArgs};
 use super::terminal;
@@ -22,7 +22,8 @@ What a scene's photos never showed, such as the floor below a sofa, is not there
 Examples:
   coseg edit --scene runs/room/scene.ply --out without/scene.ply --remove sofa,table
   coseg edit --scene runs/room/scene.ply --out lamp/scene.ply --keep lamp
-  coseg edit --scene runs/room/scene.ply --out moved/scene.ply --turn chair=z,90 --move chair=0.5,0,0";
+  coseg edit --scene runs/room/scene.ply --out moved/scene.ply --turn chair=z,90 --move chair=0.5,0,0
+  coseg edit --scene runs/room/scene.ply --out painted/scene.ply --paint";
 
 /// How far objects move at most, in diagonals of the scene: positions are f32.
 const FARTHEST: f64 = 100.0;
@@ -48,6 +49,9 @@ pub struct EditArgs {
     /// Move an object, world units; may be repeated
     #[arg(long = "move", value_name = "OBJECT=X,Y,Z", value_parser = parse_move)]
     moves: Vec<(String, DVec3)>,
+    /// Colour every Gaussian as its object, so that viewers that read no labels show them
+    #[arg(long)]
+    paint: bool,
 }
 
 fn parse_turn(text: &str) -> std::result::Result<(String, DQuat), String> {
@@ -93,7 +97,11 @@ impl EditArgs {
             return Err(Error::config("--keep, --remove", "no Gaussian left", "one or more", mend));
         }
         let labels: Vec<u16> = rows.iter().map(|&row| scene.labels[row as usize]).collect();
-        ply::write(&self.out, &scene.ply.gaussians.select(&rows), scene.ply.origin, Some(&labels))?;
+        let mut gaussians = scene.ply.gaussians.select(&rows);
+        if self.paint {
+            gaussians = gaussians.painted(&labels.iter().map(|&id| scene.color(id)).collect::<Vec<_>>());
+        }
+        ply::write(&self.out, &gaussians, scene.ply.origin, Some(&labels))?;
         if !scene.classes.is_empty() && !self.names().exists() {
             scene.classes.write(&self.names())?;
         }

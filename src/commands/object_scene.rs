@@ -1,7 +1,7 @@
 //! A labelled PLY scene with the names of its labels: what commands about objects work on.
 
 use clap::Args;
-use coseg::data::{Classes, Limits};
+use coseg::data::{Classes, Limits, class_color};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::objects::{Object, inventory};
@@ -64,6 +64,13 @@ impl ObjectScene {
     pub fn name(&self, id: u16) -> Option<&str> {
         let known = self.classes.index(id).is_some() || (id == self.classes.ignore && !self.classes.is_empty());
         known.then(|| self.classes.name(id))
+    }
+
+    /// The colour of a label, sRGB 0..1: that of the class table, black for the unlabelled, or a colour of its own where no
+    /// table is known.
+    pub fn color(&self, id: u16) -> [f32; 3] {
+        let color = if self.classes.is_empty() { class_color(id) } else { self.classes.color(id) };
+        color.map(|v| f32::from(v) / 255.0)
     }
 
     /// The object with the id `what`, or else all that are called so, which for associated objects their class is too: `chair`

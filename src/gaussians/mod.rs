@@ -9,6 +9,7 @@ mod order;
 pub mod ply;
 pub mod relocate;
 
+use init::SH_0;
 pub use motion::Motion;
 
 /// N Gaussians in host memory, structure of arrays.
@@ -63,9 +64,19 @@ impl Gaussians {
 
     /// View-independent colours from the constant SH term, `[N, 3]` sRGB in 0..1.
     pub fn base_colors(&self) -> Vec<[f32; 3]> {
-        const SH_0: f32 = 0.282_094_8;
         let colour = |dc: &[f32]| [0, 1, 2].map(|c| (dc[c] * SH_0 + 0.5).clamp(0.0, 1.0));
         self.sh.chunks_exact(3 * self.sh_len()).map(colour).collect()
+    }
+
+    /// The same Gaussians in these colours, sRGB in 0..1, one a Gaussian, wherever they are seen from.
+    ///
+    /// # Panics
+    /// If there are not as many colours as Gaussians.
+    #[must_use]
+    pub fn painted(self, colors: &[[f32; 3]]) -> Self {
+        assert_eq!(colors.len(), self.len(), "one colour a Gaussian");
+        let sh = colors.as_flattened().iter().map(|c| (c - 0.5) / SH_0).collect();
+        Self { sh, sh_degree: 0, ..self }
     }
 
     /// SH coefficients per colour channel, `(sh_degree + 1)^2`.

@@ -214,6 +214,15 @@ fn the_program_lists_picks_and_edits() {
     }
     edit(&[]);
     assert_eq!(read(&out), (before, labels));
+
+    edit(&["--keep", "red,wall", "--paint"]);
+    let (painted, left) = read(&out);
+    let classes = Classes::read(&folder.path().join("classes.json")).unwrap();
+    let want: Vec<[f32; 3]> = left.iter().map(|&id| classes.color(id).map(|v| f32::from(v) / 255.0)).collect();
+    assert_ne!(want[0], want[25]);
+    let close = |(a, b): (&[f32; 3], &[f32; 3])| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
+    assert!(painted.len() == 61 && painted.base_colors().iter().zip(&want).all(close));
+    assert!(painted.sh_degree == 0 || painted.sh.chunks_exact(48).all(|row| row[3..].iter().all(|v| *v == 0.0)));
 }
 
 #[test]
