@@ -8,6 +8,7 @@ mod building;
 mod channels;
 mod curve;
 mod encoding;
+mod export;
 mod figures;
 mod machine;
 mod memory;

@@ -69,6 +69,9 @@ pub struct BenchArgs {
     /// Tiny sizes, a few seconds in all: shows that everything runs; the figures mean nothing
     #[arg(long, conflicts_with = "large")]
     quick: bool,
+    /// Write what `channels` renders into this folder, Gaussians and cameras, to time other renderers on it
+    #[arg(long, value_name = "DIR")]
+    export: Option<PathBuf>,
     /// Write the figures to this file too
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -113,6 +116,10 @@ impl BenchArgs {
         let bar = terminal::bar("bench", sections.len() as u64);
         let subject = Subject::load(&source, &config, self.quick, &device)?;
         let bench = Bench { config, subject, device, effort };
+        if let Some(dir) = &self.export {
+            let written: Vec<String> = bench.export(dir)?.iter().map(|path| path.display().to_string()).collect();
+            terminal::say(&format!("what is rendered: {}", written.join(", ")));
+        }
         let mut found = Vec::new();
         for section in sections {
             bar.set_message(section.key());

@@ -4,6 +4,7 @@ use crate::cli::{fails, read_json, succeeds, utf8};
 use crate::plates::scene;
 use coseg::bench::{Effort, Section, Source, Subject, Surfaces};
 use coseg::config::Config;
+use coseg::data::Limits;
 use coseg::data::builtin::{BuiltinOptions, scene_with};
 use coseg::device::BackendName;
 use std::path::Path;
@@ -132,6 +133,27 @@ fn trained_scenes_come_from_files_or_from_a_folder() {
     succeeds(&[&train[..], &small].concat());
     let said = quick(&["--run", utf8(&run), "--only", "encoding"]);
     assert!(said.contains("scene.ply, 200 trained Gaussians"), "{said}");
+}
+
+#[test]
+fn what_is_rendered_can_be_rendered_by_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let (ply, cameras, out) = (scene(folder.path()), folder.path().join("transforms.json"), folder.path().join("out"));
+    let said =
+        quick(&["--scene", utf8(&ply), "--cameras", utf8(&cameras), "--only", "channels", "--export", utf8(&out)]);
+    let files = ["gaussians_600.ply", "cameras_64x48.json", "cameras_96x64.json"].map(|name| out.join(name));
+    assert!(files.iter().all(|file| said.contains(utf8(file)) && file.is_file()), "{said}");
+    // Both are read back as what they are, and show what the plates show.
+    let gaussians = coseg::gaussians::ply::read(&files[0], &Limits::default()).unwrap();
+    assert_eq!((gaussians.gaussians.len(), gaussians.origin), (600, glam::DVec3::ZERO));
+    let views = coseg::data::transforms::load_cameras(&files[2], None).unwrap();
+    let sizes: Vec<_> = views.iter().map(|view| [view.camera.width, view.camera.height]).collect();
+    assert_eq!(sizes, [[96, 64]; 2]);
+    for view in &views {
+        let picture = coseg::raster::render(&gaussians.gaussians, &view.camera, &Default::default(), [0.0; 3]).unwrap();
+        let covered = picture.transmittance.iter().filter(|t| **t < 0.5).count();
+        assert!(covered * 4 > 96 * 64, "{covered} pixels of {} show something", view.name);
+    }
 }
 
 #[test]

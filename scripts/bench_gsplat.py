@@ -1,0 +1,151 @@
+#!/usr/bin/env python3
+"""gsplat on what `coseg bench` renders: the same Gaussians, cameras and cases, for a comparison in one sitting.
+
+    coseg bench --backend wgpu --only channels --run RUN --export subject --json coseg.json
+    python3 scripts/bench_gsplat.py subject --against coseg.json [--json gsplat.json]
+
+Needs an NVIDIA GPU, PyTorch with CUDA, numpy and gsplat 1.5.3 (its CUDA sources are compiled at the first use, some minutes
+with nvcc). Prints milliseconds a view, medians of passes over all views; a pass ends with one value copied to the host, as
+coseg's does. With --against also coseg's figure of the same case and how many times faster coseg is.
+
+gsplat evaluates SH in `rasterization` for RGB. For RGB + 20 classes its `spherical_harmonics` makes the colours, which are
+blended together with the classes: one pass over the pairs, as coseg does.
+"""
+import argparse
+import json
+import re
+import statistics
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from gsplat import rasterization, spherical_harmonics
+
+TYPES = {"float": "<f4", "float32": "<f4", "double": "<f8", "float64": "<f8", "uchar": "u1", "uint8": "u1",
+         "ushort": "<u2", "uint16": "<u2", "int": "<i4", "int32": "<i4", "uint": "<u4", "uint32": "<u4"}
+# Name, whether colour comes from SH, channels besides: the cases of the section `channels`.
+CASES = [("RGB", True, 0), ("RGB + 20 classes", True, 20), ("64 channels", False, 64)]
+
+
+def read_gaussians(path):
+    """Columns of a binary little-endian 3DGS PLY as tensors on the GPU."""
+    data = path.read_bytes()
+    end = data.index(b"end_header\n") + len(b"end_header\n")
+    header = data[:end].decode("ascii").splitlines()
+    if "format binary_little_endian 1.0" not in header:
+        sys.exit(f"{path}: not a binary little-endian PLY")
+    count = next(int(line.split()[2]) for line in header if line.startswith("element vertex"))
+    columns = [line.split()[1:] for line in header if line.startswith("property")]
+    rows = np.frombuffer(data, np.dtype([(name, TYPES[kind]) for kind, name in columns]), count, end)
+
+    def tensor(names):
+        values = np.stack([rows[name] for name in names], -1).astype(np.float32)
+        return torch.from_numpy(np.ascontiguousarray(values)).cuda()
+
+    rest = sorted((n for _, n in columns if n.startswith("f_rest_")), key=lambda n: int(n[7:]))
+    dc = tensor(["f_dc_0", "f_dc_1", "f_dc_2"])[:, None, :]
+    # Stored channel by channel: all of red, all of green, all of blue.
+    higher = tensor(rest).reshape(count, 3, -1).transpose(1, 2) if rest else dc[:, :0]
+    return {
+        "means": tensor("xyz"),
+        "quats": tensor([f"rot_{i}" for i in range(4)]),
+        "scales": tensor([f"scale_{i}" for i in range(3)]).exp(),
+        "opacities": tensor(["opacity"])[:, 0].sigmoid(),
+        "sh": torch.cat([dc, higher], 1).contiguous(),
+    }
+
+
+def read_cameras(path):
+    """World-to-camera matrices (OpenCV axes), intrinsics and the size of the pictures."""
+    file = json.loads(path.read_text())
+    views = []
+    for frame in file["frames"]:
+        get = lambda key: frame.get(key, file.get(key))
+        pose = np.array(frame["transform_matrix"], np.float64) @ np.diag([1.0, -1.0, -1.0, 1.0])
+        k = np.array([[get("fl_x"), 0, get("cx")], [0, get("fl_y"), get("cy")], [0, 0, 1]], np.float32)
+        view = torch.from_numpy(np.linalg.inv(pose).astype(np.float32)).cuda()[None]
+        center = torch.from_numpy(pose[:3, 3].astype(np.float32)).cuda()
+        views.append((view, torch.from_numpy(k).cuda()[None], center, int(get("w")), int(get("h"))))
+    return views
+
+
+def render(g, view, colour, extra, packed):
+    """One view, `[H, W, channels]`."""
+    matrix, k, center, width, height = view
+    values, degree = extra, None
+    if colour:
+        degree = int(g["sh"].shape[1] ** 0.5) - 1
+        values = g["sh"]
+        if extra is not None:
+            rgb = (spherical_harmonics(degree, g["means"] - center, g["sh"]) + 0.5).clamp_min(0.0)
+            values, degree = torch.cat([rgb, extra], 1), None
+    image, _, _ = rasterization(g["means"], g["quats"], g["scales"], g["opacities"], values, matrix, k, width, height,
+                                sh_degree=degree, packed=packed)
+    return image[0]
+
+
+def timed(work, repeats):
+    """Milliseconds of the median run, after one that is not counted."""
+    work()
+    seconds = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - start)
+    return 1e3 * statistics.median(seconds)
+
+
+def measure(g, views, colour, channels, repeats, packed):
+    """Milliseconds a view: forward, forward and backward."""
+    n = len(g["means"])
+    extra = torch.rand(n, channels, device="cuda") if channels else None
+
+    def forward():
+        with torch.no_grad():
+            for view in views:
+                render(g, view, colour, extra, packed)[0, 0, 0].item()
+
+    def both():
+        for view in views:
+            leaves = {name: value.detach().requires_grad_() for name, value in g.items()}
+            values = None if extra is None else extra.detach().requires_grad_()
+            render(leaves, view, colour, values, packed).sum().backward()
+            leaves["means"].grad[0, 0].item()
+
+    return [timed(work, repeats) / len(views) for work in (forward, both)]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("subject", type=Path, help="folder that `coseg bench --export` wrote")
+    parser.add_argument("--against", type=Path, help="figures of `coseg bench --json`")
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--packed", action="store_true", help="gsplat's packed mode: less memory, usually slower")
+    parser.add_argument("--json", type=Path, help="write the figures to this file too")
+    args = parser.parse_args()
+    ours = {}
+    if args.against:
+        for section in json.loads(args.against.read_text())["sections"]:
+            ours |= {(f["case"], f["name"]): f["median"] for f in section["figures"] if section["section"] == "channels"}
+    print(f"{torch.cuda.get_device_name()}, gsplat, {'packed' if args.packed else 'not packed'}")
+    found = []
+    for ply in sorted(args.subject.glob("gaussians_*.ply"), key=lambda p: int(re.sub(r"\D", "", p.stem))):
+        g = read_gaussians(ply)
+        for cameras in sorted(args.subject.glob("cameras_*.json"), key=lambda p: int(p.stem[8:].split("x")[0])):
+            views = read_cameras(cameras)
+            for name, colour, channels in CASES:
+                case = f"{cameras.stem[8:]}, {len(g['means']):,} Gaussians, {name}"
+                for what, ms in zip(("forward", "forward + backward"),
+                                    measure(g, views, colour, channels, args.repeats, args.packed)):
+                    coseg = ours.get((case, what))
+                    beside = f"   coseg {coseg:9.3f} ms, x{ms / coseg:.2f}" if coseg else ""
+                    print(f"{case:<52} {what:<19} {ms:9.3f} ms{beside}")
+                    found.append({"case": case, "name": what, "unit": "ms", "median": ms, "coseg": coseg})
+    if args.json:
+        args.json.write_text(json.dumps({"device": torch.cuda.get_device_name(), "figures": found}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
