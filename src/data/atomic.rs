@@ -35,10 +35,10 @@ pub fn write(path: impl AsRef<Path>, fill: impl FnOnce(&mut BufWriter<File>) -> 
     })
 }
 
-/// Writes `bytes` to `path` as [`write`] does.
+/// Writes `bytes` to `path` as [`write()`] does.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn write_bytes(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
     write(path, |out| out.write_all(bytes))
 }

@@ -86,7 +86,7 @@ pub fn write(path: &Path, gaussians: &Gaussians, origin: DVec3, labels: Option<&
 /// Reads a 3DGS PLY (ascii or binary, either byte order). Unknown columns are ignored; the SH degree follows from the
 /// number of `f_rest` columns (0, 9, 24 or 45); positions may be float or double.
 ///
-/// The origin is the one recorded by [`write`]; in other files it is the mean position when that lies so far out that
+/// The origin is the one recorded by [`write()`]; in other files it is the mean position when that lies so far out that
 /// float positions would lose precision, else zero.
 ///
 /// # Errors

@@ -89,9 +89,9 @@ fn attention<E: Real>(scores: &[E], k: usize, channels: usize, out: &mut Vec<E>)
     Autodiff
 )]
 pub trait PoolBackend: Backend {
-    /// See [`pool`]; tensors are `[R k, channels]`.
+    /// What [`attentive_pool()`] gives; tensors are `[R k, channels]`.
     fn attentive_pool(x: FloatTensor<Self>, scores: FloatTensor<Self>, k: usize) -> FloatTensor<Self>;
-    /// See [`pool_adjoint`].
+    /// Gradients to `x` and `scores`.
     fn attentive_pool_adjoint(
         x: FloatTensor<Self>,
         scores: FloatTensor<Self>,

@@ -141,7 +141,7 @@ pub fn value_and_gradient<E: Real>(logits: &[E], labels: &[u16], classes: usize,
     Autodiff
 )]
 pub trait LabelLossBackend: Backend {
-    /// The mean loss `[1]` and its gradient `[P, C]`, see [`value_and_gradient`].
+    /// The mean loss `[1]` of [`label_loss()`] and its gradient `[P, C]`.
     fn label_loss(
         logits: FloatTensor<Self>,
         labels: Arc<Vec<u16>>,
