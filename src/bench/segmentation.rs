@@ -11,7 +11,7 @@ use crate::raster::Settings;
 use crate::segmentation::loss::Kind;
 use crate::train::segmentation::{Drawn, Fused, Model, NamedValues, Plan, Prediction, train_step};
 use crate::train::{Inputs, Seen, Spatial, decoder_row};
-use burn::tensor::Gradients;
+use burn::tensor::{Gradients, Tensor};
 use rand::Rng;
 use std::time::Instant;
 
@@ -131,9 +131,9 @@ impl Model for Timed<'_> {
         prediction
     }
 
-    fn step(&mut self, gradients: &mut Gradients, factor: f64) -> Result<()> {
+    fn step(&mut self, loss: Tensor<1>, gradients: &mut Gradients, factor: f64) -> Result<f32> {
         let start = Instant::now();
-        let done = self.model.step(gradients, factor);
+        let done = self.model.step(loss, gradients, factor);
         self.seconds[1] += start.elapsed().as_secs_f64();
         done
     }

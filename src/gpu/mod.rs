@@ -1,7 +1,10 @@
-//! What the GPU kernels of this crate stand on: buffers and launch sizes, and host values that stay on a device.
+//! What the GPU kernels of this crate stand on: buffers and launch sizes, a look at non-finite values, and host values that
+//! stay on a device.
 
 mod buffers;
+mod finite;
 mod resident;
 
 pub use buffers::{Gpu, UNITS, arg};
+pub use finite::{add_non_finite, is_finite};
 pub use resident::Resident;

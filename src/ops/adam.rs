@@ -1,8 +1,7 @@
 //! One Adam step as a fused operation: parameters, gradient and both moments are read and written once.
 
 use super::simd::{multiply_add, wide_kernel};
-use super::{HostBackend, Real, device_of, real_kernel};
-use crate::device::in_host_memory;
+use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::{Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
 use burn::tensor::{Tensor, TensorData};
 use rayon::prelude::*;
@@ -36,7 +35,7 @@ impl AdamStep {
     }
 
     /// 1 - beta^t for both moments.
-    fn corrections(&self) -> (f64, f64) {
+    pub(super) fn corrections(&self) -> (f64, f64) {
         let t = f64::from(self.step.max(1));
         (1.0 - self.beta1.powf(t), 1.0 - self.beta2.powf(t))
     }
@@ -117,9 +116,11 @@ pub trait AdamBackend: Backend {
         second: FloatTensor<Self>,
         step: Arc<AdamStep>,
     ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>);
+    /// `mean + share (value - mean)`; a buffer of `mean` that nobody else holds is reused.
+    fn move_towards(mean: FloatTensor<Self>, value: FloatTensor<Self>, share: f64) -> FloatTensor<Self>;
 }
 
-impl<B: HostBackend> AdamBackend for B {
+impl<B: HostKernels> AdamBackend for B {
     fn adam_step(
         param: FloatTensor<Self>,
         grad: FloatTensor<Self>,
@@ -127,6 +128,25 @@ impl<B: HostBackend> AdamBackend for B {
         second: FloatTensor<Self>,
         step: Arc<AdamStep>,
     ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>) {
+        on_host::adam_step::<Self>(param, grad, first, second, &step)
+    }
+
+    fn move_towards(mean: FloatTensor<Self>, value: FloatTensor<Self>, share: f64) -> FloatTensor<Self> {
+        on_host::move_towards::<Self>(mean, value, share)
+    }
+}
+
+/// The same by the CPU's kernels, wherever the tensors live.
+pub(super) mod on_host {
+    use super::*;
+
+    pub fn adam_step<B: HostBackend>(
+        param: FloatTensor<B>,
+        grad: FloatTensor<B>,
+        first: FloatTensor<B>,
+        second: FloatTensor<B>,
+        step: &AdamStep,
+    ) -> (FloatTensor<B>, FloatTensor<B>, FloatTensor<B>) {
         let (device, shape) = (device_of::<B>(&param), param.shape());
         let shape: &[usize] = &shape;
         real_kernel!(param, E => {
@@ -135,6 +155,16 @@ impl<B: HostBackend> AdamBackend for B {
             let mut v = B::values::<E>(second).into_vec();
             step.apply(&mut p, &B::values::<E>(grad), &mut m, &mut v);
             (B::tensor(p, shape, &device), B::tensor(m, shape, &device), B::tensor(v, shape, &device))
+        })
+    }
+
+    pub fn move_towards<B: HostBackend>(mean: FloatTensor<B>, value: FloatTensor<B>, share: f64) -> FloatTensor<B> {
+        let (device, shape) = (device_of::<B>(&mean), mean.shape());
+        real_kernel!(mean, E => {
+            let mut mean = B::values::<E>(mean).into_vec();
+            let share = E::of(share);
+            mean.iter_mut().zip(B::values::<E>(value).iter()).for_each(|(m, &v)| *m += (v - *m) * share);
+            B::tensor(mean, &shape, &device)
         })
     }
 }
@@ -150,7 +180,7 @@ pub struct AdamTensors<const D: usize> {
     pub second: Tensor<D>,
 }
 
-/// One fused Adam step; equals [`adam_step_plain`], which it is on a GPU.
+/// One fused Adam step; equals [`adam_step_plain`].
 ///
 /// # Panics
 /// If shapes differ, `step.rates` is empty, or a tensor has autodiff.
@@ -160,9 +190,6 @@ pub fn adam_step<const D: usize>(state: AdamTensors<D>, grad: Tensor<D>, step: &
     assert_eq!(param.dims(), grad.dims(), "adam_step: parameter against gradient");
     assert_eq!(param.dims(), first.dims(), "adam_step: parameter against first moment");
     assert_eq!(param.dims(), second.dims(), "adam_step: parameter against second moment");
-    if !in_host_memory(&param.device()) {
-        return adam_step_plain(AdamTensors { param, first, second }, grad, step);
-    }
     let (param, first, second) = Dispatch::adam_step(
         param.into_dispatch(),
         grad.into_dispatch(),
@@ -177,7 +204,16 @@ pub fn adam_step<const D: usize>(state: AdamTensors<D>, grad: Tensor<D>, step: &
     }
 }
 
-/// The same step in plain tensor operations: what runs on a GPU, and the reference of [`adam_step`].
+/// `mean + share (value - mean)`, the step of a running mean, in one pass.
+///
+/// # Panics
+/// If shapes differ or a tensor has autodiff.
+pub fn move_towards<const D: usize>(mean: Tensor<D>, value: Tensor<D>, share: f64) -> Tensor<D> {
+    assert_eq!(mean.dims(), value.dims(), "move_towards: mean against value");
+    Tensor::from_dispatch(Dispatch::move_towards(mean.into_dispatch(), value.into_dispatch(), share))
+}
+
+/// The same step in plain tensor operations: the reference of [`adam_step`].
 pub fn adam_step_plain<const D: usize>(state: AdamTensors<D>, grad: Tensor<D>, step: &AdamStep) -> AdamTensors<D> {
     let (c1, c2) = step.corrections();
     let first = state.first * step.beta1 + grad.clone() * (1.0 - step.beta1);

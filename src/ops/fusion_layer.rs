@@ -5,8 +5,7 @@
 
 use super::matmul::{add_product, add_product_of_transposed, product_with_transposed};
 use super::sparse::{SparseMatrix, sparse_apply};
-use super::{HostBackend, Real, device_of, real_kernel};
-use crate::device::in_host_memory;
+use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
@@ -140,14 +139,19 @@ pub struct LayerGradients<E> {
 /// The tensors of a layer, or their gradients.
 #[derive(Clone, Debug, ExtensionType)]
 pub struct LayerTensors<B: Backend> {
-    x: FloatTensor<B>,
-    weight: FloatTensor<B>,
-    below: FloatTensor<B>,
-    bias: FloatTensor<B>,
+    pub(super) x: FloatTensor<B>,
+    pub(super) weight: FloatTensor<B>,
+    pub(super) below: FloatTensor<B>,
+    pub(super) bias: FloatTensor<B>,
 }
 
-/// Backend side of [`fusion_layer`], for backends whose tensors lie in host memory.
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
+/// Backend side of [`fusion_layer`].
+#[backend_extension(
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Cube: cfg(feature = "cube"),
+    Autodiff
+)]
 pub trait FusionBackend: Backend {
     /// See [`LayerMap::apply`].
     fn fusion_layer(#[extension_type] tensors: LayerTensors<Self>, map: Arc<LayerMap>) -> FloatTensor<Self>;
@@ -161,14 +165,9 @@ pub trait FusionBackend: Backend {
     ) -> LayerTensors<Self>;
 }
 
-impl<B: HostBackend> FusionBackend for B {
+impl<B: HostKernels> FusionBackend for B {
     fn fusion_layer(tensors: LayerTensors<Self>, map: Arc<LayerMap>) -> FloatTensor<Self> {
-        let LayerTensors { x, weight, below, bias } = tensors;
-        let (device, shape) = (device_of::<B>(&bias), [map.upsample.rows(), bias.shape()[0]]);
-        real_kernel!(bias, E => {
-            let (x, weight, below) = (B::values::<E>(x), B::values::<E>(weight), B::values::<E>(below));
-            B::tensor::<E>(map.apply::<E>(&x, &weight, &below, &B::values(bias)), &shape, &device)
-        })
+        on_host::fusion_layer::<Self>(tensors, &map)
     }
 
     fn fusion_layer_adjoint(
@@ -178,6 +177,30 @@ impl<B: HostBackend> FusionBackend for B {
         map: Arc<LayerMap>,
         wants_x: bool,
     ) -> LayerTensors<Self> {
+        on_host::fusion_layer_adjoint::<Self>(tensors, out, g, &map, wants_x)
+    }
+}
+
+/// The layer by the CPU's kernels, wherever the tensors live.
+pub(super) mod on_host {
+    use super::*;
+
+    pub fn fusion_layer<B: HostBackend>(tensors: LayerTensors<B>, map: &LayerMap) -> FloatTensor<B> {
+        let LayerTensors { x, weight, below, bias } = tensors;
+        let (device, shape) = (device_of::<B>(&bias), [map.upsample.rows(), bias.shape()[0]]);
+        real_kernel!(bias, E => {
+            let (x, weight, below) = (B::values::<E>(x), B::values::<E>(weight), B::values::<E>(below));
+            B::tensor::<E>(map.apply::<E>(&x, &weight, &below, &B::values(bias)), &shape, &device)
+        })
+    }
+
+    pub fn fusion_layer_adjoint<B: HostBackend>(
+        tensors: LayerTensors<B>,
+        out: FloatTensor<B>,
+        g: FloatTensor<B>,
+        map: &LayerMap,
+        wants_x: bool,
+    ) -> LayerTensors<B> {
         let LayerTensors { x, weight, below, bias } = tensors;
         let device = device_of::<B>(&bias);
         let [rows, inputs] = x.shape().dims();
@@ -245,7 +268,7 @@ impl<B: FusionBackend, C: CheckpointStrategy> FusionBackend for Autodiff<B, C> {
 }
 
 /// `leaky(x[rows] W + US y + b)`: `x` is `[.., K]`, `weight` `[K, D]`, `below` (y) `[M, D]`, `bias` `[D]`; the result is
-/// `[R, D]`, with gradients to all four. K may be 0. On a GPU it is [`fusion_layer_plain`].
+/// `[R, D]`, with gradients to all four. K may be 0.
 ///
 /// # Panics
 /// If the shapes disagree, the tensors are not all with or all without autodiff, or a row is not one of `x`.
@@ -258,9 +281,6 @@ pub fn fusion_layer(x: Tensor<2>, weight: Tensor<2>, below: Tensor<2>, bias: Ten
         (map.upsample.rows(), map.upsample.columns),
         "fusion_layer: rows against the upsampling"
     );
-    if !in_host_memory(&bias.device()) {
-        return fusion_layer_plain(x, weight, below, bias, &map);
-    }
     let tensors = LayerTensors {
         x: x.into_dispatch(),
         weight: weight.into_dispatch(),
@@ -270,7 +290,7 @@ pub fn fusion_layer(x: Tensor<2>, weight: Tensor<2>, below: Tensor<2>, bias: Ten
     Tensor::from_dispatch(Dispatch::fusion_layer(tensors, Arc::new(map)))
 }
 
-/// [`fusion_layer`] in plain tensors: what runs on a GPU, and the reference of its tests.
+/// [`fusion_layer`] in plain tensors: the reference of its tests.
 pub fn fusion_layer_plain(
     x: Tensor<2>,
     weight: Tensor<2>,

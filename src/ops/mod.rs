@@ -8,6 +8,7 @@ mod attentive_pool;
 mod avx;
 mod blended_labels;
 pub(crate) mod elementary;
+mod finite;
 mod fusion_layer;
 #[cfg(feature = "cube")]
 mod gpu;
@@ -23,12 +24,15 @@ mod sparse;
 pub(crate) mod vector;
 mod window;
 
-pub use adam::{AdamBackend, AdamStep, AdamTensors, adam_step, adam_step_plain};
+pub use adam::{AdamBackend, AdamStep, AdamTensors, adam_step, adam_step_plain, move_towards};
 pub use assignment::assignment;
 pub use attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
 pub use blended_labels::{
     BlendedLabelBackend, Blending, LabelledPixels, PixelWeights, blended_label_loss, blended_label_loss_plain,
 };
+#[cfg(feature = "cube")]
+pub use finite::FiniteBackend;
+pub use finite::FiniteCheck;
 pub use fusion_layer::{FusionBackend, LayerGradients, LayerMap, LayerTensors, fusion_layer, fusion_layer_plain};
 pub(crate) use host::device_of;
 pub(crate) use host::real_kernel;

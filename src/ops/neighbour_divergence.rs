@@ -2,8 +2,7 @@
 
 use super::gradient_in_hand::with_gradient_in_hand;
 use super::sparse::{SparseMatrix, sparse_apply};
-use super::{HostBackend, Real, device_of, real_kernel};
-use crate::device::in_host_memory;
+use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
 use burn::tensor::Tensor;
@@ -92,8 +91,13 @@ impl NeighbourPairs {
     }
 }
 
-/// Backend side of [`neighbour_divergence`], for backends whose tensors lie in host memory.
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
+/// Backend side of [`neighbour_divergence`].
+#[backend_extension(
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Cube: cfg(feature = "cube"),
+    Autodiff
+)]
 pub trait DivergenceBackend: Backend {
     /// The mean divergence `[1]` and its gradient `[N, D]`, see [`NeighbourPairs::value_and_gradient`].
     fn neighbour_divergence(
@@ -102,11 +106,23 @@ pub trait DivergenceBackend: Backend {
     ) -> (FloatTensor<Self>, FloatTensor<Self>);
 }
 
-impl<B: HostBackend> DivergenceBackend for B {
+impl<B: HostKernels> DivergenceBackend for B {
     fn neighbour_divergence(
         features: FloatTensor<Self>,
         pairs: Arc<NeighbourPairs>,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        on_host::neighbour_divergence::<Self>(features, &pairs)
+    }
+}
+
+/// The same by the CPU's kernel, wherever the tensor lives.
+pub(super) mod on_host {
+    use super::*;
+
+    pub fn neighbour_divergence<B: HostBackend>(
+        features: FloatTensor<B>,
+        pairs: &NeighbourPairs,
+    ) -> (FloatTensor<B>, FloatTensor<B>) {
         let (device, [rows, width]) = (device_of::<B>(&features), features.shape().dims());
         real_kernel!(features, E => {
             let (value, gradient) = pairs.value_and_gradient::<E>(&B::values(features), width);
@@ -125,7 +141,7 @@ impl<B: DivergenceBackend, C: CheckpointStrategy> DivergenceBackend for Autodiff
 }
 
 /// Eq. 9 for one scale: the mean over all pairs of D_KL(softmax f_j || softmax f_k) as `[1]`, with gradient to
-/// `features` `[N, D]`, fused features of the scale. No pairs: zero. On a GPU it is [`neighbour_divergence_plain`].
+/// `features` `[N, D]`, fused features of the scale. No pairs: zero.
 ///
 /// # Panics
 /// If a row of `pairs` is not below N.
@@ -133,14 +149,11 @@ pub fn neighbour_divergence(features: Tensor<2>, pairs: NeighbourPairs) -> Tenso
     let points = features.dims()[0];
     let known = pairs.chosen.iter().chain(&pairs.neighbours).all(|&r| (r as usize) < points);
     assert!(known, "neighbour_divergence: a row is not below {points}");
-    if !in_host_memory(&features.device()) {
-        return neighbour_divergence_plain(features, &pairs);
-    }
     let (value, _) = Dispatch::neighbour_divergence(features.into_dispatch(), Arc::new(pairs));
     Tensor::from_dispatch(value)
 }
 
-/// [`neighbour_divergence`] in plain tensors: what runs on a GPU, and the reference of its tests.
+/// [`neighbour_divergence`] in plain tensors: the reference of its tests.
 pub fn neighbour_divergence_plain(features: Tensor<2>, pairs: &NeighbourPairs) -> Tensor<1> {
     let [points, width] = features.dims();
     let (count, total) = (pairs.chosen.len(), pairs.neighbours.len());

@@ -4,7 +4,7 @@ use crate::device::{in_host_memory, read};
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::gaussians::noise::PositionNoise;
-use crate::ops::{AdamStep, AdamTensors, adam_step};
+use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
 use crate::raster::{SplatTensors, Splats};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use rand_chacha::ChaCha8Rng;
@@ -76,9 +76,11 @@ impl<const D: usize> Parameter<D> {
     }
 }
 
+/// Looks at all values of a gradient.
+///
 /// # Errors
 /// [`Error::NonFinite`] naming the tensor and its first bad row.
-fn find_non_finite<const D: usize>(name: &str, gradient: &Tensor<D>) -> Result<()> {
+pub fn find_non_finite<const D: usize>(name: &str, gradient: &Tensor<D>) -> Result<()> {
     let name = format!("gradient of {name}");
     let values = read(&name, gradient.clone())?;
     let width = (values.len() / gradient.dims()[0].max(1)).max(1);
@@ -130,20 +132,18 @@ impl ParameterGradients {
     /// [`Error::NonFinite`] naming the loss, or the gradient and its first bad row.
     pub fn check(&self, loss: Tensor<1>) -> Result<f64> {
         let Self { means, log_scales, rotations, opacity_logits, sh } = self;
-        let sums = [
-            means.clone().sum(),
-            log_scales.clone().sum(),
-            rotations.clone().sum(),
-            opacity_logits.clone().sum(),
-            sh.clone().sum(),
-        ];
-        let found = read("loss", Tensor::cat([loss].into_iter().chain(sums).collect(), 0))?;
-        let value = found.first().copied().unwrap_or(f32::NAN);
+        let mut check = FiniteCheck::default();
+        check.add(means);
+        check.add(log_scales);
+        check.add(rotations);
+        check.add(opacity_logits);
+        check.add(sh);
+        let (value, finite) = check.read(loss)?;
         if !value.is_finite() {
             return Err(Error::non_finite("loss", 0));
         }
-        // A NaN or an infinity always reaches the sum; so may an overflow, which the search then clears.
-        if !found.iter().all(|sum| sum.is_finite()) {
+        // What was a sum beyond its type the search clears.
+        if !finite {
             find_non_finite(NAMES[0], means)?;
             find_non_finite(NAMES[1], log_scales)?;
             find_non_finite(NAMES[2], rotations)?;

@@ -18,7 +18,6 @@ use crate::segmentation::decoder::DecoderConfig;
 use crate::segmentation::loss::Kind;
 use std::borrow::Cow;
 use std::path::Path;
-use std::sync::Arc;
 
 /// Share added to every class of the votes that a decoder starts from.
 const VOTE_FLOOR: f32 = 0.02;
@@ -324,6 +323,6 @@ pub fn decoder_row<'a>(
     let fused = Fused::new(decoder, source, &inputs.gaussians.means, views.len(), plan, &device);
     Ok(match config.prior {
         Prior::None => fused,
-        Prior::Votes => fused.with_prior(Arc::new(views.votes()?.log_shares(VOTE_FLOOR))),
+        Prior::Votes => fused.with_prior(views.votes()?.log_shares(VOTE_FLOOR)),
     })
 }

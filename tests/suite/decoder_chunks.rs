@@ -77,7 +77,7 @@ fn model<'a>(scene: &'a Scene, config: &'a SegmentationConfig, regularised: bool
     // The prior silences the last layer: taken back, so that every parameter has a gradient.
     let first: NamedValues = fused.state();
     let shares = (0..POINTS * CLASSES).map(|i| (i as f32 * 0.71).sin()).collect();
-    let mut fused = fused.with_prior(Arc::new(shares));
+    let mut fused = fused.with_prior(shares);
     let value = |name: &str| first.iter().find(|(n, _)| n == name).map(|(_, v)| v.clone());
     fused.restore(&value).expect("its own parameters");
     fused
@@ -96,8 +96,7 @@ fn trained(model: &mut Fused, scene: &Scene, steps: usize) -> (Vec<f32>, NamedVa
         if let Some(regularisation) = prediction.regularisation {
             loss = loss + regularisation * 20.0;
         }
-        model.step(&mut loss.backward(), 1.0).expect("a step");
-        loss.into_data().into_vec::<f32>().expect("f32")[0]
+        model.step(loss.clone().inner(), &mut loss.backward(), 1.0).expect("a step")
     });
     (losses.collect(), model.state())
 }

@@ -12,12 +12,12 @@ fn gpu() -> Option<Device> {
     crate::gpu().map(Device::autodiff)
 }
 
-fn waves(count: usize, amplitude: f32) -> Vec<f32> {
+pub fn waves(count: usize, amplitude: f32) -> Vec<f32> {
     (0..count).map(|i| amplitude * (i as f32 * 1.7 + 0.3).sin() * (1.0 + (i as f32 * 0.31).cos())).collect()
 }
 
 /// `values` as a leaf of `[rows, columns]`: f32 on `gpu`, or f64 on the CPU.
-fn leaf(values: &[f32], columns: usize, gpu: Option<&Device>) -> Tensor<2> {
+pub fn leaf(values: &[f32], columns: usize, gpu: Option<&Device>) -> Tensor<2> {
     let shape = [values.len() / columns, columns];
     match gpu {
         Some(device) => Tensor::from_data(TensorData::new(values.to_vec(), shape), (device, DType::F32)),
@@ -29,13 +29,13 @@ fn leaf(values: &[f32], columns: usize, gpu: Option<&Device>) -> Tensor<2> {
     .require_grad()
 }
 
-fn host<const D: usize>(t: Tensor<D>) -> Vec<f64> {
+pub fn host<const D: usize>(t: Tensor<D>) -> Vec<f64> {
     t.into_data().convert::<f64>().into_vec().expect("f64")
 }
 
 /// Largest difference over the largest of `want`.
 #[track_caller]
-fn assert_close(got: &[f64], want: &[f64], tolerance: f64, what: &str) {
+pub fn assert_close(got: &[f64], want: &[f64], tolerance: f64, what: &str) {
     assert_eq!(got.len(), want.len(), "{what}");
     let scale = want.iter().fold(f64::MIN_POSITIVE, |m, v| m.max(v.abs()));
     for (i, (got, want)) in got.iter().zip(want).enumerate() {
@@ -44,7 +44,7 @@ fn assert_close(got: &[f64], want: &[f64], tolerance: f64, what: &str) {
 }
 
 /// What `f` gives for each of `leaves` (values, columns), and the gradients of a sum weighted differently everywhere.
-fn value_and_gradients(
+pub fn value_and_gradients(
     leaves: &[(&[f32], usize)],
     gpu: Option<&Device>,
     f: impl Fn(&[Tensor<2>]) -> Tensor<2>,
@@ -60,7 +60,7 @@ fn value_and_gradients(
 }
 
 /// Rows of very different lengths, some empty, and an unused column.
-fn uneven(rows: usize, columns: usize) -> SparseMatrix {
+pub fn uneven(rows: usize, columns: usize) -> SparseMatrix {
     let length = |r: usize| if r % 5 == 3 { 0 } else { 1 + r * 7 % (columns - 1) };
     let mut offsets = vec![0];
     let (mut indices, mut values) = (Vec::new(), Vec::new());

@@ -27,6 +27,8 @@ mod device_ops;
 #[cfg(feature = "wgpu")]
 mod device_stage_two;
 #[cfg(feature = "wgpu")]
+mod device_training;
+#[cfg(feature = "wgpu")]
 mod device_unprojection;
 mod dino;
 mod dino_reference;

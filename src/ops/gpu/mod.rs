@@ -1,6 +1,10 @@
 //! Operations of this crate by CubeCL kernels: the CPU's formulas in `f32`, sums in a fixed order, no float atomics.
 
+mod adam;
+mod finite;
+mod fusion_layer;
 mod label_loss;
+mod neighbour_divergence;
 mod numeric;
 mod photometric;
 mod sparse;
@@ -10,7 +14,14 @@ pub(super) use photometric::DevicePhoto;
 pub(super) use sparse::DeviceMatrix;
 
 use burn::tensor::DType;
+use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
+
+/// `tensor` where a kernel may write: itself if nobody else holds it, or a copy.
+fn own(tensor: CubeTensor) -> CubeTensor {
+    let tensor = into_contiguous(tensor);
+    if tensor.can_mut() { tensor } else { tensor.copy() }
+}
 
 /// Whether kernels take `tensor`; what is not `f32` goes to the host's.
 fn covers(tensor: &CubeTensor) -> bool {

@@ -47,8 +47,23 @@ impl DeviceMatrix {
         }
     }
 
+    /// `matrix` on the device of `gpu`.
+    pub fn by_rows(gpu: &Gpu, matrix: &SparseMatrix) -> Self {
+        matrix.resident.rows.on(gpu, || Self::upload(gpu, matrix))
+    }
+
+    /// Its transpose.
+    pub fn by_columns(gpu: &Gpu, matrix: &SparseMatrix) -> Self {
+        matrix.resident.columns.on(gpu, || Self::upload(gpu, &matrix.transposed()))
+    }
+
+    /// Offsets, indices and values as kernel arguments.
+    pub fn args(&self) -> [BufferArg; 3] {
+        [&self.offsets, &self.indices, &self.values].map(arg)
+    }
+
     /// `W x`, `[rows, channels]`.
-    fn apply(&self, gpu: &Gpu, x: CubeTensor) -> CubeTensor {
+    pub fn apply(&self, gpu: &Gpu, x: CubeTensor) -> CubeTensor {
         let channels = x.meta.shape()[1];
         let out = gpu.floats([self.rows, channels]);
         multiply::launch(
@@ -73,7 +88,7 @@ impl SparseBackend for CubeBackend {
             return on_host::apply::<Self>(x, &matrix);
         }
         let gpu = Gpu::of(&x);
-        matrix.resident.rows.on(&gpu, || DeviceMatrix::upload(&gpu, &matrix)).apply(&gpu, x)
+        DeviceMatrix::by_rows(&gpu, &matrix).apply(&gpu, x)
     }
 
     fn sparse_apply_adjoint(g: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
@@ -81,6 +96,6 @@ impl SparseBackend for CubeBackend {
             return on_host::apply_adjoint::<Self>(g, &matrix);
         }
         let gpu = Gpu::of(&g);
-        matrix.resident.columns.on(&gpu, || DeviceMatrix::upload(&gpu, &matrix.transposed())).apply(&gpu, g)
+        DeviceMatrix::by_columns(&gpu, &matrix).apply(&gpu, g)
     }
 }

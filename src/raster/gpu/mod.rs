@@ -32,7 +32,7 @@ use super::geometry::Viewpoint;
 use super::settings::Settings;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
-use crate::gpu::{Gpu, UNITS};
+use crate::gpu::{Gpu, UNITS, add_non_finite};
 use blend::Values;
 use burn::tensor::DType;
 use burn_cubecl::cubecl::prelude::*;
@@ -190,7 +190,7 @@ fn prepare(gpu: &Gpu, inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<Pr
     let report = gpu.upload(&[0_u32, 0], DType::U32);
     let everywhere = settings.alpha_min == 0.0;
     for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
-        project::check_finite(gpu, tensor, tensor.meta.num_elements(), &report);
+        add_non_finite(gpu, tensor, tensor.meta.num_elements(), &report);
     }
     let projected = project::project(gpu, &scene, &view, &report, everywhere);
     let order = lists::depth_order(gpu, &projected, len, size, everywhere, &report);

@@ -1,9 +1,9 @@
 //! Projection and culling: one unit a Gaussian.
 
 use super::ewa::{ewa, offset_from_camera, rows_cross, to_camera};
-use super::vec3::{dot, is_finite, read3};
+use super::vec3::{dot, read3};
 use super::view::{FOCAL, LN_ALPHA_MIN, LOW_PASS, NEAR, PRINCIPAL, SIZE};
-use crate::gpu::{Gpu, arg};
+use crate::gpu::{Gpu, arg, is_finite};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
@@ -102,18 +102,6 @@ fn project_kernel(
 }
 
 /// Counts values that are NaN or infinite.
-#[cube(launch)]
-fn count_non_finite(values: &[f32], report: &[Atomic<u32>], count: u32) {
-    let stride = CUBE_COUNT * CUBE_DIM as usize;
-    let mut i = ABSOLUTE_POS;
-    while i < count as usize {
-        if !is_finite(values[i]) {
-            report[0].fetch_add(1u32);
-        }
-        i += stride;
-    }
-}
-
 /// What [`project`] gives, a row for every Gaussian of the scene.
 pub(super) struct ProjectedScene {
     /// `[N, SPLAT]`; rows of culled Gaussians hold anything.
@@ -165,13 +153,4 @@ pub(super) fn project(
         );
     }
     out
-}
-
-/// Adds the non-finite ones among `len` values to `report[0]`.
-pub(super) fn check_finite(gpu: &Gpu, values: &CubeTensor, len: usize, report: &CubeTensor) {
-    if len > 0 {
-        // A unit looks at several values.
-        let units = len.min(1 << 20);
-        count_non_finite::launch(&gpu.client, gpu.cubes_for(units), gpu.dim(), arg(values), arg(report), len as u32);
-    }
 }

@@ -47,9 +47,3 @@ pub(super) fn add_scaled(a: &Vec3, s: f32, b: &Vec3) -> Vec3 {
 pub(super) fn scaled(s: f32, a: &Vec3) -> Vec3 {
     Vec3 { x: s * a.x, y: s * a.y, z: s * a.z }
 }
-
-/// Whether `x` is neither a NaN nor an infinity: by its bits, because WGSL compilers may assume that there are none.
-#[cube]
-pub(super) fn is_finite(x: f32) -> bool {
-    (u32::reinterpret(x) & 0x7f80_0000u32) != 0x7f80_0000u32
-}

@@ -18,7 +18,7 @@ use crate::segmentation::decoder::Decoder;
 use crate::segmentation::loss::neighbour_divergence;
 use crate::segmentation::pyramid::{Pyramid, Restriction};
 use burn::module::Module;
-use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use burn::tensor::{Device, Gradients, Int, Tensor, TensorData};
 use std::sync::Arc;
 
 /// Gaussians decoded at once when the stored identities are made.
@@ -86,8 +86,8 @@ pub struct FusedPlan<'a> {
 /// A decoder in training.
 pub struct Fused<'a> {
     decoder: Option<Decoder>,
-    /// Added to the scores of each Gaussian, `[N, C]`; empty for nothing.
-    prior: Arc<Vec<f32>>,
+    /// Added to the scores of each Gaussian, `[N, C]`, without autodiff.
+    prior: Option<Tensor<2>>,
     adam: ModuleAdam,
     source: &'a Source,
     plan: FusedPlan<'a>,
@@ -115,7 +115,7 @@ impl<'a> Fused<'a> {
     ) -> Self {
         Self {
             decoder: Some(decoder),
-            prior: Arc::default(),
+            prior: None,
             adam: match plan.average_from {
                 Some(from) => ModuleAdam::new(plan.rate).averaging(from),
                 None => ModuleAdam::new(plan.rate),
@@ -136,24 +136,23 @@ impl<'a> Fused<'a> {
     /// # Panics
     /// If `prior` does not hold one score for each Gaussian and class.
     #[must_use]
-    pub fn with_prior(mut self, prior: Arc<Vec<f32>>) -> Self {
-        assert_eq!(prior.len(), self.plan.size[0] * self.plan.size[1], "one prior score a Gaussian and class");
+    pub fn with_prior(mut self, prior: Vec<f32>) -> Self {
+        let [count, classes] = self.plan.size;
+        assert_eq!(prior.len(), count * classes, "one prior score a Gaussian and class");
         self.decoder = self.decoder.map(Decoder::with_silent_start);
-        self.prior = prior;
+        let device = self.device.clone().inner();
+        self.prior = Some(Tensor::from_data(TensorData::new(prior, [count, classes]), &device));
         self
     }
 
     /// Scores `[rows, C]` of hidden features of the scene's Gaussians `points`.
     fn scores(&self, decoder: &Decoder, hidden: Tensor<2>, points: &[u32]) -> Tensor<2> {
-        let classes = self.plan.size[1];
         let scores = decoder.classify(hidden);
-        if self.prior.is_empty() {
-            return scores;
-        }
-        let rows: Vec<f32> =
-            points.iter().flat_map(|&i| &self.prior[i as usize * classes..][..classes]).copied().collect();
-        let prior = Tensor::from_data(TensorData::new(rows, [points.len(), classes]), &scores.device());
-        scores + prior
+        let Some(prior) = &self.prior else { return scores };
+        let rows = points.iter().map(|&row| i64::from(row)).collect();
+        let rows = Tensor::<1, Int>::from_data(TensorData::new::<i64, _>(rows, [points.len()]), &prior.device());
+        let prior = prior.clone().select(0, rows);
+        scores.clone() + if scores.device().is_autodiff() { Tensor::from_inner(prior) } else { prior }
     }
 
     fn prepare(&mut self, view: usize, visible: &[u32]) -> Result<Arc<Prepared>> {
@@ -194,7 +193,7 @@ impl<'a> Fused<'a> {
         let regularisation = terms.reduce(|sum, term| sum + term);
         let scores = decoded.into_iter().map(|decoded| match self.plan.config.blend {
             // The last layer is linear: hidden features are blended and it is applied per pixel.
-            Blend::Logits if self.prior.is_empty() => {
+            Blend::Logits if self.prior.is_none() => {
                 Ok(Scores::Pixels(decoder.classify(drawn.pixels.blend(decoded.hidden)?)))
             }
             blend => Scores::blended(self.scores(decoder, decoded.hidden, &drawn.visible), &drawn.pixels, blend),
@@ -279,16 +278,17 @@ impl Model for Fused<'_> {
         Ok(prediction)
     }
 
-    fn step(&mut self, gradients: &mut Gradients, factor: f64) -> Result<()> {
+    fn step(&mut self, loss: Tensor<1>, gradients: &mut Gradients, factor: f64) -> Result<f32> {
+        let mut value = f32::NAN;
         if let Some(decoder) = &self.decoder {
             if let Some(waiting) = self.waiting.take() {
                 waiting.add_gradients(decoder, &self.source.view(waiting.view).pyramid, gradients);
             }
-            ModuleAdam::check(decoder, gradients)?;
+            value = ModuleAdam::check(decoder, loss, gradients)?;
         }
         // taken, not cloned: buffers that nobody else holds are updated in place
         self.decoder = self.decoder.take().map(|decoder| self.adam.step(decoder, gradients, factor));
-        Ok(())
+        Ok(value)
     }
 
     fn identities(&mut self) -> Result<Identities> {

@@ -18,7 +18,6 @@ pub use session::{Pace, Score, train};
 pub use views::{Drawn, TrainingViews, view_at};
 
 use crate::config::{Blend, SegmentationConfig};
-use crate::device::read;
 use crate::error::{Error, Result};
 use crate::objects::Identities;
 use crate::ops::{LabelledPixels, blended_label_loss};
@@ -98,11 +97,12 @@ pub trait Model {
     /// # Errors
     /// When a frozen input is not finite; those of [`LabelledPixels::blend`].
     fn predict(&mut self, view: usize, drawn: &Drawn) -> Result<Prediction>;
-    /// One optimiser step at `factor` times the learning rate; `gradients` are those of a loss of the last prediction.
+    /// One optimiser step at `factor` times the learning rate: `loss` (`[1]`, without autodiff) is one of the last prediction,
+    /// `gradients` are its. Gives the value of the loss.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] naming the parameter, [`Error::Device`] when the device fails; nothing has changed then.
-    fn step(&mut self, gradients: &mut Gradients, factor: f64) -> Result<()>;
+    /// [`Error::NonFinite`] naming the loss or the parameter, [`Error::Device`] when the device fails; nothing has changed then.
+    fn step(&mut self, loss: Tensor<1>, gradients: &mut Gradients, factor: f64) -> Result<f32>;
     /// The identities as they are to be stored, `[N, C]`.
     ///
     /// # Errors
@@ -193,12 +193,7 @@ pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan,
     if let Some(regularisation) = prediction.regularisation {
         loss = loss + regularisation * plan.lambda[1];
     }
-    let value = read("segmentation loss", loss.clone().inner())?.first().copied().unwrap_or(f32::NAN);
-    if !value.is_finite() {
-        return Err(at(Error::non_finite("segmentation loss", 0)));
-    }
-    model.step(&mut loss.backward(), plan.rate_factor(iteration)).map_err(at)?;
-    Ok(value)
+    model.step(loss.clone().inner(), &mut loss.backward(), plan.rate_factor(iteration)).map_err(at)
 }
 
 /// Scores as they are stored.

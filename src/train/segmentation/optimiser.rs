@@ -1,8 +1,8 @@
 //! Adam over all parameters of a burn module, with state that a checkpoint can hold exactly.
 
-use crate::device::read;
 use crate::error::{Error, Result};
-use crate::ops::{AdamStep, AdamTensors, adam_step};
+use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step, move_towards};
+use crate::train::parameters::find_non_finite;
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Gradients, Tensor, TensorData};
 use std::sync::Arc;
@@ -49,18 +49,28 @@ impl ModuleAdam {
         with_parameters(module.clone(), &|name| means.get(name).cloned()).unwrap_or(module)
     }
 
-    /// Looks at all gradients of `module`.
+    /// The value of `loss`, after a look at it and at all gradients of `module`: one readback.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] naming the parameter whose gradient holds a NaN or an infinity, [`Error::Device`] when the device
-    /// fails.
-    pub fn check<M: Module>(module: &M, gradients: &Gradients) -> Result<()> {
-        let mut check = Norm { gradients, path: Vec::new(), total: None, worst: None };
-        module.visit(&mut check);
-        match check.worst()? {
-            Some(tensor) => Err(Error::non_finite(format!("gradient of {tensor}"), 0)),
-            None => Ok(()),
+    /// [`Error::NonFinite`] naming the loss, or the parameter whose gradient holds a NaN or an infinity; [`Error::Device`] when
+    /// the device fails.
+    pub fn check<M: Module>(module: &M, loss: Tensor<1>, gradients: &Gradients) -> Result<f32> {
+        let mut check = FiniteCheck::default();
+        module.visit(&mut Look { gradients, path: Vec::new(), at: &mut |_, gradient| check.add(&gradient) });
+        let (value, finite) = check.read(loss)?;
+        if !value.is_finite() {
+            return Err(Error::non_finite("segmentation loss", 0));
         }
+        let mut bad = Ok(());
+        if !finite {
+            let mut find = |path: &[String], gradient: Tensor<1>| {
+                if bad.is_ok() {
+                    bad = find_non_finite(&path.join("."), &gradient);
+                }
+            };
+            module.visit(&mut Look { gradients, path: Vec::new(), at: &mut find });
+        }
+        bad.map(|()| value)
     }
 
     /// One step of every parameter that has a gradient, at `factor` times the learning rate.
@@ -112,7 +122,11 @@ impl ModuleAdam {
     fn average(&mut self, place: usize, value: Tensor<1>) {
         let Some(count) = self.average_from.map(|from| self.steps - from).filter(|count| *count > 0) else { return };
         match self.averages.get_mut(place) {
-            Some(mean) => *mean = mean.clone() + (value - mean.clone()) * (1.0 / f64::from(count)),
+            Some(mean) => {
+                // taken, not cloned: a buffer that nobody else holds is updated in place
+                let before = std::mem::replace(mean, Tensor::empty([0], &value.device()));
+                *mean = move_towards(before, value, 1.0 / f64::from(count));
+            }
             None => self.averages.push(value),
         }
     }
@@ -159,31 +173,14 @@ impl ModuleMapper for Step<'_> {
     }
 }
 
-/// Sum of squares of all gradients, read back once.
-struct Norm<'a> {
+/// Shows the gradients of all parameters, flattened, with their place in the module.
+struct Look<'a> {
     gradients: &'a Gradients,
     path: Vec<String>,
-    total: Option<Tensor<1>>,
-    worst: Option<Vec<(String, Tensor<1>)>>,
+    at: &'a mut dyn FnMut(&[String], Tensor<1>),
 }
 
-impl Norm<'_> {
-    /// The first parameter whose gradient is not finite.
-    fn worst(self) -> Result<Option<String>> {
-        let finite = |t: Tensor<1>| Ok(read("gradients", t)?.iter().all(|v| v.is_finite()));
-        if self.total.map_or(Ok(true), finite)? {
-            return Ok(None);
-        }
-        for (name, square) in self.worst.unwrap_or_default() {
-            if !finite(square)? {
-                return Ok(Some(name));
-            }
-        }
-        Ok(None)
-    }
-}
-
-impl ModuleVisitor for Norm<'_> {
+impl ModuleVisitor for Look<'_> {
     fn enter_module(&mut self, name: &str, _container: &str) {
         self.path.push(name.to_owned());
     }
@@ -191,13 +188,8 @@ impl ModuleVisitor for Norm<'_> {
         self.path.pop();
     }
     fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-        if let Some(g) = param.val().grad(self.gradients) {
-            let sum = g.powi_scalar(2).sum();
-            self.worst.get_or_insert_default().push((self.path.join("."), sum.clone()));
-            self.total = Some(match self.total.take() {
-                Some(total) => total + sum,
-                None => sum,
-            });
+        if let Some(gradient) = param.val().grad(self.gradients) {
+            (self.at)(&self.path, gradient.flatten(0, D - 1));
         }
     }
 }

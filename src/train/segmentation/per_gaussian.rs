@@ -45,13 +45,12 @@ impl Model for PerGaussian {
         Ok(Prediction { scores, regularisation: None })
     }
 
-    fn step(&mut self, gradients: &mut Gradients, factor: f64) -> Result<()> {
-        if let Some(logits) = &self.logits {
-            ModuleAdam::check(logits, gradients)?;
-        }
+    fn step(&mut self, loss: Tensor<1>, gradients: &mut Gradients, factor: f64) -> Result<f32> {
+        let Some(logits) = &self.logits else { return Ok(f32::NAN) };
+        let value = ModuleAdam::check(logits, loss, gradients)?;
         // taken, not cloned: buffers that nobody else holds are updated in place
         self.logits = self.logits.take().map(|logits| self.adam.step(logits, gradients, factor));
-        Ok(())
+        Ok(value)
     }
 
     fn identities(&mut self) -> Result<Identities> {

@@ -1,0 +1,71 @@
+//! A look at gradients on their way to the optimiser: whether all are finite, told together with the loss in one readback.
+
+use crate::device::{in_host_memory, read};
+use crate::error::Result;
+use burn::tensor::Tensor;
+#[cfg(feature = "cube")]
+use burn::{
+    backend::{
+        Backend, Dispatch, backend_extension,
+        tensor::{FloatTensor, IntTensor},
+    },
+    tensor::Int,
+};
+
+/// Counts on a GPU, for tensors that lie there.
+#[cfg(feature = "cube")]
+#[backend_extension(Cube: cfg(feature = "cube"))]
+pub trait FiniteBackend: Backend {
+    /// `count` (`[1]`) and the number of values that are NaN or infinite besides; its buffer may be reused.
+    fn add_non_finite(count: IntTensor<Self>, values: FloatTensor<Self>) -> IntTensor<Self>;
+    /// `loss` (`[1]`) and `count`, `[2]`.
+    fn with_count(loss: FloatTensor<Self>, count: IntTensor<Self>) -> FloatTensor<Self>;
+}
+
+/// Tensors that were looked at.
+#[derive(Clone, Debug, Default)]
+pub struct FiniteCheck {
+    /// Of what lies in host memory: a NaN or an infinity always reaches the sum.
+    sums: Vec<Tensor<1>>,
+    #[cfg(feature = "cube")]
+    count: Option<Tensor<1, Int>>,
+}
+
+impl FiniteCheck {
+    /// Looks at `values`, which have no autodiff.
+    pub fn add<const D: usize>(&mut self, values: &Tensor<D>) {
+        #[cfg(feature = "cube")]
+        if !in_host_memory(&values.device()) {
+            let count = self.count.take().unwrap_or_else(|| Tensor::zeros([1], &values.device()));
+            let count = Dispatch::add_non_finite(count.into_dispatch(), values.clone().into_dispatch());
+            self.count = Some(Tensor::from_dispatch(count));
+            return;
+        }
+        self.sums.push(values.clone().sum());
+    }
+
+    /// The value of `loss` (`[1]`, without autodiff), and whether it and all that was looked at are finite. In host memory `false`
+    /// may also mean that a sum was beyond its type.
+    ///
+    /// # Errors
+    /// [`crate::Error::Device`] when the device does not give them back.
+    pub fn read(self, loss: Tensor<1>) -> Result<(f32, bool)> {
+        let mut found = read("loss", self.beside(loss))?;
+        let value = found.remove(0);
+        #[cfg(feature = "cube")]
+        if self.count.is_some() {
+            return Ok((value, value.is_finite() && found.iter().all(|count| *count == 0.0)));
+        }
+        Ok((value, value.is_finite() && found.iter().all(|sum| sum.is_finite())))
+    }
+
+    /// `loss` and what is read with it.
+    fn beside(&self, loss: Tensor<1>) -> Tensor<1> {
+        #[cfg(feature = "cube")]
+        if let Some(count) = &self.count {
+            let both = Dispatch::with_count(loss.into_dispatch(), count.clone().into_dispatch());
+            return Tensor::from_dispatch(both);
+        }
+        if self.sums.is_empty() { loss } else { Tensor::cat([&[loss], &self.sums[..]].concat(), 0) }
+    }
+}

@@ -1,0 +1,117 @@
+//! One Adam step in one kernel: parameter, gradient and both moments are read and written once.
+
+use super::{covers, own};
+use crate::gpu::{Gpu, arg};
+use crate::ops::adam::{AdamBackend, AdamStep, on_host};
+use burn::backend::tensor::FloatTensor;
+use burn::tensor::DType;
+use burn_cubecl::CubeBackend;
+use burn_cubecl::cubecl::{self, prelude::*};
+use burn_cubecl::kernel::into_contiguous;
+use std::sync::Arc;
+
+/// `rate` holds for all scalars, or `rates` repeats along them.
+#[cube(launch)]
+fn adam(
+    param: &mut [f32],
+    gradient: &[f32],
+    first: &mut [f32],
+    second: &mut [f32],
+    rates: &[f32],
+    count: u32,
+    rate: f32,
+    beta1: f32,
+    rest1: f32,
+    beta2: f32,
+    rest2: f32,
+    root: f32,
+    epsilon: f32,
+    #[comptime] period: usize,
+) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    let g = gradient[i];
+    let m = beta1 * first[i] + rest1 * g;
+    let v = beta2 * second[i] + rest2 * (g * g);
+    first[i] = m;
+    second[i] = v;
+    let mut by = rate;
+    if comptime![period > 1] {
+        by = rates[i % period];
+    }
+    param[i] -= by * m / (v.sqrt() * root + epsilon);
+}
+
+/// `mean += share (value - mean)`.
+#[cube(launch)]
+fn move_towards(mean: &mut [f32], value: &[f32], count: u32, share: f32) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    mean[i] += share * (value[i] - mean[i]);
+}
+
+impl AdamBackend for CubeBackend {
+    fn adam_step(
+        param: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        first: FloatTensor<Self>,
+        second: FloatTensor<Self>,
+        step: Arc<AdamStep>,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>) {
+        let count = param.meta.num_elements();
+        if !covers(&param) || count == 0 {
+            return on_host::adam_step::<Self>(param, grad, first, second, &step);
+        }
+        let gpu = Gpu::of(&param);
+        let (param, first, second) = (own(param), own(first), own(second));
+        let (c1, c2) = step.corrections();
+        let rates: Vec<f32> = step.rates.iter().map(|rate| (rate / c1) as f32).collect();
+        let rate = rates.first().copied().unwrap_or_default();
+        // One rate for all travels with the launch.
+        let rates = if rates.len() > 1 { gpu.upload(&rates, DType::F32) } else { gpu.floats([1]) };
+        adam::launch(
+            &gpu.client,
+            gpu.cubes_for(count),
+            gpu.dim(),
+            arg(&param),
+            arg(&into_contiguous(grad)),
+            arg(&first),
+            arg(&second),
+            arg(&rates),
+            count as u32,
+            rate,
+            step.beta1 as f32,
+            (1.0 - step.beta1) as f32,
+            step.beta2 as f32,
+            (1.0 - step.beta2) as f32,
+            (1.0 / c2.sqrt()) as f32,
+            step.epsilon as f32,
+            step.rates.len(),
+        );
+        (param, first, second)
+    }
+
+    fn move_towards(mean: FloatTensor<Self>, value: FloatTensor<Self>, share: f64) -> FloatTensor<Self> {
+        let count = mean.meta.num_elements();
+        if !covers(&mean) || count == 0 {
+            return on_host::move_towards::<Self>(mean, value, share);
+        }
+        let gpu = Gpu::of(&mean);
+        let mean = own(mean);
+        let value = into_contiguous(value);
+        move_towards::launch(
+            &gpu.client,
+            gpu.cubes_for(count),
+            gpu.dim(),
+            arg(&mean),
+            arg(&value),
+            count as u32,
+            share as f32,
+        );
+        mean
+    }
+}
