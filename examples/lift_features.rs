@@ -3,21 +3,26 @@
 //! For fixed Gaussians rendering is a linear map, S = W s; its adjoint, W^T F, carries features of pixels back to
 //! Gaussians. Here a feature is the one-hot class of a pixel, so that what comes out can be scored.
 //!
+//! For a run of the built-in room, whose photos and true labels are made anew; `coseg::data::load` reads a folder instead.
+//!
 //!     cargo run --release -- train                       # writes runs/builtin
 //!     cargo run --release --example lift_features -- runs/builtin
 
 use coseg::data::Limits;
 use coseg::data::Split;
 use coseg::data::builtin;
-use coseg::gaussians::ply;
+use coseg::gaussians::ply::{self, PlyScene};
 use coseg::raster::{Projected, Settings};
 use std::error::Error;
 use std::path::Path;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let run = std::env::args().nth(1).unwrap_or_else(|| "runs/builtin".to_owned());
-    let gaussians = ply::read(&Path::new(&run).join("scene.ply"), &Limits::default())?.gaussians;
+    let PlyScene { gaussians, origin, .. } = ply::read(&Path::new(&run).join("scene.ply"), &Limits::default())?;
     let scene = builtin::scene(builtin::EVALUATED_SEED);
+    if origin != scene.origin {
+        return Err(format!("{run}: not a run of the built-in room").into()); // else cameras move by -origin
+    }
     let (n, channels) = (gaussians.len(), scene.classes.len());
 
     // s = W^T F / W^T 1, summed over the training views

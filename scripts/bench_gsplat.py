@@ -8,8 +8,9 @@ Needs an NVIDIA GPU, PyTorch with CUDA, numpy and gsplat 1.5.3 (its CUDA sources
 with nvcc). Prints milliseconds a view, medians of passes over all views; a pass ends with one value copied to the host, as
 coseg's does. With --against also coseg's figure of the same case and how many times faster coseg is.
 
-gsplat evaluates SH in `rasterization` for RGB. For RGB + 20 classes its `spherical_harmonics` makes the colours, which are
-blended together with the classes: one pass over the pairs, as coseg does.
+RGB and 64 channels go through gsplat's `rasterization`, 64 channels in one pass and in its default chunks of 32: the faster
+counts. RGB + 20 classes goes through the functions that `rasterization` is made of, so that SH of Gaussians that are seen
+become colours that are blended together with the classes, padded by gsplat to 32 channels: one pass over the pairs.
 """
 import argparse
 import json
@@ -19,9 +20,12 @@ import sys
 import time
 from pathlib import Path
 
+import gsplat
 import numpy as np
 import torch
-from gsplat import rasterization, spherical_harmonics
+from gsplat import (
+    fully_fused_projection, isect_offset_encode, isect_tiles, rasterization, rasterize_to_pixels, spherical_harmonics,
+)
 
 TYPES = {"float": "<f4", "float32": "<f4", "double": "<f8", "float64": "<f8", "uchar": "u1", "uint8": "u1",
          "ushort": "<u2", "uint16": "<u2", "int": "<i4", "int32": "<i4", "uint": "<u4", "uint32": "<u4"}
@@ -71,18 +75,33 @@ def read_cameras(path):
     return views
 
 
-def render(g, view, colour, extra, packed):
+TILE = 16
+
+
+def render(g, view, colour, extra, chunk, packed):
     """One view, `[H, W, channels]`."""
-    matrix, k, center, width, height = view
-    values, degree = extra, None
-    if colour:
-        degree = int(g["sh"].shape[1] ** 0.5) - 1
-        values = g["sh"]
-        if extra is not None:
-            rgb = (spherical_harmonics(degree, g["means"] - center, g["sh"]) + 0.5).clamp_min(0.0)
-            values, degree = torch.cat([rgb, extra], 1), None
+    if colour and extra is not None:
+        return render_together(g, view, extra)
+    matrix, k, _, width, height = view
+    values, degree = (g["sh"], int(g["sh"].shape[1] ** 0.5) - 1) if colour else (extra, None)
     image, _, _ = rasterization(g["means"], g["quats"], g["scales"], g["opacities"], values, matrix, k, width, height,
-                                sh_degree=degree, packed=packed)
+                                sh_degree=degree, packed=packed, channel_chunk=chunk)
+    return image[0]
+
+
+def render_together(g, view, extra):
+    """Colour from SH and other channels in one pass, by the steps of `rasterization`."""
+    matrix, k, center, width, height = view
+    radii, means2d, depths, conics, _ = fully_fused_projection(
+        g["means"], None, g["quats"], g["scales"], matrix, k, width, height, opacities=g["opacities"])
+    degree = int(g["sh"].shape[1] ** 0.5) - 1
+    seen = (radii[0] > 0).all(-1)
+    rgb = (spherical_harmonics(degree, g["means"] - center, g["sh"], masks=seen) + 0.5).clamp_min(0.0)
+    columns, rows = -(-width // TILE), -(-height // TILE)
+    _, ids, flat = isect_tiles(means2d, radii, depths, TILE, columns, rows)
+    offsets = isect_offset_encode(ids, 1, columns, rows)
+    values = torch.cat([rgb, extra], 1)[None]
+    image, _ = rasterize_to_pixels(means2d, conics, values, g["opacities"][None], width, height, TILE, offsets, flat)
     return image[0]
 
 
@@ -102,19 +121,20 @@ def measure(g, views, colour, channels, repeats, packed):
     n = len(g["means"])
     extra = torch.rand(n, channels, device="cuda") if channels else None
 
-    def forward():
+    def forward(chunk):
         with torch.no_grad():
             for view in views:
-                render(g, view, colour, extra, packed)[0, 0, 0].item()
+                render(g, view, colour, extra, chunk, packed)[0, 0, 0].item()
 
-    def both():
+    def both(chunk):
         for view in views:
             leaves = {name: value.detach().requires_grad_() for name, value in g.items()}
             values = None if extra is None else extra.detach().requires_grad_()
-            render(leaves, view, colour, values, packed).sum().backward()
+            render(leaves, view, colour, values, chunk, packed).sum().backward()
             leaves["means"].grad[0, 0].item()
 
-    return [timed(work, repeats) / len(views) for work in (forward, both)]
+    chunks = [32, 64] if channels > 32 else [32]
+    return [min(timed(lambda: work(chunk), repeats) for chunk in chunks) / len(views) for work in (forward, both)]
 
 
 def main():
@@ -125,11 +145,14 @@ def main():
     parser.add_argument("--packed", action="store_true", help="gsplat's packed mode: less memory, usually slower")
     parser.add_argument("--json", type=Path, help="write the figures to this file too")
     args = parser.parse_args()
-    ours = {}
+    ours, device = {}, torch.cuda.get_device_name()
     if args.against:
-        for section in json.loads(args.against.read_text())["sections"]:
+        against = json.loads(args.against.read_text())
+        print(f"coseg: {against['machine']}")
+        for section in against["sections"]:
             ours |= {(f["case"], f["name"]): f["median"] for f in section["figures"] if section["section"] == "channels"}
-    print(f"{torch.cuda.get_device_name()}, gsplat, {'packed' if args.packed else 'not packed'}")
+    mode = "packed" if args.packed else "not packed"
+    print(f"gsplat {gsplat.__version__}, PyTorch {torch.__version__}, {device}, {mode}")
     found = []
     for ply in sorted(args.subject.glob("gaussians_*.ply"), key=lambda p: int(re.sub(r"\D", "", p.stem))):
         g = read_gaussians(ply)
@@ -137,14 +160,19 @@ def main():
             views = read_cameras(cameras)
             for name, colour, channels in CASES:
                 case = f"{cameras.stem[8:]}, {len(g['means']):,} Gaussians, {name}"
-                for what, ms in zip(("forward", "forward + backward"),
-                                    measure(g, views, colour, channels, args.repeats, args.packed)):
+                try:
+                    times = measure(g, views, colour, channels, args.repeats, args.packed)
+                except torch.cuda.OutOfMemoryError as error:
+                    print(f"{case}: left out, {str(error).splitlines()[0]}")
+                    continue
+                for what, ms in zip(("forward", "forward + backward"), times):
                     coseg = ours.get((case, what))
                     beside = f"   coseg {coseg:9.3f} ms, x{ms / coseg:.2f}" if coseg else ""
-                    print(f"{case:<52} {what:<19} {ms:9.3f} ms{beside}")
+                    print(f"{case:<52} {what:<19} {ms:9.3f} ms{beside}", flush=True)
                     found.append({"case": case, "name": what, "unit": "ms", "median": ms, "coseg": coseg})
     if args.json:
-        args.json.write_text(json.dumps({"device": torch.cuda.get_device_name(), "figures": found}, indent=1) + "\n")
+        versions = {"gsplat": gsplat.__version__, "torch": torch.__version__, "device": device, "mode": mode}
+        args.json.write_text(json.dumps({**versions, "figures": found}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

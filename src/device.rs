@@ -102,7 +102,7 @@ pub fn choose(name: Option<BackendName>) -> Result<(BackendName, Device)> {
 
 /// Whether tensors on `device`, with or without autodiff, lie in host memory.
 ///
-/// Fused operations lend such tensors to kernels for the CPU; elsewhere their plain form keeps the data on the device.
+/// Fused operations lend such tensors to kernels for the CPU; elsewhere kernels of the device, or plain tensors, keep the data there.
 pub fn in_host_memory(device: &Device) -> bool {
     match device.clone().inner().as_dispatch() {
         #[cfg(feature = "flex")]

@@ -23,7 +23,8 @@
 //! # One code, several backends
 //!
 //! Operations of this crate run on burn's ndarray and flex backends by kernels for the CPU (AVX2 and AVX-512 chosen at run
-//! time), on wgpu and cuda by CubeCL kernels, `f32`. [`device::open`] takes the best that is compiled in and that the machine has.
+//! time), in `f32` or `f64`; on wgpu most by CubeCL kernels, in `f32`, the rest by burn's. cuda, by name alone, is type-checked and was
+//! never run. [`device::open`] takes a GPU where there is one, else a CPU backend.
 //!
 //! # Conventions
 //!

@@ -3,6 +3,7 @@
 use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words};
 use crate::config::{Config, Preset, Row};
 use crate::data::{Scene, Split};
+use crate::device::in_host_memory;
 use crate::error::Result;
 use crate::features::SCALES;
 use crate::objects::Identities;
@@ -109,10 +110,15 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     findings.figures.extend([
         Figure::measured(&case, "an iteration", "ms", &steps.scaled(1e3)).at_most_if(is_barred, BAR, MEANT_FOR),
         Figure::measured(&case, "the first on a view, which makes its weights", "ms", &making.scaled(1e3)),
-        share("of it forward: decoding and blending", forward.sum()),
-        share("of it losses and backward", rest),
-        share("of it Adam, and what is decoded in parts", update.sum()),
     ]);
+    // A GPU works on while the host is elsewhere: only a whole iteration, which ends with a readback, has a time.
+    if in_host_memory(device) {
+        findings.figures.extend([
+            share("of it forward: decoding and blending", forward.sum()),
+            share("of it losses and backward", rest),
+            share("of it Adam, and what is decoded in parts", update.sum()),
+        ]);
+    }
     Ok(findings)
 }
 

@@ -52,7 +52,7 @@ pub struct RenderArgs {
     /// Colour behind the scene, each 0 to 1
     #[arg(long, value_name = "R,G,B", default_value = "0,0,0", value_parser = parse_color)]
     background: [f32; 3],
-    /// Cap of a splat's opacity at a pixel, in (0, 1]; gsplat has 0.99 [default: 0.999]
+    /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99, gsplat 0.999 [default: 0.999]
     #[arg(long, value_name = "X")]
     alpha_max: Option<f64>,
 }

@@ -165,7 +165,7 @@ impl Default for BuildingConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RasterConfig {
-    /// Cap of alpha'; 0.99 matches gsplat and graphdeco.
+    /// Cap of alpha'; 0.99 matches graphdeco, 0.999 gsplat 1.5.
     pub alpha_max: f64,
     /// Pairs below this alpha' are skipped.
     pub alpha_min: f64,

@@ -183,7 +183,7 @@ pub struct AdamTensors<const D: usize> {
 /// One fused Adam step; equals [`adam_step_plain`].
 ///
 /// # Panics
-/// If shapes differ, `step.rates` is empty, or a tensor has autodiff.
+/// If shapes differ, `step.rates` is empty, or a tensor has autodiff or is neither f32 nor f64.
 pub fn adam_step<const D: usize>(state: AdamTensors<D>, grad: Tensor<D>, step: &Arc<AdamStep>) -> AdamTensors<D> {
     let AdamTensors { param, first, second } = state;
     assert!(!step.rates.is_empty(), "adam_step: no learning rate");
@@ -207,7 +207,7 @@ pub fn adam_step<const D: usize>(state: AdamTensors<D>, grad: Tensor<D>, step: &
 /// `mean + share (value - mean)`, the step of a running mean, in one pass.
 ///
 /// # Panics
-/// If shapes differ or a tensor has autodiff.
+/// If shapes differ, or a tensor has autodiff or is neither f32 nor f64.
 pub fn move_towards<const D: usize>(mean: Tensor<D>, value: Tensor<D>, share: f64) -> Tensor<D> {
     assert_eq!(mean.dims(), value.dims(), "move_towards: mean against value");
     Tensor::from_dispatch(Dispatch::move_towards(mean.into_dispatch(), value.into_dispatch(), share))

@@ -1,6 +1,8 @@
 //! A look at gradients on their way to the optimiser: whether all are finite, told together with the loss in one readback.
 
-use crate::device::{in_host_memory, read};
+#[cfg(feature = "cube")]
+use crate::device::in_host_memory;
+use crate::device::read;
 use crate::error::Result;
 use burn::tensor::Tensor;
 #[cfg(feature = "cube")]
@@ -22,7 +24,7 @@ pub trait FiniteBackend: Backend {
     fn with_count(loss: FloatTensor<Self>, count: IntTensor<Self>) -> FloatTensor<Self>;
 }
 
-/// Tensors that were looked at.
+/// Tensors of f32 that were looked at.
 #[derive(Clone, Debug, Default)]
 pub struct FiniteCheck {
     /// Of what lies in host memory: a NaN or an infinity always reaches the sum.

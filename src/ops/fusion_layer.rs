@@ -271,7 +271,8 @@ impl<B: FusionBackend, C: CheckpointStrategy> FusionBackend for Autodiff<B, C> {
 /// `[R, D]`, with gradients to all four. K may be 0.
 ///
 /// # Panics
-/// If the shapes disagree, the tensors are not all with or all without autodiff, or a row is not one of `x`.
+/// If the shapes disagree, the tensors are not all with or all without autodiff, or are neither f32 nor f64, or a row is not one
+/// of `x`.
 pub fn fusion_layer(x: Tensor<2>, weight: Tensor<2>, below: Tensor<2>, bias: Tensor<1>, map: LayerMap) -> Tensor<2> {
     let ([rows, inputs], [coarse, width]) = (x.dims(), below.dims());
     let used = map.rows.as_ref().map_or(rows, |r| r.len());
@@ -281,6 +282,8 @@ pub fn fusion_layer(x: Tensor<2>, weight: Tensor<2>, below: Tensor<2>, bias: Ten
         (map.upsample.rows(), map.upsample.columns),
         "fusion_layer: rows against the upsampling"
     );
+    let known = map.rows.as_ref().is_none_or(|used| used.iter().all(|&row| (row as usize) < rows));
+    assert!(known, "fusion_layer: a row is not below {rows}");
     let tensors = LayerTensors {
         x: x.into_dispatch(),
         weight: weight.into_dispatch(),

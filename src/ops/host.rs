@@ -2,6 +2,7 @@
 
 use super::Real;
 use burn::backend::{Backend, TensorMetadata, tensor::FloatTensor};
+use std::cell::Cell;
 use std::ops::Deref;
 
 /// The row-major contents of a tensor in host memory.
@@ -87,14 +88,25 @@ macro_rules! real_kernel {
 }
 pub(crate) use real_kernel;
 
-/// Warns once that a kernel runs on the CPU although its tensors live on a GPU.
-pub fn warn_host_fallback() {
+thread_local! {
+    static FALLBACKS: Cell<usize> = const { Cell::new(0) };
+}
+
+/// How many tensors of a GPU went to kernels for the CPU, of calls on this thread.
+pub fn host_fallbacks() -> usize {
+    FALLBACKS.get()
+}
+
+/// Counts, and warns once, that a kernel runs on the CPU although its tensors live on a GPU.
+#[cfg(feature = "cube")]
+fn note_host_fallback() {
+    FALLBACKS.set(FALLBACKS.get() + 1);
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| {
         tracing::warn!(
             "part of this run has no kernel for this GPU: it runs on the CPU and copies from and to the GPU (tensors of f64, \
-             images beyond one allocation, and all rasterizing where the device binds fewer than 16 \
-             buffers or shares less than 32 KB)"
+             images beyond one allocation, absolute screen-space gradients of more than 8 channels, and all rasterizing where \
+             the device binds fewer than 16 buffers or shares less than 32 KB)"
         );
     });
 }
@@ -153,7 +165,7 @@ mod on_cube {
 
     impl HostBackend for CubeBackend {
         fn values<E: Real>(tensor: FloatTensor<Self>) -> HostValues<E> {
-            warn_host_fallback();
+            note_host_fallback();
             HostValues::Owned(copy_out::<Self, E>(tensor))
         }
         fn tensor<E: Real>(values: Vec<E>, shape: &[usize], device: &Self::Device) -> FloatTensor<Self> {

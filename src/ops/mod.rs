@@ -36,7 +36,7 @@ pub use finite::FiniteCheck;
 pub use fusion_layer::{FusionBackend, LayerGradients, LayerMap, LayerTensors, fusion_layer, fusion_layer_plain};
 pub(crate) use host::device_of;
 pub(crate) use host::real_kernel;
-pub use host::{HostBackend, HostKernels, HostValues, warn_host_fallback};
+pub use host::{HostBackend, HostKernels, HostValues, host_fallbacks};
 pub use label_loss::{Kind, LabelLossBackend, UNLABELLED, label_loss};
 pub use neighbour_divergence::{DivergenceBackend, NeighbourPairs, neighbour_divergence, neighbour_divergence_plain};
 pub use photometric::{Photo, PhotometricBackend, photometric_loss, photometric_loss_plain};

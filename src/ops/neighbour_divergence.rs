@@ -144,7 +144,7 @@ impl<B: DivergenceBackend, C: CheckpointStrategy> DivergenceBackend for Autodiff
 /// `features` `[N, D]`, fused features of the scale. No pairs: zero.
 ///
 /// # Panics
-/// If a row of `pairs` is not below N.
+/// If a row of `pairs` is not below N, or `features` are neither f32 nor f64.
 pub fn neighbour_divergence(features: Tensor<2>, pairs: NeighbourPairs) -> Tensor<1> {
     let points = features.dims()[0];
     let known = pairs.chosen.iter().chain(&pairs.neighbours).all(|&r| (r as usize) < points);

@@ -112,7 +112,7 @@ impl<'a> BuildingStage<'a> {
         }
         let provenance = Provenance::building(config, scene)?;
         if state.provenance.is_known() {
-            provenance.check(&state.provenance, Path::new("the building checkpoint"))?;
+            provenance.check(&state.provenance, false, Path::new("the building checkpoint"))?;
         }
         if state.seed != config.seed {
             let (found, expected) = (config.seed.to_string(), state.seed.to_string());

@@ -25,6 +25,8 @@ const WITHOUT_EFFECT: [&str; 9] = [
     "eval_every",
     "checkpoint_every",
 ];
+/// How label maps are rendered.
+const RENDER: &str = "segmentation.render";
 /// Sections that training follows from.
 const SECTIONS: [&str; 6] = ["building", "raster", "segmentation", "features", "unprojection", "spatial"];
 /// Settings that are paths: files may move, so their names are compared.
@@ -81,15 +83,18 @@ impl Provenance {
     }
 
     /// Refuses a checkpoint, `stored` in `file`, that was made from other settings or data than these. A setting that it does
-    /// not mention did not exist when it was written: it counts as the default, which leaves older runs as they were.
+    /// not mention did not exist when it was written: it counts as the default, which leaves older runs as they were. What
+    /// training is `finished` may be scored by another rule of rendering, unless a rate was chosen by such scores.
     ///
     /// # Errors
     /// [`Error::Config`] naming the first setting that differs; [`Error::Input`] naming the data.
-    pub(super) fn check(&self, stored: &Self, file: &Path) -> Result<()> {
+    pub(super) fn check(&self, stored: &Self, finished: bool, file: &Path) -> Result<()> {
         let none = || "nothing".to_owned();
         let defaults = settings(&Config::default(), &SECTIONS);
         let then = |key: &str| stored.settings.get(key).or_else(|| defaults.get(key));
-        let keys = self.settings.keys().chain(stored.settings.keys()).filter(|key| self.matters(key));
+        let keys = self.settings.keys().chain(stored.settings.keys());
+        let tried = self.settings.get("segmentation.lr_trials").is_some_and(|trials| trials != "[]");
+        let keys = keys.filter(|key| *key != RENDER || tried || !finished);
         if let Some(key) = keys.into_iter().find(|key| self.settings.get(*key) != then(key)) {
             let found = self.settings.get(key).cloned().unwrap_or_else(none);
             let then = then(key).cloned().unwrap_or_else(none);
@@ -105,10 +110,9 @@ impl Provenance {
         Ok(())
     }
 
-    /// Whether training follows from this setting. How label maps are rendered decides scores alone, but where a rate is
-    /// chosen by such scores.
-    fn matters(&self, key: &str) -> bool {
-        key != "segmentation.render" || self.settings.get("segmentation.lr_trials").is_some_and(|trials| trials != "[]")
+    /// Whether label maps are rendered by the same rule as in `stored`.
+    pub(super) fn renders_as(&self, stored: &Self) -> bool {
+        self.settings.get(RENDER) == stored.settings.get(RENDER)
     }
 }
 

@@ -4,10 +4,18 @@
 use crate::device_ops::{assert_close, host, leaf, uneven, value_and_gradients, waves};
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::ops::{
-    AdamStep, AdamTensors, FiniteCheck, LayerMap, NeighbourPairs, SparseMatrix, adam_step, fusion_layer, move_towards,
-    neighbour_divergence,
+    AdamStep, AdamTensors, FiniteCheck, LayerMap, NeighbourPairs, SparseMatrix, adam_step, fusion_layer,
+    host_fallbacks, move_towards, neighbour_divergence,
 };
 use std::sync::Arc;
+
+/// What `f` gives, none of whose tensors went to the CPU's kernels when it ran on a GPU.
+pub fn on_device<T>(on: Option<&Device>, f: impl FnOnce() -> T) -> T {
+    let before = host_fallbacks();
+    let out = f();
+    assert!(on.is_none() || host_fallbacks() == before, "{} tensors went to the host", host_fallbacks() - before);
+    out
+}
 
 #[test]
 fn adam_steps_with_one_rate_and_with_one_a_column() {
@@ -27,7 +35,8 @@ fn adam_steps_with_one_rate_and_with_one_a_column() {
             [state.param, state.first, state.second].map(host)
         };
         let names = ["param", "first moment", "second moment"];
-        for ((got, want), name) in run(Some(&gpu)).iter().zip(&run(None)).zip(names) {
+        let got = on_device(Some(&gpu), || run(Some(&gpu)));
+        for ((got, want), name) in got.iter().zip(&run(None)).zip(names) {
             assert_close(got, want, 1e-6, &format!("{name}, {} rates", rates.len()));
         }
     }
@@ -42,7 +51,7 @@ fn running_means() {
     };
     let want: Vec<f64> = waves(300, 5.0).into_iter().map(f64::from).collect();
     assert_close(&run(None), &want, 1e-6, "the mean of 1 to 9");
-    assert_close(&run(Some(&gpu)), &want, 1e-6, "the mean of 1 to 9 on a GPU");
+    assert_close(&on_device(Some(&gpu), || run(Some(&gpu))), &want, 1e-6, "the mean of 1 to 9 on a GPU");
 }
 
 #[test]
@@ -87,6 +96,7 @@ fn divergences_of_neighbours() {
         };
         let mut twice = chosen.clone();
         twice[0] = twice[1];
+        on_device(Some(&gpu), || run(Some(&gpu), &chosen));
         for chosen in [chosen, twice] {
             for ((got, want), name) in
                 run(Some(&gpu), &chosen).iter().zip(&run(None, &chosen)).zip(["value", "gradient"])
@@ -119,7 +129,8 @@ fn layers_of_the_decoder() {
         };
         let what = format!("{inputs} inputs, slope {slope}, {} rows", map.upsample.rows());
         let names = ["value", "below", "bias", "x", "weight"];
-        for ((got, want), name) in run(Some(&gpu)).iter().zip(&run(None)).zip(names) {
+        let got = on_device(Some(&gpu), || run(Some(&gpu)));
+        for ((got, want), name) in got.iter().zip(&run(None)).zip(names) {
             assert_close(got, want, 1e-5, &format!("{name}: {what}"));
         }
     }

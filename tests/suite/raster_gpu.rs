@@ -1,5 +1,6 @@
 //! The rasterizer's GPU kernels against the CPU's in f64, fed the same f32 numbers.
 
+use crate::device_training::on_device;
 use crate::gpu;
 use crate::raster_reference::{self as reference, Cloud, camera, cloud, numbers};
 use burn::tensor::{DType, Device, Tensor, TensorData};
@@ -125,7 +126,7 @@ fn outside(part: usize, got: &[f64], want: &[f64]) -> usize {
 fn compare(what: &str, cloud: &Cloud, channels: Channels, camera: &Camera, settings: &Settings, allowed: f64) {
     let Some(gpu) = gpu() else { return };
     let (want, want_radii) = run(cloud, channels, camera, settings, &crate::device(), DType::F64);
-    let (got, got_radii) = run(cloud, channels, camera, settings, &gpu, DType::F32);
+    let (got, got_radii) = on_device(Some(&gpu), || run(cloud, channels, camera, settings, &gpu, DType::F32));
     for (part, (got, want)) in got.iter().zip(&want).enumerate() {
         let off = outside(part, got, want);
         let worst = got.iter().zip(want).map(|(g, w)| (g - w).abs()).fold(0.0, f64::max);

@@ -157,10 +157,21 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     other.segmentation.rows = vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::Ours];
     assert_eq!(whole(&other, &out).rows.last().expect("a row").identities, done.rows[2].identities);
 
-    // Nor how label maps are rendered, where no rate was chosen by their scores.
+    // What is finished may be scored by another rule of rendering, and its curve of scores by the old one goes.
     let mut scores = base.clone();
     scores.segmentation.render = LabelSource::Scores;
-    assert_eq!(whole(&scores, &out).rows.last().expect("a row").identities, done.rows[2].identities);
+    let (other, anew) = (whole(&scores, &out), whole(&scores, &folder.path().join("anew")));
+    let (other, anew) = (other.rows.last().expect("a row"), anew.rows.last().expect("a row"));
+    assert_eq!((&other.identities, &other.scores), (&anew.identities, &anew.scores));
+    assert_ne!(other.scores, done.rows[2].scores);
+    assert!(
+        other.curve.iter().all(|point| point.miou.is_none()) && anew.curve.iter().any(|point| point.miou.is_some())
+    );
+    // What is not finished may not; nor where a rate was chosen by such scores.
+    let half = folder.path().join("half");
+    run(&base, &half, &crate::device(), &mut StopAt::new("per_gaussian", 20)).expect("a part");
+    let error = run(&scores, &half, &crate::device(), &mut Silent).err().expect("must be refused").to_string();
+    assert!(error.contains("segmentation.render") && error.contains("per_gaussian.safetensors"), "{error}");
     let chosen = folder.path().join("chosen");
     let mut trials = base.clone();
     (trials.segmentation.rows, trials.segmentation.lr_trials) = (vec![Row::PerGaussian], vec![0.5, 1.0]);

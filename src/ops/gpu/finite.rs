@@ -19,8 +19,7 @@ fn beside(loss: &[f32], count: &[u32], both: &mut [f32]) {
 impl FiniteBackend for CubeBackend {
     fn add_non_finite(count: IntTensor<Self>, values: FloatTensor<Self>) -> IntTensor<Self> {
         let gpu = Gpu::of(&values);
-        // Nothing that is finite in a wider type is looked at as f32 would see it.
-        let values = into_contiguous(if values.dtype == DType::F32 { values } else { cast(values, DType::F32) });
+        let values = into_contiguous(cast(values, DType::F32));
         let count = cast(count, DType::U32);
         let count = if count.can_mut() { count } else { count.copy() };
         add_non_finite(&gpu, &values, values.meta.num_elements(), &count);

@@ -171,7 +171,7 @@ impl FusionBackend for CubeBackend {
                     None => d,
                     Some(rows) => {
                         let (whole, index, count) =
-                            (nothing(x_rows), gpu.upload(rows, DType::U32), rows.len() * inputs);
+                            (into_contiguous(nothing(x_rows)), gpu.upload(rows, DType::U32), rows.len() * inputs);
                         let cubes = gpu.cubes_for(count);
                         let (count, width) = (count as u32, inputs as u32);
                         scatter::launch(&gpu.client, cubes, gpu.dim(), arg(&d), arg(&index), arg(&whole), count, width);

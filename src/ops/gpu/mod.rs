@@ -20,7 +20,8 @@ use burn_cubecl::tensor::CubeTensor;
 /// `tensor` where a kernel may write: itself if nobody else holds it, or a copy.
 fn own(tensor: CubeTensor) -> CubeTensor {
     let tensor = into_contiguous(tensor);
-    if tensor.can_mut() { tensor } else { tensor.copy() }
+    // A copy may have its rows padded.
+    if tensor.can_mut() { tensor } else { into_contiguous(tensor.copy()) }
 }
 
 /// Whether kernels take `tensor`; what is not `f32` goes to the host's.

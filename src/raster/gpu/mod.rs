@@ -6,7 +6,8 @@
 //! every time. One readback a forward pass: the number of tile entries, and the count of non-finite rows beside it.
 //!
 //! Memory besides inputs and outputs, bytes: 60 a Gaussian (96 in the backward pass), 28 a tile entry while they are sorted
-//! and 8 afterwards, and in the backward pass up to 56 a tile entry, 1 GiB at most (more entries go through in slabs).
+//! and 8 afterwards, and in the backward pass up to 56 a tile entry, 1 GiB at most (more entries go through in slabs). Sums of
+//! absolute values add 8 a Gaussian and 8 a tile entry.
 
 mod backward;
 mod blend;

@@ -101,7 +101,6 @@ fn project_kernel(
     splats[SPLAT * i + 7] = p.z;
 }
 
-/// Counts values that are NaN or infinite.
 /// What [`project`] gives, a row for every Gaussian of the scene.
 pub(super) struct ProjectedScene {
     /// `[N, SPLAT]`; rows of culled Gaussians hold anything.

@@ -63,7 +63,7 @@ impl ModuleAdam {
         }
         let mut bad = Ok(());
         if !finite {
-            let mut find = |path: &[String], gradient: Tensor<1>| {
+            let mut find = |path: &[String], gradient: Tensor<2>| {
                 if bad.is_ok() {
                     bad = find_non_finite(&path.join("."), &gradient);
                 }
@@ -173,11 +173,11 @@ impl ModuleMapper for Step<'_> {
     }
 }
 
-/// Shows the gradients of all parameters, flattened, with their place in the module.
+/// Shows the gradients of all parameters, `[rows, scalars of a row]`, with their place in the module.
 struct Look<'a> {
     gradients: &'a Gradients,
     path: Vec<String>,
-    at: &'a mut dyn FnMut(&[String], Tensor<1>),
+    at: &'a mut dyn FnMut(&[String], Tensor<2>),
 }
 
 impl ModuleVisitor for Look<'_> {
@@ -189,7 +189,8 @@ impl ModuleVisitor for Look<'_> {
     }
     fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
         if let Some(gradient) = param.val().grad(self.gradients) {
-            (self.at)(&self.path, gradient.flatten(0, D - 1));
+            let (rows, count) = (gradient.dims()[0].max(1), gradient.dims().iter().product::<usize>());
+            (self.at)(&self.path, gradient.reshape([rows, count / rows]));
         }
     }
 }

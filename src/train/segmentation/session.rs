@@ -51,7 +51,7 @@ pub fn train(
     progress: &mut dyn Progress,
 ) -> Result<Vec<CurvePoint>> {
     let mut place = match &pace.checkpoint {
-        Some(path) if path.is_file() => restore(model, &pace.provenance, path)?,
+        Some(path) if path.is_file() => restore(model, &pace.provenance, plan.iterations, path)?,
         _ => Place::default(),
     };
     let gaussians = views.gaussians();
@@ -107,9 +107,10 @@ fn save(model: &dyn Model, provenance: &Provenance, path: &Path, place: &Place) 
     checkpoint.save(path)
 }
 
-fn restore(model: &mut dyn Model, provenance: &Provenance, path: &Path) -> Result<Place> {
+fn restore(model: &mut dyn Model, provenance: &Provenance, iterations: usize, path: &Path) -> Result<Place> {
     let mut checkpoint = Checkpoint::load(path, KIND)?;
-    provenance.check(&checkpoint.get("provenance")?, path)?;
+    let (stored, iteration): (Provenance, usize) = (checkpoint.get("provenance")?, checkpoint.get("iteration")?);
+    provenance.check(&stored, iteration == iterations, path)?;
     let tensors: Vec<(String, usize)> = checkpoint.get("tensors")?;
     let mut state = std::collections::HashMap::new();
     for (name, length) in tensors {
@@ -121,5 +122,10 @@ fn restore(model: &mut dyn Model, provenance: &Provenance, path: &Path) -> Resul
     }
     let running: Vec<f64> = checkpoint.take("running", &[3])?;
     let running = [running[0], running[1], running[2]];
-    Ok(Place { iteration: checkpoint.get("iteration")?, curve: curve::take(&mut checkpoint)?, running })
+    let mut curve = curve::take(&mut checkpoint)?;
+    if !provenance.renders_as(&stored) {
+        // Scores by another rule than this run's.
+        curve.iter_mut().for_each(|point| point.miou = None);
+    }
+    Ok(Place { iteration, curve, running })
 }
