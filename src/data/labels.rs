@@ -16,8 +16,8 @@ impl LabelMap {
         Self::decode(path, &ImageFile::open(path, limits)?)
     }
 
-    /// Refuses ids other than those of `classes`, whose lookup `known` is, and the ignored one.
-    pub(super) fn check_ids(&self, path: &Path, classes: &Classes, known: &[u16]) -> Result<()> {
+    /// Refuses ids other than those of `classes`, whose lookup `known` is, and the ignored one. `or` is added to what mends it.
+    pub(super) fn check_ids(&self, path: &Path, classes: &Classes, known: &[u16], or: &str) -> Result<()> {
         let unknown = |&id: &u16| id != classes.ignore && known[usize::from(id)] == u16::MAX;
         let Some(i) = self.ids.iter().position(unknown) else { return Ok(()) };
         let mut found: Vec<u16> = self.ids.iter().copied().filter(|id| unknown(id)).collect();
@@ -33,7 +33,7 @@ impl LabelMap {
             self.pixel(i),
             format!("label id {}{more}", self.ids[i]),
             format!("{} (ignored) or one of the {} class ids [{}]", classes.ignore, ids.len(), ids.join(" ")),
-            "add the id to classes.json or mend the map",
+            format!("add the id to classes.json or mend the map{or}"),
         ))
     }
 

@@ -221,7 +221,7 @@ impl Listing {
         if let Some(ids) = &self.truth_ids {
             map.translate(path, ids)?;
         }
-        map.check_ids(path, &self.classes, known)?;
+        map.check_ids(path, &self.classes, known, "")?;
         Ok(Some(geometry.labels(map)))
     }
 

@@ -75,7 +75,7 @@ fn check_names_all_planted_faults_at_once() {
         &["cloud.ply", "size", "bytes", "cut off"],
         &["labels/v7.png", "no such file", "label map"],
         &["images/v8.png", "image data", "without the end", "copy or export it again"],
-        &["raw/v1.png", "label id 77"],
+        &["raw/v1.png", "label id 77", "set data.association=gaussians"],
         &["raw/v3.png", "label id 77"],
     ];
     for parts in planted {

@@ -12,6 +12,10 @@ use crate::config::{Association, RawFormat};
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
+/// What mends unknown ids that are no classes.
+const IF_SEGMENTS: &str =
+    "; where ids mean something in their view alone (instance masks), set data.association=gaussians";
+
 /// The raw labels of a scene folder, as far as they are known before a map is decoded.
 pub(super) struct RawLabels {
     source: Source,
@@ -194,7 +198,7 @@ impl RawLabels {
             Source::Grey | Source::Masks => {
                 let map = LabelMap::decode(path, &file)?;
                 if !self.segments {
-                    map.check_ids(path, classes, known)?;
+                    map.check_ids(path, classes, known, IF_SEGMENTS)?;
                 }
                 Ok(RawMap { map, segments: Vec::new() })
             }
