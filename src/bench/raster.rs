@@ -2,7 +2,7 @@
 
 use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words, reset_peak_memory};
 use crate::camera::Camera;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::raster::{PairCounts, Projected, RasterInput, Settings, rasterize};
 use crate::report::peak_memory_bytes;
@@ -36,8 +36,14 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let mut before: Option<Before> = None;
     for &size in &effort.sizes {
         let gaussians = bench.subject.gaussians(size)?;
-        let medians = one_size(bench, &gaussians, &cameras, before.as_ref(), &mut findings.figures)?;
-        before = Some(Before { gaussians: gaussians.len(), medians });
+        match one_size(bench, &gaussians, &cameras, before.as_ref(), &mut findings.figures) {
+            Ok(medians) => before = Some(Before { gaussians: gaussians.len(), medians }),
+            // What a device cannot hold does not make the rest worthless.
+            Err(error @ Error::Limit { .. }) => {
+                findings.notes.push(format!("{}: left out, {error}", gaussians_in_words(gaussians.len())));
+            }
+            Err(error) => return Err(error),
+        }
     }
     Ok(findings)
 }
