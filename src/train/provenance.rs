@@ -112,7 +112,8 @@ impl Provenance {
 
     /// Whether label maps are rendered by the same rule as in `stored`.
     pub(super) fn renders_as(&self, stored: &Self) -> bool {
-        self.settings.get(RENDER) == stored.settings.get(RENDER)
+        let defaults = settings(&Config::default(), &SECTIONS);
+        self.settings.get(RENDER) == stored.settings.get(RENDER).or_else(|| defaults.get(RENDER))
     }
 }
 

@@ -167,6 +167,15 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     assert!(
         other.curve.iter().all(|point| point.miou.is_none()) && anew.curve.iter().any(|point| point.miou.is_some())
     );
+    // A row from before there was a choice was scored by the default: its curve stays with that, and goes with the other.
+    let (path, setting) = (out.join("checkpoint/ours.safetensors"), r#"\"segmentation.render\":\"\\\"labels\\\"\","#);
+    forget(&path, setting);
+    let with_scores = |config: &Config| {
+        let done = whole(config, &out);
+        done.rows.last().expect("a row").curve.iter().filter(|point| point.miou.is_some()).count()
+    };
+    assert!(with_scores(&base) > 0);
+    assert_eq!(with_scores(&scores), 0);
     // What is not finished may not; nor where a rate was chosen by such scores.
     let half = folder.path().join("half");
     run(&base, &half, &crate::device(), &mut StopAt::new("per_gaussian", 20)).expect("a part");
