@@ -20,8 +20,8 @@ use burn::{
 pub trait FiniteBackend: Backend {
     /// `count` (`[1]`) and the number of values that are NaN or infinite besides; its buffer may be reused.
     fn add_non_finite(count: IntTensor<Self>, values: FloatTensor<Self>) -> IntTensor<Self>;
-    /// `loss` (`[1]`) and `count`, `[2]`.
-    fn with_count(loss: FloatTensor<Self>, count: IntTensor<Self>) -> FloatTensor<Self>;
+    /// `loss` (`[1]`), `count` and `others` (`[n]`), `[2 + n]`.
+    fn with_count(loss: FloatTensor<Self>, count: IntTensor<Self>, others: FloatTensor<Self>) -> FloatTensor<Self>;
 }
 
 /// Tensors of f32 that were looked at.
@@ -52,22 +52,35 @@ impl FiniteCheck {
     /// # Errors
     /// [`crate::Error::Device`] when the device does not give them back.
     pub fn read(self, loss: Tensor<1>) -> Result<(f32, bool)> {
-        let mut found = read("loss", self.beside(loss))?;
+        let (value, finite, _) = self.read_with(loss, None)?;
+        Ok((value, finite))
+    }
+
+    /// [`FiniteCheck::read`], and the values of `others` (`[n]`, without autodiff) in the same readback.
+    ///
+    /// # Errors
+    /// As [`FiniteCheck::read`].
+    pub fn read_with(self, loss: Tensor<1>, others: Option<Tensor<1>>) -> Result<(f32, bool, Vec<f32>)> {
+        let length = others.as_ref().map_or(0, |others| others.dims()[0]);
+        let mut found = read("loss", self.beside(loss, others))?;
+        let others = found.split_off(found.len().saturating_sub(length));
         let value = found.remove(0);
         #[cfg(feature = "cube")]
         if self.count.is_some() {
-            return Ok((value, value.is_finite() && found.iter().all(|count| *count == 0.0)));
+            return Ok((value, value.is_finite() && found.iter().all(|count| *count == 0.0), others));
         }
-        Ok((value, value.is_finite() && found.iter().all(|sum| sum.is_finite())))
+        Ok((value, value.is_finite() && found.iter().all(|sum| sum.is_finite()), others))
     }
 
-    /// `loss` and what is read with it.
-    fn beside(&self, loss: Tensor<1>) -> Tensor<1> {
+    /// `loss`, what tells whether all is finite, and `others`.
+    fn beside(&self, loss: Tensor<1>, others: Option<Tensor<1>>) -> Tensor<1> {
         #[cfg(feature = "cube")]
         if let Some(count) = &self.count {
-            let both = Dispatch::with_count(loss.into_dispatch(), count.clone().into_dispatch());
-            return Tensor::from_dispatch(both);
+            let others = others.unwrap_or_else(|| Tensor::empty([0], &loss.device()));
+            let (loss, count) = (loss.into_dispatch(), count.clone().into_dispatch());
+            return Tensor::from_dispatch(Dispatch::with_count(loss, count, others.into_dispatch()));
         }
-        if self.sums.is_empty() { loss } else { Tensor::cat([&[loss], &self.sums[..]].concat(), 0) }
+        let all: Vec<_> = std::iter::once(loss).chain(self.sums.iter().cloned()).chain(others).collect();
+        Tensor::cat(all, 0)
     }
 }

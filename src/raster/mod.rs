@@ -32,8 +32,9 @@ mod weights;
 pub use backward::SplatGradients;
 pub(crate) use geometry::ZERO_QUATERNION;
 pub use op::{
-    FrozenBackend, FrozenCall, FrozenTensors, Lifted, Radii, RasterBackend, RasterCall, RasterInput, RasterOutput,
-    RasterTensors, SplatTensors, SplatView, rasterize, rasterize_on_host,
+    FrozenBackend, FrozenCall, FrozenTensors, Lifted, ListCount, ListSummary, Radii, RasterBackend, RasterCall,
+    RasterInput, RasterOutput, RasterTensors, SplatTensors, SplatView, rasterize, rasterize_on_host,
+    rasterize_with_room,
 };
 pub use projected::{Blended, Projected, Rendered, render};
 pub use settings::{PairCounts, Settings, Splats, Stats};

@@ -8,12 +8,14 @@ mod cube;
 mod frozen;
 mod on_host;
 mod radii;
+mod room;
 mod splats;
 
 pub use backend::{RasterBackend, RasterTensors};
 pub use call::RasterCall;
 pub use frozen::{FrozenBackend, FrozenCall, FrozenTensors, Lifted, SplatView};
 pub use radii::Radii;
+pub use room::{ListCount, ListSummary};
 pub use splats::SplatTensors;
 
 use super::settings::Settings;
@@ -70,7 +72,25 @@ pub fn rasterize(
     settings: &Settings,
     background: [f32; 3],
 ) -> Result<RasterOutput> {
-    run(input, camera, settings, background, false)
+    Ok(run(input, camera, settings, background, Way::default())?.0)
+}
+
+/// [`rasterize`] without a wait for a GPU, which otherwise counts the entries of the tile lists before the host makes room for
+/// them: with `room` for that many, what came of it is in the summary, to be read with whatever is read next. Where
+/// [`ListCount::is_sound`] is false then, neither the output nor its gradients mean anything, and the call is to be
+/// repeated without `room`, which gives the image, or the error that names the non-finite input. Where room suffices the output
+/// is that of [`rasterize`] bit by bit. The host's kernels, and a GPU that cannot hold so many, go without `room`.
+///
+/// # Errors
+/// As [`rasterize`], apart from inputs that are not finite.
+pub fn rasterize_with_room(
+    input: RasterInput,
+    camera: &Camera,
+    settings: &Settings,
+    background: [f32; 3],
+    room: Option<usize>,
+) -> Result<(RasterOutput, ListSummary)> {
+    run(input, camera, settings, background, Way { room, ..Way::default() })
 }
 
 /// [`rasterize`] by the CPU's kernels wherever the tensors live, copying them from and to a GPU: what the GPU's kernels
@@ -84,7 +104,14 @@ pub fn rasterize_on_host(
     settings: &Settings,
     background: [f32; 3],
 ) -> Result<RasterOutput> {
-    run(input, camera, settings, background, true)
+    Ok(run(input, camera, settings, background, Way { host_kernels: true, room: None })?.0)
+}
+
+/// How a call is carried out.
+#[derive(Clone, Copy, Debug, Default)]
+struct Way {
+    host_kernels: bool,
+    room: Option<usize>,
 }
 
 fn run(
@@ -92,8 +119,8 @@ fn run(
     camera: &Camera,
     settings: &Settings,
     background: [f32; 3],
-    host_kernels: bool,
-) -> Result<RasterOutput> {
+    way: Way,
+) -> Result<(RasterOutput, ListSummary)> {
     let RasterInput { means, log_scales, rotations, opacity_logits, sh, active_sh_degree, features, screen } = input;
     let [n] = opacity_logits.dims();
     let shape = |name: &str, found: &[usize], expected: &[usize]| {
@@ -149,7 +176,8 @@ fn run(
         sh_degree: terms.isqrt() - 1,
         active_sh_degree,
         absolute_screen,
-        host_kernels,
+        host_kernels: way.host_kernels,
+        room: way.room,
         state: Mutex::default(),
     });
     let device = means.device();
@@ -174,5 +202,6 @@ fn run(
         _ if on_device.device().is_autodiff() => Radii::on_device(on_device.inner()),
         _ => Radii::on_device(on_device),
     };
-    Ok(RasterOutput { image: Tensor::from_dispatch(image), transmittance, radii })
+    let summary = Tensor::from_dispatch(Dispatch::raster_summary(image.clone(), call));
+    Ok((RasterOutput { image: Tensor::from_dispatch(image), transmittance, radii }, ListSummary::new(summary)))
 }

@@ -1,6 +1,8 @@
 //! The building stage: 3D Gaussians from posed photos.
 
 mod density;
+mod pass;
+mod rooms;
 mod tally;
 
 use super::building_state::BuildingState;
@@ -15,9 +17,10 @@ use crate::device::read;
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::metrics::ImageScores;
-use crate::ops::photometric_loss;
-use crate::raster::{RasterInput, RasterOutput, Settings, rasterize};
+use crate::raster::{RasterInput, Settings, rasterize};
 use burn::tensor::Device;
+use pass::Pass;
+use rooms::Rooms;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use tally::Tally;
@@ -69,6 +72,7 @@ pub struct BuildingStage<'a> {
     photos: Photos,
     parameters: Parameters,
     tally: Tally,
+    rooms: Rooms,
     iteration: usize,
     losses: (f64, u64),
     curve: Vec<CurvePoint>,
@@ -135,6 +139,7 @@ impl<'a> BuildingStage<'a> {
             checkpoint: None,
             provenance,
             tally: Tally::new(stats, &device),
+            rooms: Rooms::new(train.len()),
             device,
             train,
             test,
@@ -210,35 +215,14 @@ impl<'a> BuildingStage<'a> {
             Error::NonFinite { tensor, row, .. } => Error::NonFinite { tensor, row, context: context.clone() },
             other => other,
         };
-        let photo = self.photos.get(index, view)?;
-        let leaves = self.parameters.leaves();
-        let screen = self.screen();
-        let input = RasterInput {
-            means: leaves.means.clone(),
-            log_scales: leaves.log_scales.clone(),
-            rotations: leaves.rotations.clone(),
-            opacity_logits: leaves.opacity_logits.clone(),
-            sh: Some(leaves.sh.clone()),
-            active_sh_degree: self.schedule.sh_degree(iteration),
-            features: None,
-            screen: screen.clone(),
-        };
-        let background = self.config.raster.background;
-        let RasterOutput { image, radii, .. } =
-            rasterize(input, &view.camera, &self.settings, background).map_err(locate)?;
-        let loss = photometric_loss(image, photo, f64::from(self.config.building.ssim_weight));
-        let loss = self.regularised(loss, &leaves);
-        let mut gradients = loss.backward();
-        let of_screen = screen.and_then(|screen| screen.grad_remove(&mut gradients));
-        let gradients = self.parameters.gradients(leaves, &mut gradients);
-        let value = gradients.check(loss.inner()).map_err(locate)?;
+        let Pass { gradients, of_screen, radii, checked } = self.pass(index, view, iteration).map_err(locate)?;
         if let Some(gradient) = of_screen {
             self.tally.record(gradient, &radii)?;
         }
         self.parameters.step(gradients, &self.rates(iteration), iteration as u32);
         self.add_noise(iteration)?;
         self.iteration = iteration;
-        self.losses.0 += value;
+        self.losses.0 += checked.loss;
         self.losses.1 += 1;
         let densified = if self.schedule.densifies(iteration) { Some(self.densify()?) } else { None };
         let reset = self.schedule.resets(iteration);
@@ -247,7 +231,7 @@ impl<'a> BuildingStage<'a> {
         }
         self.seconds += start.elapsed().as_secs_f64();
         let (view, gaussians) = (view.name.clone(), self.parameters.len());
-        Ok(StepReport { iteration, view, loss: value, gaussians, densified, reset })
+        Ok(StepReport { iteration, view, loss: checked.loss, gaussians, densified, reset })
     }
 
     /// Trains to the end of the run, or until `progress` says stop, scoring the held-out views and keeping the

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::gaussians::noise::PositionNoise;
 use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
-use crate::raster::{SplatTensors, Splats};
+use crate::raster::{ListCount, ListSummary, SplatTensors, Splats};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
@@ -126,11 +126,12 @@ pub struct ParameterGradients {
 }
 
 impl ParameterGradients {
-    /// The value of `loss`, after a look at it and at all gradients: one readback.
+    /// The value of `loss`, after a look at it and at all gradients: one readback, in which the tile lists' count comes too. `None`
+    /// where the lists were not as they should be.
     ///
     /// # Errors
     /// [`Error::NonFinite`] naming the loss, or the gradient and its first bad row.
-    pub fn check(&self, loss: Tensor<1>) -> Result<f64> {
+    pub fn check(&self, loss: Tensor<1>, lists: &ListSummary) -> Result<Option<Checked>> {
         let Self { means, log_scales, rotations, opacity_logits, sh } = self;
         let mut check = FiniteCheck::default();
         check.add(means);
@@ -138,7 +139,11 @@ impl ParameterGradients {
         check.add(rotations);
         check.add(opacity_logits);
         check.add(sh);
-        let (value, finite) = check.read(loss)?;
+        let (value, finite, lists) = check.read_with(loss, lists.as_tensor())?;
+        let lists = ListCount::from_values(&lists);
+        if lists.is_some_and(|lists| !lists.is_sound) {
+            return Ok(None);
+        }
         if !value.is_finite() {
             return Err(Error::non_finite("loss", 0));
         }
@@ -150,8 +155,17 @@ impl ParameterGradients {
             find_non_finite(NAMES[OPACITY], opacity_logits)?;
             find_non_finite(NAMES[4], sh)?;
         }
-        Ok(value.into())
+        Ok(Some(Checked { loss: value.into(), entries: lists.map(|lists| lists.entries) }))
     }
+}
+
+/// What a look at loss and gradients found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Checked {
+    /// The value of the loss.
+    pub loss: f64,
+    /// Entries of the tile lists, where a GPU counted them.
+    pub entries: Option<usize>,
 }
 
 /// Zero moments for these Gaussians.

@@ -58,6 +58,8 @@ mod raster_contract;
 mod raster_gpu;
 mod raster_gradients;
 mod raster_reference;
+#[cfg(feature = "wgpu")]
+mod raster_room;
 mod raw_formats;
 mod relocation;
 mod replica;

@@ -9,10 +9,13 @@ use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::kernel::{cast, into_contiguous};
 
 #[cube(launch)]
-fn beside(loss: &[f32], count: &[u32], both: &mut [f32]) {
+fn beside(loss: &[f32], count: &[u32], others: &[f32], all: &mut [f32], length: u32) {
     if ABSOLUTE_POS == 0 {
-        both[0] = loss[0];
-        both[1] = f32::cast_from(count[0]);
+        all[0] = loss[0];
+        all[1] = f32::cast_from(count[0]);
+    }
+    if ABSOLUTE_POS < length as usize {
+        all[2 + ABSOLUTE_POS] = others[ABSOLUTE_POS];
     }
 }
 
@@ -26,11 +29,15 @@ impl FiniteBackend for CubeBackend {
         count
     }
 
-    fn with_count(loss: FloatTensor<Self>, count: IntTensor<Self>) -> FloatTensor<Self> {
+    fn with_count(loss: FloatTensor<Self>, count: IntTensor<Self>, others: FloatTensor<Self>) -> FloatTensor<Self> {
         let gpu = Gpu::of(&loss);
-        let both = gpu.floats([2]);
-        let (loss, count) = (into_contiguous(cast(loss, DType::F32)), cast(count, DType::U32));
-        beside::launch(&gpu.client, gpu.cubes(1), gpu.dim(), arg(&loss), arg(&count), arg(&both));
-        both
+        let length = others.meta.num_elements();
+        let all = gpu.floats([2 + length]);
+        let [loss, others] = [loss, others].map(|tensor| into_contiguous(cast(tensor, DType::F32)));
+        // A binding cannot be empty.
+        let others = if length > 0 { others } else { loss.clone() };
+        let (count, cubes) = (cast(count, DType::U32), gpu.cubes_for(length.max(1)));
+        beside::launch(&gpu.client, cubes, gpu.dim(), arg(&loss), arg(&count), arg(&others), arg(&all), length as u32);
+        all
     }
 }

@@ -56,7 +56,7 @@ impl Lists {
     /// As [`super::forward`].
     pub fn new(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<Self>> {
         let gpu = Gpu::of(&inputs.means);
-        let Some(prepared) = prepare(&gpu, inputs, scenery)? else { return Ok(None) };
+        let Some(prepared) = prepare(&gpu, inputs, scenery, None)? else { return Ok(None) };
         let counts = gpu.floats([inputs.len()]);
         count_pixels::launch(
             &gpu.client,
@@ -90,7 +90,7 @@ impl Lists {
     /// [`crate::Error::Limit`] for what the device cannot hold.
     pub fn lift(&self, y: &CubeTensor, channels: usize) -> Result<(CubeTensor, CubeTensor)> {
         let gpu = Gpu::of(y);
-        let Prepared { view, projected, order, entries, size } = &self.prepared;
+        let Prepared { view, projected, order, entries, size, .. } = &self.prepared;
         check_size(&gpu, "Gaussians times channels", order.len.saturating_mul(channels), size_of::<f32>())?;
         let tiles = Tiles { order, entries, size: *size };
         let row_bytes = backward::row_bytes(&gpu);

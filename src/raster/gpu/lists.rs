@@ -6,6 +6,7 @@ use super::radix_sort::sort_positions;
 use super::scan::exclusive_sums;
 use crate::gpu::{Gpu, arg};
 use crate::raster::footprint::TILE;
+use burn::tensor::DType;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
@@ -41,15 +42,21 @@ fn count_tiles(
     counts[rank] = sum;
 }
 
-/// The total behind the last Gaussian, where the host reads it.
+/// The total behind the last Gaussian, where the host reads it, and what it means for lists with `room`: as floats, so that
+/// it can be read with others.
 #[cube(launch)]
-fn report_total(offsets: &[u32], report: &[Atomic<u32>], gaussians: u32) {
+fn report_total(offsets: &[u32], report: &[Atomic<u32>], summary: &mut [f32], gaussians: u32, room: u32) {
     if ABSOLUTE_POS == 0 {
-        report[1].store(offsets[gaussians as usize]);
+        let total = offsets[gaussians as usize];
+        report[1].store(total);
+        summary[0] = f32::cast_from(report[0].load());
+        // Zero says exactly that all found room, which a rounded total would not.
+        summary[1] = f32::cast_from(total - min(total, room));
+        summary[2] = f32::cast_from(total);
     }
 }
 
-/// Tile and Gaussian of every entry.
+/// Tile and Gaussian of every entry that there is room for.
 #[cube(launch)]
 fn emit_entries(
     splats: &[f32],
@@ -58,6 +65,7 @@ fn emit_entries(
     tiles: &mut [u32],
     gaussian_of: &mut [u32],
     gaussians: u32,
+    room: u32,
     width: u32,
     height: u32,
     #[comptime] everywhere: bool,
@@ -67,7 +75,7 @@ fn emit_entries(
         terminate!();
     }
     let mut at = offsets[rank];
-    let end = offsets[rank + 1];
+    let end = min(offsets[rank + 1], room);
     if at < end {
         let tiles_across = (width + (TILE - 1) as u32) / TILE as u32;
         let tiles_down = (height + (TILE - 1) as u32) / TILE as u32;
@@ -96,9 +104,9 @@ fn emit_entries(
 }
 
 #[cube(launch)]
-fn clear(values: &mut [u32], count: u32) {
+fn fill(values: &mut [u32], value: u32, count: u32) {
     if ABSOLUTE_POS < count as usize {
-        values[ABSOLUTE_POS] = 0u32;
+        values[ABSOLUTE_POS] = value;
     }
 }
 
@@ -146,14 +154,29 @@ pub(super) struct Order {
     pub len: usize,
 }
 
-/// Sorts by depth and counts tiles; the number of entries goes to `report[1]`, capped at [`super::scan::CEILING`].
+/// Where the count of the tile entries goes.
+pub(super) struct Report {
+    /// Non-finite rows, and entries, capped at [`super::scan::CEILING`]: `u32`.
+    pub counts: CubeTensor,
+    /// Non-finite rows, entries without room, and entries, as floats.
+    pub summary: CubeTensor,
+}
+
+impl Report {
+    pub fn new(gpu: &Gpu) -> Self {
+        Self { counts: gpu.upload(&[0_u32, 0], DType::U32), summary: gpu.floats([3]) }
+    }
+}
+
+/// Sorts by depth and counts tiles; the number of entries goes to `report`, where `room` is how many will be listed.
 pub(super) fn depth_order(
     gpu: &Gpu,
     scene: &ProjectedScene,
     len: usize,
     size: [usize; 2],
     everywhere: bool,
-    report: &CubeTensor,
+    report: &Report,
+    room: usize,
 ) -> Order {
     let (_, ids) = sort_positions(gpu, scene.depths.clone(), len, 32);
     let counts = gpu.words(len + 1);
@@ -171,13 +194,22 @@ pub(super) fn depth_order(
         everywhere,
     );
     let offsets = exclusive_sums(gpu, &counts, len + 1);
-    report_total::launch(&gpu.client, gpu.cubes_for(1), gpu.dim(), arg(&offsets), arg(report), len as u32);
+    report_total::launch(
+        &gpu.client,
+        gpu.cubes_for(1),
+        gpu.dim(),
+        arg(&offsets),
+        arg(&report.counts),
+        arg(&report.summary),
+        len as u32,
+        room as u32,
+    );
     Order { ids, offsets, len }
 }
 
 /// Entries sorted by tile, front to back within each.
 pub(super) struct TileEntries {
-    /// Number of entries.
+    /// Number of entries, or what there is room for: those that are too many come last, on no tile.
     pub len: usize,
     /// Start and end of each tile's list, row-major.
     pub ranges: CubeTensor,
@@ -192,22 +224,29 @@ pub(super) fn tile_counts(size: [usize; 2]) -> [usize; 2] {
     size.map(|s| s.div_ceil(TILE))
 }
 
-/// The `len` entries of `order`.
+/// The `len` entries of `order`, or as many as there are: then `padded`. What has no room is left out.
 pub(super) fn tile_entries(
     gpu: &Gpu,
     scene: &ProjectedScene,
     order: &Order,
     len: usize,
+    padded: bool,
     size: [usize; 2],
     everywhere: bool,
 ) -> TileEntries {
     let tile_count: usize = tile_counts(size).iter().product();
     let ranges = gpu.words(2 * tile_count);
-    clear::launch(&gpu.client, gpu.cubes_for(2 * tile_count), gpu.dim(), arg(&ranges), 2 * tile_count as u32);
+    let filled = |words: &CubeTensor, value: usize, len: usize| {
+        fill::launch(&gpu.client, gpu.cubes_for(len), gpu.dim(), arg(words), value as u32, len as u32);
+    };
+    filled(&ranges, 0, 2 * tile_count);
     let (tiles, gaussian_of) = (gpu.words(len), gpu.words(len));
     let gaussians = gpu.words(len);
     if len == 0 {
         return TileEntries { len, ranges, gaussians, entries: gaussian_of };
+    }
+    if padded {
+        filled(&tiles, tile_count, len);
     }
     emit_entries::launch(
         &gpu.client,
@@ -219,6 +258,7 @@ pub(super) fn tile_entries(
         arg(&tiles),
         arg(&gaussian_of),
         order.len as u32,
+        len as u32,
         size[0] as u32,
         size[1] as u32,
         everywhere,

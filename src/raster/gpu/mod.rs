@@ -3,7 +3,8 @@
 //! They follow the CPU's formulas step by step, in `f32`: the camera centre is split in two floats, and the exponent is
 //! `-(u^2 + v^2)` with the determinant as a sum of positive terms, so that what is lost is digits and not splats. No
 //! subgroup operation and no float atomic is used, and sums are taken in a fixed order: a device gives the same bits
-//! every time. One readback a forward pass: the number of tile entries, and the count of non-finite rows beside it.
+//! every time. One readback a forward pass: the number of tile entries, and the count of non-finite rows beside it; none where
+//! the caller says how many entries to make room for, and looks at these numbers later.
 //!
 //! Memory besides inputs and outputs, bytes: 60 a Gaussian (96 in the backward pass), 28 a tile entry while they are sorted
 //! and 8 afterwards, and in the backward pass up to 56 a tile entry, 1 GiB at most (more entries go through in slabs). Sums of
@@ -38,7 +39,7 @@ use blend::Values;
 use burn::tensor::DType;
 use burn_cubecl::cubecl::prelude::*;
 use burn_cubecl::tensor::CubeTensor;
-use lists::{Order, TileEntries};
+use lists::{Order, Report, TileEntries};
 use project::{ProjectedScene, Scene};
 use sh::Harmonics;
 
@@ -78,6 +79,8 @@ struct Prepared {
     order: Order,
     entries: TileEntries,
     size: [usize; 2],
+    /// [`Report::summary`].
+    summary: CubeTensor,
 }
 
 /// What the forward pass leaves for the backward pass.
@@ -157,10 +160,17 @@ fn check_size(gpu: &Gpu, what: &str, count: usize, bytes: usize) -> Result<()> {
 /// Renders `inputs`, of which there is at least one Gaussian and one channel: the image `[H, W, C]`, or nothing when some input holds a NaN
 /// or an infinity.
 ///
+/// With `room` for that many tile entries nothing is read back: the caller looks at [`Forward::summary`], and uses neither the
+/// image nor its gradients when entries found no room or rows were not finite.
+///
 /// # Errors
 /// [`Error::Config`] for settings out of range or an unusable camera, [`Error::Limit`] for what the device cannot hold,
 /// [`Error::Device`] when it fails.
-pub(super) fn forward(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<(CubeTensor, Forward)>> {
+pub(super) fn forward(
+    inputs: &Inputs,
+    scenery: Scenery<'_>,
+    room: Option<usize>,
+) -> Result<Option<(CubeTensor, Forward)>> {
     let gpu = Gpu::of(&inputs.means);
     let harmonics = inputs.harmonics();
     let channels = harmonics.as_ref().map_or(0, |_| 3) + inputs.values(None).channels;
@@ -169,7 +179,7 @@ pub(super) fn forward(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<(C
     for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
         check_size(&gpu, "values of the Gaussians", tensor.meta.num_elements(), size_of::<f32>())?;
     }
-    let Some(prepared) = prepare(&gpu, inputs, scenery)? else { return Ok(None) };
+    let Some(prepared) = prepare(&gpu, inputs, scenery, room)? else { return Ok(None) };
     let Prepared { view, projected, entries, size, .. } = &prepared;
     let colours = harmonics.map(|h| sh::colours(&gpu, &inputs.scene(), &h, &projected.radii, view));
     let values = inputs.values(colours);
@@ -178,8 +188,8 @@ pub(super) fn forward(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<(C
     Ok(Some((image, Forward { prepared, colours, transmittance })))
 }
 
-/// Projects and sorts `inputs`; nothing when some of them holds a NaN or an infinity.
-fn prepare(gpu: &Gpu, inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<Prepared>> {
+/// Projects and sorts `inputs`; nothing when some of them holds a NaN or an infinity. With `room` as [`forward`].
+fn prepare(gpu: &Gpu, inputs: &Inputs, scenery: Scenery<'_>, room: Option<usize>) -> Result<Option<Prepared>> {
     let Scenery { camera, settings, background } = scenery;
     settings.check()?;
     let viewpoint = Viewpoint::new(camera)?;
@@ -188,20 +198,29 @@ fn prepare(gpu: &Gpu, inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<Pr
     check_size(gpu, "Gaussians", len, project::SPLAT * size_of::<f32>())?;
     let scene = inputs.scene();
     let view = gpu.upload(&view::constants(&viewpoint, camera, settings, background), DType::F32);
-    let report = gpu.upload(&[0_u32, 0], DType::U32);
+    let report = Report::new(gpu);
     let everywhere = settings.alpha_min == 0.0;
     for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
-        add_non_finite(gpu, tensor, tensor.meta.num_elements(), &report);
+        add_non_finite(gpu, tensor, tensor.meta.num_elements(), &report.counts);
     }
-    let projected = project::project(gpu, &scene, &view, &report, everywhere);
-    let order = lists::depth_order(gpu, &projected, len, size, everywhere, &report);
-    let [non_finite, count] = read_report(gpu, &report)?;
-    if non_finite > 0 {
-        return Ok(None);
-    }
-    check_size(gpu, "entries of the tile lists of one view", count as usize, size_of::<u32>())?;
-    let entries = lists::tile_entries(gpu, &projected, &order, count as usize, size, everywhere);
-    Ok(Some(Prepared { view, projected, order, entries, size }))
+    let projected = project::project(gpu, &scene, &view, &report.counts, everywhere);
+    let fits = |count: usize| check_size(gpu, "entries of the tile lists of one view", count, size_of::<u32>());
+    let room = room.filter(|&room| fits(room).is_ok());
+    let most = room.unwrap_or(scan::CEILING as usize);
+    let order = lists::depth_order(gpu, &projected, len, size, everywhere, &report, most);
+    let count = match room {
+        Some(room) => room,
+        None => {
+            let [non_finite, count] = read_report(gpu, &report.counts)?;
+            if non_finite > 0 {
+                return Ok(None);
+            }
+            fits(count as usize)?;
+            count as usize
+        }
+    };
+    let entries = lists::tile_entries(gpu, &projected, &order, count, room.is_some(), size, everywhere);
+    Ok(Some(Prepared { view, projected, order, entries, size, summary: report.summary }))
 }
 
 /// Non-finite rows, and entries.
@@ -229,6 +248,11 @@ fn read_words(gpu: &Gpu, tensor: &CubeTensor) -> Result<Vec<u32>> {
 }
 
 impl Forward {
+    /// Non-finite rows, tile entries that found no room, and tile entries, as floats.
+    pub fn summary(&self) -> CubeTensor {
+        self.prepared.summary.clone()
+    }
+
     /// Radii in pixels, `[N]`, `u32`; 0 = culled.
     pub fn radii(&self) -> CubeTensor {
         self.prepared.projected.radii.clone()
@@ -246,7 +270,7 @@ impl Forward {
         absolute: bool,
     ) -> Gradients {
         let gpu = Gpu::of(&inputs.means);
-        let Prepared { view, projected, order, entries, size } = &self.prepared;
+        let Prepared { view, projected, order, entries, size, .. } = &self.prepared;
         let values = inputs.values(self.colours.clone());
         let transmittance = &self.transmittance;
         let pixels = backward::PixelGradients { image, d_image, transmittance, d_transmittance, absolute };

@@ -2,7 +2,7 @@
 
 use super::backward::{PixelGradients, Tiles, adjoint, pixel_sums};
 use super::blend::{Values, blend};
-use super::lists::{Order, TileEntries, depth_order, tile_counts, tile_entries};
+use super::lists::{Order, Report, TileEntries, depth_order, tile_counts, tile_entries};
 use super::project::{ProjectedScene, SPLAT, Scene, project};
 use super::radix_sort::sort_positions;
 use super::scan::{CEILING, exclusive_sums};
@@ -103,12 +103,12 @@ impl View {
         let scene = Scene { means, log_scales, rotations, logits, len: n };
         let constants = view::constants(&host.viewpoint, &camera, settings, [0.0; 3]);
         let constants = gpu.upload(&constants, DType::F32);
-        let report = gpu.upload(&[0_u32, 0], DType::U32);
+        let report = Report::new(&gpu);
         let everywhere = settings.alpha_min == 0.0;
-        let projected = project(&gpu, &scene, &constants, &report, everywhere);
-        let order = depth_order(&gpu, &projected, n, size, everywhere, &report);
-        let count = words(&gpu, &report)[1] as usize;
-        let entries = tile_entries(&gpu, &projected, &order, count, size, everywhere);
+        let projected = project(&gpu, &scene, &constants, &report.counts, everywhere);
+        let order = depth_order(&gpu, &projected, n, size, everywhere, &report, CEILING as usize);
+        let count = words(&gpu, &report.counts)[1] as usize;
+        let entries = tile_entries(&gpu, &projected, &order, count, false, size, everywhere);
         Some(Self { gpu, host, constants, projected, order, entries, size })
     }
 }

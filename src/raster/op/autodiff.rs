@@ -62,6 +62,11 @@ impl<B: RasterBackend, C: CheckpointStrategy> RasterBackend for Autodiff<B, C> {
         <Self as AutodiffBackend>::from_inner(B::raster_radii(image, call))
     }
 
+    fn raster_summary(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
+        let (image, _) = image.into_parts();
+        <Self as AutodiffBackend>::from_inner(B::raster_summary(image, call))
+    }
+
     fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
         let (image, node) = image.into_parts();
         match TransmittanceBackward.prepare::<C>([node]).compute_bound().stateful() {

@@ -45,6 +45,8 @@ pub trait RasterBackend: Backend {
     fn raster_image(#[extension_type] tensors: RasterTensors<Self>, call: Arc<RasterCall>) -> FloatTensor<Self>;
     /// Radii `[N]` of the call that made `image`, as floats, where they lie on a device; empty where the call has them.
     fn raster_radii(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self>;
+    /// What the call that made `image` found of the tile lists, `[3]`, where it ran on a device; empty where not.
+    fn raster_summary(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self>;
     /// The transmittance `[H, W]` of the call that made `image`.
     fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self>;
     /// Keeps the gradient of the transmittance for [`RasterBackend::raster_backward`], and returns zeros like `image`.
@@ -68,7 +70,10 @@ impl<B: HostKernels> RasterBackend for B {
         on_host::image::<Self>(tensors, call)
     }
     fn raster_radii(image: FloatTensor<Self>, _call: Arc<RasterCall>) -> FloatTensor<Self> {
-        on_host::no_radii::<Self>(image)
+        on_host::nothing::<Self>(image)
+    }
+    fn raster_summary(image: FloatTensor<Self>, _call: Arc<RasterCall>) -> FloatTensor<Self> {
+        on_host::nothing::<Self>(image)
     }
     fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
         on_host::transmittance::<Self>(image, call)

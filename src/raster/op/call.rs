@@ -28,6 +28,9 @@ pub struct RasterCall {
     /// The host's kernels wherever the tensors live.
     #[cfg_attr(not(feature = "cube"), allow(dead_code, reason = "no other kernels are compiled in"))]
     pub(super) host_kernels: bool,
+    /// How many tile entries to make room for, instead of asking a device for their number.
+    #[cfg_attr(not(feature = "cube"), allow(dead_code, reason = "the host's kernels know the number"))]
+    pub(super) room: Option<usize>,
     pub(super) state: Mutex<CallState>,
 }
 

@@ -45,7 +45,7 @@ fn zeros(like: &CubeTensor, shape: &[usize]) -> CubeTensor {
 
 fn forward(tensors: RasterTensors<CubeBackend>, call: &RasterCall) -> Result<CubeTensor> {
     let scenery = Scenery { camera: &call.camera, settings: &call.settings, background: call.background };
-    match gpu::forward(&inputs(&tensors, call), scenery)? {
+    match gpu::forward(&inputs(&tensors, call), scenery, call.room)? {
         Some((image, forward)) => {
             call.state().forward = Some(Box::new(forward));
             Ok(image)
@@ -75,7 +75,14 @@ impl RasterBackend for CubeBackend {
     fn raster_radii(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
         match call.state().forward.as_ref().and_then(|f| f.downcast_ref::<Forward>()) {
             Some(forward) => cast(forward.radii(), DType::F32),
-            None => on_host::no_radii::<Self>(image),
+            None => on_host::nothing::<Self>(image),
+        }
+    }
+
+    fn raster_summary(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
+        match call.state().forward.as_ref().and_then(|f| f.downcast_ref::<Forward>()) {
+            Some(forward) => forward.summary(),
+            None => on_host::nothing::<Self>(image),
         }
     }
 

@@ -28,8 +28,8 @@ pub(super) fn image<B: HostBackend>(tensors: RasterTensors<B>, call: Arc<RasterC
     })
 }
 
-/// The call has them.
-pub(super) fn no_radii<B: HostBackend>(image: FloatTensor<B>) -> FloatTensor<B> {
+/// For what the call has, or only a device.
+pub(super) fn nothing<B: HostBackend>(image: FloatTensor<B>) -> FloatTensor<B> {
     B::tensor::<f32>(Vec::new(), &[0], &device_of::<B>(&image))
 }
 

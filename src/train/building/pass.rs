@@ -1,0 +1,106 @@
+//! Rendering one view and going back: the loss and its gradients, before anything is changed by them.
+
+use super::BuildingStage;
+use crate::data::View;
+use crate::error::Result;
+use crate::ops::photometric_loss;
+use crate::raster::{Radii, RasterInput, RasterOutput, rasterize_with_room};
+use crate::train::parameters::{Checked, ParameterGradients};
+use burn::tensor::Tensor;
+
+/// What a view says of the parameters.
+pub(super) struct Pass {
+    pub gradients: ParameterGradients,
+    /// Screen-space gradient, `[N, 2]` or `[N, 4]`, where densification wants it.
+    pub of_screen: Option<Tensor<2>>,
+    pub radii: Radii,
+    pub checked: Checked,
+}
+
+impl BuildingStage<'_> {
+    /// The pass of iteration `iteration` over `view`, the one at `index`; its tile lists take the room that they had last time,
+    /// so that the one readback of a pass on a GPU is its last act.
+    pub(super) fn pass(&mut self, index: usize, view: &View, iteration: usize) -> Result<Pass> {
+        let room = self.rooms.room(index, self.parameters.len());
+        let pass = match self.attempt(index, view, iteration, room)? {
+            Some(pass) => pass,
+            // Without room taken beforehand lists are as they should be, or it is an error.
+            None => match self.attempt(index, view, iteration, None)? {
+                Some(pass) => pass,
+                None => return Err(crate::Error::non_finite("raster input", 0)),
+            },
+        };
+        if let Some(entries) = pass.checked.entries {
+            self.rooms.keep(index, entries, self.parameters.len());
+        }
+        Ok(pass)
+    }
+
+    /// `None` where `room` was too small, or an input is not finite.
+    fn attempt(&mut self, index: usize, view: &View, iteration: usize, room: Option<usize>) -> Result<Option<Pass>> {
+        let photo = self.photos.get(index, view)?;
+        let leaves = self.parameters.leaves();
+        let screen = self.screen();
+        let input = RasterInput {
+            means: leaves.means.clone(),
+            log_scales: leaves.log_scales.clone(),
+            rotations: leaves.rotations.clone(),
+            opacity_logits: leaves.opacity_logits.clone(),
+            sh: Some(leaves.sh.clone()),
+            active_sh_degree: self.schedule.sh_degree(iteration),
+            features: None,
+            screen: screen.clone(),
+        };
+        let background = self.config.raster.background;
+        let (output, lists) = rasterize_with_room(input, &view.camera, &self.settings, background, room)?;
+        let RasterOutput { image, radii, .. } = output;
+        let loss = photometric_loss(image, photo, f64::from(self.config.building.ssim_weight));
+        let loss = self.regularised(loss, &leaves);
+        let mut gradients = loss.backward();
+        let of_screen = screen.and_then(|screen| screen.grad_remove(&mut gradients));
+        let gradients = self.parameters.gradients(leaves, &mut gradients);
+        let checked = gradients.check(loss.inner(), &lists)?;
+        Ok(checked.map(|checked| Pass { gradients, of_screen, radii, checked }))
+    }
+}
+
+#[cfg(all(test, feature = "wgpu"))]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::data::builtin::{BuiltinOptions, scene_with};
+    use crate::device::{BackendName, open};
+
+    #[test]
+    fn too_little_room_costs_time_and_nothing_else() {
+        let Ok(device) = open(Some(BackendName::Wgpu)).inspect_err(|error| eprintln!("SKIPPED: {error}")) else {
+            return;
+        };
+        let options = BuiltinOptions {
+            width: 320,
+            height: 240,
+            train_views: 2,
+            test_views: 1,
+            points: 3_000,
+            ..BuiltinOptions::default()
+        };
+        let scene = scene_with(&options).expect("a scene");
+        let run = |spoil: bool| {
+            let mut stage = BuildingStage::new(&scene, &Config::default(), &device).expect("valid");
+            (0..5)
+                .map(|_| {
+                    for view in 0..2 {
+                        if spoil {
+                            stage.rooms.keep(view, 1, usize::MAX);
+                        }
+                    }
+                    let step = stage.step().expect("finite");
+                    let room = (0..2).filter_map(|view| stage.rooms.room(view, 3_000)).max().expect("a GPU counts");
+                    assert!(room > 6_000, "this scene has more entries than spoilt rooms: {room}");
+                    step.loss.to_bits()
+                })
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(run(true), run(false));
+    }
+}
