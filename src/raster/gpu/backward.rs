@@ -8,7 +8,7 @@
 
 use super::blend::{Values, blocks, value_of};
 use super::lists::{Order, TileEntries, tile_counts};
-use super::pixel::{alpha_at, pixel, rule};
+use super::pixel::{PATCH, PATCH_HEIGHT, PATCH_WIDTH, PATCHES, PATCHES_ACROSS, alpha_at, pixel, reaches_patch, rule};
 use super::project::SPLAT;
 use super::row_sums::{PixelSums, Slab, add_rows};
 use crate::gpu::{Gpu, UNITS, arg};
@@ -24,6 +24,8 @@ pub(super) const ABSOLUTE_MOMENTS: usize = 8;
 const BATCH: usize = 8;
 /// Units that sum for one Gaussian.
 const LANES: usize = UNITS as usize / BATCH;
+/// They are as many as the pixels of a patch.
+const _: () = assert!(LANES == PATCH);
 /// Widest block of channels: the sums of all units have to fit where the weights were. Sums of absolute values of more are not
 /// sums over blocks.
 pub(super) const WIDEST: usize = 8;
@@ -70,8 +72,9 @@ fn tiles_backward(
     let mut d_pixels = Shared::<[f32]>::new_slice(units * block);
     let mut pairs = Shared::<[f32]>::new_slice(PAIRS);
     let mut batch_entries = Shared::<[u32]>::new_slice(BATCH);
-    // Whether any pixel takes something of a Gaussian.
-    let touched = Shared::<[Atomic<u32>]>::new_slice(BATCH);
+    // Whether a Gaussian may show in a patch, and whether a pixel of the patch takes something of it.
+    let mut reached = Shared::<[u32]>::new_slice(BATCH * PATCHES);
+    let touched = Shared::<[Atomic<u32>]>::new_slice(BATCH * PATCHES);
     let live = Shared::<[Atomic<u32>]>::new_slice(3usize);
     let rule = rule(view);
     let own = pixel(tile, UNIT_POS, width, height);
@@ -100,12 +103,13 @@ fn tiles_backward(
     if unit == 0 {
         live[0].store(0u32);
     }
-    // The pixels that this unit sums over, all in one column of the tile.
+    let patch = unit / PATCH;
+    // The pixels that this unit sums over: the same one of every patch.
     let member = unit / LANES;
     let lane = unit % LANES;
     let origin = pixel(tile, 0u32, width, height);
-    let lane_x = origin.x + f32::cast_from((lane % 16) as u32);
-    let lane_y = origin.y + f32::cast_from((lane / 16) as u32);
+    let lane_x = origin.x + f32::cast_from((lane % PATCH_WIDTH) as u32);
+    let lane_y = origin.y + f32::cast_from((lane / PATCH_WIDTH) as u32);
 
     let mut at = ranges[2 * tile];
     let mut end = ranges[2 * tile + 1];
@@ -121,11 +125,17 @@ fn tiles_backward(
             let channel = first_channel + (unit % block) as u32;
             values[unit] = value_of(colours, features, id, channel, channels, with_colours);
         }
-        if unit < BATCH {
+        if unit < count as usize {
+            batch_entries[unit] = entries[at as usize + unit];
+        }
+        if unit < BATCH * PATCHES {
             touched[unit].store(0u32);
-            if unit < count as usize {
-                batch_entries[unit] = entries[at as usize + unit];
+            let mut reaches = false;
+            if unit / PATCHES < count as usize {
+                let id = gaussians[at as usize + unit / PATCHES] as usize;
+                reaches = reaches_patch(splats, id, tile, (unit % PATCHES) as u32, width, height);
             }
+            reached[unit] = u32::cast_from(reaches);
         }
         if unit == 0 {
             live[((slot + 1u32) % 3u32) as usize].store(0u32);
@@ -135,7 +145,7 @@ fn tiles_backward(
         for j in 0..BATCH {
             let mut weight = 0.0f32;
             let mut g = 0.0f32;
-            if j < count as usize && !done {
+            if reached[j * PATCHES + patch] > 0u32 && !done {
                 let seen = alpha_at(&batch, j, own.x, own.y, &rule);
                 let alpha = min(seen, rule.alpha_max);
                 if alpha > 0.0f32 && alpha >= rule.alpha_min {
@@ -158,7 +168,7 @@ fn tiles_backward(
                             }
                         }
                         t = next;
-                        touched[j].store(1u32);
+                        touched[j * PATCHES + patch].store(1u32);
                     }
                 }
             }
@@ -177,18 +187,19 @@ fn tiles_backward(
         for k in 0..columns {
             sums[k] = 0.0f32;
         }
-        if touched[member].load() > 0u32 {
-            let du = batch[member * SPLAT + 3];
-            let dv = batch[member * SPLAT + 4];
-            let slope = batch[member * SPLAT + 2];
-            let dx = lane_x - batch[member * SPLAT];
-            let dy = lane_y - batch[member * SPLAT + 1];
-            for i in 0..BATCH {
-                let at_pixel = i * LANES + lane;
+        let du = batch[member * SPLAT + 3];
+        let dv = batch[member * SPLAT + 4];
+        let slope = batch[member * SPLAT + 2];
+        let dx = lane_x - batch[member * SPLAT];
+        let dy = lane_y - batch[member * SPLAT + 1];
+        for i in 0..PATCHES {
+            if touched[member * PATCHES + i].load() > 0u32 {
+                let at_pixel = i * PATCH + lane;
                 if comptime![moments > 0] {
                     let g = pairs[(BATCH + member) * units + at_pixel];
-                    let row = dy + f32::cast_from((i * 2) as u32);
-                    let u = du * (dx - slope * row);
+                    let row = dy + f32::cast_from(((i / PATCHES_ACROSS) * PATCH_HEIGHT) as u32);
+                    let column = dx + f32::cast_from(((i % PATCHES_ACROSS) * PATCH_WIDTH) as u32);
+                    let u = du * (column - slope * row);
                     let v = dv * row;
                     sums[0] += g;
                     sums[1] += g * u;

@@ -1,7 +1,7 @@
 //! Forward blending: a cube a tile, a unit a pixel, a block of channels in registers.
 
 use super::lists::{TileEntries, tile_counts};
-use super::pixel::{alpha_at, pixel, rule};
+use super::pixel::{PATCH, PATCHES, alpha_at, pixel, reaches_patch, rule};
 use super::project::SPLAT;
 use super::view::BACKGROUND;
 use crate::gpu::{Gpu, UNITS, arg};
@@ -9,8 +9,11 @@ use burn::tensor::Shape;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
-/// Gaussians that a cube loads together.
-const BATCH: usize = 64;
+/// Gaussians that a cube loads together: [`WORDS`] words with a bit for each.
+const BATCH: usize = WORDS * 32;
+const WORDS: usize = 2;
+/// Words of one batch.
+const MASKS: usize = PATCHES * WORDS;
 /// Widest block of channels.
 const WIDEST: usize = 32;
 
@@ -65,6 +68,9 @@ fn blend_tiles(
     let mut values = Shared::<[f32]>::new_slice(BATCH * block);
     // Units that still take something: counted in one slot, while another is read and the third is cleared.
     let live = Shared::<[Atomic<u32>]>::new_slice(3usize);
+    // The Gaussians that may show in each patch, in slots likewise.
+    let masks = Shared::<[Atomic<u32>]>::new_slice(3 * MASKS);
+    let patch = unit / PATCH;
     let rule = rule(view);
     let own = pixel(tile, UNIT_POS, width, height);
     let mut done = !own.inside;
@@ -77,6 +83,10 @@ fn blend_tiles(
     if unit == 0 {
         live[0].store(0u32);
     }
+    if unit < MASKS {
+        masks[unit].store(0u32);
+    }
+    sync_cube();
     let mut at = ranges[2 * tile];
     let end = ranges[2 * tile + 1];
     let mut slot = 0u32;
@@ -95,28 +105,48 @@ fn blend_tiles(
             values[k] = value_of(colours, features, id, channel, channels, with_colours);
             k += UNITS as usize;
         }
+        let next_slot = ((slot + 1u32) % 3u32) as usize;
         if unit == 0 {
-            live[((slot + 1u32) % 3u32) as usize].store(0u32);
+            live[next_slot].store(0u32);
         }
-        sync_cube();
-        let mut j = 0usize;
-        while j < count as usize && !done {
-            let seen = alpha_at(&batch, j, own.x, own.y, &rule);
-            let alpha = min(seen, rule.alpha_max);
-            if alpha > 0.0f32 && alpha >= rule.alpha_min {
-                let next = t - alpha * t;
-                if next <= rule.t_min {
-                    done = true;
-                } else {
-                    let weight = alpha * t;
-                    #[unroll]
-                    for k in 0..block {
-                        sums[k] += weight * values[j * block + k];
-                    }
-                    t = next;
+        if unit < MASKS {
+            masks[next_slot * MASKS + unit].store(0u32);
+        }
+        #[unroll]
+        for word in 0..WORDS {
+            // Neighbouring units ask for different patches, whose words do not get in each other's way.
+            let bit = unit / PATCHES;
+            let j = word * 32 + bit;
+            if j < count as usize {
+                let id = gaussians[at as usize + j] as usize;
+                if reaches_patch(splats, id, tile, (unit % PATCHES) as u32, width, height) {
+                    masks[slot as usize * MASKS + word * PATCHES + unit % PATCHES].fetch_or(1u32 << bit as u32);
                 }
             }
-            j += 1;
+        }
+        sync_cube();
+        #[unroll]
+        for word in 0..WORDS {
+            let mut mask = masks[slot as usize * MASKS + word * PATCHES + patch].load();
+            while mask != 0u32 && !done {
+                let j = word * 32 + mask.trailing_zeros() as usize;
+                mask &= mask - 1u32;
+                let seen = alpha_at(&batch, j, own.x, own.y, &rule);
+                let alpha = min(seen, rule.alpha_max);
+                if alpha > 0.0f32 && alpha >= rule.alpha_min {
+                    let next = t - alpha * t;
+                    if next <= rule.t_min {
+                        done = true;
+                    } else {
+                        let weight = alpha * t;
+                        #[unroll]
+                        for k in 0..block {
+                            sums[k] += weight * values[j * block + k];
+                        }
+                        t = next;
+                    }
+                }
+            }
         }
         if !done {
             live[slot as usize].fetch_add(1u32);

@@ -36,12 +36,23 @@ pub(super) struct Pixel {
     pub index: usize,
 }
 
-/// The pixel of unit `unit` in tile `tile`.
+/// Units that stand together: a patch of [`PATCH_WIDTH`] x [`PATCH_HEIGHT`] pixels, as many as run in step on most devices.
+pub(super) const PATCH: usize = PATCH_WIDTH * PATCH_HEIGHT;
+pub(super) const PATCH_WIDTH: usize = 8;
+pub(super) const PATCH_HEIGHT: usize = 4;
+/// Patches of a tile, and of a row of them.
+pub(super) const PATCHES: usize = TILE * TILE / PATCH;
+pub(super) const PATCHES_ACROSS: usize = TILE / PATCH_WIDTH;
+
+/// The pixel of unit `unit` in tile `tile`: patch by patch.
 #[cube]
 pub(super) fn pixel(tile: usize, unit: u32, width: u32, height: u32) -> Pixel {
     let across = (width + (TILE - 1) as u32) / TILE as u32;
-    let x = (tile as u32 % across) * TILE as u32 + unit % TILE as u32;
-    let y = (tile as u32 / across) * TILE as u32 + unit / TILE as u32;
+    let (patch, lane) = (unit / PATCH as u32, unit % PATCH as u32);
+    let column = (patch % PATCHES_ACROSS as u32) * PATCH_WIDTH as u32 + lane % PATCH_WIDTH as u32;
+    let row = (patch / PATCHES_ACROSS as u32) * PATCH_HEIGHT as u32 + lane / PATCH_WIDTH as u32;
+    let x = (tile as u32 % across) * TILE as u32 + column;
+    let y = (tile as u32 / across) * TILE as u32 + row;
     let inside = x < width && y < height;
     Pixel {
         x: f32::cast_from(x) + 0.5f32,
@@ -63,4 +74,27 @@ pub(super) fn alpha_at(batch: &Shared<[f32]>, at: usize, x: f32, y: f32, rule: &
         alpha = exponent.exp();
     }
     alpha
+}
+
+/// Whether Gaussian `id` may reach alpha_min at a pixel centre of patch `patch` of tile `tile`: never false where [`alpha_at`] gives
+/// as much, as the reach has a margin that rounding does not use up.
+#[cube]
+pub(super) fn reaches_patch(splats: &[f32], id: usize, tile: usize, patch: u32, width: u32, height: u32) -> bool {
+    let first = pixel(tile, patch * PATCH as u32, width, height);
+    let at = id * SPLAT;
+    let (slope, du, dv, reach) = (splats[at + 2], splats[at + 3], splats[at + 4], splats[at + 6]);
+    // Rounded as alpha_at rounds them.
+    let left = first.x - splats[at];
+    let right = first.x + (PATCH_WIDTH - 1) as f32 - splats[at];
+    let mut reaches = false;
+    #[unroll]
+    for row in 0..PATCH_HEIGHT {
+        let dy = first.y + row as f32 - splats[at + 1];
+        let v = dv * dy;
+        // The point of the row that is nearest to where the Gaussian peaks in it.
+        let peak = slope * dy;
+        let u = du * (min(max(peak, left), right) - peak);
+        reaches = reaches || u * u + v * v <= reach * reach;
+    }
+    reaches
 }
