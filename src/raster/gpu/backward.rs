@@ -1,4 +1,4 @@
-//! Backward pass over the tiles, and the sums over each Gaussian's tiles.
+//! Backward pass over the tiles: the kernel.
 //!
 //! A cube takes [`BATCH`] Gaussians of its tile at a time. First every unit is a pixel: it blends them once more, front
 //! to back, and leaves `alpha' T` and `g = dL/dalpha' alpha'` in shared memory. Then [`LANES`] units share a Gaussian and
@@ -6,17 +6,14 @@
 //! row, and a second kernel adds up each Gaussian's rows, which are neighbours: no atomics, and the same bits every time.
 //! All is linear in the image's gradient, so that channels come in blocks, and the moments of the blocks add up.
 
-use super::blend::{Values, blocks, value_of};
-use super::lists::{Order, TileEntries, tile_counts};
+use super::blend::value_of;
 use super::pixel::{PATCH, PATCH_HEIGHT, PATCH_WIDTH, PATCHES, PATCHES_ACROSS, alpha_at, pixel, reaches_patch, rule};
 use super::project::SPLAT;
-use super::row_sums::{PixelSums, Slab, add_rows};
-use crate::gpu::{Gpu, UNITS, arg};
+use crate::gpu::{Gpu, UNITS};
 use burn_cubecl::cubecl::{self, prelude::*};
-use burn_cubecl::tensor::CubeTensor;
 
 /// Sums over pixels of g times 1, u, v, u^2, u v, v^2.
-const MOMENTS: usize = 6;
+pub(super) const MOMENTS: usize = 6;
 /// These and the sums over pixels of the absolute values of what each adds to the gradient of the projected centre, half of it,
 /// along x in units of the inverse width: `|g u|`, `|g (v dv - slope u du)|`.
 pub(super) const ABSOLUTE_MOMENTS: usize = 8;
@@ -26,16 +23,28 @@ const BATCH: usize = 8;
 const LANES: usize = UNITS as usize / BATCH;
 /// They are as many as the pixels of a patch.
 const _: () = assert!(LANES == PATCH);
-/// Widest block of channels: the sums of all units have to fit where the weights were. Sums of absolute values of more are not
-/// sums over blocks.
-pub(super) const WIDEST: usize = 8;
-/// Widest block without moments: the image's values share memory with the weights.
-const ADJOINT_WIDEST: usize = 12;
-/// Shared floats of a batch: alpha' T and g of every pixel.
-const PAIRS: usize = 2 * BATCH * UNITS as usize;
+/// Channels that make one block on every device: sums of absolute values of more are not sums over blocks.
+pub(super) const ALWAYS_TOGETHER: usize = 8;
+/// Widest block with and without moments, where shared memory holds the gradients of so many channels: more registers than these
+/// cost more than another pass.
+const WIDEST: [usize; 2] = [24, 32];
+
+/// Floats that all units of a cube leave for each other: alpha' T and, for the moments, g of every pixel of a batch.
+const fn pairs_of(moments: usize) -> usize {
+    (if moments > 0 { 2 } else { 1 }) * BATCH * UNITS as usize
+}
+
+/// Widest block that this device has shared memory for.
+pub(super) fn widest(gpu: &Gpu, moments: usize) -> usize {
+    let floats = gpu.client.properties().hardware.max_shared_memory_size / size_of::<f32>();
+    // A batch, what is known of its patches and entries, and slots.
+    let others = pairs_of(moments) + BATCH * (SPLAT + 2 * PATCHES + 1) + 64;
+    let fits = floats.saturating_sub(others) / (UNITS as usize + BATCH) / 4 * 4;
+    fits.clamp(ALWAYS_TOGETHER, WIDEST[usize::from(moments == 0)])
+}
 
 #[cube(launch)]
-fn tiles_backward(
+pub(super) fn tiles_backward(
     ranges: &[u32],
     gaussians: &[u32],
     entries: &[u32],
@@ -67,10 +76,13 @@ fn tiles_backward(
     let unit = UNIT_POS as usize;
     let columns = comptime![moments + block];
     let units = comptime![UNITS as usize];
+    // Columns that are summed together where the pairs were, and how often that is.
+    let rounds = comptime![columns.div_ceil(pairs_of(moments) / UNITS as usize)];
+    let together = comptime![columns.div_ceil(rounds)];
     let mut batch = Shared::<[f32]>::new_slice(BATCH * SPLAT);
     let mut values = Shared::<[f32]>::new_slice(BATCH * block);
     let mut d_pixels = Shared::<[f32]>::new_slice(units * block);
-    let mut pairs = Shared::<[f32]>::new_slice(PAIRS);
+    let mut pairs = Shared::<[f32]>::new_slice(comptime![pairs_of(moments)]);
     let mut batch_entries = Shared::<[u32]>::new_slice(BATCH);
     // Whether a Gaussian may show in a patch, and whether a pixel of the patch takes something of it.
     let mut reached = Shared::<[u32]>::new_slice(BATCH * PATCHES);
@@ -145,11 +157,12 @@ fn tiles_backward(
         for j in 0..BATCH {
             let mut weight = 0.0f32;
             let mut g = 0.0f32;
-            if reached[j * PATCHES + patch] > 0u32 && !done {
+            let reached = reached[j * PATCHES + patch] > 0u32;
+            if reached && !done {
                 let seen = alpha_at(&batch, j, own.x, own.y, &rule);
                 let alpha = min(seen, rule.alpha_max);
                 if alpha > 0.0f32 && alpha >= rule.alpha_min {
-                    let next = t - alpha * t;
+                    let next = fma(-alpha, t, t);
                     if next <= rule.t_min {
                         done = true;
                     } else {
@@ -172,19 +185,21 @@ fn tiles_backward(
                     }
                 }
             }
-            pairs[j * units + unit] = weight;
-            if comptime![moments > 0] {
-                pairs[(BATCH + j) * units + unit] = g;
+            if reached {
+                pairs[j * units + unit] = weight;
+                if comptime![moments > 0] {
+                    pairs[(BATCH + j) * units + unit] = g;
+                }
             }
         }
         if !done {
-            live[slot as usize].fetch_add(1u32);
+            live[slot as usize].store(1u32);
         }
         sync_cube();
 
-        let mut sums = Array::<f32>::new(columns);
+        let mut sums = Array::<f32>::new(rounds * together);
         #[unroll]
-        for k in 0..columns {
+        for k in 0..rounds * together {
             sums[k] = 0.0f32;
         }
         let du = batch[member * SPLAT + 3];
@@ -219,23 +234,26 @@ fn tiles_backward(
                 }
             }
         }
-        sync_cube();
         #[unroll]
-        for k in 0..columns {
-            pairs[k * units + unit] = sums[k];
-        }
-        sync_cube();
-        let sum_of = unit / columns;
-        let column = unit % columns;
-        if sum_of < count as usize {
-            let mut sum = 0.0f32;
-            for i in 0..LANES {
-                // Each unit starts elsewhere, so that no two of a warp meet in a memory bank.
-                sum += pairs[column * units + sum_of * LANES + (i + unit) % LANES];
+        for round in 0..rounds {
+            sync_cube();
+            #[unroll]
+            for k in 0..together {
+                pairs[k * units + unit] = sums[round * together + k];
             }
-            let entry = batch_entries[sum_of];
-            if entry >= first_entry && entry < end_entry {
-                rows[(entry - first_entry) as usize * columns + column] = sum;
+            sync_cube();
+            let sum_of = unit / together;
+            let column = round * together + unit % together;
+            if sum_of < count as usize && column < columns {
+                let mut sum = 0.0f32;
+                for i in 0..LANES {
+                    // Each unit starts elsewhere, so that no two of a warp meet in a memory bank.
+                    sum += pairs[(unit % together) * units + sum_of * LANES + (i + unit) % LANES];
+                }
+                let entry = batch_entries[sum_of];
+                if entry >= first_entry && entry < end_entry {
+                    rows[(entry - first_entry) as usize * columns + column] = sum;
+                }
             }
         }
         at += count;
@@ -256,141 +274,4 @@ fn tiles_backward(
             end = at;
         }
     }
-}
-
-/// What was rendered and its gradient.
-pub(super) struct PixelGradients<'a> {
-    /// `[H, W, C]`, background included.
-    pub image: &'a CubeTensor,
-    pub d_image: &'a CubeTensor,
-    /// `[H, W]`.
-    pub transmittance: &'a CubeTensor,
-    pub d_transmittance: Option<&'a CubeTensor>,
-    /// Whether sums of absolute values are wanted; of [`WIDEST`] channels at most.
-    pub absolute: bool,
-}
-
-/// The tile lists of a view.
-#[derive(Clone, Copy)]
-pub(super) struct Tiles<'a> {
-    pub order: &'a Order,
-    pub entries: &'a TileEntries,
-    /// Image width and height, pixels.
-    pub size: [usize; 2],
-}
-
-/// Bytes that the rows of one pass may take: more entries go through in several passes.
-pub(super) fn row_bytes(gpu: &Gpu) -> usize {
-    let limit = usize::try_from(gpu.client.properties().memory.max_page_size).unwrap_or(usize::MAX);
-    limit.min(1 << 30)
-}
-
-/// Runs the backward pass over the tiles; rows take `row_bytes` at most.
-pub(super) fn pixel_sums(
-    gpu: &Gpu,
-    splats: &CubeTensor,
-    tiles: Tiles<'_>,
-    values: &Values,
-    pixels: &PixelGradients<'_>,
-    view: &CubeTensor,
-    row_bytes: usize,
-) -> PixelSums {
-    let moments = if pixels.absolute { ABSOLUTE_MOMENTS } else { MOMENTS };
-    sums_over_tiles(gpu, splats, tiles, &Pass { values, pixels, moments }, view, row_bytes)
-}
-
-/// `W^T y` alone, `[N, channels]`: `y` is `[H, W, channels]`.
-pub(super) fn adjoint(
-    gpu: &Gpu,
-    splats: &CubeTensor,
-    tiles: Tiles<'_>,
-    y: &CubeTensor,
-    channels: usize,
-    view: &CubeTensor,
-    row_bytes: usize,
-) -> CubeTensor {
-    let values = Values { colours: None, features: None, channels };
-    // Read by the moments alone.
-    let absent = gpu.floats([1]);
-    let (image, transmittance) = (&absent, &absent);
-    let pixels = PixelGradients { image, d_image: y, transmittance, d_transmittance: None, absolute: false };
-    sums_over_tiles(gpu, splats, tiles, &Pass { values: &values, pixels: &pixels, moments: 0 }, view, row_bytes)
-        .d_features
-}
-
-/// What is summed over the tiles.
-struct Pass<'a> {
-    values: &'a Values,
-    pixels: &'a PixelGradients<'a>,
-    /// [`MOMENTS`], [`ABSOLUTE_MOMENTS`], or none.
-    moments: usize,
-}
-
-fn sums_over_tiles(
-    gpu: &Gpu,
-    splats: &CubeTensor,
-    tiles: Tiles<'_>,
-    pass: &Pass<'_>,
-    view: &CubeTensor,
-    row_bytes: usize,
-) -> PixelSums {
-    let Tiles { order, entries, size } = tiles;
-    let &Pass { values, pixels, moments } = pass;
-    let [w, h] = size;
-    let tile_count: usize = tile_counts(size).iter().product();
-    let colours = if values.colours.is_some() { 3 } else { 0 };
-    let out = PixelSums {
-        moments: gpu.floats([order.len, moments]),
-        d_colours: gpu.floats([order.len, colours]),
-        d_features: gpu.floats([order.len, values.channels - colours]),
-    };
-    let widest = if moments > 0 { WIDEST } else { ADJOINT_WIDEST };
-    for (first_channel, block) in blocks(values.channels, widest) {
-        let columns = moments + block;
-        let most = (row_bytes / (columns * size_of::<f32>())).clamp(1, entries.len.max(1));
-        let rows = gpu.floats([most, columns]);
-        // Without entries once all the same, for the zeros.
-        for first_entry in (0..entries.len.max(1)).step_by(most) {
-            let slab = Slab {
-                channels: values.channels,
-                first_channel,
-                block,
-                moments,
-                with_colours: values.colours.is_some(),
-                first_entry,
-                end_entry: (first_entry + most).min(entries.len),
-            };
-            let [colours, features] = values.args(gpu);
-            tiles_backward::launch(
-                &gpu.client,
-                gpu.cubes(tile_count),
-                gpu.dim(),
-                arg(&entries.ranges),
-                arg(&entries.gaussians),
-                arg(&entries.entries),
-                arg(splats),
-                colours,
-                features,
-                arg(view),
-                arg(pixels.image),
-                arg(pixels.d_image),
-                arg(pixels.transmittance),
-                arg(pixels.d_transmittance.unwrap_or(pixels.transmittance)),
-                arg(&rows),
-                w as u32,
-                h as u32,
-                tile_count as u32,
-                slab.channels as u32,
-                slab.first_channel as u32,
-                slab.first_entry as u32,
-                slab.end_entry as u32,
-                slab.block,
-                slab.moments,
-                slab.with_colours,
-                first_channel == 0 && pixels.d_transmittance.is_some(),
-            );
-            add_rows(gpu, order, &rows, &slab, &out);
-        }
-    }
-    out
 }

@@ -66,7 +66,7 @@ fn blend_tiles(
     let unit = UNIT_POS as usize;
     let mut batch = Shared::<[f32]>::new_slice(BATCH * SPLAT);
     let mut values = Shared::<[f32]>::new_slice(BATCH * block);
-    // Units that still take something: counted in one slot, while another is read and the third is cleared.
+    // Whether some unit still takes something: told in one slot, while another is read and the third is cleared.
     let live = Shared::<[Atomic<u32>]>::new_slice(3usize);
     // The Gaussians that may show in each patch, in slots likewise.
     let masks = Shared::<[Atomic<u32>]>::new_slice(3 * MASKS);
@@ -134,7 +134,7 @@ fn blend_tiles(
                 let seen = alpha_at(&batch, j, own.x, own.y, &rule);
                 let alpha = min(seen, rule.alpha_max);
                 if alpha > 0.0f32 && alpha >= rule.alpha_min {
-                    let next = t - alpha * t;
+                    let next = fma(-alpha, t, t);
                     if next <= rule.t_min {
                         done = true;
                     } else {
@@ -149,7 +149,7 @@ fn blend_tiles(
             }
         }
         if !done {
-            live[slot as usize].fetch_add(1u32);
+            live[slot as usize].store(1u32);
         }
         sync_cube();
         at += count;

@@ -1,7 +1,7 @@
 //! `W` and `W^T` of a view whose geometry is frozen, and the counter of Algorithm 1.
 
-use super::backward::{self, Tiles};
 use super::blend::{self, Values};
+use super::pixel_sums::{self, Tiles};
 use super::project::SPLAT;
 use super::{Inputs, Prepared, Scenery, check_size, prepare};
 use crate::error::Result;
@@ -93,8 +93,8 @@ impl Lists {
         let Prepared { view, projected, order, entries, size, .. } = &self.prepared;
         check_size(&gpu, "Gaussians times channels", order.len.saturating_mul(channels), size_of::<f32>())?;
         let tiles = Tiles { order, entries, size: *size };
-        let row_bytes = backward::row_bytes(&gpu);
-        let sums = backward::adjoint(&gpu, &projected.splats, tiles, y, channels, view, row_bytes);
+        let row_bytes = pixel_sums::row_bytes(&gpu);
+        let sums = pixel_sums::adjoint(&gpu, &projected.splats, tiles, y, channels, view, row_bytes);
         Ok((sums, self.counts.clone()))
     }
 }

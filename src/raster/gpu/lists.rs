@@ -56,7 +56,7 @@ fn report_total(offsets: &[u32], report: &[Atomic<u32>], summary: &mut [f32], ga
     }
 }
 
-/// Tile and Gaussian of every entry that there is room for.
+/// Tile and Gaussian of every entry that there is room for, and where those of each rank end.
 #[cube(launch)]
 fn emit_entries(
     splats: &[f32],
@@ -64,6 +64,7 @@ fn emit_entries(
     offsets: &[u32],
     tiles: &mut [u32],
     gaussian_of: &mut [u32],
+    ends: &mut [u32],
     gaussians: u32,
     room: u32,
     width: u32,
@@ -94,12 +95,15 @@ fn emit_entries(
                 }
             }
         }
+        ends[rank] = at;
         // and what is missing goes to a tile that does not exist.
         while at < end {
             tiles[at as usize] = tiles_across * tiles_down;
             gaussian_of[at as usize] = id;
             at += 1u32;
         }
+    } else {
+        ends[rank] = at;
     }
 }
 
@@ -217,6 +221,8 @@ pub(super) struct TileEntries {
     pub gaussians: CubeTensor,
     /// Where each entry of the lists stands among the entries in depth order, in which a Gaussian's are neighbours.
     pub entries: CubeTensor,
+    /// Where the entries of each rank end: those that a tile has.
+    pub ends: CubeTensor,
 }
 
 /// Tiles across and down.
@@ -241,9 +247,10 @@ pub(super) fn tile_entries(
     };
     filled(&ranges, 0, 2 * tile_count);
     let (tiles, gaussian_of) = (gpu.words(len), gpu.words(len));
-    let gaussians = gpu.words(len);
+    let (gaussians, ends) = (gpu.words(len), gpu.words(order.len));
     if len == 0 {
-        return TileEntries { len, ranges, gaussians, entries: gaussian_of };
+        filled(&ends, 0, order.len);
+        return TileEntries { len, ranges, gaussians, entries: gaussian_of, ends };
     }
     if padded {
         filled(&tiles, tile_count, len);
@@ -257,6 +264,7 @@ pub(super) fn tile_entries(
         arg(&order.offsets),
         arg(&tiles),
         arg(&gaussian_of),
+        arg(&ends),
         order.len as u32,
         len as u32,
         size[0] as u32,
@@ -278,5 +286,5 @@ pub(super) fn tile_entries(
         len as u32,
         tile_count as u32,
     );
-    TileEntries { len, ranges, gaussians, entries }
+    TileEntries { len, ranges, gaussians, entries, ends }
 }

@@ -18,6 +18,7 @@ mod lists;
 mod outline;
 mod parameters;
 mod pixel;
+mod pixel_sums;
 mod project;
 mod radix_sort;
 mod row_sums;
@@ -46,7 +47,7 @@ use sh::Harmonics;
 /// Buffers that the widest kernel binds, with room for cubecl's own.
 const BINDINGS: u32 = 16;
 /// Most channels of which there are sums of absolute screen-space gradients.
-pub(super) const ABSOLUTE_CHANNELS: usize = backward::WIDEST;
+pub(super) const ABSOLUTE_CHANNELS: usize = backward::ALWAYS_TOGETHER;
 
 /// The inputs of one call, contiguous `f32` tensors on one device.
 pub(super) struct Inputs {
@@ -273,10 +274,10 @@ impl Forward {
         let Prepared { view, projected, order, entries, size, .. } = &self.prepared;
         let values = inputs.values(self.colours.clone());
         let transmittance = &self.transmittance;
-        let pixels = backward::PixelGradients { image, d_image, transmittance, d_transmittance, absolute };
-        let tiles = backward::Tiles { order, entries, size: *size };
-        let row_bytes = backward::row_bytes(&gpu);
-        let sums = backward::pixel_sums(&gpu, &projected.splats, tiles, &values, &pixels, view, row_bytes);
+        let pixels = pixel_sums::PixelGradients { image, d_image, transmittance, d_transmittance, absolute };
+        let tiles = pixel_sums::Tiles { order, entries, size: *size };
+        let row_bytes = pixel_sums::row_bytes(&gpu);
+        let sums = pixel_sums::pixel_sums(&gpu, &projected.splats, tiles, &values, &pixels, view, row_bytes);
         let scene = inputs.scene();
         let d = parameters::backward(&gpu, &scene, view, &projected.splats, &projected.radii, &sums.moments);
         let sh = match (inputs.harmonics(), &self.colours) {

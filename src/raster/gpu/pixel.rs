@@ -63,12 +63,15 @@ pub(super) fn pixel(tile: usize, unit: u32, width: u32, height: u32) -> Pixel {
 }
 
 /// alpha' of the `at`-th Gaussian of a batch at (x, y) before the cap; 0 where it is surely below the cut-off.
+///
+/// Multiply-adds are spelled out, here and where T is carried on: compilers may or may not contract products and sums, and the
+/// forward and the backward pass have to stop at the same Gaussian.
 #[cube]
 pub(super) fn alpha_at(batch: &Shared<[f32]>, at: usize, x: f32, y: f32, rule: &Rule) -> f32 {
     let dy = y - batch[at * SPLAT + 1];
-    let u = batch[at * SPLAT + 3] * (x - batch[at * SPLAT] - batch[at * SPLAT + 2] * dy);
+    let u = batch[at * SPLAT + 3] * fma(-batch[at * SPLAT + 2], dy, x - batch[at * SPLAT]);
     let v = batch[at * SPLAT + 4] * dy;
-    let exponent = batch[at * SPLAT + 5] - u * u - v * v;
+    let exponent = fma(-v, v, fma(-u, u, batch[at * SPLAT + 5]));
     let mut alpha = 0.0f32;
     if exponent >= rule.lowest {
         alpha = exponent.exp();
@@ -92,9 +95,9 @@ pub(super) fn reaches_patch(splats: &[f32], id: usize, tile: usize, patch: u32, 
         let dy = first.y + row as f32 - splats[at + 1];
         let v = dv * dy;
         // The point of the row that is nearest to where the Gaussian peaks in it.
-        let peak = slope * dy;
-        let u = du * (min(max(peak, left), right) - peak);
-        reaches = reaches || u * u + v * v <= reach * reach;
+        let nearest = min(max(slope * dy, left), right);
+        let u = du * fma(-slope, dy, nearest);
+        reaches = reaches || fma(u, u, v * v) <= reach * reach;
     }
     reaches
 }

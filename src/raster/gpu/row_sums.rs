@@ -1,6 +1,6 @@
 //! The sums over each Gaussian's tiles: a row a tile entry, and a Gaussian's entries are neighbours.
 
-use super::lists::Order;
+use super::lists::{Order, TileEntries};
 use crate::gpu::{Gpu, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
@@ -10,6 +10,7 @@ use burn_cubecl::tensor::CubeTensor;
 fn sum_rows(
     ids: &[u32],
     offsets: &[u32],
+    ends: &[u32],
     rows: &[f32],
     moment_sums: &mut [f32],
     d_colours: &mut [f32],
@@ -33,7 +34,7 @@ fn sum_rows(
     }
     let id = ids[rank] as usize;
     let first = max(offsets[rank], first_entry);
-    let end = min(offsets[rank + 1], end_entry);
+    let end = min(ends[rank], end_entry);
     let mut sum = 0.0f32;
     let mut entry = first;
     // Eight reads under way at a time: a Gaussian may have thousands of rows.
@@ -105,13 +106,21 @@ pub(super) struct Slab {
 }
 
 /// Adds `rows`, `[entries of the slab, moments + block]`, to `sums`; the first slab of each part overwrites it.
-pub(super) fn add_rows(gpu: &Gpu, order: &Order, rows: &CubeTensor, slab: &Slab, sums: &PixelSums) {
+pub(super) fn add_rows(
+    gpu: &Gpu,
+    order: &Order,
+    entries: &TileEntries,
+    rows: &CubeTensor,
+    slab: &Slab,
+    sums: &PixelSums,
+) {
     sum_rows::launch(
         &gpu.client,
         gpu.cubes_for(order.len * (slab.moments + slab.block)),
         gpu.dim(),
         arg(&order.ids),
         arg(&order.offsets),
+        arg(&entries.ends),
         arg(rows),
         arg(&sums.moments),
         arg(&sums.d_colours),

@@ -1,9 +1,9 @@
 //! The parts of the pipeline, each against the CPU's.
 
-use super::backward::{PixelGradients, Tiles, adjoint, pixel_sums};
 use super::blend::{Values, blend};
 use super::lists::{Order, Report, TileEntries, depth_order, tile_counts, tile_entries};
 use super::pixel::{PATCH, alpha_at, pixel, reaches_patch, rule};
+use super::pixel_sums::{PixelGradients, Tiles, adjoint, pixel_sums};
 use super::project::{ProjectedScene, SPLAT, Scene, project};
 use super::radix_sort::sort_positions;
 use super::scan::{CEILING, exclusive_sums};

@@ -1,0 +1,145 @@
+//! The backward pass over the tiles, launched block of channels by block and slab of entries by slab, and the sums over each
+//! Gaussian's tiles.
+
+use super::backward::{ABSOLUTE_MOMENTS, MOMENTS, tiles_backward, widest};
+use super::blend::{Values, blocks};
+use super::lists::{Order, TileEntries, tile_counts};
+use super::row_sums::{PixelSums, Slab, add_rows};
+use crate::gpu::{Gpu, arg};
+use burn_cubecl::tensor::CubeTensor;
+
+/// What was rendered and its gradient.
+pub(super) struct PixelGradients<'a> {
+    /// `[H, W, C]`, background included.
+    pub image: &'a CubeTensor,
+    pub d_image: &'a CubeTensor,
+    /// `[H, W]`.
+    pub transmittance: &'a CubeTensor,
+    pub d_transmittance: Option<&'a CubeTensor>,
+    /// Whether sums of absolute values are wanted; of [`ALWAYS_TOGETHER`] channels at most.
+    pub absolute: bool,
+}
+
+/// The tile lists of a view.
+#[derive(Clone, Copy)]
+pub(super) struct Tiles<'a> {
+    pub order: &'a Order,
+    pub entries: &'a TileEntries,
+    /// Image width and height, pixels.
+    pub size: [usize; 2],
+}
+
+/// Bytes that the rows of one pass may take: more entries go through in several passes.
+pub(super) fn row_bytes(gpu: &Gpu) -> usize {
+    let limit = usize::try_from(gpu.client.properties().memory.max_page_size).unwrap_or(usize::MAX);
+    limit.min(1 << 30)
+}
+
+/// Runs the backward pass over the tiles; rows take `row_bytes` at most.
+pub(super) fn pixel_sums(
+    gpu: &Gpu,
+    splats: &CubeTensor,
+    tiles: Tiles<'_>,
+    values: &Values,
+    pixels: &PixelGradients<'_>,
+    view: &CubeTensor,
+    row_bytes: usize,
+) -> PixelSums {
+    let moments = if pixels.absolute { ABSOLUTE_MOMENTS } else { MOMENTS };
+    sums_over_tiles(gpu, splats, tiles, &Pass { values, pixels, moments }, view, row_bytes)
+}
+
+/// `W^T y` alone, `[N, channels]`: `y` is `[H, W, channels]`.
+pub(super) fn adjoint(
+    gpu: &Gpu,
+    splats: &CubeTensor,
+    tiles: Tiles<'_>,
+    y: &CubeTensor,
+    channels: usize,
+    view: &CubeTensor,
+    row_bytes: usize,
+) -> CubeTensor {
+    let values = Values { colours: None, features: None, channels };
+    // Read by the moments alone.
+    let absent = gpu.floats([1]);
+    let (image, transmittance) = (&absent, &absent);
+    let pixels = PixelGradients { image, d_image: y, transmittance, d_transmittance: None, absolute: false };
+    sums_over_tiles(gpu, splats, tiles, &Pass { values: &values, pixels: &pixels, moments: 0 }, view, row_bytes)
+        .d_features
+}
+
+/// What is summed over the tiles.
+struct Pass<'a> {
+    values: &'a Values,
+    pixels: &'a PixelGradients<'a>,
+    /// [`MOMENTS`], [`ABSOLUTE_MOMENTS`], or none.
+    moments: usize,
+}
+
+fn sums_over_tiles(
+    gpu: &Gpu,
+    splats: &CubeTensor,
+    tiles: Tiles<'_>,
+    pass: &Pass<'_>,
+    view: &CubeTensor,
+    row_bytes: usize,
+) -> PixelSums {
+    let Tiles { order, entries, size } = tiles;
+    let &Pass { values, pixels, moments } = pass;
+    let [w, h] = size;
+    let tile_count: usize = tile_counts(size).iter().product();
+    let colours = if values.colours.is_some() { 3 } else { 0 };
+    let out = PixelSums {
+        moments: gpu.floats([order.len, moments]),
+        d_colours: gpu.floats([order.len, colours]),
+        d_features: gpu.floats([order.len, values.channels - colours]),
+    };
+    for (first_channel, block) in blocks(values.channels, widest(gpu, moments)) {
+        let columns = moments + block;
+        let most = (row_bytes / (columns * size_of::<f32>())).clamp(1, entries.len.max(1));
+        let rows = gpu.floats([most, columns]);
+        // Without entries once all the same, for the zeros.
+        for first_entry in (0..entries.len.max(1)).step_by(most) {
+            let slab = Slab {
+                channels: values.channels,
+                first_channel,
+                block,
+                moments,
+                with_colours: values.colours.is_some(),
+                first_entry,
+                end_entry: (first_entry + most).min(entries.len),
+            };
+            let [colours, features] = values.args(gpu);
+            tiles_backward::launch(
+                &gpu.client,
+                gpu.cubes(tile_count),
+                gpu.dim(),
+                arg(&entries.ranges),
+                arg(&entries.gaussians),
+                arg(&entries.entries),
+                arg(splats),
+                colours,
+                features,
+                arg(view),
+                arg(pixels.image),
+                arg(pixels.d_image),
+                arg(pixels.transmittance),
+                arg(pixels.d_transmittance.unwrap_or(pixels.transmittance)),
+                arg(&rows),
+                w as u32,
+                h as u32,
+                tile_count as u32,
+                slab.channels as u32,
+                slab.first_channel as u32,
+                slab.first_entry as u32,
+                slab.end_entry as u32,
+                slab.block,
+                slab.moments,
+                slab.with_colours,
+                first_channel == 0 && pixels.d_transmittance.is_some(),
+            );
+            add_rows(gpu, order, entries, &rows, &slab, &out);
+        }
+    }
+    out
+}
