@@ -6,8 +6,11 @@
 //! row, and a second kernel adds up each Gaussian's rows, which are neighbours: no atomics, and the same bits every time.
 //! All is linear in the image's gradient, so that channels come in blocks, and the moments of the blocks add up.
 
-use super::blend::value_of;
-use super::pixel::{PATCH, PATCH_HEIGHT, PATCH_WIDTH, PATCHES, PATCHES_ACROSS, alpha_at, pixel, reaches_patch, rule};
+use super::blend::four_values;
+use super::pixel::{
+    Four, PATCH, PATCH_HEIGHT, PATCH_WIDTH, PATCHES, PATCHES_ACROSS, SPLAT_FOURS, alpha_at, pixel, reaches_patch, rule,
+    splat_four,
+};
 use super::project::SPLAT;
 use crate::gpu::{Gpu, UNITS};
 use burn_cubecl::cubecl::{self, prelude::*};
@@ -79,9 +82,10 @@ pub(super) fn tiles_backward(
     // Columns that are summed together where the pairs were, and how often that is.
     let rounds = comptime![columns.div_ceil(pairs_of(moments) / UNITS as usize)];
     let together = comptime![columns.div_ceil(rounds)];
-    let mut batch = Shared::<[f32]>::new_slice(BATCH * SPLAT);
-    let mut values = Shared::<[f32]>::new_slice(BATCH * block);
-    let mut d_pixels = Shared::<[f32]>::new_slice(units * block);
+    let fours = comptime![block.div_ceil(4)];
+    let mut batch = Shared::<[Four]>::new_slice(BATCH * SPLAT_FOURS);
+    let mut values = Shared::<[Four]>::new_slice(BATCH * fours);
+    let mut d_pixels = Shared::<[Four]>::new_slice(units * fours);
     let mut pairs = Shared::<[f32]>::new_slice(comptime![pairs_of(moments)]);
     let mut batch_entries = Shared::<[u32]>::new_slice(BATCH);
     // Whether a Gaussian may show in a patch, and whether a pixel of the patch takes something of it.
@@ -94,20 +98,24 @@ pub(super) fn tiles_backward(
     let mut t = 1.0f32;
     // What is left of dL/dS . S + dL/dT T after the Gaussians so far.
     let mut rest = 0.0f32;
-    let mut d_own = Array::<f32>::new(block);
+    let mut d_own = Array::<Four>::new(fours);
     #[unroll]
-    for k in 0..block {
-        let channel = first_channel + k as u32;
-        let mut d = 0.0f32;
-        if own.inside && channel < channels {
-            let i = own.index * channels as usize + channel as usize;
-            d = d_image[i];
-            if comptime![moments > 0] {
-                rest += d * image[i];
+    for k in 0..fours {
+        let mut four = Four::new(0.0f32);
+        #[unroll]
+        for part in 0..4usize {
+            let channel = first_channel + (4 * k + part) as u32;
+            if own.inside && channel < min(first_channel + block as u32, channels) {
+                let i = own.index * channels as usize + channel as usize;
+                let d = d_image[i];
+                four.insert_dynamic(part, d);
+                if comptime![moments > 0] {
+                    rest += d * image[i];
+                }
             }
         }
-        d_own[k] = d;
-        d_pixels[k * units + unit] = d;
+        d_own[k] = four;
+        d_pixels[k * units + unit] = four;
     }
     if comptime![with_transmittance] && own.inside {
         rest += d_transmittance[own.index] * transmittance[own.index];
@@ -128,14 +136,14 @@ pub(super) fn tiles_backward(
     let mut slot = 0u32;
     while at < end {
         let count = min(end - at, BATCH as u32);
-        if unit < count as usize * SPLAT {
-            let id = gaussians[at as usize + unit / SPLAT] as usize;
-            batch[unit] = splats[id * SPLAT + unit % SPLAT];
+        if unit < count as usize * SPLAT_FOURS {
+            let id = gaussians[at as usize + unit / SPLAT_FOURS] as usize;
+            batch[unit] = splat_four(splats, id, unit % SPLAT_FOURS);
         }
-        if comptime![moments > 0] && unit < count as usize * block {
-            let id = gaussians[at as usize + unit / block] as usize;
-            let channel = first_channel + (unit % block) as u32;
-            values[unit] = value_of(colours, features, id, channel, channels, with_colours);
+        if comptime![moments > 0] && unit < count as usize * fours {
+            let id = gaussians[at as usize + unit / fours] as usize;
+            let channel = first_channel + 4u32 * (unit % fours) as u32;
+            values[unit] = four_values(colours, features, id, channel, channels, with_colours);
         }
         if unit < count as usize {
             batch_entries[unit] = entries[at as usize + unit];
@@ -170,8 +178,8 @@ pub(super) fn tiles_backward(
                         if comptime![moments > 0] {
                             let mut d = 0.0f32;
                             #[unroll]
-                            for k in 0..block {
-                                d += d_own[k] * values[j * block + k];
+                            for k in 0..fours {
+                                d += d_own[k].dot(values[j * fours + k]);
                             }
                             let share = weight * d;
                             rest -= share;
@@ -202,11 +210,16 @@ pub(super) fn tiles_backward(
         for k in 0..rounds * together {
             sums[k] = 0.0f32;
         }
-        let du = batch[member * SPLAT + 3];
-        let dv = batch[member * SPLAT + 4];
-        let slope = batch[member * SPLAT + 2];
-        let dx = lane_x - batch[member * SPLAT];
-        let dy = lane_y - batch[member * SPLAT + 1];
+        let mut value_sums = Array::<Four>::new(fours);
+        #[unroll]
+        for k in 0..fours {
+            value_sums[k] = Four::new(0.0f32);
+        }
+        let splat = batch[member * SPLAT_FOURS];
+        let (slope, du) = (splat.extract(2usize), splat.extract(3usize));
+        let dv = batch[member * SPLAT_FOURS + 1].extract(0usize);
+        let dx = lane_x - splat.extract(0usize);
+        let dy = lane_y - splat.extract(1usize);
         for i in 0..PATCHES {
             if touched[member * PATCHES + i].load() > 0u32 {
                 let at_pixel = i * PATCH + lane;
@@ -227,12 +240,16 @@ pub(super) fn tiles_backward(
                         sums[7] += (g * (v * dv - slope * (u * du))).abs();
                     }
                 }
-                let weight = pairs[member * units + at_pixel];
+                let weight = Four::new(pairs[member * units + at_pixel]);
                 #[unroll]
-                for k in 0..block {
-                    sums[moments + k] += weight * d_pixels[k * units + at_pixel];
+                for k in 0..fours {
+                    value_sums[k] += weight * d_pixels[k * units + at_pixel];
                 }
             }
+        }
+        #[unroll]
+        for k in 0..block {
+            sums[moments + k] = value_sums[k / 4].extract_dynamic(k % 4);
         }
         #[unroll]
         for round in 0..rounds {

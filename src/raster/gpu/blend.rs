@@ -1,8 +1,7 @@
 //! Forward blending: a cube a tile, a unit a pixel, a block of channels in registers.
 
 use super::lists::{TileEntries, tile_counts};
-use super::pixel::{PATCH, PATCHES, alpha_at, pixel, reaches_patch, rule};
-use super::project::SPLAT;
+use super::pixel::{Four, PATCH, PATCHES, SPLAT_FOURS, alpha_at, pixel, reaches_patch, rule, splat_four};
 use super::view::BACKGROUND;
 use crate::gpu::{Gpu, UNITS, arg};
 use burn::tensor::Shape;
@@ -40,6 +39,24 @@ pub(super) fn value_of(
     value
 }
 
+/// Values of Gaussian `id` in four channels from `channel` on.
+#[cube]
+pub(super) fn four_values(
+    colours: &[f32],
+    features: &[f32],
+    id: usize,
+    channel: u32,
+    channels: u32,
+    #[comptime] with_colours: bool,
+) -> Four {
+    let mut four = Four::empty();
+    four.insert(0usize, value_of(colours, features, id, channel, channels, with_colours));
+    four.insert(1usize, value_of(colours, features, id, channel + 1u32, channels, with_colours));
+    four.insert(2usize, value_of(colours, features, id, channel + 2u32, channels, with_colours));
+    four.insert(3usize, value_of(colours, features, id, channel + 3u32, channels, with_colours));
+    four
+}
+
 #[cube(launch)]
 fn blend_tiles(
     ranges: &[u32],
@@ -64,8 +81,9 @@ fn blend_tiles(
         terminate!();
     }
     let unit = UNIT_POS as usize;
-    let mut batch = Shared::<[f32]>::new_slice(BATCH * SPLAT);
-    let mut values = Shared::<[f32]>::new_slice(BATCH * block);
+    let fours = comptime![block.div_ceil(4)];
+    let mut batch = Shared::<[Four]>::new_slice(BATCH * SPLAT_FOURS);
+    let mut values = Shared::<[Four]>::new_slice(BATCH * fours);
     // Whether some unit still takes something: told in one slot, while another is read and the third is cleared.
     let live = Shared::<[Atomic<u32>]>::new_slice(3usize);
     // The Gaussians that may show in each patch, in slots likewise.
@@ -75,10 +93,10 @@ fn blend_tiles(
     let own = pixel(tile, UNIT_POS, width, height);
     let mut done = !own.inside;
     let mut t = 1.0f32;
-    let mut sums = Array::<f32>::new(block);
+    let mut sums = Array::<Four>::new(fours);
     #[unroll]
-    for k in 0..block {
-        sums[k] = 0.0f32;
+    for k in 0..fours {
+        sums[k] = Four::new(0.0f32);
     }
     if unit == 0 {
         live[0].store(0u32);
@@ -93,16 +111,16 @@ fn blend_tiles(
     while at < end {
         let count = min(end - at, BATCH as u32);
         let mut k = unit;
-        while k < count as usize * SPLAT {
-            let id = gaussians[at as usize + k / SPLAT] as usize;
-            batch[k] = splats[id * SPLAT + k % SPLAT];
+        while k < count as usize * SPLAT_FOURS {
+            let id = gaussians[at as usize + k / SPLAT_FOURS] as usize;
+            batch[k] = splat_four(splats, id, k % SPLAT_FOURS);
             k += UNITS as usize;
         }
         k = unit;
-        while k < count as usize * block {
-            let id = gaussians[at as usize + k / block] as usize;
-            let channel = first_channel + (k % block) as u32;
-            values[k] = value_of(colours, features, id, channel, channels, with_colours);
+        while k < count as usize * fours {
+            let id = gaussians[at as usize + k / fours] as usize;
+            let channel = first_channel + 4u32 * (k % fours) as u32;
+            values[k] = four_values(colours, features, id, channel, channels, with_colours);
             k += UNITS as usize;
         }
         let next_slot = ((slot + 1u32) % 3u32) as usize;
@@ -138,10 +156,10 @@ fn blend_tiles(
                     if next <= rule.t_min {
                         done = true;
                     } else {
-                        let weight = alpha * t;
+                        let weight = Four::new(alpha * t);
                         #[unroll]
-                        for k in 0..block {
-                            sums[k] += weight * values[j * block + k];
+                        for k in 0..fours {
+                            sums[k] += weight * values[j * fours + k];
                         }
                         t = next;
                     }
@@ -163,7 +181,7 @@ fn blend_tiles(
         for k in 0..block {
             let channel = first_channel + k as u32;
             if channel < channels {
-                let mut value = sums[k];
+                let mut value = sums[k / 4].extract_dynamic(k % 4);
                 if comptime![with_colours] && channel < 3u32 {
                     value += t * view[BACKGROUND + channel as usize];
                 }

@@ -5,6 +5,24 @@ use super::view::{ALPHA_MAX, ALPHA_MIN, LN_ALPHA_MIN, T_MIN};
 use crate::raster::footprint::TILE;
 use burn_cubecl::cubecl::{self, prelude::*};
 
+/// Four floats that shared memory gives in one go.
+pub(super) type Four = Vector<f32, Const<4>>;
+
+/// Fours of a projected Gaussian.
+pub(super) const SPLAT_FOURS: usize = SPLAT / 4;
+
+/// The `part`-th four of Gaussian `id`.
+#[cube]
+pub(super) fn splat_four(splats: &[f32], id: usize, part: usize) -> Four {
+    let at = id * SPLAT + 4 * part;
+    let mut four = Four::empty();
+    four.insert(0usize, splats[at]);
+    four.insert(1usize, splats[at + 1]);
+    four.insert(2usize, splats[at + 2]);
+    four.insert(3usize, splats[at + 3]);
+    four
+}
+
 /// Constants of the blending rule.
 #[derive(CubeType, Clone, Copy)]
 pub(super) struct Rule {
@@ -67,11 +85,13 @@ pub(super) fn pixel(tile: usize, unit: u32, width: u32, height: u32) -> Pixel {
 /// Multiply-adds are spelled out, here and where T is carried on: compilers may or may not contract products and sums, and the
 /// forward and the backward pass have to stop at the same Gaussian.
 #[cube]
-pub(super) fn alpha_at(batch: &Shared<[f32]>, at: usize, x: f32, y: f32, rule: &Rule) -> f32 {
-    let dy = y - batch[at * SPLAT + 1];
-    let u = batch[at * SPLAT + 3] * fma(-batch[at * SPLAT + 2], dy, x - batch[at * SPLAT]);
-    let v = batch[at * SPLAT + 4] * dy;
-    let exponent = fma(-v, v, fma(-u, u, batch[at * SPLAT + 5]));
+pub(super) fn alpha_at(batch: &Shared<[Four]>, at: usize, x: f32, y: f32, rule: &Rule) -> f32 {
+    let first = batch[at * SPLAT_FOURS];
+    let second = batch[at * SPLAT_FOURS + 1];
+    let dy = y - first.extract(1usize);
+    let u = first.extract(3usize) * fma(-first.extract(2usize), dy, x - first.extract(0usize));
+    let v = second.extract(0usize) * dy;
+    let exponent = fma(-v, v, fma(-u, u, second.extract(1usize)));
     let mut alpha = 0.0f32;
     if exponent >= rule.lowest {
         alpha = exponent.exp();

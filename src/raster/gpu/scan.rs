@@ -11,6 +11,8 @@ const BLOCK: usize = UNITS as usize * ITEMS;
 /// Sums stop here, so that none wraps: a total of [`CEILING`] means this or more.
 pub(super) const CEILING: u32 = 0x7fff_ffff;
 const GROUP: usize = 16;
+/// Blocks that one cube sums by itself, for two launches fewer: chosen by counting, not by a measurement.
+const IN_TURN: usize = 8;
 
 /// Replaces the [`UNITS`] values in `sums` by the sums of those before each. All units of the cube call it; `sums` is
 /// complete before and after. `totals` holds [`GROUP`] + 1 values, the last of them the sum of all.
@@ -47,14 +49,19 @@ fn capped(a: u32, b: u32) -> u32 {
     min(a + b, CEILING)
 }
 
-/// Exclusive sums within each block of [`BLOCK`] values, and the blocks' totals.
-#[cube(launch)]
-fn scan_blocks(values: &[u32], sums: &mut [u32], totals: &mut [u32], count: u32, blocks: u32) {
-    if CUBE_POS >= blocks as usize {
-        terminate!();
-    }
+/// Writes the sums of what comes before each value of block `block`, on top of `carry`, and gives the sum of all of them with it.
+/// All units of the cube call it.
+#[cube]
+fn scan_block(
+    values: &[u32],
+    sums: &mut [u32],
+    count: u32,
+    block: usize,
+    carry: u32,
+    shared: &mut Shared<[u32]>,
+) -> u32 {
     let unit = UNIT_POS as usize;
-    let first = CUBE_POS * BLOCK + unit * ITEMS;
+    let first = block * BLOCK + unit * ITEMS;
     let mut before = Array::<u32>::new(ITEMS);
     let mut sum = 0u32;
     #[unroll]
@@ -65,7 +72,6 @@ fn scan_blocks(values: &[u32], sums: &mut [u32], totals: &mut [u32], count: u32,
         }
     }
     // Capped sums need a scan of their own: 256 capped values may wrap when simply added.
-    let mut shared = Shared::<[u32]>::new_slice(UNITS as usize);
     shared[unit] = sum;
     sync_cube();
     let mut step = 1usize;
@@ -79,9 +85,9 @@ fn scan_blocks(values: &[u32], sums: &mut [u32], totals: &mut [u32], count: u32,
         sync_cube();
         step *= 2;
     }
-    let mut base = 0u32;
+    let mut base = carry;
     if unit > 0 {
-        base = shared[unit - 1];
+        base = capped(carry, shared[unit - 1]);
     }
     #[unroll]
     for k in 0..ITEMS {
@@ -89,8 +95,35 @@ fn scan_blocks(values: &[u32], sums: &mut [u32], totals: &mut [u32], count: u32,
             sums[first + k] = capped(base, before[k]);
         }
     }
-    if unit == UNITS as usize - 1 {
-        totals[CUBE_POS] = shared[unit];
+    let total = capped(carry, shared[UNITS as usize - 1]);
+    // The next block writes where others may still read.
+    sync_cube();
+    total
+}
+
+/// Exclusive sums within each block of [`BLOCK`] values, and the blocks' totals.
+#[cube(launch)]
+fn scan_blocks(values: &[u32], sums: &mut [u32], totals: &mut [u32], count: u32, blocks: u32) {
+    if CUBE_POS >= blocks as usize {
+        terminate!();
+    }
+    let mut shared = Shared::<[u32]>::new_slice(UNITS as usize);
+    let total = scan_block(values, sums, count, CUBE_POS, 0u32, &mut shared);
+    if UNIT_POS == 0 {
+        totals[CUBE_POS] = total;
+    }
+}
+
+/// Exclusive sums of all values, block after block: one launch instead of three where there are few.
+#[cube(launch)]
+fn scan_in_turn(values: &[u32], sums: &mut [u32], count: u32, blocks: u32) {
+    if CUBE_POS > 0 {
+        terminate!();
+    }
+    let mut shared = Shared::<[u32]>::new_slice(UNITS as usize);
+    let mut carry = 0u32;
+    for block in 0..blocks {
+        carry = scan_block(values, sums, count, block as usize, carry, &mut shared);
     }
 }
 
@@ -110,6 +143,10 @@ pub(super) fn exclusive_sums(gpu: &Gpu, values: &CubeTensor, len: usize) -> Cube
         return sums;
     }
     let blocks = len.div_ceil(BLOCK);
+    if blocks <= IN_TURN {
+        scan_in_turn::launch(&gpu.client, gpu.cubes(1), gpu.dim(), arg(values), arg(&sums), len as u32, blocks as u32);
+        return sums;
+    }
     let totals = gpu.words(blocks);
     scan_blocks::launch(
         &gpu.client,
@@ -121,9 +158,7 @@ pub(super) fn exclusive_sums(gpu: &Gpu, values: &CubeTensor, len: usize) -> Cube
         len as u32,
         blocks as u32,
     );
-    if blocks > 1 {
-        let starts = exclusive_sums(gpu, &totals, blocks);
-        add_block_starts::launch(&gpu.client, gpu.cubes_for(len), gpu.dim(), arg(&sums), arg(&starts), len as u32);
-    }
+    let starts = exclusive_sums(gpu, &totals, blocks);
+    add_block_starts::launch(&gpu.client, gpu.cubes_for(len), gpu.dim(), arg(&sums), arg(&starts), len as u32);
     sums
 }

@@ -2,7 +2,7 @@
 
 use super::blend::{Values, blend};
 use super::lists::{Order, Report, TileEntries, depth_order, tile_counts, tile_entries};
-use super::pixel::{PATCH, alpha_at, pixel, reaches_patch, rule};
+use super::pixel::{Four, PATCH, SPLAT_FOURS, alpha_at, pixel, reaches_patch, rule, splat_four};
 use super::pixel_sums::{PixelGradients, Tiles, adjoint, pixel_sums};
 use super::project::{ProjectedScene, SPLAT, Scene, project};
 use super::radix_sort::sort_positions;
@@ -37,7 +37,7 @@ fn floats(gpu: &Gpu, tensor: &CubeTensor) -> Vec<f32> {
 fn sums_of_what_comes_before() {
     let Some(gpu) = gpu() else { return };
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    for len in [1, 7, 8, 255, 2047, 2048, 2049, 70_000, 2048 * 2048 + 5] {
+    for len in [1, 7, 8, 255, 2047, 2048, 2049, 16_384, 16_385, 70_000, 2048 * 2048 + 5] {
         let values: Vec<u32> = (0..len).map(|_| rng.random_range(0..100)).collect();
         let sums = words(&gpu, &exclusive_sums(&gpu, &gpu.upload(&values, DType::U32), len));
         let mut sum = 0;
@@ -222,9 +222,9 @@ fn count_missed(
     if id >= splat_count as usize {
         terminate!();
     }
-    let mut own = Shared::<[f32]>::new_slice(SPLAT);
-    if (UNIT_POS as usize) < SPLAT {
-        own[UNIT_POS as usize] = splats[id * SPLAT + UNIT_POS as usize];
+    let mut own = Shared::<[Four]>::new_slice(SPLAT_FOURS);
+    if (UNIT_POS as usize) < SPLAT_FOURS {
+        own[UNIT_POS as usize] = splat_four(splats, id, UNIT_POS as usize);
     }
     sync_cube();
     let rule = rule(view);

@@ -1,0 +1,47 @@
+#!/usr/bin/env bash
+# On a machine with a GPU: are the kernels right there, and how fast are they? Everything in one go, into a folder.
+#
+#     scripts/measure_gpu.sh [OUT]            OUT is `measured` by default
+#
+# COSEG and SUITE name binaries that were built elsewhere (cargo build / cargo test --no-run --release --features wgpu); without
+# them both are built here. Where Python has PyTorch with CUDA and gsplat, gsplat is timed on the same Gaussians and cameras.
+# Each step leaves a log; one that fails is said and does not keep the others from running.
+set -uo pipefail
+cd "$(dirname "$0")/.."
+out=${1:-measured}
+mkdir -p "$out"
+failed=0
+
+step() {
+  local name=$1 start=$SECONDS
+  shift
+  if "$@" >"$out/$name.log" 2>&1; then
+    echo "$name: $((SECONDS - start)) s"
+  else
+    echo "$name: FAILED after $((SECONDS - start)) s, see $out/$name.log"
+    failed=1
+  fi
+}
+
+if [ -z "${COSEG:-}" ]; then
+  step build cargo build --release --features wgpu
+  COSEG=target/release/coseg
+fi
+{ nvidia-smi || vulkaninfo --summary; } >"$out/device.txt" 2>&1
+
+# Every kernel against the CPU's in f64, and both stages against ndarray.
+if [ -z "${SUITE:-}" ]; then
+  step parity cargo test --release --features wgpu -- gpu device raster_room
+else
+  step parity "$SUITE" gpu device raster_room
+fi
+
+step train "$COSEG" train --backend wgpu --out "$out/run"
+step bench "$COSEG" bench --backend wgpu --run "$out/run" --large --export "$out/subject" --json "$out/coseg.json" \
+  --only raster,channels,building,unprojection,encoding,segmentation
+if python3 -c 'import gsplat, torch; assert torch.cuda.is_available()' 2>/dev/null; then
+  step gsplat python3 scripts/bench_gsplat.py "$out/subject" --against "$out/coseg.json" --json "$out/gsplat.json"
+else
+  echo "gsplat: left out, Python has no gsplat or no CUDA"
+fi
+exit $failed
