@@ -95,6 +95,8 @@ pub enum Layout {
     Lines,
     /// A line for each case, a column for each name.
     Grid,
+    /// So many figures a line each, the others as a grid.
+    GridAfter(usize),
 }
 
 /// What a section found.
@@ -137,6 +139,10 @@ impl Findings {
         out.push_str(&match self.layout {
             Layout::Lines => lines(&self.figures),
             Layout::Grid => grid(&self.figures),
+            Layout::GridAfter(count) => {
+                let (first, rest) = self.figures.split_at(count.min(self.figures.len()));
+                format!("{}\n{}", lines(first), grid(rest))
+            }
         });
         out
     }
@@ -269,5 +275,8 @@ mod tests {
         findings.layout = Layout::Grid;
         let text = findings.text();
         assert!(text.lines().any(|l| l.split_whitespace().eq(["ten", "5", "1.50", "ms"])), "{text}");
+        findings.layout = Layout::GridAfter(1);
+        let text = findings.text();
+        assert!(text.contains("ten  pairs") && text.ends_with("  ten  1.50 ms\n"), "{text}");
     }
 }

@@ -79,6 +79,12 @@ impl Samples {
     pub fn scaled(&self, factor: f64) -> Self {
         Self(self.0.iter().map(|v| v * factor).collect())
     }
+
+    /// Seconds for `work` as rates, `work` a second.
+    #[must_use]
+    pub fn rates(&self, work: f64) -> Self {
+        Self(self.0.iter().map(|seconds| work / seconds).collect())
+    }
 }
 
 impl FromIterator<f64> for Samples {
@@ -97,6 +103,7 @@ mod tests {
         assert_eq!((odd.median(), odd.spread(), odd.mean(), odd.len()), (3.0, [1.0, 5.0], 3.0, 3));
         let even: Samples = [4.0, 1.0, 2.0, 100.0].into_iter().collect();
         assert_eq!((even.median(), even.scaled(2.0).median()), (3.0, 6.0));
+        assert_eq!(even.rates(8.0).spread(), [0.08, 8.0]);
         assert_eq!((Samples::default().median(), Samples::default().spread()), (0.0, [0.0, 0.0]));
     }
 
