@@ -69,7 +69,8 @@ impl Machine {
     }
 }
 
-fn available_memory() -> Option<u64> {
+/// Memory that can be had without swapping, bytes, where the system says.
+pub(super) fn available_memory() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
     let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;

@@ -14,6 +14,7 @@ mod machine;
 mod memory;
 mod raster;
 mod resample;
+mod roofline;
 mod samples;
 mod segmentation;
 mod subject;
@@ -31,6 +32,7 @@ use crate::config::Config;
 use crate::error::{Error, Result};
 use burn::tensor::Device;
 use serde::Serialize;
+use std::time::Duration;
 
 /// A part of the pipeline that is measured on its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
@@ -52,11 +54,13 @@ pub enum Section {
     Segmentation,
     /// Memory of an iteration of stage two.
     Memory,
+    /// What the device could do at most, and how much of it rendering and lifting reach.
+    Roofline,
 }
 
 impl Section {
     /// All sections, in the order in which they run.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Raster,
         Self::Channels,
         Self::Curve,
@@ -65,6 +69,7 @@ impl Section {
         Self::Encoding,
         Self::Segmentation,
         Self::Memory,
+        Self::Roofline,
     ];
 
     /// Its name on the command line and in JSON.
@@ -78,6 +83,7 @@ impl Section {
             Self::Encoding => "encoding",
             Self::Segmentation => "segmentation",
             Self::Memory => "memory",
+            Self::Roofline => "roofline",
         }
     }
 
@@ -92,6 +98,7 @@ impl Section {
             Self::Encoding => "the RandLA point encoder",
             Self::Segmentation => "an iteration of stage two, row `ours`",
             Self::Memory => "peak memory of stage two against Gaussians decoded together (segmentation.decoder_chunk)",
+            Self::Roofline => "the least that rendering and lifting could take on this device, and what they take",
         }
     }
 }
@@ -128,7 +135,7 @@ pub struct Effort {
     pub building: Vec<usize>,
     /// Gaussians of stage two where the scene is not trained.
     pub segmentation: usize,
-    /// Numbers of Gaussians that channels and the memory of stage two are measured at, ascending.
+    /// Numbers of Gaussians that channels, the memory of stage two and the roofline are measured at, ascending.
     pub memory: Vec<usize>,
     /// Image width and height of what is rendered, pixels.
     pub size: [usize; 2],
@@ -144,6 +151,10 @@ pub struct Effort {
     pub settle: usize,
     /// Counted iterations of either stage, a repeat.
     pub steps: usize,
+    /// Largest buffer that is copied to see how fast memory is, bytes; far more than caches hold.
+    pub copied_bytes: usize,
+    /// What a measurement of what the device could do takes at least.
+    pub probe: Duration,
 }
 
 impl Effort {
@@ -164,6 +175,8 @@ impl Effort {
             labelled_views: 12,
             settle: 100,
             steps: 20,
+            copied_bytes: 256 << 20,
+            probe: Duration::from_millis(100),
         }
     }
 
@@ -183,6 +196,8 @@ impl Effort {
             labelled_views: 2,
             settle: 2,
             steps: 4,
+            copied_bytes: 4 << 20,
+            probe: Duration::from_millis(2),
         }
     }
 }
@@ -214,6 +229,7 @@ impl Bench {
             Section::Encoding => encoding::measure(self),
             Section::Segmentation => segmentation::measure(self),
             Section::Memory => memory::measure(self),
+            Section::Roofline => roofline::measure(self),
         }
     }
 

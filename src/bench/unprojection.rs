@@ -13,7 +13,7 @@ use std::hint::black_box;
 
 /// Image pixels a cell, of each scale of the built-in descriptor.
 const STEPS: [usize; SCALES] = [4, 4, 8, 16];
-const CHANNELS: usize = 64;
+pub(super) const CHANNELS: usize = 64;
 /// Different sets of maps; more of them than fit a cache.
 const SETS: usize = 8;
 /// Views that the bars are set for, and those bars in seconds.
@@ -66,7 +66,7 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
 }
 
 /// One map a scale for images of the benchmark's size.
-fn maps(bench: &Bench, set: usize) -> Vec<FeatureMap> {
+pub(super) fn maps(bench: &Bench, set: usize) -> Vec<FeatureMap> {
     let mut rng = stream(bench.config.seed, Purpose::Benchmark, set as u64);
     let [width, height] = bench.effort.size;
     let map = |step: usize| {

@@ -26,6 +26,9 @@ Sections
   segmentation  an iteration of stage two, where the scene has raw labels
   memory        peak memory and time of such an iteration on 100,000 Gaussians (--large: a million too, in
                 about 6 GB), as segmentation.decoder_chunk goes from 4,096 to all at once
+  roofline      what the device could do at most (GB/s, GFLOP/s; latencies of a GPU), and how much of it is
+                reached on 100,000 Gaussians (--large: a million too): RGB, with 20 classes, 64 channels,
+                forward + backward, a view lifted; bytes and operations counted, the longer time is the roof
 
 Every figure is a median with the smallest and largest measurement, after a warm-up run that is not counted. Beside it
 stands the bar that the design sets for it, on two cores, and whether it is met; bars that were set for another scene
@@ -63,7 +66,7 @@ pub struct BenchArgs {
     /// Measured passes behind each median [default: 5]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=1000))]
     repeats: Option<usize>,
-    /// A million Gaussians in `channels` and `memory` too, and in `raster` with little memory free
+    /// A million Gaussians in `channels`, `memory`, `roofline`; in `raster` with little memory free
     #[arg(long)]
     large: bool,
     /// Tiny sizes, a few seconds in all: shows that everything runs; the figures mean nothing

@@ -7,6 +7,7 @@ use coseg::config::Config;
 use coseg::data::Limits;
 use coseg::data::builtin::{BuiltinOptions, scene_with};
 use coseg::device::BackendName;
+use coseg::raster::{Projected, Settings};
 use std::path::Path;
 
 /// The name of a CPU backend.
@@ -87,6 +88,74 @@ fn memory_is_told_for_each_size_of_the_parts() {
         let peaks = named(&found, "peak memory");
         assert!(peaks.len() == 4 && peaks.iter().all(|f| f["median"].as_f64().unwrap() > 1.0), "{peaks:?}");
     }
+}
+
+/// The roofline's table: columns follow from counts and ceilings, and counts from the pairs of the very views.
+fn is_a_roofline(json: &Path, latencies: bool) {
+    let found = figures(json, "roofline");
+    let value = |figure: &serde_json::Value| figure["median"].as_f64().unwrap();
+    assert!(found.iter().all(|f| value(f).is_finite() && value(f) > 0.0), "{found:?}");
+    let ceilings: Vec<_> = found.iter().filter(|f| f["case"] == "at most").collect();
+    let units: Vec<_> = ceilings.iter().map(|f| f["unit"].as_str().unwrap()).collect();
+    assert_eq!(units, if latencies { &["GB/s", "GFLOP/s", "us", "us"][..] } else { &["GB/s", "GFLOP/s"] });
+    let column = |case: &str, name: &str| {
+        let cell = found.iter().find(|f| f["case"] == case && f["name"] == name);
+        value(cell.unwrap_or_else(|| panic!("{case}, {name}: {found:?}")))
+    };
+    let cases: Vec<_> = named(&found, "reached").iter().map(|f| f["case"].as_str().unwrap()).collect();
+    // Two sizes of three forward passes and a backward one, and a lifting.
+    assert_eq!(cases.len(), 9, "{cases:?}");
+    let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b.abs();
+    for case in cases {
+        let roof = column(case, "roof");
+        assert!(close(roof, column(case, "by memory").max(column(case, "by arithmetic"))), "{case}");
+        assert!(close(column(case, "reached"), 100.0 * roof / column(case, "measured")), "{case}");
+        let highest = |i: usize| ceilings[i]["high"].as_f64().unwrap();
+        assert!(close(column(case, "by memory"), column(case, "moved") / highest(0)), "{case}");
+        assert!(close(column(case, "by arithmetic"), column(case, "operations") / highest(1)), "{case}");
+    }
+    let rgb = "600 at 64x48, RGB, forward";
+    for more in ["600 at 64x48, RGB + 20 classes, forward", "600 at 64x48, RGB, forward + backward"] {
+        for name in ["moved", "operations"] {
+            assert!(column(more, name) > column(rgb, name), "{more}: {name}");
+        }
+    }
+    // 20 channels more are two operations more a channel and contributing pair, and nothing else.
+    let device = crate::device();
+    let subject = Subject::load(&Source::Untrained, &Config::default(), true, &device).unwrap();
+    let (gaussians, settings) = (subject.gaussians(600).unwrap(), Settings::default());
+    let cameras = subject.cameras(2, [64, 48]);
+    let pairs = cameras.iter().map(|camera| {
+        let view = Projected::new(&gaussians.splats(), camera, &settings).unwrap();
+        view.count_pairs().contributing as f64
+    });
+    let more = column("600 at 64x48, RGB + 20 classes, forward", "operations") - column(rgb, "operations");
+    let want = 40.0 * pairs.sum::<f64>() / 2.0 * 1e-6;
+    assert!((more - want).abs() < 1e-9, "{more} million operations, counted {want}");
+}
+
+#[test]
+fn the_roofline_follows_from_counts_and_ceilings() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("figures.json");
+    let said = quick(&["--only", "roofline", "--repeats", "2", "--json", utf8(&json)]);
+    assert!(said.contains("GFLOP/s") && said.contains("by arithmetic") && !said.contains("read back"), "{said}");
+    assert!(said.lines().all(|line| line.chars().count() <= 130), "{said}");
+    is_a_roofline(&json, false);
+}
+
+#[cfg(feature = "wgpu")]
+#[test]
+fn the_roofline_of_a_gpu_has_latencies_too() {
+    if crate::gpu().is_none() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("figures.json");
+    let command = ["bench", "--quick", "--backend", "wgpu", "--only", "roofline", "--json", utf8(&json)];
+    let said = succeeds(&command);
+    assert!(said.contains("one value read back"), "{said}");
+    is_a_roofline(&json, true);
 }
 
 #[test]
