@@ -7,6 +7,7 @@ mod label_loss;
 mod neighbour_divergence;
 mod numeric;
 mod photometric;
+mod rows;
 mod sparse;
 mod sum;
 

@@ -28,6 +28,14 @@ impl Tally {
         Self::Device(Box::new([tensor(stats.gradient), tensor(visible)]))
     }
 
+    /// Nothing gathered yet for `n` Gaussians.
+    pub fn empty(n: usize, device: &Device) -> Self {
+        if in_host_memory(device) {
+            return Self::Host(DensityStats::new(n));
+        }
+        Self::Device(Box::new([Tensor::zeros([n], device), Tensor::zeros([n], device)]))
+    }
+
     /// Adds one iteration: `screen` is the screen-space gradient, `[N, 2]`, or `[N, 4]` of which the last two columns count.
     ///
     /// # Errors
