@@ -20,6 +20,7 @@ mod neighbour_divergence;
 mod photometric;
 mod real;
 mod rows;
+mod screen_gradient;
 pub(crate) mod simd;
 mod sparse;
 pub(crate) mod vector;
@@ -43,4 +44,5 @@ pub use neighbour_divergence::{DivergenceBackend, NeighbourPairs, neighbour_dive
 pub use photometric::{Photo, PhotometricBackend, photometric_loss, photometric_loss_plain};
 pub use real::Real;
 pub use rows::{RowBackend, RowMap, StartOfNew, take_rows};
+pub use screen_gradient::{ScreenGradientBackend, add_screen_gradients};
 pub use sparse::{Compact, SparseBackend, SparseMatrix, gather_rows, sparse_apply};

@@ -5,7 +5,7 @@ use crate::device_ops::{assert_close, host, leaf, uneven, value_and_gradients, w
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::ops::{
     AdamStep, AdamTensors, FiniteCheck, LayerMap, NeighbourPairs, RowMap, SparseMatrix, StartOfNew, adam_step,
-    fusion_layer, host_fallbacks, move_towards, neighbour_divergence, take_rows,
+    add_screen_gradients, fusion_layer, host_fallbacks, move_towards, neighbour_divergence, take_rows,
 };
 use std::sync::Arc;
 
@@ -80,6 +80,30 @@ fn rows_of_any_width_are_taken_to_the_bit() {
         assert_eq!(host_fallbacks(), before, "tensors went to the host");
         let none = take_rows(Tensor::<2>::ones([4, 3], &device), &Arc::new(RowMap::new([])), StartOfNew::Copy);
         assert_eq!(none.dims(), [0, 3], "{device:?}");
+    }
+}
+
+#[test]
+fn screen_gradients_of_what_was_seen_are_gathered() {
+    let Some(gpu) = crate::gpu().map(Device::autodiff) else { return };
+    for (rows, columns) in [(1, 2), (257, 2), (700, 4)] {
+        let run = |on: Option<&Device>| {
+            let line = |values: &[f32]| leaf(values, 1, on).inner().reshape([rows]);
+            let mut sums = [line(&waves(rows, 3.0)), line(&vec![2.0; rows])];
+            let kept = sums.clone();
+            for view in 1..=3 {
+                let radii: Vec<f32> = (0..rows).map(|i| ((i + view) % 4) as f32).collect();
+                let screen = leaf(&waves(rows * columns, view as f32), columns, on).inner();
+                sums = add_screen_gradients(sums, screen, line(&radii));
+            }
+            // Somebody else held them: the sums went elsewhere.
+            assert_close(&host(kept[1].clone()), &vec![2.0; rows], 0.0, "what the sums began with");
+            sums.map(host)
+        };
+        let (got, want) = (on_device(Some(&gpu), || run(Some(&gpu))), run(None));
+        assert_close(&got[0], &want[0], 1e-6, &format!("lengths of {rows} rows of {columns}"));
+        assert_eq!(got[1], want[1], "views of {rows} rows of {columns}");
+        assert!(rows == 1 || want[1].iter().any(|&views| views < 5.0), "some are not always seen");
     }
 }
 

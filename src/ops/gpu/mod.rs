@@ -8,6 +8,7 @@ mod neighbour_divergence;
 mod numeric;
 mod photometric;
 mod rows;
+mod screen_gradient;
 mod sparse;
 mod sum;
 
