@@ -7,6 +7,7 @@ mod attentive_pool;
 #[cfg(target_arch = "x86_64")]
 mod avx;
 mod blended_labels;
+mod compared;
 pub(crate) mod elementary;
 mod finite;
 mod fusion_layer;
@@ -32,6 +33,7 @@ pub use attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
 pub use blended_labels::{
     BlendedLabelBackend, Blending, LabelledPixels, PixelWeights, blended_label_loss, blended_label_loss_plain,
 };
+pub use compared::{Compared, PackedPhoto};
 #[cfg(feature = "cube")]
 pub use finite::FiniteBackend;
 pub use finite::FiniteCheck;
