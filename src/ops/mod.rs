@@ -19,6 +19,8 @@ mod label_loss;
 pub(crate) mod matmul;
 mod neighbour_divergence;
 mod photometric;
+#[cfg(feature = "cube")]
+pub(crate) mod position_noise;
 mod real;
 mod rows;
 mod screen_gradient;

@@ -1,12 +1,12 @@
 //! The Gaussians as tensors on the device, with the moments of their optimiser.
 
-use crate::device::{in_host_memory, read};
+use crate::device::read;
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::gaussians::densify::reset_opacity;
 use crate::gaussians::noise::PositionNoise;
 use crate::ops::{AdamStep, AdamTensors, FiniteCheck, RowMap, StartOfNew, adam_step, take_rows};
-use crate::raster::{ListCount, ListSummary, SplatTensors, Splats};
+use crate::raster::{ListCount, ListSummary, SplatTensors};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
@@ -267,25 +267,13 @@ impl Parameters {
     /// # Errors
     /// [`Error::Device`] when the device does not give the geometry back.
     pub fn add_noise(&mut self, noise: &PositionNoise, rng: &ChaCha8Rng) -> Result<()> {
-        if !in_host_memory(&self.means.state.param.device()) {
-            let splats = SplatTensors {
-                means: self.means.state.param.clone(),
-                log_scales: self.log_scales.state.param.clone(),
-                rotations: self.rotations.state.param.clone(),
-                opacity_logits: self.opacity_logits.state.param.clone(),
-            };
-            self.means.state.param = noise.applied_to(&splats, rng);
-            return Ok(());
-        }
-        let means = &mut self.means.state.param;
-        let old = read(NAMES[0], means.clone())?;
-        let splats = Splats {
-            means: &old,
-            log_scales: &read(NAMES[1], self.log_scales.state.param.clone())?,
-            rotations: &read(NAMES[2], self.rotations.state.param.clone())?,
-            opacity_logits: &read(NAMES[OPACITY], self.opacity_logits.state.param.clone())?,
+        let splats = SplatTensors {
+            means: self.means.state.param.clone(),
+            log_scales: self.log_scales.state.param.clone(),
+            rotations: self.rotations.state.param.clone(),
+            opacity_logits: self.opacity_logits.state.param.clone(),
         };
-        *means = Tensor::from_data(TensorData::new(noise.applied(&splats, rng), means.dims()), &means.device());
+        self.means.state.param = noise.applied_to(&splats, rng)?;
         Ok(())
     }
 

@@ -8,6 +8,7 @@ mod neighbour_divergence;
 mod numeric;
 mod photo;
 mod photometric;
+mod position_noise;
 mod rows;
 mod screen_gradient;
 mod sparse;
