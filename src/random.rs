@@ -2,7 +2,9 @@
 //!
 //! A resumed run derives the stream of iteration `k` again and so draws the same numbers as an uninterrupted one.
 
-use rand::SeedableRng;
+pub mod philox;
+
+use rand::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// What a stream is for; different purposes never share numbers.
@@ -34,6 +36,12 @@ pub enum Purpose {
     Benchmark = 48,
 }
 
+/// The key under which [`philox`] has numbers of `stream`'s own.
+pub fn philox_key(stream: &ChaCha8Rng) -> [u32; 2] {
+    let mut stream = stream.clone();
+    [stream.next_u32(), stream.next_u32()]
+}
+
 /// The stream of `purpose` at `index` (an epoch or iteration, below 2^56) under `seed`.
 pub fn stream(seed: u64, purpose: Purpose, index: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -44,7 +52,6 @@ pub fn stream(seed: u64, purpose: Purpose, index: u64) -> ChaCha8Rng {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand::RngCore;
 
     #[test]
     fn streams_repeat_and_differ() {

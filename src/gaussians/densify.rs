@@ -4,8 +4,8 @@
 //! A [`RowPlan`] is decided once and then applied to the parameters and to the optimiser's moments alike, so that
 //! row `i` of all of them stays the same Gaussian.
 
-use super::Gaussians;
 use super::init::logit;
+use super::{Gaussians, Geometry};
 use crate::error::{Error, Result};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -102,7 +102,8 @@ impl RowPlan {
     ///
     /// # Errors
     /// [`Error::Limit`] when the statistics are not those of these Gaussians.
-    pub fn new(gaussians: &Gaussians, stats: &DensityStats, rules: &DensityRules) -> Result<Self> {
+    pub fn new<'a>(gaussians: impl Into<Geometry<'a>>, stats: &DensityStats, rules: &DensityRules) -> Result<Self> {
+        let gaussians = gaussians.into();
         let n = gaussians.len();
         if stats.gradient.len() != n || stats.visible.len() != n {
             return Err(Error::Limit {
@@ -151,25 +152,30 @@ impl RowPlan {
         Ok(Self { pruned: n - kept - split.len(), cloned: cloned.len(), split: split.len(), rows })
     }
 
-    /// The new Gaussians. Children are drawn from their parent's distribution, in row order, with scales / 1.6.
-    pub fn gaussians(&self, old: &Gaussians, rng: &mut ChaCha8Rng) -> Gaussians {
-        let pick = |i: u32| i as usize;
-        let k = 3 * old.sh_len();
-        let mut new = Gaussians { sh_degree: old.sh_degree, ..Gaussians::default() };
-        for &(row, origin) in &self.rows {
-            let i = pick(row);
-            let (mut mean, mut log_scales) = (old.means[i], old.log_scales[i]);
-            if origin == Origin::Child {
-                mean = sample(&mean, &log_scales, &old.rotations[i], rng);
-                log_scales = log_scales.map(|s| s - SPLIT_SCALE.ln());
+    /// Old row of each new one, and whether its moments begin at zero.
+    pub fn sources(&self) -> impl Iterator<Item = (u32, bool)> {
+        self.rows.iter().map(|&(row, origin)| (row, origin != Origin::Kept))
+    }
+
+    /// Means and log-scales of the new Gaussians, which have all else of their old rows. Children are drawn from their
+    /// parent's distribution, in row order, with scales / 1.6.
+    pub fn placed(&self, old: Geometry<'_>, rng: &mut ChaCha8Rng) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
+        let place = |&(row, origin): &(u32, Origin)| {
+            let i = row as usize;
+            let (mean, log_scales) = (&old.means[i], &old.log_scales[i]);
+            if origin != Origin::Child {
+                return (*mean, *log_scales);
             }
-            new.means.push(mean);
-            new.log_scales.push(log_scales);
-            new.rotations.push(old.rotations[i]);
-            new.opacity_logits.push(old.opacity_logits[i]);
-            new.sh.extend_from_slice(&old.sh[i * k..][..k]);
-        }
-        new
+            (sample(mean, log_scales, &old.rotations[i], rng), log_scales.map(|s| s - SPLIT_SCALE.ln()))
+        };
+        self.rows.iter().map(place).unzip()
+    }
+
+    /// The new Gaussians, see [`RowPlan::placed`].
+    pub fn gaussians(&self, old: &Gaussians, rng: &mut ChaCha8Rng) -> Gaussians {
+        let (means, log_scales) = self.placed(old.into(), rng);
+        let rows: Vec<u32> = self.rows.iter().map(|&(row, _)| row).collect();
+        Gaussians { means, log_scales, ..old.select(&rows) }
     }
 
     /// Optimiser moments of the new rows: `old` is `[N, width]` row-major; those of new Gaussians are zero.

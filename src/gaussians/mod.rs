@@ -2,6 +2,7 @@
 
 pub mod densify;
 pub mod frusta;
+mod geometry;
 pub mod init;
 mod motion;
 pub mod noise;
@@ -9,6 +10,7 @@ mod order;
 pub mod ply;
 pub mod relocate;
 
+pub use geometry::Geometry;
 use init::SH_0;
 pub use motion::Motion;
 

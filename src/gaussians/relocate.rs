@@ -5,8 +5,8 @@
 //!
 //! A [`RelocationPlan`] is decided once and then applied to the parameters and to the optimiser's moments alike.
 
-use super::Gaussians;
 use super::init::logit;
+use super::{Gaussians, Geometry};
 use rand::distr::Distribution;
 use rand::distr::weighted::WeightedIndex;
 use rand_chacha::ChaCha8Rng;
@@ -113,18 +113,30 @@ impl RelocationPlan {
         Self { relocated: dead.len(), added: plan.rows.len() - n, ..plan }
     }
 
-    /// The new Gaussians.
-    pub fn gaussians(&self, old: &Gaussians) -> Gaussians {
-        let mut new = old.select(&self.rows);
-        for (i, &row) in self.rows.iter().enumerate() {
-            let copies = self.copies[row as usize];
-            if copies > 1 {
-                let (logit, wider) = shared(old.opacity_logits[row as usize], copies, self.floor);
-                new.opacity_logits[i] = logit;
-                new.log_scales[i] = new.log_scales[i].map(|s| s + wider);
+    /// Old row of each new one, and whether its moments begin at zero.
+    pub fn sources(&self) -> impl Iterator<Item = (u32, bool)> {
+        self.rows.iter().enumerate().map(|(i, &row)| (row, row as usize != i))
+    }
+
+    /// Opacity logits and log-scales of the new Gaussians, which have all else of their old rows.
+    pub fn corrected(&self, old: Geometry<'_>) -> (Vec<f32>, Vec<[f32; 3]>) {
+        let correct = |&row: &u32| {
+            let (logit, log_scales) = (old.opacity_logits[row as usize], old.log_scales[row as usize]);
+            match self.copies[row as usize] {
+                0 | 1 => (logit, log_scales),
+                copies => {
+                    let (logit, wider) = shared(logit, copies, self.floor);
+                    (logit, log_scales.map(|s| s + wider))
+                }
             }
-        }
-        new
+        };
+        self.rows.iter().map(correct).unzip()
+    }
+
+    /// The new Gaussians, see [`RelocationPlan::corrected`].
+    pub fn gaussians(&self, old: &Gaussians) -> Gaussians {
+        let (opacity_logits, log_scales) = self.corrected(old.into());
+        Gaussians { opacity_logits, log_scales, ..old.select(&self.rows) }
     }
 
     /// Optimiser moments of the new rows: `old` is `[N, width]` row-major; those of copies are zero.

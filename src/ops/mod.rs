@@ -7,6 +7,7 @@ mod attentive_pool;
 #[cfg(target_arch = "x86_64")]
 mod avx;
 mod blended_labels;
+mod compared;
 pub(crate) mod elementary;
 mod finite;
 mod fusion_layer;
@@ -18,7 +19,11 @@ mod label_loss;
 pub(crate) mod matmul;
 mod neighbour_divergence;
 mod photometric;
+#[cfg(feature = "cube")]
+pub(crate) mod position_noise;
 mod real;
+mod rows;
+mod screen_gradient;
 pub(crate) mod simd;
 mod sparse;
 pub(crate) mod vector;
@@ -30,6 +35,7 @@ pub use attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
 pub use blended_labels::{
     BlendedLabelBackend, Blending, LabelledPixels, PixelWeights, blended_label_loss, blended_label_loss_plain,
 };
+pub use compared::{Compared, PackedPhoto};
 #[cfg(feature = "cube")]
 pub use finite::FiniteBackend;
 pub use finite::FiniteCheck;
@@ -41,4 +47,6 @@ pub use label_loss::{Kind, LabelLossBackend, UNLABELLED, label_loss};
 pub use neighbour_divergence::{DivergenceBackend, NeighbourPairs, neighbour_divergence, neighbour_divergence_plain};
 pub use photometric::{Photo, PhotometricBackend, photometric_loss, photometric_loss_plain};
 pub use real::Real;
+pub use rows::{RowBackend, RowMap, StartOfNew, take_rows};
+pub use screen_gradient::{ScreenGradientBackend, add_screen_gradients};
 pub use sparse::{Compact, SparseBackend, SparseMatrix, gather_rows, sparse_apply};

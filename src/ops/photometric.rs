@@ -9,7 +9,7 @@
 use super::gpu::DevicePhoto;
 use super::simd::{multiply_add, wide_kernel};
 use super::window::{Band, RADIUS, TAPS, taps};
-use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
+use super::{Compared, HostBackend, HostKernels, Real, device_of, real_kernel};
 #[cfg(feature = "cube")]
 use crate::gpu::Resident;
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
@@ -20,7 +20,6 @@ use burn::tensor::module::conv2d;
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{DType, Tensor, TensorData};
 use rayon::prelude::*;
-use std::sync::Arc;
 
 /// Colour channels, interleaved.
 pub(super) const CHANNELS: usize = 3;
@@ -265,7 +264,7 @@ pub trait PhotometricBackend: Backend {
     /// (loss `[1]`, gradient `[H, W, 3]` to the image).
     fn photometric(
         image: FloatTensor<Self>,
-        photo: Arc<Photo>,
+        photo: Compared,
         ssim_weight: f64,
     ) -> (FloatTensor<Self>, FloatTensor<Self>);
     /// `gradient` times the one value of `factor`, in place where nobody else holds the buffer.
@@ -275,7 +274,7 @@ pub trait PhotometricBackend: Backend {
 impl<B: HostKernels> PhotometricBackend for B {
     fn photometric(
         image: FloatTensor<Self>,
-        photo: Arc<Photo>,
+        photo: Compared,
         ssim_weight: f64,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         on_host::loss::<Self>(image, &photo, ssim_weight)
@@ -301,10 +300,10 @@ pub(super) mod on_host {
 
     pub fn loss<B: HostBackend>(
         image: FloatTensor<B>,
-        photo: &Photo,
+        photo: &Compared,
         ssim_weight: f64,
     ) -> (FloatTensor<B>, FloatTensor<B>) {
-        let device = device_of::<B>(&image);
+        let (device, photo) = (device_of::<B>(&image), photo.prepared());
         let shape = [photo.height, photo.width, CHANNELS];
         if image.dtype() == DType::F64 {
             let photo = Photo::new(photo.rgb.iter().map(|v| v.wide()).collect(), photo.height, photo.width);
@@ -336,7 +335,7 @@ impl<B: PhotometricBackend> Backward<B, 1> for PhotometricBackward {
 impl<B: PhotometricBackend, C: CheckpointStrategy> PhotometricBackend for Autodiff<B, C> {
     fn photometric(
         image: FloatTensor<Self>,
-        photo: Arc<Photo>,
+        photo: Compared,
         ssim_weight: f64,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         let (image, node) = image.into_parts();
@@ -355,11 +354,12 @@ impl<B: PhotometricBackend, C: CheckpointStrategy> PhotometricBackend for Autodi
 }
 
 /// (1 - w) L1 + w (1 - SSIM) as a tensor `[1]`, with gradients to `image` (`[H, W, 3]`); equals
-/// [`photometric_loss_plain`].
+/// [`photometric_loss_plain`]. `photo` is an [`std::sync::Arc`] of a [`Photo`] or of a [`super::PackedPhoto`].
 ///
 /// # Panics
 /// If `image` has another size than `photo`.
-pub fn photometric_loss(image: Tensor<3>, photo: Arc<Photo>, ssim_weight: f64) -> Tensor<1> {
+pub fn photometric_loss(image: Tensor<3>, photo: impl Into<Compared>, ssim_weight: f64) -> Tensor<1> {
+    let photo = photo.into();
     let (height, width) = photo.size();
     assert_eq!(image.dims(), [height, width, CHANNELS], "photometric loss: image against photo");
     let (loss, _gradient) = Dispatch::photometric(image.into_dispatch(), photo, ssim_weight);

@@ -133,7 +133,7 @@ impl<'a> BuildingStage<'a> {
             settings: Settings::from(&config.raster),
             schedule: Schedule::new(&config.building, train.len(), size),
             extent: size,
-            photos: Photos::new(train.len()),
+            photos: Photos::new(train.len(), &device),
             parameters: Parameters::new(gaussians, first, second, &device),
             config: config.clone(),
             checkpoint: None,

@@ -1,11 +1,12 @@
 //! The Gaussians as tensors on the device, with the moments of their optimiser.
 
-use crate::device::{in_host_memory, read};
+use crate::device::read;
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
+use crate::gaussians::densify::reset_opacity;
 use crate::gaussians::noise::PositionNoise;
-use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
-use crate::raster::{ListCount, ListSummary, SplatTensors, Splats};
+use crate::ops::{AdamStep, AdamTensors, FiniteCheck, RowMap, StartOfNew, adam_step, take_rows};
+use crate::raster::{ListCount, ListSummary, SplatTensors};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
@@ -66,6 +67,22 @@ impl<const D: usize> Parameter<D> {
         self.state = adam_step(state, gradient, &Arc::new(AdamStep::splatting(rates, step)));
     }
 
+    /// The rows of `map`, where `values` are given with those instead of the old ones; moments of new rows are zero.
+    fn rearrange(&mut self, map: &Arc<RowMap>, values: Option<Vec<f32>>) {
+        let AdamTensors { param, first, second } = &mut self.state;
+        *param = match values {
+            Some(values) => {
+                let mut shape = param.dims();
+                shape[0] = map.len();
+                Tensor::from_data(TensorData::new(values, shape), &param.device())
+            }
+            None => take_rows(param.clone(), map, StartOfNew::Copy),
+        };
+        for moment in [first, second] {
+            *moment = take_rows(moment.clone(), map, StartOfNew::Zero);
+        }
+    }
+
     /// Value and moments, moved to the host.
     fn into_host(self) -> Result<[Vec<f32>; 3]> {
         Ok([
@@ -114,6 +131,17 @@ pub struct Leaves {
     pub opacity_logits: Tensor<1>,
     /// `[N, K, 3]`.
     pub sh: Tensor<3>,
+}
+
+/// What a densification gives its Gaussians in place of what they had, row-major, `R` rows.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NewValues {
+    /// `[R, 3]`.
+    pub means: Option<Vec<[f32; 3]>>,
+    /// `[R, 3]`.
+    pub log_scales: Option<Vec<[f32; 3]>>,
+    /// `[R]`.
+    pub opacity_logits: Option<Vec<f32>>,
 }
 
 /// Gradients of all parameters.
@@ -239,25 +267,52 @@ impl Parameters {
     /// # Errors
     /// [`Error::Device`] when the device does not give the geometry back.
     pub fn add_noise(&mut self, noise: &PositionNoise, rng: &ChaCha8Rng) -> Result<()> {
-        if !in_host_memory(&self.means.state.param.device()) {
-            let splats = SplatTensors {
-                means: self.means.state.param.clone(),
-                log_scales: self.log_scales.state.param.clone(),
-                rotations: self.rotations.state.param.clone(),
-                opacity_logits: self.opacity_logits.state.param.clone(),
-            };
-            self.means.state.param = noise.applied_to(&splats, rng);
-            return Ok(());
-        }
-        let means = &mut self.means.state.param;
-        let old = read(NAMES[0], means.clone())?;
-        let splats = Splats {
-            means: &old,
-            log_scales: &read(NAMES[1], self.log_scales.state.param.clone())?,
-            rotations: &read(NAMES[2], self.rotations.state.param.clone())?,
-            opacity_logits: &read(NAMES[OPACITY], self.opacity_logits.state.param.clone())?,
+        let splats = SplatTensors {
+            means: self.means.state.param.clone(),
+            log_scales: self.log_scales.state.param.clone(),
+            rotations: self.rotations.state.param.clone(),
+            opacity_logits: self.opacity_logits.state.param.clone(),
         };
-        *means = Tensor::from_data(TensorData::new(noise.applied(&splats, rng), means.dims()), &means.device());
+        self.means.state.param = noise.applied_to(&splats, rng)?;
+        Ok(())
+    }
+
+    /// All means, then all log-scales, rotations and opacity logits, in one readback; see
+    /// [`crate::gaussians::Geometry::of_values`].
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not give them back.
+    pub fn geometry(&self) -> Result<Vec<f32>> {
+        let n = self.len();
+        let parts = vec![
+            self.means.state.param.clone().reshape([3 * n]),
+            self.log_scales.state.param.clone().reshape([3 * n]),
+            self.rotations.state.param.clone().reshape([4 * n]),
+            self.opacity_logits.state.param.clone(),
+        ];
+        read("geometry", Tensor::cat(parts, 0))
+    }
+
+    /// The rows that `map` names, in its order, with `values` where they are given. Moments of new rows are zero.
+    pub fn rearrange(&mut self, map: &Arc<RowMap>, values: NewValues) {
+        let NewValues { means, log_scales, opacity_logits } = values;
+        self.means.rearrange(map, means.map(Vec::into_flattened));
+        self.log_scales.rearrange(map, log_scales.map(Vec::into_flattened));
+        self.rotations.rearrange(map, None);
+        self.opacity_logits.rearrange(map, opacity_logits);
+        self.sh.rearrange(map, None);
+    }
+
+    /// Caps every opacity, see [`reset_opacity`], and forgets the opacities' moments.
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not give the opacities back.
+    pub fn reset_opacity(&mut self) -> Result<()> {
+        let AdamTensors { param, first, second } = &mut self.opacity_logits.state;
+        let mut logits = read(NAMES[OPACITY], param.clone())?;
+        reset_opacity(&mut logits);
+        *param = Tensor::from_data(TensorData::new(logits, param.dims()), &param.device());
+        [*first, *second] = [first.zeros_like(), second.zeros_like()];
         Ok(())
     }
 

@@ -1,38 +1,49 @@
-//! The training photos with their SSIM moments, made at first use and kept while memory allows.
+//! The training photos as the loss takes them, made at first use and kept while memory allows.
 
 use crate::data::View;
+use crate::device::in_host_memory;
 use crate::error::Result;
-use crate::ops::Photo;
+use crate::ops::{Compared, PackedPhoto, Photo};
+use burn::tensor::Device;
 use std::sync::Arc;
 
-/// Bytes of photos that are kept; views beyond it are converted again at each use.
-const BUDGET: usize = 1 << 30;
+/// Bytes of photos with their SSIM moments that are kept in host memory; views beyond it are converted again at each use.
+const HOST_BUDGET: usize = 1 << 30;
+/// Bytes of photos that are kept on a GPU, and in host memory besides: 345 of 1920x1080 pixels.
+const DEVICE_BUDGET: usize = 2 << 30;
 
 /// Photos by index of the training view.
 #[derive(Debug)]
 pub(super) struct Photos {
-    kept: Vec<Option<Arc<Photo>>>,
+    kept: Vec<Option<Compared>>,
     bytes: usize,
+    on_host: bool,
 }
 
 impl Photos {
-    pub fn new(views: usize) -> Self {
-        Self { kept: vec![None; views], bytes: 0 }
+    /// None yet of `views` views, which are rendered on `device`.
+    pub fn new(views: usize, device: &Device) -> Self {
+        Self { kept: vec![None; views], bytes: 0, on_host: in_host_memory(device) }
     }
 
     /// The photo of `view`, which is number `index`.
     ///
     /// # Errors
     /// Its file can no longer be read.
-    pub fn get(&mut self, index: usize, view: &View) -> Result<Arc<Photo>> {
+    pub fn get(&mut self, index: usize, view: &View) -> Result<Compared> {
         if let Some(Some(photo)) = self.kept.get(index) {
             return Ok(photo.clone());
         }
         let (width, height) = (view.image.width(), view.image.height());
-        let photo = Arc::new(Photo::new(view.rgb()?, height, width));
-        let bytes = Photo::<f32>::bytes(height, width);
+        let (photo, bytes, budget) = if self.on_host {
+            let photo = Arc::new(Photo::new(view.rgb()?, height, width));
+            (Compared::Prepared(photo), Photo::<f32>::bytes(height, width), HOST_BUDGET)
+        } else {
+            let photo = Arc::new(PackedPhoto::new(view.image.pixels()?));
+            (Compared::Packed(photo), PackedPhoto::bytes(height, width), DEVICE_BUDGET)
+        };
         if let Some(slot) = self.kept.get_mut(index)
-            && self.bytes + bytes <= BUDGET
+            && self.bytes + bytes <= budget
         {
             *slot = Some(photo.clone());
             self.bytes += bytes;

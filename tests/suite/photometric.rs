@@ -1,7 +1,7 @@
 //! The fused photometric loss: against plain tensors, finite differences, and its own invariants.
 
 use burn::tensor::{Tensor, TensorData};
-use coseg::ops::{Photo, photometric_loss, photometric_loss_plain};
+use coseg::ops::{PackedPhoto, Photo, photometric_loss, photometric_loss_plain};
 use std::sync::Arc;
 
 /// Smooth structure plus noise, in 0..1, never equal for two phases.
@@ -17,6 +17,18 @@ fn picture(height: usize, width: usize, phase: f64) -> Vec<f64> {
 
 fn narrow(values: &[f64]) -> Vec<f32> {
     values.iter().map(|&v| v as f32).collect()
+}
+
+/// `picture` in 8 bits, and the values that they stand for.
+fn packed(height: usize, width: usize, phase: f64) -> (Arc<PackedPhoto>, Vec<f32>) {
+    let bytes: Vec<u8> = picture(height, width, phase).iter().map(|v| (v * 255.0).round() as u8).collect();
+    packed_of(bytes, height, width)
+}
+
+fn packed_of(bytes: Vec<u8>, height: usize, width: usize) -> (Arc<PackedPhoto>, Vec<f32>) {
+    let values = bytes.iter().map(|&v| f32::from(v) / 255.0).collect();
+    let pixels = image::RgbImage::from_raw(width as u32, height as u32, bytes).expect("as many bytes");
+    (Arc::new(PackedPhoto::new(Arc::new(pixels))), values)
 }
 
 fn rms(values: &[f64]) -> f64 {
@@ -79,6 +91,22 @@ fn fused_loss_and_gradient_equal_plain_tensors() {
 }
 
 #[test]
+fn bytes_are_compared_on_the_host_as_the_values_that_they_stand_for() {
+    for (height, width) in [(37, 13), (1, 1)] {
+        let (photo, y) = packed(height, width, 0.4);
+        assert_eq!((photo.size(), photo.prepared()), ((height, width), Photo::new(y.clone(), height, width)));
+        let data = TensorData::new(narrow(&picture(height, width, 0.0)), [height, width, 3]);
+        let image = Tensor::<3>::from_data(data, &crate::device().autodiff()).require_grad();
+        let bits = |loss: Tensor<1>| {
+            let gradient = image.grad(&loss.clone().backward()).expect("tracked");
+            (loss.into_scalar::<f32>(), gradient.into_data().into_vec::<f32>().expect("f32"))
+        };
+        let want = bits(photometric_loss(image.clone(), Arc::new(Photo::new(y, height, width)), 0.2));
+        assert_eq!(bits(photometric_loss(image.clone(), photo, 0.2)), want);
+    }
+}
+
+#[test]
 fn equal_images_have_no_loss_and_no_gradient() {
     let x = picture(40, 20, 0.0);
     let (loss, gradient) = Photo::new(x.clone(), 40, 20).compare(&x, 0.2);
@@ -122,6 +150,7 @@ mod on_gpu {
     use super::*;
     use crate::gpu;
     use burn::tensor::{DType, Device};
+    use coseg::ops::{Compared, host_fallbacks};
 
     fn widen(values: &[f32]) -> Vec<f64> {
         values.iter().map(|&v| f64::from(v)).collect()
@@ -135,11 +164,12 @@ mod on_gpu {
     fn run(
         device: &Device,
         image: &[f32],
-        photo: &Arc<Photo>,
+        photo: impl Into<Compared>,
         weight: f64,
         factor: f64,
         in_columns: bool,
     ) -> (f32, Vec<f32>) {
+        let photo = photo.into();
         let (height, width) = photo.size();
         let options = (&device.clone().autodiff(), DType::F32);
         let tensor = Tensor::<3>::from_data(TensorData::new(image.to_vec(), [height, width, 3]), options);
@@ -147,7 +177,7 @@ mod on_gpu {
         let columns = |t: Tensor<3>| Tensor::<3>::from_data(t.swap_dims(0, 1).into_data(), options);
         let leaf = if in_columns { columns(tensor) } else { tensor }.require_grad();
         let rows = if in_columns { leaf.clone().swap_dims(0, 1) } else { leaf.clone() };
-        let loss = photometric_loss(rows, photo.clone(), weight);
+        let loss = photometric_loss(rows, photo, weight);
         assert_eq!(loss.dims(), [1]);
         let gradient = leaf.grad(&(loss.clone() * factor).backward()).expect("tracked");
         let gradient = if in_columns { gradient.swap_dims(0, 1) } else { gradient };
@@ -158,10 +188,16 @@ mod on_gpu {
     /// Errors of the loss, relative to it or to the 1 that SSIM is subtracted from, and of the gradient, relative to its
     /// largest value: of the device and of the CPU's f32 kernels.
     fn errors(device: &Device, images: [&[f32]; 2], size: (usize, usize), weight: f64) -> [[f64; 2]; 2] {
-        let [x, y] = images;
+        let photo = Arc::new(Photo::new(images[1].to_vec(), size.0, size.1));
+        errors_against(device, images, &photo.into(), weight)
+    }
+
+    /// [`errors`] where the second image is given to the device as `compared`.
+    fn errors_against(device: &Device, [x, y]: [&[f32]; 2], compared: &Compared, weight: f64) -> [[f64; 2]; 2] {
+        let size = compared.size();
         let (want_loss, want) = Photo::new(widen(y), size.0, size.1).compare(&widen(x), weight);
         let scale = largest(want.iter().copied());
-        let photo = Arc::new(Photo::new(y.to_vec(), size.0, size.1));
+        let photo = Photo::new(y.to_vec(), size.0, size.1);
         let error = |loss: f64, gradient: &[f32], factor: f64| {
             let off = gradient.iter().zip(&want).map(|(&g, w)| f64::from(g) / factor - w);
             assert!(loss.is_finite() && gradient.iter().all(|g| g.is_finite()), "{size:?}, weight {weight}");
@@ -170,7 +206,7 @@ mod on_gpu {
         let (host_loss, host) = photo.compare(x, weight);
         let mut worst = [0.0_f64; 2];
         for (factor, in_columns) in [(1.0, false), (-2.7, false), (1.0, true)] {
-            let (loss, gradient) = run(device, x, &photo, weight, factor, in_columns);
+            let (loss, gradient) = run(device, x, compared.clone(), weight, factor, in_columns);
             let found = error(f64::from(loss), &gradient, factor);
             worst = [worst[0].max(found[0]), worst[1].max(found[1])];
         }
@@ -200,6 +236,42 @@ mod on_gpu {
     }
 
     #[test]
+    fn photos_of_bytes_are_prepared_on_the_device() {
+        let Some(device) = gpu() else { return };
+        let before = host_fallbacks();
+        let mut worst = [0.0_f64; 2];
+        for (height, width) in [(1, 1), (1, 2), (5, 7), (40, 3), (3, 40), (16, 16), (17, 33), (40, 50), (151, 161)] {
+            let (photo, y) = packed(height, width, 0.4);
+            let x = narrow(&picture(height, width, 0.0));
+            for weight in [0.0, 0.2, 1.0] {
+                let [[loss, gradient], _] = errors_against(&device, [&x, &y], &photo.clone().into(), weight);
+                worst = [worst[0].max(loss), worst[1].max(gradient)];
+            }
+        }
+        assert!(worst[0] < 5e-7, "loss off by {:e}", worst[0]);
+        assert!(worst[1] < 1e-5, "gradient off by {:e}", worst[1]);
+        // The same bytes and the same values: L1 alone, which has no moments, to the bit.
+        let (photo, y) = packed(33, 47, 0.4);
+        let x = narrow(&picture(33, 47, 0.0));
+        let values = Arc::new(Photo::new(y, 33, 47));
+        assert_eq!(run(&device, &x, photo, 0.0, 1.0, false), run(&device, &x, values, 0.0, 1.0, false));
+        assert_eq!(host_fallbacks(), before, "tensors went to the host");
+    }
+
+    #[test]
+    fn flat_photos_of_bytes_are_about_as_near_as_on_the_cpu() {
+        let Some(device) = gpu() else { return };
+        let (height, width) = (37, 45);
+        let noisy = narrow(&picture(height, width, 0.0));
+        for (x, byte) in [(vec![0.9; noisy.len()], 204), (noisy.clone(), 0), (noisy.clone(), 255), (noisy, 100)] {
+            let (photo, y) = packed_of(vec![byte; height * width * 3], height, width);
+            let [[loss, gradient], [host_loss, host_gradient]] = errors_against(&device, [&x, &y], &photo.into(), 0.2);
+            assert!(loss < 4.0 * host_loss + 1e-6, "loss off by {loss:e} against {host_loss:e}");
+            assert!(gradient < 4.0 * host_gradient + 1e-6, "gradient off by {gradient:e} against {host_gradient:e}");
+        }
+    }
+
+    #[test]
     fn flat_and_saturated_images_are_about_as_near_as_on_the_cpu() {
         let Some(device) = gpu() else { return };
         let (height, width) = (37, 45);
@@ -218,7 +290,7 @@ mod on_gpu {
         let Some(device) = gpu() else { return };
         let x = narrow(&picture(40, 50, 0.0));
         let photo = Arc::new(Photo::new(x.clone(), 40, 50));
-        let (loss, gradient) = run(&device, &x, &photo, 0.2, 1.0, false);
+        let (loss, gradient) = run(&device, &x, photo, 0.2, 1.0, false);
         // against 1 / (values) of an image that differs
         let worst = largest(gradient.iter().map(|&g| f64::from(g))) * x.len() as f64;
         eprintln!("equal images: loss {loss:e}, gradient {worst:e} of that of another image");
@@ -230,7 +302,7 @@ mod on_gpu {
         let Some(device) = gpu() else { return };
         let (x, y) = (narrow(&picture(90, 133, 0.0)), narrow(&picture(90, 133, 0.4)));
         // the photo is uploaded by each
-        let once = || run(&device, &x, &Arc::new(Photo::new(y.clone(), 90, 133)), 0.2, 1.3, false);
+        let once = || run(&device, &x, Arc::new(Photo::new(y.clone(), 90, 133)), 0.2, 1.3, false);
         assert_eq!(once(), once());
     }
 

@@ -284,7 +284,7 @@ fn noise_in_tensors_is_the_same_noise() {
         crate::gpu(),
     ];
     for device in devices.into_iter().flatten() {
-        let moved = noise.applied_to(&SplatTensors::new(&g, &device), &rng);
+        let moved = noise.applied_to(&SplatTensors::new(&g, &device), &rng).expect("readable");
         let got: Vec<f32> = moved.into_data().into_vec().expect("f32");
         for (i, (got, want)) in got.iter().zip(&want).enumerate() {
             // means of hundreds in f32, and a move of f32

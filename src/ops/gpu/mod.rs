@@ -6,11 +6,16 @@ mod fusion_layer;
 mod label_loss;
 mod neighbour_divergence;
 mod numeric;
+mod photo;
 mod photometric;
+mod position_noise;
+mod rows;
+mod screen_gradient;
 mod sparse;
 mod sum;
+mod tile_window;
 
-pub(super) use photometric::DevicePhoto;
+pub(super) use photo::DevicePhoto;
 pub(super) use sparse::DeviceMatrix;
 
 use burn::tensor::DType;

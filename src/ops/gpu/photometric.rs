@@ -4,105 +4,28 @@
 //! kernel's results from the neighbouring tiles. Each leaves a sum a cube, and one last cube adds these up.
 
 use super::covers;
+use super::photo::{DevicePhoto, value_at};
 use super::sum::{sum, sum_cube};
+use super::tile_window::{PLANE, ROWS, SIDE, cubes, own_place, place, windowed};
 use crate::gpu::{Gpu, UNITS, arg};
-use crate::ops::photometric::{C1, C2, CHANNELS, Photo, PhotometricBackend, on_host};
-use crate::ops::window::{RADIUS, TAPS, taps};
+use crate::ops::Compared;
+use crate::ops::photometric::{C1, C2, CHANNELS, PhotometricBackend, on_host};
 use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::FloatTensor;
-use burn::tensor::{DType, Shape};
+use burn::tensor::Shape;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
-use std::sync::Arc;
 
-/// Pixels on a side of a tile; a unit has one.
-const TILE: usize = 16;
-/// The tile with the pixels around it that the window reaches.
-const SIDE: usize = TILE + 2 * RADIUS;
-/// Values of a plane: a tile with its rim.
-const PLANE: usize = SIDE * SIDE;
-/// Values of a plane whose rows have been convolved.
-const ROWS: usize = SIDE * TILE;
 /// Windowed moments of the image: of x, x^2 and x y.
 const MOMENTS: usize = 3;
-
-/// A place in the rim of a tile.
-#[derive(CubeType, Clone, Copy)]
-struct Place {
-    inside: bool,
-    /// Pixel, row-major; that of the first one when outside.
-    pixel: usize,
-}
-
-#[cube]
-fn place(tile: usize, column: usize, row: usize, width: u32, height: u32) -> Place {
-    let across = (width + (TILE - 1) as u32) / TILE as u32;
-    // Counted from the rim's corner of the first tile, so that nothing is negative.
-    let x = (tile as u32 % across) * TILE as u32 + column as u32;
-    let y = (tile as u32 / across) * TILE as u32 + row as u32;
-    let rim = RADIUS as u32;
-    let inside = x >= rim && x < width + rim && y >= rim && y < height + rim;
-    Place { inside, pixel: select(inside, (y - rim) * width + x - rim, 0u32) as usize }
-}
-
-/// The pixel of this unit.
-#[cube]
-fn own_place(tile: usize, width: u32, height: u32) -> Place {
-    let unit = UNIT_POS as usize;
-    place(tile, RADIUS + unit % TILE, RADIUS + unit / TILE, width, height)
-}
-
-/// Of the three planes, in their order.
-#[derive(CubeType, Clone, Copy)]
-struct Windowed {
-    first: f32,
-    second: f32,
-    third: f32,
-}
-
-/// The three planes in `planes`, convolved, at the unit's pixel. All units of the cube call it; `planes` is complete before.
-#[cube]
-fn windowed(planes: &Shared<[f32]>, rows: &mut Shared<[f32]>) -> Windowed {
-    let unit = UNIT_POS as usize;
-    let mut k = unit;
-    while k < ROWS {
-        let at = k / TILE * SIDE + k % TILE;
-        let mut first = 0.0f32;
-        let mut second = 0.0f32;
-        let mut third = 0.0f32;
-        #[unroll]
-        for t in 0..TAPS {
-            let tap = comptime![taps::<f32>()[t]];
-            first += tap * planes[at + t];
-            second += tap * planes[at + t + PLANE];
-            third += tap * planes[at + t + 2 * PLANE];
-        }
-        rows[k] = first;
-        rows[k + ROWS] = second;
-        rows[k + 2 * ROWS] = third;
-        k += UNITS as usize;
-    }
-    sync_cube();
-    let mut first = 0.0f32;
-    let mut second = 0.0f32;
-    let mut third = 0.0f32;
-    #[unroll]
-    for t in 0..TAPS {
-        let tap = comptime![taps::<f32>()[t]];
-        first += tap * rows[unit + t * TILE];
-        second += tap * rows[unit + t * TILE + ROWS];
-        third += tap * rows[unit + t * TILE + 2 * ROWS];
-    }
-    Windowed { first, second, third }
-}
 
 /// `scale` times the derivatives of SSIM by the moments (`[CHANNELS, MOMENTS, H, W]`), and each cube's sum of 1 - SSIM.
 #[cube(launch)]
 fn dissimilarity(
     image: &[f32],
-    photo: &[f32],
+    photo: &[u32],
     photo_mean: &[f32],
     photo_variance: &[f32],
     partials: &mut [f32],
@@ -111,6 +34,7 @@ fn dissimilarity(
     height: u32,
     cubes: u32,
     scale: f32,
+    #[comptime] packed: bool,
 ) {
     if CUBE_POS >= cubes as usize {
         terminate!();
@@ -126,7 +50,7 @@ fn dissimilarity(
         let mut y = 0.0f32;
         if at.inside {
             x = image[at.pixel * CHANNELS + channel];
-            y = photo[at.pixel * CHANNELS + channel];
+            y = value_at(photo, at.pixel * CHANNELS + channel, packed);
         }
         planes[k] = x;
         planes[k + PLANE] = x * x;
@@ -134,7 +58,7 @@ fn dissimilarity(
         k += UNITS as usize;
     }
     sync_cube();
-    let moments = windowed(&planes, &mut rows);
+    let moments = windowed(&planes, &mut rows, true);
     let own = own_place(tile, width, height);
     let mut short = 0.0f32;
     if own.inside {
@@ -168,7 +92,7 @@ fn dissimilarity(
 #[cube(launch)]
 fn gradient_of(
     image: &[f32],
-    photo: &[f32],
+    photo: &[u32],
     partials: &[f32],
     gradient: &mut [f32],
     sums: &mut [f32],
@@ -177,6 +101,7 @@ fn gradient_of(
     cubes: u32,
     ssim_scale: f32,
     l1_scale: f32,
+    #[comptime] packed: bool,
 ) {
     if CUBE_POS >= cubes as usize {
         terminate!();
@@ -201,13 +126,13 @@ fn gradient_of(
         k += UNITS as usize;
     }
     sync_cube();
-    let by = windowed(&planes, &mut rows);
+    let by = windowed(&planes, &mut rows, true);
     let own = own_place(tile, width, height);
     let mut distance = 0.0f32;
     if own.inside {
         let at = own.pixel * CHANNELS + channel;
         let x = image[at];
-        let y = photo[at];
+        let y = value_at(photo, at, packed);
         let difference = x - y;
         let mut l1 = 0.0f32;
         if difference > 0.0f32 {
@@ -225,20 +150,7 @@ fn gradient_of(
     }
 }
 
-/// The arrays of a [`Photo`].
-#[derive(Clone)]
-pub(in crate::ops) struct DevicePhoto {
-    rgb: CubeTensor,
-    mean: CubeTensor,
-    variance: CubeTensor,
-}
-
 impl DevicePhoto {
-    fn upload(gpu: &Gpu, photo: &Photo) -> Self {
-        let upload = |values| gpu.upload::<f32>(values, DType::F32);
-        Self { rgb: upload(&photo.rgb), mean: upload(&photo.mean), variance: upload(&photo.variance) }
-    }
-
     /// Loss `[1]` and gradient `[H, W, CHANNELS]`.
     fn compare(
         &self,
@@ -247,7 +159,7 @@ impl DevicePhoto {
         (height, width): (usize, usize),
         ssim_weight: f64,
     ) -> (CubeTensor, CubeTensor) {
-        let cubes = width.div_ceil(TILE) * height.div_ceil(TILE) * CHANNELS;
+        let cubes = cubes(height, width);
         let values = height * width * CHANNELS;
         let (ssim_scale, l1_scale) = (ssim_weight / values as f64, (1.0 - ssim_weight) / values as f64);
         let (partials, sums) = (gpu.floats([MOMENTS * values]), gpu.floats([cubes]));
@@ -265,6 +177,7 @@ impl DevicePhoto {
             height as u32,
             cubes as u32,
             -ssim_scale as f32,
+            self.packed,
         );
         let gradient = gpu.floats([height, width, CHANNELS]);
         gradient_of::launch(
@@ -281,6 +194,7 @@ impl DevicePhoto {
             cubes as u32,
             ssim_scale as f32,
             l1_scale as f32,
+            self.packed,
         );
         (sum(gpu, &sums, cubes), gradient)
     }
@@ -295,16 +209,16 @@ fn fits(gpu: &Gpu, values: usize) -> bool {
 impl PhotometricBackend for CubeBackend {
     fn photometric(
         image: FloatTensor<Self>,
-        photo: Arc<Photo>,
+        photo: Compared,
         ssim_weight: f64,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let (gpu, values) = (Gpu::of(&image), photo.rgb.len());
+        let (gpu, (height, width)) = (Gpu::of(&image), photo.size());
+        let values = height * width * CHANNELS;
         if !covers(&image) || values == 0 || !fits(&gpu, values) {
             return on_host::loss::<Self>(image, &photo, ssim_weight);
         }
         assert_eq!(image.meta.num_elements(), values, "photometric loss: image against photo");
-        let resident = photo.resident.on(&gpu, || DevicePhoto::upload(&gpu, &photo));
-        resident.compare(&gpu, &into_contiguous(image), photo.size(), ssim_weight)
+        DevicePhoto::of(&gpu, &photo).compare(&gpu, &into_contiguous(image), photo.size(), ssim_weight)
     }
 
     fn photometric_scale(gradient: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self> {

@@ -4,16 +4,19 @@ use super::{BuildingStage, Densified, Tally};
 use crate::config::{Config, Strategy};
 use crate::data::{Points, Scene, View};
 use crate::error::Result;
-use crate::gaussians::densify::{DensityRules, DensityStats, RowPlan, reset_opacity};
+use crate::gaussians::densify::{DensityRules, RowPlan};
 use crate::gaussians::noise::PositionNoise;
 use crate::gaussians::relocate::{RelocationPlan, RelocationRules};
-use crate::gaussians::{Gaussians, frusta, init};
+use crate::gaussians::{Gaussians, Geometry, frusta, init};
+use crate::ops::RowMap;
 use crate::random::{Purpose, stream};
-use crate::train::parameters::{Leaves, OPACITY, Parameters, widths};
+use crate::train::parameters::{Leaves, NewValues};
 use crate::train::schedule::extent;
 use burn::tensor::Tensor;
 use burn::tensor::activation::sigmoid;
+use rand_chacha::ChaCha8Rng;
 use std::borrow::Cow;
+use std::sync::Arc;
 
 /// Gaussians at the scene's points, or in the camera frusta where it has none; no more than `max_gaussians`.
 ///
@@ -89,50 +92,163 @@ impl BuildingStage<'_> {
         self.parameters.add_noise(&noise, &stream(self.config.seed, Purpose::PositionNoise, iteration as u64))
     }
 
-    /// One densification.
+    /// One densification: decided on the host from the geometry alone. All else is moved where it lies.
     pub(super) fn densify(&mut self) -> Result<Densified> {
-        let (gaussians, first, second) = self.parameters.clone().into_host()?;
+        let values = self.parameters.geometry()?;
+        let old = Geometry::of_values(&values);
         let mut rng = stream(self.config.seed, Purpose::Densification, self.iteration as u64);
-        let b = &self.config.building;
-        let widths = widths(&gaussians);
-        let all =
-            |of: &dyn Fn(&[f32], usize) -> Vec<f32>, m: [Vec<f32>; 5]| std::array::from_fn(|k| of(&m[k], widths[k]));
-        let (gaussians, first, second, done) = match b.strategy {
-            Strategy::Adc => {
-                let rules = DensityRules {
-                    threshold: b.densify_threshold(),
-                    clone_below: b.clone_below * self.extent as f32,
-                    prune_opacity: b.prune_opacity,
-                    prune_scale: b.prune_scale * self.extent as f32,
-                    max_gaussians: b.max_gaussians,
-                };
-                let plan = RowPlan::new(&gaussians, &self.tally.read()?, &rules)?;
-                let moments = |old: &[f32], width: usize| plan.moments(old, width);
-                let RowPlan { cloned, split, pruned, .. } = plan;
-                let done = Densified { cloned, split, pruned, relocated: 0 };
-                (plan.gaussians(&gaussians, &mut rng), all(&moments, first), all(&moments, second), done)
-            }
-            Strategy::Mcmc => {
-                let rules =
-                    RelocationRules { dead: b.prune_opacity, growth: b.mcmc.growth, max_gaussians: b.max_gaussians };
-                let plan = RelocationPlan::new(&gaussians.opacity_logits, &rules, &mut rng);
-                let moments = |old: &[f32], width: usize| plan.moments(old, width);
-                let done = Densified { cloned: plan.added, relocated: plan.relocated, ..Densified::default() };
-                (plan.gaussians(&gaussians), all(&moments, first), all(&moments, second), done)
-            }
+        let (map, values, done) = match self.config.building.strategy {
+            Strategy::Adc => self.controlled(old, &mut rng)?,
+            Strategy::Mcmc => self.relocated(old, &mut rng),
         };
-        self.tally = Tally::new(DensityStats::new(gaussians.len()), &self.device);
-        self.parameters = Parameters::new(gaussians, first, second, &self.device);
+        self.tally = Tally::empty(map.len(), &self.device);
+        self.parameters.rearrange(&Arc::new(map), values);
         Ok(done)
+    }
+
+    /// What adaptive density control does.
+    fn controlled(&self, old: Geometry<'_>, rng: &mut ChaCha8Rng) -> Result<(RowMap, NewValues, Densified)> {
+        let plan = RowPlan::new(old, &self.tally.read()?, &self.density_rules())?;
+        let (means, log_scales) = plan.placed(old, rng);
+        let values = NewValues { means: Some(means), log_scales: Some(log_scales), ..NewValues::default() };
+        let RowPlan { cloned, split, pruned, .. } = plan;
+        Ok((RowMap::new(plan.sources()), values, Densified { cloned, split, pruned, relocated: 0 }))
+    }
+
+    /// What 3DGS-MCMC does.
+    fn relocated(&self, old: Geometry<'_>, rng: &mut ChaCha8Rng) -> (RowMap, NewValues, Densified) {
+        let plan = RelocationPlan::new(old.opacity_logits, &self.relocation_rules(), rng);
+        let (opacity_logits, log_scales) = plan.corrected(old);
+        let values = NewValues { means: None, log_scales: Some(log_scales), opacity_logits: Some(opacity_logits) };
+        let done = Densified { cloned: plan.added, relocated: plan.relocated, ..Densified::default() };
+        (RowMap::new(plan.sources()), values, done)
+    }
+
+    fn density_rules(&self) -> DensityRules {
+        let b = &self.config.building;
+        DensityRules {
+            threshold: b.densify_threshold(),
+            clone_below: b.clone_below * self.extent as f32,
+            prune_opacity: b.prune_opacity,
+            prune_scale: b.prune_scale * self.extent as f32,
+            max_gaussians: b.max_gaussians,
+        }
+    }
+
+    fn relocation_rules(&self) -> RelocationRules {
+        let b = &self.config.building;
+        RelocationRules { dead: b.prune_opacity, growth: b.mcmc.growth, max_gaussians: b.max_gaussians }
     }
 
     /// An opacity reset.
     pub(super) fn reset(&mut self) -> Result<()> {
-        let (mut gaussians, mut first, mut second) = self.parameters.clone().into_host()?;
-        reset_opacity(&mut gaussians.opacity_logits);
-        first[OPACITY].fill(0.0);
-        second[OPACITY].fill(0.0);
-        self.parameters = Parameters::new(gaussians, first, second, &self.device);
-        Ok(())
+        self.parameters.reset_opacity()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::BuildingConfig;
+    use crate::data::builtin::{BuiltinOptions, scene_with};
+    use crate::device::{BackendName, open};
+    use crate::gaussians::densify::{DensityStats, reset_opacity};
+    use crate::ops::host_fallbacks;
+    use crate::train::BuildingState;
+    use crate::train::parameters::{Moments, OPACITY, widths};
+
+    fn waves(count: usize, step: f32) -> Vec<f32> {
+        (0..count).map(|i| (i as f32 * step).sin()).collect()
+    }
+
+    /// `start` as if it had been trained: moments of every size, gradients and opacities on either side of all thresholds.
+    fn trained(mut start: BuildingState, rules: &DensityRules) -> BuildingState {
+        let g = &mut start.gaussians;
+        let n = g.len();
+        g.opacity_logits = waves(n, 1.3).iter().map(|v| 7.0 * v).collect();
+        g.log_scales =
+            waves(n, 0.7).iter().map(|v| [v - 3.0, 3.0 * v, v - 4.0].map(|s| s + rules.clone_below.ln())).collect();
+        g.sh = waves(g.sh.len(), 0.9);
+        start.first = widths(g).map(|width| waves(n * width, 1.1));
+        start.second = widths(g).map(|width| waves(n * width, 1.9).iter().map(|v| v * v).collect());
+        start.stats.visible = (0..n as u32).map(|i| i % 5).collect();
+        start.stats.gradient = waves(n, 2.3).iter().map(|v| 6.0 * rules.threshold * v.abs()).collect();
+        start
+    }
+
+    /// Has `look` see a stage on each device there is, and the state that it began with.
+    fn on_each_device(strategy: Strategy, look: impl Fn(BuildingStage<'_>, BuildingState)) {
+        let options =
+            BuiltinOptions { width: 64, height: 48, train_views: 2, points: 900, ..BuiltinOptions::default() };
+        let scene = scene_with(&options).expect("a scene");
+        let building = BuildingConfig { strategy, sh_degree: 2, max_gaussians: 1000, ..BuildingConfig::default() };
+        let config = Config { building, ..Config::default() };
+        for &name in BackendName::compiled() {
+            let Ok(device) = open(Some(name)).inspect_err(|error| eprintln!("SKIPPED: {error}")) else { continue };
+            let stage = BuildingStage::new(&scene, &config, &device).expect("a stage");
+            let start = trained(stage.state().expect("readable"), &stage.density_rules());
+            let stage = BuildingStage::from_state(&scene, &config, &device, start.clone()).expect("a stage");
+            assert!(stage.state().expect("readable") == start, "what a stage begins with, on {name}");
+            look(stage, start);
+        }
+    }
+
+    fn assert_same(stage: &BuildingStage<'_>, gaussians: &Gaussians, [first, second]: [&Moments; 2]) {
+        let got = stage.state().expect("readable");
+        assert!(got.gaussians == *gaussians, "Gaussians on {:?}", stage.device);
+        assert!(got.first == *first && got.second == *second, "moments on {:?}", stage.device);
+    }
+
+    #[test]
+    fn a_densification_is_that_of_host_vectors_on_every_device() {
+        on_each_device(Strategy::Adc, |mut stage, start| {
+            let mut rng = stream(start.seed, Purpose::Densification, 0);
+            let plan = RowPlan::new(&start.gaussians, &start.stats, &stage.density_rules()).expect("matching");
+            assert!(
+                plan.cloned > 9 && plan.split > 9 && plan.pruned > 9,
+                "{} {} {}",
+                plan.cloned,
+                plan.split,
+                plan.pruned
+            );
+            let want = plan.gaussians(&start.gaussians, &mut rng);
+            let moments = [&start.first, &start.second]
+                .map(|old| std::array::from_fn(|k| plan.moments(&old[k], widths(&start.gaussians)[k])));
+            let before = host_fallbacks();
+            let done = stage.densify().expect("readable");
+            assert_eq!(host_fallbacks(), before, "tensors went to the host on {:?}", stage.device);
+            assert_eq!((done.cloned, done.split, done.pruned), (plan.cloned, plan.split, plan.pruned));
+            assert_same(&stage, &want, moments.each_ref());
+            assert_eq!(stage.tally.read().expect("readable"), DensityStats::new(want.len()));
+        });
+    }
+
+    #[test]
+    fn a_relocation_is_that_of_host_vectors_on_every_device() {
+        on_each_device(Strategy::Mcmc, |mut stage, start| {
+            let mut rng = stream(start.seed, Purpose::Densification, 0);
+            let plan = RelocationPlan::new(&start.gaussians.opacity_logits, &stage.relocation_rules(), &mut rng);
+            assert!(plan.relocated > 9 && plan.added > 9, "{} and {}", plan.relocated, plan.added);
+            let want = plan.gaussians(&start.gaussians);
+            let moments = [&start.first, &start.second]
+                .map(|old| std::array::from_fn(|k| plan.moments(&old[k], widths(&start.gaussians)[k])));
+            let before = host_fallbacks();
+            let done = stage.densify().expect("readable");
+            assert_eq!(host_fallbacks(), before, "tensors went to the host on {:?}", stage.device);
+            assert_eq!((done.relocated, done.cloned), (plan.relocated, plan.added));
+            assert_same(&stage, &want, moments.each_ref());
+        });
+    }
+
+    #[test]
+    fn a_reset_changes_opacities_and_their_moments_alone() {
+        on_each_device(Strategy::Adc, |mut stage, start| {
+            let BuildingState { mut gaussians, mut first, mut second, .. } = start;
+            reset_opacity(&mut gaussians.opacity_logits);
+            first[OPACITY].fill(0.0);
+            second[OPACITY].fill(0.0);
+            stage.reset().expect("readable");
+            assert_same(&stage, &gaussians, [&first, &second]);
+        });
     }
 }

@@ -3,6 +3,7 @@
 use crate::device::{in_host_memory, read};
 use crate::error::Result;
 use crate::gaussians::densify::DensityStats;
+use crate::ops::add_screen_gradients;
 use crate::raster::Radii;
 use burn::tensor::{Device, Tensor, TensorData};
 
@@ -28,6 +29,14 @@ impl Tally {
         Self::Device(Box::new([tensor(stats.gradient), tensor(visible)]))
     }
 
+    /// Nothing gathered yet for `n` Gaussians.
+    pub fn empty(n: usize, device: &Device) -> Self {
+        if in_host_memory(device) {
+            return Self::Host(DensityStats::new(n));
+        }
+        Self::Device(Box::new([Tensor::zeros([n], device), Tensor::zeros([n], device)]))
+    }
+
     /// Adds one iteration: `screen` is the screen-space gradient, `[N, 2]`, or `[N, 4]` of which the last two columns count.
     ///
     /// # Errors
@@ -44,12 +53,11 @@ impl Tally {
                 stats.record(&values, &radii.read()?);
             }
             Self::Device(sums) => {
-                let [gradient, visible] = &mut **sums;
-                let n = gradient.dims()[0];
-                let seen = radii.as_tensor(&screen.device()).greater_elem(0.0).float();
-                let squares = screen.slice([0..n, columns - 2..columns]).powi_scalar(2).sum_dim(1).reshape([n]);
-                *gradient = gradient.clone() + squares.sqrt() * seen.clone();
-                *visible = visible.clone() + seen;
+                let radii = radii.as_tensor(&screen.device());
+                let empty = || Tensor::empty([0], &screen.device());
+                // moved out, so that the kernel finds buffers nobody else holds
+                let before = std::mem::replace(&mut **sums, [empty(), empty()]);
+                **sums = add_screen_gradients(before, screen, radii);
             }
         }
         Ok(())
@@ -63,10 +71,10 @@ impl Tally {
         match self {
             Self::Host(stats) => Ok(stats.clone()),
             Self::Device(sums) => {
-                let [gradient, visible] = &**sums;
-                let visible = read("numbers of views", visible.clone())?.into_iter().map(|count| count as u32);
-                let gradient = read("screen-space gradients", gradient.clone())?;
-                Ok(DensityStats { gradient, visible: visible.collect() })
+                let both = Tensor::cat(sums.to_vec(), 0);
+                let mut gradient = read("screen-space gradients", both)?;
+                let visible = gradient.split_off(gradient.len() / 2);
+                Ok(DensityStats { gradient, visible: visible.into_iter().map(|count| count as u32).collect() })
             }
         }
     }
