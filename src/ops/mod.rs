@@ -7,6 +7,7 @@ mod attentive_pool;
 #[cfg(target_arch = "x86_64")]
 mod avx;
 mod blended_labels;
+mod dense;
 pub(crate) mod elementary;
 mod finite;
 mod fusion_layer;
@@ -30,6 +31,9 @@ pub use attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
 pub use blended_labels::{
     BlendedLabelBackend, Blending, LabelledPixels, PixelWeights, blended_label_loss, blended_label_loss_plain,
 };
+#[cfg(feature = "cube")]
+pub use dense::DenseBackend;
+pub use dense::dense;
 #[cfg(feature = "cube")]
 pub use finite::FiniteBackend;
 pub use finite::FiniteCheck;

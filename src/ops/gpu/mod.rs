@@ -1,6 +1,7 @@
 //! Operations of this crate by CubeCL kernels: the CPU's formulas in `f32`, sums in a fixed order, no float atomics.
 
 mod adam;
+mod dense;
 mod finite;
 mod fusion_layer;
 mod label_loss;
