@@ -11,6 +11,7 @@ mod dense;
 pub(crate) mod elementary;
 mod finite;
 mod fusion_layer;
+mod gather;
 #[cfg(feature = "cube")]
 mod gpu;
 mod gradient_in_hand;
@@ -38,6 +39,9 @@ pub use dense::dense;
 pub use finite::FiniteBackend;
 pub use finite::FiniteCheck;
 pub use fusion_layer::{FusionBackend, LayerGradients, LayerMap, LayerTensors, fusion_layer, fusion_layer_plain};
+#[cfg(feature = "cube")]
+pub use gather::GatherBackend;
+pub use gather::{RowList, gather_rows};
 pub(crate) use host::device_of;
 pub(crate) use host::real_kernel;
 pub use host::{HostBackend, HostKernels, HostValues, host_fallbacks};
@@ -45,4 +49,4 @@ pub use label_loss::{Kind, LabelLossBackend, UNLABELLED, label_loss};
 pub use neighbour_divergence::{DivergenceBackend, NeighbourPairs, neighbour_divergence, neighbour_divergence_plain};
 pub use photometric::{Photo, PhotometricBackend, photometric_loss, photometric_loss_plain};
 pub use real::Real;
-pub use sparse::{Compact, SparseBackend, SparseMatrix, gather_rows, sparse_apply};
+pub use sparse::{Compact, SparseBackend, SparseMatrix, sparse_apply};

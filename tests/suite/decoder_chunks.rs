@@ -52,7 +52,7 @@ impl Scene {
             rows: (0..PIXELS as u32).collect(),
             labels: (0..PIXELS).map(label).collect(),
         };
-        Self { means, source, drawn: Drawn { visible: Arc::new(visible), pixels } }
+        Self { means, source, drawn: Drawn { visible: Arc::new(visible.into()), pixels } }
     }
 }
 

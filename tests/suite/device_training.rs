@@ -4,8 +4,8 @@
 use crate::device_ops::{assert_close, host, leaf, uneven, value_and_gradients, waves};
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::ops::{
-    AdamStep, AdamTensors, FiniteCheck, LayerMap, NeighbourPairs, SparseMatrix, adam_step, fusion_layer,
-    host_fallbacks, move_towards, neighbour_divergence,
+    AdamStep, AdamTensors, FiniteCheck, LayerMap, NeighbourPairs, RowList, SparseMatrix, adam_step, fusion_layer,
+    gather_rows, host_fallbacks, move_towards, neighbour_divergence,
 };
 use std::sync::Arc;
 
@@ -102,6 +102,30 @@ fn divergences_of_neighbours() {
                 run(Some(&gpu), &chosen).iter().zip(&run(None, &chosen)).zip(["value", "gradient"])
             {
                 assert_close(got, want, 1e-5, &format!("{name}: {points} points, {width} channels, {k} neighbours"));
+            }
+        }
+    }
+}
+
+#[test]
+fn rows_by_their_numbers() {
+    let Some(gpu) = crate::gpu().map(Device::autodiff) else { return };
+    let some = |count: u32, of: u32| (0..count).map(|r| r * of / count).collect::<Vec<_>>();
+    // In order, out of order, all, none, and one that is named twice.
+    let out_of_order: Vec<u32> = (0..83).map(|r| (r * 7 + 3) % 97).collect();
+    let twice: Vec<u32> = some(40, 97).into_iter().chain([5, 5, 96, 0]).collect();
+    for (rows, channels) in
+        [(some(1, 97), 1), (some(60, 97), 5), (some(97, 97), 64), (out_of_order, 3), (twice, 7), (Vec::new(), 4)]
+    {
+        let list = Arc::new(RowList::from(rows.clone()));
+        let x = waves(97 * channels, 1.0);
+        let run =
+            |on: Option<&Device>| value_and_gradients(&[(&x, channels)], on, |t| gather_rows(t[0].clone(), &list));
+        // Twice: the device keeps the list.
+        for _ in 0..2 {
+            let got = on_device(Some(&gpu), || run(Some(&gpu)));
+            for ((got, want), name) in got.iter().zip(&run(None)).zip(["rows", "gradient"]) {
+                assert_close(got, want, 1e-6, &format!("{name}: {} rows, {channels} channels", rows.len()));
             }
         }
     }

@@ -4,6 +4,7 @@ mod adam;
 mod dense;
 mod finite;
 mod fusion_layer;
+mod gather;
 mod label_loss;
 mod neighbour_divergence;
 mod numeric;
