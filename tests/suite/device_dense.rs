@@ -80,7 +80,11 @@ fn layers_of_the_decoder_of_all_sizes() {
         let some: Vec<u32> = (0..rows).map(|r| ((r * 7919 + 5) % total) as u32).collect();
         for some in [None, Some(some)] {
             let all = if some.is_some() { total } else { rows };
-            let map = LayerMap { rows: some.map(Arc::new), upsample: Arc::new(uneven(rows, 9)), slope: 0.2 };
+            let map = LayerMap {
+                rows: some.map(|rows| Arc::new(rows.into())),
+                upsample: Arc::new(uneven(rows, 9)),
+                slope: 0.2,
+            };
             let (x, weight) = (numbers(all * inputs, 1.0), numbers(inputs * width, 0.5));
             let (below, bias) = (numbers(9 * width, 0.7), numbers(width, 0.3));
             let run = |on: Option<&Device>| {

@@ -139,7 +139,8 @@ fn layers_of_the_decoder() {
         [(Some(some.clone()), 6, 0.2), (None, 6, 0.2), (Some(some.clone()), 6, 1.0), (Some(some), 0, 0.2)]
     {
         let count = rows.as_ref().map_or(97, Vec::len);
-        let map = LayerMap { rows: rows.map(Arc::new), upsample: Arc::new(uneven(count, 31)), slope };
+        let map =
+            LayerMap { rows: rows.map(|rows| Arc::new(rows.into())), upsample: Arc::new(uneven(count, 31)), slope };
         let (x, weight, below, bias) =
             (waves(97 * inputs, 1.0), waves(inputs * 9, 0.5), waves(31 * 9, 0.7), waves(9, 0.3));
         let run = |on: Option<&Device>| {

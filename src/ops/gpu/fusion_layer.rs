@@ -6,7 +6,6 @@ use super::{covers, own};
 use crate::gpu::{Gpu, arg};
 use crate::ops::fusion_layer::{FusionBackend, LayerMap, LayerTensors, on_host};
 use burn::backend::tensor::FloatTensor;
-use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::kernel::into_contiguous;
@@ -33,7 +32,7 @@ fn on_device(tensors: &LayerTensors<CubeBackend>, map: &LayerMap) -> bool {
 
 /// Which rows of `x` are read, where not all are.
 fn rows(gpu: &Gpu, map: &LayerMap) -> Option<CubeTensor> {
-    map.rows.as_ref().map(|rows| gpu.upload(rows, DType::U32))
+    map.rows.as_ref().map(|rows| rows.on(gpu))
 }
 
 impl FusionBackend for CubeBackend {

@@ -55,7 +55,7 @@ pub(super) fn regularisation(
         rows.sort_unstable();
         rows.dedup();
         if !rows.is_empty() {
-            wanted[scale] = Arc::new(rows);
+            wanted[scale] = Arc::new(rows.into());
         }
     }
     let finest = wanted.iter().position(|rows| !rows.is_empty())?;
