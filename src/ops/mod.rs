@@ -23,6 +23,7 @@ mod photometric;
 mod real;
 pub(crate) mod simd;
 mod sparse;
+mod sum;
 pub(crate) mod vector;
 mod window;
 
@@ -50,3 +51,6 @@ pub use neighbour_divergence::{DivergenceBackend, NeighbourPairs, neighbour_dive
 pub use photometric::{Photo, PhotometricBackend, photometric_loss, photometric_loss_plain};
 pub use real::Real;
 pub use sparse::{Compact, SparseBackend, SparseMatrix, sparse_apply};
+#[cfg(feature = "cube")]
+pub use sum::SumBackend;
+pub use sum::sum_all;

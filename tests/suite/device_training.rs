@@ -5,7 +5,7 @@ use crate::device_ops::{assert_close, host, leaf, uneven, value_and_gradients, w
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::ops::{
     AdamStep, AdamTensors, FiniteCheck, LayerMap, NeighbourPairs, RowList, SparseMatrix, adam_step, fusion_layer,
-    gather_rows, host_fallbacks, move_towards, neighbour_divergence,
+    gather_rows, host_fallbacks, move_towards, neighbour_divergence, sum_all,
 };
 use std::sync::Arc;
 
@@ -104,6 +104,23 @@ fn divergences_of_neighbours() {
                 assert_close(got, want, 1e-5, &format!("{name}: {points} points, {width} channels, {k} neighbours"));
             }
         }
+    }
+}
+
+#[test]
+fn sums_of_all_values() {
+    let Some(gpu) = crate::gpu().map(Device::autodiff) else { return };
+    for (rows, columns) in [(1, 1), (255, 1), (257, 1), (8192, 1), (8193, 1), (70_000, 3), (0, 4)] {
+        // Not around 0, where next to nothing is left of a sum.
+        let x: Vec<f32> = waves(rows * columns, 1.0).iter().map(|v| v + 0.5).collect();
+        let run = |on: Option<&Device>| {
+            value_and_gradients(&[(&x, columns)], on, |t| sum_all(t[0].clone() * t[0].clone()).reshape([1, 1]))
+        };
+        let got = on_device(Some(&gpu), || run(Some(&gpu)));
+        for ((got, want), name) in got.iter().zip(&run(None)).zip(["sum", "gradient"]) {
+            assert_close(got, want, 1e-6, &format!("{name} of {rows} x {columns}"));
+        }
+        assert_eq!(got, run(Some(&gpu)), "the same bits each time");
     }
 }
 

@@ -8,6 +8,7 @@ use crate::gaussians::densify::{DensityRules, DensityStats, RowPlan, reset_opaci
 use crate::gaussians::noise::PositionNoise;
 use crate::gaussians::relocate::{RelocationPlan, RelocationRules};
 use crate::gaussians::{Gaussians, frusta, init};
+use crate::ops::sum_all;
 use crate::random::{Purpose, stream};
 use crate::train::parameters::{Leaves, OPACITY, Parameters, widths};
 use crate::train::schedule::extent;
@@ -70,8 +71,8 @@ impl BuildingStage<'_> {
             return loss;
         }
         let n = self.parameters.len().max(1) as f64;
-        let opacity = sigmoid(leaves.opacity_logits.clone()).sum() * (building.mcmc.opacity_reg / n);
-        let scales = leaves.log_scales.clone().exp().sum() * (building.mcmc.scale_reg / (3.0 * n * self.extent));
+        let opacity = sum_all(sigmoid(leaves.opacity_logits.clone())) * (building.mcmc.opacity_reg / n);
+        let scales = sum_all(leaves.log_scales.clone().exp()) * (building.mcmc.scale_reg / (3.0 * n * self.extent));
         loss + opacity + scales
     }
 
