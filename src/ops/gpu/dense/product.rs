@@ -97,13 +97,19 @@ fn multiply_rows(
             right[depth * (columns + 1) + column] = value;
         }
         sync_cube();
+        #[unroll]
         for depth in 0..DEPTH {
+            let mut b = Array::<f32>::new(each);
+            #[unroll]
+            for j in 0..each {
+                b[j] = right[depth * (columns + 1) + ux + j * SIDE];
+            }
             #[unroll]
             for i in 0..OWN {
                 let a = left[(uy + i * SIDE) * (DEPTH + 1) + depth];
                 #[unroll]
                 for j in 0..each {
-                    sums[i * each + j] += a * right[depth * (columns + 1) + ux + j * SIDE];
+                    sums[i * each + j] += a * b[j];
                 }
             }
         }

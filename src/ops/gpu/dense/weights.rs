@@ -82,19 +82,25 @@ fn weights_parts(
             right[at] = value;
         }
         sync_cube();
+        #[unroll]
         for depth in 0..DEPTH {
+            let mut b = Array::<f32>::new(each);
+            #[unroll]
+            for j in 0..each {
+                b[j] = right[depth * columns + ux + j * SIDE];
+            }
             #[unroll]
             for i in 0..OWN {
                 let a = left[depth * TILE + uy + i * SIDE];
                 #[unroll]
                 for j in 0..each {
-                    sums[i * each + j] += a * right[depth * columns + ux + j * SIDE];
+                    sums[i * each + j] += a * b[j];
                 }
             }
             if comptime![with_bias] && first_input == 0 && uy == 0 {
                 #[unroll]
                 for j in 0..each {
-                    plain[j] += right[depth * columns + ux + j * SIDE];
+                    plain[j] += b[j];
                 }
             }
         }
