@@ -38,7 +38,7 @@ fi
 
 step train "$COSEG" train --backend wgpu --out "$out/run"
 step bench "$COSEG" bench --backend wgpu --run "$out/run" --large --export "$out/subject" --json "$out/coseg.json" \
-  --only raster,channels,building,unprojection,encoding,segmentation
+  --only roofline,raster,channels,building,unprojection,encoding,segmentation
 if python3 -c 'import gsplat, torch; assert torch.cuda.is_available()' 2>/dev/null; then
   step gsplat python3 scripts/bench_gsplat.py "$out/subject" --against "$out/coseg.json" --json "$out/gsplat.json"
 else

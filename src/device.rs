@@ -114,6 +114,17 @@ pub fn in_host_memory(device: &Device) -> bool {
     }
 }
 
+/// Bytes of the largest buffer of `device`, with or without autodiff, where it is a GPU.
+pub(crate) fn largest_allocation(device: &Device) -> Option<usize> {
+    match device.clone().inner().as_dispatch() {
+        #[cfg(feature = "cube")]
+        DispatchDevice::Cube(device) => {
+            Some(usize::try_from(device.client().properties().memory.max_page_size).unwrap_or(usize::MAX))
+        }
+        _ => None,
+    }
+}
+
 /// The row-major values of a tensor of f32, on the host; `what` names it.
 ///
 /// # Errors

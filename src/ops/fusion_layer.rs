@@ -5,7 +5,7 @@
 
 use super::matmul::{add_product, add_product_of_transposed, product_with_transposed};
 use super::sparse::{SparseMatrix, sparse_apply};
-use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
+use super::{HostBackend, HostKernels, Real, RowList, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
@@ -26,7 +26,7 @@ const PART: usize = 16 * BLOCK;
 #[derive(Clone, Debug)]
 pub struct LayerMap {
     /// Rows of `x` that the layer reads, `[R]`, each below the rows of `x` and none twice; absent: all of them.
-    pub rows: Option<Arc<Vec<u32>>>,
+    pub rows: Option<Arc<RowList>>,
     /// `US`, `[R, M]`.
     pub upsample: Arc<SparseMatrix>,
     /// Slope of the leaky ReLU below zero, above 0; 1 leaves the sum as it is.
@@ -282,7 +282,7 @@ pub fn fusion_layer(x: Tensor<2>, weight: Tensor<2>, below: Tensor<2>, bias: Ten
         (map.upsample.rows(), map.upsample.columns),
         "fusion_layer: rows against the upsampling"
     );
-    let known = map.rows.as_ref().is_none_or(|used| used.iter().all(|&row| (row as usize) < rows));
+    let known = map.rows.as_ref().is_none_or(|used| used.end() <= rows);
     assert!(known, "fusion_layer: a row is not below {rows}");
     let tensors = LayerTensors {
         x: x.into_dispatch(),

@@ -8,9 +8,11 @@ mod attentive_pool;
 mod avx;
 mod blended_labels;
 mod compared;
+mod dense;
 pub(crate) mod elementary;
 mod finite;
 mod fusion_layer;
+mod gather;
 #[cfg(feature = "cube")]
 mod gpu;
 mod gradient_in_hand;
@@ -26,6 +28,7 @@ mod rows;
 mod screen_gradient;
 pub(crate) mod simd;
 mod sparse;
+mod sum;
 pub(crate) mod vector;
 mod window;
 
@@ -37,9 +40,15 @@ pub use blended_labels::{
 };
 pub use compared::{Compared, PackedPhoto};
 #[cfg(feature = "cube")]
+pub use dense::DenseBackend;
+pub use dense::dense;
+#[cfg(feature = "cube")]
 pub use finite::FiniteBackend;
 pub use finite::FiniteCheck;
 pub use fusion_layer::{FusionBackend, LayerGradients, LayerMap, LayerTensors, fusion_layer, fusion_layer_plain};
+#[cfg(feature = "cube")]
+pub use gather::GatherBackend;
+pub use gather::{RowList, gather_rows};
 pub(crate) use host::device_of;
 pub(crate) use host::real_kernel;
 pub use host::{HostBackend, HostKernels, HostValues, host_fallbacks};
@@ -49,4 +58,7 @@ pub use photometric::{Photo, PhotometricBackend, photometric_loss, photometric_l
 pub use real::Real;
 pub use rows::{RowBackend, RowMap, StartOfNew, take_rows};
 pub use screen_gradient::{ScreenGradientBackend, add_screen_gradients};
-pub use sparse::{Compact, SparseBackend, SparseMatrix, gather_rows, sparse_apply};
+pub use sparse::{Compact, SparseBackend, SparseMatrix, sparse_apply};
+#[cfg(feature = "cube")]
+pub use sum::SumBackend;
+pub use sum::sum_all;

@@ -7,14 +7,13 @@
 use super::gpu::DeviceMatrix;
 use super::simd::{multiply_add, wide_kernel};
 use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
-use crate::device::in_host_memory;
 #[cfg(feature = "cube")]
 use crate::gpu::Resident;
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
-use burn::tensor::{Int, Tensor, TensorData};
+use burn::tensor::Tensor;
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -379,20 +378,4 @@ impl<B: SparseBackend, C: CheckpointStrategy> SparseBackend for Autodiff<B, C> {
 pub fn sparse_apply(x: Tensor<2>, matrix: Arc<SparseMatrix>) -> Tensor<2> {
     assert_eq!(x.dims()[0], matrix.columns, "sparse_apply: rows of x against columns of the matrix");
     Tensor::from_dispatch(Dispatch::sparse_apply(x.into_dispatch(), matrix))
-}
-
-/// The rows `rows` of `x`, `[R, channels]`, with gradient to `x`.
-///
-/// burn's own selection adds up the gradient of a column in one unit of a GPU, row after row.
-///
-/// # Panics
-/// If a row is not one of `x`.
-pub fn gather_rows(x: Tensor<2>, rows: &[u32]) -> Tensor<2> {
-    let device = x.device();
-    if in_host_memory(&device) {
-        let index: Vec<i64> = rows.iter().map(|&row| i64::from(row)).collect();
-        return x.select(0, Tensor::<1, Int>::from_data(TensorData::new(index, [rows.len()]), &device.inner()));
-    }
-    let columns = x.dims()[0];
-    sparse_apply(x, Arc::new(SparseMatrix::selection(rows.to_vec(), columns)))
 }

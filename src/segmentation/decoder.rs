@@ -6,7 +6,7 @@
 
 use super::pyramid::{Pyramid, Restriction};
 use super::randla::{SLOPE, parameter};
-use crate::ops::{LayerMap, fusion_layer};
+use crate::ops::{LayerMap, dense, fusion_layer};
 use burn::config::Config;
 use burn::module::{Module, Param};
 use burn::nn::{LayerNorm, LayerNormConfig, Linear};
@@ -110,7 +110,7 @@ impl FusionLayer {
             None => Tensor::zeros([features.dims()[1], width], &device),
         };
         let below = match &self.below {
-            Some(weight) => below.matmul(weight.val()),
+            Some(weight) => dense(below, weight.val(), None),
             None => Tensor::zeros([map.upsample.columns, width], &device),
         };
         let Some(norm) = &self.norm else { return fusion_layer(features, weight, below, bias, map) };
@@ -190,7 +190,7 @@ impl Decoder {
     /// The FC commutes with blending: of hidden features blended with weights that sum to 1 - T, the blended logits are
     /// `blended W + (1 - T) b`. Divided by 1 - T, as the label loss wants them, they are `classify(blended / (1 - T))`.
     pub fn classify(&self, hidden: Tensor<2>) -> Tensor<2> {
-        self.last.forward(hidden)
+        dense(hidden, self.last.weight.val(), self.last.bias.as_ref().map(Param::val))
     }
 
     /// The decoder with its last layer at zero: it says nothing until it has learned.

@@ -2,7 +2,7 @@
 
 use super::encoder::Encoding;
 use crate::error::{Error, Result};
-use crate::ops::SparseMatrix;
+use crate::ops::{RowList, SparseMatrix, gather_rows};
 use burn::tensor::{Int, Tensor, TensorData};
 use std::sync::Arc;
 
@@ -102,7 +102,7 @@ impl Pyramid {
 }
 
 /// Row numbers of a level.
-pub type Rows = Arc<Vec<u32>>;
+pub type Rows = Arc<RowList>;
 
 /// The rows of a [`Pyramid`] that some of its finest points depend on; cheap to keep per view.
 #[derive(Clone, Debug)]
@@ -116,7 +116,7 @@ impl Restriction {
     ///
     /// # Panics
     /// If a row is not one of level 1.
-    pub fn new(pyramid: &Pyramid, finest: Arc<Vec<u32>>) -> Self {
+    pub fn new(pyramid: &Pyramid, finest: Rows) -> Self {
         Self::of_levels(pyramid, [finest])
     }
 
@@ -144,7 +144,7 @@ impl Restriction {
                 }
             };
             levels.push((Some(rows), Arc::new(upsample)));
-            rows = Arc::new(below);
+            rows = Arc::new(below.into());
         }
         Self { levels, top: Some(rows) }
     }
@@ -155,7 +155,7 @@ impl Restriction {
     }
 
     /// Rows of the pyramid's level `scale` (0 = finest) that are kept; `None`: all.
-    pub fn rows(&self, scale: usize) -> Option<&Arc<Vec<u32>>> {
+    pub fn rows(&self, scale: usize) -> Option<&Rows> {
         self.levels[scale].0.as_ref()
     }
 
@@ -166,7 +166,12 @@ impl Restriction {
 
     /// The kept rows of `top`, the features below the last level.
     pub fn of_top(&self, top: &Tensor<2>) -> Tensor<2> {
-        self.top.as_ref().map_or_else(|| top.clone(), |rows| select(top, rows))
+        match &self.top {
+            None => top.clone(),
+            // Some backends refuse to index nothing.
+            Some(rows) if top.dims()[1] == 0 => Tensor::zeros([rows.len(), 0], &top.device()),
+            Some(rows) => gather_rows(top.clone(), rows),
+        }
     }
 
     /// Bytes held.

@@ -115,7 +115,7 @@ fn a_restricted_input_decodes_to_the_same_rows() {
         let input = Pyramid::new(&encoding, &image, switches).expect("features");
         let decoder = make(&input, true, 1, &device);
         let whole = decoder.forward(&input, &Restriction::none(&input));
-        let restriction = Restriction::new(&input, Arc::new(rows.clone()));
+        let restriction = Restriction::new(&input, Arc::new(rows.clone().into()));
         let part = decoder.forward(&input, &restriction);
         let kept = |n: usize| restriction.rows(n).expect("a part");
         assert!(kept(0).len() == rows.len() && part.fused.len() == input.levels.len());

@@ -52,7 +52,7 @@ impl Scene {
             rows: (0..PIXELS as u32).collect(),
             labels: (0..PIXELS).map(label).collect(),
         };
-        Self { means, source, drawn: Drawn { visible: Arc::new(visible), pixels } }
+        Self { means, source, drawn: Drawn { visible: Arc::new(visible.into()), pixels } }
     }
 }
 
@@ -176,7 +176,7 @@ fn points_of_coarse_levels_decode_as_in_the_whole() {
     let pyramid = &scene.source.scene().pyramid;
     let decoder = DecoderConfig::for_pyramid(pyramid, CLASSES, true).init(&crate::device());
     let whole = decoder.forward(pyramid, &Restriction::none(pyramid));
-    let wanted = [vec![], vec![], vec![3, 17, 60], vec![0, 9, 20]].map(Arc::new);
+    let wanted = [vec![], vec![], vec![3, 17, 60], vec![0, 9, 20]].map(|rows| Arc::new(rows.into()));
     let kept = Restriction::of_levels(pyramid, wanted.clone());
     let fused = decoder.fused(pyramid, &kept, &[], 2);
     assert_eq!(fused.len(), 2);

@@ -4,8 +4,9 @@
 use crate::device_ops::{assert_close, host, leaf, uneven, value_and_gradients, waves};
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::ops::{
-    AdamStep, AdamTensors, FiniteCheck, LayerMap, NeighbourPairs, RowMap, SparseMatrix, StartOfNew, adam_step,
-    add_screen_gradients, fusion_layer, host_fallbacks, move_towards, neighbour_divergence, take_rows,
+    AdamStep, AdamTensors, FiniteCheck, LayerMap, NeighbourPairs, RowList, RowMap, SparseMatrix, StartOfNew, adam_step,
+    add_screen_gradients, fusion_layer, gather_rows, host_fallbacks, move_towards, neighbour_divergence, sum_all,
+    take_rows,
 };
 use std::sync::Arc;
 
@@ -161,6 +162,47 @@ fn divergences_of_neighbours() {
 }
 
 #[test]
+fn sums_of_all_values() {
+    let Some(gpu) = crate::gpu().map(Device::autodiff) else { return };
+    for (rows, columns) in [(1, 1), (255, 1), (257, 1), (8192, 1), (8193, 1), (70_000, 3), (0, 4)] {
+        // Not around 0, where next to nothing is left of a sum.
+        let x: Vec<f32> = waves(rows * columns, 1.0).iter().map(|v| v + 0.5).collect();
+        let run = |on: Option<&Device>| {
+            value_and_gradients(&[(&x, columns)], on, |t| sum_all(t[0].clone() * t[0].clone()).reshape([1, 1]))
+        };
+        let got = on_device(Some(&gpu), || run(Some(&gpu)));
+        for ((got, want), name) in got.iter().zip(&run(None)).zip(["sum", "gradient"]) {
+            assert_close(got, want, 1e-6, &format!("{name} of {rows} x {columns}"));
+        }
+        assert_eq!(got, run(Some(&gpu)), "the same bits each time");
+    }
+}
+
+#[test]
+fn rows_by_their_numbers() {
+    let Some(gpu) = crate::gpu().map(Device::autodiff) else { return };
+    let some = |count: u32, of: u32| (0..count).map(|r| r * of / count).collect::<Vec<_>>();
+    // In order, out of order, all, none, and one that is named twice.
+    let out_of_order: Vec<u32> = (0..83).map(|r| (r * 7 + 3) % 97).collect();
+    let twice: Vec<u32> = some(40, 97).into_iter().chain([5, 5, 96, 0]).collect();
+    for (rows, channels) in
+        [(some(1, 97), 1), (some(60, 97), 5), (some(97, 97), 64), (out_of_order, 3), (twice, 7), (Vec::new(), 4)]
+    {
+        let list = Arc::new(RowList::from(rows.clone()));
+        let x = waves(97 * channels, 1.0);
+        let run =
+            |on: Option<&Device>| value_and_gradients(&[(&x, channels)], on, |t| gather_rows(t[0].clone(), &list));
+        // Twice: the device keeps the list.
+        for _ in 0..2 {
+            let got = on_device(Some(&gpu), || run(Some(&gpu)));
+            for ((got, want), name) in got.iter().zip(&run(None)).zip(["rows", "gradient"]) {
+                assert_close(got, want, 1e-6, &format!("{name}: {} rows, {channels} channels", rows.len()));
+            }
+        }
+    }
+}
+
+#[test]
 fn layers_of_the_decoder() {
     let Some(gpu) = crate::gpu().map(Device::autodiff) else { return };
     let some: Vec<u32> = (0..83).map(|r| (r * 7 + 3) % 97).collect();
@@ -168,7 +210,8 @@ fn layers_of_the_decoder() {
         [(Some(some.clone()), 6, 0.2), (None, 6, 0.2), (Some(some.clone()), 6, 1.0), (Some(some), 0, 0.2)]
     {
         let count = rows.as_ref().map_or(97, Vec::len);
-        let map = LayerMap { rows: rows.map(Arc::new), upsample: Arc::new(uneven(count, 31)), slope };
+        let map =
+            LayerMap { rows: rows.map(|rows| Arc::new(rows.into())), upsample: Arc::new(uneven(count, 31)), slope };
         let (x, weight, below, bias) =
             (waves(97 * inputs, 1.0), waves(inputs * 9, 0.5), waves(31 * 9, 0.7), waves(9, 0.3));
         let run = |on: Option<&Device>| {

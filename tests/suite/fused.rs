@@ -74,7 +74,7 @@ fn fusion_layer_equals_its_plain_form() {
         let used = rows.as_ref().map_or(all, Vec::len);
         for slope in [0.2, 1.0] {
             let upsample = Arc::new(mixing(used, coarse, 2));
-            let map = LayerMap { rows: rows.clone().map(Arc::new), upsample, slope };
+            let map = LayerMap { rows: rows.clone().map(|rows| Arc::new(rows.into())), upsample, slope };
             let [got, want] = [true, false].map(|fused| layer(fused, [all, inputs, coarse, width], &map, DType::F64));
             let names = ["output", "gradient of x", "of the weight", "of below", "of the bias"];
             for ((got, want), name) in got.iter().zip(&want).zip(names) {

@@ -22,6 +22,7 @@ mod decoder_chunks;
 mod densify;
 #[cfg(feature = "wgpu")]
 mod device_building;
+mod device_dense;
 #[cfg(feature = "wgpu")]
 mod device_ops;
 #[cfg(feature = "wgpu")]

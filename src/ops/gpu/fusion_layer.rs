@@ -1,37 +1,18 @@
 //! A layer of the decoder on a device: rows gathered, one product, and the rest in one pass.
 
+use super::dense::{weights_gradient, zeros};
 use super::sparse::DeviceMatrix;
 use super::{covers, own};
 use crate::gpu::{Gpu, arg};
 use crate::ops::fusion_layer::{FusionBackend, LayerMap, LayerTensors, on_host};
+use crate::ops::gather::GatherBackend;
 use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::FloatTensor;
-use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
 use std::sync::Arc;
-
-/// `out[r] = x[rows[r]]`, one unit a value.
-#[cube(launch)]
-fn gather(x: &[f32], rows: &[u32], out: &mut [f32], count: u32, width: u32) {
-    let i = ABSOLUTE_POS;
-    if i < count as usize {
-        let row = rows[i / width as usize] as usize;
-        out[i] = x[row * width as usize + i % width as usize];
-    }
-}
-
-/// `out[rows[r]] = x[r]`, where no row is named twice.
-#[cube(launch)]
-fn scatter(x: &[f32], rows: &[u32], out: &mut [f32], count: u32, width: u32) {
-    let i = ABSOLUTE_POS;
-    if i < count as usize {
-        let row = rows[i / width as usize] as usize;
-        out[row * width as usize + i % width as usize] = x[i];
-    }
-}
 
 /// `leaky(product + US y + b)`, one unit a value.
 #[cube(launch)]
@@ -76,29 +57,17 @@ fn unbend(out: &[f32], g: &mut [f32], count: u32, slope: f32) {
     }
 }
 
-/// `x[rows]`, or `x` where all rows are read.
-fn gathered(gpu: &Gpu, x: &CubeTensor, map: &LayerMap) -> CubeTensor {
-    let Some(rows) = &map.rows else { return x.clone() };
-    let width = x.meta.shape()[1];
-    let out = gpu.floats([rows.len(), width]);
-    let index = gpu.upload(rows, DType::U32);
-    let count = rows.len() * width;
-    gather::launch(
-        &gpu.client,
-        gpu.cubes_for(count),
-        gpu.dim(),
-        arg(&into_contiguous(x.clone())),
-        arg(&index),
-        arg(&out),
-        count as u32,
-        width as u32,
-    );
-    out
-}
-
 /// Whether kernels take this layer: something comes out.
 fn on_device(tensors: &LayerTensors<CubeBackend>, map: &LayerMap) -> bool {
     covers(&tensors.bias) && map.upsample.rows() * tensors.bias.meta.num_elements() > 0 && map.upsample.columns() > 0
+}
+
+/// `x[rows]`, or `x` where all rows are read.
+fn gathered(x: CubeTensor, map: &LayerMap) -> CubeTensor {
+    match &map.rows {
+        Some(rows) => CubeBackend::gather_rows(x, rows.clone()),
+        None => x,
+    }
 }
 
 impl FusionBackend for CubeBackend {
@@ -112,11 +81,10 @@ impl FusionBackend for CubeBackend {
         let out = gpu.floats([rows, width]);
         let with_product = weight.meta.num_elements() > 0;
         let product = match with_product {
-            true => into_contiguous(Self::float_matmul(gathered(&gpu, &x, &map), weight)),
+            true => into_contiguous(Self::float_matmul(gathered(x, &map), weight)),
             false => gpu.floats([1]),
         };
-        let upsample = DeviceMatrix::by_rows(&gpu, &map.upsample);
-        let [offsets, indices, values] = upsample.args();
+        let [offsets, indices, values] = DeviceMatrix::by_rows(&gpu, &map.upsample).args();
         add_and_bend::launch(
             &gpu.client,
             gpu.cubes_for(rows * width),
@@ -146,9 +114,9 @@ impl FusionBackend for CubeBackend {
         if !on_device(&tensors, &map) {
             return on_host::fusion_layer_adjoint::<Self>(tensors, out, g, &map, wants_x);
         }
-        let LayerTensors { x, weight, bias, .. } = tensors;
-        let gpu = Gpu::of(&bias);
-        let (count, width) = (out.meta.num_elements(), bias.meta.num_elements());
+        let LayerTensors { x, weight, .. } = tensors;
+        let gpu = Gpu::of(&out);
+        let count = out.meta.num_elements();
         let mut g = g;
         if map.slope != 1.0 {
             g = own(g);
@@ -156,32 +124,20 @@ impl FusionBackend for CubeBackend {
             unbend::launch(&gpu.client, cubes, gpu.dim(), arg(&out), arg(&g), count as u32, slope);
         }
         let g = into_contiguous(g);
+        let rows = map.rows.as_ref().map(|rows| rows.on(&gpu));
         let [x_rows, inputs] = x.meta.shape().dims();
-        let nothing =
-            |rows: usize| Self::float_zeros([rows, inputs].into(), gpu.device(), burn::tensor::FloatDType::F32);
-        let d_weight = match inputs {
-            0 => weight.clone(),
-            _ => Self::float_matmul(Self::float_transpose(gathered(&gpu, &x, &map)), g.clone()),
-        };
+        let (d_weight, d_bias) = weights_gradient(&gpu, &x, rows.as_ref(), &g, true);
         let d_x = match wants_x && inputs > 0 {
-            false => nothing(if wants_x { x_rows } else { 0 }),
+            false => zeros(&gpu, [if wants_x { x_rows } else { 0 }, inputs]),
             true => {
                 let d = into_contiguous(Self::float_matmul(g.clone(), Self::float_transpose(weight)));
                 match &map.rows {
                     None => d,
-                    Some(rows) => {
-                        let (whole, index, count) =
-                            (into_contiguous(nothing(x_rows)), gpu.upload(rows, DType::U32), rows.len() * inputs);
-                        let cubes = gpu.cubes_for(count);
-                        let (count, width) = (count as u32, inputs as u32);
-                        scatter::launch(&gpu.client, cubes, gpu.dim(), arg(&d), arg(&index), arg(&whole), count, width);
-                        whole
-                    }
+                    Some(rows) => Self::scatter_rows(d, rows.clone(), x_rows),
                 }
             }
         };
-        let bias = Self::float_reshape(Self::float_sum_dim(g.clone(), 0), [width].into());
         let below = DeviceMatrix::by_columns(&gpu, &map.upsample).apply(&gpu, g);
-        LayerTensors { x: d_x, weight: d_weight, below, bias }
+        LayerTensors { x: d_x, weight: d_weight, below, bias: d_bias }
     }
 }

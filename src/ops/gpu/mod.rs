@@ -1,8 +1,10 @@
 //! Operations of this crate by CubeCL kernels: the CPU's formulas in `f32`, sums in a fixed order, no float atomics.
 
 mod adam;
+mod dense;
 mod finite;
 mod fusion_layer;
+mod gather;
 mod label_loss;
 mod neighbour_divergence;
 mod numeric;

@@ -1,12 +1,20 @@
 //! Sums in a fixed order: the same bits every time.
 
 use crate::gpu::{Gpu, UNITS, arg};
+use crate::ops::sum::SumBackend;
+use burn::backend::ops::FloatTensorOps;
+use burn::backend::tensor::FloatTensor;
+use burn::tensor::FloatDType;
+use burn_cubecl::CubeBackend;
 use burn_cubecl::cubecl::{self, prelude::*};
+use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
 
 const GROUP: usize = 16;
 /// Consecutive reads under way at a time.
 const READS: usize = 8;
+/// Values that one cube sums before more of them share the work.
+const STRETCH: usize = 4 * READS * UNITS as usize;
 
 /// The sum of `value` over the units of the cube, known to the first one. All of them call it.
 #[cube]
@@ -34,19 +42,21 @@ pub(super) fn sum_cube(value: f32) -> f32 {
     total
 }
 
-/// The sum of `count` values, by one cube.
+/// The sum of each `stretch` of `count` values, by one cube.
 #[cube(launch)]
-fn sum_all(values: &[f32], total: &mut [f32], count: u32) {
-    if CUBE_POS >= 1 {
+fn sum_stretches(values: &[f32], totals: &mut [f32], count: u32, stretch: u32) {
+    let first = CUBE_POS * stretch as usize;
+    if first >= count as usize {
         terminate!();
     }
+    let end = min(first + stretch as usize, count as usize);
     let mut sum = 0.0f32;
-    let mut at = UNIT_POS as usize;
-    while at < count as usize {
+    let mut at = first + UNIT_POS as usize;
+    while at < end {
         let mut part = 0.0f32;
         #[unroll]
         for k in 0..READS {
-            if at + k * (UNITS as usize) < count as usize {
+            if at + k * (UNITS as usize) < end {
                 part += values[at + k * (UNITS as usize)];
             }
         }
@@ -55,13 +65,33 @@ fn sum_all(values: &[f32], total: &mut [f32], count: u32) {
     }
     let all = sum_cube(sum);
     if UNIT_POS == 0 {
-        total[0] = all;
+        totals[CUBE_POS] = all;
     }
 }
 
-/// The sum of the first `count` of `values`, `[1]`.
+/// The sum of the first `count` of `values`, of which there is at least one, `[1]`.
 pub(super) fn sum(gpu: &Gpu, values: &CubeTensor, count: usize) -> CubeTensor {
-    let total = gpu.floats([1]);
-    sum_all::launch(&gpu.client, gpu.cubes(1), gpu.dim(), arg(values), arg(&total), count as u32);
-    total
+    let sums_of = |values: &CubeTensor, count: usize, stretch: usize| {
+        let cubes = count.div_ceil(stretch);
+        let totals = gpu.floats([cubes]);
+        let (from, to) = (arg(values), arg(&totals));
+        sum_stretches::launch(&gpu.client, gpu.cubes(cubes), gpu.dim(), from, to, count as u32, stretch as u32);
+        totals
+    };
+    if count <= STRETCH {
+        return sums_of(values, count, count);
+    }
+    let stretch = STRETCH.max(count.div_ceil(STRETCH));
+    let parts = count.div_ceil(stretch);
+    sums_of(&sums_of(values, count, stretch), parts, parts)
+}
+
+impl SumBackend for CubeBackend {
+    fn sum_all(x: FloatTensor<Self>) -> FloatTensor<Self> {
+        let (gpu, count) = (Gpu::of(&x), x.meta.num_elements());
+        match count {
+            0 => Self::float_zeros([1].into(), gpu.device(), FloatDType::F32),
+            _ => sum(&gpu, &into_contiguous(x), count),
+        }
+    }
 }

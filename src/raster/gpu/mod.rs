@@ -6,9 +6,10 @@
 //! every time. One readback a forward pass: the number of tile entries, and the count of non-finite rows beside it; none where
 //! the caller says how many entries to make room for, and looks at these numbers later.
 //!
-//! Memory besides inputs and outputs, bytes: 60 a Gaussian (96 in the backward pass), 28 a tile entry while they are sorted
-//! and 8 afterwards, and in the backward pass up to 56 a tile entry, 1 GiB at most (more entries go through in slabs). Sums of
-//! absolute values add 8 a Gaussian and 8 a tile entry.
+//! Memory besides inputs and outputs, bytes: 64 a Gaussian (100 in the backward pass), 28 a tile entry while they are sorted
+//! and 8 afterwards, and in the backward pass up to 120 a tile entry (72 where cubes have 32 KB of shared memory), 1 GiB at most
+//! (more entries go through in slabs). Sums of absolute values add 8 a Gaussian and 8 a tile entry. Room taken beforehand counts as
+//! entries.
 
 mod backward;
 mod blend;

@@ -2,8 +2,9 @@
 
 use super::splats::SplatTensors;
 use crate::camera::Camera;
+use crate::device::largest_allocation;
 use crate::error::{Error, Result};
-use crate::ops::{HostBackend, HostKernels, Real, device_of, gather_rows, real_kernel};
+use crate::ops::{HostBackend, HostKernels, Real, RowList, device_of, gather_rows, real_kernel};
 use crate::raster::projected::{Blended, Projected};
 use crate::raster::settings::{Settings, Splats};
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
@@ -17,8 +18,13 @@ use std::any::Any;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Bytes of an image of several channels, where they need not lie together.
+/// Bytes of an image of several channels, where they need not lie together, in host memory.
 const BLOCK_BYTES: usize = 64 << 20;
+/// The most that such an image takes on a device, and the share of its largest allocation.
+const DEVICE_BLOCK_BYTES: usize = 1 << 30;
+const DEVICE_BLOCK_SHARE: usize = 4;
+/// Blocks of a device are cut between so many channels.
+const DEVICE_STEP: usize = 32;
 /// Channels that are always blended together: the kernels take as many in one go.
 const LEAST_CHANNELS: usize = 12;
 
@@ -235,10 +241,17 @@ impl SplatView {
         &self.call.camera
     }
 
-    /// Ranges of `channels`, so many together that an image of them takes 64 MB or little more.
+    /// Ranges of `channels`, so many together that an image of them takes 64 MB or little more; on a GPU a quarter of its
+    /// largest allocation, and no more than 1 GB.
     pub fn channel_blocks(&self, channels: usize) -> impl Iterator<Item = Range<usize>> + use<> {
         let plane = (self.camera().width * self.camera().height * size_of::<f32>()).max(1);
-        let together = (BLOCK_BYTES / plane).max(LEAST_CHANNELS);
+        let together = match largest_allocation(&self.splats.means.device()) {
+            None => (BLOCK_BYTES / plane).max(LEAST_CHANNELS),
+            Some(most) => match (most / DEVICE_BLOCK_SHARE).min(DEVICE_BLOCK_BYTES) / plane {
+                few if few < DEVICE_STEP => few.max(LEAST_CHANNELS),
+                many => many / DEVICE_STEP * DEVICE_STEP,
+            },
+        };
         (0..channels).step_by(together).map(move |first| first..(first + together).min(channels))
     }
 
@@ -267,18 +280,19 @@ impl SplatView {
     pub fn blend_at(&self, values: Tensor<2>, pixels: &[u32]) -> Result<(Tensor<2>, Tensor<1>)> {
         let (n, all) = (values.dims()[0], self.camera().width * self.camera().height);
         let mut transmittance = None;
+        let pixels = Arc::new(RowList::from(pixels.to_vec()));
         let blocks = self.channel_blocks(values.dims()[1]).map(|block| {
             let channels = block.len();
             let (image, of_all) = self.blend(values.clone().slice([0..n, block]))?;
             transmittance.get_or_insert(of_all);
-            Ok(gather_rows(image.reshape([all, channels]), pixels))
+            Ok(gather_rows(image.reshape([all, channels]), &pixels))
         });
         let image = Tensor::cat(blocks.collect::<Result<Vec<_>>>()?, 1);
         let transmittance = match transmittance {
             Some(transmittance) => transmittance.reshape([all, 1]),
             None => Tensor::ones([all, 1], &image.device()),
         };
-        Ok((image, gather_rows(transmittance, pixels).reshape([pixels.len()])))
+        Ok((image, gather_rows(transmittance, &pixels).reshape([pixels.len()])))
     }
 
     /// `W^T y` of an image `y`, `[H, W, C]`: the adjoint of [`SplatView::blend`], without autodiff.

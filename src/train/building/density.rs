@@ -8,7 +8,7 @@ use crate::gaussians::densify::{DensityRules, RowPlan};
 use crate::gaussians::noise::PositionNoise;
 use crate::gaussians::relocate::{RelocationPlan, RelocationRules};
 use crate::gaussians::{Gaussians, Geometry, frusta, init};
-use crate::ops::RowMap;
+use crate::ops::{RowMap, sum_all};
 use crate::random::{Purpose, stream};
 use crate::train::parameters::{Leaves, NewValues};
 use crate::train::schedule::extent;
@@ -73,8 +73,8 @@ impl BuildingStage<'_> {
             return loss;
         }
         let n = self.parameters.len().max(1) as f64;
-        let opacity = sigmoid(leaves.opacity_logits.clone()).sum() * (building.mcmc.opacity_reg / n);
-        let scales = leaves.log_scales.clone().exp().sum() * (building.mcmc.scale_reg / (3.0 * n * self.extent));
+        let opacity = sum_all(sigmoid(leaves.opacity_logits.clone())) * (building.mcmc.opacity_reg / n);
+        let scales = sum_all(leaves.log_scales.clone().exp()) * (building.mcmc.scale_reg / (3.0 * n * self.extent));
         loss + opacity + scales
     }
 

@@ -8,6 +8,7 @@
 
 use super::optimiser;
 use super::prepared::{Cloud, Prepared, REGULARISED, Sampled};
+use crate::ops::sum_all;
 use crate::segmentation::decoder::Decoder;
 use crate::segmentation::loss::neighbour_divergence;
 use crate::segmentation::pyramid::{Pyramid, Restriction, Rows};
@@ -32,7 +33,7 @@ impl Waiting {
             for part in &self.prepared.parts {
                 let seed = Tensor::from_inner(seed.clone().slice([part.rows.clone()]));
                 let scores = decoder.classify(decoder.forward_scaled(pyramid, &part.kept, factors).hidden);
-                let mut of_part = (scores * seed).sum().backward();
+                let mut of_part = sum_all(scores * seed).backward();
                 optimiser::add_gradients(decoder, &mut of_part, gradients);
             }
         }
@@ -55,7 +56,7 @@ pub(super) fn regularisation(
         rows.sort_unstable();
         rows.dedup();
         if !rows.is_empty() {
-            wanted[scale] = Arc::new(rows);
+            wanted[scale] = Arc::new(rows.into());
         }
     }
     let finest = wanted.iter().position(|rows| !rows.is_empty())?;

@@ -1,6 +1,6 @@
 //! Generalised Jensen-Shannon loss: one label, two predictions from different parts of the input.
 
-use crate::ops::{Kind, label_loss};
+use crate::ops::{Kind, label_loss, sum_all};
 use crate::random::{Purpose, stream};
 use crate::segmentation::pyramid::Pyramid;
 use burn::tensor::Tensor;
@@ -36,6 +36,6 @@ pub fn generalised_js([a, b]: [Tensor<2>; 2], labels: &[u16], kind: &Kind, weigh
     if weight == 0.0 || pixels == 0 {
         return loss;
     }
-    let to_mean = |p: Tensor<2>| (p.clone() * ((p + LEAST_PROBABILITY).log() - log_mean.clone())).sum();
+    let to_mean = |p: Tensor<2>| sum_all(p.clone() * ((p + LEAST_PROBABILITY).log() - log_mean.clone()));
     loss + (to_mean(a) + to_mean(b)) * (0.5 * weight / pixels as f64)
 }

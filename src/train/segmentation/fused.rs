@@ -14,11 +14,12 @@ use crate::config::{Blend, SegmentationConfig};
 use crate::device::in_host_memory;
 use crate::error::Result;
 use crate::objects::Identities;
+use crate::ops::gather_rows;
 use crate::segmentation::decoder::Decoder;
 use crate::segmentation::loss::neighbour_divergence;
-use crate::segmentation::pyramid::{Pyramid, Restriction};
+use crate::segmentation::pyramid::{Pyramid, Restriction, Rows};
 use burn::module::Module;
-use burn::tensor::{Device, Gradients, Int, Tensor, TensorData};
+use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use std::sync::Arc;
 
 /// Gaussians decoded at once when the stored identities are made.
@@ -146,12 +147,10 @@ impl<'a> Fused<'a> {
     }
 
     /// Scores `[rows, C]` of hidden features of the scene's Gaussians `points`.
-    fn scores(&self, decoder: &Decoder, hidden: Tensor<2>, points: &[u32]) -> Tensor<2> {
+    fn scores(&self, decoder: &Decoder, hidden: Tensor<2>, points: &Rows) -> Tensor<2> {
         let scores = decoder.classify(hidden);
         let Some(prior) = &self.prior else { return scores };
-        let rows = points.iter().map(|&row| i64::from(row)).collect();
-        let rows = Tensor::<1, Int>::from_data(TensorData::new::<i64, _>(rows, [points.len()]), &prior.device());
-        let prior = prior.clone().select(0, rows);
+        let prior = gather_rows(prior.clone(), points);
         scores.clone() + if scores.device().is_autodiff() { Tensor::from_inner(prior) } else { prior }
     }
 
@@ -196,7 +195,7 @@ impl<'a> Fused<'a> {
             Blend::Logits if self.prior.is_none() => {
                 Ok(Scores::Pixels(decoder.classify(drawn.pixels.blend(decoded.hidden)?)))
             }
-            blend => Scores::blended(self.scores(decoder, decoded.hidden, &drawn.visible), &drawn.pixels, blend),
+            blend => Scores::blended(self.scores(decoder, decoded.hidden, &part.gaussians), &drawn.pixels, blend),
         });
         let scores: Vec<Scores> = scores.collect::<Result<_>>()?;
         Ok(self.prediction(scores, regularisation))
@@ -227,7 +226,7 @@ impl<'a> Fused<'a> {
         let leaf = |factors: Vec<Vec<f32>>| {
             let parts = prepared.parts.iter().map(|part| {
                 let hidden = frozen.forward_scaled(pyramid, &part.kept, &factors).hidden;
-                self.scores(&frozen, hidden, &drawn.visible[part.rows.clone()])
+                self.scores(&frozen, hidden, &part.gaussians)
             });
             (Tensor::from_inner(Tensor::cat(parts.collect(), 0)).require_grad(), factors)
         };
@@ -243,10 +242,10 @@ impl<'a> Fused<'a> {
         let count = encoded.points.len() as u32;
         let mut scores = Vec::with_capacity(count as usize * self.plan.size[1]);
         for first in (0..count).step_by(CHUNK) {
-            let rows = Arc::new((first..(first + CHUNK as u32).min(count)).collect::<Vec<_>>());
-            let points = &encoded.points[first as usize..][..rows.len()];
-            let kept = Restriction::new(&encoded.pyramid, rows);
-            let part = self.scores(decoder, decoder.forward(&encoded.pyramid, &kept).hidden, points);
+            let rows = (first..(first + CHUNK as u32).min(count)).collect::<Vec<_>>();
+            let points = Arc::new(encoded.points[first as usize..][..rows.len()].to_vec().into());
+            let kept = Restriction::new(&encoded.pyramid, Arc::new(rows.into()));
+            let part = self.scores(decoder, decoder.forward(&encoded.pyramid, &kept).hidden, &points);
             scores.extend(optimiser::values(stored(part, self.plan.config.blend)));
         }
         scores

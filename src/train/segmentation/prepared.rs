@@ -29,6 +29,8 @@ pub(super) struct Prepared {
 pub(super) struct Part {
     /// Which of the visible Gaussians.
     pub rows: Range<usize>,
+    /// These, by their numbers in the scene.
+    pub gaussians: Rows,
     /// The part of the pyramid that they depend on.
     pub kept: Restriction,
 }
@@ -52,7 +54,8 @@ impl Prepared {
         let row = |g: &u32| encoded.points.binary_search(g).ok().map(|row| row as u32);
         let rows: Vec<u32> = visible.iter().filter_map(row).collect();
         let of = |rows: Range<usize>, finest: Vec<u32>| Part {
-            kept: Restriction::new(&encoded.pyramid, Arc::new(finest)),
+            gaussians: Arc::new(visible[rows.clone()].to_vec().into()),
+            kept: Restriction::new(&encoded.pyramid, Arc::new(finest.into())),
             rows,
         };
         let parts: Vec<Part> = match plan.config.decoder_chunk {
@@ -79,7 +82,7 @@ impl Prepared {
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         let clouds = self.clouds.iter().map(|cloud| 4 * (cloud.rows.len() + cloud.neighbours.len()));
-        self.parts.iter().map(|part| part.kept.bytes()).chain(clouds).sum()
+        self.parts.iter().map(|part| 4 * part.gaussians.len() + part.kept.bytes()).chain(clouds).sum()
     }
 }
 
@@ -108,7 +111,7 @@ fn together(parts: &[Part], scale: usize) -> Rows {
             let mut all: Vec<u32> = rows.flat_map(|rows| rows.iter().copied()).collect();
             all.sort_unstable();
             all.dedup();
-            Arc::new(all)
+            Arc::new(all.into())
         }
     }
 }

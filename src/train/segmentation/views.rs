@@ -6,7 +6,7 @@ use crate::device::in_host_memory;
 use crate::error::Result;
 use crate::gaussians::Gaussians;
 use crate::objects::{Votes, vote};
-use crate::ops::{LabelledPixels, PixelWeights, SparseMatrix, UNLABELLED};
+use crate::ops::{LabelledPixels, PixelWeights, RowList, SparseMatrix, UNLABELLED};
 use crate::random::{Purpose, stream};
 use crate::raster::{Projected, Settings, SplatTensors};
 use burn::tensor::Device;
@@ -17,7 +17,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug)]
 struct LabelledView {
     /// Scene index of each Gaussian that some of the pixels show, ascending.
-    visible: Arc<Vec<u32>>,
+    visible: Arc<RowList>,
     /// Class index of each pixel's raw label, [`UNLABELLED`] where it has none or is not covered.
     labels: LabelRuns,
     /// Number of labelled, covered pixels.
@@ -72,7 +72,7 @@ impl LabelledView {
 #[derive(Clone, Debug)]
 pub struct Drawn {
     /// Scene index of each Gaussian that the view's labelled pixels show, ascending.
-    pub visible: Arc<Vec<u32>>,
+    pub visible: Arc<RowList>,
     /// The drawn pixels over `visible`.
     pub pixels: LabelledPixels,
 }
@@ -232,7 +232,7 @@ impl<'a> TrainingViews<'a> {
             }
             None => Kept::Nothing,
         };
-        let view = LabelledView { visible: Arc::new(visible), labels: LabelRuns::from(map), count, kept };
+        let view = LabelledView { visible: Arc::new(visible.into()), labels: LabelRuns::from(map), count, kept };
         Ok(self.seen[index].insert(Arc::new(view)).clone())
     }
 
@@ -255,7 +255,7 @@ impl<'a> TrainingViews<'a> {
         let weights = Arc::new(compact.matrix);
         let left = self.budget.checked_sub(weights.bytes());
         self.budget = left.unwrap_or(self.budget);
-        let visible = Arc::new(compact.columns);
+        let visible = Arc::new(compact.columns.into());
         let keep = left.map_or(Kept::Nothing, |_| Kept::Weights(weights.clone()));
         let view = LabelledView { visible, labels, count: kept.len(), kept: keep };
         Ok((self.seen[index].insert(Arc::new(view)).clone(), weights))
