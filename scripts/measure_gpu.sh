@@ -3,8 +3,8 @@
 #
 #     scripts/measure_gpu.sh [OUT]            OUT is `measured` by default
 #
-# COSEG and SUITE name binaries that were built elsewhere (cargo build / cargo test --no-run --release --features wgpu); without
-# them both are built here. Where Python has PyTorch with CUDA and gsplat, gsplat is timed on the same Gaussians and cameras.
+# COSEG and SUITE name binaries that were built elsewhere (`cargo build`, and the two of `cargo test --no-run --lib --test suite`,
+# each with --release --features wgpu, run from this folder); without them they are built here. Where Python has PyTorch with CUDA and gsplat, gsplat is timed on the same Gaussians and cameras.
 # Each step leaves a log; one that fails is said and does not keep the others from running.
 set -uo pipefail
 cd "$(dirname "$0")/.."
@@ -29,11 +29,18 @@ if [ -z "${COSEG:-}" ]; then
 fi
 { nvidia-smi || vulkaninfo --summary; } >"$out/device.txt" 2>&1
 
-# Every kernel against the CPU's in f64, and both stages against ndarray.
-if [ -z "${SUITE:-}" ]; then
-  step parity cargo test --release --features wgpu -- gpu device raster_room
-else
-  step parity "$SUITE" gpu device raster_room
+# Kernels against the CPU's in f64, both stages against ndarray; a test that finds no device must not count as passed.
+parity() {
+  if [ -n "${SUITE:-}" ]; then
+    for binary in $SUITE; do "$binary" --nocapture gpu device room noise raster probe photo || return 1; done
+  else
+    cargo test --release --features wgpu --lib --test suite -- --nocapture gpu device room noise raster probe photo || return 1
+  fi
+}
+step parity parity
+if grep -q "SKIPPED: .*wgpu" "$out/parity.log"; then
+  echo "parity: some tests found no device, see $out/parity.log"
+  failed=1
 fi
 
 step train "$COSEG" train --backend wgpu --out "$out/run"

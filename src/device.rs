@@ -118,9 +118,7 @@ pub fn in_host_memory(device: &Device) -> bool {
 pub(crate) fn largest_allocation(device: &Device) -> Option<usize> {
     match device.clone().inner().as_dispatch() {
         #[cfg(feature = "cube")]
-        DispatchDevice::Cube(device) => {
-            Some(usize::try_from(device.client().properties().memory.max_page_size).unwrap_or(usize::MAX))
-        }
+        DispatchDevice::Cube(device) => Some(crate::gpu::largest_buffer(&device.client())),
         _ => None,
     }
 }

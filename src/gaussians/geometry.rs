@@ -19,8 +19,8 @@ impl<'a> Geometry<'a> {
     /// Scalars of a Gaussian.
     const WIDTH: usize = 3 + 3 + 4 + 1;
 
-    /// From all means, then all log-scales, rotations and opacity logits, `[11 N]`.
-    pub fn of_values(values: &'a [f32]) -> Self {
+    /// From what `Parameters::geometry` reads: all means, then all log-scales, rotations and opacity logits, `[11 N]`.
+    pub(crate) fn of_values(values: &'a [f32]) -> Self {
         let n = values.len() / Self::WIDTH;
         let (means, rest) = values.split_at(3 * n);
         let (log_scales, rest) = rest.split_at(3 * n);

@@ -64,10 +64,20 @@ impl Gpu {
         self.cubes_for(cubes * UNITS as usize)
     }
 
+    /// Bytes of the largest buffer.
+    pub fn largest(&self) -> usize {
+        largest_buffer(&self.client)
+    }
+
     /// Size of all cubes.
     pub fn dim(&self) -> CubeDim {
         CubeDim::new_1d(UNITS)
     }
+}
+
+/// Bytes of the largest buffer of a device.
+pub fn largest_buffer(client: &Client) -> usize {
+    usize::try_from(client.properties().memory.max_page_size).unwrap_or(usize::MAX)
 }
 
 /// A buffer as a kernel argument.

@@ -5,6 +5,6 @@ mod buffers;
 mod finite;
 mod resident;
 
-pub use buffers::{Gpu, UNITS, arg};
+pub use buffers::{Gpu, UNITS, arg, largest_buffer};
 pub use finite::{add_non_finite, is_finite};
 pub use resident::Resident;

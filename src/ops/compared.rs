@@ -9,8 +9,7 @@ use image::RgbImage;
 use std::sync::Arc;
 
 /// A photo of 8 bits a channel, whose values are v / 255. A GPU keeps the bytes, and makes the windowed moments anew in each
-/// comparison: a twelfth of the memory of a [`Photo`] for a small part of an iteration's time. The host prepares a [`Photo`]
-/// each time.
+/// comparison: a twelfth of the memory of a [`Photo`]. The host prepares a [`Photo`] each time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PackedPhoto {
     pixels: Arc<RgbImage>,

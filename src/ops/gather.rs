@@ -25,7 +25,7 @@ use std::ops::Deref;
 use std::sync::Arc;
 
 /// Numbers of rows, `[R]`, in any order; a device that reads them keeps a copy.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct RowList {
     // Not to be changed: a device may hold a copy.
     rows: Vec<u32>,
@@ -38,7 +38,7 @@ pub struct RowList {
 }
 
 impl RowList {
-    /// The least number of rows that something has which has all of these.
+    /// One more than the largest row, 0 where there is none: what has these rows has as many or more.
     pub fn end(&self) -> usize {
         self.end
     }
@@ -46,6 +46,12 @@ impl RowList {
     /// Whether each row is above the one before, so that none is named twice.
     pub fn is_ascending(&self) -> bool {
         self.ascending
+    }
+}
+
+impl Default for RowList {
+    fn default() -> Self {
+        Vec::new().into()
     }
 }
 

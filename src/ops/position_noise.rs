@@ -19,7 +19,7 @@ pub struct NoiseStep {
 /// Adds noise on a GPU, to tensors that lie there.
 #[backend_extension(Cube: cfg(feature = "cube"))]
 pub trait NoiseBackend: Backend {
-    /// `means` with noise, `[N, 3]`; its buffer is reused where nobody else holds it.
+    /// `means` with noise, `[N, 3]`.
     fn add_position_noise(
         means: FloatTensor<Self>,
         log_scales: FloatTensor<Self>,

@@ -17,6 +17,8 @@ const ROWS: usize = 1024;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RowMap {
     pub(super) sources: Vec<u32>,
+    /// One more than the largest row.
+    end: usize,
     #[cfg(feature = "cube")]
     pub(super) resident: Resident<CubeTensor>,
 }
@@ -43,8 +45,10 @@ impl RowMap {
             assert!(row < Self::NEW, "row map: row {row}");
             if new { row | Self::NEW } else { row }
         };
+        let sources: Vec<u32> = sources.into_iter().map(source).collect();
         Self {
-            sources: sources.into_iter().map(source).collect(),
+            end: sources.iter().map(|source| source & !Self::NEW).max().map_or(0, |last| last as usize + 1),
+            sources,
             #[cfg(feature = "cube")]
             resident: Resident::default(),
         }
@@ -103,7 +107,8 @@ pub(super) mod on_host {
 /// The rows of `x` (`[N, ..]`, without autodiff) that `map` names, `[R, ..]`, to the bit.
 ///
 /// # Panics
-/// If `map` names a row that `x` has not, where the CPU finds it.
+/// If `map` names a row that `x` has not.
 pub fn take_rows<const D: usize>(x: Tensor<D>, map: &Arc<RowMap>, new: StartOfNew) -> Tensor<D> {
+    assert!(map.end <= x.dims()[0], "take_rows: row {} of {}", map.end - 1, x.dims()[0]);
     Tensor::from_dispatch(Dispatch::take_rows(x.into_dispatch(), map.clone(), new))
 }

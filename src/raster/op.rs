@@ -79,10 +79,11 @@ pub fn rasterize(
 /// them: with `room` for that many, what came of it is in the summary, to be read with whatever is read next. Where
 /// [`ListCount::is_sound`] is false then, neither the output nor its gradients mean anything, and the call is to be
 /// repeated without `room`, which gives the image, or the error that names the non-finite input. Where room suffices the output
-/// is that of [`rasterize`] bit by bit. The host's kernels, and a GPU that cannot hold so many, go without `room`.
+/// is that of [`rasterize`] bit by bit. Some 28 bytes an entry are taken while lists are sorted. The host's kernels do without
+/// `room`, and so does a GPU none of whose buffers holds so many numbers.
 ///
 /// # Errors
-/// As [`rasterize`], apart from inputs that are not finite.
+/// As [`rasterize`]; inputs that are not finite are an error only where `room` is done without.
 pub fn rasterize_with_room(
     input: RasterInput,
     camera: &Camera,

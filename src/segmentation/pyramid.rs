@@ -3,7 +3,7 @@
 use super::encoder::Encoding;
 use crate::error::{Error, Result};
 use crate::ops::{RowList, SparseMatrix, gather_rows};
-use burn::tensor::{Int, Tensor, TensorData};
+use burn::tensor::Tensor;
 use std::sync::Arc;
 
 /// Which features the decoder reads: the switches of the ablation table.
@@ -53,7 +53,7 @@ impl Pyramid {
     pub fn new(encoding: &Encoding, image: &[Tensor<2>], switches: Switches) -> Result<Self> {
         let points = encoding.levels[0].indices.len();
         Self::gathered(encoding, switches, |scale, rows| match image.get(scale) {
-            Some(features) if features.dims()[0] == points => Ok(select(features, rows)),
+            Some(features) if features.dims()[0] == points => Ok(select(features, &Arc::new(rows.to_vec().into()))),
             other => {
                 let (key, found) = (format!("image features of scale {}", scale + 1), other.map(Tensor::dims));
                 let mend = "unproject them first";
@@ -168,9 +168,7 @@ impl Restriction {
     pub fn of_top(&self, top: &Tensor<2>) -> Tensor<2> {
         match &self.top {
             None => top.clone(),
-            // Some backends refuse to index nothing.
-            Some(rows) if top.dims()[1] == 0 => Tensor::zeros([rows.len(), 0], &top.device()),
-            Some(rows) => gather_rows(top.clone(), rows),
+            Some(rows) => select(top, rows),
         }
     }
 
@@ -181,13 +179,12 @@ impl Restriction {
     }
 }
 
-fn select(features: &Tensor<2>, rows: &[u32]) -> Tensor<2> {
-    let device = features.device();
-    if features.dims()[1] == 0 {
-        return Tensor::zeros([rows.len(), 0], &device); // some backends refuse to index nothing
+fn select(features: &Tensor<2>, rows: &Rows) -> Tensor<2> {
+    match features.dims()[1] {
+        // Some backends refuse to index nothing.
+        0 => Tensor::zeros([rows.len(), 0], &features.device()),
+        _ => gather_rows(features.clone(), rows),
     }
-    let index: Vec<i64> = rows.iter().map(|&r| i64::from(r)).collect();
-    features.clone().select(0, Tensor::<1, Int>::from_data(TensorData::new(index, [rows.len()]), &device))
 }
 
 /// Per-channel mean and spread of a pyramid's frozen features.

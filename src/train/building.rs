@@ -200,7 +200,8 @@ impl<'a> BuildingStage<'a> {
         })
     }
 
-    /// One iteration. After an error nothing has changed.
+    /// One iteration. After an error nothing has changed, with one exception: a GPU that fails between the step and what follows it
+    /// (noise, densification, reset) leaves a state to start over from the last checkpoint with.
     ///
     /// # Errors
     /// [`Error::NonFinite`] naming tensor, row, view and iteration when the loss or a gradient is not finite; [`Error::Limit`]

@@ -1,9 +1,11 @@
 //! The decoder: against Eq. 7 written out, its switches, its restriction, what it learns.
 
 use burn::module::Module;
+use burn::tensor::module::linear;
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::Error;
 use coseg::config::{SpatialConfig, SpatialSource};
+use coseg::ops::dense;
 use coseg::segmentation::decoder::{Decoder, DecoderConfig, HIDDEN};
 use coseg::segmentation::encoder::{Cloud, Encoding, encode, load_spatial};
 use coseg::segmentation::pyramid::{Pyramid, Restriction, Switches};
@@ -176,4 +178,24 @@ fn gradients_reach_every_parameter_and_equal_seeds_equal_weights() {
     let mut check = Check(&gradients, 0);
     decoder.visit(&mut check);
     assert_eq!(check.1, 4 * (3 + 2) + 2);
+}
+
+#[test]
+fn a_dense_map_on_the_host_is_burns() {
+    let device = plain_device().autodiff();
+    let numbers = |rows: usize, columns: usize, step: f32| {
+        let values: Vec<f32> = (0..rows * columns).map(|i| (i as f32 * step).sin()).collect();
+        Tensor::<2>::from_data(TensorData::new(values, [rows, columns]), &device).require_grad()
+    };
+    let run = |map: &dyn Fn(Tensor<2>, Tensor<2>, Tensor<1>) -> Tensor<2>| {
+        let (x, weight, bias) = (numbers(900, 64, 0.37), numbers(64, 21, 0.71), numbers(1, 21, 1.3));
+        let out = map(x.clone(), weight.clone(), bias.clone().reshape([21]));
+        let gradients = out.clone().powi_scalar(2).sum().backward();
+        let of = |t: &Tensor<2>| values(t.grad(&gradients).expect("tracked"));
+        [of(&x), of(&weight), of(&bias), values(out.inner())]
+    };
+    let burns = run(&|x, weight, bias| linear(x, weight, Some(bias)));
+    assert_eq!(run(&|x, weight, bias| dense(x, weight, Some(bias))), burns);
+    let product = run(&|x, weight, bias| dense(x, weight, None) + bias.unsqueeze());
+    assert_eq!(product, run(&|x, weight, bias| x.matmul(weight) + bias.unsqueeze()));
 }

@@ -70,12 +70,18 @@ fn compare(gpu: &Device, scene: &Scene, config: &Config) {
 #[test]
 fn a_resumed_stage_goes_on_to_the_same_bits() {
     let Some(gpu) = gpu() else { return };
-    let ((scene, _folder), config) = (scene(), config(5, false, Strategy::Adc));
-    let mut whole = BuildingStage::new(&scene, &config, &gpu).expect("a stage");
+    let (scene, _folder) = scene();
+    for strategy in [Strategy::Adc, Strategy::Mcmc] {
+        assert_resumes(&gpu, &scene, &config(5, false, strategy));
+    }
+}
+
+fn assert_resumes(gpu: &Device, scene: &Scene, config: &Config) {
+    let mut whole = BuildingStage::new(scene, config, gpu).expect("a stage");
     steps(&mut whole, 15);
     let state = whole.state().expect("readable");
     assert!(state.gaussians.len() != 500, "a densification has been: {}", state.gaussians.len());
-    let mut resumed = BuildingStage::from_state(&scene, &config, &gpu, state).expect("a stage");
+    let mut resumed = BuildingStage::from_state(scene, config, gpu, state).expect("a stage");
     assert_eq!(steps(&mut whole, 8), steps(&mut resumed, 8));
     let [a, b] = [whole, resumed].map(|stage| stage.state().expect("readable"));
     assert!(a.gaussians == b.gaussians && a.stats == b.stats && a.first == b.first && a.second == b.second);

@@ -2,7 +2,6 @@
 
 use crate::device_ops::{assert_close, leaf, uneven, value_and_gradients, waves};
 use crate::device_training::on_device;
-use burn::tensor::module::linear;
 use burn::tensor::{Device, Tensor};
 use coseg::ops::{LayerMap, dense, fusion_layer};
 use std::sync::Arc;
@@ -103,20 +102,4 @@ fn layers_of_the_decoder_of_all_sizes() {
             }
         }
     }
-}
-
-/// In host memory the map is burn's own, to the last bit.
-#[test]
-fn a_dense_map_on_the_host_is_burns() {
-    let device = crate::device().autodiff();
-    let (x, weight, bias) = (numbers(900 * 64, 1.0), numbers(64 * 21, 0.5), numbers(21, 0.3));
-    let run = |f: &dyn Fn(Tensor<2>, Tensor<2>, Tensor<1>) -> Tensor<2>| {
-        value_and_gradients(&[(&x, 64), (&weight, 21), (&bias, 21)], Some(&device), |t| {
-            f(t[0].clone(), t[1].clone(), t[2].clone().reshape([21]))
-        })
-    };
-    let burns = run(&|x, weight, bias| linear(x, weight, Some(bias)));
-    assert_eq!(run(&|x, weight, bias| dense(x, weight, Some(bias))), burns);
-    let product = run(&|x, weight, bias| dense(x, weight, None) + bias.unsqueeze());
-    assert_eq!(product, run(&|x, weight, bias| x.matmul(weight) + bias.unsqueeze()));
 }

@@ -22,6 +22,7 @@ mod decoder_chunks;
 mod densify;
 #[cfg(feature = "wgpu")]
 mod device_building;
+#[cfg(feature = "wgpu")]
 mod device_dense;
 #[cfg(feature = "wgpu")]
 mod device_ops;

@@ -49,6 +49,7 @@ fn run(device: &Device, camera: &Camera, broken: Option<f32>, room: Option<usize
     let (value, _, words) = check.read_with(loss.clone().inner(), lists.as_tensor()).expect("a working device");
     assert_eq!(value.to_bits(), bits(loss.inner())[0], "the loss comes first");
     let count = ListCount::from_values(&words).expect("a GPU counts");
+    assert_eq!(lists.read().expect("a working device"), Some(count), "read by itself");
     ([bits(output.image.inner()), bits(means), bits(features)], count)
 }
 
@@ -100,7 +101,7 @@ fn the_host_needs_no_room() {
     let want = rasterize(input(&device, &camera, None), &camera, &settings, [0.0; 3]).expect("valid");
     let (got, lists) =
         rasterize_with_room(input(&device, &camera, None), &camera, &settings, [0.0; 3], Some(1)).expect("valid");
-    assert!(lists.as_tensor().is_none());
+    assert!(lists.as_tensor().is_none() && lists.read().expect("nothing to read").is_none());
     assert!(bits(got.image.inner()) == bits(want.image.inner()));
     assert_eq!(ListCount::from_values(&[]), None);
     assert_eq!(ListCount::from_values(&[0.0, 0.0, 9.0]), Some(ListCount { entries: 9, is_sound: true }));

@@ -7,7 +7,7 @@ use super::model::Work;
 use crate::bench::machine::available_memory;
 use crate::bench::{Bench, Effort, Figure, Samples};
 #[cfg(feature = "cube")]
-use crate::device::in_host_memory;
+use crate::device::{in_host_memory, largest_allocation};
 use crate::error::Result;
 #[cfg(feature = "cube")]
 use burn::tensor::{Device, Tensor};
@@ -81,7 +81,7 @@ impl Ceilings {
         let readback = readback.scaled(1.0 / READS as f64);
         let least = effort.probe.as_secs_f64().max(READBACKS * readback.median());
         let launch = one_of_many(effort, least, |launches| device::launches(&cell, launches))?;
-        let copied_bytes = effort.copied_bytes.min(device::largest_buffer(place));
+        let copied_bytes = effort.copied_bytes.min(largest_allocation(place).unwrap_or(usize::MAX));
         // A multiple of the vectors that are copied.
         let len = copied_bytes / size_of::<f32>() / STARTS_SHARE * STARTS_SHARE;
         let (from, to) = (Tensor::<1>::full([len], 1.5, place), Tensor::<1>::zeros([len], place));

@@ -25,7 +25,8 @@ pub(super) fn buffer(len: usize, first: f32) -> Vec<f32> {
     buffer
 }
 
-/// Copies `from` over `to`, a part a thread: so large that the C library writes past the caches.
+/// Copies `from` over `to`, a part a thread. Large parts the C library writes past the caches; of small ones the destination is read too,
+/// which is not counted.
 pub(super) fn copy(from: &[f32], to: &mut [f32]) {
     let part = part(from.len());
     to.par_chunks_mut(part).zip(from.par_chunks(part)).with_max_len(1).for_each(|(to, from)| to.copy_from_slice(from));

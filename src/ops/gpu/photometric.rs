@@ -202,8 +202,7 @@ impl DevicePhoto {
 
 /// Whether one allocation holds the derivatives of an image of `values` values, and 32 bits count them.
 fn fits(gpu: &Gpu, values: usize) -> bool {
-    let page = usize::try_from(gpu.client.properties().memory.max_page_size).unwrap_or(usize::MAX);
-    values.saturating_mul(MOMENTS) <= (page / size_of::<f32>()).min(i32::MAX as usize)
+    values.saturating_mul(MOMENTS) <= (gpu.largest() / size_of::<f32>()).min(i32::MAX as usize)
 }
 
 impl PhotometricBackend for CubeBackend {

@@ -3,8 +3,9 @@
 use super::covers;
 use crate::gpu::{Gpu, arg};
 use crate::ops::rows::{RowBackend, RowMap, StartOfNew, on_host};
+use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::FloatTensor;
-use burn::tensor::DType;
+use burn::tensor::{DType, FloatDType};
 use burn_cubecl::CubeBackend;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::kernel::into_contiguous;
@@ -30,11 +31,14 @@ impl RowBackend for CubeBackend {
         let mut shape = x.meta.shape().to_vec();
         let width: usize = shape[1..].iter().product();
         let count = map.len() * width;
-        if !covers(&x) || count == 0 {
+        shape[0] = map.len();
+        if !covers(&x) {
             return on_host::take_rows::<Self>(x, &map, new);
         }
         let gpu = Gpu::of(&x);
-        shape[0] = map.len();
+        if count == 0 {
+            return Self::float_zeros(shape.into(), gpu.device(), FloatDType::F32);
+        }
         let sources = map.resident.on(&gpu, || gpu.upload(&map.sources, DType::U32));
         let out = gpu.floats(shape);
         pick::launch(

@@ -31,7 +31,10 @@ impl ScreenGradientBackend for CubeBackend {
         radii: FloatTensor<Self>,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         let (rows, columns) = (screen.meta.shape()[0], screen.meta.shape()[1]);
-        if !covers(&screen) || rows == 0 {
+        if rows == 0 {
+            return (lengths, views);
+        }
+        if !covers(&screen) {
             return on_host::add_screen_gradients::<Self>(lengths, views, screen, radii);
         }
         let gpu = Gpu::of(&screen);

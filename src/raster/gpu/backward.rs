@@ -28,8 +28,8 @@ const LANES: usize = UNITS as usize / BATCH;
 const _: () = assert!(LANES == PATCH);
 /// Channels that make one block on every device: sums of absolute values of more are not sums over blocks.
 pub(super) const ALWAYS_TOGETHER: usize = 8;
-/// Widest block with and without moments, where shared memory holds the gradients of so many channels: more registers than these
-/// cost more than another pass.
+/// Widest block with and without moments, where shared memory holds the gradients of so many channels: chosen by counting
+/// registers, not by a measurement.
 const WIDEST: [usize; 2] = [24, 32];
 
 /// Floats that all units of a cube leave for each other: alpha' T and, for the moments, g of every pixel of a batch.

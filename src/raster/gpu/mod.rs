@@ -7,9 +7,9 @@
 //! the caller says how many entries to make room for, and looks at these numbers later.
 //!
 //! Memory besides inputs and outputs, bytes: 64 a Gaussian (100 in the backward pass), 28 a tile entry while they are sorted
-//! and 8 afterwards, and in the backward pass up to 120 a tile entry (72 where cubes have 32 KB of shared memory), 1 GiB at most
-//! (more entries go through in slabs). Sums of absolute values add 8 a Gaussian and 8 a tile entry. Room taken beforehand counts as
-//! entries.
+//! and 8 afterwards, and in the backward pass and the adjoint up to 128 a tile entry (80 where cubes have 32 KB of shared memory),
+//! 1 GiB at most (more entries go through in slabs). Sums of absolute values add 8 a Gaussian and 8 a tile entry. Room taken
+//! beforehand counts as entries.
 
 mod backward;
 mod blend;
@@ -146,8 +146,7 @@ impl Inputs {
 
 /// [`Error::Limit`] when `bytes` of `what` are more than one allocation of the device holds, or than 32 bits count.
 fn check_size(gpu: &Gpu, what: &str, count: usize, bytes: usize) -> Result<()> {
-    let page = usize::try_from(gpu.client.properties().memory.max_page_size).unwrap_or(usize::MAX);
-    let limit = (page / bytes.max(1)).min(scan::CEILING as usize - 1);
+    let limit = (gpu.largest() / bytes.max(1)).min(scan::CEILING as usize - 1);
     if count <= limit {
         return Ok(());
     }

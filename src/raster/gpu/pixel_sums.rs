@@ -16,7 +16,7 @@ pub(super) struct PixelGradients<'a> {
     /// `[H, W]`.
     pub transmittance: &'a CubeTensor,
     pub d_transmittance: Option<&'a CubeTensor>,
-    /// Whether sums of absolute values are wanted; of [`ALWAYS_TOGETHER`] channels at most.
+    /// Whether sums of absolute values are wanted; of [`super::backward::ALWAYS_TOGETHER`] channels at most.
     pub absolute: bool,
 }
 
@@ -31,8 +31,7 @@ pub(super) struct Tiles<'a> {
 
 /// Bytes that the rows of one pass may take: more entries go through in several passes.
 pub(super) fn row_bytes(gpu: &Gpu) -> usize {
-    let limit = usize::try_from(gpu.client.properties().memory.max_page_size).unwrap_or(usize::MAX);
-    limit.min(1 << 30)
+    gpu.largest().min(1 << 30)
 }
 
 /// Runs the backward pass over the tiles; rows take `row_bytes` at most.

@@ -25,7 +25,7 @@ const DEVICE_BLOCK_BYTES: usize = 1 << 30;
 const DEVICE_BLOCK_SHARE: usize = 4;
 /// Blocks of a device are cut between so many channels.
 const DEVICE_STEP: usize = 32;
-/// Channels that are always blended together: the kernels take as many in one go.
+/// Channels that are always blended together, however large the image: each pass evaluates all pairs anew.
 const LEAST_CHANNELS: usize = 12;
 
 /// What [`SplatView::adjoint`] gives.

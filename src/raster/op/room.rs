@@ -1,5 +1,7 @@
 //! Tile lists with room taken beforehand, so that nobody waits for a GPU to count them.
 
+use crate::device::read;
+use crate::error::Result;
 use burn::tensor::Tensor;
 
 /// How large the tile lists of a view came out, where it was rendered: `[non-finite rows, entries without room, entries]` on a
@@ -12,6 +14,17 @@ impl ListSummary {
     pub(super) fn new(summary: Tensor<1>) -> Self {
         let summary = if summary.device().is_autodiff() { summary.inner() } else { summary };
         Self((summary.dims() == [FIELDS]).then_some(summary))
+    }
+
+    /// What it says, `None` on the host; from a GPU this waits for the device and copies.
+    ///
+    /// # Errors
+    /// [`crate::Error::Device`] when a device fails.
+    pub fn read(&self) -> Result<Option<ListCount>> {
+        match self.as_tensor() {
+            Some(summary) => Ok(ListCount::from_values(&read("tile lists", summary)?)),
+            None => Ok(None),
+        }
     }
 
     /// The summary as it lies on the GPU, without autodiff: to be read together with something else.

@@ -68,23 +68,31 @@ impl BuildingStage<'_> {
 mod tests {
     use super::*;
     use crate::config::Config;
+    use crate::data::Scene;
     use crate::data::builtin::{BuiltinOptions, scene_with};
     use crate::device::{BackendName, open};
+    use crate::train::parameters::Parameters;
+    use burn::tensor::Device;
 
-    #[test]
-    fn too_little_room_costs_time_and_nothing_else() {
-        let Ok(device) = open(Some(BackendName::Wgpu)).inspect_err(|error| eprintln!("SKIPPED: {error}")) else {
-            return;
-        };
+    const VIEWS: usize = 2;
+
+    /// A scene of two views and the device, where there is one.
+    fn scene() -> Option<(Scene, Device)> {
+        let device = open(Some(BackendName::Wgpu)).inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()?;
         let options = BuiltinOptions {
             width: 320,
             height: 240,
-            train_views: 2,
+            train_views: VIEWS,
             test_views: 1,
             points: 3_000,
             ..BuiltinOptions::default()
         };
-        let scene = scene_with(&options).expect("a scene");
+        Some((scene_with(&options).expect("a scene"), device))
+    }
+
+    #[test]
+    fn too_little_room_costs_time_and_nothing_else() {
+        let Some((scene, device)) = scene() else { return };
         let run = |spoil: bool| {
             let mut stage = BuildingStage::new(&scene, &Config::default(), &device).expect("valid");
             (0..5)
@@ -96,11 +104,28 @@ mod tests {
                     }
                     let step = stage.step().expect("finite");
                     let room = (0..2).filter_map(|view| stage.rooms.room(view, 3_000)).max().expect("a GPU counts");
-                    assert!(room > 6_000, "this scene has more entries than spoilt rooms: {room}");
+                    // A spoilt room has 4,097 entries, and this is a fifth and as many more than the view had.
+                    assert!(room > 10_000, "a view has more entries than a spoilt room: {room}");
                     step.loss.to_bits()
                 })
                 .collect::<Vec<_>>()
         };
         assert_eq!(run(true), run(false));
+    }
+
+    #[test]
+    fn what_is_not_finite_is_named_in_views_with_room_too() {
+        let Some((scene, device)) = scene() else { return };
+        let mut stage = BuildingStage::new(&scene, &Config::default(), &device).expect("valid");
+        (0..2 * VIEWS).for_each(|_| assert!(stage.step().expect("finite").loss > 0.0));
+        assert!((0..VIEWS).all(|view| stage.rooms.room(view, 3_000).is_some()), "all have been seen");
+        let (mut gaussians, first, second) = stage.parameters.clone().into_host().expect("readable");
+        gaussians.means[21][1] = f32::NAN;
+        stage.parameters = Parameters::new(gaussians, first, second, &device);
+        let message = stage.step().expect_err("must stop").to_string();
+        assert!(message.contains("means") && message.contains("row 21"), "{message}");
+        assert!(message.contains(&format!("iteration {}", 2 * VIEWS + 1)), "{message}");
+        assert_eq!(stage.iteration(), 2 * VIEWS);
+        assert_eq!(stage.losses.1, 2 * VIEWS as u64);
     }
 }

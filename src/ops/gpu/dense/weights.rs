@@ -38,7 +38,7 @@ fn each(width: usize) -> usize {
 
 /// Fewest rows whose share of the gradient is summed by one cube.
 const LEAST_ROWS: usize = 256;
-/// Cubes that fill a device.
+/// Cubes that should fill a device: chosen by counting, not by a measurement.
 const CUBES: usize = 512;
 /// Values of the sum of all parts that a cube makes, each by `GROUPS` units.
 const LANES: usize = 32;
