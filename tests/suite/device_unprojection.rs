@@ -4,11 +4,14 @@ use crate::gpu;
 use crate::raster_reference::{Cloud, camera, cloud, numbers};
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use coseg::Error;
+use coseg::camera::Camera;
 use coseg::config::{Normalisation, Resolution, UnprojectionConfig};
+use coseg::data::View;
 use coseg::features::{FeatureMap, Steps};
 use coseg::gaussians::Gaussians;
 use coseg::raster::{RasterInput, Settings, SplatTensors, rasterize};
 use coseg::segmentation::unprojection::{Unprojected, unproject};
+use glam::DVec3;
 
 fn host<const D: usize>(t: Tensor<D>) -> Vec<f64> {
     t.into_data().convert::<f64>().into_vec().expect("floats")
@@ -145,7 +148,7 @@ fn features_are_lifted_alike() {
         sh: vec![0.0; 3 * n],
         sh_degree: 0,
     };
-    let views = crate::unprojection::views_of(&camera);
+    let views = views_of(&camera);
     // As large as the image, dividing it evenly, at fixed steps, and coarse.
     let maps = |i: usize| {
         [(96, 64, None), (24, 16, None), (13, 9, Some(Steps { stride: 8.0, offset: 0.5 })), (5, 3, None)].map(
@@ -178,4 +181,14 @@ fn features_are_lifted_alike() {
             assert!(same * 100 >= n * 98, "{same} of {n} kept alike");
         }
     }
+}
+
+/// The view of `camera`, and two from beside it.
+fn views_of(camera: &Camera) -> Vec<View> {
+    let moved = |x: f64| Camera { center: camera.center + DVec3::new(x, 0.0, 0.0), ..camera.clone() };
+    [0.0, 0.3, -0.4]
+        .into_iter()
+        .enumerate()
+        .map(|(i, x)| crate::unprojection::view(format!("v{i}"), moved(x)))
+        .collect()
 }

@@ -174,7 +174,7 @@ fn small_gaussians_read_the_cells_that_lie_under_them() {
     }
 }
 
-fn view(name: String, camera: Camera) -> View {
+pub fn view(name: String, camera: Camera) -> View {
     let image = image::RgbImage::new(camera.width as u32, camera.height as u32).into();
     View { name, split: Split::Train, camera, image, truth: None, raw: None, segments: Vec::new(), instances: None }
 }
@@ -184,12 +184,6 @@ pub fn features(views: &[View], maps: impl Fn(usize) -> [FeatureMap; 4]) -> Feat
     let of = |(i, v): (usize, &View)| ViewFeatures { view: v.name.clone(), maps: maps(i) };
     let views = views.iter().enumerate().map(of).collect();
     FeatureSet { name: "test".into(), reductions: std::array::from_fn(|_| identity()), views }
-}
-
-/// The view of `camera`, and two from beside it.
-pub fn views_of(camera: &Camera) -> Vec<View> {
-    let moved = |x: f64| Camera { center: camera.center + DVec3::new(x, 0.0, 0.0), ..camera.clone() };
-    [0.0, 0.3, -0.4].into_iter().enumerate().map(|(i, x)| view(format!("v{i}"), moved(x))).collect()
 }
 
 fn views(width: usize, height: usize) -> Vec<View> {
