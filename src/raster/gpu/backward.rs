@@ -8,8 +8,8 @@
 
 use super::blend::four_values;
 use super::pixel::{
-    Four, PATCH, PATCH_HEIGHT, PATCH_WIDTH, PATCHES, PATCHES_ACROSS, SPLAT_FOURS, alpha_at, pixel, reaches_patch, rule,
-    splat_four,
+    Four, PATCH, PATCH_HEIGHT, PATCH_WIDTH, PATCHES, PATCHES_ACROSS, SPLAT_FOURS, pixel, reaches_patch, rule,
+    splat_four, take,
 };
 use super::project::SPLAT;
 use crate::gpu::{Gpu, UNITS};
@@ -167,13 +167,12 @@ pub(super) fn tiles_backward(
             let mut g = 0.0f32;
             let reached = reached[j * PATCHES + patch] > 0u32;
             if reached && !done {
-                let seen = alpha_at(&batch, j, own.x, own.y, &rule);
-                let alpha = min(seen, rule.alpha_max);
-                if alpha > 0.0f32 && alpha >= rule.alpha_min {
-                    let next = fma(-alpha, t, t);
-                    if next <= rule.t_min {
+                let taken = take(&batch, j, own.x, own.y, t, &rule);
+                if taken.shows {
+                    if taken.next <= rule.t_min {
                         done = true;
                     } else {
+                        let alpha = taken.alpha;
                         weight = alpha * t;
                         if comptime![moments > 0] {
                             let mut d = 0.0f32;
@@ -188,7 +187,7 @@ pub(super) fn tiles_backward(
                                 g = share - rest * (alpha / (1.0f32 - alpha));
                             }
                         }
-                        t = next;
+                        t = taken.next;
                         touched[j * PATCHES + patch].store(1u32);
                     }
                 }

@@ -1,7 +1,7 @@
 //! Forward blending: a cube a tile, a unit a pixel, a block of channels in registers.
 
 use super::lists::{TileEntries, tile_counts};
-use super::pixel::{Four, PATCH, PATCHES, SPLAT_FOURS, alpha_at, pixel, reaches_patch, rule, splat_four};
+use super::pixel::{Four, PATCH, PATCHES, SPLAT_FOURS, pixel, reaches_patch, rule, splat_four, take};
 use super::view::BACKGROUND;
 use crate::gpu::{Gpu, UNITS, arg};
 use burn::tensor::Shape;
@@ -149,19 +149,17 @@ fn blend_tiles(
             while mask != 0u32 && !done {
                 let j = word * 32 + mask.trailing_zeros() as usize;
                 mask &= mask - 1u32;
-                let seen = alpha_at(&batch, j, own.x, own.y, &rule);
-                let alpha = min(seen, rule.alpha_max);
-                if alpha > 0.0f32 && alpha >= rule.alpha_min {
-                    let next = fma(-alpha, t, t);
-                    if next <= rule.t_min {
+                let taken = take(&batch, j, own.x, own.y, t, &rule);
+                if taken.shows {
+                    if taken.next <= rule.t_min {
                         done = true;
                     } else {
-                        let weight = Four::new(alpha * t);
+                        let weight = Four::new(taken.alpha * t);
                         #[unroll]
                         for k in 0..fours {
                             sums[k] += weight * values[j * fours + k];
                         }
-                        t = next;
+                        t = taken.next;
                     }
                 }
             }

@@ -82,7 +82,7 @@ pub(super) fn pixel(tile: usize, unit: u32, width: u32, height: u32) -> Pixel {
 
 /// alpha' of the `at`-th Gaussian of a batch at (x, y) before the cap; 0 where it is surely below the cut-off.
 ///
-/// Multiply-adds are spelled out, here and where T is carried on: compilers may or may not contract products and sums, and the
+/// Multiply-adds are spelled out, here and in [`take`]: compilers may or may not contract products and sums, and the
 /// forward and the backward pass have to stop at the same Gaussian.
 #[cube]
 pub(super) fn alpha_at(batch: &Shared<[Four]>, at: usize, x: f32, y: f32, rule: &Rule) -> f32 {
@@ -97,6 +97,25 @@ pub(super) fn alpha_at(batch: &Shared<[Four]>, at: usize, x: f32, y: f32, rule: 
         alpha = exponent.exp();
     }
     alpha
+}
+
+/// What a pixel takes of a Gaussian.
+#[derive(CubeType, Clone, Copy)]
+pub(super) struct Taken {
+    /// Below the cap, or at it.
+    pub alpha: f32,
+    /// T afterwards.
+    pub next: f32,
+    /// Whether alpha reaches alpha_min; if not, the rest means nothing.
+    pub shows: bool,
+}
+
+/// What the pixel at (x, y), of which `t` is left, takes of the `at`-th Gaussian of a batch: one arithmetic for both passes.
+#[cube]
+pub(super) fn take(batch: &Shared<[Four]>, at: usize, x: f32, y: f32, t: f32, rule: &Rule) -> Taken {
+    let seen = alpha_at(batch, at, x, y, rule);
+    let alpha = min(seen, rule.alpha_max);
+    Taken { alpha, next: fma(-alpha, t, t), shows: alpha > 0.0f32 && alpha >= rule.alpha_min }
 }
 
 /// Whether Gaussian `id` may reach alpha_min at a pixel centre of patch `patch` of tile `tile`: never false where [`alpha_at`] gives
