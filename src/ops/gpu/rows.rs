@@ -1,4 +1,4 @@
-//! Rows picked on the device: a unit a scalar.
+//! Rows picked on the device, a unit a scalar: for densification, and for what gathers rows with a gradient.
 
 use super::covers;
 use crate::gpu::{Gpu, arg};
@@ -11,8 +11,9 @@ use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::kernel::into_contiguous;
 use std::sync::Arc;
 
+/// `out[r] = x[sources[r]]`, zeros for new members where `zero`.
 #[cube(launch)]
-fn pick(x: &[f32], sources: &[u32], out: &mut [f32], count: u32, width: u32, #[comptime] zero: bool) {
+pub(super) fn pick(x: &[f32], sources: &[u32], out: &mut [f32], count: u32, width: u32, #[comptime] zero: bool) {
     let i = ABSOLUTE_POS;
     if i >= count as usize {
         terminate!();
