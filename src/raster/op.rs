@@ -13,6 +13,7 @@ mod splats;
 
 pub use backend::{RasterBackend, RasterTensors};
 pub use call::RasterCall;
+use call::Way;
 pub use frozen::{FrozenBackend, FrozenCall, FrozenTensors, Lifted, SplatView};
 pub use radii::Radii;
 pub use room::{ListCount, ListSummary};
@@ -108,13 +109,6 @@ pub fn rasterize_on_host(
     Ok(run(input, camera, settings, background, Way { host_kernels: true, room: None })?.0)
 }
 
-/// How a call is carried out.
-#[derive(Clone, Copy, Debug, Default)]
-struct Way {
-    host_kernels: bool,
-    room: Option<usize>,
-}
-
 fn run(
     input: RasterInput,
     camera: &Camera,
@@ -177,8 +171,7 @@ fn run(
         sh_degree: terms.isqrt() - 1,
         active_sh_degree,
         absolute_screen,
-        host_kernels: way.host_kernels,
-        room: way.room,
+        way,
         state: Mutex::default(),
     });
     let device = means.device();

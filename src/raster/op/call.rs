@@ -25,13 +25,18 @@ pub struct RasterCall {
     pub(super) active_sh_degree: usize,
     /// Whether the gradient of the screen has the columns of AbsGS too.
     pub(super) absolute_screen: bool,
-    /// The host's kernels wherever the tensors live.
-    #[cfg_attr(not(feature = "cube"), allow(dead_code, reason = "no other kernels are compiled in"))]
-    pub(super) host_kernels: bool,
-    /// How many tile entries to make room for, instead of asking a device for their number.
-    #[cfg_attr(not(feature = "cube"), allow(dead_code, reason = "the host's kernels know the number"))]
-    pub(super) room: Option<usize>,
+    pub(super) way: Way,
     pub(super) state: Mutex<CallState>,
+}
+
+/// How a call is carried out where tensors live on a GPU.
+#[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(not(feature = "cube"), allow(dead_code, reason = "no other kernels than the host's are compiled in"))]
+pub(super) struct Way {
+    /// By the host's kernels all the same.
+    pub host_kernels: bool,
+    /// How many tile entries to make room for, instead of asking for their number.
+    pub room: Option<usize>,
 }
 
 #[derive(Debug, Default)]

@@ -20,7 +20,7 @@ fn on_device(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> bool {
     let channels = channels(tensors, call);
     let something = tensors.opacity_logits.meta.num_elements() > 0 && channels > 0;
     let absolute = !call.absolute_screen || channels <= gpu::ABSOLUTE_CHANNELS;
-    something && absolute && !call.host_kernels && gpu::covers(&tensors.means)
+    something && absolute && !call.way.host_kernels && gpu::covers(&tensors.means)
 }
 
 fn channels(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> usize {
@@ -45,7 +45,7 @@ fn zeros(like: &CubeTensor, shape: &[usize]) -> CubeTensor {
 
 fn forward(tensors: RasterTensors<CubeBackend>, call: &RasterCall) -> Result<CubeTensor> {
     let scenery = Scenery { camera: &call.camera, settings: &call.settings, background: call.background };
-    match gpu::forward(&inputs(&tensors, call), scenery, call.room)? {
+    match gpu::forward(&inputs(&tensors, call), scenery, call.way.room)? {
         Some((image, forward)) => {
             call.state().forward = Some(Box::new(forward));
             Ok(image)
