@@ -25,6 +25,7 @@ pub struct RasterCall {
     pub(super) active_sh_degree: usize,
     /// Whether the gradient of the screen has the columns of AbsGS too.
     pub(super) absolute_screen: bool,
+    #[cfg_attr(not(feature = "cube"), allow(dead_code, reason = "no other kernels than the host's are compiled in"))]
     pub(super) way: Way,
     pub(super) state: Mutex<CallState>,
 }
