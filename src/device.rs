@@ -67,8 +67,8 @@ pub fn open(name: Option<BackendName>) -> Result<Device> {
 
 /// [`open`], and which backend it is.
 ///
-/// Without a name, a wgpu backend that finds no adapter, or only a software one, gives way to the next one, with one
-/// warning. The devices themselves are lazy: wgpu's adapter is asked for here, so that its absence is an error and not a
+/// Without a name, a wgpu backend that finds no adapter, or only a software one, or one that the rasterizer's kernels do not
+/// run on ([`shortfall`]), gives way to the next one, with one warning. The devices themselves are lazy: wgpu's adapter is asked for here, so that its absence is an error and not a
 /// later panic.
 ///
 /// # Errors
@@ -84,9 +84,9 @@ pub fn choose(name: Option<BackendName>) -> Result<(BackendName, Device)> {
             (Err(error), None) => return Err(error),
             (Err(Error::Device { reason, .. }), _) => reason,
             (Err(other), _) => other.to_string(),
-            (Ok(device), next) => match software_adapter(name).filter(|_| next.is_some()) {
+            (Ok(device), next) => match unsuited(name, &device).filter(|_| next.is_some()) {
                 None => return Ok((name, device)),
-                Some(adapter) => format!("the only adapter is {adapter}, a software one (--backend {name} takes it)"),
+                Some(reason) => format!("{reason} (--backend {name} takes it)"),
             },
         };
         if let Some(next) = next {
@@ -100,6 +100,33 @@ pub fn choose(name: Option<BackendName>) -> Result<(BackendName, Device)> {
     })
 }
 
+/// The wgpu device, if all kernels of this crate run on it; a software one too.
+///
+/// # Errors
+/// As [`choose`], and [`Error::Device`] where there is a [`shortfall`].
+#[cfg(feature = "wgpu")]
+pub fn open_gpu() -> Result<Device> {
+    let device = open(Some(BackendName::Wgpu))?;
+    match shortfall(&device) {
+        None => Ok(device),
+        Some(lacks) => Err(Error::Device {
+            device: BackendName::Wgpu.to_string(),
+            reason: format!("its adapter is no match for the kernels: {lacks}"),
+            mend: "choose another adapter or backend".into(),
+        }),
+    }
+}
+
+/// [`open_gpu`] for tests: without it they say so and pass, unless the environment has COSEG_REQUIRE_GPU.
+#[cfg(all(test, feature = "wgpu"))]
+pub(crate) fn gpu_of_tests() -> Option<Device> {
+    let required = std::env::var_os("COSEG_REQUIRE_GPU").is_some();
+    open_gpu()
+        .inspect_err(|error| assert!(!required, "{error}"))
+        .inspect_err(|error| eprintln!("SKIPPED: {error}"))
+        .ok()
+}
+
 /// Whether tensors on `device`, with or without autodiff, lie in host memory.
 ///
 /// Fused operations lend such tensors to kernels for the CPU; elsewhere kernels of the device, or plain tensors, keep the data there.
@@ -111,6 +138,16 @@ pub fn in_host_memory(device: &Device) -> bool {
         DispatchDevice::NdArray(_) => true,
         #[allow(unreachable_patterns, reason = "unreachable without a GPU backend")]
         _ => false,
+    }
+}
+
+/// What `device`, if it is a GPU, has too little of for the rasterizer's kernels: there it copies from and to the GPU and
+/// renders on the CPU.
+pub fn shortfall(device: &Device) -> Option<String> {
+    match device.clone().inner().as_dispatch() {
+        #[cfg(feature = "cube")]
+        DispatchDevice::Cube(device) => crate::gpu::shortfall(&device.client()),
+        _ => None,
     }
 }
 
@@ -205,11 +242,14 @@ fn adapter() -> &'static std::result::Result<Option<String>, String> {
     })
 }
 
-/// Name of the software adapter that `name` would compute on, if it is one.
-fn software_adapter(name: BackendName) -> Option<String> {
+/// Why another backend would be better than `name` with its `device`, if one would.
+fn unsuited(name: BackendName, device: &Device) -> Option<String> {
     match name {
         #[cfg(feature = "wgpu")]
-        BackendName::Wgpu => adapter().clone().ok().flatten(),
+        BackendName::Wgpu => match adapter() {
+            Ok(Some(software)) => Some(format!("the only adapter is {software}, a software one")),
+            _ => shortfall(device).map(|lacks| format!("the only adapter is no match for the kernels: {lacks}")),
+        },
         _ => None,
     }
 }

@@ -3,8 +3,10 @@
 
 mod buffers;
 mod finite;
+mod needs;
 mod resident;
 
 pub use buffers::{Gpu, UNITS, arg, largest_buffer};
 pub use finite::{add_non_finite, is_finite};
+pub use needs::shortfall;
 pub use resident::Resident;

@@ -106,7 +106,7 @@ fn note_host_fallback() {
         tracing::warn!(
             "part of this run has no kernel for this GPU: it runs on the CPU and copies from and to the GPU (tensors of f64, \
              images beyond one allocation, absolute screen-space gradients of more than 8 channels, and all rasterizing where the \
-             device binds fewer than 16 buffers or shares less than 32 KB)"
+             device binds too few buffers or shares too little memory)"
         );
     });
 }

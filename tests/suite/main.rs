@@ -87,10 +87,13 @@ pub fn device() -> Device {
     coseg::device::open(name.copied()).expect("a CPU backend")
 }
 
-/// The wgpu device, if this machine has one; tests of it say so and pass otherwise.
+/// The wgpu device, if this machine has one that all kernels run on. Without it tests say so and pass, unless the
+/// environment has COSEG_REQUIRE_GPU.
 #[cfg(feature = "wgpu")]
 pub fn gpu() -> Option<Device> {
-    coseg::device::open(Some(BackendName::Wgpu)).inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()
+    let required = std::env::var_os("COSEG_REQUIRE_GPU").is_some();
+    let device = coseg::device::open_gpu().inspect_err(|error| assert!(!required, "{error}"));
+    device.inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()
 }
 
 /// The message of `error` must hold all of `parts`.

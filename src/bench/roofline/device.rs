@@ -52,12 +52,12 @@ pub(super) fn wait(tensor: Tensor<1>) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::{BackendName, open};
+    use crate::device::gpu_of_tests;
     use burn::tensor::{Device, TensorData};
 
     /// The default device, if this machine has one.
     fn gpu() -> Option<Device> {
-        open(Some(BackendName::Wgpu)).inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()
+        gpu_of_tests()
     }
 
     fn ramp(len: usize, device: &Device) -> Tensor<1> {

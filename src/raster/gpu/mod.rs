@@ -36,7 +36,7 @@ use super::geometry::Viewpoint;
 use super::settings::Settings;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
-use crate::gpu::{Gpu, UNITS, add_non_finite};
+use crate::gpu::{Gpu, add_non_finite, shortfall};
 use blend::Values;
 use burn::tensor::DType;
 use burn_cubecl::cubecl::prelude::*;
@@ -45,8 +45,6 @@ use lists::{Order, Report, TileEntries};
 use project::{ProjectedScene, Scene};
 use sh::Harmonics;
 
-/// Buffers that the widest kernel binds, with room for cubecl's own.
-const BINDINGS: u32 = 16;
 /// Most channels of which there are sums of absolute screen-space gradients.
 pub(super) const ABSOLUTE_CHANNELS: usize = backward::ALWAYS_TOGETHER;
 
@@ -108,11 +106,7 @@ pub(super) struct Gradients {
 
 /// Whether the device of `tensor` can run the kernels.
 pub(super) fn covers(tensor: &CubeTensor) -> bool {
-    let hardware = &tensor.client.properties().hardware;
-    tensor.dtype == DType::F32
-        && hardware.max_bindings >= BINDINGS
-        && hardware.max_shared_memory_size >= 32 << 10
-        && hardware.max_units_per_cube >= UNITS
+    tensor.dtype == DType::F32 && shortfall(&tensor.client).is_none()
 }
 
 impl Inputs {

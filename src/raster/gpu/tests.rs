@@ -9,7 +9,7 @@ use super::radix_sort::sort_positions;
 use super::scan::{CEILING, exclusive_sums};
 use super::{covers, view};
 use crate::camera::Camera;
-use crate::device::{BackendName, open};
+use crate::device::gpu_of_tests;
 use crate::gpu::{Gpu, arg};
 use crate::raster::{Projected, Settings, Splats};
 use burn::tensor::DType;
@@ -21,7 +21,7 @@ use rand_chacha::ChaCha8Rng;
 
 /// The default device, if this machine has one.
 fn gpu() -> Option<Gpu> {
-    open(Some(BackendName::Wgpu)).inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()?;
+    gpu_of_tests()?;
     Some(Gpu::on(CubeDevice::Wgpu(Default::default())))
 }
 

@@ -70,7 +70,7 @@ mod tests {
     use crate::config::Config;
     use crate::data::Scene;
     use crate::data::builtin::{BuiltinOptions, scene_with};
-    use crate::device::{BackendName, open};
+    use crate::device::gpu_of_tests;
     use crate::train::parameters::Parameters;
     use burn::tensor::Device;
 
@@ -78,7 +78,7 @@ mod tests {
 
     /// A scene of two views and the device, where there is one.
     fn scene() -> Option<(Scene, Device)> {
-        let device = open(Some(BackendName::Wgpu)).inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()?;
+        let device = gpu_of_tests()?;
         let options = BuiltinOptions {
             width: 320,
             height: 240,
