@@ -1,14 +1,17 @@
 //! Rendering of colour and labels together: the cost of channels, at two sizes.
 
-use super::raster::{Leaves, finish};
+use super::raster::Leaves;
 use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words};
 use crate::camera::Camera;
+use crate::device::read;
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
+use crate::objects::{RenderOptions, Renderer};
 use crate::random::{Purpose, stream};
-use crate::raster::{RasterInput, Settings, rasterize};
+use crate::raster::{ListCount, ListSummary, RasterInput, Settings, rasterize_with_room, room_for};
 use burn::tensor::{Device, Tensor, TensorData};
 use rand::Rng;
+use std::hint::black_box;
 
 /// What is rendered: whether colour from SH, and how many channels besides.
 pub(super) const CASES: [(bool, usize, &str); 3] =
@@ -19,6 +22,7 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let notes = vec![
         format!("{} views of {}", effort.views, bench.subject.description),
         "one pass blends all channels; with backward: gradients of geometry, colour and channels".to_owned(),
+        "a frame: colour, coverage and the label of each pixel, all in host memory, of a scene of 20 labels".to_owned(),
     ];
     let mut findings = Findings::new(Section::Channels, notes);
     for gaussians in &effort.memory {
@@ -44,7 +48,7 @@ fn one_case(
     gaussians: usize,
     size: [usize; 2],
     (colour, channels, name): (bool, usize, &str),
-) -> Result<[Figure; 3]> {
+) -> Result<Vec<Figure>> {
     let gaussians = &bench.subject.gaussians(gaussians)?;
     let cameras = &bench.subject.cameras(bench.effort.views, size);
     let [width, height] = size;
@@ -52,11 +56,17 @@ fn one_case(
     let rendering = Rendering { bench, gaussians, cameras, colour, channels };
     let forward = rendering.forward()?;
     let both = rendering.both()?;
-    Ok([
+    let mut figures = vec![
         Figure::measured(&case, "forward", "ms", &forward),
         Figure::counted(&case, "frames a second", "", 1e3 / forward.median()),
         Figure::measured(&case, "forward + backward", "ms", &both),
-    ])
+    ];
+    if colour && channels > 0 {
+        let frame = rendering.frames(channels)?;
+        figures.push(Figure::measured(&case, "a frame", "ms", &frame));
+        figures.push(Figure::counted(&case, "whole frames a second", "", 1e3 / frame.median()));
+    }
+    Ok(figures)
 }
 
 /// Gaussians seen by cameras: colour from SH or none, and channels besides.
@@ -69,32 +79,58 @@ pub(super) struct Rendering<'a> {
 }
 
 impl Rendering<'_> {
-    /// Milliseconds of the mean view.
+    /// Milliseconds of the mean view. On a GPU its tile lists have room from the time before, as in training.
     pub fn forward(&self) -> Result<Samples> {
         let input = self.input(&self.bench.device);
-        self.timed(|camera, settings, background| {
-            finish(rasterize(input.clone(), camera, settings, background)?.image);
-            Ok(())
+        self.timed(|camera, settings, background, room| {
+            let (output, lists) = rasterize_with_room(input.clone(), camera, settings, background, room)?;
+            finish_with(output.image, &lists)
         })
     }
 
     /// The same with the backward pass: gradients of geometry, colour and channels.
     pub fn both(&self) -> Result<Samples> {
         let input = self.input(&self.bench.device.clone().autodiff());
-        self.timed(|camera, settings, background| {
-            let gradients = rasterize(input.clone(), camera, settings, background)?.image.backward();
-            if let Some(gradient) = input.means.grad(&gradients) {
-                finish(gradient);
+        self.timed(|camera, settings, background, room| {
+            let (output, lists) = rasterize_with_room(input.clone(), camera, settings, background, room)?;
+            let gradients = output.image.backward();
+            match input.means.grad(&gradients) {
+                Some(gradient) => finish_with(gradient, &lists),
+                None => Ok(None),
             }
-            Ok(())
         })
     }
 
-    fn timed(&self, one: impl Fn(&Camera, &Settings, [f32; 3]) -> Result<()>) -> Result<Samples> {
-        let raster = &self.bench.config.raster;
-        let (settings, background) = (Settings::from(raster), raster.background);
+    /// Milliseconds of the mean view as [`Renderer`] gives it, each Gaussian with one of so many labels.
+    fn frames(&self, labels: usize) -> Result<Samples> {
+        let mut rng = stream(self.bench.config.seed, Purpose::Benchmark, 1);
+        let labels = self.gaussians.means.iter().map(|_| rng.random_range(1..=labels as u16)).collect();
+        let (settings, background) = self.settings();
+        let options = RenderOptions { settings, background, ..RenderOptions::default() };
+        let mut renderer = Renderer::new(self.gaussians.clone(), Some(labels), options, &self.bench.device)?;
         let passes = Samples::of(self.bench.effort.repeats, || {
-            self.cameras.iter().try_for_each(|camera| one(camera, &settings, background))
+            self.cameras.iter().try_for_each(|camera| renderer.frame(camera).map(|frame| drop(black_box(frame))))
+        })?;
+        Ok(passes.scaled(1e3 / self.cameras.len().max(1) as f64))
+    }
+
+    fn settings(&self) -> (Settings, [f32; 3]) {
+        let raster = &self.bench.config.raster;
+        (Settings::from(raster), raster.background)
+    }
+
+    /// `one` is given room for the tile lists of a view that it counted before, and says how many entries there were.
+    fn timed(
+        &self,
+        one: impl Fn(&Camera, &Settings, [f32; 3], Option<usize>) -> Result<Option<ListCount>>,
+    ) -> Result<Samples> {
+        let (settings, background) = self.settings();
+        let mut rooms = vec![None; self.cameras.len()];
+        let passes = Samples::of(self.bench.effort.repeats, || {
+            self.cameras.iter().zip(&mut rooms).try_for_each(|(camera, room)| {
+                *room = one(camera, &settings, background, *room)?.map(|lists| room_for(lists.entries));
+                Ok(())
+            })
         })?;
         Ok(passes.scaled(1e3 / self.cameras.len().max(1) as f64))
     }
@@ -115,4 +151,13 @@ fn random_rows(rows: usize, channels: usize, seed: u64, device: &Device) -> Opti
     let values: Vec<f32> = (0..rows * channels).map(|_| rng.random_range(0.0..1.0)).collect();
     let tensor = (channels > 0).then(|| Tensor::from_data(TensorData::new(values, [rows, channels]), device))?;
     Some(if device.is_autodiff() { tensor.require_grad() } else { tensor })
+}
+
+/// Waits until `tensor` is computed: on a GPU a copy, and what it waits for, happen when the bytes are touched. One value is
+/// copied, and what came of the tile lists.
+fn finish_with<const D: usize>(tensor: Tensor<D>, lists: &ListSummary) -> Result<Option<ListCount>> {
+    let value = tensor.slice(std::array::from_fn::<_, D, _>(|_| 0..1)).reshape([1]);
+    let value = if value.device().is_autodiff() { value.inner() } else { value };
+    let values = read("a rendered view", Tensor::cat([value].into_iter().chain(lists.as_tensor()).collect(), 0))?;
+    Ok(ListCount::from_values(black_box(&values[1..])))
 }

@@ -1,10 +1,11 @@
 //! The rasterizer as training uses it: the burn operation, forward alone and with its backward pass.
 
+use super::channels::Rendering;
 use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words, reset_peak_memory};
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
-use crate::raster::{PairCounts, Projected, RasterInput, Settings, rasterize};
+use crate::raster::{PairCounts, Projected, RasterInput, Settings};
 use crate::report::peak_memory_bytes;
 use burn::tensor::{Device, Tensor, TensorData};
 use std::hint::black_box;
@@ -56,32 +57,13 @@ fn one_size(
     figures: &mut Vec<Figure>,
 ) -> Result<[f64; 2]> {
     let (settings, repeats) = (Settings::from(&bench.config.raster), bench.effort.repeats);
-    let background = bench.config.raster.background;
     let case = gaussians_in_words(gaussians.len());
     let views = cameras.len().max(1) as f64;
     let pairs = count_pairs(gaussians, cameras, &settings)?;
     let alone = reset_peak_memory();
 
-    let plain = Leaves::new(gaussians, &bench.device);
-    let forward = Samples::of(repeats, || {
-        for camera in cameras {
-            let output = rasterize(plain.input(), camera, &settings, background)?;
-            finish(output.image);
-        }
-        Ok(())
-    })?;
-    let tracked = Leaves::new(gaussians, &bench.device.clone().autodiff()).tracked();
-    let both = Samples::of(repeats, || {
-        for camera in cameras {
-            let output = rasterize(tracked.input(), camera, &settings, background)?;
-            // Of an image, the gradient of the sum of its values.
-            let gradients = output.image.backward();
-            if let Some(gradient) = tracked.means.grad(&gradients) {
-                finish(gradient);
-            }
-        }
-        Ok(())
-    })?;
+    let rendering = Rendering { bench, gaussians, cameras, colour: true, channels: 0 };
+    let (forward, both) = (rendering.forward()?, rendering.both()?);
     let peak = peak_memory_bytes();
     let projection = Samples::of(repeats, || {
         for camera in cameras {
@@ -91,26 +73,21 @@ fn one_size(
     })?;
 
     let full = bench.is_full();
-    let milliseconds = 1e3 / views;
     let pixels = views * (bench.effort.size[0] * bench.effort.size[1]) as f64;
     let contributing = pairs.contributing.max(1) as f64;
-    let each = 1e9 * rayon::current_num_threads() as f64 / contributing;
+    // Nanoseconds of a thread that each pair of all views takes, of a view's milliseconds.
+    let each = 1e6 * views * rayon::current_num_threads() as f64 / contributing;
     let mut timed = |name: &str, samples: &Samples, bar: f64| {
-        let figure = Figure::measured(&case, name, "ms", &samples.scaled(milliseconds));
+        let figure = Figure::measured(&case, name, "ms", samples);
         let barred = gaussians.len() == BAR_SIZE;
         figures.push(if barred { figure.at_most_if(full, bar, MEANT_FOR) } else { figure });
     };
     timed("forward", &forward, BARS[0]);
     timed("forward + backward", &both, BARS[1]);
-    figures.push(Figure::measured(
-        &case,
-        "projection, sorting and tiles alone",
-        "ms",
-        &projection.scaled(milliseconds),
-    ));
+    figures.push(Figure::measured(&case, "projection, sorting and tiles alone", "ms", &projection.scaled(1e3 / views)));
     let backward = (both.median() - forward.median()).max(0.0);
-    let pair = |name: &str, seconds: f64, bar: f64| {
-        Figure::counted(&case, name, "ns", seconds * each).at_most_if(full, bar, MEANT_FOR)
+    let pair = |name: &str, milliseconds: f64, bar: f64| {
+        Figure::counted(&case, name, "ns", milliseconds * each).at_most_if(full, bar, MEANT_FOR)
     };
     figures.push(pair("forward, a pair and core", forward.median(), PAIR_BARS[0]));
     figures.push(pair("backward, a pair and core", backward, PAIR_BARS[1]));
@@ -129,12 +106,6 @@ fn one_size(
         figures.push(Figure::counted(&case, name, "MB", peak as f64 / 1e6));
     }
     Ok(medians)
-}
-
-/// Waits until `tensor` is computed: on a GPU a copy, and what it waits for, happen when the bytes are touched. One value is
-/// copied, as an image on its way to the host would take longer than its making.
-pub(super) fn finish<const D: usize>(tensor: Tensor<D>) {
-    black_box(tensor.slice(std::array::from_fn::<_, D, _>(|_| 0..1)).into_data().as_bytes().last().copied());
 }
 
 /// Pairs of all views together.

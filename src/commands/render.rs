@@ -4,15 +4,14 @@ use super::terminal;
 use clap::{Args, ValueEnum};
 use coseg::camera::Camera;
 use coseg::data::{self, LabelMap, Limits, LoadOptions, NamedCamera, Split, atomic, transforms};
+use coseg::device::{self, BackendName};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
-use coseg::objects::hard_label_map;
-use coseg::raster::{Projected, Settings, render};
+use coseg::objects::{Frame, RenderOptions, Renderer};
+use coseg::raster::Settings;
 use coseg::report::pictures;
 use std::path::{Path, PathBuf};
-
-/// Pixels covered less than this have label 0.
-const MIN_COVERAGE: f32 = 0.5;
+use std::time::{Duration, Instant};
 
 const HELP: &str = "\
 For each frame, STEM being its file name without extension, the output folder gets
@@ -55,6 +54,9 @@ pub struct RenderArgs {
     /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99, gsplat 0.999 [default: 0.999]
     #[arg(long, value_name = "X")]
     alpha_max: Option<f64>,
+    /// What renders: wgpu, flex, ndarray or cuda [default: the first in this build, cuda aside]
+    #[arg(long, value_name = "NAME")]
+    backend: Option<BackendName>,
 }
 
 /// Kinds of image files.
@@ -101,42 +103,44 @@ impl RenderArgs {
             let mend = "leave --labels out, or give the scene labels with `coseg vote` or `coseg train`";
             return Err(Error::input(&self.scene, "column label", "nothing", "one label a Gaussian", mend));
         }
+        let PlyScene { gaussians, origin, labels } = scene;
+        let options = RenderOptions { settings, background: self.background, ..RenderOptions::default() };
+        let labels = labels.filter(|_| self.labels);
+        let mut renderer = Renderer::new(gaussians, labels, options, &device::open(self.backend)?)?;
         let bar = terminal::bar("render", cameras.len() as u64);
-        for frame in &cameras {
-            self.frame(&scene, frame, &settings)?;
+        let mut rendering = Duration::ZERO;
+        for NamedCamera { name, camera, .. } in &cameras {
+            let camera = Camera { center: camera.center - origin, ..camera.clone() };
+            let start = Instant::now();
+            let frame = renderer.frame(&camera)?;
+            rendering += start.elapsed();
+            self.write(name, &frame)?;
             bar.inc(1);
         }
         bar.finish_and_clear();
-        terminal::say(&format!("{} frames in {}", cameras.len(), self.out.display()));
+        let each = 1e3 * rendering.as_secs_f64() / cameras.len().max(1) as f64;
+        let out = self.out.display();
+        terminal::say(&format!("{} frames in {out}; {each:.1} ms each, writing aside", cameras.len()));
         Ok(())
     }
 
-    fn frame(&self, scene: &PlyScene, frame: &NamedCamera, settings: &Settings) -> Result<()> {
-        let camera = Camera { center: frame.camera.center - scene.origin, ..frame.camera.clone() };
-        let file = |kind: &str| self.out.join(format!("{}.{kind}", frame.name));
-        let rendered = render(&scene.gaussians, &camera, settings, self.background)?;
-        let alpha: Vec<f32> = rendered.transmittance.iter().map(|t| 1.0 - t).collect();
-        let (width, height) = (camera.width, camera.height);
+    fn write(&self, name: &str, frame: &Frame) -> Result<()> {
+        let file = |kind: &str| self.out.join(format!("{name}.{kind}"));
+        let &Frame { width, height, ref rgb, ref alpha, ref labels } = frame;
         match self.format {
             Format::Npy => {
-                write_npy(&file("rgb.npy"), &[height, width, 3], &rendered.rgb)?;
-                write_npy(&file("alpha.npy"), &[height, width], &alpha)?;
+                write_npy(&file("rgb.npy"), &[height, width, 3], rgb)?;
+                write_npy(&file("alpha.npy"), &[height, width], alpha)?;
             }
             Format::Png => {
                 let path = file("rgb.png");
-                let rgb = pictures::from_floats(&rendered.rgb, width, height)?;
+                let rgb = pictures::from_floats(rgb, width, height)?;
                 atomic::write_bytes(&path, &pictures::png(&rgb, &path)?)?;
                 let ids = alpha.iter().map(|a| (a.clamp(0.0, 1.0) * 255.0).round() as u16).collect();
                 LabelMap { width, height, ids }.write(&file("alpha.png"))?;
             }
         }
-        match &scene.labels {
-            Some(labels) if self.labels => {
-                let projected = Projected::new(&scene.gaussians.splats(), &camera, settings)?;
-                hard_label_map(&projected, labels, MIN_COVERAGE).write(&file("label.png"))
-            }
-            _ => Ok(()),
-        }
+        labels.as_ref().map_or(Ok(()), |labels| labels.write(&file("label.png")))
     }
 }
 

@@ -17,6 +17,7 @@ mod footprint;
 mod geometry;
 #[cfg(feature = "cube")]
 mod gpu;
+mod labels;
 mod op;
 mod outline;
 mod pairs;
@@ -34,7 +35,7 @@ pub(crate) use geometry::ZERO_QUATERNION;
 pub use op::{
     FrozenBackend, FrozenCall, FrozenTensors, Lifted, ListCount, ListSummary, Radii, RasterBackend, RasterCall,
     RasterInput, RasterOutput, RasterTensors, SplatTensors, SplatView, rasterize, rasterize_on_host,
-    rasterize_with_room,
+    rasterize_with_room, room_for,
 };
 pub use projected::{Blended, Projected, Rendered, render};
 pub use settings::{PairCounts, Settings, Splats, Stats};

@@ -16,7 +16,7 @@ pub use call::RasterCall;
 use call::Way;
 pub use frozen::{FrozenBackend, FrozenCall, FrozenTensors, Lifted, SplatView};
 pub use radii::Radii;
-pub use room::{ListCount, ListSummary};
+pub use room::{ListCount, ListSummary, room_for};
 pub use splats::SplatTensors;
 
 use super::settings::Settings;

@@ -5,6 +5,7 @@ use super::channel_blocks;
 use super::counter::count;
 use super::footprint::Splat2;
 use super::geometry::Viewpoint;
+use super::labels;
 use super::projection::{Visible, project};
 use super::settings::{Settings, Splats, Stats};
 use super::sh::visible_colours;
@@ -132,6 +133,18 @@ impl<E: Real> Projected<E> {
         }
     }
 
+    /// [`Projected::blend`] of `values`, `[N, C]`, and the label of each pixel, `[H, W]`: that whose Gaussians have the largest
+    /// summed alpha' T, ties to the lower one, and 0 where there are none. `labels` has one for each Gaussian.
+    ///
+    /// # Panics
+    /// If `values` does not have `N * C` entries, or `labels` N.
+    pub fn blend_labels<const C: usize>(&self, values: &[E], labels: &[u16]) -> (Blended<E>, Vec<u16>) {
+        assert_eq!(values.len(), self.len() * C, "blend_labels: values against Gaussians times channels");
+        assert_eq!(labels.len(), self.len(), "blend_labels: one label a Gaussian");
+        let labels: Vec<u16> = self.ids.iter().map(|&id| labels[id as usize]).collect();
+        labels::blend::<E, C>(self, &self.in_depth_order(values, C, C), &labels)
+    }
+
     /// `W^T y`: `image` is `[H, W, channels]`, the result `[N, channels]`; the adjoint of [`Projected::blend`].
     ///
     /// # Panics
@@ -232,15 +245,30 @@ pub struct Rendered {
 /// As [`Projected::new`], and [`crate::Error::NonFinite`] for the SH coefficients.
 pub fn render(gaussians: &Gaussians, camera: &Camera, settings: &Settings, background: [f32; 3]) -> Result<Rendered> {
     let projected = Projected::new(&gaussians.splats(), camera, settings)?;
-    let center = camera.center.to_array();
-    let degree = gaussians.sh_degree;
-    let colours =
-        visible_colours(gaussians.means.as_flattened(), &gaussians.sh, degree, degree, center, projected.radii())?;
-    let Blended { mut image, transmittance } = projected.blend(&colours, 3);
-    for (pixel, &t) in image.chunks_exact_mut(3).zip(&transmittance) {
-        for (value, &b) in pixel.iter_mut().zip(&background) {
-            *value += t * b;
-        }
-    }
+    let blended = projected.blend(&projected.colours(gaussians, camera)?, 3);
+    let Blended { image, transmittance } = blended.over(background);
     Ok(Rendered { rgb: image, transmittance, stats: projected.stats() })
+}
+
+impl Projected<f32> {
+    /// Colours of `gaussians`, whose projection this is, seen by `camera`, `[N, 3]`; zeros where they are culled.
+    ///
+    /// # Errors
+    /// [`crate::Error::NonFinite`] for the SH coefficients.
+    pub(crate) fn colours(&self, gaussians: &Gaussians, camera: &Camera) -> Result<Vec<f32>> {
+        let (degree, center) = (gaussians.sh_degree, camera.center.to_array());
+        visible_colours(gaussians.means.as_flattened(), &gaussians.sh, degree, degree, center, self.radii())
+    }
+}
+
+impl Blended<f32> {
+    /// Three channels, the colours, with what shows of `background`.
+    pub(crate) fn over(mut self, background: [f32; 3]) -> Self {
+        for (pixel, &t) in self.image.chunks_exact_mut(3).zip(&self.transmittance) {
+            for (value, &b) in pixel.iter_mut().zip(&background) {
+                *value += t * b;
+            }
+        }
+        self
+    }
 }

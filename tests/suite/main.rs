@@ -64,6 +64,7 @@ mod raster_reference;
 mod raster_room;
 mod raw_formats;
 mod relocation;
+mod renderer;
 mod replica;
 mod report;
 mod resume;

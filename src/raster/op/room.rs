@@ -52,3 +52,13 @@ impl ListCount {
         Some(Self { entries: entries as usize, is_sound: non_finite == 0.0 && without_room == 0.0 })
     }
 }
+
+/// Growth that is taken for granted between a view and the next time it, or one near it, is rendered: a fifth, and so many
+/// entries more.
+const GROWTH: usize = 5;
+const MORE: usize = 4096;
+
+/// Room for a view whose tile lists had `entries` entries when it, or one near it, was rendered last: what it will hardly exceed.
+pub fn room_for(entries: usize) -> usize {
+    entries.saturating_add(entries / GROWTH).saturating_add(MORE)
+}

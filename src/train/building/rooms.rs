@@ -1,12 +1,10 @@
 //! How many tile entries each view had last, and what it may have now.
 
+use crate::raster::room_for;
+
 /// Entries of every view's tile lists when it was last rendered, and the Gaussians there were.
 #[derive(Clone, Debug)]
 pub(super) struct Rooms(Vec<Option<[usize; 2]>>);
-
-/// Growth since the last time that is taken for granted: a fifth, and so many more.
-const GROWTH: usize = 5;
-const MORE: usize = 4096;
 
 impl Rooms {
     /// Nothing known of `views` views.
@@ -18,7 +16,7 @@ impl Rooms {
     pub fn room(&self, view: usize, gaussians: usize) -> Option<usize> {
         let [entries, before] = (*self.0.get(view)?)?;
         let expected = (entries as u128 * gaussians.max(before) as u128 / before.max(1) as u128) as usize;
-        Some(expected.saturating_add(expected / GROWTH).saturating_add(MORE))
+        Some(room_for(expected))
     }
 
     /// Keeps that `view` had `entries` with `gaussians`.
@@ -38,12 +36,12 @@ mod tests {
         let mut rooms = Rooms::new(2);
         assert_eq!(rooms.room(0, 100), None, "nothing known");
         rooms.keep(0, 1_000, 100);
-        assert_eq!(rooms.room(0, 100), Some(1_200 + MORE));
-        assert_eq!(rooms.room(0, 300), Some(3_600 + MORE));
-        assert_eq!(rooms.room(0, 50), Some(1_200 + MORE), "pruned ones may have been nowhere to be seen");
+        assert_eq!(rooms.room(0, 100), Some(room_for(1_000)));
+        assert_eq!(rooms.room(0, 300), Some(room_for(3_000)));
+        assert_eq!(rooms.room(0, 50), Some(room_for(1_000)), "pruned ones may have been nowhere to be seen");
         assert_eq!((rooms.room(1, 100), rooms.room(2, 100)), (None, None));
         rooms.keep(2, 7, 7);
         rooms.keep(1, 0, 0);
-        assert_eq!(rooms.room(1, 9), Some(MORE), "no Gaussian before");
+        assert_eq!(rooms.room(1, 9), Some(room_for(0)), "no Gaussian before");
     }
 }
