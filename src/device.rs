@@ -244,12 +244,16 @@ fn adapter() -> &'static std::result::Result<Option<String>, String> {
 
 /// Why another backend would be better than `name` with its `device`, if one would.
 fn unsuited(name: BackendName, device: &Device) -> Option<String> {
+    let software = software_adapter(name).map(|adapter| format!("the only adapter is {adapter}, a software one"));
+    let lacks = || Some(format!("the only adapter is no match for the kernels: {}", shortfall(device)?));
+    software.or_else(lacks)
+}
+
+/// Name of the software adapter that `name` would compute on, if it is one.
+fn software_adapter(name: BackendName) -> Option<String> {
     match name {
         #[cfg(feature = "wgpu")]
-        BackendName::Wgpu => match adapter() {
-            Ok(Some(software)) => Some(format!("the only adapter is {software}, a software one")),
-            _ => shortfall(device).map(|lacks| format!("the only adapter is no match for the kernels: {lacks}")),
-        },
+        BackendName::Wgpu => adapter().clone().ok().flatten(),
         _ => None,
     }
 }
