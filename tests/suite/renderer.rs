@@ -3,7 +3,7 @@
 use crate::raster_reference::{camera, cloud, numbers};
 use coseg::camera::Camera;
 use coseg::gaussians::Gaussians;
-use coseg::objects::{Frame, RenderOptions, Renderer, hard_label_map};
+use coseg::objects::{RenderOptions, Renderer, hard_label_map};
 use coseg::raster::{Projected, Settings, render};
 
 /// 400 random Gaussians with view-dependent colours.
@@ -106,10 +106,11 @@ fn labels_of_another_scene_are_refused() {
 #[test]
 fn a_scene_without_gaussians_shows_the_background() {
     let empty = scene(&camera(20, 20), 0.1).select(&[]);
-    let mut devices = vec![crate::device()];
     #[cfg(feature = "wgpu")]
-    devices.extend(crate::gpu());
-    for device in devices {
+    let gpu = crate::gpu();
+    #[cfg(not(feature = "wgpu"))]
+    let gpu = None;
+    for device in gpu.into_iter().chain([crate::device()]) {
         for labels in [None, Some(Vec::new())] {
             let with_labels = labels.is_some();
             let mut renderer = Renderer::new(empty.clone(), labels, options(), &device).unwrap();
@@ -125,6 +126,7 @@ fn a_scene_without_gaussians_shows_the_background() {
 mod on_gpu {
     use super::*;
     use crate::device_training::on_device;
+    use coseg::objects::Frame;
 
     /// A pixel may differ where a Gaussian is at a cut-off (1 / 255 at most) but for rounding, a label where two weigh the same.
     fn assert_alike(got: &Frame, want: &Frame, what: &str) {
