@@ -13,12 +13,20 @@ use crate::ops::vector::{LANES, Vector};
 /// Channels per row of padded values: a multiple of this.
 const ALIGN: usize = 8;
 
-/// Runs `$body` with the constant `$k` bound to the wider of 32 and 8 that fits `$left`.
+/// Runs `$body` with the constant `$k` bound to the widest block, 32 channels or fewer, that fits `$left`.
 macro_rules! block {
     ($left:expr, $k:ident => $body:expr) => {
         match $left {
             32.. => {
                 const $k: usize = 32;
+                $body
+            }
+            24.. => {
+                const $k: usize = 24;
+                $body
+            }
+            16.. => {
+                const $k: usize = 16;
                 $body
             }
             _ => {
