@@ -12,6 +12,8 @@ struct BlendTile<'a, E, const C: usize> {
     tile: Tile<'a>,
     /// `[visible, C]`.
     values: &'a [E],
+    /// Channels of the image, the first of `C`.
+    used: usize,
     image: &'a mut [E],
     transmittance: &'a mut [E],
 }
@@ -54,7 +56,7 @@ impl<E: Real, const C: usize> Kernel<E> for BlendTile<'_, E, C> {
     type Output = ();
     #[inline(always)]
     fn run<V: Vector<E>>(self) {
-        let Self { p, tile, values, image, transmittance } = self;
+        let Self { p, tile, values, used, image, transmittance } = self;
         let mut pass = BlendPass::<E, V, C> {
             rule: Rule::new::<E>(&p.settings),
             values,
@@ -68,18 +70,18 @@ impl<E: Real, const C: usize> Kernel<E> for BlendTile<'_, E, C> {
             let to = to - first;
             for x in 0..len {
                 transmittance[to + x] = pass.t.as_flattened()[from + x].abs();
-                for c in 0..C {
-                    image[(to + x) * C + c] = pass.sums[c].as_flattened()[from + x];
+                for (sums, image) in pass.sums.iter().zip(&mut image[(to + x) * used..][..used]) {
+                    *image = sums.as_flattened()[from + x];
                 }
             }
         }
     }
 }
 
-/// Blends `values`, `[visible, C]` front to back.
-pub(super) fn blend<E: Real, const C: usize>(p: &Projected<E>, values: &[E]) -> Blended<E> {
-    for_each_tile_row(p, C, |tile, image, transmittance| {
-        dispatch(BlendTile::<E, C> { p, tile, values, image, transmittance });
+/// Blends the first `used` of `values`, `[visible, C]` front to back.
+pub(super) fn blend<E: Real, const C: usize>(p: &Projected<E>, values: &[E], used: usize) -> Blended<E> {
+    for_each_tile_row(p, used, |tile, image, transmittance| {
+        dispatch(BlendTile::<E, C> { p, tile, values, used, image, transmittance });
     })
 }
 
