@@ -100,11 +100,11 @@ pub fn choose(name: Option<BackendName>) -> Result<(BackendName, Device)> {
     })
 }
 
-/// The wgpu device, if all kernels of this crate run on it; a software one too.
+/// The device of wgpu, a software one too, if all kernels of this crate run on it.
 ///
 /// # Errors
 /// As [`choose`], and [`Error::Device`] where there is a [`shortfall`].
-#[cfg(feature = "wgpu")]
+#[cfg(feature = "cube")]
 pub fn open_gpu() -> Result<Device> {
     let device = open(Some(BackendName::Wgpu))?;
     match shortfall(&device) {
@@ -118,13 +118,21 @@ pub fn open_gpu() -> Result<Device> {
 }
 
 /// [`open_gpu`] for tests: without it they say so and pass, unless the environment has COSEG_REQUIRE_GPU.
-#[cfg(all(test, feature = "wgpu"))]
+#[cfg(all(test, feature = "cube"))]
 pub(crate) fn gpu_of_tests() -> Option<Device> {
     let required = std::env::var_os("COSEG_REQUIRE_GPU").is_some();
-    open_gpu()
-        .inspect_err(|error| assert!(!required, "{error}"))
-        .inspect_err(|error| eprintln!("SKIPPED: {error}"))
-        .ok()
+    let device = open_gpu().inspect_err(|error| assert!(!required, "{error}"));
+    device.inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()
+}
+
+/// The device of `name` for tests, a GPU as [`gpu_of_tests`]; other backends that do not open are told.
+#[cfg(test)]
+pub(crate) fn device_of_tests(name: BackendName) -> Option<Device> {
+    match name {
+        #[cfg(feature = "wgpu")]
+        BackendName::Wgpu => gpu_of_tests(),
+        _ => open(Some(name)).inspect_err(|error| eprintln!("SKIPPED: {error}")).ok(),
+    }
 }
 
 /// Whether tensors on `device`, with or without autodiff, lie in host memory.
@@ -245,7 +253,7 @@ fn adapter() -> &'static std::result::Result<Option<String>, String> {
 /// Why another backend would be better than `name` with its `device`, if one would.
 fn unsuited(name: BackendName, device: &Device) -> Option<String> {
     let software = software_adapter(name).map(|adapter| format!("the only adapter is {adapter}, a software one"));
-    let lacks = || Some(format!("the only adapter is no match for the kernels: {}", shortfall(device)?));
+    let lacks = || Some(format!("its adapter is no match for the kernels: {}", shortfall(device)?));
     software.or_else(lacks)
 }
 

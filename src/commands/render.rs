@@ -108,19 +108,25 @@ impl RenderArgs {
         let labels = labels.filter(|_| self.labels);
         let mut renderer = Renderer::new(gaussians, labels, options, &device::open(self.backend)?)?;
         let bar = terminal::bar("render", cameras.len() as u64);
-        let mut rendering = Duration::ZERO;
+        let mut times = Vec::with_capacity(cameras.len());
         for NamedCamera { name, camera, .. } in &cameras {
             let camera = Camera { center: camera.center - origin, ..camera.clone() };
             let start = Instant::now();
             let frame = renderer.frame(&camera)?;
-            rendering += start.elapsed();
+            times.push(start.elapsed());
             self.write(name, &frame)?;
             bar.inc(1);
         }
         bar.finish_and_clear();
-        let each = 1e3 * rendering.as_secs_f64() / cameras.len().max(1) as f64;
-        let out = self.out.display();
-        terminal::say(&format!("{} frames in {out}; {each:.1} ms each, writing aside", cameras.len()));
+        let mut said = format!("{} frames in {}", cameras.len(), self.out.display());
+        // A GPU compiles its kernels for the first one.
+        if let [_, others @ ..] = times.as_slice()
+            && !others.is_empty()
+        {
+            let each = 1e3 * others.iter().sum::<Duration>().as_secs_f64() / others.len() as f64;
+            said += &format!("; {each:.1} ms each after the first, writing aside");
+        }
+        terminal::say(&said);
         Ok(())
     }
 

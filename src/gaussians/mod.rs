@@ -10,6 +10,7 @@ mod order;
 pub mod ply;
 pub mod relocate;
 
+use crate::error::{Error, Result};
 pub use geometry::Geometry;
 use init::SH_0;
 pub use motion::Motion;
@@ -84,5 +85,42 @@ impl Gaussians {
     /// SH coefficients per colour channel, `(sh_degree + 1)^2`.
     pub fn sh_len(&self) -> usize {
         (self.sh_degree + 1).pow(2)
+    }
+
+    /// Looks whether these are Gaussians: lengths agree, those of `labels` too, the degree is known, and every value is finite.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for a length or degree; [`Error::NonFinite`] naming tensor and row.
+    pub fn check(&self, labels: Option<&[u16]>) -> Result<()> {
+        if self.sh_degree > 3 {
+            return Err(Error::config("gaussians.sh_degree", self.sh_degree.to_string(), "0 to 3", "lower the degree"));
+        }
+        let n = self.len();
+        let lengths = [
+            ("log_scales", self.log_scales.len(), n),
+            ("rotations", self.rotations.len(), n),
+            ("opacity_logits", self.opacity_logits.len(), n),
+            ("sh", self.sh.len(), n * self.sh_len() * 3),
+            ("labels", labels.map_or(n, <[u16]>::len), n),
+        ];
+        for (name, found, expected) in lengths {
+            if found != expected {
+                let mend = "make all fields agree on the number of Gaussians";
+                return Err(Error::config(format!("gaussians.{name}"), found.to_string(), expected.to_string(), mend));
+            }
+        }
+        let tensors: [(&str, &[f32], usize); 5] = [
+            ("means", self.means.as_flattened(), 3),
+            ("log_scales", self.log_scales.as_flattened(), 3),
+            ("rotations", self.rotations.as_flattened(), 4),
+            ("opacity_logits", &self.opacity_logits, 1),
+            ("sh", &self.sh, 3 * self.sh_len()),
+        ];
+        for (name, values, width) in tensors {
+            if let Some(i) = values.iter().position(|v| !v.is_finite()) {
+                return Err(Error::non_finite(name, i / width));
+            }
+        }
+        Ok(())
     }
 }

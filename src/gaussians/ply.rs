@@ -38,7 +38,7 @@ pub struct PlyScene {
 /// [`Error::NonFinite`] naming tensor and row; [`Error::Config`] when `labels` or a field has the wrong length;
 /// [`Error::Io`].
 pub fn write(path: &Path, gaussians: &Gaussians, origin: DVec3, labels: Option<&[u16]>) -> Result<()> {
-    check(gaussians, labels)?;
+    gaussians.check(labels)?;
     let names = column_names(gaussians.sh_degree, labels.is_some());
     let world = gaussians.means.iter().map(|&m| DVec3::from(m.map(f64::from)) + origin);
     let (_, size) = centre_and_size(world.clone());
@@ -194,38 +194,4 @@ fn origin_of(positions: &[DVec3]) -> DVec3 {
     // Float positions show no rounding, but their spacing far out may be coarse for the scene.
     let coarse = size > 0.0 && centre.length() * f64::from(f32::EPSILON) > POSITION_LOSS * size;
     if coarse || float_loses(positions.iter().copied(), size) { centre } else { DVec3::ZERO }
-}
-
-/// Lengths agree and every value is finite.
-fn check(g: &Gaussians, labels: Option<&[u16]>) -> Result<()> {
-    let n = g.len();
-    let lengths = [
-        ("log_scales", g.log_scales.len(), n),
-        ("rotations", g.rotations.len(), n),
-        ("opacity_logits", g.opacity_logits.len(), n),
-        ("sh", g.sh.len(), n * g.sh_len() * 3),
-        ("labels", labels.map_or(n, <[u16]>::len), n),
-    ];
-    for (name, found, expected) in lengths {
-        if found != expected {
-            let mend = "make all fields agree on the number of Gaussians";
-            return Err(Error::config(format!("gaussians.{name}"), found.to_string(), expected.to_string(), mend));
-        }
-    }
-    if g.sh_degree > 3 {
-        return Err(Error::config("gaussians.sh_degree", g.sh_degree.to_string(), "0 to 3", "lower the degree"));
-    }
-    let tensors: [(&str, &[f32], usize); 5] = [
-        ("means", g.means.as_flattened(), 3),
-        ("log_scales", g.log_scales.as_flattened(), 3),
-        ("rotations", g.rotations.as_flattened(), 4),
-        ("opacity_logits", &g.opacity_logits, 1),
-        ("sh", &g.sh, 3 * g.sh_len()),
-    ];
-    for (name, values, width) in tensors {
-        if let Some(i) = values.iter().position(|v| !v.is_finite()) {
-            return Err(Error::non_finite(name, i / width));
-        }
-    }
-    Ok(())
 }

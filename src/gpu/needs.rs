@@ -9,7 +9,7 @@ const BUFFERS: u32 = 14;
 /// Bytes that the units of a cube share: the backward pass over tiles, in its narrowest block of channels.
 const SHARED: usize = 32 << 10;
 
-/// What this device has too little of for the rasterizer's kernels, which take the most; the others run on any device.
+/// What this device has too little of for the rasterizer's kernels, which take the most.
 pub fn shortfall(client: &Client) -> Option<String> {
     lacks(&client.properties().hardware)
 }

@@ -17,7 +17,7 @@ pub fn hard_label_map(projected: &Projected<f32>, labels: &[u16], min_coverage: 
 /// [`Projected::blend`] of `values`, `[N, C]`, and [`hard_label_map`], in one pass.
 ///
 /// # Panics
-/// If `labels` does not have one id for each Gaussian of `projected`, or `values` not C.
+/// If `labels` does not have one id for each Gaussian of `projected`, or `values` not C a Gaussian.
 pub fn with_hard_labels<const C: usize>(
     projected: &Projected<f32>,
     values: &[f32],
@@ -26,9 +26,8 @@ pub fn with_hard_labels<const C: usize>(
 ) -> (Blended<f32>, LabelMap) {
     let (blended, mut ids) = projected.blend_labels::<C>(values, labels);
     for (id, &t) in ids.iter_mut().zip(&blended.transmittance) {
-        if 1.0 - t < min_coverage {
-            *id = 0;
-        }
+        let covered = 1.0 - t >= min_coverage;
+        *id = if covered { *id } else { 0 };
     }
     let [width, height] = projected.size();
     (blended, LabelMap { width, height, ids })

@@ -1,13 +1,13 @@
-//! Views of a labelled scene on any device: colour, coverage and labels of a camera in one pass.
+//! Views of a labelled scene on any device: colour, coverage and labels of a camera together.
 
 use super::hard_labels::with_hard_labels;
 use crate::camera::Camera;
 use crate::data::LabelMap;
-use crate::device::{in_host_memory, read};
+use crate::device::{in_host_memory, largest_allocation, read, shortfall};
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::raster::{
-    ListCount, Projected, RasterInput, Settings, SplatTensors, SplatView, rasterize_with_room, room_for,
+    ListCount, Projected, RasterInput, Settings, SplatTensors, SplatView, Viewpoint, rasterize_with_room, room_for,
 };
 use burn::tensor::{Device, Tensor, TensorData};
 use std::ops::Range;
@@ -32,9 +32,9 @@ pub struct Frame {
 pub struct RenderOptions {
     /// The rasterizer's.
     pub settings: Settings,
-    /// Colour behind the scene.
+    /// Colour behind the scene, sRGB in 0..1.
     pub background: [f32; 3],
-    /// The least alpha at which a pixel has a label.
+    /// The least alpha at which a pixel has a label: all have one at 0 where a Gaussian weighs anything, none above 1.
     pub min_coverage: f32,
 }
 
@@ -45,7 +45,12 @@ impl Default for RenderOptions {
     }
 }
 
-/// A scene that is rendered view after view: it is moved to the device once, and a view is read back once.
+/// A scene that is rendered view after view. A GPU gets it once, and a frame is read back once; the first frame, and one with
+/// more tile entries than any before, wait for the device once more.
+///
+/// Beside what [`rasterize_with_room`] takes, a GPU holds channels of 32-bit floats: three and one a label for every pixel, and one a
+/// label for every Gaussian. Where either is more than a quarter of its largest allocation, or 1 GiB, labels go in blocks, which project
+/// the scene again each.
 #[derive(Debug)]
 pub struct Renderer {
     options: RenderOptions,
@@ -59,24 +64,27 @@ enum Place {
 }
 
 impl Renderer {
-    /// `gaussians` on `device`, and a label for each where there are any; positions are relative to the origin of cameras.
+    /// `gaussians` on `device`, and a label for each where there are any; positions in the coordinates of the cameras.
     ///
     /// # Errors
-    /// [`Error::Config`] unless there are as many labels as Gaussians.
+    /// As [`Gaussians::check`]; [`Error::Config`] for options that are no numbers.
     pub fn new(
         gaussians: Gaussians,
         labels: Option<Vec<u16>>,
         options: RenderOptions,
         device: &Device,
     ) -> Result<Self> {
-        if let Some(found) = labels.as_ref().map(Vec::len).filter(|&found| found != gaussians.len()) {
-            let (found, expected) = (format!("{found} labels"), format!("{}, one a Gaussian", gaussians.len()));
-            return Err(Error::config("labels to render", found, expected, "pass labels of these Gaussians"));
+        gaussians.check(labels.as_deref())?;
+        let [r, g, b] = options.background;
+        if ![r, g, b, options.min_coverage].iter().all(|value| value.is_finite()) {
+            let found = format!("background {r}, {g}, {b}, min_coverage {}", options.min_coverage);
+            return Err(Error::config("render options", found, "finite numbers", "pass a colour and a share"));
         }
-        // Where there is nothing, nothing is sent.
-        let place = match in_host_memory(device) || gaussians.is_empty() {
+        // Where there is nothing, nothing is sent; where the host would render all the same, nothing is copied for each frame.
+        let on_host = in_host_memory(device) || shortfall(device).is_some() || gaussians.is_empty();
+        let place = match on_host {
             true => Place::Host { gaussians: Box::new(gaussians), labels },
-            false => Place::Device(Box::new(OnDevice::new(&gaussians, labels.as_deref(), device))),
+            false => Place::Device(Box::new(OnDevice::new(gaussians, labels.as_deref(), device))),
         };
         Ok(Self { options, place })
     }
@@ -84,9 +92,10 @@ impl Renderer {
     /// What `camera` sees.
     ///
     /// # Errors
-    /// As [`Projected::new`]; [`Error::NonFinite`] for the SH coefficients; on a GPU [`Error::Limit`] for what it cannot hold,
-    /// and [`Error::Device`] when it fails.
+    /// As [`Projected::new`]; on a GPU [`Error::Limit`] for what it cannot hold, and [`Error::Device`] when it fails.
     pub fn frame(&mut self, camera: &Camera) -> Result<Frame> {
+        // Before any size is made of its width and height.
+        Viewpoint::new(camera)?;
         match &mut self.place {
             Place::Host { gaussians, labels } => on_host(gaussians, labels.as_deref(), camera, &self.options),
             Place::Device(scene) => scene.frame(camera, &self.options),
@@ -114,7 +123,7 @@ fn on_host(gaussians: &Gaussians, labels: Option<&[u16]>, camera: &Camera, optio
 struct OnDevice {
     input: RasterInput,
     labels: Option<DeviceLabels>,
-    /// Entries that the tile lists of the last view had.
+    /// The most entries that the tile lists of a view had so far.
     entries: Option<usize>,
 }
 
@@ -128,20 +137,24 @@ struct DeviceLabels {
     beside_colour: (Range<usize>, Tensor<2>),
 }
 
+/// Bytes of one channel a label for all Gaussians, and labels that are blended together all the same.
+const BLOCK_BYTES: usize = 1 << 30;
+const FEWEST: usize = 8;
+
 /// The largest weight of a label at each pixel and the index of that label, both `[H, W, 1]`.
 type Largest = (Tensor<3>, Tensor<3>);
 
 impl OnDevice {
-    fn new(gaussians: &Gaussians, labels: Option<&[u16]>, device: &Device) -> Self {
+    fn new(gaussians: Gaussians, labels: Option<&[u16]>, device: &Device) -> Self {
         let device = device.clone().inner();
         let (n, terms) = (gaussians.len(), gaussians.sh_len());
-        let SplatTensors { means, log_scales, rotations, opacity_logits } = SplatTensors::new(gaussians, &device);
+        let SplatTensors { means, log_scales, rotations, opacity_logits } = SplatTensors::new(&gaussians, &device);
         let input = RasterInput {
             means,
             log_scales,
             rotations,
             opacity_logits,
-            sh: Some(Tensor::from_data(TensorData::new(gaussians.sh.clone(), [n, terms, 3]), &device)),
+            sh: Some(Tensor::from_data(TensorData::new(gaussians.sh, [n, terms, 3]), &device)),
             active_sh_degree: gaussians.sh_degree,
             features: None,
             screen: None,
@@ -155,16 +168,16 @@ impl OnDevice {
         if let Some(frame) = self.attempt(camera, options, room)? {
             return Ok(frame);
         }
-        // The view has more entries than there was room for, or an input is not finite, which is an error now.
+        // The view has more entries than there was room for.
         match self.attempt(camera, options, None)? {
             Some(frame) => Ok(frame),
             None => Err(Error::non_finite("scene to render", 0)),
         }
     }
 
-    /// `None` where `room` did not suffice, or an input is not finite.
+    /// `None` where `room` did not suffice.
     fn attempt(&mut self, camera: &Camera, options: &RenderOptions, room: Option<usize>) -> Result<Option<Frame>> {
-        let (height, width, pixels) = (camera.height, camera.width, camera.height * camera.width);
+        let (height, width) = (camera.height, camera.width);
         let view = self.view(camera, &options.settings);
         let mut blocks = self.labels.as_ref().map_or_else(Vec::new, |labels| labels.blocks(&view)).into_iter();
         let mut input = self.input.clone();
@@ -172,26 +185,28 @@ impl OnDevice {
             input.features = Some(labels.beside_colour(block));
         }
         let (output, summary) = rasterize_with_room(input, camera, &options.settings, options.background, room)?;
+        let pixels = height * width;
         let rgb = output.image.clone().slice([0..height, 0..width, 0..3]);
         let mut parts = vec![rgb.reshape([3 * pixels]), output.transmittance.reshape([pixels])];
         if let Some(labels) = &self.labels {
-            let channels = output.image.dims()[2];
-            let mut largest = largest_of(output.image.slice([0..height, 0..width, 3..channels]), 0);
+            // The colour stays where it is, below all weights: without it the rest would be copied.
+            let weights = output.image.slice_fill([0..height, 0..width, 0..3], -1.0);
+            let mut largest = largest_of(weights, -3.0);
             for block in blocks {
-                let first = block.start;
+                let first = block.start as f64;
                 let (image, _) = view.blend(labels.one_hot(block))?;
                 largest = larger_of(largest, largest_of(image, first));
             }
             parts.push(largest.1.mask_fill(largest.0.lower_equal_elem(0.0), -1.0).reshape([pixels]));
         }
-        let (values, lists) = read_together(parts, summary.as_tensor())?;
+        let (mut values, lists) = read_together(parts, summary.as_tensor())?;
         if let Some(lists) = lists {
             if !lists.is_sound {
                 return Ok(None);
             }
-            self.entries = Some(lists.entries);
+            self.entries = self.entries.max(Some(lists.entries));
         }
-        let (rgb, rest) = values.split_at(3 * pixels);
+        let rest = values.split_off(3 * pixels);
         let (transmittance, index) = rest.split_at(pixels);
         let alpha: Vec<f32> = transmittance.iter().map(|t| 1.0 - t).collect();
         let labels = self.labels.as_ref().map(|labels| {
@@ -202,7 +217,7 @@ impl OnDevice {
             };
             LabelMap { width, height, ids: index.iter().zip(&alpha).map(id).collect() }
         });
-        Ok(Some(Frame { width, height, rgb: rgb.to_vec(), alpha, labels }))
+        Ok(Some(Frame { width, height, rgb: values, alpha, labels }))
     }
 
     fn view(&self, camera: &Camera, settings: &Settings) -> SplatView {
@@ -223,11 +238,17 @@ impl DeviceLabels {
         Self { ids, of_gaussians, beside_colour }
     }
 
-    /// Ranges of labels: those that `view` blends beside the colour, and further ones in passes of their own.
+    /// Ranges of labels: those that `view` blends beside the colour, and further ones in passes of their own. Neither an image of
+    /// them nor a channel a Gaussian is more than a block may have.
     fn blocks(&self, view: &SplatView) -> Vec<Range<usize>> {
-        let colours = 3;
-        let blocks = view.channel_blocks(colours + self.ids.len());
-        blocks.map(|block| block.start.saturating_sub(colours)..block.end - colours).collect()
+        let labels = self.ids.len();
+        let of_image = view.channel_blocks(3 + labels).next().map_or(labels, |block| block.len() - 3);
+        let [n, _] = self.of_gaussians.dims();
+        let most =
+            largest_allocation(&self.of_gaussians.device()).map_or(BLOCK_BYTES, |most| (most / 4).min(BLOCK_BYTES));
+        let of_gaussians = (most / (n * size_of::<f32>())).max(FEWEST);
+        let together = of_image.min(of_gaussians);
+        (0..labels).step_by(together).map(|first| first..(first + together).min(labels)).collect()
     }
 
     /// [`DeviceLabels::one_hot`], kept for the next view.
@@ -247,10 +268,10 @@ impl DeviceLabels {
     }
 }
 
-/// The largest channel of `weights`, `[H, W, C]`, as the label of index `first` and on; ties to the lower one.
-fn largest_of(weights: Tensor<3>, first: usize) -> Largest {
+/// The largest channel of `weights`, `[H, W, C]`, the first of which is label `first`; ties to the lower one.
+fn largest_of(weights: Tensor<3>, first: f64) -> Largest {
     let (weight, index) = weights.max_dim_with_indices(2);
-    (weight, index.float() + first as f64)
+    (weight, index.float() + first)
 }
 
 /// The larger of both at each pixel, the former where they are equal.

@@ -27,7 +27,7 @@ fn times(f: f64, v: Vec3) -> Vec3 {
 
 /// A camera as the kernels use it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Viewpoint {
+pub(crate) struct Viewpoint {
     /// Rows of the world-to-camera rotation.
     pub axes: [Vec3; 3],
     center: Vec3,
@@ -40,6 +40,8 @@ pub(super) struct Viewpoint {
 }
 
 impl Viewpoint {
+    /// # Errors
+    /// [`Error::Config`] for an unusable camera.
     pub fn new(camera: &Camera) -> Result<Self> {
         let bad = |field: &str, found: String, expected: &str| {
             Err(Error::config(format!("camera.{field}"), found, expected, "pass a usable camera"))

@@ -70,6 +70,9 @@ impl<E: Real, V: Vector<E>, const C: usize> Pass<E, V> for LabelPass<'_, E, V, C
 
 /// Where `label` is in `seen`, of whose labels `weights` has the sums; added where it is new.
 fn slot_of<E: Real>(label: u16, seen: &mut Vec<u16>, weights: &mut Vec<Buffer<E>>) -> usize {
+    if let Some(last) = seen.len().checked_sub(1).filter(|&last| seen[last] == label) {
+        return last;
+    }
     seen.iter().position(|&other| other == label).unwrap_or_else(|| {
         seen.push(label);
         weights.push([[E::zero(); LANES]; STRIPS]);

@@ -31,7 +31,7 @@ mod tiles;
 mod weights;
 
 pub use backward::SplatGradients;
-pub(crate) use geometry::ZERO_QUATERNION;
+pub(crate) use geometry::{Viewpoint, ZERO_QUATERNION};
 pub use op::{
     FrozenBackend, FrozenCall, FrozenTensors, Lifted, ListCount, ListSummary, Radii, RasterBackend, RasterCall,
     RasterInput, RasterOutput, RasterTensors, SplatTensors, SplatView, rasterize, rasterize_on_host,

@@ -128,8 +128,8 @@ impl<E: Real> Projected<E> {
         match channels {
             0 => blend::blend::<E, 0>(self, &[], 0),
             1 => blend::blend::<E, 1>(self, &self.in_depth_order(values, 1, 1), 1),
-            3 => blend::blend::<E, 3>(self, &self.in_depth_order(values, 3, 3), 3),
-            2..=8 => blend::blend::<E, 8>(self, &self.in_depth_order(values, channels, 8), channels),
+            2 | 3 => blend::blend::<E, 3>(self, &self.in_depth_order(values, channels, 3), channels),
+            4..=8 => blend::blend::<E, 8>(self, &self.in_depth_order(values, channels, 8), channels),
             9..=16 => blend::blend::<E, 16>(self, &self.in_depth_order(values, channels, 16), channels),
             17..=24 => blend::blend::<E, 24>(self, &self.in_depth_order(values, channels, 24), channels),
             _ => channel_blocks::blend(self, values, channels),

@@ -19,8 +19,12 @@ fn others() -> Vec<(BackendName, Device)> {
     let compiled = BackendName::compiled().iter().copied().filter(|name| *name != BackendName::Ndarray);
     compiled
         .filter_map(|name| {
-            let device = device::open(Some(name)).inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()?;
-            Some((name, device))
+            let device = match name {
+                #[cfg(feature = "wgpu")]
+                BackendName::Wgpu => crate::gpu(),
+                _ => device::open(Some(name)).inspect_err(|error| eprintln!("SKIPPED: {error}")).ok(),
+            };
+            Some((name, device?))
         })
         .collect()
 }

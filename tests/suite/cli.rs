@@ -3,6 +3,7 @@
 use crate::plates::{HEIGHT, WIDTH, camera, plates, scene};
 use coseg::camera::Camera;
 use coseg::data::{Classes, Limits};
+use coseg::device::BackendName;
 use coseg::gaussians::ply;
 use coseg::raster::{Settings, render};
 use glam::DVec3;
@@ -127,7 +128,8 @@ fn render_writes_arrays_labels_and_pictures() {
     let cameras = folder.path().join("transforms.json");
     let render_args = ["render", "--scene", utf8(&scene), "--cameras", utf8(&cameras), "--out", utf8(&out)];
     let more = ["--format", "npy", "--labels", "--split", "test", "--background", "1,0.5,0", "--alpha-max", "0.9"];
-    succeeds(&[&render_args[..], &more].concat());
+    let cpu = BackendName::compiled().iter().rfind(|name| **name != BackendName::Wgpu).unwrap().to_string();
+    succeeds(&[&render_args[..], &more, &["--backend", &cpu]].concat());
     let mut files: Vec<_> = std::fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name()).collect();
     files.sort();
     let expected = ["v2.alpha.npy", "v2.label.png", "v2.rgb.npy", "v5.alpha.npy", "v5.label.png", "v5.rgb.npy"];
@@ -153,6 +155,14 @@ fn render_writes_arrays_labels_and_pictures() {
     seen.sort_unstable();
     seen.dedup();
     assert!([1, 2, 3, 4].iter().all(|id| seen.contains(id)), "{seen:?}");
+    #[cfg(feature = "wgpu")]
+    if crate::gpu().is_some() {
+        succeeds(&[&render_args[..], &more, &["--backend", "wgpu"]].concat());
+        let (_, on_gpu) = read_npy(&out.join("v5.rgb.npy"));
+        let differ = on_gpu.iter().zip(&rgb).filter(|(a, b)| (*a - *b).abs() > 1e-4).count();
+        assert!(on_gpu.len() == rgb.len() && differ * 1000 < rgb.len(), "{differ} of {}", rgb.len());
+        assert_eq!(image::open(out.join("v5.label.png")).unwrap().into_luma8(), labels);
+    }
 
     succeeds(&[&render_args[..], &["--split", "train"]].concat());
     let picture = image::open(out.join("v0.rgb.png")).unwrap().into_rgb8();

@@ -35,7 +35,7 @@ fn blending_equals_the_plain_reference() {
             Settings { alpha_max: 1.0, alpha_min: 0.0, t_min: 0.0, ..Settings::default() },
         ] {
             let projected = Projected::new(&cloud.splats(), &camera, &settings).expect("valid");
-            for channels in [0, 1, 2, 3, 4, 5, 8, 19, 64, 75] {
+            for channels in [0, 1, 2, 3, 4, 5, 8, 9, 16, 17, 19, 24, 25, 48, 64, 75] {
                 let values = numbers(n * channels, seed + 10);
                 let want = render(&cloud, &values, channels, &camera, &settings);
                 let got = projected.blend(&values, channels);

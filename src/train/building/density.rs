@@ -151,7 +151,7 @@ mod tests {
     use super::*;
     use crate::config::BuildingConfig;
     use crate::data::builtin::{BuiltinOptions, scene_with};
-    use crate::device::{BackendName, open};
+    use crate::device::{BackendName, device_of_tests};
     use crate::gaussians::densify::{DensityStats, reset_opacity};
     use crate::ops::host_fallbacks;
     use crate::train::BuildingState;
@@ -184,7 +184,7 @@ mod tests {
         let building = BuildingConfig { strategy, sh_degree: 2, max_gaussians: 1000, ..BuildingConfig::default() };
         let config = Config { building, ..Config::default() };
         for &name in BackendName::compiled() {
-            let Ok(device) = open(Some(name)).inspect_err(|error| eprintln!("SKIPPED: {error}")) else { continue };
+            let Some(device) = device_of_tests(name) else { continue };
             let stage = BuildingStage::new(&scene, &config, &device).expect("a stage");
             let start = trained(stage.state().expect("readable"), &stage.density_rules());
             let stage = BuildingStage::from_state(&scene, &config, &device, start.clone()).expect("a stage");
