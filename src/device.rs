@@ -196,8 +196,11 @@ fn device(name: BackendName) -> Result<Device> {
         #[allow(unreachable_patterns, reason = "unreachable only when every backend is compiled in")]
         other => Err(Error::Device {
             device: other.to_string(),
-            reason: "not part of this build".into(),
-            mend: format!("build with --features {other}"),
+            reason: {
+                let has: Vec<String> = BackendName::compiled().iter().map(ToString::to_string).collect();
+                format!("not part of this build, which has {}", has.join(", "))
+            },
+            mend: format!("choose one of these, or build with --features {other}"),
         }),
     }
 }

@@ -32,6 +32,8 @@ pub enum Purpose {
     ProbePixels = 33,
     /// Order of a linear probe's training pixels; index = epoch.
     ProbeOrder = 34,
+    /// Colours behind the scene; index = iteration.
+    Background = 9,
     /// Scenes and maps that benchmarks make up; index = size.
     Benchmark = 48,
 }

@@ -58,6 +58,16 @@ impl EvalArgs {
         }
         let stored = stored(&run, &ply)?;
         let classes = run.classes()?;
+        let named = |classes: &Classes| classes.entries.iter().map(|c| (c.id, c.name.clone())).collect::<Vec<_>>();
+        let associated = config.data.association != Association::None;
+        if !associated
+            && ![&scene.classes, &classes].iter().any(|c| c.is_empty())
+            && named(&scene.classes) != named(&classes)
+        {
+            let found = format!("{} classes, not those of the run", scene.classes.len());
+            let mend = "give the scene that was trained on, or one with the same classes.json";
+            return Err(Error::config("--data", found, format!("the {} classes of the run", classes.len()), mend));
+        }
         let (images, labels) = score(&scene, &ply, stored.as_ref(), &classes, &config)?;
         // Classes that association found are objects; true labels are of other classes.
         let objects = config.data.association != Association::None;

@@ -3,7 +3,7 @@
 use super::terminal;
 use clap::{Args, ValueEnum};
 use coseg::camera::Camera;
-use coseg::data::{self, LabelMap, Limits, LoadOptions, NamedCamera, Split, atomic, transforms};
+use coseg::data::{self, Classes, LabelMap, Limits, LoadOptions, NamedCamera, Split, atomic, transforms};
 use coseg::device::{self, BackendName};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
@@ -21,6 +21,7 @@ For each frame, STEM being its file name without extension, the output folder ge
                  STEM.alpha.png  8-bit grey
   --labels       STEM.label.png  the label with the largest blended weight, 0 where alpha is below 0.5;
                                  8-bit grey, or 16-bit where ids exceed 255
+                 STEM.label_color.png  the same in colours, with a legend, where classes.json lies beside the scene
 
 Examples:
   coseg render --scene runs/room/scene.ply --cameras room/transforms.json --out pictures --split test --labels
@@ -99,10 +100,16 @@ impl RenderArgs {
         };
         let cameras = cameras_at(&self.cameras, split)?;
         let scene = ply::read(&self.scene, &Limits::default())?;
+        if scene.gaussians.is_empty() {
+            let mend = "name a scene that holds something";
+            return Err(Error::input(&self.scene, "element vertex", "no Gaussian", "one or more", mend));
+        }
         if self.labels && scene.labels.is_none() {
             let mend = "leave --labels out, or give the scene labels with `coseg vote` or `coseg train`";
             return Err(Error::input(&self.scene, "column label", "nothing", "one label a Gaussian", mend));
         }
+        let beside = self.scene.with_file_name("classes.json");
+        let classes = if self.labels && beside.is_file() { Some(Classes::read(&beside)?) } else { None };
         let PlyScene { gaussians, origin, labels } = scene;
         let options = RenderOptions { settings, background: self.background, ..RenderOptions::default() };
         let labels = labels.filter(|_| self.labels);
@@ -114,7 +121,7 @@ impl RenderArgs {
             let start = Instant::now();
             let frame = renderer.frame(&camera)?;
             times.push(start.elapsed());
-            self.write(name, &frame)?;
+            self.write(name, &frame, classes.as_ref())?;
             bar.inc(1);
         }
         bar.finish_and_clear();
@@ -130,7 +137,7 @@ impl RenderArgs {
         Ok(())
     }
 
-    fn write(&self, name: &str, frame: &Frame) -> Result<()> {
+    fn write(&self, name: &str, frame: &Frame, classes: Option<&Classes>) -> Result<()> {
         let file = |kind: &str| self.out.join(format!("{name}.{kind}"));
         let &Frame { width, height, ref rgb, ref alpha, ref labels } = frame;
         match self.format {
@@ -146,7 +153,12 @@ impl RenderArgs {
                 LabelMap { width, height, ids }.write(&file("alpha.png"))?;
             }
         }
-        labels.as_ref().map_or(Ok(()), |labels| labels.write(&file("label.png")))
+        let Some(labels) = labels else { return Ok(()) };
+        labels.write(&file("label.png"))?;
+        let Some(classes) = classes else { return Ok(()) };
+        let path = file("label_color.png");
+        let colored = pictures::with_legend(&pictures::colored(labels, classes), labels, classes);
+        atomic::write_bytes(&path, &pictures::png(&colored, &path)?)
     }
 }
 

@@ -92,6 +92,9 @@ pub struct BuildingConfig {
     /// That gradient has the absolute values of dL/du and dL/dv of each pixel summed, where otherwise those of the two sides
     /// of an edge cancel (AbsGS, Ye et al. 2024, arXiv 2404.10484). For `strategy = "adc"`.
     pub absgrad: bool,
+    /// Behind the scene each step has another colour instead of `raster.background`, so that surfaces of that colour have to be
+    /// opaque. Not where a photo has transparent pixels, behind which it is black.
+    pub random_background: bool,
     /// Gaussians below this share of the extent are cloned, others split.
     pub clone_below: f32,
     /// Gaussians less opaque than this are pruned, or moved with `strategy = "mcmc"`.
@@ -148,6 +151,7 @@ impl Default for BuildingConfig {
             densify_until: None,
             densify_threshold: None,
             absgrad: false,
+            random_background: true,
             clone_below: 0.01,
             prune_opacity: 0.005,
             prune_scale: 0.1,

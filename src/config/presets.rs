@@ -19,6 +19,7 @@ impl Config {
             Preset::Paper => {
                 config.raster.alpha_max = 0.99;
                 config.building.iterations = 6_000;
+                config.building.random_background = false;
                 config.unprojection.normalisation = Normalisation::Count;
                 config.unprojection.resolution = Resolution::Feature;
                 config.spatial.encode = Encode::View;

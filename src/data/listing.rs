@@ -169,7 +169,7 @@ fn proportional((w, h): (usize, usize), (width, height): (usize, usize)) -> bool
 
 impl Geometry {
     pub fn photo(&self, file: &ImageFile) -> Result<RgbImage> {
-        photo::decode(file, self.remap.as_ref())
+        Ok(photo::decode(file, self.remap.as_ref())?.0)
     }
 
     /// A label map as the camera sees it.

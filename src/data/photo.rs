@@ -18,6 +18,7 @@ use std::sync::Arc;
 pub struct Photo {
     width: usize,
     height: usize,
+    transparent: bool,
     source: Source,
 }
 
@@ -47,12 +48,12 @@ impl Photo {
         limits: &Limits,
         cache: &Arc<PhotoCache>,
     ) -> Result<Self> {
-        let pixels = decode(file, remap.as_ref())?;
+        let (pixels, transparent) = decode(file, remap.as_ref())?;
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
         let number = cache.admit(pixels);
         let (path, digest) = (file.path().to_owned(), file.digest());
         let file = PhotoFile { path, digest, limits: limits.clone(), remap, cache: cache.clone(), number };
-        Ok(Self { width, height, source: Source::File(Arc::new(file)) })
+        Ok(Self { width, height, transparent, source: Source::File(Arc::new(file)) })
     }
 
     /// Pixels across.
@@ -63,6 +64,11 @@ impl Photo {
     /// Pixels down.
     pub fn height(&self) -> usize {
         self.height
+    }
+
+    /// Whether the file has transparent pixels, which are blended onto black.
+    pub fn is_transparent(&self) -> bool {
+        self.transparent
     }
 
     /// The pixels. They stay in memory as long as the caller or the cache holds them.
@@ -89,7 +95,7 @@ impl Photo {
 impl From<RgbImage> for Photo {
     fn from(pixels: RgbImage) -> Self {
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
-        Self { width, height, source: Source::Pixels(Arc::new(pixels)) }
+        Self { width, height, transparent: false, source: Source::Pixels(Arc::new(pixels)) }
     }
 }
 
@@ -112,15 +118,16 @@ impl PhotoFile {
             let mend = "put it back and resume, or start anew with the files as they are";
             return Err(Error::input(&self.path, "content", "other bytes", expected, mend));
         }
-        decode(&file, self.remap.as_ref())
+        Ok(decode(&file, self.remap.as_ref())?.0)
     }
 }
 
-/// The photo in `file` as a pinhole sees it.
-pub(super) fn decode(file: &ImageFile, remap: Option<&Remap>) -> Result<RgbImage> {
-    let photo = file.decode_rgb()?;
-    Ok(match remap {
+/// The photo in `file` as a pinhole sees it, and whether some pixel is transparent.
+pub(super) fn decode(file: &ImageFile, remap: Option<&Remap>) -> Result<(RgbImage, bool)> {
+    let (photo, transparent) = file.decode_photo()?;
+    let photo = match remap {
         Some(remap) => remap.photo(&photo),
         None => photo,
-    })
+    };
+    Ok((photo, transparent))
 }

@@ -126,6 +126,12 @@ pub fn load_scene(config: &Config) -> Result<Scene> {
 pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Progress) -> Result<Outcome> {
     let start = Instant::now();
     let scene = load_scene(config)?;
+    if !config.segmentation.rows.is_empty() && !has_raw_labels(&scene) {
+        tracing::warn!(
+            "no training view has raw labels: only the Gaussians are built (raw_label_path in transforms.json or the folder \
+             data.raw_labels names them; segmentation.rows = [] says that none are meant)"
+        );
+    }
     let settings = Settings::from(&config.raster);
     let checkpoints = out.join("checkpoint");
     std::fs::create_dir_all(&checkpoints).map_err(|e| Error::io(&checkpoints, "create", e))?;
@@ -154,12 +160,16 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
         outcome.semantics = Semantics::of(&outcome.scene);
         outcome.association = Some(put_together(&mut outcome.scene, &outcome.gaussians, config, progress)?);
     }
-    let labelled = outcome.scene.split(Split::Train).any(|v| v.raw.is_some()) && !outcome.scene.classes.is_empty();
-    if labelled && !config.segmentation.rows.is_empty() && !progress.stop() {
+    if has_raw_labels(&outcome.scene) && !config.segmentation.rows.is_empty() && !progress.stop() {
         segment(&mut outcome, config, &settings, &checkpoints, device, progress)?;
     }
     outcome.seconds.total = start.elapsed().as_secs_f64();
     Ok(outcome)
+}
+
+/// Whether stage two has something to train on.
+fn has_raw_labels(scene: &Scene) -> bool {
+    scene.split(Split::Train).any(|view| view.raw.is_some()) && !scene.classes.is_empty()
 }
 
 fn build(

@@ -3,6 +3,7 @@
 use coseg::camera::Camera;
 use coseg::config::{BuildingConfig, Config};
 use coseg::data::{Classes, Points, Scene, Split, View};
+use coseg::raster::{Settings, render};
 use coseg::train::progress::{Event, Progress, Silent};
 use coseg::train::{BuildingStage, BuildingState};
 use glam::{DMat3, DVec3};
@@ -124,6 +125,31 @@ fn training_learns_the_scene() {
     assert_eq!(count(|e| matches!(e, Event::Evaluated(_))), 10);
     assert_eq!(count(|e| matches!(e, Event::Densified { .. })), 2);
     assert_eq!(recorder.0.last(), Some(&Event::Finished));
+}
+
+#[test]
+fn black_surfaces_become_opaque_before_a_changing_background() {
+    let mut scene = scene();
+    let black = image::RgbImage::new(WIDTH as u32, HEIGHT as u32);
+    scene.views.iter_mut().for_each(|view| view.image = black.clone().into());
+    scene.points.colors.iter_mut().for_each(|color| *color = [0.0; 3]);
+    let coverage = |random_background| {
+        let building = BuildingConfig {
+            iterations: 150,
+            densify_from: 1_000,
+            reset_every: 0,
+            random_background,
+            ..BuildingConfig::default()
+        };
+        let mut stage =
+            BuildingStage::new(&scene, &Config { building, seed: 7, ..Config::default() }, &device()).unwrap();
+        stage.run(&mut Silent).expect("a run");
+        let rendered = render(&stage.gaussians().unwrap(), &scene.views[2].camera, &Settings::default(), [0.0; 3]);
+        let transmittance = rendered.unwrap().transmittance;
+        1.0 - transmittance.iter().sum::<f32>() / transmittance.len() as f32
+    };
+    let (changing, black) = (coverage(true), coverage(false));
+    assert!(changing > 0.9 && changing > black + 0.2, "covered {changing}, {black} before black");
 }
 
 #[test]

@@ -103,6 +103,21 @@ fn photos_made_in_memory_are_as_they_were_made() {
 }
 
 #[test]
+fn transparent_photos_are_told_from_opaque_ones() {
+    let folder = scene();
+    let path = std::fs::read_dir(folder.path().join("images")).unwrap().map(|e| e.unwrap().path()).min().unwrap();
+    for (alpha, transparent) in [(255, false), (254, true), (0, true)] {
+        let mut photo = image::DynamicImage::from(picture(0)).into_rgba8();
+        photo.get_pixel_mut(1, 1).0[3] = alpha;
+        photo.save_with_format(&path, image::ImageFormat::Png).unwrap();
+        let scene = loaded(folder.path(), 64);
+        let found: Vec<bool> = scene.views.iter().map(|view| view.image.is_transparent()).collect();
+        let count = found.iter().filter(|&&found| found).count();
+        assert_eq!(count, usize::from(transparent), "alpha {alpha}: {found:?}");
+    }
+}
+
+#[test]
 fn a_photo_that_changed_or_went_away_is_named() {
     let dir = scene();
     let scene = loaded(dir.path(), 0);

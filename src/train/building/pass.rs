@@ -4,9 +4,11 @@ use super::BuildingStage;
 use crate::data::View;
 use crate::error::Result;
 use crate::ops::photometric_loss;
+use crate::random::{Purpose, stream};
 use crate::raster::{Radii, RasterInput, RasterOutput, rasterize_with_room};
 use crate::train::parameters::{Checked, ParameterGradients};
 use burn::tensor::Tensor;
+use rand::Rng;
 
 /// What a view says of the parameters.
 pub(super) struct Pass {
@@ -36,6 +38,14 @@ impl BuildingStage<'_> {
         Ok(pass)
     }
 
+    /// What is behind the scene in step `iteration`.
+    fn background(&self, view: &View, iteration: usize) -> [f32; 3] {
+        match self.config.building.random_background && !view.image.is_transparent() {
+            true => stream(self.config.seed, Purpose::Background, iteration as u64).random(),
+            false => self.config.raster.background,
+        }
+    }
+
     /// `None` where `room` was too small, or an input is not finite.
     fn attempt(&mut self, index: usize, view: &View, iteration: usize, room: Option<usize>) -> Result<Option<Pass>> {
         let photo = self.photos.get(index, view)?;
@@ -51,7 +61,7 @@ impl BuildingStage<'_> {
             features: None,
             screen: screen.clone(),
         };
-        let background = self.config.raster.background;
+        let background = self.background(view, iteration);
         let (output, lists) = rasterize_with_room(input, &view.camera, &self.settings, background, room)?;
         let RasterOutput { image, radii, .. } = output;
         let loss = photometric_loss(image, photo, f64::from(self.config.building.ssim_weight));
