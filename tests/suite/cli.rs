@@ -7,6 +7,7 @@ use coseg::device::BackendName;
 use coseg::gaussians::ply;
 use coseg::raster::{Settings, render};
 use glam::DVec3;
+use std::ffi::OsString;
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -132,7 +133,10 @@ fn render_writes_arrays_labels_and_pictures() {
     succeeds(&[&render_args[..], &more, &["--backend", &cpu]].concat());
     let mut files: Vec<_> = std::fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name()).collect();
     files.sort();
-    let expected = ["v2.alpha.npy", "v2.label.png", "v2.rgb.npy", "v5.alpha.npy", "v5.label.png", "v5.rgb.npy"];
+    let of_view = |view: &str| {
+        ["alpha.npy", "label.png", "label_color.png", "rgb.npy"].map(|kind| OsString::from(format!("{view}.{kind}")))
+    };
+    let expected = [of_view("v2"), of_view("v5")].concat();
     assert_eq!(files, expected);
 
     let read = ply::read(&scene, &Limits::default()).unwrap();
@@ -237,6 +241,12 @@ fn train_fills_the_run_folder_and_eval_agrees() {
     for score in ["miou", "miou_per_view", "accuracy"] {
         assert!(near(&scores["labels"][score], &labels["per_gaussian"][score]), "{score}: {scores} {labels}");
     }
+    let classes = folder.path().join("classes.json");
+    let own = std::fs::read_to_string(&classes).unwrap();
+    std::fs::write(&classes, own.replace("green", "turquoise")).unwrap();
+    let message = fails(&["eval", utf8(&run)], 1);
+    assert!(message.contains("--data") && message.contains("not those of the run"), "{message}");
+    std::fs::write(&classes, own).unwrap();
     let plain = succeeds(&["eval", utf8(&run)]);
     assert!(plain.contains("PSNR") && plain.contains("IoU of 2 green"), "{plain}");
 
