@@ -4,7 +4,8 @@ use super::{Bench, Figure, Findings, Layout, Samples, Section, gaussians_in_word
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::gaussians::Gaussians;
-use crate::raster::{Projected, Settings, Splats, eval_sh, render};
+use crate::objects::{RenderOptions, Renderer};
+use crate::raster::{Projected, Settings, Splats, eval_sh};
 use std::hint::black_box;
 
 /// Views of a pass, at most.
@@ -34,6 +35,7 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
             "forward, mean view. Error: absolute, of RGB before clamping (black background), against f64 arithmetic with".into(),
             "alpha_min 1e-14, t_min 0, alpha_max 1. Each line moves one setting away from the configured ones (first line);".into(),
             "near plane and low-pass are left alone: they say what the scene is, not how exactly it is drawn.".into(),
+            "f32 on the backend above, the image's way to the host included; f64 on the CPU.".into(),
         ],
     );
     findings.layout = Layout::Grid;
@@ -43,17 +45,19 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let reference = cameras.iter().map(|camera| wide.render(camera, &exact)).collect::<Result<Vec<_>>>()?;
 
     let mut points = points(&default, &exact, &gaussians);
-    let cut: Vec<Gaussians> = (0..=gaussians.sh_degree).map(|degree| truncated(&gaussians, degree)).collect();
+    let renderer = |degree| Renderer::new(truncated(&gaussians, degree), None, RenderOptions::default(), &bench.device);
+    let mut cut = (0..=gaussians.sh_degree).map(renderer).collect::<Result<Vec<_>>>()?;
     // Round by round, so that a slow moment of the machine meets all points alike; the first round is warm-up.
     for round in 0..=effort.repeats {
         for point in &mut points {
             let mut samples = Samples::default();
+            let renderer = point.renderer(&mut cut)?;
             samples.time(|| {
                 for camera in &cameras {
                     if point.double {
                         black_box(wide.render(camera, &point.settings)?);
                     } else {
-                        black_box(render(&cut[point.sh_degree], camera, &point.settings, [0.0; 3])?);
+                        black_box(renderer.frame(camera)?);
                     }
                 }
                 Ok(())
@@ -67,12 +71,12 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let default_time = points[0].seconds.median();
     for point in &points {
         let mut error = Error::default();
+        let renderer = point.renderer(&mut cut)?;
         for (camera, reference) in cameras.iter().zip(&reference) {
             if point.double {
                 error.add(&wide.render(camera, &point.settings)?, reference);
             } else {
-                let rendered = render(&cut[point.sh_degree], camera, &point.settings, [0.0; 3])?;
-                let rgb: Vec<f64> = rendered.rgb.iter().map(|&v| f64::from(v)).collect();
+                let rgb: Vec<f64> = renderer.frame(camera)?.rgb.iter().map(|&v| f64::from(v)).collect();
                 error.add(&rgb, reference);
             }
         }
@@ -85,6 +89,15 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
         ]);
     }
     Ok(findings)
+}
+
+impl Point {
+    /// Of those for each SH degree the one that renders this point, on black.
+    fn renderer<'a>(&self, of_degrees: &'a mut [Renderer]) -> Result<&'a mut Renderer> {
+        let renderer = &mut of_degrees[self.sh_degree];
+        renderer.set_options(RenderOptions { settings: self.settings, ..RenderOptions::default() })?;
+        Ok(renderer)
+    }
 }
 
 /// The settings to try: the configured ones first, then each knob from exact to coarse, then all exact, then f64.

@@ -38,6 +38,17 @@ pub struct RenderOptions {
     pub min_coverage: f32,
 }
 
+impl RenderOptions {
+    fn check(&self) -> Result<()> {
+        let ([r, g, b], least) = (self.background, self.min_coverage);
+        if [r, g, b, least].iter().all(|value| value.is_finite()) {
+            return Ok(());
+        }
+        let found = format!("background {r}, {g}, {b}, min_coverage {least}");
+        Err(Error::config("render options", found, "finite numbers", "pass a colour and a share"))
+    }
+}
+
 impl Default for RenderOptions {
     /// Default settings, black behind, labels from an alpha of 0.5 on.
     fn default() -> Self {
@@ -75,11 +86,7 @@ impl Renderer {
         device: &Device,
     ) -> Result<Self> {
         gaussians.check(labels.as_deref())?;
-        let [r, g, b] = options.background;
-        if ![r, g, b, options.min_coverage].iter().all(|value| value.is_finite()) {
-            let found = format!("background {r}, {g}, {b}, min_coverage {}", options.min_coverage);
-            return Err(Error::config("render options", found, "finite numbers", "pass a colour and a share"));
-        }
+        options.check()?;
         // Where there is nothing, nothing is sent; where the host would render all the same, nothing is copied for each frame.
         let on_host = in_host_memory(device) || shortfall(device).is_some() || gaussians.is_empty();
         let place = match on_host {
@@ -87,6 +94,16 @@ impl Renderer {
             false => Place::Device(Box::new(OnDevice::new(gaussians, labels.as_deref(), device))),
         };
         Ok(Self { options, place })
+    }
+
+    /// Renders with `options` from now on.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for options that are no numbers.
+    pub fn set_options(&mut self, options: RenderOptions) -> Result<()> {
+        options.check()?;
+        self.options = options;
+        Ok(())
     }
 
     /// What `camera` sees.
