@@ -68,8 +68,8 @@ pub fn open(name: Option<BackendName>) -> Result<Device> {
 /// [`open`], and which backend it is.
 ///
 /// Without a name, a wgpu backend that finds no adapter, or only a software one, or one that the rasterizer's kernels do not
-/// run on ([`shortfall`]), gives way to the next one, with one warning. The devices themselves are lazy: wgpu's adapter is asked for here, so that its absence is an error and not a
-/// later panic.
+/// run on ([`shortfall`]), gives way to the next one, with one warning. The devices themselves are lazy: wgpu's adapter is
+/// asked for here, so that its absence is an error and not a later panic.
 ///
 /// # Errors
 /// [`Error::Device`] when the backend asked for is not compiled in or has no usable adapter.
@@ -194,14 +194,14 @@ fn device(name: BackendName) -> Result<Device> {
         #[cfg(feature = "ndarray")]
         BackendName::Ndarray => Ok(Device::ndarray()),
         #[allow(unreachable_patterns, reason = "unreachable only when every backend is compiled in")]
-        other => Err(Error::Device {
-            device: other.to_string(),
-            reason: {
-                let has: Vec<String> = BackendName::compiled().iter().map(ToString::to_string).collect();
-                format!("not part of this build, which has {}", has.join(", "))
-            },
-            mend: format!("choose one of these, or build with --features {other}"),
-        }),
+        other => {
+            let has: Vec<String> = BackendName::compiled().iter().map(ToString::to_string).collect();
+            Err(Error::Device {
+                device: other.to_string(),
+                reason: format!("not part of this build, which has {}", has.join(", ")),
+                mend: format!("choose one of these, or build with --features {other}"),
+            })
+        }
     }
 }
 

@@ -206,7 +206,7 @@ impl OnDevice {
         let rgb = output.image.clone().slice([0..height, 0..width, 0..3]);
         let mut parts = vec![rgb.reshape([3 * pixels]), output.transmittance.reshape([pixels])];
         if let Some(labels) = &self.labels {
-            // The colour stays where it is, below all weights: without it the rest would be copied.
+            // The colour competes with less than any weight: to cut it off would copy all the others.
             let weights = output.image.slice_fill([0..height, 0..width, 0..3], -1.0);
             let mut largest = largest_of(weights, -3.0);
             for block in blocks {
@@ -304,4 +304,22 @@ fn read_together(mut parts: Vec<Tensor<1>>, summary: Option<Tensor<1>>) -> Resul
     let mut values = read("a rendered view", Tensor::cat(parts, 0))?;
     let lists = ListCount::from_values(&values.split_off(values.len() - fields));
     Ok((values, lists))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::{BackendName, device_of_tests};
+
+    #[test]
+    fn equal_labels_go_to_the_lower_one_within_and_between_blocks() {
+        for device in BackendName::compiled().iter().filter_map(|&name| device_of_tests(name)) {
+            let block = |values: [f32; 4], first| largest_of(Tensor::from_data([[values]], &device), first);
+            let index = |largest: Largest| largest.1.into_data().into_vec::<f32>().expect("floats")[0];
+            assert_eq!(index(block([0.1, 0.4, 0.4, 0.3], 8.0)), 9.0, "{device:?}");
+            let between = |a, b| index(larger_of(block(a, 0.0), block(b, 4.0)));
+            assert_eq!(between([0.0, 0.0, 0.5, 0.0], [0.5, 0.5, 0.0, 0.0]), 2.0, "{device:?}");
+            assert_eq!(between([0.0, 0.0, 0.5, 0.0], [0.0, 0.6, 0.6, 0.0]), 5.0, "{device:?}");
+        }
+    }
 }
