@@ -6,6 +6,7 @@ use coseg::config::Config;
 use coseg::data::{self, Limits, LoadOptions, Scene};
 use coseg::error::Result;
 use coseg::gaussians::ply::{self, PlyScene};
+use coseg::train::compare_with_photos;
 use std::path::PathBuf;
 
 /// Arguments that name both, and where to write.
@@ -37,6 +38,8 @@ impl LabelledArgs {
         for view in &mut scene.views {
             view.camera.center += scene.origin - ply.origin;
         }
+        scene.origin = ply.origin;
+        compare_with_photos(&self.scene, &ply.gaussians, &scene, config)?;
         Ok((scene, ply))
     }
 }

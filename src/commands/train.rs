@@ -36,6 +36,8 @@ Examples:
   coseg train --data scenes/living --set data.raw_labels=labels_raw --set segmentation.rows=raw,vote,ours
   coseg train --config configs/fox.toml --data scenes/fox --out runs/fox
   coseg train --data scenes/fox --set features.source=dino --set features.weights=dino_deitsmall8_pretrain.pth
+  coseg train --data scenes/fox --scene other/point_cloud.ply          stage two alone, on Gaussians of another trainer
+  coseg train --data scenes/fox --scene other/point_cloud.ply --set building.iterations=2000      trained further first
   coseg train --resume runs/fox";
 
 /// Arguments of `coseg train`.
@@ -45,6 +47,9 @@ pub struct TrainArgs {
     /// Scene folder: photos, cameras, label maps; README, 'Data' [default: the built-in room]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
+    /// Gaussians of this or another trainer to label instead of building them: a 3DGS PLY in the cameras' world units
+    #[arg(long, value_name = "FILE.ply", conflicts_with = "resume")]
+    scene: Option<PathBuf>,
     /// Run folder to write [default: runs/NAME of the scene, numbered when taken]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -63,7 +68,13 @@ pub struct TrainArgs {
 
 impl TrainArgs {
     /// Trains, or goes on training, and writes the run folder.
-    pub fn run(self) -> Result<()> {
+    pub fn run(mut self) -> Result<()> {
+        if let Some(path) = &self.scene {
+            // Ahead of what `--set` says.
+            let sets = ["building.iterations=0", "building.max_gaussians=0"].map(str::to_owned);
+            let sets = sets.into_iter().chain([format!("building.gaussians={}", path.display())]);
+            self.settings.sets.splice(0..0, sets);
+        }
         let (run, config) = match &self.resume {
             Some(dir) => {
                 let run = RunFolder::existing(dir)?;

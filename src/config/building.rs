@@ -1,6 +1,7 @@
 //! Settings of stage one and of the blending.
 
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// How the Gaussians spread while they are trained.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -59,8 +60,11 @@ impl Default for McmcConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BuildingConfig {
-    /// Optimiser steps.
+    /// Optimiser steps; 0, which needs `gaussians`, takes those as they are.
     pub iterations: usize,
+    /// Gaussians to begin with, a 3DGS PLY of this or another trainer in the world units and axes of the cameras, instead of
+    /// points. Absent: the scene's points.
+    pub gaussians: Option<PathBuf>,
     /// Highest SH degree, 0 to 3.
     pub sh_degree: usize,
     /// Weight of the SSIM term; L1 has the rest.
@@ -136,6 +140,7 @@ impl Default for BuildingConfig {
     fn default() -> Self {
         Self {
             iterations: 7_000,
+            gaussians: None,
             sh_degree: 3,
             ssim_weight: 0.2,
             lr_means: 1.6e-4,

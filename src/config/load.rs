@@ -71,6 +71,7 @@ fn template() -> Result<Table> {
     let path = || Some(PathBuf::from("path"));
     full.building.densify_until = Some(0.5);
     full.building.densify_threshold = Some(2e-4);
+    full.building.gaussians = path();
     full.data.dir = path();
     full.data.scannet_labels = path();
     full.features.weights = path();

@@ -71,7 +71,9 @@ impl Config {
 
     fn validate_building(&self, check: &mut Check) {
         let b = &self.building;
-        check.positive("building.iterations", b.iterations);
+        if b.gaussians.is_none() {
+            check.positive("building.iterations", b.iterations);
+        }
         check.that(b.sh_degree <= 3, "building.sh_degree", b.sh_degree, "0, 1, 2 or 3", "3 is the usual choice");
         check.within("building.ssim_weight", b.ssim_weight.into(), 0.0, 1.0);
         for (key, rate) in [

@@ -82,6 +82,21 @@ impl Gaussians {
         Self { sh, sh_degree: 0, ..self }
     }
 
+    /// The same Gaussians with SH of `degree`: higher coefficients are zero where there were none, and dropped where there were.
+    #[must_use]
+    pub fn with_sh_degree(self, degree: usize) -> Self {
+        if degree == self.sh_degree {
+            return self;
+        }
+        let (old, new) = (3 * self.sh_len(), 3 * (degree + 1).pow(2));
+        let shared = old.min(new);
+        let mut sh = vec![0.0; self.len() * new];
+        for (to, from) in sh.chunks_exact_mut(new).zip(self.sh.chunks_exact(old)) {
+            to[..shared].copy_from_slice(&from[..shared]);
+        }
+        Self { sh, sh_degree: degree, ..self }
+    }
+
     /// SH coefficients per colour channel, `(sh_degree + 1)^2`.
     pub fn sh_len(&self) -> usize {
         (self.sh_degree + 1).pow(2)

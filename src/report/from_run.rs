@@ -127,6 +127,13 @@ impl Report<'_> {
         if config.data.dir.is_none() {
             notes.push("The scene is the built-in one: procedural and ray-cast.".to_owned());
         }
+        if let Some(path) = &config.building.gaussians {
+            let what = match config.building.iterations {
+                0 => "are those of a file, and none were built",
+                _ => "were trained from those of a file",
+            };
+            notes.push(format!("The Gaussians {what}: {}.", path.display()));
+        }
         if outcome.rows.iter().any(|row| row.row == Row::Raw) {
             notes.push("Raw labels of held-out views are scored, never trained on.".to_owned());
         }

@@ -5,6 +5,7 @@ mod building_state;
 pub mod checkpoint;
 mod compactness;
 mod curve;
+mod given;
 mod parameters;
 mod photos;
 pub mod progress;
@@ -18,6 +19,7 @@ mod segmentation_inputs;
 
 pub use building::{BuildingStage, Densified, StepReport};
 pub use building_state::BuildingState;
+pub use given::compare_with_photos;
 pub use parameters::Moments;
 pub use provenance::Provenance;
 pub use rows::{RowOutcome, decoder_row};

@@ -30,7 +30,7 @@ const RENDER: &str = "segmentation.render";
 /// Sections that training follows from.
 const SECTIONS: [&str; 6] = ["building", "raster", "segmentation", "features", "unprojection", "spatial"];
 /// Settings that are paths: files may move, so their names are compared.
-const PATHS: [&str; 3] = ["features.weights", "features.import_dir", "spatial.weights"];
+const PATHS: [&str; 4] = ["building.gaussians", "features.weights", "features.import_dir", "spatial.weights"];
 
 /// Settings and data that training follows from.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -2,6 +2,7 @@
 
 use super::building::BuildingStage;
 use super::building_state::BuildingState;
+use super::given::{compare_with_photos, given};
 use super::progress::{CurvePoint, Event, Progress};
 use super::rows::{RowOutcome, run_rows};
 use super::segmentation_inputs::{Inputs, Seen};
@@ -138,7 +139,10 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
     let mut seconds = Seconds::default();
 
     let clock = Instant::now();
-    let (gaussians, building) = build(&scene, config, &checkpoints.join("building.safetensors"), device, progress)?;
+    let (gaussians, building) = match &config.building.gaussians {
+        Some(path) if config.building.iterations == 0 => (taken(path, &scene, config)?, Vec::new()),
+        _ => build(&scene, config, &checkpoints.join("building.safetensors"), device, progress)?,
+    };
     ply::write(&out.join("scene.ply"), &gaussians, scene.origin, None)?;
     seconds.building = clock.elapsed().as_secs_f64();
 
@@ -172,6 +176,17 @@ fn has_raw_labels(scene: &Scene) -> bool {
     scene.split(Split::Train).any(|view| view.raw.is_some()) && !scene.classes.is_empty()
 }
 
+/// The Gaussians of `path`, in spatial order.
+fn taken(path: &Path, scene: &Scene, config: &Config) -> Result<Gaussians> {
+    if scene.split(Split::Train).next().is_none() {
+        let found = format!("{} without training views", scene.name);
+        return Err(Error::config("data", found, "a scene with training views", "mark some views as `train`"));
+    }
+    let gaussians = given(path, scene, 0)?;
+    compare_with_photos(path, &gaussians, scene, config)?;
+    Ok(gaussians.select(&gaussians.spatial_order()))
+}
+
 fn build(
     scene: &Scene,
     config: &Config,
@@ -181,7 +196,13 @@ fn build(
 ) -> Result<(Gaussians, Vec<CurvePoint>)> {
     let mut stage = match checkpoint.is_file() {
         true => BuildingStage::from_state(scene, config, device, BuildingState::load(checkpoint)?)?,
-        false => BuildingStage::new(scene, config, device)?,
+        false => {
+            let stage = BuildingStage::new(scene, config, device)?;
+            if let Some(path) = &config.building.gaussians {
+                compare_with_photos(path, &stage.gaussians()?, scene, config)?;
+            }
+            stage
+        }
     }
     .checkpoint_at(checkpoint);
     stage.run(progress)?;

@@ -37,8 +37,12 @@ impl Schedule {
         ((1.0 - share) * start.ln() + share * end.ln()).exp() * self.extent
     }
 
-    /// SH degree in use: one more at each eighth of the run, up to the third and to `sh_degree`.
+    /// SH degree in use: one more at each eighth of the run, up to the third and to `sh_degree`; all of it from the first step
+    /// where the run begins with Gaussians that have colours already.
     pub fn sh_degree(&self, step: usize) -> usize {
+        if self.config.gaussians.is_some() {
+            return self.config.sh_degree;
+        }
         let eighths = 8 * step.saturating_sub(1) / self.config.iterations.max(1);
         eighths.min(3).min(self.config.sh_degree)
     }

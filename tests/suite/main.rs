@@ -38,6 +38,7 @@ mod dino_weights;
 mod edit;
 mod features;
 mod fused;
+mod given;
 mod instance_metrics;
 mod lens;
 mod loss;

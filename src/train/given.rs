@@ -1,0 +1,59 @@
+//! Gaussians that another run or another trainer made, as the start of a run.
+
+use crate::config::Config;
+use crate::data::{Limits, Scene, Split};
+use crate::error::{Error, Result};
+use crate::gaussians::{Gaussians, ply};
+use crate::metrics::ImageScores;
+use std::path::Path;
+
+/// Training photos that are looked at.
+const PHOTOS: usize = 8;
+/// PSNR in dB below which Gaussians do not show the photos. Those of the built-in room have 31 in place; moved by a tenth of its
+/// size, turned by ten degrees, mirrored, of half the size or with other axes they have 7 to 14.
+const MISPLACED: f64 = 15.0;
+
+/// The Gaussians of the PLY at `path`, relative to the origin of `scene`.
+///
+/// # Errors
+/// Those of [`ply::read`]; [`Error::Input`] for a file without Gaussians; [`Error::Config`] for more than `most`, where that is
+/// not 0: trained Gaussians cannot be thinned as points can.
+pub(super) fn given(path: &Path, scene: &Scene, most: usize) -> Result<Gaussians> {
+    let ply::PlyScene { mut gaussians, origin, .. } = ply::read(path, &Limits::default())?;
+    if gaussians.is_empty() {
+        let mend = "name a scene that holds something";
+        return Err(Error::input(path, "element vertex", "no Gaussian", "one or more", mend));
+    }
+    if most > 0 && gaussians.len() > most {
+        let expected = format!("{} or more, as building.gaussians has, or 0 for no limit", gaussians.len());
+        return Err(Error::config("building.max_gaussians", most.to_string(), expected, "raise it"));
+    }
+    let shift = origin - scene.origin;
+    for mean in &mut gaussians.means {
+        *mean = (glam::Vec3::from(*mean).as_dvec3() + shift).as_vec3().to_array();
+    }
+    Ok(gaussians)
+}
+
+/// Warns where the Gaussians of `path`, relative to the origin of `scene`, do not show its training photos.
+///
+/// # Errors
+/// As [`super::score_images`].
+pub fn compare_with_photos(path: &Path, gaussians: &Gaussians, scene: &Scene, config: &Config) -> Result<()> {
+    let views: Vec<_> = scene.split(Split::Train).collect();
+    let every = views.len().div_ceil(PHOTOS).max(1);
+    let scores: Vec<ImageScores> = views
+        .iter()
+        .step_by(every)
+        .map(|view| Ok(super::render_and_score(gaussians, view, config)?.1))
+        .collect::<Result<_>>()?;
+    if let Some(psnr) = ImageScores::mean(&scores).psnr.filter(|psnr| *psnr < MISPLACED) {
+        tracing::warn!(
+            "the Gaussians of {} show the training photos at {psnr:.1} dB: they look misplaced. Their positions have to be in the \
+             units and axes of the cameras of this scene (some trainers move, turn and scale a scene; nerfstudio tells how in \
+             dataparser_transforms.json)",
+            path.display()
+        );
+    }
+    Ok(())
+}
