@@ -1,14 +1,13 @@
 //! `coseg edit`: objects of a labelled scene kept, removed, turned, moved and painted.
 
-use super::object_scene::{ObjectScene, ObjectSceneArgs};
+use super::object_scene::{ObjectScene, ObjectSceneArgs, output_beside};
 use super::terminal;
 use clap::Args;
-use coseg::data::Classes;
 use coseg::error::{Error, Result};
 use coseg::gaussians::{Gaussians, Motion, ply};
 use coseg::objects::Object;
 use glam::{DQuat, DVec3};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 const HELP: &str = "\
 OBJECT is a label id or a name, as `coseg objects` lists them; all objects of a name are meant, and of associated
@@ -84,8 +83,8 @@ impl EditArgs {
     /// Edits and writes.
     pub fn run(self) -> Result<()> {
         let mut scene = self.input.read()?;
-        let [kept, removed] = [ids(&scene, &self.keep, "--keep")?, ids(&scene, &self.remove, "--remove")?];
-        self.check_output(&scene)?;
+        let [kept, removed] = [scene.ids(&self.keep, "--keep")?, scene.ids(&self.remove, "--remove")?];
+        let names = output_beside(&self.input, &self.out, &scene.classes)?;
         let stays = |id: u16| (self.keep.is_empty() || kept.contains(&id)) && !removed.contains(&id);
         let motions = self.motions(&scene, &stays)?;
         for (rows, motion) in &motions {
@@ -102,31 +101,11 @@ impl EditArgs {
             gaussians = gaussians.painted(&labels.iter().map(|&id| scene.color(id)).collect::<Vec<_>>());
         }
         ply::write(&self.out, &gaussians, scene.ply.origin, Some(&labels))?;
-        if !scene.classes.is_empty() && !self.names().exists() {
-            scene.classes.write(&self.names())?;
+        if !scene.classes.is_empty() && !names.exists() {
+            scene.classes.write(&names)?;
         }
         let (left, before, out) = (rows.len(), scene.labels.len(), self.out.display());
         terminal::say(&format!("{out}: {left} of {before} Gaussians, {} turns and moves", motions.len()));
-        Ok(())
-    }
-
-    /// Where the names of the labels go.
-    fn names(&self) -> PathBuf {
-        self.out.with_file_name("classes.json")
-    }
-
-    /// Neither what is read nor the class table of other labels is written over.
-    fn check_output(&self, scene: &ObjectScene) -> Result<()> {
-        let same = |a: &Path, b: &Path| matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b);
-        let names = self.names();
-        if self.input.paths().any(|path| same(path, &self.out)) || self.out == names {
-            let expected = "another file than the scene and its classes.json";
-            return Err(Error::config("--out", self.out.display().to_string(), expected, "name a new file"));
-        }
-        if names.exists() && Classes::read(&names)? != scene.classes {
-            let (found, mend) = ("another class table", "write into another folder");
-            return Err(Error::input(&names, "classes", found, "that of the scene's labels, or no file", mend));
-        }
         Ok(())
     }
 
@@ -166,13 +145,4 @@ fn diagonal(gaussians: &Gaussians) -> f64 {
     let centres = gaussians.means.iter().map(|mean| DVec3::from(mean.map(f64::from)));
     let corners = centres.map(|c| (c, c)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
     corners.map_or(0.0, |(low, high)| (high - low).length())
-}
-
-/// Ids of the objects that `list` names.
-fn ids(scene: &ObjectScene, list: &[String], flag: &str) -> Result<Vec<u16>> {
-    let mut ids = Vec::new();
-    for what in list {
-        ids.extend(scene.find(what, flag)?.iter().map(|object| object.id));
-    }
-    Ok(ids)
 }

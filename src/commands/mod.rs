@@ -13,6 +13,7 @@ mod pretrain;
 mod progress;
 mod render;
 mod run_folder;
+mod separate;
 pub mod terminal;
 mod train;
 mod vote;
@@ -45,6 +46,7 @@ Examples:
   coseg vote --scene scene.ply --data scenes/living --out runs/voted
   coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=masks
   coseg objects --scene runs/living/scene.ply  what there is in it, and where
+  coseg separate --scene runs/living/scene.ply --out objects/scene.ply   each chair a chair of its own
   coseg edit --scene runs/living/scene.ply --out without.ply --remove sofa
   coseg bench --run runs/living                speed on this machine, beside the bars of the design
 
@@ -67,6 +69,8 @@ pub enum Command {
     Associate(associate::AssociateArgs),
     /// List the objects of a labelled scene, or say which one a pixel shows
     Objects(objects::ObjectsArgs),
+    /// Make things of one label that do not touch objects of their own
+    Separate(separate::SeparateArgs),
     /// Keep, remove, turn and move objects of a labelled scene
     Edit(edit::EditArgs),
     /// Train the point encoder on procedural rooms
@@ -86,6 +90,7 @@ impl Command {
             Self::Vote(args) => args.run(),
             Self::Associate(args) => args.run(),
             Self::Objects(args) => args.run(),
+            Self::Separate(args) => args.run(),
             Self::Edit(args) => args.run(),
             Self::Pretrain(args) => args.run(),
             Self::Bench(args) => args.run(),

@@ -93,6 +93,15 @@ impl ObjectScene {
         Err(Error::config(flag, what, expected, "`coseg objects --scene FILE.ply` lists them"))
     }
 
+    /// Ids of the objects that `list` names; `flag` is where they were said.
+    pub fn ids(&self, list: &[String], flag: &str) -> Result<Vec<u16>> {
+        let mut ids = Vec::new();
+        for what in list {
+            ids.extend(self.find(what, flag)?.iter().map(|object| object.id));
+        }
+        Ok(ids)
+    }
+
     fn is_called(&self, id: u16, what: &str) -> bool {
         let Some(name) = self.name(id) else { return false };
         let numbered =
@@ -100,4 +109,20 @@ impl ObjectScene {
         let class = name.rsplit_once(' ').filter(|(_, number)| numbered && number.parse::<u32>().is_ok());
         name == what || class.is_some_and(|(class, _)| class == what)
     }
+}
+
+/// Where the names of a scene written to `out` go, its labels being those of `classes`. Neither what is read nor the class table
+/// of other labels is written over.
+pub fn output_beside(input: &ObjectSceneArgs, out: &Path, classes: &Classes) -> Result<PathBuf> {
+    let same = |a: &Path, b: &Path| matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b);
+    let names = out.with_file_name("classes.json");
+    if input.paths().any(|path| same(path, out)) || out == names {
+        let expected = "another file than the scene and its classes.json";
+        return Err(Error::config("--out", out.display().to_string(), expected, "name a new file"));
+    }
+    if names.exists() && Classes::read(&names)? != *classes {
+        let (found, mend) = ("another class table", "write into another folder");
+        return Err(Error::input(&names, "classes", found, "that of the scene's labels, or no file", mend));
+    }
+    Ok(names)
 }

@@ -5,7 +5,7 @@
 //! row `i` of all of them stays the same Gaussian.
 
 use super::init::logit;
-use super::{Gaussians, Geometry};
+use super::{Gaussians, Geometry, rotation};
 use crate::error::{Error, Result};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -197,13 +197,6 @@ fn sample(mean: &[f32; 3], log_scales: &[f32; 3], quaternion: &[f32; 4], rng: &m
     let local = glam::DVec3::from_array(std::array::from_fn(|k| z[k] * f64::from(log_scales[k]).exp()));
     let moved = rotation(quaternion) * local;
     std::array::from_fn(|k| (f64::from(mean[k]) + moved[k]) as f32)
-}
-
-/// The rotation of a quaternion (w, x, y, z) of any length; one without direction is the identity, as in the rasterizer.
-pub(super) fn rotation(quaternion: &[f32; 4]) -> glam::DQuat {
-    let [w, x, y, z] = quaternion.map(f64::from);
-    let q = glam::DQuat::from_xyzw(x, y, z, w);
-    if q.length_squared() < 1e-12 { glam::DQuat::IDENTITY } else { q.normalize() }
 }
 
 /// Box-Muller; two uniform numbers a draw, so the stream's position does not depend on the values.

@@ -139,3 +139,10 @@ impl Gaussians {
         Ok(())
     }
 }
+
+/// The rotation of a quaternion (w, x, y, z) of any length; one without direction is the identity, as in the rasterizer.
+pub(crate) fn rotation(quaternion: &[f32; 4]) -> glam::DQuat {
+    let [w, x, y, z] = quaternion.map(f64::from);
+    let q = glam::DQuat::from_xyzw(x, y, z, w);
+    if q.length_squared() < 1e-12 { glam::DQuat::IDENTITY } else { q.normalize() }
+}

@@ -1,8 +1,8 @@
 //! The noise of 3DGS-MCMC (Kheradmand et al. 2024, arXiv 2404.09591), which makes Adam's steps on the means those of
 //! stochastic gradient Langevin dynamics.
 
-use super::densify::rotation;
 use super::relocate::sigmoid;
+use super::rotation;
 #[cfg(feature = "cube")]
 use crate::device::in_host_memory;
 use crate::device::read;

@@ -6,6 +6,7 @@ mod identities;
 mod inventory;
 mod renderer;
 mod semantics;
+mod separate;
 mod smoothing;
 mod vote;
 
@@ -15,5 +16,6 @@ pub use identities::{Identities, LabelRule, label_map};
 pub use inventory::{Object, Picked, inventory, pick};
 pub use renderer::{Frame, RenderOptions, Renderer};
 pub use semantics::Semantics;
+pub use separate::{Separated, Separation};
 pub use smoothing::{Diffusion, NeighbourGraph};
 pub use vote::{Votes, vote};

@@ -70,6 +70,7 @@ mod replica;
 mod report;
 mod resume;
 mod scannet;
+mod separate;
 mod smoothing;
 mod solve;
 mod spoilt_masks;
