@@ -3,20 +3,22 @@
 use super::run_folder::RunFolder;
 use super::terminal;
 use clap::Args;
-use coseg::config::{Association, Config};
+use coseg::config::{Association, Config, Row};
 use coseg::data::{Classes, LabelRuns, Limits, Scene, Split, View};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::metrics::{ImageScores, InstanceScores, SemanticScores, Void, instance_scores, label_scores};
 use coseg::objects::{Identities, LabelRule, Semantics, hard_label_map, label_map};
 use coseg::raster::{Projected, Settings, render};
+use coseg::report::{RowScores, TestScores};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 const HELP: &str = "\
 Prints PSNR and SSIM of the run's scene on the held-out views and, where these have true labels, mIoU (all views in
 one confusion matrix, and the mean over views), accuracy and the IoU of each class, 0 to 1, of the stored identities. Of
 a run with data.association: scores of its objects against true instances, and, where they have classes, against true
-labels, an object counting as its class.
+labels, an object counting as its class. --json has the names of metrics.json.
 
 Examples:
   coseg eval runs/living
@@ -35,6 +37,13 @@ pub struct EvalArgs {
     /// Print JSON
     #[arg(long)]
     json: bool,
+}
+
+/// What the held-out views show.
+struct Found<'s> {
+    images: BTreeMap<String, ImageScores>,
+    /// Of the views that have truth.
+    labels: Vec<(&'s View, LabelRuns)>,
 }
 
 /// What labels are rendered from.
@@ -68,7 +77,7 @@ impl EvalArgs {
             let mend = "give the scene that was trained on, or one with the same classes.json";
             return Err(Error::config("--data", found, format!("the {} classes of the run", classes.len()), mend));
         }
-        let (images, labels) = score(&scene, &ply, stored.as_ref(), &classes, &config)?;
+        let Found { images, labels } = score(&scene, &ply, stored.as_ref(), &classes, &config)?;
         // Classes that association found are objects; true labels are of other classes.
         let objects = config.data.association != Association::None;
         let instances = objects.then(|| {
@@ -87,18 +96,16 @@ impl EvalArgs {
         );
         let views = scene.split(Split::Test).count();
         if self.json {
-            let labels = stored.is_some().then_some(&labels);
-            let mut json =
-                serde_json::json!({ "views": views, "psnr": images.psnr, "ssim": images.ssim, "labels": labels });
-            if let Some(instances) = instances {
-                json["instances"] = serde_json::json!(instances);
-            }
-            if let Some(semantic) = semantic {
-                json["semantic"] = serde_json::json!(semantic);
-            }
+            let row = RowScores { instances, semantic, ..RowScores::from(&labels) };
+            let labels = stored.and(stored_row(&config)).map(|name| (name, row));
+            let mean = ImageScores::mean(&images.values().copied().collect::<Vec<_>>());
+            let test =
+                TestScores { psnr: mean.psnr, ssim: mean.ssim, views: images, labels: labels.into_iter().collect() };
+            let json = serde_json::json!({ "scene": scene.name, "gaussians": ply.gaussians.len(), "held_out": views, "test": test });
             terminal::say(&json.to_string());
             return Ok(());
         }
+        let images = ImageScores::mean(&images.into_values().collect::<Vec<_>>());
         terminal::say(&format!("{}: {} Gaussians, {views} held-out views", scene.name, ply.gaussians.len()));
         let of_objects = |pick: fn(&InstanceScores) -> Option<f64>| instances.as_ref().and_then(pick);
         let by_class = |pick: fn(&SemanticScores) -> Option<f64>| semantic.as_ref().and_then(pick);
@@ -133,6 +140,12 @@ impl EvalArgs {
     }
 }
 
+/// The row whose identities a run with these settings stores.
+fn stored_row(config: &Config) -> Option<Row> {
+    let rows = &config.segmentation.rows;
+    rows.iter().find(|row| **row == Row::Ours).or_else(|| rows.iter().rfind(|row| **row != Row::Raw)).copied()
+}
+
 /// The identities of the run, or else the labels in its PLY; nothing when it has neither.
 fn stored(run: &RunFolder, ply: &PlyScene) -> Result<Option<Stored>> {
     let path = run.identities_path();
@@ -148,22 +161,23 @@ fn stored(run: &RunFolder, ply: &PlyScene) -> Result<Option<Stored>> {
     Ok(Some(Stored::Identities(identities)))
 }
 
-/// Mean image scores, and the rendered labels of the views that have truth.
+/// Image scores of each view, and the rendered labels of the views that have truth.
 fn score<'s>(
     scene: &'s Scene,
     ply: &PlyScene,
     stored: Option<&Stored>,
     classes: &Classes,
     config: &Config,
-) -> Result<(ImageScores, Vec<(&'s View, LabelRuns)>)> {
+) -> Result<Found<'s>> {
     let settings = Settings::from(&config.raster);
     let rule = LabelRule::from(&config.segmentation);
     let bar = terminal::bar("eval", scene.split(Split::Test).count() as u64);
-    let (mut images, mut labels) = (Vec::new(), Vec::new());
+    let (mut images, mut labels) = (BTreeMap::new(), Vec::new());
     for view in scene.split(Split::Test) {
         let View { camera, truth, instances, .. } = view;
         let rendered = render(&ply.gaussians, camera, &settings, config.raster.background)?;
-        images.push(ImageScores::of(&rendered.rgb, &view.rgb()?, camera.width, camera.height));
+        let scores = ImageScores::of(&rendered.rgb, &view.rgb()?, camera.width, camera.height);
+        images.insert(view.name.clone(), scores);
         if let (true, Some(stored)) = (truth.is_some() || instances.is_some(), stored) {
             let projected = Projected::new(&ply.gaussians.splats(), camera, &settings)?;
             let found = match stored {
@@ -175,5 +189,5 @@ fn score<'s>(
         bar.inc(1);
     }
     bar.finish_and_clear();
-    Ok((ImageScores::mean(&images), labels))
+    Ok(Found { images, labels })
 }

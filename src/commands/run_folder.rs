@@ -3,6 +3,7 @@
 use coseg::config::Config;
 use coseg::data::{Classes, atomic};
 use coseg::error::{Error, Result};
+use coseg::report::{Command, Metrics};
 use std::path::{Path, PathBuf};
 
 /// A run folder.
@@ -56,18 +57,39 @@ impl RunFolder {
         Ok(before)
     }
 
+    /// Notes that `command` begins the run or goes on with it; returns all commands of the run, it the last.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file.
+    pub fn begin(&self, command: Command) -> Result<Vec<Command>> {
+        let path = self.commands_path();
+        // A run of before this file was kept has none; one that cannot be read says nothing.
+        let before = std::fs::read(&path).ok().and_then(|text| serde_json::from_slice(&text).ok());
+        let commands: Vec<Command> = before.into_iter().flat_map(|all: Vec<Command>| all).chain([command]).collect();
+        let text = serde_json::to_string_pretty(&commands).map_err(|e| Error::io(&path, "encode", e.into()))?;
+        atomic::write_bytes(&path, text.as_bytes())?;
+        Ok(commands)
+    }
+
+    /// Largest memory of the part of the run that ended last, where one did.
+    pub fn peak_memory_before(&self) -> Option<u64> {
+        let text = std::fs::read(self.0.join("metrics.json")).ok()?;
+        serde_json::from_slice::<Metrics>(&text).ok()?.peak_memory_bytes
+    }
+
     /// Puts back what [`RunFolder::replace_config`] returned: the run did not go on with other settings.
     pub fn restore_config(&self, before: &[u8]) {
         // The error that led here is told; this file only says less of it.
         let _ = atomic::write_bytes(self.config_path(), before);
     }
 
-    /// Takes `config.toml` away, and the folder when that empties it, if training has not begun: input was at fault, and
+    /// Takes `config.toml` and the noted commands away, and the folder when that empties it, if training has not begun: input was at fault, and
     /// the folder is free for another try.
     pub fn forget_unless_started(&self) {
         if !self.0.join("checkpoint").exists() {
             // What cannot be removed does no harm.
             let _ = std::fs::remove_file(self.config_path());
+            let _ = std::fs::remove_file(self.commands_path());
             let _ = std::fs::remove_dir(&self.0);
         }
     }
@@ -80,6 +102,11 @@ impl RunFolder {
     /// Settings as run.
     pub fn config_path(&self) -> PathBuf {
         self.0.join("config.toml")
+    }
+
+    /// The command lines that the run is of.
+    fn commands_path(&self) -> PathBuf {
+        self.0.join("commands.json")
     }
 
     /// The scene.

@@ -10,8 +10,9 @@ use coseg::data::{self, LoadOptions, NamedCamera, Split, View, transforms};
 use coseg::device::{self, BackendName};
 use coseg::error::Result;
 use coseg::gaussians::ply;
-use coseg::report::{History, Metrics, Report, held_out_views};
+use coseg::report::{Command, Metrics, Report, held_out_views};
 use coseg::train::{self, Outcome};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 const HELP: &str = "\
@@ -38,7 +39,8 @@ Examples:
   coseg train --data scenes/fox --set features.source=dino --set features.weights=dino_deitsmall8_pretrain.pth
   coseg train --data scenes/fox --scene other/point_cloud.ply          stage two alone, on Gaussians of another trainer
   coseg train --data scenes/fox --scene other/point_cloud.ply --set building.iterations=2000      trained further first
-  coseg train --resume runs/fox";
+  coseg train --resume runs/fox
+  coseg train --resume runs/fox --data elsewhere/fox                   its scene has moved";
 
 /// Arguments of `coseg train`.
 #[derive(Args, Debug)]
@@ -47,14 +49,14 @@ pub struct TrainArgs {
     /// Scene folder: photos, cameras, label maps; README, 'Data' [default: the built-in room]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Gaussians of this or another trainer to label instead of building them: a 3DGS PLY in the cameras' world units
+    /// 3DGS PLY of this or another trainer whose Gaussians to label, instead of building new ones
     #[arg(long, value_name = "FILE.ply", conflicts_with = "resume")]
     scene: Option<PathBuf>,
     /// Run folder to write [default: runs/NAME of the scene, numbered when taken]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Go on with this run from its last checkpoint, exactly as if it had not stopped
-    #[arg(long, value_name = "RUN", conflicts_with_all = ["data", "out", "seed", "config"])]
+    /// Go on with this run from its last checkpoint, exactly as if it had not stopped; --data: its scene has moved
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["out", "seed", "config"])]
     resume: Option<PathBuf>,
     /// Where to compute: wgpu, flex, ndarray or cuda [default: the first in this build, cuda aside]
     #[arg(long, value_name = "NAME")]
@@ -78,7 +80,8 @@ impl TrainArgs {
         let (run, config) = match &self.resume {
             Some(dir) => {
                 let run = RunFolder::existing(dir)?;
-                let config = run.config(&self.settings.sets)?;
+                let mut config = run.config(&self.settings.sets)?;
+                config.data.dir = self.data.clone().or(config.data.dir);
                 (run, config)
             }
             None => {
@@ -86,6 +89,8 @@ impl TrainArgs {
                 (RunFolder::new(self.out.as_deref(), &scene_name(&config))?, config)
             }
         };
+        // A run is gone on with, and scored, from other folders too.
+        let config = config.with_absolute_paths()?;
         if let Some(dir) = &config.data.dir {
             data::locate(dir, &LoadOptions::from(&config.data))?;
         }
@@ -94,6 +99,8 @@ impl TrainArgs {
         let device_text = format!("{backend} backend, {} threads", rayon::current_num_threads());
         terminal::note(&format!("{} -> {} ({device_text})", scene_name(&config), run.path().display()));
 
+        let version = env!("CARGO_PKG_VERSION").to_owned();
+        let commands = run.begin(Command { line: command_line(), device: device_text, version })?;
         let outcome = train::run(&config, run.path(), &device, &mut Bars::default());
         let outcome = outcome.inspect_err(|_| match before {
             Some(text) => run.restore_config(&text),
@@ -107,15 +114,20 @@ impl TrainArgs {
             identities.write(&run.identities_path())?;
         }
         let (classes, renders) = (&outcome.scene.classes, run.path().join("renders"));
-        let views = held_out_views(&outcome, &config, |view| view.write(classes, &renders))?;
-        let history = History::of(&outcome);
+        let mut metrics = Metrics { commands, ..Metrics::of(&outcome) };
+        let mut scores = BTreeMap::new();
+        let views = held_out_views(&outcome, &config, |view| {
+            scores.insert(view.view.name.clone(), view.scores);
+            view.write(classes, &renders)
+        })?;
+        scores.extend(views.iter().map(|view| (view.view.name.clone(), view.scores)));
+        metrics.test.views = scores;
+        // Of a run in parts the largest counts, as far as they came to an end.
+        metrics.peak_memory_bytes = metrics.peak_memory_bytes.max(run.peak_memory_before());
         let report = Report {
-            metrics: Metrics::of(&outcome),
-            classes: &outcome.scene.classes,
+            metrics,
+            classes,
             config: &config,
-            command: command_line(),
-            device: device_text,
-            history: &history,
             held_out: outcome.scene.split(Split::Test).count(),
             views,
             notes: Report::notes_of(&outcome, &config),

@@ -52,6 +52,27 @@ impl Config {
         Ok(config)
     }
 
+    /// This config with paths that do not depend on the working folder.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the working folder is gone.
+    pub fn with_absolute_paths(mut self) -> Result<Self> {
+        for path in [
+            &mut self.data.dir,
+            &mut self.data.scannet_labels,
+            &mut self.building.gaussians,
+            &mut self.features.weights,
+            &mut self.features.import_dir,
+            &mut self.features.cache_dir,
+            &mut self.spatial.weights,
+        ] {
+            if let Some(relative) = path {
+                *path = Some(std::path::absolute(&*relative).map_err(|e| Error::io(&*relative, "find", e))?);
+            }
+        }
+        Ok(self)
+    }
+
     /// This config as TOML; [`Config::load`] of it gives the same config.
     ///
     /// # Errors

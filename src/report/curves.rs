@@ -44,7 +44,7 @@ fn loss(title: &str, class: &str, samples: &[Sample]) -> Chart {
 
 /// Charts of the building stage.
 pub(super) fn building(report: &Report<'_>) -> String {
-    let b = &report.history.building;
+    let b = &report.metrics.curves.building;
     let charts = [
         single("Held-out PSNR", "PSNR, dB", &b.psnr, 2),
         single("Held-out SSIM", "SSIM", &b.ssim, 3),
@@ -56,7 +56,7 @@ pub(super) fn building(report: &Report<'_>) -> String {
 
 /// Charts of the segmentation stage: one of the held-out mIoU of all rows, one loss a row.
 pub(super) fn segmentation(report: &Report<'_>) -> String {
-    let rows = &report.history.rows;
+    let rows = &report.metrics.curves.rows;
     let as_percent = |s: &[Sample]| s.iter().map(|&(i, v)| (i, 100.0 * v)).collect::<Vec<_>>();
     let untrained = |row: &Row| !rows.iter().any(|r| r.row == *row);
     let scored = report.metrics.test.labels.iter().filter(|(row, _)| untrained(row));

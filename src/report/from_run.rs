@@ -14,7 +14,8 @@ use crate::train::progress::CurvePoint;
 use crate::train::{Outcome, RowOutcome, render_and_score};
 
 impl Metrics {
-    /// The figures of a finished run; peak memory is that of this process until now.
+    /// The figures of a finished run, but for its commands and the scores of single views, which it does not know; peak memory is that
+    /// of this process until now.
     pub fn of(outcome: &Outcome) -> Self {
         let s = &outcome.seconds;
         Self {
@@ -30,6 +31,7 @@ impl Metrics {
             test: TestScores {
                 psnr: outcome.test.psnr,
                 ssim: outcome.test.ssim,
+                views: Default::default(),
                 labels: outcome.rows.iter().map(|row| (row.row, row_scores(row))).collect(),
             },
             seconds: Seconds {
@@ -43,6 +45,8 @@ impl Metrics {
             learnable_bytes: outcome.learnable_bytes().into_iter().collect(),
             spatial: outcome.spatial.clone(),
             features: outcome.features.clone(),
+            commands: Vec::new(),
+            curves: History::of(outcome),
         }
     }
 }
@@ -57,6 +61,7 @@ fn row_scores(row: &RowOutcome) -> RowScores {
         iterations: row.curve.last().map(|point| point.iteration),
         learning_rate: row.rate,
         seconds: row.curve.last().map(|_| row.seconds),
+        trial_seconds: row.trial_seconds,
         ..RowScores::from(&row.scores)
     }
 }

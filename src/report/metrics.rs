@@ -1,7 +1,8 @@
 //! `metrics.json`: the figures of a run, for programs.
 
+use super::History;
 use crate::config::Row;
-use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
+use crate::metrics::{Agreement, Compactness, ImageScores, InstanceScores, LabelScores, SemanticScores};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -10,6 +11,9 @@ use std::collections::BTreeMap;
 pub struct Metrics {
     /// Name of the scene.
     pub scene: String,
+    /// Commands that the run is of: one that began it, and one for each time it was gone on with.
+    #[serde(default)]
+    pub commands: Vec<Command>,
     /// Gaussians in `scene.ply`.
     pub gaussians: usize,
     /// What association made of the raw labels, where settings asked for it.
@@ -27,6 +31,20 @@ pub struct Metrics {
     pub spatial: String,
     /// Where the 2D features came from.
     pub features: String,
+    /// What was measured while it trained.
+    #[serde(default)]
+    pub curves: History,
+}
+
+/// A command line and what it ran on.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Command {
+    /// As a shell takes it.
+    pub line: String,
+    /// Backend and processor threads, in words.
+    pub device: String,
+    /// Version of this crate.
+    pub version: String,
 }
 
 /// What association made of segments whose ids meant something within a view only.
@@ -52,6 +70,9 @@ pub struct TestScores {
     pub psnr: Option<f64>,
     /// Mean of the per-image SSIM.
     pub ssim: Option<f64>,
+    /// Each held-out view by its name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub views: BTreeMap<String, ImageScores>,
     /// Label scores by row.
     pub labels: BTreeMap<Row, RowScores>,
 }
@@ -92,6 +113,9 @@ pub struct RowScores {
     /// Training time of this row alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,
+    /// Time of trying learning rates for it, where several were tried.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trial_seconds: Option<f64>,
 }
 
 impl From<&LabelScores> for RowScores {

@@ -17,7 +17,7 @@ mod views;
 
 pub use from_run::held_out_views;
 pub use history::{BuildingHistory, History, RowHistory, Sample};
-pub use metrics::{AssociationFigures, Metrics, RowScores, Scores, Seconds, TestScores, peak_memory_bytes};
+pub use metrics::{AssociationFigures, Command, Metrics, RowScores, Scores, Seconds, TestScores, peak_memory_bytes};
 
 use crate::config::{Config, Row};
 use crate::data::{Classes, LabelMap, View, atomic};
@@ -34,12 +34,6 @@ pub struct Report<'a> {
     pub classes: &'a Classes,
     /// Settings as run.
     pub config: &'a Config,
-    /// The command line that started the run.
-    pub command: String,
-    /// Backend and processor threads, in words.
-    pub device: String,
-    /// Curves of both stages.
-    pub history: &'a History,
     /// Number of held-out views.
     pub held_out: usize,
     /// Those of them that the page shows, in file order.

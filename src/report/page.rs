@@ -45,10 +45,9 @@ pub(super) fn page(report: &Report<'_>, path: &Path) -> Result<String> {
     out.push_str(&notes(report));
     let _ = write!(
         out,
-        "<h2>How it was run</h2>\n<pre>{}</pre>\n<p class=\"quiet\">{}. Seed {}.</p>\n\
+        "<h2>How it was run</h2>\n{}<p class=\"quiet\">Seed {}.</p>\n\
          <details><summary>All settings (config.toml)</summary>\n<pre>{}</pre>\n</details>\n",
-        escape(&report.command),
-        escape(&report.device),
+        commands(report),
         report.config.seed,
         escape(&report.config.to_toml()?),
     );
@@ -126,10 +125,18 @@ fn section(out: &mut String, title: &str, text: &str, charts: &str) {
 
 /// How much the held-out PSNR still moved at the end.
 fn flattened(report: &Report<'_>) -> String {
-    late_gain(&report.history.building.psnr).map_or(String::new(), |gain| {
+    late_gain(&report.metrics.curves.building.psnr).map_or(String::new(), |gain| {
         let gain = format!("{gain:+.2}").replace('-', "−");
         format!("<p class=\"quiet\">Over the last fifth of the run the held-out PSNR changed by {gain} dB.</p>\n")
     })
+}
+
+/// The command lines of the run, with what each ran on.
+fn commands(report: &Report<'_>) -> String {
+    let one = |command: &super::Command| {
+        format!("<pre>{}</pre>\n<p class=\"quiet\">{}.</p>\n", escape(&command.line), escape(&command.device))
+    };
+    report.metrics.commands.iter().map(one).collect()
 }
 
 fn notes(report: &Report<'_>) -> String {

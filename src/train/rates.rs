@@ -1,6 +1,7 @@
 //! Learning rates chosen without test truth: short trials, scored on raw labels of training views that were held back.
 
 use super::checkpoint::Checkpoint;
+use super::progress::{Event, Progress};
 use super::segmentation::{Model, Plan, TrainingViews, train_step};
 use super::segmentation_inputs::Inputs;
 use crate::data::LabelRuns;
@@ -9,12 +10,22 @@ use crate::metrics::{Void, label_scores};
 use crate::objects::{Identities, LabelRule, label_map};
 use crate::raster::Projected;
 use std::path::Path;
+use std::time::Instant;
 
 /// Every so many training views one is held back in a trial.
 pub const HELD_BACK: usize = 8;
 /// A trial runs for this share of the row's iterations.
 const TRIAL_SHARE: f64 = 0.25;
 const KIND: &str = "learning rate";
+
+/// A learning rate, and the seconds that it took to choose where there was a choice.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rate {
+    /// The rate.
+    pub rate: f64,
+    /// Seconds of all trials.
+    pub seconds: Option<f64>,
+}
 
 /// Makes an untrained model that learns at a rate, for the views in use.
 pub type Fresh<'m, 'a> = &'m mut dyn FnMut(f64, &TrainingViews) -> Result<Box<dyn Model + 'a>>;
@@ -33,25 +44,32 @@ pub fn choose_rate<'a>(
     inputs: &Inputs,
     path: &Path,
     model: Fresh<'_, 'a>,
-) -> Result<f64> {
+    progress: &mut dyn Progress,
+) -> Result<Rate> {
     let factors = &inputs.config.segmentation.lr_trials;
     if factors.len() < 2 || views.len() < 2 {
-        return Ok(base * factors.first().copied().unwrap_or(1.0));
+        return Ok(Rate { rate: base * factors.first().copied().unwrap_or(1.0), seconds: None });
     }
     if path.is_file() {
-        let (of, from, rate): (Vec<f64>, f64, f64) = Checkpoint::load(path, KIND)?.get("choice")?;
+        let checkpoint = Checkpoint::load(path, KIND)?;
+        let (of, from, rate): (Vec<f64>, f64, f64) = checkpoint.get("choice")?;
         if (&of, from) == (factors, base) {
-            return Ok(rate);
+            return Ok(Rate { rate, seconds: checkpoint.get("seconds").ok() });
         }
     }
     let trial = Plan { iterations: ((plan.iterations as f64 * TRIAL_SHARE).ceil() as usize).max(1), ..plan.clone() };
     let trial = Plan { warmup: (plan.warmup as f64 * TRIAL_SHARE).round() as usize, ..trial };
     views.hold_back(Some(HELD_BACK.min(views.len())));
+    let clock = Instant::now();
     let mut best = (f64::NEG_INFINITY, base);
-    for factor in factors {
+    let gaussians = views.gaussians();
+    progress.event(&Event::Started { stage: "rates", done: 0, iterations: factors.len() * trial.iterations });
+    for (tried, factor) in factors.iter().enumerate() {
         let mut model = model(base * factor, views)?;
         for iteration in 0..trial.iterations {
-            train_step(model.as_mut(), views, &trial, iteration)?;
+            let loss = f64::from(train_step(model.as_mut(), views, &trial, iteration)?);
+            let iteration = tried * trial.iterations + iteration + 1;
+            progress.event(&Event::Step { iteration, loss, gaussians });
         }
         let score = raw_accuracy(&model.identities()?, views, inputs)?;
         if score > best.0 {
@@ -59,10 +77,13 @@ pub fn choose_rate<'a>(
         }
     }
     views.hold_back(None);
+    progress.event(&Event::Finished);
+    let seconds = clock.elapsed().as_secs_f64();
     let mut checkpoint = Checkpoint::new(KIND);
     checkpoint.set("choice", &(factors, base, best.1))?;
+    checkpoint.set("seconds", &seconds)?;
     checkpoint.save(path)?;
-    Ok(best.1)
+    Ok(Rate { rate: best.1, seconds: Some(seconds) })
 }
 
 /// Share of the labelled pixels of the views held back on which rendered and raw label agree.

@@ -3,7 +3,7 @@
 use super::compactness::Compacting;
 use super::progress::{CurvePoint, Progress};
 use super::provenance::Provenance;
-use super::rates::choose_rate;
+use super::rates::{Rate, choose_rate};
 use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Source, TrainingViews, train};
 use super::segmentation_inputs::{Inputs, Spatial};
 use crate::config::{Association, LabelLoss, Prior, Row, SegmentationConfig};
@@ -51,6 +51,8 @@ pub struct RowOutcome {
     pub rate: Option<f64>,
     /// Seconds of training.
     pub seconds: f64,
+    /// Seconds of trying learning rates, where several were tried.
+    pub trial_seconds: Option<f64>,
 }
 
 impl RowOutcome {
@@ -229,6 +231,7 @@ fn untrained(row: Row) -> RowOutcome {
         learnable_bytes: 0,
         rate: None,
         seconds: 0.0,
+        trial_seconds: None,
     }
 }
 
@@ -264,14 +267,15 @@ fn trained(
     let classes = inputs.scene.classes.len();
     let mut score = |identities: &Identities| Ok(held_out.score(identities, inputs)?.miou());
     let rate_file = checkpoints.join(format!("{}.rate.safetensors", row.key()));
-    let mut fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: f64| -> Result<RowOutcome> {
+    let mut fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: &Rate, progress: &mut dyn Progress| {
         let curve = train(model, views, &plan, &pace, &mut score, progress)?;
         let identities = model.identities()?;
         let scores = held_out.score(&identities, inputs)?;
         Ok(RowOutcome {
             identities: Some(identities),
             learnable_bytes: model.learnable_bytes(),
-            rate: Some(rate),
+            rate: Some(rate.rate),
+            trial_seconds: rate.seconds,
             seconds: curve.last().map_or(0.0, |p| p.seconds),
             curve,
             ..scores.of(row)
@@ -280,15 +284,15 @@ fn trained(
     if !row.is_fused() {
         let model = |rate| PerGaussian::new([inputs.gaussians.len(), classes], rate, config.blend, &device);
         let mut boxed = |rate, _: &TrainingViews| Ok(Box::new(model(rate)) as Box<dyn Model>);
-        let rate = choose_rate(config.lr_per_gaussian, &plan, views, inputs, &rate_file, &mut boxed)?;
-        return fit(views, &mut model(rate), rate);
+        let rate = choose_rate(config.lr_per_gaussian, &plan, views, inputs, &rate_file, &mut boxed, progress)?;
+        return fit(views, &mut model(rate.rate), &rate, progress);
     }
     let source = spatial.source(row, inputs)?;
     let mut boxed = |rate, views: &TrainingViews| -> Result<Box<dyn Model + '_>> {
         Ok(Box::new(decoder_row(row, rate, source, inputs, views)?))
     };
-    let rate = choose_rate(config.lr, &plan, views, inputs, &rate_file, &mut boxed)?;
-    fit(views, &mut decoder_row(row, rate, source, inputs, views)?, rate)
+    let rate = choose_rate(config.lr, &plan, views, inputs, &rate_file, &mut boxed, progress)?;
+    fit(views, &mut decoder_row(row, rate.rate, source, inputs, views)?, &rate, progress)
 }
 
 /// The decoder of `row` before its first step at learning rate `rate`, over the frozen inputs `source`; its prior, where

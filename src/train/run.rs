@@ -17,7 +17,8 @@ use burn::tensor::Device;
 use std::path::Path;
 use std::time::Instant;
 
-/// Seconds spent in each part of the job; evaluations are part of the stage they belong to.
+/// Seconds spent in each part of the job; evaluations are part of the stage they belong to. Training of earlier parts of a resumed
+/// run counts; what such a run does again (loading, features, unprojection) counts once.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Seconds {
     /// Stage one.
@@ -144,7 +145,10 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
         _ => build(&scene, config, &checkpoints.join("building.safetensors"), device, progress)?,
     };
     ply::write(&out.join("scene.ply"), &gaussians, scene.origin, None)?;
-    seconds.building = clock.elapsed().as_secs_f64();
+    // Of a stage that was resumed the last point of the curve knows more than this clock.
+    let now = clock.elapsed().as_secs_f64();
+    seconds.building = building.last().map_or(now, |point| now.max(point.seconds));
+    let mut earlier = seconds.building - now;
 
     let test = score_images(&gaussians, &scene, config)?;
     let mut outcome = Outcome {
@@ -165,9 +169,9 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
         outcome.association = Some(put_together(&mut outcome.scene, &outcome.gaussians, config, progress)?);
     }
     if has_raw_labels(&outcome.scene) && !config.segmentation.rows.is_empty() && !progress.stop() {
-        segment(&mut outcome, config, &settings, &checkpoints, device, progress)?;
+        earlier += segment(&mut outcome, config, &settings, &checkpoints, device, progress)?;
     }
-    outcome.seconds.total = start.elapsed().as_secs_f64();
+    outcome.seconds.total = start.elapsed().as_secs_f64() + earlier;
     Ok(outcome)
 }
 
@@ -227,6 +231,7 @@ fn put_together(
     Ok(Associated { segments, objects, dropped, divided, seconds: clock.elapsed().as_secs_f64() })
 }
 
+/// Stage two; returns the seconds of it that earlier parts of a resumed run took.
 fn segment(
     outcome: &mut Outcome,
     config: &Config,
@@ -234,7 +239,7 @@ fn segment(
     checkpoints: &Path,
     device: &Device,
     progress: &mut dyn Progress,
-) -> Result<()> {
+) -> Result<f64> {
     let fused = config.segmentation.rows.iter().any(|row| row.is_fused());
     let seen = match fused {
         true => Some(Seen::new(&outcome.scene, &outcome.gaussians, config, settings, device, progress)?),
@@ -268,8 +273,10 @@ fn segment(
     };
     let (rows, spatial) = run_rows(&inputs, checkpoints, progress)?;
     (outcome.rows, outcome.spatial) = (rows, spatial);
-    outcome.seconds.segmentation = clock.elapsed().as_secs_f64();
-    Ok(())
+    let now = clock.elapsed().as_secs_f64();
+    let trained = outcome.rows.iter().map(|row| row.seconds + row.trial_seconds.unwrap_or(0.0)).sum();
+    outcome.seconds.segmentation = now.max(trained);
+    Ok(outcome.seconds.segmentation - now)
 }
 
 /// Mean held-out PSNR and SSIM.

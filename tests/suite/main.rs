@@ -69,6 +69,7 @@ mod renderer;
 mod replica;
 mod report;
 mod resume;
+mod run_folder;
 mod scannet;
 mod separate;
 mod smoothing;

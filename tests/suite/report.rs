@@ -4,7 +4,9 @@ use coseg::camera::Camera;
 use coseg::config::{Config, Row};
 use coseg::data::{Class, Classes, LabelMap, Split, View};
 use coseg::metrics::ImageScores;
-use coseg::report::{BuildingHistory, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Scores, Seconds};
+use coseg::report::{
+    BuildingHistory, Command, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Scores, Seconds,
+};
 use coseg::report::{TestScores, peak_memory_bytes, pictures};
 use glam::{DMat3, DVec3};
 use std::path::{Path, PathBuf};
@@ -123,6 +125,7 @@ fn metrics() -> Metrics {
         test: TestScores {
             psnr: Some(31.42),
             ssim: Some(0.9412),
+            views: [("test_000".to_owned(), ImageScores { psnr: Some(31.1), ssim: Some(0.94) })].into(),
             labels: rows.into_iter().chain(more).map(|(row, miou, trained)| (row, scores(miou, trained))).collect(),
         },
         seconds: Seconds { building: 141.0, features: 12.4, unprojection: 6.2, segmentation: 96.0, total: 262.0 },
@@ -130,12 +133,19 @@ fn metrics() -> Metrics {
         learnable_bytes: [("gaussians".to_owned(), 9_735_000), ("decoder".to_owned(), 1_120_000)].into(),
         spatial: "trained here".into(),
         features: "built-in descriptor".into(),
+        commands: [
+            ("coseg train --set data.raw_labels=\"labels\"", "ndarray, 2 threads"),
+            ("coseg train --resume <x>", "wgpu"),
+        ]
+        .map(|(line, device)| Command { line: line.into(), device: device.into(), version: "0.1.0".into() })
+        .into(),
+        curves: history(),
     }
 }
 
 /// Hands a full report on made-up data to `check`.
 fn with_report(check: impl FnOnce(&Report<'_>)) {
-    let (classes, config, history) = (classes(), Config::default(), history());
+    let (classes, config) = (classes(), Config::default());
     let views = views(&classes);
     let held_out = |(i, view): (usize, &'_ View)| {
         let noise = |j: usize| 0.04 * ((j * 7919 + i) as f32).sin();
@@ -152,9 +162,6 @@ fn with_report(check: impl FnOnce(&Report<'_>)) {
         metrics: metrics(),
         classes: &classes,
         config: &config,
-        command: "coseg train --set data.raw_labels=\"labels\"".into(),
-        device: "ndarray, 2 threads".into(),
-        history: &history,
         held_out: views.len(),
         views: held_out.collect(),
         notes: vec!["The raw labels are simulated: made from the true labels with errors.".into()],
@@ -293,19 +300,10 @@ fn the_page_says_where_raw_labels_come_from_where_that_is_known() {
 
 #[test]
 fn a_scene_without_labels_and_views_has_a_page_too() {
-    let (classes, config, history) = (Classes::default(), Config::default(), History::default());
+    let (classes, config) = (Classes::default(), Config::default());
     let metrics = Metrics { scene: "bare".into(), ..Metrics::default() };
-    let report = Report {
-        metrics,
-        classes: &classes,
-        config: &config,
-        command: "coseg train".into(),
-        device: "ndarray".into(),
-        history: &history,
-        held_out: 0,
-        views: Vec::new(),
-        notes: Vec::new(),
-    };
+    let report =
+        Report { metrics, classes: &classes, config: &config, held_out: 0, views: Vec::new(), notes: Vec::new() };
     let page = report.html(Path::new("report.html")).unwrap();
     assert_balanced(&page);
     assert!(!page.contains("<h2>Labels"));
@@ -317,11 +315,11 @@ fn a_scene_without_labels_and_views_has_a_page_too() {
 #[test]
 fn flat_and_tiny_curves_draw() {
     with_report(|report| {
-        let mut history = report.history.clone();
+        let mut report = report.clone();
+        let history = &mut report.metrics.curves;
         history.building.psnr = vec![(0, 20.0), (100, 20.0)];
         history.building.ssim = vec![(0, 0.0), (100, f64::NAN), (200, 0.0)];
         history.building.loss = vec![(0, 0.0), (1, 1e-9), (2, 5.0)];
-        let report = Report { history: &history, ..report.clone() };
         assert_finite(&report.html(Path::new("report.html")).unwrap());
     });
 }
