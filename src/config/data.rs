@@ -31,6 +31,9 @@ pub struct DataConfig {
     pub stride: usize,
     /// No more frames than this, evenly chosen; 0 means no limit.
     pub max_frames: usize,
+    /// Photos whose longer side has more pixels are reduced to this many, their cameras and label maps with them; 0 means no
+    /// limit.
+    pub max_side: usize,
     /// Megabytes (2^20 bytes) of decoded photos kept in memory, 3 bytes a pixel; the others are decoded again from their
     /// files at each use. No result depends on it. The photos of the built-in room lie in no file and are kept.
     pub decoded_mb: usize,
@@ -54,6 +57,7 @@ impl Default for DataConfig {
             association: Association::None,
             stride: 1,
             max_frames: 0,
+            max_side: 1_600,
             decoded_mb: 1_024,
             scannet_classes: ScannetClasses::Nyu40,
             scannet_labels: None,

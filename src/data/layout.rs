@@ -111,5 +111,5 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         Layout::Replica => replica::list(dir, options, problems),
         Layout::Scannet => scannet::list(dir, options, problems),
     }?;
-    Ok(listing.with_raw_labels(dir, options, problems))
+    Ok(listing.with_raw_labels(dir, options, problems).noticing_size(options.max_side))
 }

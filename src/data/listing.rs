@@ -1,11 +1,12 @@
 //! What a scene folder says before any photo is decoded, whatever its layout, and the scene that follows from it.
 
+use super::colmap;
 use super::depth::Depth;
 use super::image_file::ImageFile;
 use super::lens::{Lens, Remap};
+use super::photo::Development;
 use super::raw::{RawLabels, RawMap};
 use super::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, Split, View};
-use super::{colmap, photo};
 use crate::camera::Camera;
 use crate::config::Layout;
 use crate::error::{Error, Result};
@@ -122,9 +123,9 @@ impl Problems {
 
 /// The camera of a view and how its photo becomes a pinhole's.
 pub(crate) struct Geometry {
-    /// Undistorted, in world units.
+    /// Undistorted, in world units, of the size of the photo's file.
     pub camera: Camera,
-    remap: Option<Remap>,
+    development: Development,
 }
 
 impl Frame {
@@ -150,7 +151,7 @@ impl Frame {
     pub fn geometry(&self, (width, height): (usize, usize)) -> Result<Geometry> {
         let camera = self.camera.resized(width, height);
         if self.lens.is_pinhole() {
-            return Ok(Geometry { camera, remap: None });
+            return Ok(Geometry { camera, development: Development::default() });
         }
         let Some(remap) = Remap::new(&camera, self.lens) else {
             let found = format!("radial {:?}, tangential {:?}", self.lens.k, self.lens.p);
@@ -158,7 +159,8 @@ impl Frame {
             let mend = "calibrate again, or undistort the photos with the tool that made the poses";
             return Err(Error::input(&self.image, "lens distortion", found, expected, mend));
         };
-        Ok(Geometry { camera: remap.pinhole.clone(), remap: Some(remap) })
+        let camera = remap.pinhole.clone();
+        Ok(Geometry { camera, development: Development { remap: Some(remap), size: None } })
     }
 }
 
@@ -168,16 +170,34 @@ fn proportional((w, h): (usize, usize), (width, height): (usize, usize)) -> bool
 }
 
 impl Geometry {
+    /// The same with no side longer than `most` pixels; 0 is no limit.
+    fn within(mut self, most: usize) -> Self {
+        let Camera { width, height, .. } = self.camera;
+        let longer = width.max(height);
+        if most > 0 && longer > most {
+            let reduced = |side: usize| ((side * most) as f64 / longer as f64).round().max(1.0) as usize;
+            self.development.size = Some((reduced(width), reduced(height)));
+        }
+        self
+    }
+
+    /// The camera of the photo as it is used.
+    fn seen(&self) -> Camera {
+        self.development.size.map_or_else(|| self.camera.clone(), |(width, height)| self.camera.resized(width, height))
+    }
+
     pub fn photo(&self, file: &ImageFile) -> Result<RgbImage> {
-        Ok(photo::decode(file, self.remap.as_ref())?.0)
+        Ok(self.development.decode(file)?.0)
     }
 
     /// A label map as the camera sees it.
     fn labels(&self, map: LabelMap) -> LabelMap {
-        match &self.remap {
+        let map = match &self.development.remap {
             Some(remap) => remap.labels(&map),
-            None => map.resized(self.camera.width, self.camera.height),
-        }
+            None => map,
+        };
+        let Camera { width, height, .. } = self.seen();
+        map.resized(width, height)
     }
 }
 
@@ -191,6 +211,18 @@ impl Listing {
                 self.occurring_classes |= own;
             }
             None => self.frames.iter_mut().for_each(|frame| frame.raw = None),
+        }
+        self
+    }
+
+    /// Says how many photos will be reduced to `most` pixels a side; 0 is no limit.
+    pub fn noticing_size(mut self, most: usize) -> Self {
+        let large = |frame: &&Frame| !frame.scales && frame.camera.width.max(frame.camera.height) > most;
+        let count = if most == 0 { 0 } else { self.frames.iter().filter(large).count() };
+        if count > 0 {
+            let notice =
+                format!("{count} photos have more than {most} pixels a side and are reduced to that (data.max_side)");
+            self.notices.push(notice);
         }
         self
     }
@@ -291,12 +323,14 @@ impl Listing {
         let known = self.classes.lookup();
         let views = in_order(self.frames.par_iter().map(|frame| {
             let (file, geometry) = frame.open(&self.file, limits)?;
-            let image = Photo::in_file(&file, geometry.remap.clone(), limits, &cache)?;
+            let geometry = geometry.within(options.max_side);
+            let image = Photo::in_file(&file, geometry.development.clone(), limits, &cache)?;
             let truth = self.truth(frame, &geometry, &known, limits)?.map(LabelRuns::from);
             let raw = self.raw(frame, &geometry, &known, limits)?;
             let (raw, segments) = raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
             let instances = self.instances(frame, &geometry, limits)?.map(LabelRuns::from);
-            let camera = Camera { center: geometry.camera.center - origin, ..geometry.camera };
+            let camera = geometry.seen();
+            let camera = Camera { center: camera.center - origin, ..camera };
             Ok(View { name: frame.name.clone(), split: frame.split, camera, image, truth, raw, segments, instances })
         }))?;
         let points = self.points(origin, limits)?;

@@ -23,6 +23,8 @@ pub struct LoadOptions {
     pub stride: usize,
     /// No more frames than this, evenly chosen; 0 means no limit.
     pub max_frames: usize,
+    /// Longer side of a photo at most, in pixels; larger ones are reduced. 0 means no limit.
+    pub max_side: usize,
     /// Class table for ScanNet.
     pub scannet_classes: ScannetClasses,
     /// ScanNet's table of label ids, where it does not lie near the scene.
@@ -50,6 +52,7 @@ impl From<&DataConfig> for LoadOptions {
             association: config.association,
             stride: config.stride,
             max_frames: config.max_frames,
+            max_side: config.max_side,
             scannet_classes: config.scannet_classes,
             scannet_labels: config.scannet_labels.clone(),
             decoded_mb: config.decoded_mb,

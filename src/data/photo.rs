@@ -4,7 +4,7 @@ use super::image_file::ImageFile;
 use super::lens::Remap;
 use super::{Limits, PhotoCache};
 use crate::error::{Error, Result};
-use image::RgbImage;
+use image::{RgbImage, imageops};
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -34,7 +34,7 @@ struct PhotoFile {
     /// SHA-256 of the file when the scene was loaded.
     digest: [u8; 32],
     limits: Limits,
-    remap: Option<Remap>,
+    development: Development,
     cache: Arc<PhotoCache>,
     /// Its number in the cache.
     number: usize,
@@ -44,15 +44,15 @@ impl Photo {
     /// The photo in `file`, decoded once to see that it can be.
     pub(super) fn in_file(
         file: &ImageFile,
-        remap: Option<Remap>,
+        development: Development,
         limits: &Limits,
         cache: &Arc<PhotoCache>,
     ) -> Result<Self> {
-        let (pixels, transparent) = decode(file, remap.as_ref())?;
+        let (pixels, transparent) = development.decode(file)?;
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
         let number = cache.admit(pixels);
         let (path, digest) = (file.path().to_owned(), file.digest());
-        let file = PhotoFile { path, digest, limits: limits.clone(), remap, cache: cache.clone(), number };
+        let file = PhotoFile { path, digest, limits: limits.clone(), development, cache: cache.clone(), number };
         Ok(Self { width, height, transparent, source: Source::File(Arc::new(file)) })
     }
 
@@ -118,16 +118,30 @@ impl PhotoFile {
             let mend = "put it back and resume, or start anew with the files as they are";
             return Err(Error::input(&self.path, "content", "other bytes", expected, mend));
         }
-        Ok(decode(&file, self.remap.as_ref())?.0)
+        Ok(self.development.decode(&file)?.0)
     }
 }
 
-/// The photo in `file` as a pinhole sees it, and whether some pixel is transparent.
-pub(super) fn decode(file: &ImageFile, remap: Option<&Remap>) -> Result<(RgbImage, bool)> {
-    let (photo, transparent) = file.decode_photo()?;
-    let photo = match remap {
-        Some(remap) => remap.photo(&photo),
-        None => photo,
-    };
-    Ok((photo, transparent))
+/// What becomes of a file's pixels: the distortion of the lens is taken out, then they are resampled.
+#[derive(Clone, Default)]
+pub(super) struct Development {
+    /// The distortion; none of a pinhole.
+    pub remap: Option<Remap>,
+    /// Pixels across and down, where they are fewer than the file's.
+    pub size: Option<(usize, usize)>,
+}
+
+impl Development {
+    /// The photo in `file` as the view's camera sees it, and whether some pixel is transparent.
+    pub fn decode(&self, file: &ImageFile) -> Result<(RgbImage, bool)> {
+        let (mut photo, transparent) = file.decode_photo()?;
+        if let Some(remap) = &self.remap {
+            photo = remap.photo(&photo);
+        }
+        if let Some((width, height)) = self.size {
+            // Bicubic, the kernel as wide as the reduction: what 3DGS does with photos of more than 1600 pixels.
+            photo = imageops::resize(&photo, width as u32, height as u32, imageops::FilterType::CatmullRom);
+        }
+        Ok((photo, transparent))
+    }
 }
