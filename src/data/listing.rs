@@ -57,6 +57,8 @@ pub(crate) struct Frame {
     pub present: bool,
     /// Pose and intrinsics of the photo as it lies there, in world units.
     pub camera: Camera,
+    /// `false` where the pose or the intrinsics cannot be read, which was told.
+    pub posed: bool,
     pub lens: Lens,
     /// A photo of another size is taken, and the camera scaled to it.
     pub scales: bool,
@@ -208,6 +210,11 @@ impl Listing {
         Ok(())
     }
 
+    /// The id of pixels without a raw label.
+    pub fn unlabelled(&self) -> u16 {
+        if self.raw.are_segments() { 0 } else { self.classes.ignore }
+    }
+
     /// The true labels as the view's camera sees them, in class ids.
     pub fn truth(
         &self,
@@ -283,7 +290,7 @@ impl Listing {
     }
 
     /// Decodes everything, a few files at a time.
-    pub fn load(self, dir: &Path, options: &LoadOptions) -> Result<Scene> {
+    pub fn load(&self, dir: &Path, options: &LoadOptions) -> Result<Scene> {
         let limits = &options.limits;
         self.check_sizes(limits)?;
         let cache = Arc::new(PhotoCache::new(options.decoded_mb.saturating_mul(1 << 20)));
@@ -300,7 +307,7 @@ impl Listing {
             Ok(View { name: frame.name.clone(), split: frame.split, camera, image, truth, raw, segments, instances })
         }))?;
         let points = self.points(origin, limits)?;
-        let mut classes = self.classes;
+        let mut classes = self.classes.clone();
         if self.occurring_classes {
             let mut occurs = vec![false; 1 << 16];
             let of_classes = !self.raw.are_segments();

@@ -2,6 +2,7 @@
 
 pub mod atomic;
 pub mod builtin;
+mod cautions;
 mod check;
 mod classes;
 mod colmap;
@@ -48,7 +49,7 @@ use std::path::Path;
 /// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. Photos with lens distortion
 /// become those of pinholes, and so do their label maps. Photos are decoded in parallel, and kept decoded as far as
 /// [`LoadOptions::decoded_mb`] allows; the others are decoded again at use, from files that must stay as they are. What
-/// was left out is told as warnings.
+/// was left out is told as warnings, and so is what loads but is seldom meant.
 ///
 /// # Errors
 /// [`crate::Error::Missing`], [`crate::Error::Input`], [`crate::Error::Io`] or [`crate::Error::Limit`] naming file and
@@ -61,7 +62,12 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
     for notice in &listing.notices {
         tracing::warn!("{}: {notice}", dir.display());
     }
-    listing.load(dir, options)
+    let scene = listing.load(dir, options)?;
+    let empty = scene.points.is_empty().then(|| cautions::empty_cloud(&listing.cloud)).flatten();
+    for notice in empty.into_iter().chain(cautions::of_scene(&scene, listing.unlabelled())) {
+        tracing::warn!("{}: {notice}", dir.display());
+    }
+    Ok(scene)
 }
 
 /// The cameras of the scene in folder `dir`, in whatever layout, in the order of its views: pinholes as [`load`] makes

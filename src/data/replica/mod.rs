@@ -97,6 +97,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             image: image.clone(),
             present: true,
             camera,
+            posed: true,
             lens: Lens::default(),
             scales: false,
             truth: truth.get(number).cloned().or_else(|| other_truth.of(&file)),

@@ -89,6 +89,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             image: shot.image.clone(),
             present: true,
             camera,
+            posed: true,
             lens: Lens::default(),
             scales: false,
             truth: truth.get(&shot.number).cloned(),
