@@ -1,7 +1,7 @@
 //! Everything that is wrong with a scene folder, at once.
 
 use super::listing::{Frame, Listing, Problems};
-use super::{LoadOptions, Split, cautions, layout};
+use super::{LoadOptions, Split, cautions, layout, poses};
 use crate::config::Layout;
 use crate::error::Error;
 use rayon::prelude::*;
@@ -49,7 +49,11 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
         Err(fault) if told.contains(&fault.to_string()) => {}
         Err(fault) => problems.push(fault),
         Ok(points) if points.is_empty() => notices.extend(cautions::empty_cloud(&listing.cloud)),
-        Ok(_) => {}
+        Ok(points) => match poses::of_listing(&listing, &points, limits) {
+            Some(poses::Verdict::Misread(fault)) => problems.push(fault),
+            Some(poses::Verdict::Unrelated(notice)) => notices.push(notice),
+            None => {}
+        },
     }
     listing.notices.append(&mut notices);
     Checked {

@@ -42,7 +42,8 @@ impl Depth {
         Ok(points)
     }
 
-    fn of_frame(
+    /// At most `most` points of one frame, relative to `origin`, with the colours of its photo.
+    pub(super) fn of_frame(
         &self,
         frame: &Frame,
         file: &Path,

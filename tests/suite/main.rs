@@ -53,6 +53,7 @@ mod photometric;
 mod photos;
 mod plates;
 mod ply;
+mod poses;
 mod pretrain;
 mod randla;
 mod raster;
