@@ -16,6 +16,11 @@ const FIELD_OF_VIEW: [f64; 2] = [5.0, 170.0];
 
 /// What the frames of a listing say before any file of theirs is read.
 pub(super) fn of_frames(listing: &Listing) -> Vec<String> {
+    of_cameras(listing).into_iter().chain(without_raw(listing)).collect()
+}
+
+/// What poses and intrinsics say.
+pub(super) fn of_cameras(listing: &Listing) -> Vec<String> {
     let posed: Vec<&Frame> = listing.frames.iter().filter(|frame| frame.posed).collect();
     let file = listing.file.display();
     let mut notices = Vec::new();
@@ -32,7 +37,6 @@ pub(super) fn of_frames(listing: &Listing) -> Vec<String> {
         notices.extend(side.principal_point(listing, &posed).map(|told| format!("{file}: {told}")));
         notices.extend(side.field_of_view(listing, &posed).map(|told| format!("{file}: {told}")));
     }
-    notices.extend(without_raw(listing));
     notices
 }
 

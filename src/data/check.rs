@@ -1,7 +1,7 @@
 //! Everything that is wrong with a scene folder, at once.
 
 use super::listing::{Frame, Listing, Problems};
-use super::{LoadOptions, Split, cautions, layout, poses};
+use super::{LoadOptions, Split, cautions, layout, poses, sweep};
 use crate::config::Layout;
 use crate::error::Error;
 use rayon::prelude::*;
@@ -48,7 +48,13 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
     match listing.points(listing.origin(), limits) {
         Err(fault) if told.contains(&fault.to_string()) => {}
         Err(fault) => problems.push(fault),
-        Ok(points) if points.is_empty() => notices.extend(cautions::empty_cloud(&listing.cloud)),
+        Ok(points) if points.is_empty() => {
+            notices.extend(cautions::empty_cloud(&listing.cloud));
+            // Cameras that are wrong in themselves are to be mended first.
+            if cautions::of_cameras(&listing).is_empty() {
+                notices.extend(sweep::better_convention(&listing, limits));
+            }
+        }
         Ok(points) => match poses::of_listing(&listing, &points, limits) {
             Some(poses::Verdict::Misread(fault)) => problems.push(fault),
             Some(poses::Verdict::Unrelated(notice)) => notices.push(notice),

@@ -27,6 +27,7 @@ mod raw;
 mod replica;
 mod scannet;
 mod sequence;
+mod sweep;
 pub mod transforms;
 
 pub use check::{Checked, check};

@@ -53,7 +53,7 @@ pub(super) enum Verdict {
 
 /// How a rotation and a translation are meant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Convention {
+pub(super) struct Convention {
     /// They take world to camera coordinates, not back.
     to_camera: bool,
     /// Camera axes are x right, y down, z forward; else x right, y up, z backward.
@@ -61,7 +61,7 @@ struct Convention {
 }
 
 impl Convention {
-    const ALL: [Self; 4] = [
+    pub const ALL: [Self; 4] = [
         Self { to_camera: false, opencv: false },
         Self { to_camera: true, opencv: false },
         Self { to_camera: false, opencv: true },
@@ -69,7 +69,7 @@ impl Convention {
     ];
 
     /// That of a layout.
-    fn of(layout: Layout) -> Self {
+    pub fn of(layout: Layout) -> Self {
         match layout {
             Layout::Auto | Layout::Transforms => Self { to_camera: false, opencv: false },
             Layout::Colmap => Self { to_camera: true, opencv: true },
@@ -77,7 +77,7 @@ impl Convention {
         }
     }
 
-    fn name(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match (self.to_camera, self.opencv) {
             (false, false) => "camera-to-world in OpenGL axes",
             (true, false) => "world-to-camera in OpenGL axes",
@@ -97,7 +97,7 @@ impl Convention {
     }
 
     /// Rotation and translation of `camera`.
-    fn write(self, camera: &Camera) -> (DMat3, DVec3) {
+    pub fn write(self, camera: &Camera) -> (DMat3, DVec3) {
         let rotation = self.axes() * camera.rotation;
         match self.to_camera {
             true => (rotation, -(rotation * camera.center)),
@@ -106,7 +106,7 @@ impl Convention {
     }
 
     /// `camera` with this pose.
-    fn read(self, (rotation, translation): (DMat3, DVec3), camera: &Camera) -> Camera {
+    pub fn read(self, (rotation, translation): (DMat3, DVec3), camera: &Camera) -> Camera {
         let (rotation, center) = match self.to_camera {
             true => (rotation, -(rotation.transpose() * translation)),
             false => (rotation.transpose(), translation),
@@ -115,7 +115,7 @@ impl Convention {
     }
 
     /// How poses of this convention become those of a layout, another one.
-    fn mend(self, layout: Layout) -> String {
+    pub fn mend(self, layout: Layout) -> String {
         let wanted = Self::of(layout);
         let matrix = match layout {
             Layout::Auto | Layout::Transforms => "transform_matrix",
@@ -207,7 +207,7 @@ pub(super) fn of_scene(layout: Layout, file: &Path, scene: &Scene) -> Option<Ver
 }
 
 /// At most `most` of `n` places, evenly chosen.
-fn evenly(n: usize, most: usize) -> Vec<usize> {
+pub(super) fn evenly(n: usize, most: usize) -> Vec<usize> {
     let taken = n.min(most);
     (0..taken).map(|i| i * n / taken).collect()
 }

@@ -65,6 +65,7 @@ mod raster_reference;
 #[cfg(feature = "wgpu")]
 mod raster_room;
 mod raw_formats;
+mod real_poses;
 mod relocation;
 mod renderer;
 mod replica;
