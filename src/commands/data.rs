@@ -1,6 +1,6 @@
 //! `coseg data`: looks at a scene folder without training on it.
 
-use super::{Settings, terminal};
+use super::{Settings, faults, terminal};
 use clap::{Args, Subcommand};
 use coseg::data::{self, Info, LoadOptions, Manifest, atomic};
 use coseg::error::{Error, Result};
@@ -45,6 +45,9 @@ struct CheckArgs {
     /// Manifest of the scene: its files must be there, its layout is taken
     #[arg(long, value_name = "FILE.toml")]
     manifest: Option<PathBuf>,
+    /// Print every problem, and not only the first few of each kind
+    #[arg(long)]
+    all: bool,
     #[command(flatten)]
     settings: Settings,
 }
@@ -78,22 +81,20 @@ impl CheckArgs {
     fn run(self) -> Result<()> {
         let config = self.settings.load(Some(&self.dir), None)?;
         let mut options = LoadOptions::from(&config.data);
-        let mut faults = Vec::new();
+        let mut found = Vec::new();
         if let Some(path) = &self.manifest {
             let manifest = Manifest::read(path)?;
             options = manifest.options(&options);
-            faults = manifest.check(&self.dir);
+            found = manifest.check(&self.dir);
         }
         let checked = data::check(&self.dir, &options);
-        faults.extend(checked.problems);
+        found.extend(checked.problems);
         for notice in &checked.notices {
             terminal::note(&format!("note: {notice}"));
         }
-        for fault in &faults {
-            terminal::error(fault);
-        }
+        faults::print(&found, self.all);
         let layout = checked.layout.map_or("unknown", |layout| layout.name());
-        match faults.len() {
+        match found.len() {
             0 => {
                 terminal::say(&format!(
                     "{}: layout {layout}, {} frames, no problems",
@@ -103,9 +104,9 @@ impl CheckArgs {
                 Ok(())
             }
             n => {
-                let found = if n == 1 { "1 problem".to_owned() } else { format!("{n} problems") };
+                let count = if n == 1 { "1 problem".to_owned() } else { format!("{n} problems") };
                 let field = format!("layout {layout}, {} frames", checked.frames);
-                Err(Error::input(&self.dir, field, found, "none", "mend what is listed above and check again"))
+                Err(Error::input(&self.dir, field, count, "none", "mend what is listed above and check again"))
             }
         }
     }

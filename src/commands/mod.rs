@@ -6,6 +6,7 @@ mod bench;
 mod data;
 mod edit;
 mod eval;
+mod faults;
 mod labelled;
 mod object_scene;
 mod objects;

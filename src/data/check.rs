@@ -1,7 +1,8 @@
 //! Everything that is wrong with a scene folder, at once.
 
-use super::listing::{Frame, Listing, Problems};
-use super::{LoadOptions, layout};
+use super::frame::Frame;
+use super::listing::{Listing, Problems};
+use super::{LoadOptions, Split, cautions, layout, poses, sweep};
 use crate::config::Layout;
 use crate::error::Error;
 use rayon::prelude::*;
@@ -25,7 +26,7 @@ pub struct Checked {
 /// few images only.
 pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
     let mut problems = Problems::default();
-    let listing = match layout::list(dir, options, &mut problems) {
+    let mut listing = match layout::list(dir, options, &mut problems) {
         Ok(listing) => listing,
         Err(fault) => {
             problems.push(fault);
@@ -38,14 +39,30 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
     let known = if listing.classes.is_empty() { vec![0; 1 << 16] } else { listing.classes.lookup() };
     let mut found = Vec::new();
     listing.frames.par_iter().map(|frame| check_frame(&listing, frame, &known, options)).collect_into_vec(&mut found);
-    found.into_iter().flatten().for_each(|fault| problems.push(fault));
+    let (faults, void): (Vec<_>, Vec<_>) = found.into_iter().unzip();
+    faults.into_iter().flatten().for_each(|fault| problems.push(fault));
+    let train = listing.frames.iter().zip(void).filter(|(frame, _)| frame.split == Split::Train);
+    let mut notices: Vec<String> =
+        cautions::void_raw(train.filter_map(|(frame, void)| Some((&*frame.name, void?)))).into_iter().collect();
     // A cloud from depth opens photos again: the same fault need not be told twice.
     let told: HashSet<String> = problems.messages().collect();
-    if let Err(fault) = listing.points(listing.origin(), limits)
-        && !told.contains(&fault.to_string())
-    {
-        problems.push(fault);
+    match listing.points(listing.origin(), limits) {
+        Err(fault) if told.contains(&fault.to_string()) => {}
+        Err(fault) => problems.push(fault),
+        Ok(points) if points.is_empty() => {
+            notices.extend(cautions::empty_cloud(&listing.cloud));
+            // Cameras that are wrong in themselves are to be mended first.
+            if cautions::of_cameras(&listing).is_empty() {
+                notices.extend(sweep::better_convention(&listing, limits));
+            }
+        }
+        Ok(points) => match poses::of_listing(&listing, &points, limits) {
+            Some(poses::Verdict::Misread(fault)) => problems.push(fault),
+            Some(poses::Verdict::Unrelated(notice)) => notices.push(notice),
+            None => {}
+        },
     }
+    listing.notices.append(&mut notices);
     Checked {
         layout: Some(listing.layout),
         frames: listing.frames.len(),
@@ -54,7 +71,8 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
     }
 }
 
-fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) -> Vec<Error> {
+/// What is wrong with a frame, and whether all of its raw labels are unlabelled pixels, where it has any that can be read.
+fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) -> (Vec<Error>, Option<bool>) {
     let limits = &options.limits;
     let mut problems = Problems::default();
     let opened = if frame.present { problems.keep(frame.open(&listing.file, limits)) } else { None };
@@ -66,10 +84,12 @@ fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOp
         // Label maps are as large as the photo should be.
         None => frame.geometry((frame.camera.width, frame.camera.height)).ok(),
     };
+    let mut void = None;
     if let Some(geometry) = &geometry {
         problems.keep(listing.truth(frame, geometry, known, limits));
-        problems.keep(listing.raw(frame, geometry, known, limits));
+        let raw = problems.keep(listing.raw(frame, geometry, known, limits)).flatten();
+        void = raw.map(|raw| raw.map.ids.iter().all(|&id| id == listing.unlabelled()));
         problems.keep(listing.instances(frame, geometry, limits));
     }
-    problems.all()
+    (problems.all(), void)
 }

@@ -1,6 +1,6 @@
 //! An initial cloud from depth images, for recorded sequences that come with them.
 
-use super::listing::Frame;
+use super::frame::Frame;
 use super::{LabelMap, Limits, Points, Split};
 use crate::error::Result;
 use glam::DVec3;
@@ -42,7 +42,8 @@ impl Depth {
         Ok(points)
     }
 
-    fn of_frame(
+    /// At most `most` points of one frame, relative to `origin`, with the colours of its photo.
+    pub(super) fn of_frame(
         &self,
         frame: &Frame,
         file: &Path,

@@ -1,6 +1,7 @@
 //! What a scene folder holds, in figures and small pictures, without holding all of it in memory.
 
-use super::listing::{Frame, Listing, Problems, in_order, scene_name};
+use super::frame::Frame;
+use super::listing::{Listing, Problems, in_order, scene_name};
 use super::raw::RawMap;
 use super::{Classes, LabelMap, LoadOptions, Split, layout};
 use crate::error::Result;

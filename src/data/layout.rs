@@ -1,7 +1,7 @@
 //! Which layout a scene folder has.
 
 use super::listing::{Listing, Problems};
-use super::{LoadOptions, colmap, replica, scannet, transforms};
+use super::{LoadOptions, cautions, colmap, replica, scannet, transforms};
 use crate::config::Layout;
 use crate::error::{Error, Result};
 use std::path::Path;
@@ -111,5 +111,9 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         Layout::Replica => replica::list(dir, options, problems),
         Layout::Scannet => scannet::list(dir, options, problems),
     }?;
-    Ok(listing.with_raw_labels(dir, options, problems).noticing_size(options.max_side))
+    let mut listing = listing.with_raw_labels(dir, options, problems);
+    listing
+        .notices
+        .extend(cautions::of_sizes(&listing, options.max_side).into_iter().chain(cautions::of_frames(&listing)));
+    Ok(listing)
 }

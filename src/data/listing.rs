@@ -2,23 +2,17 @@
 
 use super::colmap;
 use super::depth::Depth;
+use super::frame::{Frame, Geometry, proportional};
 use super::image_file::ImageFile;
-use super::lens::{Lens, Remap};
-use super::photo::Development;
 use super::raw::{RawLabels, RawMap};
 use super::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, Split, View};
 use crate::camera::Camera;
 use crate::config::Layout;
 use crate::error::{Error, Result};
 use glam::DVec3;
-use image::RgbImage;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// How far the proportions of a label map may be from those of its photo when it is resampled: ScanNet's own sizes,
-/// 1296x968 and 640x480, differ by 0.4 %.
-const PROPORTION: f64 = 0.02;
 
 /// The frames of a folder with all that is known of them.
 pub(crate) struct Listing {
@@ -48,25 +42,6 @@ pub(crate) struct Listing {
 
 /// An id of true labels without a class id.
 pub(crate) const UNMAPPED: u32 = u32::MAX;
-
-/// One posed photo.
-pub(crate) struct Frame {
-    pub name: String,
-    pub split: Split,
-    pub image: PathBuf,
-    /// `false` where the photo is known to be missing, which was told.
-    pub present: bool,
-    /// Pose and intrinsics of the photo as it lies there, in world units.
-    pub camera: Camera,
-    pub lens: Lens,
-    /// A photo of another size is taken, and the camera scaled to it.
-    pub scales: bool,
-    pub truth: Option<PathBuf>,
-    /// Raw labels: a map, or a folder of masks.
-    pub raw: Option<PathBuf>,
-    /// True instance ids.
-    pub instances: Option<PathBuf>,
-}
 
 /// Where the initial cloud comes from.
 pub(crate) enum Cloud {
@@ -121,86 +96,6 @@ impl Problems {
     }
 }
 
-/// The camera of a view and how its photo becomes a pinhole's.
-pub(crate) struct Geometry {
-    /// Undistorted, in world units, of the size of the photo's file.
-    pub camera: Camera,
-    development: Development,
-}
-
-impl Frame {
-    /// Reads the photo's file, not yet decoded, and settles the camera.
-    pub fn open(&self, file: &Path, limits: &Limits) -> Result<(ImageFile, Geometry)> {
-        if !self.image.is_file() {
-            let mend = "put the image there or drop the frame".into();
-            return Err(Error::Missing { what: "file", path: self.image.clone(), mend });
-        }
-        let image = ImageFile::open(&self.image, limits)?;
-        let (w, h) = (self.camera.width, self.camera.height);
-        let geometry = match self.scales && proportional(image.size, (w, h)) {
-            true => self.geometry(image.size)?,
-            false => {
-                image.expect_size(w, h, &format!("{} says", file.display()))?;
-                self.geometry((w, h))?
-            }
-        };
-        Ok((image, geometry))
-    }
-
-    /// The camera for a photo of this size.
-    pub fn geometry(&self, (width, height): (usize, usize)) -> Result<Geometry> {
-        let camera = self.camera.resized(width, height);
-        if self.lens.is_pinhole() {
-            return Ok(Geometry { camera, development: Development::default() });
-        }
-        let Some(remap) = Remap::new(&camera, self.lens) else {
-            let found = format!("radial {:?}, tangential {:?}", self.lens.k, self.lens.p);
-            let expected = "a distortion that does not fold the image over";
-            let mend = "calibrate again, or undistort the photos with the tool that made the poses";
-            return Err(Error::input(&self.image, "lens distortion", found, expected, mend));
-        };
-        let camera = remap.pinhole.clone();
-        Ok(Geometry { camera, development: Development { remap: Some(remap), size: None } })
-    }
-}
-
-fn proportional((w, h): (usize, usize), (width, height): (usize, usize)) -> bool {
-    let ratio = (w as f64 / h as f64) / (width as f64 / height as f64);
-    (ratio - 1.0).abs() < PROPORTION
-}
-
-impl Geometry {
-    /// The same with no side longer than `most` pixels; 0 is no limit.
-    fn within(mut self, most: usize) -> Self {
-        let Camera { width, height, .. } = self.camera;
-        let longer = width.max(height);
-        if most > 0 && longer > most {
-            let reduced = |side: usize| ((side * most) as f64 / longer as f64).round().max(1.0) as usize;
-            self.development.size = Some((reduced(width), reduced(height)));
-        }
-        self
-    }
-
-    /// The camera of the photo as it is used.
-    fn seen(&self) -> Camera {
-        self.development.size.map_or_else(|| self.camera.clone(), |(width, height)| self.camera.resized(width, height))
-    }
-
-    pub fn photo(&self, file: &ImageFile) -> Result<RgbImage> {
-        Ok(self.development.decode(file)?.0)
-    }
-
-    /// A label map as the camera sees it.
-    fn labels(&self, map: LabelMap) -> LabelMap {
-        let map = match &self.development.remap {
-            Some(remap) => remap.labels(&map),
-            None => map,
-        };
-        let Camera { width, height, .. } = self.seen();
-        map.resized(width, height)
-    }
-}
-
 impl Listing {
     /// Settles how the raw labels are stored. Where that fails they are left out, which is a fault.
     pub fn with_raw_labels(mut self, dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Self {
@@ -211,18 +106,6 @@ impl Listing {
                 self.occurring_classes |= own;
             }
             None => self.frames.iter_mut().for_each(|frame| frame.raw = None),
-        }
-        self
-    }
-
-    /// Says how many photos will be reduced to `most` pixels a side; 0 is no limit.
-    pub fn noticing_size(mut self, most: usize) -> Self {
-        let large = |frame: &&Frame| !frame.scales && frame.camera.width.max(frame.camera.height) > most;
-        let count = if most == 0 { 0 } else { self.frames.iter().filter(large).count() };
-        if count > 0 {
-            let notice =
-                format!("{count} photos have more than {most} pixels a side and are reduced to that (data.max_side)");
-            self.notices.push(notice);
         }
         self
     }
@@ -238,6 +121,11 @@ impl Listing {
             return Err(Error::input(&self.file, "frames", found, "at least one training view", mend));
         }
         Ok(())
+    }
+
+    /// The id of pixels without a raw label.
+    pub fn unlabelled(&self) -> u16 {
+        if self.raw.are_segments() { 0 } else { self.classes.ignore }
     }
 
     /// The true labels as the view's camera sees them, in class ids.
@@ -315,7 +203,7 @@ impl Listing {
     }
 
     /// Decodes everything, a few files at a time.
-    pub fn load(self, dir: &Path, options: &LoadOptions) -> Result<Scene> {
+    pub fn load(&self, dir: &Path, options: &LoadOptions) -> Result<Scene> {
         let limits = &options.limits;
         self.check_sizes(limits)?;
         let cache = Arc::new(PhotoCache::new(options.decoded_mb.saturating_mul(1 << 20)));
@@ -324,7 +212,7 @@ impl Listing {
         let views = in_order(self.frames.par_iter().map(|frame| {
             let (file, geometry) = frame.open(&self.file, limits)?;
             let geometry = geometry.within(options.max_side);
-            let image = Photo::in_file(&file, geometry.development.clone(), limits, &cache)?;
+            let image = Photo::in_file(&file, geometry.development(), limits, &cache)?;
             let truth = self.truth(frame, &geometry, &known, limits)?.map(LabelRuns::from);
             let raw = self.raw(frame, &geometry, &known, limits)?;
             let (raw, segments) = raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
@@ -334,7 +222,7 @@ impl Listing {
             Ok(View { name: frame.name.clone(), split: frame.split, camera, image, truth, raw, segments, instances })
         }))?;
         let points = self.points(origin, limits)?;
-        let mut classes = self.classes;
+        let mut classes = self.classes.clone();
         if self.occurring_classes {
             let mut occurs = vec![false; 1 << 16];
             let of_classes = !self.raw.are_segments();

@@ -2,10 +2,12 @@
 
 pub mod atomic;
 pub mod builtin;
+mod cautions;
 mod check;
 mod classes;
 mod colmap;
 mod depth;
+mod frame;
 mod image_file;
 mod info;
 mod label_runs;
@@ -21,10 +23,12 @@ mod photo;
 mod photo_cache;
 pub(crate) mod ply;
 mod points;
+mod poses;
 mod raw;
 mod replica;
 mod scannet;
 mod sequence;
+mod sweep;
 pub mod transforms;
 
 pub use check::{Checked, check};
@@ -48,7 +52,7 @@ use std::path::Path;
 /// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. Photos with lens distortion
 /// become those of pinholes, and so do their label maps. Photos are decoded in parallel, and kept decoded as far as
 /// [`LoadOptions::decoded_mb`] allows; the others are decoded again at use, from files that must stay as they are. What
-/// was left out is told as warnings.
+/// was left out is told as warnings, and so is what loads but is seldom meant, such as poses in another convention.
 ///
 /// # Errors
 /// [`crate::Error::Missing`], [`crate::Error::Input`], [`crate::Error::Io`] or [`crate::Error::Limit`] naming file and
@@ -61,7 +65,19 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
     for notice in &listing.notices {
         tracing::warn!("{}: {notice}", dir.display());
     }
-    listing.load(dir, options)
+    let scene = listing.load(dir, options)?;
+    let empty = scene.points.is_empty().then(|| cautions::empty_cloud(&listing.cloud)).flatten();
+    for notice in empty.into_iter().chain(cautions::of_scene(&scene, listing.unlabelled())) {
+        tracing::warn!("{}: {notice}", dir.display());
+    }
+    // Points of depth images lie where the poses put them.
+    let given = !matches!(listing.cloud, listing::Cloud::Depth(_));
+    match given.then(|| poses::of_scene(listing.layout, &listing.file, &scene)).flatten() {
+        Some(poses::Verdict::Misread(fault)) => tracing::warn!("{fault}"),
+        Some(poses::Verdict::Unrelated(notice)) => tracing::warn!("{notice}"),
+        None => {}
+    }
+    Ok(scene)
 }
 
 /// The cameras of the scene in folder `dir`, in whatever layout, in the order of its views: pinholes as [`load`] makes

@@ -9,7 +9,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Changes the scene's manifest.
-fn edit(dir: &Path, change: impl Fn(&mut serde_json::Value)) {
+pub fn edit(dir: &Path, change: impl Fn(&mut serde_json::Value)) {
     let path = dir.join("transforms.json");
     let mut value = read_json(&path);
     change(&mut value);

@@ -179,7 +179,7 @@ fn broken_manifests_are_refused_by_name() {
             |v| v["frames"].as_array_mut().into_iter().flatten().for_each(|f| f["split"] = json!("test")),
             &["frames", "at least one training view"],
         ),
-        (|v| v["frames"][2]["split"] = json!("val"), &["frames[2]", "split", "\"val\"", "\"train\" or \"test\""]),
+        (|v| v["frames"][2]["split"] = json!("dev"), &["frames[2]", "split", "\"dev\"", "\"test\" or \"val\""]),
         (|v| v["frames"][2]["split"] = Value::Null, &["frames[2]", "split", "nothing"]),
         (|v| v["w"] = json!(17), &["v0.png", "16x12", "17x12", "transforms.json"]),
         (|v| v["w"] = json!(0), &["frames[0]", ".w", "0", "at least 1"]),

@@ -7,7 +7,8 @@ mod binary;
 mod cameras;
 mod text;
 
-use super::listing::{Cloud, Frame, LabelFolder, Listing, Problems, read_classes};
+use super::frame::Frame;
+use super::listing::{Cloud, LabelFolder, Listing, Problems, read_classes};
 use super::options::LoadOptions;
 use super::raw::{self, RawLabels};
 use super::{Limits, Points};
@@ -155,6 +156,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             image: dir.join(&options.images).join(below),
             present: true,
             camera,
+            posed: true,
             lens,
             scales: options.images != "images",
             truth: truth.of(below),
@@ -168,13 +170,9 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     if points.is_none() {
         notices.push(format!("no points3D in {}: Gaussians start from random points", folder.display()));
     }
-    for (what, missing) in [
-        ("labels", frames.iter().filter(|f| f.truth.is_none()).count()),
-        ("raw labels", frames.iter().filter(|f| f.raw.is_none()).count()),
-    ] {
-        if missing > 0 && missing < frames.len() {
-            notices.push(format!("{missing} of {} photos have no {what}", frames.len()));
-        }
+    let missing = frames.iter().filter(|f| f.truth.is_none()).count();
+    if missing > 0 && missing < frames.len() {
+        notices.push(format!("{missing} of {} photos have no labels", frames.len()));
     }
     Ok(Listing {
         layout: Layout::Colmap,

@@ -5,8 +5,8 @@ mod ade20k_table;
 mod coco;
 mod masks;
 
+use super::frame::Frame;
 use super::image_file::ImageFile;
-use super::listing::Frame;
 use super::{Classes, LabelMap, Limits, LoadOptions, Segment};
 use crate::config::{Association, RawFormat};
 use crate::error::{Error, Result};

@@ -7,9 +7,10 @@
 
 mod classes;
 
+use super::frame::Frame;
 use super::image_file::ImageFile;
 use super::lens::Lens;
-use super::listing::{Cloud, Frame, LabelFolder, Listing, Problems, read_classes};
+use super::listing::{Cloud, LabelFolder, Listing, Problems, read_classes};
 use super::options::LoadOptions;
 use super::raw::{self, RawLabels};
 use super::{Limits, sequence};
@@ -97,6 +98,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             image: image.clone(),
             present: true,
             camera,
+            posed: true,
             lens: Lens::default(),
             scales: false,
             truth: truth.get(number).cloned().or_else(|| other_truth.of(&file)),

@@ -3,15 +3,17 @@
 
 mod not_finite;
 mod schema;
+mod splits;
 mod write;
 
 pub use super::NamedCamera;
 pub use super::options::LoadOptions;
 pub use write::write_cameras;
 
+use super::frame::Frame;
 use super::image_file::ImageFile;
 use super::lens::Lens;
-use super::listing::{Cloud, Frame, Listing, Problems, read_classes};
+use super::listing::{Cloud, Listing, Problems, read_classes};
 use super::raw::{self, RawLabels};
 use super::{Limits, Scene, Split};
 use crate::camera::Camera;
@@ -21,10 +23,15 @@ use rayon::prelude::*;
 use schema::Transforms;
 use std::path::{Path, PathBuf};
 
+/// Initial clouds as tools name them, which a file may have forgotten to name.
+const CLOUDS: [&str; 3] = ["points.ply", "sparse_pc.ply", "points3D.ply"];
+
 /// Loads the scene in folder `dir` from its `transforms.json`, whatever else lies there.
 ///
 /// As [`super::load`]; `up` is +z when the file's `convention` says `world z up`, else the mean up direction of the
-/// cameras. Frames without any `split` in the file: every 8th from the first on is test. `ply_file_path` names the
+/// cameras. `split` of the frames is `train`, `test` or `val` (also `validation`, `eval`), or nerfstudio's lists
+/// (`train_filenames`, ..) say it: validation frames are held out where there are no test frames, else left out. Without
+/// a split in the file every 8th frame from the first on is test. `ply_file_path` names the
 /// initial cloud, without which [`Scene::points`] is empty. Frames may lack labels; where they have some,
 /// `classes.json` must be there.
 ///
@@ -56,8 +63,9 @@ pub(super) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
 pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
     let path = dir.join(&options.transforms);
     let transforms = Transforms::read(&path)?;
-    let names = transforms.names(&path, problems);
-    let kept = options.pick(&transforms.splits(&path, problems));
+    let splits = transforms.splits(&path, problems);
+    let names = transforms.names(&path, &splits, problems);
+    let kept = splits.pick(options);
     let limits = &options.limits;
     let what = format!("{}: frames", path.display());
     Limits::check(what, kept.len() as u64, limits.views as u64, "thin out with data.stride or data.max_frames")?;
@@ -69,17 +77,25 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         // Of a repeated frame nothing else is told.
         let Some(name) = &names[i] else { continue };
         let present = faults.is_empty();
-        let camera = size.map(|size| {
-            transforms.camera(&path, i, size).unwrap_or_else(|fault| {
+        let camera = size.map(|size| match transforms.camera(&path, i, size) {
+            Ok((camera, lens)) => (camera, lens, true),
+            Err(fault) => {
                 faults.push(fault);
-                (Camera::unposed(size), Lens::default())
-            })
+                (Camera::unposed(size), Lens::default(), false)
+            }
         });
         faults.into_iter().for_each(|fault| problems.push(fault));
-        let Some((camera, lens)) = camera else { continue };
+        let Some((camera, lens, posed)) = camera else { continue };
         let [truth, raw, instances] = label_paths(&transforms, i, name, dir, options);
         let name = name.clone();
-        frames.push(Frame { name, split, image, present, camera, lens, scales: false, truth, raw, instances });
+        frames.push(Frame { name, split, image, present, camera, posed, lens, scales: false, truth, raw, instances });
+    }
+    let mut notices = splits.notices;
+    if transforms.ply_file_path.is_none()
+        && let Some(cloud) = CLOUDS.into_iter().find(|name| dir.join(name).is_file())
+    {
+        let told = format!("{cloud} is not read: {} does not name it", options.transforms);
+        notices.push(format!("{told}; add \"ply_file_path\": \"{cloud}\" where it is the initial cloud"));
     }
     let labelled = raw::need_table(dir, options, &frames);
     let classes = problems.keep(read_classes(dir, labelled)).unwrap_or_default();
@@ -94,7 +110,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         truth_ids: None,
         raw: RawLabels::grey(),
         resample_labels: false,
-        notices: Vec::new(),
+        notices,
     })
 }
 
@@ -107,11 +123,11 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
 pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera>> {
     let transforms = Transforms::read(path)?;
     let mut problems = Problems::default();
-    let splits = LoadOptions::default().pick(&transforms.splits(path, &mut problems));
-    let names = transforms.names(path, &mut problems);
+    let splits = transforms.splits(path, &mut problems);
+    let names = transforms.names(path, &splits, &mut problems);
     problems.none()?;
     let mut cameras = Vec::new();
-    for (i, s) in splits {
+    for (i, s) in splits.pick(&LoadOptions::default()) {
         let Some(name) = names[i].clone().filter(|_| split.is_none_or(|wanted| wanted == s)) else { continue };
         let Some(size) = transforms.declared_size(path, i)? else {
             let field = format!("{}.w", transforms.field(i));
@@ -122,7 +138,8 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
         let (camera, lens) = transforms.camera(path, i, size)?;
         let image = PathBuf::from(&transforms.frames[i].file_path);
         let (truth, raw, instances) = (None, None, None);
-        let frame = Frame { name, split: s, image, present: true, camera, lens, scales: false, truth, raw, instances };
+        let (present, posed, scales) = (true, true, false);
+        let frame = Frame { name, split: s, image, present, camera, posed, lens, scales, truth, raw, instances };
         cameras.push(NamedCamera { camera: frame.geometry(size)?.camera, name: frame.name, split: s });
     }
     if cameras.is_empty() {
@@ -194,7 +211,8 @@ pub(super) fn alternatives(dir: &Path) -> Vec<String> {
     let names = std::fs::read_dir(dir).into_iter().flatten().flatten();
     let names = names.filter_map(|entry| entry.file_name().into_string().ok());
     let mut names: Vec<String> = names.filter(|n| n.starts_with("transforms") && n.ends_with(".json")).collect();
-    names.sort_unstable();
+    // Blender's scenes have a file for each split: the first to be named is the one to train on.
+    names.sort_unstable_by(|a, b| (!a.contains("train"), a).cmp(&(!b.contains("train"), b)));
     names.truncate(4);
     names
 }

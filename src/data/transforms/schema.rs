@@ -1,8 +1,8 @@
 //! What a `transforms.json` says, field by field, and the camera that follows from it.
 
 use super::not_finite::{Token, blanked};
+use super::splits::Splits;
 use crate::camera::{Camera, Intrinsics};
-use crate::data::Split;
 use crate::data::lens::Lens;
 use crate::data::listing::Problems;
 use crate::error::{Error, Result};
@@ -18,6 +18,10 @@ pub(super) struct Transforms {
     pub convention: Option<String>,
     pub ply_file_path: Option<String>,
     pub frames: Vec<Frame>,
+    /// Files of each split, as nerfstudio may list them.
+    pub train_filenames: Option<Vec<String>>,
+    pub val_filenames: Option<Vec<String>>,
+    pub test_filenames: Option<Vec<String>>,
     /// What stood where matrices have `None`, in order.
     #[serde(skip)]
     not_finite: Vec<Token>,
@@ -111,37 +115,18 @@ impl Transforms {
         })
     }
 
-    /// What the frames say of their split: all of them or none.
-    pub fn splits(&self, path: &Path, problems: &mut Problems) -> Vec<Option<Split>> {
-        let none = self.frames.iter().all(|f| f.split.is_none());
-        let mut one = |(i, frame): (usize, &Frame)| match frame.split.as_deref() {
-            Some("train") => Some(Split::Train),
-            Some("test") => Some(Split::Test),
-            None if none => None,
-            other => {
-                problems.push(Error::input(
-                    path,
-                    format!("{}.split", self.field(i)),
-                    other.map_or("nothing, though other frames have one".into(), |s| format!("{s:?}")),
-                    "\"train\" or \"test\"",
-                    "give every frame a split, or none (then every 8th is test)",
-                ));
-                Some(Split::Train)
-            }
-        };
-        self.frames.iter().enumerate().map(&mut one).collect()
-    }
-
     /// `frames[I] (FILE)`, for messages.
     pub fn field(&self, frame: usize) -> String {
         format!("frames[{frame}] ({})", self.frames[frame].file_path)
     }
 
-    /// File stem of each frame; `None` where it is empty or an earlier frame has it, which is a fault.
-    pub fn names(&self, path: &Path, problems: &mut Problems) -> Vec<Option<String>> {
+    /// File stem of each frame; `None` where it is empty or an earlier frame has it, which is a fault, and for frames
+    /// that `splits` leaves out.
+    pub fn names(&self, path: &Path, splits: &Splits, problems: &mut Problems) -> Vec<Option<String>> {
         let mut seen = std::collections::HashMap::new();
-        let mut names = Vec::with_capacity(self.frames.len());
-        for (i, frame) in self.frames.iter().enumerate() {
+        let mut names = vec![None; self.frames.len()];
+        for &(i, _) in &splits.frames {
+            let frame = &self.frames[i];
             let field = format!("{}.file_path", self.field(i));
             let stem = Path::new(&frame.file_path).file_stem().and_then(|s| s.to_str());
             let earlier = stem.and_then(|stem| seen.insert(stem, i));
@@ -159,7 +144,7 @@ impl Transforms {
                 )),
                 (Some(_), None) => {}
             }
-            names.push(stem.filter(|_| earlier.is_none()).map(str::to_owned));
+            names[i] = stem.filter(|_| earlier.is_none()).map(str::to_owned);
         }
         names
     }
@@ -193,12 +178,22 @@ impl Transforms {
         let camera = Camera::from_opengl(&matrix, intrinsics).ok_or_else(|| {
             let m = glam::DMat3::from_mat4(matrix);
             let lengths = [m.x_axis, m.y_axis, m.z_axis].map(|a| a.length());
+            // Exporters of Blender leave the scale of the object that a camera belongs to in its matrix.
+            let scale = lengths[0];
+            let unscaled = DMat4::from_mat3(m * scale.recip());
+            let (scaled, mend) = match Camera::from_opengl(&unscaled, intrinsics) {
+                Some(_) => (
+                    format!(", which is a rotation times {scale:.6}"),
+                    format!("divide its first three columns by {scale:.6}; the translation stays"),
+                ),
+                None => (String::new(), "remove scale, shear and mirroring from the pose".to_owned()),
+            };
             Error::input(
                 path,
                 format!("{}.transform_matrix", self.field(frame)),
-                format!("column lengths {lengths:.4?}, determinant {:.4}", m.determinant()),
+                format!("column lengths {lengths:.4?}, determinant {:.4}{scaled}", m.determinant()),
                 "a rotation (orthonormal columns, determinant +1) and a translation",
-                "remove scale, shear and mirroring from the pose",
+                mend,
             )
         })?;
         Ok((camera, lens))

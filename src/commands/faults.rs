@@ -1,0 +1,63 @@
+//! Many faults of a few kinds, told so that the kinds can be seen.
+
+use super::terminal;
+use coseg::Error;
+use std::collections::HashMap;
+use std::mem::{Discriminant, discriminant};
+use std::path::{Path, PathBuf};
+
+/// Faults of one kind that are printed.
+const SHOWN: usize = 3;
+
+/// Two faults with the same kind differ in which frame, file or pixel they are about.
+type Kind = (Discriminant<Error>, PathBuf, String, String);
+
+/// Prints the first few faults of each kind and how many more there are, or all of them.
+pub fn print(faults: &[Error], all: bool) {
+    let mut kinds: HashMap<Kind, usize> = HashMap::new();
+    let mut groups: Vec<Vec<&Error>> = Vec::new();
+    for fault in faults {
+        let group = *kinds.entry(kind(fault)).or_insert(groups.len());
+        match groups.get_mut(group) {
+            Some(group) => group.push(fault),
+            None => groups.push(vec![fault]),
+        }
+    }
+    for group in groups {
+        // One more takes no more room than to say so.
+        let shown = if all || group.len() == SHOWN + 1 { group.len() } else { SHOWN };
+        group.iter().take(shown).for_each(|fault| terminal::error(fault));
+        if let Some(more) = group.len().checked_sub(shown).filter(|more| *more > 0) {
+            terminal::note(&format!("error: .. and {more} more like it (--all shows them)"));
+        }
+    }
+}
+
+fn kind(fault: &Error) -> Kind {
+    let (path, field, mend) = match fault {
+        Error::Input { path, field, mend, .. } => (folder(path), field.as_str(), mend.as_str()),
+        Error::Missing { path, what, mend } => (folder(path), *what, mend.as_str()),
+        Error::Io { path, action, .. } => (folder(path), *action, ""),
+        Error::Config { key, mend, .. } => (PathBuf::new(), key.as_str(), mend.as_str()),
+        other => return (discriminant(other), PathBuf::new(), other.to_string(), String::new()),
+    };
+    (discriminant(fault), path, plain(field), plain(mend))
+}
+
+fn folder(path: &Path) -> PathBuf {
+    path.parent().map_or_else(PathBuf::new, Path::to_owned)
+}
+
+/// Without numbers and names in brackets: `frames[3] (images/a.png).file_path` is the field of many frames.
+fn plain(text: &str) -> String {
+    let mut depth = 0_usize;
+    let keep = |c: &char| {
+        match c {
+            '(' | '[' => depth += 1,
+            ')' | ']' => depth = depth.saturating_sub(1),
+            _ => return depth == 0 && !c.is_ascii_digit(),
+        }
+        false
+    };
+    text.chars().filter(keep).collect()
+}

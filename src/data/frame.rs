@@ -1,0 +1,122 @@
+//! One posed photo of a scene folder, and the camera that its pixels are of.
+
+use super::image_file::ImageFile;
+use super::lens::{Lens, Remap};
+use super::photo::Development;
+use super::{LabelMap, Limits, Split};
+use crate::camera::Camera;
+use crate::error::{Error, Result};
+use image::RgbImage;
+use std::path::{Path, PathBuf};
+
+/// How far the proportions of a label map may be from those of its photo when it is resampled: ScanNet's own sizes,
+/// 1296x968 and 640x480, differ by 0.4 %.
+const PROPORTION: f64 = 0.02;
+
+/// One posed photo.
+pub(crate) struct Frame {
+    pub name: String,
+    pub split: Split,
+    pub image: PathBuf,
+    /// `false` where the photo is known to be missing, which was told.
+    pub present: bool,
+    /// Pose and intrinsics of the photo as it lies there, in world units.
+    pub camera: Camera,
+    /// `false` where the pose or the intrinsics cannot be read, which was told.
+    pub posed: bool,
+    pub lens: Lens,
+    /// A photo of another size is taken, and the camera scaled to it.
+    pub scales: bool,
+    pub truth: Option<PathBuf>,
+    /// Raw labels: a map, or a folder of masks.
+    pub raw: Option<PathBuf>,
+    /// True instance ids.
+    pub instances: Option<PathBuf>,
+}
+
+/// The camera of a view and how its photo becomes a pinhole's.
+pub(crate) struct Geometry {
+    /// Undistorted, in world units, of the size of the photo's file.
+    pub camera: Camera,
+    development: Development,
+}
+
+impl Frame {
+    /// Reads the photo's file, not yet decoded, and settles the camera.
+    pub fn open(&self, file: &Path, limits: &Limits) -> Result<(ImageFile, Geometry)> {
+        if !self.image.is_file() {
+            let mend = "put the image there or drop the frame".into();
+            return Err(Error::Missing { what: "file", path: self.image.clone(), mend });
+        }
+        let image = ImageFile::open(&self.image, limits)?;
+        let (w, h) = (self.camera.width, self.camera.height);
+        let geometry = match self.scales && proportional(image.size, (w, h)) {
+            true => self.geometry(image.size)?,
+            false => {
+                image.expect_size(w, h, &format!("{} says", file.display()))?;
+                self.geometry((w, h))?
+            }
+        };
+        Ok((image, geometry))
+    }
+
+    /// The camera for a photo of this size.
+    pub fn geometry(&self, (width, height): (usize, usize)) -> Result<Geometry> {
+        let camera = self.camera.resized(width, height);
+        if self.lens.is_pinhole() {
+            return Ok(Geometry { camera, development: Development::default() });
+        }
+        let Some(remap) = Remap::new(&camera, self.lens) else {
+            let found = format!("radial {:?}, tangential {:?}", self.lens.k, self.lens.p);
+            let expected = "a distortion that does not fold the image over";
+            let mend = "calibrate again, or undistort the photos with the tool that made the poses";
+            return Err(Error::input(&self.image, "lens distortion", found, expected, mend));
+        };
+        let camera = remap.pinhole.clone();
+        Ok(Geometry { camera, development: Development { remap: Some(remap), size: None } })
+    }
+}
+
+/// Whether two sizes have the same proportions, as far as [`PROPORTION`] asks.
+pub(super) fn proportional((w, h): (usize, usize), (width, height): (usize, usize)) -> bool {
+    let ratio = (w as f64 / h as f64) / (width as f64 / height as f64);
+    (ratio - 1.0).abs() < PROPORTION
+}
+
+impl Geometry {
+    /// The same with no side longer than `most` pixels; 0 is no limit.
+    pub fn within(mut self, most: usize) -> Self {
+        let Camera { width, height, .. } = self.camera;
+        let longer = width.max(height);
+        if most > 0 && longer > most {
+            let reduced = |side: usize| ((side * most) as f64 / longer as f64).round().max(1.0) as usize;
+            self.development.size = Some((reduced(width), reduced(height)));
+        }
+        self
+    }
+
+    /// The camera of the photo as it is used.
+    pub fn seen(&self) -> Camera {
+        self.development.size.map_or_else(|| self.camera.clone(), |(width, height)| self.camera.resized(width, height))
+    }
+
+    /// How the photo's file becomes what is used.
+    pub fn development(&self) -> Development {
+        self.development.clone()
+    }
+
+    /// The photo as it is used.
+    pub fn photo(&self, file: &ImageFile) -> Result<RgbImage> {
+        Ok(self.development.decode(file)?.0)
+    }
+
+    /// A label map as the camera sees it.
+    pub fn labels(&self, map: LabelMap) -> LabelMap {
+        let map = match &self.development.remap {
+            Some(remap) => remap.labels(&map),
+            None => map,
+        };
+        let Camera { width, height, .. } = self.seen();
+        map.resized(width, height)
+    }
+}
