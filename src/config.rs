@@ -144,8 +144,9 @@ pub const GCE_EXPONENTS: [f64; 2] = [1e-6, 1.0];
 pub struct SegmentationConfig {
     /// Optimiser steps of each trained row.
     pub iterations: usize,
-    /// Which rows are trained and scored; the scene stores `ours` where present, else the last.
-    pub rows: Vec<Row>,
+    /// Which rows are trained and scored; the scene stores `ours` where present, else the last. Absent: [`Row::COMPARED`], or where
+    /// no held-out view has a truth to score them by [`Row::UNSCORED`].
+    pub rows: Option<Vec<Row>>,
     /// Learning rate of the decoder.
     pub lr: f64,
     /// Factors of the learning rates to try for each trained row; the best on held-out raw labels of training views is
@@ -210,11 +211,18 @@ pub struct SegmentationConfig {
     pub checkpoint_every: usize,
 }
 
+impl SegmentationConfig {
+    /// `rows`, or what its absence stands for where there is a truth.
+    pub fn rows(&self) -> &[Row] {
+        self.rows.as_deref().unwrap_or(&Row::COMPARED)
+    }
+}
+
 impl Default for SegmentationConfig {
     fn default() -> Self {
         Self {
             iterations: 2_000,
-            rows: vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::OursCe, Row::Ours],
+            rows: None,
             lr: 6e-3,
             lr_trials: Vec::new(),
             lr_decay: true,

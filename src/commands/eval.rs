@@ -142,7 +142,7 @@ impl EvalArgs {
 
 /// The row whose identities a run with these settings stores.
 fn stored_row(config: &Config) -> Option<Row> {
-    let rows = &config.segmentation.rows;
+    let rows = config.segmentation.rows();
     rows.iter().find(|row| **row == Row::Ours).or_else(|| rows.iter().rfind(|row| **row != Row::Raw)).copied()
 }
 

@@ -93,6 +93,7 @@ fn template() -> Result<Table> {
     full.building.densify_until = Some(0.5);
     full.building.densify_threshold = Some(2e-4);
     full.building.gaussians = path();
+    full.segmentation.rows = Some(super::Row::COMPARED.to_vec());
     full.data.dir = path();
     full.data.scannet_labels = path();
     full.features.weights = path();

@@ -191,8 +191,8 @@ impl Config {
     fn validate_segmentation(&self, check: &mut Check) {
         let s = &self.segmentation;
         check.positive("segmentation.iterations", s.iterations);
-        for (i, row) in s.rows.iter().enumerate() {
-            let twice = s.rows[..i].contains(row);
+        for (i, row) in s.rows().iter().enumerate() {
+            let twice = s.rows()[..i].contains(row);
             check.that(
                 !twice,
                 "segmentation.rows",

@@ -194,7 +194,7 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
     let compacting = Compacting::new(inputs)?;
     let mut spatial = Spatial::default();
     let mut rows = Vec::new();
-    for &row in &config.rows {
+    for &row in config.rows() {
         let outcome = match row {
             Row::Raw => held_out.score_raw(inputs),
             Row::Vote => {

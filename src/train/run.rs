@@ -6,7 +6,7 @@ use super::given::{compare_with_photos, given};
 use super::progress::{CurvePoint, Event, Progress};
 use super::rows::{RowOutcome, run_rows};
 use super::segmentation_inputs::{Inputs, Seen};
-use crate::config::{Association, Config, Row};
+use crate::config::{Association, Config, Row, SegmentationConfig};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::{Error, Result};
 use crate::gaussians::{Gaussians, ply};
@@ -128,7 +128,15 @@ pub fn load_scene(config: &Config) -> Result<Scene> {
 pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Progress) -> Result<Outcome> {
     let start = Instant::now();
     let scene = load_scene(config)?;
-    if !config.segmentation.rows.is_empty() && !has_raw_labels(&scene) {
+    let scored = scene.split(Split::Test).any(|view| view.truth.is_some() || view.instances.is_some());
+    let config = &match config.segmentation.rows {
+        None if !scored => {
+            let rows = Some(Row::UNSCORED.to_vec());
+            Config { segmentation: SegmentationConfig { rows, ..config.segmentation.clone() }, ..config.clone() }
+        }
+        _ => config.clone(),
+    };
+    if !config.segmentation.rows().is_empty() && !has_raw_labels(&scene) {
         tracing::warn!(
             "no training view has raw labels: only the Gaussians are built (raw_label_path in transforms.json or the folder \
              data.raw_labels names them; segmentation.rows = [] says that none are meant)"
@@ -168,7 +176,7 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
         outcome.semantics = Semantics::of(&outcome.scene);
         outcome.association = Some(put_together(&mut outcome.scene, &outcome.gaussians, config, progress)?);
     }
-    if has_raw_labels(&outcome.scene) && !config.segmentation.rows.is_empty() && !progress.stop() {
+    if has_raw_labels(&outcome.scene) && !config.segmentation.rows().is_empty() && !progress.stop() {
         earlier += segment(&mut outcome, config, &settings, &checkpoints, device, progress)?;
     }
     outcome.seconds.total = start.elapsed().as_secs_f64() + earlier;
@@ -240,7 +248,7 @@ fn segment(
     device: &Device,
     progress: &mut dyn Progress,
 ) -> Result<f64> {
-    let fused = config.segmentation.rows.iter().any(|row| row.is_fused());
+    let fused = config.segmentation.rows().iter().any(|row| row.is_fused());
     let seen = match fused {
         true => Some(Seen::new(&outcome.scene, &outcome.gaussians, config, settings, device, progress)?),
         false => None,

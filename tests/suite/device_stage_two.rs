@@ -77,7 +77,7 @@ fn trained(scene: &Path, out: &Path, device: &Device) -> Outcome {
         building: BuildingConfig { iterations: 40, random_points: 400, ..BuildingConfig::default() },
         segmentation: SegmentationConfig {
             iterations: 60,
-            rows: vec![Row::Vote, Row::PerGaussian, Row::Ours],
+            rows: Some(vec![Row::Vote, Row::PerGaussian, Row::Ours]),
             ..SegmentationConfig::default()
         },
         ..Config::default()

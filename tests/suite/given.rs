@@ -19,7 +19,7 @@ fn beginning_with(dir: &Path, gaussians: &Gaussians) -> (Config, PathBuf) {
     let mut config = config(dir);
     config.building.gaussians = Some(path);
     config.building.iterations = 0;
-    config.segmentation.rows = vec![Row::Vote];
+    config.segmentation.rows = Some(vec![Row::Vote]);
     (config, dir.join("run"))
 }
 

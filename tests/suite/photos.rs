@@ -173,7 +173,7 @@ fn views_that_the_page_does_not_show_are_handed_over() {
     }
     fs::write(dir.join("transforms.json"), transforms.to_string()).expect("transforms");
     let mut config = resume::config(dir);
-    (config.building.iterations, config.segmentation.rows) = (2, Vec::new());
+    (config.building.iterations, config.segmentation.rows) = (2, Some(Vec::new()));
     let outcome = resume::whole(&config, &dir.join("run"));
     let mut names = Vec::new();
     let beside = |view: HeldOutView| {

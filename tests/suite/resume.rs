@@ -11,7 +11,7 @@ pub fn config(data: &Path) -> Config {
         building: BuildingConfig { iterations: 40, random_points: 400, ..BuildingConfig::default() },
         segmentation: SegmentationConfig {
             iterations: 30,
-            rows: vec![Row::Vote, Row::PerGaussian, Row::Ours],
+            rows: Some(vec![Row::Vote, Row::PerGaussian, Row::Ours]),
             pixel_share: 0.5,
             eval_every: 10,
             checkpoint_every: 7,
@@ -154,7 +154,7 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     let mut other = base.clone();
     (other.segmentation.eval_every, other.building.checkpoint_every) = (3, 5);
     other.segmentation.weight_cache_mb = 0;
-    other.segmentation.rows = vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::Ours];
+    other.segmentation.rows = Some(vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::Ours]);
     assert_eq!(whole(&other, &out).rows.last().expect("a row").identities, done.rows[2].identities);
 
     // What is finished may be scored by another rule of rendering, and its curve of scores by the old one goes.
@@ -183,7 +183,7 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     assert!(error.contains("segmentation.render") && error.contains("per_gaussian.safetensors"), "{error}");
     let chosen = folder.path().join("chosen");
     let mut trials = base.clone();
-    (trials.segmentation.rows, trials.segmentation.lr_trials) = (vec![Row::PerGaussian], vec![0.5, 1.0]);
+    (trials.segmentation.rows, trials.segmentation.lr_trials) = (Some(vec![Row::PerGaussian]), vec![0.5, 1.0]);
     whole(&trials, &chosen);
     trials.segmentation.render = LabelSource::Scores;
     let error = run(&trials, &chosen, &crate::device(), &mut Silent).err().expect("must be refused").to_string();
@@ -207,14 +207,14 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     // Another geometry under the same settings: the building stage done anew from another seed of points.
     let elsewhere = folder.path().join("elsewhere");
     let mut shorter = base.clone();
-    shorter.segmentation.rows.clear();
+    shorter.segmentation.rows = Some(Vec::new());
     shorter.seed = 6;
     whole(&shorter, &elsewhere);
     let file = "checkpoint/building.safetensors";
     std::fs::copy(elsewhere.join(file), out.join(file)).expect("copied");
     named("seed", "5", "6", &|_| ());
     for row in ["per_gaussian", "ours"] {
-        let rows = vec![if row == "ours" { Row::Ours } else { Row::PerGaussian }];
+        let rows = Some(vec![if row == "ours" { Row::Ours } else { Row::PerGaussian }]);
         std::fs::copy(out.join(format!("checkpoint/{row}.safetensors")), elsewhere.join("kept")).expect("copied");
         let path = elsewhere.join(format!("checkpoint/{row}.safetensors"));
         std::fs::rename(elsewhere.join("kept"), &path).expect("renamed");
@@ -230,7 +230,7 @@ fn a_row_of_other_gaussians_or_labels_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::plates::scene(folder.path());
     let mut config = config(folder.path());
-    config.segmentation.rows = vec![Row::PerGaussian];
+    config.segmentation.rows = Some(vec![Row::PerGaussian]);
     let out = folder.path().join("run");
     let trained = whole(&config, &out);
     let refusal = || run(&config, &out, &crate::device(), &mut Silent).err().expect("must be refused");

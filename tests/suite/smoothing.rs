@@ -161,7 +161,7 @@ fn a_finished_run_is_diffused_without_training_again() {
         building: BuildingConfig { iterations: 40, random_points: 400, ..BuildingConfig::default() },
         segmentation: SegmentationConfig {
             iterations: 30,
-            rows: vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::Ours],
+            rows: Some(vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::Ours]),
             ..SegmentationConfig::default()
         },
         ..Config::default()

@@ -13,7 +13,11 @@ fn trained(edit: impl Fn(&mut SegmentationConfig)) -> Outcome {
     crate::plates::scene(folder.path());
     let mut config = Config {
         building: BuildingConfig { iterations: 40, random_points: 400, ..BuildingConfig::default() },
-        segmentation: SegmentationConfig { iterations: 20, rows: vec![Row::Ours], ..SegmentationConfig::default() },
+        segmentation: SegmentationConfig {
+            iterations: 20,
+            rows: Some(vec![Row::Ours]),
+            ..SegmentationConfig::default()
+        },
         ..Config::default()
     };
     edit(&mut config.segmentation);
@@ -51,7 +55,7 @@ fn a_decoder_that_has_learned_nothing_stores_the_shares_of_the_votes() {
 fn blended_logits_without_a_prior_are_the_papers_rule_and_learn() {
     let edit = |s: &mut SegmentationConfig| {
         (s.blend, s.prior) = (Blend::Logits, Prior::None);
-        (s.rows, s.iterations, s.lr) = (vec![Row::OursCe], 100, 1e-2);
+        (s.rows, s.iterations, s.lr) = (Some(vec![Row::OursCe]), 100, 1e-2);
     };
     let outcome = trained(edit);
     let scores = &outcome.rows[0].identities.as_ref().expect("identities").scores;
@@ -77,7 +81,7 @@ fn weights_made_again_at_each_step_give_the_same_bits_as_kept_ones() {
     let scores = |megabytes| {
         let outcome = trained(|s| {
             (s.weight_cache_mb, s.pixel_share) = (megabytes, 0.25);
-            s.rows = vec![Row::PerGaussian, Row::Ours];
+            s.rows = Some(vec![Row::PerGaussian, Row::Ours]);
         });
         let bits = |row: &coseg::train::RowOutcome| -> Vec<u32> {
             row.identities.iter().flat_map(|i| &i.scores).map(|s| s.to_bits()).collect()
@@ -89,7 +93,7 @@ fn weights_made_again_at_each_step_give_the_same_bits_as_kept_ones() {
 
 #[test]
 fn label_maps_show_the_labels_of_the_ply() {
-    let outcome = trained(|s| s.rows = vec![Row::Vote]);
+    let outcome = trained(|s| s.rows = Some(vec![Row::Vote]));
     let (gaussians, classes) = (&outcome.gaussians, &outcome.scene.classes);
     let scores = (0..gaussians.len() * classes.len()).map(|i| (i as f32 * 1.7).sin()).collect();
     let identities = Identities { scores, classes: classes.len() };
@@ -119,9 +123,27 @@ fn the_rate_that_learns_is_taken_and_one_factor_needs_no_trial() {
     let base = SegmentationConfig::default().lr_per_gaussian;
     for (trials, expected) in [(vec![STILL, 1.0], base), (vec![1.0, STILL], base), (vec![0.5], 0.5 * base)] {
         let outcome = trained(|s| {
-            s.rows = vec![Row::PerGaussian];
+            s.rows = Some(vec![Row::PerGaussian]);
             s.lr_trials = trials.clone();
         });
         assert_eq!(outcome.rows[0].rate, Some(expected), "{trials:?}");
     }
+}
+
+#[test]
+fn without_truth_only_what_is_wanted_is_trained() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::plates::scene(folder.path());
+    let mut config = crate::resume::config(folder.path());
+    config.segmentation.rows = None;
+    let rows = |config: &Config, out: &str| -> Vec<Row> {
+        crate::resume::whole(config, &folder.path().join(out)).rows.iter().map(|row| row.row).collect()
+    };
+    assert_eq!(rows(&config, "scored"), Row::COMPARED);
+    let file = folder.path().join("transforms.json");
+    let text = std::fs::read_to_string(&file).expect("frames").replace("\"label_path\"", "\"elsewhere\"");
+    std::fs::write(&file, text).expect("written");
+    assert_eq!(rows(&config, "unscored"), Row::UNSCORED);
+    config.segmentation.rows = Some(vec![Row::PerGaussian]);
+    assert_eq!(rows(&config, "asked for"), [Row::PerGaussian]);
 }
