@@ -2,10 +2,12 @@
 
 pub mod atomic;
 pub mod builtin;
+mod camera_file;
 mod check;
 mod classes;
 mod colmap;
 mod depth;
+mod file_kind;
 mod image_file;
 mod info;
 mod label_runs;
@@ -27,6 +29,7 @@ mod scannet;
 mod sequence;
 pub mod transforms;
 
+pub use camera_file::read_cameras;
 pub use check::{Checked, check};
 pub use info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
 pub use label_runs::LabelRuns;

@@ -9,6 +9,7 @@ mod backends;
 mod bench;
 mod building;
 mod builtin;
+mod camera_files;
 mod camera_paths;
 mod cameras;
 mod checkpoint;
