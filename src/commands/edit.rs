@@ -34,7 +34,7 @@ const FARTHEST: f64 = 100.0;
 pub struct EditArgs {
     #[command(flatten)]
     input: ObjectSceneArgs,
-    /// File to write
+    /// PLY file to write
     #[arg(long, value_name = "FILE.ply")]
     out: PathBuf,
     /// Keep these objects alone; may be repeated
@@ -119,9 +119,14 @@ impl EditArgs {
     fn check_output(&self, scene: &ObjectScene) -> Result<()> {
         let same = |a: &Path, b: &Path| matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b);
         let names = self.names();
-        if self.input.paths().any(|path| same(path, &self.out)) || self.out == names {
+        let read = [Some(&scene.path), self.input.classes()];
+        if read.into_iter().flatten().any(|path| same(path, &self.out)) || self.out == names {
             let expected = "another file than the scene and its classes.json";
             return Err(Error::config("--out", self.out.display().to_string(), expected, "name a new file"));
+        }
+        if !self.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ply")) {
+            let mend = "end the name in .ply; other tools convert that to their formats";
+            return Err(Error::config("--out", self.out.display().to_string(), "a .ply file", mend));
         }
         if names.exists() && Classes::read(&names)? != scene.classes {
             let (found, mend) = ("another class table", "write into another folder");

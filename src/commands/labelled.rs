@@ -1,6 +1,7 @@
 //! A trained scene beside a folder of raw labels: what commands that give Gaussians labels work on.
 
 use super::Settings;
+use super::scene_file::scene_path;
 use clap::Args;
 use coseg::config::Config;
 use coseg::data::{self, Limits, LoadOptions, Scene};
@@ -11,8 +12,8 @@ use std::path::PathBuf;
 /// Arguments that name both, and where to write.
 #[derive(Args, Debug)]
 pub struct LabelledArgs {
-    /// Scene in the 3DGS PLY convention
-    #[arg(long, value_name = "FILE.ply")]
+    /// Scene in the 3DGS PLY convention, or a run folder
+    #[arg(long, value_name = "FILE.ply|RUN")]
     scene: PathBuf,
     /// Scene folder with photos, cameras and raw labels
     #[arg(long, value_name = "DIR")]
@@ -33,7 +34,7 @@ impl LabelledArgs {
     /// Reads both; cameras are put relative to the origin of the Gaussians.
     pub fn read(&self, config: &Config) -> Result<(Scene, PlyScene)> {
         let mut scene = data::load(&self.data, &LoadOptions::from(&config.data))?;
-        let ply = ply::read(&self.scene, &Limits::default())?;
+        let ply = ply::read(&scene_path(&self.scene)?, &Limits::default())?;
         for view in &mut scene.views {
             view.camera.center += scene.origin - ply.origin;
         }

@@ -1,17 +1,19 @@
 //! A labelled PLY scene with the names of its labels: what commands about objects work on.
 
+use super::scene_file::scene_path;
 use clap::Args;
 use coseg::data::{Classes, Limits, class_color};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::objects::{Object, inventory};
-use std::path::{Path, PathBuf};
+use glam::DVec3;
+use std::path::PathBuf;
 
 /// Arguments that name both.
 #[derive(Args, Debug)]
 pub struct ObjectSceneArgs {
-    /// Scene in the 3DGS PLY convention with a `label` column, as train, vote and associate write it
-    #[arg(long, value_name = "FILE.ply")]
+    /// Scene in the 3DGS PLY convention with a `label` column, as train, vote and associate write it, or a run folder
+    #[arg(long, value_name = "FILE.ply|RUN")]
     scene: PathBuf,
     /// Names of the labels [default: classes.json beside the scene, if it is there]
     #[arg(long, value_name = "FILE.json")]
@@ -23,6 +25,8 @@ const NAMED: usize = 20;
 
 /// A labelled scene.
 pub struct ObjectScene {
+    /// The PLY file.
+    pub path: PathBuf,
     pub ply: PlyScene,
     pub labels: Vec<u16>,
     /// Empty where no names are known.
@@ -34,32 +38,46 @@ pub struct ObjectScene {
 impl ObjectSceneArgs {
     /// Reads both.
     pub fn read(&self) -> Result<ObjectScene> {
-        let mut ply = ply::read(&self.scene, &Limits::default())?;
+        let path = scene_path(&self.scene)?;
+        let ply = ply::read(&path, &Limits::default())?;
+        ObjectScene::new(path, ply, self.classes.as_ref())
+    }
+
+    /// The file of names, where one was named.
+    pub fn classes(&self) -> Option<&PathBuf> {
+        self.classes.as_ref()
+    }
+}
+
+impl ObjectScene {
+    /// What was read from `path`, with the names in the file `classes`, or else in the one beside it.
+    pub fn new(path: PathBuf, mut ply: PlyScene, classes: Option<&PathBuf>) -> Result<Self> {
         let Some(labels) = ply.labels.take() else {
             let mend = "give the scene labels with `coseg vote` or `coseg train`";
-            return Err(Error::input(&self.scene, "column label", "nothing", "one label a Gaussian", mend));
+            return Err(Error::input(path, "column label", "nothing", "one label a Gaussian", mend));
         };
-        let beside = self.scene.with_file_name("classes.json");
-        let classes = match &self.classes {
+        let beside = path.with_file_name("classes.json");
+        let classes = match classes {
             Some(path) => Classes::read(path)?,
             None if beside.is_file() => Classes::read(&beside)?,
             None => Classes::default(),
         };
         if labels.is_empty() {
             let mend = "name a scene that holds something";
-            return Err(Error::input(&self.scene, "element vertex", "no Gaussian", "one or more", mend));
+            return Err(Error::input(path, "element vertex", "no Gaussian", "one or more", mend));
         }
         let objects = inventory(&ply.gaussians, &labels);
-        Ok(ObjectScene { ply, labels, classes, objects })
+        Ok(Self { path, ply, labels, classes, objects })
     }
 
-    /// The files that are read.
-    pub fn paths(&self) -> impl Iterator<Item = &Path> {
-        [Some(&self.scene), self.classes.as_ref()].into_iter().flatten().map(PathBuf::as_path)
+    /// Corners of a box around the boxes of the objects that `what` means, world units.
+    pub fn bounds(&self, what: &str, flag: &str) -> Result<(DVec3, DVec3)> {
+        let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        let around = |(low, high): (DVec3, DVec3), object: &Object| (low.min(object.low), high.max(object.high));
+        let (low, high) = self.find(what, flag)?.into_iter().fold(none, around);
+        Ok((low + self.ply.origin, high + self.ply.origin))
     }
-}
 
-impl ObjectScene {
     /// The name of a label, where one is known.
     pub fn name(&self, id: u16) -> Option<&str> {
         let known = self.classes.index(id).is_some() || (id == self.classes.ignore && !self.classes.is_empty());

@@ -78,6 +78,7 @@ mod stage_two;
 mod torch_file;
 mod transforms;
 mod unprojection;
+mod views;
 mod weights;
 
 use burn::tensor::Device;
