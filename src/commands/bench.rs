@@ -73,7 +73,7 @@ pub struct BenchArgs {
     /// Tiny sizes, a few seconds in all: shows that everything runs; the figures mean nothing
     #[arg(long, conflicts_with = "large")]
     quick: bool,
-    /// Write what `channels` renders into this folder, Gaussians and cameras, to time other renderers on it
+    /// Write what `channels` renders into this folder, Gaussians and cameras, for other renderers
     #[arg(long, value_name = "DIR")]
     export: Option<PathBuf>,
     /// Write the figures to this file too

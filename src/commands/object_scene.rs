@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// Arguments that name both.
 #[derive(Args, Debug)]
 pub struct ObjectSceneArgs {
-    /// Scene in the 3DGS PLY convention with a `label` column, as train, vote and associate write it, or a run folder
+    /// Scene: a 3DGS PLY with a `label` column, as vote and associate write it, or a run folder
     #[arg(long, value_name = "FILE.ply|RUN")]
     scene: PathBuf,
     /// Names of the labels [default: classes.json beside the scene, if it is there]

@@ -10,6 +10,10 @@ const CAMERAS: &str = "cameras.json";
 
 /// The PLY file that `--scene` means: itself, or scene.ply in a folder.
 pub fn scene_path(given: &Path) -> Result<PathBuf> {
+    const MEND: &str = "give a .ply file, or the folder that `coseg train` wrote";
+    if !given.try_exists().map_err(|e| Error::io(given, "look at", e))? {
+        return Err(Error::Missing { what: "file", path: given.to_owned(), mend: MEND.to_owned() });
+    }
     if !given.is_dir() {
         return Ok(given.to_owned());
     }
@@ -22,7 +26,7 @@ pub fn scene_path(given: &Path) -> Result<PathBuf> {
     let other = names.filter(|name| name.to_lowercase().ends_with(".ply")).min();
     let (found, mend) = match other {
         Some(name) => (format!("no such file, but {name}"), format!("give {}", given.join(name).display())),
-        None => ("no such file".to_owned(), "give a .ply file, or the folder that `coseg train` wrote".to_owned()),
+        None => ("no such file".to_owned(), MEND.to_owned()),
     };
     Err(Error::input(given, SCENE, found, "a run folder", mend))
 }

@@ -276,3 +276,16 @@ fn another_size_keeps_pixels_square() {
     let ((u, v, _), (wide_u, wide_v, _)) = (one.project(p).unwrap(), wide.project(p).unwrap());
     assert!((wide_u - (2.0 * u + 20.0)).abs() < 1e-12 && (wide_v - 2.0 * v).abs() < 1e-12, "{wide_u} {wide_v}");
 }
+
+#[test]
+fn strays_do_not_move_the_middle_of_a_scene() {
+    let (mut gaussians, _) = crate::plates::plates();
+    let before = gaussians.median_center().expect("Gaussians");
+    let mut middle: Vec<f32> = gaussians.means.iter().map(|mean| mean[1]).collect();
+    middle.sort_by(f32::total_cmp);
+    assert_eq!(before[1], middle[middle.len() / 2]);
+    gaussians.means[0] = [1e30, -1e30, 1e30];
+    let moved = gaussians.median_center().expect("Gaussians");
+    assert!(before.iter().zip(moved).all(|(a, b)| (a - b).abs() < 0.3), "{before:?} became {moved:?}");
+    assert_eq!(gaussians.select(&[]).median_center(), None);
+}
