@@ -87,6 +87,15 @@ impl Camera {
         let (sx, sy) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
         Self { fx: self.fx * sx, cx: self.cx * sx, fy: self.fy * sy, cy: self.cy * sy, width, height, ..self.clone() }
     }
+
+    /// The same view as an image of `width` x `height` pixels whose pixels keep their shape: scaled as the height says, with
+    /// more or less at both sides where the aspect differs. [`Camera::resized`] where it does not.
+    pub fn with_size(&self, width: usize, height: usize) -> Self {
+        let scale = height as f64 / self.height as f64;
+        let sides = 0.5 * (width as f64 - scale * self.width as f64);
+        let [fx, fy, cx, cy] = [self.fx, self.fy, self.cx, self.cy].map(|v| scale * v);
+        Self { fx, fy, cx: cx + sides, cy, width, height, ..self.clone() }
+    }
 }
 
 /// What a camera knows besides its pose; units as in [`Camera`].

@@ -16,6 +16,7 @@
 //! | 3DGS PLY files with labels, hostile ones included | [`gaussians::ply`] |
 //! | clone, split and prune; relocation of 3DGS-MCMC | [`gaussians::densify`], [`gaussians::relocate`] |
 //! | a vote of label maps, objects from masks with ids of their view alone, picking | [`objects`] |
+//! | new views: paths through cameras, circles around things | [`camera_path`] |
 //! | DINO, MobileNetV2 and weight-free features of an image | [`features`] |
 //!
 //! `examples/` has the rasterizer in a training loop of burn's own optimiser, and features lifted onto Gaussians.
@@ -59,6 +60,7 @@
 
 pub mod bench;
 pub mod camera;
+pub mod camera_path;
 pub mod config;
 pub mod data;
 pub mod device;

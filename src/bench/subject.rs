@@ -5,8 +5,7 @@ use super::surfels::Surfaces;
 use crate::camera::Camera;
 use crate::config::Config;
 use crate::data::builtin::{self, BuiltinOptions};
-use crate::data::transforms::load_cameras;
-use crate::data::{Limits, Scene, Split};
+use crate::data::{Limits, Scene, Split, read_cameras};
 use crate::error::{Error, Result};
 use crate::gaussians::{Gaussians, ply};
 use crate::train::{BuildingStage, load_scene};
@@ -22,7 +21,7 @@ pub enum Source {
     Untrained,
     /// The scene that the settings name and these trained Gaussians of it, a 3DGS PLY.
     Trained(PathBuf),
-    /// Trained Gaussians and cameras, without photos: a 3DGS PLY and a `transforms.json`.
+    /// Trained Gaussians and cameras, without photos: a 3DGS PLY and what [`read_cameras`] reads.
     Files {
         /// The Gaussians.
         scene: PathBuf,
@@ -97,7 +96,7 @@ impl Subject {
     }
 
     fn of_files(scene: &Path, cameras: &Path, config: &Config) -> Result<Self> {
-        let named = load_cameras(cameras, Some(Split::Train))?;
+        let named = read_cameras(cameras, Some(Split::Train))?;
         let (gaussians, origin) = trained(scene)?;
         let cameras: Vec<Camera> =
             named.into_iter().map(|n| Camera { center: n.camera.center - origin, ..n.camera }).collect();

@@ -1,6 +1,7 @@
 //! `coseg bench`: speed against error on this machine.
 
 use super::run_folder::RunFolder;
+use super::scene_file::{cameras_path, scene_path};
 use super::{Settings, terminal};
 use clap::Args;
 use clap::builder::RangedU64ValueParser;
@@ -57,11 +58,11 @@ pub struct BenchArgs {
     /// Folder that `coseg train` wrote: its scene, settings and trained Gaussians
     #[arg(long, value_name = "DIR", conflicts_with_all = ["data", "scene", "config"])]
     run: Option<PathBuf>,
-    /// Trained Gaussians in the 3DGS PLY convention, for sections that need no photos
-    #[arg(long, value_name = "FILE.ply", requires = "cameras")]
+    /// Trained Gaussians in the 3DGS PLY convention or in a run folder, for sections that need no photos
+    #[arg(long, value_name = "FILE.ply|RUN")]
     scene: Option<PathBuf>,
-    /// Cameras of --scene: a transforms.json with w and h (OpenGL camera-to-world)
-    #[arg(long, value_name = "FILE.json", requires = "scene")]
+    /// Cameras of --scene, as `coseg render` takes them [default: cameras.json beside it]
+    #[arg(long, value_name = "FILE.json|DIR", requires = "scene")]
     cameras: Option<PathBuf>,
     /// Measured passes behind each median [default: 5]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=1000))]
@@ -72,7 +73,7 @@ pub struct BenchArgs {
     /// Tiny sizes, a few seconds in all: shows that everything runs; the figures mean nothing
     #[arg(long, conflicts_with = "large")]
     quick: bool,
-    /// Write what `channels` renders into this folder, Gaussians and cameras, to time other renderers on it
+    /// Write what `channels` renders into this folder, Gaussians and cameras, for other renderers
     #[arg(long, value_name = "DIR")]
     export: Option<PathBuf>,
     /// Write the figures to this file too
@@ -90,13 +91,15 @@ impl BenchArgs {
     pub fn run(self) -> Result<()> {
         let (backend, device) = device::choose(self.backend)?;
         let machine = Machine::here(backend.to_string());
-        let (config, source) = match (&self.run, &self.scene, &self.cameras) {
-            (Some(dir), ..) => {
+        let (config, source) = match (&self.run, &self.scene) {
+            (Some(dir), _) => {
                 let run = RunFolder::existing(dir)?;
                 (run.config(&self.settings.sets)?, Source::Trained(run.scene_path()))
             }
-            (None, Some(scene), Some(cameras)) => {
-                let source = Source::Files { scene: scene.clone(), cameras: cameras.clone() };
+            (None, Some(scene)) => {
+                let scene = scene_path(scene)?;
+                let cameras = cameras_path(self.cameras.as_deref(), &scene)?;
+                let source = Source::Files { scene, cameras };
                 (self.settings.load(None, None)?, source)
             }
             _ => (self.settings.load(self.data.as_ref(), None)?, Source::Untrained),

@@ -1,6 +1,6 @@
 //! `coseg edit`: objects of a labelled scene kept, removed, turned, moved and painted.
 
-use super::object_scene::{ObjectScene, ObjectSceneArgs, output_beside};
+use super::object_scene::{ObjectScene, ObjectSceneArgs};
 use super::terminal;
 use clap::Args;
 use coseg::error::{Error, Result};
@@ -33,7 +33,7 @@ const FARTHEST: f64 = 100.0;
 pub struct EditArgs {
     #[command(flatten)]
     input: ObjectSceneArgs,
-    /// File to write
+    /// PLY file to write
     #[arg(long, value_name = "FILE.ply")]
     out: PathBuf,
     /// Keep these objects alone; may be repeated
@@ -84,7 +84,7 @@ impl EditArgs {
     pub fn run(self) -> Result<()> {
         let mut scene = self.input.read()?;
         let [kept, removed] = [scene.ids(&self.keep, "--keep")?, scene.ids(&self.remove, "--remove")?];
-        let names = output_beside(&self.input, &self.out, &scene.classes)?;
+        let names = self.input.names_beside(&self.out, &scene, &scene.classes)?;
         let stays = |id: u16| (self.keep.is_empty() || kept.contains(&id)) && !removed.contains(&id);
         let motions = self.motions(&scene, &stays)?;
         for (rows, motion) in &motions {

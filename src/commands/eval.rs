@@ -60,11 +60,8 @@ impl EvalArgs {
         if let Some(dir) = &self.data {
             config.data.dir = Some(dir.clone());
         }
-        let mut scene = coseg::train::load_scene(&config)?;
         let ply = ply::read(&run.scene_path(), &Limits::default())?;
-        for view in &mut scene.views {
-            view.camera.center += scene.origin - ply.origin;
-        }
+        let scene = coseg::train::load_scene(&config)?.with_origin(ply.origin);
         let stored = stored(&run, &ply)?;
         let classes = run.classes()?;
         let named = |classes: &Classes| classes.entries.iter().map(|c| (c.id, c.name.clone())).collect::<Vec<_>>();

@@ -1,10 +1,11 @@
 //! A trained scene beside a folder of raw labels: what commands that give Gaussians labels work on.
 
 use super::Settings;
+use super::scene_file::{same_file, scene_path};
 use clap::Args;
 use coseg::config::Config;
 use coseg::data::{self, Limits, LoadOptions, Scene};
-use coseg::error::Result;
+use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::train::compare_with_photos;
 use std::path::PathBuf;
@@ -12,8 +13,8 @@ use std::path::PathBuf;
 /// Arguments that name both, and where to write.
 #[derive(Args, Debug)]
 pub struct LabelledArgs {
-    /// Scene in the 3DGS PLY convention
-    #[arg(long, value_name = "FILE.ply")]
+    /// Scene in the 3DGS PLY convention, or a run folder
+    #[arg(long, value_name = "FILE.ply|RUN")]
     scene: PathBuf,
     /// Scene folder with photos, cameras and raw labels
     #[arg(long, value_name = "DIR")]
@@ -31,15 +32,17 @@ impl LabelledArgs {
         self.settings.load(Some(&self.data), None)
     }
 
-    /// Reads both; cameras are put relative to the origin of the Gaussians.
+    /// Reads both, the scene relative to the origin of the Gaussians.
     pub fn read(&self, config: &Config) -> Result<(Scene, PlyScene)> {
-        let mut scene = data::load(&self.data, &LoadOptions::from(&config.data))?;
-        let ply = ply::read(&self.scene, &Limits::default())?;
-        for view in &mut scene.views {
-            view.camera.center += scene.origin - ply.origin;
+        let path = scene_path(&self.scene)?;
+        if same_file(&path, &self.out.join("scene.ply")) {
+            let expected = "another folder than that of the scene, which would be written over";
+            return Err(Error::config("--out", self.out.display().to_string(), expected, "name a new folder"));
         }
-        scene.origin = ply.origin;
-        compare_with_photos(&self.scene, &ply.gaussians, &scene, config)?;
+        let scene = data::load(&self.data, &LoadOptions::from(&config.data))?;
+        let ply = ply::read(&path, &Limits::default())?;
+        let scene = scene.with_origin(ply.origin);
+        compare_with_photos(&path, &ply.gaussians, &scene, config)?;
         Ok((scene, ply))
     }
 }

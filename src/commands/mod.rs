@@ -13,7 +13,9 @@ mod objects;
 mod pretrain;
 mod progress;
 mod render;
+mod render_path;
 mod run_folder;
+mod scene_file;
 mod separate;
 pub mod terminal;
 mod train;
@@ -21,12 +23,14 @@ mod vote;
 
 use clap::{Args, Parser, Subcommand};
 use coseg::config::{BUILTIN_SCENE, Config};
+use coseg::device::BackendName;
 use coseg::error::Result;
 use std::path::PathBuf;
+use std::sync::LazyLock;
 
 /// Segmented 3D Gaussian scenes from posed photos and noisy 2D label maps.
 #[derive(Debug, Parser)]
-#[command(name = "coseg", version, propagate_version = true, after_help = EXAMPLES)]
+#[command(name = "coseg", version = version(), propagate_version = true, after_help = EXAMPLES)]
 pub struct Cli {
     /// Say more about what is going on
     #[arg(long, short, global = true, display_order = 900)]
@@ -36,6 +40,16 @@ pub struct Cli {
     pub command: Command,
 }
 
+/// The version, and which backends are in this build, best first.
+fn version() -> &'static str {
+    static VERSION: LazyLock<String> = LazyLock::new(|| {
+        let cuda = cfg!(feature = "cuda").then_some(BackendName::Cuda);
+        let names: Vec<String> = BackendName::compiled().iter().copied().chain(cuda).map(|b| b.to_string()).collect();
+        format!("{} ({})", env!("CARGO_PKG_VERSION"), names.join(", "))
+    });
+    &VERSION
+}
+
 const EXAMPLES: &str = "\
 Examples:
   coseg train                                  the built-in room, both stages, into runs/builtin
@@ -43,12 +57,13 @@ Examples:
   coseg data check scenes/living               everything that is wrong with a folder, at once
   coseg train --resume runs/living             go on where a run was stopped
   coseg eval runs/living                       its scores on the held-out views
-  coseg render --scene runs/living/scene.ply --cameras scenes/living/transforms.json --out pictures --labels
+  coseg render --scene runs/living --out pictures --labels
+  coseg render --scene runs/living --out orbit --path orbit
   coseg vote --scene scene.ply --data scenes/living --out runs/voted
   coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=masks
-  coseg objects --scene runs/living/scene.ply  what there is in it, and where
-  coseg separate --scene runs/living/scene.ply --out objects/scene.ply   each chair a chair of its own
-  coseg edit --scene runs/living/scene.ply --out without.ply --remove sofa
+  coseg objects --scene runs/living            what there is in it, and where
+  coseg separate --scene runs/living --out objects/scene.ply    each chair a chair of its own
+  coseg edit --scene runs/living --out without.ply --remove sofa
   coseg bench --run runs/living                speed on this machine, beside the bars of the design
 
 Exit code: 0 done, 1 an error that names what to mend, 2 a mistake on the command line.";

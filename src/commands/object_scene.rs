@@ -1,17 +1,19 @@
 //! A labelled PLY scene with the names of its labels: what commands about objects work on.
 
+use super::scene_file::{same_file, scene_path};
 use clap::Args;
 use coseg::data::{Classes, Limits, class_color};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::objects::{Object, inventory};
+use glam::DVec3;
 use std::path::{Path, PathBuf};
 
 /// Arguments that name both.
 #[derive(Args, Debug)]
 pub struct ObjectSceneArgs {
-    /// Scene in the 3DGS PLY convention with a `label` column, as train, vote and associate write it
-    #[arg(long, value_name = "FILE.ply")]
+    /// Scene: a 3DGS PLY with a `label` column, as vote and associate write it, or a run folder
+    #[arg(long, value_name = "FILE.ply|RUN")]
     scene: PathBuf,
     /// Names of the labels [default: classes.json beside the scene, if it is there]
     #[arg(long, value_name = "FILE.json")]
@@ -23,6 +25,8 @@ const NAMED: usize = 20;
 
 /// A labelled scene.
 pub struct ObjectScene {
+    /// The PLY file.
+    pub path: PathBuf,
     pub ply: PlyScene,
     pub labels: Vec<u16>,
     /// Empty where no names are known.
@@ -34,32 +38,61 @@ pub struct ObjectScene {
 impl ObjectSceneArgs {
     /// Reads both.
     pub fn read(&self) -> Result<ObjectScene> {
-        let mut ply = ply::read(&self.scene, &Limits::default())?;
+        let path = scene_path(&self.scene)?;
+        let ply = ply::read(&path, &Limits::default())?;
+        ObjectScene::new(path, ply, self.classes.as_ref())
+    }
+
+    /// Where the names of labels `classes` go beside a scene written to `out`. Neither what is read, `scene` and the names given for
+    /// it, nor the class table of other labels is written over.
+    pub fn names_beside(&self, out: &Path, scene: &ObjectScene, classes: &Classes) -> Result<PathBuf> {
+        let names = out.with_file_name("classes.json");
+        let read = [Some(&scene.path), self.classes.as_ref()];
+        if read.into_iter().flatten().any(|path| same_file(path, out)) || out == names {
+            let expected = "another file than the scene and its classes.json";
+            return Err(Error::config("--out", out.display().to_string(), expected, "name a new file"));
+        }
+        if !out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ply")) {
+            let mend = "end the name in .ply; other tools convert that to their formats";
+            return Err(Error::config("--out", out.display().to_string(), "a .ply file", mend));
+        }
+        if names.exists() && Classes::read(&names)? != *classes {
+            let (found, mend) = ("another class table", "write into another folder");
+            return Err(Error::input(&names, "classes", found, "that of the scene's labels, or no file", mend));
+        }
+        Ok(names)
+    }
+}
+
+impl ObjectScene {
+    /// What was read from `path`, with the names in the file `classes`, or else in the one beside it.
+    pub fn new(path: PathBuf, mut ply: PlyScene, classes: Option<&PathBuf>) -> Result<Self> {
         let Some(labels) = ply.labels.take() else {
             let mend = "give the scene labels with `coseg vote` or `coseg train`";
-            return Err(Error::input(&self.scene, "column label", "nothing", "one label a Gaussian", mend));
+            return Err(Error::input(path, "column label", "nothing", "one label a Gaussian", mend));
         };
-        let beside = self.scene.with_file_name("classes.json");
-        let classes = match &self.classes {
+        let beside = path.with_file_name("classes.json");
+        let classes = match classes {
             Some(path) => Classes::read(path)?,
             None if beside.is_file() => Classes::read(&beside)?,
             None => Classes::default(),
         };
         if labels.is_empty() {
             let mend = "name a scene that holds something";
-            return Err(Error::input(&self.scene, "element vertex", "no Gaussian", "one or more", mend));
+            return Err(Error::input(path, "element vertex", "no Gaussian", "one or more", mend));
         }
         let objects = inventory(&ply.gaussians, &labels);
-        Ok(ObjectScene { ply, labels, classes, objects })
+        Ok(Self { path, ply, labels, classes, objects })
     }
 
-    /// The files that are read.
-    pub fn paths(&self) -> impl Iterator<Item = &Path> {
-        [Some(&self.scene), self.classes.as_ref()].into_iter().flatten().map(PathBuf::as_path)
+    /// Corners of a box around the boxes of the objects that `what` means, world units.
+    pub fn bounds(&self, what: &str, flag: &str) -> Result<(DVec3, DVec3)> {
+        let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        let around = |(low, high): (DVec3, DVec3), object: &Object| (low.min(object.low), high.max(object.high));
+        let (low, high) = self.find(what, flag)?.into_iter().fold(none, around);
+        Ok((low + self.ply.origin, high + self.ply.origin))
     }
-}
 
-impl ObjectScene {
     /// The name of a label, where one is known.
     pub fn name(&self, id: u16) -> Option<&str> {
         let known = self.classes.index(id).is_some() || (id == self.classes.ignore && !self.classes.is_empty());
@@ -109,20 +142,4 @@ impl ObjectScene {
         let class = name.rsplit_once(' ').filter(|(_, number)| numbered && number.parse::<u32>().is_ok());
         name == what || class.is_some_and(|(class, _)| class == what)
     }
-}
-
-/// Where the names of a scene written to `out` go, its labels being those of `classes`. Neither what is read nor the class table
-/// of other labels is written over.
-pub fn output_beside(input: &ObjectSceneArgs, out: &Path, classes: &Classes) -> Result<PathBuf> {
-    let same = |a: &Path, b: &Path| matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b);
-    let names = out.with_file_name("classes.json");
-    if input.paths().any(|path| same(path, out)) || out == names {
-        let expected = "another file than the scene and its classes.json";
-        return Err(Error::config("--out", out.display().to_string(), expected, "name a new file"));
-    }
-    if names.exists() && Classes::read(&names)? != *classes {
-        let (found, mend) = ("another class table", "write into another folder");
-        return Err(Error::input(&names, "classes", found, "that of the scene's labels, or no file", mend));
-    }
-    Ok(names)
 }

@@ -1,11 +1,11 @@
 //! `coseg objects`: what a labelled scene holds, and what a pixel shows.
 
 use super::object_scene::{ObjectScene, ObjectSceneArgs};
-use super::render::cameras_at;
+use super::scene_file::cameras_path;
 use super::terminal;
 use clap::Args;
 use coseg::camera::Camera;
-use coseg::data::NamedCamera;
+use coseg::data::{NamedCamera, read_cameras};
 use coseg::error::{Error, Result};
 use coseg::objects::pick;
 use coseg::raster::{Projected, Settings};
@@ -18,12 +18,13 @@ Without --pixel: every label of the scene with its name, number of Gaussians, an
 world units; a box leaves out the outermost 1 % of the centres on each side, one at least of three or more. --json: id,
 name, gaussians, and the corners low and high of the box.
 
-With --cameras, --frame and --pixel: the label whose Gaussians have most of that pixel, the share of the pixel that
+With --frame and --pixel: the label whose Gaussians have most of that pixel, the share of the pixel that
 they have, and where they are. --json: id, name, share, point; null where there is no Gaussian.
 
 Examples:
-  coseg objects --scene runs/room/scene.ply
-  coseg objects --scene runs/room/scene.ply --cameras scenes/room --frame test_001 --pixel 240,180 --json";
+  coseg objects --scene runs/room
+  coseg objects --scene runs/room --frame test_001 --pixel 240,180
+  coseg objects --scene other/scene.ply --cameras scenes/room --frame test_001 --pixel 240,180 --json";
 
 /// Arguments of `coseg objects`.
 #[derive(Args, Debug)]
@@ -31,14 +32,14 @@ Examples:
 pub struct ObjectsArgs {
     #[command(flatten)]
     input: ObjectSceneArgs,
-    /// Cameras: a transforms.json with w and h (OpenGL camera-to-world), or a scene folder of any layout
+    /// Cameras, as `coseg render` takes them [default: cameras.json beside the scene]
     #[arg(long, value_name = "FILE.json|DIR", requires = "frame", requires = "pixel")]
     cameras: Option<PathBuf>,
-    /// Name of a frame: its file name without extension (COLMAP: folders joined to it by _)
-    #[arg(long, value_name = "STEM", requires = "cameras")]
+    /// Name of a frame: its file name, with or without extension (COLMAP: folders joined to it by _)
+    #[arg(long, value_name = "STEM", requires = "pixel")]
     frame: Option<String>,
     /// Column and row of a pixel, from 0 at the top left
-    #[arg(long, value_name = "X,Y", requires = "cameras", value_parser = parse_pixel)]
+    #[arg(long, value_name = "X,Y", requires = "frame", value_parser = parse_pixel)]
     pixel: Option<[usize; 2]>,
     /// Print JSON
     #[arg(long)]
@@ -54,8 +55,8 @@ impl ObjectsArgs {
     /// Lists, or picks.
     pub fn run(self) -> Result<()> {
         let scene = self.input.read()?;
-        match (&self.cameras, &self.frame, self.pixel) {
-            (Some(cameras), Some(frame), Some(pixel)) => self.pick(&scene, cameras, frame, pixel),
+        match (&self.frame, self.pixel) {
+            (Some(frame), Some(pixel)) => self.pick(&scene, frame, pixel),
             _ => {
                 self.list(&scene);
                 Ok(())
@@ -86,9 +87,11 @@ impl ObjectsArgs {
         }
     }
 
-    fn pick(&self, scene: &ObjectScene, cameras: &Path, frame: &str, [x, y]: [usize; 2]) -> Result<()> {
-        let frames = cameras_at(cameras, None)?;
-        let Some(NamedCamera { camera, .. }) = frames.iter().find(|f| f.name == frame) else {
+    fn pick(&self, scene: &ObjectScene, frame: &str, [x, y]: [usize; 2]) -> Result<()> {
+        let frames = read_cameras(&cameras_path(self.cameras.as_deref(), &scene.path)?, None)?;
+        let named = |name: &str| frames.iter().find(|f| f.name == name);
+        let stem = Path::new(frame).file_stem().and_then(|stem| stem.to_str());
+        let Some(NamedCamera { name: frame, camera, .. }) = named(frame).or_else(|| stem.and_then(named)) else {
             let some: Vec<&str> = frames.iter().take(5).map(|f| f.name.as_str()).collect();
             let expected = format!("one of {} frames such as {}", frames.len(), some.join(", "));
             return Err(Error::config("--frame", frame, expected, "name a frame of --cameras"));

@@ -1,15 +1,19 @@
 //! `coseg render`: pictures of a PLY scene.
 
+use super::object_scene::ObjectScene;
+use super::render_path::PathArgs;
+use super::scene_file::{cameras_path, scene_path};
 use super::terminal;
 use clap::{Args, ValueEnum};
 use coseg::camera::Camera;
-use coseg::data::{self, Classes, LabelMap, Limits, LoadOptions, NamedCamera, Split, atomic, transforms};
+use coseg::data::{Classes, LabelMap, Limits, NamedCamera, Split, atomic, read_cameras, transforms};
 use coseg::device::{self, BackendName};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::objects::{Frame, RenderOptions, Renderer};
 use coseg::raster::Settings;
 use coseg::report::pictures;
+use glam::DVec3;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -23,20 +27,36 @@ For each frame, STEM being its file name without extension, the output folder ge
                                  8-bit grey, or 16-bit where ids exceed 255
                  STEM.label_color.png  the same in colours, with a legend, where classes.json lies beside the scene
 
+Cameras
+  transforms.json  instant-ngp and nerfstudio, with w and h
+  cameras.json     a run's, or that of graphdeco's 3DGS
+  camera path      of nerfstudio's viewer, in its normalised coordinates as the PLY of its ns-export is
+  DIR              a scene folder of any layout, or a run folder
+
+Paths: frames path_0000, path_0001, ... and their cameras as cameras.json.
+  --path interpolate  through the cameras in file order, of --split if given; turning on the spot takes frames too
+  --path orbit        once around the point that the cameras look at, as far from it and as high as most of them stand (medians),
+                      with the first one's lens. In rooms what stands in between is in the way: lower --radius
+  --object OBJECT     around the box of one object, nearer where it is small; `coseg edit --keep OBJECT` leaves it alone
+A film of them, width and height even:
+  ffmpeg -framerate 30 -i pictures/path_%04d.rgb.png -pix_fmt yuv420p film.mp4
+
 Examples:
-  coseg render --scene runs/room/scene.ply --cameras room/transforms.json --out pictures --split test --labels
+  coseg render --scene runs/room --out pictures --split test --labels
+  coseg render --scene runs/room --out walk --path interpolate --split train --frames 300 --size 1280,960
+  coseg render --scene runs/room --out sofa --path orbit --object sofa
   coseg render --scene other.ply --cameras path.json --out arrays --format npy --background 1,1,1 --alpha-max 0.99";
 
 /// Arguments of `coseg render`.
 #[derive(Args, Debug)]
 #[command(after_help = HELP)]
 pub struct RenderArgs {
-    /// Scene in the 3DGS PLY convention; its `label` column is needed for --labels
-    #[arg(long, value_name = "FILE.ply")]
+    /// Scene in the 3DGS PLY convention, or a run folder; its `label` column is needed for --labels
+    #[arg(long, value_name = "FILE.ply|RUN")]
     scene: PathBuf,
-    /// Cameras: a transforms.json with w and h (OpenGL camera-to-world), or a scene folder of any layout
+    /// Cameras, of this or another tool, see below [default: cameras.json beside the scene]
     #[arg(long, value_name = "FILE.json|DIR")]
-    cameras: PathBuf,
+    cameras: Option<PathBuf>,
     /// Folder to write to; made if absent
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -46,6 +66,11 @@ pub struct RenderArgs {
     /// Which frames
     #[arg(long, value_enum, default_value_t = SplitArg::All)]
     split: SplitArg,
+    #[command(flatten)]
+    path: PathArgs,
+    /// Size of the images, pixels; another aspect shows more or less at the sides [default: as given]
+    #[arg(long, value_name = "W,H", value_parser = parse_size)]
+    size: Option<[usize; 2]>,
     /// Render the labels too
     #[arg(long)]
     labels: bool,
@@ -84,6 +109,16 @@ fn parse_color(text: &str) -> std::result::Result<[f32; 3], String> {
     }
 }
 
+/// `w,h`, no more pixels than an image may have.
+fn parse_size(text: &str) -> std::result::Result<[usize; 2], String> {
+    let most = Limits::default().image_pixels;
+    let parsed = text.split_once(',').and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
+    let fits = |&[w, h]: &[usize; 2]| w > 0 && h > 0 && (w as u64).saturating_mul(h as u64) <= most;
+    parsed
+        .filter(fits)
+        .ok_or_else(|| format!("expected a width and a height, {most} pixels at most, for instance 1280,720"))
+}
+
 impl RenderArgs {
     /// Renders every frame.
     pub fn run(self) -> Result<()> {
@@ -98,22 +133,41 @@ impl RenderArgs {
             SplitArg::Test => Some(Split::Test),
             SplitArg::All => None,
         };
-        let cameras = cameras_at(&self.cameras, split)?;
-        let scene = ply::read(&self.scene, &Limits::default())?;
-        if scene.gaussians.is_empty() {
-            let mend = "name a scene that holds something";
-            return Err(Error::input(&self.scene, "element vertex", "no Gaussian", "one or more", mend));
+        self.path.check(&self.out)?;
+        let path = scene_path(&self.scene)?;
+        let mut cameras = read_cameras(&cameras_path(self.cameras.as_deref(), &path)?, split)?;
+        if let Some([width, height]) = self.size {
+            cameras.iter_mut().for_each(|named| named.camera = named.camera.with_size(width, height));
         }
+        let mut scene = ply::read(&path, &Limits::default())?;
+        let Some(center) = scene.gaussians.median_center() else {
+            let mend = "name a scene that holds something";
+            return Err(Error::input(&path, "element vertex", "no Gaussian", "one or more", mend));
+        };
+        let center = DVec3::from(center.map(f64::from)) + scene.origin;
         if self.labels && scene.labels.is_none() {
             let mend = "leave --labels out, or give the scene labels with `coseg vote` or `coseg train`";
-            return Err(Error::input(&self.scene, "column label", "nothing", "one label a Gaussian", mend));
+            return Err(Error::input(&path, "column label", "nothing", "one label a Gaussian", mend));
         }
-        let beside = self.scene.with_file_name("classes.json");
+        let beside = path.with_file_name("classes.json");
         let classes = if self.labels && beside.is_file() { Some(Classes::read(&beside)?) } else { None };
+        let along = if self.path.object.is_some() {
+            let objects = ObjectScene::new(path, scene, None)?;
+            let along = self.path.cameras(&cameras, center, Some(&objects))?;
+            scene = PlyScene { labels: Some(objects.labels), ..objects.ply };
+            along
+        } else {
+            self.path.cameras(&cameras, center, None)?
+        };
+        let is_path = along.is_some();
+        let cameras = along.unwrap_or(cameras);
         let PlyScene { gaussians, origin, labels } = scene;
         let options = RenderOptions { settings, background: self.background, ..RenderOptions::default() };
         let labels = labels.filter(|_| self.labels);
         let mut renderer = Renderer::new(gaussians, labels, options, &device::open(self.backend)?)?;
+        if is_path {
+            transforms::write_cameras(&self.out.join("cameras.json"), &cameras)?;
+        }
         let bar = terminal::bar("render", cameras.len() as u64);
         let mut times = Vec::with_capacity(cameras.len());
         for NamedCamera { name, camera, .. } in &cameras {
@@ -159,14 +213,6 @@ impl RenderArgs {
         let path = file("label_color.png");
         let colored = pictures::with_legend(&pictures::colored(labels, classes), labels, classes);
         atomic::write_bytes(&path, &pictures::png(&colored, &path)?)
-    }
-}
-
-/// The cameras of a transforms.json or of a scene folder, world units; `split` keeps only those frames.
-pub fn cameras_at(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera>> {
-    match path.is_dir() {
-        true => data::load_cameras(path, &LoadOptions::default(), split),
-        false => transforms::load_cameras(path, split),
     }
 }
 

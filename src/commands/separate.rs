@@ -1,6 +1,6 @@
 //! `coseg separate`: things of one label that do not touch become objects of their own.
 
-use super::object_scene::{ObjectSceneArgs, output_beside};
+use super::object_scene::ObjectSceneArgs;
 use super::terminal;
 use clap::Args;
 use coseg::error::Result;
@@ -16,8 +16,8 @@ that touch each other stay one. The new file gets its classes.json beside it, wh
 `coseg edit --remove chair` still means all of them, --remove \"chair 2\" one.
 
 Examples:
-  coseg separate --scene runs/room/scene.ply --out objects/scene.ply
-  coseg separate --scene runs/room/scene.ply --out objects/scene.ply --only chair,table --smallest 0.1";
+  coseg separate --scene runs/room --out objects/scene.ply
+  coseg separate --scene runs/room --out objects/scene.ply --only chair,table --smallest 0.1";
 
 /// Arguments of `coseg separate`.
 #[derive(Args, Debug)]
@@ -49,7 +49,7 @@ impl SeparateArgs {
         rules.smallest = self.smallest.unwrap_or(rules.smallest);
         rules.level = self.level.unwrap_or(rules.level);
         let found = rules.apply(&scene.ply.gaussians, &scene.labels, &scene.classes, wanted)?;
-        let names = output_beside(&self.input, &self.out, &found.classes)?;
+        let names = self.input.names_beside(&self.out, &scene, &found.classes)?;
         ply::write(&self.out, &scene.ply.gaussians, scene.ply.origin, Some(&found.labels))?;
         found.classes.write(&names)?;
         for (id, pieces) in &found.pieces {

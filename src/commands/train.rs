@@ -2,6 +2,7 @@
 
 use super::progress::Bars;
 use super::run_folder::RunFolder;
+use super::scene_file::scene_path;
 use super::{Settings, terminal};
 use clap::Args;
 use coseg::camera::Camera;
@@ -50,7 +51,7 @@ pub struct TrainArgs {
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     /// 3DGS PLY of this or another trainer whose Gaussians to label, instead of building new ones
-    #[arg(long, value_name = "FILE.ply", conflicts_with = "resume")]
+    #[arg(long, value_name = "FILE.ply|RUN", conflicts_with = "resume")]
     scene: Option<PathBuf>,
     /// Run folder to write [default: runs/NAME of the scene, numbered when taken]
     #[arg(long, value_name = "DIR")]
@@ -74,7 +75,7 @@ impl TrainArgs {
         if let Some(path) = &self.scene {
             // Ahead of what `--set` says.
             let sets = ["building.iterations=0", "building.max_gaussians=0"].map(str::to_owned);
-            let sets = sets.into_iter().chain([format!("building.gaussians={}", path.display())]);
+            let sets = sets.into_iter().chain([format!("building.gaussians={}", scene_path(path)?.display())]);
             self.settings.sets.splice(0..0, sets);
         }
         let (run, config) = match &self.resume {

@@ -2,11 +2,13 @@
 
 pub mod atomic;
 pub mod builtin;
+mod camera_file;
 mod cautions;
 mod check;
 mod classes;
 mod colmap;
 mod depth;
+mod file_kind;
 mod frame;
 mod image_file;
 mod info;
@@ -31,6 +33,7 @@ mod sequence;
 mod sweep;
 pub mod transforms;
 
+pub use camera_file::read_cameras;
 pub use check::{Checked, check};
 pub use info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
 pub use label_runs::LabelRuns;
@@ -134,6 +137,17 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// The same scene relative to another origin, such as that of Gaussians made elsewhere.
+    #[must_use]
+    pub fn with_origin(mut self, origin: DVec3) -> Self {
+        let shift = self.origin - origin;
+        self.views.iter_mut().for_each(|view| view.camera.center += shift);
+        for position in &mut self.points.positions {
+            *position = (glam::Vec3::from(*position).as_dvec3() + shift).as_vec3().to_array();
+        }
+        Self { origin, ..self }
+    }
+
     /// Views of one split, in file order.
     pub fn split(&self, split: Split) -> impl Iterator<Item = &View> {
         self.views.iter().filter(move |v| v.split == split)

@@ -3,7 +3,7 @@
 //! The format itself is `ply-rs-bw`'s. Its rows are addressed by property name; here every wanted property is renamed
 //! once, in a private copy of the element definition, to its column number, so that no row compares names.
 
-use super::Limits;
+use super::{Limits, file_kind};
 use crate::error::{Error, Result};
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{
@@ -12,7 +12,7 @@ use ply_rs_bw::ply::{
 };
 use ply_rs_bw::writer::Writer;
 use std::fs::File;
-use std::io::{self, BufReader, Seek, Write};
+use std::io::{self, BufRead, BufReader, Seek, Write};
 use std::path::{Path, PathBuf};
 
 /// Rows parsed at once; bounds the memory beside the caller's own.
@@ -90,7 +90,13 @@ impl PlyFile {
     /// Opens `path` and reads the header up to `end_header`; `element` (such as `vertex`) must be declared.
     pub fn open(path: &Path, element: &str, limits: &Limits) -> Result<Self> {
         let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
-        let mut reader = Reader::new(BufReader::with_capacity(1 << 20, file));
+        let mut file = BufReader::with_capacity(1 << 20, file);
+        let first = file.fill_buf().map_err(|e| Error::io(path, "read", e))?;
+        if let Some(kind) = file_kind::by_first_bytes(first).filter(|kind| *kind != "a PLY file") {
+            let mend = "give the .ply file, such as the scene.ply of a run";
+            return Err(Error::input(path, "first bytes", kind, "a PLY file", mend));
+        }
+        let mut reader = Reader::new(file);
         let header = Parser::<Row<0>>::new().read_header(&mut reader).map_err(|e| {
             let line = e.line().map_or_else(|| "header".into(), |l| format!("header, line {l}"));
             Error::input(path, line, what(&e.to_string()), "a PLY header", "export the file again")

@@ -45,6 +45,16 @@ impl Gaussians {
         self.means.is_empty()
     }
 
+    /// Median of the centres along each axis, which strays do not move, relative to the scene origin; `None` for no Gaussian.
+    pub fn median_center(&self) -> Option<[f32; 3]> {
+        let median = |axis: usize| {
+            let mut along: Vec<f32> = self.means.iter().map(|mean| mean[axis]).collect();
+            let middle = along.len() / 2;
+            *along.select_nth_unstable_by(middle, f32::total_cmp).1
+        };
+        (!self.is_empty()).then(|| [0, 1, 2].map(median))
+    }
+
     /// The Gaussians `rows`, in that order.
     ///
     /// # Panics

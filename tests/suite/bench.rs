@@ -230,7 +230,9 @@ fn mistakes_are_named() {
     let message = fails(&["bench", "--only", "raster,speed"], 2);
     assert!(message.contains("speed") && message.contains("raster, channels, curve, building"), "{message}");
     fails(&["bench", "--repeats", "0"], 2);
-    fails(&["bench", "--scene", "x.ply"], 2);
+    fails(&["bench", "--cameras", "x.json"], 2);
+    let message = fails(&["bench", "--quick", "--scene", "no/such.ply"], 1);
+    assert!(message.contains("no such file: no/such.ply; give a .ply file"), "{message}");
     fails(&["bench", "--run", "runs/x", "--data", "y"], 2);
     let message = fails(&["bench", "--quick", "--run", "no/such/run"], 1);
     assert!(message.contains("a run folder"), "{message}");

@@ -9,6 +9,8 @@ mod backends;
 mod bench;
 mod building;
 mod builtin;
+mod camera_files;
+mod camera_paths;
 mod cameras;
 mod cautions;
 mod checkpoint;
@@ -83,6 +85,7 @@ mod stage_two;
 mod torch_file;
 mod transforms;
 mod unprojection;
+mod views;
 mod weights;
 
 use burn::tensor::Device;

@@ -47,3 +47,26 @@ fn a_finished_run_is_gone_on_with_and_keeps_what_it_knew() {
     succeeds(&["train", "--resume", utf8(&run), "--data", utf8(moved.path())]);
     assert_eq!(read_json(&run.join("metrics.json"))["test"], metrics["test"]);
 }
+
+#[test]
+fn the_gaussians_of_a_run_are_labelled_by_another() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let (run, again) = (folder.path().join("run"), folder.path().join("again"));
+    let train = ["train", "--data", utf8(folder.path()), "--set", "segmentation.rows=vote"];
+    let small = ["--set", "building.iterations=40", "--set", "building.random_points=300"];
+    succeeds(&[&train[..], &small, &["--out", utf8(&run)]].concat());
+    succeeds(&[&train[..], &["--scene", utf8(&run), "--out", utf8(&again)]].concat());
+    let [first, second] = [&run, &again].map(|run| read_json(&run.join("metrics.json")));
+    assert_eq!(first["test"], second["test"], "the same Gaussians and votes");
+    assert!(second["curves"]["building"]["loss"].as_array().unwrap().is_empty(), "none were built");
+    let page = std::fs::read_to_string(again.join("report.html")).unwrap();
+    assert!(page.contains("The Gaussians are those of a file"));
+    // Those that are read are never written over.
+    for command in ["vote", "associate"] {
+        let before = std::fs::read(run.join("scene.ply")).unwrap();
+        let message = fails(&[command, "--scene", utf8(&run), "--data", utf8(folder.path()), "--out", utf8(&run)], 1);
+        assert!(message.contains("written over"), "{message}");
+        assert_eq!(std::fs::read(run.join("scene.ply")).unwrap(), before);
+    }
+}

@@ -1,7 +1,7 @@
 //! Scenes as folders with a `transforms.json` (nerfstudio, instant-ngp): OpenGL camera-to-world poses, photos, and the
 //! fields of this crate: per frame `split`, `label_path`, `raw_label_path`, `instance_path`; per folder `classes.json`.
 
-mod not_finite;
+pub(super) mod not_finite;
 mod schema;
 mod splits;
 mod write;

@@ -2,7 +2,7 @@
 
 /// A token that is no JSON.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Token {
+pub(in crate::data) struct Token {
     /// Line in the file, from 1.
     pub line: usize,
     /// As it stands there.
@@ -10,7 +10,7 @@ pub(super) struct Token {
 }
 
 /// `text` with each `NaN` and `Infinity` outside of strings replaced by `null`, and what was replaced, in order.
-pub(super) fn blanked(text: &str) -> (String, Vec<Token>) {
+pub(in crate::data) fn blanked(text: &str) -> (String, Vec<Token>) {
     let (mut out, mut tokens) = (String::with_capacity(text.len()), Vec::new());
     let (mut rest, mut line, mut quoted) = (text, 1, false);
     while let Some(c) = rest.chars().next() {

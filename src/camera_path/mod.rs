@@ -1,0 +1,35 @@
+//! Cameras that nobody took a photo with: a smooth path through given ones, and a circle around what they look at.
+//!
+//! Both give [`crate::camera::Camera`]s in the coordinates of those that they are made from.
+
+mod interpolate;
+mod orbit;
+
+pub use interpolate::CameraPath;
+pub use orbit::{Orbit, focus, mean_up};
+
+use crate::camera::Camera;
+use crate::error::{Error, Result};
+use crate::raster::Viewpoint;
+
+/// At least one camera, each of them usable.
+fn check(cameras: &[Camera]) -> Result<()> {
+    if cameras.is_empty() {
+        return Err(Error::config("cameras", "none", "one or more", "pass the cameras that the path is made from"));
+    }
+    for (i, camera) in cameras.iter().enumerate() {
+        Viewpoint::new(camera).map_err(|error| match error {
+            Error::Config { key, found, expected, mend } => {
+                Error::Config { key: format!("cameras[{i}]: {key}"), found, expected, mend }
+            }
+            other => other,
+        })?;
+        let rotation = camera.rotation;
+        let off = (rotation.transpose() * rotation - glam::DMat3::IDENTITY).to_cols_array();
+        if off.iter().any(|v| v.abs() > 1e-2) || rotation.determinant() < 0.0 {
+            let found = format!("{rotation}");
+            return Err(Error::config(format!("cameras[{i}]: rotation"), found, "a rotation", "mend the pose"));
+        }
+    }
+    Ok(())
+}

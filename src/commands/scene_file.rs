@@ -1,0 +1,51 @@
+//! Where a scene and its cameras lie: in files, or in the folder that `coseg train` wrote.
+
+use coseg::error::{Error, Result};
+use std::path::{Path, PathBuf};
+
+/// The scene of a run folder.
+const SCENE: &str = "scene.ply";
+/// The cameras of a run folder.
+const CAMERAS: &str = "cameras.json";
+
+/// The PLY file that `--scene` means: itself, or scene.ply in a folder.
+pub fn scene_path(given: &Path) -> Result<PathBuf> {
+    const MEND: &str = "give a .ply file, or the folder that `coseg train` wrote";
+    if !given.try_exists().map_err(|e| Error::io(given, "look at", e))? {
+        return Err(Error::Missing { what: "file", path: given.to_owned(), mend: MEND.to_owned() });
+    }
+    if !given.is_dir() {
+        return Ok(given.to_owned());
+    }
+    let inside = given.join(SCENE);
+    if inside.is_file() {
+        return Ok(inside);
+    }
+    let names = std::fs::read_dir(given).into_iter().flatten().flatten();
+    let names = names.filter_map(|entry| entry.file_name().into_string().ok());
+    let other = names.filter(|name| name.to_lowercase().ends_with(".ply")).min();
+    let (found, mend) = match other {
+        Some(name) => (format!("no such file, but {name}"), format!("give {}", given.join(name).display())),
+        None => ("no such file".to_owned(), MEND.to_owned()),
+    };
+    Err(Error::input(given, SCENE, found, "a run folder", mend))
+}
+
+/// What `--cameras` names, or else the cameras beside the scene `scene`.
+pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
+    let beside = scene.with_file_name(CAMERAS);
+    match given {
+        Some(path) => Ok(path.to_owned()),
+        None if beside.is_file() => Ok(beside),
+        None => {
+            let expected = format!("cameras: {} is not there", beside.display());
+            let mend = "give a file of cameras, a scene folder or a run folder";
+            Err(Error::config("--cameras", "nothing", expected, mend))
+        }
+    }
+}
+
+/// Whether two names are of one file that is there.
+pub fn same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
