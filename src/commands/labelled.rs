@@ -34,12 +34,14 @@ impl LabelledArgs {
 
     /// Reads both, the scene relative to the origin of the Gaussians.
     pub fn read(&self, config: &Config) -> Result<(Scene, PlyScene)> {
+        let options = LoadOptions::from(&config.data);
+        data::locate(&self.data, &options)?;
         let path = scene_path(&self.scene)?;
         if same_file(&path, &self.out.join("scene.ply")) {
             let expected = "another folder than that of the scene, which would be written over";
             return Err(Error::config("--out", self.out.display().to_string(), expected, "name a new folder"));
         }
-        let scene = data::load(&self.data, &LoadOptions::from(&config.data))?;
+        let scene = data::load(&self.data, &options)?;
         let ply = ply::read(&path, &Limits::default())?;
         let scene = scene.with_origin(ply.origin);
         compare_with_photos(&path, &ply.gaussians, &scene, config)?;

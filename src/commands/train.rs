@@ -56,7 +56,7 @@ pub struct TrainArgs {
     /// Run folder to write [default: runs/NAME of the scene, numbered when taken]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Go on with this run from its last checkpoint, as if it had not stopped; --data if its scene has moved
+    /// Go on with this run from its last checkpoint, as if it had not stopped; --data if its scene moved
     #[arg(long, value_name = "RUN", conflicts_with_all = ["out", "seed", "config"])]
     resume: Option<PathBuf>,
     /// Where to compute: wgpu, flex, ndarray or cuda [default: the first in this build, cuda aside]

@@ -274,7 +274,8 @@ fn a_run_trains_on_objects_and_scores_them() {
     let classes = Classes::read(&run.join("classes.json")).expect("classes");
     assert!(classes.name(1).starts_with("object "));
     let said: serde_json::Value = serde_json::from_str(&succeeds(&["eval", utf8(&run), "--json"])).expect("JSON");
-    let [found, told] = [&said["instances"]["accuracy"], &labels["per_gaussian"]["instances"]["accuracy"]];
+    let scores = &said["test"]["labels"]["per_gaussian"];
+    let [found, told] = [&scores["instances"]["accuracy"], &labels["per_gaussian"]["instances"]["accuracy"]];
     assert!((found.as_f64().expect("score") - told.as_f64().expect("score")).abs() < 1e-3, "{said}");
-    assert_eq!(said["labels"]["miou"], serde_json::Value::Null);
+    assert_eq!(scores["miou"], serde_json::Value::Null);
 }

@@ -167,7 +167,8 @@ fn runs_score_objects_by_class_and_eval_says_the_same() {
     assert!(page.contains("Objects by class against true labels") && page.contains("IoU by class of the objects"));
     let said: Value = serde_json::from_str(&succeeds(&["eval", utf8(&run), "--json"])).expect("JSON");
     for key in ["miou", "accuracy"] {
-        let [found, told] = [&said["semantic"][key], &labels["per_gaussian"]["semantic"][key]];
+        let [found, told] =
+            [&said["test"]["labels"]["per_gaussian"]["semantic"][key], &labels["per_gaussian"]["semantic"][key]];
         assert!((found.as_f64().expect("score") - told.as_f64().expect("score")).abs() < 1e-3, "{key}: {said}");
     }
     let said = succeeds(&["eval", utf8(&run)]);
