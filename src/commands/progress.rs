@@ -18,9 +18,9 @@ pub struct Bars {
 
 /// Held-out figures in a few words, where there are any.
 fn figures(point: &CurvePoint) -> String {
-    let psnr = point.held_out.psnr.map(|v| format!("  PSNR {v:.2} dB"));
-    let ssim = point.held_out.ssim.map(|v| format!("  SSIM {v:.3}"));
-    let miou = point.miou.map(|v| format!("  mIoU {:.1} %", 100.0 * v));
+    let psnr = point.held_out.psnr.map(|v| format!(" PSNR {v:.2} dB"));
+    let ssim = point.held_out.ssim.map(|v| format!(" SSIM {v:.3}"));
+    let miou = point.miou.map(|v| format!(" mIoU {:.1} %", 100.0 * v));
     let all: String = psnr.into_iter().chain(ssim).chain(miou).collect();
     if all.is_empty() { all } else { format!("held-out{all}  ") }
 }
