@@ -73,8 +73,9 @@ impl TrainArgs {
     /// Trains, or goes on training, and writes the run folder.
     pub fn run(mut self) -> Result<()> {
         if let Some(path) = &self.scene {
-            // Ahead of what `--set` says.
-            let sets = ["building.iterations=0", "building.max_gaussians=0"].map(str::to_owned);
+            // Ahead of what `--set` says. All Gaussians of the file come back.
+            let sets = ["building.iterations=0", "building.max_gaussians=0", "unprojection.attendance=0"];
+            let sets = sets.map(str::to_owned);
             let sets = sets.into_iter().chain([format!("building.gaussians={}", scene_path(path)?.display())]);
             self.settings.sets.splice(0..0, sets);
         }

@@ -224,6 +224,7 @@ fn wrong_value(given: &Given<'_>, message: &str) -> Error {
         _ if message.starts_with("unknown variant") => {
             message.split_once("expected ").map_or(message, |(_, list)| list).replace('`', "\"")
         }
+        Some(Value::Boolean(_)) => "true or false".to_owned(),
         Some(Value::Integer(_)) => "a whole number of 0 or more".to_owned(),
         Some(Value::Float(_)) => "a number".to_owned(),
         Some(Value::String(_)) => "text".to_owned(),

@@ -17,6 +17,9 @@ use burn::tensor::Device;
 use std::path::Path;
 use std::time::Instant;
 
+/// Attendance pruning that removes more than this share is warned of; trained scenes lose a thousandth.
+const MANY_PRUNED: f64 = 0.05;
+
 /// Seconds spent in each part of the job; evaluations are part of the stage they belong to. Training of earlier parts of a resumed
 /// run counts; what such a run does again (loading, features, unprojection) counts once.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -258,6 +261,15 @@ fn segment(
         outcome.gaussians = outcome.gaussians.select(&seen.kept);
         if outcome.gaussians.len() < before.0 {
             outcome.test = score_images(&outcome.gaussians, &outcome.scene, config)?;
+        }
+        let removed = before.0 - outcome.gaussians.len();
+        if removed as f64 > MANY_PRUNED * before.0 as f64 {
+            tracing::warn!(
+                "attendance pruning removed {removed} of {} Gaussians, because few pixels see them; a smaller \
+                 unprojection.attendance than {} keeps more",
+                before.0,
+                config.unprojection.attendance
+            );
         }
         outcome.pruned = Some(Pruned {
             before: before.0,

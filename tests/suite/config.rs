@@ -107,6 +107,8 @@ fn unknown_keys_name_file_line_and_the_nearest_key() {
 fn wrong_types_name_found_and_expected() {
     let error = load("[building]\n\niterations = \"many\"\n", &[]).unwrap_err();
     assert_names(&error, &["line 3, building.iterations", "found \"many\"", "a whole number of 0 or more"]);
+    let error = load("", &["building.absgrad=yes"]).unwrap_err();
+    assert_names(&error, &["building.absgrad", "found \"yes\", expected true or false"]);
     let error = load("seed = -4\n", &[]).unwrap_err();
     assert_names(&error, &["seed", "-4", "a whole number of 0 or more"]);
     let error = load("[segmentation]\nloss = \"mse\"\n", &[]).unwrap_err();
