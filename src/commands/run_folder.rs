@@ -47,51 +47,24 @@ impl RunFolder {
         self.config_path().exists()
     }
 
-    /// Writes `config.toml`; returns what stood there, which is something in a run that is gone on with.
+    /// Notes that `command` begins the run, or goes on with it, with the settings `config`.
     ///
     /// # Errors
     /// [`Error::Io`] naming the file; [`Error::Config`] for settings that TOML cannot hold.
-    pub fn replace_config(&self, config: &Config) -> Result<Option<Vec<u8>>> {
-        let before = std::fs::read(self.config_path()).ok();
-        atomic::write_bytes(self.config_path(), config.to_toml()?.as_bytes())?;
-        Ok(before)
-    }
-
-    /// Notes that `command` begins the run or goes on with it; returns all commands of the run, it the last.
-    ///
-    /// # Errors
-    /// [`Error::Io`] naming the file.
-    pub fn begin(&self, command: Command) -> Result<Vec<Command>> {
-        let path = self.commands_path();
+    pub fn begin(&self, config: &Config, command: Command) -> Result<Begun> {
+        let before = [self.config_path(), self.commands_path()].map(|path| std::fs::read(path).ok());
         // A run of before this file was kept has none; one that cannot be read says nothing.
-        let before = std::fs::read(&path).ok().and_then(|text| serde_json::from_slice(&text).ok());
-        let commands: Vec<Command> = before.into_iter().flat_map(|all: Vec<Command>| all).chain([command]).collect();
-        let text = serde_json::to_string_pretty(&commands).map_err(|e| Error::io(&path, "encode", e.into()))?;
-        atomic::write_bytes(&path, text.as_bytes())?;
-        Ok(commands)
+        let earlier = before[1].as_ref().and_then(|text| serde_json::from_slice::<Vec<Command>>(text).ok());
+        let commands: Vec<Command> = earlier.into_iter().flatten().chain([command]).collect();
+        let begun = Begun { run: self.clone(), before, commands };
+        begun.write(config).inspect_err(|_| begun.undo())?;
+        Ok(begun)
     }
 
     /// Largest memory of the part of the run that ended last, where one did.
     pub fn peak_memory_before(&self) -> Option<u64> {
         let text = std::fs::read(self.0.join("metrics.json")).ok()?;
         serde_json::from_slice::<Metrics>(&text).ok()?.peak_memory_bytes
-    }
-
-    /// Puts back what [`RunFolder::replace_config`] returned: the run did not go on with other settings.
-    pub fn restore_config(&self, before: &[u8]) {
-        // The error that led here is told; this file only says less of it.
-        let _ = atomic::write_bytes(self.config_path(), before);
-    }
-
-    /// Takes `config.toml` and the noted commands away, and the folder when that empties it, if training has not begun: input was at fault, and
-    /// the folder is free for another try.
-    pub fn forget_unless_started(&self) {
-        if !self.0.join("checkpoint").exists() {
-            // What cannot be removed does no harm.
-            let _ = std::fs::remove_file(self.config_path());
-            let _ = std::fs::remove_file(self.commands_path());
-            let _ = std::fs::remove_dir(&self.0);
-        }
     }
 
     /// The folder itself.
@@ -129,12 +102,16 @@ impl RunFolder {
         self.0.join("report.html")
     }
 
-    /// Settings as run, with overrides.
+    /// Settings as run, with overrides. A run of before there was `data.max_side` had its photos at their full size.
     ///
     /// # Errors
     /// As [`Config::load`].
     pub fn config(&self, sets: &[String]) -> Result<Config> {
-        Config::load(Some(&self.config_path()), sets)
+        let path = self.config_path();
+        let text = std::fs::read_to_string(&path).unwrap_or_default();
+        let older = !text.lines().any(|line| line.trim_start().starts_with("max_side"));
+        let then = older.then(|| "data.max_side=0".to_owned());
+        Config::load(Some(&path), &then.into_iter().chain(sets.iter().cloned()).collect::<Vec<_>>())
     }
 
     /// The class table; empty for runs without labels.
@@ -144,5 +121,46 @@ impl RunFolder {
     pub fn classes(&self) -> Result<Classes> {
         let path = self.0.join("classes.json");
         if path.is_file() { Classes::read(&path) } else { Ok(Classes::default()) }
+    }
+}
+
+/// A run that has begun, or goes on, and what its folder held before.
+#[derive(Debug)]
+pub struct Begun {
+    run: RunFolder,
+    /// `config.toml` and `commands.json`.
+    before: [Option<Vec<u8>>; 2],
+    /// The command lines that the run is of, this one the last.
+    pub commands: Vec<Command>,
+}
+
+impl Begun {
+    fn write(&self, config: &Config) -> Result<()> {
+        atomic::write_bytes(self.run.config_path(), config.to_toml()?.as_bytes())?;
+        let path = self.run.commands_path();
+        let text = serde_json::to_string_pretty(&self.commands).map_err(|e| Error::io(&path, "encode", e.into()))?;
+        atomic::write_bytes(&path, text.as_bytes())
+    }
+
+    /// Puts back what the folder held, after an error: a run that was there did not go on. Where there was none, and training has
+    /// not begun, input was at fault, and the folder is free for another try.
+    pub fn undo(&self) {
+        let [config, commands] = [self.run.config_path(), self.run.commands_path()];
+        let checkpoints = self.run.0.join("checkpoint");
+        let started = std::fs::read_dir(&checkpoints).is_ok_and(|mut files| files.next().is_some());
+        if self.before[0].is_none() && started {
+            return;
+        }
+        // The error that led here is told; what cannot be put back or removed does no harm.
+        for (path, before) in [config, commands].iter().zip(&self.before) {
+            let _ = match before {
+                Some(text) => atomic::write_bytes(path, text),
+                None => std::fs::remove_file(path).map_err(|e| Error::io(path, "remove", e)),
+            };
+        }
+        if self.before[0].is_none() {
+            let _ = std::fs::remove_dir(&checkpoints);
+            let _ = std::fs::remove_dir(&self.run.0);
+        }
     }
 }

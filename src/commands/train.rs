@@ -97,17 +97,14 @@ impl TrainArgs {
             data::locate(dir, &LoadOptions::from(&config.data))?;
         }
         let (backend, device) = device::choose(self.backend)?;
-        let before = run.replace_config(&config)?;
         let device_text = format!("{backend} backend, {} threads", rayon::current_num_threads());
         terminal::note(&format!("{} -> {} ({device_text})", scene_name(&config), run.path().display()));
 
         let version = env!("CARGO_PKG_VERSION").to_owned();
-        let commands = run.begin(Command { line: command_line(), device: device_text, version })?;
+        let begun = run.begin(&config, Command { line: command_line(), device: device_text, version })?;
         let outcome = train::run(&config, run.path(), &device, &mut Bars::default());
-        let outcome = outcome.inspect_err(|_| match before {
-            Some(text) => run.restore_config(&text),
-            None => run.forget_unless_started(),
-        })?;
+        let outcome = outcome.inspect_err(|_| begun.undo())?;
+        let config = &outcome.config;
         let labels = outcome.stored().map(|(_, identities)| identities);
         let ids = labels.map(|identities| identities.ids(&outcome.scene.classes));
         ply::write(&run.scene_path(), &outcome.gaussians, outcome.scene.origin, ids.as_deref())?;
@@ -116,9 +113,9 @@ impl TrainArgs {
             identities.write(&run.identities_path())?;
         }
         let (classes, renders) = (&outcome.scene.classes, run.path().join("renders"));
-        let mut metrics = Metrics { commands, ..Metrics::of(&outcome) };
+        let mut metrics = Metrics { commands: begun.commands, ..Metrics::of(&outcome) };
         let mut scores = BTreeMap::new();
-        let views = held_out_views(&outcome, &config, |view| {
+        let views = held_out_views(&outcome, config, |view| {
             scores.insert(view.view.name.clone(), view.scores);
             view.write(classes, &renders)
         })?;
@@ -129,10 +126,10 @@ impl TrainArgs {
         let report = Report {
             metrics,
             classes,
-            config: &config,
+            config,
             held_out: outcome.scene.split(Split::Test).count(),
             views,
-            notes: Report::notes_of(&outcome, &config),
+            notes: Report::notes_of(&outcome, config),
         };
         report.write(run.path())?;
         summary(&outcome);

@@ -139,8 +139,9 @@ impl Report<'_> {
             };
             notes.push(format!("The Gaussians {what}: {}.", path.display()));
         }
-        if config.segmentation.rows.is_none() && outcome.rows.iter().map(|row| row.row).eq(Row::UNSCORED) {
-            notes.push("No held-out view has true labels: nothing is scored, and rows that only serve comparison were not trained.".into());
+        let scored = outcome.scene.split(Split::Test).any(|view| view.truth.is_some() || view.instances.is_some());
+        if !scored && outcome.semantics.is_none() && !outcome.rows.is_empty() {
+            notes.push("No held-out view has true labels: no row of labels is scored.".into());
         }
         if outcome.rows.iter().any(|row| row.row == Row::Raw) {
             notes.push("Raw labels of held-out views are scored, never trained on.".to_owned());

@@ -13,18 +13,30 @@ const PHOTOS: usize = 8;
 /// size, turned by ten degrees, mirrored, of half the size or with other axes they have 7 to 14.
 const MISPLACED: f64 = 15.0;
 
-/// The Gaussians of the PLY at `path`, relative to the origin of `scene`.
+/// The Gaussians of the PLY at `path` that a run of `scene` begins with, relative to its origin; warns where they do not show the
+/// photos. The run will write `scene_file`.
 ///
 /// # Errors
-/// Those of [`ply::read`]; [`Error::Input`] for a file without Gaussians; [`Error::Config`] for more than `most`, where that is
-/// not 0: trained Gaussians cannot be thinned as points can.
-pub(super) fn given(path: &Path, scene: &Scene, most: usize) -> Result<Gaussians> {
+/// Those of [`ply::read`]; [`Error::Input`] for a file without Gaussians; [`Error::Config`] for a scene without training views, a
+/// file that would be written over, and more Gaussians than `building.max_gaussians` has, where they are trained: trained ones
+/// cannot be thinned as points can.
+pub(super) fn begin(path: &Path, scene: &Scene, config: &Config, scene_file: &Path) -> Result<Gaussians> {
+    if matches!((path.canonicalize(), scene_file.canonicalize()), (Ok(a), Ok(b)) if a == b) {
+        let expected = "another file than the run's own scene.ply, which is written over";
+        let mend = "let the run write into another folder";
+        return Err(Error::config("building.gaussians", path.display().to_string(), expected, mend));
+    }
+    if scene.split(Split::Train).next().is_none() {
+        let found = format!("{} without training views", scene.name);
+        return Err(Error::config("data", found, "a scene with training views", "mark some views as `train`"));
+    }
     let ply::PlyScene { mut gaussians, origin, .. } = ply::read(path, &Limits::default())?;
     if gaussians.is_empty() {
         let mend = "name a scene that holds something";
         return Err(Error::input(path, "element vertex", "no Gaussian", "one or more", mend));
     }
-    if most > 0 && gaussians.len() > most {
+    let most = config.building.max_gaussians;
+    if config.building.iterations > 0 && most > 0 && gaussians.len() > most {
         let expected = format!("{} or more, as building.gaussians has, or 0 for no limit", gaussians.len());
         return Err(Error::config("building.max_gaussians", most.to_string(), expected, "raise it"));
     }
@@ -32,6 +44,7 @@ pub(super) fn given(path: &Path, scene: &Scene, most: usize) -> Result<Gaussians
     for mean in &mut gaussians.means {
         *mean = (glam::Vec3::from(*mean).as_dvec3() + shift).as_vec3().to_array();
     }
+    compare_with_photos(path, &gaussians, scene, config)?;
     Ok(gaussians)
 }
 

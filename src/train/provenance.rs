@@ -60,6 +60,16 @@ impl Provenance {
         })
     }
 
+    /// Of a building stage that takes these Gaussians as they are.
+    ///
+    /// # Errors
+    /// A photo cannot be read.
+    pub(super) fn given(config: &Config, scene: &Scene, gaussians: &Gaussians) -> Result<Self> {
+        let mut provenance = Self::building(config, scene)?;
+        provenance.data.extend([named(("Gaussians", digest_gaussians(gaussians)))]);
+        Ok(provenance)
+    }
+
     /// Of a trained row of stage two.
     pub(super) fn row(row: Row, inputs: &Inputs) -> Self {
         let sections: &[&str] = match row.is_fused() {
@@ -104,7 +114,8 @@ impl Provenance {
         }
         let names = self.data.keys().chain(stored.data.keys());
         if let Some(name) = names.into_iter().find(|name| self.data.get(*name) != stored.data.get(*name)) {
-            let mend = "resume with the data that the run began with, or train into another folder";
+            let mend =
+                "resume with the data and the data.max_side that the run began with, or train into another folder";
             return Err(Error::input(file, name, "those of other data", "those that the run has now", mend));
         }
         Ok(())

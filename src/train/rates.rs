@@ -25,6 +25,8 @@ pub struct Rate {
     pub rate: f64,
     /// Seconds of all trials.
     pub seconds: Option<f64>,
+    /// Those of them that an earlier part of a resumed run took: all or none.
+    pub earlier: f64,
 }
 
 /// Makes an untrained model that learns at a rate, for the views in use.
@@ -48,13 +50,14 @@ pub fn choose_rate<'a>(
 ) -> Result<Rate> {
     let factors = &inputs.config.segmentation.lr_trials;
     if factors.len() < 2 || views.len() < 2 {
-        return Ok(Rate { rate: base * factors.first().copied().unwrap_or(1.0), seconds: None });
+        return Ok(Rate { rate: base * factors.first().copied().unwrap_or(1.0), seconds: None, earlier: 0.0 });
     }
     if path.is_file() {
         let checkpoint = Checkpoint::load(path, KIND)?;
         let (of, from, rate): (Vec<f64>, f64, f64) = checkpoint.get("choice")?;
         if (&of, from) == (factors, base) {
-            return Ok(Rate { rate, seconds: checkpoint.get("seconds").ok() });
+            let seconds: Option<f64> = checkpoint.get("seconds").ok();
+            return Ok(Rate { rate, seconds, earlier: seconds.unwrap_or(0.0) });
         }
     }
     let trial = Plan { iterations: ((plan.iterations as f64 * TRIAL_SHARE).ceil() as usize).max(1), ..plan.clone() };
@@ -83,7 +86,7 @@ pub fn choose_rate<'a>(
     checkpoint.set("choice", &(factors, base, best.1))?;
     checkpoint.set("seconds", &seconds)?;
     checkpoint.save(path)?;
-    Ok(Rate { rate: best.1, seconds: Some(seconds) })
+    Ok(Rate { rate: best.1, seconds: Some(seconds), earlier: 0.0 })
 }
 
 /// Share of the labelled pixels of the views held back on which rendered and raw label agree.

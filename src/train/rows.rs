@@ -183,17 +183,27 @@ fn project(view: &View, inputs: &Inputs) -> Result<Projected<f32>> {
     Projected::new(&inputs.gaussians.splats(), &view.camera, &inputs.settings)
 }
 
-/// Trains and scores the configured rows in order; returns them and the name of the point encoder's weights.
+/// Rows, trained and scored.
+pub struct TrainedRows {
+    /// In the order of the configuration.
+    pub rows: Vec<RowOutcome>,
+    /// Name of the point encoder's weights.
+    pub spatial: String,
+    /// Seconds of training that earlier parts of a resumed run took.
+    pub earlier: f64,
+}
+
+/// Trains and scores the configured rows in order.
 ///
 /// # Errors
 /// Those of training, of the encoder's weights, and of checkpoints.
-pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress) -> Result<(Vec<RowOutcome>, String)> {
+pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress) -> Result<TrainedRows> {
     let config = &inputs.config.segmentation;
     let held_out = HeldOut::new(inputs)?;
     let mut views = inputs.training_views();
     let compacting = Compacting::new(inputs)?;
     let mut spatial = Spatial::default();
-    let mut rows = Vec::new();
+    let (mut rows, mut earlier) = (Vec::new(), 0.0);
     for &row in config.rows() {
         let outcome = match row {
             Row::Raw => held_out.score_raw(inputs),
@@ -204,7 +214,12 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
                 let scores = held_out.score(&identities, inputs)?;
                 RowOutcome { identities: Some(identities), agreement: Some(votes.agreement()), ..scores.of(row) }
             }
-            _ => trained(row, inputs, &mut views, &mut spatial, &held_out, checkpoints, progress)?,
+            _ => {
+                let (outcome, before) =
+                    trained(row, inputs, &mut views, &mut spatial, &held_out, checkpoints, progress)?;
+                earlier += before;
+                outcome
+            }
         };
         rows.push(compacting.finish(outcome, |identities, row| {
             let Scores { labels, instances, semantic } = held_out.score(identities, inputs)?;
@@ -214,7 +229,7 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
             break;
         }
     }
-    Ok((rows, spatial.name))
+    Ok(TrainedRows { rows, spatial: spatial.name, earlier })
 }
 
 fn untrained(row: Row) -> RowOutcome {
@@ -243,6 +258,7 @@ fn loss(row: Row, config: &SegmentationConfig) -> Result<Kind> {
     }
 }
 
+/// A trained row, and the seconds of it that earlier parts of a resumed run took.
 fn trained(
     row: Row,
     inputs: &Inputs,
@@ -251,7 +267,7 @@ fn trained(
     held_out: &HeldOut,
     checkpoints: &Path,
     progress: &mut dyn Progress,
-) -> Result<RowOutcome> {
+) -> Result<(RowOutcome, f64)> {
     let config = &inputs.config.segmentation;
     let seed = inputs.config.seed;
     let plan = Plan::new(config, loss(row, config)?, seed);
@@ -268,10 +284,10 @@ fn trained(
     let mut score = |identities: &Identities| Ok(held_out.score(identities, inputs)?.miou());
     let rate_file = checkpoints.join(format!("{}.rate.safetensors", row.key()));
     let mut fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: &Rate, progress: &mut dyn Progress| {
-        let curve = train(model, views, &plan, &pace, &mut score, progress)?;
+        let (curve, before) = train(model, views, &plan, &pace, &mut score, progress)?;
         let identities = model.identities()?;
         let scores = held_out.score(&identities, inputs)?;
-        Ok(RowOutcome {
+        let outcome = RowOutcome {
             identities: Some(identities),
             learnable_bytes: model.learnable_bytes(),
             rate: Some(rate.rate),
@@ -279,7 +295,8 @@ fn trained(
             seconds: curve.last().map_or(0.0, |p| p.seconds),
             curve,
             ..scores.of(row)
-        })
+        };
+        Ok((outcome, before + rate.earlier))
     };
     if !row.is_fused() {
         let model = |rate| PerGaussian::new([inputs.gaussians.len(), classes], rate, config.blend, &device);

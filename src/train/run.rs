@@ -2,9 +2,11 @@
 
 use super::building::BuildingStage;
 use super::building_state::BuildingState;
-use super::given::{compare_with_photos, given};
+use super::checkpoint::Checkpoint;
+use super::given::begin;
 use super::progress::{CurvePoint, Event, Progress};
-use super::rows::{RowOutcome, run_rows};
+use super::provenance::Provenance;
+use super::rows::{RowOutcome, TrainedRows, run_rows};
 use super::segmentation_inputs::{Inputs, Seen};
 use crate::config::{Association, Config, Row, SegmentationConfig};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
@@ -88,6 +90,10 @@ pub struct Outcome {
     pub spatial: String,
     /// Where the time went.
     pub seconds: Seconds,
+    /// The settings as they ran: where none named the rows, those that were chosen.
+    pub config: Config,
+    /// Seconds of training in stage two that earlier parts of a resumed run took.
+    earlier_segmentation: f64,
 }
 
 impl Outcome {
@@ -132,12 +138,13 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
     let start = Instant::now();
     let scene = load_scene(config)?;
     let scored = scene.split(Split::Test).any(|view| view.truth.is_some() || view.instances.is_some());
-    let config = &match config.segmentation.rows {
-        None if !scored => {
-            let rows = Some(Row::UNSCORED.to_vec());
+    let config = &match &config.segmentation.rows {
+        None => {
+            let rows = if scored { &Row::COMPARED[..] } else { &Row::UNSCORED };
+            let rows = Some(rows.to_vec());
             Config { segmentation: SegmentationConfig { rows, ..config.segmentation.clone() }, ..config.clone() }
         }
-        _ => config.clone(),
+        Some(_) => config.clone(),
     };
     if !config.segmentation.rows().is_empty() && !has_raw_labels(&scene) {
         tracing::warn!(
@@ -146,20 +153,27 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
         );
     }
     let settings = Settings::from(&config.raster);
-    let checkpoints = out.join("checkpoint");
+    let (checkpoints, scene_file) = (out.join("checkpoint"), out.join("scene.ply"));
+    // Before anything is written: a file that cannot be begun with leaves no run behind.
+    let begun = match &config.building.gaussians {
+        Some(path) if !checkpoints.join(BUILDING).is_file() || config.building.iterations == 0 => {
+            Some(begin(path, &scene, config, &scene_file)?)
+        }
+        _ => None,
+    };
     std::fs::create_dir_all(&checkpoints).map_err(|e| Error::io(&checkpoints, "create", e))?;
     let mut seconds = Seconds::default();
 
     let clock = Instant::now();
-    let (gaussians, building) = match &config.building.gaussians {
-        Some(path) if config.building.iterations == 0 => (taken(path, &scene, config)?, Vec::new()),
-        _ => build(&scene, config, &checkpoints.join("building.safetensors"), device, progress)?,
+    let Built { gaussians, curve: building, earlier, anew } = match begun {
+        Some(gaussians) if config.building.iterations == 0 => taken(gaussians, &scene, config, &checkpoints)?,
+        begun => build(&scene, config, begun, &checkpoints, device, progress)?,
     };
-    ply::write(&out.join("scene.ply"), &gaussians, scene.origin, None)?;
-    // Of a stage that was resumed the last point of the curve knows more than this clock.
-    let now = clock.elapsed().as_secs_f64();
-    seconds.building = building.last().map_or(now, |point| now.max(point.seconds));
-    let mut earlier = seconds.building - now;
+    // What a finished run wrote stays until another result is there.
+    if anew || !scene_file.exists() {
+        ply::write(&scene_file, &gaussians, scene.origin, None)?;
+    }
+    seconds.building = clock.elapsed().as_secs_f64() + earlier;
 
     let test = score_images(&gaussians, &scene, config)?;
     let mut outcome = Outcome {
@@ -173,6 +187,8 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
         features: String::new(),
         spatial: String::new(),
         seconds,
+        config: config.clone(),
+        earlier_segmentation: 0.0,
         scene,
     };
     if config.data.association == Association::Gaussians && outcome.scene.split(Split::Train).any(|v| v.raw.is_some()) {
@@ -180,9 +196,9 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
         outcome.association = Some(put_together(&mut outcome.scene, &outcome.gaussians, config, progress)?);
     }
     if has_raw_labels(&outcome.scene) && !config.segmentation.rows().is_empty() && !progress.stop() {
-        earlier += segment(&mut outcome, config, &settings, &checkpoints, device, progress)?;
+        outcome.seconds.segmentation = segment(&mut outcome, &settings, &checkpoints, device, progress)?;
     }
-    outcome.seconds.total = start.elapsed().as_secs_f64() + earlier;
+    outcome.seconds.total = start.elapsed().as_secs_f64() + earlier + outcome.earlier_segmentation;
     Ok(outcome)
 }
 
@@ -191,38 +207,75 @@ fn has_raw_labels(scene: &Scene) -> bool {
     scene.split(Split::Train).any(|view| view.raw.is_some()) && !scene.classes.is_empty()
 }
 
-/// The Gaussians of `path`, in spatial order.
-fn taken(path: &Path, scene: &Scene, config: &Config) -> Result<Gaussians> {
-    if scene.split(Split::Train).next().is_none() {
-        let found = format!("{} without training views", scene.name);
-        return Err(Error::config("data", found, "a scene with training views", "mark some views as `train`"));
-    }
-    let gaussians = given(path, scene, 0)?;
-    compare_with_photos(path, &gaussians, scene, config)?;
-    Ok(gaussians.select(&gaussians.spatial_order()))
+/// What stage one gave.
+struct Built {
+    /// In spatial order.
+    gaussians: Gaussians,
+    curve: Vec<CurvePoint>,
+    /// Seconds of it that earlier parts of a resumed run took.
+    earlier: f64,
+    /// Whether this part of the run did any of it.
+    anew: bool,
 }
 
+/// Checkpoint of stage one.
+const BUILDING: &str = "building.safetensors";
+/// What stage one came from where its Gaussians were taken as they are.
+const GIVEN: &str = "given.safetensors";
+/// Kind of that checkpoint.
+const GIVEN_KIND: &str = "given Gaussians";
+
+/// Stage one that takes `gaussians` as they are. A run that goes on has to have begun with them, and with these photos.
+fn taken(gaussians: Gaussians, scene: &Scene, config: &Config, checkpoints: &Path) -> Result<Built> {
+    let (built, file) = (checkpoints.join(BUILDING), checkpoints.join(GIVEN));
+    let provenance = Provenance::given(config, scene, &gaussians)?;
+    if built.is_file() {
+        provenance.check(&BuildingState::load(&built)?.provenance, false, &built)?;
+    }
+    let anew = !file.is_file();
+    if anew {
+        let mut checkpoint = Checkpoint::new(GIVEN_KIND);
+        checkpoint.set("provenance", &provenance)?;
+        checkpoint.save(&file)?;
+    } else {
+        provenance.check(&Checkpoint::load(&file, GIVEN_KIND)?.get("provenance")?, false, &file)?;
+    }
+    let gaussians = gaussians.select(&gaussians.spatial_order());
+    Ok(Built { gaussians, curve: Vec::new(), earlier: 0.0, anew })
+}
+
+/// Stage one from its checkpoint, or from the Gaussians `begun`, or from points.
 fn build(
     scene: &Scene,
     config: &Config,
-    checkpoint: &Path,
+    begun: Option<Gaussians>,
+    checkpoints: &Path,
     device: &Device,
     progress: &mut dyn Progress,
-) -> Result<(Gaussians, Vec<CurvePoint>)> {
-    let mut stage = match checkpoint.is_file() {
-        true => BuildingStage::from_state(scene, config, device, BuildingState::load(checkpoint)?)?,
-        false => {
-            let stage = BuildingStage::new(scene, config, device)?;
-            if let Some(path) = &config.building.gaussians {
-                compare_with_photos(path, &stage.gaussians()?, scene, config)?;
-            }
-            stage
+) -> Result<Built> {
+    let (checkpoint, given) = (checkpoints.join(BUILDING), checkpoints.join(GIVEN));
+    if given.is_file() {
+        let stored = Checkpoint::load(&given, GIVEN_KIND)?.get("provenance")?;
+        Provenance::building(config, scene)?.check(&stored, false, &given)?;
+    }
+    let mut stage = match (checkpoint.is_file(), begun) {
+        (true, _) => BuildingStage::from_state(scene, config, device, BuildingState::load(&checkpoint)?)?,
+        (false, Some(gaussians)) => {
+            let gaussians = gaussians.with_sh_degree(config.building.sh_degree);
+            BuildingStage::from_state(scene, config, device, BuildingState::new(gaussians, config.seed))?
         }
+        (false, None) => BuildingStage::new(scene, config, device)?,
     }
     .checkpoint_at(checkpoint);
+    let (earlier, before) = (stage.seconds(), stage.iteration());
     stage.run(progress)?;
     let gaussians = stage.gaussians()?;
-    Ok((gaussians.select(&gaussians.spatial_order()), stage.curve().to_vec()))
+    Ok(Built {
+        gaussians: gaussians.select(&gaussians.spatial_order()),
+        curve: stage.curve().to_vec(),
+        earlier,
+        anew: stage.iteration() > before,
+    })
 }
 
 /// Makes objects of the segments that the raw labels of `scene` hold.
@@ -242,15 +295,15 @@ fn put_together(
     Ok(Associated { segments, objects, dropped, divided, seconds: clock.elapsed().as_secs_f64() })
 }
 
-/// Stage two; returns the seconds of it that earlier parts of a resumed run took.
+/// Stage two; returns its seconds, those that earlier parts of a resumed run took included.
 fn segment(
     outcome: &mut Outcome,
-    config: &Config,
     settings: &Settings,
     checkpoints: &Path,
     device: &Device,
     progress: &mut dyn Progress,
 ) -> Result<f64> {
+    let config = &outcome.config.clone();
     let fused = config.segmentation.rows().iter().any(|row| row.is_fused());
     let seen = match fused {
         true => Some(Seen::new(&outcome.scene, &outcome.gaussians, config, settings, device, progress)?),
@@ -291,12 +344,9 @@ fn segment(
         settings: *settings,
         device,
     };
-    let (rows, spatial) = run_rows(&inputs, checkpoints, progress)?;
-    (outcome.rows, outcome.spatial) = (rows, spatial);
-    let now = clock.elapsed().as_secs_f64();
-    let trained = outcome.rows.iter().map(|row| row.seconds + row.trial_seconds.unwrap_or(0.0)).sum();
-    outcome.seconds.segmentation = now.max(trained);
-    Ok(outcome.seconds.segmentation - now)
+    let TrainedRows { rows, spatial, earlier } = run_rows(&inputs, checkpoints, progress)?;
+    (outcome.rows, outcome.spatial, outcome.earlier_segmentation) = (rows, spatial, earlier);
+    Ok(clock.elapsed().as_secs_f64() + earlier)
 }
 
 /// Mean held-out PSNR and SSIM.

@@ -94,6 +94,50 @@ fn long_gaussians_touch_along_their_axes_and_not_across() {
 }
 
 #[test]
+fn flat_gaussians_above_each_other_do_not_touch() {
+    // Two discs of half-axes 2.12 and almost no thickness.
+    let discs = |at: [f32; 3], rotation: [f32; 4]| {
+        let mut two = balls(&[([0.0; 3], 1.0, SOLID), (at, 1.0, SOLID)]);
+        two.log_scales = vec![[0.0, 0.0, -6.0]; 2];
+        two.rotations[1] = rotation;
+        separated(&two, &[2, 2]).pieces.is_empty()
+    };
+    let (level, upright) = ([1.0, 0.0, 0.0, 0.0], [0.5_f32.sqrt(), 0.5_f32.sqrt(), 0.0, 0.0]);
+    assert!(discs([4.2, 0.0, 0.0], level) && !discs([4.3, 0.0, 0.0], level), "side by side");
+    assert!(!discs([1.0, 0.0, 0.5], level), "a shelf above another");
+    assert!(discs([0.0, 1.5, 1.5], upright), "a wall that stands on a floor");
+    assert!(!discs([0.0, 1.5, 2.3], upright), "a wall that hangs above it");
+    assert!(!discs([0.0, 2.3, 1.5], upright), "a wall behind its rim");
+}
+
+#[test]
+fn a_large_gaussian_touches_more_than_its_nearest() {
+    // All of the 30 at 0.3 are nearer to the large one than those at -0.5, which are nearest to each other.
+    let cluster = |x: f32| (0..30).map(move |i| ([x + 1e-3 * i as f32, 0.0, 0.0], 5e-3, SOLID));
+    let parts: Vec<_> = [([0.0; 3], 0.5, SOLID)].into_iter().chain(cluster(0.3)).chain(cluster(-0.5)).collect();
+    let all = Separation { smallest: 0.0, ..Separation::default() };
+    let pieces = |parts: &[([f32; 3], f32, f32)]| {
+        let labels = vec![2; parts.len()];
+        all.apply(&balls(parts), &labels, &classes(), |_| true).unwrap().pieces.get(&2).map_or(1, Vec::len)
+    };
+    assert_eq!((pieces(&parts), pieces(&parts[1..])), (1, 2));
+}
+
+#[test]
+fn the_ignored_id_is_given_to_nothing() {
+    let parts = balls(&[row(0.0, 8), row(2.0, 5)].concat());
+    let table = Classes::from_names(9, [(7, "lamp"), (8, "chair")]);
+    let found = Separation::default().apply(&parts, &[8; 13], &table, |_| true).unwrap();
+    assert_eq!(found.pieces, [(8, vec![8, 10])].into());
+    // Pieces of what counted as stuff are things: there are several.
+    let mut stuff = classes();
+    stuff.entries[1].object_of = Some(ObjectOf { class: 2, thing: false });
+    let found = Separation::default().apply(&parts, &[2; 13], &stuff, |_| true).unwrap();
+    let of = |id: u16| found.classes.entries[found.classes.index(id).unwrap()].object_of;
+    assert_eq!((of(2), of(8)), (Some(ObjectOf { class: 2, thing: true }), of(2)));
+}
+
+#[test]
 fn the_order_of_the_file_changes_no_piece() {
     let parts = [row(0.0, 9), row(2.0, 7), row(4.0, 5)].concat();
     let gaussians = balls(&parts);
@@ -152,12 +196,17 @@ fn bad_input_is_an_error() {
     let mut broken = gaussians.clone();
     broken.means[1][2] = f32::NAN;
     assert!(matches!(apply(default, &broken, &[2; 3]), Error::NonFinite { row: 1, .. }));
-    // No id is left for a second piece; one that the table lacks gets a name.
+    // An id that the table lacks gets a name.
     let parts = balls(&[row(0.0, 3), row(2.0, 3)].concat());
     let found = separated(&parts, &[5; 6]);
     let names: Vec<_> = found.classes.entries.iter().map(|c| (c.id, c.name.as_str())).collect();
     assert_eq!(names, [(1, "wall"), (2, "chair"), (5, "label 5 1"), (7, "lamp"), (8, "label 5 2")]);
-    assert!(matches!(apply(default, &parts, &[65_535; 6]), Error::Limit { .. }));
+    // Ids below are taken where none is left above, and too many pieces are told of.
+    let found = separated(&parts, &[65_535; 6]);
+    assert_eq!(found.labels, [vec![65_535; 3], vec![3; 3]].concat());
+    let lone: Vec<_> = (0..66_000).map(|i| ([i as f32, 0.0, 0.0], 0.05, SOLID)).collect();
+    let all = Separation { smallest: 0.0, ..default };
+    assert!(matches!(apply(all, &balls(&lone), &vec![2; lone.len()]), Error::Limit { .. }));
     // Scales beyond f32's powers are no bodies, and no fault.
     let mut huge = gaussians;
     huge.log_scales[0] = [1e4; 3];

@@ -10,7 +10,6 @@ use crate::gaussians::relocate::{RelocationPlan, RelocationRules};
 use crate::gaussians::{Gaussians, Geometry, frusta, init};
 use crate::ops::{RowMap, sum_all};
 use crate::random::{Purpose, stream};
-use crate::train::given::given;
 use crate::train::parameters::{Leaves, NewValues};
 use crate::train::schedule::extent;
 use burn::tensor::Tensor;
@@ -19,16 +18,12 @@ use rand_chacha::ChaCha8Rng;
 use std::borrow::Cow;
 use std::sync::Arc;
 
-/// Gaussians that settings name, or at the scene's points, or in the camera frusta where it has none; no more than
-/// `max_gaussians`.
+/// Gaussians at the scene's points, or in the camera frusta where it has none; no more than `max_gaussians`.
 ///
 /// # Errors
-/// [`crate::Error::NonFinite`] for points that are not finite; those of [`crate::data::Photo::pixels`] and of the PLY.
+/// [`crate::Error::NonFinite`] for points that are not finite; those of [`crate::data::Photo::pixels`].
 pub(super) fn initial(scene: &Scene, train: &[&View], config: &Config) -> Result<Gaussians> {
     let building = &config.building;
-    if let Some(path) = &building.gaussians {
-        return Ok(given(path, scene, building.max_gaussians)?.with_sh_degree(building.sh_degree));
-    }
     let points = if scene.points.positions.is_empty() {
         let mut rng = stream(config.seed, Purpose::InitialPoints, 0);
         Cow::Owned(frusta::points(train, building.random_points, &mut rng)?)

@@ -37,7 +37,8 @@ struct Place {
     running: [f64; 3],
 }
 
-/// Trains `model` by `plan` from its checkpoint, or from the start when there is none; returns the curve.
+/// Trains `model` by `plan` from its checkpoint, or from the start when there is none; returns the curve, and
+/// the seconds of training that the checkpoint had.
 ///
 /// # Errors
 /// Those of [`train_step`]; the last checkpoint stays as it was. Those of reading or writing the checkpoint;
@@ -49,11 +50,12 @@ pub fn train(
     pace: &Pace,
     score: Score,
     progress: &mut dyn Progress,
-) -> Result<Vec<CurvePoint>> {
+) -> Result<(Vec<CurvePoint>, f64)> {
     let mut place = match &pace.checkpoint {
         Some(path) if path.is_file() => restore(model, &pace.provenance, plan.iterations, path)?,
         _ => Place::default(),
     };
+    let before = place.running[0];
     let gaussians = views.gaussians();
     progress.event(&Event::Started { stage: pace.row, done: place.iteration, iterations: plan.iterations });
     while place.iteration < plan.iterations {
@@ -88,7 +90,7 @@ pub fn train(
         }
     }
     progress.event(&Event::Finished);
-    Ok(place.curve)
+    Ok((place.curve, before))
 }
 
 const KIND: &str = "segmentation row";

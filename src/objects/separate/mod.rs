@@ -1,16 +1,23 @@
 //! Things of one label that do not touch, told apart: `chair` becomes `chair 1` and `chair 2`.
 //!
-//! A Gaussian of opacity o is taken as the ellipsoid on which `o exp(-r^2 / 2)` has fallen to [`Separation::level`]. Two of one
-//! label touch where their ellipsoids meet on the line between their centres. Chains of Gaussians that touch are pieces; pieces
-//! of little area are strays, and belong with the piece nearest to them.
+//! A Gaussian of opacity o is taken as the ellipsoid within which `o exp(-r^2 / 2)` exceeds [`Separation::level`]. Two of one label
+//! touch where their ellipsoids overlap (Perram and Wertheim 1985). Chains of Gaussians that touch are pieces; pieces of little
+//! area are strays, and belong with the piece nearest to them.
 
-use crate::data::{Class, Classes, ObjectOf, class_color};
+mod body;
+mod naming;
+
+use crate::data::Classes;
 use crate::error::{Error, Result};
-use crate::gaussians::{Gaussians, rotation};
+use crate::gaussians::Gaussians;
 use crate::segmentation::neighbours::PointIndex;
-use glam::{DMat3, DVec3};
+use body::Body;
+use naming::Naming;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet, HashSet};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Bodies whose touching pairs are in memory at once.
+const BLOCK: usize = 1 << 16;
 
 /// What counts as touching, and as a thing.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,7 +27,8 @@ pub struct Separation {
     /// Pieces with less than this share of the area of their label's largest piece are strays, in [0, 1]. The area of a Gaussian is
     /// its opacity times its two larger standard deviations.
     pub smallest: f64,
-    /// Nearest Gaussians of the same label that each may touch, at least 1.
+    /// Nearest Gaussians of the same label that each is compared with, at least 1; a large one with all whose centres lie as near as
+    /// its longest half-axis too.
     pub neighbours: usize,
 }
 
@@ -112,23 +120,12 @@ impl Separation {
         }
         let at = |i: u32| gaussians.means[rows[i as usize] as usize];
         let points: Vec<[f32; 3]> = solid.iter().map(|&i| at(i)).collect();
-        let near = PointIndex::new(&points)?.neighbours((self.neighbours + 1).min(points.len()));
-        let body = |k: usize| bodies[solid[k] as usize].as_ref();
-        let touching = |k: usize| -> Vec<(usize, usize)> {
-            let others = near.row(k)[1..].iter().map(|&j| j as usize);
-            others
-                .filter(|&j| matches!((body(k), body(j)), (Some(a), Some(b)) if a.touches(b)))
-                .map(|j| (k, j))
-                .collect()
-        };
-        let mut chains = Chains::new(solid.len());
-        for (a, b) in (0..solid.len()).into_par_iter().flat_map_iter(touching).collect::<Vec<_>>() {
-            chains.join(a, b);
-        }
+        let bodies: Vec<Body> = bodies.into_iter().flatten().collect();
+        let mut chains = self.chains(&bodies, &points)?;
         // Area by chain, the chain being named by its first member.
         let mut area: BTreeMap<usize, f64> = BTreeMap::new();
-        for k in 0..solid.len() {
-            *area.entry(chains.first(k)).or_default() += body(k).map_or(0.0, |body| body.area);
+        for (k, body) in bodies.iter().enumerate() {
+            *area.entry(chains.first(k)).or_default() += body.area;
         }
         let mut order: Vec<(usize, f64)> = area.into_iter().collect();
         order.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
@@ -151,40 +148,35 @@ impl Separation {
         }
         Ok((order.len(), of))
     }
-}
 
-/// The ellipsoid that a Gaussian is taken for.
-struct Body {
-    center: DVec3,
-    /// Rows are the axes, each as long as its half-axis.
-    axes: DMat3,
-    area: f64,
-}
-
-impl Body {
-    /// `None` for a Gaussian less opaque than `level`.
-    fn new(gaussians: &Gaussians, row: usize, level: f64) -> Option<Self> {
-        let opacity = 1.0 / (1.0 + (-f64::from(gaussians.opacity_logits[row])).exp());
-        let radius = (2.0 * (opacity / level).ln()).max(0.0).sqrt();
-        let scales = gaussians.log_scales[row].map(|s| f64::from(s).exp());
-        let turned = DMat3::from_quat(rotation(&gaussians.rotations[row]));
-        let [x, y, z] = [0, 1, 2].map(|c| turned.col(c) * scales[c] * radius);
-        let axes = DMat3::from_cols(x, y, z).transpose();
-        let [a, b, c] = scales;
-        let area = opacity * (a * b).max(b * c).max(a * c);
-        let solid = opacity >= level && axes.is_finite() && area.is_finite();
-        solid.then(|| Self { center: DVec3::from(gaussians.means[row].map(f64::from)), axes, area })
-    }
-
-    /// Half the width of the ellipsoid's shadow on a line along `direction`, of unit length: sqrt(d^T Sigma d).
-    fn reach(&self, direction: DVec3) -> f64 {
-        (self.axes * direction).length()
-    }
-
-    fn touches(&self, other: &Self) -> bool {
-        let apart = other.center - self.center;
-        let distance = apart.length();
-        distance == 0.0 || distance <= self.reach(apart / distance) + other.reach(apart / distance)
+    /// Which of `bodies`, centred at `points`, hang together.
+    fn chains(&self, bodies: &[Body], points: &[[f32; 3]]) -> Result<Chains> {
+        let index = PointIndex::new(points)?;
+        let near = index.neighbours(self.neighbours.saturating_add(1).min(points.len()));
+        let mut chains = Chains::new(bodies.len());
+        let touching = |k: usize, others: &[u32]| -> Vec<(u32, u32)> {
+            let touched = others.iter().filter(|&&j| bodies[k].touches(&bodies[j as usize]));
+            touched.map(|&j| (k as u32, j)).collect()
+        };
+        // Block by block, so that not all pairs of a large label are in memory.
+        for block in (0..bodies.len()).step_by(BLOCK) {
+            let block = block..(block + BLOCK).min(bodies.len());
+            let pairs: Vec<_> = block.into_par_iter().map(|k| touching(k, &near.row(k)[1..])).collect();
+            pairs.into_iter().flatten().for_each(|(a, b)| chains.join(a as usize, b as usize));
+        }
+        // A large one may touch more than its nearest, which can all lie at one of its sides.
+        for (k, body) in bodies.iter().enumerate() {
+            let farthest = near.row(k).last().map_or(0.0, |&j| bodies[j as usize].center.distance(body.center));
+            if body.longest > farthest {
+                for j in index.within(points[k], body.longest) {
+                    let j = j as usize;
+                    if chains.first(j) != chains.first(k) && body.touches(&bodies[j]) {
+                        chains.join(k, j);
+                    }
+                }
+            }
+        }
+        Ok(chains)
     }
 }
 
@@ -207,76 +199,5 @@ impl Chains {
     fn join(&mut self, a: usize, b: usize) {
         let (a, b) = (self.first(a), self.first(b));
         self.0[a.max(b)] = a.min(b);
-    }
-}
-
-/// Ids and names for what a label is divided into.
-struct Naming {
-    classes: Classes,
-    names: HashSet<String>,
-    last: u16,
-}
-
-impl Naming {
-    fn new(labels: &[u16], classes: &Classes) -> Self {
-        // No table says which id stands for nothing: 0 is what every command writes.
-        let mut classes = classes.clone();
-        if classes.is_empty() {
-            classes.ignore = 0;
-        }
-        let last = labels.iter().copied().chain(classes.entries.iter().map(|c| c.id)).max().unwrap_or(0);
-        let names = classes.entries.iter().map(|c| c.name.clone()).collect();
-        Self { classes, names, last }
-    }
-
-    /// Ids of the `pieces` of `id`, itself the first.
-    fn divide(&mut self, id: u16, pieces: usize) -> Result<Vec<u16>> {
-        let i = self.entry(id);
-        let whole = self.classes.entries[i].clone();
-        // What is an object already is numbered on: `chair 2` has the class name `chair`.
-        let numbered = whole.object_of.and_then(|_| whole.name.rsplit_once(' '));
-        let base = numbered.filter(|(_, number)| number.parse::<u32>().is_ok()).map_or(&*whole.name, |(base, _)| base);
-        let of = whole.object_of.unwrap_or(ObjectOf { class: id, thing: true });
-        let mut ids = vec![id];
-        self.classes.entries[i].object_of = Some(of);
-        if base == whole.name {
-            self.classes.entries[i].name = self.next_name(base);
-        }
-        for _ in 1..pieces {
-            let Some(next) = self.last.checked_add(1) else {
-                return Err(Error::Limit {
-                    what: "label ids".into(),
-                    found: "more than 65535".into(),
-                    limit: "65535".into(),
-                    mend: "separate fewer labels, or call more pieces strays".into(),
-                });
-            };
-            self.last = next;
-            let name = self.next_name(base);
-            self.classes.entries.push(Class { id: next, name, color: class_color(next), object_of: Some(of) });
-            ids.push(next);
-        }
-        Ok(ids)
-    }
-
-    /// Where `id` stands in the table, which it is added to where it is missing.
-    fn entry(&mut self, id: u16) -> usize {
-        let i = self.classes.entries.partition_point(|c| c.id < id);
-        if self.classes.entries.get(i).is_none_or(|c| c.id != id) {
-            let name = format!("label {id}");
-            self.classes.entries.insert(i, Class { id, name, color: class_color(id), object_of: None });
-        }
-        i
-    }
-
-    fn next_name(&mut self, base: &str) -> String {
-        let mut number = 1;
-        loop {
-            let name = format!("{base} {number}");
-            if self.names.insert(name.clone()) {
-                return name;
-            }
-            number += 1;
-        }
     }
 }

@@ -1,0 +1,72 @@
+//! A Gaussian as the ellipsoid within which it is more opaque than some level.
+
+use crate::gaussians::{Gaussians, rotation};
+use glam::{DMat3, DVec3};
+
+/// Thickness of an ellipsoid at least, squared, as a share of the square of its size.
+const FLATNESS: f64 = 1e-10;
+/// Golden section, and how often an interval is divided by it: to 1e-4 of its length.
+const GOLDEN: f64 = 0.618_033_988_749_894_8;
+const SECTIONS: usize = 20;
+
+/// The ellipsoid that a Gaussian is taken for.
+pub(super) struct Body {
+    pub center: DVec3,
+    /// A, where the ellipsoid is x^T A^-1 x <= 1 about its centre.
+    shape: DMat3,
+    /// Longest half-axis.
+    pub longest: f64,
+    /// Opacity times the two larger standard deviations.
+    pub area: f64,
+}
+
+impl Body {
+    /// `None` for a Gaussian less opaque than `level`.
+    pub fn new(gaussians: &Gaussians, row: usize, level: f64) -> Option<Self> {
+        let opacity = 1.0 / (1.0 + (-f64::from(gaussians.opacity_logits[row])).exp());
+        let radius = (2.0 * (opacity / level).ln()).max(0.0).sqrt();
+        let [a, b, c] = gaussians.log_scales[row].map(|s| f64::from(s).exp());
+        let half = DVec3::new(a, b, c) * radius;
+        let turned = DMat3::from_quat(rotation(&gaussians.rotations[row]));
+        // No ellipsoid is flat: a thickness far below what is seen keeps sums of two invertible.
+        let squares = half * half + FLATNESS * half.length_squared();
+        let shape = turned * DMat3::from_diagonal(squares) * turned.transpose();
+        let area = opacity * (a * b).max(b * c).max(a * c);
+        let solid = opacity >= level && shape.is_finite() && area.is_finite() && squares.min_element() > 0.0;
+        let center = DVec3::from(gaussians.means[row].map(f64::from));
+        solid.then(|| Self { center, shape, longest: half.max_element(), area })
+    }
+
+    /// Whether the ellipsoids overlap: the largest of K(s) = s (1 - s) d^T ((1 - s) A + s B)^-1 d over 0 < s < 1, which is concave, is
+    /// no more than 1.
+    pub fn touches(&self, other: &Self) -> bool {
+        let apart = other.center - self.center;
+        let shadow = |body: &Self| apart.dot(body.shape * apart).sqrt();
+        // Their shadows on the line between the centres overlap: needed, and quickly told.
+        if apart.length_squared() > shadow(self) + shadow(other) {
+            return false;
+        }
+        let k = |s: f64| {
+            let sum = self.shape * (1.0 - s) + other.shape * s;
+            s * (1.0 - s) * apart.dot(sum.inverse() * apart)
+        };
+        let (mut low, mut high) = (0.0, 1.0);
+        let [mut left, mut right] = [1.0 - GOLDEN, GOLDEN];
+        let [mut at_left, mut at_right] = [k(left), k(right)];
+        for _ in 0..SECTIONS {
+            if at_left > 1.0 || at_right > 1.0 {
+                return false;
+            }
+            if at_left < at_right {
+                (low, left, at_left) = (left, right, at_right);
+                right = low + GOLDEN * (high - low);
+                at_right = k(right);
+            } else {
+                (high, right, at_right) = (right, left, at_left);
+                left = high - GOLDEN * (high - low);
+                at_left = k(left);
+            }
+        }
+        at_left.max(at_right) <= 1.0
+    }
+}
