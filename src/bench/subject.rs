@@ -71,9 +71,7 @@ impl Subject {
         let (description, origin) = match source {
             Source::Trained(path) => {
                 let (gaussians, origin) = trained(path)?;
-                for view in &mut scene.views {
-                    view.camera.center += scene.origin - origin;
-                }
+                scene = scene.with_origin(origin);
                 (of_trained(path, &gaussians), Origin::Trained(gaussians))
             }
             _ if config.data.dir.is_none() => {

@@ -71,7 +71,7 @@ impl Orbit {
         // Nearer to the axis a circle is a point but for rounding.
         if !(is_finite && radius > 1e-12 * (height.abs() + target.length()) && radius > 0.0) {
             let found = format!("radius {radius:.3e} around {target}, {height:.3e} above it");
-            let mend = "give cameras that stand around something, or a radius";
+            let mend = "give cameras that stand around something";
             return Err(Error::config("orbit", found, "a circle", mend));
         }
         let off = [up.length() - 1.0, start.length() - 1.0, up.dot(start)];

@@ -1,6 +1,7 @@
 //! `coseg edit`: objects of a labelled scene kept, removed, turned, moved and painted.
 
 use super::object_scene::{ObjectScene, ObjectSceneArgs};
+use super::scene_file::bring_cameras;
 use super::terminal;
 use clap::Args;
 use coseg::error::{Error, Result};
@@ -14,7 +15,7 @@ OBJECT is a label id or a name, as `coseg objects` lists them; all objects of a 
 objects a class names all of its (chair: chair 1, chair 2). A name with a comma needs its id. First what is not kept
 goes, then what is removed; of what is left objects turn, then they move. Turns are counter-clockwise as seen from the
 tip of the axis; view-dependent colours turn with their object. The new file keeps its labels, and gets their names
-beside it as classes.json, unless they are there.
+beside it as classes.json, and a copy of the scene's cameras.json, unless they are there.
 
 What a scene's photos never showed, such as the floor below a sofa, is not there when the object is gone.
 
@@ -104,6 +105,7 @@ impl EditArgs {
         if !scene.classes.is_empty() && !names.exists() {
             scene.classes.write(&names)?;
         }
+        bring_cameras(&scene.path, &self.out)?;
         let (left, before, out) = (rows.len(), scene.labels.len(), self.out.display());
         terminal::say(&format!("{out}: {left} of {before} Gaussians, {} turns and moves", motions.len()));
         Ok(())

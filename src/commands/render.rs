@@ -133,9 +133,10 @@ impl RenderArgs {
             SplitArg::Test => Some(Split::Test),
             SplitArg::All => None,
         };
-        self.path.check(&self.out)?;
         let path = scene_path(&self.scene)?;
-        let mut cameras = read_cameras(&cameras_path(self.cameras.as_deref(), &path)?, split)?;
+        let keys = cameras_path(self.cameras.as_deref(), &path)?;
+        self.path.check(&self.out, &keys)?;
+        let mut cameras = read_cameras(&keys, split)?;
         if let Some([width, height]) = self.size {
             cameras.iter_mut().for_each(|named| named.camera = named.camera.with_size(width, height));
         }

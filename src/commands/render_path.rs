@@ -1,11 +1,12 @@
 //! Paths of cameras that `coseg render` makes from given ones.
 
 use super::object_scene::ObjectScene;
+use super::scene_file::same_file;
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
 use coseg::camera::Camera;
 use coseg::camera_path::{CameraPath, Orbit};
-use coseg::data::{NamedCamera, Split, read_cameras};
+use coseg::data::{NamedCamera, Split, transforms};
 use coseg::error::{Error, Result};
 use glam::DVec3;
 use std::path::Path;
@@ -46,7 +47,7 @@ fn parse_radius(text: &str) -> std::result::Result<f64, String> {
 
 impl PathArgs {
     /// Neither takes what only an orbit has, nor writes over the cameras of something else in `out`.
-    pub fn check(&self, out: &Path) -> Result<()> {
+    pub fn check(&self, out: &Path, cameras: &Path) -> Result<()> {
         let Some(kind) = self.path else { return Ok(()) };
         for (flag, is_there) in [("--object", self.object.is_some()), ("--radius", self.radius.is_some())] {
             if is_there && kind != PathKind::Orbit {
@@ -55,9 +56,20 @@ impl PathArgs {
         }
         let file = out.join("cameras.json");
         let of_path = |cameras: &[NamedCamera]| cameras.iter().all(|camera| camera.name.starts_with(PREFIX));
-        if file.exists() && !read_cameras(&file, None).is_ok_and(|cameras| of_path(&cameras)) {
+        // A path that this command wrote is a transforms.json.
+        let ours = || transforms::load_cameras(&file, None).is_ok_and(|cameras| of_path(&cameras));
+        if file.exists() && (same_file(&file, cameras) || !ours()) {
             let expected = "a folder without cameras of its own: those of the path are written there";
             return Err(Error::config("--out", file.display().to_string(), expected, "name another folder"));
+        }
+        // A video of the pictures would end with those of the longer path.
+        let next = format!("{PREFIX}{:04}.", self.frames.unwrap_or(FRAMES));
+        let names = std::fs::read_dir(out).into_iter().flatten().flatten();
+        let mut names = names.filter_map(|entry| entry.file_name().into_string().ok());
+        if let Some(left) = names.find(|name| name.starts_with(&next)) {
+            let expected = "a folder without frames of a longer path";
+            let mend = "remove them, or name another folder";
+            return Err(Error::config("--out", out.join(left).display().to_string(), expected, mend));
         }
         Ok(())
     }

@@ -1,5 +1,6 @@
 //! Where a scene and its cameras lie: in files, or in the folder that `coseg train` wrote.
 
+use coseg::data::atomic;
 use coseg::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -8,7 +9,7 @@ const SCENE: &str = "scene.ply";
 /// The cameras of a run folder.
 const CAMERAS: &str = "cameras.json";
 
-/// The PLY file that `--scene` means: itself, or scene.ply in a folder.
+/// The PLY file that `--scene` means: itself, scene.ply in a folder, or the last of a model folder of graphdeco's 3DGS.
 pub fn scene_path(given: &Path) -> Result<PathBuf> {
     const MEND: &str = "give a .ply file, or the folder that `coseg train` wrote";
     if !given.try_exists().map_err(|e| Error::io(given, "look at", e))? {
@@ -21,6 +22,9 @@ pub fn scene_path(given: &Path) -> Result<PathBuf> {
     if inside.is_file() {
         return Ok(inside);
     }
+    if let Some(newest) = of_graphdeco(given) {
+        return Ok(newest);
+    }
     let names = std::fs::read_dir(given).into_iter().flatten().flatten();
     let names = names.filter_map(|entry| entry.file_name().into_string().ok());
     let other = names.filter(|name| name.to_lowercase().ends_with(".ply")).min();
@@ -29,6 +33,17 @@ pub fn scene_path(given: &Path) -> Result<PathBuf> {
         None => ("no such file".to_owned(), MEND.to_owned()),
     };
     Err(Error::input(given, SCENE, found, "a run folder", mend))
+}
+
+/// The Gaussians of the last iteration in a model folder of graphdeco's 3DGS: point_cloud/iteration_N/point_cloud.ply.
+fn of_graphdeco(folder: &Path) -> Option<PathBuf> {
+    let iterations = std::fs::read_dir(folder.join("point_cloud")).ok()?.flatten();
+    let numbered = |entry: std::fs::DirEntry| {
+        let number: u64 = entry.file_name().to_str()?.strip_prefix("iteration_")?.parse().ok()?;
+        let file = entry.path().join("point_cloud.ply");
+        file.is_file().then_some((number, file))
+    };
+    iterations.filter_map(numbered).max().map(|(_, file)| file)
 }
 
 /// What `--cameras` names, or else the cameras beside the scene `scene`.
@@ -48,4 +63,14 @@ pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
 /// Whether two names are of one file that is there.
 pub fn same_file(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// Copies the cameras beside the scene `from` beside the scene `to`, where there are some and none yet.
+pub fn bring_cameras(from: &Path, to: &Path) -> Result<()> {
+    let [source, target] = [from, to].map(|scene| scene.with_file_name(CAMERAS));
+    if !source.is_file() || target.exists() {
+        return Ok(());
+    }
+    let bytes = std::fs::read(&source).map_err(|e| Error::io(&source, "read", e))?;
+    atomic::write_bytes(&target, &bytes)
 }

@@ -1,6 +1,7 @@
 //! `coseg separate`: things of one label that do not touch become objects of their own.
 
 use super::object_scene::ObjectSceneArgs;
+use super::scene_file::bring_cameras;
 use super::terminal;
 use clap::Args;
 use coseg::error::Result;
@@ -34,6 +35,9 @@ pub struct SeparateArgs {
     /// Pieces with less than this share of the area of their label's largest are strays [default: 0.01]
     #[arg(long, value_name = "SHARE")]
     smallest: Option<f64>,
+    /// Pieces of fewer Gaussians than this are strays too [default: 10]
+    #[arg(long, value_name = "N")]
+    fewest: Option<usize>,
     /// Opacity at which a Gaussian ends; higher tells more apart [default: 0.1]
     #[arg(long, value_name = "X")]
     level: Option<f64>,
@@ -47,11 +51,13 @@ impl SeparateArgs {
         let wanted = |id: u16| self.only.is_empty() || only.contains(&id);
         let mut rules = Separation::default();
         rules.smallest = self.smallest.unwrap_or(rules.smallest);
+        rules.fewest = self.fewest.unwrap_or(rules.fewest);
         rules.level = self.level.unwrap_or(rules.level);
         let found = rules.apply(&scene.ply.gaussians, &scene.labels, &scene.classes, wanted)?;
         let names = self.input.names_beside(&self.out, &scene, &found.classes)?;
         ply::write(&self.out, &scene.ply.gaussians, scene.ply.origin, Some(&found.labels))?;
         found.classes.write(&names)?;
+        bring_cameras(&scene.path, &self.out)?;
         for (id, pieces) in &found.pieces {
             let name = scene.name(*id).map_or_else(|| format!("label {id}"), str::to_owned);
             terminal::say(&format!("{name}: {} pieces", pieces.len()));

@@ -12,7 +12,7 @@ use coseg::device::{self, BackendName};
 use coseg::error::Result;
 use coseg::gaussians::ply;
 use coseg::report::{Command, Metrics, Report, held_out_views};
-use coseg::train::{self, Outcome};
+use coseg::train::{self, Outcome, RowOutcome};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -176,6 +176,12 @@ fn summary(outcome: &Outcome) {
         ));
     }
     if outcome.rows.is_empty() {
+        return;
+    }
+    let scored = |row: &RowOutcome| row.scores.miou.is_some() || row.instances.is_some() || row.semantic.is_some();
+    if !outcome.rows.iter().any(scored) {
+        let names: Vec<&str> = outcome.rows.iter().map(|row| row.row.title()).collect();
+        terminal::say(&format!("labels: {}; not scored, as no held-out view has true labels", names.join(", ")));
         return;
     }
     terminal::say(&format!("{:<28} {:>8} {:>9} {:>9}", "row", "mIoU", "per view", "accuracy"));

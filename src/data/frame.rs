@@ -110,8 +110,16 @@ impl Geometry {
         Ok(self.development.decode(file)?.0)
     }
 
+    /// Whether a picture of this size is one of the reduced photo, as maps that were made of the scene are.
+    pub fn is_as_seen(&self, size: (usize, usize)) -> bool {
+        self.development.size == Some(size)
+    }
+
     /// A label map as the camera sees it.
     pub fn labels(&self, map: LabelMap) -> LabelMap {
+        if self.is_as_seen((map.width, map.height)) {
+            return map;
+        }
         let map = match &self.development.remap {
             Some(remap) => remap.labels(&map),
             None => map,

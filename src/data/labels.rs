@@ -7,6 +7,9 @@ use image::{DynamicImage, ExtendedColorType, ImageEncoder, codecs::png::PngEncod
 use std::io;
 use std::path::Path;
 
+/// What datasets and segmenters write for pixels that count for nothing (Cityscapes, ADE20K, mmsegmentation).
+const USUALLY_IGNORED: u16 = 255;
+
 impl LabelMap {
     /// Reads a grey PNG of 8 or 16 bits.
     ///
@@ -16,8 +19,13 @@ impl LabelMap {
         Self::decode(path, &ImageFile::open(path, limits)?)
     }
 
-    /// Refuses ids other than those of `classes`, whose lookup `known` is, and the ignored one. `or` is added to what mends it.
-    pub(super) fn check_ids(&self, path: &Path, classes: &Classes, known: &[u16], or: &str) -> Result<()> {
+    /// Refuses ids other than those of `classes`, whose lookup `known` is, and the ignored one. [`USUALLY_IGNORED`] becomes that one
+    /// where no class has it. `or` is added to what mends it.
+    pub(super) fn settle_ids(&mut self, path: &Path, classes: &Classes, known: &[u16], or: &str) -> Result<()> {
+        if known[usize::from(USUALLY_IGNORED)] == u16::MAX {
+            let ignored = self.ids.iter_mut().filter(|id| **id == USUALLY_IGNORED);
+            ignored.for_each(|id| *id = classes.ignore);
+        }
         let unknown = |&id: &u16| id != classes.ignore && known[usize::from(id)] == u16::MAX;
         let Some(i) = self.ids.iter().position(unknown) else { return Ok(()) };
         let mut found: Vec<u16> = self.ids.iter().copied().filter(|id| unknown(id)).collect();

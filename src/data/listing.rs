@@ -141,7 +141,7 @@ impl Listing {
         if let Some(ids) = &self.truth_ids {
             map.translate(path, ids)?;
         }
-        map.check_ids(path, &self.classes, known, "")?;
+        map.settle_ids(path, &self.classes, known, "")?;
         Ok(Some(geometry.labels(map)))
     }
 
@@ -167,8 +167,12 @@ impl Listing {
         LabelMap::decode(path, &file)
     }
 
-    /// Refuses a label map of another size than its photo, or, where maps are resampled, of other proportions.
+    /// Refuses a label map of another size than its photo, as it lies there or as it is used, or, where maps are resampled, of other
+    /// proportions.
     fn check_map_size(&self, file: &ImageFile, frame: &Frame, geometry: &Geometry) -> Result<()> {
+        if geometry.is_as_seen(file.size) {
+            return Ok(());
+        }
         let (w, h) = (geometry.camera.width, geometry.camera.height);
         let resampled = self.resample_labels || frame.scales;
         match resampled && proportional(file.size, (w, h)) {

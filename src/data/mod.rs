@@ -95,14 +95,15 @@ pub fn load_cameras(dir: &Path, options: &LoadOptions, split: Option<Split>) -> 
     problems.none()?;
     let mut cameras = Vec::new();
     for frame in listing.frames.iter().filter(|frame| split.is_none_or(|wanted| wanted == frame.split)) {
-        let camera = match frame.scales {
-            true => frame.open(&listing.file, &options.limits)?.1.camera,
-            false => frame.geometry((frame.camera.width, frame.camera.height))?.camera,
+        let geometry = match frame.scales {
+            true => frame.open(&listing.file, &options.limits)?.1,
+            false => frame.geometry((frame.camera.width, frame.camera.height))?,
         };
+        let camera = geometry.within(options.max_side).seen();
         cameras.push(NamedCamera { name: frame.name.clone(), split: frame.split, camera });
     }
     if cameras.is_empty() {
-        let found = format!("no frame of split {split:?}");
+        let found = split.map_or("no frame".to_owned(), |split| format!("no frame of split {split}"));
         return Err(Error::input(&listing.file, "frames", found, "at least one", "choose the other split or all"));
     }
     Ok(cameras)
@@ -162,6 +163,15 @@ pub enum Split {
     Train,
     /// Held out.
     Test,
+}
+
+impl std::fmt::Display for Split {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Train => "train",
+            Self::Test => "test",
+        })
+    }
 }
 
 /// One posed photo with what is known of it.

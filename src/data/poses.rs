@@ -161,6 +161,9 @@ struct Fit {
 /// What the points of a listing say. Those of depth images lie where the poses put them, and are made anew.
 pub(super) fn of_listing(listing: &Listing, points: &Points, limits: &Limits) -> Option<Verdict> {
     let posed: Vec<usize> = (0..listing.frames.len()).filter(|&i| listing.frames[i].posed).collect();
+    if posed.is_empty() || (!matches!(listing.cloud, Cloud::Depth(_)) && points.len() < TOO_FEW_POINTS) {
+        return None;
+    }
     let depth = if let Cloud::Depth(depth) = &listing.cloud { Some(depth) } else { None };
     let chosen = evenly(posed.len(), if depth.is_some() { PHOTOS } else { CAMERAS });
     let photos = evenly(chosen.len(), PHOTOS);
@@ -195,6 +198,10 @@ pub(super) fn of_listing(listing: &Listing, points: &Points, limits: &Limits) ->
 
 /// What the points of a scene say, which must not come from depth images. `file` is the one that lists its frames.
 pub(super) fn of_scene(layout: Layout, file: &Path, scene: &Scene) -> Option<Verdict> {
+    // Before photos are decoded for it.
+    if scene.points.len() < TOO_FEW_POINTS {
+        return None;
+    }
     let chosen = evenly(scene.views.len(), CAMERAS);
     let photos = evenly(chosen.len(), PHOTOS);
     let shot = |(place, i): (usize, &usize)| {

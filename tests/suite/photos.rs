@@ -270,6 +270,11 @@ fn large_photos_are_reduced_with_their_cameras_and_labels() {
             assert!((0..32).all(|y| (0..40).all(|x| near(x, y))));
         }
     }
+    // Maps that were made of the reduced scene fit it.
+    half.views[0].raw.as_ref().expect("labels").map().write(&dir.path().join("raw/v0.png")).expect("written");
+    assert_eq!(of(40).views[0].raw, half.views[0].raw);
+    let cameras = coseg::data::load_cameras(dir.path(), &LoadOptions { max_side: 40, ..LoadOptions::default() }, None);
+    assert_eq!(cameras.expect("cameras")[3].camera.width, 40, "as the scene has them");
     // Decoded again, a photo is the same.
     let again =
         load(dir.path(), &LoadOptions { max_side: 40, decoded_mb: 0, ..LoadOptions::default() }).expect("scene");
@@ -283,4 +288,23 @@ fn large_photos_are_reduced_with_their_cameras_and_labels() {
     assert!(
         checked.problems.is_empty() && checked.notices.iter().any(|n| n.starts_with("8 photos have more than 100"))
     );
+}
+
+#[test]
+fn what_datasets_leave_out_is_unlabelled_unless_a_class_has_that_id() {
+    let dir = tempfile::tempdir().expect("folder");
+    crate::plates::scene(dir.path());
+    let raw = |id: u16| {
+        let path = dir.path().join("raw/v0.png");
+        let mut map = LabelMap::read(&path, &coseg::data::Limits::default()).expect("map");
+        map.ids[0] = id;
+        map.write(&path).expect("written");
+        load(dir.path(), &LoadOptions::default()).map(|scene| scene.views[0].raw.as_ref().expect("labels").map().ids[0])
+    };
+    assert_eq!(raw(255).expect("scene"), 0);
+    assert!(raw(254).expect_err("no class").to_string().contains("label id 254"));
+    let classes = dir.path().join("classes.json");
+    let text = fs::read_to_string(&classes).expect("classes").replace("\"id\": 4", "\"id\": 255");
+    fs::write(&classes, text).expect("written");
+    assert!(raw(255).expect_err("4 is no class now").to_string().contains("label id 4"));
 }

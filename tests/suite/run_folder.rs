@@ -2,6 +2,8 @@
 
 use crate::cli::{fails, read_json, succeeds, utf8};
 use crate::plates::scene;
+use std::collections::BTreeMap;
+use std::path::Path;
 
 #[test]
 fn a_finished_run_is_gone_on_with_and_keeps_what_it_knew() {
@@ -76,4 +78,95 @@ fn the_gaussians_of_a_run_are_labelled_by_another() {
         assert!(message.contains("written over"), "{message}");
         assert_eq!(std::fs::read(run.join("scene.ply")).unwrap(), before);
     }
+}
+
+/// What lies in a run folder, checkpoints aside.
+fn contents(run: &Path) -> BTreeMap<String, Vec<u8>> {
+    let files = std::fs::read_dir(run).unwrap().flatten().filter(|entry| entry.path().is_file());
+    files.map(|entry| (entry.file_name().into_string().unwrap(), std::fs::read(entry.path()).unwrap())).collect()
+}
+
+#[test]
+fn a_refused_resume_leaves_the_run_as_it_was() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let (run, taken) = (folder.path().join("run"), folder.path().join("taken"));
+    let train = ["train", "--data", utf8(folder.path()), "--set", "segmentation.iterations=20", "--out"];
+    let small = ["--set", "building.iterations=40", "--set", "building.random_points=300"];
+    let rows = ["--set", "segmentation.rows=vote,per_gaussian"];
+    succeeds(&[&train[..], &[utf8(&run)], &small, &rows].concat());
+    succeeds(&[&train[..], &[utf8(&taken), "--scene", utf8(&run)], &rows].concat());
+    let other = folder.path().join("plates.ply");
+    let cases: [(&Path, &[&str], &str); 5] = [
+        (&run, &["segmentation.iterations=30"], "segmentation.iterations"),
+        (&run, &["building.iterations=50"], "building.iterations"),
+        (&run, &["building.iterations=0", &format!("building.gaussians={}", other.display())], "building."),
+        (&taken, &["building.iterations=30"], "building.iterations"),
+        (&taken, &[&format!("building.gaussians={}", other.display())], "building.gaussians"),
+    ];
+    for (run, sets, named) in cases {
+        let before = contents(run);
+        let sets = sets.iter().flat_map(|set| ["--set", set]);
+        let message = fails(&["train", "--resume", utf8(run)].into_iter().chain(sets).collect::<Vec<_>>(), 1);
+        assert!(message.contains(named), "{named}: {message}");
+        assert!(before == contents(run), "{named}: a refusal touches nothing");
+    }
+    // Photos of what was taken from a file are looked at too.
+    let photo = folder.path().join("images/v0.png");
+    let mut pixels = image::open(&photo).unwrap().into_rgb8();
+    pixels.put_pixel(0, 0, image::Rgb([255, 0, 255]));
+    pixels.save(&photo).unwrap();
+    for run in [&run, &taken] {
+        let before = contents(run);
+        assert!(fails(&["train", "--resume", utf8(run)], 1).contains("photos, cameras and points"));
+        assert!(before == contents(run));
+    }
+}
+
+#[test]
+fn a_file_that_cannot_be_begun_with_leaves_the_folder_free() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let out = folder.path().join("out");
+    let bad = folder.path().join("bad.ply");
+    std::fs::write(&bad, "ply\nformat ascii 1.0\nelement vertex 1\nend_header\n").unwrap();
+    let good = folder.path().join("plates.ply");
+    let with = |scene: &Path| {
+        let data = utf8(folder.path());
+        ["train", "--data", data, "--set", "segmentation.rows=vote", "--out", utf8(&out), "--scene", utf8(scene)]
+            .map(str::to_owned)
+    };
+    let refused = |arguments: &[String]| fails(&arguments.iter().map(String::as_str).collect::<Vec<_>>(), 1);
+    assert!(refused(&with(&bad)).contains("bad.ply") && !out.exists());
+    // Nor does a run write over what it begins with.
+    std::fs::create_dir(&out).unwrap();
+    std::fs::copy(&good, out.join("scene.ply")).unwrap();
+    let message = refused(&with(&out));
+    assert!(message.contains("written over") && contents(&out).len() == 1, "{message}");
+    // The last iteration in a model folder of graphdeco's.
+    let model = folder.path().join("model");
+    for (iteration, file) in [("iteration_7000", &bad), ("iteration_30000", &good)] {
+        let at = model.join("point_cloud").join(iteration);
+        std::fs::create_dir_all(&at).unwrap();
+        std::fs::copy(file, at.join("point_cloud.ply")).unwrap();
+    }
+    std::fs::remove_dir_all(&out).unwrap();
+    succeeds(&with(&model).iter().map(String::as_str).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_run_of_before_photos_were_reduced_keeps_their_size() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let run = folder.path().join("run");
+    let train = ["train", "--data", utf8(folder.path()), "--out", utf8(&run), "--set", "data.max_side=0"];
+    let small =
+        ["--set", "building.iterations=4", "--set", "building.random_points=300", "--set", "segmentation.rows=[]"];
+    succeeds(&[&train[..], &small].concat());
+    let file = run.join("config.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let without = text.lines().filter(|line| !line.starts_with("max_side")).map(|line| format!("{line}\n"));
+    std::fs::write(&file, without.collect::<String>()).unwrap();
+    succeeds(&["train", "--resume", utf8(&run)]);
+    assert!(std::fs::read_to_string(&file).unwrap().contains("max_side = 0"));
 }

@@ -29,12 +29,15 @@ fn row(x: f32, count: usize) -> Vec<([f32; 3], f32, f32)> {
     (0..count).map(|i| ([x + 0.1 * i as f32, 0.0, 0.0], 0.05, SOLID)).collect()
 }
 
+/// For things of a few Gaussians.
+const SMALL: Separation = Separation { level: 0.1, smallest: 0.01, fewest: 1, neighbours: 24 };
+
 fn classes() -> Classes {
     Classes::from_names(0, [(1, "wall"), (2, "chair"), (7, "lamp")])
 }
 
 fn separated(gaussians: &Gaussians, labels: &[u16]) -> Separated {
-    Separation::default().apply(gaussians, labels, &classes(), |_| true).expect("pieces")
+    SMALL.apply(gaussians, labels, &classes(), |_| true).expect("pieces")
 }
 
 #[test]
@@ -72,9 +75,15 @@ fn small_pieces_are_strays() {
     assert_eq!(found.pieces[&2].len(), 2);
     assert_eq!(found.labels[80], found.labels[0], "1.1 from the first row, 4 from the second");
     // The stray has 0.0004 of 40 times 0.0025: 0.4 % of the area.
-    let strict = Separation { smallest: 0.003, ..Separation::default() };
+    let strict = Separation { smallest: 0.003, ..SMALL };
     let found = strict.apply(&balls(&parts), &labels, &classes(), |_| true).unwrap();
     assert_eq!(found.pieces[&2].len(), 3);
+    let fewer = Separation { fewest: 2, ..strict };
+    let found = fewer.apply(&balls(&parts), &labels, &classes(), |_| true).unwrap();
+    assert_eq!(found.pieces[&2].len(), 2, "a single Gaussian");
+    // The largest is one however few it has.
+    let few = Separation { fewest: 100, ..SMALL }.apply(&balls(&parts), &labels, &classes(), |_| true).unwrap();
+    assert!(few.pieces.is_empty());
 }
 
 #[test]
@@ -115,7 +124,7 @@ fn a_large_gaussian_touches_more_than_its_nearest() {
     // All of the 30 at 0.3 are nearer to the large one than those at -0.5, which are nearest to each other.
     let cluster = |x: f32| (0..30).map(move |i| ([x + 1e-3 * i as f32, 0.0, 0.0], 5e-3, SOLID));
     let parts: Vec<_> = [([0.0; 3], 0.5, SOLID)].into_iter().chain(cluster(0.3)).chain(cluster(-0.5)).collect();
-    let all = Separation { smallest: 0.0, ..Separation::default() };
+    let all = Separation { smallest: 0.0, ..SMALL };
     let pieces = |parts: &[([f32; 3], f32, f32)]| {
         let labels = vec![2; parts.len()];
         all.apply(&balls(parts), &labels, &classes(), |_| true).unwrap().pieces.get(&2).map_or(1, Vec::len)
@@ -127,12 +136,12 @@ fn a_large_gaussian_touches_more_than_its_nearest() {
 fn the_ignored_id_is_given_to_nothing() {
     let parts = balls(&[row(0.0, 8), row(2.0, 5)].concat());
     let table = Classes::from_names(9, [(7, "lamp"), (8, "chair")]);
-    let found = Separation::default().apply(&parts, &[8; 13], &table, |_| true).unwrap();
+    let found = SMALL.apply(&parts, &[8; 13], &table, |_| true).unwrap();
     assert_eq!(found.pieces, [(8, vec![8, 10])].into());
     // Pieces of what counted as stuff are things: there are several.
     let mut stuff = classes();
     stuff.entries[1].object_of = Some(ObjectOf { class: 2, thing: false });
-    let found = Separation::default().apply(&parts, &[2; 13], &stuff, |_| true).unwrap();
+    let found = SMALL.apply(&parts, &[2; 13], &stuff, |_| true).unwrap();
     let of = |id: u16| found.classes.entries[found.classes.index(id).unwrap()].object_of;
     assert_eq!((of(2), of(8)), (Some(ObjectOf { class: 2, thing: true }), of(2)));
 }
@@ -155,11 +164,11 @@ fn objects_are_numbered_on() {
     let mut objects = Classes::from_names(0, [(1, "chair 1"), (2, "chair 2")]);
     let of = Some(ObjectOf { class: 30, thing: true });
     objects.entries.iter_mut().for_each(|c: &mut Class| c.object_of = of);
-    let found = Separation::default().apply(&balls(&parts), &[2; 13], &objects, |_| true).unwrap();
+    let found = SMALL.apply(&balls(&parts), &[2; 13], &objects, |_| true).unwrap();
     let names: Vec<_> = found.classes.entries.iter().map(|c| (c.id, c.name.as_str(), c.object_of)).collect();
     assert_eq!(names, [(1, "chair 1", of), (2, "chair 2", of), (3, "chair 3", of)]);
     // Without a table the names are made.
-    let found = Separation::default().apply(&balls(&parts), &[4; 13], &Classes::default(), |_| true).unwrap();
+    let found = SMALL.apply(&balls(&parts), &[4; 13], &Classes::default(), |_| true).unwrap();
     let names: Vec<_> = found.classes.entries.iter().map(|c| (c.id, c.name.as_str())).collect();
     assert_eq!(names, [(4, "label 4 1"), (5, "label 4 2")]);
 }
@@ -169,7 +178,7 @@ fn what_is_not_asked_for_or_has_no_label_stays_whole() {
     let parts = [row(0.0, 8), row(2.0, 5), row(4.0, 4), row(6.0, 3)].concat();
     let labels = [vec![2; 13], vec![0; 7]].concat();
     assert_eq!(separated(&balls(&parts), &labels).labels[13..], [0; 7], "unlabelled");
-    let found = Separation::default().apply(&balls(&parts), &labels, &classes(), |id| id == 7).unwrap();
+    let found = SMALL.apply(&balls(&parts), &labels, &classes(), |id| id == 7).unwrap();
     assert_eq!((found.labels, found.classes, found.pieces.len()), (labels, classes(), 0));
     let one = separated(&balls(&parts[..1]), &[2]);
     assert!(one.pieces.is_empty() && separated(&balls(&[]), &[]).labels.is_empty());
@@ -183,7 +192,7 @@ fn bad_input_is_an_error() {
     let apply = |rules: Separation, gaussians: &Gaussians, labels: &[u16]| {
         rules.apply(gaussians, labels, &classes(), |_| true).expect_err("an error")
     };
-    let default = Separation::default();
+    let default = SMALL;
     for rules in [
         Separation { level: 0.0, ..default },
         Separation { level: f64::NAN, ..default },

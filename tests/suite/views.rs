@@ -59,6 +59,7 @@ fn a_run_folder_stands_for_its_files() {
     let edited = folder.path().join("edited/scene.ply");
     succeeds(&["edit", "--scene", utf8(&run), "--out", utf8(&edited), "--remove", "wall"]);
     assert_eq!(ply::read(&edited, &Limits::default()).unwrap().gaussians.len(), 75);
+    render(&edited, &folder.path().join("of edited"), &["--split", "test"]);
     let voted = folder.path().join("voted");
     succeeds(&["vote", "--scene", utf8(&run), "--data", utf8(folder.path()), "--out", utf8(&voted)]);
     assert!(voted.join("scene.ply").is_file());
@@ -94,7 +95,12 @@ fn a_path_is_rendered_with_its_cameras() {
     let at = ["--cameras", utf8(&out), "--frame", "path_0002", "--pixel", "20,15", "--json"];
     succeeds(&[&["objects", "--scene", utf8(&run)], &at[..]].concat());
     // A path may be rendered into its folder again, not into one with other cameras.
-    render(&run, &out, &["--path", "interpolate", "--frames", "1"]);
+    render(&run, &out, &["--path", "interpolate", "--frames", "5"]);
+    let walk = ["render", "--scene", utf8(&run), "--out", utf8(&out), "--path", "interpolate"];
+    let message = fails(&[&walk[..], &["--frames", "4"]].concat(), 1);
+    assert!(message.contains("path_0004") && message.contains("longer path"), "a film would end with it: {message}");
+    let message = fails(&[&walk[..], &["--frames", "5", "--cameras", utf8(&out.join("cameras.json"))]].concat(), 1);
+    assert!(message.contains("--out"), "the path's own keys: {message}");
     let before = fs::read(run.join("cameras.json")).unwrap();
     let message = fails(&["render", "--scene", utf8(&run), "--out", utf8(&run), "--path", "orbit"], 1);
     assert!(message.contains("--out") && message.contains("cameras.json"), "{message}");

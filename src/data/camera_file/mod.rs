@@ -39,7 +39,10 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
         let options = LoadOptions::default();
         let inside = path.join(IN_FOLDER);
         return match layout::locate(path, &options) {
-            Err(_) if inside.is_file() => read_cameras(&inside, split),
+            // Nothing else is there to be read; of two layouts one has to be chosen.
+            Err(Error::Input { found, .. }) if inside.is_file() && found.starts_with("no such file") => {
+                read_cameras(&inside, split)
+            }
             _ => super::load_cameras(path, &options, split),
         };
     }

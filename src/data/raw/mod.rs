@@ -196,9 +196,9 @@ impl RawLabels {
                 Ok(RawMap { map, segments })
             }
             Source::Grey | Source::Masks => {
-                let map = LabelMap::decode(path, &file)?;
+                let mut map = LabelMap::decode(path, &file)?;
                 if !self.segments {
-                    map.check_ids(path, classes, known, IF_SEGMENTS)?;
+                    map.settle_ids(path, classes, known, IF_SEGMENTS)?;
                 }
                 Ok(RawMap { map, segments: Vec::new() })
             }

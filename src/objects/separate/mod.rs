@@ -27,6 +27,8 @@ pub struct Separation {
     /// Pieces with less than this share of the area of their label's largest piece are strays, in [0, 1]. The area of a Gaussian is
     /// its opacity times its two larger standard deviations.
     pub smallest: f64,
+    /// Pieces of fewer solid Gaussians than this are strays too, but for the largest piece of a label.
+    pub fewest: usize,
     /// Nearest Gaussians of the same label that each is compared with, at least 1; a large one with all whose centres lie as near as
     /// its longest half-axis too.
     pub neighbours: usize,
@@ -35,7 +37,7 @@ pub struct Separation {
 /// Chosen on two trained rooms with true instances (docs/measured.md, "Things of one label").
 impl Default for Separation {
     fn default() -> Self {
-        Self { level: 0.1, smallest: 0.01, neighbours: 24 }
+        Self { level: 0.1, smallest: 0.01, fewest: 10, neighbours: 24 }
     }
 }
 
@@ -123,14 +125,15 @@ impl Separation {
         let bodies: Vec<Body> = bodies.into_iter().flatten().collect();
         let mut chains = self.chains(&bodies, &points)?;
         // Area by chain, the chain being named by its first member.
-        let mut area: BTreeMap<usize, f64> = BTreeMap::new();
+        let mut sizes: BTreeMap<usize, (f64, usize)> = BTreeMap::new();
         for (k, body) in bodies.iter().enumerate() {
-            *area.entry(chains.first(k)).or_default() += body.area;
+            let (area, count) = sizes.entry(chains.first(k)).or_default();
+            (*area, *count) = (*area + body.area, *count + 1);
         }
-        let mut order: Vec<(usize, f64)> = area.into_iter().collect();
-        order.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
-        let largest = order[0].1;
-        order.retain(|(_, area)| *area >= self.smallest * largest);
+        let mut order: Vec<(usize, (f64, usize))> = sizes.into_iter().collect();
+        order.sort_by(|(a, (large, _)), (b, (small, _))| small.total_cmp(large).then(a.cmp(b)));
+        let (first, (largest, _)) = order[0];
+        order.retain(|(of, (area, count))| *of == first || (*area >= self.smallest * largest && *count >= self.fewest));
         let place: BTreeMap<usize, u32> = order.iter().zip(0..).map(|((first, _), place)| (*first, place)).collect();
         let (mut of, mut known, mut kept) = (vec![u32::MAX; rows.len()], Vec::new(), Vec::new());
         for (k, &i) in solid.iter().enumerate() {
