@@ -96,8 +96,8 @@ pub struct BuildingConfig {
     /// That gradient has the absolute values of dL/du and dL/dv of each pixel summed, where otherwise those of the two sides
     /// of an edge cancel (AbsGS, Ye et al. 2024, arXiv 2404.10484). For `strategy = "adc"`.
     pub absgrad: bool,
-    /// Behind the scene each step has another colour instead of `raster.background`, so that surfaces of that colour have to be
-    /// opaque. Not where a photo has transparent pixels, behind which it is black.
+    /// Behind the scene each step until densification ends has another colour instead of `raster.background`, so that surfaces of
+    /// that colour have to be opaque. Not where a photo has transparent pixels, behind which it is black.
     pub random_background: bool,
     /// Gaussians below this share of the extent are cloned, others split.
     pub clone_below: f32,

@@ -78,6 +78,11 @@ impl Schedule {
         order.get(place).copied().unwrap_or(0)
     }
 
+    /// Whether the colour behind the scene may change in `step`: while densification and resets leave opacities to be found.
+    pub fn varies_background(&self, step: usize) -> bool {
+        step <= self.densify_until()
+    }
+
     fn densify_until(&self) -> usize {
         (f64::from(self.config.densify_until()) * self.config.iterations as f64) as usize
     }
@@ -121,6 +126,7 @@ mod tests {
         assert_eq!(degrees, [0, 0, 1, 1, 2, 2, 3, 3]);
         let densified: Vec<usize> = (1..=7000).filter(|&step| s.densifies(step)).collect();
         assert_eq!((densified[0], densified[1], densified.last()), (500, 600, Some(&3500)));
+        assert!(s.varies_background(1) && s.varies_background(3500) && !s.varies_background(3501));
         let resets: Vec<usize> = (1..=7000).filter(|&step| s.resets(step)).collect();
         assert_eq!(resets, [1000, 2000, 3000]);
         assert_eq!((1..=7000).filter(|&step| s.evaluates(step)).count(), 10);

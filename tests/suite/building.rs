@@ -137,6 +137,7 @@ fn black_surfaces_become_opaque_before_a_changing_background() {
         let building = BuildingConfig {
             iterations: 150,
             densify_from: 1_000,
+            densify_until: Some(1.0),
             reset_every: 0,
             random_background,
             ..BuildingConfig::default()

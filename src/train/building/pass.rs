@@ -40,7 +40,8 @@ impl BuildingStage<'_> {
 
     /// What is behind the scene in step `iteration`.
     fn background(&self, view: &View, iteration: usize) -> [f32; 3] {
-        match self.config.building.random_background && !view.image.is_transparent() {
+        let random = self.config.building.random_background && self.schedule.varies_background(iteration);
+        match random && !view.image.is_transparent() {
             true => stream(self.config.seed, Purpose::Background, iteration as u64).random(),
             false => self.config.raster.background,
         }
