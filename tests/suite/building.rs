@@ -136,7 +136,8 @@ fn black_surfaces_become_opaque_before_a_changing_background() {
     let coverage = |random_background| {
         let building = BuildingConfig {
             iterations: 150,
-            densify_from: 1_000,
+            // None, all along which the background changes.
+            densify_every: 1_000,
             densify_until: Some(1.0),
             reset_every: 0,
             random_background,
