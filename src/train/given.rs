@@ -63,8 +63,8 @@ pub fn compare_with_photos(path: &Path, gaussians: &Gaussians, scene: &Scene, co
     if let Some(psnr) = ImageScores::mean(&scores).psnr.filter(|psnr| *psnr < MISPLACED) {
         tracing::warn!(
             "the Gaussians of {} show the training photos at {psnr:.1} dB: they look misplaced. Their positions have to be in the \
-             units and axes of the cameras of this scene (some trainers move, turn and scale a scene; nerfstudio tells how in \
-             dataparser_transforms.json)",
+             units and axes of the cameras of this scene; nerfstudio keeps these with `nerfstudio-data --orientation-method none \
+             --center-method none --auto-scale-poses False`",
             path.display()
         );
     }
