@@ -1,10 +1,10 @@
 //! A trained scene beside a folder of raw labels: what commands that give Gaussians labels work on.
 
 use super::Settings;
-use super::scene_file::{same_file, scene_path};
+use super::scene_file::scene_path;
 use clap::Args;
 use coseg::config::Config;
-use coseg::data::{self, Limits, LoadOptions, Scene};
+use coseg::data::{self, Limits, LoadOptions, Scene, atomic};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::train::compare_with_photos;
@@ -37,7 +37,7 @@ impl LabelledArgs {
         let options = LoadOptions::from(&config.data);
         data::locate(&self.data, &options)?;
         let path = scene_path(&self.scene)?;
-        if same_file(&path, &self.out.join("scene.ply")) {
+        if atomic::same_file(&path, &self.out.join("scene.ply")) {
             let expected = "another folder than that of the scene, which would be written over";
             return Err(Error::config("--out", self.out.display().to_string(), expected, "name a new folder"));
         }

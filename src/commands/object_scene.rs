@@ -1,8 +1,8 @@
 //! A labelled PLY scene with the names of its labels: what commands about objects work on.
 
-use super::scene_file::{same_file, scene_path};
+use super::scene_file::scene_path;
 use clap::Args;
-use coseg::data::{Classes, Limits, class_color};
+use coseg::data::{Classes, Limits, atomic, class_color};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::objects::{Object, inventory};
@@ -48,7 +48,7 @@ impl ObjectSceneArgs {
     pub fn names_beside(&self, out: &Path, scene: &ObjectScene, classes: &Classes) -> Result<PathBuf> {
         let names = out.with_file_name("classes.json");
         let read = [Some(&scene.path), self.classes.as_ref()];
-        if read.into_iter().flatten().any(|path| same_file(path, out)) || out == names {
+        if read.into_iter().flatten().any(|path| atomic::same_file(path, out)) || out == names {
             let expected = "another file than the scene and its classes.json";
             return Err(Error::config("--out", out.display().to_string(), expected, "name a new file"));
         }

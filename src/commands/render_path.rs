@@ -1,12 +1,11 @@
 //! Paths of cameras that `coseg render` makes from given ones.
 
 use super::object_scene::ObjectScene;
-use super::scene_file::same_file;
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
 use coseg::camera::Camera;
 use coseg::camera_path::{CameraPath, Orbit};
-use coseg::data::{NamedCamera, Split, transforms};
+use coseg::data::{NamedCamera, Split, atomic, transforms};
 use coseg::error::{Error, Result};
 use glam::DVec3;
 use std::path::Path;
@@ -58,7 +57,7 @@ impl PathArgs {
         let of_path = |cameras: &[NamedCamera]| cameras.iter().all(|camera| camera.name.starts_with(PREFIX));
         // A path that this command wrote is a transforms.json.
         let ours = || transforms::load_cameras(&file, None).is_ok_and(|cameras| of_path(&cameras));
-        if file.exists() && (same_file(&file, cameras) || !ours()) {
+        if file.exists() && (atomic::same_file(&file, cameras) || !ours()) {
             let expected = "a folder without cameras of its own: those of the path are written there";
             return Err(Error::config("--out", file.display().to_string(), expected, "name another folder"));
         }

@@ -60,11 +60,6 @@ pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
     }
 }
 
-/// Whether two names are of one file that is there.
-pub fn same_file(a: &Path, b: &Path) -> bool {
-    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
-}
-
 /// Copies the cameras beside the scene `from` beside the scene `to`, where there are some and none yet.
 pub fn bring_cameras(from: &Path, to: &Path) -> Result<()> {
     let [source, target] = [from, to].map(|scene| scene.with_file_name(CAMERAS));

@@ -72,3 +72,8 @@ fn sync_folder(folder: &Path) -> Result<()> {
 fn sync_folder(_: &Path) -> Result<()> {
     Ok(())
 }
+
+/// Whether two names are of one file that is there: what is read must not be written over.
+pub fn same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}

@@ -139,8 +139,7 @@ impl Report<'_> {
             };
             notes.push(format!("The Gaussians {what}: {}.", path.display()));
         }
-        let scored = outcome.scene.split(Split::Test).any(|view| view.truth.is_some() || view.instances.is_some());
-        if !scored && outcome.semantics.is_none() && !outcome.rows.is_empty() {
+        if !outcome.scene.has_truth() && outcome.semantics.is_none() && !outcome.rows.is_empty() {
             notes.push("No held-out view has true labels: no row of labels is scored.".into());
         }
         if outcome.rows.iter().any(|row| row.row == Row::Raw) {

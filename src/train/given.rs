@@ -1,7 +1,7 @@
 //! Gaussians that another run or another trainer made, as the start of a run.
 
 use crate::config::Config;
-use crate::data::{Limits, Scene, Split};
+use crate::data::{Limits, Scene, Split, atomic};
 use crate::error::{Error, Result};
 use crate::gaussians::{Gaussians, ply};
 use crate::metrics::ImageScores;
@@ -21,7 +21,7 @@ const MISPLACED: f64 = 15.0;
 /// file that would be written over, and more Gaussians than `building.max_gaussians` has, where they are trained: trained ones
 /// cannot be thinned as points can.
 pub(super) fn begin(path: &Path, scene: &Scene, config: &Config, scene_file: &Path) -> Result<Gaussians> {
-    if matches!((path.canonicalize(), scene_file.canonicalize()), (Ok(a), Ok(b)) if a == b) {
+    if atomic::same_file(path, scene_file) {
         let expected = "another file than the run's own scene.ply, which is written over";
         let mend = "let the run write into another folder";
         return Err(Error::config("building.gaussians", path.display().to_string(), expected, mend));

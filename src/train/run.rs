@@ -137,10 +137,9 @@ pub fn load_scene(config: &Config) -> Result<Scene> {
 pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Progress) -> Result<Outcome> {
     let start = Instant::now();
     let scene = load_scene(config)?;
-    let scored = scene.split(Split::Test).any(|view| view.truth.is_some() || view.instances.is_some());
     let config = &match &config.segmentation.rows {
         None => {
-            let rows = if scored { &Row::COMPARED[..] } else { &Row::UNSCORED };
+            let rows = if scene.has_truth() { &Row::COMPARED[..] } else { &Row::UNSCORED };
             let rows = Some(rows.to_vec());
             Config { segmentation: SegmentationConfig { rows, ..config.segmentation.clone() }, ..config.clone() }
         }

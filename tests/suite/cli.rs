@@ -196,15 +196,20 @@ fn vote_outvotes_wrong_views() {
     assert_eq!(Classes::read(&out.join("classes.json")).unwrap().len(), 4);
 }
 
+/// What `coseg train` says of a short run on the scene in `data` into `run`.
+pub fn short_run(data: &Path, run: &Path) -> String {
+    let small = ["--set", "building.iterations=40", "--set", "building.random_points=300"];
+    let rows = ["--set", "segmentation.iterations=20", "--set", "segmentation.rows=raw,vote,per_gaussian"];
+    let train = ["train", "--data", utf8(data), "--out", utf8(run), "--seed", "3"];
+    succeeds(&[&train[..], &small, &rows].concat())
+}
+
 #[test]
 fn train_fills_the_run_folder_and_eval_agrees() {
     let folder = tempfile::tempdir().unwrap();
     scene(folder.path());
     let run = folder.path().join("run");
-    let small = ["--set", "building.iterations=40", "--set", "building.random_points=300"];
-    let rows = ["--set", "segmentation.iterations=20", "--set", "segmentation.rows=raw,vote,per_gaussian"];
-    let train = ["train", "--data", utf8(folder.path()), "--out", utf8(&run), "--seed", "3"];
-    let said = succeeds(&[&train[..], &small, &rows].concat());
+    let said = short_run(folder.path(), &run);
     assert!(said.contains("held-out PSNR") && said.contains("per-Gaussian CE"), "{said}");
     for file in [
         "scene.ply",

@@ -1,6 +1,6 @@
 //! A run folder that is gone on with.
 
-use crate::cli::{fails, read_json, succeeds, utf8};
+use crate::cli::{fails, read_json, short_run, succeeds, utf8};
 use crate::plates::scene;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,12 +10,9 @@ fn a_finished_run_is_gone_on_with_and_keeps_what_it_knew() {
     let folder = tempfile::tempdir().unwrap();
     scene(folder.path());
     let run = folder.path().join("run");
-    let small = ["--set", "building.iterations=40", "--set", "building.random_points=300"];
-    let rows = ["--set", "segmentation.iterations=20", "--set", "segmentation.rows=raw,vote,per_gaussian"];
-    let train = ["train", "--data", utf8(folder.path()), "--out", utf8(&run), "--seed", "3"];
-    succeeds(&[&train[..], &small, &rows].concat());
+    short_run(folder.path(), &run);
     let metrics = read_json(&run.join("metrics.json"));
-    let message = fails(&train, 1);
+    let message = fails(&["train", "--data", utf8(folder.path()), "--out", utf8(&run)], 1);
     assert!(message.contains("--resume"), "{message}");
     let before = std::fs::read(run.join("scene.ply")).unwrap();
     succeeds(&["train", "--resume", utf8(&run)]);
