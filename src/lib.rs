@@ -17,6 +17,7 @@
 //! | clone, split and prune; relocation of 3DGS-MCMC | [`gaussians::densify`], [`gaussians::relocate`] |
 //! | a vote of label maps, objects from masks with ids of their view alone, picking | [`objects`] |
 //! | new views: paths through cameras, circles around things | [`camera_path`] |
+//! | a scene as a page for the browser | [`viewer::Viewer`] |
 //! | DINO, MobileNetV2 and weight-free features of an image | [`features`] |
 //!
 //! `examples/` has the rasterizer in a training loop of burn's own optimiser, and features lifted onto Gaussians.
@@ -77,6 +78,7 @@ pub mod raster;
 pub mod report;
 pub mod segmentation;
 pub mod train;
+pub mod viewer;
 pub mod weights;
 
 pub use error::{Error, Result};

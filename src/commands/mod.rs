@@ -19,6 +19,7 @@ mod scene_file;
 mod separate;
 pub mod terminal;
 mod train;
+mod view;
 mod vote;
 
 use clap::{Args, Parser, Subcommand};
@@ -59,6 +60,7 @@ Examples:
   coseg eval runs/living                       its scores on the held-out views
   coseg render --scene runs/living --out pictures --labels
   coseg render --scene runs/living --out orbit --path orbit
+  coseg view --scene runs/living               a page to walk through it in a browser
   coseg vote --scene scene.ply --data scenes/living --out runs/voted
   coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=masks
   coseg objects --scene runs/living            what there is in it, and where
@@ -79,6 +81,8 @@ pub enum Command {
     Eval(eval::EvalArgs),
     /// Render a scene in colour and labels
     Render(render::RenderArgs),
+    /// Write a scene as a page to walk through in a browser
+    View(view::ViewArgs),
     /// Label the Gaussians of a scene by a vote of raw label maps, without training
     Vote(vote::VoteArgs),
     /// Give segments that show the same thing one id in all views, by way of a scene's Gaussians
@@ -103,6 +107,7 @@ impl Command {
             Self::Data(args) => args.run(),
             Self::Eval(args) => args.run(),
             Self::Render(args) => args.run(),
+            Self::View(args) => args.run(),
             Self::Vote(args) => args.run(),
             Self::Associate(args) => args.run(),
             Self::Objects(args) => args.run(),

@@ -2,7 +2,7 @@
 
 use super::scene_file::scene_path;
 use clap::Args;
-use coseg::data::{Classes, Limits, atomic, class_color};
+use coseg::data::{Classes, Limits, atomic};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::objects::{Object, inventory};
@@ -95,15 +95,12 @@ impl ObjectScene {
 
     /// The name of a label, where one is known.
     pub fn name(&self, id: u16) -> Option<&str> {
-        let known = self.classes.index(id).is_some() || (id == self.classes.ignore && !self.classes.is_empty());
-        known.then(|| self.classes.name(id))
+        self.classes.known_name(id)
     }
 
-    /// The colour of a label, sRGB 0..1: that of the class table, black for the unlabelled, or a colour of its own where no
-    /// table is known.
+    /// The colour of a label in legends, sRGB 0..1.
     pub fn color(&self, id: u16) -> [f32; 3] {
-        let color = if self.classes.is_empty() { class_color(id) } else { self.classes.color(id) };
-        color.map(|v| f32::from(v) / 255.0)
+        self.classes.legend_color(id).map(|v| f32::from(v) / 255.0)
     }
 
     /// The object with the id `what`, or else all that are called so, which for associated objects their class is too: `chair`

@@ -102,6 +102,11 @@ impl RunFolder {
         self.0.join("report.html")
     }
 
+    /// The scene as a page.
+    pub fn viewer_path(&self) -> PathBuf {
+        self.0.join("viewer.html")
+    }
+
     /// Settings as run, with overrides. A run of before there was `data.max_side` had its photos at their full size.
     ///
     /// # Errors

@@ -13,6 +13,7 @@ use coseg::error::Result;
 use coseg::gaussians::ply;
 use coseg::report::{Command, Metrics, Report, held_out_views};
 use coseg::train::{self, Outcome, RowOutcome};
+use coseg::viewer::Viewer;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -22,6 +23,7 @@ Stage one builds Gaussians from the photos; stage two learns from the raw label 
 The run folder gets
   scene.ply      the Gaussians in the 3DGS convention, with a label column
   report.html    curves, pictures, tables; one page that needs nothing else
+  viewer.html    the scene, to walk through in a browser
   metrics.json   the same figures for programs
   classes.json   id, name and colour of each class
   cameras.json   the views as a transforms.json, for render and objects
@@ -108,7 +110,19 @@ impl TrainArgs {
         let labels = outcome.stored().map(|(_, identities)| identities);
         let ids = labels.map(|identities| identities.ids(&outcome.scene.classes));
         ply::write(&run.scene_path(), &outcome.gaussians, outcome.scene.origin, ids.as_deref())?;
-        transforms::write_cameras(&run.cameras_path(), &cameras_of(&outcome))?;
+        let cameras = cameras_of(&outcome);
+        transforms::write_cameras(&run.cameras_path(), &cameras)?;
+        let viewer = Viewer {
+            title: &scene_name(config),
+            scene: &run.path().display().to_string(),
+            gaussians: &outcome.gaussians,
+            origin: outcome.scene.origin,
+            labels: ids.as_deref(),
+            classes: &outcome.scene.classes,
+            cameras: &cameras,
+            alpha_max: config.raster.alpha_max,
+        };
+        viewer.write(&run.viewer_path())?;
         if let Some(identities) = labels {
             identities.write(&run.identities_path())?;
         }
@@ -134,6 +148,7 @@ impl TrainArgs {
         report.write(run.path())?;
         summary(&outcome);
         terminal::say(&format!("report: {}", run.report_path().display()));
+        terminal::say(&format!("viewer: {}", run.viewer_path().display()));
         Ok(())
     }
 }

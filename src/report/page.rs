@@ -19,6 +19,9 @@ pub(super) fn page(report: &Report<'_>, path: &Path) -> Result<String> {
         include_str!("page.css")
     );
     let _ = writeln!(out, "<p class=\"lead\">{}</p>", lead(report));
+    if path.with_file_name("viewer.html").is_file() {
+        out.push_str("<p><a href=\"viewer.html\">Walk through the scene</a> in this browser.</p>\n");
+    }
     out.push_str(&tiles(report));
     if !m.test.labels.is_empty() {
         out.push_str("<h2>Labels</h2>\n<p class=\"quiet\">Scored on held-out views against the true labels; unlabelled truth is left out. \

@@ -58,6 +58,7 @@ fn help_names_every_command_and_shows_examples() {
         "data",
         "eval",
         "render",
+        "view",
         "vote",
         "associate",
         "objects",

@@ -85,6 +85,7 @@ mod stage_two;
 mod torch_file;
 mod transforms;
 mod unprojection;
+mod viewer;
 mod views;
 mod weights;
 

@@ -1,0 +1,218 @@
+//! A scene as one HTML page that needs nothing else: to walk through in a browser, by WebGL 2, to look at labels, and to choose
+//! objects, hide them and move them; the page says which `coseg edit` does the same to the file.
+//!
+//! Pictures are those of [`crate::raster::render`] but for the rounding of `packing.rs`, half floats in blending, and
+//! what lies behind a transmittance of 1e-4, which the page adds.
+
+mod packing;
+
+use crate::camera::Camera;
+use crate::camera_path::mean_up;
+use crate::data::{Classes, NamedCamera, Split, atomic};
+use crate::error::{Error, Result};
+use crate::gaussians::Gaussians;
+use crate::objects::{Object, inventory};
+use base64::Engine;
+use glam::{DMat3, DVec3};
+use serde::Serialize;
+use std::path::Path;
+
+/// Cosine of 3 degrees.
+const NEARLY: f64 = 0.9986;
+
+/// The parts of the page's program, in order.
+const SCRIPT: [&str; 10] = [
+    include_str!("page/vector.js"),
+    include_str!("page/scene.js"),
+    include_str!("page/camera.js"),
+    include_str!("page/order.js"),
+    include_str!("page/pick.js"),
+    include_str!("page/renderer.js"),
+    include_str!("page/navigation.js"),
+    include_str!("page/command.js"),
+    include_str!("page/panel.js"),
+    include_str!("page/main.js"),
+];
+
+/// What a page shows.
+#[derive(Clone, Copy, Debug)]
+pub struct Viewer<'a> {
+    /// Heading and title.
+    pub title: &'a str,
+    /// What `--scene` is in the command lines that the page writes.
+    pub scene: &'a str,
+    /// The scene.
+    pub gaussians: &'a Gaussians,
+    /// What was subtracted from every position of the scene, world units.
+    pub origin: DVec3,
+    /// One label id a Gaussian, where the scene has labels.
+    pub labels: Option<&'a [u16]>,
+    /// Names and colours of the labels; empty where none are known.
+    pub classes: &'a Classes,
+    /// Views to go to, in world units; the first held-out one, or else the first, is where a visit begins.
+    pub cameras: &'a [NamedCamera],
+    /// Cap of a splat's opacity at a pixel, in (0, 1].
+    pub alpha_max: f64,
+}
+
+/// What the page's program is told beside the columns.
+#[derive(Serialize)]
+struct Header<'a> {
+    title: &'a str,
+    path: &'a str,
+    gaussians: usize,
+    degree: usize,
+    alpha_max: f64,
+    up: [f64; 3],
+    extent: Extent,
+    start: View<'a>,
+    objects: Vec<Entry<'a>>,
+    cameras: Vec<View<'a>>,
+}
+
+/// A box without the outermost 1 % on each side, relative to the origin.
+#[derive(Serialize)]
+struct Extent {
+    low: [f64; 3],
+    high: [f64; 3],
+}
+
+#[derive(Serialize)]
+struct Entry<'a> {
+    /// None of a scene without labels, whose one entry is everything.
+    id: Option<u16>,
+    name: Option<&'a str>,
+    color: [u8; 3],
+    gaussians: usize,
+    low: [f64; 3],
+    high: [f64; 3],
+}
+
+/// A camera relative to the origin, the rotation row by row.
+#[derive(Serialize)]
+struct View<'a> {
+    name: &'a str,
+    split: Split,
+    rotation: [f64; 9],
+    center: [f64; 3],
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    width: usize,
+    height: usize,
+}
+
+impl Viewer<'_> {
+    /// Writes the page to `path`; it appears complete or not at all.
+    ///
+    /// # Errors
+    /// As [`Viewer::page`]; [`Error::Io`].
+    pub fn write(&self, path: &Path) -> Result<()> {
+        atomic::write_bytes(path, self.page()?.as_bytes())
+    }
+
+    /// The page: 111 bytes a Gaussian of SH degree 3, and some 50 kB.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for no Gaussian, fields or labels of another length, or an `alpha_max` out of range;
+    /// [`Error::NonFinite`].
+    pub fn page(&self) -> Result<String> {
+        self.gaussians.check(self.labels)?;
+        if self.gaussians.is_empty() {
+            return Err(Error::config("gaussians", "none", "one or more", "name a scene that holds something"));
+        }
+        if !(self.alpha_max > 0.0 && self.alpha_max <= 1.0) {
+            let mend = "choose a value in that range";
+            return Err(Error::config("alpha_max", self.alpha_max.to_string(), "a number in (0, 1]", mend));
+        }
+        let unlabelled = vec![0; self.gaussians.len()];
+        let all = inventory(self.gaussians, &unlabelled);
+        let objects = self.labels.map_or_else(|| all.clone(), |labels| inventory(self.gaussians, labels));
+        let mut places = unlabelled;
+        for (place, object) in (0..=u16::MAX).zip(&objects) {
+            object.rows.iter().for_each(|&row| places[row as usize] = place);
+        }
+        let header = json(&self.header(&all[0], &objects))?;
+        let shaders = json(&serde_json::json!({
+            "splatVertex": include_str!("page/splat.vert"),
+            "splatFragment": include_str!("page/splat.frag"),
+            "screenVertex": include_str!("page/screen.vert"),
+            "screenFragment": include_str!("page/screen.frag"),
+        }))?;
+        let columns = base64::engine::general_purpose::STANDARD.encode(packing::columns(self.gaussians, &places));
+        Ok(filled(&[
+            ("version", env!("CARGO_PKG_VERSION")),
+            ("style", include_str!("page/viewer.css")),
+            ("header", &header),
+            ("shaders", &shaders),
+            ("columns", &columns),
+            ("script", &SCRIPT.concat()),
+        ]))
+    }
+
+    fn header(&self, all: &Object, objects: &[Object]) -> Header<'_> {
+        let entry = |object: &Object| Entry {
+            id: self.labels.map(|_| object.id),
+            name: self.labels.and_then(|_| self.classes.known_name(object.id)),
+            color: if self.labels.is_some() { self.classes.legend_color(object.id) } else { [255; 3] },
+            gaussians: object.rows.len(),
+            low: object.low.to_array(),
+            high: object.high.to_array(),
+        };
+        let moved = |camera: &Camera| Camera { center: camera.center - self.origin, ..camera.clone() };
+        let cameras: Vec<Camera> = self.cameras.iter().map(|named| moved(&named.camera)).collect();
+        let start = without_cameras(all);
+        let up = if cameras.is_empty() { DVec3::NEG_Y } else { upright(mean_up(&cameras)) };
+        let views = self.cameras.iter().zip(&cameras);
+        Header {
+            title: self.title,
+            path: self.scene,
+            gaussians: self.gaussians.len(),
+            degree: self.gaussians.sh_degree,
+            alpha_max: self.alpha_max,
+            up: up.to_array(),
+            extent: Extent { low: all.low.to_array(), high: all.high.to_array() },
+            start: view("", Split::Train, &start),
+            objects: objects.iter().map(entry).collect(),
+            cameras: views.map(|(named, camera)| view(&named.name, named.split, camera)).collect(),
+        }
+    }
+}
+
+/// An axis of the world where `up` is nearly one: the mean of cameras' directions is as steady as who held them.
+fn upright(up: DVec3) -> DVec3 {
+    let axes = DVec3::AXES.into_iter().flat_map(|axis| [axis, -axis]);
+    axes.into_iter().find(|axis| axis.dot(up) > NEARLY).unwrap_or(up)
+}
+
+/// Where a visit begins when there are no cameras: before the box `all`, along the axes that COLMAP's scenes mostly have.
+fn without_cameras(all: &Object) -> Camera {
+    let center = all.center() - 1.2 * all.low.distance(all.high) * DVec3::Z;
+    Camera { rotation: DMat3::IDENTITY, center, fx: 480.0, fy: 480.0, cx: 320.0, cy: 240.0, width: 640, height: 480 }
+}
+
+fn view<'a>(name: &'a str, split: Split, camera: &Camera) -> View<'a> {
+    let &Camera { rotation, center, fx, fy, cx, cy, width, height } = camera;
+    let rotation = rotation.transpose().to_cols_array();
+    View { name, split, rotation, center: center.to_array(), fx, fy, cx, cy, width, height }
+}
+
+/// JSON that can stand in a page: no text in it ends the element that holds it.
+fn json(value: &impl Serialize) -> Result<String> {
+    let text = serde_json::to_string(value).map_err(|e| Error::io("viewer", "encode", e.into()))?;
+    Ok(text.replace('<', "\\u003c"))
+}
+
+/// The shell with its `{{names}}` replaced; what is put in is not looked at again.
+fn filled(parts: &[(&str, &str)]) -> String {
+    let mut out = String::new();
+    let mut pieces = include_str!("page/shell.html").split("{{");
+    out.push_str(pieces.next().unwrap_or_default());
+    for piece in pieces {
+        let (name, after) = piece.split_once("}}").unwrap_or((piece, ""));
+        out.push_str(parts.iter().find(|(part, _)| *part == name).map_or("", |(_, text)| text));
+        out.push_str(after);
+    }
+    out
+}

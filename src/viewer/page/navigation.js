@@ -1,0 +1,128 @@
+// Mouse, touch and keys: what is under the pointer is held on to.
+
+const KEYS_OF_MOVES = {
+  KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyE: [0, -1, 0], KeyQ: [0, 1, 0],
+};
+const KEYS_OF_TURNS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+const STILL = 4; // pixels that a pointer may stray in a click
+
+class Navigation {
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {object} view what is moved: camera(), changed(), pickAt(x, y), clicked(x, y), dragged(point, from, to) that says
+   *   whether it moved something else than the camera, up, reach
+   */
+  constructor(canvas, view) {
+    this.canvas = canvas;
+    this.view = view;
+    this.pointers = new Map();
+    this.keys = new Set();
+    this.pivot = null;
+    canvas.addEventListener("pointerdown", (e) => this.press(e));
+    canvas.addEventListener("pointermove", (e) => this.drag(e));
+    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, (e) => this.release(e));
+    canvas.addEventListener("wheel", (e) => this.wheel(e), { passive: false });
+    canvas.addEventListener("contextmenu", (e) => e.preventDefault());
+    window.addEventListener("keydown", (e) => this.key(e, true));
+    window.addEventListener("keyup", (e) => this.key(e, false));
+    window.addEventListener("blur", () => this.keys.clear());
+  }
+
+  place(e) {
+    const box = this.canvas.getBoundingClientRect();
+    return [e.clientX - box.left, e.clientY - box.top];
+  }
+
+  /** What is at a place, or else a point on its ray as far off as the last one. */
+  hold([x, y]) {
+    const camera = this.view.camera();
+    const found = this.view.pickAt(x, y)?.point;
+    if (found) this.view.reach = Math.max(camera.depth(found), 10 * NEAR);
+    return found ?? add(camera.center, times(this.view.reach, camera.ray(x, y)));
+  }
+
+  press(e) {
+    this.canvas.setPointerCapture(e.pointerId);
+    const at = this.place(e);
+    this.pointers.set(e.pointerId, at);
+    this.start = at;
+    this.moved = this.pointers.size > 1;
+    this.pivot = this.hold(at);
+  }
+
+  drag(e) {
+    const before = this.pointers.get(e.pointerId);
+    if (!before) return;
+    const at = this.place(e);
+    this.moved ||= Math.hypot(at[0] - this.start[0], at[1] - this.start[1]) > STILL;
+    if (!this.moved) return;
+    if (this.pointers.size === 2) {
+      this.pinch(e.pointerId, before, at);
+    } else if (!this.view.dragged(this.pivot, before, at, e)) {
+      if (e.buttons & 2 || e.buttons & 4 || e.shiftKey) this.pan(before, at);
+      else this.orbit(at[0] - before[0], at[1] - before[1]);
+    }
+    this.pointers.set(e.pointerId, at);
+    this.view.changed();
+  }
+
+  release(e) {
+    const at = this.pointers.get(e.pointerId);
+    this.pointers.delete(e.pointerId);
+    if (at && !this.moved && e.type === "pointerup") this.view.clicked(...at);
+  }
+
+  orbit(dx, dy) {
+    const turn = Math.PI / Math.min(this.canvas.clientWidth, this.canvas.clientHeight);
+    this.view.camera().orbit(this.view.up, this.pivot, -dx * turn, -dy * turn);
+  }
+
+  pan(from, to) {
+    const camera = this.view.camera();
+    camera.move(times(camera.depth(this.pivot), minus(camera.ray(...from), camera.ray(...to))));
+  }
+
+  pinch(id, before, at) {
+    const [other] = [...this.pointers].filter(([key]) => key !== id).map(([, place]) => place);
+    const apart = (place) => Math.max(Math.hypot(place[0] - other[0], place[1] - other[1]), 1);
+    const middle = (place) => [0.5 * (place[0] + other[0]), 0.5 * (place[1] + other[1])];
+    this.pan(middle(before), middle(at));
+    this.approach(1 - apart(before) / apart(at));
+  }
+
+  /** Moves by a share of the way to what is held on to. */
+  approach(share) {
+    const camera = this.view.camera();
+    camera.move(times(share, minus(this.pivot, camera.center)));
+  }
+
+  wheel(e) {
+    e.preventDefault();
+    const lines = e.deltaMode === 0 ? e.deltaY / 100 : e.deltaY / 3;
+    this.pivot = this.hold(this.place(e));
+    this.approach(1 - Math.exp(Math.max(-3, Math.min(3, lines)) * 0.16));
+    this.view.changed();
+  }
+
+  key(e, down) {
+    if (e.ctrlKey || e.metaKey || e.altKey || /^(INPUT|SELECT|TEXTAREA)$/.test(e.target.tagName)) return;
+    if (!(e.code in KEYS_OF_MOVES) && !(e.code in KEYS_OF_TURNS)) return;
+    e.preventDefault();
+    if (down) this.keys.add(e.code);
+    else this.keys.delete(e.code);
+    this.view.changed();
+  }
+
+  /** Goes on as the held keys say, for so many seconds; whether there are any. */
+  step(seconds) {
+    const camera = this.view.camera();
+    for (const code of this.keys) {
+      const [x, y, z] = KEYS_OF_MOVES[code] ?? [0, 0, 0];
+      const way = add(add(times(x, camera.right), times(y, camera.down)), times(z, camera.forward));
+      camera.move(times(this.view.speed * seconds, way));
+      const [yaw, pitch] = KEYS_OF_TURNS[code] ?? [0, 0];
+      if (yaw || pitch) camera.orbit(this.view.up, camera.center, 1.2 * yaw * seconds, 1.2 * pitch * seconds);
+    }
+    return this.keys.size > 0;
+  }
+}

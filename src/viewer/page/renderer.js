@@ -1,0 +1,161 @@
+// Draws the Gaussians with WebGL 2: sorted quads blended back to front into half floats.
+
+const TEXTURE_WIDTH = 2048; // as in splat.vert
+const OBJECTS_WIDE = 1024; // as there
+
+class Renderer {
+  constructor(canvas, scene, shaders) {
+    const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, preserveDrawingBuffer: true });
+    if (!gl) throw new Error("This browser has no WebGL 2.");
+    this.gl = gl;
+    this.canvas = canvas;
+    this.scene = scene;
+    // Without them eight bits have to do.
+    this.halfFloats = Boolean(gl.getExtension("EXT_color_buffer_float") ?? gl.getExtension("EXT_color_buffer_half_float"));
+    this.splats = this.program(shaders.splatVertex, shaders.splatFragment);
+    this.screen = this.program(shaders.screenVertex, shaders.screenFragment);
+
+    const rows = Math.max(1, Math.ceil((TEXELS * scene.gaussians) / TEXTURE_WIDTH));
+    if (rows > gl.getParameter(gl.MAX_TEXTURE_SIZE)) {
+      const most = (gl.getParameter(gl.MAX_TEXTURE_SIZE) * TEXTURE_WIDTH) / TEXELS;
+      throw new Error(`The scene has ${scene.gaussians} Gaussians; this device shows ${most} at most.`);
+    }
+    const whole = (values, Type) => {
+      const padded = new Type(4 * TEXTURE_WIDTH * rows);
+      padded.set(values);
+      return padded;
+    };
+    const size = [TEXTURE_WIDTH, rows];
+    this.geometry = this.texture(gl.RGBA32F, gl.RGBA, gl.FLOAT, ...size, whole(scene.geometry, Float32Array));
+    this.colours = this.texture(gl.RGBA32UI, gl.RGBA_INTEGER, gl.UNSIGNED_INT, ...size, whole(scene.colours, Uint32Array));
+    this.objectSize = [OBJECTS_WIDE, Math.ceil(scene.objects.length / OBJECTS_WIDE)];
+    const colours = new Uint8Array(4 * OBJECTS_WIDE * this.objectSize[1]);
+    scene.objects.forEach((object, i) => colours.set([...object.color, 255], 4 * i));
+    this.labels = this.texture(gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE, ...this.objectSize, colours);
+    this.offsets = this.texture(gl.RGBA32F, gl.RGBA, gl.FLOAT, ...this.objectSize, null);
+
+    this.order = gl.createBuffer();
+    this.vertices = gl.createVertexArray();
+    gl.bindVertexArray(this.vertices);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
+    gl.bufferData(gl.ARRAY_BUFFER, 4 * scene.gaussians, gl.DYNAMIC_DRAW);
+    gl.enableVertexAttribArray(0);
+    gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
+    gl.vertexAttribDivisor(0, 1);
+    this.nothing = gl.createVertexArray();
+    this.target = null;
+  }
+
+  program(vertex, fragment) {
+    const { gl } = this;
+    const program = gl.createProgram();
+    for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, source.trim());
+      gl.compileShader(shader);
+      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
+      gl.attachShader(program, shader);
+    }
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
+    const uniforms = {};
+    for (let i = 0; i < gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS); i++) {
+      const { name } = gl.getActiveUniform(program, i);
+      uniforms[name] = gl.getUniformLocation(program, name);
+    }
+    return { program, uniforms };
+  }
+
+  texture(internal, format, type, width, height, values) {
+    const { gl } = this;
+    const texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texImage2D(gl.TEXTURE_2D, 0, internal, width, height, 0, format, type, values);
+    for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, side, gl.NEAREST);
+    for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
+    return texture;
+  }
+
+  /** What is blended into, of this size. */
+  resize(width, height) {
+    const { gl, target } = this;
+    if (target && target.width === width && target.height === height) return;
+    if (target) {
+      gl.deleteTexture(target.picture);
+      gl.deleteFramebuffer(target.buffer);
+    }
+    const [internal, type] = this.halfFloats ? [gl.RGBA16F, gl.HALF_FLOAT] : [gl.RGBA8, gl.UNSIGNED_BYTE];
+    const picture = this.texture(internal, gl.RGBA, type, width, height, null);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.LINEAR);
+    const buffer = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, picture, 0);
+    if (gl.checkFramebufferStatus(gl.FRAMEBUFFER) !== gl.FRAMEBUFFER_COMPLETE && this.halfFloats) {
+      this.halfFloats = false;
+      this.target = { picture, buffer, width: 0, height: 0 };
+      this.resize(width, height);
+      return;
+    }
+    this.target = { picture, buffer, width, height };
+  }
+
+  /** The next pictures draw in this order. */
+  setOrder(order) {
+    const { gl } = this;
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
+    gl.bufferSubData(gl.ARRAY_BUFFER, 0, order.drawn, 0, order.length);
+    this.count = order.length;
+  }
+
+  /** Where objects are, and which is chosen (-1 for none). */
+  setObjects(objects, chosen) {
+    const { gl } = this;
+    const values = new Float32Array(4 * OBJECTS_WIDE * this.objectSize[1]);
+    objects.forEach((object, i) => values.set([...object.offset, i === chosen ? 1 : 0], 4 * i));
+    gl.bindTexture(gl.TEXTURE_2D, this.offsets);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ...this.objectSize, gl.RGBA, gl.FLOAT, values);
+  }
+
+  /** Draws what `camera` sees; its image is `scale` of the canvas. `painted` is the share of the labels' colours. */
+  draw(camera, painted, background) {
+    const { gl, canvas, scene } = this;
+    this.resize(camera.width, camera.height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.buffer);
+    gl.viewport(0, 0, camera.width, camera.height);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    const { program, uniforms } = this.splats;
+    gl.useProgram(program);
+    [this.geometry, this.colours, this.offsets, this.labels].forEach((texture, i) => {
+      gl.activeTexture(gl.TEXTURE0 + i);
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+    });
+    ["geometry", "colours", "offsets", "labels"].forEach((name, i) => gl.uniform1i(uniforms[name], i));
+    gl.uniformMatrix3fv(uniforms.rotation, true, camera.rotation);
+    gl.uniform3fv(uniforms.center, camera.center);
+    gl.uniform2f(uniforms.focal, camera.fx, camera.fy);
+    gl.uniform2f(uniforms.principal, camera.cx, camera.cy);
+    gl.uniform2f(uniforms.size, camera.width, camera.height);
+    gl.uniform1i(uniforms.degree, scene.degree);
+    gl.uniform1f(uniforms.painted, painted);
+    gl.uniform3f(uniforms.chosen, 1, 0.85, 0.35);
+    gl.uniform1f(uniforms.alphaMax, scene.alpha_max);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    gl.bindVertexArray(this.vertices);
+    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.count);
+
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.disable(gl.BLEND);
+    gl.useProgram(this.screen.program);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, this.target.picture);
+    gl.uniform1i(this.screen.uniforms.picture, 0);
+    gl.uniform2f(this.screen.uniforms.size, canvas.width, canvas.height);
+    gl.uniform3fv(this.screen.uniforms.background, background);
+    gl.bindVertexArray(this.nothing);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+}

@@ -1,0 +1,132 @@
+#version 300 es
+// One corner of the ellipse that a Gaussian covers: Eq. 1-2 as the library has them, in pixels with y down.
+precision highp float;
+precision highp int;
+precision highp sampler2D;
+precision highp usampler2D;
+
+uniform sampler2D geometry;
+uniform usampler2D colours;
+uniform sampler2D offsets;  // of each object; w is 1 for the one that is chosen
+uniform sampler2D labels;   // the colour of each object
+uniform mat3 rotation;
+uniform vec3 center;
+uniform vec2 focal;
+uniform vec2 principal;
+uniform vec2 size;
+uniform int degree;
+uniform float painted;      // share of the label's colour
+uniform vec3 chosen;        // what the chosen object is tinted with
+
+layout(location = 0) in uint splat;
+
+flat out vec2 middle;
+flat out vec3 conic;        // B, Y and the determinant
+flat out vec4 shade;        // colour and opacity
+
+const int WIDTH = 2048;
+const int OBJECTS_WIDE = 1024;
+const float LOW_PASS = 0.3;
+const float ALPHA_MIN = 1.0 / 255.0;
+
+ivec2 texel(int k) {
+    int at = 4 * int(splat) + k;
+    return ivec2(at % WIDTH, at / WIDTH);
+}
+
+// Basis functions of degrees 1 to 3, in 3DGS's sign and order.
+void harmonics(vec3 d, out float b[15]) {
+    float x = d.x, y = d.y, z = d.z;
+    float xx = x * x, yy = y * y, zz = z * z;
+    b[0] = -0.4886025 * y;
+    b[1] = 0.4886025 * z;
+    b[2] = -0.4886025 * x;
+    b[3] = 1.0925484 * x * y;
+    b[4] = -1.0925484 * y * z;
+    b[5] = 0.31539157 * (2.0 * zz - xx - yy);
+    b[6] = -1.0925484 * x * z;
+    b[7] = 0.54627422 * (xx - yy);
+    b[8] = -0.59004359 * y * (3.0 * xx - yy);
+    b[9] = 2.8906114 * x * y * z;
+    b[10] = -0.4570458 * y * (4.0 * zz - xx - yy);
+    b[11] = 0.37317633 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy);
+    b[12] = -0.4570458 * x * (4.0 * zz - xx - yy);
+    b[13] = 1.4453057 * z * (xx - yy);
+    b[14] = -0.59004359 * x * (xx - 3.0 * yy);
+}
+
+vec3 colourFrom(vec3 direction, float scale) {
+    vec3 base = uintBitsToFloat(texelFetch(colours, texel(3), 0).xyz);
+    vec3 sum = vec3(0.0);
+    if (degree > 0) {
+        uint words[12];
+        for (int k = 0; k < 3; k++) {
+            uvec4 four = texelFetch(colours, texel(k), 0);
+            words[4 * k] = four.x;
+            words[4 * k + 1] = four.y;
+            words[4 * k + 2] = four.z;
+            words[4 * k + 3] = four.w;
+        }
+        float b[15];
+        harmonics(direction, b);
+        int terms = (degree + 1) * (degree + 1) - 1;
+        for (int k = 0; k < terms; k++) {
+            for (int c = 0; c < 3; c++) {
+                int at = 3 * k + c;
+                // The sign comes with the highest bit of the byte.
+                int value = int(words[at >> 2] << (24 - 8 * (at & 3))) >> 24;
+                sum[c] += b[k] * float(value);
+            }
+        }
+    }
+    return max(vec3(0.0), 0.2820948 * base + 0.5 + scale * sum);
+}
+
+void main() {
+    vec4 centre = texelFetch(geometry, texel(0), 0);
+    vec4 axes[3] = vec4[3](
+        texelFetch(geometry, texel(1), 0), texelFetch(geometry, texel(2), 0), texelFetch(geometry, texel(3), 0));
+    int place = int(axes[0].w + 0.5);
+    ivec2 object = ivec2(place % OBJECTS_WIDE, place / OBJECTS_WIDE);
+    vec4 offset = texelFetch(offsets, object, 0);
+    vec3 toward = centre.xyz + offset.xyz - center;
+    vec3 p = rotation * toward;
+    float opacity = centre.w;
+
+    vec2 low = -(0.15 * size + principal) / focal;
+    vec2 high = (1.15 * size - principal) / focal;
+    vec2 bent = clamp(p.xy / p.z, low, high);
+    vec3 m1, m2;
+    for (int j = 0; j < 3; j++) {
+        vec3 a = rotation * axes[j].xyz;
+        m1[j] = focal.x / p.z * (a.x - bent.x * a.z);
+        m2[j] = focal.y / p.z * (a.y - bent.y * a.z);
+    }
+    float X = dot(m1, m1) + LOW_PASS;
+    float Y = dot(m2, m2) + LOW_PASS;
+    float B = dot(m1, m2);
+    vec3 across = cross(m1, m2);
+    float determinant = dot(across, across) + LOW_PASS * (X + Y) - LOW_PASS * LOW_PASS;
+
+    // Where alpha falls to ALPHA_MIN.
+    float reach = 2.0 * log(opacity / ALPHA_MIN);
+    if (!(reach > 0.0) || p.z <= 0.0) {
+        gl_Position = vec4(2.0, 2.0, 0.0, 1.0);
+        return;
+    }
+    float spread = length(vec2(0.5 * (X - Y), B));
+    float longest = 0.5 * (X + Y) + spread;
+    float shortest = determinant / longest;
+    vec2 along = X >= Y ? vec2(longest - Y, B) : vec2(B, longest - X);
+    along = spread > 1e-6 * longest ? normalize(along) : vec2(1.0, 0.0);
+    vec2 corner = vec2(float(gl_VertexID & 1), float(gl_VertexID >> 1)) * 2.0 - 1.0;
+    vec2 lengths = sqrt(reach * vec2(longest, shortest)) + 0.5;
+    middle = focal * p.xy / p.z + principal;
+    vec2 at = middle + corner.x * lengths.x * along + corner.y * lengths.y * vec2(-along.y, along.x);
+    gl_Position = vec4((2.0 * at / size - 1.0) * vec2(1.0, -1.0), 0.0, 1.0);
+
+    conic = vec3(B, Y, determinant);
+    vec3 colour = painted < 1.0 ? colourFrom(normalize(toward), axes[1].w) : vec3(0.0);
+    colour = mix(colour, texelFetch(labels, object, 0).rgb, painted);
+    shade = vec4(mix(colour, chosen, 0.4 * offset.w), opacity);
+}
