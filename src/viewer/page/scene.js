@@ -39,47 +39,52 @@ class Scene {
     this.colours = new Uint32Array(FLOATS * n);
     const bytes = new Int8Array(this.colours.buffer);
     const floats = new Float32Array(this.colours.buffer);
-    for (let i = 0; i < n; i++) {
-      const row = FLOATS * i;
+    for (let i = 0, row = 0; i < n; i++, row += FLOATS) {
       for (let k = 0; k < 3; k++) {
         this.geometry[row + k] = means[3 * i + k];
         floats[row + 12 + k] = base[3 * i + k] * BASE_STEP;
       }
       this.geometry[row + OPACITY] = opacities[i] / 65535;
-      this.axes(row, rotations.subarray(4 * i, 4 * i + 4), scales.subarray(3 * i, 3 * i + 3));
+      this.setAxes(row, rotations, 4 * i, scales, 3 * i);
       this.geometry[row + OBJECT] = labels[i];
       this.geometry[row + 11] = terms ? Math.exp(spread[i] * LOG_STEP) / 127 : 0;
-      bytes.set(rest.subarray(3 * terms * i, 3 * terms * (i + 1)), 4 * row);
+      const bytesAt = 4 * row - 3 * terms * i;
+      for (let k = 3 * terms * i; k < 3 * terms * (i + 1); k++) bytes[bytesAt + k] = rest[k];
     }
   }
 
   /** Columns of the rotation (w, x, y, z), each as long as its standard deviation. */
-  axes(row, [w, x, y, z], scales) {
-    const s = 2 / Math.max(w * w + x * x + y * y + z * z, 1);
-    const columns = [
-      [1 - s * (y * y + z * z), s * (x * y + w * z), s * (x * z - w * y)],
-      [s * (x * y - w * z), 1 - s * (x * x + z * z), s * (y * z + w * x)],
-      [s * (x * z + w * y), s * (y * z - w * x), 1 - s * (x * x + y * y)],
-    ];
-    columns.forEach((column, j) => {
-      const length = Math.exp(scales[j] * LOG_STEP);
-      column.forEach((v, k) => (this.geometry[row + 4 + 4 * j + k] = length * v));
-    });
-  }
-
-  objectOf(i) {
-    return this.geometry[FLOATS * i + OBJECT];
+  setAxes(row, rotations, q, scales, s) {
+    const [w, x, y, z] = [rotations[q], rotations[q + 1], rotations[q + 2], rotations[q + 3]];
+    const twice = 2 / Math.max(w * w + x * x + y * y + z * z, 1);
+    const [a, b, c] = [0, 1, 2].map((j) => Math.exp(scales[s + j] * LOG_STEP));
+    const out = this.geometry;
+    out[row + 4] = a * (1 - twice * (y * y + z * z));
+    out[row + 5] = a * twice * (x * y + w * z);
+    out[row + 6] = a * twice * (x * z - w * y);
+    out[row + 8] = b * twice * (x * y - w * z);
+    out[row + 9] = b * (1 - twice * (x * x + z * z));
+    out[row + 10] = b * twice * (y * z + w * x);
+    out[row + 12] = c * twice * (x * z + w * y);
+    out[row + 13] = c * twice * (y * z - w * x);
+    out[row + 14] = c * (1 - twice * (x * x + y * y));
   }
 
   /** The scene in the page. */
   static embedded() {
     const header = JSON.parse(document.getElementById("header").textContent);
     const text = document.getElementById("columns").textContent.trim();
-    const decoded = Uint8Array.fromBase64
-      ? Uint8Array.fromBase64(text)
-      : Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-    return new Scene(header, decoded.buffer);
+    return new Scene(header, decoded(text).buffer);
   }
+}
+
+/** Bytes of base64. */
+function decoded(text) {
+  if (Uint8Array.fromBase64) return Uint8Array.fromBase64(text);
+  const characters = atob(text);
+  const bytes = new Uint8Array(characters.length);
+  for (let i = 0; i < bytes.length; i++) bytes[i] = characters.charCodeAt(i);
+  return bytes;
 }
 
 /** What the user has done to an object. */
