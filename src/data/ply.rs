@@ -92,9 +92,12 @@ impl PlyFile {
         let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
         let mut file = BufReader::with_capacity(1 << 20, file);
         let first = file.fill_buf().map_err(|e| Error::io(path, "read", e))?;
-        if let Some(kind) = file_kind::by_first_bytes(first).filter(|kind| *kind != "a PLY file") {
+        // What begins like one, and breaks off or has other line ends, is told as a bad header.
+        let kind = file_kind::by_first_bytes(first).or_else(|| first.starts_with(b"ply").then_some("a PLY file"));
+        if kind != Some("a PLY file") {
+            let found = kind.unwrap_or(if first.is_empty() { "an empty file" } else { "another kind of file" });
             let mend = "give the .ply file, such as the scene.ply of a run";
-            return Err(Error::input(path, "first bytes", kind, "a PLY file", mend));
+            return Err(Error::input(path, "first bytes", found, "a PLY file", mend));
         }
         let mut reader = Reader::new(file);
         let header = Parser::<Row<0>>::new().read_header(&mut reader).map_err(|e| {
@@ -257,7 +260,9 @@ fn size_of_scalar(t: &PropertyType) -> usize {
 fn what(message: &str) -> String {
     let first = message.lines().next().unwrap_or_default();
     let detail = message.rsplit_once("Error: ").map_or("", |(_, detail)| detail.lines().next().unwrap_or_default());
-    [first, detail].join(" ").trim().chars().take(300).collect()
+    let text = [first, detail].join(" ");
+    // The rest is the parser's own bookkeeping.
+    text.split("ParseError {").next().unwrap_or_default().trim().chars().take(300).collect()
 }
 
 /// Writes one element `vertex` as binary little-endian PLY. `fill(i, row)` sets the cells of row `i`.

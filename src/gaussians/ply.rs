@@ -94,6 +94,7 @@ pub fn write(path: &Path, gaussians: &Gaussians, origin: DVec3, labels: Option<&
 /// u16; [`Error::Io`].
 pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
     let file = PlyFile::open(path, "vertex", limits)?;
+    expect_gaussians(&file)?;
     let sh_degree = sh_degree(&file)?;
     let labelled = file.scalar("label").is_some();
     let rest = (sh_degree + 1).pow(2) - 1;
@@ -153,6 +154,20 @@ fn column_names(sh_degree: usize, labelled: bool) -> Vec<String> {
     names.extend(numbered("rot", 4));
     names.extend(labelled.then(|| "label".into()));
     names
+}
+
+/// [`Error::Input`] for the kinds of PLY files that get mixed up with 3DGS's.
+fn expect_gaussians(file: &PlyFile) -> Result<()> {
+    let expected = "3D Gaussians: x y z, f_dc_*, opacity, scale_*, rot_*";
+    let has = |name: &str| file.scalar(name).is_some();
+    let (found, mend) = if has("packed_position") {
+        ("a compressed scene", "uncompress it: splat-transform scene.compressed.ply scene.ply")
+    } else if has("x") && !has("f_dc_0") && !has("opacity") {
+        ("a point cloud", "give the Gaussians that were trained on it; as initial points a scene folder takes it")
+    } else {
+        return Ok(());
+    };
+    Err(file.error("element vertex", found, expected, mend))
 }
 
 fn sh_degree(file: &PlyFile) -> Result<usize> {

@@ -333,6 +333,29 @@ fn clouds_are_read_in_every_encoding_and_colour_type() {
     assert_eq!((points.positions, points.colors), (vec![[1.0, 2.0, 3.0]], vec![[0.5; 3]]));
 }
 
+#[test]
+fn files_that_are_taken_for_scenes_are_named() {
+    let dir = tempfile::tempdir().expect("folder");
+    let path = dir.path().join("scene.ply");
+    let header = |columns: &[&str]| {
+        let columns: String = columns.iter().map(|c| format!("property float {c}\n")).collect();
+        format!("ply\nformat ascii 1.0\nelement vertex 1\n{columns}end_header\n")
+    };
+    let cases = [
+        (String::new(), "an empty file"),
+        ("some notes\n".to_owned(), "another kind of file"),
+        ("{}".to_owned(), "JSON"),
+        (header(&["packed_position", "packed_rotation"]), "a compressed scene"),
+        (header(&["x", "y", "z", "red", "green", "blue"]), "a point cloud"),
+        ("ply\nformat ascii 1.0\nelement vertex x\n".to_owned(), "line 3"),
+    ];
+    for (text, found) in cases {
+        fs::write(&path, text).expect("write");
+        let message = read(&path, &Limits::default()).expect_err("an error").to_string();
+        assert!(message.contains(found) && !message.contains("ParseError"), "{message}");
+    }
+}
+
 /// `cargo test --release --test suite ply_speed -- --ignored --nocapture`
 #[test]
 #[ignore = "a measurement"]
