@@ -9,8 +9,9 @@ class Page {
   constructor() {
     this.scene = Scene.embedded();
     this.canvas = document.getElementById("picture");
-    const shaders = JSON.parse(document.getElementById("shaders").textContent);
-    this.renderer = new Renderer(this.canvas, this.scene, shaders);
+    this.shaders = JSON.parse(document.getElementById("shaders").textContent);
+    this.renderer = new Renderer(this.canvas, this.scene, this.shaders);
+    this.outliveContext();
     this.order = new DepthOrder(this.scene);
     this.objects = this.scene.objects.map(() => new ObjectState());
     this.chosen = -1;
@@ -32,6 +33,18 @@ class Page {
     if (this.bare) this.draw();
     else this.listen();
     this.panel.update();
+  }
+
+  /** A browser may take the graphics back, and gives them again empty. */
+  outliveContext() {
+    this.canvas.addEventListener("webglcontextlost", (e) => {
+      e.preventDefault();
+      this.renderer = null;
+    });
+    this.canvas.addEventListener("webglcontextrestored", () => {
+      this.renderer = new Renderer(this.canvas, this.scene, this.shaders);
+      this.draw();
+    });
   }
 
   /** `#view=NAME&mode=labels`, and `&bare` for the picture alone, of the camera's own size. */
@@ -113,6 +126,7 @@ class Page {
   }
 
   draw(moving = false) {
+    if (!this.renderer) return;
     const ratio = this.bare ? 1 : Math.min(window.devicePixelRatio || 1, 2);
     const camera = this.fitted;
     const [width, height] = [camera.width, camera.height].map((v) => Math.max(1, Math.round(v * ratio)));
