@@ -70,6 +70,7 @@ pub mod features;
 pub mod gaussians;
 #[cfg(feature = "cube")]
 mod gpu;
+pub mod mask;
 pub mod metrics;
 pub mod objects;
 pub mod ops;

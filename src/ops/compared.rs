@@ -2,9 +2,11 @@
 
 use super::Photo;
 #[cfg(feature = "cube")]
-use crate::gpu::Resident;
+use super::gpu::DeviceBytes;
+use super::photo::CHANNELS;
 #[cfg(feature = "cube")]
-use burn_cubecl::tensor::CubeTensor;
+use crate::gpu::Resident;
+use crate::mask::Mask;
 use image::RgbImage;
 use std::sync::Arc;
 
@@ -13,8 +15,10 @@ use std::sync::Arc;
 #[derive(Clone, Debug, PartialEq)]
 pub struct PackedPhoto {
     pixels: Arc<RgbImage>,
+    /// Pixels that are left out are black.
+    pub(super) mask: Option<Mask>,
     #[cfg(feature = "cube")]
-    pub(super) resident: Resident<CubeTensor>,
+    pub(super) resident: Resident<DeviceBytes>,
 }
 
 impl PackedPhoto {
@@ -22,9 +26,22 @@ impl PackedPhoto {
     pub fn new(pixels: Arc<RgbImage>) -> Self {
         Self {
             pixels,
+            mask: None,
             #[cfg(feature = "cube")]
             resident: Resident::default(),
         }
+    }
+
+    /// As [`PackedPhoto::new`], and what `mask` leaves out counts for nothing, as in [`Photo::masked`].
+    ///
+    /// # Panics
+    /// If the mask has another size.
+    pub fn masked(pixels: &RgbImage, mask: Mask) -> Self {
+        let mut pixels = pixels.clone();
+        let size = (pixels.width() as usize, pixels.height() as usize);
+        assert_eq!((mask.width(), mask.height()), size, "photo: mask against pixels");
+        mask.fill(&mut pixels, CHANNELS, 0);
+        Self { mask: Some(mask), ..Self::new(Arc::new(pixels)) }
     }
 
     /// (height, width) in pixels.
@@ -40,7 +57,11 @@ impl PackedPhoto {
     /// The same photo, prepared on the host.
     pub fn prepared(&self) -> Photo {
         let (height, width) = self.size();
-        Photo::new(self.pixels.as_raw().iter().map(|&v| f32::from(v) / 255.0).collect(), height, width)
+        let rgb = self.pixels.as_raw().iter().map(|&v| f32::from(v) / 255.0).collect();
+        match &self.mask {
+            Some(mask) => Photo::masked(rgb, height, width, mask.clone()),
+            None => Photo::new(rgb, height, width),
+        }
     }
 
     /// `[H, W, 3]` values row by row, four to a word, the first one lowest; the last word is filled up with zeros.

@@ -20,6 +20,7 @@ mod host;
 mod label_loss;
 pub(crate) mod matmul;
 mod neighbour_divergence;
+mod photo;
 mod photometric;
 #[cfg(feature = "cube")]
 pub(crate) mod position_noise;
@@ -54,7 +55,8 @@ pub(crate) use host::real_kernel;
 pub use host::{HostBackend, HostKernels, HostValues, host_fallbacks};
 pub use label_loss::{Kind, LabelLossBackend, UNLABELLED, label_loss};
 pub use neighbour_divergence::{DivergenceBackend, NeighbourPairs, neighbour_divergence, neighbour_divergence_plain};
-pub use photometric::{Photo, PhotometricBackend, photometric_loss, photometric_loss_plain};
+pub use photo::Photo;
+pub use photometric::{PhotometricBackend, photometric_loss, photometric_loss_plain};
 pub use real::Real;
 pub use rows::{RowBackend, RowMap, StartOfNew, take_rows};
 pub use screen_gradient::{ScreenGradientBackend, add_screen_gradients};

@@ -150,6 +150,7 @@ mod on_gpu {
     use super::*;
     use crate::gpu;
     use burn::tensor::{DType, Device};
+    use coseg::mask::Mask;
     use coseg::ops::{Compared, host_fallbacks};
 
     fn widen(values: &[f32]) -> Vec<f64> {
@@ -255,6 +256,43 @@ mod on_gpu {
         let x = narrow(&picture(33, 47, 0.0));
         let values = Arc::new(Photo::new(y, 33, 47));
         assert_eq!(run(&device, &x, photo, 0.0, 1.0, false), run(&device, &x, values, 0.0, 1.0, false));
+        assert_eq!(host_fallbacks(), before, "tensors went to the host");
+    }
+
+    #[test]
+    fn what_a_mask_leaves_out_counts_for_nothing_on_a_gpu() {
+        let Some(device) = gpu() else { return };
+        let before = host_fallbacks();
+        for (height, width) in [(1, 1), (5, 7), (17, 33), (151, 161)] {
+            let (_, y) = packed(height, width, 0.4);
+            let bytes = y.iter().map(|v| (v * 255.0).round() as u8).collect();
+            let pixels = image::RgbImage::from_raw(width as u32, height as u32, bytes).expect("as many bytes");
+            let x = narrow(&picture(height, width, 0.0));
+            let part = Mask::new(width, height, |i| i % width > width / 3 || i % 13 == 0);
+            for mask in [part, Mask::new(width, height, |_| true)] {
+                let host = Photo::masked(widen(&y), height, width, mask.clone());
+                let photos: [Compared; 2] = [
+                    Arc::new(Photo::masked(y.clone(), height, width, mask.clone())).into(),
+                    Arc::new(PackedPhoto::masked(&pixels, mask.clone())).into(),
+                ];
+                for (photo, weight) in photos.iter().flat_map(|photo| [0.0, 0.2, 1.0].map(|weight| (photo, weight))) {
+                    let (want_loss, want) = host.compare(&widen(&x), weight);
+                    let (loss, gradient) = run(&device, &x, photo.clone(), weight, 1.0, false);
+                    assert!((f64::from(loss) - want_loss).abs() < 5e-7 * want_loss.max(weight), "{loss} {want_loss}");
+                    let off = gradient.iter().zip(&want).map(|(&g, w)| f64::from(g) - w);
+                    assert!(largest(off) < 1e-5 * largest(want.iter().copied()).max(1e-9));
+                    let hidden = gradient.chunks(3).enumerate().filter(|(i, _)| !mask.uses(*i));
+                    assert!(hidden.into_iter().all(|(_, pixel)| pixel == [0.0; 3]), "exactly zero");
+                    if mask.left_out() == 0 {
+                        let bare = Arc::new(Photo::new(y.clone(), height, width));
+                        let packed = Arc::new(PackedPhoto::new(Arc::new(pixels.clone())));
+                        let whole: Compared =
+                            if matches!(photo, Compared::Packed(_)) { packed.into() } else { bare.into() };
+                        assert_eq!(run(&device, &x, whole, weight, 1.0, false), (loss, gradient));
+                    }
+                }
+            }
+        }
         assert_eq!(host_fallbacks(), before, "tensors went to the host");
     }
 

@@ -17,7 +17,7 @@ mod sparse;
 mod sum;
 mod tile_window;
 
-pub(super) use photo::DevicePhoto;
+pub(super) use photo::{DeviceBytes, DevicePhoto};
 pub(super) use sparse::DeviceMatrix;
 
 use burn::tensor::DType;

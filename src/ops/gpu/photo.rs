@@ -2,7 +2,8 @@
 
 use super::tile_window::{PLANE, ROWS, SIDE, cubes, own_place, place, windowed};
 use crate::gpu::{Gpu, UNITS, arg};
-use crate::ops::photometric::CHANNELS;
+use crate::mask::Mask;
+use crate::ops::photo::CHANNELS;
 use crate::ops::{Compared, Photo};
 use burn::tensor::DType;
 use burn_cubecl::cubecl::{self, prelude::*};
@@ -58,6 +59,36 @@ fn moments_of(photo: &[u32], mean: &mut [f32], variance: &mut [f32], width: u32,
     }
 }
 
+/// `values` (`[pixels, CHANNELS]`) of the pixels whose bit is set, and zeros for the others.
+#[cube(launch)]
+fn used_of(values: &[f32], bits: &[u32], out: &mut [f32], count: u32) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    let pixel = i / CHANNELS;
+    let mut value = values[i];
+    if (bits[pixel / 32] >> (pixel as u32 % 32) & 1u32) == 0u32 {
+        value = 0.0f32;
+    }
+    out[i] = value;
+}
+
+/// The pixels of an image that a mask uses; the others are black.
+pub(super) fn used(gpu: &Gpu, image: &CubeTensor, bits: &CubeTensor) -> CubeTensor {
+    let values = image.meta.num_elements();
+    let out = gpu.floats(image.meta.shape().clone());
+    used_of::launch(&gpu.client, gpu.cubes_for(values), gpu.dim(), arg(image), arg(bits), arg(&out), values as u32);
+    out
+}
+
+/// The bytes of a photo in words, and the bits of its mask.
+#[derive(Clone)]
+pub(in crate::ops) struct DeviceBytes {
+    words: CubeTensor,
+    mask: Option<CubeTensor>,
+}
+
 /// A photo with its windowed moments.
 #[derive(Clone)]
 pub(in crate::ops) struct DevicePhoto {
@@ -66,17 +97,19 @@ pub(in crate::ops) struct DevicePhoto {
     pub(super) packed: bool,
     pub(super) mean: CubeTensor,
     pub(super) variance: CubeTensor,
+    /// Bits of the pixels that are used, where some are left out.
+    pub(super) mask: Option<CubeTensor>,
 }
 
 impl DevicePhoto {
     fn upload(gpu: &Gpu, photo: &Photo) -> Self {
         let upload = |values| gpu.upload::<f32>(values, DType::F32);
         let [rgb, mean, variance] = [&photo.rgb, &photo.mean, &photo.variance].map(|values| upload(values));
-        Self { rgb, packed: false, mean, variance }
+        Self { rgb, packed: false, mean, variance, mask: bits(gpu, photo.mask.as_ref()) }
     }
 
-    /// Of a photo's bytes in words.
-    fn of_bytes(gpu: &Gpu, words: CubeTensor, (height, width): (usize, usize)) -> Self {
+    /// Of a photo's bytes.
+    fn of_bytes(gpu: &Gpu, DeviceBytes { words, mask }: DeviceBytes, (height, width): (usize, usize)) -> Self {
         let [mean, variance] = [0; 2].map(|_| gpu.floats([height, width, CHANNELS]));
         let cubes = cubes(height, width);
         moments_of::launch(
@@ -90,7 +123,7 @@ impl DevicePhoto {
             height as u32,
             cubes as u32,
         );
-        Self { rgb: words, packed: true, mean, variance }
+        Self { rgb: words, packed: true, mean, variance, mask }
     }
 
     /// `photo` on the device, uploaded when it is first seen there.
@@ -98,11 +131,18 @@ impl DevicePhoto {
         match photo {
             Compared::Prepared(photo) => photo.resident.on(gpu, || Self::upload(gpu, photo)),
             Compared::Packed(photo) => {
-                let words = photo.resident.on(gpu, || gpu.upload(&photo.words(), DType::U32));
-                Self::of_bytes(gpu, words, photo.size())
+                let bytes = photo.resident.on(gpu, || DeviceBytes {
+                    words: gpu.upload(&photo.words(), DType::U32),
+                    mask: bits(gpu, photo.mask.as_ref()),
+                });
+                Self::of_bytes(gpu, bytes, photo.size())
             }
         }
     }
+}
+
+fn bits(gpu: &Gpu, mask: Option<&Mask>) -> Option<CubeTensor> {
+    Some(gpu.upload(mask?.words(), DType::U32))
 }
 
 #[cfg(test)]

@@ -4,12 +4,13 @@
 //! kernel's results from the neighbouring tiles. Each leaves a sum a cube, and one last cube adds these up.
 
 use super::covers;
-use super::photo::{DevicePhoto, value_at};
+use super::photo::{DevicePhoto, used, value_at};
 use super::sum::{sum, sum_cube};
 use super::tile_window::{PLANE, ROWS, SIDE, cubes, own_place, place, windowed};
 use crate::gpu::{Gpu, UNITS, arg};
 use crate::ops::Compared;
-use crate::ops::photometric::{C1, C2, CHANNELS, PhotometricBackend, on_host};
+use crate::ops::photo::{C1, C2, CHANNELS};
+use crate::ops::photometric::{PhotometricBackend, on_host};
 use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::FloatTensor;
 use burn::tensor::Shape;
@@ -217,7 +218,10 @@ impl PhotometricBackend for CubeBackend {
             return on_host::loss::<Self>(image, &photo, ssim_weight);
         }
         assert_eq!(image.meta.num_elements(), values, "photometric loss: image against photo");
-        DevicePhoto::of(&gpu, &photo).compare(&gpu, &into_contiguous(image), photo.size(), ssim_weight)
+        let (image, size, photo) = (into_contiguous(image), photo.size(), DevicePhoto::of(&gpu, &photo));
+        let Some(bits) = &photo.mask else { return photo.compare(&gpu, &image, size, ssim_weight) };
+        let (loss, gradient) = photo.compare(&gpu, &used(&gpu, &image, bits), size, ssim_weight);
+        (loss, used(&gpu, &gradient, bits))
     }
 
     fn photometric_scale(gradient: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self> {
