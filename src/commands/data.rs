@@ -143,6 +143,9 @@ fn print(info: &Info) {
     if info.distorted > 0 {
         say("distorted", format!("{} photos, undistorted on loading", info.distorted));
     }
+    if info.masked > 0 {
+        say("masks", format!("{} views, {:.2} % of all pixels left out", info.masked, 100.0 * info.left_out));
+    }
     let c = &info.cameras;
     let numbers = |v: [f64; 3]| v.map(|v| format!("{v:.3}")).join(" ");
     say(

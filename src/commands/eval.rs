@@ -173,8 +173,7 @@ fn score<'s>(
     for view in scene.split(Split::Test) {
         let View { camera, truth, instances, .. } = view;
         let rendered = render(&ply.gaussians, camera, &settings, config.raster.background)?;
-        let scores = ImageScores::of(&rendered.rgb, &view.rgb()?, camera.width, camera.height);
-        images.insert(view.name.clone(), scores);
+        images.insert(view.name.clone(), ImageScores::of_view(&rendered.rgb, view)?);
         if let (true, Some(stored)) = (truth.is_some() || instances.is_some(), stored) {
             let projected = Projected::new(&ply.gaussians.splats(), camera, &settings)?;
             let found = match stored {

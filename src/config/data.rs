@@ -19,6 +19,9 @@ pub struct DataConfig {
     pub images: String,
     /// Folder of raw labels within `dir`; replaces the folder named in the frames. Empty: as the frames say.
     pub raw_labels: String,
+    /// Folder of masks within `dir`, PNG named as their photos, black where a photo is left out; replaces those that the
+    /// frames name. Empty: as the frames say, or `masks`, of layout `colmap`.
+    pub masks: String,
     /// Where the raw labels come from, for the report: a network's name, or that they are simulated. Empty: nothing is
     /// said, but for the built-in scene, whose raw labels are simulated.
     pub raw_labels_note: String,
@@ -52,6 +55,7 @@ impl Default for DataConfig {
             transforms: "transforms.json".into(),
             images: "images".into(),
             raw_labels: String::new(),
+            masks: String::new(),
             raw_labels_note: String::new(),
             raw_format: RawFormat::Auto,
             association: Association::None,

@@ -61,12 +61,21 @@ impl Config {
         let mend = "leave the key out for the default";
         let most = "whole megabytes, at most 2^24";
         check.that(self.data.decoded_mb <= 1 << 24, "data.decoded_mb", self.data.decoded_mb, most, mend);
+        self.validate_masks(&mut check);
         self.validate_building(&mut check);
         self.validate_raster(&mut check);
         self.validate_association(&mut check);
         self.validate_features(&mut check);
         self.validate_segmentation(&mut check);
         check.0
+    }
+
+    /// Photos and label maps would pass for masks.
+    fn validate_masks(&self, check: &mut Check) {
+        let d = &self.data;
+        let same = [&d.images, &d.raw_labels].into_iter().any(|other| !d.masks.is_empty() && *other == d.masks);
+        let expected = "a folder other than data.images and data.raw_labels";
+        check.that(!same, "data.masks", &d.masks, expected, "name the folder of masks, or leave the key out");
     }
 
     fn validate_building(&self, check: &mut Check) {

@@ -28,6 +28,20 @@ pub(super) fn of_sizes(listing: &Listing, most: usize) -> Option<String> {
         .then(|| format!("{count} photos have more than {most} pixels a side and are reduced to that (data.max_side)"))
 }
 
+/// How many photos have no mask where others have one, or a folder holds masks; `folder` is where these would lie.
+pub(super) fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<String> {
+    let without: Vec<&Frame> = listing.frames.iter().filter(|frame| frame.mask.is_none()).collect();
+    let all = listing.frames.len();
+    match folder {
+        _ if without.is_empty() => None,
+        Some(folder) if without.len() == all => Some(format!(
+            "no photo has a mask in {folder}, and all are used whole: masks of a.jpg are named a.png or a.jpg.png"
+        )),
+        _ if without.len() == all => None,
+        _ => Some(format!("{} of {all} photos have no mask and are used whole: {}", without.len(), named(&without))),
+    }
+}
+
 /// What poses and intrinsics say.
 pub(super) fn of_cameras(listing: &Listing) -> Vec<String> {
     let posed: Vec<&Frame> = listing.frames.iter().filter(|frame| frame.posed).collect();

@@ -86,10 +86,12 @@ fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOp
     };
     let mut void = None;
     if let Some(geometry) = &geometry {
-        problems.keep(listing.truth(frame, geometry, known, limits));
-        let raw = problems.keep(listing.raw(frame, geometry, known, limits)).flatten();
+        let mask = problems.keep(listing.mask(frame, geometry, limits)).flatten();
+        let mask = mask.as_ref();
+        problems.keep(listing.truth(frame, geometry, known, limits, mask));
+        let raw = problems.keep(listing.raw(frame, geometry, known, limits, mask)).flatten();
         void = raw.map(|raw| raw.map.ids.iter().all(|&id| id == listing.unlabelled()));
-        problems.keep(listing.instances(frame, geometry, limits));
+        problems.keep(listing.instances(frame, geometry, limits, mask));
     }
     (problems.all(), void)
 }

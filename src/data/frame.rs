@@ -27,6 +27,8 @@ pub(crate) struct Frame {
     pub lens: Lens,
     /// A photo of another size is taken, and the camera scaled to it.
     pub scales: bool,
+    /// Which pixels count; all of them without one.
+    pub mask: Option<PathBuf>,
     pub truth: Option<PathBuf>,
     /// Raw labels: a map, or a folder of masks.
     pub raw: Option<PathBuf>,

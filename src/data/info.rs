@@ -28,6 +28,10 @@ pub struct Info {
     pub sizes: Vec<(usize, usize, usize)>,
     /// Photos with lens distortion, which loading takes out.
     pub distorted: usize,
+    /// Views with masks.
+    pub masked: usize,
+    /// Share of the pixels of all views that masks leave out, 0 to 1.
+    pub left_out: f64,
     /// Where the cameras are.
     pub cameras: CameraBox,
     /// Points of the initial cloud.
@@ -78,6 +82,8 @@ pub struct ClassShare {
 struct Looked {
     size: (usize, usize),
     distorted: bool,
+    /// Pixels that a mask leaves out.
+    left_out: usize,
     /// Pixels of each class in the true and in the raw labels.
     counts: [BTreeMap<u16, u64>; 2],
     /// Raw segments, where ids are not classes.
@@ -105,6 +111,7 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
             counts.iter().for_each(|(id, n)| *sum.entry(*id).or_insert(0) += n);
         }
     }
+    let all_pixels: usize = looked.iter().map(|l| l.size.0 * l.size.1).sum();
     let mut sizes: Vec<_> = sizes.into_iter().map(|((w, h), n)| (w, h, n)).collect();
     sizes.sort_by_key(|&(.., n)| std::cmp::Reverse(n));
     let totals = [0, 1].map(|i| pixels[i].values().sum::<u64>().max(1) as f64);
@@ -129,6 +136,8 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
         test: count(|frame| frame.split == Split::Test),
         sizes,
         distorted: looked.iter().filter(|l| l.distorted).count(),
+        masked: count(|frame| frame.mask.is_some()),
+        left_out: looked.iter().map(|l| l.left_out).sum::<usize>() as f64 / all_pixels.max(1) as f64,
         cameras: camera_box(&listing),
         points: listing.points(listing.origin(), &options.limits)?.len(),
         labelled: count(|frame| frame.truth.is_some()),
@@ -152,10 +161,13 @@ fn look(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) 
     let (file, geometry) = frame.open(&listing.file, &options.limits)?;
     let mut counts: [BTreeMap<u16, u64>; 2] = Default::default();
     let mut segments = 0;
-    if let Some(map) = listing.truth(frame, &geometry, known, &options.limits)? {
+    let mask = listing.mask(frame, &geometry, &options.limits)?;
+    if let Some(map) = listing.truth(frame, &geometry, known, &options.limits, mask.as_ref())? {
         counts[0] = pixels_by_id(&map);
     }
-    if let Some(RawMap { map, segments: told }) = listing.raw(frame, &geometry, known, &options.limits)? {
+    if let Some(RawMap { map, segments: told }) =
+        listing.raw(frame, &geometry, known, &options.limits, mask.as_ref())?
+    {
         let pixels = pixels_by_id(&map);
         if listing.raw.are_segments() {
             segments = pixels.keys().filter(|id| **id != 0).count();
@@ -167,7 +179,8 @@ fn look(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) 
             counts[1] = pixels;
         }
     }
-    Ok(Looked { size: file.size, distorted: !frame.lens.is_pinhole(), counts, segments })
+    let left_out = mask.map_or(0, |mask| mask.left_out());
+    Ok(Looked { size: file.size, distorted: !frame.lens.is_pinhole(), left_out, counts, segments })
 }
 
 fn pixels_by_id(map: &LabelMap) -> BTreeMap<u16, u64> {
@@ -194,7 +207,7 @@ pub struct Thumbnail {
     pub name: String,
     /// Train or test.
     pub split: Split,
-    /// The photo, undistorted.
+    /// The photo, undistorted; black where a mask leaves pixels out.
     pub photo: RgbImage,
     /// True labels, where there are none the raw ones; of the photo's size.
     pub labels: Option<LabelMap>,
@@ -211,13 +224,16 @@ pub fn thumbnails(dir: &Path, options: &LoadOptions, count: usize, width: u32) -
     let chosen: Vec<&Frame> = (0..count.min(all)).map(|i| &listing.frames[i * all / count.min(all)]).collect();
     let made = in_order(chosen.into_par_iter().map(|frame| {
         let (file, geometry) = frame.open(&listing.file, &options.limits)?;
-        let photo = geometry.photo(&file)?;
+        let mut photo = geometry.photo(&file)?;
+        let mask = listing.mask(frame, &geometry, &options.limits)?;
+        let mask = mask.as_ref();
+        mask.into_iter().for_each(|mask| mask.fill(&mut photo, 3, 0));
         let height = (u64::from(photo.height()) * u64::from(width) / u64::from(photo.width().max(1)))
             .clamp(1, 4 * u64::from(width));
         let photo = resize(&photo, width.max(1), height as u32, FilterType::Triangle);
-        let mut labels = listing.truth(frame, &geometry, &known, &options.limits)?;
+        let mut labels = listing.truth(frame, &geometry, &known, &options.limits, mask)?;
         if labels.is_none() {
-            labels = listing.raw(frame, &geometry, &known, &options.limits)?.map(|raw| raw.map);
+            labels = listing.raw(frame, &geometry, &known, &options.limits, mask)?.map(|raw| raw.map);
         }
         let labels = labels.map(|map| map.resized(photo.width() as usize, photo.height() as usize));
         Ok(Thumbnail { name: frame.name.clone(), split: frame.split, photo, labels })

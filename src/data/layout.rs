@@ -1,7 +1,7 @@
 //! Which layout a scene folder has.
 
 use super::listing::{Listing, Problems};
-use super::{LoadOptions, cautions, colmap, replica, scannet, transforms};
+use super::{LoadOptions, cautions, colmap, mask_file, replica, scannet, transforms};
 use crate::config::Layout;
 use crate::error::{Error, Result};
 use std::path::Path;
@@ -112,8 +112,11 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         Layout::Scannet => scannet::list(dir, options, problems),
     }?;
     let mut listing = listing.with_raw_labels(dir, options, problems);
-    listing
-        .notices
-        .extend(cautions::of_sizes(&listing, options.max_side).into_iter().chain(cautions::of_frames(&listing)));
+    let usual = (listing.layout == Layout::Colmap && dir.join(mask_file::USUAL).is_dir()).then_some(mask_file::USUAL);
+    let notices = [
+        cautions::of_sizes(&listing, options.max_side),
+        cautions::without_mask(&listing, options.masks.as_deref().or(usual)),
+    ];
+    listing.notices.extend(notices.into_iter().flatten().chain(cautions::of_frames(&listing)));
     Ok(listing)
 }

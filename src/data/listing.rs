@@ -9,6 +9,7 @@ use super::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Photo, PhotoCache
 use crate::camera::Camera;
 use crate::config::Layout;
 use crate::error::{Error, Result};
+use crate::mask::Mask;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -128,13 +129,14 @@ impl Listing {
         if self.raw.are_segments() { 0 } else { self.classes.ignore }
     }
 
-    /// The true labels as the view's camera sees them, in class ids.
+    /// The true labels as the view's camera sees them, in class ids; unlabelled where `mask` leaves pixels out.
     pub fn truth(
         &self,
         frame: &Frame,
         geometry: &Geometry,
         known: &[u16],
         limits: &Limits,
+        mask: Option<&Mask>,
     ) -> Result<Option<LabelMap>> {
         let Some(path) = &frame.truth else { return Ok(None) };
         let mut map = self.grey_map(path, frame, geometry, limits)?;
@@ -142,21 +144,34 @@ impl Listing {
             map.translate(path, ids)?;
         }
         map.settle_ids(path, &self.classes, known, "")?;
-        Ok(Some(geometry.labels(map)))
+        Ok(Some(geometry.labels(map).without(mask, self.classes.ignore)))
     }
 
-    /// The true instances as the view's camera sees them.
-    pub fn instances(&self, frame: &Frame, geometry: &Geometry, limits: &Limits) -> Result<Option<LabelMap>> {
+    /// The true instances as the view's camera sees them; none where `mask` leaves pixels out.
+    pub fn instances(
+        &self,
+        frame: &Frame,
+        geometry: &Geometry,
+        limits: &Limits,
+        mask: Option<&Mask>,
+    ) -> Result<Option<LabelMap>> {
         let Some(path) = &frame.instances else { return Ok(None) };
-        Ok(Some(geometry.labels(self.grey_map(path, frame, geometry, limits)?)))
+        Ok(Some(geometry.labels(self.grey_map(path, frame, geometry, limits)?).without(mask, 0)))
     }
 
-    /// The raw labels as the view's camera sees them.
-    pub fn raw(&self, frame: &Frame, geometry: &Geometry, known: &[u16], limits: &Limits) -> Result<Option<RawMap>> {
+    /// The raw labels as the view's camera sees them; unlabelled where `mask` leaves pixels out.
+    pub fn raw(
+        &self,
+        frame: &Frame,
+        geometry: &Geometry,
+        known: &[u16],
+        limits: &Limits,
+        mask: Option<&Mask>,
+    ) -> Result<Option<RawMap>> {
         let Some(path) = &frame.raw else { return Ok(None) };
         let check = |file: &ImageFile| self.check_map_size(file, frame, geometry);
         let raw = self.raw.read(path, &self.classes, known, limits, &check)?;
-        Ok(Some(RawMap { map: geometry.labels(raw.map), ..raw }))
+        Ok(Some(RawMap { map: geometry.labels(raw.map).without(mask, self.unlabelled()), ..raw }))
     }
 
     /// A grey label map of the size of its file.
@@ -217,13 +232,15 @@ impl Listing {
             let (file, geometry) = frame.open(&self.file, limits)?;
             let geometry = geometry.within(options.max_side);
             let image = Photo::in_file(&file, geometry.development(), limits, &cache)?;
-            let truth = self.truth(frame, &geometry, &known, limits)?.map(LabelRuns::from);
-            let raw = self.raw(frame, &geometry, &known, limits)?;
+            let mask = self.mask(frame, &geometry, limits)?;
+            let truth = self.truth(frame, &geometry, &known, limits, mask.as_ref())?.map(LabelRuns::from);
+            let raw = self.raw(frame, &geometry, &known, limits, mask.as_ref())?;
             let (raw, segments) = raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
-            let instances = self.instances(frame, &geometry, limits)?.map(LabelRuns::from);
+            let instances = self.instances(frame, &geometry, limits, mask.as_ref())?.map(LabelRuns::from);
             let camera = geometry.seen();
             let camera = Camera { center: camera.center - origin, ..camera };
-            Ok(View { name: frame.name.clone(), split: frame.split, camera, image, truth, raw, segments, instances })
+            let (name, split) = (frame.name.clone(), frame.split);
+            Ok(View { name, split, camera, image, mask, truth, raw, segments, instances })
         }))?;
         let points = self.points(origin, limits)?;
         let mut classes = self.classes.clone();
@@ -297,13 +314,23 @@ impl LabelFolder {
     /// The map of the photo that lies at `photo` below the folder of photos: the same path with `.png` for its
     /// extension or behind it, or its stem alone; or a folder of masks of one of these names without `.png`.
     pub fn of(&self, photo: &Path) -> Option<PathBuf> {
-        let expected = self.folder.join(photo).with_extension("png");
+        let files = self.files(photo);
+        let masks = files.iter().map(|path| path.with_extension("")).find(|path| path.is_dir());
+        let found = files.iter().find(|path| path.is_file()).cloned().or(masks);
+        found.or_else(|| files.into_iter().next().filter(|_| self.required))
+    }
+
+    /// [`LabelFolder::of`] where a folder of masks is none of the answers.
+    pub fn file_of(&self, photo: &Path) -> Option<PathBuf> {
+        self.files(photo).into_iter().find(|path| path.is_file())
+    }
+
+    /// Files that may be meant, the usual one first.
+    fn files(&self, photo: &Path) -> Vec<PathBuf> {
+        let usual = self.folder.join(photo).with_extension("png");
         let behind = format!("{}.png", photo.to_string_lossy());
         let stem = photo.file_stem().map(|stem| format!("{}.png", stem.to_string_lossy()));
         let others = [Some(behind), stem].into_iter().flatten().map(|name| self.folder.join(name));
-        let files: Vec<PathBuf> = std::iter::once(expected.clone()).chain(others).collect();
-        let masks = files.iter().map(|path| path.with_extension("")).find(|path| path.is_dir());
-        let found = files.into_iter().find(|path| path.is_file()).or(masks);
-        found.or_else(|| self.required.then_some(expected))
+        std::iter::once(usual).chain(others).collect()
     }
 }

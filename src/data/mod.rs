@@ -19,6 +19,7 @@ mod lens;
 mod limits;
 mod listing;
 mod manifest;
+mod mask_file;
 mod options;
 mod palette;
 mod photo;
@@ -47,6 +48,7 @@ pub use photo_cache::PhotoCache;
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
+use crate::mask::Mask;
 use glam::DVec3;
 use std::path::Path;
 
@@ -190,6 +192,8 @@ pub struct View {
     pub camera: Camera,
     /// The photo, 8-bit sRGB.
     pub image: Photo,
+    /// Which pixels count, where some are left out: these are not trained on, not scored, and unlabelled in the maps below.
+    pub mask: Option<Mask>,
     /// True labels, where known. Only for scoring.
     pub truth: Option<LabelRuns>,
     /// Raw labels of a 2D segmenter, where given. Those of test views only score the 2D baseline.

@@ -15,6 +15,8 @@ pub struct LoadOptions {
     pub images: String,
     /// Folder of raw labels within the scene folder, instead of the one that the frames or the layout name.
     pub raw_labels: Option<String>,
+    /// Folder of masks within the scene folder, instead of those that the frames or the layout name.
+    pub masks: Option<String>,
     /// How raw labels are stored.
     pub raw_format: RawFormat,
     /// Whether ids of raw labels are classes, or segments of their view that are to be put together.
@@ -48,6 +50,7 @@ impl From<&DataConfig> for LoadOptions {
             transforms: config.transforms.clone(),
             images: config.images.clone(),
             raw_labels: (!config.raw_labels.is_empty()).then(|| config.raw_labels.clone()),
+            masks: (!config.masks.is_empty()).then(|| config.masks.clone()),
             raw_format: config.raw_format,
             association: config.association,
             stride: config.stride,

@@ -1,6 +1,5 @@
 //! Initial points for scenes without a point cloud: pixels pushed to the depth at which other photos agree best.
 
-use crate::camera::Camera;
 use crate::data::{Points, View};
 use crate::error::Result;
 use glam::{DMat3, DVec3};
@@ -16,6 +15,8 @@ const DEPTHS: usize = 24;
 const REACH: f64 = 4.0;
 /// Other views a depth is checked in, at most.
 const WITNESSES: usize = 12;
+/// Pixels tried until one is used by its photo's mask.
+const TRIES: usize = 32;
 /// Photos looked at side by side.
 const AT_ONCE: usize = 16;
 
@@ -23,8 +24,8 @@ const AT_ONCE: usize = 16;
 ///
 /// Each lies on the ray of a random pixel of a random view. Of 24 depths, log-spaced with a random offset from a quarter
 /// of to four times the focus distance, it takes the one at which the better half of the other views that see the point
-/// show the most similar colour (mean absolute difference). The focus distance is the median depth of the point
-/// nearest to all optical axes, or ten baselines where the axes are parallel.
+/// show the most similar colour (mean absolute difference). Pixels that masks leave out are not drawn, and show nothing. The
+/// focus distance is the median depth of the point nearest to all optical axes, or ten baselines where the axes are parallel.
 ///
 /// Empty when there is no view with pixels. Each photo is decoded twice at most, and a few are in memory at a time.
 ///
@@ -41,8 +42,16 @@ pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Poi
     let mut drawn: Vec<Drawn> = (0..count)
         .map(|_| {
             let view = rng.random_range(0..views.len());
-            let camera = &views[view].camera;
-            let (x, y) = (rng.random_range(0..camera.width), rng.random_range(0..camera.height));
+            let View { camera, mask, .. } = views[view];
+            let mut pixel = || (rng.random_range(0..camera.width), rng.random_range(0..camera.height));
+            let (mut x, mut y) = pixel();
+            if let Some(mask) = mask {
+                let mut tries = 1;
+                while tries < TRIES && !mask.uses(y * camera.width + x) {
+                    (x, y) = pixel();
+                    tries += 1;
+                }
+            }
             let offset = rng.random();
             Drawn { view, x: x as u32, y: y as u32, offset, color: [0; 3], differences: Vec::new() }
         })
@@ -67,7 +76,7 @@ pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Poi
             for k in (0..DEPTHS).filter(|_| !here.is_empty()) {
                 let position = at(drawn, k);
                 let seen = here.iter().filter_map(|&w| {
-                    let difference = difference(&views[w].camera, &photos[w - first], position, drawn.color)?;
+                    let difference = difference(views[w], &photos[w - first], position, drawn.color)?;
                     Some((k as u8, difference))
                 });
                 drawn.differences.extend(seen);
@@ -127,10 +136,13 @@ fn witnesses(views: &[&View], index: usize) -> Vec<usize> {
     others[..near].iter().step_by(stride).copied().collect()
 }
 
-/// Difference between `color` and what a view shows at `position`; `None` where it does not see it.
-fn difference(camera: &Camera, photo: &RgbImage, position: DVec3, color: [u8; 3]) -> Option<u16> {
-    let (u, v, _) = camera.project(position)?;
+/// Difference between `color` and what a view shows at `position`; `None` where it does not see it, or its mask leaves that out.
+fn difference(view: &View, photo: &RgbImage, position: DVec3, color: [u8; 3]) -> Option<u16> {
+    let (u, v, _) = view.camera.project(position)?;
     if u < 0.0 || v < 0.0 {
+        return None;
+    }
+    if view.mask.as_ref().is_some_and(|mask| !mask.uses(v as usize * view.camera.width + u as usize)) {
         return None;
     }
     let pixel = photo.get_pixel_checked(u as u32, v as u32)?;

@@ -1,6 +1,9 @@
 //! PSNR and SSIM of `[H, W, 3]` images in 0..1.
 
 use super::mean;
+use crate::data::View;
+use crate::error::Result;
+use crate::mask::Mask;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -20,6 +23,18 @@ impl ImageScores {
     /// Scores of one `[height, width, 3]` image against its photo; see [`psnr`] and [`ssim`] for `None`.
     pub fn of(image: &[f32], truth: &[f32], width: usize, height: usize) -> Self {
         Self { psnr: psnr(image, truth), ssim: ssim(image, truth, width, height, 3) }
+    }
+
+    /// Scores of a render of `view` (`[height, width, 3]`) against its photo, of what its mask uses: PSNR of those pixels, SSIM
+    /// over the windows that hold no other pixel. The same as [`ImageScores::of`] without a mask.
+    ///
+    /// # Errors
+    /// As [`crate::data::Photo::pixels`].
+    pub fn of_view(image: &[f32], view: &View) -> Result<Self> {
+        let (photo, width, height) = (view.rgb()?, view.image.width(), view.image.height());
+        let Some(mask) = &view.mask else { return Ok(Self::of(image, &photo, width, height)) };
+        let psnr = psnr(&mask.used(image, 3), &mask.used(&photo, 3));
+        Ok(Self { psnr, ssim: ssim_within(image, &photo, [width, height, 3], Some(mask)) })
     }
 
     /// Means of the per-image values that exist.
@@ -63,17 +78,44 @@ const SIGMA: f64 = 1.5;
 ///
 /// `None` when a side is shorter than 11 pixels, the lengths do not fit, there are no channels, or a value is NaN.
 pub fn ssim(image: &[f32], truth: &[f32], width: usize, height: usize, channels: usize) -> Option<f64> {
+    ssim_within(image, truth, [width, height, channels], None)
+}
+
+/// [`ssim`] over the windows whose pixels are all used by `mask`; `None` also where there are none, or the mask has another
+/// size.
+fn ssim_within(
+    image: &[f32],
+    truth: &[f32],
+    [width, height, channels]: [usize; 3],
+    mask: Option<&Mask>,
+) -> Option<f64> {
     let side = 2 * RADIUS + 1;
     let fits = width.checked_mul(height)?.checked_mul(channels)? == image.len() && image.len() == truth.len();
     if !fits || channels == 0 || width < side || height < side {
         return None;
     }
+    if mask.is_some_and(|mask| (mask.width(), mask.height()) != (width, height)) {
+        return None;
+    }
     let window = window();
-    let rows: Vec<f64> =
-        (0..height + 1 - side).into_par_iter().map(|y| ssim_row(image, truth, width, channels, y, &window)).collect();
-    let count = rows.len() * (width + 1 - side) * channels;
-    let value = rows.iter().sum::<f64>() / count as f64;
+    let rows: Vec<(f64, usize)> = (0..height + 1 - side)
+        .into_par_iter()
+        .map(|y| {
+            let whole = mask.map(|mask| whole_windows(mask, y));
+            ssim_row(image, truth, width, channels, y, &window, whole.as_deref())
+        })
+        .collect();
+    let count: usize = rows.iter().map(|(_, count)| count).sum();
+    let value = rows.iter().map(|(sum, _)| sum).sum::<f64>() / count as f64;
     (!value.is_nan()).then_some(value)
+}
+
+/// Of the windows whose first row is `y`, from left to right, whether all of their pixels are used.
+fn whole_windows(mask: &Mask, y: usize) -> Vec<bool> {
+    let side = 2 * RADIUS + 1;
+    let used = |x: usize| (y..y + side).all(|row| mask.uses(row * mask.width() + x));
+    let columns: Vec<bool> = (0..mask.width()).map(used).collect();
+    columns.windows(side).map(|columns| columns.iter().all(|used| *used)).collect()
 }
 
 fn window() -> [f64; 2 * RADIUS + 1] {
@@ -85,8 +127,17 @@ fn window() -> [f64; 2 * RADIUS + 1] {
     w.map(|v| v / sum)
 }
 
-/// Sum of the SSIM map over the windows whose first row is `y`: down the columns first, then across.
-fn ssim_row(a: &[f32], b: &[f32], width: usize, channels: usize, y: usize, window: &[f64]) -> f64 {
+/// Sum of the SSIM map over the windows whose first row is `y`, those of them that are `taken`, and how many scalars that is: down
+/// the columns first, then across.
+fn ssim_row(
+    a: &[f32],
+    b: &[f32],
+    width: usize,
+    channels: usize,
+    y: usize,
+    window: &[f64],
+    taken: Option<&[bool]>,
+) -> (f64, usize) {
     const C1: f64 = 0.01 * 0.01;
     const C2: f64 = 0.03 * 0.03;
     let stride = width * channels;
@@ -102,8 +153,12 @@ fn ssim_row(a: &[f32], b: &[f32], width: usize, channels: usize, y: usize, windo
         }
     }
     let windows = stride - (window.len() - 1) * channels;
-    (0..windows)
+    let is_taken = |&i: &usize| taken.is_none_or(|taken| taken[i / channels]);
+    let mut count = 0;
+    let sum = (0..windows)
+        .filter(is_taken)
         .map(|i| {
+            count += 1;
             let mut m = [0.0; 5];
             for (column, &weight) in columns[i..].iter().step_by(channels).zip(window) {
                 for (m, &v) in m.iter_mut().zip(column) {
@@ -114,5 +169,6 @@ fn ssim_row(a: &[f32], b: &[f32], width: usize, channels: usize, y: usize, windo
             let (va, vb, cov) = (aa - ma * ma, bb - mb * mb, ab - ma * mb);
             ((2.0 * ma * mb + C1) * (2.0 * cov + C2)) / ((ma * ma + mb * mb + C1) * (va + vb + C2))
         })
-        .sum()
+        .sum();
+    (sum, count)
 }

@@ -142,6 +142,13 @@ impl Report<'_> {
         if !outcome.scene.has_truth() && outcome.semantics.is_none() && !outcome.rows.is_empty() {
             notes.push("No held-out view has true labels: no row of labels is scored.".into());
         }
+        let masked = outcome.scene.views.iter().filter(|view| view.mask.is_some()).count();
+        if masked > 0 {
+            notes.push(format!(
+                "Masks leave pixels of {masked} of {} photos out of training and of all scores.",
+                outcome.scene.views.len()
+            ));
+        }
         if outcome.rows.iter().any(|row| row.row == Row::Raw) {
             notes.push("Raw labels of held-out views are scored, never trained on.".to_owned());
         }

@@ -71,8 +71,7 @@ impl HeldOutView<'_> {
             atomic::write_bytes(&path, &pictures::png(image, &path)?)
         };
         save("rgb", &rgb)?;
-        let photo = self.view.image.pixels()?;
-        save("rgb_error", &pictures::rgb_error(&rgb, &photo))?;
+        save("rgb_error", &self.color_error(&rgb)?)?;
         let Some((_, labels)) = self.stored() else { return Ok(()) };
         labels.write(&file("label"))?;
         let colored = pictures::colored(labels, classes);
@@ -81,6 +80,16 @@ impl HeldOutView<'_> {
             Some(truth) => save("label_error", &pictures::label_error(labels, &truth.map(), classes.ignore)),
             None => Ok(()),
         }
+    }
+
+    /// How far `rgb`, the view as rendered, is from the photo; grey where a mask leaves pixels out.
+    fn color_error(&self, rgb: &image::RgbImage) -> Result<image::RgbImage> {
+        let mut error = pictures::rgb_error(rgb, &*self.view.image.pixels()?);
+        if let Some(mask) = &self.view.mask {
+            let [_, _, void] = pictures::AGREEMENT;
+            error.pixels_mut().enumerate().filter(|(i, _)| !mask.uses(*i)).for_each(|(_, pixel)| pixel.0 = void);
+        }
+        Ok(error)
     }
 
     /// The labels of the row that the scene stores: `ours` where present, else the last.

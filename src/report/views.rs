@@ -1,9 +1,7 @@
 //! Pictures of held-out views, side by side.
 
 use super::markup::{escape, percent};
-use super::pictures::{
-    AGREEMENT, ERROR_FULL, UNLABELLED, accuracy, colored, from_floats, heat, label_error, png, rgb_error,
-};
+use super::pictures::{AGREEMENT, ERROR_FULL, UNLABELLED, accuracy, colored, from_floats, heat, label_error, png};
 use super::{HeldOutView, Report};
 use crate::config::Row;
 use crate::data::{LabelMap, LabelRuns};
@@ -78,6 +76,9 @@ fn scales(report: &Report<'_>) -> String {
          <span class=\"ramp\" style=\"background:linear-gradient(90deg,{})\"></span> {ERROR_FULL} or more.",
         stops.join(",")
     );
+    if report.views.iter().any(|v| v.view.mask.is_some()) {
+        let _ = write!(text, " {} left out by a mask.", swatch(AGREEMENT[2]));
+    }
     if report.views.iter().any(|v| v.view.truth.is_some()) {
         let [right, wrong, void] = AGREEMENT.map(swatch);
         let _ = write!(text, " Label errors: {right}right &nbsp;{wrong}wrong &nbsp;{void}truth unlabelled.");
@@ -95,7 +96,7 @@ fn one(report: &Report<'_>, held_out: &HeldOutView<'_>, path: &Path) -> Result<S
     let photo = view.image.pixels()?;
     out.push_str(&figure(&photo, "photo", "", false, path)?);
     out.push_str(&figure(&rgb, "render", &figures, false, path)?);
-    out.push_str(&figure(&rgb_error(&rgb, &photo), "colour error", "", false, path)?);
+    out.push_str(&figure(&held_out.color_error(&rgb)?, "colour error", "", false, path)?);
     let truth = view.truth.as_ref().map(LabelRuns::map);
     if let Some(truth) = &truth {
         out.push_str(&figure(&colored(truth, report.classes), "truth", "", true, path)?);

@@ -36,11 +36,17 @@ impl Photos {
         }
         let (width, height) = (view.image.width(), view.image.height());
         let (photo, bytes, budget) = if self.on_host {
-            let photo = Arc::new(Photo::new(view.rgb()?, height, width));
-            (Compared::Prepared(photo), Photo::<f32>::bytes(height, width), HOST_BUDGET)
+            let photo = match view.mask.clone() {
+                Some(mask) => Photo::masked(view.rgb()?, height, width, mask),
+                None => Photo::new(view.rgb()?, height, width),
+            };
+            (Compared::Prepared(Arc::new(photo)), Photo::<f32>::bytes(height, width), HOST_BUDGET)
         } else {
-            let photo = Arc::new(PackedPhoto::new(view.image.pixels()?));
-            (Compared::Packed(photo), PackedPhoto::bytes(height, width), DEVICE_BUDGET)
+            let photo = match view.mask.clone() {
+                Some(mask) => PackedPhoto::masked(&*view.image.pixels()?, mask),
+                None => PackedPhoto::new(view.image.pixels()?),
+            };
+            (Compared::Packed(Arc::new(photo)), PackedPhoto::bytes(height, width), DEVICE_BUDGET)
         };
         if let Some(slot) = self.kept.get_mut(index)
             && self.bytes + bytes <= budget

@@ -6,6 +6,7 @@ use crate::config::{Config, Row};
 use crate::data::{Scene, Split, View};
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
+use crate::mask::Mask;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -50,6 +51,8 @@ impl Provenance {
         let views: Vec<&View> = scene.views.iter().collect();
         let mut photos = digest_views(&views, |view, hash| {
             hash.update(view.image.pixels()?.as_raw());
+            // Without a mask the digest is the one that earlier versions made.
+            view.mask.iter().flat_map(Mask::words).for_each(|word| hash.update(word.to_le_bytes()));
             Ok(())
         })?;
         photos.update(bytes(scene.points.positions.as_flattened()));

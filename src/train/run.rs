@@ -365,7 +365,6 @@ pub fn score_images(gaussians: &Gaussians, scene: &Scene, config: &Config) -> Re
 pub fn render_and_score(gaussians: &Gaussians, view: &View, config: &Config) -> Result<(Vec<f32>, ImageScores)> {
     let settings = Settings::from(&config.raster);
     let rendered = render(gaussians, &view.camera, &settings, config.raster.background)?;
-    let (width, height) = (view.camera.width, view.camera.height);
-    let scores = ImageScores::of(&rendered.rgb, &view.rgb()?, width, height);
+    let scores = ImageScores::of_view(&rendered.rgb, view)?;
     Ok((rendered.rgb, scores))
 }

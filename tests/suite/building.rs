@@ -46,6 +46,7 @@ pub fn scene() -> Scene {
                 split,
                 image: photo(&camera).into(),
                 camera,
+                mask: None,
                 truth: None,
                 raw: None,
                 segments: Vec::new(),

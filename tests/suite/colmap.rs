@@ -12,10 +12,10 @@ use tempfile::TempDir;
 const WIDTH: u32 = 16;
 const HEIGHT: u32 = 12;
 /// Views of the small model.
-const VIEWS: usize = 9;
+pub const VIEWS: usize = 9;
 
 /// A camera of a model: number of the model, parameters.
-struct Calibrated(i32, Vec<f64>);
+pub struct Calibrated(i32, Vec<f64>);
 
 impl Calibrated {
     fn name(&self) -> &'static str {
@@ -30,7 +30,7 @@ impl Calibrated {
     }
 }
 
-fn pinhole() -> Calibrated {
+pub fn pinhole() -> Calibrated {
     Calibrated(1, vec![20.0, 21.0, 8.5, 6.25])
 }
 
@@ -40,7 +40,7 @@ fn pose(i: usize) -> (DQuat, DVec3) {
     (rotation, DVec3::new(0.3, -0.1 * i as f64, 2.0))
 }
 
-fn name(i: usize) -> String {
+pub fn name(i: usize) -> String {
     format!("cam{}/photo {i}.png", i % 2)
 }
 
@@ -79,7 +79,7 @@ fn binary(folder: &Path, camera: &Calibrated) {
     fs::write(folder.join("points3D.bin"), out).expect("points");
 }
 
-fn text(folder: &Path, camera: &Calibrated) {
+pub fn text(folder: &Path, camera: &Calibrated) {
     let numbers = |values: &[f64]| values.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(" ");
     let out = format!("# comment\n\n7 {} {WIDTH} {HEIGHT} {}\n", camera.name(), numbers(&camera.1));
     fs::write(folder.join("cameras.txt"), out).expect("cameras");
@@ -106,7 +106,7 @@ fn photo(i: usize) -> image::RgbImage {
     image::RgbImage::from_fn(WIDTH, HEIGHT, |x, y| image::Rgb([x as u8 * 9, y as u8 * 7, i as u8]))
 }
 
-fn scene(write: fn(&Path, &Calibrated), camera: &Calibrated) -> TempDir {
+pub fn scene(write: fn(&Path, &Calibrated), camera: &Calibrated) -> TempDir {
     let dir = tempfile::tempdir().expect("folder");
     let at = |p: String| dir.path().join(p);
     fs::create_dir_all(at("sparse/0".into())).expect("folder");

@@ -268,6 +268,7 @@ fn extraction_reduces_the_maps_and_names_the_file() {
             split,
             camera,
             image: picture(38, 26, n).into(),
+            mask: None,
             truth: None,
             raw: None,
             segments: Vec::new(),

@@ -18,7 +18,17 @@ fn camera(width: usize, height: usize) -> Camera {
 fn view(name: &str, split: Split, image: RgbImage, truth: Option<LabelMap>) -> View {
     let (image, truth) = (Photo::from(image), truth.map(LabelRuns::from));
     let camera = camera(image.width(), image.height());
-    View { name: name.into(), split, camera, image, truth, raw: None, segments: Vec::new(), instances: None }
+    View {
+        name: name.into(),
+        split,
+        camera,
+        image,
+        mask: None,
+        truth,
+        raw: None,
+        segments: Vec::new(),
+        instances: None,
+    }
 }
 
 fn scene(views: Vec<View>, classes: Classes) -> Scene {

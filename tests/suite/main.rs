@@ -45,6 +45,8 @@ mod given;
 mod instance_metrics;
 mod lens;
 mod loss;
+mod masked_training;
+mod masks;
 mod mcmc;
 mod metrics;
 mod mobilenet;

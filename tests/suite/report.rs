@@ -63,6 +63,7 @@ fn views(classes: &Classes) -> Vec<View> {
         split: Split::Test,
         camera: camera.clone(),
         image: photo.clone().into(),
+        mask: None,
         truth: Some(truth.clone().into()),
         raw: Some(labels(9.0 + i as f64).into()),
         segments: Vec::new(),

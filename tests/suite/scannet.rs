@@ -18,7 +18,7 @@ fn pose(i: usize) -> String {
 }
 
 /// Photos of 64x48, label maps of 32x24: wall and keyboard (an id that NYU40 has as otherprop), and unlabelled pixels.
-fn scene() -> TempDir {
+pub fn scene() -> TempDir {
     let dir = tempfile::tempdir().expect("folder");
     let at = |p: String| dir.path().join(p);
     for folder in ["color", "depth", "pose", "intrinsic", "label-filt"] {

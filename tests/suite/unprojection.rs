@@ -176,7 +176,17 @@ fn small_gaussians_read_the_cells_that_lie_under_them() {
 
 pub fn view(name: String, camera: Camera) -> View {
     let image = image::RgbImage::new(camera.width as u32, camera.height as u32).into();
-    View { name, split: Split::Train, camera, image, truth: None, raw: None, segments: Vec::new(), instances: None }
+    View {
+        name,
+        split: Split::Train,
+        camera,
+        image,
+        mask: None,
+        truth: None,
+        raw: None,
+        segments: Vec::new(),
+        instances: None,
+    }
 }
 
 pub fn features(views: &[View], maps: impl Fn(usize) -> [FeatureMap; 4]) -> FeatureSet {

@@ -141,6 +141,7 @@ fn assemble(options: &BuiltinOptions) -> Scene {
             split: shot.split,
             camera: shot.camera,
             image: truth.image.into(),
+            mask: None,
             truth: Some(truth.labels.into()),
             raw: raw.map(LabelRuns::from),
             segments: Vec::new(),

@@ -9,6 +9,7 @@ mod text;
 
 use super::frame::Frame;
 use super::listing::{Cloud, LabelFolder, Listing, Problems, read_classes};
+use super::mask_file;
 use super::options::LoadOptions;
 use super::raw::{self, RawLabels};
 use super::{Limits, Points};
@@ -135,6 +136,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let truth = LabelFolder::optional(dir, "labels");
     let raw_folder = LabelFolder::raw(dir, options.raw_labels.as_deref());
     let instances = LabelFolder::optional(dir, "instances");
+    let masks = mask_file::folder(dir, options, Some(mask_file::USUAL))?;
     let mut names = HashMap::new();
     let mut frames = Vec::with_capacity(kept.len());
     for (i, split) in kept {
@@ -159,6 +161,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             posed: true,
             lens,
             scales: options.images != "images",
+            mask: masks.as_ref().and_then(|masks| masks.file_of(below)),
             truth: truth.of(below),
             raw: raw_folder.of(below),
             instances: instances.of(below),

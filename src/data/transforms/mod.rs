@@ -1,5 +1,6 @@
 //! Scenes as folders with a `transforms.json` (nerfstudio, instant-ngp): OpenGL camera-to-world poses, photos, and the
 //! fields of this crate: per frame `split`, `label_path`, `raw_label_path`, `instance_path`; per folder `classes.json`.
+//! `mask_path` is nerfstudio's.
 
 pub(super) mod not_finite;
 mod schema;
@@ -13,7 +14,8 @@ pub use write::write_cameras;
 use super::frame::Frame;
 use super::image_file::ImageFile;
 use super::lens::Lens;
-use super::listing::{Cloud, Listing, Problems, read_classes};
+use super::listing::{Cloud, LabelFolder, Listing, Problems, read_classes};
+use super::mask_file;
 use super::raw::{self, RawLabels};
 use super::{Limits, Scene, Split};
 use crate::camera::Camera;
@@ -66,6 +68,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let splits = transforms.splits(&path, problems);
     let names = transforms.names(&path, &splits, problems);
     let kept = splits.pick(options);
+    let masks = mask_file::folder(dir, options, None)?;
     let limits = &options.limits;
     let what = format!("{}: frames", path.display());
     Limits::check(what, kept.len() as u64, limits.views as u64, "thin out with data.stride or data.max_frames")?;
@@ -87,8 +90,9 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         faults.into_iter().for_each(|fault| problems.push(fault));
         let Some((camera, lens, posed)) = camera else { continue };
         let [truth, raw, instances] = label_paths(&transforms, i, name, dir, options);
-        let name = name.clone();
-        frames.push(Frame { name, split, image, present, camera, posed, lens, scales: false, truth, raw, instances });
+        let mask = mask_path(&transforms.frames[i], name, dir, masks.as_ref());
+        let (name, scales) = (name.clone(), false);
+        frames.push(Frame { name, split, image, present, camera, posed, lens, scales, mask, truth, raw, instances });
     }
     let mut notices = splits.notices;
     if transforms.ply_file_path.is_none()
@@ -137,9 +141,9 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
         Limits::check(format!("{}: pixels", path.display()), pixels, Limits::default().image_pixels, "lower w and h")?;
         let (camera, lens) = transforms.camera(path, i, size)?;
         let image = PathBuf::from(&transforms.frames[i].file_path);
-        let (truth, raw, instances) = (None, None, None);
+        let (mask, truth, raw, instances) = (None, None, None, None);
         let (present, posed, scales) = (true, true, false);
-        let frame = Frame { name, split: s, image, present, camera, posed, lens, scales, truth, raw, instances };
+        let frame = Frame { name, split: s, image, present, camera, posed, lens, scales, mask, truth, raw, instances };
         cameras.push(NamedCamera { camera: frame.geometry(size)?.camera, name: frame.name, split: s });
     }
     if cameras.is_empty() {
@@ -204,6 +208,17 @@ fn label_paths(
         None => frame.raw_label_path.as_ref().map(|p| dir.join(p)),
     };
     [truth, raw, frame.instance_path.as_ref().map(|p| dir.join(p))]
+}
+
+/// Path of the mask of a frame: in the folder that the user names, where it is there, or as the frame says.
+fn mask_path(frame: &schema::Frame, name: &str, dir: &Path, folder: Option<&LabelFolder>) -> Option<PathBuf> {
+    let Some(folder) = folder else { return frame.mask_path.as_ref().map(|file| dir.join(file)) };
+    let photo = Path::new(&frame.file_path);
+    let named = frame.mask_path.as_ref().and_then(|file| Path::new(file).file_name()).map(PathBuf::from);
+    // A stem that several photos have is no view's name.
+    let unique = photo.file_stem().is_some_and(|stem| stem == name);
+    let photo = photo.file_name().filter(|_| unique).map_or_else(|| format!("{name}.png").into(), PathBuf::from);
+    named.into_iter().chain([photo]).find_map(|file| folder.file_of(&file))
 }
 
 /// Files of `dir` that may be meant, by name.

@@ -34,6 +34,7 @@ pub(super) struct Frame {
     pub label_path: Option<String>,
     pub raw_label_path: Option<String>,
     pub instance_path: Option<String>,
+    pub mask_path: Option<String>,
     pub split: Option<String>,
     /// `None` where the file has NaN or an infinity.
     pub transform_matrix: Vec<Vec<Option<f64>>>,
