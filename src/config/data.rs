@@ -12,7 +12,8 @@ pub struct DataConfig {
     pub dir: Option<PathBuf>,
     /// How the folder is laid out.
     pub layout: Layout,
-    /// File within `dir` that lists frames, of layout `transforms`.
+    /// File within `dir` that lists frames, of layout `transforms`. Where the usual one is not there, `transforms_train.json` and
+    /// `transforms_test.json` (else `transforms_val.json`) are read together.
     pub transforms: String,
     /// Folder of photos within `dir`, of layout `colmap`. In another one than `images` photos may be smaller than the
     /// model says, in the same proportion: cameras are scaled to them.

@@ -7,7 +7,7 @@ use super::{LabelMap, Limits, Split};
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use image::RgbImage;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 /// How far the proportions of a label map may be from those of its photo when it is resampled: ScanNet's own sizes,
 /// 1296x968 and 640x480, differ by 0.4 %.
@@ -77,6 +77,17 @@ impl Frame {
         let camera = remap.pinhole.clone();
         Ok(Geometry { camera, development: Development { remap: Some(remap), size: None } })
     }
+}
+
+/// A photo's path without its extension, folders joined by `_`: what names its view where photos of several folders have the same
+/// file names.
+pub(super) fn joined_name(photo: &Path) -> String {
+    let path = photo.with_extension("");
+    let parts = path.components().filter_map(|part| match part {
+        Component::Normal(name) => Some(name.to_string_lossy()),
+        _ => None,
+    });
+    parts.collect::<Vec<_>>().join("_")
 }
 
 /// Whether two sizes have the same proportions, as far as [`PROPORTION`] asks.

@@ -6,9 +6,6 @@ use crate::config::Layout;
 use crate::error::{Error, Result};
 use std::path::Path;
 
-/// The usual name of the file of cameras.
-const TRANSFORMS: &str = "transforms.json";
-
 impl Layout {
     /// As settings have it.
     pub fn name(self) -> &'static str {
@@ -37,10 +34,12 @@ pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
         let mend = "give the folder that holds the photos and their cameras, not a file";
         return Err(Error::input(dir, "scene", "a file", "a scene folder", mend));
     }
-    let layout = match (options.layout, &found(dir, &options.transforms)[..]) {
+    let layout = match (options.layout, &found(dir, options)[..]) {
         (Layout::Auto, [(layout, _)]) => *layout,
         // Who names another file of cameras means that one.
-        (Layout::Auto, [(Layout::Transforms, file), ..]) if file != TRANSFORMS => Layout::Transforms,
+        (Layout::Auto, [(Layout::Transforms, _), ..]) if options.transforms != LoadOptions::default().transforms => {
+            Layout::Transforms
+        }
         // nerfstudio keeps the model that its transforms.json was made from.
         (Layout::Auto, [(layout, _), (Layout::Colmap, model)]) if model.starts_with("colmap") => *layout,
         (Layout::Auto, []) => return Err(nothing(dir, options)),
@@ -61,9 +60,9 @@ pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
 }
 
 /// Layouts whose files lie in `dir`, with the file that tells.
-fn found(dir: &Path, transforms: &str) -> Vec<(Layout, String)> {
+fn found(dir: &Path, options: &LoadOptions) -> Vec<(Layout, String)> {
     let found = [
-        (Layout::Transforms, dir.join(transforms).is_file().then(|| transforms.to_owned())),
+        (Layout::Transforms, transforms::found(dir, options)),
         (Layout::Colmap, colmap::found(dir)),
         (Layout::Replica, replica::found(dir)),
         (Layout::Scannet, scannet::found(dir)),
@@ -77,14 +76,15 @@ fn below(dir: &Path) -> Option<(String, Layout)> {
     let mut names: Vec<String> = folders.take(256).filter_map(|entry| entry.file_name().into_string().ok()).collect();
     names.sort_unstable();
     names.into_iter().find_map(|name| {
-        let layout = found(&dir.join(&name), TRANSFORMS).first()?.0;
+        let layout = found(&dir.join(&name), &LoadOptions::default()).first()?.0;
         Some((name, layout))
     })
 }
 
 /// The error that says what was looked for.
 fn nothing(dir: &Path, options: &LoadOptions) -> Error {
-    let expected = "cameras and frames: transforms.json (nerfstudio, instant-ngp), sparse/0 or sparse with cameras and images \
+    let expected = "cameras and frames: transforms.json (nerfstudio, instant-ngp), transforms_train.json with \
+                    transforms_test.json (Blender), sparse/0 or sparse with cameras and images \
                     as .bin or .txt (COLMAP), traj.txt with results/ or traj_w_c.txt with rgb/ (Replica), or color/ with pose/ \
                     (ScanNet); README, 'Data'";
     let (found, mend) = match transforms::alternatives(dir) {

@@ -7,6 +7,7 @@ mod association;
 mod association_figures;
 mod backends;
 mod bench;
+mod blender;
 mod building;
 mod builtin;
 mod camera_files;

@@ -7,7 +7,7 @@ mod binary;
 mod cameras;
 mod text;
 
-use super::frame::Frame;
+use super::frame::{Frame, joined_name};
 use super::listing::{Cloud, LabelFolder, Listing, Problems, read_classes};
 use super::mask_file;
 use super::options::LoadOptions;
@@ -224,12 +224,7 @@ impl PosedImage {
     /// Its path without extension, folders joined by `_`: unique where photos of several cameras have the same file
     /// names.
     fn view_name(&self) -> String {
-        let path = Path::new(&self.name).with_extension("");
-        let parts = path.components().filter_map(|part| match part {
-            Component::Normal(name) => Some(name.to_string_lossy()),
-            _ => None,
-        });
-        parts.collect::<Vec<_>>().join("_")
+        joined_name(Path::new(&self.name))
     }
 
     /// The camera in world units, and its lens. `posed` and `calibrated` are the two files, for messages.

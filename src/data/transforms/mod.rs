@@ -4,11 +4,13 @@
 
 pub(super) mod not_finite;
 mod schema;
+mod sources;
 mod splits;
 mod write;
 
 pub use super::NamedCamera;
 pub use super::options::LoadOptions;
+pub(super) use sources::found;
 pub use write::write_cameras;
 
 use super::frame::Frame;
@@ -23,6 +25,7 @@ use crate::config::Layout;
 use crate::error::{Error, Result};
 use rayon::prelude::*;
 use schema::Transforms;
+use sources::{Kept, Source, Sources};
 use std::path::{Path, PathBuf};
 
 /// Initial clouds as tools name them, which a file may have forgotten to name.
@@ -33,9 +36,9 @@ const CLOUDS: [&str; 3] = ["points.ply", "sparse_pc.ply", "points3D.ply"];
 /// As [`super::load`]; `up` is +z when the file's `convention` says `world z up`, else the mean up direction of the
 /// cameras. `split` of the frames is `train`, `test` or `val` (also `validation`, `eval`), or nerfstudio's lists
 /// (`train_filenames`, ..) say it: validation frames are held out where there are no test frames, else left out. Without
-/// a split in the file every 8th frame from the first on is test. `ply_file_path` names the
-/// initial cloud, without which [`Scene::points`] is empty. Frames may lack labels; where they have some,
-/// `classes.json` must be there.
+/// a split in the file every 8th frame from the first on is test. Blender's files, one for each split, are read
+/// together. `ply_file_path` names the initial cloud, without which [`Scene::points`] is empty. Frames may lack labels;
+/// where they have some, `classes.json` must be there.
 ///
 /// # Errors
 /// As [`super::load`].
@@ -45,7 +48,7 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
 
 /// Refuses a folder without the file.
 pub(super) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
-    if dir.join(&options.transforms).is_file() {
+    if found(dir, options).is_some() {
         return Ok(());
     }
     let expected = "cameras and frames as nerfstudio and instant-ngp write them (README, 'Data')";
@@ -63,24 +66,23 @@ pub(super) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
 
 /// What the folder says.
 pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
-    let path = dir.join(&options.transforms);
-    let transforms = Transforms::read(&path)?;
-    let splits = transforms.splits(&path, problems);
-    let names = transforms.names(&path, &splits, problems);
-    let kept = splits.pick(options);
+    let sources = Sources::read(dir, options, problems)?;
+    let kept = sources.pick(options, problems);
     let masks = mask_file::folder(dir, options, None)?;
     let limits = &options.limits;
-    let what = format!("{}: frames", path.display());
+    let what = format!("{}: frames", sources.file.display());
     Limits::check(what, kept.len() as u64, limits.views as u64, "thin out with data.stride or data.max_frames")?;
 
     let mut found = Vec::new();
-    kept.par_iter().map(|&(i, _)| photo(dir, &path, &transforms, i, limits)).collect_into_vec(&mut found);
+    let look = |kept: &Kept| photo(dir, &sources.files[kept.source], kept.index, limits);
+    kept.par_iter().map(look).collect_into_vec(&mut found);
     let mut frames = Vec::with_capacity(kept.len());
-    for ((i, split), (image, mut faults, size)) in kept.into_iter().zip(found) {
+    for (Kept { source, index: i, split, name }, (image, mut faults, size)) in kept.into_iter().zip(found) {
         // Of a repeated frame nothing else is told.
-        let Some(name) = &names[i] else { continue };
+        let Some(name) = name else { continue };
+        let Source { path, transforms, .. } = &sources.files[source];
         let present = faults.is_empty();
-        let camera = size.map(|size| match transforms.camera(&path, i, size) {
+        let camera = size.map(|size| match transforms.camera(path, i, size) {
             Ok((camera, lens)) => (camera, lens, true),
             Err(fault) => {
                 faults.push(fault);
@@ -89,25 +91,27 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         });
         faults.into_iter().for_each(|fault| problems.push(fault));
         let Some((camera, lens, posed)) = camera else { continue };
-        let [truth, raw, instances] = label_paths(&transforms, i, name, dir, options);
-        let mask = mask_path(&transforms.frames[i], name, dir, masks.as_ref());
-        let (name, scales) = (name.clone(), false);
+        let [truth, raw, instances] = label_paths(transforms, i, &name, dir, options);
+        let mask = mask_path(&transforms.frames[i], &name, dir, masks.as_ref());
+        let scales = false;
         frames.push(Frame { name, split, image, present, camera, posed, lens, scales, mask, truth, raw, instances });
     }
-    let mut notices = splits.notices;
-    if transforms.ply_file_path.is_none()
+    let Sources { file, files, mut notices } = sources;
+    let cloud = files.iter().find_map(|source| source.transforms.ply_file_path.as_ref());
+    if cloud.is_none()
         && let Some(cloud) = CLOUDS.into_iter().find(|name| dir.join(name).is_file())
     {
-        let told = format!("{cloud} is not read: {} does not name it", options.transforms);
+        let file = files[0].path.file_name().unwrap_or_default().to_string_lossy();
+        let told = format!("{cloud} is not read: {file} does not name it");
         notices.push(format!("{told}; add \"ply_file_path\": \"{cloud}\" where it is the initial cloud"));
     }
     let labelled = raw::need_table(dir, options, &frames);
     let classes = problems.keep(read_classes(dir, labelled)).unwrap_or_default();
     Ok(Listing {
         layout: Layout::Transforms,
-        z_up: transforms.z_up(),
-        cloud: transforms.ply_file_path.as_ref().map_or(Cloud::None, |file| Cloud::Ply(dir.join(file))),
-        file: path,
+        z_up: files.iter().all(|source| source.transforms.z_up()),
+        cloud: cloud.map_or(Cloud::None, |file| Cloud::Ply(dir.join(file))),
+        file,
         frames,
         classes,
         occurring_classes: false,
@@ -125,14 +129,14 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
 /// # Errors
 /// As [`load`]; also when no frame is left.
 pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera>> {
-    let transforms = Transforms::read(path)?;
     let mut problems = Problems::default();
-    let splits = transforms.splits(path, &mut problems);
-    let names = transforms.names(path, &splits, &mut problems);
+    let sources = Sources::of_file(path, &mut problems)?;
+    let kept = sources.pick(&LoadOptions::default(), &mut problems);
     problems.none()?;
+    let transforms = &sources.files[0].transforms;
     let mut cameras = Vec::new();
-    for (i, s) in splits.pick(&LoadOptions::default()) {
-        let Some(name) = names[i].clone().filter(|_| split.is_none_or(|wanted| wanted == s)) else { continue };
+    for Kept { index: i, split: s, name, .. } in kept {
+        let Some(name) = name.filter(|_| split.is_none_or(|wanted| wanted == s)) else { continue };
         let Some(size) = transforms.declared_size(path, i)? else {
             let field = format!("{}.w", transforms.field(i));
             return Err(Error::input(path, field, "no image size", "w and h in pixels", "add w and h"));
@@ -157,8 +161,7 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
 /// out.
 fn photo(
     dir: &Path,
-    path: &Path,
-    transforms: &Transforms,
+    Source { path, transforms, .. }: &Source,
     i: usize,
     limits: &Limits,
 ) -> (PathBuf, Vec<Error>, Option<(usize, usize)>) {
@@ -185,7 +188,11 @@ fn image_path(dir: &Path, file: &str) -> PathBuf {
     if path.extension().is_some() || path.is_file() {
         return path;
     }
-    ["png", "jpg", "jpeg"].map(|e| path.with_extension(e)).into_iter().find(|p| p.is_file()).unwrap_or(path)
+    ["png", "jpg", "jpeg"]
+        .map(|e| path.with_extension(e))
+        .into_iter()
+        .find(|p| p.is_file())
+        .unwrap_or_else(|| path.with_extension("png"))
 }
 
 /// Paths of the true labels, the raw labels and the true instances of a frame.

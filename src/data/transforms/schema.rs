@@ -1,10 +1,8 @@
 //! What a `transforms.json` says, field by field, and the camera that follows from it.
 
 use super::not_finite::{Token, blanked};
-use super::splits::Splits;
 use crate::camera::{Camera, Intrinsics};
 use crate::data::lens::Lens;
-use crate::data::listing::Problems;
 use crate::error::{Error, Result};
 use glam::{DMat4, DVec4};
 use serde::Deserialize;
@@ -119,35 +117,6 @@ impl Transforms {
     /// `frames[I] (FILE)`, for messages.
     pub fn field(&self, frame: usize) -> String {
         format!("frames[{frame}] ({})", self.frames[frame].file_path)
-    }
-
-    /// File stem of each frame; `None` where it is empty or an earlier frame has it, which is a fault, and for frames
-    /// that `splits` leaves out.
-    pub fn names(&self, path: &Path, splits: &Splits, problems: &mut Problems) -> Vec<Option<String>> {
-        let mut seen = std::collections::HashMap::new();
-        let mut names = vec![None; self.frames.len()];
-        for &(i, _) in &splits.frames {
-            let frame = &self.frames[i];
-            let field = format!("{}.file_path", self.field(i));
-            let stem = Path::new(&frame.file_path).file_stem().and_then(|s| s.to_str());
-            let earlier = stem.and_then(|stem| seen.insert(stem, i));
-            match (stem, earlier) {
-                (None, _) => {
-                    let found = format!("{:?}", frame.file_path);
-                    problems.push(Error::input(path, field, found, "the path of an image", "name the image file"));
-                }
-                (Some(stem), Some(first)) => problems.push(Error::input(
-                    path,
-                    field,
-                    format!("stem {stem:?}, which {} has too", self.field(first)),
-                    "file stems that differ: views and outputs are named by them",
-                    "rename one of the images or drop the repeated frame",
-                )),
-                (Some(_), None) => {}
-            }
-            names[i] = stem.filter(|_| earlier.is_none()).map(str::to_owned);
-        }
-        names
     }
 
     /// Width and height that the file gives for a frame.

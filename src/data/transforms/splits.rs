@@ -2,8 +2,8 @@
 //! `train_filenames`, `val_filenames` and `test_filenames`.
 
 use super::schema::Transforms;
+use crate::data::Split;
 use crate::data::listing::Problems;
-use crate::data::{LoadOptions, Split};
 use crate::error::Error;
 use std::collections::HashMap;
 use std::path::Path;
@@ -37,10 +37,9 @@ impl Use {
 }
 
 impl Splits {
-    /// Those frames that the options keep, as (index in the file, split), ascending.
-    pub fn pick(&self, options: &LoadOptions) -> Vec<(usize, Split)> {
-        let given: Vec<Option<Split>> = self.frames.iter().map(|(_, split)| *split).collect();
-        options.pick(&given).into_iter().map(|(place, split)| (self.frames[place].0, split)).collect()
+    /// All `count` frames of a file, of one split.
+    pub fn all(count: usize, split: Option<Split>) -> Self {
+        Self { frames: (0..count).map(|i| (i, split)).collect(), notices: Vec::new() }
     }
 }
 
@@ -52,9 +51,7 @@ impl Transforms {
         let uses = match (self.frames.iter().any(|f| f.split.is_some()), self.lists().is_empty()) {
             (true, _) => self.named_uses(path, problems),
             (false, false) => self.listed_uses(&mut notices),
-            (false, true) => {
-                return Splits { frames: (0..self.frames.len()).map(|i| (i, None)).collect(), notices };
-            }
+            (false, true) => return Splits::all(self.frames.len(), None),
         };
         let tested = uses.iter().any(|(_, of)| *of == Use::Test);
         let split = |of: Use| match of {
