@@ -45,13 +45,13 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
         // Warm-up.
         let mut first = Lifting::new(&gaussians, &[CHANNELS; SCALES], &bench.device);
         if let (Some(camera), Some(maps)) = (cameras.first(), sets.first()) {
-            first.add(camera, maps, resolution, &settings)?;
+            first.add(camera, maps, None, resolution, &settings)?;
         }
         black_box(first.finish()?);
         let mut sums = Lifting::new(&gaussians, &[CHANNELS; SCALES], &bench.device);
         let mut views = Samples::default();
         for (i, camera) in cameras.iter().enumerate() {
-            views.time(|| sums.add(camera, &sets[i % sets.len()], resolution, &settings))?;
+            views.time(|| sums.add(camera, &sets[i % sets.len()], None, resolution, &settings))?;
         }
         let mut end = Samples::default();
         end.time(|| Ok(black_box(sums.finish()?.normalised(bench.config.unprojection.normalisation))))?;

@@ -1,11 +1,12 @@
 //! The contributing pairs of a view, tile by tile, for linear reads of the image other than pixel by pixel.
 
-use super::footprint::{TILE, fresh_transmittance};
+use super::footprint::{Buffer, TILE, fresh_transmittance};
 use super::pairs::Pairs;
 use super::projected::Projected;
 use super::settings::PairCounts;
 use super::tile_loop::Tile;
 use super::tiles::TileLists;
+use crate::mask::Mask;
 use crate::ops::Real;
 use rayon::prelude::*;
 
@@ -52,6 +53,19 @@ impl<E: Real> Projected<E> {
         entries: &mut [T],
         f: impl Fn(usize, &TilePairs<'_, E>, &mut [T]) -> R + Sync,
     ) -> Vec<R> {
+        self.map_used_tiles(None, entries, f)
+    }
+
+    /// [`Projected::map_tiles`] without the pairs of pixels that `mask` leaves out.
+    ///
+    /// # Panics
+    /// If `entries` has another length.
+    pub fn map_used_tiles<T: Send, R: Send>(
+        &self,
+        mask: Option<&Mask>,
+        entries: &mut [T],
+        f: impl Fn(usize, &TilePairs<'_, E>, &mut [T]) -> R + Sync,
+    ) -> Vec<R> {
         assert_eq!(entries.len(), self.tiles.ranks.len(), "map_tiles: entries against tile lists");
         let columns = self.tiles.columns;
         let mut rest = entries;
@@ -66,7 +80,11 @@ impl<E: Real> Projected<E> {
         parts
             .into_par_iter()
             .map(|(number, tile, own)| {
-                let pairs = Pairs::gather(self, tile, fresh_transmittance(tile, self.size()));
+                let mut t = fresh_transmittance(tile, self.size());
+                if let Some(mask) = mask {
+                    end_unused(&mut t, tile, self.size(), mask);
+                }
+                let pairs = Pairs::gather(self, tile, t);
                 f(number, &TilePairs { origin: tile.origin, ids: &self.ids, ranks: tile.ranks, pairs }, own)
             })
             .collect()
@@ -88,6 +106,14 @@ impl<E: Real> Projected<E> {
             evaluated: a.evaluated + b.evaluated,
             contributing: a.contributing + b.contributing,
         })
+    }
+}
+
+/// Ends the pixels of a tile that `mask` leaves out: they take nothing.
+fn end_unused<E: Real>(t: &mut Buffer<E>, tile: Tile<'_>, size: [usize; 2], mask: &Mask) {
+    for (at, pixel, len) in tile.rows(size) {
+        let row = t.as_flattened_mut()[at..at + len].iter_mut().enumerate();
+        row.filter(|(i, _)| !mask.uses(pixel + i)).for_each(|(_, t)| *t = -E::one());
     }
 }
 

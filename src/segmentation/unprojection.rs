@@ -19,6 +19,7 @@ use crate::device::in_host_memory;
 use crate::error::{Error, Result};
 use crate::features::{FeatureMap, FeatureSet, Lattice, SCALES, ViewFeatures};
 use crate::gaussians::Gaussians;
+use crate::mask::Mask;
 use crate::ops::Real;
 use crate::raster::{Settings, SplatTensors, Splats};
 use burn::tensor::Device;
@@ -71,6 +72,23 @@ impl<E: Real> Sums<E> {
         resolution: Resolution,
         settings: &Settings,
     ) -> Result<()> {
+        self.add_used(splats, camera, maps, None, resolution, settings)
+    }
+
+    /// [`Sums::add`] of the pixels that `mask`, of the camera's size, uses; at `feature` resolution of the cells whose centre is
+    /// such a pixel. Counts are of all pixels.
+    ///
+    /// # Errors
+    /// As [`Sums::add`].
+    pub fn add_used(
+        &mut self,
+        splats: &Splats<'_, E>,
+        camera: &Camera,
+        maps: &[FeatureMap],
+        mask: Option<&Mask>,
+        resolution: Resolution,
+        settings: &Settings,
+    ) -> Result<()> {
         check(self.counts.first().map_or(splats.len(), Vec::len), &self.channels, splats.len(), maps)?;
         // Scales on one grid share the projection and the scalar weights.
         let mut grids: Vec<(Lattice, Vec<usize>)> = Vec::new();
@@ -82,11 +100,13 @@ impl<E: Real> Sums<E> {
             }
         }
         match resolution {
-            Resolution::Image => view::add(self, splats, camera, maps, &grids, settings),
+            Resolution::Image => view::add(self, splats, camera, maps, mask, &grids, settings),
             Resolution::Feature => grids.iter().try_for_each(|grid| {
                 // Cells are the pixels of the scaled camera.
                 let pixels = (Lattice { steps: None, ..grid.0 }, grid.1.clone());
-                view::add(self, splats, &grid.0.camera(camera), maps, &[pixels], settings)
+                let cells = grid.0.camera(camera);
+                let mask = mask.map(|mask| of_cells(mask, camera, &cells));
+                view::add(self, splats, &cells, maps, mask.as_ref(), &[pixels], settings)
             }),
         }
     }
@@ -117,6 +137,20 @@ impl<E: Real> Sums<E> {
             _ => Vec::new(),
         }
     }
+}
+
+/// `mask` of the pixels of `camera` for those of `cells`, the same camera with other pixels: what holds at their centres.
+fn of_cells(mask: &Mask, camera: &Camera, cells: &Camera) -> Mask {
+    let pixel = |cell: usize, [center, focal]: [f64; 2], [pixel_center, pixel_focal]: [f64; 2], pixels: usize| {
+        let place = (cell as f64 + 0.5 - center) * pixel_focal / focal + pixel_center;
+        (place.max(0.0) as usize).min(pixels.saturating_sub(1))
+    };
+    Mask::new(cells.width, cells.height, |i| {
+        let (x, y) = (i % cells.width, i / cells.width);
+        let x = pixel(x, [cells.cx, cells.fx], [camera.cx, camera.fx], camera.width);
+        let y = pixel(y, [cells.cy, cells.fy], [camera.cy, camera.fy], camera.height);
+        mask.uses(y * camera.width + x)
+    })
 }
 
 /// Whether sums over `n` Gaussians and maps of `channels` can take up `maps` of `gaussians`.
@@ -166,7 +200,7 @@ impl<'a> Lifting<'a> {
         Self { gaussians, place }
     }
 
-    /// Adds a view with one map per scale.
+    /// Adds a view with one map per scale, of the pixels that `mask` uses, as [`Sums::add_used`] does.
     ///
     /// # Errors
     /// As [`Sums::add`]; on a GPU as [`crate::raster::SplatView::adjoint`].
@@ -174,12 +208,13 @@ impl<'a> Lifting<'a> {
         &mut self,
         camera: &Camera,
         maps: &[FeatureMap],
+        mask: Option<&Mask>,
         resolution: Resolution,
         settings: &Settings,
     ) -> Result<()> {
         match &mut self.place {
-            Place::Host(sums) => sums.add(&self.gaussians.splats(), camera, maps, resolution, settings),
-            Place::Device(sums) => sums.add(camera, maps, resolution, settings),
+            Place::Host(sums) => sums.add_used(&self.gaussians.splats(), camera, maps, mask, resolution, settings),
+            Place::Device(sums) => sums.add(camera, maps, mask, resolution, settings),
         }
     }
 
@@ -228,7 +263,8 @@ impl Unprojected {
     }
 }
 
-/// Lifts the features `set` of `views` (the training views, in the order of the set) onto `gaussians`. Where `device` is a GPU,
+/// Lifts the features `set` of `views` (the training views, in the order of the set) onto `gaussians`, of the pixels that the
+/// views' masks use. Where `device` is a GPU,
 /// the sums are made on it.
 ///
 /// # Errors
@@ -272,7 +308,7 @@ pub fn unproject_each<'a, F: Borrow<ViewFeatures>>(
         }
         let channels = maps.each_ref().map(|m| m.channels);
         let sums = sums.get_or_insert_with(|| Lifting::new(gaussians, &channels, device));
-        sums.add(&view.camera, maps, config.resolution, settings)?;
+        sums.add(&view.camera, maps, view.mask.as_ref(), config.resolution, settings)?;
         lattices.push(maps.each_ref().map(FeatureMap::lattice));
     }
     if features.next().is_some() {
@@ -321,8 +357,10 @@ fn solved(
             Resolution::Feature => lattices[scale].camera(&view.camera),
         };
         let cameras: Vec<_> = views.iter().zip(lattices).map(camera).collect();
+        let mask = |(view, cells): (&&View, &Camera)| Some(of_cells(view.mask.as_ref()?, &view.camera, cells));
+        let masks: Vec<Option<Mask>> = views.iter().zip(&cameras).map(mask).collect();
         let (splats, weights, ridge) = (gaussians.splats(), &sums.weights[scale], config.solve_ridge);
-        let problem = Problem { splats, cameras: &cameras, settings, weights, ridge };
+        let problem = Problem { splats, cameras: &cameras, masks: &masks, settings, weights, ridge };
         let done = problem.solve(buffer, channels, config.solve_iterations)?;
         tracing::info!(
             "unprojection: scale {} solved in {} steps to a residual of {:.1e}",

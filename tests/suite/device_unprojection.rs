@@ -9,6 +9,7 @@ use coseg::config::{Normalisation, Resolution, UnprojectionConfig};
 use coseg::data::View;
 use coseg::features::{FeatureMap, Steps};
 use coseg::gaussians::Gaussians;
+use coseg::mask::Mask;
 use coseg::raster::{RasterInput, Settings, SplatTensors, rasterize};
 use coseg::segmentation::unprojection::{Unprojected, unproject};
 use glam::DVec3;
@@ -148,7 +149,10 @@ fn features_are_lifted_alike() {
         sh: vec![0.0; 3 * n],
         sh_degree: 0,
     };
-    let views = views_of(&camera);
+    let mut masked = views_of(&camera);
+    // A wall and single pixels of one view, most of another.
+    masked[0].mask = Some(Mask::new(96, 64, |i| i % 96 > 30 && i % 17 > 0));
+    masked[2].mask = Some(Mask::new(96, 64, |i| i / 96 < 20));
     // As large as the image, dividing it evenly, at fixed steps, and coarse.
     let maps = |i: usize| {
         [(96, 64, None), (24, 16, None), (13, 9, Some(Steps { stride: 8.0, offset: 0.5 })), (5, 3, None)].map(
@@ -161,8 +165,11 @@ fn features_are_lifted_alike() {
             },
         )
     };
-    let set = crate::unprojection::features(&views, maps);
-    for resolution in [Resolution::Image, Resolution::Feature] {
+    let set = crate::unprojection::features(&masked, maps);
+    let cases = [Resolution::Image, Resolution::Feature]
+        .into_iter()
+        .flat_map(|r| [(r, views_of(&camera)), (r, masked.clone())]);
+    for (resolution, views) in cases {
         for normalisation in [Normalisation::Weight, Normalisation::Count] {
             let config = UnprojectionConfig { resolution, normalisation, ..UnprojectionConfig::default() };
             let lift = |device: &Device| -> Unprojected {

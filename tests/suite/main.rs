@@ -47,6 +47,7 @@ mod instance_metrics;
 mod lens;
 mod loss;
 mod masked_training;
+mod masked_unprojection;
 mod masks;
 mod mcmc;
 mod metrics;

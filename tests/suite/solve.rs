@@ -95,6 +95,7 @@ fn solution_is_that_of_the_dense_equations() {
         let problem = Problem {
             splats: case.cloud.splats(),
             cameras: &case.cameras,
+            masks: &[],
             settings: &settings,
             weights: &case.weights,
             ridge,
@@ -128,6 +129,7 @@ fn features_that_were_rendered_come_back() {
     let problem = Problem {
         splats: case.cloud.splats(),
         cameras: &case.cameras,
+        masks: &[],
         settings: &settings,
         weights: &case.weights,
         ridge: 1e-6,
@@ -149,7 +151,7 @@ fn the_same_bits_at_one_and_two_threads_and_nothing_from_nothing() {
     let case = case(14, noise);
     let solve = |buffer: &[f64]| {
         let (splats, cameras, weights) = (case.cloud.splats(), &case.cameras[..], &case.weights[..]);
-        Problem { splats, cameras, settings: &settings, weights, ridge: 0.1 }
+        Problem { splats, cameras, masks: &[], settings: &settings, weights, ridge: 0.1 }
             .solve(buffer, CHANNELS, 7)
             .expect("solves")
     };

@@ -17,7 +17,7 @@ fn noise(i: usize, salt: usize) -> f64 {
 }
 
 /// A cloud before the cameras; the last Gaussian is behind all of them.
-fn cloud(n: usize) -> Gaussians {
+pub fn cloud(n: usize) -> Gaussians {
     let mut g = Gaussians::default();
     for i in 0..n {
         let at = |k| noise(i, k) as f32;
@@ -31,7 +31,7 @@ fn cloud(n: usize) -> Gaussians {
     g
 }
 
-fn cameras(width: usize, height: usize) -> Vec<Camera> {
+pub fn cameras(width: usize, height: usize) -> Vec<Camera> {
     (0..3)
         .map(|i| {
             let turn = DQuat::from_rotation_y(0.15 * (i as f64 - 1.0)) * DQuat::from_rotation_x(0.07 * i as f64);
@@ -43,13 +43,13 @@ fn cameras(width: usize, height: usize) -> Vec<Camera> {
         .collect()
 }
 
-fn map(width: usize, height: usize, channels: usize, salt: usize) -> FeatureMap {
+pub fn map(width: usize, height: usize, channels: usize, salt: usize) -> FeatureMap {
     let data = (0..width * height * channels).map(|i| noise(i, salt) as f32).collect();
     FeatureMap { height, width, channels, data, steps: None }
 }
 
 /// Maps of one view: two scales on one grid, one with steps of its own, one finer than the image.
-fn maps(salt: usize) -> [FeatureMap; 4] {
+pub fn maps(salt: usize) -> [FeatureMap; 4] {
     let stepped = FeatureMap { steps: Some(Steps { stride: 16.0, offset: 0.5 }), ..map(7, 5, 64, salt + 2) };
     [map(24, 18, 5, salt), map(24, 18, 150, salt + 1), stepped, map(130, 99, 3, salt + 3)]
 }
@@ -196,7 +196,7 @@ pub fn features(views: &[View], maps: impl Fn(usize) -> [FeatureMap; 4]) -> Feat
     FeatureSet { name: "test".into(), reductions: std::array::from_fn(|_| identity()), views }
 }
 
-fn views(width: usize, height: usize) -> Vec<View> {
+pub fn views(width: usize, height: usize) -> Vec<View> {
     cameras(width, height).into_iter().enumerate().map(|(i, c)| view(format!("v{i}"), c)).collect()
 }
 

@@ -101,7 +101,7 @@ fn lifted(bench: &Bench, gaussians: &Gaussians) -> Result<Measured> {
     let (mut time, mut work) = (Samples::default(), Work::default());
     if let Some(camera) = cameras.first() {
         time = Samples::of(effort.repeats, || {
-            sums.add(camera, &maps, Resolution::Feature, &settings)?;
+            sums.add(camera, &maps, None, Resolution::Feature, &settings)?;
             sums.wait()
         })?;
         // Scales on one grid are one view of all their channels.

@@ -6,6 +6,7 @@ use crate::config::Resolution;
 use crate::device::read;
 use crate::error::Result;
 use crate::features::{FeatureMap, Lattice};
+use crate::mask::Mask;
 use crate::ops::{SparseMatrix, sparse_apply};
 use crate::raster::{Lifted, Settings, SplatTensors, SplatView};
 use burn::tensor::{Device, Tensor, TensorData};
@@ -36,30 +37,36 @@ impl DeviceSums {
         Self { scales: channels.iter().map(scale).collect(), splats, reads: Vec::new() }
     }
 
-    /// As [`Sums::add`].
+    /// As [`Sums::add_used`].
     pub fn add(
         &mut self,
         camera: &Camera,
         maps: &[FeatureMap],
+        mask: Option<&Mask>,
         resolution: Resolution,
         settings: &Settings,
     ) -> Result<()> {
         let channels: Vec<usize> = self.scales.iter().map(|scale| scale.channels).collect();
         super::check(self.splats.len(), &channels, self.splats.len(), maps)?;
         // At image resolution all scales share the camera: its lists, weights and counts.
-        let mut shared: Option<(SplatView, Tensor<2>, Vec<u64>)> = None;
+        let mut shared: Option<Seen> = None;
         for (number, map) in maps.iter().enumerate() {
             let seen = match (resolution, shared.take()) {
                 (Resolution::Image, Some(seen)) => seen,
-                (Resolution::Image, None) => self.look(camera, settings)?,
-                (Resolution::Feature, _) => self.look(&map.lattice().camera(camera), settings)?,
+                (Resolution::Image, None) => self.look(camera, mask.cloned(), settings)?,
+                (Resolution::Feature, _) => {
+                    let cells = map.lattice().camera(camera);
+                    let mask = mask.map(|mask| super::of_cells(mask, camera, &cells));
+                    self.look(&cells, mask, settings)?
+                }
             };
-            let (view, weights, counts) = shared.insert(seen);
+            let seen = shared.insert(seen);
             let reading = match resolution {
                 Resolution::Image => self.reading(map.lattice(), camera),
                 Resolution::Feature => None,
             };
-            let lifted = lifted(view, map, reading, &self.splats.means.device())?;
+            let lifted = lifted(seen, map, reading, &self.splats.means.device())?;
+            let Seen { view, weights, counts, .. } = seen;
             let scale = &mut self.scales[number];
             scale.sums = Some(match scale.sums.take() {
                 Some([buffer, sum]) => [buffer + lifted, sum + weights.clone()],
@@ -71,13 +78,18 @@ impl DeviceSums {
         Ok(())
     }
 
-    /// The view of `camera`, its weights `W^T 1` `[N, 1]` and its counts.
-    fn look(&self, camera: &Camera, settings: &Settings) -> Result<(SplatView, Tensor<2>, Vec<u64>)> {
+    /// The view of `camera`, of the pixels that `mask` uses.
+    fn look(&self, camera: &Camera, mask: Option<Mask>, settings: &Settings) -> Result<Seen> {
         let view = self.splats.seen_by(camera, settings);
-        let ones = Tensor::ones([camera.height, camera.width, 1], &self.splats.means.device());
-        let Lifted { sums, counts } = view.adjoint(ones)?;
+        let (pixels, device) = (camera.height * camera.width, self.splats.means.device());
+        let used = mask.map(|mask| {
+            let values: Vec<f32> = (0..pixels).map(|pixel| f32::from(u8::from(mask.uses(pixel)))).collect();
+            Tensor::<2>::from_data(TensorData::new(values, [pixels, 1]), &device)
+        });
+        let all = used.clone().unwrap_or_else(|| Tensor::ones([pixels, 1], &device));
+        let Lifted { sums, counts } = view.adjoint(all.reshape([camera.height, camera.width, 1]))?;
         let counts = read("counts", counts)?.into_iter().map(|count| count as u64).collect();
-        Ok((view, sums, counts))
+        Ok(Seen { view, used, weights: sums, counts })
     }
 
     /// `U`, unless the cells are the pixels.
@@ -124,9 +136,19 @@ impl DeviceSums {
     }
 }
 
+/// A view as its maps are lifted in it.
+struct Seen {
+    view: SplatView,
+    /// 1 for pixels that a mask uses and 0 for the others, `[W H, 1]`, where some are left out.
+    used: Option<Tensor<2>>,
+    /// `W^T 1`, `[N, 1]`, of the pixels that are used.
+    weights: Tensor<2>,
+    counts: Vec<u64>,
+}
+
 /// `W^T U F`, `[N, channels]`: a block of channels at a time, so that no image holds them all.
 fn lifted(
-    view: &SplatView,
+    Seen { view, used, .. }: &Seen,
     map: &FeatureMap,
     reading: Option<Arc<SparseMatrix>>,
     device: &Device,
@@ -140,6 +162,10 @@ fn lifted(
         let image = match &reading {
             Some(reading) => sparse_apply(part, reading.clone()),
             None => part,
+        };
+        let image = match used {
+            Some(used) => image * used.clone(),
+            None => image,
         };
         Ok(view.adjoint(image.reshape([height, width, channels]))?.sums)
     });

@@ -9,6 +9,7 @@
 
 use crate::camera::Camera;
 use crate::error::Result;
+use crate::mask::Mask;
 use crate::ops::Real;
 use crate::raster::{Projected, Settings, Splats};
 use rayon::prelude::*;
@@ -24,6 +25,8 @@ pub struct Problem<'a, E> {
     pub splats: Splats<'a, E>,
     /// Cameras of the training views: at the maps' size for `feature` resolution, else at the images'.
     pub cameras: &'a [Camera],
+    /// Which of their pixels count, where some do not; none of views beyond its end.
+    pub masks: &'a [Option<Mask>],
     /// The blending rule.
     pub settings: &'a Settings,
     /// `D`, `[N]`.
@@ -99,9 +102,12 @@ impl<E: Real> Problem<'_, E> {
     /// `W^T W x` over all views, `[N, channels]`.
     fn rendered_and_lifted(&self, x: &[E], channels: usize) -> Result<Vec<E>> {
         let mut sum = vec![E::zero(); x.len()];
-        for camera in self.cameras {
+        let masks = self.masks.iter().map(Option::as_ref).chain(std::iter::repeat(None));
+        for (camera, mask) in self.cameras.iter().zip(masks) {
             let projected = Projected::new(&self.splats, camera, self.settings)?;
-            let lifted = projected.blend_adjoint(&projected.blend(x, channels).image, channels);
+            let mut image = projected.blend(x, channels).image;
+            mask.into_iter().for_each(|mask| mask.fill(&mut image, channels, E::zero()));
+            let lifted = projected.blend_adjoint(&image, channels);
             sum.par_iter_mut().zip(&lifted).with_min_len(CHUNK).for_each(|(s, &l)| *s += l);
         }
         Ok(sum)

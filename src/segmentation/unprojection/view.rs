@@ -9,6 +9,7 @@ use super::fold::{CellWeight, Entry, Taps, fold_tile};
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::features::{FeatureMap, Lattice};
+use crate::mask::Mask;
 use crate::ops::Real;
 use crate::ops::simd::{multiply_add, wide_kernel};
 use crate::raster::{Positions, Projected, Settings, Splats};
@@ -19,19 +20,20 @@ const CHUNK: usize = 512;
 /// Channels summed in registers.
 const LANES: usize = 64;
 
-/// Adds the view of `camera`; `grids` lists the lattices of the maps and the scales that have them.
+/// Adds the view of `camera`, of the pixels that `mask` uses; `grids` lists the lattices of the maps and the scales that have them.
 pub fn add<E: Real>(
     sums: &mut Sums<E>,
     splats: &Splats<'_, E>,
     camera: &Camera,
     maps: &[FeatureMap],
+    mask: Option<&Mask>,
     grids: &[(Lattice, Vec<usize>)],
     settings: &Settings,
 ) -> Result<()> {
     let projected = Projected::new(splats, camera, settings)?;
     let taps: Vec<Taps> = grids.iter().map(|(lattice, _)| Taps::new(lattice, camera)).collect();
     let mut entries = vec![Entry::default(); projected.stats().tile_entries];
-    let tiles = projected.map_tiles(&mut entries, |tile, pairs, own| fold_tile(tile, pairs, &taps, own));
+    let tiles = projected.map_used_tiles(mask, &mut entries, |tile, pairs, own| fold_tile(tile, pairs, &taps, own));
     let view = Folded { tiles, entries, positions: projected.positions() };
     let counts = projected.counts();
     // For each chunk of Gaussians its rows at every scale.

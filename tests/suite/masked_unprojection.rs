@@ -1,0 +1,120 @@
+//! Image features of pixels that masks leave out are lifted onto no Gaussian.
+
+use crate::unprojection::{cameras, cloud, features, map, maps, views};
+use coseg::camera::Camera;
+use coseg::config::{Resolution, UnprojectionConfig};
+use coseg::features::FeatureMap;
+use coseg::gaussians::Gaussians;
+use coseg::mask::Mask;
+use coseg::raster::{Projected, Settings, Splats};
+use coseg::segmentation::unprojection::{Problem, Sums, Unprojected, unproject};
+
+const SIZE: (usize, usize) = (97, 71);
+
+/// A block, a few columns and single pixels.
+fn used(pixel: usize) -> bool {
+    let (x, y) = (pixel % SIZE.0, pixel / SIZE.0);
+    !((30..60).contains(&x) && y > 20 || (80..84).contains(&x) || pixel.is_multiple_of(53))
+}
+
+fn mask() -> Mask {
+    Mask::new(SIZE.0, SIZE.1, used)
+}
+
+#[test]
+fn sums_are_the_adjoint_of_rendering_what_is_used() {
+    let (scene, settings) = (cloud(300), Settings::default());
+    let camera = &cameras(SIZE.0, SIZE.1)[1];
+    let maps = maps(3);
+    let channels = maps.each_ref().map(|map| map.channels);
+    let sums = |mask: Option<&Mask>, resolution| {
+        let mut sums = Sums::<f32>::new(scene.len(), &channels);
+        sums.add_used(&scene.splats(), camera, &maps, mask, resolution, &settings).expect("sums");
+        sums
+    };
+    for resolution in [Resolution::Image, Resolution::Feature] {
+        let (part, whole) = (sums(Some(&mask()), resolution), sums(None, resolution));
+        assert_eq!((&part.counts, &part.pixels), (&whole.counts, &whole.pixels));
+        // What is left out makes up for the rest.
+        let rest = sums(Some(&Mask::new(SIZE.0, SIZE.1, |pixel| !used(pixel))), resolution);
+        for scale in 0..maps.len() {
+            let of = |sums: &Sums<f32>| [sums.buffers[scale].clone(), sums.weights[scale].clone()];
+            for ((part, rest), whole) in of(&part).iter().zip(&of(&rest)).zip(&of(&whole)) {
+                let largest = whole.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
+                let off = part.iter().zip(rest).zip(whole).map(|((a, b), c)| (a + b - c).abs()).fold(0.0, f32::max);
+                assert!(off < 1e-5 * largest, "{resolution:?} {scale}: {off} of {largest}");
+                assert!(part.iter().zip(whole).any(|(a, b)| (a - b).abs() > 0.1 * largest));
+            }
+        }
+        // The weights are those of the pixels, or cells, whose centre is used.
+        if resolution == Resolution::Image {
+            let ones: Vec<f32> = (0..SIZE.0 * SIZE.1).map(|pixel| f32::from(u8::from(used(pixel)))).collect();
+            let want = projected(&scene, camera, &settings).blend_adjoint(&ones, 1);
+            assert!(want.iter().zip(&part.weights[0]).all(|(a, b)| (a - b).abs() < 1e-4 * (1.0 + a)));
+        }
+    }
+}
+
+fn projected(scene: &Gaussians, camera: &Camera, settings: &Settings) -> Projected<f32> {
+    Projected::new(&scene.splats(), camera, settings).expect("view")
+}
+
+#[test]
+fn what_is_left_out_has_no_influence_on_features() {
+    let (scene, mut views) = (cloud(300), views(SIZE.0, SIZE.1));
+    let lift = |views: &[_], salt: usize, config: &UnprojectionConfig| -> Unprojected {
+        // Maps of pixels, which differ in what is left out of the second view.
+        let of = |i: usize| {
+            [0, 1, 2, 3].map(|scale| {
+                let mut map = map(SIZE.0, SIZE.1, 3, 10 * i + scale);
+                if i == 1 {
+                    let hidden = map.data.chunks_mut(3).enumerate().filter(|(pixel, _)| !used(*pixel));
+                    hidden.for_each(|(_, cell)| cell.iter_mut().for_each(|v| *v += salt as f32));
+                }
+                map
+            })
+        };
+        let set = features(views, of);
+        unproject(&scene, views.iter(), &set, config, &Settings::default(), &crate::device()).expect("features")
+    };
+    for resolution in [Resolution::Image, Resolution::Feature] {
+        for solve_iterations in [0, 3] {
+            let config = UnprojectionConfig { resolution, solve_iterations, ..UnprojectionConfig::default() };
+            views[1].mask = Some(mask());
+            assert_eq!(lift(&views, 0, &config), lift(&views, 5, &config), "{resolution:?}, {solve_iterations}");
+            views[1].mask = None;
+            assert_ne!(lift(&views, 0, &config), lift(&views, 5, &config), "{resolution:?}, {solve_iterations}");
+        }
+    }
+}
+
+#[test]
+fn solved_features_render_as_the_maps_do_where_they_are_used() {
+    let (scene, settings, ridge) = (cloud(120), Settings::default(), 0.1);
+    let wide = |values: &[f32]| -> Vec<f64> { values.iter().map(|&v| f64::from(v)).collect() };
+    let of = scene.splats();
+    let [means, log_scales, rotations, opacity_logits] =
+        [of.means, of.log_scales, of.rotations, of.opacity_logits].map(wide);
+    let splats =
+        || Splats { means: &means, log_scales: &log_scales, rotations: &rotations, opacity_logits: &opacity_logits };
+    let cameras = &cameras(SIZE.0, SIZE.1)[1..2];
+    let view = Projected::<f64>::new(&splats(), &cameras[0], &settings).expect("view");
+    let lift = |mut image: Vec<f64>, channels: usize| {
+        mask().fill(&mut image, channels, 0.0);
+        view.blend_adjoint(&image, channels)
+    };
+    let FeatureMap { data, .. } = map(SIZE.0, SIZE.1, 2, 4);
+    let (weights, buffer) = (lift(vec![1.0; SIZE.0 * SIZE.1], 1), lift(wide(&data), 2));
+    let masks = [Some(mask())];
+    let problem = Problem { splats: splats(), cameras, masks: &masks, settings: &settings, weights: &weights, ridge };
+    let solved = problem.solve(&buffer, 2, 100).expect("solved");
+    assert!(solved.residual < 1e-3, "{}", solved.residual);
+    let rendered = lift(view.blend(&solved.features, 2).image, 2);
+    let largest = buffer.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+    for (i, (rendered, buffer)) in rendered.iter().zip(&buffer).enumerate() {
+        let weight = weights[i / 2];
+        let mean = if weight > 0.0 { buffer / weight } else { 0.0 };
+        let left = rendered - buffer + ridge * weight * (solved.features[i] - mean);
+        assert!(left.abs() < 2e-3 * largest, "value {i}: {left} of {largest}");
+    }
+}
