@@ -84,6 +84,7 @@ fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOp
         // Label maps are as large as the photo should be.
         None => frame.geometry((frame.camera.width, frame.camera.height)).ok(),
     };
+    let geometry = geometry.map(|geometry| geometry.within(options.max_side));
     let mut void = None;
     if let Some(geometry) = &geometry {
         let mask = problems.keep(listing.mask(frame, geometry, limits)).flatten();

@@ -82,8 +82,8 @@ pub struct ClassShare {
 struct Looked {
     size: (usize, usize),
     distorted: bool,
-    /// Pixels that a mask leaves out.
-    left_out: usize,
+    /// Pixels as they are used, and how many of them a mask leaves out.
+    pixels: [usize; 2],
     /// Pixels of each class in the true and in the raw labels.
     counts: [BTreeMap<u16, u64>; 2],
     /// Raw segments, where ids are not classes.
@@ -111,7 +111,7 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
             counts.iter().for_each(|(id, n)| *sum.entry(*id).or_insert(0) += n);
         }
     }
-    let all_pixels: usize = looked.iter().map(|l| l.size.0 * l.size.1).sum();
+    let [all, left_out] = [0, 1].map(|i| looked.iter().map(|l| l.pixels[i]).sum::<usize>());
     let mut sizes: Vec<_> = sizes.into_iter().map(|((w, h), n)| (w, h, n)).collect();
     sizes.sort_by_key(|&(.., n)| std::cmp::Reverse(n));
     let totals = [0, 1].map(|i| pixels[i].values().sum::<u64>().max(1) as f64);
@@ -137,7 +137,7 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
         sizes,
         distorted: looked.iter().filter(|l| l.distorted).count(),
         masked: count(|frame| frame.mask.is_some()),
-        left_out: looked.iter().map(|l| l.left_out).sum::<usize>() as f64 / all_pixels.max(1) as f64,
+        left_out: left_out as f64 / all.max(1) as f64,
         cameras: camera_box(&listing),
         points: listing.points(listing.origin(), &options.limits)?.len(),
         labelled: count(|frame| frame.truth.is_some()),
@@ -159,6 +159,7 @@ fn listing(dir: &Path, options: &LoadOptions) -> Result<Listing> {
 
 fn look(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) -> Result<Looked> {
     let (file, geometry) = frame.open(&listing.file, &options.limits)?;
+    let geometry = geometry.within(options.max_side);
     let mut counts: [BTreeMap<u16, u64>; 2] = Default::default();
     let mut segments = 0;
     let mask = listing.mask(frame, &geometry, &options.limits)?;
@@ -179,8 +180,9 @@ fn look(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) 
             counts[1] = pixels;
         }
     }
-    let left_out = mask.map_or(0, |mask| mask.left_out());
-    Ok(Looked { size: file.size, distorted: !frame.lens.is_pinhole(), left_out, counts, segments })
+    let seen = geometry.seen();
+    let pixels = [seen.width * seen.height, mask.map_or(0, |mask| mask.left_out())];
+    Ok(Looked { size: file.size, distorted: !frame.lens.is_pinhole(), pixels, counts, segments })
 }
 
 fn pixels_by_id(map: &LabelMap) -> BTreeMap<u16, u64> {
@@ -224,6 +226,7 @@ pub fn thumbnails(dir: &Path, options: &LoadOptions, count: usize, width: u32) -
     let chosen: Vec<&Frame> = (0..count.min(all)).map(|i| &listing.frames[i * all / count.min(all)]).collect();
     let made = in_order(chosen.into_par_iter().map(|frame| {
         let (file, geometry) = frame.open(&listing.file, &options.limits)?;
+        let geometry = geometry.within(options.max_side);
         let mut photo = geometry.photo(&file)?;
         let mask = listing.mask(frame, &geometry, &options.limits)?;
         let mask = mask.as_ref();

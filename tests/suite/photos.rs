@@ -273,6 +273,11 @@ fn large_photos_are_reduced_with_their_cameras_and_labels() {
     // Maps that were made of the reduced scene fit it.
     half.views[0].raw.as_ref().expect("labels").map().write(&dir.path().join("raw/v0.png")).expect("written");
     assert_eq!(of(40).views[0].raw, half.views[0].raw);
+    let options = LoadOptions { max_side: 40, ..LoadOptions::default() };
+    assert!(coseg::data::check(dir.path(), &options).problems.is_empty());
+    let info = coseg::data::info(dir.path(), &options).expect("info");
+    assert_eq!((info.labelled, info.raw_labelled), (6, 6));
+    coseg::data::thumbnails(dir.path(), &options, 3, 20).expect("thumbnails");
     let cameras = coseg::data::load_cameras(dir.path(), &LoadOptions { max_side: 40, ..LoadOptions::default() }, None);
     assert_eq!(cameras.expect("cameras")[3].camera.width, 40, "as the scene has them");
     // Decoded again, a photo is the same.
