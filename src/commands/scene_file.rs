@@ -8,6 +8,8 @@ use std::path::{Path, PathBuf};
 const SCENE: &str = "scene.ply";
 /// The cameras of a run folder.
 const CAMERAS: &str = "cameras.json";
+/// The scene of a model folder of graphdeco's 3DGS, in point_cloud/iteration_N.
+const GRAPHDECO: &str = "point_cloud.ply";
 
 /// The PLY file that `--scene` means: itself, scene.ply in a folder, or the last of a model folder of graphdeco's 3DGS.
 pub fn scene_path(given: &Path) -> Result<PathBuf> {
@@ -40,19 +42,23 @@ fn of_graphdeco(folder: &Path) -> Option<PathBuf> {
     let iterations = std::fs::read_dir(folder.join("point_cloud")).ok()?.flatten();
     let numbered = |entry: std::fs::DirEntry| {
         let number: u64 = entry.file_name().to_str()?.strip_prefix("iteration_")?.parse().ok()?;
-        let file = entry.path().join("point_cloud.ply");
+        let file = entry.path().join(GRAPHDECO);
         file.is_file().then_some((number, file))
     };
     iterations.filter_map(numbered).max().map(|(_, file)| file)
 }
 
-/// What `--cameras` names, or else the cameras beside the scene `scene`.
+/// What `--cameras` names, or else the cameras beside the scene `scene`, or those of graphdeco's model folder.
 pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
     let beside = scene.with_file_name(CAMERAS);
-    match given {
-        Some(path) => Ok(path.to_owned()),
-        None if beside.is_file() => Ok(beside),
-        None => {
+    // graphdeco's 3DGS keeps its cameras above point_cloud/iteration_N.
+    let above = scene.ancestors().nth(3).map(|model| model.join(CAMERAS));
+    let above = above.filter(|file| file.is_file() && scene.file_name().is_some_and(|name| name == GRAPHDECO));
+    match (given, above) {
+        (Some(path), _) => Ok(path.to_owned()),
+        (None, _) if beside.is_file() => Ok(beside),
+        (None, Some(above)) => Ok(above),
+        (None, None) => {
             let expected = format!("cameras: {} is not there", beside.display());
             let mend = "give a file of cameras, a scene folder or a run folder";
             Err(Error::config("--cameras", "nothing", expected, mend))

@@ -115,11 +115,13 @@ impl TrainArgs {
         let viewer = Viewer {
             title: &scene_name(config),
             scene: &run.path().display().to_string(),
+            names: None,
             gaussians: &outcome.gaussians,
             origin: outcome.scene.origin,
             labels: ids.as_deref(),
             classes: &outcome.scene.classes,
             cameras: &cameras,
+            up: None,
             alpha_max: config.raster.alpha_max,
         };
         viewer.write(&run.viewer_path())?;

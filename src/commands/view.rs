@@ -8,20 +8,25 @@ use coseg::error::{Error, Result};
 use coseg::gaussians::ply;
 use coseg::raster::Settings;
 use coseg::viewer::Viewer;
+use glam::DVec3;
 use std::path::{Path, PathBuf};
+
+/// The page beside a scene.
+const PAGE: &str = "viewer.html";
 
 const HELP: &str = "\
 One page that works offline, 111 bytes a Gaussian of SH degree 3, drawn by the browser's WebGL 2. It shows colours, labels, or
-both; an object is chosen by a click, hidden, shown alone, moved; the page says which `coseg edit` does that to the file.
+both; an object is chosen by a click, hidden, shown alone, moved; the page says which `coseg edit` writes that as a new file.
 
-  FILE.html#view=NAME&mode=labels   begins at the view NAME; modes are colour, both and labels
+  FILE.html#view=NAME&mode=labels   begins at the view NAME, percent-encoded; modes are colour, both and labels
 
 `coseg train` writes this page as viewer.html into its run folder.
 
 Examples:
   coseg view --scene runs/room
   coseg view --scene edited/scene.ply --out table.html
-  coseg view --scene other/point_cloud.ply --cameras other/cameras.json";
+  coseg view --scene other/model --out model.html                   a model folder of graphdeco's 3DGS
+  coseg view --scene other/point_cloud.ply --up 0,0,1";
 
 /// Arguments of `coseg view`.
 #[derive(Args, Debug)]
@@ -30,7 +35,7 @@ pub struct ViewArgs {
     /// Scene in the 3DGS PLY convention, or a run folder; with a `label` column it has objects
     #[arg(long, value_name = "FILE.ply|RUN")]
     scene: PathBuf,
-    /// Page to write [default: viewer.html beside the scene]
+    /// Page to write [default: viewer.html beside the scene, or in the folder]
     #[arg(long, value_name = "FILE.html")]
     out: Option<PathBuf>,
     /// Views to go to, as `coseg render` takes them [default: cameras.json beside the scene, if it is there]
@@ -39,6 +44,9 @@ pub struct ViewArgs {
     /// Names of the labels [default: classes.json beside the scene, if it is there]
     #[arg(long, value_name = "FILE.json")]
     classes: Option<PathBuf>,
+    /// Which way is up in the world, such as 0,0,1 [default: as the cameras have it, or 0,-1,0 without them]
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_direction, allow_hyphen_values = true)]
+    up: Option<DVec3>,
     /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99, gsplat 0.999 [default: 0.999]
     #[arg(long, value_name = "X")]
     alpha_max: Option<f64>,
@@ -47,14 +55,19 @@ pub struct ViewArgs {
 impl ViewArgs {
     /// Writes the page.
     pub fn run(self) -> Result<()> {
+        if let Some(alpha) = self.alpha_max.filter(|alpha| !(*alpha > 0.0 && *alpha <= 1.0)) {
+            return Err(Error::config("--alpha-max", alpha.to_string(), "a number in (0, 1]", "choose one there"));
+        }
         let path = scene_path(&self.scene)?;
-        let out = self.out.unwrap_or_else(|| path.with_file_name("viewer.html"));
+        let page = if self.scene.is_dir() { self.scene.join(PAGE) } else { path.with_file_name(PAGE) };
+        let out = self.out.unwrap_or(page);
         if !out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("html")) {
             let mend = "end the name in .html";
             return Err(Error::config("--out", out.display().to_string(), "an .html file", mend));
         }
         let ply = ply::read(&path, &Limits::default())?;
         let beside = |name: &str| Some(path.with_file_name(name)).filter(|file| file.is_file());
+        let names = self.classes.as_ref().map(|file| file.display().to_string());
         let classes = self.classes.or_else(|| beside("classes.json"));
         let classes = classes.map_or_else(|| Ok(Classes::default()), |file| Classes::read(&file))?;
         let cameras = self.cameras.or_else(|| cameras_path(None, &path).ok());
@@ -62,17 +75,26 @@ impl ViewArgs {
         let viewer = Viewer {
             title: &title(&path),
             scene: &self.scene.display().to_string(),
+            names: names.as_deref(),
             gaussians: &ply.gaussians,
             origin: ply.origin,
             labels: ply.labels.as_deref(),
             classes: &classes,
             cameras: &cameras,
+            up: self.up,
             alpha_max: self.alpha_max.unwrap_or(Settings::default().alpha_max),
         };
         viewer.write(&out)?;
         terminal::say(&format!("{}: open it in a browser", out.display()));
         Ok(())
     }
+}
+
+fn parse_direction(text: &str) -> std::result::Result<DVec3, String> {
+    let values: Vec<f64> = text.split(',').map_while(|v| v.trim().parse().ok()).collect();
+    let direction = <[f64; 3]>::try_from(values).ok().filter(|_| text.split(',').count() == 3).map(DVec3::from);
+    let direction = direction.filter(|direction| direction.try_normalize().is_some());
+    direction.ok_or_else(|| "expected a direction: three numbers with commas between, for instance 0,0,1".into())
 }
 
 /// The folder of a scene.ply, as of a run, otherwise the file's own name.

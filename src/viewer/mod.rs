@@ -1,5 +1,5 @@
 //! A scene as one HTML page that needs nothing else: to walk through in a browser, by WebGL 2, to look at labels, and to choose
-//! objects, hide them and move them; the page says which `coseg edit` does the same to the file.
+//! objects, hide them and move them; the page says which `coseg edit` writes that as a new file.
 //!
 //! Pictures are those of [`crate::raster::render`] but for the rounding of `packing.rs`, half floats in blending, and
 //! what lies behind a transmittance of 1e-4, which the page adds.
@@ -17,6 +17,8 @@ use glam::{DMat3, DVec3};
 use serde::Serialize;
 use std::path::Path;
 
+/// Bytes of the columns that one element holds, whole groups of three: browsers bound the length of a text.
+const PART: usize = 3 << 25;
 /// Cosine of 3 degrees.
 const NEARLY: f64 = 0.9986;
 
@@ -41,6 +43,8 @@ pub struct Viewer<'a> {
     pub title: &'a str,
     /// What `--scene` is in the command lines that the page writes.
     pub scene: &'a str,
+    /// What `--classes` is in them, where the names of labels do not lie beside the scene.
+    pub names: Option<&'a str>,
     /// The scene.
     pub gaussians: &'a Gaussians,
     /// What was subtracted from every position of the scene, world units.
@@ -51,6 +55,8 @@ pub struct Viewer<'a> {
     pub classes: &'a Classes,
     /// Views to go to, in world units; the first held-out one, or else the first, is where a visit begins.
     pub cameras: &'a [NamedCamera],
+    /// World direction that points up. None: that of the cameras, or -y without them.
+    pub up: Option<DVec3>,
     /// Cap of a splat's opacity at a pixel, in (0, 1].
     pub alpha_max: f64,
 }
@@ -60,7 +66,9 @@ pub struct Viewer<'a> {
 struct Header<'a> {
     title: &'a str,
     path: &'a str,
+    names: Option<&'a str>,
     gaussians: usize,
+    bytes: usize,
     degree: usize,
     alpha_max: f64,
     up: [f64; 3],
@@ -115,7 +123,7 @@ impl Viewer<'_> {
     /// The page: 111 bytes a Gaussian of SH degree 3, and some 50 kB.
     ///
     /// # Errors
-    /// [`Error::Config`] for no Gaussian, fields or labels of another length, or an `alpha_max` out of range;
+    /// [`Error::Config`] for no Gaussian, fields or labels of another length, or an `alpha_max` or `up` out of range;
     /// [`Error::NonFinite`].
     pub fn page(&self) -> Result<String> {
         self.gaussians.check(self.labels)?;
@@ -126,6 +134,9 @@ impl Viewer<'_> {
             let mend = "choose a value in that range";
             return Err(Error::config("alpha_max", self.alpha_max.to_string(), "a number in (0, 1]", mend));
         }
+        if let Some(up) = self.up.filter(|up| up.try_normalize().is_none()) {
+            return Err(Error::config("up", up.to_string(), "a direction", "name one, such as 0,0,1"));
+        }
         let unlabelled = vec![0; self.gaussians.len()];
         let all = inventory(self.gaussians, &unlabelled);
         let objects = self.labels.map_or_else(|| all.clone(), |labels| inventory(self.gaussians, labels));
@@ -133,25 +144,25 @@ impl Viewer<'_> {
         for (place, object) in (0..=u16::MAX).zip(&objects) {
             object.rows.iter().for_each(|&row| places[row as usize] = place);
         }
-        let header = json(&self.header(&all[0], &objects))?;
+        let columns = packing::columns(self.gaussians, &places);
+        let header = json(&self.header(&all[0], &objects, columns.len()))?;
         let shaders = json(&serde_json::json!({
             "splatVertex": include_str!("page/splat.vert"),
             "splatFragment": include_str!("page/splat.frag"),
             "screenVertex": include_str!("page/screen.vert"),
             "screenFragment": include_str!("page/screen.frag"),
         }))?;
-        let columns = base64::engine::general_purpose::STANDARD.encode(packing::columns(self.gaussians, &places));
         Ok(filled(&[
             ("version", env!("CARGO_PKG_VERSION")),
             ("style", include_str!("page/viewer.css")),
             ("header", &header),
             ("shaders", &shaders),
-            ("columns", &columns),
+            ("columns", &columns.chunks(PART).map(part).collect::<String>()),
             ("script", &SCRIPT.concat()),
         ]))
     }
 
-    fn header(&self, all: &Object, objects: &[Object]) -> Header<'_> {
+    fn header(&self, all: &Object, objects: &[Object], bytes: usize) -> Header<'_> {
         let entry = |object: &Object| Entry {
             id: self.labels.map(|_| object.id),
             name: self.labels.and_then(|_| self.classes.known_name(object.id)),
@@ -162,13 +173,19 @@ impl Viewer<'_> {
         };
         let moved = |camera: &Camera| Camera { center: camera.center - self.origin, ..camera.clone() };
         let cameras: Vec<Camera> = self.cameras.iter().map(|named| moved(&named.camera)).collect();
-        let start = without_cameras(all);
-        let up = if cameras.is_empty() { DVec3::NEG_Y } else { upright(mean_up(&cameras)) };
+        let up = match self.up.and_then(DVec3::try_normalize) {
+            Some(up) => up,
+            None if cameras.is_empty() => DVec3::NEG_Y,
+            None => upright(mean_up(&cameras)),
+        };
+        let start = self.without_cameras(all, up);
         let views = self.cameras.iter().zip(&cameras);
         Header {
             title: self.title,
             path: self.scene,
+            names: self.names,
             gaussians: self.gaussians.len(),
+            bytes,
             degree: self.gaussians.sh_degree,
             alpha_max: self.alpha_max,
             up: up.to_array(),
@@ -178,18 +195,33 @@ impl Viewer<'_> {
             cameras: views.map(|(named, camera)| view(&named.name, named.split, camera)).collect(),
         }
     }
+
+    /// Where a visit begins when there are no cameras: before the box `all`, a little above it.
+    fn without_cameras(&self, all: &Object, up: DVec3) -> Camera {
+        let longest = |scales: &[f32; 3]| scales.iter().copied().fold(f32::MIN, f32::max).exp();
+        // One Gaussian has no box.
+        let least = 8.0 * self.gaussians.log_scales.iter().map(longest).fold(0.0, f32::max).min(1.0);
+        let distance = (1.2 * all.low.distance(all.high)).max(f64::from(least));
+        // Along z as COLMAP's first cameras look, as far as that is across.
+        let ahead = DVec3::Z.reject_from_normalized(up).try_normalize().unwrap_or(up.any_orthonormal_vector());
+        let center = all.center() - distance * (ahead - 0.3 * up).normalize();
+        let forward = (all.center() - center).normalize();
+        let right = forward.cross(up).normalize();
+        let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
+        Camera { rotation, center, fx: 480.0, fy: 480.0, cx: 320.0, cy: 240.0, width: 640, height: 480 }
+    }
+}
+
+/// An element with some of the columns' bytes.
+fn part(bytes: &[u8]) -> String {
+    let text = base64::engine::general_purpose::STANDARD.encode(bytes);
+    format!("<script type=\"text/plain\" class=\"columns\">{text}</script>\n")
 }
 
 /// An axis of the world where `up` is nearly one: the mean of cameras' directions is as steady as who held them.
 fn upright(up: DVec3) -> DVec3 {
     let axes = DVec3::AXES.into_iter().flat_map(|axis| [axis, -axis]);
     axes.into_iter().find(|axis| axis.dot(up) > NEARLY).unwrap_or(up)
-}
-
-/// Where a visit begins when there are no cameras: before the box `all`, along the axes that COLMAP's scenes mostly have.
-fn without_cameras(all: &Object) -> Camera {
-    let center = all.center() - 1.2 * all.low.distance(all.high) * DVec3::Z;
-    Camera { rotation: DMat3::IDENTITY, center, fx: 480.0, fy: 480.0, cx: 320.0, cy: 240.0, width: 640, height: 480 }
 }
 
 fn view<'a>(name: &'a str, split: Split, camera: &Camera) -> View<'a> {

@@ -1,12 +1,12 @@
 //! The columns of numbers that a page carries: 83 bytes a Gaussian of SH degree 3, little endian.
 //!
 //! Centres are `f32` as they are. Lengths are kept as logarithms in steps of 1/1024 (0.05 %), turns in 1/32767, opacities in
-//! 1/65535, constant colour terms in 1/4096, and view-dependent ones in 1/127 of the largest of their Gaussian.
+//! 1/65535, constant colour terms in 1/1024 (up to 32), and view-dependent ones in 1/127 of the largest of their Gaussian.
 
 use crate::gaussians::{Gaussians, rotation};
 
 const LOG_STEPS: f32 = 1024.0;
-const BASE_STEPS: f32 = 4096.0;
+const BASE_STEPS: f32 = 1024.0;
 
 /// Columns one after the other; `objects` are places in the page's list of objects, one a Gaussian.
 pub(super) fn columns(gaussians: &Gaussians, objects: &[u16]) -> Vec<u8> {

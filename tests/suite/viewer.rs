@@ -2,11 +2,11 @@
 
 use crate::assert_names;
 use crate::cli::{fails, succeeds, utf8};
-use crate::plates::scene as plates_scene;
+use crate::plates::{self, plates, scene as plates_scene};
 use base64::Engine;
 use coseg::camera::{Camera, Intrinsics};
-use coseg::data::{Classes, NamedCamera, Split};
-use coseg::gaussians::Gaussians;
+use coseg::data::{Classes, Limits, NamedCamera, Split};
+use coseg::gaussians::{Gaussians, ply};
 use coseg::raster::{Settings, render};
 use coseg::viewer::Viewer;
 use glam::{DMat4, DVec3};
@@ -39,13 +39,24 @@ fn camera() -> Camera {
     Camera::from_opengl(&pose, lens).unwrap()
 }
 
+fn viewer<'a>(gaussians: &'a Gaussians, labels: Option<&'a [u16]>, classes: &'a Classes) -> Viewer<'a> {
+    Viewer {
+        title: "a </script><b>bold</b> title {{script}}",
+        scene: "it's",
+        names: None,
+        gaussians,
+        origin: ORIGIN,
+        labels,
+        classes,
+        cameras: &[],
+        up: None,
+        alpha_max: Settings::default().alpha_max,
+    }
+}
+
 fn page_of(gaussians: &Gaussians, labels: Option<&[u16]>, classes: &Classes) -> String {
     let cameras = [NamedCamera { name: "held".into(), split: Split::Test, camera: camera() }];
-    let title = "a </script><b>bold</b> title {{script}}";
-    let alpha_max = Settings::default().alpha_max;
-    let viewer =
-        Viewer { title, scene: "it's", gaussians, origin: ORIGIN, labels, classes, cameras: &cameras, alpha_max };
-    viewer.page().unwrap()
+    Viewer { cameras: &cameras, ..viewer(gaussians, labels, classes) }.page().unwrap()
 }
 
 /// What stands in the element with this id.
@@ -54,11 +65,17 @@ fn inside<'a>(page: &'a str, id: &str) -> &'a str {
     after.split_once("</script>").unwrap().0
 }
 
+fn columns(page: &str) -> Vec<u8> {
+    let parts = page.split("class=\"columns\">").skip(1).map(|part| part.split_once("</script>").unwrap().0);
+    parts.flat_map(|part| base64::engine::general_purpose::STANDARD.decode(part).unwrap()).collect()
+}
+
 /// The Gaussians that the page carries, read as the page reads them, and each one's place in the list of objects.
 fn unpacked(page: &str) -> (Gaussians, Vec<u16>) {
     let header: serde_json::Value = serde_json::from_str(inside(page, "header")).unwrap();
     let (n, degree) = (header["gaussians"].as_u64().unwrap() as usize, header["degree"].as_u64().unwrap() as usize);
-    let bytes = base64::engine::general_purpose::STANDARD.decode(inside(page, "columns")).unwrap();
+    let bytes = columns(page);
+    assert_eq!(header["bytes"], bytes.len());
     let rest = 3 * ((degree + 1).pow(2) - 1);
     assert_eq!(bytes.len(), n * (38 + rest), "83 bytes a Gaussian of degree 3");
     let mut left = bytes.as_slice();
@@ -71,7 +88,7 @@ fn unpacked(page: &str) -> (Gaussians, Vec<u16>) {
     let scaled = |v: &[i16], step: f32| v.iter().map(|&v| f32::from(v) * step).collect::<Vec<f32>>();
     let mut sh = Vec::new();
     for (i, (base, &spread)) in base.chunks_exact(3).zip(&spread).enumerate() {
-        sh.extend(scaled(base, 1.0 / 4096.0));
+        sh.extend(scaled(base, 1.0 / 1024.0));
         let step = (f32::from(spread) / 1024.0).exp() / 127.0;
         sh.extend(left[rest * i..][..rest].iter().map(|&v| f32::from(v as i8) * step));
     }
@@ -139,6 +156,23 @@ fn scenes_without_labels_cameras_or_degrees_have_a_page_too() {
     assert!(header["objects"][0]["id"].is_null());
     let (carried, _) = unpacked(&page);
     assert!(psnr(&picture(&carried), &picture(&cloud)) > 60.0);
+
+    // All of it lies before where a visit begins, upright.
+    let one = cloud.select(&[0]);
+    for (gaussians, up) in [(&cloud, None), (&cloud, Some(DVec3::new(0.0, 0.0, 2.0))), (&one, None)] {
+        let classes = Classes::default();
+        let page = Viewer { up, ..viewer(gaussians, None, &classes) }.page().unwrap();
+        let header: serde_json::Value = serde_json::from_str(inside(&page, "header")).unwrap();
+        let numbers = |value: &serde_json::Value| -> Vec<f64> { serde_json::from_value(value.clone()).unwrap() };
+        let [rotation, center] = ["rotation", "center"].map(|key| numbers(&header["start"][key]));
+        let [right, down, ahead] = [0, 3, 6].map(|row| DVec3::from_slice(&rotation[row..]));
+        assert!((right.cross(down) - ahead).length() < 1e-9 && (ahead.length() - 1.0).abs() < 1e-9);
+        let up = up.map_or(DVec3::NEG_Y, DVec3::normalize);
+        assert!(right.dot(up).abs() < 1e-9 && down.dot(up) < -0.8, "{down}");
+        let mean = DVec3::from(gaussians.means[0].map(f64::from)) - DVec3::from_slice(&center);
+        let depth = mean.dot(ahead);
+        assert!(depth > 0.1 && mean.dot(right).abs() < depth && mean.dot(down).abs() < depth);
+    }
 }
 
 #[test]
@@ -157,16 +191,8 @@ fn the_page_asks_nothing_of_the_network_and_names_stay_text() {
 #[test]
 fn what_cannot_be_shown_is_an_error() {
     let (cloud, classes) = (cloud(10), Classes::default());
-    let viewer = Viewer {
-        title: "",
-        scene: "",
-        gaussians: &cloud,
-        origin: DVec3::ZERO,
-        labels: Some(&[1; 9]),
-        classes: &classes,
-        cameras: &[],
-        alpha_max: 0.99,
-    };
+    let viewer = viewer(&cloud, Some(&[1; 9]), &classes);
+    assert_names(&Viewer { labels: None, up: Some(DVec3::ZERO), ..viewer }.page().unwrap_err(), &["up"]);
     assert_names(&viewer.page().unwrap_err(), &["gaussians.labels", "9", "10"]);
     assert_names(&Viewer { labels: None, alpha_max: 1.5, ..viewer }.page().unwrap_err(), &["alpha_max", "1.5"]);
     let none = Gaussians::default();
@@ -188,6 +214,11 @@ fn the_command_writes_a_page_beside_the_scene() {
     assert_eq!(header["cameras"].as_array().unwrap().len(), 6);
     assert_eq!(header["path"], utf8(&scene));
     let other = dir.path().join("page.htm");
+    for (flag, value) in [("--alpha-max", "2"), ("--up", "0,0")] {
+        let code = if flag == "--up" { 2 } else { 1 };
+        let message = fails(&["view", "--scene", utf8(&scene), flag, value], code);
+        assert!(message.contains(flag), "{message}");
+    }
     let message = fails(&["view", "--scene", utf8(&scene), "--out", utf8(&other)], 1);
     assert!(message.contains("--out") && message.contains(".html") && !other.exists(), "{message}");
 }
@@ -204,10 +235,9 @@ fn browser() -> Option<String> {
     found
 }
 
-/// What the browser draws of the page at `path` with `#` and `address` behind its name.
-fn drawn(browser: &str, path: &Path, address: &str) -> Vec<f32> {
-    let shot = path.with_extension("png");
-    let url = format!("file://{}#{address}&bare", path.canonicalize().unwrap().display());
+/// Runs the browser without a window on the page at `path`, with `#` and `address` behind its name.
+fn browse(browser: &str, path: &Path, address: &str, what: &str) -> String {
+    let url = format!("file://{}#{address}", path.canonicalize().unwrap().display());
     let output = Command::new(browser)
         .args([
             "--headless",
@@ -216,12 +246,17 @@ fn drawn(browser: &str, path: &Path, address: &str) -> Vec<f32> {
             "--force-device-scale-factor=1",
             "--window-size=320,240",
         ])
-        .args(["--enable-unsafe-swiftshader", "--virtual-time-budget=10000"])
-        .arg(format!("--screenshot={}", shot.display()))
-        .arg(&url)
+        .args(["--enable-unsafe-swiftshader", "--virtual-time-budget=10000", what, &url])
         .output()
         .unwrap();
-    assert!(shot.is_file(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// What the browser draws of the page.
+fn drawn(browser: &str, path: &Path, address: &str) -> Vec<f32> {
+    let shot = path.with_extension("png");
+    browse(browser, path, &format!("{address}&bare"), &format!("--screenshot={}", shot.display()));
     let picture = image::open(&shot).unwrap().to_rgb8();
     assert_eq!(picture.dimensions(), (320, 240));
     picture.into_raw().into_iter().map(|v| f32::from(v) / 255.0).collect()
@@ -241,4 +276,78 @@ fn a_browser_draws_what_the_rasterizer_does() {
     let colors: Vec<[f32; 3]> = labels.iter().map(|&id| classes.color(id).map(|v| f32::from(v) / 255.0)).collect();
     let found = psnr(&drawn(&browser, &path, "view=held&mode=labels"), &picture(&cloud.painted(&colors)));
     assert!(found > 55.0, "{found}");
+}
+
+/// The text of the element with this id after `script` has run in the page, in which it finds `page` and `send`.
+fn after(browser: &str, page: &Path, script: &str, id: &str) -> String {
+    let send = "const send = (type, x, y, more) => document.getElementById('picture').dispatchEvent(\
+        new PointerEvent(type, { clientX: x, clientY: y, pointerId: 1, buttons: 1, ...more }));\
+        document.getElementById('picture').setPointerCapture = () => {};";
+    let text = std::fs::read_to_string(page).unwrap();
+    let script = format!(
+        "<pre id=\"said\"></pre><script type=\"module\">const page = window.page; {send} {script}</script></body>"
+    );
+    let scripted = page.with_file_name("scripted.html");
+    std::fs::write(&scripted, text.replace("</body>", &script)).unwrap();
+    let dom = browse(browser, &scripted, "", "--dump-dom");
+    let (_, after) = dom.split_once(&format!("id=\"{id}\">")).unwrap();
+    after.split_once("</pre>").unwrap().0.replace("&gt;", ">").replace("&amp;", "&")
+}
+
+#[test]
+fn the_command_that_the_page_writes_does_what_the_page_shows() {
+    let Some(browser) = browser() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let scene = plates_scene(dir.path());
+    let classes = dir.path().join("some classes.json");
+    let names = [(1, "plate"), (2, "plate"), (3, "it's a plate, blue"), (4, "wall")];
+    Classes::from_names(0, names).write(&classes).unwrap();
+    let page = dir.path().join("page.html");
+    let read = ["--scene", utf8(&scene), "--cameras", utf8(dir.path()), "--classes", utf8(&classes)];
+    succeeds(&[&["view", "--out", utf8(&page)], &read[..]].concat());
+    let script = "page.show(0, false); page.show(3, false); page.moveTo(2, [0.25, -1, 0]); page.moveTo(1, [0, 0, 2]);";
+    let line = after(&browser, &page, script, "command");
+    assert!(line.starts_with("coseg edit ") && line.contains("--remove 1,wall"), "{line}");
+    let run = Command::new("sh")
+        .args(["-c", &line.replacen("coseg", env!("CARGO_BIN_EXE_coseg"), 1)])
+        .current_dir(dir.path())
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{line}: {}", String::from_utf8_lossy(&run.stderr));
+    let folder = line.split_once("--out ").unwrap().1.split_once("/scene.ply").unwrap().0;
+    let edited = ply::read(&dir.path().join(folder).join("scene.ply"), &Limits::default()).unwrap();
+    assert_eq!(edited.labels.unwrap(), [vec![2; 25], vec![3; 25]].concat());
+    let (before, _) = plates();
+    for (row, mean) in edited.gaussians.means.iter().enumerate() {
+        let by = if row < 25 { [0.0, 0.0, 2.0] } else { [0.25, -1.0, 0.0] };
+        let want = [0, 1, 2].map(|k| before.means[25 + row][k] + by[k]);
+        assert!(mean.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-5), "{row}: {mean:?} {want:?}");
+    }
+}
+
+#[test]
+fn the_pointer_turns_the_picture_and_chooses_what_it_shows() {
+    let Some(browser) = browser() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let page = dir.path().join("page.html");
+    let (gaussians, labels) = plates();
+    let cameras = [NamedCamera { name: "front".into(), split: Split::Train, camera: plates::camera(2) }];
+    let classes = Classes::from_names(0, [(1, "red"), (2, "green"), (3, "blue"), (4, "wall")]);
+    let shown = viewer(&gaussians, Some(&labels), &classes);
+    Viewer { cameras: &cameras, origin: DVec3::ZERO, ..shown }.write(&page).unwrap();
+    // A drag to the right and down takes what is seen along: the camera goes left, and up. It never turns over.
+    let script = "const spot = (p) => { const c = page.fitted; const d = p.map((v, k) => v - c.center[k]); \
+        const at = [0, 3, 6].map((r) => d.reduce((s, v, k) => s + v * c.rotation[r + k], 0)); \
+        return [c.fx * at[0] / at[2] + c.cx, c.fy * at[1] / at[2] + c.cy]; }; \
+        const said = []; const [x, y] = spot([0, 0.3, 0]); \
+        send('pointerdown', x, y); send('pointerup', x, y); said.push(page.scene.objects[page.chosen].name); \
+        const [u, v] = spot([0, 0, -1]); send('pointerdown', u, v); \
+        const near = page.navigation.pivot.map((w, k) => 0.7 * w + 0.3 * page.fitted.center[k]); const before = spot(near); \
+        for (let i = 1; i <= 6; i++) send('pointermove', u + i, v + i); send('pointerup', u + 6, v + 6); \
+        const after = spot(near); said.push(after[0] > before[0] + 1, after[1] > before[1] + 1); \
+        send('pointerdown', u, v); for (let i = 1; i < 400; i++) send('pointermove', u, v + 20 * i); \
+        const up = page.up; const down = page.fitted.down; \
+        said.push(up.reduce((s, w, k) => s + w * down[k], 0) < 0); \
+        document.getElementById('said').textContent = said.join(' ');";
+    assert_eq!(after(&browser, &page, script, "said"), "green true true true");
 }

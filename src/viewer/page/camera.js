@@ -1,6 +1,7 @@
 // The camera: world to camera axes (x right, y down, z forward), as in the library, and how it is moved about.
 
 const NEAR = 0.01;
+const STEEPEST = 1.5; // radians
 
 class Camera {
   constructor({ rotation, center, fx, fy, cx, cy, width, height }) {
@@ -53,13 +54,20 @@ class Camera {
     this.rotation = [...right, ...cross(forward, right), ...forward];
   }
 
-  /** About `up`, then up and down; stops short of the poles, where the picture would turn over. */
-  orbit(up, pivot, yaw, pitch) {
+  /** Yaw about `up`, and `rise` of what is looked at; stops short of the poles, where the picture would turn over. */
+  orbit(up, pivot, yaw, rise) {
     this.turn(up, yaw, pivot);
-    const height = Math.asin(Math.max(-1, Math.min(1, -dot(this.forward, up))));
-    const most = 1.5;
-    const bounded = Math.max(-most - height, Math.min(most - height, pitch));
-    // Beyond the poles already, as a photo taken upside down is: any way back is good.
-    this.turn(this.right, -(Math.abs(height) > most ? pitch : bounded), pivot);
+    const elevation = Math.asin(Math.max(-1, Math.min(1, dot(this.forward, up))));
+    // A photo may look steeper than that: then it goes back only.
+    const [least, most] = [Math.min(-STEEPEST - elevation, 0), Math.max(STEEPEST - elevation, 0)];
+    this.turn(this.right, Math.max(least, Math.min(most, rise)), pivot);
+  }
+
+  /** Takes the roll out, where there is a horizon. */
+  level(up) {
+    const right = cross(this.forward, up);
+    if (Math.hypot(...right) < 0.05) return;
+    const across = unit(right);
+    this.rotation = [...across, ...cross(this.forward, across), ...this.forward];
   }
 }

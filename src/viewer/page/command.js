@@ -1,30 +1,40 @@
-// What `coseg edit` makes of the scene what the page shows.
+// The `coseg edit` that writes what the page shows.
 
 /** As a shell takes it. */
 const quoted = (text) => (/^[A-Za-z0-9_\-./=,:+]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`);
-/** At most `digits` after the point. */
-const rounded = (value, digits = 3) => String(Number(value.toFixed(digits)));
 
-/** A name where it means this object alone and can stand in a list, otherwise the id. */
-function spoken(scene, object) {
-  const { id, name } = object;
-  const shared = scene.objects.some((o) => o.id !== id && (o.name === name || o.name?.replace(/ \d+$/, "") === name));
-  return name && !shared && !/[,=]/.test(name) && name.trim() === name && !/^\d+$/.test(name) ? name : String(id);
+/** Digits behind the point that tell apart a thousandth of the scene. */
+function digitsOf({ low, high }) {
+  const size = Math.hypot(...minus(high, low));
+  return size > 0 ? Math.max(0, Math.min(12, Math.ceil(3 - Math.log10(size)))) : 6;
 }
 
-/** The command line, or nothing where the scene is as it was. */
+const rounded = (value, digits) => String(Number(value.toFixed(digits)));
+
+/** A name where it means this object alone and can stand in a list, otherwise the id. */
+function spoken(scene, { id, name }) {
+  const others = scene.objects.filter((object) => object.id !== id);
+  const shared = others.some((object) => object.name === name || object.name?.replace(/ \d+$/, "") === name);
+  const plain = name && name.trim() === name && !/[,=]|^-|^\d+$/.test(name);
+  return plain && !shared ? name : String(id);
+}
+
+/** The command line, or nothing where the scene is as it was or nothing would be left of it. */
 function editCommand(scene, objects) {
   const hidden = scene.objects.filter((_, i) => !objects[i].shown);
   const shown = scene.objects.filter((_, i) => objects[i].shown);
   const moved = scene.objects.filter((_, i) => objects[i].shown && objects[i].moved);
-  if (!shown.length || (!hidden.length && !moved.length)) return "";
-  const words = ["coseg", "edit", "--scene", quoted(scene.path), "--out", "edited/scene.ply"];
+  if (!scene.labelled || !shown.length || (!hidden.length && !moved.length)) return "";
+  const folder = `${scene.title.replace(/[^\p{L}\p{N}_.-]+/gu, "-").replace(/^[-.]+/, "")}-edited`;
+  const words = ["coseg", "edit", "--scene", quoted(scene.path), "--out", quoted(`${folder}/scene.ply`)];
+  if (scene.names) words.push("--classes", quoted(scene.names));
   const list = (some) => quoted(some.map((object) => spoken(scene, object)).join(","));
   if (hidden.length > shown.length) words.push("--keep", list(shown));
   else if (hidden.length) words.push("--remove", list(hidden));
+  const digits = digitsOf(scene.extent);
   for (const object of moved) {
     const { offset } = objects[scene.objects.indexOf(object)];
-    words.push("--move", quoted(`${spoken(scene, object)}=${offset.map((v) => rounded(v)).join(",")}`));
+    words.push("--move", quoted(`${spoken(scene, object)}=${offset.map((v) => rounded(v, digits)).join(",")}`));
   }
   return words.join(" ");
 }

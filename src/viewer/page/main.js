@@ -3,6 +3,7 @@
 const MODES = { colour: 0, both: 0.6, labels: 1 };
 const BACKGROUNDS = [[0, 0, 0], [0.5, 0.5, 0.5], [1, 1, 1]];
 const HOVERED = 500_000; // Gaussians up to which what is under the pointer is told all the time
+const FRAME = 1000 / 60; // milliseconds of a step that no frame came before
 const SLOW = 60; // milliseconds of a frame beyond which moving pictures are drawn smaller
 
 class Page {
@@ -49,8 +50,9 @@ class Page {
 
   /** `#view=NAME&mode=labels`, and `&bare` for the picture alone, of the camera's own size. */
   fromAddress() {
-    const asked = new URLSearchParams(location.hash.slice(1));
-    if (asked.get("mode") in MODES) this.mode = asked.get("mode");
+    const pairs = location.hash.slice(1).split("&").map((pair) => pair.split("=").map(decodeURIComponent));
+    const asked = new Map(pairs);
+    if (asked.get("mode") in MODES && this.scene.labelled) this.mode = asked.get("mode");
     const { cameras } = this.scene;
     const named = cameras.findIndex((camera) => camera.name === asked.get("view"));
     const heldOut = cameras.findIndex((camera) => camera.split === "test");
@@ -70,7 +72,8 @@ class Page {
     const hint = document.getElementById("hint");
     let last = 0;
     this.canvas.addEventListener("pointermove", (e) => {
-      if (e.buttons || this.scene.gaussians > HOVERED || this.scene.objects.length < 2 || e.timeStamp - last < 60) return;
+      if (e.buttons) hint.textContent = "";
+      if (e.buttons || this.scene.gaussians > HOVERED || !this.scene.labelled || e.timeStamp - last < 60) return;
       last = e.timeStamp;
       const [x, y] = this.navigation.place(e);
       const found = this.pickAt(x, y);
@@ -80,11 +83,15 @@ class Page {
     this.canvas.addEventListener("pointerleave", () => (hint.textContent = ""));
     const keys = { Digit1: "colour", Digit2: "both", Digit3: "labels" };
     window.addEventListener("keydown", (e) => {
-      if (/^(INPUT|SELECT|TEXTAREA)$/.test(e.target.tagName) || e.ctrlKey || e.metaKey || e.altKey) return;
+      if (takesText(e.target) || e.ctrlKey || e.metaKey || e.altKey) return;
       if (keys[e.code]) this.setMode(keys[e.code]);
       if (e.code === "Escape") this.choose(-1);
       if (e.code === "KeyH" && this.chosen >= 0) this.show(this.chosen, !this.objects[this.chosen].shown);
       if (e.code === "KeyB") this.nextBackground();
+      if (e.code === "KeyL") {
+        this.fitted.level(this.up);
+        this.changed();
+      }
     });
     this.resized();
   }
@@ -106,10 +113,9 @@ class Page {
     this.asked = true;
     requestAnimationFrame((now) => {
       this.asked = false;
-      const walking = this.navigation.step(Math.min(now - (this.last ?? now), 100) / 1000);
+      const walking = this.navigation.step(Math.min(this.last === undefined ? FRAME : now - this.last, 100) / 1000);
       if (walking) this.panel.setView(null);
-      const { pointers, moved } = this.navigation;
-      const moving = walking || (pointers.size > 0 && moved);
+      const moving = walking || this.navigation.isMoving(now);
       this.adapt(moving && this.last !== undefined ? now - this.last : null);
       this.last = moving ? now : undefined;
       this.draw(moving);
@@ -120,7 +126,7 @@ class Page {
 
   /** Makes moving pictures smaller where frames come slowly; `took` is milliseconds since the last, if they follow each other. */
   adapt(took) {
-    if (took === null || took > 2000) return;
+    if (took === null) return;
     if (took > SLOW) this.coarse = Math.max(0.25, this.coarse * 0.8);
     else if (took < SLOW / 3) this.coarse = Math.min(1, this.coarse * 1.1);
   }
@@ -137,8 +143,6 @@ class Page {
     const scale = moving ? this.coarse : 1;
     const [w, h] = [width, height].map((v) => Math.max(1, Math.round(v * scale)));
     this.renderer.draw(camera.fitted(w, h), MODES[this.mode], this.background);
-    clearTimeout(this.settle);
-    if (scale < 1) this.settle = setTimeout(() => this.ask(), 150);
   }
 
   resized() {
@@ -160,14 +164,16 @@ class Page {
   }
 
   clicked(x, y) {
+    if (!this.scene.labelled) return;
     const found = this.pickAt(x, y);
     this.choose(found && found.object !== this.chosen ? found.object : -1);
   }
 
   /** Moves the chosen object with the pointer, if it is what is held: along the floor, with shift up and down. */
-  dragged(point, from, to, e) {
-    if (!this.moving || this.chosen < 0 || e.buttons !== 1) return false;
+  dragged(held, from, to, e) {
+    if (!this.moving || held?.object !== this.chosen || e.buttons !== 1) return false;
     const camera = this.fitted;
+    const { point } = held;
     const depth = camera.depth(point);
     let way = times(depth, minus(camera.ray(...to), camera.ray(...from)));
     const along = times(dot(way, this.up), this.up);
@@ -182,15 +188,15 @@ class Page {
     }
     const state = this.objects[this.chosen];
     state.offset = add(state.offset, way);
-    this.navigation.pivot = add(point, way);
+    held.point = add(point, way);
     this.panel.update();
     this.ask();
     return true;
   }
 
   choose(i) {
+    if (i !== this.chosen) this.moving = false;
     this.chosen = i;
-    if (i < 0) this.moving = false;
     this.refresh();
     this.panel.reveal(i);
   }
@@ -201,6 +207,7 @@ class Page {
   }
 
   setMode(mode) {
+    if (!this.scene.labelled) return;
     this.mode = mode;
     this.refresh();
   }

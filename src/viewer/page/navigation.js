@@ -3,14 +3,17 @@
 const KEYS_OF_MOVES = {
   KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyE: [0, -1, 0], KeyQ: [0, 1, 0],
 };
-const KEYS_OF_TURNS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+const KEYS_OF_TURNS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }; // yaw, rise
 const STILL = 4; // pixels that a pointer may stray in a click
+
+/** Whether keys are typed into an element. */
+const takesText = (target) => target.matches?.("select, textarea, input:not([type=checkbox])") ?? false;
 
 class Navigation {
   /**
    * @param {HTMLCanvasElement} canvas
-   * @param {object} view what is moved: camera(), changed(), pickAt(x, y), clicked(x, y), dragged(point, from, to) that says
-   *   whether it moved something else than the camera, up, reach
+   * @param {object} view what is moved: camera(), changed() where the camera has moved, pickAt(x, y), clicked(x, y), dragged(held,
+   *   from, to, event), whether it moved what is held instead of the camera; up, reach, speed
    */
   constructor(canvas, view) {
     this.canvas = canvas;
@@ -25,7 +28,13 @@ class Navigation {
     canvas.addEventListener("contextmenu", (e) => e.preventDefault());
     window.addEventListener("keydown", (e) => this.key(e, true));
     window.addEventListener("keyup", (e) => this.key(e, false));
-    window.addEventListener("blur", () => this.keys.clear());
+    // Keys that are let go elsewhere are not told of.
+    for (const leaving of ["blur", "focusin"]) window.addEventListener(leaving, (e) => this.leave(e));
+    document.addEventListener("visibilitychange", () => this.keys.clear());
+  }
+
+  leave(e) {
+    if (e.type === "blur" || takesText(e.target)) this.keys.clear();
   }
 
   place(e) {
@@ -36,9 +45,9 @@ class Navigation {
   /** What is at a place, or else a point on its ray as far off as the last one. */
   hold([x, y]) {
     const camera = this.view.camera();
-    const found = this.view.pickAt(x, y)?.point;
-    if (found) this.view.reach = Math.max(camera.depth(found), 10 * NEAR);
-    return found ?? add(camera.center, times(this.view.reach, camera.ray(x, y)));
+    this.held = this.view.pickAt(x, y);
+    if (this.held) this.view.reach = Math.max(camera.depth(this.held.point), 10 * NEAR);
+    return this.held?.point ?? add(camera.center, times(this.view.reach, camera.ray(x, y)));
   }
 
   press(e) {
@@ -46,7 +55,7 @@ class Navigation {
     const at = this.place(e);
     this.pointers.set(e.pointerId, at);
     this.start = at;
-    this.moved = this.pointers.size > 1;
+    this.moved = this.pointers.size > 1 || e.button > 0;
     this.pivot = this.hold(at);
   }
 
@@ -58,12 +67,13 @@ class Navigation {
     if (!this.moved) return;
     if (this.pointers.size === 2) {
       this.pinch(e.pointerId, before, at);
-    } else if (!this.view.dragged(this.pivot, before, at, e)) {
+      this.view.changed();
+    } else if (!this.view.dragged(this.held, before, at, e)) {
       if (e.buttons & 2 || e.buttons & 4 || e.shiftKey) this.pan(before, at);
       else this.orbit(at[0] - before[0], at[1] - before[1]);
+      this.view.changed();
     }
     this.pointers.set(e.pointerId, at);
-    this.view.changed();
   }
 
   release(e) {
@@ -98,19 +108,26 @@ class Navigation {
 
   wheel(e) {
     e.preventDefault();
-    const lines = e.deltaMode === 0 ? e.deltaY / 100 : e.deltaY / 3;
+    // Two fingers that spread on a trackpad come as a wheel with ctrl, in small steps.
+    const lines = e.ctrlKey ? e.deltaY / 16 : e.deltaMode === 0 ? e.deltaY / 100 : e.deltaY / 3;
+    this.rolled = e.timeStamp;
     this.pivot = this.hold(this.place(e));
     this.approach(1 - Math.exp(Math.max(-3, Math.min(3, lines)) * 0.16));
     this.view.changed();
   }
 
   key(e, down) {
-    if (e.ctrlKey || e.metaKey || e.altKey || /^(INPUT|SELECT|TEXTAREA)$/.test(e.target.tagName)) return;
+    if (!down) this.keys.delete(e.code);
+    if (!down || e.ctrlKey || e.metaKey || e.altKey || takesText(e.target)) return;
     if (!(e.code in KEYS_OF_MOVES) && !(e.code in KEYS_OF_TURNS)) return;
     e.preventDefault();
-    if (down) this.keys.add(e.code);
-    else this.keys.delete(e.code);
+    this.keys.add(e.code);
     this.view.changed();
+  }
+
+  /** Whether the picture is about to change again. */
+  isMoving(now) {
+    return (this.pointers.size > 0 && this.moved) || now - (this.rolled ?? -Infinity) < 150;
   }
 
   /** Goes on as the held keys say, for so many seconds; whether there are any. */
@@ -120,8 +137,8 @@ class Navigation {
       const [x, y, z] = KEYS_OF_MOVES[code] ?? [0, 0, 0];
       const way = add(add(times(x, camera.right), times(y, camera.down)), times(z, camera.forward));
       camera.move(times(this.view.speed * seconds, way));
-      const [yaw, pitch] = KEYS_OF_TURNS[code] ?? [0, 0];
-      if (yaw || pitch) camera.orbit(this.view.up, camera.center, 1.2 * yaw * seconds, 1.2 * pitch * seconds);
+      const [yaw, rise] = KEYS_OF_TURNS[code] ?? [0, 0];
+      if (yaw || rise) camera.orbit(this.view.up, camera.center, 1.2 * yaw * seconds, 1.2 * rise * seconds);
     }
     return this.keys.size > 0;
   }

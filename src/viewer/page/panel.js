@@ -21,8 +21,11 @@ class Panel {
     at("lead").textContent = `${grouped(scene.gaussians)} Gaussians`;
     this.rows = scene.objects.map((object, i) => this.row(object, i));
     at("objects").append(...this.rows.map(({ line }) => line));
-    at("labelled").hidden = scene.objects.length < 2;
+    for (const id of ["labelled", "objects", "changes"]) at(id).hidden = !scene.labelled;
+    this.list = at("objects");
+    this.digits = digitsOf(scene.extent);
     this.details = at("details");
+    this.described = -1;
     this.command = at("command");
     at("copy").onclick = () => this.copy(at("copy"));
     at("all").onclick = () => page.showOnly(null);
@@ -31,13 +34,14 @@ class Panel {
     for (const button of document.querySelectorAll("[data-mode]")) button.onclick = () => page.setMode(button.dataset.mode);
     this.views(at("views"));
     at("fold").onclick = () => {
-      document.body.classList.toggle("folded");
+      const folded = document.body.classList.toggle("folded");
+      at("fold").setAttribute("aria-expanded", String(!folded));
       page.resized();
     };
   }
 
   row(object, i) {
-    const box = element("input", { type: "checkbox", checked: true, title: "shown" });
+    const box = element("input", { type: "checkbox", checked: true, title: "shown", ariaLabel: `${called(object)} shown` });
     box.onchange = () => this.page.show(i, box.checked);
     const mark = element("i");
     mark.style.background = `rgb(${object.color.join(" ")})`;
@@ -52,7 +56,11 @@ class Panel {
     select.parentElement.hidden = cameras.length === 0;
     const named = (camera, i) => element("option", { value: i }, `${camera.name}${camera.split === "test" ? " (held out)" : ""}`);
     select.append(element("option", { value: "" }, "free"), ...cameras.map(named));
-    select.onchange = () => select.value !== "" && this.page.goTo(Number(select.value));
+    select.onchange = () => {
+      if (select.value !== "") this.page.goTo(Number(select.value));
+      // Keys walk again.
+      select.blur();
+    };
     this.select = select;
     const step = (by) => () => {
       const now = select.value === "" ? -Math.max(by, 0) : Number(select.value);
@@ -72,6 +80,7 @@ class Panel {
     const { objects, chosen, mode } = this.page;
     this.rows.forEach(({ line, box }, i) => {
       line.classList.toggle("chosen", i === chosen);
+      line.ariaCurrent = i === chosen ? "true" : null;
       box.checked = objects[i].shown;
     });
     for (const button of document.querySelectorAll("[data-mode]")) {
@@ -85,37 +94,50 @@ class Panel {
 
   /** Scrolls the list to an object. */
   reveal(i) {
-    this.rows[i]?.line.scrollIntoView({ block: "nearest" });
+    const line = this.rows[i]?.line;
+    if (!line) return;
+    const [top, bottom] = [line.offsetTop - this.list.offsetTop, line.offsetTop - this.list.offsetTop + line.offsetHeight];
+    const { scrollTop, clientHeight } = this.list;
+    this.list.scrollTop = Math.min(top, Math.max(scrollTop, bottom - clientHeight));
   }
 
+  /** The chosen object; its controls stay the same elements, so that what has the focus keeps it. */
   showChosen() {
     const { objects, chosen, moving } = this.page;
     this.details.hidden = chosen < 0;
     if (chosen < 0) return;
-    const [object, state] = [this.scene.objects[chosen], objects[chosen]];
-    const size = minus(object.high, object.low).map((v) => rounded(v, 2)).join(" × ");
-    const button = (text, onclick, pressed) => {
-      const made = element("button", { type: "button", textContent: text, onclick });
-      if (pressed !== undefined) made.setAttribute("aria-pressed", String(pressed));
-      return made;
-    };
+    if (this.described !== chosen) this.describe(chosen);
+    const { hide, move, fields } = this.controls;
+    hide.textContent = objects[chosen].shown ? "Hide" : "Show";
+    move.ariaPressed = String(moving);
+    fields.forEach((field, k) => {
+      const value = rounded(objects[chosen].offset[k], this.digits);
+      if (Number(field.value) !== Number(value)) field.value = value;
+    });
+  }
+
+  describe(i) {
+    const { page, scene } = this;
+    const object = scene.objects[i];
+    const size = minus(object.high, object.low).map((v) => rounded(v, this.digits)).join(" × ");
+    const button = (textContent, onclick) => element("button", { type: "button", textContent, onclick });
+    const hide = button("Hide", () => page.show(i, !page.objects[i].shown));
+    const move = button("Move by dragging", () => page.setMoving(!page.moving));
     const field = (k) => {
-      const input = element("input", { type: "number", step: "any", value: rounded(state.offset[k]), title: `moved along ${"xyz"[k]}` });
-      input.onchange = () => this.page.moveTo(chosen, state.offset.map((v, j) => (j === k ? Number(input.value) || 0 : v)));
+      const label = `moved along ${"xyz"[k]}, world units`;
+      const input = element("input", { type: "number", step: "any", value: 0, title: label, ariaLabel: label });
+      input.oninput = () => page.moveTo(i, page.objects[i].offset.map((v, j) => (j === k ? Number(input.value) || 0 : v)));
       return input;
     };
+    const fields = [0, 1, 2].map(field);
     this.details.replaceChildren(
       element("b", { textContent: called(object) }),
       element("p", { textContent: `id ${object.id}, ${size} world units` }),
-      element(
-        "div",
-        { className: "buttons" },
-        button("Only this", () => this.page.showOnly(chosen)),
-        button(state.shown ? "Hide" : "Show", () => this.page.show(chosen, !state.shown)),
-        button("Move by dragging", () => this.page.setMoving(!moving), moving),
-      ),
-      element("div", { className: "fields" }, ...[0, 1, 2].map(field)),
+      element("div", { className: "buttons" }, button("Only this", () => page.showOnly(i)), hide, move),
+      element("div", { className: "fields" }, ...fields),
     );
+    this.controls = { hide, move, fields };
+    this.described = i;
   }
 
   async copy(button) {

@@ -1,7 +1,6 @@
 // Draws the Gaussians with WebGL 2: sorted quads blended back to front into half floats.
 
-const TEXTURE_WIDTH = 2048; // as in splat.vert
-const OBJECTS_WIDE = 1024; // as there
+const OBJECTS_WIDE = 1024; // as in splat.vert
 
 class Renderer {
   constructor(canvas, scene, shaders) {
@@ -15,19 +14,14 @@ class Renderer {
     this.splats = this.program(shaders.splatVertex, shaders.splatFragment);
     this.screen = this.program(shaders.screenVertex, shaders.screenFragment);
 
-    const rows = Math.max(1, Math.ceil((TEXELS * scene.gaussians) / TEXTURE_WIDTH));
+    const { rows } = scene;
     if (rows > gl.getParameter(gl.MAX_TEXTURE_SIZE)) {
       const most = (gl.getParameter(gl.MAX_TEXTURE_SIZE) * TEXTURE_WIDTH) / TEXELS;
       throw new Error(`The scene has ${scene.gaussians} Gaussians; this device shows ${most} at most.`);
     }
-    const whole = (values, Type) => {
-      const padded = new Type(4 * TEXTURE_WIDTH * rows);
-      padded.set(values);
-      return padded;
-    };
     const size = [TEXTURE_WIDTH, rows];
-    this.geometry = this.texture(gl.RGBA32F, gl.RGBA, gl.FLOAT, ...size, whole(scene.geometry, Float32Array));
-    this.colours = this.texture(gl.RGBA32UI, gl.RGBA_INTEGER, gl.UNSIGNED_INT, ...size, whole(scene.colours, Uint32Array));
+    this.geometry = this.texture(gl.RGBA32F, gl.RGBA, gl.FLOAT, ...size, scene.geometry);
+    this.colours = this.texture(gl.RGBA32UI, gl.RGBA_INTEGER, gl.UNSIGNED_INT, ...size, scene.colours);
     this.objectSize = [OBJECTS_WIDE, Math.ceil(scene.objects.length / OBJECTS_WIDE)];
     const colours = new Uint8Array(4 * OBJECTS_WIDE * this.objectSize[1]);
     scene.objects.forEach((object, i) => colours.set([...object.color, 255], 4 * i));

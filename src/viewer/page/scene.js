@@ -1,15 +1,21 @@
 // The scene that the page carries: a header, and columns of numbers as `packing.rs` writes them.
 
 const LOG_STEP = 1 / 1024; // of logarithms of lengths and of colour scales
-const BASE_STEP = 1 / 4096; // of the constant term of a colour
+const BASE_STEP = 1 / 1024; // of the constant term of a colour
 const TEXELS = 4; // that a Gaussian takes in each texture
 const FLOATS = 4 * TEXELS;
+const TEXTURE_WIDTH = 2048; // as in splat.vert
 
 /** A Gaussian's row in `geometry`: centre and opacity, then three axes as long as their standard deviations. */
 const OPACITY = 3;
 const OBJECT = 7;
 
 class Scene {
+  /** Whether Gaussians have labels; without them all are one nameless object. */
+  get labelled() {
+    return this.objects[0].id !== null;
+  }
+
   /**
    * @param {object} header what `Header` of mod.rs is
    * @param {ArrayBuffer} buffer the columns
@@ -34,9 +40,10 @@ class Scene {
     const rest = take(Int8Array, 3 * terms);
 
     /** Rows of 16 floats, see above; the texture of the same name. */
-    this.geometry = new Float32Array(FLOATS * n);
+    this.rows = Math.max(1, Math.ceil((TEXELS * n) / TEXTURE_WIDTH));
+    this.geometry = new Float32Array(4 * TEXTURE_WIDTH * this.rows);
     /** Rows of 16 words: 45 signed bytes of view-dependent colour, then the base colour as three floats. */
-    this.colours = new Uint32Array(FLOATS * n);
+    this.colours = new Uint32Array(4 * TEXTURE_WIDTH * this.rows);
     const bytes = new Int8Array(this.colours.buffer);
     const floats = new Float32Array(this.colours.buffer);
     for (let i = 0, row = 0; i < n; i++, row += FLOATS) {
@@ -73,8 +80,16 @@ class Scene {
   /** The scene in the page. */
   static embedded() {
     const header = JSON.parse(document.getElementById("header").textContent);
-    const text = document.getElementById("columns").textContent.trim();
-    return new Scene(header, decoded(text).buffer);
+    const bytes = new Uint8Array(header.bytes);
+    let at = 0;
+    for (const part of document.querySelectorAll("script.columns")) {
+      const some = decoded(part.textContent.trim());
+      bytes.set(some, at);
+      at += some.length;
+      part.remove();
+    }
+    if (at !== bytes.length) throw new Error("the page is cut off");
+    return new Scene(header, bytes.buffer);
   }
 }
 

@@ -12,9 +12,8 @@ out vec4 blended;
 
 void main() {
     vec2 d = vec2(gl_FragCoord.x, size.y - gl_FragCoord.y) - middle;
-    float B = conic.x, Y = conic.y, determinant = conic.z;
-    float e = Y * d.x - B * d.y;
-    float power = 0.5 * (e * e / (Y * determinant) + d.y * d.y / Y);
+    vec2 deviations = vec2((d.x - conic.x * d.y) * conic.y, d.y * conic.z);
+    float power = 0.5 * dot(deviations, deviations);
     float alpha = min(alphaMax, shade.a * exp(-power));
     if (!(alpha >= 1.0 / 255.0)) discard;
     blended = vec4(shade.rgb * alpha, alpha);

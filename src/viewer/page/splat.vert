@@ -21,7 +21,7 @@ uniform vec3 chosen;        // what the chosen object is tinted with
 layout(location = 0) in uint splat;
 
 flat out vec2 middle;
-flat out vec3 conic;        // B, Y and the determinant
+flat out vec3 conic;        // slope, and the reciprocals of the spread along x at a given y, and along y
 flat out vec4 shade;        // colour and opacity
 
 const int WIDTH = 2048;
@@ -105,8 +105,9 @@ void main() {
     float X = dot(m1, m1) + LOW_PASS;
     float Y = dot(m2, m2) + LOW_PASS;
     float B = dot(m1, m2);
-    vec3 across = cross(m1, m2);
-    float determinant = dot(across, across) + LOW_PASS * (X + Y) - LOW_PASS * LOW_PASS;
+    // The determinant by Y, which does not overflow.
+    vec3 thin = cross(m1, m2 * inversesqrt(Y));
+    float given = dot(thin, thin) + LOW_PASS * (X / Y + 1.0) - LOW_PASS * LOW_PASS / Y;
 
     // Where alpha falls to ALPHA_MIN.
     float reach = 2.0 * log(opacity / ALPHA_MIN);
@@ -116,7 +117,7 @@ void main() {
     }
     float spread = length(vec2(0.5 * (X - Y), B));
     float longest = 0.5 * (X + Y) + spread;
-    float shortest = determinant / longest;
+    float shortest = given * (Y / longest);
     vec2 along = X >= Y ? vec2(longest - Y, B) : vec2(B, longest - X);
     along = spread > 1e-6 * longest ? normalize(along) : vec2(1.0, 0.0);
     vec2 corner = vec2(float(gl_VertexID & 1), float(gl_VertexID >> 1)) * 2.0 - 1.0;
@@ -125,7 +126,7 @@ void main() {
     vec2 at = middle + corner.x * lengths.x * along + corner.y * lengths.y * vec2(-along.y, along.x);
     gl_Position = vec4((2.0 * at / size - 1.0) * vec2(1.0, -1.0), 0.0, 1.0);
 
-    conic = vec3(B, Y, determinant);
+    conic = vec3(B / Y, inversesqrt(given), inversesqrt(Y));
     vec3 colour = painted < 1.0 ? colourFrom(normalize(toward), axes[1].w) : vec3(0.0);
     colour = mix(colour, texelFetch(labels, object, 0).rgb, painted);
     shade = vec4(mix(colour, chosen, 0.4 * offset.w), opacity);
