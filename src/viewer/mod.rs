@@ -1,5 +1,5 @@
 //! A scene as one HTML page that needs nothing else: to walk through in a browser, by WebGL 2, to look at labels, and to choose
-//! objects, hide them and move them; the page says which `coseg edit` writes that as a new file.
+//! objects, hide, turn and move them; the page says which `coseg edit` writes that as a new file.
 //!
 //! Pictures are those of [`crate::raster::render`] but for the rounding of `packing.rs`, half floats in blending, and
 //! what lies behind a transmittance of 1e-4, which the page adds.

@@ -5,14 +5,14 @@ use crate::cli::{fails, succeeds, utf8};
 use crate::plates::{self, plates, scene as plates_scene};
 use base64::Engine;
 use coseg::camera::{Camera, Intrinsics};
-use coseg::data::{Classes, Limits, NamedCamera, Split};
+use coseg::data::{Classes, Limits, NamedCamera, Split, read_cameras};
 use coseg::gaussians::{Gaussians, ply};
 use coseg::raster::{Settings, render};
 use coseg::viewer::Viewer;
 use glam::{DMat4, DVec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 const ORIGIN: DVec3 = DVec3::new(1000.0, -20.0, 3.0);
@@ -253,12 +253,12 @@ fn browse(browser: &str, path: &Path, address: &str, what: &str) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// What the browser draws of the page.
-fn drawn(browser: &str, path: &Path, address: &str) -> Vec<f32> {
+/// What the browser draws of the page, a view of this size.
+fn drawn(browser: &str, path: &Path, address: &str, [width, height]: [usize; 2]) -> Vec<f32> {
     let shot = path.with_extension("png");
     browse(browser, path, &format!("{address}&bare"), &format!("--screenshot={}", shot.display()));
-    let picture = image::open(&shot).unwrap().to_rgb8();
-    assert_eq!(picture.dimensions(), (320, 240));
+    let picture = image::open(&shot).unwrap().crop_imm(0, 0, width as u32, height as u32).to_rgb8();
+    assert_eq!(picture.dimensions(), (width as u32, height as u32));
     picture.into_raw().into_iter().map(|v| f32::from(v) / 255.0).collect()
 }
 
@@ -271,15 +271,15 @@ fn a_browser_draws_what_the_rasterizer_does() {
     let labels: Vec<u16> = (0..3000).map(|i| [1, 2][i % 2]).collect();
     let classes = Classes::from_names(0, [(1, "wall"), (2, "chair")]);
     std::fs::write(&path, page_of(&cloud, Some(&labels), &classes)).unwrap();
-    let found = psnr(&drawn(&browser, &path, "view=held"), &picture(&cloud));
+    let found = psnr(&drawn(&browser, &path, "view=held", [320, 240]), &picture(&cloud));
     assert!(found > 55.0, "{found}");
     let colors: Vec<[f32; 3]> = labels.iter().map(|&id| classes.color(id).map(|v| f32::from(v) / 255.0)).collect();
-    let found = psnr(&drawn(&browser, &path, "view=held&mode=labels"), &picture(&cloud.painted(&colors)));
+    let found = psnr(&drawn(&browser, &path, "view=held&mode=labels", [320, 240]), &picture(&cloud.painted(&colors)));
     assert!(found > 55.0, "{found}");
 }
 
-/// The text of the element with this id after `script` has run in the page, in which it finds `page` and `send`.
-fn after(browser: &str, page: &Path, script: &str, id: &str) -> String {
+/// The page with a program at its end, in which it finds `page` and `send`, beside itself.
+fn scripted(page: &Path, script: &str) -> PathBuf {
     let send = "const send = (type, x, y, more) => document.getElementById('picture').dispatchEvent(\
         new PointerEvent(type, { clientX: x, clientY: y, pointerId: 1, buttons: 1, ...more }));\
         document.getElementById('picture').setPointerCapture = () => {};";
@@ -289,7 +289,12 @@ fn after(browser: &str, page: &Path, script: &str, id: &str) -> String {
     );
     let scripted = page.with_file_name("scripted.html");
     std::fs::write(&scripted, text.replace("</body>", &script)).unwrap();
-    let dom = browse(browser, &scripted, "", "--dump-dom");
+    scripted
+}
+
+/// The text of the element with this id after `script` has run in the page.
+fn after(browser: &str, page: &Path, script: &str, id: &str) -> String {
+    let dom = browse(browser, &scripted(page, script), "", "--dump-dom");
     let (_, after) = dom.split_once(&format!("id=\"{id}\">")).unwrap();
     after.split_once("</pre>").unwrap().0.replace("&gt;", ">").replace("&amp;", "&")
 }
@@ -305,7 +310,8 @@ fn the_command_that_the_page_writes_does_what_the_page_shows() {
     let page = dir.path().join("page.html");
     let read = ["--scene", utf8(&scene), "--cameras", utf8(dir.path()), "--classes", utf8(&classes)];
     succeeds(&[&["view", "--out", utf8(&page)], &read[..]].concat());
-    let script = "page.show(0, false); page.show(3, false); page.moveTo(2, [0.25, -1, 0]); page.moveTo(1, [0, 0, 2]);";
+    let script = "page.show(0, false); page.show(3, false); page.moveTo(2, [0.25, -1, 0]); page.turnTo(1, 90); \
+        page.moveTo(1, [0, 0, 1]); page.draw();";
     let line = after(&browser, &page, script, "command");
     assert!(line.starts_with("coseg edit ") && line.contains("--remove 1,wall"), "{line}");
     let run = Command::new("sh")
@@ -319,10 +325,19 @@ fn the_command_that_the_page_writes_does_what_the_page_shows() {
     assert_eq!(edited.labels.unwrap(), [vec![2; 25], vec![3; 25]].concat());
     let (before, _) = plates();
     for (row, mean) in edited.gaussians.means.iter().enumerate() {
-        let by = if row < 25 { [0.0, 0.0, 2.0] } else { [0.25, -1.0, 0.0] };
-        let want = [0, 1, 2].map(|k| before.means[25 + row][k] + by[k]);
+        let [x, y, z] = before.means[25 + row];
+        // Its middle is at x = z = 0.
+        let want = if row < 25 { [z, y, 1.0 - x] } else { [x + 0.25, y - 1.0, z] };
         assert!(mean.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-5), "{row}: {mean:?} {want:?}");
     }
+    let camera = plates::camera(0);
+    let camera = Camera { center: camera.center - edited.origin, ..camera };
+    let want = render(&edited.gaussians, &camera, &Settings::default(), [0.0; 3]).unwrap().rgb;
+    let size = [camera.width, camera.height];
+    let name = &read_cameras(dir.path(), None).unwrap()[0].name;
+    let found = psnr(&drawn(&browser, &scripted(&page, script), &format!("view={name}"), size), &want);
+    assert!(found > 55.0, "{found}");
+    assert!(psnr(&drawn(&browser, &page, &format!("view={name}"), size), &want) < 30.0);
 }
 
 #[test]

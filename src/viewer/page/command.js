@@ -23,8 +23,10 @@ function spoken(scene, { id, name }) {
 function editCommand(scene, objects) {
   const hidden = scene.objects.filter((_, i) => !objects[i].shown);
   const shown = scene.objects.filter((_, i) => objects[i].shown);
-  const moved = scene.objects.filter((_, i) => objects[i].shown && objects[i].moved);
-  if (!scene.labelled || !shown.length || (!hidden.length && !moved.length)) return "";
+  const changed = shown.map((object) => [object, objects[scene.objects.indexOf(object)]]);
+  const turned = changed.filter(([, state]) => state.turned);
+  const moved = changed.filter(([, state]) => state.moved);
+  if (!scene.labelled || !shown.length || !(hidden.length + turned.length + moved.length)) return "";
   const folder = `${scene.title.replace(/[^\p{L}\p{N}_.-]+/gu, "-").replace(/^[-.]+/, "")}-edited`;
   const words = ["coseg", "edit", "--scene", quoted(scene.path), "--out", quoted(`${folder}/scene.ply`)];
   if (scene.names) words.push("--classes", quoted(scene.names));
@@ -32,8 +34,10 @@ function editCommand(scene, objects) {
   if (hidden.length > shown.length) words.push("--keep", list(shown));
   else if (hidden.length) words.push("--remove", list(hidden));
   const digits = digitsOf(scene.extent);
-  for (const object of moved) {
-    const { offset } = objects[scene.objects.indexOf(object)];
+  for (const [object, { axis, degrees }] of turned) {
+    words.push("--turn", quoted(`${spoken(scene, object)}=${axis},${rounded(degrees, 3)}`));
+  }
+  for (const [object, { offset }] of moved) {
     words.push("--move", quoted(`${spoken(scene, object)}=${offset.map((v) => rounded(v, digits)).join(",")}`));
   }
   return words.join(" ");

@@ -14,12 +14,14 @@ class Page {
     this.renderer = new Renderer(this.canvas, this.scene, this.shaders);
     this.outliveContext();
     this.order = new DepthOrder(this.scene);
-    this.objects = this.scene.objects.map(() => new ObjectState());
+    this.objects = this.scene.untouched();
     this.chosen = -1;
     this.moving = false;
     this.mode = "colour";
     this.background = BACKGROUNDS[0];
     this.coarse = 1;
+    /** Whether the order is of another picture. */
+    this.stale = true;
     this.up = this.scene.up;
     const { low, high } = this.scene.extent;
     /** World units a second, and how far off the middle of things is until something is picked. */
@@ -109,6 +111,7 @@ class Page {
 
   /** Draws in the next frame. */
   ask() {
+    this.stale = true;
     if (this.asked || this.bare) return;
     this.asked = true;
     requestAnimationFrame((now) => {
@@ -137,7 +140,7 @@ class Page {
     const camera = this.fitted;
     const [width, height] = [camera.width, camera.height].map((v) => Math.max(1, Math.round(v * ratio)));
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
-    this.order.sort(camera, this.objects);
+    this.sort();
     this.renderer.setOrder(this.order);
     this.renderer.setObjects(this.objects, this.bare ? -1 : this.chosen);
     const scale = moving ? this.coarse : 1;
@@ -159,7 +162,13 @@ class Page {
     if (this.navigation) this.ask();
   }
 
+  sort() {
+    this.order.sort(this.fitted, this.objects);
+    this.stale = false;
+  }
+
   pickAt(x, y) {
+    if (this.stale) this.sort();
     return pick(this.scene, this.order, this.objects, this.fitted, x, y);
   }
 
@@ -228,9 +237,14 @@ class Page {
     this.refresh();
   }
 
+  turnTo(i, degrees) {
+    this.objects[i].degrees = degrees;
+    this.refresh();
+  }
+
   /** Everything as it was. */
   putBack() {
-    this.objects = this.scene.objects.map(() => new ObjectState());
+    this.objects = this.scene.untouched();
     this.refresh();
   }
 

@@ -17,14 +17,21 @@ class DepthOrder {
   /** Sorts what is shown and lies before the camera. */
   sort(camera, objects) {
     const { geometry, gaussians } = this.scene;
-    const [fx, fy, fz] = camera.forward;
-    const shift = objects.map((object) => dot(camera.forward, minus(object.offset, camera.center)));
+    // The depth of a point of each object: four numbers.
+    const planes = new Float64Array(4 * objects.length);
+    objects.forEach(({ pose }, i) => {
+      planes.set(apply(transpose(pose.rotation), camera.forward), 4 * i);
+      planes[4 * i + 3] = dot(camera.forward, minus(pose.shift, camera.center));
+    });
+    const shown = Uint8Array.from(objects, (object) => object.shown);
     const depths = new Float32Array(this.keys.buffer);
     let count = 0;
     for (let i = 0, at = 0; i < gaussians; i++, at += FLOATS) {
       const object = geometry[at + OBJECT];
-      const depth = fx * geometry[at] + fy * geometry[at + 1] + fz * geometry[at + 2] + shift[object];
-      if (depth > NEAR && objects[object].shown) {
+      const p = 4 * object;
+      const depth =
+        planes[p] * geometry[at] + planes[p + 1] * geometry[at + 1] + planes[p + 2] * geometry[at + 2] + planes[p + 3];
+      if (depth > NEAR && shown[object]) {
         // Bits of positive floats are ordered as they are.
         depths[i] = depth;
         this.ids[count++] = i;

@@ -107,13 +107,12 @@ class Panel {
     this.details.hidden = chosen < 0;
     if (chosen < 0) return;
     if (this.described !== chosen) this.describe(chosen);
-    const { hide, move, fields } = this.controls;
+    const { hide, move, fields, turn } = this.controls;
     hide.textContent = objects[chosen].shown ? "Hide" : "Show";
     move.ariaPressed = String(moving);
-    fields.forEach((field, k) => {
-      const value = rounded(objects[chosen].offset[k], this.digits);
-      if (Number(field.value) !== Number(value)) field.value = value;
-    });
+    const set = (field, value) => Number(field.value) !== Number(value) && (field.value = value);
+    fields.forEach((field, k) => set(field, rounded(objects[chosen].offset[k], this.digits)));
+    set(turn, rounded(objects[chosen].degrees, 3));
   }
 
   describe(i) {
@@ -123,20 +122,22 @@ class Panel {
     const button = (textContent, onclick) => element("button", { type: "button", textContent, onclick });
     const hide = button("Hide", () => page.show(i, !page.objects[i].shown));
     const move = button("Move by dragging", () => page.setMoving(!page.moving));
-    const field = (k) => {
-      const label = `moved along ${"xyz"[k]}, world units`;
-      const input = element("input", { type: "number", step: "any", value: 0, title: label, ariaLabel: label });
-      input.oninput = () => page.moveTo(i, page.objects[i].offset.map((v, j) => (j === k ? Number(input.value) || 0 : v)));
+    const field = (label, step, change) => {
+      const input = element("input", { type: "number", step, value: 0, title: label, ariaLabel: label });
+      input.oninput = () => change(Number(input.value) || 0);
       return input;
     };
-    const fields = [0, 1, 2].map(field);
+    const along = (k) => (value) => page.moveTo(i, page.objects[i].offset.map((v, j) => (j === k ? value : v)));
+    const fields = [0, 1, 2].map((k) => field(`moved along ${"xyz"[k]}, world units`, "any", along(k)));
+    const turn = field(`turned about ${scene.upright}, degrees`, 15, (degrees) => page.turnTo(i, degrees));
     this.details.replaceChildren(
       element("b", { textContent: called(object) }),
       element("p", { textContent: `id ${object.id}, ${size} world units` }),
       element("div", { className: "buttons" }, button("Only this", () => page.showOnly(i)), hide, move),
-      element("div", { className: "fields" }, ...fields),
+      element("label", {}, "moved", element("span", { className: "fields" }, ...fields)),
+      element("label", {}, `turned about ${scene.upright}`, element("span", { className: "fields" }, turn, "°")),
     );
-    this.controls = { hide, move, fields };
+    this.controls = { hide, move, fields, turn };
     this.described = i;
   }
 

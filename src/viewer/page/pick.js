@@ -9,30 +9,31 @@ const LOW_PASS = 0.3; // square pixels, as in splat.vert
 function pick(scene, order, objects, camera, x, y) {
   const { geometry } = scene;
   const { fx, fy, cx, cy, width, height } = camera;
-  const [r0, r1, r2, r3, r4, r5, r6, r7, r8] = camera.rotation;
   const [lowX, highX] = [-(0.15 * width + cx) / fx, (1.15 * width - cx) / fx];
   const [lowY, highY] = [-(0.15 * height + cy) / fy, (1.15 * height - cy) / fy];
-  const [c0, c1, c2] = camera.center;
+  // Each object's own coordinates to the camera's: a rotation row by row, then a shift.
+  const poses = objects.map(({ pose }) => pose);
+  const views = poses.map(({ rotation, shift }) => [
+    ...multiply(camera.rotation, rotation), ...apply(camera.rotation, minus(shift, camera.center)),
+  ]);
   const found = new Map();
   let transmittance = 1;
   for (let k = order.length - 1; k >= 0 && transmittance > 1e-3; k--) {
     const at = FLOATS * order.drawn[k];
-    const offset = objects[geometry[at + OBJECT]].offset;
-    const dx = geometry[at] + offset[0] - c0;
-    const dy = geometry[at + 1] + offset[1] - c1;
-    const dz = geometry[at + 2] + offset[2] - c2;
-    const depth = r6 * dx + r7 * dy + r8 * dz;
-    const u = (r0 * dx + r1 * dy + r2 * dz) / depth;
-    const v = (r3 * dx + r4 * dy + r5 * dz) / depth;
+    const view = views[geometry[at + OBJECT]];
+    const [mx, my, mz] = [geometry[at], geometry[at + 1], geometry[at + 2]];
+    const depth = view[6] * mx + view[7] * my + view[8] * mz + view[11];
+    const u = (view[0] * mx + view[1] * my + view[2] * mz + view[9]) / depth;
+    const v = (view[3] * mx + view[4] * my + view[5] * mz + view[10]) / depth;
     const lu = Math.min(Math.max(u, lowX), highX);
     const lv = Math.min(Math.max(v, lowY), highY);
     // Sums over the axes of products of what they are on the screen, and the squared cross product, pair by pair.
     let xx = 0, xy = 0, yy = 0, across = 0, m0 = 0, n0 = 0, m1 = 0, n1 = 0;
     for (let a = at + 4; a < at + 16; a += 4) {
       const [ax, ay, az] = [geometry[a], geometry[a + 1], geometry[a + 2]];
-      const along = r6 * ax + r7 * ay + r8 * az;
-      const m = (fx / depth) * (r0 * ax + r1 * ay + r2 * az - lu * along);
-      const n = (fy / depth) * (r3 * ax + r4 * ay + r5 * az - lv * along);
+      const along = view[6] * ax + view[7] * ay + view[8] * az;
+      const m = (fx / depth) * (view[0] * ax + view[1] * ay + view[2] * az - lu * along);
+      const n = (fy / depth) * (view[3] * ax + view[4] * ay + view[5] * az - lv * along);
       across += (m * n0 - n * m0) ** 2 + (m * n1 - n * m1) ** 2;
       [m1, n1, m0, n0] = [m0, n0, m, n];
       xx += m * m;
@@ -51,7 +52,8 @@ function pick(scene, order, objects, camera, x, y) {
     const object = geometry[at + OBJECT];
     const sum = found.get(object) ?? { object, weight: 0, point: [0, 0, 0] };
     sum.weight += weight;
-    sum.point = add(sum.point, times(weight, add([dx, dy, dz], camera.center)));
+    const { rotation, shift } = poses[object];
+    sum.point = add(sum.point, times(weight, add(apply(rotation, [mx, my, mz]), shift)));
     found.set(object, sum);
   }
   const best = [...found.values()].reduce((a, b) => (b.weight > (a?.weight ?? 0) ? b : a), null);

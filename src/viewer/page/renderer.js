@@ -1,6 +1,6 @@
 // Draws the Gaussians with WebGL 2: sorted quads blended back to front into half floats.
 
-const OBJECTS_WIDE = 1024; // as in splat.vert
+const OBJECTS_WIDE = 256; // in a row of their texture, as in splat.vert
 
 class Renderer {
   constructor(canvas, scene, shaders) {
@@ -22,11 +22,8 @@ class Renderer {
     const size = [TEXTURE_WIDTH, rows];
     this.geometry = this.texture(gl.RGBA32F, gl.RGBA, gl.FLOAT, ...size, scene.geometry);
     this.colours = this.texture(gl.RGBA32UI, gl.RGBA_INTEGER, gl.UNSIGNED_INT, ...size, scene.colours);
-    this.objectSize = [OBJECTS_WIDE, Math.ceil(scene.objects.length / OBJECTS_WIDE)];
-    const colours = new Uint8Array(4 * OBJECTS_WIDE * this.objectSize[1]);
-    scene.objects.forEach((object, i) => colours.set([...object.color, 255], 4 * i));
-    this.labels = this.texture(gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE, ...this.objectSize, colours);
-    this.offsets = this.texture(gl.RGBA32F, gl.RGBA, gl.FLOAT, ...this.objectSize, null);
+    this.objectSize = [TEXELS * OBJECTS_WIDE, Math.ceil(scene.objects.length / OBJECTS_WIDE)];
+    this.objects = this.texture(gl.RGBA32F, gl.RGBA, gl.FLOAT, ...this.objectSize, null);
 
     this.order = gl.createBuffer();
     this.vertices = gl.createVertexArray();
@@ -105,9 +102,12 @@ class Renderer {
   /** Where objects are, and which is chosen (-1 for none). */
   setObjects(objects, chosen) {
     const { gl } = this;
-    const values = new Float32Array(4 * OBJECTS_WIDE * this.objectSize[1]);
-    objects.forEach((object, i) => values.set([...object.offset, i === chosen ? 1 : 0], 4 * i));
-    gl.bindTexture(gl.TEXTURE_2D, this.offsets);
+    const values = new Float32Array(FLOATS * OBJECTS_WIDE * this.objectSize[1]);
+    objects.forEach(({ pose: { rotation, shift } }, i) => {
+      for (let k = 0; k < 3; k++) values.set([...row(rotation, k), shift[k]], FLOATS * i + 4 * k);
+      values.set([...times(1 / 255, this.scene.objects[i].color), i === chosen ? 1 : 0], FLOATS * i + 12);
+    });
+    gl.bindTexture(gl.TEXTURE_2D, this.objects);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ...this.objectSize, gl.RGBA, gl.FLOAT, values);
   }
 
@@ -121,11 +121,11 @@ class Renderer {
     gl.clear(gl.COLOR_BUFFER_BIT);
     const { program, uniforms } = this.splats;
     gl.useProgram(program);
-    [this.geometry, this.colours, this.offsets, this.labels].forEach((texture, i) => {
+    [this.geometry, this.colours, this.objects].forEach((texture, i) => {
       gl.activeTexture(gl.TEXTURE0 + i);
       gl.bindTexture(gl.TEXTURE_2D, texture);
     });
-    ["geometry", "colours", "offsets", "labels"].forEach((name, i) => gl.uniform1i(uniforms[name], i));
+    ["geometry", "colours", "objects"].forEach((name, i) => gl.uniform1i(uniforms[name], i));
     gl.uniformMatrix3fv(uniforms.rotation, true, camera.rotation);
     gl.uniform3fv(uniforms.center, camera.center);
     gl.uniform2f(uniforms.focal, camera.fx, camera.fy);

@@ -10,7 +10,19 @@ const TEXTURE_WIDTH = 2048; // as in splat.vert
 const OPACITY = 3;
 const OBJECT = 7;
 
+const AXES = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
+
 class Scene {
+  /** The axis of the world, x, y or z, that is nearest to up or down. */
+  get upright() {
+    return Object.keys(AXES).reduce((a, b) => (Math.abs(dot(AXES[b], this.up)) > Math.abs(dot(AXES[a], this.up)) ? b : a));
+  }
+
+  /** Objects as they are in the file. */
+  untouched() {
+    return this.objects.map((object) => new ObjectState(object, this.upright));
+  }
+
   /** Whether Gaussians have labels; without them all are one nameless object. */
   get labelled() {
     return this.objects[0].id !== null;
@@ -102,14 +114,27 @@ function decoded(text) {
   return bytes;
 }
 
-/** What the user has done to an object. */
+/** What the user has done to an object: turned about an axis of the world through the middle of its box, then moved. */
 class ObjectState {
-  constructor() {
+  constructor({ low, high }, axis) {
     this.shown = true;
     this.offset = [0, 0, 0];
+    this.degrees = 0;
+    this.pivot = times(0.5, add(low, high));
+    this.axis = axis;
   }
 
   get moved() {
     return this.offset.some((v) => v !== 0);
+  }
+
+  get turned() {
+    return this.degrees !== 0;
+  }
+
+  /** Its points are at rotation x + shift. */
+  get pose() {
+    const rotation = rotationAbout(AXES[this.axis], (this.degrees * Math.PI) / 180);
+    return { rotation, shift: add(this.offset, minus(this.pivot, apply(rotation, this.pivot))) };
   }
 }

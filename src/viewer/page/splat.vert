@@ -7,8 +7,7 @@ precision highp usampler2D;
 
 uniform sampler2D geometry;
 uniform usampler2D colours;
-uniform sampler2D offsets;  // of each object; w is 1 for the one that is chosen
-uniform sampler2D labels;   // the colour of each object
+uniform sampler2D objects;  // of each a rotation row by row with a shift, and its label's colour with 1 for the chosen one
 uniform mat3 rotation;
 uniform vec3 center;
 uniform vec2 focal;
@@ -25,9 +24,13 @@ flat out vec3 conic;        // slope, and the reciprocals of the spread along x 
 flat out vec4 shade;        // colour and opacity
 
 const int WIDTH = 2048;
-const int OBJECTS_WIDE = 1024;
+const int OBJECTS_WIDE = 256;
 const float LOW_PASS = 0.3;
 const float ALPHA_MIN = 1.0 / 255.0;
+
+vec4 ofObject(int object, int k) {
+    return texelFetch(objects, ivec2(4 * (object % OBJECTS_WIDE) + k, object / OBJECTS_WIDE), 0);
+}
 
 ivec2 texel(int k) {
     int at = 4 * int(splat) + k;
@@ -86,11 +89,13 @@ void main() {
     vec4 centre = texelFetch(geometry, texel(0), 0);
     vec4 axes[3] = vec4[3](
         texelFetch(geometry, texel(1), 0), texelFetch(geometry, texel(2), 0), texelFetch(geometry, texel(3), 0));
-    int place = int(axes[0].w + 0.5);
-    ivec2 object = ivec2(place % OBJECTS_WIDE, place / OBJECTS_WIDE);
-    vec4 offset = texelFetch(offsets, object, 0);
-    vec3 toward = centre.xyz + offset.xyz - center;
+    int object = int(axes[0].w + 0.5);
+    vec4 rows[3] = vec4[3](ofObject(object, 0), ofObject(object, 1), ofObject(object, 2));
+    vec4 label = ofObject(object, 3);
+    mat3 back = mat3(rows[0].xyz, rows[1].xyz, rows[2].xyz);  // columns: the object's turn undone
+    vec3 toward = centre.xyz * back + vec3(rows[0].w, rows[1].w, rows[2].w) - center;
     vec3 p = rotation * toward;
+    mat3 turned = rotation * transpose(back);
     float opacity = centre.w;
 
     vec2 low = -(0.15 * size + principal) / focal;
@@ -98,7 +103,7 @@ void main() {
     vec2 bent = clamp(p.xy / p.z, low, high);
     vec3 m1, m2;
     for (int j = 0; j < 3; j++) {
-        vec3 a = rotation * axes[j].xyz;
+        vec3 a = turned * axes[j].xyz;
         m1[j] = focal.x / p.z * (a.x - bent.x * a.z);
         m2[j] = focal.y / p.z * (a.y - bent.y * a.z);
     }
@@ -127,7 +132,7 @@ void main() {
     gl_Position = vec4((2.0 * at / size - 1.0) * vec2(1.0, -1.0), 0.0, 1.0);
 
     conic = vec3(B / Y, inversesqrt(given), inversesqrt(Y));
-    vec3 colour = painted < 1.0 ? colourFrom(normalize(toward), axes[1].w) : vec3(0.0);
-    colour = mix(colour, texelFetch(labels, object, 0).rgb, painted);
-    shade = vec4(mix(colour, chosen, 0.4 * offset.w), opacity);
+    vec3 colour = painted < 1.0 ? colourFrom(back * normalize(toward), axes[1].w) : vec3(0.0);
+    colour = mix(colour, label.rgb, painted);
+    shade = vec4(mix(colour, chosen, 0.4 * label.w), opacity);
 }
