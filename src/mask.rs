@@ -1,5 +1,6 @@
 //! Masks of photos: which pixels count.
 
+use crate::error::{Error, Result};
 use rayon::prelude::*;
 use std::fmt;
 use std::sync::Arc;
@@ -54,6 +55,21 @@ impl Mask {
     /// The bits, lowest first, set where the pixel is used; the last word is filled up with zeros.
     pub fn words(&self) -> &[u32] {
         &self.words
+    }
+
+    /// How many pixels are used.
+    pub fn kept(&self) -> usize {
+        self.width * self.height - self.left_out
+    }
+
+    /// Refuses a mask of another size than `view` has.
+    pub(crate) fn expect_size(&self, view: &str, width: usize, height: usize) -> Result<()> {
+        if (self.width, self.height) == (width, height) {
+            return Ok(());
+        }
+        let found = format!("a mask of {}x{} pixels in {view}", self.width, self.height);
+        let expected = format!("{width}x{height} as its photo");
+        Err(Error::config("data", found, expected, "resize the mask, or leave it out"))
     }
 
     /// Puts `value` into the pixels that are left out. `values` has `channels` of them for each pixel, row-major.

@@ -223,6 +223,12 @@ impl View {
     pub fn rgb(&self) -> Result<Vec<f32>> {
         Ok(self.image.pixels()?.as_raw().iter().map(|&v| f32::from(v) / 255.0).collect())
     }
+
+    /// Refuses a mask of another size than the photo.
+    pub(crate) fn check_mask(&self) -> Result<()> {
+        let (width, height) = (self.image.width(), self.image.height());
+        self.mask.iter().try_for_each(|mask| mask.expect_size(&format!("view {}", self.name), width, height))
+    }
 }
 
 /// Label ids of an image, `[H, W]` row-major. Ids are those of the [`Classes`] table.

@@ -29,8 +29,9 @@ impl ImageScores {
     /// over the windows that hold no other pixel. The same as [`ImageScores::of`] without a mask.
     ///
     /// # Errors
-    /// As [`crate::data::Photo::pixels`].
+    /// As [`crate::data::Photo::pixels`]; [`crate::Error::Config`] for a mask of another size than the photo.
     pub fn of_view(image: &[f32], view: &View) -> Result<Self> {
+        view.check_mask()?;
         let (photo, width, height) = (view.rgb()?, view.image.width(), view.image.height());
         let Some(mask) = &view.mask else { return Ok(Self::of(image, &photo, width, height)) };
         let psnr = psnr(&mask.used(image, 3), &mask.used(&photo, 3));

@@ -35,6 +35,27 @@ fn count_all(discs: &[([f64; 2], u32)], size: [usize; 2], counts: &mut [u32]) {
     }
 }
 
+/// [`count`] of the pixels that are used. `before` has for each row of `width` pixels how many of them are used before each pixel,
+/// and at last in all, `[height, width + 1]`.
+pub(super) fn count_used(discs: &[([f64; 2], u32)], [width, height]: [usize; 2], before: &[u32], counts: &mut [u32]) {
+    for (count, &([x, y], radius)) in counts.iter_mut().zip(discs) {
+        let r = f64::from(radius);
+        let (first, last) = within(y - r, y + r, height as f64);
+        let mut row = first;
+        *count = 0;
+        while row <= last {
+            let dy = row + 0.5 - y;
+            let half = (r * r - dy * dy).max(0.0).sqrt();
+            let (left, right) = within(x - half, x + half, width as f64);
+            if left <= right {
+                let before = &before[row as usize * (width + 1)..];
+                *count += before[right as usize + 1] - before[left as usize];
+            }
+            row += 1.0;
+        }
+    }
+}
+
 /// The first and the last of `limit` pixels whose centres lie within `low..=high`; none where the last comes first.
 #[inline(always)]
 fn within(low: f64, high: f64, limit: f64) -> (f64, f64) {
@@ -45,7 +66,7 @@ fn within(low: f64, high: f64, limit: f64) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
-    use super::{count, count_all};
+    use super::{count, count_all, count_used};
 
     #[test]
     fn wide_instructions_count_the_same() {
@@ -55,6 +76,19 @@ mod tests {
         count(&discs, [131, 97], &mut wide);
         count_all(&discs, [131, 97], &mut plain);
         assert_eq!(wide, plain);
+        // Where all pixels are used, and where every other one is.
+        let before: Vec<u32> = (0..97).flat_map(|_| 0..=131).collect();
+        let mut used = vec![0; discs.len()];
+        count_used(&discs, [131, 97], &before, &mut used);
+        assert_eq!(used, plain);
+        let halves =
+            [0, 1].map(|even| -> Vec<u32> { (0..97).flat_map(|_| (0..=131).map(|x| (x + even) / 2)).collect() });
+        let [a, b] = halves.map(|before| {
+            let mut used = vec![0; discs.len()];
+            count_used(&discs, [131, 97], &before, &mut used);
+            used
+        });
+        assert!(a.iter().zip(&b).zip(&plain).all(|((a, b), all)| a + b == *all));
         assert!(plain.iter().any(|&count| count > 5_000) && plain.contains(&0));
     }
 }

@@ -2,7 +2,7 @@
 
 use super::blend;
 use super::channel_blocks;
-use super::counter::count;
+use super::counter::{count, count_used};
 use super::footprint::Splat2;
 use super::geometry::Viewpoint;
 use super::labels;
@@ -14,6 +14,7 @@ use super::weights;
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::gaussians::Gaussians;
+use crate::mask::Mask;
 use crate::ops::{Real, SparseMatrix};
 use rayon::prelude::*;
 use std::marker::PhantomData;
@@ -182,11 +183,20 @@ impl<E: Real> Projected<E> {
 
     /// Algorithm 1's counter: pixels whose centre lies within [`Projected::radii`] of the projected centre, in the image.
     pub fn counts(&self) -> Vec<u32> {
+        self.used_counts(None)
+    }
+
+    /// [`Projected::counts`] of the pixels that `mask`, of the camera's size, uses.
+    pub fn used_counts(&self, mask: Option<&Mask>) -> Vec<u32> {
         let disc = |(splat, &id): (&Splat2, &u32)| (splat.center, self.radii[id as usize]);
         let discs: Vec<_> = self.splats.par_iter().zip(&self.ids).with_min_len(CHUNK).map(disc).collect();
         let mut visible = vec![0; discs.len()];
+        let before = mask.map(|mask| used_before(mask, self.size()));
         let chunks = visible.par_chunks_mut(CHUNK).zip(discs.par_chunks(CHUNK));
-        chunks.for_each(|(counts, discs)| count(discs, self.size(), counts));
+        chunks.for_each(|(counts, discs)| match &before {
+            Some(before) => count_used(discs, self.size(), before, counts),
+            None => count(discs, self.size(), counts),
+        });
         let mut counts = vec![0; self.len()];
         for (count, &id) in visible.into_iter().zip(&self.ids) {
             counts[id as usize] = count;
@@ -240,6 +250,20 @@ pub struct Rendered {
     pub transmittance: Vec<f32>,
     /// What was culled and why.
     pub stats: Stats,
+}
+
+/// For each row how many pixels are used before each one, and at last in all, `[height, width + 1]`.
+fn used_before(mask: &Mask, [width, height]: [usize; 2]) -> Vec<u32> {
+    let mut before = Vec::with_capacity(height * (width + 1));
+    for row in 0..height {
+        let mut sum = 0;
+        before.push(sum);
+        before.extend((row * width..(row + 1) * width).map(|pixel| {
+            sum += u32::from(mask.uses(pixel));
+            sum
+        }));
+    }
+    before
 }
 
 /// Renders the colours of `gaussians` seen by `camera` over `background`.

@@ -38,9 +38,10 @@ pub struct Sums<E> {
     pub channels: Vec<usize>,
     /// `sum_v W^T 1` per scale, `[N]`: at `image` resolution the same at every scale.
     pub weights: Vec<Vec<E>>,
-    /// Algorithm 1's counter per scale, `[N]`: pixels (at `feature` resolution: cells) whose centre lies within the radius.
+    /// Algorithm 1's counter per scale, `[N]`: pixels (at `feature` resolution: cells) whose centre lies within the radius, those
+    /// that masks leave out not counted: they add nothing to the buffers either.
     pub counts: Vec<Vec<u64>>,
-    /// Pixels (cells) of all views per scale, `sum_v H_v W_v`.
+    /// Pixels (cells) of all views per scale that masks do not leave out, without masks `sum_v H_v W_v`.
     pub pixels: Vec<u64>,
 }
 
@@ -76,10 +77,10 @@ impl<E: Real> Sums<E> {
     }
 
     /// [`Sums::add`] of the pixels that `mask`, of the camera's size, uses; at `feature` resolution of the cells whose centre is
-    /// such a pixel. Counts are of all pixels.
+    /// such a pixel. Counts are of these pixels, or cells, too.
     ///
     /// # Errors
-    /// As [`Sums::add`].
+    /// As [`Sums::add`]; [`Error::Config`] for a mask of another size.
     pub fn add_used(
         &mut self,
         splats: &Splats<'_, E>,
@@ -90,6 +91,7 @@ impl<E: Real> Sums<E> {
         settings: &Settings,
     ) -> Result<()> {
         check(self.counts.first().map_or(splats.len(), Vec::len), &self.channels, splats.len(), maps)?;
+        mask.map_or(Ok(()), |mask| mask.expect_size("a view", camera.width, camera.height))?;
         // Scales on one grid share the projection and the scalar weights.
         let mut grids: Vec<(Lattice, Vec<usize>)> = Vec::new();
         for (scale, map) in maps.iter().enumerate() {
@@ -130,7 +132,7 @@ impl<E: Real> Sums<E> {
         self
     }
 
-    /// Gaussians counted on at least the share `attendance` of all pixels of the finest scale's views (Algorithm 1).
+    /// Gaussians counted on at least the share `attendance` of all used pixels of the finest scale's views (Algorithm 1).
     pub fn attended(&self, attendance: f64) -> Vec<bool> {
         match (self.counts.first(), self.pixels.first()) {
             (Some(counts), Some(&pixels)) => counts.iter().map(|&c| c as f64 >= attendance * pixels as f64).collect(),
@@ -214,7 +216,7 @@ impl<'a> Lifting<'a> {
     ) -> Result<()> {
         match &mut self.place {
             Place::Host(sums) => sums.add_used(&self.gaussians.splats(), camera, maps, mask, resolution, settings),
-            Place::Device(sums) => sums.add(camera, maps, mask, resolution, settings),
+            Place::Device(sums) => sums.add(&self.gaussians.splats(), camera, maps, mask, resolution, settings),
         }
     }
 
@@ -264,11 +266,10 @@ impl Unprojected {
 }
 
 /// Lifts the features `set` of `views` (the training views, in the order of the set) onto `gaussians`, of the pixels that the
-/// views' masks use. Where `device` is a GPU,
-/// the sums are made on it.
+/// views' masks use. Where `device` is a GPU, the sums are made on it.
 ///
 /// # Errors
-/// [`Error::Config`] when views and features do not match; what [`Sums::add`] returns.
+/// [`Error::Config`] when views and features do not match, or a mask has another size than its view; what [`Sums::add`] returns.
 pub fn unproject<'a>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,
@@ -306,6 +307,8 @@ pub fn unproject_each<'a, F: Borrow<ViewFeatures>>(
         if view.name != *name {
             return Err(mismatch(view.name.clone(), name.clone()));
         }
+        let (width, height) = (view.camera.width, view.camera.height);
+        view.mask.iter().try_for_each(|mask| mask.expect_size(&format!("view {name}"), width, height))?;
         let channels = maps.each_ref().map(|m| m.channels);
         let sums = sums.get_or_insert_with(|| Lifting::new(gaussians, &channels, device));
         sums.add(&view.camera, maps, view.mask.as_ref(), config.resolution, settings)?;

@@ -114,7 +114,7 @@ impl<'a> BuildingStage<'a> {
             let expected = format!("{}x{} as its camera", view.camera.width, view.camera.height);
             return Err(Error::config("data", found, expected, "resize the photo or mend the intrinsics"));
         }
-        train.iter().chain(&test).try_for_each(|view| check_mask(view))?;
+        train.iter().chain(&test).try_for_each(|view| view.check_mask())?;
         let provenance = Provenance::building(config, scene)?;
         if state.provenance.is_known() {
             provenance.check(&state.provenance, false, Path::new("the building checkpoint"))?;
@@ -322,19 +322,6 @@ impl<'a> BuildingStage<'a> {
             sh_dc: b.lr_sh_dc,
             sh_rest: b.lr_sh_rest,
         }
-    }
-}
-
-/// Refuses a view whose mask has another size than its photo.
-fn check_mask(view: &View) -> Result<()> {
-    let (width, height) = (view.image.width(), view.image.height());
-    match view.mask.as_ref().filter(|mask| (mask.width(), mask.height()) != (width, height)) {
-        Some(mask) => {
-            let found = format!("a mask of {}x{} pixels in view {}", mask.width(), mask.height(), view.name);
-            let expected = format!("{width}x{height} as its photo");
-            Err(Error::config("data", found, expected, "resize the mask, or leave it out"))
-        }
-        None => Ok(()),
     }
 }
 

@@ -163,5 +163,8 @@ fn a_mask_of_another_size_is_no_mask() {
     let mut scene = tiny();
     scene.views[5].mask = Some(Mask::new(72, 96, |i| i > 7));
     let error = BuildingStage::new(&scene, &Config::default(), &crate::device()).map(|_| ()).unwrap_err();
-    crate::assert_names(&error, &["72x96", &scene.views[5].name, "96x72", "mask"]);
+    let parts = ["72x96", &scene.views[5].name, "96x72", "mask"];
+    crate::assert_names(&error, &parts);
+    // Scores know none either.
+    crate::assert_names(&ImageScores::of_view(&vec![0.0; 3 * 96 * 72], &scene.views[5]).unwrap_err(), &parts);
 }

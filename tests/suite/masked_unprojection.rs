@@ -34,9 +34,13 @@ fn sums_are_the_adjoint_of_rendering_what_is_used() {
     };
     for resolution in [Resolution::Image, Resolution::Feature] {
         let (part, whole) = (sums(Some(&mask()), resolution), sums(None, resolution));
-        assert_eq!((&part.counts, &part.pixels), (&whole.counts, &whole.pixels));
-        // What is left out makes up for the rest.
+        // What is left out makes up for the rest. Counts are divisors of the sums with `normalisation = "count"`: pixels that add
+        // nothing must not count, or they would average in as zeros.
         let rest = sums(Some(&Mask::new(SIZE.0, SIZE.1, |pixel| !used(pixel))), resolution);
+        let counts =
+            |sums: &Sums<f32>| -> Vec<u64> { sums.counts.concat().into_iter().chain(sums.pixels.clone()).collect() };
+        let both = counts(&part).into_iter().zip(counts(&rest)).map(|(a, b)| a + b);
+        assert!(both.eq(counts(&whole)) && part.pixels != whole.pixels && part.counts != whole.counts);
         for scale in 0..maps.len() {
             let of = |sums: &Sums<f32>| [sums.buffers[scale].clone(), sums.weights[scale].clone()];
             for ((part, rest), whole) in of(&part).iter().zip(&of(&rest)).zip(&of(&whole)) {
@@ -53,6 +57,55 @@ fn sums_are_the_adjoint_of_rendering_what_is_used() {
             assert!(want.iter().zip(&part.weights[0]).all(|(a, b)| (a - b).abs() < 1e-4 * (1.0 + a)));
         }
     }
+}
+
+#[test]
+fn counts_are_of_pixels_that_are_used() {
+    let (scene, settings) = (cloud(120), Settings::default());
+    let camera = &cameras(SIZE.0, SIZE.1)[1];
+    let view = projected(&scene, camera, &settings);
+    assert_eq!(view.used_counts(Some(&Mask::new(SIZE.0, SIZE.1, |_| true))), view.counts());
+    let counts = view.used_counts(Some(&mask()));
+    for (i, mean) in scene.means.iter().enumerate() {
+        let Some((x, y, _)) = camera.project(glam::Vec3::from(*mean).as_dvec3()) else { continue };
+        let (radius, width) = (f64::from(view.radii()[i]), SIZE.0);
+        let inside = |pixel: &usize| {
+            let (px, py) = ((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
+            radius > 0.0 && (px - x).hypot(py - y) <= radius
+        };
+        let want = (0..SIZE.0 * SIZE.1).filter(|&pixel| used(pixel)).filter(inside).count();
+        // A pixel on the rim may go either way.
+        assert!(want.abs_diff(counts[i] as usize) <= 2, "Gaussian {i}: {} of {want}", counts[i]);
+    }
+    assert!(counts.iter().zip(view.counts()).filter(|(part, whole)| **part < *whole).count() > 20);
+}
+
+#[test]
+fn a_mask_of_another_size_is_refused() {
+    let (scene, mut views) = (cloud(30), views(SIZE.0, SIZE.1));
+    views[1].mask = Some(Mask::new(SIZE.1, SIZE.0, |i| i > 9));
+    let set = features(&views, maps);
+    for device in devices() {
+        for resolution in [Resolution::Image, Resolution::Feature] {
+            let config = UnprojectionConfig { resolution, ..UnprojectionConfig::default() };
+            let error = unproject(&scene, views.iter(), &set, &config, &Settings::default(), &device).unwrap_err();
+            crate::assert_names(&error, &["a mask of 71x97", &views[1].name, "97x71"]);
+        }
+    }
+    let mut sums = Sums::<f32>::new(scene.len(), &set.views[1].maps.each_ref().map(|map| map.channels));
+    let (camera, mask) = (&views[1].camera, views[1].mask.as_ref());
+    let maps = &set.views[1].maps;
+    let error =
+        sums.add_used(&scene.splats(), camera, maps, mask, Resolution::Image, &Settings::default()).unwrap_err();
+    crate::assert_names(&error, &["a mask of 71x97", "97x71"]);
+}
+
+/// The CPU, and a GPU where there is one.
+fn devices() -> Vec<burn::tensor::Device> {
+    #[cfg(feature = "wgpu")]
+    return crate::gpu().into_iter().chain([crate::device()]).collect();
+    #[cfg(not(feature = "wgpu"))]
+    return vec![crate::device()];
 }
 
 fn projected(scene: &Gaussians, camera: &Camera, settings: &Settings) -> Projected<f32> {

@@ -8,7 +8,7 @@ use crate::error::Result;
 use crate::features::{FeatureMap, Lattice};
 use crate::mask::Mask;
 use crate::ops::{SparseMatrix, sparse_apply};
-use crate::raster::{Lifted, Settings, SplatTensors, SplatView};
+use crate::raster::{Lifted, Projected, Settings, SplatTensors, SplatView, Splats};
 use burn::tensor::{Device, Tensor, TensorData};
 use std::sync::Arc;
 
@@ -37,9 +37,10 @@ impl DeviceSums {
         Self { scales: channels.iter().map(scale).collect(), splats, reads: Vec::new() }
     }
 
-    /// As [`Sums::add_used`].
+    /// As [`Sums::add_used`]; `splats` are the same Gaussians on the host.
     pub fn add(
         &mut self,
+        splats: &Splats<'_, f32>,
         camera: &Camera,
         maps: &[FeatureMap],
         mask: Option<&Mask>,
@@ -48,16 +49,17 @@ impl DeviceSums {
     ) -> Result<()> {
         let channels: Vec<usize> = self.scales.iter().map(|scale| scale.channels).collect();
         super::check(self.splats.len(), &channels, self.splats.len(), maps)?;
+        mask.map_or(Ok(()), |mask| mask.expect_size("a view", camera.width, camera.height))?;
         // At image resolution all scales share the camera: its lists, weights and counts.
         let mut shared: Option<Seen> = None;
         for (number, map) in maps.iter().enumerate() {
             let seen = match (resolution, shared.take()) {
                 (Resolution::Image, Some(seen)) => seen,
-                (Resolution::Image, None) => self.look(camera, mask.cloned(), settings)?,
+                (Resolution::Image, None) => self.look(splats, camera, mask, settings)?,
                 (Resolution::Feature, _) => {
                     let cells = map.lattice().camera(camera);
                     let mask = mask.map(|mask| super::of_cells(mask, camera, &cells));
-                    self.look(&cells, mask, settings)?
+                    self.look(splats, &cells, mask.as_ref(), settings)?
                 }
             };
             let seen = shared.insert(seen);
@@ -66,20 +68,26 @@ impl DeviceSums {
                 Resolution::Feature => None,
             };
             let lifted = lifted(seen, map, reading, &self.splats.means.device())?;
-            let Seen { view, weights, counts, .. } = seen;
+            let Seen { weights, counts, pixels, .. } = seen;
             let scale = &mut self.scales[number];
             scale.sums = Some(match scale.sums.take() {
                 Some([buffer, sum]) => [buffer + lifted, sum + weights.clone()],
                 None => [lifted, weights.clone()],
             });
             scale.counts.iter_mut().zip(counts).for_each(|(sum, count)| *sum += *count);
-            scale.pixels += (view.camera().width * view.camera().height) as u64;
+            scale.pixels += *pixels;
         }
         Ok(())
     }
 
     /// The view of `camera`, of the pixels that `mask` uses.
-    fn look(&self, camera: &Camera, mask: Option<Mask>, settings: &Settings) -> Result<Seen> {
+    fn look(
+        &self,
+        splats: &Splats<'_, f32>,
+        camera: &Camera,
+        mask: Option<&Mask>,
+        settings: &Settings,
+    ) -> Result<Seen> {
         let view = self.splats.seen_by(camera, settings);
         let (pixels, device) = (camera.height * camera.width, self.splats.means.device());
         let used = mask.map(|mask| {
@@ -88,8 +96,12 @@ impl DeviceSums {
         });
         let all = used.clone().unwrap_or_else(|| Tensor::ones([pixels, 1], &device));
         let Lifted { sums, counts } = view.adjoint(all.reshape([camera.height, camera.width, 1]))?;
-        let counts = read("counts", counts)?.into_iter().map(|count| count as u64).collect();
-        Ok(Seen { view, used, weights: sums, counts })
+        // The device counts all pixels: those that a mask uses are counted on the host, which projects the view once more.
+        let counts: Vec<u64> = match mask {
+            Some(_) => Projected::new(splats, camera, settings)?.used_counts(mask).into_iter().map(u64::from).collect(),
+            None => read("counts", counts)?.into_iter().map(|count| count as u64).collect(),
+        };
+        Ok(Seen { view, used, weights: sums, counts, pixels: mask.map_or(pixels, Mask::kept) as u64 })
     }
 
     /// `U`, unless the cells are the pixels.
@@ -143,7 +155,9 @@ struct Seen {
     used: Option<Tensor<2>>,
     /// `W^T 1`, `[N, 1]`, of the pixels that are used.
     weights: Tensor<2>,
+    /// Of the pixels that are used, and how many these are.
     counts: Vec<u64>,
+    pixels: u64,
 }
 
 /// `W^T U F`, `[N, channels]`: a block of channels at a time, so that no image holds them all.

@@ -50,7 +50,7 @@ impl<E: Real> Problem<'_, E> {
     /// Solves for the lifted maps `buffer` = `W^T U F`, `[N, channels]`, in `iterations` steps or fewer.
     ///
     /// # Errors
-    /// What [`Projected::new`] returns.
+    /// What [`Projected::new`] returns; [`crate::Error::Config`] for a mask of another size than its camera has.
     pub fn solve(&self, buffer: &[E], channels: usize, iterations: usize) -> Result<Solved<E>> {
         let per_weight = |values: &[E]| -> Vec<E> {
             let mut out = values.to_vec();
@@ -104,6 +104,7 @@ impl<E: Real> Problem<'_, E> {
         let mut sum = vec![E::zero(); x.len()];
         let masks = self.masks.iter().map(Option::as_ref).chain(std::iter::repeat(None));
         for (camera, mask) in self.cameras.iter().zip(masks) {
+            mask.map_or(Ok(()), |mask| mask.expect_size("a view", camera.width, camera.height))?;
             let projected = Projected::new(&self.splats, camera, self.settings)?;
             let mut image = projected.blend(x, channels).image;
             mask.into_iter().for_each(|mask| mask.fill(&mut image, channels, E::zero()));

@@ -35,13 +35,14 @@ pub fn add<E: Real>(
     let mut entries = vec![Entry::default(); projected.stats().tile_entries];
     let tiles = projected.map_used_tiles(mask, &mut entries, |tile, pairs, own| fold_tile(tile, pairs, &taps, own));
     let view = Folded { tiles, entries, positions: projected.positions() };
-    let counts = projected.counts();
+    let counts = projected.used_counts(mask);
+    let pixels = mask.map_or(camera.width * camera.height, Mask::kept);
     // For each chunk of Gaussians its rows at every scale.
     let mut chunks: Vec<Vec<Rows<'_, E>>> =
         (0..splats.len().div_ceil(CHUNK)).map(|_| Vec::with_capacity(maps.len())).collect();
     for (scale, ((buffer, weights), map)) in sums.buffers.iter_mut().zip(&mut sums.weights).zip(maps).enumerate() {
         let Some(grid) = grids.iter().position(|(_, scales)| scales.contains(&scale)) else { continue };
-        sums.pixels[scale] += (camera.width * camera.height) as u64;
+        sums.pixels[scale] += pixels as u64;
         for (sum, &count) in sums.counts[scale].iter_mut().zip(&counts) {
             *sum += u64::from(count);
         }
