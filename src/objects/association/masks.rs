@@ -29,7 +29,8 @@ pub(super) struct Mask {
 pub(super) struct Masks {
     /// The segments, ascending by id.
     pub segments: Vec<Mask>,
-    /// The same weights of the pixels without a segment.
+    /// The same weights of the pixels without a segment, those that the view's mask leaves out not counted: what they show is
+    /// unknown, not without a segment.
     pub rest: Vec<(u32, f32)>,
 }
 
@@ -51,7 +52,8 @@ pub(super) fn masks(gaussians: &Gaussians, view: &View, raw: &LabelMap, settings
     for band in pixels.chunks(BAND) {
         let weights = projected.weights(Some(band));
         let mut rows = vec![Vec::new(); masks.len()];
-        for (row, &pixel) in band.iter().enumerate() {
+        let used = |pixel: u32| view.mask.as_ref().is_none_or(|mask| mask.uses(pixel as usize));
+        for (row, &pixel) in band.iter().enumerate().filter(|(_, pixel)| used(**pixel)) {
             rows[place[usize::from(raw.ids[pixel as usize])] as usize].push(row);
         }
         // Each segment's sums run over its pixels in order: the same bits at any number of threads.
@@ -89,4 +91,55 @@ pub(super) fn masks(gaussians: &Gaussians, view: &View, raw: &LabelMap, settings
     });
     let rest = masks.first().is_some_and(|mask| mask.segment.id == NOTHING).then(|| masks.remove(0).weights);
     Ok(Masks { segments: masks, rest: rest.unwrap_or_default() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Camera;
+    use crate::data::Split;
+
+    #[test]
+    fn what_a_mask_leaves_out_is_not_without_a_segment() {
+        let (width, height) = (40, 20);
+        let at = |i: usize| [0.2 * (i % 8) as f32 - 0.7, 0.2 * (i / 8) as f32 - 0.3, 2.0];
+        let gaussians = Gaussians {
+            means: (0..32).map(at).collect(),
+            log_scales: vec![[-2.5; 3]; 32],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; 32],
+            opacity_logits: vec![2.0; 32],
+            sh: vec![0.0; 96],
+            sh_degree: 0,
+        };
+        let (rotation, center) = (glam::DMat3::IDENTITY, glam::DVec3::ZERO);
+        let camera = Camera { rotation, center, fx: 40.0, fy: 40.0, cx: 20.0, cy: 10.0, width, height };
+        // A segment above, nothing below, of which the left half is left out.
+        let ids = (0..width * height).map(|pixel| u16::from(pixel / width < 7)).collect();
+        let raw = LabelMap { width, height, ids };
+        let used = |pixel: usize| pixel / width < 7 || pixel % width >= 20;
+        let mut view = View {
+            name: "a".into(),
+            split: Split::Train,
+            camera,
+            image: image::RgbImage::new(width as u32, height as u32).into(),
+            mask: None,
+            truth: None,
+            raw: None,
+            segments: Vec::new(),
+            instances: None,
+        };
+        let of = |view: &View| masks(&gaussians, view, &raw, &Settings::default()).expect("masks");
+        let whole = of(&view);
+        view.mask = Some(crate::mask::Mask::new(width, height, used));
+        let part = of(&view);
+        assert_eq!(part.segments[0].weights, whole.segments[0].weights);
+        let projected = Projected::new(&gaussians.splats(), &view.camera, &Settings::default()).expect("view");
+        let rest: Vec<f32> = (0..width * height).map(|p| f32::from(u8::from(p / width >= 7 && used(p)))).collect();
+        let want = projected.blend_adjoint(&rest, 1);
+        let mut found = vec![0.0; 32];
+        part.rest.iter().for_each(|&(gaussian, weight)| found[gaussian as usize] = weight);
+        assert!(found.iter().zip(&want).all(|(a, b)| (a - b).abs() < 0.011), "{found:?} {want:?}");
+        let sum = |masks: &Masks| masks.rest.iter().map(|(_, weight)| weight).sum::<f32>();
+        assert!(sum(&part) < 0.6 * sum(&whole) && sum(&part) > 0.0);
+    }
 }
