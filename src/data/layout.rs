@@ -59,7 +59,7 @@ pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
     Ok(layout)
 }
 
-/// Layouts whose files lie in `dir`, with the file that tells.
+/// Layouts whose files lie in `dir`, with the file that tells. Blender's files count where there is nothing else.
 fn found(dir: &Path, options: &LoadOptions) -> Vec<(Layout, String)> {
     let found = [
         (Layout::Transforms, transforms::found(dir, options)),
@@ -67,7 +67,19 @@ fn found(dir: &Path, options: &LoadOptions) -> Vec<(Layout, String)> {
         (Layout::Replica, replica::found(dir)),
         (Layout::Scannet, scannet::found(dir)),
     ];
-    found.into_iter().filter_map(|(layout, file)| Some((layout, file?))).collect()
+    let mut found: Vec<_> = found.into_iter().filter_map(|(layout, file)| Some((layout, file?))).collect();
+    if found.len() > 1 {
+        found.retain(|(layout, file)| *layout != Layout::Transforms || *file == options.transforms);
+    }
+    found
+}
+
+/// What is told of Blender's files that another layout came before.
+fn passed_over(dir: &Path, options: &LoadOptions, layout: Layout) -> Option<String> {
+    let other = options.layout == Layout::Auto && layout != Layout::Transforms;
+    let file = transforms::found(dir, options).filter(|_| other)?;
+    let name = layout.name();
+    Some(format!("{file} is not read, as the folder is of layout {name}; data.layout=transforms reads it instead"))
 }
 
 /// A folder within `dir` that has a layout: the first by name of those that are looked at.
@@ -114,6 +126,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let mut listing = listing.with_raw_labels(dir, options, problems);
     let usual = (listing.layout == Layout::Colmap && dir.join(mask_file::USUAL).is_dir()).then_some(mask_file::USUAL);
     let notices = [
+        passed_over(dir, options, listing.layout),
         cautions::of_sizes(&listing, options.max_side),
         cautions::without_mask(&listing, options.masks.as_deref().or(usual)),
     ];

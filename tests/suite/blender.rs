@@ -11,7 +11,7 @@ use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-const SIZE: u32 = 40;
+pub const SIZE: u32 = 40;
 
 /// A red disc, half transparent at its rim, on nothing.
 fn photo(split: &str, i: usize) -> RgbaImage {
@@ -38,7 +38,8 @@ fn write(dir: &Path, split: &str, count: usize) {
     fs::write(dir.join(format!("transforms_{split}.json")), file.to_string()).unwrap();
 }
 
-fn scene() -> TempDir {
+/// Training, test and validation photos, 5, 3 and 2.
+pub fn scene() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     for (split, count) in [("train", 5), ("test", 3), ("val", 2)] {
         write(folder.path(), split, count);
@@ -145,17 +146,32 @@ fn stems_name_the_views_where_no_two_are_alike() {
     (0..3).for_each(|i| fs::rename(dir.join(format!("test/r_{i}.png")), dir.join(format!("test/t_{i}.png"))).unwrap());
     let scene = loaded(dir);
     assert_eq!((names(&scene, Split::Train)[4], names(&scene, Split::Test)[0]), ("r_4", "t_0"));
-    // A photo that both files list, one that is not there, and another layout beside.
+    // A photo that both files list, and one that is not there.
     fs::write(&path, renamed.replace("./test/t_1", "./train/r_3")).unwrap();
     let error = load(dir, &LoadOptions::default()).unwrap_err();
     crate::assert_names(&error, &["transforms_test.json", "frames[1] (./train/r_3)", "which frames[3]", "train_r_3"]);
+    crate::assert_names(&error, &["of transforms_train.json has too", "data.transforms=transforms_train.json"]);
     fs::write(&path, renamed.replace("./test/t_1", "./test/t_9")).unwrap();
     let error = load(dir, &LoadOptions::default()).unwrap_err();
     crate::assert_names(&error, &["transforms_test.json", "frames[1]", "test/t_9.png", "put the image there"]);
-    fs::create_dir(dir.join("sparse")).unwrap();
-    fs::write(dir.join("sparse/cameras.txt"), "").unwrap();
+}
+
+#[test]
+fn another_layout_comes_first() {
+    // Tools write Blender's files beside what they were made from, too.
+    let folder = crate::colmap::scene(crate::colmap::text, &crate::colmap::pinhole());
+    let dir = folder.path();
+    [("train", 5), ("test", 3)].into_iter().for_each(|(split, count)| write(dir, split, count));
+    assert_eq!(locate(dir, &LoadOptions::default()).unwrap(), Layout::Colmap);
+    let checked = check(dir, &LoadOptions::default());
+    let told = |notice: &String| notice.contains("transforms_train.json is not read") && notice.contains("data.layout");
+    assert!(checked.problems.is_empty() && checked.notices.iter().filter(|n| told(n)).count() == 1, "{checked:?}");
+    let named = LoadOptions { layout: Layout::Transforms, ..LoadOptions::default() };
+    assert_eq!(load(dir, &named).unwrap().views.len(), 8);
+    // The usual file makes it two scenes.
+    fs::copy(dir.join("transforms_train.json"), dir.join("transforms.json")).unwrap();
     let error = locate(dir, &LoadOptions::default()).unwrap_err();
-    crate::assert_names(&error, &["transforms_train.json (transforms) and sparse/cameras.txt (colmap)"]);
+    crate::assert_names(&error, &["transforms.json (transforms) and sparse/0/cameras.txt (colmap)"]);
 }
 
 #[test]

@@ -134,13 +134,22 @@ impl Sources {
                 continue;
             };
             if let Some(&(of, earlier)) = first.get(&name) {
-                let earlier = self.files[of].transforms.field(earlier);
+                let Source { path: other, transforms, .. } = &self.files[of];
+                let other = other.file_name().filter(|_| of != source).unwrap_or_default();
+                let of_file = if other.is_empty() { String::new() } else { format!(" of {}", other.display()) };
+                let earlier = transforms.field(earlier);
+                let what = if by_path { "path" } else { "stem" };
+                let alone = if self.files.len() > 1 {
+                    format!(", or read one file alone with --set data.transforms={TRAIN}")
+                } else {
+                    String::new()
+                };
                 problems.push(Error::input(
                     path,
                     field,
-                    format!("{} {name:?}, which {earlier} has too", if by_path { "path" } else { "stem" }),
+                    format!("{what} {name:?}, which {earlier}{of_file} has too"),
                     "file stems that differ: views and outputs are named by them",
-                    "rename one of the images or drop the repeated frame",
+                    format!("rename one of the images or drop the repeated frame{alone}"),
                 ));
                 continue;
             }
