@@ -15,7 +15,8 @@ mod validate;
 
 pub use association::{Association, AssociationConfig};
 pub use building::{BuildingConfig, McmcConfig, RasterConfig, Strategy};
-pub use data::{DataConfig, Layout, RawFormat, ScannetClasses};
+pub(crate) use data::same_folder;
+pub use data::{DataConfig, Layout, NO_MASKS, RawFormat, ScannetClasses};
 pub use features::{
     Encode, FeatureConfig, FeatureSource, Normalisation, Resolution, SpatialConfig, SpatialSource, UnprojectionConfig,
 };

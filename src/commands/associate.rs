@@ -18,7 +18,7 @@ with a label column from a vote of the maps. Where frames have true instances, p
 and frames true labels, scores by class. coseg train does the same after stage one with data.association = \"gaussians\".
 
 Example:
-  coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=masks";
+  coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=segments";
 
 /// Arguments of `coseg associate`.
 #[derive(Args, Debug)]

@@ -62,7 +62,7 @@ Examples:
   coseg render --scene runs/living --out orbit --path orbit
   coseg view --scene runs/living               a page to walk through it in a browser
   coseg vote --scene scene.ply --data scenes/living --out runs/voted
-  coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=masks
+  coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=segments
   coseg objects --scene runs/living            what there is in it, and where
   coseg separate --scene runs/living --out objects/scene.ply    each chair a chair of its own
   coseg edit --scene runs/living --out without.ply --remove sofa

@@ -107,16 +107,18 @@ impl RunFolder {
         self.0.join("viewer.html")
     }
 
-    /// Settings as run, with overrides. A run of before there was `data.max_side` had its photos at their full size.
+    /// Settings as run, with overrides. A run of before there was `data.max_side` had its photos at their full size, and one of
+    /// before there were masks used them whole.
     ///
     /// # Errors
     /// As [`Config::load`].
     pub fn config(&self, sets: &[String]) -> Result<Config> {
         let path = self.config_path();
         let text = std::fs::read_to_string(&path).unwrap_or_default();
-        let older = !text.lines().any(|line| line.trim_start().starts_with("max_side"));
-        let then = older.then(|| "data.max_side=0".to_owned());
-        Config::load(Some(&path), &then.into_iter().chain(sets.iter().cloned()).collect::<Vec<_>>())
+        let says = |key: &str| text.lines().any(|line| line.split('=').next().is_some_and(|name| name.trim() == key));
+        let then = [("max_side", "data.max_side=0"), ("masks", "data.masks=none")];
+        let then = then.into_iter().filter(|(key, _)| !says(key)).map(|(_, set)| set.to_owned());
+        Config::load(Some(&path), &then.chain(sets.iter().cloned()).collect::<Vec<_>>())
     }
 
     /// The class table; empty for runs without labels.

@@ -2,7 +2,16 @@
 
 use super::Association;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Component, Path, PathBuf};
+
+/// Value of [`DataConfig::masks`] that turns masks off.
+pub const NO_MASKS: &str = "none";
+
+/// Whether two names are of one folder as they are written, as `masks`, `./masks` and `masks/` are.
+pub(crate) fn same_folder(a: &str, b: &str) -> bool {
+    let parts = |name| Path::new(name).components().filter(|part| *part != Component::CurDir);
+    parts(a).eq(parts(b))
+}
 
 /// Where the scene comes from.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -21,7 +30,8 @@ pub struct DataConfig {
     /// Folder of raw labels within `dir`; replaces the folder named in the frames. Empty: as the frames say.
     pub raw_labels: String,
     /// Folder of masks within `dir`, PNG named as their photos, black where a photo is left out; replaces those that the
-    /// frames name. Empty: as the frames say, or `masks`, of layout `colmap`.
+    /// frames name. Empty: as the frames say, or `masks`, of layout `colmap`, unless raw labels lie there. [`NO_MASKS`]: photos
+    /// are used whole, whatever masks there are; a folder of that name is `./none`.
     pub masks: String,
     /// Where the raw labels come from, for the report: a network's name, or that they are simulated. Empty: nothing is
     /// said, but for the built-in scene, whose raw labels are simulated.

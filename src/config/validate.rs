@@ -1,6 +1,8 @@
 //! Allowed ranges of every setting.
 
-use super::{Blend, Config, FeatureSource, GCE_EXPONENTS, Normalisation, Prior, SpatialSource, Strategy};
+use super::{
+    Blend, Config, FeatureSource, GCE_EXPONENTS, NO_MASKS, Normalisation, Prior, SpatialSource, Strategy, same_folder,
+};
 use crate::error::{Error, Result};
 
 /// Collects the checks of one config; the first failure wins.
@@ -73,7 +75,8 @@ impl Config {
     /// Photos and label maps would pass for masks.
     fn validate_masks(&self, check: &mut Check) {
         let d = &self.data;
-        let same = [&d.images, &d.raw_labels].into_iter().any(|other| !d.masks.is_empty() && *other == d.masks);
+        let given = !d.masks.is_empty() && d.masks != NO_MASKS;
+        let same = given && [&d.images, &d.raw_labels].into_iter().any(|other| same_folder(other, &d.masks));
         let expected = "a folder other than data.images and data.raw_labels";
         check.that(!same, "data.masks", &d.masks, expected, "name the folder of masks, or leave the key out");
     }

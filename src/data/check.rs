@@ -87,7 +87,7 @@ fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOp
     let geometry = geometry.map(|geometry| geometry.within(options.max_side));
     let mut void = None;
     if let Some(geometry) = &geometry {
-        let mask = problems.keep(listing.mask(frame, geometry, limits)).flatten();
+        let mask = problems.keep(frame.read_mask(geometry, limits)).flatten();
         let mask = mask.as_ref();
         problems.keep(listing.truth(frame, geometry, known, limits, mask));
         let raw = problems.keep(listing.raw(frame, geometry, known, limits, mask)).flatten();

@@ -128,11 +128,13 @@ impl Geometry {
         self.development.size == Some(size)
     }
 
-    /// A label map as the camera sees it.
+    /// A label map as the camera sees it; one of the size of the reduced photo was made of the scene.
     pub fn labels(&self, map: LabelMap) -> LabelMap {
-        if self.is_as_seen((map.width, map.height)) {
-            return map;
-        }
+        if self.is_as_seen((map.width, map.height)) { map } else { self.labels_of_photo(map) }
+    }
+
+    /// A map of the photo as it lies there, in any size, as the camera sees it.
+    pub fn labels_of_photo(&self, map: LabelMap) -> LabelMap {
         let map = match &self.development.remap {
             Some(remap) => remap.labels(&map),
             None => map,

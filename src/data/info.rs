@@ -162,7 +162,7 @@ fn look(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) 
     let geometry = geometry.within(options.max_side);
     let mut counts: [BTreeMap<u16, u64>; 2] = Default::default();
     let mut segments = 0;
-    let mask = listing.mask(frame, &geometry, &options.limits)?;
+    let mask = frame.read_mask(&geometry, &options.limits)?;
     if let Some(map) = listing.truth(frame, &geometry, known, &options.limits, mask.as_ref())? {
         counts[0] = pixels_by_id(&map);
     }
@@ -228,7 +228,7 @@ pub fn thumbnails(dir: &Path, options: &LoadOptions, count: usize, width: u32) -
         let (file, geometry) = frame.open(&listing.file, &options.limits)?;
         let geometry = geometry.within(options.max_side);
         let mut photo = geometry.photo(&file)?;
-        let mask = listing.mask(frame, &geometry, &options.limits)?;
+        let mask = frame.read_mask(&geometry, &options.limits)?;
         let mask = mask.as_ref();
         mask.into_iter().for_each(|mask| mask.fill(&mut photo, 3, 0));
         let height = (u64::from(photo.height()) * u64::from(width) / u64::from(photo.width().max(1)))

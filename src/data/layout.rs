@@ -124,11 +124,10 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         Layout::Scannet => scannet::list(dir, options, problems),
     }?;
     let mut listing = listing.with_raw_labels(dir, options, problems);
-    let usual = (listing.layout == Layout::Colmap && dir.join(mask_file::USUAL).is_dir()).then_some(mask_file::USUAL);
     let notices = [
         passed_over(dir, options, listing.layout),
         cautions::of_sizes(&listing, options.max_side),
-        cautions::without_mask(&listing, options.masks.as_deref().or(usual)),
+        cautions::without_mask(&listing, mask_file::folder_name(dir, options, listing.layout)),
     ];
     listing.notices.extend(notices.into_iter().flatten().chain(cautions::of_frames(&listing)));
     Ok(listing)

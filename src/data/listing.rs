@@ -232,7 +232,7 @@ impl Listing {
             let (file, geometry) = frame.open(&self.file, limits)?;
             let geometry = geometry.within(options.max_side);
             let image = Photo::in_file(&file, geometry.development(), limits, &cache)?;
-            let mask = self.mask(frame, &geometry, limits)?;
+            let mask = frame.read_mask(&geometry, limits)?;
             let truth = self.truth(frame, &geometry, &known, limits, mask.as_ref())?.map(LabelRuns::from);
             let raw = self.raw(frame, &geometry, &known, limits, mask.as_ref())?;
             let (raw, segments) = raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
@@ -300,7 +300,12 @@ pub(crate) struct LabelFolder {
 impl LabelFolder {
     /// Folder `name` of `dir`, where some photos may lack a map.
     pub fn optional(dir: &Path, name: &str) -> Self {
-        Self { folder: dir.join(name), required: false }
+        Self::in_folder(dir.join(name))
+    }
+
+    /// `folder`, where some photos may lack a map.
+    pub fn in_folder(folder: PathBuf) -> Self {
+        Self { folder, required: false }
     }
 
     /// The raw labels: the folder that the user names, where each photo must have a map, or `labels_raw`.

@@ -117,8 +117,7 @@ impl Provenance {
         }
         let names = self.data.keys().chain(stored.data.keys());
         if let Some(name) = names.into_iter().find(|name| self.data.get(*name) != stored.data.get(*name)) {
-            let mend =
-                "resume with the data and the data.max_side that the run began with, or train into another folder";
+            let mend = "resume with the data, the data.max_side and the data.masks that the run began with, or train into another folder";
             return Err(Error::input(file, name, "those of other data", "those that the run has now", mend));
         }
         Ok(())

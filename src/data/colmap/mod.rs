@@ -9,7 +9,7 @@ mod text;
 
 use super::frame::{Frame, joined_name};
 use super::listing::{Cloud, LabelFolder, Listing, Problems, read_classes};
-use super::mask_file;
+use super::mask_file::Masks;
 use super::options::LoadOptions;
 use super::raw::{self, RawLabels};
 use super::{Limits, Points};
@@ -136,7 +136,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let truth = LabelFolder::optional(dir, "labels");
     let raw_folder = LabelFolder::raw(dir, options.raw_labels.as_deref());
     let instances = LabelFolder::optional(dir, "instances");
-    let masks = mask_file::folder(dir, options, Some(mask_file::USUAL))?;
+    let masks = Masks::of(dir, options, Layout::Colmap, problems);
     let mut names = HashMap::new();
     let mut frames = Vec::with_capacity(kept.len());
     for (i, split) in kept {
@@ -161,7 +161,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             posed: true,
             lens,
             scales: options.images != "images",
-            mask: masks.as_ref().and_then(|masks| masks.file_of(below)),
+            mask: masks.of_photo(below),
             truth: truth.of(below),
             raw: raw_folder.of(below),
             instances: instances.of(below),

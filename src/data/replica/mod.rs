@@ -11,7 +11,7 @@ use super::frame::Frame;
 use super::image_file::ImageFile;
 use super::lens::Lens;
 use super::listing::{Cloud, LabelFolder, Listing, Problems, read_classes};
-use super::mask_file;
+use super::mask_file::Masks;
 use super::options::LoadOptions;
 use super::raw::{self, RawLabels};
 use super::{Limits, sequence};
@@ -81,7 +81,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let instances = numbered_if_there(dir, "semantic_instance")?;
     let other_truth = LabelFolder::optional(dir, "labels");
     let raw_folder = LabelFolder::raw(dir, options.raw_labels.as_deref());
-    let masks = mask_file::folder(dir, options, None)?;
+    let masks = Masks::of(dir, options, Layout::Replica, problems);
     let mut frames = Vec::with_capacity(kept.len());
     for (i, split) in kept {
         let (number, image) = &photos[i];
@@ -103,7 +103,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             posed: true,
             lens: Lens::default(),
             scales: false,
-            mask: masks.as_ref().and_then(|masks| masks.file_of(&file)),
+            mask: masks.of_photo(&file),
             truth: truth.get(number).cloned().or_else(|| other_truth.of(&file)),
             raw: raw_folder.of(&file),
             instances: instances.get(number).cloned(),

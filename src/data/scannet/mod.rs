@@ -9,7 +9,7 @@ use super::frame::Frame;
 use super::image_file::ImageFile;
 use super::lens::Lens;
 use super::listing::{Cloud, LabelFolder, Listing, Problems, read_classes};
-use super::mask_file;
+use super::mask_file::Masks;
 use super::options::LoadOptions;
 use super::raw::{self, RawLabels};
 use super::{Limits, sequence};
@@ -79,7 +79,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let truth = maps_of(dir, ["label-filt", "label"])?;
     let instances = maps_of(dir, ["instance-filt", "instance"])?;
     let raw_folder = LabelFolder::raw(dir, options.raw_labels.as_deref());
-    let masks = mask_file::folder(dir, options, None)?;
+    let masks = Masks::of(dir, options, Layout::Scannet, problems);
     let mut frames = Vec::with_capacity(kept.len());
     for (i, split) in kept {
         let (shot, pose) = &posed[i];
@@ -95,7 +95,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             posed: true,
             lens: Lens::default(),
             scales: false,
-            mask: masks.as_ref().and_then(|masks| masks.file_of(&file)),
+            mask: masks.of_photo(&file),
             truth: truth.get(&shot.number).cloned(),
             raw: raw_folder.of(&file),
             instances: instances.get(&shot.number).cloned(),

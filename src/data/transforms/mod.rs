@@ -2,6 +2,7 @@
 //! fields of this crate: per frame `split`, `label_path`, `raw_label_path`, `instance_path`; per folder `classes.json`.
 //! `mask_path` is nerfstudio's.
 
+mod beside;
 pub(super) mod not_finite;
 mod schema;
 mod sources;
@@ -16,15 +17,15 @@ pub use write::write_cameras;
 use super::frame::Frame;
 use super::image_file::ImageFile;
 use super::lens::Lens;
-use super::listing::{Cloud, LabelFolder, Listing, Problems, read_classes};
-use super::mask_file;
+use super::listing::{Cloud, Listing, Problems, read_classes};
+use super::mask_file::Masks;
 use super::raw::{self, RawLabels};
 use super::{Limits, Scene, Split};
 use crate::camera::Camera;
 use crate::config::Layout;
 use crate::error::{Error, Result};
+use beside::Beside;
 use rayon::prelude::*;
-use schema::Transforms;
 use sources::{Kept, Source, Sources};
 use std::path::{Path, PathBuf};
 
@@ -68,7 +69,15 @@ pub(super) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
 pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
     let sources = Sources::read(dir, options, problems)?;
     let kept = sources.pick(options, problems);
-    let masks = mask_file::folder(dir, options, None)?;
+    let masks = Masks::of(dir, options, Layout::Transforms, problems);
+    let masks_beside = match &masks {
+        Masks::In(folder) => Some(Beside::new(folder.clone(), &sources, |frame| frame.mask_path.as_ref())),
+        Masks::OfFrames | Masks::Off => None,
+    };
+    let raw_beside = options.raw_labels.as_ref().map(|folder| {
+        let folder = dir.join(folder);
+        Beside::new(folder, &sources, |frame| frame.raw_label_path.as_ref())
+    });
     let limits = &options.limits;
     let what = format!("{}: frames", sources.file.display());
     Limits::check(what, kept.len() as u64, limits.views as u64, "thin out with data.stride or data.max_frames")?;
@@ -91,8 +100,18 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         });
         faults.into_iter().for_each(|fault| problems.push(fault));
         let Some((camera, lens, posed)) = camera else { continue };
-        let [truth, raw, instances] = label_paths(transforms, i, &name, dir, options);
-        let mask = mask_path(&transforms.frames[i], &name, dir, masks.as_ref());
+        let frame = &transforms.frames[i];
+        let said = |path: &Option<String>| path.as_ref().map(|path| dir.join(path));
+        let (truth, instances) = (said(&frame.label_path), said(&frame.instance_path));
+        let raw = match &raw_beside {
+            Some(beside) => Some(beside.file_or_masks(frame, &name)),
+            None => said(&frame.raw_label_path),
+        };
+        let mask = match (&masks_beside, &masks) {
+            (Some(beside), _) => beside.file_of(frame, &name),
+            (None, Masks::OfFrames) => said(&frame.mask_path),
+            (None, _) => None,
+        };
         let scales = false;
         frames.push(Frame { name, split, image, present, camera, posed, lens, scales, mask, truth, raw, instances });
     }
@@ -193,39 +212,6 @@ fn image_path(dir: &Path, file: &str) -> PathBuf {
         .into_iter()
         .find(|p| p.is_file())
         .unwrap_or_else(|| path.with_extension("png"))
-}
-
-/// Paths of the true labels, the raw labels and the true instances of a frame.
-fn label_paths(
-    transforms: &Transforms,
-    i: usize,
-    name: &str,
-    dir: &Path,
-    options: &LoadOptions,
-) -> [Option<PathBuf>; 3] {
-    let frame = &transforms.frames[i];
-    let truth = frame.label_path.as_ref().map(|p| dir.join(p));
-    let raw = match &options.raw_labels {
-        Some(folder) => {
-            let named = frame.raw_label_path.as_ref().and_then(|p| Path::new(p).file_name());
-            let file = named.map_or_else(|| PathBuf::from(format!("{name}.png")), PathBuf::from);
-            let (file, masks) = (dir.join(folder).join(&file), dir.join(folder).join(file.with_extension("")));
-            Some(if !file.is_file() && masks.is_dir() { masks } else { file })
-        }
-        None => frame.raw_label_path.as_ref().map(|p| dir.join(p)),
-    };
-    [truth, raw, frame.instance_path.as_ref().map(|p| dir.join(p))]
-}
-
-/// Path of the mask of a frame: in the folder that the user names, where it is there, or as the frame says.
-fn mask_path(frame: &schema::Frame, name: &str, dir: &Path, folder: Option<&LabelFolder>) -> Option<PathBuf> {
-    let Some(folder) = folder else { return frame.mask_path.as_ref().map(|file| dir.join(file)) };
-    let photo = Path::new(&frame.file_path);
-    let named = frame.mask_path.as_ref().and_then(|file| Path::new(file).file_name()).map(PathBuf::from);
-    // A stem that several photos have is no view's name.
-    let unique = photo.file_stem().is_some_and(|stem| stem == name);
-    let photo = photo.file_name().filter(|_| unique).map_or_else(|| format!("{name}.png").into(), PathBuf::from);
-    named.into_iter().chain([photo]).find_map(|file| folder.file_of(&file))
 }
 
 /// Files of `dir` that may be meant, by name.
