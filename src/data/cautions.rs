@@ -42,6 +42,24 @@ pub(super) fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<St
     }
 }
 
+/// Masks that leave most of their views out. `masked` are the pixels of each view and how many of them its mask leaves out, for
+/// the views of which one leaves some out.
+pub(super) fn inverted(masked: impl Iterator<Item = [usize; 2]>) -> Option<String> {
+    let (mut views, mut sums) = (0, [0_usize; 2]);
+    for pixels in masked {
+        views += 1;
+        sums.iter_mut().zip(pixels).for_each(|(sum, n)| *sum += n);
+    }
+    let [all, left_out] = sums;
+    (2 * left_out > all).then(|| {
+        format!(
+            "masks leave {:.0} % of the pixels of {views} views out: where they are white on what to leave out, invert them; \
+             black is left out",
+            100.0 * left_out as f64 / all as f64
+        )
+    })
+}
+
 /// What poses and intrinsics say.
 pub(super) fn of_cameras(listing: &Listing) -> Vec<String> {
     let posed: Vec<&Frame> = listing.frames.iter().filter(|frame| frame.posed).collect();
@@ -173,9 +191,12 @@ pub(super) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Opti
 }
 
 /// What a loaded scene says beside what its listing said.
-pub(super) fn of_scene(scene: &Scene, unlabelled: u16) -> Option<String> {
+pub(super) fn of_scene(scene: &Scene, unlabelled: u16) -> Vec<String> {
+    let masks = scene.views.iter().filter_map(|view| view.mask.as_ref());
+    let masked = inverted(masks.map(|mask| [mask.width() * mask.height(), mask.left_out()]));
     let train = scene.split(Split::Train).filter_map(|view| Some((&*view.name, view.raw.as_ref()?)));
-    void_raw(train.map(|(name, raw)| (name, raw.runs().all(|(id, _)| id == unlabelled))))
+    let void = void_raw(train.map(|(name, raw)| (name, raw.runs().all(|(id, _)| id == unlabelled))));
+    masked.into_iter().chain(void).collect()
 }
 
 /// A cloud that is named and holds nothing.

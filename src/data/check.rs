@@ -39,11 +39,11 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
     let known = if listing.classes.is_empty() { vec![0; 1 << 16] } else { listing.classes.lookup() };
     let mut found = Vec::new();
     listing.frames.par_iter().map(|frame| check_frame(&listing, frame, &known, options)).collect_into_vec(&mut found);
-    let (faults, void): (Vec<_>, Vec<_>) = found.into_iter().unzip();
-    faults.into_iter().flatten().for_each(|fault| problems.push(fault));
-    let train = listing.frames.iter().zip(void).filter(|(frame, _)| frame.split == Split::Train);
-    let mut notices: Vec<String> =
-        cautions::void_raw(train.filter_map(|(frame, void)| Some((&*frame.name, void?)))).into_iter().collect();
+    let train = listing.frames.iter().zip(&found).filter(|(frame, _)| frame.split == Split::Train);
+    let void = cautions::void_raw(train.filter_map(|(frame, found)| Some((&*frame.name, found.void?))));
+    let masked = cautions::inverted(found.iter().filter_map(|found| found.masked));
+    let mut notices: Vec<String> = masked.into_iter().chain(void).collect();
+    found.into_iter().flat_map(|found| found.faults).for_each(|fault| problems.push(fault));
     // A cloud from depth opens photos again: the same fault need not be told twice.
     let told: HashSet<String> = problems.messages().collect();
     match listing.points(listing.origin(), limits) {
@@ -71,8 +71,16 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
     }
 }
 
-/// What is wrong with a frame, and whether all of its raw labels are unlabelled pixels, where it has any that can be read.
-fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) -> (Vec<Error>, Option<bool>) {
+/// What was found of a frame.
+struct Found {
+    faults: Vec<Error>,
+    /// Whether all of its raw labels are unlabelled pixels, where it has any that can be read.
+    void: Option<bool>,
+    /// Its pixels and how many of them its mask leaves out, where it leaves some out.
+    masked: Option<[usize; 2]>,
+}
+
+fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) -> Found {
     let limits = &options.limits;
     let mut problems = Problems::default();
     let opened = if frame.present { problems.keep(frame.open(&listing.file, limits)) } else { None };
@@ -85,14 +93,15 @@ fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOp
         None => frame.geometry((frame.camera.width, frame.camera.height)).ok(),
     };
     let geometry = geometry.map(|geometry| geometry.within(options.max_side));
-    let mut void = None;
+    let (mut void, mut masked) = (None, None);
     if let Some(geometry) = &geometry {
         let mask = problems.keep(frame.read_mask(geometry, limits)).flatten();
         let mask = mask.as_ref();
+        masked = mask.map(|mask| [mask.width() * mask.height(), mask.left_out()]);
         problems.keep(listing.truth(frame, geometry, known, limits, mask));
         let raw = problems.keep(listing.raw(frame, geometry, known, limits, mask)).flatten();
         void = raw.map(|raw| raw.map.ids.iter().all(|&id| id == listing.unlabelled()));
         problems.keep(listing.instances(frame, geometry, limits, mask));
     }
-    (problems.all(), void)
+    Found { faults: problems.all(), void, masked }
 }

@@ -28,7 +28,7 @@ pub struct Info {
     pub sizes: Vec<(usize, usize, usize)>,
     /// Photos with lens distortion, which loading takes out.
     pub distorted: usize,
-    /// Views with masks.
+    /// Views of which masks leave pixels out.
     pub masked: usize,
     /// Share of the pixels of all views that masks leave out, 0 to 1.
     pub left_out: f64,
@@ -136,7 +136,7 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
         test: count(|frame| frame.split == Split::Test),
         sizes,
         distorted: looked.iter().filter(|l| l.distorted).count(),
-        masked: count(|frame| frame.mask.is_some()),
+        masked: looked.iter().filter(|l| l.pixels[1] > 0).count(),
         left_out: left_out as f64 / all.max(1) as f64,
         cameras: camera_box(&listing),
         points: listing.points(listing.origin(), &options.limits)?.len(),

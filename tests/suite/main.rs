@@ -46,6 +46,7 @@ mod given;
 mod instance_metrics;
 mod lens;
 mod loss;
+mod mask_folders;
 mod masked_training;
 mod masked_unprojection;
 mod masks;
