@@ -16,7 +16,8 @@ const PAGE: &str = "viewer.html";
 
 const HELP: &str = "\
 One page that works offline, 111 bytes a Gaussian of SH degree 3, drawn by the browser's WebGL 2. It shows colours, labels, or
-both; an object is chosen by a click, hidden, shown alone, turned, moved; the page says which `coseg edit` writes that as a new file.
+both; an object is chosen by a click, hidden, shown alone, turned, moved; the page says which `coseg edit` writes that as a
+new file.
 
   FILE.html#view=NAME&mode=labels   begins at the view NAME, percent-encoded; modes are colour, both and labels
 
