@@ -5,6 +5,7 @@ use crate::cli::{fails, succeeds, utf8};
 use crate::plates::{self, plates, scene as plates_scene};
 use base64::Engine;
 use coseg::camera::{Camera, Intrinsics};
+use coseg::data::transforms::write_cameras;
 use coseg::data::{Classes, Limits, NamedCamera, Split, read_cameras};
 use coseg::gaussians::{Gaussians, ply};
 use coseg::raster::{Settings, render};
@@ -221,6 +222,24 @@ fn the_command_writes_a_page_beside_the_scene() {
     }
     let message = fails(&["view", "--scene", utf8(&scene), "--out", utf8(&other)], 1);
     assert!(message.contains("--out") && message.contains(".html") && !other.exists(), "{message}");
+}
+
+#[test]
+fn a_model_folder_of_graphdeco_has_its_cameras_above_its_gaussians() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = plates_scene(dir.path());
+    let model = dir.path().join("model");
+    let iteration = model.join("point_cloud/iteration_30000");
+    std::fs::create_dir_all(&iteration).unwrap();
+    std::fs::copy(&scene, iteration.join("point_cloud.ply")).unwrap();
+    write_cameras(&model.join("cameras.json"), &read_cameras(dir.path(), None).unwrap()).unwrap();
+    succeeds(&["view", "--scene", utf8(&model)]);
+    let page = std::fs::read_to_string(model.join("viewer.html")).unwrap();
+    let header: serde_json::Value = serde_json::from_str(inside(&page, "header")).unwrap();
+    assert_eq!(header["cameras"].as_array().unwrap().len(), 6);
+    let out = dir.path().join("pictures");
+    succeeds(&["render", "--scene", utf8(&model), "--out", utf8(&out), "--backend", "ndarray"]);
+    assert_eq!(std::fs::read_dir(&out).unwrap().count(), 12, "colour and coverage of six views");
 }
 
 /// A browser that draws without a screen: the program that COSEG_BROWSER names, or Chromium.
