@@ -238,7 +238,7 @@ fn a_model_folder_of_graphdeco_has_its_cameras_above_its_gaussians() {
     let header: serde_json::Value = serde_json::from_str(inside(&page, "header")).unwrap();
     assert_eq!(header["cameras"].as_array().unwrap().len(), 6);
     let out = dir.path().join("pictures");
-    succeeds(&["render", "--scene", utf8(&model), "--out", utf8(&out), "--backend", "ndarray"]);
+    succeeds(&["render", "--scene", utf8(&model), "--out", utf8(&out)]);
     assert_eq!(std::fs::read_dir(&out).unwrap().count(), 12, "colour and coverage of six views");
 }
 
