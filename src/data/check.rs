@@ -1,7 +1,7 @@
 //! Everything that is wrong with a scene folder, at once.
 
 use super::frame::Frame;
-use super::listing::{Listing, Problems};
+use super::listing::{Listing, Maps, Problems};
 use super::{LoadOptions, Split, cautions, layout, poses, sweep};
 use crate::config::Layout;
 use crate::error::Error;
@@ -98,10 +98,11 @@ fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOp
         let mask = problems.keep(frame.read_mask(geometry, limits)).flatten();
         let mask = mask.as_ref();
         masked = mask.map(|mask| [mask.width() * mask.height(), mask.left_out()]);
-        problems.keep(listing.truth(frame, geometry, known, limits, mask));
-        let raw = problems.keep(listing.raw(frame, geometry, known, limits, mask)).flatten();
+        let maps = Maps { listing, frame, geometry, known, limits, mask };
+        problems.keep(maps.truth());
+        let raw = problems.keep(maps.raw()).flatten();
         void = raw.map(|raw| raw.map.ids.iter().all(|&id| id == listing.unlabelled()));
-        problems.keep(listing.instances(frame, geometry, limits, mask));
+        problems.keep(maps.instances());
     }
     Found { faults: problems.all(), void, masked }
 }

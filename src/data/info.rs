@@ -1,7 +1,7 @@
 //! What a scene folder holds, in figures and small pictures, without holding all of it in memory.
 
 use super::frame::Frame;
-use super::listing::{Listing, Problems, in_order, scene_name};
+use super::listing::{Listing, Maps, Problems, in_order, scene_name};
 use super::raw::RawMap;
 use super::{Classes, LabelMap, LoadOptions, Split, layout};
 use crate::error::Result;
@@ -163,12 +163,11 @@ fn look(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) 
     let mut counts: [BTreeMap<u16, u64>; 2] = Default::default();
     let mut segments = 0;
     let mask = frame.read_mask(&geometry, &options.limits)?;
-    if let Some(map) = listing.truth(frame, &geometry, known, &options.limits, mask.as_ref())? {
+    let maps = Maps { listing, frame, geometry: &geometry, known, limits: &options.limits, mask: mask.as_ref() };
+    if let Some(map) = maps.truth()? {
         counts[0] = pixels_by_id(&map);
     }
-    if let Some(RawMap { map, segments: told }) =
-        listing.raw(frame, &geometry, known, &options.limits, mask.as_ref())?
-    {
+    if let Some(RawMap { map, segments: told }) = maps.raw()? {
         let pixels = pixels_by_id(&map);
         if listing.raw.are_segments() {
             segments = pixels.keys().filter(|id| **id != 0).count();
@@ -234,9 +233,11 @@ pub fn thumbnails(dir: &Path, options: &LoadOptions, count: usize, width: u32) -
         let height = (u64::from(photo.height()) * u64::from(width) / u64::from(photo.width().max(1)))
             .clamp(1, 4 * u64::from(width));
         let photo = resize(&photo, width.max(1), height as u32, FilterType::Triangle);
-        let mut labels = listing.truth(frame, &geometry, &known, &options.limits, mask)?;
+        let (listing, limits) = (&listing, &options.limits);
+        let maps = Maps { listing, frame, geometry: &geometry, known: &known, limits, mask };
+        let mut labels = maps.truth()?;
         if labels.is_none() {
-            labels = listing.raw(frame, &geometry, &known, &options.limits, mask)?.map(|raw| raw.map);
+            labels = maps.raw()?.map(|raw| raw.map);
         }
         let labels = labels.map(|map| map.resized(photo.width() as usize, photo.height() as usize));
         Ok(Thumbnail { name: frame.name.clone(), split: frame.split, photo, labels })

@@ -129,51 +129,6 @@ impl Listing {
         if self.raw.are_segments() { 0 } else { self.classes.ignore }
     }
 
-    /// The true labels as the view's camera sees them, in class ids; unlabelled where `mask` leaves pixels out.
-    pub fn truth(
-        &self,
-        frame: &Frame,
-        geometry: &Geometry,
-        known: &[u16],
-        limits: &Limits,
-        mask: Option<&Mask>,
-    ) -> Result<Option<LabelMap>> {
-        let Some(path) = &frame.truth else { return Ok(None) };
-        let mut map = self.grey_map(path, frame, geometry, limits)?;
-        if let Some(ids) = &self.truth_ids {
-            map.translate(path, ids)?;
-        }
-        map.settle_ids(path, &self.classes, known, "")?;
-        Ok(Some(geometry.labels(map).without(mask, self.classes.ignore)))
-    }
-
-    /// The true instances as the view's camera sees them; none where `mask` leaves pixels out.
-    pub fn instances(
-        &self,
-        frame: &Frame,
-        geometry: &Geometry,
-        limits: &Limits,
-        mask: Option<&Mask>,
-    ) -> Result<Option<LabelMap>> {
-        let Some(path) = &frame.instances else { return Ok(None) };
-        Ok(Some(geometry.labels(self.grey_map(path, frame, geometry, limits)?).without(mask, 0)))
-    }
-
-    /// The raw labels as the view's camera sees them; unlabelled where `mask` leaves pixels out.
-    pub fn raw(
-        &self,
-        frame: &Frame,
-        geometry: &Geometry,
-        known: &[u16],
-        limits: &Limits,
-        mask: Option<&Mask>,
-    ) -> Result<Option<RawMap>> {
-        let Some(path) = &frame.raw else { return Ok(None) };
-        let check = |file: &ImageFile| self.check_map_size(file, frame, geometry);
-        let raw = self.raw.read(path, &self.classes, known, limits, &check)?;
-        Ok(Some(RawMap { map: geometry.labels(raw.map).without(mask, self.unlabelled()), ..raw }))
-    }
-
     /// A grey label map of the size of its file.
     fn grey_map(&self, path: &Path, frame: &Frame, geometry: &Geometry, limits: &Limits) -> Result<LabelMap> {
         expect_file(path)?;
@@ -233,10 +188,12 @@ impl Listing {
             let geometry = geometry.within(options.max_side);
             let image = Photo::in_file(&file, geometry.development(), limits, &cache)?;
             let mask = frame.read_mask(&geometry, limits)?;
-            let truth = self.truth(frame, &geometry, &known, limits, mask.as_ref())?.map(LabelRuns::from);
-            let raw = self.raw(frame, &geometry, &known, limits, mask.as_ref())?;
+            let (known, geometry) = (&known, &geometry);
+            let maps = Maps { listing: self, frame, geometry, known, limits, mask: mask.as_ref() };
+            let truth = maps.truth()?.map(LabelRuns::from);
+            let raw = maps.raw()?;
             let (raw, segments) = raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
-            let instances = self.instances(frame, &geometry, limits, mask.as_ref())?.map(LabelRuns::from);
+            let instances = maps.instances()?.map(LabelRuns::from);
             let camera = geometry.seen();
             let camera = Camera { center: camera.center - origin, ..camera };
             let (name, split) = (frame.name.clone(), frame.split);
@@ -254,6 +211,49 @@ impl Listing {
             classes.entries.retain(|class| occurs[usize::from(class.id)]);
         }
         Ok(Scene { name: scene_name(dir), views, classes, points, origin, up })
+    }
+}
+
+/// What the label maps of a frame are read with.
+#[derive(Clone, Copy)]
+pub(super) struct Maps<'a> {
+    pub listing: &'a Listing,
+    pub frame: &'a Frame,
+    pub geometry: &'a Geometry,
+    /// [`Classes::lookup`] of the listing's classes.
+    pub known: &'a [u16],
+    pub limits: &'a Limits,
+    /// Maps are unlabelled where it leaves pixels out.
+    pub mask: Option<&'a Mask>,
+}
+
+impl Maps<'_> {
+    /// The true labels as the view's camera sees them, in class ids.
+    pub fn truth(&self) -> Result<Option<LabelMap>> {
+        let Self { listing, frame, geometry, known, limits, mask } = *self;
+        let Some(path) = &frame.truth else { return Ok(None) };
+        let mut map = listing.grey_map(path, frame, geometry, limits)?;
+        if let Some(ids) = &listing.truth_ids {
+            map.translate(path, ids)?;
+        }
+        map.settle_ids(path, &listing.classes, known, "")?;
+        Ok(Some(geometry.labels(map).without(mask, listing.classes.ignore)))
+    }
+
+    /// The true instances as the view's camera sees them.
+    pub fn instances(&self) -> Result<Option<LabelMap>> {
+        let Self { listing, frame, geometry, limits, mask, .. } = *self;
+        let Some(path) = &frame.instances else { return Ok(None) };
+        Ok(Some(geometry.labels(listing.grey_map(path, frame, geometry, limits)?).without(mask, 0)))
+    }
+
+    /// The raw labels as the view's camera sees them.
+    pub fn raw(&self) -> Result<Option<RawMap>> {
+        let Self { listing, frame, geometry, known, limits, mask } = *self;
+        let Some(path) = &frame.raw else { return Ok(None) };
+        let check = |file: &ImageFile| listing.check_map_size(file, frame, geometry);
+        let raw = listing.raw.read(path, &listing.classes, known, limits, &check)?;
+        Ok(Some(RawMap { map: geometry.labels(raw.map).without(mask, listing.unlabelled()), ..raw }))
     }
 }
 
