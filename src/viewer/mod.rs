@@ -120,7 +120,7 @@ impl Viewer<'_> {
         atomic::write_bytes(path, self.page()?.as_bytes())
     }
 
-    /// The page: 111 bytes a Gaussian of SH degree 3, and some 50 kB.
+    /// The page: 111 bytes a Gaussian of SH degree 3, and some 60 kB with a few views.
     ///
     /// # Errors
     /// [`Error::Config`] for no Gaussian, fields or labels of another length, or an `alpha_max` or `up` out of range;

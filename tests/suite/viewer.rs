@@ -291,6 +291,7 @@ fn a_browser_draws_what_the_rasterizer_does() {
     let classes = Classes::from_names(0, [(1, "wall"), (2, "chair")]);
     std::fs::write(&path, page_of(&cloud, Some(&labels), &classes)).unwrap();
     let found = psnr(&drawn(&browser, &path, "view=held", [320, 240]), &picture(&cloud));
+    eprintln!("PSNR of the page against the rasterizer: {found:.1} dB");
     assert!(found > 55.0, "{found}");
     let colors: Vec<[f32; 3]> = labels.iter().map(|&id| classes.color(id).map(|v| f32::from(v) / 255.0)).collect();
     let found = psnr(&drawn(&browser, &path, "view=held&mode=labels", [320, 240]), &picture(&cloud.painted(&colors)));

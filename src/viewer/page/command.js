@@ -25,7 +25,9 @@ function editCommand(scene, objects) {
   const shown = scene.objects.filter((_, i) => objects[i].shown);
   const changed = shown.map((object) => [object, objects[scene.objects.indexOf(object)]]);
   const turned = changed.filter(([, state]) => state.turned);
-  const moved = changed.filter(([, state]) => state.moved);
+  const digits = digitsOf(scene.extent);
+  const offsets = changed.map(([object, { offset }]) => [object, offset.map((v) => rounded(v, digits))]);
+  const moved = offsets.filter(([, offset]) => offset.some((v) => v !== "0"));
   if (!scene.labelled || !shown.length || !(hidden.length + turned.length + moved.length)) return "";
   const folder = `${scene.title.replace(/[^\p{L}\p{N}_.-]+/gu, "-").replace(/^[-.]+/, "")}-edited`;
   const words = ["coseg", "edit", "--scene", quoted(scene.path), "--out", quoted(`${folder}/scene.ply`)];
@@ -33,12 +35,11 @@ function editCommand(scene, objects) {
   const list = (some) => quoted(some.map((object) => spoken(scene, object)).join(","));
   if (hidden.length > shown.length) words.push("--keep", list(shown));
   else if (hidden.length) words.push("--remove", list(hidden));
-  const digits = digitsOf(scene.extent);
   for (const [object, { axis, degrees }] of turned) {
     words.push("--turn", quoted(`${spoken(scene, object)}=${axis},${rounded(degrees, 3)}`));
   }
-  for (const [object, { offset }] of moved) {
-    words.push("--move", quoted(`${spoken(scene, object)}=${offset.map((v) => rounded(v, digits)).join(",")}`));
+  for (const [object, offset] of moved) {
+    words.push("--move", quoted(`${spoken(scene, object)}=${offset.join(",")}`));
   }
   return words.join(" ");
 }

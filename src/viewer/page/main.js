@@ -6,6 +6,15 @@ const HOVERED = 500_000; // Gaussians up to which what is under the pointer is t
 const FRAME = 1000 / 60; // milliseconds of a step that no frame came before
 const SLOW = 60; // milliseconds of a frame beyond which moving pictures are drawn smaller
 
+/** Percent signs that encode nothing are themselves. */
+function plain(text) {
+  try {
+    return decodeURIComponent(text);
+  } catch {
+    return text;
+  }
+}
+
 class Page {
   constructor() {
     this.scene = Scene.embedded();
@@ -52,7 +61,7 @@ class Page {
 
   /** `#view=NAME&mode=labels`, and `&bare` for the picture alone, of the camera's own size. */
   fromAddress() {
-    const pairs = location.hash.slice(1).split("&").map((pair) => pair.split("=").map(decodeURIComponent));
+    const pairs = location.hash.slice(1).split("&").map((pair) => pair.split("=").map(plain));
     const asked = new Map(pairs);
     if (asked.get("mode") in MODES && this.scene.labelled) this.mode = asked.get("mode");
     const { cameras } = this.scene;

@@ -51,8 +51,8 @@ class Scene {
     const spread = take(Int16Array, 1);
     const rest = take(Int8Array, 3 * terms);
 
-    /** Rows of 16 floats, see above; the texture of the same name. */
     this.rows = Math.max(1, Math.ceil((TEXELS * n) / TEXTURE_WIDTH));
+    /** Rows of 16 floats, see above; the texture of the same name. */
     this.geometry = new Float32Array(4 * TEXTURE_WIDTH * this.rows);
     /** Rows of 16 words: 45 signed bytes of view-dependent colour, then the base colour as three floats. */
     this.colours = new Uint32Array(4 * TEXTURE_WIDTH * this.rows);
@@ -122,10 +122,6 @@ class ObjectState {
     this.degrees = 0;
     this.pivot = times(0.5, add(low, high));
     this.axis = axis;
-  }
-
-  get moved() {
-    return this.offset.some((v) => v !== 0);
   }
 
   get turned() {
