@@ -47,7 +47,7 @@ pub fn name(i: usize) -> String {
 /// Position, colour, length of the track.
 const POINTS: [([f64; 3], [u8; 3], usize); 2] = [([1.0, 2.0, 3.5], [255, 0, 51], 2), ([-1.0, 0.0, 4.0], [0, 0, 0], 0)];
 
-fn binary(folder: &Path, camera: &Calibrated) {
+pub fn binary(folder: &Path, camera: &Calibrated) {
     let mut out = 1_u64.to_le_bytes().to_vec();
     out.extend(7_u32.to_le_bytes());
     out.extend(camera.0.to_le_bytes());

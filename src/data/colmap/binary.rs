@@ -144,6 +144,11 @@ pub(super) fn cameras(path: &Path) -> Result<Vec<ModelCamera>> {
     Ok(cameras)
 }
 
+/// How many images the file says that it has.
+pub(super) fn image_count(path: &Path) -> Result<u64> {
+    Bytes::open(path)?.count(SMALLEST[1], "number of images")
+}
+
 pub(super) fn images(path: &Path, limits: &Limits) -> Result<Vec<PosedImage>> {
     let mut file = Bytes::open(path)?;
     let count = file.count(SMALLEST[1], "number of images")?;

@@ -5,6 +5,7 @@
 
 mod binary;
 mod cameras;
+mod model;
 mod text;
 
 use super::frame::{Frame, joined_name};
@@ -18,11 +19,12 @@ use crate::config::Layout;
 use crate::error::{Error, Result};
 use cameras::ModelCamera;
 use glam::{DMat3, DQuat, DVec3};
+use model::{Model, ModelFile, unplaced};
 use std::collections::{BTreeMap, HashMap};
-use std::path::{Component, Path, PathBuf};
+use std::path::{Component, Path};
 
-/// Folders of a model, relative to the scene folder; the last is nerfstudio's.
-const FOLDERS: [&str; 3] = ["sparse/0", "sparse", "colmap/sparse/0"];
+pub(super) use model::found;
+
 /// What to do with a file that is damaged.
 const AGAIN: &str = "copy the model again, or write it again with `colmap model_converter`";
 
@@ -50,57 +52,9 @@ struct ModelPoint {
 /// Takes points one by one, each with where it stands in the file.
 type TakePoint<'t> = dyn FnMut(&dyn Fn() -> String, ModelPoint) -> Result<()> + 't;
 
-/// A file of a model in either form.
-#[derive(Clone, Debug)]
-enum ModelFile {
-    Binary(PathBuf),
-    Text(PathBuf),
-}
-
-impl ModelFile {
-    /// `folder/name.bin`, or else `folder/name.txt`.
-    fn find(folder: &Path, name: &str) -> Option<Self> {
-        let [binary, text] = ["bin", "txt"].map(|e| folder.join(format!("{name}.{e}")));
-        match (binary.is_file(), text.is_file()) {
-            (true, _) => Some(Self::Binary(binary)),
-            (false, true) => Some(Self::Text(text)),
-            _ => None,
-        }
-    }
-
-    fn path(&self) -> &Path {
-        match self {
-            Self::Binary(path) | Self::Text(path) => path,
-        }
-    }
-}
-
-/// The model in a scene folder, relative to it, if there is one.
-pub(super) fn found(dir: &Path) -> Option<String> {
-    FOLDERS.into_iter().find_map(|folder| {
-        let file =
-            ModelFile::find(&dir.join(folder), "cameras").or_else(|| ModelFile::find(&dir.join(folder), "images"))?;
-        Some(format!("{folder}/{}", file.path().file_name()?.to_string_lossy()))
-    })
-}
-
-/// Cameras and images of the model.
-///
-/// # Errors
-/// There is no model, or only a part of it.
-fn model(dir: &Path) -> Result<(PathBuf, ModelFile, ModelFile)> {
-    let has = |folder: &PathBuf| ["cameras", "images"].iter().any(|name| ModelFile::find(folder, name).is_some());
-    let Some(folder) = FOLDERS.iter().map(|folder| dir.join(folder)).find(has) else {
-        let expected = "a model in sparse/0 or sparse: cameras, images and points3D as .bin or .txt";
-        return Err(Error::input(dir, "sparse/0", "no model", expected, "run `colmap mapper`, or give another folder"));
-    };
-    let (cameras, images) = (part(&folder, "cameras")?, part(&folder, "images")?);
-    Ok((folder, cameras, images))
-}
-
 /// Refuses a folder without a whole model or without the folder of photos.
 pub(super) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
-    model(dir)?;
+    Model::find(dir)?;
     if dir.join(&options.images).is_dir() {
         return Ok(());
     }
@@ -120,15 +74,12 @@ pub(super) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
 /// What the folder says.
 pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
     let limits = &options.limits;
-    let (folder, cameras_file, images_file) = model(dir)?;
+    let Model { folder, cameras: cameras_file, images: images_file, passed_over } = Model::find(dir)?;
     let cameras = match &cameras_file {
         ModelFile::Binary(path) => binary::cameras(path)?,
         ModelFile::Text(path) => text::cameras(path)?,
     };
-    let mut images = match &images_file {
-        ModelFile::Binary(path) => binary::images(path, limits)?,
-        ModelFile::Text(path) => text::images(path)?,
-    };
+    let mut images = images_file.images(limits)?;
     images.sort_by(|a, b| a.name.cmp(&b.name));
 
     let kept = options.pick(&vec![None; images.len()]);
@@ -169,7 +120,8 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     }
     let labelled = raw::need_table(dir, options, &frames);
     let points = ModelFile::find(&folder, "points3D");
-    let mut notices = Vec::new();
+    let mut notices: Vec<String> = passed_over.into_iter().collect();
+    notices.extend(unplaced(&dir.join(&options.images), &images));
     if points.is_none() {
         notices.push(format!("no points3D in {}: Gaussians start from random points", folder.display()));
     }
@@ -189,13 +141,6 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         cloud: points.map_or(Cloud::None, |file| Cloud::Colmap(file.path().to_owned())),
         z_up: false,
         notices,
-    })
-}
-
-fn part(folder: &Path, name: &str) -> Result<ModelFile> {
-    ModelFile::find(folder, name).ok_or_else(|| {
-        let expected = format!("{name}.bin or {name}.txt");
-        Error::input(folder, name, "no such file", expected, "copy the whole model: cameras, images and points3D")
     })
 }
 
