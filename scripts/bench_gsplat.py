@@ -2,11 +2,12 @@
 """gsplat on what `coseg bench` renders: the same Gaussians, cameras and cases, for a comparison in one sitting.
 
     coseg bench --backend wgpu --only channels --run RUN --export subject --json coseg.json
-    python3 scripts/bench_gsplat.py subject --against coseg.json [--json gsplat.json]
+    coseg render --backend wgpu --scene subject/gaussians_100000.ply --cameras subject/cameras_480x360.json --out pictures --format npy
+    python3 scripts/bench_gsplat.py subject --against coseg.json --pictures pictures [--json gsplat.json]
 
 Needs an NVIDIA GPU, PyTorch with CUDA, numpy and gsplat 1.5.3 (its CUDA sources are compiled at the first use, some minutes
 with nvcc). Prints milliseconds a view, medians of passes over all views; a pass ends with one value copied to the host, as
-coseg's does. With --against also coseg's figure of the same case and how many times faster coseg is.
+coseg's does. With --pictures it first says how far gsplat's colours are from coseg's. With --against also coseg's figure of the same case and how many times faster coseg is.
 
 RGB and 64 channels go through gsplat's `rasterization`, 64 channels in one pass and in its default chunks of 32: the faster
 counts. RGB + 20 classes goes through the functions that `rasterization` is made of, so that SH of Gaussians that are seen
@@ -75,6 +76,40 @@ def read_cameras(path):
     return views
 
 
+def compare(subject, pictures):
+    """Both programs' colours of the smallest exported case, which `coseg render` drew into `pictures`."""
+    ply, cameras = first(subject)
+    g, views = read_gaussians(ply), read_cameras(cameras)
+    frames = json.loads(cameras.read_text())["frames"]
+    for frame, view in zip(frames, views):
+        stem = Path(frame["file_path"]).stem
+        ours = np.load(pictures / f"{stem}.rgb.npy").astype(np.float64)
+        with torch.no_grad():
+            theirs = render(g, view, True, None, 32, False).cpu().double().numpy()
+        off = np.abs(ours - theirs)
+        psnr = -10 * np.log10(max((off ** 2).mean(), 1e-30))
+        print(f"{stem}: gsplat's colours are coseg's to {psnr:.1f} dB, {off.max():.2e} at most, "
+              f"{(off > 1e-3).mean() * 100:.4f} % of the values off by more than 1e-3")
+
+
+def plys(subject):
+    """Exported Gaussians, few first."""
+    return sorted(subject.glob("gaussians_*.ply"), key=lambda p: int(re.sub(r"\D", "", p.stem)))
+
+
+def camera_files(subject):
+    """Exported cameras, small pictures first."""
+    return sorted(subject.glob("cameras_*.json"), key=lambda p: int(p.stem[8:].split("x")[0]))
+
+
+def first(subject):
+    """The smallest case."""
+    found = plys(subject)[:1] + camera_files(subject)[:1]
+    if len(found) < 2:
+        sys.exit(f"{subject}: no gaussians_N.ply beside cameras_WxH.json; write them with coseg bench --export")
+    return found
+
+
 TILE = 16
 
 
@@ -141,6 +176,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("subject", type=Path, help="folder that `coseg bench --export` wrote")
     parser.add_argument("--against", type=Path, help="figures of `coseg bench --json`")
+    parser.add_argument("--pictures", type=Path, help="folder of what `coseg render` made of the smallest case, as npy")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--packed", action="store_true", help="gsplat's packed mode: less memory, usually slower")
     parser.add_argument("--json", type=Path, help="write the figures to this file too")
@@ -153,10 +189,13 @@ def main():
             ours |= {(f["case"], f["name"]): f["median"] for f in section["figures"] if section["section"] == "channels"}
     mode = "packed" if args.packed else "not packed"
     print(f"gsplat {gsplat.__version__}, PyTorch {torch.__version__}, {device}, {mode}")
+    first(args.subject)
+    if args.pictures:
+        compare(args.subject, args.pictures)
     found = []
-    for ply in sorted(args.subject.glob("gaussians_*.ply"), key=lambda p: int(re.sub(r"\D", "", p.stem))):
+    for ply in plys(args.subject):
         g = read_gaussians(ply)
-        for cameras in sorted(args.subject.glob("cameras_*.json"), key=lambda p: int(p.stem[8:].split("x")[0])):
+        for cameras in camera_files(args.subject):
             views = read_cameras(cameras)
             for name, colour, channels in CASES:
                 case = f"{cameras.stem[8:]}, {len(g['means']):,} Gaussians, {name}"

@@ -47,7 +47,10 @@ step train "$COSEG" train --backend wgpu --out "$out/run"
 step bench "$COSEG" bench --backend wgpu --run "$out/run" --large --export "$out/subject" --json "$out/coseg.json" \
   --only roofline,raster,channels,building,unprojection,encoding,segmentation
 if python3 -c 'import gsplat, torch; assert torch.cuda.is_available()' 2>/dev/null; then
-  step gsplat python3 scripts/bench_gsplat.py "$out/subject" --against "$out/coseg.json" --json "$out/gsplat.json"
+  step pictures "$COSEG" render --backend wgpu --scene "$out/subject/gaussians_100000.ply" \
+    --cameras "$out/subject/cameras_480x360.json" --out "$out/pictures" --format npy
+  step gsplat python3 scripts/bench_gsplat.py "$out/subject" --pictures "$out/pictures" --against "$out/coseg.json" \
+    --json "$out/gsplat.json"
 else
   echo "gsplat: left out, Python has no gsplat or no CUDA"
 fi
