@@ -1,5 +1,9 @@
 //! Pinhole cameras: world-to-camera, OpenCV axes (x right, y down, z forward), pixel centres at +0.5.
 
+mod level;
+
+pub use level::level_up;
+
 use glam::{DMat3, DMat4, DVec3};
 
 /// A posed pinhole camera.

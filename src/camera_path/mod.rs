@@ -6,7 +6,7 @@ mod interpolate;
 mod orbit;
 
 pub use interpolate::CameraPath;
-pub use orbit::{Orbit, focus, mean_up};
+pub use orbit::{Orbit, focus};
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};

@@ -1,7 +1,7 @@
 //! A circle around what cameras look at.
 
 use super::check;
-use crate::camera::Camera;
+use crate::camera::{Camera, level_up};
 use crate::error::{Error, Result};
 use glam::{DMat3, DVec3};
 use nalgebra::Matrix3;
@@ -28,7 +28,7 @@ pub struct Orbit {
 }
 
 impl Orbit {
-    /// Around the [`focus`] of `cameras`, or around `scene_center` where they have none. The axis is their [`mean_up`]; radius
+    /// Around the [`focus`] of `cameras`, or around `scene_center` where they have none. The axis is their [`level_up`]; radius
     /// and height are medians of the cameras' own, so that the circle stays among them; it starts on the side of the first.
     ///
     /// # Errors
@@ -55,7 +55,7 @@ impl Orbit {
     }
 
     fn about(cameras: &[Camera], target: DVec3) -> Result<Self> {
-        let up = mean_up(cameras);
+        let up = level_up(cameras);
         let offsets = cameras.iter().map(|camera| camera.center - target);
         let height = median(offsets.clone().map(|o| o.dot(up)).collect());
         let radius = median(offsets.map(|o| o.reject_from_normalized(up).length()).collect());
@@ -125,15 +125,6 @@ pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     let point = normal.inverse() * right + mean;
     let in_front = cameras.iter().filter(|camera| (point - camera.center).dot(forward(camera)) > 0.0).count();
     (point.is_finite() && 2 * in_front > cameras.len()).then_some(point)
-}
-
-/// Mean of the cameras' up directions, unit length; where they cancel out that of the first, or +z without cameras.
-pub fn mean_up(cameras: &[Camera]) -> DVec3 {
-    // Image rows run down.
-    let up = |camera: &Camera| camera.rotation.transpose() * DVec3::NEG_Y;
-    let mean = cameras.iter().map(up).sum::<DVec3>() / cameras.len() as f64;
-    let some = if mean.length() > 1e-3 { Some(mean) } else { cameras.first().map(up) };
-    some.and_then(DVec3::try_normalize).unwrap_or(DVec3::Z)
 }
 
 fn forward(camera: &Camera) -> DVec3 {

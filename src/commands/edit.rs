@@ -14,7 +14,8 @@ const HELP: &str = "\
 OBJECT is a label id or a name, as `coseg objects` lists them; all objects of a name are meant, and of associated
 objects a class names all of its (chair: chair 1, chair 2). A name with a comma needs its id. First what is not kept
 goes, then what is removed; of what is left objects turn, then they move. Turns are counter-clockwise as seen from the
-tip of the axis; view-dependent colours turn with their object. The new file keeps its labels, and gets their names
+tip of the axis, which may be a direction as the viewer tells it (chair=0.02:-0.98:0.17,30): few COLMAP scenes have
+an axis of the world upright. View-dependent colours turn with their object. The new file keeps its labels, and gets their names
 beside it as classes.json, and a copy of the scene's cameras.json, unless they are there.
 
 What a scene's photos never showed, such as the floor below a sofa, is not there when the object is gone.
@@ -43,7 +44,7 @@ pub struct EditArgs {
     /// Remove these objects; may be repeated
     #[arg(long, value_name = "OBJECT,...", value_delimiter = ',')]
     remove: Vec<String>,
-    /// Turn an object about the world's x, y or z through its box's centre; may be repeated
+    /// Turn an object about x, y, z or X:Y:Z through its box's centre; may be repeated
     #[arg(long, value_name = "OBJECT=AXIS,DEGREES", value_parser = parse_turn)]
     turn: Vec<(String, DQuat)>,
     /// Move an object, world units; may be repeated
@@ -62,20 +63,27 @@ fn parse_turn(text: &str) -> std::result::Result<(String, DQuat), String> {
             "x" => DVec3::X,
             "y" => DVec3::Y,
             "z" => DVec3::Z,
-            _ => return None,
+            direction => numbers(direction, ':')?.try_normalize()?,
         };
         let degrees = degrees.trim().parse::<f64>().ok().filter(|d| d.is_finite())?;
         Some((object.to_owned(), DQuat::from_axis_angle(axis, degrees.to_radians())))
     };
-    parse().ok_or_else(|| "expected an object, x, y or z, and degrees, for instance chair=z,90".into())
+    let expected =
+        "expected an object, x, y, z or a direction, and degrees, for instance chair=z,90 or chair=0.1:-0.99:0.05,90";
+    parse().ok_or_else(|| expected.into())
+}
+
+/// Three finite numbers.
+fn numbers(text: &str, separator: char) -> Option<DVec3> {
+    let values: Option<Vec<f64>> = text.split(separator).map(|v| v.trim().parse().ok()).collect();
+    let values = DVec3::from(<[f64; 3]>::try_from(values?).ok()?);
+    values.is_finite().then_some(values)
 }
 
 fn parse_move(text: &str) -> std::result::Result<(String, DVec3), String> {
     let parse = || {
         let (object, offset) = text.rsplit_once('=')?;
-        let values: Option<Vec<f64>> = offset.split(',').map(|v| v.trim().parse().ok()).collect();
-        let offset = DVec3::from(<[f64; 3]>::try_from(values?).ok()?);
-        offset.is_finite().then(|| (object.to_owned(), offset))
+        Some((object.to_owned(), numbers(offset, ',')?))
     };
     parse().ok_or_else(|| "expected an object and three numbers, for instance chair=0.5,0,0".into())
 }

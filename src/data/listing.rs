@@ -6,7 +6,7 @@ use super::frame::{Frame, Geometry, proportional};
 use super::image_file::ImageFile;
 use super::raw::{RawLabels, RawMap};
 use super::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, Split, View};
-use crate::camera::Camera;
+use crate::camera::{Camera, level_up};
 use crate::config::Layout;
 use crate::error::{Error, Result};
 use crate::mask::Mask;
@@ -171,9 +171,7 @@ impl Listing {
         if self.z_up {
             return DVec3::Z;
         }
-        // OpenCV's y points down; row 1 of the world-to-camera rotation is that axis in the world.
-        let sum: DVec3 = self.frames.iter().map(|f| -f.camera.rotation.row(1)).sum();
-        sum.try_normalize().unwrap_or(DVec3::Z)
+        level_up(&self.frames.iter().map(|frame| frame.camera.clone()).collect::<Vec<_>>())
     }
 
     /// Decodes everything, a few files at a time.

@@ -6,8 +6,7 @@
 
 mod packing;
 
-use crate::camera::Camera;
-use crate::camera_path::mean_up;
+use crate::camera::{Camera, level_up};
 use crate::data::{Classes, NamedCamera, Split, atomic};
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
@@ -176,7 +175,7 @@ impl Viewer<'_> {
         let up = match self.up.and_then(DVec3::try_normalize) {
             Some(up) => up,
             None if cameras.is_empty() => DVec3::NEG_Y,
-            None => upright(mean_up(&cameras)),
+            None => upright(level_up(&cameras)),
         };
         let start = self.without_cameras(all, up);
         let views = self.cameras.iter().zip(&cameras);

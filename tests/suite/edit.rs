@@ -202,7 +202,18 @@ fn the_program_lists_picks_and_edits() {
     }
     // Forwards becomes down about x, right becomes backwards about y.
     type Turned = fn([f32; 3]) -> [f32; 3];
-    let turns: [(&str, Turned); 2] = [("x", |[x, y, z]| [x, -z, y]), ("y", |[x, y, z]| [z, y, -x])];
+    let about_y: Turned = |[x, y, z]| [z, y, -x];
+    // A direction has any length.
+    let turns: [(&str, Turned); 4] = [
+        ("x", |[x, y, z]| [x, -z, y]),
+        ("y", about_y),
+        ("0:2.5:0", about_y),
+        ("1:1:1", |[x, y, z]| {
+            // A quarter about the diagonal, by Rodrigues' formula.
+            let along = (x + y + z) / 3.0;
+            [along + (z - y) / 3_f32.sqrt(), along + (x - z) / 3_f32.sqrt(), along + (y - x) / 3_f32.sqrt()]
+        }),
+    ];
     for (axis, turned) in turns {
         edit(&["--keep", "blue", "--turn", &format!("blue={axis},90")]);
         let centre = [0.8, -0.3, 0.2];
@@ -276,7 +287,9 @@ fn mistakes_about_objects_say_what_there_is() {
         let arguments = ["edit", "--scene", utf8(&path), "--out", utf8(&taken), &names[0], &names[1]];
         assert!(fails(&arguments, 1).contains("another file than the scene"));
     }
-    for wrong in [["--move", "red=1,2"], ["--move", "red=1,2,inf"], ["--turn", "red=w,90"], ["--turn", "red"]] {
+    let moves = ["red=1,2", "red=1,2,inf"].map(|wrong| ["--move", wrong]);
+    let turns = ["red=w,90", "red", "red=0:0:0,90", "red=0:1,90", "red=0:1:nan,90"].map(|wrong| ["--turn", wrong]);
+    for wrong in moves.into_iter().chain(turns) {
         let message = edit(&wrong, 2);
         assert!(message.contains("for instance chair="), "{message}");
     }

@@ -47,6 +47,7 @@ mod given;
 mod gsplat;
 mod instance_metrics;
 mod lens;
+mod level;
 mod loss;
 mod mask_folders;
 mod masked_training;
@@ -93,6 +94,7 @@ mod torch_file;
 mod transforms;
 mod unprojection;
 mod viewer;
+mod viewer_edits;
 mod views;
 mod weights;
 

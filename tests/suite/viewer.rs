@@ -6,8 +6,8 @@ use crate::plates::{self, plates, scene as plates_scene};
 use base64::Engine;
 use coseg::camera::{Camera, Intrinsics};
 use coseg::data::transforms::write_cameras;
-use coseg::data::{Classes, Limits, NamedCamera, Split, read_cameras};
-use coseg::gaussians::{Gaussians, ply};
+use coseg::data::{Classes, NamedCamera, Split, read_cameras};
+use coseg::gaussians::Gaussians;
 use coseg::raster::{Settings, render};
 use coseg::viewer::Viewer;
 use glam::{DMat4, DVec3};
@@ -108,7 +108,7 @@ fn unpacked(page: &str) -> (Gaussians, Vec<u16>) {
     (gaussians, places.iter().map(|&v| v as u16).collect())
 }
 
-fn psnr(a: &[f32], b: &[f32]) -> f64 {
+pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
     assert_eq!(a.len(), b.len());
     let clamp = |v: &f32| f64::from(v.clamp(0.0, 1.0));
     let squares: f64 = a.iter().zip(b).map(|(a, b)| (clamp(a) - clamp(b)).powi(2)).sum();
@@ -243,7 +243,7 @@ fn a_model_folder_of_graphdeco_has_its_cameras_above_its_gaussians() {
 }
 
 /// A browser that draws without a screen: the program that COSEG_BROWSER names, or Chromium.
-fn browser() -> Option<String> {
+pub fn browser() -> Option<String> {
     let named = std::env::var("COSEG_BROWSER").ok();
     let known = ["chromium", "chromium-browser", "google-chrome"].map(str::to_owned);
     let answers = |name: &String| Command::new(name).arg("--version").output().is_ok_and(|o| o.status.success());
@@ -273,7 +273,7 @@ fn browse(browser: &str, path: &Path, address: &str, what: &str) -> String {
 }
 
 /// What the browser draws of the page, a view of this size.
-fn drawn(browser: &str, path: &Path, address: &str, [width, height]: [usize; 2]) -> Vec<f32> {
+pub fn drawn(browser: &str, path: &Path, address: &str, [width, height]: [usize; 2]) -> Vec<f32> {
     let shot = path.with_extension("png");
     browse(browser, path, &format!("{address}&bare"), &format!("--screenshot={}", shot.display()));
     let picture = image::open(&shot).unwrap().crop_imm(0, 0, width as u32, height as u32).to_rgb8();
@@ -299,7 +299,7 @@ fn a_browser_draws_what_the_rasterizer_does() {
 }
 
 /// The page with a program at its end, in which it finds `page` and `send`, beside itself.
-fn scripted(page: &Path, script: &str) -> PathBuf {
+pub fn scripted(page: &Path, script: &str) -> PathBuf {
     let send = "const send = (type, x, y, more) => document.getElementById('picture').dispatchEvent(\
         new PointerEvent(type, { clientX: x, clientY: y, pointerId: 1, buttons: 1, ...more }));\
         document.getElementById('picture').setPointerCapture = () => {};";
@@ -313,51 +313,10 @@ fn scripted(page: &Path, script: &str) -> PathBuf {
 }
 
 /// The text of the element with this id after `script` has run in the page.
-fn after(browser: &str, page: &Path, script: &str, id: &str) -> String {
+pub fn after(browser: &str, page: &Path, script: &str, id: &str) -> String {
     let dom = browse(browser, &scripted(page, script), "", "--dump-dom");
     let (_, after) = dom.split_once(&format!("id=\"{id}\">")).unwrap();
     after.split_once("</pre>").unwrap().0.replace("&gt;", ">").replace("&amp;", "&")
-}
-
-#[test]
-fn the_command_that_the_page_writes_does_what_the_page_shows() {
-    let Some(browser) = browser() else { return };
-    let dir = tempfile::tempdir().unwrap();
-    let scene = plates_scene(dir.path());
-    let classes = dir.path().join("some classes.json");
-    let names = [(1, "plate"), (2, "plate"), (3, "it's a plate, blue"), (4, "wall")];
-    Classes::from_names(0, names).write(&classes).unwrap();
-    let page = dir.path().join("page.html");
-    let read = ["--scene", utf8(&scene), "--cameras", utf8(dir.path()), "--classes", utf8(&classes)];
-    succeeds(&[&["view", "--out", utf8(&page)], &read[..]].concat());
-    let script = "page.show(0, false); page.show(3, false); page.moveTo(2, [0.25, -1, 0]); page.turnTo(1, 90); \
-        page.moveTo(1, [0, 0, 1]); page.draw();";
-    let line = after(&browser, &page, script, "command");
-    assert!(line.starts_with("coseg edit ") && line.contains("--remove 1,wall"), "{line}");
-    let run = Command::new("sh")
-        .args(["-c", &line.replacen("coseg", env!("CARGO_BIN_EXE_coseg"), 1)])
-        .current_dir(dir.path())
-        .output()
-        .unwrap();
-    assert!(run.status.success(), "{line}: {}", String::from_utf8_lossy(&run.stderr));
-    let folder = line.split_once("--out ").unwrap().1.split_once("/scene.ply").unwrap().0;
-    let edited = ply::read(&dir.path().join(folder).join("scene.ply"), &Limits::default()).unwrap();
-    assert_eq!(edited.labels.unwrap(), [vec![2; 25], vec![3; 25]].concat());
-    let (before, _) = plates();
-    for (row, mean) in edited.gaussians.means.iter().enumerate() {
-        let [x, y, z] = before.means[25 + row];
-        // Its middle is at x = z = 0.
-        let want = if row < 25 { [z, y, 1.0 - x] } else { [x + 0.25, y - 1.0, z] };
-        assert!(mean.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-5), "{row}: {mean:?} {want:?}");
-    }
-    let camera = plates::camera(0);
-    let camera = Camera { center: camera.center - edited.origin, ..camera };
-    let want = render(&edited.gaussians, &camera, &Settings::default(), [0.0; 3]).unwrap().rgb;
-    let size = [camera.width, camera.height];
-    let name = &read_cameras(dir.path(), None).unwrap()[0].name;
-    let found = psnr(&drawn(&browser, &scripted(&page, script), &format!("view={name}"), size), &want);
-    assert!(found > 55.0, "{found}");
-    assert!(psnr(&drawn(&browser, &page, &format!("view={name}"), size), &want) < 30.0);
 }
 
 #[test]

@@ -36,7 +36,7 @@ function editCommand(scene, objects) {
   if (hidden.length > shown.length) words.push("--keep", list(shown));
   else if (hidden.length) words.push("--remove", list(hidden));
   for (const [object, { axis, degrees }] of turned) {
-    words.push("--turn", quoted(`${spoken(scene, object)}=${axis},${rounded(degrees, 3)}`));
+    words.push("--turn", quoted(`${spoken(scene, object)}=${axis.argument},${rounded(degrees, 3)}`));
   }
   for (const [object, offset] of moved) {
     words.push("--move", quoted(`${spoken(scene, object)}=${offset.join(",")}`));

@@ -129,13 +129,13 @@ class Panel {
     };
     const along = (k) => (value) => page.moveTo(i, page.objects[i].offset.map((v, j) => (j === k ? value : v)));
     const fields = [0, 1, 2].map((k) => field(`moved along ${"xyz"[k]}, world units`, "any", along(k)));
-    const turn = field(`turned about ${scene.upright}, degrees`, 15, (degrees) => page.turnTo(i, degrees));
+    const turn = field(`turned about ${scene.upright.name}, degrees`, 15, (degrees) => page.turnTo(i, degrees));
     this.details.replaceChildren(
       element("b", { textContent: called(object) }),
       element("p", { textContent: `id ${object.id}, ${size} world units` }),
       element("div", { className: "buttons" }, button("Only this", () => page.showOnly(i)), hide, move),
       element("label", {}, "moved", element("span", { className: "fields" }, ...fields)),
-      element("label", {}, `turned about ${scene.upright}`, element("span", { className: "fields" }, turn, "°")),
+      element("label", {}, `turned about ${scene.upright.name}`, element("span", { className: "fields" }, turn, "°")),
     );
     this.controls = { hide, move, fields, turn };
     this.described = i;

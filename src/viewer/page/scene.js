@@ -10,12 +10,17 @@ const TEXTURE_WIDTH = 2048; // as in splat.vert
 const OPACITY = 3;
 const OBJECT = 7;
 
+/** Cosine beyond which an axis of the world is upright: `upright` of mod.rs has made it exactly so. */
+const UPRIGHT = 0.999999;
 const AXES = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
 
 class Scene {
-  /** The axis of the world, x, y or z, that is nearest to up or down. */
+  /** What objects turn about: the axis of the world that points up or down, or up itself, as `coseg edit` takes it. */
   get upright() {
-    return Object.keys(AXES).reduce((a, b) => (Math.abs(dot(AXES[b], this.up)) > Math.abs(dot(AXES[a], this.up)) ? b : a));
+    const name = Object.keys(AXES).find((axis) => Math.abs(dot(AXES[axis], this.up)) > UPRIGHT);
+    if (name) return { name, argument: name, direction: AXES[name] };
+    const up = this.up.map((v) => rounded(v, 4));
+    return { name: "up", argument: up.join(":"), direction: unit(up.map(Number)) };
   }
 
   /** Objects as they are in the file. */
@@ -114,7 +119,7 @@ function decoded(text) {
   return bytes;
 }
 
-/** What the user has done to an object: turned about an axis of the world through the middle of its box, then moved. */
+/** What the user has done to an object: turned about what is upright through the middle of its box, then moved. */
 class ObjectState {
   constructor({ low, high }, axis) {
     this.shown = true;
@@ -130,7 +135,7 @@ class ObjectState {
 
   /** Its points are at rotation x + shift. */
   get pose() {
-    const rotation = rotationAbout(AXES[this.axis], (this.degrees * Math.PI) / 180);
+    const rotation = rotationAbout(this.axis.direction, (this.degrees * Math.PI) / 180);
     return { rotation, shift: add(this.offset, minus(this.pivot, apply(rotation, this.pivot))) };
   }
 }
