@@ -32,9 +32,9 @@ fi
 # Kernels against the CPU's in f64, both stages against ndarray; a test that finds no device must not count as passed.
 parity() {
   if [ -n "${SUITE:-}" ]; then
-    for binary in $SUITE; do "$binary" --nocapture gpu device room noise raster probe photo || return 1; done
+    for binary in $SUITE; do "$binary" --nocapture gpu device room noise raster gsplat probe photo || return 1; done
   else
-    cargo test --release --features wgpu --lib --test suite -- --nocapture gpu device room noise raster probe photo || return 1
+    cargo test --release --features wgpu --lib --test suite -- --nocapture gpu device room noise raster gsplat probe photo || return 1
   fi
 }
 step parity parity

@@ -179,6 +179,9 @@ pub struct SegmentationConfig {
     pub lambda_reg: f64,
     /// Share of the run trained with CE before any other loss.
     pub warmup: f64,
+    /// Mean probability of its own labels below which GCE and JS are less robust for a class, the nearer to CE the further it is below, so
+    /// that no class is given up (not in the paper); 0 is never.
+    pub least_recall: f64,
     /// Identities come from the mean of the decoder's parameters over the steps after the warm-up (not in the paper).
     pub average: bool,
     /// What label maps are rendered from.
@@ -239,6 +242,7 @@ impl Default for SegmentationConfig {
             lambda_pix: 0.8,
             lambda_reg: 0.2,
             warmup: 0.1,
+            least_recall: 0.3,
             average: true,
             render: LabelSource::Labels,
             min_coverage: 0.5,

@@ -8,7 +8,7 @@ use crate::error::Result;
 use crate::raster::Settings;
 use crate::report::peak_memory_bytes;
 use crate::segmentation::loss::Kind;
-use crate::train::segmentation::{Plan, train_step};
+use crate::train::segmentation::{Plan, Recalls, train_step};
 use crate::train::{Inputs, Spatial, decoder_row};
 
 /// Training views that the steps go through.
@@ -71,15 +71,16 @@ fn with_gaussians(bench: &Bench, few: &Scene, count: usize) -> Result<Vec<Figure
         let plan = Plan::new(segmentation, Kind::from_config(segmentation)?, config.seed);
         let mut training = inputs.training_views();
         let mut model = decoder_row(Row::Ours, segmentation.lr, source, &inputs, &training)?;
+        let mut recalls = Recalls::new(training.classes());
         // The first pass over the views makes their weights, which takes memory of its own.
         let first = plan.warmup.next_multiple_of(views);
         for i in 0..views {
-            train_step(&mut model, &mut training, &plan, first + i)?;
+            train_step(&mut model, &mut training, &plan, &mut recalls, first + i)?;
         }
         reset_peak_memory();
         let mut steps = Samples::default();
         for i in 0..bench.effort.repeats.max(1) * views {
-            steps.time(|| train_step(&mut model, &mut training, &plan, first + views + i))?;
+            steps.time(|| train_step(&mut model, &mut training, &plan, &mut recalls, first + views + i))?;
         }
         let together = match segmentation.decoder_chunk {
             0 => "all".to_owned(),

@@ -10,7 +10,7 @@ use crate::objects::Identities;
 use crate::random::{Purpose, stream};
 use crate::raster::Settings;
 use crate::segmentation::loss::Kind;
-use crate::train::segmentation::{Drawn, Fused, Model, NamedValues, Plan, Prediction, train_step};
+use crate::train::segmentation::{Drawn, Fused, Model, NamedValues, Plan, Prediction, Recalls, train_step};
 use crate::train::{Inputs, Seen, Spatial, decoder_row};
 use burn::tensor::{Gradients, Tensor};
 use rand::Rng;
@@ -79,16 +79,17 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let mut model =
         Timed { model: decoder_row(Row::Ours, segmentation.lr, source, &inputs, &training)?, seconds: [0.0; 2] };
 
+    let mut recalls = Recalls::new(training.classes());
     // The first pass over the views makes their weights and settles allocations; then the loss after the warm-up.
     let first = plan.warmup.next_multiple_of(views);
     let mut making = Samples::default();
     for i in 0..views {
-        making.time(|| train_step(&mut model, &mut training, &plan, first + i))?;
+        making.time(|| train_step(&mut model, &mut training, &plan, &mut recalls, first + i))?;
     }
     let (mut steps, mut forward, mut update) = (Samples::default(), Samples::default(), Samples::default());
     for i in 0..effort.repeats.max(1) * effort.steps {
         model.seconds = [0.0; 2];
-        steps.time(|| train_step(&mut model, &mut training, &plan, first + views + i))?;
+        steps.time(|| train_step(&mut model, &mut training, &plan, &mut recalls, first + views + i))?;
         forward.push(model.seconds[0]);
         update.push(model.seconds[1]);
     }

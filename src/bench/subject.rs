@@ -2,7 +2,7 @@
 
 use super::resample::resampled;
 use super::surfels::Surfaces;
-use crate::camera::Camera;
+use crate::camera::{Camera, level_up};
 use crate::config::Config;
 use crate::data::builtin::{self, BuiltinOptions};
 use crate::data::{Limits, Scene, Split, read_cameras};
@@ -98,13 +98,12 @@ impl Subject {
         let (gaussians, origin) = trained(scene)?;
         let cameras: Vec<Camera> =
             named.into_iter().map(|n| Camera { center: n.camera.center - origin, ..n.camera }).collect();
-        // Image rows run down: up is the other way.
-        let up = cameras.iter().map(|c| c.rotation.transpose() * DVec3::NEG_Y).sum::<DVec3>();
+        let up = level_up(&cameras);
         Ok(Self {
             description: of_trained(scene, &gaussians),
             scene: None,
             cameras,
-            up: up.try_normalize().unwrap_or(DVec3::Z),
+            up,
             sh_degree: gaussians.sh_degree,
             origin: Origin::Trained(gaussians),
             seed: config.seed,

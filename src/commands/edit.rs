@@ -15,8 +15,9 @@ OBJECT is a label id or a name, as `coseg objects` lists them; all objects of a 
 objects a class names all of its (chair: chair 1, chair 2). A name with a comma needs its id. First what is not kept
 goes, then what is removed; of what is left objects turn, then they move. Turns are counter-clockwise as seen from the
 tip of the axis, which may be a direction as the viewer tells it (chair=0.02:-0.98:0.17,30): few COLMAP scenes have
-an axis of the world upright. View-dependent colours turn with their object. The new file keeps its labels, and gets their names
-beside it as classes.json, and a copy of the scene's cameras.json, unless they are there.
+an axis of the world upright. The axis goes through the middle of the object's box; view-dependent colours turn with
+their object. The new file keeps its labels, and gets their names beside it as classes.json, and a copy of the scene's
+cameras.json, unless they are there.
 
 What a scene's photos never showed, such as the floor below a sofa, is not there when the object is gone.
 
@@ -44,7 +45,7 @@ pub struct EditArgs {
     /// Remove these objects; may be repeated
     #[arg(long, value_name = "OBJECT,...", value_delimiter = ',')]
     remove: Vec<String>,
-    /// Turn an object about x, y, z or X:Y:Z through its box's centre; may be repeated
+    /// Turn an object about the world's x, y or z, or a direction X:Y:Z; may be repeated
     #[arg(long, value_name = "OBJECT=AXIS,DEGREES", value_parser = parse_turn)]
     turn: Vec<(String, DQuat)>,
     /// Move an object, world units; may be repeated

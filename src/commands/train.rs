@@ -14,6 +14,7 @@ use coseg::gaussians::ply;
 use coseg::report::{Command, Metrics, Report, held_out_views};
 use coseg::train::{self, Outcome, RowOutcome};
 use coseg::viewer::Viewer;
+use glam::DVec3;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -121,7 +122,8 @@ impl TrainArgs {
             labels: ids.as_deref(),
             classes: &outcome.scene.classes,
             cameras: &cameras,
-            up: None,
+            // Where the scene says so; else as for other scenes.
+            up: Some(outcome.scene.up).filter(|up| *up == DVec3::Z),
             alpha_max: config.raster.alpha_max,
         };
         viewer.write(&run.viewer_path())?;

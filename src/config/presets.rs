@@ -29,6 +29,7 @@ impl Config {
                 config.segmentation.loss = LabelLoss::Js;
                 config.segmentation.pi_rl = 0.9;
                 config.segmentation.warmup = 0.0;
+                config.segmentation.least_recall = 0.0;
                 config.segmentation.average = false;
                 config.segmentation.render = LabelSource::Scores;
                 config.segmentation.standardise = false;

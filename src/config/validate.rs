@@ -234,6 +234,7 @@ impl Config {
         check.amount("segmentation.lambda_pix", s.lambda_pix);
         check.amount("segmentation.lambda_reg", s.lambda_reg);
         check.within("segmentation.warmup", s.warmup, 0.0, 1.0);
+        check.within("segmentation.least_recall", s.least_recall, 0.0, 1.0);
         check.within("segmentation.min_coverage", s.min_coverage, 0.0, 1.0);
         check.share("segmentation.pixel_share", s.pixel_share);
         check.positive("segmentation.reg_samples", s.reg_samples);

@@ -215,7 +215,7 @@ fn named(frames: &[&Frame]) -> String {
 }
 
 /// The first few, and how many more there are.
-fn some_of(names: &[String]) -> String {
+pub(super) fn some_of(names: &[String]) -> String {
     let more = match names.len().saturating_sub(NAMED) {
         0 => String::new(),
         n => format!(" and {n} more"),

@@ -5,9 +5,9 @@
 //! costs one multiplication a contribution each way, however many classes there are.
 
 use super::gradient_in_hand::with_gradient_in_hand;
-use super::label_loss::{Kind, UNLABELLED};
+use super::label_loss::{ClassLosses, Kind, UNLABELLED, label_losses};
 use super::sparse::{SparseMatrix, sparse_apply};
-use super::{HostBackend, Real, device_of, label_loss, real_kernel};
+use super::{HostBackend, Real, device_of, real_kernel};
 use crate::device::in_host_memory;
 use crate::error::Result;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
@@ -74,9 +74,9 @@ impl LabelledPixels {
         weights: &SparseMatrix,
         scores: &[E],
         classes: usize,
-        kind: Kind,
+        losses: &ClassLosses,
     ) -> (E, Vec<E>) {
-        assert!(!kind.reads_all_classes(), "value_and_gradient: {kind:?} reads all classes of a pixel");
+        assert!(!losses.kind.reads_all_classes(), "value_and_gradient: {losses:?} reads all classes of a pixel");
         let mut gradient = vec![E::zero(); scores.len()];
         let mut of_class = vec![Vec::new(); classes];
         for (&row, &label) in self.rows.iter().zip(&self.labels) {
@@ -95,7 +95,10 @@ impl LabelledPixels {
         let scale = 1.0 / count as f64;
         let done: Vec<(f64, Vec<E>)> = tasks
             .par_iter()
-            .map(|&(class, rows)| of_class_alone(weights, rows, &p[class * points..][..points], classes, kind, scale))
+            .map(|&(class, rows)| {
+                let p = &p[class * points..][..points];
+                of_class_alone(weights, rows, p, classes, losses.of(class), scale)
+            })
             .collect();
         let mut d_p: Vec<Option<Vec<E>>> = vec![None; classes];
         let mut loss = 0.0;
@@ -188,7 +191,7 @@ pub trait BlendedLabelBackend: Backend {
         scores: FloatTensor<Self>,
         weights: Arc<SparseMatrix>,
         pixels: Arc<LabelledPixels>,
-        kind: Kind,
+        losses: ClassLosses,
     ) -> (FloatTensor<Self>, FloatTensor<Self>);
 }
 
@@ -197,11 +200,11 @@ impl<B: HostBackend> BlendedLabelBackend for B {
         scores: FloatTensor<Self>,
         weights: Arc<SparseMatrix>,
         pixels: Arc<LabelledPixels>,
-        kind: Kind,
+        losses: ClassLosses,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         let (device, [rows, classes]) = (device_of::<B>(&scores), scores.shape().dims());
         real_kernel!(scores, E => {
-            let (value, gradient) = pixels.value_and_gradient::<E>(&weights, &B::values(scores), classes, kind);
+            let (value, gradient) = pixels.value_and_gradient::<E>(&weights, &B::values(scores), classes, &losses);
             (B::tensor::<E>(vec![value], &[1], &device), B::tensor::<E>(gradient, &[rows, classes], &device))
         })
     }
@@ -212,9 +215,9 @@ impl<B: BlendedLabelBackend, C: CheckpointStrategy> BlendedLabelBackend for Auto
         scores: FloatTensor<Self>,
         weights: Arc<SparseMatrix>,
         pixels: Arc<LabelledPixels>,
-        kind: Kind,
+        losses: ClassLosses,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        with_gradient_in_hand::<B, C>(scores, |scores| B::blended_label_loss(scores, weights, pixels, kind))
+        with_gradient_in_hand::<B, C>(scores, |scores| B::blended_label_loss(scores, weights, pixels, losses))
     }
 }
 
@@ -228,28 +231,28 @@ impl<B: BlendedLabelBackend, C: CheckpointStrategy> BlendedLabelBackend for Auto
 /// # Panics
 /// If `scores` has not one row a column of the weights, there is not one label a row, or a label is neither below C nor
 /// [`UNLABELLED`].
-pub fn blended_label_loss(scores: Tensor<2>, pixels: Arc<LabelledPixels>, kind: &Kind) -> Result<Tensor<1>> {
+pub fn blended_label_loss(scores: Tensor<2>, pixels: Arc<LabelledPixels>, losses: &ClassLosses) -> Result<Tensor<1>> {
     let [rows, classes] = scores.dims();
     assert_eq!(pixels.rows.len(), pixels.labels.len(), "blended_label_loss: labels against rows");
     let known = pixels.labels.iter().all(|&l| l == UNLABELLED || usize::from(l) < classes);
     assert!(known, "blended_label_loss: a label is no class index below {classes}");
     let PixelWeights::Stored(weights) = &pixels.weights else {
-        return blended_label_loss_plain(scores, &pixels, kind);
+        return blended_label_loss_plain(scores, &pixels, losses);
     };
     assert_eq!(rows, weights.columns, "blended_label_loss: scores against columns of the weights");
-    if kind.reads_all_classes() || !in_host_memory(&scores.device()) {
-        return blended_label_loss_plain(scores, &pixels, kind);
+    if losses.kind.reads_all_classes() || !in_host_memory(&scores.device()) {
+        return blended_label_loss_plain(scores, &pixels, losses);
     }
-    let (value, _) = Dispatch::blended_label_loss(scores.into_dispatch(), weights.clone(), pixels, *kind);
+    let (value, _) = Dispatch::blended_label_loss(scores.into_dispatch(), weights.clone(), pixels, losses.clone());
     Ok(Tensor::from_dispatch(value))
 }
 
-/// [`blended_label_loss`] in plain tensors around [`label_loss`]: what runs on a GPU, and the reference of its tests.
+/// [`blended_label_loss`] in plain tensors around [`label_losses`]: what runs on a GPU, and the reference of its tests.
 ///
 /// # Errors
 /// Those of [`LabelledPixels::blend`].
-pub fn blended_label_loss_plain(scores: Tensor<2>, pixels: &LabelledPixels, kind: &Kind) -> Result<Tensor<1>> {
+pub fn blended_label_loss_plain(scores: Tensor<2>, pixels: &LabelledPixels, losses: &ClassLosses) -> Result<Tensor<1>> {
     let blended = pixels.blend(softmax(scores, 1))?;
     // softmax(log q) = q / sum q: the loss sees the mixture itself
-    Ok(label_loss((blended + LEAST_PROBABILITY).log(), &pixels.labels, kind))
+    Ok(label_losses((blended + LEAST_PROBABILITY).log(), &pixels.labels, losses))
 }

@@ -83,14 +83,47 @@ impl Kind {
     }
 }
 
+/// Least exponent and weight of the label of a softened loss: cross-entropy within f32's digits.
+const SOFTEST: f64 = 1e-4;
+
+/// A loss whose robustness differs from class to class.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClassLosses {
+    /// The loss at its full robustness.
+    pub kind: Kind,
+    /// What the exponent of [`Kind::Gce`] and the `pi_rl` of [`Kind::Js`] are multiplied by for pixels labelled with a class, in
+    /// 0..1; at 0 they learn by cross-entropy. 1 for classes beyond its end. Other losses stay as they are.
+    pub shares: Vec<f64>,
+}
+
+impl From<Kind> for ClassLosses {
+    fn from(kind: Kind) -> Self {
+        Self { kind, shares: Vec::new() }
+    }
+}
+
+impl ClassLosses {
+    /// The loss of pixels with this label.
+    pub fn of(&self, class: usize) -> Kind {
+        let share = self.shares.get(class).copied().unwrap_or(1.0);
+        let softened = |parameter: f64| if share < 1.0 { (parameter * share).max(SOFTEST) } else { parameter };
+        match self.kind {
+            Kind::Gce { q } => Kind::Gce { q: softened(q) },
+            Kind::Js { pi_rl } => Kind::Js { pi_rl: softened(pi_rl) },
+            other => other,
+        }
+    }
+}
+
 /// Mean loss over labelled pixels and its gradient: `logits` is `[P, classes]`, `labels` `[P]`. No labelled pixel: zeros.
-pub fn value_and_gradient<E: Real>(logits: &[E], labels: &[u16], classes: usize, kind: Kind) -> (E, Vec<E>) {
+pub fn value_and_gradient<E: Real>(logits: &[E], labels: &[u16], classes: usize, losses: &ClassLosses) -> (E, Vec<E>) {
     let mut gradient = vec![E::zero(); logits.len()];
     let count = labels.iter().filter(|&&l| l != UNLABELLED).count();
     if count == 0 || classes == 0 {
         return (E::zero(), gradient);
     }
     let scale = 1.0 / count as f64;
+    let kinds: Vec<Kind> = (0..classes).map(|class| losses.of(class)).collect();
     let blocks = gradient.par_chunks_mut(BLOCK * classes).zip(logits.par_chunks(BLOCK * classes));
     let sums: Vec<f64> = blocks
         .zip(labels.par_chunks(BLOCK))
@@ -118,7 +151,7 @@ pub fn value_and_gradient<E: Real>(logits: &[E], labels: &[u16], classes: usize,
                     false => (logits[y] - highest).wide() - log_total,
                 };
                 let log_sum = || logits.iter().map(|&z| (z - highest).wide() - log_total).sum();
-                let (loss, h, u) = kind.of_row(log_p, log_sum);
+                let (loss, h, u) = kinds[y].of_row(log_p, log_sum);
                 sum += loss;
                 let factor = E::of(-(h + u * classes as f64) * scale) / total;
                 let each = E::of(u * scale);
@@ -145,7 +178,7 @@ pub trait LabelLossBackend: Backend {
     fn label_loss(
         logits: FloatTensor<Self>,
         labels: Arc<Vec<u16>>,
-        kind: Kind,
+        losses: ClassLosses,
     ) -> (FloatTensor<Self>, FloatTensor<Self>);
 }
 
@@ -153,9 +186,9 @@ impl<B: HostKernels> LabelLossBackend for B {
     fn label_loss(
         logits: FloatTensor<Self>,
         labels: Arc<Vec<u16>>,
-        kind: Kind,
+        losses: ClassLosses,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        on_host::label_loss::<Self>(logits, &labels, kind)
+        on_host::label_loss::<Self>(logits, &labels, &losses)
     }
 }
 
@@ -166,11 +199,11 @@ pub(super) mod on_host {
     pub fn label_loss<B: HostBackend>(
         logits: FloatTensor<B>,
         labels: &[u16],
-        kind: Kind,
+        losses: &ClassLosses,
     ) -> (FloatTensor<B>, FloatTensor<B>) {
         let (device, [rows, classes]) = (device_of::<B>(&logits), logits.shape().dims());
         real_kernel!(logits, E => {
-            let (value, gradient) = value_and_gradient::<E>(&B::values(logits), labels, classes, kind);
+            let (value, gradient) = value_and_gradient::<E>(&B::values(logits), labels, classes, losses);
             (B::tensor::<E>(vec![value], &[1], &device), B::tensor::<E>(gradient, &[rows, classes], &device))
         })
     }
@@ -180,9 +213,9 @@ impl<B: LabelLossBackend, C: CheckpointStrategy> LabelLossBackend for Autodiff<B
     fn label_loss(
         logits: FloatTensor<Self>,
         labels: Arc<Vec<u16>>,
-        kind: Kind,
+        losses: ClassLosses,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        with_gradient_in_hand::<B, C>(logits, |logits| B::label_loss(logits, labels, kind))
+        with_gradient_in_hand::<B, C>(logits, |logits| B::label_loss(logits, labels, losses))
     }
 }
 
@@ -194,10 +227,18 @@ impl<B: LabelLossBackend, C: CheckpointStrategy> LabelLossBackend for Autodiff<B
 /// # Panics
 /// If there is not one label a row, or a label is neither below C nor [`UNLABELLED`].
 pub fn label_loss(logits: Tensor<2>, labels: &[u16], kind: &Kind) -> Tensor<1> {
+    label_losses(logits, labels, &(*kind).into())
+}
+
+/// [`label_loss`] with a loss for each class.
+///
+/// # Panics
+/// As [`label_loss`].
+pub fn label_losses(logits: Tensor<2>, labels: &[u16], losses: &ClassLosses) -> Tensor<1> {
     let [rows, classes] = logits.dims();
     assert_eq!(labels.len(), rows, "label_loss: labels against rows of logits");
     let known = labels.iter().all(|&l| l == UNLABELLED || usize::from(l) < classes);
     assert!(known, "label_loss: a label is no class index below {classes}");
-    let (value, _) = Dispatch::label_loss(logits.into_dispatch(), Arc::new(labels.to_vec()), *kind);
+    let (value, _) = Dispatch::label_loss(logits.into_dispatch(), Arc::new(labels.to_vec()), losses.clone());
     Tensor::from_dispatch(value)
 }

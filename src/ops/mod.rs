@@ -53,7 +53,7 @@ pub use gather::{RowList, gather_rows};
 pub(crate) use host::device_of;
 pub(crate) use host::real_kernel;
 pub use host::{HostBackend, HostKernels, HostValues, host_fallbacks};
-pub use label_loss::{Kind, LabelLossBackend, UNLABELLED, label_loss};
+pub use label_loss::{ClassLosses, Kind, LabelLossBackend, UNLABELLED, label_loss, label_losses};
 pub use neighbour_divergence::{DivergenceBackend, NeighbourPairs, neighbour_divergence, neighbour_divergence_plain};
 pub use photo::Photo;
 pub use photometric::{PhotometricBackend, photometric_loss, photometric_loss_plain};

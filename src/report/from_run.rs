@@ -190,8 +190,16 @@ fn loss_in_words(config: &SegmentationConfig) -> String {
         LabelLoss::NceRce => "normalised and reverse cross-entropy".to_owned(),
         LabelLoss::Gjs => format!("the generalised Jensen-Shannon loss, pi_rl = {pi_rl}"),
     };
-    match (config.warmup * config.iterations as f64).round() {
+    let loss = match (config.warmup * config.iterations as f64).round() {
         0.0 => loss,
         steps => format!("{loss}, after {steps} steps of cross-entropy"),
+    };
+    match config.least_recall {
+        least if least > 0.0 && matches!(config.loss, LabelLoss::Gce | LabelLoss::Js) => {
+            format!(
+                "{loss}, nearer to cross-entropy for classes whose own labels get less than {least} of the probability"
+            )
+        }
+        _ => loss,
     }
 }

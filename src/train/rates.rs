@@ -2,7 +2,7 @@
 
 use super::checkpoint::Checkpoint;
 use super::progress::{Event, Progress};
-use super::segmentation::{Model, Plan, TrainingViews, train_step};
+use super::segmentation::{Model, Plan, Recalls, TrainingViews, train_step};
 use super::segmentation_inputs::Inputs;
 use crate::data::LabelRuns;
 use crate::error::Result;
@@ -68,9 +68,9 @@ pub fn choose_rate<'a>(
     let gaussians = views.gaussians();
     progress.event(&Event::Started { stage: "rates", done: 0, iterations: factors.len() * trial.iterations });
     for (tried, factor) in factors.iter().enumerate() {
-        let mut model = model(base * factor, views)?;
+        let (mut model, mut recalls) = (model(base * factor, views)?, Recalls::new(views.classes()));
         for iteration in 0..trial.iterations {
-            let loss = f64::from(train_step(model.as_mut(), views, &trial, iteration)?);
+            let loss = f64::from(train_step(model.as_mut(), views, &trial, &mut recalls, iteration)?);
             let iteration = tried * trial.iterations + iteration + 1;
             progress.event(&Event::Step { iteration, loss, gaussians });
         }

@@ -217,7 +217,7 @@ fn part(bytes: &[u8]) -> String {
     format!("<script type=\"text/plain\" class=\"columns\">{text}</script>\n")
 }
 
-/// An axis of the world where `up` is nearly one: the mean of cameras' directions is as steady as who held them.
+/// An axis of the world where `up` is nearly one: what cameras say is as steady as who held them.
 fn upright(up: DVec3) -> DVec3 {
     let axes = DVec3::AXES.into_iter().flat_map(|axis| [axis, -axis]);
     axes.into_iter().find(|axis| axis.dot(up) > NEARLY).unwrap_or(up)

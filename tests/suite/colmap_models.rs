@@ -50,17 +50,29 @@ fn of_several_models_the_one_with_the_most_photos_is_read() {
 }
 
 #[test]
-fn a_model_that_is_not_called_0_is_found_and_a_broken_one_is_not_preferred() {
+fn a_model_that_is_not_called_0_is_found_and_damage_is_told_of() {
     let dir = scene(text, &pinhole());
     let dir = dir.path();
     fs::rename(dir.join("sparse/0"), dir.join("sparse/1")).expect("rename");
     assert_eq!(locate(dir, &LoadOptions::default()).expect("layout").name(), "colmap");
     assert!(notices(dir).iter().all(|n| !n.contains("could not join")));
+    // A part of a model is not preferred, whatever it claims; without a whole one it is what is told of.
     fs::create_dir_all(dir.join("sparse/0")).expect("folder");
     binary(&dir.join("sparse/0"), &pinhole());
-    fs::write(dir.join("sparse/0/images.bin"), [255; 20]).expect("images");
+    fs::remove_file(dir.join("sparse/0/cameras.bin")).expect("remove");
     assert_eq!(load(dir, &LoadOptions::default()).expect("scene").views.len(), VIEWS);
-    assert!(notices(dir).iter().any(|n| n.contains("sparse/0 of 0")));
+    assert!(notices(dir).iter().all(|n| !n.contains("could not join")));
+    // A damaged one is, by name: the other may be a fragment.
+    binary(&dir.join("sparse/0"), &pinhole());
+    fs::write(dir.join("sparse/0/images.bin"), [255; 20]).expect("images");
+    let error = load(dir, &LoadOptions::default()).expect_err("damaged");
+    crate::assert_names(&error, &["sparse/0/images.bin", "number of images"]);
+    fs::remove_dir_all(dir.join("sparse/1")).expect("remove");
+    fs::remove_file(dir.join("sparse/0/cameras.bin")).expect("remove");
+    crate::assert_names(
+        &load(dir, &LoadOptions::default()).expect_err("a part"),
+        &["sparse/0", "cameras", "no such file"],
+    );
 }
 
 #[test]
@@ -73,11 +85,12 @@ fn photos_without_a_pose_are_told_of() {
         fs::copy(&photo, dir.join("images").join(other)).expect("copy");
     }
     fs::write(dir.join("images/notes.txt"), "no photo").expect("file");
+    fs::copy(&photo, dir.join("images/._a.png")).expect("copy");
     let told = notices(dir);
     let told: Vec<_> = told.iter().filter(|n| n.contains("not in the model")).collect();
     assert_eq!(told.len(), 1, "{told:?}");
     assert!(
-        told[0].starts_with("4 of the 13 photos in ") && told[0].contains("(a.PNG, b.jpg, cam1/c.jpeg, ...)"),
+        told[0].starts_with("4 of the 13 photos in ") && told[0].contains("(a.PNG, b.jpg, cam1/c.jpeg and 1 more)"),
         "{told:?}"
     );
     // Those of a split alone are in the model all the same.

@@ -92,7 +92,7 @@ fn trained(model: &mut Fused, scene: &Scene, steps: usize) -> (Vec<f32>, NamedVa
     let kind = Kind::Js { pi_rl: 0.9 };
     let losses = (0..steps).map(|_| {
         let prediction = model.predict(0, &scene.drawn).expect("a prediction");
-        let mut loss = prediction.scores.loss(scene.drawn.pixels.clone(), &kind, 0.4).expect("a loss") * 0.8;
+        let mut loss = prediction.scores.loss(scene.drawn.pixels.clone(), &kind.into(), 0.4).expect("a loss") * 0.8;
         if let Some(regularisation) = prediction.regularisation {
             loss = loss + regularisation * 20.0;
         }

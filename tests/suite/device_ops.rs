@@ -2,7 +2,8 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use coseg::ops::{
-    Kind, LabelledPixels, PixelWeights, SparseMatrix, UNLABELLED, attentive_pool, blended_label_loss, sparse_apply,
+    ClassLosses, Kind, LabelledPixels, PixelWeights, SparseMatrix, UNLABELLED, attentive_pool, blended_label_loss,
+    sparse_apply,
 };
 use coseg::segmentation::loss::label_loss;
 use std::sync::Arc;
@@ -168,7 +169,9 @@ fn blended_label_losses() {
     let labels = chosen.iter().map(label).collect();
     let pixels = Arc::new(LabelledPixels { weights: PixelWeights::Stored(Arc::new(weights)), rows: chosen, labels });
     let scores = waves(points * classes, 2.5);
-    for kind in KINDS {
+    let shares = vec![0.5, 1.0, 0.0, 0.9];
+    let for_all = KINDS.into_iter().map(ClassLosses::from);
+    for kind in for_all.chain(KINDS.into_iter().map(|kind| ClassLosses { kind, shares: shares.clone() })) {
         let run = |gpu| {
             value_and_gradients(&[(&scores, classes)], gpu, |l| {
                 blended_label_loss(l[0].clone(), pixels.clone(), &kind).expect("a loss").unsqueeze()

@@ -2,8 +2,9 @@
 
 use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
 use coseg::ops::{
-    Kind, LabelledPixels, LayerMap, NeighbourPairs, PixelWeights, SparseMatrix, UNLABELLED, blended_label_loss,
-    blended_label_loss_plain, fusion_layer, fusion_layer_plain, neighbour_divergence, neighbour_divergence_plain,
+    ClassLosses, Kind, LabelledPixels, LayerMap, NeighbourPairs, PixelWeights, SparseMatrix, UNLABELLED,
+    blended_label_loss, blended_label_loss_plain, fusion_layer, fusion_layer_plain, neighbour_divergence,
+    neighbour_divergence_plain,
 };
 use std::sync::Arc;
 
@@ -102,11 +103,17 @@ fn pixels(rows: usize, points: usize) -> Arc<LabelledPixels> {
     Arc::new(LabelledPixels { weights: PixelWeights::Stored(Arc::new(mixing(rows, points, 4))), rows: chosen, labels })
 }
 
-fn blended(fused: bool, scores: &[f64], pixels: &Arc<LabelledPixels>, kind: &Kind, dtype: DType) -> [Vec<f64>; 2] {
+fn blended(
+    fused: bool,
+    scores: &[f64],
+    pixels: &Arc<LabelledPixels>,
+    losses: &ClassLosses,
+    dtype: DType,
+) -> [Vec<f64>; 2] {
     let scores = tensor(scores.to_vec(), [scores.len() / 5, 5], dtype);
     let loss = match fused {
-        true => blended_label_loss(scores.clone(), pixels.clone(), kind),
-        false => blended_label_loss_plain(scores.clone(), pixels, kind),
+        true => blended_label_loss(scores.clone(), pixels.clone(), losses),
+        false => blended_label_loss_plain(scores.clone(), pixels, losses),
     }
     .expect("stored weights");
     // a factor, as in a sum of losses
@@ -114,12 +121,19 @@ fn blended(fused: bool, scores: &[f64], pixels: &Arc<LabelledPixels>, kind: &Kin
     [host(loss), host(scores.grad(&gradients).expect("tracked"))]
 }
 
+/// Each loss alike for all classes, and softened for some.
+fn losses() -> Vec<ClassLosses> {
+    let shares = vec![1.0, 0.4, 0.0];
+    let for_all = KINDS.into_iter().map(ClassLosses::from);
+    for_all.chain(KINDS.into_iter().map(|kind| ClassLosses { kind, shares: shares.clone() })).collect()
+}
+
 #[test]
 fn blended_label_loss_equals_its_plain_form() {
     for (rows, points) in [(20, 7), (40_000, 90)] {
         let pixels = pixels(rows, points);
         let scores: Vec<f64> = waves(points * 5, 1.3).iter().map(|v| 3.0 * v).collect();
-        for kind in KINDS {
+        for kind in losses() {
             let [got, want] = [true, false].map(|fused| blended(fused, &scores, &pixels, &kind, DType::F64));
             // rows of f32 weights sum to 1 within 1e-7, and the plain form sees what is missing
             assert_close(&got[0], &want[0], 1e-7, &format!("{kind:?}, {rows} rows"));
@@ -132,8 +146,8 @@ fn blended_label_loss_equals_its_plain_form() {
 fn blended_label_loss_has_the_gradient_of_finite_differences() {
     let pixels = pixels(20, 7);
     let scores = waves(7 * 5, 2.1);
-    let value = |scores: &[f64], kind: &Kind| blended(true, scores, &pixels, kind, DType::F64)[0][0];
-    for kind in &KINDS {
+    let value = |scores: &[f64], kind: &ClassLosses| blended(true, scores, &pixels, kind, DType::F64)[0][0];
+    for kind in &losses() {
         let gradient = &blended(true, &scores, &pixels, kind, DType::F64)[1];
         let finite: Vec<f64> = (0..scores.len())
             .map(|i| {
@@ -153,14 +167,14 @@ fn blended_label_loss_has_the_gradient_of_finite_differences() {
 fn blended_label_loss_survives_certainty_and_emptiness() {
     let pixels = pixels(20, 7);
     let scores: Vec<f64> = waves(7 * 5, 2.1).iter().map(|v| 300.0 * v).collect();
-    for kind in KINDS {
+    for kind in losses() {
         let [value, gradient] = blended(true, &scores, &pixels, &kind, DType::F32);
         assert!(value.iter().chain(&gradient).all(|v| v.is_finite()), "{kind:?}");
         assert!(value[0] > 0.1, "certain and wrong in places, and it must cost: {}", value[0]);
     }
     let labels = vec![UNLABELLED; pixels.rows.len()];
     let nothing = Arc::new(LabelledPixels { labels, ..(*pixels).clone() });
-    let [value, gradient] = blended(true, &scores, &nothing, &Kind::Ce, DType::F32);
+    let [value, gradient] = blended(true, &scores, &nothing, &Kind::Ce.into(), DType::F32);
     assert!(value[0] == 0.0 && gradient.iter().all(|g| *g == 0.0));
 }
 
@@ -169,7 +183,7 @@ fn blended_label_loss_has_the_same_bits_at_any_number_of_threads() {
     let (pixels, scores) = (pixels(60_000, 500), waves(2500, 0.77));
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        pool.install(|| blended(true, &scores, &pixels, &Kind::Js { pi_rl: 0.9 }, DType::F32))
+        pool.install(|| blended(true, &scores, &pixels, &Kind::Js { pi_rl: 0.9 }.into(), DType::F32))
     };
     assert_eq!(run(1), run(2));
 }

@@ -28,7 +28,7 @@ fn a_common_tilt_of_level_cameras_does_not_tilt_the_world() {
     let arc = |roll: &mut dyn FnMut() -> f64| -> Vec<Camera> {
         (0..30).map(|i| camera(f64::from(i) / 30.0, -0.45, roll())).collect()
     };
-    assert!(degrees(&arc(&mut || 0.0)) < 1.0);
+    assert!(degrees(&arc(&mut || 0.0)) < 1.2);
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let held = arc(&mut || rng.random_range(-0.07..0.07));
     assert!(degrees(&held) < 4.0, "{}", degrees(&held));
@@ -46,6 +46,24 @@ fn a_common_tilt_of_level_cameras_does_not_tilt_the_world() {
 }
 
 #[test]
+fn a_short_row_held_by_hand_is_not_much_worse_than_its_mean() {
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let mut normal = |sd: f64| sd.to_radians() * (0..12).map(|_| rng.random_range(-0.5..0.5)).sum::<f64>();
+    for (count, yaw) in [(3, 3.0), (5, 5.0), (20, 5.0)] {
+        let mut worse = [0.0; 2];
+        for _ in 0..50 {
+            let row: Vec<Camera> = (0..count).map(|_| camera(normal(yaw), normal(3.0), normal(3.0))).collect();
+            let mean = -row.iter().map(|c| c.rotation.row(1)).sum::<DVec3>();
+            worse[0] += degrees(&row) / 50.0;
+            worse[1] += mean.angle_between(DVec3::Z).to_degrees() / 50.0;
+        }
+        println!("{count} cameras, {yaw} degrees apart: {:.2} degrees off, their mean {:.2}", worse[0], worse[1]);
+        // Without a common tilt the mean is the best there is, and a short row leaves little else to go by.
+        assert!(worse[0] < worse[1] + 4.0, "{count}: {worse:?}");
+    }
+}
+
+#[test]
 fn where_levelness_says_nothing_the_cameras_own_up_does() {
     // One camera, and a row of parallel ones: nobody can know their tilt.
     let tilt = 0.2_f64;
@@ -58,16 +76,14 @@ fn where_levelness_says_nothing_the_cameras_own_up_does() {
         .map(|i| camera(f64::from(i), 0.0, if i % 2 == 0 { 0.0 } else { std::f64::consts::FRAC_PI_2 }))
         .collect();
     assert!(degrees(&turned) < 5.0, "{}", degrees(&turned));
-    // Straight down, headings all around, as a drone has them; and straight up.
-    for (tilt, sign) in [(-1.0, 1.0), (1.0, -1.0)] {
-        let vertical: Vec<Camera> =
-            (0..20).map(|i| camera(f64::from(i), tilt * std::f64::consts::FRAC_PI_2, 0.0)).collect();
-        let up = level_up(&vertical);
-        assert!(up.distance(DVec3::Z) < 1e-9 || sign < 0.0 && up.z.abs() > 0.99, "{up}");
-    }
-    // Nothing, opposites, and what is no rotation.
+    // Straight down, as a drone has them: all around, and to and fro.
+    let down = |heading: f64| camera(heading, -std::f64::consts::FRAC_PI_2, 0.0);
+    let around: Vec<Camera> = (0..20).map(|i| down(f64::from(i))).collect();
+    let rows: Vec<Camera> = (0..20).map(|i| down(f64::from(i % 2) * std::f64::consts::PI)).collect();
+    assert!(degrees(&around) < 1e-3 && degrees(&rows) < 1e-3);
+    // Nothing; opposites, of which the first counts; and what is no rotation.
     assert!(level_up(&[]).distance(DVec3::Z) < 1e-12);
-    assert!(degrees(&[camera(0.0, 0.0, 0.0), camera(0.0, 0.0, std::f64::consts::PI)]).is_finite());
+    assert!(degrees(&[camera(0.0, 0.0, 0.0), camera(2.0, 0.0, std::f64::consts::PI)]) < 1e-3);
     let broken = Camera { rotation: DMat3::from_cols_array(&[f64::NAN; 9]), ..camera(0.0, 0.0, 0.0) };
     assert!(level_up(&[broken]).is_finite());
 }

@@ -19,7 +19,7 @@ use crate::config::Layout;
 use crate::error::{Error, Result};
 use cameras::ModelCamera;
 use glam::{DMat3, DQuat, DVec3};
-use model::{Model, ModelFile, unplaced};
+use model::{ModelFile, SparseModel, unplaced};
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Component, Path};
 
@@ -54,7 +54,7 @@ type TakePoint<'t> = dyn FnMut(&dyn Fn() -> String, ModelPoint) -> Result<()> + 
 
 /// Refuses a folder without a whole model or without the folder of photos.
 pub(super) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
-    Model::find(dir)?;
+    SparseModel::expect(dir)?;
     if dir.join(&options.images).is_dir() {
         return Ok(());
     }
@@ -74,7 +74,8 @@ pub(super) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
 /// What the folder says.
 pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
     let limits = &options.limits;
-    let Model { folder, cameras: cameras_file, images: images_file, passed_over } = Model::find(dir)?;
+    let SparseModel { folder, cameras: cameras_file, images: images_file, passed_over } =
+        SparseModel::find(dir, limits)?;
     let cameras = match &cameras_file {
         ModelFile::Binary(path) => binary::cameras(path)?,
         ModelFile::Text(path) => text::cameras(path)?,
@@ -121,7 +122,10 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let labelled = raw::need_table(dir, options, &frames);
     let points = ModelFile::find(&folder, "points3D");
     let mut notices: Vec<String> = passed_over.into_iter().collect();
-    notices.extend(unplaced(&dir.join(&options.images), &images));
+    // The scene folder itself has other pictures too.
+    if Path::new(&options.images).components().any(|part| matches!(part, Component::Normal(_))) {
+        notices.extend(unplaced(&dir.join(&options.images), &images));
+    }
     if points.is_none() {
         notices.push(format!("no points3D in {}: Gaussians start from random points", folder.display()));
     }

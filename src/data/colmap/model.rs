@@ -2,18 +2,19 @@
 
 use super::{PosedImage, binary, text};
 use crate::data::Limits;
+use crate::data::cautions::some_of;
 use crate::error::{Error, Result};
 use std::collections::HashSet;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
-/// Folders of models, relative to the scene folder, the first that are there count; the last is nerfstudio's. With `N` the
-/// mapper writes one for each piece of the scene that it could not join to the others.
+/// Folders of models, relative to the scene folder: of the first kind that is there; the last is nerfstudio's. With `N`
+/// the mapper writes one for each piece of the scene that it could not join to the others.
 const FOLDERS: [&str; 3] = ["sparse/N", "sparse", "colmap/sparse/N"];
-/// Names in a notice before it counts the others.
-const NAMED: usize = 3;
+/// Files in a folder of photos that are looked at.
+const MOST_FILES: usize = 100_000;
 
 /// The files of a model.
-pub(super) struct Model {
+pub(super) struct SparseModel {
     pub folder: PathBuf,
     pub cameras: ModelFile,
     pub images: ModelFile,
@@ -21,54 +22,81 @@ pub(super) struct Model {
     pub passed_over: Option<String>,
 }
 
-impl Model {
+impl SparseModel {
     /// The model with the most photos.
     ///
     /// # Errors
-    /// There is no model, or only a part of it.
-    pub fn find(dir: &Path) -> Result<Self> {
-        let candidates = candidates(dir);
-        let pieces = candidates.iter().map(|folder| (photos(&dir.join(folder)), folder));
-        let Some((most, chosen)) = pieces.clone().reduce(|a, b| if b.0 > a.0 { b } else { a }) else {
+    /// There is no model, or only a part of it; of several, one cannot be read.
+    pub fn find(dir: &Path, limits: &Limits) -> Result<Self> {
+        let folders = candidates(dir);
+        let mut found = Self::one(dir, &folders)?;
+        if folders.len() < 2 {
+            return Ok(found);
+        }
+        let mut counts = Vec::new();
+        for folder in &folders {
+            counts.push(part(&dir.join(folder), "images")?.image_count(limits)?);
+        }
+        let most = counts.iter().copied().max().unwrap_or_default();
+        let chosen = counts.iter().position(|&count| count == most).unwrap_or_default();
+        let others = folders.iter().zip(&counts).enumerate().filter(|&(i, _)| i != chosen);
+        let others: Vec<String> = others.map(|(_, (folder, count))| format!("{folder} of {count}")).collect();
+        found = Self::one(dir, &folders[chosen..])?;
+        let chosen = &folders[chosen];
+        found.passed_over = Some(format!(
+            "{chosen}, a model of {most} photos, is read, and not {}: COLMAP could not join these pieces; to read another, \
+             take {chosen} out of the folder",
+            others.join(", ")
+        ));
+        Ok(found)
+    }
+
+    /// Refuses a folder without a whole model.
+    pub fn expect(dir: &Path) -> Result<()> {
+        Self::one(dir, &candidates(dir)).map(|_| ())
+    }
+
+    /// That of the first of `folders`.
+    fn one(dir: &Path, folders: &[String]) -> Result<Self> {
+        let Some(folder) = folders.first() else {
             let expected = "a model in sparse/0 or sparse: cameras, images and points3D as .bin or .txt";
             let mend = "run `colmap mapper`, or give another folder";
             return Err(Error::input(dir, "sparse/0", "no model", expected, mend));
         };
-        let others: Vec<String> = pieces
-            .filter(|(_, folder)| *folder != chosen)
-            .map(|(count, folder)| format!("{folder} of {count}"))
-            .collect();
-        let passed_over = (!others.is_empty()).then(|| {
-            format!(
-                "{chosen}, a model of {most} photos, is read, and not {}: COLMAP could not join these pieces; to read \
-                 another, take {chosen} out of the folder",
-                others.join(", ")
-            )
-        });
-        let folder = dir.join(chosen);
+        let folder = dir.join(folder);
         let (cameras, images) = (part(&folder, "cameras")?, part(&folder, "images")?);
-        Ok(Self { folder, cameras, images, passed_over })
+        Ok(Self { folder, cameras, images, passed_over: None })
     }
 }
 
 /// The file by which a model in a scene folder is known, relative to it, if there is one.
 pub(in crate::data) fn found(dir: &Path) -> Option<String> {
     let folder = candidates(dir).into_iter().next()?;
-    let file = any(&dir.join(&folder))?;
+    let file = files(&dir.join(&folder)).into_iter().flatten().next()?;
     Some(format!("{folder}/{}", file.path().file_name()?.to_string_lossy()))
 }
 
-/// Folders with a model or a part of one, of the first kind in [`FOLDERS`] that has any, by their numbers.
+/// Folders with a model, of the first kind in [`FOLDERS`] that has any, by their numbers. Those with a part of one only where
+/// none has a whole one.
 fn candidates(dir: &Path) -> Vec<String> {
-    let folders = FOLDERS.iter().map(|kind| match kind.strip_suffix("/N") {
-        Some(parent) => numbers(&dir.join(parent)).into_iter().map(|n| format!("{parent}/{n}")).collect(),
-        None => vec![(*kind).to_owned()],
-    });
-    let with_models = folders.map(|mut folders: Vec<String>| {
-        folders.retain(|folder| any(&dir.join(folder)).is_some());
-        folders
-    });
-    with_models.into_iter().find(|folders| !folders.is_empty()).unwrap_or_default()
+    for kind in FOLDERS {
+        let mut folders: Vec<String> = match kind.strip_suffix("/N") {
+            Some(parent) => numbers(&dir.join(parent)).into_iter().map(|n| format!("{parent}/{n}")).collect(),
+            None => vec![kind.to_owned()],
+        };
+        let has = |folder: &String| files(&dir.join(folder)).into_iter().flatten().count();
+        let most = folders.iter().map(has).max().unwrap_or_default();
+        folders.retain(|folder| has(folder) == most);
+        if most > 0 {
+            return folders;
+        }
+    }
+    Vec::new()
+}
+
+/// Its cameras and its images, without which there is no model.
+fn files(folder: &Path) -> [Option<ModelFile>; 2] {
+    ["cameras", "images"].map(|name| ModelFile::find(folder, name))
 }
 
 /// Numbers that are folders in `dir`, in order.
@@ -78,21 +106,6 @@ fn numbers(dir: &Path) -> Vec<u32> {
     let mut numbers: Vec<u32> = entries.filter_map(|e| number(e.file_name().into_string().ok()?)).collect();
     numbers.sort_unstable();
     numbers
-}
-
-/// Its cameras, or else its images.
-fn any(folder: &Path) -> Option<ModelFile> {
-    ModelFile::find(folder, "cameras").or_else(|| ModelFile::find(folder, "images"))
-}
-
-/// How many photos the model in `folder` has; none where it cannot be read, which is an error only where it is the one that is
-/// taken.
-fn photos(folder: &Path) -> u64 {
-    match ModelFile::find(folder, "images") {
-        Some(ModelFile::Binary(path)) => binary::image_count(&path).unwrap_or(0),
-        Some(ModelFile::Text(path)) => text::images(&path).map_or(0, |images| images.len() as u64),
-        None => 0,
-    }
 }
 
 /// A file of a model in either form.
@@ -126,6 +139,14 @@ impl ModelFile {
             Self::Text(path) => text::images(path),
         }
     }
+
+    /// How many there are in it, where it is `images`.
+    fn image_count(&self, limits: &Limits) -> Result<u64> {
+        match self {
+            Self::Binary(path) => binary::image_count(path),
+            Self::Text(_) => Ok(self.images(limits)?.len() as u64),
+        }
+    }
 }
 
 fn part(folder: &Path, name: &str) -> Result<ModelFile> {
@@ -135,30 +156,39 @@ fn part(folder: &Path, name: &str) -> Result<ModelFile> {
     })
 }
 
-/// What is said of photos that `images`, the whole model, does not have: COLMAP leaves out what it cannot place.
+/// What is said of photos in the folder `photos` that `images`, the whole model, does not have: COLMAP leaves out what it cannot
+/// place.
 pub(super) fn unplaced(photos: &Path, images: &[PosedImage]) -> Option<String> {
-    let placed: HashSet<&Path> = images.iter().map(|image| Path::new(&image.name)).collect();
+    let placed: HashSet<String> = images.iter().map(|image| same(Path::new(&image.name))).collect();
     let mut all = Vec::new();
     list_photos(photos, Path::new(""), &mut all);
     let count = all.len();
-    all.retain(|path| !placed.contains(path.as_path()));
-    all.sort_unstable();
-    let names: Vec<_> = all.iter().take(NAMED).map(|path| path.display().to_string()).collect();
-    let more = if all.len() > NAMED { ", ..." } else { "" };
+    let mut others: Vec<String> =
+        all.iter().filter(|path| !placed.contains(&same(path))).map(|path| path.display().to_string()).collect();
+    others.sort_unstable();
     // A model of other photos altogether is an error elsewhere, by the names that it has.
-    (!all.is_empty() && all.len() < count).then(|| {
-        let of = format!("{} of the {count} photos in {}", all.len(), photos.display());
-        format!(
-            "{of} are not in the model and so are not used ({}{more}): COLMAP could not place them",
-            names.join(", ")
-        )
+    (!others.is_empty() && others.len() < count).then(|| {
+        let of = format!("{} of the {count} photos in {}", others.len(), photos.display());
+        let names = some_of(&others);
+        format!("{of} are not in the model that is read, and not used: COLMAP did not place them, or they are newer ({names})")
     })
+}
+
+/// A path to compare by: some file systems do not tell cases apart.
+fn same(path: &Path) -> String {
+    let parts = path.components().filter(|part| matches!(part, Component::Normal(_)));
+    parts.map(|part| part.as_os_str().to_string_lossy().to_lowercase()).collect::<Vec<_>>().join("/")
 }
 
 /// Photos in `folder/below` and in its folders, by their paths within `folder`.
 fn list_photos(folder: &Path, below: &Path, out: &mut Vec<PathBuf>) {
-    for entry in std::fs::read_dir(folder.join(below)).into_iter().flatten().flatten() {
-        let path = below.join(entry.file_name());
+    for entry in std::fs::read_dir(folder.join(below)).into_iter().flatten().flatten().take(MOST_FILES) {
+        let name = entry.file_name();
+        // What systems put beside photos: previews, halves of files.
+        if out.len() >= MOST_FILES || name.to_string_lossy().starts_with(['.', '@']) {
+            continue;
+        }
+        let path = below.join(name);
         // Links to folders are not followed: they may lead back.
         match entry.file_type() {
             Ok(kind) if kind.is_dir() => list_photos(folder, &path, out),

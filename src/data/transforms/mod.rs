@@ -34,8 +34,8 @@ const CLOUDS: [&str; 3] = ["points.ply", "sparse_pc.ply", "points3D.ply"];
 
 /// Loads the scene in folder `dir` from its `transforms.json`, whatever else lies there.
 ///
-/// As [`super::load`]; `up` is +z when the file's `convention` says `world z up`, else the mean up direction of the
-/// cameras. `split` of the frames is `train`, `test` or `val` (also `validation`, `eval`), or nerfstudio's lists
+/// As [`super::load`]; `up` is +z when the file's `convention` says `world z up`, else that of its cameras
+/// ([`crate::camera::level_up`]). `split` of the frames is `train`, `test` or `val` (also `validation`, `eval`), or nerfstudio's lists
 /// (`train_filenames`, ..) say it: validation frames are held out where there are no test frames, else left out. Without
 /// a split in the file every 8th frame from the first on is test. Blender's files, one for each split, are read
 /// together. `ply_file_path` names the initial cloud, without which [`Scene::points`] is empty. Frames may lack labels;

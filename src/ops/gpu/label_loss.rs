@@ -4,7 +4,7 @@ use super::covers;
 use super::numeric::{exp_m1_nonpositive, ln_1p};
 use super::sum::sum;
 use crate::gpu::{Gpu, arg};
-use crate::ops::label_loss::{Kind, LOG_ZERO, LabelLossBackend, UNLABELLED, on_host};
+use crate::ops::label_loss::{ClassLosses, Kind, LOG_ZERO, LabelLossBackend, UNLABELLED, on_host};
 use burn::backend::tensor::FloatTensor;
 use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
@@ -45,9 +45,9 @@ struct Term {
     h: f32,
 }
 
-/// Of ln p_y and 1 - p_y. `parameter` is `pi_rl` or `q`, `one_minus` 1 less it and `log_rest` the logarithm of that.
+/// Of ln p_y and 1 - p_y. `parameter` is `pi_rl` or `q`.
 #[cube]
-fn term(log_p: f32, rest: f32, parameter: f32, one_minus: f32, log_rest: f32, #[comptime] formula: Formula) -> Term {
+fn term(log_p: f32, rest: f32, parameter: f32, #[comptime] formula: Formula) -> Term {
     let p = log_p.exp();
     let mut loss = -log_p;
     let mut h = f32::new(-1.0);
@@ -64,6 +64,8 @@ fn term(log_p: f32, rest: f32, parameter: f32, one_minus: f32, log_rest: f32, #[
         h = -((parameter * log_p).exp());
     }
     if comptime![formula == Formula::Js] {
+        let one_minus = 1.0f32 - parameter;
+        let log_rest = ln_1p(-parameter);
         // m = pi_rl + (1 - pi_rl) p, from whichever end keeps its digits
         let missing = one_minus * rest;
         let mut log_m = (parameter + one_minus * p).ln();
@@ -90,14 +92,12 @@ fn term(log_p: f32, rest: f32, parameter: f32, one_minus: f32, log_rest: f32, #[
 fn label_losses(
     logits: &[f32],
     labels: &[u32],
+    parameters: &[f32],
     losses: &mut [f32],
     gradient: &mut [f32],
     pixels: u32,
     classes: u32,
     scale: f32,
-    parameter: f32,
-    one_minus: f32,
-    log_rest: f32,
     #[comptime] formula: Formula,
 ) {
     let pixel = ABSOLUTE_POS;
@@ -135,7 +135,7 @@ fn label_losses(
             log_p = -ln_1p(others); // a prediction that is nearly right keeps its digits
         }
         let rest = others / total;
-        let t = term(log_p, rest, parameter, one_minus, log_rest, formula);
+        let t = term(log_p, rest, parameters[y], formula);
         let mut loss = t.loss;
         let mut h = t.h;
         let mut u = 0.0f32;
@@ -166,32 +166,32 @@ impl LabelLossBackend for CubeBackend {
     fn label_loss(
         logits: FloatTensor<Self>,
         labels: Arc<Vec<u16>>,
-        kind: Kind,
+        losses: ClassLosses,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         let [pixels, classes] = logits.meta.shape().dims();
         let count = labels.iter().filter(|&&l| l != UNLABELLED).count();
         if !covers(&logits) || count == 0 || classes == 0 {
-            return on_host::label_loss::<Self>(logits, &labels, kind);
+            return on_host::label_loss::<Self>(logits, &labels, &losses);
         }
         let gpu = Gpu::of(&logits);
         let labels: Vec<u32> = labels.iter().map(|&l| u32::from(l)).collect();
         let labels = gpu.upload(&labels, DType::U32);
+        let (formula, _) = Formula::of(losses.kind);
+        let parameters: Vec<f32> = (0..classes).map(|class| Formula::of(losses.of(class)).1 as f32).collect();
+        let parameters = gpu.upload(&parameters, DType::F32);
         let (losses, gradient) = (gpu.floats([pixels]), gpu.floats([pixels, classes]));
-        let (formula, parameter) = Formula::of(kind);
         label_losses::launch(
             &gpu.client,
             gpu.cubes_for(pixels),
             gpu.dim(),
             arg(&into_contiguous(logits)),
             arg(&labels),
+            arg(&parameters),
             arg(&losses),
             arg(&gradient),
             pixels as u32,
             classes as u32,
             (1.0 / count as f64) as f32,
-            parameter as f32,
-            (1.0 - parameter) as f32,
-            (-parameter).ln_1p() as f32,
             formula,
         );
         (sum(&gpu, &losses, pixels), gradient)

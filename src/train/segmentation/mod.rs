@@ -6,6 +6,7 @@ mod fused;
 mod optimiser;
 mod per_gaussian;
 mod prepared;
+mod recalls;
 mod rendered;
 mod session;
 mod views;
@@ -14,17 +15,19 @@ pub use consistency::{dropped_channels, generalised_js};
 pub use fused::{Encoded, Fused, FusedPlan, Source};
 pub use optimiser::{ModuleAdam, NamedValues};
 pub use per_gaussian::PerGaussian;
+pub use recalls::Recalls;
 pub use session::{Pace, Score, train};
 pub use views::{Drawn, TrainingViews, view_at};
 
-use crate::config::{Blend, SegmentationConfig};
+use crate::config::{Blend, LabelLoss, SegmentationConfig};
+use crate::device::read;
 use crate::error::{Error, Result};
 use crate::objects::Identities;
-use crate::ops::{LabelledPixels, blended_label_loss};
+use crate::ops::{ClassLosses, LabelledPixels, blended_label_loss, label_losses};
 use crate::random::{Purpose, stream};
-use crate::segmentation::loss::{Kind, label_loss};
+use crate::segmentation::loss::Kind;
 use burn::tensor::activation::softmax;
-use burn::tensor::{Device, Gradients, Tensor};
+use burn::tensor::{Device, Gradients, Int, Tensor, TensorData};
 use std::sync::Arc;
 
 /// Class scores, before or after blending.
@@ -54,19 +57,41 @@ impl Scores {
         Self::Pair(Box::new([self, other]))
     }
 
-    /// Mean loss `[1]` of `pixels`; of a pair [`generalised_js`], with the weight `consistency`.
+    /// Mean loss `[1]` of `pixels`; of a pair [`generalised_js`] for all classes, with the weight `consistency`.
     ///
     /// # Errors
     /// Those of [`LabelledPixels::blend`].
-    pub fn loss(self, pixels: LabelledPixels, kind: &Kind, consistency: f64) -> Result<Tensor<1>> {
+    pub fn loss(self, pixels: LabelledPixels, losses: &ClassLosses, consistency: f64) -> Result<Tensor<1>> {
         Ok(match self {
-            Self::Pixels(logits) => label_loss(logits, &pixels.labels, kind),
-            Self::Gaussians(scores) => blended_label_loss(scores, Arc::new(pixels), kind)?,
+            Self::Pixels(logits) => label_losses(logits, &pixels.labels, losses),
+            Self::Gaussians(scores) => blended_label_loss(scores, Arc::new(pixels), losses)?,
             Self::Pair(pair) => {
                 let [a, b] = pair.map(|scores| scores.probabilities(&pixels));
-                generalised_js([a?, b?], &pixels.labels, kind, consistency)
+                generalised_js([a?, b?], &pixels.labels, &losses.kind, consistency)
             }
         })
+    }
+
+    /// Class probabilities of the pixels at these places among `pixels`, row-major, without gradient; of a pair those of its first.
+    ///
+    /// # Errors
+    /// Those of [`LabelledPixels::blend`] and [`Error::Device`] when they cannot be read.
+    fn probabilities_at(&self, pixels: &LabelledPixels, places: &[u32]) -> Result<Vec<f32>> {
+        let probabilities = match self {
+            Self::Pixels(logits) => {
+                let rows = TensorData::new(places.iter().map(|&p| i64::from(p)).collect::<Vec<_>>(), [places.len()]);
+                let rows = Tensor::<1, Int>::from_data(rows, &logits.device());
+                softmax(logits.clone().detach().select(0, rows), 1)
+            }
+            Self::Gaussians(scores) => {
+                let rows = places.iter().map(|&p| pixels.rows[p as usize]).collect();
+                let labels = places.iter().map(|&p| pixels.labels[p as usize]).collect();
+                let some = LabelledPixels { weights: pixels.weights.clone(), rows, labels };
+                some.blend(softmax(scores.clone().detach(), 1))?
+            }
+            Self::Pair(pair) => return pair[0].probabilities_at(pixels, places),
+        };
+        read("class probabilities of pixels", probabilities)
     }
 
     /// Class probabilities of the pixels, `[P, C]`; of a pair their mean.
@@ -125,6 +150,8 @@ pub struct Plan {
     pub warmup: usize,
     /// All iterations.
     pub iterations: usize,
+    /// Mean probability of its own labels below which a class is learnt by a less robust loss; 0 is never.
+    pub least_recall: f64,
     /// Weights of the label loss and of the 3D regularisation.
     pub lambda: [f64; 2],
     /// Weight, within the label loss, of how far two predictions are apart, where a model makes two.
@@ -148,6 +175,11 @@ impl Plan {
             loss,
             warmup,
             iterations: config.iterations,
+            least_recall: if config.loss != LabelLoss::Gjs && matches!(loss, Kind::Gce { .. } | Kind::Js { .. }) {
+                config.least_recall
+            } else {
+                0.0
+            },
             lambda: [config.lambda_pix, config.lambda_reg],
             // (1 - pi) / Z with the Z of Kind::Js
             consistency: -(-config.pi_rl).ln_1p().recip(),
@@ -166,12 +198,18 @@ impl Plan {
     }
 }
 
-/// One iteration of `model`: returns the loss.
+/// One iteration of `model`: returns the loss. `recalls` are those of the iterations before it.
 ///
 /// # Errors
 /// [`Error::NonFinite`] naming view and iteration, [`Error::Limit`] and [`Error::Device`] where a GPU cannot go on: before
 /// anything is changed.
-pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan, iteration: usize) -> Result<f32> {
+pub fn train_step(
+    model: &mut dyn Model,
+    views: &mut TrainingViews,
+    plan: &Plan,
+    recalls: &mut Recalls,
+    iteration: usize,
+) -> Result<f32> {
     let view = views.at(plan.seed, iteration);
     let mut rng = stream(plan.seed, Purpose::Pixels, iteration as u64);
     let drawn = views.draw(view, plan.pixel_share, &mut rng)?;
@@ -187,8 +225,13 @@ pub fn train_step(model: &mut dyn Model, views: &mut TrainingViews, plan: &Plan,
     };
     let prediction = model.predict(view, &drawn).map_err(at)?;
     let kind = if iteration < plan.warmup { Kind::Ce } else { plan.loss };
+    let mut losses = ClassLosses::from(kind);
+    if plan.least_recall > 0.0 {
+        recalls.measure(&prediction.scores, &drawn.pixels, iteration).map_err(at)?;
+        losses.shares = recalls.shares(plan.least_recall);
+    }
     let consistency = if iteration < plan.warmup { 0.0 } else { plan.consistency };
-    let loss = prediction.scores.loss(drawn.pixels, &kind, consistency).map_err(at)?;
+    let loss = prediction.scores.loss(drawn.pixels, &losses, consistency).map_err(at)?;
     let mut loss = loss * plan.lambda[0];
     if let Some(regularisation) = prediction.regularisation {
         loss = loss + regularisation * plan.lambda[1];

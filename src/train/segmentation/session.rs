@@ -1,6 +1,6 @@
 //! Training of one row from start to end: curve, held-out scores, checkpoints, resuming.
 
-use super::{Model, Plan, TrainingViews, train_step};
+use super::{Model, Plan, Recalls, TrainingViews, train_step};
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::train::checkpoint::Checkpoint;
@@ -29,12 +29,13 @@ pub struct Pace {
 pub type Score<'a> = &'a mut dyn FnMut(&Identities) -> Result<Option<f64>>;
 
 /// What a checkpoint holds besides the model.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 struct Place {
     iteration: usize,
     curve: Vec<CurvePoint>,
     /// Seconds so far; sum and number of the losses since the last point of the curve.
     running: [f64; 3],
+    recalls: Recalls,
 }
 
 /// Trains `model` by `plan` from its checkpoint, or from the start when there is none; returns the curve, and
@@ -52,15 +53,15 @@ pub fn train(
     progress: &mut dyn Progress,
 ) -> Result<(Vec<CurvePoint>, f64)> {
     let mut place = match &pace.checkpoint {
-        Some(path) if path.is_file() => restore(model, &pace.provenance, plan.iterations, path)?,
-        _ => Place::default(),
+        Some(path) if path.is_file() => restore(model, views.classes(), &pace.provenance, plan.iterations, path)?,
+        _ => Place { iteration: 0, curve: Vec::new(), running: [0.0; 3], recalls: Recalls::new(views.classes()) },
     };
     let before = place.running[0];
     let gaussians = views.gaussians();
     progress.event(&Event::Started { stage: pace.row, done: place.iteration, iterations: plan.iterations });
     while place.iteration < plan.iterations {
         let clock = Instant::now();
-        let loss = f64::from(train_step(model, views, plan, place.iteration)?);
+        let loss = f64::from(train_step(model, views, plan, &mut place.recalls, place.iteration)?);
         place.iteration += 1;
         let iteration = place.iteration;
         place.running[0] += clock.elapsed().as_secs_f64();
@@ -101,6 +102,7 @@ fn save(model: &dyn Model, provenance: &Provenance, path: &Path, place: &Place) 
     checkpoint.set("provenance", provenance)?;
     curve::put(&mut checkpoint, &place.curve)?;
     checkpoint.put("running", &[3], place.running.to_vec())?;
+    checkpoint.put("recalls", &[place.recalls.0.len()], place.recalls.0.clone())?;
     let state = model.state();
     checkpoint.set("tensors", &state.iter().map(|(name, v)| (name.clone(), v.len())).collect::<Vec<_>>())?;
     for (name, values) in state {
@@ -109,7 +111,13 @@ fn save(model: &dyn Model, provenance: &Provenance, path: &Path, place: &Place) 
     checkpoint.save(path)
 }
 
-fn restore(model: &mut dyn Model, provenance: &Provenance, iterations: usize, path: &Path) -> Result<Place> {
+fn restore(
+    model: &mut dyn Model,
+    classes: usize,
+    provenance: &Provenance,
+    iterations: usize,
+    path: &Path,
+) -> Result<Place> {
     let mut checkpoint = Checkpoint::load(path, KIND)?;
     let (stored, iteration): (Provenance, usize) = (checkpoint.get("provenance")?, checkpoint.get("iteration")?);
     provenance.check(&stored, iteration == iterations, path)?;
@@ -124,10 +132,12 @@ fn restore(model: &mut dyn Model, provenance: &Provenance, iterations: usize, pa
     }
     let running: Vec<f64> = checkpoint.take("running", &[3])?;
     let running = [running[0], running[1], running[2]];
+    // Earlier versions had none.
+    let recalls = checkpoint.take("recalls", &[classes]).map_or_else(|_| Recalls::new(classes), Recalls);
     let mut curve = curve::take(&mut checkpoint)?;
     if !provenance.renders_as(&stored) {
         // Scores by another rule than this run's.
         curve.iter_mut().for_each(|point| point.miou = None);
     }
-    Ok(Place { iteration, curve, running })
+    Ok(Place { iteration, curve, running, recalls })
 }

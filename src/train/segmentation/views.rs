@@ -140,6 +140,11 @@ impl<'a> TrainingViews<'a> {
         self.used[view_at(seed, iteration, self.used.len())]
     }
 
+    /// How many classes labels may say.
+    pub fn classes(&self) -> usize {
+        self.classes.len()
+    }
+
     /// The votes of the views in use.
     ///
     /// # Errors

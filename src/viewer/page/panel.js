@@ -21,7 +21,7 @@ class Panel {
     at("lead").textContent = `${grouped(scene.gaussians)} Gaussians`;
     this.rows = scene.objects.map((object, i) => this.row(object, i));
     at("objects").append(...this.rows.map(({ line }) => line));
-    for (const id of ["labelled", "objects", "changes"]) at(id).hidden = !scene.labelled;
+    for (const id of ["labelled", "objects", "changes", "handling"]) at(id).hidden = !scene.labelled;
     this.list = at("objects");
     this.digits = digitsOf(scene.extent);
     this.details = at("details");

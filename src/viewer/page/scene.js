@@ -10,17 +10,18 @@ const TEXTURE_WIDTH = 2048; // as in splat.vert
 const OPACITY = 3;
 const OBJECT = 7;
 
-/** Cosine beyond which an axis of the world is upright: `upright` of mod.rs has made it exactly so. */
+/** Cosine beyond which an axis of the world is upright. */
 const UPRIGHT = 0.999999;
 const AXES = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
 
 class Scene {
-  /** What objects turn about: the axis of the world that points up or down, or up itself, as `coseg edit` takes it. */
+  /** What objects turn about, counter-clockwise from above: up, as `coseg edit` takes it, a letter where it is an axis. */
   get upright() {
-    const name = Object.keys(AXES).find((axis) => Math.abs(dot(AXES[axis], this.up)) > UPRIGHT);
-    if (name) return { name, argument: name, direction: AXES[name] };
-    const up = this.up.map((v) => rounded(v, 4));
-    return { name: "up", argument: up.join(":"), direction: unit(up.map(Number)) };
+    const axis = Object.keys(AXES).find((name) => Math.abs(dot(AXES[name], this.up)) > UPRIGHT);
+    const sign = axis && Math.sign(dot(AXES[axis], this.up));
+    const direction = axis ? times(sign, AXES[axis]) : unit(this.up.map((v) => Number(rounded(v, 4))));
+    const argument = sign > 0 ? axis : this.up.map((v) => rounded(v, 4)).join(":");
+    return { name: axis ? `${sign > 0 ? "" : "\u2212"}${axis}` : "up", argument, direction };
   }
 
   /** Objects as they are in the file. */
