@@ -179,8 +179,8 @@ pub struct SegmentationConfig {
     pub lambda_reg: f64,
     /// Share of the run trained with CE before any other loss.
     pub warmup: f64,
-    /// Mean probability of its own labels below which GCE and JS are less robust for a class, the nearer to CE the further it is below, so
-    /// that no class is given up (not in the paper); 0 is never.
+    /// Mean probability of its own labels below which GCE has a smaller exponent for a class, the nearer to CE the further it is
+    /// below, so that no class is given up (not in the paper); 0 is never.
     pub least_recall: f64,
     /// Identities come from the mean of the decoder's parameters over the steps after the warm-up (not in the paper).
     pub average: bool,

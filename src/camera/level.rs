@@ -18,7 +18,8 @@ const ALONG_ONE_LINE: [f64; 2] = [0.3, 0.9];
 /// People hold cameras level, so it is perpendicular to the rows of their images, by least squares, whichever way they
 /// are tilted. What this leaves open, the slope of a row of cameras say, is decided by the mean of their own up directions,
 /// which a common tilt takes along; so is all where they are not level, as with photos that are stored sideways. Where that
-/// mean cancels out, cameras that look along one line look down, as from a drone, and otherwise it is that of the first.
+/// mean cancels out, cameras that look along one line are taken to look down, as from a drone (not up, nor straight ahead with
+/// every other photo upside down), and otherwise it is that of the first.
 /// +z without cameras.
 pub fn level_up(cameras: &[Camera]) -> DVec3 {
     let count = cameras.len() as f64;

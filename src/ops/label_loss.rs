@@ -83,7 +83,7 @@ impl Kind {
     }
 }
 
-/// Least exponent and weight of the label of a softened loss: cross-entropy within f32's digits.
+/// Least exponent of a softened loss: cross-entropy to a thousandth, down to probabilities of 1e-5.
 const SOFTEST: f64 = 1e-4;
 
 /// A loss whose robustness differs from class to class.
@@ -91,8 +91,8 @@ const SOFTEST: f64 = 1e-4;
 pub struct ClassLosses {
     /// The loss at its full robustness.
     pub kind: Kind,
-    /// What the exponent of [`Kind::Gce`] and the `pi_rl` of [`Kind::Js`] are multiplied by for pixels labelled with a class, in
-    /// 0..1; at 0 they learn by cross-entropy. 1 for classes beyond its end. Other losses stay as they are.
+    /// What the exponent of [`Kind::Gce`] is multiplied by for pixels labelled with a class, in 0..1: at 0 they learn by
+    /// cross-entropy. 1 for classes beyond its end. Other losses stay as they are.
     pub shares: Vec<f64>,
 }
 
@@ -106,10 +106,8 @@ impl ClassLosses {
     /// The loss of pixels with this label.
     pub fn of(&self, class: usize) -> Kind {
         let share = self.shares.get(class).copied().unwrap_or(1.0);
-        let softened = |parameter: f64| if share < 1.0 { (parameter * share).max(SOFTEST) } else { parameter };
         match self.kind {
-            Kind::Gce { q } => Kind::Gce { q: softened(q) },
-            Kind::Js { pi_rl } => Kind::Js { pi_rl: softened(pi_rl) },
+            Kind::Gce { q } if share < 1.0 => Kind::Gce { q: (q * share).max(SOFTEST.min(q)) },
             other => other,
         }
     }

@@ -195,7 +195,7 @@ fn loss_in_words(config: &SegmentationConfig) -> String {
         steps => format!("{loss}, after {steps} steps of cross-entropy"),
     };
     match config.least_recall {
-        least if least > 0.0 && matches!(config.loss, LabelLoss::Gce | LabelLoss::Js) => {
+        least if least > 0.0 && config.loss == LabelLoss::Gce => {
             format!(
                 "{loss}, nearer to cross-entropy for classes whose own labels get less than {least} of the probability"
             )

@@ -26,6 +26,8 @@ const WITHOUT_EFFECT: [&str; 9] = [
     "eval_every",
     "checkpoint_every",
 ];
+/// What training did before a setting existed, where its default is not that.
+const BEFORE: [(&str, &str); 1] = [("segmentation.least_recall", "0.0")];
 /// How label maps are rendered.
 const RENDER: &str = "segmentation.render";
 /// Sections that training follows from.
@@ -96,14 +98,15 @@ impl Provenance {
     }
 
     /// Refuses a checkpoint, `stored` in `file`, that was made from other settings or data than these. A setting that it does
-    /// not mention did not exist when it was written: it counts as the default, which leaves older runs as they were. What
+    /// not mention did not exist when it was written: it counts as what was done then, the default but for [`BEFORE`]. What
     /// training is `finished` may be scored by another rule of rendering, unless a rate was chosen by such scores.
     ///
     /// # Errors
     /// [`Error::Config`] naming the first setting that differs; [`Error::Input`] naming the data.
     pub(super) fn check(&self, stored: &Self, finished: bool, file: &Path) -> Result<()> {
         let none = || "nothing".to_owned();
-        let defaults = settings(&Config::default(), &SECTIONS);
+        let mut defaults = settings(&Config::default(), &SECTIONS);
+        defaults.extend(BEFORE.map(|(key, value)| (key.to_owned(), value.to_owned())));
         let then = |key: &str| stored.settings.get(key).or_else(|| defaults.get(key));
         let keys = self.settings.keys().chain(stored.settings.keys());
         let tried = self.settings.get("segmentation.lr_trials").is_some_and(|trials| trials != "[]");

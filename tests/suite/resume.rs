@@ -15,6 +15,8 @@ pub fn config(data: &Path) -> Config {
             pixel_share: 0.5,
             eval_every: 10,
             checkpoint_every: 7,
+            // Every loss depends on what was measured before.
+            least_recall: 1.0,
             ..SegmentationConfig::default()
         },
         seed: 5,
@@ -189,7 +191,13 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     let error = run(&trials, &chosen, &crate::device(), &mut Silent).err().expect("must be refused").to_string();
     assert!(error.contains("segmentation.render") && error.contains("per_gaussian.safetensors"), "{error}");
 
-    // A setting that came after a checkpoint was written counts as its default.
+    // A setting that came after a checkpoint was written counts as what was done before: seldom another value than its default.
+    let path = out.join("checkpoint/ours.safetensors");
+    let before = std::fs::read(&path).expect("read");
+    forget(&path, r#"\"segmentation.least_recall\":\"1.0\","#);
+    let message = named("segmentation.least_recall", "1.0", "0.0", &|_| ());
+    assert!(message.contains("ours.safetensors"), "{message}");
+    std::fs::write(&path, before).expect("written");
     let path = out.join("checkpoint/building.safetensors");
     let before = std::fs::read(&path).expect("read");
     for (setting, now) in [(r#"\"building.absgrad\":\"false\","#, "true"), (r#"\"building.sh_degree\":\"3\","#, "2")] {

@@ -45,9 +45,9 @@ struct Term {
     h: f32,
 }
 
-/// Of ln p_y and 1 - p_y. `parameter` is `pi_rl` or `q`.
+/// Of ln p_y and 1 - p_y. `parameter` is `pi_rl` or `q`; `one_minus` 1 less `pi_rl`, and `log_rest` the logarithm of that.
 #[cube]
-fn term(log_p: f32, rest: f32, parameter: f32, #[comptime] formula: Formula) -> Term {
+fn term(log_p: f32, rest: f32, parameter: f32, one_minus: f32, log_rest: f32, #[comptime] formula: Formula) -> Term {
     let p = log_p.exp();
     let mut loss = -log_p;
     let mut h = f32::new(-1.0);
@@ -64,8 +64,6 @@ fn term(log_p: f32, rest: f32, parameter: f32, #[comptime] formula: Formula) -> 
         h = -((parameter * log_p).exp());
     }
     if comptime![formula == Formula::Js] {
-        let one_minus = 1.0f32 - parameter;
-        let log_rest = ln_1p(-parameter);
         // m = pi_rl + (1 - pi_rl) p, from whichever end keeps its digits
         let missing = one_minus * rest;
         let mut log_m = (parameter + one_minus * p).ln();
@@ -98,6 +96,8 @@ fn label_losses(
     pixels: u32,
     classes: u32,
     scale: f32,
+    one_minus: f32,
+    log_rest: f32,
     #[comptime] formula: Formula,
 ) {
     let pixel = ABSOLUTE_POS;
@@ -135,7 +135,7 @@ fn label_losses(
             log_p = -ln_1p(others); // a prediction that is nearly right keeps its digits
         }
         let rest = others / total;
-        let t = term(log_p, rest, parameters[y], formula);
+        let t = term(log_p, rest, parameters[y], one_minus, log_rest, formula);
         let mut loss = t.loss;
         let mut h = t.h;
         let mut u = 0.0f32;
@@ -176,7 +176,7 @@ impl LabelLossBackend for CubeBackend {
         let gpu = Gpu::of(&logits);
         let labels: Vec<u32> = labels.iter().map(|&l| u32::from(l)).collect();
         let labels = gpu.upload(&labels, DType::U32);
-        let (formula, _) = Formula::of(losses.kind);
+        let (formula, parameter) = Formula::of(losses.kind);
         let parameters: Vec<f32> = (0..classes).map(|class| Formula::of(losses.of(class)).1 as f32).collect();
         let parameters = gpu.upload(&parameters, DType::F32);
         let (losses, gradient) = (gpu.floats([pixels]), gpu.floats([pixels, classes]));
@@ -192,6 +192,8 @@ impl LabelLossBackend for CubeBackend {
             pixels as u32,
             classes as u32,
             (1.0 / count as f64) as f32,
+            (1.0 - parameter) as f32,
+            (-parameter).ln_1p() as f32,
             formula,
         );
         (sum(&gpu, &losses, pixels), gradient)

@@ -19,7 +19,7 @@ pub use recalls::Recalls;
 pub use session::{Pace, Score, train};
 pub use views::{Drawn, TrainingViews, view_at};
 
-use crate::config::{Blend, LabelLoss, SegmentationConfig};
+use crate::config::{Blend, SegmentationConfig};
 use crate::device::read;
 use crate::error::{Error, Result};
 use crate::objects::Identities;
@@ -150,7 +150,7 @@ pub struct Plan {
     pub warmup: usize,
     /// All iterations.
     pub iterations: usize,
-    /// Mean probability of its own labels below which a class is learnt by a less robust loss; 0 is never.
+    /// Mean probability of its own labels below which a class is learnt by GCE with a smaller exponent; 0 is never.
     pub least_recall: f64,
     /// Weights of the label loss and of the 3D regularisation.
     pub lambda: [f64; 2],
@@ -175,11 +175,7 @@ impl Plan {
             loss,
             warmup,
             iterations: config.iterations,
-            least_recall: if config.loss != LabelLoss::Gjs && matches!(loss, Kind::Gce { .. } | Kind::Js { .. }) {
-                config.least_recall
-            } else {
-                0.0
-            },
+            least_recall: if matches!(loss, Kind::Gce { .. }) { config.least_recall } else { 0.0 },
             lambda: [config.lambda_pix, config.lambda_reg],
             // (1 - pi) / Z with the Z of Kind::Js
             consistency: -(-config.pi_rl).ln_1p().recip(),
@@ -198,7 +194,7 @@ impl Plan {
     }
 }
 
-/// One iteration of `model`: returns the loss. `recalls` are those of the iterations before it.
+/// One iteration of `model`: returns the loss. `recalls` go from iteration to iteration.
 ///
 /// # Errors
 /// [`Error::NonFinite`] naming view and iteration, [`Error::Limit`] and [`Error::Device`] where a GPU cannot go on: before

@@ -2,9 +2,9 @@
 //!
 //! Robust losses turn away from labels that the model holds for unlikely. That is what they are for, but a class whose labels
 //! the model never came to believe is turned away from as a whole, however right they are: its gradient dies, and with it
-//! the class. Below a least mean probability of its own labels a class is therefore learnt by a loss between the robust one and
-//! cross-entropy, the nearer to this the less it is followed. (A switch from one to the other swings to and fro, and takes
-//! neighbouring classes along.)
+//! the class. Below a least mean probability of its own labels a class is therefore learnt by generalised cross-entropy with a
+//! smaller exponent, the nearer to cross-entropy the less it is followed. (A switch from one loss to the other swings to and fro,
+//! and takes neighbouring classes along.)
 
 use super::Scores;
 use crate::error::Result;
@@ -54,7 +54,9 @@ impl Recalls {
             *sum += f64::from(row[usize::from(label)]);
             *count += 1.0;
         }
-        for (recall, (sum, count)) in self.0.iter_mut().zip(sums).filter(|(_, (_, count))| *count > 0.0) {
+        for (recall, (sum, count)) in
+            self.0.iter_mut().zip(sums).filter(|(_, (sum, count))| sum.is_finite() && *count > 0.0)
+        {
             *recall += (count / WEIGHT).min(FASTEST) * (sum / count - *recall);
         }
         Ok(())

@@ -133,7 +133,10 @@ fn restore(
     let running: Vec<f64> = checkpoint.take("running", &[3])?;
     let running = [running[0], running[1], running[2]];
     // Earlier versions had none.
-    let recalls = checkpoint.take("recalls", &[classes]).map_or_else(|_| Recalls::new(classes), Recalls);
+    let recalls = match checkpoint.shape("recalls") {
+        Ok(_) => Recalls(checkpoint.take("recalls", &[classes])?),
+        Err(_) => Recalls::new(classes),
+    };
     let mut curve = curve::take(&mut checkpoint)?;
     if !provenance.renders_as(&stored) {
         // Scores by another rule than this run's.
