@@ -34,7 +34,7 @@ impl LabelledArgs {
 
     /// Reads both, the scene relative to the origin of the Gaussians.
     pub fn read(&self, config: &Config) -> Result<(Scene, PlyScene)> {
-        let options = LoadOptions::from(&config.data);
+        let options = LoadOptions::from(config);
         data::locate(&self.data, &options)?;
         let path = scene_path(&self.scene)?;
         if atomic::same_file(&path, &self.out.join("scene.ply")) {

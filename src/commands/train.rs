@@ -97,7 +97,7 @@ impl TrainArgs {
         // A run is gone on with, and scored, from other folders too.
         let config = config.with_absolute_paths()?;
         if let Some(dir) = &config.data.dir {
-            data::locate(dir, &LoadOptions::from(&config.data))?;
+            data::locate(dir, &LoadOptions::from(&config))?;
         }
         let (backend, device) = device::choose(self.backend)?;
         let device_text = format!("{backend} backend, {} threads", rayon::current_num_threads());

@@ -91,13 +91,13 @@ pub struct BuildingConfig {
     pub densify_from: usize,
     /// Densification ends at this share of the run; without a value at 0.5, or 0.8 with `strategy = "mcmc"`.
     pub densify_until: Option<f32>,
-    /// Threshold on the mean screen-space gradient |(dL/du W/2, dL/dv H/2)|; without a value 2e-4, or 8e-4 with `absgrad`.
+    /// Threshold on the mean screen-space gradient |(dL/du W/2, dL/dv H/2)|; without a value 8e-4, or 2e-4 without `absgrad`.
     pub densify_threshold: Option<f32>,
     /// That gradient has the absolute values of dL/du and dL/dv of each pixel summed, where otherwise those of the two sides
-    /// of an edge cancel (AbsGS, Ye et al. 2024, arXiv 2404.10484). For `strategy = "adc"`.
+    /// of an edge cancel (AbsGS, Ye et al. 2024, arXiv 2404.10484). `strategy = "mcmc"` reads no gradients.
     pub absgrad: bool,
     /// Behind the scene each step until densification ends has another colour instead of `raster.background`, so that surfaces of
-    /// that colour have to be opaque. Not where a photo has transparent pixels, behind which it is black.
+    /// that colour have to be opaque. Not where a photo has transparent pixels, behind which `raster.background` lies too.
     pub random_background: bool,
     /// Gaussians below this share of the extent are cloned, others split.
     pub clone_below: f32,
@@ -155,7 +155,7 @@ impl Default for BuildingConfig {
             densify_from: 500,
             densify_until: None,
             densify_threshold: None,
-            absgrad: false,
+            absgrad: true,
             random_background: true,
             clone_below: 0.01,
             prune_opacity: 0.005,

@@ -80,8 +80,12 @@ pub struct UnprojectionConfig {
     pub normalisation: Normalisation,
     /// The resolution.
     pub resolution: Resolution,
-    /// Gaussians counted on fewer than this share of all training pixels are pruned.
+    /// Gaussians counted on fewer than this share of all training pixels are pruned, if they are on fewer than
+    /// `attendance_pixels` too.
     pub attendance: f64,
+    /// Gaussians counted on this many pixels of all training views together stay, however many pixels there are: of hundreds of
+    /// large photos a share alone would prune what only a dozen of them show. 0 is no such limit, as in the paper.
+    pub attendance_pixels: f64,
     /// Steps of conjugate gradients from the weighted mean towards features that render as the maps; 0: the mean itself.
     /// Each step renders all channels of all views.
     pub solve_iterations: usize,
@@ -95,9 +99,18 @@ impl Default for UnprojectionConfig {
             normalisation: Normalisation::Weight,
             resolution: Resolution::Image,
             attendance: 1e-5,
+            attendance_pixels: 40.0,
             solve_iterations: 0,
             solve_ridge: 0.1,
         }
+    }
+}
+
+impl UnprojectionConfig {
+    /// Pixels, of `all` that the training views have, on which a Gaussian has to be counted (T_a of Algorithm 1).
+    pub fn fewest_pixels(&self, all: u64) -> f64 {
+        let share = self.attendance * all as f64;
+        if self.attendance_pixels > 0.0 { share.min(self.attendance_pixels) } else { share }
     }
 }
 

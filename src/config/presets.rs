@@ -20,8 +20,10 @@ impl Config {
                 config.raster.alpha_max = 0.99;
                 config.building.iterations = 6_000;
                 config.building.random_background = false;
+                config.building.absgrad = false;
                 config.unprojection.normalisation = Normalisation::Count;
                 config.unprojection.resolution = Resolution::Feature;
+                config.unprojection.attendance_pixels = 0.0;
                 config.spatial.encode = Encode::View;
                 config.segmentation.iterations = 6_000;
                 config.segmentation.blend = Blend::Logits;

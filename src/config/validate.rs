@@ -120,13 +120,6 @@ impl Config {
             "the number of Gaussians to grow to, because building.strategy = \"mcmc\"",
             "give it, such as 100_000",
         );
-        check.that(
-            !(mcmc && b.absgrad),
-            "building.absgrad",
-            b.absgrad,
-            "false, because building.strategy = \"mcmc\" uses no gradients",
-            "leave it out, or set building.strategy = \"adc\"",
-        );
         check.amount("building.mcmc.noise", m.noise);
         check.amount("building.mcmc.noise_sharpness", m.noise_sharpness);
         check.within("building.mcmc.noise_opacity", m.noise_opacity, 0.0, 1.0);
@@ -179,6 +172,7 @@ impl Config {
         );
         let u = &self.unprojection;
         check.within("unprojection.attendance", u.attendance, 0.0, 1.0);
+        check.amount("unprojection.attendance_pixels", u.attendance_pixels);
         check.rate("unprojection.solve_ridge", u.solve_ridge);
         check.that(
             u.solve_iterations == 0 || u.normalisation == Normalisation::Weight,

@@ -75,7 +75,7 @@ impl Frame {
             return Err(Error::input(&self.image, "lens distortion", found, expected, mend));
         };
         let camera = remap.pinhole.clone();
-        Ok(Geometry { camera, development: Development { remap: Some(remap), size: None } })
+        Ok(Geometry { camera, development: Development { remap: Some(remap), ..Development::default() } })
     }
 }
 

@@ -82,24 +82,28 @@ impl ImageFile {
         })
     }
 
-    /// The photo as 8-bit sRGB; transparent pixels are blended onto black.
+    /// The picture as 8-bit sRGB; transparent pixels are blended onto black.
     pub fn decode_rgb(&self) -> Result<RgbImage> {
-        Ok(self.decode_photo()?.0)
+        Ok(self.decode_photo([0; 3])?.0)
     }
 
-    /// [`ImageFile::decode_rgb`], and whether some pixel is transparent.
-    pub fn decode_photo(&self) -> Result<(RgbImage, bool)> {
+    /// The photo as 8-bit sRGB, transparent pixels blended onto `background`, and whether there are any.
+    pub fn decode_photo(&self, background: [u8; 3]) -> Result<(RgbImage, bool)> {
         let image = self.decode()?;
         if !image.color().has_alpha() {
             return Ok((image.into_rgb8(), false));
         }
         let rgba = image.into_rgba8();
         let (width, height) = rgba.dimensions();
-        let blend = |c: u8, a: u8| ((u16::from(c) * u16::from(a) + 127) / 255) as u8;
+        let blend = |c: u8, behind: u8, a: u8| {
+            let (c, behind, a) = (u32::from(c), u32::from(behind), u32::from(a));
+            ((c * a + behind * (255 - a) + 127) / 255) as u8
+        };
         let transparent = rgba.pixels().any(|pixel| pixel.0[3] < u8::MAX);
         let photo = RgbImage::from_fn(width, height, |x, y| {
             let [r, g, b, a] = rgba.get_pixel(x, y).0;
-            image::Rgb([r, g, b].map(|c| blend(c, a)))
+            let [behind_r, behind_g, behind_b] = background;
+            image::Rgb([blend(r, behind_r, a), blend(g, behind_g, a), blend(b, behind_b, a)])
         });
         Ok((photo, transparent))
     }

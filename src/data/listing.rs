@@ -184,7 +184,7 @@ impl Listing {
         let views = in_order(self.frames.par_iter().map(|frame| {
             let (file, geometry) = frame.open(&self.file, limits)?;
             let geometry = geometry.within(options.max_side);
-            let image = Photo::in_file(&file, geometry.development(), limits, &cache)?;
+            let image = Photo::in_file(&file, geometry.development().over(options.background), limits, &cache)?;
             let mask = frame.read_mask(&geometry, limits)?;
             let (known, geometry) = (&known, &geometry);
             let maps = Maps { listing: self, frame, geometry, known, limits, mask: mask.as_ref() };

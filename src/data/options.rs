@@ -1,7 +1,7 @@
 //! How a scene folder is read, and which of its frames.
 
 use super::{Limits, Split};
-use crate::config::{Association, DataConfig, Layout, RawFormat, ScannetClasses};
+use crate::config::{Association, Config, DataConfig, Layout, RawFormat, ScannetClasses};
 use std::path::PathBuf;
 
 /// How [`super::load`] reads a folder.
@@ -32,6 +32,8 @@ pub struct LoadOptions {
     pub scannet_classes: ScannetClasses,
     /// ScanNet's table of label ids, where it does not lie near the scene.
     pub scannet_labels: Option<PathBuf>,
+    /// sRGB colour that transparent pixels of photos are blended onto: what the scene is rendered over.
+    pub background: [u8; 3],
     /// Megabytes (2^20 bytes) of decoded photos that a scene keeps; the others are decoded again at each use.
     pub decoded_mb: usize,
     /// Largest sizes accepted.
@@ -59,9 +61,17 @@ impl From<&DataConfig> for LoadOptions {
             max_side: config.max_side,
             scannet_classes: config.scannet_classes,
             scannet_labels: config.scannet_labels.clone(),
+            background: [0; 3],
             decoded_mb: config.decoded_mb,
             limits: Limits::default(),
         }
+    }
+}
+
+impl From<&Config> for LoadOptions {
+    fn from(config: &Config) -> Self {
+        let background = config.raster.background.map(|c| (c * 255.0).round() as u8);
+        Self { background, ..Self::from(&config.data) }
     }
 }
 

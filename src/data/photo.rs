@@ -66,7 +66,7 @@ impl Photo {
         self.height
     }
 
-    /// Whether the file has transparent pixels, which are blended onto black.
+    /// Whether the file has transparent pixels, which are blended onto [`super::LoadOptions::background`].
     pub fn is_transparent(&self) -> bool {
         self.transparent
     }
@@ -129,12 +129,19 @@ pub(super) struct Development {
     pub remap: Option<Remap>,
     /// Pixels across and down, where they are fewer than the file's.
     pub size: Option<(usize, usize)>,
+    /// What transparent pixels are blended onto.
+    pub background: [u8; 3],
 }
 
 impl Development {
+    /// The same with another colour behind transparent pixels.
+    pub fn over(self, background: [u8; 3]) -> Self {
+        Self { background, ..self }
+    }
+
     /// The photo in `file` as the view's camera sees it, and whether some pixel is transparent.
     pub fn decode(&self, file: &ImageFile) -> Result<(RgbImage, bool)> {
-        let (mut photo, transparent) = file.decode_photo()?;
+        let (mut photo, transparent) = file.decode_photo(self.background)?;
         if let Some(remap) = &self.remap {
             photo = remap.photo(&photo);
         }

@@ -7,6 +7,7 @@
 use super::init::logit;
 use super::{Gaussians, Geometry, rotation};
 use crate::error::{Error, Result};
+use glam::Vec3;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
@@ -47,6 +48,25 @@ impl DensityStats {
     }
 }
 
+/// Largest scale that a Gaussian may have: a share of its distance from where the photos were taken, or of their extent where that is
+/// longer. 3DGS takes the extent alone, by which cameras that are close to each other would lose everything behind their subject.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SizeLimit {
+    /// Share of either length.
+    pub share: f32,
+    /// Extent of the scene, world units.
+    pub extent: f32,
+    /// Mean position of the cameras, world units.
+    pub center: [f32; 3],
+}
+
+impl SizeLimit {
+    /// The limit of a Gaussian at `mean`, world units.
+    pub fn at(&self, mean: &[f32; 3]) -> f32 {
+        self.share * self.extent.max(Vec3::from(*mean).distance(Vec3::from(self.center)))
+    }
+}
+
 /// Thresholds of one densification, lengths in world units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DensityRules {
@@ -57,7 +77,7 @@ pub struct DensityRules {
     /// Gaussians less opaque than this are pruned.
     pub prune_opacity: f32,
     /// Gaussians whose largest scale is above this are pruned.
-    pub prune_scale: f32,
+    pub prune_scale: SizeLimit,
     /// No more Gaussians than this afterwards; 0 means no limit. Highest gradients go first.
     pub max_gaussians: usize,
 }
@@ -116,21 +136,21 @@ impl RowPlan {
         let scales: Vec<f32> = gaussians.log_scales.iter().map(largest_scale).collect();
         let opaque: Vec<bool> = gaussians.opacity_logits.iter().map(|&o| sigmoid(o) >= rules.prune_opacity).collect();
         let splits = |i: usize| scales[i] > rules.clone_below;
-        let fits = |scale: f32| scale <= rules.prune_scale;
+        let limits: Vec<f32> = gaussians.means.iter().map(|mean| rules.prune_scale.at(mean)).collect();
+        let fits = |i: usize| scales[i] <= limits[i];
         // A split saves a Gaussian that is too large if its children are not.
         let grows = |i: usize| {
-            stats.mean(i) >= rules.threshold
-                && opaque[i]
-                && fits(if splits(i) { scales[i] / SPLIT_SCALE } else { scales[i] })
+            let scale = if splits(i) { scales[i] / SPLIT_SCALE } else { scales[i] };
+            stats.mean(i) >= rules.threshold && opaque[i] && scale <= limits[i]
         };
         let mut grown: Vec<usize> = (0..n).filter(|&i| grows(i)).collect();
         if rules.max_gaussians > 0 {
-            let survivors = (0..n).filter(|&i| opaque[i] && fits(scales[i])).count();
+            let survivors = (0..n).filter(|&i| opaque[i] && fits(i)).count();
             let mut budget = rules.max_gaussians.saturating_sub(survivors);
             grown.sort_by(|&a, &b| stats.mean(b).total_cmp(&stats.mean(a)).then(a.cmp(&b)));
             grown.retain(|&i| {
                 // children of a Gaussian that would be pruned otherwise cost two rows
-                let cost = if fits(scales[i]) { 1 } else { 2 };
+                let cost = if fits(i) { 1 } else { 2 };
                 let affordable = cost <= budget;
                 if affordable {
                     budget -= cost;
@@ -143,7 +163,7 @@ impl RowPlan {
         grown.iter().for_each(|&i| grow[i] = true);
         let (cloned, split): (Vec<usize>, Vec<usize>) = grown.into_iter().partition(|&i| !splits(i));
         let mut rows: Vec<(u32, Origin)> = (0..n)
-            .filter(|&i| if grow[i] { !splits(i) } else { opaque[i] && fits(scales[i]) })
+            .filter(|&i| if grow[i] { !splits(i) } else { opaque[i] && fits(i) })
             .map(|i| (i as u32, Origin::Kept))
             .collect();
         let kept = rows.len();

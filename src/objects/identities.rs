@@ -1,5 +1,6 @@
 //! Segmentation identities stored on the Gaussians (`s_i` of Eq. 3), and label maps rendered from them.
 
+use super::hard_label_map;
 use crate::config::{LabelSource, SegmentationConfig};
 use crate::data::{Classes, LabelMap};
 use crate::error::{Error, Result};
@@ -32,17 +33,6 @@ impl Identities {
             row.iter_mut().for_each(|s| *s /= sum);
         }
         Self { scores, classes: self.classes }
-    }
-
-    /// 1 at each Gaussian's largest score and 0 elsewhere, `[N, C]`; all 0 where nothing is known.
-    pub fn one_hot(&self) -> Vec<f32> {
-        let mut rows = vec![0.0; self.scores.len()];
-        for (row, label) in rows.chunks_exact_mut(self.classes.max(1)).zip(self.labels()) {
-            if let Some(label) = label {
-                row[usize::from(label)] = 1.0;
-            }
-        }
-        rows
     }
 
     /// Class ids of [`Identities::labels`], the ignored id where nothing is known: the PLY's `label` column.
@@ -113,16 +103,21 @@ impl From<&SegmentationConfig> for LabelRule {
     }
 }
 
-/// Renders identities: at each pixel the class with the largest blended score (`argmax` of Eq. 3), or the class whose
-/// Gaussians have the largest summed alpha' T.
+/// Renders identities: at each pixel the class with the largest blended score (`argmax` of Eq. 3), or by [`hard_label_map`] the
+/// class whose Gaussians have the largest summed alpha' T.
 ///
-/// Pixels that are barely covered, or where nothing is known, take the ignored id.
+/// Pixels that are barely covered, or where nothing is known (of Gaussians that have most of the pixel), take the ignored id.
 pub fn label_map(projected: &Projected<f32>, identities: &Identities, classes: &Classes, rule: &LabelRule) -> LabelMap {
     let c = identities.classes;
-    let blended = match rule.source {
-        LabelSource::Scores => projected.blend(&identities.scores, c),
-        LabelSource::Labels => projected.blend(&identities.one_hot(), c),
-    };
+    if rule.source == LabelSource::Labels {
+        // 0 is what nothing is known of; it competes as in `hard_label_map`.
+        let labels: Vec<u16> = identities.labels().into_iter().map(|class| class.map_or(0, |c| c + 1)).collect();
+        let mut map = hard_label_map(projected, &labels, rule.min_coverage);
+        let id = |label: u16| label.checked_sub(1).and_then(|c| classes.entries.get(usize::from(c)));
+        map.ids.iter_mut().for_each(|label| *label = id(*label).map_or(classes.ignore, |class| class.id));
+        return map;
+    }
+    let blended = projected.blend(&identities.scores, c);
     let [width, height] = projected.size();
     let ids = blended
         .image

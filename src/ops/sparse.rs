@@ -233,13 +233,26 @@ impl SparseMatrix {
     pub fn select_rows(&self, rows: &[u32]) -> Self {
         let mut out = Self::unchecked(self.columns, Vec::with_capacity(rows.len() + 1), Vec::new(), Vec::new());
         out.offsets.push(0);
-        for &r in rows {
-            let (columns, values) = self.row(r as usize);
-            out.indices.extend_from_slice(columns);
-            out.values.extend_from_slice(values);
-            out.offsets.push(out.indices.len() as u32);
-        }
+        out.append_rows(self, rows);
         out
+    }
+
+    /// Adds the rows `rows` of `other`, in that order.
+    ///
+    /// # Panics
+    /// If `other` has another number of columns.
+    pub fn append_rows(&mut self, other: &Self, rows: &[u32]) {
+        assert_eq!(self.columns, other.columns, "append_rows: columns");
+        for &r in rows {
+            let (columns, values) = other.row(r as usize);
+            self.indices.extend_from_slice(columns);
+            self.values.extend_from_slice(values);
+            self.offsets.push(self.indices.len() as u32);
+        }
+        #[cfg(feature = "cube")]
+        {
+            self.resident = ResidentMatrix::default();
+        }
     }
 
     /// The matrix over `columns` (ascending, below [`SparseMatrix::columns`]) alone.

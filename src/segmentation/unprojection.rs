@@ -132,10 +132,14 @@ impl<E: Real> Sums<E> {
         self
     }
 
-    /// Gaussians counted on at least the share `attendance` of all used pixels of the finest scale's views (Algorithm 1).
-    pub fn attended(&self, attendance: f64) -> Vec<bool> {
+    /// Gaussians counted on at least the share `attendance` of all used pixels of the finest scale's views (Algorithm 1), or
+    /// on `attendance_pixels` where that is fewer.
+    pub fn attended(&self, config: &UnprojectionConfig) -> Vec<bool> {
         match (self.counts.first(), self.pixels.first()) {
-            (Some(counts), Some(&pixels)) => counts.iter().map(|&c| c as f64 >= attendance * pixels as f64).collect(),
+            (Some(counts), Some(&pixels)) => {
+                let fewest = config.fewest_pixels(pixels);
+                counts.iter().map(|&c| c as f64 >= fewest).collect()
+            }
             _ => Vec::new(),
         }
     }
@@ -318,7 +322,7 @@ pub fn unproject_each<'a, F: Borrow<ViewFeatures>>(
         return Err(mismatch(format!("{} views", views.len()), format!("{} or more", views.len() + 1)));
     }
     let sums = sums.map_or_else(|| Ok(Sums::new(gaussians.len(), &[0; SCALES])), Lifting::finish)?;
-    let keep = sums.attended(config.attendance);
+    let keep = sums.attended(config);
     let sums = match config.solve_iterations {
         0 => sums.normalised(config.normalisation),
         _ => solved(sums, gaussians, &views, &lattices, config, settings)?,

@@ -10,7 +10,7 @@ use super::parameters::{Parameters, Rates};
 use super::photos::Photos;
 use super::progress::{CurvePoint, Event, Progress};
 use super::provenance::Provenance;
-use super::schedule::{Schedule, extent};
+use super::schedule::{Schedule, center, extent};
 use crate::config::{Config, Strategy};
 use crate::data::{Scene, Split, View};
 use crate::device::read;
@@ -19,6 +19,7 @@ use crate::gaussians::Gaussians;
 use crate::metrics::ImageScores;
 use crate::raster::{RasterInput, Settings, rasterize};
 use burn::tensor::Device;
+use glam::DVec3;
 use pass::Pass;
 use rooms::Rooms;
 use std::path::{Path, PathBuf};
@@ -66,6 +67,7 @@ pub struct BuildingStage<'a> {
     settings: Settings,
     schedule: Schedule,
     extent: f64,
+    center: DVec3,
     device: Device,
     train: Vec<&'a View>,
     test: Vec<&'a View>,
@@ -134,6 +136,7 @@ impl<'a> BuildingStage<'a> {
             settings: Settings::from(&config.raster),
             schedule: Schedule::new(&config.building, train.len(), size),
             extent: size,
+            center: center(&train),
             photos: Photos::new(train.len(), &device),
             parameters: Parameters::new(gaussians, first, second, &device),
             config: config.clone(),

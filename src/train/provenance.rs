@@ -27,7 +27,8 @@ const WITHOUT_EFFECT: [&str; 9] = [
     "checkpoint_every",
 ];
 /// What training did before a setting existed, where its default is not that.
-const BEFORE: [(&str, &str); 1] = [("segmentation.least_recall", "0.0")];
+const BEFORE: [(&str, &str); 3] =
+    [("building.absgrad", "false"), ("segmentation.least_recall", "0.0"), ("unprojection.attendance_pixels", "0.0")];
 /// How label maps are rendered.
 const RENDER: &str = "segmentation.render";
 /// Sections that training follows from.

@@ -126,7 +126,7 @@ impl Outcome {
 pub fn load_scene(config: &Config) -> Result<Scene> {
     match &config.data.dir {
         None => Ok(builtin::scene(builtin::EVALUATED_SEED)),
-        Some(dir) => data::load(dir, &LoadOptions::from(&config.data)),
+        Some(dir) => data::load(dir, &LoadOptions::from(config)),
     }
 }
 

@@ -84,7 +84,7 @@ fn train_and_test_are_read_together() {
 }
 
 #[test]
-fn transparent_pixels_are_black_and_no_random_background_lies_behind_them() {
+fn transparent_pixels_show_the_background_and_no_random_one_lies_behind_them() {
     let folder = scene();
     let mut scene = loaded(folder.path());
     assert!(scene.views.iter().all(|view| view.image.is_transparent()));
@@ -95,6 +95,13 @@ fn transparent_pixels_are_black_and_no_random_background_lies_behind_them() {
     let pixels = scene.views[6].image.pixels().unwrap();
     let [inside, rim, outside] = [20, 31, 35].map(|x| pixels.get_pixel(x, 20).0);
     assert_eq!((inside, rim, outside), ([200, 80, 10], [100, 40, 5], [0, 0, 0]), "test_r_1");
+    // Over the colour that the scene is rendered over, so that nothing has to be there.
+    let mut config = Config::default();
+    config.raster.background = [1.0, 1.0, 0.2];
+    let over = load(folder.path(), &LoadOptions::from(&config)).unwrap();
+    let pixels = over.views[6].image.pixels().unwrap();
+    let [inside, rim, outside] = [20, 31, 35].map(|x| pixels.get_pixel(x, 20).0);
+    assert_eq!((inside, rim, outside), ([200, 80, 10], [227, 167, 30], [255, 255, 51]), "test_r_1");
     let steps = |scene: &Scene, random_background: bool| {
         let building =
             BuildingConfig { random_background, random_points: 200, iterations: 100, ..BuildingConfig::default() };

@@ -5,7 +5,7 @@ use coseg::config::{BuildingConfig, Config};
 use coseg::data::{Classes, Points, Scene, Split, View};
 use coseg::raster::{Settings, render};
 use coseg::train::progress::{Event, Progress, Silent};
-use coseg::train::{BuildingStage, BuildingState};
+use coseg::train::{BuildingStage, BuildingState, schedule};
 use glam::{DMat3, DVec3};
 
 const WIDTH: usize = 44;
@@ -105,6 +105,34 @@ impl Progress for Recorder {
     fn event(&mut self, event: &Event) {
         self.0.push(event.clone());
     }
+}
+
+#[test]
+fn one_tripod_is_as_large_as_what_it_sees() {
+    let mut scene = scene();
+    let at = |scene: &mut Scene, step: f64| {
+        for (i, view) in scene.views.iter_mut().enumerate() {
+            view.camera.center = DVec3::new(0.3, -0.2, 2.5) + DVec3::X * step * i as f64;
+        }
+    };
+    let extent = |scene: &Scene| schedule::extent(&scene.split(Split::Train).collect::<Vec<_>>(), &scene.points);
+    at(&mut scene, 0.0);
+    let exact = extent(&scene);
+    assert!(exact > 2.5 && exact < 4.0, "the rms distance of the points: {exact}");
+    // Poses as programs write them, rounded to sixteen digits.
+    at(&mut scene, 1e-16);
+    assert!((extent(&scene) / exact - 1.0).abs() < 1e-6, "{}", extent(&scene));
+    at(&mut scene, 1e-3);
+    assert!(extent(&scene) < 0.01, "cameras that do move say how far");
+}
+
+#[test]
+fn a_densification_that_leaves_nothing_is_an_error() {
+    let building = BuildingConfig { prune_opacity: 0.9, ..config().building };
+    let scene = scene();
+    let mut stage = BuildingStage::new(&scene, &Config { building, ..config() }, &device()).expect("a stage");
+    let error = stage.run(&mut Recorder::default()).expect_err("no Gaussian is that opaque");
+    crate::assert_names(&error, &["400 Gaussians", "10 steps", "building.prune_opacity", "data check"]);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Initialisation and adaptive density control.
 
 use coseg::data::Points;
-use coseg::gaussians::densify::{DensityRules, DensityStats, Origin, RowPlan, reset_opacity};
+use coseg::gaussians::densify::{DensityRules, DensityStats, Origin, RowPlan, SizeLimit, reset_opacity};
 use coseg::gaussians::{Gaussians, init};
 use coseg::random::{Purpose, stream};
 
@@ -97,7 +97,8 @@ fn population(rows: &[(f32, f32, f32)]) -> (Gaussians, DensityStats) {
 }
 
 fn rules() -> DensityRules {
-    DensityRules { threshold: 1.0, clone_below: 0.1, prune_opacity: 0.005, prune_scale: 1.0, max_gaussians: 0 }
+    let prune_scale = SizeLimit { share: 0.05, extent: 20.0, center: [0.0; 3] };
+    DensityRules { threshold: 1.0, clone_below: 0.1, prune_opacity: 0.005, prune_scale, max_gaussians: 0 }
 }
 
 #[test]
@@ -129,6 +130,22 @@ fn small_are_cloned_large_are_split_useless_are_pruned() {
     let moments: Vec<f32> = (0..14).map(|v| v as f32 + 1.0).collect();
     let moments = plan.moments(&moments, 2);
     assert_eq!(moments, [1.0, 2.0, 3.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+}
+
+#[test]
+fn what_is_far_from_the_cameras_may_be_large() {
+    let (mut g, stats) = population(&[(2.0, 0.5, 0.0); 4]);
+    g.means = vec![[0.0; 3], [0.0, 12.0, 16.1], [30.0, 40.0, 0.0], [-39.0, 0.0, 0.0]];
+    let kept = |center: [f32; 3]| {
+        let rules = DensityRules { prune_scale: SizeLimit { share: 0.1, extent: 1.0, center }, ..rules() };
+        let plan = RowPlan::new(&g, &stats, &rules).expect("ok");
+        plan.rows.iter().map(|&(row, _)| row).collect::<Vec<_>>()
+    };
+    // A scale of 2 is a tenth of 20 world units.
+    assert_eq!(kept([0.0; 3]), [1, 2, 3]);
+    assert_eq!(kept([-20.5, 0.0, 0.0]), [0, 1, 2], "distances are from the cameras");
+    let close = DensityRules { prune_scale: SizeLimit { share: 0.1, extent: 20.1, center: [0.0; 3] }, ..rules() };
+    assert_eq!(RowPlan::new(&g, &stats, &close).expect("ok").rows.len(), 4, "extents count where they are longer");
 }
 
 #[test]

@@ -200,15 +200,16 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     std::fs::write(&path, before).expect("written");
     let path = out.join("checkpoint/building.safetensors");
     let before = std::fs::read(&path).expect("read");
-    for (setting, now) in [(r#"\"building.absgrad\":\"false\","#, "true"), (r#"\"building.sh_degree\":\"3\","#, "2")] {
+    let added = [(r#"\"building.random_background\":\"true\","#, "false"), (r#"\"building.sh_degree\":\"3\","#, "2")];
+    for (setting, now) in added {
         forget(&path, setting);
         assert_eq!(whole(&base, &out).rows.last().expect("a row").identities, done.rows[2].identities);
         let key = setting.split('"').nth(1).expect("quoted").trim_end_matches('\\');
         let edit = |c: &mut Config| match now {
-            "true" => c.building.absgrad = true,
+            "false" => c.building.random_background = false,
             _ => c.building.sh_degree = 2,
         };
-        named(key, now, if now == "true" { "false" } else { "3" }, &edit);
+        named(key, now, if now == "false" { "true" } else { "3" }, &edit);
         std::fs::write(&path, &before).expect("written");
     }
 

@@ -2,7 +2,8 @@
 
 use coseg::Error;
 use coseg::config::{Blend, BuildingConfig, Config, LabelSource, Prior, Row, SegmentationConfig};
-use coseg::data::Split;
+use coseg::data::{Classes, LabelMap, LabelRuns, Split};
+use coseg::gaussians::init;
 use coseg::objects::{Identities, LabelRule, hard_label_map, label_map, vote};
 use coseg::raster::{Projected, Settings};
 use coseg::train::progress::Silent;
@@ -89,6 +90,42 @@ fn weights_made_again_at_each_step_give_the_same_bits_as_kept_ones() {
         outcome.rows.iter().map(bits).collect::<Vec<_>>()
     };
     assert!(scores(0) == scores(2_048));
+}
+
+#[test]
+fn the_vote_sums_weights_by_label_whatever_the_number_of_classes() {
+    // 70 classes, of which a view shows from 1 to 60.
+    let mut scene = crate::building::scene();
+    scene.classes = Classes::from_names(0, (0..=70).map(|id| (id, format!("class {id}"))));
+    for (v, view) in scene.views.iter_mut().enumerate() {
+        let (width, height) = (view.camera.width, view.camera.height);
+        let shown = [1, 60, 33, 32, 5, 2, 31, 64][v] as u16;
+        let id = |i: usize| (i * 7919 / 11) as u16 % (shown + 1);
+        let map = LabelMap { width, height, ids: (0..width * height).map(id).collect() };
+        view.raw = Some(LabelRuns::from(map));
+    }
+    let gaussians = init::from_points(&scene.points, 0, 2.0).expect("Gaussians");
+    let (settings, c) = (Settings::default(), scene.classes.len());
+    let votes = vote(&gaussians, scene.views.iter(), &scene.classes, &settings).expect("votes");
+    let lookup = scene.classes.lookup();
+    let mut exact = vec![0.0_f64; gaussians.len() * c];
+    for view in &scene.views {
+        let weights =
+            Projected::<f32>::new(&gaussians.splats(), &view.camera, &settings).expect("a view").weights(None);
+        for (pixel, id) in view.raw.as_ref().expect("labels").map().ids.into_iter().enumerate() {
+            let class = usize::from(lookup[usize::from(id)]);
+            let (columns, values) = weights.row(pixel);
+            for (&i, &w) in columns.iter().zip(values).filter(|_| class < c) {
+                exact[i as usize * c + class] += f64::from(w);
+            }
+        }
+    }
+    assert_eq!((votes.classes, votes.table.len()), (c, exact.len()));
+    let most = exact.iter().fold(0.0, |most: f64, &v| most.max(v));
+    assert!(most > 1.0);
+    for (got, exact) in votes.table.iter().zip(exact) {
+        assert!((f64::from(*got) - exact).abs() < 1e-5 * most, "{got} {exact}");
+    }
 }
 
 #[test]

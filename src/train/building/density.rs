@@ -3,8 +3,8 @@
 use super::{BuildingStage, Densified, Tally};
 use crate::config::{Config, Strategy};
 use crate::data::{Points, Scene, View};
-use crate::error::Result;
-use crate::gaussians::densify::{DensityRules, RowPlan};
+use crate::error::{Error, Result};
+use crate::gaussians::densify::{DensityRules, RowPlan, SizeLimit};
 use crate::gaussians::noise::PositionNoise;
 use crate::gaussians::relocate::{RelocationPlan, RelocationRules};
 use crate::gaussians::{Gaussians, Geometry, frusta, init};
@@ -101,6 +101,15 @@ impl BuildingStage<'_> {
             Strategy::Adc => self.controlled(old, &mut rng)?,
             Strategy::Mcmc => self.relocated(old, &mut rng),
         };
+        if map.is_empty() {
+            let found = format!("{} Gaussians, none of which is opaque and small enough to stay", old.len());
+            let expected = "Gaussians that the photos show";
+            let mend = format!(
+                "run `coseg data check` on the scene, whose poses are in doubt, or lower building.prune_opacity (after {} steps)",
+                self.iteration
+            );
+            return Err(Error::config("building", found, expected, mend));
+        }
         self.tally = Tally::empty(map.len(), &self.device);
         self.parameters.rearrange(&Arc::new(map), values);
         Ok(done)
@@ -130,7 +139,11 @@ impl BuildingStage<'_> {
             threshold: b.densify_threshold(),
             clone_below: b.clone_below * self.extent as f32,
             prune_opacity: b.prune_opacity,
-            prune_scale: b.prune_scale * self.extent as f32,
+            prune_scale: SizeLimit {
+                share: b.prune_scale,
+                extent: self.extent as f32,
+                center: self.center.as_vec3().to_array(),
+            },
             max_gaussians: b.max_gaussians,
         }
     }

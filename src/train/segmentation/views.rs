@@ -13,6 +13,9 @@ use burn::tensor::Device;
 use rand::{Rng, seq::SliceRandom};
 use std::sync::Arc;
 
+/// Pixels whose weights are made together at a view's first use.
+const BAND: usize = 1 << 17;
+
 /// The labelled, covered pixels of one view, and the Gaussians that they show.
 #[derive(Clone, Debug)]
 struct LabelledView {
@@ -173,8 +176,8 @@ impl<'a> TrainingViews<'a> {
         let (view, kept) = match (&self.seen[index], self.splats.clone()) {
             (Some(view), None) => (view.clone(), view.kept.clone()),
             (None, None) => {
-                let (view, weights) = self.look(index)?;
-                (view, Kept::Weights(weights))
+                let view = self.look(index)?;
+                (view.clone(), view.kept.clone())
             }
             (seen, Some(splats)) => {
                 let view = match seen {
@@ -246,24 +249,34 @@ impl<'a> TrainingViews<'a> {
         RenderedView(splats.select(visible).seen_by(&self.views[index].camera, &self.settings))
     }
 
-    /// Finds the labelled, covered pixels of view `index`; their weights are kept where the budget allows it.
-    fn look(&mut self, index: usize) -> Result<(Arc<LabelledView>, Arc<SparseMatrix>)> {
+    /// Finds the labelled, covered pixels of view `index`; their weights are kept where the budget allows it. Weights of a band
+    /// of pixels are made at a time, so that a large photo takes no more memory than what is kept of it.
+    fn look(&mut self, index: usize) -> Result<Arc<LabelledView>> {
         let map = self.raw_classes(index);
-        let class = |pixel: &u32| map.ids[*pixel as usize];
-        let labelled: Vec<u32> = (0..map.ids.len() as u32).filter(|p| class(p) != UNLABELLED).collect();
-        let weights = self.normalised_weights(index, &labelled)?;
-        let kept: Vec<u32> = (0..weights.rows() as u32).filter(|&r| !weights.row(r as usize).0.is_empty()).collect();
+        let labelled: Vec<u32> = (0..map.ids.len() as u32).filter(|&p| map.ids[p as usize] != UNLABELLED).collect();
+        let projected = Projected::new(&self.gaussians.splats(), &self.views[index].camera, &self.settings)?;
         let mut covered = vec![UNLABELLED; map.ids.len()];
-        kept.iter().map(|&r| labelled[r as usize]).for_each(|p| covered[p as usize] = class(&p));
+        let (mut shown, mut count) = (vec![false; self.gaussians.len()], 0);
+        let mut keep = Some(SparseMatrix::new(self.gaussians.len(), vec![0], Vec::new(), Vec::new()));
+        for band in labelled.chunks(BAND) {
+            let weights = projected.weights(Some(band)).normalised(self.min_coverage);
+            let rows: Vec<u32> = (0..band.len() as u32).filter(|&r| !weights.row(r as usize).0.is_empty()).collect();
+            rows.iter().map(|&r| band[r as usize] as usize).for_each(|pixel| covered[pixel] = map.ids[pixel]);
+            weights.entries().0.iter().for_each(|&column| shown[column as usize] = true);
+            count += rows.len();
+            keep = keep.and_then(|mut kept| {
+                kept.append_rows(&weights, &rows);
+                (kept.bytes() <= self.budget).then_some(kept)
+            });
+        }
+        let visible: Vec<u32> = (0..shown.len() as u32).filter(|&i| shown[i as usize]).collect();
+        let kept = keep.map_or(Kept::Nothing, |weights| {
+            self.budget -= weights.bytes();
+            Kept::Weights(Arc::new(weights.over_columns(&visible)))
+        });
         let labels = LabelRuns::from(LabelMap { ids: covered, ..map });
-        let compact = weights.select_rows(&kept).compact();
-        let weights = Arc::new(compact.matrix);
-        let left = self.budget.checked_sub(weights.bytes());
-        self.budget = left.unwrap_or(self.budget);
-        let visible = Arc::new(compact.columns.into());
-        let keep = left.map_or(Kept::Nothing, |_| Kept::Weights(weights.clone()));
-        let view = LabelledView { visible, labels, count: kept.len(), kept: keep };
-        Ok((self.seen[index].insert(Arc::new(view)).clone(), weights))
+        let view = LabelledView { visible: Arc::new(visible.into()), labels, count, kept };
+        Ok(self.seen[index].insert(Arc::new(view)).clone())
     }
 }
 
