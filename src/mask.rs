@@ -69,7 +69,7 @@ impl Mask {
         }
         let found = format!("a mask of {}x{} pixels in {view}", self.width, self.height);
         let expected = format!("{width}x{height} as its photo");
-        Err(Error::config("data", found, expected, "resize the mask, or leave it out"))
+        Err(Error::argument("data", found, expected, "resize the mask, or leave it out"))
     }
 
     /// Puts `value` into the pixels that are left out. `values` has `channels` of them for each pixel, row-major.

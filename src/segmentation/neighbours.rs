@@ -118,11 +118,11 @@ impl PointIndex {
     /// A set smaller than `k` repeats its members in that order; an empty one is an error.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] naming the first bad query; [`Error::Config`] when there are no points to find.
+    /// [`Error::NonFinite`] naming the first bad query; [`Error::Argument`] when there are no points to find.
     pub fn nearest(&self, queries: &[[f32; 3]], k: usize) -> Result<(Neighbours, Vec<f64>)> {
         check_finite("queries", queries)?;
         if self.is_empty() && k > 0 && !queries.is_empty() {
-            return Err(Error::config("points", "none", "at least one point", "give the search a point to find"));
+            return Err(Error::argument("points", "none", "at least one point", "give the search a point to find"));
         }
         let mut indices = vec![0; queries.len() * k];
         let mut distances = vec![0.0; queries.len() * k];

@@ -191,6 +191,17 @@ fn strategies_of_densification_have_defaults_and_needs_of_their_own() {
 }
 
 #[test]
+fn arguments_are_not_called_settings() {
+    let message = load("", &["building"]).unwrap_err();
+    assert!(message.starts_with("--set: found building"), "{message}");
+    let broken = coseg::gaussians::Gaussians { sh_degree: 9, ..Default::default() };
+    let message = broken.check(None).unwrap_err().to_string();
+    assert!(message.starts_with("gaussians.sh_degree: found 9, expected 0 to 3"), "{message}");
+    let message = load("", &["building.iterations=0"]).unwrap_err();
+    assert!(message.starts_with("setting building.iterations: found 0"), "{message}");
+}
+
+#[test]
 fn syntax_errors_name_the_line() {
     let error = load("seed = 1\n[building\n", &[]).unwrap_err();
     assert_names(&error, &["run.toml", "line 2", "[building"]);

@@ -199,9 +199,9 @@ fn bad_input_is_an_error() {
         Separation { smallest: 1.5, ..default },
         Separation { neighbours: 0, ..default },
     ] {
-        assert!(matches!(apply(rules, &gaussians, &[2; 3]), Error::Config { .. }), "{rules:?}");
+        assert!(matches!(apply(rules, &gaussians, &[2; 3]), Error::Argument { .. }), "{rules:?}");
     }
-    assert!(matches!(apply(default, &gaussians, &[2; 2]), Error::Config { .. }), "too few labels");
+    assert!(matches!(apply(default, &gaussians, &[2; 2]), Error::Argument { .. }), "too few labels");
     let mut broken = gaussians.clone();
     broken.means[1][2] = f32::NAN;
     assert!(matches!(apply(default, &broken, &[2; 3]), Error::NonFinite { row: 1, .. }));

@@ -57,7 +57,7 @@ impl Separation {
     /// those in use, and a name with the next free number.
     ///
     /// # Errors
-    /// [`Error::Config`] for a rule out of its range; those of [`Gaussians::check`]; [`Error::Limit`] when ids run out.
+    /// [`Error::Argument`] for a rule out of its range; those of [`Gaussians::check`]; [`Error::Limit`] when ids run out.
     pub fn apply(
         &self,
         gaussians: &Gaussians,
@@ -98,7 +98,7 @@ impl Separation {
 
     fn check(&self) -> Result<()> {
         let fault = |key: &str, found: String, expected: &str| {
-            Err(Error::config(format!("separation {key}"), found, expected, "the default suits most scenes"))
+            Err(Error::argument(format!("separation {key}"), found, expected, "the default suits most scenes"))
         };
         if !(self.level > 0.0 && self.level < 1.0) {
             return fault("level", self.level.to_string(), "above 0 and below 1");
