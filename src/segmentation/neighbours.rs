@@ -140,23 +140,6 @@ impl PointIndex {
         Ok((Neighbours { k, indices }, distances))
     }
 
-    /// All points no farther than `radius` from `query`, ascending; none for values that are not finite.
-    pub fn within(&self, query: [f32; 3], radius: f64) -> Vec<u32> {
-        let query = wide(&query);
-        let Some(tree) = self.tree.as_ref().filter(|_| radius.is_finite() && query.iter().all(|v| v.is_finite()))
-        else {
-            return Vec::new();
-        };
-        let found = tree.query(&query).within::<SquaredEuclidean<f64>>(radius * radius).unsorted().execute();
-        let spans = found.iter().map(|hit| {
-            let group = hit.item as usize;
-            self.offsets[group] as usize..self.offsets[group + 1] as usize
-        });
-        let mut rows: Vec<u32> = spans.flat_map(|span| &self.members[span]).copied().collect();
-        rows.sort_unstable();
-        rows
-    }
-
     /// Puts the nearest `k` points (fewer in a small set) into `found` as (squared distance, index), ascending.
     fn collect(&self, query: &[f64; 3], k: usize, found: &mut Vec<(f64, u32)>) {
         found.clear();
