@@ -86,17 +86,6 @@ pub struct Encoding {
     pub upsample: Vec<Arc<SparseMatrix>>,
 }
 
-impl Encoding {
-    /// Bytes held by features, neighbours and maps: what a cache of encodings is bounded by.
-    pub fn bytes(&self) -> usize {
-        let levels = self.levels.iter().chain([&self.coarsest]);
-        let levels: usize = levels
-            .map(|l| 4 * (l.features.shape().num_elements() + 4 * l.indices.len() + l.neighbours.indices.len()))
-            .sum();
-        levels + self.upsample.iter().map(|m| m.bytes()).sum::<usize>()
-    }
-}
-
 /// Encodes a cloud; `seed` decides the random sampling.
 ///
 /// Memory beyond the result is bounded: a few 2 MB tensors a thread, and 17 indices a point.
