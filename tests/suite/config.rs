@@ -235,12 +235,15 @@ fn a_run_warns_of_what_it_does_not_read() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     let sets =
-        ["building.iterations=2", "building.random_points=50", "segmentation.rows=[]", "spatial.weights=none.pth"];
+        ["building.iterations=2", "building.max_gaussians=200", "segmentation.rows=[]", "spatial.weights=none.pth"];
     let sets = sets.iter().flat_map(|set| ["--set", set]);
     let arguments: Vec<&str> = ["train", "--out", crate::cli::utf8(&out)].into_iter().chain(sets).collect();
     let output = crate::cli::coseg(&arguments);
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && said.contains("spatial.weights = none.pth is not read"), "{said}");
+    assert!(
+        output.status.success() && said.contains("none.pth is not read: spatial.source is not pretrained"),
+        "{said}"
+    );
 }
 
 #[test]
