@@ -2,7 +2,7 @@
 //!
 //! Sections follow the pipeline. Unknown keys are errors. `--set section.key=value` overrides one key.
 //! [`Config::load`] reads files and overrides, [`Config::preset`] holds the named sets of defaults,
-//! [`Config::validate`] the allowed ranges.
+//! [`Config::validate`] the allowed ranges, [`Config::unread`] what was given in vain.
 
 mod association;
 mod building;
@@ -11,6 +11,7 @@ mod features;
 mod load;
 mod presets;
 mod row;
+mod unread;
 mod validate;
 
 pub use association::{Association, AssociationConfig};
@@ -188,7 +189,7 @@ pub struct SegmentationConfig {
     pub render: LabelSource,
     /// Pixels whose coverage 1 - T is below this are not trained on, and show no label.
     pub min_coverage: f64,
-    /// Share of the pixels used in a step.
+    /// Share of the labelled pixels of a view used in a step, in (0, 1].
     pub pixel_share: f64,
     /// Sampled Gaussians of the 3D regularisation, at most.
     pub reg_samples: usize,

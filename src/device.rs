@@ -51,7 +51,7 @@ impl std::str::FromStr for BackendName {
             "wgpu" => Ok(Self::Wgpu),
             "flex" => Ok(Self::Flex),
             "ndarray" => Ok(Self::Ndarray),
-            _ => Err(Error::config("backend", name, "cuda, wgpu, flex or ndarray", "choose one of them")),
+            _ => Err(Error::argument("backend", name, "cuda, wgpu, flex or ndarray", "choose one of them")),
         }
     }
 }

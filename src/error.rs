@@ -2,9 +2,9 @@
 //!
 //! Every variant tells the caller a different thing to do:
 //! [`Error::Input`] - mend the named field of the named file; [`Error::Config`] - mend a setting;
-//! [`Error::Missing`] - name another path; [`Error::Io`] - look at the path; [`Error::Limit`] - the request does not fit,
-//! the numbers are in the message; [`Error::NonFinite`] - training met a NaN or an infinity, and where;
-//! [`Error::Device`] - the backend is not usable.
+//! [`Error::Argument`] - pass something else to the command or the function; [`Error::Missing`] - name another path;
+//! [`Error::Io`] - look at the path; [`Error::Limit`] - the request does not fit, the numbers are in the message;
+//! [`Error::NonFinite`] - training met a NaN or an infinity, and where; [`Error::Device`] - the backend is not usable.
 
 use std::path::{Path, PathBuf};
 
@@ -49,12 +49,24 @@ pub enum Error {
         /// What the user can do.
         mend: String,
     },
-    /// A setting (config file, `--set`, or an argument of a library call) has an unusable value.
+    /// A setting, in a config file or by `--set`, has an unusable value.
     #[error("setting {key}: found {found}, expected {expected}; {mend}")]
     Config {
         /// The setting, as a dotted path.
         key: String,
         /// The value given.
+        found: String,
+        /// What is allowed.
+        expected: String,
+        /// What the user can do.
+        mend: String,
+    },
+    /// What was passed to a command or to a function of the library cannot be used.
+    #[error("{name}: found {found}, expected {expected}; {mend}")]
+    Argument {
+        /// The option, with its dashes, or what the argument is.
+        name: String,
+        /// What was passed.
         found: String,
         /// What is allowed.
         expected: String,
@@ -139,6 +151,16 @@ impl Error {
         mend: impl Into<String>,
     ) -> Self {
         Self::Config { key: key.into(), found: found.into(), expected: expected.into(), mend: mend.into() }
+    }
+
+    /// An [`Error::Argument`] naming the argument, found, expected and mend.
+    pub fn argument(
+        name: impl Into<String>,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+        mend: impl Into<String>,
+    ) -> Self {
+        Self::Argument { name: name.into(), found: found.into(), expected: expected.into(), mend: mend.into() }
     }
 
     /// An [`Error::NonFinite`] without context.

@@ -9,6 +9,8 @@ use std::sync::Arc;
 const WORD: usize = u32::BITS as usize;
 /// Words that one task looks at, at least.
 const TASK: usize = 1 << 9;
+/// Words whose used pixels are counted together for [`Mask::nth`].
+const BLOCK: usize = 1 << 6;
 
 /// Which pixels of a photo are used and which are left out, `[H, W]` row-major, a bit a pixel. Copies share the bits.
 #[derive(Clone, PartialEq, Eq)]
@@ -18,6 +20,8 @@ pub struct Mask {
     left_out: usize,
     /// Lowest bit first, set where the pixel is used; the last word is filled up with zeros.
     words: Arc<[u32]>,
+    /// Used pixels before each block of words.
+    before: Arc<[usize]>,
 }
 
 impl Mask {
@@ -28,8 +32,14 @@ impl Mask {
             (first..pixels.min(first + WORD)).fold(0, |word, pixel| word | u32::from(used(pixel)) << (pixel - first))
         };
         let words: Arc<[u32]> = (0..pixels).step_by(WORD).map(word).collect();
-        let kept: usize = words.iter().map(|word| word.count_ones() as usize).sum();
-        Self { width, height, left_out: pixels - kept, words }
+        let mut kept = 0;
+        let count = |block: &[u32]| {
+            let before = kept;
+            kept += block.iter().map(|word| word.count_ones() as usize).sum::<usize>();
+            before
+        };
+        let before = words.chunks(BLOCK).map(count).collect();
+        Self { width, height, left_out: pixels - kept, words, before }
     }
 
     /// Pixels across.
@@ -62,6 +72,21 @@ impl Mask {
         self.width * self.height - self.left_out
     }
 
+    /// The used pixel, numbered row-major, that has `rank` used ones before it; `None` where no more than `rank` are used.
+    pub fn nth(&self, rank: usize) -> Option<usize> {
+        let block = self.before.partition_point(|before| *before <= rank).checked_sub(1)?;
+        let mut rest = rank - self.before[block];
+        for (at, &word) in self.words.iter().enumerate().skip(block * BLOCK) {
+            let used = word.count_ones() as usize;
+            if rest < used {
+                let above = (0..rest).fold(word, |word, _| word & (word - 1));
+                return Some(at * WORD + above.trailing_zeros() as usize);
+            }
+            rest -= used;
+        }
+        None
+    }
+
     /// Refuses a mask of another size than `view` has.
     pub(crate) fn expect_size(&self, view: &str, width: usize, height: usize) -> Result<()> {
         if (self.width, self.height) == (width, height) {
@@ -69,7 +94,7 @@ impl Mask {
         }
         let found = format!("a mask of {}x{} pixels in {view}", self.width, self.height);
         let expected = format!("{width}x{height} as its photo");
-        Err(Error::config("data", found, expected, "resize the mask, or leave it out"))
+        Err(Error::argument("data", found, expected, "resize the mask, or leave it out"))
     }
 
     /// Puts `value` into the pixels that are left out. `values` has `channels` of them for each pixel, row-major.
@@ -106,6 +131,15 @@ mod tests {
     use super::*;
 
     #[test]
+    fn ranks_pass_over_blocks_that_are_left_out() {
+        let used = |pixel: usize| matches!(pixel, 5 | 31 | 32 | 9_000 | 39_999);
+        let mask = Mask::new(200, 200, used);
+        let found: Vec<_> = (0..6).map(|rank| mask.nth(rank)).collect();
+        assert_eq!(found, [Some(5), Some(31), Some(32), Some(9_000), Some(39_999), None]);
+        assert_eq!(Mask::new(200, 200, |_| false).nth(0), None);
+    }
+
+    #[test]
     fn bits_are_those_of_the_pixels() {
         for (width, height) in [(1, 1), (7, 5), (32, 2), (33, 1_000), (0, 4)] {
             let used = |pixel: usize| pixel % 7 != 3 && pixel / 40 % 3 != 1;
@@ -121,6 +155,9 @@ mod tests {
             assert!(filled.iter().copied().eq(want));
             let kept = mask.used(&numbers, 3);
             assert!(kept.iter().copied().eq(numbers.into_iter().filter(|i| used(i / 3))));
+            let all: Vec<usize> = (0..pixels).filter(|&pixel| used(pixel)).collect();
+            assert!(all.iter().enumerate().all(|(rank, pixel)| mask.nth(rank) == Some(*pixel)));
+            assert_eq!((mask.nth(all.len()), mask.nth(usize::MAX)), (None, None));
         }
     }
 }

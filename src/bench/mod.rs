@@ -114,7 +114,7 @@ impl std::str::FromStr for Section {
     fn from_str(name: &str) -> Result<Self> {
         Self::ALL.into_iter().find(|section| section.key() == name).ok_or_else(|| {
             let all = Self::ALL.map(Self::key).join(", ");
-            Error::config("--only", name, all, "name one or more of these, with commas between")
+            Error::argument("--only", name, all, "name one or more of these, with commas between")
         })
     }
 }

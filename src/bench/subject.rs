@@ -87,7 +87,7 @@ impl Subject {
         let cameras: Vec<Camera> = scene.split(Split::Train).map(|v| v.camera.clone()).collect();
         if cameras.is_empty() {
             let found = format!("{} without training views", scene.name);
-            return Err(Error::config("data", found, "a scene with training views", "mark some views as `train`"));
+            return Err(Error::argument("data", found, "a scene with training views", "mark some views as `train`"));
         }
         let (up, sh_degree) = (scene.up, config.building.sh_degree);
         Ok(Self { description, scene: Some(scene), cameras, up, origin, sh_degree, seed: config.seed })

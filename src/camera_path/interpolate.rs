@@ -49,7 +49,7 @@ impl CameraPath {
     /// A path through `cameras`. One with the pose of the camera before it adds nothing.
     ///
     /// # Errors
-    /// [`Error::Config`] for no camera, and naming the first that is unusable.
+    /// [`Error::Argument`] for no camera, and naming the first that is unusable.
     pub fn through(cameras: &[Camera]) -> Result<Self> {
         check(cameras)?;
         let [width, height] = [cameras[0].width, cameras[0].height];
@@ -87,7 +87,7 @@ impl CameraPath {
         }
         if !length.is_finite() {
             let mend = "give cameras in one place";
-            return Err(Error::config("cameras", "centres further apart than numbers reach", "a finite path", mend));
+            return Err(Error::argument("cameras", "centres further apart than numbers reach", "a finite path", mend));
         }
         Ok(path)
     }

@@ -15,12 +15,12 @@ use crate::raster::Viewpoint;
 /// At least one camera, each of them usable.
 fn check(cameras: &[Camera]) -> Result<()> {
     if cameras.is_empty() {
-        return Err(Error::config("cameras", "none", "one or more", "pass the cameras that the path is made from"));
+        return Err(Error::argument("cameras", "none", "one or more", "pass the cameras that the path is made from"));
     }
     for (i, camera) in cameras.iter().enumerate() {
         Viewpoint::new(camera).map_err(|error| match error {
-            Error::Config { key, found, expected, mend } => {
-                Error::Config { key: format!("cameras[{i}]: {key}"), found, expected, mend }
+            Error::Argument { name, found, expected, mend } => {
+                Error::Argument { name: format!("cameras[{i}]: {name}"), found, expected, mend }
             }
             other => other,
         })?;
@@ -28,7 +28,7 @@ fn check(cameras: &[Camera]) -> Result<()> {
         let off = (rotation.transpose() * rotation - glam::DMat3::IDENTITY).to_cols_array();
         if off.iter().any(|v| v.abs() > 1e-2) || rotation.determinant() < 0.0 {
             let found = format!("{rotation}");
-            return Err(Error::config(format!("cameras[{i}]: rotation"), found, "a rotation", "mend the pose"));
+            return Err(Error::argument(format!("cameras[{i}]: rotation"), found, "a rotation", "mend the pose"));
         }
     }
     Ok(())

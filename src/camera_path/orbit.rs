@@ -32,7 +32,7 @@ impl Orbit {
     /// and height are medians of the cameras' own, so that the circle stays among them; it starts on the side of the first.
     ///
     /// # Errors
-    /// [`Error::Config`] for no camera or an unusable one, and where the cameras stand above or at the centre.
+    /// [`Error::Argument`] for no camera or an unusable one, and where the cameras stand above or at the centre.
     pub fn of_cameras(cameras: &[Camera], scene_center: DVec3) -> Result<Self> {
         check(cameras)?;
         Self::about(cameras, focus(cameras).unwrap_or(scene_center))
@@ -72,12 +72,12 @@ impl Orbit {
         if !(is_finite && radius > 1e-12 * (height.abs() + target.length()) && radius > 0.0) {
             let found = format!("radius {radius:.3e} around {target}, {height:.3e} above it");
             let mend = "give cameras that stand around something";
-            return Err(Error::config("orbit", found, "a circle", mend));
+            return Err(Error::argument("orbit", found, "a circle", mend));
         }
         let off = [up.length() - 1.0, start.length() - 1.0, up.dot(start)];
         if off.iter().any(|off| off.is_nan() || off.abs() > 1e-6) {
             let found = format!("up {up}, start {start}");
-            return Err(Error::config("orbit", found, "perpendicular unit vectors", "normalise them"));
+            return Err(Error::argument("orbit", found, "perpendicular unit vectors", "normalise them"));
         }
         Ok(())
     }
@@ -86,7 +86,7 @@ impl Orbit {
     /// intrinsics of `lens`; the last is one step before the first, so that a film of them loops.
     ///
     /// # Errors
-    /// [`Error::Config`] for directions that are not perpendicular unit vectors, or no radius above 0.
+    /// [`Error::Argument`] for directions that are not perpendicular unit vectors, or no radius above 0.
     pub fn frames(&self, lens: &Camera, count: usize) -> Result<Vec<Camera>> {
         self.check()?;
         let side = self.up.cross(self.start);

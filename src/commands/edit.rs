@@ -103,7 +103,7 @@ impl EditArgs {
         let rows: Vec<u32> = (0..).zip(&scene.labels).filter(|&(_, &id)| stays(id)).map(|(row, _)| row).collect();
         if rows.is_empty() {
             let mend = "keep an object, or remove fewer";
-            return Err(Error::config("--keep, --remove", "no Gaussian left", "one or more", mend));
+            return Err(Error::argument("--keep, --remove", "no Gaussian left", "one or more", mend));
         }
         let labels: Vec<u16> = rows.iter().map(|&row| scene.labels[row as usize]).collect();
         let mut gaussians = scene.ply.gaussians.select(&rows);
@@ -130,7 +130,7 @@ impl EditArgs {
             motions.extend(staying.map(|object| (object.rows.clone(), motion(object))));
             if motions.len() == before {
                 let mend = "leave it out, or keep the object";
-                return Err(Error::config(flag, what, "an object that is neither removed nor left out", mend));
+                return Err(Error::argument(flag, what, "an object that is neither removed nor left out", mend));
             }
             Ok(())
         };
@@ -143,7 +143,7 @@ impl EditArgs {
                 let (found, expected) =
                     (format!("{what}={translation}"), format!("at most {farthest:.3e} world units"));
                 let mend = "positions so far off would lose their digits: move by less";
-                return Err(Error::config("--move", found, expected, mend));
+                return Err(Error::argument("--move", found, expected, mend));
             }
             add(what, "--move", &|_| Motion { translation: *translation, ..still })?;
         }

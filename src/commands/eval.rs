@@ -72,7 +72,7 @@ impl EvalArgs {
         {
             let found = format!("{} classes, not those of the run", scene.classes.len());
             let mend = "give the scene that was trained on, or one with the same classes.json";
-            return Err(Error::config("--data", found, format!("the {} classes of the run", classes.len()), mend));
+            return Err(Error::argument("--data", found, format!("the {} classes of the run", classes.len()), mend));
         }
         let Found { images, labels } = score(&scene, &ply, stored.as_ref(), &classes, &config)?;
         // Classes that association found are objects; true labels are of other classes.

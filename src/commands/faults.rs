@@ -38,7 +38,9 @@ fn kind(fault: &Error) -> Kind {
         Error::Input { path, field, mend, .. } => (folder(path), field.as_str(), mend.as_str()),
         Error::Missing { path, what, mend } => (folder(path), *what, mend.as_str()),
         Error::Io { path, action, .. } => (folder(path), *action, ""),
-        Error::Config { key, mend, .. } => (PathBuf::new(), key.as_str(), mend.as_str()),
+        Error::Config { key, mend, .. } | Error::Argument { name: key, mend, .. } => {
+            (PathBuf::new(), key.as_str(), mend.as_str())
+        }
         other => return (discriminant(other), PathBuf::new(), other.to_string(), String::new()),
     };
     (discriminant(fault), path, plain(field), plain(mend))

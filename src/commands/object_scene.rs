@@ -50,11 +50,11 @@ impl ObjectSceneArgs {
         let read = [Some(&scene.path), self.classes.as_ref()];
         if read.into_iter().flatten().any(|path| atomic::same_file(path, out)) || out == names {
             let expected = "another file than the scene and its classes.json";
-            return Err(Error::config("--out", out.display().to_string(), expected, "name a new file"));
+            return Err(Error::argument("--out", out.display().to_string(), expected, "name a new file"));
         }
         if !out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ply")) {
             let mend = "end the name in .ply; other tools convert that to their formats";
-            return Err(Error::config("--out", out.display().to_string(), "a .ply file", mend));
+            return Err(Error::argument("--out", out.display().to_string(), "a .ply file", mend));
         }
         if names.exists() && Classes::read(&names)? != *classes {
             let (found, mend) = ("another class table", "write into another folder");
@@ -120,7 +120,7 @@ impl ObjectScene {
             known.push(format!("or one of {} more", self.objects.len() - NAMED));
         }
         let expected = format!("an id or a name of the scene: {}", known.join(", "));
-        Err(Error::config(flag, what, expected, "`coseg objects --scene FILE.ply` lists them"))
+        Err(Error::argument(flag, what, expected, "`coseg objects --scene FILE.ply` lists them"))
     }
 
     /// Ids of the objects that `list` names; `flag` is where they were said.

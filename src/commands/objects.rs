@@ -94,12 +94,12 @@ impl ObjectsArgs {
         let Some(NamedCamera { name: frame, camera, .. }) = named(frame).or_else(|| stem.and_then(named)) else {
             let some: Vec<&str> = frames.iter().take(5).map(|f| f.name.as_str()).collect();
             let expected = format!("one of {} frames such as {}", frames.len(), some.join(", "));
-            return Err(Error::config("--frame", frame, expected, "name a frame of --cameras"));
+            return Err(Error::argument("--frame", frame, expected, "name a frame of --cameras"));
         };
         let [width, height] = [camera.width, camera.height];
         if x >= width || y >= height {
             let expected = format!("a column below {width} and a row below {height}");
-            return Err(Error::config("--pixel", format!("{x},{y}"), expected, "choose a pixel of the frame"));
+            return Err(Error::argument("--pixel", format!("{x},{y}"), expected, "choose a pixel of the frame"));
         }
         let camera = Camera { center: camera.center - scene.ply.origin, ..camera.clone() };
         let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &Settings::default())?;

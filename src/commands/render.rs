@@ -126,7 +126,7 @@ impl RenderArgs {
         settings.alpha_max = self.alpha_max.unwrap_or(settings.alpha_max);
         if !(settings.alpha_max > 0.0 && settings.alpha_max <= 1.0) {
             let mend = "0.999 is the default";
-            return Err(Error::config("--alpha-max", settings.alpha_max.to_string(), "above 0, at most 1", mend));
+            return Err(Error::argument("--alpha-max", settings.alpha_max.to_string(), "above 0, at most 1", mend));
         }
         let split = match self.split {
             SplitArg::Train => Some(Split::Train),

@@ -50,7 +50,7 @@ impl PathArgs {
         let Some(kind) = self.path else { return Ok(()) };
         for (flag, is_there) in [("--object", self.object.is_some()), ("--radius", self.radius.is_some())] {
             if is_there && kind != PathKind::Orbit {
-                return Err(Error::config(flag, "--path interpolate", "--path orbit", "leave one of them out"));
+                return Err(Error::argument(flag, "--path interpolate", "--path orbit", "leave one of them out"));
             }
         }
         let file = out.join("cameras.json");
@@ -59,7 +59,7 @@ impl PathArgs {
         let ours = || transforms::load_cameras(&file, None).is_ok_and(|cameras| of_path(&cameras));
         if file.exists() && (atomic::same_file(&file, cameras) || !ours()) {
             let expected = "a folder without cameras of its own: those of the path are written there";
-            return Err(Error::config("--out", file.display().to_string(), expected, "name another folder"));
+            return Err(Error::argument("--out", file.display().to_string(), expected, "name another folder"));
         }
         // A video of the pictures would end with those of the longer path.
         let next = format!("{PREFIX}{:04}.", self.frames.unwrap_or(FRAMES));
@@ -68,7 +68,7 @@ impl PathArgs {
         if let Some(left) = names.find(|name| name.starts_with(&next)) {
             let expected = "a folder without frames of a longer path";
             let mend = "remove them, or name another folder";
-            return Err(Error::config("--out", out.join(left).display().to_string(), expected, mend));
+            return Err(Error::argument("--out", out.join(left).display().to_string(), expected, mend));
         }
         Ok(())
     }

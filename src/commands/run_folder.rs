@@ -50,7 +50,7 @@ impl RunFolder {
     /// Notes that `command` begins the run, or goes on with it, with the settings `config`.
     ///
     /// # Errors
-    /// [`Error::Io`] naming the file; [`Error::Config`] for settings that TOML cannot hold.
+    /// [`Error::Io`] naming the file; [`Error::Argument`] for settings that TOML cannot hold.
     pub fn begin(&self, config: &Config, command: Command) -> Result<Begun> {
         let before = [self.config_path(), self.commands_path()].map(|path| std::fs::read(path).ok());
         // A run of before this file was kept has none; one that cannot be read says nothing.

@@ -61,7 +61,7 @@ pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
         (None, None) => {
             let expected = format!("cameras: {} is not there", beside.display());
             let mend = "give a file of cameras, a scene folder or a run folder";
-            Err(Error::config("--cameras", "nothing", expected, mend))
+            Err(Error::argument("--cameras", "nothing", expected, mend))
         }
     }
 }

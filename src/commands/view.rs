@@ -57,14 +57,14 @@ impl ViewArgs {
     /// Writes the page.
     pub fn run(self) -> Result<()> {
         if let Some(alpha) = self.alpha_max.filter(|alpha| !(*alpha > 0.0 && *alpha <= 1.0)) {
-            return Err(Error::config("--alpha-max", alpha.to_string(), "a number in (0, 1]", "choose one there"));
+            return Err(Error::argument("--alpha-max", alpha.to_string(), "a number in (0, 1]", "choose one there"));
         }
         let path = scene_path(&self.scene)?;
         let page = if self.scene.is_dir() { self.scene.join(PAGE) } else { path.with_file_name(PAGE) };
         let out = self.out.unwrap_or(page);
         if !out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("html")) {
             let mend = "end the name in .html";
-            return Err(Error::config("--out", out.display().to_string(), "an .html file", mend));
+            return Err(Error::argument("--out", out.display().to_string(), "an .html file", mend));
         }
         let ply = ply::read(&path, &Limits::default())?;
         let beside = |name: &str| Some(path.with_file_name(name)).filter(|file| file.is_file());

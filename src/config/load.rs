@@ -29,7 +29,8 @@ impl Config {
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read; [`Error::Input`] for a fault in the file (syntax, unknown key, wrong
-    /// type, value out of range), naming line and key; [`Error::Config`] for the same in `sets`.
+    /// type, value out of range), naming line and key; [`Error::Config`] for the same in `sets`, and
+    /// [`Error::Argument`] for one of these that is no `section.key=value`.
     pub fn load(file: Option<&Path>, sets: &[String]) -> Result<Self> {
         let template = template()?;
         let text = match file {
@@ -76,14 +77,14 @@ impl Config {
     /// This config as TOML; [`Config::load`] of it gives the same config.
     ///
     /// # Errors
-    /// [`Error::Config`] when a value has no TOML form (a seed beyond 2^63 - 1).
+    /// [`Error::Argument`] when a value has no TOML form (a seed beyond 2^63 - 1).
     pub fn to_toml(&self) -> Result<String> {
         toml::to_string(self).map_err(|e| unrepresentable(&e))
     }
 }
 
 fn unrepresentable(error: &toml::ser::Error) -> Error {
-    Error::config("(all)", error.to_string(), "settings that TOML can hold", "check seed and paths")
+    Error::argument("settings", error.to_string(), "settings that TOML can hold", "check seed and paths")
 }
 
 /// Every key there is, optional ones included, with a value of its type.
@@ -155,7 +156,7 @@ fn flatten<'a>(
 
 fn parse_set<'a>(set: &str, template: &Table) -> Result<Given<'a>> {
     let Some((key, text)) = set.split_once('=') else {
-        return Err(Error::config("--set", set, "section.key=value", "for instance --set building.iterations=3000"));
+        return Err(Error::argument("--set", set, "section.key=value", "for instance --set building.iterations=3000"));
     };
     let (key, text) = (key.trim().to_owned(), text.trim());
     let expected = match lookup(template, &key) {

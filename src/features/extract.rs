@@ -42,8 +42,8 @@ pub struct FeatureSet {
 /// is told how many of how many steps are done.
 ///
 /// # Errors
-/// [`Error::Config`] for unusable settings or a scene without training views; what [`Extractor::open`] and
-/// [`Extractor::maps`] return. A cache that cannot be written is warned of, no more.
+/// [`Error::Config`] for unusable settings; [`Error::Argument`] for a scene without training views; what [`Extractor::open`]
+/// and [`Extractor::maps`] return. A cache that cannot be written is warned of, no more.
 pub fn extract(
     scene: &Scene,
     config: &FeatureConfig,
@@ -143,7 +143,7 @@ impl<'a> Reduction<'a> {
         }
         let Some(moments) = moments else {
             let found = format!("no training view in {}", scene.name);
-            return Err(Error::config("data", found, "one or more", "mend the splits"));
+            return Err(Error::argument("data", found, "one or more", "mend the splits"));
         };
         let again = kept.iter().filter(|maps| maps.is_none()).count();
         if again > 0 && config.cache_dir.is_none() && matches!(extractor, Extractor::Dino { .. }) {

@@ -101,11 +101,11 @@ impl FeatureMap {
     /// Checks that the sizes agree and every value is finite; `what` names the map in the error.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] with the first offending cell; [`Error::Config`] when the length is not `h * w * c`.
+    /// [`Error::NonFinite`] with the first offending cell; [`Error::Argument`] when the length is not `h * w * c`.
     pub fn check(&self, what: &str) -> Result<()> {
         let expected = self.height * self.width * self.channels;
         if self.data.len() != expected {
-            return Err(Error::config(
+            return Err(Error::argument(
                 what,
                 format!("{} values", self.data.len()),
                 format!("{expected} = {} x {} x {}", self.height, self.width, self.channels),

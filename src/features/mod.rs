@@ -69,9 +69,6 @@ impl Extractor {
     /// # Errors
     /// [`Error::Config`] when a needed path is not set; [`Error::Io`] and [`Error::Input`] for unusable weights.
     pub fn open(config: &FeatureConfig, device: &Device) -> Result<Self> {
-        if let (Some(dir), true) = (&config.import_dir, config.source != FeatureSource::Import) {
-            tracing::warn!("features.import_dir = {} is not read: features.source is not import", dir.display());
-        }
         match config.source {
             FeatureSource::Descriptor => Ok(Self::Descriptor),
             FeatureSource::Auto | FeatureSource::Mobilenetv2 => match &config.weights {

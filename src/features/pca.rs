@@ -30,7 +30,7 @@ impl Moments {
     /// Adds rows, `[n, channels]` row-major; `what` names them in errors.
     ///
     /// # Errors
-    /// [`Error::Config`] when `channels` is not the number this was made for; [`Error::NonFinite`] with the first row that
+    /// [`Error::Argument`] when `channels` is not the number this was made for; [`Error::NonFinite`] with the first row that
     /// holds a NaN or an infinity.
     pub fn add(&mut self, rows: &[f32], what: &str, channels: usize) -> Result<()> {
         check_channels(what, channels, self.mean.len())?;
@@ -148,7 +148,7 @@ impl Pca {
     /// `what` names the map in errors.
     ///
     /// # Errors
-    /// [`Error::Config`] when the map has another number of channels than the fit; [`Error::NonFinite`] on bad values.
+    /// [`Error::Argument`] when the map has another number of channels than the fit; [`Error::NonFinite`] on bad values.
     pub fn apply(&self, map: &FeatureMap, what: &str) -> Result<FeatureMap> {
         map.check(what)?;
         check_channels(what, map.channels, self.channels)?;
@@ -190,7 +190,7 @@ fn check_channels(what: &str, found: usize, expected: usize) -> Result<()> {
     if found == expected {
         return Ok(());
     }
-    Err(Error::config(
+    Err(Error::argument(
         what,
         format!("{found} channels"),
         format!("{expected} channels, as in the first training view"),

@@ -63,7 +63,7 @@ const BATCH: usize = 1000;
 /// Trains on `train`, scores on `test`; the same settings give the same bits.
 ///
 /// # Errors
-/// [`Error::Config`] when there is no labelled pixel or a view's maps are not like the others'.
+/// [`Error::Argument`] when there is no labelled pixel or a view's maps are not like the others'.
 pub fn linear_probe(
     classes: &Classes,
     train: &[ProbeView],
@@ -75,7 +75,7 @@ pub fn linear_probe(
         let found: usize = view.maps.iter().map(|m| m.channels).sum();
         if found != dimensions || dimensions == 0 {
             let (found, wanted) = (format!("{found} channels"), format!("{dimensions} (the first view's), not 0"));
-            return Err(Error::config("linear probe", found, wanted, "give every view the same maps"));
+            return Err(Error::argument("linear probe", found, wanted, "give every view the same maps"));
         }
     }
     let mut drawn = gather(classes, train, dimensions, |view, truth| {
@@ -89,7 +89,12 @@ pub fn linear_probe(
         rows.flat_map(|y| (step / 2..truth.width).step_by(step).map(move |x| y * truth.width + x)).collect()
     });
     if drawn.classes.is_empty() || scored.classes.is_empty() {
-        return Err(Error::config("linear probe", "no labelled pixel", "some in both splits", "give views with truth"));
+        return Err(Error::argument(
+            "linear probe",
+            "no labelled pixel",
+            "some in both splits",
+            "give views with truth",
+        ));
     }
     let (mean, scale) = spread(&drawn.values, dimensions);
     drawn.standardise(&mean, &scale);

@@ -15,8 +15,6 @@ const DEPTHS: usize = 24;
 const REACH: f64 = 4.0;
 /// Other views a depth is checked in, at most.
 const WITNESSES: usize = 12;
-/// Pixels tried until one is used by its photo's mask.
-const TRIES: usize = 32;
 /// Photos looked at side by side.
 const AT_ONCE: usize = 16;
 
@@ -27,13 +25,16 @@ const AT_ONCE: usize = 16;
 /// show the most similar colour (mean absolute difference). Pixels that masks leave out are not drawn, and show nothing. The
 /// focus distance is the median depth of the point nearest to all optical axes, or ten baselines where the axes are parallel.
 ///
-/// Empty when there is no view with pixels. Each photo is decoded twice at most, and a few are in memory at a time.
+/// Empty when there is no view with pixels that are used. Each photo is decoded twice at most, and a few are in memory at a time.
 ///
 /// # Errors
 /// Those of [`crate::data::Photo::pixels`].
 pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Points> {
     let views: Vec<&View> = views.iter().copied().filter(|v| v.camera.width > 0 && v.camera.height > 0).collect();
-    if views.is_empty() {
+    // Views that masks leave out altogether still tell the focus distance.
+    let used: Vec<usize> =
+        (0..views.len()).filter(|&i| views[i].mask.as_ref().is_none_or(|mask| mask.kept() > 0)).collect();
+    if used.is_empty() {
         return Ok(Points::default());
     }
     let focus = focus_distance(&views);
@@ -41,17 +42,15 @@ pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Poi
     // drawn in order, judged in parallel
     let mut drawn: Vec<Drawn> = (0..count)
         .map(|_| {
-            let view = rng.random_range(0..views.len());
+            let view = used[rng.random_range(0..used.len())];
             let View { camera, mask, .. } = views[view];
-            let mut pixel = || (rng.random_range(0..camera.width), rng.random_range(0..camera.height));
-            let (mut x, mut y) = pixel();
-            if let Some(mask) = mask {
-                let mut tries = 1;
-                while tries < TRIES && !mask.uses(y * camera.width + x) {
-                    (x, y) = pixel();
-                    tries += 1;
-                }
-            }
+            // By rank among the used ones: however few they are, each is drawn as often, and no other.
+            let ranked = mask.as_ref().and_then(|mask| {
+                let pixel = mask.nth(rng.random_range(0..mask.kept()))?;
+                Some((pixel % mask.width(), pixel / mask.width()))
+            });
+            let (x, y) =
+                ranked.unwrap_or_else(|| (rng.random_range(0..camera.width), rng.random_range(0..camera.height)));
             let offset = rng.random();
             Drawn { view, x: x as u32, y: y as u32, offset, color: [0; 3], differences: Vec::new() }
         })

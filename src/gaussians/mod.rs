@@ -115,10 +115,15 @@ impl Gaussians {
     /// Looks whether these are Gaussians: lengths agree, those of `labels` too, the degree is known, and every value is finite.
     ///
     /// # Errors
-    /// [`Error::Config`] for a length or degree; [`Error::NonFinite`] naming tensor and row.
+    /// [`Error::Argument`] for a length or degree; [`Error::NonFinite`] naming tensor and row.
     pub fn check(&self, labels: Option<&[u16]>) -> Result<()> {
         if self.sh_degree > 3 {
-            return Err(Error::config("gaussians.sh_degree", self.sh_degree.to_string(), "0 to 3", "lower the degree"));
+            return Err(Error::argument(
+                "gaussians.sh_degree",
+                self.sh_degree.to_string(),
+                "0 to 3",
+                "lower the degree",
+            ));
         }
         let n = self.len();
         let lengths = [
@@ -131,7 +136,12 @@ impl Gaussians {
         for (name, found, expected) in lengths {
             if found != expected {
                 let mend = "make all fields agree on the number of Gaussians";
-                return Err(Error::config(format!("gaussians.{name}"), found.to_string(), expected.to_string(), mend));
+                return Err(Error::argument(
+                    format!("gaussians.{name}"),
+                    found.to_string(),
+                    expected.to_string(),
+                    mend,
+                ));
             }
         }
         let tensors: [(&str, &[f32], usize); 5] = [

@@ -35,7 +35,7 @@ pub struct PlyScene {
 /// `labels` are class ids, one a Gaussian. Normals are zero. The file appears complete or not at all.
 ///
 /// # Errors
-/// [`Error::NonFinite`] naming tensor and row; [`Error::Config`] when `labels` or a field has the wrong length;
+/// [`Error::NonFinite`] naming tensor and row; [`Error::Argument`] when `labels` or a field has the wrong length;
 /// [`Error::Io`].
 pub fn write(path: &Path, gaussians: &Gaussians, origin: DVec3, labels: Option<&[u16]>) -> Result<()> {
     gaussians.check(labels)?;

@@ -29,7 +29,7 @@ impl ImageScores {
     /// over the windows that hold no other pixel. The same as [`ImageScores::of`] without a mask.
     ///
     /// # Errors
-    /// As [`crate::data::Photo::pixels`]; [`crate::Error::Config`] for a mask of another size than the photo.
+    /// As [`crate::data::Photo::pixels`]; [`crate::Error::Argument`] for a mask of another size than the photo.
     pub fn of_view(image: &[f32], view: &View) -> Result<Self> {
         view.check_mask()?;
         let (photo, width, height) = (view.rgb()?, view.image.width(), view.image.height());

@@ -45,7 +45,7 @@ impl RenderOptions {
             return Ok(());
         }
         let found = format!("background {r}, {g}, {b}, min_coverage {least}");
-        Err(Error::config("render options", found, "finite numbers", "pass a colour and a share"))
+        Err(Error::argument("render options", found, "finite numbers", "pass a colour and a share"))
     }
 }
 
@@ -78,7 +78,7 @@ impl Renderer {
     /// `gaussians` on `device`, and a label for each where there are any; positions in the coordinates of the cameras.
     ///
     /// # Errors
-    /// As [`Gaussians::check`]; [`Error::Config`] for options that are no numbers.
+    /// As [`Gaussians::check`]; [`Error::Argument`] for options that are no numbers.
     pub fn new(
         gaussians: Gaussians,
         labels: Option<Vec<u16>>,
@@ -99,7 +99,7 @@ impl Renderer {
     /// Renders with `options` from now on.
     ///
     /// # Errors
-    /// [`Error::Config`] for options that are no numbers.
+    /// [`Error::Argument`] for options that are no numbers.
     pub fn set_options(&mut self, options: RenderOptions) -> Result<()> {
         options.check()?;
         self.options = options;

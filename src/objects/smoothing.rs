@@ -39,13 +39,13 @@ impl<'a> NeighbourGraph<'a> {
     /// The graph of `k` neighbours over Gaussians at `means`, with image features `[N, D]` or none.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] naming the first bad row; [`Error::Config`] when `features` are of another number of Gaussians.
+    /// [`Error::NonFinite`] naming the first bad row; [`Error::Argument`] when `features` are of another number of Gaussians.
     pub fn new(means: &'a [[f32; 3]], features: &'a [f32], k: usize) -> Result<Self> {
         let n = means.len();
         if n == 0 || !features.len().is_multiple_of(n) {
             if !features.is_empty() {
                 let (found, expected) = (format!("{} numbers", features.len()), format!("a multiple of {n}"));
-                return Err(Error::config(
+                return Err(Error::argument(
                     "features of the neighbour graph",
                     found,
                     expected,
@@ -89,13 +89,13 @@ impl<'a> NeighbourGraph<'a> {
     /// any score take what their neighbours have.
     ///
     /// # Errors
-    /// [`Error::Config`] for identities of another number of Gaussians; [`Error::NonFinite`] for a negative score or none.
+    /// [`Error::Argument`] for identities of another number of Gaussians; [`Error::NonFinite`] for a negative score or none.
     pub fn diffused(&self, identities: &Identities, diffusion: &Diffusion) -> Result<Identities> {
         let classes = identities.classes;
         if identities.scores.len() != self.means.len() * classes {
             let (found, expected) = (identities.scores.len() / classes.max(1), self.means.len());
             let mend = "diffuse the identities of the graph's own Gaussians";
-            return Err(Error::config("identities", format!("{found} rows"), format!("{expected}"), mend));
+            return Err(Error::argument("identities", format!("{found} rows"), format!("{expected}"), mend));
         }
         if let Some(at) = identities.scores.iter().position(|s| !(s.is_finite() && *s >= 0.0)) {
             return Err(Error::non_finite("scores to diffuse", at / classes));

@@ -41,10 +41,10 @@ pub(crate) struct Viewpoint {
 
 impl Viewpoint {
     /// # Errors
-    /// [`Error::Config`] for an unusable camera.
+    /// [`Error::Argument`] for an unusable camera.
     pub fn new(camera: &Camera) -> Result<Self> {
         let bad = |field: &str, found: String, expected: &str| {
-            Err(Error::config(format!("camera.{field}"), found, expected, "pass a usable camera"))
+            Err(Error::argument(format!("camera.{field}"), found, expected, "pass a usable camera"))
         };
         let Camera { rotation, center, fx, fy, cx, cy, width, height } = camera;
         if !rotation.is_finite() || !center.is_finite() {

@@ -65,7 +65,7 @@ pub struct RasterOutput {
 /// includes the path of the viewing direction to the means.
 ///
 /// # Errors
-/// [`Error::Config`] for shapes or float types that disagree, neither `sh` nor `features`, or an SH degree above 3;
+/// [`Error::Argument`] for shapes or float types that disagree, neither `sh` nor `features`, or an SH degree above 3;
 /// [`Error::NonFinite`] for a NaN or an infinity in any input; otherwise as [`Projected::new`](super::Projected::new).
 pub fn rasterize(
     input: RasterInput,
@@ -123,18 +123,18 @@ fn run(
             return Ok(());
         }
         let (found, expected) = (format!("shape {found:?}"), format!("{expected:?}"));
-        Err(Error::config(format!("raster input {name}"), found, expected, "pass tensors of one scene"))
+        Err(Error::argument(format!("raster input {name}"), found, expected, "pass tensors of one scene"))
     };
     shape("means", &means.dims(), &[n, 3])?;
     shape("log_scales", &log_scales.dims(), &[n, 3])?;
     shape("rotations", &rotations.dims(), &[n, 4])?;
     if sh.is_none() && features.is_none() {
-        return Err(Error::config("raster input", "neither sh nor features", "at least one", "pass what to render"));
+        return Err(Error::argument("raster input", "neither sh nor features", "at least one", "pass what to render"));
     }
     let terms = sh.as_ref().map_or(1, |sh| sh.dims()[1]);
     if !matches!(terms, 1 | 4 | 9 | 16) {
         let found = format!("{terms} terms");
-        return Err(Error::config("raster input sh", found, "1, 4, 9 or 16", "pass (degree + 1)^2 terms"));
+        return Err(Error::argument("raster input sh", found, "1, 4, 9 or 16", "pass (degree + 1)^2 terms"));
     }
     if let Some(sh) = &sh {
         shape("sh", &sh.dims(), &[n, terms, 3])?;
@@ -148,7 +148,7 @@ fn run(
     }
     let dtype = means.dtype();
     if !matches!(dtype, DType::F32 | DType::F64) {
-        return Err(Error::config("raster input", format!("{dtype:?}"), "f32 or f64", "cast the tensors"));
+        return Err(Error::argument("raster input", format!("{dtype:?}"), "f32 or f64", "cast the tensors"));
     }
     let types = [
         ("log_scales", log_scales.dtype()),
@@ -160,7 +160,7 @@ fn run(
     ];
     if let Some((name, found)) = types.into_iter().find(|(_, found)| *found != dtype) {
         let (found, expected) = (format!("{found:?}"), format!("{dtype:?}, as the means have"));
-        return Err(Error::config(format!("raster input {name}"), found, expected, "cast the tensors"));
+        return Err(Error::argument(format!("raster input {name}"), found, expected, "cast the tensors"));
     }
     let call = Arc::new(RasterCall {
         camera: camera.clone(),

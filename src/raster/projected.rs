@@ -53,7 +53,8 @@ impl<E: Real> Projected<E> {
     /// whose projection overflows; [`Projected::stats`] counts them.
     ///
     /// # Errors
-    /// [`crate::Error::Config`] for array lengths that disagree, settings out of range, or an unusable camera;
+    /// [`crate::Error::Config`] for settings out of range; [`crate::Error::Argument`] for array lengths that disagree or an unusable
+    /// camera;
     /// [`crate::Error::NonFinite`] for a NaN or an infinity in `splats`; [`crate::Error::Limit`] for tile lists beyond 2^32.
     pub fn new(splats: &Splats<'_, E>, camera: &Camera, settings: &Settings) -> Result<Self> {
         settings.check()?;

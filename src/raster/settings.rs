@@ -72,7 +72,7 @@ impl<E: Real> Splats<'_, E> {
         self.opacity_logits.is_empty()
     }
 
-    /// [`Error::Config`] when the lengths disagree, [`Error::NonFinite`] for the first row with a NaN or an infinity.
+    /// [`Error::Argument`] when the lengths disagree, [`Error::NonFinite`] for the first row with a NaN or an infinity.
     pub(super) fn check(&self) -> Result<()> {
         let n = self.len();
         for (name, values, width) in [
@@ -82,7 +82,7 @@ impl<E: Real> Splats<'_, E> {
             ("opacity_logits", self.opacity_logits, 1),
         ] {
             if values.len() != n * width {
-                return Err(Error::config(
+                return Err(Error::argument(
                     format!("splats.{name}"),
                     format!("{} values", values.len()),
                     format!("{} ({n} opacity logits, {width} values each)", n * width),

@@ -35,7 +35,8 @@ impl Cloud<'_> {
     /// Positions in metres, z up, the median at the origin.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] naming the first bad row; [`Error::Config`] for an unusable scale or up direction.
+    /// [`Error::NonFinite`] naming the first bad row; [`Error::Config`] for an unusable scale; [`Error::Argument`] for an up
+    /// direction of no length.
     pub fn oriented(&self) -> Result<Vec<[f32; 3]>> {
         check_finite("positions to encode", self.positions)?;
         if !(self.scale.is_finite() && self.scale > 0.0) {
@@ -43,7 +44,7 @@ impl Cloud<'_> {
             return Err(Error::config("spatial.scale", self.scale.to_string(), expected, "give metres per world unit"));
         }
         let up = self.up.try_normalize().ok_or_else(|| {
-            Error::config("up", self.up.to_string(), "a finite direction", "give the direction that points up")
+            Error::argument("up", self.up.to_string(), "a finite direction", "give the direction that points up")
         })?;
         let turn = DQuat::from_rotation_arc(up, DVec3::Z);
         let turned: Vec<DVec3> =
@@ -85,27 +86,16 @@ pub struct Encoding {
     pub upsample: Vec<Arc<SparseMatrix>>,
 }
 
-impl Encoding {
-    /// Bytes held by features, neighbours and maps: what a cache of encodings is bounded by.
-    pub fn bytes(&self) -> usize {
-        let levels = self.levels.iter().chain([&self.coarsest]);
-        let levels: usize = levels
-            .map(|l| 4 * (l.features.shape().num_elements() + 4 * l.indices.len() + l.neighbours.indices.len()))
-            .sum();
-        levels + self.upsample.iter().map(|m| m.bytes()).sum::<usize>()
-    }
-}
-
 /// Encodes a cloud; `seed` decides the random sampling.
 ///
 /// Memory beyond the result is bounded: a few 2 MB tensors a thread, and 17 indices a point.
 ///
 /// # Errors
-/// [`Error::Config`] for an empty cloud, missing or miscounted colours, an unusable scale or up direction;
-/// [`Error::NonFinite`] naming the first bad row of the input, or of the features when the weights overflow.
+/// [`Error::Argument`] for an empty cloud, missing or miscounted colours; those of [`Cloud::oriented`]; [`Error::NonFinite`]
+/// naming the first bad row of the input, or of the features when the weights overflow.
 pub fn encode(encoder: &RandlaEncoder, cloud: &Cloud, seed: u64, device: &Device) -> Result<Encoding> {
     if cloud.positions.is_empty() {
-        return Err(Error::config(
+        return Err(Error::argument(
             "positions to encode",
             "none",
             "at least one point",
@@ -151,7 +141,7 @@ pub(crate) fn encoder_input(
             let values = positions.iter().zip(colors).flat_map(|(p, c)| p.iter().chain(c)).copied().collect();
             Ok(tensor(values, [points, 6], device))
         }
-        other => Err(Error::config(
+        other => Err(Error::argument(
             "colours to encode",
             other.map_or("none".into(), |c| format!("{} rows", c.len())),
             format!("{points} rows: these weights read xyz and rgb"),

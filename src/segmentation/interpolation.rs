@@ -12,7 +12,7 @@ pub const SOURCES: usize = 3;
 /// coarse points: as many as there are.
 ///
 /// # Errors
-/// [`crate::Error::NonFinite`] naming the first bad row; [`crate::Error::Config`] when `coarse` is empty and `fine` not.
+/// [`crate::Error::NonFinite`] naming the first bad row; [`crate::Error::Argument`] when `coarse` is empty and `fine` not.
 pub fn interpolation(coarse: &[[f32; 3]], fine: &[[f32; 3]]) -> Result<SparseMatrix> {
     let k = SOURCES.min(coarse.len()).max(1);
     let (neighbours, distances) = PointIndex::new(coarse)?.nearest(fine, k)?;

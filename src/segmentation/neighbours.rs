@@ -118,11 +118,11 @@ impl PointIndex {
     /// A set smaller than `k` repeats its members in that order; an empty one is an error.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] naming the first bad query; [`Error::Config`] when there are no points to find.
+    /// [`Error::NonFinite`] naming the first bad query; [`Error::Argument`] when there are no points to find.
     pub fn nearest(&self, queries: &[[f32; 3]], k: usize) -> Result<(Neighbours, Vec<f64>)> {
         check_finite("queries", queries)?;
         if self.is_empty() && k > 0 && !queries.is_empty() {
-            return Err(Error::config("points", "none", "at least one point", "give the search a point to find"));
+            return Err(Error::argument("points", "none", "at least one point", "give the search a point to find"));
         }
         let mut indices = vec![0; queries.len() * k];
         let mut distances = vec![0.0; queries.len() * k];
@@ -138,23 +138,6 @@ impl PointIndex {
             });
         }
         Ok((Neighbours { k, indices }, distances))
-    }
-
-    /// All points no farther than `radius` from `query`, ascending; none for values that are not finite.
-    pub fn within(&self, query: [f32; 3], radius: f64) -> Vec<u32> {
-        let query = wide(&query);
-        let Some(tree) = self.tree.as_ref().filter(|_| radius.is_finite() && query.iter().all(|v| v.is_finite()))
-        else {
-            return Vec::new();
-        };
-        let found = tree.query(&query).within::<SquaredEuclidean<f64>>(radius * radius).unsorted().execute();
-        let spans = found.iter().map(|hit| {
-            let group = hit.item as usize;
-            self.offsets[group] as usize..self.offsets[group + 1] as usize
-        });
-        let mut rows: Vec<u32> = spans.flat_map(|span| &self.members[span]).copied().collect();
-        rows.sort_unstable();
-        rows
     }
 
     /// Puts the nearest `k` points (fewer in a small set) into `found` as (squared distance, index), ascending.

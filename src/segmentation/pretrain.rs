@@ -86,7 +86,7 @@ struct Student {
 /// Trains an encoder from scratch.
 ///
 /// # Errors
-/// [`Error::Config`] for sizes that are zero or out of order, [`Error::NonFinite`] when the loss leaves the numbers.
+/// [`Error::Argument`] for sizes that are zero or out of order, [`Error::NonFinite`] when the loss leaves the numbers.
 pub fn pretrain(
     options: &PretrainOptions,
     device: &Device,
@@ -131,7 +131,7 @@ fn check(options: &PretrainOptions) -> Result<()> {
     let usable = options.rooms > 0 && options.steps > 0 && fewest > 0 && fewest <= most && most <= options.room_points;
     match usable && options.rooms + options.held_out <= ROOMS_PER_SEED as usize {
         true => Ok(()),
-        false => Err(Error::config(
+        false => Err(Error::argument(
             "pretrain",
             format!("{options:?}"),
             "rooms, steps, and 0 < fewest points <= most points <= points of a room",

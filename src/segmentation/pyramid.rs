@@ -49,7 +49,7 @@ impl Pyramid {
     /// cloud, `[N, D]`; each level reads the rows of its own points.
     ///
     /// # Errors
-    /// [`Error::Config`] when all features are off, or image features are on and missing or of another length.
+    /// [`Error::Argument`] when all features are off, or image features are on and missing or of another length.
     pub fn new(encoding: &Encoding, image: &[Tensor<2>], switches: Switches) -> Result<Self> {
         let points = encoding.levels[0].indices.len();
         Self::gathered(encoding, switches, |scale, rows| match image.get(scale) {
@@ -57,7 +57,7 @@ impl Pyramid {
             other => {
                 let (key, found) = (format!("image features of scale {}", scale + 1), other.map(Tensor::dims));
                 let mend = "unproject them first";
-                Err(Error::config(key, format!("{found:?}"), format!("{points} rows"), mend))
+                Err(Error::argument(key, format!("{found:?}"), format!("{points} rows"), mend))
             }
         })
     }
@@ -66,7 +66,7 @@ impl Pyramid {
     /// for the rows `rows` of the encoded cloud, `[rows, D]`. Nothing is asked for that no level reads.
     ///
     /// # Errors
-    /// [`Error::Config`] when all features are off; those of `image`.
+    /// [`Error::Argument`] when all features are off; those of `image`.
     pub fn gathered(
         encoding: &Encoding,
         switches: Switches,
@@ -74,7 +74,7 @@ impl Pyramid {
     ) -> Result<Self> {
         if !switches.image && !switches.spatial {
             let mend = "leave image or spatial features on";
-            return Err(Error::config("decoder inputs", "none", "image features, spatial features or both", mend));
+            return Err(Error::argument("decoder inputs", "none", "image features, spatial features or both", mend));
         }
         let device = encoding.coarsest.features.device();
         let count = if switches.single_scale.is_some() { 1 } else { encoding.levels.len() };

@@ -63,7 +63,7 @@ impl<E: Real> Sums<E> {
     /// (Gaussian, cell) weights, and nothing per pixel and channel.
     ///
     /// # Errors
-    /// [`Error::Config`] when maps or Gaussians do not match what this was made for; [`Error::NonFinite`] for maps with
+    /// [`Error::Argument`] when maps or Gaussians do not match what this was made for; [`Error::NonFinite`] for maps with
     /// such values; what [`crate::raster::Projected::new`] returns.
     pub fn add(
         &mut self,
@@ -80,7 +80,7 @@ impl<E: Real> Sums<E> {
     /// such a pixel. Counts are of these pixels, or cells, too.
     ///
     /// # Errors
-    /// As [`Sums::add`]; [`Error::Config`] for a mask of another size.
+    /// As [`Sums::add`]; [`Error::Argument`] for a mask of another size.
     pub fn add_used(
         &mut self,
         splats: &Splats<'_, E>,
@@ -163,7 +163,7 @@ fn of_cells(mask: &Mask, camera: &Camera, cells: &Camera) -> Mask {
 fn check(n: usize, channels: &[usize], gaussians: usize, maps: &[FeatureMap]) -> Result<()> {
     let found: Vec<usize> = maps.iter().map(|m| m.channels).collect();
     if found != channels {
-        return Err(Error::config(
+        return Err(Error::argument(
             "feature maps",
             format!("channels {found:?}"),
             format!("{channels:?}, one map a scale"),
@@ -172,12 +172,12 @@ fn check(n: usize, channels: &[usize], gaussians: usize, maps: &[FeatureMap]) ->
     }
     if gaussians != n {
         let (found, expected) = (format!("{gaussians} Gaussians"), format!("{n}"));
-        return Err(Error::config("unprojection", found, expected, "make new sums for another scene"));
+        return Err(Error::argument("unprojection", found, expected, "make new sums for another scene"));
     }
     for (scale, map) in maps.iter().enumerate() {
         map.check(&format!("feature map of scale {}", scale + 1))?;
         if map.cells() == 0 {
-            return Err(Error::config("feature map", "no cells", "one or more", "leave the view out"));
+            return Err(Error::argument("feature map", "no cells", "one or more", "leave the view out"));
         }
     }
     Ok(())
@@ -273,7 +273,7 @@ impl Unprojected {
 /// views' masks use. Where `device` is a GPU, the sums are made on it.
 ///
 /// # Errors
-/// [`Error::Config`] when views and features do not match, or a mask has another size than its view; what [`Sums::add`] returns.
+/// [`Error::Argument`] when views and features do not match, or a mask has another size than its view; what [`Sums::add`] returns.
 pub fn unproject<'a>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,
@@ -299,7 +299,12 @@ pub fn unproject_each<'a, F: Borrow<ViewFeatures>>(
 ) -> Result<Unprojected> {
     let (views, mut features): (Vec<&View>, _) = (views.collect(), features);
     let mismatch = |found: String, expected: String| {
-        Error::config("views of the unprojection", found, expected, "pass the views that features were extracted from")
+        Error::argument(
+            "views of the unprojection",
+            found,
+            expected,
+            "pass the views that features were extracted from",
+        )
     };
     let mut sums: Option<Lifting<'_>> = None;
     let mut lattices = Vec::with_capacity(views.len());

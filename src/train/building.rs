@@ -87,8 +87,8 @@ impl<'a> BuildingStage<'a> {
     /// Initial Gaussians from the scene's points, or in the camera frusta where it has none.
     ///
     /// # Errors
-    /// [`Error::Config`] for settings that cannot work, or a scene without training views; [`Error::NonFinite`] for
-    /// points that are not finite; those of [`crate::data::Photo::pixels`].
+    /// [`Error::Config`] for settings that cannot work; [`Error::Argument`] for a scene without training views;
+    /// [`Error::NonFinite`] for points that are not finite; those of [`crate::data::Photo::pixels`].
     pub fn new(scene: &'a Scene, config: &Config, device: &Device) -> Result<Self> {
         let train: Vec<&View> = scene.split(Split::Train).collect();
         check_settings(config)?;
@@ -99,22 +99,22 @@ impl<'a> BuildingStage<'a> {
     /// Goes on from a state, exactly as the run that it is of would have.
     ///
     /// # Errors
-    /// [`Error::Config`] for settings that cannot work or are not those of the state, or a scene without training views;
-    /// [`Error::Input`] when the state is of another scene; those of [`crate::data::Photo::pixels`].
+    /// [`Error::Config`] for settings that cannot work or are not those of the state; [`Error::Argument`] for a scene without
+    /// training views; [`Error::Input`] when the state is of another scene; those of [`crate::data::Photo::pixels`].
     pub fn from_state(scene: &'a Scene, config: &Config, device: &Device, state: BuildingState) -> Result<Self> {
         check_settings(config)?;
         let train: Vec<&View> = scene.split(Split::Train).collect();
         let test: Vec<&View> = scene.split(Split::Test).collect();
         if train.is_empty() {
             let found = format!("{} without training views", scene.name);
-            return Err(Error::config("data", found, "a scene with training views", "mark some views as `train`"));
+            return Err(Error::argument("data", found, "a scene with training views", "mark some views as `train`"));
         }
         if let Some(view) =
             train.iter().chain(&test).find(|v| (v.image.width(), v.image.height()) != (v.camera.width, v.camera.height))
         {
             let found = format!("{}x{} pixels in view {}", view.image.width(), view.image.height(), view.name);
             let expected = format!("{}x{} as its camera", view.camera.width, view.camera.height);
-            return Err(Error::config("data", found, expected, "resize the photo or mend the intrinsics"));
+            return Err(Error::argument("data", found, expected, "resize the photo or mend the intrinsics"));
         }
         train.iter().chain(&test).try_for_each(|view| view.check_mask())?;
         let provenance = Provenance::building(config, scene)?;

@@ -17,8 +17,8 @@ const MISPLACED: f64 = 15.0;
 /// photos. The run will write `scene_file`.
 ///
 /// # Errors
-/// Those of [`ply::read`]; [`Error::Input`] for a file without Gaussians; [`Error::Config`] for a scene without training views, a
-/// file that would be written over, and more Gaussians than `building.max_gaussians` has, where they are trained: trained ones
+/// Those of [`ply::read`]; [`Error::Input`] for a file without Gaussians; [`Error::Argument`] for a scene without training
+/// views; [`Error::Config`] for a file that would be written over, and more Gaussians than `building.max_gaussians` has, where they are trained: trained ones
 /// cannot be thinned as points can.
 pub(super) fn begin(path: &Path, scene: &Scene, config: &Config, scene_file: &Path) -> Result<Gaussians> {
     if atomic::same_file(path, scene_file) {
@@ -28,7 +28,7 @@ pub(super) fn begin(path: &Path, scene: &Scene, config: &Config, scene_file: &Pa
     }
     if scene.split(Split::Train).next().is_none() {
         let found = format!("{} without training views", scene.name);
-        return Err(Error::config("data", found, "a scene with training views", "mark some views as `train`"));
+        return Err(Error::argument("data", found, "a scene with training views", "mark some views as `train`"));
     }
     let ply::PlyScene { mut gaussians, origin, .. } = ply::read(path, &Limits::default())?;
     if gaussians.is_empty() {

@@ -60,14 +60,6 @@ impl RowOutcome {
     pub fn name(&self) -> &'static str {
         self.row.key()
     }
-
-    /// Labels of a view: rendered from the stored identities, or the raw labels themselves.
-    pub fn labels(&self, view: &View, projected: &Projected<f32>, inputs: &Inputs) -> Option<LabelMap> {
-        match &self.identities {
-            Some(identities) => Some(render_labels(projected, identities, inputs)),
-            None => view.raw.as_ref().map(LabelRuns::map),
-        }
-    }
 }
 
 impl Row {

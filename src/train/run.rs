@@ -136,6 +136,9 @@ pub fn load_scene(config: &Config) -> Result<Scene> {
 /// Those of loading, of both stages, and of writing; nothing written before is lost.
 pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Progress) -> Result<Outcome> {
     let start = Instant::now();
+    for notice in config.unread() {
+        tracing::warn!("{notice}");
+    }
     let scene = load_scene(config)?;
     let config = &match &config.segmentation.rows {
         None => {

@@ -246,7 +246,7 @@ fn join(encoding: &Encoding, points: Vec<u32>, flavour: Flavour, inputs: &Inputs
     let image = |scale: usize, rows: &[u32]| {
         let Some(seen) = &inputs.seen else {
             let mend = "unproject image features first, or leave them off";
-            return Err(Error::config("image features", "none", "those of every Gaussian", mend));
+            return Err(Error::argument("image features", "none", "those of every Gaussian", mend));
         };
         let (lifted, d) = (&seen.lifted[scale], seen.dimensions);
         let mut values = Vec::with_capacity(rows.len() * d);

@@ -122,19 +122,19 @@ impl Viewer<'_> {
     /// The page: 111 bytes a Gaussian of SH degree 3, and some 60 kB with a few views.
     ///
     /// # Errors
-    /// [`Error::Config`] for no Gaussian, fields or labels of another length, or an `alpha_max` or `up` out of range;
+    /// [`Error::Argument`] for no Gaussian, fields or labels of another length, or an `alpha_max` or `up` out of range;
     /// [`Error::NonFinite`].
     pub fn page(&self) -> Result<String> {
         self.gaussians.check(self.labels)?;
         if self.gaussians.is_empty() {
-            return Err(Error::config("gaussians", "none", "one or more", "name a scene that holds something"));
+            return Err(Error::argument("gaussians", "none", "one or more", "name a scene that holds something"));
         }
         if !(self.alpha_max > 0.0 && self.alpha_max <= 1.0) {
             let mend = "choose a value in that range";
-            return Err(Error::config("alpha_max", self.alpha_max.to_string(), "a number in (0, 1]", mend));
+            return Err(Error::argument("alpha_max", self.alpha_max.to_string(), "a number in (0, 1]", mend));
         }
         if let Some(up) = self.up.filter(|up| up.try_normalize().is_none()) {
-            return Err(Error::config("up", up.to_string(), "a direction", "name one, such as 0,0,1"));
+            return Err(Error::argument("up", up.to_string(), "a direction", "name one, such as 0,0,1"));
         }
         let unlabelled = vec![0; self.gaussians.len()];
         let all = inventory(self.gaussians, &unlabelled);

@@ -11,7 +11,8 @@ use std::ffi::OsString;
 use std::path::Path;
 use std::process::{Command, Output};
 
-fn coseg(arguments: &[&str]) -> Output {
+/// Runs the command.
+pub fn coseg(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_coseg")).args(arguments).output().unwrap()
 }
 

@@ -190,6 +190,73 @@ fn strategies_of_densification_have_defaults_and_needs_of_their_own() {
 }
 
 #[test]
+fn what_another_setting_leaves_unread_is_told() {
+    let unread = |sets: &[&str]| {
+        let config = load("", sets).unwrap();
+        // As a run lists its settings, those that nobody gave included.
+        assert_eq!(load(&config.to_toml().unwrap(), &[]).unwrap().unread(), config.unread());
+        config.unread()
+    };
+    let one = |sets: &[&str], parts: &[&str]| {
+        let told = unread(sets);
+        assert_eq!(told.len(), 1, "{sets:?}: {told:?}");
+        assert_names(&told[0], parts);
+    };
+    one(&["spatial.weights=w.pth"], &["spatial.weights = w.pth is not read", "spatial.source is not pretrained"]);
+    one(&["spatial.weights=w.pth", "spatial.source=random"], &["spatial.weights"]);
+    one(&["features.weights=w.pth", "features.source=descriptor"], &["features.weights = w.pth", "features.source is"]);
+    one(&["features.weights=w", "features.source=import", "features.import_dir=d"], &["features.weights"]);
+    one(&["features.import_dir=maps"], &["features.import_dir = maps", "features.source is not import"]);
+    let mcmc = ["building.strategy=mcmc", "building.max_gaussians=900"];
+    let usual = ["densify_threshold=2e-4", "clone_below=0.01", "prune_scale=0.1", "reset_every=1000"];
+    let other = ["densify_threshold=1e-3", "clone_below=0.02", "prune_scale=0.5", "reset_every=500"];
+    for (usual, other) in usual.into_iter().zip(other) {
+        let [usual, other] = [usual, other].map(|set| format!("building.{set}"));
+        assert!(unread(&[&mcmc[..], &[&usual]].concat()).is_empty() && unread(&[&other]).is_empty());
+        one(&[&mcmc[..], &[&other]].concat(), &[other.split_once('=').unwrap().0, "building.strategy is mcmc"]);
+    }
+    for read in [
+        vec![],
+        mcmc.to_vec(),
+        vec!["features.weights=w"],
+        vec!["features.weights=w", "features.source=dino"],
+        vec!["spatial.weights=w", "spatial.source=pretrained"],
+    ] {
+        assert_eq!(unread(&read), Vec::<String>::new());
+    }
+    for preset in [Preset::Default, Preset::Paper, Preset::Fast] {
+        assert!(Config::preset(preset).unread().is_empty());
+    }
+}
+
+#[test]
+fn a_run_warns_of_what_it_does_not_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let sets =
+        ["building.iterations=2", "building.max_gaussians=200", "segmentation.rows=[]", "spatial.weights=none.pth"];
+    let sets = sets.iter().flat_map(|set| ["--set", set]);
+    let arguments: Vec<&str> = ["train", "--out", crate::cli::utf8(&out)].into_iter().chain(sets).collect();
+    let output = crate::cli::coseg(&arguments);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        output.status.success() && said.contains("none.pth is not read: spatial.source is not pretrained"),
+        "{said}"
+    );
+}
+
+#[test]
+fn arguments_are_not_called_settings() {
+    let message = load("", &["building"]).unwrap_err();
+    assert!(message.starts_with("--set: found building"), "{message}");
+    let broken = coseg::gaussians::Gaussians { sh_degree: 9, ..Default::default() };
+    let message = broken.check(None).unwrap_err().to_string();
+    assert!(message.starts_with("gaussians.sh_degree: found 9, expected 0 to 3"), "{message}");
+    let message = load("", &["building.iterations=0"]).unwrap_err();
+    assert!(message.starts_with("setting building.iterations: found 0"), "{message}");
+}
+
+#[test]
 fn syntax_errors_name_the_line() {
     let error = load("seed = 1\n[building\n", &[]).unwrap_err();
     assert_names(&error, &["run.toml", "line 2", "[building"]);

@@ -152,8 +152,8 @@ fn switches_leave_features_out() {
     let single = Switches { single_scale: Some(3), ..Switches::default() };
     assert_eq!(count(single), (8 + spatial[0] + 1) * 64 + 65 * 6);
     let nothing = Switches { image: false, spatial: false, single_scale: None };
-    assert!(matches!(Pyramid::new(&encoding, &image, nothing), Err(Error::Config { .. })));
-    assert!(matches!(Pyramid::new(&encoding, &image[..2], Switches::default()), Err(Error::Config { .. })));
+    assert!(matches!(Pyramid::new(&encoding, &image, nothing), Err(Error::Argument { .. })));
+    assert!(matches!(Pyramid::new(&encoding, &image[..2], Switches::default()), Err(Error::Argument { .. })));
 }
 
 #[test]

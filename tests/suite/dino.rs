@@ -190,7 +190,7 @@ fn maps_of_any_image_size_cover_the_image() {
         });
         assert_eq!(net.maps(&whole).expect("maps"), maps);
     }
-    assert!(matches!(net.maps(&RgbImage::new(0, 5)), Err(Error::Config { .. })));
+    assert!(matches!(net.maps(&RgbImage::new(0, 5)), Err(Error::Argument { .. })));
 }
 
 #[test]

@@ -60,7 +60,7 @@ fn equals_brute_force_on_random_and_degenerate_clouds() {
 fn nothing_to_search_and_nothing_to_find() {
     let empty = PointIndex::new(&[]).expect("no points is fine");
     assert!(empty.is_empty() && empty.neighbours(16).is_empty());
-    assert!(matches!(empty.nearest(&[[0.0; 3]], 3), Err(Error::Config { .. })));
+    assert!(matches!(empty.nearest(&[[0.0; 3]], 3), Err(Error::Argument { .. })));
     assert!(empty.nearest(&[], 3).expect("no queries is fine").0.is_empty());
 }
 

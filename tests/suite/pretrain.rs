@@ -53,7 +53,7 @@ fn impossible_sizes_are_refused() {
         PretrainOptions { points: [2_000, 1_000], ..small() },
         PretrainOptions { points: [100, 2_000], ..small() },
     ] {
-        assert!(matches!(run(&options), Err(Error::Config { .. })), "{options:?}");
+        assert!(matches!(run(&options), Err(Error::Argument { .. })), "{options:?}");
     }
 }
 

@@ -277,7 +277,7 @@ fn tensors_of_two_float_types_are_refused() {
         screen: None,
     };
     match rasterize(input, &camera(8, 8), &Settings::default(), [0.0; 3]) {
-        Err(Error::Config { key, .. }) => assert_eq!(key, "raster input features"),
+        Err(Error::Argument { name, .. }) => assert_eq!(name, "raster input features"),
         other => panic!("{other:?}"),
     }
 }

@@ -135,10 +135,10 @@ fn hard_cases_and_bad_input() {
     x.scores[..CLASSES].fill(0.0);
     let found = graph.diffused(&x, &GENTLE).expect("fits");
     assert!(found.scores.iter().all(|v| v.is_finite()) && found.labels()[0].is_some(), "{found:?}");
-    assert!(matches!(NeighbourGraph::new(&cloud(9), &[0.0; 10], K), Err(Error::Config { .. })));
+    assert!(matches!(NeighbourGraph::new(&cloud(9), &[0.0; 10], K), Err(Error::Argument { .. })));
     assert!(matches!(NeighbourGraph::new(&cloud(9), &[f32::NAN; 9], K), Err(Error::NonFinite { .. })));
     assert!(matches!(NeighbourGraph::new(&[[f32::NAN; 3]; 9], &[], K), Err(Error::NonFinite { .. })));
-    assert!(matches!(graph.diffused(&identities(7), &GENTLE), Err(Error::Config { .. })));
+    assert!(matches!(graph.diffused(&identities(7), &GENTLE), Err(Error::Argument { .. })));
     x.scores[4] = -1.0;
     assert!(matches!(graph.diffused(&x, &GENTLE), Err(Error::NonFinite { .. })));
 }

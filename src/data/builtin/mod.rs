@@ -94,7 +94,7 @@ pub fn scene(seed: u64) -> Scene {
 /// A built-in scene of any size.
 ///
 /// # Errors
-/// [`Error::Config`] when there are no training views or a side of the image is 0 or above 8192 pixels.
+/// [`Error::Argument`] when there are no training views or a side of the image is 0 or above 8192 pixels.
 pub fn scene_with(options: &BuiltinOptions) -> Result<Scene> {
     for (key, value, low, high) in [
         ("builtin.width", options.width, 1, 8192),
@@ -103,7 +103,7 @@ pub fn scene_with(options: &BuiltinOptions) -> Result<Scene> {
         ("builtin.test_views", options.test_views, 0, 100_000),
     ] {
         if !(low..=high).contains(&value) {
-            return Err(Error::config(key, value.to_string(), format!("{low} to {high}"), "change the option"));
+            return Err(Error::argument(key, value.to_string(), format!("{low} to {high}"), "change the option"));
         }
     }
     Ok(assemble(options))

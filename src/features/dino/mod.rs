@@ -106,7 +106,7 @@ impl Vit {
     /// before the first block as 0, and after block n as n, up to block `last`. Returns the last ones.
     ///
     /// # Errors
-    /// [`Error::Config`] when the planes have another length or no pixel; [`Error::NonFinite`] when attention overflows;
+    /// [`Error::Argument`] when the planes have another length or no pixel; [`Error::NonFinite`] when attention overflows;
     /// what `visit` returns.
     pub fn forward(
         &self,
@@ -117,7 +117,7 @@ impl Vit {
     ) -> Result<Tokens> {
         if planes.len() != 3 * height * width || planes.is_empty() {
             let (found, expected) = (format!("{} values", planes.len()), format!("3 x {height} x {width}, not 0"));
-            return Err(Error::config("image of DINO", found, expected, "give three planes"));
+            return Err(Error::argument("image of DINO", found, expected, "give three planes"));
         }
         let mut tokens = self.embed(planes, height, width);
         visit(0, &tokens)?;
@@ -166,7 +166,7 @@ impl Vit {
     /// of the patch token, then those of the class token.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] when an activation is not finite; [`Error::Config`] for an image without pixels.
+    /// [`Error::NonFinite`] when an activation is not finite; [`Error::Argument`] for an image without pixels.
     pub fn maps(&self, image: &image::RgbImage) -> Result<[FeatureMap; SCALES]> {
         let (width, height) = (image.width() as usize, image.height() as usize);
         let mut planes = Vec::with_capacity(3 * width * height);

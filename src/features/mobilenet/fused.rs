@@ -209,12 +209,12 @@ impl FoldedNet {
     /// The four scales of a normalised image, planes `[3, height, width]`.
     ///
     /// # Errors
-    /// [`Error::Config`] when the planes have another length or no pixel; [`Error::NonFinite`] when an activation is not
+    /// [`Error::Argument`] when the planes have another length or no pixel; [`Error::NonFinite`] when an activation is not
     /// finite.
     pub fn forward(&self, planes: Vec<f32>, height: usize, width: usize) -> Result<[FeatureMap; SCALES]> {
         if planes.len() != 3 * height * width || planes.is_empty() {
             let (found, expected) = (format!("{} values", planes.len()), format!("3 x {height} x {width}, not 0"));
-            return Err(Error::config("image of MobileNetV2", found, expected, "give three planes"));
+            return Err(Error::argument("image of MobileNetV2", found, expected, "give three planes"));
         }
         let mut x = self.stem.stem(&Planes { height, width, data: planes });
         let mut maps: [FeatureMap; SCALES] = Default::default();

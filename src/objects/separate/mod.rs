@@ -5,19 +5,18 @@
 //! area are strays, and belong with the piece nearest to them.
 
 mod body;
+mod chains;
 mod naming;
+mod regions;
 
 use crate::data::Classes;
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::segmentation::neighbours::PointIndex;
 use body::Body;
+use chains::Chains;
 use naming::Naming;
-use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
-
-/// Bodies whose touching pairs are in memory at once.
-const BLOCK: usize = 1 << 16;
 
 /// What counts as touching, and as a thing.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,7 +56,7 @@ impl Separation {
     /// those in use, and a name with the next free number.
     ///
     /// # Errors
-    /// [`Error::Config`] for a rule out of its range; those of [`Gaussians::check`]; [`Error::Limit`] when ids run out.
+    /// [`Error::Argument`] for a rule out of its range; those of [`Gaussians::check`]; [`Error::Limit`] when ids run out.
     pub fn apply(
         &self,
         gaussians: &Gaussians,
@@ -98,7 +97,7 @@ impl Separation {
 
     fn check(&self) -> Result<()> {
         let fault = |key: &str, found: String, expected: &str| {
-            Err(Error::config(format!("separation {key}"), found, expected, "the default suits most scenes"))
+            Err(Error::argument(format!("separation {key}"), found, expected, "the default suits most scenes"))
         };
         if !(self.level > 0.0 && self.level < 1.0) {
             return fault("level", self.level.to_string(), "above 0 and below 1");
@@ -123,21 +122,21 @@ impl Separation {
         let at = |i: u32| gaussians.means[rows[i as usize] as usize];
         let points: Vec<[f32; 3]> = solid.iter().map(|&i| at(i)).collect();
         let bodies: Vec<Body> = bodies.into_iter().flatten().collect();
-        let mut chains = self.chains(&bodies, &points)?;
+        let mut chains = Chains::of(&bodies, &points, self.neighbours)?;
         // Area by chain, the chain being named by its first member.
-        let mut sizes: BTreeMap<usize, (f64, usize)> = BTreeMap::new();
-        for (k, body) in bodies.iter().enumerate() {
+        let mut sizes: BTreeMap<u32, (f64, usize)> = BTreeMap::new();
+        for (k, body) in (0..).zip(&bodies) {
             let (area, count) = sizes.entry(chains.first(k)).or_default();
             (*area, *count) = (*area + body.area, *count + 1);
         }
-        let mut order: Vec<(usize, (f64, usize))> = sizes.into_iter().collect();
+        let mut order: Vec<(u32, (f64, usize))> = sizes.into_iter().collect();
         order.sort_by(|(a, (large, _)), (b, (small, _))| small.total_cmp(large).then(a.cmp(b)));
         let (first, (largest, _)) = order[0];
         order.retain(|(of, (area, count))| *of == first || (*area >= self.smallest * largest && *count >= self.fewest));
-        let place: BTreeMap<usize, u32> = order.iter().zip(0..).map(|((first, _), place)| (*first, place)).collect();
+        let place: BTreeMap<u32, u32> = order.iter().zip(0..).map(|((first, _), place)| (*first, place)).collect();
         let (mut of, mut known, mut kept) = (vec![u32::MAX; rows.len()], Vec::new(), Vec::new());
         for (k, &i) in solid.iter().enumerate() {
-            if let Some(&piece) = place.get(&chains.first(k)) {
+            if let Some(&piece) = place.get(&chains.first(k as u32)) {
                 of[i as usize] = piece;
                 known.push(piece);
                 kept.push(points[k]);
@@ -150,57 +149,5 @@ impl Separation {
             of[i as usize] = known[at as usize];
         }
         Ok((order.len(), of))
-    }
-
-    /// Which of `bodies`, centred at `points`, hang together.
-    fn chains(&self, bodies: &[Body], points: &[[f32; 3]]) -> Result<Chains> {
-        let index = PointIndex::new(points)?;
-        let near = index.neighbours(self.neighbours.saturating_add(1).min(points.len()));
-        let mut chains = Chains::new(bodies.len());
-        let touching = |k: usize, others: &[u32]| -> Vec<(u32, u32)> {
-            let touched = others.iter().filter(|&&j| bodies[k].touches(&bodies[j as usize]));
-            touched.map(|&j| (k as u32, j)).collect()
-        };
-        // Block by block, so that not all pairs of a large label are in memory.
-        for block in (0..bodies.len()).step_by(BLOCK) {
-            let block = block..(block + BLOCK).min(bodies.len());
-            let pairs: Vec<_> = block.into_par_iter().map(|k| touching(k, &near.row(k)[1..])).collect();
-            pairs.into_iter().flatten().for_each(|(a, b)| chains.join(a as usize, b as usize));
-        }
-        // A large one may touch more than its nearest, which can all lie at one of its sides.
-        for (k, body) in bodies.iter().enumerate() {
-            let farthest = near.row(k).last().map_or(0.0, |&j| bodies[j as usize].center.distance(body.center));
-            if body.longest > farthest {
-                for j in index.within(points[k], body.longest) {
-                    let j = j as usize;
-                    if chains.first(j) != chains.first(k) && body.touches(&bodies[j]) {
-                        chains.join(k, j);
-                    }
-                }
-            }
-        }
-        Ok(chains)
-    }
-}
-
-/// Disjoint sets, each named by its smallest member.
-struct Chains(Vec<usize>);
-
-impl Chains {
-    fn new(n: usize) -> Self {
-        Self((0..n).collect())
-    }
-
-    fn first(&mut self, mut i: usize) -> usize {
-        while self.0[i] != i {
-            self.0[i] = self.0[self.0[i]];
-            i = self.0[i];
-        }
-        i
-    }
-
-    fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.first(a), self.first(b));
-        self.0[a.max(b)] = a.min(b);
     }
 }

@@ -159,8 +159,8 @@ fn check_size(gpu: &Gpu, what: &str, count: usize, bytes: usize) -> Result<()> {
 /// image nor its gradients when entries found no room or rows were not finite.
 ///
 /// # Errors
-/// [`Error::Config`] for settings out of range or an unusable camera, [`Error::Limit`] for what the device cannot hold,
-/// [`Error::Device`] when it fails.
+/// [`Error::Config`] for settings out of range, [`Error::Argument`] for an unusable camera, [`Error::Limit`] for what the device
+/// cannot hold, [`Error::Device`] when it fails.
 pub(super) fn forward(
     inputs: &Inputs,
     scenery: Scenery<'_>,

@@ -258,13 +258,13 @@ impl SplatView {
     /// `S = W s` of `values` `[N, C]`, the image `[H, W, C]` with gradient to them, and the transmittance `[H, W]` (Eq. 3-4).
     ///
     /// # Errors
-    /// [`Error::Config`] for tensors of different sizes or float types; those of [`Projected::new`]; on a GPU [`Error::Limit`]
+    /// [`Error::Argument`] for tensors of different sizes or float types; those of [`Projected::new`]; on a GPU [`Error::Limit`]
     /// for what the device cannot hold, and [`Error::Device`] when it fails, also in the backward pass of an earlier call.
     pub fn blend(&self, values: Tensor<2>) -> Result<(Tensor<3>, Tensor<2>)> {
         let (n, rows) = (self.splats.len(), values.dims()[0]);
         if rows != n {
             let (found, expected) = (format!("{rows} rows"), format!("{n}, one a Gaussian"));
-            return Err(Error::config("values to blend", found, expected, "pass values of these Gaussians"));
+            return Err(Error::argument("values to blend", found, expected, "pass values of these Gaussians"));
         }
         self.splats.check(values.dtype())?;
         let tensors = self.tensors(values.device().is_autodiff(), values.into_dispatch());
@@ -298,13 +298,13 @@ impl SplatView {
     /// `W^T y` of an image `y`, `[H, W, C]`: the adjoint of [`SplatView::blend`], without autodiff.
     ///
     /// # Errors
-    /// [`Error::Config`] for an image of another size than the camera has; as [`SplatView::blend`].
+    /// [`Error::Argument`] for an image of another size than the camera has; as [`SplatView::blend`].
     pub fn adjoint(&self, image: Tensor<3>) -> Result<Lifted> {
         let camera = self.camera();
         let [height, width, _] = image.dims();
         if [height, width] != [camera.height, camera.width] {
             let (found, expected) = (format!("{width}x{height}"), format!("{}x{}", camera.width, camera.height));
-            return Err(Error::config("image to lift", found, expected, "pass an image of the camera's size"));
+            return Err(Error::argument("image to lift", found, expected, "pass an image of the camera's size"));
         }
         self.splats.check(image.dtype())?;
         let (sums, counts) = Dispatch::frozen_adjoint(self.tensors(false, image.into_dispatch()), self.call.clone());

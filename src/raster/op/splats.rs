@@ -68,6 +68,6 @@ impl SplatTensors {
             return Ok(());
         }
         let (found, expected) = (format!("{shapes:?}, {types:?}"), format!("{expected:?}, all {dtype:?}"));
-        Err(Error::config("frozen Gaussians", found, expected, "pass tensors of one scene and one float type"))
+        Err(Error::argument("frozen Gaussians", found, expected, "pass tensors of one scene and one float type"))
     }
 }

@@ -50,7 +50,7 @@ impl<E: Real> Problem<'_, E> {
     /// Solves for the lifted maps `buffer` = `W^T U F`, `[N, channels]`, in `iterations` steps or fewer.
     ///
     /// # Errors
-    /// What [`Projected::new`] returns; [`crate::Error::Config`] for a mask of another size than its camera has.
+    /// What [`Projected::new`] returns; [`crate::Error::Argument`] for a mask of another size than its camera has.
     pub fn solve(&self, buffer: &[E], channels: usize, iterations: usize) -> Result<Solved<E>> {
         let per_weight = |values: &[E]| -> Vec<E> {
             let mut out = values.to_vec();
