@@ -102,13 +102,10 @@ impl BuildingStage<'_> {
             Strategy::Mcmc => self.relocated(old, &mut rng),
         };
         if map.is_empty() {
+            let name = format!("densification after {} steps", self.iteration);
             let found = format!("{} Gaussians, none of which is opaque and small enough to stay", old.len());
-            let expected = "Gaussians that the photos show";
-            let mend = format!(
-                "run `coseg data check` on the scene, whose poses are in doubt, or lower building.prune_opacity (after {} steps)",
-                self.iteration
-            );
-            return Err(Error::config("building", found, expected, mend));
+            let mend = "run `coseg data check` on the scene, whose poses are in doubt, or lower building.prune_opacity";
+            return Err(Error::argument(&name, found, "some that the photos show", mend));
         }
         self.tally = Tally::empty(map.len(), &self.device);
         self.parameters.rearrange(&Arc::new(map), values);
