@@ -11,7 +11,7 @@ fn main() -> ExitCode {
     let cli = commands::Cli::parse();
     commands::terminal::show_warnings(cli.verbose);
     match cli.command.run() {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => code,
         Err(error) => {
             commands::terminal::error(&error);
             ExitCode::FAILURE

@@ -7,6 +7,7 @@ mod data;
 mod edit;
 mod eval;
 mod faults;
+mod interrupt;
 mod labelled;
 mod object_scene;
 mod objects;
@@ -27,6 +28,7 @@ use coseg::config::{BUILTIN_SCENE, Config};
 use coseg::device::BackendName;
 use coseg::error::Result;
 use std::path::PathBuf;
+use std::process::ExitCode;
 use std::sync::LazyLock;
 
 /// Segmented 3D Gaussian scenes from posed photos and noisy 2D label maps.
@@ -68,7 +70,7 @@ Examples:
   coseg edit --scene runs/living --out without.ply --remove sofa
   coseg bench --run runs/living                speed on this machine, beside the bars of the design
 
-Exit code: 0 done, 1 an error that names what to mend, 2 a mistake on the command line.";
+Exit code: 0 done, 1 an error that names what to mend, 2 a mistake on the command line, 130 stopped by Ctrl-C.";
 
 /// The subcommands.
 #[derive(Debug, Subcommand)]
@@ -100,10 +102,10 @@ pub enum Command {
 }
 
 impl Command {
-    /// Runs the command.
-    pub fn run(self) -> Result<()> {
-        match self {
-            Self::Train(args) => args.run(),
+    /// Runs the command; a run that was stopped is no error, and not done either.
+    pub fn run(self) -> Result<ExitCode> {
+        let done = match self {
+            Self::Train(args) => return args.run(),
             Self::Data(args) => args.run(),
             Self::Eval(args) => args.run(),
             Self::Render(args) => args.run(),
@@ -115,7 +117,8 @@ impl Command {
             Self::Edit(args) => args.run(),
             Self::Pretrain(args) => args.run(),
             Self::Bench(args) => args.run(),
-        }
+        };
+        done.map(|()| ExitCode::SUCCESS)
     }
 }
 

@@ -1,7 +1,7 @@
 //! `coseg objects`: what a labelled scene holds, and what a pixel shows.
 
 use super::object_scene::{ObjectScene, ObjectSceneArgs};
-use super::scene_file::cameras_path;
+use super::scene_file::{cameras_path, raster_beside};
 use super::terminal;
 use clap::Args;
 use coseg::camera::Camera;
@@ -102,7 +102,8 @@ impl ObjectsArgs {
             return Err(Error::argument("--pixel", format!("{x},{y}"), expected, "choose a pixel of the frame"));
         }
         let camera = Camera { center: camera.center - scene.ply.origin, ..camera.clone() };
-        let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &Settings::default())?;
+        let settings = Settings::from(&raster_beside(&scene.path));
+        let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &settings)?;
         let picked = pick(&projected, &scene.ply.gaussians, &scene.labels, [x, y]);
         let world = |point: DVec3| point + scene.ply.origin;
         let line = match (picked, self.json) {

@@ -1,6 +1,6 @@
 //! The progress of training on a terminal: bars that carry held-out figures, or plain lines in a log.
 
-use super::terminal;
+use super::{interrupt, terminal};
 use coseg::train::progress::{CurvePoint, Event, Progress};
 use indicatif::ProgressBar;
 use std::time::Instant;
@@ -52,7 +52,18 @@ impl Bars {
     }
 }
 
+impl Drop for Bars {
+    /// A stage that was stopped, or met an error, leaves no bar behind.
+    fn drop(&mut self) {
+        self.clear();
+    }
+}
+
 impl Progress for Bars {
+    fn stop(&mut self) -> bool {
+        interrupt::asked()
+    }
+
     fn event(&mut self, event: &Event) {
         match event {
             Event::Started { stage, done, iterations } => {

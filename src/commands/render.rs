@@ -2,7 +2,7 @@
 
 use super::object_scene::ObjectScene;
 use super::render_path::PathArgs;
-use super::scene_file::{cameras_path, scene_path};
+use super::scene_file::{cameras_path, raster_beside, scene_path};
 use super::terminal;
 use clap::{Args, ValueEnum};
 use coseg::camera::Camera;
@@ -32,6 +32,8 @@ Cameras
   cameras.json     a run's, or that of graphdeco's 3DGS
   camera path      of nerfstudio's viewer, in its normalised coordinates as the PLY of its ns-export is
   DIR              a scene folder of any layout, or a run folder
+
+The config.toml of a run beside the scene says how splats are blended, so that pictures are those in its renders folder.
 
 Paths: frames path_0000, path_0001, ... and their cameras as cameras.json.
   --path interpolate  through the cameras in file order, of --split if given; turning on the spot takes frames too
@@ -74,10 +76,10 @@ pub struct RenderArgs {
     /// Render the labels too
     #[arg(long)]
     labels: bool,
-    /// Colour behind the scene, each 0 to 1
-    #[arg(long, value_name = "R,G,B", default_value = "0,0,0", value_parser = parse_color)]
-    background: [f32; 3],
-    /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99, gsplat 0.999 [default: 0.999]
+    /// Colour behind the scene, each 0 to 1 [default: the run's, or 0,0,0]
+    #[arg(long, value_name = "R,G,B", value_parser = parse_color)]
+    background: Option<[f32; 3]>,
+    /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99 [default: the run's, or 0.999]
     #[arg(long, value_name = "X")]
     alpha_max: Option<f64>,
     /// What renders: wgpu, flex, ndarray or cuda [default: the first in this build, cuda aside]
@@ -122,11 +124,9 @@ fn parse_size(text: &str) -> std::result::Result<[usize; 2], String> {
 impl RenderArgs {
     /// Renders every frame.
     pub fn run(self) -> Result<()> {
-        let mut settings = Settings::default();
-        settings.alpha_max = self.alpha_max.unwrap_or(settings.alpha_max);
-        if !(settings.alpha_max > 0.0 && settings.alpha_max <= 1.0) {
-            let mend = "0.999 is the default";
-            return Err(Error::argument("--alpha-max", settings.alpha_max.to_string(), "above 0, at most 1", mend));
+        if let Some(alpha) = self.alpha_max.filter(|alpha| !(*alpha > 0.0 && *alpha <= 1.0)) {
+            let mend = "leave it out for the run's, or 0.999";
+            return Err(Error::argument("--alpha-max", alpha.to_string(), "above 0, at most 1", mend));
         }
         let split = match self.split {
             SplitArg::Train => Some(Split::Train),
@@ -136,6 +136,9 @@ impl RenderArgs {
         let path = scene_path(&self.scene)?;
         let keys = cameras_path(self.cameras.as_deref(), &path)?;
         self.path.check(&self.out, &keys)?;
+        let mut raster = raster_beside(&path);
+        raster.alpha_max = self.alpha_max.unwrap_or(raster.alpha_max);
+        raster.background = self.background.unwrap_or(raster.background);
         let mut cameras = read_cameras(&keys, split)?;
         if let Some([width, height]) = self.size {
             cameras.iter_mut().for_each(|named| named.camera = named.camera.with_size(width, height));
@@ -163,7 +166,8 @@ impl RenderArgs {
         let is_path = along.is_some();
         let cameras = along.unwrap_or(cameras);
         let PlyScene { gaussians, origin, labels } = scene;
-        let options = RenderOptions { settings, background: self.background, ..RenderOptions::default() };
+        let (settings, background) = (Settings::from(&raster), raster.background);
+        let options = RenderOptions { settings, background, ..RenderOptions::default() };
         let labels = labels.filter(|_| self.labels);
         let mut renderer = Renderer::new(gaussians, labels, options, &device::open(self.backend)?)?;
         if is_path {

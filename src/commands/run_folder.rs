@@ -1,5 +1,6 @@
 //! What lies where in a run folder.
 
+use super::scene_file::CONFIG;
 use coseg::config::Config;
 use coseg::data::{Classes, atomic};
 use coseg::error::{Error, Result};
@@ -47,17 +48,22 @@ impl RunFolder {
         self.config_path().exists()
     }
 
-    /// Notes that `command` begins the run, or goes on with it, with the settings `config`.
+    /// Notes that `command` begins the run, or goes on with it, with the settings `config`. A new run has both at once, so that it can
+    /// be gone on with however it ends. One that was there may yet refuse these settings: it keeps its own until it is done.
     ///
     /// # Errors
     /// [`Error::Io`] naming the file; [`Error::Argument`] for settings that TOML cannot hold.
     pub fn begin(&self, config: &Config, command: Command) -> Result<Begun> {
-        let before = [self.config_path(), self.commands_path()].map(|path| std::fs::read(path).ok());
         // A run of before this file was kept has none; one that cannot be read says nothing.
-        let earlier = before[1].as_ref().and_then(|text| serde_json::from_slice::<Vec<Command>>(text).ok());
+        let earlier = std::fs::read(self.commands_path()).ok();
+        let earlier = earlier.and_then(|text| serde_json::from_slice::<Vec<Command>>(&text).ok());
         let commands: Vec<Command> = earlier.into_iter().flatten().chain([command]).collect();
-        let begun = Begun { run: self.clone(), before, commands };
-        begun.write(config).inspect_err(|_| begun.undo())?;
+        let begun = Begun { run: self.clone(), anew: !self.is_used(), commands };
+        if begun.anew {
+            let config = config.to_toml()?;
+            let written = atomic::write_bytes(self.config_path(), config.as_bytes()).and_then(|()| begun.keep());
+            written.inspect_err(|_| begun.undo())?;
+        }
         Ok(begun)
     }
 
@@ -74,7 +80,7 @@ impl RunFolder {
 
     /// Settings as run.
     pub fn config_path(&self) -> PathBuf {
-        self.0.join("config.toml")
+        self.0.join(CONFIG)
     }
 
     /// The command lines that the run is of.
@@ -131,43 +137,39 @@ impl RunFolder {
     }
 }
 
-/// A run that has begun, or goes on, and what its folder held before.
+/// A run that has begun, or goes on.
 #[derive(Debug)]
 pub struct Begun {
     run: RunFolder,
-    /// `config.toml` and `commands.json`.
-    before: [Option<Vec<u8>>; 2],
+    /// Whether there was none before.
+    anew: bool,
     /// The command lines that the run is of, this one the last.
     pub commands: Vec<Command>,
 }
 
 impl Begun {
-    fn write(&self, config: &Config) -> Result<()> {
-        atomic::write_bytes(self.run.config_path(), config.to_toml()?.as_bytes())?;
+    /// Writes the command lines, once the run has gone on.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file.
+    pub fn keep(&self) -> Result<()> {
         let path = self.run.commands_path();
         let text = serde_json::to_string_pretty(&self.commands).map_err(|e| Error::io(&path, "encode", e.into()))?;
         atomic::write_bytes(&path, text.as_bytes())
     }
 
-    /// Puts back what the folder held, after an error: a run that was there did not go on. Where there was none, and training has
-    /// not begun, input was at fault, and the folder is free for another try.
+    /// Frees the folder of a new run for another try after an error, where training has not begun: input was at fault.
     pub fn undo(&self) {
-        let [config, commands] = [self.run.config_path(), self.run.commands_path()];
         let checkpoints = self.run.0.join("checkpoint");
         let started = std::fs::read_dir(&checkpoints).is_ok_and(|mut files| files.next().is_some());
-        if self.before[0].is_none() && started {
+        if !self.anew || started {
             return;
         }
-        // The error that led here is told; what cannot be put back or removed does no harm.
-        for (path, before) in [config, commands].iter().zip(&self.before) {
-            let _ = match before {
-                Some(text) => atomic::write_bytes(path, text),
-                None => std::fs::remove_file(path).map_err(|e| Error::io(path, "remove", e)),
-            };
+        // The error that led here is told; what cannot be removed does no harm.
+        for path in [self.run.config_path(), self.run.commands_path()] {
+            let _ = atomic::remove(path);
         }
-        if self.before[0].is_none() {
-            let _ = std::fs::remove_dir(&checkpoints);
-            let _ = std::fs::remove_dir(&self.run.0);
-        }
+        let _ = std::fs::remove_dir(&checkpoints);
+        let _ = std::fs::remove_dir(&self.run.0);
     }
 }

@@ -1,9 +1,12 @@
 //! Where a scene and its cameras lie: in files, or in the folder that `coseg train` wrote.
 
+use coseg::config::{Config, RasterConfig};
 use coseg::data::atomic;
 use coseg::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
+/// The settings of a run folder.
+pub const CONFIG: &str = "config.toml";
 /// The scene of a run folder.
 const SCENE: &str = "scene.ply";
 /// The cameras of a run folder.
@@ -64,6 +67,19 @@ pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
             Err(Error::argument("--cameras", "nothing", expected, mend))
         }
     }
+}
+
+/// The raster settings of the run that the scene `scene` lies in, as its config.toml has them; else the defaults. Files of other
+/// programs are called so too: one without such settings says nothing, and one that cannot be used is warned of, since the scene can
+/// be looked at all the same.
+pub fn raster_beside(scene: &Path) -> RasterConfig {
+    let file = scene.with_file_name(CONFIG);
+    if !file.is_file() {
+        return RasterConfig::default();
+    }
+    let read = Config::raster_of(&file);
+    let read = read.inspect_err(|error| tracing::warn!("the scene is rendered with default raster settings: {error}"));
+    read.ok().flatten().unwrap_or_default()
 }
 
 /// Copies the cameras beside the scene `from` beside the scene `to`, where there are some and none yet.

@@ -3,11 +3,11 @@
 use super::progress::Bars;
 use super::run_folder::RunFolder;
 use super::scene_file::scene_path;
-use super::{Settings, terminal};
+use super::{Settings, interrupt, terminal};
 use clap::Args;
 use coseg::camera::Camera;
 use coseg::config::{Config, Row};
-use coseg::data::{self, LoadOptions, NamedCamera, Split, View, transforms};
+use coseg::data::{self, LoadOptions, NamedCamera, Split, View, atomic, transforms};
 use coseg::device::{self, BackendName};
 use coseg::error::Result;
 use coseg::gaussians::ply;
@@ -17,6 +17,7 @@ use coseg::viewer::Viewer;
 use glam::DVec3;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::process::ExitCode;
 
 const HELP: &str = "\
 Stage one builds Gaussians from the photos; stage two learns from the raw label maps what each of them belongs to.
@@ -31,6 +32,9 @@ The run folder gets
   config.toml    all settings as run
   renders/       held-out views: colour, labels, error maps
   checkpoint/    what --resume goes on from
+
+Ctrl-C, or SIGTERM, saves a checkpoint and stops after the step; a second one stops at once. The report and all else that
+shows results is written when the run is done.
 
 Settings come from the preset (preset = \"default\", \"paper\" or \"fast\"), then --config, then --set; sections are
 data, association, building, raster, features, unprojection, spatial and segmentation. Relative paths are meant from the working
@@ -73,8 +77,8 @@ pub struct TrainArgs {
 }
 
 impl TrainArgs {
-    /// Trains, or goes on training, and writes the run folder.
-    pub fn run(mut self) -> Result<()> {
+    /// Trains, or goes on training, and writes the run folder, unless it is stopped before.
+    pub fn run(mut self) -> Result<ExitCode> {
         if let Some(path) = &self.scene {
             // Ahead of what `--set` says. All Gaussians of the file come back.
             let sets = ["building.iterations=0", "building.max_gaussians=0", "unprojection.attendance=0"];
@@ -103,13 +107,23 @@ impl TrainArgs {
         let device_text = format!("{backend} backend, {} threads", rayon::current_num_threads());
         terminal::note(&format!("{} -> {} ({device_text})", scene_name(&config), run.path().display()));
 
+        interrupt::watch();
         let version = env!("CARGO_PKG_VERSION").to_owned();
         let begun = run.begin(&config, Command { line: command_line(), device: device_text, version })?;
         let outcome = train::run(&config, run.path(), &device, &mut Bars::default());
         let outcome = outcome.inspect_err(|_| begun.undo())?;
+        begun.keep()?;
+        if outcome.stopped {
+            terminal::note(&format!("stopped; go on with: {}", self.resume_line(&run)));
+            return Ok(ExitCode::from(interrupt::EXIT));
+        }
         let config = &outcome.config;
         let labels = outcome.stored().map(|(_, identities)| identities);
         let ids = labels.map(|identities| identities.ids(&outcome.scene.classes));
+        if labels.is_none() {
+            // Those of an earlier result, which had other rows.
+            atomic::remove(run.identities_path())?;
+        }
         ply::write(&run.scene_path(), &outcome.gaussians, outcome.scene.origin, ids.as_deref())?;
         let cameras = cameras_of(&outcome);
         transforms::write_cameras(&run.cameras_path(), &cameras)?;
@@ -153,7 +167,19 @@ impl TrainArgs {
         summary(&outcome);
         terminal::say(&format!("report: {}", run.report_path().display()));
         terminal::say(&format!("viewer: {}", run.viewer_path().display()));
-        Ok(())
+        Ok(ExitCode::SUCCESS)
+    }
+
+    /// The command line that goes on with `run`. Settings that a finished run is gone on with are its own only once it is done again.
+    fn resume_line(&self, run: &RunFolder) -> String {
+        let mut words = ["coseg", "train", "--resume"].map(str::to_owned).to_vec();
+        words.push(run.path().display().to_string());
+        if self.resume.is_some() {
+            words.extend(self.data.iter().flat_map(|dir| ["--data".to_owned(), dir.display().to_string()]));
+            words.extend(self.settings.sets.iter().flat_map(|set| ["--set".to_owned(), set.clone()]));
+        }
+        words.extend(self.backend.iter().flat_map(|name| ["--backend".to_owned(), name.to_string()]));
+        words.into_iter().map(quoted).collect::<Vec<_>>().join(" ")
     }
 }
 
@@ -174,9 +200,13 @@ fn scene_name(config: &Config) -> String {
 
 /// This command line, quoted where a shell would need it.
 fn command_line() -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=,:+".contains(c);
-    let quoted = |arg: String| if arg.chars().all(plain) { arg } else { format!("'{}'", arg.replace('\'', "'\\''")) };
     std::iter::once("coseg".to_owned()).chain(std::env::args().skip(1).map(quoted)).collect::<Vec<_>>().join(" ")
+}
+
+/// A word of a command line as a shell takes it.
+fn quoted(word: String) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=,:+".contains(c);
+    if word.chars().all(plain) { word } else { format!("'{}'", word.replace('\'', "'\\''")) }
 }
 
 /// The headline figures, for those who do not open the page.

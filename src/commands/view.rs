@@ -1,12 +1,11 @@
 //! `coseg view`: a scene as a page for the browser.
 
-use super::scene_file::{cameras_path, scene_path};
+use super::scene_file::{cameras_path, raster_beside, scene_path};
 use super::terminal;
 use clap::Args;
 use coseg::data::{Classes, Limits, read_cameras};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply;
-use coseg::raster::Settings;
 use coseg::viewer::Viewer;
 use glam::DVec3;
 use std::path::{Path, PathBuf};
@@ -48,7 +47,7 @@ pub struct ViewArgs {
     /// Which way is up in the world, such as 0,0,1 [default: as the cameras have it, or 0,-1,0 without them]
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_direction, allow_hyphen_values = true)]
     up: Option<DVec3>,
-    /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99, gsplat 0.999 [default: 0.999]
+    /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99 [default: the run's, or 0.999]
     #[arg(long, value_name = "X")]
     alpha_max: Option<f64>,
 }
@@ -83,7 +82,7 @@ impl ViewArgs {
             classes: &classes,
             cameras: &cameras,
             up: self.up,
-            alpha_max: self.alpha_max.unwrap_or(Settings::default().alpha_max),
+            alpha_max: self.alpha_max.unwrap_or_else(|| raster_beside(&path).alpha_max),
         };
         viewer.write(&out)?;
         terminal::say(&format!("{}: open it in a browser", out.display()));

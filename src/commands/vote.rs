@@ -3,6 +3,7 @@
 use super::labelled::LabelledArgs;
 use super::terminal;
 use clap::Args;
+use coseg::config::Association;
 use coseg::data::{LabelRuns, Split};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply;
@@ -12,7 +13,8 @@ use coseg::raster::{self, Projected};
 
 const HELP: &str = "\
 Each Gaussian takes the class with the largest summed alpha' T over the raw labels of the training views. Writes
-scene.ply with a label column, and classes.json. Where test views have true labels, prints the scores.
+scene.ply with a label column, and classes.json. Where test views have true labels, prints the scores. Ids that mean
+something in their view alone, as those of instance masks, are for `coseg associate`.
 
 Example:
   coseg vote --scene scene.ply --data scenes/living --out runs/voted --set data.raw_labels=labels_raw";
@@ -29,6 +31,11 @@ impl VoteArgs {
     /// Votes, writes and scores.
     pub fn run(self) -> Result<()> {
         let config = self.input.config()?;
+        if config.data.association != Association::None {
+            let expected = "\"none\": a vote takes the ids of raw labels for classes, the same in every view";
+            let mend = "use `coseg associate`, which makes objects of segments and votes for these";
+            return Err(Error::config("data.association", "\"gaussians\"", expected, mend));
+        }
         let raster = raster::Settings::from(&config.raster);
         let (scene, ply) = self.input.read(&config)?;
         if !scene.split(Split::Train).any(|v| v.raw.is_some()) {

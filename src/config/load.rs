@@ -1,6 +1,6 @@
 //! From files and `--set` overrides to a checked [`Config`], and back to TOML.
 
-use super::{Config, Preset};
+use super::{Config, Preset, RasterConfig};
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
@@ -45,12 +45,24 @@ impl Config {
         for set in sets {
             given.push(parse_set(set, &template)?);
         }
-        let mut config = Self::preset(chosen_preset(&given)?);
-        for one in &given {
-            config = apply(&config, one)?;
+        from_given(&given)
+    }
+
+    /// The `[raster]` section of the settings file at `path`, over what its preset says; none where the file has no such section.
+    /// Other sections are not looked at: what another version wrote there is no obstacle.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn raster_of(path: &Path) -> Result<Option<RasterConfig>> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        let mut table = text.parse::<Table>().map_err(|e| syntax_error(path, &text, &e))?;
+        if !table.get("raster").is_some_and(Value::is_table) {
+            return Ok(None);
         }
-        config.validate().map_err(|error| in_file(error, &given))?;
-        Ok(config)
+        let kept = ["preset", "raster"].into_iter().filter_map(|key| Some((key.to_owned(), table.remove(key)?)));
+        let mut given = Vec::new();
+        flatten(kept.collect(), "", &template()?, Origin::File(path, &text), &mut given)?;
+        Ok(Some(from_given(&given)?.raster))
     }
 
     /// This config with paths that do not depend on the working folder.
@@ -81,6 +93,16 @@ impl Config {
     pub fn to_toml(&self) -> Result<String> {
         toml::to_string(self).map_err(|e| unrepresentable(&e))
     }
+}
+
+/// The preset that `given` chooses, with each of its values, checked.
+fn from_given(given: &[Given<'_>]) -> Result<Config> {
+    let mut config = Config::preset(chosen_preset(given)?);
+    for one in given {
+        config = apply(&config, one)?;
+    }
+    config.validate().map_err(|error| in_file(error, given))?;
+    Ok(config)
 }
 
 fn unrepresentable(error: &toml::ser::Error) -> Error {

@@ -73,6 +73,18 @@ fn sync_folder(_: &Path) -> Result<()> {
     Ok(())
 }
 
+/// Removes the file at `path`, if there is one.
+///
+/// # Errors
+/// [`Error::Io`] naming `path`.
+pub fn remove(path: impl AsRef<Path>) -> Result<()> {
+    let path = path.as_ref();
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(Error::io(path, "remove", error)),
+        _ => Ok(()),
+    }
+}
+
 /// Whether two names are of one file that is there: what is read must not be written over.
 pub fn same_file(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)

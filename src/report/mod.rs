@@ -57,7 +57,8 @@ pub struct HeldOutView<'a> {
 
 impl HeldOutView<'_> {
     /// Writes its pictures into `dir`: `STEM.rgb.png`, `STEM.rgb_error.png` and, with labels, `STEM.label.png` (ids),
-    /// `STEM.label_color.png` (with a legend) and `STEM.label_error.png` (with truth).
+    /// `STEM.label_color.png` (with a legend) and `STEM.label_error.png` (with truth). Those of an earlier result that this one has
+    /// nothing to show in are removed.
     ///
     /// # Errors
     /// [`Error::Io`] naming the file that could not be written; those of [`crate::data::Photo::pixels`].
@@ -72,13 +73,15 @@ impl HeldOutView<'_> {
         };
         save("rgb", &rgb)?;
         save("rgb_error", &self.color_error(&rgb)?)?;
-        let Some((_, labels)) = self.stored() else { return Ok(()) };
+        let Some((_, labels)) = self.stored() else {
+            return ["label", "label_color", "label_error"].into_iter().try_for_each(|kind| atomic::remove(file(kind)));
+        };
         labels.write(&file("label"))?;
         let colored = pictures::colored(labels, classes);
         save("label_color", &pictures::with_legend(&colored, labels, classes))?;
         match &self.view.truth {
             Some(truth) => save("label_error", &pictures::label_error(labels, &truth.map(), classes.ignore)),
-            None => Ok(()),
+            None => atomic::remove(file("label_error")),
         }
     }
 

@@ -45,7 +45,7 @@ pub enum Event {
         /// After this iteration.
         iteration: usize,
     },
-    /// The stage is done.
+    /// The stage is done; of one that was stopped before its end nothing is told.
     Finished,
 }
 
@@ -71,7 +71,8 @@ pub trait Progress {
     /// Called after each event.
     fn event(&mut self, event: &Event);
 
-    /// Asked after each iteration; true ends the run there, after a checkpoint.
+    /// Asked after each iteration and between the parts of a run; true ends the run there. What was trained is in a checkpoint then,
+    /// but for a trial of learning rates, which begins anew.
     fn stop(&mut self) -> bool {
         false
     }

@@ -35,7 +35,7 @@ pub type Fresh<'m, 'a> = &'m mut dyn FnMut(f64, &TrainingViews) -> Result<Box<dy
 /// The rate that does best of `base` times `segmentation.lr_trials`: a fresh `model` is trained for each, a quarter as
 /// long as the row will be, without every eighth training view; it is scored by its accuracy on the raw labels of those.
 ///
-/// The choice is kept at `path`, where a resumed run finds it.
+/// The choice is kept at `path`, where a resumed run finds it. None where `progress` said stop before there was one.
 ///
 /// # Errors
 /// Those of training and of the file.
@@ -47,17 +47,18 @@ pub fn choose_rate<'a>(
     path: &Path,
     model: Fresh<'_, 'a>,
     progress: &mut dyn Progress,
-) -> Result<Rate> {
+) -> Result<Option<Rate>> {
     let factors = &inputs.config.segmentation.lr_trials;
     if factors.len() < 2 || views.len() < 2 {
-        return Ok(Rate { rate: base * factors.first().copied().unwrap_or(1.0), seconds: None, earlier: 0.0 });
+        let rate = base * factors.first().copied().unwrap_or(1.0);
+        return Ok(Some(Rate { rate, seconds: None, earlier: 0.0 }));
     }
     if path.is_file() {
         let checkpoint = Checkpoint::load(path, KIND)?;
         let (of, from, rate): (Vec<f64>, f64, f64) = checkpoint.get("choice")?;
         if (&of, from) == (factors, base) {
             let seconds: Option<f64> = checkpoint.get("seconds").ok();
-            return Ok(Rate { rate, seconds, earlier: seconds.unwrap_or(0.0) });
+            return Ok(Some(Rate { rate, seconds, earlier: seconds.unwrap_or(0.0) }));
         }
     }
     let trial = Plan { iterations: ((plan.iterations as f64 * TRIAL_SHARE).ceil() as usize).max(1), ..plan.clone() };
@@ -73,6 +74,10 @@ pub fn choose_rate<'a>(
             let loss = f64::from(train_step(model.as_mut(), views, &trial, &mut recalls, iteration)?);
             let iteration = tried * trial.iterations + iteration + 1;
             progress.event(&Event::Step { iteration, loss, gaussians });
+            if progress.stop() {
+                views.hold_back(None);
+                return Ok(None);
+            }
         }
         let score = raw_accuracy(&model.identities()?, views, inputs)?;
         if score > best.0 {
@@ -86,7 +91,7 @@ pub fn choose_rate<'a>(
     checkpoint.set("choice", &(factors, base, best.1))?;
     checkpoint.set("seconds", &seconds)?;
     checkpoint.save(path)?;
-    Ok(Rate { rate: best.1, seconds: Some(seconds), earlier: 0.0 })
+    Ok(Some(Rate { rate: best.1, seconds: Some(seconds), earlier: 0.0 }))
 }
 
 /// Share of the labelled pixels of the views held back on which rendered and raw label agree.

@@ -4,7 +4,7 @@ use super::compactness::Compacting;
 use super::progress::{CurvePoint, Progress};
 use super::provenance::Provenance;
 use super::rates::{Rate, choose_rate};
-use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Source, TrainingViews, train};
+use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Session, Source, TrainingViews, train};
 use super::segmentation_inputs::{Inputs, Spatial};
 use crate::config::{Association, LabelLoss, Prior, Row, SegmentationConfig};
 use crate::data::{LabelMap, LabelRuns, Split, View};
@@ -183,9 +183,21 @@ pub struct TrainedRows {
     pub spatial: String,
     /// Seconds of training that earlier parts of a resumed run took.
     pub earlier: f64,
+    /// Whether `progress` said stop before all rows were done.
+    pub stopped: bool,
 }
 
-/// Trains and scores the configured rows in order.
+/// A row, trained as far as `progress` let it.
+struct Trained {
+    /// Has neither identities nor scores where it was stopped before its end.
+    outcome: RowOutcome,
+    /// Seconds of training that earlier parts of a resumed run took.
+    earlier: f64,
+    /// Whether it came to its end.
+    whole: bool,
+}
+
+/// Trains and scores the configured rows in order, until `progress` says stop.
 ///
 /// # Errors
 /// Those of training, of the encoder's weights, and of checkpoints.
@@ -195,7 +207,7 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
     let mut views = inputs.training_views();
     let compacting = Compacting::new(inputs)?;
     let mut spatial = Spatial::default();
-    let (mut rows, mut earlier) = (Vec::new(), 0.0);
+    let (mut rows, mut earlier, mut stopped) = (Vec::new(), 0.0, false);
     for &row in config.rows() {
         let outcome = match row {
             Row::Raw => held_out.score_raw(inputs),
@@ -207,9 +219,14 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
                 RowOutcome { identities: Some(identities), agreement: Some(votes.agreement()), ..scores.of(row) }
             }
             _ => {
-                let (outcome, before) =
+                let Trained { outcome, earlier: before, whole } =
                     trained(row, inputs, &mut views, &mut spatial, &held_out, checkpoints, progress)?;
                 earlier += before;
+                if !whole {
+                    rows.push(outcome);
+                    stopped = true;
+                    break;
+                }
                 outcome
             }
         };
@@ -217,11 +234,13 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
             let Scores { labels, instances, semantic } = held_out.score(identities, inputs)?;
             Ok(RowOutcome { scores: labels, instances, semantic, ..row })
         })?);
-        if progress.stop() {
+        // Where nothing is left there is nothing to stop.
+        stopped = rows.len() < config.rows().len() && progress.stop();
+        if stopped {
             break;
         }
     }
-    Ok(TrainedRows { rows, spatial: spatial.name, earlier })
+    Ok(TrainedRows { rows, spatial: spatial.name, earlier, stopped })
 }
 
 fn untrained(row: Row) -> RowOutcome {
@@ -250,7 +269,7 @@ fn loss(row: Row, config: &SegmentationConfig) -> Result<Kind> {
     }
 }
 
-/// A trained row, and the seconds of it that earlier parts of a resumed run took.
+/// Trains `row` and scores it.
 fn trained(
     row: Row,
     inputs: &Inputs,
@@ -259,7 +278,7 @@ fn trained(
     held_out: &HeldOut,
     checkpoints: &Path,
     progress: &mut dyn Progress,
-) -> Result<(RowOutcome, f64)> {
+) -> Result<Trained> {
     let config = &inputs.config.segmentation;
     let seed = inputs.config.seed;
     let plan = Plan::new(config, loss(row, config)?, seed);
@@ -276,11 +295,17 @@ fn trained(
     let mut score = |identities: &Identities| Ok(held_out.score(identities, inputs)?.miou());
     let rate_file = checkpoints.join(format!("{}.rate.safetensors", row.key()));
     let mut fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: &Rate, progress: &mut dyn Progress| {
-        let (curve, before) = train(model, views, &plan, &pace, &mut score, progress)?;
-        let identities = model.identities()?;
-        let scores = held_out.score(&identities, inputs)?;
+        let Session { curve, earlier, whole } = train(model, views, &plan, &pace, &mut score, progress)?;
+        let (identities, scores) = match whole {
+            true => {
+                let identities = model.identities()?;
+                let scores = held_out.score(&identities, inputs)?;
+                (Some(identities), scores)
+            }
+            false => (None, Scores::default()),
+        };
         let outcome = RowOutcome {
-            identities: Some(identities),
+            identities,
             learnable_bytes: model.learnable_bytes(),
             rate: Some(rate.rate),
             trial_seconds: rate.seconds,
@@ -288,12 +313,14 @@ fn trained(
             curve,
             ..scores.of(row)
         };
-        Ok((outcome, before + rate.earlier))
+        Ok(Trained { outcome, earlier: earlier + rate.earlier, whole })
     };
+    let stopped = || Trained { outcome: untrained(row), earlier: 0.0, whole: false };
     if !row.is_fused() {
         let model = |rate| PerGaussian::new([inputs.gaussians.len(), classes], rate, config.blend, &device);
         let mut boxed = |rate, _: &TrainingViews| Ok(Box::new(model(rate)) as Box<dyn Model>);
         let rate = choose_rate(config.lr_per_gaussian, &plan, views, inputs, &rate_file, &mut boxed, progress)?;
+        let Some(rate) = rate else { return Ok(stopped()) };
         return fit(views, &mut model(rate.rate), &rate, progress);
     }
     let source = spatial.source(row, inputs)?;
@@ -301,6 +328,7 @@ fn trained(
         Ok(Box::new(decoder_row(row, rate, source, inputs, views)?))
     };
     let rate = choose_rate(config.lr, &plan, views, inputs, &rate_file, &mut boxed, progress)?;
+    let Some(rate) = rate else { return Ok(stopped()) };
     fit(views, &mut decoder_row(row, rate.rate, source, inputs, views)?, &rate, progress)
 }
 

@@ -92,11 +92,20 @@ pub struct Outcome {
     pub seconds: Seconds,
     /// The settings as they ran: where none named the rows, those that were chosen.
     pub config: Config,
+    /// Whether `progress` ended the run before it was done. What it had not come to is empty here, a row that it was in the middle
+    /// of has no identities, and half-built Gaussians have no scores; [`run`] goes on with it.
+    pub stopped: bool,
     /// Seconds of training in stage two that earlier parts of a resumed run took.
     earlier_segmentation: f64,
 }
 
 impl Outcome {
+    /// Whether to do nothing more: the run was stopped, or is now.
+    fn stops(&mut self, progress: &mut dyn Progress) -> bool {
+        self.stopped = self.stopped || progress.stop();
+        self.stopped
+    }
+
     /// The row whose identities the scene stores: `ours` where it was trained, else the last with identities.
     pub fn stored(&self) -> Option<(&RowOutcome, &Identities)> {
         let with = |row: &RowOutcome| row.identities.is_some();
@@ -130,7 +139,8 @@ pub fn load_scene(config: &Config) -> Result<Scene> {
     }
 }
 
-/// Runs both stages. Checkpoints go to and come from `out/checkpoint`; a run that finds its own there goes on.
+/// Runs both stages, or as much of them as `progress` does not stop. Checkpoints go to and come from `out/checkpoint`; a run that finds
+/// its own there goes on.
 ///
 /// # Errors
 /// Those of loading, of both stages, and of writing; nothing written before is lost.
@@ -167,7 +177,7 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
     let mut seconds = Seconds::default();
 
     let clock = Instant::now();
-    let Built { gaussians, curve: building, earlier, anew } = match begun {
+    let Built { gaussians, curve: building, earlier, anew, whole } = match begun {
         Some(gaussians) if config.building.iterations == 0 => taken(gaussians, &scene, config, &checkpoints)?,
         begun => build(&scene, config, begun, &checkpoints, device, progress)?,
     };
@@ -177,7 +187,8 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
     }
     seconds.building = clock.elapsed().as_secs_f64() + earlier;
 
-    let test = score_images(&gaussians, &scene, config)?;
+    // Whoever stops a run is not kept waiting.
+    let test = if whole { score_images(&gaussians, &scene, config)? } else { ImageScores::default() };
     let mut outcome = Outcome {
         gaussians,
         building,
@@ -190,14 +201,16 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
         spatial: String::new(),
         seconds,
         config: config.clone(),
+        stopped: !whole,
         earlier_segmentation: 0.0,
         scene,
     };
-    if config.data.association == Association::Gaussians && outcome.scene.split(Split::Train).any(|v| v.raw.is_some()) {
+    let segments = config.data.association == Association::Gaussians;
+    if segments && outcome.scene.split(Split::Train).any(|v| v.raw.is_some()) && !outcome.stops(progress) {
         outcome.semantics = Semantics::of(&outcome.scene);
         outcome.association = Some(put_together(&mut outcome.scene, &outcome.gaussians, config, progress)?);
     }
-    if has_raw_labels(&outcome.scene) && !config.segmentation.rows().is_empty() && !progress.stop() {
+    if has_raw_labels(&outcome.scene) && !config.segmentation.rows().is_empty() && !outcome.stops(progress) {
         outcome.seconds.segmentation = segment(&mut outcome, &settings, &checkpoints, device, progress)?;
     }
     outcome.seconds.total = start.elapsed().as_secs_f64() + earlier + outcome.earlier_segmentation;
@@ -218,6 +231,8 @@ struct Built {
     earlier: f64,
     /// Whether this part of the run did any of it.
     anew: bool,
+    /// Whether it is done; otherwise it was stopped.
+    whole: bool,
 }
 
 /// Checkpoint of stage one.
@@ -243,7 +258,7 @@ fn taken(gaussians: Gaussians, scene: &Scene, config: &Config, checkpoints: &Pat
         provenance.check(&Checkpoint::load(&file, GIVEN_KIND)?.get("provenance")?, false, &file)?;
     }
     let gaussians = gaussians.select(&gaussians.spatial_order());
-    Ok(Built { gaussians, curve: Vec::new(), earlier: 0.0, anew })
+    Ok(Built { gaussians, curve: Vec::new(), earlier: 0.0, anew, whole: true })
 }
 
 /// Stage one from its checkpoint, or from the Gaussians `begun`, or from points.
@@ -277,6 +292,7 @@ fn build(
         curve: stage.curve().to_vec(),
         earlier,
         anew: stage.iteration() > before,
+        whole: stage.iteration() >= config.building.iterations,
     })
 }
 
@@ -308,9 +324,13 @@ fn segment(
     let config = &outcome.config.clone();
     let fused = config.segmentation.rows().iter().any(|row| row.is_fused());
     let seen = match fused {
-        true => Some(Seen::new(&outcome.scene, &outcome.gaussians, config, settings, device, progress)?),
+        true => Seen::new(&outcome.scene, &outcome.gaussians, config, settings, device, progress)?,
         false => None,
     };
+    if fused && (seen.is_none() || progress.stop()) {
+        outcome.stopped = true;
+        return Ok(0.0);
+    }
     if let Some(seen) = &seen {
         let before = (outcome.gaussians.len(), outcome.test);
         outcome.gaussians = outcome.gaussians.select(&seen.kept);
@@ -346,8 +366,9 @@ fn segment(
         settings: *settings,
         device,
     };
-    let TrainedRows { rows, spatial, earlier } = run_rows(&inputs, checkpoints, progress)?;
+    let TrainedRows { rows, spatial, earlier, stopped } = run_rows(&inputs, checkpoints, progress)?;
     (outcome.rows, outcome.spatial, outcome.earlier_segmentation) = (rows, spatial, earlier);
+    outcome.stopped = stopped;
     Ok(clock.elapsed().as_secs_f64() + earlier)
 }
 

@@ -33,7 +33,7 @@ pub struct Seen {
 }
 
 impl Seen {
-    /// Extracts and unprojects features of the training views, a few views at a time.
+    /// Extracts and unprojects features of the training views, a few views at a time. None where `progress` says stop in between.
     ///
     /// # Errors
     /// Those of the extractor and of the unprojection.
@@ -44,11 +44,14 @@ impl Seen {
         settings: &Settings,
         device: &Device,
         progress: &mut dyn Progress,
-    ) -> Result<Self> {
+    ) -> Result<Option<Self>> {
         let clock = Instant::now();
         progress.event(&Event::Started { stage: "features", done: 0, iterations: 1 });
         let mut reduction = Reduction::fit(scene, &config.features, config.seed, device, &mut || ())?;
         progress.event(&Event::Finished);
+        if progress.stop() {
+            return Ok(None);
+        }
         let name = reduction.name.clone();
         let mut extraction = clock.elapsed();
         let clock = Instant::now();
@@ -71,7 +74,7 @@ impl Seen {
         let mut rows = lifted.features;
         rows.iter_mut().for_each(|rows| keep_rows(rows, &kept, dimensions));
         let seconds = [extraction, unprojection].map(|time| time.as_secs_f64());
-        Ok(Self { lifted: rows, kept, dimensions, name, seconds })
+        Ok(Some(Self { lifted: rows, kept, dimensions, name, seconds }))
     }
 }
 

@@ -101,12 +101,14 @@ fn a_refused_resume_leaves_the_run_as_it_was() {
         (&taken, &["building.iterations=30"], "building.iterations"),
         (&taken, &[&format!("building.gaussians={}", other.display())], "building.gaussians"),
     ];
+    let written = |run: &Path| std::fs::metadata(run.join("config.toml")).unwrap().modified().unwrap();
     for (run, sets, named) in cases {
-        let before = contents(run);
+        let (before, since) = (contents(run), written(run));
         let sets = sets.iter().flat_map(|set| ["--set", set]);
         let message = fails(&["train", "--resume", utf8(run)].into_iter().chain(sets).collect::<Vec<_>>(), 1);
         assert!(message.contains(named), "{named}: {message}");
         assert!(before == contents(run), "{named}: a refusal touches nothing");
+        assert_eq!(written(run), since, "{named}: settings are not written before they are known to be taken");
     }
     // Photos of what was taken from a file are looked at too.
     let photo = folder.path().join("images/v0.png");
@@ -149,6 +151,30 @@ fn a_file_that_cannot_be_begun_with_leaves_the_folder_free() {
     }
     std::fs::remove_dir_all(&out).unwrap();
     succeeds(&with(&model).iter().map(String::as_str).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_run_that_no_longer_has_labels_keeps_none() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let run = folder.path().join("run");
+    short_run(folder.path(), &run);
+    let labelled = ["identities.safetensors", "renders/v2.label.png", "renders/v2.label_color.png"];
+    let labelled = labelled.into_iter().chain(["renders/v2.label_error.png"]).map(|file| run.join(file));
+    let labelled: Vec<_> = labelled.collect();
+    assert!(labelled.iter().all(|file| file.is_file()));
+    for rows in ["[]", "raw"] {
+        succeeds(&["train", "--resume", utf8(&run), "--set", &format!("segmentation.rows={rows}")]);
+        for file in &labelled {
+            assert!(!file.exists(), "{rows}: {}", file.display());
+        }
+        let scores: serde_json::Value = serde_json::from_str(&succeeds(&["eval", utf8(&run), "--json"])).unwrap();
+        assert_eq!(scores["test"]["labels"], serde_json::json!({}), "{rows}");
+        assert!(!succeeds(&["eval", utf8(&run)]).contains("mIoU"), "{rows}");
+        // And once there are labels again, so are their files.
+        succeeds(&["train", "--resume", utf8(&run), "--set", "segmentation.rows=vote"]);
+        assert!(labelled.iter().all(|file| file.is_file()), "{rows}");
+    }
 }
 
 #[test]

@@ -13,8 +13,7 @@ use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
 /// What mends unknown ids that are no classes.
-const IF_SEGMENTS: &str =
-    "; where ids mean something in their view alone (instance masks), set data.association=gaussians";
+const IF_SEGMENTS: &str = "; where ids mean something in their view alone (instance masks), set data.association=gaussians, or use `coseg associate`";
 
 /// The raw labels of a scene folder, as far as they are known before a map is decoded.
 pub(super) struct RawLabels {
@@ -146,7 +145,7 @@ impl RawLabels {
             RawFormat::Ade20k => Source::Ade20k(ade20k::Palette::new(first, classes)?),
             RawFormat::Masks if !segments => {
                 let expected = "\"gaussians\", as raw labels are folders of masks, whose ids differ from view to view";
-                let mend = "set data.association = \"gaussians\"";
+                let mend = "set data.association = \"gaussians\" for `coseg train`, or use `coseg associate`";
                 return Err(Error::config("data.association", "\"none\"", expected, mend));
             }
             RawFormat::Masks => Source::Masks,

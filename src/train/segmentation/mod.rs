@@ -16,7 +16,7 @@ pub use fused::{Encoded, Fused, FusedPlan, Source};
 pub use optimiser::{ModuleAdam, NamedValues};
 pub use per_gaussian::PerGaussian;
 pub use recalls::Recalls;
-pub use session::{Pace, Score, train};
+pub use session::{Pace, Score, Session, train};
 pub use views::{Drawn, TrainingViews, view_at};
 
 use crate::config::{Blend, SegmentationConfig};

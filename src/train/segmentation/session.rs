@@ -28,6 +28,17 @@ pub struct Pace {
 /// Scores identities on the held-out views: pooled mIoU.
 pub type Score<'a> = &'a mut dyn FnMut(&Identities) -> Result<Option<f64>>;
 
+/// What training gave beside the model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Session {
+    /// One point an evaluation.
+    pub curve: Vec<CurvePoint>,
+    /// Seconds of training that the checkpoint had.
+    pub earlier: f64,
+    /// Whether the model is trained to the end of the plan; otherwise it was stopped.
+    pub whole: bool,
+}
+
 /// What a checkpoint holds besides the model.
 #[derive(Clone, Debug)]
 struct Place {
@@ -38,8 +49,7 @@ struct Place {
     recalls: Recalls,
 }
 
-/// Trains `model` by `plan` from its checkpoint, or from the start when there is none; returns the curve, and
-/// the seconds of training that the checkpoint had.
+/// Trains `model` by `plan` from its checkpoint, or from the start when there is none, to the end or until `progress` says stop.
 ///
 /// # Errors
 /// Those of [`train_step`]; the last checkpoint stays as it was. Those of reading or writing the checkpoint;
@@ -51,12 +61,12 @@ pub fn train(
     pace: &Pace,
     score: Score,
     progress: &mut dyn Progress,
-) -> Result<(Vec<CurvePoint>, f64)> {
+) -> Result<Session> {
     let mut place = match &pace.checkpoint {
         Some(path) if path.is_file() => restore(model, views.classes(), &pace.provenance, plan.iterations, path)?,
         _ => Place { iteration: 0, curve: Vec::new(), running: [0.0; 3], recalls: Recalls::new(views.classes()) },
     };
-    let before = place.running[0];
+    let earlier = place.running[0];
     let gaussians = views.gaussians();
     progress.event(&Event::Started { stage: pace.row, done: place.iteration, iterations: plan.iterations });
     while place.iteration < plan.iterations {
@@ -90,8 +100,11 @@ pub fn train(
             break;
         }
     }
-    progress.event(&Event::Finished);
-    Ok((place.curve, before))
+    let whole = place.iteration >= plan.iterations;
+    if whole {
+        progress.event(&Event::Finished);
+    }
+    Ok(Session { curve: place.curve, earlier, whole })
 }
 
 const KIND: &str = "segmentation row";

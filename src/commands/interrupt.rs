@@ -1,0 +1,51 @@
+//! Ctrl-C while a run trains: the first one asks for a checkpoint and the end of the run, the second one ends the program.
+
+use super::terminal;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Exit code of a run that was stopped, as shells have it for SIGINT.
+pub const EXIT: u8 = 130;
+
+static ASKED: AtomicBool = AtomicBool::new(false);
+
+/// Whether the run is to stop.
+pub fn asked() -> bool {
+    ASKED.load(Ordering::Relaxed)
+}
+
+/// Takes Ctrl-C, and elsewhere than on Windows SIGTERM and SIGHUP, as the wish to stop. To be called once.
+pub fn watch() {
+    let on_signal = || {
+        if ASKED.swap(true, Ordering::Relaxed) {
+            std::process::exit(EXIT.into());
+        }
+        terminal::note("stopping after this step, which is saved; press Ctrl-C again to stop at once");
+    };
+    keeping_nohup(|| {
+        if let Err(error) = ctrlc::set_handler(on_signal) {
+            tracing::warn!("Ctrl-C will stop the run without saving: {error}");
+        }
+    });
+}
+
+/// Does `set`, but a run under `nohup` still outlives its terminal.
+#[cfg(unix)]
+fn keeping_nohup(set: impl FnOnce()) {
+    let mut action = std::mem::MaybeUninit::<libc::sigaction>::zeroed();
+    // SAFETY: without a new action this only writes the present one, plain numbers for which zeros are valid too.
+    let action = unsafe {
+        libc::sigaction(libc::SIGHUP, std::ptr::null(), action.as_mut_ptr());
+        action.assume_init()
+    };
+    set();
+    if action.sa_sigaction == libc::SIG_IGN {
+        // SAFETY: nothing is called for a signal that is ignored.
+        unsafe { libc::signal(libc::SIGHUP, libc::SIG_IGN) };
+    }
+}
+
+/// Does `set`: there is no such signal.
+#[cfg(not(unix))]
+fn keeping_nohup(set: impl FnOnce()) {
+    set();
+}
