@@ -66,6 +66,7 @@ mod plates;
 mod ply;
 mod poses;
 mod pretrain;
+mod provenance;
 mod randla;
 mod raster;
 mod raster_contract;
