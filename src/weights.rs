@@ -4,11 +4,23 @@ use crate::error::{Error, Result};
 use burn::store::pytorch_reader::{DType as TorchType, PytorchReader};
 use half::{bf16, f16};
 use safetensors::{Dtype, SafeTensors};
+use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
 /// Keys under which training scripts nest their weights.
 const NESTS: [&str; 3] = ["model_state_dict", "state_dict", "model"];
+
+/// SHA-256 of a file, in hexadecimal digits.
+///
+/// # Errors
+/// [`Error::Io`] when it cannot be read.
+pub(crate) fn file_digest(path: &Path) -> Result<String> {
+    let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let mut hash = Sha256::new();
+    std::io::copy(&mut file, &mut hash).map_err(|e| Error::io(path, "read", e))?;
+    Ok(format!("{:x}", hash.finalize()))
+}
 
 /// A tensor in host memory.
 #[derive(Clone, Debug, Default, PartialEq)]

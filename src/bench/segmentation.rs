@@ -53,7 +53,7 @@ pub(super) fn random_features(count: usize, config: &Config) -> Seen {
     let mut rows = || (0..count * dimensions).map(|_| rng.random_range(-1.0_f32..1.0)).collect();
     let lifted: [Vec<f32>; SCALES] = std::array::from_fn(|_| rows());
     let kept = (0..count as u32).collect();
-    Seen { kept, lifted, dimensions, name: "random numbers".into(), seconds: [0.0; 2] }
+    Seen { kept, lifted, dimensions, name: "random numbers".into(), content: String::new(), seconds: [0.0; 2] }
 }
 
 pub(super) fn measure(bench: &Bench) -> Result<Findings> {
@@ -77,7 +77,7 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let mut training = inputs.training_views();
     let plan = Plan::new(segmentation, Kind::from_config(segmentation)?, config.seed);
     let mut model =
-        Timed { model: decoder_row(Row::Ours, segmentation.lr, source, &inputs, &training)?, seconds: [0.0; 2] };
+        Timed { model: decoder_row(Row::Ours, segmentation.lr, &plan, source, &inputs, &training)?, seconds: [0.0; 2] };
 
     let mut recalls = Recalls::new(training.classes());
     // The first pass over the views makes their weights and settles allocations; then the loss after the warm-up.

@@ -92,6 +92,13 @@ impl Remap {
         Some(zoomed(if (high - 1.0).abs() < 1e-9 { 1.0 } else { high }))
     }
 
+    /// All that it follows from but its size: intrinsics of the photo and of the pinhole, and the lens.
+    pub fn numbers(&self) -> impl Iterator<Item = f64> {
+        let intrinsics = |camera: &Camera| [camera.fx, camera.fy, camera.cx, camera.cy];
+        let cameras = [&self.photo, &self.pinhole].map(intrinsics);
+        cameras.into_iter().flatten().chain(self.lens.k).chain(self.lens.p)
+    }
+
     /// Where the pinhole's pixel coordinates lie in the photo.
     fn source(&self, u: f64, v: f64) -> (f64, f64) {
         let (x, y) = self.normalised(u, v);

@@ -151,11 +151,6 @@ impl Scene {
         Self { origin, ..self }
     }
 
-    /// Whether some test view has a truth, of classes or of instances, that labels can be scored against.
-    pub fn has_truth(&self) -> bool {
-        self.split(Split::Test).any(|view| view.truth.is_some() || view.instances.is_some())
-    }
-
     /// Views of one split, in file order.
     pub fn split(&self, split: Split) -> impl Iterator<Item = &View> {
         self.views.iter().filter(move |v| v.split == split)

@@ -5,6 +5,7 @@ use super::lens::Remap;
 use super::{Limits, PhotoCache};
 use crate::error::{Error, Result};
 use image::{RgbImage, imageops};
+use sha2::{Digest, Sha256};
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -80,6 +81,26 @@ impl Photo {
         match &self.source {
             Source::Pixels(pixels) => Ok(pixels.clone()),
             Source::File(file) => file.cache.get(file.number, || file.read()),
+        }
+    }
+
+    /// Adds to `hash` what the pixels follow from, without decoding any: the file as it was when the scene was loaded and what
+    /// becomes of its pixels, or the pixels where they lie in no file.
+    pub(crate) fn identify(&self, hash: &mut Sha256) {
+        match &self.source {
+            Source::Pixels(pixels) => {
+                hash.update(b"pixels\n");
+                hash.update(pixels.as_raw());
+            }
+            Source::File(file) => {
+                hash.update(format!("file {} {}\n", self.width, self.height));
+                hash.update(file.digest);
+                if self.transparent {
+                    hash.update(file.development.background);
+                }
+                let numbers = file.development.remap.iter().flat_map(Remap::numbers);
+                numbers.for_each(|number| hash.update(number.to_le_bytes()));
+            }
         }
     }
 

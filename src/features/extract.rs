@@ -7,6 +7,7 @@ use crate::error::{Error, Result};
 use crate::random::{self, Purpose};
 use burn::tensor::Device;
 use rayon::prelude::*;
+use sha2::{Digest, Sha256};
 
 /// Cells per scale that the PCA is fitted on at most, in equal seeded shares of all training views.
 pub const PCA_CELLS: usize = 100_000;
@@ -98,6 +99,8 @@ pub struct Reduction<'a> {
     pub name: String,
     /// One a scale.
     pub reductions: [Pca; SCALES],
+    /// What the maps depend on besides the photos: the arithmetic and the weights, or the imported maps of the training views.
+    pub content: String,
     extractor: Extractor,
     config: &'a FeatureConfig,
     train: Vec<&'a View>,
@@ -125,11 +128,16 @@ impl<'a> Reduction<'a> {
         let mut kept: Vec<Option<[FeatureMap; SCALES]>> = Vec::with_capacity(train.len());
         let mut kept_bytes = 0;
         let mut moments: Option<[Moments; SCALES]> = None;
+        // Maps that are not made from photos have to speak for themselves.
+        let (key, mut imported) = (extractor.cache_key(), Sha256::new());
         let quota = PCA_CELLS.div_ceil(train.len().max(1));
         for batch in train.chunks(extractor.batch()) {
-            let batch_maps: Vec<_> = batch.par_iter().map(|view| cached_maps(&extractor, config, view)).collect();
+            let with_digest = |maps: [FeatureMap; SCALES]| (key.is_none().then(|| digest(&maps)), maps);
+            let look = |view: &&View| cached_maps(&extractor, config, view).map(with_digest);
+            let batch_maps: Vec<_> = batch.par_iter().map(look).collect();
             for (view, maps) in batch.iter().zip(batch_maps) {
-                let maps = maps?;
+                let (digest, maps) = maps?;
+                digest.iter().for_each(|digest| imported.update(digest));
                 let moments = moments.get_or_insert_with(|| std::array::from_fn(|n| Moments::new(maps[n].channels)));
                 for (n, (map, moments)) in maps.iter().zip(moments).enumerate() {
                     let index = (kept.len() * SCALES + n) as u64;
@@ -150,7 +158,8 @@ impl<'a> Reduction<'a> {
             tracing::warn!("{again} of {} views are computed twice: set features.cache_dir", train.len());
         }
         let reductions = moments.map(|m| Pca::fit(&m, config.dimensions));
-        Ok(Self { name: extractor.name(), reductions, extractor, config, train, kept })
+        let content = key.unwrap_or_else(|| format!("imported {:x}", imported.finalize()));
+        Ok(Self { name: extractor.name(), reductions, content, extractor, config, train, kept })
     }
 
     /// Reduced maps of the training views in the scene's order, a few made at a time. What was kept for them goes.
@@ -183,6 +192,16 @@ fn reduce_view(view: &View, maps: &[FeatureMap; SCALES], reductions: &[Pca; SCAL
         *out = pca.apply(map, &what(view, n))?;
     }
     Ok(ViewFeatures { view: view.name.clone(), maps: reduced })
+}
+
+/// SHA-256 of the maps of a view.
+fn digest(maps: &[FeatureMap; SCALES]) -> [u8; 32] {
+    let mut hash = Sha256::new();
+    for map in maps {
+        hash.update(format!("{} {} {}\n", map.height, map.width, map.channels));
+        hash.update(map.data.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>());
+    }
+    hash.finalize().into()
 }
 
 fn what(view: &View, scale: usize) -> String {

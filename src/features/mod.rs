@@ -24,9 +24,9 @@ pub use pca::{Moments, Pca};
 use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::View;
 use crate::error::{Error, Result};
+use crate::weights::file_digest;
 use burn::tensor::Device;
 use image::RgbImage;
-use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -105,12 +105,12 @@ impl Extractor {
 
     fn mobilenet(path: &Path, device: &Device) -> Result<Self> {
         let net = mobilenet::FoldedNet::new(&mobilenet::MobileNetV2::load(path, &device.clone().inner())?);
-        Ok(Self::MobileNetV2 { net: Box::new(net), path: path.to_owned(), hash: hash(path)? })
+        Ok(Self::MobileNetV2 { net: Box::new(net), path: path.to_owned(), hash: file_digest(path)? })
     }
 
     fn dino(path: &Path, final_norm: bool) -> Result<Self> {
         let net = dino::Vit::load(path)?.with_final_norm(final_norm);
-        Ok(Self::Dino { net: Box::new(net), path: path.to_owned(), hash: hash(path)?, final_norm })
+        Ok(Self::Dino { net: Box::new(net), path: path.to_owned(), hash: file_digest(path)?, final_norm })
     }
 
     /// Name for reports: `descriptor`, `mobilenetv2 FILE`, `dino FILE` or `imported DIR`.
@@ -163,12 +163,4 @@ impl Extractor {
             _ => 8,
         }
     }
-}
-
-/// SHA-256 of a file.
-fn hash(path: &Path) -> Result<String> {
-    let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
-    let mut hash = Sha256::new();
-    std::io::copy(&mut file, &mut hash).map_err(|e| Error::io(path, "read", e))?;
-    Ok(format!("{:x}", hash.finalize()))
 }

@@ -15,7 +15,7 @@ pub use hard_labels::hard_label_map;
 pub use identities::{Identities, LabelRule, label_map};
 pub use inventory::{Object, Picked, inventory, pick};
 pub use renderer::{Frame, RenderOptions, Renderer};
-pub use semantics::Semantics;
+pub use semantics::{Semantics, has_truth};
 pub use separate::{Separated, Separation};
 pub use smoothing::{Diffusion, NeighbourGraph};
 pub use vote::{Votes, vote};

@@ -1,8 +1,19 @@
 //! What is known of classes where the class table of a scene becomes one of objects.
 
+use crate::config::Association;
 use crate::data::{Classes, LabelRuns, Scene, Split, View};
 use crate::metrics::{SemanticScores, SemanticView, semantic_scores};
 use std::collections::{BTreeMap, BTreeSet};
+
+/// Whether labels of `view` can be scored: against its true labels, or where `association` makes objects of segments against
+/// true instances, or by the classes that `semantics` knows.
+pub fn has_truth(view: &View, association: Association, semantics: Option<&Semantics>) -> bool {
+    match association {
+        Association::None => view.truth.is_some(),
+        // Ids of objects are those of no truth.
+        Association::Gaussians => view.instances.is_some() || semantics.is_some_and(|semantics| semantics.knows(view)),
+    }
+}
 
 /// Classes and true labels of a scene before association: what objects with classes are scored against.
 #[derive(Clone, Debug, PartialEq)]

@@ -8,7 +8,7 @@ use super::{
 use crate::config::{Config, LabelLoss, Row, SegmentationConfig};
 use crate::data::{Split, View};
 use crate::error::Result;
-use crate::objects::{LabelRule, label_map};
+use crate::objects::{LabelRule, has_truth, label_map};
 use crate::raster::{Projected, Settings};
 use crate::train::progress::CurvePoint;
 use crate::train::{Outcome, RowOutcome, render_and_score};
@@ -139,7 +139,8 @@ impl Report<'_> {
             };
             notes.push(format!("The Gaussians {what}: {}.", path.display()));
         }
-        if !outcome.scene.has_truth() && outcome.semantics.is_none() && !outcome.rows.is_empty() {
+        let scored = |view: &View| has_truth(view, config.data.association, outcome.semantics.as_ref());
+        if !outcome.scene.split(Split::Test).any(scored) && !outcome.rows.is_empty() {
             notes.push("No held-out view has true labels: no row of labels is scored.".into());
         }
         let masked = outcome.scene.views.iter().filter(|view| view.mask.is_some()).count();

@@ -6,17 +6,20 @@ use super::sampling::Hierarchy;
 use crate::config::{SpatialConfig, SpatialSource};
 use crate::error::{Error, Result};
 use crate::ops::SparseMatrix;
-use crate::weights::{Checkpoint, HostTensor};
+use crate::weights::{Checkpoint, HostTensor, file_digest};
 use burn::tensor::{Device, Tensor};
 use glam::{DQuat, DVec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
 /// Radius in metres that a camera path is taken to have when nothing says how large a scene is.
 const ASSUMED_EXTENT: f64 = 2.0;
 /// Stem width and block widths of encoders made here; a block's features are twice as wide.
 const WIDTHS: [usize; 1 + LAYERS] = [8, 16, 32, 64, 128];
+/// The weights inside this crate.
+const BUILTIN: &[u8] = include_bytes!("../../assets/randla_builtin.safetensors");
 
 /// Points to encode.
 #[derive(Clone, Copy, Debug)]
@@ -197,12 +200,25 @@ pub fn load_spatial(config: &SpatialConfig, seed: u64, device: &Device) -> Resul
     Ok((RandlaEncoder::load(&weights, Form::Frozen, &device.clone().inner())?, name))
 }
 
+/// SHA-256 of the weights that `config` asks for; of random ones, which their seed says, none.
+///
+/// # Errors
+/// [`Error::Io`] when their file cannot be read.
+pub(crate) fn spatial_digest(config: &SpatialConfig) -> Result<Option<String>> {
+    match (config.source, &config.weights) {
+        (SpatialSource::Builtin, _) => Ok(Some(format!("{:x}", Sha256::digest(BUILTIN)))),
+        (SpatialSource::Pretrained, Some(path)) => file_digest(path).map(Some),
+        // Without a path nothing can be loaded: the loader says so.
+        (SpatialSource::Random, _) | (SpatialSource::Pretrained, None) => Ok(None),
+    }
+}
+
 /// The weights inside this crate; `assets/README.md` holds the command that made them and its scores.
 ///
 /// # Errors
 /// [`Error::Input`] when the build embedded a broken file.
 pub fn builtin_weights() -> Result<Checkpoint> {
-    Checkpoint::from_safetensors(include_bytes!("../../assets/randla_builtin.safetensors"), "built-in RandLA weights")
+    Checkpoint::from_safetensors(BUILTIN, "built-in RandLA weights")
 }
 
 /// Untrained weights (He-uniform, running statistics 0 and 1) in the layout of the published checkpoints: where

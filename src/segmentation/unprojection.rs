@@ -5,11 +5,13 @@
 //! resolution and comparing with `U F`. At `feature` resolution (the paper) the camera is scaled to the map, and `U` is
 //! the identity. [`Problem`] goes on from there to features that render as the maps.
 
+mod attendance;
 mod device;
 mod fold;
 mod solve;
 mod view;
 
+pub use attendance::attended;
 pub use solve::{Problem, Solved};
 
 use crate::camera::Camera;

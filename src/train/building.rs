@@ -117,9 +117,9 @@ impl<'a> BuildingStage<'a> {
             return Err(Error::argument("data", found, expected, "resize the photo or mend the intrinsics"));
         }
         train.iter().chain(&test).try_for_each(|view| view.check_mask())?;
-        let provenance = Provenance::building(config, scene)?;
+        let provenance = Provenance::building(config, scene);
         if state.provenance.is_known() {
-            provenance.check(&state.provenance, false, Path::new("the building checkpoint"))?;
+            provenance.check_built(&state.provenance, scene, Path::new("the building checkpoint"))?;
         }
         if state.seed != config.seed {
             let (found, expected) = (config.seed.to_string(), state.seed.to_string());

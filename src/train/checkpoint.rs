@@ -193,6 +193,11 @@ impl Checkpoint {
         Ok(())
     }
 
+    /// Whether a setting is there.
+    pub fn has(&self, key: &str) -> bool {
+        self.settings.contains_key(key)
+    }
+
     /// Reads a setting.
     ///
     /// # Errors

@@ -2,11 +2,12 @@
 
 use super::segmentation_inputs::Inputs;
 use crate::camera::Camera;
-use crate::config::{Config, Row};
+use crate::config::{Association, Config, Row};
 use crate::data::{Scene, Split, View};
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::mask::Mask;
+use crate::segmentation::encoder::spatial_digest;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -15,7 +16,9 @@ use std::convert::Infallible;
 use std::path::Path;
 
 /// Settings that change when something is measured, saved or kept, or what becomes of a row after its training, and nothing else.
-const WITHOUT_EFFECT: [&str; 9] = [
+const WITHOUT_EFFECT: [&str; 11] = [
+    "data.raw_labels_note",
+    "data.decoded_mb",
     "features.cache_dir",
     "segmentation.rows",
     "segmentation.weight_cache_mb",
@@ -29,12 +32,38 @@ const WITHOUT_EFFECT: [&str; 9] = [
 /// What training did before a setting existed, where its default is not that.
 const BEFORE: [(&str, &str); 3] =
     [("building.absgrad", "false"), ("segmentation.least_recall", "0.0"), ("unprojection.attendance_pixels", "0.0")];
+const SEED: &str = "seed";
 /// How label maps are rendered.
 const RENDER: &str = "segmentation.render";
 /// Sections that training follows from.
 const SECTIONS: [&str; 6] = ["building", "raster", "segmentation", "features", "unprojection", "spatial"];
 /// Settings that are paths: files may move, so their names are compared.
-const PATHS: [&str; 4] = ["building.gaussians", "features.weights", "features.import_dir", "spatial.weights"];
+const PATHS: [&str; 6] = [
+    "data.dir",
+    "data.scannet_labels",
+    "building.gaussians",
+    "features.weights",
+    "features.import_dir",
+    "spatial.weights",
+];
+/// Settings of `data` that only raw labels follow from.
+const OF_RAW_LABELS: [&str; 5] =
+    ["data.raw_labels", "data.raw_format", "data.association", "data.scannet_classes", "data.scannet_labels"];
+/// Settings that say which Gaussians stage two is left with.
+const OF_PRUNING: [&str; 3] = ["unprojection.attendance", "unprojection.attendance_pixels", "unprojection.resolution"];
+/// The scene folder, whose name explains other data only where nothing else does.
+const FOLDER: &str = "data.dir";
+
+/// Names of data: what stage one is shown, photos by their files.
+const SHOWN: &str = "photos, masks, cameras and points";
+/// The same with the pixels of all photos, as earlier versions had it.
+const PIXELS: &str = "photos, cameras and points";
+const GAUSSIANS: &str = "Gaussians";
+const LABELS: &str = "raw labels and cameras";
+const IMAGE_FEATURES: &str = "image features";
+const ENCODER: &str = "point encoder";
+/// Data that earlier versions did not record: where a checkpoint has none of it, it may have been this.
+const LATER: [&str; 2] = [IMAGE_FEATURES, ENCODER];
 
 /// Settings and data that training follows from.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -43,54 +72,62 @@ pub struct Provenance {
     settings: BTreeMap<String, String>,
     /// SHA-256 of the data, by name.
     data: BTreeMap<String, String>,
+    /// Settings that the data follows from, as `settings`. They are no obstacle by themselves, as other ones may stand for the same
+    /// data; where it is another, they say why. Earlier versions had none.
+    #[serde(default)]
+    origin: BTreeMap<String, String>,
 }
 
 impl Provenance {
     /// Of the building stage.
-    ///
-    /// # Errors
-    /// A photo cannot be read.
-    pub(super) fn building(config: &Config, scene: &Scene) -> Result<Self> {
-        let views: Vec<&View> = scene.views.iter().collect();
-        let mut photos = digest_views(&views, |view, hash| {
-            hash.update(view.image.pixels()?.as_raw());
-            // Without a mask the digest is the one that earlier versions made.
-            view.mask.iter().flat_map(Mask::words).for_each(|word| hash.update(word.to_le_bytes()));
-            Ok(())
-        })?;
-        photos.update(bytes(scene.points.positions.as_flattened()));
-        photos.update(bytes(scene.points.colors.as_flattened()));
-        Ok(Self {
-            settings: settings(config, &["building", "raster"]),
-            data: [("photos, cameras and points", photos)].map(named).into(),
-        })
+    pub(super) fn building(config: &Config, scene: &Scene) -> Self {
+        let Ok(shown) = digest_shown(scene, |view, hash| {
+            view.image.identify(hash);
+            Ok::<_, Infallible>(())
+        });
+        let mut origin = origin(config, &["data"]);
+        origin.retain(|key, _| !OF_RAW_LABELS.contains(&&**key));
+        Self { settings: settings(config, &["building", "raster"]), data: [(SHOWN, shown)].map(named).into(), origin }
     }
 
     /// Of a building stage that takes these Gaussians as they are.
-    ///
-    /// # Errors
-    /// A photo cannot be read.
-    pub(super) fn given(config: &Config, scene: &Scene, gaussians: &Gaussians) -> Result<Self> {
-        let mut provenance = Self::building(config, scene)?;
-        provenance.data.extend([named(("Gaussians", digest_gaussians(gaussians)))]);
-        Ok(provenance)
+    pub(super) fn given(config: &Config, scene: &Scene, gaussians: &Gaussians) -> Self {
+        let mut provenance = Self::building(config, scene);
+        provenance.data.extend([named((GAUSSIANS, digest_gaussians(gaussians)))]);
+        provenance
     }
 
     /// Of a trained row of stage two.
-    pub(super) fn row(row: Row, inputs: &Inputs) -> Self {
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file of the point encoder's weights cannot be read.
+    pub(super) fn row(row: Row, inputs: &Inputs) -> Result<Self> {
+        let Inputs { scene, config, .. } = inputs;
         let sections: &[&str] = match row.is_fused() {
             true => &["raster", "segmentation", "features", "unprojection", "spatial"],
             false => &["raster", "segmentation"],
         };
-        let views: Vec<&View> = inputs.scene.split(Split::Train).filter(|v| v.raw.is_some()).collect();
+        let views: Vec<&View> = scene.split(Split::Train).filter(|v| v.raw.is_some()).collect();
         let Ok(mut labels) = digest_views(&views, |view, hash| {
             let ids = view.raw.iter().flat_map(|raw| raw.map().ids);
             hash.update(ids.flat_map(u16::to_le_bytes).collect::<Vec<u8>>());
             Ok::<_, Infallible>(())
         });
-        inputs.scene.classes.entries.iter().for_each(|class| labels.update(class.id.to_le_bytes()));
-        let data = [("Gaussians", digest_gaussians(inputs.gaussians)), ("raw labels and cameras", labels)];
-        Self { settings: settings(inputs.config, sections), data: data.map(named).into() }
+        scene.classes.entries.iter().for_each(|class| labels.update(class.id.to_le_bytes()));
+        let mut data = BTreeMap::from([(GAUSSIANS, digest_gaussians(inputs.gaussians)), (LABELS, labels)].map(named));
+        // By what they are made from: on a GPU their sums need not have the same bits each time.
+        if let (true, Some(seen)) = (row.is_fused() && row != Row::NoImageFeatures, &inputs.seen) {
+            data.insert(IMAGE_FEATURES.to_owned(), seen.content.clone());
+        }
+        if row.is_fused() && !matches!(row, Row::NoSpatial | Row::RandomSpatial) {
+            data.extend(spatial_digest(&config.spatial)?.map(|digest| (ENCODER.to_owned(), digest)));
+        }
+        let mut origin = match config.data.association {
+            Association::None => origin(config, &["data", "unprojection"]),
+            Association::Gaussians => origin(config, &["data", "unprojection", "association"]),
+        };
+        origin.retain(|key, _| !key.starts_with("unprojection.") || OF_PRUNING.contains(&&**key));
+        Ok(Self { settings: settings(config, sections), data, origin })
     }
 
     /// Whether anything is known; not of states that were made in memory.
@@ -103,7 +140,8 @@ impl Provenance {
     /// training is `finished` may be scored by another rule of rendering, unless a rate was chosen by such scores.
     ///
     /// # Errors
-    /// [`Error::Config`] naming the first setting that differs; [`Error::Input`] naming the data.
+    /// [`Error::Config`] naming the first setting that differs, or the one that other data follows from; [`Error::Input`] naming the
+    /// data.
     pub(super) fn check(&self, stored: &Self, finished: bool, file: &Path) -> Result<()> {
         let none = || "nothing".to_owned();
         let mut defaults = settings(&Config::default(), &SECTIONS);
@@ -119,12 +157,64 @@ impl Provenance {
             let mend = "resume with that value, or train with this one into another folder";
             return Err(Error::config(key, found, expected, mend));
         }
-        let names = self.data.keys().chain(stored.data.keys());
-        if let Some(name) = names.into_iter().find(|name| self.data.get(*name) != stored.data.get(*name)) {
-            let mend = "resume with the data, the data.max_side and the data.masks that the run began with, or train into another folder";
-            return Err(Error::input(file, name, "those of other data", "those that the run has now", mend));
+        let lacking = |name: &str| LATER.contains(&name) && !stored.data.contains_key(name);
+        let differs = |name: &&String| self.data.get(*name) != stored.data.get(*name) && !lacking(name);
+        let names = self.data.keys().chain(stored.data.keys()).filter(differs);
+        // Given Gaussians are placed among the cameras: where these are others, so are they.
+        match names.min_by_key(|name| ![SHOWN, PIXELS].contains(&&***name)) {
+            Some(name) => Err(self.other_data(name, stored, file)),
+            None => Ok(()),
         }
-        Ok(())
+    }
+
+    /// [`Provenance::check`] of a building stage of `scene`, which another version may have begun.
+    ///
+    /// # Errors
+    /// As [`Provenance::check`]; for a checkpoint of a version that compared pixels those of [`crate::data::Photo::pixels`].
+    pub(super) fn check_built(&self, stored: &Self, scene: &Scene, file: &Path) -> Result<()> {
+        if !stored.data.contains_key(PIXELS) {
+            return self.check(stored, false, file);
+        }
+        let pixels = digest_shown(scene, |view, hash| {
+            hash.update(view.image.pixels()?.as_raw());
+            Ok::<_, Error>(())
+        })?;
+        let mut then = self.clone();
+        then.data.remove(SHOWN);
+        then.data.extend([named((PIXELS, pixels))]);
+        then.check(stored, false, file)
+    }
+
+    /// The refusal of other data of this name: by the setting that made it another, where one is known to differ.
+    fn other_data(&self, name: &str, stored: &Self, file: &Path) -> Error {
+        let explains = |key: &&String| match name {
+            GAUSSIANS => OF_PRUNING.contains(&&***key),
+            SHOWN | PIXELS | LABELS => !OF_PRUNING.contains(&&***key),
+            _ => false,
+        };
+        let mut keys: Vec<&String> = self.origin.keys().filter(explains).collect();
+        keys.sort_by_key(|key| *key == FOLDER);
+        for key in keys {
+            if let (Some(found), Some(then)) = (self.origin.get(key), stored.origin.get(key))
+                && found != then
+            {
+                let expected = format!("{then}, as when {} was written", file.display());
+                let mend = "resume with that value, or train with this one into another folder";
+                return Error::config(key, found, expected, mend);
+            }
+        }
+        let begun = match name {
+            GAUSSIANS => {
+                "the Gaussians and the unprojection.attendance that it began with (earlier versions pruned nothing, as with 0, \
+                 where no row had a decoder)"
+            }
+            IMAGE_FEATURES => "the weights, or the maps in features.import_dir, that it began with",
+            ENCODER => "the weights in spatial.weights that it began with",
+            _ if stored.origin.is_empty() => "the files and the settings of data and association that it began with",
+            _ => "the files that it began with, as its settings of data are the same",
+        };
+        let mend = format!("resume with {begun}, or train into another folder");
+        Error::input(file, name, "those of other data", "those that the run has now", mend)
     }
 
     /// Whether label maps are rendered by the same rule as in `stored`.
@@ -139,11 +229,18 @@ fn settings(config: &Config, sections: &[&str]) -> BTreeMap<String, String> {
     // Settings are plain data: they always have a JSON form. By way of text, so that an f32 keeps its short form.
     let text = serde_json::to_string(config).unwrap_or_default();
     let json: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
-    let mut out = BTreeMap::from([("seed".to_owned(), config.seed.to_string())]);
+    let mut out = BTreeMap::from([(SEED.to_owned(), config.seed.to_string())]);
     for section in sections {
         collect(section, &json[*section], &mut out);
     }
     out
+}
+
+/// The settings of some sections.
+fn origin(config: &Config, sections: &[&str]) -> BTreeMap<String, String> {
+    let mut origin = settings(config, sections);
+    origin.remove(SEED);
+    origin
 }
 
 /// Adds the values of a section, and of those within it.
@@ -164,6 +261,23 @@ fn collect(section: &str, values: &serde_json::Value, out: &mut BTreeMap<String,
 
 fn named((name, hash): (&str, Sha256)) -> (String, String) {
     (name.to_owned(), format!("{:x}", hash.finalize()))
+}
+
+/// Points, and of all views name, split, camera, mask and what `photo` says of it.
+fn digest_shown<E: Send>(
+    scene: &Scene,
+    photo: impl Fn(&View, &mut Sha256) -> Result<(), E> + Sync,
+) -> Result<Sha256, E> {
+    let views: Vec<&View> = scene.views.iter().collect();
+    let mut shown = digest_views(&views, |view, hash| {
+        photo(view, hash)?;
+        // Without a mask the digest is the one that versions made that knew none.
+        view.mask.iter().flat_map(Mask::words).for_each(|word| hash.update(word.to_le_bytes()));
+        Ok(())
+    })?;
+    shown.update(bytes(scene.points.positions.as_flattened()));
+    shown.update(bytes(scene.points.colors.as_flattened()));
+    Ok(shown)
 }
 
 /// Name, split, camera and some bytes of each view.

@@ -2,14 +2,13 @@
 
 use super::checkpoint::Checkpoint;
 use super::progress::{Event, Progress};
-use super::segmentation::{Model, Plan, Recalls, TrainingViews, train_step};
+use super::segmentation::{Model, Pace, Plan, Recalls, TrainingViews, train_step};
 use super::segmentation_inputs::Inputs;
 use crate::data::LabelRuns;
 use crate::error::Result;
 use crate::metrics::{Void, label_scores};
 use crate::objects::{Identities, LabelRule, label_map};
 use crate::raster::Projected;
-use std::path::Path;
 use std::time::Instant;
 
 /// Every so many training views one is held back in a trial.
@@ -29,22 +28,24 @@ pub struct Rate {
     pub earlier: f64,
 }
 
-/// Makes an untrained model that learns at a rate, for the views in use.
-pub type Fresh<'m, 'a> = &'m mut dyn FnMut(f64, &TrainingViews) -> Result<Box<dyn Model + 'a>>;
+/// Makes an untrained model that learns at a rate by a plan, for the views in use.
+pub type Fresh<'m, 'a> = &'m mut dyn FnMut(f64, &Plan, &TrainingViews) -> Result<Box<dyn Model + 'a>>;
 
 /// The rate that does best of `base` times `segmentation.lr_trials`: a fresh `model` is trained for each, a quarter as
 /// long as the row will be, without every eighth training view; it is scored by its accuracy on the raw labels of those.
 ///
-/// The choice is kept at `path`, where a resumed run finds it. None where `progress` said stop before there was one.
+/// The choice is kept beside the row's checkpoint, where a resumed run finds it. None where `progress` said stop before there
+/// was one.
 ///
 /// # Errors
-/// Those of training and of the file.
+/// Those of training and of the file; [`crate::Error::Config`] and [`crate::Error::Input`] when the file's choice was made with
+/// other settings or data than `pace` says.
 pub fn choose_rate<'a>(
     base: f64,
     plan: &Plan,
     views: &mut TrainingViews,
     inputs: &Inputs,
-    path: &Path,
+    pace: &Pace,
     model: Fresh<'_, 'a>,
     progress: &mut dyn Progress,
 ) -> Result<Option<Rate>> {
@@ -53,9 +54,14 @@ pub fn choose_rate<'a>(
         let rate = base * factors.first().copied().unwrap_or(1.0);
         return Ok(Some(Rate { rate, seconds: None, earlier: 0.0 }));
     }
-    if path.is_file() {
+    let path = pace.checkpoint.as_ref().map(|path| path.with_extension("rate.safetensors"));
+    if let Some(path) = path.as_ref().filter(|path| path.is_file()) {
         let checkpoint = Checkpoint::load(path, KIND)?;
         let (of, from, rate): (Vec<f64>, f64, f64) = checkpoint.get("choice")?;
+        // Earlier versions did not say what a choice was made from.
+        if checkpoint.has("provenance") {
+            pace.provenance.check(&checkpoint.get("provenance")?, false, path)?;
+        }
         if (&of, from) == (factors, base) {
             let seconds: Option<f64> = checkpoint.get("seconds").ok();
             return Ok(Some(Rate { rate, seconds, earlier: seconds.unwrap_or(0.0) }));
@@ -69,7 +75,7 @@ pub fn choose_rate<'a>(
     let gaussians = views.gaussians();
     progress.event(&Event::Started { stage: "rates", done: 0, iterations: factors.len() * trial.iterations });
     for (tried, factor) in factors.iter().enumerate() {
-        let (mut model, mut recalls) = (model(base * factor, views)?, Recalls::new(views.classes()));
+        let (mut model, mut recalls) = (model(base * factor, &trial, views)?, Recalls::new(views.classes()));
         for iteration in 0..trial.iterations {
             let loss = f64::from(train_step(model.as_mut(), views, &trial, &mut recalls, iteration)?);
             let iteration = tried * trial.iterations + iteration + 1;
@@ -87,10 +93,13 @@ pub fn choose_rate<'a>(
     views.hold_back(None);
     progress.event(&Event::Finished);
     let seconds = clock.elapsed().as_secs_f64();
-    let mut checkpoint = Checkpoint::new(KIND);
-    checkpoint.set("choice", &(factors, base, best.1))?;
-    checkpoint.set("seconds", &seconds)?;
-    checkpoint.save(path)?;
+    if let Some(path) = path {
+        let mut checkpoint = Checkpoint::new(KIND);
+        checkpoint.set("choice", &(factors, base, best.1))?;
+        checkpoint.set("seconds", &seconds)?;
+        checkpoint.set("provenance", &pace.provenance)?;
+        checkpoint.save(&path)?;
+    }
     Ok(Some(Rate { rate: best.1, seconds: Some(seconds), earlier: 0.0 }))
 }
 
@@ -107,4 +116,89 @@ fn raw_accuracy(identities: &Identities, views: &TrainingViews, inputs: &Inputs)
     let raw = views.held_back().filter_map(|view| view.raw.as_ref());
     let pairs = raw.zip(&maps).map(|(raw, map)| (raw.map(), map.map()));
     Ok(label_scores(classes, pairs, Void::Wrong).accuracy.unwrap_or(0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::choose_rate;
+    use crate::camera::Camera;
+    use crate::config::{Config, Row};
+    use crate::data::{Classes, LabelMap, Scene, Split, View};
+    use crate::gaussians::Gaussians;
+    use crate::raster::Settings;
+    use crate::segmentation::loss::Kind;
+    use crate::train::progress::Silent;
+    use crate::train::segmentation::{Model, Pace, PerGaussian, Plan, TrainingViews};
+    use crate::train::{Inputs, Provenance};
+    use glam::{DMat3, DVec3};
+    use image::RgbImage;
+
+    /// A view of four pixels a side, of one class.
+    fn view(name: &str) -> View {
+        View {
+            name: name.into(),
+            split: Split::Train,
+            camera: Camera {
+                rotation: DMat3::IDENTITY,
+                center: DVec3::ZERO,
+                fx: 4.0,
+                fy: 4.0,
+                cx: 2.0,
+                cy: 2.0,
+                width: 4,
+                height: 4,
+            },
+            image: RgbImage::new(4, 4).into(),
+            mask: None,
+            truth: None,
+            raw: Some(LabelMap { width: 4, height: 4, ids: vec![1; 16] }.into()),
+            segments: Vec::new(),
+            instances: None,
+        }
+    }
+
+    #[test]
+    fn models_are_made_for_the_plan_of_the_trial() {
+        let scene = Scene {
+            name: "two views".into(),
+            views: vec![view("a"), view("b")],
+            classes: Classes::from_names(0, [(1, "one"), (2, "two")]),
+            points: Default::default(),
+            origin: DVec3::ZERO,
+            up: DVec3::Y,
+        };
+        let gaussians = Gaussians {
+            means: vec![[0.0, 0.0, 2.0]],
+            log_scales: vec![[0.0; 3]],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacity_logits: vec![3.0],
+            sh: vec![0.0; 3],
+            sh_degree: 0,
+        };
+        let mut config = Config::default();
+        (config.segmentation.lr_trials, config.segmentation.iterations) = (vec![1.0, 2.0], 10);
+        let device = crate::device::open(crate::device::BackendName::compiled().last().copied()).expect("a backend");
+        let (scene, gaussians, settings) = (&scene, &gaussians, Settings::default());
+        let inputs =
+            Inputs { scene, gaussians, seen: None, semantics: None, config: &config, settings, device: &device };
+        let folder = tempfile::tempdir().expect("a folder");
+        let pace = Pace {
+            row: Row::PerGaussian.key(),
+            eval_every: 1,
+            checkpoint_every: 1,
+            checkpoint: Some(folder.path().join("per_gaussian.safetensors")),
+            provenance: Provenance::default(),
+        };
+        let plan = Plan::new(&config.segmentation, Kind::Ce, 0);
+        let mut views = inputs.training_views();
+        let mut asked = Vec::new();
+        let mut model = |rate: f64, plan: &Plan, _: &TrainingViews| {
+            asked.push((rate, plan.iterations));
+            let model = PerGaussian::new([1, 2], rate, config.segmentation.blend, &device.clone().autodiff());
+            Ok(Box::new(model) as Box<dyn Model>)
+        };
+        choose_rate(0.05, &plan, &mut views, &inputs, &pace, &mut model, &mut Silent).expect("a rate");
+        assert_eq!(asked, [(0.05, 3), (0.1, 3)]);
+        assert!(folder.path().join("per_gaussian.rate.safetensors").is_file());
+    }
 }

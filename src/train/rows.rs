@@ -12,7 +12,7 @@ use crate::error::Result;
 use crate::metrics::{
     Agreement, Compactness, InstanceScores, LabelScores, SemanticScores, Void, instance_scores, label_scores,
 };
-use crate::objects::{Identities, LabelRule, Semantics, label_map, vote};
+use crate::objects::{Identities, LabelRule, Semantics, has_truth, label_map, vote};
 use crate::raster::Projected;
 use crate::segmentation::decoder::DecoderConfig;
 use crate::segmentation::loss::Kind;
@@ -114,10 +114,9 @@ impl Scores {
 
 impl<'a> HeldOut<'a> {
     fn new(inputs: &Inputs<'a>) -> Result<Self> {
-        let objects = inputs.config.data.association != Association::None;
-        let semantics = inputs.semantics;
-        let classed = |v: &View| semantics.is_some_and(|semantics| semantics.knows(v));
-        let known = |v: &&View| if objects { v.instances.is_some() || classed(v) } else { v.truth.is_some() };
+        let (association, semantics) = (inputs.config.data.association, inputs.semantics);
+        let objects = association != Association::None;
+        let known = |view: &&View| has_truth(view, association, semantics);
         let mut left = PROJECTED_BYTES;
         let keep = |view| {
             let projected = project(view, inputs)?;
@@ -288,12 +287,11 @@ fn trained(
         eval_every: tenth(config.eval_every),
         checkpoint_every: tenth(config.checkpoint_every),
         checkpoint: Some(checkpoints.join(format!("{}.safetensors", row.key()))),
-        provenance: Provenance::row(row, inputs),
+        provenance: Provenance::row(row, inputs)?,
     };
     let device = inputs.device.clone().autodiff();
     let classes = inputs.scene.classes.len();
     let mut score = |identities: &Identities| Ok(held_out.score(identities, inputs)?.miou());
-    let rate_file = checkpoints.join(format!("{}.rate.safetensors", row.key()));
     let mut fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: &Rate, progress: &mut dyn Progress| {
         let Session { curve, earlier, whole } = train(model, views, &plan, &pace, &mut score, progress)?;
         let (identities, scores) = match whole {
@@ -318,41 +316,45 @@ fn trained(
     let stopped = || Trained { outcome: untrained(row), earlier: 0.0, whole: false };
     if !row.is_fused() {
         let model = |rate| PerGaussian::new([inputs.gaussians.len(), classes], rate, config.blend, &device);
-        let mut boxed = |rate, _: &TrainingViews| Ok(Box::new(model(rate)) as Box<dyn Model>);
-        let rate = choose_rate(config.lr_per_gaussian, &plan, views, inputs, &rate_file, &mut boxed, progress)?;
+        let mut boxed = |rate, _: &Plan, _: &TrainingViews| Ok(Box::new(model(rate)) as Box<dyn Model>);
+        let rate = choose_rate(config.lr_per_gaussian, &plan, views, inputs, &pace, &mut boxed, progress)?;
         let Some(rate) = rate else { return Ok(stopped()) };
         return fit(views, &mut model(rate.rate), &rate, progress);
     }
     let source = spatial.source(row, inputs)?;
-    let mut boxed = |rate, views: &TrainingViews| -> Result<Box<dyn Model + '_>> {
-        Ok(Box::new(decoder_row(row, rate, source, inputs, views)?))
+    let mut boxed = |rate, plan: &Plan, views: &TrainingViews| -> Result<Box<dyn Model + '_>> {
+        Ok(Box::new(decoder_row(row, rate, plan, source, inputs, views)?))
     };
-    let rate = choose_rate(config.lr, &plan, views, inputs, &rate_file, &mut boxed, progress)?;
+    let rate = choose_rate(config.lr, &plan, views, inputs, &pace, &mut boxed, progress)?;
     let Some(rate) = rate else { return Ok(stopped()) };
-    fit(views, &mut decoder_row(row, rate.rate, source, inputs, views)?, &rate, progress)
+    fit(views, &mut decoder_row(row, rate.rate, &plan, source, inputs, views)?, &rate, progress)
 }
 
 /// The decoder of `row` before its first step at learning rate `rate`, over the frozen inputs `source`; its prior, where
-/// settings ask for one, is the votes of the views in use.
+/// settings ask for one, is the votes of the views in use. Where its parameters are averaged, that begins after the share
+/// `segmentation.warmup` of the iterations of `plan`, which may be a trial's.
 ///
 /// # Errors
 /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite.
 pub fn decoder_row<'a>(
     row: Row,
     rate: f64,
+    plan: &Plan,
     source: &'a Source,
     inputs: &'a Inputs,
     views: &TrainingViews,
 ) -> Result<Fused<'a>> {
     let config = &inputs.config.segmentation;
     let (seed, classes) = (inputs.config.seed, inputs.scene.classes.len());
+    // Not `plan.warmup`: a row under cross-entropy has no warm-up, and is averaged over the same steps as the others.
+    let average_from = (config.warmup * plan.iterations as f64) as usize;
     let plan = FusedPlan {
         config,
         rate,
         regularised: row != Row::OursCe && config.lambda_reg > 0.0,
         size: [inputs.gaussians.len(), classes],
         dropout: (row != Row::OursCe && config.loss == LabelLoss::Gjs).then_some(config.gjs_dropout),
-        average_from: config.average.then_some((config.warmup * config.iterations as f64) as usize),
+        average_from: config.average.then_some(average_from),
         seed,
     };
     let device = inputs.device.clone().autodiff();

@@ -6,21 +6,19 @@ use super::checkpoint::Checkpoint;
 use super::given::begin;
 use super::progress::{CurvePoint, Event, Progress};
 use super::provenance::Provenance;
+use super::pruned::{Attendance, Pruned};
 use super::rows::{RowOutcome, TrainedRows, run_rows};
-use super::segmentation_inputs::{Inputs, Seen};
+use super::segmentation_inputs::Inputs;
 use crate::config::{Association, Config, Row, SegmentationConfig};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::{Error, Result};
 use crate::gaussians::{Gaussians, ply};
 use crate::metrics::ImageScores;
-use crate::objects::{Identities, Semantics, associate};
+use crate::objects::{Identities, Semantics, associate, has_truth};
 use crate::raster::{Settings, render};
 use burn::tensor::Device;
 use std::path::Path;
 use std::time::Instant;
-
-/// Attendance pruning that removes more than this share is warned of; trained scenes lose a thousandth.
-const MANY_PRUNED: f64 = 0.05;
 
 /// Seconds spent in each part of the job; evaluations are part of the stage they belong to. Training of earlier parts of a resumed
 /// run counts; what such a run does again (loading, features, unprojection) counts once.
@@ -36,19 +34,6 @@ pub struct Seconds {
     pub segmentation: f64,
     /// Everything from loading to the last score.
     pub total: f64,
-}
-
-/// What attendance pruning (Algorithm 1, line 8) removed and what it cost.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Pruned {
-    /// Gaussians before.
-    pub before: usize,
-    /// Gaussians after.
-    pub after: usize,
-    /// Mean held-out scores before.
-    pub scores_before: ImageScores,
-    /// Mean held-out scores after.
-    pub scores_after: ImageScores,
 }
 
 /// What association made of the raw labels.
@@ -76,7 +61,7 @@ pub struct Outcome {
     pub building: Vec<CurvePoint>,
     /// Mean held-out scores of the final Gaussians.
     pub test: ImageScores,
-    /// Attendance pruning, where features were unprojected.
+    /// Attendance pruning, where stage two was reached.
     pub pruned: Option<Pruned>,
     /// Association, where settings ask for it and training views have raw labels.
     pub association: Option<Associated>,
@@ -152,8 +137,11 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
     let scene = load_scene(config)?;
     let config = &match &config.segmentation.rows {
         None => {
-            let rows = if scene.has_truth() { &Row::COMPARED[..] } else { &Row::UNSCORED };
-            let rows = Some(rows.to_vec());
+            // As stage two will know them: association has yet to come.
+            let semantics = Semantics::of(&scene);
+            let scored = |view: &View| has_truth(view, config.data.association, semantics.as_ref());
+            let scored = scene.split(Split::Test).any(scored);
+            let rows = Some(if scored { Row::COMPARED.to_vec() } else { Row::UNSCORED.to_vec() });
             Config { segmentation: SegmentationConfig { rows, ..config.segmentation.clone() }, ..config.clone() }
         }
         Some(_) => config.clone(),
@@ -245,9 +233,9 @@ const GIVEN_KIND: &str = "given Gaussians";
 /// Stage one that takes `gaussians` as they are. A run that goes on has to have begun with them, and with these photos.
 fn taken(gaussians: Gaussians, scene: &Scene, config: &Config, checkpoints: &Path) -> Result<Built> {
     let (built, file) = (checkpoints.join(BUILDING), checkpoints.join(GIVEN));
-    let provenance = Provenance::given(config, scene, &gaussians)?;
+    let provenance = Provenance::given(config, scene, &gaussians);
     if built.is_file() {
-        provenance.check(&BuildingState::load(&built)?.provenance, false, &built)?;
+        provenance.check_built(&BuildingState::load(&built)?.provenance, scene, &built)?;
     }
     let anew = !file.is_file();
     if anew {
@@ -255,7 +243,7 @@ fn taken(gaussians: Gaussians, scene: &Scene, config: &Config, checkpoints: &Pat
         checkpoint.set("provenance", &provenance)?;
         checkpoint.save(&file)?;
     } else {
-        provenance.check(&Checkpoint::load(&file, GIVEN_KIND)?.get("provenance")?, false, &file)?;
+        provenance.check_built(&Checkpoint::load(&file, GIVEN_KIND)?.get("provenance")?, scene, &file)?;
     }
     let gaussians = gaussians.select(&gaussians.spatial_order());
     Ok(Built { gaussians, curve: Vec::new(), earlier: 0.0, anew, whole: true })
@@ -273,7 +261,7 @@ fn build(
     let (checkpoint, given) = (checkpoints.join(BUILDING), checkpoints.join(GIVEN));
     if given.is_file() {
         let stored = Checkpoint::load(&given, GIVEN_KIND)?.get("provenance")?;
-        Provenance::building(config, scene)?.check(&stored, false, &given)?;
+        Provenance::building(config, scene).check_built(&stored, scene, &given)?;
     }
     let mut stage = match (checkpoint.is_file(), begun) {
         (true, _) => BuildingStage::from_state(scene, config, device, BuildingState::load(&checkpoint)?)?,
@@ -322,40 +310,12 @@ fn segment(
     progress: &mut dyn Progress,
 ) -> Result<f64> {
     let config = &outcome.config.clone();
-    let fused = config.segmentation.rows().iter().any(|row| row.is_fused());
-    let seen = match fused {
-        true => Seen::new(&outcome.scene, &outcome.gaussians, config, settings, device, progress)?,
-        false => None,
-    };
-    if fused && (seen.is_none() || progress.stop()) {
+    let attendance = Attendance::of(&outcome.scene, &outcome.gaussians, config, settings, device, progress)?;
+    let (Some(attendance), false) = (attendance, progress.stop()) else {
         outcome.stopped = true;
         return Ok(0.0);
-    }
-    if let Some(seen) = &seen {
-        let before = (outcome.gaussians.len(), outcome.test);
-        outcome.gaussians = outcome.gaussians.select(&seen.kept);
-        if outcome.gaussians.len() < before.0 {
-            outcome.test = score_images(&outcome.gaussians, &outcome.scene, config)?;
-        }
-        let removed = before.0 - outcome.gaussians.len();
-        if removed as f64 > MANY_PRUNED * before.0 as f64 {
-            tracing::warn!(
-                "attendance pruning removed {removed} of {} Gaussians, because few pixels see them; a smaller \
-                 unprojection.attendance than {} keeps more",
-                before.0,
-                config.unprojection.attendance
-            );
-        }
-        outcome.pruned = Some(Pruned {
-            before: before.0,
-            after: outcome.gaussians.len(),
-            scores_before: before.1,
-            scores_after: outcome.test,
-        });
-        outcome.seconds.features = seen.seconds[0];
-        outcome.seconds.unprojection = seen.seconds[1];
-        outcome.features = seen.name.clone();
-    }
+    };
+    let seen = attendance.apply(outcome)?;
     let clock = Instant::now();
     let inputs = Inputs {
         scene: &outcome.scene,

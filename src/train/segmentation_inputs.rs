@@ -28,6 +28,8 @@ pub struct Seen {
     pub dimensions: usize,
     /// Where the features came from.
     pub name: String,
+    /// What they depend on besides photos and Gaussians, see [`Reduction::content`].
+    pub content: String,
     /// Seconds of extraction and of unprojection.
     pub seconds: [f64; 2],
 }
@@ -52,7 +54,7 @@ impl Seen {
         if progress.stop() {
             return Ok(None);
         }
-        let name = reduction.name.clone();
+        let (name, content) = (reduction.name.clone(), reduction.content.clone());
         let mut extraction = clock.elapsed();
         let clock = Instant::now();
         progress.event(&Event::Started { stage: "unprojection", done: 0, iterations: 1 });
@@ -74,7 +76,7 @@ impl Seen {
         let mut rows = lifted.features;
         rows.iter_mut().for_each(|rows| keep_rows(rows, &kept, dimensions));
         let seconds = [extraction, unprojection].map(|time| time.as_secs_f64());
-        Ok(Some(Self { lifted: rows, kept, dimensions, name, seconds }))
+        Ok(Some(Self { lifted: rows, kept, dimensions, name, content, seconds }))
     }
 }
 
@@ -94,7 +96,7 @@ pub struct Inputs<'a> {
     pub scene: &'a Scene,
     /// Its Gaussians, after attendance pruning.
     pub gaussians: &'a Gaussians,
-    /// Lifted image features; absent when no row decodes.
+    /// Lifted image features; absent where nothing reads them.
     pub seen: Option<Seen>,
     /// What the classes of objects are scored against, where classes are objects that association found.
     pub semantics: Option<&'a Semantics>,

@@ -11,7 +11,7 @@ use coseg::features::{FeatureMap, Steps};
 use coseg::gaussians::Gaussians;
 use coseg::mask::Mask;
 use coseg::raster::{RasterInput, Settings, SplatTensors, rasterize};
-use coseg::segmentation::unprojection::{Unprojected, unproject};
+use coseg::segmentation::unprojection::{Unprojected, attended, unproject};
 use glam::DVec3;
 
 fn host<const D: usize>(t: Tensor<D>) -> Vec<f64> {
@@ -183,6 +183,11 @@ fn features_are_lifted_alike() {
                 let largest = want.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
                 let off = got.iter().zip(want).filter(|(g, w)| (*g - *w).abs() > 1e-4 * largest).count();
                 assert!(off * 200 <= want.len(), "{resolution:?}, {normalisation:?}, scale {scale}: {off} are off");
+            }
+            if resolution == Resolution::Image {
+                // By itself to the bit: a run is the same whether it lifts features or not.
+                let alone = attended(&gaussians, views.iter(), &config, &Settings::default(), &gpu).expect("counts");
+                assert_eq!(alone, got.keep);
             }
             let same = got.keep.iter().zip(&want.keep).filter(|(a, b)| a == b).count();
             assert!(same * 100 >= n * 98, "{same} of {n} kept alike");

@@ -68,6 +68,7 @@ mod plates;
 mod ply;
 mod poses;
 mod pretrain;
+mod provenance;
 mod randla;
 mod raster;
 mod raster_contract;

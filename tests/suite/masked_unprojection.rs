@@ -7,7 +7,7 @@ use coseg::features::FeatureMap;
 use coseg::gaussians::Gaussians;
 use coseg::mask::Mask;
 use coseg::raster::{Projected, Settings, Splats};
-use coseg::segmentation::unprojection::{Problem, Sums, Unprojected, unproject};
+use coseg::segmentation::unprojection::{Problem, Sums, Unprojected, attended, unproject};
 
 const SIZE: (usize, usize) = (97, 71);
 
@@ -169,5 +169,23 @@ fn solved_features_render_as_the_maps_do_where_they_are_used() {
         let mean = if weight > 0.0 { buffer / weight } else { 0.0 };
         let left = rendered - buffer + ridge * weight * (solved.features[i] - mean);
         assert!(left.abs() < 2e-3 * largest, "value {i}: {left} of {largest}");
+    }
+}
+
+#[test]
+fn attendance_by_itself_is_that_of_the_unprojection() {
+    let (scene, settings, device) = (cloud(300), Settings::default(), crate::device());
+    for masked in [false, true] {
+        let mut views = views(SIZE.0, SIZE.1);
+        views.iter_mut().skip(1).for_each(|view| view.mask = masked.then(mask));
+        let set = features(&views, maps);
+        for attendance in [0.0, 1e-5, 1e-3, 0.01] {
+            let config = UnprojectionConfig { attendance, ..UnprojectionConfig::default() };
+            let lifted = unproject(&scene, views.iter(), &set, &config, &settings, &device).expect("features");
+            let alone = attended(&scene, views.iter(), &config, &settings, &device).expect("counts");
+            assert_eq!(alone, lifted.keep, "{attendance}, masked: {masked}");
+            // One is behind all cameras.
+            assert_eq!(alone.contains(&false), attendance > 0.0);
+        }
     }
 }

@@ -27,7 +27,7 @@ pub fn config(data: &Path) -> Config {
 }
 
 /// Stops after some iterations of a stage.
-struct StopAt {
+pub struct StopAt {
     stage: &'static str,
     iteration: usize,
     now: &'static str,
@@ -35,7 +35,7 @@ struct StopAt {
 }
 
 impl StopAt {
-    fn new(stage: &'static str, iteration: usize) -> Self {
+    pub fn new(stage: &'static str, iteration: usize) -> Self {
         Self { stage, iteration, now: "", stopped: false }
     }
 }
@@ -188,6 +188,9 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     (trials.segmentation.rows, trials.segmentation.lr_trials) = (Some(vec![Row::PerGaussian]), vec![0.5, 1.0]);
     whole(&trials, &chosen);
     trials.segmentation.render = LabelSource::Scores;
+    let error = run(&trials, &chosen, &crate::device(), &mut Silent).err().expect("must be refused").to_string();
+    assert!(error.contains("segmentation.render") && error.contains("per_gaussian.rate.safetensors"), "{error}");
+    std::fs::remove_file(chosen.join("checkpoint/per_gaussian.rate.safetensors")).expect("removed");
     let error = run(&trials, &chosen, &crate::device(), &mut Silent).err().expect("must be refused").to_string();
     assert!(error.contains("segmentation.render") && error.contains("per_gaussian.safetensors"), "{error}");
 

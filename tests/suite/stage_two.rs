@@ -1,13 +1,15 @@
 //! Stage two on the plates: what the decoder starts from, what is stored, how learning rates are chosen.
 
 use coseg::Error;
-use coseg::config::{Blend, BuildingConfig, Config, LabelSource, Prior, Row, SegmentationConfig};
-use coseg::data::{Classes, LabelMap, LabelRuns, Split};
+use coseg::config::{Association, Blend, BuildingConfig, Config, LabelSource, Prior, Row, SegmentationConfig};
+use coseg::data::{Classes, LabelMap, LabelRuns, LoadOptions, Split, load};
 use coseg::gaussians::init;
 use coseg::objects::{Identities, LabelRule, hard_label_map, label_map, vote};
 use coseg::raster::{Projected, Settings};
+use coseg::segmentation::loss::Kind;
 use coseg::train::progress::Silent;
-use coseg::train::{Outcome, run};
+use coseg::train::segmentation::{Model, Plan, Recalls, train_step};
+use coseg::train::{Inputs, Outcome, Spatial, decoder_row, run};
 
 fn trained(edit: impl Fn(&mut SegmentationConfig)) -> Outcome {
     let folder = tempfile::tempdir().expect("a folder");
@@ -183,4 +185,59 @@ fn without_truth_only_what_is_wanted_is_trained() {
     assert_eq!(rows(&config, "unscored"), Row::UNSCORED);
     config.segmentation.rows = Some(vec![Row::PerGaussian]);
     assert_eq!(rows(&config, "asked for"), [Row::PerGaussian]);
+}
+
+#[test]
+fn a_truth_that_no_row_is_scored_by_is_none() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::plates::scene(folder.path());
+    let mut config = crate::resume::config(folder.path());
+    (config.segmentation.rows, config.segmentation.iterations) = (None, 4);
+    let trained = |association: Association, out: &str| {
+        let mut config = config.clone();
+        config.data.association = association;
+        let outcome = crate::resume::whole(&config, &folder.path().join(out));
+        let notes = coseg::report::Report::notes_of(&outcome, &config).concat();
+        let is_scored = |row: &coseg::train::RowOutcome| row.scores.miou.is_some() || row.instances.is_some();
+        let scored = outcome.rows.iter().any(is_scored);
+        assert_eq!(notes.contains("no row of labels is scored"), !scored, "{notes}");
+        (outcome.rows.iter().map(|row| row.row).collect::<Vec<_>>(), scored)
+    };
+    // Objects without classes are not scored by classes.
+    assert_eq!(trained(Association::None, "classes"), (Row::COMPARED.to_vec(), true));
+    assert_eq!(trained(Association::Gaussians, "objects of classes"), (Row::UNSCORED.to_vec(), false));
+    // Nor are classes by instances.
+    let file = folder.path().join("transforms.json");
+    let text = std::fs::read_to_string(&file).expect("frames").replace("\"label_path\"", "\"instance_path\"");
+    std::fs::write(&file, text).expect("written");
+    assert_eq!(trained(Association::None, "instances"), (Row::UNSCORED.to_vec(), false));
+    assert_eq!(trained(Association::Gaussians, "objects"), (Row::COMPARED.to_vec(), true));
+}
+
+#[test]
+fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::plates::scene(folder.path());
+    let (gaussians, _) = crate::plates::plates();
+    let scene = load(folder.path(), &LoadOptions::default()).expect("scene");
+    let device = crate::device();
+    let scores = |average: bool, iterations: usize| {
+        let mut config = Config::default();
+        (config.segmentation.average, config.segmentation.warmup, config.segmentation.iterations) = (average, 0.5, 40);
+        let plan = Plan { iterations, ..Plan::new(&config.segmentation, Kind::Ce, 0) };
+        let (scene, gaussians, settings) = (&scene, &gaussians, Settings::default());
+        let inputs =
+            Inputs { scene, gaussians, seen: None, semantics: None, config: &config, settings, device: &device };
+        let mut spatial = Spatial::default();
+        let source = spatial.source(Row::NoImageFeatures, &inputs).expect("encoded");
+        let mut views = inputs.training_views();
+        let mut model = decoder_row(Row::NoImageFeatures, 1e-2, &plan, source, &inputs, &views).expect("a decoder");
+        let mut recalls = Recalls::new(views.classes());
+        for i in 0..4 {
+            train_step(&mut model, &mut views, &plan, &mut recalls, i).expect("a step");
+        }
+        model.identities().expect("identities").scores
+    };
+    assert_ne!(scores(true, 4), scores(false, 4), "two of four steps of a trial");
+    assert_eq!(scores(true, 40), scores(false, 40), "none of the first twenty");
 }

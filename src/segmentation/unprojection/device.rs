@@ -80,6 +80,18 @@ impl DeviceSums {
         Ok(())
     }
 
+    /// Algorithm 1's counter in the view of `camera`, `[N]`, of the pixels that `mask` uses, and how many these are.
+    pub fn counts(
+        &self,
+        splats: &Splats<'_, f32>,
+        camera: &Camera,
+        mask: Option<&Mask>,
+        settings: &Settings,
+    ) -> Result<(Vec<u64>, u64)> {
+        let Seen { counts, pixels, .. } = self.look(splats, camera, mask, settings)?;
+        Ok((counts, pixels))
+    }
+
     /// The view of `camera`, of the pixels that `mask` uses.
     fn look(
         &self,
