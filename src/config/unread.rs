@@ -20,7 +20,8 @@ impl Config {
             }
         }
         if self.building.strategy == Strategy::Mcmc {
-            let (b, usual) = (&self.building, BuildingConfig::default());
+            let b = &self.building;
+            let usual = BuildingConfig { absgrad: b.absgrad, ..BuildingConfig::default() };
             for (key, value, usual) in [
                 ("densify_threshold", b.densify_threshold(), usual.densify_threshold()),
                 ("clone_below", b.clone_below, usual.clone_below),

@@ -208,7 +208,7 @@ fn what_another_setting_leaves_unread_is_told() {
     one(&["features.weights=w", "features.source=import", "features.import_dir=d"], &["features.weights"]);
     one(&["features.import_dir=maps"], &["features.import_dir = maps", "features.source is not import"]);
     let mcmc = ["building.strategy=mcmc", "building.max_gaussians=900"];
-    let usual = ["densify_threshold=2e-4", "clone_below=0.01", "prune_scale=0.1", "reset_every=1000"];
+    let usual = ["densify_threshold=8e-4", "clone_below=0.01", "prune_scale=0.1", "reset_every=1000"];
     let other = ["densify_threshold=1e-3", "clone_below=0.02", "prune_scale=0.5", "reset_every=500"];
     for (usual, other) in usual.into_iter().zip(other) {
         let [usual, other] = [usual, other].map(|set| format!("building.{set}"));

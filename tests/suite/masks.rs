@@ -267,7 +267,7 @@ fn a_run_notices_that_masks_have_changed() {
     assert!(fs::read_to_string(run.join("report.html")).unwrap().contains("pixels of 1 of 6 photos"));
     succeeds(&["train", "--resume", utf8(&run)]);
     grey(80, 64, |x, y| x != 30 || y != 30).save(dir.join("masks/v1.png")).unwrap();
-    assert!(fails(&["train", "--resume", utf8(&run)], 1).contains("photos, cameras and points"));
+    assert!(fails(&["train", "--resume", utf8(&run)], 1).contains("photos, masks, cameras and points"));
     corner().save(dir.join("masks/v1.png")).unwrap();
     succeeds(&["train", "--resume", utf8(&run)]);
 }

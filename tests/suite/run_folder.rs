@@ -117,7 +117,7 @@ fn a_refused_resume_leaves_the_run_as_it_was() {
     pixels.save(&photo).unwrap();
     for run in [&run, &taken] {
         let before = contents(run);
-        assert!(fails(&["train", "--resume", utf8(run)], 1).contains("photos, cameras and points"));
+        assert!(fails(&["train", "--resume", utf8(run)], 1).contains("photos, masks, cameras and points"));
         assert!(before == contents(run));
     }
 }

@@ -101,7 +101,7 @@ impl BuildingStage<'_> {
             Strategy::Adc => self.controlled(old, &mut rng)?,
             Strategy::Mcmc => self.relocated(old, &mut rng),
         };
-        if map.is_empty() {
+        if map.is_empty() && !old.is_empty() {
             let name = format!("densification after {} steps", self.iteration);
             let found = format!("{} Gaussians, none of which is opaque and small enough to stay", old.len());
             let mend = "run `coseg data check` on the scene, whose poses are in doubt, or lower building.prune_opacity";
