@@ -48,8 +48,9 @@ impl RunFolder {
         self.config_path().exists()
     }
 
-    /// Notes that `command` begins the run, or goes on with it, with the settings `config`. A new run has both at once, so that it can
-    /// be gone on with however it ends. One that was there may yet refuse these settings: it keeps its own until it is done.
+    /// Notes that `command` begins the run, or goes on with it, with the settings `config`. A new run has both at once, so that
+    /// it can be gone on with however it ends. One that was there may yet refuse these settings: it keeps its own until it is
+    /// done.
     ///
     /// # Errors
     /// [`Error::Io`] naming the file; [`Error::Argument`] for settings that TOML cannot hold.

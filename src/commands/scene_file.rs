@@ -69,9 +69,9 @@ pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
     }
 }
 
-/// The raster settings of the run that the scene `scene` lies in, as its config.toml has them; else the defaults. Files of other
-/// programs are called so too: one without such settings says nothing, and one that cannot be used is warned of, since the scene can
-/// be looked at all the same.
+/// The raster settings of the run that the scene `scene` lies in, as its config.toml has them; else the defaults. Files of
+/// other programs are called so too: one without such settings says nothing, and one that cannot be used is warned of, since
+/// the scene can be looked at all the same.
 pub fn raster_beside(scene: &Path) -> RasterConfig {
     let file = scene.with_file_name(CONFIG);
     if !file.is_file() {

@@ -170,7 +170,8 @@ impl TrainArgs {
         Ok(ExitCode::SUCCESS)
     }
 
-    /// The command line that goes on with `run`. Settings that a finished run is gone on with are its own only once it is done again.
+    /// The command line that goes on with `run`. Settings that a finished run is gone on with are its own only once it is done
+    /// again.
     fn resume_line(&self, run: &RunFolder) -> String {
         let mut words = ["coseg", "train", "--resume"].map(str::to_owned).to_vec();
         words.push(run.path().display().to_string());

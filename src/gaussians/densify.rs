@@ -48,8 +48,9 @@ impl DensityStats {
     }
 }
 
-/// Largest scale that a Gaussian may have: a share of its distance from where the photos were taken, or of their extent where that is
-/// longer. 3DGS takes the extent alone, by which cameras that are close to each other would lose everything behind their subject.
+/// Largest scale that a Gaussian may have: a share of its distance from where the photos were taken, or of their extent where
+/// that is longer. 3DGS takes the extent alone, by which cameras that are close to each other would lose everything behind
+/// their subject.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SizeLimit {
     /// Share of either length.

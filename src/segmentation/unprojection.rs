@@ -40,8 +40,8 @@ pub struct Sums<E> {
     pub channels: Vec<usize>,
     /// `sum_v W^T 1` per scale, `[N]`: at `image` resolution the same at every scale.
     pub weights: Vec<Vec<E>>,
-    /// Algorithm 1's counter per scale, `[N]`: pixels (at `feature` resolution: cells) whose centre lies within the radius, those
-    /// that masks leave out not counted: they add nothing to the buffers either.
+    /// Algorithm 1's counter per scale, `[N]`: pixels (at `feature` resolution: cells) whose centre lies within the radius,
+    /// those that masks leave out not counted: they add nothing to the buffers either.
     pub counts: Vec<Vec<u64>>,
     /// Pixels (cells) of all views per scale that masks do not leave out, without masks `sum_v H_v W_v`.
     pub pixels: Vec<u64>,
@@ -78,8 +78,8 @@ impl<E: Real> Sums<E> {
         self.add_used(splats, camera, maps, None, resolution, settings)
     }
 
-    /// [`Sums::add`] of the pixels that `mask`, of the camera's size, uses; at `feature` resolution of the cells whose centre is
-    /// such a pixel. Counts are of these pixels, or cells, too.
+    /// [`Sums::add`] of the pixels that `mask`, of the camera's size, uses; at `feature` resolution of the cells whose centre
+    /// is such a pixel. Counts are of these pixels, or cells, too.
     ///
     /// # Errors
     /// As [`Sums::add`]; [`Error::Argument`] for a mask of another size.
@@ -275,7 +275,8 @@ impl Unprojected {
 /// views' masks use. Where `device` is a GPU, the sums are made on it.
 ///
 /// # Errors
-/// [`Error::Argument`] when views and features do not match, or a mask has another size than its view; what [`Sums::add`] returns.
+/// [`Error::Argument`] when views and features do not match, or a mask has another size than its view; what [`Sums::add`]
+/// returns.
 pub fn unproject<'a>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,

@@ -71,8 +71,8 @@ pub trait Progress {
     /// Called after each event.
     fn event(&mut self, event: &Event);
 
-    /// Asked after each iteration and between the parts of a run; true ends the run there. What was trained is in a checkpoint then,
-    /// but for a trial of learning rates, which begins anew.
+    /// Asked after each iteration and between the parts of a run; true ends the run there. What was trained is in a checkpoint
+    /// then, but for a trial of learning rates, which begins anew.
     fn stop(&mut self) -> bool {
         false
     }

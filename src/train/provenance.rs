@@ -15,7 +15,8 @@ use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::path::Path;
 
-/// Settings that change when something is measured, saved or kept, or what becomes of a row after its training, and nothing else.
+/// Settings that change when something is measured, saved or kept, or what becomes of a row after its training, and nothing
+/// else.
 const WITHOUT_EFFECT: [&str; 11] = [
     "data.raw_labels_note",
     "data.decoded_mb",
@@ -72,8 +73,8 @@ pub struct Provenance {
     settings: BTreeMap<String, String>,
     /// SHA-256 of the data, by name.
     data: BTreeMap<String, String>,
-    /// Settings that the data follows from, as `settings`. They are no obstacle by themselves, as other ones may stand for the same
-    /// data; where it is another, they say why. Earlier versions had none.
+    /// Settings that the data follows from, as `settings`. They are no obstacle by themselves, as other ones may stand for the
+    /// same data; where it is another, they say why. Earlier versions had none.
     #[serde(default)]
     origin: BTreeMap<String, String>,
 }
@@ -140,8 +141,8 @@ impl Provenance {
     /// training is `finished` may be scored by another rule of rendering, unless a rate was chosen by such scores.
     ///
     /// # Errors
-    /// [`Error::Config`] naming the first setting that differs, or the one that other data follows from; [`Error::Input`] naming the
-    /// data.
+    /// [`Error::Config`] naming the first setting that differs, or the one that other data follows from; [`Error::Input`]
+    /// naming the data.
     pub(super) fn check(&self, stored: &Self, finished: bool, file: &Path) -> Result<()> {
         let none = || "nothing".to_owned();
         let mut defaults = settings(&Config::default(), &SECTIONS);

@@ -20,8 +20,8 @@ use burn::tensor::Device;
 use std::path::Path;
 use std::time::Instant;
 
-/// Seconds spent in each part of the job; evaluations are part of the stage they belong to. Training of earlier parts of a resumed
-/// run counts; what such a run does again (loading, features, unprojection) counts once.
+/// Seconds spent in each part of the job; evaluations are part of the stage they belong to. Training of earlier parts of a
+/// resumed run counts; what such a run does again (loading, features, unprojection) counts once.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Seconds {
     /// Stage one.
@@ -77,8 +77,8 @@ pub struct Outcome {
     pub seconds: Seconds,
     /// The settings as they ran: where none named the rows, those that were chosen.
     pub config: Config,
-    /// Whether `progress` ended the run before it was done. What it had not come to is empty here, a row that it was in the middle
-    /// of has no identities, and half-built Gaussians have no scores; [`run`] goes on with it.
+    /// Whether `progress` ended the run before it was done. What it had not come to is empty here, a row that it was in the
+    /// middle of has no identities, and half-built Gaussians have no scores; [`run`] goes on with it.
     pub stopped: bool,
     /// Seconds of training in stage two that earlier parts of a resumed run took.
     earlier_segmentation: f64,
@@ -124,8 +124,8 @@ pub fn load_scene(config: &Config) -> Result<Scene> {
     }
 }
 
-/// Runs both stages, or as much of them as `progress` does not stop. Checkpoints go to and come from `out/checkpoint`; a run that finds
-/// its own there goes on.
+/// Runs both stages, or as much of them as `progress` does not stop. Checkpoints go to and come from `out/checkpoint`; a run
+/// that finds its own there goes on.
 ///
 /// # Errors
 /// Those of loading, of both stages, and of writing; nothing written before is lost.
