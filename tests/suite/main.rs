@@ -5,6 +5,7 @@ mod adam;
 mod assignment;
 mod association;
 mod association_figures;
+mod attendance;
 mod backends;
 mod bench;
 mod blender;
