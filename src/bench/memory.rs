@@ -70,7 +70,7 @@ fn with_gaussians(bench: &Bench, few: &Scene, count: usize) -> Result<Vec<Figure
         let segmentation = &config.segmentation;
         let plan = Plan::new(segmentation, Kind::from_config(segmentation)?, config.seed);
         let mut training = inputs.training_views();
-        let mut model = decoder_row(Row::Ours, segmentation.lr, &plan, source, &inputs, &training)?;
+        let mut model = decoder_row(Row::Ours, segmentation.lr, &plan, source, &inputs, &mut training)?;
         let mut recalls = Recalls::new(training.classes());
         // The first pass over the views makes their weights, which takes memory of its own.
         let first = plan.warmup.next_multiple_of(views);

@@ -76,8 +76,10 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let segmentation = &config.segmentation;
     let mut training = inputs.training_views();
     let plan = Plan::new(segmentation, Kind::from_config(segmentation)?, config.seed);
-    let mut model =
-        Timed { model: decoder_row(Row::Ours, segmentation.lr, &plan, source, &inputs, &training)?, seconds: [0.0; 2] };
+    let mut model = Timed {
+        model: decoder_row(Row::Ours, segmentation.lr, &plan, source, &inputs, &mut training)?,
+        seconds: [0.0; 2],
+    };
 
     let mut recalls = Recalls::new(training.classes());
     // The first pass over the views makes their weights and settles allocations; then the loss after the warm-up.

@@ -5,10 +5,11 @@ use super::terminal;
 use clap::Args;
 use coseg::config::Association;
 use coseg::data::{LabelRuns, Split, View};
+use coseg::device;
 use coseg::error::Result;
 use coseg::gaussians::ply;
 use coseg::metrics::{InstanceScores, SemanticScores, instance_scores};
-use coseg::objects::{LabelRule, Semantics, associate, label_map, vote};
+use coseg::objects::{LabelMaps, LabelRule, Semantics, associate, vote};
 use coseg::raster::{self, Projected};
 
 const HELP: &str = "\
@@ -34,7 +35,8 @@ impl AssociateArgs {
         let mut config = self.input.config()?;
         config.data.association = Association::Gaussians;
         let raster = raster::Settings::from(&config.raster);
-        let (mut scene, ply) = self.input.read(&config)?;
+        let device = device::open(None)?;
+        let (mut scene, ply) = self.input.read(&config, &device)?;
         let found = associate(&ply.gaussians, &scene, &config.association, &raster)?;
         terminal::say(&format!(
             "{} segments of training views: {} objects, {} segments of none, {} divided",
@@ -52,17 +54,18 @@ impl AssociateArgs {
             }
         }
         scene.classes.write(&self.input.out.join("classes.json"))?;
-        let identities = vote(&ply.gaussians, scene.split(Split::Train), &scene.classes, &raster)?.identities();
+        let identities =
+            vote(&ply.gaussians, scene.split(Split::Train), &scene.classes, &raster, &device)?.identities();
         let path = self.input.out.join("scene.ply");
         ply::write(&path, &ply.gaussians, ply.origin, Some(&identities.ids(&scene.classes)))?;
         terminal::say(&format!("{}: maps in labels, classes.json and scene.ply", self.input.out.display()));
 
-        let rule = LabelRule::from(&config.segmentation);
+        let maps = LabelMaps::new(&identities, &scene.classes, LabelRule::from(&config.segmentation));
         let mut rendered = Vec::new();
         for view in scene.split(Split::Test) {
             if view.instances.is_some() || semantics.as_ref().is_some_and(|semantics| semantics.knows(view)) {
                 let projected = Projected::new(&ply.gaussians.splats(), &view.camera, &raster)?;
-                rendered.push((view, LabelRuns::from(label_map(&projected, &identities, &scene.classes, &rule))));
+                rendered.push((view, LabelRuns::from(maps.of(&projected))));
             }
         }
         let own: Vec<_> = scene.split(Split::Test).filter_map(|view| Some((view, view.raw.clone()?))).collect();

@@ -4,11 +4,11 @@ use super::run_folder::RunFolder;
 use super::terminal;
 use clap::Args;
 use coseg::config::{Association, Config, Row};
-use coseg::data::{Classes, LabelRuns, Limits, Scene, Split, View};
+use coseg::data::{Classes, LabelMap, LabelRuns, Limits, Scene, Split, View};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::metrics::{ImageScores, InstanceScores, SemanticScores, Void, instance_scores, label_scores};
-use coseg::objects::{Identities, LabelRule, Semantics, hard_label_map, label_map};
+use coseg::objects::{Identities, LabelMaps, LabelRule, Semantics, hard_label_map};
 use coseg::raster::{Projected, Settings, render};
 use coseg::report::{RowScores, TestScores};
 use std::collections::BTreeMap;
@@ -158,6 +158,9 @@ fn stored(run: &RunFolder, ply: &PlyScene) -> Result<Option<Stored>> {
     Ok(Some(Stored::Identities(identities)))
 }
 
+/// The labels that a projection shows.
+type Shown<'a> = dyn Fn(&Projected<f32>) -> LabelMap + 'a;
+
 /// Image scores of each view, and the rendered labels of the views that have truth.
 fn score<'s>(
     scene: &'s Scene,
@@ -168,19 +171,24 @@ fn score<'s>(
 ) -> Result<Found<'s>> {
     let settings = Settings::from(&config.raster);
     let rule = LabelRule::from(&config.segmentation);
+    let shown = stored.map(|stored| -> Box<Shown<'_>> {
+        match stored {
+            Stored::Identities(identities) => {
+                let maps = LabelMaps::new(identities, classes, rule);
+                Box::new(move |projected| maps.of(projected))
+            }
+            Stored::Labels(ids) => Box::new(move |projected| hard_label_map(projected, ids, rule.min_coverage)),
+        }
+    });
     let bar = terminal::bar("eval", scene.split(Split::Test).count() as u64);
     let (mut images, mut labels) = (BTreeMap::new(), Vec::new());
     for view in scene.split(Split::Test) {
         let View { camera, truth, instances, .. } = view;
         let rendered = render(&ply.gaussians, camera, &settings, config.raster.background)?;
         images.insert(view.name.clone(), ImageScores::of_view(&rendered.rgb, view)?);
-        if let (true, Some(stored)) = (truth.is_some() || instances.is_some(), stored) {
+        if let (true, Some(shown)) = (truth.is_some() || instances.is_some(), &shown) {
             let projected = Projected::new(&ply.gaussians.splats(), camera, &settings)?;
-            let found = match stored {
-                Stored::Identities(identities) => label_map(&projected, identities, classes, &rule),
-                Stored::Labels(ids) => hard_label_map(&projected, ids, rule.min_coverage),
-            };
-            labels.push((view, found.into()));
+            labels.push((view, shown(&projected).into()));
         }
         bar.inc(1);
     }

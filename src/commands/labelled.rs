@@ -2,6 +2,7 @@
 
 use super::Settings;
 use super::scene_file::scene_path;
+use burn::tensor::Device;
 use clap::Args;
 use coseg::config::Config;
 use coseg::data::{self, Limits, LoadOptions, Scene, atomic};
@@ -33,7 +34,7 @@ impl LabelledArgs {
     }
 
     /// Reads both, the scene relative to the origin of the Gaussians.
-    pub fn read(&self, config: &Config) -> Result<(Scene, PlyScene)> {
+    pub fn read(&self, config: &Config, device: &Device) -> Result<(Scene, PlyScene)> {
         let options = LoadOptions::from(config);
         data::locate(&self.data, &options)?;
         let path = scene_path(&self.scene)?;
@@ -44,7 +45,7 @@ impl LabelledArgs {
         let scene = data::load(&self.data, &options)?;
         let ply = ply::read(&path, &Limits::default())?;
         let scene = scene.with_origin(ply.origin);
-        compare_with_photos(&path, &ply.gaussians, &scene, config)?;
+        compare_with_photos(&path, &ply.gaussians, &scene, config, device)?;
         Ok((scene, ply))
     }
 }

@@ -147,7 +147,7 @@ impl TrainArgs {
         let (classes, renders) = (&outcome.scene.classes, run.path().join("renders"));
         let mut metrics = Metrics { commands: begun.commands, ..Metrics::of(&outcome) };
         let mut scores = BTreeMap::new();
-        let views = held_out_views(&outcome, config, |view| {
+        let views = held_out_views(&outcome, config, &device, |view| {
             scores.insert(view.view.name.clone(), view.scores);
             view.write(classes, &renders)
         })?;

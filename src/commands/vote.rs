@@ -5,10 +5,11 @@ use super::terminal;
 use clap::Args;
 use coseg::config::Association;
 use coseg::data::{LabelRuns, Split};
+use coseg::device;
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply;
 use coseg::metrics::{Void, label_scores};
-use coseg::objects::{LabelRule, label_map, vote};
+use coseg::objects::{LabelMaps, LabelRule, vote};
 use coseg::raster::{self, Projected};
 
 const HELP: &str = "\
@@ -37,7 +38,8 @@ impl VoteArgs {
             return Err(Error::config("data.association", "\"gaussians\"", expected, mend));
         }
         let raster = raster::Settings::from(&config.raster);
-        let (scene, ply) = self.input.read(&config)?;
+        let device = device::open(None)?;
+        let (scene, ply) = self.input.read(&config, &device)?;
         if !scene.split(Split::Train).any(|v| v.raw.is_some()) {
             let mend = "add raw_label_path to the frames of a transforms.json, or name a folder with --set data.raw_labels=FOLDER";
             return Err(Error::input(
@@ -48,7 +50,7 @@ impl VoteArgs {
                 mend,
             ));
         }
-        let votes = vote(&ply.gaussians, scene.split(Split::Train), &scene.classes, &raster)?;
+        let votes = vote(&ply.gaussians, scene.split(Split::Train), &scene.classes, &raster, &device)?;
         let identities = votes.identities();
         let ids = identities.ids(&scene.classes);
         let path = self.input.out.join("scene.ply");
@@ -61,12 +63,12 @@ impl VoteArgs {
             ids.len() - unseen
         ));
 
-        let rule = LabelRule::from(&config.segmentation);
+        let maps = LabelMaps::new(&identities, &scene.classes, LabelRule::from(&config.segmentation));
         let mut scored = Vec::new();
         for view in scene.split(Split::Test) {
             let Some(truth) = &view.truth else { continue };
             let projected = Projected::new(&ply.gaussians.splats(), &view.camera, &raster)?;
-            scored.push((truth, LabelRuns::from(label_map(&projected, &identities, &scene.classes, &rule))));
+            scored.push((truth, LabelRuns::from(maps.of(&projected))));
         }
         let pairs = scored.iter().map(|(truth, found)| (truth.map(), found.map()));
         let scores = label_scores(&scene.classes, pairs, Void::Wrong);

@@ -1,10 +1,7 @@
-//! Segmentation identities stored on the Gaussians (`s_i` of Eq. 3), and label maps rendered from them.
+//! Segmentation identities stored on the Gaussians (`s_i` of Eq. 3).
 
-use super::hard_label_map;
-use crate::config::{LabelSource, SegmentationConfig};
-use crate::data::{Classes, LabelMap};
+use crate::data::Classes;
 use crate::error::{Error, Result};
-use crate::raster::Projected;
 use std::path::Path;
 
 /// One score per Gaussian and class, view-independent.
@@ -77,7 +74,7 @@ impl Identities {
 }
 
 /// Index of the largest value; `None` when all are equal. Ties go to the lower index.
-fn largest(row: &[f32]) -> Option<u16> {
+pub(super) fn largest(row: &[f32]) -> Option<u16> {
     let mut best = 0;
     for (c, v) in row.iter().enumerate() {
         if *v > row[best] {
@@ -86,47 +83,4 @@ fn largest(row: &[f32]) -> Option<u16> {
     }
     let known = row.len() == 1 || row.iter().any(|v| *v < row[best]);
     known.then_some(best as u16)
-}
-
-/// How label maps are rendered from identities.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LabelRule {
-    /// What is blended.
-    pub source: LabelSource,
-    /// Pixels covered by less (1 - T) show nothing.
-    pub min_coverage: f32,
-}
-
-impl From<&SegmentationConfig> for LabelRule {
-    fn from(config: &SegmentationConfig) -> Self {
-        Self { source: config.render, min_coverage: config.min_coverage as f32 }
-    }
-}
-
-/// Renders identities: at each pixel the class with the largest blended score (`argmax` of Eq. 3), or by [`hard_label_map`] the
-/// class whose Gaussians have the largest summed alpha' T.
-///
-/// Pixels that are barely covered, or where nothing is known (of Gaussians that have most of the pixel), take the ignored id.
-pub fn label_map(projected: &Projected<f32>, identities: &Identities, classes: &Classes, rule: &LabelRule) -> LabelMap {
-    let c = identities.classes;
-    if rule.source == LabelSource::Labels {
-        // 0 is what nothing is known of; it competes as in `hard_label_map`.
-        let labels: Vec<u16> = identities.labels().into_iter().map(|class| class.map_or(0, |c| c + 1)).collect();
-        let mut map = hard_label_map(projected, &labels, rule.min_coverage);
-        let id = |label: u16| label.checked_sub(1).and_then(|c| classes.entries.get(usize::from(c)));
-        map.ids.iter_mut().for_each(|label| *label = id(*label).map_or(classes.ignore, |class| class.id));
-        return map;
-    }
-    let blended = projected.blend(&identities.scores, c);
-    let [width, height] = projected.size();
-    let ids = blended
-        .image
-        .chunks_exact(c.max(1))
-        .zip(&blended.transmittance)
-        .map(|(row, t)| {
-            let class = if 1.0 - t >= rule.min_coverage { largest(row) } else { None };
-            class.and_then(|c| classes.entries.get(usize::from(c))).map_or(classes.ignore, |c| c.id)
-        })
-        .collect();
-    LabelMap { width, height, ids }
 }

@@ -1,16 +1,16 @@
 //! Views of a labelled scene on any device: colour, coverage and labels of a camera together.
 
+use super::device_labels::{DeviceLabels, larger_of, largest_of};
 use super::hard_labels::with_hard_labels;
 use crate::camera::Camera;
 use crate::data::LabelMap;
-use crate::device::{in_host_memory, largest_allocation, read, shortfall};
+use crate::device::{in_host_memory, read, shortfall};
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::raster::{
     ListCount, Projected, RasterInput, Settings, SplatTensors, SplatView, Viewpoint, rasterize_with_room, room_for,
 };
 use burn::tensor::{Device, Tensor, TensorData};
-use std::ops::Range;
 
 /// What a view shows. Rows are row-major, from the top left.
 #[derive(Clone, Debug, PartialEq)]
@@ -120,6 +120,16 @@ impl Renderer {
     }
 }
 
+impl Renderer {
+    /// The Gaussians as `camera` sees them, where they are on a GPU.
+    pub(crate) fn seen_by(&self, camera: &Camera) -> Option<SplatView> {
+        match &self.place {
+            Place::Host { .. } => None,
+            Place::Device(scene) => Some(scene.view(camera, &self.options.settings)),
+        }
+    }
+}
+
 fn on_host(gaussians: &Gaussians, labels: Option<&[u16]>, camera: &Camera, options: &RenderOptions) -> Result<Frame> {
     let projected = Projected::new(&gaussians.splats(), camera, &options.settings)?;
     let colours = projected.colours(gaussians, camera)?;
@@ -143,23 +153,6 @@ struct OnDevice {
     /// The most entries that the tile lists of a view had so far.
     entries: Option<usize>,
 }
-
-#[derive(Debug)]
-struct DeviceLabels {
-    /// Those that occur, ascending.
-    ids: Vec<u16>,
-    /// Index among them of each Gaussian's, `[N, 1]`.
-    of_gaussians: Tensor<2>,
-    /// Labels that were blended beside the colour last, and 1 where a Gaussian has one, `[N, len]`.
-    beside_colour: (Range<usize>, Tensor<2>),
-}
-
-/// Bytes of one channel a label for all Gaussians, and labels that are blended together all the same.
-const BLOCK_BYTES: usize = 1 << 30;
-const FEWEST: usize = 8;
-
-/// The largest weight of a label at each pixel and the index of that label, both `[H, W, 1]`.
-type Largest = (Tensor<3>, Tensor<3>);
 
 impl OnDevice {
     fn new(gaussians: Gaussians, labels: Option<&[u16]>, device: &Device) -> Self {
@@ -196,10 +189,10 @@ impl OnDevice {
     fn attempt(&mut self, camera: &Camera, options: &RenderOptions, room: Option<usize>) -> Result<Option<Frame>> {
         let (height, width) = (camera.height, camera.width);
         let view = self.view(camera, &options.settings);
-        let mut blocks = self.labels.as_ref().map_or_else(Vec::new, |labels| labels.blocks(&view)).into_iter();
+        let mut blocks = self.labels.as_ref().map_or_else(Vec::new, |labels| labels.blocks(&view, 3)).into_iter();
         let mut input = self.input.clone();
         if let (Some(labels), Some(block)) = (&mut self.labels, blocks.next()) {
-            input.features = Some(labels.beside_colour(block));
+            input.features = Some(labels.first(block));
         }
         let (output, summary) = rasterize_with_room(input, camera, &options.settings, options.background, room)?;
         let pixels = height * width;
@@ -228,7 +221,7 @@ impl OnDevice {
         let alpha: Vec<f32> = transmittance.iter().map(|t| 1.0 - t).collect();
         let labels = self.labels.as_ref().map(|labels| {
             // -1 is cut off to no label.
-            let id = |(&index, &alpha): (&f32, &f32)| match labels.ids.get(index as usize) {
+            let id = |(&index, &alpha): (&f32, &f32)| match labels.ids().get(index as usize) {
                 Some(&id) if index >= 0.0 && alpha >= options.min_coverage => id,
                 _ => 0,
             };
@@ -243,60 +236,6 @@ impl OnDevice {
     }
 }
 
-impl DeviceLabels {
-    fn new(labels: &[u16], device: &Device) -> Self {
-        let mut ids = labels.to_vec();
-        ids.sort_unstable();
-        ids.dedup();
-        let index = |label| ids.partition_point(|id| id < label) as f32;
-        let of_gaussians: Vec<f32> = labels.iter().map(index).collect();
-        let of_gaussians = Tensor::from_data(TensorData::new(of_gaussians, [labels.len(), 1]), device);
-        let beside_colour = (0..0, Tensor::zeros([1, 1], device));
-        Self { ids, of_gaussians, beside_colour }
-    }
-
-    /// Ranges of labels: those that `view` blends beside the colour, and further ones in passes of their own. Neither an image of
-    /// them nor a channel a Gaussian is more than a block may have.
-    fn blocks(&self, view: &SplatView) -> Vec<Range<usize>> {
-        let labels = self.ids.len();
-        let of_image = view.channel_blocks(3 + labels).next().map_or(labels, |block| block.len() - 3);
-        let [n, _] = self.of_gaussians.dims();
-        let most =
-            largest_allocation(&self.of_gaussians.device()).map_or(BLOCK_BYTES, |most| (most / 4).min(BLOCK_BYTES));
-        let of_gaussians = (most / (n * size_of::<f32>())).max(FEWEST);
-        let together = of_image.min(of_gaussians);
-        (0..labels).step_by(together).map(|first| first..(first + together).min(labels)).collect()
-    }
-
-    /// [`DeviceLabels::one_hot`], kept for the next view.
-    fn beside_colour(&mut self, block: Range<usize>) -> Tensor<2> {
-        if self.beside_colour.0 != block {
-            self.beside_colour = (block.clone(), self.one_hot(block));
-        }
-        self.beside_colour.1.clone()
-    }
-
-    /// 1 where a Gaussian has a label of `block`, `[N, len]`.
-    fn one_hot(&self, block: Range<usize>) -> Tensor<2> {
-        let (n, channels) = (self.of_gaussians.dims()[0], block.len());
-        let block: Vec<f32> = block.map(|index| index as f32).collect();
-        let block = Tensor::<2>::from_data(TensorData::new(block, [1, channels]), &self.of_gaussians.device());
-        self.of_gaussians.clone().expand([n, channels]).equal(block.expand([n, channels])).float()
-    }
-}
-
-/// The largest channel of `weights`, `[H, W, C]`, the first of which is label `first`; ties to the lower one.
-fn largest_of(weights: Tensor<3>, first: f64) -> Largest {
-    let (weight, index) = weights.max_dim_with_indices(2);
-    (weight, index.float() + first)
-}
-
-/// The larger of both at each pixel, the former where they are equal.
-fn larger_of(a: Largest, b: Largest) -> Largest {
-    let better = b.0.clone().greater(a.0.clone());
-    (a.0.mask_where(better.clone(), b.0), a.1.mask_where(better, b.1))
-}
-
 /// All of `parts` one after the other, and what is known of the tile lists, by one copy from the device.
 fn read_together(mut parts: Vec<Tensor<1>>, summary: Option<Tensor<1>>) -> Result<(Vec<f32>, Option<ListCount>)> {
     let fields = summary.as_ref().map_or(0, |summary| summary.dims()[0]);
@@ -304,22 +243,4 @@ fn read_together(mut parts: Vec<Tensor<1>>, summary: Option<Tensor<1>>) -> Resul
     let mut values = read("a rendered view", Tensor::cat(parts, 0))?;
     let lists = ListCount::from_values(&values.split_off(values.len() - fields));
     Ok((values, lists))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::device::{BackendName, device_of_tests};
-
-    #[test]
-    fn equal_labels_go_to_the_lower_one_within_and_between_blocks() {
-        for device in BackendName::compiled().iter().filter_map(|&name| device_of_tests(name)) {
-            let block = |values: [f32; 4], first| largest_of(Tensor::from_data([[values]], &device), first);
-            let index = |largest: Largest| largest.1.into_data().into_vec::<f32>().expect("floats")[0];
-            assert_eq!(index(block([0.1, 0.4, 0.4, 0.3], 8.0)), 9.0, "{device:?}");
-            let between = |a, b| index(larger_of(block(a, 0.0), block(b, 4.0)));
-            assert_eq!(between([0.0, 0.0, 0.5, 0.0], [0.5, 0.5, 0.0, 0.0]), 2.0, "{device:?}");
-            assert_eq!(between([0.0, 0.0, 0.5, 0.0], [0.0, 0.6, 0.6, 0.0]), 5.0, "{device:?}");
-        }
-    }
 }

@@ -3,15 +3,20 @@
 //! This is the closed-form baseline that a trained decoder has to beat (FlashSplat solves the same table as a linear
 //! programme). The table itself also says how contested a Gaussian is.
 
+mod device;
+
 use super::Identities;
 use crate::data::{Classes, View};
+use crate::device::{in_host_memory, shortfall};
 use crate::error::Result;
 use crate::gaussians::Gaussians;
 use crate::metrics::Agreement;
 use crate::raster::{Projected, Settings};
+use burn::tensor::Device;
+use device::DeviceVotes;
 use rayon::prelude::*;
 
-/// Classes of one view that are lifted together: the image of 1600 x 1200 pixels takes 246 MB then.
+/// Classes of one view that are lifted together on the host: the image of 1600 x 1200 pixels takes 246 MB then.
 const CLASSES_AT_ONCE: usize = 32;
 
 /// Summed weights of each class on each Gaussian.
@@ -23,29 +28,39 @@ pub struct Votes {
     pub classes: usize,
 }
 
-/// Collects the votes of all `views` that have raw labels.
+/// Collects the votes of all `views` that have raw labels. Where `device` is a GPU, which holds the table then, they are lifted on it.
 ///
 /// # Errors
-/// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite.
+/// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite; on a GPU those of
+/// [`crate::raster::SplatView::adjoint`].
 pub fn vote<'a>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,
     classes: &Classes,
     settings: &Settings,
+    device: &Device,
 ) -> Result<Votes> {
     let (n, c) = (gaussians.len(), classes.len());
     let lookup = classes.lookup();
-    let mut table = vec![0.0_f32; n * c];
+    let mut on_device = match n * c > 0 && !in_host_memory(device) && shortfall(device).is_none() {
+        true => Some(DeviceVotes::new(gaussians, c, settings, device)),
+        false => None,
+    };
+    let mut table = vec![0.0_f32; if on_device.is_some() { 0 } else { n * c }];
     for view in views {
         let Some(raw) = &view.raw else { continue };
         let mut labels = raw.map();
         labels.ids.iter_mut().for_each(|id| *id = lookup[usize::from(*id)]);
+        // Of the classes that the view shows alone, so that neither time nor memory grows with those of the whole scene.
         let mut shown: Vec<u16> = labels.ids.clone();
         shown.sort_unstable();
         shown.dedup();
         shown.retain(|&class| usize::from(class) < c);
+        if let Some(votes) = &mut on_device {
+            votes.add(&view.camera, &labels.ids, &shown)?;
+            continue;
+        }
         let projected = Projected::new(&gaussians.splats(), &view.camera, settings)?;
-        // Of the classes that the view shows alone, so that neither time nor memory grows with those of the whole scene.
         for block in shown.chunks(CLASSES_AT_ONCE) {
             let weights = projected.blend_adjoint(&one_hot(&labels.ids, block), block.len());
             let rows = table.par_chunks_exact_mut(c).zip(weights.par_chunks_exact(block.len()));
@@ -54,7 +69,10 @@ pub fn vote<'a>(
             });
         }
     }
-    Ok(Votes { table, classes: c })
+    match on_device {
+        Some(votes) => votes.read(),
+        None => Ok(Votes { table, classes: c }),
+    }
 }
 
 /// 1 where the pixel's label is the class of the channel, 0 elsewhere, `[pixels, classes]`.

@@ -8,10 +8,10 @@ use super::{
 use crate::config::{Config, LabelLoss, Row, SegmentationConfig};
 use crate::data::{Split, View};
 use crate::error::Result;
-use crate::objects::{LabelRule, has_truth, label_map};
-use crate::raster::{Projected, Settings};
+use crate::objects::{LabelMaps, LabelRule, has_truth};
 use crate::train::progress::CurvePoint;
-use crate::train::{Outcome, RowOutcome, render_and_score};
+use crate::train::{Outcome, Pictures, RowOutcome};
+use burn::tensor::Device;
 
 impl Metrics {
     /// The figures of a finished run, but for its commands and the scores of single views, which it does not know; peak memory is that
@@ -93,29 +93,30 @@ impl History {
 }
 
 /// Renders the held-out views of a finished run in colour and in the labels of the vote, of the per-Gaussian identities
-/// and of the row that the scene stores, as far as the run has them. Those that the page shows are returned, each of the
-/// others goes to `beside` as soon as it is rendered.
+/// and of the row that the scene stores, as far as the run has them; on `device`. Those that the page shows are returned, each of
+/// the others goes to `beside` as soon as it is rendered.
 ///
 /// # Errors
-/// As [`crate::raster::render`] and [`crate::data::Photo::pixels`]; those of `beside`.
+/// As [`Pictures::labelled`]; those of `beside`.
 pub fn held_out_views<'a>(
     outcome: &'a Outcome,
     config: &Config,
+    device: &Device,
     mut beside: impl FnMut(HeldOutView<'a>) -> Result<()>,
 ) -> Result<Vec<HeldOutView<'a>>> {
-    let settings = Settings::from(&config.raster);
     let stored = outcome.stored().map(|(row, _)| row.row);
     let shown = |row: Row| Some(row) == stored || matches!(row, Row::Vote | Row::PerGaussian);
-    let rows: Vec<_> = outcome.rows.iter().filter_map(|r| Some((r.row, r.identities.as_ref()?))).collect();
+    let rows: Vec<_> = outcome.rows.iter().filter(|r| shown(r.row) && r.identities.is_some()).collect();
     let rule = LabelRule::from(&config.segmentation);
+    let maps = rows.iter().filter_map(|r| Some(LabelMaps::new(r.identities.as_ref()?, &outcome.scene.classes, rule)));
+    let maps: Vec<_> = maps.collect();
+    let mut pictures = Pictures::new(&outcome.gaussians, config, device)?;
     let test: Vec<&View> = outcome.scene.split(Split::Test).collect();
     let on_page: Vec<usize> = shown_of(test.len()).collect();
     let mut views = Vec::new();
     for (i, view) in test.into_iter().enumerate() {
-        let (rgb, scores) = render_and_score(&outcome.gaussians, view, config)?;
-        let projected = Projected::new(&outcome.gaussians.splats(), &view.camera, &settings)?;
-        let labels = rows.iter().filter(|(row, _)| shown(*row));
-        let labels = labels.map(|(row, s)| (*row, label_map(&projected, s, &outcome.scene.classes, &rule))).collect();
+        let (rgb, scores, labels) = pictures.labelled(view, &maps)?;
+        let labels = rows.iter().map(|row| row.row).zip(labels).collect();
         let rendered = HeldOutView { view, rgb, scores, labels };
         match on_page.contains(&i) {
             true => views.push(rendered),

@@ -1,10 +1,11 @@
 //! Gaussians that another run or another trainer made, as the start of a run.
 
+use super::pictures::Pictures;
 use crate::config::Config;
 use crate::data::{Limits, Scene, Split, atomic};
 use crate::error::{Error, Result};
 use crate::gaussians::{Gaussians, ply};
-use crate::metrics::ImageScores;
+use burn::tensor::Device;
 use std::path::Path;
 
 /// Training photos that are looked at.
@@ -20,7 +21,13 @@ const MISPLACED: f64 = 15.0;
 /// Those of [`ply::read`]; [`Error::Input`] for a file without Gaussians; [`Error::Argument`] for a scene without training
 /// views; [`Error::Config`] for a file that would be written over, and more Gaussians than `building.max_gaussians` has, where they are trained: trained ones
 /// cannot be thinned as points can.
-pub(super) fn begin(path: &Path, scene: &Scene, config: &Config, scene_file: &Path) -> Result<Gaussians> {
+pub(super) fn begin(
+    path: &Path,
+    scene: &Scene,
+    config: &Config,
+    scene_file: &Path,
+    device: &Device,
+) -> Result<Gaussians> {
     if atomic::same_file(path, scene_file) {
         let expected = "another file than the run's own scene.ply, which is written over";
         let mend = "let the run write into another folder";
@@ -44,7 +51,7 @@ pub(super) fn begin(path: &Path, scene: &Scene, config: &Config, scene_file: &Pa
     for mean in &mut gaussians.means {
         *mean = (glam::Vec3::from(*mean).as_dvec3() + shift).as_vec3().to_array();
     }
-    compare_with_photos(path, &gaussians, scene, config)?;
+    compare_with_photos(path, &gaussians, scene, config, device)?;
     Ok(gaussians)
 }
 
@@ -52,15 +59,17 @@ pub(super) fn begin(path: &Path, scene: &Scene, config: &Config, scene_file: &Pa
 ///
 /// # Errors
 /// As [`super::score_images`].
-pub fn compare_with_photos(path: &Path, gaussians: &Gaussians, scene: &Scene, config: &Config) -> Result<()> {
+pub fn compare_with_photos(
+    path: &Path,
+    gaussians: &Gaussians,
+    scene: &Scene,
+    config: &Config,
+    device: &Device,
+) -> Result<()> {
     let views: Vec<_> = scene.split(Split::Train).collect();
     let every = views.len().div_ceil(PHOTOS).max(1);
-    let scores: Vec<ImageScores> = views
-        .iter()
-        .step_by(every)
-        .map(|view| Ok(super::render_and_score(gaussians, view, config)?.1))
-        .collect::<Result<_>>()?;
-    if let Some(psnr) = ImageScores::mean(&scores).psnr.filter(|psnr| *psnr < MISPLACED) {
+    let scores = Pictures::new(gaussians, config, device)?.score(views.into_iter().step_by(every))?;
+    if let Some(psnr) = scores.psnr.filter(|psnr| *psnr < MISPLACED) {
         tracing::warn!(
             "the Gaussians of {} show the training photos at {psnr:.1} dB: they look misplaced. Their positions have to be in the \
              units and axes of the cameras of this scene; nerfstudio keeps these with `nerfstudio-data --orientation-method none \

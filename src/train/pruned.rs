@@ -1,7 +1,8 @@
 //! Attendance pruning between the stages (Algorithm 1, line 8), whichever rows follow.
 
+use super::pictures::score_images;
 use super::progress::{Event, Progress};
-use super::run::{Outcome, score_images};
+use super::run::Outcome;
 use super::segmentation_inputs::Seen;
 use crate::config::{Config, Resolution};
 use crate::data::{Scene, Split};
@@ -67,7 +68,7 @@ impl Attendance {
     ///
     /// # Errors
     /// Those of [`score_images`].
-    pub fn apply(self, outcome: &mut Outcome) -> Result<Option<Seen>> {
+    pub fn apply(self, outcome: &mut Outcome, device: &Device) -> Result<Option<Seen>> {
         let kept = match &self {
             Self::Lifted(seen) => &seen.kept,
             Self::Counted(kept, _) => kept,
@@ -76,7 +77,7 @@ impl Attendance {
         let removed = before - kept.len();
         if removed > 0 {
             outcome.gaussians = outcome.gaussians.select(kept);
-            outcome.test = score_images(&outcome.gaussians, &outcome.scene, &outcome.config)?;
+            outcome.test = score_images(&outcome.gaussians, &outcome.scene, &outcome.config, device)?;
         }
         if removed as f64 > MANY_PRUNED * before as f64 {
             tracing::warn!(

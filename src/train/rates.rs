@@ -1,14 +1,13 @@
 //! Learning rates chosen without test truth: short trials, scored on raw labels of training views that were held back.
 
 use super::checkpoint::Checkpoint;
+use super::held_out::LabelledViews;
 use super::progress::{Event, Progress};
 use super::segmentation::{Model, Pace, Plan, Recalls, TrainingViews, train_step};
 use super::segmentation_inputs::Inputs;
-use crate::data::LabelRuns;
 use crate::error::Result;
 use crate::metrics::{Void, label_scores};
-use crate::objects::{Identities, LabelRule, label_map};
-use crate::raster::Projected;
+use crate::objects::Identities;
 use std::time::Instant;
 
 /// Every so many training views one is held back in a trial.
@@ -29,7 +28,7 @@ pub struct Rate {
 }
 
 /// Makes an untrained model that learns at a rate by a plan, for the views in use.
-pub type Fresh<'m, 'a> = &'m mut dyn FnMut(f64, &Plan, &TrainingViews) -> Result<Box<dyn Model + 'a>>;
+pub type Fresh<'m, 'a> = &'m mut dyn FnMut(f64, &Plan, &mut TrainingViews) -> Result<Box<dyn Model + 'a>>;
 
 /// The rate that does best of `base` times `segmentation.lr_trials`: a fresh `model` is trained for each, a quarter as
 /// long as the row will be, without every eighth training view; it is scored by its accuracy on the raw labels of those.
@@ -106,15 +105,8 @@ pub fn choose_rate<'a>(
 /// Share of the labelled pixels of the views held back on which rendered and raw label agree.
 fn raw_accuracy(identities: &Identities, views: &TrainingViews, inputs: &Inputs) -> Result<f64> {
     let classes = &inputs.scene.classes;
-    let rule = LabelRule::from(&inputs.config.segmentation);
-    let splats = inputs.gaussians.splats();
-    let mut maps = Vec::new();
-    for view in views.held_back() {
-        let projected = Projected::new(&splats, &view.camera, &inputs.settings)?;
-        maps.push(LabelRuns::from(label_map(&projected, identities, classes, &rule)));
-    }
-    let raw = views.held_back().filter_map(|view| view.raw.as_ref());
-    let pairs = raw.zip(&maps).map(|(raw, map)| (raw.map(), map.map()));
+    let maps = LabelledViews::new(views.held_back(), inputs, 0)?.maps(identities, inputs)?;
+    let pairs = maps.iter().filter_map(|(view, map)| Some((view.raw.as_ref()?.map(), map.map())));
     Ok(label_scores(classes, pairs, Void::Wrong).accuracy.unwrap_or(0.0))
 }
 
@@ -192,7 +184,7 @@ mod tests {
         let plan = Plan::new(&config.segmentation, Kind::Ce, 0);
         let mut views = inputs.training_views();
         let mut asked = Vec::new();
-        let mut model = |rate: f64, plan: &Plan, _: &TrainingViews| {
+        let mut model = |rate: f64, plan: &Plan, _: &mut TrainingViews| {
             asked.push((rate, plan.iterations));
             let model = PerGaussian::new([1, 2], rate, config.segmentation.blend, &device.clone().autodiff());
             Ok(Box::new(model) as Box<dyn Model>)

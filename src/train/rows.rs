@@ -1,28 +1,22 @@
 //! The rows of the label table: what each is, and its training and scoring.
 
 use super::compactness::Compacting;
+use super::held_out::{HeldOut, Scores};
 use super::progress::{CurvePoint, Progress};
 use super::provenance::Provenance;
 use super::rates::{Rate, choose_rate};
 use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Session, Source, TrainingViews, train};
 use super::segmentation_inputs::{Inputs, Spatial};
-use crate::config::{Association, LabelLoss, Prior, Row, SegmentationConfig};
-use crate::data::{LabelMap, LabelRuns, Split, View};
+use crate::config::{LabelLoss, Prior, Row, SegmentationConfig};
 use crate::error::Result;
-use crate::metrics::{
-    Agreement, Compactness, InstanceScores, LabelScores, SemanticScores, Void, instance_scores, label_scores,
-};
-use crate::objects::{Identities, LabelRule, Semantics, has_truth, label_map, vote};
-use crate::raster::Projected;
+use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
+use crate::objects::Identities;
 use crate::segmentation::decoder::DecoderConfig;
 use crate::segmentation::loss::Kind;
-use std::borrow::Cow;
 use std::path::Path;
 
 /// Share added to every class of the votes that a decoder starts from.
 const VOTE_FLOOR: f32 = 0.02;
-/// Bytes of projected test views that are kept; others are projected again at each use.
-const PROJECTED_BYTES: usize = 1 << 29;
 
 /// One row, trained and scored.
 #[derive(Clone, Debug)]
@@ -60,6 +54,11 @@ impl RowOutcome {
     pub fn name(&self) -> &'static str {
         self.row.key()
     }
+
+    /// The same with these scores.
+    fn scored(self, Scores { labels, instances, semantic }: Scores) -> Self {
+        Self { scores: labels, instances, semantic, ..self }
+    }
 }
 
 impl Row {
@@ -67,111 +66,6 @@ impl Row {
     pub fn is_fused(self) -> bool {
         !matches!(self, Self::Raw | Self::Vote | Self::PerGaussian)
     }
-}
-
-fn render_labels(projected: &Projected<f32>, identities: &Identities, inputs: &Inputs) -> LabelMap {
-    label_map(projected, identities, &inputs.scene.classes, &LabelRule::from(&inputs.config.segmentation))
-}
-
-/// A test view with truth.
-struct Known<'a> {
-    view: &'a View,
-    /// Where it is kept.
-    projected: Option<Projected<f32>>,
-}
-
-/// Test views with truth, projected once as far as memory allows.
-struct HeldOut<'a> {
-    views: Vec<Known<'a>>,
-    /// Classes are objects that association found: their ids are not those of a truth.
-    objects: bool,
-    /// The classes of these objects.
-    semantics: Option<&'a Semantics>,
-}
-
-/// Held-out scores of one row.
-#[derive(Default)]
-struct Scores {
-    labels: LabelScores,
-    instances: Option<InstanceScores>,
-    semantic: Option<SemanticScores>,
-}
-
-impl Scores {
-    /// The mIoU of a training curve.
-    fn miou(&self) -> Option<f64> {
-        let [instances, semantic] =
-            [self.instances.as_ref().and_then(|s| s.miou), self.semantic.as_ref().and_then(|s| s.miou)];
-        self.labels.miou.or(instances).or(semantic)
-    }
-
-    /// A row with these scores.
-    fn of(self, row: Row) -> RowOutcome {
-        let Self { labels, instances, semantic } = self;
-        RowOutcome { scores: labels, instances, semantic, ..untrained(row) }
-    }
-}
-
-impl<'a> HeldOut<'a> {
-    fn new(inputs: &Inputs<'a>) -> Result<Self> {
-        let (association, semantics) = (inputs.config.data.association, inputs.semantics);
-        let objects = association != Association::None;
-        let known = |view: &&View| has_truth(view, association, semantics);
-        let mut left = PROJECTED_BYTES;
-        let keep = |view| {
-            let projected = project(view, inputs)?;
-            let rest = left.checked_sub(projected.bytes());
-            left = rest.unwrap_or(left);
-            Ok(Known { view, projected: rest.map(|_| projected) })
-        };
-        let views = inputs.scene.split(Split::Test).filter(known).map(keep).collect::<Result<_>>()?;
-        Ok(Self { views, objects, semantics })
-    }
-
-    /// Scores of a row with these identities.
-    fn score(&self, identities: &Identities, inputs: &Inputs) -> Result<Scores> {
-        let found = |known: &Known<'a>| {
-            let projected = match &known.projected {
-                Some(projected) => Cow::Borrowed(projected),
-                None => Cow::Owned(project(known.view, inputs)?),
-            };
-            Ok((known.view, LabelRuns::from(render_labels(&projected, identities, inputs))))
-        };
-        let found: Vec<_> = self.views.iter().map(found).collect::<Result<_>>()?;
-        Ok(self.scores(&found, inputs))
-    }
-
-    /// Scores of the raw labels of the test views.
-    fn score_raw(&self, inputs: &Inputs) -> RowOutcome {
-        let raw: Vec<_> = self.views.iter().filter_map(|known| Some((known.view, known.view.raw.clone()?))).collect();
-        let void_left_out = (!self.objects).then(|| self.labels(&raw, inputs, Void::LeftOut));
-        RowOutcome { void_left_out, ..self.scores(&raw, inputs).of(Row::Raw) }
-    }
-
-    fn scores(&self, found: &[(&View, LabelRuns)], inputs: &Inputs) -> Scores {
-        Scores {
-            labels: self.labels(found, inputs, Void::Wrong),
-            instances: self.instances(found),
-            semantic: self.semantics.map(|semantics| semantics.score(&inputs.scene.classes, found)),
-        }
-    }
-
-    /// Against true labels, as far as there are any.
-    fn labels(&self, found: &[(&View, LabelRuns)], inputs: &Inputs, void: Void) -> LabelScores {
-        let pairs = found.iter().filter_map(|(view, found)| Some((view.truth.as_ref()?.map(), found.map())));
-        label_scores(&inputs.scene.classes, pairs, void)
-    }
-
-    /// Against true instances, where classes are objects.
-    fn instances(&self, found: &[(&View, LabelRuns)]) -> Option<InstanceScores> {
-        let pairs = found.iter().filter_map(|(view, found)| Some((view.instances.as_ref()?.map(), found.map())));
-        let known = self.views.iter().any(|known| known.view.instances.is_some());
-        (self.objects && known).then(|| instance_scores(pairs))
-    }
-}
-
-fn project(view: &View, inputs: &Inputs) -> Result<Projected<f32>> {
-    Projected::new(&inputs.gaussians.splats(), &view.camera, &inputs.settings)
 }
 
 /// Rows, trained and scored.
@@ -209,13 +103,15 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
     let (mut rows, mut earlier, mut stopped) = (Vec::new(), 0.0, false);
     for &row in config.rows() {
         let outcome = match row {
-            Row::Raw => held_out.score_raw(inputs),
+            Row::Raw => {
+                let (scores, void_left_out) = held_out.score_raw(inputs);
+                RowOutcome { void_left_out, ..untrained(row).scored(scores) }
+            }
             Row::Vote => {
-                let train = inputs.scene.split(Split::Train);
-                let votes = vote(inputs.gaussians, train, &inputs.scene.classes, &inputs.settings)?;
-                let identities = votes.identities();
+                let votes = views.votes()?;
+                let (identities, agreement) = (votes.identities(), Some(votes.agreement()));
                 let scores = held_out.score(&identities, inputs)?;
-                RowOutcome { identities: Some(identities), agreement: Some(votes.agreement()), ..scores.of(row) }
+                RowOutcome { identities: Some(identities), agreement, ..untrained(row).scored(scores) }
             }
             _ => {
                 let Trained { outcome, earlier: before, whole } =
@@ -229,10 +125,7 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
                 outcome
             }
         };
-        rows.push(compacting.finish(outcome, |identities, row| {
-            let Scores { labels, instances, semantic } = held_out.score(identities, inputs)?;
-            Ok(RowOutcome { scores: labels, instances, semantic, ..row })
-        })?);
+        rows.push(compacting.finish(outcome, |identities, row| Ok(row.scored(held_out.score(identities, inputs)?)))?);
         // Where nothing is left there is nothing to stop.
         stopped = rows.len() < config.rows().len() && progress.stop();
         if stopped {
@@ -291,16 +184,30 @@ fn trained(
     };
     let device = inputs.device.clone().autodiff();
     let classes = inputs.scene.classes.len();
-    let mut score = |identities: &Identities| Ok(held_out.score(identities, inputs)?.miou());
-    let mut fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: &Rate, progress: &mut dyn Progress| {
+    let fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: &Rate, progress: &mut dyn Progress| {
+        // Of the last point of the curve: the end of training asks for nothing anew.
+        let mut last: Option<(Identities, Scores)> = None;
+        let mut score = |model: &mut dyn Model| {
+            if held_out.is_empty() {
+                return Ok(None);
+            }
+            // Those of the point before go first: a large scene's take gigabytes.
+            last = None;
+            let identities = model.identities()?;
+            let scores = held_out.score(&identities, inputs)?;
+            let miou = scores.miou();
+            last = Some((identities, scores));
+            Ok(miou)
+        };
         let Session { curve, earlier, whole } = train(model, views, &plan, &pace, &mut score, progress)?;
-        let (identities, scores) = match whole {
-            true => {
+        let (identities, scores) = match (whole, last.take()) {
+            (true, Some((identities, scores))) => (Some(identities), scores),
+            (true, None) => {
                 let identities = model.identities()?;
                 let scores = held_out.score(&identities, inputs)?;
                 (Some(identities), scores)
             }
-            false => (None, Scores::default()),
+            (false, _) => (None, Scores::default()),
         };
         let outcome = RowOutcome {
             identities,
@@ -309,25 +216,26 @@ fn trained(
             trial_seconds: rate.seconds,
             seconds: curve.last().map_or(0.0, |p| p.seconds),
             curve,
-            ..scores.of(row)
+            ..untrained(row).scored(scores)
         };
         Ok(Trained { outcome, earlier: earlier + rate.earlier, whole })
     };
     let stopped = || Trained { outcome: untrained(row), earlier: 0.0, whole: false };
     if !row.is_fused() {
         let model = |rate| PerGaussian::new([inputs.gaussians.len(), classes], rate, config.blend, &device);
-        let mut boxed = |rate, _: &Plan, _: &TrainingViews| Ok(Box::new(model(rate)) as Box<dyn Model>);
+        let mut boxed = |rate, _: &Plan, _: &mut TrainingViews| Ok(Box::new(model(rate)) as Box<dyn Model>);
         let rate = choose_rate(config.lr_per_gaussian, &plan, views, inputs, &pace, &mut boxed, progress)?;
         let Some(rate) = rate else { return Ok(stopped()) };
         return fit(views, &mut model(rate.rate), &rate, progress);
     }
     let source = spatial.source(row, inputs)?;
-    let mut boxed = |rate, plan: &Plan, views: &TrainingViews| -> Result<Box<dyn Model + '_>> {
+    let mut boxed = |rate, plan: &Plan, views: &mut TrainingViews| -> Result<Box<dyn Model + '_>> {
         Ok(Box::new(decoder_row(row, rate, plan, source, inputs, views)?))
     };
     let rate = choose_rate(config.lr, &plan, views, inputs, &pace, &mut boxed, progress)?;
     let Some(rate) = rate else { return Ok(stopped()) };
-    fit(views, &mut decoder_row(row, rate.rate, &plan, source, inputs, views)?, &rate, progress)
+    let mut model = decoder_row(row, rate.rate, &plan, source, inputs, views)?;
+    fit(views, &mut model, &rate, progress)
 }
 
 /// The decoder of `row` before its first step at learning rate `rate`, over the frozen inputs `source`; its prior, where
@@ -342,7 +250,7 @@ pub fn decoder_row<'a>(
     plan: &Plan,
     source: &'a Source,
     inputs: &'a Inputs,
-    views: &TrainingViews,
+    views: &mut TrainingViews,
 ) -> Result<Fused<'a>> {
     let config = &inputs.config.segmentation;
     let (seed, classes) = (inputs.config.seed, inputs.scene.classes.len());

@@ -4,6 +4,7 @@ use super::building::BuildingStage;
 use super::building_state::BuildingState;
 use super::checkpoint::Checkpoint;
 use super::given::begin;
+use super::pictures::score_images;
 use super::progress::{CurvePoint, Event, Progress};
 use super::provenance::Provenance;
 use super::pruned::{Attendance, Pruned};
@@ -15,7 +16,7 @@ use crate::error::{Error, Result};
 use crate::gaussians::{Gaussians, ply};
 use crate::metrics::ImageScores;
 use crate::objects::{Identities, Semantics, associate, has_truth};
-use crate::raster::{Settings, render};
+use crate::raster::Settings;
 use burn::tensor::Device;
 use std::path::Path;
 use std::time::Instant;
@@ -157,7 +158,7 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
     // Before anything is written: a file that cannot be begun with leaves no run behind.
     let begun = match &config.building.gaussians {
         Some(path) if !checkpoints.join(BUILDING).is_file() || config.building.iterations == 0 => {
-            Some(begin(path, &scene, config, &scene_file)?)
+            Some(begin(path, &scene, config, &scene_file, device)?)
         }
         _ => None,
     };
@@ -176,7 +177,7 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
     seconds.building = clock.elapsed().as_secs_f64() + earlier;
 
     // Whoever stops a run is not kept waiting.
-    let test = if whole { score_images(&gaussians, &scene, config)? } else { ImageScores::default() };
+    let test = if whole { score_images(&gaussians, &scene, config, device)? } else { ImageScores::default() };
     let mut outcome = Outcome {
         gaussians,
         building,
@@ -315,7 +316,7 @@ fn segment(
         outcome.stopped = true;
         return Ok(0.0);
     };
-    let seen = attendance.apply(outcome)?;
+    let seen = attendance.apply(outcome, device)?;
     let clock = Instant::now();
     let inputs = Inputs {
         scene: &outcome.scene,
@@ -330,25 +331,4 @@ fn segment(
     (outcome.rows, outcome.spatial, outcome.earlier_segmentation) = (rows, spatial, earlier);
     outcome.stopped = stopped;
     Ok(clock.elapsed().as_secs_f64() + earlier)
-}
-
-/// Mean held-out PSNR and SSIM.
-///
-/// # Errors
-/// [`crate::Error::NonFinite`] when a parameter is not finite; those of [`crate::data::Photo::pixels`].
-pub fn score_images(gaussians: &Gaussians, scene: &Scene, config: &Config) -> Result<ImageScores> {
-    let scores: Vec<_> =
-        scene.split(Split::Test).map(|v| Ok(render_and_score(gaussians, v, config)?.1)).collect::<Result<_>>()?;
-    Ok(ImageScores::mean(&scores))
-}
-
-/// Renders one view in colour (`[H, W, 3]`, not clamped) and scores it against its photo.
-///
-/// # Errors
-/// As [`score_images`].
-pub fn render_and_score(gaussians: &Gaussians, view: &View, config: &Config) -> Result<(Vec<f32>, ImageScores)> {
-    let settings = Settings::from(&config.raster);
-    let rendered = render(gaussians, &view.camera, &settings, config.raster.background)?;
-    let scores = ImageScores::of_view(&rendered.rgb, view)?;
-    Ok((rendered.rgb, scores))
 }

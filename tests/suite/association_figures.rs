@@ -90,7 +90,9 @@ fn owner(counts: &Counts, of: u16) -> Option<u16> {
 /// What a vote of the raw labels of the training views shows in the test views.
 pub fn rendered(gaussians: &Gaussians, scene: &Scene) -> Vec<LabelMap> {
     let settings = Settings::default();
-    let votes = vote(gaussians, scene.split(Split::Train), &scene.classes, &settings).expect("votes").identities();
+    let votes = vote(gaussians, scene.split(Split::Train), &scene.classes, &settings, &crate::device())
+        .expect("votes")
+        .identities();
     let rule = LabelRule { source: LabelSource::Labels, min_coverage: 0.5 };
     let render = |view: &View| {
         let projected = Projected::new(&gaussians.splats(), &view.camera, &settings).expect("view");

@@ -31,6 +31,8 @@ mod device_building;
 #[cfg(feature = "wgpu")]
 mod device_dense;
 #[cfg(feature = "wgpu")]
+mod device_labels;
+#[cfg(feature = "wgpu")]
 mod device_ops;
 #[cfg(feature = "wgpu")]
 mod device_stage_two;

@@ -8,7 +8,7 @@ use coseg::objects::{RenderOptions, Renderer, hard_label_map};
 use coseg::raster::{Projected, Settings, render};
 
 /// 400 random Gaussians with view-dependent colours.
-fn scene(camera: &Camera, scale: f64) -> Gaussians {
+pub fn scene(camera: &Camera, scale: f64) -> Gaussians {
     let cloud = cloud(400, scale, camera, 21);
     let [means, log_scales, rotations, opacity_logits] = cloud.single();
     let triples = |v: &[f32]| v.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();

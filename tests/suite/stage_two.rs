@@ -36,7 +36,8 @@ fn a_decoder_that_has_learned_nothing_stores_the_shares_of_the_votes() {
     let outcome = trained(|s| s.lr = STILL);
     let scene = &outcome.scene;
     let votes =
-        vote(&outcome.gaussians, scene.split(Split::Train), &scene.classes, &Settings::default()).expect("votes");
+        vote(&outcome.gaussians, scene.split(Split::Train), &scene.classes, &Settings::default(), &crate::device())
+            .expect("votes");
     let identities = outcome.rows[0].identities.as_ref().expect("identities");
     let classes = scene.classes.len();
     let (mut checked, floor) = (0, 0.02_f32);
@@ -108,7 +109,7 @@ fn the_vote_sums_weights_by_label_whatever_the_number_of_classes() {
     }
     let gaussians = init::from_points(&scene.points, 0, 2.0).expect("Gaussians");
     let (settings, c) = (Settings::default(), scene.classes.len());
-    let votes = vote(&gaussians, scene.views.iter(), &scene.classes, &settings).expect("votes");
+    let votes = vote(&gaussians, scene.views.iter(), &scene.classes, &settings, &crate::device()).expect("votes");
     let lookup = scene.classes.lookup();
     let mut exact = vec![0.0_f64; gaussians.len() * c];
     for view in &scene.views {
@@ -231,7 +232,7 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
         let mut spatial = Spatial::default();
         let source = spatial.source(Row::NoImageFeatures, &inputs).expect("encoded");
         let mut views = inputs.training_views();
-        let mut model = decoder_row(Row::NoImageFeatures, 1e-2, &plan, source, &inputs, &views).expect("a decoder");
+        let mut model = decoder_row(Row::NoImageFeatures, 1e-2, &plan, source, &inputs, &mut views).expect("a decoder");
         let mut recalls = Recalls::new(views.classes());
         for i in 0..4 {
             train_step(&mut model, &mut views, &plan, &mut recalls, i).expect("a step");

@@ -2,7 +2,6 @@
 
 use super::{Model, Plan, Recalls, TrainingViews, train_step};
 use crate::error::Result;
-use crate::objects::Identities;
 use crate::train::checkpoint::Checkpoint;
 use crate::train::curve;
 use crate::train::progress::{CurvePoint, Event, Progress};
@@ -25,8 +24,8 @@ pub struct Pace {
     pub provenance: Provenance,
 }
 
-/// Scores identities on the held-out views: pooled mIoU.
-pub type Score<'a> = &'a mut dyn FnMut(&Identities) -> Result<Option<f64>>;
+/// Scores the identities of a model on the held-out views: pooled mIoU, none where nothing can be scored.
+pub type Score<'a> = &'a mut dyn FnMut(&mut dyn Model) -> Result<Option<f64>>;
 
 /// What training gave beside the model.
 #[derive(Clone, Debug, PartialEq)]
@@ -83,7 +82,7 @@ pub fn train(
         // No point for a stop: the curve of a resumed run is that of an uninterrupted one.
         if end || iteration.is_multiple_of(pace.eval_every.max(1)) {
             let [seconds, sum, count] = place.running;
-            let miou = score(&model.identities()?)?;
+            let miou = score(model)?;
             let point =
                 CurvePoint { iteration, seconds, loss: sum / count.max(1.0), miou, gaussians, ..CurvePoint::default() };
             place.running = [seconds, 0.0, 0.0];

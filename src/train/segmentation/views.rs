@@ -103,6 +103,8 @@ pub struct TrainingViews<'a> {
     budget: usize,
     /// All Gaussians, where they are rendered on a GPU.
     splats: Option<SplatTensors>,
+    votes: Option<Arc<Votes>>,
+    device: Device,
 }
 
 impl<'a> TrainingViews<'a> {
@@ -119,7 +121,8 @@ impl<'a> TrainingViews<'a> {
         let views: Vec<_> = views.filter(|v| v.raw.is_some()).collect();
         let (seen, used) = (vec![None; views.len()], (0..views.len()).collect());
         let splats = (!in_host_memory(device)).then(|| SplatTensors::new(gaussians, device));
-        Self { gaussians, seen, views, used, classes, settings, min_coverage, budget, splats }
+        let device = device.clone();
+        Self { gaussians, seen, views, used, classes, settings, min_coverage, budget, splats, votes: None, device }
     }
 
     /// Number of views, those left out included.
@@ -135,7 +138,10 @@ impl<'a> TrainingViews<'a> {
     /// Leaves out every `every`-th view, or none.
     pub fn hold_back(&mut self, every: Option<usize>) {
         let out = |i: &usize| every.is_some_and(|every| i % every.max(1) == every / 2);
-        self.used = (0..self.views.len()).filter(|i| !out(i)).collect();
+        let used = (0..self.views.len()).filter(|i| !out(i)).collect();
+        if used != self.used {
+            (self.used, self.votes) = (used, None);
+        }
     }
 
     /// The views left out.
@@ -156,12 +162,17 @@ impl<'a> TrainingViews<'a> {
         self.classes.len()
     }
 
-    /// The votes of the views in use.
+    /// The votes of the views in use, which are kept for as long as these stay in use.
     ///
     /// # Errors
     /// As [`vote`].
-    pub fn votes(&self) -> Result<Votes> {
-        vote(self.gaussians, self.used.iter().map(|&i| self.views[i]), self.classes, &self.settings)
+    pub fn votes(&mut self) -> Result<Arc<Votes>> {
+        if let Some(votes) = &self.votes {
+            return Ok(votes.clone());
+        }
+        let used = self.used.iter().map(|&i| self.views[i]);
+        let votes = vote(self.gaussians, used, self.classes, &self.settings, &self.device)?;
+        Ok(self.votes.insert(Arc::new(votes)).clone())
     }
 
     /// Number of Gaussians in the scene.
