@@ -123,7 +123,12 @@ mod tests {
             let sum = |class: usize| whole.table.iter().skip(class).step_by(classes).sum::<f32>();
             assert!((0..classes).all(|class| sum(class) > 1.0), "{device:?}");
             for width in [1, 2, 3, 5] {
-                assert_eq!(votes(width), whole, "tables of {width} on {device:?}");
+                // Sums of another number of channels are rounded otherwise.
+                let votes = votes(width);
+                assert_eq!((votes.classes, votes.table.len()), (classes, whole.table.len()));
+                let apart = votes.table.iter().zip(&whole.table).map(|(a, b)| (a - b).abs() / b.max(1e-3));
+                let apart = apart.fold(0.0, f32::max);
+                assert!(apart < 1e-5, "tables of {width} on {device:?}: {apart}");
             }
         }
     }
