@@ -19,6 +19,7 @@ mod masks;
 mod merge;
 mod order;
 mod paint;
+mod scratch;
 mod split;
 mod sweeps;
 mod territory;
@@ -31,6 +32,7 @@ use crate::raster::Settings;
 use groups::{Groups, Kind, Placed};
 use masks::{Masks, NOTHING, masks};
 use paint::paint;
+use scratch::Zeros;
 use std::collections::HashMap;
 
 /// A thing that segments of several views show.
@@ -97,8 +99,9 @@ pub fn associate(
     config: &AssociationConfig,
     settings: &Settings,
 ) -> Result<Association> {
+    let zeros = Zeros::new(gaussians.len());
     let raw = |view: &'_ View| match &view.raw {
-        Some(raw) => masks(gaussians, view, &raw.map(), settings),
+        Some(raw) => masks(gaussians, view, &raw.map(), settings, &zeros),
         None => Ok(Masks::default()),
     };
     let trained: Vec<usize> = (0..scene.views.len()).filter(|&v| scene.views[v].split == Split::Train).collect();
