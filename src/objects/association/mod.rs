@@ -15,6 +15,7 @@
 //! Memory grows with the pairs of segments and Gaussians, 8 bytes each, and 4 more while the order of views is found; not
 //! with their product.
 
+mod asked;
 mod divide;
 mod groups;
 mod masks;

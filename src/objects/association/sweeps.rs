@@ -42,7 +42,7 @@ pub(super) fn group<'a, B>(
             look(1)?;
         }
         rebuild(groups, &placed);
-        if split(groups, views, &mut placed, &order, config.merge_above) {
+        if split(groups, views, &mut placed, &order, config.merge_above, look)? {
             rebuild(groups, &placed);
         }
         sizes = loop {
