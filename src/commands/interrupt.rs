@@ -1,4 +1,5 @@
-//! Ctrl-C while a run trains: the first one asks for a checkpoint and the end of the run, the second one ends the program.
+//! Ctrl-C while a run trains: the first one asks for a checkpoint of what is trained and the end of the run, the second one
+//! ends the program.
 
 use super::terminal;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,7 +20,10 @@ pub fn watch() {
         if ASKED.swap(true, Ordering::Relaxed) {
             std::process::exit(EXIT.into());
         }
-        terminal::note("stopping after this step, which is saved; press Ctrl-C again to stop at once");
+        terminal::note(
+            "stopping after this step or view; what is trained is saved, all else is done again when the run goes on; press \
+             Ctrl-C again to stop at once",
+        );
     };
     keeping_nohup(|| {
         if let Err(error) = ctrlc::set_handler(on_signal) {

@@ -79,9 +79,9 @@ impl Progress for Bars {
                     terminal::note(&format!("{stage}: goes on after {done} of {iterations}"));
                 }
             }
-            Event::Step { iteration, .. } => {
+            Event::Step { iteration: done, .. } | Event::Viewed { done } => {
                 if let Some(bar) = &self.bar {
-                    bar.set_position(*iteration as u64);
+                    bar.set_position(*done as u64);
                 }
             }
             Event::Evaluated(point) => {

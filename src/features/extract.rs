@@ -8,6 +8,8 @@ use crate::random::{self, Purpose};
 use burn::tensor::Device;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
+use std::convert::Infallible;
+use std::ops::ControlFlow;
 
 /// Cells per scale that the PCA is fitted on at most, in equal seeded shares of all training views.
 pub const PCA_CELLS: usize = 100_000;
@@ -80,10 +82,12 @@ fn run(
     let test: Vec<&View> = if with_test { scene.split(Split::Test).collect() } else { vec![] };
     let (train, fitted) = (scene.split(Split::Train).count(), &mut 0);
     let total = 2 * train + test.len();
-    let mut reduction = Reduction::fit(scene, config, seed, device, &mut || {
+    let looked = &mut || {
         *fitted += 1;
         progress(*fitted, total);
-    })?;
+        ControlFlow::<Infallible>::Continue(())
+    };
+    let ControlFlow::Continue(mut reduction) = Reduction::fit(scene, config, seed, device, looked)?;
     let step = |done: usize| move |(i, _): &(usize, _)| progress(done + i + 1, total);
     let views = reduction.training_views().enumerate().inspect(step(train)).map(|(_, view)| view);
     let views = views.collect::<Result<_>>()?;
@@ -109,17 +113,17 @@ pub struct Reduction<'a> {
 }
 
 impl<'a> Reduction<'a> {
-    /// Fits a PCA per scale to the training views, as [`extract`] does. `looked` is told of each view.
+    /// Fits a PCA per scale to the training views, as [`extract`] does, unless `looked` breaks: it is told of each view.
     ///
     /// # Errors
     /// As [`extract`].
-    pub fn fit(
+    pub fn fit<B>(
         scene: &'a Scene,
         config: &'a FeatureConfig,
         seed: u64,
         device: &Device,
-        looked: &mut dyn FnMut(),
-    ) -> Result<Self> {
+        looked: &mut dyn FnMut() -> ControlFlow<B>,
+    ) -> Result<ControlFlow<B, Self>> {
         if config.dimensions == 0 {
             return Err(Error::config("features.dimensions", "0", "1 or more", "64 is the usual choice"));
         }
@@ -146,7 +150,9 @@ impl<'a> Reduction<'a> {
                 let bytes: usize = maps.iter().map(|m| 4 * m.data.len()).sum();
                 kept_bytes += bytes;
                 kept.push((kept_bytes <= KEPT_BYTES).then_some(maps));
-                looked();
+                if let ControlFlow::Break(told) = looked() {
+                    return Ok(ControlFlow::Break(told));
+                }
             }
         }
         let Some(moments) = moments else {
@@ -159,7 +165,8 @@ impl<'a> Reduction<'a> {
         }
         let reductions = moments.map(|m| Pca::fit(&m, config.dimensions));
         let content = key.unwrap_or_else(|| format!("imported {:x}", imported.finalize()));
-        Ok(Self { name: extractor.name(), reductions, content, extractor, config, train, kept })
+        let name = extractor.name();
+        Ok(ControlFlow::Continue(Self { name, reductions, content, extractor, config, train, kept }))
     }
 
     /// Reduced maps of the training views in the scene's order, a few made at a time. What was kept for them goes.

@@ -12,7 +12,7 @@ mod separate;
 mod smoothing;
 mod vote;
 
-pub use association::{Association, Group, associate};
+pub use association::{Association, Group, associate, associate_until};
 pub use hard_labels::hard_label_map;
 pub use identities::Identities;
 pub use inventory::{Object, Picked, inventory, pick};

@@ -26,7 +26,10 @@ use crate::ops::Real;
 use crate::raster::{Settings, SplatTensors, Splats};
 use burn::tensor::Device;
 use device::DeviceSums;
+use solve::solved;
 use std::borrow::Borrow;
+use std::convert::Infallible;
+use std::ops::ControlFlow;
 
 /// Added to the counter before dividing (Algorithm 1).
 pub const EPSILON: f64 = 1e-6;
@@ -285,21 +288,32 @@ pub fn unproject<'a>(
     settings: &Settings,
     device: &Device,
 ) -> Result<Unprojected> {
-    unproject_each(gaussians, views, set.views.iter().map(Ok), config, settings, device)
+    let features = set.views.iter().map(Ok);
+    let go_on = &mut || ControlFlow::<Infallible>::Continue(());
+    let ControlFlow::Continue(lifted) = unproject_each(gaussians, views, features, config, settings, device, go_on)?;
+    Ok(lifted)
+}
+
+/// How often [`unproject_each`] looks at a view at most.
+pub fn looks_at_a_view(config: &UnprojectionConfig) -> usize {
+    // To lift it; for the first residual of each scale, and in each step.
+    1 + if config.solve_iterations > 0 { SCALES * (1 + config.solve_iterations) } else { 0 }
 }
 
 /// [`unproject`] with features that need not be in memory together: each view's are let go before the next are asked for.
+/// Until `looked` breaks: it is told each time that a view was looked at.
 ///
 /// # Errors
 /// As [`unproject`]; those of `features`.
-pub fn unproject_each<'a, F: Borrow<ViewFeatures>>(
+pub fn unproject_each<'a, F: Borrow<ViewFeatures>, B>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,
     features: impl Iterator<Item = Result<F>>,
     config: &UnprojectionConfig,
     settings: &Settings,
     device: &Device,
-) -> Result<Unprojected> {
+    looked: &mut dyn FnMut() -> ControlFlow<B>,
+) -> Result<ControlFlow<B, Unprojected>> {
     let (views, mut features): (Vec<&View>, _) = (views.collect(), features);
     let mismatch = |found: String, expected: String| {
         Error::argument(
@@ -325,6 +339,9 @@ pub fn unproject_each<'a, F: Borrow<ViewFeatures>>(
         let sums = sums.get_or_insert_with(|| Lifting::new(gaussians, &channels, device));
         sums.add(&view.camera, maps, view.mask.as_ref(), config.resolution, settings)?;
         lattices.push(maps.each_ref().map(FeatureMap::lattice));
+        if let ControlFlow::Break(told) = looked() {
+            return Ok(ControlFlow::Break(told));
+        }
     }
     if features.next().is_some() {
         return Err(mismatch(format!("{} views", views.len()), format!("{} or more", views.len() + 1)));
@@ -333,7 +350,10 @@ pub fn unproject_each<'a, F: Borrow<ViewFeatures>>(
     let keep = sums.attended(config);
     let sums = match config.solve_iterations {
         0 => sums.normalised(config.normalisation),
-        _ => solved(sums, gaussians, &views, &lattices, config, settings)?,
+        _ => match solved(sums, gaussians, (&views, &lattices), config, settings, looked)? {
+            ControlFlow::Continue(solved) => solved,
+            ControlFlow::Break(told) => return Ok(ControlFlow::Break(told)),
+        },
     };
     let seen = (0..gaussians.len()).map(|i| sums.weights.iter().all(|w| w[i] > 0.0)).collect();
     let scales = |all: Vec<Vec<f32>>| -> [Vec<f32>; SCALES] {
@@ -354,36 +374,5 @@ pub fn unproject_each<'a, F: Borrow<ViewFeatures>>(
         100.0 * unprojected.pruned_share(),
         gaussians.len()
     );
-    Ok(unprojected)
-}
-
-/// `sums` with features in place of the buffers.
-fn solved(
-    mut sums: Sums<f32>,
-    gaussians: &Gaussians,
-    views: &[&View],
-    lattices: &[[Lattice; SCALES]],
-    config: &UnprojectionConfig,
-    settings: &Settings,
-) -> Result<Sums<f32>> {
-    for (scale, (buffer, &channels)) in sums.buffers.iter_mut().zip(&sums.channels).enumerate() {
-        let camera = |(view, lattices): (&&View, &[Lattice; SCALES])| match config.resolution {
-            Resolution::Image => view.camera.clone(),
-            Resolution::Feature => lattices[scale].camera(&view.camera),
-        };
-        let cameras: Vec<_> = views.iter().zip(lattices).map(camera).collect();
-        let mask = |(view, cells): (&&View, &Camera)| Some(of_cells(view.mask.as_ref()?, &view.camera, cells));
-        let masks: Vec<Option<Mask>> = views.iter().zip(&cameras).map(mask).collect();
-        let (splats, weights, ridge) = (gaussians.splats(), &sums.weights[scale], config.solve_ridge);
-        let problem = Problem { splats, cameras: &cameras, masks: &masks, settings, weights, ridge };
-        let done = problem.solve(buffer, channels, config.solve_iterations)?;
-        tracing::info!(
-            "unprojection: scale {} solved in {} steps to a residual of {:.1e}",
-            scale + 1,
-            done.iterations,
-            done.residual
-        );
-        *buffer = done.features;
-    }
-    Ok(sums)
+    Ok(ControlFlow::Continue(unprojected))
 }

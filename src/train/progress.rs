@@ -2,6 +2,7 @@
 
 use crate::metrics::ImageScores;
 use serde::{Deserialize, Serialize};
+use std::ops::ControlFlow;
 
 /// Something that happened in a stage; iterations count from 1.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,6 +25,11 @@ pub enum Event {
         loss: f64,
         /// Gaussians in the scene.
         gaussians: usize,
+    },
+    /// One more view, or several, was looked at in a stage that goes through views and learns nothing.
+    Viewed {
+        /// Iterations done: views, each counted as often as the stage looks at it.
+        done: usize,
     },
     /// The held-out views were scored.
     Evaluated(CurvePoint),
@@ -71,10 +77,39 @@ pub trait Progress {
     /// Called after each event.
     fn event(&mut self, event: &Event);
 
-    /// Asked after each iteration and between the parts of a run; true ends the run there. What was trained is in a checkpoint
-    /// then, but for a trial of learning rates, which begins anew.
+    /// Asked after each iteration, after each view of a stage that learns nothing, and between the parts of a run; true ends
+    /// the run there. What was trained is in a checkpoint then, but for a trial of learning rates: that begins anew, and so
+    /// does a stage that learns nothing.
     fn stop(&mut self) -> bool {
         false
+    }
+}
+
+/// A stage that goes through views and learns nothing, as it is told to its caller.
+pub(super) struct Viewing<'p> {
+    progress: &'p mut dyn Progress,
+    done: usize,
+}
+
+impl<'p> Viewing<'p> {
+    /// A stage that looks at `views` views, each counted as often as it does.
+    pub fn begin(progress: &'p mut dyn Progress, stage: &'static str, views: usize) -> Self {
+        progress.event(&Event::Started { stage, done: 0, iterations: views });
+        Self { progress, done: 0 }
+    }
+
+    /// Tells of `more` views, where there are any, and asks whether to go on.
+    pub fn looked(&mut self, more: usize) -> ControlFlow<()> {
+        if more > 0 {
+            self.done += more;
+            self.progress.event(&Event::Viewed { done: self.done });
+        }
+        if self.progress.stop() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+
+    /// The stage is done.
+    pub fn end(self) {
+        self.progress.event(&Event::Finished);
     }
 }
 

@@ -5,7 +5,7 @@ use super::building_state::BuildingState;
 use super::checkpoint::Checkpoint;
 use super::given::begin;
 use super::pictures::score_images;
-use super::progress::{CurvePoint, Event, Progress};
+use super::progress::{CurvePoint, Progress, Viewing};
 use super::provenance::Provenance;
 use super::pruned::{Attendance, Pruned};
 use super::rows::{RowOutcome, TrainedRows, run_rows};
@@ -15,14 +15,15 @@ use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::{Error, Result};
 use crate::gaussians::{Gaussians, ply};
 use crate::metrics::ImageScores;
-use crate::objects::{Identities, Semantics, associate, has_truth};
+use crate::objects::{self, Identities, Semantics, associate_until, has_truth};
 use crate::raster::Settings;
 use burn::tensor::Device;
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Instant;
 
 /// Seconds spent in each part of the job; evaluations are part of the stage they belong to. Training of earlier parts of a
-/// resumed run counts; what such a run does again (loading, features, unprojection) counts once.
+/// resumed run counts; what such a run does again (loading, association, features, unprojection) counts once.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Seconds {
     /// Stage one.
@@ -196,8 +197,7 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
     };
     let segments = config.data.association == Association::Gaussians;
     if segments && outcome.scene.split(Split::Train).any(|v| v.raw.is_some()) && !outcome.stops(progress) {
-        outcome.semantics = Semantics::of(&outcome.scene);
-        outcome.association = Some(put_together(&mut outcome.scene, &outcome.gaussians, config, progress)?);
+        put_together(&mut outcome, progress)?;
     }
     if has_raw_labels(&outcome.scene) && !config.segmentation.rows().is_empty() && !outcome.stops(progress) {
         outcome.seconds.segmentation = segment(&mut outcome, &settings, &checkpoints, device, progress)?;
@@ -285,21 +285,28 @@ fn build(
     })
 }
 
-/// Makes objects of the segments that the raw labels of `scene` hold.
-fn put_together(
-    scene: &mut Scene,
-    gaussians: &Gaussians,
-    config: &Config,
-    progress: &mut dyn Progress,
-) -> Result<Associated> {
-    let clock = Instant::now();
-    progress.event(&Event::Started { stage: "association", done: 0, iterations: 1 });
-    let found = associate(gaussians, scene, &config.association, &Settings::from(&config.raster))?;
-    progress.event(&Event::Finished);
+/// Makes objects of the segments that the raw labels of the scene hold, unless it is stopped before they are. They are not
+/// stored: a run that is gone on with makes them again, and the same ones.
+fn put_together(outcome: &mut Outcome, progress: &mut dyn Progress) -> Result<()> {
+    let Outcome { scene, gaussians, config, .. } = outcome;
+    let (clock, settings) = (Instant::now(), Settings::from(&config.raster));
+    let looks = objects::Association::looks(scene, &config.association);
+    let mut viewing = Viewing::begin(progress, "association", looks);
+    let looked = &mut |views| viewing.looked(views);
+    let ControlFlow::Continue(found) = associate_until(gaussians, scene, &config.association, &settings, looked)?
+    else {
+        outcome.stopped = true;
+        return Ok(());
+    };
+    viewing.end();
     let (segments, objects) = (found.segments, found.groups.len());
     let (dropped, divided) = (found.dropped, found.divided);
+    // Before the true labels that it is made of leave the scene.
+    outcome.semantics = Semantics::of(scene);
     found.apply(scene);
-    Ok(Associated { segments, objects, dropped, divided, seconds: clock.elapsed().as_secs_f64() })
+    let seconds = clock.elapsed().as_secs_f64();
+    outcome.association = Some(Associated { segments, objects, dropped, divided, seconds });
+    Ok(())
 }
 
 /// Stage two; returns its seconds, those that earlier parts of a resumed run took included.

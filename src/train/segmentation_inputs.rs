@@ -1,6 +1,6 @@
 //! The frozen inputs of stage two: image features lifted onto the Gaussians, spatial features, and their pyramids.
 
-use super::progress::{Event, Progress};
+use super::progress::{Progress, Viewing};
 use super::segmentation::{Encoded, Source, TrainingViews};
 use crate::config::{Config, Encode, Row, SpatialConfig, SpatialSource};
 use crate::data::{Scene, Split};
@@ -11,8 +11,9 @@ use crate::objects::Semantics;
 use crate::raster::{Projected, Settings};
 use crate::segmentation::encoder::{Cloud, Encoding, encode, load_spatial, metres_per_unit};
 use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};
-use crate::segmentation::unprojection::unproject_each;
+use crate::segmentation::unprojection::{looks_at_a_view, unproject_each};
 use burn::tensor::{Device, Tensor, TensorData};
+use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
 /// Scale (zero-based) whose image features the single-scale row reads.
@@ -35,7 +36,8 @@ pub struct Seen {
 }
 
 impl Seen {
-    /// Extracts and unprojects features of the training views, a few views at a time. None where `progress` says stop in between.
+    /// Extracts and unprojects features of the training views, a few views at a time. None where `progress` says stop in
+    /// between: nothing of them is kept.
     ///
     /// # Errors
     /// Those of the extractor and of the unprojection.
@@ -47,17 +49,18 @@ impl Seen {
         device: &Device,
         progress: &mut dyn Progress,
     ) -> Result<Option<Self>> {
-        let clock = Instant::now();
-        progress.event(&Event::Started { stage: "features", done: 0, iterations: 1 });
-        let mut reduction = Reduction::fit(scene, &config.features, config.seed, device, &mut || ())?;
-        progress.event(&Event::Finished);
+        let (clock, views) = (Instant::now(), scene.split(Split::Train).count());
+        let mut viewing = Viewing::begin(progress, "features", views);
+        let reduction = Reduction::fit(scene, &config.features, config.seed, device, &mut || viewing.looked(1))?;
+        let ControlFlow::Continue(mut reduction) = reduction else { return Ok(None) };
+        viewing.end();
         if progress.stop() {
             return Ok(None);
         }
         let (name, content) = (reduction.name.clone(), reduction.content.clone());
         let mut extraction = clock.elapsed();
         let clock = Instant::now();
-        progress.event(&Event::Started { stage: "unprojection", done: 0, iterations: 1 });
+        let mut viewing = Viewing::begin(progress, "unprojection", views * looks_at_a_view(&config.unprojection));
         let mut maps = reduction.training_views();
         let mut reducing = Duration::ZERO;
         let maps = std::iter::from_fn(|| {
@@ -66,11 +69,12 @@ impl Seen {
             reducing += clock.elapsed();
             next
         });
-        let lifted =
-            unproject_each(gaussians, scene.split(Split::Train), maps, &config.unprojection, settings, device)?;
+        let (train, looked) = (scene.split(Split::Train), &mut || viewing.looked(1));
+        let lifted = unproject_each(gaussians, train, maps, &config.unprojection, settings, device, looked)?;
+        let ControlFlow::Continue(lifted) = lifted else { return Ok(None) };
         extraction += reducing;
         let unprojection = clock.elapsed().saturating_sub(reducing);
-        progress.event(&Event::Finished);
+        viewing.end();
         let kept: Vec<u32> = (0..gaussians.len() as u32).filter(|&i| lifted.keep[i as usize]).collect();
         let dimensions = config.features.dimensions;
         let mut rows = lifted.features;

@@ -4,16 +4,18 @@ use crate::association_figures::rendered;
 use crate::cli::{fails, read_json, succeeds, utf8};
 use crate::plates::{self, camera, plates};
 use crate::spoilt_masks::{Noise, shuffled, spoilt};
-use coseg::config::AssociationConfig;
+use coseg::config::{self, AssociationConfig, Row};
 use coseg::data::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, load};
 use coseg::gaussians::{Gaussians, ply};
 use coseg::metrics::{InstanceScores, instance_scores};
-use coseg::objects::{self, associate, hard_label_map};
+use coseg::objects::{self, associate, associate_until, hard_label_map};
 use coseg::raster::{Projected, Settings};
+use coseg::train::{progress::Silent, run};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
 use std::fs;
+use std::ops::ControlFlow;
 use std::path::Path;
 
 /// Six views of the plates with exact instances; raw labels are the same under ids drawn anew in each view.
@@ -118,7 +120,7 @@ fn nothing_to_put_together_is_an_error() {
     scene.views.iter_mut().for_each(|view| view.raw = None);
     let error = associate(&gaussians, &scene, &AssociationConfig::default(), &Settings::default()).expect_err("empty");
     crate::assert_names(&error, &["data.association", "no segments", "add raw labels"]);
-    // Maps without Gaussians: nothing belongs together.
+    // Maps without Gaussians: nothing is shown.
     let (_, scene) = plate_scene();
     let none = Gaussians {
         means: vec![],
@@ -128,8 +130,53 @@ fn nothing_to_put_together_is_an_error() {
         sh: vec![],
         sh_degree: 0,
     };
-    let association = found(&none, &scene);
-    assert_eq!((association.groups.len(), association.dropped), (0, association.segments));
+    let error = associate(&none, &scene, &AssociationConfig::default(), &Settings::default()).expect_err("no Gaussian");
+    crate::assert_names(
+        &error,
+        &["data.association", "no segment", "Gaussians where the segments are", "of one scene"],
+    );
+}
+
+#[test]
+fn no_group_that_is_left_is_an_error_that_a_smaller_share_mends() {
+    let (gaussians, scene) = plate_scene();
+    let all = AssociationConfig { min_weight: 1.0, ..AssociationConfig::default() };
+    let error = associate(&gaussians, &scene, &all, &Settings::default()).expect_err("none left");
+    crate::assert_names(&error, &["association.min_weight", "found 1", "all 4 groups", "less than", "smaller share"]);
+    let folder = tempfile::tempdir().expect("folder");
+    plates::scene(folder.path());
+    let (mut config, out) = (crate::resume::config(folder.path()), folder.path().join("run"));
+    (config.data.association, config.segmentation.rows) = (config::Association::Gaussians, Some(vec![Row::Vote]));
+    config.association.min_weight = 1.0;
+    let error = run(&config, &out, &crate::device(), &mut Silent).err().expect("none left");
+    crate::assert_names(&error, &["association.min_weight", "smaller share"]);
+    // What was built stays.
+    let built = fs::read(out.join("checkpoint/building.safetensors")).expect("checkpoint");
+    config.association = AssociationConfig::default();
+    let done = run(&config, &out, &crate::device(), &mut Silent).expect("a run");
+    assert!(done.association.is_some_and(|found| found.objects > 0) && done.rows.len() == 1);
+    assert!(fs::read(out.join("checkpoint/building.safetensors")).expect("checkpoint") == built);
+}
+
+#[test]
+fn views_are_told_of_and_may_end_it() {
+    let (gaussians, scene) = plate_scene();
+    let config = AssociationConfig::default();
+    let until = |last: usize| {
+        let mut told = 0;
+        let found = associate_until(&gaussians, &scene, &config, &Settings::default(), &mut |views| {
+            told += views;
+            if told < last { ControlFlow::Continue(()) } else { ControlFlow::Break(told) }
+        });
+        (found.expect("association"), told)
+    };
+    let looks = objects::Association::looks(&scene, &config);
+    assert_eq!(looks, (2 + config.sweeps) * 4 + 2);
+    assert_eq!(until(usize::MAX), (ControlFlow::Continue(found(&gaussians, &scene)), looks));
+    // While the segments of views are looked at, in sweeps, while maps of training and test views are made.
+    for last in [1, 4, 5, 9, 20, 22, looks] {
+        assert_eq!(until(last), (ControlFlow::Break(last), last));
+    }
 }
 
 #[test]
@@ -249,6 +296,8 @@ fn associate_writes_maps_of_global_ids() {
     assert_eq!(pairs.iter().filter(|(found, _)| *found > 0).count(), 4, "{pairs:?}");
     let message = fails(&[&arguments[..], &["--set", "association.min_overlap=0"]].concat(), 1);
     assert!(message.contains("association.min_overlap") && message.contains("above 0"), "{message}");
+    let message = fails(&[&arguments[..], &["--set", "association.min_weight=1"]].concat(), 1);
+    assert!(message.contains("association.min_weight") && message.contains("smaller share"), "{message}");
     let message = fails(&[&arguments[..], &["--set", "data.association=tracks"]].concat(), 1);
     assert!(message.contains("\"none\"") && message.contains("\"gaussians\""), "{message}");
 }

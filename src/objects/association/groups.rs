@@ -111,6 +111,11 @@ impl Groups {
         &self.owners
     }
 
+    /// The weight of all groups on a Gaussian.
+    pub fn total(&self, gaussian: u32) -> f64 {
+        self.owners[gaussian as usize].iter().map(|(_, w)| f64::from(*w)).sum()
+    }
+
     /// Takes the groups away from all Gaussians, but keeps their numbers.
     pub fn clear(&mut self) {
         self.owners.iter_mut().for_each(Vec::clear);

@@ -1,5 +1,6 @@
 //! What each segment of a view covers: the weight `alpha' T` of its pixels on every Gaussian.
 
+use super::scratch::Zeros;
 use crate::data::{LabelMap, Segment, View};
 use crate::error::Result;
 use crate::gaussians::Gaussians;
@@ -34,8 +35,14 @@ pub(super) struct Masks {
     pub rest: Vec<(u32, f32)>,
 }
 
-/// The segments of `raw`, a map of `view`.
-pub(super) fn masks(gaussians: &Gaussians, view: &View, raw: &LabelMap, settings: &Settings) -> Result<Masks> {
+/// The segments of `raw`, a map of `view`. `zeros` are as long as there are Gaussians.
+pub(super) fn masks(
+    gaussians: &Gaussians,
+    view: &View,
+    raw: &LabelMap,
+    settings: &Settings,
+    zeros: &Zeros<f64>,
+) -> Result<Masks> {
     let mut place = vec![u32::MAX; 1 << 16];
     raw.ids.iter().for_each(|&id| place[usize::from(id)] = 0);
     let mut masks = Vec::new();
@@ -58,8 +65,9 @@ pub(super) fn masks(gaussians: &Gaussians, view: &View, raw: &LabelMap, settings
         }
         // Each segment's sums run over its pixels in order: the same bits at any number of threads.
         masks.par_iter_mut().zip(rows).for_each_init(
-            || vec![0.0_f64; gaussians.len()],
+            || zeros.lend(),
             |sums, (mask, rows)| {
+                let sums: &mut [f64] = sums;
                 let mut touched = Vec::new();
                 for (&gaussian, &weight) in rows.into_iter().flat_map(|row| {
                     let (columns, values) = weights.row(row);
@@ -128,10 +136,12 @@ mod tests {
             segments: Vec::new(),
             instances: None,
         };
-        let of = |view: &View| masks(&gaussians, view, &raw, &Settings::default()).expect("masks");
+        let zeros = Zeros::new(gaussians.len());
+        let of = |view: &View| masks(&gaussians, view, &raw, &Settings::default(), &zeros).expect("masks");
         let whole = of(&view);
         view.mask = Some(crate::mask::Mask::new(width, height, used));
         let part = of(&view);
+        assert!(zeros.lend().iter().all(|sum| *sum == 0.0), "as it was lent");
         assert_eq!(part.segments[0].weights, whole.segments[0].weights);
         let projected = Projected::new(&gaussians.splats(), &view.camera, &Settings::default()).expect("view");
         let rest: Vec<f32> = (0..width * height).map(|p| f32::from(u8::from(p / width >= 7 && used(p)))).collect();

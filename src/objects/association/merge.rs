@@ -2,6 +2,7 @@
 
 use super::groups::Groups;
 use super::territory::{Shown, extents};
+use crate::error::{Error, Result};
 use std::collections::BTreeMap;
 
 /// Share of a group's weight that another must have on the same Gaussians before the two can be one: neighbours share
@@ -81,9 +82,58 @@ pub(super) fn pairs(groups: &Groups, shown: &[Shown], above: f64) -> Vec<(u32, u
     candidates.into_iter().map(|(_, small, large)| (small, large)).collect()
 }
 
-/// Which groups are dropped: those of less than `least` of all weight, and strays.
-pub(super) fn negligible(groups: &Groups, least: f64) -> Vec<bool> {
+/// Which groups are dropped: those of no more than the share `least` of all weight, and strays.
+///
+/// # Errors
+/// [`Error::Config`] when that leaves none.
+pub(super) fn negligible(groups: &Groups, least: f64) -> Result<Vec<bool>> {
     let totals = totals(groups);
     let all: f64 = totals.iter().map(|(total, _)| total).sum();
-    totals.iter().map(|(total, purity)| *total <= least * all || *purity < PURITY).collect()
+    let negligible: Vec<bool> =
+        totals.iter().map(|(total, purity)| *total <= least * all || *purity < PURITY).collect();
+    if negligible.iter().all(|negligible| *negligible) { Err(nothing_left(&totals, least)) } else { Ok(negligible) }
+}
+
+/// Why groups of these weights and purities are all dropped.
+fn nothing_left(totals: &[(f64, f64)], least: f64) -> Error {
+    const NONE: &str = "data.association = \"none\" trains on the ids of the maps as they are";
+    let all: f64 = totals.iter().map(|(total, _)| total).sum();
+    if all == 0.0 {
+        let found = "gaussians, but no segment of a training view covers any of them";
+        let mend = format!("check that Gaussians and cameras are of one scene; {NONE}");
+        return Error::config("data.association", found, "Gaussians where the segments are", mend);
+    }
+    let largest = totals.iter().filter(|(_, purity)| *purity >= PURITY).map(|(total, _)| total / all);
+    match largest.reduce(f64::max) {
+        Some(largest) => {
+            let dropped = totals.iter().filter(|(total, _)| *total > 0.0).count();
+            let found = format!("{least}, which drops all {dropped} groups of segments");
+            let expected = format!("less than {largest:.2e}, the share of the largest one");
+            Error::config("association.min_weight", found, expected, "set a smaller share")
+        }
+        None => {
+            let found = "gaussians, but each group of segments is on Gaussians of which others have the most";
+            let expected = "segments of which several views show the same";
+            let mend = format!("check that raw labels and photos belong together, or raise association.sweeps; {NONE}");
+            Error::config("data.association", found, expected, mend)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_leaves_no_group_is_named() {
+        let said = |totals: &[(f64, f64)], least| nothing_left(totals, least).to_string();
+        let message = said(&[(3.0, 0.9), (0.0, 0.0), (1.0, 1.0), (4.0, 0.1)], 0.6);
+        for part in ["association.min_weight: found 0.6", "all 3 groups", "less than 3.75e-1", "smaller share"] {
+            assert!(message.contains(part), "{part}: {message}");
+        }
+        let message = said(&[], 0.0) + &said(&[(0.0, 0.0)], 0.0);
+        assert_eq!(message.matches("covers any of them").count(), 2, "{message}");
+        let message = said(&[(1.0, 0.1), (1.0, 0.1)], 0.0);
+        assert!(message.contains("data.association") && message.contains("others have the most"), "{message}");
+    }
 }

@@ -8,17 +8,21 @@
 //!
 //! The first sweep takes the views in an order of overlap and opens groups. Later sweeps take each view out of the groups
 //! and assign it again, so that no view confirms itself; then groups that most views take for two are split, groups that
-//! most take for one are merged, and at last strays dropped. A segment that covers most of what its view shows of several groups is a segmenter's taking two things for
-//! one: since the other views keep these groups apart, it is divided among them, Gaussian by Gaussian and at last pixel by
-//! pixel. (MaskClustering, arXiv 2401.07745, also counts the views that agree, and leaves such segments out.)
-//! Memory grows with the pairs of segments and Gaussians, not with their product.
+//! most take for one are merged, and at last strays dropped. A segment that covers most of what its view shows of several
+//! groups is a segmenter's taking two things for one: since the other views keep these groups apart, it is divided among
+//! them, Gaussian by Gaussian and at last pixel by pixel. (MaskClustering, arXiv 2401.07745, also counts the views that
+//! agree, and leaves such segments out.)
+//! Memory grows with the pairs of segments and Gaussians, 8 bytes each, and 4 more while the order of views is found; not
+//! with their product.
 
+mod asked;
 mod divide;
 mod groups;
 mod masks;
 mod merge;
 mod order;
 mod paint;
+mod scratch;
 mod split;
 mod sweeps;
 mod territory;
@@ -31,7 +35,10 @@ use crate::raster::Settings;
 use groups::{Groups, Kind, Placed};
 use masks::{Masks, NOTHING, masks};
 use paint::paint;
+use scratch::Zeros;
 use std::collections::HashMap;
+use std::convert::Infallible;
+use std::ops::ControlFlow;
 
 /// A thing that segments of several views show.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,7 +70,30 @@ pub struct Association {
     pub divided: usize,
 }
 
+/// Why an association ended before it was done.
+enum End<B> {
+    /// Its caller said so.
+    Told(B),
+    Failed(Error),
+}
+
+impl<B> From<Error> for End<B> {
+    fn from(error: Error) -> Self {
+        Self::Failed(error)
+    }
+}
+
+/// Is told how many more views were looked at, and may end the association.
+type Look<'l, B> = dyn FnMut(usize) -> Result<(), End<B>> + 'l;
+
 impl Association {
+    /// How many views [`associate_until`] looks at, each as often as it does.
+    pub fn looks(scene: &Scene, config: &AssociationConfig) -> usize {
+        let [trained, tested] = [Split::Train, Split::Test].map(|split| scene.split(split).count());
+        // For their segments, in the sweeps, and to be painted.
+        (config.sweeps + 2) * trained + tested
+    }
+
     /// Makes the groups the classes of `scene` and the maps its raw labels. True labels are of other classes and leave
     /// the scene: [`Semantics`](super::Semantics) takes them up before. [`View::instances`] stays to be scored against.
     ///
@@ -87,7 +117,7 @@ impl Association {
 ///
 /// # Errors
 /// [`Error::NonFinite`] when a Gaussian's parameters are not finite; [`Error::Limit`] for more groups than u16 has ids;
-/// [`Error::Config`] when no training view has raw labels.
+/// [`Error::Config`] when no training view has raw labels, and when no group is left of them.
 ///
 /// # Panics
 /// If raw labels are not of the size of their view's camera.
@@ -97,19 +127,62 @@ pub fn associate(
     config: &AssociationConfig,
     settings: &Settings,
 ) -> Result<Association> {
+    let go_on = &mut |_: usize| ControlFlow::<Infallible>::Continue(());
+    let ControlFlow::Continue(found) = associate_until(gaussians, scene, config, settings, go_on)?;
+    Ok(found)
+}
+
+/// [`associate`], until `looked` breaks: it is told each time how many more views were looked at, [`Association::looks`] in
+/// all, and 0 where it is only asked whether to go on.
+///
+/// # Errors
+/// As [`associate`].
+///
+/// # Panics
+/// As [`associate`].
+pub fn associate_until<B>(
+    gaussians: &Gaussians,
+    scene: &Scene,
+    config: &AssociationConfig,
+    settings: &Settings,
+    looked: &mut dyn FnMut(usize) -> ControlFlow<B>,
+) -> Result<ControlFlow<B, Association>> {
+    let mut look = |views| match looked(views) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(told) => Err(End::Told(told)),
+    };
+    match found(gaussians, scene, config, settings, &mut look) {
+        Ok(found) => Ok(ControlFlow::Continue(found)),
+        Err(End::Told(told)) => Ok(ControlFlow::Break(told)),
+        Err(End::Failed(error)) => Err(error),
+    }
+}
+
+fn found<B>(
+    gaussians: &Gaussians,
+    scene: &Scene,
+    config: &AssociationConfig,
+    settings: &Settings,
+    look: &mut Look<'_, B>,
+) -> Result<Association, End<B>> {
+    let zeros = Zeros::new(gaussians.len());
     let raw = |view: &'_ View| match &view.raw {
-        Some(raw) => masks(gaussians, view, &raw.map(), settings),
+        Some(raw) => masks(gaussians, view, &raw.map(), settings, &zeros),
         None => Ok(Masks::default()),
     };
     let trained: Vec<usize> = (0..scene.views.len()).filter(|&v| scene.views[v].split == Split::Train).collect();
-    let views: Vec<Masks> = trained.iter().map(|&v| raw(&scene.views[v])).collect::<Result<_>>()?;
+    let mut views = Vec::with_capacity(trained.len());
+    for &v in &trained {
+        views.push(raw(&scene.views[v])?);
+        look(1)?;
+    }
     if views.iter().all(|view| view.segments.is_empty()) {
         let expected = "raw labels of training views to put together";
         let mend = "add raw labels, or set data.association = \"none\"";
-        return Err(Error::config("data.association", "gaussians, but no segments", expected, mend));
+        return Err(Error::config("data.association", "gaussians, but no segments", expected, mend).into());
     }
     let mut groups = Groups::new(gaussians.len());
-    let placed = sweeps::group(&mut groups, &views, config);
+    let placed = sweeps::group(&mut groups, &views, config, look)?;
 
     let totals = merge::totals(&groups);
     let mut counts = vec![0; groups.len()];
@@ -127,19 +200,22 @@ pub fn associate(
             found: kept.len().to_string(),
             limit: (u16::MAX - 1).to_string(),
             mend: "raise association.min_weight, or give a segmentation of larger things".into(),
-        });
+        }
+        .into());
     }
     let ids: HashMap<u32, u16> = kept.iter().copied().zip(1..).collect();
     let mut maps = vec![None; scene.views.len()];
     let ids = |group: u32| ids.get(&group).copied().unwrap_or(NOTHING);
     for (&v, placed) in trained.iter().zip(&placed) {
         maps[v] = paint(gaussians, &scene.views[v], placed, &ids, settings)?.map(LabelRuns::from);
+        look(1)?;
     }
     let sizes = territory::sizes(&groups, &views);
     for (map, view) in maps.iter_mut().zip(&scene.views).filter(|(_, view)| view.split == Split::Test) {
         let masks = raw(view)?;
         let placed = sweeps::place(&mut groups, &masks, &sizes, config.min_overlap);
         *map = paint(gaussians, view, &placed, &ids, settings)?.map(LabelRuns::from);
+        look(1)?;
     }
     let group =
         |(&g, id)| Group { id, class: groups.kind(g).class, views: counts[g as usize], weight: totals[g as usize].0 };

@@ -7,13 +7,22 @@ use super::merge;
 use super::order::overlapping_order;
 use super::split::split;
 use super::territory::{Shown, extents};
+use super::{End, Look};
 use crate::config::AssociationConfig;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-/// Forms the groups of `views`, and says which group each segment belongs to.
-pub(super) fn group<'a>(groups: &mut Groups, views: &'a [Masks], config: &AssociationConfig) -> Vec<Placed<'a>> {
+/// Forms the groups of `views`, and says which group each segment belongs to. `look` is told of each view in each sweep.
+///
+/// # Errors
+/// [`crate::Error::Config`] when no group is left; those of `look`.
+pub(super) fn group<'a, B>(
+    groups: &mut Groups,
+    views: &'a [Masks],
+    config: &AssociationConfig,
+    look: &mut Look<'_, B>,
+) -> Result<Vec<Placed<'a>>, End<B>> {
     let order = overlapping_order(views, groups.owners().len());
     let mut placed = vec![Placed::default(); views.len()];
     let mut sizes = Vec::new();
@@ -30,12 +39,14 @@ pub(super) fn group<'a>(groups: &mut Groups, views: &'a [Masks], config: &Associ
             };
             sizes.resize(groups.len(), 0.0);
             groups.add(&placed[v]);
+            look(1)?;
         }
         rebuild(groups, &placed);
-        if split(groups, views, &mut placed, &order, config.merge_above) {
+        if split(groups, views, &mut placed, &order, config.merge_above, look)? {
             rebuild(groups, &placed);
         }
         sizes = loop {
+            look(0)?;
             let shown: Vec<Shown> = views.par_iter().map(|view| Shown::new(groups, view)).collect();
             let pairs = merge::pairs(groups, &shown, config.merge_above);
             if pairs.is_empty() {
@@ -48,7 +59,7 @@ pub(super) fn group<'a>(groups: &mut Groups, views: &'a [Masks], config: &Associ
             rebuild(groups, &placed);
         };
     }
-    let negligible = merge::negligible(groups, config.min_weight);
+    let negligible = merge::negligible(groups, config.min_weight)?;
     for group in placed.iter_mut().flat_map(|placed| &mut placed.groups) {
         *group = group.filter(|group| !negligible[*group as usize]);
     }
@@ -60,7 +71,7 @@ pub(super) fn group<'a>(groups: &mut Groups, views: &'a [Masks], config: &Associ
         }
     }
     rebuild(groups, &placed);
-    placed
+    Ok(placed)
 }
 
 /// Places the segments of a view that had no part in the groups.

@@ -7,12 +7,19 @@
 //! every product renders the views and lifts them back. Since `W 1 <= 1`, the preconditioned matrix has its eigenvalues
 //! between `ridge` and `1 + ridge`.
 
+use super::{Sums, of_cells};
 use crate::camera::Camera;
+use crate::config::{Resolution, UnprojectionConfig};
+use crate::data::View;
 use crate::error::Result;
+use crate::features::{Lattice, SCALES};
+use crate::gaussians::Gaussians;
 use crate::mask::Mask;
 use crate::ops::Real;
 use crate::raster::{Projected, Settings, Splats};
 use rayon::prelude::*;
+use std::convert::Infallible;
+use std::ops::ControlFlow;
 
 /// Gaussians of one task; also the unit of the fixed summation order.
 const CHUNK: usize = 1024;
@@ -52,6 +59,19 @@ impl<E: Real> Problem<'_, E> {
     /// # Errors
     /// What [`Projected::new`] returns; [`crate::Error::Argument`] for a mask of another size than its camera has.
     pub fn solve(&self, buffer: &[E], channels: usize, iterations: usize) -> Result<Solved<E>> {
+        let go_on = &mut || ControlFlow::<Infallible>::Continue(());
+        let ControlFlow::Continue(solved) = self.solve_until(buffer, channels, iterations, go_on)?;
+        Ok(solved)
+    }
+
+    /// [`Problem::solve`], until `looked` breaks: it is told each time that a view was looked at.
+    pub(super) fn solve_until<B>(
+        &self,
+        buffer: &[E],
+        channels: usize,
+        iterations: usize,
+        looked: &mut dyn FnMut() -> ControlFlow<B>,
+    ) -> Result<ControlFlow<B, Solved<E>>> {
         let per_weight = |values: &[E]| -> Vec<E> {
             let mut out = values.to_vec();
             let rows = out.par_chunks_mut(CHUNK * channels.max(1)).zip(self.weights.par_chunks(CHUNK));
@@ -65,14 +85,22 @@ impl<E: Real> Problem<'_, E> {
         };
         let mut features = per_weight(buffer);
         let mut residual = buffer.to_vec();
-        axpy(&mut residual, &vec![-E::one(); channels], &self.rendered_and_lifted(&features, channels)?);
+        let product = match self.rendered_and_lifted(&features, channels, looked)? {
+            ControlFlow::Continue(product) => product,
+            ControlFlow::Break(told) => return Ok(ControlFlow::Break(told)),
+        };
+        axpy(&mut residual, &vec![-E::one(); channels], &product);
+        drop(product);
         let mut near = per_weight(&residual);
         let mut direction = near.clone();
         let mut length = dot(&residual, &near, channels);
         let first = length.clone();
         let mut done = Solved { features: Vec::new(), iterations: 0, residual: worst(&length, &first) };
         while done.iterations < iterations && done.residual > TOLERANCE {
-            let mut product = self.rendered_and_lifted(&direction, channels)?;
+            let mut product = match self.rendered_and_lifted(&direction, channels, looked)? {
+                ControlFlow::Continue(product) => product,
+                ControlFlow::Break(told) => return Ok(ControlFlow::Break(told)),
+            };
             let rows = product.par_chunks_mut(CHUNK * channels).zip(direction.par_chunks(CHUNK * channels));
             rows.zip(self.weights.par_chunks(CHUNK)).for_each(|((product, direction), weights)| {
                 let rows = product.chunks_exact_mut(channels).zip(direction.chunks_exact(channels));
@@ -96,11 +124,16 @@ impl<E: Real> Problem<'_, E> {
             done.iterations += 1;
             done.residual = worst(&length, &first);
         }
-        Ok(Solved { features, ..done })
+        Ok(ControlFlow::Continue(Solved { features, ..done }))
     }
 
-    /// `W^T W x` over all views, `[N, channels]`.
-    fn rendered_and_lifted(&self, x: &[E], channels: usize) -> Result<Vec<E>> {
+    /// `W^T W x` over all views, `[N, channels]`, until `looked` breaks.
+    fn rendered_and_lifted<B>(
+        &self,
+        x: &[E],
+        channels: usize,
+        looked: &mut dyn FnMut() -> ControlFlow<B>,
+    ) -> Result<ControlFlow<B, Vec<E>>> {
         let mut sum = vec![E::zero(); x.len()];
         let masks = self.masks.iter().map(Option::as_ref).chain(std::iter::repeat(None));
         for (camera, mask) in self.cameras.iter().zip(masks) {
@@ -110,9 +143,46 @@ impl<E: Real> Problem<'_, E> {
             mask.into_iter().for_each(|mask| mask.fill(&mut image, channels, E::zero()));
             let lifted = projected.blend_adjoint(&image, channels);
             sum.par_iter_mut().zip(&lifted).with_min_len(CHUNK).for_each(|(s, &l)| *s += l);
+            if let ControlFlow::Break(told) = looked() {
+                return Ok(ControlFlow::Break(told));
+            }
         }
-        Ok(sum)
+        Ok(ControlFlow::Continue(sum))
     }
+}
+
+/// `sums` with features in place of the buffers, until `looked` breaks.
+pub(super) fn solved<B>(
+    mut sums: Sums<f32>,
+    gaussians: &Gaussians,
+    (views, lattices): (&[&View], &[[Lattice; SCALES]]),
+    config: &UnprojectionConfig,
+    settings: &Settings,
+    looked: &mut dyn FnMut() -> ControlFlow<B>,
+) -> Result<ControlFlow<B, Sums<f32>>> {
+    for (scale, (buffer, &channels)) in sums.buffers.iter_mut().zip(&sums.channels).enumerate() {
+        let camera = |(view, lattices): (&&View, &[Lattice; SCALES])| match config.resolution {
+            Resolution::Image => view.camera.clone(),
+            Resolution::Feature => lattices[scale].camera(&view.camera),
+        };
+        let cameras: Vec<_> = views.iter().zip(lattices).map(camera).collect();
+        let mask = |(view, cells): (&&View, &Camera)| Some(of_cells(view.mask.as_ref()?, &view.camera, cells));
+        let masks: Vec<Option<Mask>> = views.iter().zip(&cameras).map(mask).collect();
+        let (splats, weights, ridge) = (gaussians.splats(), &sums.weights[scale], config.solve_ridge);
+        let problem = Problem { splats, cameras: &cameras, masks: &masks, settings, weights, ridge };
+        let done = match problem.solve_until(buffer, channels, config.solve_iterations, looked)? {
+            ControlFlow::Continue(done) => done,
+            ControlFlow::Break(told) => return Ok(ControlFlow::Break(told)),
+        };
+        tracing::info!(
+            "unprojection: scale {} solved in {} steps to a residual of {:.1e}",
+            scale + 1,
+            done.iterations,
+            done.residual
+        );
+        *buffer = done.features;
+    }
+    Ok(ControlFlow::Continue(sums))
 }
 
 /// `y += a x`, with a factor for each channel.
