@@ -117,11 +117,40 @@ pub fn open_gpu() -> Result<Device> {
     }
 }
 
-/// [`open_gpu`] for tests: without it they say so and pass, unless the environment has COSEG_REQUIRE_GPU.
+/// `name` and, where it is known, what it computes on: "wgpu (NVIDIA H100 PCIe, vulkan)". A software adapter is called one.
+pub fn described(name: BackendName) -> String {
+    #[cfg(feature = "wgpu")]
+    if let (BackendName::Wgpu, Ok(Some(Adapter { name: adapter, software }))) = (name, adapter()) {
+        return format!("{name} ({adapter}{})", if *software { ", a software adapter" } else { "" });
+    }
+    name.to_string()
+}
+
+/// [`open_gpu`], where the adapter is no software one.
+///
+/// # Errors
+/// As [`open_gpu`]; [`Error::Device`] for a software adapter.
+#[cfg(feature = "cube")]
+pub fn open_hardware_gpu() -> Result<Device> {
+    let device = open_gpu()?;
+    match software_adapter(BackendName::Wgpu) {
+        None => Ok(device),
+        Some(adapter) => Err(Error::Device {
+            device: BackendName::Wgpu.to_string(),
+            reason: format!("the only adapter is {adapter}, a software one"),
+            mend: "install the GPU's Vulkan, Metal or DX12 driver".into(),
+        }),
+    }
+}
+
+/// [`open_gpu`] for tests: without it they say so and pass, unless the environment has COSEG_REQUIRE_GPU, which is
+/// `hardware` where a software adapter is not enough.
 #[cfg(all(test, feature = "cube"))]
 pub(crate) fn gpu_of_tests() -> Option<Device> {
-    let required = std::env::var_os("COSEG_REQUIRE_GPU").is_some();
-    let device = open_gpu().inspect_err(|error| assert!(!required, "{error}"));
+    let required = std::env::var_os("COSEG_REQUIRE_GPU");
+    let hardware = required.as_ref().is_some_and(|how| how == "hardware");
+    let device = if hardware { open_hardware_gpu() } else { open_gpu() };
+    let device = device.inspect_err(|error| assert!(required.is_none(), "{error}"));
     device.inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()
 }
 
@@ -235,16 +264,25 @@ fn wgpu() -> Result<Device> {
     }
 }
 
-/// Acquires the adapter of the default wgpu device, once a process: its name where it is a software one, or why there is
-/// none.
+/// What wgpu computes on.
 #[cfg(feature = "wgpu")]
-fn adapter() -> &'static std::result::Result<Option<String>, String> {
+#[derive(Clone, Debug)]
+struct Adapter {
+    /// As its driver names it, with the interface that it is reached by.
+    name: String,
+    software: bool,
+}
+
+/// Acquires the adapter of the default wgpu device, once a process: what is known of it, or why there is none.
+#[cfg(feature = "wgpu")]
+fn adapter() -> &'static std::result::Result<Option<Adapter>, String> {
     use burn::tensor::wgpu::{WgpuInitError, wgpu::DeviceType};
-    static ADAPTER: std::sync::OnceLock<std::result::Result<Option<String>, String>> = std::sync::OnceLock::new();
+    static ADAPTER: std::sync::OnceLock<std::result::Result<Option<Adapter>, String>> = std::sync::OnceLock::new();
     ADAPTER.get_or_init(|| match Device::wgpu_options().init_with_setup() {
         Ok((_, setup)) => {
             let info = setup.adapter.get_info();
-            Ok((info.device_type == DeviceType::Cpu).then_some(info.name))
+            let software = info.device_type == DeviceType::Cpu;
+            Ok(Some(Adapter { name: format!("{}, {}", info.name, info.backend), software }))
         }
         // Registered already: somebody computes on it.
         Err(WgpuInitError::Registration { .. }) => Ok(None),
@@ -264,7 +302,7 @@ fn unsuited(name: BackendName, device: &Device) -> Option<String> {
 fn software_adapter(name: BackendName) -> Option<String> {
     match name {
         #[cfg(feature = "wgpu")]
-        BackendName::Wgpu => adapter().clone().ok().flatten(),
+        BackendName::Wgpu => adapter().clone().ok().flatten().filter(|adapter| adapter.software).map(|a| a.name),
         _ => None,
     }
 }

@@ -90,7 +90,7 @@ impl BenchArgs {
     /// Measures, prints a table a section, and writes the figures where asked.
     pub fn run(self) -> Result<()> {
         let (backend, device) = device::choose(self.backend)?;
-        let machine = Machine::here(backend.to_string());
+        let machine = Machine::here(device::described(backend));
         let (config, source) = match (&self.run, &self.scene) {
             (Some(dir), _) => {
                 let run = RunFolder::existing(dir)?;

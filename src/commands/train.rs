@@ -104,7 +104,7 @@ impl TrainArgs {
             data::locate(dir, &LoadOptions::from(&config))?;
         }
         let (backend, device) = device::choose(self.backend)?;
-        let device_text = format!("{backend} backend, {} threads", rayon::current_num_threads());
+        let device_text = format!("{} backend, {} threads", device::described(backend), rayon::current_num_threads());
         terminal::note(&format!("{} -> {} ({device_text})", scene_name(&config), run.path().display()));
 
         interrupt::watch();

@@ -118,11 +118,13 @@ pub fn device() -> Device {
 }
 
 /// The wgpu device, if this machine has one that all kernels run on. Without it tests say so and pass, unless the
-/// environment has COSEG_REQUIRE_GPU.
+/// environment has COSEG_REQUIRE_GPU, which is `hardware` where a software adapter is not enough.
 #[cfg(feature = "wgpu")]
 pub fn gpu() -> Option<Device> {
-    let required = std::env::var_os("COSEG_REQUIRE_GPU").is_some();
-    let device = coseg::device::open_gpu().inspect_err(|error| assert!(!required, "{error}"));
+    let required = std::env::var_os("COSEG_REQUIRE_GPU");
+    let hardware = required.as_ref().is_some_and(|how| how == "hardware");
+    let device = if hardware { coseg::device::open_hardware_gpu() } else { coseg::device::open_gpu() };
+    let device = device.inspect_err(|error| assert!(required.is_none(), "{error}"));
     device.inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()
 }
 

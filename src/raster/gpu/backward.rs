@@ -135,7 +135,13 @@ pub(super) fn tiles_backward(
     let mut end = ranges[2 * tile + 1];
     let mut slot = 0u32;
     while at < end {
+        // Entries of a tile ascend: those beyond the slab are another pass's, and of those before it only what they leave of the
+        // light counts.
+        if entries[at as usize] >= end_entry {
+            end = at;
+        }
         let count = min(end - at, BATCH as u32);
+        let before = count > 0u32 && entries[(at + count - 1u32) as usize] < first_entry;
         if unit < count as usize * SPLAT_FOURS {
             let id = gaussians[at as usize + unit / SPLAT_FOURS] as usize;
             batch[unit] = splat_four(splats, id, unit % SPLAT_FOURS);
@@ -204,71 +210,73 @@ pub(super) fn tiles_backward(
         }
         sync_cube();
 
-        let mut sums = Array::<f32>::new(rounds * together);
-        #[unroll]
-        for k in 0..rounds * together {
-            sums[k] = 0.0f32;
-        }
-        let mut value_sums = Array::<Four>::new(fours);
-        #[unroll]
-        for k in 0..fours {
-            value_sums[k] = Four::new(0.0f32);
-        }
-        let splat = batch[member * SPLAT_FOURS];
-        let (slope, du) = (splat.extract(2usize), splat.extract(3usize));
-        let dv = batch[member * SPLAT_FOURS + 1].extract(0usize);
-        let dx = lane_x - splat.extract(0usize);
-        let dy = lane_y - splat.extract(1usize);
-        for i in 0..PATCHES {
-            if touched[member * PATCHES + i].load() > 0u32 {
-                let at_pixel = i * PATCH + lane;
-                if comptime![moments > 0] {
-                    let g = pairs[(BATCH + member) * units + at_pixel];
-                    let row = dy + f32::cast_from(((i / PATCHES_ACROSS) * PATCH_HEIGHT) as u32);
-                    let column = dx + f32::cast_from(((i % PATCHES_ACROSS) * PATCH_WIDTH) as u32);
-                    let u = du * (column - slope * row);
-                    let v = dv * row;
-                    sums[0] += g;
-                    sums[1] += g * u;
-                    sums[2] += g * v;
-                    sums[3] += g * u * u;
-                    sums[4] += g * u * v;
-                    sums[5] += g * v * v;
-                    if comptime![moments == ABSOLUTE_MOMENTS] {
-                        sums[6] += (g * u).abs();
-                        sums[7] += (g * (v * dv - slope * (u * du))).abs();
+        if !before {
+            let mut sums = Array::<f32>::new(rounds * together);
+            #[unroll]
+            for k in 0..rounds * together {
+                sums[k] = 0.0f32;
+            }
+            let mut value_sums = Array::<Four>::new(fours);
+            #[unroll]
+            for k in 0..fours {
+                value_sums[k] = Four::new(0.0f32);
+            }
+            let splat = batch[member * SPLAT_FOURS];
+            let (slope, du) = (splat.extract(2usize), splat.extract(3usize));
+            let dv = batch[member * SPLAT_FOURS + 1].extract(0usize);
+            let dx = lane_x - splat.extract(0usize);
+            let dy = lane_y - splat.extract(1usize);
+            for i in 0..PATCHES {
+                if touched[member * PATCHES + i].load() > 0u32 {
+                    let at_pixel = i * PATCH + lane;
+                    if comptime![moments > 0] {
+                        let g = pairs[(BATCH + member) * units + at_pixel];
+                        let row = dy + f32::cast_from(((i / PATCHES_ACROSS) * PATCH_HEIGHT) as u32);
+                        let column = dx + f32::cast_from(((i % PATCHES_ACROSS) * PATCH_WIDTH) as u32);
+                        let u = du * (column - slope * row);
+                        let v = dv * row;
+                        sums[0] += g;
+                        sums[1] += g * u;
+                        sums[2] += g * v;
+                        sums[3] += g * u * u;
+                        sums[4] += g * u * v;
+                        sums[5] += g * v * v;
+                        if comptime![moments == ABSOLUTE_MOMENTS] {
+                            sums[6] += (g * u).abs();
+                            sums[7] += (g * (v * dv - slope * (u * du))).abs();
+                        }
+                    }
+                    let weight = Four::new(pairs[member * units + at_pixel]);
+                    #[unroll]
+                    for k in 0..fours {
+                        value_sums[k] += weight * d_pixels[k * units + at_pixel];
                     }
                 }
-                let weight = Four::new(pairs[member * units + at_pixel]);
-                #[unroll]
-                for k in 0..fours {
-                    value_sums[k] += weight * d_pixels[k * units + at_pixel];
-                }
             }
-        }
-        #[unroll]
-        for k in 0..block {
-            sums[moments + k] = value_sums[k / 4].extract_dynamic(k % 4);
-        }
-        #[unroll]
-        for round in 0..rounds {
-            sync_cube();
             #[unroll]
-            for k in 0..together {
-                pairs[k * units + unit] = sums[round * together + k];
+            for k in 0..block {
+                sums[moments + k] = value_sums[k / 4].extract_dynamic(k % 4);
             }
-            sync_cube();
-            let sum_of = unit / together;
-            let column = round * together + unit % together;
-            if sum_of < count as usize && column < columns {
-                let mut sum = 0.0f32;
-                for i in 0..LANES {
-                    // Each unit starts elsewhere, so that no two of a warp meet in a memory bank.
-                    sum += pairs[(unit % together) * units + sum_of * LANES + (i + unit) % LANES];
+            #[unroll]
+            for round in 0..rounds {
+                sync_cube();
+                #[unroll]
+                for k in 0..together {
+                    pairs[k * units + unit] = sums[round * together + k];
                 }
-                let entry = batch_entries[sum_of];
-                if entry >= first_entry && entry < end_entry {
-                    rows[(entry - first_entry) as usize * columns + column] = sum;
+                sync_cube();
+                let sum_of = unit / together;
+                let column = round * together + unit % together;
+                if sum_of < count as usize && column < columns {
+                    let mut sum = 0.0f32;
+                    for i in 0..LANES {
+                        // Each unit starts elsewhere, so that no two of a warp meet in a memory bank.
+                        sum += pairs[(unit % together) * units + sum_of * LANES + (i + unit) % LANES];
+                    }
+                    let entry = batch_entries[sum_of];
+                    if entry >= first_entry && entry < end_entry {
+                        rows[(entry - first_entry) as usize * columns + column] = sum;
+                    }
                 }
             }
         }

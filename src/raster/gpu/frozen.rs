@@ -8,6 +8,7 @@ use crate::error::Result;
 use crate::gpu::{Gpu, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
+use std::cell::OnceCell;
 
 /// Pixels whose centres lie within `low..=high`, of `limit`.
 #[cube]
@@ -45,31 +46,45 @@ fn count_pixels(splats: &[f32], radii: &[u32], counts: &mut [f32], gaussians: u3
 /// A view's projection, tile lists and counts: for values to be blended, and images to be lifted.
 pub(in crate::raster) struct Lists {
     prepared: Prepared,
-    /// `[N]`.
-    counts: CubeTensor,
+    /// `[N]`, made when first asked for: who blends alone has no use for them.
+    counts: OnceCell<CubeTensor>,
 }
 
 impl Lists {
-    /// Of `inputs`; `None` when some of them holds a NaN or an infinity.
+    /// Of `inputs`; `None` when some of them holds a NaN or an infinity. `entries` says how many tile entries these inputs have in
+    /// this view, where lists of the same were made before: then nothing is read back, and they count as finite.
     ///
     /// # Errors
     /// As [`super::forward`].
-    pub fn new(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<Self>> {
+    pub fn new(inputs: &Inputs, scenery: Scenery<'_>, entries: Option<usize>) -> Result<Option<Self>> {
         let gpu = Gpu::of(&inputs.means);
-        let Some(prepared) = prepare(&gpu, inputs, scenery, None)? else { return Ok(None) };
-        let counts = gpu.floats([inputs.len()]);
-        count_pixels::launch(
-            &gpu.client,
-            gpu.cubes_for(inputs.len()),
-            gpu.dim(),
-            arg(&prepared.projected.splats),
-            arg(&prepared.projected.radii),
-            arg(&counts),
-            inputs.len() as u32,
-            prepared.size[0] as f32,
-            prepared.size[1] as f32,
-        );
-        Ok(Some(Self { prepared, counts }))
+        let prepared = prepare(&gpu, inputs, scenery, entries)?;
+        Ok(prepared.map(|prepared| Self { prepared, counts: OnceCell::new() }))
+    }
+
+    /// Entries of the tile lists.
+    pub fn entries(&self) -> usize {
+        self.prepared.entries.len
+    }
+
+    fn counts(&self, gpu: &Gpu) -> CubeTensor {
+        let Prepared { projected, order, size, .. } = &self.prepared;
+        let count = || {
+            let counts = gpu.floats([order.len]);
+            count_pixels::launch(
+                &gpu.client,
+                gpu.cubes_for(order.len),
+                gpu.dim(),
+                arg(&projected.splats),
+                arg(&projected.radii),
+                arg(&counts),
+                order.len as u32,
+                size[0] as f32,
+                size[1] as f32,
+            );
+            counts
+        };
+        self.counts.get_or_init(count).clone()
     }
 
     /// The image `[H, W, channels]` of `values` (`[N, channels]`, contiguous), and the transmittance `[H, W]`.
@@ -95,6 +110,6 @@ impl Lists {
         let tiles = Tiles { order, entries, size: *size };
         let row_bytes = pixel_sums::row_bytes(&gpu);
         let sums = pixel_sums::adjoint(&gpu, &projected.splats, tiles, y, channels, view, row_bytes);
-        Ok((sums, self.counts.clone()))
+        Ok((sums, self.counts(&gpu)))
     }
 }

@@ -176,7 +176,12 @@ fn with_lists<R>(
             sh: None,
             features: None,
         };
-        Lists::new(&inputs, Scenery { camera: &call.camera, settings: &call.settings, background: [0.0; 3] })
+        let scenery = Scenery { camera: &call.camera, settings: &call.settings, background: [0.0; 3] };
+        let lists = Lists::new(&inputs, scenery, call.entries.get().copied())?;
+        if let Some(lists) = &lists {
+            call.entries.get_or_init(|| lists.entries());
+        }
+        Ok(lists)
     };
     match call.prepared(make, then) {
         Ok(Some(found)) => Found::Here(found),
@@ -211,5 +216,54 @@ impl FrozenBackend for CubeBackend {
             Found::OnHost => frozen::on_host::adjoint::<Self>(tensors, &call),
             Found::Nothing => (zeros(&tensors.means, &[n, channels]), zeros(&tensors.means, &[n])),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::camera::Camera;
+    use crate::device::gpu_of_tests;
+    use crate::raster::{Settings, SplatTensors};
+    use burn::tensor::{Device, Distribution, Tensor};
+    use glam::{DMat3, DVec3};
+    use std::sync::{Arc, OnceLock};
+
+    fn splats(n: usize, device: &Device) -> SplatTensors {
+        let random = |columns, low, high| Tensor::<2>::random([n, columns], Distribution::Uniform(low, high), device);
+        SplatTensors {
+            means: random(3, -1.0, 1.0) + Tensor::<2>::from_floats([[0.0, 0.0, 2.5]], device),
+            log_scales: random(3, -4.0, -1.5),
+            rotations: random(4, -1.0, 1.0),
+            opacity_logits: random(1, -2.0, 3.0).reshape([n]),
+        }
+    }
+
+    #[test]
+    fn lists_of_a_known_length_are_the_same() {
+        let Some(device) = gpu_of_tests() else { return };
+        let camera = Camera {
+            width: 100,
+            height: 70,
+            fx: 80.0,
+            fy: 80.0,
+            cx: 50.0,
+            cy: 35.0,
+            rotation: DMat3::IDENTITY,
+            center: DVec3::ZERO,
+        };
+        let (splats, settings) = (splats(300, &device), Settings::default());
+        let values = Tensor::<2>::random([300, 5], Distribution::Default, &device);
+        let entries = Arc::new(OnceLock::new());
+        let looks = || {
+            let view = splats.seen_again_by(&camera, &settings, &entries);
+            let (image, transmittance) = view.blend(values.clone()).expect("an image");
+            let lifted = view.adjoint(image.clone()).expect("sums");
+            let parts = [image.reshape([-1]), transmittance.reshape([-1]), lifted.sums.reshape([-1]), lifted.counts];
+            parts.map(|part: Tensor<1>| part.into_data().into_vec::<f32>().expect("floats"))
+        };
+        let first = looks();
+        assert!(*entries.get().expect("counted") > 300 && first[0].iter().any(|v| *v > 0.1));
+        assert!(first[3].iter().any(|count| *count > 10.0));
+        assert_eq!(looks(), first);
     }
 }

@@ -16,7 +16,7 @@ use burn::backend::{
 use burn::tensor::Tensor;
 use std::any::Any;
 use std::ops::Range;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// Bytes of an image of several channels, where they need not lie together, in host memory.
 const BLOCK_BYTES: usize = 64 << 20;
@@ -52,6 +52,8 @@ pub struct FrozenTensors<B: Backend> {
 pub struct FrozenCall {
     pub(super) camera: Camera,
     pub(super) settings: Settings,
+    /// Entries of the tile lists, once a GPU has made them, here or for the same Gaussians and camera before.
+    pub(super) entries: Arc<OnceLock<usize>>,
     state: Mutex<State>,
 }
 
@@ -225,7 +227,19 @@ pub struct SplatView {
 impl SplatTensors {
     /// These Gaussians as `camera` sees them.
     pub fn seen_by(&self, camera: &Camera, settings: &Settings) -> SplatView {
-        let call = FrozenCall { camera: camera.clone(), settings: *settings, state: Mutex::default() };
+        self.seen_again_by(camera, settings, &Arc::default())
+    }
+
+    /// [`SplatTensors::seen_by`], once more: `entries` is that of the calls before with these very Gaussians, camera and settings,
+    /// or new. A GPU that has made the lists before reads nothing back then.
+    pub(crate) fn seen_again_by(
+        &self,
+        camera: &Camera,
+        settings: &Settings,
+        entries: &Arc<OnceLock<usize>>,
+    ) -> SplatView {
+        let (camera, entries) = (camera.clone(), entries.clone());
+        let call = FrozenCall { camera, settings: *settings, entries, state: Mutex::default() };
         SplatView { splats: self.clone(), call: Arc::new(call) }
     }
 }

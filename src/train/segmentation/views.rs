@@ -11,7 +11,7 @@ use crate::random::{Purpose, stream};
 use crate::raster::{Projected, Settings, SplatTensors};
 use burn::tensor::Device;
 use rand::{Rng, seq::SliceRandom};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Pixels whose weights are made together at a view's first use.
 const BAND: usize = 1 << 17;
@@ -26,6 +26,8 @@ struct LabelledView {
     /// Number of labelled, covered pixels.
     count: usize,
     kept: Kept,
+    /// Entries of the tile lists of the visible Gaussians, once a GPU has made them.
+    entries: Arc<OnceLock<usize>>,
 }
 
 /// What is kept of a view beside which pixels and Gaussians take part.
@@ -205,7 +207,7 @@ impl<'a> TrainingViews<'a> {
                 };
                 let rendered = match &view.kept {
                     Kept::OnDevice(rendered) => rendered.clone(),
-                    _ => Arc::new(self.rendered(index, &splats, &view.visible)),
+                    _ => Arc::new(self.rendered(index, &splats, &view.visible, &view.entries)),
                 };
                 (view, Kept::OnDevice(rendered))
             }
@@ -252,20 +254,28 @@ impl<'a> TrainingViews<'a> {
         let kept: Vec<bool> = transmittance.iter().enumerate().map(|(pixel, &t)| covered(pixel, t)).collect();
         map.ids.iter_mut().zip(&kept).for_each(|(class, kept)| *class = if *kept { *class } else { UNLABELLED });
         let count = kept.iter().filter(|kept| **kept).count();
+        let entries = Arc::default();
         let kept = match self.budget.checked_sub(RenderedView::bytes(visible.len())) {
             Some(left) => {
                 self.budget = left;
-                Kept::OnDevice(Arc::new(self.rendered(index, splats, &visible)))
+                Kept::OnDevice(Arc::new(self.rendered(index, splats, &visible, &entries)))
             }
             None => Kept::Nothing,
         };
-        let view = LabelledView { visible: Arc::new(visible.into()), labels: LabelRuns::from(map), count, kept };
+        let (visible, labels) = (Arc::new(visible.into()), LabelRuns::from(map));
+        let view = LabelledView { visible, labels, count, kept, entries };
         Ok(self.seen[index].insert(Arc::new(view)).clone())
     }
 
     /// View `index` of the Gaussians `visible`.
-    fn rendered(&self, index: usize, splats: &SplatTensors, visible: &[u32]) -> RenderedView {
-        RenderedView(splats.select(visible).seen_by(&self.views[index].camera, &self.settings))
+    fn rendered(
+        &self,
+        index: usize,
+        splats: &SplatTensors,
+        visible: &[u32],
+        entries: &Arc<OnceLock<usize>>,
+    ) -> RenderedView {
+        RenderedView(splats.select(visible).seen_again_by(&self.views[index].camera, &self.settings, entries))
     }
 
     /// Finds the labelled, covered pixels of view `index`; their weights are kept where the budget allows it. Weights of a band
@@ -294,7 +304,7 @@ impl<'a> TrainingViews<'a> {
             Kept::Weights(Arc::new(weights.over_columns(&visible)))
         });
         let labels = LabelRuns::from(LabelMap { ids: covered, ..map });
-        let view = LabelledView { visible: Arc::new(visible.into()), labels, count, kept };
+        let view = LabelledView { visible: Arc::new(visible.into()), labels, count, kept, entries: Arc::default() };
         Ok(self.seen[index].insert(Arc::new(view)).clone())
     }
 }
