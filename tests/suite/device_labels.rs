@@ -77,7 +77,10 @@ fn label_maps_are_those_of_the_host() {
             let what = format!("{source:?} of {count} classes at {width}x{height}, from {min_coverage} on");
             assert!(differ * 1000 <= want.ids.len(), "{what}: {differ} labels differ");
             let known = want.ids.iter().filter(|id| **id != 0).count();
-            assert!(known * 10 > want.ids.len() && (count == 1 || known < want.ids.len()), "{what}: {known} known");
+            assert!(known * 10 > want.ids.len(), "{what}: {known} known");
+            // Where Gaussians that nothing is known of have most of a pixel, by labels; sums of scores are never all alike.
+            let unknown = source == LabelSource::Labels && count > 1;
+            assert!(!unknown || known < want.ids.len(), "{what}: all known");
         }
     }
 }
