@@ -10,6 +10,7 @@ mod backends;
 mod bench;
 mod blender;
 mod building;
+mod building_settings;
 mod builtin;
 mod camera_files;
 mod camera_paths;
