@@ -1,7 +1,7 @@
 //! Every setting of a run, as plain data. `config.toml` in a run folder is this structure as it ran.
 //!
 //! Sections follow the pipeline. Unknown keys are errors. `--set section.key=value` overrides one key.
-//! [`Config::load`] reads files and overrides, [`Config::preset`] holds the named sets of defaults,
+//! [`Config::load`] and [`Config::load_for`] read files and overrides, [`Config::preset`] holds the named sets of defaults,
 //! [`Config::validate`] the allowed ranges, [`Config::unread`] what was given in vain.
 
 mod association;
@@ -21,7 +21,6 @@ pub use data::{DataConfig, Layout, NO_MASKS, RawFormat, ScannetClasses};
 pub use features::{
     Encode, FeatureConfig, FeatureSource, Normalisation, Resolution, SpatialConfig, SpatialSource, UnprojectionConfig,
 };
-pub use presets::BUILTIN_SCENE;
 
 use serde::{Deserialize, Serialize};
 
