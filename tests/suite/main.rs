@@ -100,6 +100,7 @@ mod stops;
 mod torch_file;
 mod transforms;
 mod unprojection;
+mod unread;
 mod viewer;
 mod viewer_edits;
 mod views;
