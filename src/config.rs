@@ -1,7 +1,7 @@
 //! Every setting of a run, as plain data. `config.toml` in a run folder is this structure as it ran.
 //!
 //! Sections follow the pipeline. Unknown keys are errors. `--set section.key=value` overrides one key.
-//! [`Config::load`] reads files and overrides, [`Config::preset`] holds the named sets of defaults,
+//! [`Config::load`] and [`Config::load_for`] read files and overrides, [`Config::preset`] holds the named sets of defaults,
 //! [`Config::validate`] the allowed ranges, [`Config::unread`] what was given in vain.
 
 mod association;
@@ -21,7 +21,6 @@ pub use data::{DataConfig, Layout, NO_MASKS, RawFormat, ScannetClasses};
 pub use features::{
     Encode, FeatureConfig, FeatureSource, Normalisation, Resolution, SpatialConfig, SpatialSource, UnprojectionConfig,
 };
-pub use presets::BUILTIN_SCENE;
 
 use serde::{Deserialize, Serialize};
 
@@ -83,7 +82,7 @@ pub enum LabelLoss {
     Gjs,
 }
 
-/// A row of the results table that a run trains.
+/// A row of the results table; all but `raw` and `vote` are trained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Row {
@@ -95,7 +94,7 @@ pub enum Row {
     PerGaussian,
     /// The decoder with CE.
     OursCe,
-    /// The decoder with the CoSeg loss.
+    /// The decoder with [`SegmentationConfig::loss`].
     Ours,
     /// `Ours` without image features.
     NoImageFeatures,
@@ -152,7 +151,7 @@ pub struct SegmentationConfig {
     /// Learning rate of the decoder.
     pub lr: f64,
     /// Factors of the learning rates to try for each trained row; the best on held-out raw labels of training views is
-    /// taken. One factor or none: no trial.
+    /// taken. One factor is no trial: it multiplies the rates.
     pub lr_trials: Vec<f64>,
     /// Both learning rates fall along a half cosine, to 1 % at the end (the paper keeps them constant).
     pub lr_decay: bool,
@@ -195,8 +194,9 @@ pub struct SegmentationConfig {
     pub reg_samples: usize,
     /// Neighbours of each in the 3D regularisation.
     pub reg_neighbours: usize,
-    /// Megabytes for cached blending weights, and half as much again for what the decoder keeps of each view; what is beyond it
-    /// is recomputed.
+    /// Megabytes (2^20 bytes) for blending weights of the training views, or on a GPU for the Gaussians that they show, kept
+    /// for all rows. The decoder in training has half as much again for what it keeps of each view, so that both take one and
+    /// a half times this at most. What is beyond is computed at each use, to the same bits.
     pub weight_cache_mb: usize,
     /// Passes of diffusion over the neighbour graph of the Gaussians, which every row's identities go through at the end; 0 is
     /// none (not in the paper).
@@ -207,8 +207,9 @@ pub struct SegmentationConfig {
     pub diffusion_temperature: f64,
     /// Neighbours of each Gaussian, in diffusion and in the figures of compactness.
     pub diffusion_neighbours: usize,
-    /// Gaussians decoded together in a training step, so that its memory does not grow with the scene: views that see more are
-    /// decoded in parts, twice, for the same gradients. 0: all at once.
+    /// Gaussians decoded together in a training step, which bounds the memory of the decoder's layers; that of the scores of
+    /// all Gaussians that a view shows, of their probabilities and gradients, still grows. Views that show more are decoded in
+    /// parts, twice, for the same gradients. 0: all at once.
     pub decoder_chunk: usize,
     /// Iterations between held-out evaluations; 0 means ten in the run.
     pub eval_every: usize,

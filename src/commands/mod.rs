@@ -24,7 +24,7 @@ mod view;
 mod vote;
 
 use clap::{Args, Parser, Subcommand};
-use coseg::config::{BUILTIN_SCENE, Config};
+use coseg::config::Config;
 use coseg::device::BackendName;
 use coseg::error::Result;
 use std::path::PathBuf;
@@ -134,17 +134,9 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The checked settings, with `--data` and `--seed` as the last words.
+    /// The checked settings, with `--data` and `--seed` as the last words; without a scene folder those of the built-in scene.
     pub fn load(&self, data: Option<&PathBuf>, seed: Option<u64>) -> Result<Config> {
-        let own = |key: &str| self.sets.iter().any(|set| set.starts_with(key));
-        let mut sets = self.sets.clone();
-        if self.config.is_none() && data.is_none() && !own("preset") && !own("data.dir") {
-            sets.splice(0..0, BUILTIN_SCENE.map(str::to_owned));
-        }
-        let mut config = Config::load(self.config.as_deref(), &sets)?;
-        if let Some(dir) = data {
-            config.data.dir = Some(dir.clone());
-        }
+        let mut config = Config::load_for(data.map(PathBuf::as_path), self.config.as_deref(), &self.sets)?;
         if let Some(seed) = seed {
             config.seed = seed;
         }

@@ -2,10 +2,11 @@
 
 use super::object_scene::ObjectScene;
 use super::render_path::PathArgs;
-use super::scene_file::{cameras_path, raster_beside, scene_path};
+use super::scene_file::{cameras_path, rendering_beside, scene_path};
 use super::terminal;
 use clap::{Args, ValueEnum};
 use coseg::camera::Camera;
+use coseg::config::Config;
 use coseg::data::{Classes, LabelMap, Limits, NamedCamera, Split, atomic, read_cameras, transforms};
 use coseg::device::{self, BackendName};
 use coseg::error::{Error, Result};
@@ -23,8 +24,8 @@ For each frame, STEM being its file name without extension, the output folder ge
                  STEM.alpha.npy  [H, W] float32, what covers the background (1 - transmittance)
   --format png   STEM.rgb.png    8 bits a channel
                  STEM.alpha.png  8-bit grey
-  --labels       STEM.label.png  the label with the largest blended weight, 0 where alpha is below 0.5;
-                                 8-bit grey, or 16-bit where ids exceed 255
+  --labels       STEM.label.png  the label with the largest blended weight, 0 where alpha is below the run's
+                                 segmentation.min_coverage, or 0.5; 8-bit grey, or 16-bit where ids exceed 255
                  STEM.label_color.png  the same in colours, with a legend, where classes.json lies beside the scene
 
 Cameras
@@ -33,7 +34,9 @@ Cameras
   camera path      of nerfstudio's viewer, in its normalised coordinates as the PLY of its ns-export is
   DIR              a scene folder of any layout, or a run folder
 
-The config.toml of a run beside the scene says how splats are blended, so that pictures are those in its renders folder.
+The config.toml of a run beside the scene says how splats are blended, and how much has to cover a pixel that shows a label,
+so that pictures are those in its renders folder. Label maps are of the PLY's label of each Gaussian in any case: those of a
+run with segmentation.render = \"scores\", as the preset \"paper\" has it, are of blended scores instead.
 
 Paths: frames path_0000, path_0001, ... and their cameras as cameras.json.
   --path interpolate  through the cameras in file order, of --split if given; turning on the spot takes frames too
@@ -136,7 +139,7 @@ impl RenderArgs {
         let path = scene_path(&self.scene)?;
         let keys = cameras_path(self.cameras.as_deref(), &path)?;
         self.path.check(&self.out, &keys)?;
-        let mut raster = raster_beside(&path);
+        let Config { mut raster, segmentation, .. } = rendering_beside(&path);
         raster.alpha_max = self.alpha_max.unwrap_or(raster.alpha_max);
         raster.background = self.background.unwrap_or(raster.background);
         let mut cameras = read_cameras(&keys, split)?;
@@ -167,7 +170,7 @@ impl RenderArgs {
         let cameras = along.unwrap_or(cameras);
         let PlyScene { gaussians, origin, labels } = scene;
         let (settings, background) = (Settings::from(&raster), raster.background);
-        let options = RenderOptions { settings, background, ..RenderOptions::default() };
+        let options = RenderOptions { settings, background, min_coverage: segmentation.min_coverage as f32 };
         let labels = labels.filter(|_| self.labels);
         let mut renderer = Renderer::new(gaussians, labels, options, &device::open(self.backend)?)?;
         if is_path {

@@ -115,7 +115,7 @@ impl RunFolder {
     }
 
     /// Settings as run, with overrides. A run of before there was `data.max_side` had its photos at their full size, and one of
-    /// before there were masks used them whole.
+    /// before there were masks used them whole; the built-in scene has neither.
     ///
     /// # Errors
     /// As [`Config::load`].
@@ -124,7 +124,7 @@ impl RunFolder {
         let text = std::fs::read_to_string(&path).unwrap_or_default();
         let says = |key: &str| text.lines().any(|line| line.split('=').next().is_some_and(|name| name.trim() == key));
         let then = [("max_side", "data.max_side=0"), ("masks", "data.masks=none")];
-        let then = then.into_iter().filter(|(key, _)| !says(key)).map(|(_, set)| set.to_owned());
+        let then = then.into_iter().filter(|(key, _)| says("dir") && !says(key)).map(|(_, set)| set.to_owned());
         Config::load(Some(&path), &then.chain(sets.iter().cloned()).collect::<Vec<_>>())
     }
 

@@ -69,17 +69,22 @@ pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
     }
 }
 
-/// The raster settings of the run that the scene `scene` lies in, as its config.toml has them; else the defaults. Files of
-/// other programs are called so too: one without such settings says nothing, and one that cannot be used is warned of, since
+/// How the run that the scene `scene` lies in rendered, see [`Config::rendering_of`]; else the defaults. Files of other
+/// programs are called config.toml too: one without such settings says nothing, and one that cannot be used is warned of, since
 /// the scene can be looked at all the same.
-pub fn raster_beside(scene: &Path) -> RasterConfig {
+pub fn rendering_beside(scene: &Path) -> Config {
     let file = scene.with_file_name(CONFIG);
     if !file.is_file() {
-        return RasterConfig::default();
+        return Config::default();
     }
-    let read = Config::raster_of(&file);
+    let read = Config::rendering_of(&file);
     let read = read.inspect_err(|error| tracing::warn!("the scene is rendered with default raster settings: {error}"));
-    read.ok().flatten().unwrap_or_default()
+    read.unwrap_or_default()
+}
+
+/// The raster settings among these.
+pub fn raster_beside(scene: &Path) -> RasterConfig {
+    rendering_beside(scene).raster
 }
 
 /// Copies the cameras beside the scene `from` beside the scene `to`, where there are some and none yet.

@@ -19,13 +19,16 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+/// Bytes of a viewer.html that nobody asked for, at most: 1.1 million Gaussians of SH degree 3.
+const LARGEST_PAGE: usize = 128_000_000;
+
 const HELP: &str = "\
 Stage one builds Gaussians from the photos; stage two learns from the raw label maps what each of them belongs to.
 
 The run folder gets
   scene.ply      the Gaussians in the 3DGS convention, with a label column
   report.html    curves, pictures, tables; one page that needs nothing else
-  viewer.html    the scene, to walk through in a browser
+  viewer.html    the scene, to walk through in a browser; beyond 128 MB, 111 bytes a Gaussian, `coseg view` writes it
   metrics.json   the same figures for programs
   classes.json   id, name and colour of each class
   cameras.json   the views as a transforms.json, for render and objects
@@ -39,6 +42,10 @@ shows results is written when the run is done.
 Settings come from the preset (preset = \"default\", \"paper\" or \"fast\"), then --config, then --set; sections are
 data, association, building, raster, features, unprojection, spatial and segmentation. Relative paths are meant from the working
 folder. Times are seconds, lengths world units, shares 0 to 1.
+
+Without --data and data.dir the built-in room is trained, with building.iterations = 2400, building.max_gaussians = 25000 and
+segmentation.pixel_share = 0.25 in place of the usual defaults; presets (\"paper\" takes none of these), --config and --set
+come on top.
 
 Examples:
   coseg train
@@ -140,7 +147,21 @@ impl TrainArgs {
             up: Some(outcome.scene.up).filter(|up| *up == DVec3::Z),
             alpha_max: config.raster.alpha_max,
         };
-        viewer.write(&run.viewer_path())?;
+        let page_bytes = Viewer::bytes(&outcome.gaussians);
+        let shown = match page_bytes <= LARGEST_PAGE {
+            true => {
+                viewer.write(&run.viewer_path())?;
+                format!("viewer: {}", run.viewer_path().display())
+            }
+            false => {
+                // That of an earlier result.
+                atomic::remove(run.viewer_path())?;
+                let megabytes = page_bytes / 1_000_000;
+                let line =
+                    ["coseg", "view", "--scene", &run.path().display().to_string()].map(str::to_owned).map(quoted);
+                format!("viewer: {megabytes} MB, which `{}` writes", line.join(" "))
+            }
+        };
         if let Some(identities) = labels {
             identities.write(&run.identities_path())?;
         }
@@ -166,7 +187,7 @@ impl TrainArgs {
         report.write(run.path())?;
         summary(&outcome);
         terminal::say(&format!("report: {}", run.report_path().display()));
-        terminal::say(&format!("viewer: {}", run.viewer_path().display()));
+        terminal::say(&shown);
         Ok(ExitCode::SUCCESS)
     }
 

@@ -20,7 +20,7 @@ new file.
 
   FILE.html#view=NAME&mode=labels   begins at the view NAME, percent-encoded; modes are colour, both and labels
 
-`coseg train` writes this page as viewer.html into its run folder.
+`coseg train` writes this page as viewer.html into its run folder, up to 128 MB.
 
 Examples:
   coseg view --scene runs/room

@@ -56,7 +56,8 @@ impl Default for McmcConfig {
     }
 }
 
-/// Stage one (3DGS): 0.8 L1 + 0.2 (1 - SSIM), Adam, a strategy of densification.
+/// Stage one (3DGS): 0.8 L1 + 0.2 (1 - SSIM), Adam, a strategy of densification. A learning rate of 0 leaves what it is of as
+/// it is, but for densification and resets.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BuildingConfig {
@@ -71,7 +72,7 @@ pub struct BuildingConfig {
     pub ssim_weight: f32,
     /// Learning rate of the means at the start, times the scene extent.
     pub lr_means: f64,
-    /// Learning rate of the means at the end, times the scene extent.
+    /// Learning rate of the means at the end, times the scene extent; above 0.
     pub lr_means_final: f64,
     /// Learning rate of the SH constant term.
     pub lr_sh_dc: f64,
@@ -103,7 +104,8 @@ pub struct BuildingConfig {
     pub clone_below: f32,
     /// Gaussians less opaque than this are pruned, or moved with `strategy = "mcmc"`.
     pub prune_opacity: f32,
-    /// Gaussians larger than this share of the extent are pruned.
+    /// Gaussians larger than this share of their distance from the mean camera, or of the extent where that is longer, are
+    /// pruned.
     pub prune_scale: f32,
     /// Smallest number of iterations between opacity resets; at least 5 passes over the views are kept as well.
     pub reset_every: usize,
@@ -170,7 +172,7 @@ impl Default for BuildingConfig {
     }
 }
 
-/// Blending constants (DESIGN: cap, cut-offs).
+/// Blending constants: cap, cut-offs, and what lies behind the scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RasterConfig {

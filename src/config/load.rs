@@ -1,6 +1,6 @@
 //! From files and `--set` overrides to a checked [`Config`], and back to TOML.
 
-use super::{Config, Preset, RasterConfig};
+use super::{Config, Preset};
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
@@ -32,6 +32,29 @@ impl Config {
     /// type, value out of range), naming line and key; [`Error::Config`] for the same in `sets`, and
     /// [`Error::Argument`] for one of these that is no `section.key=value`.
     pub fn load(file: Option<&Path>, sets: &[String]) -> Result<Self> {
+        Self::load_over(file, sets, |preset, _| Self::preset(preset))
+    }
+
+    /// The same for the scene folder `data`, or else the one that the settings name. Without either the run is of the built-in
+    /// scene, and begins with [`Config::builtin_preset`].
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn load_for(data: Option<&Path>, file: Option<&Path>, sets: &[String]) -> Result<Self> {
+        let mut config = Self::load_over(file, sets, |preset, given| match data.is_some() || names_folder(given) {
+            true => Self::preset(preset),
+            false => Self::builtin_preset(preset),
+        })?;
+        config.data.dir = data.map(Path::to_owned).or(config.data.dir);
+        Ok(config)
+    }
+
+    /// The values of `file` and `sets` over what `base` makes of their preset.
+    fn load_over(
+        file: Option<&Path>,
+        sets: &[String],
+        base: impl FnOnce(Preset, &[Given<'_>]) -> Self,
+    ) -> Result<Self> {
         let template = template()?;
         let text = match file {
             Some(path) => std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?,
@@ -45,24 +68,28 @@ impl Config {
         for set in sets {
             given.push(parse_set(set, &template)?);
         }
-        from_given(&given)
+        from_given(&given, base(chosen_preset(&given)?, &given))
     }
 
-    /// The `[raster]` section of the settings file at `path`, over what its preset says; none where the file has no such section.
-    /// Other sections are not looked at: what another version wrote there is no obstacle.
+    /// How a run whose settings file is at `path` rendered: its section `[raster]` and its `segmentation.min_coverage`, over
+    /// what its preset says. The defaults where the file has no such section, as those of other programs. All else is not
+    /// looked at: what another version wrote there is no obstacle.
     ///
     /// # Errors
     /// As [`Config::load`].
-    pub fn raster_of(path: &Path) -> Result<Option<RasterConfig>> {
+    pub fn rendering_of(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
         let mut table = text.parse::<Table>().map_err(|e| syntax_error(path, &text, &e))?;
         if !table.get("raster").is_some_and(Value::is_table) {
-            return Ok(None);
+            return Ok(Self::default());
         }
-        let kept = ["preset", "raster"].into_iter().filter_map(|key| Some((key.to_owned(), table.remove(key)?)));
+        if let Some(section) = table.get_mut("segmentation").and_then(Value::as_table_mut) {
+            section.retain(|key, _| key == "min_coverage");
+        }
+        table.retain(|key, value| matches!(key, "preset" | "raster") || key == "segmentation" && value.is_table());
         let mut given = Vec::new();
-        flatten(kept.collect(), "", &template()?, Origin::File(path, &text), &mut given)?;
-        Ok(Some(from_given(&given)?.raster))
+        flatten(table, "", &template()?, Origin::File(path, &text), &mut given)?;
+        from_given(&given, Self::preset(chosen_preset(&given)?))
     }
 
     /// This config with paths that do not depend on the working folder.
@@ -95,9 +122,13 @@ impl Config {
     }
 }
 
-/// The preset that `given` chooses, with each of its values, checked.
-fn from_given(given: &[Given<'_>]) -> Result<Config> {
-    let mut config = Config::preset(chosen_preset(given)?);
+/// Whether a scene folder is named; the last word counts, and may take it away.
+fn names_folder(given: &[Given<'_>]) -> bool {
+    given.iter().rfind(|g| g.key == "data.dir").is_some_and(|g| g.value.as_str() != Some(""))
+}
+
+/// `config` with each value of `given`, checked.
+fn from_given(given: &[Given<'_>], mut config: Config) -> Result<Config> {
     for one in given {
         config = apply(&config, one)?;
     }

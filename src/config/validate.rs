@@ -1,7 +1,8 @@
 //! Allowed ranges of every setting.
 
 use super::{
-    Blend, Config, FeatureSource, GCE_EXPONENTS, NO_MASKS, Normalisation, Prior, SpatialSource, Strategy, same_folder,
+    Blend, BuildingConfig, Config, FeatureSource, GCE_EXPONENTS, NO_MASKS, Normalisation, Prior, SpatialSource,
+    Strategy, same_folder,
 };
 use crate::error::{Error, Result};
 
@@ -19,7 +20,7 @@ impl Check {
         self.that(value > 0, key, value, "a whole number above 0", "give at least 1");
     }
 
-    /// Learning rates: above zero and finite.
+    /// Above zero and finite.
     fn rate(&mut self, key: &str, value: f64) {
         let mend = "leave the key out for the default";
         self.that(value > 0.0 && value.is_finite(), key, value, "a finite number above 0", mend);
@@ -64,7 +65,7 @@ impl Config {
         let most = "whole megabytes, at most 2^24";
         check.that(self.data.decoded_mb <= 1 << 24, "data.decoded_mb", self.data.decoded_mb, most, mend);
         self.validate_masks(&mut check);
-        self.validate_building(&mut check);
+        self.building.check(&mut check);
         self.validate_raster(&mut check);
         self.validate_association(&mut check);
         self.validate_features(&mut check);
@@ -79,55 +80,6 @@ impl Config {
         let same = given && [&d.images, &d.raw_labels].into_iter().any(|other| same_folder(other, &d.masks));
         let expected = "a folder other than data.images and data.raw_labels";
         check.that(!same, "data.masks", &d.masks, expected, "name the folder of masks, or leave the key out");
-    }
-
-    fn validate_building(&self, check: &mut Check) {
-        let b = &self.building;
-        if b.gaussians.is_none() {
-            check.positive("building.iterations", b.iterations);
-        }
-        check.that(b.sh_degree <= 3, "building.sh_degree", b.sh_degree, "0, 1, 2 or 3", "3 is the usual choice");
-        check.within("building.ssim_weight", b.ssim_weight.into(), 0.0, 1.0);
-        for (key, rate) in [
-            ("building.lr_means", b.lr_means),
-            ("building.lr_means_final", b.lr_means_final),
-            ("building.lr_sh_dc", b.lr_sh_dc),
-            ("building.lr_sh_rest", b.lr_sh_rest),
-            ("building.lr_opacity", b.lr_opacity),
-            ("building.lr_scales", b.lr_scales),
-            ("building.lr_rotations", b.lr_rotations),
-        ] {
-            check.rate(key, rate);
-        }
-        check.positive("building.densify_every", b.densify_every);
-        check.within("building.densify_until", b.densify_until().into(), 0.0, 1.0);
-        check.amount("building.densify_threshold", b.densify_threshold().into());
-        check.amount("building.clone_below", b.clone_below.into());
-        check.within("building.prune_opacity", b.prune_opacity.into(), 0.0, 1.0);
-        check.rate("building.prune_scale", b.prune_scale.into());
-        check.positive("building.reset_every", b.reset_every);
-        check.positive("building.random_points", b.random_points);
-        self.validate_strategy(check);
-    }
-
-    fn validate_strategy(&self, check: &mut Check) {
-        let (b, m) = (&self.building, &self.building.mcmc);
-        let mcmc = b.strategy == Strategy::Mcmc;
-        check.that(
-            !mcmc || b.max_gaussians > 0,
-            "building.max_gaussians",
-            b.max_gaussians,
-            "the number of Gaussians to grow to, because building.strategy = \"mcmc\"",
-            "give it, such as 100_000",
-        );
-        check.amount("building.mcmc.noise", m.noise);
-        check.amount("building.mcmc.noise_sharpness", m.noise_sharpness);
-        check.within("building.mcmc.noise_opacity", m.noise_opacity, 0.0, 1.0);
-        check.amount("building.mcmc.growth", m.growth);
-        check.amount("building.mcmc.opacity_reg", m.opacity_reg);
-        check.amount("building.mcmc.scale_reg", m.scale_reg);
-        check.open_share("building.mcmc.init_opacity", m.init_opacity.into());
-        check.rate("building.mcmc.init_scale", m.init_scale.into());
     }
 
     fn validate_raster(&self, check: &mut Check) {
@@ -233,5 +185,67 @@ impl Config {
         check.share("segmentation.pixel_share", s.pixel_share);
         check.positive("segmentation.reg_samples", s.reg_samples);
         check.positive("segmentation.reg_neighbours", s.reg_neighbours);
+    }
+}
+
+impl BuildingConfig {
+    /// [`Config::validate`] of stage one alone.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for the first value that is out of range.
+    pub fn validate(&self) -> Result<()> {
+        let mut check = Check(Ok(()));
+        self.check(&mut check);
+        check.0
+    }
+
+    fn check(&self, check: &mut Check) {
+        if self.gaussians.is_none() {
+            check.positive("building.iterations", self.iterations);
+        }
+        let most = u32::MAX as usize;
+        check.that(self.iterations <= most, "building.iterations", self.iterations, "fewer than 2^32", "give fewer");
+        check.that(self.sh_degree <= 3, "building.sh_degree", self.sh_degree, "0, 1, 2 or 3", "3 is the usual choice");
+        check.within("building.ssim_weight", self.ssim_weight.into(), 0.0, 1.0);
+        for (key, rate) in [
+            ("building.lr_means", self.lr_means),
+            ("building.lr_sh_dc", self.lr_sh_dc),
+            ("building.lr_sh_rest", self.lr_sh_rest),
+            ("building.lr_opacity", self.lr_opacity),
+            ("building.lr_scales", self.lr_scales),
+            ("building.lr_rotations", self.lr_rotations),
+        ] {
+            check.amount(key, rate);
+        }
+        // The end of an exponential.
+        check.rate("building.lr_means_final", self.lr_means_final);
+        check.positive("building.densify_every", self.densify_every);
+        check.within("building.densify_until", self.densify_until().into(), 0.0, 1.0);
+        check.amount("building.densify_threshold", self.densify_threshold().into());
+        check.amount("building.clone_below", self.clone_below.into());
+        check.within("building.prune_opacity", self.prune_opacity.into(), 0.0, 1.0);
+        check.rate("building.prune_scale", self.prune_scale.into());
+        check.positive("building.reset_every", self.reset_every);
+        check.positive("building.random_points", self.random_points);
+        self.check_strategy(check);
+    }
+
+    fn check_strategy(&self, check: &mut Check) {
+        let m = &self.mcmc;
+        check.that(
+            self.strategy != Strategy::Mcmc || self.max_gaussians > 0,
+            "building.max_gaussians",
+            self.max_gaussians,
+            "the number of Gaussians to grow to, because building.strategy = \"mcmc\"",
+            "give it, such as 100_000",
+        );
+        check.amount("building.mcmc.noise", m.noise);
+        check.amount("building.mcmc.noise_sharpness", m.noise_sharpness);
+        check.within("building.mcmc.noise_opacity", m.noise_opacity, 0.0, 1.0);
+        check.amount("building.mcmc.growth", m.growth);
+        check.amount("building.mcmc.opacity_reg", m.opacity_reg);
+        check.amount("building.mcmc.scale_reg", m.scale_reg);
+        check.open_share("building.mcmc.init_opacity", m.init_opacity.into());
+        check.rate("building.mcmc.init_scale", m.init_scale.into());
     }
 }

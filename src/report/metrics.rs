@@ -25,7 +25,7 @@ pub struct Metrics {
     pub seconds: Seconds,
     /// Largest resident memory of the process; `None` where the system does not say.
     pub peak_memory_bytes: Option<u64>,
-    /// Size of what was trained, part by part (`gaussians`, `decoder`, ...).
+    /// Size of what was trained: `gaussians`, and each trained row by its name.
     pub learnable_bytes: BTreeMap<String, u64>,
     /// Where the point encoder's weights came from, such as `pretrained FILE`, `trained here` or `random`.
     pub spatial: String,
@@ -158,7 +158,7 @@ pub struct Seconds {
     pub unprojection: f64,
     /// Training and scoring of all label rows, point encoding included.
     pub segmentation: f64,
-    /// Everything, loading and writing included.
+    /// Everything from loading to the last score, training of earlier parts of a resumed run too.
     pub total: f64,
 }
 

@@ -11,7 +11,7 @@ use super::photos::Photos;
 use super::progress::{CurvePoint, Event, Progress};
 use super::provenance::Provenance;
 use super::schedule::{Schedule, center, extent};
-use crate::config::{Config, Strategy};
+use crate::config::Config;
 use crate::data::{Scene, Split, View};
 use crate::device::read;
 use crate::error::{Error, Result};
@@ -59,9 +59,9 @@ pub struct Densified {
 /// Trains Gaussians on the training views of a scene.
 ///
 /// An iteration renders one view, compares it with its photo ((1 - w) L1 + w (1 - SSIM)), takes one Adam step on all
-/// parameters, and densifies or resets when the [`Schedule`] says so. [`Strategy::Mcmc`] adds to the loss what keeps
-/// opacities and scales small, and noise to the means after the step. The same scene, settings and seed give the same bits
-/// at any thread count, interrupted or not.
+/// parameters, and densifies or resets when the [`Schedule`] says so. [`crate::config::Strategy::Mcmc`] adds to the loss what
+/// keeps opacities and scales small, and noise to the means after the step. The same scene, settings and seed give the same
+/// bits at any thread count, interrupted or not.
 pub struct BuildingStage<'a> {
     config: Config,
     settings: Settings,
@@ -91,7 +91,7 @@ impl<'a> BuildingStage<'a> {
     /// [`Error::NonFinite`] for points that are not finite; those of [`crate::data::Photo::pixels`].
     pub fn new(scene: &'a Scene, config: &Config, device: &Device) -> Result<Self> {
         let train: Vec<&View> = scene.split(Split::Train).collect();
-        check_settings(config)?;
+        config.building.validate()?;
         let gaussians = density::initial(scene, &train, config)?;
         Self::from_state(scene, config, device, BuildingState::new(gaussians, config.seed))
     }
@@ -102,7 +102,7 @@ impl<'a> BuildingStage<'a> {
     /// [`Error::Config`] for settings that cannot work or are not those of the state; [`Error::Argument`] for a scene without
     /// training views; [`Error::Input`] when the state is of another scene; those of [`crate::data::Photo::pixels`].
     pub fn from_state(scene: &'a Scene, config: &Config, device: &Device, state: BuildingState) -> Result<Self> {
-        check_settings(config)?;
+        config.building.validate()?;
         let train: Vec<&View> = scene.split(Split::Train).collect();
         let test: Vec<&View> = scene.split(Split::Test).collect();
         if train.is_empty() {
@@ -325,38 +325,5 @@ impl<'a> BuildingStage<'a> {
             sh_dc: b.lr_sh_dc,
             sh_rest: b.lr_sh_rest,
         }
-    }
-}
-
-/// Settings that no run can work with.
-fn check_settings(config: &Config) -> Result<()> {
-    let b = &config.building;
-    let fault = |key: &str, found: String, expected: &str| {
-        Err(Error::config(format!("building.{key}"), found, expected, "change the setting"))
-    };
-    if b.sh_degree > 3 {
-        return fault("sh_degree", b.sh_degree.to_string(), "0 to 3");
-    }
-    if !(0.0..=1.0).contains(&b.ssim_weight) {
-        return fault("ssim_weight", b.ssim_weight.to_string(), "0 to 1");
-    }
-    if b.iterations > u32::MAX as usize {
-        return fault("iterations", b.iterations.to_string(), "fewer than 2^32");
-    }
-    if b.strategy == Strategy::Mcmc && b.max_gaussians == 0 {
-        return fault("max_gaussians", "0".into(), "the number of Gaussians that strategy mcmc grows to");
-    }
-    let rates = [
-        ("lr_means", b.lr_means),
-        ("lr_means_final", b.lr_means_final),
-        ("lr_sh_dc", b.lr_sh_dc),
-        ("lr_sh_rest", b.lr_sh_rest),
-        ("lr_opacity", b.lr_opacity),
-        ("lr_scales", b.lr_scales),
-        ("lr_rotations", b.lr_rotations),
-    ];
-    match rates.into_iter().find(|(_, rate)| !rate.is_finite() || *rate < 0.0) {
-        Some((key, rate)) => fault(key, rate.to_string(), "a finite number, not negative"),
-        None => Ok(()),
     }
 }

@@ -119,6 +119,11 @@ impl Viewer<'_> {
         atomic::write_bytes(path, self.page()?.as_bytes())
     }
 
+    /// Bytes of the page of `gaussians`, but for those that it has whatever the scene.
+    pub fn bytes(gaussians: &Gaussians) -> usize {
+        packing::bytes(gaussians).div_ceil(3) * 4
+    }
+
     /// The page: 111 bytes a Gaussian of SH degree 3, and some 60 kB with a few views.
     ///
     /// # Errors

@@ -8,13 +8,18 @@ use crate::gaussians::{Gaussians, rotation};
 const LOG_STEPS: f32 = 1024.0;
 const BASE_STEPS: f32 = 1024.0;
 
+/// Bytes of [`columns`].
+pub(super) fn bytes(gaussians: &Gaussians) -> usize {
+    gaussians.len() * (35 + 3 * gaussians.sh_len())
+}
+
 /// Columns one after the other; `objects` are places in the page's list of objects, one a Gaussian.
 pub(super) fn columns(gaussians: &Gaussians, objects: &[u16]) -> Vec<u8> {
     let width = 3 * gaussians.sh_len();
     let colours = || gaussians.sh.chunks_exact(width).map(|sh| sh.split_at(3));
     let spread: Vec<i16> = colours().map(|(_, rest)| steps(largest(rest).ln(), LOG_STEPS)).collect();
 
-    let mut out = Vec::with_capacity(gaussians.len() * (35 + width));
+    let mut out = Vec::with_capacity(bytes(gaussians));
     out.extend(gaussians.means.as_flattened().iter().flat_map(|v| v.to_le_bytes()));
     out.extend(gaussians.log_scales.as_flattened().iter().flat_map(|&v| steps(v, LOG_STEPS).to_le_bytes()));
     out.extend(colours().flat_map(|(base, _)| base).flat_map(|&v| steps(v, BASE_STEPS).to_le_bytes()));

@@ -1,9 +1,10 @@
 //! Loading settings: what overrides what, and what an error says.
 
 use coseg::config::{Config, Encode, LabelLoss, Normalisation, Preset, Resolution, Row, Strategy};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-fn load(toml: &str, sets: &[&str]) -> Result<Config, String> {
+/// What a settings file and `--set` give.
+pub fn load(toml: &str, sets: &[&str]) -> Result<Config, String> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.toml");
     std::fs::write(&path, toml).unwrap();
@@ -12,7 +13,7 @@ fn load(toml: &str, sets: &[&str]) -> Result<Config, String> {
 }
 
 #[track_caller]
-fn assert_names(error: &str, parts: &[&str]) {
+pub fn assert_names(error: &str, parts: &[&str]) {
     for part in parts {
         assert!(error.contains(part), "expected {part:?} in: {error}");
     }
@@ -46,6 +47,40 @@ fn a_set_preset_replaces_the_files_preset() {
     let config = load("preset = \"paper\"\n", &["preset=fast"]).unwrap();
     assert_eq!(config, Config::preset(Preset::Fast));
     assert_eq!(config.segmentation.pixel_share, 0.25);
+}
+
+#[test]
+fn the_built_in_scene_has_defaults_of_its_own_below_all_that_is_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("run.toml");
+    let own = |data: Option<&str>, toml: &str, sets: &[&str]| {
+        std::fs::write(&file, toml).unwrap();
+        let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
+        Config::load_for(data.map(Path::new), Some(&file), &sets).unwrap()
+    };
+    let size = |config: &Config| {
+        let Config { building, segmentation, .. } = config;
+        (building.iterations, building.max_gaussians, segmentation.iterations, segmentation.pixel_share)
+    };
+    let builtin = (2_400, 25_000, 2_000, 0.25);
+    assert_eq!(Config::load_for(None, None, &[]).unwrap(), Config::builtin_preset(Preset::Default));
+    assert_eq!(size(&own(None, "", &[])), builtin);
+    assert_eq!(size(&own(None, "[data]\nraw_labels_note = \"mine\"\n", &["preset=default"])), builtin);
+    let fast = own(None, "", &["preset=fast"]);
+    assert_eq!((size(&fast), fast.segmentation.weight_cache_mb), (builtin, 8_192));
+    let toml = "preset = \"fast\"\n[building]\niterations = 9\n[segmentation]\npixel_share = 0.5\n";
+    assert_eq!(size(&own(None, toml, &["building.max_gaussians=0"])), (9, 0, 2_000, 0.5));
+    assert_eq!(own(None, "preset = \"paper\"\n", &[]), Config::preset(Preset::Paper), "the paper's are the paper's");
+    assert_eq!(own(None, "preset = \"paper\"\n", &["preset=fast"]), fast);
+    // A scene folder, wherever it is named.
+    let usual = size(&Config::default());
+    for config in
+        [own(Some("a"), "", &[]), own(None, "[data]\ndir = \"a\"\n", &[]), own(None, "", &["data.dir=b", "data.dir=a"])]
+    {
+        assert_eq!((size(&config), config.data.dir), (usual, Some(PathBuf::from("a"))));
+    }
+    assert_eq!(size(&own(None, "[data]\ndir = \"a\"\n", &["data.dir="])), builtin);
+    assert_eq!(own(Some("a"), "", &["data.dir=b"]).data.dir, Some(PathBuf::from("a")), "--data is the last word");
 }
 
 #[test]
@@ -133,7 +168,10 @@ fn values_out_of_range_are_refused() {
         ("building.iterations=0", "above 0"),
         ("data.decoded_mb=16777217", "at most 2^24"),
         ("building.sh_degree=4", "0, 1, 2 or 3"),
-        ("building.lr_opacity=nan", "finite number above 0"),
+        ("building.lr_opacity=nan", "finite number of 0 or more"),
+        ("building.lr_scales=-1e-3", "finite number of 0 or more"),
+        ("building.lr_means_final=0", "finite number above 0"),
+        ("building.iterations=4294967296", "fewer than 2^32"),
         ("building.densify_until=1.5", "from 0 to 1"),
         ("raster.alpha_max=0", "at most 1"),
         ("raster.background=0,0,-0.1", "from 0 to 1"),
@@ -187,62 +225,6 @@ fn strategies_of_densification_have_defaults_and_needs_of_their_own() {
     assert_names(&load(toml, &["building.max_gaussians=0"]).unwrap_err(), &["max_gaussians", "found 0", "mcmc"]);
     let error = load("[building.mcmc]\ngrow = 1\n", &[]).unwrap_err();
     assert_names(&error, &["line 2", "building.mcmc.grow", "did you mean building.mcmc.growth?"]);
-}
-
-#[test]
-fn what_another_setting_leaves_unread_is_told() {
-    let unread = |sets: &[&str]| {
-        let config = load("", sets).unwrap();
-        // As a run lists its settings, those that nobody gave included.
-        assert_eq!(load(&config.to_toml().unwrap(), &[]).unwrap().unread(), config.unread());
-        config.unread()
-    };
-    let one = |sets: &[&str], parts: &[&str]| {
-        let told = unread(sets);
-        assert_eq!(told.len(), 1, "{sets:?}: {told:?}");
-        assert_names(&told[0], parts);
-    };
-    one(&["spatial.weights=w.pth"], &["spatial.weights = w.pth is not read", "spatial.source is not pretrained"]);
-    one(&["spatial.weights=w.pth", "spatial.source=random"], &["spatial.weights"]);
-    one(&["features.weights=w.pth", "features.source=descriptor"], &["features.weights = w.pth", "features.source is"]);
-    one(&["features.weights=w", "features.source=import", "features.import_dir=d"], &["features.weights"]);
-    one(&["features.import_dir=maps"], &["features.import_dir = maps", "features.source is not import"]);
-    let mcmc = ["building.strategy=mcmc", "building.max_gaussians=900"];
-    let usual = ["densify_threshold=8e-4", "clone_below=0.01", "prune_scale=0.1", "reset_every=1000"];
-    let other = ["densify_threshold=1e-3", "clone_below=0.02", "prune_scale=0.5", "reset_every=500"];
-    for (usual, other) in usual.into_iter().zip(other) {
-        let [usual, other] = [usual, other].map(|set| format!("building.{set}"));
-        assert!(unread(&[&mcmc[..], &[&usual]].concat()).is_empty() && unread(&[&other]).is_empty());
-        one(&[&mcmc[..], &[&other]].concat(), &[other.split_once('=').unwrap().0, "building.strategy is mcmc"]);
-    }
-    for read in [
-        vec![],
-        mcmc.to_vec(),
-        vec!["features.weights=w"],
-        vec!["features.weights=w", "features.source=dino"],
-        vec!["spatial.weights=w", "spatial.source=pretrained"],
-    ] {
-        assert_eq!(unread(&read), Vec::<String>::new());
-    }
-    for preset in [Preset::Default, Preset::Paper, Preset::Fast] {
-        assert!(Config::preset(preset).unread().is_empty());
-    }
-}
-
-#[test]
-fn a_run_warns_of_what_it_does_not_read() {
-    let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("run");
-    let sets =
-        ["building.iterations=2", "building.max_gaussians=200", "segmentation.rows=[]", "spatial.weights=none.pth"];
-    let sets = sets.iter().flat_map(|set| ["--set", set]);
-    let arguments: Vec<&str> = ["train", "--out", crate::cli::utf8(&out)].into_iter().chain(sets).collect();
-    let output = crate::cli::coseg(&arguments);
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(
-        output.status.success() && said.contains("none.pth is not read: spatial.source is not pretrained"),
-        "{said}"
-    );
 }
 
 #[test]

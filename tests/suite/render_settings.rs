@@ -22,6 +22,32 @@ fn run(data: &Path) -> std::path::PathBuf {
     run
 }
 
+#[test]
+fn labels_are_shown_from_the_runs_coverage_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let (plates, run) = (scene(folder.path()), folder.path().join("run"));
+    let sets = ["--set", "segmentation.rows=vote", "--set", "segmentation.min_coverage=0.97"];
+    let train = ["train", "--data", utf8(folder.path()), "--scene", utf8(&plates), "--out", utf8(&run)];
+    succeeds(&[&train[..], &sets].concat());
+    let labels = |scene: &Path, out: &str| {
+        let out = folder.path().join(out);
+        rendered(scene, &out, &["--labels"]);
+        image::open(out.join("v2.label.png")).unwrap().into_luma8()
+    };
+    let own = image::open(run.join("renders/v2.label.png")).unwrap().into_luma8();
+    // But for the rounding of the file's positions.
+    let differ = |map: &image::GrayImage| own.iter().zip(map.iter()).filter(|(a, b)| a != b).count();
+    let of_run = labels(&run, "of_run");
+    assert!(differ(&of_run) < 10, "{}", differ(&of_run));
+    // Keys of another version are no obstacle, and without its own the coverage is the usual one.
+    let file = run.join("config.toml");
+    std::fs::write(&file, "[raster]\nnear = 0.01\n[segmentation]\ntelepathy = 3\n").unwrap();
+    let usual = labels(&run, "usual");
+    assert!(differ(&usual) > 100, "{}", differ(&usual));
+    std::fs::write(&file, "[raster]\nnear = 0.01\n[segmentation]\ntelepathy = 3\nmin_coverage = 0.97\n").unwrap();
+    assert_eq!(labels(&run, "again"), of_run);
+}
+
 /// Largest difference of two pictures, 0 to 255.
 #[track_caller]
 fn apart(a: &Path, b: &Path) -> u8 {

@@ -177,6 +177,16 @@ fn scenes_without_labels_cameras_or_degrees_have_a_page_too() {
 }
 
 #[test]
+fn the_size_of_a_page_is_known_before_it_is_made() {
+    for degree in [0, 2, 3] {
+        let cloud = cloud(2_000).with_sh_degree(degree);
+        let rest = page_of(&cloud, None, &Classes::default()).len() - Viewer::bytes(&cloud);
+        assert!((40_000..90_000).contains(&rest), "{rest} bytes besides, degree {degree}");
+    }
+    assert_eq!(Viewer::bytes(&cloud(300)), 300 * (35 + 48) / 3 * 4);
+}
+
+#[test]
 fn the_page_asks_nothing_of_the_network_and_names_stay_text() {
     let classes = Classes::from_names(0, [(1, "</script><script>alert(1)</script>{{columns}}")]);
     let page = page_of(&cloud(10), Some(&[1; 10]), &classes);

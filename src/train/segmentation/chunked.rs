@@ -1,4 +1,5 @@
-//! A step over many Gaussians whose memory does not grow with them.
+//! A step over many Gaussians, of which the decoder's layers hold a part at a time: their memory does not grow with the scene;
+//! that of the scores `[V, C]` of a view, of their probabilities and gradients does.
 //!
 //! The label loss reaches the decoder through the scores `s` of the visible Gaussians alone. So they are computed part by part
 //! without autodiff, the loss gives `dL/ds` once, and then each part is decoded again with autodiff and its backward pass

@@ -237,7 +237,7 @@ impl<'a> Fused<'a> {
         Ok((self.prediction(blended, regularisation), Waiting { view, prepared, scores }))
     }
 
-    /// Scores of the finest points, in chunks so that memory does not grow with the scene.
+    /// Scores of the finest points, in chunks so that memory beside them does not grow with the scene.
     fn decode(&self, decoder: &Decoder, encoded: &Encoded) -> Vec<f32> {
         let count = encoded.points.len() as u32;
         let mut scores = Vec::with_capacity(count as usize * self.plan.size[1]);
