@@ -276,14 +276,15 @@ pub(crate) fn in_order<T: Send>(results: impl IndexedParallelIterator<Item = Res
     all.into_iter().collect()
 }
 
-/// `classes.json` of a scene folder; only scenes without labels may lack it.
-pub(crate) fn read_classes(dir: &Path, labelled: bool) -> Result<Classes> {
+/// `classes.json` of a scene folder; only scenes without labels may lack it: those that have some are `labelled`, with what
+/// else mends that.
+pub(crate) fn read_classes(dir: &Path, labelled: Option<&str>) -> Result<Classes> {
     let path = dir.join("classes.json");
     if path.is_file() {
         return Classes::read(&path);
     }
-    if labelled {
-        let mend = "list the classes: {\"0\": \"void\", \"1\": \"wall\", ..}";
+    if let Some(or) = labelled {
+        let mend = format!("list the classes: {{\"0\": \"void\", \"1\": \"wall\", ..}}{or}");
         return Err(Error::input(&path, "file", "nothing", "a class table, as frames have labels", mend));
     }
     Ok(Classes::default())

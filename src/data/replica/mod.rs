@@ -111,7 +111,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     }
     let own = dir.join("classes.json").is_file();
     let labelled = raw::need_table(dir, options, &frames);
-    let classes = match labelled && !own {
+    let classes = match labelled.is_some() && !own {
         true => Ok(classes::replica()),
         false => read_classes(dir, labelled),
     };

@@ -103,7 +103,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     }
     let own = dir.join("classes.json").is_file();
     let labelled = raw::need_table(dir, options, &frames);
-    let general = labelled && !own;
+    let general = labelled.is_some() && !own;
     let needs_table = general && frames.iter().any(|frame| frame.truth.is_some());
     let table = match needs_table {
         true => problems.keep(classes::table(dir, options)).map(|file| file.ids),
