@@ -190,6 +190,20 @@ pub(super) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Opti
     })
 }
 
+/// Photos that segmenters may have turned without that a size tells. `found` are the frames with what was seen of each.
+pub(super) fn turned<'a>(found: impl Iterator<Item = (&'a Frame, bool)>) -> Option<String> {
+    let turned: Vec<&Frame> = found.filter(|(_, turned)| *turned).map(|(frame, _)| frame).collect();
+    (!turned.is_empty()).then(|| {
+        format!(
+            "{} photos ask by their EXIF orientation to be turned or mirrored, which is not done, and no size tells whether \
+             their label maps and masks are of photos that were: {}; apply that to the photos or strip it \
+             (docs/from-photos.md, 1), before COLMAP and the segmenter see them",
+            turned.len(),
+            named(&turned)
+        )
+    })
+}
+
 /// What a loaded scene says beside what its listing said.
 pub(super) fn of_scene(scene: &Scene, unlabelled: u16) -> Vec<String> {
     let masks = scene.views.iter().filter_map(|view| view.mask.as_ref());

@@ -77,6 +77,12 @@ impl Frame {
         let camera = remap.pinhole.clone();
         Ok(Geometry { camera, development: Development { remap: Some(remap), ..Development::default() } })
     }
+
+    /// Whether it has labels or a mask, and its photo, in `file`, may have been turned for them without that a size tells.
+    pub fn is_turned_unseen(&self, file: &ImageFile) -> bool {
+        let maps = [&self.truth, &self.raw, &self.instances, &self.mask];
+        maps.into_iter().any(Option::is_some) && file.turns_unseen()
+    }
 }
 
 /// A photo's path without its extension, folders joined by `_`: what names its view where photos of several folders have the same

@@ -1,11 +1,11 @@
 //! What a scene folder says before any photo is decoded, whatever its layout, and the scene that follows from it.
 
-use super::colmap;
 use super::depth::Depth;
 use super::frame::{Frame, Geometry, proportional};
 use super::image_file::ImageFile;
 use super::raw::{RawLabels, RawMap};
 use super::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, Split, View};
+use super::{cautions, colmap};
 use crate::camera::{Camera, level_up};
 use crate::config::Layout;
 use crate::error::{Error, Result};
@@ -174,14 +174,14 @@ impl Listing {
         level_up(&self.frames.iter().map(|frame| frame.camera.clone()).collect::<Vec<_>>())
     }
 
-    /// Decodes everything, a few files at a time.
-    pub fn load(&self, dir: &Path, options: &LoadOptions) -> Result<Scene> {
+    /// Decodes everything, a few files at a time. With the scene comes what the photos' files said beside their pixels.
+    pub fn load(&self, dir: &Path, options: &LoadOptions) -> Result<(Scene, Option<String>)> {
         let limits = &options.limits;
         self.check_sizes(limits)?;
         let cache = Arc::new(PhotoCache::new(options.decoded_mb.saturating_mul(1 << 20)));
         let (origin, up) = (self.origin(), self.up());
         let known = self.classes.lookup();
-        let views = in_order(self.frames.par_iter().map(|frame| {
+        let read = in_order(self.frames.par_iter().map(|frame| {
             let (file, geometry) = frame.open(&self.file, limits)?;
             let geometry = geometry.within(options.max_side);
             let image = Photo::in_file(&file, geometry.development().over(options.background), limits, &cache)?;
@@ -195,8 +195,11 @@ impl Listing {
             let camera = geometry.seen();
             let camera = Camera { center: camera.center - origin, ..camera };
             let (name, split) = (frame.name.clone(), frame.split);
-            Ok(View { name, split, camera, image, mask, truth, raw, segments, instances })
+            let view = View { name, split, camera, image, mask, truth, raw, segments, instances };
+            Ok((view, frame.is_turned_unseen(&file)))
         }))?;
+        let (views, turned): (Vec<View>, Vec<bool>) = read.into_iter().unzip();
+        let turned = cautions::turned(self.frames.iter().zip(turned));
         let points = self.points(origin, limits)?;
         let mut classes = self.classes.clone();
         if self.occurring_classes {
@@ -208,7 +211,7 @@ impl Listing {
             told.for_each(|id| occurs[usize::from(id)] = true);
             classes.entries.retain(|class| occurs[usize::from(class.id)]);
         }
-        Ok(Scene { name: scene_name(dir), views, classes, points, origin, up })
+        Ok((Scene { name: scene_name(dir), views, classes, points, origin, up }, turned))
     }
 }
 

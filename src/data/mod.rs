@@ -70,9 +70,9 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
     for notice in &listing.notices {
         tracing::warn!("{}: {notice}", dir.display());
     }
-    let scene = listing.load(dir, options)?;
+    let (scene, turned) = listing.load(dir, options)?;
     let empty = scene.points.is_empty().then(|| cautions::empty_cloud(&listing.cloud)).flatten();
-    for notice in empty.into_iter().chain(cautions::of_scene(&scene, listing.unlabelled())) {
+    for notice in turned.into_iter().chain(empty).chain(cautions::of_scene(&scene, listing.unlabelled())) {
         tracing::warn!("{}: {notice}", dir.display());
     }
     // Points of depth images lie where the poses put them.
