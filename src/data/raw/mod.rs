@@ -173,17 +173,19 @@ impl RawLabels {
         self.segments
     }
 
-    /// Reads the map at `path`; `check_size` refuses files of the wrong size. `known` is the lookup of `classes`.
+    /// Reads the map at `path` of a photo of the size `photo`; `check_size` refuses files of the wrong size. `known` is the
+    /// lookup of `classes`.
     pub fn read(
         &self,
         path: &Path,
+        photo: (usize, usize),
         classes: &Classes,
         known: &[u16],
         limits: &Limits,
         check_size: &dyn Fn(&ImageFile) -> Result<()>,
     ) -> Result<RawMap> {
         if let Source::Masks = self.source {
-            let map = masks::read(path, limits, check_size)?;
+            let map = masks::read(path, photo, limits, check_size)?;
             return Ok(RawMap { map, segments: Vec::new() });
         }
         super::listing::expect_file(path)?;
