@@ -41,6 +41,8 @@ impl AssociateArgs {
     pub fn run(self) -> Result<()> {
         let mut config = self.input.config()?;
         config.data.association = Association::Gaussians;
+        // Nothing is trained: what is seldom meant there is not told here.
+        config.segmentation.rows = Some(Vec::new());
         let raster = raster::Settings::from(&config.raster);
         let device = device::open(None)?;
         let (mut scene, ply) = self.input.read(&config, &device)?;

@@ -130,6 +130,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         passed_over(dir, options, listing.layout),
         cautions::of_sizes(&listing, options.max_side),
         map_geometry::told_by_size(&listing, options),
+        cautions::of_unit(&listing, options.unit_is_metre),
         cautions::without_mask(&listing, mask_file::folder_name(dir, options, listing.layout)),
     ];
     listing.notices.extend(notices.into_iter().flatten().chain(cautions::of_frames(&listing)));
