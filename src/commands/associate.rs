@@ -3,8 +3,9 @@
 use super::labelled::LabelledArgs;
 use super::terminal;
 use clap::Args;
+use coseg::camera::Camera;
 use coseg::config::Association;
-use coseg::data::{LabelRuns, Split, View};
+use coseg::data::{LabelRuns, MapGeometry, NamedCamera, Scene, Split, View, transforms};
 use coseg::device;
 use coseg::error::Result;
 use coseg::gaussians::ply;
@@ -18,8 +19,14 @@ one id. Writes labels/VIEW.png (16-bit grey, 0 is unlabelled) for each view with
 with a label column from a vote of the maps. Where frames have true instances, prints scores; where segments have classes
 and frames true labels, scores by class. coseg train does the same after stage one with data.association = \"gaussians\".
 
-Example:
-  coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=segments";
+Maps are as the views' cameras see them, which cameras.json has: without lens distortion, and reduced where data.max_side
+reduced the photos. labels/geometry.json says so, {\"maps\": \"undistorted\"}, and has to go where the maps go: they are then
+raw labels as they are, of any scene folder of these photos and poses, and distortion is not taken out a second time.
+
+Examples:
+  coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=segments
+  cp runs/objects/classes.json scenes/living      # where it has no class table of its own
+  coseg train --data scenes/living --set data.raw_labels=$PWD/runs/objects/labels";
 
 /// Arguments of `coseg associate`.
 #[derive(Args, Debug)]
@@ -34,6 +41,8 @@ impl AssociateArgs {
     pub fn run(self) -> Result<()> {
         let mut config = self.input.config()?;
         config.data.association = Association::Gaussians;
+        // Nothing is trained: what is seldom meant there is not told here.
+        config.segmentation.rows = Some(Vec::new());
         let raster = raster::Settings::from(&config.raster);
         let device = device::open(None)?;
         let (mut scene, ply) = self.input.read(&config, &device)?;
@@ -47,18 +56,23 @@ impl AssociateArgs {
         ));
         let semantics = Semantics::of(&scene);
         found.apply(&mut scene);
+        let folder = self.input.out.join("labels");
+        // Before the maps, so that none lies there without it.
+        MapGeometry::Undistorted.write(&folder)?;
         for view in &scene.views {
             if let Some(map) = &view.raw {
                 let name = view.name.replace(['/', '\\'], "_");
-                map.map().write_wide(&self.input.out.join("labels").join(format!("{name}.png")))?;
+                map.map().write_wide(&folder.join(format!("{name}.png")))?;
             }
         }
+        transforms::write_cameras(&self.input.out.join("cameras.json"), &cameras(&scene))?;
         scene.classes.write(&self.input.out.join("classes.json"))?;
         let identities =
             vote(&ply.gaussians, scene.split(Split::Train), &scene.classes, &raster, &device)?.identities();
         let path = self.input.out.join("scene.ply");
         ply::write(&path, &ply.gaussians, ply.origin, Some(&identities.ids(&scene.classes)))?;
-        terminal::say(&format!("{}: maps in labels, classes.json and scene.ply", self.input.out.display()));
+        let out = self.input.out.display();
+        terminal::say(&format!("{out}: maps in labels, cameras.json, classes.json and scene.ply"));
 
         let maps = LabelMaps::new(&identities, &scene.classes, LabelRule::from(&config.segmentation));
         let mut rendered = Vec::new();
@@ -77,6 +91,13 @@ impl AssociateArgs {
         }
         Ok(())
     }
+}
+
+/// The cameras of the views, in world units.
+fn cameras(scene: &Scene) -> Vec<NamedCamera> {
+    let camera = |view: &View| Camera { center: view.camera.center + scene.origin, ..view.camera.clone() };
+    let named = |view: &View| NamedCamera { name: view.name.clone(), split: view.split, camera: camera(view) };
+    scene.views.iter().map(named).collect()
 }
 
 /// Scores of the maps of views with true instances.

@@ -15,9 +15,28 @@ const ONE_PLACE: f64 = 1e-6;
 /// Fields of view, in degrees, outside of which no lens without fisheye projection lies.
 const FIELD_OF_VIEW: [f64; 2] = [5.0, 170.0];
 
+/// Distances of the farthest camera from the mean of all, in metres, that need no word: somebody walked about a room.
+const EXTENT: [f64; 2] = [1.0, 4.0];
+
 /// What the frames of a listing say before any file of theirs is read.
 pub(super) fn of_frames(listing: &Listing) -> Vec<String> {
     of_cameras(listing).into_iter().chain(without_raw(listing)).collect()
+}
+
+/// Cameras of a COLMAP model, whose unit is arbitrary, that are seldom so far apart in metres, where `unit_is_metre`. Without
+/// labels nothing asks for the unit.
+pub(super) fn of_unit(listing: &Listing, unit_is_metre: bool) -> Option<String> {
+    let labelled = listing.frames.iter().any(|frame| frame.raw.is_some());
+    let mean = listing.origin();
+    let extent = listing.frames.iter().map(|frame| frame.camera.center.distance(mean)).fold(0.0, f64::max);
+    let [low, high] = EXTENT;
+    let asked = listing.layout == Layout::Colmap && unit_is_metre && labelled;
+    (asked && !(low..=high).contains(&extent)).then(|| {
+        format!(
+            "cameras are up to {extent:.3} units from their mean, and the point encoder takes a unit for a metre, which in a \
+             COLMAP model it seldom is: --set spatial.scale=0 takes a scale from the cameras, or give the metres of a unit"
+        )
+    })
 }
 
 /// How many photos will be reduced to `most` pixels a side; 0 is no limit.
@@ -187,6 +206,20 @@ pub(super) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Opti
             true => format!("{which}; stage two has nothing to learn from: look at the ids and at classes.json"),
             false => which,
         }
+    })
+}
+
+/// Photos that segmenters may have turned without that a size tells. `found` are the frames with what was seen of each.
+pub(super) fn turned<'a>(found: impl Iterator<Item = (&'a Frame, bool)>) -> Option<String> {
+    let turned: Vec<&Frame> = found.filter(|(_, turned)| *turned).map(|(frame, _)| frame).collect();
+    (!turned.is_empty()).then(|| {
+        format!(
+            "{} photos ask by their EXIF orientation to be turned or mirrored, which is not done, and no size tells whether \
+             their label maps and masks are of photos that were: {}; apply that to the photos or strip it \
+             (docs/from-photos.md, 1), before COLMAP and the segmenter see them",
+            turned.len(),
+            named(&turned)
+        )
     })
 }
 

@@ -42,7 +42,8 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
     let train = listing.frames.iter().zip(&found).filter(|(frame, _)| frame.split == Split::Train);
     let void = cautions::void_raw(train.filter_map(|(frame, found)| Some((&*frame.name, found.void?))));
     let masked = cautions::inverted(found.iter().filter_map(|found| found.masked));
-    let mut notices: Vec<String> = masked.into_iter().chain(void).collect();
+    let turned = cautions::turned(listing.frames.iter().zip(found.iter().map(|found| found.turned)));
+    let mut notices: Vec<String> = turned.into_iter().chain(masked).chain(void).collect();
     found.into_iter().flat_map(|found| found.faults).for_each(|fault| problems.push(fault));
     // A cloud from depth opens photos again: the same fault need not be told twice.
     let told: HashSet<String> = problems.messages().collect();
@@ -78,15 +79,19 @@ struct Found {
     void: Option<bool>,
     /// Its pixels and how many of them its mask leaves out, where it leaves some out.
     masked: Option<[usize; 2]>,
+    /// Whether its labels may be of a photo that was turned, and no size tells.
+    turned: bool,
 }
 
 fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) -> Found {
     let limits = &options.limits;
     let mut problems = Problems::default();
     let opened = if frame.present { problems.keep(frame.open(&listing.file, limits)) } else { None };
+    let mut turned = false;
     let geometry = match opened {
         Some((file, geometry)) => {
             problems.keep(geometry.photo(&file));
+            turned = frame.is_turned_unseen(&file);
             Some(geometry)
         }
         // Label maps are as large as the photo should be.
@@ -104,5 +109,5 @@ fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOp
         void = raw.map(|raw| raw.map.ids.iter().all(|&id| id == listing.unlabelled()));
         problems.keep(maps.instances());
     }
-    Found { faults: problems.all(), void, masked }
+    Found { faults: problems.all(), void, masked, turned }
 }

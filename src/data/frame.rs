@@ -3,7 +3,7 @@
 use super::image_file::ImageFile;
 use super::lens::{Lens, Remap};
 use super::photo::Development;
-use super::{LabelMap, Limits, Split};
+use super::{LabelMap, Limits, MapGeometry, Split};
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use image::RgbImage;
@@ -77,6 +77,12 @@ impl Frame {
         let camera = remap.pinhole.clone();
         Ok(Geometry { camera, development: Development { remap: Some(remap), ..Development::default() } })
     }
+
+    /// Whether it has labels or a mask, and its photo, in `file`, may have been turned for them without that a size tells.
+    pub fn is_turned_unseen(&self, file: &ImageFile) -> bool {
+        let maps = [&self.truth, &self.raw, &self.instances, &self.mask];
+        maps.into_iter().any(Option::is_some) && file.turns_unseen()
+    }
 }
 
 /// A photo's path without its extension, folders joined by `_`: what names its view where photos of several folders have the same
@@ -96,15 +102,17 @@ pub(super) fn proportional((w, h): (usize, usize), (width, height): (usize, usiz
     (ratio - 1.0).abs() < PROPORTION
 }
 
+/// The size to which a photo is reduced so that no side is longer than `most` pixels; none where none is, or `most` is 0.
+pub(super) fn reduced((width, height): (usize, usize), most: usize) -> Option<(usize, usize)> {
+    let longer = width.max(height);
+    let side = |length: usize| ((length * most) as f64 / longer as f64).round().max(1.0) as usize;
+    (most > 0 && longer > most).then(|| (side(width), side(height)))
+}
+
 impl Geometry {
     /// The same with no side longer than `most` pixels; 0 is no limit.
     pub fn within(mut self, most: usize) -> Self {
-        let Camera { width, height, .. } = self.camera;
-        let longer = width.max(height);
-        if most > 0 && longer > most {
-            let reduced = |side: usize| ((side * most) as f64 / longer as f64).round().max(1.0) as usize;
-            self.development.size = Some((reduced(width), reduced(height)));
-        }
+        self.development.size = reduced((self.camera.width, self.camera.height), most);
         self
     }
 
@@ -123,14 +131,20 @@ impl Geometry {
         Ok(self.development.decode(file)?.0)
     }
 
-    /// Whether a picture of this size is one of the reduced photo, as maps that were made of the scene are.
+    /// Whether a picture of this size is one of the reduced photo, as maps that were made of the scene are where nothing says
+    /// what they are of.
     pub fn is_as_seen(&self, size: (usize, usize)) -> bool {
         self.development.size == Some(size)
     }
 
-    /// A label map as the camera sees it; one of the size of the reduced photo was made of the scene.
-    pub fn labels(&self, map: LabelMap) -> LabelMap {
-        if self.is_as_seen((map.width, map.height)) { map } else { self.labels_of_photo(map) }
+    /// A label map, in any size, as the camera sees it. Where nothing is `said` of what it is of, one of the size of the
+    /// reduced photo was made of the scene.
+    pub fn labels(&self, map: LabelMap, said: Option<MapGeometry>) -> LabelMap {
+        match said {
+            Some(MapGeometry::Undistorted) => self.resized(map),
+            None if self.is_as_seen((map.width, map.height)) => map,
+            None | Some(MapGeometry::Photos) => self.labels_of_photo(map),
+        }
     }
 
     /// A map of the photo as it lies there, in any size, as the camera sees it.
@@ -139,6 +153,10 @@ impl Geometry {
             Some(remap) => remap.labels(&map),
             None => map,
         };
+        self.resized(map)
+    }
+
+    fn resized(&self, map: LabelMap) -> LabelMap {
         let Camera { width, height, .. } = self.seen();
         map.resized(width, height)
     }

@@ -1,11 +1,17 @@
 //! PNG and JPEG files, whole or refused: decoders forgive files that were cut off, training would not.
 
 use super::Limits;
+use super::frame::proportional;
 use crate::error::{Error, Result};
-use image::{DynamicImage, ImageFormat, ImageReader, RgbImage};
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage};
 use sha2::{Digest, Sha256};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
+
+/// What mends a picture that lies across.
+const ACROSS: &str = "it is turned by a quarter, as some programs turn photos by their EXIF orientation and others do not: \
+                      apply that to the photos or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them";
 
 /// An image file in memory, its header read and its end seen, not yet decoded.
 pub(crate) struct ImageFile {
@@ -58,13 +64,35 @@ impl ImageFile {
         if (w, h) == (width, height) {
             return Ok(());
         }
-        Err(Error::input(
-            &self.path,
-            "size",
-            format!("{w}x{h} pixels"),
-            format!("{width}x{height}, as {whose}"),
-            "scale the image to that size (label maps without blending), or mend the size with focal length and centre",
-        ))
+        let across = self.lies_across(width, height);
+        let found = match self.exif_orientation().filter(|_| across) {
+            Some(exif) => format!("{w}x{h} pixels, of EXIF orientation {exif}"),
+            None => format!("{w}x{h} pixels"),
+        };
+        let scale =
+            "scale the image to that size (label maps without blending), or mend the size with focal length and centre";
+        let mend = if across { ACROSS } else { scale };
+        Err(Error::input(&self.path, "size", found, format!("{width}x{height}, as {whose}"), mend))
+    }
+
+    /// Whether it has the proportions of `width` and `height` swapped, and not those themselves.
+    pub fn lies_across(&self, width: usize, height: usize) -> bool {
+        proportional(self.size, (height, width)) && !proportional(self.size, (width, height))
+    }
+
+    /// How its EXIF data ask programs to turn it before it is shown, 2 to 8 as they number that; `None` where it lies as it is
+    /// to be seen.
+    pub fn exif_orientation(&self) -> Option<u8> {
+        let decoder = ImageReader::with_format(Cursor::new(&self.bytes), self.format).into_decoder();
+        let orientation = decoder.ok()?.orientation().ok().map(Orientation::to_exif);
+        orientation.filter(|exif| *exif != Orientation::NoTransforms.to_exif())
+    }
+
+    /// Whether its EXIF data ask programs to turn it or to mirror it, and its size does not tell whether one has.
+    pub fn turns_unseen(&self) -> bool {
+        let (w, h) = self.size;
+        // From 5 on the sides are swapped.
+        self.exif_orientation().is_some_and(|exif| exif < 5 || w == h)
     }
 
     /// Bits a sample and colour type of a PNG's header (0 grey, 2 RGB, 3 palette, 4 grey + alpha, 6 RGBA).

@@ -1,6 +1,7 @@
 //! Which layout a scene folder has.
 
 use super::listing::{Listing, Problems};
+use super::map_geometry::{self, MapGeometries};
 use super::{LoadOptions, cautions, colmap, mask_file, replica, scannet, transforms};
 use crate::config::Layout;
 use crate::error::{Error, Result};
@@ -124,9 +125,12 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         Layout::Scannet => scannet::list(dir, options, problems),
     }?;
     let mut listing = listing.with_raw_labels(dir, options, problems);
+    listing.geometries = MapGeometries::read(&listing.frames, problems);
     let notices = [
         passed_over(dir, options, listing.layout),
         cautions::of_sizes(&listing, options.max_side),
+        map_geometry::told_by_size(&listing, options),
+        cautions::of_unit(&listing, options.unit_is_metre),
         cautions::without_mask(&listing, mask_file::folder_name(dir, options, listing.layout)),
     ];
     listing.notices.extend(notices.into_iter().flatten().chain(cautions::of_frames(&listing)));

@@ -1,11 +1,12 @@
 //! What a scene folder says before any photo is decoded, whatever its layout, and the scene that follows from it.
 
-use super::colmap;
 use super::depth::Depth;
-use super::frame::{Frame, Geometry, proportional};
+use super::frame::{Frame, Geometry, joined_name, proportional};
 use super::image_file::ImageFile;
+use super::map_geometry::MapGeometries;
 use super::raw::{RawLabels, RawMap};
 use super::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, Split, View};
+use super::{cautions, colmap};
 use crate::camera::{Camera, level_up};
 use crate::config::Layout;
 use crate::error::{Error, Result};
@@ -31,6 +32,8 @@ pub(crate) struct Listing {
     pub truth_ids: Option<Vec<u32>>,
     /// How the raw labels are stored.
     pub raw: RawLabels,
+    /// What label maps are of, where their folders say so.
+    pub geometries: MapGeometries,
     /// Label maps of another size than their photos are resampled.
     pub resample_labels: bool,
     /// The initial cloud.
@@ -129,28 +132,6 @@ impl Listing {
         if self.raw.are_segments() { 0 } else { self.classes.ignore }
     }
 
-    /// A grey label map of the size of its file.
-    fn grey_map(&self, path: &Path, frame: &Frame, geometry: &Geometry, limits: &Limits) -> Result<LabelMap> {
-        expect_file(path)?;
-        let file = ImageFile::open(path, limits)?;
-        self.check_map_size(&file, frame, geometry)?;
-        LabelMap::decode(path, &file)
-    }
-
-    /// Refuses a label map of another size than its photo, as it lies there or as it is used, or, where maps are resampled, of other
-    /// proportions.
-    fn check_map_size(&self, file: &ImageFile, frame: &Frame, geometry: &Geometry) -> Result<()> {
-        if geometry.is_as_seen(file.size) {
-            return Ok(());
-        }
-        let (w, h) = (geometry.camera.width, geometry.camera.height);
-        let resampled = self.resample_labels || frame.scales;
-        match resampled && proportional(file.size, (w, h)) {
-            true => Ok(()),
-            false => file.expect_size(w, h, "its photo"),
-        }
-    }
-
     /// The cloud, relative to `origin`.
     pub fn points(&self, origin: DVec3, limits: &Limits) -> Result<Points> {
         match &self.cloud {
@@ -174,14 +155,14 @@ impl Listing {
         level_up(&self.frames.iter().map(|frame| frame.camera.clone()).collect::<Vec<_>>())
     }
 
-    /// Decodes everything, a few files at a time.
-    pub fn load(&self, dir: &Path, options: &LoadOptions) -> Result<Scene> {
+    /// Decodes everything, a few files at a time. With the scene comes what the photos' files said beside their pixels.
+    pub fn load(&self, dir: &Path, options: &LoadOptions) -> Result<(Scene, Option<String>)> {
         let limits = &options.limits;
         self.check_sizes(limits)?;
         let cache = Arc::new(PhotoCache::new(options.decoded_mb.saturating_mul(1 << 20)));
         let (origin, up) = (self.origin(), self.up());
         let known = self.classes.lookup();
-        let views = in_order(self.frames.par_iter().map(|frame| {
+        let read = in_order(self.frames.par_iter().map(|frame| {
             let (file, geometry) = frame.open(&self.file, limits)?;
             let geometry = geometry.within(options.max_side);
             let image = Photo::in_file(&file, geometry.development().over(options.background), limits, &cache)?;
@@ -195,8 +176,11 @@ impl Listing {
             let camera = geometry.seen();
             let camera = Camera { center: camera.center - origin, ..camera };
             let (name, split) = (frame.name.clone(), frame.split);
-            Ok(View { name, split, camera, image, mask, truth, raw, segments, instances })
+            let view = View { name, split, camera, image, mask, truth, raw, segments, instances };
+            Ok((view, frame.is_turned_unseen(&file)))
         }))?;
+        let (views, turned): (Vec<View>, Vec<bool>) = read.into_iter().unzip();
+        let turned = cautions::turned(self.frames.iter().zip(turned));
         let points = self.points(origin, limits)?;
         let mut classes = self.classes.clone();
         if self.occurring_classes {
@@ -208,7 +192,7 @@ impl Listing {
             told.for_each(|id| occurs[usize::from(id)] = true);
             classes.entries.retain(|class| occurs[usize::from(class.id)]);
         }
-        Ok(Scene { name: scene_name(dir), views, classes, points, origin, up })
+        Ok((Scene { name: scene_name(dir), views, classes, points, origin, up }, turned))
     }
 }
 
@@ -228,30 +212,66 @@ pub(super) struct Maps<'a> {
 impl Maps<'_> {
     /// The true labels as the view's camera sees them, in class ids.
     pub fn truth(&self) -> Result<Option<LabelMap>> {
-        let Self { listing, frame, geometry, known, limits, mask } = *self;
-        let Some(path) = &frame.truth else { return Ok(None) };
-        let mut map = listing.grey_map(path, frame, geometry, limits)?;
+        let Self { listing, known, mask, .. } = *self;
+        let Some(path) = &self.frame.truth else { return Ok(None) };
+        let mut map = self.grey(path)?;
         if let Some(ids) = &listing.truth_ids {
             map.translate(path, ids)?;
         }
         map.settle_ids(path, &listing.classes, known, "")?;
-        Ok(Some(geometry.labels(map).without(mask, listing.classes.ignore)))
+        Ok(Some(self.seen(path, map).without(mask, listing.classes.ignore)))
     }
 
     /// The true instances as the view's camera sees them.
     pub fn instances(&self) -> Result<Option<LabelMap>> {
-        let Self { listing, frame, geometry, limits, mask, .. } = *self;
-        let Some(path) = &frame.instances else { return Ok(None) };
-        Ok(Some(geometry.labels(listing.grey_map(path, frame, geometry, limits)?).without(mask, 0)))
+        let Some(path) = &self.frame.instances else { return Ok(None) };
+        Ok(Some(self.seen(path, self.grey(path)?).without(self.mask, 0)))
     }
 
     /// The raw labels as the view's camera sees them.
     pub fn raw(&self) -> Result<Option<RawMap>> {
-        let Self { listing, frame, geometry, known, limits, mask } = *self;
-        let Some(path) = &frame.raw else { return Ok(None) };
-        let check = |file: &ImageFile| listing.check_map_size(file, frame, geometry);
-        let raw = listing.raw.read(path, &listing.classes, known, limits, &check)?;
-        Ok(Some(RawMap { map: geometry.labels(raw.map).without(mask, listing.unlabelled()), ..raw }))
+        let Self { listing, geometry, known, limits, mask, .. } = *self;
+        let Some(path) = &self.frame.raw else { return Ok(None) };
+        let check = |file: &ImageFile| self.check_size(path, file);
+        let photo = (geometry.camera.width, geometry.camera.height);
+        let raw = listing.raw.read(path, photo, &listing.classes, known, limits, &check)?;
+        Ok(Some(RawMap { map: self.seen(path, raw.map).without(mask, listing.unlabelled()), ..raw }))
+    }
+
+    /// A grey label map of the size of its file.
+    fn grey(&self, path: &Path) -> Result<LabelMap> {
+        expect_file(path)?;
+        let file = ImageFile::open(path, self.limits)?;
+        self.check_size(path, &file)?;
+        LabelMap::decode(path, &file)
+    }
+
+    /// The map that was read from `path` as the view's camera sees it.
+    fn seen(&self, path: &Path, map: LabelMap) -> LabelMap {
+        self.geometry.labels(map, self.listing.geometries.of(path))
+    }
+
+    /// Refuses a file of the labels at `path` that has another size than its photo, as that lies there or as it is used, or,
+    /// where maps are resampled, other proportions.
+    fn check_size(&self, path: &Path, file: &ImageFile) -> Result<()> {
+        let Self { listing, frame, geometry, .. } = *self;
+        let said = listing.geometries.of(path).is_some();
+        if !said && geometry.is_as_seen(file.size) {
+            return Ok(());
+        }
+        let (w, h) = (geometry.camera.width, geometry.camera.height);
+        let resampled = said || listing.resample_labels || frame.scales;
+        match resampled && proportional(file.size, (w, h)) {
+            true => Ok(()),
+            false => {
+                let photo = || ImageFile::open(&frame.image, self.limits).ok()?.exif_orientation();
+                let whose = match file.lies_across(w, h).then(photo).flatten() {
+                    Some(exif) => format!("its photo as it is stored, whose EXIF orientation is {exif}"),
+                    None => "its photo".to_owned(),
+                };
+                file.expect_size(w, h, &whose)
+            }
+        }
     }
 }
 
@@ -276,14 +296,15 @@ pub(crate) fn in_order<T: Send>(results: impl IndexedParallelIterator<Item = Res
     all.into_iter().collect()
 }
 
-/// `classes.json` of a scene folder; only scenes without labels may lack it.
-pub(crate) fn read_classes(dir: &Path, labelled: bool) -> Result<Classes> {
+/// `classes.json` of a scene folder; only scenes without labels may lack it: those that have some are `labelled`, with what
+/// else mends that.
+pub(crate) fn read_classes(dir: &Path, labelled: Option<&str>) -> Result<Classes> {
     let path = dir.join("classes.json");
     if path.is_file() {
         return Classes::read(&path);
     }
-    if labelled {
-        let mend = "list the classes: {\"0\": \"void\", \"1\": \"wall\", ..}";
+    if let Some(or) = labelled {
+        let mend = format!("list the classes: {{\"0\": \"void\", \"1\": \"wall\", ..}}{or}");
         return Err(Error::input(&path, "file", "nothing", "a class table, as frames have labels", mend));
     }
     Ok(Classes::default())
@@ -314,8 +335,8 @@ impl LabelFolder {
         }
     }
 
-    /// The map of the photo that lies at `photo` below the folder of photos: the same path with `.png` for its
-    /// extension or behind it, or its stem alone; or a folder of masks of one of these names without `.png`.
+    /// The map of the photo that lies at `photo` below the folder of photos: the same path with `.png` for its extension or
+    /// behind it, the name of its view, or its stem alone; or a folder of masks of one of these names without `.png`.
     pub fn of(&self, photo: &Path) -> Option<PathBuf> {
         let files = self.files(photo);
         let masks = files.iter().map(|path| path.with_extension("")).find(|path| path.is_dir());
@@ -332,8 +353,9 @@ impl LabelFolder {
     fn files(&self, photo: &Path) -> Vec<PathBuf> {
         let usual = self.folder.join(photo).with_extension("png");
         let behind = format!("{}.png", photo.to_string_lossy());
+        let of_view = format!("{}.png", joined_name(photo));
         let stem = photo.file_stem().map(|stem| format!("{}.png", stem.to_string_lossy()));
-        let others = [Some(behind), stem].into_iter().flatten().map(|name| self.folder.join(name));
+        let others = [Some(behind), Some(of_view), stem].into_iter().flatten().map(|name| self.folder.join(name));
         std::iter::once(usual).chain(others).collect()
     }
 }

@@ -19,6 +19,7 @@ mod lens;
 mod limits;
 mod listing;
 mod manifest;
+mod map_geometry;
 mod mask_file;
 mod options;
 mod palette;
@@ -41,6 +42,7 @@ pub use label_runs::LabelRuns;
 pub use layout::locate;
 pub use limits::Limits;
 pub use manifest::{ExpectedFile, LabelMapping, Manifest};
+pub use map_geometry::MapGeometry;
 pub use options::LoadOptions;
 pub use palette::class_color;
 pub use photo::Photo;
@@ -70,9 +72,9 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
     for notice in &listing.notices {
         tracing::warn!("{}: {notice}", dir.display());
     }
-    let scene = listing.load(dir, options)?;
+    let (scene, turned) = listing.load(dir, options)?;
     let empty = scene.points.is_empty().then(|| cautions::empty_cloud(&listing.cloud)).flatten();
-    for notice in empty.into_iter().chain(cautions::of_scene(&scene, listing.unlabelled())) {
+    for notice in turned.into_iter().chain(empty).chain(cautions::of_scene(&scene, listing.unlabelled())) {
         tracing::warn!("{}: {notice}", dir.display());
     }
     // Points of depth images lie where the poses put them.

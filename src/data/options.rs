@@ -1,7 +1,7 @@
 //! How a scene folder is read, and which of its frames.
 
 use super::{Limits, Split};
-use crate::config::{Association, Config, DataConfig, Layout, RawFormat, ScannetClasses};
+use crate::config::{Association, Config, DataConfig, Layout, RawFormat, Row, ScannetClasses, SpatialSource};
 use std::path::PathBuf;
 
 /// How [`super::load`] reads a folder.
@@ -36,6 +36,9 @@ pub struct LoadOptions {
     pub background: [u8; 3],
     /// Megabytes (2^20 bytes) of decoded photos that a scene keeps; the others are decoded again at each use.
     pub decoded_mb: usize,
+    /// Whether something takes the unit of the scene for a metre, as the point encoder does unless it is told otherwise.
+    /// Nothing is read in another way for it: cameras that are seldom so far apart are told of.
+    pub unit_is_metre: bool,
     /// Largest sizes accepted.
     pub limits: Limits,
 }
@@ -63,6 +66,7 @@ impl From<&DataConfig> for LoadOptions {
             scannet_labels: config.scannet_labels.clone(),
             background: [0; 3],
             decoded_mb: config.decoded_mb,
+            unit_is_metre: false,
             limits: Limits::default(),
         }
     }
@@ -71,7 +75,12 @@ impl From<&DataConfig> for LoadOptions {
 impl From<&Config> for LoadOptions {
     fn from(config: &Config) -> Self {
         let background = config.raster.background.map(|c| (c * 255.0).round() as u8);
-        Self { background, ..Self::from(&config.data) }
+        let encoded = |row: &Row| row.is_fused() && !matches!(row, Row::NoSpatial | Row::RandomSpatial);
+        let spatial = &config.spatial;
+        let unit_is_metre = spatial.scale == 1.0
+            && spatial.source != SpatialSource::Random
+            && config.segmentation.rows().iter().any(encoded);
+        Self { background, unit_is_metre, ..Self::from(&config.data) }
     }
 }
 

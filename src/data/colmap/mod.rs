@@ -10,6 +10,7 @@ mod text;
 
 use super::frame::{Frame, joined_name};
 use super::listing::{Cloud, LabelFolder, Listing, Problems, read_classes};
+use super::map_geometry::MapGeometries;
 use super::mask_file::Masks;
 use super::options::LoadOptions;
 use super::raw::{self, RawLabels};
@@ -141,6 +142,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         occurring_classes: false,
         truth_ids: None,
         raw: RawLabels::grey(),
+        geometries: MapGeometries::default(),
         resample_labels: false,
         cloud: points.map_or(Cloud::None, |file| Cloud::Colmap(file.path().to_owned())),
         z_up: false,

@@ -11,19 +11,37 @@ const TABLE: &str = "metadata.csv";
 const AGAIN: &str = "copy the folder of masks again, or write it again";
 
 /// Reads the masks of a photo as one map: a pixel belongs to the smallest mask that covers it, of equal ones to the one
-/// with the lower number, and to none (0) where no mask is. The k-th mask by number has id k, from 1 on.
+/// with the lower number, and to none (0) where no mask is. The k-th mask by number has id k, from 1 on. Where the table
+/// says that nothing was found, no pixel of the `photo`'s is of a mask.
 ///
-/// `path` is the folder, or that name with an extension.
-pub(super) fn read(path: &Path, limits: &Limits, check_size: &dyn Fn(&ImageFile) -> Result<()>) -> Result<LabelMap> {
+/// `path` is the folder, or that name with an extension; `photo` the size of a map without masks.
+pub(super) fn read(
+    path: &Path,
+    photo: (usize, usize),
+    limits: &Limits,
+    check_size: &dyn Fn(&ImageFile) -> Result<()>,
+) -> Result<LabelMap> {
     let folder = if path.is_dir() { path.to_owned() } else { path.with_extension("") };
     if !folder.is_dir() {
         let mend = "put the photo's masks there, or take the frame away".into();
         return Err(Error::Missing { what: "folder", path: folder, mend });
     }
     let files = numbered(&folder)?;
-    check_table(&folder, &files)?;
+    let has_table = check_table(&folder, &files)?;
     let Some(first) = files.values().next() else {
-        return Err(Error::input(&folder, "masks", "no PNG files", "0.png, 1.png and so on", AGAIN));
+        let (width, height) = photo;
+        if has_table {
+            let pixels = (width as u64).saturating_mul(height as u64);
+            Limits::check(
+                format!("{}: pixels", folder.display()),
+                pixels,
+                limits.image_pixels,
+                "scale the photos down",
+            )?;
+            return Ok(LabelMap { width, height, ids: vec![0; width * height] });
+        }
+        let expected = format!("0.png, 1.png and so on, or a {TABLE} without rows where nothing was found");
+        return Err(Error::input(&folder, "masks", "no PNG files", expected, AGAIN));
     };
     let what = format!("{}: masks", folder.display());
     Limits::check(what, files.len() as u64, u64::from(u16::MAX), "keep the masks with the best scores")?;
@@ -81,11 +99,11 @@ fn numbered(folder: &Path) -> Result<BTreeMap<u64, PathBuf>> {
     Ok(files)
 }
 
-/// Holds `metadata.csv`, where it is there, against the files: its first column numbers the masks.
-fn check_table(folder: &Path, files: &BTreeMap<u64, PathBuf>) -> Result<()> {
+/// Holds `metadata.csv`, where it is there, against the files: its first column numbers the masks. Whether it is there.
+fn check_table(folder: &Path, files: &BTreeMap<u64, PathBuf>) -> Result<bool> {
     let path = folder.join(TABLE);
     if !path.is_file() {
-        return Ok(());
+        return Ok(false);
     }
     let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
     let mut listed = BTreeSet::new();
@@ -106,6 +124,6 @@ fn check_table(folder: &Path, files: &BTreeMap<u64, PathBuf>) -> Result<()> {
             let found = format!("{} rows, none for {number}.png", listed.len());
             Err(Error::input(&path, "rows", found, "one for each mask", AGAIN))
         }
-        None => Ok(()),
+        None => Ok(true),
     }
 }

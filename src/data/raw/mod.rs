@@ -13,7 +13,8 @@ use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
 /// What mends unknown ids that are no classes.
-const IF_SEGMENTS: &str = "; where ids mean something in their view alone (instance masks), set data.association=gaussians, or use `coseg associate`";
+const IF_SEGMENTS: &str = "; where ids mean something in their view alone (instance masks), \
+                           add --set data.association=gaussians, or use `coseg associate`";
 
 /// The raw labels of a scene folder, as far as they are known before a map is decoded.
 pub(super) struct RawLabels {
@@ -80,13 +81,16 @@ impl Vocabulary {
     }
 }
 
-/// Whether the frames' labels need a class table from elsewhere: all but raw labels that bring their own or have none.
-pub(super) fn need_table(dir: &Path, options: &LoadOptions, frames: &[Frame]) -> bool {
-    let raw = frames.iter().any(|frame| frame.raw.is_some());
-    frames.iter().any(|frame| frame.truth.is_some())
-        || raw
-            && options.association == Association::None
-            && detect(dir, options, frames).is_ok_and(|format| format == RawFormat::Grey)
+/// Whether the frames' labels need a class table from elsewhere: all but raw labels that bring their own or have none. What is
+/// told then is what mends its absence beside a table.
+pub(super) fn need_table(dir: &Path, options: &LoadOptions, frames: &[Frame]) -> Option<&'static str> {
+    let any = |of: fn(&Frame) -> bool| frames.iter().any(of);
+    let grey = || detect(dir, options, frames).is_ok_and(|format| format == RawFormat::Grey);
+    if any(|frame| frame.truth.is_some()) {
+        return Some("");
+    }
+    let raw = any(|frame| frame.raw.is_some()) && options.association == Association::None && grey();
+    raw.then_some(IF_SEGMENTS)
 }
 
 /// The format that the options name, or that the first map has.
@@ -145,7 +149,8 @@ impl RawLabels {
             RawFormat::Ade20k => Source::Ade20k(ade20k::Palette::new(first, classes)?),
             RawFormat::Masks if !segments => {
                 let expected = "\"gaussians\", as raw labels are folders of masks, whose ids differ from view to view";
-                let mend = "set data.association = \"gaussians\" for `coseg train`, or use `coseg associate`";
+                let mend =
+                    "add --set data.association=gaussians (`coseg train`, `coseg data`), or use `coseg associate`";
                 return Err(Error::config("data.association", "\"none\"", expected, mend));
             }
             RawFormat::Masks => Source::Masks,
@@ -168,17 +173,19 @@ impl RawLabels {
         self.segments
     }
 
-    /// Reads the map at `path`; `check_size` refuses files of the wrong size. `known` is the lookup of `classes`.
+    /// Reads the map at `path` of a photo of the size `photo`; `check_size` refuses files of the wrong size. `known` is the
+    /// lookup of `classes`.
     pub fn read(
         &self,
         path: &Path,
+        photo: (usize, usize),
         classes: &Classes,
         known: &[u16],
         limits: &Limits,
         check_size: &dyn Fn(&ImageFile) -> Result<()>,
     ) -> Result<RawMap> {
         if let Source::Masks = self.source {
-            let map = masks::read(path, limits, check_size)?;
+            let map = masks::read(path, photo, limits, check_size)?;
             return Ok(RawMap { map, segments: Vec::new() });
         }
         super::listing::expect_file(path)?;

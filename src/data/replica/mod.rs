@@ -11,6 +11,7 @@ use super::frame::Frame;
 use super::image_file::ImageFile;
 use super::lens::Lens;
 use super::listing::{Cloud, LabelFolder, Listing, Problems, read_classes};
+use super::map_geometry::MapGeometries;
 use super::mask_file::Masks;
 use super::options::LoadOptions;
 use super::raw::{self, RawLabels};
@@ -111,7 +112,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     }
     let own = dir.join("classes.json").is_file();
     let labelled = raw::need_table(dir, options, &frames);
-    let classes = match labelled && !own {
+    let classes = match labelled.is_some() && !own {
         true => Ok(classes::replica()),
         false => read_classes(dir, labelled),
     };
@@ -128,6 +129,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         occurring_classes: !own,
         truth_ids: None,
         raw: RawLabels::grey(),
+        geometries: MapGeometries::default(),
         resample_labels: false,
         cloud,
         z_up: false,

@@ -9,6 +9,7 @@ use super::frame::Frame;
 use super::image_file::ImageFile;
 use super::lens::Lens;
 use super::listing::{Cloud, LabelFolder, Listing, Problems, read_classes};
+use super::map_geometry::MapGeometries;
 use super::mask_file::Masks;
 use super::options::LoadOptions;
 use super::raw::{self, RawLabels};
@@ -103,7 +104,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     }
     let own = dir.join("classes.json").is_file();
     let labelled = raw::need_table(dir, options, &frames);
-    let general = labelled && !own;
+    let general = labelled.is_some() && !own;
     let needs_table = general && frames.iter().any(|frame| frame.truth.is_some());
     let table = match needs_table {
         true => problems.keep(classes::table(dir, options)).map(|file| file.ids),
@@ -126,6 +127,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         occurring_classes: general,
         truth_ids: table,
         raw: RawLabels::grey(),
+        geometries: MapGeometries::default(),
         resample_labels: true,
         cloud,
         z_up: true,

@@ -18,6 +18,7 @@ use super::frame::Frame;
 use super::image_file::ImageFile;
 use super::lens::Lens;
 use super::listing::{Cloud, Listing, Problems, read_classes};
+use super::map_geometry::MapGeometries;
 use super::mask_file::Masks;
 use super::raw::{self, RawLabels};
 use super::{Limits, Scene, Split};
@@ -136,6 +137,7 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         occurring_classes: false,
         truth_ids: None,
         raw: RawLabels::grey(),
+        geometries: MapGeometries::default(),
         resample_labels: false,
         notices,
     })
