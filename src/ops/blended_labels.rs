@@ -4,8 +4,10 @@
 //! gradient goes to those `p_j(y)` alone, for the sum of a Gaussian's probabilities does not change. A pixel therefore
 //! costs one multiplication a contribution each way, however many classes there are.
 
+use super::gather::RowList;
 use super::gradient_in_hand::with_gradient_in_hand;
 use super::label_loss::{ClassLosses, Kind, UNLABELLED, label_losses};
+use super::pixel_labels::PixelLabels;
 use super::sparse::{SparseMatrix, sparse_apply};
 use super::{HostBackend, Real, device_of, real_kernel};
 use crate::device::in_host_memory;
@@ -30,7 +32,7 @@ pub trait Blending: std::fmt::Debug + Send + Sync {
     ///
     /// # Errors
     /// When the device fails.
-    fn blend(&self, values: Tensor<2>, pixels: &[u32]) -> Result<Tensor<2>>;
+    fn blend(&self, values: Tensor<2>, pixels: &Arc<RowList>) -> Result<Tensor<2>>;
 }
 
 /// The weights of [`LabelledPixels`].
@@ -48,12 +50,17 @@ pub struct LabelledPixels {
     /// Frozen blending weights.
     pub weights: PixelWeights,
     /// Rows of `weights` that are looked at.
-    pub rows: Vec<u32>,
+    pub rows: Arc<RowList>,
     /// Class index of each of those rows, [`UNLABELLED`] where it is not counted.
-    pub labels: Vec<u16>,
+    pub labels: Arc<PixelLabels>,
 }
 
 impl LabelledPixels {
+    /// The rows `rows` of `weights`, whose class indices are `labels`.
+    pub fn new(weights: PixelWeights, rows: Vec<u32>, labels: Vec<u16>) -> Self {
+        Self { weights, rows: Arc::new(rows.into()), labels: Arc::new(labels.into()) }
+    }
+
     /// `values` `[V, C]` blended at the chosen rows, `[P, C]`, with gradient to `values`.
     ///
     /// # Errors
@@ -79,7 +86,7 @@ impl LabelledPixels {
         assert!(!losses.kind.reads_all_classes(), "value_and_gradient: {losses:?} reads all classes of a pixel");
         let mut gradient = vec![E::zero(); scores.len()];
         let mut of_class = vec![Vec::new(); classes];
-        for (&row, &label) in self.rows.iter().zip(&self.labels) {
+        for (&row, &label) in self.rows.iter().zip(self.labels.iter()) {
             if label != UNLABELLED {
                 of_class[usize::from(label)].push(row);
             }
@@ -234,8 +241,7 @@ impl<B: BlendedLabelBackend, C: CheckpointStrategy> BlendedLabelBackend for Auto
 pub fn blended_label_loss(scores: Tensor<2>, pixels: Arc<LabelledPixels>, losses: &ClassLosses) -> Result<Tensor<1>> {
     let [rows, classes] = scores.dims();
     assert_eq!(pixels.rows.len(), pixels.labels.len(), "blended_label_loss: labels against rows");
-    let known = pixels.labels.iter().all(|&l| l == UNLABELLED || usize::from(l) < classes);
-    assert!(known, "blended_label_loss: a label is no class index below {classes}");
+    assert!(pixels.labels.end() <= classes, "blended_label_loss: a label is no class index below {classes}");
     let PixelWeights::Stored(weights) = &pixels.weights else {
         return blended_label_loss_plain(scores, &pixels, losses);
     };

@@ -5,6 +5,7 @@
 //! [`Kind::NceRce`] also reads S = -sum_k ln p_k, which adds u (1 - K p_k) with u = -dL/dS for K classes.
 
 use super::gradient_in_hand::with_gradient_in_hand;
+use super::pixel_labels::PixelLabels;
 use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
@@ -175,7 +176,7 @@ pub trait LabelLossBackend: Backend {
     /// The mean loss `[1]` of [`label_loss()`] and its gradient `[P, C]`.
     fn label_loss(
         logits: FloatTensor<Self>,
-        labels: Arc<Vec<u16>>,
+        labels: Arc<PixelLabels>,
         losses: ClassLosses,
     ) -> (FloatTensor<Self>, FloatTensor<Self>);
 }
@@ -183,7 +184,7 @@ pub trait LabelLossBackend: Backend {
 impl<B: HostKernels> LabelLossBackend for B {
     fn label_loss(
         logits: FloatTensor<Self>,
-        labels: Arc<Vec<u16>>,
+        labels: Arc<PixelLabels>,
         losses: ClassLosses,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         on_host::label_loss::<Self>(logits, &labels, &losses)
@@ -210,7 +211,7 @@ pub(super) mod on_host {
 impl<B: LabelLossBackend, C: CheckpointStrategy> LabelLossBackend for Autodiff<B, C> {
     fn label_loss(
         logits: FloatTensor<Self>,
-        labels: Arc<Vec<u16>>,
+        labels: Arc<PixelLabels>,
         losses: ClassLosses,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         with_gradient_in_hand::<B, C>(logits, |logits| B::label_loss(logits, labels, losses))
@@ -225,18 +226,17 @@ impl<B: LabelLossBackend, C: CheckpointStrategy> LabelLossBackend for Autodiff<B
 /// # Panics
 /// If there is not one label a row, or a label is neither below C nor [`UNLABELLED`].
 pub fn label_loss(logits: Tensor<2>, labels: &[u16], kind: &Kind) -> Tensor<1> {
-    label_losses(logits, labels, &(*kind).into())
+    label_losses(logits, &Arc::new(labels.to_vec().into()), &(*kind).into())
 }
 
-/// [`label_loss`] with a loss for each class.
+/// [`label_loss`] with a loss for each class, of labels that a GPU takes up once.
 ///
 /// # Panics
 /// As [`label_loss`].
-pub fn label_losses(logits: Tensor<2>, labels: &[u16], losses: &ClassLosses) -> Tensor<1> {
+pub fn label_losses(logits: Tensor<2>, labels: &Arc<PixelLabels>, losses: &ClassLosses) -> Tensor<1> {
     let [rows, classes] = logits.dims();
     assert_eq!(labels.len(), rows, "label_loss: labels against rows of logits");
-    let known = labels.iter().all(|&l| l == UNLABELLED || usize::from(l) < classes);
-    assert!(known, "label_loss: a label is no class index below {classes}");
-    let (value, _) = Dispatch::label_loss(logits.into_dispatch(), Arc::new(labels.to_vec()), losses.clone());
+    assert!(labels.end() <= classes, "label_loss: a label is no class index below {classes}");
+    let (value, _) = Dispatch::label_loss(logits.into_dispatch(), labels.clone(), losses.clone());
     Tensor::from_dispatch(value)
 }

@@ -22,6 +22,7 @@ pub(crate) mod matmul;
 mod neighbour_divergence;
 mod photo;
 mod photometric;
+mod pixel_labels;
 #[cfg(feature = "cube")]
 pub(crate) mod position_noise;
 mod real;
@@ -57,6 +58,7 @@ pub use label_loss::{ClassLosses, Kind, LabelLossBackend, UNLABELLED, label_loss
 pub use neighbour_divergence::{DivergenceBackend, NeighbourPairs, neighbour_divergence, neighbour_divergence_plain};
 pub use photo::Photo;
 pub use photometric::{PhotometricBackend, photometric_loss, photometric_loss_plain};
+pub use pixel_labels::PixelLabels;
 pub use real::Real;
 pub use rows::{RowBackend, RowMap, StartOfNew, take_rows};
 pub use screen_gradient::{ScreenGradientBackend, add_screen_gradients};

@@ -47,11 +47,8 @@ impl Scene {
             (0..PIXELS).flat_map(|_| [0.5, 0.25, 0.125, 0.125]).collect(),
         );
         let label = |r: usize| if r % 13 == 4 { UNLABELLED } else { (r * 3 / 7 % CLASSES) as u16 };
-        let pixels = LabelledPixels {
-            weights: PixelWeights::Stored(Arc::new(weights)),
-            rows: (0..PIXELS as u32).collect(),
-            labels: (0..PIXELS).map(label).collect(),
-        };
+        let weights = PixelWeights::Stored(Arc::new(weights));
+        let pixels = LabelledPixels::new(weights, (0..PIXELS as u32).collect(), (0..PIXELS).map(label).collect());
         Self { means, source, drawn: Drawn { visible: Arc::new(visible.into()), pixels } }
     }
 }

@@ -167,7 +167,7 @@ fn blended_label_losses() {
     let chosen: Vec<u32> = (0..rows as u32).filter(|r| r % 3 != 1).collect();
     let label = |&r: &u32| if r % 11 == 5 { UNLABELLED } else { (r / 2 % 5) as u16 };
     let labels = chosen.iter().map(label).collect();
-    let pixels = Arc::new(LabelledPixels { weights: PixelWeights::Stored(Arc::new(weights)), rows: chosen, labels });
+    let pixels = Arc::new(LabelledPixels::new(PixelWeights::Stored(Arc::new(weights)), chosen, labels));
     let scores = waves(points * classes, 2.5);
     let shares = vec![0.5, 1.0, 0.0, 0.9];
     let for_all = KINDS.into_iter().map(ClassLosses::from);

@@ -100,7 +100,7 @@ fn pixels(rows: usize, points: usize) -> Arc<LabelledPixels> {
     let chosen: Vec<u32> = (0..rows as u32).filter(|r| r % 3 != 1).collect();
     let label = |&r: &u32| if r % 11 == 5 { UNLABELLED } else { [0, 1, 2, 4][(r / 2 % 4) as usize] };
     let labels = chosen.iter().map(label).collect();
-    Arc::new(LabelledPixels { weights: PixelWeights::Stored(Arc::new(mixing(rows, points, 4))), rows: chosen, labels })
+    Arc::new(LabelledPixels::new(PixelWeights::Stored(Arc::new(mixing(rows, points, 4))), chosen, labels))
 }
 
 fn blended(
@@ -172,7 +172,7 @@ fn blended_label_loss_survives_certainty_and_emptiness() {
         assert!(value.iter().chain(&gradient).all(|v| v.is_finite()), "{kind:?}");
         assert!(value[0] > 0.1, "certain and wrong in places, and it must cost: {}", value[0]);
     }
-    let labels = vec![UNLABELLED; pixels.rows.len()];
+    let labels = Arc::new(vec![UNLABELLED; pixels.rows.len()].into());
     let nothing = Arc::new(LabelledPixels { labels, ..(*pixels).clone() });
     let [value, gradient] = blended(true, &scores, &nothing, &Kind::Ce.into(), DType::F32);
     assert!(value[0] == 0.0 && gradient.iter().all(|g| *g == 0.0));

@@ -4,6 +4,7 @@ use super::covers;
 use super::numeric::{exp_m1_nonpositive, ln_1p};
 use super::sum::sum;
 use crate::gpu::{Gpu, arg};
+use crate::ops::PixelLabels;
 use crate::ops::label_loss::{ClassLosses, Kind, LOG_ZERO, LabelLossBackend, UNLABELLED, on_host};
 use burn::backend::tensor::FloatTensor;
 use burn::tensor::DType;
@@ -165,17 +166,17 @@ fn label_losses(
 impl LabelLossBackend for CubeBackend {
     fn label_loss(
         logits: FloatTensor<Self>,
-        labels: Arc<Vec<u16>>,
+        labels: Arc<PixelLabels>,
         losses: ClassLosses,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         let [pixels, classes] = logits.meta.shape().dims();
-        let count = labels.iter().filter(|&&l| l != UNLABELLED).count();
+        let count = labels.counted();
         if !covers(&logits) || count == 0 || classes == 0 {
             return on_host::label_loss::<Self>(logits, &labels, &losses);
         }
         let gpu = Gpu::of(&logits);
-        let labels: Vec<u32> = labels.iter().map(|&l| u32::from(l)).collect();
-        let labels = gpu.upload(&labels, DType::U32);
+        let wide = || labels.iter().map(|&l| u32::from(l)).collect::<Vec<_>>();
+        let labels = labels.resident.on(&gpu, || gpu.upload(&wide(), DType::U32));
         let (formula, parameter) = Formula::of(losses.kind);
         let parameters: Vec<f32> = (0..classes).map(|class| Formula::of(losses.of(class)).1 as f32).collect();
         let parameters = gpu.upload(&parameters, DType::F32);

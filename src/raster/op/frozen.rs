@@ -291,22 +291,21 @@ impl SplatView {
     ///
     /// # Errors
     /// As [`SplatView::blend`].
-    pub fn blend_at(&self, values: Tensor<2>, pixels: &[u32]) -> Result<(Tensor<2>, Tensor<1>)> {
+    pub fn blend_at(&self, values: Tensor<2>, pixels: &Arc<RowList>) -> Result<(Tensor<2>, Tensor<1>)> {
         let (n, all) = (values.dims()[0], self.camera().width * self.camera().height);
         let mut transmittance = None;
-        let pixels = Arc::new(RowList::from(pixels.to_vec()));
         let blocks = self.channel_blocks(values.dims()[1]).map(|block| {
             let channels = block.len();
             let (image, of_all) = self.blend(values.clone().slice([0..n, block]))?;
             transmittance.get_or_insert(of_all);
-            Ok(gather_rows(image.reshape([all, channels]), &pixels))
+            Ok(gather_rows(image.reshape([all, channels]), pixels))
         });
         let image = Tensor::cat(blocks.collect::<Result<Vec<_>>>()?, 1);
         let transmittance = match transmittance {
             Some(transmittance) => transmittance.reshape([all, 1]),
             None => Tensor::ones([all, 1], &image.device()),
         };
-        Ok((image, gather_rows(transmittance, &pixels).reshape([pixels.len()])))
+        Ok((image, gather_rows(transmittance, pixels).reshape([pixels.len()])))
     }
 
     /// `W^T y` of an image `y`, `[H, W, C]`: the adjoint of [`SplatView::blend`], without autodiff.

@@ -86,7 +86,7 @@ impl Scores {
             Self::Gaussians(scores) => {
                 let rows = places.iter().map(|&p| pixels.rows[p as usize]).collect();
                 let labels = places.iter().map(|&p| pixels.labels[p as usize]).collect();
-                let some = LabelledPixels { weights: pixels.weights.clone(), rows, labels };
+                let some = LabelledPixels::new(pixels.weights.clone(), rows, labels);
                 some.blend(softmax(scores.clone().detach(), 1))?
             }
             Self::Pair(pair) => return pair[0].probabilities_at(pixels, places),

@@ -96,16 +96,16 @@ mod tests {
     #[test]
     fn a_class_whose_labels_are_not_followed_falls_below_and_rises_again() {
         let device = crate::device::open(None).unwrap();
-        let pixels = LabelledPixels {
-            weights: crate::ops::PixelWeights::Stored(std::sync::Arc::new(crate::ops::SparseMatrix::new(
+        let pixels = LabelledPixels::new(
+            crate::ops::PixelWeights::Stored(std::sync::Arc::new(crate::ops::SparseMatrix::new(
                 1,
                 (0..=40).collect(),
                 vec![0; 40],
                 vec![1.0; 40],
             ))),
-            rows: (0..40).collect(),
-            labels: (0..40).map(|i| if i < 20 { 0 } else { 2 }).collect(),
-        };
+            (0..40).collect(),
+            (0..40).map(|i| if i < 20 { 0 } else { 2 }).collect(),
+        );
         let mut recalls = Recalls::new(3);
         let mut learn = |logits: [f32; 3], steps: usize| {
             // Of the one Gaussian behind all pixels.

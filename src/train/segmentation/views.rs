@@ -6,13 +6,16 @@ use crate::device::in_host_memory;
 use crate::error::Result;
 use crate::gaussians::Gaussians;
 use crate::objects::{Votes, vote};
-use crate::ops::{LabelledPixels, PixelWeights, RowList, SparseMatrix, UNLABELLED};
+use crate::ops::{LabelledPixels, PixelLabels, PixelWeights, RowList, SparseMatrix, UNLABELLED};
 use crate::random::{Purpose, stream};
 use crate::raster::{Projected, Settings, SplatTensors};
 use burn::tensor::Device;
 use rand::{Rng, seq::SliceRandom};
 use std::sync::{Arc, OnceLock};
 
+/// Bytes of a listed pixel and its label, and what they are where a device has them too.
+const PIXEL: usize = size_of::<u32>() + size_of::<u16>();
+const DEVICE_PIXEL: usize = PIXEL + 2 * size_of::<u32>();
 /// Pixels whose weights are made together at a view's first use.
 const BAND: usize = 1 << 17;
 
@@ -28,6 +31,8 @@ struct LabelledView {
     kept: Kept,
     /// Entries of the tile lists of the visible Gaussians, once a GPU has made them.
     entries: Arc<OnceLock<usize>>,
+    /// Rows of the weights and labels of all pixels, once a step has asked for them: 6 bytes a pixel.
+    all: OnceLock<(Arc<RowList>, Arc<PixelLabels>)>,
 }
 
 /// What is kept of a view beside which pixels and Gaussians take part.
@@ -44,6 +49,24 @@ impl LabelledView {
     /// Rows of a random share of the pixels: one of each run of `1 / share` neighbours.
     fn sample(&self, share: f64, rng: &mut impl Rng) -> Vec<u32> {
         one_of_each_run(self.count, share, rng)
+    }
+
+    /// [`LabelledView::sample`] with `weights`, of which `rows` says from the drawn rows and their pixels which are drawn. All of them
+    /// are listed once.
+    fn labelled(
+        &self,
+        weights: PixelWeights,
+        share: f64,
+        rng: &mut impl Rng,
+        rows: impl FnOnce(Vec<u32>, Vec<u32>) -> Vec<u32>,
+    ) -> LabelledPixels {
+        let draw = |rng: &mut _| {
+            let drawn = self.sample(share, rng);
+            let (pixels, labels) = self.pixels(&drawn);
+            (Arc::new(rows(drawn, pixels).into()), Arc::new(labels.into()))
+        };
+        let (rows, labels) = if share >= 1.0 { self.all.get_or_init(|| draw(rng)).clone() } else { draw(rng) };
+        LabelledPixels { weights, rows, labels }
     }
 
     /// Pixel and class index of the labelled, covered pixels `rows`, which ascend.
@@ -212,16 +235,14 @@ impl<'a> TrainingViews<'a> {
                 (view, Kept::OnDevice(rendered))
             }
         };
-        let rows = view.sample(share, rng);
-        let (pixels, labels) = view.pixels(&rows);
         let visible = view.visible.clone();
         let pixels = match kept {
-            Kept::Weights(weights) => LabelledPixels { weights: PixelWeights::Stored(weights), rows, labels },
-            Kept::OnDevice(view) => LabelledPixels { weights: PixelWeights::Rendered(view), rows: pixels, labels },
+            Kept::Weights(weights) => view.labelled(PixelWeights::Stored(weights), share, rng, |rows, _| rows),
+            Kept::OnDevice(kept) => view.labelled(PixelWeights::Rendered(kept), share, rng, |_, pixels| pixels),
             Kept::Nothing => {
+                let (pixels, labels) = view.pixels(&view.sample(share, rng));
                 let weights = Arc::new(self.normalised_weights(index, &pixels)?.over_columns(&visible));
-                let rows = (0..pixels.len() as u32).collect();
-                LabelledPixels { weights: PixelWeights::Stored(weights), rows, labels }
+                LabelledPixels::new(PixelWeights::Stored(weights), (0..pixels.len() as u32).collect(), labels)
             }
         };
         Ok(Drawn { visible, pixels })
@@ -255,7 +276,7 @@ impl<'a> TrainingViews<'a> {
         map.ids.iter_mut().zip(&kept).for_each(|(class, kept)| *class = if *kept { *class } else { UNLABELLED });
         let count = kept.iter().filter(|kept| **kept).count();
         let entries = Arc::default();
-        let kept = match self.budget.checked_sub(RenderedView::bytes(visible.len())) {
+        let kept = match self.budget.checked_sub(RenderedView::bytes(visible.len()) + DEVICE_PIXEL * count) {
             Some(left) => {
                 self.budget = left;
                 Kept::OnDevice(Arc::new(self.rendered(index, splats, &visible, &entries)))
@@ -263,7 +284,7 @@ impl<'a> TrainingViews<'a> {
             None => Kept::Nothing,
         };
         let (visible, labels) = (Arc::new(visible.into()), LabelRuns::from(map));
-        let view = LabelledView { visible, labels, count, kept, entries };
+        let view = LabelledView { visible, labels, count, kept, entries, all: OnceLock::new() };
         Ok(self.seen[index].insert(Arc::new(view)).clone())
     }
 
@@ -300,11 +321,12 @@ impl<'a> TrainingViews<'a> {
         }
         let visible: Vec<u32> = (0..shown.len() as u32).filter(|&i| shown[i as usize]).collect();
         let kept = keep.map_or(Kept::Nothing, |weights| {
-            self.budget -= weights.bytes();
+            self.budget = self.budget.saturating_sub(weights.bytes() + PIXEL * count);
             Kept::Weights(Arc::new(weights.over_columns(&visible)))
         });
         let labels = LabelRuns::from(LabelMap { ids: covered, ..map });
-        let view = LabelledView { visible: Arc::new(visible.into()), labels, count, kept, entries: Arc::default() };
+        let (visible, entries) = (Arc::new(visible.into()), Arc::default());
+        let view = LabelledView { visible, labels, count, kept, entries, all: OnceLock::new() };
         Ok(self.seen[index].insert(Arc::new(view)).clone())
     }
 }
