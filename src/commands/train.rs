@@ -36,7 +36,7 @@ The run folder gets
   renders/       held-out views: colour, labels, error maps
   checkpoint/    what --resume goes on from
 
-Ctrl-C, or SIGTERM, saves a checkpoint and stops after the step; a second one stops at once. The report and all else that
+Ctrl-C, or SIGTERM, saves a checkpoint and stops after the step or view; a second one stops at once. The report and all else that
 shows results is written when the run is done.
 
 Settings come from the preset (preset = \"default\", \"paper\" or \"fast\"), then --config, then --set; sections are
