@@ -178,6 +178,11 @@ pub fn in_host_memory(device: &Device) -> bool {
     }
 }
 
+/// Whether scenes are rendered on `device`: a GPU that is no match for the kernels would hand everything back to the host.
+pub fn renders_on(device: &Device) -> bool {
+    !in_host_memory(device) && shortfall(device).is_none()
+}
+
 /// What `device`, if it is a GPU, has too little of for the rasterizer's kernels: there it copies from and to the GPU and
 /// renders on the CPU.
 pub fn shortfall(device: &Device) -> Option<String> {

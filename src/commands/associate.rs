@@ -6,7 +6,6 @@ use clap::Args;
 use coseg::camera::Camera;
 use coseg::config::Association;
 use coseg::data::{LabelRuns, MapGeometry, NamedCamera, Scene, Split, View, transforms};
-use coseg::device;
 use coseg::error::Result;
 use coseg::gaussians::ply;
 use coseg::metrics::{InstanceScores, SemanticScores, instance_scores};
@@ -41,10 +40,8 @@ impl AssociateArgs {
     pub fn run(self) -> Result<()> {
         let mut config = self.input.config()?;
         config.data.association = Association::Gaussians;
-        // Nothing is trained: what is seldom meant there is not told here.
-        config.segmentation.rows = Some(Vec::new());
         let raster = raster::Settings::from(&config.raster);
-        let device = device::open(None)?;
+        let device = self.input.device()?;
         let (mut scene, ply) = self.input.read(&config, &device)?;
         let found = associate(&ply.gaussians, &scene, &config.association, &raster)?;
         terminal::say(&format!(

@@ -80,7 +80,7 @@ impl DataArgs {
 impl CheckArgs {
     fn run(self) -> Result<()> {
         let config = self.settings.load(Some(&self.dir), None)?;
-        let mut options = LoadOptions::from(&config);
+        let mut options = LoadOptions::for_training(&config);
         let mut found = Vec::new();
         if let Some(path) = &self.manifest {
             let manifest = Manifest::read(path)?;
@@ -115,7 +115,7 @@ impl CheckArgs {
 impl InfoArgs {
     fn run(self) -> Result<()> {
         let config = self.settings.load(Some(&self.dir), None)?;
-        let options = LoadOptions::from(&config);
+        let options = LoadOptions::for_training(&config);
         let info = data::info(&self.dir, &options)?;
         if let Some(path) = &self.sheet {
             let (tiles, classes) = data::thumbnails(&self.dir, &options, SHEET.0, SHEET.1)?;

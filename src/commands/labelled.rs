@@ -6,6 +6,7 @@ use burn::tensor::Device;
 use clap::Args;
 use coseg::config::Config;
 use coseg::data::{self, Limits, LoadOptions, Scene, atomic};
+use coseg::device::{self, BackendName};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
 use coseg::train::compare_with_photos;
@@ -23,6 +24,9 @@ pub struct LabelledArgs {
     /// Folder to write to; made if absent
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Where to compute: wgpu, flex, ndarray or cuda [default: the first in this build, cuda aside]
+    #[arg(long, value_name = "NAME")]
+    backend: Option<BackendName>,
     #[command(flatten)]
     settings: Settings,
 }
@@ -31,6 +35,11 @@ impl LabelledArgs {
     /// The settings.
     pub fn config(&self) -> Result<Config> {
         self.settings.load(Some(&self.data), None)
+    }
+
+    /// Where to compute.
+    pub fn device(&self) -> Result<Device> {
+        device::open(self.backend)
     }
 
     /// Reads both, the scene relative to the origin of the Gaussians.

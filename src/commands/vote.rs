@@ -5,7 +5,6 @@ use super::terminal;
 use clap::Args;
 use coseg::config::Association;
 use coseg::data::{LabelRuns, Split};
-use coseg::device;
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply;
 use coseg::metrics::{Void, label_scores};
@@ -38,7 +37,7 @@ impl VoteArgs {
             return Err(Error::config("data.association", "\"gaussians\"", expected, mend));
         }
         let raster = raster::Settings::from(&config.raster);
-        let device = device::open(None)?;
+        let device = self.input.device()?;
         let (scene, ply) = self.input.read(&config, &device)?;
         if !scene.split(Split::Train).any(|v| v.raw.is_some()) {
             let mend = "add raw_label_path to the frames of a transforms.json, or name a folder with --set data.raw_labels=FOLDER";

@@ -62,6 +62,10 @@ impl Config {
         }
         // What others are not read for.
         given.remove("segmentation.rows");
+        // Goes with Gaussians of a file, which all come back.
+        if self.building.gaussians.is_some() && self.unprojection.attendance == 0.0 {
+            given.remove("unprojection.attendance");
+        }
         given
     }
 

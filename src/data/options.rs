@@ -75,16 +75,21 @@ impl From<&DataConfig> for LoadOptions {
 impl From<&Config> for LoadOptions {
     fn from(config: &Config) -> Self {
         let background = config.raster.background.map(|c| (c * 255.0).round() as u8);
+        Self { background, ..Self::from(&config.data) }
+    }
+}
+
+impl LoadOptions {
+    /// Those of a scene that is to be trained by `config`: with [`LoadOptions::unit_is_metre`] as the rows of stage two have it.
+    pub fn for_training(config: &Config) -> Self {
         let encoded = |row: &Row| row.is_fused() && !matches!(row, Row::NoSpatial | Row::RandomSpatial);
         let spatial = &config.spatial;
         let unit_is_metre = spatial.scale == 1.0
             && spatial.source != SpatialSource::Random
             && config.segmentation.rows().iter().any(encoded);
-        Self { background, unit_is_metre, ..Self::from(&config.data) }
+        Self { unit_is_metre, ..Self::from(config) }
     }
-}
 
-impl LoadOptions {
     /// Which frames are read, as (index, split), ascending. `given` is what the folder says of each; where it says
     /// nothing of any, every 8th of those that are read is test, from the first on.
     pub(super) fn pick(&self, given: &[Option<Split>]) -> Vec<(usize, Split)> {

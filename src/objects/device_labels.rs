@@ -48,7 +48,7 @@ impl DeviceLabels {
         let [n, _] = self.of_gaussians.dims();
         let most =
             largest_allocation(&self.of_gaussians.device()).map_or(BLOCK_BYTES, |most| (most / 4).min(BLOCK_BYTES));
-        let of_gaussians = (most / (n * size_of::<f32>())).max(FEWEST);
+        let of_gaussians = (most / (n * size_of::<f32>()).max(1)).max(FEWEST);
         let together = of_image.min(of_gaussians);
         (0..labels).step_by(together).map(|first| first..(first + together).min(labels)).collect()
     }

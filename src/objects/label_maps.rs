@@ -82,7 +82,8 @@ impl<'a> LabelMaps<'a> {
         }
     }
 
-    /// The same on a GPU, whose memory they go to: 4 bytes a Gaussian, for scores as many a class.
+    /// The same on a GPU, whose memory they go to: 4 bytes a Gaussian and class of scores; of labels 4 a Gaussian, and as many for
+    /// each label that is blended together with others, 1 GiB at most.
     pub fn on(&self, device: &Device) -> DeviceLabelMaps<'_> {
         let device = device.clone().inner();
         let blended = match &self.blended {

@@ -4,7 +4,7 @@ use super::device_labels::{DeviceLabels, larger_of, largest_of};
 use super::hard_labels::with_hard_labels;
 use crate::camera::Camera;
 use crate::data::LabelMap;
-use crate::device::{in_host_memory, read, shortfall};
+use crate::device::{read, renders_on};
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::raster::{
@@ -88,7 +88,7 @@ impl Renderer {
         gaussians.check(labels.as_deref())?;
         options.check()?;
         // Where there is nothing, nothing is sent; where the host would render all the same, nothing is copied for each frame.
-        let on_host = in_host_memory(device) || shortfall(device).is_some() || gaussians.is_empty();
+        let on_host = !renders_on(device) || gaussians.is_empty();
         let place = match on_host {
             true => Place::Host { gaussians: Box::new(gaussians), labels },
             false => Place::Device(Box::new(OnDevice::new(gaussians, labels.as_deref(), device))),

@@ -7,7 +7,7 @@ mod device;
 
 use super::Identities;
 use crate::data::{Classes, View};
-use crate::device::{in_host_memory, shortfall};
+use crate::device::renders_on;
 use crate::error::Result;
 use crate::gaussians::Gaussians;
 use crate::metrics::Agreement;
@@ -42,7 +42,7 @@ pub fn vote<'a>(
 ) -> Result<Votes> {
     let (n, c) = (gaussians.len(), classes.len());
     let lookup = classes.lookup();
-    let mut on_device = match n * c > 0 && !in_host_memory(device) && shortfall(device).is_none() {
+    let mut on_device = match n * c > 0 && renders_on(device) {
         true => Some(DeviceVotes::new(gaussians, c, settings, device)),
         false => None,
     };

@@ -110,12 +110,12 @@ pub fn held_out_views<'a>(
     let rule = LabelRule::from(&config.segmentation);
     let maps = rows.iter().filter_map(|r| Some(LabelMaps::new(r.identities.as_ref()?, &outcome.scene.classes, rule)));
     let maps: Vec<_> = maps.collect();
-    let mut pictures = Pictures::new(&outcome.gaussians, config, device)?;
+    let mut pictures = Pictures::new(&outcome.gaussians, config, device)?.with_labels(&maps);
     let test: Vec<&View> = outcome.scene.split(Split::Test).collect();
     let on_page: Vec<usize> = shown_of(test.len()).collect();
     let mut views = Vec::new();
     for (i, view) in test.into_iter().enumerate() {
-        let (rgb, scores, labels) = pictures.labelled(view, &maps)?;
+        let (rgb, scores, labels) = pictures.labelled(view)?;
         let labels = rows.iter().map(|row| row.row).zip(labels).collect();
         let rendered = HeldOutView { view, rgb, scores, labels };
         match on_page.contains(&i) {

@@ -3,7 +3,7 @@
 use super::segmentation_inputs::Inputs;
 use crate::config::Association;
 use crate::data::{LabelRuns, Split, View};
-use crate::device::{in_host_memory, shortfall};
+use crate::device::renders_on;
 use crate::error::Result;
 use crate::metrics::{InstanceScores, LabelScores, SemanticScores, Void, instance_scores, label_scores};
 use crate::objects::{Identities, LabelMaps, LabelRule, Semantics, has_truth};
@@ -27,8 +27,7 @@ impl<'a> LabelledViews<'a> {
     /// # Errors
     /// As [`Projected::new`].
     pub fn new(views: impl Iterator<Item = &'a View>, inputs: &Inputs, bytes: usize) -> Result<Self> {
-        let on_device =
-            !in_host_memory(inputs.device) && shortfall(inputs.device).is_none() && !inputs.gaussians.is_empty();
+        let on_device = renders_on(inputs.device) && !inputs.gaussians.is_empty();
         let splats = on_device.then(|| SplatTensors::new(inputs.gaussians, inputs.device));
         let mut left = if on_device { 0 } else { bytes };
         let keep = |view| {

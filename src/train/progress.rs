@@ -77,7 +77,7 @@ pub trait Progress {
     /// Called after each event.
     fn event(&mut self, event: &Event);
 
-    /// Asked after each iteration, after each view of a stage that learns nothing, and between the parts of a run; true ends
+    /// Asked after each iteration, after each view of features, unprojection and association, and between the parts of a run; true ends
     /// the run there. What was trained is in a checkpoint then, but for a trial of learning rates: that begins anew, and so
     /// does a stage that learns nothing.
     fn stop(&mut self) -> bool {

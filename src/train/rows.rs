@@ -101,7 +101,10 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
     let compacting = Compacting::new(inputs)?;
     let mut spatial = Spatial::default();
     let (mut rows, mut earlier, mut stopped) = (Vec::new(), 0.0, false);
-    for &row in config.rows() {
+    for (number, &row) in config.rows().iter().enumerate() {
+        // A table of votes takes as much as identities do.
+        let votes = |row: &Row| *row == Row::Vote || row.is_fused() && config.prior == Prior::Votes;
+        views.keep_votes(config.rows()[number + 1..].iter().any(votes));
         let outcome = match row {
             Row::Raw => {
                 let (scores, void_left_out) = held_out.score_raw(inputs);
@@ -185,18 +188,18 @@ fn trained(
     let device = inputs.device.clone().autodiff();
     let classes = inputs.scene.classes.len();
     let fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: &Rate, progress: &mut dyn Progress| {
-        // Of the last point of the curve: the end of training asks for nothing anew.
+        // Of the end of training, which asks for nothing anew.
         let mut last: Option<(Identities, Scores)> = None;
-        let mut score = |model: &mut dyn Model| {
+        let mut score = |model: &mut dyn Model, iteration| {
             if held_out.is_empty() {
                 return Ok(None);
             }
-            // Those of the point before go first: a large scene's take gigabytes.
-            last = None;
             let identities = model.identities()?;
             let scores = held_out.score(&identities, inputs)?;
             let miou = scores.miou();
-            last = Some((identities, scores));
+            if iteration == plan.iterations {
+                last = Some((identities, scores));
+            }
             Ok(miou)
         };
         let Session { curve, earlier, whole } = train(model, views, &plan, &pace, &mut score, progress)?;

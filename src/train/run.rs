@@ -101,7 +101,7 @@ impl Outcome {
         Some((row, row.identities.as_ref()?))
     }
 
-    /// Mean size of the learned parts in bytes: (name, bytes).
+    /// Size of the learned parts in bytes: (name, bytes).
     pub fn learnable_bytes(&self) -> Vec<(String, u64)> {
         let g = &self.gaussians;
         let floats = g.len() * (3 + 3 + 4 + 1 + 3 * g.sh_len());
@@ -120,9 +120,13 @@ impl Outcome {
 /// # Errors
 /// Those of the loader, each naming file and field.
 pub fn load_scene(config: &Config) -> Result<Scene> {
+    load(config, |config| LoadOptions::from(config))
+}
+
+fn load(config: &Config, options: impl FnOnce(&Config) -> LoadOptions) -> Result<Scene> {
     match &config.data.dir {
         None => Ok(builtin::scene(builtin::EVALUATED_SEED)),
-        Some(dir) => data::load(dir, &LoadOptions::from(config)),
+        Some(dir) => data::load(dir, &options(config)),
     }
 }
 
@@ -133,10 +137,7 @@ pub fn load_scene(config: &Config) -> Result<Scene> {
 /// Those of loading, of both stages, and of writing; nothing written before is lost.
 pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Progress) -> Result<Outcome> {
     let start = Instant::now();
-    for notice in config.unread() {
-        tracing::warn!("{notice}");
-    }
-    let scene = load_scene(config)?;
+    let scene = load(config, LoadOptions::for_training)?;
     let config = &match &config.segmentation.rows {
         None => {
             // As stage two will know them: association has yet to come.
@@ -148,6 +149,9 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
         }
         Some(_) => config.clone(),
     };
+    for notice in config.unread() {
+        tracing::warn!("{notice}");
+    }
     if !config.segmentation.rows().is_empty() && !has_raw_labels(&scene) {
         tracing::warn!(
             "no training view has raw labels: only the Gaussians are built (raw_label_path in transforms.json or the folder \

@@ -51,7 +51,7 @@ fn label_maps_are_those_of_the_host() {
     let Some(gpu) = crate::gpu() else { return };
     // The larger image takes 260 labels in several blocks.
     for (width, height, count, scale) in
-        [(90, 70, 12, 0.04), (90, 70, 1, 0.04), (160, 120, 70, 0.1), (1200, 900, 260, 0.1)]
+        [(90, 70, 12, 0.04), (90, 70, 1, 0.04), (160, 120, 70, 0.1), (1200, 900, 260, 0.03)]
     {
         let camera = crate::raster_reference::camera(width, height);
         let gaussians = gaussians(&camera, scale);

@@ -18,8 +18,8 @@ fn views_show_the_same_pixels_and_blend_alike() {
     crate::plates::scene(folder.path());
     let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
     let (gaussians, _) = crate::plates::plates();
-    // With and without room for the Gaussians that a view shows.
-    for budget in [1 << 20, 0] {
+    // With and without room for the Gaussians that a view shows, and of all pixels, which are listed once, or some.
+    for (budget, share) in [(1 << 20, 0.25), (0, 0.25), (1 << 20, 1.0), (0, 1.0)] {
         let views = |device: &Device| {
             let train = scene.split(Split::Train);
             TrainingViews::new(&gaussians, train, &scene.classes, Settings::default(), 0.5, budget, device)
@@ -30,8 +30,8 @@ fn views_show_the_same_pixels_and_blend_alike() {
             // A view's first use, and another.
             for time in 0..2 {
                 let rng = || stream(3, Purpose::Pixels, time);
-                let want = on_host.draw(index, 0.25, &mut rng()).expect("finite");
-                let got = on_gpu.draw(index, 0.25, &mut rng()).expect("finite");
+                let want = on_host.draw(index, share, &mut rng()).expect("finite");
+                let got = on_gpu.draw(index, share, &mut rng()).expect("finite");
                 // A Gaussian that shows at a cut-off alone may be seen here and not there.
                 let both = got.visible.iter().filter(|id| want.visible.contains(id)).count();
                 let most = got.visible.len().max(want.visible.len());

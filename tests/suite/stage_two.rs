@@ -5,11 +5,13 @@ use coseg::config::{Association, Blend, BuildingConfig, Config, LabelSource, Pri
 use coseg::data::{Classes, LabelMap, LabelRuns, LoadOptions, Split, load};
 use coseg::gaussians::init;
 use coseg::objects::{Identities, LabelRule, hard_label_map, label_map, vote};
+use coseg::random::{Purpose, stream};
 use coseg::raster::{Projected, Settings};
 use coseg::segmentation::loss::Kind;
 use coseg::train::progress::Silent;
-use coseg::train::segmentation::{Model, Plan, Recalls, train_step};
+use coseg::train::segmentation::{Model, Plan, Recalls, TrainingViews, train_step};
 use coseg::train::{Inputs, Outcome, Spatial, decoder_row, run};
+use std::sync::Arc;
 
 fn trained(edit: impl Fn(&mut SegmentationConfig)) -> Outcome {
     let folder = tempfile::tempdir().expect("a folder");
@@ -241,4 +243,32 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
     };
     assert_ne!(scores(true, 4), scores(false, 4), "two of four steps of a trial");
     assert_eq!(scores(true, 40), scores(false, 40), "none of the first twenty");
+}
+
+#[test]
+fn all_pixels_of_a_view_are_listed_once_as_far_as_the_budget_reaches() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::plates::scene(folder.path());
+    let scene = load(folder.path(), &LoadOptions::default()).expect("scene");
+    let (gaussians, _) = crate::plates::plates();
+    #[cfg(feature = "wgpu")]
+    let devices = [Some(crate::device()), crate::gpu()];
+    #[cfg(not(feature = "wgpu"))]
+    let devices = [Some(crate::device())];
+    for device in devices.into_iter().flatten() {
+        // Whether the same view's second draw has the list of its first, and how many pixels are on it.
+        let draw = |budget: usize, share: f64| {
+            let (train, settings) = (scene.split(Split::Train), Settings::default());
+            let mut views = TrainingViews::new(&gaussians, train, &scene.classes, settings, 0.5, budget, &device);
+            let mut drawn = || views.draw(0, share, &mut stream(1, Purpose::Pixels, 0)).expect("pixels").pixels;
+            let (first, second) = (drawn(), drawn());
+            assert_eq!((&first.rows[..], &first.labels), (&second.rows[..], &second.labels), "{device:?}");
+            (Arc::ptr_eq(&first.rows, &second.rows) && Arc::ptr_eq(&first.labels, &second.labels), first.rows.len())
+        };
+        let (kept, all) = draw(1 << 24, 1.0);
+        assert!(kept && all > 100, "{all} listed on {device:?}");
+        assert_eq!(draw(0, 1.0), (false, all), "{device:?}");
+        let (kept, some) = draw(1 << 24, 0.25);
+        assert!(!kept && some < all, "{some} of {all} on {device:?}");
+    }
 }

@@ -52,6 +52,9 @@ fn what_another_setting_leaves_unread_is_told() {
     ] {
         assert_eq!(unread(&read), Vec::<String>::new());
     }
+    // What `train --scene` sets beside the Gaussians that it begins with.
+    let given = ["building.gaussians=a.ply", "building.iterations=0", "unprojection.attendance=0"];
+    assert_eq!(unread(&[&given[..], &["segmentation.rows=[]"]].concat()), Vec::<String>::new());
     for preset in [Preset::Default, Preset::Paper, Preset::Fast] {
         assert!(Config::preset(preset).unread().is_empty() && Config::builtin_preset(preset).unread().is_empty());
     }

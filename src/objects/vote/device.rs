@@ -56,8 +56,9 @@ impl DeviceVotes {
                 let sums = view.adjoint(image.reshape([height, width, part.len()]))?.sums;
                 let columns = part.iter().map(|&class| i64::from(class) - (number * self.width) as i64).collect();
                 let columns = Tensor::<1, Int>::from_data(TensorData::new(columns, [part.len()]), &device);
-                let table = self.tables[number].clone();
-                self.tables[number] = table.select_assign(1, columns, sums, IndexingUpdateOp::Add);
+                // Taken out: a table that somebody else held would be copied.
+                let table = self.tables.remove(number);
+                self.tables.insert(number, table.select_assign(1, columns, sums, IndexingUpdateOp::Add));
             }
         }
         Ok(())

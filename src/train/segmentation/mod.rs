@@ -2,6 +2,7 @@
 
 mod chunked;
 mod consistency;
+mod drawing;
 mod fused;
 mod optimiser;
 mod per_gaussian;
@@ -12,12 +13,13 @@ mod session;
 mod views;
 
 pub use consistency::{dropped_channels, generalised_js};
+pub use drawing::view_at;
 pub use fused::{Encoded, Fused, FusedPlan, Source};
 pub use optimiser::{ModuleAdam, NamedValues};
 pub use per_gaussian::PerGaussian;
 pub use recalls::Recalls;
 pub use session::{Pace, Score, Session, train};
-pub use views::{Drawn, TrainingViews, view_at};
+pub use views::{Drawn, TrainingViews};
 
 use crate::config::{Blend, SegmentationConfig};
 use crate::device::read;

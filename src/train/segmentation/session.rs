@@ -24,8 +24,8 @@ pub struct Pace {
     pub provenance: Provenance,
 }
 
-/// Scores the identities of a model on the held-out views: pooled mIoU, none where nothing can be scored.
-pub type Score<'a> = &'a mut dyn FnMut(&mut dyn Model) -> Result<Option<f64>>;
+/// Scores the identities of a model on the held-out views after so many iterations: pooled mIoU, none where nothing can be scored.
+pub type Score<'a> = &'a mut dyn FnMut(&mut dyn Model, usize) -> Result<Option<f64>>;
 
 /// What training gave beside the model.
 #[derive(Clone, Debug, PartialEq)]
@@ -82,7 +82,7 @@ pub fn train(
         // No point for a stop: the curve of a resumed run is that of an uninterrupted one.
         if end || iteration.is_multiple_of(pace.eval_every.max(1)) {
             let [seconds, sum, count] = place.running;
-            let miou = score(model)?;
+            let miou = score(model, iteration)?;
             let point =
                 CurvePoint { iteration, seconds, loss: sum / count.max(1.0), miou, gaussians, ..CurvePoint::default() };
             place.running = [seconds, 0.0, 0.0];

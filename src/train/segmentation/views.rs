@@ -1,5 +1,6 @@
 //! What stage two needs of a training view: its labelled pixels, and their normalised blending weights.
 
+use super::drawing::{one_of_each_run, view_at};
 use super::rendered::{RenderedView, visible};
 use crate::data::{Classes, LabelMap, LabelRuns, View};
 use crate::device::in_host_memory;
@@ -7,10 +8,9 @@ use crate::error::Result;
 use crate::gaussians::Gaussians;
 use crate::objects::{Votes, vote};
 use crate::ops::{LabelledPixels, PixelLabels, PixelWeights, RowList, SparseMatrix, UNLABELLED};
-use crate::random::{Purpose, stream};
 use crate::raster::{Projected, Settings, SplatTensors};
 use burn::tensor::Device;
-use rand::{Rng, seq::SliceRandom};
+use rand::Rng;
 use std::sync::{Arc, OnceLock};
 
 /// Bytes of a listed pixel and its label, and what they are where a device has them too.
@@ -51,21 +51,21 @@ impl LabelledView {
         one_of_each_run(self.count, share, rng)
     }
 
-    /// [`LabelledView::sample`] with `weights`, of which `rows` says from the drawn rows and their pixels which are drawn. All of them
-    /// are listed once.
+    /// [`LabelledView::sample`] with `weights`, of which `rows` says from the drawn rows and their pixels which are drawn. Those that
+    /// `keep` says to be all of them are listed once.
     fn labelled(
         &self,
         weights: PixelWeights,
-        share: f64,
-        rng: &mut impl Rng,
+        keep: bool,
+        sample: impl FnOnce() -> Vec<u32>,
         rows: impl FnOnce(Vec<u32>, Vec<u32>) -> Vec<u32>,
     ) -> LabelledPixels {
-        let draw = |rng: &mut _| {
-            let drawn = self.sample(share, rng);
+        let draw = || {
+            let drawn = sample();
             let (pixels, labels) = self.pixels(&drawn);
             (Arc::new(rows(drawn, pixels).into()), Arc::new(labels.into()))
         };
-        let (rows, labels) = if share >= 1.0 { self.all.get_or_init(|| draw(rng)).clone() } else { draw(rng) };
+        let (rows, labels) = if keep { self.all.get_or_init(draw).clone() } else { draw() };
         LabelledPixels { weights, rows, labels }
     }
 
@@ -86,22 +86,6 @@ impl LabelledView {
         }
         (pixels, labels)
     }
-}
-
-/// One of each run of `1 / share` of the numbers below `count`, ascending. Where that is no whole number, runs of the two whole
-/// ones beside it alternate, so that the share is exact, and begin elsewhere each time, so that each number is drawn as often.
-fn one_of_each_run(count: usize, share: f64, rng: &mut impl Rng) -> Vec<u32> {
-    let run = (1.0 / share.clamp(0.0, 1.0)).max(1.0);
-    // One divided by 1/49 is not quite 49.
-    let whole = (run - run.round()).abs() < 1e-9 * run;
-    let run = if whole { run.round() } else { run };
-    if run == 1.0 {
-        return (0..count as u32).collect();
-    }
-    let shift = if whole { 0.0 } else { run * rng.random::<f64>() };
-    let start = |i: usize| ((i as f64 * run - shift) as usize).min(count);
-    let runs = (0..).map(|i| start(i)..start(i + 1)).take_while(|run| run.start < count);
-    runs.filter(|run| !run.is_empty()).map(|run| rng.random_range(run) as u32).collect()
 }
 
 /// The pixels of a step.
@@ -129,6 +113,7 @@ pub struct TrainingViews<'a> {
     /// All Gaussians, where they are rendered on a GPU.
     splats: Option<SplatTensors>,
     votes: Option<Arc<Votes>>,
+    keep_votes: bool,
     device: Device,
 }
 
@@ -147,7 +132,20 @@ impl<'a> TrainingViews<'a> {
         let (seen, used) = (vec![None; views.len()], (0..views.len()).collect());
         let splats = (!in_host_memory(device)).then(|| SplatTensors::new(gaussians, device));
         let device = device.clone();
-        Self { gaussians, seen, views, used, classes, settings, min_coverage, budget, splats, votes: None, device }
+        Self {
+            gaussians,
+            seen,
+            views,
+            used,
+            classes,
+            settings,
+            min_coverage,
+            budget,
+            splats,
+            votes: None,
+            keep_votes: false,
+            device,
+        }
     }
 
     /// Number of views, those left out included.
@@ -187,17 +185,23 @@ impl<'a> TrainingViews<'a> {
         self.classes.len()
     }
 
-    /// The votes of the views in use, which are kept for as long as these stay in use.
+    /// Whether votes are kept for as long as the same views are in use, because they will be asked for again.
+    pub fn keep_votes(&mut self, keep: bool) {
+        self.keep_votes = keep;
+    }
+
+    /// The votes of the views in use.
     ///
     /// # Errors
     /// As [`vote`].
     pub fn votes(&mut self) -> Result<Arc<Votes>> {
-        if let Some(votes) = &self.votes {
-            return Ok(votes.clone());
-        }
         let used = self.used.iter().map(|&i| self.views[i]);
-        let votes = vote(self.gaussians, used, self.classes, &self.settings, &self.device)?;
-        Ok(self.votes.insert(Arc::new(votes)).clone())
+        let votes = match self.votes.take() {
+            Some(votes) => votes,
+            None => Arc::new(vote(self.gaussians, used, self.classes, &self.settings, &self.device)?),
+        };
+        self.votes = self.keep_votes.then(|| votes.clone());
+        Ok(votes)
     }
 
     /// Number of Gaussians in the scene.
@@ -236,16 +240,30 @@ impl<'a> TrainingViews<'a> {
             }
         };
         let visible = view.visible.clone();
+        let keep = share >= 1.0 && self.keeps_pixels(&view);
+        let mut sample = || view.sample(share, rng);
         let pixels = match kept {
-            Kept::Weights(weights) => view.labelled(PixelWeights::Stored(weights), share, rng, |rows, _| rows),
-            Kept::OnDevice(kept) => view.labelled(PixelWeights::Rendered(kept), share, rng, |_, pixels| pixels),
+            Kept::Weights(weights) => view.labelled(PixelWeights::Stored(weights), keep, sample, |rows, _| rows),
+            Kept::OnDevice(kept) => view.labelled(PixelWeights::Rendered(kept), keep, sample, |_, pixels| pixels),
             Kept::Nothing => {
-                let (pixels, labels) = view.pixels(&view.sample(share, rng));
+                let (pixels, labels) = view.pixels(&sample());
                 let weights = Arc::new(self.normalised_weights(index, &pixels)?.over_columns(&visible));
                 LabelledPixels::new(PixelWeights::Stored(weights), (0..pixels.len() as u32).collect(), labels)
             }
         };
         Ok(Drawn { visible, pixels })
+    }
+
+    /// Whether the list of all pixels of `view` is kept: as long as the budget lasts, of views of which more is.
+    fn keeps_pixels(&mut self, view: &LabelledView) -> bool {
+        let bytes = match view.kept {
+            Kept::Nothing => return false,
+            Kept::Weights(_) => PIXEL * view.count,
+            Kept::OnDevice(_) => DEVICE_PIXEL * view.count,
+        };
+        let left = if view.all.get().is_some() { Some(self.budget) } else { self.budget.checked_sub(bytes) };
+        self.budget = left.unwrap_or(self.budget);
+        left.is_some()
     }
 
     /// Weights of `pixels` of view `index` over all Gaussians; rows of barely covered pixels are empty.
@@ -276,7 +294,7 @@ impl<'a> TrainingViews<'a> {
         map.ids.iter_mut().zip(&kept).for_each(|(class, kept)| *class = if *kept { *class } else { UNLABELLED });
         let count = kept.iter().filter(|kept| **kept).count();
         let entries = Arc::default();
-        let kept = match self.budget.checked_sub(RenderedView::bytes(visible.len()) + DEVICE_PIXEL * count) {
+        let kept = match self.budget.checked_sub(RenderedView::bytes(visible.len())) {
             Some(left) => {
                 self.budget = left;
                 Kept::OnDevice(Arc::new(self.rendered(index, splats, &visible, &entries)))
@@ -321,57 +339,12 @@ impl<'a> TrainingViews<'a> {
         }
         let visible: Vec<u32> = (0..shown.len() as u32).filter(|&i| shown[i as usize]).collect();
         let kept = keep.map_or(Kept::Nothing, |weights| {
-            self.budget = self.budget.saturating_sub(weights.bytes() + PIXEL * count);
+            self.budget -= weights.bytes();
             Kept::Weights(Arc::new(weights.over_columns(&visible)))
         });
         let labels = LabelRuns::from(LabelMap { ids: covered, ..map });
         let (visible, entries) = (Arc::new(visible.into()), Arc::default());
         let view = LabelledView { visible, labels, count, kept, entries, all: OnceLock::new() };
         Ok(self.seen[index].insert(Arc::new(view)).clone())
-    }
-}
-
-/// The view of each iteration: a fresh shuffle every epoch, a function of (seed, iteration) alone.
-pub fn view_at(seed: u64, iteration: usize, views: usize) -> usize {
-    let (epoch, place) = (iteration / views.max(1), iteration % views.max(1));
-    let mut order: Vec<usize> = (0..views).collect();
-    order.shuffle(&mut stream(seed, Purpose::SegmentationViews, epoch as u64));
-    order[place]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::one_of_each_run;
-    use rand::{Rng, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
-
-    #[test]
-    fn any_share_of_the_pixels_is_drawn_as_given() {
-        for count in [0, 1, 7, 1_000, 123_457] {
-            for share in [1e-9, 1e-3, 0.07, 0.25, 0.4, 0.5, 0.6, 0.7, 0.9, 0.999_999, 1.0 - 1e-12, 1.0] {
-                let rows = one_of_each_run(count, share, &mut ChaCha8Rng::seed_from_u64(3));
-                assert!(rows.is_sorted_by(|a, b| a < b) && rows.iter().all(|row| (*row as usize) < count));
-                let off = rows.len() as f64 - share * count as f64;
-                assert!(off > -1.0 && off < 2.0, "{share} of {count}: {}", rows.len());
-            }
-        }
-        // Each as often as any other, but for the ends, whose runs are cut.
-        let (mut rng, mut drawn) = (ChaCha8Rng::seed_from_u64(4), [0; 700]);
-        (0..1_000).flat_map(|_| one_of_each_run(700, 0.7, &mut rng)).for_each(|row| drawn[row as usize] += 1);
-        assert!(drawn[2..698].iter().all(|times| (620..780).contains(times)), "{drawn:?}");
-    }
-
-    #[test]
-    fn one_of_so_many_draws_what_it_always_drew() {
-        for (share, stride) in [(0.5, 2), (0.25, 4), (0.1, 10), (1.0 / 3.0, 3), (1.0 / 49.0, 49)] {
-            let (mut rng, mut same) = (ChaCha8Rng::seed_from_u64(5), ChaCha8Rng::seed_from_u64(5));
-            let count = 100_003;
-            let want = (0..count).step_by(stride).map(|first| same.random_range(first..(first + stride).min(count)));
-            let want: Vec<u32> = want.map(|row| row as u32).collect();
-            assert_eq!(one_of_each_run(count, share, &mut rng), want, "{share}");
-        }
-        let mut rng = ChaCha8Rng::seed_from_u64(6);
-        assert!(one_of_each_run(50, 1.0, &mut rng).into_iter().eq(0..50));
-        assert_eq!(rng.random::<u64>(), ChaCha8Rng::seed_from_u64(6).random::<u64>(), "nothing is drawn for all");
     }
 }
