@@ -119,7 +119,7 @@ fn the_unit_of_a_colmap_model_is_seldom_a_metre() {
         let image = |i: usize| format!("{} 1 0 0 0 {} 0 0 7 {}\n\n", i + 1, -step * i as f64, colmap::name(i));
         fs::write(dir.join("sparse/0/images.txt"), (0..colmap::VIEWS).map(image).collect::<String>()).unwrap();
         let sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
-        let notices = check(dir, &LoadOptions::from(&Config::load(None, &sets).unwrap())).notices;
+        let notices = check(dir, &LoadOptions::for_training(&Config::load(None, &sets).unwrap())).notices;
         notices.into_iter().filter(|notice| notice.contains("spatial.scale")).collect::<Vec<_>>()
     };
     // Nine cameras in a row: the outer ones stand four steps from the middle.
