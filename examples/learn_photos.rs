@@ -26,7 +26,12 @@ struct Learned {
 
 impl Learned {
     fn new(gaussians: &Gaussians, device: &burn::tensor::Device) -> Self {
-        let SplatTensors { means, log_scales, rotations, opacity_logits } = SplatTensors::new(gaussians, device);
+        let SplatTensors {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+        } = SplatTensors::new(gaussians, device);
         let shape = [gaussians.len(), gaussians.sh_len(), 3];
         let sh = Tensor::from_data(TensorData::new(gaussians.sh.clone(), shape), device);
         Self {
@@ -54,12 +59,19 @@ impl Learned {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let device = coseg::device::open(None)?.autodiff();
-    let options = BuiltinOptions { width: 160, height: 120, train_views: 4, test_views: 0, ..Default::default() };
+    let options = BuiltinOptions {
+        width: 160,
+        height: 120,
+        train_views: 4,
+        test_views: 0,
+        ..Default::default()
+    };
     let scene = scene_with(&options)?;
     let views: Vec<_> = scene.split(Split::Train).collect();
     let photos = views.iter().map(|view| {
         let (height, width) = (view.camera.height, view.camera.width);
-        view.rgb().map(|rgb| Arc::new(Photo::new(rgb, height, width)))
+        view.rgb()
+            .map(|rgb| Arc::new(Photo::new(rgb, height, width)))
     });
     let photos = photos.collect::<coseg::Result<Vec<_>>>()?;
 
@@ -70,9 +82,20 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("{} Gaussians, {} photos", gaussians.len(), photos.len());
     for step in 0..=200 {
         let i = step % views.len();
-        let image = rasterize(learned.input(&means), &views[i].camera, &Settings::default(), [0.0; 3])?.image;
+        let image = rasterize(
+            learned.input(&means),
+            &views[i].camera,
+            &Settings::default(),
+            [0.0; 3],
+        )?
+        .image;
         if step % 40 == 0 {
-            let rendered = image.clone().inner().into_data().into_vec::<f32>().map_err(|e| format!("{e:?}"))?;
+            let rendered = image
+                .clone()
+                .inner()
+                .into_data()
+                .into_vec::<f32>()
+                .map_err(|e| format!("{e:?}"))?;
             let decibels = psnr(&rendered, photos[i].rgb()).unwrap_or(f64::NAN);
             println!("step {step:3}: PSNR {decibels:.2} dB in {}", views[i].name);
         }

@@ -17,8 +17,12 @@ use std::error::Error;
 use std::path::Path;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let run = std::env::args().nth(1).unwrap_or_else(|| "runs/builtin".to_owned());
-    let PlyScene { gaussians, origin, .. } = ply::read(&Path::new(&run).join("scene.ply"), &Limits::default())?;
+    let run = std::env::args()
+        .nth(1)
+        .unwrap_or_else(|| "runs/builtin".to_owned());
+    let PlyScene {
+        gaussians, origin, ..
+    } = ply::read(&Path::new(&run).join("scene.ply"), &Limits::default())?;
     let scene = builtin::scene(builtin::EVALUATED_SEED);
     if origin != scene.origin {
         return Err(format!("{run}: not a run of the built-in room").into()); // else cameras move by -origin
@@ -39,7 +43,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         let lifted = projected.blend_adjoint(&image, channels);
         sums.iter_mut().zip(&lifted).for_each(|(sum, v)| *sum += v);
-        weights.iter_mut().zip(projected.weight_sums()).for_each(|(sum, w)| *sum += w);
+        weights
+            .iter_mut()
+            .zip(projected.weight_sums())
+            .for_each(|(sum, w)| *sum += w);
     }
     for (row, weight) in sums.chunks_exact_mut(channels).zip(&weights) {
         row.iter_mut().for_each(|v| *v /= weight.max(1e-6));
@@ -51,7 +58,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         let projected = Projected::new(&gaussians.splats(), &view.camera, &Settings::default())?;
         let blended = projected.blend(&sums, channels);
         for (pixel, id) in blended.image.chunks_exact(channels).zip(&truth.map().ids) {
-            let Some(class) = scene.classes.index(*id) else { continue };
+            let Some(class) = scene.classes.index(*id) else {
+                continue;
+            };
             let best = (0..channels).max_by(|&a, &b| pixel[a].total_cmp(&pixel[b]));
             right += usize::from(best == Some(class));
             counted += 1;

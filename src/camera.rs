@@ -47,18 +47,51 @@ impl Camera {
         let m = DMat3::from_mat4(*c2w);
         let center = c2w.w_axis.truncate();
         let gram = m.transpose() * m;
-        let off = (gram - DMat3::IDENTITY).to_cols_array().iter().fold(0.0_f64, |a, &b| a.max(b.abs()));
-        if !m.is_finite() || !center.is_finite() || off.is_nan() || off >= 1e-3 || m.determinant() < 0.0 {
+        let off = (gram - DMat3::IDENTITY)
+            .to_cols_array()
+            .iter()
+            .fold(0.0_f64, |a, &b| a.max(b.abs()));
+        if !m.is_finite()
+            || !center.is_finite()
+            || off.is_nan()
+            || off >= 1e-3
+            || m.determinant() < 0.0
+        {
             return None;
         }
-        let Intrinsics { fx, fy, cx, cy, width, height } = intrinsics;
-        Some(Self { rotation: m.transpose(), center, fx, fy, cx, cy, width, height })
+        let Intrinsics {
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        } = intrinsics;
+        Some(Self {
+            rotation: m.transpose(),
+            center,
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        })
     }
 
     /// A camera of this image size without a pose of its own, for looking at files whose pose cannot be read.
     pub(crate) fn unposed((width, height): (usize, usize)) -> Self {
         let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
-        Self { rotation: DMat3::IDENTITY, center: DVec3::ZERO, fx: cx.max(1.0), fy: cx.max(1.0), cx, cy, width, height }
+        Self {
+            rotation: DMat3::IDENTITY,
+            center: DVec3::ZERO,
+            fx: cx.max(1.0),
+            fy: cx.max(1.0),
+            cx,
+            cy,
+            width,
+            height,
+        }
     }
 
     /// The OpenGL camera-to-world matrix; the inverse of [`Camera::from_opengl`].
@@ -78,18 +111,36 @@ impl Camera {
     /// Pixel coordinates and depth of a world point, or `None` when it is not in front of the camera.
     pub fn project(&self, world: DVec3) -> Option<(f64, f64, f64)> {
         let p = self.to_camera(world);
-        (p.z > 0.0).then(|| (self.fx * p.x / p.z + self.cx, self.fy * p.y / p.z + self.cy, p.z))
+        (p.z > 0.0).then(|| {
+            (
+                self.fx * p.x / p.z + self.cx,
+                self.fy * p.y / p.z + self.cy,
+                p.z,
+            )
+        })
     }
 
     /// World direction (not normalised, z = 1 in camera axes) through pixel coordinates `(u, v)`.
     pub fn ray(&self, u: f64, v: f64) -> DVec3 {
-        self.rotation.transpose() * DVec3::new((u - self.cx) / self.fx, (v - self.cy) / self.fy, 1.0)
+        self.rotation.transpose()
+            * DVec3::new((u - self.cx) / self.fx, (v - self.cy) / self.fy, 1.0)
     }
 
     /// The same camera with its image resampled to `width` x `height` pixels.
     pub fn resized(&self, width: usize, height: usize) -> Self {
-        let (sx, sy) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
-        Self { fx: self.fx * sx, cx: self.cx * sx, fy: self.fy * sy, cy: self.cy * sy, width, height, ..self.clone() }
+        let (sx, sy) = (
+            width as f64 / self.width as f64,
+            height as f64 / self.height as f64,
+        );
+        Self {
+            fx: self.fx * sx,
+            cx: self.cx * sx,
+            fy: self.fy * sy,
+            cy: self.cy * sy,
+            width,
+            height,
+            ..self.clone()
+        }
     }
 
     /// The same view as an image of `width` x `height` pixels whose pixels keep their shape: scaled as the height says, with
@@ -98,7 +149,15 @@ impl Camera {
         let scale = height as f64 / self.height as f64;
         let sides = 0.5 * (width as f64 - scale * self.width as f64);
         let [fx, fy, cx, cy] = [self.fx, self.fy, self.cx, self.cy].map(|v| scale * v);
-        Self { fx, fy, cx: cx + sides, cy, width, height, ..self.clone() }
+        Self {
+            fx,
+            fy,
+            cx: cx + sides,
+            cy,
+            width,
+            height,
+            ..self.clone()
+        }
     }
 }
 

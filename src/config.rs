@@ -19,7 +19,8 @@ pub use building::{BuildingConfig, McmcConfig, RasterConfig, Strategy};
 pub(crate) use data::same_folder;
 pub use data::{DataConfig, Layout, NO_MASKS, RawFormat, ScannetClasses};
 pub use features::{
-    Encode, FeatureConfig, FeatureSource, Normalisation, Resolution, SpatialConfig, SpatialSource, UnprojectionConfig,
+    Encode, FeatureConfig, FeatureSource, Normalisation, Resolution, SpatialConfig, SpatialSource,
+    UnprojectionConfig,
 };
 
 use serde::{Deserialize, Serialize};

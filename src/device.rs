@@ -51,7 +51,12 @@ impl std::str::FromStr for BackendName {
             "wgpu" => Ok(Self::Wgpu),
             "flex" => Ok(Self::Flex),
             "ndarray" => Ok(Self::Ndarray),
-            _ => Err(Error::argument("backend", name, "cuda, wgpu, flex or ndarray", "choose one of them")),
+            _ => Err(Error::argument(
+                "backend",
+                name,
+                "cuda, wgpu, flex or ndarray",
+                "choose one of them",
+            )),
         }
     }
 }
@@ -120,8 +125,22 @@ pub fn open_gpu() -> Result<Device> {
 /// `name` and, where it is known, what it computes on: "wgpu (NVIDIA H100 PCIe, vulkan)". A software adapter is called one.
 pub fn described(name: BackendName) -> String {
     #[cfg(feature = "wgpu")]
-    if let (BackendName::Wgpu, Ok(Some(Adapter { name: adapter, software }))) = (name, adapter()) {
-        return format!("{name} ({adapter}{})", if *software { ", a software adapter" } else { "" });
+    if let (
+        BackendName::Wgpu,
+        Ok(Some(Adapter {
+            name: adapter,
+            software,
+        })),
+    ) = (name, adapter())
+    {
+        return format!(
+            "{name} ({adapter}{})",
+            if *software {
+                ", a software adapter"
+            } else {
+                ""
+            }
+        );
     }
     name.to_string()
 }
@@ -149,9 +168,15 @@ pub fn open_hardware_gpu() -> Result<Device> {
 pub(crate) fn gpu_of_tests() -> Option<Device> {
     let required = std::env::var_os("COSEG_REQUIRE_GPU");
     let hardware = required.as_ref().is_some_and(|how| how == "hardware");
-    let device = if hardware { open_hardware_gpu() } else { open_gpu() };
+    let device = if hardware {
+        open_hardware_gpu()
+    } else {
+        open_gpu()
+    };
     let device = device.inspect_err(|error| assert!(required.is_none(), "{error}"));
-    device.inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()
+    device
+        .inspect_err(|error| eprintln!("SKIPPED: {error}"))
+        .ok()
 }
 
 /// The device of `name` for tests, a GPU as [`gpu_of_tests`]; other backends that do not open are told.
@@ -160,7 +185,9 @@ pub(crate) fn device_of_tests(name: BackendName) -> Option<Device> {
     match name {
         #[cfg(feature = "wgpu")]
         BackendName::Wgpu => gpu_of_tests(),
-        _ => open(Some(name)).inspect_err(|error| eprintln!("SKIPPED: {error}")).ok(),
+        _ => open(Some(name))
+            .inspect_err(|error| eprintln!("SKIPPED: {error}"))
+            .ok(),
     }
 }
 
@@ -213,8 +240,11 @@ pub(crate) fn read<const D: usize>(what: &str, tensor: Tensor<D>) -> Result<Vec<
         reason: format!("reading {what} back failed: {reason}"),
         mend: "see whether the device has memory left, or choose a CPU backend".into(),
     };
-    let data = tensor.try_into_data().map_err(|error| failed(format!("{error:?}")))?;
-    data.into_vec::<f32>().map_err(|error| failed(format!("{error:?}")))
+    let data = tensor
+        .try_into_data()
+        .map_err(|error| failed(format!("{error:?}")))?;
+    data.into_vec::<f32>()
+        .map_err(|error| failed(format!("{error:?}")))
 }
 
 fn device(name: BackendName) -> Result<Device> {
@@ -227,9 +257,15 @@ fn device(name: BackendName) -> Result<Device> {
         BackendName::Flex => Ok(Device::flex()),
         #[cfg(feature = "ndarray")]
         BackendName::Ndarray => Ok(Device::ndarray()),
-        #[allow(unreachable_patterns, reason = "unreachable only when every backend is compiled in")]
+        #[allow(
+            unreachable_patterns,
+            reason = "unreachable only when every backend is compiled in"
+        )]
         other => {
-            let has: Vec<String> = BackendName::compiled().iter().map(ToString::to_string).collect();
+            let has: Vec<String> = BackendName::compiled()
+                .iter()
+                .map(ToString::to_string)
+                .collect();
             Err(Error::Device {
                 device: other.to_string(),
                 reason: format!("not part of this build, which has {}", has.join(", ")),
@@ -243,7 +279,9 @@ fn device(name: BackendName) -> Result<Device> {
 #[cfg(feature = "cuda")]
 fn cuda() -> Result<Device> {
     // The device itself is lazy, and panics where the driver's library is missing.
-    let found = ["/dev/nvidiactl", "/dev/dxg"].iter().any(|path| std::path::Path::new(path).exists());
+    let found = ["/dev/nvidiactl", "/dev/dxg"]
+        .iter()
+        .any(|path| std::path::Path::new(path).exists());
     if found || cfg!(windows) {
         return Ok(Device::cuda(0));
     }
@@ -282,12 +320,16 @@ struct Adapter {
 #[cfg(feature = "wgpu")]
 fn adapter() -> &'static std::result::Result<Option<Adapter>, String> {
     use burn::tensor::wgpu::{WgpuInitError, wgpu::DeviceType};
-    static ADAPTER: std::sync::OnceLock<std::result::Result<Option<Adapter>, String>> = std::sync::OnceLock::new();
+    static ADAPTER: std::sync::OnceLock<std::result::Result<Option<Adapter>, String>> =
+        std::sync::OnceLock::new();
     ADAPTER.get_or_init(|| match Device::wgpu_options().init_with_setup() {
         Ok((_, setup)) => {
             let info = setup.adapter.get_info();
             let software = info.device_type == DeviceType::Cpu;
-            Ok(Some(Adapter { name: format!("{}, {}", info.name, info.backend), software }))
+            Ok(Some(Adapter {
+                name: format!("{}, {}", info.name, info.backend),
+                software,
+            }))
         }
         // Registered already: somebody computes on it.
         Err(WgpuInitError::Registration { .. }) => Ok(None),
@@ -298,8 +340,14 @@ fn adapter() -> &'static std::result::Result<Option<Adapter>, String> {
 
 /// Why another backend would be better than `name` with its `device`, if one would.
 fn unsuited(name: BackendName, device: &Device) -> Option<String> {
-    let software = software_adapter(name).map(|adapter| format!("the only adapter is {adapter}, a software one"));
-    let lacks = || Some(format!("its adapter is no match for the kernels: {}", shortfall(device)?));
+    let software = software_adapter(name)
+        .map(|adapter| format!("the only adapter is {adapter}, a software one"));
+    let lacks = || {
+        Some(format!(
+            "its adapter is no match for the kernels: {}",
+            shortfall(device)?
+        ))
+    };
     software.or_else(lacks)
 }
 
@@ -307,7 +355,12 @@ fn unsuited(name: BackendName, device: &Device) -> Option<String> {
 fn software_adapter(name: BackendName) -> Option<String> {
     match name {
         #[cfg(feature = "wgpu")]
-        BackendName::Wgpu => adapter().clone().ok().flatten().filter(|adapter| adapter.software).map(|a| a.name),
+        BackendName::Wgpu => adapter()
+            .clone()
+            .ok()
+            .flatten()
+            .filter(|adapter| adapter.software)
+            .map(|a| a.name),
         _ => None,
     }
 }

@@ -123,7 +123,11 @@ fn what_to_do(error: &std::io::Error) -> &'static str {
 impl Error {
     /// An [`Error::Io`] for `path`.
     pub fn io(path: impl AsRef<Path>, action: &'static str, source: std::io::Error) -> Self {
-        Self::Io { path: path.as_ref().to_owned(), action, source }
+        Self::Io {
+            path: path.as_ref().to_owned(),
+            action,
+            source,
+        }
     }
 
     /// An [`Error::Input`] naming file, field, found, expected and mend.
@@ -150,7 +154,12 @@ impl Error {
         expected: impl Into<String>,
         mend: impl Into<String>,
     ) -> Self {
-        Self::Config { key: key.into(), found: found.into(), expected: expected.into(), mend: mend.into() }
+        Self::Config {
+            key: key.into(),
+            found: found.into(),
+            expected: expected.into(),
+            mend: mend.into(),
+        }
     }
 
     /// An [`Error::Argument`] naming the argument, found, expected and mend.
@@ -160,11 +169,20 @@ impl Error {
         expected: impl Into<String>,
         mend: impl Into<String>,
     ) -> Self {
-        Self::Argument { name: name.into(), found: found.into(), expected: expected.into(), mend: mend.into() }
+        Self::Argument {
+            name: name.into(),
+            found: found.into(),
+            expected: expected.into(),
+            mend: mend.into(),
+        }
     }
 
     /// An [`Error::NonFinite`] without context.
     pub fn non_finite(tensor: impl Into<String>, row: usize) -> Self {
-        Self::NonFinite { tensor: tensor.into(), row, context: String::new() }
+        Self::NonFinite {
+            tensor: tensor.into(),
+            row,
+            context: String::new(),
+        }
     }
 }

@@ -29,17 +29,28 @@ impl Mask {
     pub fn new(width: usize, height: usize, used: impl Fn(usize) -> bool) -> Self {
         let pixels = width * height;
         let word = |first: usize| {
-            (first..pixels.min(first + WORD)).fold(0, |word, pixel| word | u32::from(used(pixel)) << (pixel - first))
+            (first..pixels.min(first + WORD)).fold(0, |word, pixel| {
+                word | u32::from(used(pixel)) << (pixel - first)
+            })
         };
         let words: Arc<[u32]> = (0..pixels).step_by(WORD).map(word).collect();
         let mut kept = 0;
         let count = |block: &[u32]| {
             let before = kept;
-            kept += block.iter().map(|word| word.count_ones() as usize).sum::<usize>();
+            kept += block
+                .iter()
+                .map(|word| word.count_ones() as usize)
+                .sum::<usize>();
             before
         };
         let before = words.chunks(BLOCK).map(count).collect();
-        Self { width, height, left_out: pixels - kept, words, before }
+        Self {
+            width,
+            height,
+            left_out: pixels - kept,
+            words,
+            before,
+        }
     }
 
     /// Pixels across.
@@ -59,7 +70,9 @@ impl Mask {
 
     /// Whether a pixel, numbered row-major, is used; `false` beyond the last one.
     pub fn uses(&self, pixel: usize) -> bool {
-        self.words.get(pixel / WORD).is_some_and(|word| word >> (pixel % WORD) & 1 == 1)
+        self.words
+            .get(pixel / WORD)
+            .is_some_and(|word| word >> (pixel % WORD) & 1 == 1)
     }
 
     /// The bits, lowest first, set where the pixel is used; the last word is filled up with zeros.
@@ -74,7 +87,10 @@ impl Mask {
 
     /// The used pixel, numbered row-major, that has `rank` used ones before it; `None` where no more than `rank` are used.
     pub fn nth(&self, rank: usize) -> Option<usize> {
-        let block = self.before.partition_point(|before| *before <= rank).checked_sub(1)?;
+        let block = self
+            .before
+            .partition_point(|before| *before <= rank)
+            .checked_sub(1)?;
         let mut rest = rank - self.before[block];
         for (at, &word) in self.words.iter().enumerate().skip(block * BLOCK) {
             let used = word.count_ones() as usize;
@@ -94,35 +110,51 @@ impl Mask {
         }
         let found = format!("a mask of {}x{} pixels in {view}", self.width, self.height);
         let expected = format!("{width}x{height} as its photo");
-        Err(Error::argument("data", found, expected, "resize the mask, or leave it out"))
+        Err(Error::argument(
+            "data",
+            found,
+            expected,
+            "resize the mask, or leave it out",
+        ))
     }
 
     /// Puts `value` into the pixels that are left out. `values` has `channels` of them for each pixel, row-major.
     pub fn fill<T: Copy + Send + Sync>(&self, values: &mut [T], channels: usize, value: T) {
         let row = (WORD * channels).max(1);
-        values.par_chunks_mut(row).with_min_len(TASK).zip(&self.words[..]).for_each(|(pixels, &word)| {
-            if word == u32::MAX {
-                return;
-            }
-            for (bit, pixel) in pixels.chunks_mut(channels.max(1)).enumerate() {
-                if word >> bit & 1 == 0 {
-                    pixel.fill(value);
+        values
+            .par_chunks_mut(row)
+            .with_min_len(TASK)
+            .zip(&self.words[..])
+            .for_each(|(pixels, &word)| {
+                if word == u32::MAX {
+                    return;
                 }
-            }
-        });
+                for (bit, pixel) in pixels.chunks_mut(channels.max(1)).enumerate() {
+                    if word >> bit & 1 == 0 {
+                        pixel.fill(value);
+                    }
+                }
+            });
     }
 
     /// `values` of the pixels that are used, in their order; `values` has `channels` of them for each pixel, row-major.
     pub fn used<T: Copy>(&self, values: &[T], channels: usize) -> Vec<T> {
         let pixels = values.chunks(channels.max(1)).enumerate();
-        pixels.filter(|(pixel, _)| self.uses(*pixel)).flat_map(|(_, values)| values).copied().collect()
+        pixels
+            .filter(|(pixel, _)| self.uses(*pixel))
+            .flat_map(|(_, values)| values)
+            .copied()
+            .collect()
     }
 }
 
 impl fmt::Debug for Mask {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut text = f.debug_struct("Mask");
-        text.field("width", &self.width).field("height", &self.height).field("left_out", &self.left_out).finish()
+        text.field("width", &self.width)
+            .field("height", &self.height)
+            .field("left_out", &self.left_out)
+            .finish()
     }
 }
 
@@ -135,7 +167,10 @@ mod tests {
         let used = |pixel: usize| matches!(pixel, 5 | 31 | 32 | 9_000 | 39_999);
         let mask = Mask::new(200, 200, used);
         let found: Vec<_> = (0..6).map(|rank| mask.nth(rank)).collect();
-        assert_eq!(found, [Some(5), Some(31), Some(32), Some(9_000), Some(39_999), None]);
+        assert_eq!(
+            found,
+            [Some(5), Some(31), Some(32), Some(9_000), Some(39_999), None]
+        );
         assert_eq!(Mask::new(200, 200, |_| false).nth(0), None);
     }
 
@@ -145,18 +180,34 @@ mod tests {
             let used = |pixel: usize| pixel % 7 != 3 && pixel / 40 % 3 != 1;
             let mask = Mask::new(width, height, used);
             let pixels = width * height;
-            assert_eq!((mask.width(), mask.height(), mask.words().len()), (width, height, pixels.div_ceil(32)));
+            assert_eq!(
+                (mask.width(), mask.height(), mask.words().len()),
+                (width, height, pixels.div_ceil(32))
+            );
             assert!((0..pixels).all(|pixel| mask.uses(pixel) == used(pixel)) && !mask.uses(pixels));
-            assert_eq!(mask.left_out(), (0..pixels).filter(|&pixel| !used(pixel)).count());
+            assert_eq!(
+                mask.left_out(),
+                (0..pixels).filter(|&pixel| !used(pixel)).count()
+            );
             let numbers: Vec<usize> = (0..3 * pixels).collect();
             let mut filled = numbers.clone();
             mask.fill(&mut filled, 3, usize::MAX);
-            let want = numbers.iter().map(|&i| if used(i / 3) { i } else { usize::MAX });
+            let want = numbers
+                .iter()
+                .map(|&i| if used(i / 3) { i } else { usize::MAX });
             assert!(filled.iter().copied().eq(want));
             let kept = mask.used(&numbers, 3);
-            assert!(kept.iter().copied().eq(numbers.into_iter().filter(|i| used(i / 3))));
+            assert!(
+                kept.iter()
+                    .copied()
+                    .eq(numbers.into_iter().filter(|i| used(i / 3)))
+            );
             let all: Vec<usize> = (0..pixels).filter(|&pixel| used(pixel)).collect();
-            assert!(all.iter().enumerate().all(|(rank, pixel)| mask.nth(rank) == Some(*pixel)));
+            assert!(
+                all.iter()
+                    .enumerate()
+                    .all(|(rank, pixel)| mask.nth(rank) == Some(*pixel))
+            );
             assert_eq!((mask.nth(all.len()), mask.nth(usize::MAX)), (None, None));
         }
     }

@@ -58,9 +58,21 @@ mod tests {
     #[test]
     fn streams_repeat_and_differ() {
         let draw = |seed, purpose, index| stream(seed, purpose, index).next_u64();
-        assert_eq!(draw(1, Purpose::ViewOrder, 2), draw(1, Purpose::ViewOrder, 2));
-        assert_ne!(draw(1, Purpose::ViewOrder, 2), draw(1, Purpose::ViewOrder, 3));
-        assert_ne!(draw(1, Purpose::ViewOrder, 2), draw(1, Purpose::Densification, 2));
-        assert_ne!(draw(1, Purpose::ViewOrder, 2), draw(2, Purpose::ViewOrder, 2));
+        assert_eq!(
+            draw(1, Purpose::ViewOrder, 2),
+            draw(1, Purpose::ViewOrder, 2)
+        );
+        assert_ne!(
+            draw(1, Purpose::ViewOrder, 2),
+            draw(1, Purpose::ViewOrder, 3)
+        );
+        assert_ne!(
+            draw(1, Purpose::ViewOrder, 2),
+            draw(1, Purpose::Densification, 2)
+        );
+        assert_ne!(
+            draw(1, Purpose::ViewOrder, 2),
+            draw(2, Purpose::ViewOrder, 2)
+        );
     }
 }

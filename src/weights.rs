@@ -60,14 +60,19 @@ impl Checkpoint {
     /// As [`Checkpoint::open`].
     pub fn open_where(path: impl AsRef<Path>, keep: impl Fn(&str) -> bool) -> Result<Self> {
         let path = path.as_ref();
-        let safetensors = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("safetensors"));
+        let safetensors = path
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("safetensors"));
         if safetensors {
             let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
             return Self::selected(&bytes, path, keep);
         }
         std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
         let reader = PytorchReader::new(path).map_err(|e| unreadable(path, "checkpoint", e))?;
-        let mut checkpoint = Self { origin: path.to_owned(), ..Self::default() };
+        let mut checkpoint = Self {
+            origin: path.to_owned(),
+            ..Self::default()
+        };
         for (name, tensor) in reader.tensors().iter().filter(|(name, _)| keep(name)) {
             let convert: fn(&[u8]) -> f32 = match tensor.dtype() {
                 TorchType::F32 => |b| f32::from_ne_bytes(array(b)),
@@ -79,8 +84,17 @@ impl Checkpoint {
             let size = tensor.byte_len() / tensor.num_elements().max(1);
             let bytes = tensor.read().map_err(|e| unreadable(path, name, e))?;
             let values = bytes.chunks_exact(size.max(1)).map(convert).collect();
-            let name = NESTS.iter().find_map(|n| name.strip_prefix(n)?.strip_prefix('.')).unwrap_or(name);
-            checkpoint.insert(name, HostTensor { shape: tensor.shape().to_vec(), values });
+            let name = NESTS
+                .iter()
+                .find_map(|n| name.strip_prefix(n)?.strip_prefix('.'))
+                .unwrap_or(name);
+            checkpoint.insert(
+                name,
+                HostTensor {
+                    shape: tensor.shape().to_vec(),
+                    values,
+                },
+            );
         }
         Ok(checkpoint)
     }
@@ -95,18 +109,50 @@ impl Checkpoint {
 
     fn selected(bytes: &[u8], origin: &Path, keep: impl Fn(&str) -> bool) -> Result<Self> {
         let file = SafeTensors::deserialize(bytes).map_err(|e| unreadable(origin, "header", e))?;
-        let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| unreadable(origin, "header", e))?;
-        let metadata = header.metadata().iter().flatten().map(|(k, v)| (k.clone(), v.clone())).collect();
-        let mut checkpoint = Self { origin: origin.to_owned(), metadata, ..Self::default() };
+        let (_, header) =
+            SafeTensors::read_metadata(bytes).map_err(|e| unreadable(origin, "header", e))?;
+        let metadata = header
+            .metadata()
+            .iter()
+            .flatten()
+            .map(|(k, v)| (k.clone(), v.clone()))
+            .collect();
+        let mut checkpoint = Self {
+            origin: origin.to_owned(),
+            metadata,
+            ..Self::default()
+        };
         for (name, view) in file.iter().filter(|(name, _)| keep(name)) {
             let values = match view.dtype() {
-                Dtype::F32 => view.data().chunks_exact(4).map(|b| f32::from_le_bytes(array(b))).collect(),
-                Dtype::F64 => view.data().chunks_exact(8).map(|b| f64::from_le_bytes(array(b)) as f32).collect(),
-                Dtype::F16 => view.data().chunks_exact(2).map(|b| f16::from_le_bytes(array(b)).to_f32()).collect(),
-                Dtype::BF16 => view.data().chunks_exact(2).map(|b| bf16::from_le_bytes(array(b)).to_f32()).collect(),
+                Dtype::F32 => view
+                    .data()
+                    .chunks_exact(4)
+                    .map(|b| f32::from_le_bytes(array(b)))
+                    .collect(),
+                Dtype::F64 => view
+                    .data()
+                    .chunks_exact(8)
+                    .map(|b| f64::from_le_bytes(array(b)) as f32)
+                    .collect(),
+                Dtype::F16 => view
+                    .data()
+                    .chunks_exact(2)
+                    .map(|b| f16::from_le_bytes(array(b)).to_f32())
+                    .collect(),
+                Dtype::BF16 => view
+                    .data()
+                    .chunks_exact(2)
+                    .map(|b| bf16::from_le_bytes(array(b)).to_f32())
+                    .collect(),
                 _ => continue,
             };
-            checkpoint.insert(name, HostTensor { shape: view.shape().to_vec(), values });
+            checkpoint.insert(
+                name,
+                HostTensor {
+                    shape: view.shape().to_vec(),
+                    values,
+                },
+            );
         }
         Ok(checkpoint)
     }
@@ -119,15 +165,28 @@ impl Checkpoint {
         let bytes: BTreeMap<&String, Vec<u8>> = self
             .tensors
             .iter()
-            .map(|(name, t)| (name, t.values.iter().flat_map(|v| v.to_le_bytes()).collect()))
+            .map(|(name, t)| {
+                (
+                    name,
+                    t.values.iter().flat_map(|v| v.to_le_bytes()).collect(),
+                )
+            })
             .collect();
         let mut views = Vec::with_capacity(bytes.len());
         for (name, bytes) in &bytes {
-            let view = safetensors::tensor::TensorView::new(Dtype::F32, self.tensors[*name].shape.clone(), bytes);
-            views.push(((*name).clone(), view.map_err(|e| unreadable(&self.origin, name, e))?));
+            let view = safetensors::tensor::TensorView::new(
+                Dtype::F32,
+                self.tensors[*name].shape.clone(),
+                bytes,
+            );
+            views.push((
+                (*name).clone(),
+                view.map_err(|e| unreadable(&self.origin, name, e))?,
+            ));
         }
         let metadata: HashMap<String, String> = self.metadata.clone().into_iter().collect();
-        safetensors::serialize(views, Some(metadata)).map_err(|e| unreadable(&self.origin, "tensors", e))
+        safetensors::serialize(views, Some(metadata))
+            .map_err(|e| unreadable(&self.origin, "tensors", e))
     }
 
     /// The same, with the network named that messages of [`Checkpoint::get`] ask for.
@@ -138,7 +197,10 @@ impl Checkpoint {
 
     /// Adds a tensor under `name`, without a leading `module.` (DataParallel).
     pub fn insert(&mut self, name: &str, tensor: HostTensor) {
-        self.tensors.insert(name.strip_prefix("module.").unwrap_or(name).to_owned(), tensor);
+        self.tensors.insert(
+            name.strip_prefix("module.").unwrap_or(name).to_owned(),
+            tensor,
+        );
     }
 
     /// The tensor `name`, its trailing extents of 1 dropped (1x1 convolutions are linear maps).
@@ -146,17 +208,27 @@ impl Checkpoint {
     /// # Errors
     /// [`Error::Input`] when it is missing, has another shape than `shape`, or holds a value that is not finite.
     pub fn get(&self, name: &str, shape: &[usize]) -> Result<&[f32]> {
-        let tensor =
-            self.tensors.get(name).ok_or_else(|| self.problem(name, "no such tensor", format!("{shape:?}")))?;
+        let tensor = self
+            .tensors
+            .get(name)
+            .ok_or_else(|| self.problem(name, "no such tensor", format!("{shape:?}")))?;
         let mut found = tensor.shape.as_slice();
         while found.len() > shape.len() && found.last() == Some(&1) {
             found = &found[..found.len() - 1];
         }
         if found != shape {
-            return Err(self.problem(name, format!("shape {:?}", tensor.shape), format!("{shape:?}")));
+            return Err(self.problem(
+                name,
+                format!("shape {:?}", tensor.shape),
+                format!("{shape:?}"),
+            ));
         }
         match tensor.values.iter().position(|v| !v.is_finite()) {
-            Some(i) => Err(self.problem(name, format!("{} at element {i}", tensor.values[i]), "finite values")),
+            Some(i) => Err(self.problem(
+                name,
+                format!("{} at element {i}", tensor.values[i]),
+                "finite values",
+            )),
             None => Ok(&tensor.values),
         }
     }
@@ -173,13 +245,29 @@ impl Checkpoint {
     }
 
     fn problem(&self, name: &str, found: impl Into<String>, expected: impl Into<String>) -> Error {
-        let network = if self.network.is_empty() { "the network that is asked for" } else { self.network };
-        Error::input(&self.origin, name, found, expected, format!("give a checkpoint of {network}"))
+        let network = if self.network.is_empty() {
+            "the network that is asked for"
+        } else {
+            self.network
+        };
+        Error::input(
+            &self.origin,
+            name,
+            found,
+            expected,
+            format!("give a checkpoint of {network}"),
+        )
     }
 }
 
 fn unreadable(path: &Path, field: &str, cause: impl std::fmt::Display) -> Error {
-    Error::input(path, field, cause.to_string(), "a whole weight file", "check that the download is complete")
+    Error::input(
+        path,
+        field,
+        cause.to_string(),
+        "a whole weight file",
+        "check that the download is complete",
+    )
 }
 
 fn array<const N: usize>(bytes: &[u8]) -> [u8; N] {

@@ -30,7 +30,10 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
         return Ok(Findings::skipped(Section::Building, why));
     };
     let effort = &bench.effort;
-    let train: Vec<_> = scene.split(Split::Train).map(|v| v.camera.clone()).collect();
+    let train: Vec<_> = scene
+        .split(Split::Train)
+        .map(|v| v.camera.clone())
+        .collect();
     let (width, height) = train.first().map_or((0, 0), |c| (c.width, c.height));
     let steps = effort.steps * effort.repeats.max(1);
     let mut findings = Findings::new(
@@ -56,7 +59,10 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
         let every = config.building.densify_every.max(1);
         let densified = (3 * RUN / 8 / every + 2) * every;
         let iteration = densified.saturating_sub(steps / 2 + effort.settle);
-        let state = BuildingState { iteration, ..BuildingState::new(gaussians, config.seed) };
+        let state = BuildingState {
+            iteration,
+            ..BuildingState::new(gaussians, config.seed)
+        };
         let mut stage = BuildingStage::from_state(scene, &config, &bench.device, state)?;
         for _ in 0..effort.settle {
             stage.step()?;
@@ -76,21 +82,49 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
             [] => findings.figures.push(mean),
             bars => findings.figures.extend(bars.iter().map(|(name, limit)| {
                 let name = format!("{}{name}", mean.name);
-                Figure { name, ..mean.clone() }.at_most_if(comparable, *limit, MEANT_FOR)
+                Figure {
+                    name,
+                    ..mean.clone()
+                }
+                .at_most_if(comparable, *limit, MEANT_FOR)
             })),
         }
-        findings.figures.push(Figure::measured(&case, "an iteration", "ms", &all.scaled(1e3)));
+        findings.figures.push(Figure::measured(
+            &case,
+            "an iteration",
+            "ms",
+            &all.scaled(1e3),
+        ));
         if !densifying.is_empty() {
             let name = format!("one with densification, of {every}");
-            findings.figures.push(Figure::measured(&case, &name, "ms", &densifying.scaled(1e3)));
+            findings.figures.push(Figure::measured(
+                &case,
+                &name,
+                "ms",
+                &densifying.scaled(1e3),
+            ));
         }
-        let cameras: Vec<_> = train.iter().step_by(train.len().div_ceil(COUNTED_VIEWS).max(1)).cloned().collect();
+        let cameras: Vec<_> = train
+            .iter()
+            .step_by(train.len().div_ceil(COUNTED_VIEWS).max(1))
+            .cloned()
+            .collect();
         let gaussians = stage.gaussians()?;
         let pairs = count_pairs(&gaussians, &cameras, &Settings::from(&config.raster))?;
         let pixels: usize = cameras.iter().map(|c| c.width * c.height).sum();
         let pairs = pairs.contributing as f64 / pixels.max(1) as f64;
-        findings.figures.push(Figure::counted(&case, "pairs a pixel afterwards", "", pairs));
-        findings.figures.push(Figure::counted(&case, "Gaussians afterwards", "", gaussians.len() as f64));
+        findings.figures.push(Figure::counted(
+            &case,
+            "pairs a pixel afterwards",
+            "",
+            pairs,
+        ));
+        findings.figures.push(Figure::counted(
+            &case,
+            "Gaussians afterwards",
+            "",
+            gaussians.len() as f64,
+        ));
     }
     Ok(findings)
 }

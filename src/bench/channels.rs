@@ -14,8 +14,11 @@ use rand::Rng;
 use std::hint::black_box;
 
 /// What is rendered: whether colour from SH, and how many channels besides.
-pub(super) const CASES: [(bool, usize, &str); 3] =
-    [(true, 0, "RGB"), (true, 20, "RGB + 20 classes"), (false, 64, "64 channels")];
+pub(super) const CASES: [(bool, usize, &str); 3] = [
+    (true, 0, "RGB"),
+    (true, 20, "RGB + 20 classes"),
+    (false, 64, "64 channels"),
+];
 
 pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let effort = &bench.effort;
@@ -33,7 +36,9 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
                     // Smaller cases may fit all the same.
                     Err(error @ Error::Limit { .. }) => {
                         let [width, height] = size;
-                        findings.notes.push(format!("{width}x{height}, {}: left out, {error}", case.2));
+                        findings
+                            .notes
+                            .push(format!("{width}x{height}, {}: left out, {error}", case.2));
                     }
                     Err(error) => return Err(error),
                 }
@@ -52,8 +57,17 @@ fn one_case(
     let gaussians = &bench.subject.gaussians(gaussians)?;
     let cameras = &bench.subject.cameras(bench.effort.views, size);
     let [width, height] = size;
-    let case = format!("{width}x{height}, {}, {name}", gaussians_in_words(gaussians.len()));
-    let rendering = Rendering { bench, gaussians, cameras, colour, channels };
+    let case = format!(
+        "{width}x{height}, {}, {name}",
+        gaussians_in_words(gaussians.len())
+    );
+    let rendering = Rendering {
+        bench,
+        gaussians,
+        cameras,
+        colour,
+        channels,
+    };
     let forward = rendering.forward()?;
     let both = rendering.both()?;
     let mut figures = vec![
@@ -64,7 +78,12 @@ fn one_case(
     if colour && channels > 0 {
         let frame = rendering.frames(channels)?;
         figures.push(Figure::measured(&case, "a frame", "ms", &frame));
-        figures.push(Figure::counted(&case, "whole frames a second", "", 1e3 / frame.median()));
+        figures.push(Figure::counted(
+            &case,
+            "whole frames a second",
+            "",
+            1e3 / frame.median(),
+        ));
     }
     Ok(figures)
 }
@@ -83,7 +102,8 @@ impl Rendering<'_> {
     pub fn forward(&self) -> Result<Samples> {
         let input = self.input(&self.bench.device);
         self.timed(|camera, settings, background, room| {
-            let (output, lists) = rasterize_with_room(input.clone(), camera, settings, background, room)?;
+            let (output, lists) =
+                rasterize_with_room(input.clone(), camera, settings, background, room)?;
             finish_with(output.image, &lists)
         })
     }
@@ -92,7 +112,8 @@ impl Rendering<'_> {
     pub fn both(&self) -> Result<Samples> {
         let input = self.input(&self.bench.device.clone().autodiff());
         self.timed(|camera, settings, background, room| {
-            let (output, lists) = rasterize_with_room(input.clone(), camera, settings, background, room)?;
+            let (output, lists) =
+                rasterize_with_room(input.clone(), camera, settings, background, room)?;
             let gradients = output.image.backward();
             match input.means.grad(&gradients) {
                 Some(gradient) => finish_with(gradient, &lists),
@@ -104,12 +125,28 @@ impl Rendering<'_> {
     /// Milliseconds of the mean view as [`Renderer`] gives it, each Gaussian with one of so many labels.
     fn frames(&self, labels: usize) -> Result<Samples> {
         let mut rng = stream(self.bench.config.seed, Purpose::Benchmark, 1);
-        let labels = self.gaussians.means.iter().map(|_| rng.random_range(1..=labels as u16)).collect();
+        let labels = self
+            .gaussians
+            .means
+            .iter()
+            .map(|_| rng.random_range(1..=labels as u16))
+            .collect();
         let (settings, background) = self.settings();
-        let options = RenderOptions { settings, background, ..RenderOptions::default() };
-        let mut renderer = Renderer::new(self.gaussians.clone(), Some(labels), options, &self.bench.device)?;
+        let options = RenderOptions {
+            settings,
+            background,
+            ..RenderOptions::default()
+        };
+        let mut renderer = Renderer::new(
+            self.gaussians.clone(),
+            Some(labels),
+            options,
+            &self.bench.device,
+        )?;
         let passes = Samples::of(self.bench.effort.repeats, || {
-            self.cameras.iter().try_for_each(|camera| renderer.frame(camera).map(|frame| drop(black_box(frame))))
+            self.cameras
+                .iter()
+                .try_for_each(|camera| renderer.frame(camera).map(|frame| drop(black_box(frame))))
         })?;
         Ok(passes.scaled(1e3 / self.cameras.len().max(1) as f64))
     }
@@ -127,37 +164,73 @@ impl Rendering<'_> {
         let (settings, background) = self.settings();
         let mut rooms = vec![None; self.cameras.len()];
         let passes = Samples::of(self.bench.effort.repeats, || {
-            self.cameras.iter().zip(&mut rooms).try_for_each(|(camera, room)| {
-                *room = one(camera, &settings, background, *room)?.map(|lists| room_for(lists.entries));
-                Ok(())
-            })
+            self.cameras
+                .iter()
+                .zip(&mut rooms)
+                .try_for_each(|(camera, room)| {
+                    *room = one(camera, &settings, background, *room)?
+                        .map(|lists| room_for(lists.entries));
+                    Ok(())
+                })
         })?;
         Ok(passes.scaled(1e3 / self.cameras.len().max(1) as f64))
     }
 
     fn input(&self, device: &Device) -> RasterInput {
         let leaves = Leaves::new(self.gaussians, device);
-        let leaves = if device.is_autodiff() { leaves.tracked() } else { leaves };
+        let leaves = if device.is_autodiff() {
+            leaves.tracked()
+        } else {
+            leaves
+        };
         let input = leaves.input();
-        let features = random_rows(self.gaussians.len(), self.channels, self.bench.config.seed, device);
+        let features = random_rows(
+            self.gaussians.len(),
+            self.channels,
+            self.bench.config.seed,
+            device,
+        );
         let sh = if self.colour { input.sh.clone() } else { None };
-        RasterInput { sh, features, ..input }
+        RasterInput {
+            sh,
+            features,
+            ..input
+        }
     }
 }
 
 /// `[rows, channels]` random numbers, tracked where `device` tracks.
 fn random_rows(rows: usize, channels: usize, seed: u64, device: &Device) -> Option<Tensor<2>> {
     let mut rng = stream(seed, Purpose::Benchmark, 0);
-    let values: Vec<f32> = (0..rows * channels).map(|_| rng.random_range(0.0..1.0)).collect();
-    let tensor = (channels > 0).then(|| Tensor::from_data(TensorData::new(values, [rows, channels]), device))?;
-    Some(if device.is_autodiff() { tensor.require_grad() } else { tensor })
+    let values: Vec<f32> = (0..rows * channels)
+        .map(|_| rng.random_range(0.0..1.0))
+        .collect();
+    let tensor = (channels > 0)
+        .then(|| Tensor::from_data(TensorData::new(values, [rows, channels]), device))?;
+    Some(if device.is_autodiff() {
+        tensor.require_grad()
+    } else {
+        tensor
+    })
 }
 
 /// Waits until `tensor` is computed: on a GPU a copy, and what it waits for, happen when the bytes are touched. One value is
 /// copied, and what came of the tile lists.
-fn finish_with<const D: usize>(tensor: Tensor<D>, lists: &ListSummary) -> Result<Option<ListCount>> {
-    let value = tensor.slice(std::array::from_fn::<_, D, _>(|_| 0..1)).reshape([1]);
-    let value = if value.device().is_autodiff() { value.inner() } else { value };
-    let values = read("a rendered view", Tensor::cat([value].into_iter().chain(lists.as_tensor()).collect(), 0))?;
+fn finish_with<const D: usize>(
+    tensor: Tensor<D>,
+    lists: &ListSummary,
+) -> Result<Option<ListCount>> {
+    let value = tensor
+        .slice(std::array::from_fn::<_, D, _>(|_| 0..1))
+        .reshape([1]);
+    let value = if value.device().is_autodiff() {
+        value.inner()
+    } else {
+        value
+    };
+    let values = read(
+        "a rendered view",
+        Tensor::cat([value].into_iter().chain(lists.as_tensor()).collect(), 0),
+    )?;
     Ok(ListCount::from_values(black_box(&values[1..])))
 }

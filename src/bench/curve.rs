@@ -40,13 +40,30 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     );
     findings.layout = Layout::Grid;
     let default = Settings::from(&bench.config.raster);
-    let exact = Settings { alpha_min: NEARLY_ZERO, t_min: 0.0, alpha_max: 1.0, ..default };
+    let exact = Settings {
+        alpha_min: NEARLY_ZERO,
+        t_min: 0.0,
+        alpha_max: 1.0,
+        ..default
+    };
     let wide = Wide::new(&gaussians);
-    let reference = cameras.iter().map(|camera| wide.render(camera, &exact)).collect::<Result<Vec<_>>>()?;
+    let reference = cameras
+        .iter()
+        .map(|camera| wide.render(camera, &exact))
+        .collect::<Result<Vec<_>>>()?;
 
     let mut points = points(&default, &exact, &gaussians);
-    let renderer = |degree| Renderer::new(truncated(&gaussians, degree), None, RenderOptions::default(), &bench.device);
-    let mut cut = (0..=gaussians.sh_degree).map(renderer).collect::<Result<Vec<_>>>()?;
+    let renderer = |degree| {
+        Renderer::new(
+            truncated(&gaussians, degree),
+            None,
+            RenderOptions::default(),
+            &bench.device,
+        )
+    };
+    let mut cut = (0..=gaussians.sh_degree)
+        .map(renderer)
+        .collect::<Result<Vec<_>>>()?;
     // Round by round, so that a slow moment of the machine meets all points alike; the first round is warm-up.
     for round in 0..=effort.repeats {
         for point in &mut points {
@@ -76,14 +93,24 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
             if point.double {
                 error.add(&wide.render(camera, &point.settings)?, reference);
             } else {
-                let rgb: Vec<f64> = renderer.frame(camera)?.rgb.iter().map(|&v| f64::from(v)).collect();
+                let rgb: Vec<f64> = renderer
+                    .frame(camera)?
+                    .rgb
+                    .iter()
+                    .map(|&v| f64::from(v))
+                    .collect();
                 error.add(&rgb, reference);
             }
         }
         let seconds = &point.seconds;
         findings.figures.extend([
             Figure::measured(&point.name, "time", "ms", &seconds.scaled(milliseconds)),
-            Figure::counted(&point.name, "of the first", "x", seconds.median() / default_time),
+            Figure::counted(
+                &point.name,
+                "of the first",
+                "x",
+                seconds.median() / default_time,
+            ),
             Figure::counted(&point.name, "mean error", "", error.mean()),
             Figure::counted(&point.name, "largest error", "", error.largest),
         ]);
@@ -95,7 +122,10 @@ impl Point {
     /// Of those for each SH degree the one that renders this point, on black.
     fn renderer<'a>(&self, of_degrees: &'a mut [Renderer]) -> Result<&'a mut Renderer> {
         let renderer = &mut of_degrees[self.sh_degree];
-        renderer.set_options(RenderOptions { settings: self.settings, ..RenderOptions::default() })?;
+        renderer.set_options(RenderOptions {
+            settings: self.settings,
+            ..RenderOptions::default()
+        })?;
         Ok(renderer)
     }
 }
@@ -110,37 +140,81 @@ fn points(default: &Settings, exact: &Settings, gaussians: &Gaussians) -> Vec<Po
         double: false,
         seconds: Samples::default(),
     };
-    let Settings { alpha_min, t_min, alpha_max, .. } = *default;
-    let named = format!("alpha_min {}, t_min {}, alpha_max {alpha_max}", number(alpha_min), number(t_min));
+    let Settings {
+        alpha_min,
+        t_min,
+        alpha_max,
+        ..
+    } = *default;
+    let named = format!(
+        "alpha_min {}, t_min {}, alpha_max {alpha_max}",
+        number(alpha_min),
+        number(t_min)
+    );
     let mut points = vec![point(named, *default)];
-    for value in [NEARLY_ZERO, 1.0 / 1024.0, 1.0 / 255.0, 1.0 / 128.0, 1.0 / 64.0, 1.0 / 32.0] {
+    for value in [
+        NEARLY_ZERO,
+        1.0 / 1024.0,
+        1.0 / 255.0,
+        1.0 / 128.0,
+        1.0 / 64.0,
+        1.0 / 32.0,
+    ] {
         if value != alpha_min {
-            points.push(point(format!("alpha_min {}", number(value)), Settings { alpha_min: value, ..*default }));
+            points.push(point(
+                format!("alpha_min {}", number(value)),
+                Settings {
+                    alpha_min: value,
+                    ..*default
+                },
+            ));
         }
     }
     for value in [0.0, 1e-5, 1e-4, 1e-3, 1e-2] {
         if value != t_min {
-            points.push(point(format!("t_min {}", number(value)), Settings { t_min: value, ..*default }));
+            points.push(point(
+                format!("t_min {}", number(value)),
+                Settings {
+                    t_min: value,
+                    ..*default
+                },
+            ));
         }
     }
     for value in [1.0, 0.999, 0.99, 0.95] {
         if value != alpha_max {
-            points.push(point(format!("alpha_max {value}"), Settings { alpha_max: value, ..*default }));
+            points.push(point(
+                format!("alpha_max {value}"),
+                Settings {
+                    alpha_max: value,
+                    ..*default
+                },
+            ));
         }
     }
     for degree in (0..full).filter(|&degree| has_terms_above(gaussians, degree)) {
-        points.push(Point { sh_degree: degree, ..point(format!("SH degree {degree} of {full}"), *default) });
+        points.push(Point {
+            sh_degree: degree,
+            ..point(format!("SH degree {degree} of {full}"), *default)
+        });
     }
     points.push(point("all exact, f32".into(), *exact));
-    points.push(Point { double: true, ..point("as the first, f64".into(), *default) });
-    points.push(Point { double: true, ..point("all exact, f64 (the reference)".into(), *exact) });
+    points.push(Point {
+        double: true,
+        ..point("as the first, f64".into(), *default)
+    });
+    points.push(Point {
+        double: true,
+        ..point("all exact, f64 (the reference)".into(), *exact)
+    });
     points
 }
 
 /// `1/255` for such numbers below 0.1, `1e-5` for other small ones.
 fn number(value: f64) -> String {
     let parts = 1.0 / value.max(f64::MIN_POSITIVE);
-    let whole = (parts - parts.round()).abs() < 1e-9 * parts && parts.round() % 10.0 != 0.0 && parts < 1e6;
+    let whole =
+        (parts - parts.round()).abs() < 1e-9 * parts && parts.round() % 10.0 != 0.0 && parts < 1e6;
     if whole && parts > 10.0 {
         format!("1/{parts:.0}")
     } else if value > 0.0 && value < 0.01 {
@@ -152,14 +226,21 @@ fn number(value: f64) -> String {
 
 fn has_terms_above(gaussians: &Gaussians, degree: usize) -> bool {
     let first = 3 * (degree + 1).pow(2);
-    gaussians.sh.chunks_exact(3 * gaussians.sh_len()).any(|row| row[first..].iter().any(|&v| v != 0.0))
+    gaussians
+        .sh
+        .chunks_exact(3 * gaussians.sh_len())
+        .any(|row| row[first..].iter().any(|&v| v != 0.0))
 }
 
 /// Without the SH terms above `degree`.
 fn truncated(gaussians: &Gaussians, degree: usize) -> Gaussians {
     let kept = 3 * (degree + 1).pow(2);
     let rows = gaussians.sh.chunks_exact(3 * gaussians.sh_len());
-    Gaussians { sh: rows.flat_map(|row| &row[..kept]).copied().collect(), sh_degree: degree, ..gaussians.clone() }
+    Gaussians {
+        sh: rows.flat_map(|row| &row[..kept]).copied().collect(),
+        sh_degree: degree,
+        ..gaussians.clone()
+    }
 }
 
 /// The same numbers as f64.
@@ -194,7 +275,13 @@ impl Wide {
             opacity_logits: &self.opacity_logits,
         };
         let projected = Projected::new(&splats, camera, settings)?;
-        let colours = eval_sh(&self.means, &self.sh, self.sh_degree, self.sh_degree, camera.center.to_array());
+        let colours = eval_sh(
+            &self.means,
+            &self.sh,
+            self.sh_degree,
+            self.sh_degree,
+            camera.center.to_array(),
+        );
         Ok(projected.blend(&colours, 3).image)
     }
 }

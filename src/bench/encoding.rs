@@ -15,7 +15,12 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let colors = gaussians.base_colors();
     let (encoder, weights) = load_spatial(&bench.config.spatial, bench.config.seed, &bench.device)?;
     let scale = metres_per_unit(&bench.config.spatial, bench.subject.extent())?;
-    let cloud = Cloud { positions: &gaussians.means, colors: Some(&colors), up: bench.subject.up, scale };
+    let cloud = Cloud {
+        positions: &gaussians.means,
+        colors: Some(&colors),
+        up: bench.subject.up,
+        scale,
+    };
     let samples = Samples::of(bench.effort.repeats, || {
         black_box(encode(&encoder, &cloud, bench.config.seed, &bench.device)?);
         Ok(())
@@ -27,6 +32,8 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let mut findings = Findings::new(Section::Encoding, notes);
     let case = format!("{} points", thousands(gaussians.len() as f64));
     let figure = Figure::measured(&case, "encoding", "s", &samples);
-    findings.figures.push(figure.at_most_if(gaussians.len() == BAR_POINTS, BAR, "100,000 points"));
+    findings
+        .figures
+        .push(figure.at_most_if(gaussians.len() == BAR_POINTS, BAR, "100,000 points"));
     Ok(findings)
 }

@@ -24,9 +24,20 @@ impl Bench {
         }
         for [width, height] in [self.effort.size, self.effort.channels_size] {
             let cameras = self.subject.cameras(self.effort.views, [width, height]);
-            let named = |(i, camera)| NamedCamera { name: format!("view_{i}"), split: Split::Train, camera };
+            let named = |(i, camera)| NamedCamera {
+                name: format!("view_{i}"),
+                split: Split::Train,
+                camera,
+            };
             let path = dir.join(format!("cameras_{width}x{height}.json"));
-            write_cameras(&path, &cameras.into_iter().enumerate().map(named).collect::<Vec<_>>())?;
+            write_cameras(
+                &path,
+                &cameras
+                    .into_iter()
+                    .enumerate()
+                    .map(named)
+                    .collect::<Vec<_>>(),
+            )?;
             written.push(path);
         }
         Ok(written)

@@ -43,7 +43,16 @@ impl Figure {
     pub fn measured(case: &str, name: &str, unit: &'static str, samples: &Samples) -> Self {
         let [low, high] = samples.spread();
         let (case, name) = (case.to_owned(), name.to_owned());
-        Self { case, name, unit, median: samples.median(), low, high, samples: samples.len(), bar: None }
+        Self {
+            case,
+            name,
+            unit,
+            median: samples.median(),
+            low,
+            high,
+            samples: samples.len(),
+            bar: None,
+        }
     }
 
     /// A single value.
@@ -54,7 +63,11 @@ impl Figure {
     /// Held against `limit`.
     #[must_use]
     pub fn at_most(mut self, limit: f64) -> Self {
-        self.bar = Some(Bar { limit, met: Some(self.median <= limit), meant_for: "" });
+        self.bar = Some(Bar {
+            limit,
+            met: Some(self.median <= limit),
+            meant_for: "",
+        });
         self
     }
 
@@ -64,7 +77,14 @@ impl Figure {
         if here {
             return self.at_most(limit);
         }
-        Self { bar: Some(Bar { limit, met: None, meant_for }), ..self }
+        Self {
+            bar: Some(Bar {
+                limit,
+                met: None,
+                meant_for,
+            }),
+            ..self
+        }
     }
 
     fn value(&self) -> String {
@@ -72,12 +92,18 @@ impl Figure {
     }
 
     fn spread(&self) -> String {
-        if self.samples > 1 { format!("{} .. {}", short(self.low), short(self.high)) } else { String::new() }
+        if self.samples > 1 {
+            format!("{} .. {}", short(self.low), short(self.high))
+        } else {
+            String::new()
+        }
     }
 
     /// The bar and the verdict.
     fn verdict(&self) -> [String; 2] {
-        let Some(bar) = &self.bar else { return Default::default() };
+        let Some(bar) = &self.bar else {
+            return Default::default();
+        };
         let verdict = match bar.met {
             Some(true) => "met".to_owned(),
             Some(false) => "MISSED".to_owned(),
@@ -118,12 +144,21 @@ pub struct Findings {
 impl Findings {
     /// Figures still to come.
     pub fn new(section: Section, notes: Vec<String>) -> Self {
-        Self { section, notes, skipped: None, figures: Vec::new(), layout: Layout::Lines }
+        Self {
+            section,
+            notes,
+            skipped: None,
+            figures: Vec::new(),
+            layout: Layout::Lines,
+        }
     }
 
     /// Nothing was measured, and why.
     pub fn skipped(section: Section, why: impl Into<String>) -> Self {
-        Self { skipped: Some(why.into()), ..Self::new(section, Vec::new()) }
+        Self {
+            skipped: Some(why.into()),
+            ..Self::new(section, Vec::new())
+        }
     }
 
     /// Title, notes and table, for people.
@@ -149,13 +184,28 @@ impl Findings {
 }
 
 fn lines(figures: &[Figure]) -> String {
-    let mut rows = vec![["", "", "median", "spread", "bar", ""].map(str::to_owned).to_vec()];
+    let mut rows = vec![
+        ["", "", "median", "spread", "bar", ""]
+            .map(str::to_owned)
+            .to_vec(),
+    ];
     let mut last = "";
     for figure in figures {
-        let case = if figure.case == last { String::new() } else { figure.case.clone() };
+        let case = if figure.case == last {
+            String::new()
+        } else {
+            figure.case.clone()
+        };
         last = &figure.case;
         let [bar, verdict] = figure.verdict();
-        rows.push(vec![case, figure.name.clone(), figure.value(), figure.spread(), bar, verdict]);
+        rows.push(vec![
+            case,
+            figure.name.clone(),
+            figure.value(),
+            figure.spread(),
+            bar,
+            verdict,
+        ]);
     }
     aligned(&rows, &[2, 3, 4])
 }
@@ -171,10 +221,17 @@ fn grid(figures: &[Figure]) -> String {
             cases.push(&figure.case);
         }
     }
-    let mut rows = vec![std::iter::once("").chain(names.iter().copied()).map(str::to_owned).collect::<Vec<_>>()];
+    let mut rows = vec![
+        std::iter::once("")
+            .chain(names.iter().copied())
+            .map(str::to_owned)
+            .collect::<Vec<_>>(),
+    ];
     for case in cases {
         let cell = |name: &&str| figures.iter().find(|f| f.case == case && f.name == **name);
-        let cells = names.iter().map(|name| cell(name).map_or_else(|| "-".to_owned(), Figure::value));
+        let cells = names
+            .iter()
+            .map(|name| cell(name).map_or_else(|| "-".to_owned(), Figure::value));
         rows.push(std::iter::once(case.to_owned()).chain(cells).collect());
     }
     let right: Vec<usize> = (1..=names.len()).collect();
@@ -184,14 +241,28 @@ fn grid(figures: &[Figure]) -> String {
 /// Rows with columns padded to one width, those of `right` to the left of their text; indented, empty columns dropped.
 fn aligned(rows: &[Vec<String>], right: &[usize]) -> String {
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
-    let width = |c: usize| rows.iter().filter_map(|row| row.get(c)).map(|cell| cell.chars().count()).max().unwrap_or(0);
-    let used = |c: &usize| rows.iter().skip(1).any(|row| row.get(*c).is_some_and(|cell| !cell.is_empty()));
+    let width = |c: usize| {
+        rows.iter()
+            .filter_map(|row| row.get(c))
+            .map(|cell| cell.chars().count())
+            .max()
+            .unwrap_or(0)
+    };
+    let used = |c: &usize| {
+        rows.iter()
+            .skip(1)
+            .any(|row| row.get(*c).is_some_and(|cell| !cell.is_empty()))
+    };
     let widths: Vec<(usize, usize)> = (0..columns).filter(used).map(|c| (c, width(c))).collect();
     let mut out = String::new();
     for row in rows {
         let cells = widths.iter().map(|&(c, width)| {
             let cell = row.get(c).map_or("", |cell| cell);
-            if right.contains(&c) { format!("{cell:>width$}") } else { format!("{cell:<width$}") }
+            if right.contains(&c) {
+                format!("{cell:>width$}")
+            } else {
+                format!("{cell:<width$}")
+            }
         });
         let line = cells.collect::<Vec<_>>().join("  ");
         let _ = writeln!(out, "  {}", line.trim_end());
@@ -257,8 +328,14 @@ mod tests {
         let samples: Samples = [28.0, 31.0, 29.0].into_iter().collect();
         let figure = Figure::measured("a", "forward", "ms", &samples);
         assert_eq!(figure.clone().at_most(30.0).verdict(), ["<= 30 ms", "met"]);
-        assert_eq!(figure.clone().at_most(28.5).verdict(), ["<= 28.5 ms", "MISSED"]);
-        assert_eq!(figure.clone().at_most_if(false, 9.0, "others").verdict(), ["<= 9 ms", "- (for others)"]);
+        assert_eq!(
+            figure.clone().at_most(28.5).verdict(),
+            ["<= 28.5 ms", "MISSED"]
+        );
+        assert_eq!(
+            figure.clone().at_most_if(false, 9.0, "others").verdict(),
+            ["<= 9 ms", "- (for others)"]
+        );
         assert_eq!(figure.spread(), "28 .. 31");
     }
 
@@ -271,12 +348,22 @@ mod tests {
         ];
         let text = findings.text();
         assert_eq!(text.matches("ten").count(), 1, "{text}");
-        assert!(text.contains("a note") && text.contains("1.50 ms") && text.contains("MISSED"), "{text}");
+        assert!(
+            text.contains("a note") && text.contains("1.50 ms") && text.contains("MISSED"),
+            "{text}"
+        );
         findings.layout = Layout::Grid;
         let text = findings.text();
-        assert!(text.lines().any(|l| l.split_whitespace().eq(["ten", "5", "1.50", "ms"])), "{text}");
+        assert!(
+            text.lines()
+                .any(|l| l.split_whitespace().eq(["ten", "5", "1.50", "ms"])),
+            "{text}"
+        );
         findings.layout = Layout::GridAfter(1);
         let text = findings.text();
-        assert!(text.contains("ten  pairs") && text.ends_with("  ten  1.50 ms\n"), "{text}");
+        assert!(
+            text.contains("ten  pairs") && text.ends_with("  ten  1.50 ms\n"),
+            "{text}"
+        );
     }
 }

@@ -29,10 +29,12 @@ pub struct Machine {
 impl Machine {
     /// This one, now; `backend` names where tensors live.
     pub fn here(backend: String) -> Self {
-        let cpu = std::fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
-            let line = text.lines().find(|line| line.starts_with("model name"))?;
-            Some(line.split_once(':')?.1.trim().to_owned())
-        });
+        let cpu = std::fs::read_to_string("/proc/cpuinfo")
+            .ok()
+            .and_then(|text| {
+                let line = text.lines().find(|line| line.starts_with("model name"))?;
+                Some(line.split_once(':')?.1.trim().to_owned())
+            });
         let load = std::fs::read_to_string("/proc/loadavg").ok();
         Self {
             cpu: cpu.unwrap_or_else(|| format!("unknown model ({})", std::env::consts::ARCH)),
@@ -53,7 +55,11 @@ impl Machine {
             "{}, {} thread{plural}, {}, {} backend, coseg {}",
             self.cpu,
             self.threads,
-            if self.instructions.is_empty() { "no wide vectors".to_owned() } else { self.instructions.join(" ") },
+            if self.instructions.is_empty() {
+                "no wide vectors".to_owned()
+            } else {
+                self.instructions.join(" ")
+            },
             self.backend,
             self.version,
         );
@@ -72,7 +78,9 @@ impl Machine {
 /// Memory that can be had without swapping, bytes, where the system says.
 pub(super) fn available_memory() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    let line = text
+        .lines()
+        .find_map(|line| line.strip_prefix("MemAvailable:"))?;
     let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kilobytes * 1024)
 }

@@ -1,7 +1,10 @@
 //! Memory and time of a step of stage two, as fewer Gaussians are decoded together.
 
 use super::segmentation::{labelled_views, random_features};
-use super::{Bench, Figure, Findings, Layout, Samples, Section, figures, gaussians_in_words, reset_peak_memory};
+use super::{
+    Bench, Figure, Findings, Layout, Samples, Section, figures, gaussians_in_words,
+    reset_peak_memory,
+};
 use crate::config::{Config, Row};
 use crate::data::Scene;
 use crate::error::Result;
@@ -39,7 +42,10 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     );
     findings.layout = Layout::Grid;
     if !reset_peak_memory() {
-        findings.notes.push("this system does not let the peak be reset: peaks are of the process so far".to_owned());
+        findings.notes.push(
+            "this system does not let the peak be reset: peaks are of the process so far"
+                .to_owned(),
+        );
     }
     for &count in &bench.effort.memory {
         findings.figures.extend(with_gaussians(bench, &few, count)?);
@@ -59,8 +65,15 @@ fn with_gaussians(bench: &Bench, few: &Scene, count: usize) -> Result<Vec<Figure
     let settings = Settings::from(&bench.config.raster);
     let seen = Some(random_features(gaussians.len(), &bench.config));
     let device = &bench.device;
-    let mut inputs =
-        Inputs { scene: few, gaussians: &gaussians, seen, semantics: None, config: &configs[0], settings, device };
+    let mut inputs = Inputs {
+        scene: few,
+        gaussians: &gaussians,
+        seen,
+        semantics: None,
+        config: &configs[0],
+        settings,
+        device,
+    };
     let mut spatial = Spatial::default();
     let source = spatial.source(Row::Ours, &inputs)?;
     let views = few.views.len();
@@ -70,7 +83,14 @@ fn with_gaussians(bench: &Bench, few: &Scene, count: usize) -> Result<Vec<Figure
         let segmentation = &config.segmentation;
         let plan = Plan::new(segmentation, Kind::from_config(segmentation)?, config.seed);
         let mut training = inputs.training_views();
-        let mut model = decoder_row(Row::Ours, segmentation.lr, &plan, source, &inputs, &mut training)?;
+        let mut model = decoder_row(
+            Row::Ours,
+            segmentation.lr,
+            &plan,
+            source,
+            &inputs,
+            &mut training,
+        )?;
         let mut recalls = Recalls::new(training.classes());
         // The first pass over the views makes their weights, which takes memory of its own.
         let first = plan.warmup.next_multiple_of(views);
@@ -80,16 +100,37 @@ fn with_gaussians(bench: &Bench, few: &Scene, count: usize) -> Result<Vec<Figure
         reset_peak_memory();
         let mut steps = Samples::default();
         for i in 0..bench.effort.repeats.max(1) * views {
-            steps.time(|| train_step(&mut model, &mut training, &plan, &mut recalls, first + views + i))?;
+            steps.time(|| {
+                train_step(
+                    &mut model,
+                    &mut training,
+                    &plan,
+                    &mut recalls,
+                    first + views + i,
+                )
+            })?;
         }
         let together = match segmentation.decoder_chunk {
             0 => "all".to_owned(),
             chunk => figures::thousands(chunk as f64),
         };
-        let case = format!("{}, {together} together", gaussians_in_words(gaussians.len()));
-        found.push(Figure::measured(&case, "an iteration", "ms", &steps.scaled(1e3)));
+        let case = format!(
+            "{}, {together} together",
+            gaussians_in_words(gaussians.len())
+        );
+        found.push(Figure::measured(
+            &case,
+            "an iteration",
+            "ms",
+            &steps.scaled(1e3),
+        ));
         if let Some(peak) = peak_memory_bytes() {
-            found.push(Figure::counted(&case, "peak memory", "MB", peak as f64 / 1e6));
+            found.push(Figure::counted(
+                &case,
+                "peak memory",
+                "MB",
+                peak as f64 / 1e6,
+            ));
         }
     }
     Ok(found)

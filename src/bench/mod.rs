@@ -97,8 +97,12 @@ impl Section {
             Self::Unprojection => "4 x 64 feature channels lifted onto the Gaussians",
             Self::Encoding => "the RandLA point encoder",
             Self::Segmentation => "an iteration of stage two, row `ours`",
-            Self::Memory => "peak memory of stage two against Gaussians decoded together (segmentation.decoder_chunk)",
-            Self::Roofline => "the least that rendering and lifting could take on this device, and what they take",
+            Self::Memory => {
+                "peak memory of stage two against Gaussians decoded together (segmentation.decoder_chunk)"
+            }
+            Self::Roofline => {
+                "the least that rendering and lifting could take on this device, and what they take"
+            }
         }
     }
 }
@@ -112,10 +116,18 @@ impl std::fmt::Display for Section {
 impl std::str::FromStr for Section {
     type Err = Error;
     fn from_str(name: &str) -> Result<Self> {
-        Self::ALL.into_iter().find(|section| section.key() == name).ok_or_else(|| {
-            let all = Self::ALL.map(Self::key).join(", ");
-            Error::argument("--only", name, all, "name one or more of these, with commas between")
-        })
+        Self::ALL
+            .into_iter()
+            .find(|section| section.key() == name)
+            .ok_or_else(|| {
+                let all = Self::ALL.map(Self::key).join(", ");
+                Error::argument(
+                    "--only",
+                    name,
+                    all,
+                    "name one or more of these, with commas between",
+                )
+            })
     }
 }
 

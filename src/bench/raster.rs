@@ -37,11 +37,25 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let mut before: Option<Before> = None;
     for &size in &effort.sizes {
         let gaussians = bench.subject.gaussians(size)?;
-        match one_size(bench, &gaussians, &cameras, before.as_ref(), &mut findings.figures) {
-            Ok(medians) => before = Some(Before { gaussians: gaussians.len(), medians }),
+        match one_size(
+            bench,
+            &gaussians,
+            &cameras,
+            before.as_ref(),
+            &mut findings.figures,
+        ) {
+            Ok(medians) => {
+                before = Some(Before {
+                    gaussians: gaussians.len(),
+                    medians,
+                })
+            }
             // What a device cannot hold does not make the rest worthless.
             Err(error @ Error::Limit { .. }) => {
-                findings.notes.push(format!("{}: left out, {error}", gaussians_in_words(gaussians.len())));
+                findings.notes.push(format!(
+                    "{}: left out, {error}",
+                    gaussians_in_words(gaussians.len())
+                ));
             }
             Err(error) => return Err(error),
         }
@@ -62,7 +76,13 @@ fn one_size(
     let pairs = count_pairs(gaussians, cameras, &settings)?;
     let alone = reset_peak_memory();
 
-    let rendering = Rendering { bench, gaussians, cameras, colour: true, channels: 0 };
+    let rendering = Rendering {
+        bench,
+        gaussians,
+        cameras,
+        colour: true,
+        channels: 0,
+    };
     let (forward, both) = (rendering.forward()?, rendering.both()?);
     let peak = peak_memory_bytes();
     let projection = Samples::of(repeats, || {
@@ -80,36 +100,75 @@ fn one_size(
     let mut timed = |name: &str, samples: &Samples, bar: f64| {
         let figure = Figure::measured(&case, name, "ms", samples);
         let barred = gaussians.len() == BAR_SIZE;
-        figures.push(if barred { figure.at_most_if(full, bar, MEANT_FOR) } else { figure });
+        figures.push(if barred {
+            figure.at_most_if(full, bar, MEANT_FOR)
+        } else {
+            figure
+        });
     };
     timed("forward", &forward, BARS[0]);
     timed("forward + backward", &both, BARS[1]);
-    figures.push(Figure::measured(&case, "projection, sorting and tiles alone", "ms", &projection.scaled(1e3 / views)));
+    figures.push(Figure::measured(
+        &case,
+        "projection, sorting and tiles alone",
+        "ms",
+        &projection.scaled(1e3 / views),
+    ));
     let backward = (both.median() - forward.median()).max(0.0);
     let pair = |name: &str, milliseconds: f64, bar: f64| {
         Figure::counted(&case, name, "ns", milliseconds * each).at_most_if(full, bar, MEANT_FOR)
     };
-    figures.push(pair("forward, a pair and core", forward.median(), PAIR_BARS[0]));
+    figures.push(pair(
+        "forward, a pair and core",
+        forward.median(),
+        PAIR_BARS[0],
+    ));
     figures.push(pair("backward, a pair and core", backward, PAIR_BARS[1]));
-    figures.push(Figure::counted(&case, "pairs a pixel", "", pairs.contributing as f64 / pixels));
-    figures.push(Figure::counted(&case, "evaluated a contributing pair", "", pairs.evaluated as f64 / contributing));
+    figures.push(Figure::counted(
+        &case,
+        "pairs a pixel",
+        "",
+        pairs.contributing as f64 / pixels,
+    ));
+    figures.push(Figure::counted(
+        &case,
+        "evaluated a contributing pair",
+        "",
+        pairs.evaluated as f64 / contributing,
+    ));
     let medians = [forward.median(), both.median()];
     if let Some(before) = before {
         let limit = gaussians.len() as f64 / before.gaussians.max(1) as f64;
-        for (name, i) in [("growth of forward", 0), ("growth of forward + backward", 1)] {
-            let name = format!("{name} from {}", super::figures::thousands(before.gaussians as f64));
-            figures.push(Figure::counted(&case, &name, "x", medians[i] / before.medians[i]).at_most(limit));
+        for (name, i) in [
+            ("growth of forward", 0),
+            ("growth of forward + backward", 1),
+        ] {
+            let name = format!(
+                "{name} from {}",
+                super::figures::thousands(before.gaussians as f64)
+            );
+            figures.push(
+                Figure::counted(&case, &name, "x", medians[i] / before.medians[i]).at_most(limit),
+            );
         }
     }
     if let Some(peak) = peak {
-        let name = if alone { "peak memory meanwhile" } else { "peak memory so far" };
+        let name = if alone {
+            "peak memory meanwhile"
+        } else {
+            "peak memory so far"
+        };
         figures.push(Figure::counted(&case, name, "MB", peak as f64 / 1e6));
     }
     Ok(medians)
 }
 
 /// Pairs of all views together.
-pub(super) fn count_pairs(gaussians: &Gaussians, cameras: &[Camera], settings: &Settings) -> Result<PairCounts> {
+pub(super) fn count_pairs(
+    gaussians: &Gaussians,
+    cameras: &[Camera],
+    settings: &Settings,
+) -> Result<PairCounts> {
     let mut sum = PairCounts::default();
     for camera in cameras {
         let pairs = Projected::new(&gaussians.splats(), camera, settings)?.count_pairs();
@@ -132,12 +191,17 @@ pub(super) struct Leaves {
 impl Leaves {
     pub fn new(g: &Gaussians, device: &Device) -> Self {
         let n = g.len();
-        let two = |v: &[f32], width: usize| Tensor::from_data(TensorData::new(v.to_vec(), [n, width]), device);
+        let two = |v: &[f32], width: usize| {
+            Tensor::from_data(TensorData::new(v.to_vec(), [n, width]), device)
+        };
         Self {
             means: two(g.means.as_flattened(), 3),
             log_scales: two(g.log_scales.as_flattened(), 3),
             rotations: two(g.rotations.as_flattened(), 4),
-            opacity_logits: Tensor::from_data(TensorData::new(g.opacity_logits.clone(), [n]), device),
+            opacity_logits: Tensor::from_data(
+                TensorData::new(g.opacity_logits.clone(), [n]),
+                device,
+            ),
             sh: Tensor::from_data(TensorData::new(g.sh.clone(), [n, g.sh_len(), 3]), device),
             sh_degree: g.sh_degree,
         }

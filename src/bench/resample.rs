@@ -21,14 +21,22 @@ pub fn resampled(gaussians: &Gaussians, count: usize, seed: u64) -> Gaussians {
     let mut rng = stream(seed, Purpose::Benchmark, count as u64);
     let whole = count / n;
     let mut rows: Vec<u32> = (0..whole).flat_map(|_| 0..n as u32).collect();
-    rows.extend(rand::seq::index::sample(&mut rng, n, count - whole * n).into_iter().map(|i| i as u32));
+    rows.extend(
+        rand::seq::index::sample(&mut rng, n, count - whole * n)
+            .into_iter()
+            .map(|i| i as u32),
+    );
     let mut out = gaussians.select(&rows);
     let ratio = n as f64 / count as f64;
     for (i, scales) in out.log_scales.iter_mut().enumerate() {
         if i >= n {
             let [w, x, y, z] = out.rotations[i].map(f64::from);
             let turn = DQuat::from_xyzw(x, y, z, w);
-            let turn = if turn.length_squared() > 1e-12 { turn.normalize() } else { DQuat::IDENTITY };
+            let turn = if turn.length_squared() > 1e-12 {
+                turn.normalize()
+            } else {
+                DQuat::IDENTITY
+            };
             let draw = DVec3::from(scales.map(|s| normal(&mut rng) * f64::from(s).exp()));
             let moved = DVec3::from(out.means[i].map(f64::from)) + turn * draw;
             out.means[i] = moved.as_vec3().to_array();
@@ -67,7 +75,12 @@ mod tests {
         for count in [1, 20, 50, 51, 170] {
             let out = resampled(&from, count, 1);
             assert_eq!((out.len(), out.sh.len()), (count, 3 * count));
-            let area = |g: &Gaussians| g.log_scales.iter().map(|s| f64::from(s[0] + s[1]).exp()).sum::<f64>();
+            let area = |g: &Gaussians| {
+                g.log_scales
+                    .iter()
+                    .map(|s| f64::from(s[0] + s[1]).exp())
+                    .sum::<f64>()
+            };
             assert!((area(&out) / area(&from) - 1.0).abs() < 1e-4, "{count}");
             assert!(out.means.as_flattened().iter().all(|v| v.is_finite()));
         }

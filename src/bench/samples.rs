@@ -100,11 +100,17 @@ mod tests {
     #[test]
     fn median_spread_and_mean() {
         let odd: Samples = [5.0, 1.0, 3.0].into_iter().collect();
-        assert_eq!((odd.median(), odd.spread(), odd.mean(), odd.len()), (3.0, [1.0, 5.0], 3.0, 3));
+        assert_eq!(
+            (odd.median(), odd.spread(), odd.mean(), odd.len()),
+            (3.0, [1.0, 5.0], 3.0, 3)
+        );
         let even: Samples = [4.0, 1.0, 2.0, 100.0].into_iter().collect();
         assert_eq!((even.median(), even.scaled(2.0).median()), (3.0, 6.0));
         assert_eq!(even.rates(8.0).spread(), [0.08, 8.0]);
-        assert_eq!((Samples::default().median(), Samples::default().spread()), (0.0, [0.0, 0.0]));
+        assert_eq!(
+            (Samples::default().median(), Samples::default().spread()),
+            (0.0, [0.0, 0.0])
+        );
     }
 
     #[test]

@@ -10,7 +10,9 @@ use crate::objects::Identities;
 use crate::random::{Purpose, stream};
 use crate::raster::Settings;
 use crate::segmentation::loss::Kind;
-use crate::train::segmentation::{Drawn, Fused, Model, NamedValues, Plan, Prediction, Recalls, train_step};
+use crate::train::segmentation::{
+    Drawn, Fused, Model, NamedValues, Plan, Prediction, Recalls, train_step,
+};
 use crate::train::{Inputs, Seen, Spatial, decoder_row};
 use burn::tensor::{Gradients, Tensor};
 use rand::Rng;
@@ -28,16 +30,27 @@ pub(super) fn labelled_views(
     count: usize,
 ) -> std::result::Result<(Scene, usize), Findings> {
     let Some(scene) = &bench.subject.scene else {
-        return Err(Findings::skipped(section, "--scene and --cameras come without labels; use --run or --data"));
+        return Err(Findings::skipped(
+            section,
+            "--scene and --cameras come without labels; use --run or --data",
+        ));
     };
-    let labelled: Vec<_> = scene.split(Split::Train).filter(|v| v.raw.is_some()).collect();
+    let labelled: Vec<_> = scene
+        .split(Split::Train)
+        .filter(|v| v.raw.is_some())
+        .collect();
     if labelled.is_empty() || scene.classes.is_empty() {
-        return Err(Findings::skipped(section, format!("{} has no raw labels", scene.name)));
+        return Err(Findings::skipped(
+            section,
+            format!("{} has no raw labels", scene.name),
+        ));
     }
     let views = count.min(labelled.len());
     let few = Scene {
         name: scene.name.clone(),
-        views: (0..views).map(|i| labelled[i * labelled.len() / views].clone()).collect(),
+        views: (0..views)
+            .map(|i| labelled[i * labelled.len() / views].clone())
+            .collect(),
         classes: scene.classes.clone(),
         points: Default::default(),
         origin: scene.origin,
@@ -50,10 +63,21 @@ pub(super) fn labelled_views(
 pub(super) fn random_features(count: usize, config: &Config) -> Seen {
     let mut rng = stream(config.seed, Purpose::Benchmark, 0);
     let dimensions = config.features.dimensions;
-    let mut rows = || (0..count * dimensions).map(|_| rng.random_range(-1.0_f32..1.0)).collect();
+    let mut rows = || {
+        (0..count * dimensions)
+            .map(|_| rng.random_range(-1.0_f32..1.0))
+            .collect()
+    };
     let lifted: [Vec<f32>; SCALES] = std::array::from_fn(|_| rows());
     let kept = (0..count as u32).collect();
-    Seen { kept, lifted, dimensions, name: "random numbers".into(), content: String::new(), seconds: [0.0; 2] }
+    Seen {
+        kept,
+        lifted,
+        dimensions,
+        name: "random numbers".into(),
+        content: String::new(),
+        seconds: [0.0; 2],
+    }
 }
 
 pub(super) fn measure(bench: &Bench) -> Result<Findings> {
@@ -63,21 +87,38 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
         Ok(found) => found,
         Err(skipped) => return Ok(skipped),
     };
-    let gaussians = bench.subject.gaussians(bench.subject.trained().unwrap_or(effort.segmentation))?;
+    let gaussians = bench
+        .subject
+        .gaussians(bench.subject.trained().unwrap_or(effort.segmentation))?;
     let (n, views) = (gaussians.len(), few.views.len());
     let camera = &few.views[0].camera;
     let is_barred = labelled == 80 && (camera.width, camera.height) == (480, 360);
     let is_barred = is_barred && config.preset == Preset::Fast;
     let settings = Settings::from(&config.raster);
     let (seen, device) = (Some(random_features(n, config)), &bench.device);
-    let inputs = Inputs { scene: &few, gaussians: &gaussians, seen, semantics: None, config, settings, device };
+    let inputs = Inputs {
+        scene: &few,
+        gaussians: &gaussians,
+        seen,
+        semantics: None,
+        config,
+        settings,
+        device,
+    };
     let mut spatial = Spatial::default();
     let source = spatial.source(Row::Ours, &inputs)?;
     let segmentation = &config.segmentation;
     let mut training = inputs.training_views();
     let plan = Plan::new(segmentation, Kind::from_config(segmentation)?, config.seed);
     let mut model = Timed {
-        model: decoder_row(Row::Ours, segmentation.lr, &plan, source, &inputs, &mut training)?,
+        model: decoder_row(
+            Row::Ours,
+            segmentation.lr,
+            &plan,
+            source,
+            &inputs,
+            &mut training,
+        )?,
         seconds: [0.0; 2],
     };
 
@@ -88,10 +129,19 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     for i in 0..views {
         making.time(|| train_step(&mut model, &mut training, &plan, &mut recalls, first + i))?;
     }
-    let (mut steps, mut forward, mut update) = (Samples::default(), Samples::default(), Samples::default());
+    let (mut steps, mut forward, mut update) =
+        (Samples::default(), Samples::default(), Samples::default());
     for i in 0..effort.repeats.max(1) * effort.steps {
         model.seconds = [0.0; 2];
-        steps.time(|| train_step(&mut model, &mut training, &plan, &mut recalls, first + views + i))?;
+        steps.time(|| {
+            train_step(
+                &mut model,
+                &mut training,
+                &plan,
+                &mut recalls,
+                first + views + i,
+            )
+        })?;
         forward.push(model.seconds[0]);
         update.push(model.seconds[1]);
     }
@@ -99,7 +149,10 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let mut findings = Findings::new(
         section,
         vec![
-            format!("{width}x{height}, {views} of the labelled training views of {}", bench.subject.description),
+            format!(
+                "{width}x{height}, {views} of the labelled training views of {}",
+                bench.subject.description
+            ),
             format!(
                 "{:.0} % of the pixels a step, {} classes, image features random numbers, lr and losses as configured",
                 100.0 * segmentation.pixel_share,
@@ -108,11 +161,18 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
         ],
     );
     let case = gaussians_in_words(n);
-    let share = |name: &str, part: f64| Figure::counted(&case, name, "%", 100.0 * part / steps.sum());
+    let share =
+        |name: &str, part: f64| Figure::counted(&case, name, "%", 100.0 * part / steps.sum());
     let rest = steps.sum() - forward.sum() - update.sum();
     findings.figures.extend([
-        Figure::measured(&case, "an iteration", "ms", &steps.scaled(1e3)).at_most_if(is_barred, BAR, MEANT_FOR),
-        Figure::measured(&case, "the first on a view, which makes its weights", "ms", &making.scaled(1e3)),
+        Figure::measured(&case, "an iteration", "ms", &steps.scaled(1e3))
+            .at_most_if(is_barred, BAR, MEANT_FOR),
+        Figure::measured(
+            &case,
+            "the first on a view, which makes its weights",
+            "ms",
+            &making.scaled(1e3),
+        ),
     ]);
     // A GPU works on while the host is elsewhere: only a whole iteration, which ends with a readback, has a time.
     if in_host_memory(device) {

@@ -62,9 +62,17 @@ impl Subject {
         }
         let mut scene = match &config.data.dir {
             None if small => {
-                let options =
-                    BuiltinOptions { width: 64, height: 48, train_views: 6, test_views: 1, ..Default::default() };
-                builtin::scene_with(&BuiltinOptions { points: 400, ..options })?
+                let options = BuiltinOptions {
+                    width: 64,
+                    height: 48,
+                    train_views: 6,
+                    test_views: 1,
+                    ..Default::default()
+                };
+                builtin::scene_with(&BuiltinOptions {
+                    points: 400,
+                    ..options
+                })?
             }
             _ => load_scene(config)?,
         };
@@ -80,24 +88,49 @@ impl Subject {
             }
             _ => {
                 let gaussians = BuildingStage::new(&scene, config, device)?.gaussians()?;
-                let text = format!("{}, its initial {} Gaussians, not trained", scene.name, gaussians.len());
+                let text = format!(
+                    "{}, its initial {} Gaussians, not trained",
+                    scene.name,
+                    gaussians.len()
+                );
                 (text, Origin::Cloud(gaussians))
             }
         };
-        let cameras: Vec<Camera> = scene.split(Split::Train).map(|v| v.camera.clone()).collect();
+        let cameras: Vec<Camera> = scene
+            .split(Split::Train)
+            .map(|v| v.camera.clone())
+            .collect();
         if cameras.is_empty() {
             let found = format!("{} without training views", scene.name);
-            return Err(Error::argument("data", found, "a scene with training views", "mark some views as `train`"));
+            return Err(Error::argument(
+                "data",
+                found,
+                "a scene with training views",
+                "mark some views as `train`",
+            ));
         }
         let (up, sh_degree) = (scene.up, config.building.sh_degree);
-        Ok(Self { description, scene: Some(scene), cameras, up, origin, sh_degree, seed: config.seed })
+        Ok(Self {
+            description,
+            scene: Some(scene),
+            cameras,
+            up,
+            origin,
+            sh_degree,
+            seed: config.seed,
+        })
     }
 
     fn of_files(scene: &Path, cameras: &Path, config: &Config) -> Result<Self> {
         let named = read_cameras(cameras, Some(Split::Train))?;
         let (gaussians, origin) = trained(scene)?;
-        let cameras: Vec<Camera> =
-            named.into_iter().map(|n| Camera { center: n.camera.center - origin, ..n.camera }).collect();
+        let cameras: Vec<Camera> = named
+            .into_iter()
+            .map(|n| Camera {
+                center: n.camera.center - origin,
+                ..n.camera
+            })
+            .collect();
         let up = level_up(&cameras);
         Ok(Self {
             description: of_trained(scene, &gaussians),
@@ -125,7 +158,9 @@ impl Subject {
     pub fn gaussians(&self, count: usize) -> Result<Gaussians> {
         let gaussians = match &self.origin {
             Origin::Room(surfaces) => surfaces.gaussians(count, self.sh_degree, self.seed)?,
-            Origin::Trained(gaussians) | Origin::Cloud(gaussians) => resampled(gaussians, count, self.seed),
+            Origin::Trained(gaussians) | Origin::Cloud(gaussians) => {
+                resampled(gaussians, count, self.seed)
+            }
         };
         Ok(gaussians.select(&gaussians.spatial_order()))
     }
@@ -134,24 +169,40 @@ impl Subject {
     pub fn cameras(&self, count: usize, [width, height]: [usize; 2]) -> Vec<Camera> {
         let n = self.cameras.len();
         let place = |i: usize| if count < n { i * n / count } else { i % n };
-        (0..count).map(|i| fitted(&self.cameras[place(i)], width, height)).collect()
+        (0..count)
+            .map(|i| fitted(&self.cameras[place(i)], width, height))
+            .collect()
     }
 
     /// Largest distance of a camera from the mean camera, world units.
     pub fn extent(&self) -> f64 {
-        let mean = self.cameras.iter().map(|c| c.center).sum::<DVec3>() / self.cameras.len().max(1) as f64;
-        self.cameras.iter().map(|c| c.center.distance(mean)).fold(0.0, f64::max)
+        let mean =
+            self.cameras.iter().map(|c| c.center).sum::<DVec3>() / self.cameras.len().max(1) as f64;
+        self.cameras
+            .iter()
+            .map(|c| c.center.distance(mean))
+            .fold(0.0, f64::max)
     }
 }
 
 fn of_trained(path: &Path, gaussians: &Gaussians) -> String {
-    format!("{}, {} trained Gaussians, resampled where another number is stated", path.display(), gaussians.len())
+    format!(
+        "{}, {} trained Gaussians, resampled where another number is stated",
+        path.display(),
+        gaussians.len()
+    )
 }
 
 fn trained(path: &Path) -> Result<(Gaussians, DVec3)> {
     let scene = ply::read(path, &Limits::default())?;
     if scene.gaussians.is_empty() {
-        return Err(Error::input(path, "element vertex", "no Gaussians", "at least one", "give a trained scene"));
+        return Err(Error::input(
+            path,
+            "element vertex",
+            "no Gaussians",
+            "at least one",
+            "give a trained scene",
+        ));
     }
     Ok((scene.gaussians, scene.origin))
 }
@@ -179,7 +230,16 @@ mod tests {
     #[test]
     fn cameras_are_cut_not_stretched() {
         let (rotation, center) = (DMat3::IDENTITY, DVec3::ZERO);
-        let tall = Camera { rotation, center, fx: 300.0, fy: 300.0, cx: 135.0, cy: 240.0, width: 270, height: 480 };
+        let tall = Camera {
+            rotation,
+            center,
+            fx: 300.0,
+            fy: 300.0,
+            cx: 135.0,
+            cy: 240.0,
+            width: 270,
+            height: 480,
+        };
         let wide = fitted(&tall, 480, 360);
         assert!((wide.fx - wide.fy).abs() < 1e-9);
         assert!((wide.cx - 240.0).abs() < 1e-9 && (wide.cy - 180.0).abs() < 1e-9);

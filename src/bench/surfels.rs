@@ -37,11 +37,15 @@ impl Surfaces {
         let views = scene.split(Split::Train).map(|view| {
             let camera = &view.camera;
             let width = camera.width.min(WIDTH);
-            let camera = camera.resized(width, (camera.height * width / camera.width.max(1)).max(1));
+            let camera =
+                camera.resized(width, (camera.height * width / camera.width.max(1)).max(1));
             let truth = render_truth(&room, &camera);
             (camera, truth)
         });
-        Self { views: views.collect(), extent: room.size.length() }
+        Self {
+            views: views.collect(),
+            extent: room.size.length(),
+        }
     }
 
     /// `count` surfels: places where training views look, spread as evenly as their number allows, each a disc along the
@@ -60,7 +64,9 @@ impl Surfaces {
         let mut tries = 0;
         while points.positions.len() < count && tries < 100 * count && !self.views.is_empty() {
             tries += 1;
-            let Some((p, normal, color)) = self.draw(&mut rng) else { continue };
+            let Some((p, normal, color)) = self.draw(&mut rng) else {
+                continue;
+            };
             if taken.insert((p / cell).floor().as_i64vec3()) || tries > PATIENCE * count {
                 points.positions.push(p.as_vec3().to_array());
                 points.colors.push(color);
@@ -88,7 +94,9 @@ impl Surfaces {
             return None;
         }
         let depth = |x: usize, y: usize| f64::from(truth.depth[y * w + x]);
-        let at = |x: usize, y: usize| camera.center + camera.ray(x as f64 + 0.5, y as f64 + 0.5) * depth(x, y);
+        let at = |x: usize, y: usize| {
+            camera.center + camera.ray(x as f64 + 0.5, y as f64 + 0.5) * depth(x, y)
+        };
         let here = depth(x, y);
         let flat = |other: f64| other > 0.0 && (other - here).abs() < DEPTH_STEP * here;
         if !(here > 0.0 && flat(depth(x + 1, y)) && flat(depth(x, y + 1))) {
@@ -99,7 +107,11 @@ impl Surfaces {
         // OpenCV axes: right x down points away from the camera.
         let normal = down.cross(right).try_normalize()?;
         // Anywhere between the three pixel centres' parallelogram, on its plane.
-        let color = truth.image.get_pixel(x as u32, y as u32).0.map(|c| f32::from(c) / 255.0);
+        let color = truth
+            .image
+            .get_pixel(x as u32, y as u32)
+            .0
+            .map(|c| f32::from(c) / 255.0);
         Some((p + right * u + down * v, normal, color))
     }
 }

@@ -19,8 +19,10 @@ const SETS: usize = 8;
 /// Views that the bars are set for, and those bars in seconds.
 const BAR_VIEWS: usize = 80;
 const MEANT_FOR: &str = "80 views at 480x360";
-const RESOLUTIONS: [(Resolution, &str, f64); 2] =
-    [(Resolution::Feature, "`feature`", 5.0), (Resolution::Image, "`image`", 15.0)];
+const RESOLUTIONS: [(Resolution, &str, f64); 2] = [
+    (Resolution::Feature, "`feature`", 5.0),
+    (Resolution::Image, "`image`", 15.0),
+];
 
 pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let effort = &bench.effort;
@@ -28,16 +30,24 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
     let cameras = bench.subject.cameras(effort.lifted_views, effort.size);
     let own = bench.subject.cameras.len();
     let mut notes = vec![
-        format!("{}, {}", bench.views_in_words(cameras.len()), gaussians_in_words(gaussians.len())),
+        format!(
+            "{}, {}",
+            bench.views_in_words(cameras.len()),
+            gaussians_in_words(gaussians.len())
+        ),
         format!(
             "maps of {CHANNELS} random numbers at every {STEPS:?} pixels, as the built-in descriptor has them; one pass"
         ),
     ];
     if own < cameras.len() {
-        notes.push(format!("the scene has {own} training views; they come round again"));
+        notes.push(format!(
+            "the scene has {own} training views; they come round again"
+        ));
     }
     let mut findings = Findings::new(Section::Unprojection, notes);
-    let sets: Vec<Vec<FeatureMap>> = (0..SETS.min(cameras.len())).map(|set| maps(bench, set)).collect();
+    let sets: Vec<Vec<FeatureMap>> = (0..SETS.min(cameras.len()))
+        .map(|set| maps(bench, set))
+        .collect();
     let settings = Settings::from(&bench.config.raster);
     let comparable = bench.is_full() && cameras.len() == BAR_VIEWS;
     for (resolution, name, bar) in RESOLUTIONS {
@@ -54,12 +64,21 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
             views.time(|| sums.add(camera, &sets[i % sets.len()], None, resolution, &settings))?;
         }
         let mut end = Samples::default();
-        end.time(|| Ok(black_box(sums.finish()?.normalised(bench.config.unprojection.normalisation))))?;
+        end.time(|| {
+            Ok(black_box(
+                sums.finish()?
+                    .normalised(bench.config.unprojection.normalisation),
+            ))
+        })?;
         let total = Figure::counted(&case, "all views", "s", views.sum() + end.sum());
-        findings.figures.push(total.at_most_if(comparable, bar, MEANT_FOR));
+        findings
+            .figures
+            .push(total.at_most_if(comparable, bar, MEANT_FOR));
         // A GPU works on after a view was handed to it.
         if in_host_memory(&bench.device) {
-            findings.figures.push(Figure::measured(&case, "a view", "ms", &views.scaled(1e3)));
+            findings
+                .figures
+                .push(Figure::measured(&case, "a view", "ms", &views.scaled(1e3)));
         }
     }
     Ok(findings)

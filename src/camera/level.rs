@@ -30,15 +30,22 @@ pub fn level_up(cameras: &[Camera]) -> DVec3 {
     if up.length() < ALONG_ONE_LINE[0] && forward.length() > ALONG_ONE_LINE[1] {
         return -forward.normalize();
     }
-    let some = if up.length() > 1e-3 { Some(up) } else { cameras.first().map(|c| -c.rotation.row(1)) };
+    let some = if up.length() > 1e-3 {
+        Some(up)
+    } else {
+        cameras.first().map(|c| -c.rotation.row(1))
+    };
     let own = some.and_then(DVec3::try_normalize).unwrap_or(DVec3::Z);
 
     let mut spread = DMat3::ZERO;
     for right in cameras.iter().map(|c| c.rotation.row(0)) {
-        spread += DMat3::from_cols(right * right.x, right * right.y, right * right.z) * count.recip();
+        spread +=
+            DMat3::from_cols(right * right.x, right * right.y, right * right.z) * count.recip();
     }
     let roll = match spread.is_finite() {
-        true => Matrix3::from_column_slice(&spread.to_cols_array()).symmetric_eigenvalues().min(),
+        true => Matrix3::from_column_slice(&spread.to_cols_array())
+            .symmetric_eigenvalues()
+            .min(),
         false => f64::NAN,
     };
     if roll.is_nan() || roll > LARGEST_ROLL {

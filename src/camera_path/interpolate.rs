@@ -53,13 +53,17 @@ impl CameraPath {
     pub fn through(cameras: &[Camera]) -> Result<Self> {
         check(cameras)?;
         let [width, height] = [cameras[0].width, cameras[0].height];
-        let mut keys = cameras.iter().map(|camera| Key::new(&camera.with_size(width, height))).collect::<Vec<_>>();
+        let mut keys = cameras
+            .iter()
+            .map(|camera| Key::new(&camera.with_size(width, height)))
+            .collect::<Vec<_>>();
         let per_radian = spread(&keys);
         keys.dedup_by(|key, before| distance(before, key, per_radian) <= SAME * per_radian);
         // Those that were repeated have no more weight than the others.
         let per_radian = spread(&keys);
 
-        let step = |pair: &[Key]| Step::new(&pair[0], &pair[1], distance(&pair[0], &pair[1], per_radian));
+        let step =
+            |pair: &[Key]| Step::new(&pair[0], &pair[1], distance(&pair[0], &pair[1], per_radian));
         let steps: Vec<Step> = keys.windows(2).map(step).collect();
         let segment = |(i, pair): (usize, &[Key])| {
             let third = steps[i].knots / 3.0;
@@ -67,7 +71,12 @@ impl CameraPath {
             let [a, b] = [&pair[0], &pair[1]];
             let turned = |q: DQuat, by: DVec3| q * DQuat::from_scaled_axis(by);
             Segment {
-                centers: [a.center, a.center + third * start[0], b.center - third * end[0], b.center],
+                centers: [
+                    a.center,
+                    a.center + third * start[0],
+                    b.center - third * end[0],
+                    b.center,
+                ],
                 rotations: [
                     a.rotation,
                     turned(a.rotation, third * start[1]),
@@ -77,17 +86,30 @@ impl CameraPath {
             }
         };
         let segments = keys.windows(2).enumerate().map(segment).collect();
-        let mut path = Self { size: [width, height], keys, segments, lengths: vec![0.0] };
+        let mut path = Self {
+            size: [width, height],
+            keys,
+            segments,
+            lengths: vec![0.0],
+        };
         let (mut length, mut before) = (0.0, path.keys[0]);
         for part in 1..=PARTS * path.segments.len() {
-            let key = path.key((part - 1) / PARTS, ((part - 1) % PARTS + 1) as f64 / PARTS as f64);
+            let key = path.key(
+                (part - 1) / PARTS,
+                ((part - 1) % PARTS + 1) as f64 / PARTS as f64,
+            );
             length += distance(&before, &key, per_radian);
             path.lengths.push(length);
             before = key;
         }
         if !length.is_finite() {
             let mend = "give cameras in one place";
-            return Err(Error::argument("cameras", "centres further apart than numbers reach", "a finite path", mend));
+            return Err(Error::argument(
+                "cameras",
+                "centres further apart than numbers reach",
+                "a finite path",
+                mend,
+            ));
         }
         Ok(path)
     }
@@ -104,7 +126,10 @@ impl CameraPath {
 
     /// The camera `length` along the path; before its start and after its end that of the start and end.
     pub fn at(&self, length: f64) -> Camera {
-        let part = self.lengths.partition_point(|&l| l < length).clamp(1, self.lengths.len().max(2) - 1);
+        let part = self
+            .lengths
+            .partition_point(|&l| l < length)
+            .clamp(1, self.lengths.len().max(2) - 1);
         let key = match self.lengths.get(part) {
             None => self.keys[0],
             Some(&end) => {
@@ -119,7 +144,16 @@ impl CameraPath {
         let [fx, fy, cx, cy] = key.intrinsics;
         let [width, height] = self.size;
         let rotation = DMat3::from_quat(key.rotation).transpose();
-        Camera { rotation, center: key.center, fx, fy, cx, cy, width, height }
+        Camera {
+            rotation,
+            center: key.center,
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        }
     }
 
     /// `count` cameras as far apart along the path as each other, from its start to its end; one alone is the start.
@@ -131,10 +165,16 @@ impl CameraPath {
     /// At `t` in 0..1 of a segment.
     fn key(&self, segment: usize, t: f64) -> Key {
         let Segment { centers, rotations } = &self.segments[segment];
-        let [a, b] = [self.keys[segment].intrinsics, self.keys[segment + 1].intrinsics];
+        let [a, b] = [
+            self.keys[segment].intrinsics,
+            self.keys[segment + 1].intrinsics,
+        ];
         Key {
             center: de_casteljau(*centers, |a, b| a.lerp(b, t)),
-            rotation: de_casteljau(*rotations, |a, b| a * DQuat::from_scaled_axis(t * turn(a, b))).normalize(),
+            rotation: de_casteljau(*rotations, |a, b| {
+                a * DQuat::from_scaled_axis(t * turn(a, b))
+            })
+            .normalize(),
             intrinsics: [0, 1, 2, 3].map(|i| (1.0 - t) * a[i] + t * b[i]),
         }
     }
@@ -142,14 +182,28 @@ impl CameraPath {
 
 impl Key {
     fn new(camera: &Camera) -> Self {
-        let &Camera { rotation, center, fx, fy, cx, cy, .. } = camera;
-        Self { center, rotation: DQuat::from_mat3(&rotation.transpose()).normalize(), intrinsics: [fx, fy, cx, cy] }
+        let &Camera {
+            rotation,
+            center,
+            fx,
+            fy,
+            cx,
+            cy,
+            ..
+        } = camera;
+        Self {
+            center,
+            rotation: DQuat::from_mat3(&rotation.transpose()).normalize(),
+            intrinsics: [fx, fy, cx, cy],
+        }
     }
 }
 
 /// How far one key is from another, where turning by a radian counts as `per_radian` world units.
 fn distance(a: &Key, b: &Key, per_radian: f64) -> f64 {
-    a.center.distance(b.center).hypot(per_radian * turn(a.rotation, b.rotation).length())
+    a.center
+        .distance(b.center)
+        .hypot(per_radian * turn(a.rotation, b.rotation).length())
 }
 
 /// From one key to the next.
@@ -163,14 +217,24 @@ struct Step {
 impl Step {
     fn new(a: &Key, b: &Key, distance: f64) -> Self {
         let knots = distance.sqrt();
-        Self { knots, velocity: [(b.center - a.center) / knots, turn(a.rotation, b.rotation) / knots] }
+        Self {
+            knots,
+            velocity: [
+                (b.center - a.center) / knots,
+                turn(a.rotation, b.rotation) / knots,
+            ],
+        }
     }
 }
 
 /// Velocities at a key: the slope there of the parabola through it and its neighbours; at an end that of the chord.
 fn velocities(steps: &[Step], key: usize) -> [DVec3; 2] {
-    match (key.checked_sub(1).and_then(|i| steps.get(i)), steps.get(key)) {
-        (Some(a), Some(b)) => [0, 1].map(|i| (b.knots * a.velocity[i] + a.knots * b.velocity[i]) / (a.knots + b.knots)),
+    match (
+        key.checked_sub(1).and_then(|i| steps.get(i)),
+        steps.get(key),
+    ) {
+        (Some(a), Some(b)) => [0, 1]
+            .map(|i| (b.knots * a.velocity[i] + a.knots * b.velocity[i]) / (a.knots + b.knots)),
         (Some(one), None) | (None, Some(one)) => one.velocity,
         (None, None) => [DVec3::ZERO; 2],
     }
@@ -183,7 +247,11 @@ fn turn(a: DQuat, b: DQuat) -> DVec3 {
     let q = if q.w < 0.0 { -q } else { q };
     let sine = q.xyz().length();
     // sin x = x where nothing else is left of it.
-    let angle_by_sine = if sine < 1e-150 { 2.0 } else { 2.0 * sine.atan2(q.w) / sine };
+    let angle_by_sine = if sine < 1e-150 {
+        2.0
+    } else {
+        2.0 * sine.atan2(q.w) / sine
+    };
     angle_by_sine * q.xyz()
 }
 
@@ -196,7 +264,16 @@ fn de_casteljau<T: Copy>([a, b, c, d]: [T; 4], mix: impl Fn(T, T) -> T) -> T {
 fn spread(keys: &[Key]) -> f64 {
     let count = keys.len() as f64;
     let mean = keys.iter().map(|key| key.center / count).sum::<DVec3>();
-    let spread = (keys.iter().map(|key| key.center.distance_squared(mean)).sum::<f64>() / count).sqrt();
+    let spread = (keys
+        .iter()
+        .map(|key| key.center.distance_squared(mean))
+        .sum::<f64>()
+        / count)
+        .sqrt();
     // Rounding moves a mean of equal centres.
-    if spread > 1e-12 * mean.length() { spread } else { 1.0 }
+    if spread > 1e-12 * mean.length() {
+        spread
+    } else {
+        1.0
+    }
 }

@@ -15,20 +15,38 @@ use crate::raster::Viewpoint;
 /// At least one camera, each of them usable.
 fn check(cameras: &[Camera]) -> Result<()> {
     if cameras.is_empty() {
-        return Err(Error::argument("cameras", "none", "one or more", "pass the cameras that the path is made from"));
+        return Err(Error::argument(
+            "cameras",
+            "none",
+            "one or more",
+            "pass the cameras that the path is made from",
+        ));
     }
     for (i, camera) in cameras.iter().enumerate() {
         Viewpoint::new(camera).map_err(|error| match error {
-            Error::Argument { name, found, expected, mend } => {
-                Error::Argument { name: format!("cameras[{i}]: {name}"), found, expected, mend }
-            }
+            Error::Argument {
+                name,
+                found,
+                expected,
+                mend,
+            } => Error::Argument {
+                name: format!("cameras[{i}]: {name}"),
+                found,
+                expected,
+                mend,
+            },
             other => other,
         })?;
         let rotation = camera.rotation;
         let off = (rotation.transpose() * rotation - glam::DMat3::IDENTITY).to_cols_array();
         if off.iter().any(|v| v.abs() > 1e-2) || rotation.determinant() < 0.0 {
             let found = format!("{rotation}");
-            return Err(Error::argument(format!("cameras[{i}]: rotation"), found, "a rotation", "mend the pose"));
+            return Err(Error::argument(
+                format!("cameras[{i}]: rotation"),
+                found,
+                "a rotation",
+                "mend the pose",
+            ));
         }
     }
     Ok(())

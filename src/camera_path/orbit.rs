@@ -46,28 +46,60 @@ impl Orbit {
     pub fn of_box(cameras: &[Camera], low: DVec3, high: DVec3) -> Result<Self> {
         check(cameras)?;
         let orbit = Self::about(cameras, 0.5 * (low + high))?;
-        let Camera { fx, fy, width, height, .. } = cameras[0];
+        let Camera {
+            fx,
+            fy,
+            width,
+            height,
+            ..
+        } = cameras[0];
         let half_angle = (0.5 * (width as f64 / fx).min(height as f64 / fy)).atan();
         let far = orbit.radius.hypot(orbit.height);
         let distance = (0.5 * low.distance(high) / half_angle.sin()).clamp(NEAREST * far, far);
-        let elevation = orbit.height.atan2(orbit.radius).clamp(-FRAC_PI_3, FRAC_PI_3);
-        Ok(Self { radius: distance * elevation.cos(), height: distance * elevation.sin(), ..orbit })
+        let elevation = orbit
+            .height
+            .atan2(orbit.radius)
+            .clamp(-FRAC_PI_3, FRAC_PI_3);
+        Ok(Self {
+            radius: distance * elevation.cos(),
+            height: distance * elevation.sin(),
+            ..orbit
+        })
     }
 
     fn about(cameras: &[Camera], target: DVec3) -> Result<Self> {
         let up = level_up(cameras);
         let offsets = cameras.iter().map(|camera| camera.center - target);
         let height = median(offsets.clone().map(|o| o.dot(up)).collect());
-        let radius = median(offsets.map(|o| o.reject_from_normalized(up).length()).collect());
-        let start = (cameras[0].center - target).reject_from_normalized(up).try_normalize();
-        let orbit = Self { target, up, start: start.unwrap_or(up.any_orthonormal_vector()), radius, height };
+        let radius = median(
+            offsets
+                .map(|o| o.reject_from_normalized(up).length())
+                .collect(),
+        );
+        let start = (cameras[0].center - target)
+            .reject_from_normalized(up)
+            .try_normalize();
+        let orbit = Self {
+            target,
+            up,
+            start: start.unwrap_or(up.any_orthonormal_vector()),
+            radius,
+            height,
+        };
         orbit.check()?;
         Ok(orbit)
     }
 
     fn check(&self) -> Result<()> {
-        let Self { target, up, start, radius, height } = *self;
-        let is_finite = target.is_finite() && height.is_finite() && (radius + height.abs()).is_finite();
+        let Self {
+            target,
+            up,
+            start,
+            radius,
+            height,
+        } = *self;
+        let is_finite =
+            target.is_finite() && height.is_finite() && (radius + height.abs()).is_finite();
         // Nearer to the axis a circle is a point but for rounding.
         if !(is_finite && radius > 1e-12 * (height.abs() + target.length()) && radius > 0.0) {
             let found = format!("radius {radius:.3e} around {target}, {height:.3e} above it");
@@ -77,7 +109,12 @@ impl Orbit {
         let off = [up.length() - 1.0, start.length() - 1.0, up.dot(start)];
         if off.iter().any(|off| off.is_nan() || off.abs() > 1e-6) {
             let found = format!("up {up}, start {start}");
-            return Err(Error::argument("orbit", found, "perpendicular unit vectors", "normalise them"));
+            return Err(Error::argument(
+                "orbit",
+                found,
+                "perpendicular unit vectors",
+                "normalise them",
+            ));
         }
         Ok(())
     }
@@ -97,7 +134,11 @@ impl Orbit {
             let right = cos * side - sin * self.start;
             let forward = -offset.normalize();
             let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
-            Camera { rotation, center: self.target + offset, ..lens.clone() }
+            Camera {
+                rotation,
+                center: self.target + offset,
+                ..lens.clone()
+            }
         };
         Ok((0..count).map(camera).collect())
     }
@@ -110,7 +151,10 @@ impl Orbit {
 pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     let count = cameras.len() as f64;
     // About the mean, since scenes lie far from the origin.
-    let mean = cameras.iter().map(|camera| camera.center / count).sum::<DVec3>();
+    let mean = cameras
+        .iter()
+        .map(|camera| camera.center / count)
+        .sum::<DVec3>();
     let (mut normal, mut right) = (DMat3::ZERO, DVec3::ZERO);
     for camera in cameras {
         let d = forward(camera).try_normalize()?;
@@ -118,12 +162,17 @@ pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
         normal += across;
         right += across * (camera.center - mean);
     }
-    let least = Matrix3::from_column_slice(&normal.to_cols_array()).symmetric_eigenvalues().min();
+    let least = Matrix3::from_column_slice(&normal.to_cols_array())
+        .symmetric_eigenvalues()
+        .min();
     if least.is_nan() || least < LEAST_SPREAD * count {
         return None;
     }
     let point = normal.inverse() * right + mean;
-    let in_front = cameras.iter().filter(|camera| (point - camera.center).dot(forward(camera)) > 0.0).count();
+    let in_front = cameras
+        .iter()
+        .filter(|camera| (point - camera.center).dot(forward(camera)) > 0.0)
+        .count();
     (point.is_finite() && 2 * in_front > cameras.len()).then_some(point)
 }
 

@@ -64,22 +64,46 @@ impl AssociateArgs {
         }
         transforms::write_cameras(&self.input.out.join("cameras.json"), &cameras(&scene))?;
         scene.classes.write(&self.input.out.join("classes.json"))?;
-        let identities =
-            vote(&ply.gaussians, scene.split(Split::Train), &scene.classes, &raster, &device)?.identities();
+        let identities = vote(
+            &ply.gaussians,
+            scene.split(Split::Train),
+            &scene.classes,
+            &raster,
+            &device,
+        )?
+        .identities();
         let path = self.input.out.join("scene.ply");
-        ply::write(&path, &ply.gaussians, ply.origin, Some(&identities.ids(&scene.classes)))?;
+        ply::write(
+            &path,
+            &ply.gaussians,
+            ply.origin,
+            Some(&identities.ids(&scene.classes)),
+        )?;
         let out = self.input.out.display();
-        terminal::say(&format!("{out}: maps in labels, cameras.json, classes.json and scene.ply"));
+        terminal::say(&format!(
+            "{out}: maps in labels, cameras.json, classes.json and scene.ply"
+        ));
 
-        let maps = LabelMaps::new(&identities, &scene.classes, LabelRule::from(&config.segmentation));
+        let maps = LabelMaps::new(
+            &identities,
+            &scene.classes,
+            LabelRule::from(&config.segmentation),
+        );
         let mut rendered = Vec::new();
         for view in scene.split(Split::Test) {
-            if view.instances.is_some() || semantics.as_ref().is_some_and(|semantics| semantics.knows(view)) {
+            if view.instances.is_some()
+                || semantics
+                    .as_ref()
+                    .is_some_and(|semantics| semantics.knows(view))
+            {
                 let projected = Projected::new(&ply.gaussians.splats(), &view.camera, &raster)?;
                 rendered.push((view, LabelRuns::from(maps.of(&projected))));
             }
         }
-        let own: Vec<_> = scene.split(Split::Test).filter_map(|view| Some((view, view.raw.clone()?))).collect();
+        let own: Vec<_> = scene
+            .split(Split::Test)
+            .filter_map(|view| Some((view, view.raw.clone()?)))
+            .collect();
         for (what, maps) in [("maps", own), ("rendered", rendered)] {
             print(what, &of_instances(&maps));
             if let Some(semantics) = &semantics {
@@ -92,21 +116,32 @@ impl AssociateArgs {
 
 /// The cameras of the views, in world units.
 fn cameras(scene: &Scene) -> Vec<NamedCamera> {
-    let camera = |view: &View| Camera { center: view.camera.center + scene.origin, ..view.camera.clone() };
-    let named = |view: &View| NamedCamera { name: view.name.clone(), split: view.split, camera: camera(view) };
+    let camera = |view: &View| Camera {
+        center: view.camera.center + scene.origin,
+        ..view.camera.clone()
+    };
+    let named = |view: &View| NamedCamera {
+        name: view.name.clone(),
+        split: view.split,
+        camera: camera(view),
+    };
     scene.views.iter().map(named).collect()
 }
 
 /// Scores of the maps of views with true instances.
 fn of_instances(maps: &[(&View, LabelRuns)]) -> InstanceScores {
-    instance_scores(maps.iter().filter_map(|(view, map)| Some((view.instances.as_ref()?.map(), map.map()))))
+    instance_scores(
+        maps.iter()
+            .filter_map(|(view, map)| Some((view.instances.as_ref()?.map(), map.map()))),
+    )
 }
 
 /// The scores by class of held-out views, where there are true labels.
 fn print_by_class(what: &str, scores: &SemanticScores) {
     if let (Some(miou), Some(accuracy)) = (scores.miou, scores.accuracy) {
-        let figure =
-            |name: &str, value: Option<f64>| value.map_or(String::new(), |value| format!(", {name} {value:.4}"));
+        let figure = |name: &str, value: Option<f64>| {
+            value.map_or(String::new(), |value| format!(", {name} {value:.4}"))
+        };
         let quality = scores.panoptic.unwrap_or_default();
         let qualities = [
             figure("PQ", quality.all.pq),
@@ -122,7 +157,9 @@ fn print_by_class(what: &str, scores: &SemanticScores) {
 
 /// The scores of held-out views, where there are true instances.
 fn print(what: &str, scores: &InstanceScores) {
-    if let (Some(accuracy), Some(miou), Some(pq)) = (scores.accuracy, scores.miou, scores.panoptic.pq) {
+    if let (Some(accuracy), Some(miou), Some(pq)) =
+        (scores.accuracy, scores.miou, scores.panoptic.pq)
+    {
         let [sq, rq] = [scores.panoptic.sq, scores.panoptic.rq].map(Option::unwrap_or_default);
         terminal::say(&format!(
             "held-out views, {what}: accuracy {accuracy:.4}, mIoU {miou:.4}, PQ {pq:.4} (SQ {sq:.4}, RQ {rq:.4}), {} true \

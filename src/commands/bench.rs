@@ -94,7 +94,10 @@ impl BenchArgs {
         let (config, source) = match (&self.run, &self.scene) {
             (Some(dir), _) => {
                 let run = RunFolder::existing(dir)?;
-                (run.config(&self.settings.sets)?, Source::Trained(run.scene_path()))
+                (
+                    run.config(&self.settings.sets)?,
+                    Source::Trained(run.scene_path()),
+                )
             }
             (None, Some(scene)) => {
                 let scene = scene_path(scene)?;
@@ -102,13 +105,19 @@ impl BenchArgs {
                 let source = Source::Files { scene, cameras };
                 (self.settings.load(None, None)?, source)
             }
-            _ => (self.settings.load(self.data.as_ref(), None)?, Source::Untrained),
+            _ => (
+                self.settings.load(self.data.as_ref(), None)?,
+                Source::Untrained,
+            ),
         };
         let effort = match self.quick {
             true => Effort::quick(self.repeats.unwrap_or(REPEATS[1])),
             false => {
-                let fits = machine.available_memory_bytes.is_none_or(|bytes| bytes >= LARGE_BYTES);
-                let mut effort = Effort::full(self.repeats.unwrap_or(REPEATS[0]), self.large || fits);
+                let fits = machine
+                    .available_memory_bytes
+                    .is_none_or(|bytes| bytes >= LARGE_BYTES);
+                let mut effort =
+                    Effort::full(self.repeats.unwrap_or(REPEATS[0]), self.large || fits);
                 effort.memory.extend(self.large.then_some(1_000_000));
                 effort
             }
@@ -121,9 +130,18 @@ impl BenchArgs {
         let sections: Vec<Section> = Section::ALL.into_iter().filter(wanted).collect();
         let bar = terminal::bar("bench", sections.len() as u64);
         let subject = Subject::load(&source, &config, self.quick, &device)?;
-        let bench = Bench { config, subject, device, effort };
+        let bench = Bench {
+            config,
+            subject,
+            device,
+            effort,
+        };
         if let Some(dir) = &self.export {
-            let written: Vec<String> = bench.export(dir)?.iter().map(|path| path.display().to_string()).collect();
+            let written: Vec<String> = bench
+                .export(dir)?
+                .iter()
+                .map(|path| path.display().to_string())
+                .collect();
             terminal::say(&format!("what is rendered: {}", written.join(", ")));
         }
         let mut found = Vec::new();
@@ -152,7 +170,8 @@ fn write_json(path: &Path, machine: &Machine, bench: &Bench, found: &[Findings])
         "repeats": bench.effort.repeats,
         "sections": found,
     });
-    let text = serde_json::to_string_pretty(&json).map_err(|e| Error::io(path, "encode", e.into()))?;
+    let text =
+        serde_json::to_string_pretty(&json).map_err(|e| Error::io(path, "encode", e.into()))?;
     atomic::write_bytes(path, (text + "\n").as_bytes())?;
     terminal::say(&format!("\nfigures: {}", path.display()));
     Ok(())

@@ -104,9 +104,19 @@ impl CheckArgs {
                 Ok(())
             }
             n => {
-                let count = if n == 1 { "1 problem".to_owned() } else { format!("{n} problems") };
+                let count = if n == 1 {
+                    "1 problem".to_owned()
+                } else {
+                    format!("{n} problems")
+                };
                 let field = format!("layout {layout}, {} frames", checked.frames);
-                Err(Error::input(&self.dir, field, count, "none", "mend what is listed above and check again"))
+                Err(Error::input(
+                    &self.dir,
+                    field,
+                    count,
+                    "none",
+                    "mend what is listed above and check again",
+                ))
             }
         }
     }
@@ -119,7 +129,10 @@ impl InfoArgs {
         let info = data::info(&self.dir, &options)?;
         if let Some(path) = &self.sheet {
             let (tiles, classes) = data::thumbnails(&self.dir, &options, SHEET.0, SHEET.1)?;
-            atomic::write_bytes(path, &pictures::png(&contact_sheet(&tiles, &classes), path)?)?;
+            atomic::write_bytes(
+                path,
+                &pictures::png(&contact_sheet(&tiles, &classes), path)?,
+            )?;
         }
         if self.json {
             terminal::say(&serde_json::json!(info).to_string());
@@ -141,31 +154,65 @@ fn print(info: &Info) {
         say("photos", format!("{n} of {w}x{h} pixels"));
     }
     if info.distorted > 0 {
-        say("distorted", format!("{} photos, undistorted on loading", info.distorted));
+        say(
+            "distorted",
+            format!("{} photos, undistorted on loading", info.distorted),
+        );
     }
     if info.masked > 0 {
-        say("masks", format!("{} views, {:.2} % of all pixels left out", info.masked, 100.0 * info.left_out));
+        say(
+            "masks",
+            format!(
+                "{} views, {:.2} % of all pixels left out",
+                info.masked,
+                100.0 * info.left_out
+            ),
+        );
     }
     let c = &info.cameras;
     let numbers = |v: [f64; 3]| v.map(|v| format!("{v:.3}")).join(" ");
     say(
         "cameras",
-        format!("{} to {}, extent {:.3} about {}", numbers(c.low), numbers(c.high), c.extent, numbers(c.mean)),
+        format!(
+            "{} to {}, extent {:.3} about {}",
+            numbers(c.low),
+            numbers(c.high),
+            c.extent,
+            numbers(c.mean)
+        ),
     );
     say("points", info.points.to_string());
-    say("labels", format!("{} views true, {} views raw", info.labelled, info.raw_labelled));
+    say(
+        "labels",
+        format!(
+            "{} views true, {} views raw",
+            info.labelled, info.raw_labelled
+        ),
+    );
     if info.segments > 0 {
-        say("segments", format!("{} in the raw labels, to be put together over Gaussians", info.segments));
+        say(
+            "segments",
+            format!(
+                "{} in the raw labels, to be put together over Gaussians",
+                info.segments
+            ),
+        );
     }
     if info.instances > 0 {
         say("instances", format!("{} views true", info.instances));
     }
     if !info.classes.is_empty() {
-        terminal::say(&format!("{:>14}  {:>7} {:>7} {:>6}  class", "id", "true", "raw", "views"));
+        terminal::say(&format!(
+            "{:>14}  {:>7} {:>7} {:>6}  class",
+            "id", "true", "raw", "views"
+        ));
     }
     for class in &info.classes {
         let (truth, raw) = (100.0 * class.truth, 100.0 * class.raw);
-        terminal::say(&format!("{:>14}  {truth:>6.2}% {raw:>6.2}% {:>6}  {}", class.id, class.views, class.name));
+        terminal::say(&format!(
+            "{:>14}  {truth:>6.2}% {raw:>6.2}% {:>6}  {}",
+            class.id, class.views, class.name
+        ));
     }
     for notice in &info.notices {
         say("note", notice.clone());

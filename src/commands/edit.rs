@@ -66,17 +66,26 @@ fn parse_turn(text: &str) -> std::result::Result<(String, DQuat), String> {
             "z" => DVec3::Z,
             direction => numbers(direction, ':')?.try_normalize()?,
         };
-        let degrees = degrees.trim().parse::<f64>().ok().filter(|d| d.is_finite())?;
-        Some((object.to_owned(), DQuat::from_axis_angle(axis, degrees.to_radians())))
+        let degrees = degrees
+            .trim()
+            .parse::<f64>()
+            .ok()
+            .filter(|d| d.is_finite())?;
+        Some((
+            object.to_owned(),
+            DQuat::from_axis_angle(axis, degrees.to_radians()),
+        ))
     };
-    let expected =
-        "expected an object, x, y, z or a direction, and degrees, for instance chair=z,90 or chair=0.1:-0.99:0.05,90";
+    let expected = "expected an object, x, y, z or a direction, and degrees, for instance chair=z,90 or chair=0.1:-0.99:0.05,90";
     parse().ok_or_else(|| expected.into())
 }
 
 /// Three finite numbers.
 fn numbers(text: &str, separator: char) -> Option<DVec3> {
-    let values: Option<Vec<f64>> = text.split(separator).map(|v| v.trim().parse().ok()).collect();
+    let values: Option<Vec<f64>> = text
+        .split(separator)
+        .map(|v| v.trim().parse().ok())
+        .collect();
     let values = DVec3::from(<[f64; 3]>::try_from(values?).ok()?);
     values.is_finite().then_some(values)
 }
@@ -93,22 +102,36 @@ impl EditArgs {
     /// Edits and writes.
     pub fn run(self) -> Result<()> {
         let mut scene = self.input.read()?;
-        let [kept, removed] = [scene.ids(&self.keep, "--keep")?, scene.ids(&self.remove, "--remove")?];
+        let [kept, removed] = [
+            scene.ids(&self.keep, "--keep")?,
+            scene.ids(&self.remove, "--remove")?,
+        ];
         let names = self.input.names_beside(&self.out, &scene, &scene.classes)?;
-        let stays = |id: u16| (self.keep.is_empty() || kept.contains(&id)) && !removed.contains(&id);
+        let stays =
+            |id: u16| (self.keep.is_empty() || kept.contains(&id)) && !removed.contains(&id);
         let motions = self.motions(&scene, &stays)?;
         for (rows, motion) in &motions {
             motion.apply(&mut scene.ply.gaussians, rows);
         }
-        let rows: Vec<u32> = (0..).zip(&scene.labels).filter(|&(_, &id)| stays(id)).map(|(row, _)| row).collect();
+        let rows: Vec<u32> = (0..)
+            .zip(&scene.labels)
+            .filter(|&(_, &id)| stays(id))
+            .map(|(row, _)| row)
+            .collect();
         if rows.is_empty() {
             let mend = "keep an object, or remove fewer";
-            return Err(Error::argument("--keep, --remove", "no Gaussian left", "one or more", mend));
+            return Err(Error::argument(
+                "--keep, --remove",
+                "no Gaussian left",
+                "one or more",
+                mend,
+            ));
         }
         let labels: Vec<u16> = rows.iter().map(|&row| scene.labels[row as usize]).collect();
         let mut gaussians = scene.ply.gaussians.select(&rows);
         if self.paint {
-            gaussians = gaussians.painted(&labels.iter().map(|&id| scene.color(id)).collect::<Vec<_>>());
+            gaussians =
+                gaussians.painted(&labels.iter().map(|&id| scene.color(id)).collect::<Vec<_>>());
         }
         ply::write(&self.out, &gaussians, scene.ply.origin, Some(&labels))?;
         if !scene.classes.is_empty() && !names.exists() {
@@ -116,36 +139,64 @@ impl EditArgs {
         }
         bring_cameras(&scene.path, &self.out)?;
         let (left, before, out) = (rows.len(), scene.labels.len(), self.out.display());
-        terminal::say(&format!("{out}: {left} of {before} Gaussians, {} turns and moves", motions.len()));
+        terminal::say(&format!(
+            "{out}: {left} of {before} Gaussians, {} turns and moves",
+            motions.len()
+        ));
         Ok(())
     }
 
     /// Rows and motions of objects that stay: turns before moves, each in the order of the command line.
-    fn motions(&self, scene: &ObjectScene, stays: &dyn Fn(u16) -> bool) -> Result<Vec<(Vec<u32>, Motion)>> {
-        let still = Motion { rotation: DQuat::IDENTITY, pivot: DVec3::ZERO, translation: DVec3::ZERO };
+    fn motions(
+        &self,
+        scene: &ObjectScene,
+        stays: &dyn Fn(u16) -> bool,
+    ) -> Result<Vec<(Vec<u32>, Motion)>> {
+        let still = Motion {
+            rotation: DQuat::IDENTITY,
+            pivot: DVec3::ZERO,
+            translation: DVec3::ZERO,
+        };
         let mut motions = Vec::new();
         let mut add = |what: &str, flag: &str, motion: &dyn Fn(&Object) -> Motion| {
-            let staying = scene.find(what, flag)?.into_iter().filter(|object| stays(object.id));
+            let staying = scene
+                .find(what, flag)?
+                .into_iter()
+                .filter(|object| stays(object.id));
             let before = motions.len();
             motions.extend(staying.map(|object| (object.rows.clone(), motion(object))));
             if motions.len() == before {
                 let mend = "leave it out, or keep the object";
-                return Err(Error::argument(flag, what, "an object that is neither removed nor left out", mend));
+                return Err(Error::argument(
+                    flag,
+                    what,
+                    "an object that is neither removed nor left out",
+                    mend,
+                ));
             }
             Ok(())
         };
         for (what, rotation) in &self.turn {
-            add(what, "--turn", &|object| Motion { rotation: *rotation, pivot: object.center(), ..still })?;
+            add(what, "--turn", &|object| Motion {
+                rotation: *rotation,
+                pivot: object.center(),
+                ..still
+            })?;
         }
         let farthest = FARTHEST * diagonal(&scene.ply.gaussians);
         for (what, translation) in &self.moves {
             if farthest > 0.0 && translation.length() > farthest {
-                let (found, expected) =
-                    (format!("{what}={translation}"), format!("at most {farthest:.3e} world units"));
+                let (found, expected) = (
+                    format!("{what}={translation}"),
+                    format!("at most {farthest:.3e} world units"),
+                );
                 let mend = "positions so far off would lose their digits: move by less";
                 return Err(Error::argument("--move", found, expected, mend));
             }
-            add(what, "--move", &|_| Motion { translation: *translation, ..still })?;
+            add(what, "--move", &|_| Motion {
+                translation: *translation,
+                ..still
+            })?;
         }
         Ok(motions)
     }
@@ -153,7 +204,12 @@ impl EditArgs {
 
 /// Diagonal of the box around all centres.
 fn diagonal(gaussians: &Gaussians) -> f64 {
-    let centres = gaussians.means.iter().map(|mean| DVec3::from(mean.map(f64::from)));
-    let corners = centres.map(|c| (c, c)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+    let centres = gaussians
+        .means
+        .iter()
+        .map(|mean| DVec3::from(mean.map(f64::from)));
+    let corners = centres
+        .map(|c| (c, c))
+        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
     corners.map_or(0.0, |(low, high)| (high - low).length())
 }

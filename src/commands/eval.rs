@@ -7,7 +7,9 @@ use coseg::config::{Association, Config, Row};
 use coseg::data::{Classes, LabelMap, LabelRuns, Limits, Scene, Split, View};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
-use coseg::metrics::{ImageScores, InstanceScores, SemanticScores, Void, instance_scores, label_scores};
+use coseg::metrics::{
+    ImageScores, InstanceScores, SemanticScores, Void, instance_scores, label_scores,
+};
 use coseg::objects::{Identities, LabelMaps, LabelRule, Semantics, hard_label_map};
 use coseg::raster::{Projected, Settings, render};
 use coseg::report::{RowScores, TestScores};
@@ -64,7 +66,13 @@ impl EvalArgs {
         let scene = coseg::train::load_scene(&config)?.with_origin(ply.origin);
         let stored = stored(&run, &ply)?;
         let classes = run.classes()?;
-        let named = |classes: &Classes| classes.entries.iter().map(|c| (c.id, c.name.clone())).collect::<Vec<_>>();
+        let named = |classes: &Classes| {
+            classes
+                .entries
+                .iter()
+                .map(|c| (c.id, c.name.clone()))
+                .collect::<Vec<_>>()
+        };
         let associated = config.data.association != Association::None;
         if !associated
             && ![&scene.classes, &classes].iter().any(|c| c.is_empty())
@@ -72,13 +80,20 @@ impl EvalArgs {
         {
             let found = format!("{} classes, not those of the run", scene.classes.len());
             let mend = "give the scene that was trained on, or one with the same classes.json";
-            return Err(Error::argument("--data", found, format!("the {} classes of the run", classes.len()), mend));
+            return Err(Error::argument(
+                "--data",
+                found,
+                format!("the {} classes of the run", classes.len()),
+                mend,
+            ));
         }
         let Found { images, labels } = score(&scene, &ply, stored.as_ref(), &classes, &config)?;
         // Classes that association found are objects; true labels are of other classes.
         let objects = config.data.association != Association::None;
         let instances = objects.then(|| {
-            let known = labels.iter().filter_map(|(view, found)| Some((view.instances.as_ref()?, found)));
+            let known = labels
+                .iter()
+                .filter_map(|(view, found)| Some((view.instances.as_ref()?, found)));
             instance_scores(known.map(|(truth, found)| (truth.map(), found.map())))
         });
         let semantics = Semantics::of(&scene).filter(|_| objects && stored.is_some());
@@ -93,18 +108,31 @@ impl EvalArgs {
         );
         let views = scene.split(Split::Test).count();
         if self.json {
-            let row = RowScores { instances, semantic, ..RowScores::from(&labels) };
+            let row = RowScores {
+                instances,
+                semantic,
+                ..RowScores::from(&labels)
+            };
             let labels = stored.and(stored_row(&config)).map(|name| (name, row));
             let mean = ImageScores::mean(&images.values().copied().collect::<Vec<_>>());
-            let test =
-                TestScores { psnr: mean.psnr, ssim: mean.ssim, views: images, labels: labels.into_iter().collect() };
+            let test = TestScores {
+                psnr: mean.psnr,
+                ssim: mean.ssim,
+                views: images,
+                labels: labels.into_iter().collect(),
+            };
             let json = serde_json::json!({ "scene": scene.name, "gaussians": ply.gaussians.len(), "held_out": views, "test": test });
             terminal::say(&json.to_string());
             return Ok(());
         }
         let images = ImageScores::mean(&images.into_values().collect::<Vec<_>>());
-        terminal::say(&format!("{}: {} Gaussians, {views} held-out views", scene.name, ply.gaussians.len()));
-        let of_objects = |pick: fn(&InstanceScores) -> Option<f64>| instances.as_ref().and_then(pick);
+        terminal::say(&format!(
+            "{}: {} Gaussians, {views} held-out views",
+            scene.name,
+            ply.gaussians.len()
+        ));
+        let of_objects =
+            |pick: fn(&InstanceScores) -> Option<f64>| instances.as_ref().and_then(pick);
         let by_class = |pick: fn(&SemanticScores) -> Option<f64>| semantic.as_ref().and_then(pick);
         let figures = [
             ("PSNR", images.psnr, " dB", 2),
@@ -128,10 +156,17 @@ impl EvalArgs {
             }
         }
         for (id, iou) in &labels.per_class {
-            terminal::say(&format!("{:>14}  {iou:.4}  IoU of {id} {}", "", scene.classes.name(*id)));
+            terminal::say(&format!(
+                "{:>14}  {iou:.4}  IoU of {id} {}",
+                "",
+                scene.classes.name(*id)
+            ));
         }
         for class in semantic.iter().flat_map(|s| &s.per_class) {
-            terminal::say(&format!("{:>14}  {:.4}  IoU of {} {}", "", class.iou, class.id, class.name));
+            terminal::say(&format!(
+                "{:>14}  {:.4}  IoU of {} {}",
+                "", class.iou, class.id, class.name
+            ));
         }
         Ok(())
     }
@@ -140,7 +175,10 @@ impl EvalArgs {
 /// The row whose identities a run with these settings stores.
 fn stored_row(config: &Config) -> Option<Row> {
     let rows = config.segmentation.rows();
-    rows.iter().find(|row| **row == Row::Ours).or_else(|| rows.iter().rfind(|row| **row != Row::Raw)).copied()
+    rows.iter()
+        .find(|row| **row == Row::Ours)
+        .or_else(|| rows.iter().rfind(|row| **row != Row::Raw))
+        .copied()
 }
 
 /// The identities of the run, or else the labels in its PLY; nothing when it has neither.
@@ -150,10 +188,19 @@ fn stored(run: &RunFolder, ply: &PlyScene) -> Result<Option<Stored>> {
         return Ok(ply.labels.clone().map(Stored::Labels));
     }
     let identities = Identities::read(&path)?;
-    let (rows, n) = (identities.scores.len() / identities.classes.max(1), ply.gaussians.len());
+    let (rows, n) = (
+        identities.scores.len() / identities.classes.max(1),
+        ply.gaussians.len(),
+    );
     if rows != n {
         let mend = "the two files are of different runs; train again";
-        return Err(Error::input(&path, "scores", format!("{rows} rows"), format!("{n}, as in scene.ply"), mend));
+        return Err(Error::input(
+            &path,
+            "scores",
+            format!("{rows} rows"),
+            format!("{n}, as in scene.ply"),
+            mend,
+        ));
     }
     Ok(Some(Stored::Identities(identities)))
 }
@@ -177,15 +224,25 @@ fn score<'s>(
                 let maps = LabelMaps::new(identities, classes, rule);
                 Box::new(move |projected| maps.of(projected))
             }
-            Stored::Labels(ids) => Box::new(move |projected| hard_label_map(projected, ids, rule.min_coverage)),
+            Stored::Labels(ids) => {
+                Box::new(move |projected| hard_label_map(projected, ids, rule.min_coverage))
+            }
         }
     });
     let bar = terminal::bar("eval", scene.split(Split::Test).count() as u64);
     let (mut images, mut labels) = (BTreeMap::new(), Vec::new());
     for view in scene.split(Split::Test) {
-        let View { camera, truth, instances, .. } = view;
+        let View {
+            camera,
+            truth,
+            instances,
+            ..
+        } = view;
         let rendered = render(&ply.gaussians, camera, &settings, config.raster.background)?;
-        images.insert(view.name.clone(), ImageScores::of_view(&rendered.rgb, view)?);
+        images.insert(
+            view.name.clone(),
+            ImageScores::of_view(&rendered.rgb, view)?,
+        );
         if let (true, Some(shown)) = (truth.is_some() || instances.is_some(), &shown) {
             let projected = Projected::new(&ply.gaussians.splats(), camera, &settings)?;
             labels.push((view, shown(&projected).into()));

@@ -25,23 +25,42 @@ pub fn print(faults: &[Error], all: bool) {
     }
     for group in groups {
         // One more takes no more room than to say so.
-        let shown = if all || group.len() == SHOWN + 1 { group.len() } else { SHOWN };
-        group.iter().take(shown).for_each(|fault| terminal::error(fault));
+        let shown = if all || group.len() == SHOWN + 1 {
+            group.len()
+        } else {
+            SHOWN
+        };
+        group
+            .iter()
+            .take(shown)
+            .for_each(|fault| terminal::error(fault));
         if let Some(more) = group.len().checked_sub(shown).filter(|more| *more > 0) {
-            terminal::note(&format!("error: .. and {more} more like it (--all shows them)"));
+            terminal::note(&format!(
+                "error: .. and {more} more like it (--all shows them)"
+            ));
         }
     }
 }
 
 fn kind(fault: &Error) -> Kind {
     let (path, field, mend) = match fault {
-        Error::Input { path, field, mend, .. } => (folder(path), field.as_str(), mend.as_str()),
+        Error::Input {
+            path, field, mend, ..
+        } => (folder(path), field.as_str(), mend.as_str()),
         Error::Missing { path, what, mend } => (folder(path), *what, mend.as_str()),
         Error::Io { path, action, .. } => (folder(path), *action, ""),
-        Error::Config { key, mend, .. } | Error::Argument { name: key, mend, .. } => {
-            (PathBuf::new(), key.as_str(), mend.as_str())
+        Error::Config { key, mend, .. }
+        | Error::Argument {
+            name: key, mend, ..
+        } => (PathBuf::new(), key.as_str(), mend.as_str()),
+        other => {
+            return (
+                discriminant(other),
+                PathBuf::new(),
+                other.to_string(),
+                String::new(),
+            );
         }
-        other => return (discriminant(other), PathBuf::new(), other.to_string(), String::new()),
     };
     (discriminant(fault), path, plain(field), plain(mend))
 }

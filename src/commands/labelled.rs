@@ -49,7 +49,12 @@ impl LabelledArgs {
         let path = scene_path(&self.scene)?;
         if atomic::same_file(&path, &self.out.join("scene.ply")) {
             let expected = "another folder than that of the scene, which would be written over";
-            return Err(Error::argument("--out", self.out.display().to_string(), expected, "name a new folder"));
+            return Err(Error::argument(
+                "--out",
+                self.out.display().to_string(),
+                expected,
+                "name a new folder",
+            ));
         }
         let scene = data::load(&self.data, &options)?;
         let ply = ply::read(&path, &Limits::default())?;

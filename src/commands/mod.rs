@@ -47,7 +47,12 @@ pub struct Cli {
 fn version() -> &'static str {
     static VERSION: LazyLock<String> = LazyLock::new(|| {
         let cuda = cfg!(feature = "cuda").then_some(BackendName::Cuda);
-        let names: Vec<String> = BackendName::compiled().iter().copied().chain(cuda).map(|b| b.to_string()).collect();
+        let names: Vec<String> = BackendName::compiled()
+            .iter()
+            .copied()
+            .chain(cuda)
+            .map(|b| b.to_string())
+            .collect();
         format!("{} ({})", env!("CARGO_PKG_VERSION"), names.join(", "))
     });
     &VERSION
@@ -136,7 +141,11 @@ pub struct Settings {
 impl Settings {
     /// The checked settings, with `--data` and `--seed` as the last words; without a scene folder those of the built-in scene.
     pub fn load(&self, data: Option<&PathBuf>, seed: Option<u64>) -> Result<Config> {
-        let mut config = Config::load_for(data.map(PathBuf::as_path), self.config.as_deref(), &self.sets)?;
+        let mut config = Config::load_for(
+            data.map(PathBuf::as_path),
+            self.config.as_deref(),
+            &self.sets,
+        )?;
         if let Some(seed) = seed {
             config.seed = seed;
         }

@@ -45,20 +45,49 @@ impl ObjectSceneArgs {
 
     /// Where the names of labels `classes` go beside a scene written to `out`. Neither what is read, `scene` and the names given for
     /// it, nor the class table of other labels is written over.
-    pub fn names_beside(&self, out: &Path, scene: &ObjectScene, classes: &Classes) -> Result<PathBuf> {
+    pub fn names_beside(
+        &self,
+        out: &Path,
+        scene: &ObjectScene,
+        classes: &Classes,
+    ) -> Result<PathBuf> {
         let names = out.with_file_name("classes.json");
         let read = [Some(&scene.path), self.classes.as_ref()];
-        if read.into_iter().flatten().any(|path| atomic::same_file(path, out)) || out == names {
+        if read
+            .into_iter()
+            .flatten()
+            .any(|path| atomic::same_file(path, out))
+            || out == names
+        {
             let expected = "another file than the scene and its classes.json";
-            return Err(Error::argument("--out", out.display().to_string(), expected, "name a new file"));
+            return Err(Error::argument(
+                "--out",
+                out.display().to_string(),
+                expected,
+                "name a new file",
+            ));
         }
-        if !out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ply")) {
+        if !out
+            .extension()
+            .is_some_and(|extension| extension.eq_ignore_ascii_case("ply"))
+        {
             let mend = "end the name in .ply; other tools convert that to their formats";
-            return Err(Error::argument("--out", out.display().to_string(), "a .ply file", mend));
+            return Err(Error::argument(
+                "--out",
+                out.display().to_string(),
+                "a .ply file",
+                mend,
+            ));
         }
         if names.exists() && Classes::read(&names)? != *classes {
             let (found, mend) = ("another class table", "write into another folder");
-            return Err(Error::input(&names, "classes", found, "that of the scene's labels, or no file", mend));
+            return Err(Error::input(
+                &names,
+                "classes",
+                found,
+                "that of the scene's labels, or no file",
+                mend,
+            ));
         }
         Ok(names)
     }
@@ -69,7 +98,13 @@ impl ObjectScene {
     pub fn new(path: PathBuf, mut ply: PlyScene, classes: Option<&PathBuf>) -> Result<Self> {
         let Some(labels) = ply.labels.take() else {
             let mend = "give the scene labels with `coseg vote` or `coseg train`";
-            return Err(Error::input(path, "column label", "nothing", "one label a Gaussian", mend));
+            return Err(Error::input(
+                path,
+                "column label",
+                "nothing",
+                "one label a Gaussian",
+                mend,
+            ));
         };
         let beside = path.with_file_name("classes.json");
         let classes = match classes {
@@ -79,16 +114,30 @@ impl ObjectScene {
         };
         if labels.is_empty() {
             let mend = "name a scene that holds something";
-            return Err(Error::input(path, "element vertex", "no Gaussian", "one or more", mend));
+            return Err(Error::input(
+                path,
+                "element vertex",
+                "no Gaussian",
+                "one or more",
+                mend,
+            ));
         }
         let objects = inventory(&ply.gaussians, &labels);
-        Ok(Self { path, ply, labels, classes, objects })
+        Ok(Self {
+            path,
+            ply,
+            labels,
+            classes,
+            objects,
+        })
     }
 
     /// Corners of a box around the boxes of the objects that `what` means, world units.
     pub fn bounds(&self, what: &str, flag: &str) -> Result<(DVec3, DVec3)> {
         let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        let around = |(low, high): (DVec3, DVec3), object: &Object| (low.min(object.low), high.max(object.high));
+        let around = |(low, high): (DVec3, DVec3), object: &Object| {
+            (low.min(object.low), high.max(object.high))
+        };
         let (low, high) = self.find(what, flag)?.into_iter().fold(none, around);
         Ok((low + self.ply.origin, high + self.ply.origin))
     }
@@ -107,20 +156,36 @@ impl ObjectScene {
     /// for `chair 2`. `flag` is where it was said.
     pub fn find(&self, what: &str, flag: &str) -> Result<Vec<&Object>> {
         let what = what.trim();
-        if let Some(object) = what.parse().ok().and_then(|id: u16| self.objects.iter().find(|o| o.id == id)) {
+        if let Some(object) = what
+            .parse()
+            .ok()
+            .and_then(|id: u16| self.objects.iter().find(|o| o.id == id))
+        {
             return Ok(vec![object]);
         }
-        let found: Vec<&Object> = self.objects.iter().filter(|o| self.is_called(o.id, what)).collect();
+        let found: Vec<&Object> = self
+            .objects
+            .iter()
+            .filter(|o| self.is_called(o.id, what))
+            .collect();
         if !found.is_empty() {
             return Ok(found);
         }
-        let known = |o: &Object| self.name(o.id).map_or_else(|| o.id.to_string(), |name| format!("{} {name}", o.id));
+        let known = |o: &Object| {
+            self.name(o.id)
+                .map_or_else(|| o.id.to_string(), |name| format!("{} {name}", o.id))
+        };
         let mut known: Vec<String> = self.objects.iter().take(NAMED).map(known).collect();
         if self.objects.len() > NAMED {
             known.push(format!("or one of {} more", self.objects.len() - NAMED));
         }
         let expected = format!("an id or a name of the scene: {}", known.join(", "));
-        Err(Error::argument(flag, what, expected, "`coseg objects --scene FILE.ply` lists them"))
+        Err(Error::argument(
+            flag,
+            what,
+            expected,
+            "`coseg objects --scene FILE.ply` lists them",
+        ))
     }
 
     /// Ids of the objects that `list` names; `flag` is where they were said.
@@ -133,10 +198,16 @@ impl ObjectScene {
     }
 
     fn is_called(&self, id: u16, what: &str) -> bool {
-        let Some(name) = self.name(id) else { return false };
-        let numbered =
-            self.classes.index(id).is_some_and(|i| self.classes.entries[i].object_of.is_some_and(|of| of.thing));
-        let class = name.rsplit_once(' ').filter(|(_, number)| numbered && number.parse::<u32>().is_ok());
+        let Some(name) = self.name(id) else {
+            return false;
+        };
+        let numbered = self
+            .classes
+            .index(id)
+            .is_some_and(|i| self.classes.entries[i].object_of.is_some_and(|of| of.thing));
+        let class = name
+            .rsplit_once(' ')
+            .filter(|(_, number)| numbered && number.parse::<u32>().is_ok());
         name == what || class.is_some_and(|(class, _)| class == what)
     }
 }

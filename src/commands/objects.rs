@@ -33,7 +33,12 @@ pub struct ObjectsArgs {
     #[command(flatten)]
     input: ObjectSceneArgs,
     /// Cameras, as `coseg render` takes them [default: cameras.json beside the scene]
-    #[arg(long, value_name = "FILE.json|DIR", requires = "frame", requires = "pixel")]
+    #[arg(
+        long,
+        value_name = "FILE.json|DIR",
+        requires = "frame",
+        requires = "pixel"
+    )]
     cameras: Option<PathBuf>,
     /// Name of a frame: its file name, with or without extension (COLMAP: folders joined to it by _)
     #[arg(long, value_name = "STEM", requires = "pixel")]
@@ -47,8 +52,12 @@ pub struct ObjectsArgs {
 }
 
 fn parse_pixel(text: &str) -> std::result::Result<[usize; 2], String> {
-    let parsed = text.split_once(',').and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
-    parsed.ok_or_else(|| "expected a column and a row with a comma between, for instance 240,180".into())
+    let parsed = text
+        .split_once(',')
+        .and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
+    parsed.ok_or_else(|| {
+        "expected a column and a row with a comma between, for instance 240,180".into()
+    })
 }
 
 impl ObjectsArgs {
@@ -78,12 +87,24 @@ impl ObjectsArgs {
             terminal::say(&format!("{:#}", json!(entries)));
             return;
         }
-        let width = scene.objects.iter().map(|o| shown(scene, o.id).chars().count()).max().unwrap_or(0).max(4);
-        terminal::say(&format!("{:>5}  {:width$}  {:>9}  {:^26}  {:^23}", "id", "name", "Gaussians", "centre", "size"));
+        let width = scene
+            .objects
+            .iter()
+            .map(|o| shown(scene, o.id).chars().count())
+            .max()
+            .unwrap_or(0)
+            .max(4);
+        terminal::say(&format!(
+            "{:>5}  {:width$}  {:>9}  {:^26}  {:^23}",
+            "id", "name", "Gaussians", "centre", "size"
+        ));
         for o in &scene.objects {
             let (name, count) = (shown(scene, o.id), o.rows.len());
             let (center, size) = (three(o.center() + origin, 8), three(o.high - o.low, 7));
-            terminal::say(&format!("{:>5}  {name:width$}  {count:>9}  {center}  {size}", o.id));
+            terminal::say(&format!(
+                "{:>5}  {name:width$}  {count:>9}  {center}  {size}",
+                o.id
+            ));
         }
     }
 
@@ -91,17 +112,35 @@ impl ObjectsArgs {
         let frames = read_cameras(&cameras_path(self.cameras.as_deref(), &scene.path)?, None)?;
         let named = |name: &str| frames.iter().find(|f| f.name == name);
         let stem = Path::new(frame).file_stem().and_then(|stem| stem.to_str());
-        let Some(NamedCamera { name: frame, camera, .. }) = named(frame).or_else(|| stem.and_then(named)) else {
+        let Some(NamedCamera {
+            name: frame,
+            camera,
+            ..
+        }) = named(frame).or_else(|| stem.and_then(named))
+        else {
             let some: Vec<&str> = frames.iter().take(5).map(|f| f.name.as_str()).collect();
             let expected = format!("one of {} frames such as {}", frames.len(), some.join(", "));
-            return Err(Error::argument("--frame", frame, expected, "name a frame of --cameras"));
+            return Err(Error::argument(
+                "--frame",
+                frame,
+                expected,
+                "name a frame of --cameras",
+            ));
         };
         let [width, height] = [camera.width, camera.height];
         if x >= width || y >= height {
             let expected = format!("a column below {width} and a row below {height}");
-            return Err(Error::argument("--pixel", format!("{x},{y}"), expected, "choose a pixel of the frame"));
+            return Err(Error::argument(
+                "--pixel",
+                format!("{x},{y}"),
+                expected,
+                "choose a pixel of the frame",
+            ));
         }
-        let camera = Camera { center: camera.center - scene.ply.origin, ..camera.clone() };
+        let camera = Camera {
+            center: camera.center - scene.ply.origin,
+            ..camera.clone()
+        };
         let settings = Settings::from(&raster_beside(&scene.path));
         let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &settings)?;
         let picked = pick(&projected, &scene.ply.gaussians, &scene.labels, [x, y]);
@@ -111,7 +150,10 @@ impl ObjectsArgs {
             (None, false) => format!("{frame} {x},{y}: no Gaussian"),
             (Some(p), true) => {
                 let point = world(p.point).to_array();
-                format!("{:#}", json!({"id": p.id, "name": scene.name(p.id), "share": p.weight, "point": point}))
+                format!(
+                    "{:#}",
+                    json!({"id": p.id, "name": scene.name(p.id), "share": p.weight, "point": point})
+                )
             }
             (Some(p), false) => {
                 let at = three(world(p.point), 0);

@@ -59,7 +59,10 @@ impl PretrainArgs {
                 step => {
                     bar.set_message(format!("loss {:.4}", at.loss));
                     if !terminal::draws_bars() && (step % tenth == 0 || step == at.steps[1]) {
-                        terminal::note(&format!("pretrain {step}/{}  loss {:.4}", at.steps[1], at.loss));
+                        terminal::note(&format!(
+                            "pretrain {step}/{}  loss {:.4}",
+                            at.steps[1], at.loss
+                        ));
                     }
                 }
             }

@@ -22,13 +22,19 @@ fn figures(point: &CurvePoint) -> String {
     let ssim = point.held_out.ssim.map(|v| format!(" SSIM {v:.3}"));
     let miou = point.miou.map(|v| format!(" mIoU {:.1} %", 100.0 * v));
     let all: String = psnr.into_iter().chain(ssim).chain(miou).collect();
-    if all.is_empty() { all } else { format!("held-out{all}  ") }
+    if all.is_empty() {
+        all
+    } else {
+        format!("held-out{all}  ")
+    }
 }
 
 impl Bars {
     /// A line about a stage that is done: without a terminal its points were told already.
     fn tell_end(&self) {
-        let seconds = self.started.map_or(0.0, |start| start.elapsed().as_secs_f64());
+        let seconds = self
+            .started
+            .map_or(0.0, |start| start.elapsed().as_secs_f64());
         match &self.last {
             None => terminal::note(&format!("{}  {seconds:.1} s", self.stage)),
             Some(point) if self.bar.is_some() => self.tell(point, seconds),
@@ -38,7 +44,12 @@ impl Bars {
 
     /// A line about a point of the stage's curve.
     fn tell(&self, point: &CurvePoint, seconds: f64) {
-        let &CurvePoint { iteration, loss, gaussians, .. } = point;
+        let &CurvePoint {
+            iteration,
+            loss,
+            gaussians,
+            ..
+        } = point;
         let (stage, iterations, figures) = (self.stage, self.iterations, figures(point));
         terminal::note(&format!(
             "{stage} {iteration}/{iterations}  loss {loss:.4}  {figures}{gaussians} Gaussians  {seconds:.0} s"
@@ -66,7 +77,11 @@ impl Progress for Bars {
 
     fn event(&mut self, event: &Event) {
         match event {
-            Event::Started { stage, done, iterations } => {
+            Event::Started {
+                stage,
+                done,
+                iterations,
+            } => {
                 self.clear();
                 (self.stage, self.iterations) = (stage, *iterations);
                 (self.started, self.last) = (Some(Instant::now()), None);
@@ -79,7 +94,10 @@ impl Progress for Bars {
                     terminal::note(&format!("{stage}: goes on after {done} of {iterations}"));
                 }
             }
-            Event::Step { iteration: done, .. } | Event::Viewed { done } => {
+            Event::Step {
+                iteration: done, ..
+            }
+            | Event::Viewed { done } => {
                 if let Some(bar) = &self.bar {
                     bar.set_position(*done as u64);
                 }

@@ -7,7 +7,9 @@ use super::terminal;
 use clap::{Args, ValueEnum};
 use coseg::camera::Camera;
 use coseg::config::Config;
-use coseg::data::{Classes, LabelMap, Limits, NamedCamera, Split, atomic, read_cameras, transforms};
+use coseg::data::{
+    Classes, LabelMap, Limits, NamedCamera, Split, atomic, read_cameras, transforms,
+};
 use coseg::device::{self, BackendName};
 use coseg::error::{Error, Result};
 use coseg::gaussians::ply::{self, PlyScene};
@@ -107,29 +109,48 @@ enum SplitArg {
 
 /// `r,g,b` in 0..1.
 fn parse_color(text: &str) -> std::result::Result<[f32; 3], String> {
-    let values: Vec<f32> = text.split(',').filter_map(|v| v.trim().parse().ok()).collect();
+    let values: Vec<f32> = text
+        .split(',')
+        .filter_map(|v| v.trim().parse().ok())
+        .collect();
     match <[f32; 3]>::try_from(values) {
-        Ok(color) if text.split(',').count() == 3 && color.iter().all(|v| (0.0..=1.0).contains(v)) => Ok(color),
-        _ => Err("expected three numbers from 0 to 1 with commas between, for instance 1,1,1".into()),
+        Ok(color)
+            if text.split(',').count() == 3 && color.iter().all(|v| (0.0..=1.0).contains(v)) =>
+        {
+            Ok(color)
+        }
+        _ => {
+            Err("expected three numbers from 0 to 1 with commas between, for instance 1,1,1".into())
+        }
     }
 }
 
 /// `w,h`, no more pixels than an image may have.
 fn parse_size(text: &str) -> std::result::Result<[usize; 2], String> {
     let most = Limits::default().image_pixels;
-    let parsed = text.split_once(',').and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
+    let parsed = text
+        .split_once(',')
+        .and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
     let fits = |&[w, h]: &[usize; 2]| w > 0 && h > 0 && (w as u64).saturating_mul(h as u64) <= most;
-    parsed
-        .filter(fits)
-        .ok_or_else(|| format!("expected a width and a height, {most} pixels at most, for instance 1280,720"))
+    parsed.filter(fits).ok_or_else(|| {
+        format!("expected a width and a height, {most} pixels at most, for instance 1280,720")
+    })
 }
 
 impl RenderArgs {
     /// Renders every frame.
     pub fn run(self) -> Result<()> {
-        if let Some(alpha) = self.alpha_max.filter(|alpha| !(*alpha > 0.0 && *alpha <= 1.0)) {
+        if let Some(alpha) = self
+            .alpha_max
+            .filter(|alpha| !(*alpha > 0.0 && *alpha <= 1.0))
+        {
             let mend = "leave it out for the run's, or 0.999";
-            return Err(Error::argument("--alpha-max", alpha.to_string(), "above 0, at most 1", mend));
+            return Err(Error::argument(
+                "--alpha-max",
+                alpha.to_string(),
+                "above 0, at most 1",
+                mend,
+            ));
         }
         let split = match self.split {
             SplitArg::Train => Some(Split::Train),
@@ -139,38 +160,72 @@ impl RenderArgs {
         let path = scene_path(&self.scene)?;
         let keys = cameras_path(self.cameras.as_deref(), &path)?;
         self.path.check(&self.out, &keys)?;
-        let Config { mut raster, segmentation, .. } = rendering_beside(&path);
+        let Config {
+            mut raster,
+            segmentation,
+            ..
+        } = rendering_beside(&path);
         raster.alpha_max = self.alpha_max.unwrap_or(raster.alpha_max);
         raster.background = self.background.unwrap_or(raster.background);
         let mut cameras = read_cameras(&keys, split)?;
         if let Some([width, height]) = self.size {
-            cameras.iter_mut().for_each(|named| named.camera = named.camera.with_size(width, height));
+            cameras
+                .iter_mut()
+                .for_each(|named| named.camera = named.camera.with_size(width, height));
         }
         let mut scene = ply::read(&path, &Limits::default())?;
         let Some(center) = scene.gaussians.median_center() else {
             let mend = "name a scene that holds something";
-            return Err(Error::input(&path, "element vertex", "no Gaussian", "one or more", mend));
+            return Err(Error::input(
+                &path,
+                "element vertex",
+                "no Gaussian",
+                "one or more",
+                mend,
+            ));
         };
         let center = DVec3::from(center.map(f64::from)) + scene.origin;
         if self.labels && scene.labels.is_none() {
-            let mend = "leave --labels out, or give the scene labels with `coseg vote` or `coseg train`";
-            return Err(Error::input(&path, "column label", "nothing", "one label a Gaussian", mend));
+            let mend =
+                "leave --labels out, or give the scene labels with `coseg vote` or `coseg train`";
+            return Err(Error::input(
+                &path,
+                "column label",
+                "nothing",
+                "one label a Gaussian",
+                mend,
+            ));
         }
         let beside = path.with_file_name("classes.json");
-        let classes = if self.labels && beside.is_file() { Some(Classes::read(&beside)?) } else { None };
+        let classes = if self.labels && beside.is_file() {
+            Some(Classes::read(&beside)?)
+        } else {
+            None
+        };
         let along = if self.path.object.is_some() {
             let objects = ObjectScene::new(path, scene, None)?;
             let along = self.path.cameras(&cameras, center, Some(&objects))?;
-            scene = PlyScene { labels: Some(objects.labels), ..objects.ply };
+            scene = PlyScene {
+                labels: Some(objects.labels),
+                ..objects.ply
+            };
             along
         } else {
             self.path.cameras(&cameras, center, None)?
         };
         let is_path = along.is_some();
         let cameras = along.unwrap_or(cameras);
-        let PlyScene { gaussians, origin, labels } = scene;
+        let PlyScene {
+            gaussians,
+            origin,
+            labels,
+        } = scene;
         let (settings, background) = (Settings::from(&raster), raster.background);
-        let options = RenderOptions { settings, background, min_coverage: segmentation.min_coverage as f32 };
+        let options = RenderOptions {
+            settings,
+            background,
+            min_coverage: segmentation.min_coverage as f32,
+        };
         let labels = labels.filter(|_| self.labels);
         let mut renderer = Renderer::new(gaussians, labels, options, &device::open(self.backend)?)?;
         if is_path {
@@ -179,7 +234,10 @@ impl RenderArgs {
         let bar = terminal::bar("render", cameras.len() as u64);
         let mut times = Vec::with_capacity(cameras.len());
         for NamedCamera { name, camera, .. } in &cameras {
-            let camera = Camera { center: camera.center - origin, ..camera.clone() };
+            let camera = Camera {
+                center: camera.center - origin,
+                ..camera.clone()
+            };
             let start = Instant::now();
             let frame = renderer.frame(&camera)?;
             times.push(start.elapsed());
@@ -201,7 +259,13 @@ impl RenderArgs {
 
     fn write(&self, name: &str, frame: &Frame, classes: Option<&Classes>) -> Result<()> {
         let file = |kind: &str| self.out.join(format!("{name}.{kind}"));
-        let &Frame { width, height, ref rgb, ref alpha, ref labels } = frame;
+        let &Frame {
+            width,
+            height,
+            ref rgb,
+            ref alpha,
+            ref labels,
+        } = frame;
         match self.format {
             Format::Npy => {
                 write_npy(&file("rgb.npy"), &[height, width, 3], rgb)?;
@@ -211,13 +275,18 @@ impl RenderArgs {
                 let path = file("rgb.png");
                 let rgb = pictures::from_floats(rgb, width, height)?;
                 atomic::write_bytes(&path, &pictures::png(&rgb, &path)?)?;
-                let ids = alpha.iter().map(|a| (a.clamp(0.0, 1.0) * 255.0).round() as u16).collect();
+                let ids = alpha
+                    .iter()
+                    .map(|a| (a.clamp(0.0, 1.0) * 255.0).round() as u16)
+                    .collect();
                 LabelMap { width, height, ids }.write(&file("alpha.png"))?;
             }
         }
         let Some(labels) = labels else { return Ok(()) };
         labels.write(&file("label.png"))?;
-        let Some(classes) = classes else { return Ok(()) };
+        let Some(classes) = classes else {
+            return Ok(());
+        };
         let path = file("label_color.png");
         let colored = pictures::with_legend(&pictures::colored(labels, classes), labels, classes);
         atomic::write_bytes(&path, &pictures::png(&colored, &path)?)
@@ -229,7 +298,11 @@ fn write_npy(path: &Path, shape: &[usize], values: &[f32]) -> Result<()> {
     use npyz::WriterBuilder;
     let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
     atomic::write(path, |out| {
-        let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(out).begin_nd()?;
+        let mut writer = npyz::WriteOptions::new()
+            .default_dtype()
+            .shape(&shape)
+            .writer(out)
+            .begin_nd()?;
         writer.extend(values.iter())?;
         writer.finish()
     })

@@ -40,7 +40,11 @@ pub enum PathKind {
 }
 
 fn parse_radius(text: &str) -> std::result::Result<f64, String> {
-    let radius = text.trim().parse().ok().filter(|radius: &f64| radius.is_finite() && *radius > 0.0);
+    let radius = text
+        .trim()
+        .parse()
+        .ok()
+        .filter(|radius: &f64| radius.is_finite() && *radius > 0.0);
     radius.ok_or_else(|| "expected a number above 0".into())
 }
 
@@ -48,18 +52,33 @@ impl PathArgs {
     /// Neither takes what only an orbit has, nor writes over the cameras of something else in `out`.
     pub fn check(&self, out: &Path, cameras: &Path) -> Result<()> {
         let Some(kind) = self.path else { return Ok(()) };
-        for (flag, is_there) in [("--object", self.object.is_some()), ("--radius", self.radius.is_some())] {
+        for (flag, is_there) in [
+            ("--object", self.object.is_some()),
+            ("--radius", self.radius.is_some()),
+        ] {
             if is_there && kind != PathKind::Orbit {
-                return Err(Error::argument(flag, "--path interpolate", "--path orbit", "leave one of them out"));
+                return Err(Error::argument(
+                    flag,
+                    "--path interpolate",
+                    "--path orbit",
+                    "leave one of them out",
+                ));
             }
         }
         let file = out.join("cameras.json");
-        let of_path = |cameras: &[NamedCamera]| cameras.iter().all(|camera| camera.name.starts_with(PREFIX));
+        let of_path =
+            |cameras: &[NamedCamera]| cameras.iter().all(|camera| camera.name.starts_with(PREFIX));
         // A path that this command wrote is a transforms.json.
         let ours = || transforms::load_cameras(&file, None).is_ok_and(|cameras| of_path(&cameras));
         if file.exists() && (atomic::same_file(&file, cameras) || !ours()) {
-            let expected = "a folder without cameras of its own: those of the path are written there";
-            return Err(Error::argument("--out", file.display().to_string(), expected, "name another folder"));
+            let expected =
+                "a folder without cameras of its own: those of the path are written there";
+            return Err(Error::argument(
+                "--out",
+                file.display().to_string(),
+                expected,
+                "name another folder",
+            ));
         }
         // A video of the pictures would end with those of the longer path.
         let next = format!("{PREFIX}{:04}.", self.frames.unwrap_or(FRAMES));
@@ -68,7 +87,12 @@ impl PathArgs {
         if let Some(left) = names.find(|name| name.starts_with(&next)) {
             let expected = "a folder without frames of a longer path";
             let mend = "remove them, or name another folder";
-            return Err(Error::argument("--out", out.join(left).display().to_string(), expected, mend));
+            return Err(Error::argument(
+                "--out",
+                out.join(left).display().to_string(),
+                expected,
+                mend,
+            ));
         }
         Ok(())
     }
@@ -97,7 +121,11 @@ impl PathArgs {
                 Orbit { radius, ..orbit }.frames(&keys[0], count)?
             }
         };
-        let named = |(i, camera)| NamedCamera { name: format!("{PREFIX}{i:04}"), split: Split::Train, camera };
+        let named = |(i, camera)| NamedCamera {
+            name: format!("{PREFIX}{i:04}"),
+            split: Split::Train,
+            camera,
+        };
         Ok(Some(cameras.into_iter().enumerate().map(named).collect()))
     }
 }

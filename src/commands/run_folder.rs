@@ -20,7 +20,13 @@ impl RunFolder {
         let run = Self(dir.to_owned());
         if !run.config_path().is_file() {
             let mend = "give the folder that `coseg train` wrote";
-            return Err(Error::input(dir, "config.toml", "no such file", "a run folder", mend));
+            return Err(Error::input(
+                dir,
+                "config.toml",
+                "no such file",
+                "a run folder",
+                mend,
+            ));
         }
         Ok(run)
     }
@@ -33,13 +39,25 @@ impl RunFolder {
         let Some(dir) = dir else {
             let base = Path::new("runs");
             let numbered = (2..).map(|i| base.join(format!("{name}-{i}")));
-            let free = std::iter::once(base.join(name)).chain(numbered).map(Self).find(|run| !run.is_used());
+            let free = std::iter::once(base.join(name))
+                .chain(numbered)
+                .map(Self)
+                .find(|run| !run.is_used());
             return Ok(free.unwrap_or_else(|| Self(base.join(name))));
         };
         let run = Self(dir.to_owned());
         if run.is_used() {
-            let mend = format!("go on with it (--resume {}) or choose another folder", dir.display());
-            return Err(Error::input(dir, "config.toml", "a run", "no run there yet", mend));
+            let mend = format!(
+                "go on with it (--resume {}) or choose another folder",
+                dir.display()
+            );
+            return Err(Error::input(
+                dir,
+                "config.toml",
+                "a run",
+                "no run there yet",
+                mend,
+            ));
         }
         Ok(run)
     }
@@ -59,10 +77,15 @@ impl RunFolder {
         let earlier = std::fs::read(self.commands_path()).ok();
         let earlier = earlier.and_then(|text| serde_json::from_slice::<Vec<Command>>(&text).ok());
         let commands: Vec<Command> = earlier.into_iter().flatten().chain([command]).collect();
-        let begun = Begun { run: self.clone(), anew: !self.is_used(), commands };
+        let begun = Begun {
+            run: self.clone(),
+            anew: !self.is_used(),
+            commands,
+        };
         if begun.anew {
             let config = config.to_toml()?;
-            let written = atomic::write_bytes(self.config_path(), config.as_bytes()).and_then(|()| begun.keep());
+            let written = atomic::write_bytes(self.config_path(), config.as_bytes())
+                .and_then(|()| begun.keep());
             written.inspect_err(|_| begun.undo())?;
         }
         Ok(begun)
@@ -71,7 +94,9 @@ impl RunFolder {
     /// Largest memory of the part of the run that ended last, where one did.
     pub fn peak_memory_before(&self) -> Option<u64> {
         let text = std::fs::read(self.0.join("metrics.json")).ok()?;
-        serde_json::from_slice::<Metrics>(&text).ok()?.peak_memory_bytes
+        serde_json::from_slice::<Metrics>(&text)
+            .ok()?
+            .peak_memory_bytes
     }
 
     /// The folder itself.
@@ -122,10 +147,25 @@ impl RunFolder {
     pub fn config(&self, sets: &[String]) -> Result<Config> {
         let path = self.config_path();
         let text = std::fs::read_to_string(&path).unwrap_or_default();
-        let says = |key: &str| text.lines().any(|line| line.split('=').next().is_some_and(|name| name.trim() == key));
-        let then = [("max_side", "data.max_side=0"), ("masks", "data.masks=none")];
-        let then = then.into_iter().filter(|(key, _)| says("dir") && !says(key)).map(|(_, set)| set.to_owned());
-        Config::load(Some(&path), &then.chain(sets.iter().cloned()).collect::<Vec<_>>())
+        let says = |key: &str| {
+            text.lines().any(|line| {
+                line.split('=')
+                    .next()
+                    .is_some_and(|name| name.trim() == key)
+            })
+        };
+        let then = [
+            ("max_side", "data.max_side=0"),
+            ("masks", "data.masks=none"),
+        ];
+        let then = then
+            .into_iter()
+            .filter(|(key, _)| says("dir") && !says(key))
+            .map(|(_, set)| set.to_owned());
+        Config::load(
+            Some(&path),
+            &then.chain(sets.iter().cloned()).collect::<Vec<_>>(),
+        )
     }
 
     /// The class table; empty for runs without labels.
@@ -134,7 +174,11 @@ impl RunFolder {
     /// As [`Classes::read`].
     pub fn classes(&self) -> Result<Classes> {
         let path = self.0.join("classes.json");
-        if path.is_file() { Classes::read(&path) } else { Ok(Classes::default()) }
+        if path.is_file() {
+            Classes::read(&path)
+        } else {
+            Ok(Classes::default())
+        }
     }
 }
 
@@ -155,7 +199,8 @@ impl Begun {
     /// [`Error::Io`] naming the file.
     pub fn keep(&self) -> Result<()> {
         let path = self.run.commands_path();
-        let text = serde_json::to_string_pretty(&self.commands).map_err(|e| Error::io(&path, "encode", e.into()))?;
+        let text = serde_json::to_string_pretty(&self.commands)
+            .map_err(|e| Error::io(&path, "encode", e.into()))?;
         atomic::write_bytes(&path, text.as_bytes())
     }
 

@@ -17,8 +17,15 @@ const GRAPHDECO: &str = "point_cloud.ply";
 /// The PLY file that `--scene` means: itself, scene.ply in a folder, or the last of a model folder of graphdeco's 3DGS.
 pub fn scene_path(given: &Path) -> Result<PathBuf> {
     const MEND: &str = "give a .ply file, or the folder that `coseg train` wrote";
-    if !given.try_exists().map_err(|e| Error::io(given, "look at", e))? {
-        return Err(Error::Missing { what: "file", path: given.to_owned(), mend: MEND.to_owned() });
+    if !given
+        .try_exists()
+        .map_err(|e| Error::io(given, "look at", e))?
+    {
+        return Err(Error::Missing {
+            what: "file",
+            path: given.to_owned(),
+            mend: MEND.to_owned(),
+        });
     }
     if !given.is_dir() {
         return Ok(given.to_owned());
@@ -32,9 +39,14 @@ pub fn scene_path(given: &Path) -> Result<PathBuf> {
     }
     let names = std::fs::read_dir(given).into_iter().flatten().flatten();
     let names = names.filter_map(|entry| entry.file_name().into_string().ok());
-    let other = names.filter(|name| name.to_lowercase().ends_with(".ply")).min();
+    let other = names
+        .filter(|name| name.to_lowercase().ends_with(".ply"))
+        .min();
     let (found, mend) = match other {
-        Some(name) => (format!("no such file, but {name}"), format!("give {}", given.join(name).display())),
+        Some(name) => (
+            format!("no such file, but {name}"),
+            format!("give {}", given.join(name).display()),
+        ),
         None => ("no such file".to_owned(), MEND.to_owned()),
     };
     Err(Error::input(given, SCENE, found, "a run folder", mend))
@@ -42,9 +54,16 @@ pub fn scene_path(given: &Path) -> Result<PathBuf> {
 
 /// The Gaussians of the last iteration in a model folder of graphdeco's 3DGS: point_cloud/iteration_N/point_cloud.ply.
 fn of_graphdeco(folder: &Path) -> Option<PathBuf> {
-    let iterations = std::fs::read_dir(folder.join("point_cloud")).ok()?.flatten();
+    let iterations = std::fs::read_dir(folder.join("point_cloud"))
+        .ok()?
+        .flatten();
     let numbered = |entry: std::fs::DirEntry| {
-        let number: u64 = entry.file_name().to_str()?.strip_prefix("iteration_")?.parse().ok()?;
+        let number: u64 = entry
+            .file_name()
+            .to_str()?
+            .strip_prefix("iteration_")?
+            .parse()
+            .ok()?;
         let file = entry.path().join(GRAPHDECO);
         file.is_file().then_some((number, file))
     };
@@ -56,7 +75,8 @@ pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
     let beside = scene.with_file_name(CAMERAS);
     // graphdeco's 3DGS keeps its cameras above point_cloud/iteration_N.
     let above = scene.ancestors().nth(3).map(|model| model.join(CAMERAS));
-    let above = above.filter(|file| file.is_file() && scene.file_name().is_some_and(|name| name == GRAPHDECO));
+    let above = above
+        .filter(|file| file.is_file() && scene.file_name().is_some_and(|name| name == GRAPHDECO));
     match (given, above) {
         (Some(path), _) => Ok(path.to_owned()),
         (None, _) if beside.is_file() => Ok(beside),
@@ -78,7 +98,9 @@ pub fn rendering_beside(scene: &Path) -> Config {
         return Config::default();
     }
     let read = Config::rendering_of(&file);
-    let read = read.inspect_err(|error| tracing::warn!("the scene is rendered with default raster settings: {error}"));
+    let read = read.inspect_err(|error| {
+        tracing::warn!("the scene is rendered with default raster settings: {error}")
+    });
     read.unwrap_or_default()
 }
 

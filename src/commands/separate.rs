@@ -55,16 +55,31 @@ impl SeparateArgs {
         rules.level = self.level.unwrap_or(rules.level);
         let found = rules.apply(&scene.ply.gaussians, &scene.labels, &scene.classes, wanted)?;
         let names = self.input.names_beside(&self.out, &scene, &found.classes)?;
-        ply::write(&self.out, &scene.ply.gaussians, scene.ply.origin, Some(&found.labels))?;
+        ply::write(
+            &self.out,
+            &scene.ply.gaussians,
+            scene.ply.origin,
+            Some(&found.labels),
+        )?;
         found.classes.write(&names)?;
         bring_cameras(&scene.path, &self.out)?;
         for (id, pieces) in &found.pieces {
-            let name = scene.name(*id).map_or_else(|| format!("label {id}"), str::to_owned);
+            let name = scene
+                .name(*id)
+                .map_or_else(|| format!("label {id}"), str::to_owned);
             terminal::say(&format!("{name}: {} pieces", pieces.len()));
         }
         let before = scene.objects.len();
-        let after = before + found.pieces.values().map(|pieces| pieces.len() - 1).sum::<usize>();
-        terminal::say(&format!("{}: {after} labels, {before} before", self.out.display()));
+        let after = before
+            + found
+                .pieces
+                .values()
+                .map(|pieces| pieces.len() - 1)
+                .sum::<usize>();
+        terminal::say(&format!(
+            "{}: {after} labels, {before} before",
+            self.out.display()
+        ));
         Ok(())
     }
 }

@@ -88,9 +88,16 @@ impl TrainArgs {
     pub fn run(mut self) -> Result<ExitCode> {
         if let Some(path) = &self.scene {
             // Ahead of what `--set` says. All Gaussians of the file come back.
-            let sets = ["building.iterations=0", "building.max_gaussians=0", "unprojection.attendance=0"];
+            let sets = [
+                "building.iterations=0",
+                "building.max_gaussians=0",
+                "unprojection.attendance=0",
+            ];
             let sets = sets.map(str::to_owned);
-            let sets = sets.into_iter().chain([format!("building.gaussians={}", scene_path(path)?.display())]);
+            let sets = sets.into_iter().chain([format!(
+                "building.gaussians={}",
+                scene_path(path)?.display()
+            )]);
             self.settings.sets.splice(0..0, sets);
         }
         let (run, config) = match &self.resume {
@@ -102,7 +109,10 @@ impl TrainArgs {
             }
             None => {
                 let config = self.settings.load(self.data.as_ref(), self.seed)?;
-                (RunFolder::new(self.out.as_deref(), &scene_name(&config))?, config)
+                (
+                    RunFolder::new(self.out.as_deref(), &scene_name(&config))?,
+                    config,
+                )
             }
         };
         // A run is gone on with, and scored, from other folders too.
@@ -111,12 +121,27 @@ impl TrainArgs {
             data::locate(dir, &LoadOptions::from(&config))?;
         }
         let (backend, device) = device::choose(self.backend)?;
-        let device_text = format!("{} backend, {} threads", device::described(backend), rayon::current_num_threads());
-        terminal::note(&format!("{} -> {} ({device_text})", scene_name(&config), run.path().display()));
+        let device_text = format!(
+            "{} backend, {} threads",
+            device::described(backend),
+            rayon::current_num_threads()
+        );
+        terminal::note(&format!(
+            "{} -> {} ({device_text})",
+            scene_name(&config),
+            run.path().display()
+        ));
 
         interrupt::watch();
         let version = env!("CARGO_PKG_VERSION").to_owned();
-        let begun = run.begin(&config, Command { line: command_line(), device: device_text, version })?;
+        let begun = run.begin(
+            &config,
+            Command {
+                line: command_line(),
+                device: device_text,
+                version,
+            },
+        )?;
         let outcome = train::run(&config, run.path(), &device, &mut Bars::default());
         let outcome = outcome.inspect_err(|_| begun.undo())?;
         begun.keep()?;
@@ -131,7 +156,12 @@ impl TrainArgs {
             // Those of an earlier result, which had other rows.
             atomic::remove(run.identities_path())?;
         }
-        ply::write(&run.scene_path(), &outcome.gaussians, outcome.scene.origin, ids.as_deref())?;
+        ply::write(
+            &run.scene_path(),
+            &outcome.gaussians,
+            outcome.scene.origin,
+            ids.as_deref(),
+        )?;
         let cameras = cameras_of(&outcome);
         transforms::write_cameras(&run.cameras_path(), &cameras)?;
         let viewer = Viewer {
@@ -157,8 +187,14 @@ impl TrainArgs {
                 // That of an earlier result.
                 atomic::remove(run.viewer_path())?;
                 let megabytes = page_bytes / 1_000_000;
-                let line =
-                    ["coseg", "view", "--scene", &run.path().display().to_string()].map(str::to_owned).map(quoted);
+                let line = [
+                    "coseg",
+                    "view",
+                    "--scene",
+                    &run.path().display().to_string(),
+                ]
+                .map(str::to_owned)
+                .map(quoted);
                 format!("viewer: {megabytes} MB, which `{}` writes", line.join(" "))
             }
         };
@@ -166,13 +202,20 @@ impl TrainArgs {
             identities.write(&run.identities_path())?;
         }
         let (classes, renders) = (&outcome.scene.classes, run.path().join("renders"));
-        let mut metrics = Metrics { commands: begun.commands, ..Metrics::of(&outcome) };
+        let mut metrics = Metrics {
+            commands: begun.commands,
+            ..Metrics::of(&outcome)
+        };
         let mut scores = BTreeMap::new();
         let views = held_out_views(&outcome, config, &device, |view| {
             scores.insert(view.view.name.clone(), view.scores);
             view.write(classes, &renders)
         })?;
-        scores.extend(views.iter().map(|view| (view.view.name.clone(), view.scores)));
+        scores.extend(
+            views
+                .iter()
+                .map(|view| (view.view.name.clone(), view.scores)),
+        );
         metrics.test.views = scores;
         // Of a run in parts the largest counts, as far as they came to an end.
         metrics.peak_memory_bytes = metrics.peak_memory_bytes.max(run.peak_memory_before());
@@ -197,10 +240,23 @@ impl TrainArgs {
         let mut words = ["coseg", "train", "--resume"].map(str::to_owned).to_vec();
         words.push(run.path().display().to_string());
         if self.resume.is_some() {
-            words.extend(self.data.iter().flat_map(|dir| ["--data".to_owned(), dir.display().to_string()]));
-            words.extend(self.settings.sets.iter().flat_map(|set| ["--set".to_owned(), set.clone()]));
+            words.extend(
+                self.data
+                    .iter()
+                    .flat_map(|dir| ["--data".to_owned(), dir.display().to_string()]),
+            );
+            words.extend(
+                self.settings
+                    .sets
+                    .iter()
+                    .flat_map(|set| ["--set".to_owned(), set.clone()]),
+            );
         }
-        words.extend(self.backend.iter().flat_map(|name| ["--backend".to_owned(), name.to_string()]));
+        words.extend(
+            self.backend
+                .iter()
+                .flat_map(|name| ["--backend".to_owned(), name.to_string()]),
+        );
         words.into_iter().map(quoted).collect::<Vec<_>>().join(" ")
     }
 }
@@ -208,27 +264,54 @@ impl TrainArgs {
 /// The views' cameras in world units.
 fn cameras_of(outcome: &Outcome) -> Vec<NamedCamera> {
     let origin = outcome.scene.origin;
-    let camera = |view: &View| Camera { center: view.camera.center + origin, ..view.camera.clone() };
-    let named = |view: &View| NamedCamera { name: view.name.clone(), split: view.split, camera: camera(view) };
+    let camera = |view: &View| Camera {
+        center: view.camera.center + origin,
+        ..view.camera.clone()
+    };
+    let named = |view: &View| NamedCamera {
+        name: view.name.clone(),
+        split: view.split,
+        camera: camera(view),
+    };
     outcome.scene.views.iter().map(named).collect()
 }
 
 /// Name of the scene, for the run folder.
 fn scene_name(config: &Config) -> String {
-    let dir = config.data.dir.as_deref().map(|dir| dir.canonicalize().unwrap_or_else(|_| dir.to_owned()));
-    let name = dir.as_deref().and_then(|dir| dir.file_name()).map(|name| name.to_string_lossy().into_owned());
-    name.unwrap_or_else(|| if config.data.dir.is_some() { "scene".into() } else { "builtin".into() })
+    let dir = config
+        .data
+        .dir
+        .as_deref()
+        .map(|dir| dir.canonicalize().unwrap_or_else(|_| dir.to_owned()));
+    let name = dir
+        .as_deref()
+        .and_then(|dir| dir.file_name())
+        .map(|name| name.to_string_lossy().into_owned());
+    name.unwrap_or_else(|| {
+        if config.data.dir.is_some() {
+            "scene".into()
+        } else {
+            "builtin".into()
+        }
+    })
 }
 
 /// This command line, quoted where a shell would need it.
 fn command_line() -> String {
-    std::iter::once("coseg".to_owned()).chain(std::env::args().skip(1).map(quoted)).collect::<Vec<_>>().join(" ")
+    std::iter::once("coseg".to_owned())
+        .chain(std::env::args().skip(1).map(quoted))
+        .collect::<Vec<_>>()
+        .join(" ")
 }
 
 /// A word of a command line as a shell takes it.
 fn quoted(word: String) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=,:+".contains(c);
-    if word.chars().all(plain) { word } else { format!("'{}'", word.replace('\'', "'\\''")) }
+    if word.chars().all(plain) {
+        word
+    } else {
+        format!("'{}'", word.replace('\'', "'\\''"))
+    }
 }
 
 /// The headline figures, for those who do not open the page.
@@ -249,22 +332,39 @@ fn summary(outcome: &Outcome) {
     if outcome.rows.is_empty() {
         return;
     }
-    let scored = |row: &RowOutcome| row.scores.miou.is_some() || row.instances.is_some() || row.semantic.is_some();
+    let scored = |row: &RowOutcome| {
+        row.scores.miou.is_some() || row.instances.is_some() || row.semantic.is_some()
+    };
     if !outcome.rows.iter().any(scored) {
         let names: Vec<&str> = outcome.rows.iter().map(|row| row.row.title()).collect();
-        terminal::say(&format!("labels: {}; not scored, as no held-out view has true labels", names.join(", ")));
+        terminal::say(&format!(
+            "labels: {}; not scored, as no held-out view has true labels",
+            names.join(", ")
+        ));
         return;
     }
-    terminal::say(&format!("{:<28} {:>8} {:>9} {:>9}", "row", "mIoU", "per view", "accuracy"));
+    terminal::say(&format!(
+        "{:<28} {:>8} {:>9} {:>9}",
+        "row", "mIoU", "per view", "accuracy"
+    ));
     let cell = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |v| format!("{v:.4}"));
     for row in &outcome.rows {
-        let name = if row.row == Row::Ours { "ours" } else { row.row.title() };
+        let name = if row.row == Row::Ours {
+            "ours"
+        } else {
+            row.row.title()
+        };
         let s = &row.scores;
         let [miou, per_view, accuracy] = match &row.instances {
             Some(s) => [s.miou, None, s.accuracy],
             None => [s.miou, s.miou_per_view, s.accuracy],
         };
-        terminal::say(&format!("{name:<28} {:>8} {:>9} {:>9}", cell(miou), cell(per_view), cell(accuracy)));
+        terminal::say(&format!(
+            "{name:<28} {:>8} {:>9} {:>9}",
+            cell(miou),
+            cell(per_view),
+            cell(accuracy)
+        ));
         if let Some(s) = &row.semantic {
             let [miou, per_view, accuracy] = [s.miou, s.miou_per_view, s.accuracy].map(cell);
             let name = format!("{name}, by class");

@@ -55,21 +55,42 @@ pub struct ViewArgs {
 impl ViewArgs {
     /// Writes the page.
     pub fn run(self) -> Result<()> {
-        if let Some(alpha) = self.alpha_max.filter(|alpha| !(*alpha > 0.0 && *alpha <= 1.0)) {
-            return Err(Error::argument("--alpha-max", alpha.to_string(), "a number in (0, 1]", "choose one there"));
+        if let Some(alpha) = self
+            .alpha_max
+            .filter(|alpha| !(*alpha > 0.0 && *alpha <= 1.0))
+        {
+            return Err(Error::argument(
+                "--alpha-max",
+                alpha.to_string(),
+                "a number in (0, 1]",
+                "choose one there",
+            ));
         }
         let path = scene_path(&self.scene)?;
-        let page = if self.scene.is_dir() { self.scene.join(PAGE) } else { path.with_file_name(PAGE) };
+        let page = if self.scene.is_dir() {
+            self.scene.join(PAGE)
+        } else {
+            path.with_file_name(PAGE)
+        };
         let out = self.out.unwrap_or(page);
-        if !out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("html")) {
+        if !out
+            .extension()
+            .is_some_and(|extension| extension.eq_ignore_ascii_case("html"))
+        {
             let mend = "end the name in .html";
-            return Err(Error::argument("--out", out.display().to_string(), "an .html file", mend));
+            return Err(Error::argument(
+                "--out",
+                out.display().to_string(),
+                "an .html file",
+                mend,
+            ));
         }
         let ply = ply::read(&path, &Limits::default())?;
         let beside = |name: &str| Some(path.with_file_name(name)).filter(|file| file.is_file());
         let names = self.classes.as_ref().map(|file| file.display().to_string());
         let classes = self.classes.or_else(|| beside("classes.json"));
-        let classes = classes.map_or_else(|| Ok(Classes::default()), |file| Classes::read(&file))?;
+        let classes =
+            classes.map_or_else(|| Ok(Classes::default()), |file| Classes::read(&file))?;
         let cameras = self.cameras.or_else(|| cameras_path(None, &path).ok());
         let cameras = cameras.map_or_else(|| Ok(Vec::new()), |file| read_cameras(&file, None))?;
         let viewer = Viewer {
@@ -82,7 +103,9 @@ impl ViewArgs {
             classes: &classes,
             cameras: &cameras,
             up: self.up,
-            alpha_max: self.alpha_max.unwrap_or_else(|| raster_beside(&path).alpha_max),
+            alpha_max: self
+                .alpha_max
+                .unwrap_or_else(|| raster_beside(&path).alpha_max),
         };
         viewer.write(&out)?;
         terminal::say(&format!("{}: open it in a browser", out.display()));
@@ -91,17 +114,32 @@ impl ViewArgs {
 }
 
 fn parse_direction(text: &str) -> std::result::Result<DVec3, String> {
-    let values: Vec<f64> = text.split(',').map_while(|v| v.trim().parse().ok()).collect();
-    let direction = <[f64; 3]>::try_from(values).ok().filter(|_| text.split(',').count() == 3).map(DVec3::from);
+    let values: Vec<f64> = text
+        .split(',')
+        .map_while(|v| v.trim().parse().ok())
+        .collect();
+    let direction = <[f64; 3]>::try_from(values)
+        .ok()
+        .filter(|_| text.split(',').count() == 3)
+        .map(DVec3::from);
     let direction = direction.filter(|direction| direction.try_normalize().is_some());
-    direction.ok_or_else(|| "expected a direction: three numbers with commas between, for instance 0,0,1".into())
+    direction.ok_or_else(|| {
+        "expected a direction: three numbers with commas between, for instance 0,0,1".into()
+    })
 }
 
 /// The folder of a scene.ply, as of a run, otherwise the file's own name.
 fn title(scene: &Path) -> String {
     let folder = scene.parent().and_then(|folder| folder.canonicalize().ok());
-    let named = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
-    let folder =
-        folder.as_deref().and_then(named).filter(|_| scene.file_name().is_some_and(|name| name == "scene.ply"));
-    folder.or_else(|| named(scene)).unwrap_or_else(|| "scene".to_owned())
+    let named = |path: &Path| {
+        path.file_name()
+            .map(|name| name.to_string_lossy().into_owned())
+    };
+    let folder = folder
+        .as_deref()
+        .and_then(named)
+        .filter(|_| scene.file_name().is_some_and(|name| name == "scene.ply"));
+    folder
+        .or_else(|| named(scene))
+        .unwrap_or_else(|| "scene".to_owned())
 }

@@ -32,9 +32,15 @@ impl VoteArgs {
     pub fn run(self) -> Result<()> {
         let config = self.input.config()?;
         if config.data.association != Association::None {
-            let expected = "\"none\": a vote takes the ids of raw labels for classes, the same in every view";
+            let expected =
+                "\"none\": a vote takes the ids of raw labels for classes, the same in every view";
             let mend = "use `coseg associate`, which makes objects of segments and votes for these";
-            return Err(Error::config("data.association", "\"gaussians\"", expected, mend));
+            return Err(Error::config(
+                "data.association",
+                "\"gaussians\"",
+                expected,
+                mend,
+            ));
         }
         let raster = raster::Settings::from(&config.raster);
         let device = self.input.device()?;
@@ -49,7 +55,13 @@ impl VoteArgs {
                 mend,
             ));
         }
-        let votes = vote(&ply.gaussians, scene.split(Split::Train), &scene.classes, &raster, &device)?;
+        let votes = vote(
+            &ply.gaussians,
+            scene.split(Split::Train),
+            &scene.classes,
+            &raster,
+            &device,
+        )?;
         let identities = votes.identities();
         let ids = identities.ids(&scene.classes);
         let path = self.input.out.join("scene.ply");
@@ -62,16 +74,24 @@ impl VoteArgs {
             ids.len() - unseen
         ));
 
-        let maps = LabelMaps::new(&identities, &scene.classes, LabelRule::from(&config.segmentation));
+        let maps = LabelMaps::new(
+            &identities,
+            &scene.classes,
+            LabelRule::from(&config.segmentation),
+        );
         let mut scored = Vec::new();
         for view in scene.split(Split::Test) {
             let Some(truth) = &view.truth else { continue };
             let projected = Projected::new(&ply.gaussians.splats(), &view.camera, &raster)?;
             scored.push((truth, LabelRuns::from(maps.of(&projected))));
         }
-        let pairs = scored.iter().map(|(truth, found)| (truth.map(), found.map()));
+        let pairs = scored
+            .iter()
+            .map(|(truth, found)| (truth.map(), found.map()));
         let scores = label_scores(&scene.classes, pairs, Void::Wrong);
-        if let (Some(miou), Some(per_view), Some(accuracy)) = (scores.miou, scores.miou_per_view, scores.accuracy) {
+        if let (Some(miou), Some(per_view), Some(accuracy)) =
+            (scores.miou, scores.miou_per_view, scores.accuracy)
+        {
             terminal::say(&format!(
                 "{} held-out views: mIoU {miou:.4} pooled, {per_view:.4} per view, accuracy {accuracy:.4}",
                 scored.len()

@@ -30,6 +30,11 @@ pub struct AssociationConfig {
 
 impl Default for AssociationConfig {
     fn default() -> Self {
-        Self { sweeps: 4, min_overlap: 0.25, merge_above: 0.5, min_weight: 1e-5 }
+        Self {
+            sweeps: 4,
+            min_overlap: 0.25,
+            merge_above: 0.5,
+            min_weight: 1e-5,
+        }
     }
 }

@@ -134,7 +134,8 @@ impl BuildingConfig {
 
     /// `densify_threshold`, or what its absence stands for.
     pub fn densify_threshold(&self) -> f32 {
-        self.densify_threshold.unwrap_or(if self.absgrad { 8e-4 } else { 2e-4 })
+        self.densify_threshold
+            .unwrap_or(if self.absgrad { 8e-4 } else { 2e-4 })
     }
 }
 
@@ -192,6 +193,13 @@ pub struct RasterConfig {
 
 impl Default for RasterConfig {
     fn default() -> Self {
-        Self { alpha_max: 0.999, alpha_min: 1.0 / 255.0, t_min: 1e-4, near: 0.01, low_pass: 0.3, background: [0.0; 3] }
+        Self {
+            alpha_max: 0.999,
+            alpha_min: 1.0 / 255.0,
+            t_min: 1e-4,
+            near: 0.01,
+            low_pass: 0.3,
+            background: [0.0; 3],
+        }
     }
 }

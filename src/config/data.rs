@@ -9,7 +9,11 @@ pub const NO_MASKS: &str = "none";
 
 /// Whether two names are of one folder as they are written, as `masks`, `./masks` and `masks/` are.
 pub(crate) fn same_folder(a: &str, b: &str) -> bool {
-    let parts = |name| Path::new(name).components().filter(|part| *part != Component::CurDir);
+    let parts = |name| {
+        Path::new(name)
+            .components()
+            .filter(|part| *part != Component::CurDir)
+    };
     parts(a).eq(parts(b))
 }
 

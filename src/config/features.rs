@@ -110,7 +110,11 @@ impl UnprojectionConfig {
     /// Pixels, of `all` that the training views have, on which a Gaussian has to be counted (T_a of Algorithm 1).
     pub fn fewest_pixels(&self, all: u64) -> f64 {
         let share = self.attendance * all as f64;
-        if self.attendance_pixels > 0.0 { share.min(self.attendance_pixels) } else { share }
+        if self.attendance_pixels > 0.0 {
+            share.min(self.attendance_pixels)
+        } else {
+            share
+        }
     }
 }
 
@@ -154,6 +158,11 @@ pub struct SpatialConfig {
 
 impl Default for SpatialConfig {
     fn default() -> Self {
-        Self { source: SpatialSource::Builtin, weights: None, scale: 1.0, encode: Encode::Scene }
+        Self {
+            source: SpatialSource::Builtin,
+            weights: None,
+            scale: 1.0,
+            encode: Encode::Scene,
+        }
     }
 }

@@ -41,9 +41,11 @@ impl Config {
     /// # Errors
     /// As [`Config::load`].
     pub fn load_for(data: Option<&Path>, file: Option<&Path>, sets: &[String]) -> Result<Self> {
-        let mut config = Self::load_over(file, sets, |preset, given| match data.is_some() || names_folder(given) {
-            true => Self::preset(preset),
-            false => Self::builtin_preset(preset),
+        let mut config = Self::load_over(file, sets, |preset, given| {
+            match data.is_some() || names_folder(given) {
+                true => Self::preset(preset),
+                false => Self::builtin_preset(preset),
+            }
         })?;
         config.data.dir = data.map(Path::to_owned).or(config.data.dir);
         Ok(config)
@@ -62,7 +64,9 @@ impl Config {
         };
         let mut given = Vec::new();
         if let Some(path) = file {
-            let table = text.parse::<Table>().map_err(|e| syntax_error(path, &text, &e))?;
+            let table = text
+                .parse::<Table>()
+                .map_err(|e| syntax_error(path, &text, &e))?;
             flatten(table, "", &template, Origin::File(path, &text), &mut given)?;
         }
         for set in sets {
@@ -79,16 +83,26 @@ impl Config {
     /// As [`Config::load`].
     pub fn rendering_of(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
-        let mut table = text.parse::<Table>().map_err(|e| syntax_error(path, &text, &e))?;
+        let mut table = text
+            .parse::<Table>()
+            .map_err(|e| syntax_error(path, &text, &e))?;
         if !table.get("raster").is_some_and(Value::is_table) {
             return Ok(Self::default());
         }
         if let Some(section) = table.get_mut("segmentation").and_then(Value::as_table_mut) {
             section.retain(|key, _| key == "min_coverage");
         }
-        table.retain(|key, value| matches!(key, "preset" | "raster") || key == "segmentation" && value.is_table());
+        table.retain(|key, value| {
+            matches!(key, "preset" | "raster") || key == "segmentation" && value.is_table()
+        });
         let mut given = Vec::new();
-        flatten(table, "", &template()?, Origin::File(path, &text), &mut given)?;
+        flatten(
+            table,
+            "",
+            &template()?,
+            Origin::File(path, &text),
+            &mut given,
+        )?;
         from_given(&given, Self::preset(chosen_preset(&given)?))
     }
 
@@ -107,7 +121,10 @@ impl Config {
             &mut self.spatial.weights,
         ] {
             if let Some(relative) = path {
-                *path = Some(std::path::absolute(&*relative).map_err(|e| Error::io(&*relative, "find", e))?);
+                *path = Some(
+                    std::path::absolute(&*relative)
+                        .map_err(|e| Error::io(&*relative, "find", e))?,
+                );
             }
         }
         Ok(self)
@@ -124,7 +141,10 @@ impl Config {
 
 /// Whether a scene folder is named; the last word counts, and may take it away.
 fn names_folder(given: &[Given<'_>]) -> bool {
-    given.iter().rfind(|g| g.key == "data.dir").is_some_and(|g| g.value.as_str() != Some(""))
+    given
+        .iter()
+        .rfind(|g| g.key == "data.dir")
+        .is_some_and(|g| g.value.as_str() != Some(""))
 }
 
 /// `config` with each value of `given`, checked.
@@ -137,7 +157,12 @@ fn from_given(given: &[Given<'_>], mut config: Config) -> Result<Config> {
 }
 
 fn unrepresentable(error: &toml::ser::Error) -> Error {
-    Error::argument("settings", error.to_string(), "settings that TOML can hold", "check seed and paths")
+    Error::argument(
+        "settings",
+        error.to_string(),
+        "settings that TOML can hold",
+        "check seed and paths",
+    )
 }
 
 /// Every key there is, optional ones included, with a value of its type.
@@ -209,7 +234,12 @@ fn flatten<'a>(
 
 fn parse_set<'a>(set: &str, template: &Table) -> Result<Given<'a>> {
     let Some((key, text)) = set.split_once('=') else {
-        return Err(Error::argument("--set", set, "section.key=value", "for instance --set building.iterations=3000"));
+        return Err(Error::argument(
+            "--set",
+            set,
+            "section.key=value",
+            "for instance --set building.iterations=3000",
+        ));
     };
     let (key, text) = (key.trim().to_owned(), text.trim());
     let expected = match lookup(template, &key) {
@@ -221,30 +251,50 @@ fn parse_set<'a>(set: &str, template: &Table) -> Result<Given<'a>> {
         }
         Some(expected) => expected,
     };
-    let parsed = format!("v = {text}").parse::<Table>().ok().and_then(|mut t| t.remove("v"));
+    let parsed = format!("v = {text}")
+        .parse::<Table>()
+        .ok()
+        .and_then(|mut t| t.remove("v"));
     let value = match (expected, parsed) {
         (Value::String(_), Some(Value::String(text))) => Value::String(text),
         (Value::String(_), _) => Value::String(text.to_owned()),
         (Value::Array(_), None) => {
             let list = text.trim_start_matches('[').trim_end_matches(']');
-            Value::Array(list.split(',').filter(|s| !s.trim().is_empty()).map(scalar).collect())
+            Value::Array(
+                list.split(',')
+                    .filter(|s| !s.trim().is_empty())
+                    .map(scalar)
+                    .collect(),
+            )
         }
         (_, Some(value)) => value,
         (_, None) => Value::String(text.to_owned()),
     };
-    Ok(Given { key, value, origin: Origin::Set })
+    Ok(Given {
+        key,
+        value,
+        origin: Origin::Set,
+    })
 }
 
 /// A list item of `--set key=a,b,c`: a number where it reads as one, else text.
 fn scalar(text: &str) -> Value {
     let text = text.trim();
-    text.parse().map(Value::Integer).or_else(|_| text.parse().map(Value::Float)).unwrap_or_else(|_| text.into())
+    text.parse()
+        .map(Value::Integer)
+        .or_else(|_| text.parse().map(Value::Float))
+        .unwrap_or_else(|_| text.into())
 }
 
 /// The preset that applies: the last one given.
 fn chosen_preset(given: &[Given<'_>]) -> Result<Preset> {
-    let Some(last) = given.iter().rfind(|g| g.key == "preset") else { return Ok(Preset::Default) };
-    last.value.clone().try_into().map_err(|e: toml::de::Error| wrong_value(last, e.message()))
+    let Some(last) = given.iter().rfind(|g| g.key == "preset") else {
+        return Ok(Preset::Default);
+    };
+    last.value
+        .clone()
+        .try_into()
+        .map_err(|e: toml::de::Error| wrong_value(last, e.message()))
 }
 
 /// `config` with one value replaced. One at a time, so that an error belongs to one key.
@@ -264,7 +314,9 @@ fn apply(config: &Config, given: &Given<'_>) -> Result<Config> {
     } else {
         section.insert(name.to_owned(), given.value.clone());
     }
-    table.try_into().map_err(|e: toml::de::Error| wrong_value(given, e.message()))
+    table
+        .try_into()
+        .map_err(|e: toml::de::Error| wrong_value(given, e.message()))
 }
 
 /// Whether a key may be absent from a written config.
@@ -275,9 +327,10 @@ fn is_optional(key: &str) -> bool {
 fn wrong_value(given: &Given<'_>, message: &str) -> Error {
     let expected = match template().ok().as_ref().and_then(|t| lookup(t, &given.key)) {
         // An enumeration: serde lists what there is.
-        _ if message.starts_with("unknown variant") => {
-            message.split_once("expected ").map_or(message, |(_, list)| list).replace('`', "\"")
-        }
+        _ if message.starts_with("unknown variant") => message
+            .split_once("expected ")
+            .map_or(message, |(_, list)| list)
+            .replace('`', "\""),
         Some(Value::Boolean(_)) => "true or false".to_owned(),
         Some(Value::Integer(_)) => "a whole number of 0 or more".to_owned(),
         Some(Value::Float(_)) => "a number".to_owned(),
@@ -325,7 +378,9 @@ fn line_of(text: &str, key: &str) -> Option<usize> {
     let mut table = document.get_ref();
     let mut name = key;
     loop {
-        let (first, rest) = name.split_once('.').map_or((name, None), |(first, rest)| (first, Some(rest)));
+        let (first, rest) = name
+            .split_once('.')
+            .map_or((name, None), |(first, rest)| (first, Some(rest)));
         let (found, value) = table.iter().find(|(k, _)| k.get_ref() == first)?;
         match rest {
             None => return Some(line_at(text, found.span().start)),
@@ -340,26 +395,58 @@ fn line_at(text: &str, offset: usize) -> usize {
 
 fn syntax_error(path: &Path, text: &str, error: &toml::de::Error) -> Error {
     let line = error.span().map_or(1, |span| line_at(text, span.start));
-    let found = text.lines().nth(line - 1).unwrap_or_default().trim().to_owned();
-    Error::input(path, format!("line {line}"), format!("`{found}`"), "TOML", error.message().replace('\n', ", "))
+    let found = text
+        .lines()
+        .nth(line - 1)
+        .unwrap_or_default()
+        .trim()
+        .to_owned();
+    Error::input(
+        path,
+        format!("line {line}"),
+        format!("`{found}`"),
+        "TOML",
+        error.message().replace('\n', ", "),
+    )
 }
 
 fn unknown_key(key: &str, template: &Table, origin: Origin<'_>) -> Error {
     let mut keys = leaf_keys(template, "");
-    keys.extend(template.iter().filter(|(_, v)| v.is_table()).map(|(k, _)| k.clone()));
+    keys.extend(
+        template
+            .iter()
+            .filter(|(_, v)| v.is_table())
+            .map(|(k, _)| k.clone()),
+    );
     let last = |k: &str| k.rsplit('.').next().unwrap_or_default().to_owned();
     // The whole key may be misspelt, or only its last part be right and the section be missing or wrong.
-    let score = |k: &String| strsim::jaro_winkler(k, key).max(strsim::jaro_winkler(&last(k), &last(key)) - 0.05);
+    let score = |k: &String| {
+        strsim::jaro_winkler(k, key).max(strsim::jaro_winkler(&last(k), &last(key)) - 0.05)
+    };
     let nearest = keys.iter().max_by(|a, b| score(a).total_cmp(&score(b)));
     let mend = nearest.map_or_else(|| "remove it".to_owned(), |k| format!("did you mean {k}?"));
-    fault(origin, key, "an unknown key".into(), "a known key".into(), mend)
+    fault(
+        origin,
+        key,
+        "an unknown key".into(),
+        "a known key".into(),
+        mend,
+    )
 }
 
 /// A range error as the file's fault, when the value came from the file.
 fn in_file(error: Error, given: &[Given<'_>]) -> Error {
     match error {
-        Error::Config { key, found, expected, mend } => {
-            let origin = given.iter().rfind(|g| g.key == key).map_or(Origin::Set, |g| g.origin);
+        Error::Config {
+            key,
+            found,
+            expected,
+            mend,
+        } => {
+            let origin = given
+                .iter()
+                .rfind(|g| g.key == key)
+                .map_or(Origin::Set, |g| g.origin);
             fault(origin, &key, found, expected, mend)
         }
         other => other,

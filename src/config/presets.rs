@@ -1,6 +1,8 @@
 //! The named sets of defaults.
 
-use super::{Blend, Config, Encode, LabelLoss, LabelSource, Normalisation, Preset, Prior, Resolution};
+use super::{
+    Blend, Config, Encode, LabelLoss, LabelSource, Normalisation, Preset, Prior, Resolution,
+};
 
 impl Config {
     /// All settings of a preset; a config file and `--set` override single keys of it.

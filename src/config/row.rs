@@ -10,7 +10,13 @@ impl std::fmt::Display for Row {
 
 impl Row {
     /// What is compared by default.
-    pub const COMPARED: [Self; 5] = [Self::Raw, Self::Vote, Self::PerGaussian, Self::OursCe, Self::Ours];
+    pub const COMPARED: [Self; 5] = [
+        Self::Raw,
+        Self::Vote,
+        Self::PerGaussian,
+        Self::OursCe,
+        Self::Ours,
+    ];
     /// What is left of it where no score can be had.
     pub const UNSCORED: [Self; 2] = [Self::Vote, Self::Ours];
 

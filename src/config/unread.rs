@@ -1,7 +1,8 @@
 //! Settings that somebody gave and that nothing reads, because another one says so.
 
 use super::{
-    Association, BuildingConfig, Config, FeatureSource, LabelLoss, Layout, Resolution, Row, SpatialSource, Strategy,
+    Association, BuildingConfig, Config, FeatureSource, LabelLoss, Layout, Resolution, Row,
+    SpatialSource, Strategy,
 };
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -19,7 +20,9 @@ fn rule(unread: bool, why: &'static str, keys: &'static [&'static str]) -> Rule 
 
 impl Rule {
     fn covers(&self, key: &str) -> bool {
-        self.keys.iter().any(|covered| key == *covered || covered.ends_with('.') && key.starts_with(covered))
+        self.keys
+            .iter()
+            .any(|covered| key == *covered || covered.ends_with('.') && key.starts_with(covered))
     }
 }
 
@@ -29,8 +32,14 @@ impl Config {
     pub fn unread(&self) -> Vec<String> {
         let mut given = self.given();
         let mut told = Vec::new();
-        for rule in
-            [self.of_data(), self.of_building(), self.of_features(), self.of_segmentation()].into_iter().flatten()
+        for rule in [
+            self.of_data(),
+            self.of_building(),
+            self.of_features(),
+            self.of_segmentation(),
+        ]
+        .into_iter()
+        .flatten()
         {
             if !rule.unread {
                 continue;
@@ -41,10 +50,17 @@ impl Config {
                 .collect();
             let verb = if unread.len() == 1 { "is" } else { "are" };
             if !unread.is_empty() {
-                told.push(format!("{} {verb} not read: {}", unread.join(", "), rule.why));
+                told.push(format!(
+                    "{} {verb} not read: {}",
+                    unread.join(", "),
+                    rule.why
+                ));
             }
         }
-        if let (Some(factor), [_]) = (given.get("segmentation.lr_trials"), &self.segmentation.lr_trials[..]) {
+        if let (Some(factor), [_]) = (
+            given.get("segmentation.lr_trials"),
+            &self.segmentation.lr_trials[..],
+        ) {
             told.push(format!(
                 "segmentation.lr_trials = {factor} tries nothing: one factor multiplies the learning rates of all rows; give \
                  two or more, or set segmentation.lr"
@@ -91,14 +107,26 @@ impl Config {
                     "data.scannet_labels",
                 ],
             ),
-            rule(other(Layout::Transforms), "data.layout is not transforms", &["data.transforms"]),
-            rule(other(Layout::Colmap), "data.layout is not colmap", &["data.images"]),
+            rule(
+                other(Layout::Transforms),
+                "data.layout is not transforms",
+                &["data.transforms"],
+            ),
+            rule(
+                other(Layout::Colmap),
+                "data.layout is not colmap",
+                &["data.images"],
+            ),
             rule(
                 other(Layout::Scannet),
                 "data.layout is not scannet",
                 &["data.scannet_classes", "data.scannet_labels"],
             ),
-            rule(d.association == Association::None, "data.association is none", &["association."]),
+            rule(
+                d.association == Association::None,
+                "data.association is none",
+                &["association."],
+            ),
         ]
     }
 
@@ -148,18 +176,33 @@ impl Config {
                     "building.reset_every",
                 ],
             ),
-            rule(b.strategy == Strategy::Adc, "building.strategy is adc", &["building.mcmc."]),
+            rule(
+                b.strategy == Strategy::Adc,
+                "building.strategy is adc",
+                &["building.mcmc."],
+            ),
             rule(
                 b.mcmc.noise == 0.0,
                 "building.mcmc.noise is 0",
-                &["building.mcmc.noise_sharpness", "building.mcmc.noise_opacity"],
+                &[
+                    "building.mcmc.noise_sharpness",
+                    "building.mcmc.noise_opacity",
+                ],
             ),
             rule(
                 b.gaussians.is_some(),
                 "the run begins with building.gaussians",
-                &["building.random_points", "building.mcmc.init_opacity", "building.mcmc.init_scale"],
+                &[
+                    "building.random_points",
+                    "building.mcmc.init_opacity",
+                    "building.mcmc.init_scale",
+                ],
             ),
-            rule(self.data.dir.is_none(), "the built-in scene has points", &["building.random_points"]),
+            rule(
+                self.data.dir.is_none(),
+                "the built-in scene has points",
+                &["building.random_points"],
+            ),
         ]
     }
 
@@ -171,16 +214,36 @@ impl Config {
                 "features.source is descriptor or import",
                 &["features.weights"],
             ),
-            rule(f.source != FeatureSource::Import, "features.source is not import", &["features.import_dir"]),
-            rule(f.source == FeatureSource::Import, "features.source is import", &["features.cache_dir"]),
-            rule(f.source != FeatureSource::Dino, "features.source is not dino", &["features.final_norm"]),
+            rule(
+                f.source != FeatureSource::Import,
+                "features.source is not import",
+                &["features.import_dir"],
+            ),
+            rule(
+                f.source == FeatureSource::Import,
+                "features.source is import",
+                &["features.cache_dir"],
+            ),
+            rule(
+                f.source != FeatureSource::Dino,
+                "features.source is not dino",
+                &["features.final_norm"],
+            ),
             rule(
                 self.spatial.source != SpatialSource::Pretrained,
                 "spatial.source is not pretrained",
                 &["spatial.weights"],
             ),
-            rule(u.solve_iterations == 0, "unprojection.solve_iterations is 0", &["unprojection.solve_ridge"]),
-            rule(u.attendance == 0.0, "unprojection.attendance is 0", &["unprojection.attendance_pixels"]),
+            rule(
+                u.solve_iterations == 0,
+                "unprojection.solve_iterations is 0",
+                &["unprojection.solve_ridge"],
+            ),
+            rule(
+                u.attendance == 0.0,
+                "unprojection.attendance is 0",
+                &["unprojection.attendance_pixels"],
+            ),
         ]
     }
 
@@ -267,7 +330,11 @@ impl Config {
                 "segmentation.loss is neither js nor gjs",
                 &["segmentation.pi_rl"],
             ),
-            rule(s.loss != LabelLoss::Gjs, "segmentation.loss is not gjs", &["segmentation.gjs_dropout"]),
+            rule(
+                s.loss != LabelLoss::Gjs,
+                "segmentation.loss is not gjs",
+                &["segmentation.gjs_dropout"],
+            ),
             rule(
                 s.lambda_reg == 0.0,
                 "segmentation.lambda_reg is 0",
@@ -281,7 +348,10 @@ impl Config {
             rule(
                 s.diffusion_steps == 0,
                 "segmentation.diffusion_steps is 0",
-                &["segmentation.diffusion_strength", "segmentation.diffusion_temperature"],
+                &[
+                    "segmentation.diffusion_strength",
+                    "segmentation.diffusion_temperature",
+                ],
             ),
         ]
     }
@@ -292,12 +362,21 @@ impl Config {
 fn values(config: &Config, building: &BuildingConfig) -> BTreeMap<String, String> {
     let mut config = config.clone();
     let b = &mut config.building;
-    let like = BuildingConfig { strategy: building.strategy, absgrad: building.absgrad, ..b.clone() };
-    (b.densify_until, b.densify_threshold) = (Some(like.densify_until()), Some(like.densify_threshold()));
+    let like = BuildingConfig {
+        strategy: building.strategy,
+        absgrad: building.absgrad,
+        ..b.clone()
+    };
+    (b.densify_until, b.densify_threshold) =
+        (Some(like.densify_until()), Some(like.densify_threshold()));
     // Settings are plain data: they always have a JSON form. By way of text, so that an f32 keeps its short form.
     let text = serde_json::to_string(&config).unwrap_or_default();
     let mut values = BTreeMap::new();
-    collect("", serde_json::from_str(&text).unwrap_or_default(), &mut values);
+    collect(
+        "",
+        serde_json::from_str(&text).unwrap_or_default(),
+        &mut values,
+    );
     values
 }
 
@@ -309,7 +388,9 @@ fn collect(key: &str, value: Value, out: &mut BTreeMap<String, String>) {
         Value::String(text) => add(text),
         Value::Object(section) => {
             let dot = if key.is_empty() { "" } else { "." };
-            section.into_iter().for_each(|(name, value)| collect(&format!("{key}{dot}{name}"), value, out));
+            section
+                .into_iter()
+                .for_each(|(name, value)| collect(&format!("{key}{dot}{name}"), value, out));
         }
         other => add(other.to_string()),
     }

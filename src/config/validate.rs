@@ -1,8 +1,8 @@
 //! Allowed ranges of every setting.
 
 use super::{
-    Blend, BuildingConfig, Config, FeatureSource, GCE_EXPONENTS, NO_MASKS, Normalisation, Prior, SpatialSource,
-    Strategy, same_folder,
+    Blend, BuildingConfig, Config, FeatureSource, GCE_EXPONENTS, NO_MASKS, Normalisation, Prior,
+    SpatialSource, Strategy, same_folder,
 };
 use crate::error::{Error, Result};
 
@@ -10,44 +10,84 @@ use crate::error::{Error, Result};
 struct Check(Result<()>);
 
 impl Check {
-    fn that(&mut self, ok: bool, key: &str, found: impl std::fmt::Display, expected: &str, mend: &str) {
+    fn that(
+        &mut self,
+        ok: bool,
+        key: &str,
+        found: impl std::fmt::Display,
+        expected: &str,
+        mend: &str,
+    ) {
         if self.0.is_ok() && !ok {
             self.0 = Err(Error::config(key, found.to_string(), expected, mend));
         }
     }
 
     fn positive(&mut self, key: &str, value: usize) {
-        self.that(value > 0, key, value, "a whole number above 0", "give at least 1");
+        self.that(
+            value > 0,
+            key,
+            value,
+            "a whole number above 0",
+            "give at least 1",
+        );
     }
 
     /// Above zero and finite.
     fn rate(&mut self, key: &str, value: f64) {
         let mend = "leave the key out for the default";
-        self.that(value > 0.0 && value.is_finite(), key, value, "a finite number above 0", mend);
+        self.that(
+            value > 0.0 && value.is_finite(),
+            key,
+            value,
+            "a finite number above 0",
+            mend,
+        );
     }
 
     /// Finite and not negative.
     fn amount(&mut self, key: &str, value: f64) {
         let mend = "leave the key out for the default";
-        self.that(value >= 0.0 && value.is_finite(), key, value, "a finite number of 0 or more", mend);
+        self.that(
+            value >= 0.0 && value.is_finite(),
+            key,
+            value,
+            "a finite number of 0 or more",
+            mend,
+        );
     }
 
     /// `low` to `high`, both allowed.
     fn within(&mut self, key: &str, value: f64, low: f64, high: f64) {
-        let (expected, mend) = (format!("a number from {low} to {high}"), "leave the key out for the default");
+        let (expected, mend) = (
+            format!("a number from {low} to {high}"),
+            "leave the key out for the default",
+        );
         self.that(value >= low && value <= high, key, value, &expected, mend);
     }
 
     /// Strictly between 0 and 1.
     fn open_share(&mut self, key: &str, value: f64) {
         let mend = "leave the key out for the default";
-        self.that(value > 0.0 && value < 1.0, key, value, "a number above 0 and below 1", mend);
+        self.that(
+            value > 0.0 && value < 1.0,
+            key,
+            value,
+            "a number above 0 and below 1",
+            mend,
+        );
     }
 
     /// Above 0, 1 allowed.
     fn share(&mut self, key: &str, value: f64) {
         let mend = "leave the key out for the default";
-        self.that(value > 0.0 && value <= 1.0, key, value, "a number above 0, at most 1", mend);
+        self.that(
+            value > 0.0 && value <= 1.0,
+            key,
+            value,
+            "a number above 0, at most 1",
+            mend,
+        );
     }
 }
 
@@ -59,11 +99,23 @@ impl Config {
     pub fn validate(&self) -> Result<()> {
         let mut check = Check(Ok(()));
         let largest_seed = i64::MAX as u64;
-        check.that(self.seed <= largest_seed, "seed", self.seed, "at most 2^63 - 1", "choose a smaller seed");
+        check.that(
+            self.seed <= largest_seed,
+            "seed",
+            self.seed,
+            "at most 2^63 - 1",
+            "choose a smaller seed",
+        );
         check.positive("data.stride", self.data.stride);
         let mend = "leave the key out for the default";
         let most = "whole megabytes, at most 2^24";
-        check.that(self.data.decoded_mb <= 1 << 24, "data.decoded_mb", self.data.decoded_mb, most, mend);
+        check.that(
+            self.data.decoded_mb <= 1 << 24,
+            "data.decoded_mb",
+            self.data.decoded_mb,
+            most,
+            mend,
+        );
         self.validate_masks(&mut check);
         self.building.check(&mut check);
         self.validate_raster(&mut check);
@@ -77,9 +129,18 @@ impl Config {
     fn validate_masks(&self, check: &mut Check) {
         let d = &self.data;
         let given = !d.masks.is_empty() && d.masks != NO_MASKS;
-        let same = given && [&d.images, &d.raw_labels].into_iter().any(|other| same_folder(other, &d.masks));
+        let same = given
+            && [&d.images, &d.raw_labels]
+                .into_iter()
+                .any(|other| same_folder(other, &d.masks));
         let expected = "a folder other than data.images and data.raw_labels";
-        check.that(!same, "data.masks", &d.masks, expected, "name the folder of masks, or leave the key out");
+        check.that(
+            !same,
+            "data.masks",
+            &d.masks,
+            expected,
+            "name the folder of masks, or leave the key out",
+        );
     }
 
     fn validate_raster(&self, check: &mut Check) {
@@ -106,12 +167,24 @@ impl Config {
         let f = &self.features;
         check.positive("features.dimensions", f.dimensions);
         for (source, expected) in [
-            (FeatureSource::Mobilenetv2, "a path to MobileNetV2 weights, because features.source = \"mobilenetv2\""),
-            (FeatureSource::Dino, "a path to DINO weights, because features.source = \"dino\""),
+            (
+                FeatureSource::Mobilenetv2,
+                "a path to MobileNetV2 weights, because features.source = \"mobilenetv2\"",
+            ),
+            (
+                FeatureSource::Dino,
+                "a path to DINO weights, because features.source = \"dino\"",
+            ),
         ] {
             let needs_weights = f.source == source && f.weights.is_none();
             let mend = "give it, or set features.source = \"auto\"";
-            check.that(!needs_weights, "features.weights", "nothing", expected, mend);
+            check.that(
+                !needs_weights,
+                "features.weights",
+                "nothing",
+                expected,
+                mend,
+            );
         }
         let needs_maps = f.source == FeatureSource::Import && f.import_dir.is_none();
         let expected = "a folder of feature maps, because features.source = \"import\"";
@@ -171,11 +244,19 @@ impl Config {
             "none where logits are blended",
             "set segmentation.blend = \"probabilities\", or segmentation.prior = \"none\"",
         );
-        check.within("segmentation.gce_exponent", s.gce_exponent, GCE_EXPONENTS[0], GCE_EXPONENTS[1]);
+        check.within(
+            "segmentation.gce_exponent",
+            s.gce_exponent,
+            GCE_EXPONENTS[0],
+            GCE_EXPONENTS[1],
+        );
         check.open_share("segmentation.pi_rl", s.pi_rl);
         check.open_share("segmentation.gjs_dropout", s.gjs_dropout);
         check.open_share("segmentation.diffusion_strength", s.diffusion_strength);
-        check.rate("segmentation.diffusion_temperature", s.diffusion_temperature);
+        check.rate(
+            "segmentation.diffusion_temperature",
+            s.diffusion_temperature,
+        );
         check.positive("segmentation.diffusion_neighbours", s.diffusion_neighbours);
         check.amount("segmentation.lambda_pix", s.lambda_pix);
         check.amount("segmentation.lambda_reg", s.lambda_reg);
@@ -204,8 +285,20 @@ impl BuildingConfig {
             check.positive("building.iterations", self.iterations);
         }
         let most = u32::MAX as usize;
-        check.that(self.iterations <= most, "building.iterations", self.iterations, "fewer than 2^32", "give fewer");
-        check.that(self.sh_degree <= 3, "building.sh_degree", self.sh_degree, "0, 1, 2 or 3", "3 is the usual choice");
+        check.that(
+            self.iterations <= most,
+            "building.iterations",
+            self.iterations,
+            "fewer than 2^32",
+            "give fewer",
+        );
+        check.that(
+            self.sh_degree <= 3,
+            "building.sh_degree",
+            self.sh_degree,
+            "0, 1, 2 or 3",
+            "3 is the usual choice",
+        );
         check.within("building.ssim_weight", self.ssim_weight.into(), 0.0, 1.0);
         for (key, rate) in [
             ("building.lr_means", self.lr_means),
@@ -220,10 +313,23 @@ impl BuildingConfig {
         // The end of an exponential.
         check.rate("building.lr_means_final", self.lr_means_final);
         check.positive("building.densify_every", self.densify_every);
-        check.within("building.densify_until", self.densify_until().into(), 0.0, 1.0);
-        check.amount("building.densify_threshold", self.densify_threshold().into());
+        check.within(
+            "building.densify_until",
+            self.densify_until().into(),
+            0.0,
+            1.0,
+        );
+        check.amount(
+            "building.densify_threshold",
+            self.densify_threshold().into(),
+        );
         check.amount("building.clone_below", self.clone_below.into());
-        check.within("building.prune_opacity", self.prune_opacity.into(), 0.0, 1.0);
+        check.within(
+            "building.prune_opacity",
+            self.prune_opacity.into(),
+            0.0,
+            1.0,
+        );
         check.rate("building.prune_scale", self.prune_scale.into());
         check.positive("building.reset_every", self.reset_every);
         check.positive("building.random_points", self.random_points);

@@ -13,7 +13,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 ///
 /// # Errors
 /// [`Error::Io`] naming `path` and the step that failed.
-pub fn write(path: impl AsRef<Path>, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
+pub fn write(
+    path: impl AsRef<Path>,
+    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<()> {
     let path = path.as_ref();
     let parent = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -47,25 +50,42 @@ pub fn write_bytes(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
 fn temporary_name(parent: &Path, path: &Path) -> Result<PathBuf> {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
     let Some(name) = path.file_name() else {
-        return Err(Error::io(path, "create", io::Error::new(io::ErrorKind::InvalidInput, "not a file name")));
+        return Err(Error::io(
+            path,
+            "create",
+            io::Error::new(io::ErrorKind::InvalidInput, "not a file name"),
+        ));
     };
     let mut hidden = std::ffi::OsString::from(".");
     hidden.push(name);
-    hidden.push(format!(".{}-{}.tmp", std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed)));
+    hidden.push(format!(
+        ".{}-{}.tmp",
+        std::process::id(),
+        COUNTER.fetch_add(1, Ordering::Relaxed)
+    ));
     Ok(parent.join(hidden))
 }
 
-fn write_synced(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
+fn write_synced(
+    path: &Path,
+    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<()> {
     let file = File::create(path).map_err(|e| Error::io(path, "create", e))?;
     let mut out = BufWriter::with_capacity(1 << 20, file);
-    fill(&mut out).and_then(|()| out.flush()).map_err(|e| Error::io(path, "write", e))?;
-    out.get_ref().sync_all().map_err(|e| Error::io(path, "sync", e))
+    fill(&mut out)
+        .and_then(|()| out.flush())
+        .map_err(|e| Error::io(path, "write", e))?;
+    out.get_ref()
+        .sync_all()
+        .map_err(|e| Error::io(path, "sync", e))
 }
 
 /// The rename itself is on disk only once the folder is.
 #[cfg(unix)]
 fn sync_folder(folder: &Path) -> Result<()> {
-    File::open(folder).and_then(|f| f.sync_all()).map_err(|e| Error::io(folder, "sync", e))
+    File::open(folder)
+        .and_then(|f| f.sync_all())
+        .map_err(|e| Error::io(folder, "sync", e))
 }
 
 #[cfg(not(unix))]
@@ -80,7 +100,9 @@ fn sync_folder(_: &Path) -> Result<()> {
 pub fn remove(path: impl AsRef<Path>) -> Result<()> {
     let path = path.as_ref();
     match fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(Error::io(path, "remove", error)),
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            Err(Error::io(path, "remove", error))
+        }
         _ => Ok(()),
     }
 }

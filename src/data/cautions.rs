@@ -20,7 +20,10 @@ const EXTENT: [f64; 2] = [1.0, 4.0];
 
 /// What the frames of a listing say before any file of theirs is read.
 pub(super) fn of_frames(listing: &Listing) -> Vec<String> {
-    of_cameras(listing).into_iter().chain(without_raw(listing)).collect()
+    of_cameras(listing)
+        .into_iter()
+        .chain(without_raw(listing))
+        .collect()
 }
 
 /// Cameras of a COLMAP model, whose unit is arbitrary, that are seldom so far apart in metres, where `unit_is_metre`. Without
@@ -28,7 +31,11 @@ pub(super) fn of_frames(listing: &Listing) -> Vec<String> {
 pub(super) fn of_unit(listing: &Listing, unit_is_metre: bool) -> Option<String> {
     let labelled = listing.frames.iter().any(|frame| frame.raw.is_some());
     let mean = listing.origin();
-    let extent = listing.frames.iter().map(|frame| frame.camera.center.distance(mean)).fold(0.0, f64::max);
+    let extent = listing
+        .frames
+        .iter()
+        .map(|frame| frame.camera.center.distance(mean))
+        .fold(0.0, f64::max);
     let [low, high] = EXTENT;
     let asked = listing.layout == Layout::Colmap && unit_is_metre && labelled;
     (asked && !(low..=high).contains(&extent)).then(|| {
@@ -41,15 +48,24 @@ pub(super) fn of_unit(listing: &Listing, unit_is_metre: bool) -> Option<String> 
 
 /// How many photos will be reduced to `most` pixels a side; 0 is no limit.
 pub(super) fn of_sizes(listing: &Listing, most: usize) -> Option<String> {
-    let large = |frame: &&Frame| !frame.scales && frame.camera.width.max(frame.camera.height) > most;
-    let count = if most == 0 { 0 } else { listing.frames.iter().filter(large).count() };
+    let large =
+        |frame: &&Frame| !frame.scales && frame.camera.width.max(frame.camera.height) > most;
+    let count = if most == 0 {
+        0
+    } else {
+        listing.frames.iter().filter(large).count()
+    };
     (count > 0)
         .then(|| format!("{count} photos have more than {most} pixels a side and are reduced to that (data.max_side)"))
 }
 
 /// How many photos have no mask where others have one, or a folder holds masks; `folder` is where these would lie.
 pub(super) fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<String> {
-    let without: Vec<&Frame> = listing.frames.iter().filter(|frame| frame.mask.is_none()).collect();
+    let without: Vec<&Frame> = listing
+        .frames
+        .iter()
+        .filter(|frame| frame.mask.is_none())
+        .collect();
     let all = listing.frames.len();
     match folder {
         _ if without.is_empty() => None,
@@ -57,7 +73,11 @@ pub(super) fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<St
             "no photo has a mask in {folder}, and all are used whole: masks of a.jpg are named a.png or a.jpg.png"
         )),
         _ if without.len() == all => None,
-        _ => Some(format!("{} of {all} photos have no mask and are used whole: {}", without.len(), named(&without))),
+        _ => Some(format!(
+            "{} of {all} photos have no mask and are used whole: {}",
+            without.len(),
+            named(&without)
+        )),
     }
 }
 
@@ -84,8 +104,12 @@ pub(super) fn of_cameras(listing: &Listing) -> Vec<String> {
     let posed: Vec<&Frame> = listing.frames.iter().filter(|frame| frame.posed).collect();
     let file = listing.file.display();
     let mut notices = Vec::new();
-    let low = posed.iter().fold(glam::DVec3::INFINITY, |low, f| low.min(f.camera.center));
-    let high = posed.iter().fold(glam::DVec3::NEG_INFINITY, |high, f| high.max(f.camera.center));
+    let low = posed
+        .iter()
+        .fold(glam::DVec3::INFINITY, |low, f| low.min(f.camera.center));
+    let high = posed.iter().fold(glam::DVec3::NEG_INFINITY, |high, f| {
+        high.max(f.camera.center)
+    });
     if posed.len() > 1 && (high - low).max_element() < ONE_PLACE {
         notices.push(format!(
             "{file}: all {} cameras stand at one place: without a step aside between photos nothing tells how far things are",
@@ -94,8 +118,14 @@ pub(super) fn of_cameras(listing: &Listing) -> Vec<String> {
     }
     notices.extend(equal_poses(&posed).map(|told| format!("{file}: {told}")));
     for side in [Side { across: true }, Side { across: false }] {
-        notices.extend(side.principal_point(listing, &posed).map(|told| format!("{file}: {told}")));
-        notices.extend(side.field_of_view(listing, &posed).map(|told| format!("{file}: {told}")));
+        notices.extend(
+            side.principal_point(listing, &posed)
+                .map(|told| format!("{file}: {told}")),
+        );
+        notices.extend(
+            side.field_of_view(listing, &posed)
+                .map(|told| format!("{file}: {told}")),
+        );
     }
     notices
 }
@@ -105,11 +135,18 @@ fn equal_poses(posed: &[&Frame]) -> Option<String> {
     let mut first: HashMap<[u64; 12], &str> = HashMap::new();
     let mut pairs = Vec::new();
     for frame in posed {
-        let Camera { rotation, center, .. } = &frame.camera;
+        let Camera {
+            rotation, center, ..
+        } = &frame.camera;
         let mut key = [0; 12];
-        let numbers = rotation.to_cols_array().into_iter().chain(center.to_array());
+        let numbers = rotation
+            .to_cols_array()
+            .into_iter()
+            .chain(center.to_array());
         // A zero has two signs.
-        key.iter_mut().zip(numbers).for_each(|(bits, number)| *bits = (number + 0.0).to_bits());
+        key.iter_mut()
+            .zip(numbers)
+            .for_each(|(bits, number)| *bits = (number + 0.0).to_bits());
         match first.get(&key) {
             Some(name) => pairs.push(format!("{} as {name}", frame.name)),
             None => {
@@ -119,7 +156,11 @@ fn equal_poses(posed: &[&Frame]) -> Option<String> {
     }
     (!pairs.is_empty()).then(|| {
         let n = pairs.len();
-        format!("{n} of {} frames have exactly the pose of an earlier one: {}", posed.len(), some_of(&pairs))
+        format!(
+            "{n} of {} frames have exactly the pose of an earlier one: {}",
+            posed.len(),
+            some_of(&pairs)
+        )
     })
 }
 
@@ -164,7 +205,11 @@ impl Side {
             2.0 * (0.5 * length / f).atan().to_degrees()
         };
         let [low, high] = FIELD_OF_VIEW;
-        let odd: Vec<&Frame> = posed.iter().copied().filter(|frame| !(low..=high).contains(&angle(frame))).collect();
+        let odd: Vec<&Frame> = posed
+            .iter()
+            .copied()
+            .filter(|frame| !(low..=high).contains(&angle(frame)))
+            .collect();
         let first = odd.first()?;
         let field = match (listing.layout, self.across) {
             (Layout::Transforms, true) => "fl_x",
@@ -184,11 +229,21 @@ impl Side {
 
 /// Training frames that lack raw labels where others have some.
 fn without_raw(listing: &Listing) -> Option<String> {
-    let train = || listing.frames.iter().filter(|frame| frame.split == Split::Train);
+    let train = || {
+        listing
+            .frames
+            .iter()
+            .filter(|frame| frame.split == Split::Train)
+    };
     let without: Vec<&Frame> = train().filter(|frame| frame.raw.is_none()).collect();
     let all = train().count();
-    (!without.is_empty() && without.len() < all)
-        .then(|| format!("{} of {all} training frames have no raw labels: {}", without.len(), named(&without)))
+    (!without.is_empty() && without.len() < all).then(|| {
+        format!(
+            "{} of {all} training frames have no raw labels: {}",
+            without.len(),
+            named(&without)
+        )
+    })
 }
 
 /// Training frames of which no pixel has a raw label. `train` are those with raw labels: name, and whether it is so.
@@ -200,10 +255,14 @@ pub(super) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Opti
     }
     (!void.is_empty()).then(|| {
         let n = void.len();
-        let which =
-            format!("raw labels of {n} of {all} training frames are unlabelled in every pixel: {}", some_of(&void));
+        let which = format!(
+            "raw labels of {n} of {all} training frames are unlabelled in every pixel: {}",
+            some_of(&void)
+        );
         match n == all {
-            true => format!("{which}; stage two has nothing to learn from: look at the ids and at classes.json"),
+            true => format!(
+                "{which}; stage two has nothing to learn from: look at the ids and at classes.json"
+            ),
             false => which,
         }
     })
@@ -211,7 +270,10 @@ pub(super) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Opti
 
 /// Photos that segmenters may have turned without that a size tells. `found` are the frames with what was seen of each.
 pub(super) fn turned<'a>(found: impl Iterator<Item = (&'a Frame, bool)>) -> Option<String> {
-    let turned: Vec<&Frame> = found.filter(|(_, turned)| *turned).map(|(frame, _)| frame).collect();
+    let turned: Vec<&Frame> = found
+        .filter(|(_, turned)| *turned)
+        .map(|(frame, _)| frame)
+        .collect();
     (!turned.is_empty()).then(|| {
         format!(
             "{} photos ask by their EXIF orientation to be turned or mirrored, which is not done, and no size tells whether \
@@ -227,8 +289,11 @@ pub(super) fn turned<'a>(found: impl Iterator<Item = (&'a Frame, bool)>) -> Opti
 pub(super) fn of_scene(scene: &Scene, unlabelled: u16) -> Vec<String> {
     let masks = scene.views.iter().filter_map(|view| view.mask.as_ref());
     let masked = inverted(masks.map(|mask| [mask.width() * mask.height(), mask.left_out()]));
-    let train = scene.split(Split::Train).filter_map(|view| Some((&*view.name, view.raw.as_ref()?)));
-    let void = void_raw(train.map(|(name, raw)| (name, raw.runs().all(|(id, _)| id == unlabelled))));
+    let train = scene
+        .split(Split::Train)
+        .filter_map(|view| Some((&*view.name, view.raw.as_ref()?)));
+    let void =
+        void_raw(train.map(|(name, raw)| (name, raw.runs().all(|(id, _)| id == unlabelled))));
     masked.into_iter().chain(void).collect()
 }
 
@@ -240,11 +305,18 @@ pub(super) fn empty_cloud(cloud: &Cloud) -> Option<String> {
         Cloud::Ply(path) | Cloud::Colmap(path) => what(path),
         Cloud::Depth(_) => "the depth images show nothing".to_owned(),
     };
-    Some(format!("{what}: Gaussians start at random places in front of the cameras"))
+    Some(format!(
+        "{what}: Gaussians start at random places in front of the cameras"
+    ))
 }
 
 fn named(frames: &[&Frame]) -> String {
-    some_of(&frames.iter().map(|frame| frame.name.clone()).collect::<Vec<_>>())
+    some_of(
+        &frames
+            .iter()
+            .map(|frame| frame.name.clone())
+            .collect::<Vec<_>>(),
+    )
 }
 
 /// The first few, and how many more there are.

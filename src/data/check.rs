@@ -30,21 +30,47 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
         Ok(listing) => listing,
         Err(fault) => {
             problems.push(fault);
-            return Checked { layout: None, frames: 0, problems: problems.all(), notices: Vec::new() };
+            return Checked {
+                layout: None,
+                frames: 0,
+                problems: problems.all(),
+                notices: Vec::new(),
+            };
         }
     };
     let limits = &options.limits;
     problems.keep(listing.check_sizes(limits));
     // Without a class table, which is a fault that was told, no id can be wrong.
-    let known = if listing.classes.is_empty() { vec![0; 1 << 16] } else { listing.classes.lookup() };
+    let known = if listing.classes.is_empty() {
+        vec![0; 1 << 16]
+    } else {
+        listing.classes.lookup()
+    };
     let mut found = Vec::new();
-    listing.frames.par_iter().map(|frame| check_frame(&listing, frame, &known, options)).collect_into_vec(&mut found);
-    let train = listing.frames.iter().zip(&found).filter(|(frame, _)| frame.split == Split::Train);
-    let void = cautions::void_raw(train.filter_map(|(frame, found)| Some((&*frame.name, found.void?))));
+    listing
+        .frames
+        .par_iter()
+        .map(|frame| check_frame(&listing, frame, &known, options))
+        .collect_into_vec(&mut found);
+    let train = listing
+        .frames
+        .iter()
+        .zip(&found)
+        .filter(|(frame, _)| frame.split == Split::Train);
+    let void =
+        cautions::void_raw(train.filter_map(|(frame, found)| Some((&*frame.name, found.void?))));
     let masked = cautions::inverted(found.iter().filter_map(|found| found.masked));
-    let turned = cautions::turned(listing.frames.iter().zip(found.iter().map(|found| found.turned)));
+    let turned = cautions::turned(
+        listing
+            .frames
+            .iter()
+            .zip(found.iter().map(|found| found.turned)),
+    );
     let mut notices: Vec<String> = turned.into_iter().chain(masked).chain(void).collect();
-    found.into_iter().flat_map(|found| found.faults).for_each(|fault| problems.push(fault));
+    found
+        .into_iter()
+        .flat_map(|found| found.faults)
+        .for_each(|fault| problems.push(fault));
     // A cloud from depth opens photos again: the same fault need not be told twice.
     let told: HashSet<String> = problems.messages().collect();
     match listing.points(listing.origin(), limits) {
@@ -86,7 +112,11 @@ struct Found {
 fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) -> Found {
     let limits = &options.limits;
     let mut problems = Problems::default();
-    let opened = if frame.present { problems.keep(frame.open(&listing.file, limits)) } else { None };
+    let opened = if frame.present {
+        problems.keep(frame.open(&listing.file, limits))
+    } else {
+        None
+    };
     let mut turned = false;
     let geometry = match opened {
         Some((file, geometry)) => {
@@ -95,7 +125,9 @@ fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOp
             Some(geometry)
         }
         // Label maps are as large as the photo should be.
-        None => frame.geometry((frame.camera.width, frame.camera.height)).ok(),
+        None => frame
+            .geometry((frame.camera.width, frame.camera.height))
+            .ok(),
     };
     let geometry = geometry.map(|geometry| geometry.within(options.max_side));
     let (mut void, mut masked) = (None, None);
@@ -103,11 +135,23 @@ fn check_frame(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOp
         let mask = problems.keep(frame.read_mask(geometry, limits)).flatten();
         let mask = mask.as_ref();
         masked = mask.map(|mask| [mask.width() * mask.height(), mask.left_out()]);
-        let maps = Maps { listing, frame, geometry, known, limits, mask };
+        let maps = Maps {
+            listing,
+            frame,
+            geometry,
+            known,
+            limits,
+            mask,
+        };
         problems.keep(maps.truth());
         let raw = problems.keep(maps.raw()).flatten();
         void = raw.map(|raw| raw.map.ids.iter().all(|&id| id == listing.unlabelled()));
         problems.keep(maps.instances());
     }
-    Found { faults: problems.all(), void, masked, turned }
+    Found {
+        faults: problems.all(),
+        void,
+        masked,
+        turned,
+    }
 }

@@ -8,16 +8,32 @@ use std::path::Path;
 /// The id that `classes.json` maps to a name in [`VOID_NAMES`].
 const VOID: u16 = 0;
 /// Names of id 0 that mean 'unlabelled'.
-const VOID_NAMES: [&str; 7] = ["void", "ignore", "ignored", "unlabelled", "unlabeled", "unknown", "undefined"];
+const VOID_NAMES: [&str; 7] = [
+    "void",
+    "ignore",
+    "ignored",
+    "unlabelled",
+    "unlabeled",
+    "unknown",
+    "undefined",
+];
 
 impl Classes {
     /// A table of classes with colours from [`class_color`], ascending by id. Entries with the ignored id and repeated
     /// ids (after the first) are left out.
-    pub fn from_names<S: Into<String>>(ignore: u16, names: impl IntoIterator<Item = (u16, S)>) -> Self {
+    pub fn from_names<S: Into<String>>(
+        ignore: u16,
+        names: impl IntoIterator<Item = (u16, S)>,
+    ) -> Self {
         let mut entries: Vec<Class> = names
             .into_iter()
             .filter(|(id, _)| *id != ignore)
-            .map(|(id, name)| Class { id, name: name.into(), color: class_color(id), object_of: None })
+            .map(|(id, name)| Class {
+                id,
+                name: name.into(),
+                color: class_color(id),
+                object_of: None,
+            })
             .collect();
         entries.sort_by_key(|c| c.id);
         entries.dedup_by_key(|c| c.id);
@@ -31,7 +47,11 @@ impl Classes {
 
     /// Colour of a label id, 8-bit sRGB: [`Classes::color`], or one of its own where no class is known.
     pub fn legend_color(&self, id: u16) -> [u8; 3] {
-        if self.is_empty() { class_color(id) } else { self.color(id) }
+        if self.is_empty() {
+            class_color(id)
+        } else {
+            self.color(id)
+        }
     }
 
     /// Name of a label id where the table has one: that of its class, or `void` for the ignored one.
@@ -54,10 +74,15 @@ impl Classes {
     /// [`Error::Io`]; [`Error::Input`] naming line or id: malformed JSON, ids that are not u16 or appear twice.
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
-        let expected =
-            "{\"0\": \"void\", \"1\": \"NAME\", ..} or {\"ignore\": 0, \"classes\": [{\"id\": 1, \"name\": ..}, ..]}";
+        let expected = "{\"0\": \"void\", \"1\": \"NAME\", ..} or {\"ignore\": 0, \"classes\": [{\"id\": 1, \"name\": ..}, ..]}";
         let malformed = |e: serde_json::Error| {
-            Error::input(path, format!("line {}", e.line()), e.to_string(), expected, "mend the file there")
+            Error::input(
+                path,
+                format!("line {}", e.line()),
+                e.to_string(),
+                expected,
+                "mend the file there",
+            )
         };
         let Pairs(pairs) = serde_json::from_str(&text).map_err(malformed)?;
         if pairs.iter().any(|(key, _)| key == "classes") {
@@ -68,16 +93,31 @@ impl Classes {
         for (key, value) in pairs {
             let Ok(id) = key.parse::<u16>() else {
                 let mend = "renumber the classes";
-                return Err(Error::input(path, "id", format!("{key:?}"), "a whole number from 0 to 65535", mend));
+                return Err(Error::input(
+                    path,
+                    "id",
+                    format!("{key:?}"),
+                    "a whole number from 0 to 65535",
+                    mend,
+                ));
             };
             let serde_json::Value::String(name) = value else {
-                return Err(Error::input(path, format!("id {id}"), value.to_string(), "a name", "put it in quotes"));
+                return Err(Error::input(
+                    path,
+                    format!("id {id}"),
+                    value.to_string(),
+                    "a name",
+                    "put it in quotes",
+                ));
             };
             named.push((id, name));
         }
         check_unique(path, named.iter().map(|(id, _)| *id))?;
         let is_void = |name: &str| VOID_NAMES.contains(&name.trim().to_lowercase().as_str());
-        if let Some((_, name)) = named.iter().find(|(id, name)| *id == VOID && !is_void(name)) {
+        if let Some((_, name)) = named
+            .iter()
+            .find(|(id, name)| *id == VOID && !is_void(name))
+        {
             return Err(Error::input(
                 path,
                 "id 0",
@@ -95,8 +135,13 @@ impl Classes {
     /// [`Error::Io`].
     pub fn write(&self, path: &Path) -> Result<()> {
         let classes = self.entries.iter().map(ClassEntry::from).collect();
-        let file = ClassFile { ignore: self.ignore, classes };
-        atomic::write(path, |out| serde_json::to_writer_pretty(out, &file).map_err(Into::into))
+        let file = ClassFile {
+            ignore: self.ignore,
+            classes,
+        };
+        atomic::write(path, |out| {
+            serde_json::to_writer_pretty(out, &file).map_err(Into::into)
+        })
     }
 }
 
@@ -105,7 +150,13 @@ fn check_unique(path: &Path, ids: impl Iterator<Item = u16>) -> Result<()> {
     for id in ids {
         if !seen.insert(id) {
             let mend = "give each class an id of its own";
-            return Err(Error::input(path, format!("id {id}"), "two entries", "one entry an id", mend));
+            return Err(Error::input(
+                path,
+                format!("id {id}"),
+                "two entries",
+                "one entry an id",
+                mend,
+            ));
         }
     }
     Ok(())
@@ -132,19 +183,33 @@ struct ClassEntry {
 impl From<&Class> for ClassEntry {
     fn from(c: &Class) -> Self {
         let (class, thing) = c.object_of.map(|of| (of.class, of.thing)).unzip();
-        Self { id: c.id, name: c.name.clone(), color: Some(c.color), class, thing }
+        Self {
+            id: c.id,
+            name: c.name.clone(),
+            color: Some(c.color),
+            class,
+            thing,
+        }
     }
 }
 
 impl ClassFile {
     fn into_classes(self, path: &Path) -> Result<Classes> {
         check_unique(path, self.classes.iter().map(|c| c.id))?;
-        let mut classes = Classes::from_names(self.ignore, self.classes.iter().map(|c| (c.id, c.name.clone())));
+        let mut classes = Classes::from_names(
+            self.ignore,
+            self.classes.iter().map(|c| (c.id, c.name.clone())),
+        );
         for entry in self.classes {
-            let Some(i) = classes.index(entry.id) else { continue };
+            let Some(i) = classes.index(entry.id) else {
+                continue;
+            };
             let class = &mut classes.entries[i];
             class.color = entry.color.unwrap_or(class.color);
-            class.object_of = entry.class.map(|class| ObjectOf { class, thing: entry.thing.unwrap_or(true) });
+            class.object_of = entry.class.map(|class| ObjectOf {
+                class,
+                thing: entry.thing.unwrap_or(true),
+            });
         }
         Ok(classes)
     }

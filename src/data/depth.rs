@@ -21,9 +21,20 @@ pub(crate) struct Depth {
 
 impl Depth {
     /// Points on a grid over each chosen frame, without those that its mask leaves out, with the colours of its photo, relative to `origin`.
-    pub fn points(&self, frames: &[Frame], listed_in: &Path, origin: DVec3, limits: &Limits) -> Result<Points> {
-        let known = frames.iter().zip(&self.files).filter(|(frame, _)| frame.split == Split::Train);
-        let known: Vec<(&Frame, &PathBuf)> = known.filter_map(|(frame, file)| Some((frame, file.as_ref()?))).collect();
+    pub fn points(
+        &self,
+        frames: &[Frame],
+        listed_in: &Path,
+        origin: DVec3,
+        limits: &Limits,
+    ) -> Result<Points> {
+        let known = frames
+            .iter()
+            .zip(&self.files)
+            .filter(|(frame, _)| frame.split == Split::Train);
+        let known: Vec<(&Frame, &PathBuf)> = known
+            .filter_map(|(frame, file)| Some((frame, file.as_ref()?)))
+            .collect();
         let chosen = FRAMES.min(known.len());
         let each = POINTS / chosen.max(1);
         let made: Vec<Result<Points>> = (0..chosen)
@@ -58,8 +69,14 @@ impl Depth {
         let depth = LabelMap::read(file, limits)?;
         let camera = &geometry.camera;
         // As many columns and rows as keep the proportions of the image.
-        let across = ((most * depth.width) as f64 / depth.height as f64).sqrt().floor().max(1.0) as usize;
-        let (columns, rows) = (across.min(depth.width), (most / across).clamp(1, depth.height));
+        let across = ((most * depth.width) as f64 / depth.height as f64)
+            .sqrt()
+            .floor()
+            .max(1.0) as usize;
+        let (columns, rows) = (
+            across.min(depth.width),
+            (most / across).clamp(1, depth.height),
+        );
         let mut points = Points::default();
         for i in 0..columns * rows {
             let (column, row) = (
@@ -72,10 +89,14 @@ impl Depth {
             }
             let u = (column as f64 + 0.5) * camera.width as f64 / depth.width as f64;
             let v = (row as f64 + 0.5) * camera.height as f64 / depth.height as f64;
-            if mask.as_ref().is_some_and(|mask| !mask.uses(v as usize * camera.width + u as usize)) {
+            if mask
+                .as_ref()
+                .is_some_and(|mask| !mask.uses(v as usize * camera.width + u as usize))
+            {
                 continue;
             }
-            let position = camera.ray(u, v) * (f64::from(value) / self.scale) + (camera.center - origin);
+            let position =
+                camera.ray(u, v) * (f64::from(value) / self.scale) + (camera.center - origin);
             let color = photo.get_pixel(u as u32, v as u32).0;
             points.positions.push(position.to_array().map(|v| v as f32));
             points.colors.push(color.map(|c| f32::from(c) / 255.0));

@@ -8,7 +8,10 @@ pub(super) fn by_first_bytes(bytes: &[u8]) -> Option<&'static str> {
         (b"ply\n", "a PLY file"),
         (b"ply\r", "a PLY file"),
     ];
-    let kind = kinds.into_iter().find(|(start, _)| bytes.starts_with(start)).map(|(_, kind)| kind);
+    let kind = kinds
+        .into_iter()
+        .find(|(start, _)| bytes.starts_with(start))
+        .map(|(_, kind)| kind);
     let first = bytes.iter().find(|byte| !byte.is_ascii_whitespace());
     kind.or_else(|| matches!(first, Some(b'{' | b'[')).then_some("JSON"))
 }

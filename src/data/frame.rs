@@ -48,7 +48,11 @@ impl Frame {
     pub fn open(&self, file: &Path, limits: &Limits) -> Result<(ImageFile, Geometry)> {
         if !self.image.is_file() {
             let mend = "put the image there or drop the frame".into();
-            return Err(Error::Missing { what: "file", path: self.image.clone(), mend });
+            return Err(Error::Missing {
+                what: "file",
+                path: self.image.clone(),
+                mend,
+            });
         }
         let image = ImageFile::open(&self.image, limits)?;
         let (w, h) = (self.camera.width, self.camera.height);
@@ -66,16 +70,31 @@ impl Frame {
     pub fn geometry(&self, (width, height): (usize, usize)) -> Result<Geometry> {
         let camera = self.camera.resized(width, height);
         if self.lens.is_pinhole() {
-            return Ok(Geometry { camera, development: Development::default() });
+            return Ok(Geometry {
+                camera,
+                development: Development::default(),
+            });
         }
         let Some(remap) = Remap::new(&camera, self.lens) else {
             let found = format!("radial {:?}, tangential {:?}", self.lens.k, self.lens.p);
             let expected = "a distortion that does not fold the image over";
             let mend = "calibrate again, or undistort the photos with the tool that made the poses";
-            return Err(Error::input(&self.image, "lens distortion", found, expected, mend));
+            return Err(Error::input(
+                &self.image,
+                "lens distortion",
+                found,
+                expected,
+                mend,
+            ));
         };
         let camera = remap.pinhole.clone();
-        Ok(Geometry { camera, development: Development { remap: Some(remap), ..Development::default() } })
+        Ok(Geometry {
+            camera,
+            development: Development {
+                remap: Some(remap),
+                ..Development::default()
+            },
+        })
     }
 
     /// Whether it has labels or a mask, and its photo, in `file`, may have been turned for them without that a size tells.
@@ -118,7 +137,10 @@ impl Geometry {
 
     /// The camera of the photo as it is used.
     pub fn seen(&self) -> Camera {
-        self.development.size.map_or_else(|| self.camera.clone(), |(width, height)| self.camera.resized(width, height))
+        self.development.size.map_or_else(
+            || self.camera.clone(),
+            |(width, height)| self.camera.resized(width, height),
+        )
     }
 
     /// How the photo's file becomes what is used.

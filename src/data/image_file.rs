@@ -30,22 +30,58 @@ impl ImageFile {
         let format = match image::guess_format(&bytes) {
             Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
             _ => {
-                let start = String::from_utf8_lossy(&bytes[..bytes.len().min(8)]).escape_debug().to_string();
+                let start = String::from_utf8_lossy(&bytes[..bytes.len().min(8)])
+                    .escape_debug()
+                    .to_string();
                 let found = format!("a file of {} bytes starting with \"{start}\"", bytes.len());
-                return Err(Error::input(path, "format", found, "PNG or JPEG", "convert it"));
+                return Err(Error::input(
+                    path,
+                    "format",
+                    found,
+                    "PNG or JPEG",
+                    "convert it",
+                ));
             }
         };
-        let complete = if format == ImageFormat::Png { png_is_complete(&bytes) } else { jpeg_is_complete(&bytes) };
+        let complete = if format == ImageFormat::Png {
+            png_is_complete(&bytes)
+        } else {
+            jpeg_is_complete(&bytes)
+        };
         if !complete {
             let found = format!("{} bytes without the end of the image", bytes.len());
-            return Err(Error::input(path, "image data", found, format!("a complete {}", name(format)), again));
+            return Err(Error::input(
+                path,
+                "image data",
+                found,
+                format!("a complete {}", name(format)),
+                again,
+            ));
         }
         let size = ImageReader::with_format(Cursor::new(&bytes), format)
             .into_dimensions()
-            .map_err(|e| Error::input(path, "header", e.to_string(), format!("a valid {}", name(format)), again))?;
+            .map_err(|e| {
+                Error::input(
+                    path,
+                    "header",
+                    e.to_string(),
+                    format!("a valid {}", name(format)),
+                    again,
+                )
+            })?;
         let pixels = u64::from(size.0) * u64::from(size.1);
-        Limits::check(format!("{}: pixels", path.display()), pixels, limits.image_pixels, "scale the image down")?;
-        Ok(Self { path: path.to_owned(), bytes, format, size: (size.0 as usize, size.1 as usize) })
+        Limits::check(
+            format!("{}: pixels", path.display()),
+            pixels,
+            limits.image_pixels,
+            "scale the image down",
+        )?;
+        Ok(Self {
+            path: path.to_owned(),
+            bytes,
+            format,
+            size: (size.0 as usize, size.1 as usize),
+        })
     }
 
     /// Where it lies.
@@ -69,10 +105,15 @@ impl ImageFile {
             Some(exif) => format!("{w}x{h} pixels, of EXIF orientation {exif}"),
             None => format!("{w}x{h} pixels"),
         };
-        let scale =
-            "scale the image to that size (label maps without blending), or mend the size with focal length and centre";
+        let scale = "scale the image to that size (label maps without blending), or mend the size with focal length and centre";
         let mend = if across { ACROSS } else { scale };
-        Err(Error::input(&self.path, "size", found, format!("{width}x{height}, as {whose}"), mend))
+        Err(Error::input(
+            &self.path,
+            "size",
+            found,
+            format!("{width}x{height}, as {whose}"),
+            mend,
+        ))
     }
 
     /// Whether it has the proportions of `width` and `height` swapped, and not those themselves.
@@ -83,7 +124,8 @@ impl ImageFile {
     /// How its EXIF data ask programs to turn it before it is shown, 2 to 8 as they number that; `None` where it lies as it is
     /// to be seen.
     pub fn exif_orientation(&self) -> Option<u8> {
-        let decoder = ImageReader::with_format(Cursor::new(&self.bytes), self.format).into_decoder();
+        let decoder =
+            ImageReader::with_format(Cursor::new(&self.bytes), self.format).into_decoder();
         let orientation = decoder.ok()?.orientation().ok().map(Orientation::to_exif);
         orientation.filter(|exif| *exif != Orientation::NoTransforms.to_exif())
     }
@@ -92,12 +134,14 @@ impl ImageFile {
     pub fn turns_unseen(&self) -> bool {
         let (w, h) = self.size;
         // From 5 on the sides are swapped.
-        self.exif_orientation().is_some_and(|exif| exif < 5 || w == h)
+        self.exif_orientation()
+            .is_some_and(|exif| exif < 5 || w == h)
     }
 
     /// Bits a sample and colour type of a PNG's header (0 grey, 2 RGB, 3 palette, 4 grey + alpha, 6 RGBA).
     pub fn png_color(&self) -> Option<(u8, u8)> {
-        (self.format == ImageFormat::Png).then(|| self.bytes.get(24).copied().zip(self.bytes.get(25).copied()))?
+        (self.format == ImageFormat::Png)
+            .then(|| self.bytes.get(24).copied().zip(self.bytes.get(25).copied()))?
     }
 
     pub fn decode(&self) -> Result<DynamicImage> {
@@ -106,7 +150,13 @@ impl ImageFile {
         reader.no_limits();
         reader.decode().map_err(|e| {
             let expected = format!("a valid {}", name(self.format));
-            Error::input(&self.path, "image data", e.to_string(), expected, "copy or export it again")
+            Error::input(
+                &self.path,
+                "image data",
+                e.to_string(),
+                expected,
+                "copy or export it again",
+            )
         })
     }
 
@@ -131,14 +181,22 @@ impl ImageFile {
         let photo = RgbImage::from_fn(width, height, |x, y| {
             let [r, g, b, a] = rgba.get_pixel(x, y).0;
             let [behind_r, behind_g, behind_b] = background;
-            image::Rgb([blend(r, behind_r, a), blend(g, behind_g, a), blend(b, behind_b, a)])
+            image::Rgb([
+                blend(r, behind_r, a),
+                blend(g, behind_g, a),
+                blend(b, behind_b, a),
+            ])
         });
         Ok((photo, transparent))
     }
 }
 
 fn name(format: ImageFormat) -> &'static str {
-    if format == ImageFormat::Png { "PNG" } else { "JPEG" }
+    if format == ImageFormat::Png {
+        "PNG"
+    } else {
+        "JPEG"
+    }
 }
 
 /// Whether the chunks of a PNG lead to its end chunk.
@@ -171,12 +229,18 @@ fn jpeg_is_complete(bytes: &[u8]) -> bool {
             0xFF => at += 1,
             m if standalone(m) => at += 2,
             _ => {
-                let (Some(&high), Some(&low)) = (bytes.get(at + 2), bytes.get(at + 3)) else { return false };
+                let (Some(&high), Some(&low)) = (bytes.get(at + 2), bytes.get(at + 3)) else {
+                    return false;
+                };
                 at += 2 + usize::from(u16::from_be_bytes([high, low])).max(2);
                 if marker == SCAN {
                     // Entropy-coded data: up to the next marker that is neither a stuffed byte nor a restart.
-                    let Some(data) = bytes.get(at..) else { return false };
-                    let next = data.windows(2).position(|w| w[0] == 0xFF && w[1] != 0 && !standalone(w[1]));
+                    let Some(data) = bytes.get(at..) else {
+                        return false;
+                    };
+                    let next = data
+                        .windows(2)
+                        .position(|w| w[0] == 0xFF && w[1] != 0 && !standalone(w[1]));
                     let Some(next) = next else { return false };
                     at += next;
                 }

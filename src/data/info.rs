@@ -97,7 +97,12 @@ struct Looked {
 pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
     let listing = listing(dir, options)?;
     let known = listing.classes.lookup();
-    let looked = in_order(listing.frames.par_iter().map(|frame| look(&listing, frame, &known, options)))?;
+    let looked = in_order(
+        listing
+            .frames
+            .par_iter()
+            .map(|frame| look(&listing, frame, &known, options)),
+    )?;
     let mut sizes = BTreeMap::new();
     let mut views = BTreeMap::new();
     let mut pixels: [BTreeMap<u16, u64>; 2] = Default::default();
@@ -106,9 +111,12 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
         let mut ids: Vec<&u16> = counts.iter().flat_map(BTreeMap::keys).collect();
         ids.sort_unstable();
         ids.dedup();
-        ids.into_iter().for_each(|id| *views.entry(*id).or_insert(0) += 1);
+        ids.into_iter()
+            .for_each(|id| *views.entry(*id).or_insert(0) += 1);
         for (sum, counts) in pixels.iter_mut().zip(counts) {
-            counts.iter().for_each(|(id, n)| *sum.entry(*id).or_insert(0) += n);
+            counts
+                .iter()
+                .for_each(|(id, n)| *sum.entry(*id).or_insert(0) += n);
         }
     }
     let [all, left_out] = [0, 1].map(|i| looked.iter().map(|l| l.pixels[i]).sum::<usize>());
@@ -123,8 +131,12 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
         views: views.get(&id).copied().unwrap_or(0),
     };
     let Classes { entries, ignore } = &listing.classes;
-    let listed = entries.iter().filter(|class| !listing.occurring_classes || views.contains_key(&class.id));
-    let mut classes: Vec<ClassShare> = listed.map(|class| share(class.id, class.name.clone())).collect();
+    let listed = entries
+        .iter()
+        .filter(|class| !listing.occurring_classes || views.contains_key(&class.id));
+    let mut classes: Vec<ClassShare> = listed
+        .map(|class| share(class.id, class.name.clone()))
+        .collect();
     if !entries.is_empty() {
         classes.push(share(*ignore, "unlabelled".into()));
     }
@@ -163,25 +175,50 @@ fn look(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) 
     let mut counts: [BTreeMap<u16, u64>; 2] = Default::default();
     let mut segments = 0;
     let mask = frame.read_mask(&geometry, &options.limits)?;
-    let maps = Maps { listing, frame, geometry: &geometry, known, limits: &options.limits, mask: mask.as_ref() };
+    let maps = Maps {
+        listing,
+        frame,
+        geometry: &geometry,
+        known,
+        limits: &options.limits,
+        mask: mask.as_ref(),
+    };
     if let Some(map) = maps.truth()? {
         counts[0] = pixels_by_id(&map);
     }
-    if let Some(RawMap { map, segments: told }) = maps.raw()? {
+    if let Some(RawMap {
+        map,
+        segments: told,
+    }) = maps.raw()?
+    {
         let pixels = pixels_by_id(&map);
         if listing.raw.are_segments() {
             segments = pixels.keys().filter(|id| **id != 0).count();
             for (id, n) in pixels {
-                let class = told.iter().find(|segment| segment.id == id).and_then(|segment| segment.class);
-                *counts[1].entry(class.unwrap_or(listing.classes.ignore)).or_default() += n;
+                let class = told
+                    .iter()
+                    .find(|segment| segment.id == id)
+                    .and_then(|segment| segment.class);
+                *counts[1]
+                    .entry(class.unwrap_or(listing.classes.ignore))
+                    .or_default() += n;
             }
         } else {
             counts[1] = pixels;
         }
     }
     let seen = geometry.seen();
-    let pixels = [seen.width * seen.height, mask.map_or(0, |mask| mask.left_out())];
-    Ok(Looked { size: file.size, distorted: !frame.lens.is_pinhole(), pixels, counts, segments })
+    let pixels = [
+        seen.width * seen.height,
+        mask.map_or(0, |mask| mask.left_out()),
+    ];
+    Ok(Looked {
+        size: file.size,
+        distorted: !frame.lens.is_pinhole(),
+        pixels,
+        counts,
+        segments,
+    })
 }
 
 fn pixels_by_id(map: &LabelMap) -> BTreeMap<u16, u64> {
@@ -218,29 +255,50 @@ pub struct Thumbnail {
 ///
 /// # Errors
 /// As [`super::load`].
-pub fn thumbnails(dir: &Path, options: &LoadOptions, count: usize, width: u32) -> Result<(Vec<Thumbnail>, Classes)> {
+pub fn thumbnails(
+    dir: &Path,
+    options: &LoadOptions,
+    count: usize,
+    width: u32,
+) -> Result<(Vec<Thumbnail>, Classes)> {
     let listing = listing(dir, options)?;
     let known = listing.classes.lookup();
     let all = listing.frames.len();
-    let chosen: Vec<&Frame> = (0..count.min(all)).map(|i| &listing.frames[i * all / count.min(all)]).collect();
+    let chosen: Vec<&Frame> = (0..count.min(all))
+        .map(|i| &listing.frames[i * all / count.min(all)])
+        .collect();
     let made = in_order(chosen.into_par_iter().map(|frame| {
         let (file, geometry) = frame.open(&listing.file, &options.limits)?;
         let geometry = geometry.within(options.max_side);
         let mut photo = geometry.photo(&file)?;
         let mask = frame.read_mask(&geometry, &options.limits)?;
         let mask = mask.as_ref();
-        mask.into_iter().for_each(|mask| mask.fill(&mut photo, 3, 0));
-        let height = (u64::from(photo.height()) * u64::from(width) / u64::from(photo.width().max(1)))
-            .clamp(1, 4 * u64::from(width));
+        mask.into_iter()
+            .for_each(|mask| mask.fill(&mut photo, 3, 0));
+        let height = (u64::from(photo.height()) * u64::from(width)
+            / u64::from(photo.width().max(1)))
+        .clamp(1, 4 * u64::from(width));
         let photo = resize(&photo, width.max(1), height as u32, FilterType::Triangle);
         let (listing, limits) = (&listing, &options.limits);
-        let maps = Maps { listing, frame, geometry: &geometry, known: &known, limits, mask };
+        let maps = Maps {
+            listing,
+            frame,
+            geometry: &geometry,
+            known: &known,
+            limits,
+            mask,
+        };
         let mut labels = maps.truth()?;
         if labels.is_none() {
             labels = maps.raw()?.map(|raw| raw.map);
         }
         let labels = labels.map(|map| map.resized(photo.width() as usize, photo.height() as usize));
-        Ok(Thumbnail { name: frame.name.clone(), split: frame.split, photo, labels })
+        Ok(Thumbnail {
+            name: frame.name.clone(),
+            split: frame.split,
+            photo,
+            labels,
+        })
     }))?;
     Ok((made, listing.classes))
 }

@@ -44,10 +44,16 @@ impl LabelRuns {
     pub fn map(&self) -> LabelMap {
         let mut ids = Vec::with_capacity(self.width * self.height);
         match &self.ids {
-            Ids::Runs(runs) => runs.iter().for_each(|&(id, n)| ids.resize(ids.len() + usize::from(n), id)),
+            Ids::Runs(runs) => runs
+                .iter()
+                .for_each(|&(id, n)| ids.resize(ids.len() + usize::from(n), id)),
             Ids::Plain(plain) => ids.extend_from_slice(plain),
         }
-        LabelMap { width: self.width, height: self.height, ids }
+        LabelMap {
+            width: self.width,
+            height: self.height,
+            ids,
+        }
     }
 
     /// Bytes that the ids take up.
@@ -63,7 +69,9 @@ impl From<LabelMap> for LabelRuns {
     fn from(map: LabelMap) -> Self {
         let LabelMap { width, height, ids } = map;
         let longest = usize::from(u16::MAX);
-        let of_equal = ids.chunk_by(|a, b| a == b).flat_map(|run| run.chunks(longest));
+        let of_equal = ids
+            .chunk_by(|a, b| a == b)
+            .flat_map(|run| run.chunks(longest));
         let runs: Vec<(u16, u16)> = of_equal.map(|run| (run[0], run.len() as u16)).collect();
         let ids = match size_of_val(&*runs) < size_of_val(&*ids) {
             true => Ids::Runs(runs.into()),

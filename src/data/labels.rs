@@ -21,13 +21,21 @@ impl LabelMap {
 
     /// Refuses ids other than those of `classes`, whose lookup `known` is, and the ignored one. [`USUALLY_IGNORED`] becomes that one
     /// where no class has it. `or` is added to what mends it.
-    pub(super) fn settle_ids(&mut self, path: &Path, classes: &Classes, known: &[u16], or: &str) -> Result<()> {
+    pub(super) fn settle_ids(
+        &mut self,
+        path: &Path,
+        classes: &Classes,
+        known: &[u16],
+        or: &str,
+    ) -> Result<()> {
         if known[usize::from(USUALLY_IGNORED)] == u16::MAX {
             let ignored = self.ids.iter_mut().filter(|id| **id == USUALLY_IGNORED);
             ignored.for_each(|id| *id = classes.ignore);
         }
         let unknown = |&id: &u16| id != classes.ignore && known[usize::from(id)] == u16::MAX;
-        let Some(i) = self.ids.iter().position(unknown) else { return Ok(()) };
+        let Some(i) = self.ids.iter().position(unknown) else {
+            return Ok(());
+        };
         let mut found: Vec<u16> = self.ids.iter().copied().filter(|id| unknown(id)).collect();
         found.sort_unstable();
         found.dedup();
@@ -40,7 +48,12 @@ impl LabelMap {
             path,
             self.pixel(i),
             format!("label id {}{more}", self.ids[i]),
-            format!("{} (ignored) or one of the {} class ids [{}]", classes.ignore, ids.len(), ids.join(" ")),
+            format!(
+                "{} (ignored) or one of the {} class ids [{}]",
+                classes.ignore,
+                ids.len(),
+                ids.join(" ")
+            ),
             format!("add the id to classes.json or mend the map{or}"),
         ))
     }
@@ -52,7 +65,13 @@ impl LabelMap {
             self.ids[i] = u16::try_from(table[usize::from(id)]).map_err(|_| {
                 let expected = "an id of the dataset's table of labels";
                 let mend = "use the table that belongs to these label maps, or mend the map";
-                Error::input(path, self.pixel(i), format!("label id {id}"), expected, mend)
+                Error::input(
+                    path,
+                    self.pixel(i),
+                    format!("label id {id}"),
+                    expected,
+                    mend,
+                )
             })?;
         }
         Ok(())
@@ -64,11 +83,14 @@ impl LabelMap {
 
     pub(super) fn decode(path: &Path, file: &ImageFile) -> Result<Self> {
         let grey = "a grey PNG of 8 or 16 bits whose values are class ids";
-        let reject = |found: &str, mend: &str| Err(Error::input(path, "pixel format", found, grey, mend));
+        let reject =
+            |found: &str, mend: &str| Err(Error::input(path, "pixel format", found, grey, mend));
         match file.png_color() {
             None => return reject("JPEG", "save the ids as PNG: JPEG compression changes them"),
             Some((8 | 16, 0)) => {}
-            Some((bits, 0)) => return reject(&format!("{bits}-bit grey"), "save it with 8 bits a pixel"),
+            Some((bits, 0)) => {
+                return reject(&format!("{bits}-bit grey"), "save it with 8 bits a pixel");
+            }
             Some((_, 3)) => {
                 return reject(
                     "a palette PNG",
@@ -76,15 +98,25 @@ impl LabelMap {
                 );
             }
             Some(_) => {
-                return reject("a PNG with colours or alpha", "map each colour to its class id and save as grey");
+                return reject(
+                    "a PNG with colours or alpha",
+                    "map each colour to its class id and save as grey",
+                );
             }
         }
         let (width, height) = file.size;
         let ids = match file.decode()? {
-            DynamicImage::ImageLuma8(image) => image.into_raw().into_iter().map(u16::from).collect(),
+            DynamicImage::ImageLuma8(image) => {
+                image.into_raw().into_iter().map(u16::from).collect()
+            }
             DynamicImage::ImageLuma16(image) => image.into_raw(),
             // The header says grey of 8 or 16 bits; a transparency chunk adds alpha.
-            _ => return reject("a grey PNG with transparency", "save it without transparency"),
+            _ => {
+                return reject(
+                    "a grey PNG with transparency",
+                    "save it without transparency",
+                );
+            }
         };
         Ok(Self { width, height, ids })
     }
@@ -108,15 +140,25 @@ impl LabelMap {
     fn write_as(&self, path: &Path, wide: bool) -> Result<()> {
         let (bytes, color): (Vec<u8>, _) = if wide {
             // The encoder takes 16-bit samples in the machine's own order.
-            (self.ids.iter().flat_map(|id| id.to_ne_bytes()).collect(), ExtendedColorType::L16)
+            (
+                self.ids.iter().flat_map(|id| id.to_ne_bytes()).collect(),
+                ExtendedColorType::L16,
+            )
         } else {
-            (self.ids.iter().map(|&id| id as u8).collect(), ExtendedColorType::L8)
+            (
+                self.ids.iter().map(|&id| id as u8).collect(),
+                ExtendedColorType::L8,
+            )
         };
-        let size = u32::try_from(self.width).ok().zip(u32::try_from(self.height).ok());
+        let size = u32::try_from(self.width)
+            .ok()
+            .zip(u32::try_from(self.height).ok());
         let fits = size.filter(|_| Some(self.ids.len()) == self.width.checked_mul(self.height));
         atomic::write(path, |out| {
             let (w, h) = fits.ok_or_else(|| io::Error::other("label ids do not fill the image"))?;
-            PngEncoder::new(out).write_image(&bytes, w, h, color).map_err(io::Error::other)
+            PngEncoder::new(out)
+                .write_image(&bytes, w, h, color)
+                .map_err(io::Error::other)
         })
     }
 }

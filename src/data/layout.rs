@@ -28,8 +28,14 @@ impl Layout {
 /// layout or of several: then the error says what was looked for, or found.
 pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
     if !dir.try_exists().map_err(|e| Error::io(dir, "look at", e))? {
-        let mend = "give the scene folder that holds the photos and their cameras (--data, or data.dir)".into();
-        return Err(Error::Missing { what: "folder", path: dir.to_owned(), mend });
+        let mend =
+            "give the scene folder that holds the photos and their cameras (--data, or data.dir)"
+                .into();
+        return Err(Error::Missing {
+            what: "folder",
+            path: dir.to_owned(),
+            mend,
+        });
     }
     if !dir.is_dir() {
         let mend = "give the folder that holds the photos and their cameras, not a file";
@@ -38,16 +44,29 @@ pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
     let layout = match (options.layout, &found(dir, options)[..]) {
         (Layout::Auto, [(layout, _)]) => *layout,
         // Who names another file of cameras means that one.
-        (Layout::Auto, [(Layout::Transforms, _), ..]) if options.transforms != LoadOptions::default().transforms => {
+        (Layout::Auto, [(Layout::Transforms, _), ..])
+            if options.transforms != LoadOptions::default().transforms =>
+        {
             Layout::Transforms
         }
         // nerfstudio keeps the model that its transforms.json was made from.
-        (Layout::Auto, [(layout, _), (Layout::Colmap, model)]) if model.starts_with("colmap") => *layout,
+        (Layout::Auto, [(layout, _), (Layout::Colmap, model)]) if model.starts_with("colmap") => {
+            *layout
+        }
         (Layout::Auto, []) => return Err(nothing(dir, options)),
         (Layout::Auto, several) => {
-            let list: Vec<_> = several.iter().map(|(l, file)| format!("{file} ({})", l.name())).collect();
+            let list: Vec<_> = several
+                .iter()
+                .map(|(l, file)| format!("{file} ({})", l.name()))
+                .collect();
             let mend = format!("choose one with --set data.layout={}", several[0].0.name());
-            return Err(Error::input(dir, "layout", list.join(" and "), "the files of one layout", mend));
+            return Err(Error::input(
+                dir,
+                "layout",
+                list.join(" and "),
+                "the files of one layout",
+                mend,
+            ));
         }
         (named, _) => named,
     };
@@ -68,7 +87,10 @@ fn found(dir: &Path, options: &LoadOptions) -> Vec<(Layout, String)> {
         (Layout::Replica, replica::found(dir)),
         (Layout::Scannet, scannet::found(dir)),
     ];
-    let mut found: Vec<_> = found.into_iter().filter_map(|(layout, file)| Some((layout, file?))).collect();
+    let mut found: Vec<_> = found
+        .into_iter()
+        .filter_map(|(layout, file)| Some((layout, file?)))
+        .collect();
     if found.len() > 1 {
         found.retain(|(layout, file)| *layout != Layout::Transforms || *file == options.transforms);
     }
@@ -80,13 +102,22 @@ fn passed_over(dir: &Path, options: &LoadOptions, layout: Layout) -> Option<Stri
     let other = options.layout == Layout::Auto && layout != Layout::Transforms;
     let file = transforms::found(dir, options).filter(|_| other)?;
     let name = layout.name();
-    Some(format!("{file} is not read, as the folder is of layout {name}; data.layout=transforms reads it instead"))
+    Some(format!(
+        "{file} is not read, as the folder is of layout {name}; data.layout=transforms reads it instead"
+    ))
 }
 
 /// A folder within `dir` that has a layout: the first by name of those that are looked at.
 fn below(dir: &Path) -> Option<(String, Layout)> {
-    let folders = std::fs::read_dir(dir).into_iter().flatten().flatten().filter(|entry| entry.path().is_dir());
-    let mut names: Vec<String> = folders.take(256).filter_map(|entry| entry.file_name().into_string().ok()).collect();
+    let folders = std::fs::read_dir(dir)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter(|entry| entry.path().is_dir());
+    let mut names: Vec<String> = folders
+        .take(256)
+        .filter_map(|entry| entry.file_name().into_string().ok())
+        .collect();
     names.sort_unstable();
     names.into_iter().find_map(|name| {
         let layout = found(&dir.join(&name), &LoadOptions::default()).first()?.0;
@@ -103,10 +134,16 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
     let (found, mend) = match transforms::alternatives(dir) {
         others if others.is_empty() => match below(dir) {
             Some((folder, layout)) => (
-                format!("no such file, nor those of another layout, but a folder {folder} of layout {}", layout.name()),
+                format!(
+                    "no such file, nor those of another layout, but a folder {folder} of layout {}",
+                    layout.name()
+                ),
                 format!("give {}", dir.join(&folder).display()),
             ),
-            None => ("no such file, nor those of another layout".to_owned(), "give another folder".into()),
+            None => (
+                "no such file, nor those of another layout".to_owned(),
+                "give another folder".into(),
+            ),
         },
         others => (
             format!("no such file, but {}", others.join(", ")),
@@ -131,8 +168,16 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         cautions::of_sizes(&listing, options.max_side),
         map_geometry::told_by_size(&listing, options),
         cautions::of_unit(&listing, options.unit_is_metre),
-        cautions::without_mask(&listing, mask_file::folder_name(dir, options, listing.layout)),
+        cautions::without_mask(
+            &listing,
+            mask_file::folder_name(dir, options, listing.layout),
+        ),
     ];
-    listing.notices.extend(notices.into_iter().flatten().chain(cautions::of_frames(&listing)));
+    listing.notices.extend(
+        notices
+            .into_iter()
+            .flatten()
+            .chain(cautions::of_frames(&listing)),
+    );
     Ok(listing)
 }

@@ -75,7 +75,11 @@ impl Remap {
         let zoomed = |s: f64| Self {
             photo: photo.clone(),
             lens,
-            pinhole: Camera { fx: photo.fx * s, fy: photo.fy * s, ..photo.clone() },
+            pinhole: Camera {
+                fx: photo.fx * s,
+                fy: photo.fy * s,
+                ..photo.clone()
+            },
         };
         let [mut low, mut high] = ZOOM;
         if !zoomed(high).is_whole() {
@@ -86,7 +90,11 @@ impl Remap {
         }
         for _ in 0..BISECTIONS {
             let middle = 0.5 * (low + high);
-            if zoomed(middle).is_whole() { high = middle } else { low = middle }
+            if zoomed(middle).is_whole() {
+                high = middle
+            } else {
+                low = middle
+            }
         }
         // Between 1 and the true bound lies rounding only.
         Some(zoomed(if (high - 1.0).abs() < 1e-9 { 1.0 } else { high }))
@@ -96,18 +104,28 @@ impl Remap {
     pub fn numbers(&self) -> impl Iterator<Item = f64> {
         let intrinsics = |camera: &Camera| [camera.fx, camera.fy, camera.cx, camera.cy];
         let cameras = [&self.photo, &self.pinhole].map(intrinsics);
-        cameras.into_iter().flatten().chain(self.lens.k).chain(self.lens.p)
+        cameras
+            .into_iter()
+            .flatten()
+            .chain(self.lens.k)
+            .chain(self.lens.p)
     }
 
     /// Where the pinhole's pixel coordinates lie in the photo.
     fn source(&self, u: f64, v: f64) -> (f64, f64) {
         let (x, y) = self.normalised(u, v);
         let (x, y) = self.lens.distort(x, y);
-        (self.photo.fx * x + self.photo.cx, self.photo.fy * y + self.photo.cy)
+        (
+            self.photo.fx * x + self.photo.cx,
+            self.photo.fy * y + self.photo.cy,
+        )
     }
 
     fn normalised(&self, u: f64, v: f64) -> (f64, f64) {
-        ((u - self.pinhole.cx) / self.pinhole.fx, (v - self.pinhole.cy) / self.pinhole.fy)
+        (
+            (u - self.pinhole.cx) / self.pinhole.fx,
+            (v - self.pinhole.cy) / self.pinhole.fy,
+        )
     }
 
     /// Whether all pixels lie within the centres of the photo's outermost ones, and none folds over.
@@ -164,8 +182,14 @@ impl Remap {
 impl LabelMap {
     /// Nearest ids at `place(u, v)` for each of `width` x `height` pixels; `place` gives shares of this map's width and
     /// height for pixel coordinates.
-    pub(crate) fn sampled(&self, width: usize, height: usize, place: impl Fn(f64, f64) -> (f64, f64)) -> Self {
-        let nearest = |share: f64, length: usize| ((share * length as f64).max(0.0) as usize).min(length - 1);
+    pub(crate) fn sampled(
+        &self,
+        width: usize,
+        height: usize,
+        place: impl Fn(f64, f64) -> (f64, f64),
+    ) -> Self {
+        let nearest =
+            |share: f64, length: usize| ((share * length as f64).max(0.0) as usize).min(length - 1);
         let mut ids = Vec::with_capacity(width * height);
         for row in 0..height {
             for column in 0..width {

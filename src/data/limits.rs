@@ -15,7 +15,11 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { views: 65_536, image_pixels: 1 << 27, points: 1 << 28 }
+        Self {
+            views: 65_536,
+            image_pixels: 1 << 27,
+            points: 1 << 28,
+        }
     }
 }
 
@@ -25,6 +29,11 @@ impl Limits {
         if found <= limit {
             return Ok(());
         }
-        Err(Error::Limit { what: what.into(), found: found.to_string(), limit: limit.to_string(), mend: mend.into() })
+        Err(Error::Limit {
+            what: what.into(),
+            found: found.to_string(),
+            limit: limit.to_string(),
+            mend: mend.into(),
+        })
     }
 }

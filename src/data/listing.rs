@@ -5,7 +5,10 @@ use super::frame::{Frame, Geometry, joined_name, proportional};
 use super::image_file::ImageFile;
 use super::map_geometry::MapGeometries;
 use super::raw::{RawLabels, RawMap};
-use super::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, Split, View};
+use super::{
+    Classes, LabelMap, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, Split,
+    View,
+};
 use super::{cautions, colmap};
 use crate::camera::{Camera, level_up};
 use crate::config::Layout;
@@ -61,13 +64,25 @@ pub(crate) enum Cloud {
 impl Cloud {
     /// For layouts that name no cloud: `points.ply` in the scene folder, else the depth images of `frames`, which
     /// `file` gives.
-    pub fn of_sequence(dir: &Path, frames: &[Frame], scale: f64, file: impl Fn(&Frame) -> PathBuf) -> Self {
+    pub fn of_sequence(
+        dir: &Path,
+        frames: &[Frame],
+        scale: f64,
+        file: impl Fn(&Frame) -> PathBuf,
+    ) -> Self {
         let path = dir.join("points.ply");
         if path.is_file() {
             return Self::Ply(path);
         }
-        let files: Vec<_> = frames.iter().map(|frame| Some(file(frame)).filter(|file| file.is_file())).collect();
-        if files.iter().all(Option::is_none) { Self::None } else { Self::Depth(Depth { files, scale }) }
+        let files: Vec<_> = frames
+            .iter()
+            .map(|frame| Some(file(frame)).filter(|file| file.is_file()))
+            .collect();
+        if files.iter().all(Option::is_none) {
+            Self::None
+        } else {
+            Self::Depth(Depth { files, scale })
+        }
     }
 }
 
@@ -102,8 +117,19 @@ impl Problems {
 
 impl Listing {
     /// Settles how the raw labels are stored. Where that fails they are left out, which is a fault.
-    pub fn with_raw_labels(mut self, dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Self {
-        let settled = RawLabels::settle(dir, options, &self.frames, &mut self.classes, &mut self.notices);
+    pub fn with_raw_labels(
+        mut self,
+        dir: &Path,
+        options: &LoadOptions,
+        problems: &mut Problems,
+    ) -> Self {
+        let settled = RawLabels::settle(
+            dir,
+            options,
+            &self.frames,
+            &mut self.classes,
+            &mut self.notices,
+        );
         match problems.keep(settled) {
             Some((raw, own)) => {
                 self.raw = raw;
@@ -118,18 +144,33 @@ impl Listing {
     pub fn check_sizes(&self, limits: &Limits) -> Result<()> {
         let views = self.frames.len() as u64;
         let what = format!("{}: frames", self.file.display());
-        Limits::check(what, views, limits.views as u64, "thin out with data.stride or data.max_frames")?;
+        Limits::check(
+            what,
+            views,
+            limits.views as u64,
+            "thin out with data.stride or data.max_frames",
+        )?;
         if !self.frames.iter().any(|frame| frame.split == Split::Train) {
             let found = format!("{views} test frames");
             let mend = "mark frames \"train\", or use more of them";
-            return Err(Error::input(&self.file, "frames", found, "at least one training view", mend));
+            return Err(Error::input(
+                &self.file,
+                "frames",
+                found,
+                "at least one training view",
+                mend,
+            ));
         }
         Ok(())
     }
 
     /// The id of pixels without a raw label.
     pub fn unlabelled(&self) -> u16 {
-        if self.raw.are_segments() { 0 } else { self.classes.ignore }
+        if self.raw.are_segments() {
+            0
+        } else {
+            self.classes.ignore
+        }
     }
 
     /// The cloud, relative to `origin`.
@@ -152,7 +193,13 @@ impl Listing {
         if self.z_up {
             return DVec3::Z;
         }
-        level_up(&self.frames.iter().map(|frame| frame.camera.clone()).collect::<Vec<_>>())
+        level_up(
+            &self
+                .frames
+                .iter()
+                .map(|frame| frame.camera.clone())
+                .collect::<Vec<_>>(),
+        )
     }
 
     /// Decodes everything, a few files at a time. With the scene comes what the photos' files said beside their pixels.
@@ -165,18 +212,44 @@ impl Listing {
         let read = in_order(self.frames.par_iter().map(|frame| {
             let (file, geometry) = frame.open(&self.file, limits)?;
             let geometry = geometry.within(options.max_side);
-            let image = Photo::in_file(&file, geometry.development().over(options.background), limits, &cache)?;
+            let image = Photo::in_file(
+                &file,
+                geometry.development().over(options.background),
+                limits,
+                &cache,
+            )?;
             let mask = frame.read_mask(&geometry, limits)?;
             let (known, geometry) = (&known, &geometry);
-            let maps = Maps { listing: self, frame, geometry, known, limits, mask: mask.as_ref() };
+            let maps = Maps {
+                listing: self,
+                frame,
+                geometry,
+                known,
+                limits,
+                mask: mask.as_ref(),
+            };
             let truth = maps.truth()?.map(LabelRuns::from);
             let raw = maps.raw()?;
-            let (raw, segments) = raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
+            let (raw, segments) =
+                raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
             let instances = maps.instances()?.map(LabelRuns::from);
             let camera = geometry.seen();
-            let camera = Camera { center: camera.center - origin, ..camera };
+            let camera = Camera {
+                center: camera.center - origin,
+                ..camera
+            };
             let (name, split) = (frame.name.clone(), frame.split);
-            let view = View { name, split, camera, image, mask, truth, raw, segments, instances };
+            let view = View {
+                name,
+                split,
+                camera,
+                image,
+                mask,
+                truth,
+                raw,
+                segments,
+                instances,
+            };
             Ok((view, frame.is_turned_unseen(&file)))
         }))?;
         let (views, turned): (Vec<View>, Vec<bool>) = read.into_iter().unzip();
@@ -186,13 +259,33 @@ impl Listing {
         if self.occurring_classes {
             let mut occurs = vec![false; 1 << 16];
             let of_classes = !self.raw.are_segments();
-            let maps = views.iter().flat_map(|view| view.truth.iter().chain(view.raw.iter().filter(|_| of_classes)));
-            maps.flat_map(LabelRuns::runs).for_each(|(id, _)| occurs[usize::from(id)] = true);
-            let told = views.iter().flat_map(|view| &view.segments).filter_map(|segment| segment.class);
+            let maps = views.iter().flat_map(|view| {
+                view.truth
+                    .iter()
+                    .chain(view.raw.iter().filter(|_| of_classes))
+            });
+            maps.flat_map(LabelRuns::runs)
+                .for_each(|(id, _)| occurs[usize::from(id)] = true);
+            let told = views
+                .iter()
+                .flat_map(|view| &view.segments)
+                .filter_map(|segment| segment.class);
             told.for_each(|id| occurs[usize::from(id)] = true);
-            classes.entries.retain(|class| occurs[usize::from(class.id)]);
+            classes
+                .entries
+                .retain(|class| occurs[usize::from(class.id)]);
         }
-        Ok((Scene { name: scene_name(dir), views, classes, points, origin, up }, turned))
+        Ok((
+            Scene {
+                name: scene_name(dir),
+                views,
+                classes,
+                points,
+                origin,
+                up,
+            },
+            turned,
+        ))
     }
 }
 
@@ -212,30 +305,57 @@ pub(super) struct Maps<'a> {
 impl Maps<'_> {
     /// The true labels as the view's camera sees them, in class ids.
     pub fn truth(&self) -> Result<Option<LabelMap>> {
-        let Self { listing, known, mask, .. } = *self;
-        let Some(path) = &self.frame.truth else { return Ok(None) };
+        let Self {
+            listing,
+            known,
+            mask,
+            ..
+        } = *self;
+        let Some(path) = &self.frame.truth else {
+            return Ok(None);
+        };
         let mut map = self.grey(path)?;
         if let Some(ids) = &listing.truth_ids {
             map.translate(path, ids)?;
         }
         map.settle_ids(path, &listing.classes, known, "")?;
-        Ok(Some(self.seen(path, map).without(mask, listing.classes.ignore)))
+        Ok(Some(
+            self.seen(path, map).without(mask, listing.classes.ignore),
+        ))
     }
 
     /// The true instances as the view's camera sees them.
     pub fn instances(&self) -> Result<Option<LabelMap>> {
-        let Some(path) = &self.frame.instances else { return Ok(None) };
-        Ok(Some(self.seen(path, self.grey(path)?).without(self.mask, 0)))
+        let Some(path) = &self.frame.instances else {
+            return Ok(None);
+        };
+        Ok(Some(
+            self.seen(path, self.grey(path)?).without(self.mask, 0),
+        ))
     }
 
     /// The raw labels as the view's camera sees them.
     pub fn raw(&self) -> Result<Option<RawMap>> {
-        let Self { listing, geometry, known, limits, mask, .. } = *self;
-        let Some(path) = &self.frame.raw else { return Ok(None) };
+        let Self {
+            listing,
+            geometry,
+            known,
+            limits,
+            mask,
+            ..
+        } = *self;
+        let Some(path) = &self.frame.raw else {
+            return Ok(None);
+        };
         let check = |file: &ImageFile| self.check_size(path, file);
         let photo = (geometry.camera.width, geometry.camera.height);
-        let raw = listing.raw.read(path, photo, &listing.classes, known, limits, &check)?;
-        Ok(Some(RawMap { map: self.seen(path, raw.map).without(mask, listing.unlabelled()), ..raw }))
+        let raw = listing
+            .raw
+            .read(path, photo, &listing.classes, known, limits, &check)?;
+        Ok(Some(RawMap {
+            map: self.seen(path, raw.map).without(mask, listing.unlabelled()),
+            ..raw
+        }))
     }
 
     /// A grey label map of the size of its file.
@@ -254,7 +374,12 @@ impl Maps<'_> {
     /// Refuses a file of the labels at `path` that has another size than its photo, as that lies there or as it is used, or,
     /// where maps are resampled, other proportions.
     fn check_size(&self, path: &Path, file: &ImageFile) -> Result<()> {
-        let Self { listing, frame, geometry, .. } = *self;
+        let Self {
+            listing,
+            frame,
+            geometry,
+            ..
+        } = *self;
         let said = listing.geometries.of(path).is_some();
         if !said && geometry.is_as_seen(file.size) {
             return Ok(());
@@ -264,9 +389,15 @@ impl Maps<'_> {
         match resampled && proportional(file.size, (w, h)) {
             true => Ok(()),
             false => {
-                let photo = || ImageFile::open(&frame.image, self.limits).ok()?.exif_orientation();
+                let photo = || {
+                    ImageFile::open(&frame.image, self.limits)
+                        .ok()?
+                        .exif_orientation()
+                };
                 let whose = match file.lies_across(w, h).then(photo).flatten() {
-                    Some(exif) => format!("its photo as it is stored, whose EXIF orientation is {exif}"),
+                    Some(exif) => {
+                        format!("its photo as it is stored, whose EXIF orientation is {exif}")
+                    }
                     None => "its photo".to_owned(),
                 };
                 file.expect_size(w, h, &whose)
@@ -281,16 +412,23 @@ pub(super) fn expect_file(path: &Path) -> Result<()> {
         return Ok(());
     }
     let mend = "put the label map there, or do not name it".into();
-    Err(Error::Missing { what: "file", path: path.to_owned(), mend })
+    Err(Error::Missing {
+        what: "file",
+        path: path.to_owned(),
+        mend,
+    })
 }
 
 pub(crate) fn scene_name(dir: &Path) -> String {
     let full = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
-    full.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned())
+    full.file_name()
+        .map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned())
 }
 
 /// All results, or the first error in frame order, whichever thread met one first.
-pub(crate) fn in_order<T: Send>(results: impl IndexedParallelIterator<Item = Result<T>>) -> Result<Vec<T>> {
+pub(crate) fn in_order<T: Send>(
+    results: impl IndexedParallelIterator<Item = Result<T>>,
+) -> Result<Vec<T>> {
     let mut all = Vec::new();
     results.collect_into_vec(&mut all);
     all.into_iter().collect()
@@ -305,7 +443,13 @@ pub(crate) fn read_classes(dir: &Path, labelled: Option<&str>) -> Result<Classes
     }
     if let Some(or) = labelled {
         let mend = format!("list the classes: {{\"0\": \"void\", \"1\": \"wall\", ..}}{or}");
-        return Err(Error::input(&path, "file", "nothing", "a class table, as frames have labels", mend));
+        return Err(Error::input(
+            &path,
+            "file",
+            "nothing",
+            "a class table, as frames have labels",
+            mend,
+        ));
     }
     Ok(Classes::default())
 }
@@ -324,13 +468,19 @@ impl LabelFolder {
 
     /// `folder`, where some photos may lack a map.
     pub fn in_folder(folder: PathBuf) -> Self {
-        Self { folder, required: false }
+        Self {
+            folder,
+            required: false,
+        }
     }
 
     /// The raw labels: the folder that the user names, where each photo must have a map, or `labels_raw`.
     pub fn raw(dir: &Path, named: Option<&str>) -> Self {
         match named {
-            Some(name) => Self { folder: dir.join(name), required: true },
+            Some(name) => Self {
+                folder: dir.join(name),
+                required: true,
+            },
             None => Self::optional(dir, "labels_raw"),
         }
     }
@@ -339,7 +489,10 @@ impl LabelFolder {
     /// behind it, the name of its view, or its stem alone; or a folder of masks of one of these names without `.png`.
     pub fn of(&self, photo: &Path) -> Option<PathBuf> {
         let files = self.files(photo);
-        let masks = files.iter().map(|path| path.with_extension("")).find(|path| path.is_dir());
+        let masks = files
+            .iter()
+            .map(|path| path.with_extension(""))
+            .find(|path| path.is_dir());
         let found = files.iter().find(|path| path.is_file()).cloned().or(masks);
         found.or_else(|| files.into_iter().next().filter(|_| self.required))
     }
@@ -354,8 +507,13 @@ impl LabelFolder {
         let usual = self.folder.join(photo).with_extension("png");
         let behind = format!("{}.png", photo.to_string_lossy());
         let of_view = format!("{}.png", joined_name(photo));
-        let stem = photo.file_stem().map(|stem| format!("{}.png", stem.to_string_lossy()));
-        let others = [Some(behind), Some(of_view), stem].into_iter().flatten().map(|name| self.folder.join(name));
+        let stem = photo
+            .file_stem()
+            .map(|stem| format!("{}.png", stem.to_string_lossy()));
+        let others = [Some(behind), Some(of_view), stem]
+            .into_iter()
+            .flatten()
+            .map(|name| self.folder.join(name));
         std::iter::once(usual).chain(others).collect()
     }
 }

@@ -89,17 +89,29 @@ impl Manifest {
                 "mend the file there",
             )
         })?;
-        if let Some(name) = manifest.classes.as_deref().filter(|name| !["replica", "nyu40", "scannet20"].contains(name))
+        if let Some(name) = manifest
+            .classes
+            .as_deref()
+            .filter(|name| !["replica", "nyu40", "scannet20"].contains(name))
         {
             let expected = "replica, nyu40 or scannet20";
-            return Err(Error::input(path, "classes", format!("{name:?}"), expected, "name a table, or leave it out"));
+            return Err(Error::input(
+                path,
+                "classes",
+                format!("{name:?}"),
+                expected,
+                "name a table, or leave it out",
+            ));
         }
         Ok(manifest)
     }
 
     /// `options` with the layout and class table of the manifest.
     pub fn options(&self, options: &LoadOptions) -> LoadOptions {
-        let mut options = LoadOptions { layout: self.layout, ..options.clone() };
+        let mut options = LoadOptions {
+            layout: self.layout,
+            ..options.clone()
+        };
         match self.classes.as_deref() {
             Some("scannet20") => options.scannet_classes = ScannetClasses::Scannet20,
             Some("nyu40") => options.scannet_classes = ScannetClasses::Nyu40,
@@ -110,15 +122,24 @@ impl Manifest {
 
     /// What of the expected files is missing or differs in folder `dir`; at most one fault for each entry.
     pub fn check(&self, dir: &Path) -> Vec<Error> {
-        self.files.iter().filter_map(|file| file.check(dir).err()).collect()
+        self.files
+            .iter()
+            .filter_map(|file| file.check(dir).err())
+            .collect()
     }
 }
 
 impl ExpectedFile {
     /// The paths that are meant, in `dir`.
     fn paths(&self, dir: &Path) -> Vec<PathBuf> {
-        let Some(count) = self.count else { return vec![dir.join(&self.path)] };
-        let named = |i: usize| self.path.replace("{:06}", &format!("{i:06}")).replace("{}", &i.to_string());
+        let Some(count) = self.count else {
+            return vec![dir.join(&self.path)];
+        };
+        let named = |i: usize| {
+            self.path
+                .replace("{:06}", &format!("{i:06}"))
+                .replace("{}", &i.to_string())
+        };
         (0..count).map(|i| dir.join(named(i))).collect()
     }
 
@@ -131,14 +152,32 @@ impl ExpectedFile {
                 0 => "no such file".to_owned(),
                 more => format!("no such file, as {more} more of {}", paths.len()),
             };
-            return Err(Error::input(first, &self.path, found, "a file that the manifest lists", again));
+            return Err(Error::input(
+                first,
+                &self.path,
+                found,
+                "a file that the manifest lists",
+                again,
+            ));
         }
-        let Some(path) = paths.first().filter(|_| self.count.is_none()) else { return Ok(()) };
-        let length = std::fs::metadata(path).map_err(|e| Error::io(path, "measure", e))?.len();
+        let Some(path) = paths.first().filter(|_| self.count.is_none()) else {
+            return Ok(());
+        };
+        let length = std::fs::metadata(path)
+            .map_err(|e| Error::io(path, "measure", e))?
+            .len();
         if let Some(size) = self.size.filter(|size| *size != length) {
-            return Err(Error::input(path, "size", format!("{length} bytes"), format!("{size} bytes"), again));
+            return Err(Error::input(
+                path,
+                "size",
+                format!("{length} bytes"),
+                format!("{size} bytes"),
+                again,
+            ));
         }
-        let Some(expected) = &self.sha256 else { return Ok(()) };
+        let Some(expected) = &self.sha256 else {
+            return Ok(());
+        };
         let found = sha256(path)?;
         if found.eq_ignore_ascii_case(expected) {
             return Ok(());
@@ -151,7 +190,10 @@ fn sha256(path: &Path) -> Result<String> {
     let mut file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
     let (mut hash, mut block) = (Sha256::new(), vec![0; 1 << 16]);
     loop {
-        match file.read(&mut block).map_err(|e| Error::io(path, "read", e))? {
+        match file
+            .read(&mut block)
+            .map_err(|e| Error::io(path, "read", e))?
+        {
             0 => return Ok(format!("{:x}", hash.finalize())),
             n => hash.update(&block[..n]),
         }

@@ -62,7 +62,10 @@ pub(super) struct MapGeometries(HashMap<PathBuf, MapGeometry>);
 impl MapGeometries {
     /// Of the folders that the maps of `frames` lie in.
     pub fn read(frames: &[Frame], problems: &mut Problems) -> Self {
-        let maps = frames.iter().flat_map(|frame| [&frame.truth, &frame.raw, &frame.instances]).flatten();
+        let maps = frames
+            .iter()
+            .flat_map(|frame| [&frame.truth, &frame.raw, &frame.instances])
+            .flatten();
         let folders: BTreeSet<&Path> = maps.filter_map(|map| map.parent()).collect();
         let mut said = HashMap::new();
         for folder in folders {
@@ -85,14 +88,19 @@ impl MapGeometries {
 /// What is said where a map's size alone tells that the distortion of the lens is taken out of it. Looks at the first raw
 /// labels of a photo that has some distortion.
 pub(super) fn told_by_size(listing: &Listing, options: &LoadOptions) -> Option<String> {
-    let mut bent = listing.frames.iter().filter(|frame| !frame.lens.is_pinhole() && !frame.scales);
+    let mut bent = listing
+        .frames
+        .iter()
+        .filter(|frame| !frame.lens.is_pinhole() && !frame.scales);
     let (map, size) = bent.find_map(|frame| {
         let size = reduced((frame.camera.width, frame.camera.height), options.max_side)?;
         Some((frame.raw.as_ref().filter(|map| map.is_file())?, size))
     })?;
     let unsaid = listing.geometries.of(map).is_none();
     // A file that cannot be read is told of where it is read.
-    let file = ImageFile::open(map, &options.limits).ok().filter(|file| unsaid && file.size == size)?;
+    let file = ImageFile::open(map, &options.limits)
+        .ok()
+        .filter(|file| unsaid && file.size == size)?;
     let (width, height) = file.size;
     Some(format!(
         "{}: label maps of {width}x{height} pixels, to which photos are reduced, are taken for maps that coseg wrote, without \

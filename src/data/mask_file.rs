@@ -25,9 +25,19 @@ pub(super) enum Masks {
 
 /// The folder of masks that is looked into: the one that the user names, or the usual one of the layout, where it is there and holds
 /// neither photos nor raw labels.
-pub(super) fn folder_name<'a>(dir: &Path, options: &'a LoadOptions, layout: Layout) -> Option<&'a str> {
+pub(super) fn folder_name<'a>(
+    dir: &Path,
+    options: &'a LoadOptions,
+    layout: Layout,
+) -> Option<&'a str> {
     let taken = [Some(&options.images), options.raw_labels.as_ref()];
-    let usual = || layout == Layout::Colmap && !taken.into_iter().flatten().any(|name| is_folder(dir, name, USUAL));
+    let usual = || {
+        layout == Layout::Colmap
+            && !taken
+                .into_iter()
+                .flatten()
+                .any(|name| is_folder(dir, name, USUAL))
+    };
     let name = match options.masks.as_deref() {
         Some(NO_MASKS) => None,
         Some(name) => Some(name),
@@ -72,10 +82,16 @@ impl Masks {
 impl Frame {
     /// What the mask of the frame uses, as the view's camera sees it; nothing where it leaves nothing out.
     pub fn read_mask(&self, geometry: &Geometry, limits: &Limits) -> Result<Option<Mask>> {
-        let Some(path) = &self.mask else { return Ok(None) };
+        let Some(path) = &self.mask else {
+            return Ok(None);
+        };
         if !path.is_file() {
             let mend = "put the mask there, or do not name it".into();
-            return Err(Error::Missing { what: "file", path: path.clone(), mend });
+            return Err(Error::Missing {
+                what: "file",
+                path: path.clone(),
+                mend,
+            });
         }
         let file = ImageFile::open(path, limits)?;
         let (w, h) = (geometry.camera.width, geometry.camera.height);
@@ -101,14 +117,28 @@ impl Frame {
 fn decode(path: &Path, file: &ImageFile) -> Result<LabelMap> {
     if file.png_color().is_none() {
         let mend = "save the mask as PNG: JPEG compression changes what is black";
-        return Err(Error::input(path, "pixel format", "JPEG", "a PNG, black where the photo is left out", mend));
+        return Err(Error::input(
+            path,
+            "pixel format",
+            "JPEG",
+            "a PNG, black where the photo is left out",
+            mend,
+        ));
     }
     let (width, height) = file.size;
     let ids = match file.decode()? {
-        DynamicImage::ImageLuma8(image) => image.into_raw().into_iter().map(|v| u16::from(v > 0)).collect(),
+        DynamicImage::ImageLuma8(image) => image
+            .into_raw()
+            .into_iter()
+            .map(|v| u16::from(v > 0))
+            .collect(),
         image => {
             let used = |[r, g, b, a]: [u16; 4]| u16::from(a > 0 && (r > 0 || g > 0 || b > 0));
-            image.into_rgba16().pixels().map(|pixel| used(pixel.0)).collect()
+            image
+                .into_rgba16()
+                .pixels()
+                .map(|pixel| used(pixel.0))
+                .collect()
         }
     };
     Ok(LabelMap { width, height, ids })

@@ -73,13 +73,24 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
         tracing::warn!("{}: {notice}", dir.display());
     }
     let (scene, turned) = listing.load(dir, options)?;
-    let empty = scene.points.is_empty().then(|| cautions::empty_cloud(&listing.cloud)).flatten();
-    for notice in turned.into_iter().chain(empty).chain(cautions::of_scene(&scene, listing.unlabelled())) {
+    let empty = scene
+        .points
+        .is_empty()
+        .then(|| cautions::empty_cloud(&listing.cloud))
+        .flatten();
+    for notice in turned
+        .into_iter()
+        .chain(empty)
+        .chain(cautions::of_scene(&scene, listing.unlabelled()))
+    {
         tracing::warn!("{}: {notice}", dir.display());
     }
     // Points of depth images lie where the poses put them.
     let given = !matches!(listing.cloud, listing::Cloud::Depth(_));
-    match given.then(|| poses::of_scene(listing.layout, &listing.file, &scene)).flatten() {
+    match given
+        .then(|| poses::of_scene(listing.layout, &listing.file, &scene))
+        .flatten()
+    {
         Some(poses::Verdict::Misread(fault)) => tracing::warn!("{fault}"),
         Some(poses::Verdict::Unrelated(notice)) => tracing::warn!("{notice}"),
         None => {}
@@ -93,22 +104,42 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
 ///
 /// # Errors
 /// As [`load`]; also when no frame is left.
-pub fn load_cameras(dir: &Path, options: &LoadOptions, split: Option<Split>) -> Result<Vec<NamedCamera>> {
+pub fn load_cameras(
+    dir: &Path,
+    options: &LoadOptions,
+    split: Option<Split>,
+) -> Result<Vec<NamedCamera>> {
     let mut problems = listing::Problems::default();
     let listing = layout::list(dir, options, &mut problems)?;
     problems.none()?;
     let mut cameras = Vec::new();
-    for frame in listing.frames.iter().filter(|frame| split.is_none_or(|wanted| wanted == frame.split)) {
+    for frame in listing
+        .frames
+        .iter()
+        .filter(|frame| split.is_none_or(|wanted| wanted == frame.split))
+    {
         let geometry = match frame.scales {
             true => frame.open(&listing.file, &options.limits)?.1,
             false => frame.geometry((frame.camera.width, frame.camera.height))?,
         };
         let camera = geometry.within(options.max_side).seen();
-        cameras.push(NamedCamera { name: frame.name.clone(), split: frame.split, camera });
+        cameras.push(NamedCamera {
+            name: frame.name.clone(),
+            split: frame.split,
+            camera,
+        });
     }
     if cameras.is_empty() {
-        let found = split.map_or("no frame".to_owned(), |split| format!("no frame of split {split}"));
-        return Err(Error::input(&listing.file, "frames", found, "at least one", "choose the other split or all"));
+        let found = split.map_or("no frame".to_owned(), |split| {
+            format!("no frame of split {split}")
+        });
+        return Err(Error::input(
+            &listing.file,
+            "frames",
+            found,
+            "at least one",
+            "choose the other split or all",
+        ));
     }
     Ok(cameras)
 }
@@ -146,9 +177,13 @@ impl Scene {
     #[must_use]
     pub fn with_origin(mut self, origin: DVec3) -> Self {
         let shift = self.origin - origin;
-        self.views.iter_mut().for_each(|view| view.camera.center += shift);
+        self.views
+            .iter_mut()
+            .for_each(|view| view.camera.center += shift);
         for position in &mut self.points.positions {
-            *position = (glam::Vec3::from(*position).as_dvec3() + shift).as_vec3().to_array();
+            *position = (glam::Vec3::from(*position).as_dvec3() + shift)
+                .as_vec3()
+                .to_array();
         }
         Self { origin, ..self }
     }
@@ -218,13 +253,21 @@ impl View {
     /// # Errors
     /// As [`Photo::pixels`].
     pub fn rgb(&self) -> Result<Vec<f32>> {
-        Ok(self.image.pixels()?.as_raw().iter().map(|&v| f32::from(v) / 255.0).collect())
+        Ok(self
+            .image
+            .pixels()?
+            .as_raw()
+            .iter()
+            .map(|&v| f32::from(v) / 255.0)
+            .collect())
     }
 
     /// Refuses a mask of another size than the photo.
     pub(crate) fn check_mask(&self) -> Result<()> {
         let (width, height) = (self.image.width(), self.image.height());
-        self.mask.iter().try_for_each(|mask| mask.expect_size(&format!("view {}", self.name), width, height))
+        self.mask
+            .iter()
+            .try_for_each(|mask| mask.expect_size(&format!("view {}", self.name), width, height))
     }
 }
 

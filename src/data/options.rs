@@ -1,7 +1,9 @@
 //! How a scene folder is read, and which of its frames.
 
 use super::{Limits, Split};
-use crate::config::{Association, Config, DataConfig, Layout, RawFormat, Row, ScannetClasses, SpatialSource};
+use crate::config::{
+    Association, Config, DataConfig, Layout, RawFormat, Row, ScannetClasses, SpatialSource,
+};
 use std::path::PathBuf;
 
 /// How [`super::load`] reads a folder.
@@ -75,25 +77,36 @@ impl From<&DataConfig> for LoadOptions {
 impl From<&Config> for LoadOptions {
     fn from(config: &Config) -> Self {
         let background = config.raster.background.map(|c| (c * 255.0).round() as u8);
-        Self { background, ..Self::from(&config.data) }
+        Self {
+            background,
+            ..Self::from(&config.data)
+        }
     }
 }
 
 impl LoadOptions {
     /// Those of a scene that is to be trained by `config`: with [`LoadOptions::unit_is_metre`] as the rows of stage two have it.
     pub fn for_training(config: &Config) -> Self {
-        let encoded = |row: &Row| row.is_fused() && !matches!(row, Row::NoSpatial | Row::RandomSpatial);
+        let encoded =
+            |row: &Row| row.is_fused() && !matches!(row, Row::NoSpatial | Row::RandomSpatial);
         let spatial = &config.spatial;
         let unit_is_metre = spatial.scale == 1.0
             && spatial.source != SpatialSource::Random
             && config.segmentation.rows().iter().any(encoded);
-        Self { unit_is_metre, ..Self::from(config) }
+        Self {
+            unit_is_metre,
+            ..Self::from(config)
+        }
     }
 
     /// Which frames are read, as (index, split), ascending. `given` is what the folder says of each; where it says
     /// nothing of any, every 8th of those that are read is test, from the first on.
     pub(super) fn pick(&self, given: &[Option<Split>]) -> Vec<(usize, Split)> {
-        let wanted = if self.max_frames == 0 { given.len() } else { self.max_frames };
+        let wanted = if self.max_frames == 0 {
+            given.len()
+        } else {
+            self.max_frames
+        };
         let mut stride = self.stride.max(given.len().div_ceil(wanted.max(1))).max(1);
         loop {
             let picked = every(given, stride);
@@ -108,8 +121,18 @@ impl LoadOptions {
 
 fn every(given: &[Option<Split>], stride: usize) -> Vec<(usize, Split)> {
     if given.iter().all(Option::is_none) {
-        let split = |i: usize| if i.is_multiple_of(8) { Split::Test } else { Split::Train };
-        return (0..given.len()).step_by(stride).enumerate().map(|(place, i)| (i, split(place))).collect();
+        let split = |i: usize| {
+            if i.is_multiple_of(8) {
+                Split::Test
+            } else {
+                Split::Train
+            }
+        };
+        return (0..given.len())
+            .step_by(stride)
+            .enumerate()
+            .map(|(place, i)| (i, split(place)))
+            .collect();
     }
     let mut seen = [0_usize; 2];
     let mut picked = Vec::new();
@@ -129,19 +152,48 @@ mod tests {
     use super::*;
 
     fn options(stride: usize, max_frames: usize) -> LoadOptions {
-        LoadOptions { stride, max_frames, ..LoadOptions::default() }
+        LoadOptions {
+            stride,
+            max_frames,
+            ..LoadOptions::default()
+        }
     }
 
     #[test]
     fn thinning_keeps_both_splits() {
         let none = [None; 40];
-        assert_eq!(options(1, 0).pick(&none).iter().filter(|p| p.1 == Split::Test).count(), 5);
+        assert_eq!(
+            options(1, 0)
+                .pick(&none)
+                .iter()
+                .filter(|p| p.1 == Split::Test)
+                .count(),
+            5
+        );
         let picked = options(3, 0).pick(&none);
-        assert_eq!((picked.len(), picked[1].0, picked[8]), (14, 3, (24, Split::Test)));
+        assert_eq!(
+            (picked.len(), picked[1].0, picked[8]),
+            (14, 3, (24, Split::Test))
+        );
         // A stride of 8 does not leave the held-out frames only.
-        assert_eq!(options(8, 0).pick(&none).iter().filter(|p| p.1 == Split::Test).count(), 1);
+        assert_eq!(
+            options(8, 0)
+                .pick(&none)
+                .iter()
+                .filter(|p| p.1 == Split::Test)
+                .count(),
+            1
+        );
         assert_eq!(options(1, 7).pick(&none).len(), 7);
-        let given: Vec<_> = (0..40).map(|i| Some(if i % 4 == 3 { Split::Test } else { Split::Train })).collect();
+        let given: Vec<_> = (0..40)
+            .map(|i| {
+                Some(if i % 4 == 3 {
+                    Split::Test
+                } else {
+                    Split::Train
+                })
+            })
+            .collect();
         let picked = options(5, 0).pick(&given);
         assert_eq!(picked.iter().filter(|p| p.1 == Split::Test).count(), 2);
         assert_eq!(picked.len(), 8);

@@ -22,11 +22,16 @@ fn palette() -> Vec<[u8; 3]> {
         .map(|rgb| (rgb, oklab(rgb)))
         .collect();
     let ends = [oklab([0; 3]), oklab([255; 3])];
-    let mut nearest: Vec<f64> =
-        candidates.iter().map(|(_, lab)| distance(lab, &ends[0]).min(distance(lab, &ends[1]))).collect();
+    let mut nearest: Vec<f64> = candidates
+        .iter()
+        .map(|(_, lab)| distance(lab, &ends[0]).min(distance(lab, &ends[1])))
+        .collect();
     let mut colors = Vec::with_capacity(LENGTH);
     for _ in 0..LENGTH {
-        let best = (1..nearest.len()).fold(0, |best, i| if nearest[i] > nearest[best] { i } else { best });
+        let best = (1..nearest.len()).fold(
+            0,
+            |best, i| if nearest[i] > nearest[best] { i } else { best },
+        );
         let (rgb, chosen) = candidates[best];
         colors.push(rgb);
         for (near, (_, lab)) in nearest.iter_mut().zip(&candidates) {
@@ -37,16 +42,25 @@ fn palette() -> Vec<[u8; 3]> {
 }
 
 fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+    a.iter()
+        .zip(b)
+        .map(|(a, b)| (a - b).powi(2))
+        .sum::<f64>()
+        .sqrt()
 }
 
 /// sRGB to OKLab (B. Ottosson, "A perceptual color space for image processing", 2020).
 fn oklab(rgb: [u8; 3]) -> [f64; 3] {
     let linear = rgb.map(|v| {
         let v = f64::from(v) / 255.0;
-        if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+        if v <= 0.040_45 {
+            v / 12.92
+        } else {
+            ((v + 0.055) / 1.055).powf(2.4)
+        }
     });
-    let multiply = |m: [[f64; 3]; 3], v: [f64; 3]| m.map(|r| r[0] * v[0] + r[1] * v[1] + r[2] * v[2]);
+    let multiply =
+        |m: [[f64; 3]; 3], v: [f64; 3]| m.map(|r| r[0] * v[0] + r[1] * v[1] + r[2] * v[2]);
     let cones = multiply(
         [
             [0.412_221_470_8, 0.536_332_536_3, 0.051_445_992_9],
@@ -77,7 +91,10 @@ mod tests {
             let mut labs: Vec<_> = (0..=ids).map(|id| oklab(class_color(id))).collect();
             labs.extend([oklab([0; 3]), oklab([255; 3])]);
             for (i, a) in labs.iter().enumerate() {
-                assert!(labs[..i].iter().all(|b| distance(a, b) > apart), "{i} of {ids}");
+                assert!(
+                    labs[..i].iter().all(|b| distance(a, b) > apart),
+                    "{i} of {ids}"
+                );
             }
         }
         assert_eq!(class_color(7), class_color(7 + 255));

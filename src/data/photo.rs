@@ -53,8 +53,20 @@ impl Photo {
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
         let number = cache.admit(pixels);
         let (path, digest) = (file.path().to_owned(), file.digest());
-        let file = PhotoFile { path, digest, limits: limits.clone(), development, cache: cache.clone(), number };
-        Ok(Self { width, height, transparent, source: Source::File(Arc::new(file)) })
+        let file = PhotoFile {
+            path,
+            digest,
+            limits: limits.clone(),
+            development,
+            cache: cache.clone(),
+            number,
+        };
+        Ok(Self {
+            width,
+            height,
+            transparent,
+            source: Source::File(Arc::new(file)),
+        })
     }
 
     /// Pixels across.
@@ -116,14 +128,20 @@ impl Photo {
 impl From<RgbImage> for Photo {
     fn from(pixels: RgbImage) -> Self {
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
-        Self { width, height, transparent: false, source: Source::Pixels(Arc::new(pixels)) }
+        Self {
+            width,
+            height,
+            transparent: false,
+            source: Source::Pixels(Arc::new(pixels)),
+        }
     }
 }
 
 impl fmt::Debug for Photo {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut text = f.debug_struct("Photo");
-        text.field("width", &self.width).field("height", &self.height);
+        text.field("width", &self.width)
+            .field("height", &self.height);
         if let Source::File(file) = &self.source {
             text.field("path", &file.path);
         }
@@ -137,7 +155,13 @@ impl PhotoFile {
         if file.digest() != self.digest {
             let expected = "the file that the scene was loaded with";
             let mend = "put it back and resume, or start anew with the files as they are";
-            return Err(Error::input(&self.path, "content", "other bytes", expected, mend));
+            return Err(Error::input(
+                &self.path,
+                "content",
+                "other bytes",
+                expected,
+                mend,
+            ));
         }
         Ok(self.development.decode(&file)?.0)
     }
@@ -168,7 +192,12 @@ impl Development {
         }
         if let Some((width, height)) = self.size {
             // Bicubic, the kernel as wide as the reduction: what 3DGS does with photos of more than 1600 pixels.
-            photo = imageops::resize(&photo, width as u32, height as u32, imageops::FilterType::CatmullRom);
+            photo = imageops::resize(
+                &photo,
+                width as u32,
+                height as u32,
+                imageops::FilterType::CatmullRom,
+            );
         }
         Ok((photo, transparent))
     }

@@ -39,7 +39,10 @@ struct Kept {
 impl PhotoCache {
     /// An empty one for `budget` bytes of pixels.
     pub(super) fn new(budget: usize) -> Self {
-        Self { budget, state: Mutex::default() }
+        Self {
+            budget,
+            state: Mutex::default(),
+        }
     }
 
     /// Bytes of pixels that it may hold.
@@ -72,7 +75,11 @@ impl PhotoCache {
     }
 
     /// Photo `number`, made by `decode` where it is not held. Other photos can be asked for meanwhile.
-    pub(super) fn get(&self, number: usize, decode: impl FnOnce() -> Result<RgbImage>) -> Result<Arc<RgbImage>> {
+    pub(super) fn get(
+        &self,
+        number: usize,
+        decode: impl FnOnce() -> Result<RgbImage>,
+    ) -> Result<Arc<RgbImage>> {
         if let Some(pixels) = self.state().ask(number) {
             return Ok(pixels);
         }
@@ -101,15 +108,27 @@ impl State {
         }
         let size = pixels.as_raw().len();
         while self.bytes.saturating_add(size) > budget {
-            let oldest = self.kept.iter().map(|(&number, kept)| (kept.last, number)).min();
+            let oldest = self
+                .kept
+                .iter()
+                .map(|(&number, kept)| (kept.last, number))
+                .min();
             let idle = |last: u64| self.asked - last > ROUNDS * self.photos as u64;
-            let Some((_, oldest)) = oldest.filter(|(last, _)| size <= budget && idle(*last)) else { return pixels };
+            let Some((_, oldest)) = oldest.filter(|(last, _)| size <= budget && idle(*last)) else {
+                return pixels;
+            };
             if let Some(gone) = self.kept.remove(&oldest) {
                 self.bytes -= gone.pixels.as_raw().len();
             }
         }
         self.bytes += size;
-        self.kept.insert(number, Kept { pixels: pixels.clone(), last: self.asked });
+        self.kept.insert(
+            number,
+            Kept {
+                pixels: pixels.clone(),
+                last: self.asked,
+            },
+        );
         pixels
     }
 }

@@ -7,8 +7,8 @@ use super::{Limits, file_kind};
 use crate::error::{Error, Result};
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{
-    Addable, ElementDef, Encoding, Header, KeyMap, PropertyAccess, PropertyAccessResult, PropertyDef, PropertyType,
-    ScalarType,
+    Addable, ElementDef, Encoding, Header, KeyMap, PropertyAccess, PropertyAccessResult,
+    PropertyDef, PropertyType, ScalarType,
 };
 use ply_rs_bw::writer::Writer;
 use std::fs::File;
@@ -93,17 +93,32 @@ impl PlyFile {
         let mut file = BufReader::with_capacity(1 << 20, file);
         let first = file.fill_buf().map_err(|e| Error::io(path, "read", e))?;
         // What begins like one, and breaks off or has other line ends, is told as a bad header.
-        let kind = file_kind::by_first_bytes(first).or_else(|| first.starts_with(b"ply").then_some("a PLY file"));
+        let kind = file_kind::by_first_bytes(first)
+            .or_else(|| first.starts_with(b"ply").then_some("a PLY file"));
         if kind != Some("a PLY file") {
-            let found = kind.unwrap_or(if first.is_empty() { "an empty file" } else { "another kind of file" });
+            let found = kind.unwrap_or(if first.is_empty() {
+                "an empty file"
+            } else {
+                "another kind of file"
+            });
             let mend = "give the .ply file, such as the scene.ply of a run";
             return Err(Error::input(path, "first bytes", found, "a PLY file", mend));
         }
         let mut reader = Reader::new(file);
-        let header = Parser::<Row<0>>::new().read_header(&mut reader).map_err(|e| {
-            let line = e.line().map_or_else(|| "header".into(), |l| format!("header, line {l}"));
-            Error::input(path, line, what(&e.to_string()), "a PLY header", "export the file again")
-        })?;
+        let header = Parser::<Row<0>>::new()
+            .read_header(&mut reader)
+            .map_err(|e| {
+                let line = e
+                    .line()
+                    .map_or_else(|| "header".into(), |l| format!("header, line {l}"));
+                Error::input(
+                    path,
+                    line,
+                    what(&e.to_string()),
+                    "a PLY header",
+                    "export the file again",
+                )
+            })?;
         let Some(def) = header.elements.get(element) else {
             let found: Vec<_> = header.elements.keys().map(String::as_str).collect();
             return Err(Error::input(
@@ -114,8 +129,18 @@ impl PlyFile {
                 "export the file as a point cloud or Gaussian scene",
             ));
         };
-        Limits::check(format!("{}: rows of {element}", path.display()), def.count as u64, limits.points, "split it")?;
-        Ok(Self { path: path.to_owned(), reader, header, element: element.into() })
+        Limits::check(
+            format!("{}: rows of {element}", path.display()),
+            def.count as u64,
+            limits.points,
+            "split it",
+        )?;
+        Ok(Self {
+            path: path.to_owned(),
+            reader,
+            header,
+            element: element.into(),
+        })
     }
 
     fn def(&self) -> &ElementDef {
@@ -141,7 +166,13 @@ impl PlyFile {
     }
 
     /// An error that names the file and a field of it.
-    pub fn error(&self, field: impl Into<String>, found: impl Into<String>, expected: &str, mend: &str) -> Error {
+    pub fn error(
+        &self,
+        field: impl Into<String>,
+        found: impl Into<String>,
+        expected: &str,
+        mend: &str,
+    ) -> Error {
         Error::input(&self.path, field, found, expected, mend)
     }
 
@@ -155,7 +186,11 @@ impl PlyFile {
         columns: &[Option<String>; N],
         mut each: impl FnMut(usize, &[f64; N]) -> Result<()>,
     ) -> Result<()> {
-        if let Some(missing) = columns.iter().flatten().find(|name| self.scalar(name).is_none()) {
+        if let Some(missing) = columns
+            .iter()
+            .flatten()
+            .find(|name| self.scalar(name).is_none())
+        {
             let found: Vec<_> = self.names().collect();
             let found = format!("columns [{}]", found.join(", "));
             let expected = format!("a scalar column `{missing}`");
@@ -177,7 +212,13 @@ impl PlyFile {
         }
         self.check_size()?;
         let parser = Parser::<Row<N>>::new();
-        let before: Vec<_> = self.header.elements.values().take_while(|e| e.name != self.element).cloned().collect();
+        let before: Vec<_> = self
+            .header
+            .elements
+            .values()
+            .take_while(|e| e.name != self.element)
+            .cloned()
+            .collect();
         for mut skipped in before {
             let names: Vec<_> = skipped.properties.drain(..).map(|(_, def)| def).collect();
             for (place, def) in names.into_iter().enumerate() {
@@ -195,7 +236,11 @@ impl PlyFile {
         mut each: impl FnMut(usize, &Row<N>) -> Result<()>,
     ) -> Result<()> {
         // Rows without columns take no bytes in a binary file, so their number is not bounded by its size.
-        let rows = if def.properties.is_empty() { 0 } else { def.count };
+        let rows = if def.properties.is_empty() {
+            0
+        } else {
+            def.count
+        };
         let mut block = def.clone();
         let mut first = 0;
         while first < rows {
@@ -220,16 +265,35 @@ impl PlyFile {
     /// A binary file of scalar columns has a size that follows from its header; a wrong one is refused before anything
     /// is read. Much longer ones have rows with more in them than declared, such as a column name used twice.
     fn check_size(&mut self) -> Result<()> {
-        let all_scalar = |e: &ElementDef| e.properties.values().all(|p| matches!(p.data_type, PropertyType::Scalar(_)));
-        if self.header.encoding == Encoding::Ascii || !self.header.elements.values().all(all_scalar) {
+        let all_scalar = |e: &ElementDef| {
+            e.properties
+                .values()
+                .all(|p| matches!(p.data_type, PropertyType::Scalar(_)))
+        };
+        if self.header.encoding == Encoding::Ascii || !self.header.elements.values().all(all_scalar)
+        {
             return Ok(());
         }
         let unreadable = |e| Error::io(&self.path, "measure", e);
-        let length = self.reader.get_ref().get_ref().metadata().map_err(unreadable)?.len();
-        let start = self.reader.get_mut().stream_position().map_err(unreadable)?;
+        let length = self
+            .reader
+            .get_ref()
+            .get_ref()
+            .metadata()
+            .map_err(unreadable)?
+            .len();
+        let start = self
+            .reader
+            .get_mut()
+            .stream_position()
+            .map_err(unreadable)?;
         let (mut expected, mut rows) = (u128::from(start), 0_u128);
         for element in self.header.elements.values() {
-            let stride: usize = element.properties.values().map(|p| size_of_scalar(&p.data_type)).sum();
+            let stride: usize = element
+                .properties
+                .values()
+                .map(|p| size_of_scalar(&p.data_type))
+                .sum();
             expected += element.count as u128 * stride as u128;
             rows += element.count as u128;
         }
@@ -240,7 +304,12 @@ impl PlyFile {
             } else {
                 "rows are longer than declared (a column name used twice?); export it again"
             };
-            return Err(self.error("size", format!("{length} bytes"), &format!("{expected} bytes"), mend));
+            return Err(self.error(
+                "size",
+                format!("{length} bytes"),
+                &format!("{expected} bytes"),
+                mend,
+            ));
         }
         Ok(())
     }
@@ -259,10 +328,18 @@ fn size_of_scalar(t: &PropertyType) -> usize {
 /// What went wrong, without the whole lines of the file that the parser quotes in its messages.
 fn what(message: &str) -> String {
     let first = message.lines().next().unwrap_or_default();
-    let detail = message.rsplit_once("Error: ").map_or("", |(_, detail)| detail.lines().next().unwrap_or_default());
+    let detail = message
+        .rsplit_once("Error: ")
+        .map_or("", |(_, detail)| detail.lines().next().unwrap_or_default());
     let text = [first, detail].join(" ");
     // The rest is the parser's own bookkeeping.
-    text.split("ParseError {").next().unwrap_or_default().trim().chars().take(300).collect()
+    text.split("ParseError {")
+        .next()
+        .unwrap_or_default()
+        .trim()
+        .chars()
+        .take(300)
+        .collect()
 }
 
 /// Writes one element `vertex` as binary little-endian PLY. `fill(i, row)` sets the cells of row `i`.

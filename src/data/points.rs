@@ -52,8 +52,16 @@ impl Points {
                     "remove this point",
                 ));
             }
-            points.positions.push([cells[0] - origin.x, cells[1] - origin.y, cells[2] - origin.z].map(|v| v as f32));
-            let rgb = [cells[3], cells[4], cells[5]].map(|v| if colored { (v / scale) as f32 } else { 0.5 });
+            points.positions.push(
+                [
+                    cells[0] - origin.x,
+                    cells[1] - origin.y,
+                    cells[2] - origin.z,
+                ]
+                .map(|v| v as f32),
+            );
+            let rgb = [cells[3], cells[4], cells[5]]
+                .map(|v| if colored { (v / scale) as f32 } else { 0.5 });
             brightest = rgb.iter().fold(brightest, |a, &b| a.max(b));
             points.colors.push(rgb);
             Ok(())

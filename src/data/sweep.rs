@@ -40,7 +40,11 @@ const SHOWN: f64 = 0.25;
 
 /// A sentence where another convention makes neighbouring photos of the listing fit better than the one of its layout.
 pub(super) fn better_convention(listing: &Listing, limits: &Limits) -> Option<String> {
-    let mut frames: Vec<&Frame> = listing.frames.iter().filter(|frame| frame.posed && frame.present).collect();
+    let mut frames: Vec<&Frame> = listing
+        .frames
+        .iter()
+        .filter(|frame| frame.posed && frame.present)
+        .collect();
     // Photos are mostly numbered in the order they were taken in, the numbers padded with zeros or not.
     frames.sort_by_key(|frame| (frame.name.len(), &frame.name));
     let first = evenly(frames.len().saturating_sub(1), PAIRS);
@@ -48,8 +52,10 @@ pub(super) fn better_convention(listing: &Listing, limits: &Limits) -> Option<St
         let (file, geometry) = frame.open(&listing.file, limits).ok()?;
         Some(Small::new(&geometry.photo(&file).ok()?, &geometry.camera))
     };
-    let pairs: Vec<[Small; 2]> =
-        first.par_iter().filter_map(|&i| Some([small(frames[i])?, small(frames[i + 1])?])).collect();
+    let pairs: Vec<[Small; 2]> = first
+        .par_iter()
+        .filter_map(|&i| Some([small(frames[i])?, small(frames[i + 1])?]))
+        .collect();
     if pairs.len() < TOO_FEW_PAIRS {
         return None;
     }
@@ -81,11 +87,18 @@ struct Small {
 
 impl Small {
     fn new(photo: &RgbImage, camera: &Camera) -> Self {
-        let height = f64::from(ACROSS) * f64::from(photo.height()) / f64::from(photo.width().max(1));
+        let height =
+            f64::from(ACROSS) * f64::from(photo.height()) / f64::from(photo.width().max(1));
         let height = (height.round() as u32).clamp(1, 8 * ACROSS);
         let grey = grayscale(&thumbnail(photo, ACROSS, height));
-        let grey = grey.pixels().map(|pixel| f64::from(pixel.0[0]) / 255.0).collect();
-        Self { camera: camera.resized(ACROSS as usize, height as usize), grey }
+        let grey = grey
+            .pixels()
+            .map(|pixel| f64::from(pixel.0[0]) / 255.0)
+            .collect();
+        Self {
+            camera: camera.resized(ACROSS as usize, height as usize),
+            grey,
+        }
     }
 
     /// Bilinear, between the centres of pixels only.
@@ -124,8 +137,14 @@ impl Found {
     /// With poses that were taken for `given` read as `other`.
     fn by(pairs: &[[Small; 2]], given: Convention, other: Convention) -> Self {
         let read = |small: &Small| other.read(given.write(&small.camera), &small.camera);
-        let found = pairs.par_iter().map(|[from, to]| Self::of_pair([from, to], [&read(from), &read(to)]));
-        let add = |a: Self, b: Self| Self { all: a.all + b.all, shown: a.shown + b.shown, alike: a.alike + b.alike };
+        let found = pairs
+            .par_iter()
+            .map(|[from, to]| Self::of_pair([from, to], [&read(from), &read(to)]));
+        let add = |a: Self, b: Self| Self {
+            all: a.all + b.all,
+            shown: a.shown + b.shown,
+            alike: a.alike + b.alike,
+        };
         found.reduce(Self::default, add)
     }
 
@@ -133,19 +152,35 @@ impl Found {
         let turn = next.rotation * camera.rotation.transpose();
         let shift = next.to_camera(camera.center);
         let nearest = NEAREST * shift.length();
-        let depth_of = |i: usize| if nearest > 0.0 { i as f64 / (DEPTHS - 1) as f64 / nearest } else { 0.0 };
+        let depth_of = |i: usize| {
+            if nearest > 0.0 {
+                i as f64 / (DEPTHS - 1) as f64 / nearest
+            } else {
+                0.0
+            }
+        };
         let mut found = Self::default();
         for block in 0..(camera.width / BLOCK) * (camera.height / BLOCK) {
-            let (column, row) = (block % (camera.width / BLOCK) * BLOCK, block / (camera.width / BLOCK) * BLOCK);
+            let (column, row) = (
+                block % (camera.width / BLOCK) * BLOCK,
+                block / (camera.width / BLOCK) * BLOCK,
+            );
             let places = (0..BLOCK * BLOCK).map(|i| (column + i % BLOCK, row + i / BLOCK));
-            let own: Vec<f64> = places.clone().map(|(x, y)| from.grey[y * camera.width + x]).collect();
+            let own: Vec<f64> = places
+                .clone()
+                .map(|(x, y)| from.grey[y * camera.width + x])
+                .collect();
             if variance(&own) < FLAT * FLAT {
                 continue;
             }
             found.all += 1;
             let ray = |(x, y): (usize, usize)| {
                 let (u, v) = (x as f64 + 0.5, y as f64 + 0.5);
-                turn * DVec3::new((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0)
+                turn * DVec3::new(
+                    (u - camera.cx) / camera.fx,
+                    (v - camera.cy) / camera.fy,
+                    1.0,
+                )
             };
             let rays: Vec<DVec3> = places.map(ray).collect();
             let seen = |inverse_depth: f64| -> Option<Vec<f64>> {
@@ -156,7 +191,9 @@ impl Found {
                 };
                 rays.iter().map(point).collect()
             };
-            let best = (0..DEPTHS).filter_map(|i| Some(correlation(&own, &seen(depth_of(i))?))).reduce(f64::max);
+            let best = (0..DEPTHS)
+                .filter_map(|i| Some(correlation(&own, &seen(depth_of(i))?)))
+                .reduce(f64::max);
             found.shown += usize::from(best.is_some());
             found.alike += usize::from(best.is_some_and(|best| best > ALIKE));
         }
@@ -176,6 +213,11 @@ fn variance(values: &[f64]) -> f64 {
 /// Of two blocks; near 0 where one of them is flat.
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let (mean_a, mean_b) = (mean(a), mean(b));
-    let both = a.iter().zip(b).map(|(a, b)| (a - mean_a) * (b - mean_b)).sum::<f64>() / a.len().max(1) as f64;
+    let both = a
+        .iter()
+        .zip(b)
+        .map(|(a, b)| (a - mean_a) * (b - mean_b))
+        .sum::<f64>()
+        / a.len().max(1) as f64;
     both / (variance(a) * variance(b) + 1e-8).sqrt()
 }

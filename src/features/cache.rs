@@ -19,7 +19,11 @@ const KEY: &str = "maps";
 /// Where the maps of `image` lie within `dir`.
 pub fn entry(dir: &Path, image: &image::RgbImage, extractor: &str) -> PathBuf {
     let mut hash = Sha256::new();
-    hash.update(format!("coseg maps 2\n{extractor}\n{} {}\n", image.width(), image.height()));
+    hash.update(format!(
+        "coseg maps 2\n{extractor}\n{} {}\n",
+        image.width(),
+        image.height()
+    ));
     hash.update(image.as_raw());
     dir.join(format!("{:x}.safetensors", hash.finalize()))
 }
@@ -30,13 +34,19 @@ pub fn load(path: &Path) -> Option<[FeatureMap; SCALES]> {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return None,
         Err(error) => {
-            tracing::warn!("{}: cached features cannot be read ({error}); computing them again", path.display());
+            tracing::warn!(
+                "{}: cached features cannot be read ({error}); computing them again",
+                path.display()
+            );
             return None;
         }
     };
     let maps = parse(&bytes);
     if maps.is_none() {
-        tracing::warn!("{}: cached features are damaged; computing them again", path.display());
+        tracing::warn!(
+            "{}: cached features are damaged; computing them again",
+            path.display()
+        );
     }
     maps
 }
@@ -50,14 +60,28 @@ fn parse(bytes: &[u8]) -> Option<[FeatureMap; SCALES]> {
     let mut hash = Sha256::new();
     for n in 1..=SCALES {
         let view = tensors.tensor(&format!("scale{n}")).ok()?;
-        let &[height, width, channels] = view.shape() else { return None };
+        let &[height, width, channels] = view.shape() else {
+            return None;
+        };
         if view.dtype() != Dtype::F32 {
             return None;
         }
         digest(&mut hash, [height, width, channels], view.data());
-        let data: Vec<f32> = view.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+        let data: Vec<f32> = view
+            .data()
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .map(|b| f32::from_le_bytes(*b))
+            .collect();
         let steps = steps[n - 1].map(|[stride, offset]| Steps { stride, offset });
-        let map = FeatureMap { height, width, channels, data, steps };
+        let map = FeatureMap {
+            height,
+            width,
+            channels,
+            data,
+            steps,
+        };
         map.check("cached map").ok()?;
         maps.push(map);
     }
@@ -73,7 +97,10 @@ fn parse(bytes: &[u8]) -> Option<[FeatureMap; SCALES]> {
 /// # Errors
 /// [`Error::Io`]; what stood there before is kept.
 pub fn store(path: &Path, maps: &[FeatureMap; SCALES]) -> Result<()> {
-    let bytes: Vec<Vec<u8>> = maps.iter().map(|m| m.data.iter().flat_map(|x| x.to_le_bytes()).collect()).collect();
+    let bytes: Vec<Vec<u8>> = maps
+        .iter()
+        .map(|m| m.data.iter().flat_map(|x| x.to_le_bytes()).collect())
+        .collect();
     let mut hash = Sha256::new();
     let mut views = Vec::with_capacity(SCALES);
     for (n, (map, bytes)) in maps.iter().zip(&bytes).enumerate() {
@@ -83,7 +110,9 @@ pub fn store(path: &Path, maps: &[FeatureMap; SCALES]) -> Result<()> {
             .map_err(|e| Error::io(path, "encode", std::io::Error::other(e.to_string())))?;
         views.push((format!("scale{}", n + 1), view));
     }
-    let steps: [_; SCALES] = maps.each_ref().map(|m| m.steps.map(|s| [s.stride, s.offset]));
+    let steps: [_; SCALES] = maps
+        .each_ref()
+        .map(|m| m.steps.map(|s| [s.stride, s.offset]));
     let steps = serde_json::json!(steps).to_string();
     hash.update(&steps);
     // One entry: several would lie in any order, and the same maps are to give the same bytes.

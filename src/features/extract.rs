@@ -79,7 +79,11 @@ fn run(
     device: &Device,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<(FeatureSet, Vec<ViewFeatures>)> {
-    let test: Vec<&View> = if with_test { scene.split(Split::Test).collect() } else { vec![] };
+    let test: Vec<&View> = if with_test {
+        scene.split(Split::Test).collect()
+    } else {
+        vec![]
+    };
     let (train, fitted) = (scene.split(Split::Train).count(), &mut 0);
     let total = 2 * train + test.len();
     let looked = &mut || {
@@ -89,12 +93,29 @@ fn run(
     };
     let ControlFlow::Continue(mut reduction) = Reduction::fit(scene, config, seed, device, looked)?;
     let step = |done: usize| move |(i, _): &(usize, _)| progress(done + i + 1, total);
-    let views = reduction.training_views().enumerate().inspect(step(train)).map(|(_, view)| view);
+    let views = reduction
+        .training_views()
+        .enumerate()
+        .inspect(step(train))
+        .map(|(_, view)| view);
     let views = views.collect::<Result<_>>()?;
-    let tested = reduction.reduced(&test, Vec::new()).enumerate().inspect(step(2 * train)).map(|(_, view)| view);
+    let tested = reduction
+        .reduced(&test, Vec::new())
+        .enumerate()
+        .inspect(step(2 * train))
+        .map(|(_, view)| view);
     let tested = tested.collect::<Result<_>>()?;
-    let Reduction { name, reductions, .. } = reduction;
-    Ok((FeatureSet { name, reductions, views }, tested))
+    let Reduction {
+        name, reductions, ..
+    } = reduction;
+    Ok((
+        FeatureSet {
+            name,
+            reductions,
+            views,
+        },
+        tested,
+    ))
 }
 
 /// The fitted reductions of a scene's features, and what makes its maps: for scenes whose maps are not all kept.
@@ -125,7 +146,12 @@ impl<'a> Reduction<'a> {
         looked: &mut dyn FnMut() -> ControlFlow<B>,
     ) -> Result<ControlFlow<B, Self>> {
         if config.dimensions == 0 {
-            return Err(Error::config("features.dimensions", "0", "1 or more", "64 is the usual choice"));
+            return Err(Error::config(
+                "features.dimensions",
+                "0",
+                "1 or more",
+                "64 is the usual choice",
+            ));
         }
         let extractor = Extractor::open(config, device)?;
         let train: Vec<&View> = scene.split(Split::Train).collect();
@@ -136,16 +162,22 @@ impl<'a> Reduction<'a> {
         let (key, mut imported) = (extractor.cache_key(), Sha256::new());
         let quota = PCA_CELLS.div_ceil(train.len().max(1));
         for batch in train.chunks(extractor.batch()) {
-            let with_digest = |maps: [FeatureMap; SCALES]| (key.is_none().then(|| digest(&maps)), maps);
+            let with_digest =
+                |maps: [FeatureMap; SCALES]| (key.is_none().then(|| digest(&maps)), maps);
             let look = |view: &&View| cached_maps(&extractor, config, view).map(with_digest);
             let batch_maps: Vec<_> = batch.par_iter().map(look).collect();
             for (view, maps) in batch.iter().zip(batch_maps) {
                 let (digest, maps) = maps?;
                 digest.iter().for_each(|digest| imported.update(digest));
-                let moments = moments.get_or_insert_with(|| std::array::from_fn(|n| Moments::new(maps[n].channels)));
+                let moments = moments
+                    .get_or_insert_with(|| std::array::from_fn(|n| Moments::new(maps[n].channels)));
                 for (n, (map, moments)) in maps.iter().zip(moments).enumerate() {
                     let index = (kept.len() * SCALES + n) as u64;
-                    moments.add(&subsample(map, quota, seed, index), &what(view, n), map.channels)?;
+                    moments.add(
+                        &subsample(map, quota, seed, index),
+                        &what(view, n),
+                        map.channels,
+                    )?;
                 }
                 let bytes: usize = maps.iter().map(|m| 4 * m.data.len()).sum();
                 kept_bytes += bytes;
@@ -157,16 +189,32 @@ impl<'a> Reduction<'a> {
         }
         let Some(moments) = moments else {
             let found = format!("no training view in {}", scene.name);
-            return Err(Error::argument("data", found, "one or more", "mend the splits"));
+            return Err(Error::argument(
+                "data",
+                found,
+                "one or more",
+                "mend the splits",
+            ));
         };
         let again = kept.iter().filter(|maps| maps.is_none()).count();
         if again > 0 && config.cache_dir.is_none() && matches!(extractor, Extractor::Dino { .. }) {
-            tracing::warn!("{again} of {} views are computed twice: set features.cache_dir", train.len());
+            tracing::warn!(
+                "{again} of {} views are computed twice: set features.cache_dir",
+                train.len()
+            );
         }
         let reductions = moments.map(|m| Pca::fit(&m, config.dimensions));
         let content = key.unwrap_or_else(|| format!("imported {:x}", imported.finalize()));
         let name = extractor.name();
-        Ok(ControlFlow::Continue(Self { name, reductions, content, extractor, config, train, kept }))
+        Ok(ControlFlow::Continue(Self {
+            name,
+            reductions,
+            content,
+            extractor,
+            config,
+            train,
+            kept,
+        }))
     }
 
     /// Reduced maps of the training views in the scene's order, a few made at a time. What was kept for them goes.
@@ -185,7 +233,8 @@ impl<'a> Reduction<'a> {
         views.chunks(self.extractor.batch()).flat_map(move |batch| {
             let kept: Vec<_> = batch.iter().map(|_| kept.next().flatten()).collect();
             let reduced = batch.par_iter().zip(kept).map(|(view, kept)| {
-                let maps = kept.map_or_else(|| cached_maps(&self.extractor, self.config, view), Ok)?;
+                let maps =
+                    kept.map_or_else(|| cached_maps(&self.extractor, self.config, view), Ok)?;
                 reduce_view(view, &maps, &self.reductions)
             });
             reduced.collect::<Vec<_>>()
@@ -193,12 +242,23 @@ impl<'a> Reduction<'a> {
     }
 }
 
-fn reduce_view(view: &View, maps: &[FeatureMap; SCALES], reductions: &[Pca; SCALES]) -> Result<ViewFeatures> {
+fn reduce_view(
+    view: &View,
+    maps: &[FeatureMap; SCALES],
+    reductions: &[Pca; SCALES],
+) -> Result<ViewFeatures> {
     let mut reduced: [FeatureMap; SCALES] = Default::default();
-    for (n, (out, (map, pca))) in reduced.iter_mut().zip(maps.iter().zip(reductions)).enumerate() {
+    for (n, (out, (map, pca))) in reduced
+        .iter_mut()
+        .zip(maps.iter().zip(reductions))
+        .enumerate()
+    {
         *out = pca.apply(map, &what(view, n))?;
     }
-    Ok(ViewFeatures { view: view.name.clone(), maps: reduced })
+    Ok(ViewFeatures {
+        view: view.name.clone(),
+        maps: reduced,
+    })
 }
 
 /// SHA-256 of the maps of a view.
@@ -206,7 +266,12 @@ fn digest(maps: &[FeatureMap; SCALES]) -> [u8; 32] {
     let mut hash = Sha256::new();
     for map in maps {
         hash.update(format!("{} {} {}\n", map.height, map.width, map.channels));
-        hash.update(map.data.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>());
+        hash.update(
+            map.data
+                .iter()
+                .flat_map(|v| v.to_le_bytes())
+                .collect::<Vec<u8>>(),
+        );
     }
     hash.finalize().into()
 }
@@ -223,11 +288,21 @@ fn subsample(map: &FeatureMap, quota: usize, seed: u64, index: u64) -> Vec<f32> 
     let mut rng = random::stream(seed, Purpose::PcaCells, index);
     let mut cells = rand::seq::index::sample(&mut rng, map.cells(), quota).into_vec();
     cells.sort_unstable();
-    cells.iter().flat_map(|&cell| &map.data[cell * map.channels..][..map.channels]).copied().collect()
+    cells
+        .iter()
+        .flat_map(|&cell| &map.data[cell * map.channels..][..map.channels])
+        .copied()
+        .collect()
 }
 
-fn cached_maps(extractor: &Extractor, config: &FeatureConfig, view: &View) -> Result<[FeatureMap; SCALES]> {
-    let (Some(dir), Some(key)) = (&config.cache_dir, extractor.cache_key()) else { return extractor.maps(view) };
+fn cached_maps(
+    extractor: &Extractor,
+    config: &FeatureConfig,
+    view: &View,
+) -> Result<[FeatureMap; SCALES]> {
+    let (Some(dir), Some(key)) = (&config.cache_dir, extractor.cache_key()) else {
+        return extractor.maps(view);
+    };
     let pixels = view.image.pixels()?;
     let path = cache::entry(dir, &pixels, &key);
     if let Some(maps) = cache::load(&path) {

@@ -36,12 +36,15 @@ pub fn read(dir: &Path, stem: &str) -> Result<[FeatureMap; SCALES]> {
         }
         maps
     };
-    maps.try_into().map_err(|_| Error::config("features.import_dir", stem, "four maps", "report this"))
+    maps.try_into()
+        .map_err(|_| Error::config("features.import_dir", stem, "four maps", "report this"))
 }
 
 fn read_npy(path: &Path) -> Result<FeatureMap> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-    let bad = |field: &str, found: String| Error::input(path, field, found, WANTED, "write the map again");
+    let bad = |field: &str, found: String| {
+        Error::input(path, field, found, WANTED, "write the map again")
+    };
     // A header length past the end of the file would be allocated before it is missed.
     let start = match bytes.get(..12) {
         Some(h) if h[6] == 1 => 10 + usize::from(u16::from_le_bytes([h[8], h[9]])),
@@ -49,58 +52,132 @@ fn read_npy(path: &Path) -> Result<FeatureMap> {
         None => return Err(bad("header", format!("{} bytes", bytes.len()))),
     };
     if start > bytes.len() {
-        return Err(bad("header", format!("a header of {start} bytes in a file of {}", bytes.len())));
+        return Err(bad(
+            "header",
+            format!("a header of {start} bytes in a file of {}", bytes.len()),
+        ));
     }
     let file = NpyFile::new(&bytes[..]).map_err(|e| bad("header", e.to_string()))?;
-    let shape: Vec<usize> = file.shape().iter().map(|&n| usize::try_from(n).unwrap_or(usize::MAX)).collect();
+    let shape: Vec<usize> = file
+        .shape()
+        .iter()
+        .map(|&n| usize::try_from(n).unwrap_or(usize::MAX))
+        .collect();
     let (element, big_endian) = match file.dtype() {
         DType::Plain(t) if t.type_char() == TypeChar::Float && matches!(t.size_field(), 2 | 4) => {
             (t.size_field() as usize, t.endianness() == Endianness::Big)
         }
         other => return Err(bad("dtype", other.descr())),
     };
-    let [height, width, channels] = check_shape(&shape).ok_or_else(|| bad("shape", format!("{shape:?}")))?;
+    let [height, width, channels] =
+        check_shape(&shape).ok_or_else(|| bad("shape", format!("{shape:?}")))?;
     let order = file.order();
     let count = height * width * channels;
     let Some(raw) = bytes.get(start..start + element * count) else {
-        return Err(bad("data", format!("{} bytes for shape {shape:?}", bytes.len() - start)));
+        return Err(bad(
+            "data",
+            format!("{} bytes for shape {shape:?}", bytes.len() - start),
+        ));
     };
     let values: Vec<f32> = match (element, big_endian) {
-        (4, false) => raw.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect(),
-        (4, true) => raw.as_chunks().0.iter().map(|b| f32::from_be_bytes(*b)).collect(),
-        (_, false) => raw.as_chunks().0.iter().map(|b| f16::from_le_bytes(*b).to_f32()).collect(),
-        (_, true) => raw.as_chunks().0.iter().map(|b| f16::from_be_bytes(*b).to_f32()).collect(),
+        (4, false) => raw
+            .as_chunks()
+            .0
+            .iter()
+            .map(|b| f32::from_le_bytes(*b))
+            .collect(),
+        (4, true) => raw
+            .as_chunks()
+            .0
+            .iter()
+            .map(|b| f32::from_be_bytes(*b))
+            .collect(),
+        (_, false) => raw
+            .as_chunks()
+            .0
+            .iter()
+            .map(|b| f16::from_le_bytes(*b).to_f32())
+            .collect(),
+        (_, true) => raw
+            .as_chunks()
+            .0
+            .iter()
+            .map(|b| f16::from_be_bytes(*b).to_f32())
+            .collect(),
     };
     let data = match order {
         Order::C => values,
         Order::Fortran => {
             let at = |y: usize, x: usize, c: usize| values[(c * width + x) * height + y];
             let cells = (0..height).flat_map(|y| (0..width).map(move |x| (y, x)));
-            cells.flat_map(|(y, x)| (0..channels).map(move |c| (y, x, c))).map(|(y, x, c)| at(y, x, c)).collect()
+            cells
+                .flat_map(|(y, x)| (0..channels).map(move |c| (y, x, c)))
+                .map(|(y, x, c)| at(y, x, c))
+                .collect()
         }
     };
-    finite(path, "data", FeatureMap { height, width, channels, data, steps: None })
+    finite(
+        path,
+        "data",
+        FeatureMap {
+            height,
+            width,
+            channels,
+            data,
+            steps: None,
+        },
+    )
 }
 
 fn read_bundle(path: &Path) -> Result<Vec<FeatureMap>> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
     let tensors = SafeTensors::deserialize(&bytes).map_err(|e| {
-        Error::input(path, "header", e.to_string(), "a safetensors file with scale1 to scale4", "write the file again")
+        Error::input(
+            path,
+            "header",
+            e.to_string(),
+            "a safetensors file with scale1 to scale4",
+            "write the file again",
+        )
     })?;
     (1..=SCALES)
         .map(|n| {
             let name = format!("scale{n}");
-            let bad = |found: String| Error::input(path, name.clone(), found, WANTED, "write the map again");
-            let view = tensors.tensor(&name).map_err(|_| bad(format!("no such tensor among {:?}", tensors.names())))?;
-            let [height, width, channels] =
-                check_shape(view.shape()).ok_or_else(|| bad(format!("shape {:?}", view.shape())))?;
+            let bad = |found: String| {
+                Error::input(path, name.clone(), found, WANTED, "write the map again")
+            };
+            let view = tensors
+                .tensor(&name)
+                .map_err(|_| bad(format!("no such tensor among {:?}", tensors.names())))?;
+            let [height, width, channels] = check_shape(view.shape())
+                .ok_or_else(|| bad(format!("shape {:?}", view.shape())))?;
             let bytes = view.data();
             let data: Vec<f32> = match view.dtype() {
-                Dtype::F32 => bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect(),
-                Dtype::F16 => bytes.as_chunks::<2>().0.iter().map(|b| f16::from_le_bytes(*b).to_f32()).collect(),
+                Dtype::F32 => bytes
+                    .as_chunks::<4>()
+                    .0
+                    .iter()
+                    .map(|b| f32::from_le_bytes(*b))
+                    .collect(),
+                Dtype::F16 => bytes
+                    .as_chunks::<2>()
+                    .0
+                    .iter()
+                    .map(|b| f16::from_le_bytes(*b).to_f32())
+                    .collect(),
                 other => return Err(bad(format!("{other:?}"))),
             };
-            finite(path, &name, FeatureMap { height, width, channels, data, steps: None })
+            finite(
+                path,
+                &name,
+                FeatureMap {
+                    height,
+                    width,
+                    channels,
+                    data,
+                    steps: None,
+                },
+            )
         })
         .collect()
 }

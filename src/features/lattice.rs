@@ -40,7 +40,11 @@ impl Lattice {
 
     fn axis(&self, cells: usize, pixels: usize) -> Axis {
         match self.steps {
-            Some(Steps { stride, offset }) => Axis { cells, stride, offset },
+            Some(Steps { stride, offset }) => Axis {
+                cells,
+                stride,
+                offset,
+            },
             None => Axis::even(cells, pixels),
         }
     }
@@ -52,8 +56,12 @@ impl Lattice {
 
     /// Whether the cells are the pixels of a `width` x `height` image.
     pub fn is_of_pixels(&self, width: usize, height: usize) -> bool {
-        let pixels = Steps { stride: 1.0, offset: 0.5 };
-        (self.width, self.height) == (width, height) && self.steps.is_none_or(|steps| steps == pixels)
+        let pixels = Steps {
+            stride: 1.0,
+            offset: 0.5,
+        };
+        (self.width, self.height) == (width, height)
+            && self.steps.is_none_or(|steps| steps == pixels)
     }
 
     /// `camera` with the cells for its pixels.
@@ -86,7 +94,11 @@ impl Axis {
     /// `cells` that divide `pixels` evenly.
     pub fn even(cells: usize, pixels: usize) -> Self {
         let stride = pixels as f64 / cells as f64;
-        Self { cells, stride, offset: 0.5 * stride }
+        Self {
+            cells,
+            stride,
+            offset: 0.5 * stride,
+        }
     }
 
     fn center(&self, cell: usize) -> f64 {

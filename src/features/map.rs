@@ -22,12 +22,22 @@ pub struct FeatureMap {
 impl FeatureMap {
     /// A map of zeros that divides its image evenly.
     pub fn zeros(height: usize, width: usize, channels: usize) -> Self {
-        Self { height, width, channels, data: vec![0.0; height * width * channels], steps: None }
+        Self {
+            height,
+            width,
+            channels,
+            data: vec![0.0; height * width * channels],
+            steps: None,
+        }
     }
 
     /// Where the cells are.
     pub fn lattice(&self) -> Lattice {
-        Lattice { width: self.width, height: self.height, steps: self.steps }
+        Lattice {
+            width: self.width,
+            height: self.height,
+            steps: self.steps,
+        }
     }
 
     /// Number of cells.
@@ -59,7 +69,10 @@ impl FeatureMap {
     /// Adds the bilinear read at image point `(u, v)` of a `width` x `height` image to `out`, length `channels`.
     pub fn sample(&self, u: f64, v: f64, width: usize, height: usize, out: &mut [f32]) {
         for (cell, weight) in self.taps(u, v, width, height) {
-            for (o, &x) in out.iter_mut().zip(&self.data[cell * self.channels..][..self.channels]) {
+            for (o, &x) in out
+                .iter_mut()
+                .zip(&self.data[cell * self.channels..][..self.channels])
+            {
                 *o += weight * x;
             }
         }
@@ -70,22 +83,25 @@ impl FeatureMap {
     pub(crate) fn resized(&self, height: usize, width: usize) -> Self {
         let c = self.channels;
         let mut rows = Self::zeros(height, self.width, c);
-        rows.data.par_chunks_mut((self.width * c).max(1)).zip(axis_weights(self.height, height)).for_each(
-            |(out, taps)| {
+        rows.data
+            .par_chunks_mut((self.width * c).max(1))
+            .zip(axis_weights(self.height, height))
+            .for_each(|(out, taps)| {
                 for (y, weight) in taps {
                     for (o, &x) in out.iter_mut().zip(&self.data[y * self.width * c..]) {
                         *o += weight * x;
                     }
                 }
-            },
-        );
+            });
         if width == self.width {
             return rows;
         }
         let columns = axis_weights(self.width, width);
         let mut out = Self::zeros(height, width, c);
-        out.data.par_chunks_mut((width * c).max(1)).zip(rows.data.par_chunks((self.width * c).max(1))).for_each(
-            |(out, row)| {
+        out.data
+            .par_chunks_mut((width * c).max(1))
+            .zip(rows.data.par_chunks((self.width * c).max(1)))
+            .for_each(|(out, row)| {
                 for (out, taps) in out.chunks_exact_mut(c.max(1)).zip(&columns) {
                     for &(x, weight) in taps {
                         for (o, &x) in out.iter_mut().zip(&row[x * c..][..c]) {
@@ -93,8 +109,7 @@ impl FeatureMap {
                         }
                     }
                 }
-            },
-        );
+            });
         out
     }
 
@@ -108,7 +123,10 @@ impl FeatureMap {
             return Err(Error::argument(
                 what,
                 format!("{} values", self.data.len()),
-                format!("{expected} = {} x {} x {}", self.height, self.width, self.channels),
+                format!(
+                    "{expected} = {} x {} x {}",
+                    self.height, self.width, self.channels
+                ),
                 "give height * width * channels values",
             ));
         }
@@ -135,7 +153,9 @@ fn axis_weights(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
         let (a, b, f) = Axis::even(from, to).taps(i as f64 + 0.5);
         vec![(a, 1.0 - f), (b, f)]
     };
-    (0..to).map(|i| if to <= from { area(i) } else { linear(i) }).collect()
+    (0..to)
+        .map(|i| if to <= from { area(i) } else { linear(i) })
+        .collect()
 }
 
 #[cfg(test)]
@@ -144,7 +164,15 @@ mod tests {
 
     #[test]
     fn weights_sum_to_one_and_a_ramp_stays_a_ramp() {
-        for (from, to) in [(480, 120), (270, 68), (7, 7), (5, 2), (3, 11), (1, 4), (9, 1)] {
+        for (from, to) in [
+            (480, 120),
+            (270, 68),
+            (7, 7),
+            (5, 2),
+            (3, 11),
+            (1, 4),
+            (9, 1),
+        ] {
             for taps in axis_weights(from, to) {
                 let sum: f32 = taps.iter().map(|t| t.1).sum();
                 assert!((sum - 1.0).abs() < 1e-6, "{from} {to}: {sum}");

@@ -92,7 +92,11 @@ impl Extractor {
             },
             FeatureSource::Import => match &config.import_dir {
                 Some(dir) if dir.is_dir() => Ok(Self::Import(dir.clone())),
-                Some(dir) => Err(Error::io(dir, "open folder", std::io::ErrorKind::NotFound.into())),
+                Some(dir) => Err(Error::io(
+                    dir,
+                    "open folder",
+                    std::io::ErrorKind::NotFound.into(),
+                )),
                 None => Err(Error::config(
                     "features.import_dir",
                     "nothing",
@@ -104,13 +108,25 @@ impl Extractor {
     }
 
     fn mobilenet(path: &Path, device: &Device) -> Result<Self> {
-        let net = mobilenet::FoldedNet::new(&mobilenet::MobileNetV2::load(path, &device.clone().inner())?);
-        Ok(Self::MobileNetV2 { net: Box::new(net), path: path.to_owned(), hash: file_digest(path)? })
+        let net = mobilenet::FoldedNet::new(&mobilenet::MobileNetV2::load(
+            path,
+            &device.clone().inner(),
+        )?);
+        Ok(Self::MobileNetV2 {
+            net: Box::new(net),
+            path: path.to_owned(),
+            hash: file_digest(path)?,
+        })
     }
 
     fn dino(path: &Path, final_norm: bool) -> Result<Self> {
         let net = dino::Vit::load(path)?.with_final_norm(final_norm);
-        Ok(Self::Dino { net: Box::new(net), path: path.to_owned(), hash: file_digest(path)?, final_norm })
+        Ok(Self::Dino {
+            net: Box::new(net),
+            path: path.to_owned(),
+            hash: file_digest(path)?,
+            final_norm,
+        })
     }
 
     /// Name for reports: `descriptor`, `mobilenetv2 FILE`, `dino FILE` or `imported DIR`.
@@ -136,7 +152,11 @@ impl Extractor {
     }
 
     /// The maps of the view of this name, whose photo `pixels` gives where it is looked at.
-    fn maps_of(&self, name: &str, pixels: impl FnOnce() -> Result<Arc<RgbImage>>) -> Result<[FeatureMap; SCALES]> {
+    fn maps_of(
+        &self,
+        name: &str,
+        pixels: impl FnOnce() -> Result<Arc<RgbImage>>,
+    ) -> Result<[FeatureMap; SCALES]> {
         match self {
             Self::Descriptor => Ok(descriptor::describe(&*pixels()?)),
             Self::MobileNetV2 { net, .. } => net.maps(&*pixels()?),
@@ -150,7 +170,9 @@ impl Extractor {
         match self {
             Self::Descriptor => Some(descriptor::VERSION.into()),
             Self::MobileNetV2 { hash, .. } => Some(format!("{} {hash}", mobilenet::VERSION)),
-            Self::Dino { hash, final_norm, .. } => Some(format!("{} {hash} norm {final_norm}", dino::VERSION)),
+            Self::Dino {
+                hash, final_norm, ..
+            } => Some(format!("{} {hash} norm {final_norm}", dino::VERSION)),
             Self::Import(_) => None,
         }
     }

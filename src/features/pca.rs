@@ -24,7 +24,12 @@ pub struct Moments {
 impl Moments {
     /// Of no rows yet, with `channels` columns.
     pub fn new(channels: usize) -> Self {
-        Self { count: 0.0, mean: vec![0.0; channels], scatter: DMatrix::zeros(channels, channels), largest: 0.0 }
+        Self {
+            count: 0.0,
+            mean: vec![0.0; channels],
+            scatter: DMatrix::zeros(channels, channels),
+            largest: 0.0,
+        }
     }
 
     /// Adds rows, `[n, channels]` row-major; `what` names them in errors.
@@ -42,7 +47,10 @@ impl Moments {
         }
         // Blocks are independent; groups of them bound the memory, and merging follows the row order.
         for group in rows.chunks(BLOCK * channels * 16) {
-            let parts: Vec<Self> = group.par_chunks(BLOCK * channels).map(|b| Self::of_block(b, channels)).collect();
+            let parts: Vec<Self> = group
+                .par_chunks(BLOCK * channels)
+                .map(|b| Self::of_block(b, channels))
+                .collect();
             for part in &parts {
                 self.merge(part);
             }
@@ -61,9 +69,16 @@ impl Moments {
             }
         }
         mean.iter_mut().for_each(|m| *m /= n as f64);
-        let centred = DMatrix::from_fn(channels, n, |c, r| f64::from(rows[r * channels + c]) - mean[c]);
+        let centred = DMatrix::from_fn(channels, n, |c, r| {
+            f64::from(rows[r * channels + c]) - mean[c]
+        });
         let scatter = &centred * centred.transpose();
-        Self { count: n as f64, mean, scatter, largest }
+        Self {
+            count: n as f64,
+            mean,
+            scatter,
+            largest,
+        }
     }
 
     fn merge(&mut self, other: &Self) {
@@ -71,9 +86,19 @@ impl Moments {
         if other.count == 0.0 {
             return;
         }
-        let delta: Vec<f64> = other.mean.iter().zip(&self.mean).map(|(b, a)| b - a).collect();
+        let delta: Vec<f64> = other
+            .mean
+            .iter()
+            .zip(&self.mean)
+            .map(|(b, a)| b - a)
+            .collect();
         let weight = self.count * other.count / total;
-        for (j, column) in self.scatter.as_mut_slice().chunks_exact_mut(delta.len().max(1)).enumerate() {
+        for (j, column) in self
+            .scatter
+            .as_mut_slice()
+            .chunks_exact_mut(delta.len().max(1))
+            .enumerate()
+        {
             let other = &other.scatter.as_slice()[j * delta.len()..][..delta.len()];
             for ((s, &o), &d) in column.iter_mut().zip(other).zip(&delta) {
                 *s += o + weight * d * delta[j];
@@ -118,13 +143,26 @@ impl Pca {
         let channels = moments.mean.len();
         if channels == 0 {
             let (mean, components, variances) = (vec![], vec![], vec![]);
-            return Self { channels, dimensions, rank: 0, mean, components, variances, explained: 1.0, floor: 0.0 };
+            return Self {
+                channels,
+                dimensions,
+                rank: 0,
+                mean,
+                components,
+                variances,
+                explained: 1.0,
+                floor: 0.0,
+            };
         }
         let covariance = &moments.scatter / moments.count.max(1.0);
         let total: f64 = covariance.diagonal().iter().sum();
         let eigen = SymmetricEigen::new(covariance);
         let mut order: Vec<usize> = (0..channels).collect();
-        order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]).then(a.cmp(&b)));
+        order.sort_by(|&a, &b| {
+            eigen.eigenvalues[b]
+                .total_cmp(&eigen.eigenvalues[a])
+                .then(a.cmp(&b))
+        });
         let first = order.first().map_or(0.0, |&i| eigen.eigenvalues[i]);
         let rounding = moments.largest * f64::from(f32::EPSILON);
         let floor = (first * 1e-10).max(rounding * rounding);
@@ -133,14 +171,29 @@ impl Pca {
         let mut components = Vec::with_capacity(order.len() * channels);
         for &i in &order {
             let v = eigen.eigenvectors.column(i);
-            let peak = v.iter().fold(0.0_f64, |a, &b| if b.abs() > a.abs() { b } else { a });
+            let peak = v
+                .iter()
+                .fold(0.0_f64, |a, &b| if b.abs() > a.abs() { b } else { a });
             components.extend(v.iter().map(|x| x * peak.signum()));
         }
         let variances: Vec<f64> = order.iter().map(|&i| eigen.eigenvalues[i]).collect();
         let kept: f64 = variances.iter().sum();
-        let explained = if total > 0.0 { (kept / total).min(1.0) } else { 1.0 };
+        let explained = if total > 0.0 {
+            (kept / total).min(1.0)
+        } else {
+            1.0
+        };
         let (mean, floor) = (moments.mean.clone(), floor.sqrt());
-        Self { channels, dimensions, rank: order.len(), mean, components, variances, explained, floor }
+        Self {
+            channels,
+            dimensions,
+            rank: order.len(),
+            mean,
+            components,
+            variances,
+            explained,
+            floor,
+        }
     }
 
     /// Each cell centred and projected, then divided by its Euclidean norm: `[h, w, dimensions]`. A cell that projects
@@ -153,7 +206,10 @@ impl Pca {
         map.check(what)?;
         check_channels(what, map.channels, self.channels)?;
         let (c, d, rank) = (self.channels, self.dimensions, self.rank);
-        let mut out = FeatureMap { steps: map.steps, ..FeatureMap::zeros(map.height, map.width, d) };
+        let mut out = FeatureMap {
+            steps: map.steps,
+            ..FeatureMap::zeros(map.height, map.width, d)
+        };
         // [channels, rank], so that the inner loop runs over outputs.
         let mut basis = vec![0.0_f64; c * rank];
         for (k, component) in self.components.chunks_exact(c.max(1)).enumerate() {
@@ -164,24 +220,30 @@ impl Pca {
         if c == 0 || rank == 0 {
             return Ok(out);
         }
-        out.data.par_chunks_exact_mut(d).zip(map.data.par_chunks_exact(c)).with_min_len(256).for_each_init(
-            || vec![0.0_f64; rank],
-            |sum, (out, cell)| {
-                sum.fill(0.0);
-                for ((&x, &m), basis) in cell.iter().zip(&self.mean).zip(basis.chunks_exact(rank)) {
-                    let x = f64::from(x) - m;
-                    for (s, &b) in sum.iter_mut().zip(basis) {
-                        *s += x * b;
+        out.data
+            .par_chunks_exact_mut(d)
+            .zip(map.data.par_chunks_exact(c))
+            .with_min_len(256)
+            .for_each_init(
+                || vec![0.0_f64; rank],
+                |sum, (out, cell)| {
+                    sum.fill(0.0);
+                    for ((&x, &m), basis) in
+                        cell.iter().zip(&self.mean).zip(basis.chunks_exact(rank))
+                    {
+                        let x = f64::from(x) - m;
+                        for (s, &b) in sum.iter_mut().zip(basis) {
+                            *s += x * b;
+                        }
                     }
-                }
-                let norm = sum.iter().map(|s| s * s).sum::<f64>().sqrt();
-                if norm > self.floor {
-                    for (o, s) in out.iter_mut().zip(&*sum) {
-                        *o = (s / norm) as f32;
+                    let norm = sum.iter().map(|s| s * s).sum::<f64>().sqrt();
+                    if norm > self.floor {
+                        for (o, s) in out.iter_mut().zip(&*sum) {
+                            *o = (s / norm) as f32;
+                        }
                     }
-                }
-            },
-        );
+                },
+            );
         Ok(out)
     }
 }

@@ -40,7 +40,14 @@ pub struct ProbeSettings {
 
 impl Default for ProbeSettings {
     fn default() -> Self {
-        Self { pixels_per_view: 500, test_stride: 3, epochs: 30, lr: 1e-2, decay: 1e-4, seed: 0 }
+        Self {
+            pixels_per_view: 500,
+            test_stride: 3,
+            epochs: 30,
+            lr: 1e-2,
+            decay: 1e-4,
+            seed: 0,
+        }
     }
 }
 
@@ -70,12 +77,22 @@ pub fn linear_probe(
     test: &[ProbeView],
     settings: &ProbeSettings,
 ) -> Result<ProbeScore> {
-    let dimensions = train.first().map_or(0, |v| v.maps.iter().map(|m| m.channels).sum());
+    let dimensions = train
+        .first()
+        .map_or(0, |v| v.maps.iter().map(|m| m.channels).sum());
     for view in train.iter().chain(test) {
         let found: usize = view.maps.iter().map(|m| m.channels).sum();
         if found != dimensions || dimensions == 0 {
-            let (found, wanted) = (format!("{found} channels"), format!("{dimensions} (the first view's), not 0"));
-            return Err(Error::argument("linear probe", found, wanted, "give every view the same maps"));
+            let (found, wanted) = (
+                format!("{found} channels"),
+                format!("{dimensions} (the first view's), not 0"),
+            );
+            return Err(Error::argument(
+                "linear probe",
+                found,
+                wanted,
+                "give every view the same maps",
+            ));
         }
     }
     let mut drawn = gather(classes, train, dimensions, |view, truth| {
@@ -86,7 +103,12 @@ pub fn linear_probe(
     let mut scored = gather(classes, test, dimensions, |_, truth| {
         let step = settings.test_stride.max(1);
         let rows = (step / 2..truth.height).step_by(step);
-        rows.flat_map(|y| (step / 2..truth.width).step_by(step).map(move |x| y * truth.width + x)).collect()
+        rows.flat_map(|y| {
+            (step / 2..truth.width)
+                .step_by(step)
+                .map(move |x| y * truth.width + x)
+        })
+        .collect()
     });
     if drawn.classes.is_empty() || scored.classes.is_empty() {
         return Err(Error::argument(
@@ -123,7 +145,8 @@ impl Samples {
         DMatrix::from_iterator(
             width,
             rows.len(),
-            rows.iter().flat_map(|&r| self.values[r * width..][..width].iter().copied()),
+            rows.iter()
+                .flat_map(|&r| self.values[r * width..][..width].iter().copied()),
         )
     }
 }
@@ -138,10 +161,15 @@ fn gather(
         .par_iter()
         .enumerate()
         .map(|(n, view)| {
-            let mut part = Samples { values: vec![], classes: vec![] };
+            let mut part = Samples {
+                values: vec![],
+                classes: vec![],
+            };
             let (w, h) = (view.truth.width, view.truth.height);
             for pixel in choose(n, view.truth) {
-                let Some(class) = classes.index(view.truth.ids[pixel]) else { continue };
+                let Some(class) = classes.index(view.truth.ids[pixel]) else {
+                    continue;
+                };
                 let (u, v) = ((pixel % w) as f64 + 0.5, (pixel / w) as f64 + 0.5);
                 let start = part.values.len();
                 part.values.resize(start + dimensions + 1, 0.0);
@@ -157,7 +185,10 @@ fn gather(
             part
         })
         .collect();
-    let mut all = Samples { values: vec![], classes: vec![] };
+    let mut all = Samples {
+        values: vec![],
+        classes: vec![],
+    };
     for part in parts {
         all.values.extend(part.values);
         all.classes.extend(part.classes);
@@ -171,19 +202,35 @@ fn spread(values: &[f32], dimensions: usize) -> (Vec<f32>, Vec<f32>) {
     let n = rows.len() as f64;
     let (mut sum, mut squares) = (vec![0.0_f64; dimensions], vec![0.0_f64; dimensions]);
     for row in rows.clone() {
-        row.iter().zip(&mut sum).for_each(|(&x, s)| *s += f64::from(x) / n);
+        row.iter()
+            .zip(&mut sum)
+            .for_each(|(&x, s)| *s += f64::from(x) / n);
     }
     for row in rows {
         for ((&x, m), s) in row.iter().zip(&sum).zip(&mut squares) {
             *s += (f64::from(x) - m).powi(2) / n;
         }
     }
-    let scale = squares.iter().map(|&v| if v > 1e-14 { (1.0 / v.sqrt()) as f32 } else { 0.0 }).collect();
+    let scale = squares
+        .iter()
+        .map(|&v| {
+            if v > 1e-14 {
+                (1.0 / v.sqrt()) as f32
+            } else {
+                0.0
+            }
+        })
+        .collect();
     (sum.iter().map(|&m| m as f32).collect(), scale)
 }
 
 /// Weights `[classes, dimensions + 1]`.
-fn fit(samples: &Samples, dimensions: usize, classes: usize, settings: &ProbeSettings) -> DMatrix<f32> {
+fn fit(
+    samples: &Samples,
+    dimensions: usize,
+    classes: usize,
+    settings: &ProbeSettings,
+) -> DMatrix<f32> {
     let width = dimensions + 1;
     let mut weights = DMatrix::<f32>::zeros(classes, width);
     let (mut m, mut v) = (weights.clone(), weights.clone());
@@ -191,7 +238,11 @@ fn fit(samples: &Samples, dimensions: usize, classes: usize, settings: &ProbeSet
     let steps = settings.epochs * order.len().div_ceil(BATCH);
     let mut step = 0_i32;
     for epoch in 0..settings.epochs {
-        order.shuffle(&mut random::stream(settings.seed, Purpose::ProbeOrder, epoch as u64));
+        order.shuffle(&mut random::stream(
+            settings.seed,
+            Purpose::ProbeOrder,
+            epoch as u64,
+        ));
         for rows in order.chunks(BATCH) {
             let x = samples.batch(rows, width);
             let mut residual = softmax(&weights * &x);
@@ -200,9 +251,16 @@ fn fit(samples: &Samples, dimensions: usize, classes: usize, settings: &ProbeSet
             }
             let gradient = residual * x.transpose() / rows.len() as f32 + &weights * settings.decay;
             step += 1;
-            let lr = 0.5 * settings.lr * (1.0 + (std::f32::consts::PI * step as f32 / steps as f32).cos());
+            let lr = 0.5
+                * settings.lr
+                * (1.0 + (std::f32::consts::PI * step as f32 / steps as f32).cos());
             let (c1, c2) = (1.0 - 0.9_f32.powi(step), 1.0 - 0.999_f32.powi(step));
-            for (((w, &g), m), v) in weights.iter_mut().zip(gradient.iter()).zip(m.iter_mut()).zip(v.iter_mut()) {
+            for (((w, &g), m), v) in weights
+                .iter_mut()
+                .zip(gradient.iter())
+                .zip(m.iter_mut())
+                .zip(v.iter_mut())
+            {
                 *m = 0.9 * *m + 0.1 * g;
                 *v = 0.999 * *v + 0.001 * g * g;
                 *w -= lr * (*m / c1) / ((*v / c2).sqrt() + 1e-8);
@@ -222,14 +280,22 @@ fn softmax(mut logits: DMatrix<f32>) -> DMatrix<f32> {
     logits
 }
 
-fn score(samples: &Samples, weights: &DMatrix<f32>, dimensions: usize, trained: usize) -> ProbeScore {
+fn score(
+    samples: &Samples,
+    weights: &DMatrix<f32>,
+    dimensions: usize,
+    trained: usize,
+) -> ProbeScore {
     let (classes, width) = (weights.nrows(), dimensions + 1);
     let rows: Vec<usize> = (0..samples.classes.len()).collect();
     let predicted: Vec<usize> = rows
         .par_chunks(BATCH)
         .flat_map_iter(|rows| {
             let logits = weights * samples.batch(rows, width);
-            logits.column_iter().map(|c| c.argmax().0).collect::<Vec<_>>()
+            logits
+                .column_iter()
+                .map(|c| c.argmax().0)
+                .collect::<Vec<_>>()
         })
         .collect();
     let mut confusion = Confusion::new(classes);

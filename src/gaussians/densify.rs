@@ -28,13 +28,18 @@ pub struct DensityStats {
 impl DensityStats {
     /// Nothing gathered yet, for `n` Gaussians.
     pub fn new(n: usize) -> Self {
-        Self { gradient: vec![0.0; n], visible: vec![0; n] }
+        Self {
+            gradient: vec![0.0; n],
+            visible: vec![0; n],
+        }
     }
 
     /// Adds one iteration: `screen_gradient` is `[N, 2]` row-major, `radii` `[N]` with 0 for culled Gaussians.
     pub fn record(&mut self, screen_gradient: &[f32], radii: &[u32]) {
         let rows = screen_gradient.chunks_exact(2).zip(radii);
-        for ((sum, count), (g, &radius)) in self.gradient.iter_mut().zip(&mut self.visible).zip(rows) {
+        for ((sum, count), (g, &radius)) in
+            self.gradient.iter_mut().zip(&mut self.visible).zip(rows)
+        {
             if radius > 0 {
                 *sum += g[0].hypot(g[1]);
                 *count += 1;
@@ -44,7 +49,11 @@ impl DensityStats {
 
     /// Mean over the iterations in which Gaussian `i` was visible; 0 when it never was.
     pub fn mean(&self, i: usize) -> f32 {
-        if self.visible[i] == 0 { 0.0 } else { self.gradient[i] / self.visible[i] as f32 }
+        if self.visible[i] == 0 {
+            0.0
+        } else {
+            self.gradient[i] / self.visible[i] as f32
+        }
     }
 }
 
@@ -64,7 +73,10 @@ pub struct SizeLimit {
 impl SizeLimit {
     /// The limit of a Gaussian at `mean`, world units.
     pub fn at(&self, mean: &[f32; 3]) -> f32 {
-        self.share * self.extent.max(Vec3::from(*mean).distance(Vec3::from(self.center)))
+        self.share
+            * self
+                .extent
+                .max(Vec3::from(*mean).distance(Vec3::from(self.center)))
     }
 }
 
@@ -108,7 +120,11 @@ pub struct RowPlan {
 }
 
 fn largest_scale(log_scales: &[f32; 3]) -> f32 {
-    log_scales.iter().copied().fold(f32::NEG_INFINITY, f32::max).exp()
+    log_scales
+        .iter()
+        .copied()
+        .fold(f32::NEG_INFINITY, f32::max)
+        .exp()
 }
 
 fn sigmoid(x: f32) -> f32 {
@@ -123,7 +139,11 @@ impl RowPlan {
     ///
     /// # Errors
     /// [`Error::Limit`] when the statistics are not those of these Gaussians.
-    pub fn new<'a>(gaussians: impl Into<Geometry<'a>>, stats: &DensityStats, rules: &DensityRules) -> Result<Self> {
+    pub fn new<'a>(
+        gaussians: impl Into<Geometry<'a>>,
+        stats: &DensityStats,
+        rules: &DensityRules,
+    ) -> Result<Self> {
         let gaussians = gaussians.into();
         let n = gaussians.len();
         if stats.gradient.len() != n || stats.visible.len() != n {
@@ -135,13 +155,25 @@ impl RowPlan {
             });
         }
         let scales: Vec<f32> = gaussians.log_scales.iter().map(largest_scale).collect();
-        let opaque: Vec<bool> = gaussians.opacity_logits.iter().map(|&o| sigmoid(o) >= rules.prune_opacity).collect();
+        let opaque: Vec<bool> = gaussians
+            .opacity_logits
+            .iter()
+            .map(|&o| sigmoid(o) >= rules.prune_opacity)
+            .collect();
         let splits = |i: usize| scales[i] > rules.clone_below;
-        let limits: Vec<f32> = gaussians.means.iter().map(|mean| rules.prune_scale.at(mean)).collect();
+        let limits: Vec<f32> = gaussians
+            .means
+            .iter()
+            .map(|mean| rules.prune_scale.at(mean))
+            .collect();
         let fits = |i: usize| scales[i] <= limits[i];
         // A split saves a Gaussian that is too large if its children are not.
         let grows = |i: usize| {
-            let scale = if splits(i) { scales[i] / SPLIT_SCALE } else { scales[i] };
+            let scale = if splits(i) {
+                scales[i] / SPLIT_SCALE
+            } else {
+                scales[i]
+            };
             stats.mean(i) >= rules.threshold && opaque[i] && scale <= limits[i]
         };
         let mut grown: Vec<usize> = (0..n).filter(|&i| grows(i)).collect();
@@ -162,32 +194,53 @@ impl RowPlan {
         }
         let mut grow = vec![false; n];
         grown.iter().for_each(|&i| grow[i] = true);
-        let (cloned, split): (Vec<usize>, Vec<usize>) = grown.into_iter().partition(|&i| !splits(i));
+        let (cloned, split): (Vec<usize>, Vec<usize>) =
+            grown.into_iter().partition(|&i| !splits(i));
         let mut rows: Vec<(u32, Origin)> = (0..n)
-            .filter(|&i| if grow[i] { !splits(i) } else { opaque[i] && fits(i) })
+            .filter(|&i| {
+                if grow[i] {
+                    !splits(i)
+                } else {
+                    opaque[i] && fits(i)
+                }
+            })
             .map(|i| (i as u32, Origin::Kept))
             .collect();
         let kept = rows.len();
         rows.extend(cloned.iter().map(|&i| (i as u32, Origin::Clone)));
         rows.extend(split.iter().flat_map(|&i| [(i as u32, Origin::Child); 2]));
-        Ok(Self { pruned: n - kept - split.len(), cloned: cloned.len(), split: split.len(), rows })
+        Ok(Self {
+            pruned: n - kept - split.len(),
+            cloned: cloned.len(),
+            split: split.len(),
+            rows,
+        })
     }
 
     /// Old row of each new one, and whether its moments begin at zero.
     pub fn sources(&self) -> impl Iterator<Item = (u32, bool)> {
-        self.rows.iter().map(|&(row, origin)| (row, origin != Origin::Kept))
+        self.rows
+            .iter()
+            .map(|&(row, origin)| (row, origin != Origin::Kept))
     }
 
     /// Means and log-scales of the new Gaussians, which have all else of their old rows. Children are drawn from their
     /// parent's distribution, in row order, with scales / 1.6.
-    pub fn placed(&self, old: Geometry<'_>, rng: &mut ChaCha8Rng) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
+    pub fn placed(
+        &self,
+        old: Geometry<'_>,
+        rng: &mut ChaCha8Rng,
+    ) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
         let place = |&(row, origin): &(u32, Origin)| {
             let i = row as usize;
             let (mean, log_scales) = (&old.means[i], &old.log_scales[i]);
             if origin != Origin::Child {
                 return (*mean, *log_scales);
             }
-            (sample(mean, log_scales, &old.rotations[i], rng), log_scales.map(|s| s - SPLIT_SCALE.ln()))
+            (
+                sample(mean, log_scales, &old.rotations[i], rng),
+                log_scales.map(|s| s - SPLIT_SCALE.ln()),
+            )
         };
         self.rows.iter().map(place).unzip()
     }
@@ -196,7 +249,11 @@ impl RowPlan {
     pub fn gaussians(&self, old: &Gaussians, rng: &mut ChaCha8Rng) -> Gaussians {
         let (means, log_scales) = self.placed(old.into(), rng);
         let rows: Vec<u32> = self.rows.iter().map(|&(row, _)| row).collect();
-        Gaussians { means, log_scales, ..old.select(&rows) }
+        Gaussians {
+            means,
+            log_scales,
+            ..old.select(&rows)
+        }
     }
 
     /// Optimiser moments of the new rows: `old` is `[N, width]` row-major; those of new Gaussians are zero.
@@ -212,10 +269,17 @@ impl RowPlan {
 }
 
 /// One sample of the Gaussian: mean + R diag(scales) z, z standard normal.
-fn sample(mean: &[f32; 3], log_scales: &[f32; 3], quaternion: &[f32; 4], rng: &mut ChaCha8Rng) -> [f32; 3] {
+fn sample(
+    mean: &[f32; 3],
+    log_scales: &[f32; 3],
+    quaternion: &[f32; 4],
+    rng: &mut ChaCha8Rng,
+) -> [f32; 3] {
     let mut z = [0.0; 3];
     z.iter_mut().for_each(|z| *z = standard_normal(rng));
-    let local = glam::DVec3::from_array(std::array::from_fn(|k| z[k] * f64::from(log_scales[k]).exp()));
+    let local = glam::DVec3::from_array(std::array::from_fn(|k| {
+        z[k] * f64::from(log_scales[k]).exp()
+    }));
     let moved = rotation(quaternion) * local;
     std::array::from_fn(|k| (f64::from(mean[k]) + moved[k]) as f32)
 }

@@ -30,10 +30,15 @@ const AT_ONCE: usize = 16;
 /// # Errors
 /// Those of [`crate::data::Photo::pixels`].
 pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Points> {
-    let views: Vec<&View> = views.iter().copied().filter(|v| v.camera.width > 0 && v.camera.height > 0).collect();
+    let views: Vec<&View> = views
+        .iter()
+        .copied()
+        .filter(|v| v.camera.width > 0 && v.camera.height > 0)
+        .collect();
     // Views that masks leave out altogether still tell the focus distance.
-    let used: Vec<usize> =
-        (0..views.len()).filter(|&i| views[i].mask.as_ref().is_none_or(|mask| mask.kept() > 0)).collect();
+    let used: Vec<usize> = (0..views.len())
+        .filter(|&i| views[i].mask.as_ref().is_none_or(|mask| mask.kept() > 0))
+        .collect();
     if used.is_empty() {
         return Ok(Points::default());
     }
@@ -49,10 +54,21 @@ pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Poi
                 let pixel = mask.nth(rng.random_range(0..mask.kept()))?;
                 Some((pixel % mask.width(), pixel / mask.width()))
             });
-            let (x, y) =
-                ranked.unwrap_or_else(|| (rng.random_range(0..camera.width), rng.random_range(0..camera.height)));
+            let (x, y) = ranked.unwrap_or_else(|| {
+                (
+                    rng.random_range(0..camera.width),
+                    rng.random_range(0..camera.height),
+                )
+            });
             let offset = rng.random();
-            Drawn { view, x: x as u32, y: y as u32, offset, color: [0; 3], differences: Vec::new() }
+            Drawn {
+                view,
+                x: x as u32,
+                y: y as u32,
+                offset,
+                color: [0; 3],
+                differences: Vec::new(),
+            }
         })
         .collect();
     let at = |drawn: &Drawn, k: usize| {
@@ -64,18 +80,25 @@ pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Poi
     each_photo(&views, |first, photos| {
         drawn.par_iter_mut().for_each(|drawn| {
             if let Some(photo) = drawn.view.checked_sub(first).and_then(|i| photos.get(i)) {
-                drawn.color = photo.get_pixel_checked(drawn.x, drawn.y).map_or([0; 3], |p| p.0);
+                drawn.color = photo
+                    .get_pixel_checked(drawn.x, drawn.y)
+                    .map_or([0; 3], |p| p.0);
             }
         });
     })?;
     each_photo(&views, |first, photos| {
         drawn.par_iter_mut().for_each(|drawn| {
             let here = first..first + photos.len();
-            let here: Vec<usize> = witnesses[drawn.view].iter().copied().filter(|w| here.contains(w)).collect();
+            let here: Vec<usize> = witnesses[drawn.view]
+                .iter()
+                .copied()
+                .filter(|w| here.contains(w))
+                .collect();
             for k in (0..DEPTHS).filter(|_| !here.is_empty()) {
                 let position = at(drawn, k);
                 let seen = here.iter().filter_map(|&w| {
-                    let difference = difference(views[w], &photos[w - first], position, drawn.color)?;
+                    let difference =
+                        difference(views[w], &photos[w - first], position, drawn.color)?;
                     Some((k as u8, difference))
                 });
                 drawn.differences.extend(seen);
@@ -91,9 +114,13 @@ pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Poi
                 .chunk_by(|a, b| a.0 == b.0)
                 .map(|of_depth| (disagreement(of_depth), usize::from(of_depth[0].0)));
             // a pixel that no other view sees keeps a depth that is as random as its offset
-            let chosen =
-                judged.min_by(|a, b| a.0.total_cmp(&b.0)).map_or((drawn.offset * DEPTHS as f64) as usize, |(_, k)| k);
-            (at(&drawn, chosen).as_vec3().to_array(), drawn.color.map(|c| f32::from(c) / 255.0))
+            let chosen = judged
+                .min_by(|a, b| a.0.total_cmp(&b.0))
+                .map_or((drawn.offset * DEPTHS as f64) as usize, |(_, k)| k);
+            (
+                at(&drawn, chosen).as_vec3().to_array(),
+                drawn.color.map(|c| f32::from(c) / 255.0),
+            )
         })
         .collect();
     let (positions, colors) = placed.into_iter().unzip();
@@ -116,7 +143,10 @@ struct Drawn {
 /// Has `look` see the photos of all views, a few at a time: number of the first, and these.
 fn each_photo(views: &[&View], mut look: impl FnMut(usize, &[Arc<RgbImage>])) -> Result<()> {
     for (batch, views) in views.chunks(AT_ONCE).enumerate() {
-        let photos = views.par_iter().map(|view| view.image.pixels()).collect::<Result<Vec<_>>>()?;
+        let photos = views
+            .par_iter()
+            .map(|view| view.image.pixels())
+            .collect::<Result<Vec<_>>>()?;
         look(batch * AT_ONCE, &photos);
     }
     Ok(())
@@ -141,24 +171,41 @@ fn difference(view: &View, photo: &RgbImage, position: DVec3, color: [u8; 3]) ->
     if u < 0.0 || v < 0.0 {
         return None;
     }
-    if view.mask.as_ref().is_some_and(|mask| !mask.uses(v as usize * view.camera.width + u as usize)) {
+    if view
+        .mask
+        .as_ref()
+        .is_some_and(|mask| !mask.uses(v as usize * view.camera.width + u as usize))
+    {
         return None;
     }
     let pixel = photo.get_pixel_checked(u as u32, v as u32)?;
-    Some(pixel.0.iter().zip(color).map(|(&a, b)| u16::from(a.abs_diff(b))).sum())
+    Some(
+        pixel
+            .0
+            .iter()
+            .zip(color)
+            .map(|(&a, b)| u16::from(a.abs_diff(b)))
+            .sum(),
+    )
 }
 
 /// Mean over the better half of the differences of a depth, which ascend.
 fn disagreement(differences: &[(u8, u16)]) -> f64 {
     let half = differences.len().div_ceil(2);
-    let sum: u32 = differences[..half].iter().map(|(_, difference)| u32::from(*difference)).sum();
+    let sum: u32 = differences[..half]
+        .iter()
+        .map(|(_, difference)| u32::from(*difference))
+        .sum();
     f64::from(sum) / half as f64
 }
 
 /// Median depth of the point nearest to all optical axes, or ten baselines where that point is not in front.
 fn focus_distance(views: &[&View]) -> f64 {
     let mean = views.iter().map(|v| v.camera.center).sum::<DVec3>() / views.len() as f64;
-    let baseline = views.iter().map(|v| v.camera.center.distance(mean)).fold(0.0, f64::max);
+    let baseline = views
+        .iter()
+        .map(|v| v.camera.center.distance(mean))
+        .fold(0.0, f64::max);
     let fallback = if baseline > 0.0 { 10.0 * baseline } else { 1.0 };
     // normal equations of sum |(I - d d^T) (x - c)|^2
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
@@ -176,5 +223,9 @@ fn focus_distance(views: &[&View]) -> f64 {
     let mut depths: Vec<f64> = views.iter().map(|v| v.camera.to_camera(focus).z).collect();
     depths.sort_by(f64::total_cmp);
     let median = depths[depths.len() / 2];
-    if median.is_finite() && median > 0.1 * baseline { median } else { fallback }
+    if median.is_finite() && median > 0.1 * baseline {
+        median
+    } else {
+        fallback
+    }
 }

@@ -48,7 +48,11 @@ pub fn from_points(points: &Points, sh_degree: usize, extent: f64) -> Result<Gau
     }
     let log_scales = neighbour_distances(&points.positions)?
         .into_iter()
-        .map(|d| [d.unwrap_or(LONE_SCALE * extent).max(SCALE_FLOOR * extent).ln() as f32; 3])
+        .map(|d| {
+            [d.unwrap_or(LONE_SCALE * extent)
+                .max(SCALE_FLOOR * extent)
+                .ln() as f32; 3]
+        })
         .collect();
     Ok(Gaussians {
         means: points.positions.clone(),
@@ -88,13 +92,17 @@ fn neighbour_distances(positions: &[[f32; 3]]) -> Result<Vec<Option<f64>>> {
         mend: "thin the point cloud".into(),
     })?;
     let wanted = NonZero::new(NEIGHBOURS + 1).unwrap_or(NonZero::<usize>::MIN);
-    let found = tree.query_batch(&distinct).nearest_n::<SquaredEuclidean<f64>>(wanted).execute();
+    let found = tree
+        .query_batch(&distinct)
+        .nearest_n::<SquaredEuclidean<f64>>(wanted)
+        .execute();
     let distances: Vec<Option<f64>> = found
         .iter()
         .map(|hits| {
             // the point itself is the one hit at distance 0
             let others = hits.len().saturating_sub(1);
-            (others > 0).then(|| (hits.iter().map(|h| h.distance).sum::<f64>() / others as f64).sqrt())
+            (others > 0)
+                .then(|| (hits.iter().map(|h| h.distance).sum::<f64>() / others as f64).sqrt())
         })
         .collect();
     Ok(slot.into_iter().map(|s| distances[s]).collect())

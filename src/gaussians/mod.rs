@@ -70,7 +70,11 @@ impl Gaussians {
             log_scales: pick(&self.log_scales, rows),
             rotations: pick(&self.rotations, rows),
             opacity_logits: pick(&self.opacity_logits, rows),
-            sh: rows.iter().flat_map(|&i| &self.sh[i as usize * width..][..width]).copied().collect(),
+            sh: rows
+                .iter()
+                .flat_map(|&i| &self.sh[i as usize * width..][..width])
+                .copied()
+                .collect(),
             sh_degree: self.sh_degree,
         }
     }
@@ -78,7 +82,10 @@ impl Gaussians {
     /// View-independent colours from the constant SH term, `[N, 3]` sRGB in 0..1.
     pub fn base_colors(&self) -> Vec<[f32; 3]> {
         let colour = |dc: &[f32]| [0, 1, 2].map(|c| (dc[c] * SH_0 + 0.5).clamp(0.0, 1.0));
-        self.sh.chunks_exact(3 * self.sh_len()).map(colour).collect()
+        self.sh
+            .chunks_exact(3 * self.sh_len())
+            .map(colour)
+            .collect()
     }
 
     /// The same Gaussians in these colours, sRGB in 0..1, one a Gaussian, wherever they are seen from.
@@ -88,8 +95,16 @@ impl Gaussians {
     #[must_use]
     pub fn painted(self, colors: &[[f32; 3]]) -> Self {
         assert_eq!(colors.len(), self.len(), "one colour a Gaussian");
-        let sh = colors.as_flattened().iter().map(|c| (c - 0.5) / SH_0).collect();
-        Self { sh, sh_degree: 0, ..self }
+        let sh = colors
+            .as_flattened()
+            .iter()
+            .map(|c| (c - 0.5) / SH_0)
+            .collect();
+        Self {
+            sh,
+            sh_degree: 0,
+            ..self
+        }
     }
 
     /// The same Gaussians with SH of `degree`: higher coefficients are zero where there were none, and dropped where there were.
@@ -104,7 +119,11 @@ impl Gaussians {
         for (to, from) in sh.chunks_exact_mut(new).zip(self.sh.chunks_exact(old)) {
             to[..shared].copy_from_slice(&from[..shared]);
         }
-        Self { sh, sh_degree: degree, ..self }
+        Self {
+            sh,
+            sh_degree: degree,
+            ..self
+        }
     }
 
     /// SH coefficients per colour channel, `(sh_degree + 1)^2`.
@@ -164,5 +183,9 @@ impl Gaussians {
 pub(crate) fn rotation(quaternion: &[f32; 4]) -> glam::DQuat {
     let [w, x, y, z] = quaternion.map(f64::from);
     let q = glam::DQuat::from_xyzw(x, y, z, w);
-    if q.length_squared() < 1e-12 { glam::DQuat::IDENTITY } else { q.normalize() }
+    if q.length_squared() < 1e-12 {
+        glam::DQuat::IDENTITY
+    } else {
+        q.normalize()
+    }
 }

@@ -47,15 +47,24 @@ impl Motion {
             let [w, x, y, z] = gaussians.rotations[i].map(f64::from);
             // The length of a raw quaternion stays as it is. One of no length stands for no rotation.
             let raw = DQuat::from_xyzw(x, y, z, w);
-            let raw = if raw.length_squared() < ZERO_QUATERNION { DQuat::IDENTITY } else { raw };
+            let raw = if raw.length_squared() < ZERO_QUATERNION {
+                DQuat::IDENTITY
+            } else {
+                raw
+            };
             let q = self.rotation * raw;
             gaussians.rotations[i] = [q.w, q.x, q.y, q.z].map(|v| v as f32);
             let own = &mut gaussians.sh[3 * width * i..][..3 * width];
-            let before: [[f64; 3]; TERMS] =
-                std::array::from_fn(|k| std::array::from_fn(|c| own.get(3 * k + c).map_or(0.0, |&v| f64::from(v))));
+            let before: [[f64; 3]; TERMS] = std::array::from_fn(|k| {
+                std::array::from_fn(|c| own.get(3 * k + c).map_or(0.0, |&v| f64::from(v)))
+            });
             for (k, coefficients) in own.chunks_exact_mut(3).enumerate() {
                 for (c, out) in coefficients.iter_mut().enumerate() {
-                    *out = sh[k].iter().zip(&before).map(|(d, b)| d * b[c]).sum::<f64>() as f32;
+                    *out = sh[k]
+                        .iter()
+                        .zip(&before)
+                        .map(|(d, b)| d * b[c])
+                        .sum::<f64>() as f32;
                 }
             }
         }
@@ -67,7 +76,8 @@ impl Motion {
         let mut matrix = [[0.0; TERMS]; TERMS];
         for [z, weight] in LEGENDRE {
             for longitude in 0..LONGITUDES {
-                let (sin, cos) = (longitude as f64 * std::f64::consts::TAU / LONGITUDES as f64).sin_cos();
+                let (sin, cos) =
+                    (longitude as f64 * std::f64::consts::TAU / LONGITUDES as f64).sin_cos();
                 let across = (1.0 - z * z).sqrt();
                 let direction = DVec3::new(across * cos, across * sin, z);
                 let share = weight * std::f64::consts::TAU / LONGITUDES as f64;

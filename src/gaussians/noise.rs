@@ -43,21 +43,27 @@ impl PositionNoise {
     pub fn applied(&self, splats: &Splats<'_, f32>, rng: &ChaCha8Rng) -> Vec<f32> {
         let key = philox_key(rng);
         let mut means = splats.means.to_vec();
-        let (log_scales, rotations) = (splats.log_scales.as_chunks::<3>().0, splats.rotations.as_chunks::<4>().0);
-        means.par_chunks_mut(3 * CHUNK).enumerate().for_each(|(chunk, means)| {
-            for (mean, i) in means.as_chunks_mut::<3>().0.iter_mut().zip(chunk * CHUNK..) {
-                let gate = self.gate(sigmoid(f64::from(splats.opacity_logits[i])));
-                if gate > f64::from(f32::EPSILON) {
-                    let noise = normals(key, i as u32);
-                    let variance = log_scales[i].map(|s| (2.0 * f64::from(s)).exp());
-                    let turn = rotation(&rotations[i]);
-                    // Sigma eta = R diag(variance) R^T eta
-                    let local = DVec3::from(variance) * (turn.inverse() * DVec3::from(noise));
-                    let moved = (turn * local * (self.scale * gate)).to_array();
-                    *mean = [0, 1, 2].map(|k| (f64::from(mean[k]) + moved[k]) as f32);
+        let (log_scales, rotations) = (
+            splats.log_scales.as_chunks::<3>().0,
+            splats.rotations.as_chunks::<4>().0,
+        );
+        means
+            .par_chunks_mut(3 * CHUNK)
+            .enumerate()
+            .for_each(|(chunk, means)| {
+                for (mean, i) in means.as_chunks_mut::<3>().0.iter_mut().zip(chunk * CHUNK..) {
+                    let gate = self.gate(sigmoid(f64::from(splats.opacity_logits[i])));
+                    if gate > f64::from(f32::EPSILON) {
+                        let noise = normals(key, i as u32);
+                        let variance = log_scales[i].map(|s| (2.0 * f64::from(s)).exp());
+                        let turn = rotation(&rotations[i]);
+                        // Sigma eta = R diag(variance) R^T eta
+                        let local = DVec3::from(variance) * (turn.inverse() * DVec3::from(noise));
+                        let moved = (turn * local * (self.scale * gate)).to_array();
+                        *mean = [0, 1, 2].map(|k| (f64::from(mean[k]) + moved[k]) as f32);
+                    }
                 }
-            }
-        });
+            });
         means
     }
 
@@ -66,7 +72,12 @@ impl PositionNoise {
     /// # Errors
     /// [`crate::Error::Device`] when tensors in host memory cannot be read.
     pub fn applied_to(&self, splats: &SplatTensors, rng: &ChaCha8Rng) -> Result<Tensor<2>> {
-        let SplatTensors { means, log_scales, rotations, opacity_logits } = splats.clone();
+        let SplatTensors {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+        } = splats.clone();
         #[cfg(feature = "cube")]
         if !in_host_memory(&means.device()) {
             let step = NoiseStep {
@@ -75,7 +86,11 @@ impl PositionNoise {
                 sharpness: self.sharpness as f32,
                 opacity: self.opacity as f32,
             };
-            return Ok(add_position_noise([means, log_scales, rotations], opacity_logits, step));
+            return Ok(add_position_noise(
+                [means, log_scales, rotations],
+                opacity_logits,
+                step,
+            ));
         }
         let (shape, device) = (means.dims(), means.device());
         let splats = Splats {
@@ -84,6 +99,9 @@ impl PositionNoise {
             rotations: &read("rotations", rotations)?,
             opacity_logits: &read("opacity_logits", opacity_logits)?,
         };
-        Ok(Tensor::from_data(TensorData::new(self.applied(&splats, rng), shape), &device))
+        Ok(Tensor::from_data(
+            TensorData::new(self.applied(&splats, rng), shape),
+            &device,
+        ))
     }
 }

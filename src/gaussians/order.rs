@@ -13,13 +13,27 @@ impl Gaussians {
     pub fn spatial_order(&self) -> Vec<u32> {
         let finite = |p: &&[f32; 3]| p.iter().all(|v| v.is_finite());
         let bound = |start: f32, pick: fn(f32, f32) -> f32| {
-            self.means.iter().filter(finite).fold([start; 3], |b, p| [0, 1, 2].map(|a| pick(b[a], p[a])))
+            self.means
+                .iter()
+                .filter(finite)
+                .fold([start; 3], |b, p| [0, 1, 2].map(|a| pick(b[a], p[a])))
         };
-        let (low, high) = (bound(f32::INFINITY, f32::min), bound(f32::NEG_INFINITY, f32::max));
-        let extent = (0..3).map(|a| f64::from(high[a]) - f64::from(low[a])).fold(0.0, f64::max);
-        let cells = if extent > 0.0 { f64::from((1_u32 << BITS) - 1) / extent } else { 0.0 };
+        let (low, high) = (
+            bound(f32::INFINITY, f32::min),
+            bound(f32::NEG_INFINITY, f32::max),
+        );
+        let extent = (0..3)
+            .map(|a| f64::from(high[a]) - f64::from(low[a]))
+            .fold(0.0, f64::max);
+        let cells = if extent > 0.0 {
+            f64::from((1_u32 << BITS) - 1) / extent
+        } else {
+            0.0
+        };
         let code = |p: &[f32; 3]| match finite(&p) {
-            true => (0..3).map(|a| spread(((f64::from(p[a]) - f64::from(low[a])) * cells) as u64) << a).sum(),
+            true => (0..3)
+                .map(|a| spread(((f64::from(p[a]) - f64::from(low[a])) * cells) as u64) << a)
+                .sum(),
             false => u64::MAX,
         };
         let codes: Vec<u64> = self.means.iter().map(code).collect();
@@ -38,7 +52,9 @@ fn spread(x: u64) -> u64 {
         (4, 0x10c3_0c30_c30c_30c3),
         (2, 0x1249_2492_4924_9249),
     ];
-    steps.iter().fold(x, |x, &(shift, mask)| (x | x << shift) & mask)
+    steps
+        .iter()
+        .fold(x, |x, &(shift, mask)| (x | x << shift) & mask)
 }
 
 #[cfg(test)]
@@ -57,16 +73,26 @@ mod tests {
     fn neighbours_in_space_are_neighbours_in_order() {
         let side = 16;
         let point = |i: usize| [i % side, i / side % side, i / side / side].map(|v| v as f32);
-        let mut means: Vec<[f32; 3]> = (0..side.pow(3)).map(|i| point(i * 1733 % side.pow(3))).collect();
+        let mut means: Vec<[f32; 3]> = (0..side.pow(3))
+            .map(|i| point(i * 1733 % side.pow(3)))
+            .collect();
         means.push([f32::NAN, 0.0, 0.0]);
-        let gaussians = Gaussians { means, ..Gaussians::default() };
+        let gaussians = Gaussians {
+            means,
+            ..Gaussians::default()
+        };
         let order = gaussians.spatial_order();
         assert_eq!(order.last(), Some(&(side.pow(3) as u32)));
         let mut sorted = order.clone();
         sorted.sort_unstable();
         assert!(sorted.into_iter().eq(0..=side.pow(3) as u32));
         let at = |k: usize| gaussians.means[order[k] as usize];
-        let far = |k: &usize| (0..3).map(|a| (at(*k)[a] - at(k + 1)[a]).abs()).sum::<f32>() > 3.0;
+        let far = |k: &usize| {
+            (0..3)
+                .map(|a| (at(*k)[a] - at(k + 1)[a]).abs())
+                .sum::<f32>()
+                > 3.0
+        };
         let jumps = (0..side.pow(3) - 1).filter(far).count();
         assert!(jumps < side.pow(3) / 10, "{jumps} jumps");
     }
@@ -74,7 +100,14 @@ mod tests {
     #[test]
     fn one_place_or_none_keeps_the_order() {
         let means = vec![[0.5, 1.0, 2.0]; 4];
-        assert_eq!(Gaussians { means, ..Gaussians::default() }.spatial_order(), [0, 1, 2, 3]);
+        assert_eq!(
+            Gaussians {
+                means,
+                ..Gaussians::default()
+            }
+            .spatial_order(),
+            [0, 1, 2, 3]
+        );
         assert!(Gaussians::default().spatial_order().is_empty());
     }
 }

@@ -37,12 +37,24 @@ pub struct PlyScene {
 /// # Errors
 /// [`Error::NonFinite`] naming tensor and row; [`Error::Argument`] when `labels` or a field has the wrong length;
 /// [`Error::Io`].
-pub fn write(path: &Path, gaussians: &Gaussians, origin: DVec3, labels: Option<&[u16]>) -> Result<()> {
+pub fn write(
+    path: &Path,
+    gaussians: &Gaussians,
+    origin: DVec3,
+    labels: Option<&[u16]>,
+) -> Result<()> {
     gaussians.check(labels)?;
     let names = column_names(gaussians.sh_degree, labels.is_some());
-    let world = gaussians.means.iter().map(|&m| DVec3::from(m.map(f64::from)) + origin);
+    let world = gaussians
+        .means
+        .iter()
+        .map(|&m| DVec3::from(m.map(f64::from)) + origin);
     let (_, size) = centre_and_size(world.clone());
-    let position = if float_loses(world, size) { ScalarType::Double } else { ScalarType::Float };
+    let position = if float_loses(world, size) {
+        ScalarType::Double
+    } else {
+        ScalarType::Float
+    };
     let columns: Vec<_> = names
         .into_iter()
         .enumerate()
@@ -104,17 +116,30 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
         // Normals carry nothing.
         *column = (!name.starts_with('n')).then_some(name);
     }
-    let mut scene = PlyScene { labels: labelled.then(Vec::new), ..PlyScene::default() };
+    let mut scene = PlyScene {
+        labels: labelled.then(Vec::new),
+        ..PlyScene::default()
+    };
     let mut positions: Vec<DVec3> = Vec::new();
     let names = columns.clone();
     file.read(&columns, |row, cells| {
         let bad = |column: usize, expected: &str, mend: &str| {
             let name = names[column].as_deref().unwrap_or_default();
-            Error::input(path, format!("row {row}, column {name}"), cells[column].to_string(), expected, mend)
+            Error::input(
+                path,
+                format!("row {row}, column {name}"),
+                cells[column].to_string(),
+                expected,
+                mend,
+            )
         };
         // What does not fit an f32 is as unusable as what is no number.
         if let Some(column) = cells.iter().position(|&v| !(v as f32).is_finite()) {
-            return Err(bad(column, "a finite number", "remove this Gaussian (splat-transform --filter-nan)"));
+            return Err(bad(
+                column,
+                "a finite number",
+                "remove this Gaussian (splat-transform --filter-nan)",
+            ));
         }
         let g = &mut scene.gaussians;
         positions.push(DVec3::new(cells[0], cells[1], cells[2]));
@@ -131,7 +156,11 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
             let column = 9 + 3 * rest + 8;
             let id = cells[column];
             if id.fract() != 0.0 || !(0.0..=65_535.0).contains(&id) {
-                return Err(bad(column, "a class id from 0 to 65535", "mend or drop the label column"));
+                return Err(bad(
+                    column,
+                    "a class id from 0 to 65535",
+                    "mend or drop the label column",
+                ));
             }
             labels.push(id as u16);
         }
@@ -139,7 +168,10 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
     })?;
     scene.gaussians.sh_degree = sh_degree;
     scene.origin = recorded.unwrap_or_else(|| origin_of(&positions));
-    scene.gaussians.means = positions.iter().map(|&p| (p - scene.origin).as_vec3().to_array()).collect();
+    scene.gaussians.means = positions
+        .iter()
+        .map(|&p| (p - scene.origin).as_vec3().to_array())
+        .collect();
     Ok(scene)
 }
 
@@ -161,9 +193,15 @@ fn expect_gaussians(file: &PlyFile) -> Result<()> {
     let expected = "3D Gaussians: x y z, f_dc_*, opacity, scale_*, rot_*";
     let has = |name: &str| file.scalar(name).is_some();
     let (found, mend) = if has("packed_position") {
-        ("a compressed scene", "uncompress it: splat-transform scene.compressed.ply scene.ply")
+        (
+            "a compressed scene",
+            "uncompress it: splat-transform scene.compressed.ply scene.ply",
+        )
     } else if has("x") && !has("f_dc_0") && !has("opacity") {
-        ("a point cloud", "give the Gaussians that were trained on it; as initial points a scene folder takes it")
+        (
+            "a point cloud",
+            "give the Gaussians that were trained on it; as initial points a scene folder takes it",
+        )
     } else {
         return Ok(());
     };
@@ -172,19 +210,27 @@ fn expect_gaussians(file: &PlyFile) -> Result<()> {
 
 fn sh_degree(file: &PlyFile) -> Result<usize> {
     let rest = file.names().filter(|n| n.starts_with("f_rest_")).count();
-    (0..=3).find(|d: &usize| 3 * ((d + 1).pow(2) - 1) == rest).ok_or_else(|| {
-        file.error(
-            "element vertex",
-            format!("{rest} columns f_rest_*"),
-            "0, 9, 24 or 45 of them (SH degree 0 to 3)",
-            "export with a whole SH degree",
-        )
-    })
+    (0..=3)
+        .find(|d: &usize| 3 * ((d + 1).pow(2) - 1) == rest)
+        .ok_or_else(|| {
+            file.error(
+                "element vertex",
+                format!("{rest} columns f_rest_*"),
+                "0, 9, 24 or 45 of them (SH degree 0 to 3)",
+                "export with a whole SH degree",
+            )
+        })
 }
 
 fn recorded_origin(file: &PlyFile) -> Option<DVec3> {
-    let text = file.comments().iter().find_map(|c| c.trim().strip_prefix(ORIGIN))?;
-    let values: Vec<f64> = text.split_whitespace().map_while(|v| v.parse().ok()).collect();
+    let text = file
+        .comments()
+        .iter()
+        .find_map(|c| c.trim().strip_prefix(ORIGIN))?;
+    let values: Vec<f64> = text
+        .split_whitespace()
+        .map_while(|v| v.parse().ok())
+        .collect();
     match values[..] {
         [x, y, z] if values.iter().all(|v| v.is_finite()) => Some(DVec3::new(x, y, z)),
         _ => None,
@@ -195,7 +241,10 @@ fn recorded_origin(file: &PlyFile) -> Option<DVec3> {
 fn centre_and_size(positions: impl Iterator<Item = DVec3> + Clone) -> (DVec3, f64) {
     let n = positions.clone().count().max(1) as f64;
     let centre = positions.clone().sum::<DVec3>() / n;
-    (centre, positions.map(|p| p.distance(centre)).sum::<f64>() / n)
+    (
+        centre,
+        positions.map(|p| p.distance(centre)).sum::<f64>() / n,
+    )
 }
 
 /// Whether rounding a position to float moves it by more than [`POSITION_LOSS`] of `size`.
@@ -208,5 +257,9 @@ fn origin_of(positions: &[DVec3]) -> DVec3 {
     let (centre, size) = centre_and_size(positions.iter().copied());
     // Float positions show no rounding, but their spacing far out may be coarse for the scene.
     let coarse = size > 0.0 && centre.length() * f64::from(f32::EPSILON) > POSITION_LOSS * size;
-    if coarse || float_loses(positions.iter().copied(), size) { centre } else { DVec3::ZERO }
+    if coarse || float_loses(positions.iter().copied(), size) {
+        centre
+    } else {
+        DVec3::ZERO
+    }
 }

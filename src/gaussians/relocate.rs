@@ -86,7 +86,8 @@ impl RelocationPlan {
     pub fn new(opacity_logits: &[f32], rules: &RelocationRules, rng: &mut ChaCha8Rng) -> Self {
         let n = opacity_logits.len();
         let threshold = logit(rules.dead);
-        let (live, dead): (Vec<u32>, Vec<u32>) = (0..n as u32).partition(|&i| opacity_logits[i as usize] > threshold);
+        let (live, dead): (Vec<u32>, Vec<u32>) =
+            (0..n as u32).partition(|&i| opacity_logits[i as usize] > threshold);
         let mut plan = Self {
             rows: (0..n as u32).collect(),
             copies: vec![1; n],
@@ -94,8 +95,12 @@ impl RelocationPlan {
             floor: threshold.next_up(),
             ..Self::default()
         };
-        let opacities = live.iter().map(|&i| sigmoid(f64::from(opacity_logits[i as usize])));
-        let Ok(drawn) = WeightedIndex::new(opacities) else { return plan };
+        let opacities = live
+            .iter()
+            .map(|&i| sigmoid(f64::from(opacity_logits[i as usize])));
+        let Ok(drawn) = WeightedIndex::new(opacities) else {
+            return plan;
+        };
         let mut draw = |plan: &mut Self| {
             let source = live[drawn.sample(rng)];
             plan.copies[source as usize] += 1;
@@ -110,18 +115,28 @@ impl RelocationPlan {
             let source = draw(&mut plan);
             plan.rows.push(source);
         }
-        Self { relocated: dead.len(), added: plan.rows.len() - n, ..plan }
+        Self {
+            relocated: dead.len(),
+            added: plan.rows.len() - n,
+            ..plan
+        }
     }
 
     /// Old row of each new one, and whether its moments begin at zero.
     pub fn sources(&self) -> impl Iterator<Item = (u32, bool)> {
-        self.rows.iter().enumerate().map(|(i, &row)| (row, row as usize != i))
+        self.rows
+            .iter()
+            .enumerate()
+            .map(|(i, &row)| (row, row as usize != i))
     }
 
     /// Opacity logits and log-scales of the new Gaussians, which have all else of their old rows.
     pub fn corrected(&self, old: Geometry<'_>) -> (Vec<f32>, Vec<[f32; 3]>) {
         let correct = |&row: &u32| {
-            let (logit, log_scales) = (old.opacity_logits[row as usize], old.log_scales[row as usize]);
+            let (logit, log_scales) = (
+                old.opacity_logits[row as usize],
+                old.log_scales[row as usize],
+            );
             match self.copies[row as usize] {
                 0 | 1 => (logit, log_scales),
                 copies => {
@@ -136,7 +151,11 @@ impl RelocationPlan {
     /// The new Gaussians, see [`RelocationPlan::corrected`].
     pub fn gaussians(&self, old: &Gaussians) -> Gaussians {
         let (opacity_logits, log_scales) = self.corrected(old.into());
-        Gaussians { opacity_logits, log_scales, ..old.select(&self.rows) }
+        Gaussians {
+            opacity_logits,
+            log_scales,
+            ..old.select(&self.rows)
+        }
     }
 
     /// Optimiser moments of the new rows: `old` is `[N, width]` row-major; those of copies are zero.
@@ -145,7 +164,12 @@ impl RelocationPlan {
     /// would stay together, and be one Gaussian at the cost of several.
     pub fn moments(&self, old: &[f32], width: usize) -> Vec<f32> {
         let mut new = vec![0.0; self.rows.len() * width];
-        for (i, (&row, new)) in self.rows.iter().zip(new.chunks_exact_mut(width.max(1))).enumerate() {
+        for (i, (&row, new)) in self
+            .rows
+            .iter()
+            .zip(new.chunks_exact_mut(width.max(1)))
+            .enumerate()
+        {
             if row as usize == i {
                 new.copy_from_slice(&old[i * width..][..width]);
             }

@@ -18,13 +18,19 @@ pub struct Gpu {
 impl Gpu {
     /// The device of `tensor`.
     pub fn of(tensor: &CubeTensor) -> Self {
-        Self { client: tensor.client.clone(), device: tensor.device.clone() }
+        Self {
+            client: tensor.client.clone(),
+            device: tensor.device.clone(),
+        }
     }
 
     /// A device without a tensor at hand.
     #[cfg(test)]
     pub fn on(device: CubeDevice) -> Self {
-        Self { client: device.client(), device }
+        Self {
+            client: device.client(),
+            device,
+        }
     }
 
     /// Which device it is.
@@ -43,7 +49,11 @@ impl Gpu {
     }
 
     fn empty(&self, shape: Shape, dtype: DType) -> CubeTensor {
-        let shape = if shape.num_elements() == 0 { Shape::new([1]) } else { shape };
+        let shape = if shape.num_elements() == 0 {
+            Shape::new([1])
+        } else {
+            shape
+        };
         empty_device_contiguous_dtype(self.client.clone(), self.device.clone(), shape, dtype)
     }
 
@@ -51,7 +61,13 @@ impl Gpu {
     pub fn upload<E: CubeElement>(&self, values: &[E], dtype: DType) -> CubeTensor {
         let handle = self.client.create_from_slice(E::as_bytes(values));
         let shape = Shape::new([values.len()]);
-        CubeTensor::new_contiguous(self.client.clone(), self.device.clone(), shape, handle, dtype)
+        CubeTensor::new_contiguous(
+            self.client.clone(),
+            self.device.clone(),
+            shape,
+            handle,
+            dtype,
+        )
     }
 
     /// Cubes for `units` units.

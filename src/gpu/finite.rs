@@ -27,6 +27,13 @@ pub fn add_non_finite(gpu: &Gpu, values: &CubeTensor, len: usize, report: &CubeT
     if len > 0 {
         // A unit looks at several values.
         let units = len.min(1 << 20);
-        count_non_finite::launch(&gpu.client, gpu.cubes_for(units), gpu.dim(), arg(values), arg(report), len as u32);
+        count_non_finite::launch(
+            &gpu.client,
+            gpu.cubes_for(units),
+            gpu.dim(),
+            arg(values),
+            arg(report),
+            len as u32,
+        );
     }
 }

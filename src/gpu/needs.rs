@@ -16,14 +16,20 @@ pub fn shortfall(client: &Client) -> Option<String> {
 
 fn lacks(has: &HardwareProperties) -> Option<String> {
     if has.max_bindings < BUFFERS {
-        return Some(format!("it binds {} buffers to a kernel, and {BUFFERS} are needed", has.max_bindings));
+        return Some(format!(
+            "it binds {} buffers to a kernel, and {BUFFERS} are needed",
+            has.max_bindings
+        ));
     }
     if has.max_shared_memory_size < SHARED {
         let bytes = has.max_shared_memory_size;
-        return Some(format!("{bytes} bytes are shared in a work group, and {SHARED} are needed"));
+        return Some(format!(
+            "{bytes} bytes are shared in a work group, and {SHARED} are needed"
+        ));
     }
     let units = has.max_units_per_cube;
-    (units < UNITS).then(|| format!("a work group has {units} units at most, and {UNITS} are needed"))
+    (units < UNITS)
+        .then(|| format!("a work group has {units} units at most, and {UNITS} are needed"))
 }
 
 #[cfg(all(test, feature = "wgpu"))]
@@ -35,13 +41,29 @@ mod tests {
     #[test]
     fn what_is_short_is_named_with_both_numbers() {
         let Some(_) = gpu_of_tests() else { return };
-        let enough = CubeDevice::Wgpu(Default::default()).client().properties().hardware.clone();
+        let enough = CubeDevice::Wgpu(Default::default())
+            .client()
+            .properties()
+            .hardware
+            .clone();
         assert_eq!(lacks(&enough), None);
-        let few_buffers = HardwareProperties { max_bindings: 9, ..enough.clone() };
-        let little_memory = HardwareProperties { max_shared_memory_size: 16_384, ..enough.clone() };
-        let few_units = HardwareProperties { max_units_per_cube: 128, ..enough };
-        let cases =
-            [(few_buffers, ["9 buffers", "14"]), (little_memory, ["16384", "32768"]), (few_units, ["128", "256"])];
+        let few_buffers = HardwareProperties {
+            max_bindings: 9,
+            ..enough.clone()
+        };
+        let little_memory = HardwareProperties {
+            max_shared_memory_size: 16_384,
+            ..enough.clone()
+        };
+        let few_units = HardwareProperties {
+            max_units_per_cube: 128,
+            ..enough
+        };
+        let cases = [
+            (few_buffers, ["9 buffers", "14"]),
+            (little_memory, ["16384", "32768"]),
+            (few_units, ["128", "256"]),
+        ];
         for (hardware, parts) in cases {
             let said = lacks(&hardware).expect("something is short");
             assert!(parts.iter().all(|part| said.contains(part)), "{said}");

@@ -17,7 +17,10 @@ impl Clusters {
     /// `None` unless the rows fit their labels, all are finite, and 2 <= clusters < rows.
     fn new(features: &[f32], dimensions: usize, labels: &[u16]) -> Option<Self> {
         let n = labels.len();
-        if dimensions == 0 || features.len() != n.checked_mul(dimensions)? || features.iter().any(|v| !v.is_finite()) {
+        if dimensions == 0
+            || features.len() != n.checked_mul(dimensions)?
+            || features.iter().any(|v| !v.is_finite())
+        {
             return None;
         }
         let mut ids = labels.to_vec();
@@ -27,12 +30,22 @@ impl Clusters {
         if k < 2 || k >= n {
             return None;
         }
-        let cluster: Vec<usize> = labels.iter().filter_map(|l| ids.binary_search(l).ok()).collect();
-        let rows = || features.chunks_exact(dimensions).zip(cluster.iter().copied());
+        let cluster: Vec<usize> = labels
+            .iter()
+            .filter_map(|l| ids.binary_search(l).ok())
+            .collect();
+        let rows = || {
+            features
+                .chunks_exact(dimensions)
+                .zip(cluster.iter().copied())
+        };
         let (mut centroids, mut sizes) = (vec![0.0; k * dimensions], vec![0.0; k]);
         for (row, c) in rows() {
             sizes[c] += 1.0;
-            add(&mut centroids[c * dimensions..][..dimensions], row.iter().map(|&v| f64::from(v)));
+            add(
+                &mut centroids[c * dimensions..][..dimensions],
+                row.iter().map(|&v| f64::from(v)),
+            );
         }
         let mut mean = vec![0.0; dimensions];
         for (centroid, &size) in centroids.chunks_exact_mut(dimensions).zip(&sizes) {
@@ -46,7 +59,13 @@ impl Clusters {
             squares[c] += square;
             spread[c] += square.sqrt() / sizes[c];
         }
-        Some(Self { centroids, sizes, squares, spread, mean })
+        Some(Self {
+            centroids,
+            sizes,
+            squares,
+            spread,
+            mean,
+        })
     }
 
     fn centroid(&self, c: usize) -> &[f64] {
@@ -71,7 +90,10 @@ pub fn calinski_harabasz(features: &[f32], dimensions: usize, labels: &[u16]) ->
     let clusters = Clusters::new(features, dimensions, labels)?;
     let (k, n) = (clusters.sizes.len(), labels.len());
     let between: f64 = (0..k)
-        .map(|c| clusters.sizes[c] * squared_distance(clusters.centroid(c).iter().copied(), &clusters.mean))
+        .map(|c| {
+            clusters.sizes[c]
+                * squared_distance(clusters.centroid(c).iter().copied(), &clusters.mean)
+        })
         .sum();
     let within: f64 = clusters.squares.iter().sum();
     (within > 0.0).then(|| (between / (k - 1) as f64) / (within / (n - k) as f64))
@@ -89,7 +111,8 @@ pub fn davies_bouldin(features: &[f32], dimensions: usize, labels: &[u16]) -> Op
     let mut worst = vec![0.0_f64; k];
     for i in 0..k {
         for j in i + 1..k {
-            let distance = squared_distance(clusters.centroid(i).iter().copied(), clusters.centroid(j)).sqrt();
+            let distance =
+                squared_distance(clusters.centroid(i).iter().copied(), clusters.centroid(j)).sqrt();
             if distance > 0.0 {
                 let ratio = (clusters.spread[i] + clusters.spread[j]) / distance;
                 worst[i] = worst[i].max(ratio);

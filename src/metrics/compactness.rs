@@ -29,8 +29,18 @@ pub struct WithoutDiffusion {
 impl WithoutDiffusion {
     /// Of `scores` and the share of neighbours that differ.
     pub fn new(scores: &LabelScores, neighbours_differ: f64) -> Self {
-        let LabelScores { miou, miou_per_view, accuracy, .. } = scores;
-        Self { neighbours_differ, miou: *miou, miou_per_view: *miou_per_view, accuracy: *accuracy }
+        let LabelScores {
+            miou,
+            miou_per_view,
+            accuracy,
+            ..
+        } = scores;
+        Self {
+            neighbours_differ,
+            miou: *miou,
+            miou_per_view: *miou_per_view,
+            accuracy: *accuracy,
+        }
     }
 }
 

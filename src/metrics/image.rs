@@ -22,7 +22,10 @@ pub struct ImageScores {
 impl ImageScores {
     /// Scores of one `[height, width, 3]` image against its photo; see [`psnr`] and [`ssim`] for `None`.
     pub fn of(image: &[f32], truth: &[f32], width: usize, height: usize) -> Self {
-        Self { psnr: psnr(image, truth), ssim: ssim(image, truth, width, height, 3) }
+        Self {
+            psnr: psnr(image, truth),
+            ssim: ssim(image, truth, width, height, 3),
+        }
     }
 
     /// Scores of a render of `view` (`[height, width, 3]`) against its photo, of what its mask uses: PSNR of those pixels, SSIM
@@ -33,14 +36,22 @@ impl ImageScores {
     pub fn of_view(image: &[f32], view: &View) -> Result<Self> {
         view.check_mask()?;
         let (photo, width, height) = (view.rgb()?, view.image.width(), view.image.height());
-        let Some(mask) = &view.mask else { return Ok(Self::of(image, &photo, width, height)) };
+        let Some(mask) = &view.mask else {
+            return Ok(Self::of(image, &photo, width, height));
+        };
         let psnr = psnr(&mask.used(image, 3), &mask.used(&photo, 3));
-        Ok(Self { psnr, ssim: ssim_within(image, &photo, [width, height, 3], Some(mask)) })
+        Ok(Self {
+            psnr,
+            ssim: ssim_within(image, &photo, [width, height, 3], Some(mask)),
+        })
     }
 
     /// Means of the per-image values that exist.
     pub fn mean(scores: &[Self]) -> Self {
-        Self { psnr: mean(scores.iter().map(|s| s.psnr)), ssim: mean(scores.iter().map(|s| s.ssim)) }
+        Self {
+            psnr: mean(scores.iter().map(|s| s.psnr)),
+            ssim: mean(scores.iter().map(|s| s.ssim)),
+        }
     }
 }
 
@@ -55,7 +66,12 @@ pub fn psnr(image: &[f32], truth: &[f32]) -> Option<f64> {
     let blocks: Vec<f64> = image
         .par_chunks(4_096)
         .zip(truth.par_chunks(4_096))
-        .map(|(a, b)| a.iter().zip(b).map(|(&a, &b)| (unit(a) - unit(b)).powi(2)).sum())
+        .map(|(a, b)| {
+            a.iter()
+                .zip(b)
+                .map(|(&a, &b)| (unit(a) - unit(b)).powi(2))
+                .sum()
+        })
         .collect();
     let mse = blocks.iter().sum::<f64>() / image.len() as f64;
     (!mse.is_nan()).then(|| (-10.0 * mse.max(1e-10).log10()).min(PSNR_CAP))
@@ -78,7 +94,13 @@ const SIGMA: f64 = 1.5;
 /// use_sample_covariance=False, data_range=1)`. All arithmetic in f64.
 ///
 /// `None` when a side is shorter than 11 pixels, the lengths do not fit, there are no channels, or a value is NaN.
-pub fn ssim(image: &[f32], truth: &[f32], width: usize, height: usize, channels: usize) -> Option<f64> {
+pub fn ssim(
+    image: &[f32],
+    truth: &[f32],
+    width: usize,
+    height: usize,
+    channels: usize,
+) -> Option<f64> {
     ssim_within(image, truth, [width, height, channels], None)
 }
 
@@ -91,7 +113,8 @@ fn ssim_within(
     mask: Option<&Mask>,
 ) -> Option<f64> {
     let side = 2 * RADIUS + 1;
-    let fits = width.checked_mul(height)?.checked_mul(channels)? == image.len() && image.len() == truth.len();
+    let fits = width.checked_mul(height)?.checked_mul(channels)? == image.len()
+        && image.len() == truth.len();
     if !fits || channels == 0 || width < side || height < side {
         return None;
     }
@@ -116,7 +139,10 @@ fn whole_windows(mask: &Mask, y: usize) -> Vec<bool> {
     let side = 2 * RADIUS + 1;
     let used = |x: usize| (y..y + side).all(|row| mask.uses(row * mask.width() + x));
     let columns: Vec<bool> = (0..mask.width()).map(used).collect();
-    columns.windows(side).map(|columns| columns.iter().all(|used| *used)).collect()
+    columns
+        .windows(side)
+        .map(|columns| columns.iter().all(|used| *used))
+        .collect()
 }
 
 fn window() -> [f64; 2 * RADIUS + 1] {

@@ -68,7 +68,10 @@ impl Pairs {
     }
 
     pub fn merge(&mut self, other: &Self) {
-        other.0.iter().for_each(|(&pair, &n)| self.count(Some((pair, n))));
+        other
+            .0
+            .iter()
+            .for_each(|(&pair, &n)| self.count(Some((pair, n))));
     }
 
     fn get(&self, truth: u16, prediction: u16) -> u64 {
@@ -90,7 +93,11 @@ impl Pairs {
         let both = self.get(truth, prediction);
         let area = |side: usize, id| areas[side].get(&id).copied().unwrap_or(0);
         let union = area(0, truth) + area(1, prediction) - both - self.get(VOID, prediction);
-        if union > 0 { both as f64 / union as f64 } else { 0.0 }
+        if union > 0 {
+            both as f64 / union as f64
+        } else {
+            0.0
+        }
     }
 }
 
@@ -117,7 +124,11 @@ impl PanopticQuality {
         self.count(&pairs, classes);
     }
 
-    pub(super) fn count(&mut self, pairs: &Pairs, [true_class, predicted_class]: [&dyn Fn(u16) -> u16; 2]) {
+    pub(super) fn count(
+        &mut self,
+        pairs: &Pairs,
+        [true_class, predicted_class]: [&dyn Fn(u16) -> u16; 2],
+    ) {
         let areas = pairs.areas();
         let mut matched: [Vec<u16>; 2] = Default::default();
         for &(truth, prediction) in pairs.0.keys().filter(|(t, p)| *t != VOID && *p != VOID) {
@@ -130,12 +141,21 @@ impl PanopticQuality {
                 matched[1].push(prediction);
             }
         }
-        for &truth in areas[0].keys().filter(|id| **id != VOID && !matched[0].contains(id)) {
+        for &truth in areas[0]
+            .keys()
+            .filter(|id| **id != VOID && !matched[0].contains(id))
+        {
             self.0.entry(true_class(truth)).or_default().unmatched += 1;
         }
-        for (&prediction, &area) in areas[1].iter().filter(|(id, _)| **id != VOID && !matched[1].contains(id)) {
+        for (&prediction, &area) in areas[1]
+            .iter()
+            .filter(|(id, _)| **id != VOID && !matched[1].contains(id))
+        {
             if 2 * pairs.get(VOID, prediction) <= area {
-                self.0.entry(predicted_class(prediction)).or_default().unmatched += 1;
+                self.0
+                    .entry(predicted_class(prediction))
+                    .or_default()
+                    .unmatched += 1;
             }
         }
     }
@@ -148,11 +168,21 @@ impl PanopticQuality {
     /// The mean over those of these classes that occur.
     pub fn quality_of(&self, wanted: impl Fn(u16) -> bool) -> Quality {
         let weight = |t: &Tally| t.matched as f64 + 0.5 * t.unmatched as f64;
-        let occurs =
-            || self.0.iter().filter(|(class, t)| wanted(**class) && t.matched + t.unmatched > 0).map(|(_, t)| t);
+        let occurs = || {
+            self.0
+                .iter()
+                .filter(|(class, t)| wanted(**class) && t.matched + t.unmatched > 0)
+                .map(|(_, t)| t)
+        };
         Quality {
             pq: mean(occurs().map(|t| Some(t.iou / weight(t)))),
-            sq: mean(occurs().map(|t| Some(if t.matched > 0 { t.iou / t.matched as f64 } else { 0.0 }))),
+            sq: mean(occurs().map(|t| {
+                Some(if t.matched > 0 {
+                    t.iou / t.matched as f64
+                } else {
+                    0.0
+                })
+            })),
             rq: mean(occurs().map(|t| Some(t.matched as f64 / weight(t)))),
         }
     }
@@ -160,7 +190,9 @@ impl PanopticQuality {
 
 /// Scores `views` of (true instance ids, predicted object ids), each `[H, W]`, one after the other; id 0 is no instance,
 /// and pixels whose truth is 0 are left out.
-pub fn instance_scores(views: impl IntoIterator<Item = (impl AsRef<[u16]>, impl AsRef<[u16]>)>) -> InstanceScores {
+pub fn instance_scores(
+    views: impl IntoIterator<Item = (impl AsRef<[u16]>, impl AsRef<[u16]>)>,
+) -> InstanceScores {
     let (mut pooled, mut per_view) = (Pairs::default(), PanopticQuality::default());
     let one: &dyn Fn(u16) -> u16 = &|_| 0;
     for (truth, prediction) in views {
@@ -172,8 +204,13 @@ pub fn instance_scores(views: impl IntoIterator<Item = (impl AsRef<[u16]>, impl 
     let mut scene = PanopticQuality::default();
     scene.count(&pooled, [one, one]);
     let areas = pooled.areas();
-    let [instances, objects] =
-        areas.each_ref().map(|areas| areas.keys().copied().filter(|id| *id != VOID).collect::<Vec<_>>());
+    let [instances, objects] = areas.each_ref().map(|areas| {
+        areas
+            .keys()
+            .copied()
+            .filter(|id| *id != VOID)
+            .collect::<Vec<_>>()
+    });
     let values: Vec<f64> = instances
         .iter()
         .flat_map(|&t| objects.iter().map(move |&p| (t, p)))
@@ -181,10 +218,19 @@ pub fn instance_scores(views: impl IntoIterator<Item = (impl AsRef<[u16]>, impl 
         .collect();
     let mut partners = assignment(&values, objects.len());
     partners.resize(instances.len(), None);
-    let matched: Vec<Option<u16>> = partners.into_iter().map(|p| p.map(|p| objects[p])).collect();
+    let matched: Vec<Option<u16>> = partners
+        .into_iter()
+        .map(|p| p.map(|p| objects[p]))
+        .collect();
     let pairs = || instances.iter().zip(&matched).map(|(&t, p)| (t, *p));
-    let right: u64 = pairs().map(|(t, p)| p.map_or(0, |p| pooled.get(t, p))).sum();
-    let all: u64 = areas[0].iter().filter(|(id, _)| **id != VOID).map(|(_, n)| n).sum();
+    let right: u64 = pairs()
+        .map(|(t, p)| p.map_or(0, |p| pooled.get(t, p)))
+        .sum();
+    let all: u64 = areas[0]
+        .iter()
+        .filter(|(id, _)| **id != VOID)
+        .map(|(_, n)| n)
+        .sum();
     InstanceScores {
         accuracy: (all > 0).then(|| right as f64 / all as f64),
         miou: mean(pairs().map(|(t, p)| Some(p.map_or(0.0, |p| pooled.iou(t, p, &areas))))),

@@ -24,12 +24,19 @@ pub struct Confusion {
 impl Confusion {
     /// No pixels yet, for class indices `0..classes`.
     pub fn new(classes: usize) -> Self {
-        Self { classes, counts: vec![0; classes * (classes + 1)] }
+        Self {
+            classes,
+            counts: vec![0; classes * (classes + 1)],
+        }
     }
 
     /// Counts one view, given as class indices. A true index of `classes` or more means 'not labelled' and leaves the
     /// pixel out; a predicted one is void. Pixels past the shorter slice are not counted.
-    pub fn add(&mut self, truth: impl IntoIterator<Item = usize>, prediction: impl IntoIterator<Item = usize>) {
+    pub fn add(
+        &mut self,
+        truth: impl IntoIterator<Item = usize>,
+        prediction: impl IntoIterator<Item = usize>,
+    ) {
         for (t, p) in truth.into_iter().zip(prediction) {
             if t < self.classes {
                 self.counts[t * (self.classes + 1) + p.min(self.classes)] += 1;
@@ -40,7 +47,11 @@ impl Confusion {
     /// Counts one view, given as label ids of `classes`; the truth's ignored id leaves a pixel out.
     pub fn add_ids(&mut self, classes: &Classes, truth: &[u16], prediction: &[u16]) {
         let lookup = classes.lookup();
-        let index = |ids: &[u16]| ids.iter().map(|&id| usize::from(lookup[usize::from(id)])).collect::<Vec<_>>();
+        let index = |ids: &[u16]| {
+            ids.iter()
+                .map(|&id| usize::from(lookup[usize::from(id)]))
+                .collect::<Vec<_>>()
+        };
         self.add(index(truth), index(prediction));
     }
 
@@ -48,7 +59,10 @@ impl Confusion {
     pub fn merge(&mut self, other: &Self) -> bool {
         let same = self.classes == other.classes;
         if same {
-            self.counts.iter_mut().zip(&other.counts).for_each(|(a, b)| *a += b);
+            self.counts
+                .iter_mut()
+                .zip(&other.counts)
+                .for_each(|(a, b)| *a += b);
         }
         same
     }
@@ -126,6 +140,9 @@ pub fn label_scores(
         miou: pooled.miou(void),
         miou_per_view: mean(per_view),
         accuracy: pooled.accuracy(void),
-        per_class: ids.enumerate().filter_map(|(c, id)| Some((id, pooled.iou(c, void)?))).collect(),
+        per_class: ids
+            .enumerate()
+            .filter_map(|(c, id)| Some((id, pooled.iou(c, void)?)))
+            .collect(),
     }
 }

@@ -19,6 +19,9 @@ pub use semantic::{ClassIou, PanopticScores, SemanticScores, SemanticView, seman
 
 /// Mean of the values that are there; `None` when there are none.
 fn mean(values: impl IntoIterator<Item = Option<f64>>) -> Option<f64> {
-    let (sum, n) = values.into_iter().flatten().fold((0.0, 0_usize), |(sum, n), v| (sum + v, n + 1));
+    let (sum, n) = values
+        .into_iter()
+        .flatten()
+        .fold((0.0, 0_usize), |(sum, n), v| (sum + v, n + 1));
     (n > 0).then(|| sum / n as f64)
 }

@@ -69,14 +69,37 @@ pub fn semantic_scores<'a>(
 ) -> SemanticScores {
     let views: Vec<SemanticView<'_>> = views.into_iter().collect();
     let mut class_of = vec![classes.ignore; 1 << 16];
-    for (object, of) in objects.entries.iter().filter_map(|object| Some((object, object.object_of?))) {
+    for (object, of) in objects
+        .entries
+        .iter()
+        .filter_map(|object| Some((object, object.object_of?)))
+    {
         class_of[usize::from(object.id)] = of.class;
     }
-    let found: Vec<Vec<u16>> =
-        views.iter().map(|view| view.objects.iter().map(|&id| class_of[usize::from(id)]).collect()).collect();
-    let pairs = views.iter().zip(&found).map(|(view, found)| (view.truth, &found[..]));
-    let LabelScores { miou, miou_per_view, accuracy, per_class } = label_scores(classes, pairs, Void::Wrong);
-    let named = |(id, iou)| ClassIou { id, name: classes.name(id).to_owned(), iou };
+    let found: Vec<Vec<u16>> = views
+        .iter()
+        .map(|view| {
+            view.objects
+                .iter()
+                .map(|&id| class_of[usize::from(id)])
+                .collect()
+        })
+        .collect();
+    let pairs = views
+        .iter()
+        .zip(&found)
+        .map(|(view, found)| (view.truth, &found[..]));
+    let LabelScores {
+        miou,
+        miou_per_view,
+        accuracy,
+        per_class,
+    } = label_scores(classes, pairs, Void::Wrong);
+    let named = |(id, iou)| ClassIou {
+        id,
+        name: classes.name(id).to_owned(),
+        iou,
+    };
     SemanticScores {
         miou,
         miou_per_view,
@@ -96,20 +119,30 @@ fn panoptic(
     let mut segments = Segments::default();
     let (mut pooled, mut each) = (Pairs::default(), Vec::new());
     for view in views {
-        let Some(instances) = view.instances else { continue };
+        let Some(instances) = view.instances else {
+            continue;
+        };
         let known = |class: u16| classes.index(class).is_some();
         let truth: Vec<u16> = view
             .truth
             .iter()
             .zip(instances)
-            .map(|(&class, &instance)| match (known(class), stuff.contains(&class), instance) {
-                (false, ..) | (true, false, 0) => 0,
-                (true, true, _) => segments.id(class, 0),
-                (true, false, _) => segments.id(class, instance),
-            })
+            .map(
+                |(&class, &instance)| match (known(class), stuff.contains(&class), instance) {
+                    (false, ..) | (true, false, 0) => 0,
+                    (true, true, _) => segments.id(class, 0),
+                    (true, false, _) => segments.id(class, instance),
+                },
+            )
             .collect();
         // Objects without a class show nothing.
-        let object = |&id: &u16| if known(class_of[usize::from(id)]) { id } else { 0 };
+        let object = |&id: &u16| {
+            if known(class_of[usize::from(id)]) {
+                id
+            } else {
+                0
+            }
+        };
         let found: Vec<u16> = view.objects.iter().map(object).collect();
         let mut pairs = Pairs::default();
         pairs.add(&truth, &found);

@@ -16,7 +16,10 @@ pub struct Identities {
 impl Identities {
     /// Class index of each Gaussian's largest score, `None` where all scores are equal (nothing is known).
     pub fn labels(&self) -> Vec<Option<u16>> {
-        self.scores.chunks_exact(self.classes.max(1)).map(largest).collect()
+        self.scores
+            .chunks_exact(self.classes.max(1))
+            .map(largest)
+            .collect()
     }
 
     /// The softmax of each row: what logits stand for.
@@ -29,13 +32,19 @@ impl Identities {
             let sum: f32 = row.iter().sum();
             row.iter_mut().for_each(|s| *s /= sum);
         }
-        Self { scores, classes: self.classes }
+        Self {
+            scores,
+            classes: self.classes,
+        }
     }
 
     /// Class ids of [`Identities::labels`], the ignored id where nothing is known: the PLY's `label` column.
     pub fn ids(&self, classes: &Classes) -> Vec<u16> {
         let id = |c: u16| classes.entries.get(usize::from(c)).map(|c| c.id);
-        self.labels().into_iter().map(|c| c.and_then(id).unwrap_or(classes.ignore)).collect()
+        self.labels()
+            .into_iter()
+            .map(|c| c.and_then(id).unwrap_or(classes.ignore))
+            .collect()
     }
 
     /// Writes `identities.safetensors`: tensor `scores` `[N, C]` f32, atomically.
@@ -45,7 +54,11 @@ impl Identities {
     pub fn write(&self, path: &Path) -> Result<()> {
         let bytes: Vec<u8> = self.scores.iter().flat_map(|v| v.to_le_bytes()).collect();
         let rows = self.scores.len() / self.classes.max(1);
-        let view = safetensors::tensor::TensorView::new(safetensors::Dtype::F32, vec![rows, self.classes], &bytes);
+        let view = safetensors::tensor::TensorView::new(
+            safetensors::Dtype::F32,
+            vec![rows, self.classes],
+            &bytes,
+        );
         let bytes = view
             .and_then(|view| safetensors::serialize([("scores", view)], None))
             .map_err(|e| Error::io(path, "serialise", std::io::Error::other(e)))?;
@@ -59,13 +72,25 @@ impl Identities {
     pub fn read(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
         let bad = |found: String| {
-            Error::input(path, "scores", found, "a 2D float32 tensor", "write the run again with `coseg train`")
+            Error::input(
+                path,
+                "scores",
+                found,
+                "a 2D float32 tensor",
+                "write the run again with `coseg train`",
+            )
         };
         let file = safetensors::SafeTensors::deserialize(&bytes).map_err(|e| bad(e.to_string()))?;
         let tensor = file.tensor("scores").map_err(|e| bad(e.to_string()))?;
         match (tensor.dtype(), tensor.shape()) {
             (safetensors::Dtype::F32, &[_, classes]) => {
-                let scores = tensor.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+                let scores = tensor
+                    .data()
+                    .as_chunks::<4>()
+                    .0
+                    .iter()
+                    .map(|b| f32::from_le_bytes(*b))
+                    .collect();
                 Ok(Self { scores, classes })
             }
             (dtype, shape) => Err(bad(format!("{dtype:?} {shape:?}"))),

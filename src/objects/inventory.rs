@@ -42,11 +42,19 @@ pub fn inventory(gaussians: &Gaussians, labels: &[u16]) -> Vec<Object> {
     let object = |(id, rows): (u16, Vec<u32>)| {
         let beyond = ((BEYOND * rows.len() as f64).ceil() as usize).min((rows.len() - 1) / 2);
         let [x, y, z] = [0, 1, 2].map(|axis| {
-            let mut along: Vec<f32> = rows.iter().map(|&row| gaussians.means[row as usize][axis]).collect();
+            let mut along: Vec<f32> = rows
+                .iter()
+                .map(|&row| gaussians.means[row as usize][axis])
+                .collect();
             along.sort_unstable_by(f32::total_cmp);
             [along[beyond], along[along.len() - 1 - beyond]].map(f64::from)
         });
-        Object { id, rows, low: DVec3::new(x[0], y[0], z[0]), high: DVec3::new(x[1], y[1], z[1]) }
+        Object {
+            id,
+            rows,
+            low: DVec3::new(x[0], y[0], z[0]),
+            high: DVec3::new(x[1], y[1], z[1]),
+        }
     };
     rows.into_iter().map(object).collect()
 }
@@ -66,10 +74,21 @@ pub struct Picked {
 ///
 /// # Panics
 /// If the pixel is outside the image, or `labels` does not have one id for each of `gaussians`, which `projected` shows.
-pub fn pick(projected: &Projected<f32>, gaussians: &Gaussians, labels: &[u16], [x, y]: [usize; 2]) -> Option<Picked> {
+pub fn pick(
+    projected: &Projected<f32>,
+    gaussians: &Gaussians,
+    labels: &[u16],
+    [x, y]: [usize; 2],
+) -> Option<Picked> {
     let [width, height] = projected.size();
-    assert!(x < width && y < height, "pick: pixel {x}, {y} of an image of {width} x {height}");
-    assert!(labels.len() == gaussians.len() && labels.len() == projected.len(), "one label a Gaussian");
+    assert!(
+        x < width && y < height,
+        "pick: pixel {x}, {y} of an image of {width} x {height}"
+    );
+    assert!(
+        labels.len() == gaussians.len() && labels.len() == projected.len(),
+        "one label a Gaussian"
+    );
     let weights = projected.weights(Some(&[(y * width + x) as u32]));
     let mut sums: BTreeMap<u16, (f64, DVec3)> = BTreeMap::new();
     let (rows, values) = weights.row(0);
@@ -79,6 +98,13 @@ pub fn pick(projected: &Projected<f32>, gaussians: &Gaussians, labels: &[u16], [
         sum.0 += weight;
         sum.1 += weight * DVec3::from(gaussians.means[row as usize].map(f64::from));
     }
-    let best = sums.into_iter().reduce(|best, other| if other.1.0 > best.1.0 { other } else { best });
-    best.filter(|(_, (weight, _))| *weight > 0.0).map(|(id, (weight, sum))| Picked { id, weight, point: sum / weight })
+    let best = sums
+        .into_iter()
+        .reduce(|best, other| if other.1.0 > best.1.0 { other } else { best });
+    best.filter(|(_, (weight, _))| *weight > 0.0)
+        .map(|(id, (weight, sum))| Picked {
+            id,
+            weight,
+            point: sum / weight,
+        })
 }

@@ -21,7 +21,10 @@ pub struct LabelRule {
 
 impl From<&SegmentationConfig> for LabelRule {
     fn from(config: &SegmentationConfig) -> Self {
-        Self { source: config.render, min_coverage: config.min_coverage as f32 }
+        Self {
+            source: config.render,
+            min_coverage: config.min_coverage as f32,
+        }
     }
 }
 
@@ -29,7 +32,12 @@ impl From<&SegmentationConfig> for LabelRule {
 /// class whose Gaussians have the largest summed alpha' T. [`LabelMaps`] of one view.
 ///
 /// Pixels that are barely covered, or where nothing is known (of Gaussians that have most of the pixel), take the ignored id.
-pub fn label_map(projected: &Projected<f32>, identities: &Identities, classes: &Classes, rule: &LabelRule) -> LabelMap {
+pub fn label_map(
+    projected: &Projected<f32>,
+    identities: &Identities,
+    classes: &Classes,
+    rule: &LabelRule,
+) -> LabelMap {
     LabelMaps::new(identities, classes, *rule).of(projected)
 }
 
@@ -52,12 +60,20 @@ impl<'a> LabelMaps<'a> {
     /// Of `identities` over `classes` by `rule`.
     pub fn new(identities: &'a Identities, classes: &'a Classes, rule: LabelRule) -> Self {
         let blended = match rule.source {
-            LabelSource::Labels => {
-                Blended::Labels(identities.labels().into_iter().map(|class| class.map_or(0, |c| c + 1)).collect())
-            }
+            LabelSource::Labels => Blended::Labels(
+                identities
+                    .labels()
+                    .into_iter()
+                    .map(|class| class.map_or(0, |c| c + 1))
+                    .collect(),
+            ),
             LabelSource::Scores => Blended::Scores(identities),
         };
-        Self { blended, classes, min_coverage: rule.min_coverage }
+        Self {
+            blended,
+            classes,
+            min_coverage: rule.min_coverage,
+        }
     }
 
     /// What `projected` shows of them, as [`label_map`].
@@ -69,15 +85,30 @@ impl<'a> LabelMaps<'a> {
         match &self.blended {
             Blended::Labels(labels) => {
                 let mut map = hard_label_map(projected, labels, self.min_coverage);
-                map.ids.iter_mut().for_each(|label| *label = id(label.checked_sub(1)));
+                map.ids
+                    .iter_mut()
+                    .for_each(|label| *label = id(label.checked_sub(1)));
                 map
             }
             Blended::Scores(Identities { scores, classes }) => {
                 let blended = projected.blend(scores, *classes);
                 let [width, height] = projected.size();
-                let pixels = blended.image.chunks_exact((*classes).max(1)).zip(&blended.transmittance);
-                let class = |(row, t): (&[f32], &f32)| if 1.0 - t >= self.min_coverage { largest(row) } else { None };
-                LabelMap { width, height, ids: pixels.map(|pixel| id(class(pixel))).collect() }
+                let pixels = blended
+                    .image
+                    .chunks_exact((*classes).max(1))
+                    .zip(&blended.transmittance);
+                let class = |(row, t): (&[f32], &f32)| {
+                    if 1.0 - t >= self.min_coverage {
+                        largest(row)
+                    } else {
+                        None
+                    }
+                };
+                LabelMap {
+                    width,
+                    height,
+                    ids: pixels.map(|pixel| id(class(pixel))).collect(),
+                }
             }
         }
     }
@@ -87,17 +118,27 @@ impl<'a> LabelMaps<'a> {
     pub fn on(&self, device: &Device) -> DeviceLabelMaps<'_> {
         let device = device.clone().inner();
         let blended = match &self.blended {
-            Blended::Labels(labels) => OnDevice::Labels(Box::new(DeviceLabels::new(labels, &device))),
+            Blended::Labels(labels) => {
+                OnDevice::Labels(Box::new(DeviceLabels::new(labels, &device)))
+            }
             Blended::Scores(Identities { scores, classes }) => {
                 let shape = [scores.len() / (*classes).max(1), *classes];
-                OnDevice::Scores(Box::new(Tensor::from_data(TensorData::new(scores.clone(), shape), &device)))
+                OnDevice::Scores(Box::new(Tensor::from_data(
+                    TensorData::new(scores.clone(), shape),
+                    &device,
+                )))
             }
         };
-        DeviceLabelMaps { maps: self, blended }
+        DeviceLabelMaps {
+            maps: self,
+            blended,
+        }
     }
 
     fn id(&self, class: Option<u16>) -> u16 {
-        class.and_then(|c| self.classes.entries.get(usize::from(c))).map_or(self.classes.ignore, |class| class.id)
+        class
+            .and_then(|c| self.classes.entries.get(usize::from(c)))
+            .map_or(self.classes.ignore, |class| class.id)
     }
 }
 
@@ -134,7 +175,9 @@ impl DeviceLabelMaps<'_> {
             let values = match &mut self.blended {
                 OnDevice::Labels(labels) if first == 0 => labels.first(block),
                 OnDevice::Labels(labels) => labels.one_hot(block),
-                OnDevice::Scores(scores) => Tensor::clone(scores).slice([0..scores.dims()[0], block]),
+                OnDevice::Scores(scores) => {
+                    Tensor::clone(scores).slice([0..scores.dims()[0], block])
+                }
             };
             let (image, t) = view.blend(values)?;
             transmittance.get_or_insert(t);
@@ -145,7 +188,11 @@ impl DeviceLabelMaps<'_> {
             });
         }
         let (Some((least, (largest, index))), Some(transmittance)) = (found, transmittance) else {
-            return Ok(LabelMap { width, height, ids: vec![self.maps.classes.ignore; width * height] });
+            return Ok(LabelMap {
+                width,
+                height,
+                ids: vec![self.maps.classes.ignore; width * height],
+            });
         };
         let unknown = match &self.blended {
             OnDevice::Labels(_) => largest.lower_equal_elem(0.0),
@@ -154,7 +201,10 @@ impl DeviceLabelMaps<'_> {
             OnDevice::Scores(_) => largest.is_nan(),
         };
         let pixels = width * height;
-        let parts = vec![index.mask_fill(unknown, -1.0).reshape([pixels]), transmittance.reshape([pixels])];
+        let parts = vec![
+            index.mask_fill(unknown, -1.0).reshape([pixels]),
+            transmittance.reshape([pixels]),
+        ];
         let mut index = read("a label map", Tensor::<1>::cat(parts, 0))?;
         let transmittance = index.split_off(pixels);
         let class = |index: f32| match &self.blended {
@@ -166,6 +216,10 @@ impl DeviceLabelMaps<'_> {
             let shown = index >= 0.0 && 1.0 - t >= self.maps.min_coverage;
             if shown { class(index) } else { None }
         };
-        Ok(LabelMap { width, height, ids: pixels.map(|pixel| self.maps.id(class(pixel))).collect() })
+        Ok(LabelMap {
+            width,
+            height,
+            ids: pixels.map(|pixel| self.maps.id(class(pixel))).collect(),
+        })
     }
 }

@@ -8,7 +8,8 @@ use crate::device::{read, renders_on};
 use crate::error::{Error, Result};
 use crate::gaussians::Gaussians;
 use crate::raster::{
-    ListCount, Projected, RasterInput, Settings, SplatTensors, SplatView, Viewpoint, rasterize_with_room, room_for,
+    ListCount, Projected, RasterInput, Settings, SplatTensors, SplatView, Viewpoint,
+    rasterize_with_room, room_for,
 };
 use burn::tensor::{Device, Tensor, TensorData};
 
@@ -45,14 +46,23 @@ impl RenderOptions {
             return Ok(());
         }
         let found = format!("background {r}, {g}, {b}, min_coverage {least}");
-        Err(Error::argument("render options", found, "finite numbers", "pass a colour and a share"))
+        Err(Error::argument(
+            "render options",
+            found,
+            "finite numbers",
+            "pass a colour and a share",
+        ))
     }
 }
 
 impl Default for RenderOptions {
     /// Default settings, black behind, labels from an alpha of 0.5 on.
     fn default() -> Self {
-        Self { settings: Settings::default(), background: [0.0; 3], min_coverage: 0.5 }
+        Self {
+            settings: Settings::default(),
+            background: [0.0; 3],
+            min_coverage: 0.5,
+        }
     }
 }
 
@@ -70,7 +80,10 @@ pub struct Renderer {
 
 #[derive(Debug)]
 enum Place {
-    Host { gaussians: Box<Gaussians>, labels: Option<Vec<u16>> },
+    Host {
+        gaussians: Box<Gaussians>,
+        labels: Option<Vec<u16>>,
+    },
     Device(Box<OnDevice>),
 }
 
@@ -90,8 +103,15 @@ impl Renderer {
         // Where there is nothing, nothing is sent; where the host would render all the same, nothing is copied for each frame.
         let on_host = !renders_on(device) || gaussians.is_empty();
         let place = match on_host {
-            true => Place::Host { gaussians: Box::new(gaussians), labels },
-            false => Place::Device(Box::new(OnDevice::new(gaussians, labels.as_deref(), device))),
+            true => Place::Host {
+                gaussians: Box::new(gaussians),
+                labels,
+            },
+            false => Place::Device(Box::new(OnDevice::new(
+                gaussians,
+                labels.as_deref(),
+                device,
+            ))),
         };
         Ok(Self { options, place })
     }
@@ -114,7 +134,9 @@ impl Renderer {
         // Before any size is made of its width and height.
         Viewpoint::new(camera)?;
         match &mut self.place {
-            Place::Host { gaussians, labels } => on_host(gaussians, labels.as_deref(), camera, &self.options),
+            Place::Host { gaussians, labels } => {
+                on_host(gaussians, labels.as_deref(), camera, &self.options)
+            }
             Place::Device(scene) => scene.frame(camera, &self.options),
         }
     }
@@ -130,19 +152,31 @@ impl Renderer {
     }
 }
 
-fn on_host(gaussians: &Gaussians, labels: Option<&[u16]>, camera: &Camera, options: &RenderOptions) -> Result<Frame> {
+fn on_host(
+    gaussians: &Gaussians,
+    labels: Option<&[u16]>,
+    camera: &Camera,
+    options: &RenderOptions,
+) -> Result<Frame> {
     let projected = Projected::new(&gaussians.splats(), camera, &options.settings)?;
     let colours = projected.colours(gaussians, camera)?;
     let (blended, labels) = match labels {
         Some(labels) => {
-            let (blended, map) = with_hard_labels::<3>(&projected, &colours, labels, options.min_coverage);
+            let (blended, map) =
+                with_hard_labels::<3>(&projected, &colours, labels, options.min_coverage);
             (blended, Some(map))
         }
         None => (projected.blend(&colours, 3), None),
     };
     let blended = blended.over(options.background);
     let alpha = blended.transmittance.iter().map(|t| 1.0 - t).collect();
-    Ok(Frame { width: camera.width, height: camera.height, rgb: blended.image, alpha, labels })
+    Ok(Frame {
+        width: camera.width,
+        height: camera.height,
+        rgb: blended.image,
+        alpha,
+        labels,
+    })
 }
 
 /// A scene whose tensors live on a GPU.
@@ -158,19 +192,31 @@ impl OnDevice {
     fn new(gaussians: Gaussians, labels: Option<&[u16]>, device: &Device) -> Self {
         let device = device.clone().inner();
         let (n, terms) = (gaussians.len(), gaussians.sh_len());
-        let SplatTensors { means, log_scales, rotations, opacity_logits } = SplatTensors::new(&gaussians, &device);
+        let SplatTensors {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+        } = SplatTensors::new(&gaussians, &device);
         let input = RasterInput {
             means,
             log_scales,
             rotations,
             opacity_logits,
-            sh: Some(Tensor::from_data(TensorData::new(gaussians.sh, [n, terms, 3]), &device)),
+            sh: Some(Tensor::from_data(
+                TensorData::new(gaussians.sh, [n, terms, 3]),
+                &device,
+            )),
             active_sh_degree: gaussians.sh_degree,
             features: None,
             screen: None,
         };
         let labels = labels.map(|labels| DeviceLabels::new(labels, &device));
-        Self { input, labels, entries: None }
+        Self {
+            input,
+            labels,
+            entries: None,
+        }
     }
 
     fn frame(&mut self, camera: &Camera, options: &RenderOptions) -> Result<Frame> {
@@ -186,18 +232,31 @@ impl OnDevice {
     }
 
     /// `None` where `room` did not suffice.
-    fn attempt(&mut self, camera: &Camera, options: &RenderOptions, room: Option<usize>) -> Result<Option<Frame>> {
+    fn attempt(
+        &mut self,
+        camera: &Camera,
+        options: &RenderOptions,
+        room: Option<usize>,
+    ) -> Result<Option<Frame>> {
         let (height, width) = (camera.height, camera.width);
         let view = self.view(camera, &options.settings);
-        let mut blocks = self.labels.as_ref().map_or_else(Vec::new, |labels| labels.blocks(&view, 3)).into_iter();
+        let mut blocks = self
+            .labels
+            .as_ref()
+            .map_or_else(Vec::new, |labels| labels.blocks(&view, 3))
+            .into_iter();
         let mut input = self.input.clone();
         if let (Some(labels), Some(block)) = (&mut self.labels, blocks.next()) {
             input.features = Some(labels.first(block));
         }
-        let (output, summary) = rasterize_with_room(input, camera, &options.settings, options.background, room)?;
+        let (output, summary) =
+            rasterize_with_room(input, camera, &options.settings, options.background, room)?;
         let pixels = height * width;
         let rgb = output.image.clone().slice([0..height, 0..width, 0..3]);
-        let mut parts = vec![rgb.reshape([3 * pixels]), output.transmittance.reshape([pixels])];
+        let mut parts = vec![
+            rgb.reshape([3 * pixels]),
+            output.transmittance.reshape([pixels]),
+        ];
         if let Some(labels) = &self.labels {
             // The colour competes with less than any weight: to cut it off would copy all the others.
             let weights = output.image.slice_fill([0..height, 0..width, 0..3], -1.0);
@@ -207,7 +266,12 @@ impl OnDevice {
                 let (image, _) = view.blend(labels.one_hot(block))?;
                 largest = larger_of(largest, largest_of(image, first));
             }
-            parts.push(largest.1.mask_fill(largest.0.lower_equal_elem(0.0), -1.0).reshape([pixels]));
+            parts.push(
+                largest
+                    .1
+                    .mask_fill(largest.0.lower_equal_elem(0.0), -1.0)
+                    .reshape([pixels]),
+            );
         }
         let (mut values, lists) = read_together(parts, summary.as_tensor())?;
         if let Some(lists) = lists {
@@ -225,19 +289,44 @@ impl OnDevice {
                 Some(&id) if index >= 0.0 && alpha >= options.min_coverage => id,
                 _ => 0,
             };
-            LabelMap { width, height, ids: index.iter().zip(&alpha).map(id).collect() }
+            LabelMap {
+                width,
+                height,
+                ids: index.iter().zip(&alpha).map(id).collect(),
+            }
         });
-        Ok(Some(Frame { width, height, rgb: values, alpha, labels }))
+        Ok(Some(Frame {
+            width,
+            height,
+            rgb: values,
+            alpha,
+            labels,
+        }))
     }
 
     fn view(&self, camera: &Camera, settings: &Settings) -> SplatView {
-        let RasterInput { means, log_scales, rotations, opacity_logits, .. } = self.input.clone();
-        SplatTensors { means, log_scales, rotations, opacity_logits }.seen_by(camera, settings)
+        let RasterInput {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            ..
+        } = self.input.clone();
+        SplatTensors {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+        }
+        .seen_by(camera, settings)
     }
 }
 
 /// All of `parts` one after the other, and what is known of the tile lists, by one copy from the device.
-fn read_together(mut parts: Vec<Tensor<1>>, summary: Option<Tensor<1>>) -> Result<(Vec<f32>, Option<ListCount>)> {
+fn read_together(
+    mut parts: Vec<Tensor<1>>,
+    summary: Option<Tensor<1>>,
+) -> Result<(Vec<f32>, Option<ListCount>)> {
     let fields = summary.as_ref().map_or(0, |summary| summary.dims()[0]);
     parts.extend(summary);
     let mut values = read("a rendered view", Tensor::cat(parts, 0))?;

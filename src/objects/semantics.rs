@@ -11,7 +11,9 @@ pub fn has_truth(view: &View, association: Association, semantics: Option<&Seman
     match association {
         Association::None => view.truth.is_some(),
         // Ids of objects are those of no truth.
-        Association::Gaussians => view.instances.is_some() || semantics.is_some_and(|semantics| semantics.knows(view)),
+        Association::Gaussians => {
+            view.instances.is_some() || semantics.is_some_and(|semantics| semantics.knows(view))
+        }
     }
 }
 
@@ -29,11 +31,26 @@ pub struct Semantics {
 impl Semantics {
     /// Of a scene as loaded, not yet associated; `None` where no segment has a class, or no test view true labels.
     pub fn of(scene: &Scene) -> Option<Self> {
-        let told = || scene.views.iter().flat_map(|view| &view.segments).filter_map(|s| Some((s.class?, s.thing)));
-        let truth: BTreeMap<String, LabelRuns> =
-            scene.split(Split::Test).filter_map(|view| Some((view.name.clone(), view.truth.clone()?))).collect();
-        let stuff = told().filter(|(_, thing)| !thing).map(|(class, _)| class).collect();
-        (told().next().is_some() && !truth.is_empty()).then(|| Self { classes: scene.classes.clone(), stuff, truth })
+        let told = || {
+            scene
+                .views
+                .iter()
+                .flat_map(|view| &view.segments)
+                .filter_map(|s| Some((s.class?, s.thing)))
+        };
+        let truth: BTreeMap<String, LabelRuns> = scene
+            .split(Split::Test)
+            .filter_map(|view| Some((view.name.clone(), view.truth.clone()?)))
+            .collect();
+        let stuff = told()
+            .filter(|(_, thing)| !thing)
+            .map(|(class, _)| class)
+            .collect();
+        (told().next().is_some() && !truth.is_empty()).then(|| Self {
+            classes: scene.classes.clone(),
+            stuff,
+            truth,
+        })
     }
 
     /// Whether a view has true labels.
@@ -45,12 +62,20 @@ impl Semantics {
     pub fn score(&self, objects: &Classes, found: &[(&View, LabelRuns)]) -> SemanticScores {
         let maps = found.iter().filter_map(|(view, found)| {
             let truth = self.truth.get(&view.name)?;
-            Some((truth.map(), view.instances.as_ref().map(LabelRuns::map), found.map()))
+            Some((
+                truth.map(),
+                view.instances.as_ref().map(LabelRuns::map),
+                found.map(),
+            ))
         });
         let maps: Vec<_> = maps.collect();
         let views = maps.iter().map(|(truth, instances, objects)| {
             let instances = instances.as_ref().map(|map| &map.ids[..]);
-            SemanticView { truth: &truth.ids, instances, objects: &objects.ids }
+            SemanticView {
+                truth: &truth.ids,
+                instances,
+                objects: &objects.ids,
+            }
         });
         semantic_scores(objects, &self.classes, &self.stuff, views)
     }

@@ -44,7 +44,10 @@ impl<'a> NeighbourGraph<'a> {
         let n = means.len();
         if n == 0 || !features.len().is_multiple_of(n) {
             if !features.is_empty() {
-                let (found, expected) = (format!("{} numbers", features.len()), format!("a multiple of {n}"));
+                let (found, expected) = (
+                    format!("{} numbers", features.len()),
+                    format!("a multiple of {n}"),
+                );
                 return Err(Error::argument(
                     "features of the neighbour graph",
                     found,
@@ -52,28 +55,57 @@ impl<'a> NeighbourGraph<'a> {
                     "pass one row a Gaussian",
                 ));
             }
-            return Ok(Self { means, neighbours: Vec::new(), k, reach: Vec::new(), features, norms: Vec::new() });
+            return Ok(Self {
+                means,
+                neighbours: Vec::new(),
+                k,
+                reach: Vec::new(),
+                features,
+                norms: Vec::new(),
+            });
         }
         let d = features.len() / n;
         if let Some(at) = features.iter().position(|f| !f.is_finite()) {
-            return Err(Error::non_finite("features of the neighbour graph", at / d.max(1)));
+            return Err(Error::non_finite(
+                "features of the neighbour graph",
+                at / d.max(1),
+            ));
         }
         let neighbours = without_self(means, k)?;
         let mean_distance = |(i, row): (usize, &[u32])| {
-            row.iter().map(|&j| squared_distance(&means[i], &means[j as usize]).sqrt()).sum::<f32>() / k as f32
+            row.iter()
+                .map(|&j| squared_distance(&means[i], &means[j as usize]).sqrt())
+                .sum::<f32>()
+                / k as f32
         };
-        let reach = neighbours.chunks_exact(k.max(1)).enumerate().map(mean_distance).collect();
+        let reach = neighbours
+            .chunks_exact(k.max(1))
+            .enumerate()
+            .map(mean_distance)
+            .collect();
         let norms = match d {
             0 => Vec::new(),
-            _ => features.chunks_exact(d).map(|f| f.iter().map(|v| v * v).sum::<f32>().sqrt()).collect(),
+            _ => features
+                .chunks_exact(d)
+                .map(|f| f.iter().map(|v| v * v).sum::<f32>().sqrt())
+                .collect(),
         };
-        Ok(Self { means, neighbours, k, reach, features, norms })
+        Ok(Self {
+            means,
+            neighbours,
+            k,
+            reach,
+            features,
+            norms,
+        })
     }
 
     /// Share of the pairs of a Gaussian and a neighbour, both of which have a label, whose labels differ; 0 without pairs.
     pub fn disagreement(&self, identities: &Identities) -> f64 {
         let labels = identities.labels();
-        let rows = labels.iter().zip(self.neighbours.chunks_exact(self.k.max(1)));
+        let rows = labels
+            .iter()
+            .zip(self.neighbours.chunks_exact(self.k.max(1)));
         let (mut pairs, mut differ) = (0_u64, 0_u64);
         for (own, row) in rows {
             let Some(own) = own else { continue };
@@ -95,9 +127,18 @@ impl<'a> NeighbourGraph<'a> {
         if identities.scores.len() != self.means.len() * classes {
             let (found, expected) = (identities.scores.len() / classes.max(1), self.means.len());
             let mend = "diffuse the identities of the graph's own Gaussians";
-            return Err(Error::argument("identities", format!("{found} rows"), format!("{expected}"), mend));
+            return Err(Error::argument(
+                "identities",
+                format!("{found} rows"),
+                format!("{expected}"),
+                mend,
+            ));
         }
-        if let Some(at) = identities.scores.iter().position(|s| !(s.is_finite() && *s >= 0.0)) {
+        if let Some(at) = identities
+            .scores
+            .iter()
+            .position(|s| !(s.is_finite() && *s >= 0.0))
+        {
             return Err(Error::non_finite("scores to diffuse", at / classes));
         }
         if classes == 0 || self.k == 0 {
@@ -106,7 +147,8 @@ impl<'a> NeighbourGraph<'a> {
         let mut start = identities.scores.clone();
         for row in start.chunks_exact_mut(classes) {
             let sum: f32 = row.iter().sum();
-            row.iter_mut().for_each(|v| *v /= sum.max(f32::MIN_POSITIVE));
+            row.iter_mut()
+                .for_each(|v| *v /= sum.max(f32::MIN_POSITIVE));
         }
         let mut scores = start.clone();
         for _ in 0..diffusion.steps {
@@ -115,31 +157,44 @@ impl<'a> NeighbourGraph<'a> {
         Ok(Identities { scores, classes })
     }
 
-    fn pass(&self, start: &[f32], scores: &[f32], classes: usize, diffusion: &Diffusion) -> Vec<f32> {
+    fn pass(
+        &self,
+        start: &[f32],
+        scores: &[f32],
+        classes: usize,
+        diffusion: &Diffusion,
+    ) -> Vec<f32> {
         let strength = diffusion.strength as f32;
         let mut out = vec![0.0; scores.len()];
-        out.par_chunks_exact_mut(classes).enumerate().with_min_len(256).for_each(|(i, out)| {
-            let mut total = 0.0;
-            for &j in &self.neighbours[i * self.k..][..self.k] {
-                let from = &scores[j as usize * classes..][..classes];
-                // A neighbour that knows nothing has no say.
-                if from.iter().all(|v| *v == 0.0) {
-                    continue;
+        out.par_chunks_exact_mut(classes)
+            .enumerate()
+            .with_min_len(256)
+            .for_each(|(i, out)| {
+                let mut total = 0.0;
+                for &j in &self.neighbours[i * self.k..][..self.k] {
+                    let from = &scores[j as usize * classes..][..classes];
+                    // A neighbour that knows nothing has no say.
+                    if from.iter().all(|v| *v == 0.0) {
+                        continue;
+                    }
+                    let affinity = self.affinity(i, j as usize, diffusion.temperature as f32);
+                    total += affinity;
+                    out.iter_mut()
+                        .zip(from)
+                        .for_each(|(o, v)| *o += affinity * v);
                 }
-                let affinity = self.affinity(i, j as usize, diffusion.temperature as f32);
-                total += affinity;
-                out.iter_mut().zip(from).for_each(|(o, v)| *o += affinity * v);
-            }
-            let own = &start[i * classes..][..classes];
-            let unknown = own.iter().all(|v| *v == 0.0);
-            let share = match (total > 0.0, unknown) {
-                (false, _) => 0.0,
-                (true, true) => 1.0,
-                (true, false) => strength,
-            };
-            let factor = if total > 0.0 { share / total } else { 0.0 };
-            out.iter_mut().zip(own).for_each(|(o, v)| *o = *o * factor + (1.0 - share) * v);
-        });
+                let own = &start[i * classes..][..classes];
+                let unknown = own.iter().all(|v| *v == 0.0);
+                let share = match (total > 0.0, unknown) {
+                    (false, _) => 0.0,
+                    (true, true) => 1.0,
+                    (true, false) => strength,
+                };
+                let factor = if total > 0.0 { share / total } else { 0.0 };
+                out.iter_mut()
+                    .zip(own)
+                    .for_each(|(o, v)| *o = *o * factor + (1.0 - share) * v);
+            });
         out
     }
 
@@ -154,7 +209,11 @@ impl<'a> NeighbourGraph<'a> {
                 let row = |i: usize| &self.features[i * d..][..d];
                 let dot: f32 = row(i).iter().zip(row(j)).map(|(a, b)| a * b).sum();
                 let norms = self.norms[i] * self.norms[j];
-                if norms > 0.0 { ((1.0 - dot / norms).max(0.0) / temperature).min(80.0) } else { 0.0 }
+                if norms > 0.0 {
+                    ((1.0 - dot / norms).max(0.0) / temperature).min(80.0)
+                } else {
+                    0.0
+                }
             }
         };
         (-away - apart).exp()

@@ -50,7 +50,10 @@ pub fn vote<'a>(
     for view in views {
         let Some(raw) = &view.raw else { continue };
         let mut labels = raw.map();
-        labels.ids.iter_mut().for_each(|id| *id = lookup[usize::from(*id)]);
+        labels
+            .ids
+            .iter_mut()
+            .for_each(|id| *id = lookup[usize::from(*id)]);
         // Of the classes that the view shows alone, so that neither time nor memory grows with those of the whole scene.
         let mut shown: Vec<u16> = labels.ids.clone();
         shown.sort_unstable();
@@ -63,9 +66,14 @@ pub fn vote<'a>(
         let projected = Projected::new(&gaussians.splats(), &view.camera, settings)?;
         for block in shown.chunks(CLASSES_AT_ONCE) {
             let weights = projected.blend_adjoint(&one_hot(&labels.ids, block), block.len());
-            let rows = table.par_chunks_exact_mut(c).zip(weights.par_chunks_exact(block.len()));
+            let rows = table
+                .par_chunks_exact_mut(c)
+                .zip(weights.par_chunks_exact(block.len()));
             rows.for_each(|(row, weights)| {
-                block.iter().zip(weights).for_each(|(&class, weight)| row[usize::from(class)] += weight);
+                block
+                    .iter()
+                    .zip(weights)
+                    .for_each(|(&class, weight)| row[usize::from(class)] += weight);
             });
         }
     }
@@ -79,11 +87,14 @@ pub fn vote<'a>(
 fn one_hot(labels: &[u16], classes: &[u16]) -> Vec<f32> {
     let width = classes.len();
     let mut image = vec![0.0; labels.len() * width];
-    image.par_chunks_exact_mut(width.max(1)).zip(labels).for_each(|(pixel, label)| {
-        if let Ok(channel) = classes.binary_search(label) {
-            pixel[channel] = 1.0;
-        }
-    });
+    image
+        .par_chunks_exact_mut(width.max(1))
+        .zip(labels)
+        .for_each(|(pixel, label)| {
+            if let Ok(channel) = classes.binary_search(label) {
+                pixel[channel] = 1.0;
+            }
+        });
     image
 }
 
@@ -107,12 +118,18 @@ impl Votes {
     /// One-hot identities of the winners; zero where nothing was voted.
     pub fn identities(&self) -> Identities {
         let mut scores = vec![0.0; self.table.len()];
-        for (row, winner) in scores.chunks_exact_mut(self.classes.max(1)).zip(self.winners()) {
+        for (row, winner) in scores
+            .chunks_exact_mut(self.classes.max(1))
+            .zip(self.winners())
+        {
             if let Some(c) = winner {
                 row[usize::from(c)] = 1.0;
             }
         }
-        Identities { scores, classes: self.classes }
+        Identities {
+            scores,
+            classes: self.classes,
+        }
     }
 
     /// Logarithms of the shares of each Gaussian's votes, `[N, C]`, every share raised by `floor`: what the votes say to a
@@ -128,10 +145,15 @@ impl Votes {
 
     /// How far the views agree, over all Gaussians with votes; zeros when there are none.
     pub fn agreement(&self) -> Agreement {
-        let rows = self.table.chunks_exact(self.classes.max(1)).zip(self.entropy());
+        let rows = self
+            .table
+            .chunks_exact(self.classes.max(1))
+            .zip(self.entropy());
         let (mut voted, mut entropy, mut contested) = (0_u64, 0.0, 0_u64);
         for (row, of_row) in rows {
-            let (sum, most) = row.iter().fold((0.0, 0.0_f32), |(sum, most), &v| (sum + v, most.max(v)));
+            let (sum, most) = row
+                .iter()
+                .fold((0.0, 0.0_f32), |(sum, most), &v| (sum + v, most.max(v)));
             if sum > 0.0 {
                 voted += 1;
                 entropy += f64::from(of_row);
@@ -139,7 +161,10 @@ impl Votes {
             }
         }
         let count = voted.max(1) as f64;
-        Agreement { entropy: entropy / count, contested: contested as f64 / count }
+        Agreement {
+            entropy: entropy / count,
+            contested: contested as f64 / count,
+        }
     }
 
     /// Shannon entropy (nats) of each Gaussian's votes: 0 where all views agree or nothing was voted.
@@ -148,7 +173,10 @@ impl Votes {
             .chunks_exact(self.classes.max(1))
             .map(|row| {
                 let sum: f32 = row.iter().sum();
-                row.iter().filter(|v| **v > 0.0).map(|v| -(v / sum) * (v / sum).ln()).sum()
+                row.iter()
+                    .filter(|v| **v > 0.0)
+                    .map(|v| -(v / sum) * (v / sum).ln())
+                    .sum()
             })
             .collect()
     }

@@ -31,7 +31,13 @@ pub struct AdamStep {
 impl AdamStep {
     /// Step `step` (from 1) with the constants of 3DGS: betas 0.9 and 0.999, epsilon 1e-15.
     pub fn splatting(rates: Vec<f64>, step: u32) -> Self {
-        Self { rates, beta1: 0.9, beta2: 0.999, epsilon: 1e-15, step }
+        Self {
+            rates,
+            beta1: 0.9,
+            beta2: 0.999,
+            epsilon: 1e-15,
+            step,
+        }
     }
 
     /// 1 - beta^t for both moments.
@@ -46,7 +52,13 @@ impl AdamStep {
         let (c1, c2) = self.corrections();
         // whole periods in a tile, so that every tile starts at column 0
         let tile = period * 64_usize.div_ceil(period);
-        let rates: Vec<E> = self.rates.iter().cycle().take(tile).map(|r| E::of(r / c1)).collect();
+        let rates: Vec<E> = self
+            .rates
+            .iter()
+            .cycle()
+            .take(tile)
+            .map(|r| E::of(r / c1))
+            .collect();
         let constants = Constants {
             beta1: E::of(self.beta1),
             rest1: E::of(1.0 - self.beta1),
@@ -87,7 +99,10 @@ fn update_body<E: Real, const FMA: bool>(
     v: &mut [E],
 ) {
     let tile = rates.len();
-    let tiles = p.chunks_mut(tile).zip(g.chunks(tile)).zip(m.chunks_mut(tile).zip(v.chunks_mut(tile)));
+    let tiles = p
+        .chunks_mut(tile)
+        .zip(g.chunks(tile))
+        .zip(m.chunks_mut(tile).zip(v.chunks_mut(tile)));
     for ((p, g), (m, v)) in tiles {
         let n = p.len().min(g.len()).min(m.len()).min(v.len()).min(tile);
         let (p, g, m, v, rates) = (&mut p[..n], &g[..n], &mut m[..n], &mut v[..n], &rates[..n]);
@@ -117,7 +132,11 @@ pub trait AdamBackend: Backend {
         step: Arc<AdamStep>,
     ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>);
     /// `mean + share (value - mean)`; a buffer of `mean` that nobody else holds is reused.
-    fn move_towards(mean: FloatTensor<Self>, value: FloatTensor<Self>, share: f64) -> FloatTensor<Self>;
+    fn move_towards(
+        mean: FloatTensor<Self>,
+        value: FloatTensor<Self>,
+        share: f64,
+    ) -> FloatTensor<Self>;
 }
 
 impl<B: HostKernels> AdamBackend for B {
@@ -131,7 +150,11 @@ impl<B: HostKernels> AdamBackend for B {
         on_host::adam_step::<Self>(param, grad, first, second, &step)
     }
 
-    fn move_towards(mean: FloatTensor<Self>, value: FloatTensor<Self>, share: f64) -> FloatTensor<Self> {
+    fn move_towards(
+        mean: FloatTensor<Self>,
+        value: FloatTensor<Self>,
+        share: f64,
+    ) -> FloatTensor<Self> {
         on_host::move_towards::<Self>(mean, value, share)
     }
 }
@@ -158,7 +181,11 @@ pub(super) mod on_host {
         })
     }
 
-    pub fn move_towards<B: HostBackend>(mean: FloatTensor<B>, value: FloatTensor<B>, share: f64) -> FloatTensor<B> {
+    pub fn move_towards<B: HostBackend>(
+        mean: FloatTensor<B>,
+        value: FloatTensor<B>,
+        share: f64,
+    ) -> FloatTensor<B> {
         let (device, shape) = (device_of::<B>(&mean), mean.shape());
         real_kernel!(mean, E => {
             let mut mean = B::values::<E>(mean).into_vec();
@@ -184,12 +211,32 @@ pub struct AdamTensors<const D: usize> {
 ///
 /// # Panics
 /// If shapes differ, `step.rates` is empty, or a tensor has autodiff or is neither f32 nor f64.
-pub fn adam_step<const D: usize>(state: AdamTensors<D>, grad: Tensor<D>, step: &Arc<AdamStep>) -> AdamTensors<D> {
-    let AdamTensors { param, first, second } = state;
+pub fn adam_step<const D: usize>(
+    state: AdamTensors<D>,
+    grad: Tensor<D>,
+    step: &Arc<AdamStep>,
+) -> AdamTensors<D> {
+    let AdamTensors {
+        param,
+        first,
+        second,
+    } = state;
     assert!(!step.rates.is_empty(), "adam_step: no learning rate");
-    assert_eq!(param.dims(), grad.dims(), "adam_step: parameter against gradient");
-    assert_eq!(param.dims(), first.dims(), "adam_step: parameter against first moment");
-    assert_eq!(param.dims(), second.dims(), "adam_step: parameter against second moment");
+    assert_eq!(
+        param.dims(),
+        grad.dims(),
+        "adam_step: parameter against gradient"
+    );
+    assert_eq!(
+        param.dims(),
+        first.dims(),
+        "adam_step: parameter against first moment"
+    );
+    assert_eq!(
+        param.dims(),
+        second.dims(),
+        "adam_step: parameter against second moment"
+    );
     let (param, first, second) = Dispatch::adam_step(
         param.into_dispatch(),
         grad.into_dispatch(),
@@ -209,30 +256,55 @@ pub fn adam_step<const D: usize>(state: AdamTensors<D>, grad: Tensor<D>, step: &
 /// # Panics
 /// If shapes differ, or a tensor has autodiff or is neither f32 nor f64.
 pub fn move_towards<const D: usize>(mean: Tensor<D>, value: Tensor<D>, share: f64) -> Tensor<D> {
-    assert_eq!(mean.dims(), value.dims(), "move_towards: mean against value");
-    Tensor::from_dispatch(Dispatch::move_towards(mean.into_dispatch(), value.into_dispatch(), share))
+    assert_eq!(
+        mean.dims(),
+        value.dims(),
+        "move_towards: mean against value"
+    );
+    Tensor::from_dispatch(Dispatch::move_towards(
+        mean.into_dispatch(),
+        value.into_dispatch(),
+        share,
+    ))
 }
 
 /// The same step in plain tensor operations: the reference of [`adam_step`].
-pub fn adam_step_plain<const D: usize>(state: AdamTensors<D>, grad: Tensor<D>, step: &AdamStep) -> AdamTensors<D> {
+pub fn adam_step_plain<const D: usize>(
+    state: AdamTensors<D>,
+    grad: Tensor<D>,
+    step: &AdamStep,
+) -> AdamTensors<D> {
     let (c1, c2) = step.corrections();
     let first = state.first * step.beta1 + grad.clone() * (1.0 - step.beta1);
     let second = state.second * step.beta2 + grad.clone() * grad * (1.0 - step.beta2);
-    let direction = first.clone() * (1.0 / c1) / ((second.clone() * (1.0 / c2)).sqrt() + step.epsilon);
-    let (shape, device, dtype) = (state.param.dims(), state.param.device(), state.param.dtype());
+    let direction =
+        first.clone() * (1.0 / c1) / ((second.clone() * (1.0 / c2)).sqrt() + step.epsilon);
+    let (shape, device, dtype) = (
+        state.param.dims(),
+        state.param.device(),
+        state.param.dtype(),
+    );
     let (count, period) = (shape.iter().product::<usize>(), step.rates.len());
     let update = match step.rates[..] {
         [rate] => direction * rate,
         _ if count.is_multiple_of(period) => {
-            let rates = Tensor::<2>::from_data(TensorData::new(step.rates.clone(), [1, period]), (&device, dtype));
+            let rates = Tensor::<2>::from_data(
+                TensorData::new(step.rates.clone(), [1, period]),
+                (&device, dtype),
+            );
             (direction.reshape([count / period, period]) * rates).reshape(shape)
         }
         _ => {
             let rates = step.rates.iter().copied().cycle().take(count).collect();
-            direction * Tensor::<D>::from_data(TensorData::new::<f64, _>(rates, shape), (&device, dtype))
+            direction
+                * Tensor::<D>::from_data(TensorData::new::<f64, _>(rates, shape), (&device, dtype))
         }
     };
-    AdamTensors { param: state.param - update, first, second }
+    AdamTensors {
+        param: state.param - update,
+        first,
+        second,
+    }
 }
 
 #[cfg(all(test, feature = "ndarray"))]

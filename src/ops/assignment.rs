@@ -11,11 +11,18 @@
 /// If `values` is no multiple of `columns`.
 pub fn assignment(values: &[f64], columns: usize) -> Vec<Option<usize>> {
     let rows = values.len() / columns.max(1);
-    assert_eq!(values.len(), rows * columns, "assignment: values against rows times columns");
+    assert_eq!(
+        values.len(),
+        rows * columns,
+        "assignment: values against rows times columns"
+    );
     if rows <= columns {
         let cost = |r: usize, c: usize| -values[r * columns + c];
         let partners = augment(rows, columns, cost);
-        return (0..rows).zip(partners).map(|(r, c)| (values[r * columns + c] > 0.0).then_some(c)).collect();
+        return (0..rows)
+            .zip(partners)
+            .map(|(r, c)| (values[r * columns + c] > 0.0).then_some(c))
+            .collect();
     }
     let cost = |c: usize, r: usize| -values[r * columns + c];
     let mut out = vec![None; rows];
@@ -70,7 +77,11 @@ fn augment(rows: usize, columns: usize, cost: impl Fn(usize, usize) -> f64) -> V
         }
     }
     let mut out = vec![0; rows];
-    for (c, &r) in row_of[..columns].iter().enumerate().filter(|(_, r)| **r != FREE) {
+    for (c, &r) in row_of[..columns]
+        .iter()
+        .enumerate()
+        .filter(|(_, r)| **r != FREE)
+    {
         out[r] = c;
     }
     out

@@ -72,7 +72,11 @@ impl Vector<f32> for Avx {
     }
     #[inline(always)]
     fn select_above(self, b: Self, yes: Self, no: Self) -> Self {
-        Self(avx!(_mm256_blendv_ps(no.0, yes.0, _mm256_cmp_ps::<_CMP_GT_OQ>(self.0, b.0))))
+        Self(avx!(_mm256_blendv_ps(
+            no.0,
+            yes.0,
+            _mm256_cmp_ps::<_CMP_GT_OQ>(self.0, b.0)
+        )))
     }
     #[inline(always)]
     fn bits_above(self, b: Self) -> u32 {
@@ -80,11 +84,17 @@ impl Vector<f32> for Avx {
     }
     #[inline(always)]
     fn keep_above(self, a: Self, b: Self) -> Self {
-        Self(avx!(_mm256_and_ps(_mm256_cmp_ps::<_CMP_GT_OQ>(a.0, b.0), self.0)))
+        Self(avx!(_mm256_and_ps(
+            _mm256_cmp_ps::<_CMP_GT_OQ>(a.0, b.0),
+            self.0
+        )))
     }
     #[inline(always)]
     fn keep_from(self, low: Self) -> Self {
-        Self(avx!(_mm256_and_ps(_mm256_cmp_ps::<_CMP_GE_OQ>(self.0, low.0), self.0)))
+        Self(avx!(_mm256_and_ps(
+            _mm256_cmp_ps::<_CMP_GE_OQ>(self.0, low.0),
+            self.0
+        )))
     }
     #[inline(always)]
     fn exp2_nonpositive(self) -> Self {
@@ -98,17 +108,25 @@ impl Vector<f32> for Avx {
             p = p.fma(f, Self::splat(c));
         }
         let exponent = avx!(_mm256_slli_epi32::<23>(_mm256_castps_si256(shifted.0)));
-        Self(avx!(_mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(p.0), exponent))))
+        Self(avx!(_mm256_castsi256_ps(_mm256_add_epi32(
+            _mm256_castps_si256(p.0),
+            exponent
+        ))))
     }
     #[inline(always)]
     fn permute(self, from: &[u8; LANES]) -> Self {
-        let from = avx!(_mm256_cvtepu8_epi32(_mm_cvtsi64_si128(i64::from_le_bytes(*from))));
+        let from = avx!(_mm256_cvtepu8_epi32(_mm_cvtsi64_si128(i64::from_le_bytes(
+            *from
+        ))));
         Self(avx!(_mm256_permutevar8x32_ps(self.0, from)))
     }
     #[inline(always)]
     fn total(self) -> f32 {
         avx!({
-            let x = _mm_add_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
+            let x = _mm_add_ps(
+                _mm256_castps256_ps128(self.0),
+                _mm256_extractf128_ps::<1>(self.0),
+            );
             let x = _mm_add_ps(x, _mm_movehl_ps(x, x));
             _mm_cvtss_f32(_mm_add_ss(x, _mm_shuffle_ps::<1>(x, x)))
         })

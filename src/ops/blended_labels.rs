@@ -13,7 +13,9 @@ use super::{HostBackend, Real, device_of, real_kernel};
 use crate::device::in_host_memory;
 use crate::error::Result;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
-use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
+use burn::backend::{
+    Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor,
+};
 use burn::tensor::Tensor;
 use burn::tensor::activation::softmax;
 use rayon::prelude::*;
@@ -58,7 +60,11 @@ pub struct LabelledPixels {
 impl LabelledPixels {
     /// The rows `rows` of `weights`, whose class indices are `labels`.
     pub fn new(weights: PixelWeights, rows: Vec<u32>, labels: Vec<u16>) -> Self {
-        Self { weights, rows: Arc::new(rows.into()), labels: Arc::new(labels.into()) }
+        Self {
+            weights,
+            rows: Arc::new(rows.into()),
+            labels: Arc::new(labels.into()),
+        }
     }
 
     /// `values` `[V, C]` blended at the chosen rows, `[P, C]`, with gradient to `values`.
@@ -67,7 +73,10 @@ impl LabelledPixels {
     /// Those of [`Blending::blend`].
     pub fn blend(&self, values: Tensor<2>) -> Result<Tensor<2>> {
         match &self.weights {
-            PixelWeights::Stored(weights) => Ok(sparse_apply(values, Arc::new(weights.select_rows(&self.rows)))),
+            PixelWeights::Stored(weights) => Ok(sparse_apply(
+                values,
+                Arc::new(weights.select_rows(&self.rows)),
+            )),
             PixelWeights::Rendered(view) => view.blend(values, &self.rows),
         }
     }
@@ -83,7 +92,10 @@ impl LabelledPixels {
         classes: usize,
         losses: &ClassLosses,
     ) -> (E, Vec<E>) {
-        assert!(!losses.kind.reads_all_classes(), "value_and_gradient: {losses:?} reads all classes of a pixel");
+        assert!(
+            !losses.kind.reads_all_classes(),
+            "value_and_gradient: {losses:?} reads all classes of a pixel"
+        );
         let mut gradient = vec![E::zero(); scores.len()];
         let mut of_class = vec![Vec::new(); classes];
         for (&row, &label) in self.rows.iter().zip(self.labels.iter()) {
@@ -97,8 +109,11 @@ impl LabelledPixels {
         }
         let points = scores.len() / classes;
         let p = probabilities(scores, classes);
-        let tasks: Vec<(usize, &[u32])> =
-            of_class.iter().enumerate().flat_map(|(class, rows)| rows.chunks(TASK).map(move |r| (class, r))).collect();
+        let tasks: Vec<(usize, &[u32])> = of_class
+            .iter()
+            .enumerate()
+            .flat_map(|(class, rows)| rows.chunks(TASK).map(move |r| (class, r)))
+            .collect();
         let scale = 1.0 / count as f64;
         let done: Vec<(f64, Vec<E>)> = tasks
             .par_iter()
@@ -119,19 +134,26 @@ impl LabelledPixels {
                 }
             });
         }
-        let named: Vec<(usize, Vec<E>)> = d_p.into_iter().enumerate().filter_map(|(c, d)| Some((c, d?))).collect();
-        gradient.par_chunks_mut(BLOCK * classes).enumerate().for_each(|(block, gradient)| {
-            for (i, gradient) in gradient.chunks_exact_mut(classes).enumerate() {
-                let j = block * BLOCK + i;
-                let mean: E = named.iter().map(|(c, d)| p[c * points + j] * d[j]).sum();
-                for (c, gradient) in gradient.iter_mut().enumerate() {
-                    *gradient = -mean * p[c * points + j];
+        let named: Vec<(usize, Vec<E>)> = d_p
+            .into_iter()
+            .enumerate()
+            .filter_map(|(c, d)| Some((c, d?)))
+            .collect();
+        gradient
+            .par_chunks_mut(BLOCK * classes)
+            .enumerate()
+            .for_each(|(block, gradient)| {
+                for (i, gradient) in gradient.chunks_exact_mut(classes).enumerate() {
+                    let j = block * BLOCK + i;
+                    let mean: E = named.iter().map(|(c, d)| p[c * points + j] * d[j]).sum();
+                    for (c, gradient) in gradient.iter_mut().enumerate() {
+                        *gradient = -mean * p[c * points + j];
+                    }
+                    for (c, d) in &named {
+                        gradient[*c] += p[c * points + j] * d[j];
+                    }
                 }
-                for (c, d) in &named {
-                    gradient[*c] += p[c * points + j] * d[j];
-                }
-            }
-        });
+            });
         (E::of(loss * scale), gradient)
     }
 }
@@ -172,18 +194,33 @@ fn of_class_alone<E: Real>(
 fn probabilities<E: Real>(scores: &[E], classes: usize) -> Vec<E> {
     let points = scores.len() / classes;
     let (mut powers, mut factors) = (vec![E::zero(); scores.len()], vec![E::zero(); points]);
-    let blocks = powers.par_chunks_mut(BLOCK * classes).zip(factors.par_chunks_mut(BLOCK));
-    blocks.zip(scores.par_chunks(BLOCK * classes)).for_each(|((powers, factors), scores)| {
-        let rows = powers.chunks_exact_mut(classes).zip(scores.chunks_exact(classes));
-        for ((powers, scores), factor) in rows.zip(factors) {
-            let highest = scores.iter().fold(scores[0], |h, &s| if s > h { s } else { h });
-            powers.iter_mut().zip(scores).for_each(|(p, &s)| *p = (s - highest).exp());
-            *factor = E::one() / powers.iter().copied().sum();
-        }
-    });
+    let blocks = powers
+        .par_chunks_mut(BLOCK * classes)
+        .zip(factors.par_chunks_mut(BLOCK));
+    blocks
+        .zip(scores.par_chunks(BLOCK * classes))
+        .for_each(|((powers, factors), scores)| {
+            let rows = powers
+                .chunks_exact_mut(classes)
+                .zip(scores.chunks_exact(classes));
+            for ((powers, scores), factor) in rows.zip(factors) {
+                let highest = scores
+                    .iter()
+                    .fold(scores[0], |h, &s| if s > h { s } else { h });
+                powers
+                    .iter_mut()
+                    .zip(scores)
+                    .for_each(|(p, &s)| *p = (s - highest).exp());
+                *factor = E::one() / powers.iter().copied().sum();
+            }
+        });
     let mut out = vec![E::zero(); scores.len()];
     out.par_chunks_mut(points).enumerate().for_each(|(c, out)| {
-        for ((out, powers), &factor) in out.iter_mut().zip(powers.chunks_exact(classes)).zip(&factors) {
+        for ((out, powers), &factor) in out
+            .iter_mut()
+            .zip(powers.chunks_exact(classes))
+            .zip(&factors)
+        {
             *out = powers[c] * factor;
         }
     });
@@ -224,7 +261,9 @@ impl<B: BlendedLabelBackend, C: CheckpointStrategy> BlendedLabelBackend for Auto
         pixels: Arc<LabelledPixels>,
         losses: ClassLosses,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        with_gradient_in_hand::<B, C>(scores, |scores| B::blended_label_loss(scores, weights, pixels, losses))
+        with_gradient_in_hand::<B, C>(scores, |scores| {
+            B::blended_label_loss(scores, weights, pixels, losses)
+        })
     }
 }
 
@@ -238,18 +277,37 @@ impl<B: BlendedLabelBackend, C: CheckpointStrategy> BlendedLabelBackend for Auto
 /// # Panics
 /// If `scores` has not one row a column of the weights, there is not one label a row, or a label is neither below C nor
 /// [`UNLABELLED`].
-pub fn blended_label_loss(scores: Tensor<2>, pixels: Arc<LabelledPixels>, losses: &ClassLosses) -> Result<Tensor<1>> {
+pub fn blended_label_loss(
+    scores: Tensor<2>,
+    pixels: Arc<LabelledPixels>,
+    losses: &ClassLosses,
+) -> Result<Tensor<1>> {
     let [rows, classes] = scores.dims();
-    assert_eq!(pixels.rows.len(), pixels.labels.len(), "blended_label_loss: labels against rows");
-    assert!(pixels.labels.end() <= classes, "blended_label_loss: a label is no class index below {classes}");
+    assert_eq!(
+        pixels.rows.len(),
+        pixels.labels.len(),
+        "blended_label_loss: labels against rows"
+    );
+    assert!(
+        pixels.labels.end() <= classes,
+        "blended_label_loss: a label is no class index below {classes}"
+    );
     let PixelWeights::Stored(weights) = &pixels.weights else {
         return blended_label_loss_plain(scores, &pixels, losses);
     };
-    assert_eq!(rows, weights.columns, "blended_label_loss: scores against columns of the weights");
+    assert_eq!(
+        rows, weights.columns,
+        "blended_label_loss: scores against columns of the weights"
+    );
     if losses.kind.reads_all_classes() || !in_host_memory(&scores.device()) {
         return blended_label_loss_plain(scores, &pixels, losses);
     }
-    let (value, _) = Dispatch::blended_label_loss(scores.into_dispatch(), weights.clone(), pixels, losses.clone());
+    let (value, _) = Dispatch::blended_label_loss(
+        scores.into_dispatch(),
+        weights.clone(),
+        pixels,
+        losses.clone(),
+    );
     Ok(Tensor::from_dispatch(value))
 }
 
@@ -257,8 +315,16 @@ pub fn blended_label_loss(scores: Tensor<2>, pixels: Arc<LabelledPixels>, losses
 ///
 /// # Errors
 /// Those of [`LabelledPixels::blend`].
-pub fn blended_label_loss_plain(scores: Tensor<2>, pixels: &LabelledPixels, losses: &ClassLosses) -> Result<Tensor<1>> {
+pub fn blended_label_loss_plain(
+    scores: Tensor<2>,
+    pixels: &LabelledPixels,
+    losses: &ClassLosses,
+) -> Result<Tensor<1>> {
     let blended = pixels.blend(softmax(scores, 1))?;
     // softmax(log q) = q / sum q: the loss sees the mixture itself
-    Ok(label_losses((blended + LEAST_PROBABILITY).log(), &pixels.labels, losses))
+    Ok(label_losses(
+        (blended + LEAST_PROBABILITY).log(),
+        &pixels.labels,
+        losses,
+    ))
 }

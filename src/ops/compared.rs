@@ -39,9 +39,16 @@ impl PackedPhoto {
     pub fn masked(pixels: &RgbImage, mask: Mask) -> Self {
         let mut pixels = pixels.clone();
         let size = (pixels.width() as usize, pixels.height() as usize);
-        assert_eq!((mask.width(), mask.height()), size, "photo: mask against pixels");
+        assert_eq!(
+            (mask.width(), mask.height()),
+            size,
+            "photo: mask against pixels"
+        );
         mask.fill(&mut pixels, CHANNELS, 0);
-        Self { mask: Some(mask), ..Self::new(Arc::new(pixels)) }
+        Self {
+            mask: Some(mask),
+            ..Self::new(Arc::new(pixels))
+        }
     }
 
     /// (height, width) in pixels.
@@ -57,7 +64,12 @@ impl PackedPhoto {
     /// The same photo, prepared on the host.
     pub fn prepared(&self) -> Photo {
         let (height, width) = self.size();
-        let rgb = self.pixels.as_raw().iter().map(|&v| f32::from(v) / 255.0).collect();
+        let rgb = self
+            .pixels
+            .as_raw()
+            .iter()
+            .map(|&v| f32::from(v) / 255.0)
+            .collect();
         match &self.mask {
             Some(mask) => Photo::masked(rgb, height, width, mask.clone()),
             None => Photo::new(rgb, height, width),

@@ -25,7 +25,11 @@ use burn::{
 #[backend_extension(Cube: cfg(feature = "cube"), Autodiff)]
 pub trait DenseBackend: Backend {
     /// `x W + b`, `[R, D]`: `x` is `[R, K]`, `weight` `[K, D]`, `bias` `[D]`, or `[0]` for none.
-    fn dense(x: FloatTensor<Self>, weight: FloatTensor<Self>, bias: FloatTensor<Self>) -> FloatTensor<Self>;
+    fn dense(
+        x: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+    ) -> FloatTensor<Self>;
     /// `g W^T`, `[R, K]`.
     fn dense_inputs_gradient(g: FloatTensor<Self>, weight: FloatTensor<Self>) -> FloatTensor<Self>;
     /// `x^T g`, `[K, D]`, and the sum of the rows of `g`, `[D]`, which means something only `with_bias`.
@@ -44,7 +48,12 @@ struct DenseBackward;
 impl<B: DenseBackend> Backward<B, 3> for DenseBackward {
     type State = (FloatTensor<B>, FloatTensor<B>);
 
-    fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
+    fn backward(
+        self,
+        ops: Ops<Self::State, 3>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
         let g = grads.consume::<B>(&ops.node);
         let (x, weight) = ops.state;
         let [x_node, weight_node, bias_node] = ops.parents;
@@ -64,11 +73,19 @@ impl<B: DenseBackend> Backward<B, 3> for DenseBackward {
 
 #[cfg(feature = "cube")]
 impl<B: DenseBackend, C: CheckpointStrategy> DenseBackend for Autodiff<B, C> {
-    fn dense(x: FloatTensor<Self>, weight: FloatTensor<Self>, bias: FloatTensor<Self>) -> FloatTensor<Self> {
+    fn dense(
+        x: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+    ) -> FloatTensor<Self> {
         let (x, x_node) = x.into_parts();
         let (weight, weight_node) = weight.into_parts();
         let (bias, bias_node) = bias.into_parts();
-        match DenseBackward.prepare::<C>([x_node, weight_node, bias_node]).compute_bound().stateful() {
+        match DenseBackward
+            .prepare::<C>([x_node, weight_node, bias_node])
+            .compute_bound()
+            .stateful()
+        {
             OpsKind::Tracked(prep) => {
                 let out = B::dense(x.clone(), weight.clone(), bias);
                 prep.finish((x, weight), out)
@@ -77,7 +94,10 @@ impl<B: DenseBackend, C: CheckpointStrategy> DenseBackend for Autodiff<B, C> {
         }
     }
 
-    fn dense_inputs_gradient(_g: FloatTensor<Self>, _weight: FloatTensor<Self>) -> FloatTensor<Self> {
+    fn dense_inputs_gradient(
+        _g: FloatTensor<Self>,
+        _weight: FloatTensor<Self>,
+    ) -> FloatTensor<Self> {
         unimplemented!("second-order gradients")
     }
 
@@ -97,11 +117,18 @@ impl<B: DenseBackend, C: CheckpointStrategy> DenseBackend for Autodiff<B, C> {
 pub fn dense(x: Tensor<2>, weight: Tensor<2>, bias: Option<Tensor<1>>) -> Tensor<2> {
     let ([_, inputs], [expected, width]) = (x.dims(), weight.dims());
     assert_eq!(inputs, expected, "dense: inputs against rows of the weight");
-    assert!(bias.as_ref().is_none_or(|bias| bias.dims() == [width]), "dense: bias against columns of the weight");
+    assert!(
+        bias.as_ref().is_none_or(|bias| bias.dims() == [width]),
+        "dense: bias against columns of the weight"
+    );
     #[cfg(feature = "cube")]
     if !in_host_memory(&x.device()) && x.dtype() == DType::F32 {
         let bias = bias.unwrap_or_else(|| Tensor::empty([0], &x.device()));
-        let out = Dispatch::dense(x.into_dispatch(), weight.into_dispatch(), bias.into_dispatch());
+        let out = Dispatch::dense(
+            x.into_dispatch(),
+            weight.into_dispatch(),
+            bias.into_dispatch(),
+        );
         return Tensor::from_dispatch(out);
     }
     match bias {

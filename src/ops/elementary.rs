@@ -96,7 +96,10 @@ mod tests {
     #[test]
     fn logarithm_agrees_with_the_library() {
         for (from, to) in [(0.0, 1.0), (0.0, 1e-6)] {
-            assert!(worst(from, to, ln_1p_unit, f64::ln_1p) < 5e-16, "{from} to {to}");
+            assert!(
+                worst(from, to, ln_1p_unit, f64::ln_1p) < 5e-16,
+                "{from} to {to}"
+            );
         }
     }
 }

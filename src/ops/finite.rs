@@ -21,7 +21,11 @@ pub trait FiniteBackend: Backend {
     /// `count` (`[1]`) and the number of values that are NaN or infinite besides; its buffer may be reused.
     fn add_non_finite(count: IntTensor<Self>, values: FloatTensor<Self>) -> IntTensor<Self>;
     /// `loss` (`[1]`), `count` and `others` (`[n]`), `[2 + n]`.
-    fn with_count(loss: FloatTensor<Self>, count: IntTensor<Self>, others: FloatTensor<Self>) -> FloatTensor<Self>;
+    fn with_count(
+        loss: FloatTensor<Self>,
+        count: IntTensor<Self>,
+        others: FloatTensor<Self>,
+    ) -> FloatTensor<Self>;
 }
 
 /// Tensors of f32 that were looked at.
@@ -38,8 +42,12 @@ impl FiniteCheck {
     pub fn add<const D: usize>(&mut self, values: &Tensor<D>) {
         #[cfg(feature = "cube")]
         if !in_host_memory(&values.device()) {
-            let count = self.count.take().unwrap_or_else(|| Tensor::zeros([1], &values.device()));
-            let count = Dispatch::add_non_finite(count.into_dispatch(), values.clone().into_dispatch());
+            let count = self
+                .count
+                .take()
+                .unwrap_or_else(|| Tensor::zeros([1], &values.device()));
+            let count =
+                Dispatch::add_non_finite(count.into_dispatch(), values.clone().into_dispatch());
             self.count = Some(Tensor::from_dispatch(count));
             return;
         }
@@ -60,16 +68,28 @@ impl FiniteCheck {
     ///
     /// # Errors
     /// As [`FiniteCheck::read`].
-    pub fn read_with(self, loss: Tensor<1>, others: Option<Tensor<1>>) -> Result<(f32, bool, Vec<f32>)> {
+    pub fn read_with(
+        self,
+        loss: Tensor<1>,
+        others: Option<Tensor<1>>,
+    ) -> Result<(f32, bool, Vec<f32>)> {
         let length = others.as_ref().map_or(0, |others| others.dims()[0]);
         let mut found = read("loss", self.beside(loss, others))?;
         let others = found.split_off(found.len().saturating_sub(length));
         let value = found.remove(0);
         #[cfg(feature = "cube")]
         if self.count.is_some() {
-            return Ok((value, value.is_finite() && found.iter().all(|count| *count == 0.0), others));
+            return Ok((
+                value,
+                value.is_finite() && found.iter().all(|count| *count == 0.0),
+                others,
+            ));
         }
-        Ok((value, value.is_finite() && found.iter().all(|sum| sum.is_finite()), others))
+        Ok((
+            value,
+            value.is_finite() && found.iter().all(|sum| sum.is_finite()),
+            others,
+        ))
     }
 
     /// `loss`, what tells whether all is finite, and `others`.
@@ -78,9 +98,16 @@ impl FiniteCheck {
         if let Some(count) = &self.count {
             let others = others.unwrap_or_else(|| Tensor::empty([0], &loss.device()));
             let (loss, count) = (loss.into_dispatch(), count.clone().into_dispatch());
-            return Tensor::from_dispatch(Dispatch::with_count(loss, count, others.into_dispatch()));
+            return Tensor::from_dispatch(Dispatch::with_count(
+                loss,
+                count,
+                others.into_dispatch(),
+            ));
         }
-        let all: Vec<_> = std::iter::once(loss).chain(self.sums.iter().cloned()).chain(others).collect();
+        let all: Vec<_> = std::iter::once(loss)
+            .chain(self.sums.iter().cloned())
+            .chain(others)
+            .collect();
         Tensor::cat(all, 0)
     }
 }

@@ -10,7 +10,8 @@ use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::Checkpoi
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::{
-    Autodiff, Backend, Dispatch, ExtensionType, TensorMetadata, backend_extension, tensor::FloatTensor,
+    Autodiff, Backend, Dispatch, ExtensionType, TensorMetadata, backend_extension,
+    tensor::FloatTensor,
 };
 use burn::tensor::activation::leaky_relu;
 use burn::tensor::{Int, Tensor, TensorData};
@@ -47,7 +48,9 @@ impl LayerMap {
         count: usize,
         buffer: &'a mut Vec<E>,
     ) -> &'a [E] {
-        let Some(rows) = &self.rows else { return &x[first * width..][..count * width] };
+        let Some(rows) = &self.rows else {
+            return &x[first * width..][..count * width];
+        };
         buffer.clear();
         for &row in &rows[first..first + count] {
             buffer.extend_from_slice(&x[row as usize * width..][..width]);
@@ -63,13 +66,24 @@ impl LayerMap {
         if out.is_empty() {
             return out;
         }
-        out.par_chunks_mut(BLOCK * width).enumerate().for_each_init(Vec::new, |buffer, (block, out)| {
-            let (first, count) = (block * BLOCK, out.len() / width);
-            out.chunks_exact_mut(width).for_each(|row| row.copy_from_slice(bias));
-            self.upsample.add_rows(first, below, width, out);
-            add_product(self.gather(x, inputs, first, count, buffer), inputs, weight, width, out);
-            out.iter_mut().for_each(|v| *v = if *v > E::zero() { *v } else { slope * *v });
-        });
+        out.par_chunks_mut(BLOCK * width).enumerate().for_each_init(
+            Vec::new,
+            |buffer, (block, out)| {
+                let (first, count) = (block * BLOCK, out.len() / width);
+                out.chunks_exact_mut(width)
+                    .for_each(|row| row.copy_from_slice(bias));
+                self.upsample.add_rows(first, below, width, out);
+                add_product(
+                    self.gather(x, inputs, first, count, buffer),
+                    inputs,
+                    weight,
+                    width,
+                    out,
+                );
+                out.iter_mut()
+                    .for_each(|v| *v = if *v > E::zero() { *v } else { slope * *v });
+            },
+        );
         out
     }
 
@@ -91,8 +105,11 @@ impl LayerMap {
             .zip(out.par_chunks((PART * width).max(1)))
             .enumerate()
             .map_init(Vec::new, |buffer, (part, (g, out))| {
-                g.iter_mut().zip(out).for_each(|(g, &out)| *g = if out > E::zero() { *g } else { slope * *g });
-                let (mut d_weight, mut d_bias) = (vec![E::zero(); weight.len()], vec![E::zero(); width]);
+                g.iter_mut()
+                    .zip(out)
+                    .for_each(|(g, &out)| *g = if out > E::zero() { *g } else { slope * *g });
+                let (mut d_weight, mut d_bias) =
+                    (vec![E::zero(); weight.len()], vec![E::zero(); width]);
                 for (block, g) in g.chunks(BLOCK * width).enumerate() {
                     let (first, count) = (part * PART + block * BLOCK, g.len() / width);
                     let x = self.gather(x, inputs, first, count, buffer);
@@ -110,7 +127,9 @@ impl LayerMap {
         }
         let d_x = rows_of_x.map(|rows| {
             let mut product = vec![E::zero(); g.len() / width.max(1) * inputs];
-            let blocks = product.par_chunks_mut((BLOCK * inputs).max(1)).zip(g.par_chunks((BLOCK * width).max(1)));
+            let blocks = product
+                .par_chunks_mut((BLOCK * inputs).max(1))
+                .zip(g.par_chunks((BLOCK * width).max(1)));
             blocks.for_each(|(d, g)| product_with_transposed(g, width, weight, inputs, d));
             let mut d_x = vec![E::zero(); rows * inputs];
             for (r, d) in product.chunks_exact(inputs.max(1)).enumerate() {
@@ -119,7 +138,12 @@ impl LayerMap {
             d_x
         });
         let below = self.upsample.apply_adjoint(&g, width);
-        LayerGradients { x: d_x, weight: d_weight, below, bias: d_bias }
+        LayerGradients {
+            x: d_x,
+            weight: d_weight,
+            below,
+            bias: d_bias,
+        }
     }
 }
 
@@ -154,7 +178,10 @@ pub struct LayerTensors<B: Backend> {
 )]
 pub trait FusionBackend: Backend {
     /// See [`LayerMap::apply`].
-    fn fusion_layer(#[extension_type] tensors: LayerTensors<Self>, map: Arc<LayerMap>) -> FloatTensor<Self>;
+    fn fusion_layer(
+        #[extension_type] tensors: LayerTensors<Self>,
+        map: Arc<LayerMap>,
+    ) -> FloatTensor<Self>;
     /// See [`LayerMap::adjoint`]; the gradient of `x` is an empty tensor unless `wants_x`.
     fn fusion_layer_adjoint(
         #[extension_type] tensors: LayerTensors<Self>,
@@ -185,9 +212,20 @@ impl<B: HostKernels> FusionBackend for B {
 pub(super) mod on_host {
     use super::*;
 
-    pub fn fusion_layer<B: HostBackend>(tensors: LayerTensors<B>, map: &LayerMap) -> FloatTensor<B> {
-        let LayerTensors { x, weight, below, bias } = tensors;
-        let (device, shape) = (device_of::<B>(&bias), [map.upsample.rows(), bias.shape()[0]]);
+    pub fn fusion_layer<B: HostBackend>(
+        tensors: LayerTensors<B>,
+        map: &LayerMap,
+    ) -> FloatTensor<B> {
+        let LayerTensors {
+            x,
+            weight,
+            below,
+            bias,
+        } = tensors;
+        let (device, shape) = (
+            device_of::<B>(&bias),
+            [map.upsample.rows(), bias.shape()[0]],
+        );
         real_kernel!(bias, E => {
             let (x, weight, below) = (B::values::<E>(x), B::values::<E>(weight), B::values::<E>(below));
             B::tensor::<E>(map.apply::<E>(&x, &weight, &below, &B::values(bias)), &shape, &device)
@@ -201,7 +239,12 @@ pub(super) mod on_host {
         map: &LayerMap,
         wants_x: bool,
     ) -> LayerTensors<B> {
-        let LayerTensors { x, weight, below, bias } = tensors;
+        let LayerTensors {
+            x,
+            weight,
+            below,
+            bias,
+        } = tensors;
         let device = device_of::<B>(&bias);
         let [rows, inputs] = x.shape().dims();
         let [coarse, width] = below.shape().dims();
@@ -226,12 +269,22 @@ struct FusionBackward;
 impl<B: FusionBackend> Backward<B, 4> for FusionBackward {
     type State = (LayerTensors<B>, FloatTensor<B>, Arc<LayerMap>);
 
-    fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
+    fn backward(
+        self,
+        ops: Ops<Self::State, 4>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
         let g = grads.consume::<B>(&ops.node);
         let (tensors, out, map) = ops.state;
         let [x, weight, below, bias] = ops.parents;
         let d = B::fusion_layer_adjoint(tensors, out, g, map, x.is_some());
-        for (node, gradient) in [(x, d.x), (weight, d.weight), (below, d.below), (bias, d.bias)] {
+        for (node, gradient) in [
+            (x, d.x),
+            (weight, d.weight),
+            (below, d.below),
+            (bias, d.bias),
+        ] {
             if let Some(node) = node {
                 grads.register::<B>(node.id, gradient);
             }
@@ -245,9 +298,18 @@ impl<B: FusionBackend, C: CheckpointStrategy> FusionBackend for Autodiff<B, C> {
         let (weight, weight_node) = tensors.weight.into_parts();
         let (below, below_node) = tensors.below.into_parts();
         let (bias, bias_node) = tensors.bias.into_parts();
-        let tensors = LayerTensors::<B> { x, weight, below, bias };
+        let tensors = LayerTensors::<B> {
+            x,
+            weight,
+            below,
+            bias,
+        };
         let nodes = [x_node, weight_node, below_node, bias_node];
-        match FusionBackward.prepare::<C>(nodes).compute_bound().stateful() {
+        match FusionBackward
+            .prepare::<C>(nodes)
+            .compute_bound()
+            .stateful()
+        {
             OpsKind::Tracked(prep) => {
                 let out = B::fusion_layer(tensors.clone(), map.clone());
                 prep.finish((tensors, out.clone(), map), out)
@@ -273,10 +335,20 @@ impl<B: FusionBackend, C: CheckpointStrategy> FusionBackend for Autodiff<B, C> {
 /// # Panics
 /// If the shapes disagree, the tensors are not all with or all without autodiff, or are neither f32 nor f64, or a row is not one
 /// of `x`.
-pub fn fusion_layer(x: Tensor<2>, weight: Tensor<2>, below: Tensor<2>, bias: Tensor<1>, map: LayerMap) -> Tensor<2> {
+pub fn fusion_layer(
+    x: Tensor<2>,
+    weight: Tensor<2>,
+    below: Tensor<2>,
+    bias: Tensor<1>,
+    map: LayerMap,
+) -> Tensor<2> {
     let ([rows, inputs], [coarse, width]) = (x.dims(), below.dims());
     let used = map.rows.as_ref().map_or(rows, |r| r.len());
-    assert_eq!((weight.dims(), bias.dims()), ([inputs, width], [width]), "fusion_layer: weight and bias");
+    assert_eq!(
+        (weight.dims(), bias.dims()),
+        ([inputs, width], [width]),
+        "fusion_layer: weight and bias"
+    );
     assert_eq!(
         (used, coarse),
         (map.upsample.rows(), map.upsample.columns),
@@ -307,9 +379,16 @@ pub fn fusion_layer_plain(
         (_, None) => upsampled + x.matmul(weight),
         (_, Some(rows)) => {
             let index = rows.iter().map(|&r| i64::from(r)).collect();
-            let index = Tensor::<1, Int>::from_data(TensorData::new::<i64, _>(index, [rows.len()]), &x.device());
+            let index = Tensor::<1, Int>::from_data(
+                TensorData::new::<i64, _>(index, [rows.len()]),
+                &x.device(),
+            );
             upsampled + x.select(0, index).matmul(weight)
         }
     };
-    if map.slope == 1.0 { sum } else { leaky_relu(sum, map.slope) }
+    if map.slope == 1.0 {
+        sum
+    } else {
+        leaky_relu(sum, map.slope)
+    }
 }

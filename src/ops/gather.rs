@@ -92,7 +92,12 @@ struct GatherBackward;
 impl<B: GatherBackend + SparseBackend> Backward<B, 1> for GatherBackward {
     type State = (Arc<RowList>, usize);
 
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
+    fn backward(
+        self,
+        ops: Ops<Self::State, 1>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
         let g = grads.consume::<B>(&ops.node);
         let (rows, count) = ops.state;
         let [parent] = ops.parents;
@@ -100,7 +105,9 @@ impl<B: GatherBackend + SparseBackend> Backward<B, 1> for GatherBackward {
         let gradient = match rows.is_ascending() {
             true => B::scatter_rows(g, rows, count),
             // A row that is named twice gets a sum.
-            false => B::sparse_apply_adjoint(g, Arc::new(SparseMatrix::selection(rows.to_vec(), count))),
+            false => {
+                B::sparse_apply_adjoint(g, Arc::new(SparseMatrix::selection(rows.to_vec(), count)))
+            }
         };
         grads.register::<B>(node.id, gradient);
     }
@@ -110,7 +117,11 @@ impl<B: GatherBackend + SparseBackend> Backward<B, 1> for GatherBackward {
 impl<B: GatherBackend + SparseBackend, C: CheckpointStrategy> GatherBackend for Autodiff<B, C> {
     fn gather_rows(x: FloatTensor<Self>, rows: Arc<RowList>) -> FloatTensor<Self> {
         let (x, node) = x.into_parts();
-        match GatherBackward.prepare::<C>([node]).compute_bound().stateful() {
+        match GatherBackward
+            .prepare::<C>([node])
+            .compute_bound()
+            .stateful()
+        {
             OpsKind::Tracked(prep) => {
                 let state = (rows.clone(), x.shape()[0]);
                 prep.finish(state, B::gather_rows(x, rows))
@@ -119,7 +130,11 @@ impl<B: GatherBackend + SparseBackend, C: CheckpointStrategy> GatherBackend for 
         }
     }
 
-    fn scatter_rows(_g: FloatTensor<Self>, _rows: Arc<RowList>, _count: usize) -> FloatTensor<Self> {
+    fn scatter_rows(
+        _g: FloatTensor<Self>,
+        _rows: Arc<RowList>,
+        _count: usize,
+    ) -> FloatTensor<Self> {
         unimplemented!("second-order gradients")
     }
 }
@@ -132,11 +147,17 @@ impl<B: GatherBackend + SparseBackend, C: CheckpointStrategy> GatherBackend for 
 /// If a row is not one of `x`.
 pub fn gather_rows(x: Tensor<2>, rows: &Arc<RowList>) -> Tensor<2> {
     let (device, count) = (x.device(), x.dims()[0]);
-    assert!(rows.end() <= count, "gather_rows: a row is not below {count}");
+    assert!(
+        rows.end() <= count,
+        "gather_rows: a row is not below {count}"
+    );
     #[cfg(feature = "cube")]
     if !in_host_memory(&device) && x.dtype() == DType::F32 {
         return Tensor::from_dispatch(Dispatch::gather_rows(x.into_dispatch(), rows.clone()));
     }
     let index: Vec<i64> = rows.iter().map(|&row| i64::from(row)).collect();
-    x.select(0, Tensor::<1, Int>::from_data(TensorData::new(index, [rows.len()]), &device.inner()))
+    x.select(
+        0,
+        Tensor::<1, Int>::from_data(TensorData::new(index, [rows.len()]), &device.inner()),
+    )
 }

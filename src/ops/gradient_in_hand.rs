@@ -13,7 +13,12 @@ struct GradientInHand;
 impl<B: Backend> Backward<B, 1> for GradientInHand {
     type State = FloatTensor<B>;
 
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
+    fn backward(
+        self,
+        ops: Ops<Self::State, 1>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
         let g = grads.consume::<B>(&ops.node);
         let [parent] = ops.parents;
         if let Some(node) = parent {
@@ -34,7 +39,11 @@ pub(super) fn with_gradient_in_hand<B: Backend, C: CheckpointStrategy>(
     let (parent, node) = parent.into_parts();
     let (value, gradient) = make(parent);
     let constant = <Autodiff<B, C> as AutodiffBackend>::from_inner(gradient.clone());
-    let value = match GradientInHand.prepare::<C>([node]).compute_bound().stateful() {
+    let value = match GradientInHand
+        .prepare::<C>([node])
+        .compute_bound()
+        .stateful()
+    {
         OpsKind::Tracked(prep) => prep.finish(gradient, value),
         OpsKind::UnTracked(prep) => prep.finish(value),
     };

@@ -60,7 +60,8 @@ pub trait HostBackend: Backend {
     /// Row-major contents of `tensor`, whose dtype must be `E`'s.
     fn values<E: Real>(tensor: FloatTensor<Self>) -> HostValues<E>;
     /// A tensor of `values` in row-major order on `device`.
-    fn tensor<E: Real>(values: Vec<E>, shape: &[usize], device: &Self::Device) -> FloatTensor<Self>;
+    fn tensor<E: Real>(values: Vec<E>, shape: &[usize], device: &Self::Device)
+    -> FloatTensor<Self>;
 }
 
 /// A backend whose operations are this crate's kernels for the CPU.
@@ -123,10 +124,17 @@ mod on_ndarray {
             match E::of_ndarray(tensor) {
                 Some(array) if array.is_standard_layout() => HostValues::Shared(array),
                 Some(array) => HostValues::Owned(array.iter().copied().collect()),
-                None => panic!("kernel called with {dtype:?} where {:?} was expected", E::dtype()),
+                None => panic!(
+                    "kernel called with {dtype:?} where {:?} was expected",
+                    E::dtype()
+                ),
             }
         }
-        fn tensor<E: Real>(values: Vec<E>, shape: &[usize], _device: &Self::Device) -> FloatTensor<Self> {
+        fn tensor<E: Real>(
+            values: Vec<E>,
+            shape: &[usize],
+            _device: &Self::Device,
+        ) -> FloatTensor<Self> {
             debug_assert_eq!(values.len(), shape.iter().product::<usize>());
             match ArcArray::from_shape_vec(IxDyn(shape), values) {
                 Ok(array) => E::into_ndarray(array),
@@ -150,8 +158,16 @@ mod on_flex {
                 None => HostValues::Owned(copy_out::<Self, E>(tensor)),
             }
         }
-        fn tensor<E: Real>(values: Vec<E>, shape: &[usize], _device: &Self::Device) -> FloatTensor<Self> {
-            FlexTensor::new(Bytes::from_elems(values), Layout::contiguous(Shape::from(shape.to_vec())), E::dtype())
+        fn tensor<E: Real>(
+            values: Vec<E>,
+            shape: &[usize],
+            _device: &Self::Device,
+        ) -> FloatTensor<Self> {
+            FlexTensor::new(
+                Bytes::from_elems(values),
+                Layout::contiguous(Shape::from(shape.to_vec())),
+                E::dtype(),
+            )
         }
     }
 }
@@ -168,7 +184,11 @@ mod on_cube {
             note_host_fallback();
             HostValues::Owned(copy_out::<Self, E>(tensor))
         }
-        fn tensor<E: Real>(values: Vec<E>, shape: &[usize], device: &Self::Device) -> FloatTensor<Self> {
+        fn tensor<E: Real>(
+            values: Vec<E>,
+            shape: &[usize],
+            device: &Self::Device,
+        ) -> FloatTensor<Self> {
             Self::float_from_data(TensorData::new(values, shape.to_vec()), device)
         }
     }
@@ -180,7 +200,10 @@ fn copy_out<B: Backend, E: Real>(tensor: FloatTensor<B>) -> Vec<E> {
     let data = burn::tensor::read_sync(B::float_into_data(tensor));
     match data.map(|d| d.into_vec::<E>()) {
         Ok(Ok(values)) => values,
-        Ok(Err(error)) => panic!("kernel called with {dtype:?} where {:?} was expected: {error:?}", E::dtype()),
+        Ok(Err(error)) => panic!(
+            "kernel called with {dtype:?} where {:?} was expected: {error:?}",
+            E::dtype()
+        ),
         Err(error) => panic!("reading a tensor back from the device failed: {error:?}"),
     }
 }

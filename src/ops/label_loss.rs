@@ -8,7 +8,9 @@ use super::gradient_in_hand::with_gradient_in_hand;
 use super::pixel_labels::PixelLabels;
 use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
-use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
+use burn::backend::{
+    Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor,
+};
 use burn::tensor::Tensor;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -53,9 +55,17 @@ impl Kind {
     /// The loss with its h and u, see the module; `log_sum` is sum_k ln p_k, and read only by such losses.
     fn of_row(self, log_p: f64, log_sum: impl FnOnce() -> f64) -> (f64, f64, f64) {
         let (loss, h) = self.of_log_probability(log_p);
-        let all = if self.reads_all_classes() { -log_sum() } else { 0.0 };
+        let all = if self.reads_all_classes() {
+            -log_sum()
+        } else {
+            0.0
+        };
         // A single class has no entropy to compare with.
-        if all > 0.0 { (loss - log_p / all, h - 1.0 / all, -log_p / (all * all)) } else { (loss, h, 0.0) }
+        if all > 0.0 {
+            (loss - log_p / all, h - 1.0 / all, -log_p / (all * all))
+        } else {
+            (loss, h, 0.0)
+        }
     }
 
     /// The loss and p_y dL/dp_y, from ln p_y; of [`Kind::NceRce`] the part that depends on p_y alone.
@@ -71,14 +81,25 @@ impl Kind {
                 let log_pi_p = (-pi_rl).ln_1p(); // ln(1 - pi_rl)
                 // m = pi_rl + (1 - pi_rl) p = 1 - (1 - pi_rl)(1 - p), from whichever end keeps its digits
                 let missing = (1.0 - pi_rl) * rest;
-                let log_m = if missing < 0.5 { (-missing).ln_1p() } else { (pi_rl + (1.0 - pi_rl) * p).ln() };
+                let log_m = if missing < 0.5 {
+                    (-missing).ln_1p()
+                } else {
+                    (pi_rl + (1.0 - pi_rl) * p).ln()
+                };
                 // ln(m / p) = ln(1 + pi_rl (1 - p) / p): the first form for small p, the second for small pi_rl
                 let ratio = pi_rl * rest / p;
-                let log_m_over_p = if ratio < 1.0 { ratio.ln_1p() } else { log_m - log_p };
+                let log_m_over_p = if ratio < 1.0 {
+                    ratio.ln_1p()
+                } else {
+                    log_m - log_p
+                };
                 let label = -pi_rl * log_m;
                 let prediction = (1.0 - pi_rl) * (-rest * log_pi_p - p * log_m_over_p);
                 let z = -(1.0 - pi_rl) * log_pi_p;
-                ((label + prediction) / z, p * (log_m_over_p - log_pi_p) / log_pi_p)
+                (
+                    (label + prediction) / z,
+                    p * (log_m_over_p - log_pi_p) / log_pi_p,
+                )
             }
         }
     }
@@ -99,7 +120,10 @@ pub struct ClassLosses {
 
 impl From<Kind> for ClassLosses {
     fn from(kind: Kind) -> Self {
-        Self { kind, shares: Vec::new() }
+        Self {
+            kind,
+            shares: Vec::new(),
+        }
     }
 }
 
@@ -108,14 +132,21 @@ impl ClassLosses {
     pub fn of(&self, class: usize) -> Kind {
         let share = self.shares.get(class).copied().unwrap_or(1.0);
         match self.kind {
-            Kind::Gce { q } if share < 1.0 => Kind::Gce { q: (q * share).max(SOFTEST.min(q)) },
+            Kind::Gce { q } if share < 1.0 => Kind::Gce {
+                q: (q * share).max(SOFTEST.min(q)),
+            },
             other => other,
         }
     }
 }
 
 /// Mean loss over labelled pixels and its gradient: `logits` is `[P, classes]`, `labels` `[P]`. No labelled pixel: zeros.
-pub fn value_and_gradient<E: Real>(logits: &[E], labels: &[u16], classes: usize, losses: &ClassLosses) -> (E, Vec<E>) {
+pub fn value_and_gradient<E: Real>(
+    logits: &[E],
+    labels: &[u16],
+    classes: usize,
+    losses: &ClassLosses,
+) -> (E, Vec<E>) {
     let mut gradient = vec![E::zero(); logits.len()];
     let count = labels.iter().filter(|&&l| l != UNLABELLED).count();
     if count == 0 || classes == 0 {
@@ -123,11 +154,15 @@ pub fn value_and_gradient<E: Real>(logits: &[E], labels: &[u16], classes: usize,
     }
     let scale = 1.0 / count as f64;
     let kinds: Vec<Kind> = (0..classes).map(|class| losses.of(class)).collect();
-    let blocks = gradient.par_chunks_mut(BLOCK * classes).zip(logits.par_chunks(BLOCK * classes));
+    let blocks = gradient
+        .par_chunks_mut(BLOCK * classes)
+        .zip(logits.par_chunks(BLOCK * classes));
     let sums: Vec<f64> = blocks
         .zip(labels.par_chunks(BLOCK))
         .map(|((gradient, logits), labels)| {
-            let rows = gradient.chunks_exact_mut(classes).zip(logits.chunks_exact(classes));
+            let rows = gradient
+                .chunks_exact_mut(classes)
+                .zip(logits.chunks_exact(classes));
             let mut sum = 0.0;
             for ((gradient, logits), &label) in rows.zip(labels) {
                 if label == UNLABELLED {
@@ -149,7 +184,12 @@ pub fn value_and_gradient<E: Real>(logits: &[E], labels: &[u16], classes: usize,
                     true => -others.wide().ln_1p(), // a prediction that is nearly right keeps its digits
                     false => (logits[y] - highest).wide() - log_total,
                 };
-                let log_sum = || logits.iter().map(|&z| (z - highest).wide() - log_total).sum();
+                let log_sum = || {
+                    logits
+                        .iter()
+                        .map(|&z| (z - highest).wide() - log_total)
+                        .sum()
+                };
                 let (loss, h, u) = kinds[y].of_row(log_p, log_sum);
                 sum += loss;
                 let factor = E::of(-(h + u * classes as f64) * scale) / total;
@@ -233,10 +273,21 @@ pub fn label_loss(logits: Tensor<2>, labels: &[u16], kind: &Kind) -> Tensor<1> {
 ///
 /// # Panics
 /// As [`label_loss`].
-pub fn label_losses(logits: Tensor<2>, labels: &Arc<PixelLabels>, losses: &ClassLosses) -> Tensor<1> {
+pub fn label_losses(
+    logits: Tensor<2>,
+    labels: &Arc<PixelLabels>,
+    losses: &ClassLosses,
+) -> Tensor<1> {
     let [rows, classes] = logits.dims();
-    assert_eq!(labels.len(), rows, "label_loss: labels against rows of logits");
-    assert!(labels.end() <= classes, "label_loss: a label is no class index below {classes}");
+    assert_eq!(
+        labels.len(),
+        rows,
+        "label_loss: labels against rows of logits"
+    );
+    assert!(
+        labels.end() <= classes,
+        "label_loss: a label is no class index below {classes}"
+    );
     let (value, _) = Dispatch::label_loss(logits.into_dispatch(), labels.clone(), losses.clone());
     Tensor::from_dispatch(value)
 }

@@ -24,20 +24,50 @@ fn view_mut<E>(values: &mut [E], columns: usize) -> ArrayViewMut2<'_, E> {
 /// `out += a b`: `a` is `[m, k]`, `b` `[k, n]`, `out` `[m, n]`, all row-major.
 pub(crate) fn add_product<E: Real>(a: &[E], k: usize, b: &[E], n: usize, out: &mut [E]) {
     if k > 0 && n > 0 {
-        general_mat_mul(E::one(), &view(a, k), &view(b, n), E::one(), &mut view_mut(out, n));
+        general_mat_mul(
+            E::one(),
+            &view(a, k),
+            &view(b, n),
+            E::one(),
+            &mut view_mut(out, n),
+        );
     }
 }
 
 /// `out += a^T b`: `a` is `[m, k]`, `b` `[m, n]`, `out` `[k, n]`.
-pub(super) fn add_product_of_transposed<E: Real>(a: &[E], k: usize, b: &[E], n: usize, out: &mut [E]) {
+pub(super) fn add_product_of_transposed<E: Real>(
+    a: &[E],
+    k: usize,
+    b: &[E],
+    n: usize,
+    out: &mut [E],
+) {
     if k > 0 && n > 0 {
-        general_mat_mul(E::one(), &view(a, k).t(), &view(b, n), E::one(), &mut view_mut(out, n));
+        general_mat_mul(
+            E::one(),
+            &view(a, k).t(),
+            &view(b, n),
+            E::one(),
+            &mut view_mut(out, n),
+        );
     }
 }
 
 /// `out = a b^T`: `a` is `[m, n]`, `b` `[k, n]`, `out` `[m, k]`.
-pub(super) fn product_with_transposed<E: Real>(a: &[E], n: usize, b: &[E], k: usize, out: &mut [E]) {
+pub(super) fn product_with_transposed<E: Real>(
+    a: &[E],
+    n: usize,
+    b: &[E],
+    k: usize,
+    out: &mut [E],
+) {
     if k > 0 && n > 0 {
-        general_mat_mul(E::one(), &view(a, n), &view(b, n).t(), E::zero(), &mut view_mut(out, k));
+        general_mat_mul(
+            E::one(),
+            &view(a, n),
+            &view(b, n).t(),
+            E::zero(),
+            &mut view_mut(out, k),
+        );
     }
 }

@@ -38,7 +38,8 @@ pub use adam::{AdamBackend, AdamStep, AdamTensors, adam_step, adam_step_plain, m
 pub use assignment::assignment;
 pub use attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
 pub use blended_labels::{
-    BlendedLabelBackend, Blending, LabelledPixels, PixelWeights, blended_label_loss, blended_label_loss_plain,
+    BlendedLabelBackend, Blending, LabelledPixels, PixelWeights, blended_label_loss,
+    blended_label_loss_plain,
 };
 pub use compared::{Compared, PackedPhoto};
 #[cfg(feature = "cube")]
@@ -47,7 +48,9 @@ pub use dense::dense;
 #[cfg(feature = "cube")]
 pub use finite::FiniteBackend;
 pub use finite::FiniteCheck;
-pub use fusion_layer::{FusionBackend, LayerGradients, LayerMap, LayerTensors, fusion_layer, fusion_layer_plain};
+pub use fusion_layer::{
+    FusionBackend, LayerGradients, LayerMap, LayerTensors, fusion_layer, fusion_layer_plain,
+};
 #[cfg(feature = "cube")]
 pub use gather::GatherBackend;
 pub use gather::{RowList, gather_rows};
@@ -55,7 +58,9 @@ pub(crate) use host::device_of;
 pub(crate) use host::real_kernel;
 pub use host::{HostBackend, HostKernels, HostValues, host_fallbacks};
 pub use label_loss::{ClassLosses, Kind, LabelLossBackend, UNLABELLED, label_loss, label_losses};
-pub use neighbour_divergence::{DivergenceBackend, NeighbourPairs, neighbour_divergence, neighbour_divergence_plain};
+pub use neighbour_divergence::{
+    DivergenceBackend, NeighbourPairs, neighbour_divergence, neighbour_divergence_plain,
+};
 pub use photo::Photo;
 pub use photometric::{PhotometricBackend, photometric_loss, photometric_loss_plain};
 pub use pixel_labels::PixelLabels;

@@ -4,7 +4,9 @@ use super::gradient_in_hand::with_gradient_in_hand;
 use super::sparse::{SparseMatrix, sparse_apply};
 use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
-use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
+use burn::backend::{
+    Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor,
+};
 use burn::tensor::Tensor;
 use burn::tensor::activation::log_softmax;
 use rayon::prelude::*;
@@ -30,7 +32,11 @@ impl NeighbourPairs {
     /// # Panics
     /// If a sampled row is not below N.
     pub fn new(chosen: Vec<u32>, table: &[u32], k: usize) -> Self {
-        let neighbours = chosen.iter().flat_map(|&j| &table[j as usize * k..][..k]).copied().collect();
+        let neighbours = chosen
+            .iter()
+            .flat_map(|&j| &table[j as usize * k..][..k])
+            .copied()
+            .collect();
         Self { chosen, neighbours }
     }
 
@@ -41,16 +47,23 @@ impl NeighbourPairs {
             return (E::zero(), gradient);
         }
         let (mut log_p, mut p) = (features.to_vec(), gradient.clone());
-        log_p.par_chunks_mut(BLOCK * width).zip(p.par_chunks_mut(BLOCK * width)).for_each(|(log_p, p)| {
-            for (log_p, p) in log_p.chunks_exact_mut(width).zip(p.chunks_exact_mut(width)) {
-                let highest = log_p.iter().fold(log_p[0], |h, &z| if z > h { z } else { h });
-                p.iter_mut().zip(&*log_p).for_each(|(p, &z)| *p = (z - highest).exp());
-                let total: E = p.iter().copied().sum();
-                let (shift, factor) = (highest + total.ln(), E::one() / total);
-                log_p.iter_mut().for_each(|z| *z -= shift);
-                p.iter_mut().for_each(|p| *p *= factor);
-            }
-        });
+        log_p
+            .par_chunks_mut(BLOCK * width)
+            .zip(p.par_chunks_mut(BLOCK * width))
+            .for_each(|(log_p, p)| {
+                for (log_p, p) in log_p.chunks_exact_mut(width).zip(p.chunks_exact_mut(width)) {
+                    let highest = log_p
+                        .iter()
+                        .fold(log_p[0], |h, &z| if z > h { z } else { h });
+                    p.iter_mut()
+                        .zip(&*log_p)
+                        .for_each(|(p, &z)| *p = (z - highest).exp());
+                    let total: E = p.iter().copied().sum();
+                    let (shift, factor) = (highest + total.ln(), E::one() / total);
+                    log_p.iter_mut().for_each(|z| *z -= shift);
+                    p.iter_mut().for_each(|p| *p *= factor);
+                }
+            });
         let k = self.neighbours.len() / self.chosen.len();
         let scale = E::of(1.0 / self.neighbours.len() as f64);
         let span = |row: u32| row as usize * width..(row as usize + 1) * width;
@@ -136,7 +149,9 @@ impl<B: DivergenceBackend, C: CheckpointStrategy> DivergenceBackend for Autodiff
         features: FloatTensor<Self>,
         pairs: Arc<NeighbourPairs>,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        with_gradient_in_hand::<B, C>(features, |features| B::neighbour_divergence(features, pairs))
+        with_gradient_in_hand::<B, C>(features, |features| {
+            B::neighbour_divergence(features, pairs)
+        })
     }
 }
 
@@ -147,7 +162,11 @@ impl<B: DivergenceBackend, C: CheckpointStrategy> DivergenceBackend for Autodiff
 /// If a row of `pairs` is not below N, or `features` are neither f32 nor f64.
 pub fn neighbour_divergence(features: Tensor<2>, pairs: NeighbourPairs) -> Tensor<1> {
     let points = features.dims()[0];
-    let known = pairs.chosen.iter().chain(&pairs.neighbours).all(|&r| (r as usize) < points);
+    let known = pairs
+        .chosen
+        .iter()
+        .chain(&pairs.neighbours)
+        .all(|&r| (r as usize) < points);
     assert!(known, "neighbour_divergence: a row is not below {points}");
     let (value, _) = Dispatch::neighbour_divergence(features.into_dispatch(), Arc::new(pairs));
     Tensor::from_dispatch(value)
@@ -162,12 +181,16 @@ pub fn neighbour_divergence_plain(features: Tensor<2>, pairs: &NeighbourPairs) -
     }
     let k = total / count;
     let own = log_softmax(pick(features.clone(), &pairs.chosen, points), 1);
-    let others = log_softmax(pick(features, &pairs.neighbours, points), 1).reshape([count, k, width]);
+    let others =
+        log_softmax(pick(features, &pairs.neighbours, points), 1).reshape([count, k, width]);
     // sum_k p_j (l_j - l_k) = p_j (K l_j - sum_k l_k)
     let others: Tensor<2> = others.sum_dim(1).reshape([count, width]);
     (own.clone().exp() * (own * k as f64 - others)).sum() * (1.0 / total as f64)
 }
 
 fn pick(features: Tensor<2>, rows: &[u32], columns: usize) -> Tensor<2> {
-    sparse_apply(features, Arc::new(SparseMatrix::selection(rows.to_vec(), columns)))
+    sparse_apply(
+        features,
+        Arc::new(SparseMatrix::selection(rows.to_vec(), columns)),
+    )
 }

@@ -40,21 +40,39 @@ impl<E: Real> Photo<E> {
     /// # Panics
     /// If `rgb` is not `height * width * 3` long.
     pub fn new(rgb: Vec<E>, height: usize, width: usize) -> Self {
-        assert_eq!(rgb.len(), height * width * CHANNELS, "photo: values against {height} x {width} x {CHANNELS}");
+        assert_eq!(
+            rgb.len(),
+            height * width * CHANNELS,
+            "photo: values against {height} x {width} x {CHANNELS}"
+        );
         let row = width * CHANNELS;
         let (mut mean, mut variance) = (vec![E::zero(); rgb.len()], vec![E::zero(); rgb.len()]);
         let band = (row * BAND).max(1);
-        mean.par_chunks_mut(band).zip(variance.par_chunks_mut(band)).enumerate().for_each(|(b, (mean, variance))| {
-            let rows = b * BAND..b * BAND + mean.len() / row;
-            let source = |r: usize| &rgb[r * row..][..row];
-            let sums = Band::new(&rows, height, row, CHANNELS, |r, out| out.copy_from_slice(source(r)));
-            let squares = Band::new(&rows, height, row, CHANNELS, |r, out| multiply(source(r), source(r), out));
-            for (k, (mean, variance)) in mean.chunks_exact_mut(row).zip(variance.chunks_exact_mut(row)).enumerate() {
-                sums.convolved(k, mean);
-                squares.convolved(k, variance);
-                variance.iter_mut().zip(&*mean).for_each(|(v, &m)| *v -= m * m);
-            }
-        });
+        mean.par_chunks_mut(band)
+            .zip(variance.par_chunks_mut(band))
+            .enumerate()
+            .for_each(|(b, (mean, variance))| {
+                let rows = b * BAND..b * BAND + mean.len() / row;
+                let source = |r: usize| &rgb[r * row..][..row];
+                let sums = Band::new(&rows, height, row, CHANNELS, |r, out| {
+                    out.copy_from_slice(source(r))
+                });
+                let squares = Band::new(&rows, height, row, CHANNELS, |r, out| {
+                    multiply(source(r), source(r), out)
+                });
+                for (k, (mean, variance)) in mean
+                    .chunks_exact_mut(row)
+                    .zip(variance.chunks_exact_mut(row))
+                    .enumerate()
+                {
+                    sums.convolved(k, mean);
+                    squares.convolved(k, variance);
+                    variance
+                        .iter_mut()
+                        .zip(&*mean)
+                        .for_each(|(v, &m)| *v -= m * m);
+                }
+            });
         Self {
             height,
             width,
@@ -73,15 +91,25 @@ impl<E: Real> Photo<E> {
     /// # Panics
     /// If `rgb` is not `height * width * 3` long, or the mask has another size.
     pub fn masked(mut rgb: Vec<E>, height: usize, width: usize, mask: Mask) -> Self {
-        assert_eq!((mask.height(), mask.width()), (height, width), "photo: mask against height and width");
+        assert_eq!(
+            (mask.height(), mask.width()),
+            (height, width),
+            "photo: mask against height and width"
+        );
         mask.fill(&mut rgb, CHANNELS, E::zero());
-        Self { mask: Some(mask), ..Self::new(rgb, height, width) }
+        Self {
+            mask: Some(mask),
+            ..Self::new(rgb, height, width)
+        }
     }
 
     /// The same photo in `f64`.
     pub(super) fn widened(&self) -> Photo<f64> {
         let rgb = self.rgb.iter().map(|v| v.wide()).collect();
-        Photo { mask: self.mask.clone(), ..Photo::new(rgb, self.height, self.width) }
+        Photo {
+            mask: self.mask.clone(),
+            ..Photo::new(rgb, self.height, self.width)
+        }
     }
 
     /// `[H, W, 3]` values; black where a mask leaves pixels out.
@@ -106,8 +134,14 @@ impl<E: Real> Photo<E> {
     /// # Panics
     /// If `image` has another size.
     pub fn compare(&self, image: &[E], ssim_weight: f64) -> (f64, Vec<E>) {
-        assert_eq!(image.len(), self.rgb.len(), "photometric loss: image against photo");
-        let Some(mask) = &self.mask else { return self.compare_all(image, ssim_weight) };
+        assert_eq!(
+            image.len(),
+            self.rgb.len(),
+            "photometric loss: image against photo"
+        );
+        let Some(mask) = &self.mask else {
+            return self.compare_all(image, ssim_weight);
+        };
         let mut shown = image.to_vec();
         mask.fill(&mut shown, CHANNELS, E::zero());
         let (loss, mut gradient) = self.compare_all(&shown, ssim_weight);
@@ -137,17 +171,29 @@ impl<E: Real> Photo<E> {
                 let mut sums: [Vec<E>; 3] = std::array::from_fn(|_| vec![E::zero(); row]);
                 let (mut distance, mut total) = (vec![E::zero(); row], 0.0);
                 for (k, (r, out)) in rows.zip(gradient.chunks_exact_mut(row)).enumerate() {
-                    bands.iter().zip(&mut sums).for_each(|(band, sum)| band.convolved(k, sum));
+                    bands
+                        .iter()
+                        .zip(&mut sums)
+                        .for_each(|(band, sum)| band.convolved(k, sum));
                     let span = r * row..(r + 1) * row;
                     let pixels = [&image[span.clone()], &self.rgb[span]];
-                    gradient_row(pixels, sums.each_ref().map(|s| &**s), l1_scale, out, &mut distance);
+                    gradient_row(
+                        pixels,
+                        sums.each_ref().map(|s| &**s),
+                        l1_scale,
+                        out,
+                        &mut distance,
+                    );
                     total += sum_wide(&distance);
                 }
                 total
             })
             .collect();
         let (l1, ssim) = (l1.iter().sum::<f64>() / n as f64, ssim / n as f64);
-        ((1.0 - ssim_weight) * l1 + ssim_weight * (1.0 - ssim), gradient)
+        (
+            (1.0 - ssim_weight) * l1 + ssim_weight * (1.0 - ssim),
+            gradient,
+        )
     }
 
     /// Sum of SSIM over all scalars, and `scale` times its derivatives by the windowed x, x^2 and x y.
@@ -155,25 +201,49 @@ impl<E: Real> Photo<E> {
         let row = self.width * CHANNELS;
         let mut partials: [Vec<E>; 3] = std::array::from_fn(|_| vec![E::zero(); image.len()]);
         let [p, q, s] = &mut partials;
-        let bands = p.par_chunks_mut(row * BAND).zip(q.par_chunks_mut(row * BAND)).zip(s.par_chunks_mut(row * BAND));
+        let bands = p
+            .par_chunks_mut(row * BAND)
+            .zip(q.par_chunks_mut(row * BAND))
+            .zip(s.par_chunks_mut(row * BAND));
         let sums: Vec<f64> = bands
             .enumerate()
             .map(|(b, ((p, q), s))| {
                 let rows = b * BAND..b * BAND + p.len() / row;
-                let (x, y) = (|r: usize| &image[r * row..][..row], |r: usize| &self.rgb[r * row..][..row]);
+                let (x, y) = (
+                    |r: usize| &image[r * row..][..row],
+                    |r: usize| &self.rgb[r * row..][..row],
+                );
                 let bands = [
-                    Band::new(&rows, self.height, row, CHANNELS, |r, out| out.copy_from_slice(x(r))),
-                    Band::new(&rows, self.height, row, CHANNELS, |r, out| multiply(x(r), x(r), out)),
-                    Band::new(&rows, self.height, row, CHANNELS, |r, out| multiply(x(r), y(r), out)),
+                    Band::new(&rows, self.height, row, CHANNELS, |r, out| {
+                        out.copy_from_slice(x(r))
+                    }),
+                    Band::new(&rows, self.height, row, CHANNELS, |r, out| {
+                        multiply(x(r), x(r), out)
+                    }),
+                    Band::new(&rows, self.height, row, CHANNELS, |r, out| {
+                        multiply(x(r), y(r), out)
+                    }),
                 ];
                 let mut sums: [Vec<E>; 3] = std::array::from_fn(|_| vec![E::zero(); row]);
                 let (mut map, mut total) = (vec![E::zero(); row], 0.0);
-                let rows = rows.zip(p.chunks_exact_mut(row)).zip(q.chunks_exact_mut(row)).zip(s.chunks_exact_mut(row));
+                let rows = rows
+                    .zip(p.chunks_exact_mut(row))
+                    .zip(q.chunks_exact_mut(row))
+                    .zip(s.chunks_exact_mut(row));
                 for (k, (((r, p), q), s)) in rows.enumerate() {
-                    bands.iter().zip(&mut sums).for_each(|(band, sum)| band.convolved(k, sum));
+                    bands
+                        .iter()
+                        .zip(&mut sums)
+                        .for_each(|(band, sum)| band.convolved(k, sum));
                     let span = r * row..(r + 1) * row;
                     let photo = [&self.mean[span.clone()], &self.variance[span]];
-                    ssim_row(sums.each_ref().map(|s| &**s), photo, E::of(scale), [p, q, s], &mut map);
+                    ssim_row(
+                        sums.each_ref().map(|s| &**s),
+                        photo,
+                        E::of(scale),
+                        [p, q, s],
+                        &mut map,
+                    );
                     total += sum_wide(&map);
                 }
                 total
@@ -184,7 +254,9 @@ impl<E: Real> Photo<E> {
 }
 
 fn multiply<E: Real>(a: &[E], b: &[E], out: &mut [E]) {
-    out.iter_mut().zip(a.iter().zip(b)).for_each(|(o, (&a, &b))| *o = a * b);
+    out.iter_mut()
+        .zip(a.iter().zip(b))
+        .for_each(|(o, (&a, &b))| *o = a * b);
 }
 
 wide_kernel! {
@@ -222,7 +294,8 @@ fn ssim_row_body<E: Real, const FMA: bool>(
     map: &mut [E],
 ) {
     let n = map.len();
-    let ([mean, square, product], [photo_mean, photo_variance]) = (sums.map(|s| &s[..n]), photo.map(|p| &p[..n]));
+    let ([mean, square, product], [photo_mean, photo_variance]) =
+        (sums.map(|s| &s[..n]), photo.map(|p| &p[..n]));
     let [by_mean, by_square, by_product] = out.map(|o| &mut o[..n]);
     let (c1, c2, two) = (E::of(C1), E::of(C2), E::of(2.0));
     for i in 0..n {
@@ -234,7 +307,8 @@ fn ssim_row_body<E: Real, const FMA: bool>(
         let ssim = a1 * a2 * r1 * r2;
         let d_square = -ssim * r2;
         let d_product = two * a1 * r1 * r2;
-        let d_mean = two * (my * a2 * r1 * r2 - mx * ssim * r1) - two * mx * d_square - my * d_product;
+        let d_mean =
+            two * (my * a2 * r1 * r2 - mx * ssim * r1) - two * mx * d_square - my * d_product;
         map[i] = ssim;
         by_mean[i] = scale * d_mean;
         by_square[i] = scale * d_square;
@@ -268,6 +342,10 @@ fn gradient_row_body<E: Real, const FMA: bool>(
             E::zero()
         };
         distance[i] = difference.abs();
-        out[i] = multiply_add::<E, FMA>(y[i], s[i], multiply_add::<E, FMA>(x[i] + x[i], q[i], p[i] + l1));
+        out[i] = multiply_add::<E, FMA>(
+            y[i],
+            s[i],
+            multiply_add::<E, FMA>(x[i] + x[i], q[i], p[i] + l1),
+        );
     }
 }

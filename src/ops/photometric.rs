@@ -11,7 +11,9 @@ use super::{Compared, HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
+use burn::backend::{
+    Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor,
+};
 use burn::tensor::module::conv2d;
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{DType, Tensor, TensorData};
@@ -32,7 +34,10 @@ pub trait PhotometricBackend: Backend {
         ssim_weight: f64,
     ) -> (FloatTensor<Self>, FloatTensor<Self>);
     /// `gradient` times the one value of `factor`, in place where nobody else holds the buffer.
-    fn photometric_scale(gradient: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self>;
+    fn photometric_scale(
+        gradient: FloatTensor<Self>,
+        factor: FloatTensor<Self>,
+    ) -> FloatTensor<Self>;
 }
 
 impl<B: HostKernels> PhotometricBackend for B {
@@ -44,7 +49,10 @@ impl<B: HostKernels> PhotometricBackend for B {
         on_host::loss::<Self>(image, &photo, ssim_weight)
     }
 
-    fn photometric_scale(gradient: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self> {
+    fn photometric_scale(
+        gradient: FloatTensor<Self>,
+        factor: FloatTensor<Self>,
+    ) -> FloatTensor<Self> {
         let (device, shape) = (device_of::<B>(&gradient), gradient.shape());
         real_kernel!(gradient, E => {
             let factor = B::values::<E>(factor).first().copied().unwrap_or(E::of(1.0));
@@ -71,11 +79,19 @@ pub(super) mod on_host {
         let (height, width) = photo.size();
         let shape = [height, width, CHANNELS];
         if image.dtype() == DType::F64 {
-            let (loss, gradient) = photo.widened().compare(&B::values::<f64>(image), ssim_weight);
-            (B::tensor(vec![loss], &[1], &device), B::tensor(gradient, &shape, &device))
+            let (loss, gradient) = photo
+                .widened()
+                .compare(&B::values::<f64>(image), ssim_weight);
+            (
+                B::tensor(vec![loss], &[1], &device),
+                B::tensor(gradient, &shape, &device),
+            )
         } else {
             let (loss, gradient) = photo.compare(&B::values::<f32>(image), ssim_weight);
-            (B::tensor(vec![loss as f32], &[1], &device), B::tensor(gradient, &shape, &device))
+            (
+                B::tensor(vec![loss as f32], &[1], &device),
+                B::tensor(gradient, &shape, &device),
+            )
         }
     }
 }
@@ -87,7 +103,12 @@ impl<B: PhotometricBackend> Backward<B, 1> for PhotometricBackward {
     /// The gradient for an upstream gradient of 1.
     type State = FloatTensor<B>;
 
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
+    fn backward(
+        self,
+        ops: Ops<Self::State, 1>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
         let upstream = grads.consume::<B>(&ops.node);
         let [parent] = ops.parents;
         if let Some(node) = parent {
@@ -105,14 +126,21 @@ impl<B: PhotometricBackend, C: CheckpointStrategy> PhotometricBackend for Autodi
         let (image, node) = image.into_parts();
         let (loss, gradient) = B::photometric(image, photo, ssim_weight);
         let constant = <Self as burn::backend::AutodiffBackend>::from_inner(gradient.clone());
-        let loss = match PhotometricBackward.prepare::<C>([node]).compute_bound().stateful() {
+        let loss = match PhotometricBackward
+            .prepare::<C>([node])
+            .compute_bound()
+            .stateful()
+        {
             OpsKind::Tracked(prep) => prep.finish(gradient, loss),
             OpsKind::UnTracked(prep) => prep.finish(loss),
         };
         (loss, constant)
     }
 
-    fn photometric_scale(_gradient: FloatTensor<Self>, _factor: FloatTensor<Self>) -> FloatTensor<Self> {
+    fn photometric_scale(
+        _gradient: FloatTensor<Self>,
+        _factor: FloatTensor<Self>,
+    ) -> FloatTensor<Self> {
         unimplemented!("second-order gradients")
     }
 }
@@ -123,10 +151,18 @@ impl<B: PhotometricBackend, C: CheckpointStrategy> PhotometricBackend for Autodi
 ///
 /// # Panics
 /// If `image` has another size than `photo`.
-pub fn photometric_loss(image: Tensor<3>, photo: impl Into<Compared>, ssim_weight: f64) -> Tensor<1> {
+pub fn photometric_loss(
+    image: Tensor<3>,
+    photo: impl Into<Compared>,
+    ssim_weight: f64,
+) -> Tensor<1> {
     let photo = photo.into();
     let (height, width) = photo.size();
-    assert_eq!(image.dims(), [height, width, CHANNELS], "photometric loss: image against photo");
+    assert_eq!(
+        image.dims(),
+        [height, width, CHANNELS],
+        "photometric loss: image against photo"
+    );
     let (loss, _gradient) = Dispatch::photometric(image.into_dispatch(), photo, ssim_weight);
     Tensor::from_dispatch(loss)
 }
@@ -135,10 +171,21 @@ pub fn photometric_loss(image: Tensor<3>, photo: impl Into<Compared>, ssim_weigh
 pub fn photometric_loss_plain(image: Tensor<3>, photo: Tensor<3>, ssim_weight: f64) -> Tensor<1> {
     let device = image.device();
     let line = taps::<f64>();
-    let window: Vec<f64> = (0..CHANNELS * TAPS * TAPS).map(|i| line[i / TAPS % TAPS] * line[i % TAPS]).collect();
-    let window = Tensor::<4>::from_data(TensorData::new(window, [CHANNELS, 1, TAPS, TAPS]), (&device, image.dtype()));
-    let blur =
-        |x: Tensor<4>| conv2d(x, window.clone(), None, ConvOptions::new([1, 1], [RADIUS, RADIUS], [1, 1], CHANNELS));
+    let window: Vec<f64> = (0..CHANNELS * TAPS * TAPS)
+        .map(|i| line[i / TAPS % TAPS] * line[i % TAPS])
+        .collect();
+    let window = Tensor::<4>::from_data(
+        TensorData::new(window, [CHANNELS, 1, TAPS, TAPS]),
+        (&device, image.dtype()),
+    );
+    let blur = |x: Tensor<4>| {
+        conv2d(
+            x,
+            window.clone(),
+            None,
+            ConvOptions::new([1, 1], [RADIUS, RADIUS], [1, 1], CHANNELS),
+        )
+    };
     let planes = |x: Tensor<3>| x.permute([2, 0, 1]).unsqueeze::<4>();
     let l1 = (image.clone() - photo.clone()).abs().mean();
     let (x, y) = (planes(image), planes(photo));

@@ -10,7 +10,15 @@ use std::iter::Sum;
 
 /// `f32` (training) or `f64` (reference, finite differences).
 pub trait Real:
-    Float + NumAssign + Sum + Default + Send + Sync + std::fmt::Debug + burn::tensor::Element + LinalgScalar
+    Float
+    + NumAssign
+    + Sum
+    + Default
+    + Send
+    + Sync
+    + std::fmt::Debug
+    + burn::tensor::Element
+    + LinalgScalar
 {
     /// Whether kernels have a second copy on x86-64, for AVX2 with FMA.
     const WIDE: bool;
@@ -27,10 +35,14 @@ pub trait Real:
     fn exp2_nonpositive<const FUSED: bool>(self) -> Self;
     /// The row-major values of an ndarray-backend tensor of this element type.
     #[cfg(feature = "ndarray")]
-    fn of_ndarray(tensor: burn::backend::ndarray::NdArrayTensor) -> Option<burn::backend::ndarray::SharedArray<Self>>;
+    fn of_ndarray(
+        tensor: burn::backend::ndarray::NdArrayTensor,
+    ) -> Option<burn::backend::ndarray::SharedArray<Self>>;
     /// An ndarray-backend tensor of these values.
     #[cfg(feature = "ndarray")]
-    fn into_ndarray(array: burn::backend::ndarray::SharedArray<Self>) -> burn::backend::ndarray::NdArrayTensor;
+    fn into_ndarray(
+        array: burn::backend::ndarray::SharedArray<Self>,
+    ) -> burn::backend::ndarray::NdArrayTensor;
     /// The row-major values of a flex tensor of this element type, where they lie in order.
     #[cfg(feature = "flex")]
     fn of_flex(tensor: &burn::backend::flex::FlexTensor) -> Option<&[Self]>;
@@ -51,7 +63,11 @@ macro_rules! real {
             }
             #[inline(always)]
             fn fma<const FUSED: bool>(self, b: Self, c: Self) -> Self {
-                if FUSED { self.mul_add(b, c) } else { self * b + c }
+                if FUSED {
+                    self.mul_add(b, c)
+                } else {
+                    self * b + c
+                }
             }
             #[inline(always)]
             fn exp2_nonpositive<const FUSED: bool>(self) -> Self {
@@ -62,12 +78,16 @@ macro_rules! real {
                 tensor: burn::backend::ndarray::NdArrayTensor,
             ) -> Option<burn::backend::ndarray::SharedArray<Self>> {
                 match tensor {
-                    burn::backend::ndarray::NdArrayTensor::$variant(storage) => Some(storage.into_shared()),
+                    burn::backend::ndarray::NdArrayTensor::$variant(storage) => {
+                        Some(storage.into_shared())
+                    }
                     _ => None,
                 }
             }
             #[cfg(feature = "ndarray")]
-            fn into_ndarray(array: burn::backend::ndarray::SharedArray<Self>) -> burn::backend::ndarray::NdArrayTensor {
+            fn into_ndarray(
+                array: burn::backend::ndarray::SharedArray<Self>,
+            ) -> burn::backend::ndarray::NdArrayTensor {
                 array.into()
             }
             #[cfg(feature = "flex")]
@@ -90,9 +110,18 @@ pub(super) mod exp2_coefficients {
     /// Smallest exponent of two.
     pub const LOWEST: f32 = -125.0;
     /// Minimax polynomial of `2^f` on -0.5..=0.5, highest power first; relative error 7.5e-8.
-    #[expect(clippy::approx_constant, reason = "a minimax coefficient near ln 2, not ln 2")]
-    pub const POLYNOMIAL: [f32; 6] =
-        [1.327_647_2e-3, 9.675_541e-3, 5.550_713_3e-2, 2.402_212e-1, 6.931_47e-1, 1.000_000_1];
+    #[expect(
+        clippy::approx_constant,
+        reason = "a minimax coefficient near ln 2, not ln 2"
+    )]
+    pub const POLYNOMIAL: [f32; 6] = [
+        1.327_647_2e-3,
+        9.675_541e-3,
+        5.550_713_3e-2,
+        2.402_212e-1,
+        6.931_47e-1,
+        1.000_000_1,
+    ];
 }
 
 /// `2^(n + f)`: `n` the nearest integer of `x`.

@@ -47,7 +47,11 @@ impl RowMap {
         };
         let sources: Vec<u32> = sources.into_iter().map(source).collect();
         Self {
-            end: sources.iter().map(|source| source & !Self::NEW).max().map_or(0, |last| last as usize + 1),
+            end: sources
+                .iter()
+                .map(|source| source & !Self::NEW)
+                .max()
+                .map_or(0, |last| last as usize + 1),
             sources,
             #[cfg(feature = "cube")]
             resident: Resident::default(),
@@ -86,7 +90,11 @@ impl<B: HostKernels> RowBackend for B {
 pub(super) mod on_host {
     use super::*;
 
-    pub fn take_rows<B: HostBackend>(x: FloatTensor<B>, map: &RowMap, new: StartOfNew) -> FloatTensor<B> {
+    pub fn take_rows<B: HostBackend>(
+        x: FloatTensor<B>,
+        map: &RowMap,
+        new: StartOfNew,
+    ) -> FloatTensor<B> {
         let (device, mut shape) = (device_of::<B>(&x), x.shape().to_vec());
         let width = shape[1..].iter().product::<usize>();
         shape[0] = map.len();
@@ -109,6 +117,11 @@ pub(super) mod on_host {
 /// # Panics
 /// If `map` names a row that `x` has not.
 pub fn take_rows<const D: usize>(x: Tensor<D>, map: &Arc<RowMap>, new: StartOfNew) -> Tensor<D> {
-    assert!(map.end <= x.dims()[0], "take_rows: row {} of {}", map.end - 1, x.dims()[0]);
+    assert!(
+        map.end <= x.dims()[0],
+        "take_rows: row {} of {}",
+        map.end - 1,
+        x.dims()[0]
+    );
     Tensor::from_dispatch(Dispatch::take_rows(x.into_dispatch(), map.clone(), new))
 }

@@ -41,7 +41,11 @@ pub(super) mod on_host {
         screen: FloatTensor<B>,
         radii: FloatTensor<B>,
     ) -> (FloatTensor<B>, FloatTensor<B>) {
-        let (device, rows, columns) = (device_of::<B>(&screen), screen.shape()[0], screen.shape()[1]);
+        let (device, rows, columns) = (
+            device_of::<B>(&screen),
+            screen.shape()[0],
+            screen.shape()[1],
+        );
         real_kernel!(screen, E => {
             let [mut lengths, mut views] = [lengths, views].map(|sums| B::values::<E>(sums).into_vec());
             let (screen, radii) = (B::values::<E>(screen), B::values::<E>(radii));
@@ -62,10 +66,18 @@ pub(super) mod on_host {
 ///
 /// # Panics
 /// If numbers of rows differ, `screen` has fewer than two columns, or a tensor has autodiff or is neither f32 nor f64.
-pub fn add_screen_gradients([lengths, views]: [Tensor<1>; 2], screen: Tensor<2>, radii: Tensor<1>) -> [Tensor<1>; 2] {
+pub fn add_screen_gradients(
+    [lengths, views]: [Tensor<1>; 2],
+    screen: Tensor<2>,
+    radii: Tensor<1>,
+) -> [Tensor<1>; 2] {
     let [rows, columns] = screen.dims();
     assert!(columns >= 2, "screen-space gradients: {columns} columns");
-    assert_eq!([&lengths, &views, &radii].map(|t| t.dims()[0]), [rows; 3], "screen-space gradients: rows");
+    assert_eq!(
+        [&lengths, &views, &radii].map(|t| t.dims()[0]),
+        [rows; 3],
+        "screen-space gradients: rows"
+    );
     let (lengths, views) = Dispatch::add_screen_gradients(
         lengths.into_dispatch(),
         views.into_dispatch(),

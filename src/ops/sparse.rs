@@ -12,7 +12,9 @@ use crate::gpu::Resident;
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::{Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
+use burn::backend::{
+    Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor,
+};
 use burn::tensor::Tensor;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -33,11 +35,21 @@ wide_kernel! {
 }
 
 #[inline(always)]
-fn rows_body<E: Real, const FMA: bool>(w: &SparseMatrix, first: usize, x: &[E], channels: usize, out: &mut [E]) {
+fn rows_body<E: Real, const FMA: bool>(
+    w: &SparseMatrix,
+    first: usize,
+    x: &[E],
+    channels: usize,
+    out: &mut [E],
+) {
     for (k, out) in out.chunks_exact_mut(channels).enumerate() {
         let (columns, values) = w.row(first + k);
         for (&c, &v) in columns.iter().zip(values) {
-            axpy::<E, FMA>(E::of(f64::from(v)), &x[c as usize * channels..][..channels], out);
+            axpy::<E, FMA>(
+                E::of(f64::from(v)),
+                &x[c as usize * channels..][..channels],
+                out,
+            );
         }
     }
 }
@@ -55,7 +67,11 @@ fn adjoint_body<E: Real, const FMA: bool>(
         let g = &g[r * channels + first..][..width];
         let (columns, values) = w.row(r);
         for (&c, &v) in columns.iter().zip(values) {
-            axpy::<E, FMA>(E::of(f64::from(v)), g, &mut sum[c as usize * width..][..width]);
+            axpy::<E, FMA>(
+                E::of(f64::from(v)),
+                g,
+                &mut sum[c as usize * width..][..width],
+            );
         }
     }
 }
@@ -98,16 +114,35 @@ impl SparseMatrix {
     /// If `offsets` does not rise from 0 to the number of entries, `indices` and `values` differ in length, or an index is
     /// not below `columns`.
     pub fn new(columns: usize, offsets: Vec<u32>, indices: Vec<u32>, values: Vec<f32>) -> Self {
-        assert_eq!(indices.len(), values.len(), "sparse matrix: indices against values");
-        let (first, last) = (offsets.first().map(|&o| o as usize), offsets.last().map(|&o| o as usize));
-        assert_eq!((first, last), (Some(0), Some(indices.len())), "sparse matrix: offsets against entries");
+        assert_eq!(
+            indices.len(),
+            values.len(),
+            "sparse matrix: indices against values"
+        );
+        let (first, last) = (
+            offsets.first().map(|&o| o as usize),
+            offsets.last().map(|&o| o as usize),
+        );
+        assert_eq!(
+            (first, last),
+            (Some(0), Some(indices.len())),
+            "sparse matrix: offsets against entries"
+        );
         assert!(offsets.is_sorted(), "sparse matrix: offsets that fall");
-        assert!(indices.iter().all(|&i| (i as usize) < columns), "sparse matrix: an index is not below {columns}");
+        assert!(
+            indices.iter().all(|&i| (i as usize) < columns),
+            "sparse matrix: an index is not below {columns}"
+        );
         Self::unchecked(columns, offsets, indices, values)
     }
 
     /// [`SparseMatrix::new`] of what is right by construction.
-    pub(crate) fn unchecked(columns: usize, offsets: Vec<u32>, indices: Vec<u32>, values: Vec<f32>) -> Self {
+    pub(crate) fn unchecked(
+        columns: usize,
+        offsets: Vec<u32>,
+        indices: Vec<u32>,
+        values: Vec<f32>,
+    ) -> Self {
         Self {
             columns,
             offsets,
@@ -190,11 +225,13 @@ impl SparseMatrix {
             })
             .collect();
         if channels > 0 {
-            out.par_chunks_mut(channels).enumerate().for_each(|(c, out)| {
-                for (out, block) in out.chunks_mut(even).zip(&blocks) {
-                    out.copy_from_slice(&block[c * out.len()..][..out.len()]);
-                }
-            });
+            out.par_chunks_mut(channels)
+                .enumerate()
+                .for_each(|(c, out)| {
+                    for (out, block) in out.chunks_mut(even).zip(&blocks) {
+                        out.copy_from_slice(&block[c * out.len()..][..out.len()]);
+                    }
+                });
         }
         out
     }
@@ -231,7 +268,12 @@ impl SparseMatrix {
     /// The rows `rows` in that order.
     #[must_use]
     pub fn select_rows(&self, rows: &[u32]) -> Self {
-        let mut out = Self::unchecked(self.columns, Vec::with_capacity(rows.len() + 1), Vec::new(), Vec::new());
+        let mut out = Self::unchecked(
+            self.columns,
+            Vec::with_capacity(rows.len() + 1),
+            Vec::new(),
+            Vec::new(),
+        );
         out.offsets.push(0);
         out.append_rows(self, rows);
         out
@@ -268,7 +310,10 @@ impl SparseMatrix {
         for c in &mut self.indices {
             *c = place[*c as usize];
         }
-        assert!(!self.indices.contains(&u32::MAX), "over_columns: an entry in a column that is left out");
+        assert!(
+            !self.indices.contains(&u32::MAX),
+            "over_columns: an entry in a column that is left out"
+        );
         Self::unchecked(columns.len(), self.offsets, self.indices, self.values)
     }
 
@@ -287,7 +332,10 @@ impl SparseMatrix {
             }
         }
         let indices = self.indices.iter().map(|&c| place[c as usize]).collect();
-        Compact { matrix: Self::unchecked(columns.len(), self.offsets, indices, self.values), columns }
+        Compact {
+            matrix: Self::unchecked(columns.len(), self.offsets, indices, self.values),
+            columns,
+        }
     }
 
     /// The transposed matrix; the entries of its rows ascend.
@@ -346,7 +394,10 @@ pub(super) mod on_host {
         real_kernel!(x, E => B::tensor::<E>(matrix.apply::<E>(&B::values(x), channels), &[matrix.rows(), channels], &device))
     }
 
-    pub fn apply_adjoint<B: HostBackend>(g: FloatTensor<B>, matrix: &SparseMatrix) -> FloatTensor<B> {
+    pub fn apply_adjoint<B: HostBackend>(
+        g: FloatTensor<B>,
+        matrix: &SparseMatrix,
+    ) -> FloatTensor<B> {
         let (device, channels) = (device_of::<B>(&g), g.shape()[1]);
         real_kernel!(g, E => B::tensor::<E>(matrix.apply_adjoint::<E>(&B::values(g), channels), &[matrix.columns, channels], &device))
     }
@@ -358,7 +409,12 @@ struct SparseBackward;
 impl<B: SparseBackend> Backward<B, 1> for SparseBackward {
     type State = Arc<SparseMatrix>;
 
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
+    fn backward(
+        self,
+        ops: Ops<Self::State, 1>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
         let g = grads.consume::<B>(&ops.node);
         let [parent] = ops.parents;
         if let Some(node) = parent {
@@ -370,7 +426,11 @@ impl<B: SparseBackend> Backward<B, 1> for SparseBackward {
 impl<B: SparseBackend, C: CheckpointStrategy> SparseBackend for Autodiff<B, C> {
     fn sparse_apply(x: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
         let (x, node) = x.into_parts();
-        match SparseBackward.prepare::<C>([node]).compute_bound().stateful() {
+        match SparseBackward
+            .prepare::<C>([node])
+            .compute_bound()
+            .stateful()
+        {
             OpsKind::Tracked(prep) => {
                 let out = B::sparse_apply(x, matrix.clone());
                 prep.finish(matrix, out)
@@ -379,7 +439,10 @@ impl<B: SparseBackend, C: CheckpointStrategy> SparseBackend for Autodiff<B, C> {
         }
     }
 
-    fn sparse_apply_adjoint(_g: FloatTensor<Self>, _matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
+    fn sparse_apply_adjoint(
+        _g: FloatTensor<Self>,
+        _matrix: Arc<SparseMatrix>,
+    ) -> FloatTensor<Self> {
         unimplemented!("second-order gradients")
     }
 }
@@ -389,6 +452,10 @@ impl<B: SparseBackend, C: CheckpointStrategy> SparseBackend for Autodiff<B, C> {
 /// # Panics
 /// If `x` has another number of rows than the matrix has columns.
 pub fn sparse_apply(x: Tensor<2>, matrix: Arc<SparseMatrix>) -> Tensor<2> {
-    assert_eq!(x.dims()[0], matrix.columns, "sparse_apply: rows of x against columns of the matrix");
+    assert_eq!(
+        x.dims()[0],
+        matrix.columns,
+        "sparse_apply: rows of x against columns of the matrix"
+    );
     Tensor::from_dispatch(Dispatch::sparse_apply(x.into_dispatch(), matrix))
 }

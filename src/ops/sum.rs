@@ -32,12 +32,20 @@ struct SumBackward;
 impl<B: SumBackend> Backward<B, 1> for SumBackward {
     type State = Shape;
 
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
+    fn backward(
+        self,
+        ops: Ops<Self::State, 1>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
         let g = grads.consume::<B>(&ops.node);
         let [parent] = ops.parents;
         if let Some(node) = parent {
             let ones = Shape::from(vec![1; ops.state.num_dims()]);
-            grads.register::<B>(node.id, B::float_expand(B::float_reshape(g, ones), ops.state));
+            grads.register::<B>(
+                node.id,
+                B::float_expand(B::float_reshape(g, ones), ops.state),
+            );
         }
     }
 }

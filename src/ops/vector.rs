@@ -141,7 +141,11 @@ impl<E: Real, const FUSED: bool> Vector<E> for Plain<E, FUSED> {
     fn select_above(self, b: Self, yes: Self, no: Self) -> Self {
         let mut out = no;
         for l in 0..LANES {
-            out.0[l] = if self.0[l] > b.0[l] { yes.0[l] } else { no.0[l] };
+            out.0[l] = if self.0[l] > b.0[l] {
+                yes.0[l]
+            } else {
+                no.0[l]
+            };
         }
         out
     }

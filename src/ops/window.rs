@@ -12,7 +12,9 @@ const SIGMA: f64 = 1.5;
 
 /// Normalised 1D taps; the 2D window is their outer product.
 pub(super) fn taps<E: Real>() -> [E; TAPS] {
-    let raw: [f64; TAPS] = std::array::from_fn(|k| (-(k as f64 - RADIUS as f64).powi(2) / (2.0 * SIGMA * SIGMA)).exp());
+    let raw: [f64; TAPS] = std::array::from_fn(|k| {
+        (-(k as f64 - RADIUS as f64).powi(2) / (2.0 * SIGMA * SIGMA)).exp()
+    });
     let sum: f64 = raw.iter().sum();
     raw.map(|w| E::of(w / sum))
 }
@@ -40,16 +42,26 @@ impl<E: Real> Band<E> {
         let mut values = vec![E::zero(); (rows.len() + 2 * RADIUS) * row];
         let mut source = vec![E::zero(); row + 2 * pad];
         for (k, out) in values.chunks_exact_mut(row).enumerate() {
-            let Some(r) = (rows.start + k).checked_sub(RADIUS).filter(|&r| r < height) else { continue };
+            let Some(r) = (rows.start + k).checked_sub(RADIUS).filter(|&r| r < height) else {
+                continue;
+            };
             fill(r, &mut source[pad..][..row]);
-            weigh(std::array::from_fn(|t| &source[t * channels..][..row]), &taps, out);
+            weigh(
+                std::array::from_fn(|t| &source[t * channels..][..row]),
+                &taps,
+                out,
+            );
         }
         Self { row, values, taps }
     }
 
     /// Row `k` of the band, convolved in both directions.
     pub fn convolved(&self, k: usize, out: &mut [E]) {
-        weigh(std::array::from_fn(|t| &self.values[(k + t) * self.row..][..self.row]), &self.taps, out);
+        weigh(
+            std::array::from_fn(|t| &self.values[(k + t) * self.row..][..self.row]),
+            &self.taps,
+            out,
+        );
     }
 }
 

@@ -70,7 +70,9 @@ impl<E: Real> PixelGradients<'_, E> {
     #[inline(always)]
     pub fn budget(&self, pixel: usize, channels: usize) -> E {
         let at = pixel * channels;
-        let mut sum = self.d_transmittance.map_or(E::zero(), |d| d[pixel] * self.transmittance[pixel]);
+        let mut sum = self
+            .d_transmittance
+            .map_or(E::zero(), |d| d[pixel] * self.transmittance[pixel]);
         for c in 0..channels {
             sum += self.d_image[at + c] * self.image[at + c];
         }
@@ -104,7 +106,9 @@ struct BackwardPass<'a, E, V, const C: usize, const ABSOLUTE: bool> {
     sums: &'a mut [E],
 }
 
-impl<E: Real, V: Vector<E>, const C: usize, const ABSOLUTE: bool> Pass<E, V> for BackwardPass<'_, E, V, C, ABSOLUTE> {
+impl<E: Real, V: Vector<E>, const C: usize, const ABSOLUTE: bool> Pass<E, V>
+    for BackwardPass<'_, E, V, C, ABSOLUTE>
+{
     #[inline(always)]
     fn transmittance(&self) -> &Buffer<E> {
         &self.t
@@ -145,7 +149,11 @@ impl<E: Real, V: Vector<E>, const C: usize, const ABSOLUTE: bool> Pass<E, V> for
         let mut minus_absolute = [V::splat(E::zero()); 2];
         let [u_x, u_y, v_y] = self.drifts[next].map(V::splat);
         footprint.for_each(|strip| {
-            let (g, u, v) = (V::load(&self.g[strip]), footprint.u::<V>(strip), V::splat(footprint.v(strip)));
+            let (g, u, v) = (
+                V::load(&self.g[strip]),
+                footprint.u::<V>(strip),
+                V::splat(footprint.v(strip)),
+            );
             let (gu, gv) = (g.mul(u), g.mul(v));
             let [m, m_u, m_v, m_uu, m_uv, m_vv] = &mut moments;
             *m = m.add(g);
@@ -177,7 +185,13 @@ impl<E: Real, const C: usize, const ABSOLUTE: bool> Kernel<E> for BackwardTile<'
     type Output = ();
     #[inline(always)]
     fn run<V: Vector<E>>(self) {
-        let Self { p, tile, values, pixels, sums } = self;
+        let Self {
+            p,
+            tile,
+            values,
+            pixels,
+            sums,
+        } = self;
         let mut pass = BackwardPass::<E, V, C, ABSOLUTE> {
             rule: Rule::new::<E>(&p.settings),
             values,
@@ -219,7 +233,13 @@ fn fused<E: Real, const C: usize, const ABSOLUTE: bool>(
 ) -> Vec<E> {
     let values = p.in_depth_order(values, C, C);
     sum_over_tiles(p, geometry_sums(ABSOLUTE) + C, |tile, sums| {
-        dispatch(BackwardTile::<E, C, ABSOLUTE> { p, tile, values: &values, pixels, sums });
+        dispatch(BackwardTile::<E, C, ABSOLUTE> {
+            p,
+            tile,
+            values: &values,
+            pixels,
+            sums,
+        });
     })
 }
 
@@ -255,8 +275,12 @@ impl<E: Real> Projected<E> {
         d_image: &[E],
         d_transmittance: Option<&[E]>,
     ) -> SplatGradients<E> {
-        let pixels =
-            PixelGradients { image: &forward.image, transmittance: &forward.transmittance, d_image, d_transmittance };
+        let pixels = PixelGradients {
+            image: &forward.image,
+            transmittance: &forward.transmittance,
+            d_image,
+            d_transmittance,
+        };
         self.backward_slices(splats, values, channels, pixels, false)
     }
 
@@ -270,18 +294,49 @@ impl<E: Real> Projected<E> {
     ) -> SplatGradients<E> {
         let [w, h] = self.size();
         let n = self.len();
-        assert_eq!(values.len(), n * channels, "backward: values against Gaussians times channels");
+        assert_eq!(
+            values.len(),
+            n * channels,
+            "backward: values against Gaussians times channels"
+        );
         assert_eq!(splats.len(), n, "backward: splats against Gaussians");
-        assert_eq!(pixels.image.len(), w * h * channels, "backward: image against pixels times channels");
-        assert_eq!(pixels.d_image.len(), w * h * channels, "backward: d_image against pixels times channels");
-        assert_eq!(pixels.transmittance.len(), w * h, "backward: transmittance against pixels");
-        assert!(pixels.d_transmittance.is_none_or(|d| d.len() == w * h), "backward: d_transmittance against pixels");
+        assert_eq!(
+            pixels.image.len(),
+            w * h * channels,
+            "backward: image against pixels times channels"
+        );
+        assert_eq!(
+            pixels.d_image.len(),
+            w * h * channels,
+            "backward: d_image against pixels times channels"
+        );
+        assert_eq!(
+            pixels.transmittance.len(),
+            w * h,
+            "backward: transmittance against pixels"
+        );
+        assert!(
+            pixels.d_transmittance.is_none_or(|d| d.len() == w * h),
+            "backward: d_transmittance against pixels"
+        );
         // Without channels there is still the transmittance: one channel of zeros.
-        let nothing = if channels == 0 { vec![E::zero(); n.max(w * h)] } else { Vec::new() };
+        let nothing = if channels == 0 {
+            vec![E::zero(); n.max(w * h)]
+        } else {
+            Vec::new()
+        };
         let (pixels, values, lanes) = match channels {
             0 => {
                 let image = &nothing[..w * h];
-                (PixelGradients { image, d_image: image, ..pixels }, &nothing[..n], 1)
+                (
+                    PixelGradients {
+                        image,
+                        d_image: image,
+                        ..pixels
+                    },
+                    &nothing[..n],
+                    1,
+                )
             }
             _ => (pixels, values, channels),
         };
@@ -310,7 +365,13 @@ impl<E: Real> Projected<E> {
     }
 
     /// Gradients of the parameters from `sums`: a row of `stride` a visible Gaussian, moments and then values.
-    fn to_parameters(&self, splats: &Splats<'_, E>, sums: &[E], channels: usize, stride: usize) -> SplatGradients<E> {
+    fn to_parameters(
+        &self,
+        splats: &Splats<'_, E>,
+        sums: &[E],
+        channels: usize,
+        stride: usize,
+    ) -> SplatGradients<E> {
         let n = self.len();
         let mut ranks = vec![u32::MAX; n];
         for (&id, rank) in self.ids.iter().zip(0..) {
@@ -340,27 +401,48 @@ impl<E: Real> Projected<E> {
             .zip(values)
             .zip(ranks.par_chunks(CHUNK))
             .enumerate()
-            .for_each(|(chunk, ((((((means, log_scales), rotations), logits), screen), values), ranks))| {
-                let visible: Vec<_> = ranks.iter().copied().enumerate().filter(|(_, rank)| *rank != u32::MAX).collect();
-                for visible in visible.chunks(NEAR) {
-                    // All reads of far memory first, so that they wait for each other as little as possible.
-                    let mut near = [(Splat2::default(), Moments::default()); NEAR];
-                    for (near, &(row, rank)) in near.iter_mut().zip(visible) {
-                        let (rank, sums) = (rank as usize, &sums[rank as usize * stride..][..stride]);
-                        *near = (self.splats[rank], moments(sums));
-                        values[channels * row..][..channels].copy_from_slice(&sums[6..6 + channels]);
+            .for_each(
+                |(
+                    chunk,
+                    ((((((means, log_scales), rotations), logits), screen), values), ranks),
+                )| {
+                    let visible: Vec<_> = ranks
+                        .iter()
+                        .copied()
+                        .enumerate()
+                        .filter(|(_, rank)| *rank != u32::MAX)
+                        .collect();
+                    for visible in visible.chunks(NEAR) {
+                        // All reads of far memory first, so that they wait for each other as little as possible.
+                        let mut near = [(Splat2::default(), Moments::default()); NEAR];
+                        for (near, &(row, rank)) in near.iter_mut().zip(visible) {
+                            let (rank, sums) =
+                                (rank as usize, &sums[rank as usize * stride..][..stride]);
+                            *near = (self.splats[rank], moments(sums));
+                            values[channels * row..][..channels]
+                                .copy_from_slice(&sums[6..6 + channels]);
+                        }
+                        for ((projected, moments), &(row, _)) in near.iter().zip(visible) {
+                            let splat = Splat3::read(splats, chunk * CHUNK + row);
+                            let g = project_backward(
+                                &splat,
+                                &self.viewpoint,
+                                projected,
+                                moments,
+                                self.settings.low_pass,
+                            );
+                            write(&mut means[3 * row..], g.mean);
+                            write(&mut log_scales[3 * row..], g.log_scale);
+                            write(&mut rotations[4 * row..], g.rotation);
+                            write(
+                                &mut screen[2 * row..],
+                                [g.center[0] * half[0], g.center[1] * half[1]],
+                            );
+                            logits[row] = E::of(g.logit);
+                        }
                     }
-                    for ((projected, moments), &(row, _)) in near.iter().zip(visible) {
-                        let splat = Splat3::read(splats, chunk * CHUNK + row);
-                        let g = project_backward(&splat, &self.viewpoint, projected, moments, self.settings.low_pass);
-                        write(&mut means[3 * row..], g.mean);
-                        write(&mut log_scales[3 * row..], g.log_scale);
-                        write(&mut rotations[4 * row..], g.rotation);
-                        write(&mut screen[2 * row..], [g.center[0] * half[0], g.center[1] * half[1]]);
-                        logits[row] = E::of(g.logit);
-                    }
-                }
-            });
+                },
+            );
         out
     }
 }

@@ -86,7 +86,9 @@ impl<E: Real, V: Vector<E>, B: Beside<E>, const C: usize> Pass<E, V> for BlendPa
             t.store(&mut self.t[strip]);
             self.beside.add(strip, weight);
             for (sums, &value) in self.sums.iter_mut().zip(&value) {
-                weight.fma(value, V::load(&sums[strip])).store(&mut sums[strip]);
+                weight
+                    .fma(value, V::load(&sums[strip]))
+                    .store(&mut sums[strip]);
             }
         });
     }
@@ -96,7 +98,15 @@ impl<E: Real, B: Beside<E>, const C: usize> Kernel<E> for BlendTile<'_, E, B, C>
     type Output = ();
     #[inline(always)]
     fn run<V: Vector<E>>(self) {
-        let Self { p, tile, values, used, beside, image, transmittance } = self;
+        let Self {
+            p,
+            tile,
+            values,
+            used,
+            beside,
+            image,
+            transmittance,
+        } = self;
         let mut pass = BlendPass::<E, V, B, C> {
             rule: Rule::new::<E>(&p.settings),
             values,
@@ -124,7 +134,11 @@ impl<E: Real, B: Beside<E>, const C: usize> Kernel<E> for BlendTile<'_, E, B, C>
 }
 
 /// Blends the first `used` of `values`, `[visible, C]` front to back.
-pub(super) fn blend<E: Real, const C: usize>(p: &Projected<E>, values: &[E], used: usize) -> Blended<E> {
+pub(super) fn blend<E: Real, const C: usize>(
+    p: &Projected<E>,
+    values: &[E],
+    used: usize,
+) -> Blended<E> {
     blend_beside::<E, _, C>(p, values, used, || Nothing)
 }
 
@@ -136,7 +150,15 @@ pub(super) fn blend_beside<E: Real, B: Beside<E>, const C: usize>(
     beside: impl Fn() -> B + Sync,
 ) -> Blended<E> {
     for_each_tile_row(p, used + B::CHANNELS, |tile, image, transmittance| {
-        dispatch(BlendTile::<E, B, C> { p, tile, values, used, beside: beside(), image, transmittance });
+        dispatch(BlendTile::<E, B, C> {
+            p,
+            tile,
+            values,
+            used,
+            beside: beside(),
+            image,
+            transmittance,
+        });
     })
 }
 
@@ -186,7 +208,12 @@ impl<E: Real, const C: usize> Kernel<E> for AdjointTile<'_, E, C> {
     type Output = ();
     #[inline(always)]
     fn run<V: Vector<E>>(self) {
-        let Self { p, tile, image, sums } = self;
+        let Self {
+            p,
+            tile,
+            image,
+            sums,
+        } = self;
         let mut pass = AdjointPass::<E, V, C> {
             rule: Rule::new::<E>(&p.settings),
             t: fresh_transmittance(tile, p.size()),
@@ -199,7 +226,11 @@ impl<E: Real, const C: usize> Kernel<E> for AdjointTile<'_, E, C> {
 
 /// A tile's part of `image` `[H, W, C]`, zero outside.
 #[inline(always)]
-pub(super) fn tile_image<E: Real, const C: usize>(image: &[E], tile: Tile<'_>, size: [usize; 2]) -> [Buffer<E>; C] {
+pub(super) fn tile_image<E: Real, const C: usize>(
+    image: &[E],
+    tile: Tile<'_>,
+    size: [usize; 2],
+) -> [Buffer<E>; C] {
     let mut out = [[[E::zero(); LANES]; STRIPS]; C];
     for (to, from, len) in tile.rows(size) {
         for x in 0..len {
@@ -213,5 +244,12 @@ pub(super) fn tile_image<E: Real, const C: usize>(image: &[E], tile: Tile<'_>, s
 
 /// `W^T image`, `[visible, C]` front to back; `image` is `[H, W, C]`.
 pub(super) fn adjoint<E: Real, const C: usize>(p: &Projected<E>, image: &[E]) -> Vec<E> {
-    sum_over_tiles(p, C, |tile, sums| dispatch(AdjointTile::<E, C> { p, tile, image, sums }))
+    sum_over_tiles(p, C, |tile, sums| {
+        dispatch(AdjointTile::<E, C> {
+            p,
+            tile,
+            image,
+            sums,
+        })
+    })
 }

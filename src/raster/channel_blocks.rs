@@ -54,12 +54,29 @@ impl<E: Real, const K: usize> Kernel<E> for BlendBlock<'_, E, K> {
     type Output = ();
     #[inline(always)]
     fn run<V: Vector<E>>(self) {
-        let (Block { pairs, ranks, values, width, channel }, out) = (self.0, self.1);
+        let (
+            Block {
+                pairs,
+                ranks,
+                values,
+                width,
+                channel,
+            },
+            out,
+        ) = (self.0, self.1);
         for i in 0..pairs.ends.len() {
-            let Some(&value) = values[ranks[i] as usize * width + channel..].first_chunk::<K>() else { return };
+            let Some(&value) = values[ranks[i] as usize * width + channel..].first_chunk::<K>()
+            else {
+                return;
+            };
             let range = pairs.range(i);
-            for (&pixel, &weight) in pairs.pixels[range.clone()].iter().zip(&pairs.weights[range]) {
-                let Some(out) = out[pixel as usize * K..].first_chunk_mut::<K>() else { return };
+            for (&pixel, &weight) in pairs.pixels[range.clone()]
+                .iter()
+                .zip(&pairs.weights[range])
+            {
+                let Some(out) = out[pixel as usize * K..].first_chunk_mut::<K>() else {
+                    return;
+                };
                 let weight = V::splat(weight);
                 for (out, value) in vectors_mut(out).zip(vectors(&value)) {
                     let sum = weight.fma(V::load(value), V::load(out));
@@ -88,8 +105,22 @@ impl<E: Real, const K: usize, const GEOMETRY: bool> Kernel<E> for AdjointBlock<'
     type Output = ();
     #[inline(always)]
     fn run<V: Vector<E>>(self) {
-        let Self { block: Block { pairs, ranks, values, width, channel }, image, sums, stride, at, used, projections } =
-            self;
+        let Self {
+            block:
+                Block {
+                    pairs,
+                    ranks,
+                    values,
+                    width,
+                    channel,
+                },
+            image,
+            sums,
+            stride,
+            at,
+            used,
+            projections,
+        } = self;
         for i in 0..pairs.ends.len() {
             let mut sum = [E::zero(); K];
             let mut value = [E::zero(); K];
@@ -97,7 +128,10 @@ impl<E: Real, const K: usize, const GEOMETRY: bool> Kernel<E> for AdjointBlock<'
                 value.copy_from_slice(&values[ranks[i] as usize * width + channel..][..K]);
             }
             for pair in pairs.range(i) {
-                let Some(image) = image[pairs.pixels[pair] as usize * K..].first_chunk::<K>() else { return };
+                let Some(image) = image[pairs.pixels[pair] as usize * K..].first_chunk::<K>()
+                else {
+                    return;
+                };
                 let weight = V::splat(pairs.weights[pair]);
                 for (sum, image) in vectors_mut(&mut sum).zip(vectors(image)) {
                     weight.fma(V::load(image), V::load(sum)).store(sum);
@@ -142,7 +176,13 @@ pub(super) fn blend<E: Real>(p: &Projected<E>, values: &[E], channels: usize) ->
         }
         let mut channel = 0;
         while channel < width {
-            let block = Block { pairs: &pairs, ranks: tile.ranks, values: &values, width, channel };
+            let block = Block {
+                pairs: &pairs,
+                ranks: tile.ranks,
+                values: &values,
+                width,
+                channel,
+            };
             channel += block!(width - channel, K => {
                 let mut out = vec![E::zero(); PIXELS * K];
                 dispatch(BlendBlock::<E, K>(block, &mut out));
@@ -172,7 +212,8 @@ fn tile_channels<E: Real>(
     let used = k.min(channels - channel);
     for (to, from, len) in tile.rows(size) {
         for x in 0..len {
-            out[(to + x) * k..][..used].copy_from_slice(&image[(from + x) * channels + channel..][..used]);
+            out[(to + x) * k..][..used]
+                .copy_from_slice(&image[(from + x) * channels + channel..][..used]);
         }
     }
     out
@@ -186,7 +227,13 @@ pub(super) fn adjoint<E: Real>(p: &Projected<E>, image: &[E], channels: usize) -
         let pairs = Pairs::<E, false>::gather(p, tile, fresh_transmittance(tile, size));
         let mut channel = 0;
         while channel < width {
-            let block = Block { pairs: &pairs, ranks: tile.ranks, values: &[], width, channel };
+            let block = Block {
+                pairs: &pairs,
+                ranks: tile.ranks,
+                values: &[],
+                width,
+                channel,
+            };
             channel += block!(width - channel, K => {
                 let image = tile_channels(image, tile, size, channels, channel, K);
                 let used = K.min(channels - channel);
@@ -216,7 +263,13 @@ pub(super) fn backward<E: Real, const ABSOLUTE: bool>(
         let mut projections = vec![E::zero(); pairs.pixels.len()];
         let mut channel = 0;
         while channel < width {
-            let block = Block { pairs: &pairs, ranks: tile.ranks, values: &values, width, channel };
+            let block = Block {
+                pairs: &pairs,
+                ranks: tile.ranks,
+                values: &values,
+                width,
+                channel,
+            };
             channel += block!(width - channel, K => {
                 let image = tile_channels(pixels.d_image, tile, size, channels, channel, K);
                 let used = K.min(channels - channel);
@@ -237,7 +290,11 @@ pub(super) fn backward<E: Real, const ABSOLUTE: bool>(
         for (i, sums) in (0..pairs.ends.len()).zip(sums.chunks_exact_mut(stride)) {
             let mut m = [E::zero(); 6];
             let mut absolute = [E::zero(); 2];
-            let [u_x, u_y, v_y] = if ABSOLUTE { drift(&p.splats[tile.ranks[i] as usize]) } else { [E::zero(); 3] };
+            let [u_x, u_y, v_y] = if ABSOLUTE {
+                drift(&p.splats[tile.ranks[i] as usize])
+            } else {
+                [E::zero(); 3]
+            };
             for pair in pairs.range(i) {
                 let (alpha, u, v) = (pairs.alphas[pair], pairs.us[pair], pairs.vs[pair]);
                 let own = pairs.weights[pair] * projections[pair];

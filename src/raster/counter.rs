@@ -37,7 +37,12 @@ fn count_all(discs: &[([f64; 2], u32)], size: [usize; 2], counts: &mut [u32]) {
 
 /// [`count`] of the pixels that are used. `before` has for each row of `width` pixels how many of them are used before each pixel,
 /// and at last in all, `[height, width + 1]`.
-pub(super) fn count_used(discs: &[([f64; 2], u32)], [width, height]: [usize; 2], before: &[u32], counts: &mut [u32]) {
+pub(super) fn count_used(
+    discs: &[([f64; 2], u32)],
+    [width, height]: [usize; 2],
+    before: &[u32],
+    counts: &mut [u32],
+) {
     for (count, &([x, y], radius)) in counts.iter_mut().zip(discs) {
         let r = f64::from(radius);
         let (first, last) = within(y - r, y + r, height as f64);
@@ -70,7 +75,12 @@ mod tests {
 
     #[test]
     fn wide_instructions_count_the_same() {
-        let at = |i: usize| [170.0 * (1.3 * i as f64).sin(), 0.5 * (i % 300) as f64 - 20.0];
+        let at = |i: usize| {
+            [
+                170.0 * (1.3 * i as f64).sin(),
+                0.5 * (i % 300) as f64 - 20.0,
+            ]
+        };
         let discs: Vec<_> = (0..2_000).map(|i| (at(i), (i % 67) as u32)).collect();
         let (mut wide, mut plain) = (vec![0; discs.len()], vec![0; discs.len()]);
         count(&discs, [131, 97], &mut wide);
@@ -81,14 +91,22 @@ mod tests {
         let mut used = vec![0; discs.len()];
         count_used(&discs, [131, 97], &before, &mut used);
         assert_eq!(used, plain);
-        let halves =
-            [0, 1].map(|even| -> Vec<u32> { (0..97).flat_map(|_| (0..=131).map(|x| (x + even) / 2)).collect() });
+        let halves = [0, 1].map(|even| -> Vec<u32> {
+            (0..97)
+                .flat_map(|_| (0..=131).map(|x| (x + even) / 2))
+                .collect()
+        });
         let [a, b] = halves.map(|before| {
             let mut used = vec![0; discs.len()];
             count_used(&discs, [131, 97], &before, &mut used);
             used
         });
-        assert!(a.iter().zip(&b).zip(&plain).all(|((a, b), all)| a + b == *all));
+        assert!(
+            a.iter()
+                .zip(&b)
+                .zip(&plain)
+                .all(|((a, b), all)| a + b == *all)
+        );
         assert!(plain.iter().any(|&count| count > 5_000) && plain.contains(&0));
     }
 }

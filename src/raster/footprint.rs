@@ -52,7 +52,10 @@ impl<V> Grid<V> {
     {
         let pixel: [usize; LANES] = std::array::from_fn(|strip| strip * LANES);
         let load = |x: [usize; LANES]| V::load(&x.map(|x| E::of(x as f64)));
-        Self { rows: load(pixel.map(|p| p / TILE)), columns: load(pixel.map(|p| p % TILE)) }
+        Self {
+            rows: load(pixel.map(|p| p / TILE)),
+            columns: load(pixel.map(|p| p % TILE)),
+        }
     }
 }
 
@@ -111,11 +114,20 @@ impl<E: Real> Footprint<E> {
     pub fn new<V: Vector<E>>(corner: &Corner<E>, grid: &Grid<V>) -> Self {
         let du = corner.du;
         let [u, v, du_row, dv] = [corner.u, corner.v, corner.du_row, corner.dv].map(V::splat);
-        let (top_u, top_v) = (grid.rows.fma(du_row, grid.columns.fma(V::splat(du), u)), grid.rows.fma(dv, v));
+        let (top_u, top_v) = (
+            grid.rows.fma(du_row, grid.columns.fma(V::splat(du), u)),
+            grid.rows.fma(dv, v),
+        );
         let minus_length = V::splat(-du * E::of((LANES - 1) as f64));
         let [reach2, peak, zero] = [corner.reach2, corner.peak, E::zero()].map(V::splat);
         let nothing = [[E::zero(); LANES]; GROUPS];
-        let mut out = Self { strips: 0, u: nothing, v: nothing, top: nothing, du };
+        let mut out = Self {
+            strips: 0,
+            u: nothing,
+            v: nothing,
+            top: nothing,
+            du,
+        };
         for group in 0..GROUPS {
             let rows = V::splat(E::of((group * GROUP_ROWS) as f64));
             let (u, v) = (rows.fma(du_row, top_u), rows.fma(dv, top_v));
@@ -144,7 +156,10 @@ impl<E: Real> Footprint<E> {
     #[inline(always)]
     pub fn alpha<V: Vector<E>>(&self, strip: usize, rule: &Rule<V>) -> V {
         let u: V = self.u(strip);
-        rule.cut(u.fnma(u, V::splat(self.top.as_flattened()[strip])).exp2_nonpositive())
+        rule.cut(
+            u.fnma(u, V::splat(self.top.as_flattened()[strip]))
+                .exp2_nonpositive(),
+        )
     }
 
     /// `u` at the pixels of a strip.
@@ -177,7 +192,12 @@ impl<V> Rule<V> {
     {
         let splat = |x: f64| V::splat(E::of(x));
         let [alpha_max, alpha_min, t_min] = [s.alpha_max, s.alpha_min, s.t_min].map(splat);
-        Self { alpha_max, alpha_min, t_min, one: splat(1.0) }
+        Self {
+            alpha_max,
+            alpha_min,
+            t_min,
+            one: splat(1.0),
+        }
     }
 
     /// The cap and the cut-off.
@@ -235,5 +255,7 @@ pub(super) fn fresh_transmittance<E: Real>(tile: Tile<'_>, size: [usize; 2]) -> 
 #[inline(always)]
 pub(super) fn live_strips<E: Real, V: Vector<E>>(t: &Buffer<E>) -> u32 {
     let zero = V::splat(E::zero());
-    t.iter().enumerate().fold(0, |live, (strip, t)| live | u32::from(V::load(t).bits_above(zero) != 0) << strip)
+    t.iter().enumerate().fold(0, |live, (strip, t)| {
+        live | u32::from(V::load(t).bits_above(zero) != 0) << strip
+    })
 }

@@ -44,9 +44,23 @@ impl Viewpoint {
     /// [`Error::Argument`] for an unusable camera.
     pub fn new(camera: &Camera) -> Result<Self> {
         let bad = |field: &str, found: String, expected: &str| {
-            Err(Error::argument(format!("camera.{field}"), found, expected, "pass a usable camera"))
+            Err(Error::argument(
+                format!("camera.{field}"),
+                found,
+                expected,
+                "pass a usable camera",
+            ))
         };
-        let Camera { rotation, center, fx, fy, cx, cy, width, height } = camera;
+        let Camera {
+            rotation,
+            center,
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        } = camera;
         if !rotation.is_finite() || !center.is_finite() {
             return bad("pose", format!("{rotation} {center}"), "finite numbers");
         }
@@ -57,9 +71,14 @@ impl Viewpoint {
             return bad("cx, cy", format!("{cx}, {cy}"), "finite numbers");
         }
         if *width == 0 || *height == 0 || width.saturating_mul(*height) > u32::MAX as usize {
-            return bad("width, height", format!("{width} x {height}"), "1 to 2^32 - 1 pixels");
+            return bad(
+                "width, height",
+                format!("{width} x {height}"),
+                "1 to 2^32 - 1 pixels",
+            );
         }
-        let limits = |f: f64, c: f64, n: usize| [-(0.15 * n as f64 + c) / f, (1.15 * n as f64 - c) / f];
+        let limits =
+            |f: f64, c: f64, n: usize| [-(0.15 * n as f64 + c) / f, (1.15 * n as f64 - c) / f];
         Ok(Self {
             axes: rotation.transpose().to_cols_array_2d(),
             center: center.to_array(),
@@ -73,8 +92,16 @@ impl Viewpoint {
     /// A point of the world in camera coordinates.
     #[inline(always)]
     pub fn to_camera(self, point: Vec3) -> Vec3 {
-        let offset = [point[0] - self.center[0], point[1] - self.center[1], point[2] - self.center[2]];
-        [dot(self.axes[0], offset), dot(self.axes[1], offset), dot(self.axes[2], offset)]
+        let offset = [
+            point[0] - self.center[0],
+            point[1] - self.center[1],
+            point[2] - self.center[2],
+        ];
+        [
+            dot(self.axes[0], offset),
+            dot(self.axes[1], offset),
+            dot(self.axes[2], offset),
+        ]
     }
 }
 
@@ -90,7 +117,11 @@ pub(super) struct Splat3 {
 impl Splat3 {
     #[inline(always)]
     pub fn read<E: Real>(s: &Splats<'_, E>, i: usize) -> Self {
-        let [m, l, q] = [&s.means[3 * i..3 * i + 3], &s.log_scales[3 * i..3 * i + 3], &s.rotations[4 * i..4 * i + 4]];
+        let [m, l, q] = [
+            &s.means[3 * i..3 * i + 3],
+            &s.log_scales[3 * i..3 * i + 3],
+            &s.rotations[4 * i..4 * i + 4],
+        ];
         Self {
             mean: [m[0].wide(), m[1].wide(), m[2].wide()],
             log_scale: [l[0].wide(), l[1].wide(), l[2].wide()],
@@ -104,7 +135,11 @@ impl Splat3 {
 #[inline(always)]
 fn sigmoid(x: f64) -> f64 {
     let e = exp(-x.abs());
-    if x >= 0.0 { 1.0 / (1.0 + e) } else { e / (1.0 + e) }
+    if x >= 0.0 {
+        1.0 / (1.0 + e)
+    } else {
+        e / (1.0 + e)
+    }
 }
 
 /// Squared length below which a quaternion is taken for the identity.
@@ -121,16 +156,26 @@ impl Unit {
     #[inline(always)]
     fn new(raw: [f64; 4]) -> Self {
         // Dividing by the largest entry first keeps the squares of huge quaternions finite.
-        let largest = raw[0].abs().max(raw[1].abs()).max(raw[2].abs().max(raw[3].abs()));
+        let largest = raw[0]
+            .abs()
+            .max(raw[1].abs())
+            .max(raw[2].abs().max(raw[3].abs()));
         let scaled = raw.map(|v| v / largest);
-        let norm =
-            (scaled[0] * scaled[0] + scaled[1] * scaled[1] + scaled[2] * scaled[2] + scaled[3] * scaled[3]).sqrt();
+        let norm = (scaled[0] * scaled[0]
+            + scaled[1] * scaled[1]
+            + scaled[2] * scaled[2]
+            + scaled[3] * scaled[3])
+            .sqrt();
         let length = norm * largest;
         // 0 / 0 counts as zero too.
         let zero = length.is_nan() | (length * length < ZERO_QUATERNION);
         let identity = [1.0, 0.0, 0.0, 0.0];
         let q = std::array::from_fn(|i| if zero { identity[i] } else { scaled[i] / norm });
-        Self { q, length: if zero { 1.0 } else { length }, zero }
+        Self {
+            q,
+            length: if zero { 1.0 } else { length },
+            zero,
+        }
     }
 
     /// Columns of the rotation matrix.
@@ -138,9 +183,21 @@ impl Unit {
     fn columns(&self) -> [Vec3; 3] {
         let [w, x, y, z] = self.q;
         [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)],
-            [2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)],
-            [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)],
+            [
+                1.0 - 2.0 * (y * y + z * z),
+                2.0 * (x * y + w * z),
+                2.0 * (x * z - w * y),
+            ],
+            [
+                2.0 * (x * y - w * z),
+                1.0 - 2.0 * (x * x + z * z),
+                2.0 * (y * z + w * x),
+            ],
+            [
+                2.0 * (x * z + w * y),
+                2.0 * (y * z - w * x),
+                1.0 - 2.0 * (x * x + y * y),
+            ],
         ]
     }
 
@@ -190,17 +247,39 @@ impl Ewa {
             let (ratio, [low, high]) = (p[a] / p[2], v.limits[a]);
             let tangent = ratio.max(low).min(high);
             let (w, z) = (v.axes[a], v.axes[2]);
-            let row = [w[0] - tangent * z[0], w[1] - tangent * z[1], w[2] - tangent * z[2]];
-            (tangent, (ratio > low) & (ratio < high), times(v.focal[a] / p[2], row))
+            let row = [
+                w[0] - tangent * z[0],
+                w[1] - tangent * z[1],
+                w[2] - tangent * z[2],
+            ];
+            (
+                tangent,
+                (ratio > low) & (ratio < high),
+                times(v.focal[a] / p[2], row),
+            )
         };
         let (x, y) = (along(0), along(1));
         let (tangent, inside, jw) = ([x.0, y.0], [x.1, y.1], [x.2, y.2]);
         let unit = Unit::new(rotation);
         let columns = unit.columns();
-        let row =
-            |w: Vec3| [scale[0] * dot(w, columns[0]), scale[1] * dot(w, columns[1]), scale[2] * dot(w, columns[2])];
+        let row = |w: Vec3| {
+            [
+                scale[0] * dot(w, columns[0]),
+                scale[1] * dot(w, columns[1]),
+                scale[2] * dot(w, columns[2]),
+            ]
+        };
         let m = [row(jw[0]), row(jw[1])];
-        Self { p, tangent, inside, jw, unit, columns, scale, m }
+        Self {
+            p,
+            tangent,
+            inside,
+            jw,
+            unit,
+            columns,
+            scale,
+            m,
+        }
     }
 
     /// `|m1 x m2|^2` without cancellation.
@@ -209,10 +288,18 @@ impl Ewa {
         let area = v.focal[0] * v.focal[1] / (self.p[2] * self.p[2]);
         let [x, y, z] = v.axes;
         let [tx, ty] = self.tangent;
-        let ray = [tx * x[0] + ty * y[0] + z[0], tx * x[1] + ty * y[1] + z[1], tx * x[2] + ty * y[2] + z[2]];
+        let ray = [
+            tx * x[0] + ty * y[0] + z[0],
+            tx * x[1] + ty * y[1] + z[1],
+            tx * x[2] + ty * y[2] + z[2],
+        ];
         let [a, b, c] = self.scale;
         let part = |others: f64, column: Vec3| others * area * dot(ray, column);
-        let parts = [part(b * c, self.columns[0]), part(a * c, self.columns[1]), part(a * b, self.columns[2])];
+        let parts = [
+            part(b * c, self.columns[0]),
+            part(a * c, self.columns[1]),
+            part(a * b, self.columns[2]),
+        ];
         dot(parts, parts)
     }
 }
@@ -267,7 +354,10 @@ pub(super) fn project_backward(
     let mut d_columns = [[0.0; 3]; 3];
     let mut log_scale = [0.0; 3];
     for i in 0..3 {
-        let d_m = [2.0 * d_xx * m1[i] + d_b * m2[i], 2.0 * d_yy * m2[i] + d_b * m1[i]];
+        let d_m = [
+            2.0 * d_xx * m1[i] + d_b * m2[i],
+            2.0 * d_yy * m2[i] + d_b * m1[i],
+        ];
         log_scale[i] = d_m[0] * m1[i] + d_m[1] * m2[i];
         for a in 0..2 {
             let d = d_m[a] * ewa.scale[i];
@@ -282,11 +372,21 @@ pub(super) fn project_backward(
         let f = v.focal[a] / z;
         // J holds f and, where x/z is not clamped, x/z.
         d_p[2] -= dot(d_jw[a], ewa.jw[a]) / z;
-        let d_tangent = if ewa.inside[a] { -f * dot(d_jw[a], v.axes[2]) } else { 0.0 };
+        let d_tangent = if ewa.inside[a] {
+            -f * dot(d_jw[a], v.axes[2])
+        } else {
+            0.0
+        };
         let d_ratio = d_tangent + v.focal[a] * center[a];
         d_p[a] += d_ratio / z;
         d_p[2] -= d_ratio * p[a] / (z * z);
     }
     let mean = std::array::from_fn(|i| (0..3).map(|a| v.axes[a][i] * d_p[a]).sum());
-    Gradient3 { mean, log_scale, rotation: ewa.unit.backward(&d_columns), logit: sums.one * sigmoid(-s.logit), center }
+    Gradient3 {
+        mean,
+        log_scale,
+        rotation: ewa.unit.backward(&d_columns),
+        logit: sums.one * sigmoid(-s.logit),
+        center,
+    }
 }

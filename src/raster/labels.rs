@@ -34,11 +34,15 @@ impl<E: Real> Beside<E> for LabelSums<'_, E> {
     fn begin(&mut self, next: usize) {
         let label = self.near[next];
         if self.seen.get(self.slot) != Some(&label) {
-            self.slot = self.seen.iter().position(|&other| other == label).unwrap_or_else(|| {
-                self.seen.push(label);
-                self.weights.push([[E::zero(); LANES]; STRIPS]);
-                self.seen.len() - 1
-            });
+            self.slot = self
+                .seen
+                .iter()
+                .position(|&other| other == label)
+                .unwrap_or_else(|| {
+                    self.seen.push(label);
+                    self.weights.push([[E::zero(); LANES]; STRIPS]);
+                    self.seen.len() - 1
+                });
         }
     }
 
@@ -50,12 +54,15 @@ impl<E: Real> Beside<E> for LabelSums<'_, E> {
 
     /// The label with the largest sum, ties to the lower one, and 0 where nothing was taken.
     fn channel(&self) -> [E; PIXELS] {
-        let mut ascending: Vec<(u16, &Buffer<E>)> = self.seen.iter().copied().zip(&self.weights).collect();
+        let mut ascending: Vec<(u16, &Buffer<E>)> =
+            self.seen.iter().copied().zip(&self.weights).collect();
         ascending.sort_unstable_by_key(|&(label, _)| label);
         let (mut weights, mut labels) = ([E::zero(); PIXELS], [E::zero(); PIXELS]);
         for (label, own) in ascending {
             let label = E::of(f64::from(label));
-            for ((weight, best), &own) in weights.iter_mut().zip(&mut labels).zip(own.as_flattened()) {
+            for ((weight, best), &own) in
+                weights.iter_mut().zip(&mut labels).zip(own.as_flattened())
+            {
                 *best = if own > *weight { label } else { *best };
                 *weight = if own > *weight { own } else { *weight };
             }
@@ -65,14 +72,32 @@ impl<E: Real> Beside<E> for LabelSums<'_, E> {
 }
 
 /// Blends `values`, `[visible, C]` front to back, and `labels`, `[visible]`; the label with the largest weight at each pixel.
-pub(super) fn blend<E: Real, const C: usize>(p: &Projected<E>, values: &[E], labels: &[u16]) -> (Blended<E>, Vec<u16>) {
-    let sums = || LabelSums { labels, seen: Vec::new(), weights: Vec::new(), near: [0; LOOK], slot: 0 };
+pub(super) fn blend<E: Real, const C: usize>(
+    p: &Projected<E>,
+    values: &[E],
+    labels: &[u16],
+) -> (Blended<E>, Vec<u16>) {
+    let sums = || LabelSums {
+        labels,
+        seen: Vec::new(),
+        weights: Vec::new(),
+        near: [0; LOOK],
+        slot: 0,
+    };
     let mut blended = blend_beside::<E, _, C>(p, values, C, sums);
     // Whole numbers below 2^16.
-    let ids = blended.image.iter().skip(C).step_by(C + 1).map(|id| id.wide() as u16).collect();
+    let ids = blended
+        .image
+        .iter()
+        .skip(C)
+        .step_by(C + 1)
+        .map(|id| id.wide() as u16)
+        .collect();
     let pixels = blended.image.len() / (C + 1);
     for i in 0..pixels {
-        blended.image.copy_within(i * (C + 1)..i * (C + 1) + C, i * C);
+        blended
+            .image
+            .copy_within(i * (C + 1)..i * (C + 1) + C, i * C);
     }
     blended.image.truncate(pixels * C);
     (blended, ids)

@@ -33,9 +33,9 @@ mod weights;
 pub use backward::SplatGradients;
 pub(crate) use geometry::{Viewpoint, ZERO_QUATERNION};
 pub use op::{
-    FrozenBackend, FrozenCall, FrozenTensors, Lifted, ListCount, ListSummary, Radii, RasterBackend, RasterCall,
-    RasterInput, RasterOutput, RasterTensors, SplatTensors, SplatView, rasterize, rasterize_on_host,
-    rasterize_with_room, room_for,
+    FrozenBackend, FrozenCall, FrozenTensors, Lifted, ListCount, ListSummary, Radii, RasterBackend,
+    RasterCall, RasterInput, RasterOutput, RasterTensors, SplatTensors, SplatView, rasterize,
+    rasterize_on_host, rasterize_with_room, room_for,
 };
 pub use projected::{Blended, Projected, Rendered, render};
 pub use settings::{PairCounts, Settings, Splats, Stats};

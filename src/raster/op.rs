@@ -92,7 +92,16 @@ pub fn rasterize_with_room(
     background: [f32; 3],
     room: Option<usize>,
 ) -> Result<(RasterOutput, ListSummary)> {
-    run(input, camera, settings, background, Way { room, ..Way::default() })
+    run(
+        input,
+        camera,
+        settings,
+        background,
+        Way {
+            room,
+            ..Way::default()
+        },
+    )
 }
 
 /// [`rasterize`] by the CPU's kernels wherever the tensors live, copying them from and to a GPU: what the GPU's kernels
@@ -106,7 +115,17 @@ pub fn rasterize_on_host(
     settings: &Settings,
     background: [f32; 3],
 ) -> Result<RasterOutput> {
-    Ok(run(input, camera, settings, background, Way { host_kernels: true, room: None })?.0)
+    Ok(run(
+        input,
+        camera,
+        settings,
+        background,
+        Way {
+            host_kernels: true,
+            room: None,
+        },
+    )?
+    .0)
 }
 
 fn run(
@@ -116,25 +135,49 @@ fn run(
     background: [f32; 3],
     way: Way,
 ) -> Result<(RasterOutput, ListSummary)> {
-    let RasterInput { means, log_scales, rotations, opacity_logits, sh, active_sh_degree, features, screen } = input;
+    let RasterInput {
+        means,
+        log_scales,
+        rotations,
+        opacity_logits,
+        sh,
+        active_sh_degree,
+        features,
+        screen,
+    } = input;
     let [n] = opacity_logits.dims();
     let shape = |name: &str, found: &[usize], expected: &[usize]| {
         if found == expected {
             return Ok(());
         }
         let (found, expected) = (format!("shape {found:?}"), format!("{expected:?}"));
-        Err(Error::argument(format!("raster input {name}"), found, expected, "pass tensors of one scene"))
+        Err(Error::argument(
+            format!("raster input {name}"),
+            found,
+            expected,
+            "pass tensors of one scene",
+        ))
     };
     shape("means", &means.dims(), &[n, 3])?;
     shape("log_scales", &log_scales.dims(), &[n, 3])?;
     shape("rotations", &rotations.dims(), &[n, 4])?;
     if sh.is_none() && features.is_none() {
-        return Err(Error::argument("raster input", "neither sh nor features", "at least one", "pass what to render"));
+        return Err(Error::argument(
+            "raster input",
+            "neither sh nor features",
+            "at least one",
+            "pass what to render",
+        ));
     }
     let terms = sh.as_ref().map_or(1, |sh| sh.dims()[1]);
     if !matches!(terms, 1 | 4 | 9 | 16) {
         let found = format!("{terms} terms");
-        return Err(Error::argument("raster input sh", found, "1, 4, 9 or 16", "pass (degree + 1)^2 terms"));
+        return Err(Error::argument(
+            "raster input sh",
+            found,
+            "1, 4, 9 or 16",
+            "pass (degree + 1)^2 terms",
+        ));
     }
     if let Some(sh) = &sh {
         shape("sh", &sh.dims(), &[n, terms, 3])?;
@@ -144,11 +187,20 @@ fn run(
     }
     let absolute_screen = screen.as_ref().is_some_and(|screen| screen.dims()[1] == 4);
     if let Some(screen) = &screen {
-        shape("screen", &screen.dims(), &[n, if absolute_screen { 4 } else { 2 }])?;
+        shape(
+            "screen",
+            &screen.dims(),
+            &[n, if absolute_screen { 4 } else { 2 }],
+        )?;
     }
     let dtype = means.dtype();
     if !matches!(dtype, DType::F32 | DType::F64) {
-        return Err(Error::argument("raster input", format!("{dtype:?}"), "f32 or f64", "cast the tensors"));
+        return Err(Error::argument(
+            "raster input",
+            format!("{dtype:?}"),
+            "f32 or f64",
+            "cast the tensors",
+        ));
     }
     let types = [
         ("log_scales", log_scales.dtype()),
@@ -159,8 +211,16 @@ fn run(
         ("screen", screen.as_ref().map_or(dtype, Tensor::dtype)),
     ];
     if let Some((name, found)) = types.into_iter().find(|(_, found)| *found != dtype) {
-        let (found, expected) = (format!("{found:?}"), format!("{dtype:?}, as the means have"));
-        return Err(Error::argument(format!("raster input {name}"), found, expected, "cast the tensors"));
+        let (found, expected) = (
+            format!("{found:?}"),
+            format!("{dtype:?}, as the means have"),
+        );
+        return Err(Error::argument(
+            format!("raster input {name}"),
+            found,
+            expected,
+            "cast the tensors",
+        ));
     }
     let call = Arc::new(RasterCall {
         camera: camera.clone(),
@@ -189,7 +249,8 @@ fn run(
     if let Some(error) = call.state().error.take() {
         return Err(error);
     }
-    let transmittance = Tensor::from_dispatch(Dispatch::raster_transmittance(image.clone(), call.clone()));
+    let transmittance =
+        Tensor::from_dispatch(Dispatch::raster_transmittance(image.clone(), call.clone()));
     let on_device = Tensor::<1>::from_dispatch(Dispatch::raster_radii(image.clone(), call.clone()));
     let radii = match on_device.dims() {
         [0] => call.state().radii.clone(),
@@ -197,5 +258,12 @@ fn run(
         _ => Radii::on_device(on_device),
     };
     let summary = Tensor::from_dispatch(Dispatch::raster_summary(image.clone(), call));
-    Ok((RasterOutput { image: Tensor::from_dispatch(image), transmittance, radii }, ListSummary::new(summary)))
+    Ok((
+        RasterOutput {
+            image: Tensor::from_dispatch(image),
+            transmittance,
+            radii,
+        },
+        ListSummary::new(summary),
+    ))
 }

@@ -46,7 +46,11 @@ fn bin_all(splats: &[Splat2], size: [usize; 2]) -> Bins {
         for (l, rows) in rows.iter().enumerate().take(splats.len()) {
             let before = bins.tiles.len();
             let first = rows.start / TILE;
-            let reached = if rows.is_empty() { 0 } else { rows.end.div_ceil(TILE) - first };
+            let reached = if rows.is_empty() {
+                0
+            } else {
+                rows.end.div_ceil(TILE) - first
+            };
             for k in 0..reached {
                 let [left, right] = match edges.get(k) {
                     Some(edges) => [edges[0][l], edges[1][l]],
@@ -98,7 +102,13 @@ impl Outlines {
             (center[0][l], center[1][l], slope[l]) = (s.center[0], s.center[1], s.slope);
             (du[l], dv[l], reach[l]) = (s.du, s.dv, s.reach);
         }
-        let mut out = Self { center, slope, half: [none; 2], per_half: none, right_at: none };
+        let mut out = Self {
+            center,
+            slope,
+            half: [none; 2],
+            per_half: none,
+            right_at: none,
+        };
         for l in 0..BLOCK {
             let (sx, sy) = (1.0 / du[l], 1.0 / dv[l]);
             let wide = (sx * sx + slope[l] * slope[l] * sy * sy).sqrt();
@@ -106,7 +116,11 @@ impl Outlines {
             out.half[0][l] = reach[l] * sx;
             out.half[1][l] = reach[l] * sy;
             out.per_half[l] = 1.0 / out.half[1][l];
-            out.right_at[l] = if reach[l] < f64::INFINITY { right_at } else { 0.0 };
+            out.right_at[l] = if reach[l] < f64::INFINITY {
+                right_at
+            } else {
+                0.0
+            };
         }
         out
     }
@@ -114,13 +128,18 @@ impl Outlines {
     /// Pixel rows whose centres the `l`-th covers.
     #[inline(always)]
     fn pixel_rows(&self, l: usize, height: usize) -> Range<usize> {
-        between(self.center[1][l] - self.half[1][l], self.center[1][l] + self.half[1][l], height)
+        between(
+            self.center[1][l] - self.half[1][l],
+            self.center[1][l] + self.half[1][l],
+            height,
+        )
     }
 
     /// [`Outlines::edges`] of all in the `k`-th rows of tiles that they meet.
     #[inline(always)]
     fn all_edges(&self, rows: &[Range<usize>; BLOCK], k: usize) -> [Column; 2] {
-        let (mut start, mut end, mut left, mut right) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
+        let (mut start, mut end, mut left, mut right) =
+            ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
         for (l, rows) in rows.iter().enumerate() {
             [start[l], end[l]] = tile_row(rows, k);
         }
@@ -143,7 +162,10 @@ impl Outlines {
         // The right edge is concave in dy with its top at `right_at`; the left edge is its mirror image.
         let right = self.right_at[l].max(low).min(high);
         let left = (-self.right_at[l]).max(low).min(high);
-        [x + self.slope[l] * left - half(left), x + self.slope[l] * right + half(right)]
+        [
+            x + self.slope[l] * left - half(left),
+            x + self.slope[l] * right + half(right),
+        ]
     }
 }
 
@@ -153,7 +175,11 @@ fn between(low: f64, high: f64, limit: usize) -> Range<usize> {
     // Rounded by casts, which saturate: `ceil` and `floor` are calls on baseline x86-64.
     let low = (low - 0.5).clamp(0.0, limit as f64);
     let first = low as usize + usize::from((low as usize as f64) < low);
-    let end = if high >= 0.5 { ((high - 0.5).min(limit as f64) as usize + 1).min(limit) } else { 0 };
+    let end = if high >= 0.5 {
+        ((high - 0.5).min(limit as f64) as usize + 1).min(limit)
+    } else {
+        0
+    };
     first..end.max(first)
 }
 
@@ -170,13 +196,20 @@ mod tests {
                 slope: 2.0 * wave(0.7),
                 du: (2.0 * wave(1.1) - 3.0).exp2(),
                 dv: (2.0 * wave(1.9) - 3.0).exp2(),
-                reach: if i.is_multiple_of(97) { f64::INFINITY } else { 1.0 + i as f64 % 7.0 / 3.0 },
+                reach: if i.is_multiple_of(97) {
+                    f64::INFINITY
+                } else {
+                    1.0 + i as f64 % 7.0 / 3.0
+                },
                 log_opacity: 0.0,
             }
         };
         let splats: Vec<Splat2> = (0..3_000).map(splat).collect();
         let (wide, plain) = (bin(&splats, [131, 97]), bin_all(&splats, [131, 97]));
-        assert_eq!((wide.tiles, wide.counts, wide.per_tile), (plain.tiles.clone(), plain.counts, plain.per_tile));
+        assert_eq!(
+            (wide.tiles, wide.counts, wide.per_tile),
+            (plain.tiles.clone(), plain.counts, plain.per_tile)
+        );
         assert!(plain.tiles.len() > 3_000, "{}", plain.tiles.len());
     }
 }

@@ -101,7 +101,11 @@ impl<E: Real, const GEOMETRY: bool> Kernel<E> for Gather<'_, E, GEOMETRY> {
             counts: PairCounts::default(),
         };
         pairs.resize(USUAL * tile.ranks.len());
-        let mut pass = PairPass::<V, E, GEOMETRY> { rule: Rule::new::<E>(&p.settings), pairs, len: 0 };
+        let mut pass = PairPass::<V, E, GEOMETRY> {
+            rule: Rule::new::<E>(&p.settings),
+            pairs,
+            len: 0,
+        };
         walk(p, tile, &mut pass);
         let PairPass { mut pairs, len, .. } = pass;
         pairs.resize(len);

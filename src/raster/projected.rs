@@ -67,7 +67,14 @@ impl<E: Real> Projected<E> {
             .enumerate()
             .map(|(chunk, radii)| {
                 let mut visible = Vec::with_capacity(radii.len());
-                let stats = project(splats, chunk * CHUNK, &viewpoint, settings, radii, &mut visible);
+                let stats = project(
+                    splats,
+                    chunk * CHUNK,
+                    &viewpoint,
+                    settings,
+                    radii,
+                    &mut visible,
+                );
                 (visible, stats)
             })
             .collect();
@@ -81,7 +88,10 @@ impl<E: Real> Projected<E> {
             stats.zero_quaternions += s.zero_quaternions;
         }
         // Depths of the visible ones, and where in `chunks` they are.
-        let (mut depths, mut places) = (Vec::with_capacity(stats.visible), Vec::with_capacity(stats.visible));
+        let (mut depths, mut places) = (
+            Vec::with_capacity(stats.visible),
+            Vec::with_capacity(stats.visible),
+        );
         for (chunk, (visible, _)) in chunks.iter().enumerate() {
             depths.extend(visible.iter().map(|v| v.depth));
             places.extend((0..visible.len()).map(|i| (chunk * CHUNK + i) as u32));
@@ -98,7 +108,16 @@ impl<E: Real> Projected<E> {
             .unzip_into_vecs(&mut ids, &mut ordered);
         let tiles = tile_lists(&ordered, viewpoint.size)?;
         stats.tile_entries = tiles.ranks.len();
-        Ok(Self { viewpoint, settings: *settings, splats: ordered, ids, tiles, radii, stats, scalar: PhantomData })
+        Ok(Self {
+            viewpoint,
+            settings: *settings,
+            splats: ordered,
+            ids,
+            tiles,
+            radii,
+            stats,
+            scalar: PhantomData,
+        })
     }
 
     /// Number of Gaussians given, visible or not.
@@ -113,7 +132,10 @@ impl<E: Real> Projected<E> {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        size_of_val(&self.splats[..]) + size_of_val(&self.ids[..]) + size_of_val(&self.radii[..]) + self.tiles.bytes()
+        size_of_val(&self.splats[..])
+            + size_of_val(&self.ids[..])
+            + size_of_val(&self.radii[..])
+            + self.tiles.bytes()
     }
 
     /// Image width and height, pixels.
@@ -126,14 +148,26 @@ impl<E: Real> Projected<E> {
     /// # Panics
     /// If `values` does not have `N * channels` entries.
     pub fn blend(&self, values: &[E], channels: usize) -> Blended<E> {
-        assert_eq!(values.len(), self.len() * channels, "blend: values against Gaussians times channels");
+        assert_eq!(
+            values.len(),
+            self.len() * channels,
+            "blend: values against Gaussians times channels"
+        );
         match channels {
             0 => blend::blend::<E, 0>(self, &[], 0),
             1 => blend::blend::<E, 1>(self, &self.in_depth_order(values, 1, 1), 1),
-            2 | 3 => blend::blend::<E, 3>(self, &self.in_depth_order(values, channels, 3), channels),
-            4..=8 => blend::blend::<E, 8>(self, &self.in_depth_order(values, channels, 8), channels),
-            9..=16 => blend::blend::<E, 16>(self, &self.in_depth_order(values, channels, 16), channels),
-            17..=24 => blend::blend::<E, 24>(self, &self.in_depth_order(values, channels, 24), channels),
+            2 | 3 => {
+                blend::blend::<E, 3>(self, &self.in_depth_order(values, channels, 3), channels)
+            }
+            4..=8 => {
+                blend::blend::<E, 8>(self, &self.in_depth_order(values, channels, 8), channels)
+            }
+            9..=16 => {
+                blend::blend::<E, 16>(self, &self.in_depth_order(values, channels, 16), channels)
+            }
+            17..=24 => {
+                blend::blend::<E, 24>(self, &self.in_depth_order(values, channels, 24), channels)
+            }
             _ => channel_blocks::blend(self, values, channels),
         }
     }
@@ -143,9 +177,21 @@ impl<E: Real> Projected<E> {
     ///
     /// # Panics
     /// If `values` does not have `N * C` entries, or `labels` N.
-    pub fn blend_labels<const C: usize>(&self, values: &[E], labels: &[u16]) -> (Blended<E>, Vec<u16>) {
-        assert_eq!(values.len(), self.len() * C, "blend_labels: values against Gaussians times channels");
-        assert_eq!(labels.len(), self.len(), "blend_labels: one label a Gaussian");
+    pub fn blend_labels<const C: usize>(
+        &self,
+        values: &[E],
+        labels: &[u16],
+    ) -> (Blended<E>, Vec<u16>) {
+        assert_eq!(
+            values.len(),
+            self.len() * C,
+            "blend_labels: values against Gaussians times channels"
+        );
+        assert_eq!(
+            labels.len(),
+            self.len(),
+            "blend_labels: one label a Gaussian"
+        );
         let labels: Vec<u16> = self.ids.iter().map(|&id| labels[id as usize]).collect();
         labels::blend::<E, C>(self, &self.in_depth_order(values, C, C), &labels)
     }
@@ -156,7 +202,11 @@ impl<E: Real> Projected<E> {
     /// If `image` does not have `H * W * channels` entries.
     pub fn blend_adjoint(&self, image: &[E], channels: usize) -> Vec<E> {
         let [w, h] = self.size();
-        assert_eq!(image.len(), w * h * channels, "blend_adjoint: image against pixels times channels");
+        assert_eq!(
+            image.len(),
+            w * h * channels,
+            "blend_adjoint: image against pixels times channels"
+        );
         let sums = match channels {
             0 => return Vec::new(),
             1 => blend::adjoint::<E, 1>(self, image),
@@ -190,7 +240,13 @@ impl<E: Real> Projected<E> {
     /// [`Projected::counts`] of the pixels that `mask`, of the camera's size, uses.
     pub fn used_counts(&self, mask: Option<&Mask>) -> Vec<u32> {
         let disc = |(splat, &id): (&Splat2, &u32)| (splat.center, self.radii[id as usize]);
-        let discs: Vec<_> = self.splats.par_iter().zip(&self.ids).with_min_len(CHUNK).map(disc).collect();
+        let discs: Vec<_> = self
+            .splats
+            .par_iter()
+            .zip(&self.ids)
+            .with_min_len(CHUNK)
+            .map(disc)
+            .collect();
         let mut visible = vec![0; discs.len()];
         let before = mask.map(|mask| used_before(mask, self.size()));
         let chunks = visible.par_chunks_mut(CHUNK).zip(discs.par_chunks(CHUNK));
@@ -221,11 +277,13 @@ impl<E: Real> Projected<E> {
         if width == 0 {
             return out;
         }
-        out.par_chunks_mut(width * CHUNK).zip(self.ids.par_chunks(CHUNK)).for_each(|(out, ids)| {
-            for (out, &id) in out.chunks_exact_mut(width).zip(ids) {
-                out[..channels].copy_from_slice(&values[id as usize * channels..][..channels]);
-            }
-        });
+        out.par_chunks_mut(width * CHUNK)
+            .zip(self.ids.par_chunks(CHUNK))
+            .for_each(|(out, ids)| {
+                for (out, &id) in out.chunks_exact_mut(width).zip(ids) {
+                    out[..channels].copy_from_slice(&values[id as usize * channels..][..channels]);
+                }
+            });
         out
     }
 
@@ -271,11 +329,23 @@ fn used_before(mask: &Mask, [width, height]: [usize; 2]) -> Vec<u32> {
 ///
 /// # Errors
 /// As [`Projected::new`], and [`crate::Error::NonFinite`] for the SH coefficients.
-pub fn render(gaussians: &Gaussians, camera: &Camera, settings: &Settings, background: [f32; 3]) -> Result<Rendered> {
+pub fn render(
+    gaussians: &Gaussians,
+    camera: &Camera,
+    settings: &Settings,
+    background: [f32; 3],
+) -> Result<Rendered> {
     let projected = Projected::new(&gaussians.splats(), camera, settings)?;
     let blended = projected.blend(&projected.colours(gaussians, camera)?, 3);
-    let Blended { image, transmittance } = blended.over(background);
-    Ok(Rendered { rgb: image, transmittance, stats: projected.stats() })
+    let Blended {
+        image,
+        transmittance,
+    } = blended.over(background);
+    Ok(Rendered {
+        rgb: image,
+        transmittance,
+        stats: projected.stats(),
+    })
 }
 
 impl Projected<f32> {
@@ -285,7 +355,14 @@ impl Projected<f32> {
     /// [`crate::Error::NonFinite`] for the SH coefficients.
     pub(crate) fn colours(&self, gaussians: &Gaussians, camera: &Camera) -> Result<Vec<f32>> {
         let (degree, center) = (gaussians.sh_degree, camera.center.to_array());
-        visible_colours(gaussians.means.as_flattened(), &gaussians.sh, degree, degree, center, self.radii())
+        visible_colours(
+            gaussians.means.as_flattened(),
+            &gaussians.sh,
+            degree,
+            degree,
+            center,
+            self.radii(),
+        )
     }
 }
 

@@ -64,9 +64,22 @@ fn project_all<E: Real, const _FMA: bool>(
     radii: &mut [u32],
     visible: &mut Vec<Visible>,
 ) -> Stats {
-    let Settings { near, low_pass, alpha_min, .. } = *settings;
-    let view = View { point: *viewpoint, near, low_pass, ln_alpha_min: alpha_min.ln() };
-    let mut stats = Stats { gaussians: radii.len(), ..Stats::default() };
+    let Settings {
+        near,
+        low_pass,
+        alpha_min,
+        ..
+    } = *settings;
+    let view = View {
+        point: *viewpoint,
+        near,
+        low_pass,
+        ln_alpha_min: alpha_min.ln(),
+    };
+    let mut stats = Stats {
+        gaussians: radii.len(),
+        ..Stats::default()
+    };
     let mut in_sight = Vec::with_capacity(radii.len());
     for start in (0..radii.len()).step_by(BLOCK) {
         let ids = first + start..first + radii.len().min(start + BLOCK);
@@ -78,7 +91,11 @@ fn project_all<E: Real, const _FMA: bool>(
                 Fate::NonFinite => stats.non_finite += 1,
                 Fate::OffScreen => {
                     stats.off_screen += 1;
-                    let squares: f64 = Splat3::read(splats, id).rotation.iter().map(|q| q * q).sum();
+                    let squares: f64 = Splat3::read(splats, id)
+                        .rotation
+                        .iter()
+                        .map(|q| q * q)
+                        .sum();
                     stats.zero_quaternions += usize::from(squares < ZERO_QUATERNION);
                 }
             }
@@ -92,7 +109,11 @@ fn project_all<E: Real, const _FMA: bool>(
             match block.fate::<E>(l, &view) {
                 Fate::InSight => {
                     radii[id - first] = block.radius(l);
-                    visible.push(Visible { depth: block.depth[l], id: id as u32, splat: block.splat(l) });
+                    visible.push(Visible {
+                        depth: block.depth[l],
+                        id: id as u32,
+                        splat: block.splat(l),
+                    });
                 }
                 Fate::NonFinite => stats.non_finite += 1,
                 Fate::OffScreen | Fate::Behind => stats.off_screen += 1,
@@ -108,15 +129,26 @@ fn project_all<E: Real, const _FMA: bool>(
 fn sift<E: Real>(splats: &Splats<'_, E>, first: usize, len: usize, view: &View) -> [Fate; BLOCK] {
     let mut mean = [[0.0; BLOCK]; 3];
     let (mut log_scale, mut logit) = ([0.0; BLOCK], [0.0; BLOCK]);
-    let rows = splats.means[3 * first..].chunks_exact(3).zip(splats.log_scales[3 * first..].chunks_exact(3));
-    for (l, ((m, s), o)) in rows.zip(&splats.opacity_logits[first..]).take(len).enumerate() {
+    let rows = splats.means[3 * first..]
+        .chunks_exact(3)
+        .zip(splats.log_scales[3 * first..].chunks_exact(3));
+    for (l, ((m, s), o)) in rows
+        .zip(&splats.opacity_logits[first..])
+        .take(len)
+        .enumerate()
+    {
         for (column, &value) in mean.iter_mut().zip(m) {
             column[l] = value.wide();
         }
         log_scale[l] = s[0].max(s[1]).max(s[2]).wide();
         logit[l] = o.wide();
     }
-    let View { point: v, near, low_pass, ln_alpha_min } = *view;
+    let View {
+        point: v,
+        near,
+        low_pass,
+        ln_alpha_min,
+    } = *view;
     let mut fates = [Fate::InSight; BLOCK];
     for l in 0..BLOCK {
         let p = v.to_camera([mean[0][l], mean[1][l], mean[2][l]]);
@@ -130,13 +162,19 @@ fn sift<E: Real>(splats: &Splats<'_, E>, first: usize, len: usize, view: &View) 
             let scale = largest * (v.focal[a] / p[2]);
             // A little more than the variance that the projection may have, for rounding.
             let variance = 1.001 * (scale * scale * (1.0 + tangent * tangent) + low_pass);
-            let (center, reach) = (v.focal[a] * ratio + v.principal[a], (2.0 * variance * tau).sqrt());
+            let (center, reach) = (
+                v.focal[a] * ratio + v.principal[a],
+                (2.0 * variance * tau).sqrt(),
+            );
             // False where something overflowed: the projection is to find and count that.
-            out |= (variance < 1e30) & ((center + reach < -1.0) | (center - reach > v.size[a] as f64 + 1.0));
+            out |= (variance < 1e30)
+                & ((center + reach < -1.0) | (center - reach > v.size[a] as f64 + 1.0));
         }
         let fate = if out { Fate::OffScreen } else { Fate::InSight };
         let fate = if p[2] <= near { Fate::Behind } else { fate };
-        let finite = (p[0].abs() < f64::INFINITY) & (p[1].abs() < f64::INFINITY) & (p[2].abs() < f64::INFINITY);
+        let finite = (p[0].abs() < f64::INFINITY)
+            & (p[1].abs() < f64::INFINITY)
+            & (p[2].abs() < f64::INFINITY);
         fates[l] = if finite { fate } else { Fate::NonFinite };
     }
     fates
@@ -167,7 +205,8 @@ impl Block {
     #[inline(always)]
     fn new<E: Real>(splats: &Splats<'_, E>, ids: &[usize], view: &View) -> Self {
         let none = [0.0; BLOCK];
-        let (mut mean, mut log_scale, mut rotation, mut logit) = ([none; 3], [none; 3], [none; 4], none);
+        let (mut mean, mut log_scale, mut rotation, mut logit) =
+            ([none; 3], [none; 3], [none; 4], none);
         for (l, &id) in ids.iter().enumerate() {
             let s = Splat3::read(splats, id);
             for i in 0..3 {
@@ -178,7 +217,12 @@ impl Block {
             }
             logit[l] = s.logit;
         }
-        let View { point: v, low_pass: low, ln_alpha_min, .. } = *view;
+        let View {
+            point: v,
+            low_pass: low,
+            ln_alpha_min,
+            ..
+        } = *view;
         let mut out = Self {
             center: [none; 2],
             slope: none,
@@ -194,8 +238,22 @@ impl Block {
         };
         for l in 0..BLOCK {
             let p = v.to_camera([mean[0][l], mean[1][l], mean[2][l]]);
-            let scale = [exp(log_scale[0][l]), exp(log_scale[1][l]), exp(log_scale[2][l])];
-            let ewa = Ewa::new([rotation[0][l], rotation[1][l], rotation[2][l], rotation[3][l]], scale, &v, p);
+            let scale = [
+                exp(log_scale[0][l]),
+                exp(log_scale[1][l]),
+                exp(log_scale[2][l]),
+            ];
+            let ewa = Ewa::new(
+                [
+                    rotation[0][l],
+                    rotation[1][l],
+                    rotation[2][l],
+                    rotation[3][l],
+                ],
+                scale,
+                &v,
+                p,
+            );
             let [m1, m2] = ewa.m;
             let (n1, n2) = (dot(m1, m1), dot(m2, m2));
             let yy = n2 + low;
@@ -228,7 +286,14 @@ impl Block {
     fn fate<E: Real>(&self, l: usize, view: &View) -> Fate {
         // What the kernels use must also be representable in their type.
         let fits = |x: f64| E::of(x).is_normal();
-        let finite = [self.center[0][l], self.center[1][l], self.slope[l], self.xx[l]].iter().all(|v| v.is_finite());
+        let finite = [
+            self.center[0][l],
+            self.center[1][l],
+            self.slope[l],
+            self.xx[l],
+        ]
+        .iter()
+        .all(|v| v.is_finite());
         if !finite || !fits(self.du[l]) || !fits(self.dv[l]) {
             return Fate::NonFinite;
         }
@@ -238,7 +303,11 @@ impl Block {
         };
         // The logarithm of the smallest normal `f64`.
         let nothing = self.tau[l] < 0.0 || self.log_opacity[l] < -708.396_418_532_264_1;
-        if nothing || out(0) || out(1) { Fate::OffScreen } else { Fate::InSight }
+        if nothing || out(0) || out(1) {
+            Fate::OffScreen
+        } else {
+            Fate::InSight
+        }
     }
 
     /// `ceil(3 sqrt(lambda_max))`, at least 1.

@@ -29,7 +29,13 @@ impl Default for Settings {
 
 impl From<&RasterConfig> for Settings {
     fn from(c: &RasterConfig) -> Self {
-        Self { alpha_max: c.alpha_max, alpha_min: c.alpha_min, t_min: c.t_min, near: c.near, low_pass: c.low_pass }
+        Self {
+            alpha_max: c.alpha_max,
+            alpha_min: c.alpha_min,
+            t_min: c.t_min,
+            near: c.near,
+            low_pass: c.low_pass,
+        }
     }
 }
 
@@ -38,13 +44,47 @@ impl Settings {
     pub(super) fn check(&self) -> Result<()> {
         let unit = |key: &str, v: f64, ok: bool, range: &str| {
             let mend = "choose a value in that range";
-            if ok { Ok(()) } else { Err(Error::config(format!("raster.{key}"), v.to_string(), range, mend)) }
+            if ok {
+                Ok(())
+            } else {
+                Err(Error::config(
+                    format!("raster.{key}"),
+                    v.to_string(),
+                    range,
+                    mend,
+                ))
+            }
         };
-        unit("alpha_max", self.alpha_max, self.alpha_max > 0.0 && self.alpha_max <= 1.0, "a number in (0, 1]")?;
-        unit("alpha_min", self.alpha_min, (0.0..1.0).contains(&self.alpha_min), "a number in [0, 1)")?;
-        unit("t_min", self.t_min, (0.0..1.0).contains(&self.t_min), "a number in [0, 1)")?;
-        unit("near", self.near, self.near > 0.0 && self.near.is_finite(), "a positive number")?;
-        unit("low_pass", self.low_pass, self.low_pass >= 0.0 && self.low_pass.is_finite(), "a number of 0 or more")
+        unit(
+            "alpha_max",
+            self.alpha_max,
+            self.alpha_max > 0.0 && self.alpha_max <= 1.0,
+            "a number in (0, 1]",
+        )?;
+        unit(
+            "alpha_min",
+            self.alpha_min,
+            (0.0..1.0).contains(&self.alpha_min),
+            "a number in [0, 1)",
+        )?;
+        unit(
+            "t_min",
+            self.t_min,
+            (0.0..1.0).contains(&self.t_min),
+            "a number in [0, 1)",
+        )?;
+        unit(
+            "near",
+            self.near,
+            self.near > 0.0 && self.near.is_finite(),
+            "a positive number",
+        )?;
+        unit(
+            "low_pass",
+            self.low_pass,
+            self.low_pass >= 0.0 && self.low_pass.is_finite(),
+            "a number of 0 or more",
+        )
     }
 }
 
@@ -98,8 +138,9 @@ impl<E: Real> Splats<'_, E> {
 /// [`Error::NonFinite`] naming the first row of `[rows, width]` values that holds a NaN or an infinity.
 pub(super) fn check_finite<E: Real>(name: &str, values: &[E], width: usize) -> Result<()> {
     // Counting vectorises where stopping at the first would not.
-    let finite =
-        values.par_chunks(1 << 14).all(|chunk| chunk.iter().map(|v| u32::from(!v.is_finite())).sum::<u32>() == 0);
+    let finite = values
+        .par_chunks(1 << 14)
+        .all(|chunk| chunk.iter().map(|v| u32::from(!v.is_finite())).sum::<u32>() == 0);
     if finite {
         return Ok(());
     }

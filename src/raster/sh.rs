@@ -95,7 +95,11 @@ fn basis_backward([x, y, z]: Vec3, degree: usize, g: &[f64; 16]) -> Vec3 {
 fn direction<E: Real>(means: &[E], i: usize, center: Vec3) -> (Vec3, f64) {
     let v: Vec3 = std::array::from_fn(|a| means[3 * i + a].wide() - center[a]);
     let length = dot(v, v).sqrt();
-    if length > 0.0 { (v.map(|v| v / length), length) } else { ([0.0; 3], 0.0) }
+    if length > 0.0 {
+        (v.map(|v| v / length), length)
+    } else {
+        ([0.0; 3], 0.0)
+    }
 }
 
 /// Colours `max(0, SH(direction) + 0.5)`, `[N, 3]`.
@@ -105,12 +109,20 @@ fn direction<E: Real>(means: &[E], i: usize, center: Vec3) -> (Vec3, f64) {
 ///
 /// # Panics
 /// If the lengths disagree, or a degree is above 3.
-pub fn eval_sh<E: Real>(means: &[E], sh: &[E], sh_degree: usize, active_degree: usize, center: [f64; 3]) -> Vec<E> {
+pub fn eval_sh<E: Real>(
+    means: &[E],
+    sh: &[E],
+    sh_degree: usize,
+    active_degree: usize,
+    center: [f64; 3],
+) -> Vec<E> {
     let rows = Coefficients::new(means, sh, sh_degree, active_degree, center);
     let mut out = vec![E::zero(); means.len()];
-    out.par_chunks_mut(3 * CHUNK).enumerate().for_each(|(chunk, out)| {
-        evaluate(&rows, chunk * CHUNK, &[1; CHUNK], out);
-    });
+    out.par_chunks_mut(3 * CHUNK)
+        .enumerate()
+        .for_each(|(chunk, out)| {
+            evaluate(&rows, chunk * CHUNK, &[1; CHUNK], out);
+        });
     out
 }
 
@@ -129,8 +141,11 @@ pub(super) fn visible_colours<E: Real>(
     let rows = Coefficients::new(means, sh, sh_degree, active_degree, center);
     let mut out = vec![E::zero(); means.len()];
     // Coefficients are looked at and used while they are near: they are most of a scene's memory.
-    let finite =
-        out.par_chunks_mut(3 * CHUNK).zip(wanted.par_chunks(CHUNK)).enumerate().map(|(chunk, (out, wanted))| {
+    let finite = out
+        .par_chunks_mut(3 * CHUNK)
+        .zip(wanted.par_chunks(CHUNK))
+        .enumerate()
+        .map(|(chunk, (out, wanted))| {
             evaluate(&rows, chunk * CHUNK, wanted, out);
             rows.are_finite(chunk * CHUNK, wanted.len())
         });
@@ -152,11 +167,27 @@ struct Coefficients<'a, E> {
 }
 
 impl<'a, E: Real> Coefficients<'a, E> {
-    fn new(means: &'a [E], sh: &'a [E], sh_degree: usize, active_degree: usize, center: Vec3) -> Self {
+    fn new(
+        means: &'a [E],
+        sh: &'a [E],
+        sh_degree: usize,
+        active_degree: usize,
+        center: Vec3,
+    ) -> Self {
         let width = 3 * (sh_degree + 1).pow(2);
         assert!(sh_degree <= 3, "eval_sh: degree {sh_degree} above 3");
-        assert_eq!(means.len() * width, sh.len() * 3, "eval_sh: means against SH coefficients");
-        Self { means, sh, width, degree: active_degree.min(sh_degree), center }
+        assert_eq!(
+            means.len() * width,
+            sh.len() * 3,
+            "eval_sh: means against SH coefficients"
+        );
+        Self {
+            means,
+            sh,
+            width,
+            degree: active_degree.min(sh_degree),
+            center,
+        }
     }
 
     /// Whether those of `count` Gaussians from `first` on are finite.
@@ -173,7 +204,12 @@ wide_kernel! {
 }
 
 #[inline(always)]
-fn evaluate_all<E: Real, const _FMA: bool>(rows: &Coefficients<'_, E>, first: usize, wanted: &[u32], out: &mut [E]) {
+fn evaluate_all<E: Real, const _FMA: bool>(
+    rows: &Coefficients<'_, E>,
+    first: usize,
+    wanted: &[u32],
+    out: &mut [E],
+) {
     let terms = (rows.degree + 1).pow(2);
     for ((out, i), &wanted) in out.chunks_exact_mut(3).zip(first..).zip(wanted) {
         if wanted == 0 {
@@ -182,7 +218,10 @@ fn evaluate_all<E: Real, const _FMA: bool>(rows: &Coefficients<'_, E>, first: us
         let (d, _) = direction(rows.means, i, rows.center);
         let basis = basis(d, rows.degree);
         let mut sum = [E::of(0.5); 3];
-        for (b, sh) in basis[..terms].iter().zip(rows.sh[i * rows.width..].chunks_exact(3)) {
+        for (b, sh) in basis[..terms]
+            .iter()
+            .zip(rows.sh[i * rows.width..].chunks_exact(3))
+        {
             let b = E::of(*b);
             for c in 0..3 {
                 sum[c] += b * sh[c];
@@ -217,9 +256,13 @@ impl<E: Real> ShBackward<'_, E> {
         let degree = self.active_degree.min(self.sh_degree);
         let terms = (degree + 1).pow(2);
         let mut d_sh = vec![E::zero(); self.sh.len()];
-        d_sh.par_chunks_mut(width * CHUNK).zip(d_means.par_chunks_mut(3 * CHUNK)).enumerate().for_each(
-            |(chunk, (d_sh, d_means))| {
-                let rows = d_sh.chunks_exact_mut(width).zip(d_means.chunks_exact_mut(3));
+        d_sh.par_chunks_mut(width * CHUNK)
+            .zip(d_means.par_chunks_mut(3 * CHUNK))
+            .enumerate()
+            .for_each(|(chunk, (d_sh, d_means))| {
+                let rows = d_sh
+                    .chunks_exact_mut(width)
+                    .zip(d_means.chunks_exact_mut(3));
                 for ((d_sh, d_mean), i) in rows.zip(chunk * CHUNK..) {
                     if self.wanted[i] == 0 {
                         continue;
@@ -227,7 +270,11 @@ impl<E: Real> ShBackward<'_, E> {
                     let at = i * self.stride;
                     // The colour is 0 where max(0, .) cut it off.
                     let g: [E; 3] = std::array::from_fn(|c| {
-                        if self.colours[at + c] > E::zero() { self.gradient[at + c] } else { E::zero() }
+                        if self.colours[at + c] > E::zero() {
+                            self.gradient[at + c]
+                        } else {
+                            E::zero()
+                        }
                     });
                     let (d, length) = direction(self.means, i, self.center);
                     let basis = basis(d, degree);
@@ -250,8 +297,7 @@ impl<E: Real> ShBackward<'_, E> {
                         }
                     }
                 }
-            },
-        );
+            });
         d_sh
     }
 }

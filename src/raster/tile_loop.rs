@@ -39,7 +39,10 @@ pub(super) fn for_each_tile_row<E: Real>(
     f: impl Fn(Tile<'_>, &mut [E], &mut [E]) + Sync,
 ) -> Blended<E> {
     let [w, h] = p.size();
-    let mut out = Blended { image: vec![E::zero(); w * h * channels], transmittance: vec![E::zero(); w * h] };
+    let mut out = Blended {
+        image: vec![E::zero(); w * h * channels],
+        transmittance: vec![E::zero(); w * h],
+    };
     let mut image = out.image.as_mut_slice();
     let mut parts = Vec::with_capacity(p.tiles.rows);
     for (row, transmittance) in out.transmittance.chunks_mut(w * TILE).enumerate() {
@@ -47,18 +50,32 @@ pub(super) fn for_each_tile_row<E: Real>(
         parts.push((row, own, transmittance));
         image = rest;
     }
-    parts.into_par_iter().with_max_len(1).for_each(|(row, image, transmittance)| {
-        for column in 0..p.tiles.columns {
-            let ranks = &p.tiles.ranks[p.tiles.tile(column, row)];
-            f(Tile { origin: [column * TILE, row * TILE], ranks }, image, transmittance);
-        }
-    });
+    parts
+        .into_par_iter()
+        .with_max_len(1)
+        .for_each(|(row, image, transmittance)| {
+            for column in 0..p.tiles.columns {
+                let ranks = &p.tiles.ranks[p.tiles.tile(column, row)];
+                f(
+                    Tile {
+                        origin: [column * TILE, row * TILE],
+                        ranks,
+                    },
+                    image,
+                    transmittance,
+                );
+            }
+        });
     out
 }
 
 /// Runs `f` over all tiles in parallel; it writes `width` sums for each of the tile's list entries. Returns the sums
 /// per rank, `[visible, width]`, added up in an order that does not depend on the number of threads.
-pub(super) fn sum_over_tiles<E: Real>(p: &Projected<E>, width: usize, f: impl Fn(Tile<'_>, &mut [E]) + Sync) -> Vec<E> {
+pub(super) fn sum_over_tiles<E: Real>(
+    p: &Projected<E>,
+    width: usize,
+    f: impl Fn(Tile<'_>, &mut [E]) + Sync,
+) -> Vec<E> {
     let mut sums = vec![E::zero(); p.splats.len() * width];
     if width == 0 {
         return sums;
@@ -85,14 +102,24 @@ pub(super) fn sum_over_tiles<E: Real>(p: &Projected<E>, width: usize, f: impl Fn
                 let (own, others) = rest.split_at_mut(ranks.len() * width);
                 rest = others;
                 if !ranks.is_empty() {
-                    parts.push((Tile { origin: [column * TILE, tile_row * TILE], ranks }, own));
+                    parts.push((
+                        Tile {
+                            origin: [column * TILE, tile_row * TILE],
+                            ranks,
+                        },
+                        own,
+                    ));
                 }
             }
         }
         parts.into_par_iter().for_each(|(tile, own)| f(tile, own));
-        sums.par_chunks_mut(width * 256).zip(cursors.par_chunks_mut(256)).enumerate().for_each(
-            |(chunk, (sums, cursors))| {
-                for ((sum, cursor), rank) in sums.chunks_exact_mut(width).zip(cursors).zip(chunk * 256..) {
+        sums.par_chunks_mut(width * 256)
+            .zip(cursors.par_chunks_mut(256))
+            .enumerate()
+            .for_each(|(chunk, (sums, cursors))| {
+                for ((sum, cursor), rank) in
+                    sums.chunks_exact_mut(width).zip(cursors).zip(chunk * 256..)
+                {
                     for &slot in &p.tiles.slots(rank)[*cursor as usize..] {
                         if slot as usize >= band.end {
                             break;
@@ -104,8 +131,7 @@ pub(super) fn sum_over_tiles<E: Real>(p: &Projected<E>, width: usize, f: impl Fn
                         }
                     }
                 }
-            },
-        );
+            });
         row = end;
     }
     sums
@@ -123,7 +149,11 @@ pub(super) trait Pass<E, V> {
 
 /// Shows `pass` the Gaussians of `tile` until all pixels have ended.
 #[inline(always)]
-pub(super) fn walk<E: Real, V: Vector<E>>(p: &Projected<E>, tile: Tile<'_>, pass: &mut impl Pass<E, V>) {
+pub(super) fn walk<E: Real, V: Vector<E>>(
+    p: &Projected<E>,
+    tile: Tile<'_>,
+    pass: &mut impl Pass<E, V>,
+) {
     let grid = Grid::<V>::new::<E>();
     let mut corners = [Corner::default(); LOOK];
     for (look, ranks) in tile.ranks.chunks(LOOK).enumerate() {
@@ -149,7 +179,11 @@ pub(super) fn walk<E: Real, V: Vector<E>>(p: &Projected<E>, tile: Tile<'_>, pass
 
 /// Rows of `values`, `[visible, C]`, of these ranks.
 #[inline(always)]
-pub(super) fn gather_rows<E: Copy, const C: usize>(values: &[E], ranks: &[u32], out: &mut [[E; C]; LOOK]) {
+pub(super) fn gather_rows<E: Copy, const C: usize>(
+    values: &[E],
+    ranks: &[u32],
+    out: &mut [[E; C]; LOOK],
+) {
     for (out, &rank) in out.iter_mut().zip(ranks) {
         out.copy_from_slice(&values[rank as usize * C..][..C]);
     }

@@ -37,7 +37,11 @@ impl<E: Real> TilePairs<'_, E> {
     /// ascending by row) and its weights alpha' T there.
     pub fn gaussian(&self, i: usize) -> (u32, &[u16], &[E]) {
         let range = self.pairs.range(i);
-        (self.ids[self.ranks[i] as usize], &self.pairs.pixels[range.clone()], &self.pairs.weights[range])
+        (
+            self.ids[self.ranks[i] as usize],
+            &self.pairs.pixels[range.clone()],
+            &self.pairs.weights[range],
+        )
     }
 }
 
@@ -66,7 +70,11 @@ impl<E: Real> Projected<E> {
         entries: &mut [T],
         f: impl Fn(usize, &TilePairs<'_, E>, &mut [T]) -> R + Sync,
     ) -> Vec<R> {
-        assert_eq!(entries.len(), self.tiles.ranks.len(), "map_tiles: entries against tile lists");
+        assert_eq!(
+            entries.len(),
+            self.tiles.ranks.len(),
+            "map_tiles: entries against tile lists"
+        );
         let columns = self.tiles.columns;
         let mut rest = entries;
         let mut parts = Vec::with_capacity(columns * self.tiles.rows);
@@ -74,7 +82,14 @@ impl<E: Real> Projected<E> {
             let (x, y) = (tile % columns, tile / columns);
             let ranks = &self.tiles.ranks[self.tiles.tile(x, y)];
             let (own, others) = rest.split_at_mut(ranks.len());
-            parts.push((tile, Tile { origin: [x * TILE, y * TILE], ranks }, own));
+            parts.push((
+                tile,
+                Tile {
+                    origin: [x * TILE, y * TILE],
+                    ranks,
+                },
+                own,
+            ));
             rest = others;
         }
         parts
@@ -85,7 +100,16 @@ impl<E: Real> Projected<E> {
                     end_unused(&mut t, tile, self.size(), mask);
                 }
                 let pairs = Pairs::gather(self, tile, t);
-                f(number, &TilePairs { origin: tile.origin, ids: &self.ids, ranks: tile.ranks, pairs }, own)
+                f(
+                    number,
+                    &TilePairs {
+                        origin: tile.origin,
+                        ids: &self.ids,
+                        ranks: tile.ranks,
+                        pairs,
+                    },
+                    own,
+                )
             })
             .collect()
     }
@@ -96,16 +120,23 @@ impl<E: Real> Projected<E> {
         for (rank, &id) in (0..).zip(&self.ids) {
             ranks[id as usize] = rank;
         }
-        Positions { ranks, tiles: &self.tiles }
+        Positions {
+            ranks,
+            tiles: &self.tiles,
+        }
     }
 
     /// Evaluated and contributing pairs.
     pub fn count_pairs(&self) -> PairCounts {
-        let counts = self.map_tiles(&mut vec![(); self.tiles.ranks.len()], |_, tile, _| tile.pairs.counts);
-        counts.iter().fold(PairCounts::default(), |a, b| PairCounts {
-            evaluated: a.evaluated + b.evaluated,
-            contributing: a.contributing + b.contributing,
-        })
+        let counts = self.map_tiles(&mut vec![(); self.tiles.ranks.len()], |_, tile, _| {
+            tile.pairs.counts
+        });
+        counts
+            .iter()
+            .fold(PairCounts::default(), |a, b| PairCounts {
+                evaluated: a.evaluated + b.evaluated,
+                contributing: a.contributing + b.contributing,
+            })
     }
 }
 
@@ -113,7 +144,8 @@ impl<E: Real> Projected<E> {
 fn end_unused<E: Real>(t: &mut Buffer<E>, tile: Tile<'_>, size: [usize; 2], mask: &Mask) {
     for (at, pixel, len) in tile.rows(size) {
         let row = t.as_flattened_mut()[at..at + len].iter_mut().enumerate();
-        row.filter(|(i, _)| !mask.uses(pixel + i)).for_each(|(_, t)| *t = -E::one());
+        row.filter(|(i, _)| !mask.uses(pixel + i))
+            .for_each(|(_, t)| *t = -E::one());
     }
 }
 

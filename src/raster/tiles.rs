@@ -28,7 +28,10 @@ pub(super) struct TileLists {
 impl TileLists {
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        [&self.starts, &self.ranks, &self.runs, &self.slots].into_iter().map(|list| size_of_val(&**list)).sum()
+        [&self.starts, &self.ranks, &self.runs, &self.slots]
+            .into_iter()
+            .map(|list| size_of_val(&**list))
+            .sum()
     }
 
     /// Positions in [`TileLists::ranks`] of the tile in column `x`, row `y`.
@@ -39,7 +42,8 @@ impl TileLists {
 
     /// Positions in [`TileLists::ranks`] of whole rows of tiles.
     pub fn tile_rows(&self, rows: Range<usize>) -> Range<usize> {
-        self.starts[rows.start * self.columns] as usize..self.starts[rows.end * self.columns] as usize
+        self.starts[rows.start * self.columns] as usize
+            ..self.starts[rows.end * self.columns] as usize
     }
 
     /// Positions in [`TileLists::ranks`] at which `rank` stands, ascending.
@@ -51,7 +55,11 @@ impl TileLists {
 /// Indices of `depths` (positive, finite) in ascending order, ties by index.
 pub(super) fn depth_order(depths: &[f64]) -> Vec<u32> {
     // Radix sort by the bits of the depth rounded to f32, which ascend with it, then put right what rounding made equal.
-    let mut keys: Vec<(u32, u32)> = depths.iter().zip(0..).map(|(&z, i)| ((z as f32).to_bits(), i)).collect();
+    let mut keys: Vec<(u32, u32)> = depths
+        .iter()
+        .zip(0..)
+        .map(|(&z, i)| ((z as f32).to_bits(), i))
+        .collect();
     let mut other = keys.clone();
     for shift in [0, 11, 22] {
         let digit = |key: u32| (key >> shift & 0x7ff) as usize;
@@ -72,7 +80,11 @@ pub(super) fn depth_order(depths: &[f64]) -> Vec<u32> {
     }
     for run in keys.chunk_by_mut(|a, b| a.0 == b.0) {
         if run.len() > 1 {
-            run.sort_unstable_by(|a, b| depths[a.1 as usize].total_cmp(&depths[b.1 as usize]).then(a.1.cmp(&b.1)));
+            run.sort_unstable_by(|a, b| {
+                depths[a.1 as usize]
+                    .total_cmp(&depths[b.1 as usize])
+                    .then(a.1.cmp(&b.1))
+            });
         }
     }
     keys.into_iter().map(|(_, i)| i).collect()
@@ -87,7 +99,10 @@ pub(super) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Result<TileList
     let tiles = columns * rows;
     let chunk_len = CHUNK.max(splats.len().div_ceil(64));
     // `per_tile` becomes the next free position of each tile.
-    let mut chunks: Vec<Bins> = splats.par_chunks(chunk_len).map(|splats| bin(splats, size)).collect();
+    let mut chunks: Vec<Bins> = splats
+        .par_chunks(chunk_len)
+        .map(|splats| bin(splats, size))
+        .collect();
     let total: usize = chunks.iter().map(|c| c.tiles.len()).sum();
     if total > u32::MAX as usize {
         return Err(Error::Limit {
@@ -108,7 +123,10 @@ pub(super) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Result<TileList
     starts.push(sum);
     let mut slots = vec![0_u32; total];
     // Every one is written once, by one thread: the order of the stores does not matter.
-    let ranks: Vec<AtomicU32> = (0..total).into_par_iter().map(|_| AtomicU32::default()).collect();
+    let ranks: Vec<AtomicU32> = (0..total)
+        .into_par_iter()
+        .map(|_| AtomicU32::default())
+        .collect();
     let mut rest = slots.as_mut_slice();
     let mut parts = Vec::with_capacity(chunks.len());
     for chunk in &mut chunks {
@@ -116,17 +134,20 @@ pub(super) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Result<TileList
         parts.push((chunk, own));
         rest = others;
     }
-    parts.into_par_iter().enumerate().for_each(|(number, (chunk, slots))| {
-        let mut entries = slots.iter_mut().zip(&chunk.tiles);
-        for (&count, rank) in chunk.counts.iter().zip((number * chunk_len) as u32..) {
-            for (slot, &tile) in entries.by_ref().take(count as usize) {
-                let next = &mut chunk.per_tile[tile as usize];
-                *slot = *next;
-                ranks[*next as usize].store(rank, Ordering::Relaxed);
-                *next += 1;
+    parts
+        .into_par_iter()
+        .enumerate()
+        .for_each(|(number, (chunk, slots))| {
+            let mut entries = slots.iter_mut().zip(&chunk.tiles);
+            for (&count, rank) in chunk.counts.iter().zip((number * chunk_len) as u32..) {
+                for (slot, &tile) in entries.by_ref().take(count as usize) {
+                    let next = &mut chunk.per_tile[tile as usize];
+                    *slot = *next;
+                    ranks[*next as usize].store(rank, Ordering::Relaxed);
+                    *next += 1;
+                }
             }
-        }
-    });
+        });
     let mut runs = Vec::with_capacity(splats.len() + 1);
     let mut at = 0;
     for &count in chunks.iter().flat_map(|c| &c.counts) {
@@ -135,5 +156,12 @@ pub(super) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Result<TileList
     }
     runs.push(at);
     let ranks = ranks.into_iter().map(AtomicU32::into_inner).collect();
-    Ok(TileLists { columns, rows, starts, ranks, runs, slots })
+    Ok(TileLists {
+        columns,
+        rows,
+        starts,
+        ranks,
+        runs,
+        slots,
+    })
 }

@@ -42,7 +42,10 @@ pub(super) fn weights<E: Real>(p: &Projected<E>, pixels: Option<&[u32]>) -> Spar
 
 /// An entry count as the matrix stores it.
 fn offset(count: usize) -> u32 {
-    assert!(count <= u32::MAX as usize, "weights: {count} entries exceed 2^32 - 1; ask for fewer pixels");
+    assert!(
+        count <= u32::MAX as usize,
+        "weights: {count} entries exceed 2^32 - 1; ask for fewer pixels"
+    );
     count as u32
 }
 
@@ -63,7 +66,10 @@ fn every_row<E: Real>(p: &Projected<E>, wanted: Option<&[bool]>) -> SparseMatrix
             let tiles: Vec<(Tile<'_>, Pairs<E, false>)> = (0..p.tiles.columns)
                 .map(|column| {
                     let ranks = &p.tiles.ranks[p.tiles.tile(column, row)];
-                    let tile = Tile { origin: [column * TILE, row * TILE], ranks };
+                    let tile = Tile {
+                        origin: [column * TILE, row * TILE],
+                        ranks,
+                    };
                     let mut t = fresh_transmittance(tile, p.size());
                     if let Some(wanted) = wanted {
                         for (to, from, len) in tile.rows(p.size()) {
@@ -94,15 +100,23 @@ fn every_row<E: Real>(p: &Projected<E>, wanted: Option<&[bool]>) -> SparseMatrix
                 for (i, &rank) in tile.ranks.iter().enumerate().take(pairs.ends.len()) {
                     let id = p.ids[rank as usize];
                     let range = pairs.range(i);
-                    for (&pixel, weight) in pairs.pixels[range.clone()].iter().zip(&pairs.weights[range]) {
-                        let next = &mut next[pixel as usize / TILE * w + tile.origin[0] + pixel as usize % TILE];
+                    for (&pixel, weight) in pairs.pixels[range.clone()]
+                        .iter()
+                        .zip(&pairs.weights[range])
+                    {
+                        let next = &mut next
+                            [pixel as usize / TILE * w + tile.origin[0] + pixel as usize % TILE];
                         indices[*next as usize] = id;
                         values[*next as usize] = weight.wide() as f32;
                         *next += 1;
                     }
                 }
             }
-            Strip { counts, indices, values }
+            Strip {
+                counts,
+                indices,
+                values,
+            }
         })
         .collect();
     let total: usize = strips.iter().map(|s| s.indices.len()).sum();

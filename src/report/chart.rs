@@ -60,8 +60,11 @@ struct Axis {
 
 impl Axis {
     fn place(&self, value: f64) -> f64 {
-        let (value, low, high) =
-            if self.log { (value.log10(), self.low.log10(), self.high.log10()) } else { (value, self.low, self.high) };
+        let (value, low, high) = if self.log {
+            (value.log10(), self.low.log10(), self.high.log10())
+        } else {
+            (value, self.low, self.high)
+        };
         self.from + (value - low) / (high - low) * (self.to - self.from)
     }
 
@@ -71,7 +74,10 @@ impl Axis {
             let many = self.high / self.low > 200.0;
             let within = |t: &f64| *t >= self.low * 0.999 && *t <= self.high * 1.001;
             let steps: &[f64] = if many { &[1.0] } else { &[1.0, 2.0, 5.0] };
-            return decades.flat_map(|d| steps.iter().map(move |s| s * 10_f64.powi(d))).filter(within).collect();
+            return decades
+                .flat_map(|d| steps.iter().map(move |s| s * 10_f64.powi(d)))
+                .filter(within)
+                .collect();
         }
         let step = nice_step((self.high - self.low) / 4.5);
         let first = (self.low / step).ceil() as i64;
@@ -112,17 +118,27 @@ fn tick_text(value: f64) -> String {
 }
 
 fn trim(text: String) -> String {
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+    if text.contains('.') {
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    } else {
+        text
+    }
 }
 
 /// `samples` averaged in equal groups, so that at most [`MOST_POINTS`] remain; also the group size.
 pub(super) fn thinned(samples: &[(usize, f64)]) -> (Vec<(f64, f64)>, usize) {
-    let finite: Vec<(f64, f64)> =
-        samples.iter().filter(|(_, v)| v.is_finite()).map(|&(iteration, v)| (iteration as f64, v)).collect();
+    let finite: Vec<(f64, f64)> = samples
+        .iter()
+        .filter(|(_, v)| v.is_finite())
+        .map(|&(iteration, v)| (iteration as f64, v))
+        .collect();
     let group = finite.len().div_ceil(MOST_POINTS).max(1);
     let mean = |chunk: &[(f64, f64)]| {
         let n = chunk.len() as f64;
-        (chunk.iter().map(|p| p.0).sum::<f64>() / n, chunk.iter().map(|p| p.1).sum::<f64>() / n)
+        (
+            chunk.iter().map(|p| p.0).sum::<f64>() / n,
+            chunk.iter().map(|p| p.1).sum::<f64>() / n,
+        )
     };
     (finite.chunks(group).map(mean).collect(), group)
 }
@@ -135,14 +151,43 @@ impl Chart {
             return None;
         }
         let log = self.log && points().all(|(_, v)| v > 0.0);
-        let (mut low, mut high) = range(points().map(|p| p.1).chain(self.levels.iter().map(|l| l.value)))?;
-        let pad = if log { 1.15 } else { 0.06 * (high - low).max(1e-9) };
-        (low, high) = if log { (low / pad, high * pad) } else { (low - pad, high + pad) };
-        let longest = self.end_labels().iter().map(|(_, _, text)| text.chars().count()).max().unwrap_or(0);
+        let (mut low, mut high) = range(
+            points()
+                .map(|p| p.1)
+                .chain(self.levels.iter().map(|l| l.value)),
+        )?;
+        let pad = if log {
+            1.15
+        } else {
+            0.06 * (high - low).max(1e-9)
+        };
+        (low, high) = if log {
+            (low / pad, high * pad)
+        } else {
+            (low - pad, high + pad)
+        };
+        let longest = self
+            .end_labels()
+            .iter()
+            .map(|(_, _, text)| text.chars().count())
+            .max()
+            .unwrap_or(0);
         let right = 14.0 + 7.3 * longest as f64;
         let (first, last) = range(points().map(|p| p.0))?;
-        let x = Axis { low: first.min(0.0), high: last, from: LEFT, to: WIDTH - right, log: false };
-        let y = Axis { low, high, from: HEIGHT - BOTTOM, to: TOP, log };
+        let x = Axis {
+            low: first.min(0.0),
+            high: last,
+            from: LEFT,
+            to: WIDTH - right,
+            log: false,
+        };
+        let y = Axis {
+            low,
+            high,
+            from: HEIGHT - BOTTOM,
+            to: TOP,
+            log,
+        };
         let mut svg = format!(
             "<figure class=\"chart\"><figcaption>{}</figcaption>\
              <svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">",
@@ -158,8 +203,17 @@ impl Chart {
 
     /// The chart in words, for those who do not see it.
     fn summary(&self) -> String {
-        let ends: Vec<String> = self.end_labels().into_iter().map(|(_, _, text)| text).collect();
-        format!("{}, {}, last values: {}", self.title, self.y_title, ends.join("; "))
+        let ends: Vec<String> = self
+            .end_labels()
+            .into_iter()
+            .map(|(_, _, text)| text)
+            .collect();
+        format!(
+            "{}, {}, last values: {}",
+            self.title,
+            self.y_title,
+            ends.join("; ")
+        )
     }
 
     /// (height, class, text) of the labels at the right.
@@ -170,10 +224,24 @@ impl Chart {
             } else {
                 format!("{value:.*}", self.decimals)
             };
-            if name.is_empty() { value } else { format!("{name} {value}") }
+            if name.is_empty() {
+                value
+            } else {
+                format!("{name} {value}")
+            }
         };
-        let lines = self.lines.iter().filter_map(|l| l.points.last().map(|p| (p.1, &*l.class, text(&l.name, p.1))));
-        lines.chain(self.levels.iter().map(|l| (l.value, &*l.class, text(&l.name, l.value)))).collect()
+        let lines = self.lines.iter().filter_map(|l| {
+            l.points
+                .last()
+                .map(|p| (p.1, &*l.class, text(&l.name, p.1)))
+        });
+        lines
+            .chain(
+                self.levels
+                    .iter()
+                    .map(|l| (l.value, &*l.class, text(&l.name, l.value))),
+            )
+            .collect()
     }
 
     fn draw_axes(&self, svg: &mut String, x: &Axis, y: &Axis) {
@@ -223,9 +291,17 @@ impl Chart {
             );
         }
         for line in &self.lines {
-            let path: Vec<String> =
-                line.points.iter().map(|p| format!("{:.1},{:.1}", x.place(p.0), y.place(p.1))).collect();
-            let _ = write!(svg, "<polyline class=\"line {}\" points=\"{}\"/>", line.class, path.join(" "));
+            let path: Vec<String> = line
+                .points
+                .iter()
+                .map(|p| format!("{:.1},{:.1}", x.place(p.0), y.place(p.1)))
+                .collect();
+            let _ = write!(
+                svg,
+                "<polyline class=\"line {}\" points=\"{}\"/>",
+                line.class,
+                path.join(" ")
+            );
             if line.points.len() > MARKED_POINTS {
                 continue;
             }
@@ -237,7 +313,11 @@ impl Chart {
                     line.class,
                     x.place(iteration),
                     y.place(value),
-                    escape(if line.name.is_empty() { &self.title } else { &line.name }),
+                    escape(if line.name.is_empty() {
+                        &self.title
+                    } else {
+                        &line.name
+                    }),
                     self.decimals,
                 );
             }
@@ -253,7 +333,9 @@ impl Chart {
         for i in 1..heights.len() {
             heights[i] = heights[i].max(heights[i - 1] + GAP);
         }
-        let overflow = heights.last().map_or(0.0, |h| (h - (HEIGHT - BOTTOM)).max(0.0));
+        let overflow = heights
+            .last()
+            .map_or(0.0, |h| (h - (HEIGHT - BOTTOM)).max(0.0));
         if let Some(last) = heights.last_mut() {
             *last -= overflow;
         }
@@ -263,7 +345,11 @@ impl Chart {
         for ((_, class, text), height) in labels.iter().zip(heights) {
             let at = (x.to + 7.0, height + 4.0);
             let text = escape(text);
-            let _ = write!(svg, "<text class=\"end {class}\" x=\"{:.1}\" y=\"{:.1}\">{text}</text>", at.0, at.1);
+            let _ = write!(
+                svg,
+                "<text class=\"end {class}\" x=\"{:.1}\" y=\"{:.1}\">{text}</text>",
+                at.0, at.1
+            );
         }
     }
 }
@@ -272,13 +358,18 @@ impl Chart {
 fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     let (low, high) = values
         .filter(|v| v.is_finite())
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
+            (low.min(v), high.max(v))
+        });
     if low > high {
         return None;
     }
     Some(if high - low > 1e-12 * high.abs() {
         (low, high)
     } else {
-        (low - 0.5 * low.abs().max(1e-3), high + 0.5 * high.abs().max(1e-3))
+        (
+            low - 0.5 * low.abs().max(1e-3),
+            high + 0.5 * high.abs().max(1e-3),
+        )
     })
 }

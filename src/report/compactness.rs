@@ -7,14 +7,22 @@ use std::fmt::Write;
 /// Neighbours that differ by row, with and without diffusion, and how far the raw labels agree; empty where no row has them.
 pub(super) fn compactness(report: &Report<'_>) -> String {
     let labels = &report.metrics.test.labels;
-    let rows: Vec<_> = labels.iter().filter_map(|(row, s)| Some((*row, s, s.compactness?))).collect();
+    let rows: Vec<_> = labels
+        .iter()
+        .filter_map(|(row, s)| Some((*row, s, s.compactness?)))
+        .collect();
     if rows.is_empty() {
         return String::new();
     }
     let diffused = rows.iter().any(|(_, _, c)| c.without_diffusion.is_some());
     let mut body = String::new();
     for (row, scores, compactness) in rows {
-        let _ = write!(body, "<tr>{}<td>{}</td>", row_name(row), cell(Some(compactness.neighbours_differ)));
+        let _ = write!(
+            body,
+            "<tr>{}<td>{}</td>",
+            row_name(row),
+            cell(Some(compactness.neighbours_differ))
+        );
         if diffused {
             let before = compactness.without_diffusion;
             let shares = [
@@ -32,7 +40,13 @@ pub(super) fn compactness(report: &Report<'_>) -> String {
     }
     let mut head = vec!["".to_owned(), "neighbours that differ,&nbsp;%".to_owned()];
     if diffused {
-        let names = ["without diffusion", "mIoU pooled,&nbsp;%", "without", "mIoU per&nbsp;view,&nbsp;%", "without"];
+        let names = [
+            "without diffusion",
+            "mIoU pooled,&nbsp;%",
+            "without",
+            "mIoU per&nbsp;view,&nbsp;%",
+            "without",
+        ];
         head.extend(names.map(String::from));
     }
     let agreement = labels.values().find_map(|s| s.agreement).map_or(String::new(), |a| {

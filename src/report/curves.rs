@@ -7,11 +7,19 @@ use crate::config::Row;
 /// CSS class of a row's colour.
 pub(super) fn row_class(row: Row) -> &'static str {
     // `ours` alone marks a table row.
-    if row == Row::Ours { "row-ours" } else { row.key() }
+    if row == Row::Ours {
+        "row-ours"
+    } else {
+        row.key()
+    }
 }
 
 fn line(name: &str, class: &str, samples: &[Sample]) -> Line {
-    Line { name: name.into(), class: class.into(), points: thinned(samples).0 }
+    Line {
+        name: name.into(),
+        class: class.into(),
+        points: thinned(samples).0,
+    }
 }
 
 fn single(title: &str, y_title: &str, samples: &[Sample], decimals: usize) -> Chart {
@@ -29,13 +37,19 @@ fn single(title: &str, y_title: &str, samples: &[Sample], decimals: usize) -> Ch
 fn loss(title: &str, class: &str, samples: &[Sample]) -> Chart {
     let (points, group) = thinned(samples);
     let span = match (samples.first(), samples.get(group)) {
-        (Some(first), Some(next)) if group > 1 => format!(" (means of {} iterations)", next.0 - first.0),
+        (Some(first), Some(next)) if group > 1 => {
+            format!(" (means of {} iterations)", next.0 - first.0)
+        }
         _ => String::new(),
     };
     Chart {
         title: format!("{title}{span}"),
         y_title: "loss".into(),
-        lines: vec![Line { name: String::new(), class: class.into(), points }],
+        lines: vec![Line {
+            name: String::new(),
+            class: class.into(),
+            points,
+        }],
         levels: Vec::new(),
         log: true,
         decimals: 4,
@@ -59,20 +73,41 @@ pub(super) fn segmentation(report: &Report<'_>) -> String {
     let rows = &report.metrics.curves.rows;
     let as_percent = |s: &[Sample]| s.iter().map(|&(i, v)| (i, 100.0 * v)).collect::<Vec<_>>();
     let untrained = |row: &Row| !rows.iter().any(|r| r.row == *row);
-    let scored = report.metrics.test.labels.iter().filter(|(row, _)| untrained(row));
+    let scored = report
+        .metrics
+        .test
+        .labels
+        .iter()
+        .filter(|(row, _)| untrained(row));
     let miou = Chart {
         title: "Held-out mIoU, pooled".into(),
         y_title: "mIoU, %".into(),
-        lines: rows.iter().map(|r| line(r.row.title(), row_class(r.row), &as_percent(&r.miou))).collect(),
+        lines: rows
+            .iter()
+            .map(|r| line(r.row.title(), row_class(r.row), &as_percent(&r.miou)))
+            .collect(),
         levels: scored
             .filter_map(|(row, s)| {
                 let value = 100.0 * s.miou?;
-                Some(Level { name: row.title().into(), class: row_class(*row).into(), value })
+                Some(Level {
+                    name: row.title().into(),
+                    class: row_class(*row).into(),
+                    value,
+                })
             })
             .collect(),
         log: false,
         decimals: 1,
     };
-    let losses = rows.iter().map(|r| loss(&format!("Loss, {}", r.row.title()), row_class(r.row), &r.loss));
-    std::iter::once(miou).chain(losses).filter_map(|chart| chart.figure()).collect()
+    let losses = rows.iter().map(|r| {
+        loss(
+            &format!("Loss, {}", r.row.title()),
+            row_class(r.row),
+            &r.loss,
+        )
+    });
+    std::iter::once(miou)
+        .chain(losses)
+        .filter_map(|chart| chart.figure())
+        .collect()
 }

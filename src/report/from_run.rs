@@ -3,7 +3,8 @@
 use super::views::shown_of;
 use super::{AssociationFigures, peak_memory_bytes};
 use super::{
-    BuildingHistory, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Sample, Seconds, TestScores,
+    BuildingHistory, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Sample, Seconds,
+    TestScores,
 };
 use crate::config::{Config, LabelLoss, Row, SegmentationConfig};
 use crate::data::{Split, View};
@@ -32,7 +33,11 @@ impl Metrics {
                 psnr: outcome.test.psnr,
                 ssim: outcome.test.ssim,
                 views: Default::default(),
-                labels: outcome.rows.iter().map(|row| (row.row, row_scores(row))).collect(),
+                labels: outcome
+                    .rows
+                    .iter()
+                    .map(|row| (row.row, row_scores(row)))
+                    .collect(),
             },
             seconds: Seconds {
                 building: s.building,
@@ -68,7 +73,10 @@ fn row_scores(row: &RowOutcome) -> RowScores {
 
 /// One measurement of every point of a curve that has it.
 fn samples(curve: &[CurvePoint], pick: impl Fn(&CurvePoint) -> Option<f64>) -> Vec<Sample> {
-    curve.iter().filter_map(|point| Some((point.iteration, pick(point)?))).collect()
+    curve
+        .iter()
+        .filter_map(|point| Some((point.iteration, pick(point)?)))
+        .collect()
 }
 
 impl History {
@@ -86,7 +94,11 @@ impl History {
                 gaussians: samples(b, |p| Some(p.gaussians as f64)),
             },
             rows: rows
-                .map(|r| RowHistory { row: r.row, loss: loss(&r.curve), miou: samples(&r.curve, |p| p.miou) })
+                .map(|r| RowHistory {
+                    row: r.row,
+                    loss: loss(&r.curve),
+                    miou: samples(&r.curve, |p| p.miou),
+                })
                 .collect(),
         }
     }
@@ -106,9 +118,19 @@ pub fn held_out_views<'a>(
 ) -> Result<Vec<HeldOutView<'a>>> {
     let stored = outcome.stored().map(|(row, _)| row.row);
     let shown = |row: Row| Some(row) == stored || matches!(row, Row::Vote | Row::PerGaussian);
-    let rows: Vec<_> = outcome.rows.iter().filter(|r| shown(r.row) && r.identities.is_some()).collect();
+    let rows: Vec<_> = outcome
+        .rows
+        .iter()
+        .filter(|r| shown(r.row) && r.identities.is_some())
+        .collect();
     let rule = LabelRule::from(&config.segmentation);
-    let maps = rows.iter().filter_map(|r| Some(LabelMaps::new(r.identities.as_ref()?, &outcome.scene.classes, rule)));
+    let maps = rows.iter().filter_map(|r| {
+        Some(LabelMaps::new(
+            r.identities.as_ref()?,
+            &outcome.scene.classes,
+            rule,
+        ))
+    });
     let maps: Vec<_> = maps.collect();
     let mut pictures = Pictures::new(&outcome.gaussians, config, device)?.with_labels(&maps);
     let test: Vec<&View> = outcome.scene.split(Split::Test).collect();
@@ -117,7 +139,12 @@ pub fn held_out_views<'a>(
     for (i, view) in test.into_iter().enumerate() {
         let (rgb, scores, labels) = pictures.labelled(view)?;
         let labels = rows.iter().map(|row| row.row).zip(labels).collect();
-        let rendered = HeldOutView { view, rgb, scores, labels };
+        let rendered = HeldOutView {
+            view,
+            rgb,
+            scores,
+            labels,
+        };
         match on_page.contains(&i) {
             true => views.push(rendered),
             false => beside(rendered)?,
@@ -140,11 +167,17 @@ impl Report<'_> {
             };
             notes.push(format!("The Gaussians {what}: {}.", path.display()));
         }
-        let scored = |view: &View| has_truth(view, config.data.association, outcome.semantics.as_ref());
+        let scored =
+            |view: &View| has_truth(view, config.data.association, outcome.semantics.as_ref());
         if !outcome.scene.split(Split::Test).any(scored) && !outcome.rows.is_empty() {
             notes.push("No held-out view has true labels: no row of labels is scored.".into());
         }
-        let masked = outcome.scene.views.iter().filter(|view| view.mask.is_some()).count();
+        let masked = outcome
+            .scene
+            .views
+            .iter()
+            .filter(|view| view.mask.is_some())
+            .count();
         if masked > 0 {
             notes.push(format!(
                 "Masks leave pixels of {masked} of {} photos out of training and of all scores.",
@@ -154,8 +187,15 @@ impl Report<'_> {
         if outcome.rows.iter().any(|row| row.row == Row::Raw) {
             notes.push("Raw labels of held-out views are scored, never trained on.".to_owned());
         }
-        if outcome.rows.iter().any(|row| row.row.is_fused() && row.row != Row::OursCe) {
-            notes.push(format!("The decoder of ours learns under {}.", loss_in_words(&config.segmentation)));
+        if outcome
+            .rows
+            .iter()
+            .any(|row| row.row.is_fused() && row.row != Row::OursCe)
+        {
+            notes.push(format!(
+                "The decoder of ours learns under {}.",
+                loss_in_words(&config.segmentation)
+            ));
         }
         if let Some(a) = &outcome.association {
             notes.push(format!(

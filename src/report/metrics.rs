@@ -2,7 +2,9 @@
 
 use super::History;
 use crate::config::Row;
-use crate::metrics::{Agreement, Compactness, ImageScores, InstanceScores, LabelScores, SemanticScores};
+use crate::metrics::{
+    Agreement, Compactness, ImageScores, InstanceScores, LabelScores, SemanticScores,
+};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -132,7 +134,11 @@ impl From<&LabelScores> for RowScores {
 
 impl From<&LabelScores> for Scores {
     fn from(scores: &LabelScores) -> Self {
-        Self { miou: scores.miou, miou_per_view: scores.miou_per_view, accuracy: scores.accuracy }
+        Self {
+            miou: scores.miou,
+            miou_per_view: scores.miou_per_view,
+            accuracy: scores.accuracy,
+        }
     }
 }
 
@@ -165,7 +171,9 @@ pub struct Seconds {
 /// Largest resident memory of this process so far, bytes (`VmHWM`); `None` where the system does not say.
 pub fn peak_memory_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))?;
     let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kilobytes * 1024)
 }

@@ -17,7 +17,9 @@ mod views;
 
 pub use from_run::held_out_views;
 pub use history::{BuildingHistory, History, RowHistory, Sample};
-pub use metrics::{AssociationFigures, Command, Metrics, RowScores, Scores, Seconds, TestScores, peak_memory_bytes};
+pub use metrics::{
+    AssociationFigures, Command, Metrics, RowScores, Scores, Seconds, TestScores, peak_memory_bytes,
+};
 
 use crate::config::{Config, Row};
 use crate::data::{Classes, LabelMap, View, atomic};
@@ -74,13 +76,21 @@ impl HeldOutView<'_> {
         save("rgb", &rgb)?;
         save("rgb_error", &self.color_error(&rgb)?)?;
         let Some((_, labels)) = self.stored() else {
-            return ["label", "label_color", "label_error"].into_iter().try_for_each(|kind| atomic::remove(file(kind)));
+            return ["label", "label_color", "label_error"]
+                .into_iter()
+                .try_for_each(|kind| atomic::remove(file(kind)));
         };
         labels.write(&file("label"))?;
         let colored = pictures::colored(labels, classes);
-        save("label_color", &pictures::with_legend(&colored, labels, classes))?;
+        save(
+            "label_color",
+            &pictures::with_legend(&colored, labels, classes),
+        )?;
         match &self.view.truth {
-            Some(truth) => save("label_error", &pictures::label_error(labels, &truth.map(), classes.ignore)),
+            Some(truth) => save(
+                "label_error",
+                &pictures::label_error(labels, &truth.map(), classes.ignore),
+            ),
             None => atomic::remove(file("label_error")),
         }
     }
@@ -90,14 +100,21 @@ impl HeldOutView<'_> {
         let mut error = pictures::rgb_error(rgb, &*self.view.image.pixels()?);
         if let Some(mask) = &self.view.mask {
             let [_, _, void] = pictures::AGREEMENT;
-            error.pixels_mut().enumerate().filter(|(i, _)| !mask.uses(*i)).for_each(|(_, pixel)| pixel.0 = void);
+            error
+                .pixels_mut()
+                .enumerate()
+                .filter(|(i, _)| !mask.uses(*i))
+                .for_each(|(_, pixel)| pixel.0 = void);
         }
         Ok(error)
     }
 
     /// The labels of the row that the scene stores: `ours` where present, else the last.
     fn stored(&self) -> Option<&(Row, LabelMap)> {
-        self.labels.iter().find(|(row, _)| *row == Row::Ours).or(self.labels.last())
+        self.labels
+            .iter()
+            .find(|(row, _)| *row == Row::Ours)
+            .or(self.labels.last())
     }
 }
 
@@ -116,7 +133,8 @@ impl Report<'_> {
             view.write(self.classes, &dir.join("renders"))?;
         }
         let path = dir.join("metrics.json");
-        let json = serde_json::to_string_pretty(&self.metrics).map_err(|e| Error::io(&path, "encode", e.into()))?;
+        let json = serde_json::to_string_pretty(&self.metrics)
+            .map_err(|e| Error::io(&path, "encode", e.into()))?;
         atomic::write_bytes(&path, (json + "\n").as_bytes())?;
         let path = dir.join("report.html");
         atomic::write_bytes(&path, self.html(&path)?.as_bytes())

@@ -20,7 +20,9 @@ pub(super) fn page(report: &Report<'_>, path: &Path) -> Result<String> {
     );
     let _ = writeln!(out, "<p class=\"lead\">{}</p>", lead(report));
     if path.with_file_name("viewer.html").is_file() {
-        out.push_str("<p><a href=\"viewer.html\">Walk through the scene</a> in this browser.</p>\n");
+        out.push_str(
+            "<p><a href=\"viewer.html\">Walk through the scene</a> in this browser.</p>\n",
+        );
     }
     out.push_str(&tiles(report));
     if !m.test.labels.is_empty() {
@@ -37,8 +39,18 @@ pub(super) fn page(report: &Report<'_>, path: &Path) -> Result<String> {
     }
     out.push_str("<h2>Held-out views</h2>\n");
     out.push_str(&views::views(report, path)?);
-    section(&mut out, "Building the Gaussians", &flattened(report), &curves::building(report));
-    section(&mut out, "Learning the labels", "", &curves::segmentation(report));
+    section(
+        &mut out,
+        "Building the Gaussians",
+        &flattened(report),
+        &curves::building(report),
+    );
+    section(
+        &mut out,
+        "Learning the labels",
+        "",
+        &curves::segmentation(report),
+    );
     let _ = write!(
         out,
         "<h2>Time and memory</h2>\n<div class=\"two\"><div>{}</div><div>{}</div></div>\n",
@@ -73,7 +85,11 @@ fn lead(report: &Report<'_>) -> String {
         0 => "no labels".to_owned(),
         n => format!("{n} classes"),
     };
-    format!("{} Gaussians, {labels}, {views}, preset {}.", thousands(m.gaussians as u64), preset(report))
+    format!(
+        "{} Gaussians, {labels}, {views}, preset {}.",
+        thousands(m.gaussians as u64),
+        preset(report)
+    )
 }
 
 fn preset(report: &Report<'_>) -> &'static str {
@@ -100,8 +116,16 @@ fn tiles(report: &Report<'_>) -> String {
         for row in [Row::Raw, Row::Vote] {
             if let Some(other) = miou(row) {
                 let gain = 100.0 * (ours - other);
-                let against = if row == Row::Raw { "mIoU against the raw labels" } else { "mIoU against the vote" };
-                tiles.push((format!("{gain:+.1}").replace('-', "−"), "points", against.into()));
+                let against = if row == Row::Raw {
+                    "mIoU against the raw labels"
+                } else {
+                    "mIoU against the vote"
+                };
+                tiles.push((
+                    format!("{gain:+.1}").replace('-', "−"),
+                    "points",
+                    against.into(),
+                ));
             }
         }
     }
@@ -112,7 +136,11 @@ fn tiles(report: &Report<'_>) -> String {
     let tiles: String = tiles
         .iter()
         .map(|(figure, unit, name)| {
-            let unit = if unit.is_empty() { String::new() } else { format!(" <small>{unit}</small>") };
+            let unit = if unit.is_empty() {
+                String::new()
+            } else {
+                format!(" <small>{unit}</small>")
+            };
             format!("<div class=\"tile\"><b>{figure}{unit}</b><span>{name}</span></div>\n")
         })
         .collect();
@@ -122,7 +150,10 @@ fn tiles(report: &Report<'_>) -> String {
 /// A section of charts; nothing without charts.
 fn section(out: &mut String, title: &str, text: &str, charts: &str) {
     if !charts.is_empty() {
-        let _ = write!(out, "<h2>{title}</h2>\n{text}<div class=\"charts\">\n{charts}</div>\n");
+        let _ = write!(
+            out,
+            "<h2>{title}</h2>\n{text}<div class=\"charts\">\n{charts}</div>\n"
+        );
     }
 }
 
@@ -137,7 +168,11 @@ fn flattened(report: &Report<'_>) -> String {
 /// The command lines of the run, with what each ran on.
 fn commands(report: &Report<'_>) -> String {
     let one = |command: &super::Command| {
-        format!("<pre>{}</pre>\n<p class=\"quiet\">{}.</p>\n", escape(&command.line), escape(&command.device))
+        format!(
+            "<pre>{}</pre>\n<p class=\"quiet\">{}.</p>\n",
+            escape(&command.line),
+            escape(&command.device)
+        )
     };
     report.metrics.commands.iter().map(one).collect()
 }
@@ -155,6 +190,9 @@ fn notes(report: &Report<'_>) -> String {
     if notes.is_empty() {
         return String::new();
     }
-    let items: String = notes.iter().map(|n| format!("<li>{}</li>\n", escape(n))).collect();
+    let items: String = notes
+        .iter()
+        .map(|n| format!("<li>{}</li>\n", escape(n)))
+        .collect();
     format!("<h2>Notes</h2>\n<ul class=\"notes\">\n{items}</ul>\n")
 }

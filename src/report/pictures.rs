@@ -21,7 +21,10 @@ pub const ERROR_FULL: f32 = 0.1;
 /// # Errors
 /// [`Error::Limit`] when `rgb` has not `width * height * 3` values.
 pub fn from_floats(rgb: &[f32], width: usize, height: usize) -> Result<RgbImage> {
-    let bytes: Vec<u8> = rgb.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
+    let bytes: Vec<u8> = rgb
+        .iter()
+        .map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8)
+        .collect();
     RgbImage::from_raw(width as u32, height as u32, bytes).ok_or_else(|| Error::Limit {
         what: "image values".into(),
         found: rgb.len().to_string(),
@@ -42,17 +45,24 @@ pub fn colored(labels: &LabelMap, classes: &Classes) -> RgbImage {
 
 /// Where the labels agree with the truth (light), differ (red), and where the truth has no label (grey).
 pub fn label_error(labels: &LabelMap, truth: &LabelMap, ignore: u16) -> RgbImage {
-    per_pixel(truth.width, truth.height, |p| match (truth.ids[p], labels.ids.get(p)) {
-        (t, _) if t == ignore => AGREEMENT[2],
-        (t, Some(&id)) if t == id => AGREEMENT[0],
-        _ => AGREEMENT[1],
+    per_pixel(truth.width, truth.height, |p| {
+        match (truth.ids[p], labels.ids.get(p)) {
+            (t, _) if t == ignore => AGREEMENT[2],
+            (t, Some(&id)) if t == id => AGREEMENT[0],
+            _ => AGREEMENT[1],
+        }
     })
 }
 
 /// Share of labelled pixels that are right; `None` when the truth has no labelled pixel.
 pub fn accuracy(labels: &LabelMap, truth: &LabelMap, ignore: u16) -> Option<f64> {
     let (mut right, mut all) = (0_usize, 0_usize);
-    for (id, t) in labels.ids.iter().zip(&truth.ids).filter(|(_, t)| **t != ignore) {
+    for (id, t) in labels
+        .ids
+        .iter()
+        .zip(&truth.ids)
+        .filter(|(_, t)| **t != ignore)
+    {
         all += 1;
         right += usize::from(id == t);
     }
@@ -64,15 +74,24 @@ pub fn rgb_error(a: &RgbImage, b: &RgbImage) -> RgbImage {
     let (width, height) = (a.width().min(b.width()), a.height().min(b.height()));
     RgbImage::from_fn(width, height, |x, y| {
         let (p, q) = (a.get_pixel(x, y).0, b.get_pixel(x, y).0);
-        let sum: u32 = p.iter().zip(q).map(|(&p, q)| u32::from(p.abs_diff(q))).sum();
+        let sum: u32 = p
+            .iter()
+            .zip(q)
+            .map(|(&p, q)| u32::from(p.abs_diff(q)))
+            .sum();
         Rgb(heat(sum as f32 / (3.0 * 255.0) / ERROR_FULL))
     })
 }
 
 /// Black, violet, red, orange, pale yellow: even steps in lightness.
 pub fn heat(share: f32) -> [u8; 3] {
-    const STOPS: [[f32; 3]; 5] =
-        [[0.0, 0.0, 4.0], [87.0, 16.0, 110.0], [188.0, 55.0, 84.0], [249.0, 142.0, 9.0], [252.0, 255.0, 164.0]];
+    const STOPS: [[f32; 3]; 5] = [
+        [0.0, 0.0, 4.0],
+        [87.0, 16.0, 110.0],
+        [188.0, 55.0, 84.0],
+        [249.0, 142.0, 9.0],
+        [252.0, 255.0, 164.0],
+    ];
     let at = share.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
     let i = (at as usize).min(STOPS.len() - 2);
     let f = at - i as f32;
@@ -80,7 +99,9 @@ pub fn heat(share: f32) -> [u8; 3] {
 }
 
 fn per_pixel(width: usize, height: usize, color: impl Fn(usize) -> [u8; 3]) -> RgbImage {
-    RgbImage::from_fn(width as u32, height as u32, |x, y| Rgb(color(y as usize * width + x as usize)))
+    RgbImage::from_fn(width as u32, height as u32, |x, y| {
+        Rgb(color(y as usize * width + x as usize))
+    })
 }
 
 /// `picture` with a strip below that names every class that occurs in `labels`: swatch, id, name.
@@ -90,18 +111,28 @@ pub fn with_legend(picture: &RgbImage, labels: &LabelMap, classes: &Classes) -> 
         present[id as usize] = true;
     }
     let listed = classes.entries.iter().filter(|c| present[c.id as usize]);
-    let mut entries: Vec<([u8; 3], String)> = listed.map(|c| (c.color, format!("{} {}", c.id, c.name))).collect();
+    let mut entries: Vec<([u8; 3], String)> = listed
+        .map(|c| (c.color, format!("{} {}", c.id, c.name)))
+        .collect();
     if present[classes.ignore as usize] {
         entries.push((UNLABELLED, "unlabelled".into()));
     }
     let scale = if picture.width() >= 900 { 2 } else { 1 };
     let (swatch, gap, line) = (9 * scale, 4 * scale, 14 * scale);
     let cell = |text: &str| swatch + gap + font::ADVANCE * scale * text.chars().count() + 3 * gap;
-    let widest = entries.iter().map(|(_, text)| cell(text)).max().unwrap_or(0);
+    let widest = entries
+        .iter()
+        .map(|(_, text)| cell(text))
+        .max()
+        .unwrap_or(0);
     let columns = (picture.width() as usize / widest.max(1)).max(1);
     let rows = entries.len().div_ceil(columns);
     let strip = if rows == 0 { 0 } else { rows * line + 2 * gap };
-    let mut out = RgbImage::from_pixel(picture.width(), picture.height() + strip as u32, Rgb([250, 250, 248]));
+    let mut out = RgbImage::from_pixel(
+        picture.width(),
+        picture.height() + strip as u32,
+        Rgb([250, 250, 248]),
+    );
     image::imageops::replace(&mut out, picture, 0, 0);
     for (i, (color, text)) in entries.iter().enumerate() {
         let x = gap + (i % columns) * (picture.width() as usize / columns);
@@ -112,7 +143,12 @@ pub fn with_legend(picture: &RgbImage, labels: &LabelMap, classes: &Classes) -> 
     out
 }
 
-fn fill(image: &mut RgbImage, (x, y): (usize, usize), (width, height): (usize, usize), color: [u8; 3]) {
+fn fill(
+    image: &mut RgbImage,
+    (x, y): (usize, usize),
+    (width, height): (usize, usize),
+    color: [u8; 3],
+) {
     for row in y..(y + height).min(image.height() as usize) {
         for column in x..(x + width).min(image.width() as usize) {
             image.put_pixel(column as u32, row as u32, Rgb(color));

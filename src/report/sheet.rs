@@ -15,10 +15,21 @@ const CAPTION: usize = font::HEIGHT + 5;
 
 /// Photos in rows of five, each with its label map below where one of them has one; below them all a legend.
 pub fn contact_sheet(tiles: &[Thumbnail], classes: &Classes) -> RgbImage {
-    let width = tiles.iter().map(|tile| tile.photo.width() as usize).max().unwrap_or(1);
-    let height = tiles.iter().map(|tile| tile.photo.height() as usize).max().unwrap_or(1);
+    let width = tiles
+        .iter()
+        .map(|tile| tile.photo.width() as usize)
+        .max()
+        .unwrap_or(1);
+    let height = tiles
+        .iter()
+        .map(|tile| tile.photo.height() as usize)
+        .max()
+        .unwrap_or(1);
     let labelled = tiles.iter().any(|tile| tile.labels.is_some());
-    let cell = [width + GAP, height * (1 + usize::from(labelled)) + CAPTION + GAP];
+    let cell = [
+        width + GAP,
+        height * (1 + usize::from(labelled)) + CAPTION + GAP,
+    ];
     let columns = COLUMNS.min(tiles.len()).max(1);
     let rows = tiles.len().div_ceil(columns);
     let size = [columns * cell[0] + GAP, rows * cell[1] + GAP].map(|v| v as u32);
@@ -30,14 +41,36 @@ pub fn contact_sheet(tiles: &[Thumbnail], classes: &Classes) -> RgbImage {
         if let Some(labels) = &tile.labels {
             replace(&mut sheet, &colored(labels, classes), x, y + height as i64);
         }
-        let split = if tile.split == Split::Test { "test " } else { "" };
+        let split = if tile.split == Split::Test {
+            "test "
+        } else {
+            ""
+        };
         let room = width / font::ADVANCE;
         let caption: String = format!("{split}{}", tile.name).chars().take(room).collect();
-        draw_text(&mut sheet, (at[0], at[1] + cell[1] - CAPTION - GAP + 3), 1, &caption);
+        draw_text(
+            &mut sheet,
+            (at[0], at[1] + cell[1] - CAPTION - GAP + 3),
+            1,
+            &caption,
+        );
     }
     if !labelled {
         return sheet;
     }
-    let ids = tiles.iter().filter_map(|tile| tile.labels.as_ref()).flat_map(|map| &map.ids).copied().collect();
-    with_legend(&sheet, &LabelMap { width: 0, height: 0, ids }, classes)
+    let ids = tiles
+        .iter()
+        .filter_map(|tile| tile.labels.as_ref())
+        .flat_map(|map| &map.ids)
+        .copied()
+        .collect();
+    with_legend(
+        &sheet,
+        &LabelMap {
+            width: 0,
+            height: 0,
+            ids,
+        },
+        classes,
+    )
 }

@@ -1,7 +1,9 @@
 //! Pictures of held-out views, side by side.
 
 use super::markup::{escape, percent};
-use super::pictures::{AGREEMENT, ERROR_FULL, UNLABELLED, accuracy, colored, from_floats, heat, label_error, png};
+use super::pictures::{
+    AGREEMENT, ERROR_FULL, UNLABELLED, accuracy, colored, from_floats, heat, label_error, png,
+};
 use super::{HeldOutView, Report};
 use crate::config::Row;
 use crate::data::{LabelMap, LabelRuns};
@@ -30,7 +32,11 @@ pub(super) fn views(report: &Report<'_>, path: &Path) -> Result<String> {
             "<p class=\"quiet\">{shown} of {all} held-out views, evenly spaced in file order; all are in <code>renders/</code>.</p>"
         );
     }
-    if report.views.iter().any(|v| !v.labels.is_empty() || v.view.truth.is_some()) {
+    if report
+        .views
+        .iter()
+        .any(|v| !v.labels.is_empty() || v.view.truth.is_some())
+    {
         out.push_str(&legend(report));
     }
     out.push_str(&scales(report));
@@ -61,16 +67,30 @@ fn legend(report: &Report<'_>) -> String {
         .classes
         .entries
         .iter()
-        .map(|c| format!("<li>{}<i>{}</i>{}</li>", swatch(c.color), c.id, escape(&c.name)))
+        .map(|c| {
+            format!(
+                "<li>{}<i>{}</i>{}</li>",
+                swatch(c.color),
+                c.id,
+                escape(&c.name)
+            )
+        })
         .collect();
-    let _ = write!(items, "<li>{}<i>{}</i>unlabelled</li>", swatch(UNLABELLED), report.classes.ignore);
+    let _ = write!(
+        items,
+        "<li>{}<i>{}</i>unlabelled</li>",
+        swatch(UNLABELLED),
+        report.classes.ignore
+    );
     format!("<ul class=\"legend\">{items}</ul>\n")
 }
 
 /// What the colours of the error maps mean.
 fn scales(report: &Report<'_>) -> String {
-    let stops: Vec<String> =
-        (0..=8).map(|i| heat(i as f32 / 8.0)).map(|[r, g, b]| format!("rgb({r} {g} {b})")).collect();
+    let stops: Vec<String> = (0..=8)
+        .map(|i| heat(i as f32 / 8.0))
+        .map(|[r, g, b]| format!("rgb({r} {g} {b})"))
+        .collect();
     let mut text = format!(
         "<p class=\"quiet\">Colour error: mean |render − photo| over the channels, 0 \
          <span class=\"ramp\" style=\"background:linear-gradient(90deg,{})\"></span> {ERROR_FULL} or more.",
@@ -81,7 +101,10 @@ fn scales(report: &Report<'_>) -> String {
     }
     if report.views.iter().any(|v| v.view.truth.is_some()) {
         let [right, wrong, void] = AGREEMENT.map(swatch);
-        let _ = write!(text, " Label errors: {right}right &nbsp;{wrong}wrong &nbsp;{void}truth unlabelled.");
+        let _ = write!(
+            text,
+            " Label errors: {right}right &nbsp;{wrong}wrong &nbsp;{void}truth unlabelled."
+        );
     }
     text + "</p>\n"
 }
@@ -89,25 +112,50 @@ fn scales(report: &Report<'_>) -> String {
 fn one(report: &Report<'_>, held_out: &HeldOutView<'_>, path: &Path) -> Result<String> {
     let view = held_out.view;
     let rgb = from_floats(&held_out.rgb, view.camera.width, view.camera.height)?;
-    let mut out = format!("<h3>{}</h3>\n<div class=\"pictures\">\n", escape(&view.name));
+    let mut out = format!(
+        "<h3>{}</h3>\n<div class=\"pictures\">\n",
+        escape(&view.name)
+    );
     let psnr = held_out.scores.psnr.map(|v| format!("{v:.2} dB"));
     let ssim = held_out.scores.ssim.map(|v| format!("SSIM {v:.3}"));
     let figures = psnr.into_iter().chain(ssim).collect::<Vec<_>>().join(", ");
     let photo = view.image.pixels()?;
     out.push_str(&figure(&photo, "photo", "", false, path)?);
     out.push_str(&figure(&rgb, "render", &figures, false, path)?);
-    out.push_str(&figure(&held_out.color_error(&rgb)?, "colour error", "", false, path)?);
+    out.push_str(&figure(
+        &held_out.color_error(&rgb)?,
+        "colour error",
+        "",
+        false,
+        path,
+    )?);
     let truth = view.truth.as_ref().map(LabelRuns::map);
     if let Some(truth) = &truth {
-        out.push_str(&figure(&colored(truth, report.classes), "truth", "", true, path)?);
+        out.push_str(&figure(
+            &colored(truth, report.classes),
+            "truth",
+            "",
+            true,
+            path,
+        )?);
     }
     let raw = view.raw.as_ref().map(LabelRuns::map);
     let raw = raw.iter().map(|labels| (Row::Raw, labels));
-    let rows: Vec<(Row, &LabelMap)> = raw.chain(held_out.labels.iter().map(|(row, labels)| (*row, labels))).collect();
+    let rows: Vec<(Row, &LabelMap)> = raw
+        .chain(held_out.labels.iter().map(|(row, labels)| (*row, labels)))
+        .collect();
     for (row, labels) in &rows {
-        let share = truth.as_ref().and_then(|truth| accuracy(labels, truth, report.classes.ignore));
+        let share = truth
+            .as_ref()
+            .and_then(|truth| accuracy(labels, truth, report.classes.ignore));
         let note = share.map_or(String::new(), |share| format!("{} % right", percent(share)));
-        out.push_str(&figure(&colored(labels, report.classes), row.title(), &note, true, path)?);
+        out.push_str(&figure(
+            &colored(labels, report.classes),
+            row.title(),
+            &note,
+            true,
+            path,
+        )?);
     }
     if let Some(truth) = &truth {
         if rows.len() > 2 {
@@ -116,14 +164,26 @@ fn one(report: &Report<'_>, held_out: &HeldOutView<'_>, path: &Path) -> Result<S
         }
         for (row, labels) in rows {
             let map = label_error(labels, truth, report.classes.ignore);
-            out.push_str(&figure(&map, &format!("errors: {}", row.title()), "", true, path)?);
+            out.push_str(&figure(
+                &map,
+                &format!("errors: {}", row.title()),
+                "",
+                true,
+                path,
+            )?);
         }
     }
     out.push_str("</div>\n");
     Ok(out)
 }
 
-fn figure(image: &RgbImage, caption: &str, note: &str, labels: bool, path: &Path) -> Result<String> {
+fn figure(
+    image: &RgbImage,
+    caption: &str,
+    note: &str,
+    labels: bool,
+    path: &Path,
+) -> Result<String> {
     let data = base64::engine::general_purpose::STANDARD.encode(png(image, path)?);
     let class = if labels { " class=\"labels\"" } else { "" };
     Ok(format!(

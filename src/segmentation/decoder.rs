@@ -42,10 +42,22 @@ pub struct DecoderConfig {
 impl DecoderConfig {
     /// The decoder that reads `pyramid`, or only its finest level (`multi_scale = false`).
     pub fn for_pyramid(pyramid: &Pyramid, classes: usize, multi_scale: bool) -> Self {
-        let scales = if multi_scale { pyramid.levels.len().min(WIDTHS.len()) } else { 1.min(pyramid.levels.len()) };
+        let scales = if multi_scale {
+            pyramid.levels.len().min(WIDTHS.len())
+        } else {
+            1.min(pyramid.levels.len())
+        };
         let levels = &pyramid.levels[..scales];
-        let top = if multi_scale { pyramid.top.dims()[1] } else { 0 };
-        Self::new(levels.iter().map(|l| l.features.dims()[1]).collect(), top, classes)
+        let top = if multi_scale {
+            pyramid.top.dims()[1]
+        } else {
+            0
+        };
+        Self::new(
+            levels.iter().map(|l| l.features.dims()[1]).collect(),
+            top,
+            classes,
+        )
     }
 
     /// A decoder with seeded first weights, uniform in +-1/sqrt(inputs of the layer).
@@ -54,16 +66,31 @@ impl DecoderConfig {
         rng.set_stream(INIT_STREAM);
         let scales = self.features.len().min(WIDTHS.len());
         let layers = (0..scales).map(|n| {
-            let (width, below) = (WIDTHS[n], if n + 1 < scales { WIDTHS[n + 1] } else { self.top });
+            let (width, below) = (
+                WIDTHS[n],
+                if n + 1 < scales {
+                    WIDTHS[n + 1]
+                } else {
+                    self.top
+                },
+            );
             let bound = bound(self.features[n] + below);
             let mut map = |inputs: usize| {
-                (inputs > 0).then(|| parameter(uniform(inputs * width, bound, &mut rng), [inputs, width], device))
+                (inputs > 0).then(|| {
+                    parameter(
+                        uniform(inputs * width, bound, &mut rng),
+                        [inputs, width],
+                        device,
+                    )
+                })
             };
             FusionLayer {
                 features: map(self.features[n]),
                 below: map(below),
                 bias: parameter(uniform(width, bound, &mut rng), [width], device),
-                norm: self.layer_norm.then(|| LayerNormConfig::new(width).init(device)),
+                norm: self
+                    .layer_norm
+                    .then(|| LayerNormConfig::new(width).init(device)),
             }
         });
         let layers = layers.collect();
@@ -82,7 +109,9 @@ fn bound(inputs: usize) -> f32 {
 }
 
 fn uniform(count: usize, bound: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
-    (0..count).map(|_| bound * rng.random_range(-1.0f32..1.0)).collect()
+    (0..count)
+        .map(|_| bound * rng.random_range(-1.0f32..1.0))
+        .collect()
 }
 
 /// Shared MLP over the frozen features of a level and what comes up from below.
@@ -97,7 +126,13 @@ struct FusionLayer {
 impl FusionLayer {
     /// `features` are the frozen rows of the level, each channel times its factor in `channels` where there are any;
     /// `below` is what comes up from the next coarser one, before upsampling.
-    fn forward(&self, features: Tensor<2>, channels: &[f32], below: Tensor<2>, mut map: LayerMap) -> Tensor<2> {
+    fn forward(
+        &self,
+        features: Tensor<2>,
+        channels: &[f32],
+        below: Tensor<2>,
+        mut map: LayerMap,
+    ) -> Tensor<2> {
         let (bias, device) = (self.bias.val(), features.device());
         let width = bias.dims()[0];
         let weight = match &self.features {
@@ -113,9 +148,14 @@ impl FusionLayer {
             Some(weight) => dense(below, weight.val(), None),
             None => Tensor::zeros([map.upsample.columns, width], &device),
         };
-        let Some(norm) = &self.norm else { return fusion_layer(features, weight, below, bias, map) };
+        let Some(norm) = &self.norm else {
+            return fusion_layer(features, weight, below, bias, map);
+        };
         map.slope = 1.0;
-        leaky_relu(norm.forward(fusion_layer(features, weight, below, bias, map)), SLOPE)
+        leaky_relu(
+            norm.forward(fusion_layer(features, weight, below, bias, map)),
+            SLOPE,
+        )
     }
 }
 
@@ -150,7 +190,12 @@ impl Decoder {
     ///
     /// # Panics
     /// As [`Decoder::forward`]; if a list is not as long as its scale has channels.
-    pub fn forward_scaled(&self, pyramid: &Pyramid, kept: &Restriction, factors: &[Vec<f32>]) -> Decoded {
+    pub fn forward_scaled(
+        &self,
+        pyramid: &Pyramid,
+        kept: &Restriction,
+        factors: &[Vec<f32>],
+    ) -> Decoded {
         let (hidden, fused) = self.decode(pyramid, kept, factors, 0);
         Decoded { hidden, fused }
     }
@@ -160,7 +205,13 @@ impl Decoder {
     ///
     /// # Panics
     /// As [`Decoder::forward_scaled`].
-    pub fn fused(&self, pyramid: &Pyramid, kept: &Restriction, factors: &[Vec<f32>], finest: usize) -> Vec<Tensor<2>> {
+    pub fn fused(
+        &self,
+        pyramid: &Pyramid,
+        kept: &Restriction,
+        factors: &[Vec<f32>],
+        finest: usize,
+    ) -> Vec<Tensor<2>> {
         self.decode(pyramid, kept, factors, finest).1
     }
 
@@ -172,11 +223,25 @@ impl Decoder {
         finest: usize,
     ) -> (Tensor<2>, Vec<Tensor<2>>) {
         let device = self.last.weight.device();
-        assert!(self.layers.len() <= pyramid.levels.len(), "levels of the pyramid against layers of the decoder");
+        assert!(
+            self.layers.len() <= pyramid.levels.len(),
+            "levels of the pyramid against layers of the decoder"
+        );
         let mut below = tracked(&kept.of_top(&pyramid.top), &device);
         let mut fused = Vec::with_capacity(self.layers.len());
-        for (n, (layer, level)) in self.layers.iter().zip(&pyramid.levels).enumerate().skip(finest).rev() {
-            let map = LayerMap { rows: kept.rows(n).cloned(), upsample: kept.upsample(n).clone(), slope: SLOPE };
+        for (n, (layer, level)) in self
+            .layers
+            .iter()
+            .zip(&pyramid.levels)
+            .enumerate()
+            .skip(finest)
+            .rev()
+        {
+            let map = LayerMap {
+                rows: kept.rows(n).cloned(),
+                upsample: kept.upsample(n).clone(),
+                slope: SLOPE,
+            };
             let channels = factors.get(n).map_or(&[][..], |f| f);
             below = layer.forward(tracked(&level.features, &device), channels, below, map);
             fused.push(below.clone());
@@ -190,15 +255,23 @@ impl Decoder {
     /// The FC commutes with blending: of hidden features blended with weights that sum to 1 - T, the blended logits are
     /// `blended W + (1 - T) b`. Divided by 1 - T, as the label loss wants them, they are `classify(blended / (1 - T))`.
     pub fn classify(&self, hidden: Tensor<2>) -> Tensor<2> {
-        dense(hidden, self.last.weight.val(), self.last.bias.as_ref().map(Param::val))
+        dense(
+            hidden,
+            self.last.weight.val(),
+            self.last.bias.as_ref().map(Param::val),
+        )
     }
 
     /// The decoder with its last layer at zero: it says nothing until it has learned.
     #[must_use]
     pub fn with_silent_start(mut self) -> Self {
-        let silent = |tensor: Tensor<2>| Tensor::from_inner(tensor.inner().zeros_like()).require_grad();
+        let silent =
+            |tensor: Tensor<2>| Tensor::from_inner(tensor.inner().zeros_like()).require_grad();
         self.last.weight = self.last.weight.map(silent);
-        self.last.bias = self.last.bias.map(|b| b.map(|t| Tensor::from_inner(t.inner().zeros_like()).require_grad()));
+        self.last.bias = self
+            .last
+            .bias
+            .map(|b| b.map(|t| Tensor::from_inner(t.inner().zeros_like()).require_grad()));
         self
     }
 

@@ -44,14 +44,27 @@ impl Cloud<'_> {
         check_finite("positions to encode", self.positions)?;
         if !(self.scale.is_finite() && self.scale > 0.0) {
             let expected = "a finite number above 0";
-            return Err(Error::config("spatial.scale", self.scale.to_string(), expected, "give metres per world unit"));
+            return Err(Error::config(
+                "spatial.scale",
+                self.scale.to_string(),
+                expected,
+                "give metres per world unit",
+            ));
         }
         let up = self.up.try_normalize().ok_or_else(|| {
-            Error::argument("up", self.up.to_string(), "a finite direction", "give the direction that points up")
+            Error::argument(
+                "up",
+                self.up.to_string(),
+                "a finite direction",
+                "give the direction that points up",
+            )
         })?;
         let turn = DQuat::from_rotation_arc(up, DVec3::Z);
-        let turned: Vec<DVec3> =
-            self.positions.iter().map(|p| turn * DVec3::from(p.map(f64::from)) * self.scale).collect();
+        let turned: Vec<DVec3> = self
+            .positions
+            .iter()
+            .map(|p| turn * DVec3::from(p.map(f64::from)) * self.scale)
+            .collect();
         let median = |axis: fn(&DVec3) -> f64| {
             let mut values: Vec<f64> = turned.iter().map(axis).collect();
             let middle = values.len() / 2;
@@ -61,7 +74,10 @@ impl Cloud<'_> {
             }
         };
         let centre = DVec3::new(median(|p| p.x), median(|p| p.y), median(|p| p.z));
-        Ok(turned.iter().map(|p| (*p - centre).as_vec3().to_array()).collect())
+        Ok(turned
+            .iter()
+            .map(|p| (*p - centre).as_vec3().to_array())
+            .collect())
     }
 }
 
@@ -96,7 +112,12 @@ pub struct Encoding {
 /// # Errors
 /// [`Error::Argument`] for an empty cloud, missing or miscounted colours; those of [`Cloud::oriented`]; [`Error::NonFinite`]
 /// naming the first bad row of the input, or of the features when the weights overflow.
-pub fn encode(encoder: &RandlaEncoder, cloud: &Cloud, seed: u64, device: &Device) -> Result<Encoding> {
+pub fn encode(
+    encoder: &RandlaEncoder,
+    cloud: &Cloud,
+    seed: u64,
+    device: &Device,
+) -> Result<Encoding> {
     if cloud.positions.is_empty() {
         return Err(Error::argument(
             "positions to encode",
@@ -122,9 +143,18 @@ pub fn encode(encoder: &RandlaEncoder, cloud: &Cloud, seed: u64, device: &Device
     };
     let levels = hierarchy.levels.into_iter().zip(features);
     let levels = levels
-        .map(|(l, features)| Level { indices: l.indices, positions: l.positions, neighbours: l.neighbours, features })
+        .map(|(l, features)| Level {
+            indices: l.indices,
+            positions: l.positions,
+            neighbours: l.neighbours,
+            features,
+        })
         .collect();
-    Ok(Encoding { levels, coarsest, upsample })
+    Ok(Encoding {
+        levels,
+        coarsest,
+        upsample,
+    })
 }
 
 /// `[N, 3]` positions, or `[N, 6]` with colours, for an encoder of `inputs` channels.
@@ -136,12 +166,21 @@ pub(crate) fn encoder_input(
 ) -> Result<Tensor<2>> {
     let points = positions.len();
     if inputs == 3 {
-        return Ok(tensor(positions.as_flattened().to_vec(), [points, 3], device));
+        return Ok(tensor(
+            positions.as_flattened().to_vec(),
+            [points, 3],
+            device,
+        ));
     }
     match colors {
         Some(colors) if colors.len() == points => {
             check_finite("colours to encode", colors)?;
-            let values = positions.iter().zip(colors).flat_map(|(p, c)| p.iter().chain(c)).copied().collect();
+            let values = positions
+                .iter()
+                .zip(colors)
+                .flat_map(|(p, c)| p.iter().chain(c))
+                .copied()
+                .collect();
             Ok(tensor(values, [points, 6], device))
         }
         other => Err(Error::argument(
@@ -156,9 +195,15 @@ pub(crate) fn encoder_input(
 fn check_features(level: usize, features: &Tensor<2>) -> Result<()> {
     let width = features.dims()[1];
     let values = features.to_data();
-    let bad = values.as_slice::<f32>().ok().and_then(|v| v.iter().position(|v| !v.is_finite()));
+    let bad = values
+        .as_slice::<f32>()
+        .ok()
+        .and_then(|v| v.iter().position(|v| !v.is_finite()));
     match bad {
-        Some(i) => Err(Error::non_finite(format!("spatial features of level {}", level + 1), i / width)),
+        Some(i) => Err(Error::non_finite(
+            format!("spatial features of level {}", level + 1),
+            i / width,
+        )),
         None => Ok(()),
     }
 }
@@ -170,12 +215,23 @@ fn check_features(level: usize, features: &Tensor<2>) -> Result<()> {
 /// [`Error::Config`] for a negative or non-finite setting, and for 0 without a usable extent.
 pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64> {
     let (scale, mend) = match config.scale {
-        0.0 => (ASSUMED_EXTENT / camera_extent, "set spatial.scale: the cameras do not tell how large the scene is"),
-        scale => (scale, "give metres per world unit, or 0 to derive it from the cameras"),
+        0.0 => (
+            ASSUMED_EXTENT / camera_extent,
+            "set spatial.scale: the cameras do not tell how large the scene is",
+        ),
+        scale => (
+            scale,
+            "give metres per world unit, or 0 to derive it from the cameras",
+        ),
     };
     match scale.is_finite() && scale > 0.0 {
         true => Ok(scale),
-        false => Err(Error::config("spatial.scale", config.scale.to_string(), "a finite number above 0, or 0", mend)),
+        false => Err(Error::config(
+            "spatial.scale",
+            config.scale.to_string(),
+            "a finite number above 0, or 0",
+            mend,
+        )),
     }
 }
 
@@ -184,20 +240,33 @@ pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64
 /// # Errors
 /// [`Error::Config`] when a checkpoint is asked for and not named; [`Error::Io`], [`Error::Input`] when it cannot be
 /// read or does not fit.
-pub fn load_spatial(config: &SpatialConfig, seed: u64, device: &Device) -> Result<(RandlaEncoder, String)> {
+pub fn load_spatial(
+    config: &SpatialConfig,
+    seed: u64,
+    device: &Device,
+) -> Result<(RandlaEncoder, String)> {
     let (weights, name) = match (config.source, &config.weights) {
         (SpatialSource::Builtin, _) => (builtin_weights()?, "trained here".to_owned()),
         (SpatialSource::Random, _) => (random_weights(3, seed), "random".to_owned()),
         (SpatialSource::Pretrained, Some(path)) => {
-            let weights = Checkpoint::open(path)?.of_network("RandLA-Net (keys `dilated_res_blocks.*`)");
+            let weights =
+                Checkpoint::open(path)?.of_network("RandLA-Net (keys `dilated_res_blocks.*`)");
             (weights, format!("pretrained {}", path.display()))
         }
         (SpatialSource::Pretrained, None) => {
             let mend = "set it to a RandLA-Net checkpoint, or set spatial.source = \"builtin\"";
-            return Err(Error::config("spatial.weights", "nothing", "a .safetensors, .pth or .pt file", mend));
+            return Err(Error::config(
+                "spatial.weights",
+                "nothing",
+                "a .safetensors, .pth or .pt file",
+                mend,
+            ));
         }
     };
-    Ok((RandlaEncoder::load(&weights, Form::Frozen, &device.clone().inner())?, name))
+    Ok((
+        RandlaEncoder::load(&weights, Form::Frozen, &device.clone().inner())?,
+        name,
+    ))
 }
 
 /// SHA-256 of the weights that `config` asks for; of random ones, which their seed says, none.
@@ -225,7 +294,10 @@ pub fn builtin_weights() -> Result<Checkpoint> {
 /// pretraining starts, and the ablation row `random`. `inputs` is 3 or 6.
 pub fn random_weights(inputs: usize, seed: u64) -> Checkpoint {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut weights = Checkpoint { origin: "random RandLA weights".into(), ..Checkpoint::default() };
+    let mut weights = Checkpoint {
+        origin: "random RandLA weights".into(),
+        ..Checkpoint::default()
+    };
     add_random_mlp(&mut weights, "fc0", [inputs, WIDTHS[0]], &mut rng);
     let mut input = WIDTHS[0];
     for (n, &d) in WIDTHS[1..].iter().enumerate() {
@@ -245,7 +317,10 @@ pub fn random_weights(inputs: usize, seed: u64) -> Checkpoint {
             let values = he_uniform(d * d, d, &mut rng);
             weights.insert(
                 &block(&format!("lfa.att_pooling_{stage}.fc.weight")),
-                HostTensor { shape: vec![d, d], values },
+                HostTensor {
+                    shape: vec![d, d],
+                    values,
+                },
             );
         }
         input = 2 * d;
@@ -254,16 +329,39 @@ pub fn random_weights(inputs: usize, seed: u64) -> Checkpoint {
 }
 
 /// Adds a shared MLP's `conv.weight` and `bn.bn.*` under `name`.
-pub(crate) fn add_random_mlp(weights: &mut Checkpoint, name: &str, [input, output]: [usize; 2], rng: &mut ChaCha8Rng) {
+pub(crate) fn add_random_mlp(
+    weights: &mut Checkpoint,
+    name: &str,
+    [input, output]: [usize; 2],
+    rng: &mut ChaCha8Rng,
+) {
     let values = he_uniform(input * output, input, rng);
-    weights.insert(&format!("{name}.conv.weight"), HostTensor { shape: vec![output, input], values });
-    for (part, value) in [("weight", 1.0), ("bias", 0.0), ("running_mean", 0.0), ("running_var", 1.0)] {
-        weights
-            .insert(&format!("{name}.bn.bn.{part}"), HostTensor { shape: vec![output], values: vec![value; output] });
+    weights.insert(
+        &format!("{name}.conv.weight"),
+        HostTensor {
+            shape: vec![output, input],
+            values,
+        },
+    );
+    for (part, value) in [
+        ("weight", 1.0),
+        ("bias", 0.0),
+        ("running_mean", 0.0),
+        ("running_var", 1.0),
+    ] {
+        weights.insert(
+            &format!("{name}.bn.bn.{part}"),
+            HostTensor {
+                shape: vec![output],
+                values: vec![value; output],
+            },
+        );
     }
 }
 
 fn he_uniform(count: usize, inputs: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
     let bound = (6.0 / inputs.max(1) as f64).sqrt() as f32;
-    (0..count).map(|_| bound * rng.random_range(-1.0f32..1.0)).collect()
+    (0..count)
+        .map(|_| bound * rng.random_range(-1.0f32..1.0))
+        .collect()
 }

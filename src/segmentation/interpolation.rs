@@ -19,10 +19,17 @@ pub fn interpolation(coarse: &[[f32; 3]], fine: &[[f32; 3]]) -> Result<SparseMat
     let mut values = Vec::with_capacity(distances.len());
     for row in distances.chunks_exact(k) {
         // d_0 / d_i instead of 1 / d_i: bounded, free of units, and needs no epsilon
-        let weights = row.iter().map(|&d| if d == row[0] { 1.0 } else { row[0] / d });
+        let weights = row
+            .iter()
+            .map(|&d| if d == row[0] { 1.0 } else { row[0] / d });
         let sum: f64 = weights.clone().sum();
         values.extend(weights.map(|w| (w / sum) as f32));
     }
     let offsets = (0..=fine.len()).map(|i| (i * k) as u32).collect();
-    Ok(SparseMatrix::unchecked(coarse.len(), offsets, neighbours.indices, values))
+    Ok(SparseMatrix::unchecked(
+        coarse.len(),
+        offsets,
+        neighbours.indices,
+        values,
+    ))
 }

@@ -67,7 +67,9 @@ impl PointIndex {
         }
         let points: Vec<[f64; 3]> = points.iter().map(wide).collect();
         let mut members: Vec<u32> = (0..points.len() as u32).collect();
-        members.par_sort_unstable_by(|&a, &b| order(&points[a as usize], &points[b as usize]).then(a.cmp(&b)));
+        members.par_sort_unstable_by(|&a, &b| {
+            order(&points[a as usize], &points[b as usize]).then(a.cmp(&b))
+        });
         let mut offsets = Vec::new();
         let mut unique = Vec::new();
         for (i, &m) in members.iter().enumerate() {
@@ -79,14 +81,21 @@ impl PointIndex {
         offsets.push(members.len() as u32);
         let tree = match unique.is_empty() {
             true => None,
-            false => Some(ImmutableKdTree::new_from_slice(&unique).map_err(|e| Error::Limit {
-                what: "points in a neighbour search".into(),
-                found: e.to_string(),
-                limit: u32::MAX.to_string(),
-                mend: "use fewer points".into(),
-            })?),
+            false => Some(
+                ImmutableKdTree::new_from_slice(&unique).map_err(|e| Error::Limit {
+                    what: "points in a neighbour search".into(),
+                    found: e.to_string(),
+                    limit: u32::MAX.to_string(),
+                    mend: "use fewer points".into(),
+                })?,
+            ),
         };
-        Ok(Self { points, members, offsets, tree })
+        Ok(Self {
+            points,
+            members,
+            offsets,
+            tree,
+        })
     }
 
     /// Number of points.
@@ -104,12 +113,15 @@ impl PointIndex {
     pub fn neighbours(&self, k: usize) -> Neighbours {
         let mut indices = vec![0; self.len() * k];
         if k > 0 {
-            indices.par_chunks_mut(k).enumerate().for_each_init(Vec::new, |found, (i, row)| {
-                self.collect(&self.points[i], k, found);
-                row[0] = i as u32;
-                let others = found.iter().map(|&(_, j)| j).filter(|&j| j as usize != i);
-                fill(row, 1, others);
-            });
+            indices
+                .par_chunks_mut(k)
+                .enumerate()
+                .for_each_init(Vec::new, |found, (i, row)| {
+                    self.collect(&self.points[i], k, found);
+                    row[0] = i as u32;
+                    let others = found.iter().map(|&(_, j)| j).filter(|&j| j as usize != i);
+                    fill(row, 1, others);
+                });
         }
         Neighbours { k, indices }
     }
@@ -122,20 +134,26 @@ impl PointIndex {
     pub fn nearest(&self, queries: &[[f32; 3]], k: usize) -> Result<(Neighbours, Vec<f64>)> {
         check_finite("queries", queries)?;
         if self.is_empty() && k > 0 && !queries.is_empty() {
-            return Err(Error::argument("points", "none", "at least one point", "give the search a point to find"));
+            return Err(Error::argument(
+                "points",
+                "none",
+                "at least one point",
+                "give the search a point to find",
+            ));
         }
         let mut indices = vec![0; queries.len() * k];
         let mut distances = vec![0.0; queries.len() * k];
         if k > 0 {
             let rows = indices.par_chunks_mut(k).zip(distances.par_chunks_mut(k));
-            rows.zip(queries).for_each_init(Vec::new, |found, ((row, distance), query)| {
-                let query = wide(query);
-                self.collect(&query, k, found);
-                fill(row, 0, found.iter().map(|&(_, j)| j));
-                for (d, &j) in distance.iter_mut().zip(&*row) {
-                    *d = squared_distance(&self.points[j as usize], &query);
-                }
-            });
+            rows.zip(queries)
+                .for_each_init(Vec::new, |found, ((row, distance), query)| {
+                    let query = wide(query);
+                    self.collect(&query, k, found);
+                    fill(row, 0, found.iter().map(|&(_, j)| j));
+                    for (d, &j) in distance.iter_mut().zip(&*row) {
+                        *d = squared_distance(&self.points[j as usize], &query);
+                    }
+                });
         }
         Ok((Neighbours { k, indices }, distances))
     }
@@ -146,10 +164,16 @@ impl PointIndex {
         let Some(tree) = &self.tree else { return };
         let groups = self.offsets.len() - 1;
         // one more than asked for shows whether the cut falls between equal distances
-        let Some(wanted) = NonZero::new((k + 1).min(groups)) else { return };
-        let near = tree.query(query).nearest_n::<SquaredEuclidean<f64>>(wanted).execute();
+        let Some(wanted) = NonZero::new((k + 1).min(groups)) else {
+            return;
+        };
+        let near = tree
+            .query(query)
+            .nearest_n::<SquaredEuclidean<f64>>(wanted)
+            .execute();
         let mut add = |group: u32| {
-            let span = self.offsets[group as usize] as usize..self.offsets[group as usize + 1] as usize;
+            let span =
+                self.offsets[group as usize] as usize..self.offsets[group as usize + 1] as usize;
             let members = &self.members[span];
             let distance = squared_distance(&self.points[members[0] as usize], query);
             found.extend(members.iter().take(k + 1).map(|&m| (distance, m)));
@@ -158,7 +182,12 @@ impl PointIndex {
         match cut {
             Some((inside, outside)) if outside <= inside * (1.0 + TIE) => {
                 let radius = inside * (1.0 + TIE);
-                for hit in tree.query(query).within::<SquaredEuclidean<f64>>(radius).unsorted().execute() {
+                for hit in tree
+                    .query(query)
+                    .within::<SquaredEuclidean<f64>>(radius)
+                    .unsorted()
+                    .execute()
+                {
                     add(hit.item);
                 }
             }
@@ -175,7 +204,10 @@ impl PointIndex {
 /// # Errors
 /// [`Error::NonFinite`] naming the first bad row.
 pub fn without_self(points: &[[f32; 3]], k: usize) -> Result<Vec<u32>> {
-    Ok(drop_self(&PointIndex::new(points)?.neighbours((k + 1).min(points.len().max(1))), k))
+    Ok(drop_self(
+        &PointIndex::new(points)?.neighbours((k + 1).min(points.len().max(1))),
+        k,
+    ))
 }
 
 /// The same from rows that begin with the point itself, as an encoding's levels hold them.
@@ -184,7 +216,10 @@ pub fn drop_self(neighbours: &Neighbours, k: usize) -> Vec<u32> {
     for i in 0..neighbours.len() {
         let row = neighbours.row(i);
         // a set smaller than K repeats its members, itself among them, after all others
-        let others = &row[1..1 + row[1..].iter().position(|&j| j as usize == i).unwrap_or(row.len() - 1)];
+        let others = &row[1..1 + row[1..]
+            .iter()
+            .position(|&j| j as usize == i)
+            .unwrap_or(row.len() - 1)];
         let others = if others.is_empty() { row } else { others };
         rows.extend((0..k).map(|n| others[n % others.len()]));
     }
@@ -208,7 +243,9 @@ fn wide(p: &[f32; 3]) -> [f64; 3] {
 }
 
 fn order(a: &[f64; 3], b: &[f64; 3]) -> std::cmp::Ordering {
-    a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2]))
+    a[0].total_cmp(&b[0])
+        .then(a[1].total_cmp(&b[1]))
+        .then(a[2].total_cmp(&b[2]))
 }
 
 fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {

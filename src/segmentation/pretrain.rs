@@ -50,7 +50,15 @@ pub struct PretrainOptions {
 impl Default for PretrainOptions {
     fn default() -> Self {
         let points = [4_000, 16_000];
-        Self { seed: 0, rooms: 96, held_out: 16, room_points: 40_000, points, steps: 600, rate: 5e-3 }
+        Self {
+            seed: 0,
+            rooms: 96,
+            held_out: 16,
+            room_points: 40_000,
+            points,
+            steps: 600,
+            rate: 5e-3,
+        }
     }
 }
 
@@ -94,8 +102,11 @@ pub fn pretrain(
 ) -> Result<TrainedEncoder> {
     check(options)?;
     let classes = classes().len();
-    let mut state =
-        PretrainProgress { rooms: [0, options.rooms + options.held_out], steps: [0, options.steps], loss: f32::NAN };
+    let mut state = PretrainProgress {
+        rooms: [0, options.rooms + options.held_out],
+        steps: [0, options.steps],
+        loss: f32::NAN,
+    };
     let mut rooms = Vec::with_capacity(state.rooms[1]);
     for i in 0..state.rooms[1] {
         rooms.push(room(options.seed, i as u64, options.room_points));
@@ -105,17 +116,30 @@ pub fn pretrain(
     let (train, held_out) = rooms.split_at(options.rooms);
     let device = device.clone().inner().autodiff();
     let encoder = RandlaEncoder::load(&random_weights(3, options.seed), Form::Trainable, &device)?;
-    let (spatial, top) = (encoder.widths(), encoder.widths().last().copied().unwrap_or_default());
+    let (spatial, top) = (
+        encoder.widths(),
+        encoder.widths().last().copied().unwrap_or_default(),
+    );
     let head = DecoderConfig::new(spatial, top, classes).with_layer_norm(true);
-    let mut student = Student { encoder, head: head.with_seed(options.seed).init(&device) };
+    let mut student = Student {
+        encoder,
+        head: head.with_seed(options.seed).init(&device),
+    };
     let mut adam = AdamConfig::new().with_epsilon(1e-8).init();
     let mut losses = Vec::with_capacity(options.steps);
     for step in 0..options.steps {
         let loss = student_loss(&student, train, step, options, &device)?;
-        state.loss = host(loss.clone().inner()).first().copied().unwrap_or(f32::NAN);
+        state.loss = host(loss.clone().inner())
+            .first()
+            .copied()
+            .unwrap_or(f32::NAN);
         if !state.loss.is_finite() {
             let context = format!(", step {step}");
-            return Err(Error::NonFinite { tensor: "pretraining loss".into(), row: 0, context });
+            return Err(Error::NonFinite {
+                tensor: "pretraining loss".into(),
+                row: 0,
+                context,
+            });
         }
         let gradients = GradientsParams::from_grads(loss.backward(), &student);
         student = adam.step(rate(step, options), student, gradients);
@@ -128,7 +152,11 @@ pub fn pretrain(
 
 fn check(options: &PretrainOptions) -> Result<()> {
     let [fewest, most] = options.points;
-    let usable = options.rooms > 0 && options.steps > 0 && fewest > 0 && fewest <= most && most <= options.room_points;
+    let usable = options.rooms > 0
+        && options.steps > 0
+        && fewest > 0
+        && fewest <= most
+        && most <= options.room_points;
     match usable && options.rooms + options.held_out <= ROOMS_PER_SEED as usize {
         true => Ok(()),
         false => Err(Error::argument(
@@ -149,9 +177,19 @@ fn rate(step: usize, options: &PretrainOptions) -> f64 {
 /// Room `i` of `seed`, labels as class indices.
 pub fn room(seed: u64, i: u64, points: usize) -> LabelledCloud {
     let rooms = PRETRAINING_SEEDS.end - PRETRAINING_SEEDS.start;
-    let made = labelled_points(PRETRAINING_SEEDS.start + (seed.wrapping_mul(ROOMS_PER_SEED) + i) % rooms, points);
+    let made = labelled_points(
+        PRETRAINING_SEEDS.start + (seed.wrapping_mul(ROOMS_PER_SEED) + i) % rooms,
+        points,
+    );
     let lookup = classes().lookup();
-    LabelledCloud { positions: made.positions, labels: made.classes.iter().map(|&c| lookup[usize::from(c)]).collect() }
+    LabelledCloud {
+        positions: made.positions,
+        labels: made
+            .classes
+            .iter()
+            .map(|&c| lookup[usize::from(c)])
+            .collect(),
+    }
 }
 
 /// Loss of one step: a random room, thinned, turned, mirrored, scaled, shaken, sometimes cut in two.
@@ -166,29 +204,59 @@ fn student_loss(
     rng.set_stream(STEP_STREAM << 32 | step as u64);
     let room = &rooms[rng.random_range(0..rooms.len())];
     let cloud = augment(room, options.points, &mut rng);
-    let positions = Cloud { positions: &cloud.positions, colors: None, up: DVec3::Z, scale: 1.0 }.oriented()?;
+    let positions = Cloud {
+        positions: &cloud.positions,
+        colors: None,
+        up: DVec3::Z,
+        scale: 1.0,
+    }
+    .oriented()?;
     let hierarchy = Hierarchy::build(&positions, LAYERS, RATIO, NEIGHBOURS, rng.random())?;
     let input = encoder_input(student.encoder.inputs(), &positions, None, device)?;
     let (features, top) = student.encoder.encode_levels(input, &hierarchy, false);
     let upsample = hierarchy.upsampling()?;
-    let levels = hierarchy.levels.iter().zip(features).zip(upsample).map(|((level, spatial), upsample)| Level {
-        points: Arc::new(level.indices.clone()),
-        features: spatial,
-        upsample,
-    });
-    let pyramid = Pyramid { levels: levels.collect(), top };
-    let logits = student.head.classify(student.head.forward(&pyramid, &Restriction::none(&pyramid)).hidden);
-    Ok(label_loss(logits, &balanced(&cloud.labels, &mut rng), &Kind::Ce))
+    let levels =
+        hierarchy
+            .levels
+            .iter()
+            .zip(features)
+            .zip(upsample)
+            .map(|((level, spatial), upsample)| Level {
+                points: Arc::new(level.indices.clone()),
+                features: spatial,
+                upsample,
+            });
+    let pyramid = Pyramid {
+        levels: levels.collect(),
+        top,
+    };
+    let logits = student.head.classify(
+        student
+            .head
+            .forward(&pyramid, &Restriction::none(&pyramid))
+            .hidden,
+    );
+    Ok(label_loss(
+        logits,
+        &balanced(&cloud.labels, &mut rng),
+        &Kind::Ce,
+    ))
 }
 
-fn augment(room: &LabelledCloud, [fewest, most]: [usize; 2], rng: &mut ChaCha8Rng) -> LabelledCloud {
-    let count = (fewest as f64 * (most as f64 / fewest as f64).powf(rng.random::<f64>())).round() as usize;
+fn augment(
+    room: &LabelledCloud,
+    [fewest, most]: [usize; 2],
+    rng: &mut ChaCha8Rng,
+) -> LabelledCloud {
+    let count =
+        (fewest as f64 * (most as f64 / fewest as f64).powf(rng.random::<f64>())).round() as usize;
     // a cut leaves between a third and all of a room, as a single view would
     let cut: Option<([f32; 2], f32)> = rng.random_bool(0.3).then(|| {
         let angle = rng.random_range(0.0..std::f32::consts::TAU);
         ([angle.cos(), angle.sin()], rng.random_range(-0.7f32..0.7))
     });
-    let mut chosen = index::sample(rng, room.positions.len(), count.min(room.positions.len())).into_vec();
+    let mut chosen =
+        index::sample(rng, room.positions.len(), count.min(room.positions.len())).into_vec();
     if let Some((normal, offset)) = cut {
         let kept = |&i: &usize| {
             let p = room.positions[i];
@@ -205,15 +273,26 @@ fn augment(room: &LabelledCloud, [fewest, most]: [usize; 2], rng: &mut ChaCha8Rn
     let shake = rng.random_range(0.0f32..0.01);
     let positions = chosen.iter().map(|&i| {
         let [x, y, z] = room.positions[i];
-        let turned = [mirror * (cos * x - sin * y), scale * (sin * x + cos * y), scale * z];
+        let turned = [
+            mirror * (cos * x - sin * y),
+            scale * (sin * x + cos * y),
+            scale * z,
+        ];
         turned.map(|v| v + shake * rng.random_range(-1.0f32..1.0))
     });
-    LabelledCloud { positions: positions.collect(), labels: chosen.iter().map(|&i| room.labels[i]).collect() }
+    LabelledCloud {
+        positions: positions.collect(),
+        labels: chosen.iter().map(|&i| room.labels[i]).collect(),
+    }
 }
 
 /// Labels with the excess of common classes left out at random: no class has more than twice an even share.
 fn balanced(labels: &[u16], rng: &mut ChaCha8Rng) -> Vec<u16> {
-    let classes = labels.iter().filter(|&&l| l != UNLABELLED).max().map_or(0, |&l| usize::from(l) + 1);
+    let classes = labels
+        .iter()
+        .filter(|&&l| l != UNLABELLED)
+        .max()
+        .map_or(0, |&l| usize::from(l) + 1);
     let share = (2 * labels.len()).div_ceil(classes.max(1));
     let mut order: Vec<usize> = (0..labels.len()).collect();
     order.shuffle(rng);
@@ -242,10 +321,23 @@ fn finish(
     let head = student.head.valid();
     let mut confusion = Confusion::new(classes().len());
     for (i, cloud) in held_out.iter().enumerate() {
-        let points = Cloud { positions: &cloud.positions, colors: None, up: DVec3::Z, scale: 1.0 };
+        let points = Cloud {
+            positions: &cloud.positions,
+            colors: None,
+            up: DVec3::Z,
+            scale: 1.0,
+        };
         let encoding = encode(&encoder, &points, options.seed ^ i as u64, &plain)?;
-        let pyramid = Pyramid::new(&encoding, &[], Switches { image: false, ..Switches::default() })?;
-        let logits = host(head.classify(head.forward(&pyramid, &Restriction::none(&pyramid)).hidden));
+        let pyramid = Pyramid::new(
+            &encoding,
+            &[],
+            Switches {
+                image: false,
+                ..Switches::default()
+            },
+        )?;
+        let logits =
+            host(head.classify(head.forward(&pyramid, &Restriction::none(&pyramid)).hidden));
         let truth = cloud.labels.iter().map(|&l| usize::from(l));
         confusion.add(truth, best(&logits, classes().len()));
     }
@@ -260,6 +352,13 @@ fn finish(
     ] {
         weights.metadata.insert(key.to_owned(), value);
     }
-    let curve = losses.chunks(tenth).map(|c| c.iter().sum::<f32>() / c.len() as f32).collect();
-    Ok(TrainedEncoder { weights, held_out: scores, curve })
+    let curve = losses
+        .chunks(tenth)
+        .map(|c| c.iter().sum::<f32>() / c.len() as f32)
+        .collect();
+    Ok(TrainedEncoder {
+        weights,
+        held_out: scores,
+        curve,
+    })
 }

@@ -35,7 +35,10 @@ pub struct Scores {
 impl Scores {
     pub(crate) fn of(confusion: &Confusion) -> Self {
         let of = |score: Option<f64>| score.unwrap_or_default();
-        Self { accuracy: of(confusion.accuracy(Void::Wrong)), miou: of(confusion.miou(Void::Wrong)) }
+        Self {
+            accuracy: of(confusion.accuracy(Void::Wrong)),
+            miou: of(confusion.miou(Void::Wrong)),
+        }
     }
 }
 
@@ -63,7 +66,11 @@ pub fn linear_probe(
     for (i, cloud) in train.iter().enumerate() {
         let features = all_scales(encoder, cloud, seed ^ i as u64, device)?;
         width = features.len() / cloud.positions.len().max(1);
-        let chosen = index::sample(&mut rng, cloud.positions.len(), FITTED_POINTS.min(cloud.positions.len()));
+        let chosen = index::sample(
+            &mut rng,
+            cloud.positions.len(),
+            FITTED_POINTS.min(cloud.positions.len()),
+        );
         for p in chosen {
             rows.extend_from_slice(&features[p * width..][..width]);
             labels.push(cloud.labels[p]);
@@ -76,7 +83,11 @@ pub fn linear_probe(
     for (i, cloud) in test.iter().enumerate() {
         let mut features = all_scales(encoder, cloud, seed ^ i as u64, device)?;
         moments.standardise(&mut features);
-        let logits = map.forward(tensor(features, [cloud.positions.len(), width], &device.clone().inner()));
+        let logits = map.forward(tensor(
+            features,
+            [cloud.positions.len(), width],
+            &device.clone().inner(),
+        ));
         let truth = cloud.labels.iter().map(|&l| usize::from(l));
         confusion.add(truth, best(&host(logits), classes));
     }
@@ -86,25 +97,52 @@ pub fn linear_probe(
 /// Index of the largest value of each row.
 pub(crate) fn best(logits: &[f32], classes: usize) -> Vec<usize> {
     let rows = logits.chunks_exact(classes);
-    rows.map(|row| (0..classes).max_by(|&a, &b| row[a].total_cmp(&row[b]).then(b.cmp(&a))).unwrap_or(0)).collect()
+    rows.map(|row| {
+        (0..classes)
+            .max_by(|&a, &b| row[a].total_cmp(&row[b]).then(b.cmp(&a)))
+            .unwrap_or(0)
+    })
+    .collect()
 }
 
 /// Features of all scales at every point, `[N, sum of widths]`.
-fn all_scales(encoder: &RandlaEncoder, cloud: &LabelledCloud, seed: u64, device: &Device) -> Result<Vec<f32>> {
-    let points = Cloud { positions: &cloud.positions, colors: None, up: DVec3::Z, scale: 1.0 };
+fn all_scales(
+    encoder: &RandlaEncoder,
+    cloud: &LabelledCloud,
+    seed: u64,
+    device: &Device,
+) -> Result<Vec<f32>> {
+    let points = Cloud {
+        positions: &cloud.positions,
+        colors: None,
+        up: DVec3::Z,
+        scale: 1.0,
+    };
     let encoding: Encoding = encode(encoder, &points, seed, device)?;
-    let sets = encoding.levels.iter().chain([&encoding.coarsest]).enumerate();
+    let sets = encoding
+        .levels
+        .iter()
+        .chain([&encoding.coarsest])
+        .enumerate();
     let scales: Vec<(usize, Vec<f32>)> = sets
         .map(|(n, level)| {
             let channels = level.features.dims()[1];
             let features = host(level.features.clone());
-            (channels, encoding.upsample[..n].iter().rev().fold(features, |f, map| map.apply(&f, channels)))
+            (
+                channels,
+                encoding.upsample[..n]
+                    .iter()
+                    .rev()
+                    .fold(features, |f, map| map.apply(&f, channels)),
+            )
         })
         .collect();
     let width: usize = scales.iter().map(|s| s.0).sum();
     let mut rows = Vec::with_capacity(width * cloud.positions.len());
     for i in 0..cloud.positions.len() {
-        scales.iter().for_each(|(channels, f)| rows.extend_from_slice(&f[i * channels..][..*channels]));
+        scales
+            .iter()
+            .for_each(|(channels, f)| rows.extend_from_slice(&f[i * channels..][..*channels]));
     }
     Ok(rows)
 }
@@ -124,19 +162,31 @@ impl Moments {
         }
         let moments = sums.into_iter().map(|(sum, squares)| {
             let mean = sum / count;
-            (mean as f32, ((squares / count - mean * mean).max(0.0).sqrt() + 1e-6) as f32)
+            (
+                mean as f32,
+                ((squares / count - mean * mean).max(0.0).sqrt() + 1e-6) as f32,
+            )
         });
         Self(moments.collect())
     }
 
     fn standardise(&self, rows: &mut [f32]) {
         for row in rows.chunks_exact_mut(self.0.len()) {
-            row.iter_mut().zip(&self.0).for_each(|(v, (mean, deviation))| *v = (*v - mean) / deviation);
+            row.iter_mut()
+                .zip(&self.0)
+                .for_each(|(v, (mean, deviation))| *v = (*v - mean) / deviation);
         }
     }
 }
 
-fn fit(rows: &[f32], labels: &[u16], width: usize, classes: usize, rng: &mut ChaCha8Rng, device: &Device) -> Linear {
+fn fit(
+    rows: &[f32],
+    labels: &[u16],
+    width: usize,
+    classes: usize,
+    rng: &mut ChaCha8Rng,
+    device: &Device,
+) -> Linear {
     let device = device.clone().inner().autodiff();
     let mut map = Linear {
         weight: parameter(vec![0.0; width * classes], [width, classes], &device),
@@ -145,7 +195,11 @@ fn fit(rows: &[f32], labels: &[u16], width: usize, classes: usize, rng: &mut Cha
     let mut adam = AdamConfig::new().with_epsilon(1e-8).init();
     for step in 0..STEPS {
         let chosen = index::sample(rng, labels.len(), BATCH.min(labels.len())).into_vec();
-        let batch: Vec<f32> = chosen.iter().flat_map(|&i| &rows[i * width..][..width]).copied().collect();
+        let batch: Vec<f32> = chosen
+            .iter()
+            .flat_map(|&i| &rows[i * width..][..width])
+            .copied()
+            .collect();
         let batch_labels: Vec<u16> = chosen.iter().map(|&i| labels[i]).collect();
         let logits: Tensor<2> = map.forward(tensor(batch, [chosen.len(), width], &device));
         let loss = label_loss(logits, &batch_labels, &Kind::Ce);

@@ -19,7 +19,11 @@ pub struct Switches {
 
 impl Default for Switches {
     fn default() -> Self {
-        Self { image: true, spatial: true, single_scale: None }
+        Self {
+            image: true,
+            spatial: true,
+            single_scale: None,
+        }
     }
 }
 
@@ -53,11 +57,21 @@ impl Pyramid {
     pub fn new(encoding: &Encoding, image: &[Tensor<2>], switches: Switches) -> Result<Self> {
         let points = encoding.levels[0].indices.len();
         Self::gathered(encoding, switches, |scale, rows| match image.get(scale) {
-            Some(features) if features.dims()[0] == points => Ok(select(features, &Arc::new(rows.to_vec().into()))),
+            Some(features) if features.dims()[0] == points => {
+                Ok(select(features, &Arc::new(rows.to_vec().into())))
+            }
             other => {
-                let (key, found) = (format!("image features of scale {}", scale + 1), other.map(Tensor::dims));
+                let (key, found) = (
+                    format!("image features of scale {}", scale + 1),
+                    other.map(Tensor::dims),
+                );
                 let mend = "unproject them first";
-                Err(Error::argument(key, format!("{found:?}"), format!("{points} rows"), mend))
+                Err(Error::argument(
+                    key,
+                    format!("{found:?}"),
+                    format!("{points} rows"),
+                    mend,
+                ))
             }
         })
     }
@@ -74,16 +88,33 @@ impl Pyramid {
     ) -> Result<Self> {
         if !switches.image && !switches.spatial {
             let mend = "leave image or spatial features on";
-            return Err(Error::argument("decoder inputs", "none", "image features, spatial features or both", mend));
+            return Err(Error::argument(
+                "decoder inputs",
+                "none",
+                "image features, spatial features or both",
+                mend,
+            ));
         }
         let device = encoding.coarsest.features.device();
-        let count = if switches.single_scale.is_some() { 1 } else { encoding.levels.len() };
+        let count = if switches.single_scale.is_some() {
+            1
+        } else {
+            encoding.levels.len()
+        };
         let mut levels = Vec::with_capacity(count);
         for (n, level) in encoding.levels.iter().take(count).enumerate() {
             let scale = switches.single_scale.unwrap_or(n);
-            let lifted = if switches.image { Some(image(scale, &level.indices)?) } else { None };
+            let lifted = if switches.image {
+                Some(image(scale, &level.indices)?)
+            } else {
+                None
+            };
             let spatial = switches.spatial.then(|| level.features.clone());
-            let parts: Vec<_> = [lifted, spatial].into_iter().flatten().filter(|f| f.dims()[1] > 0).collect();
+            let parts: Vec<_> = [lifted, spatial]
+                .into_iter()
+                .flatten()
+                .filter(|f| f.dims()[1] > 0)
+                .collect();
             levels.push(Level {
                 points: Arc::new(level.indices.clone()),
                 features: match parts.is_empty() {
@@ -146,12 +177,22 @@ impl Restriction {
             levels.push((Some(rows), Arc::new(upsample)));
             rows = Arc::new(below.into());
         }
-        Self { levels, top: Some(rows) }
+        Self {
+            levels,
+            top: Some(rows),
+        }
     }
 
     /// All of `pyramid`.
     pub fn none(pyramid: &Pyramid) -> Self {
-        Self { levels: pyramid.levels.iter().map(|level| (None, level.upsample.clone())).collect(), top: None }
+        Self {
+            levels: pyramid
+                .levels
+                .iter()
+                .map(|level| (None, level.upsample.clone()))
+                .collect(),
+            top: None,
+        }
     }
 
     /// Rows of the pyramid's level `scale` (0 = finest) that are kept; `None`: all.
@@ -174,8 +215,18 @@ impl Restriction {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        let rows = self.levels.iter().map(|level| &level.0).chain([&self.top]).flatten();
-        4 * rows.map(|r| r.len()).sum::<usize>() + self.levels.iter().map(|level| level.1.bytes()).sum::<usize>()
+        let rows = self
+            .levels
+            .iter()
+            .map(|level| &level.0)
+            .chain([&self.top])
+            .flatten();
+        4 * rows.map(|r| r.len()).sum::<usize>()
+            + self
+                .levels
+                .iter()
+                .map(|level| level.1.bytes())
+                .sum::<usize>()
     }
 }
 
@@ -215,7 +266,10 @@ impl ChannelScale {
         }
         let mean = features.clone().mean_dim(0);
         let square = features.clone().powi_scalar(2).mean_dim(0);
-        let spread = (features.clone() - mean.clone()).powi_scalar(2).mean_dim(0).sqrt();
+        let spread = (features.clone() - mean.clone())
+            .powi_scalar(2)
+            .mean_dim(0)
+            .sqrt();
         let varies = spread.clone().greater(square.sqrt() * FLAT).float();
         let factor = varies / spread.clamp_min(f32::MIN_POSITIVE);
         Some(Self { mean, factor })
@@ -223,7 +277,10 @@ impl ChannelScale {
 
     fn or_none(features: &Tensor<2>) -> Self {
         let empty = || Tensor::zeros([1, features.dims()[1]], &features.device());
-        Self::of(features).unwrap_or_else(|| Self { mean: empty(), factor: empty() })
+        Self::of(features).unwrap_or_else(|| Self {
+            mean: empty(),
+            factor: empty(),
+        })
     }
 
     /// In place where nobody else holds `features`.
@@ -238,15 +295,28 @@ impl ChannelScale {
 impl Standardisation {
     /// Statistics of `pyramid`.
     pub fn of(pyramid: &Pyramid) -> Self {
-        let levels = pyramid.levels.iter().map(|l| ChannelScale::or_none(&l.features)).collect();
-        Self { levels, top: ChannelScale::or_none(&pyramid.top) }
+        let levels = pyramid
+            .levels
+            .iter()
+            .map(|l| ChannelScale::or_none(&l.features))
+            .collect();
+        Self {
+            levels,
+            top: ChannelScale::or_none(&pyramid.top),
+        }
     }
 
     /// The pyramid with every channel brought to mean 0 and spread 1 by these statistics.
     #[must_use]
     pub fn apply(&self, pyramid: Pyramid) -> Pyramid {
         let levels = pyramid.levels.into_iter().zip(&self.levels);
-        let levels = levels.map(|(level, scale)| Level { features: scale.apply(level.features), ..level });
-        Pyramid { levels: levels.collect(), top: self.top.apply(pyramid.top) }
+        let levels = levels.map(|(level, scale)| Level {
+            features: scale.apply(level.features),
+            ..level
+        });
+        Pyramid {
+            levels: levels.collect(),
+            top: self.top.apply(pyramid.top),
+        }
     }
 }

@@ -71,43 +71,77 @@ impl SharedMlp {
         let (mean, variance) = (part("running_mean")?, part("running_var")?);
         let mut matrix = transposed(weight, input, output);
         if form == Form::Trainable {
-            let norm = BatchNormConfig::new(output).with_epsilon(NORM_EPSILON).with_momentum(NORM_MOMENTUM);
+            let norm = BatchNormConfig::new(output)
+                .with_epsilon(NORM_EPSILON)
+                .with_momentum(NORM_MOMENTUM);
             let mut norm = norm.init(device);
             norm.gamma = parameter(gamma.to_vec(), [output], device);
             norm.beta = parameter(beta.to_vec(), [output], device);
-            let state = |v: &[f32]| burn::module::RunningState::new(tensor(v.to_vec(), [output], device));
+            let state =
+                |v: &[f32]| burn::module::RunningState::new(tensor(v.to_vec(), [output], device));
             (norm.running_mean, norm.running_var) = (state(mean), state(variance));
             // the bias of a layer before batch normalisation has no effect, so none is trained
-            let linear = Linear { weight: parameter(matrix, [input, output], device), bias: None };
-            return Ok(Self { linear, norm: Some(norm), linear_only });
+            let linear = Linear {
+                weight: parameter(matrix, [input, output], device),
+                bias: None,
+            };
+            return Ok(Self {
+                linear,
+                norm: Some(norm),
+                linear_only,
+            });
         }
         let scale: Vec<f64> = (0..output)
             .map(|c| f64::from(gamma[c]) / (f64::from(variance[c]).max(0.0) + NORM_EPSILON).sqrt())
             .collect();
         for row in matrix.chunks_exact_mut(output) {
-            row.iter_mut().zip(&scale).for_each(|(w, s)| *w = (f64::from(*w) * s) as f32);
+            row.iter_mut()
+                .zip(&scale)
+                .for_each(|(w, s)| *w = (f64::from(*w) * s) as f32);
         }
-        let shift = |c: usize| (f64::from(bias[c]) - f64::from(mean[c])) * scale[c] + f64::from(beta[c]);
+        let shift =
+            |c: usize| (f64::from(bias[c]) - f64::from(mean[c])) * scale[c] + f64::from(beta[c]);
         let bias = (0..output).map(|c| shift(c) as f32).collect();
         let linear = Linear {
             weight: parameter(matrix, [input, output], device),
             bias: Some(parameter(bias, [output], device)),
         };
-        Ok(Self { linear, norm: None, linear_only })
+        Ok(Self {
+            linear,
+            norm: None,
+            linear_only,
+        })
     }
 
     /// Writes what [`SharedMlp::load`] reads.
     fn save(&self, weights: &mut Checkpoint, name: &str) {
         let [input, output] = self.linear.weight.dims();
         let matrix = transposed(&host(self.linear.weight.val()), output, input);
-        weights.insert(&format!("{name}.conv.weight"), HostTensor { shape: vec![output, input], values: matrix });
+        weights.insert(
+            &format!("{name}.conv.weight"),
+            HostTensor {
+                shape: vec![output, input],
+                values: matrix,
+            },
+        );
         let mut vector = |part: &str, values: Vec<f32>| {
-            weights.insert(&format!("{name}.{part}"), HostTensor { shape: vec![output], values });
+            weights.insert(
+                &format!("{name}.{part}"),
+                HostTensor {
+                    shape: vec![output],
+                    values,
+                },
+            );
         };
         if let Some(bias) = &self.linear.bias {
             vector("conv.bias", host(bias.val()));
         }
-        let folded = [vec![1.0; output], vec![0.0; output], vec![0.0; output], vec![1.0 - NORM_EPSILON as f32; output]];
+        let folded = [
+            vec![1.0; output],
+            vec![0.0; output],
+            vec![0.0; output],
+            vec![1.0 - NORM_EPSILON as f32; output],
+        ];
         let [gamma, beta, mean, variance] = match &self.norm {
             Some(norm) => [
                 host(norm.gamma.val()),
@@ -130,7 +164,11 @@ impl SharedMlp {
             Some(norm) => norm.forward(x),
             None => x,
         };
-        if self.linear_only { x } else { leaky_relu(x, SLOPE) }
+        if self.linear_only {
+            x
+        } else {
+            leaky_relu(x, SLOPE)
+        }
     }
 }
 
@@ -142,18 +180,33 @@ pub struct AttentivePooling {
 }
 
 impl AttentivePooling {
-    fn load(weights: &Checkpoint, name: &str, shape: [usize; 2], form: Form, device: &Device) -> Result<Self> {
+    fn load(
+        weights: &Checkpoint,
+        name: &str,
+        shape: [usize; 2],
+        form: Form,
+        device: &Device,
+    ) -> Result<Self> {
         let [input, _] = shape;
         let score = weights.get(&format!("{name}.fc.weight"), &[input, input])?;
         let weight = parameter(transposed(score, input, input), [input, input], device);
         let mlp = SharedMlp::load(weights, &format!("{name}.mlp"), shape, false, form, device)?;
-        Ok(Self { score: Linear { weight, bias: None }, mlp })
+        Ok(Self {
+            score: Linear { weight, bias: None },
+            mlp,
+        })
     }
 
     fn save(&self, weights: &mut Checkpoint, name: &str) {
         let shape = self.score.weight.dims();
         let values = transposed(&host(self.score.weight.val()), shape[1], shape[0]);
-        weights.insert(&format!("{name}.fc.weight"), HostTensor { shape: shape.to_vec(), values });
+        weights.insert(
+            &format!("{name}.fc.weight"),
+            HostTensor {
+                shape: shape.to_vec(),
+                values,
+            },
+        );
         self.mlp.save(weights, &format!("{name}.mlp"));
     }
 
@@ -178,11 +231,19 @@ pub struct ResidualBlock {
 }
 
 impl ResidualBlock {
-    fn load(weights: &Checkpoint, n: usize, [input, d]: [usize; 2], form: Form, device: &Device) -> Result<Self> {
+    fn load(
+        weights: &Checkpoint,
+        n: usize,
+        [input, d]: [usize; 2],
+        form: Form,
+        device: &Device,
+    ) -> Result<Self> {
         let name = |part: &str| format!("dilated_res_blocks.{n}.{part}");
-        let mlp =
-            |part: &str, shape, linear_only| SharedMlp::load(weights, &name(part), shape, linear_only, form, device);
-        let pooling = |part: &str, shape| AttentivePooling::load(weights, &name(part), shape, form, device);
+        let mlp = |part: &str, shape, linear_only| {
+            SharedMlp::load(weights, &name(part), shape, linear_only, form, device)
+        };
+        let pooling =
+            |part: &str, shape| AttentivePooling::load(weights, &name(part), shape, form, device);
         Ok(Self {
             narrow: mlp("mlp1", [input, d / 2], false)?,
             first_code: mlp("lfa.mlp1", [POSITION_CHANNELS, d / 2], false)?,
@@ -201,7 +262,8 @@ impl ResidualBlock {
         self.first_code.save(weights, &name("lfa.mlp1"));
         self.first_pooling.save(weights, &name("lfa.att_pooling_1"));
         self.second_code.save(weights, &name("lfa.mlp2"));
-        self.second_pooling.save(weights, &name("lfa.att_pooling_2"));
+        self.second_pooling
+            .save(weights, &name("lfa.att_pooling_2"));
         self.widen.save(weights, &name("mlp2"));
         self.shortcut.save(weights, &name("shortcut"));
     }
@@ -210,13 +272,23 @@ impl ResidualBlock {
     fn forward(&self, features: Tensor<2>, level: &SampledLevel) -> Tensor<2> {
         let all = 0..level.positions.len();
         let narrow = self.narrow.forward(features.clone());
-        let code = self.first_code.forward(position_code(level, all.clone(), &features.device()));
+        let code = self
+            .first_code
+            .forward(position_code(level, all.clone(), &features.device()));
         let gathered = gather(narrow, level, all.clone());
-        let pooled = self.first_pooling.forward(Tensor::cat(vec![gathered, code.clone()], 1), level.neighbours.k);
+        let pooled = self.first_pooling.forward(
+            Tensor::cat(vec![gathered, code.clone()], 1),
+            level.neighbours.k,
+        );
         let code = self.second_code.forward(code);
         let gathered = gather(pooled, level, all);
-        let pooled = self.second_pooling.forward(Tensor::cat(vec![gathered, code], 1), level.neighbours.k);
-        leaky_relu(self.widen.forward(pooled) + self.shortcut.forward(features), SLOPE)
+        let pooled = self
+            .second_pooling
+            .forward(Tensor::cat(vec![gathered, code], 1), level.neighbours.k);
+        leaky_relu(
+            self.widen.forward(pooled) + self.shortcut.forward(features),
+            SLOPE,
+        )
     }
 
     /// The same in chunks of points, side by side: memory for `[points, K, d]` tensors stays bounded.
@@ -225,19 +297,31 @@ impl ResidualBlock {
         let chunk = (CHUNK_VALUES / (k * self.width)).max(1);
         let chunks = |stage: &(dyn Fn(std::ops::Range<usize>) -> Tensor<2> + Sync)| {
             let starts: Vec<usize> = (0..points).step_by(chunk).collect();
-            let parts: Vec<Tensor<2>> = starts.into_par_iter().map(|s| stage(s..(s + chunk).min(points))).collect();
+            let parts: Vec<Tensor<2>> = starts
+                .into_par_iter()
+                .map(|s| stage(s..(s + chunk).min(points)))
+                .collect();
             Tensor::cat(parts, 0)
         };
         let narrow = self.narrow.forward(features.clone());
         let pooled = chunks(&|range| {
-            let code = self.first_code.forward(position_code(level, range.clone(), &device));
-            self.first_pooling.forward(Tensor::cat(vec![gather(narrow.clone(), level, range), code], 1), k)
+            let code = self
+                .first_code
+                .forward(position_code(level, range.clone(), &device));
+            self.first_pooling.forward(
+                Tensor::cat(vec![gather(narrow.clone(), level, range), code], 1),
+                k,
+            )
         });
         chunks(&|range| {
-            let code = self.first_code.forward(position_code(level, range.clone(), &device));
+            let code = self
+                .first_code
+                .forward(position_code(level, range.clone(), &device));
             let code = self.second_code.forward(code);
             let gathered = gather(pooled.clone(), level, range.clone());
-            let pooled = self.second_pooling.forward(Tensor::cat(vec![gathered, code], 1), k);
+            let pooled = self
+                .second_pooling
+                .forward(Tensor::cat(vec![gathered, code], 1), k);
             let shortcut = self.shortcut.forward(features.clone().slice([range]));
             leaky_relu(self.widen.forward(pooled) + shortcut, SLOPE)
         })
@@ -274,18 +358,27 @@ impl RandlaEncoder {
         let mut blocks = Vec::with_capacity(LAYERS);
         let mut input = stem;
         for n in 0..LAYERS {
-            let width = weights.shape(&format!("dilated_res_blocks.{n}.lfa.att_pooling_2.fc.weight"))?;
+            let width = weights.shape(&format!(
+                "dilated_res_blocks.{n}.lfa.att_pooling_2.fc.weight"
+            ))?;
             let d = width.first().copied().unwrap_or_default();
             blocks.push(ResidualBlock::load(weights, n, [input, d], form, device)?);
             input = 2 * d;
         }
         let stem = SharedMlp::load(weights, "fc0", [inputs, stem], false, form, device)?;
-        Ok(Self { stem, blocks, inputs })
+        Ok(Self {
+            stem,
+            blocks,
+            inputs,
+        })
     }
 
     /// All weights under the names that [`RandlaEncoder::load`] reads.
     pub fn to_checkpoint(&self, origin: &str) -> Checkpoint {
-        let mut weights = Checkpoint { origin: origin.into(), ..Checkpoint::default() };
+        let mut weights = Checkpoint {
+            origin: origin.into(),
+            ..Checkpoint::default()
+        };
         self.stem.save(&mut weights, "fc0");
         for (n, block) in self.blocks.iter().enumerate() {
             block.save(&mut weights, n);
@@ -306,12 +399,20 @@ impl RandlaEncoder {
     /// Features of every level before its sampling, then those of the coarsest set (Eq. 6 with the sampling innermost).
     /// `input` is `[N, 3 or 6]` on the points of level 1. Whole levels at once, for training, or chunk by chunk
     /// (`chunked`), which holds less and uses all cores.
-    pub fn encode_levels(&self, input: Tensor<2>, hierarchy: &Hierarchy, chunked: bool) -> (Vec<Tensor<2>>, Tensor<2>) {
+    pub fn encode_levels(
+        &self,
+        input: Tensor<2>,
+        hierarchy: &Hierarchy,
+        chunked: bool,
+    ) -> (Vec<Tensor<2>>, Tensor<2>) {
         let mut features = self.stem.forward(input);
         let mut outputs = Vec::with_capacity(self.blocks.len());
         for (block, level) in self.blocks.iter().zip(&hierarchy.levels) {
             let (output, together) = match chunked {
-                true => (block.forward_chunked(features, level), CHUNK_VALUES / (level.neighbours.k * 2 * block.width)),
+                true => (
+                    block.forward_chunked(features, level),
+                    CHUNK_VALUES / (level.neighbours.k * 2 * block.width),
+                ),
                 false => (block.forward(features, level), level.kept.len()),
             };
             features = sample(&output, level, together.max(1));
@@ -322,7 +423,11 @@ impl RandlaEncoder {
 }
 
 /// Local spatial encoding's input for the neighbours of the points in `range`: distance, p_i - p_k, p_i, p_k.
-fn position_code(level: &SampledLevel, range: std::ops::Range<usize>, device: &Device) -> Tensor<2> {
+fn position_code(
+    level: &SampledLevel,
+    range: std::ops::Range<usize>,
+    device: &Device,
+) -> Tensor<2> {
     let rows = range.len() * level.neighbours.k;
     let mut code = Vec::with_capacity(rows * POSITION_CHANNELS);
     for i in range {
@@ -331,7 +436,9 @@ fn position_code(level: &SampledLevel, range: std::ops::Range<usize>, device: &D
             let q = level.positions[j as usize];
             let d = [p[0] - q[0], p[1] - q[1], p[2] - q[2]];
             let distance = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
-            code.extend_from_slice(&[distance, d[0], d[1], d[2], p[0], p[1], p[2], q[0], q[1], q[2]]);
+            code.extend_from_slice(&[
+                distance, d[0], d[1], d[2], p[0], p[1], p[2], q[0], q[1], q[2],
+            ]);
         }
     }
     tensor(code, [rows, POSITION_CHANNELS], device)
@@ -341,7 +448,10 @@ fn position_code(level: &SampledLevel, range: std::ops::Range<usize>, device: &D
 fn gather(features: Tensor<2>, level: &SampledLevel, range: std::ops::Range<usize>) -> Tensor<2> {
     let k = level.neighbours.k;
     let indices = level.neighbours.indices[range.start * k..range.end * k].to_vec();
-    sparse_apply(features, Arc::new(SparseMatrix::selection(indices, level.positions.len())))
+    sparse_apply(
+        features,
+        Arc::new(SparseMatrix::selection(indices, level.positions.len())),
+    )
 }
 
 /// Random sampling's pooling: the kept points, so many `together`, take the element-wise maximum over their neighbours'
@@ -349,27 +459,51 @@ fn gather(features: Tensor<2>, level: &SampledLevel, range: std::ops::Range<usiz
 fn sample(features: &Tensor<2>, level: &SampledLevel, together: usize) -> Tensor<2> {
     let ([points, channels], k) = (features.dims(), level.neighbours.k);
     let parts = level.kept.chunks(together).map(|kept| {
-        let indices = kept.iter().flat_map(|&i| level.neighbours.row(i as usize)).copied().collect();
-        let gathered: Tensor<2> = sparse_apply(features.clone(), Arc::new(SparseMatrix::selection(indices, points)));
-        gathered.reshape([kept.len(), k, channels]).max_dim(1).reshape([kept.len(), channels])
+        let indices = kept
+            .iter()
+            .flat_map(|&i| level.neighbours.row(i as usize))
+            .copied()
+            .collect();
+        let gathered: Tensor<2> = sparse_apply(
+            features.clone(),
+            Arc::new(SparseMatrix::selection(indices, points)),
+        );
+        gathered
+            .reshape([kept.len(), k, channels])
+            .max_dim(1)
+            .reshape([kept.len(), channels])
     });
     Tensor::cat(parts.collect(), 0)
 }
 
 /// `[rows, columns]` from `[columns, rows]`, row-major.
 fn transposed(values: &[f32], rows: usize, columns: usize) -> Vec<f32> {
-    (0..rows * columns).map(|i| values[i % columns * rows + i / columns]).collect()
+    (0..rows * columns)
+        .map(|i| values[i % columns * rows + i / columns])
+        .collect()
 }
 
 /// Row-major values of a tensor, f32.
 pub(crate) fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().convert::<f32>().into_vec().unwrap_or_default() // just converted: always f32
+    tensor
+        .into_data()
+        .convert::<f32>()
+        .into_vec()
+        .unwrap_or_default() // just converted: always f32
 }
 
-pub(crate) fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Tensor<D> {
+pub(crate) fn tensor<const D: usize>(
+    values: Vec<f32>,
+    shape: [usize; D],
+    device: &Device,
+) -> Tensor<D> {
     Tensor::from_data(TensorData::new(values, shape), device)
 }
 
-pub(crate) fn parameter<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Param<Tensor<D>> {
+pub(crate) fn parameter<const D: usize>(
+    values: Vec<f32>,
+    shape: [usize; D],
+    device: &Device,
+) -> Param<Tensor<D>> {
     Param::from_tensor(tensor(values, shape, device))
 }

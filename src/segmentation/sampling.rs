@@ -42,7 +42,13 @@ impl Hierarchy {
     ///
     /// # Errors
     /// [`crate::Error::NonFinite`] naming the first bad row.
-    pub fn build(positions: &[[f32; 3]], layers: usize, ratio: usize, k: usize, seed: u64) -> Result<Self> {
+    pub fn build(
+        positions: &[[f32; 3]],
+        layers: usize,
+        ratio: usize,
+        k: usize,
+        seed: u64,
+    ) -> Result<Self> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(SHUFFLE_STREAM);
         let mut order: Vec<u32> = (0..positions.len() as u32).collect();
@@ -55,12 +61,25 @@ impl Hierarchy {
             let count = (points.len() / ratio.max(1)).max(1).min(points.len());
             order.truncate(count);
             // from level 2 on, the rows already are the shuffle's first ones
-            let kept = if n == 0 { order.clone() } else { (0..count as u32).collect() };
-            levels.push(SampledLevel { indices, positions: points, neighbours, kept });
+            let kept = if n == 0 {
+                order.clone()
+            } else {
+                (0..count as u32).collect()
+            };
+            levels.push(SampledLevel {
+                indices,
+                positions: points,
+                neighbours,
+                kept,
+            });
             indices = order.clone();
         }
         let coarsest_positions = indices.iter().map(|&i| positions[i as usize]).collect();
-        Ok(Self { levels, coarsest_indices: indices, coarsest_positions })
+        Ok(Self {
+            levels,
+            coarsest_indices: indices,
+            coarsest_positions,
+        })
     }
 
     /// The maps that carry features from level n + 1 (or the coarsest set) to level n, for n = 1 to L.
@@ -68,8 +87,15 @@ impl Hierarchy {
     /// # Errors
     /// [`crate::Error::NonFinite`] naming the first bad row.
     pub fn upsampling(&self) -> Result<Vec<Arc<SparseMatrix>>> {
-        let coarser = self.levels.iter().skip(1).map(|l| &l.positions).chain([&self.coarsest_positions]);
+        let coarser = self
+            .levels
+            .iter()
+            .skip(1)
+            .map(|l| &l.positions)
+            .chain([&self.coarsest_positions]);
         let pairs = self.levels.iter().zip(coarser);
-        pairs.map(|(fine, coarse)| Ok(Arc::new(interpolation(coarse, &fine.positions)?))).collect()
+        pairs
+            .map(|(fine, coarse)| Ok(Arc::new(interpolation(coarse, &fine.positions)?)))
+            .collect()
     }
 }

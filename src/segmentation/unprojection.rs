@@ -95,8 +95,15 @@ impl<E: Real> Sums<E> {
         resolution: Resolution,
         settings: &Settings,
     ) -> Result<()> {
-        check(self.counts.first().map_or(splats.len(), Vec::len), &self.channels, splats.len(), maps)?;
-        mask.map_or(Ok(()), |mask| mask.expect_size("a view", camera.width, camera.height))?;
+        check(
+            self.counts.first().map_or(splats.len(), Vec::len),
+            &self.channels,
+            splats.len(),
+            maps,
+        )?;
+        mask.map_or(Ok(()), |mask| {
+            mask.expect_size("a view", camera.width, camera.height)
+        })?;
         // Scales on one grid share the projection and the scalar weights.
         let mut grids: Vec<(Lattice, Vec<usize>)> = Vec::new();
         for (scale, map) in maps.iter().enumerate() {
@@ -110,10 +117,24 @@ impl<E: Real> Sums<E> {
             Resolution::Image => view::add(self, splats, camera, maps, mask, &grids, settings),
             Resolution::Feature => grids.iter().try_for_each(|grid| {
                 // Cells are the pixels of the scaled camera.
-                let pixels = (Lattice { steps: None, ..grid.0 }, grid.1.clone());
+                let pixels = (
+                    Lattice {
+                        steps: None,
+                        ..grid.0
+                    },
+                    grid.1.clone(),
+                );
                 let cells = grid.0.camera(camera);
                 let mask = mask.map(|mask| of_cells(mask, camera, &cells));
-                view::add(self, splats, &cells, maps, mask.as_ref(), &[pixels], settings)
+                view::add(
+                    self,
+                    splats,
+                    &cells,
+                    maps,
+                    mask.as_ref(),
+                    &[pixels],
+                    settings,
+                )
             }),
         }
     }
@@ -123,12 +144,19 @@ impl<E: Real> Sums<E> {
     pub fn normalised(mut self, normalisation: Normalisation) -> Self {
         for (scale, buffer) in self.buffers.iter_mut().enumerate() {
             let divisors = self.weights[scale].iter().zip(&self.counts[scale]);
-            for (row, (&weight, &count)) in buffer.chunks_exact_mut(self.channels[scale].max(1)).zip(divisors) {
+            for (row, (&weight, &count)) in buffer
+                .chunks_exact_mut(self.channels[scale].max(1))
+                .zip(divisors)
+            {
                 let divisor = match normalisation {
                     Normalisation::Count => E::of(count as f64 + EPSILON),
                     Normalisation::Weight => weight,
                 };
-                let factor = if weight > E::zero() { divisor.recip() } else { E::zero() };
+                let factor = if weight > E::zero() {
+                    divisor.recip()
+                } else {
+                    E::zero()
+                };
                 for x in row {
                     *x *= factor;
                 }
@@ -152,14 +180,27 @@ impl<E: Real> Sums<E> {
 
 /// `mask` of the pixels of `camera` for those of `cells`, the same camera with other pixels: what holds at their centres.
 fn of_cells(mask: &Mask, camera: &Camera, cells: &Camera) -> Mask {
-    let pixel = |cell: usize, [center, focal]: [f64; 2], [pixel_center, pixel_focal]: [f64; 2], pixels: usize| {
+    let pixel = |cell: usize,
+                 [center, focal]: [f64; 2],
+                 [pixel_center, pixel_focal]: [f64; 2],
+                 pixels: usize| {
         let place = (cell as f64 + 0.5 - center) * pixel_focal / focal + pixel_center;
         (place.max(0.0) as usize).min(pixels.saturating_sub(1))
     };
     Mask::new(cells.width, cells.height, |i| {
         let (x, y) = (i % cells.width, i / cells.width);
-        let x = pixel(x, [cells.cx, cells.fx], [camera.cx, camera.fx], camera.width);
-        let y = pixel(y, [cells.cy, cells.fy], [camera.cy, camera.fy], camera.height);
+        let x = pixel(
+            x,
+            [cells.cx, cells.fx],
+            [camera.cx, camera.fx],
+            camera.width,
+        );
+        let y = pixel(
+            y,
+            [cells.cy, cells.fy],
+            [camera.cy, camera.fy],
+            camera.height,
+        );
         mask.uses(y * camera.width + x)
     })
 }
@@ -177,12 +218,22 @@ fn check(n: usize, channels: &[usize], gaussians: usize, maps: &[FeatureMap]) ->
     }
     if gaussians != n {
         let (found, expected) = (format!("{gaussians} Gaussians"), format!("{n}"));
-        return Err(Error::argument("unprojection", found, expected, "make new sums for another scene"));
+        return Err(Error::argument(
+            "unprojection",
+            found,
+            expected,
+            "make new sums for another scene",
+        ));
     }
     for (scale, map) in maps.iter().enumerate() {
         map.check(&format!("feature map of scale {}", scale + 1))?;
         if map.cells() == 0 {
-            return Err(Error::argument("feature map", "no cells", "one or more", "leave the view out"));
+            return Err(Error::argument(
+                "feature map",
+                "no cells",
+                "one or more",
+                "leave the view out",
+            ));
         }
     }
     Ok(())
@@ -206,7 +257,10 @@ impl<'a> Lifting<'a> {
         let place = if in_host_memory(device) || gaussians.is_empty() {
             Place::Host(Sums::new(gaussians.len(), channels))
         } else {
-            Place::Device(Box::new(DeviceSums::new(SplatTensors::new(gaussians, device), channels)))
+            Place::Device(Box::new(DeviceSums::new(
+                SplatTensors::new(gaussians, device),
+                channels,
+            )))
         };
         Self { gaussians, place }
     }
@@ -224,8 +278,22 @@ impl<'a> Lifting<'a> {
         settings: &Settings,
     ) -> Result<()> {
         match &mut self.place {
-            Place::Host(sums) => sums.add_used(&self.gaussians.splats(), camera, maps, mask, resolution, settings),
-            Place::Device(sums) => sums.add(&self.gaussians.splats(), camera, maps, mask, resolution, settings),
+            Place::Host(sums) => sums.add_used(
+                &self.gaussians.splats(),
+                camera,
+                maps,
+                mask,
+                resolution,
+                settings,
+            ),
+            Place::Device(sums) => sums.add(
+                &self.gaussians.splats(),
+                camera,
+                maps,
+                mask,
+                resolution,
+                settings,
+            ),
         }
     }
 
@@ -290,14 +358,19 @@ pub fn unproject<'a>(
 ) -> Result<Unprojected> {
     let features = set.views.iter().map(Ok);
     let go_on = &mut || ControlFlow::<Infallible>::Continue(());
-    let ControlFlow::Continue(lifted) = unproject_each(gaussians, views, features, config, settings, device, go_on)?;
+    let ControlFlow::Continue(lifted) =
+        unproject_each(gaussians, views, features, config, settings, device, go_on)?;
     Ok(lifted)
 }
 
 /// How often [`unproject_each`] looks at a view at most.
 pub fn looks_at_a_view(config: &UnprojectionConfig) -> usize {
     // To lift it; for the first residual of each scale, and in each step.
-    1 + if config.solve_iterations > 0 { SCALES * (1 + config.solve_iterations) } else { 0 }
+    1 + if config.solve_iterations > 0 {
+        SCALES * (1 + config.solve_iterations)
+    } else {
+        0
+    }
 }
 
 /// [`unproject`] with features that need not be in memory together: each view's are let go before the next are asked for.
@@ -334,28 +407,51 @@ pub fn unproject_each<'a, F: Borrow<ViewFeatures>, B>(
             return Err(mismatch(view.name.clone(), name.clone()));
         }
         let (width, height) = (view.camera.width, view.camera.height);
-        view.mask.iter().try_for_each(|mask| mask.expect_size(&format!("view {name}"), width, height))?;
+        view.mask
+            .iter()
+            .try_for_each(|mask| mask.expect_size(&format!("view {name}"), width, height))?;
         let channels = maps.each_ref().map(|m| m.channels);
         let sums = sums.get_or_insert_with(|| Lifting::new(gaussians, &channels, device));
-        sums.add(&view.camera, maps, view.mask.as_ref(), config.resolution, settings)?;
+        sums.add(
+            &view.camera,
+            maps,
+            view.mask.as_ref(),
+            config.resolution,
+            settings,
+        )?;
         lattices.push(maps.each_ref().map(FeatureMap::lattice));
         if let ControlFlow::Break(told) = looked() {
             return Ok(ControlFlow::Break(told));
         }
     }
     if features.next().is_some() {
-        return Err(mismatch(format!("{} views", views.len()), format!("{} or more", views.len() + 1)));
+        return Err(mismatch(
+            format!("{} views", views.len()),
+            format!("{} or more", views.len() + 1),
+        ));
     }
-    let sums = sums.map_or_else(|| Ok(Sums::new(gaussians.len(), &[0; SCALES])), Lifting::finish)?;
+    let sums = sums.map_or_else(
+        || Ok(Sums::new(gaussians.len(), &[0; SCALES])),
+        Lifting::finish,
+    )?;
     let keep = sums.attended(config);
     let sums = match config.solve_iterations {
         0 => sums.normalised(config.normalisation),
-        _ => match solved(sums, gaussians, (&views, &lattices), config, settings, looked)? {
+        _ => match solved(
+            sums,
+            gaussians,
+            (&views, &lattices),
+            config,
+            settings,
+            looked,
+        )? {
             ControlFlow::Continue(solved) => solved,
             ControlFlow::Break(told) => return Ok(ControlFlow::Break(told)),
         },
     };
-    let seen = (0..gaussians.len()).map(|i| sums.weights.iter().all(|w| w[i] > 0.0)).collect();
+    let seen = (0..gaussians.len())
+        .map(|i| sums.weights.iter().all(|w| w[i] > 0.0))
+        .collect();
     let scales = |all: Vec<Vec<f32>>| -> [Vec<f32>; SCALES] {
         let mut all = all.into_iter();
         std::array::from_fn(|_| all.next().unwrap_or_default()) // there are SCALES of them

@@ -93,7 +93,12 @@ impl<'a> BuildingStage<'a> {
         let train: Vec<&View> = scene.split(Split::Train).collect();
         config.building.validate()?;
         let gaussians = density::initial(scene, &train, config)?;
-        Self::from_state(scene, config, device, BuildingState::new(gaussians, config.seed))
+        Self::from_state(
+            scene,
+            config,
+            device,
+            BuildingState::new(gaussians, config.seed),
+        )
     }
 
     /// Goes on from a state, exactly as the run that it is of would have.
@@ -101,37 +106,89 @@ impl<'a> BuildingStage<'a> {
     /// # Errors
     /// [`Error::Config`] for settings that cannot work or are not those of the state; [`Error::Argument`] for a scene without
     /// training views; [`Error::Input`] when the state is of another scene; those of [`crate::data::Photo::pixels`].
-    pub fn from_state(scene: &'a Scene, config: &Config, device: &Device, state: BuildingState) -> Result<Self> {
+    pub fn from_state(
+        scene: &'a Scene,
+        config: &Config,
+        device: &Device,
+        state: BuildingState,
+    ) -> Result<Self> {
         config.building.validate()?;
         let train: Vec<&View> = scene.split(Split::Train).collect();
         let test: Vec<&View> = scene.split(Split::Test).collect();
         if train.is_empty() {
             let found = format!("{} without training views", scene.name);
-            return Err(Error::argument("data", found, "a scene with training views", "mark some views as `train`"));
+            return Err(Error::argument(
+                "data",
+                found,
+                "a scene with training views",
+                "mark some views as `train`",
+            ));
         }
-        if let Some(view) =
-            train.iter().chain(&test).find(|v| (v.image.width(), v.image.height()) != (v.camera.width, v.camera.height))
+        if let Some(view) = train
+            .iter()
+            .chain(&test)
+            .find(|v| (v.image.width(), v.image.height()) != (v.camera.width, v.camera.height))
         {
-            let found = format!("{}x{} pixels in view {}", view.image.width(), view.image.height(), view.name);
+            let found = format!(
+                "{}x{} pixels in view {}",
+                view.image.width(),
+                view.image.height(),
+                view.name
+            );
             let expected = format!("{}x{} as its camera", view.camera.width, view.camera.height);
-            return Err(Error::argument("data", found, expected, "resize the photo or mend the intrinsics"));
+            return Err(Error::argument(
+                "data",
+                found,
+                expected,
+                "resize the photo or mend the intrinsics",
+            ));
         }
-        train.iter().chain(&test).try_for_each(|view| view.check_mask())?;
+        train
+            .iter()
+            .chain(&test)
+            .try_for_each(|view| view.check_mask())?;
         let provenance = Provenance::building(config, scene);
         if state.provenance.is_known() {
-            provenance.check_built(&state.provenance, scene, Path::new("the building checkpoint"))?;
+            provenance.check_built(
+                &state.provenance,
+                scene,
+                Path::new("the building checkpoint"),
+            )?;
         }
         if state.seed != config.seed {
             let (found, expected) = (config.seed.to_string(), state.seed.to_string());
-            return Err(Error::config("seed", found, expected, "resume with the seed of the checkpoint"));
+            return Err(Error::config(
+                "seed",
+                found,
+                expected,
+                "resume with the seed of the checkpoint",
+            ));
         }
         if state.gaussians.sh_degree != config.building.sh_degree {
-            let (found, expected) = (config.building.sh_degree.to_string(), state.gaussians.sh_degree.to_string());
-            return Err(Error::config("building.sh_degree", found, expected, "resume with the checkpoint's degree"));
+            let (found, expected) = (
+                config.building.sh_degree.to_string(),
+                state.gaussians.sh_degree.to_string(),
+            );
+            return Err(Error::config(
+                "building.sh_degree",
+                found,
+                expected,
+                "resume with the checkpoint's degree",
+            ));
         }
         let size = extent(&train, &scene.points);
         let device = device.clone().inner();
-        let BuildingState { iteration, gaussians, first, second, stats, losses, curve, seconds, .. } = state;
+        let BuildingState {
+            iteration,
+            gaussians,
+            first,
+            second,
+            stats,
+            losses,
+            curve,
+            seconds,
+            ..
+        } = state;
         Ok(Self {
             settings: Settings::from(&config.raster),
             schedule: Schedule::new(&config.building, train.len(), size),
@@ -217,26 +274,47 @@ impl<'a> BuildingStage<'a> {
         let view = self.train[index];
         let context = format!(", view {}, iteration {iteration}", view.name);
         let locate = |error| match error {
-            Error::NonFinite { tensor, row, .. } => Error::NonFinite { tensor, row, context: context.clone() },
+            Error::NonFinite { tensor, row, .. } => Error::NonFinite {
+                tensor,
+                row,
+                context: context.clone(),
+            },
             other => other,
         };
-        let Pass { gradients, of_screen, radii, checked } = self.pass(index, view, iteration).map_err(locate)?;
+        let Pass {
+            gradients,
+            of_screen,
+            radii,
+            checked,
+        } = self.pass(index, view, iteration).map_err(locate)?;
         if let Some(gradient) = of_screen {
             self.tally.record(gradient, &radii)?;
         }
-        self.parameters.step(gradients, &self.rates(iteration), iteration as u32);
+        self.parameters
+            .step(gradients, &self.rates(iteration), iteration as u32);
         self.add_noise(iteration)?;
         self.iteration = iteration;
         self.losses.0 += checked.loss;
         self.losses.1 += 1;
-        let densified = if self.schedule.densifies(iteration) { Some(self.densify()?) } else { None };
+        let densified = if self.schedule.densifies(iteration) {
+            Some(self.densify()?)
+        } else {
+            None
+        };
         let reset = self.schedule.resets(iteration);
         if reset {
             self.reset()?;
         }
         self.seconds += start.elapsed().as_secs_f64();
         let (view, gaussians) = (view.name.clone(), self.parameters.len());
-        Ok(StepReport { iteration, view, loss: checked.loss, gaussians, densified, reset })
+        Ok(StepReport {
+            iteration,
+            view,
+            loss: checked.loss,
+            gaussians,
+            densified,
+            reset,
+        })
     }
 
     /// Trains to the end of the run, or until `progress` says stop, scoring the held-out views and keeping the
@@ -246,13 +324,38 @@ impl<'a> BuildingStage<'a> {
     /// As [`BuildingStage::step`], and [`Error::Io`] from the checkpoint. The last checkpoint stays.
     pub fn run(&mut self, progress: &mut dyn Progress) -> Result<()> {
         let iterations = self.config.building.iterations;
-        progress.event(&Event::Started { stage: "building", done: self.iteration, iterations });
+        progress.event(&Event::Started {
+            stage: "building",
+            done: self.iteration,
+            iterations,
+        });
         while self.iteration < iterations {
             let report = self.step()?;
-            let StepReport { iteration, loss, gaussians, .. } = report;
-            progress.event(&Event::Step { iteration, loss, gaussians });
-            if let Some(Densified { cloned, split, pruned, relocated }) = report.densified {
-                progress.event(&Event::Densified { iteration, cloned, split, pruned, relocated });
+            let StepReport {
+                iteration,
+                loss,
+                gaussians,
+                ..
+            } = report;
+            progress.event(&Event::Step {
+                iteration,
+                loss,
+                gaussians,
+            });
+            if let Some(Densified {
+                cloned,
+                split,
+                pruned,
+                relocated,
+            }) = report.densified
+            {
+                progress.event(&Event::Densified {
+                    iteration,
+                    cloned,
+                    split,
+                    pruned,
+                    relocated,
+                });
             }
             if self.schedule.evaluates(iteration) {
                 progress.event(&Event::Evaluated(self.evaluate()?));
@@ -275,7 +378,11 @@ impl<'a> BuildingStage<'a> {
     /// [`Error::NonFinite`] when a parameter is not finite; those of [`crate::data::Photo::pixels`].
     pub fn evaluate(&mut self) -> Result<CurvePoint> {
         let start = Instant::now();
-        let scores: Vec<ImageScores> = self.test.iter().map(|view| self.score(view)).collect::<Result<_>>()?;
+        let scores: Vec<ImageScores> = self
+            .test
+            .iter()
+            .map(|view| self.score(view))
+            .collect::<Result<_>>()?;
         self.seconds += start.elapsed().as_secs_f64();
         let (sum, count) = std::mem::take(&mut self.losses);
         let point = CurvePoint {
@@ -302,7 +409,12 @@ impl<'a> BuildingStage<'a> {
             features: None,
             screen: None,
         };
-        let output = rasterize(input, &view.camera, &self.settings, self.config.raster.background)?;
+        let output = rasterize(
+            input,
+            &view.camera,
+            &self.settings,
+            self.config.raster.background,
+        )?;
         let image = read("image", output.image)?;
         ImageScores::of_view(&image, view)
     }
@@ -310,7 +422,9 @@ impl<'a> BuildingStage<'a> {
     fn save(&self, progress: &mut dyn Progress) -> Result<()> {
         if let Some(path) = &self.checkpoint {
             self.state()?.save(path)?;
-            progress.event(&Event::Saved { iteration: self.iteration });
+            progress.event(&Event::Saved {
+                iteration: self.iteration,
+            });
         }
         Ok(())
     }

@@ -43,7 +43,14 @@ impl BuildingState {
     pub fn new(gaussians: Gaussians, seed: u64) -> Self {
         let (first, second) = (zero_moments(&gaussians), zero_moments(&gaussians));
         let stats = DensityStats::new(gaussians.len());
-        Self { seed, gaussians, first, second, stats, ..Self::default() }
+        Self {
+            seed,
+            gaussians,
+            first,
+            second,
+            stats,
+            ..Self::default()
+        }
     }
 
     /// Writes a checkpoint; the file that was there stays whole until the new one is on disk.
@@ -57,12 +64,25 @@ impl BuildingState {
         c.put("seed", &[], vec![self.seed])?;
         c.put("iteration", &[], vec![self.iteration as u64])?;
         let g = &self.gaussians;
-        let values =
-            [g.means.as_flattened(), g.log_scales.as_flattened(), g.rotations.as_flattened(), &g.opacity_logits, &g.sh];
+        let values = [
+            g.means.as_flattened(),
+            g.log_scales.as_flattened(),
+            g.rotations.as_flattened(),
+            &g.opacity_logits,
+            &g.sh,
+        ];
         for (k, width) in widths(g).into_iter().enumerate() {
             c.put(NAMES[k], &[n, width], values[k].to_vec())?;
-            c.put(format!("{}.first", NAMES[k]), &[n, width], self.first[k].clone())?;
-            c.put(format!("{}.second", NAMES[k]), &[n, width], self.second[k].clone())?;
+            c.put(
+                format!("{}.first", NAMES[k]),
+                &[n, width],
+                self.first[k].clone(),
+            )?;
+            c.put(
+                format!("{}.second", NAMES[k]),
+                &[n, width],
+                self.second[k].clone(),
+            )?;
         }
         c.put("density.gradient", &[n], self.stats.gradient.clone())?;
         c.put("density.visible", &[n], self.stats.visible.clone())?;
@@ -86,9 +106,14 @@ impl BuildingState {
         }
         let n = match c.shape(NAMES[0])? {
             &[n, _] => n,
-            other => return Err(c.wrong("tensor means", format!("shape {other:?}"), "shape [N, 3]")),
+            other => {
+                return Err(c.wrong("tensor means", format!("shape {other:?}"), "shape [N, 3]"));
+            }
         };
-        let mut state = Self { seed: scalar(&mut c, "seed")?, ..Self::default() };
+        let mut state = Self {
+            seed: scalar(&mut c, "seed")?,
+            ..Self::default()
+        };
         state.iteration = scalar::<u64>(&mut c, "iteration")? as usize;
         state.gaussians.sh_degree = sh_degree;
         let mut values = Moments::default();
@@ -106,8 +131,10 @@ impl BuildingState {
             sh,
             sh_degree,
         };
-        state.stats =
-            DensityStats { gradient: c.take("density.gradient", &[n])?, visible: c.take("density.visible", &[n])? };
+        state.stats = DensityStats {
+            gradient: c.take("density.gradient", &[n])?,
+            visible: c.take("density.visible", &[n])?,
+        };
         state.losses = (scalar(&mut c, "loss.sum")?, scalar(&mut c, "loss.count")?);
         state.seconds = scalar(&mut c, "seconds")?;
         state.provenance = c.get("provenance")?;

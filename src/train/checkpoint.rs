@@ -95,10 +95,18 @@ impl Values {
         let (words, _) = bytes.as_chunks::<4>();
         let (long, _) = bytes.as_chunks::<8>();
         match dtype {
-            Dtype::F32 => Some(Self::F32(words.iter().map(|b| f32::from_le_bytes(*b)).collect())),
-            Dtype::U32 => Some(Self::U32(words.iter().map(|b| u32::from_le_bytes(*b)).collect())),
-            Dtype::F64 => Some(Self::F64(long.iter().map(|b| f64::from_le_bytes(*b)).collect())),
-            Dtype::U64 => Some(Self::U64(long.iter().map(|b| u64::from_le_bytes(*b)).collect())),
+            Dtype::F32 => Some(Self::F32(
+                words.iter().map(|b| f32::from_le_bytes(*b)).collect(),
+            )),
+            Dtype::U32 => Some(Self::U32(
+                words.iter().map(|b| u32::from_le_bytes(*b)).collect(),
+            )),
+            Dtype::F64 => Some(Self::F64(
+                long.iter().map(|b| f64::from_le_bytes(*b)).collect(),
+            )),
+            Dtype::U64 => Some(Self::U64(
+                long.iter().map(|b| u64::from_le_bytes(*b)).collect(),
+            )),
             _ => None,
         }
     }
@@ -135,14 +143,22 @@ impl View for Stored<'_> {
 impl Checkpoint {
     /// An empty one; `kind` says what it is a state of, such as `building`.
     pub fn new(kind: impl Into<String>) -> Self {
-        Self { kind: kind.into(), ..Self::default() }
+        Self {
+            kind: kind.into(),
+            ..Self::default()
+        }
     }
 
     /// Adds a tensor, row-major.
     ///
     /// # Errors
     /// [`Error::Limit`] when the number of values is not that of `shape`.
-    pub fn put<T: Scalar>(&mut self, name: impl Into<String>, shape: &[usize], values: Vec<T>) -> Result<()> {
+    pub fn put<T: Scalar>(
+        &mut self,
+        name: impl Into<String>,
+        shape: &[usize],
+        values: Vec<T>,
+    ) -> Result<()> {
         let name = name.into();
         if values.len() != shape.iter().product::<usize>() {
             return Err(Error::Limit {
@@ -175,11 +191,24 @@ impl Checkpoint {
         let found = self.shape(name)?.to_vec();
         let field = format!("tensor {name}");
         if found != shape {
-            return Err(self.wrong(field, format!("shape {found:?}"), format!("shape {shape:?}")));
+            return Err(self.wrong(
+                field,
+                format!("shape {found:?}"),
+                format!("shape {shape:?}"),
+            ));
         }
-        let (_, values) = self.tensors.remove(name).unwrap_or((found, Values::F32(Vec::new())));
+        let (_, values) = self
+            .tensors
+            .remove(name)
+            .unwrap_or((found, Values::F32(Vec::new())));
         let dtype = values.dtype();
-        T::unwrap(values).ok_or_else(|| self.wrong(field, format!("type {dtype:?}"), format!("type {}", T::NAME)))
+        T::unwrap(values).ok_or_else(|| {
+            self.wrong(
+                field,
+                format!("type {dtype:?}"),
+                format!("type {}", T::NAME),
+            )
+        })
     }
 
     /// Adds a setting.
@@ -187,8 +216,14 @@ impl Checkpoint {
     /// # Errors
     /// [`Error::Config`] when the value cannot be written as JSON.
     pub fn set<T: Serialize>(&mut self, key: &str, value: &T) -> Result<()> {
-        let value = serde_json::to_value(value)
-            .map_err(|e| Error::config(key, e.to_string(), "a value that JSON can hold", "change the value"))?;
+        let value = serde_json::to_value(value).map_err(|e| {
+            Error::config(
+                key,
+                e.to_string(),
+                "a value that JSON can hold",
+                "change the value",
+            )
+        })?;
         self.settings.insert(key.to_owned(), value);
         Ok(())
     }
@@ -207,7 +242,8 @@ impl Checkpoint {
         let Some(value) = self.settings.get(key) else {
             return Err(self.wrong(field, "nothing", "a value"));
         };
-        serde_json::from_value(value.clone()).map_err(|e| self.wrong(field, e.to_string(), std::any::type_name::<T>()))
+        serde_json::from_value(value.clone())
+            .map_err(|e| self.wrong(field, e.to_string(), std::any::type_name::<T>()))
     }
 
     /// What this is a state of.
@@ -216,8 +252,19 @@ impl Checkpoint {
     }
 
     /// An [`Error::Input`] about this checkpoint's file.
-    pub fn wrong(&self, field: impl Into<String>, found: impl Into<String>, expected: impl Into<String>) -> Error {
-        Error::input(&self.path, field, found, expected, "resume from another checkpoint, or start the run again")
+    pub fn wrong(
+        &self,
+        field: impl Into<String>,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+    ) -> Error {
+        Error::input(
+            &self.path,
+            field,
+            found,
+            expected,
+            "resume from another checkpoint, or start the run again",
+        )
     }
 
     /// Writes `path`; what stood there before stays whole until the new file is on disk.
@@ -225,9 +272,13 @@ impl Checkpoint {
     /// # Errors
     /// [`Error::Io`] naming the file.
     pub fn save(&self, path: &Path) -> Result<()> {
-        let settings = serde_json::json!({ "kind": self.kind, "version": VERSION, "settings": self.settings });
+        let settings =
+            serde_json::json!({ "kind": self.kind, "version": VERSION, "settings": self.settings });
         let metadata = HashMap::from([(KEY.to_owned(), settings.to_string())]);
-        let tensors = self.tensors.iter().map(|(name, (shape, values))| (name, Stored(shape, values)));
+        let tensors = self
+            .tensors
+            .iter()
+            .map(|(name, (shape, values))| (name, Stored(shape, values)));
         let bytes = safetensors::serialize(tensors, Some(metadata))
             .map_err(|e| Error::io(path, "encode", std::io::Error::other(e.to_string())))?;
         atomic::write_bytes(path, &bytes)
@@ -240,30 +291,58 @@ impl Checkpoint {
     /// kind or version.
     pub fn load(path: &Path, kind: &str) -> Result<Self> {
         let bytes = fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-        let mut checkpoint = Self { path: path.to_owned(), kind: kind.to_owned(), ..Self::default() };
-        let (file, (_, header)) =
-            SafeTensors::deserialize(&bytes).and_then(|file| Ok((file, SafeTensors::read_metadata(&bytes)?))).map_err(
-                |e| checkpoint.wrong("header", format!("{} bytes, {e}", bytes.len()), "a whole safetensors file"),
-            )?;
-        let text = header.metadata().as_ref().and_then(|m| m.get(KEY)).map_or("{}", |s| s.as_str());
-        let json: serde_json::Value = serde_json::from_str(text)
-            .map_err(|e| checkpoint.wrong(format!("metadata {KEY}"), e.to_string(), "a JSON object"))?;
+        let mut checkpoint = Self {
+            path: path.to_owned(),
+            kind: kind.to_owned(),
+            ..Self::default()
+        };
+        let (file, (_, header)) = SafeTensors::deserialize(&bytes)
+            .and_then(|file| Ok((file, SafeTensors::read_metadata(&bytes)?)))
+            .map_err(|e| {
+                checkpoint.wrong(
+                    "header",
+                    format!("{} bytes, {e}", bytes.len()),
+                    "a whole safetensors file",
+                )
+            })?;
+        let text = header
+            .metadata()
+            .as_ref()
+            .and_then(|m| m.get(KEY))
+            .map_or("{}", |s| s.as_str());
+        let json: serde_json::Value = serde_json::from_str(text).map_err(|e| {
+            checkpoint.wrong(format!("metadata {KEY}"), e.to_string(), "a JSON object")
+        })?;
         if json["version"] != VERSION {
-            let found = json.get("version").map_or("nothing".to_owned(), |v| v.to_string());
+            let found = json
+                .get("version")
+                .map_or("nothing".to_owned(), |v| v.to_string());
             return Err(checkpoint.wrong("metadata version", found, VERSION.to_string()));
         }
         if json["kind"] != kind {
-            return Err(checkpoint.wrong("metadata kind", json["kind"].to_string(), format!("\"{kind}\"")));
+            return Err(checkpoint.wrong(
+                "metadata kind",
+                json["kind"].to_string(),
+                format!("\"{kind}\""),
+            ));
         }
         if let Some(settings) = json["settings"].as_object() {
-            checkpoint.settings.extend(settings.iter().map(|(k, v)| (k.clone(), v.clone())));
+            checkpoint
+                .settings
+                .extend(settings.iter().map(|(k, v)| (k.clone(), v.clone())));
         }
         for (name, view) in file.tensors() {
             let Some(values) = Values::from_bytes(view.dtype(), view.data()) else {
                 let found = format!("type {:?}", view.dtype());
-                return Err(checkpoint.wrong(format!("tensor {name}"), found, "F32, F64, U32 or U64"));
+                return Err(checkpoint.wrong(
+                    format!("tensor {name}"),
+                    found,
+                    "F32, F64, U32 or U64",
+                ));
             };
-            checkpoint.tensors.insert(name, (view.shape().to_vec(), values));
+            checkpoint
+                .tensors
+                .insert(name, (view.shape().to_vec(), values));
         }
         Ok(checkpoint)
     }

@@ -21,7 +21,11 @@ impl<'a> Compacting<'a> {
     pub fn new(inputs: &'a Inputs) -> Result<Self> {
         let config = &inputs.config.segmentation;
         let features = inputs.seen.as_ref().map_or(&[][..], |seen| &seen.lifted[0]);
-        let graph = NeighbourGraph::new(&inputs.gaussians.means, features, config.diffusion_neighbours)?;
+        let graph = NeighbourGraph::new(
+            &inputs.gaussians.means,
+            features,
+            config.diffusion_neighbours,
+        )?;
         Ok(Self { graph, config })
     }
 
@@ -34,10 +38,15 @@ impl<'a> Compacting<'a> {
         row: RowOutcome,
         score: impl Fn(&Identities, RowOutcome) -> Result<RowOutcome>,
     ) -> Result<RowOutcome> {
-        let Some(identities) = &row.identities else { return Ok(row) };
+        let Some(identities) = &row.identities else {
+            return Ok(row);
+        };
         let before = self.graph.disagreement(identities);
         if self.config.diffusion_steps == 0 {
-            let compactness = Some(Compactness { neighbours_differ: before, without_diffusion: None });
+            let compactness = Some(Compactness {
+                neighbours_differ: before,
+                without_diffusion: None,
+            });
             return Ok(RowOutcome { compactness, ..row });
         }
         let diffusion = Diffusion {
@@ -52,8 +61,15 @@ impl<'a> Compacting<'a> {
         };
         let without = WithoutDiffusion::new(&row.scores, before);
         let neighbours_differ = self.graph.disagreement(&diffused);
-        let compactness = Some(Compactness { neighbours_differ, without_diffusion: Some(without) });
+        let compactness = Some(Compactness {
+            neighbours_differ,
+            without_diffusion: Some(without),
+        });
         let scored = score(&diffused, row)?;
-        Ok(RowOutcome { identities: Some(diffused), compactness, ..scored })
+        Ok(RowOutcome {
+            identities: Some(diffused),
+            compactness,
+            ..scored
+        })
     }
 }

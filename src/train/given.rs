@@ -31,25 +31,55 @@ pub(super) fn begin(
     if atomic::same_file(path, scene_file) {
         let expected = "another file than the run's own scene.ply, which is written over";
         let mend = "let the run write into another folder";
-        return Err(Error::config("building.gaussians", path.display().to_string(), expected, mend));
+        return Err(Error::config(
+            "building.gaussians",
+            path.display().to_string(),
+            expected,
+            mend,
+        ));
     }
     if scene.split(Split::Train).next().is_none() {
         let found = format!("{} without training views", scene.name);
-        return Err(Error::argument("data", found, "a scene with training views", "mark some views as `train`"));
+        return Err(Error::argument(
+            "data",
+            found,
+            "a scene with training views",
+            "mark some views as `train`",
+        ));
     }
-    let ply::PlyScene { mut gaussians, origin, .. } = ply::read(path, &Limits::default())?;
+    let ply::PlyScene {
+        mut gaussians,
+        origin,
+        ..
+    } = ply::read(path, &Limits::default())?;
     if gaussians.is_empty() {
         let mend = "name a scene that holds something";
-        return Err(Error::input(path, "element vertex", "no Gaussian", "one or more", mend));
+        return Err(Error::input(
+            path,
+            "element vertex",
+            "no Gaussian",
+            "one or more",
+            mend,
+        ));
     }
     let most = config.building.max_gaussians;
     if config.building.iterations > 0 && most > 0 && gaussians.len() > most {
-        let expected = format!("{} or more, as building.gaussians has, or 0 for no limit", gaussians.len());
-        return Err(Error::config("building.max_gaussians", most.to_string(), expected, "raise it"));
+        let expected = format!(
+            "{} or more, as building.gaussians has, or 0 for no limit",
+            gaussians.len()
+        );
+        return Err(Error::config(
+            "building.max_gaussians",
+            most.to_string(),
+            expected,
+            "raise it",
+        ));
     }
     let shift = origin - scene.origin;
     for mean in &mut gaussians.means {
-        *mean = (glam::Vec3::from(*mean).as_dvec3() + shift).as_vec3().to_array();
+        *mean = (glam::Vec3::from(*mean).as_dvec3() + shift)
+            .as_vec3()
+            .to_array();
     }
     compare_with_photos(path, &gaussians, scene, config, device)?;
     Ok(gaussians)
@@ -68,7 +98,8 @@ pub fn compare_with_photos(
 ) -> Result<()> {
     let views: Vec<_> = scene.split(Split::Train).collect();
     let every = views.len().div_ceil(PHOTOS).max(1);
-    let scores = Pictures::new(gaussians, config, device)?.score(views.into_iter().step_by(every))?;
+    let scores =
+        Pictures::new(gaussians, config, device)?.score(views.into_iter().step_by(every))?;
     if let Some(psnr) = scores.psnr.filter(|psnr| *psnr < MISPLACED) {
         tracing::warn!(
             "the Gaussians of {} show the training photos at {psnr:.1} dB: they look misplaced. Their positions have to be in the \

@@ -5,7 +5,9 @@ use crate::config::Association;
 use crate::data::{LabelRuns, Split, View};
 use crate::device::renders_on;
 use crate::error::Result;
-use crate::metrics::{InstanceScores, LabelScores, SemanticScores, Void, instance_scores, label_scores};
+use crate::metrics::{
+    InstanceScores, LabelScores, SemanticScores, Void, instance_scores, label_scores,
+};
 use crate::objects::{Identities, LabelMaps, LabelRule, Semantics, has_truth};
 use crate::raster::{Projected, SplatTensors};
 use std::borrow::Cow;
@@ -26,7 +28,11 @@ impl<'a> LabelledViews<'a> {
     ///
     /// # Errors
     /// As [`Projected::new`].
-    pub fn new(views: impl Iterator<Item = &'a View>, inputs: &Inputs, bytes: usize) -> Result<Self> {
+    pub fn new(
+        views: impl Iterator<Item = &'a View>,
+        inputs: &Inputs,
+        bytes: usize,
+    ) -> Result<Self> {
         let on_device = renders_on(inputs.device) && !inputs.gaussians.is_empty();
         let splats = on_device.then(|| SplatTensors::new(inputs.gaussians, inputs.device));
         let mut left = if on_device { 0 } else { bytes };
@@ -39,14 +45,21 @@ impl<'a> LabelledViews<'a> {
             left = rest.unwrap_or(left);
             Ok((view, rest.map(|_| projected)))
         };
-        Ok(Self { views: views.map(keep).collect::<Result<_>>()?, splats })
+        Ok(Self {
+            views: views.map(keep).collect::<Result<_>>()?,
+            splats,
+        })
     }
 
     /// What each view shows of `identities`.
     ///
     /// # Errors
     /// As [`Projected::new`]; on a GPU as [`crate::objects::DeviceLabelMaps::of`].
-    pub fn maps(&self, identities: &Identities, inputs: &Inputs) -> Result<Vec<(&'a View, LabelRuns)>> {
+    pub fn maps(
+        &self,
+        identities: &Identities,
+        inputs: &Inputs,
+    ) -> Result<Vec<(&'a View, LabelRuns)>> {
         let rule = LabelRule::from(&inputs.config.segmentation);
         let maps = LabelMaps::new(identities, &inputs.scene.classes, rule);
         if let Some(splats) = &self.splats {
@@ -95,8 +108,10 @@ pub struct Scores {
 impl Scores {
     /// The mIoU of a training curve.
     pub fn miou(&self) -> Option<f64> {
-        let [instances, semantic] =
-            [self.instances.as_ref().and_then(|s| s.miou), self.semantic.as_ref().and_then(|s| s.miou)];
+        let [instances, semantic] = [
+            self.instances.as_ref().and_then(|s| s.miou),
+            self.semantic.as_ref().and_then(|s| s.miou),
+        ];
         self.labels.miou.or(instances).or(semantic)
     }
 }
@@ -109,8 +124,16 @@ impl<'a> HeldOut<'a> {
     pub fn new(inputs: &Inputs<'a>) -> Result<Self> {
         let (association, semantics) = (inputs.config.data.association, inputs.semantics);
         let known = |view: &&View| has_truth(view, association, semantics);
-        let views = LabelledViews::new(inputs.scene.split(Split::Test).filter(known), inputs, PROJECTED_BYTES)?;
-        Ok(Self { views, objects: association != Association::None, semantics })
+        let views = LabelledViews::new(
+            inputs.scene.split(Split::Test).filter(known),
+            inputs,
+            PROJECTED_BYTES,
+        )?;
+        Ok(Self {
+            views,
+            objects: association != Association::None,
+            semantics,
+        })
     }
 
     /// Whether there are none: nothing can be scored.
@@ -141,20 +164,30 @@ impl<'a> HeldOut<'a> {
         Scores {
             labels: self.labels(found, inputs, Void::Wrong),
             instances: self.instances(found),
-            semantic: self.semantics.map(|semantics| semantics.score(&inputs.scene.classes, found)),
+            semantic: self
+                .semantics
+                .map(|semantics| semantics.score(&inputs.scene.classes, found)),
         }
     }
 
     /// Against true labels, as far as there are any.
     fn labels(&self, found: &[(&View, LabelRuns)], inputs: &Inputs, void: Void) -> LabelScores {
-        let pairs = found.iter().filter_map(|(view, found)| Some((view.truth.as_ref()?.map(), found.map())));
+        let pairs = found
+            .iter()
+            .filter_map(|(view, found)| Some((view.truth.as_ref()?.map(), found.map())));
         label_scores(&inputs.scene.classes, pairs, void)
     }
 
     /// Against true instances, where classes are objects.
     fn instances(&self, found: &[(&View, LabelRuns)]) -> Option<InstanceScores> {
-        let pairs = found.iter().filter_map(|(view, found)| Some((view.instances.as_ref()?.map(), found.map())));
-        let known = self.views.views.iter().any(|(view, _)| view.instances.is_some());
+        let pairs = found
+            .iter()
+            .filter_map(|(view, found)| Some((view.instances.as_ref()?.map(), found.map())));
+        let known = self
+            .views
+            .views
+            .iter()
+            .any(|(view, _)| view.instances.is_some());
         (self.objects && known).then(|| instance_scores(pairs))
     }
 }

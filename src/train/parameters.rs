@@ -45,9 +45,21 @@ struct Parameter<const D: usize> {
 }
 
 impl<const D: usize> Parameter<D> {
-    fn new(name: &'static str, shape: [usize; D], [value, first, second]: [Vec<f32>; 3], device: &Device) -> Self {
+    fn new(
+        name: &'static str,
+        shape: [usize; D],
+        [value, first, second]: [Vec<f32>; 3],
+        device: &Device,
+    ) -> Self {
         let tensor = |values| Tensor::from_data(TensorData::new(values, shape), device);
-        Self { name, state: AdamTensors { param: tensor(value), first: tensor(first), second: tensor(second) } }
+        Self {
+            name,
+            state: AdamTensors {
+                param: tensor(value),
+                first: tensor(first),
+                second: tensor(second),
+            },
+        }
     }
 
     /// A tracked handle on the present value.
@@ -56,12 +68,17 @@ impl<const D: usize> Parameter<D> {
     }
 
     fn gradient(&self, leaf: &Tensor<D>, gradients: &mut Gradients) -> Tensor<D> {
-        leaf.grad_remove(gradients).unwrap_or_else(|| self.state.param.zeros_like())
+        leaf.grad_remove(gradients)
+            .unwrap_or_else(|| self.state.param.zeros_like())
     }
 
     fn step(&mut self, gradient: Tensor<D>, rates: Vec<f64>, step: u32) {
         let empty = Tensor::empty([0; D], &gradient.device());
-        let emptied = AdamTensors { param: empty.clone(), first: empty.clone(), second: empty };
+        let emptied = AdamTensors {
+            param: empty.clone(),
+            first: empty.clone(),
+            second: empty,
+        };
         // moved out, so that the step finds buffers nobody else holds
         let state = std::mem::replace(&mut self.state, emptied);
         self.state = adam_step(state, gradient, &Arc::new(AdamStep::splatting(rates, step)));
@@ -69,7 +86,11 @@ impl<const D: usize> Parameter<D> {
 
     /// The rows of `map`, where `values` are given with those instead of the old ones; moments of new rows are zero.
     fn rearrange(&mut self, map: &Arc<RowMap>, values: Option<Vec<f32>>) {
-        let AdamTensors { param, first, second } = &mut self.state;
+        let AdamTensors {
+            param,
+            first,
+            second,
+        } = &mut self.state;
         *param = match values {
             Some(values) => {
                 let mut shape = param.dims();
@@ -160,7 +181,13 @@ impl ParameterGradients {
     /// # Errors
     /// [`Error::NonFinite`] naming the loss, or the gradient and its first bad row.
     pub fn check(&self, loss: Tensor<1>, lists: &ListSummary) -> Result<Option<Checked>> {
-        let Self { means, log_scales, rotations, opacity_logits, sh } = self;
+        let Self {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            sh,
+        } = self;
         let mut check = FiniteCheck::default();
         check.add(means);
         check.add(log_scales);
@@ -183,7 +210,10 @@ impl ParameterGradients {
             find_non_finite(NAMES[OPACITY], opacity_logits)?;
             find_non_finite(NAMES[4], sh)?;
         }
-        Ok(Some(Checked { loss: value.into(), entries: lists.map(|lists| lists.entries) }))
+        Ok(Some(Checked {
+            loss: value.into(),
+            entries: lists.map(|lists| lists.entries),
+        }))
     }
 }
 
@@ -210,14 +240,31 @@ impl Parameters {
     /// Puts Gaussians and moments on `device` (without autodiff).
     pub fn new(gaussians: Gaussians, first: Moments, second: Moments, device: &Device) -> Self {
         let (n, k) = (gaussians.len(), gaussians.sh_len());
-        let Gaussians { means, log_scales, rotations, opacity_logits, sh, sh_degree } = gaussians;
+        let Gaussians {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            sh,
+            sh_degree,
+        } = gaussians;
         let [m0, m1, m2, m3, m4] = first;
         let [v0, v1, v2, v3, v4] = second;
         Self {
             sh_degree,
             means: Parameter::new(NAMES[0], [n, 3], [means.into_flattened(), m0, v0], device),
-            log_scales: Parameter::new(NAMES[1], [n, 3], [log_scales.into_flattened(), m1, v1], device),
-            rotations: Parameter::new(NAMES[2], [n, 4], [rotations.into_flattened(), m2, v2], device),
+            log_scales: Parameter::new(
+                NAMES[1],
+                [n, 3],
+                [log_scales.into_flattened(), m1, v1],
+                device,
+            ),
+            rotations: Parameter::new(
+                NAMES[2],
+                [n, 4],
+                [rotations.into_flattened(), m2, v2],
+                device,
+            ),
             opacity_logits: Parameter::new(NAMES[3], [n], [opacity_logits, m3, v3], device),
             sh: Parameter::new(NAMES[4], [n, k, 3], [sh, m4, v4], device),
         }
@@ -245,20 +292,30 @@ impl Parameters {
             means: self.means.gradient(&leaves.means, gradients),
             log_scales: self.log_scales.gradient(&leaves.log_scales, gradients),
             rotations: self.rotations.gradient(&leaves.rotations, gradients),
-            opacity_logits: self.opacity_logits.gradient(&leaves.opacity_logits, gradients),
+            opacity_logits: self
+                .opacity_logits
+                .gradient(&leaves.opacity_logits, gradients),
             sh: self.sh.gradient(&leaves.sh, gradients),
         }
     }
 
     /// One Adam step, number `step` from 1.
     pub fn step(&mut self, gradients: ParameterGradients, rates: &Rates, step: u32) {
-        let ParameterGradients { means, log_scales, rotations, opacity_logits, sh } = gradients;
+        let ParameterGradients {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            sh,
+        } = gradients;
         let mut sh_rates = vec![rates.sh_rest; 3 * (self.sh_degree + 1).pow(2)];
         sh_rates[..3].fill(rates.sh_dc);
         self.means.step(means, vec![rates.means], step);
-        self.log_scales.step(log_scales, vec![rates.log_scales], step);
+        self.log_scales
+            .step(log_scales, vec![rates.log_scales], step);
         self.rotations.step(rotations, vec![rates.rotations], step);
-        self.opacity_logits.step(opacity_logits, vec![rates.opacity_logits], step);
+        self.opacity_logits
+            .step(opacity_logits, vec![rates.opacity_logits], step);
         self.sh.step(sh, sh_rates, step);
     }
 
@@ -295,9 +352,14 @@ impl Parameters {
 
     /// The rows that `map` names, in its order, with `values` where they are given. Moments of new rows are zero.
     pub fn rearrange(&mut self, map: &Arc<RowMap>, values: NewValues) {
-        let NewValues { means, log_scales, opacity_logits } = values;
+        let NewValues {
+            means,
+            log_scales,
+            opacity_logits,
+        } = values;
         self.means.rearrange(map, means.map(Vec::into_flattened));
-        self.log_scales.rearrange(map, log_scales.map(Vec::into_flattened));
+        self.log_scales
+            .rearrange(map, log_scales.map(Vec::into_flattened));
         self.rotations.rearrange(map, None);
         self.opacity_logits.rearrange(map, opacity_logits);
         self.sh.rearrange(map, None);
@@ -308,7 +370,11 @@ impl Parameters {
     /// # Errors
     /// [`Error::Device`] when the device does not give the opacities back.
     pub fn reset_opacity(&mut self) -> Result<()> {
-        let AdamTensors { param, first, second } = &mut self.opacity_logits.state;
+        let AdamTensors {
+            param,
+            first,
+            second,
+        } = &mut self.opacity_logits.state;
         let mut logits = read(NAMES[OPACITY], param.clone())?;
         reset_opacity(&mut logits);
         *param = Tensor::from_data(TensorData::new(logits, param.dims()), &param.device());

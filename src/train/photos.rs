@@ -23,7 +23,11 @@ pub(super) struct Photos {
 impl Photos {
     /// None yet of `views` views, which are rendered on `device`.
     pub fn new(views: usize, device: &Device) -> Self {
-        Self { kept: vec![None; views], bytes: 0, on_host: in_host_memory(device) }
+        Self {
+            kept: vec![None; views],
+            bytes: 0,
+            on_host: in_host_memory(device),
+        }
     }
 
     /// The photo of `view`, which is number `index`.
@@ -40,13 +44,21 @@ impl Photos {
                 Some(mask) => Photo::masked(view.rgb()?, height, width, mask),
                 None => Photo::new(view.rgb()?, height, width),
             };
-            (Compared::Prepared(Arc::new(photo)), Photo::<f32>::bytes(height, width), HOST_BUDGET)
+            (
+                Compared::Prepared(Arc::new(photo)),
+                Photo::<f32>::bytes(height, width),
+                HOST_BUDGET,
+            )
         } else {
             let photo = match view.mask.clone() {
                 Some(mask) => PackedPhoto::masked(&*view.image.pixels()?, mask),
                 None => PackedPhoto::new(view.image.pixels()?),
             };
-            (Compared::Packed(Arc::new(photo)), PackedPhoto::bytes(height, width), DEVICE_BUDGET)
+            (
+                Compared::Packed(Arc::new(photo)),
+                PackedPhoto::bytes(height, width),
+                DEVICE_BUDGET,
+            )
         };
         if let Some(slot) = self.kept.get_mut(index)
             && self.bytes + bytes <= budget

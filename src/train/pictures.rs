@@ -41,11 +41,23 @@ impl<'a> Pictures<'a> {
         let place = if !renders_on(device) || gaussians.is_empty() {
             Place::Host(gaussians, Vec::new())
         } else {
-            let options = RenderOptions { settings, background, ..RenderOptions::default() };
+            let options = RenderOptions {
+                settings,
+                background,
+                ..RenderOptions::default()
+            };
             let renderer = Renderer::new(gaussians.clone(), None, options, device)?;
-            Place::Device(Box::new(OnDevice { renderer, maps: Vec::new(), device: device.clone() }))
+            Place::Device(Box::new(OnDevice {
+                renderer,
+                maps: Vec::new(),
+                device: device.clone(),
+            }))
         };
-        Ok(Self { settings, background, place })
+        Ok(Self {
+            settings,
+            background,
+            place,
+        })
     }
 
     /// With `maps`, whose identities are of the same Gaussians, for [`Pictures::labelled`].
@@ -65,7 +77,9 @@ impl<'a> Pictures<'a> {
     /// [`Renderer::frame`].
     pub fn of(&mut self, view: &View) -> Result<(Vec<f32>, ImageScores)> {
         let rgb = match &mut self.place {
-            Place::Host(gaussians, _) => render(gaussians, &view.camera, &self.settings, self.background)?.rgb,
+            Place::Host(gaussians, _) => {
+                render(gaussians, &view.camera, &self.settings, self.background)?.rgb
+            }
             Place::Device(on) => on.renderer.frame(&view.camera)?.rgb,
         };
         let scores = ImageScores::of_view(&rgb, view)?;
@@ -85,12 +99,19 @@ impl<'a> Pictures<'a> {
             Place::Host(gaussians, maps) => {
                 let projected = Projected::new(&gaussians.splats(), camera, &self.settings)?;
                 let blended = projected.blend(&projected.colours(gaussians, camera)?, 3);
-                (blended.over(self.background).image, maps.iter().map(|maps| maps.of(&projected)).collect())
+                (
+                    blended.over(self.background).image,
+                    maps.iter().map(|maps| maps.of(&projected)).collect(),
+                )
             }
             Place::Device(on) => {
                 let rgb = on.renderer.frame(camera)?.rgb;
                 let maps = match on.renderer.seen_by(camera) {
-                    Some(seen) => on.maps.iter_mut().map(|maps| maps.of(&seen)).collect::<Result<_>>()?,
+                    Some(seen) => on
+                        .maps
+                        .iter_mut()
+                        .map(|maps| maps.of(&seen))
+                        .collect::<Result<_>>()?,
                     None => Vec::new(),
                 };
                 (rgb, maps)
@@ -105,7 +126,9 @@ impl<'a> Pictures<'a> {
     /// # Errors
     /// As [`Pictures::of`].
     pub fn score<'v>(&mut self, views: impl Iterator<Item = &'v View>) -> Result<ImageScores> {
-        let scores: Vec<_> = views.map(|view| Ok(self.of(view)?.1)).collect::<Result<_>>()?;
+        let scores: Vec<_> = views
+            .map(|view| Ok(self.of(view)?.1))
+            .collect::<Result<_>>()?;
         Ok(ImageScores::mean(&scores))
     }
 }
@@ -114,6 +137,11 @@ impl<'a> Pictures<'a> {
 ///
 /// # Errors
 /// As [`Pictures::of`].
-pub fn score_images(gaussians: &Gaussians, scene: &Scene, config: &Config, device: &Device) -> Result<ImageScores> {
+pub fn score_images(
+    gaussians: &Gaussians,
+    scene: &Scene,
+    config: &Config,
+    device: &Device,
+) -> Result<ImageScores> {
     Pictures::new(gaussians, config, device)?.score(scene.split(Split::Test))
 }

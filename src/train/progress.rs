@@ -94,7 +94,11 @@ pub(super) struct Viewing<'p> {
 impl<'p> Viewing<'p> {
     /// A stage that looks at `views` views, each counted as often as it does.
     pub fn begin(progress: &'p mut dyn Progress, stage: &'static str, views: usize) -> Self {
-        progress.event(&Event::Started { stage, done: 0, iterations: views });
+        progress.event(&Event::Started {
+            stage,
+            done: 0,
+            iterations: views,
+        });
         Self { progress, done: 0 }
     }
 
@@ -104,7 +108,11 @@ impl<'p> Viewing<'p> {
             self.done += more;
             self.progress.event(&Event::Viewed { done: self.done });
         }
-        if self.progress.stop() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        if self.progress.stop() {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
     }
 
     /// The stage is done.

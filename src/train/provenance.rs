@@ -31,13 +31,23 @@ const WITHOUT_EFFECT: [&str; 11] = [
     "checkpoint_every",
 ];
 /// What training did before a setting existed, where its default is not that.
-const BEFORE: [(&str, &str); 3] =
-    [("building.absgrad", "false"), ("segmentation.least_recall", "0.0"), ("unprojection.attendance_pixels", "0.0")];
+const BEFORE: [(&str, &str); 3] = [
+    ("building.absgrad", "false"),
+    ("segmentation.least_recall", "0.0"),
+    ("unprojection.attendance_pixels", "0.0"),
+];
 const SEED: &str = "seed";
 /// How label maps are rendered.
 const RENDER: &str = "segmentation.render";
 /// Sections that training follows from.
-const SECTIONS: [&str; 6] = ["building", "raster", "segmentation", "features", "unprojection", "spatial"];
+const SECTIONS: [&str; 6] = [
+    "building",
+    "raster",
+    "segmentation",
+    "features",
+    "unprojection",
+    "spatial",
+];
 /// Settings that are paths: files may move, so their names are compared.
 const PATHS: [&str; 6] = [
     "data.dir",
@@ -48,10 +58,19 @@ const PATHS: [&str; 6] = [
     "spatial.weights",
 ];
 /// Settings of `data` that only raw labels follow from.
-const OF_RAW_LABELS: [&str; 5] =
-    ["data.raw_labels", "data.raw_format", "data.association", "data.scannet_classes", "data.scannet_labels"];
+const OF_RAW_LABELS: [&str; 5] = [
+    "data.raw_labels",
+    "data.raw_format",
+    "data.association",
+    "data.scannet_classes",
+    "data.scannet_labels",
+];
 /// Settings that say which Gaussians stage two is left with.
-const OF_PRUNING: [&str; 3] = ["unprojection.attendance", "unprojection.attendance_pixels", "unprojection.resolution"];
+const OF_PRUNING: [&str; 3] = [
+    "unprojection.attendance",
+    "unprojection.attendance_pixels",
+    "unprojection.resolution",
+];
 /// The scene folder, whose name explains other data only where nothing else does.
 const FOLDER: &str = "data.dir";
 
@@ -88,13 +107,19 @@ impl Provenance {
         });
         let mut origin = origin(config, &["data"]);
         origin.retain(|key, _| !OF_RAW_LABELS.contains(&&**key));
-        Self { settings: settings(config, &["building", "raster"]), data: [(SHOWN, shown)].map(named).into(), origin }
+        Self {
+            settings: settings(config, &["building", "raster"]),
+            data: [(SHOWN, shown)].map(named).into(),
+            origin,
+        }
     }
 
     /// Of a building stage that takes these Gaussians as they are.
     pub(super) fn given(config: &Config, scene: &Scene, gaussians: &Gaussians) -> Self {
         let mut provenance = Self::building(config, scene);
-        provenance.data.extend([named((GAUSSIANS, digest_gaussians(gaussians)))]);
+        provenance
+            .data
+            .extend([named((GAUSSIANS, digest_gaussians(gaussians)))]);
         provenance
     }
 
@@ -105,30 +130,55 @@ impl Provenance {
     pub(super) fn row(row: Row, inputs: &Inputs) -> Result<Self> {
         let Inputs { scene, config, .. } = inputs;
         let sections: &[&str] = match row.is_fused() {
-            true => &["raster", "segmentation", "features", "unprojection", "spatial"],
+            true => &[
+                "raster",
+                "segmentation",
+                "features",
+                "unprojection",
+                "spatial",
+            ],
             false => &["raster", "segmentation"],
         };
-        let views: Vec<&View> = scene.split(Split::Train).filter(|v| v.raw.is_some()).collect();
+        let views: Vec<&View> = scene
+            .split(Split::Train)
+            .filter(|v| v.raw.is_some())
+            .collect();
         let Ok(mut labels) = digest_views(&views, |view, hash| {
             let ids = view.raw.iter().flat_map(|raw| raw.map().ids);
             hash.update(ids.flat_map(u16::to_le_bytes).collect::<Vec<u8>>());
             Ok::<_, Infallible>(())
         });
-        scene.classes.entries.iter().for_each(|class| labels.update(class.id.to_le_bytes()));
-        let mut data = BTreeMap::from([(GAUSSIANS, digest_gaussians(inputs.gaussians)), (LABELS, labels)].map(named));
+        scene
+            .classes
+            .entries
+            .iter()
+            .for_each(|class| labels.update(class.id.to_le_bytes()));
+        let mut data = BTreeMap::from(
+            [
+                (GAUSSIANS, digest_gaussians(inputs.gaussians)),
+                (LABELS, labels),
+            ]
+            .map(named),
+        );
         // By what they are made from: on a GPU their sums need not have the same bits each time.
         if let (true, Some(seen)) = (row.is_fused() && row != Row::NoImageFeatures, &inputs.seen) {
             data.insert(IMAGE_FEATURES.to_owned(), seen.content.clone());
         }
         if row.is_fused() && !matches!(row, Row::NoSpatial | Row::RandomSpatial) {
-            data.extend(spatial_digest(&config.spatial)?.map(|digest| (ENCODER.to_owned(), digest)));
+            data.extend(
+                spatial_digest(&config.spatial)?.map(|digest| (ENCODER.to_owned(), digest)),
+            );
         }
         let mut origin = match config.data.association {
             Association::None => origin(config, &["data", "unprojection"]),
             Association::Gaussians => origin(config, &["data", "unprojection", "association"]),
         };
         origin.retain(|key, _| !key.starts_with("unprojection.") || OF_PRUNING.contains(&&**key));
-        Ok(Self { settings: settings(config, sections), data, origin })
+        Ok(Self {
+            settings: settings(config, sections),
+            data,
+            origin,
+        })
     }
 
     /// Whether anything is known; not of states that were made in memory.
@@ -149,9 +199,15 @@ impl Provenance {
         defaults.extend(BEFORE.map(|(key, value)| (key.to_owned(), value.to_owned())));
         let then = |key: &str| stored.settings.get(key).or_else(|| defaults.get(key));
         let keys = self.settings.keys().chain(stored.settings.keys());
-        let tried = self.settings.get("segmentation.lr_trials").is_some_and(|trials| trials != "[]");
+        let tried = self
+            .settings
+            .get("segmentation.lr_trials")
+            .is_some_and(|trials| trials != "[]");
         let keys = keys.filter(|key| *key != RENDER || tried || !finished);
-        if let Some(key) = keys.into_iter().find(|key| self.settings.get(*key) != then(key)) {
+        if let Some(key) = keys
+            .into_iter()
+            .find(|key| self.settings.get(*key) != then(key))
+        {
             let found = self.settings.get(key).cloned().unwrap_or_else(none);
             let then = then(key).cloned().unwrap_or_else(none);
             let expected = format!("{then}, as when {} was written", file.display());
@@ -159,7 +215,8 @@ impl Provenance {
             return Err(Error::config(key, found, expected, mend));
         }
         let lacking = |name: &str| LATER.contains(&name) && !stored.data.contains_key(name);
-        let differs = |name: &&String| self.data.get(*name) != stored.data.get(*name) && !lacking(name);
+        let differs =
+            |name: &&String| self.data.get(*name) != stored.data.get(*name) && !lacking(name);
         let names = self.data.keys().chain(stored.data.keys()).filter(differs);
         // Given Gaussians are placed among the cameras: where these are others, so are they.
         match names.min_by_key(|name| ![SHOWN, PIXELS].contains(&&***name)) {
@@ -211,11 +268,19 @@ impl Provenance {
             }
             IMAGE_FEATURES => "the weights, or the maps in features.import_dir, that it began with",
             ENCODER => "the weights in spatial.weights that it began with",
-            _ if stored.origin.is_empty() => "the files and the settings of data and association that it began with",
+            _ if stored.origin.is_empty() => {
+                "the files and the settings of data and association that it began with"
+            }
             _ => "the files that it began with, as its settings of data are the same",
         };
         let mend = format!("resume with {begun}, or train into another folder");
-        Error::input(file, name, "those of other data", "those that the run has now", mend)
+        Error::input(
+            file,
+            name,
+            "those of other data",
+            "those that the run has now",
+            mend,
+        )
     }
 
     /// Whether label maps are rendered by the same rule as in `stored`.
@@ -248,15 +313,27 @@ fn origin(config: &Config, sections: &[&str]) -> BTreeMap<String, String> {
 fn collect(section: &str, values: &serde_json::Value, out: &mut BTreeMap<String, String>) {
     for (name, value) in values.as_object().into_iter().flatten() {
         let key = format!("{section}.{name}");
-        if WITHOUT_EFFECT.iter().any(|skipped| *skipped == key || skipped == name) {
+        if WITHOUT_EFFECT
+            .iter()
+            .any(|skipped| *skipped == key || skipped == name)
+        {
             continue;
         }
         if value.is_object() {
             collect(&key, value, out);
             continue;
         }
-        let file = value.as_str().filter(|_| PATHS.contains(&&*key)).and_then(|path| Path::new(path).file_name());
-        out.insert(key, file.map_or_else(|| value.to_string(), |file| file.to_string_lossy().into_owned()));
+        let file = value
+            .as_str()
+            .filter(|_| PATHS.contains(&&*key))
+            .and_then(|path| Path::new(path).file_name());
+        out.insert(
+            key,
+            file.map_or_else(
+                || value.to_string(),
+                |file| file.to_string_lossy().into_owned(),
+            ),
+        );
     }
 }
 
@@ -273,7 +350,10 @@ fn digest_shown<E: Send>(
     let mut shown = digest_views(&views, |view, hash| {
         photo(view, hash)?;
         // Without a mask the digest is the one that versions made that knew none.
-        view.mask.iter().flat_map(Mask::words).for_each(|word| hash.update(word.to_le_bytes()));
+        view.mask
+            .iter()
+            .flat_map(Mask::words)
+            .for_each(|word| hash.update(word.to_le_bytes()));
         Ok(())
     })?;
     shown.update(bytes(scene.points.positions.as_flattened()));
@@ -287,10 +367,23 @@ fn digest_views<E: Send>(
     content: impl Fn(&View, &mut Sha256) -> Result<(), E> + Sync,
 ) -> Result<Sha256, E> {
     let one = |view: &&View| {
-        let Camera { rotation, center, fx, fy, cx, cy, width, height } = &view.camera;
+        let Camera {
+            rotation,
+            center,
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        } = &view.camera;
         let mut hash = Sha256::new();
         hash.update(format!("{} {:?} {width} {height}\n", view.name, view.split));
-        let numbers = rotation.to_cols_array().into_iter().chain(center.to_array()).chain([*fx, *fy, *cx, *cy]);
+        let numbers = rotation
+            .to_cols_array()
+            .into_iter()
+            .chain(center.to_array())
+            .chain([*fx, *fy, *cx, *cy]);
         numbers.for_each(|v| hash.update(v.to_le_bytes()));
         content(view, &mut hash)?;
         Ok(hash.finalize())
@@ -304,8 +397,13 @@ fn digest_views<E: Send>(
 fn digest_gaussians(g: &Gaussians) -> Sha256 {
     let mut hash = Sha256::new();
     hash.update(format!("{} {}\n", g.len(), g.sh_degree));
-    let parts =
-        [g.means.as_flattened(), g.log_scales.as_flattened(), g.rotations.as_flattened(), &g.opacity_logits, &g.sh];
+    let parts = [
+        g.means.as_flattened(),
+        g.log_scales.as_flattened(),
+        g.rotations.as_flattened(),
+        &g.opacity_logits,
+        &g.sh,
+    ];
     parts.into_iter().for_each(|part| hash.update(bytes(part)));
     hash
 }

@@ -54,13 +54,28 @@ impl Attendance {
         progress: &mut dyn Progress,
     ) -> Result<Option<Self>> {
         if reads_features(config) {
-            return Ok(Seen::new(scene, gaussians, config, settings, device, progress)?.map(Self::Lifted));
+            return Ok(
+                Seen::new(scene, gaussians, config, settings, device, progress)?.map(Self::Lifted),
+            );
         }
         let clock = Instant::now();
-        progress.event(&Event::Started { stage: "attendance", done: 0, iterations: 1 });
-        let keep = attended(gaussians, scene.split(Split::Train), &config.unprojection, settings, device)?;
+        progress.event(&Event::Started {
+            stage: "attendance",
+            done: 0,
+            iterations: 1,
+        });
+        let keep = attended(
+            gaussians,
+            scene.split(Split::Train),
+            &config.unprojection,
+            settings,
+            device,
+        )?;
         progress.event(&Event::Finished);
-        let kept = (0..).zip(keep).filter_map(|(row, keep)| keep.then_some(row)).collect();
+        let kept = (0..)
+            .zip(keep)
+            .filter_map(|(row, keep)| keep.then_some(row))
+            .collect();
         Ok(Some(Self::Counted(kept, clock.elapsed().as_secs_f64())))
     }
 
@@ -77,7 +92,8 @@ impl Attendance {
         let removed = before - kept.len();
         if removed > 0 {
             outcome.gaussians = outcome.gaussians.select(kept);
-            outcome.test = score_images(&outcome.gaussians, &outcome.scene, &outcome.config, device)?;
+            outcome.test =
+                score_images(&outcome.gaussians, &outcome.scene, &outcome.config, device)?;
         }
         if removed as f64 > MANY_PRUNED * before as f64 {
             tracing::warn!(
@@ -87,7 +103,12 @@ impl Attendance {
             );
         }
         let (after, scores_after) = (outcome.gaussians.len(), outcome.test);
-        outcome.pruned = Some(Pruned { before, after, scores_before, scores_after });
+        outcome.pruned = Some(Pruned {
+            before,
+            after,
+            scores_before,
+            scores_after,
+        });
         Ok(match self {
             Self::Lifted(seen) => {
                 [outcome.seconds.features, outcome.seconds.unprojection] = seen.seconds;
@@ -105,7 +126,8 @@ impl Attendance {
 /// Whether image features are read: by the decoder, by diffusion of whichever identities, and where pruning counts the cells of
 /// their maps.
 fn reads_features(config: &Config) -> bool {
-    let cells = config.unprojection.resolution == Resolution::Feature && config.unprojection.attendance > 0.0;
+    let cells = config.unprojection.resolution == Resolution::Feature
+        && config.unprojection.attendance > 0.0;
     let decoded = config.segmentation.rows().iter().any(|row| row.is_fused());
     decoded || config.segmentation.diffusion_steps > 0 || cells
 }

@@ -28,7 +28,8 @@ pub struct Rate {
 }
 
 /// Makes an untrained model that learns at a rate by a plan, for the views in use.
-pub type Fresh<'m, 'a> = &'m mut dyn FnMut(f64, &Plan, &mut TrainingViews) -> Result<Box<dyn Model + 'a>>;
+pub type Fresh<'m, 'a> =
+    &'m mut dyn FnMut(f64, &Plan, &mut TrainingViews) -> Result<Box<dyn Model + 'a>>;
 
 /// The rate that does best of `base` times `segmentation.lr_trials`: a fresh `model` is trained for each, a quarter as
 /// long as the row will be, without every eighth training view; it is scored by its accuracy on the raw labels of those.
@@ -51,34 +52,69 @@ pub fn choose_rate<'a>(
     let factors = &inputs.config.segmentation.lr_trials;
     if factors.len() < 2 || views.len() < 2 {
         let rate = base * factors.first().copied().unwrap_or(1.0);
-        return Ok(Some(Rate { rate, seconds: None, earlier: 0.0 }));
+        return Ok(Some(Rate {
+            rate,
+            seconds: None,
+            earlier: 0.0,
+        }));
     }
-    let path = pace.checkpoint.as_ref().map(|path| path.with_extension("rate.safetensors"));
+    let path = pace
+        .checkpoint
+        .as_ref()
+        .map(|path| path.with_extension("rate.safetensors"));
     if let Some(path) = path.as_ref().filter(|path| path.is_file()) {
         let checkpoint = Checkpoint::load(path, KIND)?;
         let (of, from, rate): (Vec<f64>, f64, f64) = checkpoint.get("choice")?;
         // Earlier versions did not say what a choice was made from.
         if checkpoint.has("provenance") {
-            pace.provenance.check(&checkpoint.get("provenance")?, false, path)?;
+            pace.provenance
+                .check(&checkpoint.get("provenance")?, false, path)?;
         }
         if (&of, from) == (factors, base) {
             let seconds: Option<f64> = checkpoint.get("seconds").ok();
-            return Ok(Some(Rate { rate, seconds, earlier: seconds.unwrap_or(0.0) }));
+            return Ok(Some(Rate {
+                rate,
+                seconds,
+                earlier: seconds.unwrap_or(0.0),
+            }));
         }
     }
-    let trial = Plan { iterations: ((plan.iterations as f64 * TRIAL_SHARE).ceil() as usize).max(1), ..plan.clone() };
-    let trial = Plan { warmup: (plan.warmup as f64 * TRIAL_SHARE).round() as usize, ..trial };
+    let trial = Plan {
+        iterations: ((plan.iterations as f64 * TRIAL_SHARE).ceil() as usize).max(1),
+        ..plan.clone()
+    };
+    let trial = Plan {
+        warmup: (plan.warmup as f64 * TRIAL_SHARE).round() as usize,
+        ..trial
+    };
     views.hold_back(Some(HELD_BACK.min(views.len())));
     let clock = Instant::now();
     let mut best = (f64::NEG_INFINITY, base);
     let gaussians = views.gaussians();
-    progress.event(&Event::Started { stage: "rates", done: 0, iterations: factors.len() * trial.iterations });
+    progress.event(&Event::Started {
+        stage: "rates",
+        done: 0,
+        iterations: factors.len() * trial.iterations,
+    });
     for (tried, factor) in factors.iter().enumerate() {
-        let (mut model, mut recalls) = (model(base * factor, &trial, views)?, Recalls::new(views.classes()));
+        let (mut model, mut recalls) = (
+            model(base * factor, &trial, views)?,
+            Recalls::new(views.classes()),
+        );
         for iteration in 0..trial.iterations {
-            let loss = f64::from(train_step(model.as_mut(), views, &trial, &mut recalls, iteration)?);
+            let loss = f64::from(train_step(
+                model.as_mut(),
+                views,
+                &trial,
+                &mut recalls,
+                iteration,
+            )?);
             let iteration = tried * trial.iterations + iteration + 1;
-            progress.event(&Event::Step { iteration, loss, gaussians });
+            progress.event(&Event::Step {
+                iteration,
+                loss,
+                gaussians,
+            });
             if progress.stop() {
                 views.hold_back(None);
                 return Ok(None);
@@ -99,15 +135,23 @@ pub fn choose_rate<'a>(
         checkpoint.set("provenance", &pace.provenance)?;
         checkpoint.save(&path)?;
     }
-    Ok(Some(Rate { rate: best.1, seconds: Some(seconds), earlier: 0.0 }))
+    Ok(Some(Rate {
+        rate: best.1,
+        seconds: Some(seconds),
+        earlier: 0.0,
+    }))
 }
 
 /// Share of the labelled pixels of the views held back on which rendered and raw label agree.
 fn raw_accuracy(identities: &Identities, views: &TrainingViews, inputs: &Inputs) -> Result<f64> {
     let classes = &inputs.scene.classes;
     let maps = LabelledViews::new(views.held_back(), inputs, 0)?.maps(identities, inputs)?;
-    let pairs = maps.iter().filter_map(|(view, map)| Some((view.raw.as_ref()?.map(), map.map())));
-    Ok(label_scores(classes, pairs, Void::Wrong).accuracy.unwrap_or(0.0))
+    let pairs = maps
+        .iter()
+        .filter_map(|(view, map)| Some((view.raw.as_ref()?.map(), map.map())));
+    Ok(label_scores(classes, pairs, Void::Wrong)
+        .accuracy
+        .unwrap_or(0.0))
 }
 
 #[cfg(test)]
@@ -143,7 +187,14 @@ mod tests {
             image: RgbImage::new(4, 4).into(),
             mask: None,
             truth: None,
-            raw: Some(LabelMap { width: 4, height: 4, ids: vec![1; 16] }.into()),
+            raw: Some(
+                LabelMap {
+                    width: 4,
+                    height: 4,
+                    ids: vec![1; 16],
+                }
+                .into(),
+            ),
             segments: Vec::new(),
             instances: None,
         }
@@ -168,11 +219,22 @@ mod tests {
             sh_degree: 0,
         };
         let mut config = Config::default();
-        (config.segmentation.lr_trials, config.segmentation.iterations) = (vec![1.0, 2.0], 10);
-        let device = crate::device::open(crate::device::BackendName::compiled().last().copied()).expect("a backend");
+        (
+            config.segmentation.lr_trials,
+            config.segmentation.iterations,
+        ) = (vec![1.0, 2.0], 10);
+        let device = crate::device::open(crate::device::BackendName::compiled().last().copied())
+            .expect("a backend");
         let (scene, gaussians, settings) = (&scene, &gaussians, Settings::default());
-        let inputs =
-            Inputs { scene, gaussians, seen: None, semantics: None, config: &config, settings, device: &device };
+        let inputs = Inputs {
+            scene,
+            gaussians,
+            seen: None,
+            semantics: None,
+            config: &config,
+            settings,
+            device: &device,
+        };
         let folder = tempfile::tempdir().expect("a folder");
         let pace = Pace {
             row: Row::PerGaussian.key(),
@@ -186,11 +248,30 @@ mod tests {
         let mut asked = Vec::new();
         let mut model = |rate: f64, plan: &Plan, _: &mut TrainingViews| {
             asked.push((rate, plan.iterations));
-            let model = PerGaussian::new([1, 2], rate, config.segmentation.blend, &device.clone().autodiff());
+            let model = PerGaussian::new(
+                [1, 2],
+                rate,
+                config.segmentation.blend,
+                &device.clone().autodiff(),
+            );
             Ok(Box::new(model) as Box<dyn Model>)
         };
-        choose_rate(0.05, &plan, &mut views, &inputs, &pace, &mut model, &mut Silent).expect("a rate");
+        choose_rate(
+            0.05,
+            &plan,
+            &mut views,
+            &inputs,
+            &pace,
+            &mut model,
+            &mut Silent,
+        )
+        .expect("a rate");
         assert_eq!(asked, [(0.05, 3), (0.1, 3)]);
-        assert!(folder.path().join("per_gaussian.rate.safetensors").is_file());
+        assert!(
+            folder
+                .path()
+                .join("per_gaussian.rate.safetensors")
+                .is_file()
+        );
     }
 }

@@ -5,7 +5,9 @@ use super::held_out::{HeldOut, Scores};
 use super::progress::{CurvePoint, Progress};
 use super::provenance::Provenance;
 use super::rates::{Rate, choose_rate};
-use super::segmentation::{Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Session, Source, TrainingViews, train};
+use super::segmentation::{
+    Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Session, Source, TrainingViews, train,
+};
 use super::segmentation_inputs::{Inputs, Spatial};
 use crate::config::{LabelLoss, Prior, Row, SegmentationConfig};
 use crate::error::Result;
@@ -56,8 +58,20 @@ impl RowOutcome {
     }
 
     /// The same with these scores.
-    fn scored(self, Scores { labels, instances, semantic }: Scores) -> Self {
-        Self { scores: labels, instances, semantic, ..self }
+    fn scored(
+        self,
+        Scores {
+            labels,
+            instances,
+            semantic,
+        }: Scores,
+    ) -> Self {
+        Self {
+            scores: labels,
+            instances,
+            semantic,
+            ..self
+        }
     }
 }
 
@@ -94,7 +108,11 @@ struct Trained {
 ///
 /// # Errors
 /// Those of training, of the encoder's weights, and of checkpoints.
-pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress) -> Result<TrainedRows> {
+pub fn run_rows(
+    inputs: &Inputs,
+    checkpoints: &Path,
+    progress: &mut dyn Progress,
+) -> Result<TrainedRows> {
     let config = &inputs.config.segmentation;
     let held_out = HeldOut::new(inputs)?;
     let mut views = inputs.training_views();
@@ -108,17 +126,35 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
         let outcome = match row {
             Row::Raw => {
                 let (scores, void_left_out) = held_out.score_raw(inputs);
-                RowOutcome { void_left_out, ..untrained(row).scored(scores) }
+                RowOutcome {
+                    void_left_out,
+                    ..untrained(row).scored(scores)
+                }
             }
             Row::Vote => {
                 let votes = views.votes()?;
                 let (identities, agreement) = (votes.identities(), Some(votes.agreement()));
                 let scores = held_out.score(&identities, inputs)?;
-                RowOutcome { identities: Some(identities), agreement, ..untrained(row).scored(scores) }
+                RowOutcome {
+                    identities: Some(identities),
+                    agreement,
+                    ..untrained(row).scored(scores)
+                }
             }
             _ => {
-                let Trained { outcome, earlier: before, whole } =
-                    trained(row, inputs, &mut views, &mut spatial, &held_out, checkpoints, progress)?;
+                let Trained {
+                    outcome,
+                    earlier: before,
+                    whole,
+                } = trained(
+                    row,
+                    inputs,
+                    &mut views,
+                    &mut spatial,
+                    &held_out,
+                    checkpoints,
+                    progress,
+                )?;
                 earlier += before;
                 if !whole {
                     rows.push(outcome);
@@ -128,14 +164,21 @@ pub fn run_rows(inputs: &Inputs, checkpoints: &Path, progress: &mut dyn Progress
                 outcome
             }
         };
-        rows.push(compacting.finish(outcome, |identities, row| Ok(row.scored(held_out.score(identities, inputs)?)))?);
+        rows.push(compacting.finish(outcome, |identities, row| {
+            Ok(row.scored(held_out.score(identities, inputs)?))
+        })?);
         // Where nothing is left there is nothing to stop.
         stopped = rows.len() < config.rows().len() && progress.stop();
         if stopped {
             break;
         }
     }
-    Ok(TrainedRows { rows, spatial: spatial.name, earlier, stopped })
+    Ok(TrainedRows {
+        rows,
+        spatial: spatial.name,
+        earlier,
+        stopped,
+    })
 }
 
 fn untrained(row: Row) -> RowOutcome {
@@ -177,7 +220,13 @@ fn trained(
     let config = &inputs.config.segmentation;
     let seed = inputs.config.seed;
     let plan = Plan::new(config, loss(row, config)?, seed);
-    let tenth = |every: usize| if every == 0 { config.iterations.div_ceil(10) } else { every };
+    let tenth = |every: usize| {
+        if every == 0 {
+            config.iterations.div_ceil(10)
+        } else {
+            every
+        }
+    };
     let pace = Pace {
         row: row.key(),
         eval_every: tenth(config.eval_every),
@@ -187,7 +236,10 @@ fn trained(
     };
     let device = inputs.device.clone().autodiff();
     let classes = inputs.scene.classes.len();
-    let fit = |views: &mut TrainingViews, model: &mut dyn Model, rate: &Rate, progress: &mut dyn Progress| {
+    let fit = |views: &mut TrainingViews,
+               model: &mut dyn Model,
+               rate: &Rate,
+               progress: &mut dyn Progress| {
         // Of the end of training, which asks for nothing anew.
         let mut last: Option<(Identities, Scores)> = None;
         let mut score = |model: &mut dyn Model, iteration| {
@@ -202,7 +254,11 @@ fn trained(
             }
             Ok(miou)
         };
-        let Session { curve, earlier, whole } = train(model, views, &plan, &pace, &mut score, progress)?;
+        let Session {
+            curve,
+            earlier,
+            whole,
+        } = train(model, views, &plan, &pace, &mut score, progress)?;
         let (identities, scores) = match (whole, last.take()) {
             (true, Some((identities, scores))) => (Some(identities), scores),
             (true, None) => {
@@ -221,22 +277,52 @@ fn trained(
             curve,
             ..untrained(row).scored(scores)
         };
-        Ok(Trained { outcome, earlier: earlier + rate.earlier, whole })
+        Ok(Trained {
+            outcome,
+            earlier: earlier + rate.earlier,
+            whole,
+        })
     };
-    let stopped = || Trained { outcome: untrained(row), earlier: 0.0, whole: false };
+    let stopped = || Trained {
+        outcome: untrained(row),
+        earlier: 0.0,
+        whole: false,
+    };
     if !row.is_fused() {
-        let model = |rate| PerGaussian::new([inputs.gaussians.len(), classes], rate, config.blend, &device);
-        let mut boxed = |rate, _: &Plan, _: &mut TrainingViews| Ok(Box::new(model(rate)) as Box<dyn Model>);
-        let rate = choose_rate(config.lr_per_gaussian, &plan, views, inputs, &pace, &mut boxed, progress)?;
-        let Some(rate) = rate else { return Ok(stopped()) };
+        let model = |rate| {
+            PerGaussian::new(
+                [inputs.gaussians.len(), classes],
+                rate,
+                config.blend,
+                &device,
+            )
+        };
+        let mut boxed =
+            |rate, _: &Plan, _: &mut TrainingViews| Ok(Box::new(model(rate)) as Box<dyn Model>);
+        let rate = choose_rate(
+            config.lr_per_gaussian,
+            &plan,
+            views,
+            inputs,
+            &pace,
+            &mut boxed,
+            progress,
+        )?;
+        let Some(rate) = rate else {
+            return Ok(stopped());
+        };
         return fit(views, &mut model(rate.rate), &rate, progress);
     }
     let source = spatial.source(row, inputs)?;
     let mut boxed = |rate, plan: &Plan, views: &mut TrainingViews| -> Result<Box<dyn Model + '_>> {
-        Ok(Box::new(decoder_row(row, rate, plan, source, inputs, views)?))
+        Ok(Box::new(decoder_row(
+            row, rate, plan, source, inputs, views,
+        )?))
     };
     let rate = choose_rate(config.lr, &plan, views, inputs, &pace, &mut boxed, progress)?;
-    let Some(rate) = rate else { return Ok(stopped()) };
+    let Some(rate) = rate else {
+        return Ok(stopped());
+    };
     let mut model = decoder_row(row, rate.rate, &plan, source, inputs, views)?;
     fit(views, &mut model, &rate, progress)
 }
@@ -264,7 +350,8 @@ pub fn decoder_row<'a>(
         rate,
         regularised: row != Row::OursCe && config.lambda_reg > 0.0,
         size: [inputs.gaussians.len(), classes],
-        dropout: (row != Row::OursCe && config.loss == LabelLoss::Gjs).then_some(config.gjs_dropout),
+        dropout: (row != Row::OursCe && config.loss == LabelLoss::Gjs)
+            .then_some(config.gjs_dropout),
         average_from: config.average.then_some(average_from),
         seed,
     };
@@ -274,7 +361,14 @@ pub fn decoder_row<'a>(
         .with_layer_norm(config.layer_norm)
         .with_seed(seed)
         .init(&device);
-    let fused = Fused::new(decoder, source, &inputs.gaussians.means, views.len(), plan, &device);
+    let fused = Fused::new(
+        decoder,
+        source,
+        &inputs.gaussians.means,
+        views.len(),
+        plan,
+        &device,
+    );
     Ok(match config.prior {
         Prior::None => fused,
         Prior::Votes => fused.with_prior(views.votes()?.log_shares(VOTE_FLOOR)),

@@ -135,7 +135,12 @@ fn load(config: &Config, options: impl FnOnce(&Config) -> LoadOptions) -> Result
 ///
 /// # Errors
 /// Those of loading, of both stages, and of writing; nothing written before is lost.
-pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Progress) -> Result<Outcome> {
+pub fn run(
+    config: &Config,
+    out: &Path,
+    device: &Device,
+    progress: &mut dyn Progress,
+) -> Result<Outcome> {
     let start = Instant::now();
     let scene = load(config, LoadOptions::for_training)?;
     let config = &match &config.segmentation.rows {
@@ -144,8 +149,18 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
             let semantics = Semantics::of(&scene);
             let scored = |view: &View| has_truth(view, config.data.association, semantics.as_ref());
             let scored = scene.split(Split::Test).any(scored);
-            let rows = Some(if scored { Row::COMPARED.to_vec() } else { Row::UNSCORED.to_vec() });
-            Config { segmentation: SegmentationConfig { rows, ..config.segmentation.clone() }, ..config.clone() }
+            let rows = Some(if scored {
+                Row::COMPARED.to_vec()
+            } else {
+                Row::UNSCORED.to_vec()
+            });
+            Config {
+                segmentation: SegmentationConfig {
+                    rows,
+                    ..config.segmentation.clone()
+                },
+                ..config.clone()
+            }
         }
         Some(_) => config.clone(),
     };
@@ -171,8 +186,16 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
     let mut seconds = Seconds::default();
 
     let clock = Instant::now();
-    let Built { gaussians, curve: building, earlier, anew, whole } = match begun {
-        Some(gaussians) if config.building.iterations == 0 => taken(gaussians, &scene, config, &checkpoints)?,
+    let Built {
+        gaussians,
+        curve: building,
+        earlier,
+        anew,
+        whole,
+    } = match begun {
+        Some(gaussians) if config.building.iterations == 0 => {
+            taken(gaussians, &scene, config, &checkpoints)?
+        }
         begun => build(&scene, config, begun, &checkpoints, device, progress)?,
     };
     // What a finished run wrote stays until another result is there.
@@ -182,7 +205,11 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
     seconds.building = clock.elapsed().as_secs_f64() + earlier;
 
     // Whoever stops a run is not kept waiting.
-    let test = if whole { score_images(&gaussians, &scene, config, device)? } else { ImageScores::default() };
+    let test = if whole {
+        score_images(&gaussians, &scene, config, device)?
+    } else {
+        ImageScores::default()
+    };
     let mut outcome = Outcome {
         gaussians,
         building,
@@ -200,11 +227,18 @@ pub fn run(config: &Config, out: &Path, device: &Device, progress: &mut dyn Prog
         scene,
     };
     let segments = config.data.association == Association::Gaussians;
-    if segments && outcome.scene.split(Split::Train).any(|v| v.raw.is_some()) && !outcome.stops(progress) {
+    if segments
+        && outcome.scene.split(Split::Train).any(|v| v.raw.is_some())
+        && !outcome.stops(progress)
+    {
         put_together(&mut outcome, progress)?;
     }
-    if has_raw_labels(&outcome.scene) && !config.segmentation.rows().is_empty() && !outcome.stops(progress) {
-        outcome.seconds.segmentation = segment(&mut outcome, &settings, &checkpoints, device, progress)?;
+    if has_raw_labels(&outcome.scene)
+        && !config.segmentation.rows().is_empty()
+        && !outcome.stops(progress)
+    {
+        outcome.seconds.segmentation =
+            segment(&mut outcome, &settings, &checkpoints, device, progress)?;
     }
     outcome.seconds.total = start.elapsed().as_secs_f64() + earlier + outcome.earlier_segmentation;
     Ok(outcome)
@@ -236,7 +270,12 @@ const GIVEN: &str = "given.safetensors";
 const GIVEN_KIND: &str = "given Gaussians";
 
 /// Stage one that takes `gaussians` as they are. A run that goes on has to have begun with them, and with these photos.
-fn taken(gaussians: Gaussians, scene: &Scene, config: &Config, checkpoints: &Path) -> Result<Built> {
+fn taken(
+    gaussians: Gaussians,
+    scene: &Scene,
+    config: &Config,
+    checkpoints: &Path,
+) -> Result<Built> {
     let (built, file) = (checkpoints.join(BUILDING), checkpoints.join(GIVEN));
     let provenance = Provenance::given(config, scene, &gaussians);
     if built.is_file() {
@@ -248,10 +287,20 @@ fn taken(gaussians: Gaussians, scene: &Scene, config: &Config, checkpoints: &Pat
         checkpoint.set("provenance", &provenance)?;
         checkpoint.save(&file)?;
     } else {
-        provenance.check_built(&Checkpoint::load(&file, GIVEN_KIND)?.get("provenance")?, scene, &file)?;
+        provenance.check_built(
+            &Checkpoint::load(&file, GIVEN_KIND)?.get("provenance")?,
+            scene,
+            &file,
+        )?;
     }
     let gaussians = gaussians.select(&gaussians.spatial_order());
-    Ok(Built { gaussians, curve: Vec::new(), earlier: 0.0, anew, whole: true })
+    Ok(Built {
+        gaussians,
+        curve: Vec::new(),
+        earlier: 0.0,
+        anew,
+        whole: true,
+    })
 }
 
 /// Stage one from its checkpoint, or from the Gaussians `begun`, or from points.
@@ -269,10 +318,17 @@ fn build(
         Provenance::building(config, scene).check_built(&stored, scene, &given)?;
     }
     let mut stage = match (checkpoint.is_file(), begun) {
-        (true, _) => BuildingStage::from_state(scene, config, device, BuildingState::load(&checkpoint)?)?,
+        (true, _) => {
+            BuildingStage::from_state(scene, config, device, BuildingState::load(&checkpoint)?)?
+        }
         (false, Some(gaussians)) => {
             let gaussians = gaussians.with_sh_degree(config.building.sh_degree);
-            BuildingStage::from_state(scene, config, device, BuildingState::new(gaussians, config.seed))?
+            BuildingStage::from_state(
+                scene,
+                config,
+                device,
+                BuildingState::new(gaussians, config.seed),
+            )?
         }
         (false, None) => BuildingStage::new(scene, config, device)?,
     }
@@ -292,12 +348,18 @@ fn build(
 /// Makes objects of the segments that the raw labels of the scene hold, unless it is stopped before they are. They are not
 /// stored: a run that is gone on with makes them again, and the same ones.
 fn put_together(outcome: &mut Outcome, progress: &mut dyn Progress) -> Result<()> {
-    let Outcome { scene, gaussians, config, .. } = outcome;
+    let Outcome {
+        scene,
+        gaussians,
+        config,
+        ..
+    } = outcome;
     let (clock, settings) = (Instant::now(), Settings::from(&config.raster));
     let looks = objects::Association::looks(scene, &config.association);
     let mut viewing = Viewing::begin(progress, "association", looks);
     let looked = &mut |views| viewing.looked(views);
-    let ControlFlow::Continue(found) = associate_until(gaussians, scene, &config.association, &settings, looked)?
+    let ControlFlow::Continue(found) =
+        associate_until(gaussians, scene, &config.association, &settings, looked)?
     else {
         outcome.stopped = true;
         return Ok(());
@@ -309,7 +371,13 @@ fn put_together(outcome: &mut Outcome, progress: &mut dyn Progress) -> Result<()
     outcome.semantics = Semantics::of(scene);
     found.apply(scene);
     let seconds = clock.elapsed().as_secs_f64();
-    outcome.association = Some(Associated { segments, objects, dropped, divided, seconds });
+    outcome.association = Some(Associated {
+        segments,
+        objects,
+        dropped,
+        divided,
+        seconds,
+    });
     Ok(())
 }
 
@@ -322,7 +390,14 @@ fn segment(
     progress: &mut dyn Progress,
 ) -> Result<f64> {
     let config = &outcome.config.clone();
-    let attendance = Attendance::of(&outcome.scene, &outcome.gaussians, config, settings, device, progress)?;
+    let attendance = Attendance::of(
+        &outcome.scene,
+        &outcome.gaussians,
+        config,
+        settings,
+        device,
+        progress,
+    )?;
     let (Some(attendance), false) = (attendance, progress.stop()) else {
         outcome.stopped = true;
         return Ok(0.0);
@@ -338,7 +413,12 @@ fn segment(
         settings: *settings,
         device,
     };
-    let TrainedRows { rows, spatial, earlier, stopped } = run_rows(&inputs, checkpoints, progress)?;
+    let TrainedRows {
+        rows,
+        spatial,
+        earlier,
+        stopped,
+    } = run_rows(&inputs, checkpoints, progress)?;
     (outcome.rows, outcome.spatial, outcome.earlier_segmentation) = (rows, spatial, earlier);
     outcome.stopped = stopped;
     Ok(clock.elapsed().as_secs_f64() + earlier)

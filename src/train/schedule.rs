@@ -24,7 +24,11 @@ pub struct Schedule {
 impl Schedule {
     /// Of a run over `views` training views of a scene of size `extent` (world units).
     pub fn new(config: &BuildingConfig, views: usize, extent: f64) -> Self {
-        Self { config: config.clone(), views, extent }
+        Self {
+            config: config.clone(),
+            views,
+            extent,
+        }
     }
 
     /// Learning rate of the means: exponential from `lr_means` to `lr_means_final`, times the extent.
@@ -51,13 +55,21 @@ impl Schedule {
     pub fn densifies(&self, step: usize) -> bool {
         let latest = (LATEST_START * self.config.iterations as f64) as usize;
         let from = self.config.densify_from.min(latest);
-        step.is_multiple_of(self.config.densify_every.max(1)) && step >= from && step <= self.densify_until()
+        step.is_multiple_of(self.config.densify_every.max(1))
+            && step >= from
+            && step <= self.densify_until()
     }
 
     /// Whether opacities are reset after `step`; never with [`Strategy::Mcmc`].
     pub fn resets(&self, step: usize) -> bool {
-        let every = self.config.reset_every.max(PASSES_BETWEEN_RESETS * self.views).max(1);
-        self.config.strategy == Strategy::Adc && step.is_multiple_of(every) && step < self.densify_until()
+        let every = self
+            .config
+            .reset_every
+            .max(PASSES_BETWEEN_RESETS * self.views)
+            .max(1);
+        self.config.strategy == Strategy::Adc
+            && step.is_multiple_of(every)
+            && step < self.densify_until()
     }
 
     /// Whether the held-out views are scored after `step`.
@@ -72,7 +84,10 @@ impl Schedule {
 
     /// Index among the training views at `step`: each epoch is a shuffle of all views.
     pub fn view(&self, seed: u64, step: usize) -> usize {
-        let (epoch, place) = (step.saturating_sub(1) / self.views.max(1), step.saturating_sub(1) % self.views.max(1));
+        let (epoch, place) = (
+            step.saturating_sub(1) / self.views.max(1),
+            step.saturating_sub(1) % self.views.max(1),
+        );
         let mut order: Vec<usize> = (0..self.views).collect();
         order.shuffle(&mut stream(seed, Purpose::ViewOrder, epoch as u64));
         order.get(place).copied().unwrap_or(0)
@@ -89,7 +104,11 @@ impl Schedule {
 
     /// Every `interval` steps (0: ten times in the run) and at the end.
     fn every(&self, interval: usize, step: usize) -> bool {
-        let interval = if interval == 0 { self.config.iterations.div_ceil(10) } else { interval };
+        let interval = if interval == 0 {
+            self.config.iterations.div_ceil(10)
+        } else {
+            interval
+        };
         step.is_multiple_of(interval.max(1)) || step == self.config.iterations
     }
 }
@@ -107,12 +126,27 @@ pub fn center(views: &[&View]) -> DVec3 {
 /// Where all cameras stand at one place, by the distance of the points: the rms distance of the points from it, or 1 without points.
 pub fn extent(views: &[&View], points: &Points) -> f64 {
     let mean = center(views);
-    let reach = views.iter().map(|v| v.camera.center.distance(mean)).fold(0.0, f64::max);
-    let squared: f64 = points.positions.iter().map(|&p| Vec3::from(p).as_dvec3().distance_squared(mean)).sum();
+    let reach = views
+        .iter()
+        .map(|v| v.camera.center.distance(mean))
+        .fold(0.0, f64::max);
+    let squared: f64 = points
+        .positions
+        .iter()
+        .map(|&p| Vec3::from(p).as_dvec3().distance_squared(mean))
+        .sum();
     let rms = (squared / points.positions.len().max(1) as f64).sqrt();
-    let surroundings = if rms.is_finite() && rms > 0.0 { rms } else { 1.0 };
+    let surroundings = if rms.is_finite() && rms > 0.0 {
+        rms
+    } else {
+        1.0
+    };
     // Poses of one tripod differ by the rounding of whoever wrote them.
-    if reach > ONE_PLACE * surroundings { 1.1 * reach } else { surroundings }
+    if reach > ONE_PLACE * surroundings {
+        1.1 * reach
+    } else {
+        surroundings
+    }
 }
 
 #[cfg(test)]
@@ -120,7 +154,14 @@ mod tests {
     use super::*;
 
     fn schedule(iterations: usize, views: usize) -> Schedule {
-        Schedule::new(&BuildingConfig { iterations, ..BuildingConfig::default() }, views, 2.0)
+        Schedule::new(
+            &BuildingConfig {
+                iterations,
+                ..BuildingConfig::default()
+            },
+            views,
+            2.0,
+        )
     }
 
     #[test]
@@ -132,7 +173,10 @@ mod tests {
         let degrees = [1, 875, 876, 1750, 1751, 2625, 2626, 7000].map(|step| s.sh_degree(step));
         assert_eq!(degrees, [0, 0, 1, 1, 2, 2, 3, 3]);
         let densified: Vec<usize> = (1..=7000).filter(|&step| s.densifies(step)).collect();
-        assert_eq!((densified[0], densified[1], densified.last()), (500, 600, Some(&3500)));
+        assert_eq!(
+            (densified[0], densified[1], densified.last()),
+            (500, 600, Some(&3500))
+        );
         assert!(s.varies_background(1) && s.varies_background(3500) && !s.varies_background(3501));
         let resets: Vec<usize> = (1..=7000).filter(|&step| s.resets(step)).collect();
         assert_eq!(resets, [1000, 2000, 3000]);
@@ -141,7 +185,10 @@ mod tests {
 
     #[test]
     fn mcmc_densifies_for_longer_and_resets_nothing() {
-        let config = BuildingConfig { strategy: Strategy::Mcmc, ..BuildingConfig::default() };
+        let config = BuildingConfig {
+            strategy: Strategy::Mcmc,
+            ..BuildingConfig::default()
+        };
         let s = Schedule::new(&config, 50, 2.0);
         assert_eq!((1..=7000).rfind(|&step| s.densifies(step)), Some(5600));
         assert!((1..=7000).all(|step| !s.resets(step)));
@@ -149,10 +196,17 @@ mod tests {
 
     #[test]
     fn short_runs_and_many_views_stretch_the_schedule() {
-        assert_eq!((1..=2000).find(|&step| schedule(2000, 10).densifies(step)), Some(200));
-        let resets: Vec<usize> = (1..=7000).filter(|&step| schedule(7000, 300).resets(step)).collect();
+        assert_eq!(
+            (1..=2000).find(|&step| schedule(2000, 10).densifies(step)),
+            Some(200)
+        );
+        let resets: Vec<usize> = (1..=7000)
+            .filter(|&step| schedule(7000, 300).resets(step))
+            .collect();
         assert_eq!(resets, [1500, 3000]);
-        let tiny: Vec<usize> = (1..=3).filter(|&step| schedule(3, 1).evaluates(step)).collect();
+        let tiny: Vec<usize> = (1..=3)
+            .filter(|&step| schedule(3, 1).evaluates(step))
+            .collect();
         assert_eq!(tiny, [1, 2, 3]);
     }
 

@@ -51,8 +51,12 @@ impl Seen {
     ) -> Result<Option<Self>> {
         let (clock, views) = (Instant::now(), scene.split(Split::Train).count());
         let mut viewing = Viewing::begin(progress, "features", views);
-        let reduction = Reduction::fit(scene, &config.features, config.seed, device, &mut || viewing.looked(1))?;
-        let ControlFlow::Continue(mut reduction) = reduction else { return Ok(None) };
+        let reduction = Reduction::fit(scene, &config.features, config.seed, device, &mut || {
+            viewing.looked(1)
+        })?;
+        let ControlFlow::Continue(mut reduction) = reduction else {
+            return Ok(None);
+        };
         viewing.end();
         if progress.stop() {
             return Ok(None);
@@ -60,7 +64,11 @@ impl Seen {
         let (name, content) = (reduction.name.clone(), reduction.content.clone());
         let mut extraction = clock.elapsed();
         let clock = Instant::now();
-        let mut viewing = Viewing::begin(progress, "unprojection", views * looks_at_a_view(&config.unprojection));
+        let mut viewing = Viewing::begin(
+            progress,
+            "unprojection",
+            views * looks_at_a_view(&config.unprojection),
+        );
         let mut maps = reduction.training_views();
         let mut reducing = Duration::ZERO;
         let maps = std::iter::from_fn(|| {
@@ -70,17 +78,37 @@ impl Seen {
             next
         });
         let (train, looked) = (scene.split(Split::Train), &mut || viewing.looked(1));
-        let lifted = unproject_each(gaussians, train, maps, &config.unprojection, settings, device, looked)?;
-        let ControlFlow::Continue(lifted) = lifted else { return Ok(None) };
+        let lifted = unproject_each(
+            gaussians,
+            train,
+            maps,
+            &config.unprojection,
+            settings,
+            device,
+            looked,
+        )?;
+        let ControlFlow::Continue(lifted) = lifted else {
+            return Ok(None);
+        };
         extraction += reducing;
         let unprojection = clock.elapsed().saturating_sub(reducing);
         viewing.end();
-        let kept: Vec<u32> = (0..gaussians.len() as u32).filter(|&i| lifted.keep[i as usize]).collect();
+        let kept: Vec<u32> = (0..gaussians.len() as u32)
+            .filter(|&i| lifted.keep[i as usize])
+            .collect();
         let dimensions = config.features.dimensions;
         let mut rows = lifted.features;
-        rows.iter_mut().for_each(|rows| keep_rows(rows, &kept, dimensions));
+        rows.iter_mut()
+            .for_each(|rows| keep_rows(rows, &kept, dimensions));
         let seconds = [extraction, unprojection].map(|time| time.as_secs_f64());
-        Ok(Some(Self { lifted: rows, kept, dimensions, name, content, seconds }))
+        Ok(Some(Self {
+            lifted: rows,
+            kept,
+            dimensions,
+            name,
+            content,
+            seconds,
+        }))
     }
 }
 
@@ -142,7 +170,10 @@ impl Flavour {
             spatial: row != Row::NoSpatial,
             single_scale: (row == Row::SingleScale).then_some(SINGLE_SCALE),
         };
-        Self { switches, random: row == Row::RandomSpatial }
+        Self {
+            switches,
+            random: row == Row::RandomSpatial,
+        }
     }
 }
 
@@ -188,15 +219,29 @@ impl Spatial {
         };
         let all: Vec<u32> = (0..inputs.gaussians.len() as u32).collect();
         let scene = join(&encodings.scene, all, flavour, inputs)?;
-        let scales = inputs.config.segmentation.standardise.then(|| Standardisation::of(&scene.pyramid));
+        let scales = inputs
+            .config
+            .segmentation
+            .standardise
+            .then(|| Standardisation::of(&scene.pyramid));
         let scaled = |encoded: Encoded| match &scales {
-            Some(scales) => Encoded { pyramid: scales.apply(encoded.pyramid), ..encoded },
+            Some(scales) => Encoded {
+                pyramid: scales.apply(encoded.pyramid),
+                ..encoded
+            },
             None => encoded,
         };
         let source = match inputs.config.spatial.encode {
             Encode::Scene => Source::Scene(scaled(scene)),
             Encode::View => {
-                let view = |v: &EncodedView| Ok(scaled(join(&v.encoding, v.visible.clone(), flavour, inputs)?));
+                let view = |v: &EncodedView| {
+                    Ok(scaled(join(
+                        &v.encoding,
+                        v.visible.clone(),
+                        flavour,
+                        inputs,
+                    )?))
+                };
                 Source::Views {
                     views: encodings.views.iter().map(view).collect::<Result<_>>()?,
                     weights: encodings.views.iter().map(|v| v.weights.clone()).collect(),
@@ -211,7 +256,10 @@ impl Spatial {
     fn encode(&mut self, random: bool, inputs: &Inputs) -> Result<Encodings> {
         let Config { seed, spatial, .. } = inputs.config;
         let spatial = match random {
-            true => SpatialConfig { source: SpatialSource::Random, ..spatial.clone() },
+            true => SpatialConfig {
+                source: SpatialSource::Random,
+                ..spatial.clone()
+            },
             false => spatial.clone(),
         };
         let (encoder, name) = load_spatial(&spatial, *seed, inputs.device)?;
@@ -222,21 +270,35 @@ impl Spatial {
         let gaussians = inputs.gaussians;
         let colors: Vec<[f32; 3]> = gaussians.base_colors();
         let one = |positions: &[[f32; 3]], colors: &[[f32; 3]]| {
-            let cloud = Cloud { positions, colors: Some(colors), up: inputs.scene.up, scale };
+            let cloud = Cloud {
+                positions,
+                colors: Some(colors),
+                up: inputs.scene.up,
+                scale,
+            };
             encode(&encoder, &cloud, *seed, inputs.device)
         };
         let scene = one(&gaussians.means, &colors)?;
         let mut views = Vec::new();
         if spatial.encode == Encode::View {
             for view in inputs.scene.split(Split::Train).filter(|v| v.raw.is_some()) {
-                let projected = Projected::new(&gaussians.splats(), &view.camera, &inputs.settings)?;
+                let projected =
+                    Projected::new(&gaussians.splats(), &view.camera, &inputs.settings)?;
                 let sums = projected.weight_sums();
-                let visible: Vec<u32> =
-                    (0..gaussians.len() as u32).filter(|&i| projected.radii()[i as usize] > 0).collect();
-                let positions: Vec<_> = visible.iter().map(|&i| gaussians.means[i as usize]).collect();
+                let visible: Vec<u32> = (0..gaussians.len() as u32)
+                    .filter(|&i| projected.radii()[i as usize] > 0)
+                    .collect();
+                let positions: Vec<_> = visible
+                    .iter()
+                    .map(|&i| gaussians.means[i as usize])
+                    .collect();
                 let tints: Vec<_> = visible.iter().map(|&i| colors[i as usize]).collect();
                 let weights = visible.iter().map(|&i| sums[i as usize]).collect();
-                views.push(EncodedView { encoding: one(&positions, &tints)?, visible, weights });
+                views.push(EncodedView {
+                    encoding: one(&positions, &tints)?,
+                    visible,
+                    weights,
+                });
             }
         }
         Ok(Encodings { scene, views })
@@ -251,20 +313,36 @@ fn camera_extent(scene: &Scene) -> f64 {
 }
 
 /// Joins an encoding of the Gaussians `points` with their lifted features.
-fn join(encoding: &Encoding, points: Vec<u32>, flavour: Flavour, inputs: &Inputs) -> Result<Encoded> {
+fn join(
+    encoding: &Encoding,
+    points: Vec<u32>,
+    flavour: Flavour,
+    inputs: &Inputs,
+) -> Result<Encoded> {
     let image = |scale: usize, rows: &[u32]| {
         let Some(seen) = &inputs.seen else {
             let mend = "unproject image features first, or leave them off";
-            return Err(Error::argument("image features", "none", "those of every Gaussian", mend));
+            return Err(Error::argument(
+                "image features",
+                "none",
+                "those of every Gaussian",
+                mend,
+            ));
         };
         let (lifted, d) = (&seen.lifted[scale], seen.dimensions);
         let mut values = Vec::with_capacity(rows.len() * d);
         for &row in rows {
             values.extend_from_slice(&lifted[points[row as usize] as usize * d..][..d]);
         }
-        Ok(Tensor::from_data(TensorData::new(values, [rows.len(), d]), inputs.device))
+        Ok(Tensor::from_data(
+            TensorData::new(values, [rows.len(), d]),
+            inputs.device,
+        ))
     };
-    Ok(Encoded { pyramid: Pyramid::gathered(encoding, flavour.switches, image)?, points })
+    Ok(Encoded {
+        pyramid: Pyramid::gathered(encoding, flavour.switches, image)?,
+        points,
+    })
 }
 
 #[cfg(test)]
@@ -274,9 +352,11 @@ mod tests {
     #[test]
     fn kept_rows_stay_in_order() {
         let all: Vec<f32> = (0..12).map(|v| v as f32).collect();
-        for (kept, want) in
-            [(vec![0, 1, 2, 3], all.clone()), (vec![1, 3], vec![3.0, 4.0, 5.0, 9.0, 10.0, 11.0]), (vec![], vec![])]
-        {
+        for (kept, want) in [
+            (vec![0, 1, 2, 3], all.clone()),
+            (vec![1, 3], vec![3.0, 4.0, 5.0, 9.0, 10.0, 11.0]),
+            (vec![], vec![]),
+        ] {
             let mut rows = all.clone();
             keep_rows(&mut rows, &kept, 3);
             assert_eq!(rows, want, "{kept:?}");

@@ -132,21 +132,41 @@ impl Viewer<'_> {
     pub fn page(&self) -> Result<String> {
         self.gaussians.check(self.labels)?;
         if self.gaussians.is_empty() {
-            return Err(Error::argument("gaussians", "none", "one or more", "name a scene that holds something"));
+            return Err(Error::argument(
+                "gaussians",
+                "none",
+                "one or more",
+                "name a scene that holds something",
+            ));
         }
         if !(self.alpha_max > 0.0 && self.alpha_max <= 1.0) {
             let mend = "choose a value in that range";
-            return Err(Error::argument("alpha_max", self.alpha_max.to_string(), "a number in (0, 1]", mend));
+            return Err(Error::argument(
+                "alpha_max",
+                self.alpha_max.to_string(),
+                "a number in (0, 1]",
+                mend,
+            ));
         }
         if let Some(up) = self.up.filter(|up| up.try_normalize().is_none()) {
-            return Err(Error::argument("up", up.to_string(), "a direction", "name one, such as 0,0,1"));
+            return Err(Error::argument(
+                "up",
+                up.to_string(),
+                "a direction",
+                "name one, such as 0,0,1",
+            ));
         }
         let unlabelled = vec![0; self.gaussians.len()];
         let all = inventory(self.gaussians, &unlabelled);
-        let objects = self.labels.map_or_else(|| all.clone(), |labels| inventory(self.gaussians, labels));
+        let objects = self
+            .labels
+            .map_or_else(|| all.clone(), |labels| inventory(self.gaussians, labels));
         let mut places = unlabelled;
         for (place, object) in (0..=u16::MAX).zip(&objects) {
-            object.rows.iter().for_each(|&row| places[row as usize] = place);
+            object
+                .rows
+                .iter()
+                .for_each(|&row| places[row as usize] = place);
         }
         let columns = packing::columns(self.gaussians, &places);
         let header = json(&self.header(&all[0], &objects, columns.len()))?;
@@ -161,7 +181,10 @@ impl Viewer<'_> {
             ("style", include_str!("page/viewer.css")),
             ("header", &header),
             ("shaders", &shaders),
-            ("columns", &columns.chunks(PART).map(part).collect::<String>()),
+            (
+                "columns",
+                &columns.chunks(PART).map(part).collect::<String>(),
+            ),
             ("script", &SCRIPT.concat()),
         ]))
     }
@@ -170,13 +193,24 @@ impl Viewer<'_> {
         let entry = |object: &Object| Entry {
             id: self.labels.map(|_| object.id),
             name: self.labels.and_then(|_| self.classes.known_name(object.id)),
-            color: if self.labels.is_some() { self.classes.legend_color(object.id) } else { [255; 3] },
+            color: if self.labels.is_some() {
+                self.classes.legend_color(object.id)
+            } else {
+                [255; 3]
+            },
             gaussians: object.rows.len(),
             low: object.low.to_array(),
             high: object.high.to_array(),
         };
-        let moved = |camera: &Camera| Camera { center: camera.center - self.origin, ..camera.clone() };
-        let cameras: Vec<Camera> = self.cameras.iter().map(|named| moved(&named.camera)).collect();
+        let moved = |camera: &Camera| Camera {
+            center: camera.center - self.origin,
+            ..camera.clone()
+        };
+        let cameras: Vec<Camera> = self
+            .cameras
+            .iter()
+            .map(|named| moved(&named.camera))
+            .collect();
         let up = match self.up.and_then(DVec3::try_normalize) {
             Some(up) => up,
             None if cameras.is_empty() => DVec3::NEG_Y,
@@ -193,10 +227,15 @@ impl Viewer<'_> {
             degree: self.gaussians.sh_degree,
             alpha_max: self.alpha_max,
             up: up.to_array(),
-            extent: Extent { low: all.low.to_array(), high: all.high.to_array() },
+            extent: Extent {
+                low: all.low.to_array(),
+                high: all.high.to_array(),
+            },
             start: view("", Split::Train, &start),
             objects: objects.iter().map(entry).collect(),
-            cameras: views.map(|(named, camera)| view(&named.name, named.split, camera)).collect(),
+            cameras: views
+                .map(|(named, camera)| view(&named.name, named.split, camera))
+                .collect(),
         }
     }
 
@@ -204,15 +243,34 @@ impl Viewer<'_> {
     fn without_cameras(&self, all: &Object, up: DVec3) -> Camera {
         let longest = |scales: &[f32; 3]| scales.iter().copied().fold(f32::MIN, f32::max).exp();
         // One Gaussian has no box.
-        let least = 8.0 * self.gaussians.log_scales.iter().map(longest).fold(0.0, f32::max).min(1.0);
+        let least = 8.0
+            * self
+                .gaussians
+                .log_scales
+                .iter()
+                .map(longest)
+                .fold(0.0, f32::max)
+                .min(1.0);
         let distance = (1.2 * all.low.distance(all.high)).max(f64::from(least));
         // Along z as COLMAP's first cameras look, as far as that is across.
-        let ahead = DVec3::Z.reject_from_normalized(up).try_normalize().unwrap_or(up.any_orthonormal_vector());
+        let ahead = DVec3::Z
+            .reject_from_normalized(up)
+            .try_normalize()
+            .unwrap_or(up.any_orthonormal_vector());
         let center = all.center() - distance * (ahead - 0.3 * up).normalize();
         let forward = (all.center() - center).normalize();
         let right = forward.cross(up).normalize();
         let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
-        Camera { rotation, center, fx: 480.0, fy: 480.0, cx: 320.0, cy: 240.0, width: 640, height: 480 }
+        Camera {
+            rotation,
+            center,
+            fx: 480.0,
+            fy: 480.0,
+            cx: 320.0,
+            cy: 240.0,
+            width: 640,
+            height: 480,
+        }
     }
 }
 
@@ -225,13 +283,35 @@ fn part(bytes: &[u8]) -> String {
 /// An axis of the world where `up` is nearly one: what cameras say is as steady as who held them.
 fn upright(up: DVec3) -> DVec3 {
     let axes = DVec3::AXES.into_iter().flat_map(|axis| [axis, -axis]);
-    axes.into_iter().find(|axis| axis.dot(up) > NEARLY).unwrap_or(up)
+    axes.into_iter()
+        .find(|axis| axis.dot(up) > NEARLY)
+        .unwrap_or(up)
 }
 
 fn view<'a>(name: &'a str, split: Split, camera: &Camera) -> View<'a> {
-    let &Camera { rotation, center, fx, fy, cx, cy, width, height } = camera;
+    let &Camera {
+        rotation,
+        center,
+        fx,
+        fy,
+        cx,
+        cy,
+        width,
+        height,
+    } = camera;
     let rotation = rotation.transpose().to_cols_array();
-    View { name, split, rotation, center: center.to_array(), fx, fy, cx, cy, width, height }
+    View {
+        name,
+        split,
+        rotation,
+        center: center.to_array(),
+        fx,
+        fy,
+        cx,
+        cy,
+        width,
+        height,
+    }
 }
 
 /// JSON that can stand in a page: no text in it ends the element that holds it.
@@ -247,7 +327,12 @@ fn filled(parts: &[(&str, &str)]) -> String {
     out.push_str(pieces.next().unwrap_or_default());
     for piece in pieces {
         let (name, after) = piece.split_once("}}").unwrap_or((piece, ""));
-        out.push_str(parts.iter().find(|(part, _)| *part == name).map_or("", |(_, text)| text));
+        out.push_str(
+            parts
+                .iter()
+                .find(|(part, _)| *part == name)
+                .map_or("", |(_, text)| text),
+        );
         out.push_str(after);
     }
     out

@@ -17,22 +17,50 @@ pub(super) fn bytes(gaussians: &Gaussians) -> usize {
 pub(super) fn columns(gaussians: &Gaussians, objects: &[u16]) -> Vec<u8> {
     let width = 3 * gaussians.sh_len();
     let colours = || gaussians.sh.chunks_exact(width).map(|sh| sh.split_at(3));
-    let spread: Vec<i16> = colours().map(|(_, rest)| steps(largest(rest).ln(), LOG_STEPS)).collect();
+    let spread: Vec<i16> = colours()
+        .map(|(_, rest)| steps(largest(rest).ln(), LOG_STEPS))
+        .collect();
 
     let mut out = Vec::with_capacity(bytes(gaussians));
-    out.extend(gaussians.means.as_flattened().iter().flat_map(|v| v.to_le_bytes()));
-    out.extend(gaussians.log_scales.as_flattened().iter().flat_map(|&v| steps(v, LOG_STEPS).to_le_bytes()));
-    out.extend(colours().flat_map(|(base, _)| base).flat_map(|&v| steps(v, BASE_STEPS).to_le_bytes()));
-    let turns = gaussians.rotations.iter().map(rotation).flat_map(|q| [q.w, q.x, q.y, q.z]);
+    out.extend(
+        gaussians
+            .means
+            .as_flattened()
+            .iter()
+            .flat_map(|v| v.to_le_bytes()),
+    );
+    out.extend(
+        gaussians
+            .log_scales
+            .as_flattened()
+            .iter()
+            .flat_map(|&v| steps(v, LOG_STEPS).to_le_bytes()),
+    );
+    out.extend(
+        colours()
+            .flat_map(|(base, _)| base)
+            .flat_map(|&v| steps(v, BASE_STEPS).to_le_bytes()),
+    );
+    let turns = gaussians
+        .rotations
+        .iter()
+        .map(rotation)
+        .flat_map(|q| [q.w, q.x, q.y, q.z]);
     out.extend(turns.flat_map(|v| steps(v as f32, f32::from(i16::MAX)).to_le_bytes()));
-    let opacities = gaussians.opacity_logits.iter().map(|logit| 1.0 / (1.0 + (-logit).exp()));
+    let opacities = gaussians
+        .opacity_logits
+        .iter()
+        .map(|logit| 1.0 / (1.0 + (-logit).exp()));
     out.extend(opacities.flat_map(|v| ((v * f32::from(u16::MAX)).round() as u16).to_le_bytes()));
     out.extend(objects.iter().flat_map(|v| v.to_le_bytes()));
     out.extend(spread.iter().flat_map(|v| v.to_le_bytes()));
     for ((_, rest), &spread) in colours().zip(&spread) {
         // What the page multiplies by, so that rounding of the scale is made good here.
         let scale = 127.0 / (f32::from(spread) / LOG_STEPS).exp();
-        out.extend(rest.iter().map(|v| (v * scale).round().clamp(-127.0, 127.0) as i8 as u8));
+        out.extend(
+            rest.iter()
+                .map(|v| (v * scale).round().clamp(-127.0, 127.0) as i8 as u8),
+        );
     }
     out
 }

@@ -9,18 +9,28 @@ fn device() -> Device {
 }
 
 fn wave(n: usize, frequency: f64) -> Vec<f64> {
-    (0..n).map(|i| (i as f64 * frequency).sin() * 10.0_f64.powi((i % 7) as i32 - 5)).collect()
+    (0..n)
+        .map(|i| (i as f64 * frequency).sin() * 10.0_f64.powi((i % 7) as i32 - 5))
+        .collect()
 }
 
 fn worst(a: Tensor<2>, b: Tensor<2>) -> f64 {
-    let read = |t: Tensor<2>| t.into_data().convert::<f64>().into_vec::<f64>().expect("f64");
+    let read = |t: Tensor<2>| {
+        t.into_data()
+            .convert::<f64>()
+            .into_vec::<f64>()
+            .expect("f64")
+    };
     let (a, b) = (read(a), read(b));
     let rms = (b.iter().map(|v| v * v).sum::<f64>() / b.len() as f64).sqrt();
     let worst = a
         .iter()
         .zip(&b)
         .map(|(a, b)| (a - b).abs())
-        .fold(0.0, |m: f64, d| if d.is_nan() { f64::NAN } else { m.max(d) });
+        .fold(
+            0.0,
+            |m: f64, d| if d.is_nan() { f64::NAN } else { m.max(d) },
+        );
     worst / rms
 }
 
@@ -28,8 +38,11 @@ fn compare(dtype: DType, tolerance: f64) {
     let (device, shape) = (device(), [1234, 7]);
     let tensor = |v: Vec<f64>| Tensor::<2>::from_data(TensorData::new(v, shape), (&device, dtype));
     let n = shape[0] * shape[1];
-    let start =
-        || AdamTensors { param: tensor(wave(n, 0.3)), first: tensor(vec![0.0; n]), second: tensor(vec![0.0; n]) };
+    let start = || AdamTensors {
+        param: tensor(wave(n, 0.3)),
+        first: tensor(vec![0.0; n]),
+        second: tensor(vec![0.0; n]),
+    };
     let (mut fused, mut plain) = (start(), start());
     for step in 1..=20 {
         let gradient = tensor(wave(n, 0.1 * f64::from(step)));
@@ -72,13 +85,17 @@ fn first_steps_move_by_the_rate() {
 #[test]
 fn same_bits_at_any_thread_count() {
     let run = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("a pool");
         pool.install(|| {
             let n = 100_003;
             let gradient: Vec<f32> = wave(n, 0.7).into_iter().map(|v| v as f32).collect();
             let (mut p, mut m, mut v) = (vec![1.0_f32; n], vec![0.0; n], vec![0.0; n]);
             for t in 1..=4 {
-                AdamStep::splatting(vec![1e-2, 1e-3, 1e-4], t).apply(&mut p, &gradient, &mut m, &mut v);
+                AdamStep::splatting(vec![1e-2, 1e-3, 1e-4], t)
+                    .apply(&mut p, &gradient, &mut m, &mut v);
             }
             p
         })

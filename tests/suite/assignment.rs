@@ -36,11 +36,21 @@ fn no_other_pairing_is_worth_more() {
         let mut used: Vec<usize> = found.iter().flatten().copied().collect();
         used.sort_unstable();
         used.dedup();
-        assert_eq!(used.len(), found.iter().flatten().count(), "a column twice: {found:?}");
-        let pairs = found.iter().enumerate().filter_map(|(r, c)| Some(values[r * columns + (*c)?]));
+        assert_eq!(
+            used.len(),
+            found.iter().flatten().count(),
+            "a column twice: {found:?}"
+        );
+        let pairs = found
+            .iter()
+            .enumerate()
+            .filter_map(|(r, c)| Some(values[r * columns + (*c)?]));
         assert!(pairs.clone().all(|v| v > 0.0));
         let most = best(&values, columns, 0, &mut vec![false; columns]);
-        assert!((pairs.sum::<f64>() - most).abs() < 1e-12, "{values:?} {columns}: {found:?}, {most}");
+        assert!(
+            (pairs.sum::<f64>() - most).abs() < 1e-12,
+            "{values:?} {columns}: {found:?}, {most}"
+        );
     }
 }
 

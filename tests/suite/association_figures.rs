@@ -2,7 +2,9 @@
 
 use crate::spoilt_masks::{Noise, spoilt};
 use coseg::config::{Association, AssociationConfig, LabelSource};
-use coseg::data::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, View, load};
+use coseg::data::{
+    Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, View, load,
+};
 use coseg::gaussians::{Gaussians, ply};
 use coseg::metrics::{InstanceScores, instance_scores};
 use coseg::objects::{LabelRule, Semantics, associate, label_map, vote};
@@ -31,11 +33,19 @@ impl Found {
     fn new(gaussians: &Gaussians, mut scene: Scene) -> Self {
         let clock = std::time::Instant::now();
         let settings = Settings::default();
-        let found = associate(gaussians, &scene, &AssociationConfig::default(), &settings).expect("association");
-        let [groups, segments, divided, dropped] = [found.groups.len(), found.segments, found.divided, found.dropped];
+        let found = associate(gaussians, &scene, &AssociationConfig::default(), &settings)
+            .expect("association");
+        let [groups, segments, divided, dropped] = [
+            found.groups.len(),
+            found.segments,
+            found.divided,
+            found.dropped,
+        ];
         let seconds = clock.elapsed().as_secs_f64();
         found.apply(&mut scene);
-        let own = scene.split(Split::Test).map(|view| (ids(&view.instances), ids(&view.raw)));
+        let own = scene
+            .split(Split::Test)
+            .map(|view| (ids(&view.instances), ids(&view.raw)));
         let own = instance_scores(own);
         eprintln!(
             "{segments} segments, {groups} groups, {divided} divided, {dropped} dropped, {seconds:.1} s; maps of test views: \
@@ -43,7 +53,10 @@ impl Found {
             own.accuracy.unwrap_or_default(),
             own.miou.unwrap_or_default(),
         );
-        Self { maps: rendered(gaussians, &scene), scene }
+        Self {
+            maps: rendered(gaussians, &scene),
+            scene,
+        }
     }
 
     /// Scores of the rendered maps.
@@ -78,22 +91,36 @@ fn ids(map: &Option<LabelRuns>) -> Vec<u16> {
 
 fn counts(maps: impl Iterator<Item = (Vec<u16>, Vec<u16>)>) -> Counts {
     let mut counts = Counts::new();
-    maps.flat_map(|(a, b)| a.into_iter().zip(b)).for_each(|pair| *counts.entry(pair).or_default() += 1);
+    maps.flat_map(|(a, b)| a.into_iter().zip(b))
+        .for_each(|pair| *counts.entry(pair).or_default() += 1);
     counts
 }
 
 /// The first id that has most pixels of the second id `of`.
 fn owner(counts: &Counts, of: u16) -> Option<u16> {
-    counts.iter().filter(|((_, b), _)| *b == of).max_by_key(|(_, n)| **n).map(|((a, _), _)| *a)
+    counts
+        .iter()
+        .filter(|((_, b), _)| *b == of)
+        .max_by_key(|(_, n)| **n)
+        .map(|((a, _), _)| *a)
 }
 
 /// What a vote of the raw labels of the training views shows in the test views.
 pub fn rendered(gaussians: &Gaussians, scene: &Scene) -> Vec<LabelMap> {
     let settings = Settings::default();
-    let votes = vote(gaussians, scene.split(Split::Train), &scene.classes, &settings, &crate::device())
-        .expect("votes")
-        .identities();
-    let rule = LabelRule { source: LabelSource::Labels, min_coverage: 0.5 };
+    let votes = vote(
+        gaussians,
+        scene.split(Split::Train),
+        &scene.classes,
+        &settings,
+        &crate::device(),
+    )
+    .expect("votes")
+    .identities();
+    let rule = LabelRule {
+        source: LabelSource::Labels,
+        min_coverage: 0.5,
+    };
     let render = |view: &View| {
         let projected = Projected::new(&gaussians.splats(), &view.camera, &settings).expect("view");
         label_map(&projected, &votes, &scene.classes, &rule)
@@ -104,20 +131,41 @@ pub fn rendered(gaussians: &Gaussians, scene: &Scene) -> Vec<LabelMap> {
 /// True ids in all views: what the Gaussians allow.
 fn with_true_ids(gaussians: &Gaussians, scene: &Scene) -> Found {
     let mut scene = scene.clone();
-    let mut all: Vec<u16> = scene.views.iter().flat_map(|view| ids(&view.instances)).collect();
+    let mut all: Vec<u16> = scene
+        .views
+        .iter()
+        .flat_map(|view| ids(&view.instances))
+        .collect();
     all.sort_unstable();
     all.dedup();
     scene.classes = Classes::from_names(0, all.into_iter().map(|id| (id, id.to_string())));
-    scene.views.iter_mut().for_each(|view| view.raw = view.instances.clone());
-    Found { maps: rendered(gaussians, &scene), scene }
+    scene
+        .views
+        .iter_mut()
+        .for_each(|view| view.raw = view.instances.clone());
+    Found {
+        maps: rendered(gaussians, &scene),
+        scene,
+    }
 }
 
 /// Raw labels of all views, those of training views spoilt.
 fn spoil(scene: &mut Scene, noise: Noise) {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     for view in &mut scene.views {
-        let noise = if view.split == Split::Test { Noise::default() } else { noise };
-        view.raw = Some(spoilt(&view.instances.as_ref().expect("truth").map(), noise, &mut rng).into());
+        let noise = if view.split == Split::Test {
+            Noise::default()
+        } else {
+            noise
+        };
+        view.raw = Some(
+            spoilt(
+                &view.instances.as_ref().expect("truth").map(),
+                noise,
+                &mut rng,
+            )
+            .into(),
+        );
     }
 }
 
@@ -130,13 +178,19 @@ fn with_classes(scene: &mut Scene) {
         segments.sort_unstable();
         segments.dedup();
         let told = |id| {
-            owner(&counts, id).filter(|class| *class > 0).map(|class| Segment {
-                id,
-                class: Some(class),
-                thing: !stuff(class),
-            })
+            owner(&counts, id)
+                .filter(|class| *class > 0)
+                .map(|class| Segment {
+                    id,
+                    class: Some(class),
+                    thing: !stuff(class),
+                })
         };
-        view.segments = segments.into_iter().filter(|id| *id > 0).filter_map(told).collect();
+        view.segments = segments
+            .into_iter()
+            .filter(|id| *id > 0)
+            .filter_map(told)
+            .collect();
     }
 }
 
@@ -145,29 +199,57 @@ fn print_missing(found: &Found, limit: &Found) {
     let (rendered, limit) = (found.counts(), limit.counts());
     let train = || found.scene.split(Split::Train);
     let trained = counts(train().map(|view| (ids(&view.instances), ids(&view.raw))));
-    let mut instances: Vec<u16> = rendered.keys().map(|(t, _)| *t).filter(|t| *t > 0).collect();
+    let mut instances: Vec<u16> = rendered
+        .keys()
+        .map(|(t, _)| *t)
+        .filter(|t| *t > 0)
+        .collect();
     instances.dedup();
     let owned = |counts: &Counts, t: u16| {
-        let objects: std::collections::BTreeSet<u16> = counts.keys().map(|(_, o)| *o).filter(|o| *o > 0).collect();
+        let objects: std::collections::BTreeSet<u16> =
+            counts.keys().map(|(_, o)| *o).filter(|o| *o > 0).collect();
         objects.into_iter().find(|o| owner(counts, *o) == Some(t))
     };
-    for t in instances.into_iter().filter(|&t| owned(&rendered, t).is_none()) {
-        let views: Vec<usize> =
-            train().map(|view| ids(&view.instances).iter().filter(|id| **id == t).count()).filter(|n| *n > 0).collect();
-        let test: usize = rendered.iter().filter(|((a, _), _)| *a == t).map(|(_, n)| n).sum();
-        let mut shares: Vec<(usize, u16)> =
-            trained.iter().filter(|((a, _), _)| *a == t).map(|((_, o), n)| (*n, *o)).collect();
+    for t in instances
+        .into_iter()
+        .filter(|&t| owned(&rendered, t).is_none())
+    {
+        let views: Vec<usize> = train()
+            .map(|view| ids(&view.instances).iter().filter(|id| **id == t).count())
+            .filter(|n| *n > 0)
+            .collect();
+        let test: usize = rendered
+            .iter()
+            .filter(|((a, _), _)| *a == t)
+            .map(|(_, n)| n)
+            .sum();
+        let mut shares: Vec<(usize, u16)> = trained
+            .iter()
+            .filter(|((a, _), _)| *a == t)
+            .map(|((_, o), n)| (*n, *o))
+            .collect();
         shares.sort_unstable_by(|a, b| b.cmp(a));
         let reason = match (views.len(), owned(&trained, t), owned(&limit, t)) {
             (0, ..) => "in no training view".to_owned(),
             (_, Some(object), Some(_)) => format!("object {object} in the maps, lost in the vote"),
-            (_, Some(object), None) => format!("object {object} in the maps, lost in the vote; so with true ids"),
+            (_, Some(object), None) => {
+                format!("object {object} in the maps, lost in the vote; so with true ids")
+            }
             (_, None, limit) => {
-                let into = shares.iter().find(|(_, o)| *o > 0).and_then(|(_, o)| owner(&trained, *o));
-                let also = if limit.is_none() { "; lost with true ids too" } else { "" };
+                let into = shares
+                    .iter()
+                    .find(|(_, o)| *o > 0)
+                    .and_then(|(_, o)| owner(&trained, *o));
+                let also = if limit.is_none() {
+                    "; lost with true ids too"
+                } else {
+                    ""
+                };
                 match shares.first() {
                     Some((_, 0)) => {
-                        format!("most of its pixels without an object, then joined with instance {into:?}{also}")
+                        format!(
+                            "most of its pixels without an object, then joined with instance {into:?}{also}"
+                        )
                     }
                     _ => format!("joined with instance {into:?}{also}"),
                 }
@@ -188,7 +270,11 @@ fn print_missing(found: &Found, limit: &Found) {
 #[test]
 #[ignore = "needs trained Gaussians and minutes; prints figures"]
 fn measure_a_trained_scene() {
-    let path = |key| std::env::var_os(key).map(PathBuf::from).expect("COSEG_SCENE_PLY and COSEG_SCENE_DIR");
+    let path = |key| {
+        std::env::var_os(key)
+            .map(PathBuf::from)
+            .expect("COSEG_SCENE_PLY and COSEG_SCENE_DIR")
+    };
     let trained = ply::read(&path("COSEG_SCENE_PLY"), &Limits::default()).expect("Gaussians");
     let gaussians = &trained.gaussians;
     let options = LoadOptions {
@@ -204,11 +290,31 @@ fn measure_a_trained_scene() {
     let clean = Noise::default();
     let cases = [
         ("clean", clean),
-        ("split 30 %", Noise { split: 0.3, ..clean }),
-        ("merge 15 %", Noise { merge: 0.15, ..clean }),
+        (
+            "split 30 %",
+            Noise {
+                split: 0.3,
+                ..clean
+            },
+        ),
+        (
+            "merge 15 %",
+            Noise {
+                merge: 0.15,
+                ..clean
+            },
+        ),
         ("erode 2 px", Noise { erode: 2, ..clean }),
         ("drop 30 %", Noise { drop: 0.3, ..clean }),
-        ("all", Noise { split: 0.3, merge: 0.15, erode: 2, drop: 0.3 }),
+        (
+            "all",
+            Noise {
+                split: 0.3,
+                merge: 0.15,
+                erode: 2,
+                drop: 0.3,
+            },
+        ),
     ];
     let wanted = std::env::var("COSEG_CASES").unwrap_or_default();
     let wanted = |name: &str| wanted.is_empty() || wanted.split(',').any(|w| name.starts_with(w));
@@ -233,7 +339,10 @@ fn measure_a_trained_scene() {
         let semantics = Semantics::of(&scene).expect("classes");
         let found = Found::new(gaussians, scene);
         found.print(name);
-        let maps = found.scene.split(Split::Test).zip(found.maps.iter().cloned().map(LabelRuns::from));
+        let maps = found
+            .scene
+            .split(Split::Test)
+            .zip(found.maps.iter().cloned().map(LabelRuns::from));
         let maps: Vec<_> = maps.collect();
         let scores = semantics.score(&found.scene.classes, &maps);
         let quality = scores.panoptic.expect("instances");

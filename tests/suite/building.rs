@@ -21,13 +21,26 @@ fn camera(center: DVec3) -> Camera {
     let right = forward.cross(DVec3::Z).normalize();
     let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
     let (width, height) = (WIDTH, HEIGHT);
-    Camera { rotation, center, fx: 40.0, fy: 40.0, cx: 22.0, cy: 18.0, width, height }
+    Camera {
+        rotation,
+        center,
+        fx: 40.0,
+        fy: 40.0,
+        cx: 22.0,
+        cy: 18.0,
+        width,
+        height,
+    }
 }
 
 /// Colour of the plane z = 0 at (x, y).
 fn paint(x: f64, y: f64) -> [f64; 3] {
     let check = 0.2 * (4.0 * x).sin() * (4.0 * y).sin();
-    [0.45 + 0.3 * x.sin() + check, 0.45 + 0.3 * (1.3 * y).cos() - check, 0.5 + 0.2 * (x + y).sin()]
+    [
+        0.45 + 0.3 * x.sin() + check,
+        0.45 + 0.3 * (1.3 * y).cos() - check,
+        0.5 + 0.2 * (x + y).sin(),
+    ]
 }
 
 fn photo(camera: &Camera) -> image::RgbImage {
@@ -44,7 +57,11 @@ pub fn scene() -> Scene {
         .map(|i| {
             let angle = 0.5 + 0.25 * f64::from(i);
             let camera = camera(DVec3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 2.5));
-            let split = if i % 4 == 2 { Split::Test } else { Split::Train };
+            let split = if i % 4 == 2 {
+                Split::Test
+            } else {
+                Split::Train
+            };
             View {
                 name: format!("view{i}"),
                 split,
@@ -58,9 +75,19 @@ pub fn scene() -> Scene {
             }
         })
         .collect();
-    let positions: Vec<[f32; 3]> =
-        (0..400).map(|i| [(i % 20) as f32 * 0.2 - 1.9, (i / 20) as f32 * 0.2 - 1.9, 0.0]).collect();
-    let colors = positions.iter().map(|p| paint(f64::from(p[0]), f64::from(p[1])).map(|c| c as f32)).collect();
+    let positions: Vec<[f32; 3]> = (0..400)
+        .map(|i| {
+            [
+                (i % 20) as f32 * 0.2 - 1.9,
+                (i / 20) as f32 * 0.2 - 1.9,
+                0.0,
+            ]
+        })
+        .collect();
+    let colors = positions
+        .iter()
+        .map(|p| paint(f64::from(p[0]), f64::from(p[1])).map(|c| c as f32))
+        .collect();
     Scene {
         name: "plane".into(),
         views,
@@ -82,7 +109,11 @@ pub fn config() -> Config {
         reset_every: 30,
         ..BuildingConfig::default()
     };
-    Config { building, seed: 7, ..Config::default() }
+    Config {
+        building,
+        seed: 7,
+        ..Config::default()
+    }
 }
 
 fn device() -> burn::tensor::Device {
@@ -119,38 +150,94 @@ fn one_tripod_is_as_large_as_what_it_sees() {
             view.camera.center = DVec3::new(0.3, -0.2, 2.5) + DVec3::X * step * i as f64;
         }
     };
-    let extent = |scene: &Scene| schedule::extent(&scene.split(Split::Train).collect::<Vec<_>>(), &scene.points);
+    let extent = |scene: &Scene| {
+        schedule::extent(
+            &scene.split(Split::Train).collect::<Vec<_>>(),
+            &scene.points,
+        )
+    };
     at(&mut scene, 0.0);
     let exact = extent(&scene);
-    assert!(exact > 2.5 && exact < 4.0, "the rms distance of the points: {exact}");
+    assert!(
+        exact > 2.5 && exact < 4.0,
+        "the rms distance of the points: {exact}"
+    );
     // Poses as programs write them, rounded to sixteen digits.
     at(&mut scene, 1e-16);
-    assert!((extent(&scene) / exact - 1.0).abs() < 1e-6, "{}", extent(&scene));
+    assert!(
+        (extent(&scene) / exact - 1.0).abs() < 1e-6,
+        "{}",
+        extent(&scene)
+    );
     at(&mut scene, 1e-3);
     assert!(extent(&scene) < 0.01, "cameras that do move say how far");
 }
 
 #[test]
 fn a_densification_that_leaves_nothing_is_an_error() {
-    let building = BuildingConfig { prune_opacity: 0.9, ..config().building };
+    let building = BuildingConfig {
+        prune_opacity: 0.9,
+        ..config().building
+    };
     let scene = scene();
-    let mut stage = BuildingStage::new(&scene, &Config { building, ..config() }, &device()).expect("a stage");
-    let error = stage.run(&mut Recorder::default()).expect_err("no Gaussian is that opaque");
-    crate::assert_names(&error, &["400 Gaussians", "10 steps", "building.prune_opacity", "data check"]);
+    let mut stage = BuildingStage::new(
+        &scene,
+        &Config {
+            building,
+            ..config()
+        },
+        &device(),
+    )
+    .expect("a stage");
+    let error = stage
+        .run(&mut Recorder::default())
+        .expect_err("no Gaussian is that opaque");
+    crate::assert_names(
+        &error,
+        &[
+            "400 Gaussians",
+            "10 steps",
+            "building.prune_opacity",
+            "data check",
+        ],
+    );
 }
 
 #[test]
 fn training_learns_the_scene() {
     let (scene, device) = (scene(), device());
-    let building = BuildingConfig { iterations: 400, sh_degree: 2, ..BuildingConfig::default() };
-    let mut stage = BuildingStage::new(&scene, &Config { building, ..config() }, &device).expect("a stage");
-    let before = stage.evaluate().expect("scores").held_out.psnr.expect("test views");
+    let building = BuildingConfig {
+        iterations: 400,
+        sh_degree: 2,
+        ..BuildingConfig::default()
+    };
+    let mut stage = BuildingStage::new(
+        &scene,
+        &Config {
+            building,
+            ..config()
+        },
+        &device,
+    )
+    .expect("a stage");
+    let before = stage
+        .evaluate()
+        .expect("scores")
+        .held_out
+        .psnr
+        .expect("test views");
     let mut recorder = Recorder::default();
     stage.run(&mut recorder).expect("a run");
     let curve = stage.curve();
     let last = curve.last().expect("points");
-    let (psnr, ssim) = (last.held_out.psnr.expect("test views"), last.held_out.ssim.expect("test views"));
-    assert!(psnr > before + 8.0 && psnr > 26.0, "held-out PSNR {before} before, {psnr} after");
+    let (psnr, ssim) = (
+        last.held_out.psnr.expect("test views"),
+        last.held_out.ssim.expect("test views"),
+    );
+    assert!(
+        psnr > before + 8.0 && psnr > 26.0,
+        "held-out PSNR {before} before, {psnr} after"
+    );
     assert!(ssim > 0.8, "held-out SSIM {ssim}");
     assert_eq!((curve.len(), last.iteration), (11, 400));
     let count = |kind: fn(&Event) -> bool| recorder.0.iter().filter(|e| kind(e)).count();
@@ -164,8 +251,15 @@ fn training_learns_the_scene() {
 fn black_surfaces_become_opaque_before_a_changing_background() {
     let mut scene = scene();
     let black = image::RgbImage::new(WIDTH as u32, HEIGHT as u32);
-    scene.views.iter_mut().for_each(|view| view.image = black.clone().into());
-    scene.points.colors.iter_mut().for_each(|color| *color = [0.0; 3]);
+    scene
+        .views
+        .iter_mut()
+        .for_each(|view| view.image = black.clone().into());
+    scene
+        .points
+        .colors
+        .iter_mut()
+        .for_each(|color| *color = [0.0; 3]);
     let coverage = |random_background| {
         let building = BuildingConfig {
             iterations: 150,
@@ -176,15 +270,31 @@ fn black_surfaces_become_opaque_before_a_changing_background() {
             random_background,
             ..BuildingConfig::default()
         };
-        let mut stage =
-            BuildingStage::new(&scene, &Config { building, seed: 7, ..Config::default() }, &device()).unwrap();
+        let mut stage = BuildingStage::new(
+            &scene,
+            &Config {
+                building,
+                seed: 7,
+                ..Config::default()
+            },
+            &device(),
+        )
+        .unwrap();
         stage.run(&mut Silent).expect("a run");
-        let rendered = render(&stage.gaussians().unwrap(), &scene.views[2].camera, &Settings::default(), [0.0; 3]);
+        let rendered = render(
+            &stage.gaussians().unwrap(),
+            &scene.views[2].camera,
+            &Settings::default(),
+            [0.0; 3],
+        );
         let transmittance = rendered.unwrap().transmittance;
         1.0 - transmittance.iter().sum::<f32>() / transmittance.len() as f32
     };
     let (changing, black) = (coverage(true), coverage(false));
-    assert!(changing > 0.9 && changing > black + 0.2, "covered {changing}, {black} before black");
+    assert!(
+        changing > 0.9 && changing > black + 0.2,
+        "covered {changing}, {black} before black"
+    );
 }
 
 #[test]
@@ -198,7 +308,10 @@ fn resumed_run_equals_uninterrupted_run_bit_for_bit() {
         densified += report.densified.map_or(0, |plan| plan.cloned + plan.split);
         resets += usize::from(report.reset);
     }
-    assert!(densified > 0 && resets == 1, "the run must densify ({densified}) and reset ({resets})");
+    assert!(
+        densified > 0 && resets == 1,
+        "the run must densify ({densified}) and reset ({resets})"
+    );
     let whole = untimed(whole.state().expect("a state"));
 
     let dir = tempfile::tempdir().expect("a folder");
@@ -213,7 +326,10 @@ fn resumed_run_equals_uninterrupted_run_bit_for_bit() {
         assert_eq!(loaded, state, "a checkpoint gives back the state");
         stage = BuildingStage::from_state(&scene, &config, &device, loaded).expect("a stage");
     }
-    assert!(untimed(stage.state().expect("a state")) == whole, "the resumed run differs");
+    assert!(
+        untimed(stage.state().expect("a state")) == whole,
+        "the resumed run differs"
+    );
 }
 
 #[test]
@@ -234,24 +350,37 @@ fn run_resumed_from_its_own_checkpoint_keeps_the_curves() {
     let path = dir.path().join("building.safetensors");
     let mut whole = BuildingStage::new(&scene, &config, &device).expect("a stage");
     whole.run(&mut Silent).expect("a run");
-    let mut part = BuildingStage::new(&scene, &config, &device).expect("a stage").checkpoint_at(&path);
+    let mut part = BuildingStage::new(&scene, &config, &device)
+        .expect("a stage")
+        .checkpoint_at(&path);
     part.run(&mut StopAt(33)).expect("a run");
     assert_eq!(part.iteration(), 33);
     let state = BuildingState::load(&path).expect("loaded");
-    let mut rest = BuildingStage::from_state(&scene, &config, &device, state).expect("a stage").checkpoint_at(&path);
+    let mut rest = BuildingStage::from_state(&scene, &config, &device, state)
+        .expect("a stage")
+        .checkpoint_at(&path);
     rest.run(&mut Silent).expect("a run");
     let whole = untimed(whole.state().expect("a state"));
     assert!(untimed(rest.state().expect("a state")) == whole);
-    assert!(untimed(BuildingState::load(&path).expect("loaded")) == whole, "the last checkpoint is the end of the run");
+    assert!(
+        untimed(BuildingState::load(&path).expect("loaded")) == whole,
+        "the last checkpoint is the end of the run"
+    );
 }
 
 /// Runs of `config` with equal seeds agree in every bit at one and two threads, and others differ.
 pub fn assert_bits_follow_the_seed(config: &Config) {
     let run = |threads, seed| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("a pool");
         pool.install(|| {
             let (scene, device) = (scene(), device());
-            let config = Config { seed, ..config.clone() };
+            let config = Config {
+                seed,
+                ..config.clone()
+            };
             let mut stage = BuildingStage::new(&scene, &config, &device).expect("a stage");
             advance(&mut stage, 35);
             untimed(stage.state().expect("a state"))
@@ -276,24 +405,40 @@ fn non_finite_values_stop_the_run_and_are_located() {
     let failure = |spoil: fn(&mut BuildingState)| {
         let mut state = good.clone();
         spoil(&mut state);
-        let mut stage = BuildingStage::from_state(&scene, &config, &device, state).expect("a stage");
+        let mut stage =
+            BuildingStage::from_state(&scene, &config, &device, state).expect("a stage");
         let message = stage.step().expect_err("must stop").to_string();
         assert_eq!(stage.iteration(), 3);
-        assert!(message.contains("iteration 4") && message.contains("view view"), "{message}");
+        assert!(
+            message.contains("iteration 4") && message.contains("view view"),
+            "{message}"
+        );
         message
     };
     let message = failure(|s| s.gaussians.means[21][1] = f32::NAN);
-    assert!(message.contains("means") && message.contains("row 21"), "{message}");
+    assert!(
+        message.contains("means") && message.contains("row 21"),
+        "{message}"
+    );
     let message = failure(|s| s.gaussians.sh.iter_mut().for_each(|v| *v = 3e38));
-    assert!(message.contains("loss") || message.contains("gradient") || message.contains("sh"), "{message}");
+    assert!(
+        message.contains("loss") || message.contains("gradient") || message.contains("sh"),
+        "{message}"
+    );
 }
 
 #[test]
 fn scenes_without_points_start_in_the_frusta() {
     let mut scene = scene();
     scene.points = Points::default();
-    let building = BuildingConfig { random_points: 500, ..config().building };
-    let config = Config { building, ..config() };
+    let building = BuildingConfig {
+        random_points: 500,
+        ..config().building
+    };
+    let config = Config {
+        building,
+        ..config()
+    };
     let stage = BuildingStage::new(&scene, &config, &device()).expect("a stage");
     let gaussians = stage.gaussians().expect("on the host");
     assert_eq!(gaussians.len(), 500);
@@ -309,20 +454,30 @@ fn scenes_without_points_start_in_the_frusta() {
     // photos agree on the painted plane: most points lie near it, where blind ones would spread over metres
     let mut heights: Vec<f32> = gaussians.means.iter().map(|p| p[2].abs()).collect();
     heights.sort_by(f32::total_cmp);
-    assert!(heights[250] < 0.3, "median distance from the plane {}", heights[250]);
+    assert!(
+        heights[250] < 0.3,
+        "median distance from the plane {}",
+        heights[250]
+    );
 }
 
 /// The pixels that `count` initial points of `views` are drawn at: each photo shows at a pixel where that is.
 fn drawn(views: &mut [View], count: usize) -> Vec<(usize, usize, usize)> {
     for (i, view) in views.iter_mut().enumerate() {
-        view.image =
-            image::RgbImage::from_fn(WIDTH as u32, HEIGHT as u32, |x, y| image::Rgb([i as u8, x as u8, y as u8]))
-                .into();
+        view.image = image::RgbImage::from_fn(WIDTH as u32, HEIGHT as u32, |x, y| {
+            image::Rgb([i as u8, x as u8, y as u8])
+        })
+        .into();
     }
     let views: Vec<&View> = views.iter().collect();
     let points = frusta::points(&views, count, &mut ChaCha8Rng::seed_from_u64(8)).expect("points");
     assert_eq!(points.positions.len(), points.colors.len());
-    points.colors.iter().map(|c| c.map(|v| (v * 255.0).round() as usize)).map(|[i, x, y]| (i, x, y)).collect()
+    points
+        .colors
+        .iter()
+        .map(|c| c.map(|v| (v * 255.0).round() as usize))
+        .map(|[i, x, y]| (i, x, y))
+        .collect()
 }
 
 #[test]
@@ -333,17 +488,35 @@ fn initial_points_lie_on_used_pixels_however_few() {
     let masks = |i: usize| match i {
         3 => None,
         5 => Some(Mask::new(WIDTH, HEIGHT, |_| false)),
-        _ => Some(Mask::new(WIDTH, HEIGHT, |pixel| used(pixel % WIDTH, pixel / WIDTH))),
+        _ => Some(Mask::new(WIDTH, HEIGHT, |pixel| {
+            used(pixel % WIDTH, pixel / WIDTH)
+        })),
     };
-    views.iter_mut().enumerate().for_each(|(i, view)| view.mask = masks(i));
+    views
+        .iter_mut()
+        .enumerate()
+        .for_each(|(i, view)| view.mask = masks(i));
     let count = 7_000;
     let pixels = drawn(&mut views, count);
     assert_eq!(pixels.len(), count);
-    assert!(pixels.iter().all(|&(i, x, y)| i != 5 && (i == 3 || used(x, y))), "none on a pixel that is left out");
+    assert!(
+        pixels
+            .iter()
+            .all(|&(i, x, y)| i != 5 && (i == 3 || used(x, y))),
+        "none on a pixel that is left out"
+    );
     let each: Vec<usize> = (0..80)
-        .map(|p| pixels.iter().filter(|at| at.0 != 3 && at.1 == 30 + p % 10 && at.2 == 20 + p / 10).count())
+        .map(|p| {
+            pixels
+                .iter()
+                .filter(|at| at.0 != 3 && at.1 == 30 + p % 10 && at.2 == 20 + p / 10)
+                .count()
+        })
         .collect();
-    assert!(each.iter().all(|times| (40..120).contains(times)), "75 of each: {each:?}");
+    assert!(
+        each.iter().all(|times| (40..120).contains(times)),
+        "75 of each: {each:?}"
+    );
     views.iter_mut().for_each(|view| view.mask = masks(5));
     assert!(drawn(&mut views, 10).is_empty(), "no pixel is used");
 }
@@ -352,7 +525,11 @@ fn initial_points_lie_on_used_pixels_however_few() {
 fn initial_points_without_masks_are_those_of_the_seed() {
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     let mut draw = || {
-        let pixel = (rng.random_range(0..8), rng.random_range(0..WIDTH), rng.random_range(0..HEIGHT));
+        let pixel = (
+            rng.random_range(0..8),
+            rng.random_range(0..WIDTH),
+            rng.random_range(0..HEIGHT),
+        );
         let _offset: f64 = rng.random();
         pixel
     };
@@ -363,7 +540,10 @@ fn initial_points_without_masks_are_those_of_the_seed() {
 #[test]
 fn an_empty_scene_of_gaussians_trains_without_effect() {
     let (scene, device) = (scene(), device());
-    let empty = coseg::gaussians::Gaussians { sh_degree: 2, ..Default::default() };
+    let empty = coseg::gaussians::Gaussians {
+        sh_degree: 2,
+        ..Default::default()
+    };
     let state = BuildingState::new(empty, 7);
     let mut stage = BuildingStage::from_state(&scene, &config(), &device, state).expect("a stage");
     advance(&mut stage, 12);
@@ -377,19 +557,34 @@ fn unusable_settings_and_scenes_are_refused() {
     let refusal = |scene: &Scene, edit: fn(&mut Config)| {
         let mut config = config();
         edit(&mut config);
-        BuildingStage::new(scene, &config, &device).err().expect("must be refused").to_string()
+        BuildingStage::new(scene, &config, &device)
+            .err()
+            .expect("must be refused")
+            .to_string()
     };
     assert!(refusal(&scene, |c| c.building.sh_degree = 4).contains("building.sh_degree"));
     assert!(refusal(&scene, |c| c.building.ssim_weight = 1.5).contains("building.ssim_weight"));
     assert!(refusal(&scene, |c| c.building.lr_means = f64::NAN).contains("building.lr_means"));
     let mut untrained = scene.clone();
-    untrained.views.iter_mut().for_each(|v| v.split = Split::Test);
+    untrained
+        .views
+        .iter_mut()
+        .for_each(|v| v.split = Split::Test);
     assert!(refusal(&untrained, |_| ()).contains("training view"));
     let mut misfit = scene.clone();
     misfit.views[3].camera.width += 1;
     assert!(refusal(&misfit, |_| ()).contains("view3"));
-    let state = BuildingStage::new(&scene, &config(), &device).expect("a stage").state().expect("a state");
-    let other = Config { seed: 8, ..config() };
-    let message = BuildingStage::from_state(&scene, &other, &device, state).err().expect("another seed").to_string();
+    let state = BuildingStage::new(&scene, &config(), &device)
+        .expect("a stage")
+        .state()
+        .expect("a state");
+    let other = Config {
+        seed: 8,
+        ..config()
+    };
+    let message = BuildingStage::from_state(&scene, &other, &device, state)
+        .err()
+        .expect("another seed")
+        .to_string();
     assert!(message.contains("seed"), "{message}");
 }

@@ -8,15 +8,34 @@ use std::io::Write;
 fn tables_survive_their_file() {
     let dir = tempfile::tempdir().expect("folder");
     let path = dir.path().join("sub/classes.json");
-    let mut table = Classes::from_names(9, [(300, "lamp"), (1, "wall"), (9, "nothing"), (1, "again"), (0, "floor")]);
-    assert_eq!(table.entries.iter().map(|c| c.id).collect::<Vec<_>>(), [0, 1, 300]);
-    assert_eq!((table.name(1), table.name(9), table.color(9)), ("wall", "void", [0; 3]));
+    let mut table = Classes::from_names(
+        9,
+        [
+            (300, "lamp"),
+            (1, "wall"),
+            (9, "nothing"),
+            (1, "again"),
+            (0, "floor"),
+        ],
+    );
+    assert_eq!(
+        table.entries.iter().map(|c| c.id).collect::<Vec<_>>(),
+        [0, 1, 300]
+    );
+    assert_eq!(
+        (table.name(1), table.name(9), table.color(9)),
+        ("wall", "void", [0; 3])
+    );
     table.entries[1].color = [1, 2, 3];
     table.write(&path).expect("write");
     assert_eq!(Classes::read(&path).expect("read"), table);
-    let value: serde_json::Value = serde_json::from_slice(&fs::read(&path).expect("read")).expect("json");
+    let value: serde_json::Value =
+        serde_json::from_slice(&fs::read(&path).expect("read")).expect("json");
     assert_eq!(value["ignore"], 9);
-    assert_eq!(value["classes"][1], serde_json::json!({"id": 1, "name": "wall", "color": [1, 2, 3]}));
+    assert_eq!(
+        value["classes"][1],
+        serde_json::json!({"id": 1, "name": "wall", "color": [1, 2, 3]})
+    );
 }
 
 #[test]
@@ -33,8 +52,14 @@ fn broken_tables_are_refused_by_name() {
         (r#"{"0": "wall", "1": "b"}"#, ["id 0", "wall"]),
         ("{\"1\": \"a\",\n \"2\" \"b\"}", ["line 2", "expected `:`"]),
         (r#"["wall"]"#, ["line 1", "a JSON object"]),
-        (r#"{"ignore": 0, "classes": [{"id": 70000, "name": "a"}]}"#, ["line 1", "70000"]),
-        (r#"{"ignore": 0, "classes": [{"id": 7, "name": "a"}, {"id": 7, "name": "b"}]}"#, ["id 7", "two entries"]),
+        (
+            r#"{"ignore": 0, "classes": [{"id": 70000, "name": "a"}]}"#,
+            ["line 1", "70000"],
+        ),
+        (
+            r#"{"ignore": 0, "classes": [{"id": 7, "name": "a"}, {"id": 7, "name": "b"}]}"#,
+            ["id 7", "two entries"],
+        ),
         (r#"{"classes": []}"#, ["line 1", "ignore"]),
     ] {
         fs::write(&path, text).expect("write");
@@ -52,14 +77,29 @@ fn label_maps_survive_their_file_in_8_and_16_bits() {
     let dir = tempfile::tempdir().expect("folder");
     for (name, largest, bits) in [("a.png", 255, 8), ("b.png", 256, 16), ("c.png", 65_535, 16)] {
         let path = dir.path().join(name);
-        let map = LabelMap { width: 3, height: 2, ids: vec![0, 1, 2, 3, largest, 7] };
+        let map = LabelMap {
+            width: 3,
+            height: 2,
+            ids: vec![0, 1, 2, 3, largest, 7],
+        };
         map.write(&path).expect("write");
         assert_eq!(fs::read(&path).expect("read")[24], bits);
-        assert_eq!(LabelMap::read(&path, &Limits::default()).expect("read"), map);
+        assert_eq!(
+            LabelMap::read(&path, &Limits::default()).expect("read"),
+            map
+        );
     }
-    let short = LabelMap { width: 3, height: 2, ids: vec![0] };
+    let short = LabelMap {
+        width: 3,
+        height: 2,
+        ids: vec![0],
+    };
     assert!(short.write(&dir.path().join("d.png")).is_err());
-    assert_eq!(fs::read_dir(dir.path()).expect("folder").count(), 3, "nothing is left of the failed file");
+    assert_eq!(
+        fs::read_dir(dir.path()).expect("folder").count(),
+        3,
+        "nothing is left of the failed file"
+    );
 }
 
 #[test]
@@ -69,11 +109,18 @@ fn a_failed_write_leaves_the_old_file() {
     atomic::write_bytes(&path, b"old").expect("write");
     let failed = atomic::write(&path, |out| {
         out.write_all(&[7; 4_000_000])?;
-        assert_eq!(fs::read(&path)?, b"old", "not touched while the new one is made");
+        assert_eq!(
+            fs::read(&path)?,
+            b"old",
+            "not touched while the new one is made"
+        );
         Err(std::io::Error::other("the disk is full"))
     });
     let message = failed.expect_err("an error").to_string();
-    assert!(message.contains("file: write failed: the disk is full"), "{message}");
+    assert!(
+        message.contains("file: write failed: the disk is full"),
+        "{message}"
+    );
     assert_eq!(fs::read(&path).expect("read"), b"old");
     assert_eq!(fs::read_dir(dir.path()).expect("folder").count(), 1);
     atomic::write_bytes(&path, b"new").expect("write");

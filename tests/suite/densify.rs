@@ -1,7 +1,9 @@
 //! Initialisation and adaptive density control.
 
 use coseg::data::Points;
-use coseg::gaussians::densify::{DensityRules, DensityStats, Origin, RowPlan, SizeLimit, reset_opacity};
+use coseg::gaussians::densify::{
+    DensityRules, DensityStats, Origin, RowPlan, SizeLimit, reset_opacity,
+};
 use coseg::gaussians::{Gaussians, init};
 use coseg::random::{Purpose, stream};
 
@@ -20,7 +22,11 @@ fn points_become_isotropic_gaussians_of_neighbour_distance() {
     let positions: Vec<[f32; 3]> = (0..300)
         .map(|i| {
             let t = i as f32;
-            [(t * 0.71).sin() * 3.0, (t * 1.37).cos() * 2.0, (t * 0.113).sin()]
+            [
+                (t * 0.71).sin() * 3.0,
+                (t * 1.37).cos() * 2.0,
+                (t * 0.113).sin(),
+            ]
         })
         .collect();
     let g = init::from_points(&cloud(positions.clone()), 2, 1.0).expect("finite");
@@ -33,7 +39,10 @@ fn points_become_isotropic_gaussians_of_neighbour_distance() {
             .collect();
         squared.sort_by(f64::total_cmp);
         let want = (squared[..3].iter().sum::<f64>() / 3.0).sqrt();
-        assert!((f64::from(scale(&g, i)) / want - 1.0).abs() < 1e-5, "point {i}");
+        assert!(
+            (f64::from(scale(&g, i)) / want - 1.0).abs() < 1e-5,
+            "point {i}"
+        );
     }
     assert_eq!((g.len(), g.sh.len(), g.sh_degree), (300, 300 * 27, 2));
     let opacity = 1.0 / (1.0 + (-g.opacity_logits[7]).exp());
@@ -48,7 +57,12 @@ fn points_become_isotropic_gaussians_of_neighbour_distance() {
 fn degenerate_clouds_get_usable_scales() {
     // duplicates (also of -0), coplanar, collinear, two points, one point, none
     let twice = |p: &[[f32; 3]]| [p, p].concat();
-    let square = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]];
+    let square = [
+        [0.0, 0.0, 0.0],
+        [1.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [1.0, 1.0, 0.0],
+    ];
     let rms = ((1.0 + 1.0 + 2.0_f32) / 3.0).sqrt();
     for (positions, want) in [
         (twice(&square), rms),
@@ -59,34 +73,56 @@ fn degenerate_clouds_get_usable_scales() {
     ] {
         let g = init::from_points(&cloud(positions), 0, 3.0).expect("finite");
         for i in 0..g.len() {
-            assert!((scale(&g, i) / want - 1.0).abs() < 1e-5, "{} against {want}", scale(&g, i));
+            assert!(
+                (scale(&g, i) / want - 1.0).abs() < 1e-5,
+                "{} against {want}",
+                scale(&g, i)
+            );
         }
     }
     let line: Vec<[f32; 3]> = (0..5000).map(|i| [i as f32, 0.0, 0.0]).collect();
     let g = init::from_points(&cloud(line), 0, 1.0).expect("finite");
     assert!((scale(&g, 2500) - 2.0_f32.sqrt()).abs() < 1e-4);
-    assert!(init::from_points(&cloud(Vec::new()), 3, 1.0).expect("empty").is_empty());
+    assert!(
+        init::from_points(&cloud(Vec::new()), 3, 1.0)
+            .expect("empty")
+            .is_empty()
+    );
 }
 
 #[test]
 fn non_finite_points_are_named() {
     let mut points = cloud(vec![[0.0; 3]; 5]);
     points.positions[3][1] = f32::NAN;
-    let message = init::from_points(&points, 0, 1.0).expect_err("NaN").to_string();
-    assert!(message.contains("points.positions") && message.contains("row 3"), "{message}");
+    let message = init::from_points(&points, 0, 1.0)
+        .expect_err("NaN")
+        .to_string();
+    assert!(
+        message.contains("points.positions") && message.contains("row 3"),
+        "{message}"
+    );
     let mut points = cloud(vec![[0.0; 3]; 5]);
     points.colors[4][0] = f32::INFINITY;
-    let message = init::from_points(&points, 0, 1.0).expect_err("infinity").to_string();
-    assert!(message.contains("points.colors") && message.contains("row 4"), "{message}");
+    let message = init::from_points(&points, 0, 1.0)
+        .expect_err("infinity")
+        .to_string();
+    assert!(
+        message.contains("points.colors") && message.contains("row 4"),
+        "{message}"
+    );
 }
 
 /// Row i has mean (i, 0, 0), the given largest scale, opacity and mean gradient.
 fn population(rows: &[(f32, f32, f32)]) -> (Gaussians, DensityStats) {
-    let mut g = Gaussians { sh_degree: 1, ..Gaussians::default() };
+    let mut g = Gaussians {
+        sh_degree: 1,
+        ..Gaussians::default()
+    };
     let mut stats = DensityStats::new(rows.len());
     for (i, &(scale, opacity, gradient)) in rows.iter().enumerate() {
         g.means.push([i as f32, 0.0, 0.0]);
-        g.log_scales.push([(scale * 0.5).ln(), scale.ln(), (scale * 0.1).ln()]);
+        g.log_scales
+            .push([(scale * 0.5).ln(), scale.ln(), (scale * 0.1).ln()]);
         g.rotations.push([1.0, 0.0, 0.0, 0.0]);
         g.opacity_logits.push(init::logit(opacity));
         g.sh.extend((0..12).map(|k| (i * 12 + k) as f32));
@@ -97,8 +133,18 @@ fn population(rows: &[(f32, f32, f32)]) -> (Gaussians, DensityStats) {
 }
 
 fn rules() -> DensityRules {
-    let prune_scale = SizeLimit { share: 0.05, extent: 20.0, center: [0.0; 3] };
-    DensityRules { threshold: 1.0, clone_below: 0.1, prune_opacity: 0.005, prune_scale, max_gaussians: 0 }
+    let prune_scale = SizeLimit {
+        share: 0.05,
+        extent: 20.0,
+        center: [0.0; 3],
+    };
+    DensityRules {
+        threshold: 1.0,
+        clone_below: 0.1,
+        prune_opacity: 0.005,
+        prune_scale,
+        max_gaussians: 0,
+    }
 }
 
 #[test]
@@ -114,7 +160,15 @@ fn small_are_cloned_large_are_split_useless_are_pruned() {
     ]);
     let plan = RowPlan::new(&g, &stats, &rules()).expect("matching statistics");
     use Origin::{Child, Clone, Kept};
-    let want = [(0, Kept), (1, Kept), (1, Clone), (2, Child), (2, Child), (5, Child), (5, Child)];
+    let want = [
+        (0, Kept),
+        (1, Kept),
+        (1, Clone),
+        (2, Child),
+        (2, Child),
+        (5, Child),
+        (5, Child),
+    ];
     assert_eq!(plan.rows, want);
     assert_eq!((plan.cloned, plan.split, plan.pruned), (1, 2, 3));
 
@@ -124,38 +178,98 @@ fn small_are_cloned_large_are_split_useless_are_pruned() {
     assert_ne!(new.means[3], new.means[4], "children are two samples");
     assert!((new.log_scales[3][1].exp() * 1.6 / 0.5 - 1.0).abs() < 1e-5);
     assert_eq!(&new.sh[3 * 12..4 * 12], &g.sh[2 * 12..3 * 12]);
-    assert_eq!(new, plan.gaussians(&g, &mut stream(1, Purpose::Densification, 7)), "seeded");
-    assert_ne!(new, plan.gaussians(&g, &mut stream(2, Purpose::Densification, 7)));
+    assert_eq!(
+        new,
+        plan.gaussians(&g, &mut stream(1, Purpose::Densification, 7)),
+        "seeded"
+    );
+    assert_ne!(
+        new,
+        plan.gaussians(&g, &mut stream(2, Purpose::Densification, 7))
+    );
 
     let moments: Vec<f32> = (0..14).map(|v| v as f32 + 1.0).collect();
     let moments = plan.moments(&moments, 2);
-    assert_eq!(moments, [1.0, 2.0, 3.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    assert_eq!(
+        moments,
+        [
+            1.0, 2.0, 3.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        ]
+    );
 }
 
 #[test]
 fn what_is_far_from_the_cameras_may_be_large() {
     let (mut g, stats) = population(&[(2.0, 0.5, 0.0); 4]);
-    g.means = vec![[0.0; 3], [0.0, 12.0, 16.1], [30.0, 40.0, 0.0], [-39.0, 0.0, 0.0]];
+    g.means = vec![
+        [0.0; 3],
+        [0.0, 12.0, 16.1],
+        [30.0, 40.0, 0.0],
+        [-39.0, 0.0, 0.0],
+    ];
     let kept = |center: [f32; 3]| {
-        let rules = DensityRules { prune_scale: SizeLimit { share: 0.1, extent: 1.0, center }, ..rules() };
+        let rules = DensityRules {
+            prune_scale: SizeLimit {
+                share: 0.1,
+                extent: 1.0,
+                center,
+            },
+            ..rules()
+        };
         let plan = RowPlan::new(&g, &stats, &rules).expect("ok");
         plan.rows.iter().map(|&(row, _)| row).collect::<Vec<_>>()
     };
     // A scale of 2 is a tenth of 20 world units.
     assert_eq!(kept([0.0; 3]), [1, 2, 3]);
-    assert_eq!(kept([-20.5, 0.0, 0.0]), [0, 1, 2], "distances are from the cameras");
-    let close = DensityRules { prune_scale: SizeLimit { share: 0.1, extent: 20.1, center: [0.0; 3] }, ..rules() };
-    assert_eq!(RowPlan::new(&g, &stats, &close).expect("ok").rows.len(), 4, "extents count where they are longer");
+    assert_eq!(
+        kept([-20.5, 0.0, 0.0]),
+        [0, 1, 2],
+        "distances are from the cameras"
+    );
+    let close = DensityRules {
+        prune_scale: SizeLimit {
+            share: 0.1,
+            extent: 20.1,
+            center: [0.0; 3],
+        },
+        ..rules()
+    };
+    assert_eq!(
+        RowPlan::new(&g, &stats, &close).expect("ok").rows.len(),
+        4,
+        "extents count where they are longer"
+    );
 }
 
 #[test]
 fn budget_takes_the_highest_gradients() {
-    let (g, stats) = population(&[(0.05, 0.5, 2.0), (0.05, 0.5, 5.0), (0.5, 0.5, 3.0), (0.05, 0.001, 9.0)]);
+    let (g, stats) = population(&[
+        (0.05, 0.5, 2.0),
+        (0.05, 0.5, 5.0),
+        (0.5, 0.5, 3.0),
+        (0.05, 0.001, 9.0),
+    ]);
     for (budget, want) in [(3, 3), (4, 4), (5, 5), (6, 6), (100, 6), (1, 3)] {
-        let plan = RowPlan::new(&g, &stats, &DensityRules { max_gaussians: budget, ..rules() }).expect("ok");
+        let plan = RowPlan::new(
+            &g,
+            &stats,
+            &DensityRules {
+                max_gaussians: budget,
+                ..rules()
+            },
+        )
+        .expect("ok");
         assert_eq!(plan.rows.len(), want, "budget {budget}");
     }
-    let plan = RowPlan::new(&g, &stats, &DensityRules { max_gaussians: 4, ..rules() }).expect("ok");
+    let plan = RowPlan::new(
+        &g,
+        &stats,
+        &DensityRules {
+            max_gaussians: 4,
+            ..rules()
+        },
+    )
+    .expect("ok");
     assert_eq!((plan.cloned, plan.split), (1, 0));
     assert_eq!(plan.rows[3], (1, Origin::Clone));
 }
@@ -173,9 +287,17 @@ fn children_follow_the_parents_distribution() {
     for (axis, mean, deviation) in [(0, 1.0, 0.5), (1, 2.0, 0.25), (2, 3.0, 0.05)] {
         let values: Vec<f64> = new.means.iter().map(|m| f64::from(m[axis])).collect();
         let average = values.iter().sum::<f64>() / values.len() as f64;
-        let spread = (values.iter().map(|v| (v - average).powi(2)).sum::<f64>() / values.len() as f64).sqrt();
-        assert!((average - mean).abs() < 4.0 * deviation / (2.0 * n as f64).sqrt(), "axis {axis}: mean {average}");
-        assert!((spread / deviation - 1.0).abs() < 0.04, "axis {axis}: deviation {spread}");
+        let spread = (values.iter().map(|v| (v - average).powi(2)).sum::<f64>()
+            / values.len() as f64)
+            .sqrt();
+        assert!(
+            (average - mean).abs() < 4.0 * deviation / (2.0 * n as f64).sqrt(),
+            "axis {axis}: mean {average}"
+        );
+        assert!(
+            (spread / deviation - 1.0).abs() < 0.04,
+            "axis {axis}: deviation {spread}"
+        );
     }
 }
 
@@ -184,10 +306,16 @@ fn statistics_count_visible_iterations_only() {
     let mut stats = DensityStats::new(3);
     stats.record(&[3.0, 4.0, 30.0, 40.0, 0.0, 0.0], &[2, 0, 1]);
     stats.record(&[0.0, 1.0, 0.0, 0.0, 0.0, 0.0], &[2, 0, 0]);
-    assert_eq!((stats.mean(0), stats.mean(1), stats.mean(2)), (3.0, 0.0, 0.0));
+    assert_eq!(
+        (stats.mean(0), stats.mean(1), stats.mean(2)),
+        (3.0, 0.0, 0.0)
+    );
     assert_eq!(stats.visible, [2, 0, 1]);
     let (g, _) = population(&[(0.05, 0.5, 0.0)]);
-    assert!(RowPlan::new(&g, &stats, &rules()).is_err(), "statistics of other Gaussians");
+    assert!(
+        RowPlan::new(&g, &stats, &rules()).is_err(),
+        "statistics of other Gaussians"
+    );
     let none = RowPlan::new(&Gaussians::default(), &DensityStats::new(0), &rules()).expect("empty");
     assert!(none.rows.is_empty());
 }
@@ -196,5 +324,8 @@ fn statistics_count_visible_iterations_only() {
 fn reset_only_lowers_opacity() {
     let mut logits = vec![init::logit(0.9), init::logit(0.001), init::logit(0.01)];
     reset_opacity(&mut logits);
-    assert_eq!(logits, [init::logit(0.01), init::logit(0.001), init::logit(0.01)]);
+    assert_eq!(
+        logits,
+        [init::logit(0.01), init::logit(0.001), init::logit(0.01)]
+    );
 }

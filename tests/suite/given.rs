@@ -25,7 +25,11 @@ fn beginning_with(dir: &Path, gaussians: &Gaussians) -> (Config, PathBuf) {
 
 /// Positions, sorted: a run brings its Gaussians into an order of its own.
 fn sorted(gaussians: &Gaussians, origin: DVec3) -> Vec<[i64; 3]> {
-    let world = |m: &[f32; 3]| (DVec3::from(m.map(f64::from)) + origin).to_array().map(|v| (v * 1e4).round() as i64);
+    let world = |m: &[f32; 3]| {
+        (DVec3::from(m.map(f64::from)) + origin)
+            .to_array()
+            .map(|v| (v * 1e4).round() as i64)
+    };
     let mut all: Vec<_> = gaussians.means.iter().map(world).collect();
     all.sort_unstable();
     all
@@ -39,16 +43,33 @@ fn given_gaussians_are_labelled_as_they_are() {
     let outcome = whole(&config, &out);
     assert!(outcome.building.is_empty(), "nothing was built");
     assert_eq!(outcome.gaussians.sh_degree, 0, "colours stay as they were");
-    assert_eq!(sorted(&outcome.gaussians, outcome.scene.origin), sorted(&plates, DVec3::ZERO));
-    assert!(outcome.test.psnr.unwrap() > 40.0, "the photos are of these Gaussians: {:?}", outcome.test);
+    assert_eq!(
+        sorted(&outcome.gaussians, outcome.scene.origin),
+        sorted(&plates, DVec3::ZERO)
+    );
+    assert!(
+        outcome.test.psnr.unwrap() > 40.0,
+        "the photos are of these Gaussians: {:?}",
+        outcome.test
+    );
     // Most of a plate's Gaussians get its label, in spite of the view where it is another's.
-    let identities = outcome.rows[0].identities.as_ref().unwrap().ids(&outcome.scene.classes);
+    let identities = outcome.rows[0]
+        .identities
+        .as_ref()
+        .unwrap()
+        .ids(&outcome.scene.classes);
     let counts = |ids: &[u16]| [1, 2, 3, 4].map(|id| ids.iter().filter(|&&i| i == id).count());
     let (found, want) = (counts(&identities), counts(&labels));
-    assert!(found.iter().zip(want).all(|(f, w)| f.abs_diff(w) <= w / 5), "{found:?}, not {want:?}");
+    assert!(
+        found.iter().zip(want).all(|(f, w)| f.abs_diff(w) <= w / 5),
+        "{found:?}, not {want:?}"
+    );
     // As does a scene that was written with another origin.
     let back = ply::read(&out.join("scene.ply"), &Limits::default()).unwrap();
-    assert_eq!(sorted(&back.gaussians, back.origin), sorted(&plates, DVec3::ZERO));
+    assert_eq!(
+        sorted(&back.gaussians, back.origin),
+        sorted(&plates, DVec3::ZERO)
+    );
 }
 
 #[test]
@@ -64,17 +85,33 @@ fn given_gaussians_are_trained_further() {
     let after = outcome.test.psnr.unwrap();
     assert!(after > before + 1.0, "{after:.2} dB, {before:.2} before");
     assert_eq!(outcome.gaussians.sh_degree, 1);
-    assert_eq!(outcome.gaussians.len(), plates.len(), "40 steps densify nothing");
+    assert_eq!(
+        outcome.gaussians.len(),
+        plates.len(),
+        "40 steps densify nothing"
+    );
 }
 
 #[test]
 fn a_file_that_cannot_be_begun_with_is_told_of() {
     let folder = tempfile::tempdir().unwrap();
     let (mut config, out) = beginning_with(folder.path(), &plates::plates().0);
-    let refused = |config: &Config| run(config, &out, &crate::device(), &mut Silent).err().expect("an error");
+    let refused = |config: &Config| {
+        run(config, &out, &crate::device(), &mut Silent)
+            .err()
+            .expect("an error")
+    };
     config.building.iterations = 40;
     config.building.max_gaussians = 50;
-    let Error::Config { key, found, expected, .. } = refused(&config) else { panic!("no setting is named") };
+    let Error::Config {
+        key,
+        found,
+        expected,
+        ..
+    } = refused(&config)
+    else {
+        panic!("no setting is named")
+    };
     assert_eq!((&*key, &*found), ("building.max_gaussians", "50"));
     assert!(expected.starts_with("111 or more"), "{expected}");
     for iterations in [0, 40] {
@@ -89,9 +126,17 @@ fn a_file_that_cannot_be_begun_with_is_told_of() {
     assert!(refused(&config).to_string().contains("no Gaussian"));
     // Without them there is something to build.
     let nothing = ["building.iterations=0".to_owned()];
-    assert!(matches!(Config::load(None, &nothing), Err(Error::Config { key, .. }) if key == "building.iterations"));
-    let given = ["building.iterations=0".to_owned(), "building.gaussians=a b.ply".to_owned()];
-    assert_eq!(Config::load(None, &given).unwrap().building.gaussians, Some(PathBuf::from("a b.ply")));
+    assert!(
+        matches!(Config::load(None, &nothing), Err(Error::Config { key, .. }) if key == "building.iterations")
+    );
+    let given = [
+        "building.iterations=0".to_owned(),
+        "building.gaussians=a b.ply".to_owned(),
+    ];
+    assert_eq!(
+        Config::load(None, &given).unwrap().building.gaussians,
+        Some(PathBuf::from("a b.ply"))
+    );
 }
 
 #[test]
@@ -100,6 +145,9 @@ fn another_degree_of_harmonics_keeps_what_both_have() {
     let higher = plates.clone().with_sh_degree(2);
     assert_eq!(higher.sh.len(), plates.len() * 27);
     assert!(higher.check(None).is_ok());
-    assert_eq!((&higher.sh[27..30], &higher.sh[30..54]), (&plates.sh[3..6], &[0.0; 24][..]));
+    assert_eq!(
+        (&higher.sh[27..30], &higher.sh[30..54]),
+        (&plates.sh[3..6], &[0.0; 24][..])
+    );
     assert_eq!(higher.with_sh_degree(0), plates);
 }

@@ -20,8 +20,20 @@ fn read(name: &str) -> (Vec<f64>, Vec<usize>) {
     let file = SafeTensors::deserialize(FILE).expect("a safetensors file");
     let tensor = file.tensor(name).expect("in the file");
     let numbers = match tensor.dtype() {
-        Dtype::F32 => tensor.data().as_chunks().0.iter().map(|&b| f64::from(f32::from_le_bytes(b))).collect(),
-        Dtype::F64 => tensor.data().as_chunks().0.iter().map(|&b| f64::from_le_bytes(b)).collect(),
+        Dtype::F32 => tensor
+            .data()
+            .as_chunks()
+            .0
+            .iter()
+            .map(|&b| f64::from(f32::from_le_bytes(b)))
+            .collect(),
+        Dtype::F64 => tensor
+            .data()
+            .as_chunks()
+            .0
+            .iter()
+            .map(|&b| f64::from_le_bytes(b))
+            .collect(),
         other => panic!("{name}: {other:?}"),
     };
     (numbers, tensor.shape().to_vec())
@@ -33,7 +45,11 @@ fn tensor<const D: usize>(name: &str, device: &Device, dtype: DType) -> Tensor<D
 }
 
 fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
-    tensor.into_data().convert::<f64>().into_vec().expect("floats")
+    tensor
+        .into_data()
+        .convert::<f64>()
+        .into_vec()
+        .expect("floats")
 }
 
 fn camera() -> Camera {
@@ -75,9 +91,19 @@ fn render(device: &Device, dtype: DType) -> Vec<(String, Vec<f64>)> {
         numbers(input.opacity_logits.grad(&grads).expect("tracked")),
         numbers(input.sh.expect("given").grad(&grads).expect("tracked")),
     ];
-    let pictures = [("image", numbers(out.image)), ("transmittance", numbers(out.transmittance))];
+    let pictures = [
+        ("image", numbers(out.image)),
+        ("transmittance", numbers(out.transmittance)),
+    ];
     let named = pictures.into_iter().map(|(name, v)| (name.to_owned(), v));
-    named.chain(LEAVES.iter().zip(gradients).map(|(name, v)| (format!("d_{name}"), v))).collect()
+    named
+        .chain(
+            LEAVES
+                .iter()
+                .zip(gradients)
+                .map(|(name, v)| (format!("d_{name}"), v)),
+        )
+        .collect()
 }
 
 /// Largest difference of each tensor: of the pictures beside their largest value, of gradients beside their rms.
@@ -91,7 +117,13 @@ fn compare(what: &str, got: &[(String, Vec<f64>)]) -> Vec<(String, f64)> {
         };
         assert!(scale > 0.0, "{name}: nothing to compare");
         assert!(got.iter().all(|v| v.is_finite()), "{name}");
-        (name.clone(), got.iter().zip(&want).map(|(g, w)| (g - w).abs() / scale).fold(0.0, f64::max))
+        (
+            name.clone(),
+            got.iter()
+                .zip(&want)
+                .map(|(g, w)| (g - w).abs() / scale)
+                .fold(0.0, f64::max),
+        )
     });
     let errors: Vec<(String, f64)> = errors.collect();
     println!("{what}: {errors:?}");

@@ -13,13 +13,28 @@ fn runs(of: &[(u16, usize)]) -> Vec<u16> {
 /// where there is no truth: no false positive.
 fn case() -> [Vec<u16>; 2] {
     let truth = runs(&[(1, 10), (2, 10), (0, 10)]);
-    [truth, runs(&[(5, 8), (0, 2), (6, 4), (7, 1), (0, 5), (5, 2), (6, 3), (7, 5)])]
+    [
+        truth,
+        runs(&[
+            (5, 8),
+            (0, 2),
+            (6, 4),
+            (7, 1),
+            (0, 5),
+            (5, 2),
+            (6, 3),
+            (7, 5),
+        ]),
+    ]
 }
 
 #[track_caller]
 fn near(found: Quality, want: [f64; 3]) {
     let found = [found.pq, found.sq, found.rq].map(|v| v.expect("value"));
-    assert!(found.iter().zip(want).all(|(f, w)| (f - w).abs() < 1e-12), "{found:?} {want:?}");
+    assert!(
+        found.iter().zip(want).all(|(f, w)| (f - w).abs() < 1e-12),
+        "{found:?} {want:?}"
+    );
 }
 
 #[test]
@@ -66,7 +81,10 @@ fn an_object_that_changes_its_id_is_two() {
     near(scores.scene, [0.0, 0.0, 0.0]);
     assert_eq!((scores.accuracy, scores.miou), (Some(0.5), Some(0.5)));
     let scores = instance_scores([(&truth[..], &a[..]), (&truth[..], &a[..])]);
-    assert_eq!((scores.accuracy, scores.scene.pq, scores.objects), (Some(1.0), Some(1.0), 1));
+    assert_eq!(
+        (scores.accuracy, scores.scene.pq, scores.objects),
+        (Some(1.0), Some(1.0), 1)
+    );
 }
 
 #[test]
@@ -82,8 +100,14 @@ fn matching_takes_the_largest_sum_and_not_the_largest_pair() {
 fn instance_scores_of_nothing_are_absent() {
     for views in [vec![], vec![(&[0_u16; 4][..], &[1_u16, 2, 0, 0][..])]] {
         let scores = instance_scores(views);
-        assert_eq!((scores.accuracy, scores.miou, scores.panoptic.pq), (None, None, None));
+        assert_eq!(
+            (scores.accuracy, scores.miou, scores.panoptic.pq),
+            (None, None, None)
+        );
     }
     let scores = instance_scores([(&[1_u16, 1][..], &[0_u16, 0][..])]);
-    assert_eq!((scores.accuracy, scores.miou, scores.panoptic.pq), (Some(0.0), Some(0.0), Some(0.0)));
+    assert_eq!(
+        (scores.accuracy, scores.miou, scores.panoptic.pq),
+        (Some(0.0), Some(0.0), Some(0.0))
+    );
 }

@@ -23,7 +23,12 @@ impl Drop for Running {
 impl Running {
     fn start(program: &str, arguments: &[impl AsRef<OsStr>]) -> Self {
         let mut command = Command::new(program);
-        let mut child = command.args(arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut child = command
+            .args(arguments)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
         let said = BufReader::new(child.stderr.take().unwrap());
         Self { child, said }
     }
@@ -47,7 +52,10 @@ impl Running {
     }
 
     fn send(&self, signal: &str) {
-        let kill = Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap();
+        let kill = Command::new("kill")
+            .args([signal, &self.child.id().to_string()])
+            .status()
+            .unwrap();
         assert!(kill.success());
     }
 
@@ -71,7 +79,11 @@ fn long(data: &Path, run: &Path) -> Vec<String> {
         "segmentation.rows=vote,per_gaussian",
     ];
     let train = ["train", "--data", utf8(data), "--out", utf8(run)];
-    train.into_iter().chain(sets.into_iter().flat_map(|set| ["--set", set])).map(str::to_owned).collect()
+    train
+        .into_iter()
+        .chain(sets.into_iter().flat_map(|set| ["--set", set]))
+        .map(str::to_owned)
+        .collect()
 }
 
 #[test]
@@ -81,9 +93,18 @@ fn a_run_that_is_interrupted_saves_and_is_gone_on_with() {
     let run = folder.path().join("a run");
     let arguments = long(folder.path(), &run);
     let resume = ["train", "--resume", utf8(&run)];
-    let line = format!("stopped; go on with: coseg train --resume '{}'", run.display());
+    let line = format!(
+        "stopped; go on with: coseg train --resume '{}'",
+        run.display()
+    );
     let without_results = || {
-        for file in ["report.html", "metrics.json", "viewer.html", "identities.safetensors", "renders"] {
+        for file in [
+            "report.html",
+            "metrics.json",
+            "viewer.html",
+            "identities.safetensors",
+            "renders",
+        ] {
             assert!(!run.join(file).exists(), "{file} of half a run");
         }
     };
@@ -92,25 +113,39 @@ fn a_run_that_is_interrupted_saves_and_is_gone_on_with() {
     running.send("-INT");
     let (code, said) = running.end();
     assert_eq!(code, Some(130), "{said}");
-    assert!(said.contains("press Ctrl-C again to stop at once") && said.ends_with(&line), "{said}");
-    assert!(run.join("checkpoint/building.safetensors").is_file() && run.join("scene.ply").is_file());
+    assert!(
+        said.contains("press Ctrl-C again to stop at once") && said.ends_with(&line),
+        "{said}"
+    );
+    assert!(
+        run.join("checkpoint/building.safetensors").is_file() && run.join("scene.ply").is_file()
+    );
     without_results();
 
-    let mut running = Running::coseg(&[&resume[..], &["--set", "segmentation.weight_cache_mb=64"]].concat());
+    let mut running =
+        Running::coseg(&[&resume[..], &["--set", "segmentation.weight_cache_mb=64"]].concat());
     running.until("building: goes on after");
     running.until("per_gaussian 5/");
     running.send("-TERM");
     let (code, said) = running.end();
     assert_eq!(code, Some(130), "{said}");
     // What the run was not begun with has to be said again.
-    assert!(said.ends_with(&format!("{line} --set segmentation.weight_cache_mb=64")), "{said}");
+    assert!(
+        said.ends_with(&format!("{line} --set segmentation.weight_cache_mb=64")),
+        "{said}"
+    );
     assert!(run.join("checkpoint/per_gaussian.safetensors").is_file());
     without_results();
 
     let said = succeeds(&resume);
     assert!(said.contains("per-Gaussian CE"), "{said}");
     let metrics = crate::cli::read_json(&run.join("metrics.json"));
-    let lines: Vec<_> = metrics["commands"].as_array().unwrap().iter().map(|c| c["line"].as_str().unwrap()).collect();
+    let lines: Vec<_> = metrics["commands"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|c| c["line"].as_str().unwrap())
+        .collect();
     assert_eq!(lines.len(), 3, "{lines:?}");
     assert!(run.join("report.html").is_file() && run.join("identities.safetensors").is_file());
 }
@@ -127,5 +162,8 @@ fn a_run_under_nohup_outlives_its_terminal() {
     running.send("-HUP");
     let (code, said) = running.end();
     assert_eq!(code, Some(0), "{said}");
-    assert!(!said.contains("stopping") && run.join("report.html").is_file(), "{said}");
+    assert!(
+        !said.contains("stopping") && run.join("report.html").is_file(),
+        "{said}"
+    );
 }

@@ -118,7 +118,9 @@ use std::path::PathBuf;
 
 /// The device of tests that are not about devices: ndarray, or the first CPU backend compiled in.
 pub fn device() -> Device {
-    let name = BackendName::compiled().iter().rfind(|name| **name != BackendName::Wgpu);
+    let name = BackendName::compiled()
+        .iter()
+        .rfind(|name| **name != BackendName::Wgpu);
     coseg::device::open(name.copied()).expect("a CPU backend")
 }
 
@@ -128,9 +130,15 @@ pub fn device() -> Device {
 pub fn gpu() -> Option<Device> {
     let required = std::env::var_os("COSEG_REQUIRE_GPU");
     let hardware = required.as_ref().is_some_and(|how| how == "hardware");
-    let device = if hardware { coseg::device::open_hardware_gpu() } else { coseg::device::open_gpu() };
+    let device = if hardware {
+        coseg::device::open_hardware_gpu()
+    } else {
+        coseg::device::open_gpu()
+    };
     let device = device.inspect_err(|error| assert!(required.is_none(), "{error}"));
-    device.inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()
+    device
+        .inspect_err(|error| eprintln!("SKIPPED: {error}"))
+        .ok()
 }
 
 /// The message of `error` must hold all of `parts`.
@@ -144,8 +152,10 @@ pub fn assert_names(error: &coseg::Error, parts: &[&str]) {
 
 /// The folder of real scenes and weights that some tests use, if it is there; those tests say so and pass otherwise.
 pub fn shared_dir() -> Option<PathBuf> {
-    let dir = std::env::var_os("COSEG_SHARED")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
+    let dir = std::env::var_os("COSEG_SHARED").map_or_else(
+        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared"),
+        PathBuf::from,
+    );
     if dir.is_dir() {
         return Some(dir);
     }

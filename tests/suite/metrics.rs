@@ -4,7 +4,8 @@ use coseg::data::Classes;
 use coseg::data::transforms::{LoadOptions, load};
 use coseg::data::{Scene, Split};
 use coseg::metrics::{
-    Confusion, ImageScores, PSNR_CAP, Void, calinski_harabasz, davies_bouldin, label_scores, psnr, ssim,
+    Confusion, ImageScores, PSNR_CAP, Void, calinski_harabasz, davies_bouldin, label_scores, psnr,
+    ssim,
 };
 
 /// v = 0.5 + 0.4 sin(0.31 x + 0.7 c + p) cos(0.23 y - 0.4 c) + 0.1 sin(1.7 x p + 2.3 y), rounded to f32.
@@ -38,8 +39,14 @@ fn psnr_and_ssim_match_scikit_image() {
         let (a, b) = (image(height, width, p), image(height, width, q));
         let scores = ImageScores::of(&a, &b, width, height);
         let (found_psnr, found_ssim) = (scores.psnr.expect("psnr"), scores.ssim.expect("ssim"));
-        assert!((found_psnr - want_psnr).abs() < 1e-8, "{found_psnr} {want_psnr}");
-        assert!((found_ssim - want_ssim).abs() < 1e-8, "{found_ssim} {want_ssim}");
+        assert!(
+            (found_psnr - want_psnr).abs() < 1e-8,
+            "{found_psnr} {want_psnr}"
+        );
+        assert!(
+            (found_ssim - want_ssim).abs() < 1e-8,
+            "{found_ssim} {want_ssim}"
+        );
     }
 }
 
@@ -62,11 +69,23 @@ fn image_scores_of_empty_equal_and_broken_images() {
     assert_eq!(ssim(&a, &a, 13, 11, 3), None);
     assert_eq!(ssim(&a, &a, usize::MAX, 12, 3), None);
     let mean = ImageScores::mean(&[
-        ImageScores { psnr: Some(20.0), ssim: None },
-        ImageScores { psnr: Some(30.0), ssim: Some(0.5) },
+        ImageScores {
+            psnr: Some(20.0),
+            ssim: None,
+        },
+        ImageScores {
+            psnr: Some(30.0),
+            ssim: Some(0.5),
+        },
         ImageScores::default(),
     ]);
-    assert_eq!(mean, ImageScores { psnr: Some(25.0), ssim: Some(0.5) });
+    assert_eq!(
+        mean,
+        ImageScores {
+            psnr: Some(25.0),
+            ssim: Some(0.5)
+        }
+    );
     assert_eq!(ImageScores::mean(&[]), ImageScores::default());
 }
 
@@ -97,10 +116,16 @@ fn label_scores_of_nothing_are_absent() {
     let views = [(&ignored[..], &[1_u16, 2, 1, 2][..])];
     for void in [Void::Wrong, Void::LeftOut] {
         let scores = label_scores(&classes, views, void);
-        assert_eq!((scores.miou, scores.miou_per_view, scores.accuracy), (None, None, None));
+        assert_eq!(
+            (scores.miou, scores.miou_per_view, scores.accuracy),
+            (None, None, None)
+        );
         assert!(scores.per_class.is_empty());
     }
-    assert_eq!(label_scores(&Classes::default(), views, Void::Wrong).miou, None);
+    assert_eq!(
+        label_scores(&Classes::default(), views, Void::Wrong).miou,
+        None
+    );
     // All predictions void: wrong everywhere, or nothing to score.
     let views = [(&[1_u16, 2][..], &[0_u16, 0][..])];
     assert_eq!(label_scores(&classes, views, Void::Wrong).miou, Some(0.0));
@@ -113,25 +138,48 @@ fn label_scores_of_nothing_are_absent() {
 
 /// Raw labels of the test views of a shared scene.
 fn raw_scores(scene: &Scene, void: Void) -> [f64; 3] {
-    let views = scene.split(Split::Test).filter_map(|v| Some((v.truth.as_ref()?.map(), v.raw.as_ref()?.map())));
+    let views = scene
+        .split(Split::Test)
+        .filter_map(|v| Some((v.truth.as_ref()?.map(), v.raw.as_ref()?.map())));
     let s = label_scores(&scene.classes, views, void);
     [s.miou, s.miou_per_view, s.accuracy].map(|v| v.expect("scored"))
 }
 
 #[test]
 fn raw_labels_of_a_real_scene_match_scikit_learn() {
-    let Some(shared) = crate::shared_dir() else { return };
+    let Some(shared) = crate::shared_dir() else {
+        return;
+    };
     let dir = shared.join("data/house_living");
     // jaccard_score(truth, raw, labels=np.unique(truth), average="macro") pooled and per view, and mean(truth == raw),
     // over the test frames; pixels of truth 0 dropped, and for the second of each pair those of raw 0 as well.
     let cases = [
-        ("labels_raw", Void::Wrong, [0.6129154057, 0.6364352929, 0.8330284082]),
-        ("labels_raw", Void::LeftOut, [0.6398163649, 0.6712913335, 0.8625213585]),
-        ("labels_raw_corr", Void::Wrong, [0.5377872963, 0.5069572732, 0.8044298050]),
-        ("labels_raw_corr", Void::LeftOut, [0.5634882859, 0.5335654771, 0.8523491894]),
+        (
+            "labels_raw",
+            Void::Wrong,
+            [0.6129154057, 0.6364352929, 0.8330284082],
+        ),
+        (
+            "labels_raw",
+            Void::LeftOut,
+            [0.6398163649, 0.6712913335, 0.8625213585],
+        ),
+        (
+            "labels_raw_corr",
+            Void::Wrong,
+            [0.5377872963, 0.5069572732, 0.8044298050],
+        ),
+        (
+            "labels_raw_corr",
+            Void::LeftOut,
+            [0.5634882859, 0.5335654771, 0.8523491894],
+        ),
     ];
     for raw in ["labels_raw", "labels_raw_corr"] {
-        let options = LoadOptions { raw_labels: Some(raw.into()), ..LoadOptions::default() };
+        let options = LoadOptions {
+            raw_labels: Some(raw.into()),
+            ..LoadOptions::default()
+        };
         let scene = load(&dir, &options).expect("scene");
         for (_, void, want) in cases.iter().filter(|c| c.0 == raw) {
             let found = raw_scores(&scene, *void);
@@ -151,13 +199,19 @@ fn clusters(shift: f32) -> (Vec<f32>, Vec<u16>) {
             ((0.9 * i * (b + 1.0)).sin() + 1.5 * (2.0 * l + b).cos()) as f32 + shift
         })
     });
-    (features.collect(), (0..60).map(|i| 5 + 40 * label(i) as u16).collect())
+    (
+        features.collect(),
+        (0..60).map(|i| 5 + 40 * label(i) as u16).collect(),
+    )
 }
 
 #[test]
 fn cluster_indices_match_scikit_learn() {
     // calinski_harabasz_score and davies_bouldin_score on f64 copies.
-    for (shift, ch, db) in [(0.0, 62.457587289679, 0.864080638821), (1000.0, 62.457509317051, 0.864081042359)] {
+    for (shift, ch, db) in [
+        (0.0, 62.457587289679, 0.864080638821),
+        (1000.0, 62.457509317051, 0.864081042359),
+    ] {
         let (features, labels) = clusters(shift);
         let found = calinski_harabasz(&features, 5, &labels).expect("value");
         assert!((found / ch - 1.0).abs() < 1e-7, "{found} {ch}");
@@ -172,7 +226,11 @@ fn cluster_indices_of_degenerate_cases_are_absent() {
     for index in [calinski_harabasz, davies_bouldin] {
         assert_eq!(index(&[], 5, &[]), None);
         assert_eq!(index(&features, 5, &[1; 60]), None, "one cluster");
-        assert_eq!(index(&features, 5, &(0..60).collect::<Vec<u16>>()), None, "a cluster a row");
+        assert_eq!(
+            index(&features, 5, &(0..60).collect::<Vec<u16>>()),
+            None,
+            "a cluster a row"
+        );
         assert_eq!(index(&features, 4, &labels), None, "lengths disagree");
         assert_eq!(index(&features, 0, &labels), None);
         assert_eq!(index(&[1.0; 300], 5, &labels), None, "all rows equal");

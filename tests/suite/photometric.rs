@@ -8,7 +8,11 @@ use std::sync::Arc;
 fn picture(height: usize, width: usize, phase: f64) -> Vec<f64> {
     (0..height * width * 3)
         .map(|i| {
-            let (x, y, c) = ((i / 3 % width) as f64, (i / 3 / width) as f64, (i % 3) as f64);
+            let (x, y, c) = (
+                (i / 3 % width) as f64,
+                (i / 3 / width) as f64,
+                (i % 3) as f64,
+            );
             let noise = ((i as f64 * 12.9898 + phase * 78.233).sin() * 43758.5453).rem_euclid(1.0);
             0.5 + 0.3 * (0.3 * x + 0.2 * y + c + phase).sin() + 0.15 * (noise - 0.5)
         })
@@ -21,13 +25,17 @@ fn narrow(values: &[f64]) -> Vec<f32> {
 
 /// `picture` in 8 bits, and the values that they stand for.
 fn packed(height: usize, width: usize, phase: f64) -> (Arc<PackedPhoto>, Vec<f32>) {
-    let bytes: Vec<u8> = picture(height, width, phase).iter().map(|v| (v * 255.0).round() as u8).collect();
+    let bytes: Vec<u8> = picture(height, width, phase)
+        .iter()
+        .map(|v| (v * 255.0).round() as u8)
+        .collect();
     packed_of(bytes, height, width)
 }
 
 fn packed_of(bytes: Vec<u8>, height: usize, width: usize) -> (Arc<PackedPhoto>, Vec<f32>) {
     let values = bytes.iter().map(|&v| f32::from(v) / 255.0).collect();
-    let pixels = image::RgbImage::from_raw(width as u32, height as u32, bytes).expect("as many bytes");
+    let pixels =
+        image::RgbImage::from_raw(width as u32, height as u32, bytes).expect("as many bytes");
     (Arc::new(PackedPhoto::new(Arc::new(pixels))), values)
 }
 
@@ -62,9 +70,15 @@ fn gradient_matches_central_differences() {
             let (_, mut gradient) = photo.compare(&x, weight);
             let loss = |x: &[f64]| photo.compare(x, weight).0;
             let deviation = worst_deviation(&x, &gradient, loss);
-            assert!(deviation < 1e-6, "{height}x{width}, weight {weight}: {deviation}");
+            assert!(
+                deviation < 1e-6,
+                "{height}x{width}, weight {weight}: {deviation}"
+            );
             gradient.iter_mut().for_each(|g| *g *= 1.01);
-            assert!(worst_deviation(&x, &gradient, loss) > 5e-3, "a gradient off by 1 % must be noticed");
+            assert!(
+                worst_deviation(&x, &gradient, loss) > 5e-3,
+                "a gradient off by 1 % must be noticed"
+            );
         }
     }
 }
@@ -73,19 +87,41 @@ fn gradient_matches_central_differences() {
 fn fused_loss_and_gradient_equal_plain_tensors() {
     let device = crate::device().autodiff();
     for (height, width) in [(70, 41), (9, 5)] {
-        let (x, y) = (narrow(&picture(height, width, 0.0)), narrow(&picture(height, width, 0.4)));
-        let tensor = |v: &[f32]| Tensor::<3>::from_data(TensorData::new(v.to_vec(), [height, width, 3]), &device);
+        let (x, y) = (
+            narrow(&picture(height, width, 0.0)),
+            narrow(&picture(height, width, 0.4)),
+        );
+        let tensor = |v: &[f32]| {
+            Tensor::<3>::from_data(TensorData::new(v.to_vec(), [height, width, 3]), &device)
+        };
         let (a, b) = (tensor(&x).require_grad(), tensor(&x).require_grad());
-        let fused = photometric_loss(a.clone(), Arc::new(Photo::new(y.clone(), height, width)), 0.2);
+        let fused = photometric_loss(
+            a.clone(),
+            Arc::new(Photo::new(y.clone(), height, width)),
+            0.2,
+        );
         let plain = photometric_loss_plain(b.clone(), tensor(&y), 0.2);
         // an upstream gradient other than 1
         let ga = a.grad(&(fused.clone() * 3.0).backward()).expect("tracked");
         let gb = b.grad(&(plain.clone() * 3.0).backward()).expect("tracked");
         let (fused, plain) = (fused.into_scalar::<f32>(), plain.into_scalar::<f32>());
-        assert!((fused - plain).abs() < 1e-5 * plain, "{fused} against {plain}");
-        let read = |t: Tensor<3>| t.into_data().convert::<f64>().into_vec::<f64>().expect("f64");
+        assert!(
+            (fused - plain).abs() < 1e-5 * plain,
+            "{fused} against {plain}"
+        );
+        let read = |t: Tensor<3>| {
+            t.into_data()
+                .convert::<f64>()
+                .into_vec::<f64>()
+                .expect("f64")
+        };
         let (ga, gb) = (read(ga), read(gb));
-        let worst = ga.iter().zip(&gb).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / rms(&gb);
+        let worst = ga
+            .iter()
+            .zip(&gb)
+            .map(|(a, b)| (a - b).abs())
+            .fold(0.0, f64::max)
+            / rms(&gb);
         assert!(ga.iter().all(|g| g.is_finite()) && worst < 1e-4, "{worst}");
     }
 }
@@ -94,14 +130,24 @@ fn fused_loss_and_gradient_equal_plain_tensors() {
 fn bytes_are_compared_on_the_host_as_the_values_that_they_stand_for() {
     for (height, width) in [(37, 13), (1, 1)] {
         let (photo, y) = packed(height, width, 0.4);
-        assert_eq!((photo.size(), photo.prepared()), ((height, width), Photo::new(y.clone(), height, width)));
+        assert_eq!(
+            (photo.size(), photo.prepared()),
+            ((height, width), Photo::new(y.clone(), height, width))
+        );
         let data = TensorData::new(narrow(&picture(height, width, 0.0)), [height, width, 3]);
         let image = Tensor::<3>::from_data(data, &crate::device().autodiff()).require_grad();
         let bits = |loss: Tensor<1>| {
             let gradient = image.grad(&loss.clone().backward()).expect("tracked");
-            (loss.into_scalar::<f32>(), gradient.into_data().into_vec::<f32>().expect("f32"))
+            (
+                loss.into_scalar::<f32>(),
+                gradient.into_data().into_vec::<f32>().expect("f32"),
+            )
         };
-        let want = bits(photometric_loss(image.clone(), Arc::new(Photo::new(y, height, width)), 0.2));
+        let want = bits(photometric_loss(
+            image.clone(),
+            Arc::new(Photo::new(y, height, width)),
+            0.2,
+        ));
         assert_eq!(bits(photometric_loss(image.clone(), photo, 0.2)), want);
     }
 }
@@ -120,7 +166,10 @@ fn equal_images_have_no_loss_and_no_gradient() {
 fn same_bits_at_any_thread_count() {
     let (x, y) = (narrow(&picture(90, 33, 0.0)), narrow(&picture(90, 33, 0.4)));
     let run = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("a pool");
         pool.install(|| Photo::new(y.clone(), 90, 33).compare(&x, 0.2))
     };
     assert_eq!(run(1), run(3));
@@ -130,7 +179,10 @@ fn same_bits_at_any_thread_count() {
 #[test]
 fn photometric_takes_milliseconds() {
     let (height, width) = (480, 270);
-    let (x, y) = (narrow(&picture(height, width, 0.0)), narrow(&picture(height, width, 0.4)));
+    let (x, y) = (
+        narrow(&picture(height, width, 0.0)),
+        narrow(&picture(height, width, 0.4)),
+    );
     let photo = Photo::new(y, height, width);
     let mut times: Vec<f64> = (0..20)
         .map(|_| {
@@ -141,7 +193,10 @@ fn photometric_takes_milliseconds() {
         })
         .collect();
     times.sort_by(f64::total_cmp);
-    eprintln!("photometric loss and gradient, 270x480: median {:.2} ms, best {:.2} ms", times[10], times[0]);
+    eprintln!(
+        "photometric loss and gradient, 270x480: median {:.2} ms, best {:.2} ms",
+        times[10], times[0]
+    );
 }
 
 /// The kernels for GPUs against the CPU's in f64, fed the same f32 numbers.
@@ -173,36 +228,69 @@ mod on_gpu {
         let photo = photo.into();
         let (height, width) = photo.size();
         let options = (&device.clone().autodiff(), DType::F32);
-        let tensor = Tensor::<3>::from_data(TensorData::new(image.to_vec(), [height, width, 3]), options);
+        let tensor =
+            Tensor::<3>::from_data(TensorData::new(image.to_vec(), [height, width, 3]), options);
         // by way of the host, so that the values do lie in columns
         let columns = |t: Tensor<3>| Tensor::<3>::from_data(t.swap_dims(0, 1).into_data(), options);
         let leaf = if in_columns { columns(tensor) } else { tensor }.require_grad();
-        let rows = if in_columns { leaf.clone().swap_dims(0, 1) } else { leaf.clone() };
+        let rows = if in_columns {
+            leaf.clone().swap_dims(0, 1)
+        } else {
+            leaf.clone()
+        };
         let loss = photometric_loss(rows, photo, weight);
         assert_eq!(loss.dims(), [1]);
-        let gradient = leaf.grad(&(loss.clone() * factor).backward()).expect("tracked");
-        let gradient = if in_columns { gradient.swap_dims(0, 1) } else { gradient };
+        let gradient = leaf
+            .grad(&(loss.clone() * factor).backward())
+            .expect("tracked");
+        let gradient = if in_columns {
+            gradient.swap_dims(0, 1)
+        } else {
+            gradient
+        };
         assert_eq!(gradient.dims(), [height, width, 3]);
-        (loss.into_scalar::<f32>(), gradient.into_data().into_vec::<f32>().expect("f32"))
+        (
+            loss.into_scalar::<f32>(),
+            gradient.into_data().into_vec::<f32>().expect("f32"),
+        )
     }
 
     /// Errors of the loss, relative to it or to the 1 that SSIM is subtracted from, and of the gradient, relative to its
     /// largest value: of the device and of the CPU's f32 kernels.
-    fn errors(device: &Device, images: [&[f32]; 2], size: (usize, usize), weight: f64) -> [[f64; 2]; 2] {
+    fn errors(
+        device: &Device,
+        images: [&[f32]; 2],
+        size: (usize, usize),
+        weight: f64,
+    ) -> [[f64; 2]; 2] {
         let photo = Arc::new(Photo::new(images[1].to_vec(), size.0, size.1));
         errors_against(device, images, &photo.into(), weight)
     }
 
     /// [`errors`] where the second image is given to the device as `compared`.
-    fn errors_against(device: &Device, [x, y]: [&[f32]; 2], compared: &Compared, weight: f64) -> [[f64; 2]; 2] {
+    fn errors_against(
+        device: &Device,
+        [x, y]: [&[f32]; 2],
+        compared: &Compared,
+        weight: f64,
+    ) -> [[f64; 2]; 2] {
         let size = compared.size();
         let (want_loss, want) = Photo::new(widen(y), size.0, size.1).compare(&widen(x), weight);
         let scale = largest(want.iter().copied());
         let photo = Photo::new(y.to_vec(), size.0, size.1);
         let error = |loss: f64, gradient: &[f32], factor: f64| {
-            let off = gradient.iter().zip(&want).map(|(&g, w)| f64::from(g) / factor - w);
-            assert!(loss.is_finite() && gradient.iter().all(|g| g.is_finite()), "{size:?}, weight {weight}");
-            [(loss - want_loss).abs() / want_loss.max(weight), largest(off) / scale]
+            let off = gradient
+                .iter()
+                .zip(&want)
+                .map(|(&g, w)| f64::from(g) / factor - w);
+            assert!(
+                loss.is_finite() && gradient.iter().all(|g| g.is_finite()),
+                "{size:?}, weight {weight}"
+            );
+            [
+                (loss - want_loss).abs() / want_loss.max(weight),
+                largest(off) / scale,
+            ]
         };
         let (host_loss, host) = photo.compare(x, weight);
         let mut worst = [0.0_f64; 2];
@@ -224,8 +312,20 @@ mod on_gpu {
         let Some(device) = gpu() else { return };
         let mut worst = [0.0_f64; 2];
         // the last one has more sums of tiles than the cube that adds them has units
-        for (height, width) in [(1, 1), (5, 7), (40, 3), (3, 40), (16, 16), (17, 33), (40, 50), (150, 160)] {
-            let (x, y) = (narrow(&picture(height, width, 0.0)), narrow(&picture(height, width, 0.4)));
+        for (height, width) in [
+            (1, 1),
+            (5, 7),
+            (40, 3),
+            (3, 40),
+            (16, 16),
+            (17, 33),
+            (40, 50),
+            (150, 160),
+        ] {
+            let (x, y) = (
+                narrow(&picture(height, width, 0.0)),
+                narrow(&picture(height, width, 0.4)),
+            );
             for weight in [0.0, 0.2, 1.0] {
                 let [[loss, gradient], _] = errors(&device, [&x, &y], (height, width), weight);
                 worst = [worst[0].max(loss), worst[1].max(gradient)];
@@ -241,11 +341,22 @@ mod on_gpu {
         let Some(device) = gpu() else { return };
         let before = host_fallbacks();
         let mut worst = [0.0_f64; 2];
-        for (height, width) in [(1, 1), (1, 2), (5, 7), (40, 3), (3, 40), (16, 16), (17, 33), (40, 50), (151, 161)] {
+        for (height, width) in [
+            (1, 1),
+            (1, 2),
+            (5, 7),
+            (40, 3),
+            (3, 40),
+            (16, 16),
+            (17, 33),
+            (40, 50),
+            (151, 161),
+        ] {
             let (photo, y) = packed(height, width, 0.4);
             let x = narrow(&picture(height, width, 0.0));
             for weight in [0.0, 0.2, 1.0] {
-                let [[loss, gradient], _] = errors_against(&device, [&x, &y], &photo.clone().into(), weight);
+                let [[loss, gradient], _] =
+                    errors_against(&device, [&x, &y], &photo.clone().into(), weight);
                 worst = [worst[0].max(loss), worst[1].max(gradient)];
             }
         }
@@ -255,7 +366,10 @@ mod on_gpu {
         let (photo, y) = packed(33, 47, 0.4);
         let x = narrow(&picture(33, 47, 0.0));
         let values = Arc::new(Photo::new(y, 33, 47));
-        assert_eq!(run(&device, &x, photo, 0.0, 1.0, false), run(&device, &x, values, 0.0, 1.0, false));
+        assert_eq!(
+            run(&device, &x, photo, 0.0, 1.0, false),
+            run(&device, &x, values, 0.0, 1.0, false)
+        );
         assert_eq!(host_fallbacks(), before, "tensors went to the host");
     }
 
@@ -266,7 +380,8 @@ mod on_gpu {
         for (height, width) in [(1, 1), (5, 7), (17, 33), (151, 161)] {
             let (_, y) = packed(height, width, 0.4);
             let bytes = y.iter().map(|v| (v * 255.0).round() as u8).collect();
-            let pixels = image::RgbImage::from_raw(width as u32, height as u32, bytes).expect("as many bytes");
+            let pixels = image::RgbImage::from_raw(width as u32, height as u32, bytes)
+                .expect("as many bytes");
             let x = narrow(&picture(height, width, 0.0));
             let part = Mask::new(width, height, |i| i % width > width / 3 || i % 13 == 0);
             for mask in [part, Mask::new(width, height, |_| true)] {
@@ -275,20 +390,38 @@ mod on_gpu {
                     Arc::new(Photo::masked(y.clone(), height, width, mask.clone())).into(),
                     Arc::new(PackedPhoto::masked(&pixels, mask.clone())).into(),
                 ];
-                for (photo, weight) in photos.iter().flat_map(|photo| [0.0, 0.2, 1.0].map(|weight| (photo, weight))) {
+                for (photo, weight) in photos
+                    .iter()
+                    .flat_map(|photo| [0.0, 0.2, 1.0].map(|weight| (photo, weight)))
+                {
                     let (want_loss, want) = host.compare(&widen(&x), weight);
                     let (loss, gradient) = run(&device, &x, photo.clone(), weight, 1.0, false);
-                    assert!((f64::from(loss) - want_loss).abs() < 5e-7 * want_loss.max(weight), "{loss} {want_loss}");
+                    assert!(
+                        (f64::from(loss) - want_loss).abs() < 5e-7 * want_loss.max(weight),
+                        "{loss} {want_loss}"
+                    );
                     let off = gradient.iter().zip(&want).map(|(&g, w)| f64::from(g) - w);
                     assert!(largest(off) < 1e-5 * largest(want.iter().copied()).max(1e-9));
-                    let hidden = gradient.chunks(3).enumerate().filter(|(i, _)| !mask.uses(*i));
-                    assert!(hidden.into_iter().all(|(_, pixel)| pixel == [0.0; 3]), "exactly zero");
+                    let hidden = gradient
+                        .chunks(3)
+                        .enumerate()
+                        .filter(|(i, _)| !mask.uses(*i));
+                    assert!(
+                        hidden.into_iter().all(|(_, pixel)| pixel == [0.0; 3]),
+                        "exactly zero"
+                    );
                     if mask.left_out() == 0 {
                         let bare = Arc::new(Photo::new(y.clone(), height, width));
                         let packed = Arc::new(PackedPhoto::new(Arc::new(pixels.clone())));
-                        let whole: Compared =
-                            if matches!(photo, Compared::Packed(_)) { packed.into() } else { bare.into() };
-                        assert_eq!(run(&device, &x, whole, weight, 1.0, false), (loss, gradient));
+                        let whole: Compared = if matches!(photo, Compared::Packed(_)) {
+                            packed.into()
+                        } else {
+                            bare.into()
+                        };
+                        assert_eq!(
+                            run(&device, &x, whole, weight, 1.0, false),
+                            (loss, gradient)
+                        );
                     }
                 }
             }
@@ -301,11 +434,23 @@ mod on_gpu {
         let Some(device) = gpu() else { return };
         let (height, width) = (37, 45);
         let noisy = narrow(&picture(height, width, 0.0));
-        for (x, byte) in [(vec![0.9; noisy.len()], 204), (noisy.clone(), 0), (noisy.clone(), 255), (noisy, 100)] {
+        for (x, byte) in [
+            (vec![0.9; noisy.len()], 204),
+            (noisy.clone(), 0),
+            (noisy.clone(), 255),
+            (noisy, 100),
+        ] {
             let (photo, y) = packed_of(vec![byte; height * width * 3], height, width);
-            let [[loss, gradient], [host_loss, host_gradient]] = errors_against(&device, [&x, &y], &photo.into(), 0.2);
-            assert!(loss < 4.0 * host_loss + 1e-6, "loss off by {loss:e} against {host_loss:e}");
-            assert!(gradient < 4.0 * host_gradient + 1e-6, "gradient off by {gradient:e} against {host_gradient:e}");
+            let [[loss, gradient], [host_loss, host_gradient]] =
+                errors_against(&device, [&x, &y], &photo.into(), 0.2);
+            assert!(
+                loss < 4.0 * host_loss + 1e-6,
+                "loss off by {loss:e} against {host_loss:e}"
+            );
+            assert!(
+                gradient < 4.0 * host_gradient + 1e-6,
+                "gradient off by {gradient:e} against {host_gradient:e}"
+            );
         }
     }
 
@@ -316,10 +461,22 @@ mod on_gpu {
         let noisy = narrow(&picture(height, width, 0.0));
         let flat = |value: f32| vec![value; height * width * 3];
         // Variances are differences of squares there, and the digits that are left depend on the order of the sums.
-        for (x, y) in [(flat(0.9), flat(0.8)), (flat(1.0), noisy.clone()), (noisy, flat(0.0)), (flat(0.0), flat(1.0))] {
-            let [[loss, gradient], [host_loss, host_gradient]] = errors(&device, [&x, &y], (height, width), 0.2);
-            assert!(loss < 4.0 * host_loss + 1e-6, "loss off by {loss:e} against {host_loss:e}");
-            assert!(gradient < 4.0 * host_gradient + 1e-6, "gradient off by {gradient:e} against {host_gradient:e}");
+        for (x, y) in [
+            (flat(0.9), flat(0.8)),
+            (flat(1.0), noisy.clone()),
+            (noisy, flat(0.0)),
+            (flat(0.0), flat(1.0)),
+        ] {
+            let [[loss, gradient], [host_loss, host_gradient]] =
+                errors(&device, [&x, &y], (height, width), 0.2);
+            assert!(
+                loss < 4.0 * host_loss + 1e-6,
+                "loss off by {loss:e} against {host_loss:e}"
+            );
+            assert!(
+                gradient < 4.0 * host_gradient + 1e-6,
+                "gradient off by {gradient:e} against {host_gradient:e}"
+            );
         }
     }
 
@@ -332,15 +489,30 @@ mod on_gpu {
         // against 1 / (values) of an image that differs
         let worst = largest(gradient.iter().map(|&g| f64::from(g))) * x.len() as f64;
         eprintln!("equal images: loss {loss:e}, gradient {worst:e} of that of another image");
-        assert!(loss.abs() < 1e-6 && worst < 1e-4, "loss {loss:e}, gradient {worst:e}");
+        assert!(
+            loss.abs() < 1e-6 && worst < 1e-4,
+            "loss {loss:e}, gradient {worst:e}"
+        );
     }
 
     #[test]
     fn a_gpu_gives_the_same_bits_every_time() {
         let Some(device) = gpu() else { return };
-        let (x, y) = (narrow(&picture(90, 133, 0.0)), narrow(&picture(90, 133, 0.4)));
+        let (x, y) = (
+            narrow(&picture(90, 133, 0.0)),
+            narrow(&picture(90, 133, 0.4)),
+        );
         // the photo is uploaded by each
-        let once = || run(&device, &x, Arc::new(Photo::new(y.clone(), 90, 133)), 0.2, 1.3, false);
+        let once = || {
+            run(
+                &device,
+                &x,
+                Arc::new(Photo::new(y.clone(), 90, 133)),
+                0.2,
+                1.3,
+                false,
+            )
+        };
         assert_eq!(once(), once());
     }
 

@@ -14,27 +14,57 @@ const VIEWS: usize = 6;
 
 /// Three square plates of Gaussians and a wall behind them.
 pub fn plates() -> (Gaussians, Vec<u16>) {
-    let (mut means, mut log_scales, mut colors, mut labels) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let plates =
-        [([-0.9, 0.0, 0.1], [0.9, 0.1, 0.1]), ([0.0, 0.3, 0.0], [0.1, 0.8, 0.2]), ([0.8, -0.3, 0.2], [0.2, 0.3, 0.9])];
+    let (mut means, mut log_scales, mut colors, mut labels) =
+        (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let plates = [
+        ([-0.9, 0.0, 0.1], [0.9, 0.1, 0.1]),
+        ([0.0, 0.3, 0.0], [0.1, 0.8, 0.2]),
+        ([0.8, -0.3, 0.2], [0.2, 0.3, 0.9]),
+    ];
     for (label, (center, color)) in (1..).zip(plates) {
         for i in 0..25 {
-            means.push([center[0] + 0.15 * (i % 5 - 2) as f32, center[1] + 0.15 * (i / 5 - 2) as f32, center[2]]);
+            means.push([
+                center[0] + 0.15 * (i % 5 - 2) as f32,
+                center[1] + 0.15 * (i / 5 - 2) as f32,
+                center[2],
+            ]);
             log_scales.push([-2.3_f32; 3]);
             colors.push(color);
             labels.push(label);
         }
     }
     for i in 0..36 {
-        means.push([-2.0 + 0.8 * (i % 6) as f32, -2.0 + 0.8 * (i / 6) as f32, -1.5]);
+        means.push([
+            -2.0 + 0.8 * (i % 6) as f32,
+            -2.0 + 0.8 * (i / 6) as f32,
+            -1.5,
+        ]);
         log_scales.push([-0.6, -0.6, -3.0]);
-        colors.push([0.6 + 0.05 * (i % 5) as f32, 0.5, 0.4 + 0.05 * (i % 7) as f32]);
+        colors.push([
+            0.6 + 0.05 * (i % 5) as f32,
+            0.5,
+            0.4 + 0.05 * (i % 7) as f32,
+        ]);
         labels.push(4);
     }
     let n = means.len();
-    let sh = colors.iter().flatten().map(|c| (c - 0.5) / 0.282_094_8).collect();
+    let sh = colors
+        .iter()
+        .flatten()
+        .map(|c| (c - 0.5) / 0.282_094_8)
+        .collect();
     let rotations = vec![[1.0, 0.0, 0.0, 0.0]; n];
-    (Gaussians { means, log_scales, rotations, opacity_logits: vec![3.0; n], sh, sh_degree: 0 }, labels)
+    (
+        Gaussians {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits: vec![3.0; n],
+            sh,
+            sh_degree: 0,
+        },
+        labels,
+    )
 }
 
 /// Cameras on an arc, looking at the plates from +z.
@@ -46,7 +76,18 @@ fn pose(i: usize) -> DMat4 {
 
 pub fn camera(i: usize) -> Camera {
     let (cx, cy) = (WIDTH as f64 / 2.0, HEIGHT as f64 / 2.0);
-    Camera::from_opengl(&pose(i), Intrinsics { fx: 80.0, fy: 80.0, cx, cy, width: WIDTH, height: HEIGHT }).unwrap()
+    Camera::from_opengl(
+        &pose(i),
+        Intrinsics {
+            fx: 80.0,
+            fy: 80.0,
+            cx,
+            cy,
+            width: WIDTH,
+            height: HEIGHT,
+        },
+    )
+    .unwrap()
 }
 
 /// A scene folder of the plates: photos, exact labels, raw labels with one object swapped in one view, a PLY file.
@@ -55,15 +96,23 @@ pub fn scene(dir: &Path) -> PathBuf {
     let mut frames = Vec::new();
     for i in 0..VIEWS {
         let picture = render(&gaussians, &camera(i), &Settings::default(), [0.0; 3]).unwrap();
-        let bytes = picture.rgb.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
+        let bytes = picture
+            .rgb
+            .iter()
+            .map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8)
+            .collect();
         let photo = image::RgbImage::from_raw(WIDTH as u32, HEIGHT as u32, bytes).unwrap();
         std::fs::create_dir_all(dir.join("images")).unwrap();
         photo.save(dir.join(format!("images/v{i}.png"))).unwrap();
-        let projected = Projected::new(&gaussians.splats(), &camera(i), &Settings::default()).unwrap();
+        let projected =
+            Projected::new(&gaussians.splats(), &camera(i), &Settings::default()).unwrap();
         let truth = hard_label_map(&projected, &labels, 0.5);
         truth.write(&dir.join(format!("labels/v{i}.png"))).unwrap();
         let swap = |id: &u16| if i == 1 && *id == 1 { 2 } else { *id };
-        let raw = LabelMap { ids: truth.ids.iter().map(swap).collect(), ..truth };
+        let raw = LabelMap {
+            ids: truth.ids.iter().map(swap).collect(),
+            ..truth
+        };
         raw.write(&dir.join(format!("raw/v{i}.png"))).unwrap();
         frames.push(serde_json::json!({
             "file_path": format!("images/v{i}.png"),

@@ -13,7 +13,8 @@ use std::sync::{Arc, Mutex};
 
 /// World-to-camera or not, OpenCV axes or OpenGL.
 pub type Convention = (bool, bool);
-pub const CONVENTIONS: [Convention; 4] = [(false, false), (true, false), (false, true), (true, true)];
+pub const CONVENTIONS: [Convention; 4] =
+    [(false, false), (true, false), (false, true), (true, true)];
 
 /// What the program calls a convention.
 pub fn name((to_camera, opencv): Convention) -> &'static str {
@@ -47,13 +48,25 @@ pub struct Capture {
 impl Capture {
     /// The built-in room, small, with its photos and points in `dir`.
     pub fn room(dir: &Path, train_views: usize) -> Self {
-        let options = BuiltinOptions { width: 96, height: 72, train_views, test_views: 2, ..Default::default() };
+        let options = BuiltinOptions {
+            width: 96,
+            height: 72,
+            train_views,
+            test_views: 2,
+            ..Default::default()
+        };
         let scene = scene_with(&options).unwrap();
         let mut shots = Vec::new();
         for view in &scene.views {
             let path = dir.join(format!("{}.png", view.name));
             view.image.pixels().unwrap().save(&path).unwrap();
-            shots.push((path, Camera { center: view.camera.center + scene.origin, ..view.camera.clone() }));
+            shots.push((
+                path,
+                Camera {
+                    center: view.camera.center + scene.origin,
+                    ..view.camera.clone()
+                },
+            ));
         }
         let mut text = format!(
             "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
@@ -90,17 +103,43 @@ fn colmap(capture: &Capture, dir: &Path, convention: Convention) {
     fs::create_dir_all(&folder).unwrap();
     let (mut cameras, mut images, mut points) = (String::new(), String::new(), String::new());
     for (i, (path, c)) in capture.shots.iter().enumerate() {
-        writeln!(cameras, "{i} PINHOLE {} {} {} {} {} {}", c.width, c.height, c.fx, c.fy, c.cx, c.cy).unwrap();
+        writeln!(
+            cameras,
+            "{i} PINHOLE {} {} {} {} {} {}",
+            c.width, c.height, c.fx, c.fy, c.cx, c.cy
+        )
+        .unwrap();
         let m = matrix(c, convention);
         let (q, t) = (DQuat::from_mat3(&DMat3::from_mat4(m)), m.w_axis);
         let name = path.file_name().unwrap().to_str().unwrap();
-        writeln!(images, "{} {} {} {} {} {} {} {} {i} {name}\n", i + 1, q.w, q.x, q.y, q.z, t.x, t.y, t.z).unwrap();
+        writeln!(
+            images,
+            "{} {} {} {} {} {} {} {} {i} {name}\n",
+            i + 1,
+            q.w,
+            q.x,
+            q.y,
+            q.z,
+            t.x,
+            t.y,
+            t.z
+        )
+        .unwrap();
     }
     let cloud = fs::read_to_string(&capture.cloud).unwrap();
-    for (i, line) in cloud.lines().skip_while(|line| *line != "end_header").skip(1).enumerate() {
+    for (i, line) in cloud
+        .lines()
+        .skip_while(|line| *line != "end_header")
+        .skip(1)
+        .enumerate()
+    {
         writeln!(points, "{i} {line} 0.5").unwrap();
     }
-    for (name, text) in [("cameras", cameras), ("images", images), ("points3D", points)] {
+    for (name, text) in [
+        ("cameras", cameras),
+        ("images", images),
+        ("points3D", points),
+    ] {
         fs::write(folder.join(format!("{name}.txt")), text).unwrap();
     }
 }
@@ -124,16 +163,31 @@ fn a_room_written_in_any_convention() {
         eprintln!("{convention:?}: {:?}", checked.problems);
         let mend = match convention {
             (false, false) => {
-                assert!(checked.problems.is_empty() && checked.notices.is_empty(), "{checked:?}");
+                assert!(
+                    checked.problems.is_empty() && checked.notices.is_empty(),
+                    "{checked:?}"
+                );
                 continue;
             }
             (true, false) => "; invert each transform_matrix",
             (false, true) => "; negate the second and third columns of each transform_matrix",
-            (true, true) => "; invert each transform_matrix, then negate its second and third columns",
+            (true, true) => {
+                "; invert each transform_matrix, then negate its second and third columns"
+            }
         };
         let expected = "expected camera-to-world in OpenGL axes (x right, y up, looking along -z)";
-        one_problem(&checked, &["transforms.json: transform_matrix of the frames", name(convention), expected]);
-        assert!(checked.problems[0].to_string().ends_with(mend), "{checked:?}");
+        one_problem(
+            &checked,
+            &[
+                "transforms.json: transform_matrix of the frames",
+                name(convention),
+                expected,
+            ],
+        );
+        assert!(
+            checked.problems[0].to_string().ends_with(mend),
+            "{checked:?}"
+        );
     }
 }
 
@@ -148,14 +202,18 @@ fn a_cloud_without_colours_tells_by_places_alone() {
         let angle = 0.3 * i as f64;
         let eye = DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.5);
         let pose = DMat4::look_at_rh(eye, DVec3::splat(0.45), DVec3::Z);
-        camera.rotation = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * DMat3::from_mat4(pose);
+        camera.rotation =
+            DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * DMat3::from_mat4(pose);
         camera.center = eye;
     }
     for convention in CONVENTIONS {
         capture.transforms(dir, convention, 1);
         let checked = check(dir, &LoadOptions::default());
         if convention == (false, false) {
-            assert!(checked.problems.is_empty() && checked.notices.is_empty(), "{checked:?}");
+            assert!(
+                checked.problems.is_empty() && checked.notices.is_empty(),
+                "{checked:?}"
+            );
             continue;
         }
         one_problem(&checked, &["hold 0 % of", "; 100 % if", name(convention)]);
@@ -165,7 +223,13 @@ fn a_cloud_without_colours_tells_by_places_alone() {
     cube(&capture.cloud, 900.0);
     let checked = check(dir, &LoadOptions::default());
     assert!(checked.problems.is_empty(), "{checked:?}");
-    assert!(checked.notices.iter().any(|n| n.contains("whichever way the poses are read")), "{checked:?}");
+    assert!(
+        checked
+            .notices
+            .iter()
+            .any(|n| n.contains("whichever way the poses are read")),
+        "{checked:?}"
+    );
 }
 
 /// A cloud without colours: a cube of side 1 to look at from all sides, raised by `height`.
@@ -189,8 +253,14 @@ fn colmap_models_are_mended_as_colmap_has_them() {
     for (convention, mend) in [
         ((true, true), None),
         ((false, true), Some("; invert each pose")),
-        ((true, false), Some("; negate the second and third rows of each pose")),
-        ((false, false), Some("; invert each pose, then negate its second and third rows")),
+        (
+            (true, false),
+            Some("; negate the second and third rows of each pose"),
+        ),
+        (
+            (false, false),
+            Some("; invert each pose, then negate its second and third rows"),
+        ),
     ] {
         colmap(&capture, dir, convention);
         let checked = check(dir, &LoadOptions::default());
@@ -198,8 +268,18 @@ fn colmap_models_are_mended_as_colmap_has_them() {
             assert!(checked.problems.is_empty(), "{checked:?}");
             continue;
         };
-        one_problem(&checked, &["images.txt: QW QX", name(convention), "expected world-to-camera in OpenCV axes"]);
-        assert!(checked.problems[0].to_string().ends_with(mend), "{checked:?}");
+        one_problem(
+            &checked,
+            &[
+                "images.txt: QW QX",
+                name(convention),
+                "expected world-to-camera in OpenCV axes",
+            ],
+        );
+        assert!(
+            checked.problems[0].to_string().ends_with(mend),
+            "{checked:?}"
+        );
     }
 }
 
@@ -210,22 +290,39 @@ fn mended_matrices_are_right() {
     let flip = DMat4::from_diagonal(glam::DVec4::new(1.0, -1.0, -1.0, 1.0));
     let close = |a: DMat4, b: DMat4| (a - b).to_cols_array().iter().all(|v| v.abs() < 1e-12);
     let [gl, to_gl, cv, to_cv] = CONVENTIONS.map(|convention| matrix(&camera, convention));
-    assert!(close(to_gl.inverse(), gl) && close(cv * flip, gl) && close(to_cv.inverse() * flip, gl), "transforms.json");
-    assert!(close(cv.inverse(), to_cv) && close(flip * to_gl, to_cv) && close(flip * gl.inverse(), to_cv), "COLMAP");
-    assert!(close(to_cv.inverse(), cv) && close(gl * flip, cv) && close(to_gl.inverse() * flip, cv), "sequences");
+    assert!(
+        close(to_gl.inverse(), gl) && close(cv * flip, gl) && close(to_cv.inverse() * flip, gl),
+        "transforms.json"
+    );
+    assert!(
+        close(cv.inverse(), to_cv)
+            && close(flip * to_gl, to_cv)
+            && close(flip * gl.inverse(), to_cv),
+        "COLMAP"
+    );
+    assert!(
+        close(to_cv.inverse(), cv) && close(gl * flip, cv) && close(to_gl.inverse() * flip, cv),
+        "sequences"
+    );
 }
 
 /// The conventions that the notices of a folder say its poses may be of.
 pub fn suspected(dir: &Path) -> Vec<String> {
     let checked = check(dir, &LoadOptions::default());
     assert!(checked.problems.is_empty(), "{checked:?}");
-    let told = checked.notices.iter().filter(|n| n.contains("the poses may be ")).cloned();
+    let told = checked
+        .notices
+        .iter()
+        .filter(|n| n.contains("the poses may be "))
+        .cloned();
     told.inspect(|n| eprintln!("{n}")).collect()
 }
 
 /// Takes the cloud out of `transforms.json`.
 pub fn without_cloud(dir: &Path) {
-    edit(dir, |v| _ = v.as_object_mut().unwrap().remove("ply_file_path"));
+    edit(dir, |v| {
+        _ = v.as_object_mut().unwrap().remove("ply_file_path")
+    });
 }
 
 #[test]
@@ -242,7 +339,10 @@ fn without_a_cloud_neighbouring_photos_tell() {
             continue;
         }
         let wanted = name(convention).replace("if they are", "may be");
-        assert!(found.len() == 1 && found[0].contains(&wanted) && found[0].contains("transform_matrix"), "{found:?}");
+        assert!(
+            found.len() == 1 && found[0].contains(&wanted) && found[0].contains("transform_matrix"),
+            "{found:?}"
+        );
     }
 }
 
@@ -253,22 +353,49 @@ fn loading_warns() {
     let capture = Capture::room(dir, 20);
     capture.transforms(dir, (true, true), 1);
     let said = warnings(|| _ = load(dir, &LoadOptions::default()).unwrap());
-    assert!(said.contains("invert each transform_matrix, then negate its second and third columns"), "{said}");
+    assert!(
+        said.contains("invert each transform_matrix, then negate its second and third columns"),
+        "{said}"
+    );
     capture.transforms(dir, (false, false), 1);
-    assert_eq!(warnings(|| _ = load(dir, &LoadOptions::default()).unwrap()), "");
+    assert_eq!(
+        warnings(|| _ = load(dir, &LoadOptions::default()).unwrap()),
+        ""
+    );
     // A file that holds no points.
     let cloud = fs::read_to_string(&capture.cloud).unwrap();
     let header = cloud.split_inclusive("end_header\n").next().unwrap();
-    let header = header.lines().map(|l| if l.starts_with("element") { "element vertex 0" } else { l });
+    let header = header.lines().map(|l| {
+        if l.starts_with("element") {
+            "element vertex 0"
+        } else {
+            l
+        }
+    });
     fs::write(&capture.cloud, header.collect::<Vec<_>>().join("\n") + "\n").unwrap();
     let said = warnings(|| _ = load(dir, &LoadOptions::default()).unwrap());
-    assert!(said.contains("room.ply holds no points: Gaussians start at random places"), "{said}");
-    assert!(check(dir, &LoadOptions::default()).notices.iter().any(|n| n.contains("room.ply holds no points")));
+    assert!(
+        said.contains("room.ply holds no points: Gaussians start at random places"),
+        "{said}"
+    );
+    assert!(
+        check(dir, &LoadOptions::default())
+            .notices
+            .iter()
+            .any(|n| n.contains("room.ply holds no points"))
+    );
     // And one that is there but not named.
     fs::copy(&capture.cloud, dir.join("sparse_pc.ply")).unwrap();
-    edit(dir, |v| _ = v.as_object_mut().unwrap().remove("ply_file_path"));
+    edit(dir, |v| {
+        _ = v.as_object_mut().unwrap().remove("ply_file_path")
+    });
     let notices = check(dir, &LoadOptions::default()).notices;
-    assert!(notices.iter().any(|n| n.contains("\"ply_file_path\": \"sparse_pc.ply\"")), "{notices:?}");
+    assert!(
+        notices
+            .iter()
+            .any(|n| n.contains("\"ply_file_path\": \"sparse_pc.ply\"")),
+        "{notices:?}"
+    );
 }
 
 /// What `work` says in warnings.
@@ -286,7 +413,10 @@ fn warnings(work: impl FnOnce()) -> String {
     }
     let said = Said::default();
     let writer = said.clone();
-    let subscriber = tracing_subscriber::fmt().with_ansi(false).with_writer(move || writer.clone()).finish();
+    let subscriber = tracing_subscriber::fmt()
+        .with_ansi(false)
+        .with_writer(move || writer.clone())
+        .finish();
     tracing::subscriber::with_default(subscriber, work);
     let bytes = said.0.lock().unwrap().clone();
     String::from_utf8(bytes).unwrap()

@@ -28,17 +28,27 @@ fn edit(path: &Path, change: impl FnOnce(&mut Value)) {
     *stored = metadata.to_string().into();
     let mut text = header.to_string();
     text.push_str(&" ".repeat(text.len().next_multiple_of(8) - text.len()));
-    let parts = [&(text.len() as u64).to_le_bytes(), text.as_bytes(), &bytes[8 + length..]];
+    let parts = [
+        &(text.len() as u64).to_le_bytes(),
+        text.as_bytes(),
+        &bytes[8 + length..],
+    ];
     fs::write(path, parts.concat()).expect("written");
 }
 
 /// Takes a member out of a stored provenance.
 fn forget(provenance: &mut Value, key: &str) {
-    provenance.as_object_mut().expect("an object").remove(key).unwrap_or_else(|| panic!("{key} is there"));
+    provenance
+        .as_object_mut()
+        .expect("an object")
+        .remove(key)
+        .unwrap_or_else(|| panic!("{key} is there"));
 }
 
 fn refusal(config: &Config, out: &Path) -> Error {
-    run(config, out, &crate::device(), &mut Silent).err().expect("must be refused")
+    run(config, out, &crate::device(), &mut Silent)
+        .err()
+        .expect("must be refused")
 }
 
 /// The refusal names a setting, its value now and then, and the file.
@@ -46,7 +56,15 @@ fn refusal(config: &Config, out: &Path) -> Error {
 fn refused_by(config: &Config, out: &Path, [key, found, then, file]: [&str; 4]) {
     let error = refusal(config, out);
     assert!(matches!(error, Error::Config { .. }), "{error}");
-    crate::assert_names(&error, &[key, &format!("found {found}"), &format!("expected {then}, as when"), file]);
+    crate::assert_names(
+        &error,
+        &[
+            key,
+            &format!("found {found}"),
+            &format!("expected {then}, as when"),
+            file,
+        ],
+    );
 }
 
 /// Settings of a run that takes the plates, and three Gaussians that no camera sees.
@@ -80,11 +98,17 @@ fn rows_do_not_decide_which_gaussians_are_pruned() {
     let folder = tempfile::tempdir().expect("a folder");
     let config = with_unseen(folder.path());
     let all = plates::plates().0.len() + 3;
-    let (few, many) = ([Row::Vote, Row::PerGaussian], [Row::Vote, Row::PerGaussian, Row::Ours]);
+    let (few, many) = (
+        [Row::Vote, Row::PerGaussian],
+        [Row::Vote, Row::PerGaussian, Row::Ours],
+    );
     let out = |name: &str| folder.path().join(name);
     let before = whole(&rows(&config, &few), &out("run"));
     let pruned = before.pruned.expect("reported");
-    assert_eq!((pruned.before, pruned.after, before.gaussians.len()), (all, all - 3, all - 3));
+    assert_eq!(
+        (pruned.before, pruned.after, before.gaussians.len()),
+        (all, all - 3, all - 3)
+    );
     assert!(pruned.scores_before.psnr.is_some() && pruned.scores_after == before.test);
     assert!(before.features.is_empty(), "nothing reads features");
     // A row more, and again a row less, is the same run.
@@ -96,8 +120,13 @@ fn rows_do_not_decide_which_gaussians_are_pruned() {
     by_cells.unprojection.resolution = Resolution::Feature;
     by_cells.segmentation.diffusion_steps = 2;
     let vote = whole(&rows(&by_cells, &[Row::Vote]), &out("vote by cells"));
-    let beside = whole(&rows(&by_cells, &[Row::Vote, Row::Ours]), &out("rows by cells"));
-    assert!(vote.gaussians == beside.gaussians && vote.rows[0].identities == beside.rows[0].identities);
+    let beside = whole(
+        &rows(&by_cells, &[Row::Vote, Row::Ours]),
+        &out("rows by cells"),
+    );
+    assert!(
+        vote.gaussians == beside.gaussians && vote.rows[0].identities == beside.rows[0].identities
+    );
 
     // What is not segmented is not pruned, nor what is asked not to be.
     let none = whole(&rows(&config, &[]), &out("none"));
@@ -106,15 +135,36 @@ fn rows_do_not_decide_which_gaussians_are_pruned() {
     kept.unprojection.attendance = 0.0;
     let pruned = whole(&kept, &out("kept")).pruned.expect("reported");
     assert_eq!((pruned.before, pruned.after), (all, all));
-    refused_by(&kept, &out("run"), ["unprojection.attendance", "0.0", "0.00001", "per_gaussian.safetensors"]);
+    refused_by(
+        &kept,
+        &out("run"),
+        [
+            "unprojection.attendance",
+            "0.0",
+            "0.00001",
+            "per_gaussian.safetensors",
+        ],
+    );
     // Earlier versions pruned nothing beside these rows: such a run is told how it goes on.
     let path = out("kept").join("checkpoint/per_gaussian.safetensors");
-    edit(&path, |settings| forget(&mut settings["provenance"], "origin"));
+    edit(&path, |settings| {
+        forget(&mut settings["provenance"], "origin")
+    });
     let error = refusal(&rows(&config, &few), &out("kept"));
-    crate::assert_names(&error, &["per_gaussian.safetensors", "Gaussians", "unprojection.attendance", "as with 0"]);
+    crate::assert_names(
+        &error,
+        &[
+            "per_gaussian.safetensors",
+            "Gaussians",
+            "unprojection.attendance",
+            "as with 0",
+        ],
+    );
     assert_eq!(whole(&kept, &out("kept")).gaussians.len(), all);
     let file = folder.path().join("transforms.json");
-    let text = fs::read_to_string(&file).expect("frames").replace("\"raw_label_path\"", "\"elsewhere\"");
+    let text = fs::read_to_string(&file)
+        .expect("frames")
+        .replace("\"raw_label_path\"", "\"elsewhere\"");
     fs::write(&file, text).expect("written");
     let none = whole(&rows(&config, &few), &out("without labels"));
     assert_eq!((none.pruned, none.gaussians.len()), (None, all));
@@ -127,7 +177,12 @@ fn write_maps(dir: &Path, seed: usize) {
     for view in 0..6 {
         let value = |i: usize| ((i * 37 + (seed * 7 + view + 1) * 101) % 997) as f32 / 997.0;
         let bytes: Vec<u8> = (0..count).flat_map(|i| value(i).to_le_bytes()).collect();
-        let tensor = |n| (format!("scale{n}"), TensorView::new(Dtype::F32, shape.to_vec(), &bytes).expect("whole"));
+        let tensor = |n| {
+            (
+                format!("scale{n}"),
+                TensorView::new(Dtype::F32, shape.to_vec(), &bytes).expect("whole"),
+            )
+        };
         let file = safetensors::serialize((1..=4).map(tensor), None).expect("encoded");
         fs::write(dir.join(format!("v{view}.safetensors")), file).expect("written");
     }
@@ -136,7 +191,10 @@ fn write_maps(dir: &Path, seed: usize) {
 #[test]
 fn a_decoder_of_other_image_features_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
-    let mut config = rows(&with_unseen(folder.path()), &[Row::PerGaussian, Row::NoImageFeatures, Row::Ours]);
+    let mut config = rows(
+        &with_unseen(folder.path()),
+        &[Row::PerGaussian, Row::NoImageFeatures, Row::Ours],
+    );
     let maps = folder.path().join("maps");
     (config.features.source, config.features.dimensions) = (FeatureSource::Import, 4);
     config.features.import_dir = Some(maps.clone());
@@ -146,7 +204,15 @@ fn a_decoder_of_other_image_features_is_refused() {
     write_maps(&maps, 1);
     // Only of the row that reads them.
     let error = refusal(&config, &out);
-    crate::assert_names(&error, &["/ours.safetensors", "image features", "features.import_dir", "another folder"]);
+    crate::assert_names(
+        &error,
+        &[
+            "/ours.safetensors",
+            "image features",
+            "features.import_dir",
+            "another folder",
+        ],
+    );
     write_maps(&maps, 0);
     let done = whole(&config, &out);
     same(&done, &whole(&config, &folder.path().join("at once")));
@@ -175,25 +241,46 @@ fn a_rate_that_was_chosen_with_other_inputs_is_refused() {
     same(&done, &whole(&config, &out));
     fs::remove_file(out.join("checkpoint/ours.safetensors")).expect("removed");
     write_maps(&maps, 1);
-    crate::assert_names(&refusal(&config, &out), &["ours.rate.safetensors", "image features"]);
+    crate::assert_names(
+        &refusal(&config, &out),
+        &["ours.rate.safetensors", "image features"],
+    );
     // Earlier versions did not record them: the rate is taken.
-    edit(&out.join("checkpoint/ours.rate.safetensors"), |settings| forget(settings, "provenance"));
+    edit(&out.join("checkpoint/ours.rate.safetensors"), |settings| {
+        forget(settings, "provenance")
+    });
     let again = whole(&config, &out);
-    assert_eq!((again.rows[0].rate, again.rows[0].trial_seconds), (done.rows[0].rate, done.rows[0].trial_seconds));
+    assert_eq!(
+        (again.rows[0].rate, again.rows[0].trial_seconds),
+        (done.rows[0].rate, done.rows[0].trial_seconds)
+    );
 }
 
 #[test]
 fn a_decoder_beside_another_point_encoder_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
-    let mut config = rows(&with_unseen(folder.path()), &[Row::NoSpatial, Row::RandomSpatial, Row::Ours]);
+    let mut config = rows(
+        &with_unseen(folder.path()),
+        &[Row::NoSpatial, Row::RandomSpatial, Row::Ours],
+    );
     let weights = folder.path().join("weights.safetensors");
-    let write = |seed| fs::write(&weights, random_weights(3, seed).to_safetensors().expect("whole")).expect("written");
-    (config.spatial.source, config.spatial.weights) = (SpatialSource::Pretrained, Some(weights.clone()));
+    let write = |seed| {
+        fs::write(
+            &weights,
+            random_weights(3, seed).to_safetensors().expect("whole"),
+        )
+        .expect("written")
+    };
+    (config.spatial.source, config.spatial.weights) =
+        (SpatialSource::Pretrained, Some(weights.clone()));
     write(7);
     let out = folder.path().join("run");
     let done = whole(&config, &out);
     write(8);
-    crate::assert_names(&refusal(&config, &out), &["/ours.safetensors", "point encoder", "spatial.weights"]);
+    crate::assert_names(
+        &refusal(&config, &out),
+        &["/ours.safetensors", "point encoder", "spatial.weights"],
+    );
     write(7);
     same(&done, &whole(&config, &out));
 }
@@ -211,18 +298,38 @@ fn other_data_is_told_by_the_setting_that_made_it_so() {
         config
     };
     let given = "given.safetensors";
-    refused_by(&with(&|c| c.data.stride = 2), &out, ["data.stride", "2", "1", given]);
-    refused_by(&with(&|c| c.data.max_frames = 2), &out, ["data.max_frames", "2", "0", given]);
-    refused_by(&with(&|c| c.data.max_side = 40), &out, ["data.max_side", "40", "1600", given]);
+    refused_by(
+        &with(&|c| c.data.stride = 2),
+        &out,
+        ["data.stride", "2", "1", given],
+    );
+    refused_by(
+        &with(&|c| c.data.max_frames = 2),
+        &out,
+        ["data.max_frames", "2", "0", given],
+    );
+    refused_by(
+        &with(&|c| c.data.max_side = 40),
+        &out,
+        ["data.max_side", "40", "1600", given],
+    );
     for name in ["same", "other"] {
         fs::create_dir(dir.join(name)).expect("folder");
         (0..6).for_each(|i| {
             let from = if name == "other" && i == 0 { 1 } else { i };
-            fs::copy(dir.join(format!("raw/v{from}.png")), dir.join(format!("{name}/v{i}.png"))).expect("copied");
+            fs::copy(
+                dir.join(format!("raw/v{from}.png")),
+                dir.join(format!("{name}/v{i}.png")),
+            )
+            .expect("copied");
         });
     }
     let row = "per_gaussian.safetensors";
-    refused_by(&with(&|c| c.data.raw_labels = "other".into()), &out, ["data.raw_labels", "\"other\"", "\"\"", row]);
+    refused_by(
+        &with(&|c| c.data.raw_labels = "other".into()),
+        &out,
+        ["data.raw_labels", "\"other\"", "\"\"", row],
+    );
     // Another setting that gives the same data is no obstacle; nor is what says nothing of it.
     let other = with(&|c| {
         c.data.raw_labels = "same".into();
@@ -233,11 +340,16 @@ fn other_data_is_told_by_the_setting_that_made_it_so() {
 
     // Earlier versions did not record them: they go on, and are told what to look at.
     for file in [given, row] {
-        edit(&out.join("checkpoint").join(file), |settings| forget(&mut settings["provenance"], "origin"));
+        edit(&out.join("checkpoint").join(file), |settings| {
+            forget(&mut settings["provenance"], "origin")
+        });
     }
     let error = refusal(&with(&|c| c.data.stride = 2), &out);
     assert!(matches!(error, Error::Input { .. }), "{error}");
-    crate::assert_names(&error, &[given, "photos", "the settings of data and association"]);
+    crate::assert_names(
+        &error,
+        &[given, "photos", "the settings of data and association"],
+    );
     same(&done, &whole(&base, &out));
 }
 
@@ -249,12 +361,24 @@ fn other_objects_are_told_by_the_setting_of_association() {
     whole(&config, &out);
     let row = "per_gaussian.safetensors";
     config.data.association = Association::Gaussians;
-    refused_by(&config, &out, ["data.association", "\"gaussians\"", "\"none\"", row]);
+    refused_by(
+        &config,
+        &out,
+        ["data.association", "\"gaussians\"", "\"none\"", row],
+    );
     let out = folder.path().join("objects");
     let done = whole(&config, &out);
-    assert!(done.association.expect("objects").objects > 1, "{:?}", done.association);
+    assert!(
+        done.association.expect("objects").objects > 1,
+        "{:?}",
+        done.association
+    );
     config.association.min_weight = 0.3;
-    refused_by(&config, &out, ["association.min_weight", "0.3", "0.00001", row]);
+    refused_by(
+        &config,
+        &out,
+        ["association.min_weight", "0.3", "0.00001", row],
+    );
 }
 
 /// The digest of photos by their pixels, as versions made it that decoded them all: of views of loaded scenes without masks.
@@ -264,14 +388,26 @@ fn digest_of_pixels(dir: &Path) -> String {
     for view in &scene.views {
         let c = &view.camera;
         let mut hash = Sha256::new();
-        hash.update(format!("{} {:?} {} {}\n", view.name, view.split, c.width, c.height));
-        let numbers = c.rotation.to_cols_array().into_iter().chain(c.center.to_array());
-        numbers.chain([c.fx, c.fy, c.cx, c.cy]).for_each(|v| hash.update(v.to_le_bytes()));
+        hash.update(format!(
+            "{} {:?} {} {}\n",
+            view.name, view.split, c.width, c.height
+        ));
+        let numbers = c
+            .rotation
+            .to_cols_array()
+            .into_iter()
+            .chain(c.center.to_array());
+        numbers
+            .chain([c.fx, c.fy, c.cx, c.cy])
+            .for_each(|v| hash.update(v.to_le_bytes()));
         hash.update(view.image.pixels().expect("photo").as_raw());
         all.update(hash.finalize());
     }
     for values in [&scene.points.positions, &scene.points.colors] {
-        values.as_flattened().iter().for_each(|v| all.update(v.to_le_bytes()));
+        values
+            .as_flattened()
+            .iter()
+            .for_each(|v| all.update(v.to_le_bytes()));
     }
     format!("{:x}", all.finalize())
 }
@@ -283,25 +419,48 @@ fn photos_are_told_by_their_files_and_runs_that_compared_pixels_go_on() {
     let mut config = rows(&config(folder.path()), &[]);
     config.building.iterations = 6;
     let (out, whole_out) = (folder.path().join("run"), folder.path().join("whole"));
-    run(&config, &out, &crate::device(), &mut StopAt::new("building", 3)).expect("a part");
+    run(
+        &config,
+        &out,
+        &crate::device(),
+        &mut StopAt::new("building", 3),
+    )
+    .expect("a part");
     let path = out.join("checkpoint/building.safetensors");
     let digest = digest_of_pixels(folder.path());
     let as_before = |digest: &str| {
         edit(&path, |settings| {
             forget(&mut settings["provenance"], "origin");
-            forget(&mut settings["provenance"]["data"], "photos, masks, cameras and points");
+            forget(
+                &mut settings["provenance"]["data"],
+                "photos, masks, cameras and points",
+            );
             settings["provenance"]["data"]["photos, cameras and points"] = digest.into();
         });
     };
     as_before(&digest.replace(&digest[..4], "0000"));
-    crate::assert_names(&refusal(&config, &out), &["building checkpoint", "photos", "other data"]);
-    edit(&path, |settings| settings["provenance"]["data"]["photos, cameras and points"] = digest.clone().into());
+    crate::assert_names(
+        &refusal(&config, &out),
+        &["building checkpoint", "photos", "other data"],
+    );
+    edit(&path, |settings| {
+        settings["provenance"]["data"]["photos, cameras and points"] = digest.clone().into()
+    });
     same(&whole(&config, &whole_out), &whole(&config, &out));
     // What goes on records the files.
-    edit(&path, |settings| assert!(settings["provenance"]["data"]["photos, masks, cameras and points"].is_string()));
+    edit(&path, |settings| {
+        assert!(settings["provenance"]["data"]["photos, masks, cameras and points"].is_string())
+    });
 
     // No photo is decoded to be told: one that nothing looks at need not even be there.
-    let scene = load(folder.path(), &LoadOptions { decoded_mb: 0, ..LoadOptions::default() }).expect("scene");
+    let scene = load(
+        folder.path(),
+        &LoadOptions {
+            decoded_mb: 0,
+            ..LoadOptions::default()
+        },
+    )
+    .expect("scene");
     let test = scene.split(Split::Test).next().expect("a test view");
     fs::remove_file(folder.path().join(format!("images/{}.png", test.name))).expect("removed");
     assert!(test.image.pixels().is_err());

@@ -11,7 +11,12 @@ fn single(c: &Cloud) -> [Vec<f32>; 4] {
 }
 
 fn splats(v: &[Vec<f32>; 4]) -> Splats<'_, f32> {
-    Splats { means: &v[0], log_scales: &v[1], rotations: &v[2], opacity_logits: &v[3] }
+    Splats {
+        means: &v[0],
+        log_scales: &v[1],
+        rotations: &v[2],
+        opacity_logits: &v[3],
+    }
 }
 
 /// Pixels of the f32 image that differ from f64 by more than 1e-4 of the largest channel.
@@ -21,12 +26,23 @@ fn differing(c: &Cloud, camera: &Camera, channels: usize) -> usize {
     let narrow: Vec<f32> = values.iter().map(|&v| v as f32).collect();
     let values: Vec<f64> = narrow.iter().map(|&v| f64::from(v)).collect();
     let floats = single(c);
-    let want = Projected::new(&c.splats(), camera, &settings).expect("finite").blend(&values, channels);
-    let got = Projected::new(&splats(&floats), camera, &settings).expect("finite").blend(&narrow, channels);
+    let want = Projected::new(&c.splats(), camera, &settings)
+        .expect("finite")
+        .blend(&values, channels);
+    let got = Projected::new(&splats(&floats), camera, &settings)
+        .expect("finite")
+        .blend(&narrow, channels);
     let largest = want.image.iter().fold(1e-6_f64, |a, v| a.max(v.abs()));
     assert!(got.image.iter().all(|v| v.is_finite()), "finite");
-    let pixels = got.image.chunks_exact(channels).zip(want.image.chunks_exact(channels));
-    let off = |(g, w): (&[f32], &[f64])| g.iter().zip(w).any(|(g, w)| (f64::from(*g) - w).abs() > 1e-4 * largest);
+    let pixels = got
+        .image
+        .chunks_exact(channels)
+        .zip(want.image.chunks_exact(channels));
+    let off = |(g, w): (&[f32], &[f64])| {
+        g.iter()
+            .zip(w)
+            .any(|(g, w)| (f64::from(*g) - w).abs() > 1e-4 * largest)
+    };
     pixels.filter(|&(g, w)| off((g, w))).count()
 }
 
@@ -36,7 +52,10 @@ fn f32_agrees_with_f64() {
     let camera = camera(97, 61);
     for (n, scale, seed) in [(400, 0.02, 1), (2_000, 0.01, 2), (60, 0.4, 3)] {
         let off = differing(&cloud(n, scale, &camera, seed).rounded(), &camera, 3);
-        assert!(off <= camera.width * camera.height / 1_000, "{off} pixels of scene {seed} differ");
+        assert!(
+            off <= camera.width * camera.height / 1_000,
+            "{off} pixels of scene {seed} differ"
+        );
     }
 }
 
@@ -54,10 +73,16 @@ fn blending_and_its_adjoint_are_one_operator() {
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let (left, right) = (dot(&wx, &y), dot(&x, &wty));
         let size = dot(&wx, &wx).sqrt() * dot(&y, &y).sqrt();
-        assert!((left - right).abs() < 1e-10 * size, "{channels}: {left} {right}");
+        assert!(
+            (left - right).abs() < 1e-10 * size,
+            "{channels}: {left} {right}"
+        );
         // The stored weights are f32.
         for (stored, blended) in w.apply(&x, channels).iter().zip(&wx) {
-            assert!((stored - blended).abs() < 1e-5, "{channels}: {stored} {blended}");
+            assert!(
+                (stored - blended).abs() < 1e-5,
+                "{channels}: {stored} {blended}"
+            );
         }
     }
     let ones = vec![1.0; camera.width * camera.height];
@@ -76,7 +101,10 @@ fn counts_are_pixel_centres_within_the_radius() {
             continue;
         };
         let inside = |p: &usize| {
-            let (x, y) = ((p % camera.width) as f64 + 0.5, (p / camera.width) as f64 + 0.5);
+            let (x, y) = (
+                (p % camera.width) as f64 + 0.5,
+                (p / camera.width) as f64 + 0.5,
+            );
             (x - u).powi(2) + (y - v).powi(2) <= f64::from(radius).powi(2)
         };
         let want = (0..camera.width * camera.height).filter(inside).count();
@@ -109,14 +137,32 @@ fn hard_cases_stay_finite() {
     let projected = Projected::new(&splats(&floats), &camera, &settings).expect("finite input");
     assert!(projected.stats().zero_quaternions > 0);
     for channels in [1, 3, 64] {
-        let values: Vec<f32> = numbers(c.len() * channels, 3).iter().map(|&v| 1e4 * v as f32).collect();
+        let values: Vec<f32> = numbers(c.len() * channels, 3)
+            .iter()
+            .map(|&v| 1e4 * v as f32)
+            .collect();
         let out = projected.blend(&values, channels);
-        assert!(out.image.iter().chain(&out.transmittance).all(|v| v.is_finite()));
+        assert!(
+            out.image
+                .iter()
+                .chain(&out.transmittance)
+                .all(|v| v.is_finite())
+        );
         assert!(out.transmittance.iter().all(|t| (0.0..=1.0).contains(t)));
-        assert!(projected.blend_adjoint(&out.image, channels).iter().all(|v| v.is_finite()));
+        assert!(
+            projected
+                .blend_adjoint(&out.image, channels)
+                .iter()
+                .all(|v| v.is_finite())
+        );
     }
     let wide = Projected::new(&c.splats(), &camera, &settings).expect("finite input");
-    assert!(wide.blend(&numbers(c.len() * 3, 3), 3).image.iter().all(|v| v.is_finite()));
+    assert!(
+        wide.blend(&numbers(c.len() * 3, 3), 3)
+            .image
+            .iter()
+            .all(|v| v.is_finite())
+    );
 }
 
 /// Gaussians with every fate, in mixed order: more than one task projects, and no multiple of what a loop takes.
@@ -153,11 +199,18 @@ fn each_gaussian_meets_the_fate_it_meets_alone() {
     let camera = camera(97, 61);
     let all = every_fate(&camera);
     for alpha_min in [Settings::default().alpha_min, 0.0] {
-        let settings = Settings { alpha_min, ..Settings::default() };
+        let settings = Settings {
+            alpha_min,
+            ..Settings::default()
+        };
         let floats = single(&all);
         let narrow = Projected::new(&splats(&floats), &camera, &settings).expect("finite");
         let wide = Projected::new(&all.splats(), &camera, &settings).expect("finite");
-        assert_eq!((narrow.stats(), narrow.radii()), (wide.stats(), wide.radii()), "f32 against f64");
+        assert_eq!(
+            (narrow.stats(), narrow.radii()),
+            (wide.stats(), wide.radii()),
+            "f32 against f64"
+        );
         let mut sum = Stats::default();
         for (i, &radius) in wide.radii().iter().enumerate() {
             let alone = Splats {
@@ -178,7 +231,10 @@ fn each_gaussian_meets_the_fate_it_meets_alone() {
             sum.tile_entries += s.tile_entries;
         }
         assert_eq!(wide.stats(), sum);
-        assert_eq!(sum.visible + sum.behind + sum.off_screen + sum.non_finite, all.len());
+        assert_eq!(
+            sum.visible + sum.behind + sum.off_screen + sum.non_finite,
+            all.len()
+        );
         assert_eq!((sum.behind, sum.non_finite), (150, 150), "{sum:?}");
         assert!(sum.visible > 1_200 && sum.zero_quaternions > 150, "{sum:?}");
         // Without alpha_min every ellipse is the whole plane.
@@ -190,7 +246,9 @@ fn each_gaussian_meets_the_fate_it_meets_alone() {
 fn nothing_to_see_is_an_empty_image() {
     for (width, height) in [(1, 1), (15, 17), (64, 48)] {
         let camera = camera(width, height);
-        let none = Projected::<f32>::new(&splats(&Default::default()), &camera, &Settings::default()).expect("none");
+        let none =
+            Projected::<f32>::new(&splats(&Default::default()), &camera, &Settings::default())
+                .expect("none");
         let out = none.blend(&[], 3);
         assert!(out.image.iter().all(|&v| v == 0.0) && out.transmittance.iter().all(|&t| t == 1.0));
         assert_eq!(out.transmittance.len(), width * height);
@@ -201,13 +259,18 @@ fn nothing_to_see_is_an_empty_image() {
 #[test]
 fn non_finite_input_is_named() {
     let camera = camera(20, 20);
-    for (part, name) in ["means", "log_scales", "rotations", "opacity_logits"].into_iter().enumerate() {
+    for (part, name) in ["means", "log_scales", "rotations", "opacity_logits"]
+        .into_iter()
+        .enumerate()
+    {
         for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             let mut floats = single(&cloud(30, 0.1, &camera, 1));
             let width = floats[part].len() / 30;
             floats[part][7 * width] = bad;
             match Projected::new(&splats(&floats), &camera, &Settings::default()) {
-                Err(Error::NonFinite { tensor, row, .. }) => assert_eq!((tensor.as_str(), row), (name, 7)),
+                Err(Error::NonFinite { tensor, row, .. }) => {
+                    assert_eq!((tensor.as_str(), row), (name, 7))
+                }
                 other => panic!("{name}: {:?}", other.map(|p| p.stats())),
             }
         }
@@ -219,14 +282,26 @@ fn non_finite_colours_are_named_seen_or_not() {
     let (g, _) = crate::plates::plates();
     let many = g.select(&(0..1_500).map(|i| i % g.len() as u32).collect::<Vec<_>>());
     let view = crate::plates::camera(0);
-    let away = Camera { rotation: glam::DMat3::from_rotation_y(std::f64::consts::PI) * view.rotation, ..view.clone() };
-    for (camera, bad, row) in [(&view, f32::NAN, 7), (&view, f32::INFINITY, 1_300), (&away, f32::NAN, 1_499)] {
-        let seen = coseg::raster::render(&many, camera, &Settings::default(), [0.0; 3]).expect("finite").stats.visible;
+    let away = Camera {
+        rotation: glam::DMat3::from_rotation_y(std::f64::consts::PI) * view.rotation,
+        ..view.clone()
+    };
+    for (camera, bad, row) in [
+        (&view, f32::NAN, 7),
+        (&view, f32::INFINITY, 1_300),
+        (&away, f32::NAN, 1_499),
+    ] {
+        let seen = coseg::raster::render(&many, camera, &Settings::default(), [0.0; 3])
+            .expect("finite")
+            .stats
+            .visible;
         assert_eq!(seen == 0, std::ptr::eq(camera, &away), "{seen}");
         let mut spoilt = many.clone();
         spoilt.sh[3 * row + 1] = bad;
         match coseg::raster::render(&spoilt, camera, &Settings::default(), [0.0; 3]) {
-            Err(Error::NonFinite { tensor, row: named, .. }) => assert_eq!((tensor.as_str(), named), ("sh", row)),
+            Err(Error::NonFinite {
+                tensor, row: named, ..
+            }) => assert_eq!((tensor.as_str(), named), ("sh", row)),
             other => panic!("row {row}: {:?}", other.map(|r| r.stats)),
         }
     }
@@ -240,7 +315,10 @@ fn f32_culls_and_counts_as_f64_does() {
     let wide = Projected::new(&splats(&single), &camera, &Settings::default()).expect("finite");
     let plain = Projected::new(&c.splats(), &camera, &Settings::default()).expect("finite");
     assert_eq!(wide.stats(), plain.stats());
-    assert_eq!((wide.counts(), wide.radii()), (plain.counts(), plain.radii()));
+    assert_eq!(
+        (wide.counts(), wide.radii()),
+        (plain.counts(), plain.radii())
+    );
     assert!(plain.counts().iter().any(|&count| count > 1_000));
 }
 
@@ -249,9 +327,13 @@ fn thread_count_changes_no_bit() {
     let camera = camera(130, 90);
     let floats = single(&cloud(9_500, 0.03, &camera, 12));
     let run = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("threads");
         pool.install(|| {
-            let projected = Projected::new(&splats(&floats), &camera, &Settings::default()).expect("finite");
+            let projected =
+                Projected::new(&splats(&floats), &camera, &Settings::default()).expect("finite");
             let values: Vec<f32> = numbers(9_500 * 19, 2).iter().map(|&v| v as f32).collect();
             let image = projected.blend(&values, 19).image;
             let sums = projected.blend_adjoint(&image, 19);

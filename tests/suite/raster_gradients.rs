@@ -24,12 +24,21 @@ fn agree(analytic: &[f64], numeric: &[f64]) -> Result<(), String> {
 /// [`agree`], and that it would have seen a corrupted gradient.
 fn check(what: &str, analytic: &[f64], numeric: &[f64]) {
     agree(analytic, numeric).unwrap_or_else(|e| panic!("{what}: {e}"));
-    assert!(analytic.iter().any(|&a| a != 0.0), "{what}: all zero, the check would be empty");
+    assert!(
+        analytic.iter().any(|&a| a != 0.0),
+        "{what}: all zero, the check would be empty"
+    );
     let off: Vec<f64> = analytic.iter().map(|a| a * 1.01).collect();
-    assert!(agree(&off, numeric).is_err(), "{what}: a gradient 1 % off goes unnoticed");
+    assert!(
+        agree(&off, numeric).is_err(),
+        "{what}: a gradient 1 % off goes unnoticed"
+    );
     let mut broken = analytic.to_vec();
     broken[0] = f64::NAN;
-    assert!(agree(&broken, numeric).is_err(), "{what}: a NaN goes unnoticed");
+    assert!(
+        agree(&broken, numeric).is_err(),
+        "{what}: a NaN goes unnoticed"
+    );
 }
 
 /// Central differences of `f` at every entry of `x`, with a relative step in the entry's own size.
@@ -59,7 +68,10 @@ struct Loss {
 impl Loss {
     fn new(camera: &Camera, channels: usize) -> Self {
         let pixels = camera.width * camera.height;
-        Self { image: numbers(pixels * channels, 77), transmittance: numbers(pixels, 78) }
+        Self {
+            image: numbers(pixels * channels, 77),
+            transmittance: numbers(pixels, 78),
+        }
     }
 
     fn of(&self, image: &[f64], transmittance: &[f64]) -> f64 {
@@ -68,10 +80,25 @@ impl Loss {
     }
 }
 
-const SMOOTH: Settings = Settings { alpha_max: 1.0, alpha_min: 0.0, t_min: 0.0, near: 0.01, low_pass: 0.3 };
+const SMOOTH: Settings = Settings {
+    alpha_max: 1.0,
+    alpha_min: 0.0,
+    t_min: 0.0,
+    near: 0.01,
+    low_pass: 0.3,
+};
 
-fn loss_of(c: &Cloud, values: &[f64], channels: usize, camera: &Camera, s: &Settings, loss: &Loss) -> f64 {
-    let out = Projected::new(&c.splats(), camera, s).expect("valid").blend(values, channels);
+fn loss_of(
+    c: &Cloud,
+    values: &[f64],
+    channels: usize,
+    camera: &Camera,
+    s: &Settings,
+    loss: &Loss,
+) -> f64 {
+    let out = Projected::new(&c.splats(), camera, s)
+        .expect("valid")
+        .blend(values, channels);
     loss.of(&out.image, &out.transmittance)
 }
 
@@ -85,7 +112,14 @@ fn gradients(
 ) -> SplatGradients<f64> {
     let projected = Projected::new(&c.splats(), camera, s).expect("valid");
     let forward = projected.blend(values, channels);
-    projected.backward(&c.splats(), values, channels, &forward, &l.image, Some(&l.transmittance))
+    projected.backward(
+        &c.splats(),
+        values,
+        channels,
+        &forward,
+        &l.image,
+        Some(&l.transmittance),
+    )
 }
 
 /// Checks every input of one scene.
@@ -103,9 +137,21 @@ fn check_scene(what: &str, c: &Cloud, channels: usize, camera: &Camera, s: &Sett
     };
     let name = |tensor: &str| format!("{what}, {channels} channels, {tensor}");
     check(&name("means"), &got.means, &varied(|c| &mut c.means));
-    check(&name("log_scales"), &got.log_scales, &varied(|c| &mut c.log_scales));
-    check(&name("rotations"), &got.rotations, &varied(|c| &mut c.rotations));
-    check(&name("opacity_logits"), &got.opacity_logits, &varied(|c| &mut c.opacity_logits));
+    check(
+        &name("log_scales"),
+        &got.log_scales,
+        &varied(|c| &mut c.log_scales),
+    );
+    check(
+        &name("rotations"),
+        &got.rotations,
+        &varied(|c| &mut c.rotations),
+    );
+    check(
+        &name("opacity_logits"),
+        &got.opacity_logits,
+        &varied(|c| &mut c.opacity_logits),
+    );
     if channels > 0 {
         let d_values = differences(&values, step, |v| loss_of(c, v, channels, camera, s, &loss));
         check(&name("values"), &got.values, &d_values);
@@ -118,7 +164,11 @@ fn check_scene(what: &str, c: &Cloud, channels: usize, camera: &Camera, s: &Sett
         loss.of(&out.image, &out.transmittance)
     });
     let half = [camera.width as f64 / 2.0, camera.height as f64 / 2.0];
-    let screen: Vec<f64> = screen.iter().enumerate().map(|(i, d)| d * half[i % 2]).collect();
+    let screen: Vec<f64> = screen
+        .iter()
+        .enumerate()
+        .map(|(i, d)| d * half[i % 2])
+        .collect();
     check(&name("screen"), &got.screen, &screen);
 }
 
@@ -134,14 +184,30 @@ fn smooth_gradients_equal_finite_differences() {
 #[test]
 fn gradients_with_the_default_cut_offs_equal_finite_differences() {
     let camera = camera(23, 18);
-    for settings in [Settings::default(), Settings { alpha_max: 0.5, t_min: 0.2, ..Settings::default() }] {
+    for settings in [
+        Settings::default(),
+        Settings {
+            alpha_max: 0.5,
+            t_min: 0.2,
+            ..Settings::default()
+        },
+    ] {
         // A scene in which no pair lies so close to a cut-off that a finite step would cross it.
         let (seed, scene) = (0..1000)
             .map(|seed| (seed, cloud(10, 0.06, &camera, seed)))
-            .find(|(_, c)| reference::render(c, &numbers(30, 5), 3, &camera, &settings).closest_cut > 4e-4)
+            .find(|(_, c)| {
+                reference::render(c, &numbers(30, 5), 3, &camera, &settings).closest_cut > 4e-4
+            })
             .expect("such a scene");
         for channels in [3, 9] {
-            check_scene(&format!("cut-offs, seed {seed}"), &scene, channels, &camera, &settings, 1e-6);
+            check_scene(
+                &format!("cut-offs, seed {seed}"),
+                &scene,
+                channels,
+                &camera,
+                &settings,
+                1e-6,
+            );
         }
     }
 }
@@ -152,11 +218,36 @@ fn gradients_of_awkward_geometry_equal_finite_differences() {
     let at = |u: f64, v: f64, z: f64| (camera.center + camera.ray(u, v) * z).to_array();
     let mut c = Cloud::default();
     // Needles and plates, a quaternion far from unit length, and centres outside the limits of the Jacobian.
-    c.push(at(8.0, 9.0, 2.0), [1e-4, 1e-4, 0.3], [0.3, -0.5, 0.8, 0.1], 1.0);
-    c.push(at(12.0, 5.0, 2.5), [1e-5, 0.4, 0.3], [3.0, 40.0, -25.0, 11.0], -0.5);
-    c.push(at(-9.0, 8.0, 3.0), [0.9, 0.8, 1.1], [0.9, 0.2, 0.1, -0.3], 0.5);
-    c.push(at(12.0, 32.0, 2.2), [0.8, 0.9, 0.7], [0.1, 0.2, -0.7, 0.4], 0.3);
-    c.push(at(14.0, 12.0, 4.0), [0.2, 0.2, 0.2], [0.5, 0.5, 0.5, 0.5], 4.0);
+    c.push(
+        at(8.0, 9.0, 2.0),
+        [1e-4, 1e-4, 0.3],
+        [0.3, -0.5, 0.8, 0.1],
+        1.0,
+    );
+    c.push(
+        at(12.0, 5.0, 2.5),
+        [1e-5, 0.4, 0.3],
+        [3.0, 40.0, -25.0, 11.0],
+        -0.5,
+    );
+    c.push(
+        at(-9.0, 8.0, 3.0),
+        [0.9, 0.8, 1.1],
+        [0.9, 0.2, 0.1, -0.3],
+        0.5,
+    );
+    c.push(
+        at(12.0, 32.0, 2.2),
+        [0.8, 0.9, 0.7],
+        [0.1, 0.2, -0.7, 0.4],
+        0.3,
+    );
+    c.push(
+        at(14.0, 12.0, 4.0),
+        [0.2, 0.2, 0.2],
+        [0.5, 0.5, 0.5, 0.5],
+        4.0,
+    );
     check_scene("awkward", &c, 3, &camera, &SMOOTH, 1e-5);
 }
 
@@ -167,15 +258,18 @@ impl Leaves {
     fn tensors(&self, device: &burn::tensor::Device) -> RasterInput {
         let n = self.0[3].len();
         let data = |i: usize, shape: Vec<usize>| TensorData::new(self.0[i].clone(), shape);
-        let two = |i, w| Tensor::<2>::from_data(data(i, vec![n, w]), (device, DType::F64)).require_grad();
+        let two =
+            |i, w| Tensor::<2>::from_data(data(i, vec![n, w]), (device, DType::F64)).require_grad();
         RasterInput {
             means: two(0, 3),
             log_scales: two(1, 3),
             rotations: two(2, 4),
-            opacity_logits: Tensor::<1>::from_data(data(3, vec![n]), (device, DType::F64)).require_grad(),
+            opacity_logits: Tensor::<1>::from_data(data(3, vec![n]), (device, DType::F64))
+                .require_grad(),
             sh: (!self.0[4].is_empty()).then(|| {
                 let terms = self.0[4].len() / n / 3;
-                Tensor::<3>::from_data(data(4, vec![n, terms, 3]), (device, DType::F64)).require_grad()
+                Tensor::<3>::from_data(data(4, vec![n, terms, 3]), (device, DType::F64))
+                    .require_grad()
             }),
             active_sh_degree: self.1,
             features: (!self.0[5].is_empty()).then(|| two(5, self.0[5].len() / n)),
@@ -221,7 +315,8 @@ fn gradients_of_the_operation_equal_finite_differences() {
             let out = rasterize(input.clone(), &camera, &SMOOTH, background).expect("valid");
             let t = TensorData::new(loss.transmittance.clone(), [camera.height, camera.width]);
             let t = Tensor::<2>::from_data(t, (&device, DType::F64));
-            let sum = (out.image * tensor(&loss.image, &device)).sum() + (out.transmittance * t).sum();
+            let sum =
+                (out.image * tensor(&loss.image, &device)).sum() + (out.transmittance * t).sum();
             (input, sum)
         };
         let (input, sum) = value(&leaves);
@@ -239,7 +334,14 @@ fn gradients_of_the_operation_equal_finite_differences() {
             grad!(input.sh.expect("given")),
             input.features.map_or_else(Vec::new, |f| grad!(f)),
         ];
-        let names = ["means", "log_scales", "rotations", "opacity_logits", "sh", "features"];
+        let names = [
+            "means",
+            "log_scales",
+            "rotations",
+            "opacity_logits",
+            "sh",
+            "features",
+        ];
         for (i, name) in names.into_iter().enumerate() {
             if leaves.0[i].is_empty() {
                 continue;
@@ -249,7 +351,11 @@ fn gradients_of_the_operation_equal_finite_differences() {
                 moved.0[i].copy_from_slice(x);
                 value(&moved).1.into_scalar::<f64>()
             });
-            check(&format!("operation, degree {degree}, {name}"), &got[i], &numeric);
+            check(
+                &format!("operation, degree {degree}, {name}"),
+                &got[i],
+                &numeric,
+            );
         }
         let screen = grad!(input.screen.expect("given"));
         assert_eq!(screen.len(), 2 * n);
@@ -282,7 +388,10 @@ fn the_operation_equals_the_slices() {
         let out = rasterize(input.clone(), &camera, &Settings::default(), [0.5; 3]).expect("valid");
         let projected = Projected::new(&c.splats(), &camera, &Settings::default()).expect("valid");
         let blended = projected.blend(&values, features);
-        assert_eq!(out.radii.read().expect("on the host").as_slice(), projected.radii());
+        assert_eq!(
+            out.radii.read().expect("on the host").as_slice(),
+            projected.radii()
+        );
         assert_eq!(values_of(out.image.clone()), blended.image);
         assert_eq!(values_of(out.transmittance.clone()), blended.transmittance);
         let data = |v: &[f64], shape: Vec<usize>| TensorData::new(v.to_vec(), shape);
@@ -291,12 +400,36 @@ fn the_operation_equals_the_slices() {
         let weights = data(&loss.transmittance, vec![camera.height, camera.width]);
         let t = out.transmittance * Tensor::<2>::from_data(weights, (&device, DType::F64));
         let grads = (image.sum() + t.sum()).backward();
-        assert_eq!(values_of(input.means.grad(&grads).expect("tracked")), want.means);
-        assert_eq!(values_of(input.log_scales.grad(&grads).expect("tracked")), want.log_scales);
-        assert_eq!(values_of(input.rotations.grad(&grads).expect("tracked")), want.rotations);
-        assert_eq!(values_of(input.opacity_logits.grad(&grads).expect("tracked")), want.opacity_logits);
-        assert_eq!(values_of(input.features.expect("given").grad(&grads).expect("tracked")), want.values);
-        assert_eq!(values_of(input.screen.expect("given").grad(&grads).expect("tracked")), want.screen);
+        assert_eq!(
+            values_of(input.means.grad(&grads).expect("tracked")),
+            want.means
+        );
+        assert_eq!(
+            values_of(input.log_scales.grad(&grads).expect("tracked")),
+            want.log_scales
+        );
+        assert_eq!(
+            values_of(input.rotations.grad(&grads).expect("tracked")),
+            want.rotations
+        );
+        assert_eq!(
+            values_of(input.opacity_logits.grad(&grads).expect("tracked")),
+            want.opacity_logits
+        );
+        assert_eq!(
+            values_of(
+                input
+                    .features
+                    .expect("given")
+                    .grad(&grads)
+                    .expect("tracked")
+            ),
+            want.values
+        );
+        assert_eq!(
+            values_of(input.screen.expect("given").grad(&grads).expect("tracked")),
+            want.screen
+        );
     }
 }
 
@@ -311,12 +444,22 @@ fn a_loss_on_the_transmittance_alone_reaches_the_geometry() {
     loss.transmittance.fill(1.0);
     let want = gradients(&c, &values, 1, &camera, &Settings::default(), &loss);
     let leaves = Leaves(
-        [c.means.clone(), c.log_scales.clone(), c.rotations.clone(), c.opacity_logits.clone(), Vec::new(), values],
+        [
+            c.means.clone(),
+            c.log_scales.clone(),
+            c.rotations.clone(),
+            c.opacity_logits.clone(),
+            Vec::new(),
+            values,
+        ],
         0,
     );
     let input = leaves.tensors(&device);
     let out = rasterize(input.clone(), &camera, &Settings::default(), [0.0; 3]).expect("valid");
     let grads = out.transmittance.sum().backward();
-    assert_eq!(values_of(input.opacity_logits.grad(&grads).expect("tracked")), want.opacity_logits);
+    assert_eq!(
+        values_of(input.opacity_logits.grad(&grads).expect("tracked")),
+        want.opacity_logits
+    );
     assert!(want.opacity_logits.iter().any(|&g| g < 0.0));
 }

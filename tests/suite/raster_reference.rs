@@ -39,7 +39,12 @@ impl Cloud {
 
     /// Rounds every number to f32.
     pub fn rounded(mut self) -> Self {
-        for v in [&mut self.means, &mut self.log_scales, &mut self.rotations, &mut self.opacity_logits] {
+        for v in [
+            &mut self.means,
+            &mut self.log_scales,
+            &mut self.rotations,
+            &mut self.opacity_logits,
+        ] {
             v.iter_mut().for_each(|x| *x = f64::from(*x as f32));
         }
         self
@@ -47,8 +52,13 @@ impl Cloud {
 
     /// The numbers as f32.
     pub fn single(&self) -> [Vec<f32>; 4] {
-        [&self.means, &self.log_scales, &self.rotations, &self.opacity_logits]
-            .map(|v| v.iter().map(|&x| x as f32).collect())
+        [
+            &self.means,
+            &self.log_scales,
+            &self.rotations,
+            &self.opacity_logits,
+        ]
+        .map(|v| v.iter().map(|&x| x as f32).collect())
     }
 }
 
@@ -100,8 +110,21 @@ pub struct Reference {
 }
 
 /// Renders `values` `[N, channels]`.
-pub fn render(cloud: &Cloud, values: &[f64], channels: usize, camera: &Camera, s: &Settings) -> Reference {
-    render_shifted(cloud, values, channels, camera, s, &vec![0.0; 2 * cloud.len()])
+pub fn render(
+    cloud: &Cloud,
+    values: &[f64],
+    channels: usize,
+    camera: &Camera,
+    s: &Settings,
+) -> Reference {
+    render_shifted(
+        cloud,
+        values,
+        channels,
+        camera,
+        s,
+        &vec![0.0; 2 * cloud.len()],
+    )
 }
 
 /// [`render`] with the projected centres moved by `shifts` pixels, `[N, 2]`.
@@ -123,22 +146,40 @@ pub fn render_shifted(
     let mut flat = Vec::new();
     for id in 0..cloud.len() {
         let at = |v: &[f64], w: usize| v[id * w..(id + 1) * w].to_vec();
-        let (m, l, q) = (at(&cloud.means, 3), at(&cloud.log_scales, 3), at(&cloud.rotations, 4));
+        let (m, l, q) = (
+            at(&cloud.means, 3),
+            at(&cloud.log_scales, 3),
+            at(&cloud.rotations, 4),
+        );
         let p = camera.rotation * (DVec3::new(m[0], m[1], m[2]) - camera.center);
         if p.z <= s.near {
             continue;
         }
         let quat = DQuat::from_xyzw(q[1], q[2], q[3], q[0]);
-        let quat = if quat.length_squared() < 1e-12 { DQuat::IDENTITY } else { quat.normalize() };
+        let quat = if quat.length_squared() < 1e-12 {
+            DQuat::IDENTITY
+        } else {
+            quat.normalize()
+        };
         let scale = DMat3::from_diagonal(DVec3::new(l[0].exp(), l[1].exp(), l[2].exp()));
         let m3 = camera.rotation * DMat3::from_quat(quat) * scale;
         let sigma = m3 * m3.transpose();
         let (w, h) = (camera.width as f64, camera.height as f64);
-        let tx = (p.x / p.z).clamp(-(0.15 * w + camera.cx) / camera.fx, (1.15 * w - camera.cx) / camera.fx);
-        let ty = (p.y / p.z).clamp(-(0.15 * h + camera.cy) / camera.fy, (1.15 * h - camera.cy) / camera.fy);
+        let tx = (p.x / p.z).clamp(
+            -(0.15 * w + camera.cx) / camera.fx,
+            (1.15 * w - camera.cx) / camera.fx,
+        );
+        let ty = (p.y / p.z).clamp(
+            -(0.15 * h + camera.cy) / camera.fy,
+            (1.15 * h - camera.cy) / camera.fy,
+        );
         let j1 = DVec3::new(camera.fx / p.z, 0.0, -camera.fx * tx / p.z);
         let j2 = DVec3::new(0.0, camera.fy / p.z, -camera.fy * ty / p.z);
-        let (a, b, c) = (j1.dot(sigma * j1) + s.low_pass, j1.dot(sigma * j2), j2.dot(sigma * j2) + s.low_pass);
+        let (a, b, c) = (
+            j1.dot(sigma * j1) + s.low_pass,
+            j1.dot(sigma * j2),
+            j2.dot(sigma * j2) + s.low_pass,
+        );
         let det = a * c - b * b;
         flat.push(Flat {
             id,
@@ -160,11 +201,15 @@ pub fn render_shifted(
         closest_cut: f64::INFINITY,
     };
     for pixel in 0..pixels {
-        let (px, py) = ((pixel % camera.width) as f64 + 0.5, (pixel / camera.width) as f64 + 0.5);
+        let (px, py) = (
+            (pixel % camera.width) as f64 + 0.5,
+            (pixel / camera.width) as f64 + 0.5,
+        );
         let mut t = 1.0;
         for g in &flat {
             let (dx, dy) = (px - g.mean[0], py - g.mean[1]);
-            let power = -0.5 * (g.inverse[0] * dx * dx + 2.0 * g.inverse[1] * dx * dy + g.inverse[2] * dy * dy);
+            let power = -0.5
+                * (g.inverse[0] * dx * dx + 2.0 * g.inverse[1] * dx * dy + g.inverse[2] * dy * dy);
             let raw = g.opacity * power.exp();
             let alpha = raw.min(s.alpha_max);
             let mut near = |x: f64, cut: f64| {

@@ -1,6 +1,8 @@
 //! Conventions of poses on real captures: what is found, and that right ones give no alarm.
 
-use crate::poses::{CONVENTIONS, Capture, matrix, name, one_problem, rows, suspected, without_cloud};
+use crate::poses::{
+    CONVENTIONS, Capture, matrix, name, one_problem, rows, suspected, without_cloud,
+};
 use coseg::data::transforms::load_cameras;
 use coseg::data::{LoadOptions, check};
 use std::fs;
@@ -19,13 +21,22 @@ const SCENES: [(&str, &str); 5] = [
 fn capture_of(dir: &Path, transforms: &str) -> Capture {
     let manifest = crate::cli::read_json(&dir.join(transforms));
     let cameras = load_cameras(&dir.join(transforms), None).unwrap();
-    let paths = manifest["frames"].as_array().unwrap().iter().map(|f| dir.join(f["file_path"].as_str().unwrap()));
-    Capture { shots: paths.zip(cameras.into_iter().map(|c| c.camera)).collect(), cloud: dir.join("points.ply") }
+    let paths = manifest["frames"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|f| dir.join(f["file_path"].as_str().unwrap()));
+    Capture {
+        shots: paths.zip(cameras.into_iter().map(|c| c.camera)).collect(),
+        cloud: dir.join("points.ply"),
+    }
 }
 
 #[test]
 fn real_captures_give_no_false_alarm() {
-    let Some(shared) = crate::shared_dir() else { return };
+    let Some(shared) = crate::shared_dir() else {
+        return;
+    };
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path();
     for (scene, transforms) in SCENES {
@@ -38,7 +49,10 @@ fn real_captures_give_no_false_alarm() {
                 capture.cloud = cloud.clone();
                 capture.transforms(dir, (false, false), stride);
                 let checked = check(dir, &LoadOptions::default());
-                assert!(checked.problems.is_empty() && checked.notices.is_empty(), "{scene} {stride}: {checked:?}");
+                assert!(
+                    checked.problems.is_empty() && checked.notices.is_empty(),
+                    "{scene} {stride}: {checked:?}"
+                );
             }
         }
         for convention in [(true, false), (false, true), (true, true)] {
@@ -54,7 +68,12 @@ fn real_captures_give_no_false_alarm() {
             capture.transforms(dir, convention, 1);
             let found = check(dir, &LoadOptions::default()).problems;
             eprintln!("{scene} without colours: {found:?}");
-            assert!(found.iter().all(|fault| fault.to_string().contains(name(convention))), "{scene}: {found:?}");
+            assert!(
+                found
+                    .iter()
+                    .all(|fault| fault.to_string().contains(name(convention))),
+                "{scene}: {found:?}"
+            );
         }
     }
 }
@@ -64,7 +83,10 @@ fn without_colors(cloud: &Path, copy: &Path) {
     let mut bytes = fs::read(cloud).unwrap();
     for (color, other) in [("red", "rad"), ("green", "grean"), ("blue", "bluu")] {
         let wanted = format!("uchar {color}\n");
-        let at = bytes.windows(wanted.len()).position(|window| window == wanted.as_bytes()).unwrap();
+        let at = bytes
+            .windows(wanted.len())
+            .position(|window| window == wanted.as_bytes())
+            .unwrap();
         bytes[at..at + wanted.len()].copy_from_slice(format!("uchar {other}\n").as_bytes());
     }
     fs::write(copy, bytes).unwrap();
@@ -72,7 +94,9 @@ fn without_colors(cloud: &Path, copy: &Path) {
 
 #[test]
 fn real_captures_without_a_cloud_give_no_false_alarm() {
-    let Some(shared) = crate::shared_dir() else { return };
+    let Some(shared) = crate::shared_dir() else {
+        return;
+    };
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path();
     for (scene, transforms) in SCENES {
@@ -84,10 +108,16 @@ fn real_captures_without_a_cloud_give_no_false_alarm() {
                 let found = suspected(dir);
                 eprintln!("{scene} {convention:?} {stride}: {}", found.len());
                 let wanted = name(convention).replace("if they are", "may be");
-                assert!(found.iter().all(|notice| notice.contains(&wanted)), "{scene} {convention:?}: {found:?}");
+                assert!(
+                    found.iter().all(|notice| notice.contains(&wanted)),
+                    "{scene} {convention:?}: {found:?}"
+                );
                 let none = convention == (false, false);
                 assert!(!none || found.is_empty(), "{scene} {stride}: {found:?}");
-                assert!(none || stride > 1 || !found.is_empty(), "{scene} {convention:?}");
+                assert!(
+                    none || stride > 1 || !found.is_empty(),
+                    "{scene} {convention:?}"
+                );
             }
         }
     }
@@ -95,7 +125,9 @@ fn real_captures_without_a_cloud_give_no_false_alarm() {
 
 #[test]
 fn depth_images_tell_as_a_cloud_does() {
-    let Some(shared) = crate::shared_dir() else { return };
+    let Some(shared) = crate::shared_dir() else {
+        return;
+    };
     for scene in ["house_living", "house_kitchen", "studio"] {
         let folder = tempfile::tempdir().unwrap();
         let dir = folder.path();
@@ -104,24 +136,46 @@ fn depth_images_tell_as_a_cloud_does() {
             fs::create_dir(dir.join(sub)).unwrap();
         }
         let c = &capture.shots[0].1;
-        let intrinsics = format!("{} 0 {} 0\n0 {} {} 0\n0 0 1 0\n0 0 0 1\n", c.fx, c.cx, c.fy, c.cy);
+        let intrinsics = format!(
+            "{} 0 {} 0\n0 {} {} 0\n0 0 1 0\n0 0 0 1\n",
+            c.fx, c.cx, c.fy, c.cy
+        );
         fs::write(dir.join("intrinsic/intrinsic_color.txt"), intrinsics).unwrap();
         for (i, (photo, _)) in capture.shots.iter().enumerate() {
             let kind = photo.extension().unwrap().to_str().unwrap();
             fs::copy(photo, dir.join(format!("color/{i}.{kind}"))).unwrap();
-            let depth = photo.parent().unwrap().with_file_name("depth").join(photo.file_name().unwrap());
-            fs::copy(depth.with_extension("png"), dir.join(format!("depth/{i}.png"))).unwrap();
+            let depth = photo
+                .parent()
+                .unwrap()
+                .with_file_name("depth")
+                .join(photo.file_name().unwrap());
+            fs::copy(
+                depth.with_extension("png"),
+                dir.join(format!("depth/{i}.png")),
+            )
+            .unwrap();
         }
         for (convention, mend) in [
             ((false, true), None),
             ((true, true), Some("; invert each matrix")),
-            ((false, false), Some("; negate the second and third columns of each matrix")),
-            ((true, false), Some("; invert each matrix, then negate its second and third columns")),
+            (
+                (false, false),
+                Some("; negate the second and third columns of each matrix"),
+            ),
+            (
+                (true, false),
+                Some("; invert each matrix, then negate its second and third columns"),
+            ),
         ] {
             for (i, (_, camera)) in capture.shots.iter().enumerate() {
-                let lines =
-                    rows(matrix(camera, convention)).into_iter().map(|row| row.map(|v| v.to_string()).join(" "));
-                fs::write(dir.join(format!("pose/{i}.txt")), lines.collect::<Vec<_>>().join("\n")).unwrap();
+                let lines = rows(matrix(camera, convention))
+                    .into_iter()
+                    .map(|row| row.map(|v| v.to_string()).join(" "));
+                fs::write(
+                    dir.join(format!("pose/{i}.txt")),
+                    lines.collect::<Vec<_>>().join("\n"),
+                )
+                .unwrap();
             }
             let checked = check(dir, &LoadOptions::default());
             eprintln!("{scene} {convention:?}: {:?}", checked.problems);
@@ -130,7 +184,10 @@ fn depth_images_tell_as_a_cloud_does() {
                 continue;
             };
             one_problem(&checked, &["pose: matrices", name(convention)]);
-            assert!(checked.problems[0].to_string().ends_with(mend), "{checked:?}");
+            assert!(
+                checked.problems[0].to_string().ends_with(mend),
+                "{checked:?}"
+            );
         }
     }
 }

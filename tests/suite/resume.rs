@@ -1,6 +1,8 @@
 //! A run that was stopped and gone on with is the run that was not; a checkpoint of another run is refused.
 
-use coseg::config::{BuildingConfig, Config, Encode, LabelLoss, LabelSource, Row, SegmentationConfig};
+use coseg::config::{
+    BuildingConfig, Config, Encode, LabelLoss, LabelSource, Row, SegmentationConfig,
+};
 use coseg::train::progress::{CurvePoint, Event, Progress, Silent};
 use coseg::train::{Outcome, run};
 use std::path::Path;
@@ -8,7 +10,11 @@ use std::path::Path;
 /// Both stages on the plates, a second or two.
 pub fn config(data: &Path) -> Config {
     let mut config = Config {
-        building: BuildingConfig { iterations: 40, random_points: 400, ..BuildingConfig::default() },
+        building: BuildingConfig {
+            iterations: 40,
+            random_points: 400,
+            ..BuildingConfig::default()
+        },
         segmentation: SegmentationConfig {
             iterations: 30,
             rows: Some(vec![Row::Vote, Row::PerGaussian, Row::Ours]),
@@ -36,7 +42,12 @@ pub struct StopAt {
 
 impl StopAt {
     pub fn new(stage: &'static str, iteration: usize) -> Self {
-        Self { stage, iteration, now: "", stopped: false }
+        Self {
+            stage,
+            iteration,
+            now: "",
+            stopped: false,
+        }
     }
 }
 
@@ -61,7 +72,17 @@ pub fn whole(config: &Config, out: &Path) -> Outcome {
 
 /// Curves but for the clock, bit for bit.
 fn bits(curve: &[CurvePoint]) -> Vec<(usize, u64, Option<u64>, usize)> {
-    curve.iter().map(|p| (p.iteration, p.loss.to_bits(), p.miou.map(f64::to_bits), p.gaussians)).collect()
+    curve
+        .iter()
+        .map(|p| {
+            (
+                p.iteration,
+                p.loss.to_bits(),
+                p.miou.map(f64::to_bits),
+                p.gaussians,
+            )
+        })
+        .collect()
 }
 
 #[track_caller]
@@ -72,7 +93,11 @@ pub fn same(a: &Outcome, b: &Outcome) {
         let row = a.name();
         assert_eq!(bits(&a.curve), bits(&b.curve), "curve of {row}");
         let scores = |r: &coseg::train::RowOutcome| -> Vec<u32> {
-            r.identities.iter().flat_map(|i| &i.scores).map(|s| s.to_bits()).collect()
+            r.identities
+                .iter()
+                .flat_map(|i| &i.scores)
+                .map(|s| s.to_bits())
+                .collect()
         };
         assert!(scores(a) == scores(b), "identities of {row}");
     }
@@ -95,15 +120,27 @@ fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
         assert_eq!(uninterrupted.rows[1].curve.len(), 3);
         let mut point = uninterrupted.rows[2].curve.clone();
         point.dedup_by_key(|p| p.loss.to_bits());
-        assert_eq!(point.len(), 3, "the decoder learns something in every third of its run");
+        assert_eq!(
+            point.len(),
+            3,
+            "the decoder learns something in every third of its run"
+        );
         let parts = out("parts");
         // Stopped between evaluations and between checkpoints, twice in each row.
-        for (stage, iteration) in [("per_gaussian", 3), ("per_gaussian", 17), ("ours", 14), ("ours", 29)] {
+        for (stage, iteration) in [
+            ("per_gaussian", 3),
+            ("per_gaussian", 17),
+            ("ours", 14),
+            ("ours", 29),
+        ] {
             let mut stop = StopAt::new(stage, iteration);
             let part = run(&config, &parts, &crate::device(), &mut stop).expect("a part");
             assert!(stop.stopped, "{stage} did not reach {iteration}");
             let last = part.rows.last().expect("a row");
-            assert!(last.curve.iter().all(|p| p.iteration.is_multiple_of(10)), "a stop adds no point to the curve");
+            assert!(
+                last.curve.iter().all(|p| p.iteration.is_multiple_of(10)),
+                "a stop adds no point to the curve"
+            );
         }
         same(&uninterrupted, &whole(&config, &parts));
         // And once more from the end: nothing is left to do.
@@ -118,7 +155,11 @@ fn forget(path: &Path, text: &str) {
     let header = std::str::from_utf8(&bytes[8..8 + length]).expect("text");
     assert_eq!(header.matches(text).count(), 1, "{text} in {header}");
     let shorter = format!("{}{}", header.replace(text, ""), " ".repeat(text.len()));
-    std::fs::write(path, [&bytes[..8], shorter.as_bytes(), &bytes[8 + length..]].concat()).expect("written");
+    std::fs::write(
+        path,
+        [&bytes[..8], shorter.as_bytes(), &bytes[8 + length..]].concat(),
+    )
+    .expect("written");
 }
 
 #[test]
@@ -133,66 +174,143 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     let refusal = |edit: &dyn Fn(&mut Config)| {
         let mut config = base.clone();
         edit(&mut config);
-        let error = run(&config, &out, &crate::device(), &mut Silent).err().expect("must be refused");
-        (matches!(error, coseg::Error::Config { .. }), error.to_string())
+        let error = run(&config, &out, &crate::device(), &mut Silent)
+            .err()
+            .expect("must be refused");
+        (
+            matches!(error, coseg::Error::Config { .. }),
+            error.to_string(),
+        )
     };
     let named = |key: &str, now: &str, then: &str, edit: &dyn Fn(&mut Config)| {
         let (typed, message) = refusal(edit);
-        let wanted = [key, &format!("found {now}"), &format!("expected {then}, as when"), "another folder"];
-        assert!(typed && wanted.iter().all(|w| message.contains(w)), "{wanted:?}: {message}");
+        let wanted = [
+            key,
+            &format!("found {now}"),
+            &format!("expected {then}, as when"),
+            "another folder",
+        ];
+        assert!(
+            typed && wanted.iter().all(|w| message.contains(w)),
+            "{wanted:?}: {message}"
+        );
         message
     };
-    named("building.iterations", "50", "40", &|c| c.building.iterations = 50);
-    named("building.lr_means", "0.001", "0.00016", &|c| c.building.lr_means = 1e-3);
-    named("raster.alpha_max", "0.9", "0.999", &|c| c.raster.alpha_max = 0.9);
-    let message = named("segmentation.iterations", "20", "30", &|c| c.segmentation.iterations = 20);
+    named("building.iterations", "50", "40", &|c| {
+        c.building.iterations = 50
+    });
+    named("building.lr_means", "0.001", "0.00016", &|c| {
+        c.building.lr_means = 1e-3
+    });
+    named("raster.alpha_max", "0.9", "0.999", &|c| {
+        c.raster.alpha_max = 0.9
+    });
+    let message = named("segmentation.iterations", "20", "30", &|c| {
+        c.segmentation.iterations = 20
+    });
     assert!(message.contains("per_gaussian.safetensors"), "{message}");
-    named("segmentation.lr", "0.01", "0.006", &|c| c.segmentation.lr = 0.01);
-    named("segmentation.gce_exponent", "0.5", "0.7", &|c| c.segmentation.gce_exponent = 0.5);
+    named("segmentation.lr", "0.01", "0.006", &|c| {
+        c.segmentation.lr = 0.01
+    });
+    named("segmentation.gce_exponent", "0.5", "0.7", &|c| {
+        c.segmentation.gce_exponent = 0.5
+    });
     // What a row does not read is no obstacle to it, but to the next.
-    let message = named("features.dimensions", "8", "64", &|c| c.features.dimensions = 8);
+    let message = named("features.dimensions", "8", "64", &|c| {
+        c.features.dimensions = 8
+    });
     assert!(message.contains("ours.safetensors"), "{message}");
     // When something is measured, saved or kept does not matter; nor do rows that are added.
     let mut other = base.clone();
-    (other.segmentation.eval_every, other.building.checkpoint_every) = (3, 5);
+    (
+        other.segmentation.eval_every,
+        other.building.checkpoint_every,
+    ) = (3, 5);
     other.segmentation.weight_cache_mb = 0;
     other.segmentation.rows = Some(vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::Ours]);
-    assert_eq!(whole(&other, &out).rows.last().expect("a row").identities, done.rows[2].identities);
+    assert_eq!(
+        whole(&other, &out).rows.last().expect("a row").identities,
+        done.rows[2].identities
+    );
 
     // What is finished may be scored by another rule of rendering, and its curve of scores by the old one goes.
     let mut scores = base.clone();
     scores.segmentation.render = LabelSource::Scores;
-    let (other, anew) = (whole(&scores, &out), whole(&scores, &folder.path().join("anew")));
-    let (other, anew) = (other.rows.last().expect("a row"), anew.rows.last().expect("a row"));
-    assert_eq!((&other.identities, &other.scores), (&anew.identities, &anew.scores));
+    let (other, anew) = (
+        whole(&scores, &out),
+        whole(&scores, &folder.path().join("anew")),
+    );
+    let (other, anew) = (
+        other.rows.last().expect("a row"),
+        anew.rows.last().expect("a row"),
+    );
+    assert_eq!(
+        (&other.identities, &other.scores),
+        (&anew.identities, &anew.scores)
+    );
     assert_ne!(other.scores, done.rows[2].scores);
     assert!(
-        other.curve.iter().all(|point| point.miou.is_none()) && anew.curve.iter().any(|point| point.miou.is_some())
+        other.curve.iter().all(|point| point.miou.is_none())
+            && anew.curve.iter().any(|point| point.miou.is_some())
     );
     // A row from before there was a choice was scored by the default: its curve stays with that, and goes with the other.
-    let (path, setting) = (out.join("checkpoint/ours.safetensors"), r#"\"segmentation.render\":\"\\\"labels\\\"\","#);
+    let (path, setting) = (
+        out.join("checkpoint/ours.safetensors"),
+        r#"\"segmentation.render\":\"\\\"labels\\\"\","#,
+    );
     forget(&path, setting);
     let with_scores = |config: &Config| {
         let done = whole(config, &out);
-        done.rows.last().expect("a row").curve.iter().filter(|point| point.miou.is_some()).count()
+        done.rows
+            .last()
+            .expect("a row")
+            .curve
+            .iter()
+            .filter(|point| point.miou.is_some())
+            .count()
     };
     assert!(with_scores(&base) > 0);
     assert_eq!(with_scores(&scores), 0);
     // What is not finished may not; nor where a rate was chosen by such scores.
     let half = folder.path().join("half");
-    run(&base, &half, &crate::device(), &mut StopAt::new("per_gaussian", 20)).expect("a part");
-    let error = run(&scores, &half, &crate::device(), &mut Silent).err().expect("must be refused").to_string();
-    assert!(error.contains("segmentation.render") && error.contains("per_gaussian.safetensors"), "{error}");
+    run(
+        &base,
+        &half,
+        &crate::device(),
+        &mut StopAt::new("per_gaussian", 20),
+    )
+    .expect("a part");
+    let error = run(&scores, &half, &crate::device(), &mut Silent)
+        .err()
+        .expect("must be refused")
+        .to_string();
+    assert!(
+        error.contains("segmentation.render") && error.contains("per_gaussian.safetensors"),
+        "{error}"
+    );
     let chosen = folder.path().join("chosen");
     let mut trials = base.clone();
-    (trials.segmentation.rows, trials.segmentation.lr_trials) = (Some(vec![Row::PerGaussian]), vec![0.5, 1.0]);
+    (trials.segmentation.rows, trials.segmentation.lr_trials) =
+        (Some(vec![Row::PerGaussian]), vec![0.5, 1.0]);
     whole(&trials, &chosen);
     trials.segmentation.render = LabelSource::Scores;
-    let error = run(&trials, &chosen, &crate::device(), &mut Silent).err().expect("must be refused").to_string();
-    assert!(error.contains("segmentation.render") && error.contains("per_gaussian.rate.safetensors"), "{error}");
+    let error = run(&trials, &chosen, &crate::device(), &mut Silent)
+        .err()
+        .expect("must be refused")
+        .to_string();
+    assert!(
+        error.contains("segmentation.render") && error.contains("per_gaussian.rate.safetensors"),
+        "{error}"
+    );
     std::fs::remove_file(chosen.join("checkpoint/per_gaussian.rate.safetensors")).expect("removed");
-    let error = run(&trials, &chosen, &crate::device(), &mut Silent).err().expect("must be refused").to_string();
-    assert!(error.contains("segmentation.render") && error.contains("per_gaussian.safetensors"), "{error}");
+    let error = run(&trials, &chosen, &crate::device(), &mut Silent)
+        .err()
+        .expect("must be refused")
+        .to_string();
+    assert!(
+        error.contains("segmentation.render") && error.contains("per_gaussian.safetensors"),
+        "{error}"
+    );
 
     // A setting that came after a checkpoint was written counts as what was done before: seldom another value than its default.
     let path = out.join("checkpoint/ours.safetensors");
@@ -203,11 +321,21 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     std::fs::write(&path, before).expect("written");
     let path = out.join("checkpoint/building.safetensors");
     let before = std::fs::read(&path).expect("read");
-    let added = [(r#"\"building.random_background\":\"true\","#, "false"), (r#"\"building.sh_degree\":\"3\","#, "2")];
+    let added = [
+        (r#"\"building.random_background\":\"true\","#, "false"),
+        (r#"\"building.sh_degree\":\"3\","#, "2"),
+    ];
     for (setting, now) in added {
         forget(&path, setting);
-        assert_eq!(whole(&base, &out).rows.last().expect("a row").identities, done.rows[2].identities);
-        let key = setting.split('"').nth(1).expect("quoted").trim_end_matches('\\');
+        assert_eq!(
+            whole(&base, &out).rows.last().expect("a row").identities,
+            done.rows[2].identities
+        );
+        let key = setting
+            .split('"')
+            .nth(1)
+            .expect("quoted")
+            .trim_end_matches('\\');
         let edit = |c: &mut Config| match now {
             "false" => c.building.random_background = false,
             _ => c.building.sh_degree = 2,
@@ -226,13 +354,30 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     std::fs::copy(elsewhere.join(file), out.join(file)).expect("copied");
     named("seed", "5", "6", &|_| ());
     for row in ["per_gaussian", "ours"] {
-        let rows = Some(vec![if row == "ours" { Row::Ours } else { Row::PerGaussian }]);
-        std::fs::copy(out.join(format!("checkpoint/{row}.safetensors")), elsewhere.join("kept")).expect("copied");
+        let rows = Some(vec![if row == "ours" {
+            Row::Ours
+        } else {
+            Row::PerGaussian
+        }]);
+        std::fs::copy(
+            out.join(format!("checkpoint/{row}.safetensors")),
+            elsewhere.join("kept"),
+        )
+        .expect("copied");
         let path = elsewhere.join(format!("checkpoint/{row}.safetensors"));
         std::fs::rename(elsewhere.join("kept"), &path).expect("renamed");
-        let config =
-            Config { seed: 6, segmentation: SegmentationConfig { rows, ..base.segmentation.clone() }, ..base.clone() };
-        let error = run(&config, &elsewhere, &crate::device(), &mut Silent).err().expect("another seed").to_string();
+        let config = Config {
+            seed: 6,
+            segmentation: SegmentationConfig {
+                rows,
+                ..base.segmentation.clone()
+            },
+            ..base.clone()
+        };
+        let error = run(&config, &elsewhere, &crate::device(), &mut Silent)
+            .err()
+            .expect("another seed")
+            .to_string();
         assert!(error.contains("seed") && error.contains(row), "{error}");
     }
 }
@@ -245,7 +390,11 @@ fn a_row_of_other_gaussians_or_labels_is_refused() {
     config.segmentation.rows = Some(vec![Row::PerGaussian]);
     let out = folder.path().join("run");
     let trained = whole(&config, &out);
-    let refusal = || run(&config, &out, &crate::device(), &mut Silent).err().expect("must be refused");
+    let refusal = || {
+        run(&config, &out, &crate::device(), &mut Silent)
+            .err()
+            .expect("must be refused")
+    };
 
     // As many Gaussians, one of them moved by a hair.
     let building = out.join("checkpoint/building.safetensors");
@@ -256,15 +405,28 @@ fn a_row_of_other_gaussians_or_labels_is_refused() {
     let error = refusal();
     assert!(matches!(error, coseg::Error::Input { .. }), "{error}");
     let message = error.to_string();
-    assert!(message.contains("per_gaussian.safetensors") && message.contains("Gaussians"), "{message}");
+    assert!(
+        message.contains("per_gaussian.safetensors") && message.contains("Gaussians"),
+        "{message}"
+    );
     std::fs::write(&building, before).expect("written");
     same(&trained, &whole(&config, &out));
 
     let raw = folder.path().join("raw/v0.png");
     std::fs::copy(folder.path().join("raw/v1.png"), &raw).expect("copied");
     let message = refusal().to_string();
-    assert!(message.contains("per_gaussian.safetensors") && message.contains("raw labels"), "{message}");
-    std::fs::copy(folder.path().join("images/v0.png"), folder.path().join("images/v1.png")).expect("copied");
+    assert!(
+        message.contains("per_gaussian.safetensors") && message.contains("raw labels"),
+        "{message}"
+    );
+    std::fs::copy(
+        folder.path().join("images/v0.png"),
+        folder.path().join("images/v1.png"),
+    )
+    .expect("copied");
     let message = refusal().to_string();
-    assert!(message.contains("building checkpoint") && message.contains("photos"), "{message}");
+    assert!(
+        message.contains("building checkpoint") && message.contains("photos"),
+        "{message}"
+    );
 }

@@ -44,7 +44,16 @@ fn cameras() -> Vec<Camera> {
         .map(|i| {
             let rotation = DMat3::from_quat(DQuat::from_rotation_y(0.2 * (f64::from(i) - 1.0)));
             let center = DVec3::new(0.5 * (f64::from(i) - 1.0), 0.0, 0.0);
-            Camera { rotation, center, fx: 20.0, fy: 21.0, cx: 12.0, cy: 9.0, width: 24, height: 18 }
+            Camera {
+                rotation,
+                center,
+                fx: 20.0,
+                fy: 21.0,
+                cx: 12.0,
+                cy: 9.0,
+                width: 24,
+                height: 18,
+            }
         })
         .collect()
 }
@@ -66,7 +75,9 @@ fn case(n: usize, maps: impl Fn(&DMatrix<f64>) -> DMatrix<f64>) -> Case {
     let mut w = DMatrix::zeros(pixels * cameras.len(), n);
     for (view, camera) in cameras.iter().enumerate() {
         let projected = Projected::new(&cloud.splats(), camera, &settings).expect("projects");
-        let one_hot: Vec<f64> = (0..n * n).map(|i| f64::from(u8::from(i / n == i % n))).collect();
+        let one_hot: Vec<f64> = (0..n * n)
+            .map(|i| f64::from(u8::from(i / n == i % n)))
+            .collect();
         let image = projected.blend(&one_hot, n).image;
         for (i, row) in image.chunks_exact(n).enumerate() {
             w.row_mut(view * pixels + i).copy_from_slice(row);
@@ -74,17 +85,32 @@ fn case(n: usize, maps: impl Fn(&DMatrix<f64>) -> DMatrix<f64>) -> Case {
     }
     let f = maps(&w);
     let lifted = w.transpose() * &f;
-    let buffer = lifted.row_iter().flat_map(|row| row.iter().copied().collect::<Vec<f64>>()).collect();
+    let buffer = lifted
+        .row_iter()
+        .flat_map(|row| row.iter().copied().collect::<Vec<f64>>())
+        .collect();
     let weights = w.row_sum().iter().copied().collect();
-    Case { cloud, cameras, w, f, buffer, weights }
+    Case {
+        cloud,
+        cameras,
+        w,
+        f,
+        buffer,
+        weights,
+    }
 }
 
 fn noise(w: &DMatrix<f64>) -> DMatrix<f64> {
-    DMatrix::from_fn(w.nrows(), CHANNELS, |i, c| ((i * CHANNELS + c) as f64 * 12.9898).sin() * 3.0)
+    DMatrix::from_fn(w.nrows(), CHANNELS, |i, c| {
+        ((i * CHANNELS + c) as f64 * 12.9898).sin() * 3.0
+    })
 }
 
 fn row_copy(values: &[f64], c: usize) -> DVector<f64> {
-    DVector::from_iterator(values.len() / CHANNELS, values.iter().skip(c).step_by(CHANNELS).copied())
+    DVector::from_iterator(
+        values.len() / CHANNELS,
+        values.iter().skip(c).step_by(CHANNELS).copied(),
+    )
 }
 
 #[test]
@@ -101,7 +127,10 @@ fn solution_is_that_of_the_dense_equations() {
             ridge,
         };
         let done = problem.solve(&case.buffer, CHANNELS, 200).expect("solves");
-        assert!(done.residual <= 1e-4 && done.iterations < 60, "ridge {ridge}: {done:?}");
+        assert!(
+            done.residual <= 1e-4 && done.iterations < 60,
+            "ridge {ridge}: {done:?}"
+        );
         // The last Gaussian is seen by no view and has no equation.
         let n = case.weights.len() - 1;
         assert!(done.features[n * CHANNELS..].iter().all(|&x| x == 0.0));
@@ -116,7 +145,10 @@ fn solution_is_that_of_the_dense_equations() {
             let got = row_copy(&done.features, c).rows(0, n).into_owned();
             let error = (&got - &want).amax() / want.amax();
             assert!(error < 1e-3, "ridge {ridge}, channel {c}: {error}");
-            assert!((&mean - &want).amax() / want.amax() > 0.02, "the mean must not pass for the solution");
+            assert!(
+                (&mean - &want).amax() / want.amax() > 0.02,
+                "the mean must not pass for the solution"
+            );
         }
     }
 }
@@ -135,14 +167,18 @@ fn features_that_were_rendered_come_back() {
         ridge: 1e-6,
     };
     let error = |features: &[f64]| {
-        let misses = (0..13 * CHANNELS).map(|i| (features[i] - truth(i / CHANNELS, i % CHANNELS)).abs());
+        let misses =
+            (0..13 * CHANNELS).map(|i| (features[i] - truth(i / CHANNELS, i % CHANNELS)).abs());
         misses.fold(0.0, f64::max)
     };
     let mean = problem.solve(&case.buffer, CHANNELS, 0).expect("the mean");
     assert_eq!(mean.iterations, 0);
     let solved = problem.solve(&case.buffer, CHANNELS, 500).expect("solves");
     let (before, after) = (error(&mean.features), error(&solved.features));
-    assert!(after < 0.01 && before > 0.2, "largest error of the mean {before}, of the solution {after}");
+    assert!(
+        after < 0.01 && before > 0.2,
+        "largest error of the mean {before}, of the solution {after}"
+    );
 }
 
 #[test]
@@ -150,16 +186,30 @@ fn the_same_bits_at_one_and_two_threads_and_nothing_from_nothing() {
     let settings = Settings::default();
     let case = case(14, noise);
     let solve = |buffer: &[f64]| {
-        let (splats, cameras, weights) = (case.cloud.splats(), &case.cameras[..], &case.weights[..]);
-        Problem { splats, cameras, masks: &[], settings: &settings, weights, ridge: 0.1 }
-            .solve(buffer, CHANNELS, 7)
-            .expect("solves")
+        let (splats, cameras, weights) =
+            (case.cloud.splats(), &case.cameras[..], &case.weights[..]);
+        Problem {
+            splats,
+            cameras,
+            masks: &[],
+            settings: &settings,
+            weights,
+            ridge: 0.1,
+        }
+        .solve(buffer, CHANNELS, 7)
+        .expect("solves")
     };
     let [one, two] = [1, 2].map(|threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("threads");
         pool.install(|| solve(&case.buffer))
     });
     assert_eq!(one, two);
     let nothing = solve(&vec![0.0; case.buffer.len()]);
-    assert!(nothing.iterations == 0 && nothing.features.iter().all(|&x| x == 0.0), "{nothing:?}");
+    assert!(
+        nothing.iterations == 0 && nothing.features.iter().all(|&x| x == 0.0),
+        "{nothing:?}"
+    );
 }

@@ -22,7 +22,13 @@ fn with_splits(words: [Value; 6]) -> TempDir {
 /// Names of the views that are trained on and held out, joined by blanks.
 fn split(dir: &Path) -> [String; 2] {
     let scene = load(dir, &LoadOptions::default()).unwrap();
-    [Split::Train, Split::Test].map(|s| scene.split(s).map(|v| v.name.clone()).collect::<Vec<_>>().join(" "))
+    [Split::Train, Split::Test].map(|s| {
+        scene
+            .split(s)
+            .map(|v| v.name.clone())
+            .collect::<Vec<_>>()
+            .join(" ")
+    })
 }
 
 #[test]
@@ -32,7 +38,10 @@ fn validation_frames_are_held_out_where_nothing_else_is() {
         let folder = with_splits([&t, &v, &t, &t, &v, &t].map(Value::clone));
         assert_eq!(split(folder.path()), ["v0 v2 v3 v5", "v1 v4"]);
         let checked = check(folder.path(), &LoadOptions::default());
-        assert!(checked.problems.is_empty() && checked.notices.is_empty(), "{checked:?}");
+        assert!(
+            checked.problems.is_empty() && checked.notices.is_empty(),
+            "{checked:?}"
+        );
     }
 }
 
@@ -40,16 +49,33 @@ fn validation_frames_are_held_out_where_nothing_else_is() {
 fn validation_frames_beside_test_frames_are_left_out() {
     let folder = with_splits(["train", "val", "test", "train", "val", "test"].map(Value::from));
     // A validation frame may have the name of another, as in Blender's folders: it is not read.
-    edit(folder.path(), |v| v["frames"][1]["file_path"] = json!("validation/v0.png"));
+    edit(folder.path(), |v| {
+        v["frames"][1]["file_path"] = json!("validation/v0.png")
+    });
     assert_eq!(split(folder.path()), ["v0 v3", "v2 v5"]);
     let checked = check(folder.path(), &LoadOptions::default());
-    assert_eq!((checked.frames, checked.problems.len()), (4, 0), "{checked:?}");
-    assert!(checked.notices[0].starts_with("2 validation frames left out"), "{checked:?}");
-    let thin = LoadOptions { max_frames: 2, ..LoadOptions::default() };
+    assert_eq!(
+        (checked.frames, checked.problems.len()),
+        (4, 0),
+        "{checked:?}"
+    );
+    assert!(
+        checked.notices[0].starts_with("2 validation frames left out"),
+        "{checked:?}"
+    );
+    let thin = LoadOptions {
+        max_frames: 2,
+        ..LoadOptions::default()
+    };
     assert_eq!(load(folder.path(), &thin).unwrap().views.len(), 2);
     let folder = with_splits(["train", "val", "holdout", "train", "val", "test"].map(Value::from));
-    let message = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
-    assert!(message.contains("\"holdout\", expected \"train\", \"test\" or \"val\""), "{message}");
+    let message = load(folder.path(), &LoadOptions::default())
+        .unwrap_err()
+        .to_string();
+    assert!(
+        message.contains("\"holdout\", expected \"train\", \"test\" or \"val\""),
+        "{message}"
+    );
 }
 
 #[test]
@@ -61,8 +87,13 @@ fn lists_of_files_are_splits_as_in_nerfstudio() {
     });
     assert_eq!(split(folder.path()), ["v0 v1 v5", "v3"]);
     let notices = check(folder.path(), &LoadOptions::default()).notices;
-    assert!(notices[0].starts_with("2 of 6 frames left out") && notices[0].contains("test_filenames"), "{notices:?}");
-    edit(folder.path(), |v| v["test_filenames"] = json!(["images/v2.png"]));
+    assert!(
+        notices[0].starts_with("2 of 6 frames left out") && notices[0].contains("test_filenames"),
+        "{notices:?}"
+    );
+    edit(folder.path(), |v| {
+        v["test_filenames"] = json!(["images/v2.png"])
+    });
     assert_eq!(split(folder.path()), ["v0 v1 v5", "v2"]);
     // What frames say comes first.
     edit(folder.path(), |v| {

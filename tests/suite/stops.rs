@@ -15,7 +15,12 @@ struct Told {
 
 impl Told {
     fn at(stage: &'static str, iteration: usize) -> Self {
-        Self { stage, iteration, began: Vec::new(), stopped: false }
+        Self {
+            stage,
+            iteration,
+            began: Vec::new(),
+            stopped: false,
+        }
     }
 }
 
@@ -24,9 +29,12 @@ impl Progress for Told {
         match event {
             Event::Started { stage, .. } => self.began.push(stage),
             Event::Step { iteration, .. } | Event::Viewed { done: iteration } => {
-                self.stopped |= self.began.last() == Some(&self.stage) && *iteration == self.iteration;
+                self.stopped |=
+                    self.began.last() == Some(&self.stage) && *iteration == self.iteration;
             }
-            Event::Finished if self.iteration == 0 => self.stopped |= self.began.last() == Some(&self.stage),
+            Event::Finished if self.iteration == 0 => {
+                self.stopped |= self.began.last() == Some(&self.stage)
+            }
             _ => {}
         }
     }
@@ -47,11 +55,21 @@ fn trials_of_learning_rates_stop_too() {
     let out = folder.path().join("parts");
     let mut told = Told::at("rates", 10);
     let part = run(&config, &out, &crate::device(), &mut told).expect("a part");
-    assert!(part.stopped && told.began.last() == Some(&"rates"), "{:?}", told.began);
+    assert!(
+        part.stopped && told.began.last() == Some(&"rates"),
+        "{:?}",
+        told.began
+    );
     let row = part.rows.last().expect("a row");
     assert!(row.row == Row::PerGaussian && row.identities.is_none() && row.curve.is_empty());
-    assert!(part.stored().is_some_and(|(row, _)| row.row == Row::Vote), "no row that was stopped is stored");
-    assert!(!out.join("checkpoint/per_gaussian.rate.safetensors").exists());
+    assert!(
+        part.stored().is_some_and(|(row, _)| row.row == Row::Vote),
+        "no row that was stopped is stored"
+    );
+    assert!(
+        !out.join("checkpoint/per_gaussian.rate.safetensors")
+            .exists()
+    );
     same(&uninterrupted, &whole(&config, &out));
 }
 
@@ -68,7 +86,11 @@ fn nothing_is_begun_after_a_stop() {
         // Even where it was done.
         ("building", 40, &["building"]),
         ("features", 0, &["building", "association", "features"]),
-        ("unprojection", 0, &["building", "association", "features", "unprojection"]),
+        (
+            "unprojection",
+            0,
+            &["building", "association", "features", "unprojection"],
+        ),
     ] {
         let mut told = Told::at(stage, iteration);
         let part = run(&config, &out, &crate::device(), &mut told).expect("a part");
@@ -95,7 +117,9 @@ struct Views(Vec<(&'static str, usize, Vec<usize>)>);
 impl Progress for Views {
     fn event(&mut self, event: &Event) {
         match event {
-            Event::Started { stage, iterations, .. } => self.0.push((stage, *iterations, Vec::new())),
+            Event::Started {
+                stage, iterations, ..
+            } => self.0.push((stage, *iterations, Vec::new())),
             Event::Viewed { done } => self.0.last_mut().expect("a stage").2.push(*done),
             _ => {}
         }
@@ -110,25 +134,54 @@ fn a_stop_between_views_gives_up_what_learns_nothing() {
     config.data.association = Association::Gaussians;
     config.segmentation.rows = Some(vec![Row::Vote, Row::Ours]);
     let mut views = Views::default();
-    let whole = run(&config, &folder.path().join("whole"), &crate::device(), &mut views).expect("a run");
+    let whole = run(
+        &config,
+        &folder.path().join("whole"),
+        &crate::device(),
+        &mut views,
+    )
+    .expect("a run");
     // Four training views and two others.
     let looks = (2 + config.association.sweeps) * 4 + 2;
     let announced = [("association", looks), ("features", 4), ("unprojection", 4)];
     for (stage, count) in announced {
         let all: Vec<usize> = (1..=count).collect();
-        assert!(views.0.contains(&(stage, count, all)), "{stage}: {:?}", views.0);
+        assert!(
+            views.0.contains(&(stage, count, all)),
+            "{stage}: {:?}",
+            views.0
+        );
     }
     let out = folder.path().join("parts");
-    let told = [("association", 1), ("association", 7), ("association", looks), ("features", 2), ("features", 4)];
-    for (stage, view) in told.into_iter().chain([("unprojection", 1), ("unprojection", 4)]) {
+    let told = [
+        ("association", 1),
+        ("association", 7),
+        ("association", looks),
+        ("features", 2),
+        ("features", 4),
+    ];
+    for (stage, view) in told
+        .into_iter()
+        .chain([("unprojection", 1), ("unprojection", 4)])
+    {
         let mut told = Told::at(stage, view);
         let part = run(&config, &out, &crate::device(), &mut told).expect("a part");
-        assert!(part.stopped && told.stopped && told.began.last() == Some(&stage), "{stage} {view}: {:?}", told.began);
+        assert!(
+            part.stopped && told.stopped && told.began.last() == Some(&stage),
+            "{stage} {view}: {:?}",
+            told.began
+        );
         assert!(part.rows.is_empty() && part.features.is_empty() && part.pruned.is_none());
         let objects = stage != "association";
-        assert!(part.association.is_some() == objects && part.scene.classes.name(1).starts_with("object") == objects);
+        assert!(
+            part.association.is_some() == objects
+                && part.scene.classes.name(1).starts_with("object") == objects
+        );
     }
-    same(&whole, &run(&config, &out, &crate::device(), &mut Views::default()).expect("the rest"));
+    same(
+        &whole,
+        &run(&config, &out, &crate::device(), &mut Views::default()).expect("the rest"),
+    );
 }
 
 #[test]
@@ -143,11 +196,18 @@ fn features_that_are_solved_for_are_given_up_too() {
     for view in [6, 10, 4 * (1 + 4 * 3)] {
         let mut told = Told::at("unprojection", view);
         let part = run(&config, &out, &crate::device(), &mut told).expect("a part");
-        assert!(part.stopped && told.stopped && part.features.is_empty(), "{view}");
+        assert!(
+            part.stopped && told.stopped && part.features.is_empty(),
+            "{view}"
+        );
     }
     let mut views = Views::default();
     let done = run(&config, &out, &crate::device(), &mut views).expect("a run");
     assert!(!done.stopped && done.rows.len() == 1);
-    let (_, announced, told) = views.0.iter().find(|(stage, ..)| *stage == "unprojection").expect("a stage");
+    let (_, announced, told) = views
+        .0
+        .iter()
+        .find(|(stage, ..)| *stage == "unprojection")
+        .expect("a stage");
     assert_eq!((*announced, told.last()), (52, Some(&52)));
 }

@@ -14,11 +14,18 @@ pub enum Value {
 /// The tensors as a dictionary in the file's order.
 pub fn state_dict(tensors: &BTreeMap<String, (Vec<usize>, Vec<f32>)>, prefix: &str) -> Value {
     let tensors = tensors.iter();
-    Value::Dict(tensors.map(|(k, (s, v))| (format!("{prefix}{k}"), Value::Tensor(s.clone(), v.clone()))).collect())
+    Value::Dict(
+        tensors
+            .map(|(k, (s, v))| (format!("{prefix}{k}"), Value::Tensor(s.clone(), v.clone())))
+            .collect(),
+    )
 }
 
 pub fn bytes(root: &Value) -> Vec<u8> {
-    let mut pickle = Pickle { code: vec![0x80, 2], storages: vec![] };
+    let mut pickle = Pickle {
+        code: vec![0x80, 2],
+        storages: vec![],
+    };
     pickle.value(root);
     pickle.code.push(b'.');
     let mut entries = vec![("archive/data.pkl".to_owned(), pickle.code)];
@@ -55,9 +62,11 @@ impl Pickle {
                 self.code.push(b'(');
                 shape.iter().for_each(|&n| self.int(n as i32));
                 self.code.extend(b"t(");
-                (1..=shape.len()).for_each(|k| self.int(shape[k..].iter().product::<usize>() as i32));
+                (1..=shape.len())
+                    .for_each(|k| self.int(shape[k..].iter().product::<usize>() as i32));
                 self.code.extend(b"t\x89ccollections\nOrderedDict\n)RtR");
-                self.storages.push(values.iter().flat_map(|v| v.to_le_bytes()).collect());
+                self.storages
+                    .push(values.iter().flat_map(|v| v.to_le_bytes()).collect());
             }
         }
     }
@@ -88,7 +97,10 @@ fn zip(entries: &[(String, Vec<u8>)]) -> Vec<u8> {
     let (mut file, mut directory) = (Vec::new(), Vec::new());
     for (name, bytes) in entries {
         // Version, flags, method, time, date; checksum, both sizes; lengths of the name and of nothing more.
-        let mut shared: Vec<u8> = [20_u16, 0, 0, 0, 33].iter().flat_map(|x| x.to_le_bytes()).collect();
+        let mut shared: Vec<u8> = [20_u16, 0, 0, 0, 33]
+            .iter()
+            .flat_map(|x| x.to_le_bytes())
+            .collect();
         shared.extend(crc32(bytes).to_le_bytes());
         shared.extend([bytes.len() as u32; 2].iter().flat_map(|x| x.to_le_bytes()));
         shared.extend([name.len() as u16, 0].iter().flat_map(|x| x.to_le_bytes()));
@@ -105,7 +117,11 @@ fn zip(entries: &[(String, Vec<u8>)]) -> Vec<u8> {
     let start = file.len() as u32;
     file.extend(&directory);
     file.extend(b"PK\x05\x06\0\0\0\0");
-    file.extend([entries.len() as u16; 2].iter().flat_map(|x| x.to_le_bytes()));
+    file.extend(
+        [entries.len() as u16; 2]
+            .iter()
+            .flat_map(|x| x.to_le_bytes()),
+    );
     file.extend((directory.len() as u32).to_le_bytes());
     file.extend(start.to_le_bytes());
     file.extend([0; 2]);
@@ -114,6 +130,12 @@ fn zip(entries: &[(String, Vec<u8>)]) -> Vec<u8> {
 
 fn crc32(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(!0_u32, |crc, &byte| {
-        (0..8).fold(crc ^ u32::from(byte), |c, _| if c & 1 == 1 { c >> 1 ^ 0xedb8_8320 } else { c >> 1 })
+        (0..8).fold(crc ^ u32::from(byte), |c, _| {
+            if c & 1 == 1 {
+                c >> 1 ^ 0xedb8_8320
+            } else {
+                c >> 1
+            }
+        })
     })
 }

@@ -26,7 +26,9 @@ const PYTORCH: &str = concat!(
 );
 
 fn pytorch_file(dir: &tempfile::TempDir, length: usize) -> PathBuf {
-    let bytes = base64::engine::general_purpose::STANDARD.decode(PYTORCH).expect("base64");
+    let bytes = base64::engine::general_purpose::STANDARD
+        .decode(PYTORCH)
+        .expect("base64");
     let path = dir.path().join("weights.pth");
     std::fs::write(&path, &bytes[..length.min(bytes.len())]).expect("a writable folder");
     path
@@ -36,10 +38,21 @@ fn pytorch_file(dir: &tempfile::TempDir, length: usize) -> PathBuf {
 fn reads_nested_data_parallel_pytorch_checkpoints() {
     let dir = tempfile::tempdir().expect("a folder");
     let weights = Checkpoint::open(pytorch_file(&dir, usize::MAX)).expect("a PyTorch file");
-    assert_eq!(weights.tensors.keys().collect::<Vec<_>>(), ["fc0.conv.weight"]);
-    let want = HostTensor { shape: vec![2, 3, 1], values: vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.5] };
+    assert_eq!(
+        weights.tensors.keys().collect::<Vec<_>>(),
+        ["fc0.conv.weight"]
+    );
+    let want = HostTensor {
+        shape: vec![2, 3, 1],
+        values: vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.5],
+    };
     assert_eq!(weights.tensors["fc0.conv.weight"], want);
-    assert_eq!(weights.get("fc0.conv.weight", &[2, 3]).expect("a 1x1 convolution"), want.values);
+    assert_eq!(
+        weights
+            .get("fc0.conv.weight", &[2, 3])
+            .expect("a 1x1 convolution"),
+        want.values
+    );
 }
 
 #[test]
@@ -52,12 +65,17 @@ fn truncated_files_are_named_and_never_panic() {
             "{length}: {found:?}"
         );
     }
-    let bytes = random_weights(3, 0).to_safetensors().expect("whole tensors");
+    let bytes = random_weights(3, 0)
+        .to_safetensors()
+        .expect("whole tensors");
     let path = dir.path().join("weights.safetensors");
     for length in [0, 7, 8, 100, 5_000, bytes.len() / 2, bytes.len() - 1] {
         std::fs::write(&path, &bytes[..length]).expect("a writable folder");
         let found = Checkpoint::open(&path);
-        assert!(matches!(&found, Err(Error::Input { path: p, .. }) if *p == path), "{length}: {found:?}");
+        assert!(
+            matches!(&found, Err(Error::Input { path: p, .. }) if *p == path),
+            "{length}: {found:?}"
+        );
     }
     let missing = Checkpoint::open(dir.path().join("none.safetensors"));
     assert!(matches!(missing, Err(Error::Io { .. })), "{missing:?}");
@@ -78,7 +96,13 @@ fn every_missing_misshapen_or_non_finite_tensor_is_named() {
         weights.tensors.remove(name);
         assert_eq!(&field(&weights), name);
         let mut weights = whole.clone();
-        weights.insert(name, HostTensor { shape: vec![7, 9], values: vec![0.0; 63] });
+        weights.insert(
+            name,
+            HostTensor {
+                shape: vec![7, 9],
+                values: vec![0.0; 63],
+            },
+        );
         // a width taken from a misshapen tensor may first clash elsewhere in its block
         assert!(!field(&weights).is_empty());
         let mut weights = whole.clone();
@@ -101,15 +125,38 @@ fn stored_again_an_encoder_is_the_same() {
 #[test]
 fn settings_choose_the_weights_and_unusable_ones_are_refused() {
     let device = crate::device();
-    let config = SpatialConfig { source: SpatialSource::Pretrained, ..SpatialConfig::default() };
-    assert!(matches!(load_spatial(&config, 0, &device), Err(Error::Config { .. })));
-    let (_, name) = load_spatial(&SpatialConfig::default(), 0, &device).expect("the weights inside this crate");
+    let config = SpatialConfig {
+        source: SpatialSource::Pretrained,
+        ..SpatialConfig::default()
+    };
+    assert!(matches!(
+        load_spatial(&config, 0, &device),
+        Err(Error::Config { .. })
+    ));
+    let (_, name) =
+        load_spatial(&SpatialConfig::default(), 0, &device).expect("the weights inside this crate");
     assert_eq!(name, "trained here");
-    let scaled =
-        |scale: f64, extent: f64| metres_per_unit(&SpatialConfig { scale, ..SpatialConfig::default() }, extent);
+    let scaled = |scale: f64, extent: f64| {
+        metres_per_unit(
+            &SpatialConfig {
+                scale,
+                ..SpatialConfig::default()
+            },
+            extent,
+        )
+    };
     assert_eq!(scaled(3.0, f64::NAN).expect("given"), 3.0);
     assert_eq!(scaled(0.0, 8.0).expect("derived"), 0.25);
-    for (scale, extent) in [(-1.0, 1.0), (f64::NAN, 1.0), (0.0, 0.0), (0.0, f64::INFINITY), (f64::INFINITY, 1.0)] {
-        assert!(matches!(scaled(scale, extent), Err(Error::Config { .. })), "{scale} {extent}");
+    for (scale, extent) in [
+        (-1.0, 1.0),
+        (f64::NAN, 1.0),
+        (0.0, 0.0),
+        (0.0, f64::INFINITY),
+        (f64::INFINITY, 1.0),
+    ] {
+        assert!(
+            matches!(scaled(scale, extent), Err(Error::Config { .. })),
+            "{scale} {extent}"
+        );
     }
 }

@@ -77,22 +77,37 @@ impl Ceilings {
     #[cfg(feature = "cube")]
     fn of_device(effort: &Effort, place: &Device) -> Result<Self> {
         let cell = Tensor::<1>::zeros([1], place);
-        let readback = Samples::of(effort.repeats, || (0..READS).try_for_each(|_| device::wait(cell.clone())))?;
+        let readback = Samples::of(effort.repeats, || {
+            (0..READS).try_for_each(|_| device::wait(cell.clone()))
+        })?;
         let readback = readback.scaled(1.0 / READS as f64);
-        let least = effort.probe.as_secs_f64().max(READBACKS * readback.median());
+        let least = effort
+            .probe
+            .as_secs_f64()
+            .max(READBACKS * readback.median());
         let launch = one_of_many(effort, least, |launches| device::launches(&cell, launches))?;
-        let copied_bytes = effort.copied_bytes.min(largest_allocation(place).unwrap_or(usize::MAX));
+        let copied_bytes = effort
+            .copied_bytes
+            .min(largest_allocation(place).unwrap_or(usize::MAX));
         // A multiple of the vectors that are copied.
         let len = copied_bytes / size_of::<f32>() / STARTS_SHARE * STARTS_SHARE;
-        let (from, to) = (Tensor::<1>::full([len], 1.5, place), Tensor::<1>::zeros([len], place));
+        let (from, to) = (
+            Tensor::<1>::full([len], 1.5, place),
+            Tensor::<1>::zeros([len], place),
+        );
         let copy = one_of_many(effort, least, |passes| device::copy(&from, &to, passes))?;
         drop(to);
         let starts = from.narrow(0, 0, len / STARTS_SHARE);
-        let round = one_of_many(effort, least, |rounds| device::multiply_add(&starts, rounds))?;
+        let round = one_of_many(effort, least, |rounds| {
+            device::multiply_add(&starts, rounds)
+        })?;
         Ok(Self {
             copy: copy.rates((2 * len * size_of::<f32>()) as f64),
             arithmetic: round.rates(device::operations_of_a_round(len / STARTS_SHARE)),
-            latencies: vec![("one value read back", readback), ("a small kernel in a row of them", launch)],
+            latencies: vec![
+                ("one value read back", readback),
+                ("a small kernel in a row of them", launch),
+            ],
             copied_bytes: len * size_of::<f32>(),
         })
     }
@@ -101,23 +116,43 @@ impl Ceilings {
     pub fn seconds(&self, work: &Work) -> [f64; 2] {
         // The fastest pass: others are slower for reasons that are not the device's.
         let highest = |rates: &Samples| rates.spread()[1];
-        [work.bytes / highest(&self.copy), work.operations / highest(&self.arithmetic)]
+        [
+            work.bytes / highest(&self.copy),
+            work.operations / highest(&self.arithmetic),
+        ]
     }
 
     /// As figures.
     pub fn figures(&self) -> Vec<Figure> {
         let mut figures = vec![
-            Figure::measured(CASE, "memory, read and written", "GB/s", &self.copy.scaled(1e-9)),
-            Figure::measured(CASE, "f32 multiply-adds, two operations each", "GFLOP/s", &self.arithmetic.scaled(1e-9)),
+            Figure::measured(
+                CASE,
+                "memory, read and written",
+                "GB/s",
+                &self.copy.scaled(1e-9),
+            ),
+            Figure::measured(
+                CASE,
+                "f32 multiply-adds, two operations each",
+                "GFLOP/s",
+                &self.arithmetic.scaled(1e-9),
+            ),
         ];
         let latencies = self.latencies.iter();
-        figures.extend(latencies.map(|(name, seconds)| Figure::measured(CASE, name, "us", &seconds.scaled(1e6))));
+        figures.extend(
+            latencies
+                .map(|(name, seconds)| Figure::measured(CASE, name, "us", &seconds.scaled(1e6))),
+        );
         figures
     }
 }
 
 /// Seconds of one of the parts of `work`, which does as many as it is told: so many that they take `least` seconds together.
-fn one_of_many(effort: &Effort, least: f64, mut work: impl FnMut(usize) -> Result<()>) -> Result<Samples> {
+fn one_of_many(
+    effort: &Effort,
+    least: f64,
+    mut work: impl FnMut(usize) -> Result<()>,
+) -> Result<Samples> {
     let mut seconds = |count: usize| -> Result<f64> {
         let mut one = Samples::default();
         one.time(|| work(count))?;
@@ -160,7 +195,10 @@ mod tests {
             asked.push(count);
             Ok(0.5 + count as f64 / 100.0)
         });
-        assert!((150..400).contains(&count.expect("no error")) && asked.len() < 10, "{asked:?}");
+        assert!(
+            (150..400).contains(&count.expect("no error")) && asked.len() < 10,
+            "{asked:?}"
+        );
         assert!(asked.is_sorted());
         assert_eq!(enough(0.1, |_| Ok(1.0)).expect("no error"), 1);
     }
@@ -173,7 +211,13 @@ mod tests {
             latencies: Vec::new(),
             copied_bytes: 1,
         };
-        assert_eq!(ceilings.seconds(&Work { bytes: 20.0, operations: 50.0 }), [2.0, 0.5]);
+        assert_eq!(
+            ceilings.seconds(&Work {
+                bytes: 20.0,
+                operations: 50.0
+            }),
+            [2.0, 0.5]
+        );
         assert_eq!(ceilings.figures().len(), 2);
     }
 }

@@ -10,7 +10,13 @@ impl Counts {
     /// Of the view of `camera`.
     pub fn of(gaussians: &Gaussians, camera: &Camera, settings: &Settings) -> Result<Self> {
         let projected = Projected::new(&gaussians.splats(), camera, settings)?;
-        let (stats, PairCounts { evaluated, contributing }) = (projected.stats(), projected.count_pairs());
+        let (
+            stats,
+            PairCounts {
+                evaluated,
+                contributing,
+            },
+        ) = (projected.stats(), projected.count_pairs());
         let [width, height] = projected.size();
         let edge = TilePairs::<f32>::EDGE;
         Ok(Self {
@@ -25,7 +31,14 @@ impl Counts {
     }
 
     /// Of several views.
-    pub fn of_views(gaussians: &Gaussians, cameras: &[Camera], settings: &Settings) -> Result<Vec<Self>> {
-        cameras.iter().map(|camera| Self::of(gaussians, camera, settings)).collect()
+    pub fn of_views(
+        gaussians: &Gaussians,
+        cameras: &[Camera],
+        settings: &Settings,
+    ) -> Result<Vec<Self>> {
+        cameras
+            .iter()
+            .map(|camera| Self::of(gaussians, camera, settings))
+            .collect()
     }
 }

@@ -15,23 +15,41 @@ const TERM: f32 = 0.5;
 #[backend_extension(Cube: cfg(feature = "cube"))]
 pub trait ProbeBackend: Backend {
     /// Copies `from` over `to`, `passes` times; both are `[n]`, n a multiple of 4. Gives `to`.
-    fn probe_copy(from: FloatTensor<Self>, to: FloatTensor<Self>, passes: usize) -> FloatTensor<Self>;
+    fn probe_copy(
+        from: FloatTensor<Self>,
+        to: FloatTensor<Self>,
+        passes: usize,
+    ) -> FloatTensor<Self>;
     /// `[n]`: for each of `starts` (`[n]`) the sum of 8 chains `x = x factor + term` of `16 rounds` steps, from it and the seven numbers
     /// above it.
-    fn probe_chains(starts: FloatTensor<Self>, factor: f32, term: f32, rounds: usize) -> FloatTensor<Self>;
+    fn probe_chains(
+        starts: FloatTensor<Self>,
+        factor: f32,
+        term: f32,
+        rounds: usize,
+    ) -> FloatTensor<Self>;
     /// Adds 1 to `cell` (`[1]`) so many times, a kernel each. Gives `cell`.
     fn probe_launches(cell: FloatTensor<Self>, launches: usize) -> FloatTensor<Self>;
 }
 
 /// Copies `from` over `to`, `passes` times, and waits.
 pub(super) fn copy(from: &Tensor<1>, to: &Tensor<1>, passes: usize) -> Result<()> {
-    let copied = Dispatch::probe_copy(from.clone().into_dispatch(), to.clone().into_dispatch(), passes);
+    let copied = Dispatch::probe_copy(
+        from.clone().into_dispatch(),
+        to.clone().into_dispatch(),
+        passes,
+    );
     wait(Tensor::from_dispatch(copied))
 }
 
 /// Runs the chains of `starts` for `rounds` rounds, and waits.
 pub(super) fn multiply_add(starts: &Tensor<1>, rounds: usize) -> Result<()> {
-    wait(Tensor::from_dispatch(Dispatch::probe_chains(starts.clone().into_dispatch(), FACTOR, TERM, rounds)))
+    wait(Tensor::from_dispatch(Dispatch::probe_chains(
+        starts.clone().into_dispatch(),
+        FACTOR,
+        TERM,
+        rounds,
+    )))
 }
 
 /// Operations of a round over `starts` starts, two a multiply-add.
@@ -41,7 +59,10 @@ pub(super) fn operations_of_a_round(starts: usize) -> f64 {
 
 /// Launches so many kernels that add 1 to `cell`, and waits.
 pub(super) fn launches(cell: &Tensor<1>, count: usize) -> Result<()> {
-    wait(Tensor::from_dispatch(Dispatch::probe_launches(cell.clone().into_dispatch(), count)))
+    wait(Tensor::from_dispatch(Dispatch::probe_launches(
+        cell.clone().into_dispatch(),
+        count,
+    )))
 }
 
 /// Reads the first value back.
@@ -71,7 +92,10 @@ mod tests {
         for len in [4, 1000, 300_000] {
             let (from, to) = (ramp(len, &device), Tensor::<1>::zeros([len], &device));
             copy(&from, &to, 2).expect("a working device");
-            assert_eq!(read("copy", to).expect("floats"), read("source", from).expect("floats"));
+            assert_eq!(
+                read("copy", to).expect("floats"),
+                read("source", from).expect("floats")
+            );
         }
     }
 
@@ -80,11 +104,15 @@ mod tests {
         let Some(device) = gpu() else { return };
         for rounds in [0, 1, 3] {
             let starts = ramp(1000, &device).into_dispatch();
-            let sums = Tensor::<1>::from_dispatch(Dispatch::probe_chains(starts, FACTOR, TERM, rounds));
+            let sums =
+                Tensor::<1>::from_dispatch(Dispatch::probe_chains(starts, FACTOR, TERM, rounds));
             for (i, sum) in read("sums", sums).expect("floats").into_iter().enumerate() {
                 let chain = |x: f32| (0..rounds * STEPS).fold(x, |x, _| x * FACTOR + TERM);
                 let want: f32 = (0..CHAINS).map(|k| chain((i % 97 + k) as f32)).sum();
-                assert!((sum - want).abs() <= 1e-5 * want, "{rounds} rounds from {i}: {sum}, expected {want}");
+                assert!(
+                    (sum - want).abs() <= 1e-5 * want,
+                    "{rounds} rounds from {i}: {sum}, expected {want}"
+                );
             }
         }
         multiply_add(&ramp(5, &device), 1).expect("a working device");

@@ -57,23 +57,50 @@ fn count_up(cell: &mut [f32]) {
 }
 
 impl ProbeBackend for CubeBackend {
-    fn probe_copy(from: FloatTensor<Self>, to: FloatTensor<Self>, passes: usize) -> FloatTensor<Self> {
+    fn probe_copy(
+        from: FloatTensor<Self>,
+        to: FloatTensor<Self>,
+        passes: usize,
+    ) -> FloatTensor<Self> {
         let (gpu, from) = (Gpu::of(&from), into_contiguous(from));
         let vectors = from.meta.num_elements() / VECTOR;
         for _ in 0..passes {
             let cubes = gpu.cubes_for(vectors);
-            copy::launch(&gpu.client, cubes, gpu.dim(), VECTOR, arg(&from), arg(&to), vectors as u32);
+            copy::launch(
+                &gpu.client,
+                cubes,
+                gpu.dim(),
+                VECTOR,
+                arg(&from),
+                arg(&to),
+                vectors as u32,
+            );
         }
         to
     }
 
-    fn probe_chains(starts: FloatTensor<Self>, factor: f32, term: f32, rounds: usize) -> FloatTensor<Self> {
+    fn probe_chains(
+        starts: FloatTensor<Self>,
+        factor: f32,
+        term: f32,
+        rounds: usize,
+    ) -> FloatTensor<Self> {
         let (gpu, starts) = (Gpu::of(&starts), into_contiguous(starts));
         let count = starts.meta.num_elements();
         let sums = gpu.floats([count]);
         let rounds = rounds as u32;
         let cubes = gpu.cubes_for(count);
-        chains::launch(&gpu.client, cubes, gpu.dim(), arg(&starts), arg(&sums), count as u32, rounds, factor, term);
+        chains::launch(
+            &gpu.client,
+            cubes,
+            gpu.dim(),
+            arg(&starts),
+            arg(&sums),
+            count as u32,
+            rounds,
+            factor,
+            term,
+        );
         sums
     }
 

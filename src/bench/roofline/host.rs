@@ -21,7 +21,9 @@ pub(super) fn operations_of_a_step() -> f64 {
 /// A buffer of `len` floats whose memory is there: written, by the threads that will use it.
 pub(super) fn buffer(len: usize, first: f32) -> Vec<f32> {
     let mut buffer = vec![0.0; len];
-    buffer.par_chunks_mut(part(len)).for_each(|part| part.fill(first));
+    buffer
+        .par_chunks_mut(part(len))
+        .for_each(|part| part.fill(first));
     buffer
 }
 
@@ -29,7 +31,10 @@ pub(super) fn buffer(len: usize, first: f32) -> Vec<f32> {
 /// which is not counted.
 pub(super) fn copy(from: &[f32], to: &mut [f32]) {
     let part = part(from.len());
-    to.par_chunks_mut(part).zip(from.par_chunks(part)).with_max_len(1).for_each(|(to, from)| to.copy_from_slice(from));
+    to.par_chunks_mut(part)
+        .zip(from.par_chunks(part))
+        .with_max_len(1)
+        .for_each(|(to, from)| to.copy_from_slice(from));
     black_box(to);
 }
 
@@ -61,7 +66,12 @@ fn chains(rows: &mut Rows, factor: f32, term: f32, steps: usize) {
         // SAFETY: the processor has it, checked just now.
         return unsafe { widest(rows, factor, term, steps) };
     }
-    dispatch(Chains { rows, factor, term, steps });
+    dispatch(Chains {
+        rows,
+        factor,
+        term,
+        steps,
+    });
 }
 
 struct Chains<'a> {
@@ -97,7 +107,9 @@ impl Kernel<f32> for Chains<'_> {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f")]
 fn widest(rows: &mut Rows, factor: f32, term: f32, steps: usize) {
-    use std::arch::x86_64::{_mm512_fmadd_ps, _mm512_loadu_ps, _mm512_set1_ps, _mm512_setzero_ps, _mm512_storeu_ps};
+    use std::arch::x86_64::{
+        _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_set1_ps, _mm512_setzero_ps, _mm512_storeu_ps,
+    };
     let (factor, term) = (_mm512_set1_ps(factor), _mm512_set1_ps(term));
     let (pairs, _) = rows.as_chunks_mut::<2>();
     let mut x = [_mm512_setzero_ps(); CHAINS];
@@ -125,11 +137,19 @@ mod tests {
         for steps in [0, 1, 7, 100] {
             let mut rows = [starts(); 2];
             chains(&mut rows[0], FACTOR, TERM, steps);
-            dispatch(Chains { rows: &mut rows[1], factor: FACTOR, term: TERM, steps });
+            dispatch(Chains {
+                rows: &mut rows[1],
+                factor: FACTOR,
+                term: TERM,
+                steps,
+            });
             for rows in rows {
                 for (i, x) in rows.as_flattened().iter().enumerate() {
                     let want = (0..steps).fold(i as f32, |x, _| x * FACTOR + TERM);
-                    assert!((x - want).abs() <= 1e-5 * want, "{steps} steps from {i}: {x}, expected {want}");
+                    assert!(
+                        (x - want).abs() <= 1e-5 * want,
+                        "{steps} steps from {i}: {x}, expected {want}"
+                    );
                 }
             }
         }

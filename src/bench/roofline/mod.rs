@@ -49,7 +49,10 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
         for size in [effort.size, effort.channels_size] {
             rendered(bench, &gaussians, size, &ceilings, &mut findings)?;
         }
-        let case = format!("{}, {SCALES} x {CHANNELS} channels lifted", words(&gaussians, effort.size));
+        let case = format!(
+            "{}, {SCALES} x {CHANNELS} channels lifted",
+            words(&gaussians, effort.size)
+        );
         let lifted = lifted(bench, &gaussians);
         add(&mut findings, &case, lifted, &ceilings)?;
     }
@@ -58,7 +61,10 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
 
 /// `100,000 at 480x360`.
 fn words(gaussians: &Gaussians, [width, height]: [usize; 2]) -> String {
-    format!("{} at {width}x{height}", figures::thousands(gaussians.len() as f64))
+    format!(
+        "{} at {width}x{height}",
+        figures::thousands(gaussians.len() as f64)
+    )
 }
 
 /// Time of a view in milliseconds, and what it has to do.
@@ -74,11 +80,26 @@ fn rendered(
 ) -> Result<()> {
     let cameras = &bench.subject.cameras(bench.effort.views, size);
     let counts = Counts::of_views(gaussians, cameras, &Settings::from(&bench.config.raster))?;
-    let mean = |work: &dyn Fn(&Counts) -> Work| counts.iter().map(work).sum::<Work>().scaled(1.0 / counts.len() as f64);
+    let mean = |work: &dyn Fn(&Counts) -> Work| {
+        counts
+            .iter()
+            .map(work)
+            .sum::<Work>()
+            .scaled(1.0 / counts.len() as f64)
+    };
     let sorting = sorting(bench);
     for (colour, channels, name) in CASES {
-        let rendering = Rendering { bench, gaussians, cameras, colour, channels };
-        let blended = Channels { sh_degree: colour.then_some(gaussians.sh_degree), features: channels as f64 };
+        let rendering = Rendering {
+            bench,
+            gaussians,
+            cameras,
+            colour,
+            channels,
+        };
+        let blended = Channels {
+            sh_degree: colour.then_some(gaussians.sh_degree),
+            features: channels as f64,
+        };
         let case = format!("{}, {name}", words(gaussians, size));
         let forward = |n: &Counts| forward(n, &blended, sorting);
         let measured = rendering.forward().map(|time| (time, mean(&forward)));
@@ -86,7 +107,12 @@ fn rendered(
         if channels == 0 {
             let both = |n: &Counts| forward(n) + backward(n, &blended);
             let measured = rendering.both().map(|time| (time, mean(&both)));
-            add(findings, &format!("{case}, forward + backward"), measured, ceilings)?;
+            add(
+                findings,
+                &format!("{case}, forward + backward"),
+                measured,
+                ceilings,
+            )?;
         }
     }
     Ok(())
@@ -122,14 +148,25 @@ fn lifted(bench: &Bench, gaussians: &Gaussians) -> Result<Measured> {
 
 /// As the device of `bench` sorts.
 fn sorting(bench: &Bench) -> Sorting {
-    if in_host_memory(&bench.device) { Sorting::Host } else { Sorting::Device }
+    if in_host_memory(&bench.device) {
+        Sorting::Host
+    } else {
+        Sorting::Device
+    }
 }
 
 /// A line of the table; or a note, where the device cannot hold it.
-fn add(findings: &mut Findings, case: &str, measured: Result<Measured>, ceilings: &Ceilings) -> Result<()> {
+fn add(
+    findings: &mut Findings,
+    case: &str,
+    measured: Result<Measured>,
+    ceilings: &Ceilings,
+) -> Result<()> {
     match measured {
         Ok((time, work)) => findings.figures.extend(line(case, &time, &work, ceilings)),
-        Err(error @ Error::Limit { .. }) => findings.notes.push(format!("{case}: left out, {error}")),
+        Err(error @ Error::Limit { .. }) => {
+            findings.notes.push(format!("{case}: left out, {error}"))
+        }
         Err(error) => return Err(error),
     }
     Ok(())

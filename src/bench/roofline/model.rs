@@ -77,7 +77,10 @@ pub(super) struct Work {
 impl Add for Work {
     type Output = Self;
     fn add(self, other: Self) -> Self {
-        Self { bytes: self.bytes + other.bytes, operations: self.operations + other.operations }
+        Self {
+            bytes: self.bytes + other.bytes,
+            operations: self.operations + other.operations,
+        }
     }
 }
 
@@ -90,7 +93,10 @@ impl Sum for Work {
 impl Work {
     /// `factor` times as much.
     pub fn scaled(self, factor: f64) -> Self {
-        Self { bytes: self.bytes * factor, operations: self.operations * factor }
+        Self {
+            bytes: self.bytes * factor,
+            operations: self.operations * factor,
+        }
     }
 }
 
@@ -143,25 +149,47 @@ fn terms(degree: usize) -> f64 {
 /// A view's image and transmittance.
 pub(super) fn forward(n: &Counts, channels: &Channels, sorting: Sorting) -> Work {
     let c = channels.count();
-    let background = if channels.sh_degree.is_some() { 2.0 * COLOURS * n.pixels } else { 0.0 };
+    let background = if channels.sh_degree.is_some() {
+        2.0 * COLOURS * n.pixels
+    } else {
+        0.0
+    };
     let blending = Work {
         bytes: WORD * (n.entries + channels.features * n.visible + (c + 1.0) * n.pixels),
         operations: EXPONENT * n.evaluated + (BLEND + 2.0 * c) * n.contributing + background,
     };
-    lists(n, sorting) + channels.sh_degree.map_or_else(Work::default, |degree| colours(n, degree)) + blending
+    lists(n, sorting)
+        + channels
+            .sh_degree
+            .map_or_else(Work::default, |degree| colours(n, degree))
+        + blending
 }
 
 /// Gradients of all inputs, given the image and its gradient.
 pub(super) fn backward(n: &Counts, channels: &Channels) -> Work {
     let (c, colour) = (channels.count(), channels.sh_degree);
     let pixels = Work {
-        bytes: WORD * (2.0 * n.entries + (SPLAT + c) * n.visible + 2.0 * c * n.pixels + 2.0 * MOMENTS * n.visible),
-        operations: 2.0 * c * n.pixels + EXPONENT * n.evaluated + (BLEND + BLEND_BACKWARD + 4.0 * c) * n.contributing,
+        bytes: WORD
+            * (2.0 * n.entries
+                + (SPLAT + c) * n.visible
+                + 2.0 * c * n.pixels
+                + 2.0 * MOMENTS * n.visible),
+        operations: 2.0 * c * n.pixels
+            + EXPONENT * n.evaluated
+            + (BLEND + BLEND_BACKWARD + 4.0 * c) * n.contributing,
     };
-    let geometry =
-        Work { bytes: WORD * GEOMETRY * (n.visible + n.gaussians), operations: PROJECTION_BACKWARD * n.visible };
-    let features = Work { bytes: WORD * channels.features * n.gaussians, operations: 0.0 };
-    pixels + geometry + features + colour.map_or_else(Work::default, |degree| colours_backward(n, degree))
+    let geometry = Work {
+        bytes: WORD * GEOMETRY * (n.visible + n.gaussians),
+        operations: PROJECTION_BACKWARD * n.visible,
+    };
+    let features = Work {
+        bytes: WORD * channels.features * n.gaussians,
+        operations: 0.0,
+    };
+    pixels
+        + geometry
+        + features
+        + colour.map_or_else(Work::default, |degree| colours_backward(n, degree))
 }
 
 /// A view's part of sums of `channels` feature channels: `W^T y`, the weights' own sums and the counter.
@@ -186,17 +214,25 @@ fn lists(n: &Counts, sorting: Sorting) -> Work {
             let tile_passes = f64::from(bits.div_ceil(DIGIT).max(1));
             let sort = |passes: f64, keys: f64| (5.0 * passes - 1.0) * keys;
             // The depths and radii; entries made, and put in the order of the tiles.
-            2.0 * n.gaussians + sort(DEPTH_PASSES, n.gaussians) + (2.0 + 4.0) * n.entries + sort(tile_passes, n.entries)
+            2.0 * n.gaussians
+                + sort(DEPTH_PASSES, n.gaussians)
+                + (2.0 + 4.0) * n.entries
+                + sort(tile_passes, n.entries)
         }
     };
-    projection + Work { bytes: WORD * words, operations: 0.0 }
+    projection
+        + Work {
+            bytes: WORD * words,
+            operations: 0.0,
+        }
 }
 
 fn colours(n: &Counts, degree: usize) -> Work {
     let k = terms(degree);
     Work {
         bytes: WORD * COLOURS * (k + 2.0) * n.visible,
-        operations: (DIRECTION + COLOURS + by_degree(&BASIS, degree) + 2.0 * COLOURS * k) * n.visible,
+        operations: (DIRECTION + COLOURS + by_degree(&BASIS, degree) + 2.0 * COLOURS * k)
+            * n.visible,
     }
 }
 
@@ -228,7 +264,10 @@ mod tests {
         evaluated: 50.0,
         contributing: 30.0,
     };
-    const RGB: Channels = Channels { sh_degree: Some(1), features: 0.0 };
+    const RGB: Channels = Channels {
+        sh_degree: Some(1),
+        features: 0.0,
+    };
 
     #[test]
     fn a_view_counted_by_hand() {
@@ -265,17 +304,45 @@ mod tests {
 
     #[test]
     fn work_grows_with_channels_degree_and_gaussians() {
-        let at_least = |more: Work, less: Work| more.bytes > less.bytes && more.operations > less.operations;
-        let all = |n: &Counts, channels: &Channels| forward(n, channels, Sorting::Device) + backward(n, channels);
+        let at_least =
+            |more: Work, less: Work| more.bytes > less.bytes && more.operations > less.operations;
+        let all = |n: &Counts, channels: &Channels| {
+            forward(n, channels, Sorting::Device) + backward(n, channels)
+        };
         for features in [1.0, 20.0, 64.0] {
-            assert!(at_least(all(&TINY, &Channels { features, ..RGB }), all(&TINY, &RGB)));
+            assert!(at_least(
+                all(&TINY, &Channels { features, ..RGB }),
+                all(&TINY, &RGB)
+            ));
         }
         for degree in 0..3 {
-            let of = |degree| all(&TINY, &Channels { sh_degree: Some(degree), features: 0.0 });
+            let of = |degree| {
+                all(
+                    &TINY,
+                    &Channels {
+                        sh_degree: Some(degree),
+                        features: 0.0,
+                    },
+                )
+            };
             assert!(at_least(of(degree + 1), of(degree)));
         }
-        let double = Counts { gaussians: 4.0, visible: 2.0, ..TINY };
+        let double = Counts {
+            gaussians: 4.0,
+            visible: 2.0,
+            ..TINY
+        };
         assert!(at_least(all(&double, &RGB), all(&TINY, &RGB)));
-        assert_eq!([Work { bytes: 1.0, operations: 2.0 }; 3].into_iter().sum::<Work>().scaled(2.0).operations, 12.0);
+        assert_eq!(
+            [Work {
+                bytes: 1.0,
+                operations: 2.0
+            }; 3]
+                .into_iter()
+                .sum::<Work>()
+                .scaled(2.0)
+                .operations,
+            12.0
+        );
     }
 }

@@ -24,7 +24,13 @@ pub(super) enum Light {
     /// A small glowing ball.
     Lamp { center: DVec3, color: DVec3 },
     /// A window pane: centre, half side vectors, inward normal.
-    Pane { center: DVec3, across: DVec3, up: DVec3, normal: DVec3, color: DVec3 },
+    Pane {
+        center: DVec3,
+        across: DVec3,
+        up: DVec3,
+        normal: DVec3,
+        color: DVec3,
+    },
 }
 
 /// Solids, materials and lights under construction.
@@ -46,7 +52,12 @@ impl Builder {
     /// A material that glows: emitted and reflected share.
     pub fn add_material(&mut self, pattern: Pattern, glow: f64, lit: f64) -> usize {
         let seed = self.materials.len() as u64 + 1;
-        self.materials.push(Material { pattern, seed, glow, lit });
+        self.materials.push(Material {
+            pattern,
+            seed,
+            glow,
+            lit,
+        });
         self.materials.len() - 1
     }
 
@@ -54,7 +65,13 @@ impl Builder {
     pub fn object(&mut self, class: u16, origin: DVec3, yaw: f64) -> Object<'_> {
         self.instances += 1;
         let instance = self.instances;
-        Object { builder: self, class, instance, origin, axes: DMat3::from_rotation_z(yaw) }
+        Object {
+            builder: self,
+            class,
+            instance,
+            origin,
+            axes: DMat3::from_rotation_z(yaw),
+        }
     }
 }
 
@@ -69,7 +86,14 @@ pub(super) struct Object<'a> {
 
 impl Object<'_> {
     /// Adds a solid of `size` (full extents) centred at `center`, turned by `turn` in the object's frame.
-    pub fn solid(&mut self, shape: Shape, center: [f64; 3], size: [f64; 3], turn: DMat3, material: usize) {
+    pub fn solid(
+        &mut self,
+        shape: Shape,
+        center: [f64; 3],
+        size: [f64; 3],
+        turn: DMat3,
+        material: usize,
+    ) {
         self.builder.solids.push(Solid {
             shape,
             half: DVec3::from(size) * 0.5,
@@ -89,13 +113,32 @@ impl Object<'_> {
 
     /// An upright box with rounded edges.
     pub fn cushion(&mut self, center: [f64; 3], size: [f64; 3], radius: f64, material: usize) {
-        self.solid(Shape::Rounded(radius), center, size, DMat3::IDENTITY, material);
+        self.solid(
+            Shape::Rounded(radius),
+            center,
+            size,
+            DMat3::IDENTITY,
+            material,
+        );
     }
 
     /// An upright cylinder or cone: centre, height, radius at the bottom and at the top.
-    pub fn turned(&mut self, center: [f64; 3], height: f64, bottom: f64, top: f64, material: usize) {
+    pub fn turned(
+        &mut self,
+        center: [f64; 3],
+        height: f64,
+        bottom: f64,
+        top: f64,
+        material: usize,
+    ) {
         let r = bottom.max(top);
-        self.solid(Shape::Frustum(bottom / r, top / r), center, [2.0 * r, 2.0 * r, height], DMat3::IDENTITY, material);
+        self.solid(
+            Shape::Frustum(bottom / r, top / r),
+            center,
+            [2.0 * r, 2.0 * r, height],
+            DMat3::IDENTITY,
+            material,
+        );
     }
 
     /// An ellipsoid.
@@ -106,7 +149,11 @@ impl Object<'_> {
     /// Four legs of square section at the corners of a `width` x `depth` rectangle.
     pub fn legs(&mut self, width: f64, depth: f64, height: f64, thickness: f64, material: usize) {
         for (sx, sy) in [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)] {
-            let at = [sx * (width - thickness), sy * (depth - thickness), height / 2.0];
+            let at = [
+                sx * (width - thickness),
+                sy * (depth - thickness),
+                height / 2.0,
+            ];
             self.cuboid(at, [thickness, thickness, height], material);
         }
     }

@@ -56,8 +56,14 @@ impl Bvh {
     ) -> Option<Hit> {
         let mut best: Option<Hit> = None;
         self.walk(o, d, near, far, |i, far| {
-            let Entry { t, normal } = solids[i].hit(o, d, near, far).filter(|_| keep(&solids[i]))?;
-            best = Some(Hit { t, solid: i, normal });
+            let Entry { t, normal } = solids[i]
+                .hit(o, d, near, far)
+                .filter(|_| keep(&solids[i]))?;
+            best = Some(Hit {
+                t,
+                solid: i,
+                normal,
+            });
             Some(t)
         });
         best
@@ -74,7 +80,14 @@ impl Bvh {
     }
 
     /// Visits the solids whose boxes the ray meets; `visit` returns the new far end when it shortens the ray.
-    fn walk(&self, o: DVec3, d: DVec3, near: f64, mut far: f64, mut visit: impl FnMut(usize, f64) -> Option<f64>) {
+    fn walk(
+        &self,
+        o: DVec3,
+        d: DVec3,
+        near: f64,
+        mut far: f64,
+        mut visit: impl FnMut(usize, f64) -> Option<f64>,
+    ) {
         let inv = d.recip();
         let mut stack = [0_usize; 64];
         let mut top = usize::from(!self.nodes.is_empty());
@@ -83,13 +96,20 @@ impl Bvh {
             let at = stack[top];
             let node = &self.nodes[at];
             let (a, b) = ((node.low - o) * inv, (node.high - o) * inv);
-            let (enter, leave) = (a.min(b).max_element().max(near), a.max(b).min_element().min(far));
+            let (enter, leave) = (
+                a.min(b).max_element().max(near),
+                a.max(b).min_element().min(far),
+            );
             if enter > leave {
                 continue;
             }
             if node.count == 0 {
                 // The nearer child is visited first.
-                let (first, second) = if d[node.axis] < 0.0 { (node.link, at + 1) } else { (at + 1, node.link) };
+                let (first, second) = if d[node.axis] < 0.0 {
+                    (node.link, at + 1)
+                } else {
+                    (at + 1, node.link)
+                };
                 stack[top] = second;
                 stack[top + 1] = first;
                 top += 2;
@@ -107,7 +127,9 @@ impl Bvh {
 /// Smallest box around some solids.
 fn hull(order: &[usize], bounds: &[(DVec3, DVec3)]) -> (DVec3, DVec3) {
     let empty = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    order.iter().fold(empty, |(l, h), &i| (l.min(bounds[i].0), h.max(bounds[i].1)))
+    order
+        .iter()
+        .fold(empty, |(l, h), &i| (l.min(bounds[i].0), h.max(bounds[i].1)))
 }
 
 fn area((low, high): (DVec3, DVec3)) -> f64 {
@@ -121,7 +143,13 @@ fn build(nodes: &mut Vec<Node>, order: &mut [usize], first: usize, bounds: &[(DV
     // A hair of slack keeps rays that lie in a face of the box.
     let slack = DVec3::splat(1e-9);
     let at = nodes.len();
-    nodes.push(Node { low: whole.0 - slack, high: whole.1 + slack, link: first, count: order.len(), axis: 0 });
+    nodes.push(Node {
+        low: whole.0 - slack,
+        high: whole.1 + slack,
+        link: first,
+        count: order.len(),
+        axis: 0,
+    });
     let count = order.len();
     let sort = |order: &mut [usize], axis: usize| {
         let key = |i: usize| bounds[i].0[axis] + bounds[i].1[axis];
@@ -142,13 +170,16 @@ fn build(nodes: &mut Vec<Node>, order: &mut [usize], first: usize, bounds: &[(DV
         for k in 1..count {
             let (l, h) = bounds[order[k - 1]];
             box_so_far = (box_so_far.0.min(l), box_so_far.1.max(h));
-            let cost = 0.7 * area(whole) + area(box_so_far) * k as f64 + right[k] * (count - k) as f64;
+            let cost =
+                0.7 * area(whole) + area(box_so_far) * k as f64 + right[k] * (count - k) as f64;
             if cost < best {
                 (best, choice) = (cost, Some((axis, k)));
             }
         }
     }
-    let Some((axis, half)) = choice.or((count > 8).then_some((0, count / 2))) else { return };
+    let Some((axis, half)) = choice.or((count > 8).then_some((0, count / 2))) else {
+        return;
+    };
     sort(order, axis);
     let (left, right) = order.split_at_mut(half);
     build(nodes, left, first, bounds);

@@ -23,7 +23,13 @@ pub(super) struct Shot {
 
 /// Training cameras along a walk of two rounds, an outer one that looks across the room and an inner one that looks
 /// about; test cameras between and beside them. Training views come first.
-pub(super) fn shots(room: &Room, (width, height): (usize, usize), train: usize, test: usize, seed: u64) -> Vec<Shot> {
+pub(super) fn shots(
+    room: &Room,
+    (width, height): (usize, usize),
+    train: usize,
+    test: usize,
+    seed: u64,
+) -> Vec<Shot> {
     let rng = &mut stream(seed, Purpose::Cameras);
     let start: f64 = rng.random_range(0.0..TAU);
     let mut shots: Vec<Shot> = Vec::with_capacity(train + test);
@@ -31,23 +37,35 @@ pub(super) fn shots(room: &Room, (width, height): (usize, usize), train: usize, 
         let along = i as f64 / train as f64;
         let (eye, target) = walk(room, start, along);
         let camera = look(good_place(room, eye, target), target, width, height);
-        shots.push(Shot { camera, split: Split::Train, along });
+        shots.push(Shot {
+            camera,
+            split: Split::Train,
+            along,
+        });
     }
     for i in 0..test {
         let along = (i as f64 + 0.5) / test as f64;
         let (eye, target) = walk(room, start, along);
-        let shift = DVec3::new(rng.random_range(-0.6..0.6), rng.random_range(-0.6..0.6), rng.random_range(-0.25..0.25));
+        let shift = DVec3::new(
+            rng.random_range(-0.6..0.6),
+            rng.random_range(-0.6..0.6),
+            rng.random_range(-0.25..0.25),
+        );
         let target = target + shift;
         // Off the walk: drawn towards the room's middle, to the side, higher or lower.
         let mut best: Option<(f64, DVec3)> = None;
         for _ in 0..200 {
             let scale = rng.random_range(0.45..1.05);
-            let flat = DVec2::from_angle(rng.random_range(-0.35..0.35)).rotate(eye.truncate() * scale);
+            let flat =
+                DVec2::from_angle(rng.random_range(-0.35..0.35)).rotate(eye.truncate() * scale);
             let at = flat.extend(rng.random_range(1.2..1.75));
             let near = shots.iter().filter(|s| s.split == Split::Train);
-            let distance = near.map(|s| s.camera.center.distance(at)).fold(f64::INFINITY, f64::min);
+            let distance = near
+                .map(|s| s.camera.center.distance(at))
+                .fold(f64::INFINITY, f64::min);
             // Distance counts most: below the promised one no view is good.
-            let good = (distance / (1.2 * TEST_DISTANCE)).min(1.0) * 2.0 + goodness(room, at, target).min(1.0);
+            let good = (distance / (1.2 * TEST_DISTANCE)).min(1.0) * 2.0
+                + goodness(room, at, target).min(1.0);
             if best.is_none_or(|(g, _)| good > g) {
                 best = Some((good, at));
             }
@@ -56,7 +74,11 @@ pub(super) fn shots(room: &Room, (width, height): (usize, usize), train: usize, 
             }
         }
         let at = best.map_or(eye, |b| b.1);
-        shots.push(Shot { camera: look(at, target, width, height), split: Split::Test, along });
+        shots.push(Shot {
+            camera: look(at, target, width, height),
+            split: Split::Test,
+            along,
+        });
     }
     shots
 }
@@ -65,14 +87,25 @@ pub(super) fn shots(room: &Room, (width, height): (usize, usize), train: usize, 
 fn walk(room: &Room, start: f64, along: f64) -> (DVec3, DVec3) {
     let reach = room.size.truncate() / 2.0;
     let outer = along < 0.58;
-    let round = if outer { along / 0.58 } else { (along - 0.58) / 0.42 };
+    let round = if outer {
+        along / 0.58
+    } else {
+        (along - 0.58) / 0.42
+    };
     let angle = start + TAU * round;
-    let (ring, height) =
-        if outer { (0.8, 1.55 + 0.25 * (2.0 * angle).sin()) } else { (0.34, 1.35 + 0.15 * (3.0 * angle).sin()) };
+    let (ring, height) = if outer {
+        (0.8, 1.55 + 0.25 * (2.0 * angle).sin())
+    } else {
+        (0.34, 1.35 + 0.15 * (3.0 * angle).sin())
+    };
     let out = DVec2::from_angle(angle);
     let eye = (out * reach * ring).extend(height);
     // The outer round looks across, the inner one over its shoulder at the walls near by and far.
-    let turn = if outer { PI + 0.5 * (3.0 * angle).sin() } else { 2.0 * PI / 3.0 };
+    let turn = if outer {
+        PI + 0.5 * (3.0 * angle).sin()
+    } else {
+        2.0 * PI / 3.0
+    };
     let far = DVec2::from_angle(angle + turn) * reach * if outer { 0.55 } else { 0.95 };
     let target = far.extend(if outer { 0.85 } else { 1.05 } + 0.3 * (5.0 * angle).sin());
     (eye, target)

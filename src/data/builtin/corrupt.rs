@@ -37,7 +37,9 @@ pub struct Corruption {
 impl Default for Corruption {
     /// Calibrated on the built-in scene; confusions are those of its classes.
     fn default() -> Self {
-        use super::build::class::{CABINET, CEILING, CHAIR, FLOOR, LAMP, PICTURE, SOFA, TABLE, WALL, WINDOW};
+        use super::build::class::{
+            CABINET, CEILING, CHAIR, FLOOR, LAMP, PICTURE, SOFA, TABLE, WALL, WINDOW,
+        };
         let confusions = [
             (WALL, vec![CEILING, CABINET, WINDOW]),
             (FLOOR, vec![TABLE, WALL, SOFA]),
@@ -78,7 +80,12 @@ impl Default for Corruption {
 /// 2. *Segments.* Each view has a quality (0.6-1.4). Every connected piece of an object not in a run may swap its
 ///    class, merge into its neighbour, be dropped to void, or be split, independently of other views.
 /// 3. *Borders.* The map is resampled through a smooth random displacement, then parts of the borders become void.
-pub fn corrupt(labels: &[LabelMap], instances: &[&[u16]], params: &Corruption, seed: u64) -> Vec<LabelMap> {
+pub fn corrupt(
+    labels: &[LabelMap],
+    instances: &[&[u16]],
+    params: &Corruption,
+    seed: u64,
+) -> Vec<LabelMap> {
     let objects = Objects::draw(labels, instances, params, seed);
     labels
         .par_iter()
@@ -124,12 +131,20 @@ impl Objects {
             }
         }
         largest.retain(|key, _| key.1 != params.ignore);
-        let classes: Vec<u16> =
-            largest.keys().map(|k| k.1).collect::<std::collections::BTreeSet<_>>().into_iter().collect();
+        let classes: Vec<u16> = largest
+            .keys()
+            .map(|k| k.1)
+            .collect::<std::collections::BTreeSet<_>>()
+            .into_iter()
+            .collect();
         let wrong: BTreeMap<u16, Vec<u16>> = classes
             .iter()
             .map(|&c| {
-                let listed = params.confusions.iter().find(|l| l.0 == c).map(|l| l.1.clone());
+                let listed = params
+                    .confusions
+                    .iter()
+                    .find(|l| l.0 == c)
+                    .map(|l| l.1.clone());
                 let mut others = listed.unwrap_or_else(|| classes.clone());
                 others.retain(|&o| o != c && o != params.ignore);
                 (c, others)
@@ -140,7 +155,8 @@ impl Objects {
             let rng = &mut fork(seed, 1, u64::from(id) << 16 | u64::from(class));
             let spread = 0.7;
             let normal = super::points::gauss(rng);
-            let hard = (spread * normal - spread * spread / 2.0).exp().min(3.0) / (1.0 + 4.0 * share);
+            let hard =
+                (spread * normal - spread * spread / 2.0).exp().min(3.0) / (1.0 + 4.0 * share);
             difficulty.insert(id, hard);
             let p = (params.strength * params.run_share * hard).min(0.8);
             let leave = 1.0 / params.run_length.max(1.0);
@@ -163,7 +179,11 @@ impl Objects {
             });
             runs.insert((id, class), states.collect());
         }
-        Self { difficulty, runs, wrong }
+        Self {
+            difficulty,
+            runs,
+            wrong,
+        }
     }
 }
 
@@ -198,8 +218,12 @@ fn segments(map: &LabelMap, ids: &[u16], ignore: u16) -> Vec<Segment> {
             let i = pixels[at];
             at += 1;
             let (x, y) = (i % w, i / w);
-            let around =
-                [(x > 0, i.wrapping_sub(1)), (x + 1 < w, i + 1), (y > 0, i.wrapping_sub(w)), (y + 1 < h, i + w)];
+            let around = [
+                (x > 0, i.wrapping_sub(1)),
+                (x + 1 < w, i + 1),
+                (y > 0, i.wrapping_sub(w)),
+                (y + 1 < h, i + w),
+            ];
             for j in around.into_iter().filter(|n| n.0).map(|n| n.1) {
                 if key(j) != key(start) {
                     *border.entry(map.ids[j]).or_default() += 1;
@@ -212,7 +236,12 @@ fn segments(map: &LabelMap, ids: &[u16], ignore: u16) -> Vec<Segment> {
         let (id, class) = key(start);
         border.retain(|&c, _| c != class && c != ignore);
         let neighbour = border.into_iter().max_by_key(|&(c, n)| (n, c)).map(|b| b.0);
-        found.push(Segment { pixels, id, class, neighbour });
+        found.push(Segment {
+            pixels,
+            id,
+            class,
+            neighbour,
+        });
     }
     found
 }
@@ -228,7 +257,12 @@ fn spoil_segments(
     let mut out = map.clone();
     let rate = params.strength * rng.random_range(0.6..1.4);
     for segment in segments(map, ids, params.ignore) {
-        let Segment { pixels, id, class, neighbour } = segment;
+        let Segment {
+            pixels,
+            id,
+            class,
+            neighbour,
+        } = segment;
         let share = pixels.len() as f64 / map.ids.len() as f64;
         let hard = objects.difficulty.get(&id).copied().unwrap_or(1.0);
         let (small, tiny) = (share < 0.02, share < 0.006);
@@ -250,7 +284,9 @@ fn spoil_segments(
             let (sin, cos) = rng.random_range(0.0..std::f64::consts::TAU).sin_cos();
             let side = |&i: &usize| {
                 let (dx, dy) = ((i % map.width) as f64, (i / map.width) as f64);
-                (dx - (through % map.width) as f64) * cos + (dy - (through / map.width) as f64) * sin > 0.0
+                (dx - (through % map.width) as f64) * cos
+                    + (dy - (through / map.width) as f64) * sin
+                    > 0.0
             };
             let (mut part, rest): (Vec<_>, Vec<_>) = pixels.iter().partition(|i| side(i));
             if part.len() > rest.len() {

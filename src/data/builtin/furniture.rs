@@ -71,7 +71,12 @@ impl Kind {
 
     /// Adds one to the room.
     pub fn build(self, b: &mut Builder, style: &Style, place: Place, rng: &mut impl Rng) {
-        let Place { at, yaw, size, variant } = place;
+        let Place {
+            at,
+            yaw,
+            size,
+            variant,
+        } = place;
         let o = &mut b.object(self.class(), at, yaw);
         match self {
             Self::Sofa | Self::Armchair => sofa(o, style, size, variant, rng),
@@ -95,24 +100,51 @@ fn sofa(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize, rng: &mu
     let inner = w - 2.0 * arm;
     o.legs(w - 0.08, d - 0.1, 0.1, 0.06, s.woods[1]);
     o.cushion([0.0, 0.0, 0.2], [w - 0.02, d - 0.02, 0.22], 0.05, cloth);
-    o.cushion([0.0, -d / 2.0 + back / 2.0, (h + 0.12) / 2.0], [w - 0.02, back, h - 0.12], 0.09, cloth);
+    o.cushion(
+        [0.0, -d / 2.0 + back / 2.0, (h + 0.12) / 2.0],
+        [w - 0.02, back, h - 0.12],
+        0.09,
+        cloth,
+    );
     for side in [-0.5, 0.5] {
         o.cushion([side * (w - arm), 0.01, 0.36], [arm, d, 0.5], 0.08, cloth);
     }
     let seats = (inner / 0.62).round().max(1.0);
     for i in 0..seats as usize {
         let x = (i as f64 + 0.5) * inner / seats - inner / 2.0;
-        o.cushion([x, back / 2.0, seat - 0.06], [inner / seats - 0.015, d - back - 0.02, 0.17], 0.06, cloth);
+        o.cushion(
+            [x, back / 2.0, seat - 0.06],
+            [inner / seats - 0.015, d - back - 0.02, 0.17],
+            0.06,
+            cloth,
+        );
         let tilt = DMat3::from_rotation_x(0.16);
         let size = [inner / seats - 0.03, 0.17, h - seat];
-        o.solid(Shape::Rounded(0.07), [x, -d / 2.0 + back + 0.04, h / 2.0 + 0.22], size, tilt, cloth);
+        o.solid(
+            Shape::Rounded(0.07),
+            [x, -d / 2.0 + back + 0.04, h / 2.0 + 0.22],
+            size,
+            tilt,
+            cloth,
+        );
     }
     let throws = if seats > 1.0 { 2 } else { 1 };
     for i in 0..throws {
-        let x = if throws == 1 { 0.0 } else { (i as f64 - 0.5) * (inner - 0.42) };
-        let turn = DMat3::from_rotation_x(0.35) * DMat3::from_rotation_y(rng.random_range(-0.25..0.25));
+        let x = if throws == 1 {
+            0.0
+        } else {
+            (i as f64 - 0.5) * (inner - 0.42)
+        };
+        let turn =
+            DMat3::from_rotation_x(0.35) * DMat3::from_rotation_y(rng.random_range(-0.25..0.25));
         let accent = s.accents[(variant + i) % 3];
-        o.solid(Shape::Rounded(0.06), [x, -d / 2.0 + back + 0.2, seat + 0.22], [0.42, 0.14, 0.4], turn, accent);
+        o.solid(
+            Shape::Rounded(0.06),
+            [x, -d / 2.0 + back + 0.2, seat + 0.22],
+            [0.42, 0.14, 0.4],
+            turn,
+            accent,
+        );
     }
 }
 
@@ -136,8 +168,12 @@ fn coffee_table(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) 
 fn bowl(o: &mut Object, [x, y, z]: [f64; 3]) {
     let clay = o.builder.matt(Pattern::Plain(rgb(0xdcd6c8)));
     o.turned([x, y, z + 0.035], 0.07, 0.06, 0.13, clay);
-    let fruit = [0xe08a2c, 0xc8402f, 0x9bb044].map(|c| o.builder.matt(Pattern::Gradient(rgb(c) * 0.75, rgb(c))));
-    for (i, (dx, dy)) in [(-0.05, 0.03), (0.05, 0.02), (0.0, -0.055)].into_iter().enumerate() {
+    let fruit = [0xe08a2c, 0xc8402f, 0x9bb044]
+        .map(|c| o.builder.matt(Pattern::Gradient(rgb(c) * 0.75, rgb(c))));
+    for (i, (dx, dy)) in [(-0.05, 0.03), (0.05, 0.02), (0.0, -0.055)]
+        .into_iter()
+        .enumerate()
+    {
         o.ball([x + dx, y + dy, z + 0.09], [0.085; 3], fruit[i]);
     }
 }
@@ -145,13 +181,22 @@ fn bowl(o: &mut Object, [x, y, z]: [f64; 3]) {
 /// A vase with leaves.
 pub(super) fn vase(o: &mut Object, [x, y, z]: [f64; 3], color: DVec3) {
     let clay = o.builder.matt(Pattern::Gradient(color * 0.7, color));
-    let leaf = o.builder.matt(Pattern::Gradient(rgb(0x3a6b3c), rgb(0x86ad5a)));
+    let leaf = o
+        .builder
+        .matt(Pattern::Gradient(rgb(0x3a6b3c), rgb(0x86ad5a)));
     o.turned([x, y, z + 0.06], 0.12, 0.05, 0.085, clay);
     o.turned([x, y, z + 0.16], 0.08, 0.085, 0.04, clay);
     for i in 0..7 {
-        let turn = DMat3::from_rotation_z(f64::from(i) * 0.9) * DMat3::from_rotation_x(-0.55 - 0.1 * f64::from(i % 3));
+        let turn = DMat3::from_rotation_z(f64::from(i) * 0.9)
+            * DMat3::from_rotation_x(-0.55 - 0.1 * f64::from(i % 3));
         let at = turn * DVec3::new(0.0, 0.0, 0.15) + DVec3::new(x, y, z + 0.2);
-        o.solid(Shape::Ellipsoid, at.to_array(), [0.1, 0.035, 0.28], turn, leaf);
+        o.solid(
+            Shape::Ellipsoid,
+            at.to_array(),
+            [0.1, 0.035, 0.28],
+            turn,
+            leaf,
+        );
     }
 }
 
@@ -166,8 +211,20 @@ fn dining_table(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) 
     let wood = s.woods[variant % 2];
     o.cushion([0.0, 0.0, h - 0.025], [w, d, 0.05], 0.015, wood);
     o.cuboid([0.0, 0.0, h - 0.09], [w - 0.16, d - 0.16, 0.08], wood);
-    o.legs(w - 0.08, d - 0.08, h - 0.05, 0.08, if (variant / 2).is_multiple_of(2) { wood } else { s.white });
-    let cloth = o.builder.matt(Pattern::Checks(s.palette[4], s.palette[variant % 3], 0.24));
+    o.legs(
+        w - 0.08,
+        d - 0.08,
+        h - 0.05,
+        0.08,
+        if (variant / 2).is_multiple_of(2) {
+            wood
+        } else {
+            s.white
+        },
+    );
+    let cloth = o
+        .builder
+        .matt(Pattern::Checks(s.palette[4], s.palette[variant % 3], 0.24));
     o.cuboid([0.0, 0.0, h + 0.004], [w * 0.36, d - 0.01, 0.008], cloth);
     vase(o, [0.05, 0.0, h], s.palette[(variant + 1) % 4]);
     let plate = o.builder.matt(Pattern::Plain(rgb(0xe8e6df)));
@@ -179,16 +236,33 @@ fn dining_table(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) 
 fn desk(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) {
     let wood = s.woods[variant % 2];
     o.cuboid([0.0, 0.0, h - 0.02], [w, d, 0.04], wood);
-    let front = o.builder.matt(Pattern::Panels(rgb(0xe9e4d8), rgb(0x9d978a), rgb(0x55504a), [1, 3]));
-    o.cuboid([w / 2.0 - 0.24, 0.0, h / 2.0 - 0.02], [0.42, d - 0.04, h - 0.04], front);
+    let front = o.builder.matt(Pattern::Panels(
+        rgb(0xe9e4d8),
+        rgb(0x9d978a),
+        rgb(0x55504a),
+        [1, 3],
+    ));
+    o.cuboid(
+        [w / 2.0 - 0.24, 0.0, h / 2.0 - 0.02],
+        [0.42, d - 0.04, h - 0.04],
+        front,
+    );
     for y in [-0.5, 0.5] {
-        o.cuboid([-w / 2.0 + 0.04, y * (d - 0.08), h / 2.0 - 0.02], [0.06, 0.06, h - 0.04], s.metal);
+        o.cuboid(
+            [-w / 2.0 + 0.04, y * (d - 0.08), h / 2.0 - 0.02],
+            [0.06, 0.06, h - 0.04],
+            s.metal,
+        );
     }
     // A closed laptop, papers and books.
     let grey = o.builder.matt(Pattern::Plain(rgb(0x9aa0a6)));
     o.cuboid([-0.12, 0.02, h + 0.012], [0.34, 0.24, 0.024], grey);
     let books = o.builder.matt(Pattern::Books);
-    o.cuboid([w / 2.0 - 0.26, -d / 2.0 + 0.12, h + 0.11], [0.36, 0.18, 0.22], books);
+    o.cuboid(
+        [w / 2.0 - 0.26, -d / 2.0 + 0.12, h + 0.11],
+        [0.36, 0.18, 0.22],
+        books,
+    );
 }
 
 fn chair(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) {
@@ -199,15 +273,33 @@ fn chair(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) {
     o.legs(w, d, 0.42, 0.045, wood);
     let lean = DMat3::from_rotation_x(0.12);
     for x in [-0.5, 0.5] {
-        o.solid(Shape::Box, [x * (w - 0.05), -d / 2.0, (h + 0.42) / 2.0], [0.045, 0.04, h - 0.42], lean, wood);
+        o.solid(
+            Shape::Box,
+            [x * (w - 0.05), -d / 2.0, (h + 0.42) / 2.0],
+            [0.045, 0.04, h - 0.42],
+            lean,
+            wood,
+        );
     }
     let back = -d / 2.0 - 0.008;
     if (variant / 3).is_multiple_of(2) {
-        o.solid(Shape::Rounded(0.015), [0.0, back - 0.01, h - 0.16], [w - 0.04, 0.035, 0.3], lean, wood);
+        o.solid(
+            Shape::Rounded(0.015),
+            [0.0, back - 0.01, h - 0.16],
+            [w - 0.04, 0.035, 0.3],
+            lean,
+            wood,
+        );
     } else {
         for i in 0..3 {
             let z = h - 0.06 - 0.14 * f64::from(i);
-            o.solid(Shape::Box, [0.0, back + 0.017 * f64::from(i) - 0.02, z], [w - 0.08, 0.03, 0.08], lean, wood);
+            o.solid(
+                Shape::Box,
+                [0.0, back + 0.017 * f64::from(i) - 0.02, z],
+                [w - 0.08, 0.03, 0.08],
+                lean,
+                wood,
+            );
         }
     }
 }
@@ -222,17 +314,27 @@ fn bookcase(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize, rng:
     }
     let rows = (h / 0.38).round();
     for i in 0..=rows as usize {
-        o.cuboid([0.0, 0.0, 0.02 + i as f64 * (h - 0.04) / rows], [w - 0.03, d - 0.01, 0.035], wood);
+        o.cuboid(
+            [0.0, 0.0, 0.02 + i as f64 * (h - 0.04) / rows],
+            [w - 0.03, d - 0.01, 0.035],
+            wood,
+        );
     }
     for i in 0..rows as usize {
         let z = 0.04 + i as f64 * (h - 0.04) / rows;
         let mut x = -w / 2.0 + 0.05;
         while x < w / 2.0 - 0.3 {
             let run = rng.random_range(0.22..0.6_f64).min(w / 2.0 - 0.05 - x);
-            let height = rng.random_range(0.2..0.29_f64).min((h - 0.04) / rows - 0.06);
+            let height = rng
+                .random_range(0.2..0.29_f64)
+                .min((h - 0.04) / rows - 0.06);
             if rng.random_bool(0.78) {
                 let books = o.builder.matt(Pattern::Books);
-                o.cuboid([x + run / 2.0, -0.02, z + height / 2.0], [run, d - 0.12, height], books);
+                o.cuboid(
+                    [x + run / 2.0, -0.02, z + height / 2.0],
+                    [run, d - 0.12, height],
+                    books,
+                );
             } else {
                 let color = s.palette[rng.random_range(0..6)];
                 let pot = o.builder.matt(Pattern::Gradient(color * 0.7, color));
@@ -245,10 +347,16 @@ fn bookcase(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize, rng:
 
 fn sideboard(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) {
     let [light, dark] = s.wood_colors[variant % 2];
-    let front = o.builder.matt(Pattern::Panels(light, dark * 0.5, rgb(0xd8c28a), [3, 1]));
+    let front = o
+        .builder
+        .matt(Pattern::Panels(light, dark * 0.5, rgb(0xd8c28a), [3, 1]));
     o.legs(w - 0.1, d - 0.08, 0.16, 0.045, s.woods[(variant + 1) % 2]);
     o.cuboid([0.0, 0.0, h / 2.0 + 0.07], [w, d, h - 0.14], front);
-    o.cuboid([0.0, 0.0, h - 0.015], [w + 0.03, d + 0.02, 0.03], s.woods[variant % 2]);
+    o.cuboid(
+        [0.0, 0.0, h - 0.015],
+        [w + 0.03, d + 0.02, 0.03],
+        s.woods[variant % 2],
+    );
     vase(o, [-w * 0.34, 0.0, h], s.palette[variant % 4]);
     let books = o.builder.matt(Pattern::Books);
     o.cuboid([0.08, -0.04, h + 0.12], [0.34, 0.2, 0.24], books);
@@ -256,36 +364,77 @@ fn sideboard(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) {
 
 fn wardrobe(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) {
     let [light, dark] = s.wood_colors[variant % 2];
-    let (panel, groove) =
-        if (variant / 2).is_multiple_of(2) { (light, dark * 0.6) } else { (rgb(0xdfe3dc), rgb(0x8f968d)) };
-    let doors = o.builder.matt(Pattern::Panels(panel, groove, rgb(0x3d3a36), [if w > 1.3 { 3 } else { 2 }, 1]));
+    let (panel, groove) = if (variant / 2).is_multiple_of(2) {
+        (light, dark * 0.6)
+    } else {
+        (rgb(0xdfe3dc), rgb(0x8f968d))
+    };
+    let doors = o.builder.matt(Pattern::Panels(
+        panel,
+        groove,
+        rgb(0x3d3a36),
+        [if w > 1.3 { 3 } else { 2 }, 1],
+    ));
     o.cuboid([0.0, 0.0, h / 2.0 + 0.04], [w, d, h - 0.08], doors);
     o.cuboid([0.0, 0.0, 0.04], [w - 0.06, d - 0.06, 0.08], s.woods[1]);
-    o.cuboid([0.0, 0.01, h - 0.02], [w + 0.06, d + 0.04, 0.05], s.woods[variant % 2]);
+    o.cuboid(
+        [0.0, 0.01, h - 0.02],
+        [w + 0.06, d + 0.04, 0.05],
+        s.woods[variant % 2],
+    );
 }
 
 fn chest(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) {
     let color = s.palette[variant % 4].lerp(rgb(0xd8d2c4), 0.35);
-    let front = o.builder.matt(Pattern::Panels(color, color * 0.45, rgb(0xe6d9b0), [1, 4]));
+    let front = o
+        .builder
+        .matt(Pattern::Panels(color, color * 0.45, rgb(0xe6d9b0), [1, 4]));
     o.cuboid([0.0, 0.0, h / 2.0 + 0.03], [w, d, h - 0.06], front);
-    o.cuboid([0.0, 0.0, h - 0.012], [w + 0.03, d + 0.03, 0.03], s.woods[variant % 2]);
+    o.cuboid(
+        [0.0, 0.0, h - 0.012],
+        [w + 0.03, d + 0.03, 0.03],
+        s.woods[variant % 2],
+    );
     o.legs(w - 0.04, d - 0.04, 0.07, 0.06, s.woods[variant % 2]);
 }
 
 /// A glowing shade and its light.
-fn shade(o: &mut Object, [x, y, z]: [f64; 3], height: f64, bottom: f64, top: f64, color: DVec3, power: f64) {
-    let cloth = o.builder.add_material(Pattern::Gradient(color, color.lerp(rgb(0xfff4d8), 0.35)), 0.75, 0.3);
+fn shade(
+    o: &mut Object,
+    [x, y, z]: [f64; 3],
+    height: f64,
+    bottom: f64,
+    top: f64,
+    color: DVec3,
+    power: f64,
+) {
+    let cloth = o.builder.add_material(
+        Pattern::Gradient(color, color.lerp(rgb(0xfff4d8), 0.35)),
+        0.75,
+        0.3,
+    );
     o.turned([x, y, z], height, bottom, top, cloth);
     o.translucent();
     let center = o.place([x, y, z]);
-    o.builder.lights.push(Light::Lamp { center, color: DVec3::new(1.0, 0.8, 0.55) * power });
+    o.builder.lights.push(Light::Lamp {
+        center,
+        color: DVec3::new(1.0, 0.8, 0.55) * power,
+    });
 }
 
 fn floor_lamp(o: &mut Object, s: &Style, [w, _, h]: [f64; 3], rng: &mut impl Rng) {
     o.turned([0.0, 0.0, 0.015], 0.03, 0.15, 0.14, s.metal);
     o.turned([0.0, 0.0, h / 2.0 - 0.1], h - 0.2, 0.02, 0.02, s.metal);
     let tone = [0xf0d9a8, 0xe8c79a, 0xd98f5c][rng.random_range(0..3)];
-    shade(o, [0.0, 0.0, h - 0.17], 0.34, w / 2.0, w * 0.36, rgb(tone), 0.42);
+    shade(
+        o,
+        [0.0, 0.0, h - 0.17],
+        0.34,
+        w / 2.0,
+        w * 0.36,
+        rgb(tone),
+        0.42,
+    );
 }
 
 /// A lamp for a table top or cabinet, its foot at `at`.
@@ -305,5 +454,13 @@ pub(super) fn pendant(b: &mut Builder, s: &Style, at: DVec3, drop: f64, rng: &mu
     let o = &mut b.object(class::LAMP, at, 0.0);
     o.turned([0.0, 0.0, -0.015], 0.03, 0.05, 0.06, s.metal);
     o.turned([0.0, 0.0, -drop / 2.0], drop, 0.012, 0.012, s.metal);
-    shade(o, [0.0, 0.0, -drop], 0.22, 0.23, 0.09, color.lerp(rgb(0xf2e2bd), 0.3), 0.42);
+    shade(
+        o,
+        [0.0, 0.0, -drop],
+        0.22,
+        0.23,
+        0.09,
+        color.lerp(rgb(0xf2e2bd), 0.3),
+        0.42,
+    );
 }

@@ -21,12 +21,20 @@ pub(super) struct Plan {
 impl Plan {
     /// Length of wall `k` (0 south, 1 east, 2 north, 3 west).
     pub fn length(&self, k: usize) -> f64 {
-        if k.is_multiple_of(2) { self.size.x } else { self.size.y }
+        if k.is_multiple_of(2) {
+            self.size.x
+        } else {
+            self.size.y
+        }
     }
 
     /// Point of wall `k` at `s` along it from its middle, `out` into the room, height `z`.
     pub fn on_wall(&self, k: usize, s: f64, out: f64, z: f64) -> DVec3 {
-        let across = if k.is_multiple_of(2) { self.size.y } else { self.size.x };
+        let across = if k.is_multiple_of(2) {
+            self.size.y
+        } else {
+            self.size.x
+        };
         let flat = DMat2::from_angle(yaw(k)) * DVec2::new(s, out - across / 2.0);
         flat.extend(z)
     }
@@ -36,7 +44,10 @@ impl Plan {
         let reach = self.size.truncate() / 2.0 + 1e-9;
         low.cmpge(-reach).all()
             && high.cmple(reach).all()
-            && self.floor.iter().all(|&(l, h)| (low - gap).cmpge(h).any() || (high + gap).cmple(l).any())
+            && self
+                .floor
+                .iter()
+                .all(|&(l, h)| (low - gap).cmpge(h).any() || (high + gap).cmple(l).any())
     }
 
     /// Takes the floor under a `w` x `d` piece at `at`, turned by `yaw`, if it is free.
@@ -55,9 +66,9 @@ impl Plan {
     pub fn take_wall(&mut self, k: usize, [s0, s1, z0, z1]: [f64; 4], gap: f64) -> bool {
         let inside = s0 >= -self.length(k) / 2.0 + 0.1 && s1 <= self.length(k) / 2.0 - 0.1;
         let free = inside
-            && self.walls[k]
-                .iter()
-                .all(|&[a, b, c, d]| s0 - gap >= b || s1 + gap <= a || z0 - gap >= d || z1 + gap <= c);
+            && self.walls[k].iter().all(|&[a, b, c, d]| {
+                s0 - gap >= b || s1 + gap <= a || z0 - gap >= d || z1 + gap <= c
+            });
         if free {
             self.walls[k].push([s0, s1, z0, z1]);
         }
@@ -65,7 +76,12 @@ impl Plan {
     }
 
     /// Finds room for a piece with its back to a wall; tries `walls` in turn at random places.
-    fn place_at_wall(&mut self, walls: &[usize], [w, d, h]: [f64; 3], rng: &mut impl Rng) -> Option<(usize, f64)> {
+    fn place_at_wall(
+        &mut self,
+        walls: &[usize],
+        [w, d, h]: [f64; 3],
+        rng: &mut impl Rng,
+    ) -> Option<(usize, f64)> {
         for attempt in 0..40 {
             let k = walls[attempt % walls.len()];
             let room = self.length(k) / 2.0 - w / 2.0 - 0.12;
@@ -93,9 +109,17 @@ pub(super) fn yaw(k: usize) -> f64 {
 
 /// Draws a room. `size` overrides its extents.
 pub(super) fn furnish(b: &mut Builder, size: Option<DVec3>, rng: &mut impl Rng) -> DVec3 {
-    let drawn = DVec3::new(rng.random_range(4.6..6.8), rng.random_range(4.2..5.8), rng.random_range(2.5..2.9));
+    let drawn = DVec3::new(
+        rng.random_range(4.6..6.8),
+        rng.random_range(4.2..5.8),
+        rng.random_range(2.5..2.9),
+    );
     let size = size.unwrap_or(drawn);
-    let plan = &mut Plan { size, floor: Vec::new(), walls: Default::default() };
+    let plan = &mut Plan {
+        size,
+        floor: Vec::new(),
+        walls: Default::default(),
+    };
     let style = &Style::draw(b, rng);
     shell::shell(b, plan, style, rng);
     let sunny = rng.random_range(0..4);
@@ -106,7 +130,13 @@ pub(super) fn furnish(b: &mut Builder, size: Option<DVec3>, rng: &mut impl Rng) 
     if windows == 0 {
         shell::window(b, plan, style, (sunny + 2) % 4, rng);
     }
-    let lounge = seating(b, plan, style, [0, 1, 2, 3].map(|i| (sunny + 2 + i) % 4), rng);
+    let lounge = seating(
+        b,
+        plan,
+        style,
+        [0, 1, 2, 3].map(|i| (sunny + 2 + i) % 4),
+        rng,
+    );
     let dining = dining_group(b, plan, style, rng);
     cabinets(b, plan, style, rng);
     if !dining || rng.random_bool(0.4) {
@@ -116,7 +146,17 @@ pub(super) fn furnish(b: &mut Builder, size: Option<DVec3>, rng: &mut impl Rng) 
         let piece = Kind::FloorLamp.size(rng);
         if let Some((k, s)) = plan.place_at_wall(&shuffled(rng), piece, rng) {
             let at = plan.on_wall(k, s, piece[1] / 2.0 + 0.03, 0.0);
-            Kind::FloorLamp.build(b, style, Place { at, yaw: 0.0, size: piece, variant: 0 }, rng);
+            Kind::FloorLamp.build(
+                b,
+                style,
+                Place {
+                    at,
+                    yaw: 0.0,
+                    size: piece,
+                    variant: 0,
+                },
+                rng,
+            );
         }
     }
     let wanted = rng.random_range(5..9);
@@ -135,35 +175,82 @@ fn shuffled(rng: &mut impl Rng) -> [usize; 4] {
 }
 
 /// Sofa at a wall, a rug, a low table before it, armchairs and a side table with a lamp.
-fn seating(b: &mut Builder, plan: &mut Plan, style: &Style, walls: [usize; 4], rng: &mut impl Rng) -> bool {
+fn seating(
+    b: &mut Builder,
+    plan: &mut Plan,
+    style: &Style,
+    walls: [usize; 4],
+    rng: &mut impl Rng,
+) -> bool {
     let size = Kind::Sofa.size(rng);
     let Some((k, s)) = plan.place_at_wall(&walls, size, rng) else {
         return false;
     };
     let variant = rng.random_range(0..12);
     let at = plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
-    Kind::Sofa.build(b, style, Place { at, yaw: yaw(k), size, variant }, rng);
+    Kind::Sofa.build(
+        b,
+        style,
+        Place {
+            at,
+            yaw: yaw(k),
+            size,
+            variant,
+        },
+        rng,
+    );
     let low = Kind::CoffeeTable.size(rng);
     let front = size[1] + 0.42 + low[1] / 2.0;
     let middle = plan.on_wall(k, s, front, 0.0);
-    shell::rug(b, plan, style, middle, yaw(k), [size[0] + 0.5, low[1] + 1.3], rng);
+    shell::rug(
+        b,
+        plan,
+        style,
+        middle,
+        yaw(k),
+        [size[0] + 0.5, low[1] + 1.3],
+        rng,
+    );
     if plan.take_floor(middle, yaw(k), low[0], low[1], 0.1) {
         let variant = rng.random_range(0..4);
-        Kind::CoffeeTable.build(b, style, Place { at: middle, yaw: yaw(k), size: low, variant }, rng);
+        Kind::CoffeeTable.build(
+            b,
+            style,
+            Place {
+                at: middle,
+                yaw: yaw(k),
+                size: low,
+                variant,
+            },
+            rng,
+        );
     }
     let across = rng.random_range(0..3);
     for side in [-1.0, 1.0] {
         let chair = Kind::Armchair.size(rng);
         // Facing the low table from its side, or from across.
         let (ds, dy, turn) = if across == 2 {
-            (side * (chair[0] / 2.0 + 0.12), front + low[1] / 2.0 + 0.4 + chair[1] / 2.0, PI)
+            (
+                side * (chair[0] / 2.0 + 0.12),
+                front + low[1] / 2.0 + 0.4 + chair[1] / 2.0,
+                PI,
+            )
         } else {
-            (side * (low[0] / 2.0 + 0.4 + chair[1] / 2.0), front + 0.1, side * FRAC_PI_2)
+            (
+                side * (low[0] / 2.0 + 0.4 + chair[1] / 2.0),
+                front + 0.1,
+                side * FRAC_PI_2,
+            )
         };
         let turn = turn + rng.random_range(-0.25..0.25);
         let at = plan.on_wall(k, s + ds, dy, 0.0);
         if plan.take_floor(at, yaw(k) + turn, chair[0], chair[1], 0.08) {
-            let place = Place { at, yaw: yaw(k) + turn, size: chair, variant: variant + 1 };
+            let place = Place {
+                at,
+                yaw: yaw(k) + turn,
+                size: chair,
+                variant: variant + 1,
+            };
             Kind::Armchair.build(b, style, place, rng);
         }
     }
@@ -174,7 +261,17 @@ fn seating(b: &mut Builder, plan: &mut Plan, style: &Style, walls: [usize; 4], r
         let free = plan.take_floor(at, 0.0, table[0], table[0], 0.02);
         if free && plan.take_wall(k, [s + ds - 0.24, s + ds + 0.24, 0.0, 1.15], 0.02) {
             let variant = rng.random_range(0..2);
-            Kind::SideTable.build(b, style, Place { at, yaw: 0.0, size: table, variant }, rng);
+            Kind::SideTable.build(
+                b,
+                style,
+                Place {
+                    at,
+                    yaw: 0.0,
+                    size: table,
+                    variant,
+                },
+                rng,
+            );
             table_lamp(b, style, at + DVec3::Z * table[2], rng);
         }
     }
@@ -194,7 +291,17 @@ fn dining_group(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl 
             continue;
         }
         let look = rng.random_range(0..4);
-        Kind::DiningTable.build(b, style, Place { at, yaw: turn, size, variant: look }, rng);
+        Kind::DiningTable.build(
+            b,
+            style,
+            Place {
+                at,
+                yaw: turn,
+                size,
+                variant: look,
+            },
+            rng,
+        );
         let variant = rng.random_range(0..12);
         let r = glam::DMat3::from_rotation_z(turn);
         let (w, d) = (size[0] / 2.0, size[1] / 2.0);
@@ -208,7 +315,12 @@ fn dining_group(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl 
             let chair = Kind::Chair.size(rng);
             let at = at + r * DVec3::new(sx, sy, 0.0);
             let yaw = turn + facing + jitter;
-            let place = Place { at, yaw, size: chair, variant: variant + i % 2 * 7 };
+            let place = Place {
+                at,
+                yaw,
+                size: chair,
+                variant: variant + i % 2 * 7,
+            };
             Kind::Chair.build(b, style, place, rng);
         }
         let drop = plan.size.z - rng.random_range(1.75..1.85);
@@ -221,7 +333,11 @@ fn dining_group(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl 
 /// Two to four cabinets along the walls.
 fn cabinets(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl Rng) {
     let mut kinds = vec![Kind::Bookcase, Kind::Sideboard];
-    kinds.extend([Kind::Chest, Kind::Wardrobe, Kind::Bookcase].iter().filter(|_| rng.random_bool(0.55)));
+    kinds.extend(
+        [Kind::Chest, Kind::Wardrobe, Kind::Bookcase]
+            .iter()
+            .filter(|_| rng.random_bool(0.55)),
+    );
     for kind in kinds {
         let size = kind.size(rng);
         let Some((k, s)) = plan.place_at_wall(&shuffled(rng), size, rng) else {
@@ -229,11 +345,36 @@ fn cabinets(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl Rng)
         };
         let at = plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
         let variant = rng.random_range(0..12);
-        kind.build(b, style, Place { at, yaw: yaw(k), size, variant }, rng);
+        kind.build(
+            b,
+            style,
+            Place {
+                at,
+                yaw: yaw(k),
+                size,
+                variant,
+            },
+            rng,
+        );
         let top = matches!(kind, Kind::Sideboard | Kind::Chest);
         // Something tall on a low cabinet needs free wall behind it.
-        if top && plan.take_wall(k, [s - size[0] / 2.0, s + size[0] / 2.0, size[2] + 0.05, size[2] + 0.5], 0.0) {
-            let x = if kind == Kind::Sideboard { size[0] * 0.34 } else { 0.0 };
+        if top
+            && plan.take_wall(
+                k,
+                [
+                    s - size[0] / 2.0,
+                    s + size[0] / 2.0,
+                    size[2] + 0.05,
+                    size[2] + 0.5,
+                ],
+                0.0,
+            )
+        {
+            let x = if kind == Kind::Sideboard {
+                size[0] * 0.34
+            } else {
+                0.0
+            };
             let out = plan.on_wall(k, s + x, size[1] / 2.0, size[2]);
             table_lamp(b, style, out, rng);
         }
@@ -244,16 +385,37 @@ fn cabinets(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl Rng)
 fn desk_corner(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl Rng) {
     let size = Kind::Desk.size(rng);
     // The chair's place counts, so that nothing else stands there.
-    let Some((k, s)) = plan.place_at_wall(&shuffled(rng), [size[0], size[1] + 0.5, 1.0], rng) else {
+    let Some((k, s)) = plan.place_at_wall(&shuffled(rng), [size[0], size[1] + 0.5, 1.0], rng)
+    else {
         return;
     };
     let variant = rng.random_range(0..12);
     let at = plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
-    Kind::Desk.build(b, style, Place { at, yaw: yaw(k), size, variant }, rng);
+    Kind::Desk.build(
+        b,
+        style,
+        Place {
+            at,
+            yaw: yaw(k),
+            size,
+            variant,
+        },
+        rng,
+    );
     let turn = yaw(k) + PI + rng.random_range(-0.3..0.3);
     let at = plan.on_wall(k, s - 0.15, size[1] + 0.18, 0.0);
     let size = Kind::Chair.size(rng);
-    Kind::Chair.build(b, style, Place { at, yaw: turn, size, variant: variant + 1 }, rng);
+    Kind::Chair.build(
+        b,
+        style,
+        Place {
+            at,
+            yaw: turn,
+            size,
+            variant: variant + 1,
+        },
+        rng,
+    );
 }
 
 /// How many objects of each class id (0..=10) a room holds.

@@ -44,10 +44,16 @@ impl Lit<'_> {
         let (mut open, mut sum) = (0.0, 0.0);
         for i in 0..count {
             // Vogel spiral, lifted to the hemisphere: the same rays for every point, so light maps stay smooth.
-            let (r2, angle) = ((i as f64 + 0.5) / count as f64, i as f64 * 2.399_963_229_728_653);
+            let (r2, angle) = (
+                (i as f64 + 0.5) / count as f64,
+                i as f64 * 2.399_963_229_728_653,
+            );
             let r = r2.sqrt();
             let d = t * (r * angle.cos()) + b * (r * angle.sin()) + n * (1.0 - r2).sqrt();
-            match self.bvh.first(self.solids, o, d, (0.0, REACH), |s| s.casts_shadow) {
+            match self
+                .bvh
+                .first(self.solids, o, d, (0.0, REACH), |s| s.casts_shadow)
+            {
                 Some(hit) => {
                     let f = hit.t / REACH;
                     open += f64::from(u8::from(hit.t > 0.02));
@@ -68,11 +74,18 @@ impl Lit<'_> {
                 // Too far or behind the surface to matter.
                 let to = center - o;
                 let d2 = to.length_squared();
-                if n.dot(to) < -0.1 || color.max_element() * n.dot(to).max(0.1) / (d2.sqrt() * (d2 + 0.25)) < 0.004 {
+                if n.dot(to) < -0.1
+                    || color.max_element() * n.dot(to).max(0.1) / (d2.sqrt() * (d2 + 0.25)) < 0.004
+                {
                     return DVec3::ZERO;
                 }
                 let mut sum = 0.0;
-                for corner in [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]] {
+                for corner in [
+                    [1.0, 1.0, 1.0],
+                    [1.0, -1.0, -1.0],
+                    [-1.0, 1.0, -1.0],
+                    [-1.0, -1.0, 1.0],
+                ] {
                     let to = center + DVec3::from(corner) * 0.06 - o;
                     let d2 = to.length_squared();
                     let cos = n.dot(to) / d2.sqrt();
@@ -82,7 +95,13 @@ impl Lit<'_> {
                 }
                 color * (sum / 4.0)
             }
-            Light::Pane { center, across, up, normal, color } => {
+            Light::Pane {
+                center,
+                across,
+                up,
+                normal,
+                color,
+            } => {
                 let k = self.quality.1;
                 let mut sum = 0.0;
                 for i in 0..k * k {
@@ -90,7 +109,8 @@ impl Lit<'_> {
                     let to = center + across * at(i % k) + up * at(i / k) - o;
                     let d2 = to.length_squared().max(0.05);
                     let (here, there) = (n.dot(to) / d2.sqrt(), -normal.dot(to) / d2.sqrt());
-                    if here > 0.0 && there > 0.0 && !self.bvh.blocked(self.solids, o, to, 0.0, 1.0) {
+                    if here > 0.0 && there > 0.0 && !self.bvh.blocked(self.solids, o, to, 0.0, 1.0)
+                    {
                         sum += here * there / (PI * d2);
                     }
                 }
@@ -135,15 +155,21 @@ impl LightMap {
                         return (DVec3::ZERO, 0.0);
                     };
                     let p = solid.to_room(o - o * entry.t);
-                    let outside =
-                        (p.truncate().abs() - interior.truncate() / 2.0).max_element().max(p.z - interior.z).max(-p.z);
+                    let outside = (p.truncate().abs() - interior.truncate() / 2.0)
+                        .max_element()
+                        .max(p.z - interior.z)
+                        .max(-p.z);
                     if outside > 1e-6 {
                         return (DVec3::ZERO, 0.0);
                     }
                     lit.arriving(p, solid.axes * entry.normal)
                 })
                 .collect();
-            Side { columns, rows, texels: smooth(&raw, columns, rows) }
+            Side {
+                columns,
+                rows,
+                texels: smooth(&raw, columns, rows),
+            }
         });
         Self { sides }
     }
@@ -152,7 +178,11 @@ impl LightMap {
     pub fn at(&self, p: DVec3, half: DVec3) -> DVec3 {
         let q = p / half;
         let a = q.abs();
-        let axis = if a.x >= a.y && a.x >= a.z { 0 } else { 2 - usize::from(a.y >= a.z) };
+        let axis = if a.x >= a.y && a.x >= a.z {
+            0
+        } else {
+            2 - usize::from(a.y >= a.z)
+        };
         let side = &self.sides[2 * axis + usize::from(q[axis] > 0.0)];
         let scale = 1.0 / a[axis];
         let cell = |v: f64, n: usize| {
@@ -160,9 +190,13 @@ impl LightMap {
             let i = (x as usize).min(n - 2);
             (i, (x - i as f64) as f32)
         };
-        let ((i, u), (j, v)) = (cell(q[(axis + 1) % 3], side.columns), cell(q[(axis + 2) % 3], side.rows));
+        let ((i, u), (j, v)) = (
+            cell(q[(axis + 1) % 3], side.columns),
+            cell(q[(axis + 2) % 3], side.rows),
+        );
         let at = j * side.columns + i;
-        let [a, b, c, d] = [at, at + 1, at + side.columns, at + side.columns + 1].map(|k| &side.texels[k]);
+        let [a, b, c, d] =
+            [at, at + 1, at + side.columns, at + side.columns + 1].map(|k| &side.texels[k]);
         let mix = |k: usize| {
             let (low, high) = (a[k] + (b[k] - a[k]) * u, c[k] + (d[k] - c[k]) * u);
             f64::from(low + (high - low) * v)
@@ -185,12 +219,20 @@ fn smooth(raw: &[(DVec3, f64)], columns: usize, rows: usize) -> Vec<[f32; 3]> {
                 }
             }
         }
-        if weight > 0.0 { sum / weight } else { DVec3::splat(-1.0) }
+        if weight > 0.0 {
+            sum / weight
+        } else {
+            DVec3::splat(-1.0)
+        }
     };
     (0..raw.len())
         .map(|i| {
             let near = gather(i, 1);
-            let value = if near.x >= 0.0 { near } else { gather(i, 3).max(DVec3::ZERO) };
+            let value = if near.x >= 0.0 {
+                near
+            } else {
+                gather(i, 3).max(DVec3::ZERO)
+            };
             value.to_array().map(|c| c as f32)
         })
         .collect()

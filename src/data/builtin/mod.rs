@@ -32,7 +32,10 @@ use room::{Purpose, stream};
 /// Seed of the scene that `train` runs on without arguments, the same for everyone and for every `--seed`.
 pub const EVALUATED_SEED: u64 = 0x0c05_e600_0000_0003;
 
-const _: () = assert!(EVALUATED_SEED >= PRETRAINING_SEEDS.end, "the evaluated room must not be pretrained on");
+const _: () = assert!(
+    EVALUATED_SEED >= PRETRAINING_SEEDS.end,
+    "the evaluated room must not be pretrained on"
+);
 
 /// The ten classes. Carpets count as floor, curtains as window, and small things as the piece they stand on.
 pub fn classes() -> Classes {
@@ -48,8 +51,16 @@ pub fn classes() -> Classes {
         (class::CABINET, "cabinet", [31, 119, 180]),
         (class::LAMP, "lamp", [96, 207, 209]),
     ];
-    let entry = |(id, name, color): (u16, &str, _)| Class { id, name: name.to_owned(), color, object_of: None };
-    Classes { entries: table.into_iter().map(entry).collect(), ignore: 0 }
+    let entry = |(id, name, color): (u16, &str, _)| Class {
+        id,
+        name: name.to_owned(),
+        color,
+        object_of: None,
+    };
+    Classes {
+        entries: table.into_iter().map(entry).collect(),
+        ignore: 0,
+    }
 }
 
 /// What [`scene_with`] makes.
@@ -88,7 +99,10 @@ impl Default for BuiltinOptions {
 /// The built-in scene of a seed at its full size: 48 training and 12 test views of 320x240. [`EVALUATED_SEED`] gives
 /// the one that is scored. Takes a few seconds on 2 cores; the same bytes at any thread count.
 pub fn scene(seed: u64) -> Scene {
-    assemble(&BuiltinOptions { seed, ..Default::default() })
+    assemble(&BuiltinOptions {
+        seed,
+        ..Default::default()
+    })
 }
 
 /// A built-in scene of any size.
@@ -103,18 +117,39 @@ pub fn scene_with(options: &BuiltinOptions) -> Result<Scene> {
         ("builtin.test_views", options.test_views, 0, 100_000),
     ] {
         if !(low..=high).contains(&value) {
-            return Err(Error::argument(key, value.to_string(), format!("{low} to {high}"), "change the option"));
+            return Err(Error::argument(
+                key,
+                value.to_string(),
+                format!("{low} to {high}"),
+                "change the option",
+            ));
         }
     }
     Ok(assemble(options))
 }
 
 fn assemble(options: &BuiltinOptions) -> Scene {
-    let BuiltinOptions { seed, width, height, train_views, test_views, points, .. } = *options;
+    let BuiltinOptions {
+        seed,
+        width,
+        height,
+        train_views,
+        test_views,
+        points,
+        ..
+    } = *options;
     let room = Room::of_scene(seed);
     let shots = cameras::shots(&room, (width, height), train_views, test_views, seed);
-    let truths: Vec<Truth> = shots.iter().map(|s| render_truth(&room, &s.camera)).collect();
-    let train = || shots.iter().zip(&truths).filter(|(s, _)| s.split == Split::Train);
+    let truths: Vec<Truth> = shots
+        .iter()
+        .map(|s| render_truth(&room, &s.camera))
+        .collect();
+    let train = || {
+        shots
+            .iter()
+            .zip(&truths)
+            .filter(|(s, _)| s.split == Split::Train)
+    };
     let seen: Vec<_> = train().map(|(s, t)| (&s.camera, t)).collect();
     let points = points::initial_points(&room, &seen, points, seed);
 
@@ -122,7 +157,10 @@ fn assemble(options: &BuiltinOptions) -> Scene {
     let mut order: Vec<usize> = (0..shots.len()).collect();
     order.sort_by(|&i, &j| shots[i].along.total_cmp(&shots[j].along).then(i.cmp(&j)));
     let labels: Vec<_> = order.iter().map(|&i| truths[i].labels.clone()).collect();
-    let instances: Vec<_> = order.iter().map(|&i| truths[i].instances.as_slice()).collect();
+    let instances: Vec<_> = order
+        .iter()
+        .map(|&i| truths[i].instances.as_slice())
+        .collect();
     let raw_seed = stream(seed, Purpose::RawLabels).random();
     let spoilt = corrupt(&labels, &instances, &options.corruption, raw_seed);
     let mut raw: Vec<Option<LabelMap>> = vec![None; shots.len()];
@@ -131,23 +169,34 @@ fn assemble(options: &BuiltinOptions) -> Scene {
     }
 
     let mut counts = [0; 2];
-    let views = shots.into_iter().zip(truths).zip(raw).map(|((shot, truth), raw)| {
-        let test = shot.split == Split::Test;
-        let number = counts[usize::from(test)];
-        counts[usize::from(test)] += 1;
-        let LabelMap { width, height, .. } = truth.labels;
-        View {
-            name: format!("{}_{number:03}", if test { "test" } else { "train" }),
-            split: shot.split,
-            camera: shot.camera,
-            image: truth.image.into(),
-            mask: None,
-            truth: Some(truth.labels.into()),
-            raw: raw.map(LabelRuns::from),
-            segments: Vec::new(),
-            instances: Some(LabelMap { width, height, ids: truth.instances }.into()),
-        }
-    });
+    let views = shots
+        .into_iter()
+        .zip(truths)
+        .zip(raw)
+        .map(|((shot, truth), raw)| {
+            let test = shot.split == Split::Test;
+            let number = counts[usize::from(test)];
+            counts[usize::from(test)] += 1;
+            let LabelMap { width, height, .. } = truth.labels;
+            View {
+                name: format!("{}_{number:03}", if test { "test" } else { "train" }),
+                split: shot.split,
+                camera: shot.camera,
+                image: truth.image.into(),
+                mask: None,
+                truth: Some(truth.labels.into()),
+                raw: raw.map(LabelRuns::from),
+                segments: Vec::new(),
+                instances: Some(
+                    LabelMap {
+                        width,
+                        height,
+                        ids: truth.instances,
+                    }
+                    .into(),
+                ),
+            }
+        });
     Scene {
         name: "builtin".to_owned(),
         views: views.collect(),

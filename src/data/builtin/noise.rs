@@ -10,7 +10,11 @@ pub(super) fn rgb(code: u32) -> DVec3 {
 
 /// sRGB transfer function, to linear light.
 pub(super) fn linear(s: f64) -> f64 {
-    if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
+    if s <= 0.04045 {
+        s / 12.92
+    } else {
+        ((s + 0.055) / 1.055).powf(2.4)
+    }
 }
 
 /// A hash of three integers, uniform in 0..1.

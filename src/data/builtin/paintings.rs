@@ -4,7 +4,14 @@ use super::noise::{band, cloud, fold, noise, rgb, step};
 use glam::DVec3;
 
 /// A picture in a white mat; `x`, `y` in -1..1 across the canvas, `y` up.
-pub(super) fn painting(style: u32, [a, b, c]: [DVec3; 3], x: f64, y: f64, face: (f64, f64), seed: u64) -> DVec3 {
+pub(super) fn painting(
+    style: u32,
+    [a, b, c]: [DVec3; 3],
+    x: f64,
+    y: f64,
+    face: (f64, f64),
+    seed: u64,
+) -> DVec3 {
     let aspect = face.0 / face.1;
     let edge = ((1.0 - x.abs()) * face.0).min((1.0 - y.abs()) * face.1);
     let mat = 1.0 - step(0.045, 0.06, edge);
@@ -23,7 +30,10 @@ pub(super) fn painting(style: u32, [a, b, c]: [DVec3; 3], x: f64, y: f64, face: 
 fn sunset(x: f64, y: f64, seed: u64) -> DVec3 {
     let sky = rgb(0xf3b35a).lerp(rgb(0x5a6ea8), step(-0.1, 1.0, y));
     let sun = 1.0 - step(0.26, 0.32, (x - 0.2).hypot(y - 0.12));
-    let sea = rgb(0x27486b).lerp(rgb(0xe0935a), 0.7 * band(x - 0.2, 0.12, 0.35) * noise(x * 2.0, y * 9.0, seed));
+    let sea = rgb(0x27486b).lerp(
+        rgb(0xe0935a),
+        0.7 * band(x - 0.2, 0.12, 0.35) * noise(x * 2.0, y * 9.0, seed),
+    );
     let above = step(-0.12, -0.06, y);
     sea.lerp(sky.lerp(rgb(0xfff0c0), sun), above)
 }
@@ -39,7 +49,9 @@ fn blocks(x: f64, y: f64, [a, b, c]: [DVec3; 3]) -> DVec3 {
         _ => paper,
     };
     let bar = band(x + 0.3, 0.035, 0.03).max(band(y - 0.25, 0.04, 0.035));
-    let bar = bar.max(band(x - 0.45, 0.03, 0.03)).max(band(y + 0.45, 0.035, 0.035));
+    let bar = bar
+        .max(band(x - 0.45, 0.03, 0.03))
+        .max(band(y + 0.45, 0.035, 0.035));
     inside.lerp(rgb(0x222226), bar)
 }
 
@@ -64,7 +76,10 @@ fn fields(x: f64, y: f64, [a, b, c]: [DVec3; 3]) -> DVec3 {
 /// Receding green hills under a pale sky.
 fn hills(x: f64, y: f64, seed: u64) -> DVec3 {
     let mut color = rgb(0xbcd6e6).lerp(rgb(0xf5ead0), step(0.9, 0.0, y));
-    for (i, tone) in [0x8fa9a0, 0x6d9468, 0x4c7a43, 0x2f5a35].into_iter().enumerate() {
+    for (i, tone) in [0x8fa9a0, 0x6d9468, 0x4c7a43, 0x2f5a35]
+        .into_iter()
+        .enumerate()
+    {
         let k = i as f64;
         let ridge = 0.35 - 0.36 * k + 0.3 * (noise(x * (1.2 + 0.3 * k) + 7.0 * k, k, seed) - 0.4);
         color = color.lerp(rgb(tone), 1.0 - step(ridge - 0.03, ridge + 0.03, y));
@@ -76,7 +91,12 @@ fn hills(x: f64, y: f64, seed: u64) -> DVec3 {
 fn flowers(x: f64, y: f64, colors: [DVec3; 3], seed: u64) -> DVec3 {
     let ground = rgb(0x36414e).lerp(rgb(0x8b6a48), 1.0 - step(-0.62, -0.56, y));
     let vase = band(x, 0.22 - 0.1 * y, 0.04) * band(y + 0.55, 0.28, 0.04);
-    let leaves = 1.0 - step(0.6, 0.72, x.hypot(1.1 * (y - 0.2)) + 0.2 * noise(x * 4.0, y * 4.0, seed));
+    let leaves = 1.0
+        - step(
+            0.6,
+            0.72,
+            x.hypot(1.1 * (y - 0.2)) + 0.2 * noise(x * 4.0, y * 4.0, seed),
+        );
     let mut c = ground.lerp(rgb(0x3f6b45), leaves).lerp(rgb(0xd9d2c4), vase);
     for i in 0..6 {
         let t = f64::from(i) * 2.4 + seed as f64 % 6.0;
@@ -95,8 +115,17 @@ pub(super) fn scenery(azimuth: f64, y: f64) -> DVec3 {
     let mut c = sky.lerp(rgb(0xffffff), 0.7 * clouds * step(-0.1, 0.3, y));
     let far = -0.12 + 0.35 * (noise(x * 0.6, 0.0, 5) - 0.5);
     c = c.lerp(rgb(0x9db7b0), 1.0 - step(far - 0.04, far + 0.04, y));
-    let crown = -0.3 + 0.55 * (0.5 - fold(x, 1.7).abs() / 1.7) * (0.5 + noise((x / 1.7).round() * 3.7, 0.3, 9));
-    let trees = 1.0 - step(crown - 0.06, crown + 0.06, y + 0.12 * (noise(x * 5.0, y * 5.0, 3) - 0.5));
-    c = c.lerp(rgb(0x5f8a55).lerp(rgb(0x3c6640), noise(x * 3.0, y * 3.0, 8)), trees);
+    let crown = -0.3
+        + 0.55 * (0.5 - fold(x, 1.7).abs() / 1.7) * (0.5 + noise((x / 1.7).round() * 3.7, 0.3, 9));
+    let trees = 1.0
+        - step(
+            crown - 0.06,
+            crown + 0.06,
+            y + 0.12 * (noise(x * 5.0, y * 5.0, 3) - 0.5),
+        );
+    c = c.lerp(
+        rgb(0x5f8a55).lerp(rgb(0x3c6640), noise(x * 3.0, y * 3.0, 8)),
+        trees,
+    );
     c.lerp(rgb(0x9cbf6d), 1.0 - step(-0.62, -0.54, y))
 }

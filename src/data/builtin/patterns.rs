@@ -79,26 +79,50 @@ impl Spot {
     /// The spot of local point `p` with local `normal`.
     pub fn new(solid: &Solid, p: DVec3, normal: DVec3) -> Self {
         let (half, n) = (solid.half, normal.abs());
-        let axis = if n.z >= n.x && n.z >= n.y { 2 } else { usize::from(n.y > n.x) };
+        let axis = if n.z >= n.x && n.z >= n.y {
+            2
+        } else {
+            usize::from(n.y > n.x)
+        };
         let round = matches!(solid.shape, Shape::Ellipsoid | Shape::Frustum(..)) && axis < 2;
         let (u, v, face) = match axis {
-            _ if round => (p.y.atan2(p.x) * half.x, p.z, (std::f64::consts::PI * half.x, half.z)),
+            _ if round => (
+                p.y.atan2(p.x) * half.x,
+                p.z,
+                (std::f64::consts::PI * half.x, half.z),
+            ),
             0 => (p.y, p.z, (half.y, half.z)),
             1 => (p.x, p.z, (half.x, half.z)),
             _ => (p.x, p.y, (half.x, half.y)),
         };
-        Self { p, half, axis, u, v, face }
+        Self {
+            p,
+            half,
+            axis,
+            u,
+            v,
+            face,
+        }
     }
 }
 
 impl Material {
     /// Reflected colour at `spot`, linear light.
     pub fn color(&self, spot: &Spot) -> DVec3 {
-        let Spot { p, u, v, face, axis, .. } = *spot;
+        let Spot {
+            p,
+            u,
+            v,
+            face,
+            axis,
+            ..
+        } = *spot;
         let seed = self.seed;
         match self.pattern {
             Pattern::Plain(c) => c * (0.94 + 0.12 * noise(u / 0.35, v / 0.35, seed)),
-            Pattern::Clouds(a, b, size) => a.lerp(b, step(0.2, 0.8, cloud(u / size, v / size, seed))),
+            Pattern::Clouds(a, b, size) => {
+                a.lerp(b, step(0.2, 0.8, cloud(u / size, v / size, seed)))
+            }
             Pattern::Wood(light, dark) => {
                 let h = spot.half;
                 // Grain runs along the longest side; the two others make the rings.
@@ -118,13 +142,18 @@ impl Material {
                 let column = ((u + shift) / length).floor();
                 let tone = hash(row as i64, column as i64, seed);
                 let c = grain(light, dark, u, v + 3.0 * tone, seed ^ row as i64 as u64);
-                let seam = band(fold(v, width), 0.003, 0.012).max(band(fold(u + shift, length), 0.003, 0.012));
+                let seam = band(fold(v, width), 0.003, 0.012).max(band(
+                    fold(u + shift, length),
+                    0.003,
+                    0.012,
+                ));
                 c * (0.84 + 0.26 * tone) * (1.0 - 0.35 * seam)
             }
             Pattern::Tiles(a, b, grout, size) => {
                 let (i, j) = ((u / size).floor() as i64, (v / size).floor() as i64);
                 let base = if (i + j).rem_euclid(2) == 0 { a } else { b };
-                let tone = 0.93 + 0.1 * hash(i, j, seed) + 0.08 * (cloud(u / 0.2, v / 0.2, seed) - 0.5);
+                let tone =
+                    0.93 + 0.1 * hash(i, j, seed) + 0.08 * (cloud(u / 0.2, v / 0.2, seed) - 0.5);
                 let seam = band(fold(u, size), 0.004, 0.012).max(band(fold(v, size), 0.004, 0.012));
                 (base * tone).lerp(grout, 0.8 * seam)
             }
@@ -139,9 +168,17 @@ impl Material {
             Pattern::Bricks(brick, mortar) => {
                 let (height, width) = (0.12, 0.36);
                 let row = (v / height).floor();
-                let shift = if row as i64 % 2 == 0 { 0.0 } else { width / 2.0 };
+                let shift = if row as i64 % 2 == 0 {
+                    0.0
+                } else {
+                    width / 2.0
+                };
                 let tone = hash(((u + shift) / width).floor() as i64, row as i64, seed);
-                let seam = band(fold(v, height), 0.004, 0.014).max(band(fold(u + shift, width), 0.004, 0.014));
+                let seam = band(fold(v, height), 0.004, 0.014).max(band(
+                    fold(u + shift, width),
+                    0.004,
+                    0.014,
+                ));
                 (brick * (0.87 + 0.26 * tone)).lerp(mortar, 0.5 * seam)
             }
             Pattern::Stripes(a, b, period) => {
@@ -151,12 +188,19 @@ impl Material {
             }
             Pattern::Motif(ground, motif, spacing) => {
                 let row = (v / (spacing * 0.866)).round();
-                let shift = if row as i64 % 2 == 0 { 0.0 } else { spacing / 2.0 };
+                let shift = if row as i64 % 2 == 0 {
+                    0.0
+                } else {
+                    spacing / 2.0
+                };
                 let (x, y) = (fold(u + shift, spacing), v - row * spacing * 0.866);
                 let r = x.hypot(y) / spacing;
                 let petals = 0.27 + 0.06 * (5.0 * y.atan2(x)).cos();
                 let flower = 1.0 - step(petals - 0.08, petals + 0.08, r);
-                ground.lerp(motif, 0.8 * flower * (1.0 - 0.5 * (1.0 - step(0.05, 0.14, r))))
+                ground.lerp(
+                    motif,
+                    0.8 * flower * (1.0 - 0.5 * (1.0 - step(0.05, 0.14, r))),
+                )
             }
             Pattern::Checks(ground, thread, period) => {
                 let line = |x: f64| step(-0.015, 0.015, period / 4.0 - fold(x, period).abs());
@@ -164,34 +208,45 @@ impl Material {
                 ground.lerp(thread, 0.5 * line(x) + 0.5 * line(y))
             }
             Pattern::Folds(c, period) => {
-                let wave = (u / period * std::f64::consts::TAU + 1.3 * noise(u / 0.4, 0.0, seed)).cos();
+                let wave =
+                    (u / period * std::f64::consts::TAU + 1.3 * noise(u / 0.4, 0.0, seed)).cos();
                 c * (0.86 + 0.2 * wave)
             }
             Pattern::Panels(panel, groove, knob, [columns, rows]) => {
                 if axis != 1 {
                     return grain(panel, panel * 0.86, v, u, seed);
                 }
-                let (w, h) = (2.0 * face.0 / f64::from(columns), 2.0 * face.1 / f64::from(rows));
+                let (w, h) = (
+                    2.0 * face.0 / f64::from(columns),
+                    2.0 * face.1 / f64::from(rows),
+                );
                 let (x, y) = (fold(u + face.0 - w / 2.0, w), fold(v + face.1 - h / 2.0, h));
                 let edge = (w / 2.0 - x.abs()).min(h / 2.0 - y.abs());
                 let inset = band(edge - 0.07, 0.008, 0.012) * 0.25 + band(edge, 0.008, 0.012) * 0.8;
                 // Doors (taller than wide) have their knob at one side, drawers in the middle.
                 let k = if h > w { x.abs() - w / 2.0 + 0.05 } else { x };
                 let round = 1.0 - step(0.018, 0.03, k.hypot(y));
-                grain(panel, panel * 0.86, v, u, seed).lerp(groove, inset).lerp(knob, round)
+                grain(panel, panel * 0.86, v, u, seed)
+                    .lerp(groove, inset)
+                    .lerp(knob, round)
             }
             Pattern::Books => {
                 let width = 0.07;
                 let i = (u / width).floor() as i64;
                 let hue = hash(i, 1, seed);
-                let palette = [0x7a2e2a, 0x2e4a6b, 0x3f6b4f, 0xb58a3c, 0x6b4f7a, 0xd8cdb4, 0x444444, 0xa3553a];
-                let c = super::noise::rgb(palette[(hue * 8.0) as usize % 8]) * (0.9 + 0.2 * hash(i, 2, seed));
+                let palette = [
+                    0x7a2e2a, 0x2e4a6b, 0x3f6b4f, 0xb58a3c, 0x6b4f7a, 0xd8cdb4, 0x444444, 0xa3553a,
+                ];
+                let c = super::noise::rgb(palette[(hue * 8.0) as usize % 8])
+                    * (0.9 + 0.2 * hash(i, 2, seed));
                 let label = band(v - face.1 * (0.2 + 0.4 * hash(i, 3, seed)), 0.02, 0.015);
                 let gap = band(fold(u, width), 0.002, 0.012);
                 c.lerp(DVec3::splat(0.5), 0.3 * label) * (1.0 - 0.35 * gap)
             }
             Pattern::Rug(style, colors) => rug(style, colors, u, v, face),
-            Pattern::Painting(style, colors) => painting(style, colors, u / face.0, v / face.1, face, seed),
+            Pattern::Painting(style, colors) => {
+                painting(style, colors, u / face.0, v / face.1, face, seed)
+            }
             Pattern::Scenery(azimuth) => scenery(azimuth + 0.25 * u, v / face.1),
             Pattern::Gradient(a, b) => a.lerp(b, 0.5 + 0.5 * p.z / spot.half.z),
         }
@@ -214,20 +269,26 @@ fn rug(style: u32, [field, figure, border]: [DVec3; 3], u: f64, v: f64, face: (f
             let s = 0.42;
             let d = fold(u, s).abs() + fold(v, s).abs();
             let core = 1.0 - step(0.06, 0.085, d);
-            field.lerp(figure, step(0.165, 0.195, d) * 0.85).lerp(border, core)
+            field
+                .lerp(figure, step(0.165, 0.195, d) * 0.85)
+                .lerp(border, core)
         }
         1 => {
             // Concentric medallion.
             let r = (u / face.0).hypot(v / face.1);
             let ring = step(-0.2, 0.2, (r * 14.0).sin());
             let far = step(0.9, 1.0, r);
-            field.lerp(figure, ring * (1.0 - far)).lerp(border * 0.9, 1.0 - step(0.1, 0.16, r))
+            field
+                .lerp(figure, ring * (1.0 - far))
+                .lerp(border * 0.9, 1.0 - step(0.1, 0.16, r))
         }
         2 => {
             // Broad bands with a thin line.
             let s = 0.5;
             let wide = step(-0.015, 0.015, fold(u, s).abs() - 0.14);
-            field.lerp(figure, wide).lerp(border, band(fold(u + s / 2.0, s), 0.025, 0.015))
+            field
+                .lerp(figure, wide)
+                .lerp(border, band(fold(u + s / 2.0, s), 0.025, 0.015))
         }
         _ => {
             // Zigzag.

@@ -32,7 +32,8 @@ pub fn labelled_points(seed: u64, count: usize) -> LabelledPoints {
     let room = Room::for_pretraining(seed);
     let rng = &mut stream(seed, Purpose::Points);
     let eyes = eyes(&room, rng);
-    let area = 2.0 * (room.size.x * room.size.y + room.size.x * room.size.z + room.size.y * room.size.z);
+    let area =
+        2.0 * (room.size.x * room.size.y + room.size.x * room.size.z + room.size.y * room.size.z);
     // Visible surface is about 1.3 times the shell; cells a little finer than the mean spacing even the density out.
     let cell = (1.3 * area / count.max(1) as f64).sqrt() * 0.7;
     let noise = rng.random_range(0.008..0.018);
@@ -43,20 +44,36 @@ pub fn labelled_points(seed: u64, count: usize) -> LabelledPoints {
         let eye = eyes[rng.random_range(0..eyes.len())];
         let d = unit(rng);
         tries += 1;
-        let Some(hit) = room.cast(eye, d) else { continue };
+        let Some(hit) = room.cast(eye, d) else {
+            continue;
+        };
         let p = eye + d * hit.t;
         // Thinned as long as that succeeds; a cloud denser than the cells fills up at random.
         if taken.insert((p / cell).floor().as_i64vec3()) || tries > 6 * count {
-            rays.push((eye, d, hit, DVec3::new(gauss(rng), gauss(rng), gauss(rng)) * noise, rng.random::<f64>()));
+            rays.push((
+                eye,
+                d,
+                hit,
+                DVec3::new(gauss(rng), gauss(rng), gauss(rng)) * noise,
+                rng.random::<f64>(),
+            ));
         }
     }
     let made: Vec<_> = rays
         .par_iter()
         .map(|(eye, d, hit, offset, fate)| {
             // Outliers float somewhere before their surface.
-            let t = if *fate < 0.01 { hit.t * (0.3 + 65.0 * fate) } else { hit.t };
+            let t = if *fate < 0.01 {
+                hit.t * (0.3 + 65.0 * fate)
+            } else {
+                hit.t
+            };
             let p = *eye + *d * t + *offset;
-            (p.as_vec3().to_array(), room.shade(hit, *eye, *d, (16, 2)), room.solids[hit.solid].class)
+            (
+                p.as_vec3().to_array(),
+                room.shade(hit, *eye, *d, (16, 2)),
+                room.solids[hit.solid].class,
+            )
         })
         .collect();
     LabelledPoints {
@@ -71,7 +88,11 @@ fn eyes(room: &Room, rng: &mut ChaCha8Rng) -> Vec<DVec3> {
     let mut eyes = Vec::new();
     for _ in 0..400 {
         let reach = room.size / 2.0 - 0.5;
-        let at = DVec3::new(rng.random_range(-reach.x..reach.x), rng.random_range(-reach.y..reach.y), 1.5);
+        let at = DVec3::new(
+            rng.random_range(-reach.x..reach.x),
+            rng.random_range(-reach.y..reach.y),
+            1.5,
+        );
         let at = at + DVec3::Z * rng.random_range(-0.4..0.4);
         if room.clearance(at) > 0.25 {
             eyes.push(at);
@@ -87,7 +108,10 @@ fn eyes(room: &Room, rng: &mut ChaCha8Rng) -> Vec<DVec3> {
 }
 
 fn unit(rng: &mut ChaCha8Rng) -> DVec3 {
-    let (z, a) = (rng.random_range(-1.0..1.0_f64), rng.random_range(0.0..std::f64::consts::TAU));
+    let (z, a) = (
+        rng.random_range(-1.0..1.0_f64),
+        rng.random_range(0.0..std::f64::consts::TAU),
+    );
     let r = (1.0 - z * z).sqrt();
     DVec3::new(r * a.cos(), r * a.sin(), z)
 }
@@ -100,7 +124,12 @@ pub(super) fn gauss(rng: &mut ChaCha8Rng) -> f64 {
 
 /// About `count` points back-projected from the depth of training views, thinned to one an 8 cm cell: 0.3 % of depth
 /// plus 5 mm of noise, slightly wrong colours, and 2 % of outliers anywhere in the room.
-pub(super) fn initial_points(room: &Room, views: &[(&Camera, &Truth)], count: usize, seed: u64) -> Points {
+pub(super) fn initial_points(
+    room: &Room,
+    views: &[(&Camera, &Truth)],
+    count: usize,
+    seed: u64,
+) -> Points {
     let rng = &mut stream(seed, Purpose::Points);
     let mut points = Points::default();
     let mut taken = HashSet::new();
@@ -109,7 +138,10 @@ pub(super) fn initial_points(room: &Room, views: &[(&Camera, &Truth)], count: us
             break;
         }
         let (camera, truth) = views[rng.random_range(0..views.len())];
-        let (x, y) = (rng.random_range(0..camera.width), rng.random_range(0..camera.height));
+        let (x, y) = (
+            rng.random_range(0..camera.width),
+            rng.random_range(0..camera.height),
+        );
         let depth = f64::from(truth.depth[y * camera.width + x]);
         let mut p = camera.center + camera.ray(x as f64 + 0.5, y as f64 + 0.5) * depth;
         if !taken.insert((p / 0.08).floor().as_i64vec3()) {
@@ -122,7 +154,9 @@ pub(super) fn initial_points(room: &Room, views: &[(&Camera, &Truth)], count: us
         }
         let rgb = truth.image.get_pixel(x as u32, y as u32).0;
         points.positions.push(p.as_vec3().to_array());
-        points.colors.push(rgb.map(|c| (f32::from(c) / 255.0 + 0.02 * gauss(rng) as f32).clamp(0.0, 1.0)));
+        points
+            .colors
+            .push(rgb.map(|c| (f32::from(c) / 255.0 + 0.02 * gauss(rng) as f32).clamp(0.0, 1.0)));
     }
     points
 }

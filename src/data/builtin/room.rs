@@ -94,7 +94,14 @@ impl Room {
 
     fn new(b: Builder, size: DVec3) -> Self {
         let bvh = Bvh::new(&b.solids);
-        Self { size, solids: b.solids, materials: b.materials, lights: b.lights, bvh, light_maps: Vec::new() }
+        Self {
+            size,
+            solids: b.solids,
+            materials: b.materials,
+            lights: b.lights,
+            bvh,
+            light_maps: Vec::new(),
+        }
     }
 
     fn bake(&mut self) {
@@ -109,11 +116,17 @@ impl Room {
     }
 
     fn lit(&self, quality: (usize, usize)) -> Lit<'_> {
-        Lit { solids: &self.solids, bvh: &self.bvh, lights: &self.lights, quality }
+        Lit {
+            solids: &self.solids,
+            bvh: &self.bvh,
+            lights: &self.lights,
+            quality,
+        }
     }
 
     pub(super) fn cast(&self, o: DVec3, d: DVec3) -> Option<Hit> {
-        self.bvh.first(&self.solids, o, d, (1e-6, f64::INFINITY), |_| true)
+        self.bvh
+            .first(&self.solids, o, d, (1e-6, f64::INFINITY), |_| true)
     }
 
     /// Display colour (sRGB, 0..1) of what a ray hit. `quality` is used where no light maps were baked.
@@ -126,7 +139,11 @@ impl Room {
         if material.lit > 0.0 {
             let arriving = match self.light_maps.get(hit.solid) {
                 Some(map) => map.at(p, solid.half),
-                None => self.lit(quality).arriving(room_point, solid.axes * hit.normal).0,
+                None => {
+                    self.lit(quality)
+                        .arriving(room_point, solid.axes * hit.normal)
+                        .0
+                }
             };
             light += arriving * material.lit;
         }
@@ -136,7 +153,10 @@ impl Room {
 
     /// Smallest distance from `p` to a piece of furniture or a wall, metres; a lower bound for round shapes.
     pub fn clearance(&self, p: DVec3) -> f64 {
-        self.solids.iter().map(|s| s.clearance(p)).fold(f64::INFINITY, f64::min)
+        self.solids
+            .iter()
+            .map(|s| s.clearance(p))
+            .fold(f64::INFINITY, f64::min)
     }
 }
 
@@ -147,8 +167,16 @@ fn display(x: f64) -> f32 {
             .map(|i| {
                 // Square-root spacing keeps the dark end fine.
                 let x = 4.0 * (f64::from(i) / 4096.0).powi(2);
-                let y = if x < 0.6 { x } else { 0.6 + 0.4 * (1.0 - (-(x - 0.6) / 0.4).exp()) };
-                (if y <= 0.003_130_8 { 12.92 * y } else { 1.055 * y.powf(1.0 / 2.4) - 0.055 }) as f32
+                let y = if x < 0.6 {
+                    x
+                } else {
+                    0.6 + 0.4 * (1.0 - (-(x - 0.6) / 0.4).exp())
+                };
+                (if y <= 0.003_130_8 {
+                    12.92 * y
+                } else {
+                    1.055 * y.powf(1.0 / 2.4) - 0.055
+                }) as f32
             })
             .collect()
     });
@@ -174,17 +202,27 @@ pub fn render_truth(room: &Room, camera: &Camera) -> Truth {
     let see = |u: f64, v: f64| {
         let d = camera.ray(u, v);
         let hit = room.cast(camera.center, d);
-        (hit, hit.map_or([0.0; 3], |hit| room.shade(&hit, camera.center, d, (0, 0))))
+        (
+            hit,
+            hit.map_or([0.0; 3], |hit| room.shade(&hit, camera.center, d, (0, 0))),
+        )
     };
-    let corners: Vec<Vec<[f32; 3]>> =
-        (0..=h).into_par_iter().map(|y| (0..=w).map(|x| see(x as f64, y as f64).1).collect()).collect();
+    let corners: Vec<Vec<[f32; 3]>> = (0..=h)
+        .into_par_iter()
+        .map(|y| (0..=w).map(|x| see(x as f64, y as f64).1).collect())
+        .collect();
     let rows: Vec<Vec<Pixel>> = (0..h)
         .into_par_iter()
         .map(|y| {
             (0..w)
                 .map(|x| {
                     let (hit, center) = see(x as f64 + 0.5, y as f64 + 0.5);
-                    let around = [corners[y][x], corners[y][x + 1], corners[y + 1][x], corners[y + 1][x + 1]];
+                    let around = [
+                        corners[y][x],
+                        corners[y][x + 1],
+                        corners[y + 1][x],
+                        corners[y + 1][x + 1],
+                    ];
                     let color = [0, 1, 2].map(|k| {
                         let c = 0.5 * center[k] + 0.125 * around.iter().map(|a| a[k]).sum::<f32>();
                         (c * 255.0 + 0.5) as u8
@@ -205,7 +243,11 @@ pub fn render_truth(room: &Room, camera: &Camera) -> Truth {
     let bytes = pixels().flat_map(|p| p.color).collect();
     Truth {
         image: image::RgbImage::from_raw(w as u32, h as u32, bytes).unwrap_or_default(),
-        labels: LabelMap { width: w, height: h, ids: pixels().map(|p| p.class).collect() },
+        labels: LabelMap {
+            width: w,
+            height: h,
+            ids: pixels().map(|p| p.class).collect(),
+        },
         instances: pixels().map(|p| p.instance).collect(),
         depth: pixels().map(|p| p.depth).collect(),
     }

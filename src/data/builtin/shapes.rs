@@ -69,7 +69,8 @@ impl Solid {
     /// First entry of the room-space ray `o + t d` with `near < t < far`; `None` also when `o` is inside.
     pub fn hit(&self, o: DVec3, d: DVec3, near: f64, far: f64) -> Option<Entry> {
         let inverse = self.axes.transpose();
-        self.hit_local(inverse * (o - self.center), inverse * d).filter(|e| e.t > near && e.t < far)
+        self.hit_local(inverse * (o - self.center), inverse * d)
+            .filter(|e| e.t > near && e.t < far)
     }
 
     /// First entry of a local ray, at any parameter.
@@ -78,13 +79,17 @@ impl Solid {
             Shape::Box => enter_box(o, d, self.half),
             Shape::Rounded(radius) => enter_rounded(o, d, self.half, radius),
             Shape::Ellipsoid => enter_ellipsoid(o, d, self.half),
-            Shape::Frustum(bottom, top) => enter_frustum(o, d, self.half, bottom * self.half.x, top * self.half.x),
+            Shape::Frustum(bottom, top) => {
+                enter_frustum(o, d, self.half, bottom * self.half.x, top * self.half.x)
+            }
         }
     }
 
     /// Lower bound of the distance from a room point to the solid (exact for boxes, 0 inside the bounding box).
     pub fn clearance(&self, p: DVec3) -> f64 {
-        (self.to_local(p).abs() - self.half).max(DVec3::ZERO).length()
+        (self.to_local(p).abs() - self.half)
+            .max(DVec3::ZERO)
+            .length()
     }
 }
 
@@ -104,13 +109,20 @@ fn enter_box(o: DVec3, d: DVec3, half: DVec3) -> Option<Entry> {
     } else {
         DVec3::Z
     };
-    Some(Entry { t, normal: axis * -axis.dot(d).signum() })
+    Some(Entry {
+        t,
+        normal: axis * -axis.dot(d).signum(),
+    })
 }
 
 /// Entry of a sphere of `radius` about `c`.
 fn enter_sphere(o: DVec3, d: DVec3, c: DVec3, radius: f64) -> Option<f64> {
     let oc = o - c;
-    smaller_root(d.length_squared(), oc.dot(d), oc.length_squared() - radius * radius)
+    smaller_root(
+        d.length_squared(),
+        oc.dot(d),
+        oc.length_squared() - radius * radius,
+    )
 }
 
 /// Smaller root of `a t^2 + 2 b t + c`, in the form that does not cancel.
@@ -120,12 +132,19 @@ fn smaller_root(a: f64, b: f64, c: f64) -> Option<f64> {
         return None;
     }
     let root = disc.sqrt();
-    Some(if b > 0.0 { (-b - root) / a } else { c / (-b + root) })
+    Some(if b > 0.0 {
+        (-b - root) / a
+    } else {
+        c / (-b + root)
+    })
 }
 
 fn enter_ellipsoid(o: DVec3, d: DVec3, half: DVec3) -> Option<Entry> {
     let t = enter_sphere(o / half, d / half, DVec3::ZERO, 1.0)?;
-    Some(Entry { t, normal: ((o + d * t) / (half * half)).normalize() })
+    Some(Entry {
+        t,
+        normal: ((o + d * t) / (half * half)).normalize(),
+    })
 }
 
 fn enter_frustum(o: DVec3, d: DVec3, half: DVec3, bottom: f64, top: f64) -> Option<Entry> {
@@ -144,7 +163,11 @@ fn enter_frustum(o: DVec3, d: DVec3, half: DVec3, bottom: f64, top: f64) -> Opti
                 let p = o + d * t;
                 let normal = DVec3::new(p.x, p.y, -slope * (r0 + r1 * t)).normalize_or_zero();
                 // Keeps the nearer sheet that lies between the caps and faces the ray.
-                if p.z.abs() <= half.z && r0 + r1 * t >= 0.0 && normal.dot(d) < 0.0 && best.is_none_or(|e| t < e.t) {
+                if p.z.abs() <= half.z
+                    && r0 + r1 * t >= 0.0
+                    && normal.dot(d) < 0.0
+                    && best.is_none_or(|e| t < e.t)
+                {
                     best = Some(Entry { t, normal });
                 }
             }
@@ -156,7 +179,10 @@ fn enter_frustum(o: DVec3, d: DVec3, half: DVec3, bottom: f64, top: f64) -> Opti
         let p = o + d * t;
         let radius = if side > 0.0 { top } else { bottom };
         if p.x * p.x + p.y * p.y <= radius * radius && best.is_none_or(|e| t < e.t) {
-            best = Some(Entry { t, normal: DVec3::Z * side });
+            best = Some(Entry {
+                t,
+                normal: DVec3::Z * side,
+            });
         }
     }
     best
@@ -181,8 +207,11 @@ fn enter_rounded(o: DVec3, d: DVec3, half: DVec3, radius: f64) -> Option<Entry> 
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         for (su, sv) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
             let (ou, ov) = (o[u] - su * inner[u], o[v] - sv * inner[v]);
-            let root =
-                smaller_root(d[u] * d[u] + d[v] * d[v], ou * d[u] + ov * d[v], ou * ou + ov * ov - radius * radius);
+            let root = smaller_root(
+                d[u] * d[u] + d[v] * d[v],
+                ou * d[u] + ov * d[v],
+                ou * ou + ov * ov - radius * radius,
+            );
             if let Some(s) = root.filter(|s| (o[axis] + d[axis] * s).abs() <= inner[axis]) {
                 t = t.min(s);
             }
@@ -196,7 +225,10 @@ fn enter_rounded(o: DVec3, d: DVec3, half: DVec3, radius: f64) -> Option<Entry> 
         }
     }
     let p = o + d * t;
-    t.is_finite().then(|| Entry { t, normal: (p - p.clamp(-inner, inner)).normalize_or_zero() })
+    t.is_finite().then(|| Entry {
+        t,
+        normal: (p - p.clamp(-inner, inner)).normalize_or_zero(),
+    })
 }
 
 #[cfg(test)]
@@ -207,7 +239,16 @@ mod tests {
     fn solid(shape: Shape, half: DVec3) -> Solid {
         let axes = DMat3::from_rotation_z(0.4) * DMat3::from_rotation_x(0.3);
         let center = DVec3::new(0.2, -0.1, 0.5);
-        Solid { shape, half, center, axes, material: 0, instance: 0, class: 1, casts_shadow: true }
+        Solid {
+            shape,
+            half,
+            center,
+            axes,
+            material: 0,
+            instance: 0,
+            class: 1,
+            casts_shadow: true,
+        }
     }
 
     /// Signed 'is inside' of each shape, written from its definition rather than from the intersection.
@@ -230,16 +271,23 @@ mod tests {
     fn entries_lie_on_the_surface_and_nothing_comes_before_them() {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
         let half = DVec3::new(0.5, 0.5, 0.8);
-        for shape in
-            [Shape::Box, Shape::Rounded(0.2), Shape::Ellipsoid, Shape::Frustum(1.0, 0.3), Shape::Frustum(0.4, 1.0)]
-        {
+        for shape in [
+            Shape::Box,
+            Shape::Rounded(0.2),
+            Shape::Ellipsoid,
+            Shape::Frustum(1.0, 0.3),
+            Shape::Frustum(0.4, 1.0),
+        ] {
             let s = solid(shape, half);
             let mut hits = 0;
             for _ in 0..4000 {
-                let mut draw = || DVec3::new(rng.random(), rng.random(), rng.random()) * 2.0 - DVec3::ONE;
+                let mut draw =
+                    || DVec3::new(rng.random(), rng.random(), rng.random()) * 2.0 - DVec3::ONE;
                 let o = s.center + draw().normalize_or(DVec3::X) * 3.0;
                 let d = s.center + draw() - o;
-                let march = (0..3000).map(|i| i as f64 * 5e-4).find(|&t| inside(shape, half, s.to_local(o + d * t)));
+                let march = (0..3000)
+                    .map(|i| i as f64 * 5e-4)
+                    .find(|&t| inside(shape, half, s.to_local(o + d * t)));
                 let Some(e) = s.hit(o, d, 0.0, 10.0) else {
                     // A grazing ray may slip between two marched samples, never the other way round.
                     assert!(march.is_none(), "{shape:?} missed");
@@ -247,9 +295,21 @@ mod tests {
                 };
                 hits += 1;
                 let p = s.to_local(o + d * e.t);
-                assert!(inside(shape, half, p - e.normal * 1e-6), "{shape:?} {p} {}", e.normal);
-                assert!(!inside(shape, half, p + e.normal * 1e-6), "{shape:?} {p} {}", e.normal);
-                assert!(march.is_none_or(|t| t >= e.t - 1e-9), "{shape:?} something before {}", e.t);
+                assert!(
+                    inside(shape, half, p - e.normal * 1e-6),
+                    "{shape:?} {p} {}",
+                    e.normal
+                );
+                assert!(
+                    !inside(shape, half, p + e.normal * 1e-6),
+                    "{shape:?} {p} {}",
+                    e.normal
+                );
+                assert!(
+                    march.is_none_or(|t| t >= e.t - 1e-9),
+                    "{shape:?} something before {}",
+                    e.t
+                );
             }
             assert!(hits > 500, "{shape:?} {hits}");
         }

@@ -36,7 +36,11 @@ pub(super) fn shell(b: &mut Builder, plan: &Plan, style: &Style, rng: &mut impl 
         _ => Pattern::Planks(light * 0.9, dark, 0.26),
     };
     let floor = b.matt(floor);
-    b.object(class::FLOOR, DVec3::ZERO, 0.0).cuboid([0.0, 0.0, -SLAB / 2.0], [w + 0.4, d + 0.4, SLAB], floor);
+    b.object(class::FLOOR, DVec3::ZERO, 0.0).cuboid(
+        [0.0, 0.0, -SLAB / 2.0],
+        [w + 0.4, d + 0.4, SLAB],
+        floor,
+    );
 
     let ground = rng.random_range(0..PAINTS.len());
     let base = paint(b, ground);
@@ -50,7 +54,12 @@ pub(super) fn shell(b: &mut Builder, plan: &Plan, style: &Style, rng: &mut impl 
     };
     let special = b.matt(special);
     let wainscot = rng.random_bool(0.5);
-    let panelling = b.matt(Pattern::Panels(rgb(0xe4dfd2), rgb(0xb5aea0), rgb(0xe4dfd2), [6, 1]));
+    let panelling = b.matt(Pattern::Panels(
+        rgb(0xe4dfd2),
+        rgb(0xb5aea0),
+        rgb(0xe4dfd2),
+        [6, 1],
+    ));
     for k in 0..4 {
         let length = plan.length(k);
         let material = if k == accent { special } else { base };
@@ -74,8 +83,12 @@ pub(super) fn shell(b: &mut Builder, plan: &Plan, style: &Style, rng: &mut impl 
             o.cuboid([x, 0.0, -0.06], [0.14, d, 0.12], style.woods[1]);
         }
     } else {
-        for (x, y, sx, sy) in [(0.0, 0.5, 1.0, 0.0), (0.0, -0.5, 1.0, 0.0), (0.5, 0.0, 0.0, 1.0), (-0.5, 0.0, 0.0, 1.0)]
-        {
+        for (x, y, sx, sy) in [
+            (0.0, 0.5, 1.0, 0.0),
+            (0.0, -0.5, 1.0, 0.0),
+            (0.5, 0.0, 0.0, 1.0),
+            (-0.5, 0.0, 0.0, 1.0),
+        ] {
             let size = [(sx * w).max(0.12), (sy * d).max(0.12), 0.08];
             o.cuboid([x * (w - 0.12), y * (d - 0.12), -0.04], size, style.white);
         }
@@ -83,8 +96,18 @@ pub(super) fn shell(b: &mut Builder, plan: &Plan, style: &Style, rng: &mut impl 
 }
 
 /// A window with frame, sill and curtains (all of class window); false when the wall has no room.
-pub(super) fn window(b: &mut Builder, plan: &mut Plan, style: &Style, k: usize, rng: &mut impl Rng) -> bool {
-    let (w, low, high) = (rng.random_range(1.1..1.7), 0.92, rng.random_range(2.1..2.25));
+pub(super) fn window(
+    b: &mut Builder,
+    plan: &mut Plan,
+    style: &Style,
+    k: usize,
+    rng: &mut impl Rng,
+) -> bool {
+    let (w, low, high) = (
+        rng.random_range(1.1..1.7),
+        0.92,
+        rng.random_range(2.1..2.25),
+    );
     let color = style.palette[rng.random_range(0..4)];
     for _ in 0..20 {
         let reach = plan.length(k) / 2.0 - w / 2.0 - 0.5;
@@ -92,7 +115,16 @@ pub(super) fn window(b: &mut Builder, plan: &mut Plan, style: &Style, k: usize, 
             return false;
         }
         let s = rng.random_range(-reach..reach);
-        if !plan.take_wall(k, [s - w / 2.0 - 0.36, s + w / 2.0 + 0.36, low - 0.1, high + 0.2], 0.1) {
+        if !plan.take_wall(
+            k,
+            [
+                s - w / 2.0 - 0.36,
+                s + w / 2.0 + 0.36,
+                low - 0.1,
+                high + 0.2,
+            ],
+            0.1,
+        ) {
             continue;
         }
         let view = b.add_material(Pattern::Scenery(yaw(k) + 0.25 * s), 0.95, 0.0);
@@ -100,23 +132,47 @@ pub(super) fn window(b: &mut Builder, plan: &mut Plan, style: &Style, k: usize, 
         let mut o = b.object(class::WINDOW, plan.on_wall(k, s, 0.0, 0.0), yaw(k));
         pane(&mut o, [w, low, high], view);
         for x in [-0.5, 0.5] {
-            o.cuboid([x * (w + 0.03), 0.025, (low + high) / 2.0], [0.06, 0.05, high - low + 0.09], style.white);
-            o.cuboid([x * (w + 0.36), 0.055, (low + high) / 2.0 + 0.02], [0.3, 0.05, high - low + 0.22], cloth);
+            o.cuboid(
+                [x * (w + 0.03), 0.025, (low + high) / 2.0],
+                [0.06, 0.05, high - low + 0.09],
+                style.white,
+            );
+            o.cuboid(
+                [x * (w + 0.36), 0.055, (low + high) / 2.0 + 0.02],
+                [0.3, 0.05, high - low + 0.22],
+                cloth,
+            );
         }
         for z in [low, high] {
             o.cuboid([0.0, 0.025, z], [w, 0.05, 0.07], style.white);
         }
-        o.cuboid([0.0, 0.02, (low + high) / 2.0], [0.05, 0.04, high - low], style.white);
-        o.cuboid([0.0, 0.02, low + 0.68 * (high - low)], [w, 0.035, 0.04], style.white);
+        o.cuboid(
+            [0.0, 0.02, (low + high) / 2.0],
+            [0.05, 0.04, high - low],
+            style.white,
+        );
+        o.cuboid(
+            [0.0, 0.02, low + 0.68 * (high - low)],
+            [w, 0.035, 0.04],
+            style.white,
+        );
         o.cuboid([0.0, 0.05, low - 0.045], [w + 0.1, 0.1, 0.03], style.white);
-        o.cuboid([0.0, 0.06, high + 0.15], [w + 0.8, 0.025, 0.03], style.metal);
+        o.cuboid(
+            [0.0, 0.06, high + 0.15],
+            [w + 0.8, 0.025, 0.03],
+            style.metal,
+        );
         return true;
     }
     false
 }
 
 fn pane(o: &mut Object, [w, low, high]: [f64; 3], view: usize) {
-    o.cuboid([0.0, 0.004, (low + high) / 2.0], [w, 0.008, high - low], view);
+    o.cuboid(
+        [0.0, 0.004, (low + high) / 2.0],
+        [w, 0.008, high - low],
+        view,
+    );
     o.translucent();
     let light = Light::Pane {
         center: o.place([0.0, 0.05, (low + high) / 2.0]),
@@ -130,8 +186,16 @@ fn pane(o: &mut Object, [w, low, high]: [f64; 3], view: usize) {
 
 /// A framed picture on a free piece of wall.
 pub(super) fn picture(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl Rng) {
-    let (w, h) = [(0.6, 0.8), (0.95, 0.65), (1.25, 0.8), (0.5, 0.5), (0.75, 0.75)][rng.random_range(0..5)];
-    let z = rng.random_range(1.5..1.68_f64).min(plan.size.z - 0.3 - h / 2.0);
+    let (w, h) = [
+        (0.6, 0.8),
+        (0.95, 0.65),
+        (1.25, 0.8),
+        (0.5, 0.5),
+        (0.75, 0.75),
+    ][rng.random_range(0..5)];
+    let z = rng
+        .random_range(1.5..1.68_f64)
+        .min(plan.size.z - 0.3 - h / 2.0);
     for _ in 0..30 {
         let k = rng.random_range(0..4);
         let reach = plan.length(k) / 2.0 - w / 2.0 - 0.2;
@@ -141,7 +205,8 @@ pub(super) fn picture(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut
         }
         let colors = style.three(rng);
         let canvas = b.matt(Pattern::Painting(rng.random_range(0..6), colors));
-        let frame = [style.woods[0], style.woods[1], style.metal, style.white][rng.random_range(0..4)];
+        let frame =
+            [style.woods[0], style.woods[1], style.metal, style.white][rng.random_range(0..4)];
         let mut o = b.object(class::PICTURE, plan.on_wall(k, s, 0.0, z), yaw(k));
         o.cuboid([0.0, 0.012, 0.0], [w - 0.03, 0.024, h - 0.03], canvas);
         for side in [-0.5, 0.5] {
@@ -165,8 +230,17 @@ pub(super) fn rug(
     let colors = style.three(rng);
     let wool = b.matt(Pattern::Rug(rng.random_range(0..4), colors));
     // Half extents along room axes; rugs lie at right angles to the walls.
-    let flat = if (turn.sin()).abs() > 0.5 { DVec3::new(d, w, 0.0) } else { DVec3::new(w, d, 0.0) } / 2.0;
+    let flat = if (turn.sin()).abs() > 0.5 {
+        DVec3::new(d, w, 0.0)
+    } else {
+        DVec3::new(w, d, 0.0)
+    } / 2.0;
     let reach = (plan.size / 2.0 - flat - 0.08).max(DVec3::ZERO);
-    let center = DVec3::new(at.x.clamp(-reach.x, reach.x), at.y.clamp(-reach.y, reach.y), 0.0);
-    b.object(class::FLOOR, center, turn).cuboid([0.0, 0.0, 0.006], [w, d, 0.012], wool);
+    let center = DVec3::new(
+        at.x.clamp(-reach.x, reach.x),
+        at.y.clamp(-reach.y, reach.y),
+        0.0,
+    );
+    b.object(class::FLOOR, center, turn)
+        .cuboid([0.0, 0.0, 0.006], [w, d, 0.012], wool);
 }

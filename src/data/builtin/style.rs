@@ -70,7 +70,15 @@ impl Style {
         ];
         let white = b.matt(Pattern::Plain(rgb(0xeeeae0)));
         let metal = b.matt(Pattern::Plain(rgb(0x3a3d42)));
-        Self { woods, wood_colors, white, metal, cloths, accents, palette }
+        Self {
+            woods,
+            wood_colors,
+            white,
+            metal,
+            cloths,
+            accents,
+            palette,
+        }
     }
 
     /// Three different colours of the palette.

@@ -24,16 +24,37 @@ impl<'a> Entry<'a> {
         Self { path, place, value }
     }
 
-    pub fn error(&self, field: &str, found: impl Into<String>, expected: &str, mend: &str) -> Error {
+    pub fn error(
+        &self,
+        field: &str,
+        found: impl Into<String>,
+        expected: &str,
+        mend: &str,
+    ) -> Error {
         let dot = if self.place.is_empty() { "" } else { "." };
-        Error::input(self.path, format!("{}{dot}{field}", self.place), found, expected, mend)
+        Error::input(
+            self.path,
+            format!("{}{dot}{field}", self.place),
+            found,
+            expected,
+            mend,
+        )
     }
 
     fn unlike(&self, field: &str, value: Option<&Value>, expected: &str) -> Error {
         let found = value.map_or_else(|| "nothing".to_owned(), |value| value.to_string());
         let short: String = found.chars().take(SHOWN).collect();
-        let found = if short.len() < found.len() { format!("{short}...") } else { found };
-        self.error(field, found, expected, "mend the field, or export the cameras again")
+        let found = if short.len() < found.len() {
+            format!("{short}...")
+        } else {
+            found
+        };
+        self.error(
+            field,
+            found,
+            expected,
+            "mend the field, or export the cameras again",
+        )
     }
 
     /// The field, where it is there.
@@ -44,7 +65,8 @@ impl<'a> Entry<'a> {
     /// A list.
     pub fn list(&self, field: &str) -> Result<&'a [Value]> {
         let list = self.get(field).and_then(Value::as_array);
-        list.map(Vec::as_slice).ok_or_else(|| self.unlike(field, self.get(field), "a list"))
+        list.map(Vec::as_slice)
+            .ok_or_else(|| self.unlike(field, self.get(field), "a list"))
     }
 
     /// A number that is finite in f32 too.
@@ -55,14 +77,19 @@ impl<'a> Entry<'a> {
 
     /// `N` numbers, each finite in f32 too.
     pub fn numbers<const N: usize>(&self, field: &str) -> Result<[f64; N]> {
-        numbers(self.get(field))
-            .ok_or_else(|| self.unlike(field, self.get(field), &format!("{N} finite numbers (f32)")))
+        numbers(self.get(field)).ok_or_else(|| {
+            self.unlike(field, self.get(field), &format!("{N} finite numbers (f32)"))
+        })
     }
 
     /// Three rows of three such numbers.
     pub fn rows(&self, field: &str) -> Result<[[f64; 3]; 3]> {
-        let rows = self.get(field).and_then(Value::as_array).filter(|rows| rows.len() == 3);
-        let read = rows.and_then(|r| Some([numbers(r.first())?, numbers(r.get(1))?, numbers(r.get(2))?]));
+        let rows = self
+            .get(field)
+            .and_then(Value::as_array)
+            .filter(|rows| rows.len() == 3);
+        let read =
+            rows.and_then(|r| Some([numbers(r.first())?, numbers(r.get(1))?, numbers(r.get(2))?]));
         read.ok_or_else(|| self.unlike(field, self.get(field), "3 rows of 3 finite numbers (f32)"))
     }
 
@@ -78,7 +105,12 @@ impl<'a> Entry<'a> {
             return Ok(focal);
         }
         let expected = "a focal length of 0.001 to 1e9 pixels";
-        Err(self.error(field, format!("{focal:?} pixels"), expected, "mend the focal length or field of view"))
+        Err(self.error(
+            field,
+            format!("{focal:?} pixels"),
+            expected,
+            "mend the focal length or field of view",
+        ))
     }
 
     /// Width and height in pixels, no more in all than an image may have.
@@ -93,8 +125,18 @@ impl<'a> Entry<'a> {
             *size = value as usize;
         }
         let pixels = (size[0] as u64).saturating_mul(size[1] as u64);
-        let what = format!("{}: pixels of {} {}", self.path.display(), self.place, fields.join(" x "));
-        Limits::check(what, pixels, Limits::default().image_pixels, "lower the size")?;
+        let what = format!(
+            "{}: pixels of {} {}",
+            self.path.display(),
+            self.place,
+            fields.join(" x ")
+        );
+        Limits::check(
+            what,
+            pixels,
+            Limits::default().image_pixels,
+            "lower the size",
+        )?;
         Ok(size)
     }
 }

@@ -17,7 +17,12 @@ pub(super) fn cameras(path: &Path, list: &[Value]) -> Result<Vec<NamedCamera>> {
         if let Some(first) = seen.insert(name.clone(), i) {
             let found = format!("{name:?}, which cameras[{first}] has too");
             let expected = "names that differ: outputs are named by them";
-            return Err(entry.error("img_name", found, expected, "rename one of the cameras or drop it"));
+            return Err(entry.error(
+                "img_name",
+                found,
+                expected,
+                "rename one of the cameras or drop it",
+            ));
         }
         let size = entry.size(["width", "height"])?;
         let focal = [entry.focal("fx")?, entry.focal("fy")?];
@@ -26,7 +31,11 @@ pub(super) fn cameras(path: &Path, list: &[Value]) -> Result<Vec<NamedCamera>> {
         let mut c2w = DMat4::from_mat3(rotation);
         c2w.w_axis = position.extend(1.0);
         let camera = centred(&entry, "rotation", focal, size, c2w)?;
-        cameras.push(NamedCamera { name, split: Split::Train, camera });
+        cameras.push(NamedCamera {
+            name,
+            split: Split::Train,
+            camera,
+        });
     }
     Ok(cameras)
 }
@@ -38,10 +47,19 @@ fn name(entry: &Entry<'_>) -> Result<String> {
         Some(Value::Number(number)) => number.to_string(),
         _ => String::new(),
     };
-    let extension = given.rsplit_once('.').filter(|(_, e)| ["png", "jpg", "jpeg"].contains(&&*e.to_lowercase()));
-    let name = extension.map_or(&*given, |(stem, _)| stem).replace(['/', '\\'], "_");
+    let extension = given
+        .rsplit_once('.')
+        .filter(|(_, e)| ["png", "jpg", "jpeg"].contains(&&*e.to_lowercase()));
+    let name = extension
+        .map_or(&*given, |(stem, _)| stem)
+        .replace(['/', '\\'], "_");
     match name.is_empty() {
-        true => Err(entry.error("img_name", "no name", "the name of an image", "name the camera")),
+        true => Err(entry.error(
+            "img_name",
+            "no name",
+            "the name of an image",
+            "name the camera",
+        )),
         false => Ok(name),
     }
 }

@@ -15,7 +15,8 @@ use std::path::Path;
 
 /// The file of cameras in a run folder, and in the model folders of graphdeco's 3DGS.
 const IN_FOLDER: &str = "cameras.json";
-const EXPECTED: &str = "cameras: a transforms.json, cameras.json of 3DGS, or camera path of nerfstudio";
+const EXPECTED: &str =
+    "cameras: a transforms.json, cameras.json of 3DGS, or camera path of nerfstudio";
 const MEND: &str = "give a file of cameras, such as the cameras.json of a run";
 
 /// The cameras at `path`, in their order, without looking at photos more than needed. In world units, where the writer of the
@@ -40,7 +41,9 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
         let inside = path.join(IN_FOLDER);
         return match layout::locate(path, &options) {
             // Nothing else is there to be read; of two layouts one has to be chosen.
-            Err(Error::Input { found, .. }) if inside.is_file() && found.starts_with("no such file") => {
+            Err(Error::Input { found, .. })
+                if inside.is_file() && found.starts_with("no such file") =>
+            {
                 read_cameras(&inside, split)
             }
             _ => super::load_cameras(path, &options, split),
@@ -57,7 +60,13 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
     let (blank, tokens) = blanked(text);
     let value: Value = serde_json::from_str(&blank).map_err(|e| {
         let mend = "mend the file there or export it again";
-        Error::input(path, format!("line {}", e.line()), e.to_string(), "JSON with cameras", mend)
+        Error::input(
+            path,
+            format!("line {}", e.line()),
+            e.to_string(),
+            "JSON with cameras",
+            mend,
+        )
     })?;
     let read = match &value {
         Value::Array(list) => graphdeco::cameras(path, list),
@@ -66,17 +75,31 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
             drop(value);
             return transforms::load_cameras(path, split);
         }
-        Value::Object(object) if object.contains_key("camera_path") => nerfstudio::cameras(path, &value),
+        Value::Object(object) if object.contains_key("camera_path") => {
+            nerfstudio::cameras(path, &value)
+        }
         _ => return Err(Error::input(path, "frames", "nothing", EXPECTED, MEND)),
     };
     if let Some(token) = tokens.first() {
         let mend = "export the cameras again";
-        return Err(Error::input(path, format!("line {}", token.line), token.text, "finite numbers", mend));
+        return Err(Error::input(
+            path,
+            format!("line {}", token.line),
+            token.text,
+            "finite numbers",
+            mend,
+        ));
     }
     let cameras = read?;
     if split == Some(Split::Test) {
         let found = "cameras without splits, all for training";
-        return Err(Error::input(path, "split", found, "held-out cameras", "ask for all of them"));
+        return Err(Error::input(
+            path,
+            "split",
+            found,
+            "held-out cameras",
+            "ask for all of them",
+        ));
     }
     Ok(cameras)
 }
@@ -84,21 +107,53 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
 /// No list is empty, or longer than a scene may be.
 fn check_count(path: &Path, field: &str, list: &[Value]) -> Result<()> {
     if list.is_empty() {
-        return Err(Error::input(path, field, "no cameras", "at least one", "export them again"));
+        return Err(Error::input(
+            path,
+            field,
+            "no cameras",
+            "at least one",
+            "export them again",
+        ));
     }
     let (found, limit) = (list.len() as u64, Limits::default().views as u64);
-    Limits::check(format!("{}: {field}", path.display()), found, limit, "drop some of them")
+    Limits::check(
+        format!("{}: {field}", path.display()),
+        found,
+        limit,
+        "drop some of them",
+    )
 }
 
 /// A camera with its principal point in the middle. `field` of `entry` is where its pose `c2w`, OpenCV axes, came from.
-fn centred(entry: &Entry<'_>, field: &str, [fx, fy]: [f64; 2], size: [usize; 2], c2w: DMat4) -> Result<Camera> {
+fn centred(
+    entry: &Entry<'_>,
+    field: &str,
+    [fx, fy]: [f64; 2],
+    size: [usize; 2],
+    c2w: DMat4,
+) -> Result<Camera> {
     let [width, height] = size;
-    let intrinsics = Intrinsics { fx, fy, cx: 0.5 * width as f64, cy: 0.5 * height as f64, width, height };
+    let intrinsics = Intrinsics {
+        fx,
+        fy,
+        cx: 0.5 * width as f64,
+        cy: 0.5 * height as f64,
+        width,
+        height,
+    };
     Camera::from_opencv(&c2w, intrinsics).ok_or_else(|| {
         let m = DMat3::from_mat4(c2w);
         let lengths = [m.x_axis, m.y_axis, m.z_axis].map(|a| a.length());
-        let found = format!("column lengths {lengths:.4?}, determinant {:.4}", m.determinant());
+        let found = format!(
+            "column lengths {lengths:.4?}, determinant {:.4}",
+            m.determinant()
+        );
         let expected = "a rotation (orthonormal columns, determinant +1)";
-        entry.error(field, found, expected, "remove scale, shear and mirroring from the pose")
+        entry.error(
+            field,
+            found,
+            expected,
+            "remove scale, shear and mirroring from the pose",
+        )
     })
 }

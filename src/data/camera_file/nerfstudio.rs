@@ -11,7 +11,10 @@ use std::path::Path;
 
 pub(super) fn cameras(path: &Path, value: &Value) -> Result<Vec<NamedCamera>> {
     let whole = Entry::new(path, String::new(), value);
-    let kind = whole.get("camera_type").and_then(Value::as_str).unwrap_or("perspective");
+    let kind = whole
+        .get("camera_type")
+        .and_then(Value::as_str)
+        .unwrap_or("perspective");
     if !kind.eq_ignore_ascii_case("perspective") {
         let mend = "export the path with a perspective camera";
         return Err(whole.error("camera_type", format!("{kind:?}"), "\"perspective\"", mend));
@@ -24,9 +27,15 @@ pub(super) fn cameras(path: &Path, value: &Value) -> Result<Vec<NamedCamera>> {
         let fov = entry.number("fov")?;
         if !(fov > 0.0 && fov < 180.0) {
             let expected = "vertical degrees above 0, below 180";
-            return Err(entry.error("fov", format!("{fov:?}"), expected, "mend the field of view"));
+            return Err(entry.error(
+                "fov",
+                format!("{fov:?}"),
+                expected,
+                "mend the field of view",
+            ));
         }
-        let focal = entry.check_focal("fov", 0.5 * height as f64 / (0.5 * fov.to_radians()).tan())?;
+        let focal =
+            entry.check_focal("fov", 0.5 * height as f64 / (0.5 * fov.to_radians()).tan())?;
         let field = "camera_to_world";
         // By rows.
         let c2w = DMat4::from_cols_array(&entry.numbers(field)?).transpose();
@@ -38,7 +47,11 @@ pub(super) fn cameras(path: &Path, value: &Value) -> Result<Vec<NamedCamera>> {
         // From OpenGL's axes: y and z the other way.
         let c2w = DMat4::from_cols(c2w.x_axis, -c2w.y_axis, -c2w.z_axis, c2w.w_axis);
         let camera = centred(&entry, field, [focal; 2], [width, height], c2w)?;
-        Ok(NamedCamera { name: format!("path_{i:04}"), split: Split::Train, camera })
+        Ok(NamedCamera {
+            name: format!("path_{i:04}"),
+            split: Split::Train,
+            camera,
+        })
     };
     list.iter().enumerate().map(camera).collect()
 }

@@ -11,7 +11,11 @@ use std::path::{Path, PathBuf};
 /// Longest name of an image, in bytes: beyond what file systems have.
 const NAME: usize = 4_096;
 /// Bytes of the smallest camera, image and point there can be.
-const SMALLEST: [u64; 3] = [4 + 4 + 16 + 3 * 8, 4 + 7 * 8 + 4 + 2 + 8, 8 + 24 + 3 + 8 + 8];
+const SMALLEST: [u64; 3] = [
+    4 + 4 + 16 + 3 * 8,
+    4 + 7 * 8 + 4 + 2 + 8,
+    8 + 24 + 3 + 8 + 8,
+];
 /// Bytes of an observation in an image and of one in the track of a point.
 const OBSERVATION: [u64; 2] = [24, 8];
 
@@ -26,12 +30,26 @@ struct Bytes {
 impl Bytes {
     fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
-        let length = file.metadata().map_err(|e| Error::io(path, "measure", e))?.len();
-        Ok(Self { path: path.to_owned(), reader: BufReader::with_capacity(1 << 18, file), at: 0, length })
+        let length = file
+            .metadata()
+            .map_err(|e| Error::io(path, "measure", e))?
+            .len();
+        Ok(Self {
+            path: path.to_owned(),
+            reader: BufReader::with_capacity(1 << 18, file),
+            at: 0,
+            length,
+        })
     }
 
     fn error(&self, field: &str, found: String, expected: &str) -> Error {
-        Error::input(&self.path, format!("{field} at byte {}", self.at), found, expected, AGAIN)
+        Error::input(
+            &self.path,
+            format!("{field} at byte {}", self.at),
+            found,
+            expected,
+            AGAIN,
+        )
     }
 
     /// Refuses what the rest of the file cannot hold.
@@ -40,13 +58,19 @@ impl Bytes {
         if bytes <= left {
             return Ok(());
         }
-        Err(self.error(field, format!("the file's end after {left} bytes"), &format!("{bytes} bytes more")))
+        Err(self.error(
+            field,
+            format!("the file's end after {left} bytes"),
+            &format!("{bytes} bytes more"),
+        ))
     }
 
     fn take<const N: usize>(&mut self, field: &str) -> Result<[u8; N]> {
         self.expect(N as u64, field)?;
         let mut out = [0; N];
-        self.reader.read_exact(&mut out).map_err(|e| Error::io(&self.path, "read", e))?;
+        self.reader
+            .read_exact(&mut out)
+            .map_err(|e| Error::io(&self.path, "read", e))?;
         self.at += N as u64;
         Ok(out)
     }
@@ -76,14 +100,21 @@ impl Bytes {
             return Ok(count);
         }
         self.at = start;
-        Err(self.error(field, count.to_string(), &format!("at most {}, what {left} bytes can hold", left / each)))
+        Err(self.error(
+            field,
+            count.to_string(),
+            &format!("at most {}, what {left} bytes can hold", left / each),
+        ))
     }
 
     fn skip(&mut self, bytes: u64, field: &str) -> Result<()> {
         self.expect(bytes, field)?;
         // `expect` bounds it by the file's length.
-        let offset = i64::try_from(bytes).map_err(|e| Error::io(&self.path, "seek", std::io::Error::other(e)))?;
-        self.reader.seek_relative(offset).map_err(|e| Error::io(&self.path, "seek", e))?;
+        let offset = i64::try_from(bytes)
+            .map_err(|e| Error::io(&self.path, "seek", std::io::Error::other(e)))?;
+        self.reader
+            .seek_relative(offset)
+            .map_err(|e| Error::io(&self.path, "seek", e))?;
         self.at += bytes;
         Ok(())
     }
@@ -119,7 +150,11 @@ impl Bytes {
             return Ok(());
         }
         let more = format!("{} bytes more", self.length.saturating_sub(self.at));
-        Err(self.error("end", more, "the file's end: another version of the format, or a damaged file"))
+        Err(self.error(
+            "end",
+            more,
+            "the file's end: another version of the format, or a damaged file",
+        ))
     }
 }
 
@@ -138,7 +173,13 @@ pub(super) fn cameras(path: &Path) -> Result<Vec<ModelCamera>> {
             let [value] = file.f64s("PARAMS")?;
             params.push(value);
         }
-        cameras.push(ModelCamera { id, model: model.name, size, params, place });
+        cameras.push(ModelCamera {
+            id,
+            model: model.name,
+            size,
+            params,
+            place,
+        });
     }
     file.end()?;
     Ok(cameras)
@@ -154,7 +195,12 @@ pub(super) fn images(path: &Path, limits: &Limits) -> Result<Vec<PosedImage>> {
     let count = file.count(SMALLEST[1], "number of images")?;
     // Far more than views are kept may be thinned out later, but not without end.
     let most = (limits.views as u64).saturating_mul(64);
-    Limits::check(format!("{}: images", path.display()), count, most, "split the model")?;
+    Limits::check(
+        format!("{}: images", path.display()),
+        count,
+        most,
+        "split the model",
+    )?;
     let mut images = Vec::new();
     for i in 0..count {
         let place = format!("image {i} at byte {}", file.at);
@@ -165,7 +211,13 @@ pub(super) fn images(path: &Path, limits: &Limits) -> Result<Vec<PosedImage>> {
         let name = file.name("NAME")?;
         let observations = file.count(OBSERVATION[0], "number of POINTS2D")?;
         file.skip(observations * OBSERVATION[0], "POINTS2D")?;
-        images.push(PosedImage { name, rotation, translation, camera, place });
+        images.push(PosedImage {
+            name,
+            rotation,
+            translation,
+            camera,
+            place,
+        });
     }
     file.end()?;
     Ok(images)
@@ -175,7 +227,12 @@ pub(super) fn images(path: &Path, limits: &Limits) -> Result<Vec<PosedImage>> {
 pub(super) fn points(path: &Path, limits: &Limits, take: &mut TakePoint<'_>) -> Result<()> {
     let mut file = Bytes::open(path)?;
     let count = file.count(SMALLEST[2], "number of points")?;
-    Limits::check(format!("{}: points", path.display()), count, limits.points, "thin the cloud out")?;
+    Limits::check(
+        format!("{}: points", path.display()),
+        count,
+        limits.points,
+        "thin the cloud out",
+    )?;
     for i in 0..count {
         let start = file.at;
         file.u64("POINT3D_ID")?;
@@ -184,7 +241,10 @@ pub(super) fn points(path: &Path, limits: &Limits, take: &mut TakePoint<'_>) -> 
         file.f64s::<1>("ERROR")?;
         let track = file.count(OBSERVATION[1], "length of TRACK")?;
         file.skip(track * OBSERVATION[1], "TRACK")?;
-        take(&|| format!("point {i} at byte {start}"), ModelPoint { position, color })?;
+        take(
+            &|| format!("point {i} at byte {start}"),
+            ModelPoint { position, color },
+        )?;
     }
     file.end()
 }

@@ -50,24 +50,42 @@ impl Model {
     /// [`Error::Input`] for numbers of no model and of models that are not read.
     pub fn from_number(number: i32, path: &Path, place: &str) -> Result<Self> {
         let known = usize::try_from(number).ok().and_then(|n| MODELS.get(n));
-        known.filter(|m| m.2).map(|m| Self { name: m.0, params: m.1 }).ok_or_else(|| {
-            let name = known.map_or_else(|| format!("model number {number}"), |m| m.0.to_owned());
-            refused(path, place, name)
-        })
+        known
+            .filter(|m| m.2)
+            .map(|m| Self {
+                name: m.0,
+                params: m.1,
+            })
+            .ok_or_else(|| {
+                let name =
+                    known.map_or_else(|| format!("model number {number}"), |m| m.0.to_owned());
+                refused(path, place, name)
+            })
     }
 
     /// # Errors
     /// As [`Model::from_number`].
     pub fn from_name(name: &str, path: &Path, place: &str) -> Result<Self> {
         let known = MODELS.iter().find(|m| m.0 == name && m.2);
-        known.map(|m| Self { name: m.0, params: m.1 }).ok_or_else(|| refused(path, place, name.to_owned()))
+        known
+            .map(|m| Self {
+                name: m.0,
+                params: m.1,
+            })
+            .ok_or_else(|| refused(path, place, name.to_owned()))
     }
 }
 
 fn refused(path: &Path, place: &str, found: String) -> Error {
     let read: Vec<_> = MODELS.iter().filter(|m| m.2).map(|m| m.0).collect();
     let mend = "run `colmap image_undistorter` and give the folder that it writes";
-    Error::input(path, format!("{place}: MODEL"), found, format!("one of {}", read.join(", ")), mend)
+    Error::input(
+        path,
+        format!("{place}: MODEL"),
+        found,
+        format!("one of {}", read.join(", ")),
+        mend,
+    )
 }
 
 impl ModelCamera {
@@ -75,11 +93,24 @@ impl ModelCamera {
     pub fn checked(&self, path: &Path) -> Result<(Intrinsics, Lens)> {
         let error = |field: &str, found: String, expected: &str| {
             let field = format!("{} (camera {}): {field}", self.place, self.id);
-            Err(Error::input(path, field, found, expected, "calibrate again, or copy the file again"))
+            Err(Error::input(
+                path,
+                field,
+                found,
+                expected,
+                "calibrate again, or copy the file again",
+            ))
         };
         let [width, height] = self.size;
-        if ![width, height].iter().all(|side| (1..=u64::from(u32::MAX)).contains(side)) {
-            return error("WIDTH HEIGHT", format!("{width} {height}"), "pixels, at least 1 and below 2^32");
+        if ![width, height]
+            .iter()
+            .all(|side| (1..=u64::from(u32::MAX)).contains(side))
+        {
+            return error(
+                "WIDTH HEIGHT",
+                format!("{width} {height}"),
+                "pixels, at least 1 and below 2^32",
+            );
         }
         let p = &self.params;
         if p.iter().any(|v| !v.is_finite()) {
@@ -88,20 +119,63 @@ impl ModelCamera {
         let (f, c, lens) = match (self.model, &p[..]) {
             ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], Lens::default()),
             ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], Lens::default()),
-            ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f], [cx, cy], Lens { k: [k, 0.0, 0.0], p: [0.0; 2] }),
-            ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], Lens { k: [k1, k2, 0.0], p: [0.0; 2] }),
-            ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
-                ([fx, fy], [cx, cy], Lens { k: [k1, k2, 0.0], p: [p1, p2] })
+            ("SIMPLE_RADIAL", &[f, cx, cy, k]) => (
+                [f, f],
+                [cx, cy],
+                Lens {
+                    k: [k, 0.0, 0.0],
+                    p: [0.0; 2],
+                },
+            ),
+            ("RADIAL", &[f, cx, cy, k1, k2]) => (
+                [f, f],
+                [cx, cy],
+                Lens {
+                    k: [k1, k2, 0.0],
+                    p: [0.0; 2],
+                },
+            ),
+            ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => (
+                [fx, fy],
+                [cx, cy],
+                Lens {
+                    k: [k1, k2, 0.0],
+                    p: [p1, p2],
+                },
+            ),
+            _ => {
+                return error(
+                    "PARAMS",
+                    format!("{} numbers", p.len()),
+                    "as many as the model has",
+                );
             }
-            _ => return error("PARAMS", format!("{} numbers", p.len()), "as many as the model has"),
         };
         if f.iter().any(|f| !(1e-3..=MAX_PIXELS).contains(f)) {
-            return error("PARAMS, focal length", format!("{f:?}"), "a positive number of pixels, 0.001 to 1e9");
+            return error(
+                "PARAMS, focal length",
+                format!("{f:?}"),
+                "a positive number of pixels, 0.001 to 1e9",
+            );
         }
         if c.iter().any(|c| c.abs() > MAX_PIXELS) {
-            return error("PARAMS, principal point", format!("{c:?}"), "pixels from the image corner");
+            return error(
+                "PARAMS, principal point",
+                format!("{c:?}"),
+                "pixels from the image corner",
+            );
         }
         let (width, height) = (width as usize, height as usize);
-        Ok((Intrinsics { fx: f[0], fy: f[1], cx: c[0], cy: c[1], width, height }, lens))
+        Ok((
+            Intrinsics {
+                fx: f[0],
+                fy: f[1],
+                cx: c[0],
+                cy: c[1],
+                width,
+                height,
+            },
+            lens,
+        ))
     }
 }

@@ -59,24 +59,42 @@ pub(super) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
     if dir.join(&options.images).is_dir() {
         return Ok(());
     }
-    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten().filter(|entry| entry.path().is_dir());
+    let entries = std::fs::read_dir(dir)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter(|entry| entry.path().is_dir());
     let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
     let mut others: Vec<String> = names.filter(|name| name.starts_with("images")).collect();
     others.sort_unstable();
     let (found, mend) = match &others[..] {
-        [] => ("no such folder".to_owned(), "put the photos there, or name their folder with data.images".to_owned()),
-        [first, ..] => {
-            (format!("no such folder, but {}", others.join(", ")), format!("name one with --set data.images={first}"))
-        }
+        [] => (
+            "no such folder".to_owned(),
+            "put the photos there, or name their folder with data.images".to_owned(),
+        ),
+        [first, ..] => (
+            format!("no such folder, but {}", others.join(", ")),
+            format!("name one with --set data.images={first}"),
+        ),
     };
-    Err(Error::input(dir, &options.images, found, "the folder of the photos that the model was made from", mend))
+    Err(Error::input(
+        dir,
+        &options.images,
+        found,
+        "the folder of the photos that the model was made from",
+        mend,
+    ))
 }
 
 /// What the folder says.
 pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
     let limits = &options.limits;
-    let SparseModel { folder, cameras: cameras_file, images: images_file, passed_over } =
-        SparseModel::find(dir, limits)?;
+    let SparseModel {
+        folder,
+        cameras: cameras_file,
+        images: images_file,
+        passed_over,
+    } = SparseModel::find(dir, limits)?;
     let cameras = match &cameras_file {
         ModelFile::Binary(path) => binary::cameras(path)?,
         ModelFile::Text(path) => text::cameras(path)?,
@@ -97,13 +115,22 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         let name = image.view_name();
         let posed = images_file.path();
         if let Some(first) = names.insert(name.clone(), &image.place) {
-            let expected = "an image once: views and outputs are named by their path without extension";
+            let expected =
+                "an image once: views and outputs are named by their path without extension";
             let found = format!("{}, which {first} has too", image.name);
-            problems.push(Error::input(posed, &image.place, found, expected, "drop the repeated image from the model"));
+            problems.push(Error::input(
+                posed,
+                &image.place,
+                found,
+                expected,
+                "drop the repeated image from the model",
+            ));
             continue;
         }
         let camera = image.camera(posed, cameras_file.path(), &cameras);
-        let Some((camera, lens)) = problems.keep(camera) else { continue };
+        let Some((camera, lens)) = problems.keep(camera) else {
+            continue;
+        };
         let below = Path::new(&image.name);
         frames.push(Frame {
             name,
@@ -124,21 +151,32 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let points = ModelFile::find(&folder, "points3D");
     let mut notices: Vec<String> = passed_over.into_iter().collect();
     // The scene folder itself has other pictures too.
-    if Path::new(&options.images).components().any(|part| matches!(part, Component::Normal(_))) {
+    if Path::new(&options.images)
+        .components()
+        .any(|part| matches!(part, Component::Normal(_)))
+    {
         notices.extend(unplaced(&dir.join(&options.images), &images));
     }
     if points.is_none() {
-        notices.push(format!("no points3D in {}: Gaussians start from random points", folder.display()));
+        notices.push(format!(
+            "no points3D in {}: Gaussians start from random points",
+            folder.display()
+        ));
     }
     let missing = frames.iter().filter(|f| f.truth.is_none()).count();
     if missing > 0 && missing < frames.len() {
-        notices.push(format!("{missing} of {} photos have no labels", frames.len()));
+        notices.push(format!(
+            "{missing} of {} photos have no labels",
+            frames.len()
+        ));
     }
     Ok(Listing {
         layout: Layout::Colmap,
         file: images_file.path().to_owned(),
         frames,
-        classes: problems.keep(read_classes(dir, labelled)).unwrap_or_default(),
+        classes: problems
+            .keep(read_classes(dir, labelled))
+            .unwrap_or_default(),
         occurring_classes: false,
         truth_ids: None,
         raw: RawLabels::grey(),
@@ -154,15 +192,30 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
 pub(super) fn read_points(path: &Path, origin: DVec3, limits: &Limits) -> Result<Points> {
     let mut points = Points::default();
     let mut take = |place: &dyn Fn() -> String, point: ModelPoint| {
-        let position = (DVec3::from(point.position) - origin).to_array().map(|v| v as f32);
+        let position = (DVec3::from(point.position) - origin)
+            .to_array()
+            .map(|v| v as f32);
         if let Some(axis) = position.iter().position(|v| !v.is_finite()) {
             let field = format!("{}: {}", place(), ["x", "y", "z"][axis]);
             let found = point.position[axis].to_string();
-            return Err(Error::input(path, field, found, "a finite number (f32)", "remove this point"));
+            return Err(Error::input(
+                path,
+                field,
+                found,
+                "a finite number (f32)",
+                "remove this point",
+            ));
         }
         points.positions.push(position);
-        points.colors.push(point.color.map(|c| f32::from(c) / 255.0));
-        Limits::check(format!("{}: points", path.display()), points.len() as u64, limits.points, "thin the cloud out")
+        points
+            .colors
+            .push(point.color.map(|c| f32::from(c) / 255.0));
+        Limits::check(
+            format!("{}: points", path.display()),
+            points.len() as u64,
+            limits.points,
+            "thin the cloud out",
+        )
     };
     match path.extension().is_some_and(|e| e == "bin") {
         true => binary::points(path, limits, &mut take)?,
@@ -186,10 +239,18 @@ impl PosedImage {
         cameras: &BTreeMap<u32, ModelCamera>,
     ) -> Result<(Camera, super::lens::Lens)> {
         let error = |field: &str, found: String, expected: &str, mend: &str| {
-            Err(Error::input(posed, format!("{} ({}): {field}", self.place, self.name), found, expected, mend))
+            Err(Error::input(
+                posed,
+                format!("{} ({}): {field}", self.place, self.name),
+                found,
+                expected,
+                mend,
+            ))
         };
         if self.view_name().is_empty()
-            || Path::new(&self.name).components().any(|c| !matches!(c, Component::Normal(_) | Component::CurDir))
+            || Path::new(&self.name)
+                .components()
+                .any(|c| !matches!(c, Component::Normal(_) | Component::CurDir))
         {
             return error(
                 "NAME",
@@ -199,8 +260,17 @@ impl PosedImage {
             );
         }
         let Some(model) = cameras.get(&self.camera) else {
-            let expected = format!("one of the {} cameras of {}", cameras.len(), calibrated.display());
-            return error("CAMERA_ID", self.camera.to_string(), &expected, "copy cameras and images of the same model");
+            let expected = format!(
+                "one of the {} cameras of {}",
+                cameras.len(),
+                calibrated.display()
+            );
+            return error(
+                "CAMERA_ID",
+                self.camera.to_string(),
+                &expected,
+                "copy cameras and images of the same model",
+            );
         };
         let [w, x, y, z] = self.rotation;
         let norm = self.rotation.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -211,11 +281,38 @@ impl PosedImage {
         }
         let translation = DVec3::from(self.translation);
         if self.translation.iter().any(|&v| !(v as f32).is_finite()) {
-            return error("TX TY TZ", format!("{:?}", self.translation), "finite numbers (f32)", AGAIN);
+            return error(
+                "TX TY TZ",
+                format!("{:?}", self.translation),
+                "finite numbers (f32)",
+                AGAIN,
+            );
         }
         let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
-        let (Intrinsics { fx, fy, cx, cy, width, height }, lens) = model.checked(calibrated)?;
+        let (
+            Intrinsics {
+                fx,
+                fy,
+                cx,
+                cy,
+                width,
+                height,
+            },
+            lens,
+        ) = model.checked(calibrated)?;
         let center = -(rotation.transpose() * translation);
-        Ok((Camera { rotation, center, fx, fy, cx, cy, width, height }, lens))
+        Ok((
+            Camera {
+                rotation,
+                center,
+                fx,
+                fy,
+                cx,
+                cy,
+                width,
+                height,
+            },
+            lens,
+        ))
     }
 }

@@ -38,9 +38,18 @@ impl SparseModel {
             counts.push(part(&dir.join(folder), "images")?.image_count(limits)?);
         }
         let most = counts.iter().copied().max().unwrap_or_default();
-        let chosen = counts.iter().position(|&count| count == most).unwrap_or_default();
-        let others = folders.iter().zip(&counts).enumerate().filter(|&(i, _)| i != chosen);
-        let others: Vec<String> = others.map(|(_, (folder, count))| format!("{folder} of {count}")).collect();
+        let chosen = counts
+            .iter()
+            .position(|&count| count == most)
+            .unwrap_or_default();
+        let others = folders
+            .iter()
+            .zip(&counts)
+            .enumerate()
+            .filter(|&(i, _)| i != chosen);
+        let others: Vec<String> = others
+            .map(|(_, (folder, count))| format!("{folder} of {count}"))
+            .collect();
         found = Self::one(dir, &folders[chosen..])?;
         let chosen = &folders[chosen];
         found.passed_over = Some(format!(
@@ -59,13 +68,19 @@ impl SparseModel {
     /// That of the first of `folders`.
     fn one(dir: &Path, folders: &[String]) -> Result<Self> {
         let Some(folder) = folders.first() else {
-            let expected = "a model in sparse/0 or sparse: cameras, images and points3D as .bin or .txt";
+            let expected =
+                "a model in sparse/0 or sparse: cameras, images and points3D as .bin or .txt";
             let mend = "run `colmap mapper`, or give another folder";
             return Err(Error::input(dir, "sparse/0", "no model", expected, mend));
         };
         let folder = dir.join(folder);
         let (cameras, images) = (part(&folder, "cameras")?, part(&folder, "images")?);
-        Ok(Self { folder, cameras, images, passed_over: None })
+        Ok(Self {
+            folder,
+            cameras,
+            images,
+            passed_over: None,
+        })
     }
 }
 
@@ -73,7 +88,10 @@ impl SparseModel {
 pub(in crate::data) fn found(dir: &Path) -> Option<String> {
     let folder = candidates(dir).into_iter().next()?;
     let file = files(&dir.join(&folder)).into_iter().flatten().next()?;
-    Some(format!("{folder}/{}", file.path().file_name()?.to_string_lossy()))
+    Some(format!(
+        "{folder}/{}",
+        file.path().file_name()?.to_string_lossy()
+    ))
 }
 
 /// Folders with a model, of the first kind in [`FOLDERS`] that has any, by their numbers. Those with a part of one only where
@@ -81,7 +99,10 @@ pub(in crate::data) fn found(dir: &Path) -> Option<String> {
 fn candidates(dir: &Path) -> Vec<String> {
     for kind in FOLDERS {
         let mut folders: Vec<String> = match kind.strip_suffix("/N") {
-            Some(parent) => numbers(&dir.join(parent)).into_iter().map(|n| format!("{parent}/{n}")).collect(),
+            Some(parent) => numbers(&dir.join(parent))
+                .into_iter()
+                .map(|n| format!("{parent}/{n}"))
+                .collect(),
             None => vec![kind.to_owned()],
         };
         let has = |folder: &String| files(&dir.join(folder)).into_iter().flatten().count();
@@ -101,9 +122,15 @@ fn files(folder: &Path) -> [Option<ModelFile>; 2] {
 
 /// Numbers that are folders in `dir`, in order.
 fn numbers(dir: &Path) -> Vec<u32> {
-    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten().filter(|entry| entry.path().is_dir());
+    let entries = std::fs::read_dir(dir)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter(|entry| entry.path().is_dir());
     let number = |name: String| name.parse::<u32>().ok().filter(|n| n.to_string() == name);
-    let mut numbers: Vec<u32> = entries.filter_map(|e| number(e.file_name().into_string().ok()?)).collect();
+    let mut numbers: Vec<u32> = entries
+        .filter_map(|e| number(e.file_name().into_string().ok()?))
+        .collect();
     numbers.sort_unstable();
     numbers
 }
@@ -152,19 +179,31 @@ impl ModelFile {
 fn part(folder: &Path, name: &str) -> Result<ModelFile> {
     ModelFile::find(folder, name).ok_or_else(|| {
         let expected = format!("{name}.bin or {name}.txt");
-        Error::input(folder, name, "no such file", expected, "copy the whole model: cameras, images and points3D")
+        Error::input(
+            folder,
+            name,
+            "no such file",
+            expected,
+            "copy the whole model: cameras, images and points3D",
+        )
     })
 }
 
 /// What is said of photos in the folder `photos` that `images`, the whole model, does not have: COLMAP leaves out what it cannot
 /// place.
 pub(super) fn unplaced(photos: &Path, images: &[PosedImage]) -> Option<String> {
-    let placed: HashSet<String> = images.iter().map(|image| same(Path::new(&image.name))).collect();
+    let placed: HashSet<String> = images
+        .iter()
+        .map(|image| same(Path::new(&image.name)))
+        .collect();
     let mut all = Vec::new();
     list_photos(photos, Path::new(""), &mut all);
     let count = all.len();
-    let mut others: Vec<String> =
-        all.iter().filter(|path| !placed.contains(&same(path))).map(|path| path.display().to_string()).collect();
+    let mut others: Vec<String> = all
+        .iter()
+        .filter(|path| !placed.contains(&same(path)))
+        .map(|path| path.display().to_string())
+        .collect();
     others.sort_unstable();
     // A model of other photos altogether is an error elsewhere, by the names that it has.
     (!others.is_empty() && others.len() < count).then(|| {
@@ -176,13 +215,23 @@ pub(super) fn unplaced(photos: &Path, images: &[PosedImage]) -> Option<String> {
 
 /// A path to compare by: some file systems do not tell cases apart.
 fn same(path: &Path) -> String {
-    let parts = path.components().filter(|part| matches!(part, Component::Normal(_)));
-    parts.map(|part| part.as_os_str().to_string_lossy().to_lowercase()).collect::<Vec<_>>().join("/")
+    let parts = path
+        .components()
+        .filter(|part| matches!(part, Component::Normal(_)));
+    parts
+        .map(|part| part.as_os_str().to_string_lossy().to_lowercase())
+        .collect::<Vec<_>>()
+        .join("/")
 }
 
 /// Photos in `folder/below` and in its folders, by their paths within `folder`.
 fn list_photos(folder: &Path, below: &Path, out: &mut Vec<PathBuf>) {
-    for entry in std::fs::read_dir(folder.join(below)).into_iter().flatten().flatten().take(MOST_FILES) {
+    for entry in std::fs::read_dir(folder.join(below))
+        .into_iter()
+        .flatten()
+        .flatten()
+        .take(MOST_FILES)
+    {
         let name = entry.file_name();
         // What systems put beside photos: previews, halves of files.
         if out.len() >= MOST_FILES || name.to_string_lossy().starts_with(['.', '@']) {
@@ -199,6 +248,11 @@ fn list_photos(folder: &Path, below: &Path, out: &mut Vec<PathBuf>) {
 }
 
 fn is_photo(path: &Path) -> bool {
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
-    ["png", "jpg", "jpeg"].iter().any(|known| extension.eq_ignore_ascii_case(known))
+    let extension = path
+        .extension()
+        .and_then(|e| e.to_str())
+        .unwrap_or_default();
+    ["png", "jpg", "jpeg"]
+        .iter()
+        .any(|known| extension.eq_ignore_ascii_case(known))
 }

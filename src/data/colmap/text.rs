@@ -19,13 +19,21 @@ struct Lines<'p> {
 impl<'p> Lines<'p> {
     fn open(path: &'p Path) -> Result<Self> {
         let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
-        Ok(Self { path, reader: BufReader::with_capacity(1 << 18, file), number: 0, text: String::new() })
+        Ok(Self {
+            path,
+            reader: BufReader::with_capacity(1 << 18, file),
+            number: 0,
+            text: String::new(),
+        })
     }
 
     /// The next line as it stands; `None` at the end.
     fn raw(&mut self) -> Result<Option<&str>> {
         self.text.clear();
-        let read = self.reader.read_line(&mut self.text).map_err(|e| Error::io(self.path, "read", e))?;
+        let read = self
+            .reader
+            .read_line(&mut self.text)
+            .map_err(|e| Error::io(self.path, "read", e))?;
         self.number += 1;
         Ok((read > 0).then(|| self.text.trim()))
     }
@@ -39,7 +47,11 @@ impl<'p> Lines<'p> {
                 Some(_) => break,
             }
         }
-        Ok(Some(Fields { path: self.path, line: self.number, rest: self.text.trim().split_ascii_whitespace() }))
+        Ok(Some(Fields {
+            path: self.path,
+            line: self.number,
+            rest: self.text.trim().split_ascii_whitespace(),
+        }))
     }
 }
 
@@ -58,10 +70,14 @@ impl<'t> Fields<'t> {
 
     fn value<T: FromStr>(&mut self, field: &str) -> Result<T> {
         let word = self.word(field)?;
-        word.parse().map_err(|_| self.error(field, format!("{word:?}"), "a number in range"))
+        word.parse()
+            .map_err(|_| self.error(field, format!("{word:?}"), "a number in range"))
     }
 
-    fn values<T: FromStr + Copy + Default, const N: usize>(&mut self, field: &str) -> Result<[T; N]> {
+    fn values<T: FromStr + Copy + Default, const N: usize>(
+        &mut self,
+        field: &str,
+    ) -> Result<[T; N]> {
         let mut out = [T::default(); N];
         for value in &mut out {
             *value = self.value(field)?;
@@ -70,7 +86,13 @@ impl<'t> Fields<'t> {
     }
 
     fn error(&self, field: &str, found: String, expected: &str) -> Error {
-        Error::input(self.path, format!("line {}: {field}", self.line), found, expected, AGAIN)
+        Error::input(
+            self.path,
+            format!("line {}: {field}", self.line),
+            found,
+            expected,
+            AGAIN,
+        )
     }
 }
 
@@ -90,7 +112,13 @@ pub(super) fn cameras(path: &Path) -> Result<Vec<ModelCamera>> {
             let expected = format!("{} numbers for {}", model.params, model.name);
             return Err(fields.error("PARAMS", format!("{more:?} behind them"), &expected));
         }
-        cameras.push(ModelCamera { id, model: model.name, size, params, place });
+        cameras.push(ModelCamera {
+            id,
+            model: model.name,
+            size,
+            params,
+            place,
+        });
     }
     Ok(cameras)
 }
@@ -109,7 +137,13 @@ pub(super) fn images(path: &Path) -> Result<Vec<PosedImage>> {
         if name.is_empty() {
             return Err(fields.error("NAME", "the end of the line".into(), "a file name"));
         }
-        images.push(PosedImage { name, rotation, translation, camera, place });
+        images.push(PosedImage {
+            name,
+            rotation,
+            translation,
+            camera,
+            place,
+        });
         // The observations: a line that may well be empty, and is never a comment. Some writers leave the last one out.
         lines.raw()?;
     }

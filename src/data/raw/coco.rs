@@ -76,7 +76,11 @@ pub(super) fn find(folder: &Path) -> Option<PathBuf> {
 }
 
 fn places(folder: &Path) -> [PathBuf; 3] {
-    [folder.with_extension("json"), folder.join("panoptic.json"), folder.join("predictions.json")]
+    [
+        folder.with_extension("json"),
+        folder.join("panoptic.json"),
+        folder.join("predictions.json"),
+    ]
 }
 
 impl Panoptic {
@@ -86,7 +90,13 @@ impl Panoptic {
         let Some(path) = find(folder) else {
             let [beside, within, other] = places(folder).map(|path| path.display().to_string());
             let expected = format!("{beside}, {within} or {other}");
-            return Err(Error::input(folder, "panoptic JSON", "no such file", expected, "put it there"));
+            return Err(Error::input(
+                folder,
+                "panoptic JSON",
+                "no such file",
+                expected,
+                "put it there",
+            ));
         };
         let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
         let file: File = serde_json::from_str(&text).map_err(|e| {
@@ -99,7 +109,9 @@ impl Panoptic {
         for (i, category) in file.categories.iter().enumerate() {
             let field = format!("categories[{i}].id");
             // Id 0 is unlabelled in a class table of ours: where the file has a class 0, all ids move up by one.
-            let id = category.id.saturating_add(u32::from(file.categories.iter().any(|c| c.id == 0)));
+            let id = category
+                .id
+                .saturating_add(u32::from(file.categories.iter().any(|c| c.id == 0)));
             let Ok(own) = u16::try_from(id) else {
                 return Err(Error::input(
                     &path,
@@ -110,12 +122,24 @@ impl Panoptic {
                 ));
             };
             if places.insert(category.id, i).is_some() {
-                return Err(Error::input(&path, field, format!("{} twice", category.id), "each id once", again));
+                return Err(Error::input(
+                    &path,
+                    field,
+                    format!("{} twice", category.id),
+                    "each id once",
+                    again,
+                ));
             }
             names.push((own, category.name.as_str()));
         }
         if names.is_empty() {
-            return Err(Error::input(&path, "categories", "none", "the classes of the segments", again));
+            return Err(Error::input(
+                &path,
+                "categories",
+                "none",
+                "the classes of the segments",
+                again,
+            ));
         }
         let vocabulary = Vocabulary::new(&path, classes, &names)?;
         let mut maps = HashMap::new();
@@ -126,22 +150,55 @@ impl Panoptic {
                 let Some(&category) = places.get(&info.category_id) else {
                     let field = format!("{field}.segments_info[{j}].category_id");
                     let expected = format!("one of the {} ids of categories", names.len());
-                    return Err(Error::input(&path, field, info.category_id.to_string(), expected, again));
+                    return Err(Error::input(
+                        &path,
+                        field,
+                        info.category_id.to_string(),
+                        expected,
+                        again,
+                    ));
                 };
-                let thing = file.categories[category].isthing.or(info.isthing).is_none_or(Flag::is_set);
-                listed.push(Listed { id: info.id, class: vocabulary.ids[category], thing });
+                let thing = file.categories[category]
+                    .isthing
+                    .or(info.isthing)
+                    .is_none_or(Flag::is_set);
+                listed.push(Listed {
+                    id: info.id,
+                    class: vocabulary.ids[category],
+                    thing,
+                });
             }
             listed.sort_by_key(|segment| segment.id);
             if let Some(pair) = listed.windows(2).find(|pair| pair[0].id == pair[1].id) {
                 let field = format!("{field}.segments_info");
-                return Err(Error::input(&path, field, format!("id {} twice", pair[0].id), "each id once", again));
+                return Err(Error::input(
+                    &path,
+                    field,
+                    format!("id {} twice", pair[0].id),
+                    "each id once",
+                    again,
+                ));
             }
-            let stem = Path::new(&annotation.file_name).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let stem = Path::new(&annotation.file_name)
+                .file_stem()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned();
             if maps.insert(stem, listed).is_some() {
-                return Err(Error::input(&path, field, "a second annotation of this file", "one a file", again));
+                return Err(Error::input(
+                    &path,
+                    field,
+                    "a second annotation of this file",
+                    "one a file",
+                    again,
+                ));
             }
         }
-        Ok(Self { path, maps, vocabulary })
+        Ok(Self {
+            path,
+            maps,
+            vocabulary,
+        })
     }
 
     pub fn vocabulary(&self) -> &Vocabulary {
@@ -152,15 +209,32 @@ impl Panoptic {
     /// are unlabelled.
     pub fn decode(&self, path: &Path, file: &ImageFile) -> Result<RawMap> {
         if !matches!(file.png_color(), Some((8, 2 | 6))) {
-            let expected = "an RGB PNG of 8 bits whose colours are segment ids, R + 256 G + 65536 B";
+            let expected =
+                "an RGB PNG of 8 bits whose colours are segment ids, R + 256 G + 65536 B";
             let mend = "export it with panopticapi's id2rgb, or set data.raw_format";
-            return Err(Error::input(path, "pixel format", "another kind of file", expected, mend));
+            return Err(Error::input(
+                path,
+                "pixel format",
+                "another kind of file",
+                expected,
+                mend,
+            ));
         }
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
         let Some(listed) = self.maps.get(&*stem) else {
-            let found = format!("{} annotations, none for {}", self.maps.len(), path.display());
+            let found = format!(
+                "{} annotations, none for {}",
+                self.maps.len(),
+                path.display()
+            );
             let mend = "export JSON and maps together";
-            return Err(Error::input(&self.path, "annotations", found, "one for each map", mend));
+            return Err(Error::input(
+                &self.path,
+                "annotations",
+                found,
+                "one for each map",
+                mend,
+            ));
         };
         if listed.len() >= usize::from(u16::MAX) {
             return Err(Error::Limit {
@@ -184,14 +258,27 @@ impl Panoptic {
             ids.push(last_id);
         }
         let segment = |(listed, id): (&Listed, u16)| {
-            listed.class.map(|class| Segment { id, class: Some(class), thing: listed.thing })
+            listed.class.map(|class| Segment {
+                id,
+                class: Some(class),
+                thing: listed.thing,
+            })
         };
         let segments = listed.iter().zip(1..).filter_map(segment).collect();
-        Ok(RawMap { map: LabelMap { width, height, ids }, segments })
+        Ok(RawMap {
+            map: LabelMap { width, height, ids },
+            segments,
+        })
     }
 
     /// Number of the segment with this id, 0 for none.
-    fn place(&self, listed: &[Listed], id: u32, path: &Path, (x, y): (usize, usize)) -> Result<u16> {
+    fn place(
+        &self,
+        listed: &[Listed],
+        id: u32,
+        path: &Path,
+        (x, y): (usize, usize),
+    ) -> Result<u16> {
         if id == 0 {
             return Ok(0);
         }
@@ -200,9 +287,19 @@ impl Panoptic {
             Ok(i) => Ok(i as u16 + 1),
             Err(_) => {
                 let found = format!("segment id {id}");
-                let expected = format!("one of the {} segments that {} lists", listed.len(), self.path.display());
+                let expected = format!(
+                    "one of the {} segments that {} lists",
+                    listed.len(),
+                    self.path.display()
+                );
                 let mend = "export JSON and maps together";
-                Err(Error::input(path, format!("pixel x {x}, y {y}"), found, expected, mend))
+                Err(Error::input(
+                    path,
+                    format!("pixel x {x}, y {y}"),
+                    found,
+                    expected,
+                    mend,
+                ))
             }
         }
     }

@@ -57,18 +57,40 @@ impl Vocabulary {
     fn new(file: &Path, classes: &Classes, names: &[(u16, &str)]) -> Result<Self> {
         if classes.is_empty() {
             let classes = Classes::from_names(0, names.iter().copied());
-            return Ok(Self { classes, ids: names.iter().map(|(id, _)| Some(*id)).collect(), notice: None });
+            return Ok(Self {
+                classes,
+                ids: names.iter().map(|(id, _)| Some(*id)).collect(),
+                notice: None,
+            });
         }
         let plain = |name: &str| name.trim().to_lowercase().replace(['-', '_'], " ");
-        let known: Vec<(String, u16)> = classes.entries.iter().map(|c| (plain(&c.name), c.id)).collect();
-        let find = |name: &str| known.iter().find(|(k, _)| *k == plain(name)).map(|(_, id)| *id);
+        let known: Vec<(String, u16)> = classes
+            .entries
+            .iter()
+            .map(|c| (plain(&c.name), c.id))
+            .collect();
+        let find = |name: &str| {
+            known
+                .iter()
+                .find(|(k, _)| *k == plain(name))
+                .map(|(_, id)| *id)
+        };
         let ids: Vec<Option<u16>> = names.iter().map(|(_, name)| find(name)).collect();
         let found = ids.iter().flatten().count();
         if found == 0 {
             let listed: Vec<_> = names.iter().take(5).map(|(_, name)| *name).collect();
-            let expected = format!("names of the class table, such as {}", classes.entries[0].name);
+            let expected = format!(
+                "names of the class table, such as {}",
+                classes.entries[0].name
+            );
             let mend = "rename the classes of classes.json, or take it away where there are no true labels";
-            return Err(Error::input(file, "categories", format!("{} ..", listed.join(", ")), expected, mend));
+            return Err(Error::input(
+                file,
+                "categories",
+                format!("{} ..", listed.join(", ")),
+                expected,
+                mend,
+            ));
         }
         let notice = (found < names.len()).then(|| {
             format!(
@@ -77,19 +99,28 @@ impl Vocabulary {
                 file.display()
             )
         });
-        Ok(Self { classes: classes.clone(), ids, notice })
+        Ok(Self {
+            classes: classes.clone(),
+            ids,
+            notice,
+        })
     }
 }
 
 /// Whether the frames' labels need a class table from elsewhere: all but raw labels that bring their own or have none. What is
 /// told then is what mends its absence beside a table.
-pub(super) fn need_table(dir: &Path, options: &LoadOptions, frames: &[Frame]) -> Option<&'static str> {
+pub(super) fn need_table(
+    dir: &Path,
+    options: &LoadOptions,
+    frames: &[Frame],
+) -> Option<&'static str> {
     let any = |of: fn(&Frame) -> bool| frames.iter().any(of);
     let grey = || detect(dir, options, frames).is_ok_and(|format| format == RawFormat::Grey);
     if any(|frame| frame.truth.is_some()) {
         return Some("");
     }
-    let raw = any(|frame| frame.raw.is_some()) && options.association == Association::None && grey();
+    let raw =
+        any(|frame| frame.raw.is_some()) && options.association == Association::None && grey();
     raw.then_some(IF_SEGMENTS)
 }
 
@@ -99,16 +130,24 @@ fn detect(dir: &Path, options: &LoadOptions, frames: &[Frame]) -> Result<RawForm
         return Ok(options.raw_format);
     }
     let there = |path: &&PathBuf| path.exists();
-    let Some(first) = frames.iter().filter_map(|frame| frame.raw.as_ref()).find(there) else {
+    let Some(first) = frames
+        .iter()
+        .filter_map(|frame| frame.raw.as_ref())
+        .find(there)
+    else {
         return Ok(RawFormat::Grey);
     };
     if first.is_dir() {
         return Ok(RawFormat::Masks);
     }
     // A file that cannot be read is told of where it is read.
-    let Ok(file) = ImageFile::open(first, &options.limits) else { return Ok(RawFormat::Grey) };
+    let Ok(file) = ImageFile::open(first, &options.limits) else {
+        return Ok(RawFormat::Grey);
+    };
     Ok(match file.png_color() {
-        Some((_, 2 | 6)) if coco::find(&folder(dir, options, first)).is_some() => RawFormat::CocoPanoptic,
+        Some((_, 2 | 6)) if coco::find(&folder(dir, options, first)).is_some() => {
+            RawFormat::CocoPanoptic
+        }
         Some((_, 2 | 3 | 6)) if ade20k::matches(&file) => RawFormat::Ade20k,
         _ => RawFormat::Grey,
     })
@@ -126,7 +165,10 @@ fn folder(dir: &Path, options: &LoadOptions, map: &Path) -> PathBuf {
 impl RawLabels {
     /// Of a folder without any, or whose format is not known.
     pub fn grey() -> Self {
-        Self { source: Source::Grey, segments: false }
+        Self {
+            source: Source::Grey,
+            segments: false,
+        }
     }
 
     /// Settles the format for `frames`. Where `classes` is empty, the segmenter's own class table takes its place, and
@@ -141,17 +183,25 @@ impl RawLabels {
         classes: &mut Classes,
         notices: &mut Vec<String>,
     ) -> Result<(Self, bool)> {
-        let Some(first) = frames.iter().find_map(|frame| frame.raw.as_ref()) else { return Ok((Self::grey(), false)) };
+        let Some(first) = frames.iter().find_map(|frame| frame.raw.as_ref()) else {
+            return Ok((Self::grey(), false));
+        };
         let segments = options.association != Association::None;
         let source = match detect(dir, options, frames)? {
             RawFormat::Auto | RawFormat::Grey => Source::Grey,
-            RawFormat::CocoPanoptic => Source::Coco(coco::Panoptic::read(&folder(dir, options, first), classes)?),
+            RawFormat::CocoPanoptic => {
+                Source::Coco(coco::Panoptic::read(&folder(dir, options, first), classes)?)
+            }
             RawFormat::Ade20k => Source::Ade20k(ade20k::Palette::new(first, classes)?),
             RawFormat::Masks if !segments => {
                 let expected = "\"gaussians\", as raw labels are folders of masks, whose ids differ from view to view";
-                let mend =
-                    "add --set data.association=gaussians (`coseg train`, `coseg data`), or use `coseg associate`";
-                return Err(Error::config("data.association", "\"none\"", expected, mend));
+                let mend = "add --set data.association=gaussians (`coseg train`, `coseg data`), or use `coseg associate`";
+                return Err(Error::config(
+                    "data.association",
+                    "\"none\"",
+                    expected,
+                    mend,
+                ));
             }
             RawFormat::Masks => Source::Masks,
         };
@@ -186,7 +236,10 @@ impl RawLabels {
     ) -> Result<RawMap> {
         if let Source::Masks = self.source {
             let map = masks::read(path, photo, limits, check_size)?;
-            return Ok(RawMap { map, segments: Vec::new() });
+            return Ok(RawMap {
+                map,
+                segments: Vec::new(),
+            });
         }
         super::listing::expect_file(path)?;
         let file = ImageFile::open(path, limits)?;
@@ -194,11 +247,22 @@ impl RawLabels {
         match &self.source {
             Source::Coco(panoptic) => {
                 let read = panoptic.decode(path, &file)?;
-                Ok(if self.segments { read } else { RawMap { map: by_class(&read, classes), segments: Vec::new() } })
+                Ok(if self.segments {
+                    read
+                } else {
+                    RawMap {
+                        map: by_class(&read, classes),
+                        segments: Vec::new(),
+                    }
+                })
             }
             Source::Ade20k(palette) => {
                 let map = palette.decode(path, &file)?;
-                let segments = if self.segments { palette.stuff() } else { Vec::new() };
+                let segments = if self.segments {
+                    palette.stuff()
+                } else {
+                    Vec::new()
+                };
                 Ok(RawMap { map, segments })
             }
             Source::Grey | Source::Masks => {
@@ -206,7 +270,10 @@ impl RawLabels {
                 if !self.segments {
                     map.settle_ids(path, classes, known, IF_SEGMENTS)?;
                 }
-                Ok(RawMap { map, segments: Vec::new() })
+                Ok(RawMap {
+                    map,
+                    segments: Vec::new(),
+                })
             }
         }
     }
@@ -218,5 +285,13 @@ fn by_class(read: &RawMap, classes: &Classes) -> LabelMap {
     for segment in &read.segments {
         table[usize::from(segment.id)] = segment.class.unwrap_or(classes.ignore);
     }
-    LabelMap { ids: read.map.ids.iter().map(|&id| table[usize::from(id)]).collect(), ..read.map }
+    LabelMap {
+        ids: read
+            .map
+            .ids
+            .iter()
+            .map(|&id| table[usize::from(id)])
+            .collect(),
+        ..read.map
+    }
 }

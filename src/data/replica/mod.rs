@@ -36,7 +36,9 @@ pub(super) fn found(dir: &Path) -> Option<String> {
 }
 
 fn version(dir: &Path) -> Option<[&'static str; 3]> {
-    [SEMANTIC_NERF, NICE_SLAM].into_iter().find(|[t, photos, _]| dir.join(t).is_file() && dir.join(photos).is_dir())
+    [SEMANTIC_NERF, NICE_SLAM]
+        .into_iter()
+        .find(|[t, photos, _]| dir.join(t).is_file() && dir.join(photos).is_dir())
 }
 
 /// Refuses a folder of another layout.
@@ -46,8 +48,15 @@ pub(super) fn expect(dir: &Path) -> Result<()> {
 
 fn checked_version(dir: &Path) -> Result<[&'static str; 3]> {
     version(dir).ok_or_else(|| {
-        let expected = "traj.txt with results/ (NICE-SLAM) or traj_w_c.txt with rgb/ (Semantic-NeRF)";
-        Error::input(dir, "traj.txt", "neither", expected, "give the folder of one scene or sequence")
+        let expected =
+            "traj.txt with results/ (NICE-SLAM) or traj_w_c.txt with rgb/ (Semantic-NeRF)";
+        Error::input(
+            dir,
+            "traj.txt",
+            "neither",
+            expected,
+            "give the folder of one scene or sequence",
+        )
     })
 }
 
@@ -58,18 +67,33 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let path = dir.join(trajectory);
     let photos = sequence::numbered(&dir.join(folder), prefix, &["png", "jpg", "jpeg"])?;
     let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
-    let rows: Vec<(usize, &str)> =
-        text.lines().enumerate().map(|(i, row)| (i + 1, row.trim())).filter(|(_, row)| !row.is_empty()).collect();
+    let rows: Vec<(usize, &str)> = text
+        .lines()
+        .enumerate()
+        .map(|(i, row)| (i + 1, row.trim()))
+        .filter(|(_, row)| !row.is_empty())
+        .collect();
     let mut notices = Vec::new();
-    let unseen = (0..rows.len()).filter(|number| !photos.contains_key(number)).count();
+    let unseen = (0..rows.len())
+        .filter(|number| !photos.contains_key(number))
+        .count();
     if unseen > 0 {
-        notices.push(format!("{unseen} of {} poses in {trajectory} have no photo in {folder}", rows.len()));
+        notices.push(format!(
+            "{unseen} of {} poses in {trajectory} have no photo in {folder}",
+            rows.len()
+        ));
     }
     let photos: Vec<(usize, PathBuf)> = photos.into_iter().collect();
     let kept = options.pick(&vec![None; photos.len()]);
     let Some(&(first, _)) = kept.first() else {
         let expected = format!("{prefix}0.png and so on");
-        return Err(Error::input(dir, folder, "no photos", expected, "unpack the whole scene"));
+        return Err(Error::input(
+            dir,
+            folder,
+            "no photos",
+            expected,
+            "unpack the whole scene",
+        ));
     };
     let (intrinsics, scale) = match version == NICE_SLAM {
         true => nice_slam(dir, &mut notices)?,
@@ -89,12 +113,21 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         let file = image.file_name().map_or_else(PathBuf::new, PathBuf::from);
         let Some((line, row)) = rows.get(*number) else {
             let found = format!("{} rows, none for {}", rows.len(), image.display());
-            problems.push(Error::input(&path, "rows", found, "one for each photo", "unpack the whole scene again"));
+            problems.push(Error::input(
+                &path,
+                "rows",
+                found,
+                "one for each photo",
+                "unpack the whole scene again",
+            ));
             continue;
         };
         let field = format!("line {line}");
-        let camera = sequence::pose(row, &path, &field).and_then(|p| sequence::camera(&p, intrinsics, &path, &field));
-        let Some(camera) = problems.keep(camera) else { continue };
+        let camera = sequence::pose(row, &path, &field)
+            .and_then(|p| sequence::camera(&p, intrinsics, &path, &field));
+        let Some(camera) = problems.keep(camera) else {
+            continue;
+        };
         frames.push(Frame {
             name: file.with_extension("").to_string_lossy().into_owned(),
             split,
@@ -117,8 +150,14 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         false => read_classes(dir, labelled),
     };
     let depth = |frame: &Frame| match version == NICE_SLAM {
-        true => dir.join(format!("{folder}/{}.png", frame.name.replacen(prefix, "depth", 1))),
-        false => dir.join(format!("depth/{}.png", frame.name.replacen(prefix, "depth_", 1))),
+        true => dir.join(format!(
+            "{folder}/{}.png",
+            frame.name.replacen(prefix, "depth", 1)
+        )),
+        false => dir.join(format!(
+            "depth/{}.png",
+            frame.name.replacen(prefix, "depth_", 1)
+        )),
     };
     let cloud = Cloud::of_sequence(dir, &frames, scale, depth);
     Ok(Listing {
@@ -165,14 +204,23 @@ struct CameraParams {
 }
 
 /// As NICE-SLAM publishes it for all eight scenes.
-const PUBLISHED: CameraParams =
-    CameraParams { w: 1200, h: 680, fx: 600.0, fy: 600.0, cx: 599.5, cy: 339.5, scale: None };
+const PUBLISHED: CameraParams = CameraParams {
+    w: 1200,
+    h: 680,
+    fx: 600.0,
+    fy: 600.0,
+    cx: 599.5,
+    cy: 339.5,
+    scale: None,
+};
 /// Value of a metre in the depth images, as NICE-SLAM publishes it.
 const SCALE: f64 = 6553.5;
 
 /// Intrinsics and the value of a metre in the depth images.
 fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Intrinsics, f64)> {
-    let path = [dir.join("cam_params.json"), dir.join("../cam_params.json")].into_iter().find(|path| path.is_file());
+    let path = [dir.join("cam_params.json"), dir.join("../cam_params.json")]
+        .into_iter()
+        .find(|path| path.is_file());
     let Some(path) = path else {
         notices.push("no cam_params.json here or above: 1200x680 photos with a focal length of 600 are assumed".into());
         return Ok((intrinsics(&PUBLISHED), SCALE));
@@ -180,7 +228,13 @@ fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Intrinsics, f64)>
     let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
     let CameraFile { camera } = serde_json::from_str(&text).map_err(|e| {
         let expected = "{\"camera\": {\"w\", \"h\", \"fx\", \"fy\", \"cx\", \"cy\", ..}}";
-        Error::input(&path, format!("line {}", e.line()), e.to_string(), expected, "copy the file again")
+        Error::input(
+            &path,
+            format!("line {}", e.line()),
+            e.to_string(),
+            expected,
+            "copy the file again",
+        )
     })?;
     let sides = [camera.w, camera.h];
     let scale = camera.scale.unwrap_or(SCALE);
@@ -189,20 +243,48 @@ fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Intrinsics, f64)>
     if sides.iter().any(|s| !(1..=1 << 32).contains(s)) || !pixels.iter().all(positive) {
         let found = format!("{sides:?} {pixels:?}");
         let expected = "sizes, focal lengths, centre and scale above 0";
-        return Err(Error::input(&path, "camera", found, expected, "copy the file again"));
+        return Err(Error::input(
+            &path,
+            "camera",
+            found,
+            expected,
+            "copy the file again",
+        ));
     }
     Ok((intrinsics(&camera), scale))
 }
 
 /// Pixel centres move from whole numbers to halves.
 fn intrinsics(camera: &CameraParams) -> Intrinsics {
-    let CameraParams { w: width, h: height, fx, fy, cx, cy, .. } = *camera;
-    Intrinsics { fx, fy, cx: cx + 0.5, cy: cy + 0.5, width, height }
+    let CameraParams {
+        w: width,
+        h: height,
+        fx,
+        fy,
+        cx,
+        cy,
+        ..
+    } = *camera;
+    Intrinsics {
+        fx,
+        fy,
+        cx: cx + 0.5,
+        cy: cy + 0.5,
+        width,
+        height,
+    }
 }
 
 /// Semantic-NeRF renders with a field of view of 90 degrees across, square pixels, the centre in the middle.
 fn right_angle(photo: &Path, limits: &Limits) -> Result<Intrinsics> {
     let (width, height) = ImageFile::open(photo, limits)?.size;
     let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
-    Ok(Intrinsics { fx: cx, fy: cx, cx, cy, width, height })
+    Ok(Intrinsics {
+        fx: cx,
+        fy: cx,
+        cx,
+        cy,
+        width,
+        height,
+    })
 }

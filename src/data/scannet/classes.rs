@@ -50,7 +50,9 @@ const NYU40: [&str; 40] = [
     "otherprop",
 ];
 /// Those that ScanNet's benchmark counts.
-const SCANNET20: [u16; 20] = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 24, 28, 33, 34, 36, 39];
+const SCANNET20: [u16; 20] = [
+    1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 24, 28, 33, 34, 36, 39,
+];
 /// Name of the table that comes with the dataset.
 const TABLE: &str = "scannetv2-labels.combined.tsv";
 const COLUMNS: [&str; 2] = ["id", "nyu40id"];
@@ -80,8 +82,9 @@ pub(super) fn table(dir: &Path, options: &LoadOptions) -> Result<Table> {
         None => near.into_iter().find(|path| path.is_file()),
     };
     let Some(path) = path else {
-        let expected =
-            format!("{TABLE} there or in one of the three folders above: the labels' ids mean nothing without it");
+        let expected = format!(
+            "{TABLE} there or in one of the three folders above: the labels' ids mean nothing without it"
+        );
         let mend = "copy it from the dataset, or name it with data.scannet_labels";
         return Err(Error::input(dir, TABLE, "no such file", expected, mend));
     };
@@ -91,29 +94,65 @@ pub(super) fn table(dir: &Path, options: &LoadOptions) -> Result<Table> {
 
 fn parse(text: &str, path: &Path, set: ScannetClasses) -> Result<Table> {
     let error = |line: usize, found: String, expected: &str| {
-        Error::input(path, format!("line {line}"), found, expected, "copy the table from the dataset again")
+        Error::input(
+            path,
+            format!("line {line}"),
+            found,
+            expected,
+            "copy the table from the dataset again",
+        )
     };
-    let header: Vec<&str> = text.lines().next().unwrap_or_default().split('\t').map(str::trim).collect();
+    let header: Vec<&str> = text
+        .lines()
+        .next()
+        .unwrap_or_default()
+        .split('\t')
+        .map(str::trim)
+        .collect();
     let mut places = [0; 2];
     for (place, column) in places.iter_mut().zip(COLUMNS) {
-        let missing = || error(1, format!("columns {header:?}"), &format!("a column {column}, separated by tabs"));
-        *place = header.iter().position(|name| *name == column).ok_or_else(missing)?;
+        let missing = || {
+            error(
+                1,
+                format!("columns {header:?}"),
+                &format!("a column {column}, separated by tabs"),
+            )
+        };
+        *place = header
+            .iter()
+            .position(|name| *name == column)
+            .ok_or_else(missing)?;
     }
     let mut ids = vec![UNMAPPED; 1 << 16];
     ids[0] = 0;
-    for (i, row) in text.lines().enumerate().skip(1).filter(|(_, row)| !row.trim().is_empty()) {
+    for (i, row) in text
+        .lines()
+        .enumerate()
+        .skip(1)
+        .filter(|(_, row)| !row.trim().is_empty())
+    {
         let cells: Vec<&str> = row.split('\t').map(str::trim).collect();
         let mut values = [0_u16; 2];
         for ((value, place), column) in values.iter_mut().zip(places).zip(COLUMNS) {
             let cell = cells.get(place).copied().unwrap_or_default();
-            let wrong = |_| error(i + 1, format!("{cell:?} in column {column}"), "a whole number from 0 to 65535");
+            let wrong = |_| {
+                error(
+                    i + 1,
+                    format!("{cell:?} in column {column}"),
+                    "a whole number from 0 to 65535",
+                )
+            };
             *value = cell.parse().map_err(wrong)?;
         }
         let [id, class] = values;
         if usize::from(class) > NYU40.len() {
             return Err(error(i + 1, format!("nyu40id {class}"), "0 to 40"));
         }
-        ids[usize::from(id)] = if counted(set, class) { u32::from(class) } else { 0 };
+        ids[usize::from(id)] = if counted(set, class) {
+            u32::from(class)
+        } else {
+            0
+        };
     }
     Ok(Table { ids })
 }

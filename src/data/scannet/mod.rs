@@ -27,7 +27,8 @@ const MILLIMETRES: f64 = 1000.0;
 
 /// The folder of photos in a scene folder, if it is of this layout.
 pub(super) fn found(dir: &Path) -> Option<String> {
-    (dir.join("color").is_dir() && dir.join("pose").is_dir()).then(|| "color/ with pose/".to_owned())
+    (dir.join("color").is_dir() && dir.join("pose").is_dir())
+        .then(|| "color/ with pose/".to_owned())
 }
 
 /// Refuses a folder of another layout.
@@ -36,7 +37,13 @@ pub(super) fn expect(dir: &Path) -> Result<()> {
         return Ok(());
     }
     let expected = "color/ and pose/, as ScanNet's SensReader writes them";
-    Err(Error::input(dir, "color", "not both folders", expected, "export the .sens file of the scan"))
+    Err(Error::input(
+        dir,
+        "color",
+        "not both folders",
+        expected,
+        "export the .sens file of the scan",
+    ))
 }
 
 /// A photo with the file of its pose.
@@ -52,11 +59,20 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let poses = dir.join("pose");
     let shots = photos.into_iter().map(|(number, image)| {
         let file = image.with_extension("txt");
-        Shot { number, pose_file: file.file_name().map_or_else(|| poses.clone(), |f| poses.join(f)), image }
+        Shot {
+            number,
+            pose_file: file
+                .file_name()
+                .map_or_else(|| poses.clone(), |f| poses.join(f)),
+            image,
+        }
     });
     let shots: Vec<Shot> = shots.collect();
     let mut read = Vec::new();
-    shots.par_iter().map(|shot| read_pose(&shot.pose_file)).collect_into_vec(&mut read);
+    shots
+        .par_iter()
+        .map(|shot| read_pose(&shot.pose_file))
+        .collect_into_vec(&mut read);
     let mut posed: Vec<(Shot, Pose)> = Vec::with_capacity(shots.len());
     let (all, mut lost) = (shots.len(), 0);
     for (shot, pose) in shots.into_iter().zip(read) {
@@ -68,7 +84,9 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     }
     let mut notices = Vec::new();
     if lost > 0 {
-        notices.push(format!("{lost} of {all} frames left out: their poses hold infinities (tracking was lost)"));
+        notices.push(format!(
+            "{lost} of {all} frames left out: their poses hold infinities (tracking was lost)"
+        ));
     }
     let kept = options.pick(&vec![None; posed.len()]);
     let Some(&(first, _)) = kept.first() else {
@@ -85,8 +103,13 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     for (i, split) in kept {
         let (shot, pose) = &posed[i];
         let camera = sequence::camera(pose, intrinsics, &shot.pose_file, "matrix");
-        let Some(camera) = problems.keep(camera) else { continue };
-        let file = shot.image.file_name().map_or_else(PathBuf::new, PathBuf::from);
+        let Some(camera) = problems.keep(camera) else {
+            continue;
+        };
+        let file = shot
+            .image
+            .file_name()
+            .map_or_else(PathBuf::new, PathBuf::from);
         frames.push(Frame {
             name: file.with_extension("").to_string_lossy().into_owned(),
             split,
@@ -107,7 +130,9 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let general = labelled.is_some() && !own;
     let needs_table = general && frames.iter().any(|frame| frame.truth.is_some());
     let table = match needs_table {
-        true => problems.keep(classes::table(dir, options)).map(|file| file.ids),
+        true => problems
+            .keep(classes::table(dir, options))
+            .map(|file| file.ids),
         false => None,
     };
     if needs_table && table.is_none() {
@@ -118,7 +143,9 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         true => Ok(classes::classes(options.scannet_classes)),
         false => read_classes(dir, labelled),
     };
-    let cloud = Cloud::of_sequence(dir, &frames, MILLIMETRES, |frame| dir.join(format!("depth/{}.png", frame.name)));
+    let cloud = Cloud::of_sequence(dir, &frames, MILLIMETRES, |frame| {
+        dir.join(format!("depth/{}.png", frame.name))
+    });
     Ok(Listing {
         layout: Layout::Scannet,
         file: dir.join("intrinsic/intrinsic_color.txt"),
@@ -138,7 +165,11 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
 fn read_pose(path: &Path) -> Result<Pose> {
     if !path.is_file() {
         let mend = "export the poses again, or take the photo away".into();
-        return Err(Error::Missing { what: "file", path: path.to_owned(), mend });
+        return Err(Error::Missing {
+            what: "file",
+            path: path.to_owned(),
+            mend,
+        });
     }
     let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
     sequence::pose(&text, path, "matrix")
@@ -146,8 +177,14 @@ fn read_pose(path: &Path) -> Result<Pose> {
 
 /// Maps in the first of two folders that is there.
 fn maps_of(dir: &Path, names: [&str; 2]) -> Result<BTreeMap<usize, PathBuf>> {
-    let folder = names.map(|name| dir.join(name)).into_iter().find(|folder| folder.is_dir());
-    folder.map_or_else(|| Ok(BTreeMap::new()), |folder| sequence::numbered(&folder, "", &["png"]))
+    let folder = names
+        .map(|name| dir.join(name))
+        .into_iter()
+        .find(|folder| folder.is_dir());
+    folder.map_or_else(
+        || Ok(BTreeMap::new()),
+        |folder| sequence::numbered(&folder, "", &["png"]),
+    )
 }
 
 /// `intrinsic_color.txt`: a 4x4 matrix whose upper left 3x3 is K, for photos of the size of `photo`.
@@ -155,7 +192,11 @@ fn read_intrinsics(dir: &Path, photo: &Path, limits: &Limits) -> Result<Intrinsi
     let path = dir.join("intrinsic/intrinsic_color.txt");
     if !path.is_file() {
         let mend = "export the intrinsics of the .sens file".into();
-        return Err(Error::Missing { what: "file", path, mend });
+        return Err(Error::Missing {
+            what: "file",
+            path,
+            mend,
+        });
     }
     let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
     let k = sequence::pose(&text, &path, "matrix")?;
@@ -163,14 +204,33 @@ fn read_intrinsics(dir: &Path, photo: &Path, limits: &Limits) -> Result<Intrinsi
     let (fx, fy, cx, cy) = (k[0], k[5], k[2], k[6]);
     if ![fx, fy].iter().all(|f| (1e-3..=1e9).contains(f)) {
         let mend = "export the intrinsics of the .sens file again";
-        return Err(Error::input(&path, "focal length", format!("{fx} {fy}"), "pixels, 0.001 to 1e9", mend));
+        return Err(Error::input(
+            &path,
+            "focal length",
+            format!("{fx} {fy}"),
+            "pixels, 0.001 to 1e9",
+            mend,
+        ));
     }
     let central = |c: f64, side: usize| (0.3..=0.7).contains(&(c / side as f64));
     if !central(cx, width) || !central(cy, height) {
         let found = format!("{cx} {cy}");
         let expected = format!("near the middle of the photos, which are {width}x{height}");
         let mend = "where photos were scaled, scale fx fy cx cy of the first three rows with them";
-        return Err(Error::input(&path, "principal point", found, expected, mend));
+        return Err(Error::input(
+            &path,
+            "principal point",
+            found,
+            expected,
+            mend,
+        ));
     }
-    Ok(Intrinsics { fx, fy, cx, cy, width, height })
+    Ok(Intrinsics {
+        fx,
+        fy,
+        cx,
+        cy,
+        width,
+        height,
+    })
 }

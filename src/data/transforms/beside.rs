@@ -17,36 +17,61 @@ pub(super) struct Beside {
 impl Beside {
     /// The folder, and what the frames say of the files, where they do.
     pub fn new(folder: PathBuf, sources: &Sources, said: fn(&Frame) -> Option<&String>) -> Self {
-        let frames = || sources.files.iter().flat_map(|source| &source.transforms.frames);
+        let frames = || {
+            sources
+                .files
+                .iter()
+                .flat_map(|source| &source.transforms.frames)
+        };
         let of_said = Ends::of(frames().filter_map(said));
-        Self { folder, said, of_said, of_photos: Ends::of(frames().map(|frame| &frame.file_path)) }
+        Self {
+            folder,
+            said,
+            of_said,
+            of_photos: Ends::of(frames().map(|frame| &frame.file_path)),
+        }
     }
 
     /// Files that may be meant for a frame, the likeliest first: what the frame says, then the path of its photo, each below the
     /// folder and without its first folders as far as that leaves no two frames with one file; then the view's name.
     fn files(&self, frame: &Frame, name: &str) -> Vec<PathBuf> {
-        let said = (self.said)(frame).map(|path| self.of_said.alone(path)).unwrap_or_default();
-        let as_said = said.iter().flat_map(|path| [path.clone(), path.with_extension("png"), behind(path)]);
+        let said = (self.said)(frame)
+            .map(|path| self.of_said.alone(path))
+            .unwrap_or_default();
+        let as_said = said
+            .iter()
+            .flat_map(|path| [path.clone(), path.with_extension("png"), behind(path)]);
         let of_photo = self.of_photos.alone(&frame.file_path);
-        let by_photo = of_photo.iter().flat_map(|path| [path.with_extension("png"), behind(path)]);
-        let files = as_said.chain(by_photo).chain([PathBuf::from(format!("{name}.png"))]);
+        let by_photo = of_photo
+            .iter()
+            .flat_map(|path| [path.with_extension("png"), behind(path)]);
+        let files = as_said
+            .chain(by_photo)
+            .chain([PathBuf::from(format!("{name}.png"))]);
         files.map(|path| self.folder.join(path)).collect()
     }
 
     /// The file of a frame, where it is there.
     pub fn file_of(&self, frame: &Frame, name: &str) -> Option<PathBuf> {
-        self.files(frame, name).into_iter().find(|path| path.is_file())
+        self.files(frame, name)
+            .into_iter()
+            .find(|path| path.is_file())
     }
 
     /// The file of a frame, or a folder of masks of that name without extension; where neither is there the file that is missed.
     pub fn file_or_masks(&self, frame: &Frame, name: &str) -> PathBuf {
         let found = self.files(frame, name).into_iter().find_map(|file| {
             let masks = file.with_extension("");
-            if file.is_file() { Some(file) } else { Some(masks).filter(|masks| masks.is_dir()) }
+            if file.is_file() {
+                Some(file)
+            } else {
+                Some(masks).filter(|masks| masks.is_dir())
+            }
         });
         found.unwrap_or_else(|| {
             let said = (self.said)(frame).and_then(|path| self.of_said.alone(path).pop());
-            self.folder.join(said.unwrap_or_else(|| PathBuf::from(format!("{name}.png"))))
+            self.folder
+                .join(said.unwrap_or_else(|| PathBuf::from(format!("{name}.png"))))
         })
     }
 }
@@ -79,14 +104,25 @@ impl Ends {
     /// The path, and its ends that no other path has; longest first.
     fn alone(&self, path: &str) -> Vec<PathBuf> {
         let whole = below(path);
-        let is_alone = |end: &PathBuf| self.0.get(&end.with_extension("")).is_some_and(Option::is_some);
-        ends(&whole).enumerate().filter(|(i, end)| *i == 0 || is_alone(end)).map(|(_, end)| end).collect()
+        let is_alone = |end: &PathBuf| {
+            self.0
+                .get(&end.with_extension(""))
+                .is_some_and(Option::is_some)
+        };
+        ends(&whole)
+            .enumerate()
+            .filter(|(i, end)| *i == 0 || is_alone(end))
+            .map(|(_, end)| end)
+            .collect()
     }
 }
 
 /// A path without what leads out of a folder.
 fn below(path: &str) -> PathBuf {
-    Path::new(path).components().filter(|part| matches!(part, Component::Normal(_))).collect()
+    Path::new(path)
+        .components()
+        .filter(|part| matches!(part, Component::Normal(_)))
+        .collect()
 }
 
 /// The path, then without its first folder, and so on to its file name.

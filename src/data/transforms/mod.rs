@@ -45,7 +45,13 @@ const CLOUDS: [&str; 3] = ["points.ply", "sparse_pc.ply", "points3D.ply"];
 /// # Errors
 /// As [`super::load`].
 pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
-    super::load(dir, &LoadOptions { layout: Layout::Transforms, ..options.clone() })
+    super::load(
+        dir,
+        &LoadOptions {
+            layout: Layout::Transforms,
+            ..options.clone()
+        },
+    )
 }
 
 /// Refuses a folder without the file.
@@ -55,15 +61,22 @@ pub(super) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
     }
     let expected = "cameras and frames as nerfstudio and instant-ngp write them (README, 'Data')";
     let (found, mend) = match alternatives(dir) {
-        others if others.is_empty() => {
-            ("no such file".to_owned(), "give another folder, or name another layout with data.layout".to_owned())
-        }
+        others if others.is_empty() => (
+            "no such file".to_owned(),
+            "give another folder, or name another layout with data.layout".to_owned(),
+        ),
         others => (
             format!("no such file, but {}", others.join(", ")),
             format!("name one with --set data.transforms={}", others[0]),
         ),
     };
-    Err(Error::input(dir, &options.transforms, found, expected, mend))
+    Err(Error::input(
+        dir,
+        &options.transforms,
+        found,
+        expected,
+        mend,
+    ))
 }
 
 /// What the folder says.
@@ -72,7 +85,9 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let kept = sources.pick(options, problems);
     let masks = Masks::of(dir, options, Layout::Transforms, problems);
     let masks_beside = match &masks {
-        Masks::In(folder) => Some(Beside::new(folder.clone(), &sources, |frame| frame.mask_path.as_ref())),
+        Masks::In(folder) => Some(Beside::new(folder.clone(), &sources, |frame| {
+            frame.mask_path.as_ref()
+        })),
         Masks::OfFrames | Masks::Off => None,
     };
     let raw_beside = options.raw_labels.as_ref().map(|folder| {
@@ -81,16 +96,32 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     });
     let limits = &options.limits;
     let what = format!("{}: frames", sources.file.display());
-    Limits::check(what, kept.len() as u64, limits.views as u64, "thin out with data.stride or data.max_frames")?;
+    Limits::check(
+        what,
+        kept.len() as u64,
+        limits.views as u64,
+        "thin out with data.stride or data.max_frames",
+    )?;
 
     let mut found = Vec::new();
     let look = |kept: &Kept| photo(dir, &sources.files[kept.source], kept.index, limits);
     kept.par_iter().map(look).collect_into_vec(&mut found);
     let mut frames = Vec::with_capacity(kept.len());
-    for (Kept { source, index: i, split, name }, (image, mut faults, size)) in kept.into_iter().zip(found) {
+    for (
+        Kept {
+            source,
+            index: i,
+            split,
+            name,
+        },
+        (image, mut faults, size),
+    ) in kept.into_iter().zip(found)
+    {
         // Of a repeated frame nothing else is told.
         let Some(name) = name else { continue };
-        let Source { path, transforms, .. } = &sources.files[source];
+        let Source {
+            path, transforms, ..
+        } = &sources.files[source];
         let present = faults.is_empty();
         let camera = size.map(|size| match transforms.camera(path, i, size) {
             Ok((camera, lens)) => (camera, lens, true),
@@ -100,7 +131,9 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             }
         });
         faults.into_iter().for_each(|fault| problems.push(fault));
-        let Some((camera, lens, posed)) = camera else { continue };
+        let Some((camera, lens, posed)) = camera else {
+            continue;
+        };
         let frame = &transforms.frames[i];
         let said = |path: &Option<String>| path.as_ref().map(|path| dir.join(path));
         let (truth, instances) = (said(&frame.label_path), said(&frame.instance_path));
@@ -114,19 +147,46 @@ pub(super) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             (None, _) => None,
         };
         let scales = false;
-        frames.push(Frame { name, split, image, present, camera, posed, lens, scales, mask, truth, raw, instances });
+        frames.push(Frame {
+            name,
+            split,
+            image,
+            present,
+            camera,
+            posed,
+            lens,
+            scales,
+            mask,
+            truth,
+            raw,
+            instances,
+        });
     }
-    let Sources { file, files, mut notices } = sources;
-    let cloud = files.iter().find_map(|source| source.transforms.ply_file_path.as_ref());
+    let Sources {
+        file,
+        files,
+        mut notices,
+    } = sources;
+    let cloud = files
+        .iter()
+        .find_map(|source| source.transforms.ply_file_path.as_ref());
     if cloud.is_none()
         && let Some(cloud) = CLOUDS.into_iter().find(|name| dir.join(name).is_file())
     {
-        let file = files[0].path.file_name().unwrap_or_default().to_string_lossy();
+        let file = files[0]
+            .path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy();
         let told = format!("{cloud} is not read: {file} does not name it");
-        notices.push(format!("{told}; add \"ply_file_path\": \"{cloud}\" where it is the initial cloud"));
+        notices.push(format!(
+            "{told}; add \"ply_file_path\": \"{cloud}\" where it is the initial cloud"
+        ));
     }
     let labelled = raw::need_table(dir, options, &frames);
-    let classes = problems.keep(read_classes(dir, labelled)).unwrap_or_default();
+    let classes = problems
+        .keep(read_classes(dir, labelled))
+        .unwrap_or_default();
     Ok(Listing {
         layout: Layout::Transforms,
         z_up: files.iter().all(|source| source.transforms.z_up()),
@@ -156,24 +216,66 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
     problems.none()?;
     let transforms = &sources.files[0].transforms;
     let mut cameras = Vec::new();
-    for Kept { index: i, split: s, name, .. } in kept {
-        let Some(name) = name.filter(|_| split.is_none_or(|wanted| wanted == s)) else { continue };
+    for Kept {
+        index: i,
+        split: s,
+        name,
+        ..
+    } in kept
+    {
+        let Some(name) = name.filter(|_| split.is_none_or(|wanted| wanted == s)) else {
+            continue;
+        };
         let Some(size) = transforms.declared_size(path, i)? else {
             let field = format!("{}.w", transforms.field(i));
-            return Err(Error::input(path, field, "no image size", "w and h in pixels", "add w and h"));
+            return Err(Error::input(
+                path,
+                field,
+                "no image size",
+                "w and h in pixels",
+                "add w and h",
+            ));
         };
         let pixels = (size.0 as u64).saturating_mul(size.1 as u64);
-        Limits::check(format!("{}: pixels", path.display()), pixels, Limits::default().image_pixels, "lower w and h")?;
+        Limits::check(
+            format!("{}: pixels", path.display()),
+            pixels,
+            Limits::default().image_pixels,
+            "lower w and h",
+        )?;
         let (camera, lens) = transforms.camera(path, i, size)?;
         let image = PathBuf::from(&transforms.frames[i].file_path);
         let (mask, truth, raw, instances) = (None, None, None, None);
         let (present, posed, scales) = (true, true, false);
-        let frame = Frame { name, split: s, image, present, camera, posed, lens, scales, mask, truth, raw, instances };
-        cameras.push(NamedCamera { camera: frame.geometry(size)?.camera, name: frame.name, split: s });
+        let frame = Frame {
+            name,
+            split: s,
+            image,
+            present,
+            camera,
+            posed,
+            lens,
+            scales,
+            mask,
+            truth,
+            raw,
+            instances,
+        };
+        cameras.push(NamedCamera {
+            camera: frame.geometry(size)?.camera,
+            name: frame.name,
+            split: s,
+        });
     }
     if cameras.is_empty() {
         let found = format!("no frame of split {split:?}");
-        return Err(Error::input(path, "frames", found, "at least one", "choose the other split or all"));
+        return Err(Error::input(
+            path,
+            "frames",
+            found,
+            "at least one",
+            "choose the other split or all",
+        ));
     }
     Ok(cameras)
 }
@@ -182,7 +284,9 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
 /// out.
 fn photo(
     dir: &Path,
-    Source { path, transforms, .. }: &Source,
+    Source {
+        path, transforms, ..
+    }: &Source,
     i: usize,
     limits: &Limits,
 ) -> (PathBuf, Vec<Error>, Option<(usize, usize)>) {
@@ -191,13 +295,24 @@ fn photo(
     if !image.is_file() {
         let field = format!("{}.file_path", transforms.field(i));
         let mend = "put the image there or drop the frame";
-        faults.push(Error::input(path, field, format!("no file {}", image.display()), "an image", mend));
+        faults.push(Error::input(
+            path,
+            field,
+            format!("no file {}", image.display()),
+            "an image",
+            mend,
+        ));
     }
-    let declared = transforms.declared_size(path, i).map_err(|fault| faults.push(fault)).ok().flatten();
+    let declared = transforms
+        .declared_size(path, i)
+        .map_err(|fault| faults.push(fault))
+        .ok()
+        .flatten();
     let size = match declared {
-        None if faults.is_empty() => {
-            ImageFile::open(&image, limits).map(|file| file.size).map_err(|e| faults.push(e)).ok()
-        }
+        None if faults.is_empty() => ImageFile::open(&image, limits)
+            .map(|file| file.size)
+            .map_err(|e| faults.push(e))
+            .ok(),
         declared => declared,
     };
     (image, faults, size)
@@ -220,7 +335,9 @@ fn image_path(dir: &Path, file: &str) -> PathBuf {
 pub(super) fn alternatives(dir: &Path) -> Vec<String> {
     let names = std::fs::read_dir(dir).into_iter().flatten().flatten();
     let names = names.filter_map(|entry| entry.file_name().into_string().ok());
-    let mut names: Vec<String> = names.filter(|n| n.starts_with("transforms") && n.ends_with(".json")).collect();
+    let mut names: Vec<String> = names
+        .filter(|n| n.starts_with("transforms") && n.ends_with(".json"))
+        .collect();
     // Blender's scenes have a file for each split: the first to be named is the one to train on.
     names.sort_unstable_by(|a, b| (!a.contains("train"), a).cmp(&(!b.contains("train"), b)));
     names.truncate(4);

@@ -14,7 +14,9 @@ pub(in crate::data) fn blanked(text: &str) -> (String, Vec<Token>) {
     let (mut out, mut tokens) = (String::with_capacity(text.len()), Vec::new());
     let (mut rest, mut line, mut quoted) = (text, 1, false);
     while let Some(c) = rest.chars().next() {
-        let token = ["NaN", "-Infinity", "Infinity"].into_iter().find(|t| !quoted && rest.starts_with(t));
+        let token = ["NaN", "-Infinity", "Infinity"]
+            .into_iter()
+            .find(|t| !quoted && rest.starts_with(t));
         if let Some(text) = token {
             tokens.push(Token { line, text });
             out.push_str("null");

@@ -64,8 +64,15 @@ pub(super) struct LensFields {
 }
 
 /// Models that are a pinhole once the distortion is taken out.
-const PINHOLE_MODELS: [&str; 7] =
-    ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "OPENCV_PINHOLE", "FULL_OPENCV", "SIMPLE_RADIAL", "RADIAL"];
+const PINHOLE_MODELS: [&str; 7] = [
+    "PINHOLE",
+    "SIMPLE_PINHOLE",
+    "OPENCV",
+    "OPENCV_PINHOLE",
+    "FULL_OPENCV",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+];
 
 /// Intrinsics beyond this many pixels are mistakes.
 const MAX_PIXELS: f64 = 1e9;
@@ -78,39 +85,83 @@ impl Transforms {
         let transforms = parse(&text).or_else(|e| {
             // Python writes NaN into JSON. In a pose, the frame can be named.
             let (blank, tokens) = blanked(&text);
-            let lenient = parse(&blank).ok().filter(|t| !tokens.is_empty() && t.gaps().count() == tokens.len());
-            lenient.map(|t| Self { not_finite: tokens, ..t }).ok_or(e)
+            let lenient = parse(&blank)
+                .ok()
+                .filter(|t| !tokens.is_empty() && t.gaps().count() == tokens.len());
+            lenient
+                .map(|t| Self {
+                    not_finite: tokens,
+                    ..t
+                })
+                .ok_or(e)
         });
         let transforms = transforms.map_err(|e| {
-            let line = text.lines().nth(e.line().saturating_sub(1)).unwrap_or_default();
+            let line = text
+                .lines()
+                .nth(e.line().saturating_sub(1))
+                .unwrap_or_default();
             let not_finite = e.is_syntax() && ["NaN", "Infinity"].iter().any(|w| line.contains(w));
-            let found = if not_finite { format!("{} ({e})", line.trim()) } else { e.to_string() };
-            let expected =
-                if not_finite { "finite numbers" } else { "transforms.json as nerfstudio and instant-ngp have it" };
-            Error::input(path, format!("line {}", e.line()), found, expected, "mend the file there or export it again")
+            let found = if not_finite {
+                format!("{} ({e})", line.trim())
+            } else {
+                e.to_string()
+            };
+            let expected = if not_finite {
+                "finite numbers"
+            } else {
+                "transforms.json as nerfstudio and instant-ngp have it"
+            };
+            Error::input(
+                path,
+                format!("line {}", e.line()),
+                found,
+                expected,
+                "mend the file there or export it again",
+            )
         })?;
         if transforms.frames.is_empty() {
-            return Err(Error::input(path, "frames", "no frames", "at least one", "add views"));
+            return Err(Error::input(
+                path,
+                "frames",
+                "no frames",
+                "at least one",
+                "add views",
+            ));
         }
-        let convention = transforms.convention.as_deref().unwrap_or_default().to_lowercase();
+        let convention = transforms
+            .convention
+            .as_deref()
+            .unwrap_or_default()
+            .to_lowercase();
         if convention.contains("opencv") && !convention.contains("opengl") {
             let mend = "negate the second and third column of every transform_matrix";
-            return Err(Error::input(path, "convention", convention, "OpenGL camera-to-world", mend));
+            return Err(Error::input(
+                path,
+                "convention",
+                convention,
+                "OpenGL camera-to-world",
+                mend,
+            ));
         }
         Ok(transforms)
     }
 
     /// Whether the file says that the world's z axis points up.
     pub fn z_up(&self) -> bool {
-        self.convention.as_deref().is_some_and(|c| c.to_lowercase().contains("world z up"))
+        self.convention
+            .as_deref()
+            .is_some_and(|c| c.to_lowercase().contains("world z up"))
     }
 
     /// Cells of matrices that hold no number, as (frame, row, column), in order.
     fn gaps(&self) -> impl Iterator<Item = (usize, usize, usize)> {
         self.frames.iter().enumerate().flat_map(|(i, frame)| {
             let rows = frame.transform_matrix.iter().enumerate();
-            let cells = rows.flat_map(|(r, row)| row.iter().enumerate().map(move |(c, cell)| (r, c, cell)));
-            cells.filter(|(.., cell)| cell.is_none()).map(move |(r, c, _)| (i, r, c))
+            let cells =
+                rows.flat_map(|(r, row)| row.iter().enumerate().map(move |(c, cell)| (r, c, cell)));
+            cells
+                .filter(|(.., cell)| cell.is_none())
+                .map(move |(r, c, _)| (i, r, c))
         })
     }
 
@@ -142,7 +193,12 @@ impl Transforms {
     }
 
     /// The camera of a frame, in world units, and its lens.
-    pub fn camera(&self, path: &Path, frame: usize, (width, height): (usize, usize)) -> Result<(Camera, Lens)> {
+    pub fn camera(
+        &self,
+        path: &Path,
+        frame: usize,
+        (width, height): (usize, usize),
+    ) -> Result<(Camera, Lens)> {
         let (intrinsics, lens) = self.intrinsics(path, frame, width, height)?;
         let matrix = self.matrix(path, frame)?;
         let camera = Camera::from_opengl(&matrix, intrinsics).ok_or_else(|| {
@@ -156,12 +212,18 @@ impl Transforms {
                     format!(", which is a rotation times {scale:.6}"),
                     format!("divide its first three columns by {scale:.6}; the translation stays"),
                 ),
-                None => (String::new(), "remove scale, shear and mirroring from the pose".to_owned()),
+                None => (
+                    String::new(),
+                    "remove scale, shear and mirroring from the pose".to_owned(),
+                ),
             };
             Error::input(
                 path,
                 format!("{}.transform_matrix", self.field(frame)),
-                format!("column lengths {lengths:.4?}, determinant {:.4}{scaled}", m.determinant()),
+                format!(
+                    "column lengths {lengths:.4?}, determinant {:.4}{scaled}",
+                    m.determinant()
+                ),
                 "a rotation (orthonormal columns, determinant +1) and a translation",
                 mend,
             )
@@ -174,23 +236,40 @@ impl Transforms {
         let rows = &self.frames[frame].transform_matrix;
         let error = |field: &str, found: String, expected: &str| {
             let field = format!("{}.transform_matrix{field}", self.field(frame));
-            Err(Error::input(path, field, found, expected, "export the pose again"))
+            Err(Error::input(
+                path,
+                field,
+                found,
+                expected,
+                "export the pose again",
+            ))
         };
         if !(3..=4).contains(&rows.len()) || rows.iter().any(|r| r.len() != 4) {
             let lengths: Vec<_> = rows.iter().map(Vec::len).collect();
-            return error("", format!("rows of lengths {lengths:?}"), "4 rows of 4 numbers");
+            return error(
+                "",
+                format!("rows of lengths {lengths:?}"),
+                "4 rows of 4 numbers",
+            );
         }
         let mut m = [[0.0, 0.0, 0.0, 1.0]; 4];
         for (r, row) in rows.iter().enumerate() {
             for (c, &value) in row.iter().enumerate() {
                 let Some(value) = value else {
-                    let token = self.gaps().position(|gap| gap == (frame, r, c)).and_then(|k| self.not_finite.get(k));
+                    let token = self
+                        .gaps()
+                        .position(|gap| gap == (frame, r, c))
+                        .and_then(|k| self.not_finite.get(k));
                     let line = token.map_or(String::new(), |t| format!(", line {}", t.line));
                     let found = token.map_or("null", |t| t.text).to_owned();
                     return error(&format!("[{r}][{c}]{line}"), found, "a finite number");
                 };
                 if !(value as f32).is_finite() {
-                    return error(&format!("[{r}][{c}]"), format!("{value:?}"), "a finite number (f32)");
+                    return error(
+                        &format!("[{r}][{c}]"),
+                        format!("{value:?}"),
+                        "a finite number (f32)",
+                    );
                 }
                 m[r][c] = value;
             }
@@ -202,54 +281,122 @@ impl Transforms {
         Ok(DMat4::from_cols(x, y, z, w).transpose())
     }
 
-    fn intrinsics(&self, path: &Path, frame: usize, width: usize, height: usize) -> Result<(Intrinsics, Lens)> {
+    fn intrinsics(
+        &self,
+        path: &Path,
+        frame: usize,
+        width: usize,
+        height: usize,
+    ) -> Result<(Intrinsics, Lens)> {
         let (own, all) = (&self.frames[frame].lens, &self.lens);
         let error = |name: &str, found: String, expected: &str, mend: &str| {
-            Error::input(path, format!("{}.{name}", self.field(frame)), found, expected, mend)
+            Error::input(
+                path,
+                format!("{}.{name}", self.field(frame)),
+                found,
+                expected,
+                mend,
+            )
         };
         let model = own.camera_model.as_ref().or(all.camera_model.as_ref());
-        if let Some(model) = model.filter(|m| !PINHOLE_MODELS.contains(&m.to_uppercase().as_str())) {
+        if let Some(model) = model.filter(|m| !PINHOLE_MODELS.contains(&m.to_uppercase().as_str()))
+        {
             let mend = "undistort the images (colmap image_undistorter) and export again";
-            return Err(error("camera_model", model.clone(), "PINHOLE, OPENCV, SIMPLE_RADIAL or RADIAL", mend));
+            return Err(error(
+                "camera_model",
+                model.clone(),
+                "PINHOLE, OPENCV, SIMPLE_RADIAL or RADIAL",
+                mend,
+            ));
         }
         if own.is_fisheye.or(all.is_fisheye) == Some(true) {
             let mend = "undistort the images (colmap image_undistorter) and export again";
-            return Err(error("is_fisheye", "true".into(), "a lens that is no fisheye", mend));
+            return Err(error(
+                "is_fisheye",
+                "true".into(),
+                "a lens that is no fisheye",
+                mend,
+            ));
         }
         // Of what follows k3 tools differ on the meaning: a further power of the radius, or a denominator.
-        let beyond = [("k4", own.k4.or(all.k4)), ("k5", own.k5.or(all.k5)), ("k6", own.k6.or(all.k6))];
+        let beyond = [
+            ("k4", own.k4.or(all.k4)),
+            ("k5", own.k5.or(all.k5)),
+            ("k6", own.k6.or(all.k6)),
+        ];
         if let Some((name, Some(k))) = beyond.iter().find(|(_, k)| k.is_some_and(|k| k != 0.0)) {
-            let mend =
-                "undistort the images (colmap image_undistorter, or OpenCV undistort) and export poses with zeros";
-            return Err(error(name, k.to_string(), "0: of lens distortion only k1 k2 k3 p1 p2 are read", mend));
+            let mend = "undistort the images (colmap image_undistorter, or OpenCV undistort) and export poses with zeros";
+            return Err(error(
+                name,
+                k.to_string(),
+                "0: of lens distortion only k1 k2 k3 p1 p2 are read",
+                mend,
+            ));
         }
         let value = |own: Option<f64>, all: Option<f64>| own.or(all).unwrap_or(0.0);
         let lens = Lens {
-            k: [value(own.k1, all.k1), value(own.k2, all.k2), value(own.k3, all.k3)],
+            k: [
+                value(own.k1, all.k1),
+                value(own.k2, all.k2),
+                value(own.k3, all.k3),
+            ],
             p: [value(own.p1, all.p1), value(own.p2, all.p2)],
         };
-        let from_angle = |pixels: usize, angle: Option<f64>| angle.map(|a| 0.5 * pixels as f64 / (0.5 * a).tan());
-        let fx = own.fl_x.or(all.fl_x).or_else(|| from_angle(width, own.camera_angle_x.or(all.camera_angle_x)));
+        let from_angle = |pixels: usize, angle: Option<f64>| {
+            angle.map(|a| 0.5 * pixels as f64 / (0.5 * a).tan())
+        };
+        let fx = own
+            .fl_x
+            .or(all.fl_x)
+            .or_else(|| from_angle(width, own.camera_angle_x.or(all.camera_angle_x)));
         let Some(fx) = fx else {
             let mend = "add the focal length in pixels";
-            return Err(error("fl_x", "neither fl_x nor camera_angle_x".into(), "one of them", mend));
+            return Err(error(
+                "fl_x",
+                "neither fl_x nor camera_angle_x".into(),
+                "one of them",
+                mend,
+            ));
         };
-        let fy = own.fl_y.or(all.fl_y).or_else(|| from_angle(height, own.camera_angle_y.or(all.camera_angle_y)));
+        let fy = own
+            .fl_y
+            .or(all.fl_y)
+            .or_else(|| from_angle(height, own.camera_angle_y.or(all.camera_angle_y)));
         // One focal length only: square pixels.
         let fy = fy.unwrap_or(fx);
         for (name, f) in [("fl_x", fx), ("fl_y", fy)] {
             if !(1e-3..=MAX_PIXELS).contains(&f) {
                 let expected = "a positive number of pixels, 0.001 to 1e9";
-                return Err(error(name, format!("{f:?}"), expected, "mend the focal length or camera_angle"));
+                return Err(error(
+                    name,
+                    format!("{f:?}"),
+                    expected,
+                    "mend the focal length or camera_angle",
+                ));
             }
         }
         let cx = own.cx.or(all.cx).unwrap_or(0.5 * width as f64);
         let cy = own.cy.or(all.cy).unwrap_or(0.5 * height as f64);
         for (name, c) in [("cx", cx), ("cy", cy)] {
             if c.abs() > MAX_PIXELS {
-                return Err(error(name, format!("{c:?}"), "pixels from the image corner", "mend the principal point"));
+                return Err(error(
+                    name,
+                    format!("{c:?}"),
+                    "pixels from the image corner",
+                    "mend the principal point",
+                ));
             }
         }
-        Ok((Intrinsics { fx, fy, cx, cy, width, height }, lens))
+        Ok((
+            Intrinsics {
+                fx,
+                fy,
+                cx,
+                cy,
+                width,
+                height,
+            },
+            lens,
+        ))
     }
 }

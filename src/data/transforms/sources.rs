@@ -40,7 +40,11 @@ impl Source {
             Some(_) => Splits::all(transforms.frames.len(), split),
             None => transforms.splits(&path, problems),
         };
-        Ok(Self { path, transforms, splits })
+        Ok(Self {
+            path,
+            transforms,
+            splits,
+        })
     }
 }
 
@@ -64,12 +68,20 @@ fn files(dir: &Path, options: &LoadOptions) -> Option<Vec<(String, Option<Split>
     }
     let held_out = [TEST, VALIDATION].into_iter().find(|name| there(name))?;
     let usual = options.transforms == DataConfig::default().transforms && there(TRAIN);
-    usual.then(|| vec![(TRAIN.to_owned(), Some(Split::Train)), (held_out.to_owned(), Some(Split::Test))])
+    usual.then(|| {
+        vec![
+            (TRAIN.to_owned(), Some(Split::Train)),
+            (held_out.to_owned(), Some(Split::Test)),
+        ]
+    })
 }
 
 /// The first of the files that list the frames of `dir`, if there are any.
 pub(in crate::data) fn found(dir: &Path, options: &LoadOptions) -> Option<String> {
-    files(dir, options)?.into_iter().next().map(|(name, _)| name)
+    files(dir, options)?
+        .into_iter()
+        .next()
+        .map(|(name, _)| name)
 }
 
 impl Sources {
@@ -80,7 +92,9 @@ impl Sources {
         let file = dir.join(names.join(" and "));
         let mut notices = Vec::new();
         if names.contains(&TEST) && files.len() > 1 && dir.join(VALIDATION).is_file() {
-            notices.push(format!("{VALIDATION} is not read: the frames of {TEST} are what is held out"));
+            notices.push(format!(
+                "{VALIDATION} is not read: the frames of {TEST} are what is held out"
+            ));
         }
         let mut read = Vec::with_capacity(files.len());
         for (name, split) in &files {
@@ -88,13 +102,21 @@ impl Sources {
             notices.append(&mut source.splits.notices);
             read.push(source);
         }
-        Ok(Self { file, files: read, notices })
+        Ok(Self {
+            file,
+            files: read,
+            notices,
+        })
     }
 
     /// One file, whatever lies beside it.
     pub fn of_file(path: &Path, problems: &mut Problems) -> Result<Self> {
         let source = Source::read(path.to_owned(), None, problems)?;
-        Ok(Self { file: path.to_owned(), files: vec![source], notices: Vec::new() })
+        Ok(Self {
+            file: path.to_owned(),
+            files: vec![source],
+            notices: Vec::new(),
+        })
     }
 
     /// The frames that the options keep, in the order of the files. A name that an earlier frame has is a fault.
@@ -104,7 +126,12 @@ impl Sources {
         let names = self.names(problems);
         let kept = options.pick(&given).into_iter().map(|(place, split)| {
             let (source, index, _) = frames[place];
-            Kept { source, index, split, name: names[source][index].clone() }
+            Kept {
+                source,
+                index,
+                split,
+                name: names[source][index].clone(),
+            }
         });
         kept.collect()
     }
@@ -113,8 +140,14 @@ impl Sources {
     /// paths, folders joined by `_`. `None` where it is empty or an earlier frame has it, which is a fault, and for frames that
     /// are left out.
     fn names(&self, problems: &mut Problems) -> Vec<Vec<Option<String>>> {
-        let stem = |file: &str| Path::new(file).file_stem().and_then(|stem| stem.to_str()).map(str::to_owned);
-        let joined = |file: &str| Some(joined_name(Path::new(file))).filter(|name| !name.is_empty());
+        let stem = |file: &str| {
+            Path::new(file)
+                .file_stem()
+                .and_then(|stem| stem.to_str())
+                .map(str::to_owned)
+        };
+        let joined =
+            |file: &str| Some(joined_name(Path::new(file))).filter(|name| !name.is_empty());
         let by_path = self.files.len() > 1 && {
             let mut sources = HashMap::new();
             self.frames().any(|(source, i, _)| {
@@ -122,21 +155,44 @@ impl Sources {
                 *sources.entry(stem).or_insert(source) != source
             })
         };
-        let mut names: Vec<Vec<_>> = self.files.iter().map(|file| vec![None; file.transforms.frames.len()]).collect();
+        let mut names: Vec<Vec<_>> = self
+            .files
+            .iter()
+            .map(|file| vec![None; file.transforms.frames.len()])
+            .collect();
         let mut first: HashMap<String, (usize, usize)> = HashMap::new();
         for (source, i, _) in self.frames() {
-            let Source { path, transforms, .. } = &self.files[source];
+            let Source {
+                path, transforms, ..
+            } = &self.files[source];
             let photo = &transforms.frames[i].file_path;
             let field = format!("{}.file_path", transforms.field(i));
             let Some(name) = (if by_path { joined(photo) } else { stem(photo) }) else {
                 let expected = "the path of an image";
-                problems.push(Error::input(path, field, format!("{photo:?}"), expected, "name the image file"));
+                problems.push(Error::input(
+                    path,
+                    field,
+                    format!("{photo:?}"),
+                    expected,
+                    "name the image file",
+                ));
                 continue;
             };
             if let Some(&(of, earlier)) = first.get(&name) {
-                let Source { path: other, transforms, .. } = &self.files[of];
-                let other = other.file_name().filter(|_| of != source).unwrap_or_default();
-                let of_file = if other.is_empty() { String::new() } else { format!(" of {}", other.display()) };
+                let Source {
+                    path: other,
+                    transforms,
+                    ..
+                } = &self.files[of];
+                let other = other
+                    .file_name()
+                    .filter(|_| of != source)
+                    .unwrap_or_default();
+                let of_file = if other.is_empty() {
+                    String::new()
+                } else {
+                    format!(" of {}", other.display())
+                };
                 let earlier = transforms.field(earlier);
                 let what = if by_path { "path" } else { "stem" };
                 let alone = if self.files.len() > 1 {
@@ -162,6 +218,11 @@ impl Sources {
     /// Number of the file, of the frame in it, and the split that is said of it, of those that are not left out.
     fn frames(&self) -> impl Iterator<Item = (usize, usize, Option<Split>)> {
         let files = self.files.iter().enumerate();
-        files.flat_map(|(source, file)| file.splits.frames.iter().map(move |&(i, split)| (source, i, split)))
+        files.flat_map(|(source, file)| {
+            file.splits
+                .frames
+                .iter()
+                .map(move |&(i, split)| (source, i, split))
+        })
     }
 }

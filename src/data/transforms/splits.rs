@@ -39,7 +39,10 @@ impl Use {
 impl Splits {
     /// All `count` frames of a file, of one split.
     pub fn all(count: usize, split: Option<Split>) -> Self {
-        Self { frames: (0..count).map(|i| (i, split)).collect(), notices: Vec::new() }
+        Self {
+            frames: (0..count).map(|i| (i, split)).collect(),
+            notices: Vec::new(),
+        }
     }
 }
 
@@ -48,7 +51,10 @@ impl Transforms {
     /// beside test frames.
     pub fn splits(&self, path: &Path, problems: &mut Problems) -> Splits {
         let mut notices = Vec::new();
-        let uses = match (self.frames.iter().any(|f| f.split.is_some()), self.lists().is_empty()) {
+        let uses = match (
+            self.frames.iter().any(|f| f.split.is_some()),
+            self.lists().is_empty(),
+        ) {
             (true, _) => self.named_uses(path, problems),
             (false, false) => self.listed_uses(&mut notices),
             (false, true) => return Splits::all(self.frames.len(), None),
@@ -59,10 +65,15 @@ impl Transforms {
             Use::Test => Some(Split::Test),
             Use::Validation => (!tested).then_some(Split::Test),
         };
-        let frames: Vec<_> = uses.iter().filter_map(|&(i, of)| split(of).map(|split| (i, Some(split)))).collect();
+        let frames: Vec<_> = uses
+            .iter()
+            .filter_map(|&(i, of)| split(of).map(|split| (i, Some(split))))
+            .collect();
         let left_out = uses.len() - frames.len();
         if left_out > 0 {
-            notices.push(format!("{left_out} validation frames left out: the test frames are what is held out"));
+            notices.push(format!(
+                "{left_out} validation frames left out: the test frames are what is held out"
+            ));
         }
         Splits { frames, notices }
     }
@@ -76,7 +87,12 @@ impl Transforms {
                 problems.push(Error::input(
                     path,
                     format!("{}.split", self.field(i)),
-                    frame.split.as_ref().map_or("nothing, though other frames have one".into(), |s| format!("{s:?}")),
+                    frame
+                        .split
+                        .as_ref()
+                        .map_or("nothing, though other frames have one".into(), |s| {
+                            format!("{s:?}")
+                        }),
                     "\"train\", \"test\" or \"val\"",
                     "give every frame a split, or none (then every 8th is test)",
                 ));
@@ -91,14 +107,21 @@ impl Transforms {
         let plain = |file: &str| file.trim_start_matches("./").to_owned();
         let mut of_file = HashMap::new();
         for (of, files) in self.lists() {
-            files.iter().for_each(|file| _ = of_file.insert(plain(file), of));
+            files
+                .iter()
+                .for_each(|file| _ = of_file.insert(plain(file), of));
         }
         let frames = self.frames.iter().enumerate();
-        let uses: Vec<_> = frames.filter_map(|(i, f)| Some((i, *of_file.get(&plain(&f.file_path))?))).collect();
+        let uses: Vec<_> = frames
+            .filter_map(|(i, f)| Some((i, *of_file.get(&plain(&f.file_path))?)))
+            .collect();
         let unlisted = self.frames.len() - uses.len();
         if unlisted > 0 {
             let lists = "train_filenames, val_filenames and test_filenames";
-            notices.push(format!("{unlisted} of {} frames left out: they are in none of {lists}", self.frames.len()));
+            notices.push(format!(
+                "{unlisted} of {} frames left out: they are in none of {lists}",
+                self.frames.len()
+            ));
         }
         uses
     }
@@ -109,6 +132,9 @@ impl Transforms {
             (Use::Validation, &self.val_filenames),
             (Use::Test, &self.test_filenames),
         ];
-        lists.into_iter().filter_map(|(of, files)| Some((of, files.as_deref()?))).collect()
+        lists
+            .into_iter()
+            .filter_map(|(of, files)| Some((of, files.as_deref()?)))
+            .collect()
     }
 }

@@ -33,7 +33,11 @@ struct FrameOut {
 /// # Errors
 /// [`crate::Error::Io`].
 pub fn write_cameras(path: &Path, cameras: &[NamedCamera]) -> Result<()> {
-    let frame = |NamedCamera { name, split, camera }: &NamedCamera| {
+    let frame = |NamedCamera {
+                     name,
+                     split,
+                     camera,
+                 }: &NamedCamera| {
         let rows: DMat4 = camera.to_opengl().transpose();
         FrameOut {
             file_path: format!("{}.png", name.replace(['/', '\\'], "_")),
@@ -50,7 +54,10 @@ pub fn write_cameras(path: &Path, cameras: &[NamedCamera]) -> Result<()> {
             transform_matrix: rows.to_cols_array_2d(),
         }
     };
-    let file = File { camera_model: "PINHOLE", frames: cameras.iter().map(frame).collect() };
+    let file = File {
+        camera_model: "PINHOLE",
+        frames: cameras.iter().map(frame).collect(),
+    };
     atomic::write(path, |out| {
         serde_json::to_writer_pretty(&mut *out, &file)?;
         out.write_all(b"\n")

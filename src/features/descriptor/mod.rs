@@ -55,7 +55,10 @@ pub fn describe(image: &image::RgbImage) -> [FeatureMap; 4] {
 /// Pooled responses to descriptor values of about unit spread.
 fn finish(window: &FeatureMap, surround: &FeatureMap) -> FeatureMap {
     let mut out = FeatureMap::zeros(window.height, window.width, CHANNELS);
-    let cells = window.data.chunks_exact(window.channels).zip(surround.data.chunks_exact(surround.channels));
+    let cells = window
+        .data
+        .chunks_exact(window.channels)
+        .zip(surround.data.chunks_exact(surround.channels));
     for (out, (cell, around)) in out.data.chunks_exact_mut(CHANNELS).zip(cells) {
         let (colours, textures) = cell.split_at(COLOUR);
         let (head, contrast) = out.split_at_mut(COLOUR + TEXTURE);

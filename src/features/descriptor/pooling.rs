@@ -7,7 +7,10 @@ use rayon::prelude::*;
 pub fn join(a: &FeatureMap, b: &FeatureMap) -> FeatureMap {
     let channels = a.channels + b.channels;
     let mut out = FeatureMap::zeros(a.height, a.width, channels);
-    let pairs = a.data.chunks_exact(a.channels).zip(b.data.chunks_exact(b.channels));
+    let pairs = a
+        .data
+        .chunks_exact(a.channels)
+        .zip(b.data.chunks_exact(b.channels));
     for (out, (a, b)) in out.data.chunks_exact_mut(channels).zip(pairs) {
         let (left, right) = out.split_at_mut(a.len());
         left.copy_from_slice(a);
@@ -18,8 +21,16 @@ pub fn join(a: &FeatureMap, b: &FeatureMap) -> FeatureMap {
 
 /// The first `channels` channels of a map.
 pub fn first_channels(map: &FeatureMap, channels: usize) -> FeatureMap {
-    let data = map.data.chunks_exact(map.channels).flat_map(|cell| cell[..channels].iter().copied()).collect();
-    FeatureMap { channels, data, ..*map }
+    let data = map
+        .data
+        .chunks_exact(map.channels)
+        .flat_map(|cell| cell[..channels].iter().copied())
+        .collect();
+    FeatureMap {
+        channels,
+        data,
+        ..*map
+    }
 }
 
 /// Gaussian mean with standard deviation `sigma` cells, cut at 3 sigma; weights outside the map are left out.
@@ -28,23 +39,33 @@ pub fn gaussian(map: &FeatureMap, sigma: f64) -> FeatureMap {
     let rows = blur_axis(h, sigma);
     let columns = blur_axis(w, sigma);
     let mut vertical = FeatureMap::zeros(h, w, c);
-    vertical.data.par_chunks_mut(w * c).zip(&rows).for_each(|(out, (first, taps))| {
-        for (k, &weight) in taps.iter().enumerate() {
-            for (o, &x) in out.iter_mut().zip(&map.data[(first + k) * w * c..][..w * c]) {
-                *o += weight * x;
-            }
-        }
-    });
-    let mut out = FeatureMap::zeros(h, w, c);
-    out.data.par_chunks_mut(w * c).zip(vertical.data.par_chunks(w * c)).for_each(|(out, row)| {
-        for (out, (first, taps)) in out.chunks_exact_mut(c).zip(&columns) {
+    vertical
+        .data
+        .par_chunks_mut(w * c)
+        .zip(&rows)
+        .for_each(|(out, (first, taps))| {
             for (k, &weight) in taps.iter().enumerate() {
-                for (o, &x) in out.iter_mut().zip(&row[(first + k) * c..][..c]) {
+                for (o, &x) in out
+                    .iter_mut()
+                    .zip(&map.data[(first + k) * w * c..][..w * c])
+                {
                     *o += weight * x;
                 }
             }
-        }
-    });
+        });
+    let mut out = FeatureMap::zeros(h, w, c);
+    out.data
+        .par_chunks_mut(w * c)
+        .zip(vertical.data.par_chunks(w * c))
+        .for_each(|(out, row)| {
+            for (out, (first, taps)) in out.chunks_exact_mut(c).zip(&columns) {
+                for (k, &weight) in taps.iter().enumerate() {
+                    for (o, &x) in out.iter_mut().zip(&row[(first + k) * c..][..c]) {
+                        *o += weight * x;
+                    }
+                }
+            }
+        });
     out
 }
 

@@ -26,35 +26,54 @@ pub(super) fn attend(
 ) -> Result<()> {
     let fits = |v: &f32| v.abs() <= LARGEST;
     // Without early exits inside a row: the compiler makes it wide.
-    if !qkv.par_chunks_exact(3 * d).all(|row| row.iter().fold(true, |all, v| all & fits(v))) {
-        let row = qkv.chunks_exact(3 * d).position(|row| !row.iter().all(fits)).unwrap_or_default();
-        return Err(Error::non_finite(format!("attention of DINO block {block}"), row));
+    if !qkv
+        .par_chunks_exact(3 * d)
+        .all(|row| row.iter().fold(true, |all, v| all & fits(v)))
+    {
+        let row = qkv
+            .chunks_exact(3 * d)
+            .position(|row| !row.iter().all(fits))
+            .unwrap_or_default();
+        return Err(Error::non_finite(
+            format!("attention of DINO block {block}"),
+            row,
+        ));
     }
     let n = x.len() / d;
-    let Ok(all) = ArrayView2::from_shape((n, 3 * d), qkv) else { unreachable!("three times the tokens' length") };
+    let Ok(all) = ArrayView2::from_shape((n, 3 * d), qkv) else {
+        unreachable!("three times the tokens' length")
+    };
     let queries = queries.min(n);
     // Scores are kept from chunk to chunk: fresh pages cost more than clearing them would.
-    x.par_chunks_mut(queries * d).enumerate().for_each_init(Vec::new, |scores: &mut Vec<f32>, (chunk, x)| {
-        let (first, count) = (chunk * queries, x.len() / d);
-        scores.resize(count * n, 0.0);
-        let mut attended = vec![0.0; count * d];
-        for head in (0..d).step_by(HEAD) {
-            let part = |which: usize| which * d + head..which * d + head + HEAD;
-            let query = all.slice(s![first..first + count, part(0)]);
-            let (keys, values) = (all.slice(s![.., part(1)]), all.slice(s![.., part(2)]));
-            // Scores in powers of two: the exponential is that of base 2.
-            let scale = LOG2_E / (HEAD as f32).sqrt();
-            product(scale, &query, &keys.t(), &mut matrix(scores, n).view_mut());
-            let sums: Vec<f32> = scores.chunks_exact_mut(n).map(softmax_numerators).collect();
-            let mut attended = matrix(&mut attended, d);
-            let mut out = attended.slice_mut(s![.., head..head + HEAD]);
-            product(1.0, &ArrayView2::from(&matrix(scores, n)), &values, &mut out);
-            for (mut row, sum) in out.rows_mut().into_iter().zip(sums) {
-                row.iter_mut().for_each(|v| *v /= sum);
+    x.par_chunks_mut(queries * d).enumerate().for_each_init(
+        Vec::new,
+        |scores: &mut Vec<f32>, (chunk, x)| {
+            let (first, count) = (chunk * queries, x.len() / d);
+            scores.resize(count * n, 0.0);
+            let mut attended = vec![0.0; count * d];
+            for head in (0..d).step_by(HEAD) {
+                let part = |which: usize| which * d + head..which * d + head + HEAD;
+                let query = all.slice(s![first..first + count, part(0)]);
+                let (keys, values) = (all.slice(s![.., part(1)]), all.slice(s![.., part(2)]));
+                // Scores in powers of two: the exponential is that of base 2.
+                let scale = LOG2_E / (HEAD as f32).sqrt();
+                product(scale, &query, &keys.t(), &mut matrix(scores, n).view_mut());
+                let sums: Vec<f32> = scores.chunks_exact_mut(n).map(softmax_numerators).collect();
+                let mut attended = matrix(&mut attended, d);
+                let mut out = attended.slice_mut(s![.., head..head + HEAD]);
+                product(
+                    1.0,
+                    &ArrayView2::from(&matrix(scores, n)),
+                    &values,
+                    &mut out,
+                );
+                for (mut row, sum) in out.rows_mut().into_iter().zip(sums) {
+                    row.iter_mut().for_each(|v| *v /= sum);
+                }
             }
-        }
-        projection.add_to(&attended, x);
-    });
+            projection.add_to(&attended, x);
+        },
+    );
     Ok(())
 }
 

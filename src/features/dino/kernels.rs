@@ -99,7 +99,10 @@ impl Kernel<f32> for Gelu<'_> {
             for c in OTHERS {
                 series = series.fma(t, V::splat(c));
             }
-            let power = minus.mul(zero.sub(minus)).mul(V::splat(0.5 * LOG2_E)).exp2_nonpositive();
+            let power = minus
+                .mul(zero.sub(minus))
+                .mul(V::splat(0.5 * LOG2_E))
+                .exp2_nonpositive();
             // erfc z = t series exp(-z^2), and x Phi(x) = max(x, 0) - |x| erfc(z) / 2.
             let erfc = t.mul(series).mul(power);
             minus.mul(V::splat(0.5)).fma(erfc, x.max(zero)).store(at);
@@ -135,20 +138,29 @@ mod tests {
                 x if x < -6.0 => 0.0,
                 x => 0.5 * x * (1.0 + erf(x / 2.0_f64.sqrt())),
             };
-            assert!((f64::from(y) - expected).abs() <= 4e-7 * x.abs().max(1.0), "{x}: {y}, {expected}");
+            assert!(
+                (f64::from(y) - expected).abs() <= 4e-7 * x.abs().max(1.0),
+                "{x}: {y}, {expected}"
+            );
         }
     }
 
     #[test]
     fn softmax_sums_at_any_length() {
         for n in [1, 7, 8, 9, 31] {
-            let scores: Vec<f32> = (0..n).map(|i| (i as f32 * 1.7).sin() * 20.0 + 300.0).collect();
+            let scores: Vec<f32> = (0..n)
+                .map(|i| (i as f32 * 1.7).sin() * 20.0 + 300.0)
+                .collect();
             let mut row = scores.clone();
             let sum = softmax_numerators(&mut row);
             let peak = scores.iter().fold(f32::MIN, |a, &b| a.max(b));
             let exact: Vec<f64> = scores.iter().map(|&s| f64::from(s - peak).exp2()).collect();
             assert!((f64::from(sum) - exact.iter().sum::<f64>()).abs() < 1e-5 * f64::from(sum));
-            assert!(row.iter().zip(&exact).all(|(&a, b)| (f64::from(a) - b).abs() < 1e-6));
+            assert!(
+                row.iter()
+                    .zip(&exact)
+                    .all(|(&a, b)| (f64::from(a) - b).abs() < 1e-6)
+            );
         }
     }
 }

@@ -26,7 +26,10 @@ impl Linear {
     pub fn new(weights: &[f32], bias: Vec<f32>) -> Self {
         let inputs = weights.len() / bias.len().max(1);
         let column = |i: usize| weights.iter().skip(i).step_by(inputs).copied();
-        Self { weights: (0..inputs).flat_map(column).collect(), bias }
+        Self {
+            weights: (0..inputs).flat_map(column).collect(),
+            bias,
+        }
     }
 
     /// `x W^T + b` for rows `x`.
@@ -62,7 +65,11 @@ impl LayerNorm {
         let d = self.weight.len().max(1);
         for (x, out) in x.chunks_exact(d).zip(out.chunks_exact_mut(d)) {
             let mean = x.iter().map(|&v| f64::from(v)).sum::<f64>() / d as f64;
-            let variance = x.iter().map(|&v| (f64::from(v) - mean).powi(2)).sum::<f64>() / d as f64;
+            let variance = x
+                .iter()
+                .map(|&v| (f64::from(v) - mean).powi(2))
+                .sum::<f64>()
+                / d as f64;
             let scale = 1.0 / (variance + EPSILON).sqrt();
             for (((o, &v), &w), &b) in out.iter_mut().zip(x).zip(&self.weight).zip(&self.bias) {
                 *o = ((f64::from(v) - mean) * scale) as f32 * w + b;

@@ -11,9 +11,17 @@ use crate::weights::Checkpoint;
 use std::path::Path;
 
 /// Tensors of a block.
-const PARTS: [&str; 6] = ["norm1", "attn.qkv", "attn.proj", "norm2", "mlp.fc1", "mlp.fc2"];
+const PARTS: [&str; 6] = [
+    "norm1",
+    "attn.qkv",
+    "attn.proj",
+    "norm2",
+    "mlp.fc1",
+    "mlp.fc2",
+];
 
-const NETWORK: &str = "a DINO ViT (keys `cls_token`, `pos_embed`, `patch_embed.proj.*`, `blocks.N.*`, `norm.*`)";
+const NETWORK: &str =
+    "a DINO ViT (keys `cls_token`, `pos_embed`, `patch_embed.proj.*`, `blocks.N.*`, `norm.*`)";
 
 /// The weights under one prefix of a file.
 struct Weights {
@@ -31,7 +39,9 @@ impl Vit {
     pub fn load(path: &Path) -> Result<Self> {
         // The student and the optimiser's state are three quarters of a full checkpoint.
         let weights = Weights::of(Checkpoint::open_where(path, |name| {
-            !["student.", "optimizer."].iter().any(|part| name.starts_with(part))
+            !["student.", "optimizer."]
+                .iter()
+                .any(|part| name.starts_with(part))
         })?);
         let weights = match weights.present("cls_token") {
             true => weights,
@@ -40,20 +50,29 @@ impl Vit {
         weights.check_kind()?;
 
         let (width, patch) = match weights.shape("patch_embed.proj.weight")? {
-            &[width, 3, rows, columns] if rows == columns && rows > 0 && width > 0 && width % HEAD == 0 => {
+            &[width, 3, rows, columns]
+                if rows == columns && rows > 0 && width > 0 && width % HEAD == 0 =>
+            {
                 (width, rows)
             }
             other => {
                 let expected = format!("[width, 3, patch, patch], width a multiple of {HEAD}");
-                return Err(weights.problem("patch_embed.proj.weight", format!("shape {other:?}"), expected));
+                return Err(weights.problem(
+                    "patch_embed.proj.weight",
+                    format!("shape {other:?}"),
+                    expected,
+                ));
             }
         };
         let side = match weights.shape("pos_embed")? {
-            &[1, tokens, found] if found == width && tokens > 1 && (tokens - 1).isqrt().pow(2) == tokens - 1 => {
+            &[1, tokens, found]
+                if found == width && tokens > 1 && (tokens - 1).isqrt().pow(2) == tokens - 1 =>
+            {
                 (tokens - 1).isqrt()
             }
             other => {
-                let expected = format!("[1, 1 + side x side, {width}], a class token and a square grid");
+                let expected =
+                    format!("[1, 1 + side x side, {width}], a class token and a square grid");
                 return Err(weights.problem("pos_embed", format!("shape {other:?}"), expected));
             }
         };
@@ -67,8 +86,13 @@ impl Vit {
             patch,
             embedding,
             class_token: weights.values("cls_token", &[1, 1, width])?,
-            positions: PositionEmbedding { side, values: weights.values("pos_embed", &[1, 1 + side * side, width])? },
-            blocks: (0..depth).map(|n| weights.block(n, width)).collect::<Result<_>>()?,
+            positions: PositionEmbedding {
+                side,
+                values: weights.values("pos_embed", &[1, 1 + side * side, width])?,
+            },
+            blocks: (0..depth)
+                .map(|n| weights.block(n, width))
+                .collect::<Result<_>>()?,
             norm: weights.norm("norm", width)?,
             final_norm: true,
             queries: QUERIES,
@@ -79,19 +103,30 @@ impl Vit {
 impl Weights {
     /// Chooses the network: a teacher, else one under neither name, else a student.
     fn of(file: Checkpoint) -> Self {
-        let prefixes = file.tensors.keys().filter_map(|name| name.strip_suffix("cls_token"));
+        let prefixes = file
+            .tensors
+            .keys()
+            .filter_map(|name| name.strip_suffix("cls_token"));
         let rank = |prefix: &str| match prefix {
             p if p.split('.').any(|part| part == "teacher") => 0,
             p if p.split('.').any(|part| part == "student") => 2,
             _ => 1,
         };
         let prefixes = prefixes.filter(|p| p.is_empty() || p.ends_with('.'));
-        let prefix = prefixes.min_by_key(|p| (rank(p), p.len())).unwrap_or_default().to_owned();
-        Self { file: file.of_network(NETWORK), prefix }
+        let prefix = prefixes
+            .min_by_key(|p| (rank(p), p.len()))
+            .unwrap_or_default()
+            .to_owned();
+        Self {
+            file: file.of_network(NETWORK),
+            prefix,
+        }
     }
 
     fn present(&self, name: &str) -> bool {
-        self.file.tensors.contains_key(&format!("{}{name}", self.prefix))
+        self.file
+            .tensors
+            .contains_key(&format!("{}{name}", self.prefix))
     }
 
     fn shape(&self, name: &str) -> Result<&[usize]> {
@@ -99,17 +134,29 @@ impl Weights {
     }
 
     fn values(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
-        Ok(self.file.get(&format!("{}{name}", self.prefix), shape)?.to_vec())
+        Ok(self
+            .file
+            .get(&format!("{}{name}", self.prefix), shape)?
+            .to_vec())
     }
 
     fn problem(&self, name: &str, found: impl Into<String>, expected: impl Into<String>) -> Error {
         let field = format!("{}{name}", self.prefix);
-        Error::input(&self.file.origin, field, found, expected, format!("give a checkpoint of {NETWORK}"))
+        Error::input(
+            &self.file.origin,
+            field,
+            found,
+            expected,
+            format!("give a checkpoint of {NETWORK}"),
+        )
     }
 
     /// Names below the prefix.
     fn names(&self) -> impl Iterator<Item = &str> {
-        self.file.tensors.keys().filter_map(|name| name.strip_prefix(self.prefix.as_str()))
+        self.file
+            .tensors
+            .keys()
+            .filter_map(|name| name.strip_prefix(self.prefix.as_str()))
     }
 
     /// Refuses relatives that compute something else: DINOv2 scales its layers and may have registers, iBOT masks.
@@ -126,10 +173,14 @@ impl Weights {
                 continue;
             };
             let part = rest.split_once('.').map_or("", |(_, part)| part);
-            let known =
-                part.rsplit_once('.').is_some_and(|(p, w)| PARTS.contains(&p) && ["weight", "bias"].contains(&w));
+            let known = part
+                .rsplit_once('.')
+                .is_some_and(|(p, w)| PARTS.contains(&p) && ["weight", "bias"].contains(&w));
             if !known {
-                let expected = format!("weight and bias of {} in each block, nothing else", PARTS.join(", "));
+                let expected = format!(
+                    "weight and bias of {} in each block, nothing else",
+                    PARTS.join(", ")
+                );
                 return Err(self.problem(name, "this tensor", expected));
             }
         }
@@ -138,12 +189,20 @@ impl Weights {
 
     /// One more than the highest number of a block; whether all below are there, their tensors tell.
     fn depth(&self) -> Result<usize> {
-        let numbers = self.names().filter_map(|name| name.strip_prefix("blocks.")?.split('.').next());
+        let numbers = self
+            .names()
+            .filter_map(|name| name.strip_prefix("blocks.")?.split('.').next());
         let mut depth = 0;
         for number in numbers {
             match number.parse::<usize>() {
                 Ok(n) if n < self.file.tensors.len() => depth = depth.max(n + 1),
-                _ => return Err(self.problem(&format!("blocks.{number}"), "this block", "blocks.0, blocks.1, ...")),
+                _ => {
+                    return Err(self.problem(
+                        &format!("blocks.{number}"),
+                        "this block",
+                        "blocks.0, blocks.1, ...",
+                    ));
+                }
             }
         }
         match depth {
@@ -158,7 +217,11 @@ impl Weights {
             &[hidden, found] if found == width && hidden > 0 => hidden,
             other => {
                 let expected = format!("[hidden, {width}]");
-                return Err(self.problem(&name("mlp.fc1.weight"), format!("shape {other:?}"), expected));
+                return Err(self.problem(
+                    &name("mlp.fc1.weight"),
+                    format!("shape {other:?}"),
+                    expected,
+                ));
             }
         };
         Ok(Block {
@@ -173,7 +236,10 @@ impl Weights {
 
     fn linear(&self, name: &str, [input, output]: [usize; 2]) -> Result<Linear> {
         let weights = self.values(&format!("{name}.weight"), &[output, input])?;
-        Ok(Linear::new(&weights, self.values(&format!("{name}.bias"), &[output])?))
+        Ok(Linear::new(
+            &weights,
+            self.values(&format!("{name}.bias"), &[output])?,
+        ))
     }
 
     fn norm(&self, name: &str, width: usize) -> Result<LayerNorm> {

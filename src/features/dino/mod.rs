@@ -116,8 +116,16 @@ impl Vit {
         visit: &mut dyn FnMut(usize, &Tokens) -> Result<()>,
     ) -> Result<Tokens> {
         if planes.len() != 3 * height * width || planes.is_empty() {
-            let (found, expected) = (format!("{} values", planes.len()), format!("3 x {height} x {width}, not 0"));
-            return Err(Error::argument("image of DINO", found, expected, "give three planes"));
+            let (found, expected) = (
+                format!("{} values", planes.len()),
+                format!("3 x {height} x {width}, not 0"),
+            );
+            return Err(Error::argument(
+                "image of DINO",
+                found,
+                expected,
+                "give three planes",
+            ));
         }
         let mut tokens = self.embed(planes, height, width);
         visit(0, &tokens)?;
@@ -144,22 +152,35 @@ impl Vit {
         let (rows, columns) = (height.div_ceil(p), width.div_ceil(p));
         let mut values = self.positions.over(rows, columns, d);
         let (class, patches) = values.split_at_mut(d);
-        class.iter_mut().zip(&self.class_token).for_each(|(x, c)| *x += c);
-        patches.par_chunks_mut(ROWS * d).enumerate().for_each(|(chunk, out)| {
-            let mut pixels = Vec::with_capacity(out.len() / d * 3 * p * p);
-            for token in (chunk * ROWS..).take(out.len() / d) {
-                let (top, left) = (token / columns * p, token % columns * p);
-                for (plane, y) in planes.chunks_exact(height * width).flat_map(|c| (0..p).map(move |y| (c, y))) {
-                    // Beyond the image its border pixels go on.
-                    let row = &plane[(top + y).min(height - 1) * width..][..width];
-                    let whole = &row[left..(left + p).min(width)];
-                    pixels.extend_from_slice(whole);
-                    pixels.extend(std::iter::repeat_n(row[width - 1], p - whole.len()));
+        class
+            .iter_mut()
+            .zip(&self.class_token)
+            .for_each(|(x, c)| *x += c);
+        patches
+            .par_chunks_mut(ROWS * d)
+            .enumerate()
+            .for_each(|(chunk, out)| {
+                let mut pixels = Vec::with_capacity(out.len() / d * 3 * p * p);
+                for token in (chunk * ROWS..).take(out.len() / d) {
+                    let (top, left) = (token / columns * p, token % columns * p);
+                    for (plane, y) in planes
+                        .chunks_exact(height * width)
+                        .flat_map(|c| (0..p).map(move |y| (c, y)))
+                    {
+                        // Beyond the image its border pixels go on.
+                        let row = &plane[(top + y).min(height - 1) * width..][..width];
+                        let whole = &row[left..(left + p).min(width)];
+                        pixels.extend_from_slice(whole);
+                        pixels.extend(std::iter::repeat_n(row[width - 1], p - whole.len()));
+                    }
                 }
-            }
-            self.embedding.add_to(&pixels, out);
-        });
-        Tokens { rows, columns, values }
+                self.embedding.add_to(&pixels, out);
+            });
+        Tokens {
+            rows,
+            columns,
+            values,
+        }
     }
 
     /// The four scales of an image at its own resolution; normalised here. Each has `2 * width` channels: those
@@ -176,16 +197,21 @@ impl Vit {
         }
         let taps = self.taps();
         let mut maps: [FeatureMap; SCALES] = Default::default();
-        self.forward(&planes, [height, width], self.depth(), &mut |block, tokens| {
-            for (scale, _) in taps.iter().enumerate().filter(|(_, tap)| **tap == block) {
-                maps[scale] = match self.final_norm {
-                    true => self.map(&self.normalised(tokens)),
-                    false => self.map(tokens),
-                };
-                maps[scale].check(&format!("DINO block {block}"))?;
-            }
-            Ok(())
-        })?;
+        self.forward(
+            &planes,
+            [height, width],
+            self.depth(),
+            &mut |block, tokens| {
+                for (scale, _) in taps.iter().enumerate().filter(|(_, tap)| **tap == block) {
+                    maps[scale] = match self.final_norm {
+                        true => self.map(&self.normalised(tokens)),
+                        false => self.map(tokens),
+                    };
+                    maps[scale].check(&format!("DINO block {block}"))?;
+                }
+                Ok(())
+            },
+        )?;
         Ok(maps)
     }
 
@@ -197,7 +223,16 @@ impl Vit {
             data.extend_from_slice(class);
         }
         let stride = self.patch as f64;
-        let steps = Some(Steps { stride, offset: 0.5 * stride });
-        FeatureMap { height: tokens.rows, width: tokens.columns, channels: 2 * self.width, data, steps }
+        let steps = Some(Steps {
+            stride,
+            offset: 0.5 * stride,
+        });
+        FeatureMap {
+            height: tokens.rows,
+            width: tokens.columns,
+            channels: 2 * self.width,
+            data,
+            steps,
+        }
     }
 }

@@ -29,17 +29,22 @@ impl PositionEmbedding {
         let (down, across) = (taps(self.side, rows), taps(self.side, columns));
         let mut out = vec![0.0; (1 + rows * columns) * d];
         out[..d].copy_from_slice(class);
-        out[d..].par_chunks_mut(columns * d).zip(down).for_each(|(line, down)| {
-            for (cell, across) in line.chunks_exact_mut(d).zip(&across) {
-                for (y, weight_y) in down {
-                    for (x, weight_x) in across {
-                        let weight = (weight_y * weight_x) as f32;
-                        let from = &grid[(y * self.side + x) * d..][..d];
-                        cell.iter_mut().zip(from).for_each(|(o, v)| *o += weight * v);
+        out[d..]
+            .par_chunks_mut(columns * d)
+            .zip(down)
+            .for_each(|(line, down)| {
+                for (cell, across) in line.chunks_exact_mut(d).zip(&across) {
+                    for (y, weight_y) in down {
+                        for (x, weight_x) in across {
+                            let weight = (weight_y * weight_x) as f32;
+                            let from = &grid[(y * self.side + x) * d..][..d];
+                            cell.iter_mut()
+                                .zip(from)
+                                .for_each(|(o, v)| *o += weight * v);
+                        }
                     }
                 }
-            }
-        });
+            });
         out
     }
 }
@@ -54,7 +59,12 @@ fn taps(from: usize, to: usize) -> Vec<[(usize, f64); 4]> {
             let at = step * (i as f64 + 0.5) - 0.5;
             let (first, t) = (at.floor(), at - at.floor());
             let weights = [far(t + 1.0), near(t), near(1.0 - t), far(2.0 - t)];
-            std::array::from_fn(|k| ((first + k as f64 - 1.0).clamp(0.0, last) as usize, weights[k]))
+            std::array::from_fn(|k| {
+                (
+                    (first + k as f64 - 1.0).clamp(0.0, last) as usize,
+                    weights[k],
+                )
+            })
         })
         .collect()
 }

@@ -53,16 +53,35 @@ impl Planes {
 impl Layer {
     fn fold(layer: &ConvNorm) -> Self {
         let values = |t: Tensor<1>| t.into_data().into_vec::<f32>().unwrap_or_default();
-        let weights = layer.conv.weight.val().into_data().into_vec::<f32>().unwrap_or_default();
-        let (gamma, beta) = (values(layer.norm.gamma.val()), values(layer.norm.beta.val()));
-        let (mean, variance) = (values(layer.norm.running_mean.value()), values(layer.norm.running_var.value()));
-        let scale: Vec<f64> =
-            gamma.iter().zip(&variance).map(|(&g, &v)| f64::from(g) / (f64::from(v) + EPSILON).sqrt()).collect();
+        let weights = layer
+            .conv
+            .weight
+            .val()
+            .into_data()
+            .into_vec::<f32>()
+            .unwrap_or_default();
+        let (gamma, beta) = (
+            values(layer.norm.gamma.val()),
+            values(layer.norm.beta.val()),
+        );
+        let (mean, variance) = (
+            values(layer.norm.running_mean.value()),
+            values(layer.norm.running_var.value()),
+        );
+        let scale: Vec<f64> = gamma
+            .iter()
+            .zip(&variance)
+            .map(|(&g, &v)| f64::from(g) / (f64::from(v) + EPSILON).sqrt())
+            .collect();
         let taps = weights.len() / scale.len().max(1);
         let weights = weights.chunks(taps.max(1)).zip(&scale);
         Self {
-            weights: weights.flat_map(|(w, s)| w.iter().map(move |&w| (f64::from(w) * s) as f32)).collect(),
-            bias: (0..scale.len()).map(|c| (f64::from(beta[c]) - f64::from(mean[c]) * scale[c]) as f32).collect(),
+            weights: weights
+                .flat_map(|(w, s)| w.iter().map(move |&w| (f64::from(w) * s) as f32))
+                .collect(),
+            bias: (0..scale.len())
+                .map(|c| (f64::from(beta[c]) - f64::from(mean[c]) * scale[c]) as f32)
+                .collect(),
         }
     }
 
@@ -76,7 +95,9 @@ impl Layer {
         DMatrixViewMut::from_slice(&mut out, n, outputs).gemm(1.0, &x, &w, 0.0);
         for (plane, &bias) in out.chunks_exact_mut(n.max(1)).zip(&self.bias) {
             if clamp {
-                plane.iter_mut().for_each(|x| *x = (*x + bias).clamp(0.0, 6.0));
+                plane
+                    .iter_mut()
+                    .for_each(|x| *x = (*x + bias).clamp(0.0, 6.0));
             } else {
                 plane.iter_mut().for_each(|x| *x += bias);
             }
@@ -88,34 +109,58 @@ impl Layer {
     fn depthwise(&self, input: &Planes, stride: usize) -> Planes {
         let (height, width) = (input.height.div_ceil(stride), input.width.div_ceil(stride));
         let mut data = vec![0.0; self.bias.len() * height * width];
-        let planes = data.chunks_exact_mut((height * width).max(1)).zip(input.data.chunks_exact(input.size().max(1)));
+        let planes = data
+            .chunks_exact_mut((height * width).max(1))
+            .zip(input.data.chunks_exact(input.size().max(1)));
         let mut padded = vec![0.0; (input.height + 2) * (input.width + 2)];
-        for ((out, plane), (kernel, &bias)) in planes.zip(self.weights.as_chunks::<9>().0.iter().zip(&self.bias)) {
-            for (to, from) in padded.chunks_exact_mut(input.width + 2).skip(1).zip(plane.chunks_exact(input.width)) {
+        for ((out, plane), (kernel, &bias)) in
+            planes.zip(self.weights.as_chunks::<9>().0.iter().zip(&self.bias))
+        {
+            for (to, from) in padded
+                .chunks_exact_mut(input.width + 2)
+                .skip(1)
+                .zip(plane.chunks_exact(input.width))
+            {
                 to[1..=input.width].copy_from_slice(from);
             }
             convolve(out, width, &padded, input.width + 2, stride, kernel, bias);
         }
-        Planes { height, width, data }
+        Planes {
+            height,
+            width,
+            data,
+        }
     }
 
     /// The first convolution: 3x3, stride 2, padding 1, over three planes; ReLU6.
     fn stem(&self, input: &Planes) -> Planes {
-        let (height, width, n) = (input.height.div_ceil(2), input.width.div_ceil(2), input.size());
+        let (height, width, n) = (
+            input.height.div_ceil(2),
+            input.width.div_ceil(2),
+            input.size(),
+        );
         let mut patches = Vec::with_capacity(27 * height * width);
         for plane in input.data.chunks_exact(n.max(1)) {
             for (dy, dx) in (0..3).flat_map(|dy| (0..3).map(move |dx| (dy, dx))) {
                 for y in 0..height {
                     // Padding is 1, so input row 2 y + dy - 1.
                     let row = (2 * y + dy).checked_sub(1).filter(|&r| r < input.height);
-                    patches.extend((0..width).map(|x| match (row, (2 * x + dx).checked_sub(1)) {
-                        (Some(row), Some(column)) if column < input.width => plane[row * input.width + column],
-                        _ => 0.0,
-                    }));
+                    patches.extend(
+                        (0..width).map(|x| match (row, (2 * x + dx).checked_sub(1)) {
+                            (Some(row), Some(column)) if column < input.width => {
+                                plane[row * input.width + column]
+                            }
+                            _ => 0.0,
+                        }),
+                    );
                 }
             }
         }
-        Planes { height, width, data: self.pointwise(&patches, height * width, true) }
+        Planes {
+            height,
+            width,
+            data: self.pointwise(&patches, height * width, true),
+        }
     }
 }
 
@@ -160,7 +205,8 @@ fn convolve_rows<E: Real, const FMA: bool, const STRIDE: usize>(
 ) {
     let reach = (width - 1) * STRIDE + 3;
     for (y, out) in out.chunks_exact_mut(width).enumerate() {
-        let rows: [&[E]; 3] = std::array::from_fn(|dy| &padded[(y * STRIDE + dy) * pitch..][..reach]);
+        let rows: [&[E]; 3] =
+            std::array::from_fn(|dy| &padded[(y * STRIDE + dy) * pitch..][..reach]);
         for (x, out) in out.iter_mut().enumerate() {
             let mut sum = bias;
             for (row, kernel) in rows.iter().zip(kernel.as_chunks::<3>().0) {
@@ -203,7 +249,10 @@ impl FoldedBlock {
 impl FoldedNet {
     /// The network of `net`.
     pub fn new(net: &MobileNetV2) -> Self {
-        Self { stem: Layer::fold(&net.stem), blocks: net.blocks.iter().map(FoldedBlock::fold).collect() }
+        Self {
+            stem: Layer::fold(&net.stem),
+            blocks: net.blocks.iter().map(FoldedBlock::fold).collect(),
+        }
     }
 
     /// The four scales of a normalised image, planes `[3, height, width]`.
@@ -211,17 +260,37 @@ impl FoldedNet {
     /// # Errors
     /// [`Error::Argument`] when the planes have another length or no pixel; [`Error::NonFinite`] when an activation is not
     /// finite.
-    pub fn forward(&self, planes: Vec<f32>, height: usize, width: usize) -> Result<[FeatureMap; SCALES]> {
+    pub fn forward(
+        &self,
+        planes: Vec<f32>,
+        height: usize,
+        width: usize,
+    ) -> Result<[FeatureMap; SCALES]> {
         if planes.len() != 3 * height * width || planes.is_empty() {
-            let (found, expected) = (format!("{} values", planes.len()), format!("3 x {height} x {width}, not 0"));
-            return Err(Error::argument("image of MobileNetV2", found, expected, "give three planes"));
+            let (found, expected) = (
+                format!("{} values", planes.len()),
+                format!("3 x {height} x {width}, not 0"),
+            );
+            return Err(Error::argument(
+                "image of MobileNetV2",
+                found,
+                expected,
+                "give three planes",
+            ));
         }
-        let mut x = self.stem.stem(&Planes { height, width, data: planes });
+        let mut x = self.stem.stem(&Planes {
+            height,
+            width,
+            data: planes,
+        });
         let mut maps: [FeatureMap; SCALES] = Default::default();
         for (n, block) in self.blocks.iter().enumerate() {
             x = block.forward(x);
             if let Some(scale) = TAPS.iter().position(|&tap| tap == n + 1) {
-                maps[scale] = FeatureMap { steps: Some(STEPS[scale]), ..cells(&x) };
+                maps[scale] = FeatureMap {
+                    steps: Some(STEPS[scale]),
+                    ..cells(&x)
+                };
                 maps[scale].check(&format!("MobileNetV2 scale {}", scale + 1))?;
             }
         }
@@ -232,6 +301,15 @@ impl FoldedNet {
 /// Planes to cells.
 fn cells(x: &Planes) -> FeatureMap {
     let (n, channels) = (x.size(), x.data.len() / x.size());
-    let data = (0..n).flat_map(|p| (0..channels).map(move |c| (p, c))).map(|(p, c)| x.data[c * n + p]).collect();
-    FeatureMap { height: x.height, width: x.width, channels, data, steps: None }
+    let data = (0..n)
+        .flat_map(|p| (0..channels).map(move |c| (p, c)))
+        .map(|(p, c)| x.data[c * n + p])
+        .collect();
+    FeatureMap {
+        height: x.height,
+        width: x.width,
+        channels,
+        data,
+        steps: None,
+    }
 }

@@ -26,14 +26,27 @@ impl MobileNetV2 {
     pub fn load(path: &Path, device: &Device) -> Result<Self> {
         std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
         let mut net = Self::new(device);
-        let result = if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("safetensors")) {
-            let open = || SafetensorsStore::from_file(path).allow_partial(true).validate(false);
+        let result = if path
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("safetensors"))
+        {
+            let open = || {
+                SafetensorsStore::from_file(path)
+                    .allow_partial(true)
+                    .validate(false)
+            };
             let keys = open().keys().map_err(|e| damaged(path, e))?;
-            let mut store = open().with_from_adapter(PyTorchToBurnAdapter).remap(renaming(path, &keys)?);
+            let mut store = open()
+                .with_from_adapter(PyTorchToBurnAdapter)
+                .remap(renaming(path, &keys)?);
             net.load_from(&mut store).map_err(|e| damaged(path, e))?
         } else {
-            let open =
-                || PytorchStore::from_file(path).allow_partial(true).validate(false).map_indices_contiguous(false);
+            let open = || {
+                PytorchStore::from_file(path)
+                    .allow_partial(true)
+                    .validate(false)
+                    .map_indices_contiguous(false)
+            };
             let keys = open().keys().map_err(|e| damaged(path, e))?;
             let mut store = open().remap(renaming(path, &keys)?);
             net.load_from(&mut store).map_err(|e| damaged(path, e))?
@@ -47,9 +60,18 @@ impl MobileNetV2 {
         for tensor in self.collect(None, None, false) {
             let data = burn::store::bridge::to_data(&tensor).map_err(|e| damaged(path, e))?;
             let negative_variance = tensor.name.ends_with("running_var");
-            let Ok(values) = data.as_slice::<f32>() else { continue }; // flags
-            if let Some(v) = values.iter().find(|v| !v.is_finite() || negative_variance && **v < 0.0) {
-                let expected = if negative_variance { "finite values, none negative" } else { "finite values" };
+            let Ok(values) = data.as_slice::<f32>() else {
+                continue;
+            }; // flags
+            if let Some(v) = values
+                .iter()
+                .find(|v| !v.is_finite() || negative_variance && **v < 0.0)
+            {
+                let expected = if negative_variance {
+                    "finite values, none negative"
+                } else {
+                    "finite values"
+                };
                 return Err(Error::input(
                     path,
                     tensor.name.clone(),
@@ -65,16 +87,32 @@ impl MobileNetV2 {
 
 /// From the file's keys to the modules' names.
 fn renaming(path: &Path, keys: &[String]) -> Result<KeyRemapper> {
-    let nested = keys.iter().any(|k| k.ends_with("features.1.conv.0.0.weight"));
-    let mut rules = vec![(format!(r"{PARENTS}features\.0\.0\."), "stem.conv.".to_owned())];
-    rules.push((format!(r"{PARENTS}features\.0\.1\."), "stem.norm.".to_owned()));
+    let nested = keys
+        .iter()
+        .any(|k| k.ends_with("features.1.conv.0.0.weight"));
+    let mut rules = vec![(
+        format!(r"{PARENTS}features\.0\.0\."),
+        "stem.conv.".to_owned(),
+    )];
+    rules.push((
+        format!(r"{PARENTS}features\.0\.1\."),
+        "stem.norm.".to_owned(),
+    ));
     for (n, &(expansion, ..)) in BLOCKS.iter().enumerate() {
         let expands = expansion > 1;
         let places: &[(&str, [&str; 2])] = match (nested, expands) {
             (false, false) => &[("depthwise", ["0", "1"]), ("project", ["3", "4"])],
-            (false, true) => &[("expand", ["0", "1"]), ("depthwise", ["3", "4"]), ("project", ["6", "7"])],
+            (false, true) => &[
+                ("expand", ["0", "1"]),
+                ("depthwise", ["3", "4"]),
+                ("project", ["6", "7"]),
+            ],
             (true, false) => &[("depthwise", ["0.0", "0.1"]), ("project", ["1", "2"])],
-            (true, true) => &[("expand", ["0.0", "0.1"]), ("depthwise", ["1.0", "1.1"]), ("project", ["2", "3"])],
+            (true, true) => &[
+                ("expand", ["0.0", "0.1"]),
+                ("depthwise", ["1.0", "1.1"]),
+                ("project", ["2", "3"]),
+            ],
         };
         for (layer, indices) in places {
             for (part, index) in ["conv", "norm"].into_iter().zip(indices) {
@@ -91,13 +129,18 @@ fn check(path: &Path, result: &ApplyResult) -> Result<()> {
     let mend = "give MobileNetV2 weights of width 1, torchvision or flat keys";
     if let Some(error) = result.errors.first() {
         let (name, found, expected) = match error {
-            ApplyError::ShapeMismatch { path, expected, found } => {
-                (path, format!("{found:?}"), format!("{expected:?}"))
-            }
-            ApplyError::DTypeMismatch { path, expected, found } => {
-                (path, format!("{found:?}"), format!("{expected:?}"))
-            }
-            ApplyError::AdapterError { path, message } | ApplyError::LoadError { path, message } => {
+            ApplyError::ShapeMismatch {
+                path,
+                expected,
+                found,
+            } => (path, format!("{found:?}"), format!("{expected:?}")),
+            ApplyError::DTypeMismatch {
+                path,
+                expected,
+                found,
+            } => (path, format!("{found:?}"), format!("{expected:?}")),
+            ApplyError::AdapterError { path, message }
+            | ApplyError::LoadError { path, message } => {
                 (path, message.clone(), "a readable tensor".to_owned())
             }
         };
@@ -128,7 +171,13 @@ fn check(path: &Path, result: &ApplyResult) -> Result<()> {
         .collect();
     if !unexpected.is_empty() {
         let expected = "no other tensors in features.0 to features.17";
-        return Err(Error::input(path, "tensors", format!("also {}", list(&unexpected)), expected, mend));
+        return Err(Error::input(
+            path,
+            "tensors",
+            format!("also {}", list(&unexpected)),
+            expected,
+            mend,
+        ));
     }
     Ok(())
 }
@@ -148,9 +197,19 @@ fn file_name(module_name: &str) -> String {
 
 fn list(names: &[String]) -> String {
     let shown = names[..names.len().min(LISTED)].join(", ");
-    if names.len() > LISTED { format!("{shown} and {} more", names.len() - LISTED) } else { shown }
+    if names.len() > LISTED {
+        format!("{shown} and {} more", names.len() - LISTED)
+    } else {
+        shown
+    }
 }
 
 fn damaged(path: &Path, cause: impl std::fmt::Display) -> Error {
-    Error::input(path, "contents", cause.to_string(), "a whole weight file", "check that the download is complete")
+    Error::input(
+        path,
+        "contents",
+        cause.to_string(),
+        "a whole weight file",
+        "check that the download is complete",
+    )
 }

@@ -61,10 +61,22 @@ const TAPS: [usize; 4] = [3, 6, 13, 17];
 /// lopsided towards what padding leaves out: small changes of photos move the maps of the ImageNet weights around these
 /// offsets, 1.9, 3.0, 6.1 and 11.6 (standard errors 0.1 to 0.8), near half a stride.
 pub const STEPS: [Steps; SCALES] = [
-    Steps { stride: 4.0, offset: 1.9 },
-    Steps { stride: 8.0, offset: 3.0 },
-    Steps { stride: 16.0, offset: 6.1 },
-    Steps { stride: 32.0, offset: 11.6 },
+    Steps {
+        stride: 4.0,
+        offset: 1.9,
+    },
+    Steps {
+        stride: 8.0,
+        offset: 3.0,
+    },
+    Steps {
+        stride: 16.0,
+        offset: 6.1,
+    },
+    Steps {
+        stride: 32.0,
+        offset: 11.6,
+    },
 ];
 
 /// Convolution without bias and batch normalisation with running statistics.
@@ -75,14 +87,25 @@ pub struct ConvNorm {
 }
 
 impl ConvNorm {
-    fn new([input, output]: [usize; 2], kernel: usize, stride: usize, groups: usize, device: &Device) -> Self {
+    fn new(
+        [input, output]: [usize; 2],
+        kernel: usize,
+        stride: usize,
+        groups: usize,
+        device: &Device,
+    ) -> Self {
         let pad = kernel / 2;
         let conv = Conv2dConfig::new([input, output], [kernel, kernel])
             .with_stride([stride, stride])
             .with_padding(PaddingConfig2d::Explicit(pad, pad, pad, pad))
             .with_groups(groups)
             .with_bias(false);
-        Self { conv: conv.init(device), norm: BatchNormConfig::new(output).with_epsilon(EPSILON).init(device) }
+        Self {
+            conv: conv.init(device),
+            norm: BatchNormConfig::new(output)
+                .with_epsilon(EPSILON)
+                .init(device),
+        }
     }
 
     fn forward(&self, x: Tensor<4>) -> Tensor<4> {
@@ -100,7 +123,11 @@ pub struct Block {
 }
 
 impl Block {
-    fn new(input: usize, (expansion, output, stride): (usize, usize, usize), device: &Device) -> Self {
+    fn new(
+        input: usize,
+        (expansion, output, stride): (usize, usize, usize),
+        device: &Device,
+    ) -> Self {
         let hidden = input * expansion;
         Self {
             expand: (expansion > 1).then(|| ConvNorm::new([input, hidden], 1, 1, 1, device)),
@@ -136,7 +163,10 @@ impl MobileNetV2 {
             input = shape.1;
             block
         });
-        Self { stem: ConvNorm::new([3, STEM], 3, 2, 1, device), blocks: blocks.into() }
+        Self {
+            stem: ConvNorm::new([3, STEM], 3, 2, 1, device),
+            blocks: blocks.into(),
+        }
     }
 
     /// The four scales of normalised images `[B, 3, H, W]` (see [`MEAN`], [`STD`]): `[B, C, ceil(H / s), ceil(W / s)]`

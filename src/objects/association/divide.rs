@@ -16,7 +16,8 @@ pub(super) fn divided<'a>(groups: &Groups, view: &'a Masks, extents: &[f64]) -> 
     let mut pieces = Vec::with_capacity(view.segments.len());
     for (m, mask) in view.segments.iter().enumerate() {
         let known = |&(group, _): &(u32, f64)| {
-            groups.kind(group) == Kind::from(mask) && shown.of(group) > SLIVER * extents[group as usize]
+            groups.kind(group) == Kind::from(mask)
+                && shown.of(group) > SLIVER * extents[group as usize]
         };
         let covered: Vec<(u32, f64)> = shown.covered(m).filter(known).collect();
         match covered.len() {
@@ -30,9 +31,18 @@ pub(super) fn divided<'a>(groups: &Groups, view: &'a Masks, extents: &[f64]) -> 
 /// Pieces of a segment, one for each of the groups that has a Gaussian of it; what none of them has goes to the one that
 /// shows most.
 fn cut(groups: &Groups, mask: &Mask, covered: &[(u32, f64)]) -> Vec<Mask> {
-    let largest = covered.iter().enumerate().fold(0, |best, (i, c)| if c.1 > covered[best].1 { i } else { best });
-    let mut pieces: Vec<Mask> =
-        covered.iter().map(|_| Mask { segment: mask.segment, weights: Vec::new(), total: 0.0 }).collect();
+    let largest = covered.iter().enumerate().fold(
+        0,
+        |best, (i, c)| if c.1 > covered[best].1 { i } else { best },
+    );
+    let mut pieces: Vec<Mask> = covered
+        .iter()
+        .map(|_| Mask {
+            segment: mask.segment,
+            weights: Vec::new(),
+            total: 0.0,
+        })
+        .collect();
     for &(gaussian, weight) in &mask.weights {
         let mut best = (largest, 0.0);
         for &(group, w) in &groups.owners()[gaussian as usize] {

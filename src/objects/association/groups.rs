@@ -23,7 +23,10 @@ pub(super) struct Kind {
 
 impl From<&Mask> for Kind {
     fn from(mask: &Mask) -> Self {
-        Self { class: mask.segment.class, thing: mask.segment.thing }
+        Self {
+            class: mask.segment.class,
+            thing: mask.segment.thing,
+        }
     }
 }
 
@@ -40,10 +43,12 @@ impl Placed<'_> {
     /// For each segment, the groups of its pieces.
     pub fn by_segment(&self) -> impl Iterator<Item = &[Option<u32>]> {
         let mut from = 0;
-        self.masks.chunk_by(|a, b| a.segment.id == b.segment.id).map(move |pieces| {
-            from += pieces.len();
-            &self.groups[from - pieces.len()..from]
-        })
+        self.masks
+            .chunk_by(|a, b| a.segment.id == b.segment.id)
+            .map(move |pieces| {
+                from += pieces.len();
+                &self.groups[from - pieces.len()..from]
+            })
     }
 }
 
@@ -88,7 +93,10 @@ impl Overlaps {
 impl Groups {
     /// None yet, on `gaussians` Gaussians.
     pub fn new(gaussians: usize) -> Self {
-        Self { owners: vec![Vec::new(); gaussians], kinds: Vec::new() }
+        Self {
+            owners: vec![Vec::new(); gaussians],
+            kinds: Vec::new(),
+        }
     }
 
     /// Number of groups ever opened.
@@ -113,7 +121,10 @@ impl Groups {
 
     /// The weight of all groups on a Gaussian.
     pub fn total(&self, gaussian: u32) -> f64 {
-        self.owners[gaussian as usize].iter().map(|(_, w)| f64::from(*w)).sum()
+        self.owners[gaussian as usize]
+            .iter()
+            .map(|(_, w)| f64::from(*w))
+            .sum()
     }
 
     /// Takes the groups away from all Gaussians, but keeps their numbers.
@@ -156,7 +167,10 @@ impl Groups {
     pub fn overlaps(&self, masks: &[Cow<'_, Mask>]) -> Overlaps {
         let mut sums = vec![0.0_f64; self.len()];
         let mut visible = BTreeMap::new();
-        let (mut claimed, mut known) = (Vec::with_capacity(masks.len()), Vec::with_capacity(masks.len()));
+        let (mut claimed, mut known) = (
+            Vec::with_capacity(masks.len()),
+            Vec::with_capacity(masks.len()),
+        );
         for mask in masks {
             let (mut seen, mut touched) = (0.0, Vec::new());
             for &(gaussian, weight) in &mask.weights {
@@ -173,29 +187,49 @@ impl Groups {
                 }
             }
             touched.sort_unstable();
-            let row: Vec<_> = touched.into_iter().map(|g| (g, std::mem::take(&mut sums[g as usize]))).collect();
-            row.iter().for_each(|(group, pixels)| *visible.entry(*group).or_insert(0.0) += pixels);
+            let row: Vec<_> = touched
+                .into_iter()
+                .map(|g| (g, std::mem::take(&mut sums[g as usize])))
+                .collect();
+            row.iter()
+                .for_each(|(group, pixels)| *visible.entry(*group).or_insert(0.0) += pixels);
             claimed.push(row);
             known.push(seen);
         }
-        Overlaps { claimed, known, visible }
+        Overlaps {
+            claimed,
+            known,
+            visible,
+        }
     }
 
     /// The group of each segment of a view: one to one at the largest sum of IoU, pairs below `least` left out; what
     /// stays alone as `leftovers` says. All segments of a class of stuff belong to one group.
-    pub fn place<'a>(&mut self, masks: Vec<Cow<'a, Mask>>, least: f64, leftovers: Leftovers) -> Placed<'a> {
+    pub fn place<'a>(
+        &mut self,
+        masks: Vec<Cow<'a, Mask>>,
+        least: f64,
+        leftovers: Leftovers,
+    ) -> Placed<'a> {
         let overlaps = self.overlaps(&masks);
         let mut assigned = vec![None; masks.len()];
-        let things: Vec<usize> = (0..masks.len()).filter(|&m| masks[m].segment.thing).collect();
-        let mut columns: Vec<u32> = things.iter().flat_map(|&m| overlaps.claimed[m].iter().map(|(g, _)| *g)).collect();
+        let things: Vec<usize> = (0..masks.len())
+            .filter(|&m| masks[m].segment.thing)
+            .collect();
+        let mut columns: Vec<u32> = things
+            .iter()
+            .flat_map(|&m| overlaps.claimed[m].iter().map(|(g, _)| *g))
+            .collect();
         columns.sort_unstable();
         columns.dedup();
         let mut values = vec![0.0; things.len() * columns.len()];
         for (row, &m) in values.chunks_exact_mut(columns.len().max(1)).zip(&things) {
             for &(group, claimed) in &overlaps.claimed[m] {
                 let iou = overlaps.iou(m, masks[m].total, group, claimed);
-                if let (Ok(column), true) = (columns.binary_search(&group), self.kind(group) == Kind::from(&*masks[m]))
-                {
+                if let (Ok(column), true) = (
+                    columns.binary_search(&group),
+                    self.kind(group) == Kind::from(&*masks[m]),
+                ) {
                     row[column] = if iou >= least { iou } else { 0.0 };
                 }
             }
@@ -203,10 +237,18 @@ impl Groups {
         for (&m, column) in things.iter().zip(assignment(&values, columns.len())) {
             assigned[m] = column.map(|column| columns[column]);
         }
-        for (m, mask) in masks.iter().enumerate().filter(|(_, mask)| !mask.weights.is_empty()) {
+        for (m, mask) in masks
+            .iter()
+            .enumerate()
+            .filter(|(_, mask)| !mask.weights.is_empty())
+        {
             let kind = Kind::from(&**mask);
             if !kind.thing {
-                assigned[m] = self.kinds.iter().position(|k| *k == kind).map(|group| group as u32);
+                assigned[m] = self
+                    .kinds
+                    .iter()
+                    .position(|k| *k == kind)
+                    .map(|group| group as u32);
             } else if assigned[m].is_none() && leftovers.join {
                 assigned[m] = self.container(mask, &overlaps.claimed[m]);
             }
@@ -214,17 +256,26 @@ impl Groups {
                 assigned[m] = Some(self.open(kind));
             }
         }
-        Placed { masks, groups: assigned }
+        Placed {
+            masks,
+            groups: assigned,
+        }
     }
 
     /// The group that claims most of a segment.
     pub fn container(&self, mask: &Mask, claimed: &[(u32, f64)]) -> Option<u32> {
-        let fits = claimed.iter().filter(|(group, _)| self.kind(*group) == Kind::from(mask));
+        let fits = claimed
+            .iter()
+            .filter(|(group, _)| self.kind(*group) == Kind::from(mask));
         // Of equal claims the first.
-        let most = fits.fold(None, |best: Option<(u32, f64)>, &(group, pixels)| match best {
-            Some((_, most)) if most >= pixels => best,
-            _ => Some((group, pixels)),
-        });
-        most.filter(|(_, pixels)| *pixels > CONTAINED * mask.total).map(|(group, _)| group)
+        let most = fits.fold(
+            None,
+            |best: Option<(u32, f64)>, &(group, pixels)| match best {
+                Some((_, most)) if most >= pixels => best,
+                _ => Some((group, pixels)),
+            },
+        );
+        most.filter(|(_, pixels)| *pixels > CONTAINED * mask.total)
+            .map(|(group, _)| group)
     }
 }

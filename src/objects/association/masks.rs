@@ -50,8 +50,16 @@ pub(super) fn masks(
         if place[usize::from(id)] == 0 {
             place[usize::from(id)] = masks.len() as u32;
             let told = view.segments.iter().find(|segment| segment.id == id);
-            let segment = told.copied().unwrap_or(Segment { id, class: None, thing: true });
-            masks.push(Mask { segment, weights: Vec::new(), total: 0.0 });
+            let segment = told.copied().unwrap_or(Segment {
+                id,
+                class: None,
+                thing: true,
+            });
+            masks.push(Mask {
+                segment,
+                weights: Vec::new(),
+                total: 0.0,
+            });
         }
     }
     let pixels: Vec<u32> = (0..raw.ids.len() as u32).collect();
@@ -59,7 +67,11 @@ pub(super) fn masks(
     for band in pixels.chunks(BAND) {
         let weights = projected.weights(Some(band));
         let mut rows = vec![Vec::new(); masks.len()];
-        let used = |pixel: u32| view.mask.as_ref().is_none_or(|mask| mask.uses(pixel as usize));
+        let used = |pixel: u32| {
+            view.mask
+                .as_ref()
+                .is_none_or(|mask| mask.uses(pixel as usize))
+        };
         for (row, &pixel) in band.iter().enumerate().filter(|(_, pixel)| used(**pixel)) {
             rows[place[usize::from(raw.ids[pixel as usize])] as usize].push(row);
         }
@@ -79,7 +91,9 @@ pub(super) fn masks(
                     }
                     *sum += f64::from(weight);
                 }
-                let taken = touched.into_iter().map(|g| (g, std::mem::take(&mut sums[g as usize]) as f32));
+                let taken = touched
+                    .into_iter()
+                    .map(|g| (g, std::mem::take(&mut sums[g as usize]) as f32));
                 mask.weights.extend(taken);
             },
         );
@@ -94,11 +108,22 @@ pub(super) fn masks(
             }
             same
         });
-        mask.weights.retain(|(_, weight)| f64::from(*weight) >= LEAST);
-        mask.total = mask.weights.iter().map(|(_, weight)| f64::from(*weight)).sum();
+        mask.weights
+            .retain(|(_, weight)| f64::from(*weight) >= LEAST);
+        mask.total = mask
+            .weights
+            .iter()
+            .map(|(_, weight)| f64::from(*weight))
+            .sum();
     });
-    let rest = masks.first().is_some_and(|mask| mask.segment.id == NOTHING).then(|| masks.remove(0).weights);
-    Ok(Masks { segments: masks, rest: rest.unwrap_or_default() })
+    let rest = masks
+        .first()
+        .is_some_and(|mask| mask.segment.id == NOTHING)
+        .then(|| masks.remove(0).weights);
+    Ok(Masks {
+        segments: masks,
+        rest: rest.unwrap_or_default(),
+    })
 }
 
 #[cfg(test)]
@@ -120,9 +145,20 @@ mod tests {
             sh_degree: 0,
         };
         let (rotation, center) = (glam::DMat3::IDENTITY, glam::DVec3::ZERO);
-        let camera = Camera { rotation, center, fx: 40.0, fy: 40.0, cx: 20.0, cy: 10.0, width, height };
+        let camera = Camera {
+            rotation,
+            center,
+            fx: 40.0,
+            fy: 40.0,
+            cx: 20.0,
+            cy: 10.0,
+            width,
+            height,
+        };
         // A segment above, nothing below, of which the left half is left out.
-        let ids = (0..width * height).map(|pixel| u16::from(pixel / width < 7)).collect();
+        let ids = (0..width * height)
+            .map(|pixel| u16::from(pixel / width < 7))
+            .collect();
         let raw = LabelMap { width, height, ids };
         let used = |pixel: usize| pixel / width < 7 || pixel % width >= 20;
         let mut view = View {
@@ -137,18 +173,28 @@ mod tests {
             instances: None,
         };
         let zeros = Zeros::new(gaussians.len());
-        let of = |view: &View| masks(&gaussians, view, &raw, &Settings::default(), &zeros).expect("masks");
+        let of = |view: &View| {
+            masks(&gaussians, view, &raw, &Settings::default(), &zeros).expect("masks")
+        };
         let whole = of(&view);
         view.mask = Some(crate::mask::Mask::new(width, height, used));
         let part = of(&view);
         assert!(zeros.lend().iter().all(|sum| *sum == 0.0), "as it was lent");
         assert_eq!(part.segments[0].weights, whole.segments[0].weights);
-        let projected = Projected::new(&gaussians.splats(), &view.camera, &Settings::default()).expect("view");
-        let rest: Vec<f32> = (0..width * height).map(|p| f32::from(u8::from(p / width >= 7 && used(p)))).collect();
+        let projected =
+            Projected::new(&gaussians.splats(), &view.camera, &Settings::default()).expect("view");
+        let rest: Vec<f32> = (0..width * height)
+            .map(|p| f32::from(u8::from(p / width >= 7 && used(p))))
+            .collect();
         let want = projected.blend_adjoint(&rest, 1);
         let mut found = vec![0.0; 32];
-        part.rest.iter().for_each(|&(gaussian, weight)| found[gaussian as usize] = weight);
-        assert!(found.iter().zip(&want).all(|(a, b)| (a - b).abs() < 0.011), "{found:?} {want:?}");
+        part.rest
+            .iter()
+            .for_each(|&(gaussian, weight)| found[gaussian as usize] = weight);
+        assert!(
+            found.iter().zip(&want).all(|(a, b)| (a - b).abs() < 0.011),
+            "{found:?} {want:?}"
+        );
         let sum = |masks: &Masks| masks.rest.iter().map(|(_, weight)| weight).sum::<f32>();
         assert!(sum(&part) < 0.6 * sum(&whole) && sum(&part) > 0.0);
     }

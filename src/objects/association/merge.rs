@@ -31,7 +31,9 @@ pub(super) fn totals(groups: &Groups) -> Vec<(f64, f64)> {
             sum.1 += weight * weight / all;
         }
     }
-    sums.into_iter().map(|(total, pure)| (total, if total > 0.0 { pure / total } else { 0.0 })).collect()
+    sums.into_iter()
+        .map(|(total, pure)| (total, if total > 0.0 { pure / total } else { 0.0 }))
+        .collect()
 }
 
 /// Pairs (smaller, larger) of groups to be made one, each group in one pair at most. `shown` has what each view shows.
@@ -62,7 +64,9 @@ pub(super) fn pairs(groups: &Groups, shown: &[Shown], above: f64) -> Vec<(u32, u
         }
         let (mut one, mut two) = (0.0, DOUBT);
         for (shown, places) in shown.iter().zip(&places) {
-            let (Some(at_a), Some(at_b)) = (places.get(&a), places.get(&b)) else { continue };
+            let (Some(at_a), Some(at_b)) = (places.get(&a), places.get(&b)) else {
+                continue;
+            };
             let part = |g: u32| shown.of(g) / extents[g as usize];
             *(if at_a == at_b { &mut one } else { &mut two }) += say(part(a).min(part(b)));
         }
@@ -79,7 +83,10 @@ pub(super) fn pairs(groups: &Groups, shown: &[Shown], above: f64) -> Vec<(u32, u
         touched[large as usize] |= free;
         free
     });
-    candidates.into_iter().map(|(_, small, large)| (small, large)).collect()
+    candidates
+        .into_iter()
+        .map(|(_, small, large)| (small, large))
+        .collect()
 }
 
 /// Which groups are dropped: those of no more than the share `least` of all weight, and strays.
@@ -89,9 +96,15 @@ pub(super) fn pairs(groups: &Groups, shown: &[Shown], above: f64) -> Vec<(u32, u
 pub(super) fn negligible(groups: &Groups, least: f64) -> Result<Vec<bool>> {
     let totals = totals(groups);
     let all: f64 = totals.iter().map(|(total, _)| total).sum();
-    let negligible: Vec<bool> =
-        totals.iter().map(|(total, purity)| *total <= least * all || *purity < PURITY).collect();
-    if negligible.iter().all(|negligible| *negligible) { Err(nothing_left(&totals, least)) } else { Ok(negligible) }
+    let negligible: Vec<bool> = totals
+        .iter()
+        .map(|(total, purity)| *total <= least * all || *purity < PURITY)
+        .collect();
+    if negligible.iter().all(|negligible| *negligible) {
+        Err(nothing_left(&totals, least))
+    } else {
+        Ok(negligible)
+    }
 }
 
 /// Why groups of these weights and purities are all dropped.
@@ -101,20 +114,35 @@ fn nothing_left(totals: &[(f64, f64)], least: f64) -> Error {
     if all == 0.0 {
         let found = "gaussians, but no segment of a training view covers any of them";
         let mend = format!("check that Gaussians and cameras are of one scene; {NONE}");
-        return Error::config("data.association", found, "Gaussians where the segments are", mend);
+        return Error::config(
+            "data.association",
+            found,
+            "Gaussians where the segments are",
+            mend,
+        );
     }
-    let largest = totals.iter().filter(|(_, purity)| *purity >= PURITY).map(|(total, _)| total / all);
+    let largest = totals
+        .iter()
+        .filter(|(_, purity)| *purity >= PURITY)
+        .map(|(total, _)| total / all);
     match largest.reduce(f64::max) {
         Some(largest) => {
             let dropped = totals.iter().filter(|(total, _)| *total > 0.0).count();
             let found = format!("{least}, which drops all {dropped} groups of segments");
             let expected = format!("less than {largest:.2e}, the share of the largest one");
-            Error::config("association.min_weight", found, expected, "set a smaller share")
+            Error::config(
+                "association.min_weight",
+                found,
+                expected,
+                "set a smaller share",
+            )
         }
         None => {
             let found = "gaussians, but each group of segments is on Gaussians of which others have the most";
             let expected = "segments of which several views show the same";
-            let mend = format!("check that raw labels and photos belong together, or raise association.sweeps; {NONE}");
+            let mend = format!(
+                "check that raw labels and photos belong together, or raise association.sweeps; {NONE}"
+            );
             Error::config("data.association", found, expected, mend)
         }
     }
@@ -128,12 +156,24 @@ mod tests {
     fn what_leaves_no_group_is_named() {
         let said = |totals: &[(f64, f64)], least| nothing_left(totals, least).to_string();
         let message = said(&[(3.0, 0.9), (0.0, 0.0), (1.0, 1.0), (4.0, 0.1)], 0.6);
-        for part in ["association.min_weight: found 0.6", "all 3 groups", "less than 3.75e-1", "smaller share"] {
+        for part in [
+            "association.min_weight: found 0.6",
+            "all 3 groups",
+            "less than 3.75e-1",
+            "smaller share",
+        ] {
             assert!(message.contains(part), "{part}: {message}");
         }
         let message = said(&[], 0.0) + &said(&[(0.0, 0.0)], 0.0);
-        assert_eq!(message.matches("covers any of them").count(), 2, "{message}");
+        assert_eq!(
+            message.matches("covers any of them").count(),
+            2,
+            "{message}"
+        );
         let message = said(&[(1.0, 0.1), (1.0, 0.1)], 0.0);
-        assert!(message.contains("data.association") && message.contains("others have the most"), "{message}");
+        assert!(
+            message.contains("data.association") && message.contains("others have the most"),
+            "{message}"
+        );
     }
 }

@@ -100,7 +100,11 @@ impl Association {
     /// # Panics
     /// If the scene has another number of views than the one that was associated.
     pub fn apply(self, scene: &mut Scene) {
-        assert_eq!(self.maps.len(), scene.views.len(), "association of another scene");
+        assert_eq!(
+            self.maps.len(),
+            scene.views.len(),
+            "association of another scene"
+        );
         scene.classes = self.classes;
         for (view, map) in scene.views.iter_mut().zip(self.maps) {
             (view.raw, view.truth) = (map, None);
@@ -170,7 +174,9 @@ fn found<B>(
         Some(raw) => masks(gaussians, view, &raw.map(), settings, &zeros),
         None => Ok(Masks::default()),
     };
-    let trained: Vec<usize> = (0..scene.views.len()).filter(|&v| scene.views[v].split == Split::Train).collect();
+    let trained: Vec<usize> = (0..scene.views.len())
+        .filter(|&v| scene.views[v].split == Split::Train)
+        .collect();
     let mut views = Vec::with_capacity(trained.len());
     for &v in &trained {
         views.push(raw(&scene.views[v])?);
@@ -179,7 +185,13 @@ fn found<B>(
     if views.iter().all(|view| view.segments.is_empty()) {
         let expected = "raw labels of training views to put together";
         let mend = "add raw labels, or set data.association = \"none\"";
-        return Err(Error::config("data.association", "gaussians, but no segments", expected, mend).into());
+        return Err(Error::config(
+            "data.association",
+            "gaussians, but no segments",
+            expected,
+            mend,
+        )
+        .into());
     }
     let mut groups = Groups::new(gaussians.len());
     let placed = sweeps::group(&mut groups, &views, config, look)?;
@@ -190,10 +202,19 @@ fn found<B>(
         let mut present: Vec<u32> = placed.groups.iter().flatten().copied().collect();
         present.sort_unstable();
         present.dedup();
-        present.into_iter().for_each(|group| counts[group as usize] += 1);
+        present
+            .into_iter()
+            .for_each(|group| counts[group as usize] += 1);
     }
-    let mut kept: Vec<u32> = (0..groups.len() as u32).filter(|&g| counts[g as usize] > 0).collect();
-    kept.sort_by(|&a, &b| totals[b as usize].0.total_cmp(&totals[a as usize].0).then(a.cmp(&b)));
+    let mut kept: Vec<u32> = (0..groups.len() as u32)
+        .filter(|&g| counts[g as usize] > 0)
+        .collect();
+    kept.sort_by(|&a, &b| {
+        totals[b as usize]
+            .0
+            .total_cmp(&totals[a as usize].0)
+            .then(a.cmp(&b))
+    });
     if kept.len() >= usize::from(u16::MAX) {
         return Err(Error::Limit {
             what: "groups of segments".into(),
@@ -211,22 +232,34 @@ fn found<B>(
         look(1)?;
     }
     let sizes = territory::sizes(&groups, &views);
-    for (map, view) in maps.iter_mut().zip(&scene.views).filter(|(_, view)| view.split == Split::Test) {
+    for (map, view) in maps
+        .iter_mut()
+        .zip(&scene.views)
+        .filter(|(_, view)| view.split == Split::Test)
+    {
         let masks = raw(view)?;
         let placed = sweeps::place(&mut groups, &masks, &sizes, config.min_overlap);
         *map = paint(gaussians, view, &placed, &ids, settings)?.map(LabelRuns::from);
         look(1)?;
     }
-    let group =
-        |(&g, id)| Group { id, class: groups.kind(g).class, views: counts[g as usize], weight: totals[g as usize].0 };
+    let group = |(&g, id)| Group {
+        id,
+        class: groups.kind(g).class,
+        views: counts[g as usize],
+        weight: totals[g as usize].0,
+    };
     let segments = || placed.iter().flat_map(Placed::by_segment);
     Ok(Association {
         classes: named(kept.iter().map(|&g| groups.kind(g)), &scene.classes),
         groups: kept.iter().zip(1..).map(group).collect(),
         maps,
         segments: segments().count(),
-        dropped: segments().filter(|pieces| pieces.iter().all(Option::is_none)).count(),
-        divided: segments().filter(|pieces| pieces.iter().any(|group| *group != pieces[0])).count(),
+        dropped: segments()
+            .filter(|pieces| pieces.iter().all(Option::is_none))
+            .count(),
+        divided: segments()
+            .filter(|pieces| pieces.iter().any(|group| *group != pieces[0]))
+            .count(),
     })
 }
 
@@ -237,9 +270,24 @@ fn named(kinds: impl Iterator<Item = Kind>, classes: &Classes) -> Classes {
         let name = kind.class.map_or("object", |class| classes.name(class));
         let number = numbers.entry(kind.class).or_default();
         *number += 1;
-        let name = if kind.thing { format!("{name} {number}") } else { name.to_owned() };
-        let object_of = kind.class.map(|class| ObjectOf { class, thing: kind.thing });
-        Class { id, name, color: class_color(id), object_of }
+        let name = if kind.thing {
+            format!("{name} {number}")
+        } else {
+            name.to_owned()
+        };
+        let object_of = kind.class.map(|class| ObjectOf {
+            class,
+            thing: kind.thing,
+        });
+        Class {
+            id,
+            name,
+            color: class_color(id),
+            object_of,
+        }
     };
-    Classes { entries: kinds.zip(1..).map(entry).collect(), ignore: NOTHING }
+    Classes {
+        entries: kinds.zip(1..).map(entry).collect(),
+        ignore: NOTHING,
+    }
 }

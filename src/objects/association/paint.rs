@@ -28,7 +28,9 @@ pub(super) fn paint(
     ids: &dyn Fn(u32) -> u16,
     settings: &Settings,
 ) -> Result<Option<LabelMap>> {
-    let Some(raw) = view.raw.as_ref().map(LabelRuns::map) else { return Ok(None) };
+    let Some(raw) = view.raw.as_ref().map(LabelRuns::map) else {
+        return Ok(None);
+    };
     let mut pieces: BTreeMap<u16, Vec<(&Mask, u16)>> = BTreeMap::new();
     for (mask, group) in placed.masks.iter().zip(&placed.groups) {
         let id = group.map_or(NOTHING, ids);
@@ -37,18 +39,39 @@ pub(super) fn paint(
     let mut table = vec![NOTHING; 1 << 16];
     let mut divided: HashMap<u16, Divided> = HashMap::new();
     for (segment, pieces) in pieces {
-        let largest =
-            pieces.iter().fold(pieces[0], |best, piece| if piece.0.total > best.0.total { *piece } else { best }).1;
+        let largest = pieces
+            .iter()
+            .fold(pieces[0], |best, piece| {
+                if piece.0.total > best.0.total {
+                    *piece
+                } else {
+                    best
+                }
+            })
+            .1;
         table[usize::from(segment)] = largest;
         if pieces.iter().any(|(_, id)| *id != largest) {
-            let gaussians =
-                pieces.iter().flat_map(|(mask, id)| mask.weights.iter().map(|(gaussian, _)| (*gaussian, *id)));
-            divided.insert(segment, Divided { ids: gaussians.collect(), largest });
+            let gaussians = pieces
+                .iter()
+                .flat_map(|(mask, id)| mask.weights.iter().map(|(gaussian, _)| (*gaussian, *id)));
+            divided.insert(
+                segment,
+                Divided {
+                    ids: gaussians.collect(),
+                    largest,
+                },
+            );
         }
     }
     let ids = raw.ids.iter().map(|&id| table[usize::from(id)]).collect();
-    let mut map = LabelMap { width: raw.width, height: raw.height, ids };
-    let pixels: Vec<u32> = (0..raw.ids.len() as u32).filter(|&p| divided.contains_key(&raw.ids[p as usize])).collect();
+    let mut map = LabelMap {
+        width: raw.width,
+        height: raw.height,
+        ids,
+    };
+    let pixels: Vec<u32> = (0..raw.ids.len() as u32)
+        .filter(|&p| divided.contains_key(&raw.ids[p as usize]))
+        .collect();
     if pixels.is_empty() {
         return Ok(Some(map));
     }
@@ -63,16 +86,25 @@ pub(super) fn paint(
                 let (columns, values) = weights.row(row);
                 let mut sums: Vec<(u16, f64)> = vec![(divided.largest, 0.0)];
                 for (gaussian, weight) in columns.iter().zip(values) {
-                    let Some(&id) = divided.ids.get(gaussian) else { continue };
+                    let Some(&id) = divided.ids.get(gaussian) else {
+                        continue;
+                    };
                     match sums.iter_mut().find(|(other, _)| *other == id) {
                         Some((_, sum)) => *sum += f64::from(*weight),
                         None => sums.push((id, f64::from(*weight))),
                     }
                 }
-                sums.iter().fold(sums[0], |best, sum| if sum.1 > best.1 { *sum } else { best }).0
+                sums.iter()
+                    .fold(
+                        sums[0],
+                        |best, sum| if sum.1 > best.1 { *sum } else { best },
+                    )
+                    .0
             })
             .collect();
-        band.iter().zip(found).for_each(|(&pixel, id)| map.ids[pixel as usize] = id);
+        band.iter()
+            .zip(found)
+            .for_each(|(&pixel, id)| map.ids[pixel as usize] = id);
     }
     Ok(Some(map))
 }

@@ -18,12 +18,18 @@ pub(super) struct Lent<'a, T> {
 impl<T: Copy + Default> Zeros<T> {
     /// None yet, of `len` values each.
     pub fn new(len: usize) -> Self {
-        Self { len, free: Mutex::default() }
+        Self {
+            len,
+            free: Mutex::default(),
+        }
     }
 
     pub fn lend(&self) -> Lent<'_, T> {
         let free = self.free().pop();
-        Lent { values: free.unwrap_or_else(|| vec![T::default(); self.len]), owner: self }
+        Lent {
+            values: free.unwrap_or_else(|| vec![T::default(); self.len]),
+            owner: self,
+        }
     }
 }
 
@@ -68,7 +74,10 @@ mod tests {
         let place = {
             let [mut one, other] = [zeros.lend(), zeros.lend()];
             one[1] = 2.0;
-            assert_eq!((&one[..], &other[..]), (&[0.0, 2.0, 0.0][..], &[0.0; 3][..]));
+            assert_eq!(
+                (&one[..], &other[..]),
+                (&[0.0, 2.0, 0.0][..], &[0.0; 3][..])
+            );
             one[1] = 0.0;
             one.as_ptr()
         };

@@ -66,9 +66,13 @@ pub(super) fn split<B>(
     let zeros = Zeros::new(groups.owners().len());
     for round in 0..SEEDS {
         look(0)?;
-        let way = |suspect: &Suspect| way(groups, placed, suspect, *suspect.seeds.get(round)?, &zeros);
+        let way =
+            |suspect: &Suspect| way(groups, placed, suspect, *suspect.seeds.get(round)?, &zeros);
         let ways: Vec<Option<Way>> = suspects.par_iter().map(way).collect();
-        let ways = suspects.iter_mut().zip(ways).filter_map(|(suspect, way)| Some((suspect, way?)));
+        let ways = suspects
+            .iter_mut()
+            .zip(ways)
+            .filter_map(|(suspect, way)| Some((suspect, way?)));
         let (suspects, ways): (Vec<&mut Suspect>, Vec<Way>) = ways.unzip();
         let parts: Vec<&[Own]> = ways.iter().map(|way| &*way.parts).collect();
         let said = says(groups.owners().len(), views, &parts);
@@ -82,7 +86,9 @@ pub(super) fn split<B>(
     for Suspect { group, best, .. } in suspects {
         let Some((_, leaving)) = best else { continue };
         let new = groups.open(groups.kind(group));
-        leaving.into_iter().for_each(|(v, k)| placed[v].groups[k] = Some(new));
+        leaving
+            .into_iter()
+            .for_each(|(v, k)| placed[v].groups[k] = Some(new));
         any = true;
     }
     Ok(any)
@@ -93,13 +99,21 @@ fn suspects(groups: &Groups, placed: &[Placed<'_>], order: &[usize]) -> Vec<Susp
     let mut pieces: BTreeMap<u32, Pieces> = BTreeMap::new();
     for &v in order {
         for (k, group) in placed[v].groups.iter().enumerate() {
-            let Some(group) = group.filter(|group| groups.kind(*group).thing) else { continue };
+            let Some(group) = group.filter(|group| groups.kind(*group).thing) else {
+                continue;
+            };
             pieces.entry(group).or_default().push((v, k));
         }
     }
     let suspect = |(group, pieces): (u32, Pieces)| {
         let seeds = seeds(placed, &pieces);
-        (!seeds.is_empty()).then(|| Suspect { group, pieces, seeds, gaussians: Vec::new(), best: None })
+        (!seeds.is_empty()).then(|| Suspect {
+            group,
+            pieces,
+            seeds,
+            gaussians: Vec::new(),
+            best: None,
+        })
     };
     let mut suspects: Vec<Suspect> = pieces.into_iter().filter_map(suspect).collect();
     for (gaussian, owners) in (0..).zip(groups.owners()) {
@@ -114,21 +128,51 @@ fn suspects(groups: &Groups, placed: &[Placed<'_>], order: &[usize]) -> Vec<Susp
 
 /// The way to part a group that grows from `seed`, where it would be better than the best one and both parts are things by
 /// themselves.
-fn way(groups: &Groups, placed: &[Placed<'_>], suspect: &Suspect, seed: Seed, zeros: &Zeros<[f32; 2]>) -> Option<Way> {
-    let Suspect { pieces, gaussians, best, .. } = suspect;
+fn way(
+    groups: &Groups,
+    placed: &[Placed<'_>],
+    suspect: &Suspect,
+    seed: Seed,
+    zeros: &Zeros<[f32; 2]>,
+) -> Option<Way> {
+    let Suspect {
+        pieces,
+        gaussians,
+        best,
+        ..
+    } = suspect;
     let mask = |&(v, k): &(usize, usize)| &*placed[v].masks[k];
     let mut parts = zeros.lend();
     let sides = grown(&mut parts, placed, pieces, seed);
-    let of_side = |side| pieces.iter().zip(&sides).filter(move |(_, s)| **s == side).map(|(piece, _)| *piece);
+    let of_side = |side| {
+        pieces
+            .iter()
+            .zip(&sides)
+            .filter(move |(_, s)| **s == side)
+            .map(|(piece, _)| *piece)
+    };
     let weights = [0, 1].map(|side| of_side(side).map(|piece| mask(&piece).total).sum::<f64>());
     let smaller = usize::from(weights[0] >= weights[1]);
-    let improves = best.as_ref().is_none_or(|(weight, _)| weights[smaller] > *weight);
-    let things = || purity(groups, gaussians, &parts).iter().all(|purity| *purity > OWN);
+    let improves = best
+        .as_ref()
+        .is_none_or(|(weight, _)| weights[smaller] > *weight);
+    let things = || {
+        purity(groups, gaussians, &parts)
+            .iter()
+            .all(|purity| *purity > OWN)
+    };
     let found = (improves && things()).then(|| {
         let parts = owned(groups, gaussians, &parts);
-        Way { weight: weights[smaller], leaving: of_side(smaller).collect(), parts }
+        Way {
+            weight: weights[smaller],
+            leaving: of_side(smaller).collect(),
+            parts,
+        }
     });
-    pieces.iter().flat_map(|piece| &mask(piece).weights).for_each(|(i, _)| parts[*i as usize] = [0.0; 2]);
+    pieces
+        .iter()
+        .flat_map(|piece| &mask(piece).weights)
+        .for_each(|(i, _)| parts[*i as usize] = [0.0; 2]);
     found
 }
 
@@ -153,7 +197,11 @@ fn owned(groups: &Groups, gaussians: &[u32], parts: &Parts) -> Vec<Own> {
         let [a, b] = parts[gaussian as usize];
         let side = usize::from(b > a);
         let own = f64::from(parts[gaussian as usize][side]);
-        (own > 0.0).then(|| Own { gaussian, side, share: own / groups.total(gaussian).max(own) })
+        (own > 0.0).then(|| Own {
+            gaussian,
+            side,
+            share: own / groups.total(gaussian).max(own),
+        })
     };
     gaussians.iter().filter_map(own).collect()
 }
@@ -166,7 +214,10 @@ fn seeds(placed: &[Placed<'_>], pieces: &Pieces) -> Vec<Seed> {
     for of_view in pieces.chunk_by(|a, b| a.0 == b.0) {
         let mut of_view = of_view.to_vec();
         of_view.sort_by(|&a, &b| total(b).total_cmp(&total(a)).then(a.cmp(&b)));
-        if let Some(&second) = of_view.iter().find(|piece| segment(**piece) != segment(of_view[0])) {
+        if let Some(&second) = of_view
+            .iter()
+            .find(|piece| segment(**piece) != segment(of_view[0]))
+        {
             pairs.push([of_view[0], second]);
         }
     }
@@ -179,12 +230,20 @@ fn seeds(placed: &[Placed<'_>], pieces: &Pieces) -> Vec<Seed> {
 /// part that has it, and to neither, in the end to the larger one, where both have some of it. Returns the part of each piece.
 fn grown(parts: &mut Parts, placed: &[Placed<'_>], pieces: &Pieces, seed: Seed) -> Vec<usize> {
     let mask = |&(v, k): &(usize, usize)| &*placed[v].masks[k];
-    let mut sides: Vec<Option<usize>> = pieces.iter().map(|piece| seed.iter().position(|s| s == piece)).collect();
+    let mut sides: Vec<Option<usize>> = pieces
+        .iter()
+        .map(|piece| seed.iter().position(|s| s == piece))
+        .collect();
     let add = |parts: &mut Parts, mask: &Mask, side: Option<usize>, sign: f32| {
         let Some(side) = side else { return };
-        mask.weights.iter().for_each(|(i, w)| parts[*i as usize][side] += sign * w);
+        mask.weights
+            .iter()
+            .for_each(|(i, w)| parts[*i as usize][side] += sign * w);
     };
-    pieces.iter().zip(&sides).for_each(|(piece, &side)| add(parts, mask(piece), side, 1.0));
+    pieces
+        .iter()
+        .zip(&sides)
+        .for_each(|(piece, &side)| add(parts, mask(piece), side, 1.0));
     let mut larger = vec![0; pieces.len()];
     for _ in 0..PASSES {
         for ((piece, side), larger) in pieces.iter().zip(&mut sides).zip(&mut larger) {
@@ -219,7 +278,10 @@ mod tests {
     use std::borrow::Cow;
     use std::convert::Infallible;
 
-    const KIND: Kind = Kind { class: None, thing: true };
+    const KIND: Kind = Kind {
+        class: None,
+        thing: true,
+    };
 
     /// First Gaussian of a segment and one past its last.
     type Span = (u32, u32);
@@ -227,12 +289,19 @@ mod tests {
     /// Views, each with ten pixels on every Gaussian of its segments.
     fn views(of: &[&[Span]]) -> Vec<Masks> {
         let mask = |(id, &(first, end)): (usize, &Span)| Mask {
-            segment: Segment { id: id as u16 + 1, class: None, thing: true },
+            segment: Segment {
+                id: id as u16 + 1,
+                class: None,
+                thing: true,
+            },
             weights: (first..end).map(|g| (g, 10.0)).collect(),
             total: 10.0 * f64::from(end - first),
         };
         of.iter()
-            .map(|view| Masks { segments: view.iter().enumerate().map(mask).collect(), rest: Vec::new() })
+            .map(|view| Masks {
+                segments: view.iter().enumerate().map(mask).collect(),
+                rest: Vec::new(),
+            })
             .collect()
     }
 
@@ -258,17 +327,47 @@ mod tests {
             .collect();
         placed.iter().for_each(|view| groups.add(view));
         let order: Vec<usize> = (0..views.len()).collect();
-        let any = whether(split(&mut groups, views, &mut placed, &order, 0.5, &mut |_| Ok(())));
-        (any, placed.iter().map(|view| view.groups.iter().map(|g| g.expect("placed")).collect()).collect())
+        let any = whether(split(
+            &mut groups,
+            views,
+            &mut placed,
+            &order,
+            0.5,
+            &mut |_| Ok(()),
+        ));
+        (
+            any,
+            placed
+                .iter()
+                .map(|view| view.groups.iter().map(|g| g.expect("placed")).collect())
+                .collect(),
+        )
     }
 
     #[test]
     fn two_things_that_one_view_joins_are_parted() {
         let apart: &[Span] = &[(0, 12), (12, 20)];
-        let (any, groups) = parted(&views(&[&[(0, 20)], apart, apart, apart, &[(0, 12)], &[(12, 20)]]));
+        let (any, groups) = parted(&views(&[
+            &[(0, 20)],
+            apart,
+            apart,
+            apart,
+            &[(0, 12)],
+            &[(12, 20)],
+        ]));
         assert!(any);
         // The larger part keeps its number, and the segment of both stays there.
-        assert_eq!(groups, [vec![0], vec![0, 1], vec![0, 1], vec![0, 1], vec![0], vec![1]]);
+        assert_eq!(
+            groups,
+            [
+                vec![0],
+                vec![0, 1],
+                vec![0, 1],
+                vec![0, 1],
+                vec![0],
+                vec![1]
+            ]
+        );
     }
 
     #[test]
@@ -291,16 +390,38 @@ mod tests {
         let [one, other] = [groups.open(KIND), groups.open(KIND)];
         let mut placed: Vec<Placed<'_>> = views
             .iter()
-            .map(|view| Placed { masks: view.segments.iter().map(Cow::Borrowed).collect(), groups: vec![Some(one); 2] })
+            .map(|view| Placed {
+                masks: view.segments.iter().map(Cow::Borrowed).collect(),
+                groups: vec![Some(one); 2],
+            })
             .collect();
         placed.iter().for_each(|view| groups.add(view));
-        let heavy = Mask { weights: vec![(0, 1e3), (1, 1e3)], total: 2e3, ..views[0].segments[1].clone() };
-        groups.add(&Placed { masks: vec![Cow::Owned(heavy)], groups: vec![Some(other)] });
-        assert!(!whether(split(&mut groups, &views, &mut placed, &[0, 1, 2], 0.5, &mut |_| Ok(()))));
+        let heavy = Mask {
+            weights: vec![(0, 1e3), (1, 1e3)],
+            total: 2e3,
+            ..views[0].segments[1].clone()
+        };
+        groups.add(&Placed {
+            masks: vec![Cow::Owned(heavy)],
+            groups: vec![Some(other)],
+        });
+        assert!(!whether(split(
+            &mut groups,
+            &views,
+            &mut placed,
+            &[0, 1, 2],
+            0.5,
+            &mut |_| Ok(())
+        )));
     }
 
     /// The pieces that leave each group, found for one group after the other, by vectors of all Gaussians made anew.
-    fn one_by_one(groups: &Groups, views: &[Masks], placed: &[Placed<'_>], order: &[usize]) -> Vec<Option<Pieces>> {
+    fn one_by_one(
+        groups: &Groups,
+        views: &[Masks],
+        placed: &[Placed<'_>],
+        order: &[usize],
+    ) -> Vec<Option<Pieces>> {
         let all: Vec<u32> = (0..groups.owners().len() as u32).collect();
         let leaving = |suspect: Suspect| {
             let mask = |&(v, k): &(usize, usize)| &*placed[v].masks[k];
@@ -309,11 +430,23 @@ mod tests {
                 let mut parts = vec![[0.0; 2]; all.len()];
                 let sides = grown(&mut parts, placed, &suspect.pieces, seed);
                 let pieces = suspect.pieces.iter().zip(&sides);
-                let of_side = |side| pieces.clone().filter(move |(_, s)| **s == side).map(|(piece, _)| *piece);
-                let weights = [0, 1].map(|side| of_side(side).map(|piece| mask(&piece).total).sum::<f64>());
+                let of_side = |side| {
+                    pieces
+                        .clone()
+                        .filter(move |(_, s)| **s == side)
+                        .map(|(piece, _)| *piece)
+                };
+                let weights =
+                    [0, 1].map(|side| of_side(side).map(|piece| mask(&piece).total).sum::<f64>());
                 let smaller = usize::from(weights[0] >= weights[1]);
-                let improves = best.as_ref().is_none_or(|(weight, _)| weights[smaller] > *weight);
-                if improves && purity(groups, &all, &parts).iter().all(|purity| *purity > OWN) {
+                let improves = best
+                    .as_ref()
+                    .is_none_or(|(weight, _)| weights[smaller] > *weight);
+                if improves
+                    && purity(groups, &all, &parts)
+                        .iter()
+                        .all(|purity| *purity > OWN)
+                {
                     let said = says(all.len(), views, &[&owned(groups, &all, &parts)]);
                     if said[0].1 > said[0].0 + DOUBT {
                         best = Some((weights[smaller], of_side(smaller).collect()));
@@ -322,7 +455,10 @@ mod tests {
             }
             best.map(|(_, leaving)| leaving)
         };
-        suspects(groups, placed, order).into_iter().map(leaving).collect()
+        suspects(groups, placed, order)
+            .into_iter()
+            .map(leaving)
+            .collect()
     }
 
     #[test]
@@ -337,7 +473,8 @@ mod tests {
                 for group in 0..3 {
                     let first = 20 * group;
                     let mut blurred = |at: u32| at + rng.random_range(0..3);
-                    let [from, middle, to] = [blurred(first), blurred(first + 10), blurred(first + 20)];
+                    let [from, middle, to] =
+                        [blurred(first), blurred(first + 10), blurred(first + 20)];
                     let halves: &[Span] = match rng.random_range(0..5) {
                         0 => &[(from, to)],
                         1 => &[(from, middle)],
@@ -354,18 +491,28 @@ mod tests {
             let mut groups = Groups::new(62);
             (0..3).for_each(|group| assert_eq!(groups.open(KIND), group));
             let placed = views.iter().zip(of);
-            let placed = placed
-                .map(|(view, groups)| Placed { masks: view.segments.iter().map(Cow::Borrowed).collect(), groups });
+            let placed = placed.map(|(view, groups)| Placed {
+                masks: view.segments.iter().map(Cow::Borrowed).collect(),
+                groups,
+            });
             let mut placed: Vec<Placed<'_>> = placed.collect();
             placed.iter().for_each(|view| groups.add(view));
             let order: Vec<usize> = (0..views.len()).rev().collect();
             let leaving = one_by_one(&groups, &views, &placed, &order);
-            let mut want: Vec<Vec<Option<u32>>> = placed.iter().map(|view| view.groups.clone()).collect();
+            let mut want: Vec<Vec<Option<u32>>> =
+                placed.iter().map(|view| view.groups.clone()).collect();
             let found: Vec<&Pieces> = leaving.iter().flatten().collect();
             for (new, pieces) in (3..).zip(&found) {
                 pieces.iter().for_each(|&(v, k)| want[v][k] = Some(new));
             }
-            let any = whether(split(&mut groups, &views, &mut placed, &order, 0.5, &mut |_| Ok(())));
+            let any = whether(split(
+                &mut groups,
+                &views,
+                &mut placed,
+                &order,
+                0.5,
+                &mut |_| Ok(()),
+            ));
             assert_eq!(any, !found.is_empty());
             assert!(placed.iter().map(|view| &view.groups).eq(&want));
             splits += found.len();

@@ -31,10 +31,24 @@ pub(super) fn group<'a, B>(
             groups.remove(&placed[v]);
             placed[v] = match sweep {
                 // Nothing is known yet of what a segment may cover.
-                0 => groups.place(whole(&views[v]), config.min_overlap, Leftovers { join: false, open: true }),
+                0 => groups.place(
+                    whole(&views[v]),
+                    config.min_overlap,
+                    Leftovers {
+                        join: false,
+                        open: true,
+                    },
+                ),
                 _ => {
                     let pieces = divided(groups, &views[v], &sizes);
-                    groups.place(pieces, config.min_overlap, Leftovers { join: true, open: true })
+                    groups.place(
+                        pieces,
+                        config.min_overlap,
+                        Leftovers {
+                            join: true,
+                            open: true,
+                        },
+                    )
                 }
             };
             sizes.resize(groups.len(), 0.0);
@@ -47,13 +61,20 @@ pub(super) fn group<'a, B>(
         }
         sizes = loop {
             look(0)?;
-            let shown: Vec<Shown> = views.par_iter().map(|view| Shown::new(groups, view)).collect();
+            let shown: Vec<Shown> = views
+                .par_iter()
+                .map(|view| Shown::new(groups, view))
+                .collect();
             let pairs = merge::pairs(groups, &shown, config.merge_above);
             if pairs.is_empty() {
                 break extents(groups.len(), &shown);
             }
             let into: HashMap<u32, u32> = pairs.into_iter().collect();
-            for group in placed.iter_mut().flat_map(|placed| &mut placed.groups).flatten() {
+            for group in placed
+                .iter_mut()
+                .flat_map(|placed| &mut placed.groups)
+                .flatten()
+            {
                 *group = into.get(group).copied().unwrap_or(*group);
             }
             rebuild(groups, &placed);
@@ -64,7 +85,11 @@ pub(super) fn group<'a, B>(
         *group = group.filter(|group| !negligible[*group as usize]);
     }
     rebuild(groups, &placed);
-    for Placed { masks, groups: assigned } in &mut placed {
+    for Placed {
+        masks,
+        groups: assigned,
+    } in &mut placed
+    {
         let overlaps = groups.overlaps(masks);
         for ((mask, claimed), group) in masks.iter().zip(&overlaps.claimed).zip(assigned) {
             *group = group.or_else(|| groups.container(mask, claimed));
@@ -75,8 +100,20 @@ pub(super) fn group<'a, B>(
 }
 
 /// Places the segments of a view that had no part in the groups.
-pub(super) fn place<'a>(groups: &mut Groups, view: &'a Masks, sizes: &[f64], least: f64) -> Placed<'a> {
-    groups.place(divided(groups, view, sizes), least, Leftovers { join: true, open: false })
+pub(super) fn place<'a>(
+    groups: &mut Groups,
+    view: &'a Masks,
+    sizes: &[f64],
+    least: f64,
+) -> Placed<'a> {
+    groups.place(
+        divided(groups, view, sizes),
+        least,
+        Leftovers {
+            join: true,
+            open: false,
+        },
+    )
 }
 
 fn whole(view: &Masks) -> Vec<Cow<'_, Mask>> {

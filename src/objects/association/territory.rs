@@ -26,7 +26,11 @@ pub(super) struct Shown {
 impl Shown {
     pub fn new(groups: &Groups, view: &Masks) -> Self {
         let mut sums = vec![0.0; groups.len()];
-        let by_mask: Vec<_> = view.segments.iter().map(|mask| at_home(groups, &mask.weights, &mut sums)).collect();
+        let by_mask: Vec<_> = view
+            .segments
+            .iter()
+            .map(|mask| at_home(groups, &mask.weights, &mut sums))
+            .collect();
         let mut labelled = BTreeMap::new();
         for (group, pixels) in by_mask.iter().flatten() {
             *labelled.entry(*group).or_insert(0.0) += pixels;
@@ -35,7 +39,11 @@ impl Shown {
         for (group, pixels) in at_home(groups, &view.rest, &mut sums) {
             *total.entry(group).or_insert(0.0) += pixels;
         }
-        Self { by_mask, labelled, total }
+        Self {
+            by_mask,
+            labelled,
+            total,
+        }
     }
 
     /// Pixels of a group in the whole view.
@@ -54,7 +62,9 @@ impl Shown {
 
     /// The segment that covers each group, where one does; ascending by group.
     pub fn places(&self) -> BTreeMap<u32, usize> {
-        (0..self.by_mask.len()).flat_map(|mask| self.covered(mask).map(move |(group, _)| (group, mask))).collect()
+        (0..self.by_mask.len())
+            .flat_map(|mask| self.covered(mask).map(move |(group, _)| (group, mask)))
+            .collect()
     }
 }
 
@@ -71,7 +81,10 @@ pub(super) fn covering(shown: impl Iterator<Item = f64> + Clone, rest: f64) -> P
     let labelled: f64 = shown.clone().sum();
     let total = labelled + rest;
     let covers = |pixels: f64| pixels > COVERED * labelled && pixels > IN_VIEW * total;
-    Places { mask: shown.into_iter().position(covers), total }
+    Places {
+        mask: shown.into_iter().position(covers),
+        total,
+    }
 }
 
 /// Pixels of `weights` on the homes of the groups, ascending by group; `sums` is zero before and after.
@@ -90,12 +103,18 @@ fn at_home(groups: &Groups, weights: &[(u32, f32)], sums: &mut [f64]) -> Vec<(u3
         }
     }
     touched.sort_unstable();
-    touched.into_iter().map(|group| (group, std::mem::take(&mut sums[group as usize]))).collect()
+    touched
+        .into_iter()
+        .map(|group| (group, std::mem::take(&mut sums[group as usize])))
+        .collect()
 }
 
 /// The most that one of these views shows of each group's home, pixels.
 pub(super) fn sizes(groups: &Groups, views: &[Masks]) -> Vec<f64> {
-    let shown: Vec<Shown> = views.par_iter().map(|view| Shown::new(groups, view)).collect();
+    let shown: Vec<Shown> = views
+        .par_iter()
+        .map(|view| Shown::new(groups, view))
+        .collect();
     extents(groups.len(), &shown)
 }
 

@@ -32,9 +32,17 @@ impl Body {
         let squares = half * half + FLATNESS * half.length_squared();
         let shape = turned * DMat3::from_diagonal(squares) * turned.transpose();
         let area = opacity * (a * b).max(b * c).max(a * c);
-        let solid = opacity >= level && shape.is_finite() && area.is_finite() && squares.min_element() > 0.0;
+        let solid = opacity >= level
+            && shape.is_finite()
+            && area.is_finite()
+            && squares.min_element() > 0.0;
         let center = DVec3::from(gaussians.means[row].map(f64::from));
-        solid.then(|| Self { center, shape, longest: half.max_element(), area })
+        solid.then(|| Self {
+            center,
+            shape,
+            longest: half.max_element(),
+            area,
+        })
     }
 
     /// Whether the ellipsoids overlap: the largest of K(s) = s (1 - s) d^T ((1 - s) A + s B)^-1 d over 0 < s < 1, which is concave, is

@@ -23,31 +23,52 @@ impl Chains {
 
     /// These, and how many regions and bodies were looked at for the large ones.
     fn counted(bodies: &[Body], points: &[[f32; 3]], neighbours: usize) -> Result<(Self, usize)> {
-        let near = PointIndex::new(points)?.neighbours(neighbours.saturating_add(1).min(points.len()));
+        let near =
+            PointIndex::new(points)?.neighbours(neighbours.saturating_add(1).min(points.len()));
         let mut chains = Self((0..bodies.len() as u32).collect());
         let touching = |k: usize, others: &[u32]| -> Vec<(u32, u32)> {
-            let touched = others.iter().filter(|&&j| bodies[k].touches(&bodies[j as usize]));
+            let touched = others
+                .iter()
+                .filter(|&&j| bodies[k].touches(&bodies[j as usize]));
             touched.map(|&j| (k as u32, j)).collect()
         };
         // Block by block, so that not all pairs of a large label are in memory.
         for block in (0..bodies.len()).step_by(BLOCK) {
             let block = block..(block + BLOCK).min(bodies.len());
-            let pairs: Vec<_> = block.into_par_iter().map(|k| touching(k, &near.row(k)[1..])).collect();
-            pairs.into_iter().flatten().for_each(|(a, b)| chains.join(a, b));
+            let pairs: Vec<_> = block
+                .into_par_iter()
+                .map(|k| touching(k, &near.row(k)[1..]))
+                .collect();
+            pairs
+                .into_iter()
+                .flatten()
+                .for_each(|(a, b)| chains.join(a, b));
         }
         // A large one may touch more than its nearest, which can all lie at one of its sides.
         let reaches_on = |k: &u32| {
             let body = &bodies[*k as usize];
-            let farthest =
-                near.row(*k as usize).last().map_or(0.0, |&j| bodies[j as usize].center.distance(body.center));
+            let farthest = near
+                .row(*k as usize)
+                .last()
+                .map_or(0.0, |&j| bodies[j as usize].center.distance(body.center));
             body.longest > farthest
         };
-        let mut large: Vec<u32> = (0..bodies.len() as u32).into_par_iter().filter(reaches_on).collect();
+        let mut large: Vec<u32> = (0..bodies.len() as u32)
+            .into_par_iter()
+            .filter(reaches_on)
+            .collect();
         // From the largest on, in blocks that double: what the first join is one chain to those after them, and passed over.
         large.par_sort_unstable_by(|&a, &b| {
-            bodies[b as usize].longest.total_cmp(&bodies[a as usize].longest).then(a.cmp(&b))
+            bodies[b as usize]
+                .longest
+                .total_cmp(&bodies[a as usize].longest)
+                .then(a.cmp(&b))
         });
-        let centers: Vec<_> = if large.is_empty() { Vec::new() } else { bodies.iter().map(|b| b.center).collect() };
+        let centers: Vec<_> = if large.is_empty() {
+            Vec::new()
+        } else {
+            bodies.iter().map(|b| b.center).collect()
+        };
         let mut regions = Regions::new(&centers);
         let (mut rest, mut size, mut looked) = (&large[..], FIRST, 0);
         while !rest.is_empty() {
@@ -58,8 +79,15 @@ impl Chains {
                 .par_iter()
                 .map(|&(k, chain)| {
                     let body = &bodies[k as usize];
-                    let query = Query { center: body.center, radius: body.longest, chain };
-                    (k, regions.touched(&query, |j| body.touches(&bodies[j as usize])))
+                    let query = Query {
+                        center: body.center,
+                        radius: body.longest,
+                        chain,
+                    };
+                    (
+                        k,
+                        regions.touched(&query, |j| body.touches(&bodies[j as usize])),
+                    )
                 })
                 .collect();
             for (k, (others, cost)) in touched {
@@ -98,16 +126,22 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let means: Vec<[f32; 3]> = (0..count).map(|_| [0; 3].map(|_| rng.random())).collect();
         let size = |i: usize| if i < huge { 0.4 } else { spread };
-        let axes = |i: usize, rng: &mut ChaCha8Rng| [0; 3].map(|_| (size(i) * rng.random_range(0.02_f32..1.0)).ln());
+        let axes = |i: usize, rng: &mut ChaCha8Rng| {
+            [0; 3].map(|_| (size(i) * rng.random_range(0.02_f32..1.0)).ln())
+        };
         let gaussians = Gaussians {
             log_scales: (0..count).map(|i| axes(i, &mut rng)).collect(),
-            rotations: (0..count).map(|_| [0; 4].map(|_| rng.random_range(-1.0..1.0))).collect(),
+            rotations: (0..count)
+                .map(|_| [0; 4].map(|_| rng.random_range(-1.0..1.0)))
+                .collect(),
             opacity_logits: vec![2.944; count],
             sh: vec![0.0; 3 * count],
             sh_degree: 0,
             means: means.clone(),
         };
-        let bodies = (0..count).map(|i| Body::new(&gaussians, i, 0.1).expect("solid")).collect();
+        let bodies = (0..count)
+            .map(|i| Body::new(&gaussians, i, 0.1).expect("solid"))
+            .collect();
         (bodies, means)
     }
 
@@ -115,12 +149,17 @@ mod tests {
     fn plain(bodies: &[Body], neighbours: usize) -> Vec<u32> {
         let mut chains = Chains((0..bodies.len() as u32).collect());
         for (k, body) in bodies.iter().enumerate() {
-            let mut others: Vec<(f64, usize)> =
-                bodies.iter().map(|b| b.center.distance_squared(body.center)).zip(0..).filter(|o| o.1 != k).collect();
+            let mut others: Vec<(f64, usize)> = bodies
+                .iter()
+                .map(|b| b.center.distance_squared(body.center))
+                .zip(0..)
+                .filter(|o| o.1 != k)
+                .collect();
             others.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             let farthest = others[neighbours - 1].0.sqrt();
             for (rank, &(squared, j)) in others.iter().enumerate() {
-                let named = rank < neighbours || (body.longest > farthest && squared <= body.longest * body.longest);
+                let named = rank < neighbours
+                    || (body.longest > farthest && squared <= body.longest * body.longest);
                 if named && body.touches(&bodies[j]) {
                     chains.join(k as u32, j as u32);
                 }
@@ -130,21 +169,38 @@ mod tests {
     }
 
     fn firsts(chains: &mut Chains) -> Vec<u32> {
-        (0..chains.0.len() as u32).map(|i| chains.first(i)).collect()
+        (0..chains.0.len() as u32)
+            .map(|i| chains.first(i))
+            .collect()
     }
 
     #[test]
     fn chains_are_those_of_all_pairs_at_any_thread_count() {
         // Sparse, half joined and dense; few and many as large as the room.
-        for (spread, huge, neighbours) in
-            [(0.004, 0, 24), (0.01, 3, 24), (0.01, 40, 4), (0.02, 0, 2), (0.02, 2, 24), (0.08, 5, 24), (0.08, 400, 6)]
-        {
+        for (spread, huge, neighbours) in [
+            (0.004, 0, 24),
+            (0.01, 3, 24),
+            (0.01, 40, 4),
+            (0.02, 0, 2),
+            (0.02, 2, 24),
+            (0.08, 5, 24),
+            (0.08, 400, 6),
+        ] {
             let (bodies, points) = random(1_200, spread, huge, huge as u64);
             let want = plain(&bodies, neighbours);
             for threads in [1, 2, 5] {
-                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-                let mut found = pool.install(|| Chains::of(&bodies, &points, neighbours)).expect("chains");
-                assert_eq!(firsts(&mut found), want, "{spread} {huge} {neighbours}, {threads} threads");
+                let pool = rayon::ThreadPoolBuilder::new()
+                    .num_threads(threads)
+                    .build()
+                    .expect("threads");
+                let mut found = pool
+                    .install(|| Chains::of(&bodies, &points, neighbours))
+                    .expect("chains");
+                assert_eq!(
+                    firsts(&mut found),
+                    want,
+                    "{spread} {huge} {neighbours}, {threads} threads"
+                );
             }
         }
     }
@@ -152,8 +208,14 @@ mod tests {
     #[test]
     fn equal_centres_are_told_apart() {
         let (mut bodies, _) = random(300, 0.05, 4, 1);
-        bodies.iter_mut().enumerate().for_each(|(i, body)| body.center = glam::DVec3::splat((i % 3) as f64));
-        let points: Vec<[f32; 3]> = bodies.iter().map(|body| body.center.as_vec3().to_array()).collect();
+        bodies
+            .iter_mut()
+            .enumerate()
+            .for_each(|(i, body)| body.center = glam::DVec3::splat((i % 3) as f64));
+        let points: Vec<[f32; 3]> = bodies
+            .iter()
+            .map(|body| body.center.as_vec3().to_array())
+            .collect();
         let mut found = Chains::of(&bodies, &points, 24).expect("chains");
         assert_eq!(firsts(&mut found), plain(&bodies, 24));
     }
@@ -169,7 +231,10 @@ mod tests {
                 bodies.iter().filter(reaches).count()
             };
             let all = bodies[..100].iter().map(in_reach).sum::<usize>() / 100 * huge;
-            assert!(looked < most && all > 5 * most, "{looked} of {all} for {huge} large ones");
+            assert!(
+                looked < most && all > 5 * most,
+                "{looked} of {all} for {huge} large ones"
+            );
         }
     }
 }

@@ -36,7 +36,12 @@ pub struct Separation {
 /// Chosen on two trained rooms with true instances (docs/measured.md, "Things of one label").
 impl Default for Separation {
     fn default() -> Self {
-        Self { level: 0.1, smallest: 0.01, fewest: 10, neighbours: 24 }
+        Self {
+            level: 0.1,
+            smallest: 0.01,
+            fewest: 10,
+            neighbours: 24,
+        }
     }
 }
 
@@ -71,7 +76,11 @@ impl Separation {
             rows.entry(id).or_default().push(row);
         }
         let mut naming = Naming::new(labels, classes);
-        let mut separated = Separated { labels: labels.to_vec(), classes: Classes::default(), pieces: BTreeMap::new() };
+        let mut separated = Separated {
+            labels: labels.to_vec(),
+            classes: Classes::default(),
+            pieces: BTreeMap::new(),
+        };
         for (id, rows) in rows {
             if id == naming.classes.ignore || !wanted(id) {
                 continue;
@@ -87,7 +96,10 @@ impl Separation {
             separated.pieces.insert(id, ids);
         }
         // Without a table all labels are named, not the divided ones alone.
-        let unnamed = separated.labels.iter().filter(|&&id| classes.is_empty() && id != naming.classes.ignore);
+        let unnamed = separated
+            .labels
+            .iter()
+            .filter(|&&id| classes.is_empty() && id != naming.classes.ignore);
         for id in unnamed.copied().collect::<BTreeSet<u16>>() {
             naming.entry(id);
         }
@@ -97,7 +109,12 @@ impl Separation {
 
     fn check(&self) -> Result<()> {
         let fault = |key: &str, found: String, expected: &str| {
-            Err(Error::argument(format!("separation {key}"), found, expected, "the default suits most scenes"))
+            Err(Error::argument(
+                format!("separation {key}"),
+                found,
+                expected,
+                "the default suits most scenes",
+            ))
         };
         if !(self.level > 0.0 && self.level < 1.0) {
             return fault("level", self.level.to_string(), "above 0 and below 1");
@@ -113,9 +130,15 @@ impl Separation {
 
     /// Number of pieces that `rows` fall into, and which of them each is in, from the largest on.
     fn pieces(&self, gaussians: &Gaussians, rows: &[u32]) -> Result<(usize, Vec<u32>)> {
-        let bodies: Vec<Option<Body>> =
-            rows.iter().map(|&row| Body::new(gaussians, row as usize, self.level)).collect();
-        let solid: Vec<u32> = (0..).zip(&bodies).filter(|(_, body)| body.is_some()).map(|(i, _)| i).collect();
+        let bodies: Vec<Option<Body>> = rows
+            .iter()
+            .map(|&row| Body::new(gaussians, row as usize, self.level))
+            .collect();
+        let solid: Vec<u32> = (0..)
+            .zip(&bodies)
+            .filter(|(_, body)| body.is_some())
+            .map(|(i, _)| i)
+            .collect();
         if solid.len() < 2 {
             return Ok((1, vec![0; rows.len()]));
         }
@@ -132,8 +155,14 @@ impl Separation {
         let mut order: Vec<(u32, (f64, usize))> = sizes.into_iter().collect();
         order.sort_by(|(a, (large, _)), (b, (small, _))| small.total_cmp(large).then(a.cmp(b)));
         let (first, (largest, _)) = order[0];
-        order.retain(|(of, (area, count))| *of == first || (*area >= self.smallest * largest && *count >= self.fewest));
-        let place: BTreeMap<u32, u32> = order.iter().zip(0..).map(|((first, _), place)| (*first, place)).collect();
+        order.retain(|(of, (area, count))| {
+            *of == first || (*area >= self.smallest * largest && *count >= self.fewest)
+        });
+        let place: BTreeMap<u32, u32> = order
+            .iter()
+            .zip(0..)
+            .map(|((first, _), place)| (*first, place))
+            .collect();
         let (mut of, mut known, mut kept) = (vec![u32::MAX; rows.len()], Vec::new(), Vec::new());
         for (k, &i) in solid.iter().enumerate() {
             if let Some(&piece) = place.get(&chains.first(k as u32)) {
@@ -142,7 +171,11 @@ impl Separation {
                 kept.push(points[k]);
             }
         }
-        let strays: Vec<u32> = (0..).zip(&of).filter(|(_, piece)| **piece == u32::MAX).map(|(i, _)| i).collect();
+        let strays: Vec<u32> = (0..)
+            .zip(&of)
+            .filter(|(_, piece)| **piece == u32::MAX)
+            .map(|(i, _)| i)
+            .collect();
         let queries: Vec<[f32; 3]> = strays.iter().map(|&i| at(i)).collect();
         let (nearest, _) = PointIndex::new(&kept)?.nearest(&queries, 1)?;
         for (&i, &at) in strays.iter().zip(&nearest.indices) {

@@ -23,13 +23,27 @@ impl Naming {
             classes.ignore = 0;
         }
         let entries = classes.entries.iter().map(|c| c.id);
-        let used: BTreeSet<u16> = labels.iter().copied().chain(entries).chain([classes.ignore, 0]).collect();
-        let largest = used.iter().rfind(|id| **id != classes.ignore).copied().unwrap_or(0);
+        let used: BTreeSet<u16> = labels
+            .iter()
+            .copied()
+            .chain(entries)
+            .chain([classes.ignore, 0])
+            .collect();
+        let largest = used
+            .iter()
+            .rfind(|id| **id != classes.ignore)
+            .copied()
+            .unwrap_or(0);
         // Above all others first, then what is left below; taken from the back.
         let order = (1..=largest).rev().chain((largest..=u16::MAX).rev());
         let free = order.filter(|id| !used.contains(id)).collect();
         let names = classes.entries.iter().map(|c| c.name.clone()).collect();
-        Self { classes, names, numbers: HashMap::new(), free }
+        Self {
+            classes,
+            names,
+            numbers: HashMap::new(),
+            free,
+        }
     }
 
     /// Ids of the `pieces` of `id`, itself the first. Pieces are things, whatever the whole was.
@@ -45,9 +59,17 @@ impl Naming {
         let i = self.entry(id);
         let whole = self.classes.entries[i].clone();
         // A thing is numbered on: `chair 2` has the class name `chair`.
-        let numbered = whole.object_of.filter(|of| of.thing).and_then(|_| whole.name.rsplit_once(' '));
-        let base = numbered.filter(|(_, number)| number.parse::<u32>().is_ok()).map_or(&*whole.name, |(base, _)| base);
-        let of = ObjectOf { class: whole.object_of.map_or(id, |of| of.class), thing: true };
+        let numbered = whole
+            .object_of
+            .filter(|of| of.thing)
+            .and_then(|_| whole.name.rsplit_once(' '));
+        let base = numbered
+            .filter(|(_, number)| number.parse::<u32>().is_ok())
+            .map_or(&*whole.name, |(base, _)| base);
+        let of = ObjectOf {
+            class: whole.object_of.map_or(id, |of| of.class),
+            thing: true,
+        };
         let mut ids = vec![id];
         self.classes.entries[i].object_of = Some(of);
         if base == whole.name {
@@ -57,7 +79,15 @@ impl Naming {
         for &next in &ids[1..] {
             let name = self.next_name(base);
             let at = self.classes.entries.partition_point(|c| c.id < next);
-            self.classes.entries.insert(at, Class { id: next, name, color: class_color(next), object_of: Some(of) });
+            self.classes.entries.insert(
+                at,
+                Class {
+                    id: next,
+                    name,
+                    color: class_color(next),
+                    object_of: Some(of),
+                },
+            );
         }
         Ok(ids)
     }
@@ -67,7 +97,15 @@ impl Naming {
         let i = self.classes.entries.partition_point(|c| c.id < id);
         if self.classes.entries.get(i).is_none_or(|c| c.id != id) {
             let name = format!("label {id}");
-            self.classes.entries.insert(i, Class { id, name, color: class_color(id), object_of: None });
+            self.classes.entries.insert(
+                i,
+                Class {
+                    id,
+                    name,
+                    color: class_color(id),
+                    object_of: None,
+                },
+            );
         }
         i
     }

@@ -45,7 +45,12 @@ impl Regions {
     /// Of fewer than 2^32 - 1 bodies at `centers`, each a chain of its own until [`Regions::tell`] says otherwise.
     pub fn new(centers: &[DVec3]) -> Self {
         let order: Vec<u32> = (0..centers.len() as u32).collect();
-        let mut made = Self { regions: Vec::new(), order, centers: Vec::new(), chains: Vec::new() };
+        let mut made = Self {
+            regions: Vec::new(),
+            order,
+            centers: Vec::new(),
+            chains: Vec::new(),
+        };
         if !centers.is_empty() {
             made.divide(centers, 0, centers.len());
         }
@@ -56,18 +61,29 @@ impl Regions {
 
     fn divide(&mut self, centers: &[DVec3], first: usize, end: usize) {
         let here = &mut self.order[first..end];
-        let (low, high) = here.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &i| {
-            (low.min(centers[i as usize]), high.max(centers[i as usize]))
-        });
+        let (low, high) = here
+            .iter()
+            .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &i| {
+                (low.min(centers[i as usize]), high.max(centers[i as usize]))
+            });
         let number = self.regions.len();
-        self.regions.push(Region { low, high, first, end, second: 0, chain: SEVERAL });
+        self.regions.push(Region {
+            low,
+            high,
+            first,
+            end,
+            second: 0,
+            chain: SEVERAL,
+        });
         if here.len() <= LEAF {
             return;
         }
         let axis = (high - low).max_position();
         let half = here.len() / 2;
         here.select_nth_unstable_by(half, |&a, &b| {
-            centers[a as usize][axis].total_cmp(&centers[b as usize][axis]).then(a.cmp(&b))
+            centers[a as usize][axis]
+                .total_cmp(&centers[b as usize][axis])
+                .then(a.cmp(&b))
         });
         self.divide(centers, first, first + half);
         self.regions[number].second = self.regions.len();
@@ -82,7 +98,11 @@ impl Regions {
             let shared = match region.second {
                 0 => {
                     let here = &self.chains[region.first..region.end];
-                    if here.iter().all(|chain| *chain == here[0]) { here[0] } else { SEVERAL }
+                    if here.iter().all(|chain| *chain == here[0]) {
+                        here[0]
+                    } else {
+                        SEVERAL
+                    }
                 }
                 second => {
                     let [a, b] = [number + 1, second].map(|half| self.regions[half].chain);
@@ -95,14 +115,25 @@ impl Regions {
 
     /// One body of each other chain that `touches` says yes to, where it does for any within reach, and how many regions and
     /// bodies were looked at. Of a chain that is found no more are; the nearer half of a region comes first.
-    pub fn touched(&self, query: &Query, mut touches: impl FnMut(u32) -> bool) -> (Vec<u32>, usize) {
+    pub fn touched(
+        &self,
+        query: &Query,
+        mut touches: impl FnMut(u32) -> bool,
+    ) -> (Vec<u32>, usize) {
         let (mut found, mut met, mut looked) = (Vec::new(), HashSet::new(), 0);
         let reach = query.radius * query.radius;
-        let mut open: Vec<usize> = if self.regions.is_empty() { Vec::new() } else { vec![0] };
+        let mut open: Vec<usize> = if self.regions.is_empty() {
+            Vec::new()
+        } else {
+            vec![0]
+        };
         while let Some(number) = open.pop() {
             let region = &self.regions[number];
             looked += 1;
-            if region.chain == query.chain || met.contains(&region.chain) || self.apart(number, query) > reach {
+            if region.chain == query.chain
+                || met.contains(&region.chain)
+                || self.apart(number, query) > reach
+            {
                 continue;
             }
             if region.second != 0 {
@@ -130,6 +161,9 @@ impl Regions {
     /// Squared distance of a query from a region's box; rounded as that of a centre in it is, and so no larger.
     fn apart(&self, number: usize, query: &Query) -> f64 {
         let Region { low, high, .. } = &self.regions[number];
-        query.center.clamp(*low, *high).distance_squared(query.center)
+        query
+            .center
+            .clamp(*low, *high)
+            .distance_squared(query.center)
     }
 }

@@ -72,7 +72,11 @@ impl AdamBackend for CubeBackend {
         let rates: Vec<f32> = step.rates.iter().map(|rate| (rate / c1) as f32).collect();
         let rate = rates.first().copied().unwrap_or_default();
         // One rate for all travels with the launch.
-        let rates = if rates.len() > 1 { gpu.upload(&rates, DType::F32) } else { gpu.floats([1]) };
+        let rates = if rates.len() > 1 {
+            gpu.upload(&rates, DType::F32)
+        } else {
+            gpu.floats([1])
+        };
         adam::launch(
             &gpu.client,
             gpu.cubes_for(count),
@@ -95,7 +99,11 @@ impl AdamBackend for CubeBackend {
         (param, first, second)
     }
 
-    fn move_towards(mean: FloatTensor<Self>, value: FloatTensor<Self>, share: f64) -> FloatTensor<Self> {
+    fn move_towards(
+        mean: FloatTensor<Self>,
+        value: FloatTensor<Self>,
+        share: f64,
+    ) -> FloatTensor<Self> {
         let count = mean.meta.num_elements();
         if !covers(&mean) || count == 0 {
             return on_host::move_towards::<Self>(mean, value, share);

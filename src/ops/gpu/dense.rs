@@ -19,7 +19,11 @@ pub(super) fn zeros(gpu: &Gpu, shape: [usize; 2]) -> CubeTensor {
 }
 
 impl DenseBackend for CubeBackend {
-    fn dense(x: FloatTensor<Self>, weight: FloatTensor<Self>, bias: FloatTensor<Self>) -> FloatTensor<Self> {
+    fn dense(
+        x: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+    ) -> FloatTensor<Self> {
         let (gpu, count, width) = (Gpu::of(&x), x.meta.shape()[0], weight.meta.shape()[1]);
         if count * width == 0 {
             return zeros(&gpu, [count, width]);

@@ -29,7 +29,11 @@ impl FiniteBackend for CubeBackend {
         count
     }
 
-    fn with_count(loss: FloatTensor<Self>, count: IntTensor<Self>, others: FloatTensor<Self>) -> FloatTensor<Self> {
+    fn with_count(
+        loss: FloatTensor<Self>,
+        count: IntTensor<Self>,
+        others: FloatTensor<Self>,
+    ) -> FloatTensor<Self> {
         let gpu = Gpu::of(&loss);
         let length = others.meta.num_elements();
         let all = gpu.floats([2 + length]);
@@ -37,7 +41,16 @@ impl FiniteBackend for CubeBackend {
         // A binding cannot be empty.
         let others = if length > 0 { others } else { loss.clone() };
         let (count, cubes) = (cast(count, DType::U32), gpu.cubes_for(length.max(1)));
-        beside::launch(&gpu.client, cubes, gpu.dim(), arg(&loss), arg(&count), arg(&others), arg(&all), length as u32);
+        beside::launch(
+            &gpu.client,
+            cubes,
+            gpu.dim(),
+            arg(&loss),
+            arg(&count),
+            arg(&others),
+            arg(&all),
+            length as u32,
+        );
         all
     }
 }

@@ -59,7 +59,9 @@ fn unbend(out: &[f32], g: &mut [f32], count: u32, slope: f32) {
 
 /// Whether kernels take this layer: something comes out.
 fn on_device(tensors: &LayerTensors<CubeBackend>, map: &LayerMap) -> bool {
-    covers(&tensors.bias) && map.upsample.rows() * tensors.bias.meta.num_elements() > 0 && map.upsample.columns() > 0
+    covers(&tensors.bias)
+        && map.upsample.rows() * tensors.bias.meta.num_elements() > 0
+        && map.upsample.columns() > 0
 }
 
 /// `x[rows]`, or `x` where all rows are read.
@@ -75,7 +77,12 @@ impl FusionBackend for CubeBackend {
         if !on_device(&tensors, &map) {
             return on_host::fusion_layer::<Self>(tensors, &map);
         }
-        let LayerTensors { x, weight, below, bias } = tensors;
+        let LayerTensors {
+            x,
+            weight,
+            below,
+            bias,
+        } = tensors;
         let gpu = Gpu::of(&bias);
         let (rows, width) = (map.upsample.rows(), bias.meta.num_elements());
         let out = gpu.floats([rows, width]);
@@ -121,7 +128,15 @@ impl FusionBackend for CubeBackend {
         if map.slope != 1.0 {
             g = own(g);
             let (cubes, slope) = (gpu.cubes_for(count), map.slope as f32);
-            unbend::launch(&gpu.client, cubes, gpu.dim(), arg(&out), arg(&g), count as u32, slope);
+            unbend::launch(
+                &gpu.client,
+                cubes,
+                gpu.dim(),
+                arg(&out),
+                arg(&g),
+                count as u32,
+                slope,
+            );
         }
         let g = into_contiguous(g);
         let rows = map.rows.as_ref().map(|rows| rows.on(&gpu));
@@ -130,7 +145,8 @@ impl FusionBackend for CubeBackend {
         let d_x = match wants_x && inputs > 0 {
             false => zeros(&gpu, [if wants_x { x_rows } else { 0 }, inputs]),
             true => {
-                let d = into_contiguous(Self::float_matmul(g.clone(), Self::float_transpose(weight)));
+                let d =
+                    into_contiguous(Self::float_matmul(g.clone(), Self::float_transpose(weight)));
                 match &map.rows {
                     None => d,
                     Some(rows) => Self::scatter_rows(d, rows.clone(), x_rows),
@@ -138,6 +154,11 @@ impl FusionBackend for CubeBackend {
             }
         };
         let below = DeviceMatrix::by_columns(&gpu, &map.upsample).apply(&gpu, g);
-        LayerTensors { x: d_x, weight: d_weight, below, bias: d_bias }
+        LayerTensors {
+            x: d_x,
+            weight: d_weight,
+            below,
+            bias: d_bias,
+        }
     }
 }

@@ -39,16 +39,38 @@ impl GatherBackend for CubeBackend {
         let (x, out) = (into_contiguous(x), gpu.floats([rows.len(), width]));
         let (cubes, index) = (gpu.cubes_for(count), rows.on(&gpu));
         let (count, width) = (count as u32, width as u32);
-        pick::launch(&gpu.client, cubes, gpu.dim(), arg(&x), arg(&index), arg(&out), count, width, false);
+        pick::launch(
+            &gpu.client,
+            cubes,
+            gpu.dim(),
+            arg(&x),
+            arg(&index),
+            arg(&out),
+            count,
+            width,
+            false,
+        );
         out
     }
 
     fn scatter_rows(g: FloatTensor<Self>, rows: Arc<RowList>, total: usize) -> FloatTensor<Self> {
         let (gpu, width) = (Gpu::of(&g), g.meta.shape()[1]);
-        let (out, count) = (into_contiguous(zeros(&gpu, [total, width])), rows.len() * width);
+        let (out, count) = (
+            into_contiguous(zeros(&gpu, [total, width])),
+            rows.len() * width,
+        );
         if count > 0 {
             let (g, cubes, index) = (into_contiguous(g), gpu.cubes_for(count), rows.on(&gpu));
-            scatter::launch(&gpu.client, cubes, gpu.dim(), arg(&g), arg(&index), arg(&out), count as u32, width as u32);
+            scatter::launch(
+                &gpu.client,
+                cubes,
+                gpu.dim(),
+                arg(&g),
+                arg(&index),
+                arg(&out),
+                count as u32,
+                width as u32,
+            );
         }
         out
     }

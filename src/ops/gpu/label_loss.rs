@@ -48,7 +48,14 @@ struct Term {
 
 /// Of ln p_y and 1 - p_y. `parameter` is `pi_rl` or `q`; `one_minus` 1 less `pi_rl`, and `log_rest` the logarithm of that.
 #[cube]
-fn term(log_p: f32, rest: f32, parameter: f32, one_minus: f32, log_rest: f32, #[comptime] formula: Formula) -> Term {
+fn term(
+    log_p: f32,
+    rest: f32,
+    parameter: f32,
+    one_minus: f32,
+    log_rest: f32,
+    #[comptime] formula: Formula,
+) -> Term {
     let p = log_p.exp();
     let mut loss = -log_p;
     let mut h = f32::new(-1.0);
@@ -156,7 +163,8 @@ fn label_losses(
             let mut g = (logits[first + k] - highest).exp() * factor + each;
             if k == y {
                 // h (1 - p_y), not h - h p_y
-                g = (h * rest + u * (1.0f32 - f32::cast_from(classes) * (own.exp() / total))) * scale;
+                g = (h * rest + u * (1.0f32 - f32::cast_from(classes) * (own.exp() / total)))
+                    * scale;
             }
             gradient[first + k] = g;
         }
@@ -178,7 +186,9 @@ impl LabelLossBackend for CubeBackend {
         let wide = || labels.iter().map(|&l| u32::from(l)).collect::<Vec<_>>();
         let labels = labels.resident.on(&gpu, || gpu.upload(&wide(), DType::U32));
         let (formula, parameter) = Formula::of(losses.kind);
-        let parameters: Vec<f32> = (0..classes).map(|class| Formula::of(losses.of(class)).1 as f32).collect();
+        let parameters: Vec<f32> = (0..classes)
+            .map(|class| Formula::of(losses.of(class)).1 as f32)
+            .collect();
         let parameters = gpu.upload(&parameters, DType::F32);
         let (losses, gradient) = (gpu.floats([pixels]), gpu.floats([pixels, classes]));
         label_losses::launch(

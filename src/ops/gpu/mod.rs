@@ -28,7 +28,11 @@ use burn_cubecl::tensor::CubeTensor;
 fn own(tensor: CubeTensor) -> CubeTensor {
     let tensor = into_contiguous(tensor);
     // A copy may have its rows padded.
-    if tensor.can_mut() { tensor } else { into_contiguous(tensor.copy()) }
+    if tensor.can_mut() {
+        tensor
+    } else {
+        into_contiguous(tensor.copy())
+    }
 }
 
 /// Whether kernels take `tensor`; what is not `f32` goes to the host's.

@@ -61,7 +61,14 @@ fn ratio(
 
 /// Times `scale`, the divergences of each sample from its neighbours, one cube a sample.
 #[cube(launch)]
-fn divergences(features: &[f32], shifts: &[f32], pairs: &[u32], values: &mut [f32], sizes: Sizes, scale: f32) {
+fn divergences(
+    features: &[f32],
+    shifts: &[f32],
+    pairs: &[u32],
+    values: &mut [f32],
+    sizes: Sizes,
+    scale: f32,
+) {
     let sample = CUBE_POS;
     if sample >= sizes.samples as usize {
         terminate!();
@@ -113,7 +120,8 @@ fn divergence_gradient(
     let sample = pairs[samples + row];
     if sample > 0u32 {
         let sample = (sample - 1u32) as usize;
-        g += p * (ratio(features, shifts, pairs, sample, log_p, c, &sizes) - values[sample] * count);
+        g +=
+            p * (ratio(features, shifts, pairs, sample, log_p, c, &sizes) - values[sample] * count);
     }
     gradient[ABSOLUTE_POS] = g * scale;
 }
@@ -124,13 +132,21 @@ fn divergence_gradient(
 fn tables(pairs: &NeighbourPairs, rows: usize) -> Option<Vec<u32>> {
     let k = pairs.neighbours.len() / pairs.chosen.len();
     let mut offsets = vec![0_u32; rows + 1];
-    pairs.neighbours.iter().for_each(|&row| offsets[row as usize + 1] += 1);
+    pairs
+        .neighbours
+        .iter()
+        .for_each(|&row| offsets[row as usize + 1] += 1);
     for row in 0..rows {
         offsets[row + 1] += offsets[row];
     }
     let (mut next, mut members) = (offsets.clone(), vec![0; pairs.neighbours.len()]);
     let mut samples = vec![0; rows];
-    for ((&chosen, neighbours), number) in pairs.chosen.iter().zip(pairs.neighbours.chunks_exact(k)).zip(1..) {
+    for ((&chosen, neighbours), number) in pairs
+        .chosen
+        .iter()
+        .zip(pairs.neighbours.chunks_exact(k))
+        .zip(1..)
+    {
         if std::mem::replace(&mut samples[chosen as usize], number) != 0 {
             return None;
         }
@@ -140,7 +156,17 @@ fn tables(pairs: &NeighbourPairs, rows: usize) -> Option<Vec<u32>> {
             *place += 1;
         }
     }
-    Some([&pairs.chosen, &pairs.neighbours, &offsets, &members, &samples].map(|part| &part[..]).concat())
+    Some(
+        [
+            &pairs.chosen,
+            &pairs.neighbours,
+            &offsets,
+            &members,
+            &samples,
+        ]
+        .map(|part| &part[..])
+        .concat(),
+    )
 }
 
 impl DivergenceBackend for CubeBackend {
@@ -157,8 +183,19 @@ impl DivergenceBackend for CubeBackend {
         let features = into_contiguous(features);
         let (samples, listed) = (pairs.chosen.len(), pairs.neighbours.len());
         let tables = gpu.upload(&tables, DType::U32);
-        let (shifts, values, gradient) = (gpu.floats([rows]), gpu.floats([samples]), gpu.floats([rows, width]));
-        let sizes = || SizesLaunch::new(rows as u32, samples as u32, (listed / samples) as u32, width as u32);
+        let (shifts, values, gradient) = (
+            gpu.floats([rows]),
+            gpu.floats([samples]),
+            gpu.floats([rows, width]),
+        );
+        let sizes = || {
+            SizesLaunch::new(
+                rows as u32,
+                samples as u32,
+                (listed / samples) as u32,
+                width as u32,
+            )
+        };
         let scale = (1.0 / listed as f64) as f32;
         let dim = gpu.dim();
         log_sums::launch(

@@ -13,7 +13,8 @@ pub(super) fn ln_1p(x: f32) -> f32 {
         // 2 artanh(x / (2 + x)); the first term left out is 2e-8 of the result
         let s = x / (2.0f32 + x);
         let q = s * s;
-        value = 2.0f32 * s * (1.0f32 + q * (1.0f32 / 3.0f32 + q * (0.2f32 + q * (1.0f32 / 7.0f32))));
+        value =
+            2.0f32 * s * (1.0f32 + q * (1.0f32 / 3.0f32 + q * (0.2f32 + q * (1.0f32 / 7.0f32))));
     }
     value
 }
@@ -24,7 +25,8 @@ pub(super) fn exp_m1_nonpositive(x: f32) -> f32 {
     let mut value = x.exp() - 1.0f32;
     if x > -SMALL {
         // the first term left out is 2e-9 of the result
-        let more = 1.0f32 / 24.0f32 + x * (1.0f32 / 120.0f32 + x * (1.0f32 / 720.0f32 + x * (1.0f32 / 5040.0f32)));
+        let more = 1.0f32 / 24.0f32
+            + x * (1.0f32 / 120.0f32 + x * (1.0f32 / 720.0f32 + x * (1.0f32 / 5040.0f32)));
         value = x * (1.0f32 + x * (0.5f32 + x * (1.0f32 / 6.0f32 + x * more)));
     }
     value

@@ -30,7 +30,14 @@ pub(super) fn value_at(photo: &[u32], at: usize, #[comptime] packed: bool) -> f3
 
 /// Windowed mean and variance of a photo of bytes, `[H, W, CHANNELS]`.
 #[cube(launch)]
-fn moments_of(photo: &[u32], mean: &mut [f32], variance: &mut [f32], width: u32, height: u32, cubes: u32) {
+fn moments_of(
+    photo: &[u32],
+    mean: &mut [f32],
+    variance: &mut [f32],
+    width: u32,
+    height: u32,
+    cubes: u32,
+) {
     if CUBE_POS >= cubes as usize {
         terminate!();
     }
@@ -78,7 +85,15 @@ fn used_of(values: &[f32], bits: &[u32], out: &mut [f32], count: u32) {
 pub(super) fn used(gpu: &Gpu, image: &CubeTensor, bits: &CubeTensor) -> CubeTensor {
     let values = image.meta.num_elements();
     let out = gpu.floats(image.meta.shape().clone());
-    used_of::launch(&gpu.client, gpu.cubes_for(values), gpu.dim(), arg(image), arg(bits), arg(&out), values as u32);
+    used_of::launch(
+        &gpu.client,
+        gpu.cubes_for(values),
+        gpu.dim(),
+        arg(image),
+        arg(bits),
+        arg(&out),
+        values as u32,
+    );
     out
 }
 
@@ -104,12 +119,23 @@ pub(in crate::ops) struct DevicePhoto {
 impl DevicePhoto {
     fn upload(gpu: &Gpu, photo: &Photo) -> Self {
         let upload = |values| gpu.upload::<f32>(values, DType::F32);
-        let [rgb, mean, variance] = [&photo.rgb, &photo.mean, &photo.variance].map(|values| upload(values));
-        Self { rgb, packed: false, mean, variance, mask: bits(gpu, photo.mask.as_ref()) }
+        let [rgb, mean, variance] =
+            [&photo.rgb, &photo.mean, &photo.variance].map(|values| upload(values));
+        Self {
+            rgb,
+            packed: false,
+            mean,
+            variance,
+            mask: bits(gpu, photo.mask.as_ref()),
+        }
     }
 
     /// Of a photo's bytes.
-    fn of_bytes(gpu: &Gpu, DeviceBytes { words, mask }: DeviceBytes, (height, width): (usize, usize)) -> Self {
+    fn of_bytes(
+        gpu: &Gpu,
+        DeviceBytes { words, mask }: DeviceBytes,
+        (height, width): (usize, usize),
+    ) -> Self {
         let [mean, variance] = [0; 2].map(|_| gpu.floats([height, width, CHANNELS]));
         let cubes = cubes(height, width);
         moments_of::launch(
@@ -123,7 +149,13 @@ impl DevicePhoto {
             height as u32,
             cubes as u32,
         );
-        Self { rgb: words, packed: true, mean, variance, mask }
+        Self {
+            rgb: words,
+            packed: true,
+            mean,
+            variance,
+            mask,
+        }
     }
 
     /// `photo` on the device, uploaded when it is first seen there.
@@ -155,7 +187,11 @@ mod tests {
         for byte in 0..=255 {
             let (byte, want) = (byte as f32, byte as f32 / 255.0);
             assert_eq!(byte * BYTE_HIGH + byte * BYTE_LOW, want);
-            assert_eq!(byte.mul_add(BYTE_LOW, byte * BYTE_HIGH), want, "of devices that fuse");
+            assert_eq!(
+                byte.mul_add(BYTE_LOW, byte * BYTE_HIGH),
+                want,
+                "of devices that fuse"
+            );
         }
     }
 }

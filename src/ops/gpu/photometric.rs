@@ -75,7 +75,8 @@ fn dissimilarity(
         let ssim = a1 * a2 * r1 * r2;
         let d_square = f32::new(-1.0) * ssim * r2;
         let d_product = 2.0f32 * a1 * r1 * r2;
-        let d_mean = 2.0f32 * (my * a2 * r1 * r2 - mx * ssim * r1) - 2.0f32 * mx * d_square - my * d_product;
+        let d_mean =
+            2.0f32 * (my * a2 * r1 * r2 - mx * ssim * r1) - 2.0f32 * mx * d_square - my * d_product;
         let pixels = (width * height) as usize;
         let to = channel * MOMENTS * pixels + own.pixel;
         partials[to] = scale * d_mean;
@@ -162,7 +163,10 @@ impl DevicePhoto {
     ) -> (CubeTensor, CubeTensor) {
         let cubes = cubes(height, width);
         let values = height * width * CHANNELS;
-        let (ssim_scale, l1_scale) = (ssim_weight / values as f64, (1.0 - ssim_weight) / values as f64);
+        let (ssim_scale, l1_scale) = (
+            ssim_weight / values as f64,
+            (1.0 - ssim_weight) / values as f64,
+        );
         let (partials, sums) = (gpu.floats([MOMENTS * values]), gpu.floats([cubes]));
         dissimilarity::launch(
             &gpu.client,
@@ -217,14 +221,27 @@ impl PhotometricBackend for CubeBackend {
         if !covers(&image) || values == 0 || !fits(&gpu, values) {
             return on_host::loss::<Self>(image, &photo, ssim_weight);
         }
-        assert_eq!(image.meta.num_elements(), values, "photometric loss: image against photo");
-        let (image, size, photo) = (into_contiguous(image), photo.size(), DevicePhoto::of(&gpu, &photo));
-        let Some(bits) = &photo.mask else { return photo.compare(&gpu, &image, size, ssim_weight) };
+        assert_eq!(
+            image.meta.num_elements(),
+            values,
+            "photometric loss: image against photo"
+        );
+        let (image, size, photo) = (
+            into_contiguous(image),
+            photo.size(),
+            DevicePhoto::of(&gpu, &photo),
+        );
+        let Some(bits) = &photo.mask else {
+            return photo.compare(&gpu, &image, size, ssim_weight);
+        };
         let (loss, gradient) = photo.compare(&gpu, &used(&gpu, &image, bits), size, ssim_weight);
         (loss, used(&gpu, &gradient, bits))
     }
 
-    fn photometric_scale(gradient: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self> {
+    fn photometric_scale(
+        gradient: FloatTensor<Self>,
+        factor: FloatTensor<Self>,
+    ) -> FloatTensor<Self> {
         let one = Shape::new([1; 3]);
         Self::float_mul(gradient, Self::float_reshape(factor, one))
     }

@@ -41,7 +41,12 @@ fn product_high(a: u32, #[comptime] b: u32) -> u32 {
 /// [`crate::random::philox::philox`] of the counter `index`.
 #[cube]
 fn philox(index: u32, key0: u32, key1: u32) -> Words {
-    let mut w = Words { a: index, b: 0u32, c: 0u32, d: 0u32 };
+    let mut w = Words {
+        a: index,
+        b: 0u32,
+        c: 0u32,
+        d: 0u32,
+    };
     #[unroll]
     for round in 0..ROUNDS {
         let k0 = key0 + comptime![(round as u32).wrapping_mul(STEPS[0])];
@@ -81,12 +86,17 @@ fn direction(word: u32) -> Direction {
     // at most an eighth of a turn to either side
     let angle = (f32::cast_from(turn) - f32::cast_from(quarter << 22u32)) * TURN;
     let q = angle * angle;
-    let cos = 1.0f32 - q * (0.5f32 - q * (1.0f32 / 24.0f32 - q * (1.0f32 / 720.0f32 - q * (1.0f32 / 40320.0f32))));
+    let cos = 1.0f32
+        - q * (0.5f32
+            - q * (1.0f32 / 24.0f32 - q * (1.0f32 / 720.0f32 - q * (1.0f32 / 40320.0f32))));
     let more = 1.0f32 / 120.0f32 - q * (1.0f32 / 5040.0f32 - q * (1.0f32 / 362880.0f32));
     let sin = angle * (1.0f32 - q * (1.0f32 / 6.0f32 - q * more));
     let odd = quarter & 1u32 == 1u32;
     let sign = select(quarter & 2u32 == 2u32, f32::new(-1.0), 1.0f32);
-    Direction { x: sign * select(odd, f32::new(-1.0) * sin, cos), y: sign * select(odd, cos, sin) }
+    Direction {
+        x: sign * select(odd, f32::new(-1.0) * sin, cos),
+        y: sign * select(odd, cos, sin),
+    }
 }
 
 #[cube]
@@ -137,7 +147,11 @@ fn add_noise(
         let first = radius(words.a);
         let pair = direction(words.b);
         let third = radius(words.c) * direction(words.d).x;
-        let normal = Vector { x: first * pair.x, y: first * pair.y, z: third };
+        let normal = Vector {
+            x: first * pair.x,
+            y: first * pair.y,
+            z: third,
+        };
         let w = rotations[4 * i];
         let x = rotations[4 * i + 1];
         let y = rotations[4 * i + 2];
@@ -175,8 +189,8 @@ impl NoiseBackend for CubeBackend {
         }
         let gpu = Gpu::of(&means);
         let means = own(cast(means, DType::F32));
-        let [log_scales, rotations, opacity_logits] =
-            [log_scales, rotations, opacity_logits].map(|tensor| into_contiguous(cast(tensor, DType::F32)));
+        let [log_scales, rotations, opacity_logits] = [log_scales, rotations, opacity_logits]
+            .map(|tensor| into_contiguous(cast(tensor, DType::F32)));
         add_noise::launch(
             &gpu.client,
             gpu.cubes_for(count),

@@ -13,7 +13,14 @@ use std::sync::Arc;
 
 /// `out[r] = x[sources[r]]`, zeros for new members where `zero`.
 #[cube(launch)]
-pub(super) fn pick(x: &[f32], sources: &[u32], out: &mut [f32], count: u32, width: u32, #[comptime] zero: bool) {
+pub(super) fn pick(
+    x: &[f32],
+    sources: &[u32],
+    out: &mut [f32],
+    count: u32,
+    width: u32,
+    #[comptime] zero: bool,
+) {
     let i = ABSOLUTE_POS;
     if i >= count as usize {
         terminate!();
@@ -40,7 +47,9 @@ impl RowBackend for CubeBackend {
         if count == 0 {
             return Self::float_zeros(shape.into(), gpu.device(), FloatDType::F32);
         }
-        let sources = map.resident.on(&gpu, || gpu.upload(&map.sources, DType::U32));
+        let sources = map
+            .resident
+            .on(&gpu, || gpu.upload(&map.sources, DType::U32));
         let out = gpu.floats(shape);
         pick::launch(
             &gpu.client,

@@ -9,7 +9,14 @@ use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::kernel::into_contiguous;
 
 #[cube(launch)]
-fn gather(lengths: &mut [f32], views: &mut [f32], screen: &[f32], radii: &[f32], rows: u32, columns: u32) {
+fn gather(
+    lengths: &mut [f32],
+    views: &mut [f32],
+    screen: &[f32],
+    radii: &[f32],
+    rows: u32,
+    columns: u32,
+) {
     let i = ABSOLUTE_POS;
     if i >= rows as usize {
         terminate!();

@@ -21,7 +21,15 @@ pub(in crate::ops) struct DeviceMatrix {
 }
 
 #[cube(launch)]
-fn multiply(offsets: &[u32], indices: &[u32], values: &[f32], x: &[f32], out: &mut [f32], rows: u32, channels: u32) {
+fn multiply(
+    offsets: &[u32],
+    indices: &[u32],
+    values: &[f32],
+    x: &[f32],
+    out: &mut [f32],
+    rows: u32,
+    channels: u32,
+) {
     let row = ABSOLUTE_POS / channels as usize;
     let channel = ABSOLUTE_POS % channels as usize;
     if row >= rows as usize {
@@ -37,8 +45,13 @@ fn multiply(offsets: &[u32], indices: &[u32], values: &[f32], x: &[f32], out: &m
 impl DeviceMatrix {
     fn upload(gpu: &Gpu, matrix: &SparseMatrix) -> Self {
         // A binding cannot be empty.
-        let words = |values: &[u32]| gpu.upload(if values.is_empty() { &[0] } else { values }, DType::U32);
-        let values: &[f32] = if matrix.values.is_empty() { &[0.0] } else { &matrix.values };
+        let words =
+            |values: &[u32]| gpu.upload(if values.is_empty() { &[0] } else { values }, DType::U32);
+        let values: &[f32] = if matrix.values.is_empty() {
+            &[0.0]
+        } else {
+            &matrix.values
+        };
         Self {
             offsets: words(&matrix.offsets),
             indices: words(&matrix.indices),
@@ -54,7 +67,10 @@ impl DeviceMatrix {
 
     /// Its transpose.
     pub fn by_columns(gpu: &Gpu, matrix: &SparseMatrix) -> Self {
-        matrix.resident.columns.on(gpu, || Self::upload(gpu, &matrix.transposed()))
+        matrix
+            .resident
+            .columns
+            .on(gpu, || Self::upload(gpu, &matrix.transposed()))
     }
 
     /// Offsets, indices and values as kernel arguments.

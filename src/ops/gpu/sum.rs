@@ -75,7 +75,15 @@ pub(super) fn sum(gpu: &Gpu, values: &CubeTensor, count: usize) -> CubeTensor {
         let cubes = count.div_ceil(stretch);
         let totals = gpu.floats([cubes]);
         let (from, to) = (arg(values), arg(&totals));
-        sum_stretches::launch(&gpu.client, gpu.cubes(cubes), gpu.dim(), from, to, count as u32, stretch as u32);
+        sum_stretches::launch(
+            &gpu.client,
+            gpu.cubes(cubes),
+            gpu.dim(),
+            from,
+            to,
+            count as u32,
+            stretch as u32,
+        );
         totals
     };
     if count <= STRETCH {

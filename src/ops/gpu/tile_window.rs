@@ -35,14 +35,23 @@ pub(super) fn place(tile: usize, column: usize, row: usize, width: u32, height: 
     let y = (tile as u32 / across) * TILE as u32 + row as u32;
     let rim = RADIUS as u32;
     let inside = x >= rim && x < width + rim && y >= rim && y < height + rim;
-    Place { inside, pixel: select(inside, (y - rim) * width + x - rim, 0u32) as usize }
+    Place {
+        inside,
+        pixel: select(inside, (y - rim) * width + x - rim, 0u32) as usize,
+    }
 }
 
 /// The pixel of this unit.
 #[cube]
 pub(super) fn own_place(tile: usize, width: u32, height: u32) -> Place {
     let unit = UNIT_POS as usize;
-    place(tile, RADIUS + unit % TILE, RADIUS + unit / TILE, width, height)
+    place(
+        tile,
+        RADIUS + unit % TILE,
+        RADIUS + unit / TILE,
+        width,
+        height,
+    )
 }
 
 /// Of the three planes, in their order.
@@ -56,7 +65,11 @@ pub(super) struct Windowed {
 /// The three planes in `planes`, convolved, at the unit's pixel; of the third one nothing unless `all`. All units of the cube
 /// call it; `planes` is complete before.
 #[cube]
-pub(super) fn windowed(planes: &Shared<[f32]>, rows: &mut Shared<[f32]>, #[comptime] all: bool) -> Windowed {
+pub(super) fn windowed(
+    planes: &Shared<[f32]>,
+    rows: &mut Shared<[f32]>,
+    #[comptime] all: bool,
+) -> Windowed {
     let unit = UNIT_POS as usize;
     let mut k = unit;
     while k < ROWS {
@@ -93,5 +106,9 @@ pub(super) fn windowed(planes: &Shared<[f32]>, rows: &mut Shared<[f32]>, #[compt
             third += tap * rows[unit + t * TILE + 2 * ROWS];
         }
     }
-    Windowed { first, second, third }
+    Windowed {
+        first,
+        second,
+        third,
+    }
 }

@@ -8,8 +8,8 @@
 
 use super::blend::four_values;
 use super::pixel::{
-    Four, PATCH, PATCH_HEIGHT, PATCH_WIDTH, PATCHES, PATCHES_ACROSS, SPLAT_FOURS, pixel, reaches_patch, rule,
-    splat_four, take,
+    Four, PATCH, PATCH_HEIGHT, PATCH_WIDTH, PATCHES, PATCHES_ACROSS, SPLAT_FOURS, pixel,
+    reaches_patch, rule, splat_four, take,
 };
 use super::project::SPLAT;
 use crate::gpu::{Gpu, UNITS};
@@ -232,7 +232,8 @@ pub(super) fn tiles_backward(
                     if comptime![moments > 0] {
                         let g = pairs[(BATCH + member) * units + at_pixel];
                         let row = dy + f32::cast_from(((i / PATCHES_ACROSS) * PATCH_HEIGHT) as u32);
-                        let column = dx + f32::cast_from(((i % PATCHES_ACROSS) * PATCH_WIDTH) as u32);
+                        let column =
+                            dx + f32::cast_from(((i % PATCHES_ACROSS) * PATCH_WIDTH) as u32);
                         let u = du * (column - slope * row);
                         let v = dv * row;
                         sums[0] += g;
@@ -271,7 +272,8 @@ pub(super) fn tiles_backward(
                     let mut sum = 0.0f32;
                     for i in 0..LANES {
                         // Each unit starts elsewhere, so that no two of a warp meet in a memory bank.
-                        sum += pairs[(unit % together) * units + sum_of * LANES + (i + unit) % LANES];
+                        sum +=
+                            pairs[(unit % together) * units + sum_of * LANES + (i + unit) % LANES];
                     }
                     let entry = batch_entries[sum_of];
                     if entry >= first_entry && entry < end_entry {

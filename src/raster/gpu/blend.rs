@@ -1,7 +1,9 @@
 //! Forward blending: a cube a tile, a unit a pixel, a block of channels in registers.
 
 use super::lists::{TileEntries, tile_counts};
-use super::pixel::{Four, PATCH, PATCHES, SPLAT_FOURS, pixel, reaches_patch, rule, splat_four, take};
+use super::pixel::{
+    Four, PATCH, PATCHES, SPLAT_FOURS, pixel, reaches_patch, rule, splat_four, take,
+};
 use super::view::BACKGROUND;
 use crate::gpu::{Gpu, UNITS, arg};
 use burn::tensor::Shape;
@@ -50,10 +52,43 @@ pub(super) fn four_values(
     #[comptime] with_colours: bool,
 ) -> Four {
     let mut four = Four::empty();
-    four.insert(0usize, value_of(colours, features, id, channel, channels, with_colours));
-    four.insert(1usize, value_of(colours, features, id, channel + 1u32, channels, with_colours));
-    four.insert(2usize, value_of(colours, features, id, channel + 2u32, channels, with_colours));
-    four.insert(3usize, value_of(colours, features, id, channel + 3u32, channels, with_colours));
+    four.insert(
+        0usize,
+        value_of(colours, features, id, channel, channels, with_colours),
+    );
+    four.insert(
+        1usize,
+        value_of(
+            colours,
+            features,
+            id,
+            channel + 1u32,
+            channels,
+            with_colours,
+        ),
+    );
+    four.insert(
+        2usize,
+        value_of(
+            colours,
+            features,
+            id,
+            channel + 2u32,
+            channels,
+            with_colours,
+        ),
+    );
+    four.insert(
+        3usize,
+        value_of(
+            colours,
+            features,
+            id,
+            channel + 3u32,
+            channels,
+            with_colours,
+        ),
+    );
     four
 }
 
@@ -138,7 +173,8 @@ fn blend_tiles(
             if j < count as usize {
                 let id = gaussians[at as usize + j] as usize;
                 if reaches_patch(splats, id, tile, (unit % PATCHES) as u32, width, height) {
-                    masks[slot as usize * MASKS + word * PATCHES + unit % PATCHES].fetch_or(1u32 << bit as u32);
+                    masks[slot as usize * MASKS + word * PATCHES + unit % PATCHES]
+                        .fetch_or(1u32 << bit as u32);
                 }
             }
         }
@@ -205,17 +241,20 @@ pub(super) struct Values {
 impl Values {
     /// Both tensors as kernel arguments; an absent one is stood in for.
     pub fn args(&self, gpu: &Gpu) -> [BufferArg; 2] {
-        [&self.colours, &self.features].map(|t| t.as_ref().map_or_else(|| arg(&gpu.floats([1])), arg))
+        [&self.colours, &self.features]
+            .map(|t| t.as_ref().map_or_else(|| arg(&gpu.floats([1])), arg))
     }
 }
 
 /// First channel and width of the blocks that `channels` are cut into: `widest` at most, the last one a multiple of 4
 /// (so that few kernels are compiled) when above 4.
 pub(super) fn blocks(channels: usize, widest: usize) -> impl Iterator<Item = (usize, usize)> {
-    (0..channels).step_by(widest).map(move |first| match channels - first {
-        left @ 0..=4 => (first, left),
-        left => (first, left.next_multiple_of(4).min(widest)),
-    })
+    (0..channels)
+        .step_by(widest)
+        .map(move |first| match channels - first {
+            left @ 0..=4 => (first, left),
+            left => (first, left.next_multiple_of(4).min(widest)),
+        })
 }
 
 /// Image `[H, W, C]`, background included, and transmittance `[H, W]`.

@@ -45,7 +45,11 @@ pub(super) struct Ewa {
 pub(super) fn offset_from_camera(view: &[f32], mean: &Vec3) -> Vec3 {
     let center = read3(view, CENTER);
     let rest = read3(view, CENTER_REST);
-    vec3((mean.x - center.x) - rest.x, (mean.y - center.y) - rest.y, (mean.z - center.z) - rest.z)
+    vec3(
+        (mean.x - center.x) - rest.x,
+        (mean.y - center.y) - rest.y,
+        (mean.z - center.z) - rest.z,
+    )
 }
 
 /// Camera coordinates of an offset in world axes.
@@ -59,7 +63,12 @@ pub(super) fn to_camera(view: &[f32], offset: &Vec3) -> Vec3 {
 
 #[cube]
 fn unit(rotations: &[f32], at: usize) -> Unit {
-    let (w, x, y, z) = (rotations[at], rotations[at + 1], rotations[at + 2], rotations[at + 3]);
+    let (w, x, y, z) = (
+        rotations[at],
+        rotations[at + 1],
+        rotations[at + 2],
+        rotations[at + 3],
+    );
     // Dividing by the largest entry first keeps the squares of huge quaternions finite.
     let largest = max(max(w.abs(), x.abs()), max(y.abs(), z.abs()));
     let by = select(largest > 0.0f32, largest, 1.0f32);
@@ -97,18 +106,46 @@ pub(super) fn ewa(view: &[f32], p: &Vec3, log_scales: &[f32], rotations: &[f32],
     let jy = jacobian_row(view, ty, p.z, 1usize);
     let u = unit(rotations, 4 * i);
     let (w, x, y, z) = (u.w, u.x, u.y, u.z);
-    let r0 = vec3(1.0f32 - 2.0f32 * (y * y + z * z), 2.0f32 * (x * y + w * z), 2.0f32 * (x * z - w * y));
-    let r1 = vec3(2.0f32 * (x * y - w * z), 1.0f32 - 2.0f32 * (x * x + z * z), 2.0f32 * (y * z + w * x));
-    let r2 = vec3(2.0f32 * (x * z + w * y), 2.0f32 * (y * z - w * x), 1.0f32 - 2.0f32 * (x * x + y * y));
+    let r0 = vec3(
+        1.0f32 - 2.0f32 * (y * y + z * z),
+        2.0f32 * (x * y + w * z),
+        2.0f32 * (x * z - w * y),
+    );
+    let r1 = vec3(
+        2.0f32 * (x * y - w * z),
+        1.0f32 - 2.0f32 * (x * x + z * z),
+        2.0f32 * (y * z + w * x),
+    );
+    let r2 = vec3(
+        2.0f32 * (x * z + w * y),
+        2.0f32 * (y * z - w * x),
+        1.0f32 - 2.0f32 * (x * x + y * y),
+    );
     let log_scale = read3(log_scales, 3 * i);
     let scale = vec3(log_scale.x.exp(), log_scale.y.exp(), log_scale.z.exp());
-    let m1 = vec3(scale.x * dot(&jx, &r0), scale.y * dot(&jx, &r1), scale.z * dot(&jx, &r2));
-    let m2 = vec3(scale.x * dot(&jy, &r0), scale.y * dot(&jy, &r1), scale.z * dot(&jy, &r2));
+    let m1 = vec3(
+        scale.x * dot(&jx, &r0),
+        scale.y * dot(&jx, &r1),
+        scale.z * dot(&jx, &r2),
+    );
+    let m2 = vec3(
+        scale.x * dot(&jy, &r0),
+        scale.y * dot(&jy, &r1),
+        scale.z * dot(&jy, &r2),
+    );
     Ewa {
         tx,
         ty,
-        inside_x: select(raw_x > view[LIMITS] && raw_x < view[LIMITS + 1], 1.0f32, 0.0f32),
-        inside_y: select(raw_y > view[LIMITS + 2] && raw_y < view[LIMITS + 3], 1.0f32, 0.0f32),
+        inside_x: select(
+            raw_x > view[LIMITS] && raw_x < view[LIMITS + 1],
+            1.0f32,
+            0.0f32,
+        ),
+        inside_y: select(
+            raw_y > view[LIMITS + 2] && raw_y < view[LIMITS + 3],
+            1.0f32,
+            0.0f32,
+        ),
         jx,
         jy,
         unit: u,

@@ -20,7 +20,14 @@ fn covered(low: f32, high: f32, limit: f32) -> f32 {
 
 /// Pixels within the radius of each Gaussian.
 #[cube(launch)]
-fn count_pixels(splats: &[f32], radii: &[u32], counts: &mut [f32], gaussians: u32, width: f32, height: f32) {
+fn count_pixels(
+    splats: &[f32],
+    radii: &[u32],
+    counts: &mut [f32],
+    gaussians: u32,
+    width: f32,
+    height: f32,
+) {
     let i = ABSOLUTE_POS;
     if i >= gaussians as usize {
         terminate!();
@@ -56,10 +63,17 @@ impl Lists {
     ///
     /// # Errors
     /// As [`super::forward`].
-    pub fn new(inputs: &Inputs, scenery: Scenery<'_>, entries: Option<usize>) -> Result<Option<Self>> {
+    pub fn new(
+        inputs: &Inputs,
+        scenery: Scenery<'_>,
+        entries: Option<usize>,
+    ) -> Result<Option<Self>> {
         let gpu = Gpu::of(&inputs.means);
         let prepared = prepare(&gpu, inputs, scenery, entries)?;
-        Ok(prepared.map(|prepared| Self { prepared, counts: OnceCell::new() }))
+        Ok(prepared.map(|prepared| Self {
+            prepared,
+            counts: OnceCell::new(),
+        }))
     }
 
     /// Entries of the tile lists.
@@ -68,7 +82,12 @@ impl Lists {
     }
 
     fn counts(&self, gpu: &Gpu) -> CubeTensor {
-        let Prepared { projected, order, size, .. } = &self.prepared;
+        let Prepared {
+            projected,
+            order,
+            size,
+            ..
+        } = &self.prepared;
         let count = || {
             let counts = gpu.floats([order.len]);
             count_pixels::launch(
@@ -93,10 +112,32 @@ impl Lists {
     /// [`crate::Error::Limit`] for what the device cannot hold.
     pub fn blend(&self, values: CubeTensor, channels: usize) -> Result<(CubeTensor, CubeTensor)> {
         let gpu = Gpu::of(&values);
-        let Prepared { view, projected, entries, size, .. } = &self.prepared;
-        check_size(&gpu, "pixels times channels", (size[0] * size[1]).saturating_mul(channels), size_of::<f32>())?;
-        let values = Values { colours: None, features: Some(values), channels };
-        Ok(blend::blend(&gpu, &projected.splats, entries, &values, view, *size))
+        let Prepared {
+            view,
+            projected,
+            entries,
+            size,
+            ..
+        } = &self.prepared;
+        check_size(
+            &gpu,
+            "pixels times channels",
+            (size[0] * size[1]).saturating_mul(channels),
+            size_of::<f32>(),
+        )?;
+        let values = Values {
+            colours: None,
+            features: Some(values),
+            channels,
+        };
+        Ok(blend::blend(
+            &gpu,
+            &projected.splats,
+            entries,
+            &values,
+            view,
+            *size,
+        ))
     }
 
     /// `W^T y` `[N, channels]` and the counts `[N]`; `y` is `[H, W, channels]`, contiguous.
@@ -105,11 +146,28 @@ impl Lists {
     /// [`crate::Error::Limit`] for what the device cannot hold.
     pub fn lift(&self, y: &CubeTensor, channels: usize) -> Result<(CubeTensor, CubeTensor)> {
         let gpu = Gpu::of(y);
-        let Prepared { view, projected, order, entries, size, .. } = &self.prepared;
-        check_size(&gpu, "Gaussians times channels", order.len.saturating_mul(channels), size_of::<f32>())?;
-        let tiles = Tiles { order, entries, size: *size };
+        let Prepared {
+            view,
+            projected,
+            order,
+            entries,
+            size,
+            ..
+        } = &self.prepared;
+        check_size(
+            &gpu,
+            "Gaussians times channels",
+            order.len.saturating_mul(channels),
+            size_of::<f32>(),
+        )?;
+        let tiles = Tiles {
+            order,
+            entries,
+            size: *size,
+        };
         let row_bytes = pixel_sums::row_bytes(&gpu);
-        let sums = pixel_sums::adjoint(&gpu, &projected.splats, tiles, y, channels, view, row_bytes);
+        let sums =
+            pixel_sums::adjoint(&gpu, &projected.splats, tiles, y, channels, view, row_bytes);
         Ok((sums, self.counts(&gpu)))
     }
 }

@@ -45,7 +45,13 @@ fn count_tiles(
 /// The total behind the last Gaussian, where the host reads it, and what it means for lists with `room`: as floats, so that
 /// it can be read with others.
 #[cube(launch)]
-fn report_total(offsets: &[u32], report: &[Atomic<u32>], summary: &mut [f32], gaussians: u32, room: u32) {
+fn report_total(
+    offsets: &[u32],
+    report: &[Atomic<u32>],
+    summary: &mut [f32],
+    gaussians: u32,
+    room: u32,
+) {
     if ABSOLUTE_POS == 0 {
         let total = offsets[gaussians as usize];
         report[1].store(total);
@@ -168,7 +174,10 @@ pub(super) struct Report {
 
 impl Report {
     pub fn new(gpu: &Gpu) -> Self {
-        Self { counts: gpu.upload(&[0_u32, 0], DType::U32), summary: gpu.floats([3]) }
+        Self {
+            counts: gpu.upload(&[0_u32, 0], DType::U32),
+            summary: gpu.floats([3]),
+        }
     }
 }
 
@@ -243,14 +252,27 @@ pub(super) fn tile_entries(
     let tile_count: usize = tile_counts(size).iter().product();
     let ranges = gpu.words(2 * tile_count);
     let filled = |words: &CubeTensor, value: usize, len: usize| {
-        fill::launch(&gpu.client, gpu.cubes_for(len), gpu.dim(), arg(words), value as u32, len as u32);
+        fill::launch(
+            &gpu.client,
+            gpu.cubes_for(len),
+            gpu.dim(),
+            arg(words),
+            value as u32,
+            len as u32,
+        );
     };
     filled(&ranges, 0, 2 * tile_count);
     let (tiles, gaussian_of) = (gpu.words(len), gpu.words(len));
     let (gaussians, ends) = (gpu.words(len), gpu.words(order.len));
     if len == 0 {
         filled(&ends, 0, order.len);
-        return TileEntries { len, ranges, gaussians, entries: gaussian_of, ends };
+        return TileEntries {
+            len,
+            ranges,
+            gaussians,
+            entries: gaussian_of,
+            ends,
+        };
     }
     if padded {
         filled(&tiles, tile_count, len);
@@ -286,5 +308,11 @@ pub(super) fn tile_entries(
         len as u32,
         tile_count as u32,
     );
-    TileEntries { len, ranges, gaussians, entries, ends }
+    TileEntries {
+        len,
+        ranges,
+        gaussians,
+        entries,
+        ends,
+    }
 }

@@ -128,13 +128,21 @@ impl Inputs {
         let (sh, active) = self.sh.as_ref()?;
         let stored = sh.meta.num_elements() / (3 * self.len().max(1));
         let degree = (*active).min(stored.isqrt().saturating_sub(1)) as u32;
-        Some(Harmonics { sh: sh.clone(), stored, degree })
+        Some(Harmonics {
+            sh: sh.clone(),
+            stored,
+            degree,
+        })
     }
 
     fn values(&self, colours: Option<CubeTensor>) -> Values {
         let width = |t: &CubeTensor| t.meta.num_elements() / self.len().max(1);
         let channels = colours.as_ref().map_or(0, |_| 3) + self.features.as_ref().map_or(0, width);
-        Values { colours, features: self.features.clone(), channels }
+        Values {
+            colours,
+            features: self.features.clone(),
+            channels,
+        }
     }
 }
 
@@ -170,36 +178,81 @@ pub(super) fn forward(
     let harmonics = inputs.harmonics();
     let channels = harmonics.as_ref().map_or(0, |_| 3) + inputs.values(None).channels;
     let pixels = scenery.camera.width.saturating_mul(scenery.camera.height);
-    check_size(&gpu, "pixels times channels", pixels.saturating_mul(channels.max(1)), size_of::<f32>())?;
+    check_size(
+        &gpu,
+        "pixels times channels",
+        pixels.saturating_mul(channels.max(1)),
+        size_of::<f32>(),
+    )?;
     for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
-        check_size(&gpu, "values of the Gaussians", tensor.meta.num_elements(), size_of::<f32>())?;
+        check_size(
+            &gpu,
+            "values of the Gaussians",
+            tensor.meta.num_elements(),
+            size_of::<f32>(),
+        )?;
     }
-    let Some(prepared) = prepare(&gpu, inputs, scenery, room)? else { return Ok(None) };
-    let Prepared { view, projected, entries, size, .. } = &prepared;
+    let Some(prepared) = prepare(&gpu, inputs, scenery, room)? else {
+        return Ok(None);
+    };
+    let Prepared {
+        view,
+        projected,
+        entries,
+        size,
+        ..
+    } = &prepared;
     let colours = harmonics.map(|h| sh::colours(&gpu, &inputs.scene(), &h, &projected.radii, view));
     let values = inputs.values(colours);
-    let (image, transmittance) = blend::blend(&gpu, &projected.splats, entries, &values, view, *size);
+    let (image, transmittance) =
+        blend::blend(&gpu, &projected.splats, entries, &values, view, *size);
     let Values { colours, .. } = values;
-    Ok(Some((image, Forward { prepared, colours, transmittance })))
+    Ok(Some((
+        image,
+        Forward {
+            prepared,
+            colours,
+            transmittance,
+        },
+    )))
 }
 
 /// Projects and sorts `inputs`; nothing when some of them holds a NaN or an infinity. With `room` as [`forward`].
-fn prepare(gpu: &Gpu, inputs: &Inputs, scenery: Scenery<'_>, room: Option<usize>) -> Result<Option<Prepared>> {
-    let Scenery { camera, settings, background } = scenery;
+fn prepare(
+    gpu: &Gpu,
+    inputs: &Inputs,
+    scenery: Scenery<'_>,
+    room: Option<usize>,
+) -> Result<Option<Prepared>> {
+    let Scenery {
+        camera,
+        settings,
+        background,
+    } = scenery;
     settings.check()?;
     let viewpoint = Viewpoint::new(camera)?;
     let size = viewpoint.size;
     let len = inputs.len();
     check_size(gpu, "Gaussians", len, project::SPLAT * size_of::<f32>())?;
     let scene = inputs.scene();
-    let view = gpu.upload(&view::constants(&viewpoint, camera, settings, background), DType::F32);
+    let view = gpu.upload(
+        &view::constants(&viewpoint, camera, settings, background),
+        DType::F32,
+    );
     let report = Report::new(gpu);
     let everywhere = settings.alpha_min == 0.0;
     for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
         add_non_finite(gpu, tensor, tensor.meta.num_elements(), &report.counts);
     }
     let projected = project::project(gpu, &scene, &view, &report.counts, everywhere);
-    let fits = |count: usize| check_size(gpu, "entries of the tile lists of one view", count, size_of::<u32>());
+    let fits = |count: usize| {
+        check_size(
+            gpu,
+            "entries of the tile lists of one view",
+            count,
+            size_of::<u32>(),
+        )
+    };
     let room = room.filter(|&room| fits(room).is_ok());
     let most = room.unwrap_or(scan::CEILING as usize);
     let order = lists::depth_order(gpu, &projected, len, size, everywhere, &report, most);
@@ -214,8 +267,23 @@ fn prepare(gpu: &Gpu, inputs: &Inputs, scenery: Scenery<'_>, room: Option<usize>
             count as usize
         }
     };
-    let entries = lists::tile_entries(gpu, &projected, &order, count, room.is_some(), size, everywhere);
-    Ok(Some(Prepared { view, projected, order, entries, size, summary: report.summary }))
+    let entries = lists::tile_entries(
+        gpu,
+        &projected,
+        &order,
+        count,
+        room.is_some(),
+        size,
+        everywhere,
+    );
+    Ok(Some(Prepared {
+        view,
+        projected,
+        order,
+        entries,
+        size,
+        summary: report.summary,
+    }))
 }
 
 /// Non-finite rows, and entries.
@@ -238,7 +306,10 @@ fn device_error(gpu: &Gpu, reason: String) -> Error {
 fn read_words(gpu: &Gpu, tensor: &CubeTensor) -> Result<Vec<u32>> {
     match gpu.client.read_one(tensor.handle.clone()) {
         Ok(bytes) => Ok(u32::from_bytes(&bytes).to_vec()),
-        Err(error) => Err(device_error(gpu, format!("reading from the device failed: {error:?}"))),
+        Err(error) => Err(device_error(
+            gpu,
+            format!("reading from the device failed: {error:?}"),
+        )),
     }
 }
 
@@ -265,19 +336,57 @@ impl Forward {
         absolute: bool,
     ) -> Gradients {
         let gpu = Gpu::of(&inputs.means);
-        let Prepared { view, projected, order, entries, size, .. } = &self.prepared;
+        let Prepared {
+            view,
+            projected,
+            order,
+            entries,
+            size,
+            ..
+        } = &self.prepared;
         let values = inputs.values(self.colours.clone());
         let transmittance = &self.transmittance;
-        let pixels = pixel_sums::PixelGradients { image, d_image, transmittance, d_transmittance, absolute };
-        let tiles = pixel_sums::Tiles { order, entries, size: *size };
+        let pixels = pixel_sums::PixelGradients {
+            image,
+            d_image,
+            transmittance,
+            d_transmittance,
+            absolute,
+        };
+        let tiles = pixel_sums::Tiles {
+            order,
+            entries,
+            size: *size,
+        };
         let row_bytes = pixel_sums::row_bytes(&gpu);
-        let sums = pixel_sums::pixel_sums(&gpu, &projected.splats, tiles, &values, &pixels, view, row_bytes);
+        let sums = pixel_sums::pixel_sums(
+            &gpu,
+            &projected.splats,
+            tiles,
+            &values,
+            &pixels,
+            view,
+            row_bytes,
+        );
         let scene = inputs.scene();
-        let d = parameters::backward(&gpu, &scene, view, &projected.splats, &projected.radii, &sums.moments);
+        let d = parameters::backward(
+            &gpu,
+            &scene,
+            view,
+            &projected.splats,
+            &projected.radii,
+            &sums.moments,
+        );
         let sh = match (inputs.harmonics(), &self.colours) {
             (Some(harmonics), Some(colours)) => {
-                let from = sh::ColourGradients { colours, d_colours: &sums.d_colours, radii: &projected.radii };
-                Some(sh::backward(&gpu, &scene, &harmonics, &from, view, &d.means))
+                let from = sh::ColourGradients {
+                    colours,
+                    d_colours: &sums.d_colours,
+                    radii: &projected.radii,
+                };
+                Some(sh::backward(
+                    &gpu, &scene, &harmonics, &from, view, &d.means,
+                ))
             }
             _ => None,
         };

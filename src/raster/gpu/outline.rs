@@ -51,7 +51,10 @@ fn between(low: f32, high: f32, limit: u32) -> Span {
     if high >= 0.5f32 {
         end = min(u32::cast_from(min(high - 0.5f32, limit_f)) + 1u32, limit);
     }
-    Span { first, end: max(end, first) }
+    Span {
+        first,
+        end: max(end, first),
+    }
 }
 
 /// Rows of tiles, given the pixel rows.
@@ -61,14 +64,20 @@ pub(super) fn tile_rows(pixels: &Span) -> Span {
     if pixels.end == pixels.first {
         end = pixels.first / TILE as u32;
     }
-    Span { first: pixels.first / TILE as u32, end }
+    Span {
+        first: pixels.first / TILE as u32,
+        end,
+    }
 }
 
 /// Pixel rows whose centres the ellipse covers.
 #[cube]
 pub(super) fn pixel_rows(o: &Outline, height: u32, #[comptime] everywhere: bool) -> Span {
     if comptime![everywhere] {
-        Span { first: 0u32.runtime(), end: height }
+        Span {
+            first: 0u32.runtime(),
+            end: height,
+        }
     } else {
         between(o.center_y - o.half_y, o.center_y + o.half_y, height)
     }
@@ -76,9 +85,18 @@ pub(super) fn pixel_rows(o: &Outline, height: u32, #[comptime] everywhere: bool)
 
 /// Columns of tiles that hold a pixel centre near the ellipse in the tile row `row`; `pixels` are all its pixel rows.
 #[cube]
-pub(super) fn tile_columns(o: &Outline, pixels: &Span, row: u32, width: u32, #[comptime] everywhere: bool) -> Span {
+pub(super) fn tile_columns(
+    o: &Outline,
+    pixels: &Span,
+    row: u32,
+    width: u32,
+    #[comptime] everywhere: bool,
+) -> Span {
     if comptime![everywhere] {
-        Span { first: 0u32.runtime(), end: (width + (TILE - 1) as u32) / TILE as u32 }
+        Span {
+            first: 0u32.runtime(),
+            end: (width + (TILE - 1) as u32) / TILE as u32,
+        }
     } else {
         let first = max(pixels.first, row * TILE as u32);
         let end = min(pixels.end, (row + 1u32) * TILE as u32);

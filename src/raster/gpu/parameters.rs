@@ -14,9 +14,12 @@ use burn_cubecl::tensor::CubeTensor;
 fn write_rotation(to: &mut [f32], i: usize, q: &Unit, d0: &Vec3, d1: &Vec3, d2: &Vec3) {
     let (w, x, y, z) = (q.w, q.x, q.y, q.z);
     let gw = 2.0f32 * (x * (d1.z - d2.y) + y * (d2.x - d0.z) + z * (d0.y - d1.x));
-    let gx = 2.0f32 * (y * (d1.x + d0.y) + z * (d2.x + d0.z) + w * (d1.z - d2.y)) - 4.0f32 * x * (d1.y + d2.z);
-    let gy = 2.0f32 * (x * (d1.x + d0.y) + z * (d2.y + d1.z) + w * (d2.x - d0.z)) - 4.0f32 * y * (d0.x + d2.z);
-    let gz = 2.0f32 * (x * (d2.x + d0.z) + y * (d2.y + d1.z) + w * (d0.y - d1.x)) - 4.0f32 * z * (d0.x + d1.y);
+    let gx = 2.0f32 * (y * (d1.x + d0.y) + z * (d2.x + d0.z) + w * (d1.z - d2.y))
+        - 4.0f32 * x * (d1.y + d2.z);
+    let gy = 2.0f32 * (x * (d1.x + d0.y) + z * (d2.y + d1.z) + w * (d2.x - d0.z))
+        - 4.0f32 * y * (d0.x + d2.z);
+    let gz = 2.0f32 * (x * (d2.x + d0.z) + y * (d2.y + d1.z) + w * (d0.y - d1.x))
+        - 4.0f32 * z * (d0.x + d1.y);
     let along = w * gw + x * gx + y * gy + z * gz;
     // A zero quaternion has no gradient.
     let whole = q.length > 0.0f32;
@@ -45,7 +48,11 @@ fn parameters_backward(
     count: u32,
     #[comptime] sums: usize,
 ) {
-    let screen = comptime![if sums == ABSOLUTE_MOMENTS { 4usize } else { 2usize }];
+    let screen = comptime![if sums == ABSOLUTE_MOMENTS {
+        4usize
+    } else {
+        2usize
+    }];
     let i = ABSOLUTE_POS;
     if i >= count as usize {
         terminate!();
@@ -65,7 +72,11 @@ fn parameters_backward(
         }
         terminate!();
     }
-    let (slope, du, dv) = (splats[SPLAT * i + 2], splats[SPLAT * i + 3], splats[SPLAT * i + 4]);
+    let (slope, du, dv) = (
+        splats[SPLAT * i + 2],
+        splats[SPLAT * i + 3],
+        splats[SPLAT * i + 4],
+    );
     let at = sums * i;
     let (sum_u, sum_v) = (moments[at + 1], moments[at + 2]);
     let (sum_uu, sum_uv, sum_vv) = (moments[at + 3], moments[at + 4], moments[at + 5]);
@@ -105,10 +116,15 @@ fn parameters_backward(
     let d_ratio_y = view[FOCAL + 1] * d_y - e.inside_y * fy * dot(&d_jy, &forward);
     let d_px = d_ratio_x / p.z;
     let d_py = d_ratio_y / p.z;
-    let d_pz = -(dot(&d_jx, &e.jx) + dot(&d_jy, &e.jy)) / p.z - d_px * (p.x / p.z) - d_py * (p.y / p.z);
+    let d_pz =
+        -(dot(&d_jx, &e.jx) + dot(&d_jy, &e.jy)) / p.z - d_px * (p.x / p.z) - d_py * (p.y / p.z);
     let right = read3(view, AXES);
     let down = read3(view, AXES + 3);
-    let d_mean = add_scaled(&add_scaled(&scaled(d_px, &right), d_py, &down), d_pz, &forward);
+    let d_mean = add_scaled(
+        &add_scaled(&scaled(d_px, &right), d_py, &down),
+        d_pz,
+        &forward,
+    );
     write3(d_means, 3 * i, &d_mean);
     // The derivative of ln(sigmoid(x)) is sigmoid(-x).
     let logit = logits[i];

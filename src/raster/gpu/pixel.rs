@@ -112,19 +112,42 @@ pub(super) struct Taken {
 
 /// What the pixel at (x, y), of which `t` is left, takes of the `at`-th Gaussian of a batch: one arithmetic for both passes.
 #[cube]
-pub(super) fn take(batch: &Shared<[Four]>, at: usize, x: f32, y: f32, t: f32, rule: &Rule) -> Taken {
+pub(super) fn take(
+    batch: &Shared<[Four]>,
+    at: usize,
+    x: f32,
+    y: f32,
+    t: f32,
+    rule: &Rule,
+) -> Taken {
     let seen = alpha_at(batch, at, x, y, rule);
     let alpha = min(seen, rule.alpha_max);
-    Taken { alpha, next: fma(-alpha, t, t), shows: alpha > 0.0f32 && alpha >= rule.alpha_min }
+    Taken {
+        alpha,
+        next: fma(-alpha, t, t),
+        shows: alpha > 0.0f32 && alpha >= rule.alpha_min,
+    }
 }
 
 /// Whether Gaussian `id` may reach alpha_min at a pixel centre of patch `patch` of tile `tile`: never false where [`alpha_at`] gives
 /// as much, as the reach has a margin that rounding does not use up.
 #[cube]
-pub(super) fn reaches_patch(splats: &[f32], id: usize, tile: usize, patch: u32, width: u32, height: u32) -> bool {
+pub(super) fn reaches_patch(
+    splats: &[f32],
+    id: usize,
+    tile: usize,
+    patch: u32,
+    width: u32,
+    height: u32,
+) -> bool {
     let first = pixel(tile, patch * PATCH as u32, width, height);
     let at = id * SPLAT;
-    let (slope, du, dv, reach) = (splats[at + 2], splats[at + 3], splats[at + 4], splats[at + 6]);
+    let (slope, du, dv, reach) = (
+        splats[at + 2],
+        splats[at + 3],
+        splats[at + 4],
+        splats[at + 6],
+    );
     // Rounded as alpha_at rounds them.
     let left = first.x - splats[at];
     let right = first.x + (PATCH_WIDTH - 1) as f32 - splats[at];

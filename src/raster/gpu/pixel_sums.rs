@@ -44,8 +44,23 @@ pub(super) fn pixel_sums(
     view: &CubeTensor,
     row_bytes: usize,
 ) -> PixelSums {
-    let moments = if pixels.absolute { ABSOLUTE_MOMENTS } else { MOMENTS };
-    sums_over_tiles(gpu, splats, tiles, &Pass { values, pixels, moments }, view, row_bytes)
+    let moments = if pixels.absolute {
+        ABSOLUTE_MOMENTS
+    } else {
+        MOMENTS
+    };
+    sums_over_tiles(
+        gpu,
+        splats,
+        tiles,
+        &Pass {
+            values,
+            pixels,
+            moments,
+        },
+        view,
+        row_bytes,
+    )
 }
 
 /// `W^T y` alone, `[N, channels]`: `y` is `[H, W, channels]`.
@@ -58,13 +73,34 @@ pub(super) fn adjoint(
     view: &CubeTensor,
     row_bytes: usize,
 ) -> CubeTensor {
-    let values = Values { colours: None, features: None, channels };
+    let values = Values {
+        colours: None,
+        features: None,
+        channels,
+    };
     // Read by the moments alone.
     let absent = gpu.floats([1]);
     let (image, transmittance) = (&absent, &absent);
-    let pixels = PixelGradients { image, d_image: y, transmittance, d_transmittance: None, absolute: false };
-    sums_over_tiles(gpu, splats, tiles, &Pass { values: &values, pixels: &pixels, moments: 0 }, view, row_bytes)
-        .d_features
+    let pixels = PixelGradients {
+        image,
+        d_image: y,
+        transmittance,
+        d_transmittance: None,
+        absolute: false,
+    };
+    sums_over_tiles(
+        gpu,
+        splats,
+        tiles,
+        &Pass {
+            values: &values,
+            pixels: &pixels,
+            moments: 0,
+        },
+        view,
+        row_bytes,
+    )
+    .d_features
 }
 
 /// What is summed over the tiles.
@@ -83,8 +119,16 @@ fn sums_over_tiles(
     view: &CubeTensor,
     row_bytes: usize,
 ) -> PixelSums {
-    let Tiles { order, entries, size } = tiles;
-    let &Pass { values, pixels, moments } = pass;
+    let Tiles {
+        order,
+        entries,
+        size,
+    } = tiles;
+    let &Pass {
+        values,
+        pixels,
+        moments,
+    } = pass;
     let [w, h] = size;
     let tile_count: usize = tile_counts(size).iter().product();
     let colours = if values.colours.is_some() { 3 } else { 0 };

@@ -170,7 +170,8 @@ fn scatter(
         }
         if before != digit {
             // Wraps where the digit starts later in the block than among all; adding a place in the block undoes that.
-            digit_starts[digit as usize] = starts[digit as usize * blocks as usize + CUBE_POS] - place as u32;
+            digit_starts[digit as usize] =
+                starts[digit as usize * blocks as usize + CUBE_POS] - place as u32;
         }
     }
     sync_cube();
@@ -188,7 +189,12 @@ fn scatter(
 
 /// Keys in ascending order by their lowest `bits` bits, and the position that each of them had; equal keys keep their
 /// order.
-pub(super) fn sort_positions(gpu: &Gpu, keys: CubeTensor, len: usize, bits: u32) -> (CubeTensor, CubeTensor) {
+pub(super) fn sort_positions(
+    gpu: &Gpu,
+    keys: CubeTensor,
+    len: usize,
+    bits: u32,
+) -> (CubeTensor, CubeTensor) {
     let blocks = len.div_ceil(BLOCK);
     let mut keys = keys;
     let mut values = gpu.words(len);

@@ -72,7 +72,8 @@ fn sum_rows(
                 }
                 d_colours[to] = sum;
             } else {
-                let to = id * (channels - colours_before) as usize + (channel - colours_before) as usize;
+                let to =
+                    id * (channels - colours_before) as usize + (channel - colours_before) as usize;
                 if comptime![add_values] {
                     sum += d_features[to];
                 }

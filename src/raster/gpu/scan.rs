@@ -144,7 +144,15 @@ pub(super) fn exclusive_sums(gpu: &Gpu, values: &CubeTensor, len: usize) -> Cube
     }
     let blocks = len.div_ceil(BLOCK);
     if blocks <= IN_TURN {
-        scan_in_turn::launch(&gpu.client, gpu.cubes(1), gpu.dim(), arg(values), arg(&sums), len as u32, blocks as u32);
+        scan_in_turn::launch(
+            &gpu.client,
+            gpu.cubes(1),
+            gpu.dim(),
+            arg(values),
+            arg(&sums),
+            len as u32,
+            blocks as u32,
+        );
         return sums;
     }
     let totals = gpu.words(blocks);
@@ -159,6 +167,13 @@ pub(super) fn exclusive_sums(gpu: &Gpu, values: &CubeTensor, len: usize) -> Cube
         blocks as u32,
     );
     let starts = exclusive_sums(gpu, &totals, blocks);
-    add_block_starts::launch(&gpu.client, gpu.cubes_for(len), gpu.dim(), arg(&sums), arg(&starts), len as u32);
+    add_block_starts::launch(
+        &gpu.client,
+        gpu.cubes_for(len),
+        gpu.dim(),
+        arg(&sums),
+        arg(&starts),
+        len as u32,
+    );
     sums
 }

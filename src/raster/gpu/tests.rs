@@ -37,9 +37,24 @@ fn floats(gpu: &Gpu, tensor: &CubeTensor) -> Vec<f32> {
 fn sums_of_what_comes_before() {
     let Some(gpu) = gpu() else { return };
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    for len in [1, 7, 8, 255, 2047, 2048, 2049, 16_384, 16_385, 70_000, 2048 * 2048 + 5] {
+    for len in [
+        1,
+        7,
+        8,
+        255,
+        2047,
+        2048,
+        2049,
+        16_384,
+        16_385,
+        70_000,
+        2048 * 2048 + 5,
+    ] {
         let values: Vec<u32> = (0..len).map(|_| rng.random_range(0..100)).collect();
-        let sums = words(&gpu, &exclusive_sums(&gpu, &gpu.upload(&values, DType::U32), len));
+        let sums = words(
+            &gpu,
+            &exclusive_sums(&gpu, &gpu.upload(&values, DType::U32), len),
+        );
         let mut sum = 0;
         for (i, value) in values.iter().enumerate() {
             assert_eq!(sums[i], sum, "{i} of {len}");
@@ -47,7 +62,10 @@ fn sums_of_what_comes_before() {
         }
     }
     let large = vec![1 << 29; 5000];
-    let sums = words(&gpu, &exclusive_sums(&gpu, &gpu.upload(&large, DType::U32), 5000));
+    let sums = words(
+        &gpu,
+        &exclusive_sums(&gpu, &gpu.upload(&large, DType::U32), 5000),
+    );
     assert_eq!(sums[..3], [0, 1 << 29, 1 << 30]);
     assert!(sums[4..].iter().all(|&s| s == CEILING));
 }
@@ -56,15 +74,30 @@ fn sums_of_what_comes_before() {
 fn sorting_is_stable() {
     let Some(gpu) = gpu() else { return };
     let mut rng = ChaCha8Rng::seed_from_u64(2);
-    for (len, bits) in [(1, 32), (5, 4), (255, 10), (2048, 32), (2049, 13), (50_000, 13), (50_000, 32), (300_000, 8)] {
+    for (len, bits) in [
+        (1, 32),
+        (5, 4),
+        (255, 10),
+        (2048, 32),
+        (2049, 13),
+        (50_000, 13),
+        (50_000, 32),
+        (300_000, 8),
+    ] {
         let most = u32::MAX >> (32 - bits);
         let keys: Vec<u32> = (0..len).map(|_| rng.random_range(0..=most)).collect();
         let (sorted, positions) = sort_positions(&gpu, gpu.upload(&keys, DType::U32), len, bits);
         let mut want: Vec<u32> = (0..len as u32).collect();
         want.sort_by_key(|&i| keys[i as usize]);
-        assert!(words(&gpu, &positions)[..len] == want, "positions of {len} keys of {bits} bits");
+        assert!(
+            words(&gpu, &positions)[..len] == want,
+            "positions of {len} keys of {bits} bits"
+        );
         let want: Vec<u32> = want.iter().map(|&i| keys[i as usize]).collect();
-        assert!(words(&gpu, &sorted)[..len] == want, "{len} keys of {bits} bits");
+        assert!(
+            words(&gpu, &sorted)[..len] == want,
+            "{len} keys of {bits} bits"
+        );
     }
 }
 
@@ -83,10 +116,14 @@ impl View {
     fn new(n: usize, scale: f32, size: [usize; 2], settings: &Settings) -> Option<Self> {
         let gpu = gpu()?;
         let mut rng = ChaCha8Rng::seed_from_u64(3);
-        let mut draw =
-            |n: usize, low: f32, high: f32| -> Vec<f32> { (0..n).map(|_| rng.random_range(low..high)).collect() };
+        let mut draw = |n: usize, low: f32, high: f32| -> Vec<f32> {
+            (0..n).map(|_| rng.random_range(low..high)).collect()
+        };
         let means: Vec<f32> = draw(3 * n, -2.0, 2.0);
-        let log_scales: Vec<f32> = draw(3 * n, -1.0, 1.0).iter().map(|x| x + scale.ln()).collect();
+        let log_scales: Vec<f32> = draw(3 * n, -1.0, 1.0)
+            .iter()
+            .map(|x| x + scale.ln())
+            .collect();
         let (rotations, logits) = (draw(4 * n, -1.0, 1.0), draw(n, -3.0, 3.0));
         let camera = Camera {
             rotation: DMat3::IDENTITY,
@@ -98,36 +135,77 @@ impl View {
             width: size[0],
             height: size[1],
         };
-        let splats = Splats { means: &means, log_scales: &log_scales, rotations: &rotations, opacity_logits: &logits };
+        let splats = Splats {
+            means: &means,
+            log_scales: &log_scales,
+            rotations: &rotations,
+            opacity_logits: &logits,
+        };
         let host = Projected::new(&splats, &camera, settings).expect("valid");
         let [means, log_scales, rotations, logits] =
             [&means, &log_scales, &rotations, &logits].map(|v| gpu.upload(v, DType::F32));
-        let scene = Scene { means, log_scales, rotations, logits, len: n };
+        let scene = Scene {
+            means,
+            log_scales,
+            rotations,
+            logits,
+            len: n,
+        };
         let constants = view::constants(&host.viewpoint, &camera, settings, [0.0; 3]);
         let constants = gpu.upload(&constants, DType::F32);
         let report = Report::new(&gpu);
         let everywhere = settings.alpha_min == 0.0;
         let projected = project(&gpu, &scene, &constants, &report.counts, everywhere);
-        let order = depth_order(&gpu, &projected, n, size, everywhere, &report, CEILING as usize);
+        let order = depth_order(
+            &gpu,
+            &projected,
+            n,
+            size,
+            everywhere,
+            &report,
+            CEILING as usize,
+        );
         let count = words(&gpu, &report.counts)[1] as usize;
         let entries = tile_entries(&gpu, &projected, &order, count, false, size, everywhere);
-        Some(Self { gpu, host, constants, projected, order, entries, size })
+        Some(Self {
+            gpu,
+            host,
+            constants,
+            projected,
+            order,
+            entries,
+            size,
+        })
     }
 }
 
 #[test]
 fn projections_agree() {
-    let Some(view) = View::new(3000, 0.05, [120, 77], &Settings::default()) else { return };
+    let Some(view) = View::new(3000, 0.05, [120, 77], &Settings::default()) else {
+        return;
+    };
     assert!(covers(&view.constants), "this device runs the kernels");
     let splats = floats(&view.gpu, &view.projected.splats);
     let mut culled = vec![true; view.host.len()];
     for (splat, &id) in view.host.splats.iter().zip(&view.host.ids) {
         culled[id as usize] = false;
         let got = &splats[id as usize * SPLAT..][..SPLAT];
-        let want = [splat.center[0], splat.center[1], splat.slope, splat.du, splat.dv, splat.log_opacity, splat.reach];
+        let want = [
+            splat.center[0],
+            splat.center[1],
+            splat.slope,
+            splat.du,
+            splat.dv,
+            splat.log_opacity,
+            splat.reach,
+        ];
         for (field, (&got, want)) in got.iter().zip(want).enumerate() {
             // Cancellation in the slope is relative to the ellipse, and in the centre to the image.
-            let size = if field < 2 { 120.0 } else { want.abs().max(0.1) };
+            let size = if field < 2 {
+                120.0
+            } else {
+                want.abs().max(0.1)
+            };
             assert!(
                 (f64::from(got) - want).abs() < 2e-5 * size,
                 "Gaussian {id}, field {field}: {got}, expected {want}"
@@ -135,23 +213,43 @@ fn projections_agree() {
         }
     }
     let radii = words(&view.gpu, &view.projected.radii);
-    let differing = radii.iter().zip(&culled).filter(|&(&r, &culled)| (r == 0) != culled).count();
+    let differing = radii
+        .iter()
+        .zip(&culled)
+        .filter(|&(&r, &culled)| (r == 0) != culled)
+        .count();
     assert!(differing <= 2, "{differing} fates differ");
 }
 
 #[test]
 fn tile_lists_agree() {
-    for settings in [Settings::default(), Settings { alpha_min: 0.0, ..Settings::default() }] {
-        for (n, scale, size) in [(2000, 0.03, [130, 90]), (300, 0.5, [65, 40]), (100, 3.0, [33, 47])] {
-            let Some(view) = View::new(n, scale, size, &settings) else { return };
+    for settings in [
+        Settings::default(),
+        Settings {
+            alpha_min: 0.0,
+            ..Settings::default()
+        },
+    ] {
+        for (n, scale, size) in [
+            (2000, 0.03, [130, 90]),
+            (300, 0.5, [65, 40]),
+            (100, 3.0, [33, 47]),
+        ] {
+            let Some(view) = View::new(n, scale, size, &settings) else {
+                return;
+            };
             let [across, down] = tile_counts(size);
             let ranges = words(&view.gpu, &view.entries.ranges);
             let gaussians = words(&view.gpu, &view.entries.gaussians);
             let (mut entries, mut differing) = (0, 0);
             for tile in 0..across * down {
                 let got = &gaussians[ranges[2 * tile] as usize..ranges[2 * tile + 1] as usize];
-                let ranks = &view.host.tiles.ranks[view.host.tiles.tile(tile % across, tile / across)];
-                let want: Vec<u32> = ranks.iter().map(|&rank| view.host.ids[rank as usize]).collect();
+                let ranks =
+                    &view.host.tiles.ranks[view.host.tiles.tile(tile % across, tile / across)];
+                let want: Vec<u32> = ranks
+                    .iter()
+                    .map(|&rank| view.host.ids[rank as usize])
+                    .collect();
                 entries += want.len();
                 // Lists differ where an ellipse grazes a tile; what both have is in one order.
                 let both: Vec<u32> = got.iter().copied().filter(|id| want.contains(id)).collect();
@@ -160,14 +258,19 @@ fn tile_lists_agree() {
                 differing += got.len() + want.len() - both.len() - shared.len() + flips;
             }
             assert!(entries > 0);
-            assert!(differing * 500 <= entries, "{differing} of {entries} entries differ, {n} Gaussians");
+            assert!(
+                differing * 500 <= entries,
+                "{differing} of {entries} entries differ, {n} Gaussians"
+            );
         }
     }
 }
 
 #[test]
 fn entries_in_slabs_give_the_same_sums() {
-    let Some(view) = View::new(400, 0.1, [50, 41], &Settings::default()) else { return };
+    let Some(view) = View::new(400, 0.1, [50, 41], &Settings::default()) else {
+        return;
+    };
     let gpu = &view.gpu;
     let mut rng = ChaCha8Rng::seed_from_u64(4);
     let mut draw = |n: usize| -> CubeTensor {
@@ -175,8 +278,19 @@ fn entries_in_slabs_give_the_same_sums() {
         gpu.upload(&values, DType::F32)
     };
     let pixels = 50 * 41;
-    let values = Values { colours: Some(draw(400 * 3)), features: Some(draw(400 * 9)), channels: 12 };
-    let (image, transmittance) = blend(gpu, &view.projected.splats, &view.entries, &values, &view.constants, view.size);
+    let values = Values {
+        colours: Some(draw(400 * 3)),
+        features: Some(draw(400 * 9)),
+        channels: 12,
+    };
+    let (image, transmittance) = blend(
+        gpu,
+        &view.projected.splats,
+        &view.entries,
+        &values,
+        &view.constants,
+        view.size,
+    );
     let (d_image, d_transmittance) = (draw(pixels * 12), draw(pixels));
     let gradients = PixelGradients {
         image: &image,
@@ -185,25 +299,56 @@ fn entries_in_slabs_give_the_same_sums() {
         d_transmittance: Some(&d_transmittance),
         absolute: false,
     };
-    let tiles = Tiles { order: &view.order, entries: &view.entries, size: view.size };
+    let tiles = Tiles {
+        order: &view.order,
+        entries: &view.entries,
+        size: view.size,
+    };
     let sums = |row_bytes: usize| {
-        let out = pixel_sums(gpu, &view.projected.splats, tiles, &values, &gradients, &view.constants, row_bytes);
+        let out = pixel_sums(
+            gpu,
+            &view.projected.splats,
+            tiles,
+            &values,
+            &gradients,
+            &view.constants,
+            row_bytes,
+        );
         [out.moments, out.d_colours, out.d_features].map(|t| floats(gpu, &t))
     };
     let whole = sums(usize::MAX);
     let slabs = sums(view.entries.len * 56 / 3);
     let lift = |row_bytes: usize| {
-        let sums = adjoint(gpu, &view.projected.splats, tiles, &d_image, 12, &view.constants, row_bytes);
+        let sums = adjoint(
+            gpu,
+            &view.projected.splats,
+            tiles,
+            &d_image,
+            12,
+            &view.constants,
+            row_bytes,
+        );
         floats(gpu, &sums)
     };
     let lifted = [lift(usize::MAX), lift(view.entries.len * 48 / 3)];
-    let d_values: Vec<f32> =
-        whole[1].chunks_exact(3).zip(whole[2].chunks_exact(9)).flat_map(|(a, b)| [a, b].concat()).collect();
-    let pairs = whole.iter().zip(&slabs).chain([(&lifted[0], &lifted[1]), (&d_values, &lifted[0])]);
+    let d_values: Vec<f32> = whole[1]
+        .chunks_exact(3)
+        .zip(whole[2].chunks_exact(9))
+        .flat_map(|(a, b)| [a, b].concat())
+        .collect();
+    let pairs = whole
+        .iter()
+        .zip(&slabs)
+        .chain([(&lifted[0], &lifted[1]), (&d_values, &lifted[0])]);
     for (whole, slabs) in pairs {
         let largest = whole.iter().fold(0.0_f32, |a, v| a.max(v.abs()));
         assert!(largest > 0.0);
-        assert!(whole.iter().zip(slabs).all(|(a, b)| (a - b).abs() <= 1e-5 * largest));
+        assert!(
+            whole
+                .iter()
+                .zip(slabs)
+                .all(|(a, b)| (a - b).abs() <= 1e-5 * largest)
+        );
     }
 }
 
@@ -249,7 +394,10 @@ fn a_patch_that_is_passed_over_shows_nothing() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let (count, size) = (20_000_usize, [96_u32, 64]);
     for (alpha_min, least) in [(1.0 / 255.0, 0.5), (0.0, 0.0)] {
-        let settings = Settings { alpha_min, ..Settings::default() };
+        let settings = Settings {
+            alpha_min,
+            ..Settings::default()
+        };
         let camera = Camera {
             rotation: DMat3::IDENTITY,
             center: DVec3::ZERO,
@@ -265,16 +413,35 @@ fn a_patch_that_is_passed_over_shows_nothing() {
         let splats: Vec<f32> = (0..count)
             .flat_map(|i| {
                 // Widths from a third of a pixel to thousands, slopes to match, centres near the tile and far off.
-                let (wide, tall) = (10_f32.powf(rng.random_range(-0.5..4.0)), 10_f32.powf(rng.random_range(-0.5..4.0)));
+                let (wide, tall) = (
+                    10_f32.powf(rng.random_range(-0.5..4.0)),
+                    10_f32.powf(rng.random_range(-0.5..4.0)),
+                );
                 let far = if i % 4 == 0 { 5_000.0 } else { 40.0 };
                 let log_opacity: f32 = rng.random_range(-5.5..0.0);
                 let tau = log_opacity - constants[view::LN_ALPHA_MIN];
-                let slope = rng.random_range(-2.0..2.0) * wide / tall * if i % 3 == 0 { 50.0 } else { 1.0 };
-                let (x, y) = (rng.random_range(-far..far) + 40.0, rng.random_range(-far..far) + 24.0);
-                [x, y, slope, wide.recip(), tall.recip(), log_opacity, (tau + 1e-3).sqrt(), 1.0]
+                let slope =
+                    rng.random_range(-2.0..2.0) * wide / tall * if i % 3 == 0 { 50.0 } else { 1.0 };
+                let (x, y) = (
+                    rng.random_range(-far..far) + 40.0,
+                    rng.random_range(-far..far) + 24.0,
+                );
+                [
+                    x,
+                    y,
+                    slope,
+                    wide.recip(),
+                    tall.recip(),
+                    log_opacity,
+                    (tau + 1e-3).sqrt(),
+                    1.0,
+                ]
             })
             .collect();
-        let (splats, constants) = (gpu.upload(&splats, DType::F32), gpu.upload(&constants, DType::F32));
+        let (splats, constants) = (
+            gpu.upload(&splats, DType::F32),
+            gpu.upload(&constants, DType::F32),
+        );
         let found = gpu.upload(&[0_u32; 3], DType::U32);
         count_missed::launch(
             &gpu.client,
@@ -291,7 +458,10 @@ fn a_patch_that_is_passed_over_shows_nothing() {
         let found = words(&gpu, &found);
         assert!(found[0] > 50_000, "some show: {found:?}");
         assert_eq!(found[1], 0, "of {found:?} at alpha_min {alpha_min}");
-        assert!(f64::from(found[0]) >= least * f64::from(found[2]), "reached for little: {found:?}");
+        assert!(
+            f64::from(found[0]) >= least * f64::from(found[2]),
+            "reached for little: {found:?}"
+        );
         eprintln!("alpha_min {alpha_min}: shows, missed, reached {found:?}");
     }
 }

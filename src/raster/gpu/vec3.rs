@@ -17,7 +17,11 @@ pub(super) fn vec3(x: f32, y: f32, z: f32) -> Vec3 {
 /// Entries `at..at + 3` of `from`.
 #[cube]
 pub(super) fn read3(from: &[f32], at: usize) -> Vec3 {
-    Vec3 { x: from[at], y: from[at + 1], z: from[at + 2] }
+    Vec3 {
+        x: from[at],
+        y: from[at + 1],
+        z: from[at + 2],
+    }
 }
 
 #[cube]
@@ -34,16 +38,28 @@ pub(super) fn dot(a: &Vec3, b: &Vec3) -> f32 {
 
 #[cube]
 pub(super) fn cross(a: &Vec3, b: &Vec3) -> Vec3 {
-    Vec3 { x: a.y * b.z - a.z * b.y, y: a.z * b.x - a.x * b.z, z: a.x * b.y - a.y * b.x }
+    Vec3 {
+        x: a.y * b.z - a.z * b.y,
+        y: a.z * b.x - a.x * b.z,
+        z: a.x * b.y - a.y * b.x,
+    }
 }
 
 /// `a + s b`.
 #[cube]
 pub(super) fn add_scaled(a: &Vec3, s: f32, b: &Vec3) -> Vec3 {
-    Vec3 { x: a.x + s * b.x, y: a.y + s * b.y, z: a.z + s * b.z }
+    Vec3 {
+        x: a.x + s * b.x,
+        y: a.y + s * b.y,
+        z: a.z + s * b.z,
+    }
 }
 
 #[cube]
 pub(super) fn scaled(s: f32, a: &Vec3) -> Vec3 {
-    Vec3 { x: s * a.x, y: s * a.y, z: s * a.z }
+    Vec3 {
+        x: s * a.x,
+        y: s * a.y,
+        z: s * a.z,
+    }
 }

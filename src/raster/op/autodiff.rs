@@ -14,7 +14,12 @@ struct ImageBackward;
 impl<B: RasterBackend> Backward<B, INPUTS> for ImageBackward {
     type State = (RasterTensors<B>, FloatTensor<B>, Arc<RasterCall>);
 
-    fn backward(self, ops: Ops<Self::State, INPUTS>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
+    fn backward(
+        self,
+        ops: Ops<Self::State, INPUTS>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
         let d_image = grads.consume::<B>(&ops.node);
         let (tensors, image, call) = ops.state;
         let gradients = B::raster_backward(tensors, image, d_image, call);
@@ -33,12 +38,20 @@ struct TransmittanceBackward;
 impl<B: RasterBackend> Backward<B, 1> for TransmittanceBackward {
     type State = (FloatTensor<B>, Arc<RasterCall>);
 
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
+    fn backward(
+        self,
+        ops: Ops<Self::State, 1>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
         let d_transmittance = grads.consume::<B>(&ops.node);
         let (image, call) = ops.state;
         let [parent] = ops.parents;
         if let Some(node) = parent {
-            grads.register::<B>(node.id, B::raster_transmittance_backward(image, d_transmittance, call));
+            grads.register::<B>(
+                node.id,
+                B::raster_transmittance_backward(image, d_transmittance, call),
+            );
         }
     }
 }
@@ -69,7 +82,11 @@ impl<B: RasterBackend, C: CheckpointStrategy> RasterBackend for Autodiff<B, C> {
 
     fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
         let (image, node) = image.into_parts();
-        match TransmittanceBackward.prepare::<C>([node]).compute_bound().stateful() {
+        match TransmittanceBackward
+            .prepare::<C>([node])
+            .compute_bound()
+            .stateful()
+        {
             OpsKind::Tracked(prep) => {
                 let out = B::raster_transmittance(image.clone(), call.clone());
                 prep.finish((image, call), out)

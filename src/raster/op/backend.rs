@@ -23,13 +23,45 @@ pub(super) const INPUTS: usize = 7;
 
 impl<B: Backend> RasterTensors<B> {
     pub(super) fn from_array(tensors: [FloatTensor<B>; INPUTS]) -> Self {
-        let [means, log_scales, rotations, opacity_logits, sh, features, screen] = tensors;
-        Self { means, log_scales, rotations, opacity_logits, sh, features, screen }
+        let [
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            sh,
+            features,
+            screen,
+        ] = tensors;
+        Self {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            sh,
+            features,
+            screen,
+        }
     }
 
     pub(super) fn into_array(self) -> [FloatTensor<B>; INPUTS] {
-        let Self { means, log_scales, rotations, opacity_logits, sh, features, screen } = self;
-        [means, log_scales, rotations, opacity_logits, sh, features, screen]
+        let Self {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            sh,
+            features,
+            screen,
+        } = self;
+        [
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            sh,
+            features,
+            screen,
+        ]
     }
 }
 
@@ -42,7 +74,10 @@ impl<B: Backend> RasterTensors<B> {
 )]
 pub trait RasterBackend: Backend {
     /// The image `[H, W, C]`; leaves the rest of the forward pass in `call`.
-    fn raster_image(#[extension_type] tensors: RasterTensors<Self>, call: Arc<RasterCall>) -> FloatTensor<Self>;
+    fn raster_image(
+        #[extension_type] tensors: RasterTensors<Self>,
+        call: Arc<RasterCall>,
+    ) -> FloatTensor<Self>;
     /// Radii `[N]` of the call that made `image`, as floats, where they lie on a device; empty where the call has them.
     fn raster_radii(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self>;
     /// What the call that made `image` found of the tile lists, `[3]`, where it ran on a device; empty where not.

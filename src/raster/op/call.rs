@@ -25,14 +25,20 @@ pub struct RasterCall {
     pub(super) active_sh_degree: usize,
     /// Whether the gradient of the screen has the columns of AbsGS too.
     pub(super) absolute_screen: bool,
-    #[cfg_attr(not(feature = "cube"), allow(dead_code, reason = "no other kernels than the host's are compiled in"))]
+    #[cfg_attr(
+        not(feature = "cube"),
+        allow(dead_code, reason = "no other kernels than the host's are compiled in")
+    )]
     pub(super) way: Way,
     pub(super) state: Mutex<CallState>,
 }
 
 /// How a call is carried out where tensors live on a GPU.
 #[derive(Clone, Copy, Debug, Default)]
-#[cfg_attr(not(feature = "cube"), allow(dead_code, reason = "no other kernels than the host's are compiled in"))]
+#[cfg_attr(
+    not(feature = "cube"),
+    allow(dead_code, reason = "no other kernels than the host's are compiled in")
+)]
 pub(super) struct Way {
     /// By the host's kernels all the same.
     pub host_kernels: bool,
@@ -120,15 +126,32 @@ impl<E: Real> HostInputs<E> {
         let extra = self.features_per_row();
         let channels = colours + extra;
         let center = call.camera.center.to_array();
-        let colours_of =
-            |radii| visible_colours(&self.means, &self.sh, call.sh_degree, call.active_sh_degree, center, radii);
-        let mut values = if call.has_sh { Some(colours_of(projected.radii())?) } else { None };
+        let colours_of = |radii| {
+            visible_colours(
+                &self.means,
+                &self.sh,
+                call.sh_degree,
+                call.active_sh_degree,
+                center,
+                radii,
+            )
+        };
+        let mut values = if call.has_sh {
+            Some(colours_of(projected.radii())?)
+        } else {
+            None
+        };
         if let (Some(rgb), true) = (&values, extra > 0) {
             let rows = rgb.chunks_exact(3).zip(self.features.chunks_exact(extra));
-            values = Some(rows.flat_map(|(rgb, features)| rgb.iter().chain(features).copied()).collect());
+            values = Some(
+                rows.flat_map(|(rgb, features)| rgb.iter().chain(features).copied())
+                    .collect(),
+            );
         }
-        let Blended { mut image, transmittance } =
-            projected.blend(values.as_deref().unwrap_or(&self.features), channels);
+        let Blended {
+            mut image,
+            transmittance,
+        } = projected.blend(values.as_deref().unwrap_or(&self.features), channels);
         let background = call.background.map(E::of);
         if colours > 0 && background != [E::zero(); 3] {
             for (pixel, &t) in image.chunks_exact_mut(channels).zip(&transmittance) {
@@ -137,12 +160,29 @@ impl<E: Real> HostInputs<E> {
                 }
             }
         }
-        Ok((image, Forward { projected, values, transmittance }))
+        Ok((
+            image,
+            Forward {
+                projected,
+                values,
+                transmittance,
+            },
+        ))
     }
 
     /// Gradients in the order of [`RasterTensors`].
-    pub fn backward(&self, call: &RasterCall, forward: Forward<E>, image: &[E], d_image: &[E]) -> [Vec<E>; INPUTS] {
-        let Forward { projected, values, transmittance } = forward;
+    pub fn backward(
+        &self,
+        call: &RasterCall,
+        forward: Forward<E>,
+        image: &[E],
+        d_image: &[E],
+    ) -> [Vec<E>; INPUTS] {
+        let Forward {
+            projected,
+            values,
+            transmittance,
+        } = forward;
         let d_transmittance: Option<Vec<E>> = RasterCall::take(&mut call.state().d_transmittance);
         let n = self.opacity_logits.len();
         let colours = call.colours();
@@ -185,17 +225,32 @@ impl<E: Real> HostInputs<E> {
             (false, true) => d_values,
             (true, true) if channels > colours => {
                 let mut out = Vec::with_capacity(n * (channels - colours));
-                d_values.chunks_exact(channels).for_each(|row| out.extend_from_slice(&row[colours..]));
+                d_values
+                    .chunks_exact(channels)
+                    .for_each(|row| out.extend_from_slice(&row[colours..]));
                 out
             }
             (true, true) => Vec::new(),
         };
         let d_screen = if absolute {
-            let rows = screen.as_chunks::<2>().0.iter().zip(screen_absolute.as_chunks::<2>().0);
-            rows.flat_map(|(&[u, v], &[sum_u, sum_v])| [u, v, sum_u, sum_v]).collect()
+            let rows = screen
+                .as_chunks::<2>()
+                .0
+                .iter()
+                .zip(screen_absolute.as_chunks::<2>().0);
+            rows.flat_map(|(&[u, v], &[sum_u, sum_v])| [u, v, sum_u, sum_v])
+                .collect()
         } else {
             screen
         };
-        [means, log_scales, rotations, opacity_logits, d_sh, d_features, d_screen]
+        [
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            d_sh,
+            d_features,
+            d_screen,
+        ]
     }
 }

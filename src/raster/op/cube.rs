@@ -34,17 +34,28 @@ fn inputs(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> Inputs {
         log_scales: whole(&tensors.log_scales),
         rotations: whole(&tensors.rotations),
         logits: whole(&tensors.opacity_logits),
-        sh: call.has_sh.then(|| (whole(&tensors.sh), call.active_sh_degree)),
+        sh: call
+            .has_sh
+            .then(|| (whole(&tensors.sh), call.active_sh_degree)),
         features: (tensors.features.meta.num_elements() > 0).then(|| whole(&tensors.features)),
     }
 }
 
 fn zeros(like: &CubeTensor, shape: &[usize]) -> CubeTensor {
-    zeros_client(like.client.clone(), like.device.clone(), shape.to_vec().into(), like.dtype)
+    zeros_client(
+        like.client.clone(),
+        like.device.clone(),
+        shape.to_vec().into(),
+        like.dtype,
+    )
 }
 
 fn forward(tensors: RasterTensors<CubeBackend>, call: &RasterCall) -> Result<CubeTensor> {
-    let scenery = Scenery { camera: &call.camera, settings: &call.settings, background: call.background };
+    let scenery = Scenery {
+        camera: &call.camera,
+        settings: &call.settings,
+        background: call.background,
+    };
     match gpu::forward(&inputs(&tensors, call), scenery, call.way.room)? {
         Some((image, forward)) => {
             call.state().forward = Some(Box::new(forward));
@@ -68,19 +79,34 @@ impl RasterBackend for CubeBackend {
         forward(tensors, &call).unwrap_or_else(|error| {
             call.state().error = Some(error);
             // The caller of `rasterize` gets the error; the graph needs a tensor all the same.
-            zeros_client(like.client, like.device, [1, 1, channels].into(), like.dtype)
+            zeros_client(
+                like.client,
+                like.device,
+                [1, 1, channels].into(),
+                like.dtype,
+            )
         })
     }
 
     fn raster_radii(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
-        match call.state().forward.as_ref().and_then(|f| f.downcast_ref::<Forward>()) {
+        match call
+            .state()
+            .forward
+            .as_ref()
+            .and_then(|f| f.downcast_ref::<Forward>())
+        {
             Some(forward) => cast(forward.radii(), DType::F32),
             None => on_host::nothing::<Self>(image),
         }
     }
 
     fn raster_summary(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
-        match call.state().forward.as_ref().and_then(|f| f.downcast_ref::<Forward>()) {
+        match call
+            .state()
+            .forward
+            .as_ref()
+            .and_then(|f| f.downcast_ref::<Forward>())
+        {
             Some(forward) => forward.summary(),
             None => on_host::nothing::<Self>(image),
         }
@@ -88,7 +114,11 @@ impl RasterBackend for CubeBackend {
 
     fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
         let state = call.state();
-        match state.forward.as_ref().and_then(|f| f.downcast_ref::<Forward>()) {
+        match state
+            .forward
+            .as_ref()
+            .and_then(|f| f.downcast_ref::<Forward>())
+        {
             Some(forward) => forward.transmittance.clone(),
             None => {
                 drop(state);
@@ -102,7 +132,12 @@ impl RasterBackend for CubeBackend {
         d_transmittance: FloatTensor<Self>,
         call: Arc<RasterCall>,
     ) -> FloatTensor<Self> {
-        if call.state().forward.as_ref().is_none_or(|f| !f.is::<Forward>()) {
+        if call
+            .state()
+            .forward
+            .as_ref()
+            .is_none_or(|f| !f.is::<Forward>())
+        {
             return on_host::transmittance_backward::<Self>(image, d_transmittance, call);
         }
         call.state().d_transmittance = Some(Box::new(into_contiguous(d_transmittance)));
@@ -126,8 +161,17 @@ impl RasterBackend for CubeBackend {
                 }
             }
         };
-        let d_transmittance: Option<CubeTensor> = RasterCall::take(&mut call.state().d_transmittance);
-        let Gradients { means, log_scales, rotations, logits, sh, features, screen } = forward.backward(
+        let d_transmittance: Option<CubeTensor> =
+            RasterCall::take(&mut call.state().d_transmittance);
+        let Gradients {
+            means,
+            log_scales,
+            rotations,
+            logits,
+            sh,
+            features,
+            screen,
+        } = forward.backward(
             &inputs(&tensors, &call),
             &into_contiguous(image),
             &into_contiguous(d_image),
@@ -142,7 +186,11 @@ impl RasterBackend for CubeBackend {
             // An absent input is empty, and so is its gradient.
             sh: sh.unwrap_or(tensors.sh),
             features: features.unwrap_or(tensors.features),
-            screen: if tensors.screen.meta.num_elements() > 0 { screen } else { tensors.screen },
+            screen: if tensors.screen.meta.num_elements() > 0 {
+                screen
+            } else {
+                tensors.screen
+            },
         }
     }
 }
@@ -162,8 +210,16 @@ fn with_lists<R>(
     call: &FrozenCall,
     then: impl FnOnce(&Lists) -> Result<R>,
 ) -> Found<R> {
-    let FrozenTensors { means, log_scales, rotations, opacity_logits, operand } = tensors;
-    if opacity_logits.meta.num_elements() * operand.meta.num_elements() == 0 || !gpu::covers(operand) {
+    let FrozenTensors {
+        means,
+        log_scales,
+        rotations,
+        opacity_logits,
+        operand,
+    } = tensors;
+    if opacity_logits.meta.num_elements() * operand.meta.num_elements() == 0
+        || !gpu::covers(operand)
+    {
         return Found::OnHost;
     }
     let whole = |t: &CubeTensor| into_contiguous(t.clone());
@@ -176,7 +232,11 @@ fn with_lists<R>(
             sh: None,
             features: None,
         };
-        let scenery = Scenery { camera: &call.camera, settings: &call.settings, background: [0.0; 3] };
+        let scenery = Scenery {
+            camera: &call.camera,
+            settings: &call.settings,
+            background: [0.0; 3],
+        };
         let lists = Lists::new(&inputs, scenery, call.entries.get().copied())?;
         if let Some(lists) = &lists {
             call.entries.get_or_init(|| lists.entries());
@@ -195,7 +255,10 @@ fn with_lists<R>(
 }
 
 impl FrozenBackend for CubeBackend {
-    fn frozen_blend(tensors: FrozenTensors<Self>, call: Arc<FrozenCall>) -> (FloatTensor<Self>, FloatTensor<Self>) {
+    fn frozen_blend(
+        tensors: FrozenTensors<Self>,
+        call: Arc<FrozenCall>,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         let channels = tensors.operand.meta.shape()[1];
         let values = into_contiguous(tensors.operand.clone());
         match with_lists(&tensors, &call, |lists| lists.blend(values, channels)) {
@@ -203,18 +266,30 @@ impl FrozenBackend for CubeBackend {
             Found::OnHost => frozen::on_host::blend::<Self>(tensors, &call),
             Found::Nothing => {
                 let [h, w] = [call.camera.height, call.camera.width];
-                (zeros(&tensors.means, &[h, w, channels]), zeros(&tensors.means, &[h, w]))
+                (
+                    zeros(&tensors.means, &[h, w, channels]),
+                    zeros(&tensors.means, &[h, w]),
+                )
             }
         }
     }
 
-    fn frozen_adjoint(tensors: FrozenTensors<Self>, call: Arc<FrozenCall>) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let (n, channels) = (tensors.opacity_logits.meta.num_elements(), tensors.operand.meta.shape()[2]);
+    fn frozen_adjoint(
+        tensors: FrozenTensors<Self>,
+        call: Arc<FrozenCall>,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let (n, channels) = (
+            tensors.opacity_logits.meta.num_elements(),
+            tensors.operand.meta.shape()[2],
+        );
         let image = into_contiguous(tensors.operand.clone());
         match with_lists(&tensors, &call, |lists| lists.lift(&image, channels)) {
             Found::Here(found) => found,
             Found::OnHost => frozen::on_host::adjoint::<Self>(tensors, &call),
-            Found::Nothing => (zeros(&tensors.means, &[n, channels]), zeros(&tensors.means, &[n])),
+            Found::Nothing => (
+                zeros(&tensors.means, &[n, channels]),
+                zeros(&tensors.means, &[n]),
+            ),
         }
     }
 }
@@ -229,7 +304,9 @@ mod tests {
     use std::sync::{Arc, OnceLock};
 
     fn splats(n: usize, device: &Device) -> SplatTensors {
-        let random = |columns, low, high| Tensor::<2>::random([n, columns], Distribution::Uniform(low, high), device);
+        let random = |columns, low, high| {
+            Tensor::<2>::random([n, columns], Distribution::Uniform(low, high), device)
+        };
         SplatTensors {
             means: random(3, -1.0, 1.0) + Tensor::<2>::from_floats([[0.0, 0.0, 2.5]], device),
             log_scales: random(3, -4.0, -1.5),
@@ -258,7 +335,12 @@ mod tests {
             let view = splats.seen_again_by(&camera, &settings, &entries);
             let (image, transmittance) = view.blend(values.clone()).expect("an image");
             let lifted = view.adjoint(image.clone()).expect("sums");
-            let parts = [image.reshape([-1]), transmittance.reshape([-1]), lifted.sums.reshape([-1]), lifted.counts];
+            let parts = [
+                image.reshape([-1]),
+                transmittance.reshape([-1]),
+                lifted.sums.reshape([-1]),
+                lifted.counts,
+            ];
             parts.map(|part: Tensor<1>| part.into_data().into_vec::<f32>().expect("floats"))
         };
         let first = looks();

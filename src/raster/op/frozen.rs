@@ -11,7 +11,8 @@ use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::Checkpoi
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::{
-    Autodiff, AutodiffBackend, Backend, Dispatch, ExtensionType, TensorMetadata, backend_extension, tensor::FloatTensor,
+    Autodiff, AutodiffBackend, Backend, Dispatch, ExtensionType, TensorMetadata, backend_extension,
+    tensor::FloatTensor,
 };
 use burn::tensor::Tensor;
 use std::any::Any;
@@ -87,7 +88,12 @@ impl FrozenCall {
                 None => return Ok(None),
             };
         }
-        state.prepared.as_ref().and_then(|kept| kept.downcast_ref()).map(then).transpose()
+        state
+            .prepared
+            .as_ref()
+            .and_then(|kept| kept.downcast_ref())
+            .map(then)
+            .transpose()
     }
 }
 
@@ -112,11 +118,17 @@ pub trait FrozenBackend: Backend {
 }
 
 impl<B: HostKernels> FrozenBackend for B {
-    fn frozen_blend(tensors: FrozenTensors<Self>, call: Arc<FrozenCall>) -> (FloatTensor<Self>, FloatTensor<Self>) {
+    fn frozen_blend(
+        tensors: FrozenTensors<Self>,
+        call: Arc<FrozenCall>,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         on_host::blend::<Self>(tensors, &call)
     }
 
-    fn frozen_adjoint(tensors: FrozenTensors<Self>, call: Arc<FrozenCall>) -> (FloatTensor<Self>, FloatTensor<Self>) {
+    fn frozen_adjoint(
+        tensors: FrozenTensors<Self>,
+        call: Arc<FrozenCall>,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         on_host::adjoint::<Self>(tensors, &call)
     }
 }
@@ -125,7 +137,10 @@ impl<B: HostKernels> FrozenBackend for B {
 pub(super) mod on_host {
     use super::*;
 
-    pub fn blend<B: HostBackend>(tensors: FrozenTensors<B>, call: &FrozenCall) -> (FloatTensor<B>, FloatTensor<B>) {
+    pub fn blend<B: HostBackend>(
+        tensors: FrozenTensors<B>,
+        call: &FrozenCall,
+    ) -> (FloatTensor<B>, FloatTensor<B>) {
         let (device, channels) = (device_of::<B>(&tensors.operand), tensors.operand.shape()[1]);
         let [h, w] = [call.camera.height, call.camera.width];
         real_kernel!(tensors.operand, E => {
@@ -139,7 +154,10 @@ pub(super) mod on_host {
         })
     }
 
-    pub fn adjoint<B: HostBackend>(tensors: FrozenTensors<B>, call: &FrozenCall) -> (FloatTensor<B>, FloatTensor<B>) {
+    pub fn adjoint<B: HostBackend>(
+        tensors: FrozenTensors<B>,
+        call: &FrozenCall,
+    ) -> (FloatTensor<B>, FloatTensor<B>) {
         let (device, channels) = (device_of::<B>(&tensors.operand), tensors.operand.shape()[2]);
         let n = tensors.opacity_logits.shape()[0];
         real_kernel!(tensors.operand, E => {
@@ -160,7 +178,13 @@ pub(super) mod on_host {
         call: &FrozenCall,
         then: impl FnOnce(&Projected<E>) -> R,
     ) -> Option<R> {
-        let FrozenTensors { means, log_scales, rotations, opacity_logits, .. } = tensors;
+        let FrozenTensors {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            ..
+        } = tensors;
         let made = || {
             let [means, log_scales, rotations, opacity_logits] =
                 [means, log_scales, rotations, opacity_logits].map(B::values::<E>);
@@ -172,10 +196,11 @@ pub(super) mod on_host {
             };
             Projected::new(&splats, &call.camera, &call.settings).map(Some)
         };
-        call.prepared(made, |projected| Ok(then(projected))).unwrap_or_else(|error| {
-            call.fail(error);
-            None
-        })
+        call.prepared(made, |projected| Ok(then(projected)))
+            .unwrap_or_else(|error| {
+                call.fail(error);
+                None
+            })
     }
 }
 
@@ -185,34 +210,67 @@ struct FrozenBackward;
 impl<B: FrozenBackend> Backward<B, 1> for FrozenBackward {
     type State = (FrozenTensors<B>, Arc<FrozenCall>);
 
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _checkpointer: &mut Checkpointer) {
+    fn backward(
+        self,
+        ops: Ops<Self::State, 1>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
         let d_image = grads.consume::<B>(&ops.node);
         let (tensors, call) = ops.state;
         let [parent] = ops.parents;
         if let Some(node) = parent {
-            let (d_values, _) = B::frozen_adjoint(FrozenTensors { operand: d_image, ..tensors }, call);
+            let (d_values, _) = B::frozen_adjoint(
+                FrozenTensors {
+                    operand: d_image,
+                    ..tensors
+                },
+                call,
+            );
             grads.register::<B>(node.id, d_values);
         }
     }
 }
 
 impl<B: FrozenBackend, C: CheckpointStrategy> FrozenBackend for Autodiff<B, C> {
-    fn frozen_blend(tensors: FrozenTensors<Self>, call: Arc<FrozenCall>) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let FrozenTensors { means, log_scales, rotations, opacity_logits, operand } = tensors;
+    fn frozen_blend(
+        tensors: FrozenTensors<Self>,
+        call: Arc<FrozenCall>,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let FrozenTensors {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            operand,
+        } = tensors;
         let (operand, node) = operand.into_parts();
         let [means, log_scales, rotations, opacity_logits] =
             [means, log_scales, rotations, opacity_logits].map(|t| t.into_parts().0);
-        let tensors = FrozenTensors::<B> { means, log_scales, rotations, opacity_logits, operand };
+        let tensors = FrozenTensors::<B> {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            operand,
+        };
         let (image, transmittance) = B::frozen_blend(tensors.clone(), call.clone());
         let transmittance = <Self as AutodiffBackend>::from_inner(transmittance);
-        let image = match FrozenBackward.prepare::<C>([node]).compute_bound().stateful() {
+        let image = match FrozenBackward
+            .prepare::<C>([node])
+            .compute_bound()
+            .stateful()
+        {
             OpsKind::Tracked(prep) => prep.finish((tensors, call), image),
             OpsKind::UnTracked(prep) => prep.finish(image),
         };
         (image, transmittance)
     }
 
-    fn frozen_adjoint(_tensors: FrozenTensors<Self>, _call: Arc<FrozenCall>) -> (FloatTensor<Self>, FloatTensor<Self>) {
+    fn frozen_adjoint(
+        _tensors: FrozenTensors<Self>,
+        _call: Arc<FrozenCall>,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         unimplemented!("second-order gradients")
     }
 }
@@ -239,8 +297,16 @@ impl SplatTensors {
         entries: &Arc<OnceLock<usize>>,
     ) -> SplatView {
         let (camera, entries) = (camera.clone(), entries.clone());
-        let call = FrozenCall { camera, settings: *settings, entries, state: Mutex::default() };
-        SplatView { splats: self.clone(), call: Arc::new(call) }
+        let call = FrozenCall {
+            camera,
+            settings: *settings,
+            entries,
+            state: Mutex::default(),
+        };
+        SplatView {
+            splats: self.clone(),
+            call: Arc::new(call),
+        }
     }
 }
 
@@ -266,7 +332,9 @@ impl SplatView {
                 many => many / DEVICE_STEP * DEVICE_STEP,
             },
         };
-        (0..channels).step_by(together).map(move |first| first..(first + together).min(channels))
+        (0..channels)
+            .step_by(together)
+            .map(move |first| first..(first + together).min(channels))
     }
 
     /// `S = W s` of `values` `[N, C]`, the image `[H, W, C]` with gradient to them, and the transmittance `[H, W]` (Eq. 3-4).
@@ -278,12 +346,20 @@ impl SplatView {
         let (n, rows) = (self.splats.len(), values.dims()[0]);
         if rows != n {
             let (found, expected) = (format!("{rows} rows"), format!("{n}, one a Gaussian"));
-            return Err(Error::argument("values to blend", found, expected, "pass values of these Gaussians"));
+            return Err(Error::argument(
+                "values to blend",
+                found,
+                expected,
+                "pass values of these Gaussians",
+            ));
         }
         self.splats.check(values.dtype())?;
         let tensors = self.tensors(values.device().is_autodiff(), values.into_dispatch());
         let (image, transmittance) = Dispatch::frozen_blend(tensors, self.call.clone());
-        self.unless_failed((Tensor::from_dispatch(image), Tensor::from_dispatch(transmittance)))
+        self.unless_failed((
+            Tensor::from_dispatch(image),
+            Tensor::from_dispatch(transmittance),
+        ))
     }
 
     /// [`SplatView::blend`] at the pixels `pixels` (row-major): `[P, C]` and `[P]`. Where all pixels of all channels would take
@@ -291,7 +367,11 @@ impl SplatView {
     ///
     /// # Errors
     /// As [`SplatView::blend`].
-    pub fn blend_at(&self, values: Tensor<2>, pixels: &Arc<RowList>) -> Result<(Tensor<2>, Tensor<1>)> {
+    pub fn blend_at(
+        &self,
+        values: Tensor<2>,
+        pixels: &Arc<RowList>,
+    ) -> Result<(Tensor<2>, Tensor<1>)> {
         let (n, all) = (values.dims()[0], self.camera().width * self.camera().height);
         let mut transmittance = None;
         let blocks = self.channel_blocks(values.dims()[1]).map(|block| {
@@ -305,7 +385,10 @@ impl SplatView {
             Some(transmittance) => transmittance.reshape([all, 1]),
             None => Tensor::ones([all, 1], &image.device()),
         };
-        Ok((image, gather_rows(transmittance, pixels).reshape([pixels.len()])))
+        Ok((
+            image,
+            gather_rows(transmittance, pixels).reshape([pixels.len()]),
+        ))
     }
 
     /// `W^T y` of an image `y`, `[H, W, C]`: the adjoint of [`SplatView::blend`], without autodiff.
@@ -316,20 +399,43 @@ impl SplatView {
         let camera = self.camera();
         let [height, width, _] = image.dims();
         if [height, width] != [camera.height, camera.width] {
-            let (found, expected) = (format!("{width}x{height}"), format!("{}x{}", camera.width, camera.height));
-            return Err(Error::argument("image to lift", found, expected, "pass an image of the camera's size"));
+            let (found, expected) = (
+                format!("{width}x{height}"),
+                format!("{}x{}", camera.width, camera.height),
+            );
+            return Err(Error::argument(
+                "image to lift",
+                found,
+                expected,
+                "pass an image of the camera's size",
+            ));
         }
         self.splats.check(image.dtype())?;
-        let (sums, counts) = Dispatch::frozen_adjoint(self.tensors(false, image.into_dispatch()), self.call.clone());
-        self.unless_failed(Lifted { sums: Tensor::from_dispatch(sums), counts: Tensor::from_dispatch(counts) })
+        let (sums, counts) = Dispatch::frozen_adjoint(
+            self.tensors(false, image.into_dispatch()),
+            self.call.clone(),
+        );
+        self.unless_failed(Lifted {
+            sums: Tensor::from_dispatch(sums),
+            counts: Tensor::from_dispatch(counts),
+        })
     }
 
     /// The geometry beside `operand`, on its autodiff device where it is `tracked`.
     fn tensors(&self, tracked: bool, operand: FloatTensor<Dispatch>) -> FrozenTensors<Dispatch> {
         fn beside<const D: usize>(frozen: &Tensor<D>, tracked: bool) -> FloatTensor<Dispatch> {
-            if tracked { Tensor::from_inner(frozen.clone()).into_dispatch() } else { frozen.clone().into_dispatch() }
+            if tracked {
+                Tensor::from_inner(frozen.clone()).into_dispatch()
+            } else {
+                frozen.clone().into_dispatch()
+            }
         }
-        let SplatTensors { means, log_scales, rotations, opacity_logits } = &self.splats;
+        let SplatTensors {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+        } = &self.splats;
         FrozenTensors {
             means: beside(means, tracked),
             log_scales: beside(log_scales, tracked),

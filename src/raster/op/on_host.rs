@@ -7,7 +7,10 @@ use crate::ops::{HostBackend, device_of, real_kernel};
 use burn::backend::{TensorMetadata, tensor::FloatTensor};
 use std::sync::Arc;
 
-pub(super) fn image<B: HostBackend>(tensors: RasterTensors<B>, call: Arc<RasterCall>) -> FloatTensor<B> {
+pub(super) fn image<B: HostBackend>(
+    tensors: RasterTensors<B>,
+    call: Arc<RasterCall>,
+) -> FloatTensor<B> {
     let device = device_of::<B>(&tensors.means);
     let channels = call.colours() + tensors.features.shape().dims::<2>()[1];
     let [w, h] = call.size();
@@ -33,7 +36,10 @@ pub(super) fn nothing<B: HostBackend>(image: FloatTensor<B>) -> FloatTensor<B> {
     B::tensor::<f32>(Vec::new(), &[0], &device_of::<B>(&image))
 }
 
-pub(super) fn transmittance<B: HostBackend>(image: FloatTensor<B>, call: Arc<RasterCall>) -> FloatTensor<B> {
+pub(super) fn transmittance<B: HostBackend>(
+    image: FloatTensor<B>,
+    call: Arc<RasterCall>,
+) -> FloatTensor<B> {
     let device = device_of::<B>(&image);
     let [w, h] = call.size();
     real_kernel!(image, E => {

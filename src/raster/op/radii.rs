@@ -39,7 +39,9 @@ impl Radii {
             Place::Host(radii) => Ok(radii.clone()),
             Place::Device(radii) => {
                 let radii = read("radii", (**radii).clone())?;
-                Ok(Arc::new(radii.into_iter().map(|radius| radius as u32).collect()))
+                Ok(Arc::new(
+                    radii.into_iter().map(|radius| radius as u32).collect(),
+                ))
             }
         }
     }
@@ -49,7 +51,10 @@ impl Radii {
         match &self.0 {
             Place::Host(radii) => {
                 let values: Vec<f32> = radii.iter().map(|&radius| radius as f32).collect();
-                Tensor::from_data(TensorData::new(values, [radii.len()]), &device.clone().inner())
+                Tensor::from_data(
+                    TensorData::new(values, [radii.len()]),
+                    &device.clone().inner(),
+                )
             }
             Place::Device(radii) => (**radii).clone(),
         }

@@ -12,7 +12,11 @@ pub struct ListSummary(Option<Tensor<1>>);
 impl ListSummary {
     /// `summary` is empty where the host's kernels rendered.
     pub(super) fn new(summary: Tensor<1>) -> Self {
-        let summary = if summary.device().is_autodiff() { summary.inner() } else { summary };
+        let summary = if summary.device().is_autodiff() {
+            summary.inner()
+        } else {
+            summary
+        };
         Self((summary.dims() == [FIELDS]).then_some(summary))
     }
 
@@ -48,8 +52,13 @@ pub struct ListCount {
 impl ListCount {
     /// From the values of [`ListSummary::as_tensor`]; `None` for any other number of values.
     pub fn from_values(values: &[f32]) -> Option<Self> {
-        let &[non_finite, without_room, entries] = values else { return None };
-        Some(Self { entries: entries as usize, is_sound: non_finite == 0.0 && without_room == 0.0 })
+        let &[non_finite, without_room, entries] = values else {
+            return None;
+        };
+        Some(Self {
+            entries: entries as usize,
+            is_sound: non_finite == 0.0 && without_room == 0.0,
+        })
     }
 }
 
@@ -60,5 +69,7 @@ const MORE: usize = 4096;
 
 /// Room for a view whose tile lists had `entries` entries when it, or one near it, was rendered last: what it will hardly exceed.
 pub fn room_for(entries: usize) -> usize {
-    entries.saturating_add(entries / GROWTH).saturating_add(MORE)
+    entries
+        .saturating_add(entries / GROWTH)
+        .saturating_add(MORE)
 }

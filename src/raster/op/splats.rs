@@ -22,12 +22,17 @@ impl SplatTensors {
     pub fn new(gaussians: &Gaussians, device: &Device) -> Self {
         let device = device.clone().inner();
         let n = gaussians.len();
-        let rows = |values: &[f32], width| Tensor::from_data(TensorData::new(values.to_vec(), [n, width]), &device);
+        let rows = |values: &[f32], width| {
+            Tensor::from_data(TensorData::new(values.to_vec(), [n, width]), &device)
+        };
         Self {
             means: rows(gaussians.means.as_flattened(), 3),
             log_scales: rows(gaussians.log_scales.as_flattened(), 3),
             rotations: rows(gaussians.rotations.as_flattened(), 4),
-            opacity_logits: Tensor::from_data(TensorData::new(gaussians.opacity_logits.clone(), [n]), &device),
+            opacity_logits: Tensor::from_data(
+                TensorData::new(gaussians.opacity_logits.clone(), [n]),
+                &device,
+            ),
         }
     }
 
@@ -48,7 +53,8 @@ impl SplatTensors {
     #[must_use]
     pub fn select(&self, rows: &[u32]) -> Self {
         let index: Vec<i64> = rows.iter().map(|&row| i64::from(row)).collect();
-        let index = Tensor::<1, Int>::from_data(TensorData::new(index, [rows.len()]), &self.means.device());
+        let index =
+            Tensor::<1, Int>::from_data(TensorData::new(index, [rows.len()]), &self.means.device());
         Self {
             means: self.means.clone().select(0, index.clone()),
             log_scales: self.log_scales.clone().select(0, index.clone()),
@@ -60,14 +66,32 @@ impl SplatTensors {
     /// Whether shapes and float types agree, the latter with `dtype`.
     pub(super) fn check(&self, dtype: DType) -> Result<()> {
         let n = self.len();
-        let Self { means, log_scales, rotations, opacity_logits } = self;
+        let Self {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+        } = self;
         let shapes = [means.dims(), log_scales.dims(), rotations.dims()];
         let expected = [[n, 3], [n, 3], [n, 4]];
-        let types = [means.dtype(), log_scales.dtype(), rotations.dtype(), opacity_logits.dtype()];
+        let types = [
+            means.dtype(),
+            log_scales.dtype(),
+            rotations.dtype(),
+            opacity_logits.dtype(),
+        ];
         if shapes == expected && types == [dtype; 4] {
             return Ok(());
         }
-        let (found, expected) = (format!("{shapes:?}, {types:?}"), format!("{expected:?}, all {dtype:?}"));
-        Err(Error::argument("frozen Gaussians", found, expected, "pass tensors of one scene and one float type"))
+        let (found, expected) = (
+            format!("{shapes:?}, {types:?}"),
+            format!("{expected:?}, all {dtype:?}"),
+        );
+        Err(Error::argument(
+            "frozen Gaussians",
+            found,
+            expected,
+            "pass tensors of one scene and one float type",
+        ))
     }
 }

@@ -29,11 +29,17 @@ pub fn attended<'a>(
     }
     let splats = gaussians.splats();
     // By the kernels that lift features there: a pixel on the rim of a radius goes the same way.
-    let device = (!in_host_memory(device)).then(|| DeviceSums::new(SplatTensors::new(gaussians, device), &[]));
+    let device = (!in_host_memory(device))
+        .then(|| DeviceSums::new(SplatTensors::new(gaussians, device), &[]));
     let (mut sums, mut all) = (vec![0; gaussians.len()], 0);
-    for View { name, camera, mask, .. } in views {
+    for View {
+        name, camera, mask, ..
+    } in views
+    {
         let mask = mask.as_ref();
-        mask.map_or(Ok(()), |mask| mask.expect_size(&format!("view {name}"), camera.width, camera.height))?;
+        mask.map_or(Ok(()), |mask| {
+            mask.expect_size(&format!("view {name}"), camera.width, camera.height)
+        })?;
         let (counts, pixels) = match &device {
             Some(device) => device.counts(&splats, camera, mask, settings)?,
             None => {
@@ -42,8 +48,15 @@ pub fn attended<'a>(
                 (counts.into_iter().map(u64::from).collect(), pixels as u64)
             }
         };
-        sums.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
+        sums.iter_mut()
+            .zip(counts)
+            .for_each(|(sum, count)| *sum += count);
         all += pixels;
     }
-    Ok(Sums::<f32> { counts: vec![sums], pixels: vec![all], ..Sums::default() }.attended(config))
+    Ok(Sums::<f32> {
+        counts: vec![sums],
+        pixels: vec![all],
+        ..Sums::default()
+    }
+    .attended(config))
 }

@@ -33,8 +33,17 @@ impl DeviceSums {
     /// Of no views yet.
     pub fn new(splats: SplatTensors, channels: &[usize]) -> Self {
         let n = splats.len();
-        let scale = |&channels| Scale { channels, sums: None, counts: vec![0; n], pixels: 0 };
-        Self { scales: channels.iter().map(scale).collect(), splats, reads: Vec::new() }
+        let scale = |&channels| Scale {
+            channels,
+            sums: None,
+            counts: vec![0; n],
+            pixels: 0,
+        };
+        Self {
+            scales: channels.iter().map(scale).collect(),
+            splats,
+            reads: Vec::new(),
+        }
     }
 
     /// As [`Sums::add_used`]; `splats` are the same Gaussians on the host.
@@ -49,7 +58,9 @@ impl DeviceSums {
     ) -> Result<()> {
         let channels: Vec<usize> = self.scales.iter().map(|scale| scale.channels).collect();
         super::check(self.splats.len(), &channels, self.splats.len(), maps)?;
-        mask.map_or(Ok(()), |mask| mask.expect_size("a view", camera.width, camera.height))?;
+        mask.map_or(Ok(()), |mask| {
+            mask.expect_size("a view", camera.width, camera.height)
+        })?;
         // At image resolution all scales share the camera: its lists, weights and counts.
         let mut shared: Option<Seen> = None;
         for (number, map) in maps.iter().enumerate() {
@@ -68,13 +79,22 @@ impl DeviceSums {
                 Resolution::Feature => None,
             };
             let lifted = lifted(seen, map, reading, &self.splats.means.device())?;
-            let Seen { weights, counts, pixels, .. } = seen;
+            let Seen {
+                weights,
+                counts,
+                pixels,
+                ..
+            } = seen;
             let scale = &mut self.scales[number];
             scale.sums = Some(match scale.sums.take() {
                 Some([buffer, sum]) => [buffer + lifted, sum + weights.clone()],
                 None => [lifted, weights.clone()],
             });
-            scale.counts.iter_mut().zip(counts).for_each(|(sum, count)| *sum += *count);
+            scale
+                .counts
+                .iter_mut()
+                .zip(counts)
+                .for_each(|(sum, count)| *sum += *count);
             scale.pixels += *pixels;
         }
         Ok(())
@@ -103,17 +123,35 @@ impl DeviceSums {
         let view = self.splats.seen_by(camera, settings);
         let (pixels, device) = (camera.height * camera.width, self.splats.means.device());
         let used = mask.map(|mask| {
-            let values: Vec<f32> = (0..pixels).map(|pixel| f32::from(u8::from(mask.uses(pixel)))).collect();
+            let values: Vec<f32> = (0..pixels)
+                .map(|pixel| f32::from(u8::from(mask.uses(pixel))))
+                .collect();
             Tensor::<2>::from_data(TensorData::new(values, [pixels, 1]), &device)
         });
-        let all = used.clone().unwrap_or_else(|| Tensor::ones([pixels, 1], &device));
-        let Lifted { sums, counts } = view.adjoint(all.reshape([camera.height, camera.width, 1]))?;
+        let all = used
+            .clone()
+            .unwrap_or_else(|| Tensor::ones([pixels, 1], &device));
+        let Lifted { sums, counts } =
+            view.adjoint(all.reshape([camera.height, camera.width, 1]))?;
         // The device counts all pixels: those that a mask uses are counted on the host, which projects the view once more.
         let counts: Vec<u64> = match mask {
-            Some(_) => Projected::new(splats, camera, settings)?.used_counts(mask).into_iter().map(u64::from).collect(),
-            None => read("counts", counts)?.into_iter().map(|count| count as u64).collect(),
+            Some(_) => Projected::new(splats, camera, settings)?
+                .used_counts(mask)
+                .into_iter()
+                .map(u64::from)
+                .collect(),
+            None => read("counts", counts)?
+                .into_iter()
+                .map(|count| count as u64)
+                .collect(),
         };
-        Ok(Seen { view, used, weights: sums, counts, pixels: mask.map_or(pixels, Mask::kept) as u64 })
+        Ok(Seen {
+            view,
+            used,
+            weights: sums,
+            counts,
+            pixels: mask.map_or(pixels, Mask::kept) as u64,
+        })
     }
 
     /// `U`, unless the cells are the pixels.
@@ -122,7 +160,11 @@ impl DeviceSums {
         if lattice.is_of_pixels(size[0], size[1]) {
             return None;
         }
-        if let Some((.., reading)) = self.reads.iter().find(|(of, at, _)| (*of, *at) == (lattice, size)) {
+        if let Some((.., reading)) = self
+            .reads
+            .iter()
+            .find(|(of, at, _)| (*of, *at) == (lattice, size))
+        {
             return Some(reading.clone());
         }
         let reading = Arc::new(bilinear(&lattice, size));
@@ -145,9 +187,18 @@ impl DeviceSums {
     pub fn into_sums(self) -> Result<Sums<f32>> {
         let n = self.splats.len();
         let mut out = Sums::default();
-        for Scale { channels, sums, counts, pixels } in self.scales {
+        for Scale {
+            channels,
+            sums,
+            counts,
+            pixels,
+        } in self.scales
+        {
             let [buffer, weights] = match sums {
-                Some([buffer, weights]) => [read("unprojected features", buffer)?, read("weights", weights)?],
+                Some([buffer, weights]) => [
+                    read("unprojected features", buffer)?,
+                    read("weights", weights)?,
+                ],
                 None => [vec![0.0; n * channels], vec![0.0; n]],
             };
             out.buffers.push(buffer);
@@ -181,7 +232,10 @@ fn lifted(
 ) -> Result<Tensor<2>> {
     let Camera { width, height, .. } = *view.camera();
     let cells = map.width * map.height;
-    let cells = Tensor::<2>::from_data(TensorData::new(map.data.clone(), [cells, map.channels]), device);
+    let cells = Tensor::<2>::from_data(
+        TensorData::new(map.data.clone(), [cells, map.channels]),
+        device,
+    );
     let blocks = view.channel_blocks(map.channels).map(|block| {
         let channels = block.len();
         let part = cells.clone().slice([0..cells.dims()[0], block]);
@@ -201,7 +255,10 @@ fn lifted(
 /// The bilinear read of every pixel of an image, `[W H, cells]`.
 fn bilinear(lattice: &Lattice, [width, height]: [usize; 2]) -> SparseMatrix {
     let (columns, rows) = (lattice.columns(width), lattice.rows(height));
-    let (mut indices, mut values) = (Vec::with_capacity(4 * width * height), Vec::with_capacity(4 * width * height));
+    let (mut indices, mut values) = (
+        Vec::with_capacity(4 * width * height),
+        Vec::with_capacity(4 * width * height),
+    );
     for y in 0..height {
         let (above, below, down) = rows.taps(y as f64 + 0.5);
         for x in 0..width {
@@ -212,6 +269,8 @@ fn bilinear(lattice: &Lattice, [width, height]: [usize; 2]) -> SparseMatrix {
             }
         }
     }
-    let offsets = (0..=(width * height) as u32).map(|pixel| 4 * pixel).collect();
+    let offsets = (0..=(width * height) as u32)
+        .map(|pixel| 4 * pixel)
+        .collect();
     SparseMatrix::new(lattice.width * lattice.height, offsets, indices, values)
 }

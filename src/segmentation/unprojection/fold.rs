@@ -25,10 +25,16 @@ pub struct Taps {
 impl Taps {
     /// Of the cells of `lattice` over the image of `camera`.
     pub fn new(lattice: &Lattice, camera: &Camera) -> Self {
-        let of = |axis: Axis, pixels: usize| (0..pixels).map(|i| axis.taps(i as f64 + 0.5)).collect();
+        let of =
+            |axis: Axis, pixels: usize| (0..pixels).map(|i| axis.taps(i as f64 + 0.5)).collect();
         let (x, y) = (lattice.columns(camera.width), lattice.rows(camera.height));
         let same = lattice.is_of_pixels(camera.width, camera.height);
-        Self { width: lattice.width, x: of(x, camera.width), y: of(y, camera.height), same }
+        Self {
+            width: lattice.width,
+            x: of(x, camera.width),
+            y: of(y, camera.height),
+            same,
+        }
     }
 }
 
@@ -134,7 +140,12 @@ impl<E: Real> Window<E> {
             let span = |taps: &[(usize, usize, f32)], from: usize| -> (usize, Vec<[usize; 2]>) {
                 let taps = part(taps, from, edge);
                 let first = taps.first().map_or(0, |t| t.0);
-                (first, taps.iter().map(|t| [t.0 - first, t.1 + 1 - first]).collect())
+                (
+                    first,
+                    taps.iter()
+                        .map(|t| [t.0 - first, t.1 + 1 - first])
+                        .collect(),
+                )
             };
             let (left, columns) = span(&taps.x, x0);
             let (top, own) = span(&taps.y, y0);
@@ -145,10 +156,20 @@ impl<E: Real> Window<E> {
             let lane = lanes;
             lanes += end(&columns);
             rows = rows.max(end(&own));
-            grids.push(Part::Band(Band { width: taps.width, lane, left, top, columns, rows: own }));
+            grids.push(Part::Band(Band {
+                width: taps.width,
+                lane,
+                left,
+                top,
+                columns,
+                rows: own,
+            }));
         }
         lanes = lanes.next_multiple_of(LANES);
-        let (mut spread, mut across) = (vec![E::zero(); edge * lanes], vec![E::zero(); edge * rows * lanes]);
+        let (mut spread, mut across) = (
+            vec![E::zero(); edge * lanes],
+            vec![E::zero(); edge * rows * lanes],
+        );
         for (grid, taps) in grids.iter().zip(taps) {
             let Part::Band(band) = grid else { continue };
             for (pixel, &(a, b, f)) in part(&taps.x, x0, edge).iter().enumerate() {
@@ -162,11 +183,20 @@ impl<E: Real> Window<E> {
                 let f = E::of(f64::from(f));
                 for (row, weight) in [(a - band.top, E::one() - f), (b - band.top, f)] {
                     let at = (pixel * rows + row) * lanes;
-                    across[at..][own.clone()].iter_mut().for_each(|w| *w += weight);
+                    across[at..][own.clone()]
+                        .iter_mut()
+                        .for_each(|w| *w += weight);
                 }
             }
         }
-        Self { grids, lanes, rows, reach, spread, across }
+        Self {
+            grids,
+            lanes,
+            rows,
+            reach,
+            spread,
+            across,
+        }
     }
 }
 
@@ -195,11 +225,16 @@ fn fold_all<E: Real, const FMA: bool>(
     let mut len = 0;
     for (i, entry) in entries.iter_mut().enumerate().take(pairs.len()) {
         let (_, pixels, weights) = pairs.gaussian(i);
-        let (Some(&first), Some(&last)) = (pixels.first(), pixels.last()) else { continue };
+        let (Some(&first), Some(&last)) = (pixels.first(), pixels.last()) else {
+            continue;
+        };
         let [top, bottom] = [first, last].map(|pixel| usize::from(pixel) / edge);
         // Only bands read the columns, and without lanes there are none.
-        let [left, right] =
-            if lanes > 0 { spread::<E, FMA>(window, pixels, weights, &mut sums) } else { [0, edge - 1] };
+        let [left, right] = if lanes > 0 {
+            spread::<E, FMA>(window, pixels, weights, &mut sums)
+        } else {
+            [0, edge - 1]
+        };
         entry.weight = weights.iter().copied().sum();
         entry.at = len as u32;
         for (end, grid) in entry.ends.iter_mut().zip(&window.grids) {
@@ -207,9 +242,17 @@ fn fold_all<E: Real, const FMA: bool>(
                 Part::Pixels { width } => {
                     make_room(out, len + pixels.len());
                     let [x, y] = pairs.origin.map(|o| o as u32);
-                    for (to, (&pixel, &weight)) in out[len..].iter_mut().zip(pixels.iter().zip(weights)) {
-                        let (row, column) = (u32::from(pixel) / edge as u32, u32::from(pixel) % edge as u32);
-                        *to = CellWeight { cell: (y + row) * *width as u32 + x + column, weight };
+                    for (to, (&pixel, &weight)) in
+                        out[len..].iter_mut().zip(pixels.iter().zip(weights))
+                    {
+                        let (row, column) = (
+                            u32::from(pixel) / edge as u32,
+                            u32::from(pixel) % edge as u32,
+                        );
+                        *to = CellWeight {
+                            cell: (y + row) * *width as u32 + x + column,
+                            weight,
+                        };
                     }
                     len += pixels.len();
                 }
@@ -218,7 +261,8 @@ fn fold_all<E: Real, const FMA: bool>(
                     let rows = band.rows[top][0]..band.rows[bottom][1];
                     make_room(out, len + rows.len() * columns.len());
                     for row in rows {
-                        let first = ((band.top + row) * band.width + band.left + columns.start) as u32;
+                        let first =
+                            ((band.top + row) * band.width + band.left + columns.start) as u32;
                         let weights = &sums[row * lanes + band.lane..][columns.clone()];
                         for (cell, &weight) in (first..).zip(weights) {
                             // Cells without weight are written over.
@@ -237,14 +281,23 @@ fn fold_all<E: Real, const FMA: bool>(
 
 /// Adds the pairs of one Gaussian to `sums`, `[rows, lanes]`; returns its first and last column of pixels.
 #[inline(always)]
-fn spread<E: Real, const FMA: bool>(window: &Window<E>, pixels: &[u16], weights: &[E], sums: &mut [E]) -> [usize; 2] {
+fn spread<E: Real, const FMA: bool>(
+    window: &Window<E>,
+    pixels: &[u16],
+    weights: &[E],
+    sums: &mut [E],
+) -> [usize; 2] {
     let (edge, lanes) = (TilePairs::<E>::EDGE, window.lanes);
     let (mut left, mut right) = (edge, 0);
     let mut from = 0;
     while from < pixels.len() {
         // Pixels of one row.
         let y = usize::from(pixels[from]) / edge;
-        let to = from + pixels[from..].iter().take_while(|&&p| usize::from(p) / edge == y).count();
+        let to = from
+            + pixels[from..]
+                .iter()
+                .take_while(|&&p| usize::from(p) / edge == y)
+                .count();
         left = left.min(usize::from(pixels[from]) % edge);
         right = right.max(usize::from(pixels[to - 1]) % edge);
         let [low, high] = window.reach[y];
@@ -252,16 +305,19 @@ fn spread<E: Real, const FMA: bool>(window: &Window<E>, pixels: &[u16], weights:
             let mut sum = [E::zero(); LANES];
             for (&pixel, &weight) in pixels[from..to].iter().zip(&weights[from..to]) {
                 let at = usize::from(pixel) % edge * lanes + block;
-                let Some(spread) = window.spread[at..].first_chunk::<LANES>() else { continue };
+                let Some(spread) = window.spread[at..].first_chunk::<LANES>() else {
+                    continue;
+                };
                 for l in 0..LANES {
                     sum[l] = multiply_add::<E, FMA>(weight, spread[l], sum[l]);
                 }
             }
             for row in low..high {
                 let across = &window.across[(y * window.rows + row) * lanes + block..];
-                let (Some(sums), Some(across)) =
-                    (sums[row * lanes + block..].first_chunk_mut::<LANES>(), across.first_chunk::<LANES>())
-                else {
+                let (Some(sums), Some(across)) = (
+                    sums[row * lanes + block..].first_chunk_mut::<LANES>(),
+                    across.first_chunk::<LANES>(),
+                ) else {
                     continue;
                 };
                 for l in 0..LANES {

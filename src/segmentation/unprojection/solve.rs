@@ -60,7 +60,8 @@ impl<E: Real> Problem<'_, E> {
     /// What [`Projected::new`] returns; [`crate::Error::Argument`] for a mask of another size than its camera has.
     pub fn solve(&self, buffer: &[E], channels: usize, iterations: usize) -> Result<Solved<E>> {
         let go_on = &mut || ControlFlow::<Infallible>::Continue(());
-        let ControlFlow::Continue(solved) = self.solve_until(buffer, channels, iterations, go_on)?;
+        let ControlFlow::Continue(solved) =
+            self.solve_until(buffer, channels, iterations, go_on)?;
         Ok(solved)
     }
 
@@ -74,10 +75,16 @@ impl<E: Real> Problem<'_, E> {
     ) -> Result<ControlFlow<B, Solved<E>>> {
         let per_weight = |values: &[E]| -> Vec<E> {
             let mut out = values.to_vec();
-            let rows = out.par_chunks_mut(CHUNK * channels.max(1)).zip(self.weights.par_chunks(CHUNK));
+            let rows = out
+                .par_chunks_mut(CHUNK * channels.max(1))
+                .zip(self.weights.par_chunks(CHUNK));
             rows.for_each(|(rows, weights)| {
                 for (row, &weight) in rows.chunks_exact_mut(channels.max(1)).zip(weights) {
-                    let factor = if weight > E::zero() { weight.recip() } else { E::zero() };
+                    let factor = if weight > E::zero() {
+                        weight.recip()
+                    } else {
+                        E::zero()
+                    };
                     row.iter_mut().for_each(|x| *x *= factor);
                 }
             });
@@ -95,31 +102,51 @@ impl<E: Real> Problem<'_, E> {
         let mut direction = near.clone();
         let mut length = dot(&residual, &near, channels);
         let first = length.clone();
-        let mut done = Solved { features: Vec::new(), iterations: 0, residual: worst(&length, &first) };
+        let mut done = Solved {
+            features: Vec::new(),
+            iterations: 0,
+            residual: worst(&length, &first),
+        };
         while done.iterations < iterations && done.residual > TOLERANCE {
             let mut product = match self.rendered_and_lifted(&direction, channels, looked)? {
                 ControlFlow::Continue(product) => product,
                 ControlFlow::Break(told) => return Ok(ControlFlow::Break(told)),
             };
-            let rows = product.par_chunks_mut(CHUNK * channels).zip(direction.par_chunks(CHUNK * channels));
-            rows.zip(self.weights.par_chunks(CHUNK)).for_each(|((product, direction), weights)| {
-                let rows = product.chunks_exact_mut(channels).zip(direction.chunks_exact(channels));
-                for ((product, direction), &weight) in rows.zip(weights) {
-                    let factor = weight * E::of(self.ridge);
-                    product.iter_mut().zip(direction).for_each(|(p, &d)| *p += factor * d);
-                }
-            });
+            let rows = product
+                .par_chunks_mut(CHUNK * channels)
+                .zip(direction.par_chunks(CHUNK * channels));
+            rows.zip(self.weights.par_chunks(CHUNK))
+                .for_each(|((product, direction), weights)| {
+                    let rows = product
+                        .chunks_exact_mut(channels)
+                        .zip(direction.chunks_exact(channels));
+                    for ((product, direction), &weight) in rows.zip(weights) {
+                        let factor = weight * E::of(self.ridge);
+                        product
+                            .iter_mut()
+                            .zip(direction)
+                            .for_each(|(p, &d)| *p += factor * d);
+                    }
+                });
             let step = ratios(&length, &dot(&direction, &product, channels));
             axpy(&mut features, &step, &direction);
-            axpy(&mut residual, &step.iter().map(|&s| -s).collect::<Vec<E>>(), &product);
+            axpy(
+                &mut residual,
+                &step.iter().map(|&s| -s).collect::<Vec<E>>(),
+                &product,
+            );
             near = per_weight(&residual);
             let next = dot(&residual, &near, channels);
             let keep: Vec<E> = ratios(&next, &length);
-            direction.par_chunks_mut(channels).zip(near.par_chunks(channels)).with_min_len(CHUNK).for_each(|(d, n)| {
-                for ((d, &n), &keep) in d.iter_mut().zip(n).zip(&keep) {
-                    *d = n + keep * *d;
-                }
-            });
+            direction
+                .par_chunks_mut(channels)
+                .zip(near.par_chunks(channels))
+                .with_min_len(CHUNK)
+                .for_each(|(d, n)| {
+                    for ((d, &n), &keep) in d.iter_mut().zip(n).zip(&keep) {
+                        *d = n + keep * *d;
+                    }
+                });
             length = next;
             done.iterations += 1;
             done.residual = worst(&length, &first);
@@ -135,14 +162,24 @@ impl<E: Real> Problem<'_, E> {
         looked: &mut dyn FnMut() -> ControlFlow<B>,
     ) -> Result<ControlFlow<B, Vec<E>>> {
         let mut sum = vec![E::zero(); x.len()];
-        let masks = self.masks.iter().map(Option::as_ref).chain(std::iter::repeat(None));
+        let masks = self
+            .masks
+            .iter()
+            .map(Option::as_ref)
+            .chain(std::iter::repeat(None));
         for (camera, mask) in self.cameras.iter().zip(masks) {
-            mask.map_or(Ok(()), |mask| mask.expect_size("a view", camera.width, camera.height))?;
+            mask.map_or(Ok(()), |mask| {
+                mask.expect_size("a view", camera.width, camera.height)
+            })?;
             let projected = Projected::new(&self.splats, camera, self.settings)?;
             let mut image = projected.blend(x, channels).image;
-            mask.into_iter().for_each(|mask| mask.fill(&mut image, channels, E::zero()));
+            mask.into_iter()
+                .for_each(|mask| mask.fill(&mut image, channels, E::zero()));
             let lifted = projected.blend_adjoint(&image, channels);
-            sum.par_iter_mut().zip(&lifted).with_min_len(CHUNK).for_each(|(s, &l)| *s += l);
+            sum.par_iter_mut()
+                .zip(&lifted)
+                .with_min_len(CHUNK)
+                .for_each(|(s, &l)| *s += l);
             if let ControlFlow::Break(told) = looked() {
                 return Ok(ControlFlow::Break(told));
             }
@@ -166,10 +203,20 @@ pub(super) fn solved<B>(
             Resolution::Feature => lattices[scale].camera(&view.camera),
         };
         let cameras: Vec<_> = views.iter().zip(lattices).map(camera).collect();
-        let mask = |(view, cells): (&&View, &Camera)| Some(of_cells(view.mask.as_ref()?, &view.camera, cells));
+        let mask = |(view, cells): (&&View, &Camera)| {
+            Some(of_cells(view.mask.as_ref()?, &view.camera, cells))
+        };
         let masks: Vec<Option<Mask>> = views.iter().zip(&cameras).map(mask).collect();
-        let (splats, weights, ridge) = (gaussians.splats(), &sums.weights[scale], config.solve_ridge);
-        let problem = Problem { splats, cameras: &cameras, masks: &masks, settings, weights, ridge };
+        let (splats, weights, ridge) =
+            (gaussians.splats(), &sums.weights[scale], config.solve_ridge);
+        let problem = Problem {
+            splats,
+            cameras: &cameras,
+            masks: &masks,
+            settings,
+            weights,
+            ridge,
+        };
         let done = match problem.solve_until(buffer, channels, config.solve_iterations, looked)? {
             ControlFlow::Continue(done) => done,
             ControlFlow::Break(told) => return Ok(ControlFlow::Break(told)),
@@ -188,13 +235,15 @@ pub(super) fn solved<B>(
 /// `y += a x`, with a factor for each channel.
 fn axpy<E: Real>(y: &mut [E], a: &[E], x: &[E]) {
     let channels = a.len().max(1);
-    y.par_chunks_mut(CHUNK * channels).zip(x.par_chunks(CHUNK * channels)).for_each(|(y, x)| {
-        for (y, x) in y.chunks_exact_mut(channels).zip(x.chunks_exact(channels)) {
-            for ((y, &x), &a) in y.iter_mut().zip(x).zip(a) {
-                *y += a * x;
+    y.par_chunks_mut(CHUNK * channels)
+        .zip(x.par_chunks(CHUNK * channels))
+        .for_each(|(y, x)| {
+            for (y, x) in y.chunks_exact_mut(channels).zip(x.chunks_exact(channels)) {
+                for ((y, &x), &a) in y.iter_mut().zip(x).zip(a) {
+                    *y += a * x;
+                }
             }
-        }
-    });
+        });
 }
 
 /// Sums over the Gaussians of `a b` for each channel, added up in a fixed order.
@@ -205,7 +254,10 @@ fn dot<E: Real>(a: &[E], b: &[E], channels: usize) -> Vec<f64> {
         .zip(b.par_chunks(chunk))
         .map(|(a, b)| {
             let mut sums = vec![0.0; channels];
-            for (a, b) in a.chunks_exact(channels.max(1)).zip(b.chunks_exact(channels.max(1))) {
+            for (a, b) in a
+                .chunks_exact(channels.max(1))
+                .zip(b.chunks_exact(channels.max(1)))
+            {
                 for ((s, a), b) in sums.iter_mut().zip(a).zip(b) {
                     *s += a.wide() * b.wide();
                 }
@@ -222,10 +274,23 @@ fn dot<E: Real>(a: &[E], b: &[E], channels: usize) -> Vec<f64> {
 
 /// `a / b` for each channel, 0 where there is nothing left to do.
 fn ratios<E: Real>(a: &[f64], b: &[f64]) -> Vec<E> {
-    a.iter().zip(b).map(|(&a, &b)| if a > 0.0 && b > 0.0 { E::of(a / b) } else { E::zero() }).collect()
+    a.iter()
+        .zip(b)
+        .map(|(&a, &b)| {
+            if a > 0.0 && b > 0.0 {
+                E::of(a / b)
+            } else {
+                E::zero()
+            }
+        })
+        .collect()
 }
 
 /// Root of the largest ratio; 0 for channels that were solved from the start.
 fn worst(now: &[f64], first: &[f64]) -> f64 {
-    now.iter().zip(first).map(|(&n, &f)| if f > 0.0 { n / f } else { 0.0 }).fold(0.0, f64::max).sqrt()
+    now.iter()
+        .zip(first)
+        .map(|(&n, &f)| if f > 0.0 { n / f } else { 0.0 })
+        .fold(0.0, f64::max)
+        .sqrt()
 }

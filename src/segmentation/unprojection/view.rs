@@ -31,17 +31,35 @@ pub fn add<E: Real>(
     settings: &Settings,
 ) -> Result<()> {
     let projected = Projected::new(splats, camera, settings)?;
-    let taps: Vec<Taps> = grids.iter().map(|(lattice, _)| Taps::new(lattice, camera)).collect();
+    let taps: Vec<Taps> = grids
+        .iter()
+        .map(|(lattice, _)| Taps::new(lattice, camera))
+        .collect();
     let mut entries = vec![Entry::default(); projected.stats().tile_entries];
-    let tiles = projected.map_used_tiles(mask, &mut entries, |tile, pairs, own| fold_tile(tile, pairs, &taps, own));
-    let view = Folded { tiles, entries, positions: projected.positions() };
+    let tiles = projected.map_used_tiles(mask, &mut entries, |tile, pairs, own| {
+        fold_tile(tile, pairs, &taps, own)
+    });
+    let view = Folded {
+        tiles,
+        entries,
+        positions: projected.positions(),
+    };
     let counts = projected.used_counts(mask);
     let pixels = mask.map_or(camera.width * camera.height, Mask::kept);
     // For each chunk of Gaussians its rows at every scale.
-    let mut chunks: Vec<Vec<Rows<'_, E>>> =
-        (0..splats.len().div_ceil(CHUNK)).map(|_| Vec::with_capacity(maps.len())).collect();
-    for (scale, ((buffer, weights), map)) in sums.buffers.iter_mut().zip(&mut sums.weights).zip(maps).enumerate() {
-        let Some(grid) = grids.iter().position(|(_, scales)| scales.contains(&scale)) else { continue };
+    let mut chunks: Vec<Vec<Rows<'_, E>>> = (0..splats.len().div_ceil(CHUNK))
+        .map(|_| Vec::with_capacity(maps.len()))
+        .collect();
+    for (scale, ((buffer, weights), map)) in sums
+        .buffers
+        .iter_mut()
+        .zip(&mut sums.weights)
+        .zip(maps)
+        .enumerate()
+    {
+        let Some(grid) = grids.iter().position(|(_, scales)| scales.contains(&scale)) else {
+            continue;
+        };
         sums.pixels[scale] += pixels as u64;
         for (sum, &count) in sums.counts[scale].iter_mut().zip(&counts) {
             *sum += u64::from(count);
@@ -50,10 +68,18 @@ pub fn add<E: Real>(
         for (chunk, weights) in chunks.iter_mut().zip(weights.chunks_mut(CHUNK)) {
             let (buffer, others) = rest.split_at_mut(weights.len() * map.channels);
             rest = others;
-            chunk.push(Rows { buffer, weights, map, grid });
+            chunk.push(Rows {
+                buffer,
+                weights,
+                map,
+                grid,
+            });
         }
     }
-    chunks.par_iter_mut().enumerate().for_each(|(chunk, scales)| gather(scales, chunk * CHUNK, &view));
+    chunks
+        .par_iter_mut()
+        .enumerate()
+        .for_each(|(chunk, scales)| gather(scales, chunk * CHUNK, &view));
     Ok(())
 }
 
@@ -82,14 +108,24 @@ wide_kernel! {
 }
 
 #[inline(always)]
-fn gather_rows<E: Real, const FMA: bool>(scales: &mut [Rows<'_, E>], first: usize, view: &Folded<'_, E>) {
+fn gather_rows<E: Real, const FMA: bool>(
+    scales: &mut [Rows<'_, E>],
+    first: usize,
+    view: &Folded<'_, E>,
+) {
     // All entries first: reads all over the memory that do not wait for each other.
     let (mut near, mut ends) = (Vec::new(), Vec::new());
     for i in (first..).take(scales.first().map_or(0, |rows| rows.weights.len())) {
-        near.extend(view.positions.of(i).iter().map(|&at| view.entries[at as usize]));
+        near.extend(
+            view.positions
+                .of(i)
+                .iter()
+                .map(|&at| view.entries[at as usize]),
+        );
         ends.push(near.len());
     }
-    near.iter().for_each(|entry: &Entry<E>| entry.prefetch(&view.tiles));
+    near.iter()
+        .for_each(|entry: &Entry<E>| entry.prefetch(&view.tiles));
     let mut start = 0;
     for (i, end) in ends.into_iter().enumerate() {
         let entries = &near[start..end];
@@ -98,7 +134,13 @@ fn gather_rows<E: Real, const FMA: bool>(scales: &mut [Rows<'_, E>], first: usiz
             continue;
         }
         let weight = entries.iter().map(|entry| entry.weight).sum();
-        for Rows { buffer, weights, map, grid } in scales.iter_mut() {
+        for Rows {
+            buffer,
+            weights,
+            map,
+            grid,
+        } in scales.iter_mut()
+        {
             weights[i] += weight;
             let channels = map.channels;
             let (blocks, rest) = buffer[i * channels..(i + 1) * channels].as_chunks_mut::<LANES>();
@@ -108,9 +150,12 @@ fn gather_rows<E: Real, const FMA: bool>(scales: &mut [Rows<'_, E>], first: usiz
                 for entry in entries {
                     for &CellWeight { cell, weight } in entry.cells(&view.tiles, *grid) {
                         let from = &map.data[cell as usize * channels + block * LANES..];
-                        let Some(from) = from.first_chunk::<LANES>() else { continue };
+                        let Some(from) = from.first_chunk::<LANES>() else {
+                            continue;
+                        };
                         for l in 0..LANES {
-                            sum[l] = multiply_add::<E, FMA>(weight, E::of(f64::from(from[l])), sum[l]);
+                            sum[l] =
+                                multiply_add::<E, FMA>(weight, E::of(f64::from(from[l])), sum[l]);
                         }
                     }
                 }

@@ -40,7 +40,8 @@ impl BuildingStage<'_> {
 
     /// What is behind the scene in step `iteration`.
     fn background(&self, view: &View, iteration: usize) -> [f32; 3] {
-        let random = self.config.building.random_background && self.schedule.varies_background(iteration);
+        let random =
+            self.config.building.random_background && self.schedule.varies_background(iteration);
         match random && !view.image.is_transparent() {
             true => stream(self.config.seed, Purpose::Background, iteration as u64).random(),
             false => self.config.raster.background,
@@ -48,7 +49,13 @@ impl BuildingStage<'_> {
     }
 
     /// `None` where `room` was too small, or an input is not finite.
-    fn attempt(&mut self, index: usize, view: &View, iteration: usize, room: Option<usize>) -> Result<Option<Pass>> {
+    fn attempt(
+        &mut self,
+        index: usize,
+        view: &View,
+        iteration: usize,
+        room: Option<usize>,
+    ) -> Result<Option<Pass>> {
         let photo = self.photos.get(index, view)?;
         let leaves = self.parameters.leaves();
         let screen = self.screen();
@@ -63,7 +70,8 @@ impl BuildingStage<'_> {
             screen: screen.clone(),
         };
         let background = self.background(view, iteration);
-        let (output, lists) = rasterize_with_room(input, &view.camera, &self.settings, background, room)?;
+        let (output, lists) =
+            rasterize_with_room(input, &view.camera, &self.settings, background, room)?;
         let RasterOutput { image, radii, .. } = output;
         let loss = photometric_loss(image, photo, f64::from(self.config.building.ssim_weight));
         let loss = self.regularised(loss, &leaves);
@@ -71,7 +79,12 @@ impl BuildingStage<'_> {
         let of_screen = screen.and_then(|screen| screen.grad_remove(&mut gradients));
         let gradients = self.parameters.gradients(leaves, &mut gradients);
         let checked = gradients.check(loss.inner(), &lists)?;
-        Ok(checked.map(|checked| Pass { gradients, of_screen, radii, checked }))
+        Ok(checked.map(|checked| Pass {
+            gradients,
+            of_screen,
+            radii,
+            checked,
+        }))
     }
 }
 
@@ -103,7 +116,9 @@ mod tests {
 
     #[test]
     fn too_little_room_costs_time_and_nothing_else() {
-        let Some((scene, device)) = scene() else { return };
+        let Some((scene, device)) = scene() else {
+            return;
+        };
         let run = |spoil: bool| {
             let mut stage = BuildingStage::new(&scene, &Config::default(), &device).expect("valid");
             (0..5)
@@ -114,9 +129,15 @@ mod tests {
                         }
                     }
                     let step = stage.step().expect("finite");
-                    let room = (0..2).filter_map(|view| stage.rooms.room(view, 3_000)).max().expect("a GPU counts");
+                    let room = (0..2)
+                        .filter_map(|view| stage.rooms.room(view, 3_000))
+                        .max()
+                        .expect("a GPU counts");
                     // A spoilt room has 4,097 entries, and this is a fifth and as many more than the view had.
-                    assert!(room > 10_000, "a view has more entries than a spoilt room: {room}");
+                    assert!(
+                        room > 10_000,
+                        "a view has more entries than a spoilt room: {room}"
+                    );
                     step.loss.to_bits()
                 })
                 .collect::<Vec<_>>()
@@ -126,16 +147,28 @@ mod tests {
 
     #[test]
     fn what_is_not_finite_is_named_in_views_with_room_too() {
-        let Some((scene, device)) = scene() else { return };
+        let Some((scene, device)) = scene() else {
+            return;
+        };
         let mut stage = BuildingStage::new(&scene, &Config::default(), &device).expect("valid");
         (0..2 * VIEWS).for_each(|_| assert!(stage.step().expect("finite").loss > 0.0));
-        assert!((0..VIEWS).all(|view| stage.rooms.room(view, 3_000).is_some()), "all have been seen");
-        let (mut gaussians, first, second) = stage.parameters.clone().into_host().expect("readable");
+        assert!(
+            (0..VIEWS).all(|view| stage.rooms.room(view, 3_000).is_some()),
+            "all have been seen"
+        );
+        let (mut gaussians, first, second) =
+            stage.parameters.clone().into_host().expect("readable");
         gaussians.means[21][1] = f32::NAN;
         stage.parameters = Parameters::new(gaussians, first, second, &device);
         let message = stage.step().expect_err("must stop").to_string();
-        assert!(message.contains("means") && message.contains("row 21"), "{message}");
-        assert!(message.contains(&format!("iteration {}", 2 * VIEWS + 1)), "{message}");
+        assert!(
+            message.contains("means") && message.contains("row 21"),
+            "{message}"
+        );
+        assert!(
+            message.contains(&format!("iteration {}", 2 * VIEWS + 1)),
+            "{message}"
+        );
         assert_eq!(stage.iteration(), 2 * VIEWS);
         assert_eq!(stage.losses.1, 2 * VIEWS as u64);
     }

@@ -15,7 +15,8 @@ impl Rooms {
     /// Room that `view` will hardly exceed with `gaussians`; nothing where it was not rendered yet.
     pub fn room(&self, view: usize, gaussians: usize) -> Option<usize> {
         let [entries, before] = (*self.0.get(view)?)?;
-        let expected = (entries as u128 * gaussians.max(before) as u128 / before.max(1) as u128) as usize;
+        let expected =
+            (entries as u128 * gaussians.max(before) as u128 / before.max(1) as u128) as usize;
         Some(room_for(expected))
     }
 
@@ -38,7 +39,11 @@ mod tests {
         rooms.keep(0, 1_000, 100);
         assert_eq!(rooms.room(0, 100), Some(room_for(1_000)));
         assert_eq!(rooms.room(0, 300), Some(room_for(3_000)));
-        assert_eq!(rooms.room(0, 50), Some(room_for(1_000)), "pruned ones may have been nowhere to be seen");
+        assert_eq!(
+            rooms.room(0, 50),
+            Some(room_for(1_000)),
+            "pruned ones may have been nowhere to be seen"
+        );
         assert_eq!((rooms.room(1, 100), rooms.room(2, 100)), (None, None));
         rooms.keep(2, 7, 7);
         rooms.keep(1, 0, 0);

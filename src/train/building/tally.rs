@@ -34,7 +34,10 @@ impl Tally {
         if in_host_memory(device) {
             return Self::Host(DensityStats::new(n));
         }
-        Self::Device(Box::new([Tensor::zeros([n], device), Tensor::zeros([n], device)]))
+        Self::Device(Box::new([
+            Tensor::zeros([n], device),
+            Tensor::zeros([n], device),
+        ]))
     }
 
     /// Adds one iteration: `screen` is the screen-space gradient, `[N, 2]`, or `[N, 4]` of which the last two columns count.
@@ -47,7 +50,12 @@ impl Tally {
             Self::Host(stats) => {
                 let values = read("screen-space gradient", screen)?;
                 let values = match columns {
-                    4 => values.as_chunks::<4>().0.iter().flat_map(|row| [row[2], row[3]]).collect(),
+                    4 => values
+                        .as_chunks::<4>()
+                        .0
+                        .iter()
+                        .flat_map(|row| [row[2], row[3]])
+                        .collect(),
                     _ => values,
                 };
                 stats.record(&values, &radii.read()?);
@@ -74,7 +82,10 @@ impl Tally {
                 let both = Tensor::cat(sums.to_vec(), 0);
                 let mut gradient = read("screen-space gradients", both)?;
                 let visible = gradient.split_off(gradient.len() / 2);
-                Ok(DensityStats { gradient, visible: visible.into_iter().map(|count| count as u32).collect() })
+                Ok(DensityStats {
+                    gradient,
+                    visible: visible.into_iter().map(|count| count as u32).collect(),
+                })
             }
         }
     }

@@ -30,10 +30,13 @@ impl Waiting {
     /// Adds the gradients of the parameters of `decoder` to `gradients`, which hold that of the scores, part by part in order.
     pub fn add_gradients(&self, decoder: &Decoder, pyramid: &Pyramid, gradients: &mut Gradients) {
         for (scores, factors) in &self.scores {
-            let Some(seed) = scores.grad_remove(gradients) else { continue };
+            let Some(seed) = scores.grad_remove(gradients) else {
+                continue;
+            };
             for part in &self.prepared.parts {
                 let seed = Tensor::from_inner(seed.clone().slice([part.rows.clone()]));
-                let scores = decoder.classify(decoder.forward_scaled(pyramid, &part.kept, factors).hidden);
+                let scores =
+                    decoder.classify(decoder.forward_scaled(pyramid, &part.kept, factors).hidden);
                 let mut of_part = sum_all(scores * seed).backward();
                 optimiser::add_gradients(decoder, &mut of_part, gradients);
             }
@@ -52,7 +55,9 @@ pub(super) fn regularisation(
 ) -> Option<Tensor<1>> {
     let mut wanted = vec![Rows::default(); pyramid.levels.len()];
     for ((scale, cloud), pairs) in REGULARISED.into_iter().zip(clouds).zip(&sampled) {
-        let places = pairs.iter().flat_map(|pairs| pairs.chosen.iter().chain(&pairs.neighbours));
+        let places = pairs
+            .iter()
+            .flat_map(|pairs| pairs.chosen.iter().chain(&pairs.neighbours));
         let mut rows: Vec<u32> = places.map(|&place| cloud.rows[place as usize]).collect();
         rows.sort_unstable();
         rows.dedup();
@@ -63,13 +68,21 @@ pub(super) fn regularisation(
     let finest = wanted.iter().position(|rows| !rows.is_empty())?;
     let kept = Restriction::of_levels(pyramid, wanted);
     let fused = decoder.fused(pyramid, &kept, factors, finest);
-    let terms = REGULARISED.into_iter().zip(clouds).zip(sampled).filter_map(|((scale, cloud), pairs)| {
-        let (mut pairs, rows) = (pairs?, kept.rows(scale)?);
-        // Positions in the cloud become positions among the rows that were decoded, which hold all of these.
-        for place in pairs.chosen.iter_mut().chain(&mut pairs.neighbours) {
-            *place = rows.partition_point(|&row| row < cloud.rows[*place as usize]) as u32;
-        }
-        Some(neighbour_divergence(fused.get(scale - finest)?.clone(), pairs))
-    });
+    let terms =
+        REGULARISED
+            .into_iter()
+            .zip(clouds)
+            .zip(sampled)
+            .filter_map(|((scale, cloud), pairs)| {
+                let (mut pairs, rows) = (pairs?, kept.rows(scale)?);
+                // Positions in the cloud become positions among the rows that were decoded, which hold all of these.
+                for place in pairs.chosen.iter_mut().chain(&mut pairs.neighbours) {
+                    *place = rows.partition_point(|&row| row < cloud.rows[*place as usize]) as u32;
+                }
+                Some(neighbour_divergence(
+                    fused.get(scale - finest)?.clone(),
+                    pairs,
+                ))
+            });
     terms.reduce(|sum, term| sum + term)
 }

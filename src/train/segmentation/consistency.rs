@@ -14,8 +14,16 @@ const LEAST_PROBABILITY: f64 = 1e-8;
 pub fn dropped_channels(pyramid: &Pyramid, rate: f64, seed: u64, index: usize) -> Vec<Vec<f32>> {
     let mut rng = stream(seed, Purpose::Dropout, index as u64);
     let kept = (1.0 - rate).recip() as f32;
-    let mut factors = |channels: usize| (0..channels).map(|_| if rng.random_bool(rate) { 0.0 } else { kept }).collect();
-    pyramid.levels.iter().map(|level| factors(level.features.dims()[1])).collect()
+    let mut factors = |channels: usize| {
+        (0..channels)
+            .map(|_| if rng.random_bool(rate) { 0.0 } else { kept })
+            .collect()
+    };
+    pyramid
+        .levels
+        .iter()
+        .map(|level| factors(level.features.dims()[1]))
+        .collect()
 }
 
 /// Mean over pixels of `kind` between `labels` and the mean of two predictions, and of `weight` times the Jensen-Shannon
@@ -27,7 +35,12 @@ pub fn dropped_channels(pyramid: &Pyramid, rate: f64, seed: u64, index: usize) -
 ///
 /// # Panics
 /// As [`label_loss`].
-pub fn generalised_js([a, b]: [Tensor<2>; 2], labels: &[u16], kind: &Kind, weight: f64) -> Tensor<1> {
+pub fn generalised_js(
+    [a, b]: [Tensor<2>; 2],
+    labels: &[u16],
+    kind: &Kind,
+    weight: f64,
+) -> Tensor<1> {
     let mean = (a.clone() + b.clone()) * 0.5;
     // softmax(log q) = q / sum q: the loss sees the mean itself
     let log_mean = (mean + LEAST_PROBABILITY).log();
@@ -36,6 +49,7 @@ pub fn generalised_js([a, b]: [Tensor<2>; 2], labels: &[u16], kind: &Kind, weigh
     if weight == 0.0 || pixels == 0 {
         return loss;
     }
-    let to_mean = |p: Tensor<2>| sum_all(p.clone() * ((p + LEAST_PROBABILITY).log() - log_mean.clone()));
+    let to_mean =
+        |p: Tensor<2>| sum_all(p.clone() * ((p + LEAST_PROBABILITY).log() - log_mean.clone()));
     loss + (to_mean(a) + to_mean(b)) * (0.5 * weight / pixels as f64)
 }

@@ -139,26 +139,45 @@ impl<'a> Fused<'a> {
     #[must_use]
     pub fn with_prior(mut self, prior: Vec<f32>) -> Self {
         let [count, classes] = self.plan.size;
-        assert_eq!(prior.len(), count * classes, "one prior score a Gaussian and class");
+        assert_eq!(
+            prior.len(),
+            count * classes,
+            "one prior score a Gaussian and class"
+        );
         self.decoder = self.decoder.map(Decoder::with_silent_start);
         let device = self.device.clone().inner();
-        self.prior = Some(Tensor::from_data(TensorData::new(prior, [count, classes]), &device));
+        self.prior = Some(Tensor::from_data(
+            TensorData::new(prior, [count, classes]),
+            &device,
+        ));
         self
     }
 
     /// Scores `[rows, C]` of hidden features of the scene's Gaussians `points`.
     fn scores(&self, decoder: &Decoder, hidden: Tensor<2>, points: &Rows) -> Tensor<2> {
         let scores = decoder.classify(hidden);
-        let Some(prior) = &self.prior else { return scores };
+        let Some(prior) = &self.prior else {
+            return scores;
+        };
         let prior = gather_rows(prior.clone(), points);
-        scores.clone() + if scores.device().is_autodiff() { Tensor::from_inner(prior) } else { prior }
+        scores.clone()
+            + if scores.device().is_autodiff() {
+                Tensor::from_inner(prior)
+            } else {
+                prior
+            }
     }
 
     fn prepare(&mut self, view: usize, visible: &[u32]) -> Result<Arc<Prepared>> {
         if let Some(prepared) = &self.prepared[view] {
             return Ok(prepared.clone());
         }
-        let prepared = Arc::new(Prepared::new(self.source.view(view), visible, self.means, &self.plan)?);
+        let prepared = Arc::new(Prepared::new(
+            self.source.view(view),
+            visible,
+            self.means,
+            &self.plan,
+        )?);
         // A GPU holds the maps between levels twice, by rows and by columns.
         let copies = if in_host_memory(&self.device) { 1 } else { 3 };
         if let Some(left) = self.budget.checked_sub(copies * prepared.bytes()) {
@@ -171,7 +190,9 @@ impl<'a> Fused<'a> {
     /// What this iteration samples of each regularised scale.
     fn sampled(&self, prepared: &Prepared) -> Sampled {
         let clouds = prepared.clouds.iter().zip(REGULARISED);
-        clouds.map(|(cloud, scale)| cloud.sample(&self.plan, scale, self.iteration)).collect()
+        clouds
+            .map(|(cloud, scale)| cloud.sample(&self.plan, scale, self.iteration))
+            .collect()
     }
 
     /// All visible Gaussians at once, a prediction for each of `factors`: the loss's graph reaches down to the parameters.
@@ -185,18 +206,33 @@ impl<'a> Fused<'a> {
         sampled: Sampled,
     ) -> Result<Prediction> {
         let pyramid = &self.source.view(view).pyramid;
-        let decoded: Vec<_> = factors.iter().map(|f| decoder.forward_scaled(pyramid, &part.kept, f)).collect();
-        let terms = REGULARISED.into_iter().zip(sampled).filter_map(|(scale, pairs)| {
-            Some(neighbour_divergence(decoded.first()?.fused.get(scale)?.clone(), pairs?))
-        });
+        let decoded: Vec<_> = factors
+            .iter()
+            .map(|f| decoder.forward_scaled(pyramid, &part.kept, f))
+            .collect();
+        let terms = REGULARISED
+            .into_iter()
+            .zip(sampled)
+            .filter_map(|(scale, pairs)| {
+                Some(neighbour_divergence(
+                    decoded.first()?.fused.get(scale)?.clone(),
+                    pairs?,
+                ))
+            });
         let regularisation = terms.reduce(|sum, term| sum + term);
-        let scores = decoded.into_iter().map(|decoded| match self.plan.config.blend {
-            // The last layer is linear: hidden features are blended and it is applied per pixel.
-            Blend::Logits if self.prior.is_none() => {
-                Ok(Scores::Pixels(decoder.classify(drawn.pixels.blend(decoded.hidden)?)))
-            }
-            blend => Scores::blended(self.scores(decoder, decoded.hidden, &part.gaussians), &drawn.pixels, blend),
-        });
+        let scores = decoded
+            .into_iter()
+            .map(|decoded| match self.plan.config.blend {
+                // The last layer is linear: hidden features are blended and it is applied per pixel.
+                Blend::Logits if self.prior.is_none() => Ok(Scores::Pixels(
+                    decoder.classify(drawn.pixels.blend(decoded.hidden)?),
+                )),
+                blend => Scores::blended(
+                    self.scores(decoder, decoded.hidden, &part.gaussians),
+                    &drawn.pixels,
+                    blend,
+                ),
+            });
         let scores: Vec<Scores> = scores.collect::<Result<_>>()?;
         Ok(self.prediction(scores, regularisation))
     }
@@ -204,7 +240,10 @@ impl<'a> Fused<'a> {
     /// One set of scores, or two.
     fn prediction(&self, scores: Vec<Scores>, regularisation: Option<Tensor<1>>) -> Prediction {
         match scores.into_iter().reduce(Scores::and) {
-            Some(scores) => Prediction { scores, regularisation },
+            Some(scores) => Prediction {
+                scores,
+                regularisation,
+            },
             None => Prediction::empty(self.plan.size[1], &self.device),
         }
     }
@@ -222,19 +261,31 @@ impl<'a> Fused<'a> {
         let frozen = decoder.valid();
         let sampled = self.sampled(&prepared);
         let first = factors.first().map_or(&[][..], |factors| factors);
-        let regularisation = chunked::regularisation(decoder, pyramid, first, &prepared.clouds, sampled);
+        let regularisation =
+            chunked::regularisation(decoder, pyramid, first, &prepared.clouds, sampled);
         let leaf = |factors: Vec<Vec<f32>>| {
             let parts = prepared.parts.iter().map(|part| {
                 let hidden = frozen.forward_scaled(pyramid, &part.kept, &factors).hidden;
                 self.scores(&frozen, hidden, &part.gaussians)
             });
-            (Tensor::from_inner(Tensor::cat(parts.collect(), 0)).require_grad(), factors)
+            (
+                Tensor::from_inner(Tensor::cat(parts.collect(), 0)).require_grad(),
+                factors,
+            )
         };
         let scores: Vec<_> = factors.into_iter().map(leaf).collect();
-        let blended =
-            scores.iter().map(|(scores, _)| Scores::blended(scores.clone(), &drawn.pixels, self.plan.config.blend));
+        let blended = scores.iter().map(|(scores, _)| {
+            Scores::blended(scores.clone(), &drawn.pixels, self.plan.config.blend)
+        });
         let blended: Vec<Scores> = blended.collect::<Result<_>>()?;
-        Ok((self.prediction(blended, regularisation), Waiting { view, prepared, scores }))
+        Ok((
+            self.prediction(blended, regularisation),
+            Waiting {
+                view,
+                prepared,
+                scores,
+            },
+        ))
     }
 
     /// Scores of the finest points, in chunks so that memory beside them does not grow with the scene.
@@ -243,9 +294,17 @@ impl<'a> Fused<'a> {
         let mut scores = Vec::with_capacity(count as usize * self.plan.size[1]);
         for first in (0..count).step_by(CHUNK) {
             let rows = (first..(first + CHUNK as u32).min(count)).collect::<Vec<_>>();
-            let points = Arc::new(encoded.points[first as usize..][..rows.len()].to_vec().into());
+            let points = Arc::new(
+                encoded.points[first as usize..][..rows.len()]
+                    .to_vec()
+                    .into(),
+            );
             let kept = Restriction::new(&encoded.pyramid, Arc::new(rows.into()));
-            let part = self.scores(decoder, decoder.forward(&encoded.pyramid, &kept).hidden, &points);
+            let part = self.scores(
+                decoder,
+                decoder.forward(&encoded.pyramid, &kept).hidden,
+                &points,
+            );
             scores.extend(optimiser::values(stored(part, self.plan.config.blend)));
         }
         scores
@@ -255,20 +314,35 @@ impl<'a> Fused<'a> {
 impl Model for Fused<'_> {
     fn predict(&mut self, view: usize, drawn: &Drawn) -> Result<Prediction> {
         let prepared = self.prepare(view, &drawn.visible)?;
-        let Some(decoder) = &self.decoder else { return Ok(Prediction::empty(self.plan.size[1], &self.device)) };
+        let Some(decoder) = &self.decoder else {
+            return Ok(Prediction::empty(self.plan.size[1], &self.device));
+        };
         // Factors of the channels of each prediction.
         let factors = match self.plan.dropout {
             None => vec![Vec::new()],
             Some(rate) => {
                 let pyramid = &self.source.view(view).pyramid;
                 let which = [2 * self.iteration, 2 * self.iteration + 1];
-                which.map(|index| dropped_channels(pyramid, rate, self.plan.seed, index)).into()
+                which
+                    .map(|index| dropped_channels(pyramid, rate, self.plan.seed, index))
+                    .into()
             }
         };
         let (prediction, waiting) = match &prepared.parts[..] {
-            [part] => (self.predict_whole(decoder, view, part, drawn, &factors, self.sampled(&prepared))?, None),
+            [part] => (
+                self.predict_whole(
+                    decoder,
+                    view,
+                    part,
+                    drawn,
+                    &factors,
+                    self.sampled(&prepared),
+                )?,
+                None,
+            ),
             _ => {
-                let (prediction, waiting) = self.predict_in_parts(decoder, view, prepared, drawn, factors)?;
+                let (prediction, waiting) =
+                    self.predict_in_parts(decoder, view, prepared, drawn, factors)?;
                 (prediction, Some(waiting))
             }
         };
@@ -286,7 +360,10 @@ impl Model for Fused<'_> {
             value = ModuleAdam::check(decoder, loss, gradients)?;
         }
         // taken, not cloned: buffers that nobody else holds are updated in place
-        self.decoder = self.decoder.take().map(|decoder| self.adam.step(decoder, gradients, factor));
+        self.decoder = self
+            .decoder
+            .take()
+            .map(|decoder| self.adam.step(decoder, gradients, factor));
         Ok(value)
     }
 
@@ -297,7 +374,11 @@ impl Model for Fused<'_> {
         let [count, classes] = self.plan.size;
         let scores = match self.source {
             Source::Scene(scene) => self.decode(&decoder, scene),
-            Source::Views { views, scene, weights } => {
+            Source::Views {
+                views,
+                scene,
+                weights,
+            } => {
                 // s_i = sum_v w_iv s_iv / sum_v w_iv; the whole-scene encoding where no view sees i.
                 let mut sums = vec![0.0_f32; count * classes];
                 let mut totals = vec![0.0_f32; count];
@@ -331,7 +412,12 @@ impl Model for Fused<'_> {
 
     fn state(&self) -> NamedValues {
         let mut state = self.adam.state();
-        state.extend(self.decoder.as_ref().map(optimiser::parameters).unwrap_or_default());
+        state.extend(
+            self.decoder
+                .as_ref()
+                .map(optimiser::parameters)
+                .unwrap_or_default(),
+        );
         state.push(("iteration".into(), vec![self.iteration as f32]));
         state
     }

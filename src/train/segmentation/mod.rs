@@ -63,7 +63,12 @@ impl Scores {
     ///
     /// # Errors
     /// Those of [`LabelledPixels::blend`].
-    pub fn loss(self, pixels: LabelledPixels, losses: &ClassLosses, consistency: f64) -> Result<Tensor<1>> {
+    pub fn loss(
+        self,
+        pixels: LabelledPixels,
+        losses: &ClassLosses,
+        consistency: f64,
+    ) -> Result<Tensor<1>> {
         Ok(match self {
             Self::Pixels(logits) => label_losses(logits, &pixels.labels, losses),
             Self::Gaussians(scores) => blended_label_loss(scores, Arc::new(pixels), losses)?,
@@ -81,7 +86,10 @@ impl Scores {
     fn probabilities_at(&self, pixels: &LabelledPixels, places: &[u32]) -> Result<Vec<f32>> {
         let probabilities = match self {
             Self::Pixels(logits) => {
-                let rows = TensorData::new(places.iter().map(|&p| i64::from(p)).collect::<Vec<_>>(), [places.len()]);
+                let rows = TensorData::new(
+                    places.iter().map(|&p| i64::from(p)).collect::<Vec<_>>(),
+                    [places.len()],
+                );
                 let rows = Tensor::<1, Int>::from_data(rows, &logits.device());
                 softmax(logits.clone().detach().select(0, rows), 1)
             }
@@ -177,7 +185,11 @@ impl Plan {
             loss,
             warmup,
             iterations: config.iterations,
-            least_recall: if matches!(loss, Kind::Gce { .. }) { config.least_recall } else { 0.0 },
+            least_recall: if matches!(loss, Kind::Gce { .. }) {
+                config.least_recall
+            } else {
+                0.0
+            },
             lambda: [config.lambda_pix, config.lambda_reg],
             // (1 - pi) / Z with the Z of Kind::Js
             consistency: -(-config.pi_rl).ln_1p().recip(),
@@ -192,7 +204,11 @@ impl Plan {
     /// Share of the learning rate in force at `iteration` (from 0).
     pub fn rate_factor(&self, iteration: usize) -> f64 {
         let done = iteration as f64 / self.iterations.max(1) as f64;
-        if self.decay { 0.01 + 0.99 * 0.5 * (1.0 + (std::f64::consts::PI * done).cos()) } else { 1.0 }
+        if self.decay {
+            0.01 + 0.99 * 0.5 * (1.0 + (std::f64::consts::PI * done).cos())
+        } else {
+            1.0
+        }
     }
 }
 
@@ -216,25 +232,51 @@ pub fn train_step(
     }
     let at = |error: Error| match error {
         Error::NonFinite { tensor, row, .. } => {
-            let context = format!(", view {}, segmentation iteration {iteration}", views.name(view));
-            Error::NonFinite { tensor, row, context }
+            let context = format!(
+                ", view {}, segmentation iteration {iteration}",
+                views.name(view)
+            );
+            Error::NonFinite {
+                tensor,
+                row,
+                context,
+            }
         }
         other => other,
     };
     let prediction = model.predict(view, &drawn).map_err(at)?;
-    let kind = if iteration < plan.warmup { Kind::Ce } else { plan.loss };
+    let kind = if iteration < plan.warmup {
+        Kind::Ce
+    } else {
+        plan.loss
+    };
     let mut losses = ClassLosses::from(kind);
     if plan.least_recall > 0.0 {
-        recalls.measure(&prediction.scores, &drawn.pixels, iteration).map_err(at)?;
+        recalls
+            .measure(&prediction.scores, &drawn.pixels, iteration)
+            .map_err(at)?;
         losses.shares = recalls.shares(plan.least_recall);
     }
-    let consistency = if iteration < plan.warmup { 0.0 } else { plan.consistency };
-    let loss = prediction.scores.loss(drawn.pixels, &losses, consistency).map_err(at)?;
+    let consistency = if iteration < plan.warmup {
+        0.0
+    } else {
+        plan.consistency
+    };
+    let loss = prediction
+        .scores
+        .loss(drawn.pixels, &losses, consistency)
+        .map_err(at)?;
     let mut loss = loss * plan.lambda[0];
     if let Some(regularisation) = prediction.regularisation {
         loss = loss + regularisation * plan.lambda[1];
     }
-    model.step(loss.clone().inner(), &mut loss.backward(), plan.rate_factor(iteration)).map_err(at)
+    model
+        .step(
+            loss.clone().inner(),
+            &mut loss.backward(),
+            plan.rate_factor(iteration),
+        )
+        .map_err(at)
 }
 
 /// Scores as they are stored.
@@ -248,6 +290,9 @@ fn stored(scores: Tensor<2>, blend: Blend) -> Tensor<2> {
 impl Prediction {
     /// No pixels.
     fn empty(classes: usize, device: &Device) -> Self {
-        Self { scores: Scores::Pixels(Tensor::zeros([0, classes], device)), regularisation: None }
+        Self {
+            scores: Scores::Pixels(Tensor::zeros([0, classes], device)),
+            regularisation: None,
+        }
     }
 }

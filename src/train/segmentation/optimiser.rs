@@ -28,13 +28,22 @@ const EPSILON: f64 = 1e-8;
 impl ModuleAdam {
     /// Fresh state.
     pub fn new(rate: f64) -> Self {
-        Self { rate, steps: 0, moments: Vec::new(), average_from: None, averages: Vec::new() }
+        Self {
+            rate,
+            steps: 0,
+            moments: Vec::new(),
+            average_from: None,
+            averages: Vec::new(),
+        }
     }
 
     /// Keeps the mean of the parameters over all steps after the first `from` (Polyak and Juditsky 1992).
     #[must_use]
     pub fn averaging(self, from: usize) -> Self {
-        Self { average_from: Some(from as i32), ..self }
+        Self {
+            average_from: Some(from as i32),
+            ..self
+        }
     }
 
     /// `module` with the mean of its parameters; as it is where nothing was averaged yet.
@@ -44,8 +53,11 @@ impl ModuleAdam {
             return module;
         }
         let name = |i: usize| format!("p.{i}");
-        let means: std::collections::HashMap<_, _> =
-            averages.into_iter().enumerate().map(|(i, mean)| (name(i), values(mean))).collect();
+        let means: std::collections::HashMap<_, _> = averages
+            .into_iter()
+            .enumerate()
+            .map(|(i, mean)| (name(i), values(mean)))
+            .collect();
         with_parameters(module.clone(), &|name| means.get(name).cloned()).unwrap_or(module)
     }
 
@@ -56,7 +68,11 @@ impl ModuleAdam {
     /// the device fails.
     pub fn check<M: Module>(module: &M, loss: Tensor<1>, gradients: &Gradients) -> Result<f32> {
         let mut check = FiniteCheck::default();
-        module.visit(&mut Look { gradients, path: Vec::new(), at: &mut |_, gradient| check.add(&gradient) });
+        module.visit(&mut Look {
+            gradients,
+            path: Vec::new(),
+            at: &mut |_, gradient| check.add(&gradient),
+        });
         let (value, finite) = check.read(loss)?;
         if !value.is_finite() {
             return Err(Error::non_finite("segmentation loss", 0));
@@ -68,7 +84,11 @@ impl ModuleAdam {
                     bad = find_non_finite(&path.join("."), &gradient);
                 }
             };
-            module.visit(&mut Look { gradients, path: Vec::new(), at: &mut find });
+            module.visit(&mut Look {
+                gradients,
+                path: Vec::new(),
+                at: &mut find,
+            });
         }
         bad.map(|()| value)
     }
@@ -78,8 +98,19 @@ impl ModuleAdam {
         self.steps += 1;
         let [beta1, beta2] = BETAS;
         let rates = vec![self.rate * factor];
-        let step = Arc::new(AdamStep { rates, beta1, beta2, epsilon: EPSILON, step: self.steps as u32 });
-        module.map(&mut Step { adam: self, gradients, step, place: 0 })
+        let step = Arc::new(AdamStep {
+            rates,
+            beta1,
+            beta2,
+            epsilon: EPSILON,
+            step: self.steps as u32,
+        });
+        module.map(&mut Step {
+            adam: self,
+            gradients,
+            step,
+            place: 0,
+        })
     }
 
     /// Moments and step count, named `m.0`, `v.0`, ... and `steps`.
@@ -102,12 +133,14 @@ impl ModuleAdam {
         device: &burn::tensor::Device,
     ) -> Option<Self> {
         let plain = device.clone().inner();
-        let tensor = |v: Vec<f32>| Tensor::<1>::from_data(TensorData::new(v.clone(), [v.len()]), &plain);
+        let tensor =
+            |v: Vec<f32>| Tensor::<1>::from_data(TensorData::new(v.clone(), [v.len()]), &plain);
         self.steps = *state("steps")?.first()? as i32;
         self.moments.clear();
-        while let (Some(m), Some(v)) =
-            (state(&format!("m.{}", self.moments.len())), state(&format!("v.{}", self.moments.len())))
-        {
+        while let (Some(m), Some(v)) = (
+            state(&format!("m.{}", self.moments.len())),
+            state(&format!("v.{}", self.moments.len())),
+        ) {
             self.moments.push(Some([tensor(m), tensor(v)]));
         }
         self.averages.clear();
@@ -120,7 +153,13 @@ impl ModuleAdam {
 
 impl ModuleAdam {
     fn average(&mut self, place: usize, value: Tensor<1>) {
-        let Some(count) = self.average_from.map(|from| self.steps - from).filter(|count| *count > 0) else { return };
+        let Some(count) = self
+            .average_from
+            .map(|from| self.steps - from)
+            .filter(|count| *count > 0)
+        else {
+            return;
+        };
         match self.averages.get_mut(place) {
             Some(mean) => {
                 // taken, not cloned: a buffer that nobody else holds is updated in place
@@ -134,7 +173,11 @@ impl ModuleAdam {
 
 /// Host values of a tensor, flattened.
 pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().convert::<f32>().into_vec().unwrap_or_default()
+    tensor
+        .into_data()
+        .convert::<f32>()
+        .into_vec()
+        .unwrap_or_default()
 }
 
 struct Step<'a> {
@@ -161,10 +204,19 @@ impl ModuleMapper for Step<'_> {
             let g = gradient.flatten::<1>(0, D - 1);
             // taken, not cloned: buffers that nobody else holds are updated in place
             let moments = self.adam.moments[place].take();
-            let [first, second] = moments.unwrap_or_else(|| [param.zeros_like(), param.zeros_like()]);
+            let [first, second] =
+                moments.unwrap_or_else(|| [param.zeros_like(), param.zeros_like()]);
             drop(tensor);
-            let state = AdamTensors { param, first, second };
-            let AdamTensors { param, first, second } = adam_step(state, g, &self.step);
+            let state = AdamTensors {
+                param,
+                first,
+                second,
+            };
+            let AdamTensors {
+                param,
+                first,
+                second,
+            } = adam_step(state, g, &self.step);
             self.adam.moments[place] = Some([first, second]);
             self.adam.average(place, param.clone());
             let moved = param.reshape(shape);
@@ -189,7 +241,10 @@ impl ModuleVisitor for Look<'_> {
     }
     fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
         if let Some(gradient) = param.val().grad(self.gradients) {
-            let (rows, count) = (gradient.dims()[0].max(1), gradient.dims().iter().product::<usize>());
+            let (rows, count) = (
+                gradient.dims()[0].max(1),
+                gradient.dims().iter().product::<usize>(),
+            );
             (self.at)(&self.path, gradient.reshape([rows, count / rows]));
         }
     }
@@ -201,7 +256,9 @@ pub fn add_gradients<M: Module>(module: &M, part: &mut Gradients, gradients: &mu
     impl ModuleVisitor for Add<'_> {
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
             let ([part, gradients], param) = (&mut self.0, param.val());
-            let Some(more) = param.grad_remove(part) else { return };
+            let Some(more) = param.grad_remove(part) else {
+                return;
+            };
             let sum = match param.grad_remove(gradients) {
                 Some(sum) => sum + more,
                 None => more,
@@ -217,7 +274,8 @@ pub fn parameters<M: Module>(module: &M) -> NamedValues {
     struct Read(NamedValues);
     impl ModuleVisitor for Read {
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            self.0.push((format!("p.{}", self.0.len()), values(param.val())));
+            self.0
+                .push((format!("p.{}", self.0.len()), values(param.val())));
         }
     }
     let mut read = Read(Vec::new());
@@ -226,7 +284,10 @@ pub fn parameters<M: Module>(module: &M) -> NamedValues {
 }
 
 /// The module with the parameters that [`parameters`] gave; `None` when one is missing or has another length.
-pub fn with_parameters<M: Module>(module: M, state: &dyn Fn(&str) -> Option<Vec<f32>>) -> Option<M> {
+pub fn with_parameters<M: Module>(
+    module: M,
+    state: &dyn Fn(&str) -> Option<Vec<f32>>,
+) -> Option<M> {
     struct Write<'a> {
         state: &'a dyn Fn(&str) -> Option<Vec<f32>>,
         place: usize,
@@ -242,7 +303,11 @@ pub fn with_parameters<M: Module>(module: M, state: &dyn Fn(&str) -> Option<Vec<
                     Some(v) => {
                         let device = tensor.device().inner();
                         let fresh = Tensor::<D>::from_data(TensorData::new(v, shape), &device);
-                        if tensor.is_require_grad() { Tensor::from_inner(fresh).require_grad() } else { fresh }
+                        if tensor.is_require_grad() {
+                            Tensor::from_inner(fresh).require_grad()
+                        } else {
+                            fresh
+                        }
                     }
                     None => {
                         self.complete = false;
@@ -252,7 +317,11 @@ pub fn with_parameters<M: Module>(module: M, state: &dyn Fn(&str) -> Option<Vec<
             })
         }
     }
-    let mut write = Write { state, place: 0, complete: true };
+    let mut write = Write {
+        state,
+        place: 0,
+        complete: true,
+    };
     let module = module.map(&mut write);
     write.complete.then_some(module)
 }

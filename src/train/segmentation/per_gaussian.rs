@@ -28,7 +28,13 @@ impl PerGaussian {
     /// Zero logits for `size` = Gaussians x classes, on an autodiff `device`.
     pub fn new(size: [usize; 2], rate: f64, blend: Blend, device: &Device) -> Self {
         let scores = Param::from_tensor(Tensor::zeros(size, device));
-        Self { logits: Some(Logits { scores }), adam: ModuleAdam::new(rate), size, blend, device: device.clone() }
+        Self {
+            logits: Some(Logits { scores }),
+            adam: ModuleAdam::new(rate),
+            size,
+            blend,
+            device: device.clone(),
+        }
     }
 
     fn scores(&self) -> Tensor<2> {
@@ -41,20 +47,35 @@ impl PerGaussian {
 
 impl Model for PerGaussian {
     fn predict(&mut self, _view: usize, drawn: &Drawn) -> Result<Prediction> {
-        let scores = Scores::blended(gather_rows(self.scores(), &drawn.visible), &drawn.pixels, self.blend)?;
-        Ok(Prediction { scores, regularisation: None })
+        let scores = Scores::blended(
+            gather_rows(self.scores(), &drawn.visible),
+            &drawn.pixels,
+            self.blend,
+        )?;
+        Ok(Prediction {
+            scores,
+            regularisation: None,
+        })
     }
 
     fn step(&mut self, loss: Tensor<1>, gradients: &mut Gradients, factor: f64) -> Result<f32> {
-        let Some(logits) = &self.logits else { return Ok(f32::NAN) };
+        let Some(logits) = &self.logits else {
+            return Ok(f32::NAN);
+        };
         let value = ModuleAdam::check(logits, loss, gradients)?;
         // taken, not cloned: buffers that nobody else holds are updated in place
-        self.logits = self.logits.take().map(|logits| self.adam.step(logits, gradients, factor));
+        self.logits = self
+            .logits
+            .take()
+            .map(|logits| self.adam.step(logits, gradients, factor));
         Ok(value)
     }
 
     fn identities(&mut self) -> Result<Identities> {
-        Ok(Identities { scores: optimiser::values(stored(self.scores().inner(), self.blend)), classes: self.size[1] })
+        Ok(Identities {
+            scores: optimiser::values(stored(self.scores().inner(), self.blend)),
+            classes: self.size[1],
+        })
     }
 
     fn learnable_bytes(&self) -> usize {
@@ -63,7 +84,12 @@ impl Model for PerGaussian {
 
     fn state(&self) -> NamedValues {
         let mut state = self.adam.state();
-        state.extend(self.logits.as_ref().map(optimiser::parameters).unwrap_or_default());
+        state.extend(
+            self.logits
+                .as_ref()
+                .map(optimiser::parameters)
+                .unwrap_or_default(),
+        );
         state
     }
 

@@ -50,7 +50,12 @@ impl Prepared {
     ///
     /// # Errors
     /// [`crate::Error::NonFinite`] naming a centre.
-    pub fn new(encoded: &Encoded, visible: &[u32], means: &[[f32; 3]], plan: &FusedPlan) -> Result<Self> {
+    pub fn new(
+        encoded: &Encoded,
+        visible: &[u32],
+        means: &[[f32; 3]],
+        plan: &FusedPlan,
+    ) -> Result<Self> {
         let row = |g: &u32| encoded.points.binary_search(g).ok().map(|row| row as u32);
         let rows: Vec<u32> = visible.iter().filter_map(row).collect();
         let of = |rows: Range<usize>, finest: Vec<u32>| Part {
@@ -63,7 +68,10 @@ impl Prepared {
                 // Parts of one size instead of a small one at the end.
                 let size = rows.len().div_ceil(rows.len().div_ceil(chunk));
                 let starts = (0..rows.len()).step_by(size);
-                starts.zip(rows.chunks(size)).map(|(at, rows)| of(at..at + rows.len(), rows.to_vec())).collect()
+                starts
+                    .zip(rows.chunks(size))
+                    .map(|(at, rows)| of(at..at + rows.len(), rows.to_vec()))
+                    .collect()
             }
             _ => vec![of(0..rows.len(), rows)],
         };
@@ -71,7 +79,8 @@ impl Prepared {
         for (cloud, scale) in clouds.iter_mut().zip(REGULARISED) {
             if let (true, Some(level)) = (plan.regularised, encoded.pyramid.levels.get(scale)) {
                 cloud.rows = together(&parts, scale);
-                let at = |&r: &u32| means[encoded.points[level.points[r as usize] as usize] as usize];
+                let at =
+                    |&r: &u32| means[encoded.points[level.points[r as usize] as usize] as usize];
                 let centres: Vec<[f32; 3]> = cloud.rows.iter().map(at).collect();
                 cloud.neighbours = without_self(&centres, plan.config.reg_neighbours)?;
             }
@@ -81,20 +90,37 @@ impl Prepared {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        let clouds = self.clouds.iter().map(|cloud| 4 * (cloud.rows.len() + cloud.neighbours.len()));
-        self.parts.iter().map(|part| 4 * part.gaussians.len() + part.kept.bytes()).chain(clouds).sum()
+        let clouds = self
+            .clouds
+            .iter()
+            .map(|cloud| 4 * (cloud.rows.len() + cloud.neighbours.len()));
+        self.parts
+            .iter()
+            .map(|part| 4 * part.gaussians.len() + part.kept.bytes())
+            .chain(clouds)
+            .sum()
     }
 }
 
 impl Cloud {
     /// The sampled points of `iteration` at `scale` with their neighbours, as positions in [`Cloud::rows`].
-    pub fn sample(&self, plan: &FusedPlan, scale: usize, iteration: usize) -> Option<NeighbourPairs> {
+    pub fn sample(
+        &self,
+        plan: &FusedPlan,
+        scale: usize,
+        iteration: usize,
+    ) -> Option<NeighbourPairs> {
         let (points, k) = (self.rows.len(), plan.config.reg_neighbours);
         if self.neighbours.len() != points * k || points < 2 {
             return None;
         }
-        let mut rng = stream(plan.seed, Purpose::Regularisation, (iteration * 4 + scale) as u64);
-        let chosen = rand::seq::index::sample(&mut rng, points, plan.config.reg_samples.min(points));
+        let mut rng = stream(
+            plan.seed,
+            Purpose::Regularisation,
+            (iteration * 4 + scale) as u64,
+        );
+        let chosen =
+            rand::seq::index::sample(&mut rng, points, plan.config.reg_samples.min(points));
         let chosen = chosen.iter().map(|i| i as u32).collect();
         Some(NeighbourPairs::new(chosen, &self.neighbours, k))
     }

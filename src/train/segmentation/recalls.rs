@@ -31,19 +31,30 @@ impl Recalls {
 
     /// The part of its robustness that a loss keeps, by class: all of it from a recall of `least` on.
     pub fn shares(&self, least: f64) -> Vec<f64> {
-        self.0.iter().map(|&recall| (recall / least).min(1.0)).collect()
+        self.0
+            .iter()
+            .map(|&recall| (recall / least).min(1.0))
+            .collect()
     }
 
     /// Takes up what `scores` say of `pixels`, at the iterations where that is done.
     ///
     /// # Errors
     /// Those of [`LabelledPixels::blend`] and of reading from the device.
-    pub fn measure(&mut self, scores: &Scores, pixels: &LabelledPixels, iteration: usize) -> Result<()> {
+    pub fn measure(
+        &mut self,
+        scores: &Scores,
+        pixels: &LabelledPixels,
+        iteration: usize,
+    ) -> Result<()> {
         if !iteration.is_multiple_of(EVERY) {
             return Ok(());
         }
         let chosen = some_of_each(&pixels.labels, self.0.len());
-        let labels: Vec<u16> = chosen.iter().map(|&place| pixels.labels[place as usize]).collect();
+        let labels: Vec<u16> = chosen
+            .iter()
+            .map(|&place| pixels.labels[place as usize])
+            .collect();
         if chosen.is_empty() {
             return Ok(());
         }
@@ -54,8 +65,11 @@ impl Recalls {
             *sum += f64::from(row[usize::from(label)]);
             *count += 1.0;
         }
-        for (recall, (sum, count)) in
-            self.0.iter_mut().zip(sums).filter(|(_, (sum, count))| sum.is_finite() && *count > 0.0)
+        for (recall, (sum, count)) in self
+            .0
+            .iter_mut()
+            .zip(sums)
+            .filter(|(_, (sum, count))| sum.is_finite() && *count > 0.0)
         {
             *recall += (count / WEIGHT).min(FASTEST) * (sum / count - *recall);
         }
@@ -85,11 +99,27 @@ mod tests {
 
     #[test]
     fn pixels_are_spread_over_each_class() {
-        let labels: Vec<u16> = (0..3000).map(|i| if i % 3 == 0 { UNLABELLED } else { u16::from(i >= 2990) }).collect();
+        let labels: Vec<u16> = (0..3000)
+            .map(|i| {
+                if i % 3 == 0 {
+                    UNLABELLED
+                } else {
+                    u16::from(i >= 2990)
+                }
+            })
+            .collect();
         let chosen = some_of_each(&labels, 3);
-        let count = |class| chosen.iter().filter(|&&place| labels[place as usize] == class).count();
+        let count = |class| {
+            chosen
+                .iter()
+                .filter(|&&place| labels[place as usize] == class)
+                .count()
+        };
         assert_eq!((count(0), count(1), count(UNLABELLED)), (PIXELS, 7, 0));
-        assert!(chosen.is_sorted() && chosen[0] < 10 && chosen[PIXELS - 1] > 2900, "{chosen:?}");
+        assert!(
+            chosen.is_sorted() && chosen[0] < 10 && chosen[PIXELS - 1] > 2900,
+            "{chosen:?}"
+        );
         assert!(some_of_each(&[UNLABELLED; 4], 2).is_empty());
     }
 
@@ -111,7 +141,14 @@ mod tests {
             // Of the one Gaussian behind all pixels.
             let scores = Scores::Gaussians(Tensor::<2>::from_data([logits], &device));
             (0..steps).for_each(|i| recalls.measure(&scores, &pixels, i).unwrap());
-            (recalls.shares(0.3).iter().map(|&share| share < 1.0).collect::<Vec<_>>(), recalls.0.clone())
+            (
+                recalls
+                    .shares(0.3)
+                    .iter()
+                    .map(|&share| share < 1.0)
+                    .collect::<Vec<_>>(),
+                recalls.0.clone(),
+            )
         };
         let (below, values) = learn([5.0, 0.0, -5.0], 300);
         assert_eq!(below, [false, false, true], "{values:?}");

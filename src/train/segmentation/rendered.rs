@@ -9,15 +9,30 @@ use std::sync::Arc;
 
 /// What is left of the background at every pixel of `view`, and the Gaussians that some pixel shows for which `wanted` says so
 /// from its number and transmittance.
-pub(super) fn visible(view: &SplatView, wanted: impl Fn(usize, f32) -> bool) -> Result<(Vec<f32>, Vec<u32>)> {
+pub(super) fn visible(
+    view: &SplatView,
+    wanted: impl Fn(usize, f32) -> bool,
+) -> Result<(Vec<f32>, Vec<u32>)> {
     let (camera, device) = (view.camera(), view.splats().means.device());
     // Next to nothing is blended: the transmittance is what is asked for.
     let nothing = Tensor::<2>::zeros([view.splats().len(), 1], &device);
     let transmittance = read("transmittance", view.blend(nothing)?.1)?;
-    let mask = transmittance.iter().enumerate().map(|(pixel, &t)| f32::from(u8::from(wanted(pixel, t)))).collect();
+    let mask = transmittance
+        .iter()
+        .enumerate()
+        .map(|(pixel, &t)| f32::from(u8::from(wanted(pixel, t))))
+        .collect();
     let mask = TensorData::new::<f32, _>(mask, [camera.height, camera.width, 1]);
-    let weights = read("weights", view.adjoint(Tensor::from_data(mask, &device))?.sums)?;
-    let visible = weights.iter().zip(0..).filter(|(weight, _)| **weight > 0.0).map(|(_, i)| i).collect();
+    let weights = read(
+        "weights",
+        view.adjoint(Tensor::from_data(mask, &device))?.sums,
+    )?;
+    let visible = weights
+        .iter()
+        .zip(0..)
+        .filter(|(weight, _)| **weight > 0.0)
+        .map(|(_, i)| i)
+        .collect();
     Ok((transmittance, visible))
 }
 

@@ -62,29 +62,60 @@ pub fn train(
     progress: &mut dyn Progress,
 ) -> Result<Session> {
     let mut place = match &pace.checkpoint {
-        Some(path) if path.is_file() => restore(model, views.classes(), &pace.provenance, plan.iterations, path)?,
-        _ => Place { iteration: 0, curve: Vec::new(), running: [0.0; 3], recalls: Recalls::new(views.classes()) },
+        Some(path) if path.is_file() => restore(
+            model,
+            views.classes(),
+            &pace.provenance,
+            plan.iterations,
+            path,
+        )?,
+        _ => Place {
+            iteration: 0,
+            curve: Vec::new(),
+            running: [0.0; 3],
+            recalls: Recalls::new(views.classes()),
+        },
     };
     let earlier = place.running[0];
     let gaussians = views.gaussians();
-    progress.event(&Event::Started { stage: pace.row, done: place.iteration, iterations: plan.iterations });
+    progress.event(&Event::Started {
+        stage: pace.row,
+        done: place.iteration,
+        iterations: plan.iterations,
+    });
     while place.iteration < plan.iterations {
         let clock = Instant::now();
-        let loss = f64::from(train_step(model, views, plan, &mut place.recalls, place.iteration)?);
+        let loss = f64::from(train_step(
+            model,
+            views,
+            plan,
+            &mut place.recalls,
+            place.iteration,
+        )?);
         place.iteration += 1;
         let iteration = place.iteration;
         place.running[0] += clock.elapsed().as_secs_f64();
         place.running[1] += loss;
         place.running[2] += 1.0;
-        progress.event(&Event::Step { iteration, loss, gaussians });
+        progress.event(&Event::Step {
+            iteration,
+            loss,
+            gaussians,
+        });
         let stop = progress.stop();
         let end = iteration == plan.iterations;
         // No point for a stop: the curve of a resumed run is that of an uninterrupted one.
         if end || iteration.is_multiple_of(pace.eval_every.max(1)) {
             let [seconds, sum, count] = place.running;
             let miou = score(model, iteration)?;
-            let point =
-                CurvePoint { iteration, seconds, loss: sum / count.max(1.0), miou, gaussians, ..CurvePoint::default() };
+            let point = CurvePoint {
+                iteration,
+                seconds,
+                loss: sum / count.max(1.0),
+                miou,
+                gaussians,
+                ..CurvePoint::default()
+            };
             place.running = [seconds, 0.0, 0.0];
             place.curve.push(point);
             progress.event(&Event::Evaluated(point));
@@ -103,7 +134,11 @@ pub fn train(
     if whole {
         progress.event(&Event::Finished);
     }
-    Ok(Session { curve: place.curve, earlier, whole })
+    Ok(Session {
+        curve: place.curve,
+        earlier,
+        whole,
+    })
 }
 
 const KIND: &str = "segmentation row";
@@ -116,7 +151,13 @@ fn save(model: &dyn Model, provenance: &Provenance, path: &Path, place: &Place) 
     checkpoint.put("running", &[3], place.running.to_vec())?;
     checkpoint.put("recalls", &[place.recalls.0.len()], place.recalls.0.clone())?;
     let state = model.state();
-    checkpoint.set("tensors", &state.iter().map(|(name, v)| (name.clone(), v.len())).collect::<Vec<_>>())?;
+    checkpoint.set(
+        "tensors",
+        &state
+            .iter()
+            .map(|(name, v)| (name.clone(), v.len()))
+            .collect::<Vec<_>>(),
+    )?;
     for (name, values) in state {
         checkpoint.put(name, &[values.len()], values)?;
     }
@@ -131,7 +172,8 @@ fn restore(
     path: &Path,
 ) -> Result<Place> {
     let mut checkpoint = Checkpoint::load(path, KIND)?;
-    let (stored, iteration): (Provenance, usize) = (checkpoint.get("provenance")?, checkpoint.get("iteration")?);
+    let (stored, iteration): (Provenance, usize) =
+        (checkpoint.get("provenance")?, checkpoint.get("iteration")?);
     provenance.check(&stored, iteration == iterations, path)?;
     let tensors: Vec<(String, usize)> = checkpoint.get("tensors")?;
     let mut state = std::collections::HashMap::new();
@@ -140,7 +182,11 @@ fn restore(
         state.insert(name, values);
     }
     if model.restore(&|name| state.get(name).cloned()).is_none() {
-        return Err(checkpoint.wrong("tensors", "those of another model", "parameters and moments of this row"));
+        return Err(checkpoint.wrong(
+            "tensors",
+            "those of another model",
+            "parameters and moments of this row",
+        ));
     }
     let running: Vec<f64> = checkpoint.take("running", &[3])?;
     let running = [running[0], running[1], running[2]];
@@ -154,5 +200,10 @@ fn restore(
         // Scores by another rule than this run's.
         curve.iter_mut().for_each(|point| point.miou = None);
     }
-    Ok(Place { iteration, curve, running, recalls })
+    Ok(Place {
+        iteration,
+        curve,
+        running,
+        recalls,
+    })
 }

@@ -63,15 +63,29 @@ impl LabelledView {
         let draw = || {
             let drawn = sample();
             let (pixels, labels) = self.pixels(&drawn);
-            (Arc::new(rows(drawn, pixels).into()), Arc::new(labels.into()))
+            (
+                Arc::new(rows(drawn, pixels).into()),
+                Arc::new(labels.into()),
+            )
         };
-        let (rows, labels) = if keep { self.all.get_or_init(draw).clone() } else { draw() };
-        LabelledPixels { weights, rows, labels }
+        let (rows, labels) = if keep {
+            self.all.get_or_init(draw).clone()
+        } else {
+            draw()
+        };
+        LabelledPixels {
+            weights,
+            rows,
+            labels,
+        }
     }
 
     /// Pixel and class index of the labelled, covered pixels `rows`, which ascend.
     fn pixels(&self, rows: &[u32]) -> (Vec<u32>, Vec<u16>) {
-        let (mut pixels, mut labels) = (Vec::with_capacity(rows.len()), Vec::with_capacity(rows.len()));
+        let (mut pixels, mut labels) = (
+            Vec::with_capacity(rows.len()),
+            Vec::with_capacity(rows.len()),
+        );
         let mut rows = rows.iter().map(|&row| row as usize).peekable();
         let (mut pixel, mut row) = (0, 0);
         for (label, length) in self.labels.runs() {
@@ -169,7 +183,11 @@ impl<'a> TrainingViews<'a> {
 
     /// The views left out.
     pub fn held_back(&self) -> impl Iterator<Item = &'a View> {
-        self.views.iter().enumerate().filter(|(i, _)| self.used.binary_search(i).is_err()).map(|(_, view)| *view)
+        self.views
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| self.used.binary_search(i).is_err())
+            .map(|(_, view)| *view)
     }
 
     /// The view of `iteration`: those in use in a fresh shuffle every epoch, a function of (seed, iteration) alone.
@@ -198,7 +216,13 @@ impl<'a> TrainingViews<'a> {
         let used = self.used.iter().map(|&i| self.views[i]);
         let votes = match self.votes.take() {
             Some(votes) => votes,
-            None => Arc::new(vote(self.gaussians, used, self.classes, &self.settings, &self.device)?),
+            None => Arc::new(vote(
+                self.gaussians,
+                used,
+                self.classes,
+                &self.settings,
+                &self.device,
+            )?),
         };
         self.votes = self.keep_votes.then(|| votes.clone());
         Ok(votes)
@@ -243,12 +267,25 @@ impl<'a> TrainingViews<'a> {
         let keep = share >= 1.0 && self.keeps_pixels(&view);
         let mut sample = || view.sample(share, rng);
         let pixels = match kept {
-            Kept::Weights(weights) => view.labelled(PixelWeights::Stored(weights), keep, sample, |rows, _| rows),
-            Kept::OnDevice(kept) => view.labelled(PixelWeights::Rendered(kept), keep, sample, |_, pixels| pixels),
+            Kept::Weights(weights) => {
+                view.labelled(PixelWeights::Stored(weights), keep, sample, |rows, _| rows)
+            }
+            Kept::OnDevice(kept) => {
+                view.labelled(PixelWeights::Rendered(kept), keep, sample, |_, pixels| {
+                    pixels
+                })
+            }
             Kept::Nothing => {
                 let (pixels, labels) = view.pixels(&sample());
-                let weights = Arc::new(self.normalised_weights(index, &pixels)?.over_columns(&visible));
-                LabelledPixels::new(PixelWeights::Stored(weights), (0..pixels.len() as u32).collect(), labels)
+                let weights = Arc::new(
+                    self.normalised_weights(index, &pixels)?
+                        .over_columns(&visible),
+                );
+                LabelledPixels::new(
+                    PixelWeights::Stored(weights),
+                    (0..pixels.len() as u32).collect(),
+                    labels,
+                )
             }
         };
         Ok(Drawn { visible, pixels })
@@ -261,24 +298,43 @@ impl<'a> TrainingViews<'a> {
             Kept::Weights(_) => PIXEL * view.count,
             Kept::OnDevice(_) => DEVICE_PIXEL * view.count,
         };
-        let left = if view.all.get().is_some() { Some(self.budget) } else { self.budget.checked_sub(bytes) };
+        let left = if view.all.get().is_some() {
+            Some(self.budget)
+        } else {
+            self.budget.checked_sub(bytes)
+        };
         self.budget = left.unwrap_or(self.budget);
         left.is_some()
     }
 
     /// Weights of `pixels` of view `index` over all Gaussians; rows of barely covered pixels are empty.
     fn normalised_weights(&self, index: usize, pixels: &[u32]) -> Result<SparseMatrix> {
-        let projected = Projected::new(&self.gaussians.splats(), &self.views[index].camera, &self.settings)?;
-        Ok(projected.weights(Some(pixels)).normalised(self.min_coverage))
+        let projected = Projected::new(
+            &self.gaussians.splats(),
+            &self.views[index].camera,
+            &self.settings,
+        )?;
+        Ok(projected
+            .weights(Some(pixels))
+            .normalised(self.min_coverage))
     }
 
     /// Class index of the raw label of each pixel of view `index`, [`UNLABELLED`] where it has none.
     fn raw_classes(&self, index: usize) -> LabelMap {
         let lookup = self.classes.lookup();
         let camera = &self.views[index].camera;
-        let none = || LabelMap { width: camera.width, height: camera.height, ids: Vec::new() };
-        let mut map = self.views[index].raw.as_ref().map_or_else(none, LabelRuns::map);
-        map.ids.iter_mut().for_each(|id| *id = lookup[usize::from(*id)]);
+        let none = || LabelMap {
+            width: camera.width,
+            height: camera.height,
+            ids: Vec::new(),
+        };
+        let mut map = self.views[index]
+            .raw
+            .as_ref()
+            .map_or_else(none, LabelRuns::map);
+        map.ids
+            .iter_mut()
+            .for_each(|id| *id = lookup[usize::from(*id)]);
         map
     }
 
@@ -287,11 +343,23 @@ impl<'a> TrainingViews<'a> {
         let mut map = self.raw_classes(index);
         let covered = |pixel: usize, t: f32| {
             let coverage = 1.0 - t;
-            map.ids.get(pixel).is_some_and(|&c| c != UNLABELLED) && coverage >= self.min_coverage && coverage > 0.0
+            map.ids.get(pixel).is_some_and(|&c| c != UNLABELLED)
+                && coverage >= self.min_coverage
+                && coverage > 0.0
         };
-        let (transmittance, visible) = visible(&splats.seen_by(&self.views[index].camera, &self.settings), covered)?;
-        let kept: Vec<bool> = transmittance.iter().enumerate().map(|(pixel, &t)| covered(pixel, t)).collect();
-        map.ids.iter_mut().zip(&kept).for_each(|(class, kept)| *class = if *kept { *class } else { UNLABELLED });
+        let (transmittance, visible) = visible(
+            &splats.seen_by(&self.views[index].camera, &self.settings),
+            covered,
+        )?;
+        let kept: Vec<bool> = transmittance
+            .iter()
+            .enumerate()
+            .map(|(pixel, &t)| covered(pixel, t))
+            .collect();
+        map.ids
+            .iter_mut()
+            .zip(&kept)
+            .for_each(|(class, kept)| *class = if *kept { *class } else { UNLABELLED });
         let count = kept.iter().filter(|kept| **kept).count();
         let entries = Arc::default();
         let kept = match self.budget.checked_sub(RenderedView::bytes(visible.len())) {
@@ -302,7 +370,14 @@ impl<'a> TrainingViews<'a> {
             None => Kept::Nothing,
         };
         let (visible, labels) = (Arc::new(visible.into()), LabelRuns::from(map));
-        let view = LabelledView { visible, labels, count, kept, entries, all: OnceLock::new() };
+        let view = LabelledView {
+            visible,
+            labels,
+            count,
+            kept,
+            entries,
+            all: OnceLock::new(),
+        };
         Ok(self.seen[index].insert(Arc::new(view)).clone())
     }
 
@@ -314,37 +389,72 @@ impl<'a> TrainingViews<'a> {
         visible: &[u32],
         entries: &Arc<OnceLock<usize>>,
     ) -> RenderedView {
-        RenderedView(splats.select(visible).seen_again_by(&self.views[index].camera, &self.settings, entries))
+        RenderedView(splats.select(visible).seen_again_by(
+            &self.views[index].camera,
+            &self.settings,
+            entries,
+        ))
     }
 
     /// Finds the labelled, covered pixels of view `index`; their weights are kept where the budget allows it. Weights of a band
     /// of pixels are made at a time, so that a large photo takes no more memory than what is kept of it.
     fn look(&mut self, index: usize) -> Result<Arc<LabelledView>> {
         let map = self.raw_classes(index);
-        let labelled: Vec<u32> = (0..map.ids.len() as u32).filter(|&p| map.ids[p as usize] != UNLABELLED).collect();
-        let projected = Projected::new(&self.gaussians.splats(), &self.views[index].camera, &self.settings)?;
+        let labelled: Vec<u32> = (0..map.ids.len() as u32)
+            .filter(|&p| map.ids[p as usize] != UNLABELLED)
+            .collect();
+        let projected = Projected::new(
+            &self.gaussians.splats(),
+            &self.views[index].camera,
+            &self.settings,
+        )?;
         let mut covered = vec![UNLABELLED; map.ids.len()];
         let (mut shown, mut count) = (vec![false; self.gaussians.len()], 0);
-        let mut keep = Some(SparseMatrix::new(self.gaussians.len(), vec![0], Vec::new(), Vec::new()));
+        let mut keep = Some(SparseMatrix::new(
+            self.gaussians.len(),
+            vec![0],
+            Vec::new(),
+            Vec::new(),
+        ));
         for band in labelled.chunks(BAND) {
             let weights = projected.weights(Some(band)).normalised(self.min_coverage);
-            let rows: Vec<u32> = (0..band.len() as u32).filter(|&r| !weights.row(r as usize).0.is_empty()).collect();
-            rows.iter().map(|&r| band[r as usize] as usize).for_each(|pixel| covered[pixel] = map.ids[pixel]);
-            weights.entries().0.iter().for_each(|&column| shown[column as usize] = true);
+            let rows: Vec<u32> = (0..band.len() as u32)
+                .filter(|&r| !weights.row(r as usize).0.is_empty())
+                .collect();
+            rows.iter()
+                .map(|&r| band[r as usize] as usize)
+                .for_each(|pixel| covered[pixel] = map.ids[pixel]);
+            weights
+                .entries()
+                .0
+                .iter()
+                .for_each(|&column| shown[column as usize] = true);
             count += rows.len();
             keep = keep.and_then(|mut kept| {
                 kept.append_rows(&weights, &rows);
                 (kept.bytes() <= self.budget).then_some(kept)
             });
         }
-        let visible: Vec<u32> = (0..shown.len() as u32).filter(|&i| shown[i as usize]).collect();
+        let visible: Vec<u32> = (0..shown.len() as u32)
+            .filter(|&i| shown[i as usize])
+            .collect();
         let kept = keep.map_or(Kept::Nothing, |weights| {
             self.budget -= weights.bytes();
             Kept::Weights(Arc::new(weights.over_columns(&visible)))
         });
-        let labels = LabelRuns::from(LabelMap { ids: covered, ..map });
+        let labels = LabelRuns::from(LabelMap {
+            ids: covered,
+            ..map
+        });
         let (visible, entries) = (Arc::new(visible.into()), Arc::default());
-        let view = LabelledView { visible, labels, count, kept, entries, all: OnceLock::new() };
+        let view = LabelledView {
+            visible,
+            labels,
+            count,
+            kept,
+            entries,
+            all: OnceLock::new(),
+        };
         Ok(self.seen[index].insert(Arc::new(view)).clone())
     }
 }

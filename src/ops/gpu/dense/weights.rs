@@ -28,7 +28,11 @@ struct Sizes {
 
 /// `tensor` in order; a binding cannot be empty.
 fn whole(gpu: &Gpu, tensor: &CubeTensor) -> CubeTensor {
-    if tensor.meta.num_elements() == 0 { gpu.floats([1]) } else { into_contiguous(tensor.clone()) }
+    if tensor.meta.num_elements() == 0 {
+        gpu.floats([1])
+    } else {
+        into_contiguous(tensor.clone())
+    }
 }
 
 /// Columns of a tile that a unit keeps, of a result `width` wide.
@@ -58,7 +62,11 @@ fn weights_parts(
     #[comptime] with_bias: bool,
 ) {
     let columns = comptime![SIDE * each];
-    let (count, inputs, width) = (sizes.rows as usize, sizes.inputs as usize, sizes.width as usize);
+    let (count, inputs, width) = (
+        sizes.rows as usize,
+        sizes.inputs as usize,
+        sizes.width as usize,
+    );
     let across = width.div_ceil(columns);
     let tiles = across * max(inputs.div_ceil(TILE), 1usize);
     let part = CUBE_POS / tiles;
@@ -160,7 +168,14 @@ fn weights_parts(
 /// The sum of `parts`, each of which holds `weight_len` values of the weight's gradient and then those of the bias's, `len`
 /// together.
 #[cube(launch)]
-fn add_parts(parts: &[f32], weight: &mut [f32], bias: &mut [f32], count: u32, weight_len: u32, len: u32) {
+fn add_parts(
+    parts: &[f32],
+    weight: &mut [f32],
+    bias: &mut [f32],
+    count: u32,
+    weight_len: u32,
+    len: u32,
+) {
     let unit = UNIT_POS as usize;
     let at = CUBE_POS * LANES + unit % LANES;
     if CUBE_POS * LANES >= len as usize {
@@ -202,10 +217,16 @@ pub fn weights_gradient(
     let ([count, width], inputs) = (g.meta.shape().dims(), x.meta.shape()[1]);
     let length = (inputs + usize::from(with_bias)) * width;
     if count * length == 0 {
-        return (zeros(gpu, [inputs, width]), CubeBackend::float_zeros([width].into(), gpu.device(), FloatDType::F32));
+        return (
+            zeros(gpu, [inputs, width]),
+            CubeBackend::float_zeros([width].into(), gpu.device(), FloatDType::F32),
+        );
     }
     let tiles = inputs.div_ceil(TILE).max(1) * width.div_ceil(SIDE * each(width));
-    let per_part = count.div_ceil(CUBES.div_ceil(tiles)).max(LEAST_ROWS).next_multiple_of(DEPTH);
+    let per_part = count
+        .div_ceil(CUBES.div_ceil(tiles))
+        .max(LEAST_ROWS)
+        .next_multiple_of(DEPTH);
     let count_parts = count.div_ceil(per_part);
     let parts = gpu.floats([count_parts * length]);
     weights_parts::launch(
@@ -234,5 +255,12 @@ pub fn weights_gradient(
         (inputs * width) as u32,
         length as u32,
     );
-    (if inputs > 0 { weight } else { zeros(gpu, [0, width]) }, bias)
+    (
+        if inputs > 0 {
+            weight
+        } else {
+            zeros(gpu, [0, width])
+        },
+        bias,
+    )
 }
