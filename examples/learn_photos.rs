@@ -7,10 +7,11 @@ use burn::optim::{AdamConfig, GradientsParams};
 use burn::tensor::{Tensor, TensorData};
 use coseg::data::Split;
 use coseg::data::builtin::{BuiltinOptions, scene_with};
-use coseg::gaussians::{Gaussians, init};
 use coseg::metrics::psnr;
 use coseg::ops::{Photo, photometric_loss};
 use coseg::raster::{RasterInput, Settings, SplatTensors, rasterize};
+use coseg::reconstruction::initialization;
+use coseg::splat::Gaussians;
 use std::error::Error;
 use std::sync::Arc;
 
@@ -58,7 +59,7 @@ impl Learned {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let device = coseg::device::open(None)?.autodiff();
+    let device = coseg::backend::device::open(None)?.autodiff();
     let options = BuiltinOptions {
         width: 160,
         height: 120,
@@ -75,7 +76,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     });
     let photos = photos.collect::<coseg::Result<Vec<_>>>()?;
 
-    let gaussians = init::from_points(&scene.points, 1, 5.0)?;
+    let gaussians = initialization::from_points(&scene.points, 1, 5.0)?;
     let means = Tensor::from_inner(SplatTensors::new(&gaussians, &device).means);
     let mut learned = Learned::new(&gaussians, &device);
     let mut adam = AdamConfig::new().with_epsilon(1e-15).init();

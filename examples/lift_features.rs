@@ -11,8 +11,9 @@
 use coseg::data::Limits;
 use coseg::data::Split;
 use coseg::data::builtin;
-use coseg::gaussians::ply::{self, PlyScene};
 use coseg::raster::{Projected, Settings};
+use coseg::splat::ply;
+use coseg::splat::ply::PlyScene;
 use std::error::Error;
 use std::path::Path;
 

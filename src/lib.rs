@@ -35,8 +35,8 @@
 //! is an [`Error`] that names what was found, what was expected and what mends it.
 //!
 //! ```
-//! use coseg::camera::{Camera, Intrinsics};
-//! use coseg::gaussians::Gaussians;
+//! use coseg::splat::camera::{Camera, Intrinsics};
+//! use coseg::splat::Gaussians;
 //! use coseg::raster::{Settings, render};
 //! use glam::{DMat4, DVec3};
 //!
@@ -59,27 +59,23 @@
 //! # Ok::<(), coseg::Error>(())
 //! ```
 
+pub mod backend;
 pub mod bench;
-pub mod camera;
-pub mod camera_path;
 pub mod config;
 pub mod data;
-pub mod device;
 pub mod error;
 pub mod features;
-pub mod gaussians;
-#[cfg(feature = "cube")]
-mod gpu;
-pub mod mask;
 pub mod metrics;
 pub mod objects;
 pub mod ops;
+pub mod pipeline;
 pub mod random;
 pub mod raster;
+pub mod reconstruction;
 pub mod report;
 pub mod segmentation;
-pub mod train;
+pub mod splat;
 pub mod viewer;
 pub mod weights;
 
-pub use error::{Error, Result};
+pub use crate::error::{Error, Result};

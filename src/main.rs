@@ -1,19 +1,19 @@
 //! The `coseg` command line.
 
-mod commands;
+mod cli;
 
 use clap::Parser;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    commands::allocator::keep_freed_memory();
-    commands::terminal::report_panics();
-    let cli = commands::Cli::parse();
-    commands::terminal::show_warnings(cli.verbose);
+    cli::allocator::keep_freed_memory();
+    cli::terminal::report_panics();
+    let cli = cli::Cli::parse();
+    cli::terminal::show_warnings(cli.verbose);
     match cli.command.run() {
         Ok(code) => code,
         Err(error) => {
-            commands::terminal::error(&error);
+            cli::terminal::error(&error);
             ExitCode::FAILURE
         }
     }

@@ -5,7 +5,7 @@ use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words};
 use crate::data::Split;
 use crate::error::Result;
 use crate::raster::Settings;
-use crate::train::{BuildingStage, BuildingState};
+use crate::reconstruction::{BuildingStage, BuildingState};
 
 /// Length of the run whose middle is measured, iterations.
 const RUN: usize = 7_000;

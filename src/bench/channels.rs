@@ -2,13 +2,13 @@
 
 use super::raster::Leaves;
 use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words};
-use crate::camera::Camera;
-use crate::device::read;
+use crate::backend::device::read;
 use crate::error::{Error, Result};
-use crate::gaussians::Gaussians;
 use crate::objects::{RenderOptions, Renderer};
 use crate::random::{Purpose, stream};
 use crate::raster::{ListCount, ListSummary, RasterInput, Settings, rasterize_with_room, room_for};
+use crate::splat::Gaussians;
+use crate::splat::camera::Camera;
 use burn::tensor::{Device, Tensor, TensorData};
 use rand::Rng;
 use std::hint::black_box;

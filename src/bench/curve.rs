@@ -1,11 +1,11 @@
 //! Time against error: each setting of the rasterizer moved alone, against an f64 render with all of them exact.
 
 use super::{Bench, Figure, Findings, Layout, Samples, Section, gaussians_in_words};
-use crate::camera::Camera;
 use crate::error::Result;
-use crate::gaussians::Gaussians;
 use crate::objects::{RenderOptions, Renderer};
 use crate::raster::{Projected, Settings, Splats, eval_sh};
+use crate::splat::Gaussians;
+use crate::splat::camera::Camera;
 use std::hint::black_box;
 
 /// Views of a pass, at most.

@@ -1,10 +1,10 @@
 //! What is measured, as files: other renderers can be timed on the same Gaussians and cameras.
 
 use super::Bench;
-use crate::data::transforms::write_cameras;
+use crate::data::formats::transforms::write_cameras;
 use crate::data::{NamedCamera, Split};
 use crate::error::Result;
-use crate::gaussians::ply;
+use crate::splat::ply;
 use glam::DVec3;
 use std::path::{Path, PathBuf};
 

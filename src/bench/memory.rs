@@ -8,11 +8,11 @@ use super::{
 use crate::config::{Config, Row};
 use crate::data::Scene;
 use crate::error::Result;
+use crate::pipeline::train_decoder::{Plan, Recalls, train_step};
+use crate::pipeline::{Inputs, Spatial, decoder_row};
 use crate::raster::Settings;
 use crate::report::peak_memory_bytes;
 use crate::segmentation::loss::Kind;
-use crate::train::segmentation::{Plan, Recalls, train_step};
-use crate::train::{Inputs, Spatial, decoder_row};
 
 /// Training views that the steps go through.
 const VIEWS: usize = 4;

@@ -21,12 +21,12 @@ mod subject;
 mod surfels;
 mod unprojection;
 
-pub use figures::{Bar, Figure, Findings, Layout};
-pub use machine::{Machine, reset_peak_memory};
-pub use resample::resampled;
-pub use samples::Samples;
-pub use subject::{Source, Subject};
-pub use surfels::Surfaces;
+pub use self::figures::{Bar, Figure, Findings, Layout};
+pub use self::machine::{Machine, reset_peak_memory};
+pub use self::resample::resampled;
+pub use self::samples::Samples;
+pub use self::subject::{Source, Subject};
+pub use self::surfels::Surfaces;
 
 use crate::config::Config;
 use crate::error::{Error, Result};

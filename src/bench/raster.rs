@@ -2,11 +2,11 @@
 
 use super::channels::Rendering;
 use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words, reset_peak_memory};
-use crate::camera::Camera;
 use crate::error::{Error, Result};
-use crate::gaussians::Gaussians;
 use crate::raster::{PairCounts, Projected, RasterInput, Settings};
 use crate::report::peak_memory_bytes;
+use crate::splat::Gaussians;
+use crate::splat::camera::Camera;
 use burn::tensor::{Device, Tensor, TensorData};
 use std::hint::black_box;
 

@@ -1,7 +1,7 @@
 //! The same scene with another number of Gaussians.
 
-use crate::gaussians::Gaussians;
 use crate::random::{Purpose, stream};
+use crate::splat::Gaussians;
 use glam::{DQuat, DVec3};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;

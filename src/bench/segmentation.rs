@@ -1,19 +1,19 @@
 //! An iteration of stage two: decoder, blending, label loss, 3D regularisation, backward pass, Adam.
 
 use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words};
+use crate::backend::device::in_host_memory;
 use crate::config::{Config, Preset, Row};
 use crate::data::{Scene, Split};
-use crate::device::in_host_memory;
 use crate::error::Result;
 use crate::features::SCALES;
 use crate::objects::Identities;
+use crate::pipeline::train_decoder::{
+    Drawn, Fused, Model, NamedValues, Plan, Prediction, Recalls, train_step,
+};
+use crate::pipeline::{Inputs, Seen, Spatial, decoder_row};
 use crate::random::{Purpose, stream};
 use crate::raster::Settings;
 use crate::segmentation::loss::Kind;
-use crate::train::segmentation::{
-    Drawn, Fused, Model, NamedValues, Plan, Prediction, Recalls, train_step,
-};
-use crate::train::{Inputs, Seen, Spatial, decoder_row};
 use burn::tensor::{Gradients, Tensor};
 use rand::Rng;
 use std::time::Instant;

@@ -2,13 +2,14 @@
 
 use super::resample::resampled;
 use super::surfels::Surfaces;
-use crate::camera::{Camera, level_up};
 use crate::config::Config;
 use crate::data::builtin::{self, BuiltinOptions};
 use crate::data::{Limits, Scene, Split, read_cameras};
 use crate::error::{Error, Result};
-use crate::gaussians::{Gaussians, ply};
-use crate::train::{BuildingStage, load_scene};
+use crate::pipeline::load_scene;
+use crate::reconstruction::BuildingStage;
+use crate::splat::camera::{Camera, level_up};
+use crate::splat::{Gaussians, ply};
 use burn::tensor::Device;
 use glam::DVec3;
 use std::path::{Path, PathBuf};

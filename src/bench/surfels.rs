@@ -1,12 +1,12 @@
 //! Gaussians of the built-in room without training: flat discs on the surfaces that its training views see.
 
-use crate::camera::Camera;
 use crate::data::builtin::{EVALUATED_SEED, Room, Truth, render_truth};
 use crate::data::{Points, Scene, Split};
 use crate::error::Result;
-use crate::gaussians::Gaussians;
-use crate::gaussians::init::from_points;
 use crate::random::{Purpose, stream};
+use crate::reconstruction::initialization::from_points;
+use crate::splat::Gaussians;
+use crate::splat::camera::Camera;
 use glam::{DQuat, DVec3};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;

@@ -1,8 +1,8 @@
 //! Lifting feature maps onto the Gaussians (Algorithm 1).
 
 use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words};
+use crate::backend::device::in_host_memory;
 use crate::config::Resolution;
-use crate::device::in_host_memory;
 use crate::error::Result;
 use crate::features::{FeatureMap, SCALES};
 use crate::random::{Purpose, stream};

@@ -1,56 +1,34 @@
 //! Scenes: posed images, label maps, class tables, initial points; dataset formats; the built-in procedural scene.
 
+pub mod mask;
+
 pub mod atomic;
 pub mod builtin;
-mod camera_file;
-mod cautions;
-mod check;
-mod classes;
-mod colmap;
-mod depth;
-mod file_kind;
-mod frame;
-mod image_file;
-mod info;
-mod label_runs;
-mod labels;
-mod layout;
-mod lens;
+pub(crate) mod diagnostics;
+pub mod formats;
+pub mod labels;
 mod limits;
-mod listing;
-mod manifest;
-mod map_geometry;
-mod mask_file;
 mod options;
-mod palette;
-mod photo;
-mod photo_cache;
-pub(crate) mod ply;
-mod points;
-mod poses;
-mod raw;
-mod replica;
-mod scannet;
-mod sequence;
-mod sweep;
-pub mod transforms;
+pub mod photos;
 
-pub use camera_file::read_cameras;
-pub use check::{Checked, check};
-pub use info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
-pub use label_runs::LabelRuns;
-pub use layout::locate;
-pub use limits::Limits;
-pub use manifest::{ExpectedFile, LabelMapping, Manifest};
-pub use map_geometry::MapGeometry;
-pub use options::LoadOptions;
-pub use palette::class_color;
-pub use photo::Photo;
-pub use photo_cache::PhotoCache;
+pub use self::diagnostics::check::{Checked, check};
+pub use self::diagnostics::info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
+pub use self::formats::camera_file::read_cameras;
+pub use self::formats::layout::locate;
+pub use self::formats::manifest::{ExpectedFile, LabelMapping, Manifest};
+pub use self::labels::label_runs::LabelRuns;
+pub use self::labels::map_geometry::MapGeometry;
+pub use self::labels::palette::class_color;
+pub use self::limits::Limits;
+pub use self::options::LoadOptions;
+pub use self::photos::photo::Photo;
+pub use self::photos::photo_cache::PhotoCache;
 
-use crate::camera::Camera;
+use self::diagnostics::{cautions, poses};
+use self::formats::{layout, listing};
+use self::mask::Mask;
 use crate::error::{Error, Result};
-use crate::mask::Mask;
+use crate::splat::camera::Camera;
 use glam::DVec3;
 use std::path::Path;
 

@@ -101,7 +101,7 @@ impl LoadOptions {
 
     /// Which frames are read, as (index, split), ascending. `given` is what the folder says of each; where it says
     /// nothing of any, every 8th of those that are read is test, from the first on.
-    pub(super) fn pick(&self, given: &[Option<Split>]) -> Vec<(usize, Split)> {
+    pub(crate) fn pick(&self, given: &[Option<Split>]) -> Vec<(usize, Split)> {
         let wanted = if self.max_frames == 0 {
             given.len()
         } else {

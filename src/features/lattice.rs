@@ -1,6 +1,6 @@
 //! How the cells of a map lie on the image. Image coordinates are pixels, pixel centres at +0.5.
 
-use crate::camera::Camera;
+use crate::splat::camera::Camera;
 
 /// Cells at fixed steps of pixels: cell `i` of either axis is centred on `offset + stride * i`.
 ///

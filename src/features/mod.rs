@@ -15,11 +15,11 @@ pub mod mobilenet;
 mod pca;
 pub mod probe;
 
-pub use extract::{FeatureSet, PCA_CELLS, Reduction, ViewFeatures, extract, extract_all};
-pub(crate) use lattice::Axis;
-pub use lattice::{Lattice, Steps};
-pub use map::FeatureMap;
-pub use pca::{Moments, Pca};
+pub use self::extract::{FeatureSet, PCA_CELLS, Reduction, ViewFeatures, extract, extract_all};
+pub(crate) use self::lattice::Axis;
+pub use self::lattice::{Lattice, Steps};
+pub use self::map::FeatureMap;
+pub use self::pca::{Moments, Pca};
 
 use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::View;

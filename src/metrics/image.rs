@@ -2,8 +2,8 @@
 
 use super::mean;
 use crate::data::View;
+use crate::data::mask::Mask;
 use crate::error::Result;
-use crate::mask::Mask;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 

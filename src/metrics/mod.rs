@@ -10,12 +10,12 @@ mod instances;
 mod labels;
 mod semantic;
 
-pub use clusters::{calinski_harabasz, davies_bouldin};
-pub use compactness::{Agreement, Compactness, WithoutDiffusion};
-pub use image::{ImageScores, PSNR_CAP, psnr, ssim};
-pub use instances::{InstanceScores, PanopticQuality, Quality, instance_scores};
-pub use labels::{Confusion, LabelScores, Void, label_scores};
-pub use semantic::{ClassIou, PanopticScores, SemanticScores, SemanticView, semantic_scores};
+pub use self::clusters::{calinski_harabasz, davies_bouldin};
+pub use self::compactness::{Agreement, Compactness, WithoutDiffusion};
+pub use self::image::{ImageScores, PSNR_CAP, psnr, ssim};
+pub use self::instances::{InstanceScores, PanopticQuality, Quality, instance_scores};
+pub use self::labels::{Confusion, LabelScores, Void, label_scores};
+pub use self::semantic::{ClassIou, PanopticScores, SemanticScores, SemanticView, semantic_scores};
 
 /// Mean of the values that are there; `None` when there are none.
 fn mean(values: impl IntoIterator<Item = Option<f64>>) -> Option<f64> {

@@ -1,6 +1,6 @@
 //! One label a Gaussian on a GPU: the label that weighs most at each pixel, by blending a channel for each.
 
-use crate::device::largest_allocation;
+use crate::backend::device::largest_allocation;
 use crate::raster::SplatView;
 use burn::tensor::{Device, Tensor, TensorData};
 use std::ops::Range;
@@ -110,7 +110,7 @@ pub(super) fn larger_of(a: Largest, b: Largest) -> Largest {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::{BackendName, device_of_tests};
+    use crate::backend::device::{BackendName, device_of_tests};
 
     #[test]
     fn equal_labels_go_to_the_lower_one_within_and_between_blocks() {

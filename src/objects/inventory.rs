@@ -1,7 +1,7 @@
 //! What a labelled scene holds, and which of it a pixel shows.
 
-use crate::gaussians::Gaussians;
 use crate::raster::Projected;
+use crate::splat::Gaussians;
 use glam::DVec3;
 use std::collections::BTreeMap;
 

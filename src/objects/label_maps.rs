@@ -3,9 +3,9 @@
 use super::device_labels::{DeviceLabels, larger_of, largest_of};
 use super::identities::largest;
 use super::{Identities, hard_label_map};
+use crate::backend::device::read;
 use crate::config::{LabelSource, SegmentationConfig};
 use crate::data::{Classes, LabelMap};
-use crate::device::read;
 use crate::error::Result;
 use crate::raster::{Projected, SplatView};
 use burn::tensor::{Device, Tensor, TensorData};

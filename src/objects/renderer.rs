@@ -2,15 +2,15 @@
 
 use super::device_labels::{DeviceLabels, larger_of, largest_of};
 use super::hard_labels::with_hard_labels;
-use crate::camera::Camera;
+use crate::backend::device::{read, renders_on};
 use crate::data::LabelMap;
-use crate::device::{read, renders_on};
 use crate::error::{Error, Result};
-use crate::gaussians::Gaussians;
 use crate::raster::{
     ListCount, Projected, RasterInput, Settings, SplatTensors, SplatView, Viewpoint,
     rasterize_with_room, room_for,
 };
+use crate::splat::Gaussians;
+use crate::splat::camera::Camera;
 use burn::tensor::{Device, Tensor, TensorData};
 
 /// What a view shows. Rows are row-major, from the top left.

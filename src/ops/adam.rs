@@ -1,7 +1,7 @@
 //! One Adam step as a fused operation: parameters, gradient and both moments are read and written once.
 
-use super::simd::{multiply_add, wide_kernel};
-use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
+use crate::backend::simd::{multiply_add, wide_kernel};
+use crate::backend::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::{Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
 use burn::tensor::{Tensor, TensorData};
 use rayon::prelude::*;

@@ -1,7 +1,7 @@
 //! Attentive pooling as one differentiable operation: the softmax over neighbours is never stored.
 
-use super::{HostBackend, Real, device_of, real_kernel};
-use crate::device::in_host_memory;
+use crate::backend::device::in_host_memory;
+use crate::backend::{HostBackend, Real, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};

@@ -9,8 +9,8 @@ use super::gradient_in_hand::with_gradient_in_hand;
 use super::label_loss::{ClassLosses, Kind, UNLABELLED, label_losses};
 use super::pixel_labels::PixelLabels;
 use super::sparse::{SparseMatrix, sparse_apply};
-use super::{HostBackend, Real, device_of, real_kernel};
-use crate::device::in_host_memory;
+use crate::backend::device::in_host_memory;
+use crate::backend::{HostBackend, Real, device_of, real_kernel};
 use crate::error::Result;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::{

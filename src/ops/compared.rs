@@ -5,8 +5,8 @@ use super::Photo;
 use super::gpu::DeviceBytes;
 use super::photo::CHANNELS;
 #[cfg(feature = "cube")]
-use crate::gpu::Resident;
-use crate::mask::Mask;
+use crate::backend::gpu::Resident;
+use crate::data::mask::Mask;
 use image::RgbImage;
 use std::sync::Arc;
 

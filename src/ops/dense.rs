@@ -4,7 +4,7 @@
 //! a sum over all rows, to a handful of cubes, and that of the bias to one unit a column.
 
 #[cfg(feature = "cube")]
-use crate::device::in_host_memory;
+use crate::backend::device::in_host_memory;
 use burn::tensor::Tensor;
 use burn::tensor::module::linear;
 #[cfg(feature = "cube")]

@@ -1,8 +1,8 @@
 //! A look at gradients on their way to the optimiser: whether all are finite, told together with the loss in one readback.
 
 #[cfg(feature = "cube")]
-use crate::device::in_host_memory;
-use crate::device::read;
+use crate::backend::device::in_host_memory;
+use crate::backend::device::read;
 use crate::error::Result;
 use burn::tensor::Tensor;
 #[cfg(feature = "cube")]

@@ -3,9 +3,10 @@
 //! In plain tensors a layer makes eight arrays as tall as the scene, forward and backward, and most of a step goes into
 //! touching them. Here rows are gathered, mapped, summed and bent a block at a time, while they are in the cache.
 
-use super::matmul::{add_product, add_product_of_transposed, product_with_transposed};
+use super::RowList;
 use super::sparse::{SparseMatrix, sparse_apply};
-use super::{HostBackend, HostKernels, Real, RowList, device_of, real_kernel};
+use crate::backend::matmul::{add_product, add_product_of_transposed, product_with_transposed};
+use crate::backend::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};

@@ -3,9 +3,9 @@
 #[cfg(feature = "cube")]
 use super::sparse::{SparseBackend, SparseMatrix};
 #[cfg(feature = "cube")]
-use crate::device::in_host_memory;
+use crate::backend::device::in_host_memory;
 #[cfg(feature = "cube")]
-use crate::gpu::Resident;
+use crate::backend::gpu::Resident;
 use burn::tensor::{Int, Tensor, TensorData};
 #[cfg(feature = "cube")]
 use burn::{

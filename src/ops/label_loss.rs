@@ -6,7 +6,7 @@
 
 use super::gradient_in_hand::with_gradient_in_hand;
 use super::pixel_labels::PixelLabels;
-use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
+use crate::backend::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::{
     Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor,

@@ -2,7 +2,7 @@
 
 use super::gradient_in_hand::with_gradient_in_hand;
 use super::sparse::{SparseMatrix, sparse_apply};
-use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
+use crate::backend::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::{
     Autodiff, Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor,

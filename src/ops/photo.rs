@@ -1,13 +1,13 @@
 //! Photos prepared for the photometric loss, and the CPU's kernels of it.
 
-use super::Real;
 #[cfg(feature = "cube")]
 use super::gpu::DevicePhoto;
-use super::simd::{multiply_add, wide_kernel};
 use super::window::Band;
+use crate::backend::Real;
 #[cfg(feature = "cube")]
-use crate::gpu::Resident;
-use crate::mask::Mask;
+use crate::backend::gpu::Resident;
+use crate::backend::simd::{multiply_add, wide_kernel};
+use crate::data::mask::Mask;
 use rayon::prelude::*;
 
 /// Colour channels, interleaved.

@@ -5,9 +5,10 @@
 //! S = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sxx + syy + C2)) and every moment a convolution with the
 //! symmetric window G, dS/dx = G * dS/dmx + 2 x (G * dS/dxx) + y (G * dS/dxy).
 
+use super::Compared;
 use super::photo::{C1, C2, CHANNELS};
 use super::window::{RADIUS, TAPS, taps};
-use super::{Compared, HostBackend, HostKernels, Real, device_of, real_kernel};
+use crate::backend::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};

@@ -2,7 +2,7 @@
 
 use super::label_loss::UNLABELLED;
 #[cfg(feature = "cube")]
-use crate::gpu::Resident;
+use crate::backend::gpu::Resident;
 #[cfg(feature = "cube")]
 use burn_cubecl::tensor::CubeTensor;
 use std::ops::Deref;

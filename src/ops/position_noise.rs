@@ -29,7 +29,7 @@ pub trait NoiseBackend: Backend {
     ) -> FloatTensor<Self>;
 }
 
-/// The means (`[N, 3]`) with the noise of [`crate::gaussians::noise::PositionNoise`]; `log_scales` are `[N, 3]`, `rotations`
+/// The means (`[N, 3]`) with the noise of [`crate::reconstruction::noise::PositionNoise`]; `log_scales` are `[N, 3]`, `rotations`
 /// `[N, 4]`, `opacity_logits` `[N]`, all on a GPU and without autodiff.
 pub(crate) fn add_position_noise(
     [means, log_scales, rotations]: [Tensor<2>; 3],

@@ -1,8 +1,8 @@
 //! Rows of tensors picked where they lie, for parameters and moments of a set whose members come and go.
 
-use super::{HostBackend, HostKernels, device_of, real_kernel};
 #[cfg(feature = "cube")]
-use crate::gpu::Resident;
+use crate::backend::gpu::Resident;
+use crate::backend::{HostBackend, HostKernels, device_of, real_kernel};
 use burn::backend::{Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
 use burn::tensor::Tensor;
 #[cfg(feature = "cube")]

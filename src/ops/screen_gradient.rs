@@ -1,6 +1,6 @@
 //! What densification gathers of an iteration: lengths of screen-space gradients, and in how many views a Gaussian was seen.
 
-use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
+use crate::backend::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::{Backend, Dispatch, TensorMetadata, backend_extension, tensor::FloatTensor};
 use burn::tensor::Tensor;
 

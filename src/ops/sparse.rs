@@ -5,10 +5,10 @@
 
 #[cfg(feature = "cube")]
 use super::gpu::DeviceMatrix;
-use super::simd::{multiply_add, wide_kernel};
-use super::{HostBackend, HostKernels, Real, device_of, real_kernel};
 #[cfg(feature = "cube")]
-use crate::gpu::Resident;
+use crate::backend::gpu::Resident;
+use crate::backend::simd::{multiply_add, wide_kernel};
+use crate::backend::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};

@@ -1,7 +1,7 @@
 //! The sum of a tensor: burn's own in host memory, and in a fixed order on a GPU, where burn adds with atomics.
 
 #[cfg(feature = "cube")]
-use crate::device::in_host_memory;
+use crate::backend::device::in_host_memory;
 use burn::tensor::Tensor;
 #[cfg(feature = "cube")]
 use burn::{

@@ -1,7 +1,7 @@
 //! Separable convolution with the 11-tap Gaussian window of SSIM over bands of rows, zero padding.
 
-use super::Real;
-use super::simd::{multiply_add, wide_kernel};
+use crate::backend::Real;
+use crate::backend::simd::{multiply_add, wide_kernel};
 use std::ops::Range;
 
 /// Taps on either side of the centre.

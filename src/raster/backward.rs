@@ -14,9 +14,9 @@ use super::geometry::{Moments, Splat3, project_backward};
 use super::projected::{Blended, Projected};
 use super::settings::Splats;
 use super::tile_loop::{LOOK, Pass, Tile, gather_rows, sum_over_tiles, walk};
-use crate::ops::Real;
-use crate::ops::simd::{Kernel, dispatch};
-use crate::ops::vector::{LANES, Vector};
+use crate::backend::Real;
+use crate::backend::simd::{Kernel, dispatch};
+use crate::backend::vector::{LANES, Vector};
 use rayon::prelude::*;
 
 /// Gaussians that one task handles.

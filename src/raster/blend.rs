@@ -3,9 +3,9 @@
 use super::footprint::{Buffer, Footprint, PIXELS, Rule, STRIPS, fresh_transmittance};
 use super::projected::{Blended, Projected};
 use super::tile_loop::{LOOK, Pass, Tile, for_each_tile_row, gather_rows, sum_over_tiles, walk};
-use crate::ops::Real;
-use crate::ops::simd::{Kernel, dispatch};
-use crate::ops::vector::{LANES, Vector};
+use crate::backend::Real;
+use crate::backend::simd::{Kernel, dispatch};
+use crate::backend::vector::{LANES, Vector};
 
 /// What a blending pass sums of the weights besides, pixel by pixel, as one more channel of the image or none.
 pub(super) trait Beside<E> {

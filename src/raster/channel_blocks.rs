@@ -6,9 +6,9 @@ use super::footprint::{PIXELS, fresh_transmittance};
 use super::pairs::Pairs;
 use super::projected::{Blended, Projected};
 use super::tile_loop::{Tile, for_each_tile_row, sum_over_tiles};
-use crate::ops::Real;
-use crate::ops::simd::{Kernel, dispatch};
-use crate::ops::vector::{LANES, Vector};
+use crate::backend::Real;
+use crate::backend::simd::{Kernel, dispatch};
+use crate::backend::vector::{LANES, Vector};
 
 /// Channels per row of padded values: a multiple of this.
 const ALIGN: usize = 8;

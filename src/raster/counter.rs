@@ -1,7 +1,7 @@
 //! Algorithm 1's counter: pixels within a radius.
 
-use crate::ops::elementary::floor;
-use crate::ops::simd::wide_function;
+use crate::backend::elementary::floor;
+use crate::backend::simd::wide_function;
 
 /// Rows of pixels of one loop.
 const BLOCK: usize = 8;

@@ -4,8 +4,8 @@
 //! in aligned vectors, so that a strip's next load finds the whole of its last store.
 
 use super::tile_loop::Tile;
-use crate::ops::Real;
-use crate::ops::vector::{LANES, Vector};
+use crate::backend::Real;
+use crate::backend::vector::{LANES, Vector};
 
 /// Pixels along a tile's edge.
 pub(super) const TILE: usize = 16;

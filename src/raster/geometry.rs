@@ -7,10 +7,10 @@
 //! viewing ray, `(m1 x m2)_i = s_j s_k (n . r_i)` with `n = fx fy / z^2 (tx, ty, 1)` in camera axes: thin splats do not cancel.
 
 use super::settings::Splats;
-use crate::camera::Camera;
+use crate::backend::Real;
+use crate::backend::elementary::exp;
 use crate::error::{Error, Result};
-use crate::ops::Real;
-use crate::ops::elementary::exp;
+use crate::splat::camera::Camera;
 
 pub(super) type Vec3 = [f64; 3];
 

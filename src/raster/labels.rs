@@ -5,8 +5,8 @@ use super::blend::{Beside, blend_beside};
 use super::footprint::{Buffer, PIXELS, STRIPS};
 use super::projected::{Blended, Projected};
 use super::tile_loop::LOOK;
-use crate::ops::Real;
-use crate::ops::vector::{LANES, Vector};
+use crate::backend::Real;
+use crate::backend::vector::{LANES, Vector};
 
 /// Sums of the weights of each label of a tile.
 struct LabelSums<'a, E> {

@@ -30,15 +30,15 @@ mod tile_map;
 mod tiles;
 mod weights;
 
-pub use backward::SplatGradients;
-pub(crate) use geometry::{Viewpoint, ZERO_QUATERNION};
-pub use op::{
+pub use self::backward::SplatGradients;
+pub(crate) use self::geometry::{Viewpoint, ZERO_QUATERNION};
+pub use self::op::{
     FrozenBackend, FrozenCall, FrozenTensors, Lifted, ListCount, ListSummary, Radii, RasterBackend,
     RasterCall, RasterInput, RasterOutput, RasterTensors, SplatTensors, SplatView, rasterize,
     rasterize_on_host, rasterize_with_room, room_for,
 };
-pub use projected::{Blended, Projected, Rendered, render};
-pub use settings::{PairCounts, Settings, Splats, Stats};
-pub(crate) use sh::basis as sh_basis;
-pub use sh::eval_sh;
-pub use tile_map::{Positions, TilePairs};
+pub use self::projected::{Blended, Projected, Rendered, render};
+pub use self::settings::{PairCounts, Settings, Splats, Stats};
+pub(crate) use self::sh::basis as sh_basis;
+pub use self::sh::eval_sh;
+pub use self::tile_map::{Positions, TilePairs};

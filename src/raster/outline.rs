@@ -3,7 +3,7 @@
 //! Nothing is fused, so that the lists do not depend on the instruction set.
 
 use super::footprint::{Splat2, TILE};
-use crate::ops::simd::wide_function;
+use crate::backend::simd::wide_function;
 use std::ops::Range;
 
 /// Gaussians of one loop.

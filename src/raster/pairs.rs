@@ -5,9 +5,9 @@ use super::footprint::{Buffer, Footprint, Rule};
 use super::projected::Projected;
 use super::settings::PairCounts;
 use super::tile_loop::{Pass, Tile, walk};
-use crate::ops::Real;
-use crate::ops::simd::{Kernel, dispatch};
-use crate::ops::vector::{LANES, MEMBERS, Vector};
+use crate::backend::Real;
+use crate::backend::simd::{Kernel, dispatch};
+use crate::backend::vector::{LANES, MEMBERS, Vector};
 
 /// Pairs of a Gaussian in a tile for which room is made beforehand; there is more when there are more.
 const USUAL: usize = 24;

@@ -11,11 +11,12 @@ use super::settings::{Settings, Splats, Stats};
 use super::sh::visible_colours;
 use super::tiles::{TileLists, depth_order, tile_lists};
 use super::weights;
-use crate::camera::Camera;
+use crate::backend::Real;
+use crate::data::mask::Mask;
 use crate::error::Result;
-use crate::gaussians::Gaussians;
-use crate::mask::Mask;
-use crate::ops::{Real, SparseMatrix};
+use crate::ops::SparseMatrix;
+use crate::splat::Gaussians;
+use crate::splat::camera::Camera;
 use rayon::prelude::*;
 use std::marker::PhantomData;
 

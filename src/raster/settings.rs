@@ -1,9 +1,9 @@
 //! What the rasterizer is given and what it counts.
 
+use crate::backend::Real;
 use crate::config::RasterConfig;
 use crate::error::{Error, Result};
-use crate::gaussians::Gaussians;
-use crate::ops::Real;
+use crate::splat::Gaussians;
 use rayon::prelude::*;
 
 /// Blending constants.

@@ -2,9 +2,9 @@
 
 use super::geometry::{Vec3, dot};
 use super::settings::check_finite;
+use crate::backend::Real;
+use crate::backend::simd::wide_kernel;
 use crate::error::Result;
-use crate::ops::Real;
-use crate::ops::simd::wide_kernel;
 use rayon::prelude::*;
 
 /// Gaussians that one task handles.

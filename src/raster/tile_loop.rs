@@ -2,9 +2,9 @@
 
 use super::footprint::{Buffer, Corner, Footprint, Grid, TILE, live_strips};
 use super::projected::{Blended, Projected};
-use crate::ops::Real;
-use crate::ops::simd::prefetch;
-use crate::ops::vector::Vector;
+use crate::backend::Real;
+use crate::backend::simd::prefetch;
+use crate::backend::vector::Vector;
 use rayon::prelude::*;
 
 /// List entries between two looks at which rows are still live.

@@ -6,8 +6,8 @@ use super::projected::Projected;
 use super::settings::PairCounts;
 use super::tile_loop::Tile;
 use super::tiles::TileLists;
-use crate::mask::Mask;
-use crate::ops::Real;
+use crate::backend::Real;
+use crate::data::mask::Mask;
 use rayon::prelude::*;
 
 /// Contributing pairs of one tile, Gaussian by Gaussian, front to back.

@@ -4,7 +4,8 @@ use super::footprint::{TILE, fresh_transmittance};
 use super::pairs::Pairs;
 use super::projected::Projected;
 use super::tile_loop::Tile;
-use crate::ops::{Real, SparseMatrix};
+use crate::backend::Real;
+use crate::ops::SparseMatrix;
 use rayon::prelude::*;
 
 /// `W` with rows `pixels`; see [`Projected::weights`].

@@ -10,8 +10,8 @@ use crate::config::{Config, LabelLoss, Row, SegmentationConfig};
 use crate::data::{Split, View};
 use crate::error::Result;
 use crate::objects::{LabelMaps, LabelRule, has_truth};
-use crate::train::progress::CurvePoint;
-use crate::train::{Outcome, Pictures, RowOutcome};
+use crate::pipeline::progress::CurvePoint;
+use crate::pipeline::{Outcome, Pictures, RowOutcome};
 use burn::tensor::Device;
 
 impl Metrics {

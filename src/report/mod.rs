@@ -15,9 +15,9 @@ pub mod sheet;
 mod tables;
 mod views;
 
-pub use from_run::held_out_views;
-pub use history::{BuildingHistory, History, RowHistory, Sample};
-pub use metrics::{
+pub use self::from_run::held_out_views;
+pub use self::history::{BuildingHistory, History, RowHistory, Sample};
+pub use self::metrics::{
     AssociationFigures, Command, Metrics, RowScores, Scores, Seconds, TestScores, peak_memory_bytes,
 };
 

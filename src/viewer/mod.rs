@@ -6,11 +6,11 @@
 
 mod packing;
 
-use crate::camera::{Camera, level_up};
 use crate::data::{Classes, NamedCamera, Split, atomic};
 use crate::error::{Error, Result};
-use crate::gaussians::Gaussians;
 use crate::objects::{Object, inventory};
+use crate::splat::Gaussians;
+use crate::splat::camera::{Camera, level_up};
 use base64::Engine;
 use glam::{DMat3, DVec3};
 use serde::Serialize;

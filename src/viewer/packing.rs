@@ -3,7 +3,7 @@
 //! Centres are `f32` as they are. Lengths are kept as logarithms in steps of 1/1024 (0.05 %), turns in 1/32767, opacities in
 //! 1/65535, constant colour terms in 1/1024 (up to 32), and view-dependent ones in 1/127 of the largest of their Gaussian.
 
-use crate::gaussians::{Gaussians, rotation};
+use crate::splat::{Gaussians, rotation};
 
 const LOG_STEPS: f32 = 1024.0;
 const BASE_STEPS: f32 = 1024.0;

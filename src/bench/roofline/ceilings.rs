@@ -4,10 +4,10 @@
 use super::device;
 use super::host;
 use super::model::Work;
+#[cfg(feature = "cube")]
+use crate::backend::device::{in_host_memory, largest_allocation};
 use crate::bench::machine::available_memory;
 use crate::bench::{Bench, Effort, Figure, Samples};
-#[cfg(feature = "cube")]
-use crate::device::{in_host_memory, largest_allocation};
 use crate::error::Result;
 #[cfg(feature = "cube")]
 use burn::tensor::{Device, Tensor};

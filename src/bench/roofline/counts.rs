@@ -1,10 +1,10 @@
 //! The exact counts of views that the model of work is fed.
 
 use super::model::Counts;
-use crate::camera::Camera;
 use crate::error::Result;
-use crate::gaussians::Gaussians;
 use crate::raster::{PairCounts, Projected, Settings, TilePairs};
+use crate::splat::Gaussians;
+use crate::splat::camera::Camera;
 
 impl Counts {
     /// Of the view of `camera`.

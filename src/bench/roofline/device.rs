@@ -1,7 +1,7 @@
 //! The probes of a device as operations on tensors that live there.
 
 use super::gpu::{CHAINS, STEPS};
-use crate::device::read;
+use crate::backend::device::read;
 use crate::error::Result;
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Dispatch, backend_extension};
@@ -73,7 +73,7 @@ pub(super) fn wait(tensor: Tensor<1>) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::gpu_of_tests;
+    use crate::backend::device::gpu_of_tests;
     use burn::tensor::{Device, TensorData};
 
     /// The default device, if this machine has one.

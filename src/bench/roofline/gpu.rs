@@ -1,7 +1,7 @@
 //! What a device can do at most: kernels that copy, multiply and add, or do next to nothing.
 
 use super::device::ProbeBackend;
-use crate::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, arg};
 use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::cubecl::{self, prelude::*};

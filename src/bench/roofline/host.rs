@@ -1,7 +1,7 @@
 //! What the processor can do at most, on all threads: a copy of large buffers, and chains of multiply-adds in registers.
 
-use crate::ops::simd::{Kernel, dispatch};
-use crate::ops::vector::{LANES, Vector};
+use crate::backend::simd::{Kernel, dispatch};
+use crate::backend::vector::{LANES, Vector};
 use rayon::prelude::*;
 use std::hint::black_box;
 

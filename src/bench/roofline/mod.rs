@@ -13,13 +13,13 @@ mod model;
 use super::channels::{CASES, Rendering};
 use super::unprojection::{CHANNELS, maps};
 use super::{Bench, Figure, Findings, Layout, Samples, Section, figures};
+use crate::backend::device::in_host_memory;
 use crate::config::Resolution;
-use crate::device::in_host_memory;
 use crate::error::{Error, Result};
 use crate::features::{Lattice, SCALES};
-use crate::gaussians::Gaussians;
 use crate::raster::Settings;
 use crate::segmentation::unprojection::Lifting;
+use crate::splat::Gaussians;
 use ceilings::Ceilings;
 use model::{Channels, Counts, Sorting, Work, backward, forward, lifting};
 

@@ -1,8 +1,8 @@
 //! Where the photos of the built-in scene are taken.
 
 use super::room::{Purpose, Room, stream};
-use crate::camera::Camera;
 use crate::data::Split;
+use crate::splat::camera::Camera;
 use glam::{DMat3, DVec2, DVec3};
 use rand::Rng;
 use std::f64::consts::{PI, TAU};

@@ -17,12 +17,12 @@ mod shapes;
 mod shell;
 mod style;
 
-pub use cameras::TEST_DISTANCE;
-pub use corrupt::{Corruption, corrupt};
-pub use points::{LabelledPoints, PRETRAINING_SEEDS, labelled_points};
-pub use room::{Room, Truth, render_truth};
+pub use self::cameras::TEST_DISTANCE;
+pub use self::corrupt::{Corruption, corrupt};
+pub use self::points::{LabelledPoints, PRETRAINING_SEEDS, labelled_points};
+pub use self::room::{Room, Truth, render_truth};
 
-use crate::data::{Class, Classes, LabelMap, LabelRuns, Scene, Split, View};
+use super::{Class, Classes, LabelMap, LabelRuns, Scene, Split, View};
 use crate::error::{Error, Result};
 use build::class;
 use glam::DVec3;

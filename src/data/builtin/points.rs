@@ -1,8 +1,8 @@
 //! Point clouds: the initial cloud of a scene, and labelled clouds of other rooms to pretrain the point encoder on.
 
 use super::room::{Purpose, Room, Truth, stream};
-use crate::camera::Camera;
 use crate::data::Points;
+use crate::splat::camera::Camera;
 use glam::DVec3;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;

@@ -1,7 +1,7 @@
 //! The two pointwise functions of a transformer, eight numbers at a time.
 
-use crate::ops::simd::{Kernel, dispatch};
-use crate::ops::vector::{LANES, Vector};
+use crate::backend::simd::{Kernel, dispatch};
+use crate::backend::vector::{LANES, Vector};
 
 pub(super) const LOG2_E: f32 = std::f32::consts::LOG2_E;
 

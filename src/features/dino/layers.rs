@@ -2,8 +2,8 @@
 
 use super::attention::attend;
 use super::kernels::gelu;
+use crate::backend::matmul::add_product;
 use crate::error::Result;
-use crate::ops::matmul::add_product;
 use rayon::prelude::*;
 
 /// Tokens handled at once, per thread.

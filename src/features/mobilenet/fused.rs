@@ -5,10 +5,10 @@
 //! views run side by side.
 
 use super::{Block, ConvNorm, EPSILON, MobileNetV2, STEPS, TAPS};
+use crate::backend::Real;
+use crate::backend::simd::{multiply_add, wide_kernel};
 use crate::error::{Error, Result};
 use crate::features::{FeatureMap, SCALES};
-use crate::ops::Real;
-use crate::ops::simd::{multiply_add, wide_kernel};
 use burn::tensor::Tensor;
 use nalgebra::{DMatrixView, DMatrixViewMut};
 

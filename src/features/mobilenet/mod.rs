@@ -7,7 +7,7 @@
 mod fused;
 mod load;
 
-pub use fused::FoldedNet;
+pub use self::fused::FoldedNet;
 
 use super::{FeatureMap, SCALES, Steps};
 use crate::error::Result;

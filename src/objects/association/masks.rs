@@ -3,8 +3,8 @@
 use super::scratch::Zeros;
 use crate::data::{LabelMap, Segment, View};
 use crate::error::Result;
-use crate::gaussians::Gaussians;
 use crate::raster::{Projected, Settings};
+use crate::splat::Gaussians;
 use rayon::prelude::*;
 
 /// The id of pixels that belong to no segment.
@@ -129,8 +129,8 @@ pub(super) fn masks(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::Camera;
     use crate::data::Split;
+    use crate::splat::camera::Camera;
 
     #[test]
     fn what_a_mask_leaves_out_is_not_without_a_segment() {
@@ -177,7 +177,7 @@ mod tests {
             masks(&gaussians, view, &raw, &Settings::default(), &zeros).expect("masks")
         };
         let whole = of(&view);
-        view.mask = Some(crate::mask::Mask::new(width, height, used));
+        view.mask = Some(crate::data::mask::Mask::new(width, height, used));
         let part = of(&view);
         assert!(zeros.lend().iter().all(|sum| *sum == 0.0), "as it was lent");
         assert_eq!(part.segments[0].weights, whole.segments[0].weights);

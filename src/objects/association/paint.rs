@@ -4,8 +4,8 @@ use super::groups::Placed;
 use super::masks::{BAND, Mask, NOTHING};
 use crate::data::{LabelMap, LabelRuns, View};
 use crate::error::Result;
-use crate::gaussians::Gaussians;
 use crate::raster::{Projected, Settings};
+use crate::splat::Gaussians;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 

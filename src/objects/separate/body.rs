@@ -1,6 +1,6 @@
 //! A Gaussian as the ellipsoid within which it is more opaque than some level.
 
-use crate::gaussians::{Gaussians, rotation};
+use crate::splat::{Gaussians, rotation};
 use glam::{DMat3, DVec3};
 
 /// Thickness of an ellipsoid at least, squared, as a share of the square of its size.

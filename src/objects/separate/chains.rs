@@ -117,7 +117,7 @@ impl Chains {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gaussians::Gaussians;
+    use crate::splat::Gaussians;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 

@@ -11,8 +11,8 @@ mod regions;
 
 use crate::data::Classes;
 use crate::error::{Error, Result};
-use crate::gaussians::Gaussians;
 use crate::segmentation::neighbours::PointIndex;
+use crate::splat::Gaussians;
 use body::Body;
 use chains::Chains;
 use naming::Naming;

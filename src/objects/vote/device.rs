@@ -1,12 +1,12 @@
 //! The table of votes on a GPU: labels are lifted by the rasterizer's adjoint, a channel a class, and summed where they are.
 
-use super::super::device_labels::one_hot;
 use super::Votes;
-use crate::camera::Camera;
-use crate::device::{largest_allocation, read};
+use crate::backend::device::{largest_allocation, read};
 use crate::error::Result;
-use crate::gaussians::Gaussians;
+use crate::objects::device_labels::one_hot;
 use crate::raster::{Settings, SplatTensors};
+use crate::splat::Gaussians;
+use crate::splat::camera::Camera;
 use burn::tensor::{Device, IndexingUpdateOp, Int, Tensor, TensorData};
 
 /// Votes that stay on a device until all views are in.
@@ -121,7 +121,7 @@ impl DeviceVotes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::{BackendName, device_of_tests};
+    use crate::backend::device::{BackendName, device_of_tests};
     use glam::{DMat3, DVec3};
 
     #[test]

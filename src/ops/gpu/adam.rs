@@ -1,7 +1,7 @@
 //! One Adam step in one kernel: parameter, gradient and both moments are read and written once.
 
 use super::{covers, own};
-use crate::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, arg};
 use crate::ops::adam::{AdamBackend, AdamStep, on_host};
 use burn::backend::tensor::FloatTensor;
 use burn::tensor::DType;

@@ -1,6 +1,6 @@
 //! Non-finite values counted on the device, and the count beside a loss.
 
-use crate::gpu::{Gpu, add_non_finite, arg};
+use crate::backend::gpu::{Gpu, add_non_finite, arg};
 use crate::ops::finite::FiniteBackend;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::tensor::DType;

@@ -3,7 +3,7 @@
 use super::dense::{weights_gradient, zeros};
 use super::sparse::DeviceMatrix;
 use super::{covers, own};
-use crate::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, arg};
 use crate::ops::fusion_layer::{FusionBackend, LayerMap, LayerTensors, on_host};
 use crate::ops::gather::GatherBackend;
 use burn::backend::ops::FloatTensorOps;

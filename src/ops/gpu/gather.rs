@@ -2,7 +2,7 @@
 
 use super::dense::zeros;
 use super::rows::pick;
-use crate::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, arg};
 use crate::ops::gather::{GatherBackend, RowList};
 use burn::backend::tensor::FloatTensor;
 use burn::tensor::DType;

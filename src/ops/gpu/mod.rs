@@ -17,8 +17,8 @@ mod sparse;
 mod sum;
 mod tile_window;
 
-pub(super) use photo::{DeviceBytes, DevicePhoto};
-pub(super) use sparse::DeviceMatrix;
+pub(super) use self::photo::{DeviceBytes, DevicePhoto};
+pub(super) use self::sparse::DeviceMatrix;
 
 use burn::tensor::DType;
 use burn_cubecl::kernel::into_contiguous;

@@ -2,7 +2,7 @@
 
 use super::covers;
 use super::sum::{sum, sum_cube};
-use crate::gpu::{Gpu, UNITS, arg};
+use crate::backend::gpu::{Gpu, UNITS, arg};
 use crate::ops::neighbour_divergence::{DivergenceBackend, NeighbourPairs, on_host};
 use burn::backend::tensor::FloatTensor;
 use burn::tensor::DType;

@@ -1,8 +1,8 @@
 //! Photos on a device: f32 values with moments from the host, or bytes, whose moments a kernel makes before each comparison.
 
 use super::tile_window::{PLANE, ROWS, SIDE, cubes, own_place, place, windowed};
-use crate::gpu::{Gpu, UNITS, arg};
-use crate::mask::Mask;
+use crate::backend::gpu::{Gpu, UNITS, arg};
+use crate::data::mask::Mask;
 use crate::ops::photo::CHANNELS;
 use crate::ops::{Compared, Photo};
 use burn::tensor::DType;
@@ -99,14 +99,14 @@ pub(super) fn used(gpu: &Gpu, image: &CubeTensor, bits: &CubeTensor) -> CubeTens
 
 /// The bytes of a photo in words, and the bits of its mask.
 #[derive(Clone)]
-pub(in crate::ops) struct DeviceBytes {
+pub(crate) struct DeviceBytes {
     words: CubeTensor,
     mask: Option<CubeTensor>,
 }
 
 /// A photo with its windowed moments.
 #[derive(Clone)]
-pub(in crate::ops) struct DevicePhoto {
+pub(crate) struct DevicePhoto {
     /// 32-bit values, or bytes in words.
     pub(super) rgb: CubeTensor,
     pub(super) packed: bool,

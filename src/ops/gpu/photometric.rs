@@ -7,7 +7,7 @@ use super::covers;
 use super::photo::{DevicePhoto, used, value_at};
 use super::sum::{sum, sum_cube};
 use super::tile_window::{PLANE, ROWS, SIDE, cubes, own_place, place, windowed};
-use crate::gpu::{Gpu, UNITS, arg};
+use crate::backend::gpu::{Gpu, UNITS, arg};
 use crate::ops::Compared;
 use crate::ops::photo::{C1, C2, CHANNELS};
 use crate::ops::photometric::{PhotometricBackend, on_host};

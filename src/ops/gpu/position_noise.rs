@@ -2,7 +2,7 @@
 
 use super::numeric::ln_1p;
 use super::own;
-use crate::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, arg};
 use crate::ops::position_noise::{NoiseBackend, NoiseStep};
 use crate::random::philox::{FACTORS, ROUNDS, STEPS};
 use burn::backend::tensor::FloatTensor;

@@ -1,7 +1,7 @@
 //! Rows picked on the device, a unit a scalar: for densification, and for what gathers rows with a gradient.
 
 use super::covers;
-use crate::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, arg};
 use crate::ops::rows::{RowBackend, RowMap, StartOfNew, on_host};
 use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::FloatTensor;

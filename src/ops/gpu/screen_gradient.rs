@@ -1,7 +1,7 @@
 //! Screen-space gradients gathered in one kernel, a unit a Gaussian.
 
 use super::{covers, own};
-use crate::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, arg};
 use crate::ops::screen_gradient::{ScreenGradientBackend, on_host};
 use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;

@@ -1,7 +1,7 @@
 //! Constant sparse matrices on a device: compressed rows, one unit a row and channel.
 
 use super::covers;
-use crate::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, arg};
 use crate::ops::sparse::{SparseBackend, SparseMatrix, on_host};
 use burn::backend::tensor::FloatTensor;
 use burn::tensor::DType;
@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 /// The arrays of a [`SparseMatrix`].
 #[derive(Clone)]
-pub(in crate::ops) struct DeviceMatrix {
+pub(crate) struct DeviceMatrix {
     offsets: CubeTensor,
     indices: CubeTensor,
     values: CubeTensor,

@@ -1,6 +1,6 @@
 //! Sums in a fixed order: the same bits every time.
 
-use crate::gpu::{Gpu, UNITS, arg};
+use crate::backend::gpu::{Gpu, UNITS, arg};
 use crate::ops::sum::SumBackend;
 use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::FloatTensor;

@@ -1,6 +1,6 @@
 //! Separable convolution with the window of SSIM: a cube a tile and channel, a unit a pixel.
 
-use crate::gpu::UNITS;
+use crate::backend::gpu::UNITS;
 use crate::ops::photo::CHANNELS;
 use crate::ops::window::{RADIUS, TAPS, taps};
 use burn_cubecl::cubecl::{self, prelude::*};

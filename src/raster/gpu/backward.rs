@@ -12,7 +12,7 @@ use super::pixel::{
     reaches_patch, rule, splat_four, take,
 };
 use super::project::SPLAT;
-use crate::gpu::{Gpu, UNITS};
+use crate::backend::gpu::{Gpu, UNITS};
 use burn_cubecl::cubecl::{self, prelude::*};
 
 /// Sums over pixels of g times 1, u, v, u^2, u v, v^2.

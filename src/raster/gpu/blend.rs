@@ -5,7 +5,7 @@ use super::pixel::{
     Four, PATCH, PATCHES, SPLAT_FOURS, pixel, reaches_patch, rule, splat_four, take,
 };
 use super::view::BACKGROUND;
-use crate::gpu::{Gpu, UNITS, arg};
+use crate::backend::gpu::{Gpu, UNITS, arg};
 use burn::tensor::Shape;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;

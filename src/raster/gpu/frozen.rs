@@ -4,8 +4,8 @@ use super::blend::{self, Values};
 use super::pixel_sums::{self, Tiles};
 use super::project::SPLAT;
 use super::{Inputs, Prepared, Scenery, check_size, prepare};
+use crate::backend::gpu::{Gpu, arg};
 use crate::error::Result;
-use crate::gpu::{Gpu, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 use std::cell::OnceCell;
@@ -51,7 +51,7 @@ fn count_pixels(
 }
 
 /// A view's projection, tile lists and counts: for values to be blended, and images to be lifted.
-pub(in crate::raster) struct Lists {
+pub(crate) struct Lists {
     prepared: Prepared,
     /// `[N]`, made when first asked for: who blends alone has no use for them.
     counts: OnceCell<CubeTensor>,

@@ -4,7 +4,7 @@ use super::outline::{outline, pixel_rows, tile_columns, tile_rows};
 use super::project::ProjectedScene;
 use super::radix_sort::sort_positions;
 use super::scan::exclusive_sums;
-use crate::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, arg};
 use crate::raster::footprint::TILE;
 use burn::tensor::DType;
 use burn_cubecl::cubecl::{self, prelude::*};

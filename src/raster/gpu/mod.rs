@@ -30,13 +30,13 @@ mod tests;
 mod vec3;
 mod view;
 
-pub(super) use frozen::Lists;
+pub(super) use self::frozen::Lists;
 
 use super::geometry::Viewpoint;
 use super::settings::Settings;
-use crate::camera::Camera;
+use crate::backend::gpu::{Gpu, add_non_finite, shortfall};
 use crate::error::{Error, Result};
-use crate::gpu::{Gpu, add_non_finite, shortfall};
+use crate::splat::camera::Camera;
 use blend::Values;
 use burn::tensor::DType;
 use burn_cubecl::cubecl::prelude::*;

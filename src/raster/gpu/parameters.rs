@@ -5,7 +5,7 @@ use super::ewa::{Unit, ewa, offset_from_camera, rows_cross, to_camera};
 use super::project::{SPLAT, Scene};
 use super::vec3::{Vec3, add_scaled, cross, dot, read3, scaled, vec3, write3};
 use super::view::{AXES, FOCAL, LOW_PASS, SIZE};
-use crate::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 

@@ -5,7 +5,7 @@ use super::backward::{ABSOLUTE_MOMENTS, MOMENTS, tiles_backward, widest};
 use super::blend::{Values, blocks};
 use super::lists::{Order, TileEntries, tile_counts};
 use super::row_sums::{PixelSums, Slab, add_rows};
-use crate::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, arg};
 use burn_cubecl::tensor::CubeTensor;
 
 /// What was rendered and its gradient.

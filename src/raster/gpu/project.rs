@@ -3,7 +3,7 @@
 use super::ewa::{ewa, offset_from_camera, rows_cross, to_camera};
 use super::vec3::{dot, read3};
 use super::view::{FOCAL, LN_ALPHA_MIN, LOW_PASS, NEAR, PRINCIPAL, SIZE};
-use crate::gpu::{Gpu, arg, is_finite};
+use crate::backend::gpu::{Gpu, arg, is_finite};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 

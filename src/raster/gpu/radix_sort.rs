@@ -5,7 +5,7 @@
 //! subgroup operation is needed. Then every key goes to its place among all, neighbours together.
 
 use super::scan::{exclusive_sums, scan_cube};
-use crate::gpu::{Gpu, UNITS, arg};
+use crate::backend::gpu::{Gpu, UNITS, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 

@@ -1,7 +1,7 @@
 //! The sums over each Gaussian's tiles: a row a tile entry, and a Gaussian's entries are neighbours.
 
 use super::lists::{Order, TileEntries};
-use crate::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 

@@ -1,6 +1,6 @@
 //! Prefix sums.
 
-use crate::gpu::{Gpu, UNITS, arg};
+use crate::backend::gpu::{Gpu, UNITS, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 

@@ -1,8 +1,8 @@
 //! Constants of one view as the kernels read them.
 
-use crate::camera::Camera;
 use crate::raster::Settings;
 use crate::raster::geometry::Viewpoint;
+use crate::splat::camera::Camera;
 
 /// Rows of the world-to-camera rotation, nine numbers.
 pub(super) const AXES: usize = 0;

@@ -2,7 +2,7 @@
 
 use super::call::RasterCall;
 use super::on_host;
-use crate::ops::HostKernels;
+use crate::backend::HostKernels;
 use burn::backend::{Backend, ExtensionType, backend_extension, tensor::FloatTensor};
 use std::sync::Arc;
 

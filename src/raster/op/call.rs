@@ -2,13 +2,13 @@
 
 use super::backend::{INPUTS, RasterTensors};
 use super::radii::Radii;
-use crate::camera::Camera;
+use crate::backend::{HostBackend, HostValues, Real};
 use crate::error::{Error, Result};
-use crate::ops::{HostBackend, HostValues, Real};
 use crate::raster::backward::{PixelGradients, SplatGradients};
 use crate::raster::projected::{Blended, Projected};
 use crate::raster::settings::{Settings, Splats, check_finite};
 use crate::raster::sh::{ShBackward, visible_colours};
+use crate::splat::camera::Camera;
 use std::any::Any;
 use std::sync::{Mutex, PoisonError};
 

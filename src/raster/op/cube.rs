@@ -296,9 +296,9 @@ impl FrozenBackend for CubeBackend {
 
 #[cfg(test)]
 mod tests {
-    use crate::camera::Camera;
-    use crate::device::gpu_of_tests;
+    use crate::backend::device::gpu_of_tests;
     use crate::raster::{Settings, SplatTensors};
+    use crate::splat::camera::Camera;
     use burn::tensor::{Device, Distribution, Tensor};
     use glam::{DMat3, DVec3};
     use std::sync::{Arc, OnceLock};

@@ -1,12 +1,13 @@
 //! Blending with frozen geometry and its adjoint, as operations on tensors: projected and sorted once a view.
 
 use super::splats::SplatTensors;
-use crate::camera::Camera;
-use crate::device::largest_allocation;
+use crate::backend::device::largest_allocation;
+use crate::backend::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use crate::error::{Error, Result};
-use crate::ops::{HostBackend, HostKernels, Real, RowList, device_of, gather_rows, real_kernel};
+use crate::ops::{RowList, gather_rows};
 use crate::raster::projected::{Blended, Projected};
 use crate::raster::settings::{Settings, Splats};
+use crate::splat::camera::Camera;
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};

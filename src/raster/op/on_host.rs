@@ -3,7 +3,7 @@
 use super::backend::RasterTensors;
 use super::call::{Forward, HostInputs, RasterCall};
 use super::radii::Radii;
-use crate::ops::{HostBackend, device_of, real_kernel};
+use crate::backend::{HostBackend, device_of, real_kernel};
 use burn::backend::{TensorMetadata, tensor::FloatTensor};
 use std::sync::Arc;
 

@@ -1,6 +1,6 @@
 //! Radii of the Gaussians of one view.
 
-use crate::device::read;
+use crate::backend::device::read;
 use crate::error::Result;
 use burn::tensor::{Device, Tensor, TensorData};
 use std::sync::Arc;

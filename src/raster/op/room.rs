@@ -1,6 +1,6 @@
 //! Tile lists with room taken beforehand, so that nobody waits for a GPU to count them.
 
-use crate::device::read;
+use crate::backend::device::read;
 use crate::error::Result;
 use burn::tensor::Tensor;
 

@@ -1,7 +1,7 @@
 //! The geometry of Gaussians as tensors.
 
 use crate::error::{Error, Result};
-use crate::gaussians::Gaussians;
+use crate::splat::Gaussians;
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 
 /// Geometry of N Gaussians on a device, frozen: no gradient goes there.

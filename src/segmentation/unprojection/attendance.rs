@@ -2,13 +2,13 @@
 
 use super::Sums;
 use super::device::DeviceSums;
+use crate::backend::device::in_host_memory;
 use crate::config::UnprojectionConfig;
 use crate::data::View;
-use crate::device::in_host_memory;
+use crate::data::mask::Mask;
 use crate::error::Result;
-use crate::gaussians::Gaussians;
-use crate::mask::Mask;
 use crate::raster::{Projected, Settings, SplatTensors};
+use crate::splat::Gaussians;
 use burn::tensor::Device;
 
 /// Which of `gaussians` attendance pruning keeps, `[N]`: those that [`super::unproject`] of any features of `views` at `image`

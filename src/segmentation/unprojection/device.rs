@@ -1,14 +1,14 @@
 //! The sums of the unprojection on a GPU: maps are read bilinearly as a sparse product, and lifted by the rasterizer's adjoint.
 
 use super::Sums;
-use crate::camera::Camera;
+use crate::backend::device::read;
 use crate::config::Resolution;
-use crate::device::read;
+use crate::data::mask::Mask;
 use crate::error::Result;
 use crate::features::{FeatureMap, Lattice};
-use crate::mask::Mask;
 use crate::ops::{SparseMatrix, sparse_apply};
 use crate::raster::{Lifted, Projected, Settings, SplatTensors, SplatView, Splats};
+use crate::splat::camera::Camera;
 use burn::tensor::{Device, Tensor, TensorData};
 use std::sync::Arc;
 

@@ -3,11 +3,11 @@
 //! The bilinear taps are separable. A tile touches few columns and rows of each grid; the columns of all grids lie side
 //! by side in lanes. A Gaussian's pixels of one row are spread over the lanes first, then the lanes over the rows.
 
-use crate::camera::Camera;
+use crate::backend::Real;
+use crate::backend::simd::{multiply_add, prefetch, wide_kernel};
 use crate::features::{Axis, Lattice, SCALES};
-use crate::ops::Real;
-use crate::ops::simd::{multiply_add, prefetch, wide_kernel};
 use crate::raster::TilePairs;
+use crate::splat::camera::Camera;
 
 /// Lanes summed in registers.
 const LANES: usize = 16;

@@ -8,15 +8,15 @@
 //! between `ridge` and `1 + ridge`.
 
 use super::{Sums, of_cells};
-use crate::camera::Camera;
+use crate::backend::Real;
 use crate::config::{Resolution, UnprojectionConfig};
 use crate::data::View;
+use crate::data::mask::Mask;
 use crate::error::Result;
 use crate::features::{Lattice, SCALES};
-use crate::gaussians::Gaussians;
-use crate::mask::Mask;
-use crate::ops::Real;
 use crate::raster::{Projected, Settings, Splats};
+use crate::splat::Gaussians;
+use crate::splat::camera::Camera;
 use rayon::prelude::*;
 use std::convert::Infallible;
 use std::ops::ControlFlow;

@@ -6,13 +6,13 @@
 
 use super::Sums;
 use super::fold::{CellWeight, Entry, Taps, fold_tile};
-use crate::camera::Camera;
+use crate::backend::Real;
+use crate::backend::simd::{multiply_add, wide_kernel};
+use crate::data::mask::Mask;
 use crate::error::Result;
 use crate::features::{FeatureMap, Lattice};
-use crate::mask::Mask;
-use crate::ops::Real;
-use crate::ops::simd::{multiply_add, wide_kernel};
 use crate::raster::{Positions, Projected, Settings, Splats};
+use crate::splat::camera::Camera;
 use rayon::prelude::*;
 
 /// Gaussians that one task gathers for.

@@ -1,7 +1,7 @@
 //! The gradient of the weights, a sum over all rows: cubes take a range of rows each, and what they find is added in a fixed order.
 
 use super::zeros;
-use crate::gpu::{Gpu, UNITS, arg};
+use crate::backend::gpu::{Gpu, UNITS, arg};
 use burn::backend::ops::FloatTensorOps;
 use burn::tensor::FloatDType;
 use burn_cubecl::CubeBackend;

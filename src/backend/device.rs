@@ -1,0 +1,366 @@
+//! Which burn device a run uses. Order when several are compiled in: wgpu (where there is an adapter), flex, ndarray;
+//! `--backend` overrides, and alone takes cuda, which has never been run.
+
+use crate::error::{Error, Result};
+use burn::backend::DispatchDevice;
+use burn::tensor::{Device, Tensor};
+
+/// A compute backend by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BackendName {
+    /// burn-cuda.
+    Cuda,
+    /// burn-wgpu: WGSL, or SPIR-V with the feature `vulkan`.
+    Wgpu,
+    /// burn-flex, the named successor of ndarray.
+    Flex,
+    /// burn-ndarray.
+    Ndarray,
+}
+
+impl BackendName {
+    /// The backends compiled into this build that are taken unasked, best first.
+    pub fn compiled() -> &'static [Self] {
+        &[
+            #[cfg(feature = "wgpu")]
+            Self::Wgpu,
+            #[cfg(feature = "flex")]
+            Self::Flex,
+            #[cfg(feature = "ndarray")]
+            Self::Ndarray,
+        ]
+    }
+}
+
+impl std::fmt::Display for BackendName {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Cuda => "cuda",
+            Self::Wgpu => "wgpu",
+            Self::Flex => "flex",
+            Self::Ndarray => "ndarray",
+        })
+    }
+}
+
+impl std::str::FromStr for BackendName {
+    type Err = Error;
+    fn from_str(name: &str) -> Result<Self> {
+        match name {
+            "cuda" => Ok(Self::Cuda),
+            "wgpu" => Ok(Self::Wgpu),
+            "flex" => Ok(Self::Flex),
+            "ndarray" => Ok(Self::Ndarray),
+            _ => Err(Error::argument(
+                "backend",
+                name,
+                "cuda, wgpu, flex or ndarray",
+                "choose one of them",
+            )),
+        }
+    }
+}
+
+/// The device of `name`, or of the best backend compiled in that this machine can run. Without autodiff; add it with
+/// `Device::autodiff`.
+///
+/// # Errors
+/// As [`choose`].
+pub fn open(name: Option<BackendName>) -> Result<Device> {
+    Ok(choose(name)?.1)
+}
+
+/// [`open`], and which backend it is.
+///
+/// Without a name, a wgpu backend that finds no adapter, or only a software one, or one that the rasterizer's kernels do not
+/// run on ([`shortfall`]), gives way to the next one, with one warning. The devices themselves are lazy: wgpu's adapter is
+/// asked for here, so that its absence is an error and not a later panic.
+///
+/// # Errors
+/// [`Error::Device`] when the backend asked for is not compiled in or has no usable adapter.
+pub fn choose(name: Option<BackendName>) -> Result<(BackendName, Device)> {
+    if let Some(name) = name {
+        return Ok((name, device(name)?));
+    }
+    let compiled = BackendName::compiled();
+    for (i, &name) in compiled.iter().enumerate() {
+        let next = compiled.get(i + 1);
+        let reason = match (device(name), next) {
+            (Err(error), None) => return Err(error),
+            (Err(Error::Device { reason, .. }), _) => reason,
+            (Err(other), _) => other.to_string(),
+            (Ok(device), next) => match unsuited(name, &device).filter(|_| next.is_some()) {
+                None => return Ok((name, device)),
+                Some(reason) => format!("{reason} (--backend {name} takes it)"),
+            },
+        };
+        if let Some(next) = next {
+            tracing::warn!("{name}: {reason}; computing with {next} instead");
+        }
+    }
+    Err(Error::Device {
+        device: "none".into(),
+        reason: "no backend is compiled in".into(),
+        mend: "build with --features ndarray".into(),
+    })
+}
+
+/// The device of wgpu, a software one too, if all kernels of this crate run on it.
+///
+/// # Errors
+/// As [`choose`], and [`Error::Device`] where there is a [`shortfall`].
+#[cfg(feature = "cube")]
+pub fn open_gpu() -> Result<Device> {
+    let device = open(Some(BackendName::Wgpu))?;
+    match shortfall(&device) {
+        None => Ok(device),
+        Some(lacks) => Err(Error::Device {
+            device: BackendName::Wgpu.to_string(),
+            reason: format!("its adapter is no match for the kernels: {lacks}"),
+            mend: "choose another adapter or backend".into(),
+        }),
+    }
+}
+
+/// `name` and, where it is known, what it computes on: "wgpu (NVIDIA H100 PCIe, vulkan)". A software adapter is called one.
+pub fn described(name: BackendName) -> String {
+    #[cfg(feature = "wgpu")]
+    if let (
+        BackendName::Wgpu,
+        Ok(Some(Adapter {
+            name: adapter,
+            software,
+        })),
+    ) = (name, adapter())
+    {
+        return format!(
+            "{name} ({adapter}{})",
+            if *software {
+                ", a software adapter"
+            } else {
+                ""
+            }
+        );
+    }
+    name.to_string()
+}
+
+/// [`open_gpu`], where the adapter is no software one.
+///
+/// # Errors
+/// As [`open_gpu`]; [`Error::Device`] for a software adapter.
+#[cfg(feature = "cube")]
+pub fn open_hardware_gpu() -> Result<Device> {
+    let device = open_gpu()?;
+    match software_adapter(BackendName::Wgpu) {
+        None => Ok(device),
+        Some(adapter) => Err(Error::Device {
+            device: BackendName::Wgpu.to_string(),
+            reason: format!("the only adapter is {adapter}, a software one"),
+            mend: "install the GPU's Vulkan, Metal or DX12 driver".into(),
+        }),
+    }
+}
+
+/// [`open_gpu`] for tests: without it they say so and pass, unless the environment has COSEG_REQUIRE_GPU, which is
+/// `hardware` where a software adapter is not enough.
+#[cfg(all(test, feature = "cube"))]
+pub(crate) fn gpu_of_tests() -> Option<Device> {
+    let required = std::env::var_os("COSEG_REQUIRE_GPU");
+    let hardware = required.as_ref().is_some_and(|how| how == "hardware");
+    let device = if hardware {
+        open_hardware_gpu()
+    } else {
+        open_gpu()
+    };
+    let device = device.inspect_err(|error| assert!(required.is_none(), "{error}"));
+    device
+        .inspect_err(|error| eprintln!("SKIPPED: {error}"))
+        .ok()
+}
+
+/// The device of `name` for tests, a GPU as [`gpu_of_tests`]; other backends that do not open are told.
+#[cfg(test)]
+pub(crate) fn device_of_tests(name: BackendName) -> Option<Device> {
+    match name {
+        #[cfg(feature = "wgpu")]
+        BackendName::Wgpu => gpu_of_tests(),
+        _ => open(Some(name))
+            .inspect_err(|error| eprintln!("SKIPPED: {error}"))
+            .ok(),
+    }
+}
+
+/// Whether tensors on `device`, with or without autodiff, lie in host memory.
+///
+/// Fused operations lend such tensors to kernels for the CPU; elsewhere kernels of the device, or plain tensors, keep the data there.
+pub fn in_host_memory(device: &Device) -> bool {
+    match device.clone().inner().as_dispatch() {
+        #[cfg(feature = "flex")]
+        DispatchDevice::Flex(_) => true,
+        #[cfg(feature = "ndarray")]
+        DispatchDevice::NdArray(_) => true,
+        #[allow(unreachable_patterns, reason = "unreachable without a GPU backend")]
+        _ => false,
+    }
+}
+
+/// Whether scenes are rendered on `device`: a GPU that is no match for the kernels would hand everything back to the host.
+pub fn renders_on(device: &Device) -> bool {
+    !in_host_memory(device) && shortfall(device).is_none()
+}
+
+/// What `device`, if it is a GPU, has too little of for the rasterizer's kernels: there it copies from and to the GPU and
+/// renders on the CPU.
+pub fn shortfall(device: &Device) -> Option<String> {
+    match device.clone().inner().as_dispatch() {
+        #[cfg(feature = "cube")]
+        DispatchDevice::Cube(device) => super::gpu::shortfall(&device.client()),
+        _ => None,
+    }
+}
+
+/// Bytes of the largest buffer of `device`, with or without autodiff, where it is a GPU.
+pub(crate) fn largest_allocation(device: &Device) -> Option<usize> {
+    match device.clone().inner().as_dispatch() {
+        #[cfg(feature = "cube")]
+        DispatchDevice::Cube(device) => Some(super::gpu::largest_buffer(&device.client())),
+        _ => None,
+    }
+}
+
+/// The row-major values of a tensor of f32, on the host; `what` names it.
+///
+/// # Errors
+/// [`Error::Device`] when the device does not give them back, also for what went wrong on it since it was last read, such as
+/// memory that it had not.
+pub(crate) fn read<const D: usize>(what: &str, tensor: Tensor<D>) -> Result<Vec<f32>> {
+    let failed = |reason: String| Error::Device {
+        device: "in use".into(),
+        reason: format!("reading {what} back failed: {reason}"),
+        mend: "see whether the device has memory left, or choose a CPU backend".into(),
+    };
+    let data = tensor
+        .try_into_data()
+        .map_err(|error| failed(format!("{error:?}")))?;
+    data.into_vec::<f32>()
+        .map_err(|error| failed(format!("{error:?}")))
+}
+
+fn device(name: BackendName) -> Result<Device> {
+    match name {
+        #[cfg(feature = "cuda")]
+        BackendName::Cuda => cuda(),
+        #[cfg(feature = "wgpu")]
+        BackendName::Wgpu => wgpu(),
+        #[cfg(feature = "flex")]
+        BackendName::Flex => Ok(Device::flex()),
+        #[cfg(feature = "ndarray")]
+        BackendName::Ndarray => Ok(Device::ndarray()),
+        #[allow(
+            unreachable_patterns,
+            reason = "unreachable only when every backend is compiled in"
+        )]
+        other => {
+            let has: Vec<String> = BackendName::compiled()
+                .iter()
+                .map(ToString::to_string)
+                .collect();
+            Err(Error::Device {
+                device: other.to_string(),
+                reason: format!("not part of this build, which has {}", has.join(", ")),
+                mend: format!("choose one of these, or build with --features {other}"),
+            })
+        }
+    }
+}
+
+/// The first CUDA device.
+#[cfg(feature = "cuda")]
+fn cuda() -> Result<Device> {
+    // The device itself is lazy, and panics where the driver's library is missing.
+    let found = ["/dev/nvidiactl", "/dev/dxg"]
+        .iter()
+        .any(|path| std::path::Path::new(path).exists());
+    if found || cfg!(windows) {
+        return Ok(Device::cuda(0));
+    }
+    Err(Error::Device {
+        device: BackendName::Cuda.to_string(),
+        reason: "no NVIDIA driver is loaded".into(),
+        mend: "install the NVIDIA driver, or choose another backend".into(),
+    })
+}
+
+/// The default wgpu device.
+#[cfg(feature = "wgpu")]
+fn wgpu() -> Result<Device> {
+    match adapter() {
+        Ok(_) => Ok(Device::wgpu(burn::tensor::DeviceKind::DefaultDevice)),
+        Err(reason) => Err(Error::Device {
+            device: BackendName::Wgpu.to_string(),
+            reason: format!("no usable adapter ({reason})"),
+            mend: "install a Vulkan, Metal or DX12 driver (Debian: mesa-vulkan-drivers has a software one), or choose \
+                   another backend"
+                .into(),
+        }),
+    }
+}
+
+/// What wgpu computes on.
+#[cfg(feature = "wgpu")]
+#[derive(Clone, Debug)]
+struct Adapter {
+    /// As its driver names it, with the interface that it is reached by.
+    name: String,
+    software: bool,
+}
+
+/// Acquires the adapter of the default wgpu device, once a process: what is known of it, or why there is none.
+#[cfg(feature = "wgpu")]
+fn adapter() -> &'static std::result::Result<Option<Adapter>, String> {
+    use burn::tensor::wgpu::{WgpuInitError, wgpu::DeviceType};
+    static ADAPTER: std::sync::OnceLock<std::result::Result<Option<Adapter>, String>> =
+        std::sync::OnceLock::new();
+    ADAPTER.get_or_init(|| match Device::wgpu_options().init_with_setup() {
+        Ok((_, setup)) => {
+            let info = setup.adapter.get_info();
+            let software = info.device_type == DeviceType::Cpu;
+            Ok(Some(Adapter {
+                name: format!("{}, {}", info.name, info.backend),
+                software,
+            }))
+        }
+        // Registered already: somebody computes on it.
+        Err(WgpuInitError::Registration { .. }) => Ok(None),
+        Err(WgpuInitError::AdapterUnavailable { message, .. }) => Err(message),
+        Err(error) => Err(error.to_string()),
+    })
+}
+
+/// Why another backend would be better than `name` with its `device`, if one would.
+fn unsuited(name: BackendName, device: &Device) -> Option<String> {
+    let software = software_adapter(name)
+        .map(|adapter| format!("the only adapter is {adapter}, a software one"));
+    let lacks = || {
+        Some(format!(
+            "its adapter is no match for the kernels: {}",
+            shortfall(device)?
+        ))
+    };
+    software.or_else(lacks)
+}
+
+/// Name of the software adapter that `name` would compute on, if it is one.
+fn software_adapter(name: BackendName) -> Option<String> {
+    match name {
+        #[cfg(feature = "wgpu")]
+        BackendName::Wgpu => adapter()
+            .clone()
+            .ok()
+            .flatten()
+            .filter(|adapter| adapter.software)
+            .map(|a| a.name),
+        _ => None,
+    }
+}

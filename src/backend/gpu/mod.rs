@@ -1,0 +1,12 @@
+//! What the GPU kernels of this crate stand on: buffers and launch sizes, a look at non-finite values, and host values that
+//! stay on a device.
+
+mod buffers;
+mod finite;
+mod needs;
+mod resident;
+
+pub use self::buffers::{Gpu, UNITS, arg, largest_buffer};
+pub use self::finite::{add_non_finite, is_finite};
+pub use self::needs::shortfall;
+pub use self::resident::Resident;

@@ -1,0 +1,21 @@
+//! Devices, access to tensors from the host, GPU buffers, SIMD.
+
+#[cfg(target_arch = "x86_64")]
+pub(crate) mod avx;
+pub mod device;
+pub(crate) mod elementary;
+#[cfg(feature = "cube")]
+pub(crate) mod gpu;
+pub(crate) mod host;
+pub(crate) mod matmul;
+pub(crate) mod real;
+pub(crate) mod simd;
+pub(crate) mod vector;
+
+pub use self::host::HostBackend;
+pub use self::host::HostKernels;
+pub use self::host::HostValues;
+pub(crate) use self::host::device_of;
+pub use self::host::host_fallbacks;
+pub(crate) use self::host::real_kernel;
+pub use self::real::Real;

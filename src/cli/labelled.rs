@@ -1,0 +1,67 @@
+//! A trained scene beside a folder of raw labels: what commands that give Gaussians labels work on.
+
+use super::Settings;
+use super::scene_file::scene_path;
+use burn::tensor::Device;
+use clap::Args;
+use coseg::backend::device;
+use coseg::backend::device::BackendName;
+use coseg::config::Config;
+use coseg::data::{self, Limits, LoadOptions, Scene, atomic};
+use coseg::error::{Error, Result};
+use coseg::pipeline::compare_with_photos;
+use coseg::splat::ply;
+use coseg::splat::ply::PlyScene;
+use std::path::PathBuf;
+
+/// Arguments that name both, and where to write.
+#[derive(Args, Debug)]
+pub struct LabelledArgs {
+    /// Scene in the 3DGS PLY convention, or a run folder
+    #[arg(long, value_name = "FILE.ply|RUN")]
+    scene: PathBuf,
+    /// Scene folder with photos, cameras and raw labels
+    #[arg(long, value_name = "DIR")]
+    pub data: PathBuf,
+    /// Folder to write to; made if absent
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Where to compute: wgpu, flex, ndarray or cuda [default: the first in this build, cuda aside]
+    #[arg(long, value_name = "NAME")]
+    backend: Option<BackendName>,
+    #[command(flatten)]
+    settings: Settings,
+}
+
+impl LabelledArgs {
+    /// The settings.
+    pub fn config(&self) -> Result<Config> {
+        self.settings.load(Some(&self.data), None)
+    }
+
+    /// Where to compute.
+    pub fn device(&self) -> Result<Device> {
+        device::open(self.backend)
+    }
+
+    /// Reads both, the scene relative to the origin of the Gaussians.
+    pub fn read(&self, config: &Config, device: &Device) -> Result<(Scene, PlyScene)> {
+        let options = LoadOptions::from(config);
+        data::locate(&self.data, &options)?;
+        let path = scene_path(&self.scene)?;
+        if atomic::same_file(&path, &self.out.join("scene.ply")) {
+            let expected = "another folder than that of the scene, which would be written over";
+            return Err(Error::argument(
+                "--out",
+                self.out.display().to_string(),
+                expected,
+                "name a new folder",
+            ));
+        }
+        let scene = data::load(&self.data, &options)?;
+        let ply = ply::read(&path, &Limits::default())?;
+        let scene = scene.with_origin(ply.origin);
+        compare_with_photos(&path, &ply.gaussians, &scene, config, device)?;
+        Ok((scene, ply))
+    }
+}

@@ -1,0 +1,181 @@
+//! `coseg objects`: what a labelled scene holds, and what a pixel shows.
+
+use super::object_scene::{ObjectScene, ObjectSceneArgs};
+use super::scene_file::{cameras_path, raster_beside};
+use super::terminal;
+use clap::Args;
+use coseg::data::{NamedCamera, read_cameras};
+use coseg::error::{Error, Result};
+use coseg::objects::pick;
+use coseg::raster::{Projected, Settings};
+use coseg::splat::camera::Camera;
+use glam::DVec3;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+const HELP: &str = "\
+Without --pixel: every label of the scene with its name, number of Gaussians, and the centre and size of its box in
+world units; a box leaves out the outermost 1 % of the centres on each side, one at least of three or more. --json: id,
+name, gaussians, and the corners low and high of the box.
+
+With --frame and --pixel: the label whose Gaussians have most of that pixel, the share of the pixel that
+they have, and where they are. --json: id, name, share, point; null where there is no Gaussian.
+
+Examples:
+  coseg objects --scene runs/room
+  coseg objects --scene runs/room --frame test_001 --pixel 240,180
+  coseg objects --scene other/scene.ply --cameras scenes/room --frame test_001 --pixel 240,180 --json";
+
+/// Arguments of `coseg objects`.
+#[derive(Args, Debug)]
+#[command(after_help = HELP)]
+pub struct ObjectsArgs {
+    #[command(flatten)]
+    input: ObjectSceneArgs,
+    /// Cameras, as `coseg render` takes them [default: cameras.json beside the scene]
+    #[arg(
+        long,
+        value_name = "FILE.json|DIR",
+        requires = "frame",
+        requires = "pixel"
+    )]
+    cameras: Option<PathBuf>,
+    /// Name of a frame: its file name, with or without extension (COLMAP: folders joined to it by _)
+    #[arg(long, value_name = "STEM", requires = "pixel")]
+    frame: Option<String>,
+    /// Column and row of a pixel, from 0 at the top left
+    #[arg(long, value_name = "X,Y", requires = "frame", value_parser = parse_pixel)]
+    pixel: Option<[usize; 2]>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn parse_pixel(text: &str) -> std::result::Result<[usize; 2], String> {
+    let parsed = text
+        .split_once(',')
+        .and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
+    parsed.ok_or_else(|| {
+        "expected a column and a row with a comma between, for instance 240,180".into()
+    })
+}
+
+impl ObjectsArgs {
+    /// Lists, or picks.
+    pub fn run(self) -> Result<()> {
+        let scene = self.input.read()?;
+        match (&self.frame, self.pixel) {
+            (Some(frame), Some(pixel)) => self.pick(&scene, frame, pixel),
+            _ => {
+                self.list(&scene);
+                Ok(())
+            }
+        }
+    }
+
+    fn list(&self, scene: &ObjectScene) {
+        let origin = scene.ply.origin;
+        if self.json {
+            let entries: Vec<_> = scene
+                .objects
+                .iter()
+                .map(|o| {
+                    let (low, high) = ((o.low + origin).to_array(), (o.high + origin).to_array());
+                    json!({"id": o.id, "name": scene.name(o.id), "gaussians": o.rows.len(), "low": low, "high": high})
+                })
+                .collect();
+            terminal::say(&format!("{:#}", json!(entries)));
+            return;
+        }
+        let width = scene
+            .objects
+            .iter()
+            .map(|o| shown(scene, o.id).chars().count())
+            .max()
+            .unwrap_or(0)
+            .max(4);
+        terminal::say(&format!(
+            "{:>5}  {:width$}  {:>9}  {:^26}  {:^23}",
+            "id", "name", "Gaussians", "centre", "size"
+        ));
+        for o in &scene.objects {
+            let (name, count) = (shown(scene, o.id), o.rows.len());
+            let (center, size) = (three(o.center() + origin, 8), three(o.high - o.low, 7));
+            terminal::say(&format!(
+                "{:>5}  {name:width$}  {count:>9}  {center}  {size}",
+                o.id
+            ));
+        }
+    }
+
+    fn pick(&self, scene: &ObjectScene, frame: &str, [x, y]: [usize; 2]) -> Result<()> {
+        let frames = read_cameras(&cameras_path(self.cameras.as_deref(), &scene.path)?, None)?;
+        let named = |name: &str| frames.iter().find(|f| f.name == name);
+        let stem = Path::new(frame).file_stem().and_then(|stem| stem.to_str());
+        let Some(NamedCamera {
+            name: frame,
+            camera,
+            ..
+        }) = named(frame).or_else(|| stem.and_then(named))
+        else {
+            let some: Vec<&str> = frames.iter().take(5).map(|f| f.name.as_str()).collect();
+            let expected = format!("one of {} frames such as {}", frames.len(), some.join(", "));
+            return Err(Error::argument(
+                "--frame",
+                frame,
+                expected,
+                "name a frame of --cameras",
+            ));
+        };
+        let [width, height] = [camera.width, camera.height];
+        if x >= width || y >= height {
+            let expected = format!("a column below {width} and a row below {height}");
+            return Err(Error::argument(
+                "--pixel",
+                format!("{x},{y}"),
+                expected,
+                "choose a pixel of the frame",
+            ));
+        }
+        let camera = Camera {
+            center: camera.center - scene.ply.origin,
+            ..camera.clone()
+        };
+        let settings = Settings::from(&raster_beside(&scene.path));
+        let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &settings)?;
+        let picked = pick(&projected, &scene.ply.gaussians, &scene.labels, [x, y]);
+        let world = |point: DVec3| point + scene.ply.origin;
+        let line = match (picked, self.json) {
+            (None, true) => "null".to_owned(),
+            (None, false) => format!("{frame} {x},{y}: no Gaussian"),
+            (Some(p), true) => {
+                let point = world(p.point).to_array();
+                format!(
+                    "{:#}",
+                    json!({"id": p.id, "name": scene.name(p.id), "share": p.weight, "point": point})
+                )
+            }
+            (Some(p), false) => {
+                let at = three(world(p.point), 0);
+                format!(
+                    "{frame} {x},{y}: {} {}, {:.0} % of the pixel, at {at}",
+                    p.id,
+                    shown(scene, p.id),
+                    100.0 * p.weight
+                )
+            }
+        };
+        terminal::say(&line);
+        Ok(())
+    }
+}
+
+/// The name of a label, `-` where none is known.
+fn shown(scene: &ObjectScene, id: u16) -> &str {
+    scene.name(id).unwrap_or("-")
+}
+
+/// Three numbers, each at least `width` wide.
+fn three(v: DVec3, width: usize) -> String {
+    format!("{:>width$.2} {:>width$.2} {:>width$.2}", v.x, v.y, v.z)
+}

@@ -1,0 +1,120 @@
+//! The progress of training on a terminal: bars that carry held-out figures, or plain lines in a log.
+
+use super::{interrupt, terminal};
+use coseg::pipeline::progress::{CurvePoint, Event, Progress};
+use indicatif::ProgressBar;
+use std::time::Instant;
+
+/// Shows the events of a run.
+#[derive(Debug, Default)]
+pub struct Bars {
+    stage: &'static str,
+    iterations: usize,
+    bar: Option<ProgressBar>,
+    started: Option<Instant>,
+    /// The last point of the stage's curve, where it has one.
+    last: Option<CurvePoint>,
+}
+
+/// Held-out figures in a few words, where there are any.
+fn figures(point: &CurvePoint) -> String {
+    let psnr = point.held_out.psnr.map(|v| format!(" PSNR {v:.2} dB"));
+    let ssim = point.held_out.ssim.map(|v| format!(" SSIM {v:.3}"));
+    let miou = point.miou.map(|v| format!(" mIoU {:.1} %", 100.0 * v));
+    let all: String = psnr.into_iter().chain(ssim).chain(miou).collect();
+    if all.is_empty() {
+        all
+    } else {
+        format!("held-out{all}  ")
+    }
+}
+
+impl Bars {
+    /// A line about a stage that is done: without a terminal its points were told already.
+    fn tell_end(&self) {
+        let seconds = self
+            .started
+            .map_or(0.0, |start| start.elapsed().as_secs_f64());
+        match &self.last {
+            None => terminal::note(&format!("{}  {seconds:.1} s", self.stage)),
+            Some(point) if self.bar.is_some() => self.tell(point, seconds),
+            Some(_) => {}
+        }
+    }
+
+    /// A line about a point of the stage's curve.
+    fn tell(&self, point: &CurvePoint, seconds: f64) {
+        let &CurvePoint {
+            iteration,
+            loss,
+            gaussians,
+            ..
+        } = point;
+        let (stage, iterations, figures) = (self.stage, self.iterations, figures(point));
+        terminal::note(&format!(
+            "{stage} {iteration}/{iterations}  loss {loss:.4}  {figures}{gaussians} Gaussians  {seconds:.0} s"
+        ));
+    }
+
+    fn clear(&mut self) {
+        if let Some(bar) = self.bar.take() {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+impl Drop for Bars {
+    /// A stage that was stopped, or met an error, leaves no bar behind.
+    fn drop(&mut self) {
+        self.clear();
+    }
+}
+
+impl Progress for Bars {
+    fn stop(&mut self) -> bool {
+        interrupt::asked()
+    }
+
+    fn event(&mut self, event: &Event) {
+        match event {
+            Event::Started {
+                stage,
+                done,
+                iterations,
+            } => {
+                self.clear();
+                (self.stage, self.iterations) = (stage, *iterations);
+                (self.started, self.last) = (Some(Instant::now()), None);
+                if terminal::draws_bars() {
+                    let bar = terminal::bar(stage, *iterations as u64);
+                    bar.set_position(*done as u64);
+                    bar.reset_eta();
+                    self.bar = Some(bar);
+                } else if *done > 0 {
+                    terminal::note(&format!("{stage}: goes on after {done} of {iterations}"));
+                }
+            }
+            Event::Step {
+                iteration: done, ..
+            }
+            | Event::Viewed { done } => {
+                if let Some(bar) = &self.bar {
+                    bar.set_position(*done as u64);
+                }
+            }
+            Event::Evaluated(point) => {
+                self.last = Some(*point);
+                match &self.bar {
+                    Some(bar) => bar.set_message(figures(point)),
+                    None => self.tell(point, point.seconds),
+                }
+            }
+            Event::Densified { .. } | Event::Saved { .. } => {}
+            Event::Finished => {
+                self.tell_end();
+                self.clear();
+            }
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,145 @@
+//! `coseg view`: a scene as a page for the browser.
+
+use super::scene_file::{cameras_path, raster_beside, scene_path};
+use super::terminal;
+use clap::Args;
+use coseg::data::{Classes, Limits, read_cameras};
+use coseg::error::{Error, Result};
+use coseg::splat::ply;
+use coseg::viewer::Viewer;
+use glam::DVec3;
+use std::path::{Path, PathBuf};
+
+/// The page beside a scene.
+const PAGE: &str = "viewer.html";
+
+const HELP: &str = "\
+One page that works offline, 111 bytes a Gaussian of SH degree 3, drawn by the browser's WebGL 2. It shows colours, labels, or
+both; an object is chosen by a click, hidden, shown alone, turned, moved; the page says which `coseg edit` writes that as a
+new file.
+
+  FILE.html#view=NAME&mode=labels   begins at the view NAME, percent-encoded; modes are colour, both and labels
+
+`coseg train` writes this page as viewer.html into its run folder, up to 128 MB.
+
+Examples:
+  coseg view --scene runs/room
+  coseg view --scene edited/scene.ply --out table.html
+  coseg view --scene other/model --out model.html                   a model folder of graphdeco's 3DGS
+  coseg view --scene other/point_cloud.ply --up 0,0,1";
+
+/// Arguments of `coseg view`.
+#[derive(Args, Debug)]
+#[command(after_help = HELP)]
+pub struct ViewArgs {
+    /// Scene in the 3DGS PLY convention, or a run folder; with a `label` column it has objects
+    #[arg(long, value_name = "FILE.ply|RUN")]
+    scene: PathBuf,
+    /// Page to write [default: viewer.html beside the scene, or in the folder]
+    #[arg(long, value_name = "FILE.html")]
+    out: Option<PathBuf>,
+    /// Views to go to, as `coseg render` takes them [default: cameras.json beside the scene, if it is there]
+    #[arg(long, value_name = "FILE.json|DIR")]
+    cameras: Option<PathBuf>,
+    /// Names of the labels [default: classes.json beside the scene, if it is there]
+    #[arg(long, value_name = "FILE.json")]
+    classes: Option<PathBuf>,
+    /// Which way is up in the world, such as 0,0,1 [default: as the cameras have it, or 0,-1,0 without them]
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_direction, allow_hyphen_values = true)]
+    up: Option<DVec3>,
+    /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99 [default: the run's, or 0.999]
+    #[arg(long, value_name = "X")]
+    alpha_max: Option<f64>,
+}
+
+impl ViewArgs {
+    /// Writes the page.
+    pub fn run(self) -> Result<()> {
+        if let Some(alpha) = self
+            .alpha_max
+            .filter(|alpha| !(*alpha > 0.0 && *alpha <= 1.0))
+        {
+            return Err(Error::argument(
+                "--alpha-max",
+                alpha.to_string(),
+                "a number in (0, 1]",
+                "choose one there",
+            ));
+        }
+        let path = scene_path(&self.scene)?;
+        let page = if self.scene.is_dir() {
+            self.scene.join(PAGE)
+        } else {
+            path.with_file_name(PAGE)
+        };
+        let out = self.out.unwrap_or(page);
+        if !out
+            .extension()
+            .is_some_and(|extension| extension.eq_ignore_ascii_case("html"))
+        {
+            let mend = "end the name in .html";
+            return Err(Error::argument(
+                "--out",
+                out.display().to_string(),
+                "an .html file",
+                mend,
+            ));
+        }
+        let ply = ply::read(&path, &Limits::default())?;
+        let beside = |name: &str| Some(path.with_file_name(name)).filter(|file| file.is_file());
+        let names = self.classes.as_ref().map(|file| file.display().to_string());
+        let classes = self.classes.or_else(|| beside("classes.json"));
+        let classes =
+            classes.map_or_else(|| Ok(Classes::default()), |file| Classes::read(&file))?;
+        let cameras = self.cameras.or_else(|| cameras_path(None, &path).ok());
+        let cameras = cameras.map_or_else(|| Ok(Vec::new()), |file| read_cameras(&file, None))?;
+        let viewer = Viewer {
+            title: &title(&path),
+            scene: &self.scene.display().to_string(),
+            names: names.as_deref(),
+            gaussians: &ply.gaussians,
+            origin: ply.origin,
+            labels: ply.labels.as_deref(),
+            classes: &classes,
+            cameras: &cameras,
+            up: self.up,
+            alpha_max: self
+                .alpha_max
+                .unwrap_or_else(|| raster_beside(&path).alpha_max),
+        };
+        viewer.write(&out)?;
+        terminal::say(&format!("{}: open it in a browser", out.display()));
+        Ok(())
+    }
+}
+
+fn parse_direction(text: &str) -> std::result::Result<DVec3, String> {
+    let values: Vec<f64> = text
+        .split(',')
+        .map_while(|v| v.trim().parse().ok())
+        .collect();
+    let direction = <[f64; 3]>::try_from(values)
+        .ok()
+        .filter(|_| text.split(',').count() == 3)
+        .map(DVec3::from);
+    let direction = direction.filter(|direction| direction.try_normalize().is_some());
+    direction.ok_or_else(|| {
+        "expected a direction: three numbers with commas between, for instance 0,0,1".into()
+    })
+}
+
+/// The folder of a scene.ply, as of a run, otherwise the file's own name.
+fn title(scene: &Path) -> String {
+    let folder = scene.parent().and_then(|folder| folder.canonicalize().ok());
+    let named = |path: &Path| {
+        path.file_name()
+            .map(|name| name.to_string_lossy().into_owned())
+    };
+    let folder = folder
+        .as_deref()
+        .and_then(named)
+        .filter(|_| scene.file_name().is_some_and(|name| name == "scene.ply"));
+    folder
+        .or_else(|| named(scene))
+        .unwrap_or_else(|| "scene".to_owned())
+}

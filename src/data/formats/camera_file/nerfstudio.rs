@@ -1,0 +1,57 @@
+//! A camera path as nerfstudio's viewer exports it: camera-to-world by rows with OpenGL axes, vertical field of view in degrees.
+//!
+//! Its coordinates are nerfstudio's normalised ones, as are those of the PLY files that `ns-export` writes of the same run.
+
+use super::{Entry, centred, check_count};
+use crate::data::{NamedCamera, Split};
+use crate::error::Result;
+use glam::DMat4;
+use serde_json::Value;
+use std::path::Path;
+
+pub(crate) fn cameras(path: &Path, value: &Value) -> Result<Vec<NamedCamera>> {
+    let whole = Entry::new(path, String::new(), value);
+    let kind = whole
+        .get("camera_type")
+        .and_then(Value::as_str)
+        .unwrap_or("perspective");
+    if !kind.eq_ignore_ascii_case("perspective") {
+        let mend = "export the path with a perspective camera";
+        return Err(whole.error("camera_type", format!("{kind:?}"), "\"perspective\"", mend));
+    }
+    let [width, height] = whole.size(["render_width", "render_height"])?;
+    let list = whole.list("camera_path")?;
+    check_count(path, "camera_path", list)?;
+    let camera = |(i, value): (usize, &Value)| {
+        let entry = Entry::new(path, format!("camera_path[{i}]"), value);
+        let fov = entry.number("fov")?;
+        if !(fov > 0.0 && fov < 180.0) {
+            let expected = "vertical degrees above 0, below 180";
+            return Err(entry.error(
+                "fov",
+                format!("{fov:?}"),
+                expected,
+                "mend the field of view",
+            ));
+        }
+        let focal =
+            entry.check_focal("fov", 0.5 * height as f64 / (0.5 * fov.to_radians()).tan())?;
+        let field = "camera_to_world";
+        // By rows.
+        let c2w = DMat4::from_cols_array(&entry.numbers(field)?).transpose();
+        let last = c2w.row(3);
+        if !last.abs_diff_eq(glam::DVec4::W, 1e-6) {
+            let mend = "write the matrix by rows, its translation at the end of each";
+            return Err(entry.error(field, format!("a last row of {last}"), "0, 0, 0, 1", mend));
+        }
+        // From OpenGL's axes: y and z the other way.
+        let c2w = DMat4::from_cols(c2w.x_axis, -c2w.y_axis, -c2w.z_axis, c2w.w_axis);
+        let camera = centred(&entry, field, [focal; 2], [width, height], c2w)?;
+        Ok(NamedCamera {
+            name: format!("path_{i:04}"),
+            split: Split::Train,
+            camera,
+        })
+    };
+    list.iter().enumerate().map(camera).collect()
+}

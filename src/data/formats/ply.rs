@@ -1,0 +1,376 @@
+//! Scalar columns of a PLY element, in and out, in blocks of rows: what point clouds and Gaussian scenes share.
+//!
+//! The format itself is `ply-rs-bw`'s. Its rows are addressed by property name; here every wanted property is renamed
+//! once, in a private copy of the element definition, to its column number, so that no row compares names.
+
+use crate::data::Limits;
+use crate::data::photos::file_kind;
+use crate::error::{Error, Result};
+use ply_rs_bw::parser::{Parser, Reader};
+use ply_rs_bw::ply::{
+    Addable, ElementDef, Encoding, Header, KeyMap, PropertyAccess, PropertyAccessResult,
+    PropertyDef, PropertyType, ScalarType,
+};
+use ply_rs_bw::writer::Writer;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Seek, Write};
+use std::path::{Path, PathBuf};
+
+/// Rows parsed at once; bounds the memory beside the caller's own.
+const BLOCK: usize = 2_048;
+
+/// One row of `N` columns. Every PLY scalar type fits an `f64` exactly.
+#[derive(Clone, Debug)]
+pub(crate) struct Row<const N: usize>(pub [f64; N]);
+
+/// Column number of a renamed property: its key is one character, which costs nothing to read millions of times.
+fn slot(key: &str) -> Option<usize> {
+    let mut chars = key.chars();
+    match (chars.next(), chars.next()) {
+        (Some(c), None) => Some(c as usize),
+        _ => None,
+    }
+}
+
+fn slot_key(column: usize) -> String {
+    // Columns number far fewer than the first gap in `char`.
+    char::from_u32(column as u32).map_or_else(String::new, String::from)
+}
+
+impl<const N: usize> Row<N> {
+    fn set(&mut self, key: &str, value: f64) -> PropertyAccessResult {
+        match slot(key).and_then(|i| self.0.get_mut(i)) {
+            Some(cell) => {
+                *cell = value;
+                PropertyAccessResult::Set
+            }
+            None => PropertyAccessResult::Ignored,
+        }
+    }
+
+    fn get(&self, key: &str) -> Option<f64> {
+        slot(key).and_then(|i| self.0.get(i)).copied()
+    }
+}
+
+macro_rules! setters {
+    ($($name:ident: $t:ty),*) => {
+        $(fn $name(&mut self, key: &str, value: $t) -> PropertyAccessResult { self.set(key, f64::from(value)) })*
+    };
+}
+
+impl<const N: usize> PropertyAccess for Row<N> {
+    fn new() -> Self {
+        Self([0.0; N])
+    }
+    setters!(set_char: i8, set_uchar: u8, set_short: i16, set_ushort: u16, set_int: i32, set_uint: u32,
+        set_float: f32, set_double: f64);
+    fn get_uchar(&self, key: &str) -> Option<u8> {
+        self.get(key).map(|v| v as u8)
+    }
+    fn get_ushort(&self, key: &str) -> Option<u16> {
+        self.get(key).map(|v| v as u16)
+    }
+    fn get_float(&self, key: &str) -> Option<f32> {
+        self.get(key).map(|v| v as f32)
+    }
+    fn get_double(&self, key: &str) -> Option<f64> {
+        self.get(key)
+    }
+}
+
+/// A PLY file whose header was read: the wanted element can be asked for its columns, then read once.
+pub(crate) struct PlyFile {
+    path: PathBuf,
+    reader: Reader<BufReader<File>>,
+    header: Header,
+    element: String,
+}
+
+impl PlyFile {
+    /// Opens `path` and reads the header up to `end_header`; `element` (such as `vertex`) must be declared.
+    pub fn open(path: &Path, element: &str, limits: &Limits) -> Result<Self> {
+        let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+        let mut file = BufReader::with_capacity(1 << 20, file);
+        let first = file.fill_buf().map_err(|e| Error::io(path, "read", e))?;
+        // What begins like one, and breaks off or has other line ends, is told as a bad header.
+        let kind = file_kind::by_first_bytes(first)
+            .or_else(|| first.starts_with(b"ply").then_some("a PLY file"));
+        if kind != Some("a PLY file") {
+            let found = kind.unwrap_or(if first.is_empty() {
+                "an empty file"
+            } else {
+                "another kind of file"
+            });
+            let mend = "give the .ply file, such as the scene.ply of a run";
+            return Err(Error::input(path, "first bytes", found, "a PLY file", mend));
+        }
+        let mut reader = Reader::new(file);
+        let header = Parser::<Row<0>>::new()
+            .read_header(&mut reader)
+            .map_err(|e| {
+                let line = e
+                    .line()
+                    .map_or_else(|| "header".into(), |l| format!("header, line {l}"));
+                Error::input(
+                    path,
+                    line,
+                    what(&e.to_string()),
+                    "a PLY header",
+                    "export the file again",
+                )
+            })?;
+        let Some(def) = header.elements.get(element) else {
+            let found: Vec<_> = header.elements.keys().map(String::as_str).collect();
+            return Err(Error::input(
+                path,
+                "header",
+                format!("elements [{}]", found.join(", ")),
+                format!("an element `{element}`"),
+                "export the file as a point cloud or Gaussian scene",
+            ));
+        };
+        Limits::check(
+            format!("{}: rows of {element}", path.display()),
+            def.count as u64,
+            limits.points,
+            "split it",
+        )?;
+        Ok(Self {
+            path: path.to_owned(),
+            reader,
+            header,
+            element: element.into(),
+        })
+    }
+
+    fn def(&self) -> &ElementDef {
+        &self.header.elements[&self.element]
+    }
+
+    /// Scalar type of a column; `None` when there is no such scalar column.
+    pub fn scalar(&self, name: &str) -> Option<&ScalarType> {
+        match &self.def().properties.get(name)?.data_type {
+            PropertyType::Scalar(t) => Some(t),
+            PropertyType::List(..) => None,
+        }
+    }
+
+    /// Names of all columns, in file order.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.def().properties.keys().map(String::as_str)
+    }
+
+    /// Header comments, in file order.
+    pub fn comments(&self) -> &[String] {
+        &self.header.comments
+    }
+
+    /// An error that names the file and a field of it.
+    pub fn error(
+        &self,
+        field: impl Into<String>,
+        found: impl Into<String>,
+        expected: &str,
+        mend: &str,
+    ) -> Error {
+        Error::input(&self.path, field, found, expected, mend)
+    }
+
+    /// Reads every row and hands it to `each` with its number. Cell `i` of a row is column `columns[i]`; a `None`
+    /// stays 0. Columns that are not named are ignored.
+    ///
+    /// # Errors
+    /// A named column is absent, the file ends early or a value does not parse; whatever `each` returns.
+    pub fn read<const N: usize>(
+        mut self,
+        columns: &[Option<String>; N],
+        mut each: impl FnMut(usize, &[f64; N]) -> Result<()>,
+    ) -> Result<()> {
+        if let Some(missing) = columns
+            .iter()
+            .flatten()
+            .find(|name| self.scalar(name).is_none())
+        {
+            let found: Vec<_> = self.names().collect();
+            let found = format!("columns [{}]", found.join(", "));
+            let expected = format!("a scalar column `{missing}`");
+            return Err(self.error(
+                format!("element {}", self.element),
+                found,
+                &expected,
+                "export it with this column",
+            ));
+        }
+        let mut renamed = self.def().clone();
+        renamed.properties = KeyMap::new();
+        for (place, (name, def)) in self.def().properties.iter().enumerate() {
+            let key = match columns.iter().position(|c| c.as_deref() == Some(name)) {
+                Some(column) => slot_key(column),
+                None => format!("ignored {place}"),
+            };
+            renamed.properties.insert(key, def.clone());
+        }
+        self.check_size()?;
+        let parser = Parser::<Row<N>>::new();
+        let before: Vec<_> = self
+            .header
+            .elements
+            .values()
+            .take_while(|e| e.name != self.element)
+            .cloned()
+            .collect();
+        for mut skipped in before {
+            let names: Vec<_> = skipped.properties.drain(..).map(|(_, def)| def).collect();
+            for (place, def) in names.into_iter().enumerate() {
+                skipped.properties.insert(format!("ignored {place}"), def);
+            }
+            self.blocks(&parser, &skipped, |_, _| Ok(()))?;
+        }
+        self.blocks(&parser, &renamed, |i, row: &Row<N>| each(i, &row.0))
+    }
+
+    fn blocks<const N: usize>(
+        &mut self,
+        parser: &Parser<Row<N>>,
+        def: &ElementDef,
+        mut each: impl FnMut(usize, &Row<N>) -> Result<()>,
+    ) -> Result<()> {
+        // Rows without columns take no bytes in a binary file, so their number is not bounded by its size.
+        let rows = if def.properties.is_empty() {
+            0
+        } else {
+            def.count
+        };
+        let mut block = def.clone();
+        let mut first = 0;
+        while first < rows {
+            block.count = BLOCK.min(rows - first);
+            let parsed = parser.read_payload_for_element(&mut self.reader, &block, &self.header).map_err(|e| {
+                Error::input(
+                    &self.path,
+                    format!("element {}, rows {first} to {}", def.name, first + block.count - 1),
+                    what(&e.to_string()),
+                    format!("{rows} complete rows"),
+                    "the file is damaged or cut off (in ascii files, nan and inf count as damage); copy or export it again",
+                )
+            })?;
+            for (i, row) in parsed.iter().enumerate() {
+                each(first + i, row)?;
+            }
+            first += block.count;
+        }
+        Ok(())
+    }
+
+    /// A binary file of scalar columns has a size that follows from its header; a wrong one is refused before anything
+    /// is read. Much longer ones have rows with more in them than declared, such as a column name used twice.
+    fn check_size(&mut self) -> Result<()> {
+        let all_scalar = |e: &ElementDef| {
+            e.properties
+                .values()
+                .all(|p| matches!(p.data_type, PropertyType::Scalar(_)))
+        };
+        if self.header.encoding == Encoding::Ascii || !self.header.elements.values().all(all_scalar)
+        {
+            return Ok(());
+        }
+        let unreadable = |e| Error::io(&self.path, "measure", e);
+        let length = self
+            .reader
+            .get_ref()
+            .get_ref()
+            .metadata()
+            .map_err(unreadable)?
+            .len();
+        let start = self
+            .reader
+            .get_mut()
+            .stream_position()
+            .map_err(unreadable)?;
+        let (mut expected, mut rows) = (u128::from(start), 0_u128);
+        for element in self.header.elements.values() {
+            let stride: usize = element
+                .properties
+                .values()
+                .map(|p| size_of_scalar(&p.data_type))
+                .sum();
+            expected += element.count as u128 * stride as u128;
+            rows += element.count as u128;
+        }
+        let length = u128::from(length);
+        if length < expected || (rows > 1 && length >= expected + rows) {
+            let mend = if length < expected {
+                "the file is cut off; copy or export it again"
+            } else {
+                "rows are longer than declared (a column name used twice?); export it again"
+            };
+            return Err(self.error(
+                "size",
+                format!("{length} bytes"),
+                &format!("{expected} bytes"),
+                mend,
+            ));
+        }
+        Ok(())
+    }
+}
+
+fn size_of_scalar(t: &PropertyType) -> usize {
+    match t {
+        PropertyType::Scalar(ScalarType::Char | ScalarType::UChar) => 1,
+        PropertyType::Scalar(ScalarType::Short | ScalarType::UShort) => 2,
+        PropertyType::Scalar(ScalarType::Int | ScalarType::UInt | ScalarType::Float) => 4,
+        PropertyType::Scalar(ScalarType::Double) => 8,
+        PropertyType::List(..) => 0,
+    }
+}
+
+/// What went wrong, without the whole lines of the file that the parser quotes in its messages.
+fn what(message: &str) -> String {
+    let first = message.lines().next().unwrap_or_default();
+    let detail = message
+        .rsplit_once("Error: ")
+        .map_or("", |(_, detail)| detail.lines().next().unwrap_or_default());
+    let text = [first, detail].join(" ");
+    // The rest is the parser's own bookkeeping.
+    text.split("ParseError {")
+        .next()
+        .unwrap_or_default()
+        .trim()
+        .chars()
+        .take(300)
+        .collect()
+}
+
+/// Writes one element `vertex` as binary little-endian PLY. `fill(i, row)` sets the cells of row `i`.
+///
+/// Cells of type float, double, uchar and ushort are rounded to those types.
+pub(crate) fn write<const N: usize, W: Write>(
+    out: &mut W,
+    rows: usize,
+    columns: &[(String, ScalarType)],
+    comments: Vec<String>,
+    mut fill: impl FnMut(usize, &mut [f64; N]),
+) -> io::Result<()> {
+    let mut named = ElementDef::new("vertex".into());
+    named.count = rows;
+    let mut renamed = named.clone();
+    for (i, (name, scalar)) in columns.iter().enumerate() {
+        let def = PropertyDef::new(name.clone(), PropertyType::Scalar(scalar.clone()));
+        named.properties.add(def.clone());
+        renamed.properties.insert(slot_key(i), def);
+    }
+    let mut header = Header::new();
+    header.encoding = Encoding::BinaryLittleEndian;
+    header.comments = comments;
+    header.elements.add(named);
+    let writer = Writer::<Row<N>>::new();
+    writer.write_header(out, &header)?;
+    let mut row = Row([0.0; N]);
+    for i in 0..rows {
+        fill(i, &mut row.0);
+        writer.write_little_endian_element(out, &row, &renamed)?;
+    }
+    Ok(())
+}

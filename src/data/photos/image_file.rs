@@ -1,0 +1,251 @@
+//! PNG and JPEG files, whole or refused: decoders forgive files that were cut off, training would not.
+
+use crate::data::Limits;
+use crate::data::formats::frame::proportional;
+use crate::error::{Error, Result};
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage};
+use sha2::{Digest, Sha256};
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+/// What mends a picture that lies across.
+const ACROSS: &str = "it is turned by a quarter, as some programs turn photos by their EXIF orientation and others do not: \
+                      apply that to the photos or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them";
+
+/// An image file in memory, its header read and its end seen, not yet decoded.
+pub(crate) struct ImageFile {
+    path: PathBuf,
+    bytes: Vec<u8>,
+    format: ImageFormat,
+    /// Pixels across and down.
+    pub size: (usize, usize),
+}
+
+impl ImageFile {
+    /// Reads `path` and checks that it is a complete PNG or JPEG of an acceptable size.
+    pub fn open(path: &Path, limits: &Limits) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read image", e))?;
+        let again = "copy or export it again";
+        let format = match image::guess_format(&bytes) {
+            Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
+            _ => {
+                let start = String::from_utf8_lossy(&bytes[..bytes.len().min(8)])
+                    .escape_debug()
+                    .to_string();
+                let found = format!("a file of {} bytes starting with \"{start}\"", bytes.len());
+                return Err(Error::input(
+                    path,
+                    "format",
+                    found,
+                    "PNG or JPEG",
+                    "convert it",
+                ));
+            }
+        };
+        let complete = if format == ImageFormat::Png {
+            png_is_complete(&bytes)
+        } else {
+            jpeg_is_complete(&bytes)
+        };
+        if !complete {
+            let found = format!("{} bytes without the end of the image", bytes.len());
+            return Err(Error::input(
+                path,
+                "image data",
+                found,
+                format!("a complete {}", name(format)),
+                again,
+            ));
+        }
+        let size = ImageReader::with_format(Cursor::new(&bytes), format)
+            .into_dimensions()
+            .map_err(|e| {
+                Error::input(
+                    path,
+                    "header",
+                    e.to_string(),
+                    format!("a valid {}", name(format)),
+                    again,
+                )
+            })?;
+        let pixels = u64::from(size.0) * u64::from(size.1);
+        Limits::check(
+            format!("{}: pixels", path.display()),
+            pixels,
+            limits.image_pixels,
+            "scale the image down",
+        )?;
+        Ok(Self {
+            path: path.to_owned(),
+            bytes,
+            format,
+            size: (size.0 as usize, size.1 as usize),
+        })
+    }
+
+    /// Where it lies.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// SHA-256 of the file.
+    pub fn digest(&self) -> [u8; 32] {
+        Sha256::digest(&self.bytes).into()
+    }
+
+    /// An error unless the photo or label map has the size that `whose` expects.
+    pub fn expect_size(&self, width: usize, height: usize, whose: &str) -> Result<()> {
+        let (w, h) = self.size;
+        if (w, h) == (width, height) {
+            return Ok(());
+        }
+        let across = self.lies_across(width, height);
+        let found = match self.exif_orientation().filter(|_| across) {
+            Some(exif) => format!("{w}x{h} pixels, of EXIF orientation {exif}"),
+            None => format!("{w}x{h} pixels"),
+        };
+        let scale = "scale the image to that size (label maps without blending), or mend the size with focal length and centre";
+        let mend = if across { ACROSS } else { scale };
+        Err(Error::input(
+            &self.path,
+            "size",
+            found,
+            format!("{width}x{height}, as {whose}"),
+            mend,
+        ))
+    }
+
+    /// Whether it has the proportions of `width` and `height` swapped, and not those themselves.
+    pub fn lies_across(&self, width: usize, height: usize) -> bool {
+        proportional(self.size, (height, width)) && !proportional(self.size, (width, height))
+    }
+
+    /// How its EXIF data ask programs to turn it before it is shown, 2 to 8 as they number that; `None` where it lies as it is
+    /// to be seen.
+    pub fn exif_orientation(&self) -> Option<u8> {
+        let decoder =
+            ImageReader::with_format(Cursor::new(&self.bytes), self.format).into_decoder();
+        let orientation = decoder.ok()?.orientation().ok().map(Orientation::to_exif);
+        orientation.filter(|exif| *exif != Orientation::NoTransforms.to_exif())
+    }
+
+    /// Whether its EXIF data ask programs to turn it or to mirror it, and its size does not tell whether one has.
+    pub fn turns_unseen(&self) -> bool {
+        let (w, h) = self.size;
+        // From 5 on the sides are swapped.
+        self.exif_orientation()
+            .is_some_and(|exif| exif < 5 || w == h)
+    }
+
+    /// Bits a sample and colour type of a PNG's header (0 grey, 2 RGB, 3 palette, 4 grey + alpha, 6 RGBA).
+    pub fn png_color(&self) -> Option<(u8, u8)> {
+        (self.format == ImageFormat::Png)
+            .then(|| self.bytes.get(24).copied().zip(self.bytes.get(25).copied()))?
+    }
+
+    pub fn decode(&self) -> Result<DynamicImage> {
+        let mut reader = ImageReader::with_format(Cursor::new(&self.bytes), self.format);
+        // The size was checked against our own limits.
+        reader.no_limits();
+        reader.decode().map_err(|e| {
+            let expected = format!("a valid {}", name(self.format));
+            Error::input(
+                &self.path,
+                "image data",
+                e.to_string(),
+                expected,
+                "copy or export it again",
+            )
+        })
+    }
+
+    /// The picture as 8-bit sRGB; transparent pixels are blended onto black.
+    pub fn decode_rgb(&self) -> Result<RgbImage> {
+        Ok(self.decode_photo([0; 3])?.0)
+    }
+
+    /// The photo as 8-bit sRGB, transparent pixels blended onto `background`, and whether there are any.
+    pub fn decode_photo(&self, background: [u8; 3]) -> Result<(RgbImage, bool)> {
+        let image = self.decode()?;
+        if !image.color().has_alpha() {
+            return Ok((image.into_rgb8(), false));
+        }
+        let rgba = image.into_rgba8();
+        let (width, height) = rgba.dimensions();
+        let blend = |c: u8, behind: u8, a: u8| {
+            let (c, behind, a) = (u32::from(c), u32::from(behind), u32::from(a));
+            ((c * a + behind * (255 - a) + 127) / 255) as u8
+        };
+        let transparent = rgba.pixels().any(|pixel| pixel.0[3] < u8::MAX);
+        let photo = RgbImage::from_fn(width, height, |x, y| {
+            let [r, g, b, a] = rgba.get_pixel(x, y).0;
+            let [behind_r, behind_g, behind_b] = background;
+            image::Rgb([
+                blend(r, behind_r, a),
+                blend(g, behind_g, a),
+                blend(b, behind_b, a),
+            ])
+        });
+        Ok((photo, transparent))
+    }
+}
+
+fn name(format: ImageFormat) -> &'static str {
+    if format == ImageFormat::Png {
+        "PNG"
+    } else {
+        "JPEG"
+    }
+}
+
+/// Whether the chunks of a PNG lead to its end chunk.
+fn png_is_complete(bytes: &[u8]) -> bool {
+    let mut rest = bytes.get(8..).unwrap_or_default();
+    while let [a, b, c, d, kind @ ..] = rest {
+        // Length, type, data, checksum.
+        let end = (u32::from_be_bytes([*a, *b, *c, *d]) as usize).saturating_add(12);
+        if end > rest.len() {
+            return false;
+        }
+        if kind.starts_with(b"IEND") {
+            return true;
+        }
+        rest = &rest[end..];
+    }
+    false
+}
+
+/// Whether the segments and scans of a JPEG lead to its end marker. (Cut-off files end in grey rows when decoded, and
+/// an embedded thumbnail has an end marker of its own, so neither the decoder nor a search tells.)
+fn jpeg_is_complete(bytes: &[u8]) -> bool {
+    const END: u8 = 0xD9;
+    const SCAN: u8 = 0xDA;
+    let standalone = |m: u8| m == 0x01 || (0xD0..=0xD8).contains(&m);
+    let mut at = 2;
+    while let (Some(0xFF), Some(&marker)) = (bytes.get(at), bytes.get(at + 1)) {
+        match marker {
+            END => return true,
+            0xFF => at += 1,
+            m if standalone(m) => at += 2,
+            _ => {
+                let (Some(&high), Some(&low)) = (bytes.get(at + 2), bytes.get(at + 3)) else {
+                    return false;
+                };
+                at += 2 + usize::from(u16::from_be_bytes([high, low])).max(2);
+                if marker == SCAN {
+                    // Entropy-coded data: up to the next marker that is neither a stuffed byte nor a restart.
+                    let Some(data) = bytes.get(at..) else {
+                        return false;
+                    };
+                    let next = data
+                        .windows(2)
+                        .position(|w| w[0] == 0xFF && w[1] != 0 && !standalone(w[1]));
+                    let Some(next) = next else { return false };
+                    at += next;
+                }
+            }
+        }
+    }
+    false
+}

@@ -1,0 +1,204 @@
+//! The photo of a view: a file that is decoded when its pixels are asked for, or pixels made in memory.
+
+use super::image_file::ImageFile;
+use super::lens::Remap;
+use crate::data::{Limits, PhotoCache};
+use crate::error::{Error, Result};
+use image::{RgbImage, imageops};
+use sha2::{Digest, Sha256};
+use std::fmt;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// The photo of a view, 8-bit sRGB.
+///
+/// Photos of a scene folder stay in their files, which must not change while the scene is in use: [`Photo::pixels`]
+/// decodes them, and takes out the distortion of the lens, where the scene's [`PhotoCache`] does not hold them. The
+/// pixels are the same ones each time. Photos made in memory stay there.
+#[derive(Clone)]
+pub struct Photo {
+    width: usize,
+    height: usize,
+    transparent: bool,
+    source: Source,
+}
+
+#[derive(Clone)]
+enum Source {
+    Pixels(Arc<RgbImage>),
+    File(Arc<PhotoFile>),
+}
+
+/// A photo that lies in a file.
+struct PhotoFile {
+    path: PathBuf,
+    /// SHA-256 of the file when the scene was loaded.
+    digest: [u8; 32],
+    limits: Limits,
+    development: Development,
+    cache: Arc<PhotoCache>,
+    /// Its number in the cache.
+    number: usize,
+}
+
+impl Photo {
+    /// The photo in `file`, decoded once to see that it can be.
+    pub(crate) fn in_file(
+        file: &ImageFile,
+        development: Development,
+        limits: &Limits,
+        cache: &Arc<PhotoCache>,
+    ) -> Result<Self> {
+        let (pixels, transparent) = development.decode(file)?;
+        let (width, height) = (pixels.width() as usize, pixels.height() as usize);
+        let number = cache.admit(pixels);
+        let (path, digest) = (file.path().to_owned(), file.digest());
+        let file = PhotoFile {
+            path,
+            digest,
+            limits: limits.clone(),
+            development,
+            cache: cache.clone(),
+            number,
+        };
+        Ok(Self {
+            width,
+            height,
+            transparent,
+            source: Source::File(Arc::new(file)),
+        })
+    }
+
+    /// Pixels across.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Pixels down.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Whether the file has transparent pixels, which are blended onto [`crate::data::LoadOptions::background`].
+    pub fn is_transparent(&self) -> bool {
+        self.transparent
+    }
+
+    /// The pixels. They stay in memory as long as the caller or the cache holds them.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file can no longer be read, [`Error::Input`] when it is another one than the scene was
+    /// loaded with.
+    pub fn pixels(&self) -> Result<Arc<RgbImage>> {
+        match &self.source {
+            Source::Pixels(pixels) => Ok(pixels.clone()),
+            Source::File(file) => file.cache.get(file.number, || file.read()),
+        }
+    }
+
+    /// Adds to `hash` what the pixels follow from, without decoding any: the file as it was when the scene was loaded and what
+    /// becomes of its pixels, or the pixels where they lie in no file.
+    pub(crate) fn identify(&self, hash: &mut Sha256) {
+        match &self.source {
+            Source::Pixels(pixels) => {
+                hash.update(b"pixels\n");
+                hash.update(pixels.as_raw());
+            }
+            Source::File(file) => {
+                hash.update(format!("file {} {}\n", self.width, self.height));
+                hash.update(file.digest);
+                if self.transparent {
+                    hash.update(file.development.background);
+                }
+                let numbers = file.development.remap.iter().flat_map(Remap::numbers);
+                numbers.for_each(|number| hash.update(number.to_le_bytes()));
+            }
+        }
+    }
+
+    /// What keeps decoded photos of the scene; none for photos made in memory.
+    pub fn cache(&self) -> Option<&PhotoCache> {
+        match &self.source {
+            Source::Pixels(_) => None,
+            Source::File(file) => Some(&file.cache),
+        }
+    }
+}
+
+impl From<RgbImage> for Photo {
+    fn from(pixels: RgbImage) -> Self {
+        let (width, height) = (pixels.width() as usize, pixels.height() as usize);
+        Self {
+            width,
+            height,
+            transparent: false,
+            source: Source::Pixels(Arc::new(pixels)),
+        }
+    }
+}
+
+impl fmt::Debug for Photo {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut text = f.debug_struct("Photo");
+        text.field("width", &self.width)
+            .field("height", &self.height);
+        if let Source::File(file) = &self.source {
+            text.field("path", &file.path);
+        }
+        text.finish()
+    }
+}
+
+impl PhotoFile {
+    fn read(&self) -> Result<RgbImage> {
+        let file = ImageFile::open(&self.path, &self.limits)?;
+        if file.digest() != self.digest {
+            let expected = "the file that the scene was loaded with";
+            let mend = "put it back and resume, or start anew with the files as they are";
+            return Err(Error::input(
+                &self.path,
+                "content",
+                "other bytes",
+                expected,
+                mend,
+            ));
+        }
+        Ok(self.development.decode(&file)?.0)
+    }
+}
+
+/// What becomes of a file's pixels: the distortion of the lens is taken out, then they are resampled.
+#[derive(Clone, Default)]
+pub(crate) struct Development {
+    /// The distortion; none of a pinhole.
+    pub remap: Option<Remap>,
+    /// Pixels across and down, where they are fewer than the file's.
+    pub size: Option<(usize, usize)>,
+    /// What transparent pixels are blended onto.
+    pub background: [u8; 3],
+}
+
+impl Development {
+    /// The same with another colour behind transparent pixels.
+    pub fn over(self, background: [u8; 3]) -> Self {
+        Self { background, ..self }
+    }
+
+    /// The photo in `file` as the view's camera sees it, and whether some pixel is transparent.
+    pub fn decode(&self, file: &ImageFile) -> Result<(RgbImage, bool)> {
+        let (mut photo, transparent) = file.decode_photo(self.background)?;
+        if let Some(remap) = &self.remap {
+            photo = remap.photo(&photo);
+        }
+        if let Some((width, height)) = self.size {
+            // Bicubic, the kernel as wide as the reduction: what 3DGS does with photos of more than 1600 pixels.
+            photo = imageops::resize(
+                &photo,
+                width as u32,
+                height as u32,
+                imageops::FilterType::CatmullRom,
+            );
+        }
+        Ok((photo, transparent))
+    }
+}

@@ -1,0 +1,112 @@
+//! Gaussians that another run or another trainer made, as the start of a run.
+
+use super::pictures::Pictures;
+use crate::config::Config;
+use crate::data::{Limits, Scene, Split, atomic};
+use crate::error::{Error, Result};
+use crate::splat::{Gaussians, ply};
+use burn::tensor::Device;
+use std::path::Path;
+
+/// Training photos that are looked at.
+const PHOTOS: usize = 8;
+/// PSNR in dB below which Gaussians do not show the photos. Those of the built-in room have 31 in place; moved by a tenth of its
+/// size, turned by ten degrees, mirrored, of half the size or with other axes they have 7 to 14.
+const MISPLACED: f64 = 15.0;
+
+/// The Gaussians of the PLY at `path` that a run of `scene` begins with, relative to its origin; warns where they do not show the
+/// photos. The run will write `scene_file`.
+///
+/// # Errors
+/// Those of [`ply::read`]; [`Error::Input`] for a file without Gaussians; [`Error::Argument`] for a scene without training
+/// views; [`Error::Config`] for a file that would be written over, and more Gaussians than `building.max_gaussians` has, where they are trained: trained ones
+/// cannot be thinned as points can.
+pub(crate) fn begin(
+    path: &Path,
+    scene: &Scene,
+    config: &Config,
+    scene_file: &Path,
+    device: &Device,
+) -> Result<Gaussians> {
+    if atomic::same_file(path, scene_file) {
+        let expected = "another file than the run's own scene.ply, which is written over";
+        let mend = "let the run write into another folder";
+        return Err(Error::config(
+            "building.gaussians",
+            path.display().to_string(),
+            expected,
+            mend,
+        ));
+    }
+    if scene.split(Split::Train).next().is_none() {
+        let found = format!("{} without training views", scene.name);
+        return Err(Error::argument(
+            "data",
+            found,
+            "a scene with training views",
+            "mark some views as `train`",
+        ));
+    }
+    let ply::PlyScene {
+        mut gaussians,
+        origin,
+        ..
+    } = ply::read(path, &Limits::default())?;
+    if gaussians.is_empty() {
+        let mend = "name a scene that holds something";
+        return Err(Error::input(
+            path,
+            "element vertex",
+            "no Gaussian",
+            "one or more",
+            mend,
+        ));
+    }
+    let most = config.building.max_gaussians;
+    if config.building.iterations > 0 && most > 0 && gaussians.len() > most {
+        let expected = format!(
+            "{} or more, as building.gaussians has, or 0 for no limit",
+            gaussians.len()
+        );
+        return Err(Error::config(
+            "building.max_gaussians",
+            most.to_string(),
+            expected,
+            "raise it",
+        ));
+    }
+    let shift = origin - scene.origin;
+    for mean in &mut gaussians.means {
+        *mean = (glam::Vec3::from(*mean).as_dvec3() + shift)
+            .as_vec3()
+            .to_array();
+    }
+    compare_with_photos(path, &gaussians, scene, config, device)?;
+    Ok(gaussians)
+}
+
+/// Warns where the Gaussians of `path`, relative to the origin of `scene`, do not show its training photos.
+///
+/// # Errors
+/// As [`super::score_images`].
+pub fn compare_with_photos(
+    path: &Path,
+    gaussians: &Gaussians,
+    scene: &Scene,
+    config: &Config,
+    device: &Device,
+) -> Result<()> {
+    let views: Vec<_> = scene.split(Split::Train).collect();
+    let every = views.len().div_ceil(PHOTOS).max(1);
+    let scores =
+        Pictures::new(gaussians, config, device)?.score(views.into_iter().step_by(every))?;
+    if let Some(psnr) = scores.psnr.filter(|psnr| *psnr < MISPLACED) {
+        tracing::warn!(
+            "the Gaussians of {} show the training photos at {psnr:.1} dB: they look misplaced. Their positions have to be in the \
+             units and axes of the cameras of this scene; nerfstudio keeps these with `nerfstudio-data --orientation-method none \
+             --center-method none --auto-scale-poses False`",
+            path.display()
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,130 @@
+//! What a running stage tells its caller.
+
+use crate::metrics::ImageScores;
+use serde::{Deserialize, Serialize};
+use std::ops::ControlFlow;
+
+/// Something that happened in a stage; iterations count from 1.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Event {
+    /// A stage begins, or goes on, after `done` of `iterations`.
+    Started {
+        /// Name of the stage.
+        stage: &'static str,
+        /// Iterations done before.
+        done: usize,
+        /// Iterations of the whole stage.
+        iterations: usize,
+    },
+    /// One iteration is done.
+    Step {
+        /// Its number.
+        iteration: usize,
+        /// Its training loss.
+        loss: f64,
+        /// Gaussians in the scene.
+        gaussians: usize,
+    },
+    /// One more view, or several, was looked at in a stage that goes through views and learns nothing.
+    Viewed {
+        /// Iterations done: views, each counted as often as the stage looks at it.
+        done: usize,
+    },
+    /// The held-out views were scored.
+    Evaluated(CurvePoint),
+    /// The Gaussians were densified.
+    Densified {
+        /// After this iteration.
+        iteration: usize,
+        /// Gaussians added as copies of others.
+        cloned: usize,
+        /// Gaussians replaced by two.
+        split: usize,
+        /// Gaussians removed.
+        pruned: usize,
+        /// Transparent Gaussians moved onto opaque ones.
+        relocated: usize,
+    },
+    /// A checkpoint was written.
+    Saved {
+        /// After this iteration.
+        iteration: usize,
+    },
+    /// The stage is done; of one that was stopped before its end nothing is told.
+    Finished,
+}
+
+/// One point of the curves of a report.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CurvePoint {
+    /// Iterations done.
+    pub iteration: usize,
+    /// Seconds of training so far, evaluations and earlier parts of a resumed run included.
+    pub seconds: f64,
+    /// Mean training loss since the point before.
+    pub loss: f64,
+    /// Mean scores of the held-out views.
+    pub held_out: ImageScores,
+    /// Mean IoU of the held-out labels, in stages that have labels.
+    pub miou: Option<f64>,
+    /// Gaussians in the scene.
+    pub gaussians: usize,
+}
+
+/// Listens to a running stage.
+pub trait Progress {
+    /// Called after each event.
+    fn event(&mut self, event: &Event);
+
+    /// Asked after each iteration, after each view of features, unprojection and association, and between the parts of a run; true ends
+    /// the run there. What was trained is in a checkpoint then, but for a trial of learning rates: that begins anew, and so
+    /// does a stage that learns nothing.
+    fn stop(&mut self) -> bool {
+        false
+    }
+}
+
+/// A stage that goes through views and learns nothing, as it is told to its caller.
+pub(crate) struct Viewing<'p> {
+    progress: &'p mut dyn Progress,
+    done: usize,
+}
+
+impl<'p> Viewing<'p> {
+    /// A stage that looks at `views` views, each counted as often as it does.
+    pub fn begin(progress: &'p mut dyn Progress, stage: &'static str, views: usize) -> Self {
+        progress.event(&Event::Started {
+            stage,
+            done: 0,
+            iterations: views,
+        });
+        Self { progress, done: 0 }
+    }
+
+    /// Tells of `more` views, where there are any, and asks whether to go on.
+    pub fn looked(&mut self, more: usize) -> ControlFlow<()> {
+        if more > 0 {
+            self.done += more;
+            self.progress.event(&Event::Viewed { done: self.done });
+        }
+        if self.progress.stop() {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    }
+
+    /// The stage is done.
+    pub fn end(self) {
+        self.progress.event(&Event::Finished);
+    }
+}
+
+/// Listens to nothing.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Silent;
+
+impl Progress for Silent {
+    fn event(&mut self, _event: &Event) {}
+}

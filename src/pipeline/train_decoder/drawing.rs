@@ -1,0 +1,110 @@
+//! Which view an iteration of stage two looks at, and which of its pixels.
+
+use crate::random::{Purpose, stream};
+use rand::{Rng, seq::SliceRandom};
+
+/// The view of each iteration: a fresh shuffle every epoch, a function of (seed, iteration) alone.
+pub fn view_at(seed: u64, iteration: usize, views: usize) -> usize {
+    let (epoch, place) = (iteration / views.max(1), iteration % views.max(1));
+    let mut order: Vec<usize> = (0..views).collect();
+    order.shuffle(&mut stream(seed, Purpose::SegmentationViews, epoch as u64));
+    order[place]
+}
+
+/// One of each run of `1 / share` of the numbers below `count`, ascending. Where that is no whole number, runs of the two whole
+/// ones beside it alternate, so that the share is exact, and begin elsewhere each time, so that each number is drawn as often.
+pub(crate) fn one_of_each_run(count: usize, share: f64, rng: &mut impl Rng) -> Vec<u32> {
+    let run = (1.0 / share.clamp(0.0, 1.0)).max(1.0);
+    // One divided by 1/49 is not quite 49.
+    let whole = (run - run.round()).abs() < 1e-9 * run;
+    let run = if whole { run.round() } else { run };
+    if run == 1.0 {
+        return (0..count as u32).collect();
+    }
+    let shift = if whole {
+        0.0
+    } else {
+        run * rng.random::<f64>()
+    };
+    let start = |i: usize| ((i as f64 * run - shift) as usize).min(count);
+    let runs = (0..)
+        .map(|i| start(i)..start(i + 1))
+        .take_while(|run| run.start < count);
+    runs.filter(|run| !run.is_empty())
+        .map(|run| rng.random_range(run) as u32)
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::one_of_each_run;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn any_share_of_the_pixels_is_drawn_as_given() {
+        for count in [0, 1, 7, 1_000, 123_457] {
+            for share in [
+                1e-9,
+                1e-3,
+                0.07,
+                0.25,
+                0.4,
+                0.5,
+                0.6,
+                0.7,
+                0.9,
+                0.999_999,
+                1.0 - 1e-12,
+                1.0,
+            ] {
+                let rows = one_of_each_run(count, share, &mut ChaCha8Rng::seed_from_u64(3));
+                assert!(
+                    rows.is_sorted_by(|a, b| a < b)
+                        && rows.iter().all(|row| (*row as usize) < count)
+                );
+                let off = rows.len() as f64 - share * count as f64;
+                assert!(
+                    off > -1.0 && off < 2.0,
+                    "{share} of {count}: {}",
+                    rows.len()
+                );
+            }
+        }
+        // Each as often as any other, but for the ends, whose runs are cut.
+        let (mut rng, mut drawn) = (ChaCha8Rng::seed_from_u64(4), [0; 700]);
+        (0..1_000)
+            .flat_map(|_| one_of_each_run(700, 0.7, &mut rng))
+            .for_each(|row| drawn[row as usize] += 1);
+        assert!(
+            drawn[2..698].iter().all(|times| (620..780).contains(times)),
+            "{drawn:?}"
+        );
+    }
+
+    #[test]
+    fn one_of_so_many_draws_what_it_always_drew() {
+        for (share, stride) in [
+            (0.5, 2),
+            (0.25, 4),
+            (0.1, 10),
+            (1.0 / 3.0, 3),
+            (1.0 / 49.0, 49),
+        ] {
+            let (mut rng, mut same) = (ChaCha8Rng::seed_from_u64(5), ChaCha8Rng::seed_from_u64(5));
+            let count = 100_003;
+            let want = (0..count)
+                .step_by(stride)
+                .map(|first| same.random_range(first..(first + stride).min(count)));
+            let want: Vec<u32> = want.map(|row| row as u32).collect();
+            assert_eq!(one_of_each_run(count, share, &mut rng), want, "{share}");
+        }
+        let mut rng = ChaCha8Rng::seed_from_u64(6);
+        assert!(one_of_each_run(50, 1.0, &mut rng).into_iter().eq(0..50));
+        assert_eq!(
+            rng.random::<u64>(),
+            ChaCha8Rng::seed_from_u64(6).random::<u64>(),
+            "nothing is drawn for all"
+        );
+    }
+}

@@ -1,0 +1,376 @@
+//! The rows of the label table: what each is, and its training and scoring.
+
+use super::compactness::Compacting;
+use super::held_out::{HeldOut, Scores};
+use super::progress::{CurvePoint, Progress};
+use super::provenance::Provenance;
+use super::segmentation_inputs::{Inputs, Spatial};
+use super::train_decoder::{
+    Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Session, Source, TrainingViews, train,
+};
+use crate::config::{LabelLoss, Prior, Row, SegmentationConfig};
+use crate::error::Result;
+use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
+use crate::objects::Identities;
+use crate::pipeline::rates::{Rate, choose_rate};
+use crate::segmentation::decoder::DecoderConfig;
+use crate::segmentation::loss::Kind;
+use std::path::Path;
+
+/// Share added to every class of the votes that a decoder starts from.
+const VOTE_FLOOR: f32 = 0.02;
+
+/// One row, trained and scored.
+#[derive(Clone, Debug)]
+pub struct RowOutcome {
+    /// Which.
+    pub row: Row,
+    /// What the Gaussians store; none for the raw labels themselves.
+    pub identities: Option<Identities>,
+    /// Held-out scores, void predictions counted as wrong.
+    pub scores: LabelScores,
+    /// Held-out scores with void predictions left out; raw labels only.
+    pub void_left_out: Option<LabelScores>,
+    /// Held-out scores against true instances, where classes are objects that association found.
+    pub instances: Option<InstanceScores>,
+    /// Held-out scores against true classes, where these objects have classes.
+    pub semantic: Option<SemanticScores>,
+    /// How compact the identities are.
+    pub compactness: Option<Compactness>,
+    /// How far the raw labels agree about the Gaussians; of the vote.
+    pub agreement: Option<Agreement>,
+    /// Training curve; empty where nothing was trained.
+    pub curve: Vec<CurvePoint>,
+    /// Bytes of everything learned.
+    pub learnable_bytes: usize,
+    /// Learning rate, where there is one.
+    pub rate: Option<f64>,
+    /// Seconds of training.
+    pub seconds: f64,
+    /// Seconds of trying learning rates, where several were tried.
+    pub trial_seconds: Option<f64>,
+}
+
+impl RowOutcome {
+    /// The row's name in settings and reports.
+    pub fn name(&self) -> &'static str {
+        self.row.key()
+    }
+
+    /// The same with these scores.
+    fn scored(
+        self,
+        Scores {
+            labels,
+            instances,
+            semantic,
+        }: Scores,
+    ) -> Self {
+        Self {
+            scores: labels,
+            instances,
+            semantic,
+            ..self
+        }
+    }
+}
+
+impl Row {
+    /// Whether the row trains the decoder.
+    pub fn is_fused(self) -> bool {
+        !matches!(self, Self::Raw | Self::Vote | Self::PerGaussian)
+    }
+}
+
+/// Rows, trained and scored.
+pub struct TrainedRows {
+    /// In the order of the configuration.
+    pub rows: Vec<RowOutcome>,
+    /// Name of the point encoder's weights.
+    pub spatial: String,
+    /// Seconds of training that earlier parts of a resumed run took.
+    pub earlier: f64,
+    /// Whether `progress` said stop before all rows were done.
+    pub stopped: bool,
+}
+
+/// A row, trained as far as `progress` let it.
+struct Trained {
+    /// Has neither identities nor scores where it was stopped before its end.
+    outcome: RowOutcome,
+    /// Seconds of training that earlier parts of a resumed run took.
+    earlier: f64,
+    /// Whether it came to its end.
+    whole: bool,
+}
+
+/// Trains and scores the configured rows in order, until `progress` says stop.
+///
+/// # Errors
+/// Those of training, of the encoder's weights, and of checkpoints.
+pub fn run_rows(
+    inputs: &Inputs,
+    checkpoints: &Path,
+    progress: &mut dyn Progress,
+) -> Result<TrainedRows> {
+    let config = &inputs.config.segmentation;
+    let held_out = HeldOut::new(inputs)?;
+    let mut views = inputs.training_views();
+    let compacting = Compacting::new(inputs)?;
+    let mut spatial = Spatial::default();
+    let (mut rows, mut earlier, mut stopped) = (Vec::new(), 0.0, false);
+    for (number, &row) in config.rows().iter().enumerate() {
+        // A table of votes takes as much as identities do.
+        let votes = |row: &Row| *row == Row::Vote || row.is_fused() && config.prior == Prior::Votes;
+        views.keep_votes(config.rows()[number + 1..].iter().any(votes));
+        let outcome = match row {
+            Row::Raw => {
+                let (scores, void_left_out) = held_out.score_raw(inputs);
+                RowOutcome {
+                    void_left_out,
+                    ..untrained(row).scored(scores)
+                }
+            }
+            Row::Vote => {
+                let votes = views.votes()?;
+                let (identities, agreement) = (votes.identities(), Some(votes.agreement()));
+                let scores = held_out.score(&identities, inputs)?;
+                RowOutcome {
+                    identities: Some(identities),
+                    agreement,
+                    ..untrained(row).scored(scores)
+                }
+            }
+            _ => {
+                let Trained {
+                    outcome,
+                    earlier: before,
+                    whole,
+                } = trained(
+                    row,
+                    inputs,
+                    &mut views,
+                    &mut spatial,
+                    &held_out,
+                    checkpoints,
+                    progress,
+                )?;
+                earlier += before;
+                if !whole {
+                    rows.push(outcome);
+                    stopped = true;
+                    break;
+                }
+                outcome
+            }
+        };
+        rows.push(compacting.finish(outcome, |identities, row| {
+            Ok(row.scored(held_out.score(identities, inputs)?))
+        })?);
+        // Where nothing is left there is nothing to stop.
+        stopped = rows.len() < config.rows().len() && progress.stop();
+        if stopped {
+            break;
+        }
+    }
+    Ok(TrainedRows {
+        rows,
+        spatial: spatial.name,
+        earlier,
+        stopped,
+    })
+}
+
+fn untrained(row: Row) -> RowOutcome {
+    RowOutcome {
+        row,
+        identities: None,
+        scores: LabelScores::default(),
+        void_left_out: None,
+        instances: None,
+        semantic: None,
+        compactness: None,
+        agreement: None,
+        curve: Vec::new(),
+        learnable_bytes: 0,
+        rate: None,
+        seconds: 0.0,
+        trial_seconds: None,
+    }
+}
+
+/// Loss of a row after the warm-up.
+fn loss(row: Row, config: &SegmentationConfig) -> Result<Kind> {
+    match row {
+        Row::PerGaussian | Row::OursCe => Ok(Kind::Ce),
+        _ => Kind::from_config(config),
+    }
+}
+
+/// Trains `row` and scores it.
+fn trained(
+    row: Row,
+    inputs: &Inputs,
+    views: &mut TrainingViews,
+    spatial: &mut Spatial,
+    held_out: &HeldOut,
+    checkpoints: &Path,
+    progress: &mut dyn Progress,
+) -> Result<Trained> {
+    let config = &inputs.config.segmentation;
+    let seed = inputs.config.seed;
+    let plan = Plan::new(config, loss(row, config)?, seed);
+    let tenth = |every: usize| {
+        if every == 0 {
+            config.iterations.div_ceil(10)
+        } else {
+            every
+        }
+    };
+    let pace = Pace {
+        row: row.key(),
+        eval_every: tenth(config.eval_every),
+        checkpoint_every: tenth(config.checkpoint_every),
+        checkpoint: Some(checkpoints.join(format!("{}.safetensors", row.key()))),
+        provenance: Provenance::row(row, inputs)?,
+    };
+    let device = inputs.device.clone().autodiff();
+    let classes = inputs.scene.classes.len();
+    let fit = |views: &mut TrainingViews,
+               model: &mut dyn Model,
+               rate: &Rate,
+               progress: &mut dyn Progress| {
+        // Of the end of training, which asks for nothing anew.
+        let mut last: Option<(Identities, Scores)> = None;
+        let mut score = |model: &mut dyn Model, iteration| {
+            if held_out.is_empty() {
+                return Ok(None);
+            }
+            let identities = model.identities()?;
+            let scores = held_out.score(&identities, inputs)?;
+            let miou = scores.miou();
+            if iteration == plan.iterations {
+                last = Some((identities, scores));
+            }
+            Ok(miou)
+        };
+        let Session {
+            curve,
+            earlier,
+            whole,
+        } = train(model, views, &plan, &pace, &mut score, progress)?;
+        let (identities, scores) = match (whole, last.take()) {
+            (true, Some((identities, scores))) => (Some(identities), scores),
+            (true, None) => {
+                let identities = model.identities()?;
+                let scores = held_out.score(&identities, inputs)?;
+                (Some(identities), scores)
+            }
+            (false, _) => (None, Scores::default()),
+        };
+        let outcome = RowOutcome {
+            identities,
+            learnable_bytes: model.learnable_bytes(),
+            rate: Some(rate.rate),
+            trial_seconds: rate.seconds,
+            seconds: curve.last().map_or(0.0, |p| p.seconds),
+            curve,
+            ..untrained(row).scored(scores)
+        };
+        Ok(Trained {
+            outcome,
+            earlier: earlier + rate.earlier,
+            whole,
+        })
+    };
+    let stopped = || Trained {
+        outcome: untrained(row),
+        earlier: 0.0,
+        whole: false,
+    };
+    if !row.is_fused() {
+        let model = |rate| {
+            PerGaussian::new(
+                [inputs.gaussians.len(), classes],
+                rate,
+                config.blend,
+                &device,
+            )
+        };
+        let mut boxed =
+            |rate, _: &Plan, _: &mut TrainingViews| Ok(Box::new(model(rate)) as Box<dyn Model>);
+        let rate = choose_rate(
+            config.lr_per_gaussian,
+            &plan,
+            views,
+            inputs,
+            &pace,
+            &mut boxed,
+            progress,
+        )?;
+        let Some(rate) = rate else {
+            return Ok(stopped());
+        };
+        return fit(views, &mut model(rate.rate), &rate, progress);
+    }
+    let source = spatial.source(row, inputs)?;
+    let mut boxed = |rate, plan: &Plan, views: &mut TrainingViews| -> Result<Box<dyn Model + '_>> {
+        Ok(Box::new(decoder_row(
+            row, rate, plan, source, inputs, views,
+        )?))
+    };
+    let rate = choose_rate(config.lr, &plan, views, inputs, &pace, &mut boxed, progress)?;
+    let Some(rate) = rate else {
+        return Ok(stopped());
+    };
+    let mut model = decoder_row(row, rate.rate, &plan, source, inputs, views)?;
+    fit(views, &mut model, &rate, progress)
+}
+
+/// The decoder of `row` before its first step at learning rate `rate`, over the frozen inputs `source`; its prior, where
+/// settings ask for one, is the votes of the views in use. Where its parameters are averaged, that begins after the share
+/// `segmentation.warmup` of the iterations of `plan`, which may be a trial's.
+///
+/// # Errors
+/// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite.
+pub fn decoder_row<'a>(
+    row: Row,
+    rate: f64,
+    plan: &Plan,
+    source: &'a Source,
+    inputs: &'a Inputs,
+    views: &mut TrainingViews,
+) -> Result<Fused<'a>> {
+    let config = &inputs.config.segmentation;
+    let (seed, classes) = (inputs.config.seed, inputs.scene.classes.len());
+    // Not `plan.warmup`: a row under cross-entropy has no warm-up, and is averaged over the same steps as the others.
+    let average_from = (config.warmup * plan.iterations as f64) as usize;
+    let plan = FusedPlan {
+        config,
+        rate,
+        regularised: row != Row::OursCe && config.lambda_reg > 0.0,
+        size: [inputs.gaussians.len(), classes],
+        dropout: (row != Row::OursCe && config.loss == LabelLoss::Gjs)
+            .then_some(config.gjs_dropout),
+        average_from: config.average.then_some(average_from),
+        seed,
+    };
+    let device = inputs.device.clone().autodiff();
+    let pyramid = &source.scene().pyramid;
+    let decoder = DecoderConfig::for_pyramid(pyramid, classes, pyramid.levels.len() > 1)
+        .with_layer_norm(config.layer_norm)
+        .with_seed(seed)
+        .init(&device);
+    let fused = Fused::new(
+        decoder,
+        source,
+        &inputs.gaussians.means,
+        views.len(),
+        plan,
+        &device,
+    );
+    Ok(match config.prior {
+        Prior::None => fused,
+        Prior::Votes => fused.with_prior(views.votes()?.log_shares(VOTE_FLOOR)),
+    })
+}

@@ -1,0 +1,179 @@
+//! Pinhole cameras: world-to-camera, OpenCV axes (x right, y down, z forward), pixel centres at +0.5.
+
+mod level;
+
+pub use self::level::level_up;
+
+use glam::{DMat3, DMat4, DVec3};
+
+/// A posed pinhole camera.
+///
+/// The view transform of a world point `x` is `rotation * (x - center)`: the centre is subtracted first, which keeps
+/// precision when a scene lies far from the origin.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Camera {
+    /// World-to-camera rotation, OpenCV axes.
+    pub rotation: DMat3,
+    /// Camera centre in world units.
+    pub center: DVec3,
+    /// Focal length along x, pixels.
+    pub fx: f64,
+    /// Focal length along y, pixels.
+    pub fy: f64,
+    /// Principal point x, pixels from the left image border.
+    pub cx: f64,
+    /// Principal point y, pixels from the top image border.
+    pub cy: f64,
+    /// Image width, pixels.
+    pub width: usize,
+    /// Image height, pixels.
+    pub height: usize,
+}
+
+impl Camera {
+    /// A camera from an OpenGL camera-to-world matrix (x right, y up, looking along -z), as `transforms.json` has it.
+    ///
+    /// Returns `None` when the matrix is not finite or its rotation part is not a proper rotation within 1e-3.
+    pub fn from_opengl(c2w: &DMat4, intrinsics: Intrinsics) -> Option<Self> {
+        // Camera axes in OpenCV order: x stays, y and z flip.
+        let flipped = DMat4::from_cols(c2w.x_axis, -c2w.y_axis, -c2w.z_axis, c2w.w_axis);
+        Self::from_opencv(&flipped, intrinsics)
+    }
+
+    /// A camera from an OpenCV camera-to-world matrix (x right, y down, looking along +z).
+    ///
+    /// Returns `None` when the matrix is not finite or its rotation part is not a proper rotation within 1e-3.
+    pub fn from_opencv(c2w: &DMat4, intrinsics: Intrinsics) -> Option<Self> {
+        let m = DMat3::from_mat4(*c2w);
+        let center = c2w.w_axis.truncate();
+        let gram = m.transpose() * m;
+        let off = (gram - DMat3::IDENTITY)
+            .to_cols_array()
+            .iter()
+            .fold(0.0_f64, |a, &b| a.max(b.abs()));
+        if !m.is_finite()
+            || !center.is_finite()
+            || off.is_nan()
+            || off >= 1e-3
+            || m.determinant() < 0.0
+        {
+            return None;
+        }
+        let Intrinsics {
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        } = intrinsics;
+        Some(Self {
+            rotation: m.transpose(),
+            center,
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        })
+    }
+
+    /// A camera of this image size without a pose of its own, for looking at files whose pose cannot be read.
+    pub(crate) fn unposed((width, height): (usize, usize)) -> Self {
+        let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
+        Self {
+            rotation: DMat3::IDENTITY,
+            center: DVec3::ZERO,
+            fx: cx.max(1.0),
+            fy: cx.max(1.0),
+            cx,
+            cy,
+            width,
+            height,
+        }
+    }
+
+    /// The OpenGL camera-to-world matrix; the inverse of [`Camera::from_opengl`].
+    pub fn to_opengl(&self) -> DMat4 {
+        let r = self.rotation.transpose();
+        let gl = DMat3::from_cols(r.x_axis, -r.y_axis, -r.z_axis);
+        let mut m = DMat4::from_mat3(gl);
+        m.w_axis = self.center.extend(1.0);
+        m
+    }
+
+    /// `world` in camera axes (x right, y down, z forward).
+    pub fn to_camera(&self, world: DVec3) -> DVec3 {
+        self.rotation * (world - self.center)
+    }
+
+    /// Pixel coordinates and depth of a world point, or `None` when it is not in front of the camera.
+    pub fn project(&self, world: DVec3) -> Option<(f64, f64, f64)> {
+        let p = self.to_camera(world);
+        (p.z > 0.0).then(|| {
+            (
+                self.fx * p.x / p.z + self.cx,
+                self.fy * p.y / p.z + self.cy,
+                p.z,
+            )
+        })
+    }
+
+    /// World direction (not normalised, z = 1 in camera axes) through pixel coordinates `(u, v)`.
+    pub fn ray(&self, u: f64, v: f64) -> DVec3 {
+        self.rotation.transpose()
+            * DVec3::new((u - self.cx) / self.fx, (v - self.cy) / self.fy, 1.0)
+    }
+
+    /// The same camera with its image resampled to `width` x `height` pixels.
+    pub fn resized(&self, width: usize, height: usize) -> Self {
+        let (sx, sy) = (
+            width as f64 / self.width as f64,
+            height as f64 / self.height as f64,
+        );
+        Self {
+            fx: self.fx * sx,
+            cx: self.cx * sx,
+            fy: self.fy * sy,
+            cy: self.cy * sy,
+            width,
+            height,
+            ..self.clone()
+        }
+    }
+
+    /// The same view as an image of `width` x `height` pixels whose pixels keep their shape: scaled as the height says, with
+    /// more or less at both sides where the aspect differs. [`Camera::resized`] where it does not.
+    pub fn with_size(&self, width: usize, height: usize) -> Self {
+        let scale = height as f64 / self.height as f64;
+        let sides = 0.5 * (width as f64 - scale * self.width as f64);
+        let [fx, fy, cx, cy] = [self.fx, self.fy, self.cx, self.cy].map(|v| scale * v);
+        Self {
+            fx,
+            fy,
+            cx: cx + sides,
+            cy,
+            width,
+            height,
+            ..self.clone()
+        }
+    }
+}
+
+/// What a camera knows besides its pose; units as in [`Camera`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Intrinsics {
+    /// Focal length along x, pixels.
+    pub fx: f64,
+    /// Focal length along y, pixels.
+    pub fy: f64,
+    /// Principal point x, pixels from the left image border.
+    pub cx: f64,
+    /// Principal point y, pixels from the top image border.
+    pub cy: f64,
+    /// Image width, pixels.
+    pub width: usize,
+    /// Image height, pixels.
+    pub height: usize,
+}

@@ -1,0 +1,53 @@
+//! Cameras that nobody took a photo with: a smooth path through given ones, and a circle around what they look at.
+//!
+//! Both give [`super::camera::Camera`]s in the coordinates of those that they are made from.
+
+mod interpolate;
+mod orbit;
+
+pub use self::interpolate::CameraPath;
+pub use self::orbit::{Orbit, focus};
+
+use super::camera::Camera;
+use crate::error::{Error, Result};
+use crate::raster::Viewpoint;
+
+/// At least one camera, each of them usable.
+fn check(cameras: &[Camera]) -> Result<()> {
+    if cameras.is_empty() {
+        return Err(Error::argument(
+            "cameras",
+            "none",
+            "one or more",
+            "pass the cameras that the path is made from",
+        ));
+    }
+    for (i, camera) in cameras.iter().enumerate() {
+        Viewpoint::new(camera).map_err(|error| match error {
+            Error::Argument {
+                name,
+                found,
+                expected,
+                mend,
+            } => Error::Argument {
+                name: format!("cameras[{i}]: {name}"),
+                found,
+                expected,
+                mend,
+            },
+            other => other,
+        })?;
+        let rotation = camera.rotation;
+        let off = (rotation.transpose() * rotation - glam::DMat3::IDENTITY).to_cols_array();
+        if off.iter().any(|v| v.abs() > 1e-2) || rotation.determinant() < 0.0 {
+            let found = format!("{rotation}");
+            return Err(Error::argument(
+                format!("cameras[{i}]: rotation"),
+                found,
+                "a rotation",
+                "mend the pose",
+            ));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,186 @@
+//! A circle around what cameras look at.
+
+use super::check;
+use crate::error::{Error, Result};
+use crate::splat::camera::{Camera, level_up};
+use glam::{DMat3, DVec3};
+use nalgebra::Matrix3;
+use std::f64::consts::{FRAC_PI_3, TAU};
+
+/// The least mean squared sine between optical axes and the direction nearest to all of them at which they meet somewhere.
+const LEAST_SPREAD: f64 = 1e-3;
+/// An orbit of a box is no nearer than this share of the cameras' distance from it.
+const NEAREST: f64 = 0.1;
+
+/// A circle of cameras that look at one point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Orbit {
+    /// What is looked at, world units.
+    pub target: DVec3,
+    /// Axis of the circle, unit length.
+    pub up: DVec3,
+    /// Direction from the axis to the first camera, perpendicular to [`Orbit::up`], unit length.
+    pub start: DVec3,
+    /// Distance of the circle from its axis, world units.
+    pub radius: f64,
+    /// How far the circle lies above [`Orbit::target`] along [`Orbit::up`], world units.
+    pub height: f64,
+}
+
+impl Orbit {
+    /// Around the [`focus`] of `cameras`, or around `scene_center` where they have none. The axis is their [`level_up`]; radius
+    /// and height are medians of the cameras' own, so that the circle stays among them; it starts on the side of the first.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for no camera or an unusable one, and where the cameras stand above or at the centre.
+    pub fn of_cameras(cameras: &[Camera], scene_center: DVec3) -> Result<Self> {
+        check(cameras)?;
+        Self::about(cameras, focus(cameras).unwrap_or(scene_center))
+    }
+
+    /// Around the box from `low` to `high`: so far off that the ball around it fits the field of view of the first camera, but
+    /// no further than the cameras are (median), and as steep from above or below as they are, 60 degrees at most.
+    ///
+    /// # Errors
+    /// As [`Orbit::of_cameras`].
+    pub fn of_box(cameras: &[Camera], low: DVec3, high: DVec3) -> Result<Self> {
+        check(cameras)?;
+        let orbit = Self::about(cameras, 0.5 * (low + high))?;
+        let Camera {
+            fx,
+            fy,
+            width,
+            height,
+            ..
+        } = cameras[0];
+        let half_angle = (0.5 * (width as f64 / fx).min(height as f64 / fy)).atan();
+        let far = orbit.radius.hypot(orbit.height);
+        let distance = (0.5 * low.distance(high) / half_angle.sin()).clamp(NEAREST * far, far);
+        let elevation = orbit
+            .height
+            .atan2(orbit.radius)
+            .clamp(-FRAC_PI_3, FRAC_PI_3);
+        Ok(Self {
+            radius: distance * elevation.cos(),
+            height: distance * elevation.sin(),
+            ..orbit
+        })
+    }
+
+    fn about(cameras: &[Camera], target: DVec3) -> Result<Self> {
+        let up = level_up(cameras);
+        let offsets = cameras.iter().map(|camera| camera.center - target);
+        let height = median(offsets.clone().map(|o| o.dot(up)).collect());
+        let radius = median(
+            offsets
+                .map(|o| o.reject_from_normalized(up).length())
+                .collect(),
+        );
+        let start = (cameras[0].center - target)
+            .reject_from_normalized(up)
+            .try_normalize();
+        let orbit = Self {
+            target,
+            up,
+            start: start.unwrap_or(up.any_orthonormal_vector()),
+            radius,
+            height,
+        };
+        orbit.check()?;
+        Ok(orbit)
+    }
+
+    fn check(&self) -> Result<()> {
+        let Self {
+            target,
+            up,
+            start,
+            radius,
+            height,
+        } = *self;
+        let is_finite =
+            target.is_finite() && height.is_finite() && (radius + height.abs()).is_finite();
+        // Nearer to the axis a circle is a point but for rounding.
+        if !(is_finite && radius > 1e-12 * (height.abs() + target.length()) && radius > 0.0) {
+            let found = format!("radius {radius:.3e} around {target}, {height:.3e} above it");
+            let mend = "give cameras that stand around something";
+            return Err(Error::argument("orbit", found, "a circle", mend));
+        }
+        let off = [up.length() - 1.0, start.length() - 1.0, up.dot(start)];
+        if off.iter().any(|off| off.is_nan() || off.abs() > 1e-6) {
+            let found = format!("up {up}, start {start}");
+            return Err(Error::argument(
+                "orbit",
+                found,
+                "perpendicular unit vectors",
+                "normalise them",
+            ));
+        }
+        Ok(())
+    }
+
+    /// `count` cameras along the whole circle, evenly spaced and counter-clockwise as seen from the tip of [`Orbit::up`], with the
+    /// intrinsics of `lens`; the last is one step before the first, so that a film of them loops.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for directions that are not perpendicular unit vectors, or no radius above 0.
+    pub fn frames(&self, lens: &Camera, count: usize) -> Result<Vec<Camera>> {
+        self.check()?;
+        let side = self.up.cross(self.start);
+        let camera = |i: usize| {
+            let (sin, cos) = (TAU * i as f64 / count as f64).sin_cos();
+            let offset = self.height * self.up + self.radius * (cos * self.start + sin * side);
+            // Right of who looks inwards from there is the way that the circle goes, whatever the height.
+            let right = cos * side - sin * self.start;
+            let forward = -offset.normalize();
+            let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
+            Camera {
+                rotation,
+                center: self.target + offset,
+                ..lens.clone()
+            }
+        };
+        Ok((0..count).map(camera).collect())
+    }
+}
+
+/// The point nearest to all optical axes, by least squares: sum of (I - d d^T) (x - c) = 0 for centres c and unit directions d.
+///
+/// `None` where the axes are nearly parallel, which one camera's are too, or where the point is not in front of more than half
+/// of the cameras, as in photos taken outwards from one place.
+pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
+    let count = cameras.len() as f64;
+    // About the mean, since scenes lie far from the origin.
+    let mean = cameras
+        .iter()
+        .map(|camera| camera.center / count)
+        .sum::<DVec3>();
+    let (mut normal, mut right) = (DMat3::ZERO, DVec3::ZERO);
+    for camera in cameras {
+        let d = forward(camera).try_normalize()?;
+        let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+        normal += across;
+        right += across * (camera.center - mean);
+    }
+    let least = Matrix3::from_column_slice(&normal.to_cols_array())
+        .symmetric_eigenvalues()
+        .min();
+    if least.is_nan() || least < LEAST_SPREAD * count {
+        return None;
+    }
+    let point = normal.inverse() * right + mean;
+    let in_front = cameras
+        .iter()
+        .filter(|camera| (point - camera.center).dot(forward(camera)) > 0.0)
+        .count();
+    (point.is_finite() && 2 * in_front > cameras.len()).then_some(point)
+}
+
+fn forward(camera: &Camera) -> DVec3 {
+    camera.rotation.transpose().z_axis
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}

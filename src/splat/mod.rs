@@ -1,0 +1,189 @@
+//! The scene as 3D Gaussians: parameters on the host, initialisation, densification, spherical harmonics, PLY.
+
+pub mod camera;
+pub mod camera_path;
+
+mod geometry;
+mod motion;
+mod order;
+pub mod ply;
+
+pub use self::geometry::Geometry;
+pub use self::motion::Motion;
+use crate::error::{Error, Result};
+use crate::reconstruction::initialization::SH_0;
+
+/// N Gaussians in host memory, structure of arrays.
+///
+/// Row `i` of every field belongs to the same Gaussian. Values are unactivated, as the 3DGS PLY stores them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Gaussians {
+    /// Centres, `[N, 3]`, world units relative to the scene origin.
+    pub means: Vec<[f32; 3]>,
+    /// Natural logarithm of the three standard deviations, `[N, 3]`.
+    pub log_scales: Vec<[f32; 3]>,
+    /// Rotation quaternions (w, x, y, z), not normalised, `[N, 4]`.
+    pub rotations: Vec<[f32; 4]>,
+    /// Logit of the opacity, `[N]`.
+    pub opacity_logits: Vec<f32>,
+    /// Real SH coefficients in the 3DGS sign and order, `[N, K, 3]` row-major, `K = (sh_degree + 1)^2`.
+    pub sh: Vec<f32>,
+    /// Degree of [`Gaussians::sh`], 0 to 3.
+    pub sh_degree: usize,
+}
+
+impl Gaussians {
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.means.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.means.is_empty()
+    }
+
+    /// Median of the centres along each axis, which strays do not move, relative to the scene origin; `None` for no Gaussian.
+    pub fn median_center(&self) -> Option<[f32; 3]> {
+        let median = |axis: usize| {
+            let mut along: Vec<f32> = self.means.iter().map(|mean| mean[axis]).collect();
+            let middle = along.len() / 2;
+            *along.select_nth_unstable_by(middle, f32::total_cmp).1
+        };
+        (!self.is_empty()).then(|| [0, 1, 2].map(median))
+    }
+
+    /// The Gaussians `rows`, in that order.
+    ///
+    /// # Panics
+    /// If a row is not below [`Gaussians::len`].
+    #[must_use]
+    pub fn select(&self, rows: &[u32]) -> Self {
+        fn pick<T: Copy>(values: &[T], rows: &[u32]) -> Vec<T> {
+            rows.iter().map(|&i| values[i as usize]).collect()
+        }
+        let width = 3 * self.sh_len();
+        Self {
+            means: pick(&self.means, rows),
+            log_scales: pick(&self.log_scales, rows),
+            rotations: pick(&self.rotations, rows),
+            opacity_logits: pick(&self.opacity_logits, rows),
+            sh: rows
+                .iter()
+                .flat_map(|&i| &self.sh[i as usize * width..][..width])
+                .copied()
+                .collect(),
+            sh_degree: self.sh_degree,
+        }
+    }
+
+    /// View-independent colours from the constant SH term, `[N, 3]` sRGB in 0..1.
+    pub fn base_colors(&self) -> Vec<[f32; 3]> {
+        let colour = |dc: &[f32]| [0, 1, 2].map(|c| (dc[c] * SH_0 + 0.5).clamp(0.0, 1.0));
+        self.sh
+            .chunks_exact(3 * self.sh_len())
+            .map(colour)
+            .collect()
+    }
+
+    /// The same Gaussians in these colours, sRGB in 0..1, one a Gaussian, wherever they are seen from.
+    ///
+    /// # Panics
+    /// If there are not as many colours as Gaussians.
+    #[must_use]
+    pub fn painted(self, colors: &[[f32; 3]]) -> Self {
+        assert_eq!(colors.len(), self.len(), "one colour a Gaussian");
+        let sh = colors
+            .as_flattened()
+            .iter()
+            .map(|c| (c - 0.5) / SH_0)
+            .collect();
+        Self {
+            sh,
+            sh_degree: 0,
+            ..self
+        }
+    }
+
+    /// The same Gaussians with SH of `degree`: higher coefficients are zero where there were none, and dropped where there were.
+    #[must_use]
+    pub fn with_sh_degree(self, degree: usize) -> Self {
+        if degree == self.sh_degree {
+            return self;
+        }
+        let (old, new) = (3 * self.sh_len(), 3 * (degree + 1).pow(2));
+        let shared = old.min(new);
+        let mut sh = vec![0.0; self.len() * new];
+        for (to, from) in sh.chunks_exact_mut(new).zip(self.sh.chunks_exact(old)) {
+            to[..shared].copy_from_slice(&from[..shared]);
+        }
+        Self {
+            sh,
+            sh_degree: degree,
+            ..self
+        }
+    }
+
+    /// SH coefficients per colour channel, `(sh_degree + 1)^2`.
+    pub fn sh_len(&self) -> usize {
+        (self.sh_degree + 1).pow(2)
+    }
+
+    /// Looks whether these are Gaussians: lengths agree, those of `labels` too, the degree is known, and every value is finite.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a length or degree; [`Error::NonFinite`] naming tensor and row.
+    pub fn check(&self, labels: Option<&[u16]>) -> Result<()> {
+        if self.sh_degree > 3 {
+            return Err(Error::argument(
+                "gaussians.sh_degree",
+                self.sh_degree.to_string(),
+                "0 to 3",
+                "lower the degree",
+            ));
+        }
+        let n = self.len();
+        let lengths = [
+            ("log_scales", self.log_scales.len(), n),
+            ("rotations", self.rotations.len(), n),
+            ("opacity_logits", self.opacity_logits.len(), n),
+            ("sh", self.sh.len(), n * self.sh_len() * 3),
+            ("labels", labels.map_or(n, <[u16]>::len), n),
+        ];
+        for (name, found, expected) in lengths {
+            if found != expected {
+                let mend = "make all fields agree on the number of Gaussians";
+                return Err(Error::argument(
+                    format!("gaussians.{name}"),
+                    found.to_string(),
+                    expected.to_string(),
+                    mend,
+                ));
+            }
+        }
+        let tensors: [(&str, &[f32], usize); 5] = [
+            ("means", self.means.as_flattened(), 3),
+            ("log_scales", self.log_scales.as_flattened(), 3),
+            ("rotations", self.rotations.as_flattened(), 4),
+            ("opacity_logits", &self.opacity_logits, 1),
+            ("sh", &self.sh, 3 * self.sh_len()),
+        ];
+        for (name, values, width) in tensors {
+            if let Some(i) = values.iter().position(|v| !v.is_finite()) {
+                return Err(Error::non_finite(name, i / width));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The rotation of a quaternion (w, x, y, z) of any length; one without direction is the identity, as in the rasterizer.
+pub(crate) fn rotation(quaternion: &[f32; 4]) -> glam::DQuat {
+    let [w, x, y, z] = quaternion.map(f64::from);
+    let q = glam::DQuat::from_xyzw(x, y, z, w);
+    if q.length_squared() < 1e-12 {
+        glam::DQuat::IDENTITY
+    } else {
+        q.normalize()
+    }
+}

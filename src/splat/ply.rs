@@ -1,0 +1,266 @@
+//! Gaussian scenes as 3DGS PLY: `x y z nx ny nz f_dc_* f_rest_* opacity scale_* rot_*`, and a `label` column.
+//!
+//! `f_rest` is channel-major: all red coefficients, then green, then blue. Values are unactivated (log-scales, opacity
+//! logits, quaternions w x y z), as every 3DGS tool has them. `label` (ushort) holds class ids; other viewers ignore it
+//! and `splat-transform` can filter on it.
+
+use super::Gaussians;
+use crate::data::formats::ply;
+use crate::data::formats::ply::PlyFile;
+use crate::data::{Limits, atomic};
+use crate::error::{Error, Result};
+use glam::DVec3;
+use ply_rs_bw::ply::ScalarType;
+use std::path::Path;
+
+/// x y z, nx ny nz, 3 + 45 SH, opacity, 3 scales, 4 rotations, label.
+const COLUMNS: usize = 63;
+/// Header comment that carries the origin, so that a file read back has the coordinates it was trained in.
+const ORIGIN: &str = "coseg origin";
+/// Positions are stored as double when float would move one by more than this share of the scene's size.
+const POSITION_LOSS: f64 = 1e-5;
+
+/// A scene as read from a PLY file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PlyScene {
+    /// The Gaussians, relative to [`PlyScene::origin`].
+    pub gaussians: Gaussians,
+    /// What was subtracted from every position (f64). Cameras in world units must be moved by it too.
+    pub origin: DVec3,
+    /// Class id per Gaussian, when the file has a `label` column.
+    pub labels: Option<Vec<u16>>,
+}
+
+/// Writes `gaussians` to `path` (binary little-endian), adding `origin` back to the positions in f64.
+///
+/// `labels` are class ids, one a Gaussian. Normals are zero. The file appears complete or not at all.
+///
+/// # Errors
+/// [`Error::NonFinite`] naming tensor and row; [`Error::Argument`] when `labels` or a field has the wrong length;
+/// [`Error::Io`].
+pub fn write(
+    path: &Path,
+    gaussians: &Gaussians,
+    origin: DVec3,
+    labels: Option<&[u16]>,
+) -> Result<()> {
+    gaussians.check(labels)?;
+    let names = column_names(gaussians.sh_degree, labels.is_some());
+    let world = gaussians
+        .means
+        .iter()
+        .map(|&m| DVec3::from(m.map(f64::from)) + origin);
+    let (_, size) = centre_and_size(world.clone());
+    let position = if float_loses(world, size) {
+        ScalarType::Double
+    } else {
+        ScalarType::Float
+    };
+    let columns: Vec<_> = names
+        .into_iter()
+        .enumerate()
+        .map(|(i, name)| {
+            let scalar = match name.as_str() {
+                "label" => ScalarType::UShort,
+                _ if i < 3 => position.clone(),
+                _ => ScalarType::Float,
+            };
+            (name, scalar)
+        })
+        .collect();
+    // Rust prints the shortest decimal that reads back as the same f64.
+    let comments = vec![format!("{ORIGIN} {} {} {}", origin.x, origin.y, origin.z)];
+    let rest = gaussians.sh_len() - 1;
+    atomic::write(path, |out| {
+        ply::write::<COLUMNS, _>(out, gaussians.len(), &columns, comments, |i, row| {
+            for c in 0..3 {
+                row[c] = f64::from(gaussians.means[i][c]) + origin[c];
+            }
+            let sh = &gaussians.sh[i * 3 * (rest + 1)..][..3 * (rest + 1)];
+            for c in 0..3 {
+                row[6 + c] = f64::from(sh[c]);
+                for k in 0..rest {
+                    row[9 + c * rest + k] = f64::from(sh[(k + 1) * 3 + c]);
+                }
+            }
+            let tail = &mut row[9 + 3 * rest..];
+            tail[0] = f64::from(gaussians.opacity_logits[i]);
+            for c in 0..3 {
+                tail[1 + c] = f64::from(gaussians.log_scales[i][c]);
+            }
+            for c in 0..4 {
+                tail[4 + c] = f64::from(gaussians.rotations[i][c]);
+            }
+            tail[8] = labels.map_or(0.0, |l| f64::from(l[i]));
+        })
+    })
+}
+
+/// Reads a 3DGS PLY (ascii or binary, either byte order). Unknown columns are ignored; the SH degree follows from the
+/// number of `f_rest` columns (0, 9, 24 or 45); positions may be float or double.
+///
+/// The origin is the one recorded by [`write()`]; in other files it is the mean position when that lies so far out that
+/// float positions would lose precision, else zero.
+///
+/// # Errors
+/// [`Error::Input`] naming file, row and column: missing columns, cut-off files, non-finite values, labels that are not
+/// u16; [`Error::Io`].
+pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
+    let file = PlyFile::open(path, "vertex", limits)?;
+    expect_gaussians(&file)?;
+    let sh_degree = sh_degree(&file)?;
+    let labelled = file.scalar("label").is_some();
+    let rest = (sh_degree + 1).pow(2) - 1;
+    let recorded = recorded_origin(&file);
+    let mut columns = [const { None }; COLUMNS];
+    for (column, name) in columns.iter_mut().zip(column_names(sh_degree, labelled)) {
+        // Normals carry nothing.
+        *column = (!name.starts_with('n')).then_some(name);
+    }
+    let mut scene = PlyScene {
+        labels: labelled.then(Vec::new),
+        ..PlyScene::default()
+    };
+    let mut positions: Vec<DVec3> = Vec::new();
+    let names = columns.clone();
+    file.read(&columns, |row, cells| {
+        let bad = |column: usize, expected: &str, mend: &str| {
+            let name = names[column].as_deref().unwrap_or_default();
+            Error::input(
+                path,
+                format!("row {row}, column {name}"),
+                cells[column].to_string(),
+                expected,
+                mend,
+            )
+        };
+        // What does not fit an f32 is as unusable as what is no number.
+        if let Some(column) = cells.iter().position(|&v| !(v as f32).is_finite()) {
+            return Err(bad(
+                column,
+                "a finite number",
+                "remove this Gaussian (splat-transform --filter-nan)",
+            ));
+        }
+        let g = &mut scene.gaussians;
+        positions.push(DVec3::new(cells[0], cells[1], cells[2]));
+        let f = cells.map(|v| v as f32);
+        g.sh.extend_from_slice(&f[6..9]);
+        for k in 0..rest {
+            g.sh.extend((0..3).map(|c| f[9 + c * rest + k]));
+        }
+        let tail = &f[9 + 3 * rest..];
+        g.opacity_logits.push(tail[0]);
+        g.log_scales.push([tail[1], tail[2], tail[3]]);
+        g.rotations.push([tail[4], tail[5], tail[6], tail[7]]);
+        if let Some(labels) = &mut scene.labels {
+            let column = 9 + 3 * rest + 8;
+            let id = cells[column];
+            if id.fract() != 0.0 || !(0.0..=65_535.0).contains(&id) {
+                return Err(bad(
+                    column,
+                    "a class id from 0 to 65535",
+                    "mend or drop the label column",
+                ));
+            }
+            labels.push(id as u16);
+        }
+        Ok(())
+    })?;
+    scene.gaussians.sh_degree = sh_degree;
+    scene.origin = recorded.unwrap_or_else(|| origin_of(&positions));
+    scene.gaussians.means = positions
+        .iter()
+        .map(|&p| (p - scene.origin).as_vec3().to_array())
+        .collect();
+    Ok(scene)
+}
+
+/// Column names in file order.
+fn column_names(sh_degree: usize, labelled: bool) -> Vec<String> {
+    let numbered = |stem: &'static str, n: usize| (0..n).map(move |i| format!("{stem}_{i}"));
+    let mut names: Vec<String> = ["x", "y", "z", "nx", "ny", "nz"].map(String::from).into();
+    names.extend(numbered("f_dc", 3));
+    names.extend(numbered("f_rest", 3 * ((sh_degree + 1).pow(2) - 1)));
+    names.push("opacity".into());
+    names.extend(numbered("scale", 3));
+    names.extend(numbered("rot", 4));
+    names.extend(labelled.then(|| "label".into()));
+    names
+}
+
+/// [`Error::Input`] for the kinds of PLY files that get mixed up with 3DGS's.
+fn expect_gaussians(file: &PlyFile) -> Result<()> {
+    let expected = "3D Gaussians: x y z, f_dc_*, opacity, scale_*, rot_*";
+    let has = |name: &str| file.scalar(name).is_some();
+    let (found, mend) = if has("packed_position") {
+        (
+            "a compressed scene",
+            "uncompress it: splat-transform scene.compressed.ply scene.ply",
+        )
+    } else if has("x") && !has("f_dc_0") && !has("opacity") {
+        (
+            "a point cloud",
+            "give the Gaussians that were trained on it; as initial points a scene folder takes it",
+        )
+    } else {
+        return Ok(());
+    };
+    Err(file.error("element vertex", found, expected, mend))
+}
+
+fn sh_degree(file: &PlyFile) -> Result<usize> {
+    let rest = file.names().filter(|n| n.starts_with("f_rest_")).count();
+    (0..=3)
+        .find(|d: &usize| 3 * ((d + 1).pow(2) - 1) == rest)
+        .ok_or_else(|| {
+            file.error(
+                "element vertex",
+                format!("{rest} columns f_rest_*"),
+                "0, 9, 24 or 45 of them (SH degree 0 to 3)",
+                "export with a whole SH degree",
+            )
+        })
+}
+
+fn recorded_origin(file: &PlyFile) -> Option<DVec3> {
+    let text = file
+        .comments()
+        .iter()
+        .find_map(|c| c.trim().strip_prefix(ORIGIN))?;
+    let values: Vec<f64> = text
+        .split_whitespace()
+        .map_while(|v| v.parse().ok())
+        .collect();
+    match values[..] {
+        [x, y, z] if values.iter().all(|v| v.is_finite()) => Some(DVec3::new(x, y, z)),
+        _ => None,
+    }
+}
+
+/// Mean position and mean distance from it.
+fn centre_and_size(positions: impl Iterator<Item = DVec3> + Clone) -> (DVec3, f64) {
+    let n = positions.clone().count().max(1) as f64;
+    let centre = positions.clone().sum::<DVec3>() / n;
+    (
+        centre,
+        positions.map(|p| p.distance(centre)).sum::<f64>() / n,
+    )
+}
+
+/// Whether rounding a position to float moves it by more than [`POSITION_LOSS`] of `size`.
+fn float_loses(mut positions: impl Iterator<Item = DVec3>, size: f64) -> bool {
+    positions.any(|p| (p - p.as_vec3().as_dvec3()).abs().max_element() > POSITION_LOSS * size)
+}
+
+/// Zero for scenes near their coordinate origin, so that their float positions stay as they are.
+fn origin_of(positions: &[DVec3]) -> DVec3 {
+    let (centre, size) = centre_and_size(positions.iter().copied());
+    // Float positions show no rounding, but their spacing far out may be coarse for the scene.
+    let coarse = size > 0.0 && centre.length() * f64::from(f32::EPSILON) > POSITION_LOSS * size;
+    if coarse || float_loses(positions.iter().copied(), size) {
+        centre
+    } else {
+        DVec3::ZERO
+    }
+}

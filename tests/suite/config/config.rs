@@ -1,0 +1,406 @@
+//! Loading settings: what overrides what, and what an error says.
+
+use coseg::config::{Config, Encode, LabelLoss, Normalisation, Preset, Resolution, Row, Strategy};
+use std::path::{Path, PathBuf};
+
+/// What a settings file and `--set` give.
+pub fn load(toml: &str, sets: &[&str]) -> Result<Config, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.toml");
+    std::fs::write(&path, toml).unwrap();
+    let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
+    Config::load(Some(&path), &sets).map_err(|e| e.to_string())
+}
+
+#[track_caller]
+pub fn assert_names(error: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(error.contains(part), "expected {part:?} in: {error}");
+    }
+}
+
+#[test]
+fn nothing_given_is_the_default_config() {
+    assert_eq!(Config::load(None, &[]).unwrap(), Config::default());
+    assert_eq!(load("", &[]).unwrap(), Config::default());
+}
+
+#[test]
+fn file_overrides_preset_and_set_overrides_file() {
+    let toml = "preset = \"paper\"\n[segmentation]\niterations = 500\npi_rl = 0.5\n";
+    let config = load(toml, &["segmentation.pi_rl=0.97", "data.dir=scenes/room"]).unwrap();
+    assert_eq!(config.preset, Preset::Paper);
+    assert_eq!(config.unprojection.normalisation, Normalisation::Count);
+    assert_eq!(config.unprojection.resolution, Resolution::Feature);
+    assert_eq!(config.spatial.encode, Encode::View);
+    assert_eq!(config.segmentation.warmup, 0.0);
+    assert_eq!(config.segmentation.iterations, 500);
+    assert_eq!(config.segmentation.pi_rl, 0.97);
+    assert_eq!(config.data.dir, Some(PathBuf::from("scenes/room")));
+    assert_eq!(config.segmentation.lr, 1e-3, "the paper's own rate");
+    assert_eq!(
+        config.segmentation.loss,
+        LabelLoss::Js,
+        "the paper's own loss"
+    );
+    assert_eq!(
+        config.building.lr_opacity,
+        Config::default().building.lr_opacity
+    );
+}
+
+#[test]
+fn a_set_preset_replaces_the_files_preset() {
+    let config = load("preset = \"paper\"\n", &["preset=fast"]).unwrap();
+    assert_eq!(config, Config::preset(Preset::Fast));
+    assert_eq!(config.segmentation.pixel_share, 0.25);
+}
+
+#[test]
+fn the_built_in_scene_has_defaults_of_its_own_below_all_that_is_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("run.toml");
+    let own = |data: Option<&str>, toml: &str, sets: &[&str]| {
+        std::fs::write(&file, toml).unwrap();
+        let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
+        Config::load_for(data.map(Path::new), Some(&file), &sets).unwrap()
+    };
+    let size = |config: &Config| {
+        let Config {
+            building,
+            segmentation,
+            ..
+        } = config;
+        (
+            building.iterations,
+            building.max_gaussians,
+            segmentation.iterations,
+            segmentation.pixel_share,
+        )
+    };
+    let builtin = (2_400, 25_000, 2_000, 0.25);
+    assert_eq!(
+        Config::load_for(None, None, &[]).unwrap(),
+        Config::builtin_preset(Preset::Default)
+    );
+    assert_eq!(size(&own(None, "", &[])), builtin);
+    assert_eq!(
+        size(&own(
+            None,
+            "[data]\nraw_labels_note = \"mine\"\n",
+            &["preset=default"]
+        )),
+        builtin
+    );
+    let fast = own(None, "", &["preset=fast"]);
+    assert_eq!(
+        (size(&fast), fast.segmentation.weight_cache_mb),
+        (builtin, 8_192)
+    );
+    let toml = "preset = \"fast\"\n[building]\niterations = 9\n[segmentation]\npixel_share = 0.5\n";
+    assert_eq!(
+        size(&own(None, toml, &["building.max_gaussians=0"])),
+        (9, 0, 2_000, 0.5)
+    );
+    assert_eq!(
+        own(None, "preset = \"paper\"\n", &[]),
+        Config::preset(Preset::Paper),
+        "the paper's are the paper's"
+    );
+    assert_eq!(own(None, "preset = \"paper\"\n", &["preset=fast"]), fast);
+    // A scene folder, wherever it is named.
+    let usual = size(&Config::default());
+    for config in [
+        own(Some("a"), "", &[]),
+        own(None, "[data]\ndir = \"a\"\n", &[]),
+        own(None, "", &["data.dir=b", "data.dir=a"]),
+    ] {
+        assert_eq!(
+            (size(&config), config.data.dir),
+            (usual, Some(PathBuf::from("a")))
+        );
+    }
+    assert_eq!(
+        size(&own(None, "[data]\ndir = \"a\"\n", &["data.dir="])),
+        builtin
+    );
+    assert_eq!(
+        own(Some("a"), "", &["data.dir=b"]).data.dir,
+        Some(PathBuf::from("a")),
+        "--data is the last word"
+    );
+}
+
+#[test]
+fn set_takes_lists_text_and_numbers_without_quotes() {
+    let sets = [
+        "segmentation.rows=raw,vote, ours",
+        "segmentation.loss=ce",
+        "raster.background=1,1,0.5",
+        "building.lr_means=1",
+    ];
+    let config = load("", &sets).unwrap();
+    assert_eq!(config.segmentation.rows(), [Row::Raw, Row::Vote, Row::Ours]);
+    assert_eq!(config.segmentation.loss, LabelLoss::Ce);
+    assert_eq!(config.raster.background, [1.0, 1.0, 0.5]);
+    assert_eq!(config.building.lr_means, 1.0);
+    let quoted = load("", &["segmentation.rows=[\"raw\"]", "data.raw_labels=12"]).unwrap();
+    assert_eq!(quoted.segmentation.rows(), [Row::Raw]);
+    assert_eq!(quoted.data.raw_labels, "12");
+}
+
+#[test]
+fn an_empty_value_takes_an_optional_path_away() {
+    let config = load("[data]\ndir = \"a\"\n", &["data.dir="]).unwrap();
+    assert_eq!(config.data.dir, None);
+}
+
+#[test]
+fn written_config_loads_as_itself() {
+    for preset in [Preset::Default, Preset::Paper, Preset::Fast] {
+        let mut config = Config::preset(preset);
+        config.data.dir = Some("with \"quotes\" and \\".into());
+        config.seed = 77;
+        config.building.ssim_weight = 0.15;
+        let text = config.to_toml().unwrap();
+        assert_eq!(load(&text, &[]).unwrap(), config, "{text}");
+    }
+}
+
+#[test]
+fn row_names_are_those_of_the_config_file() {
+    for row in Row::COMPARED
+        .into_iter()
+        .chain([Row::NoImageFeatures, Row::RandomSpatial])
+    {
+        assert_eq!(
+            toml::Value::try_from(row).unwrap().as_str(),
+            Some(row.key())
+        );
+    }
+}
+
+#[test]
+fn unknown_keys_name_file_line_and_the_nearest_key() {
+    let error = load("seed = 1\n[building]\niteratons = 5\n", &[]).unwrap_err();
+    assert_names(
+        &error,
+        &[
+            "run.toml",
+            "line 3",
+            "building.iteratons",
+            "did you mean building.iterations?",
+        ],
+    );
+    let error = load("[segmentaton]\npi_rl = 0.5\n", &[]).unwrap_err();
+    assert_names(
+        &error,
+        &["line 1", "segmentaton", "did you mean segmentation"],
+    );
+    let error = load("iterations = 5\n", &[]).unwrap_err();
+    assert_names(
+        &error,
+        &["iterations: found an unknown key", ".iterations?"],
+    );
+    let error = load("", &["segmentation.pirl=0.5"]).unwrap_err();
+    assert_names(
+        &error,
+        &[
+            "setting segmentation.pirl",
+            "did you mean segmentation.pi_rl?",
+        ],
+    );
+}
+
+#[test]
+fn wrong_types_name_found_and_expected() {
+    let error = load("[building]\n\niterations = \"many\"\n", &[]).unwrap_err();
+    assert_names(
+        &error,
+        &[
+            "line 3, building.iterations",
+            "found \"many\"",
+            "a whole number of 0 or more",
+        ],
+    );
+    let error = load("", &["building.absgrad=yes"]).unwrap_err();
+    assert_names(
+        &error,
+        &["building.absgrad", "found \"yes\", expected true or false"],
+    );
+    let error = load("seed = -4\n", &[]).unwrap_err();
+    assert_names(&error, &["seed", "-4", "a whole number of 0 or more"]);
+    let error = load("[segmentation]\nloss = \"mse\"\n", &[]).unwrap_err();
+    assert_names(
+        &error,
+        &["segmentation.loss", "\"mse\"", "\"js\"", "\"ce\""],
+    );
+    let error = load("preset = \"best\"\n", &[]).unwrap_err();
+    assert_names(&error, &["line 1, preset", "\"best\"", "\"fast\""]);
+    let error = load("building = 3\n", &[]).unwrap_err();
+    assert_names(&error, &["building", "found 3", "a section"]);
+    let error = load("", &["raster.background=1,0"]).unwrap_err();
+    assert_names(&error, &["raster.background", "a list of 3 numbers"]);
+    let error = load("", &["segmentation.rows=raw,best"]).unwrap_err();
+    assert_names(&error, &["segmentation.rows", "\"ours\""]);
+    let error = load("", &["building"]).unwrap_err();
+    assert_names(&error, &["--set", "found building", "section.key=value"]);
+    let error = load("", &["building=4"]).unwrap_err();
+    assert_names(&error, &["a key within it"]);
+}
+
+#[test]
+fn values_out_of_range_are_refused() {
+    for (set, expected) in [
+        ("building.iterations=0", "above 0"),
+        ("data.decoded_mb=16777217", "at most 2^24"),
+        ("building.sh_degree=4", "0, 1, 2 or 3"),
+        ("building.lr_opacity=nan", "finite number of 0 or more"),
+        ("building.lr_scales=-1e-3", "finite number of 0 or more"),
+        ("building.lr_means_final=0", "finite number above 0"),
+        ("building.iterations=4294967296", "fewer than 2^32"),
+        ("building.densify_until=1.5", "from 0 to 1"),
+        ("raster.alpha_max=0", "at most 1"),
+        ("raster.background=0,0,-0.1", "from 0 to 1"),
+        ("building.strategy=best", "\"adc\" or \"mcmc\""),
+        ("building.mcmc.growth=-0.1", "finite number of 0 or more"),
+        ("building.mcmc.init_opacity=1", "above 0 and below 1"),
+        ("segmentation.gce_exponent=0", "from 0.000001 to 1"),
+        ("segmentation.gce_exponent=1.01", "from 0.000001 to 1"),
+        ("segmentation.pi_rl=1.0", "above 0 and below 1"),
+        ("segmentation.pi_rl=0", "above 0 and below 1"),
+        ("segmentation.gjs_dropout=1", "above 0 and below 1"),
+        ("segmentation.diffusion_strength=1", "above 0 and below 1"),
+        (
+            "segmentation.diffusion_temperature=0",
+            "finite number above 0",
+        ),
+        (
+            "segmentation.diffusion_neighbours=0",
+            "whole number above 0",
+        ),
+        ("segmentation.pixel_share=0.0", "above 0, at most 1"),
+        ("segmentation.warmup=-0.1", "from 0 to 1"),
+        ("segmentation.lambda_reg=inf", "finite number of 0 or more"),
+        ("segmentation.rows=raw,raw", "each row once"),
+        ("unprojection.attendance=2", "from 0 to 1"),
+        ("seed=9300000000000000000", "whole number"),
+    ] {
+        let error = load("", &[set]).unwrap_err();
+        assert_names(&error, &[set.split_once('=').unwrap().0, expected]);
+    }
+    let error = load("[segmentation]\npi_rl = 1.0\n", &[]).unwrap_err();
+    assert_names(&error, &["run.toml", "line 2, segmentation.pi_rl"]);
+}
+
+#[test]
+fn values_that_need_each_other_are_checked() {
+    assert_names(
+        &load("", &["features.source=import"]).unwrap_err(),
+        &["features.import_dir"],
+    );
+    assert_names(
+        &load("", &["features.source=mobilenetv2"]).unwrap_err(),
+        &["features.weights", "MobileNetV2"],
+    );
+    assert_names(
+        &load("", &["features.source=dino"]).unwrap_err(),
+        &["features.weights", "DINO"],
+    );
+    assert_names(
+        &load("", &["spatial.source=pretrained"]).unwrap_err(),
+        &["spatial.weights"],
+    );
+    assert!(load("", &["spatial.source=pretrained", "spatial.weights=w.pth"]).is_ok());
+}
+
+#[test]
+fn strategies_of_densification_have_defaults_and_needs_of_their_own() {
+    let adc = load("", &[]).unwrap().building;
+    assert_eq!(
+        (adc.strategy, adc.densify_threshold(), adc.densify_until()),
+        (Strategy::Adc, 8e-4, 0.5)
+    );
+    assert_eq!(
+        load("", &["building.absgrad=false"])
+            .unwrap()
+            .building
+            .densify_threshold(),
+        2e-4
+    );
+    let set = load(
+        "[building]\ndensify_threshold = 1e-3\n",
+        &["building.absgrad=false"],
+    )
+    .unwrap()
+    .building;
+    assert_eq!(set.densify_threshold(), 1e-3);
+
+    let toml =
+        "[building]\nstrategy = \"mcmc\"\nmax_gaussians = 9_000\n[building.mcmc]\ngrowth = 0.1\n";
+    let config = load(toml, &["building.mcmc.noise=1e5"]).unwrap();
+    let mcmc = &config.building.mcmc;
+    assert_eq!(
+        (
+            mcmc.growth,
+            mcmc.noise,
+            mcmc.opacity_reg,
+            config.building.densify_until()
+        ),
+        (0.1, 1e5, 0.01, 0.8)
+    );
+    assert_eq!(load(&config.to_toml().unwrap(), &[]).unwrap(), config);
+    assert_names(
+        &load(toml, &["building.max_gaussians=0"]).unwrap_err(),
+        &["max_gaussians", "found 0", "mcmc"],
+    );
+    let error = load("[building.mcmc]\ngrow = 1\n", &[]).unwrap_err();
+    assert_names(
+        &error,
+        &[
+            "line 2",
+            "building.mcmc.grow",
+            "did you mean building.mcmc.growth?",
+        ],
+    );
+}
+
+#[test]
+fn arguments_are_not_called_settings() {
+    let message = load("", &["building"]).unwrap_err();
+    assert!(message.starts_with("--set: found building"), "{message}");
+    let broken = coseg::splat::Gaussians {
+        sh_degree: 9,
+        ..Default::default()
+    };
+    let message = broken.check(None).unwrap_err().to_string();
+    assert!(
+        message.starts_with("gaussians.sh_degree: found 9, expected 0 to 3"),
+        "{message}"
+    );
+    let message = load("", &["building.iterations=0"]).unwrap_err();
+    assert!(
+        message.starts_with("setting building.iterations: found 0"),
+        "{message}"
+    );
+}
+
+#[test]
+fn syntax_errors_name_the_line() {
+    let error = load("seed = 1\n[building\n", &[]).unwrap_err();
+    assert_names(&error, &["run.toml", "line 2", "[building"]);
+    let missing = Config::load(Some(std::path::Path::new("no/such/file.toml")), &[]).unwrap_err();
+    assert_names(&missing.to_string(), &["no/such/file.toml", "read"]);
+}
+
+#[test]
+fn the_example_configs_load() {
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("configs");
+    let mut seen = 0;
+    for entry in std::fs::read_dir(&folder).unwrap() {
+        let path = entry.unwrap().path();
+        Config::load(Some(&path), &[]).unwrap_or_else(|e| panic!("{e}"));
+        seen += 1;
+    }
+    assert!(seen >= 2);
+}

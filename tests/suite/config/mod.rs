@@ -1,0 +1,4 @@
+//! Tests of `coseg::config`.
+
+pub mod config;
+pub mod unread;

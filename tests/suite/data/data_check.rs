@@ -1,0 +1,388 @@
+//! `coseg data check` and `info`, manifests, and the layouts that nothing tells apart.
+
+use crate::cli::cli::{fails, read_json, succeeds, utf8};
+use crate::support::plates::scene;
+use coseg::config::{Config, Layout};
+use coseg::data::check;
+use coseg::data::{LabelMap, LoadOptions, Manifest, load, locate};
+use serde_json::json;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Changes the scene's manifest.
+pub fn edit(dir: &Path, change: impl Fn(&mut serde_json::Value)) {
+    let path = dir.join("transforms.json");
+    let mut value = read_json(&path);
+    change(&mut value);
+    fs::write(path, value.to_string()).unwrap();
+}
+
+/// Ten frames, from the six of the small scene.
+fn ten_frames(dir: &Path) {
+    scene(dir);
+    edit(dir, |v| {
+        let frames = v["frames"].as_array_mut().unwrap();
+        for i in 6..10 {
+            let mut frame = frames[i - 5].clone();
+            for (key, folder) in [
+                ("file_path", "images"),
+                ("label_path", "labels"),
+                ("raw_label_path", "raw"),
+            ] {
+                let copy = format!("{folder}/v{i}.png");
+                fs::copy(dir.join(frame[key].as_str().unwrap()), dir.join(&copy)).unwrap();
+                frame[key] = json!(copy);
+            }
+            frames.push(frame);
+        }
+        v["ply_file_path"] = json!("cloud.ply");
+    });
+    fs::copy(dir.join("plates.ply"), dir.join("cloud.ply")).unwrap();
+}
+
+#[test]
+fn check_names_all_planted_faults_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    ten_frames(dir);
+    assert!(
+        succeeds(&["data", "check", utf8(dir)])
+            .contains("layout transforms, 10 frames, no problems")
+    );
+
+    // 1: a missing image. 2: an image of another size. 3: a pose with NaN. 4: a label id that no class has.
+    fs::remove_file(dir.join("images/v1.png")).unwrap();
+    image::RgbImage::new(40, 32)
+        .save(dir.join("images/v2.png"))
+        .unwrap();
+    let unknown = LabelMap {
+        width: 80,
+        height: 64,
+        ids: vec![77; 80 * 64],
+    };
+    unknown.write(&dir.join("labels/v4.png")).unwrap();
+    // 5: a label map of another size. 6: a frame twice. 7: a PLY cut off. 8: a missing label map. 9: an image cut off.
+    LabelMap {
+        width: 64,
+        height: 80,
+        ids: vec![1; 80 * 64],
+    }
+    .write(&dir.join("raw/v5.png"))
+    .unwrap();
+    edit(dir, |v| {
+        v["frames"][6]["file_path"] = json!("images/v0.png")
+    });
+    let ply = fs::read(dir.join("cloud.ply")).unwrap();
+    fs::write(dir.join("cloud.ply"), &ply[..ply.len() - 10]).unwrap();
+    fs::remove_file(dir.join("labels/v7.png")).unwrap();
+    let png = fs::read(dir.join("images/v8.png")).unwrap();
+    fs::write(dir.join("images/v8.png"), &png[..png.len() - 20]).unwrap();
+    // A second fault in the frame whose photo is missing, and in the one whose pose is.
+    unknown.write(&dir.join("raw/v1.png")).unwrap();
+    unknown.write(&dir.join("raw/v3.png")).unwrap();
+    let text = fs::read_to_string(dir.join("transforms.json")).unwrap();
+    let mut value: serde_json::Value = serde_json::from_str(&text).unwrap();
+    value["frames"][3]["transform_matrix"][1][3] = json!("HERE");
+    fs::write(
+        dir.join("transforms.json"),
+        value.to_string().replace("\"HERE\"", "NaN"),
+    )
+    .unwrap();
+
+    let message = fails(&["data", "check", utf8(dir)], 1);
+    let lines: Vec<&str> = message
+        .lines()
+        .filter(|line| line.starts_with("error: "))
+        .collect();
+    let planted: [&[&str]; 11] = [
+        &[
+            "transforms.json",
+            "frames[1] (images/v1.png).file_path",
+            "no file",
+            "put the image there",
+        ],
+        &["v2.png", "size", "40x32", "80x64", "scale the image"],
+        &[
+            "transforms.json",
+            "frames[3] (images/v3.png).transform_matrix[1][3]",
+            "NaN",
+            "export the pose again",
+        ],
+        &[
+            "labels/v4.png",
+            "label id 77",
+            "[1 2 3 4]",
+            "add the id to classes.json",
+        ],
+        &["raw/v5.png", "size", "64x80", "80x64"],
+        &[
+            "transforms.json",
+            "frames[6] (images/v0.png).file_path",
+            "frames[0]",
+            "drop the repeated frame",
+        ],
+        &["cloud.ply", "size", "bytes", "cut off"],
+        &["labels/v7.png", "no such file", "label map"],
+        &[
+            "images/v8.png",
+            "image data",
+            "without the end",
+            "copy or export it again",
+        ],
+        &[
+            "raw/v1.png",
+            "label id 77",
+            "set data.association=gaussians",
+        ],
+        &["raw/v3.png", "label id 77"],
+    ];
+    for parts in planted {
+        let found = lines
+            .iter()
+            .filter(|line| parts.iter().all(|part| line.contains(part)))
+            .count();
+        assert_eq!(found, 1, "{parts:?} in\n{message}");
+    }
+    assert_eq!(lines.len(), planted.len() + 1, "{message}");
+    assert!(
+        lines[planted.len()].contains("found 11 problems"),
+        "{message}"
+    );
+
+    // Without a class table that is told once, and not for each label map.
+    fs::remove_file(dir.join("classes.json")).unwrap();
+    let message = fails(&["data", "check", utf8(dir)], 1);
+    assert!(
+        message.contains("classes.json: file: found nothing, expected a class table"),
+        "{message}"
+    );
+    assert!(message.contains("found 9 problems"), "{message}");
+    let message = fails(&["data", "check", utf8(&dir.join("absent"))], 1);
+    assert!(
+        message.contains("no such folder") && message.contains("1 problem"),
+        "{message}"
+    );
+}
+
+#[test]
+fn check_finds_what_load_finds() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let options = LoadOptions::default();
+    assert!(check(folder.path(), &options).problems.is_empty());
+    fs::remove_file(folder.path().join("raw/v2.png")).unwrap();
+    fs::remove_file(folder.path().join("raw/v4.png")).unwrap();
+    let checked = check(folder.path(), &options);
+    assert_eq!(
+        (checked.layout, checked.frames, checked.problems.len()),
+        (Some(Layout::Transforms), 6, 2)
+    );
+    let first = load(folder.path(), &options).unwrap_err().to_string();
+    assert_eq!(checked.problems[0].to_string(), first);
+}
+
+#[test]
+fn info_counts_and_draws() {
+    let folder = tempfile::tempdir().unwrap();
+    ten_frames(folder.path());
+    let sheet = folder.path().join("sheet.png");
+    let text = succeeds(&["data", "info", utf8(folder.path()), "--sheet", utf8(&sheet)]);
+    for part in [
+        "layout transforms",
+        "7 train, 3 test",
+        "10 of 80x64 pixels",
+        "extent",
+        "10 views true, 10 views raw",
+        "wall",
+    ] {
+        assert!(text.contains(part), "{part:?} is not in {text}");
+    }
+    let picture = image::open(&sheet).unwrap().into_rgb8();
+    assert!(
+        picture.width() > 5 * 200 && picture.height() > 4 * 160,
+        "{:?}",
+        picture.dimensions()
+    );
+    let json: serde_json::Value = serde_json::from_str(&succeeds(&[
+        "data",
+        "info",
+        utf8(folder.path()),
+        "--json",
+        "--set",
+        "data.stride=2",
+    ]))
+    .unwrap();
+    assert_eq!(
+        (json["train"].as_u64(), json["test"].as_u64()),
+        (Some(4), Some(2))
+    );
+    assert_eq!(json["sizes"], json!([[80, 64, 6]]));
+    let classes = json["classes"].as_array().unwrap();
+    let sum = |key: &str| {
+        classes
+            .iter()
+            .map(|c| c[key].as_f64().unwrap())
+            .sum::<f64>()
+    };
+    assert!(
+        (sum("truth") - 1.0).abs() < 1e-9 && (sum("raw") - 1.0).abs() < 1e-9,
+        "{classes:?}"
+    );
+    assert_eq!(
+        (classes.len(), &classes[4]["name"]),
+        (5, &json!("unlabelled"))
+    );
+    assert!(json["cameras"]["extent"].as_f64().unwrap() > 0.5);
+    fails(&["data", "info", utf8(&folder.path().join("images"))], 1);
+    fails(&["data", "look"], 2);
+}
+
+#[test]
+fn layouts_are_told_apart_or_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    let options = LoadOptions::default();
+    let message = locate(dir, &options).unwrap_err().to_string();
+    for part in [
+        "transforms.json",
+        "sparse/0",
+        "traj.txt",
+        "traj_w_c.txt",
+        "color/ with pose/",
+        "README",
+    ] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    for sub in ["color", "pose", "results"] {
+        fs::create_dir(dir.join(sub)).unwrap();
+    }
+    assert_eq!(locate(dir, &options).unwrap(), Layout::Scannet);
+    fs::write(dir.join("traj.txt"), "").unwrap();
+    let message = locate(dir, &options).unwrap_err().to_string();
+    assert!(
+        message.contains("traj.txt (replica) and color/ with pose/ (scannet)"),
+        "{message}"
+    );
+    assert!(message.contains("--set data.layout=replica"), "{message}");
+    fs::write(dir.join("transforms_4.json"), "{}").unwrap();
+    let named = LoadOptions {
+        transforms: "transforms_4.json".into(),
+        ..LoadOptions::default()
+    };
+    assert_eq!(locate(dir, &named).unwrap(), Layout::Transforms);
+    let config = Config::load(None, &["data.layout=scannet".into()]).unwrap();
+    assert_eq!(
+        locate(dir, &LoadOptions::from(&config.data)).unwrap(),
+        Layout::Scannet
+    );
+    let message = Config::load(None, &["data.layout=blender".into()])
+        .unwrap_err()
+        .to_string();
+    assert!(
+        message.contains("data.layout") && message.contains("\"colmap\""),
+        "{message}"
+    );
+    let message = Config::load(None, &["data.stride=0".into()])
+        .unwrap_err()
+        .to_string();
+    assert!(message.contains("data.stride"), "{message}");
+    // A layout that is asked for and is not there.
+    for (layout, part) in [("transforms", "transforms.json"), ("colmap", "sparse/0")] {
+        let config = Config::load(None, &[format!("data.layout={layout}")]).unwrap();
+        let message = load(dir, &LoadOptions::from(&config.data))
+            .unwrap_err()
+            .to_string();
+        assert!(message.contains(part), "{message}");
+    }
+}
+
+fn manifests() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data_manifests");
+    let mut paths: Vec<PathBuf> = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    paths.sort();
+    paths
+}
+
+#[test]
+fn all_manifests_parse() {
+    let paths = manifests();
+    for path in &paths {
+        let manifest = Manifest::read(path).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(path.file_stem().unwrap().to_str(), Some(&*manifest.name));
+        assert!(
+            manifest.source.starts_with("http")
+                && !manifest.licence.is_empty()
+                && !manifest.split.is_empty()
+        );
+        assert!(
+            matches!(manifest.layout, Layout::Replica | Layout::Scannet)
+                && !manifest.files.is_empty()
+        );
+    }
+    let names: Vec<_> = paths
+        .iter()
+        .map(|p| p.file_stem().unwrap().to_string_lossy().into_owned())
+        .collect();
+    for room in [
+        "office_0", "office_1", "office_2", "office_3", "office_4", "room_0", "room_1", "room_2",
+    ] {
+        assert!(names.contains(&format!("replica_{room}")), "{room}");
+    }
+    assert_eq!(
+        names
+            .iter()
+            .filter(|name| name.starts_with("scannet_"))
+            .count(),
+        10
+    );
+}
+
+#[test]
+fn manifests_say_what_is_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.toml");
+    let text = "name = \"m\"\nsource = \"here\"\nlicence = \"any\"\nfolder = \"m\"\nlayout = \"transforms\"\nsplit = \"given\"\n\
+        ignore = 0\nlabel_map = { \"7\" = 1, \"8\" = 1 }\n[[files]]\npath = \"images/v{}.png\"\ncount = 8\n[[files]]\n\
+        path = \"classes.json\"\nsize = 3\n[[files]]\npath = \"plates.ply\"\nsha256 = \"00\"\n";
+    fs::write(&path, text).unwrap();
+    scene(folder.path());
+    let message = fails(
+        &[
+            "data",
+            "check",
+            utf8(folder.path()),
+            "--manifest",
+            utf8(&path),
+        ],
+        1,
+    );
+    for part in [
+        "v6.png",
+        "as 1 more of 8",
+        "classes.json: size",
+        "expected 3 bytes",
+        "plates.ply: sha256",
+        "3 problems",
+    ] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    for (from, to, parts) in [
+        (
+            "layout = \"transforms\"",
+            "layout = \"blender\"",
+            ["line 5", "blender"],
+        ),
+        ("ignore = 0", "ignored = 0", ["line", "ignored"]),
+        ("split", "classes = \"coco\"\nsplit", ["classes", "coco"]),
+    ] {
+        fs::write(&path, text.replacen(from, to, 1)).unwrap();
+        let message = Manifest::read(&path).unwrap_err().to_string();
+        assert!(
+            message.contains("m.toml") && parts.iter().all(|part| message.contains(part)),
+            "{message}"
+        );
+    }
+}

@@ -1,0 +1,424 @@
+//! Poses written in another convention than the layout's are found by the initial cloud, and right ones never are.
+
+use crate::data::data_check::edit;
+use coseg::data::builtin::{BuiltinOptions, scene_with};
+use coseg::data::check;
+use coseg::data::{Checked, LoadOptions, load};
+use coseg::splat::camera::Camera;
+use glam::{DMat3, DMat4, DQuat, DVec3};
+use serde_json::json;
+use std::fmt::Write;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+
+/// World-to-camera or not, OpenCV axes or OpenGL.
+pub type Convention = (bool, bool);
+pub const CONVENTIONS: [Convention; 4] =
+    [(false, false), (true, false), (false, true), (true, true)];
+
+/// What the program calls a convention.
+pub fn name((to_camera, opencv): Convention) -> &'static str {
+    match (to_camera, opencv) {
+        (false, false) => "if they are camera-to-world in OpenGL axes",
+        (true, false) => "if they are world-to-camera in OpenGL axes",
+        (false, true) => "if they are camera-to-world in OpenCV axes",
+        (true, true) => "if they are world-to-camera in OpenCV axes",
+    }
+}
+
+/// The matrix of `camera` as a convention has it.
+pub fn matrix(camera: &Camera, (to_camera, opencv): Convention) -> DMat4 {
+    let mut matrix = camera.to_opengl();
+    if opencv {
+        matrix = DMat4::from_cols(matrix.x_axis, -matrix.y_axis, -matrix.z_axis, matrix.w_axis);
+    }
+    if to_camera { matrix.inverse() } else { matrix }
+}
+
+pub fn rows(matrix: DMat4) -> Vec<[f64; 4]> {
+    (0..4).map(|r| matrix.row(r).to_array()).collect()
+}
+
+/// Photos with their cameras, and the file of an initial cloud.
+pub struct Capture {
+    pub shots: Vec<(PathBuf, Camera)>,
+    pub cloud: PathBuf,
+}
+
+impl Capture {
+    /// The built-in room, small, with its photos and points in `dir`.
+    pub fn room(dir: &Path, train_views: usize) -> Self {
+        let options = BuiltinOptions {
+            width: 96,
+            height: 72,
+            train_views,
+            test_views: 2,
+            ..Default::default()
+        };
+        let scene = scene_with(&options).unwrap();
+        let mut shots = Vec::new();
+        for view in &scene.views {
+            let path = dir.join(format!("{}.png", view.name));
+            view.image.pixels().unwrap().save(&path).unwrap();
+            shots.push((
+                path,
+                Camera {
+                    center: view.camera.center + scene.origin,
+                    ..view.camera.clone()
+                },
+            ));
+        }
+        let mut text = format!(
+            "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
+             property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
+            scene.points.len()
+        );
+        for (p, c) in scene.points.positions.iter().zip(&scene.points.colors) {
+            let p = DVec3::from(p.map(f64::from)) + scene.origin;
+            let [r, g, b] = c.map(|c| (c * 255.0).round() as u8);
+            writeln!(text, "{} {} {} {r} {g} {b}", p.x, p.y, p.z).unwrap();
+        }
+        let cloud = dir.join("room.ply");
+        fs::write(&cloud, text).unwrap();
+        Self { shots, cloud }
+    }
+
+    /// Writes `transforms.json` in a convention that may not be its own. Every `stride`-th photo.
+    pub fn transforms(&self, dir: &Path, convention: Convention, stride: usize) {
+        let frame = |(path, c): &(PathBuf, Camera)| {
+            json!({
+                "file_path": path, "transform_matrix": rows(matrix(c, convention)), "w": c.width, "h": c.height,
+                "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy,
+            })
+        };
+        let frames: Vec<_> = self.shots.iter().step_by(stride).map(frame).collect();
+        let file = json!({ "ply_file_path": self.cloud, "frames": frames });
+        fs::write(dir.join("transforms.json"), file.to_string()).unwrap();
+    }
+}
+
+/// Writes a COLMAP model of photos that lie in `dir`, its poses in a convention that may not be COLMAP's.
+fn colmap(capture: &Capture, dir: &Path, convention: Convention) {
+    let folder = dir.join("sparse/0");
+    fs::create_dir_all(&folder).unwrap();
+    let (mut cameras, mut images, mut points) = (String::new(), String::new(), String::new());
+    for (i, (path, c)) in capture.shots.iter().enumerate() {
+        writeln!(
+            cameras,
+            "{i} PINHOLE {} {} {} {} {} {}",
+            c.width, c.height, c.fx, c.fy, c.cx, c.cy
+        )
+        .unwrap();
+        let m = matrix(c, convention);
+        let (q, t) = (DQuat::from_mat3(&DMat3::from_mat4(m)), m.w_axis);
+        let name = path.file_name().unwrap().to_str().unwrap();
+        writeln!(
+            images,
+            "{} {} {} {} {} {} {} {} {i} {name}\n",
+            i + 1,
+            q.w,
+            q.x,
+            q.y,
+            q.z,
+            t.x,
+            t.y,
+            t.z
+        )
+        .unwrap();
+    }
+    let cloud = fs::read_to_string(&capture.cloud).unwrap();
+    for (i, line) in cloud
+        .lines()
+        .skip_while(|line| *line != "end_header")
+        .skip(1)
+        .enumerate()
+    {
+        writeln!(points, "{i} {line} 0.5").unwrap();
+    }
+    for (name, text) in [
+        ("cameras", cameras),
+        ("images", images),
+        ("points3D", points),
+    ] {
+        fs::write(folder.join(format!("{name}.txt")), text).unwrap();
+    }
+}
+
+/// The one problem of a folder, which must hold all of `parts`.
+#[track_caller]
+pub fn one_problem(checked: &Checked, parts: &[&str]) {
+    assert_eq!(checked.problems.len(), 1, "{checked:?}");
+    crate::support::assert_names(&checked.problems[0], parts);
+}
+
+#[test]
+fn a_room_written_in_any_convention() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    let capture = Capture::room(dir, 20);
+    let options = LoadOptions::default();
+    for convention in CONVENTIONS {
+        capture.transforms(dir, convention, 1);
+        let checked = check(dir, &options);
+        eprintln!("{convention:?}: {:?}", checked.problems);
+        let mend = match convention {
+            (false, false) => {
+                assert!(
+                    checked.problems.is_empty() && checked.notices.is_empty(),
+                    "{checked:?}"
+                );
+                continue;
+            }
+            (true, false) => "; invert each transform_matrix",
+            (false, true) => "; negate the second and third columns of each transform_matrix",
+            (true, true) => {
+                "; invert each transform_matrix, then negate its second and third columns"
+            }
+        };
+        let expected = "expected camera-to-world in OpenGL axes (x right, y up, looking along -z)";
+        one_problem(
+            &checked,
+            &[
+                "transforms.json: transform_matrix of the frames",
+                name(convention),
+                expected,
+            ],
+        );
+        assert!(
+            checked.problems[0].to_string().ends_with(mend),
+            "{checked:?}"
+        );
+    }
+}
+
+#[test]
+fn a_cloud_without_colours_tells_by_places_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    let mut capture = Capture::room(dir, 20);
+    capture.cloud = dir.join("cube.ply");
+    cube(&capture.cloud, 0.0);
+    for (i, (_, camera)) in capture.shots.iter_mut().enumerate() {
+        let angle = 0.3 * i as f64;
+        let eye = DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.5);
+        let pose = DMat4::look_at_rh(eye, DVec3::splat(0.45), DVec3::Z);
+        camera.rotation =
+            DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * DMat3::from_mat4(pose);
+        camera.center = eye;
+    }
+    for convention in CONVENTIONS {
+        capture.transforms(dir, convention, 1);
+        let checked = check(dir, &LoadOptions::default());
+        if convention == (false, false) {
+            assert!(
+                checked.problems.is_empty() && checked.notices.is_empty(),
+                "{checked:?}"
+            );
+            continue;
+        }
+        one_problem(&checked, &["hold 0 % of", "; 100 % if", name(convention)]);
+    }
+    // Points of another place altogether.
+    capture.transforms(dir, (false, false), 1);
+    cube(&capture.cloud, 900.0);
+    let checked = check(dir, &LoadOptions::default());
+    assert!(checked.problems.is_empty(), "{checked:?}");
+    assert!(
+        checked
+            .notices
+            .iter()
+            .any(|n| n.contains("whichever way the poses are read")),
+        "{checked:?}"
+    );
+}
+
+/// A cloud without colours: a cube of side 1 to look at from all sides, raised by `height`.
+fn cube(path: &Path, height: f64) {
+    let mut text = "ply\nformat ascii 1.0\nelement vertex 1000\nproperty float x\nproperty float y\nproperty float z\n\
+        end_header\n"
+        .to_owned();
+    for i in 0..1000 {
+        let [x, y, z] = [i % 10, i / 10 % 10, i / 100].map(|step| 0.1 * f64::from(step));
+        writeln!(text, "{x} {y} {}", z + height).unwrap();
+    }
+    fs::write(path, text).unwrap();
+}
+
+#[test]
+fn colmap_models_are_mended_as_colmap_has_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    fs::create_dir(dir.join("images")).unwrap();
+    let capture = Capture::room(&dir.join("images"), 20);
+    for (convention, mend) in [
+        ((true, true), None),
+        ((false, true), Some("; invert each pose")),
+        (
+            (true, false),
+            Some("; negate the second and third rows of each pose"),
+        ),
+        (
+            (false, false),
+            Some("; invert each pose, then negate its second and third rows"),
+        ),
+    ] {
+        colmap(&capture, dir, convention);
+        let checked = check(dir, &LoadOptions::default());
+        let Some(mend) = mend else {
+            assert!(checked.problems.is_empty(), "{checked:?}");
+            continue;
+        };
+        one_problem(
+            &checked,
+            &[
+                "images.txt: QW QX",
+                name(convention),
+                "expected world-to-camera in OpenCV axes",
+            ],
+        );
+        assert!(
+            checked.problems[0].to_string().ends_with(mend),
+            "{checked:?}"
+        );
+    }
+}
+
+#[test]
+fn mended_matrices_are_right() {
+    // What the messages say, done to the matrices.
+    let camera = crate::support::plates::camera(2);
+    let flip = DMat4::from_diagonal(glam::DVec4::new(1.0, -1.0, -1.0, 1.0));
+    let close = |a: DMat4, b: DMat4| (a - b).to_cols_array().iter().all(|v| v.abs() < 1e-12);
+    let [gl, to_gl, cv, to_cv] = CONVENTIONS.map(|convention| matrix(&camera, convention));
+    assert!(
+        close(to_gl.inverse(), gl) && close(cv * flip, gl) && close(to_cv.inverse() * flip, gl),
+        "transforms.json"
+    );
+    assert!(
+        close(cv.inverse(), to_cv)
+            && close(flip * to_gl, to_cv)
+            && close(flip * gl.inverse(), to_cv),
+        "COLMAP"
+    );
+    assert!(
+        close(to_cv.inverse(), cv) && close(gl * flip, cv) && close(to_gl.inverse() * flip, cv),
+        "sequences"
+    );
+}
+
+/// The conventions that the notices of a folder say its poses may be of.
+pub fn suspected(dir: &Path) -> Vec<String> {
+    let checked = check(dir, &LoadOptions::default());
+    assert!(checked.problems.is_empty(), "{checked:?}");
+    let told = checked
+        .notices
+        .iter()
+        .filter(|n| n.contains("the poses may be "))
+        .cloned();
+    told.inspect(|n| eprintln!("{n}")).collect()
+}
+
+/// Takes the cloud out of `transforms.json`.
+pub fn without_cloud(dir: &Path) {
+    edit(dir, |v| {
+        _ = v.as_object_mut().unwrap().remove("ply_file_path")
+    });
+}
+
+#[test]
+fn without_a_cloud_neighbouring_photos_tell() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    let capture = Capture::room(dir, 120);
+    for convention in CONVENTIONS {
+        capture.transforms(dir, convention, 1);
+        without_cloud(dir);
+        let found = suspected(dir);
+        if convention == (false, false) {
+            assert!(found.is_empty(), "{found:?}");
+            continue;
+        }
+        let wanted = name(convention).replace("if they are", "may be");
+        assert!(
+            found.len() == 1 && found[0].contains(&wanted) && found[0].contains("transform_matrix"),
+            "{found:?}"
+        );
+    }
+}
+
+#[test]
+fn loading_warns() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    let capture = Capture::room(dir, 20);
+    capture.transforms(dir, (true, true), 1);
+    let said = warnings(|| _ = load(dir, &LoadOptions::default()).unwrap());
+    assert!(
+        said.contains("invert each transform_matrix, then negate its second and third columns"),
+        "{said}"
+    );
+    capture.transforms(dir, (false, false), 1);
+    assert_eq!(
+        warnings(|| _ = load(dir, &LoadOptions::default()).unwrap()),
+        ""
+    );
+    // A file that holds no points.
+    let cloud = fs::read_to_string(&capture.cloud).unwrap();
+    let header = cloud.split_inclusive("end_header\n").next().unwrap();
+    let header = header.lines().map(|l| {
+        if l.starts_with("element") {
+            "element vertex 0"
+        } else {
+            l
+        }
+    });
+    fs::write(&capture.cloud, header.collect::<Vec<_>>().join("\n") + "\n").unwrap();
+    let said = warnings(|| _ = load(dir, &LoadOptions::default()).unwrap());
+    assert!(
+        said.contains("room.ply holds no points: Gaussians start at random places"),
+        "{said}"
+    );
+    assert!(
+        check(dir, &LoadOptions::default())
+            .notices
+            .iter()
+            .any(|n| n.contains("room.ply holds no points"))
+    );
+    // And one that is there but not named.
+    fs::copy(&capture.cloud, dir.join("sparse_pc.ply")).unwrap();
+    edit(dir, |v| {
+        _ = v.as_object_mut().unwrap().remove("ply_file_path")
+    });
+    let notices = check(dir, &LoadOptions::default()).notices;
+    assert!(
+        notices
+            .iter()
+            .any(|n| n.contains("\"ply_file_path\": \"sparse_pc.ply\"")),
+        "{notices:?}"
+    );
+}
+
+/// What `work` says in warnings.
+fn warnings(work: impl FnOnce()) -> String {
+    #[derive(Clone, Default)]
+    struct Said(Arc<Mutex<Vec<u8>>>);
+    impl std::io::Write for Said {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            self.0.lock().unwrap().extend(bytes);
+            Ok(bytes.len())
+        }
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+    let said = Said::default();
+    let writer = said.clone();
+    let subscriber = tracing_subscriber::fmt()
+        .with_ansi(false)
+        .with_writer(move || writer.clone())
+        .finish();
+    tracing::subscriber::with_default(subscriber, work);
+    let bytes = said.0.lock().unwrap().clone();
+    String::from_utf8(bytes).unwrap()
+}

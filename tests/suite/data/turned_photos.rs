@@ -1,0 +1,165 @@
+//! Photos whose EXIF data ask programs to turn them: label maps of those that were turned do not fit, and are told of as that.
+
+use crate::support::plates::{HEIGHT, WIDTH, scene};
+use coseg::data::check;
+use coseg::data::{LabelMap, LoadOptions, load};
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+fn folder() -> TempDir {
+    let folder = tempfile::tempdir().expect("folder");
+    scene(folder.path());
+    folder
+}
+
+/// A JPEG of this size with an orientation, as cameras write it: a segment of EXIF data with one entry, right after the start.
+fn photo(path: &Path, (width, height): (usize, usize), orientation: u8) {
+    let mut bytes = Vec::new();
+    let pixels = image::RgbImage::from_fn(width as u32, height as u32, |x, y| {
+        image::Rgb([x as u8, y as u8, 90])
+    });
+    let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 95);
+    pixels.write_with_encoder(encoder).expect("photo");
+    let mut exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".to_vec();
+    exif.extend([orientation, 0, 0, 0, 0, 0, 0, 0]);
+    let mut segment = vec![0xFF, 0xE1];
+    segment.extend((exif.len() as u16 + 2).to_be_bytes());
+    segment.extend(exif);
+    drop(bytes.splice(2..2, segment));
+    fs::write(path, bytes).expect("photo");
+}
+
+/// The error that `load` gives and `check` tells of alone.
+#[track_caller]
+fn fault(dir: &Path) -> String {
+    let fault = load(dir, &LoadOptions::default())
+        .expect_err("a fault")
+        .to_string();
+    let problems = check(dir, &LoadOptions::default()).problems;
+    assert!(
+        problems.len() == 1 && problems[0].to_string() == fault,
+        "{problems:?}"
+    );
+    fault
+}
+
+#[track_caller]
+fn says(message: &str, parts: &[&str]) {
+    parts
+        .iter()
+        .for_each(|part| assert!(message.contains(part), "{part:?} is not in: {message}"));
+    assert!(!message.contains("scale the image"), "{message}");
+}
+
+#[test]
+fn label_maps_of_turned_photos_are_told_from_maps_of_another_size() {
+    let folder = folder();
+    let dir = folder.path();
+    let turned = LabelMap {
+        width: HEIGHT,
+        height: WIDTH,
+        ids: vec![1; WIDTH * HEIGHT],
+    };
+    turned.write(&dir.join("raw/v1.png")).expect("map");
+    let parts = [
+        "raw/v1.png",
+        "64x80",
+        "80x64, as its photo",
+        "turned by a quarter",
+        "EXIF",
+        "before COLMAP",
+    ];
+    says(&fault(dir), &parts);
+    // Where the photo says it, so does the error.
+    photo(&dir.join("images/v1.png"), (WIDTH, HEIGHT), 6);
+    says(&fault(dir), &parts);
+    says(
+        &fault(dir),
+        &["its photo as it is stored, whose EXIF orientation is 6"],
+    );
+    // A map that is cut off is another matter.
+    LabelMap {
+        width: 64,
+        height: 64,
+        ids: vec![1; 64 * 64],
+    }
+    .write(&dir.join("raw/v1.png"))
+    .expect("map");
+    let message = fault(dir);
+    assert!(
+        message.contains("scale the image") && !message.contains("EXIF"),
+        "{message}"
+    );
+}
+
+#[test]
+fn turned_photos_are_told_from_photos_of_another_size() {
+    let folder = folder();
+    photo(&folder.path().join("images/v4.png"), (HEIGHT, WIDTH), 8);
+    let message = fault(folder.path());
+    says(
+        &message,
+        &[
+            "images/v4.png",
+            "64x80 pixels, of EXIF orientation 8",
+            "80x64",
+            "transforms.json",
+            "strip it",
+        ],
+    );
+}
+
+#[test]
+fn photos_upside_down_are_told_of_where_they_have_labels() {
+    let folder = folder();
+    let dir = folder.path();
+    let notices = || {
+        let checked = check(dir, &LoadOptions::default());
+        assert!(checked.problems.is_empty(), "{checked:?}");
+        checked.notices
+    };
+    // Upright, and a quarter: there the size of the maps says that nothing was turned.
+    for (i, orientation) in [(0, 1), (1, 6), (3, 8)] {
+        photo(
+            &dir.join(format!("images/v{i}.png")),
+            (WIDTH, HEIGHT),
+            orientation,
+        );
+    }
+    assert!(
+        notices().iter().all(|notice| !notice.contains("EXIF")),
+        "{:?}",
+        notices()
+    );
+    for (i, orientation) in [(2, 3), (4, 2)] {
+        photo(
+            &dir.join(format!("images/v{i}.png")),
+            (WIDTH, HEIGHT),
+            orientation,
+        );
+    }
+    let found = notices();
+    let told: Vec<_> = found
+        .iter()
+        .filter(|notice| notice.contains("EXIF"))
+        .collect();
+    assert_eq!(told.len(), 1, "{found:?}");
+    assert!(
+        told[0].starts_with("2 photos ask by their EXIF orientation")
+            && told[0].contains(": v2, v4;"),
+        "{told:?}"
+    );
+    load(dir, &LoadOptions::default()).expect("scene");
+    crate::data::data_check::edit(dir, |v| {
+        for frame in v["frames"].as_array_mut().expect("frames") {
+            let frame = frame.as_object_mut().expect("frame");
+            frame.remove("label_path");
+            frame.remove("raw_label_path");
+        }
+    });
+    assert!(
+        notices().iter().all(|notice| !notice.contains("EXIF")),
+        "nothing that may not fit"
+    );
+}

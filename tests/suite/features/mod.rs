@@ -1,0 +1,8 @@
+//! Tests of `coseg::features`.
+
+pub mod dino;
+pub mod dino_weights;
+pub mod features;
+pub mod mobilenet;
+pub mod pca;
+pub mod weights;

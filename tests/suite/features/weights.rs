@@ -1,0 +1,162 @@
+//! Weight files: PyTorch and safetensors, whole, broken, and not what was asked for.
+
+use base64::Engine;
+use coseg::Error;
+use coseg::config::{SpatialConfig, SpatialSource};
+use coseg::segmentation::encoder::{load_spatial, metres_per_unit, random_weights};
+use coseg::segmentation::randla::{Form, RandlaEncoder};
+use coseg::weights::{Checkpoint, HostTensor};
+use std::path::PathBuf;
+
+/// What `torch.save` writes for `{"epoch": 3, "model_state_dict": {"module.fc0.conv.weight": [2, 3, 1] of 1, 2, 3, 4, 5, 6.5,
+/// "module.fc0.bn.bn.num_batches_tracked": 7}}`.
+const PYTORCH: &str = concat!(
+    "UEsDBBQAAAAAAAAAIQDEZTz7VAEAAFQBAAAQAAAAYXJjaGl2ZS9kYXRhLnBrbIACfXEAKFgFAAAAZXBvY2hxAUsDWBAAAABtb2RlbF9zdGF0ZV",
+    "9kaWN0cQJjY29sbGVjdGlvbnMKT3JkZXJlZERpY3QKcQMpUnEEKFgWAAAAbW9kdWxlLmZjMC5jb252LndlaWdodHEFY3RvcmNoLl91dGlscwpf",
+    "cmVidWlsZF90ZW5zb3JfdjIKcQYoKFgHAAAAc3RvcmFnZXEHY3RvcmNoCkZsb2F0U3RvcmFnZQpxCFgBAAAAMHEJWAMAAABjcHVxCksGdHELUU",
+    "sASwJLA0sBh3EMSwNLAUsBh3ENiWgDKVJxDnRxD1JxEFgkAAAAbW9kdWxlLmZjMC5ibi5ibi5udW1fYmF0Y2hlc190cmFja2VkcRFoBigoaAdj",
+    "dG9yY2gKTG9uZ1N0b3JhZ2UKcRJYAQAAADFxE2gKSwF0cRRRSwApKYloAylScRV0cRZScRd1dS5QSwMEFAAAAAAAAAAhAIU94xkGAAAABgAAAB",
+    "EAAABhcmNoaXZlL2J5dGVvcmRlcmxpdHRsZVBLAwQUAAAAAAAAACEAdff7UxgAAAAYAAAADgAAAGFyY2hpdmUvZGF0YS8wAACAPwAAAEAAAEBA",
+    "AACAQAAAoEAAANBAUEsDBBQAAAAAAAAAIQBw1udvCAAAAAgAAAAOAAAAYXJjaGl2ZS9kYXRhLzEHAAAAAAAAAFBLAwQUAAAAAAAAACEA0Z5nVQ",
+    "IAAAACAAAADwAAAGFyY2hpdmUvdmVyc2lvbjMKUEsBAhQDFAAAAAAAAAAhAMRlPPtUAQAAVAEAABAAAAAAAAAAAAAAAIABAAAAAGFyY2hpdmUv",
+    "ZGF0YS5wa2xQSwECFAMUAAAAAAAAACEAhT3jGQYAAAAGAAAAEQAAAAAAAAAAAAAAgAGCAQAAYXJjaGl2ZS9ieXRlb3JkZXJQSwECFAMUAAAAAA",
+    "AAACEAdff7UxgAAAAYAAAADgAAAAAAAAAAAAAAgAG3AQAAYXJjaGl2ZS9kYXRhLzBQSwECFAMUAAAAAAAAACEAcNbnbwgAAAAIAAAADgAAAAAA",
+    "AAAAAAAAgAH7AQAAYXJjaGl2ZS9kYXRhLzFQSwECFAMUAAAAAAAAACEA0Z5nVQIAAAACAAAADwAAAAAAAAAAAAAAgAEvAgAAYXJjaGl2ZS92ZX",
+    "JzaW9uUEsFBgAAAAAFAAUAMgEAAF4CAAAAAA==",
+);
+
+fn pytorch_file(dir: &tempfile::TempDir, length: usize) -> PathBuf {
+    let bytes = base64::engine::general_purpose::STANDARD
+        .decode(PYTORCH)
+        .expect("base64");
+    let path = dir.path().join("weights.pth");
+    std::fs::write(&path, &bytes[..length.min(bytes.len())]).expect("a writable folder");
+    path
+}
+
+#[test]
+fn reads_nested_data_parallel_pytorch_checkpoints() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let weights = Checkpoint::open(pytorch_file(&dir, usize::MAX)).expect("a PyTorch file");
+    assert_eq!(
+        weights.tensors.keys().collect::<Vec<_>>(),
+        ["fc0.conv.weight"]
+    );
+    let want = HostTensor {
+        shape: vec![2, 3, 1],
+        values: vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.5],
+    };
+    assert_eq!(weights.tensors["fc0.conv.weight"], want);
+    assert_eq!(
+        weights
+            .get("fc0.conv.weight", &[2, 3])
+            .expect("a 1x1 convolution"),
+        want.values
+    );
+}
+
+#[test]
+fn truncated_files_are_named_and_never_panic() {
+    let dir = tempfile::tempdir().expect("a folder");
+    for length in (0..900).step_by(50) {
+        let found = Checkpoint::open(pytorch_file(&dir, length));
+        assert!(
+            matches!(&found, Err(Error::Input { path, .. }) if path.ends_with("weights.pth")),
+            "{length}: {found:?}"
+        );
+    }
+    let bytes = random_weights(3, 0)
+        .to_safetensors()
+        .expect("whole tensors");
+    let path = dir.path().join("weights.safetensors");
+    for length in [0, 7, 8, 100, 5_000, bytes.len() / 2, bytes.len() - 1] {
+        std::fs::write(&path, &bytes[..length]).expect("a writable folder");
+        let found = Checkpoint::open(&path);
+        assert!(
+            matches!(&found, Err(Error::Input { path: p, .. }) if *p == path),
+            "{length}: {found:?}"
+        );
+    }
+    let missing = Checkpoint::open(dir.path().join("none.safetensors"));
+    assert!(matches!(missing, Err(Error::Io { .. })), "{missing:?}");
+    let missing = Checkpoint::open(dir.path().join("none.pth"));
+    assert!(matches!(missing, Err(Error::Io { .. })), "{missing:?}");
+}
+
+#[test]
+fn every_missing_misshapen_or_non_finite_tensor_is_named() {
+    let device = crate::support::device();
+    let whole = random_weights(3, 0);
+    let field = |weights: &Checkpoint| match RandlaEncoder::load(weights, Form::Frozen, &device) {
+        Err(Error::Input { field, .. }) => field,
+        other => panic!("{:?}", other.map(|e| e.widths())),
+    };
+    for name in whole.tensors.keys() {
+        let mut weights = whole.clone();
+        weights.tensors.remove(name);
+        assert_eq!(&field(&weights), name);
+        let mut weights = whole.clone();
+        weights.insert(
+            name,
+            HostTensor {
+                shape: vec![7, 9],
+                values: vec![0.0; 63],
+            },
+        );
+        // a width taken from a misshapen tensor may first clash elsewhere in its block
+        assert!(!field(&weights).is_empty());
+        let mut weights = whole.clone();
+        if let Some(tensor) = weights.tensors.get_mut(name) {
+            tensor.values[0] = f32::NAN;
+        }
+        assert_eq!(&field(&weights), name);
+    }
+}
+
+#[test]
+fn stored_again_an_encoder_is_the_same() {
+    let device = crate::support::device();
+    let weights = random_weights(6, 4);
+    let encoder = RandlaEncoder::load(&weights, Form::Trainable, &device).expect("weights");
+    assert_eq!(encoder.inputs(), 6);
+    assert_eq!(encoder.to_checkpoint("random RandLA weights"), weights);
+}
+
+#[test]
+fn settings_choose_the_weights_and_unusable_ones_are_refused() {
+    let device = crate::support::device();
+    let config = SpatialConfig {
+        source: SpatialSource::Pretrained,
+        ..SpatialConfig::default()
+    };
+    assert!(matches!(
+        load_spatial(&config, 0, &device),
+        Err(Error::Config { .. })
+    ));
+    let (_, name) =
+        load_spatial(&SpatialConfig::default(), 0, &device).expect("the weights inside this crate");
+    assert_eq!(name, "trained here");
+    let scaled = |scale: f64, extent: f64| {
+        metres_per_unit(
+            &SpatialConfig {
+                scale,
+                ..SpatialConfig::default()
+            },
+            extent,
+        )
+    };
+    assert_eq!(scaled(3.0, f64::NAN).expect("given"), 3.0);
+    assert_eq!(scaled(0.0, 8.0).expect("derived"), 0.25);
+    for (scale, extent) in [
+        (-1.0, 1.0),
+        (f64::NAN, 1.0),
+        (0.0, 0.0),
+        (0.0, f64::INFINITY),
+        (f64::INFINITY, 1.0),
+    ] {
+        assert!(
+            matches!(scaled(scale, extent), Err(Error::Config { .. })),
+            "{scale} {extent}"
+        );
+    }
+}

@@ -1,0 +1,4 @@
+//! Tests of `coseg::metrics`.
+
+pub mod instance_metrics;
+pub mod metrics;

@@ -1,0 +1,565 @@
+//! Association: segments with ids of their own in every view become objects.
+
+use crate::cli::cli::{fails, read_json, succeeds, utf8};
+use crate::objects::association_figures::rendered;
+use crate::support::plates::{self, camera, plates};
+use crate::support::spoilt_masks::{Noise, shuffled, spoilt};
+use coseg::config::{self, AssociationConfig, Row};
+use coseg::data::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, load};
+use coseg::metrics::{InstanceScores, instance_scores};
+use coseg::objects::{self, associate, associate_until, hard_label_map};
+use coseg::pipeline::progress::Silent;
+use coseg::pipeline::run;
+use coseg::raster::{Projected, Settings};
+use coseg::splat::{Gaussians, ply};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeSet;
+use std::fs;
+use std::ops::ControlFlow;
+use std::path::Path;
+
+/// Six views of the plates with exact instances; raw labels are the same under ids drawn anew in each view.
+fn plate_scene() -> (Gaussians, Scene) {
+    let folder = tempfile::tempdir().expect("folder");
+    plates::scene(folder.path());
+    let (gaussians, labels) = plates();
+    let mut scene = load(folder.path(), &LoadOptions::default()).expect("scene");
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    for (i, view) in scene.views.iter_mut().enumerate() {
+        view.camera = camera(i);
+        let projected =
+            Projected::new(&gaussians.splats(), &view.camera, &Settings::default()).expect("view");
+        let truth = hard_label_map(&projected, &labels, 0.5);
+        view.raw = Some(shuffled(&truth, &mut rng).into());
+        view.instances = Some(truth.into());
+    }
+    (gaussians, scene)
+}
+
+fn found(gaussians: &Gaussians, scene: &Scene) -> objects::Association {
+    associate(
+        gaussians,
+        scene,
+        &AssociationConfig::default(),
+        &Settings::default(),
+    )
+    .expect("association")
+}
+
+/// The map, which is there.
+fn map(runs: &Option<LabelRuns>) -> LabelMap {
+    runs.as_ref().expect("map").map()
+}
+
+/// Scores of the maps of both splits against the instances.
+fn map_scores(scene: &Scene, maps: &[Option<LabelRuns>]) -> InstanceScores {
+    let pairs = scene.views.iter().zip(maps);
+    instance_scores(pairs.map(|(v, m)| (map(&v.instances), map(m))))
+}
+
+#[test]
+fn shuffled_ids_become_objects() {
+    let (gaussians, mut scene) = plate_scene();
+    let association = found(&gaussians, &scene);
+    let scores = map_scores(&scene, &association.maps);
+    assert_eq!(
+        (scores.accuracy, scores.miou, scores.scene.pq),
+        (Some(1.0), Some(1.0), Some(1.0))
+    );
+    assert_eq!(
+        (
+            association.groups.len(),
+            association.dropped,
+            association.segments
+        ),
+        (4, 0, 16)
+    );
+    let names: Vec<&str> = association
+        .classes
+        .entries
+        .iter()
+        .map(|c| &*c.name)
+        .collect();
+    assert_eq!(names, ["object 1", "object 2", "object 3", "object 4"]);
+    assert!(
+        association
+            .groups
+            .windows(2)
+            .all(|g| g[0].weight >= g[1].weight),
+        "largest first"
+    );
+    assert!(
+        association
+            .groups
+            .iter()
+            .all(|g| g.views == 4 && g.class.is_none())
+    );
+    association.apply(&mut scene);
+    assert!(
+        scene
+            .views
+            .iter()
+            .all(|v| v.truth.is_none() && v.raw.is_some())
+    );
+    assert_eq!(scene.classes.len(), 4);
+}
+
+#[test]
+fn the_order_of_views_and_the_number_of_threads_change_nothing() {
+    let (gaussians, mut scene) = plate_scene();
+    let first = found(&gaussians, &scene);
+    for threads in [1, 3] {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("threads");
+        assert_eq!(
+            pool.install(|| found(&gaussians, &scene)),
+            first,
+            "{threads} threads"
+        );
+    }
+    scene.views.reverse();
+    let mut reversed = found(&gaussians, &scene);
+    reversed.maps.reverse();
+    assert_eq!(reversed.maps, first.maps);
+}
+
+#[test]
+fn no_object_has_two_classes_and_stuff_is_one_object() {
+    let (gaussians, mut scene) = plate_scene();
+    // The wall is stuff, in two pieces; the plates are chairs, but the first view takes one for a table.
+    for (i, view) in scene.views.iter_mut().enumerate() {
+        let truth = map(&view.instances);
+        let split = |(p, &id): (usize, &u16)| {
+            if id == 4 && p % truth.width < 40 {
+                5
+            } else {
+                id
+            }
+        };
+        let ids: Vec<u16> = truth.ids.iter().enumerate().map(split).collect();
+        view.raw = Some(LabelMap { ids, ..truth }.into());
+        let class = |id: u16| {
+            if id > 3 {
+                4
+            } else if i == 0 && id == 2 {
+                3
+            } else {
+                2
+            }
+        };
+        view.segments = (1..6)
+            .map(|id| Segment {
+                id,
+                class: Some(class(id)),
+                thing: id < 4,
+            })
+            .collect();
+    }
+    let association = found(&gaussians, &scene);
+    let wall: Vec<_> = association
+        .groups
+        .iter()
+        .filter(|g| g.class == Some(4))
+        .collect();
+    assert_eq!(wall.len(), 1);
+    // Names are those of the scene's classes.
+    assert_eq!(association.classes.name(wall[0].id), "wall");
+    let chairs = association
+        .groups
+        .iter()
+        .filter(|g| g.class == Some(2))
+        .count();
+    assert_eq!(chairs, 3, "{:?}", association.classes);
+    assert!(
+        association
+            .classes
+            .entries
+            .iter()
+            .any(|c| c.name == "green 2")
+    );
+    let found = map(&association.maps[0]);
+    let other: Vec<u16> = association
+        .groups
+        .iter()
+        .filter(|g| g.class == Some(3))
+        .map(|g| g.id)
+        .collect();
+    let truth = map(&scene.views[0].instances);
+    assert!(
+        found
+            .ids
+            .iter()
+            .zip(&truth.ids)
+            .all(|(found, t)| *t == 2 || !other.contains(found))
+    );
+}
+
+#[test]
+fn nothing_to_put_together_is_an_error() {
+    let (gaussians, mut scene) = plate_scene();
+    scene.views.iter_mut().for_each(|view| view.raw = None);
+    let error = associate(
+        &gaussians,
+        &scene,
+        &AssociationConfig::default(),
+        &Settings::default(),
+    )
+    .expect_err("empty");
+    crate::support::assert_names(
+        &error,
+        &["data.association", "no segments", "add raw labels"],
+    );
+    // Maps without Gaussians: nothing is shown.
+    let (_, scene) = plate_scene();
+    let none = Gaussians {
+        means: vec![],
+        log_scales: vec![],
+        rotations: vec![],
+        opacity_logits: vec![],
+        sh: vec![],
+        sh_degree: 0,
+    };
+    let error = associate(
+        &none,
+        &scene,
+        &AssociationConfig::default(),
+        &Settings::default(),
+    )
+    .expect_err("no Gaussian");
+    crate::support::assert_names(
+        &error,
+        &[
+            "data.association",
+            "no segment",
+            "Gaussians where the segments are",
+            "of one scene",
+        ],
+    );
+}
+
+#[test]
+fn no_group_that_is_left_is_an_error_that_a_smaller_share_mends() {
+    let (gaussians, scene) = plate_scene();
+    let all = AssociationConfig {
+        min_weight: 1.0,
+        ..AssociationConfig::default()
+    };
+    let error = associate(&gaussians, &scene, &all, &Settings::default()).expect_err("none left");
+    crate::support::assert_names(
+        &error,
+        &[
+            "association.min_weight",
+            "found 1",
+            "all 4 groups",
+            "less than",
+            "smaller share",
+        ],
+    );
+    let folder = tempfile::tempdir().expect("folder");
+    plates::scene(folder.path());
+    let (mut config, out) = (
+        crate::pipeline::resume::config(folder.path()),
+        folder.path().join("run"),
+    );
+    (config.data.association, config.segmentation.rows) =
+        (config::Association::Gaussians, Some(vec![Row::Vote]));
+    config.association.min_weight = 1.0;
+    let error = run(&config, &out, &crate::support::device(), &mut Silent)
+        .err()
+        .expect("none left");
+    crate::support::assert_names(&error, &["association.min_weight", "smaller share"]);
+    // What was built stays.
+    let built = fs::read(out.join("checkpoint/building.safetensors")).expect("checkpoint");
+    config.association = AssociationConfig::default();
+    let done = run(&config, &out, &crate::support::device(), &mut Silent).expect("a run");
+    assert!(done.association.is_some_and(|found| found.objects > 0) && done.rows.len() == 1);
+    assert!(fs::read(out.join("checkpoint/building.safetensors")).expect("checkpoint") == built);
+}
+
+#[test]
+fn views_are_told_of_and_may_end_it() {
+    let (gaussians, scene) = plate_scene();
+    let config = AssociationConfig::default();
+    let until = |last: usize| {
+        let mut told = 0;
+        let found = associate_until(
+            &gaussians,
+            &scene,
+            &config,
+            &Settings::default(),
+            &mut |views| {
+                told += views;
+                if told < last {
+                    ControlFlow::Continue(())
+                } else {
+                    ControlFlow::Break(told)
+                }
+            },
+        );
+        (found.expect("association"), told)
+    };
+    let looks = objects::Association::looks(&scene, &config);
+    assert_eq!(looks, (2 + config.sweeps) * 4 + 2);
+    assert_eq!(
+        until(usize::MAX),
+        (ControlFlow::Continue(found(&gaussians, &scene)), looks)
+    );
+    // While the segments of views are looked at, in sweeps, while maps of training and test views are made.
+    for last in [1, 4, 5, 9, 20, 22, looks] {
+        assert_eq!(until(last), (ControlFlow::Break(last), last));
+    }
+}
+
+#[test]
+fn noise_of_single_views_is_outvoted() {
+    let (gaussians, mut scene) = plate_scene();
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    for view in &mut scene.views {
+        let noise = Noise {
+            split: 0.3,
+            merge: 0.1,
+            erode: 1,
+            drop: 0.2,
+        };
+        view.raw = Some(spoilt(&map(&view.instances), noise, &mut rng).into());
+    }
+    let scores = rendered_scores(&gaussians, scene);
+    assert_eq!(scores.instances, 4);
+    assert!(
+        scores.accuracy > Some(0.95) && scores.miou > Some(0.85),
+        "{scores:?}"
+    );
+}
+
+/// Scores of what a vote of the objects shows in the test views.
+fn rendered_scores(gaussians: &Gaussians, mut scene: Scene) -> InstanceScores {
+    found(gaussians, &scene).apply(&mut scene);
+    let maps = rendered(gaussians, &scene);
+    let truth = scene.split(Split::Test).map(|view| map(&view.instances));
+    instance_scores(truth.zip(&maps))
+}
+
+/// The plates where in the training views, in order, `joined` are one segment: pairs of instances, one pair a view.
+fn joined(joined: [Option<(u16, u16)>; 4]) -> (Gaussians, Scene) {
+    let (gaussians, mut scene) = plate_scene();
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let trained = scene
+        .views
+        .iter_mut()
+        .filter(|view| view.split == Split::Train);
+    for (view, pair) in trained.zip(joined) {
+        let truth = map(&view.instances);
+        let one = |&id: &u16| pair.filter(|(_, b)| *b == id).map_or(id, |(a, _)| a);
+        let map = LabelMap {
+            ids: truth.ids.iter().map(one).collect(),
+            ..truth
+        };
+        view.raw = Some(shuffled(&map, &mut rng).into());
+    }
+    (gaussians, scene)
+}
+
+#[test]
+fn a_segment_over_two_things_is_divided_and_joins_nothing() {
+    let pairs = [(4, 1), (4, 2), (1, 2), (3, 1)];
+    for (view, pair) in (0..4).flat_map(|view| pairs.map(|pair| (view, pair))) {
+        let mut one = [None; 4];
+        one[view] = Some(pair);
+        let (gaussians, scene) = joined(one);
+        let association = found(&gaussians, &scene);
+        assert_eq!(
+            (association.groups.len(), association.divided),
+            (4, 1),
+            "{pair:?} in view {view}"
+        );
+        let scores = map_scores(&scene, &association.maps);
+        assert!(
+            scores.accuracy > Some(0.99) && scores.miou > Some(0.98),
+            "{pair:?} in view {view}: {scores:?}"
+        );
+    }
+}
+
+#[test]
+fn what_most_views_take_for_one_is_one() {
+    let pair = Some((1, 2));
+    for (views, groups) in [
+        ([pair, pair, pair, pair], 3),
+        ([pair, None, pair, pair], 3),
+        ([None, pair, None, pair], 4),
+    ] {
+        let (gaussians, scene) = joined(views);
+        assert_eq!(found(&gaussians, &scene).groups.len(), groups, "{views:?}");
+    }
+}
+
+/// What `coseg train` says of a short run that associates the labels of `dir`.
+pub fn short_run(dir: &Path, run: &Path) -> String {
+    let sets = [
+        "data.association=gaussians",
+        "building.iterations=60",
+        "building.random_points=400",
+        "segmentation.iterations=20",
+        "segmentation.rows=raw,vote,per_gaussian",
+    ];
+    let sets: Vec<&str> = sets.iter().flat_map(|set| ["--set", set]).collect();
+    succeeds(
+        &[
+            &["train", "--data", utf8(dir), "--out", utf8(run)][..],
+            &sets,
+        ]
+        .concat(),
+    )
+}
+
+/// The plates with raw labels under shuffled ids, and true instances.
+fn plate_folder(dir: &Path) {
+    plates::scene(dir);
+    let mut value = read_json(&dir.join("transforms.json"));
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    for frame in value["frames"].as_array_mut().expect("frames") {
+        frame["instance_path"] = frame["label_path"].take();
+        frame.as_object_mut().expect("frame").remove("label_path");
+        let truth = LabelMap::read(
+            &dir.join(frame["instance_path"].as_str().expect("path")),
+            &Limits::default(),
+        );
+        let raw = dir.join(frame["raw_label_path"].as_str().expect("path"));
+        shuffled(&truth.expect("truth"), &mut rng)
+            .write(&raw)
+            .expect("raw labels");
+    }
+    fs::write(dir.join("transforms.json"), value.to_string()).expect("write");
+    fs::remove_file(dir.join("classes.json")).expect("remove");
+}
+
+#[test]
+fn associate_writes_maps_of_global_ids() {
+    let folder = tempfile::tempdir().expect("folder");
+    let dir = folder.path();
+    plate_folder(dir);
+    let (ply, out) = (dir.join("plates.ply"), dir.join("out"));
+    let arguments = [
+        "associate",
+        "--scene",
+        utf8(&ply),
+        "--data",
+        utf8(dir),
+        "--out",
+        utf8(&out),
+    ];
+    let said = succeeds(&arguments);
+    assert!(
+        said.contains("16 segments of training views: 4 objects, 0 segments of none"),
+        "{said}"
+    );
+    assert!(
+        said.contains("held-out views, maps: accuracy 1.0000, mIoU 1.0000, PQ 1.0000"),
+        "{said}"
+    );
+    assert!(
+        said.contains("held-out views, rendered: accuracy 1.0000"),
+        "{said}"
+    );
+    let classes = Classes::read(&out.join("classes.json")).expect("classes");
+    assert_eq!((classes.len(), classes.name(4)), (4, "object 4"));
+    let bytes = fs::read(out.join("labels/v2.png")).expect("map");
+    assert_eq!(bytes[24..26], [16, 0], "16-bit grey");
+    let labels = ply::read(&out.join("scene.ply"), &Limits::default())
+        .expect("scene")
+        .labels
+        .expect("labels");
+    let (_, truth) = plates();
+    let pairs: BTreeSet<(u16, u16)> = labels
+        .iter()
+        .copied()
+        .zip(truth)
+        .filter(|(found, _)| *found > 0)
+        .collect();
+    assert_eq!(pairs.len(), 4, "{pairs:?}");
+    // The ids mean the same in all views.
+    let mut pairs = BTreeSet::new();
+    for i in 0..6 {
+        let map =
+            LabelMap::read(&out.join(format!("labels/v{i}.png")), &Limits::default()).expect("map");
+        let truth = LabelMap::read(&dir.join(format!("labels/v{i}.png")), &Limits::default())
+            .expect("truth");
+        pairs.extend(map.ids.into_iter().zip(truth.ids));
+    }
+    assert_eq!(
+        pairs.iter().filter(|(found, _)| *found > 0).count(),
+        4,
+        "{pairs:?}"
+    );
+    let message = fails(
+        &[&arguments[..], &["--set", "association.min_overlap=0"]].concat(),
+        1,
+    );
+    assert!(
+        message.contains("association.min_overlap") && message.contains("above 0"),
+        "{message}"
+    );
+    let message = fails(
+        &[&arguments[..], &["--set", "association.min_weight=1"]].concat(),
+        1,
+    );
+    assert!(
+        message.contains("association.min_weight") && message.contains("smaller share"),
+        "{message}"
+    );
+    let message = fails(
+        &[&arguments[..], &["--set", "data.association=tracks"]].concat(),
+        1,
+    );
+    assert!(
+        message.contains("\"none\"") && message.contains("\"gaussians\""),
+        "{message}"
+    );
+}
+
+#[test]
+fn a_run_trains_on_objects_and_scores_them() {
+    let folder = tempfile::tempdir().expect("folder");
+    let dir = folder.path();
+    plate_folder(dir);
+    let run = dir.join("run");
+    let said = short_run(dir, &run);
+    assert!(said.contains("16 segments put together into"), "{said}");
+    let metrics = read_json(&run.join("metrics.json"));
+    assert_eq!(metrics["association"]["segments"], 16);
+    let labels = &metrics["test"]["labels"];
+    for row in ["raw", "vote", "per_gaussian"] {
+        let scores = &labels[row]["instances"];
+        assert_eq!(
+            (&scores["instances"], &labels[row]["miou"]),
+            (&4.into(), &serde_json::Value::Null),
+            "{labels}"
+        );
+        assert!(
+            scores["accuracy"].as_f64().expect("accuracy") > 0.5,
+            "{row}: {scores}"
+        );
+    }
+    let page = fs::read_to_string(run.join("report.html")).expect("page");
+    assert!(
+        page.contains("Objects against true instances") && page.contains("put together"),
+        "the page says so"
+    );
+    let classes = Classes::read(&run.join("classes.json")).expect("classes");
+    assert!(classes.name(1).starts_with("object "));
+    let said: serde_json::Value =
+        serde_json::from_str(&succeeds(&["eval", utf8(&run), "--json"])).expect("JSON");
+    let scores = &said["test"]["labels"]["per_gaussian"];
+    let [found, told] = [
+        &scores["instances"]["accuracy"],
+        &labels["per_gaussian"]["instances"]["accuracy"],
+    ];
+    assert!(
+        (found.as_f64().expect("score") - told.as_f64().expect("score")).abs() < 1e-3,
+        "{said}"
+    );
+    assert_eq!(scores["miou"], serde_json::Value::Null);
+}

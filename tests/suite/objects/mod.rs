@@ -1,0 +1,14 @@
+//! Tests of `coseg::objects`.
+
+pub mod assignment;
+pub mod association;
+pub mod association_figures;
+#[cfg(feature = "wgpu")]
+pub mod device_labels;
+pub mod edit;
+pub mod object_classes;
+pub mod renderer;
+pub mod segments;
+pub mod separate;
+pub mod smoothing;
+pub mod votes;

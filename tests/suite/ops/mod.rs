@@ -1,0 +1,10 @@
+//! Tests of `coseg::ops`.
+
+pub mod adam;
+#[cfg(feature = "wgpu")]
+pub mod device_dense;
+#[cfg(feature = "wgpu")]
+pub mod device_ops;
+pub mod fused;
+pub mod ops;
+pub mod photometric;

@@ -1,0 +1,169 @@
+//! Ctrl-C and other signals while `coseg train` runs.
+
+use crate::cli::cli::{succeeds, utf8};
+use crate::support::plates::scene;
+use std::ffi::OsStr;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, ChildStderr, Command, Stdio};
+
+/// A program that is running; it does not outlive the test.
+struct Running {
+    child: Child,
+    said: BufReader<ChildStderr>,
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Running {
+    fn start(program: &str, arguments: &[impl AsRef<OsStr>]) -> Self {
+        let mut command = Command::new(program);
+        let mut child = command
+            .args(arguments)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let said = BufReader::new(child.stderr.take().unwrap());
+        Self { child, said }
+    }
+
+    fn coseg(arguments: &[&str]) -> Self {
+        Self::start(env!("CARGO_BIN_EXE_coseg"), arguments)
+    }
+
+    /// Waits for a line that starts so.
+    #[track_caller]
+    fn until(&mut self, start: &str) {
+        let mut said = String::new();
+        for line in self.said.by_ref().lines() {
+            let line = line.unwrap();
+            if line.starts_with(start) {
+                return;
+            }
+            said += &(line + "\n");
+        }
+        panic!("no {start}: {said}");
+    }
+
+    fn send(&self, signal: &str) {
+        let kill = Command::new("kill")
+            .args([signal, &self.child.id().to_string()])
+            .status()
+            .unwrap();
+        assert!(kill.success());
+    }
+
+    /// Its exit code, and the lines that were left.
+    fn end(&mut self) -> (Option<i32>, String) {
+        let lines: Vec<String> = self.said.by_ref().lines().map(Result::unwrap).collect();
+        (self.child.wait().unwrap().code(), lines.join("\n"))
+    }
+}
+
+/// A run that takes some seconds, and tells where it is after every fifth step.
+fn long(data: &Path, run: &Path) -> Vec<String> {
+    let sets = [
+        "building.iterations=500",
+        "building.eval_every=5",
+        "building.random_points=200",
+        "building.checkpoint_every=10000",
+        "segmentation.iterations=500",
+        "segmentation.eval_every=5",
+        "segmentation.checkpoint_every=10000",
+        "segmentation.rows=vote,per_gaussian",
+    ];
+    let train = ["train", "--data", utf8(data), "--out", utf8(run)];
+    train
+        .into_iter()
+        .chain(sets.into_iter().flat_map(|set| ["--set", set]))
+        .map(str::to_owned)
+        .collect()
+}
+
+#[test]
+fn a_run_that_is_interrupted_saves_and_is_gone_on_with() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let run = folder.path().join("a run");
+    let arguments = long(folder.path(), &run);
+    let resume = ["train", "--resume", utf8(&run)];
+    let line = format!(
+        "stopped; go on with: coseg train --resume '{}'",
+        run.display()
+    );
+    let without_results = || {
+        for file in [
+            "report.html",
+            "metrics.json",
+            "viewer.html",
+            "identities.safetensors",
+            "renders",
+        ] {
+            assert!(!run.join(file).exists(), "{file} of half a run");
+        }
+    };
+    let mut running = Running::coseg(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+    running.until("building 5/");
+    running.send("-INT");
+    let (code, said) = running.end();
+    assert_eq!(code, Some(130), "{said}");
+    assert!(
+        said.contains("press Ctrl-C again to stop at once") && said.ends_with(&line),
+        "{said}"
+    );
+    assert!(
+        run.join("checkpoint/building.safetensors").is_file() && run.join("scene.ply").is_file()
+    );
+    without_results();
+
+    let mut running =
+        Running::coseg(&[&resume[..], &["--set", "segmentation.weight_cache_mb=64"]].concat());
+    running.until("building: goes on after");
+    running.until("per_gaussian 5/");
+    running.send("-TERM");
+    let (code, said) = running.end();
+    assert_eq!(code, Some(130), "{said}");
+    // What the run was not begun with has to be said again.
+    assert!(
+        said.ends_with(&format!("{line} --set segmentation.weight_cache_mb=64")),
+        "{said}"
+    );
+    assert!(run.join("checkpoint/per_gaussian.safetensors").is_file());
+    without_results();
+
+    let said = succeeds(&resume);
+    assert!(said.contains("per-Gaussian CE"), "{said}");
+    let metrics = crate::cli::cli::read_json(&run.join("metrics.json"));
+    let lines: Vec<_> = metrics["commands"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|c| c["line"].as_str().unwrap())
+        .collect();
+    assert_eq!(lines.len(), 3, "{lines:?}");
+    assert!(run.join("report.html").is_file() && run.join("identities.safetensors").is_file());
+}
+
+#[test]
+fn a_run_under_nohup_outlives_its_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let run = folder.path().join("run");
+    let script = r#"trap "" HUP; exec "$0" "$@""#;
+    let shell = ["-c", script, env!("CARGO_BIN_EXE_coseg")].map(str::to_owned);
+    let mut running = Running::start("sh", &[&shell[..], &long(folder.path(), &run)].concat());
+    running.until("building 5/");
+    running.send("-HUP");
+    let (code, said) = running.end();
+    assert_eq!(code, Some(0), "{said}");
+    assert!(
+        !said.contains("stopping") && run.join("report.html").is_file(),
+        "{said}"
+    );
+}

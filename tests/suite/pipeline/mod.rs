@@ -1,0 +1,13 @@
+//! Tests of `coseg::pipeline`.
+
+pub mod checkpoint;
+#[cfg(feature = "wgpu")]
+pub mod device_stage_two;
+pub mod given;
+#[cfg(unix)]
+pub mod interrupt;
+pub mod provenance;
+pub mod resume;
+pub mod run_folder;
+pub mod stage_two;
+pub mod stops;

@@ -1,0 +1,475 @@
+//! What a run goes on from: rows do not decide over which Gaussians, other inputs are told by what made them so, and runs of
+//! earlier versions, which recorded less, still go on.
+
+use crate::pipeline::resume::{StopAt, config, same, whole};
+use crate::support::plates;
+use coseg::config::{Association, Config, FeatureSource, Resolution, Row, SpatialSource};
+use coseg::data::{LoadOptions, Split, load};
+use coseg::error::Error;
+use coseg::pipeline::progress::Silent;
+use coseg::pipeline::run;
+use coseg::reconstruction::BuildingStage;
+use coseg::segmentation::encoder::random_weights;
+use coseg::splat::ply;
+use glam::DVec3;
+use safetensors::tensor::{Dtype, TensorView};
+use serde_json::Value;
+use sha2::{Digest, Sha256};
+use std::fs;
+use std::path::Path;
+
+/// Changes the settings of a checkpoint as they are stored.
+fn edit(path: &Path, change: impl FnOnce(&mut Value)) {
+    let bytes = fs::read(path).expect("read");
+    let length = u64::from_le_bytes(bytes[..8].try_into().expect("8 bytes")) as usize;
+    let mut header: Value = serde_json::from_slice(&bytes[8..8 + length]).expect("JSON");
+    let stored = &mut header["__metadata__"]["coseg"];
+    let mut metadata: Value = serde_json::from_str(stored.as_str().expect("text")).expect("JSON");
+    change(&mut metadata["settings"]);
+    *stored = metadata.to_string().into();
+    let mut text = header.to_string();
+    text.push_str(&" ".repeat(text.len().next_multiple_of(8) - text.len()));
+    let parts = [
+        &(text.len() as u64).to_le_bytes(),
+        text.as_bytes(),
+        &bytes[8 + length..],
+    ];
+    fs::write(path, parts.concat()).expect("written");
+}
+
+/// Takes a member out of a stored provenance.
+fn forget(provenance: &mut Value, key: &str) {
+    provenance
+        .as_object_mut()
+        .expect("an object")
+        .remove(key)
+        .unwrap_or_else(|| panic!("{key} is there"));
+}
+
+fn refusal(config: &Config, out: &Path) -> Error {
+    run(config, out, &crate::support::device(), &mut Silent)
+        .err()
+        .expect("must be refused")
+}
+
+/// The refusal names a setting, its value now and then, and the file.
+#[track_caller]
+fn refused_by(config: &Config, out: &Path, [key, found, then, file]: [&str; 4]) {
+    let error = refusal(config, out);
+    assert!(matches!(error, Error::Config { .. }), "{error}");
+    crate::support::assert_names(
+        &error,
+        &[
+            key,
+            &format!("found {found}"),
+            &format!("expected {then}, as when"),
+            file,
+        ],
+    );
+}
+
+/// Settings of a run that takes the plates, and three Gaussians that no camera sees.
+fn with_unseen(dir: &Path) -> Config {
+    plates::scene(dir);
+    let (mut gaussians, _) = plates::plates();
+    for i in 0..3 {
+        gaussians.means.push([i as f32, 0.0, 60.0]);
+        gaussians.log_scales.push([-2.0; 3]);
+        gaussians.rotations.push([1.0, 0.0, 0.0, 0.0]);
+        gaussians.opacity_logits.push(2.0);
+        gaussians.sh.extend([0.1; 3]);
+    }
+    let path = dir.join("given.ply");
+    ply::write(&path, &gaussians, DVec3::ZERO, None).expect("written");
+    let mut config = config(dir);
+    config.building.gaussians = Some(path);
+    config.building.iterations = 0;
+    config.segmentation.iterations = 10;
+    config
+}
+
+fn rows(config: &Config, rows: &[Row]) -> Config {
+    let mut config = config.clone();
+    config.segmentation.rows = Some(rows.to_vec());
+    config
+}
+
+#[test]
+fn rows_do_not_decide_which_gaussians_are_pruned() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let config = with_unseen(folder.path());
+    let all = plates::plates().0.len() + 3;
+    let (few, many) = (
+        [Row::Vote, Row::PerGaussian],
+        [Row::Vote, Row::PerGaussian, Row::Ours],
+    );
+    let out = |name: &str| folder.path().join(name);
+    let before = whole(&rows(&config, &few), &out("run"));
+    let pruned = before.pruned.expect("reported");
+    assert_eq!(
+        (pruned.before, pruned.after, before.gaussians.len()),
+        (all, all - 3, all - 3)
+    );
+    assert!(pruned.scores_before.psnr.is_some() && pruned.scores_after == before.test);
+    assert!(before.features.is_empty(), "nothing reads features");
+    // A row more, and again a row less, is the same run.
+    let more = whole(&rows(&config, &many), &out("run"));
+    same(&more, &whole(&rows(&config, &many), &out("at once")));
+    same(&before, &whole(&rows(&config, &few), &out("at once")));
+    // Where pruning counts cells of the maps, and where diffusion looks at features, too.
+    let mut by_cells = config.clone();
+    by_cells.unprojection.resolution = Resolution::Feature;
+    by_cells.segmentation.diffusion_steps = 2;
+    let vote = whole(&rows(&by_cells, &[Row::Vote]), &out("vote by cells"));
+    let beside = whole(
+        &rows(&by_cells, &[Row::Vote, Row::Ours]),
+        &out("rows by cells"),
+    );
+    assert!(
+        vote.gaussians == beside.gaussians && vote.rows[0].identities == beside.rows[0].identities
+    );
+
+    // What is not segmented is not pruned, nor what is asked not to be.
+    let none = whole(&rows(&config, &[]), &out("none"));
+    assert_eq!((none.pruned, none.gaussians.len()), (None, all));
+    let mut kept = rows(&config, &few);
+    kept.unprojection.attendance = 0.0;
+    let pruned = whole(&kept, &out("kept")).pruned.expect("reported");
+    assert_eq!((pruned.before, pruned.after), (all, all));
+    refused_by(
+        &kept,
+        &out("run"),
+        [
+            "unprojection.attendance",
+            "0.0",
+            "0.00001",
+            "per_gaussian.safetensors",
+        ],
+    );
+    // Earlier versions pruned nothing beside these rows: such a run is told how it goes on.
+    let path = out("kept").join("checkpoint/per_gaussian.safetensors");
+    edit(&path, |settings| {
+        forget(&mut settings["provenance"], "origin")
+    });
+    let error = refusal(&rows(&config, &few), &out("kept"));
+    crate::support::assert_names(
+        &error,
+        &[
+            "per_gaussian.safetensors",
+            "Gaussians",
+            "unprojection.attendance",
+            "as with 0",
+        ],
+    );
+    assert_eq!(whole(&kept, &out("kept")).gaussians.len(), all);
+    let file = folder.path().join("transforms.json");
+    let text = fs::read_to_string(&file)
+        .expect("frames")
+        .replace("\"raw_label_path\"", "\"elsewhere\"");
+    fs::write(&file, text).expect("written");
+    let none = whole(&rows(&config, &few), &out("without labels"));
+    assert_eq!((none.pruned, none.gaussians.len()), (None, all));
+}
+
+/// Maps of every view of the plates, other ones for another `seed`.
+fn write_maps(dir: &Path, seed: usize) {
+    fs::create_dir_all(dir).expect("folder");
+    let (shape, count) = ([8, 10, 6], 8 * 10 * 6);
+    for view in 0..6 {
+        let value = |i: usize| ((i * 37 + (seed * 7 + view + 1) * 101) % 997) as f32 / 997.0;
+        let bytes: Vec<u8> = (0..count).flat_map(|i| value(i).to_le_bytes()).collect();
+        let tensor = |n| {
+            (
+                format!("scale{n}"),
+                TensorView::new(Dtype::F32, shape.to_vec(), &bytes).expect("whole"),
+            )
+        };
+        let file = safetensors::serialize((1..=4).map(tensor), None).expect("encoded");
+        fs::write(dir.join(format!("v{view}.safetensors")), file).expect("written");
+    }
+}
+
+#[test]
+fn a_decoder_of_other_image_features_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut config = rows(
+        &with_unseen(folder.path()),
+        &[Row::PerGaussian, Row::NoImageFeatures, Row::Ours],
+    );
+    let maps = folder.path().join("maps");
+    (config.features.source, config.features.dimensions) = (FeatureSource::Import, 4);
+    config.features.import_dir = Some(maps.clone());
+    write_maps(&maps, 0);
+    let out = folder.path().join("run");
+    run(
+        &config,
+        &out,
+        &crate::support::device(),
+        &mut StopAt::new("ours", 4),
+    )
+    .expect("a part");
+    write_maps(&maps, 1);
+    // Only of the row that reads them.
+    let error = refusal(&config, &out);
+    crate::support::assert_names(
+        &error,
+        &[
+            "/ours.safetensors",
+            "image features",
+            "features.import_dir",
+            "another folder",
+        ],
+    );
+    write_maps(&maps, 0);
+    let done = whole(&config, &out);
+    same(&done, &whole(&config, &folder.path().join("at once")));
+    // Earlier versions did not record them: the row goes on.
+    edit(&out.join("checkpoint/ours.safetensors"), |settings| {
+        forget(&mut settings["provenance"]["data"], "image features");
+        forget(&mut settings["provenance"]["data"], "point encoder");
+        forget(&mut settings["provenance"], "origin");
+    });
+    write_maps(&maps, 1);
+    assert_eq!(whole(&config, &out).rows[2].curve, done.rows[2].curve);
+}
+
+#[test]
+fn a_rate_that_was_chosen_with_other_inputs_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut config = rows(&with_unseen(folder.path()), &[Row::Ours]);
+    let maps = folder.path().join("maps");
+    (config.features.source, config.features.dimensions) = (FeatureSource::Import, 4);
+    config.features.import_dir = Some(maps.clone());
+    config.segmentation.lr_trials = vec![0.5, 1.0];
+    write_maps(&maps, 0);
+    let out = folder.path().join("run");
+    let done = whole(&config, &out);
+    fs::remove_file(out.join("checkpoint/ours.safetensors")).expect("removed");
+    same(&done, &whole(&config, &out));
+    fs::remove_file(out.join("checkpoint/ours.safetensors")).expect("removed");
+    write_maps(&maps, 1);
+    crate::support::assert_names(
+        &refusal(&config, &out),
+        &["ours.rate.safetensors", "image features"],
+    );
+    // Earlier versions did not record them: the rate is taken.
+    edit(&out.join("checkpoint/ours.rate.safetensors"), |settings| {
+        forget(settings, "provenance")
+    });
+    let again = whole(&config, &out);
+    assert_eq!(
+        (again.rows[0].rate, again.rows[0].trial_seconds),
+        (done.rows[0].rate, done.rows[0].trial_seconds)
+    );
+}
+
+#[test]
+fn a_decoder_beside_another_point_encoder_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut config = rows(
+        &with_unseen(folder.path()),
+        &[Row::NoSpatial, Row::RandomSpatial, Row::Ours],
+    );
+    let weights = folder.path().join("weights.safetensors");
+    let write = |seed| {
+        fs::write(
+            &weights,
+            random_weights(3, seed).to_safetensors().expect("whole"),
+        )
+        .expect("written")
+    };
+    (config.spatial.source, config.spatial.weights) =
+        (SpatialSource::Pretrained, Some(weights.clone()));
+    write(7);
+    let out = folder.path().join("run");
+    let done = whole(&config, &out);
+    write(8);
+    crate::support::assert_names(
+        &refusal(&config, &out),
+        &["/ours.safetensors", "point encoder", "spatial.weights"],
+    );
+    write(7);
+    same(&done, &whole(&config, &out));
+}
+
+#[test]
+fn other_data_is_told_by_the_setting_that_made_it_so() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let dir = folder.path();
+    let base = rows(&with_unseen(dir), &[Row::PerGaussian]);
+    let out = dir.join("run");
+    let done = whole(&base, &out);
+    let with = |edit: &dyn Fn(&mut Config)| {
+        let mut config = base.clone();
+        edit(&mut config);
+        config
+    };
+    let given = "given.safetensors";
+    refused_by(
+        &with(&|c| c.data.stride = 2),
+        &out,
+        ["data.stride", "2", "1", given],
+    );
+    refused_by(
+        &with(&|c| c.data.max_frames = 2),
+        &out,
+        ["data.max_frames", "2", "0", given],
+    );
+    refused_by(
+        &with(&|c| c.data.max_side = 40),
+        &out,
+        ["data.max_side", "40", "1600", given],
+    );
+    for name in ["same", "other"] {
+        fs::create_dir(dir.join(name)).expect("folder");
+        (0..6).for_each(|i| {
+            let from = if name == "other" && i == 0 { 1 } else { i };
+            fs::copy(
+                dir.join(format!("raw/v{from}.png")),
+                dir.join(format!("{name}/v{i}.png")),
+            )
+            .expect("copied");
+        });
+    }
+    let row = "per_gaussian.safetensors";
+    refused_by(
+        &with(&|c| c.data.raw_labels = "other".into()),
+        &out,
+        ["data.raw_labels", "\"other\"", "\"\"", row],
+    );
+    // Another setting that gives the same data is no obstacle; nor is what says nothing of it.
+    let other = with(&|c| {
+        c.data.raw_labels = "same".into();
+        (c.data.decoded_mb, c.data.raw_labels_note) = (0, "drawn by hand".into());
+        c.association.sweeps = 2;
+    });
+    same(&done, &whole(&other, &out));
+
+    // Earlier versions did not record them: they go on, and are told what to look at.
+    for file in [given, row] {
+        edit(&out.join("checkpoint").join(file), |settings| {
+            forget(&mut settings["provenance"], "origin")
+        });
+    }
+    let error = refusal(&with(&|c| c.data.stride = 2), &out);
+    assert!(matches!(error, Error::Input { .. }), "{error}");
+    crate::support::assert_names(
+        &error,
+        &[given, "photos", "the settings of data and association"],
+    );
+    same(&done, &whole(&base, &out));
+}
+
+#[test]
+fn other_objects_are_told_by_the_setting_of_association() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut config = rows(&with_unseen(folder.path()), &[Row::PerGaussian]);
+    let out = folder.path().join("run");
+    whole(&config, &out);
+    let row = "per_gaussian.safetensors";
+    config.data.association = Association::Gaussians;
+    refused_by(
+        &config,
+        &out,
+        ["data.association", "\"gaussians\"", "\"none\"", row],
+    );
+    let out = folder.path().join("objects");
+    let done = whole(&config, &out);
+    assert!(
+        done.association.expect("objects").objects > 1,
+        "{:?}",
+        done.association
+    );
+    config.association.min_weight = 0.3;
+    refused_by(
+        &config,
+        &out,
+        ["association.min_weight", "0.3", "0.00001", row],
+    );
+}
+
+/// The digest of photos by their pixels, as versions made it that decoded them all: of views of loaded scenes without masks.
+fn digest_of_pixels(dir: &Path) -> String {
+    let scene = load(dir, &LoadOptions::default()).expect("scene");
+    let mut all = Sha256::new();
+    for view in &scene.views {
+        let c = &view.camera;
+        let mut hash = Sha256::new();
+        hash.update(format!(
+            "{} {:?} {} {}\n",
+            view.name, view.split, c.width, c.height
+        ));
+        let numbers = c
+            .rotation
+            .to_cols_array()
+            .into_iter()
+            .chain(c.center.to_array());
+        numbers
+            .chain([c.fx, c.fy, c.cx, c.cy])
+            .for_each(|v| hash.update(v.to_le_bytes()));
+        hash.update(view.image.pixels().expect("photo").as_raw());
+        all.update(hash.finalize());
+    }
+    for values in [&scene.points.positions, &scene.points.colors] {
+        values
+            .as_flattened()
+            .iter()
+            .for_each(|v| all.update(v.to_le_bytes()));
+    }
+    format!("{:x}", all.finalize())
+}
+
+#[test]
+fn photos_are_told_by_their_files_and_runs_that_compared_pixels_go_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    plates::scene(folder.path());
+    let mut config = rows(&config(folder.path()), &[]);
+    config.building.iterations = 6;
+    let (out, whole_out) = (folder.path().join("run"), folder.path().join("whole"));
+    run(
+        &config,
+        &out,
+        &crate::support::device(),
+        &mut StopAt::new("building", 3),
+    )
+    .expect("a part");
+    let path = out.join("checkpoint/building.safetensors");
+    let digest = digest_of_pixels(folder.path());
+    let as_before = |digest: &str| {
+        edit(&path, |settings| {
+            forget(&mut settings["provenance"], "origin");
+            forget(
+                &mut settings["provenance"]["data"],
+                "photos, masks, cameras and points",
+            );
+            settings["provenance"]["data"]["photos, cameras and points"] = digest.into();
+        });
+    };
+    as_before(&digest.replace(&digest[..4], "0000"));
+    crate::support::assert_names(
+        &refusal(&config, &out),
+        &["building checkpoint", "photos", "other data"],
+    );
+    edit(&path, |settings| {
+        settings["provenance"]["data"]["photos, cameras and points"] = digest.clone().into()
+    });
+    same(&whole(&config, &whole_out), &whole(&config, &out));
+    // What goes on records the files.
+    edit(&path, |settings| {
+        assert!(settings["provenance"]["data"]["photos, masks, cameras and points"].is_string())
+    });
+
+    // No photo is decoded to be told: one that nothing looks at need not even be there.
+    let scene = load(
+        folder.path(),
+        &LoadOptions {
+            decoded_mb: 0,
+            ..LoadOptions::default()
+        },
+    )
+    .expect("scene");
+    let test = scene.split(Split::Test).next().expect("a test view");
+    fs::remove_file(folder.path().join(format!("images/{}.png", test.name))).expect("removed");
+    assert!(test.image.pixels().is_err());
+    BuildingStage::new(&scene, &config, &crate::support::device()).expect("a stage");
+}

@@ -1,0 +1,432 @@
+//! A run that was stopped and gone on with is the run that was not; a checkpoint of another run is refused.
+
+use coseg::config::{
+    BuildingConfig, Config, Encode, LabelLoss, LabelSource, Row, SegmentationConfig,
+};
+use coseg::pipeline::progress::{CurvePoint, Event, Progress, Silent};
+use coseg::pipeline::{Outcome, run};
+use std::path::Path;
+
+/// Both stages on the plates, a second or two.
+pub fn config(data: &Path) -> Config {
+    let mut config = Config {
+        building: BuildingConfig {
+            iterations: 40,
+            random_points: 400,
+            ..BuildingConfig::default()
+        },
+        segmentation: SegmentationConfig {
+            iterations: 30,
+            rows: Some(vec![Row::Vote, Row::PerGaussian, Row::Ours]),
+            pixel_share: 0.5,
+            eval_every: 10,
+            checkpoint_every: 7,
+            // Every loss depends on what was measured before.
+            least_recall: 1.0,
+            ..SegmentationConfig::default()
+        },
+        seed: 5,
+        ..Config::default()
+    };
+    config.data.dir = Some(data.to_owned());
+    config
+}
+
+/// Stops after some iterations of a stage.
+pub struct StopAt {
+    stage: &'static str,
+    iteration: usize,
+    now: &'static str,
+    stopped: bool,
+}
+
+impl StopAt {
+    pub fn new(stage: &'static str, iteration: usize) -> Self {
+        Self {
+            stage,
+            iteration,
+            now: "",
+            stopped: false,
+        }
+    }
+}
+
+impl Progress for StopAt {
+    fn event(&mut self, event: &Event) {
+        match event {
+            Event::Started { stage, .. } => self.now = stage,
+            Event::Step { iteration, .. } => {
+                self.stopped |= self.now == self.stage && *iteration == self.iteration;
+            }
+            _ => {}
+        }
+    }
+    fn stop(&mut self) -> bool {
+        self.stopped
+    }
+}
+
+pub fn whole(config: &Config, out: &Path) -> Outcome {
+    run(config, out, &crate::support::device(), &mut Silent).expect("a run")
+}
+
+/// Curves but for the clock, bit for bit.
+fn bits(curve: &[CurvePoint]) -> Vec<(usize, u64, Option<u64>, usize)> {
+    curve
+        .iter()
+        .map(|p| {
+            (
+                p.iteration,
+                p.loss.to_bits(),
+                p.miou.map(f64::to_bits),
+                p.gaussians,
+            )
+        })
+        .collect()
+}
+
+#[track_caller]
+pub fn same(a: &Outcome, b: &Outcome) {
+    assert!(a.gaussians == b.gaussians, "Gaussians differ");
+    assert_eq!(a.rows.len(), b.rows.len());
+    for (a, b) in a.rows.iter().zip(&b.rows) {
+        let row = a.name();
+        assert_eq!(bits(&a.curve), bits(&b.curve), "curve of {row}");
+        let scores = |r: &coseg::pipeline::RowOutcome| -> Vec<u32> {
+            r.identities
+                .iter()
+                .flat_map(|i| &i.scores)
+                .map(|s| s.to_bits())
+                .collect()
+        };
+        assert!(scores(a) == scores(b), "identities of {row}");
+    }
+}
+
+#[test]
+fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    for (encode, loss, chunk) in [
+        (Encode::Scene, LabelLoss::Gce, 65_536),
+        (Encode::View, LabelLoss::Gjs, 65_536),
+        (Encode::Scene, LabelLoss::Gjs, 97),
+    ] {
+        let mut config = config(folder.path());
+        (config.spatial.encode, config.segmentation.decoder_chunk) = (encode, chunk);
+        config.segmentation.loss = loss;
+        let out = |name: &str| folder.path().join(format!("{encode:?}-{chunk}-{name}"));
+        let uninterrupted = whole(&config, &out("whole"));
+        assert_eq!(uninterrupted.rows[1].curve.len(), 3);
+        let mut point = uninterrupted.rows[2].curve.clone();
+        point.dedup_by_key(|p| p.loss.to_bits());
+        assert_eq!(
+            point.len(),
+            3,
+            "the decoder learns something in every third of its run"
+        );
+        let parts = out("parts");
+        // Stopped between evaluations and between checkpoints, twice in each row.
+        for (stage, iteration) in [
+            ("per_gaussian", 3),
+            ("per_gaussian", 17),
+            ("ours", 14),
+            ("ours", 29),
+        ] {
+            let mut stop = StopAt::new(stage, iteration);
+            let part = run(&config, &parts, &crate::support::device(), &mut stop).expect("a part");
+            assert!(stop.stopped, "{stage} did not reach {iteration}");
+            let last = part.rows.last().expect("a row");
+            assert!(
+                last.curve.iter().all(|p| p.iteration.is_multiple_of(10)),
+                "a stop adds no point to the curve"
+            );
+        }
+        same(&uninterrupted, &whole(&config, &parts));
+        // And once more from the end: nothing is left to do.
+        same(&uninterrupted, &whole(&config, &parts));
+    }
+}
+
+/// Takes a text out of the header of a safetensors file, and gives its length back as blanks at the header's end.
+fn forget(path: &Path, text: &str) {
+    let bytes = std::fs::read(path).expect("read");
+    let length = u64::from_le_bytes(bytes[..8].try_into().expect("8 bytes")) as usize;
+    let header = std::str::from_utf8(&bytes[8..8 + length]).expect("text");
+    assert_eq!(header.matches(text).count(), 1, "{text} in {header}");
+    let shorter = format!("{}{}", header.replace(text, ""), " ".repeat(text.len()));
+    std::fs::write(
+        path,
+        [&bytes[..8], shorter.as_bytes(), &bytes[8 + length..]].concat(),
+    )
+    .expect("written");
+}
+
+#[test]
+fn checkpoints_of_other_settings_or_data_are_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let (base, out) = (config(folder.path()), folder.path().join("run"));
+    let done = whole(&base, &out);
+    let notes = coseg::report::Report::notes_of(&done, &base);
+    let loss = "generalised cross-entropy, q = 0.7, after 3 steps of cross-entropy";
+    assert!(notes.iter().any(|note| note.contains(loss)), "{notes:?}");
+    let refusal = |edit: &dyn Fn(&mut Config)| {
+        let mut config = base.clone();
+        edit(&mut config);
+        let error = run(&config, &out, &crate::support::device(), &mut Silent)
+            .err()
+            .expect("must be refused");
+        (
+            matches!(error, coseg::Error::Config { .. }),
+            error.to_string(),
+        )
+    };
+    let named = |key: &str, now: &str, then: &str, edit: &dyn Fn(&mut Config)| {
+        let (typed, message) = refusal(edit);
+        let wanted = [
+            key,
+            &format!("found {now}"),
+            &format!("expected {then}, as when"),
+            "another folder",
+        ];
+        assert!(
+            typed && wanted.iter().all(|w| message.contains(w)),
+            "{wanted:?}: {message}"
+        );
+        message
+    };
+    named("building.iterations", "50", "40", &|c| {
+        c.building.iterations = 50
+    });
+    named("building.lr_means", "0.001", "0.00016", &|c| {
+        c.building.lr_means = 1e-3
+    });
+    named("raster.alpha_max", "0.9", "0.999", &|c| {
+        c.raster.alpha_max = 0.9
+    });
+    let message = named("segmentation.iterations", "20", "30", &|c| {
+        c.segmentation.iterations = 20
+    });
+    assert!(message.contains("per_gaussian.safetensors"), "{message}");
+    named("segmentation.lr", "0.01", "0.006", &|c| {
+        c.segmentation.lr = 0.01
+    });
+    named("segmentation.gce_exponent", "0.5", "0.7", &|c| {
+        c.segmentation.gce_exponent = 0.5
+    });
+    // What a row does not read is no obstacle to it, but to the next.
+    let message = named("features.dimensions", "8", "64", &|c| {
+        c.features.dimensions = 8
+    });
+    assert!(message.contains("ours.safetensors"), "{message}");
+    // When something is measured, saved or kept does not matter; nor do rows that are added.
+    let mut other = base.clone();
+    (
+        other.segmentation.eval_every,
+        other.building.checkpoint_every,
+    ) = (3, 5);
+    other.segmentation.weight_cache_mb = 0;
+    other.segmentation.rows = Some(vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::Ours]);
+    assert_eq!(
+        whole(&other, &out).rows.last().expect("a row").identities,
+        done.rows[2].identities
+    );
+
+    // What is finished may be scored by another rule of rendering, and its curve of scores by the old one goes.
+    let mut scores = base.clone();
+    scores.segmentation.render = LabelSource::Scores;
+    let (other, anew) = (
+        whole(&scores, &out),
+        whole(&scores, &folder.path().join("anew")),
+    );
+    let (other, anew) = (
+        other.rows.last().expect("a row"),
+        anew.rows.last().expect("a row"),
+    );
+    assert_eq!(
+        (&other.identities, &other.scores),
+        (&anew.identities, &anew.scores)
+    );
+    assert_ne!(other.scores, done.rows[2].scores);
+    assert!(
+        other.curve.iter().all(|point| point.miou.is_none())
+            && anew.curve.iter().any(|point| point.miou.is_some())
+    );
+    // A row from before there was a choice was scored by the default: its curve stays with that, and goes with the other.
+    let (path, setting) = (
+        out.join("checkpoint/ours.safetensors"),
+        r#"\"segmentation.render\":\"\\\"labels\\\"\","#,
+    );
+    forget(&path, setting);
+    let with_scores = |config: &Config| {
+        let done = whole(config, &out);
+        done.rows
+            .last()
+            .expect("a row")
+            .curve
+            .iter()
+            .filter(|point| point.miou.is_some())
+            .count()
+    };
+    assert!(with_scores(&base) > 0);
+    assert_eq!(with_scores(&scores), 0);
+    // What is not finished may not; nor where a rate was chosen by such scores.
+    let half = folder.path().join("half");
+    run(
+        &base,
+        &half,
+        &crate::support::device(),
+        &mut StopAt::new("per_gaussian", 20),
+    )
+    .expect("a part");
+    let error = run(&scores, &half, &crate::support::device(), &mut Silent)
+        .err()
+        .expect("must be refused")
+        .to_string();
+    assert!(
+        error.contains("segmentation.render") && error.contains("per_gaussian.safetensors"),
+        "{error}"
+    );
+    let chosen = folder.path().join("chosen");
+    let mut trials = base.clone();
+    (trials.segmentation.rows, trials.segmentation.lr_trials) =
+        (Some(vec![Row::PerGaussian]), vec![0.5, 1.0]);
+    whole(&trials, &chosen);
+    trials.segmentation.render = LabelSource::Scores;
+    let error = run(&trials, &chosen, &crate::support::device(), &mut Silent)
+        .err()
+        .expect("must be refused")
+        .to_string();
+    assert!(
+        error.contains("segmentation.render") && error.contains("per_gaussian.rate.safetensors"),
+        "{error}"
+    );
+    std::fs::remove_file(chosen.join("checkpoint/per_gaussian.rate.safetensors")).expect("removed");
+    let error = run(&trials, &chosen, &crate::support::device(), &mut Silent)
+        .err()
+        .expect("must be refused")
+        .to_string();
+    assert!(
+        error.contains("segmentation.render") && error.contains("per_gaussian.safetensors"),
+        "{error}"
+    );
+
+    // A setting that came after a checkpoint was written counts as what was done before: seldom another value than its default.
+    let path = out.join("checkpoint/ours.safetensors");
+    let before = std::fs::read(&path).expect("read");
+    forget(&path, r#"\"segmentation.least_recall\":\"1.0\","#);
+    let message = named("segmentation.least_recall", "1.0", "0.0", &|_| ());
+    assert!(message.contains("ours.safetensors"), "{message}");
+    std::fs::write(&path, before).expect("written");
+    let path = out.join("checkpoint/building.safetensors");
+    let before = std::fs::read(&path).expect("read");
+    let added = [
+        (r#"\"building.random_background\":\"true\","#, "false"),
+        (r#"\"building.sh_degree\":\"3\","#, "2"),
+    ];
+    for (setting, now) in added {
+        forget(&path, setting);
+        assert_eq!(
+            whole(&base, &out).rows.last().expect("a row").identities,
+            done.rows[2].identities
+        );
+        let key = setting
+            .split('"')
+            .nth(1)
+            .expect("quoted")
+            .trim_end_matches('\\');
+        let edit = |c: &mut Config| match now {
+            "false" => c.building.random_background = false,
+            _ => c.building.sh_degree = 2,
+        };
+        named(key, now, if now == "false" { "true" } else { "3" }, &edit);
+        std::fs::write(&path, &before).expect("written");
+    }
+
+    // Another geometry under the same settings: the building stage done anew from another seed of points.
+    let elsewhere = folder.path().join("elsewhere");
+    let mut shorter = base.clone();
+    shorter.segmentation.rows = Some(Vec::new());
+    shorter.seed = 6;
+    whole(&shorter, &elsewhere);
+    let file = "checkpoint/building.safetensors";
+    std::fs::copy(elsewhere.join(file), out.join(file)).expect("copied");
+    named("seed", "5", "6", &|_| ());
+    for row in ["per_gaussian", "ours"] {
+        let rows = Some(vec![if row == "ours" {
+            Row::Ours
+        } else {
+            Row::PerGaussian
+        }]);
+        std::fs::copy(
+            out.join(format!("checkpoint/{row}.safetensors")),
+            elsewhere.join("kept"),
+        )
+        .expect("copied");
+        let path = elsewhere.join(format!("checkpoint/{row}.safetensors"));
+        std::fs::rename(elsewhere.join("kept"), &path).expect("renamed");
+        let config = Config {
+            seed: 6,
+            segmentation: SegmentationConfig {
+                rows,
+                ..base.segmentation.clone()
+            },
+            ..base.clone()
+        };
+        let error = run(&config, &elsewhere, &crate::support::device(), &mut Silent)
+            .err()
+            .expect("another seed")
+            .to_string();
+        assert!(error.contains("seed") && error.contains(row), "{error}");
+    }
+}
+
+#[test]
+fn a_row_of_other_gaussians_or_labels_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let mut config = config(folder.path());
+    config.segmentation.rows = Some(vec![Row::PerGaussian]);
+    let out = folder.path().join("run");
+    let trained = whole(&config, &out);
+    let refusal = || {
+        run(&config, &out, &crate::support::device(), &mut Silent)
+            .err()
+            .expect("must be refused")
+    };
+
+    // As many Gaussians, one of them moved by a hair.
+    let building = out.join("checkpoint/building.safetensors");
+    let before = std::fs::read(&building).expect("read");
+    let mut state = coseg::reconstruction::BuildingState::load(&building).expect("loaded");
+    state.gaussians.means[7][0] += 1e-3;
+    state.save(&building).expect("saved");
+    let error = refusal();
+    assert!(matches!(error, coseg::Error::Input { .. }), "{error}");
+    let message = error.to_string();
+    assert!(
+        message.contains("per_gaussian.safetensors") && message.contains("Gaussians"),
+        "{message}"
+    );
+    std::fs::write(&building, before).expect("written");
+    same(&trained, &whole(&config, &out));
+
+    let raw = folder.path().join("raw/v0.png");
+    std::fs::copy(folder.path().join("raw/v1.png"), &raw).expect("copied");
+    let message = refusal().to_string();
+    assert!(
+        message.contains("per_gaussian.safetensors") && message.contains("raw labels"),
+        "{message}"
+    );
+    std::fs::copy(
+        folder.path().join("images/v0.png"),
+        folder.path().join("images/v1.png"),
+    )
+    .expect("copied");
+    let message = refusal().to_string();
+    assert!(
+        message.contains("building checkpoint") && message.contains("photos"),
+        "{message}"
+    );
+}

@@ -1,0 +1,458 @@
+//! Stage two on the plates: what the decoder starts from, what is stored, how learning rates are chosen.
+
+use coseg::Error;
+use coseg::config::{
+    Association, Blend, BuildingConfig, Config, LabelSource, Prior, Row, SegmentationConfig,
+};
+use coseg::data::{Classes, LabelMap, LabelRuns, LoadOptions, Split, load};
+use coseg::objects::{Identities, LabelRule, hard_label_map, label_map, vote};
+use coseg::pipeline::progress::Silent;
+use coseg::pipeline::train_decoder::{Model, Plan, Recalls, TrainingViews, train_step};
+use coseg::pipeline::{Inputs, Outcome, Spatial, decoder_row, run};
+use coseg::random::{Purpose, stream};
+use coseg::raster::{Projected, Settings};
+use coseg::reconstruction::initialization;
+use coseg::segmentation::loss::Kind;
+use std::sync::Arc;
+
+fn trained(edit: impl Fn(&mut SegmentationConfig)) -> Outcome {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let mut config = Config {
+        building: BuildingConfig {
+            iterations: 40,
+            random_points: 400,
+            ..BuildingConfig::default()
+        },
+        segmentation: SegmentationConfig {
+            iterations: 20,
+            rows: Some(vec![Row::Ours]),
+            ..SegmentationConfig::default()
+        },
+        ..Config::default()
+    };
+    edit(&mut config.segmentation);
+    config.data.dir = Some(folder.path().to_owned());
+    run(
+        &config,
+        &folder.path().join("run"),
+        &crate::support::device(),
+        &mut Silent,
+    )
+    .expect("a run")
+}
+
+/// A rate at which nothing is learned in 20 steps.
+const STILL: f64 = 1e-12;
+
+#[test]
+fn a_decoder_that_has_learned_nothing_stores_the_shares_of_the_votes() {
+    let outcome = trained(|s| s.lr = STILL);
+    let scene = &outcome.scene;
+    let votes = vote(
+        &outcome.gaussians,
+        scene.split(Split::Train),
+        &scene.classes,
+        &Settings::default(),
+        &crate::support::device(),
+    )
+    .expect("votes");
+    let identities = outcome.rows[0].identities.as_ref().expect("identities");
+    let classes = scene.classes.len();
+    let (mut checked, floor) = (0, 0.02_f32);
+    for (stored, row) in identities
+        .scores
+        .chunks_exact(classes)
+        .zip(votes.table.chunks_exact(classes))
+    {
+        let total: f32 = row.iter().sum();
+        assert!(
+            (stored.iter().sum::<f32>() - 1.0).abs() < 1e-5,
+            "probabilities: {stored:?}"
+        );
+        for (s, v) in stored.iter().zip(row) {
+            let share = if total > 0.0 { v / total } else { 0.0 };
+            let expected = if total > 0.0 {
+                (share + floor) / (1.0 + classes as f32 * floor)
+            } else {
+                1.0 / classes as f32
+            };
+            assert!((s - expected).abs() < 1e-5, "{stored:?} of {row:?}");
+        }
+        checked += usize::from(total > 0.0);
+    }
+    assert!(checked > 100, "{checked} Gaussians were voted on");
+}
+
+#[test]
+fn blended_logits_without_a_prior_are_the_papers_rule_and_learn() {
+    let edit = |s: &mut SegmentationConfig| {
+        (s.blend, s.prior) = (Blend::Logits, Prior::None);
+        (s.rows, s.iterations, s.lr) = (Some(vec![Row::OursCe]), 100, 1e-2);
+    };
+    let outcome = trained(edit);
+    let scores = &outcome.rows[0]
+        .identities
+        .as_ref()
+        .expect("identities")
+        .scores;
+    assert!(scores.iter().any(|s| *s < 0.0), "logits, not probabilities");
+    let untaught = trained(|s| {
+        edit(s);
+        s.lr = STILL;
+    });
+    let miou = |o: &Outcome| o.rows[0].scores.miou.expect("a score");
+    assert!(
+        miou(&outcome) > miou(&untaught) + 0.1,
+        "{} against {}",
+        miou(&outcome),
+        miou(&untaught)
+    );
+}
+
+#[test]
+fn votes_under_blended_logits_are_refused() {
+    let mut config = Config::default();
+    config.segmentation.blend = Blend::Logits;
+    let error = config.validate().expect_err("refused");
+    assert!(
+        matches!(error, Error::Config { .. }) && error.to_string().contains("segmentation.prior"),
+        "{error}"
+    );
+}
+
+#[test]
+fn weights_made_again_at_each_step_give_the_same_bits_as_kept_ones() {
+    let scores = |megabytes| {
+        let outcome = trained(|s| {
+            (s.weight_cache_mb, s.pixel_share) = (megabytes, 0.25);
+            s.rows = Some(vec![Row::PerGaussian, Row::Ours]);
+        });
+        let bits = |row: &coseg::pipeline::RowOutcome| -> Vec<u32> {
+            row.identities
+                .iter()
+                .flat_map(|i| &i.scores)
+                .map(|s| s.to_bits())
+                .collect()
+        };
+        outcome.rows.iter().map(bits).collect::<Vec<_>>()
+    };
+    assert!(scores(0) == scores(2_048));
+}
+
+#[test]
+fn the_vote_sums_weights_by_label_whatever_the_number_of_classes() {
+    // 70 classes, of which a view shows from 1 to 60.
+    let mut scene = crate::reconstruction::building::scene();
+    scene.classes = Classes::from_names(0, (0..=70).map(|id| (id, format!("class {id}"))));
+    for (v, view) in scene.views.iter_mut().enumerate() {
+        let (width, height) = (view.camera.width, view.camera.height);
+        let shown = [1, 60, 33, 32, 5, 2, 31, 64][v] as u16;
+        let id = |i: usize| (i * 7919 / 11) as u16 % (shown + 1);
+        let map = LabelMap {
+            width,
+            height,
+            ids: (0..width * height).map(id).collect(),
+        };
+        view.raw = Some(LabelRuns::from(map));
+    }
+    let gaussians = initialization::from_points(&scene.points, 0, 2.0).expect("Gaussians");
+    let (settings, c) = (Settings::default(), scene.classes.len());
+    let votes = vote(
+        &gaussians,
+        scene.views.iter(),
+        &scene.classes,
+        &settings,
+        &crate::support::device(),
+    )
+    .expect("votes");
+    let lookup = scene.classes.lookup();
+    let mut exact = vec![0.0_f64; gaussians.len() * c];
+    for view in &scene.views {
+        let weights = Projected::<f32>::new(&gaussians.splats(), &view.camera, &settings)
+            .expect("a view")
+            .weights(None);
+        for (pixel, id) in view
+            .raw
+            .as_ref()
+            .expect("labels")
+            .map()
+            .ids
+            .into_iter()
+            .enumerate()
+        {
+            let class = usize::from(lookup[usize::from(id)]);
+            let (columns, values) = weights.row(pixel);
+            for (&i, &w) in columns.iter().zip(values).filter(|_| class < c) {
+                exact[i as usize * c + class] += f64::from(w);
+            }
+        }
+    }
+    assert_eq!((votes.classes, votes.table.len()), (c, exact.len()));
+    let most = exact.iter().fold(0.0, |most: f64, &v| most.max(v));
+    assert!(most > 1.0);
+    for (got, exact) in votes.table.iter().zip(exact) {
+        assert!(
+            (f64::from(*got) - exact).abs() < 1e-5 * most,
+            "{got} {exact}"
+        );
+    }
+}
+
+#[test]
+fn label_maps_show_the_labels_of_the_ply() {
+    let outcome = trained(|s| s.rows = Some(vec![Row::Vote]));
+    let (gaussians, classes) = (&outcome.gaussians, &outcome.scene.classes);
+    let scores = (0..gaussians.len() * classes.len())
+        .map(|i| (i as f32 * 1.7).sin())
+        .collect();
+    let identities = Identities {
+        scores,
+        classes: classes.len(),
+    };
+    let (mut labelled, mut differ) = (0, 0);
+    for view in outcome.scene.split(Split::Test) {
+        let projected = Projected::new(&gaussians.splats(), &view.camera, &Settings::default())
+            .expect("finite");
+        let map = |source| {
+            label_map(
+                &projected,
+                &identities,
+                classes,
+                &LabelRule {
+                    source,
+                    min_coverage: 0.5,
+                },
+            )
+            .ids
+        };
+        let labels = map(LabelSource::Labels);
+        assert_eq!(
+            labels,
+            hard_label_map(&projected, &identities.ids(classes), 0.5).ids
+        );
+        labelled += labels.iter().filter(|id| **id != classes.ignore).count();
+        differ += labels
+            .iter()
+            .zip(map(LabelSource::Scores))
+            .filter(|(a, b)| *a != b)
+            .count();
+    }
+    assert!(
+        labelled > 1000 && differ > 100,
+        "{labelled} labelled, {differ} otherwise by their scores"
+    );
+}
+
+#[test]
+fn averaged_parameters_differ_from_the_last_ones() {
+    let scores = |average| {
+        let outcome = trained(|s| s.average = average);
+        outcome.rows[0]
+            .identities
+            .as_ref()
+            .expect("identities")
+            .scores
+            .clone()
+    };
+    assert_ne!(scores(true), scores(false));
+}
+
+#[test]
+fn the_rate_that_learns_is_taken_and_one_factor_needs_no_trial() {
+    let base = SegmentationConfig::default().lr_per_gaussian;
+    for (trials, expected) in [
+        (vec![STILL, 1.0], base),
+        (vec![1.0, STILL], base),
+        (vec![0.5], 0.5 * base),
+    ] {
+        let outcome = trained(|s| {
+            s.rows = Some(vec![Row::PerGaussian]);
+            s.lr_trials = trials.clone();
+        });
+        assert_eq!(outcome.rows[0].rate, Some(expected), "{trials:?}");
+    }
+}
+
+#[test]
+fn without_truth_only_what_is_wanted_is_trained() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let mut config = crate::pipeline::resume::config(folder.path());
+    config.segmentation.rows = None;
+    let rows = |config: &Config, out: &str| -> Vec<Row> {
+        crate::pipeline::resume::whole(config, &folder.path().join(out))
+            .rows
+            .iter()
+            .map(|row| row.row)
+            .collect()
+    };
+    assert_eq!(rows(&config, "scored"), Row::COMPARED);
+    let file = folder.path().join("transforms.json");
+    let text = std::fs::read_to_string(&file)
+        .expect("frames")
+        .replace("\"label_path\"", "\"elsewhere\"");
+    std::fs::write(&file, text).expect("written");
+    assert_eq!(rows(&config, "unscored"), Row::UNSCORED);
+    config.segmentation.rows = Some(vec![Row::PerGaussian]);
+    assert_eq!(rows(&config, "asked for"), [Row::PerGaussian]);
+}
+
+#[test]
+fn a_truth_that_no_row_is_scored_by_is_none() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let mut config = crate::pipeline::resume::config(folder.path());
+    (config.segmentation.rows, config.segmentation.iterations) = (None, 4);
+    let trained = |association: Association, out: &str| {
+        let mut config = config.clone();
+        config.data.association = association;
+        let outcome = crate::pipeline::resume::whole(&config, &folder.path().join(out));
+        let notes = coseg::report::Report::notes_of(&outcome, &config).concat();
+        let is_scored = |row: &coseg::pipeline::RowOutcome| {
+            row.scores.miou.is_some() || row.instances.is_some()
+        };
+        let scored = outcome.rows.iter().any(is_scored);
+        assert_eq!(
+            notes.contains("no row of labels is scored"),
+            !scored,
+            "{notes}"
+        );
+        (
+            outcome.rows.iter().map(|row| row.row).collect::<Vec<_>>(),
+            scored,
+        )
+    };
+    // Objects without classes are not scored by classes.
+    assert_eq!(
+        trained(Association::None, "classes"),
+        (Row::COMPARED.to_vec(), true)
+    );
+    assert_eq!(
+        trained(Association::Gaussians, "objects of classes"),
+        (Row::UNSCORED.to_vec(), false)
+    );
+    // Nor are classes by instances.
+    let file = folder.path().join("transforms.json");
+    let text = std::fs::read_to_string(&file)
+        .expect("frames")
+        .replace("\"label_path\"", "\"instance_path\"");
+    std::fs::write(&file, text).expect("written");
+    assert_eq!(
+        trained(Association::None, "instances"),
+        (Row::UNSCORED.to_vec(), false)
+    );
+    assert_eq!(
+        trained(Association::Gaussians, "objects"),
+        (Row::COMPARED.to_vec(), true)
+    );
+}
+
+#[test]
+fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let (gaussians, _) = crate::support::plates::plates();
+    let scene = load(folder.path(), &LoadOptions::default()).expect("scene");
+    let device = crate::support::device();
+    let scores = |average: bool, iterations: usize| {
+        let mut config = Config::default();
+        (
+            config.segmentation.average,
+            config.segmentation.warmup,
+            config.segmentation.iterations,
+        ) = (average, 0.5, 40);
+        let plan = Plan {
+            iterations,
+            ..Plan::new(&config.segmentation, Kind::Ce, 0)
+        };
+        let (scene, gaussians, settings) = (&scene, &gaussians, Settings::default());
+        let inputs = Inputs {
+            scene,
+            gaussians,
+            seen: None,
+            semantics: None,
+            config: &config,
+            settings,
+            device: &device,
+        };
+        let mut spatial = Spatial::default();
+        let source = spatial
+            .source(Row::NoImageFeatures, &inputs)
+            .expect("encoded");
+        let mut views = inputs.training_views();
+        let mut model = decoder_row(
+            Row::NoImageFeatures,
+            1e-2,
+            &plan,
+            source,
+            &inputs,
+            &mut views,
+        )
+        .expect("a decoder");
+        let mut recalls = Recalls::new(views.classes());
+        for i in 0..4 {
+            train_step(&mut model, &mut views, &plan, &mut recalls, i).expect("a step");
+        }
+        model.identities().expect("identities").scores
+    };
+    assert_ne!(
+        scores(true, 4),
+        scores(false, 4),
+        "two of four steps of a trial"
+    );
+    assert_eq!(
+        scores(true, 40),
+        scores(false, 40),
+        "none of the first twenty"
+    );
+}
+
+#[test]
+fn all_pixels_of_a_view_are_listed_once_as_far_as_the_budget_reaches() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let scene = load(folder.path(), &LoadOptions::default()).expect("scene");
+    let (gaussians, _) = crate::support::plates::plates();
+    #[cfg(feature = "wgpu")]
+    let devices = [Some(crate::support::device()), crate::support::gpu()];
+    #[cfg(not(feature = "wgpu"))]
+    let devices = [Some(crate::support::device())];
+    for device in devices.into_iter().flatten() {
+        // Whether the same view's second draw has the list of its first, and how many pixels are on it.
+        let draw = |budget: usize, share: f64| {
+            let (train, settings) = (scene.split(Split::Train), Settings::default());
+            let mut views = TrainingViews::new(
+                &gaussians,
+                train,
+                &scene.classes,
+                settings,
+                0.5,
+                budget,
+                &device,
+            );
+            let mut drawn = || {
+                views
+                    .draw(0, share, &mut stream(1, Purpose::Pixels, 0))
+                    .expect("pixels")
+                    .pixels
+            };
+            let (first, second) = (drawn(), drawn());
+            assert_eq!(
+                (&first.rows[..], &first.labels),
+                (&second.rows[..], &second.labels),
+                "{device:?}"
+            );
+            (
+                Arc::ptr_eq(&first.rows, &second.rows)
+                    && Arc::ptr_eq(&first.labels, &second.labels),
+                first.rows.len(),
+            )
+        };
+        let (kept, all) = draw(1 << 24, 1.0);
+        assert!(kept && all > 100, "{all} listed on {device:?}");
+        assert_eq!(draw(0, 1.0), (false, all), "{device:?}");
+        let (kept, some) = draw(1 << 24, 0.25);
+        assert!(!kept && some < all, "{some} of {all} on {device:?}");
+    }
+}

@@ -1,0 +1,219 @@
+//! What a run does once it is told to stop.
+
+use crate::pipeline::resume::{config, same, whole};
+use coseg::config::{Association, Row};
+use coseg::pipeline::progress::{Event, Progress};
+use coseg::pipeline::run;
+
+/// Says stop from an iteration of a stage on, and notes what began.
+struct Told {
+    stage: &'static str,
+    iteration: usize,
+    began: Vec<&'static str>,
+    stopped: bool,
+}
+
+impl Told {
+    fn at(stage: &'static str, iteration: usize) -> Self {
+        Self {
+            stage,
+            iteration,
+            began: Vec::new(),
+            stopped: false,
+        }
+    }
+}
+
+impl Progress for Told {
+    fn event(&mut self, event: &Event) {
+        match event {
+            Event::Started { stage, .. } => self.began.push(stage),
+            Event::Step { iteration, .. } | Event::Viewed { done: iteration } => {
+                self.stopped |=
+                    self.began.last() == Some(&self.stage) && *iteration == self.iteration;
+            }
+            Event::Finished if self.iteration == 0 => {
+                self.stopped |= self.began.last() == Some(&self.stage)
+            }
+            _ => {}
+        }
+    }
+    fn stop(&mut self) -> bool {
+        self.stopped
+    }
+}
+
+#[test]
+fn trials_of_learning_rates_stop_too() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let mut config = config(folder.path());
+    config.segmentation.rows = Some(vec![Row::Vote, Row::PerGaussian]);
+    config.segmentation.lr_trials = vec![0.5, 1.0];
+    let uninterrupted = whole(&config, &folder.path().join("whole"));
+    assert!(!uninterrupted.stopped);
+    let out = folder.path().join("parts");
+    let mut told = Told::at("rates", 10);
+    let part = run(&config, &out, &crate::support::device(), &mut told).expect("a part");
+    assert!(
+        part.stopped && told.began.last() == Some(&"rates"),
+        "{:?}",
+        told.began
+    );
+    let row = part.rows.last().expect("a row");
+    assert!(row.row == Row::PerGaussian && row.identities.is_none() && row.curve.is_empty());
+    assert!(
+        part.stored().is_some_and(|(row, _)| row.row == Row::Vote),
+        "no row that was stopped is stored"
+    );
+    assert!(
+        !out.join("checkpoint/per_gaussian.rate.safetensors")
+            .exists()
+    );
+    same(&uninterrupted, &whole(&config, &out));
+}
+
+#[test]
+fn nothing_is_begun_after_a_stop() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let mut config = config(folder.path());
+    config.data.association = Association::Gaussians;
+    config.segmentation.rows = Some(vec![Row::Vote, Row::Ours]);
+    let out = folder.path().join("run");
+    for (stage, iteration, began) in [
+        ("building", 7, &["building"][..]),
+        // Even where it was done.
+        ("building", 40, &["building"]),
+        ("features", 0, &["building", "association", "features"]),
+        (
+            "unprojection",
+            0,
+            &["building", "association", "features", "unprojection"],
+        ),
+    ] {
+        let mut told = Told::at(stage, iteration);
+        let part = run(&config, &out, &crate::support::device(), &mut told).expect("a part");
+        assert!(part.stopped && told.began == began, "{:?}", told.began);
+        assert!(part.rows.is_empty() && part.association.is_some() == (began.len() > 1));
+        assert_eq!(
+            part.test.psnr.is_some(),
+            (stage, iteration) != ("building", 7),
+            "half-built Gaussians are not scored"
+        );
+    }
+    // A stop that comes when all is done ends nothing.
+    let mut told = Told::at("ours", 30);
+    let done = run(&config, &out, &crate::support::device(), &mut told).expect("a run");
+    assert!(told.stopped && !done.stopped);
+    assert!(done.rows.len() == 2 && done.rows.iter().all(|row| row.identities.is_some()));
+    same(&done, &whole(&config, &folder.path().join("whole")));
+}
+
+/// Notes how many views each stage that learns nothing announces, and which it tells of.
+#[derive(Default)]
+struct Views(Vec<(&'static str, usize, Vec<usize>)>);
+
+impl Progress for Views {
+    fn event(&mut self, event: &Event) {
+        match event {
+            Event::Started {
+                stage, iterations, ..
+            } => self.0.push((stage, *iterations, Vec::new())),
+            Event::Viewed { done } => self.0.last_mut().expect("a stage").2.push(*done),
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn a_stop_between_views_gives_up_what_learns_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let mut config = config(folder.path());
+    config.data.association = Association::Gaussians;
+    config.segmentation.rows = Some(vec![Row::Vote, Row::Ours]);
+    let mut views = Views::default();
+    let whole = run(
+        &config,
+        &folder.path().join("whole"),
+        &crate::support::device(),
+        &mut views,
+    )
+    .expect("a run");
+    // Four training views and two others.
+    let looks = (2 + config.association.sweeps) * 4 + 2;
+    let announced = [("association", looks), ("features", 4), ("unprojection", 4)];
+    for (stage, count) in announced {
+        let all: Vec<usize> = (1..=count).collect();
+        assert!(
+            views.0.contains(&(stage, count, all)),
+            "{stage}: {:?}",
+            views.0
+        );
+    }
+    let out = folder.path().join("parts");
+    let told = [
+        ("association", 1),
+        ("association", 7),
+        ("association", looks),
+        ("features", 2),
+        ("features", 4),
+    ];
+    for (stage, view) in told
+        .into_iter()
+        .chain([("unprojection", 1), ("unprojection", 4)])
+    {
+        let mut told = Told::at(stage, view);
+        let part = run(&config, &out, &crate::support::device(), &mut told).expect("a part");
+        assert!(
+            part.stopped && told.stopped && told.began.last() == Some(&stage),
+            "{stage} {view}: {:?}",
+            told.began
+        );
+        assert!(part.rows.is_empty() && part.features.is_empty() && part.pruned.is_none());
+        let objects = stage != "association";
+        assert!(
+            part.association.is_some() == objects
+                && part.scene.classes.name(1).starts_with("object") == objects
+        );
+    }
+    same(
+        &whole,
+        &run(
+            &config,
+            &out,
+            &crate::support::device(),
+            &mut Views::default(),
+        )
+        .expect("the rest"),
+    );
+}
+
+#[test]
+fn features_that_are_solved_for_are_given_up_too() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let mut config = config(folder.path());
+    config.segmentation.rows = Some(vec![Row::Ours]);
+    config.unprojection.solve_iterations = 2;
+    let out = folder.path().join("run");
+    // In the first residual of the first scale, in its first step, and in the last step of the last scale.
+    for view in [6, 10, 4 * (1 + 4 * 3)] {
+        let mut told = Told::at("unprojection", view);
+        let part = run(&config, &out, &crate::support::device(), &mut told).expect("a part");
+        assert!(
+            part.stopped && told.stopped && part.features.is_empty(),
+            "{view}"
+        );
+    }
+    let mut views = Views::default();
+    let done = run(&config, &out, &crate::support::device(), &mut views).expect("a run");
+    assert!(!done.stopped && done.rows.len() == 1);
+    let (_, announced, told) = views
+        .0
+        .iter()
+        .find(|(stage, ..)| *stage == "unprojection")
+        .expect("a stage");
+    assert_eq!((*announced, told.last()), (52, Some(&52)));
+}

@@ -1,0 +1,11 @@
+//! Tests of `coseg::raster`.
+
+pub mod absgrad;
+pub mod gsplat;
+pub mod raster;
+pub mod raster_contract;
+#[cfg(feature = "wgpu")]
+pub mod raster_gpu;
+pub mod raster_gradients;
+#[cfg(feature = "wgpu")]
+pub mod raster_room;

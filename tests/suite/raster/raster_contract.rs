@@ -1,0 +1,365 @@
+//! The rasterizer's numerical contract: f32 against f64, one operator in two directions, hard cases, thread counts.
+
+use crate::support::raster_reference::{Cloud, camera, cloud, numbers};
+use burn::tensor::{DType, Tensor};
+use coseg::Error;
+use coseg::raster::{Projected, RasterInput, Settings, Splats, Stats, rasterize};
+use coseg::splat::camera::Camera;
+
+fn single(c: &Cloud) -> [Vec<f32>; 4] {
+    c.single()
+}
+
+fn splats(v: &[Vec<f32>; 4]) -> Splats<'_, f32> {
+    Splats {
+        means: &v[0],
+        log_scales: &v[1],
+        rotations: &v[2],
+        opacity_logits: &v[3],
+    }
+}
+
+/// Pixels of the f32 image that differ from f64 by more than 1e-4 of the largest channel.
+fn differing(c: &Cloud, camera: &Camera, channels: usize) -> usize {
+    let settings = Settings::default();
+    let values = numbers(c.len() * channels, 77);
+    let narrow: Vec<f32> = values.iter().map(|&v| v as f32).collect();
+    let values: Vec<f64> = narrow.iter().map(|&v| f64::from(v)).collect();
+    let floats = single(c);
+    let want = Projected::new(&c.splats(), camera, &settings)
+        .expect("finite")
+        .blend(&values, channels);
+    let got = Projected::new(&splats(&floats), camera, &settings)
+        .expect("finite")
+        .blend(&narrow, channels);
+    let largest = want.image.iter().fold(1e-6_f64, |a, v| a.max(v.abs()));
+    assert!(got.image.iter().all(|v| v.is_finite()), "finite");
+    let pixels = got
+        .image
+        .chunks_exact(channels)
+        .zip(want.image.chunks_exact(channels));
+    let off = |(g, w): (&[f32], &[f64])| {
+        g.iter()
+            .zip(w)
+            .any(|(g, w)| (f64::from(*g) - w).abs() > 1e-4 * largest)
+    };
+    pixels.filter(|&(g, w)| off((g, w))).count()
+}
+
+#[test]
+fn f32_agrees_with_f64() {
+    // Splats that cross a cut-off or change places in depth between the two are counted, and there are hardly any.
+    let camera = camera(97, 61);
+    for (n, scale, seed) in [(400, 0.02, 1), (2_000, 0.01, 2), (60, 0.4, 3)] {
+        let off = differing(&cloud(n, scale, &camera, seed).rounded(), &camera, 3);
+        assert!(
+            off <= camera.width * camera.height / 1_000,
+            "{off} pixels of scene {seed} differ"
+        );
+    }
+}
+
+#[test]
+fn blending_and_its_adjoint_are_one_operator() {
+    let camera = camera(53, 38);
+    let c = cloud(500, 0.05, &camera, 8);
+    let projected = Projected::new(&c.splats(), &camera, &Settings::default()).expect("finite");
+    let w = projected.weights(None);
+    for channels in [1, 3, 4, 7, 64, 150] {
+        let x = numbers(c.len() * channels, 5);
+        let y = numbers(camera.width * camera.height * channels, 6);
+        let wx = projected.blend(&x, channels).image;
+        let wty = projected.blend_adjoint(&y, channels);
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let (left, right) = (dot(&wx, &y), dot(&x, &wty));
+        let size = dot(&wx, &wx).sqrt() * dot(&y, &y).sqrt();
+        assert!(
+            (left - right).abs() < 1e-10 * size,
+            "{channels}: {left} {right}"
+        );
+        // The stored weights are f32.
+        for (stored, blended) in w.apply(&x, channels).iter().zip(&wx) {
+            assert!(
+                (stored - blended).abs() < 1e-5,
+                "{channels}: {stored} {blended}"
+            );
+        }
+    }
+    let ones = vec![1.0; camera.width * camera.height];
+    assert_eq!(projected.weight_sums(), projected.blend_adjoint(&ones, 1));
+}
+
+#[test]
+fn counts_are_pixel_centres_within_the_radius() {
+    let camera = camera(41, 29);
+    let c = cloud(80, 0.08, &camera, 4);
+    let projected = Projected::new(&c.splats(), &camera, &Settings::default()).expect("finite");
+    for (i, (&count, &radius)) in projected.counts().iter().zip(projected.radii()).enumerate() {
+        let mean = glam::DVec3::from_slice(&c.means[3 * i..]);
+        let Some((u, v, _)) = camera.project(mean).filter(|_| radius > 0) else {
+            assert_eq!(count, 0);
+            continue;
+        };
+        let inside = |p: &usize| {
+            let (x, y) = (
+                (p % camera.width) as f64 + 0.5,
+                (p / camera.width) as f64 + 0.5,
+            );
+            (x - u).powi(2) + (y - v).powi(2) <= f64::from(radius).powi(2)
+        };
+        let want = (0..camera.width * camera.height).filter(inside).count();
+        assert_eq!(count as usize, want, "Gaussian {i}");
+    }
+}
+
+#[test]
+fn hard_cases_stay_finite() {
+    let camera = camera(47, 33);
+    let forward = camera.rotation.transpose() * glam::DVec3::Z;
+    let at = |depth: f64| (camera.center + forward * depth).to_array();
+    let turn = [0.9, 0.1, -0.3, 0.2];
+    let mut c = Cloud::default();
+    for depth in [-3.0, -0.01, 0.0, 0.01, 0.010_001, 0.5, 1e6] {
+        for scale in [[1e-8; 3], [1e4; 3], [1.0, 1e-6, 1e-6], [0.1; 3]] {
+            for logit in [-50.0, 0.0, 50.0] {
+                c.push(at(depth), scale, turn, logit);
+                c.push(at(depth), scale, [0.0; 4], logit);
+                c.push(at(depth), scale, [1e30, -1e30, 1e29, 3e30], logit);
+            }
+        }
+    }
+    for _ in 0..3_000 {
+        c.push(at(2.0), [0.5; 3], turn, 20.0); // opaque layers, all at one depth
+    }
+    let c = c.rounded();
+    let floats = single(&c);
+    let settings = Settings::default();
+    let projected = Projected::new(&splats(&floats), &camera, &settings).expect("finite input");
+    assert!(projected.stats().zero_quaternions > 0);
+    for channels in [1, 3, 64] {
+        let values: Vec<f32> = numbers(c.len() * channels, 3)
+            .iter()
+            .map(|&v| 1e4 * v as f32)
+            .collect();
+        let out = projected.blend(&values, channels);
+        assert!(
+            out.image
+                .iter()
+                .chain(&out.transmittance)
+                .all(|v| v.is_finite())
+        );
+        assert!(out.transmittance.iter().all(|t| (0.0..=1.0).contains(t)));
+        assert!(
+            projected
+                .blend_adjoint(&out.image, channels)
+                .iter()
+                .all(|v| v.is_finite())
+        );
+    }
+    let wide = Projected::new(&c.splats(), &camera, &settings).expect("finite input");
+    assert!(
+        wide.blend(&numbers(c.len() * 3, 3), 3)
+            .image
+            .iter()
+            .all(|v| v.is_finite())
+    );
+}
+
+/// Gaussians with every fate, in mixed order: more than one task projects, and no multiple of what a loop takes.
+fn every_fate(camera: &Camera) -> Cloud {
+    let forward = camera.rotation.transpose() * glam::DVec3::Z;
+    let side = camera.rotation.transpose() * glam::DVec3::X;
+    let at = |depth: f64, aside: f64| (camera.center + forward * depth + side * aside).to_array();
+    let turn = [0.9, 0.1, -0.3, 0.2];
+    let seen = cloud(1_200, 0.05, camera, 8);
+    let mut c = Cloud::default();
+    for i in 0..seen.len() {
+        let row = |v: &[f64], width: usize| v[width * i..width * (i + 1)].to_vec();
+        c.means.extend(row(&seen.means, 3));
+        c.log_scales.extend(row(&seen.log_scales, 3));
+        c.rotations.extend(row(&seen.rotations, 4));
+        c.opacity_logits.push(seen.opacity_logits[i]);
+        let depth = 1.0 + 0.01 * i as f64;
+        match i % 8 {
+            0 => c.push(at(-depth, 0.0), [0.1; 3], turn, 1.0),
+            1 => c.push(at(depth, 50.0 * depth), [0.1; 3], turn, 1.0),
+            2 => c.push(at(depth, 50.0 * depth), [0.1; 3], [0.0; 4], 1.0),
+            3 => c.push(at(depth, 0.2), [1e300; 3], turn, 1.0),
+            4 => c.push(at(depth, 0.2), [0.1; 3], [0.0; 4], 1.0),
+            5 => c.push(at(depth, 0.2), [0.1; 3], turn, -9.0),
+            6 => c.push(at(depth, 0.8 * depth), [0.01, 0.2, 0.01], turn, 1.0),
+            _ => {}
+        }
+    }
+    c.rounded()
+}
+
+#[test]
+fn each_gaussian_meets_the_fate_it_meets_alone() {
+    let camera = camera(97, 61);
+    let all = every_fate(&camera);
+    for alpha_min in [Settings::default().alpha_min, 0.0] {
+        let settings = Settings {
+            alpha_min,
+            ..Settings::default()
+        };
+        let floats = single(&all);
+        let narrow = Projected::new(&splats(&floats), &camera, &settings).expect("finite");
+        let wide = Projected::new(&all.splats(), &camera, &settings).expect("finite");
+        assert_eq!(
+            (narrow.stats(), narrow.radii()),
+            (wide.stats(), wide.radii()),
+            "f32 against f64"
+        );
+        let mut sum = Stats::default();
+        for (i, &radius) in wide.radii().iter().enumerate() {
+            let alone = Splats {
+                means: &all.means[3 * i..3 * i + 3],
+                log_scales: &all.log_scales[3 * i..3 * i + 3],
+                rotations: &all.rotations[4 * i..4 * i + 4],
+                opacity_logits: &all.opacity_logits[i..=i],
+            };
+            let one = Projected::new(&alone, &camera, &settings).expect("finite");
+            assert_eq!(one.radii(), [radius], "Gaussian {i}");
+            let s = one.stats();
+            sum.gaussians += s.gaussians;
+            sum.visible += s.visible;
+            sum.behind += s.behind;
+            sum.off_screen += s.off_screen;
+            sum.non_finite += s.non_finite;
+            sum.zero_quaternions += s.zero_quaternions;
+            sum.tile_entries += s.tile_entries;
+        }
+        assert_eq!(wide.stats(), sum);
+        assert_eq!(
+            sum.visible + sum.behind + sum.off_screen + sum.non_finite,
+            all.len()
+        );
+        assert_eq!((sum.behind, sum.non_finite), (150, 150), "{sum:?}");
+        assert!(sum.visible > 1_200 && sum.zero_quaternions > 150, "{sum:?}");
+        // Without alpha_min every ellipse is the whole plane.
+        assert_eq!(sum.off_screen > 300, alpha_min > 0.0, "{sum:?}");
+    }
+}
+
+#[test]
+fn nothing_to_see_is_an_empty_image() {
+    for (width, height) in [(1, 1), (15, 17), (64, 48)] {
+        let camera = camera(width, height);
+        let none =
+            Projected::<f32>::new(&splats(&Default::default()), &camera, &Settings::default())
+                .expect("none");
+        let out = none.blend(&[], 3);
+        assert!(out.image.iter().all(|&v| v == 0.0) && out.transmittance.iter().all(|&t| t == 1.0));
+        assert_eq!(out.transmittance.len(), width * height);
+        assert!(none.weights(None).entries().1.is_empty() && none.counts().is_empty());
+    }
+}
+
+#[test]
+fn non_finite_input_is_named() {
+    let camera = camera(20, 20);
+    for (part, name) in ["means", "log_scales", "rotations", "opacity_logits"]
+        .into_iter()
+        .enumerate()
+    {
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            let mut floats = single(&cloud(30, 0.1, &camera, 1));
+            let width = floats[part].len() / 30;
+            floats[part][7 * width] = bad;
+            match Projected::new(&splats(&floats), &camera, &Settings::default()) {
+                Err(Error::NonFinite { tensor, row, .. }) => {
+                    assert_eq!((tensor.as_str(), row), (name, 7))
+                }
+                other => panic!("{name}: {:?}", other.map(|p| p.stats())),
+            }
+        }
+    }
+}
+
+#[test]
+fn non_finite_colours_are_named_seen_or_not() {
+    let (g, _) = crate::support::plates::plates();
+    let many = g.select(&(0..1_500).map(|i| i % g.len() as u32).collect::<Vec<_>>());
+    let view = crate::support::plates::camera(0);
+    let away = Camera {
+        rotation: glam::DMat3::from_rotation_y(std::f64::consts::PI) * view.rotation,
+        ..view.clone()
+    };
+    for (camera, bad, row) in [
+        (&view, f32::NAN, 7),
+        (&view, f32::INFINITY, 1_300),
+        (&away, f32::NAN, 1_499),
+    ] {
+        let seen = coseg::raster::render(&many, camera, &Settings::default(), [0.0; 3])
+            .expect("finite")
+            .stats
+            .visible;
+        assert_eq!(seen == 0, std::ptr::eq(camera, &away), "{seen}");
+        let mut spoilt = many.clone();
+        spoilt.sh[3 * row + 1] = bad;
+        match coseg::raster::render(&spoilt, camera, &Settings::default(), [0.0; 3]) {
+            Err(Error::NonFinite {
+                tensor, row: named, ..
+            }) => assert_eq!((tensor.as_str(), named), ("sh", row)),
+            other => panic!("row {row}: {:?}", other.map(|r| r.stats)),
+        }
+    }
+}
+
+#[test]
+fn f32_culls_and_counts_as_f64_does() {
+    let camera = camera(131, 97);
+    let c = cloud(4_000, 0.03, &camera, 21).rounded();
+    let single = single(&c);
+    let wide = Projected::new(&splats(&single), &camera, &Settings::default()).expect("finite");
+    let plain = Projected::new(&c.splats(), &camera, &Settings::default()).expect("finite");
+    assert_eq!(wide.stats(), plain.stats());
+    assert_eq!(
+        (wide.counts(), wide.radii()),
+        (plain.counts(), plain.radii())
+    );
+    assert!(plain.counts().iter().any(|&count| count > 1_000));
+}
+
+#[test]
+fn thread_count_changes_no_bit() {
+    let camera = camera(130, 90);
+    let floats = single(&cloud(9_500, 0.03, &camera, 12));
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("threads");
+        pool.install(|| {
+            let projected =
+                Projected::new(&splats(&floats), &camera, &Settings::default()).expect("finite");
+            let values: Vec<f32> = numbers(9_500 * 19, 2).iter().map(|&v| v as f32).collect();
+            let image = projected.blend(&values, 19).image;
+            let sums = projected.blend_adjoint(&image, 19);
+            let bits = |v: Vec<f32>| v.into_iter().map(f32::to_bits).collect::<Vec<_>>();
+            (bits(image), bits(sums), projected.weights(None))
+        })
+    };
+    assert!(run(1) == run(2));
+}
+
+#[test]
+fn tensors_of_two_float_types_are_refused() {
+    let device = crate::support::device();
+    let zeros = |width: usize, dtype: DType| Tensor::<2>::zeros([5, width], (&device, dtype));
+    let input = RasterInput {
+        means: zeros(3, DType::F32),
+        log_scales: zeros(3, DType::F32),
+        rotations: zeros(4, DType::F32),
+        opacity_logits: Tensor::zeros([5], (&device, DType::F32)),
+        sh: None,
+        active_sh_degree: 0,
+        features: Some(zeros(2, DType::F64)),
+        screen: None,
+    };
+    match rasterize(input, &camera(8, 8), &Settings::default(), [0.0; 3]) {
+        Err(Error::Argument { name, .. }) => assert_eq!(name, "raster input features"),
+        other => panic!("{other:?}"),
+    }
+}

@@ -1,0 +1,606 @@
+//! The rasterizer's GPU kernels against the CPU's in f64, fed the same f32 numbers.
+
+use crate::backend::device_training::on_device;
+use crate::support::gpu;
+use crate::support::raster_reference::{self as reference, Cloud, camera, cloud, numbers};
+use burn::tensor::{DType, Device, Tensor, TensorData};
+use coseg::Error;
+use coseg::raster::{RasterInput, Settings, rasterize, rasterize_on_host};
+use coseg::splat::camera::Camera;
+
+/// What is rendered.
+#[derive(Clone, Copy, Debug)]
+struct Channels {
+    /// Degree stored and in use.
+    sh: Option<(usize, usize)>,
+    features: usize,
+}
+
+impl Channels {
+    fn count(self) -> usize {
+        self.features + if self.sh.is_some() { 3 } else { 0 }
+    }
+
+    /// Columns of the screen tensor: with sums of absolute values where the GPU has them.
+    fn screen(self) -> usize {
+        if self.count() <= 8 { 4 } else { 2 }
+    }
+}
+
+/// Leaves of `cloud`, rounded to f32, in `dtype`.
+fn input(cloud: &Cloud, channels: Channels, device: &Device, dtype: DType) -> RasterInput {
+    let n = cloud.len();
+    let narrow = |v: &[f64]| v.iter().map(|&x| f64::from(x as f32)).collect::<Vec<_>>();
+    let two = |v: &[f64], w: usize| {
+        Tensor::<2>::from_data(TensorData::new(narrow(v), [n, w]), (device, dtype)).require_grad()
+    };
+    RasterInput {
+        means: two(&cloud.means, 3),
+        log_scales: two(&cloud.log_scales, 3),
+        rotations: two(&cloud.rotations, 4),
+        opacity_logits: Tensor::<1>::from_data(
+            TensorData::new(narrow(&cloud.opacity_logits), [n]),
+            (device, dtype),
+        )
+        .require_grad(),
+        sh: channels.sh.map(|(degree, _)| {
+            let terms = (degree + 1) * (degree + 1);
+            let data = TensorData::new(narrow(&numbers(n * terms * 3, 21)), [n, terms, 3]);
+            Tensor::<3>::from_data(data, (device, dtype)).require_grad()
+        }),
+        active_sh_degree: channels.sh.map_or(0, |(_, active)| active),
+        features: (channels.features > 0)
+            .then(|| two(&numbers(n * channels.features, 22), channels.features)),
+        screen: Some(Tensor::<2>::zeros([n, channels.screen()], (device, dtype)).require_grad()),
+    }
+}
+
+fn values<const D: usize>(t: Tensor<D>) -> Vec<f64> {
+    t.into_data().convert::<f64>().into_vec().expect("floats")
+}
+
+const NAMES: [&str; 10] = [
+    "image",
+    "transmittance",
+    "means",
+    "log_scales",
+    "rotations",
+    "opacity_logits",
+    "sh",
+    "features",
+    "screen",
+    "absolute screen",
+];
+
+/// Image, transmittance, gradients of a linear loss over both in the order of [`NAMES`]; and the radii.
+fn run(
+    cloud: &Cloud,
+    channels: Channels,
+    camera: &Camera,
+    settings: &Settings,
+    device: &Device,
+    dtype: DType,
+) -> (Vec<Vec<f64>>, Vec<u32>) {
+    let device = device.clone().autodiff();
+    let input = input(cloud, channels, &device, dtype);
+    let (w, h, c) = (camera.width, camera.height, channels.count());
+    let out = rasterize(input.clone(), camera, settings, [0.3, 0.9, -0.4]).expect("valid");
+    let radii = out.radii.read().expect("readable").to_vec();
+    let loss = |count: usize, seed: u64| -> Vec<f64> {
+        numbers(count, seed)
+            .iter()
+            .map(|&x| f64::from(x as f32))
+            .collect()
+    };
+    let d_image = Tensor::<3>::from_data(
+        TensorData::new(loss(w * h * c, 77), [h, w, c]),
+        (&device, dtype),
+    );
+    let d_t = Tensor::<2>::from_data(TensorData::new(loss(w * h, 78), [h, w]), (&device, dtype));
+    let grads =
+        ((out.image.clone() * d_image).sum() + (out.transmittance.clone() * d_t).sum()).backward();
+    macro_rules! grad {
+        ($t:expr) => {
+            values($t.grad(&grads).expect("tracked"))
+        };
+    }
+    let screen = grad!(input.screen.expect("given"));
+    let columns = |of: std::ops::Range<usize>| -> Vec<f64> {
+        screen
+            .chunks_exact(channels.screen())
+            .flat_map(|row| row[of.clone()].to_vec())
+            .collect()
+    };
+    let parts = vec![
+        values(out.image.inner()),
+        values(out.transmittance.inner()),
+        grad!(input.means),
+        grad!(input.log_scales),
+        grad!(input.rotations),
+        grad!(input.opacity_logits),
+        input.sh.map_or_else(Vec::new, |t| grad!(t)),
+        input.features.map_or_else(Vec::new, |t| grad!(t)),
+        columns(0..2),
+        columns(2..channels.screen()),
+    ];
+    (parts, radii)
+}
+
+/// Values further from `want` than the contract allows: 1e-4 of the largest for what is rendered, 1e-3 of the root mean
+/// square (or of the value) for gradients.
+fn outside(part: usize, got: &[f64], want: &[f64]) -> usize {
+    assert_eq!(got.len(), want.len(), "{}", NAMES[part]);
+    assert!(
+        got.iter().all(|v| v.is_finite()),
+        "{} is finite",
+        NAMES[part]
+    );
+    let largest = want.iter().fold(0.0_f64, |a, v| a.max(v.abs()));
+    let rms = (want.iter().map(|v| v * v).sum::<f64>() / want.len().max(1) as f64).sqrt();
+    let off = |g: f64, w: f64| {
+        (g - w).abs()
+            > if part < 2 {
+                1e-4 * largest
+            } else {
+                1e-3 * w.abs().max(rms)
+            }
+    };
+    got.iter().zip(want).filter(|&(&g, &w)| off(g, w)).count()
+}
+
+/// Checks all parts; `allowed` is the share of values that a crossed cut-off or a depth flip may have moved.
+fn compare(
+    what: &str,
+    cloud: &Cloud,
+    channels: Channels,
+    camera: &Camera,
+    settings: &Settings,
+    allowed: f64,
+) {
+    let Some(gpu) = gpu() else { return };
+    let (want, want_radii) = run(
+        cloud,
+        channels,
+        camera,
+        settings,
+        &crate::support::device(),
+        DType::F64,
+    );
+    let (got, got_radii) = on_device(Some(&gpu), || {
+        run(cloud, channels, camera, settings, &gpu, DType::F32)
+    });
+    for (part, (got, want)) in got.iter().zip(&want).enumerate() {
+        let off = outside(part, got, want);
+        let worst = got
+            .iter()
+            .zip(want)
+            .map(|(g, w)| (g - w).abs())
+            .fold(0.0, f64::max);
+        eprintln!(
+            "{what}, {channels:?}, {}: {off} of {} off, the worst by {worst:e}",
+            NAMES[part],
+            want.len()
+        );
+        assert!(
+            off as f64 <= allowed * want.len() as f64,
+            "{what}, {channels:?}: {off} of {} values of {} are off, the worst by {worst:e}",
+            want.len(),
+            NAMES[part]
+        );
+    }
+    // Those of millions of pixels have more digits than an f32.
+    let differ = |g: u32, w: u32| f64::from(g.abs_diff(w)) > 1e-6 * f64::from(w);
+    let radii = got_radii
+        .iter()
+        .zip(&want_radii)
+        .filter(|&(&g, &w)| differ(g, w))
+        .count();
+    assert!(
+        radii as f64 <= allowed * want_radii.len() as f64,
+        "{what}: {radii} radii differ"
+    );
+}
+
+const RGB: Channels = Channels {
+    sh: Some((3, 3)),
+    features: 0,
+};
+const SMOOTH: Settings = Settings {
+    alpha_max: 1.0,
+    alpha_min: 0.0,
+    t_min: 0.0,
+    near: 0.01,
+    low_pass: 0.3,
+};
+
+fn plain(features: usize) -> Channels {
+    Channels { sh: None, features }
+}
+
+#[test]
+fn sums_of_absolute_values_change_no_other_gradient() {
+    let Some(device) = gpu() else { return };
+    let (device, camera) = (device.autodiff(), camera(40, 31));
+    let scene = cloud(60, 0.04, &camera, 12);
+    for channels in [RGB, plain(1), plain(8), plain(9)] {
+        let of = |columns: usize| {
+            let screen =
+                Tensor::<2>::zeros([scene.len(), columns], (&device, DType::F32)).require_grad();
+            let input = RasterInput {
+                screen: Some(screen),
+                ..input(&scene, channels, &device, DType::F32)
+            };
+            let image = rasterize(input.clone(), &camera, &Settings::default(), [0.0; 3])
+                .expect("valid")
+                .image;
+            let shape = image.dims();
+            let weights =
+                TensorData::new(numbers(shape.iter().product(), 77), shape).convert::<f32>();
+            let grads = (image * Tensor::<3>::from_data(weights, &device))
+                .sum()
+                .backward();
+            let screen = values(input.screen.expect("given").grad(&grads).expect("tracked"));
+            (values(input.means.grad(&grads).expect("tracked")), screen)
+        };
+        let ((means, two), (same, four)) = (of(2), of(4));
+        let sums: Vec<f64> = four
+            .chunks_exact(4)
+            .flat_map(|row| [row[0], row[1]])
+            .collect();
+        let bounded =
+            |row: &[f64]| row[2] >= row[0].abs() * 0.9999 && row[3] >= row[1].abs() * 0.9999;
+        assert!(
+            four.chunks_exact(4).all(bounded),
+            "{channels:?}: a sum is above that of absolute values"
+        );
+        // Not bit for bit: a kernel with other sums is another program to the driver, and beyond 8 channels it is the host's.
+        let close = |a: &[f64], b: &[f64]| {
+            a.iter()
+                .zip(b)
+                .all(|(a, b)| (a - b).abs() <= 1e-4 * a.abs().max(1.0))
+        };
+        assert!(
+            close(&means, &same) && close(&two, &sums),
+            "{channels:?}: {means:?} became {same:?}"
+        );
+    }
+}
+
+#[test]
+fn scenes_far_from_every_cut_off_agree_without_exception() {
+    let camera = camera(37, 29);
+    for settings in [
+        Settings::default(),
+        Settings {
+            alpha_max: 0.5,
+            t_min: 0.2,
+            ..Settings::default()
+        },
+        SMOOTH,
+    ] {
+        let scene = (0..1000)
+            .map(|seed| cloud(12, 0.06, &camera, seed).rounded())
+            .find(|c| {
+                reference::render(c, &numbers(36, 5), 3, &camera, &settings).closest_cut > 2e-4
+            })
+            .expect("such a scene");
+        for channels in [
+            RGB,
+            plain(1),
+            plain(3),
+            Channels {
+                sh: Some((1, 0)),
+                features: 2,
+            },
+        ] {
+            compare("smooth", &scene, channels, &camera, &settings, 0.0);
+        }
+    }
+}
+
+#[test]
+fn any_number_of_channels() {
+    let camera = camera(40, 31);
+    let scene = cloud(80, 0.04, &camera, 12).rounded();
+    let channels = [1, 2, 3, 4, 5, 8, 9, 20, 33, 64].map(plain);
+    let mixed = [(0, 0, 20), (2, 1, 1), (3, 2, 64)].map(|(d, a, features)| Channels {
+        sh: Some((d, a)),
+        features,
+    });
+    for channels in channels.into_iter().chain(mixed) {
+        compare(
+            "channels",
+            &scene,
+            channels,
+            &camera,
+            &Settings::default(),
+            1e-3,
+        );
+    }
+}
+
+#[test]
+fn images_of_any_size() {
+    for (width, height, n, scale, seed) in [
+        (1, 1, 20, 0.5, 3),
+        (16, 16, 40, 0.2, 2),
+        (33, 70, 500, 0.004, 4),
+        (97, 61, 2_000, 0.01, 5),
+    ] {
+        let camera = camera(width, height);
+        compare(
+            "size",
+            &cloud(n, scale, &camera, seed).rounded(),
+            RGB,
+            &camera,
+            &Settings::default(),
+            1e-3,
+        );
+    }
+}
+
+#[test]
+fn thousands_of_gaussians_in_a_tile() {
+    let camera = camera(30, 20);
+    let mut scene = cloud(3_000, 0.05, &camera, 6);
+    // Faint ones, so that the lists are read to their end.
+    scene.opacity_logits.iter_mut().for_each(|l| *l -= 4.0);
+    compare(
+        "deep",
+        &scene.rounded(),
+        Channels {
+            sh: Some((0, 0)),
+            features: 5,
+        },
+        &camera,
+        &Settings::default(),
+        1e-3,
+    );
+    compare(
+        "dense",
+        &cloud(3_000, 0.05, &camera, 7).rounded(),
+        RGB,
+        &camera,
+        &Settings::default(),
+        1e-3,
+    );
+}
+
+#[test]
+fn hard_cases_stay_finite_and_agree() {
+    let Some(gpu) = gpu() else { return };
+    let camera = camera(47, 33);
+    let forward = camera.rotation.transpose() * glam::DVec3::Z;
+    let at = |depth: f64| (camera.center + forward * depth).to_array();
+    let turn = [0.9, 0.1, -0.3, 0.2];
+    let mut scene = Cloud::default();
+    for depth in [-3.0, -0.01, 0.0, 0.01, 0.010_01, 0.5, 1e6] {
+        for scale in [[1e-8; 3], [1e4; 3], [1.0, 1e-6, 1e-6], [0.1; 3]] {
+            for logit in [-50.0, 0.0, 50.0] {
+                scene.push(at(depth), scale, turn, logit);
+                scene.push(at(depth), scale, [0.0; 4], logit);
+                scene.push(at(depth), scale, [1e30, -1e30, 1e29, 3e30], logit);
+            }
+        }
+    }
+    for _ in 0..2_000 {
+        scene.push(at(2.0), [0.5; 3], turn, 20.0); // opaque layers, all at one depth
+    }
+    let (got, _) = run(
+        &scene.rounded(),
+        RGB,
+        &camera,
+        &Settings::default(),
+        &gpu,
+        DType::F32,
+    );
+    for (part, name) in got.iter().zip(NAMES) {
+        assert!(part.iter().all(|v| v.is_finite()), "{name}");
+    }
+    assert!(got[1].iter().all(|t| (0.0..=1.0).contains(t)));
+
+    // One at a time, so that nothing hides behind something else.
+    let cases = [
+        (at(0.010_01), [0.1, 0.2, 0.3], turn, 0.0),
+        (at(2.0), [1e-8, 2e-8, 3e-8], turn, 2.0),
+        (at(2.0), [1e4, 2e4, 1.5e4], turn, 0.0),
+        (at(2.0), [1.0, 1e-6, 1e-6], turn, 1.0),
+        (at(2.0), [0.1, 0.2, 0.3], [0.0; 4], 1.0),
+        (at(2.0), [0.1, 0.2, 0.3], [1e30, -1e30, 1e29, 3e30], 1.0),
+        (at(2.0), [0.5, 0.3, 0.4], turn, 50.0),
+        (
+            (camera.center + camera.ray(-60.0, 12.0) * 3.0).to_array(),
+            [2.0, 1.5, 1.0],
+            turn,
+            1.0,
+        ),
+        (at(0.010_01), [1e4, 2e4, 1.5e4], turn, 0.0),
+        (at(1e6), [1e4, 2e4, 1.5e4], turn, 2.0),
+        (
+            (camera.center + camera.ray(30.0, 8.0) * 2.0).to_array(),
+            [3.0, 3e-6, 3e-6],
+            turn,
+            3.0,
+        ),
+        (at(2.0), [0.3, 0.2, 0.1], turn, -5.3),
+    ];
+    for (i, (mean, scale, rotation, logit)) in cases.into_iter().enumerate() {
+        let mut scene = Cloud::default();
+        scene.push(mean, scale, rotation, logit);
+        compare(
+            &format!("case {i}"),
+            &scene.rounded(),
+            plain(3),
+            &camera,
+            &Settings::default(),
+            1e-3,
+        );
+    }
+}
+
+#[test]
+fn equal_depths_blend_in_the_order_of_the_scene() {
+    let camera = camera(24, 17);
+    let forward = camera.rotation.transpose() * glam::DVec3::Z;
+    let mut scene = Cloud::default();
+    for i in 0..40 {
+        scene.push(
+            (camera.center + forward * 2.0).to_array(),
+            [0.2, 0.1, 0.3],
+            [1.0, 0.1, 0.2, 0.0],
+            0.05 * f64::from(i) - 1.0,
+        );
+    }
+    compare(
+        "ties",
+        &scene.rounded(),
+        plain(4),
+        &camera,
+        &Settings::default(),
+        1e-3,
+    );
+}
+
+#[test]
+fn nothing_to_see_is_the_background() {
+    let Some(gpu) = gpu() else { return };
+    let camera = camera(19, 18);
+    let mut behind = cloud(5, 0.1, &camera, 1);
+    let forward = camera.rotation.transpose() * glam::DVec3::Z;
+    for mean in behind.means.chunks_exact_mut(3) {
+        mean.copy_from_slice(&(camera.center - forward * 2.0).to_array());
+    }
+    for scene in [Cloud::default(), behind] {
+        let (got, radii) = run(&scene, RGB, &camera, &Settings::default(), &gpu, DType::F32);
+        for pixel in got[0].chunks_exact(3) {
+            assert_eq!(pixel, [0.3_f32, 0.9, -0.4].map(f64::from));
+        }
+        assert!(got[1].iter().all(|&t| t == 1.0));
+        assert!(got[2..].iter().flatten().all(|&g| g == 0.0));
+        assert_eq!(radii, vec![0; scene.len()]);
+    }
+}
+
+#[test]
+fn non_finite_input_is_named() {
+    let Some(gpu) = gpu().map(Device::autodiff) else {
+        return;
+    };
+    let camera = camera(20, 20);
+    let scene = cloud(30, 0.1, &camera, 1);
+    let channels = Channels {
+        sh: Some((1, 1)),
+        features: 2,
+    };
+    let names = [
+        "means",
+        "log_scales",
+        "rotations",
+        "opacity_logits",
+        "sh",
+        "features",
+    ];
+    for (part, name) in names.into_iter().enumerate() {
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            let mut input = input(&scene, channels, &gpu, DType::F32);
+            let spoil = |t: Tensor<2>| {
+                let width = t.dims()[1];
+                let mut v = t.into_data().into_vec::<f32>().expect("f32");
+                v[7 * width] = bad;
+                Tensor::<2>::from_data(TensorData::new(v, [30, width]), (&gpu, DType::F32))
+            };
+            match part {
+                0 => input.means = spoil(input.means),
+                1 => input.log_scales = spoil(input.log_scales),
+                2 => input.rotations = spoil(input.rotations),
+                3 => {
+                    input.opacity_logits =
+                        spoil(input.opacity_logits.reshape([30, 1])).reshape([30])
+                }
+                4 => {
+                    input.sh = input
+                        .sh
+                        .map(|t| spoil(t.reshape([30, 12])).reshape([30, 4, 3]))
+                }
+                _ => input.features = input.features.map(spoil),
+            }
+            match rasterize(input, &camera, &Settings::default(), [0.0; 3]) {
+                Err(Error::NonFinite { tensor, row, .. }) => {
+                    assert_eq!((tensor.as_str(), row), (name, 7))
+                }
+                other => panic!("{name}: {other:?}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_device_gives_the_same_bits_every_time() {
+    let Some(gpu) = gpu() else { return };
+    let camera = camera(65, 40);
+    let scene = cloud(1_500, 0.03, &camera, 9);
+    let once = || {
+        run(
+            &scene,
+            Channels {
+                sh: Some((0, 0)),
+                features: 12,
+            },
+            &camera,
+            &Settings::default(),
+            &gpu,
+            DType::F32,
+        )
+    };
+    assert!(once() == once());
+}
+
+#[test]
+fn the_host_kernels_can_be_asked_for() {
+    let Some(gpu) = gpu() else { return };
+    let camera = camera(30, 22);
+    let scene = cloud(50, 0.05, &camera, 3).rounded();
+    let render = |device: &Device| {
+        let input = input(&scene, RGB, &device.clone().autodiff(), DType::F32);
+        let out = rasterize_on_host(input, &camera, &Settings::default(), [0.1; 3]).expect("valid");
+        (
+            values(out.image),
+            values(out.transmittance),
+            out.radii.read().expect("on the host"),
+        )
+    };
+    assert_eq!(render(&gpu), render(&crate::support::device()));
+    // The GPU's own kernels compute geometry in f32, and so with other last digits: they are what runs when not asked.
+    let input = input(&scene, RGB, &gpu.clone().autodiff(), DType::F32);
+    let own = rasterize(input, &camera, &Settings::default(), [0.1; 3]).expect("valid");
+    assert_ne!(values(own.image), render(&gpu).0);
+}
+
+#[test]
+fn a_far_away_scene_keeps_its_digits() {
+    // The centre of the camera has digits that f32 does not hold.
+    let near = camera(41, 30);
+    let far = Camera {
+        center: near.center + glam::DVec3::new(1000.1, -700.3, 300.7),
+        ..near.clone()
+    };
+    let scene = cloud(60, 0.05, &far, 4).rounded();
+    compare("far", &scene, RGB, &far, &Settings::default(), 1e-3);
+}
+
+#[test]
+fn a_wide_image_keeps_its_digits() {
+    // At pixel 1900 an f32 holds a ten-thousandth of a pixel, and small splats see it.
+    let mut camera = camera(1920, 40);
+    camera.cy = 20.0;
+    for (n, scale, seed) in [(1500, 0.003, 1), (1500, 0.0003, 2)] {
+        compare(
+            "wide",
+            &cloud(n, scale, &camera, seed).rounded(),
+            plain(3),
+            &camera,
+            &Settings::default(),
+            1e-3,
+        );
+    }
+}

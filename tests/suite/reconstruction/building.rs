@@ -1,0 +1,590 @@
+//! The building stage on a tiny scene: it learns, resumes exactly, and refuses what it cannot train on.
+
+use coseg::config::{BuildingConfig, Config};
+use coseg::data::mask::Mask;
+use coseg::data::{Classes, Points, Scene, Split, View};
+use coseg::pipeline::progress::{Event, Progress, Silent};
+use coseg::raster::{Settings, render};
+use coseg::reconstruction::frusta;
+use coseg::reconstruction::{BuildingStage, BuildingState, schedule};
+use coseg::splat::camera::Camera;
+use glam::{DMat3, DVec3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+const WIDTH: usize = 44;
+const HEIGHT: usize = 36;
+
+/// A camera at `center` that looks at the origin, world up +z.
+fn camera(center: DVec3) -> Camera {
+    let forward = -center.normalize();
+    let right = forward.cross(DVec3::Z).normalize();
+    let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
+    let (width, height) = (WIDTH, HEIGHT);
+    Camera {
+        rotation,
+        center,
+        fx: 40.0,
+        fy: 40.0,
+        cx: 22.0,
+        cy: 18.0,
+        width,
+        height,
+    }
+}
+
+/// Colour of the plane z = 0 at (x, y).
+fn paint(x: f64, y: f64) -> [f64; 3] {
+    let check = 0.2 * (4.0 * x).sin() * (4.0 * y).sin();
+    [
+        0.45 + 0.3 * x.sin() + check,
+        0.45 + 0.3 * (1.3 * y).cos() - check,
+        0.5 + 0.2 * (x + y).sin(),
+    ]
+}
+
+fn photo(camera: &Camera) -> image::RgbImage {
+    image::RgbImage::from_fn(WIDTH as u32, HEIGHT as u32, |u, v| {
+        let ray = camera.ray(f64::from(u) + 0.5, f64::from(v) + 0.5);
+        let hit = camera.center - ray * (camera.center.z / ray.z);
+        image::Rgb(paint(hit.x, hit.y).map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8))
+    })
+}
+
+/// A painted plane seen from an arc; every fourth view is held out.
+pub fn scene() -> Scene {
+    let views = (0..8)
+        .map(|i| {
+            let angle = 0.5 + 0.25 * f64::from(i);
+            let camera = camera(DVec3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 2.5));
+            let split = if i % 4 == 2 {
+                Split::Test
+            } else {
+                Split::Train
+            };
+            View {
+                name: format!("view{i}"),
+                split,
+                image: photo(&camera).into(),
+                camera,
+                mask: None,
+                truth: None,
+                raw: None,
+                segments: Vec::new(),
+                instances: None,
+            }
+        })
+        .collect();
+    let positions: Vec<[f32; 3]> = (0..400)
+        .map(|i| {
+            [
+                (i % 20) as f32 * 0.2 - 1.9,
+                (i / 20) as f32 * 0.2 - 1.9,
+                0.0,
+            ]
+        })
+        .collect();
+    let colors = positions
+        .iter()
+        .map(|p| paint(f64::from(p[0]), f64::from(p[1])).map(|c| c as f32))
+        .collect();
+    Scene {
+        name: "plane".into(),
+        views,
+        classes: Classes::default(),
+        points: Points { positions, colors },
+        origin: DVec3::ZERO,
+        up: DVec3::Z,
+    }
+}
+
+/// Densifies every 10 iterations from 10 to 45 and resets at 30.
+pub fn config() -> Config {
+    let building = BuildingConfig {
+        iterations: 60,
+        sh_degree: 2,
+        densify_every: 10,
+        densify_until: Some(0.75),
+        densify_threshold: Some(2e-5),
+        reset_every: 30,
+        ..BuildingConfig::default()
+    };
+    Config {
+        building,
+        seed: 7,
+        ..Config::default()
+    }
+}
+
+fn device() -> burn::tensor::Device {
+    crate::support::device()
+}
+
+pub fn advance(stage: &mut BuildingStage, to: usize) {
+    while stage.iteration() < to {
+        stage.step().expect("a step");
+    }
+}
+
+/// Clocks differ between runs; everything else must not.
+pub fn untimed(mut state: BuildingState) -> BuildingState {
+    state.seconds = 0.0;
+    state.curve.iter_mut().for_each(|p| p.seconds = 0.0);
+    state
+}
+
+#[derive(Default)]
+struct Recorder(Vec<Event>);
+
+impl Progress for Recorder {
+    fn event(&mut self, event: &Event) {
+        self.0.push(event.clone());
+    }
+}
+
+#[test]
+fn one_tripod_is_as_large_as_what_it_sees() {
+    let mut scene = scene();
+    let at = |scene: &mut Scene, step: f64| {
+        for (i, view) in scene.views.iter_mut().enumerate() {
+            view.camera.center = DVec3::new(0.3, -0.2, 2.5) + DVec3::X * step * i as f64;
+        }
+    };
+    let extent = |scene: &Scene| {
+        schedule::extent(
+            &scene.split(Split::Train).collect::<Vec<_>>(),
+            &scene.points,
+        )
+    };
+    at(&mut scene, 0.0);
+    let exact = extent(&scene);
+    assert!(
+        exact > 2.5 && exact < 4.0,
+        "the rms distance of the points: {exact}"
+    );
+    // Poses as programs write them, rounded to sixteen digits.
+    at(&mut scene, 1e-16);
+    assert!(
+        (extent(&scene) / exact - 1.0).abs() < 1e-6,
+        "{}",
+        extent(&scene)
+    );
+    at(&mut scene, 1e-3);
+    assert!(extent(&scene) < 0.01, "cameras that do move say how far");
+}
+
+#[test]
+fn a_densification_that_leaves_nothing_is_an_error() {
+    let building = BuildingConfig {
+        prune_opacity: 0.9,
+        ..config().building
+    };
+    let scene = scene();
+    let mut stage = BuildingStage::new(
+        &scene,
+        &Config {
+            building,
+            ..config()
+        },
+        &device(),
+    )
+    .expect("a stage");
+    let error = stage
+        .run(&mut Recorder::default())
+        .expect_err("no Gaussian is that opaque");
+    crate::support::assert_names(
+        &error,
+        &[
+            "400 Gaussians",
+            "10 steps",
+            "building.prune_opacity",
+            "data check",
+        ],
+    );
+}
+
+#[test]
+fn training_learns_the_scene() {
+    let (scene, device) = (scene(), device());
+    let building = BuildingConfig {
+        iterations: 400,
+        sh_degree: 2,
+        ..BuildingConfig::default()
+    };
+    let mut stage = BuildingStage::new(
+        &scene,
+        &Config {
+            building,
+            ..config()
+        },
+        &device,
+    )
+    .expect("a stage");
+    let before = stage
+        .evaluate()
+        .expect("scores")
+        .held_out
+        .psnr
+        .expect("test views");
+    let mut recorder = Recorder::default();
+    stage.run(&mut recorder).expect("a run");
+    let curve = stage.curve();
+    let last = curve.last().expect("points");
+    let (psnr, ssim) = (
+        last.held_out.psnr.expect("test views"),
+        last.held_out.ssim.expect("test views"),
+    );
+    assert!(
+        psnr > before + 8.0 && psnr > 26.0,
+        "held-out PSNR {before} before, {psnr} after"
+    );
+    assert!(ssim > 0.8, "held-out SSIM {ssim}");
+    assert_eq!((curve.len(), last.iteration), (11, 400));
+    let count = |kind: fn(&Event) -> bool| recorder.0.iter().filter(|e| kind(e)).count();
+    assert_eq!(count(|e| matches!(e, Event::Step { .. })), 400);
+    assert_eq!(count(|e| matches!(e, Event::Evaluated(_))), 10);
+    assert_eq!(count(|e| matches!(e, Event::Densified { .. })), 2);
+    assert_eq!(recorder.0.last(), Some(&Event::Finished));
+}
+
+#[test]
+fn black_surfaces_become_opaque_before_a_changing_background() {
+    let mut scene = scene();
+    let black = image::RgbImage::new(WIDTH as u32, HEIGHT as u32);
+    scene
+        .views
+        .iter_mut()
+        .for_each(|view| view.image = black.clone().into());
+    scene
+        .points
+        .colors
+        .iter_mut()
+        .for_each(|color| *color = [0.0; 3]);
+    let coverage = |random_background| {
+        let building = BuildingConfig {
+            iterations: 150,
+            // None, all along which the background changes.
+            densify_every: 1_000,
+            densify_until: Some(1.0),
+            reset_every: 1,
+            random_background,
+            ..BuildingConfig::default()
+        };
+        let mut stage = BuildingStage::new(
+            &scene,
+            &Config {
+                building,
+                seed: 7,
+                ..Config::default()
+            },
+            &device(),
+        )
+        .unwrap();
+        stage.run(&mut Silent).expect("a run");
+        let rendered = render(
+            &stage.gaussians().unwrap(),
+            &scene.views[2].camera,
+            &Settings::default(),
+            [0.0; 3],
+        );
+        let transmittance = rendered.unwrap().transmittance;
+        1.0 - transmittance.iter().sum::<f32>() / transmittance.len() as f32
+    };
+    let (changing, black) = (coverage(true), coverage(false));
+    assert!(
+        changing > 0.9 && changing > black + 0.2,
+        "covered {changing}, {black} before black"
+    );
+}
+
+#[test]
+fn resumed_run_equals_uninterrupted_run_bit_for_bit() {
+    let (scene, device, config) = (scene(), device(), config());
+    let mut whole = BuildingStage::new(&scene, &config, &device).expect("a stage");
+    let mut densified = 0;
+    let mut resets = 0;
+    while whole.iteration() < 60 {
+        let report = whole.step().expect("a step");
+        densified += report.densified.map_or(0, |plan| plan.cloned + plan.split);
+        resets += usize::from(report.reset);
+    }
+    assert!(
+        densified > 0 && resets == 1,
+        "the run must densify ({densified}) and reset ({resets})"
+    );
+    let whole = untimed(whole.state().expect("a state"));
+
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("building.safetensors");
+    // before and after densifications, and on both sides of the reset
+    let mut stage = BuildingStage::new(&scene, &config, &device).expect("a stage");
+    for stop in [1, 17, 20, 29, 30, 44, 60] {
+        advance(&mut stage, stop);
+        let state = stage.state().expect("a state");
+        state.save(&path).expect("saved");
+        let loaded = BuildingState::load(&path).expect("loaded");
+        assert_eq!(loaded, state, "a checkpoint gives back the state");
+        stage = BuildingStage::from_state(&scene, &config, &device, loaded).expect("a stage");
+    }
+    assert!(
+        untimed(stage.state().expect("a state")) == whole,
+        "the resumed run differs"
+    );
+}
+
+#[test]
+fn run_resumed_from_its_own_checkpoint_keeps_the_curves() {
+    struct StopAt(usize);
+    impl Progress for StopAt {
+        fn event(&mut self, event: &Event) {
+            if let Event::Step { .. } = event {
+                self.0 -= 1;
+            }
+        }
+        fn stop(&mut self) -> bool {
+            self.0 == 0
+        }
+    }
+    let (scene, device, config) = (scene(), device(), config());
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("building.safetensors");
+    let mut whole = BuildingStage::new(&scene, &config, &device).expect("a stage");
+    whole.run(&mut Silent).expect("a run");
+    let mut part = BuildingStage::new(&scene, &config, &device)
+        .expect("a stage")
+        .checkpoint_at(&path);
+    part.run(&mut StopAt(33)).expect("a run");
+    assert_eq!(part.iteration(), 33);
+    let state = BuildingState::load(&path).expect("loaded");
+    let mut rest = BuildingStage::from_state(&scene, &config, &device, state)
+        .expect("a stage")
+        .checkpoint_at(&path);
+    rest.run(&mut Silent).expect("a run");
+    let whole = untimed(whole.state().expect("a state"));
+    assert!(untimed(rest.state().expect("a state")) == whole);
+    assert!(
+        untimed(BuildingState::load(&path).expect("loaded")) == whole,
+        "the last checkpoint is the end of the run"
+    );
+}
+
+/// Runs of `config` with equal seeds agree in every bit at one and two threads, and others differ.
+pub fn assert_bits_follow_the_seed(config: &Config) {
+    let run = |threads, seed| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("a pool");
+        pool.install(|| {
+            let (scene, device) = (scene(), device());
+            let config = Config {
+                seed,
+                ..config.clone()
+            };
+            let mut stage = BuildingStage::new(&scene, &config, &device).expect("a stage");
+            advance(&mut stage, 35);
+            untimed(stage.state().expect("a state"))
+        })
+    };
+    let one = run(1, 7);
+    assert!(one == run(2, 7));
+    assert!(one.gaussians != run(1, 8).gaussians);
+}
+
+#[test]
+fn same_seed_same_bits_at_one_and_two_threads() {
+    assert_bits_follow_the_seed(&config());
+}
+
+#[test]
+fn non_finite_values_stop_the_run_and_are_located() {
+    let (scene, device, config) = (scene(), device(), config());
+    let mut stage = BuildingStage::new(&scene, &config, &device).expect("a stage");
+    advance(&mut stage, 3);
+    let good = stage.state().expect("a state");
+    let failure = |spoil: fn(&mut BuildingState)| {
+        let mut state = good.clone();
+        spoil(&mut state);
+        let mut stage =
+            BuildingStage::from_state(&scene, &config, &device, state).expect("a stage");
+        let message = stage.step().expect_err("must stop").to_string();
+        assert_eq!(stage.iteration(), 3);
+        assert!(
+            message.contains("iteration 4") && message.contains("view view"),
+            "{message}"
+        );
+        message
+    };
+    let message = failure(|s| s.gaussians.means[21][1] = f32::NAN);
+    assert!(
+        message.contains("means") && message.contains("row 21"),
+        "{message}"
+    );
+    let message = failure(|s| s.gaussians.sh.iter_mut().for_each(|v| *v = 3e38));
+    assert!(
+        message.contains("loss") || message.contains("gradient") || message.contains("sh"),
+        "{message}"
+    );
+}
+
+#[test]
+fn scenes_without_points_start_in_the_frusta() {
+    let mut scene = scene();
+    scene.points = Points::default();
+    let building = BuildingConfig {
+        random_points: 500,
+        ..config().building
+    };
+    let config = Config {
+        building,
+        ..config()
+    };
+    let stage = BuildingStage::new(&scene, &config, &device()).expect("a stage");
+    let gaussians = stage.gaussians().expect("on the host");
+    assert_eq!(gaussians.len(), 500);
+    let seen = |p: &[f32; 3]| {
+        let p = glam::Vec3::from(*p).as_dvec3();
+        let sees = |v: &&View| {
+            let hit = v.camera.project(p);
+            hit.is_some_and(|(x, y, _)| (0.0..44.0).contains(&x) && (0.0..36.0).contains(&y))
+        };
+        scene.split(Split::Train).filter(sees).count()
+    };
+    assert!(gaussians.means.iter().all(|p| seen(p) >= 1));
+    // photos agree on the painted plane: most points lie near it, where blind ones would spread over metres
+    let mut heights: Vec<f32> = gaussians.means.iter().map(|p| p[2].abs()).collect();
+    heights.sort_by(f32::total_cmp);
+    assert!(
+        heights[250] < 0.3,
+        "median distance from the plane {}",
+        heights[250]
+    );
+}
+
+/// The pixels that `count` initial points of `views` are drawn at: each photo shows at a pixel where that is.
+fn drawn(views: &mut [View], count: usize) -> Vec<(usize, usize, usize)> {
+    for (i, view) in views.iter_mut().enumerate() {
+        view.image = image::RgbImage::from_fn(WIDTH as u32, HEIGHT as u32, |x, y| {
+            image::Rgb([i as u8, x as u8, y as u8])
+        })
+        .into();
+    }
+    let views: Vec<&View> = views.iter().collect();
+    let points = frusta::points(&views, count, &mut ChaCha8Rng::seed_from_u64(8)).expect("points");
+    assert_eq!(points.positions.len(), points.colors.len());
+    points
+        .colors
+        .iter()
+        .map(|c| c.map(|v| (v * 255.0).round() as usize))
+        .map(|[i, x, y]| (i, x, y))
+        .collect()
+}
+
+#[test]
+fn initial_points_lie_on_used_pixels_however_few() {
+    let mut views = scene().views;
+    // 5 % of each photo but one, which is left out, and one without a mask.
+    let used = |x: usize, y: usize| (30..40).contains(&x) && (20..28).contains(&y);
+    let masks = |i: usize| match i {
+        3 => None,
+        5 => Some(Mask::new(WIDTH, HEIGHT, |_| false)),
+        _ => Some(Mask::new(WIDTH, HEIGHT, |pixel| {
+            used(pixel % WIDTH, pixel / WIDTH)
+        })),
+    };
+    views
+        .iter_mut()
+        .enumerate()
+        .for_each(|(i, view)| view.mask = masks(i));
+    let count = 7_000;
+    let pixels = drawn(&mut views, count);
+    assert_eq!(pixels.len(), count);
+    assert!(
+        pixels
+            .iter()
+            .all(|&(i, x, y)| i != 5 && (i == 3 || used(x, y))),
+        "none on a pixel that is left out"
+    );
+    let each: Vec<usize> = (0..80)
+        .map(|p| {
+            pixels
+                .iter()
+                .filter(|at| at.0 != 3 && at.1 == 30 + p % 10 && at.2 == 20 + p / 10)
+                .count()
+        })
+        .collect();
+    assert!(
+        each.iter().all(|times| (40..120).contains(times)),
+        "75 of each: {each:?}"
+    );
+    views.iter_mut().for_each(|view| view.mask = masks(5));
+    assert!(drawn(&mut views, 10).is_empty(), "no pixel is used");
+}
+
+#[test]
+fn initial_points_without_masks_are_those_of_the_seed() {
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let mut draw = || {
+        let pixel = (
+            rng.random_range(0..8),
+            rng.random_range(0..WIDTH),
+            rng.random_range(0..HEIGHT),
+        );
+        let _offset: f64 = rng.random();
+        pixel
+    };
+    let want: Vec<(usize, usize, usize)> = (0..300).map(|_| draw()).collect();
+    assert_eq!(drawn(&mut scene().views, 300), want);
+}
+
+#[test]
+fn an_empty_scene_of_gaussians_trains_without_effect() {
+    let (scene, device) = (scene(), device());
+    let empty = coseg::splat::Gaussians {
+        sh_degree: 2,
+        ..Default::default()
+    };
+    let state = BuildingState::new(empty, 7);
+    let mut stage = BuildingStage::from_state(&scene, &config(), &device, state).expect("a stage");
+    advance(&mut stage, 12);
+    assert!(stage.gaussians().expect("on the host").is_empty());
+    assert!(stage.evaluate().expect("scores").held_out.psnr.is_some());
+}
+
+#[test]
+fn unusable_settings_and_scenes_are_refused() {
+    let (scene, device) = (scene(), device());
+    let refusal = |scene: &Scene, edit: fn(&mut Config)| {
+        let mut config = config();
+        edit(&mut config);
+        BuildingStage::new(scene, &config, &device)
+            .err()
+            .expect("must be refused")
+            .to_string()
+    };
+    assert!(refusal(&scene, |c| c.building.sh_degree = 4).contains("building.sh_degree"));
+    assert!(refusal(&scene, |c| c.building.ssim_weight = 1.5).contains("building.ssim_weight"));
+    assert!(refusal(&scene, |c| c.building.lr_means = f64::NAN).contains("building.lr_means"));
+    let mut untrained = scene.clone();
+    untrained
+        .views
+        .iter_mut()
+        .for_each(|v| v.split = Split::Test);
+    assert!(refusal(&untrained, |_| ()).contains("training view"));
+    let mut misfit = scene.clone();
+    misfit.views[3].camera.width += 1;
+    assert!(refusal(&misfit, |_| ()).contains("view3"));
+    let state = BuildingStage::new(&scene, &config(), &device)
+        .expect("a stage")
+        .state()
+        .expect("a state");
+    let other = Config {
+        seed: 8,
+        ..config()
+    };
+    let message = BuildingStage::from_state(&scene, &other, &device, state)
+        .err()
+        .expect("another seed")
+        .to_string();
+    assert!(message.contains("seed"), "{message}");
+}

@@ -1,0 +1,3 @@
+//! Tests of `coseg::report`.
+
+pub mod report;

@@ -1,0 +1,569 @@
+//! The run folder's results: what is written, in which shape, and that the page stands alone.
+
+use coseg::config::{Config, Row};
+use coseg::data::{Class, Classes, LabelMap, Split, View};
+use coseg::metrics::ImageScores;
+use coseg::report::{
+    BuildingHistory, Command, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Scores,
+    Seconds,
+};
+use coseg::report::{TestScores, peak_memory_bytes, pictures};
+use coseg::splat::camera::Camera;
+use glam::{DMat3, DVec3};
+use std::path::{Path, PathBuf};
+
+const WIDTH: usize = 240;
+const HEIGHT: usize = 180;
+
+fn classes() -> Classes {
+    let names = ["wall", "floor", "sofa", "table & chairs", "lamp <tall>"];
+    let colors = [
+        [174, 199, 232],
+        [152, 118, 84],
+        [214, 39, 40],
+        [44, 160, 44],
+        [255, 187, 40],
+    ];
+    let entries = (1..)
+        .zip(names)
+        .zip(colors)
+        .map(|((id, name), color)| Class {
+            id,
+            name: name.into(),
+            color,
+            object_of: None,
+        });
+    Classes {
+        entries: entries.collect(),
+        ignore: 0,
+    }
+}
+
+/// Ids of a made-up room; `wobble` moves the borders.
+fn labels(wobble: f64) -> LabelMap {
+    let id = |x: f64, y: f64| {
+        let (x, y) = (x + wobble * (y / 9.0).sin(), y + wobble * (x / 7.0).cos());
+        match () {
+            () if x < 3.0 => 0,
+            () if (x - 190.0).hypot(y - 50.0) < 22.0 => 5,
+            () if (20.0..100.0).contains(&x) && (80.0..135.0).contains(&y) => 3,
+            () if (120.0..200.0).contains(&x) && (105.0..150.0).contains(&y) => 4,
+            () if y > 115.0 => 2,
+            () => 1,
+        }
+    };
+    let ids = (0..HEIGHT)
+        .flat_map(|y| (0..WIDTH).map(move |x| id(x as f64, y as f64)))
+        .collect();
+    LabelMap {
+        width: WIDTH,
+        height: HEIGHT,
+        ids,
+    }
+}
+
+fn views(classes: &Classes) -> Vec<View> {
+    let (w, h) = (WIDTH as f64, HEIGHT as f64);
+    let camera = Camera {
+        rotation: DMat3::IDENTITY,
+        center: DVec3::ZERO,
+        fx: w,
+        fy: w,
+        cx: w / 2.0,
+        cy: h / 2.0,
+        width: WIDTH,
+        height: HEIGHT,
+    };
+    let truth = labels(0.0);
+    let photo = image::RgbImage::from_fn(WIDTH as u32, HEIGHT as u32, |x, y| {
+        let id = truth.ids[y as usize * WIDTH + x as usize];
+        let base = classes
+            .index(id)
+            .map_or([60, 60, 60], |i| classes.entries[i].color);
+        let shade = 0.55 + 0.35 * f64::from(y) / h + 0.1 * (f64::from(x * y) / 40.0).sin();
+        image::Rgb(base.map(|c| (f64::from(c) * shade) as u8))
+    });
+    let view = |i: usize| View {
+        name: format!("test_{i:03}"),
+        split: Split::Test,
+        camera: camera.clone(),
+        image: photo.clone().into(),
+        mask: None,
+        truth: Some(truth.clone().into()),
+        raw: Some(labels(9.0 + i as f64).into()),
+        segments: Vec::new(),
+        instances: None,
+    };
+    (0..8).map(view).collect()
+}
+
+fn curve(steps: usize, from: f64, to: f64, pace: f64) -> Vec<(usize, f64)> {
+    let value = |i: usize| {
+        to + (from - to) * (-pace * i as f64 / steps as f64).exp() * (1.0 + 0.05 * (i as f64).sin())
+    };
+    (0..=steps)
+        .step_by((steps / 700).max(1))
+        .map(|i| (i, value(i)))
+        .collect()
+}
+
+fn sparse(steps: usize, from: f64, to: f64, pace: f64) -> Vec<(usize, f64)> {
+    (0..=10)
+        .map(|i| {
+            (
+                i * steps / 10,
+                to + (from - to) * (-pace * i as f64 / 10.0).exp(),
+            )
+        })
+        .collect()
+}
+
+fn scores(miou: f64, trained: bool) -> RowScores {
+    RowScores {
+        miou: Some(miou),
+        miou_per_view: Some(miou + 0.013),
+        accuracy: Some(0.5 + 0.5 * miou),
+        void_left_out: (miou < 0.65).then_some(Scores {
+            miou: Some(miou + 0.02),
+            miou_per_view: Some(miou + 0.03),
+            accuracy: Some(0.82),
+        }),
+        class_iou: (1..6_u16)
+            .map(|id| (id, miou - 0.0625 * (f64::from(id) - 3.0)))
+            .collect(),
+        iterations: trained.then_some(2_000),
+        learning_rate: trained.then_some(1e-3),
+        seconds: trained.then_some(74.2),
+        ..RowScores::default()
+    }
+}
+
+fn history() -> History {
+    let row = |row, miou: f64, loss: f64| RowHistory {
+        row,
+        loss: curve(2_000, 2.1, loss, 7.0),
+        miou: sparse(2_000, 0.1, miou, 6.0),
+    };
+    History {
+        building: BuildingHistory {
+            loss: curve(7_000, 0.31, 0.021, 6.0),
+            psnr: sparse(7_000, 11.0, 31.4, 5.0),
+            ssim: sparse(7_000, 0.3, 0.941, 5.0),
+            gaussians: sparse(7_000, 8_000.0, 41_250.0, 4.0),
+        },
+        rows: vec![
+            row(Row::PerGaussian, 0.712, 0.31),
+            row(Row::OursCe, 0.801, 0.24),
+            row(Row::Ours, 0.834, 0.11),
+        ],
+    }
+}
+
+fn metrics() -> Metrics {
+    let rows = [
+        (Row::Raw, 0.612, false),
+        (Row::Vote, 0.798, false),
+        (Row::PerGaussian, 0.712, true),
+    ];
+    let more = [(Row::OursCe, 0.801, true), (Row::Ours, 0.834, true)];
+    Metrics {
+        association: None,
+        scene: "a made-up room".into(),
+        gaussians: 41_250,
+        test: TestScores {
+            psnr: Some(31.42),
+            ssim: Some(0.9412),
+            views: [(
+                "test_000".to_owned(),
+                ImageScores {
+                    psnr: Some(31.1),
+                    ssim: Some(0.94),
+                },
+            )]
+            .into(),
+            labels: rows
+                .into_iter()
+                .chain(more)
+                .map(|(row, miou, trained)| (row, scores(miou, trained)))
+                .collect(),
+        },
+        seconds: Seconds {
+            building: 141.0,
+            features: 12.4,
+            unprojection: 6.2,
+            segmentation: 96.0,
+            total: 262.0,
+        },
+        peak_memory_bytes: Some(1_310_000_000),
+        learnable_bytes: [
+            ("gaussians".to_owned(), 9_735_000),
+            ("decoder".to_owned(), 1_120_000),
+        ]
+        .into(),
+        spatial: "trained here".into(),
+        features: "built-in descriptor".into(),
+        commands: [
+            (
+                "coseg train --set data.raw_labels=\"labels\"",
+                "ndarray, 2 threads",
+            ),
+            ("coseg train --resume <x>", "wgpu"),
+        ]
+        .map(|(line, device)| Command {
+            line: line.into(),
+            device: device.into(),
+            version: "0.1.0".into(),
+        })
+        .into(),
+        curves: history(),
+    }
+}
+
+/// Hands a full report on made-up data to `check`.
+fn with_report(check: impl FnOnce(&Report<'_>)) {
+    let (classes, config) = (classes(), Config::default());
+    let views = views(&classes);
+    let held_out = |(i, view): (usize, &'_ View)| {
+        let noise = |j: usize| 0.04 * ((j * 7919 + i) as f32).sin();
+        view.rgb()
+            .unwrap()
+            .into_iter()
+            .enumerate()
+            .map(|(j, v)| v + noise(j))
+            .collect::<Vec<f32>>()
+    };
+    let rgbs: Vec<Vec<f32>> = views.iter().enumerate().map(held_out).collect();
+    let held_out = views.iter().zip(rgbs).map(|(view, rgb)| HeldOutView {
+        view,
+        rgb,
+        scores: ImageScores {
+            psnr: Some(31.1),
+            ssim: Some(0.94),
+        },
+        labels: vec![
+            (Row::Vote, labels(5.0)),
+            (Row::PerGaussian, labels(7.0)),
+            (Row::Ours, labels(2.0)),
+        ],
+    });
+    check(&Report {
+        metrics: metrics(),
+        classes: &classes,
+        config: &config,
+        held_out: views.len(),
+        views: held_out.collect(),
+        notes: vec!["The raw labels are simulated: made from the true labels with errors.".into()],
+    });
+}
+
+/// Where tests write: a folder that goes away, or the one that `COSEG_KEEP` names, to look at the page.
+fn folder() -> (Option<tempfile::TempDir>, PathBuf) {
+    if let Some(kept) = std::env::var_os("COSEG_KEEP") {
+        return (None, kept.into());
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().to_owned();
+    (Some(folder), path)
+}
+
+fn read_json(path: &Path) -> serde_json::Value {
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+#[test]
+fn the_run_folder_is_complete() {
+    let (_keep, dir) = folder();
+    with_report(|report| report.write(&dir).unwrap());
+    let metrics = read_json(&dir.join("metrics.json"));
+    assert_eq!(metrics["scene"], "a made-up room");
+    assert_eq!(metrics["gaussians"], 41_250);
+    assert_eq!(metrics["test"]["psnr"], 31.42);
+    assert_eq!(metrics["test"]["ssim"], 0.9412);
+    for (row, miou) in [
+        ("raw", 0.612),
+        ("vote", 0.798),
+        ("per_gaussian", 0.712),
+        ("ours_ce", 0.801),
+        ("ours", 0.834),
+    ] {
+        let scores = &metrics["test"]["labels"][row];
+        assert_eq!(scores["miou"], miou, "{row}");
+        assert!(scores["miou_per_view"].is_f64() && scores["accuracy"].is_f64());
+    }
+    for stage in [
+        "building",
+        "features",
+        "unprojection",
+        "segmentation",
+        "total",
+    ] {
+        assert!(metrics["seconds"][stage].is_f64(), "{stage}");
+    }
+    assert_eq!(metrics["peak_memory_bytes"], 1_310_000_000);
+    assert_eq!(metrics["learnable_bytes"]["decoder"], 1_120_000);
+    assert_eq!(
+        (&metrics["spatial"], &metrics["features"]),
+        (&"trained here".into(), &"built-in descriptor".into())
+    );
+
+    let classes = read_json(&dir.join("classes.json"));
+    assert_eq!(classes["classes"][2]["name"], "sofa");
+    assert_eq!(classes["classes"][2]["id"], 3);
+    assert_eq!(
+        classes["classes"][2]["color"],
+        serde_json::json!([214, 39, 40])
+    );
+
+    let config = std::fs::read_to_string(dir.join("config.toml")).unwrap();
+    assert_eq!(config, Config::default().to_toml().unwrap());
+    for kind in ["rgb", "rgb_error", "label", "label_color", "label_error"] {
+        image::open(dir.join("renders").join(format!("test_007.{kind}.png"))).unwrap();
+    }
+    let ids = image::open(dir.join("renders/test_000.label.png")).unwrap();
+    assert_eq!(
+        ids.as_luma8().unwrap().as_raw()[..],
+        labels(2.0).ids.iter().map(|&i| i as u8).collect::<Vec<_>>()[..]
+    );
+    let left: Vec<_> = std::fs::read_dir(&dir)
+        .unwrap()
+        .map(|e| e.unwrap().file_name())
+        .collect();
+    assert!(
+        !left
+            .iter()
+            .any(|name| name.to_string_lossy().ends_with(".tmp")),
+        "{left:?}"
+    );
+}
+
+#[test]
+fn metrics_read_back_as_written() {
+    let text = serde_json::to_string(&metrics()).unwrap();
+    let read: Metrics = serde_json::from_str(&text).unwrap();
+    // serde_json may read the last bit of a number differently.
+    assert_eq!(
+        serde_json::to_value(&read).unwrap()["test"]["labels"]["raw"]["miou"],
+        0.612
+    );
+    assert_eq!(
+        (read.gaussians, read.seconds, read.test.labels.len()),
+        (41_250, metrics().seconds, 5)
+    );
+    assert_eq!(read.learnable_bytes, metrics().learnable_bytes);
+}
+
+#[test]
+fn the_page_stands_alone() {
+    with_report(|report| {
+        let page = report.html(Path::new("report.html")).unwrap();
+        for outside in ["http://", "https://", "<script", "<link", "@import", "url("] {
+            assert!(!page.contains(outside), "{outside}");
+        }
+        for part in [
+            "83.4",
+            "31.42",
+            "lamp &lt;tall&gt;",
+            "table &amp; chairs",
+            "+22.2",
+            "pi_rl = 0.9",
+            "simulated",
+        ] {
+            assert!(page.contains(part), "{part} is not in the page");
+        }
+        assert!(!page.contains("lamp <tall>"));
+        assert!(page.contains("--set data.raw_labels=&quot;labels&quot;"));
+        let pictures = page.matches("data:image/png;base64,").count();
+        // Six views: photo, render, colour error, truth, raw and three rows, and four label errors.
+        assert_eq!(pictures, 6 * 12);
+        assert_eq!(page.matches("<svg").count(), 8);
+        assert_finite(&page);
+        assert_balanced(&page);
+    });
+}
+
+/// No chart has coordinates that are not numbers.
+#[track_caller]
+fn assert_finite(page: &str) {
+    for chart in page.split("<svg").skip(1) {
+        let chart = chart.split("</svg>").next().unwrap();
+        assert!(!chart.contains("NaN") && !chart.contains("inf"), "{chart}");
+    }
+}
+
+/// Every element that is opened is closed, in order.
+#[track_caller]
+fn assert_balanced(page: &str) {
+    let mut open: Vec<String> = Vec::new();
+    let empty = ["meta", "img", "!doctype"];
+    for tag in page.split('<').skip(1) {
+        let inner = tag.split('>').next().unwrap();
+        let name: String = inner
+            .trim_start_matches('/')
+            .chars()
+            .take_while(|c| c.is_alphanumeric() || *c == '!')
+            .collect();
+        if inner.starts_with('/') {
+            assert_eq!(open.pop().as_deref(), Some(name.as_str()), "at </{name}>");
+        } else if !inner.ends_with('/') && !empty.contains(&name.as_str()) {
+            open.push(name);
+        }
+    }
+    assert!(open.is_empty(), "{open:?} not closed");
+}
+
+#[test]
+fn the_page_says_where_raw_labels_come_from_where_that_is_known() {
+    let page = |dir: Option<&str>, note: &str| {
+        let mut config = Config::default();
+        config.data.dir = dir.map(Into::into);
+        config.data.raw_labels_note = note.into();
+        let mut page = String::new();
+        let write = |report: &Report| {
+            page = Report {
+                config: &config,
+                notes: Vec::new(),
+                ..report.clone()
+            }
+            .html(Path::new("r"))
+            .unwrap();
+        };
+        with_report(write);
+        page.split("<details>").next().unwrap().to_lowercase()
+    };
+    let builtin = page(None, "");
+    assert!(builtin.contains("simulated raw labels: errors drawn on the true labels"));
+    let unknown = page(Some("scenes/living"), "");
+    assert!(!unknown.contains("simulated") && !unknown.contains("raw labels: "));
+    let told = page(Some("scenes/living"), "Mask2Former (ADE20K), <not> tuned.");
+    assert!(told.contains("raw labels: mask2former (ade20k), &lt;not&gt; tuned.</p>"));
+}
+
+#[test]
+fn a_scene_without_labels_and_views_has_a_page_too() {
+    let (classes, config) = (Classes::default(), Config::default());
+    let metrics = Metrics {
+        scene: "bare".into(),
+        ..Metrics::default()
+    };
+    let report = Report {
+        metrics,
+        classes: &classes,
+        config: &config,
+        held_out: 0,
+        views: Vec::new(),
+        notes: Vec::new(),
+    };
+    let page = report.html(Path::new("report.html")).unwrap();
+    assert_balanced(&page);
+    assert!(!page.contains("<h2>Labels"));
+    assert!(page.contains("no held-out views"));
+    let json = serde_json::to_value(&report.metrics).unwrap();
+    assert!(json["test"]["psnr"].is_null() && json["peak_memory_bytes"].is_null());
+}
+
+#[test]
+fn flat_and_tiny_curves_draw() {
+    with_report(|report| {
+        let mut report = report.clone();
+        let history = &mut report.metrics.curves;
+        history.building.psnr = vec![(0, 20.0), (100, 20.0)];
+        history.building.ssim = vec![(0, 0.0), (100, f64::NAN), (200, 0.0)];
+        history.building.loss = vec![(0, 0.0), (1, 1e-9), (2, 5.0)];
+        assert_finite(&report.html(Path::new("report.html")).unwrap());
+    });
+}
+
+#[test]
+fn float_images_are_clamped_and_rounded() {
+    let image = pictures::from_floats(&[-0.5, 0.5, 1.5, 0.001, 0.999, f32::NAN], 2, 1).unwrap();
+    assert_eq!(image.as_raw()[..], [0, 128, 255, 0, 255, 0]);
+    assert!(pictures::from_floats(&[0.0; 5], 2, 1).is_err());
+}
+
+#[test]
+fn label_pictures_show_classes_errors_and_void() {
+    let classes = classes();
+    let truth = LabelMap {
+        width: 2,
+        height: 2,
+        ids: vec![1, 2, 0, 3],
+    };
+    let found = LabelMap {
+        width: 2,
+        height: 2,
+        ids: vec![1, 3, 1, 0],
+    };
+    let colored = pictures::colored(&found, &classes);
+    assert_eq!(colored.get_pixel(0, 0).0, [174, 199, 232]);
+    assert_eq!(colored.get_pixel(1, 1).0, pictures::UNLABELLED);
+    let [right, wrong, void] = pictures::AGREEMENT;
+    let errors = pictures::label_error(&found, &truth, 0);
+    assert_eq!(
+        errors.pixels().map(|p| p.0).collect::<Vec<_>>(),
+        [right, wrong, void, wrong]
+    );
+    assert_eq!(pictures::accuracy(&found, &truth, 0), Some(1.0 / 3.0));
+    assert_eq!(
+        pictures::accuracy(
+            &found,
+            &LabelMap {
+                ids: vec![0; 4],
+                ..truth
+            },
+            0
+        ),
+        None
+    );
+}
+
+#[test]
+fn colour_errors_grow_from_black_to_bright() {
+    let a = image::RgbImage::from_pixel(3, 1, image::Rgb([0, 0, 0]));
+    let mut b = a.clone();
+    b.put_pixel(1, 0, image::Rgb([12, 12, 12]));
+    b.put_pixel(2, 0, image::Rgb([255, 255, 255]));
+    let error = pictures::rgb_error(&a, &b);
+    let light = |x| {
+        error
+            .get_pixel(x, 0)
+            .0
+            .iter()
+            .map(|&c| u32::from(c))
+            .sum::<u32>()
+    };
+    assert!(light(0) < 10 && light(0) < light(1) && light(1) < light(2));
+    assert_eq!(error.get_pixel(2, 0).0, pictures::heat(1.0));
+}
+
+#[test]
+fn the_legend_names_the_classes_that_occur() {
+    let classes = classes();
+    let map = labels(0.0);
+    let colored = pictures::colored(&map, &classes);
+    let with = pictures::with_legend(&colored, &map, &classes);
+    assert_eq!(with.width(), colored.width());
+    assert!(with.height() > colored.height() + 20);
+    let strip: Vec<[u8; 3]> = with.rows().skip(HEIGHT).flatten().map(|p| p.0).collect();
+    for class in &classes.entries {
+        assert!(strip.contains(&class.color), "{}", class.name);
+    }
+    // Text is drawn.
+    assert!(strip.iter().filter(|c| **c == [28, 28, 30]).count() > 200);
+    let one = LabelMap {
+        ids: vec![2; WIDTH * HEIGHT],
+        ..map
+    };
+    let strip_of_one = pictures::with_legend(&colored, &one, &classes).height() - colored.height();
+    assert!(strip_of_one < with.height() - colored.height());
+}
+
+#[test]
+fn peak_memory_is_that_of_this_process() {
+    if !cfg!(target_os = "linux") {
+        return;
+    }
+    let before = peak_memory_bytes().unwrap();
+    assert!(before > 1_000_000);
+    let block = std::hint::black_box(vec![1_u8; 64 << 20]);
+    assert!(peak_memory_bytes().unwrap() >= 64 << 20, "{}", block.len());
+}

@@ -1,0 +1,342 @@
+//! The decoder's step in parts: the gradients of the step at once, whatever the size of the parts.
+
+use burn::tensor::{Tensor, TensorData};
+use coseg::config::{Blend, Config, LabelLoss, SegmentationConfig, SpatialConfig, SpatialSource};
+use coseg::ops::{Kind, LabelledPixels, PixelWeights, SparseMatrix, UNLABELLED};
+use coseg::pipeline::train_decoder::{
+    Drawn, Encoded, Fused, FusedPlan, Model, NamedValues, Source,
+};
+use coseg::segmentation::decoder::DecoderConfig;
+use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
+use coseg::segmentation::pyramid::{Pyramid, Restriction, Switches};
+use glam::DVec3;
+use std::sync::Arc;
+
+const POINTS: usize = 1_500;
+const CLASSES: usize = 5;
+const PIXELS: usize = 700;
+
+struct Scene {
+    means: Vec<[f32; 3]>,
+    source: Source,
+    drawn: Drawn,
+}
+
+impl Scene {
+    /// Of the scales that `switches` leave, in the whole scene's encoding; one view sees six of seven points.
+    fn new(switches: Switches) -> Self {
+        let device = crate::support::device();
+        let means: Vec<[f32; 3]> = (0..POINTS)
+            .map(|i| std::array::from_fn(|a| (i as f32 * [0.37, 0.61, 0.83][a]).sin()))
+            .collect();
+        let config = SpatialConfig {
+            source: SpatialSource::Random,
+            ..SpatialConfig::default()
+        };
+        let (encoder, _) = load_spatial(&config, 5, &device).expect("random weights");
+        let cloud = Cloud {
+            positions: &means,
+            colors: None,
+            up: DVec3::Y,
+            scale: 1.0,
+        };
+        let encoding = encode(&encoder, &cloud, 3, &device).expect("finite");
+        let image: Vec<Tensor<2>> = (0..4)
+            .map(|n| {
+                let values = (0..POINTS * 8)
+                    .map(|i| (i as f32 * 0.13 + n as f32).cos())
+                    .collect();
+                Tensor::from_data(TensorData::new::<f32, _>(values, [POINTS, 8]), &device)
+            })
+            .collect();
+        let pyramid = Pyramid::new(&encoding, &image, switches).expect("features");
+        let source = Source::Scene(Encoded {
+            pyramid,
+            points: (0..POINTS as u32).collect(),
+        });
+        let visible: Vec<u32> = (0..POINTS as u32).filter(|i| i % 7 != 2).collect();
+        let (k, columns) = (4, visible.len());
+        let weights = SparseMatrix::new(
+            columns,
+            (0..=PIXELS).map(|r| (r * k) as u32).collect(),
+            (0..PIXELS * k)
+                .map(|i| ((i * 11 + i / k * 5) % columns) as u32)
+                .collect(),
+            (0..PIXELS)
+                .flat_map(|_| [0.5, 0.25, 0.125, 0.125])
+                .collect(),
+        );
+        let label = |r: usize| {
+            if r % 13 == 4 {
+                UNLABELLED
+            } else {
+                (r * 3 / 7 % CLASSES) as u16
+            }
+        };
+        let weights = PixelWeights::Stored(Arc::new(weights));
+        let pixels = LabelledPixels::new(
+            weights,
+            (0..PIXELS as u32).collect(),
+            (0..PIXELS).map(label).collect(),
+        );
+        Self {
+            means,
+            source,
+            drawn: Drawn {
+                visible: Arc::new(visible.into()),
+                pixels,
+            },
+        }
+    }
+}
+
+/// A model that decodes `chunk` Gaussians together, from the same parameters as any other of the scene.
+fn model<'a>(
+    scene: &'a Scene,
+    config: &'a SegmentationConfig,
+    regularised: bool,
+    prior: bool,
+) -> Fused<'a> {
+    let plan = FusedPlan {
+        config,
+        rate: 1e-2,
+        regularised,
+        size: [POINTS, CLASSES],
+        dropout: (config.loss == LabelLoss::Gjs).then_some(0.3),
+        average_from: None,
+        seed: 3,
+    };
+    let device = crate::support::device().autodiff();
+    let pyramid = &scene.source.scene().pyramid;
+    let decoder = DecoderConfig::for_pyramid(pyramid, CLASSES, pyramid.levels.len() > 1)
+        .with_seed(1)
+        .init(&device);
+    let fused = Fused::new(decoder, &scene.source, &scene.means, 1, plan, &device);
+    if !prior {
+        return fused;
+    }
+    // The prior silences the last layer: taken back, so that every parameter has a gradient.
+    let first: NamedValues = fused.state();
+    let shares = (0..POINTS * CLASSES)
+        .map(|i| (i as f32 * 0.71).sin())
+        .collect();
+    let mut fused = fused.with_prior(shares);
+    let value = |name: &str| {
+        first
+            .iter()
+            .find(|(n, _)| n == name)
+            .map(|(_, v)| v.clone())
+    };
+    fused.restore(&value).expect("its own parameters");
+    fused
+}
+
+fn config(blend: Blend, chunk: usize) -> SegmentationConfig {
+    SegmentationConfig {
+        blend,
+        decoder_chunk: chunk,
+        reg_samples: 20,
+        reg_neighbours: 3,
+        ..Default::default()
+    }
+}
+
+/// Losses and state after some steps.
+fn trained(model: &mut Fused, scene: &Scene, steps: usize) -> (Vec<f32>, NamedValues) {
+    let kind = Kind::Js { pi_rl: 0.9 };
+    let losses = (0..steps).map(|_| {
+        let prediction = model.predict(0, &scene.drawn).expect("a prediction");
+        let mut loss = prediction
+            .scores
+            .loss(scene.drawn.pixels.clone(), &kind.into(), 0.4)
+            .expect("a loss")
+            * 0.8;
+        if let Some(regularisation) = prediction.regularisation {
+            loss = loss + regularisation * 20.0;
+        }
+        model
+            .step(loss.clone().inner(), &mut loss.backward(), 1.0)
+            .expect("a step")
+    });
+    (losses.collect(), model.state())
+}
+
+/// Adam's first moments after one step are a tenth of the gradients.
+fn gradients((losses, state): (Vec<f32>, NamedValues)) -> (f32, Vec<(String, Vec<f32>)>) {
+    (
+        losses[0],
+        state
+            .into_iter()
+            .filter(|(name, _)| name.starts_with("m."))
+            .collect(),
+    )
+}
+
+#[test]
+fn parts_of_any_size_give_the_gradients_of_the_step_at_once() {
+    let single = Switches {
+        single_scale: Some(1),
+        ..Switches::default()
+    };
+    let (js, gjs) = (LabelLoss::Js, LabelLoss::Gjs);
+    for (switches, blend, prior, regularised, label_loss) in [
+        (Switches::default(), Blend::Probabilities, true, true, js),
+        (Switches::default(), Blend::Probabilities, true, true, gjs),
+        (Switches::default(), Blend::Probabilities, false, false, js),
+        (Switches::default(), Blend::Logits, false, true, gjs),
+        (Switches::default(), Blend::Logits, false, true, js),
+        (
+            Switches {
+                spatial: false,
+                ..Switches::default()
+            },
+            Blend::Logits,
+            false,
+            false,
+            js,
+        ),
+        (single, Blend::Probabilities, true, true, js),
+    ] {
+        let scene = Scene::new(switches);
+        let of = |chunk| {
+            let config = SegmentationConfig {
+                loss: label_loss,
+                ..config(blend, chunk)
+            };
+            gradients(trained(
+                &mut model(&scene, &config, regularised, prior),
+                &scene,
+                1,
+            ))
+        };
+        let (loss, whole) = of(0);
+        let layers = if switches.single_scale.is_some() {
+            1
+        } else {
+            4
+        };
+        assert!(
+            whole.len() >= 2 * layers + 2,
+            "every parameter has a gradient: {}",
+            whole.len()
+        );
+        // 1,286 points are visible: the last part is the whole of them.
+        for chunk in [64, 300, 1_285, 1_286] {
+            let (loss_in_parts, parts) = of(chunk);
+            let case = format!(
+                "{switches:?}, {blend:?}, {label_loss:?}, prior {prior}, Eq. 9 {regularised}, chunks of {chunk}"
+            );
+            assert!(
+                (loss_in_parts - loss).abs() <= 1e-6 * loss.abs(),
+                "{case}: loss {loss_in_parts} for {loss}"
+            );
+            assert_eq!(parts.len(), whole.len(), "{case}");
+            for ((name, got), (_, want)) in parts.iter().zip(&whole) {
+                let rms = (want.iter().map(|v| v * v).sum::<f32>() / want.len() as f32).sqrt();
+                assert!(rms > 0.0, "{case}: {name} is at rest");
+                let worst = got
+                    .iter()
+                    .zip(want)
+                    .map(|(a, b)| (a - b).abs())
+                    .fold(0.0, f32::max);
+                // Parts are added up in f32: 2e-5 with twenty of them.
+                assert!(
+                    worst <= 1e-4 * rms,
+                    "{case}: {name} is off by {worst}, rms {rms}"
+                );
+                assert!(
+                    chunk < 1_286 || got == want,
+                    "{case}: one part is the step at once"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn the_regularisation_matters_in_parts_too() {
+    let scene = Scene::new(Switches::default());
+    let config = config(Blend::Probabilities, 200);
+    let of = |regularised| {
+        gradients(trained(
+            &mut model(&scene, &config, regularised, false),
+            &scene,
+            1,
+        ))
+    };
+    let ((with, a), (without, b)) = (of(true), of(false));
+    assert!(with > without + 1e-3, "{with} and {without}");
+    assert_ne!(a, b);
+}
+
+#[test]
+fn parts_have_the_same_bits_at_any_number_of_threads() {
+    let scene = Scene::new(Switches::default());
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("threads");
+        let config = config(Blend::Probabilities, 250);
+        pool.install(|| trained(&mut model(&scene, &config, true, true), &scene, 4))
+    };
+    let (one, two) = (run(1), run(2));
+    assert!(one == two);
+    assert!(one.0[3] < one.0[0], "four steps help: {:?}", one.0);
+}
+
+#[test]
+fn points_of_coarse_levels_decode_as_in_the_whole() {
+    let scene = Scene::new(Switches::default());
+    let pyramid = &scene.source.scene().pyramid;
+    let decoder =
+        DecoderConfig::for_pyramid(pyramid, CLASSES, true).init(&crate::support::device());
+    let whole = decoder.forward(pyramid, &Restriction::none(pyramid));
+    let wanted =
+        [vec![], vec![], vec![3, 17, 60], vec![0, 9, 20]].map(|rows| Arc::new(rows.into()));
+    let kept = Restriction::of_levels(pyramid, wanted.clone());
+    let fused = decoder.fused(pyramid, &kept, &[], 2);
+    assert_eq!(fused.len(), 2);
+    for (scale, part) in [2, 3].into_iter().zip(fused) {
+        let rows = kept.rows(scale).expect("a part");
+        assert!(
+            rows.is_sorted() && wanted[scale].iter().all(|row| rows.contains(row)),
+            "{rows:?}"
+        );
+        assert!(
+            rows.len() < pyramid.levels[scale].points.len(),
+            "not all of scale {scale}"
+        );
+        let width = part.dims()[1];
+        let values = |t: Tensor<2>| t.into_data().into_vec::<f32>().expect("f32");
+        let (part, whole) = (values(part), values(whole.fused[scale].clone()));
+        for (got, &row) in part.chunks_exact(width).zip(rows.iter()) {
+            let want = &whole[row as usize * width..][..width];
+            let worst = got
+                .iter()
+                .zip(want)
+                .map(|(a, b)| (a - b).abs())
+                .fold(0.0, f32::max);
+            assert!(worst < 1e-5, "row {row} of scale {scale}: {worst}");
+        }
+    }
+}
+
+#[test]
+fn the_size_of_the_parts_is_a_whole_number() {
+    let load = |set: &str| Config::load(None, &[format!("segmentation.decoder_chunk={set}")]);
+    assert_eq!(
+        load("4096").expect("allowed").segmentation.decoder_chunk,
+        4_096
+    );
+    assert_eq!(
+        load("0").expect("all at once").segmentation.decoder_chunk,
+        0
+    );
+    for refused in ["-1", "0.5", "many"] {
+        crate::support::assert_names(
+            &load(refused).expect_err(refused),
+            &["segmentation.decoder_chunk", refused],
+        );
+    }
+}

@@ -1,0 +1,356 @@
+//! Label losses and 3D regularisation: values by direct sums, gradients by finite differences, limits, hard cases.
+
+use burn::tensor::{DType, Device, Tensor, TensorData};
+use coseg::config::{LabelLoss, SegmentationConfig};
+use coseg::ops::{Kind, UNLABELLED};
+use coseg::segmentation::loss::{
+    NeighbourPairs, label_loss, label_loss_plain, neighbour_divergence,
+};
+use coseg::segmentation::neighbours::{PointIndex, drop_self, without_self};
+
+const KINDS: [Kind; 9] = [
+    Kind::Ce,
+    Kind::Mae,
+    Kind::Gce { q: 0.7 },
+    Kind::Gce { q: 0.01 },
+    Kind::Js { pi_rl: 0.1 },
+    Kind::Js { pi_rl: 0.5 },
+    Kind::Js { pi_rl: 0.9 },
+    Kind::Js { pi_rl: 0.97 },
+    Kind::NceRce,
+];
+
+fn plain_device() -> Device {
+    crate::support::device()
+}
+
+fn matrix(values: &[f64], columns: usize, device: &Device) -> Tensor<2> {
+    Tensor::from_data(
+        TensorData::new(values.to_vec(), [values.len() / columns, columns]),
+        (device, DType::F64),
+    )
+}
+
+fn scalar(t: Tensor<1>) -> f64 {
+    t.into_scalar::<f64>()
+}
+
+fn waves(count: usize, amplitude: f64) -> Vec<f64> {
+    (0..count)
+        .map(|i| amplitude * (i as f64 * 1.7 + 0.3).sin() * (1.0 + (i as f64 * 0.31).cos()))
+        .collect()
+}
+
+/// Logits, labels (every fourth ignored) of 12 pixels and 5 classes.
+fn example() -> (Vec<f64>, Vec<u16>) {
+    (
+        waves(60, 2.0),
+        (0..12)
+            .map(|i| if i % 4 == 3 { UNLABELLED } else { i * 7 % 5 })
+            .collect(),
+    )
+}
+
+/// Eq. 8 as it is written: two divergences, term by term, 0 ln 0 = 0.
+fn direct(logits: &[f64], label: usize, kind: Kind) -> f64 {
+    let highest = logits.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let total: f64 = logits.iter().map(|z| (z - highest).exp()).sum();
+    let p: Vec<f64> = logits.iter().map(|z| (z - highest).exp() / total).collect();
+    match kind {
+        Kind::Ce => -p[label].ln(),
+        Kind::Mae => {
+            0.5 * p
+                .iter()
+                .enumerate()
+                .map(|(k, p)| (f64::from(u8::from(k == label)) - p).abs())
+                .sum::<f64>()
+        }
+        Kind::Gce { q } => (1.0 - p[label].powf(q)) / q,
+        // Reverse cross-entropy: -sum_k p_k ln of the label, ln 0 = -4
+        Kind::NceRce => {
+            p[label].ln() / p.iter().map(|p| p.ln()).sum::<f64>()
+                + 4.0 * (p.iter().sum::<f64>() - p[label])
+        }
+        Kind::Js { pi_rl } => {
+            let kappa = |k: usize| f64::from(u8::from(k == label));
+            let m = |k: usize| pi_rl * kappa(k) + (1.0 - pi_rl) * p[k];
+            let term = |a: f64, b: f64| if a > 0.0 { a * (a / b).ln() } else { 0.0 };
+            let to_label: f64 = (0..p.len()).map(|k| term(kappa(k), m(k))).sum();
+            let to_prediction: f64 = (0..p.len()).map(|k| term(p[k], m(k))).sum();
+            (pi_rl * to_label + (1.0 - pi_rl) * to_prediction)
+                / (-(1.0 - pi_rl) * (1.0 - pi_rl).ln())
+        }
+    }
+}
+
+#[test]
+fn label_loss_equals_its_direct_sum_and_the_plain_form() {
+    let (logits, labels) = example();
+    let device = plain_device();
+    for kind in KINDS {
+        let kept: Vec<usize> = (0..12).filter(|&i| labels[i] != UNLABELLED).collect();
+        let sum: f64 = kept
+            .iter()
+            .map(|&i| direct(&logits[i * 5..][..5], labels[i].into(), kind))
+            .sum();
+        let want = sum / kept.len() as f64;
+        let found = scalar(label_loss(matrix(&logits, 5, &device), &labels, &kind));
+        let plain = scalar(label_loss_plain(
+            matrix(&logits, 5, &device),
+            &labels,
+            &kind,
+        ));
+        assert!(
+            (found - want).abs() < 1e-12 * want.max(1.0),
+            "{kind:?}: {found} against {want}"
+        );
+        assert!(
+            (plain - want).abs() < 1e-12 * want.max(1.0),
+            "{kind:?}: plain {plain} against {want}"
+        );
+    }
+}
+
+/// Largest |analytic - numeric| relative to max(|analytic|, rms of the gradient).
+fn gradient_error(x: &[f64], analytic: &[f64], value: impl Fn(&[f64]) -> f64) -> f64 {
+    assert!(analytic.iter().all(|g| g.is_finite()));
+    let rms = (analytic.iter().map(|g| g * g).sum::<f64>() / analytic.len() as f64).sqrt();
+    let mut worst: f64 = 0.0;
+    for i in 0..x.len() {
+        let at = |delta: f64| {
+            let mut x = x.to_vec();
+            x[i] += delta;
+            value(&x)
+        };
+        let h = 1e-3; // fourth-order central differences
+        let numeric = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h);
+        assert!(numeric.is_finite());
+        worst = worst.max((analytic[i] - numeric).abs() / analytic[i].abs().max(rms));
+    }
+    worst
+}
+
+#[test]
+fn label_loss_gradient_equals_finite_differences_and_autodiff_of_the_plain_form() {
+    let (logits, labels) = example();
+    let device = plain_device().autodiff();
+    for kind in KINDS {
+        let gradient = |plain: bool, factor: f64| -> Vec<f64> {
+            let x = matrix(&logits, 5, &device).require_grad();
+            let loss = match plain {
+                true => label_loss_plain(x.clone(), &labels, &kind),
+                false => label_loss(x.clone(), &labels, &kind),
+            };
+            let gradients = (loss * factor).backward();
+            x.grad(&gradients)
+                .expect("tracked")
+                .into_data()
+                .into_vec()
+                .expect("f64")
+        };
+        let (fused, plain) = (gradient(false, 3.0), gradient(true, 3.0));
+        let value = |x: &[f64]| 3.0 * scalar(label_loss(matrix(x, 5, &device), &labels, &kind));
+        let error = gradient_error(&logits, &fused, value);
+        assert!(error < 1e-6, "{kind:?}: {error}");
+        let corrupted: Vec<f64> = fused.iter().map(|g| g * 1.01).collect();
+        assert!(
+            gradient_error(&logits, &corrupted, value) > 1e-3,
+            "a wrong gradient must be caught"
+        );
+        let difference = fused
+            .iter()
+            .zip(&plain)
+            .map(|(a, b)| (a - b).abs())
+            .fold(0.0, f64::max);
+        assert!(
+            difference < 1e-12,
+            "{kind:?}: {difference:e} {fused:?} {plain:?}"
+        );
+        assert!(
+            fused[3 * 5..4 * 5].iter().all(|&g| g == 0.0),
+            "ignored pixels have no gradient"
+        );
+    }
+}
+
+#[test]
+fn jensen_shannon_tends_to_cross_entropy_and_to_absolute_error() {
+    for log_p in [-30.0, -4.0, -0.5, -1e-3, -1e-12] {
+        let close = |a: (f64, f64), b: (f64, f64), tolerance: f64| {
+            (a.0 - b.0).abs() <= tolerance * b.0.abs().max(1e-9)
+                && (a.1 - b.1).abs() <= tolerance * b.1.abs()
+        };
+        // to first order in pi / p, and in 1 / ln(1 - pi)
+        let js = Kind::Js { pi_rl: 1e-22 }.of_log_probability(log_p);
+        assert!(
+            close(js, Kind::Ce.of_log_probability(log_p), 1e-6),
+            "ln p {log_p}: {js:?}"
+        );
+        let js = Kind::Js { pi_rl: 1.0 - 1e-16 }.of_log_probability(log_p);
+        let mae = Kind::Mae.of_log_probability(log_p);
+        assert!(
+            (js.0 - mae.0).abs() < 0.05 && (js.1 - mae.1).abs() <= 0.9 * -mae.1.min(-1e-300),
+            "{log_p}: {js:?} {mae:?}"
+        );
+    }
+}
+
+#[test]
+fn hard_logits_stay_finite() {
+    let device = plain_device().autodiff();
+    for kind in KINDS {
+        for logits in [
+            vec![1e4f32, -1e4, 0.0, -1e4, 1e4, 0.0],
+            vec![1e4, 1e4, 1e4, -1e4, -1e4, -1e4],
+            vec![0.0; 6],
+        ] {
+            let x = Tensor::<2>::from_data(TensorData::new(logits.clone(), [2, 3]), &device)
+                .require_grad();
+            let loss = label_loss(x.clone(), &[1, 1], &kind);
+            let gradients = loss.clone().backward();
+            let value = loss.into_scalar::<f32>();
+            assert!(
+                value.is_finite() && value >= 0.0,
+                "{kind:?} {logits:?}: {value}"
+            );
+            let g: Vec<f32> = x
+                .grad(&gradients)
+                .expect("tracked")
+                .into_data()
+                .into_vec()
+                .expect("f32");
+            assert!(
+                g.iter().all(|g| g.is_finite()),
+                "{kind:?} {logits:?}: {g:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn nothing_labelled_costs_nothing_and_one_class_is_certain() {
+    let device = plain_device().autodiff();
+    for kind in KINDS {
+        for (columns, labels) in [(3, vec![UNLABELLED; 4]), (1, vec![0; 12])] {
+            let x = matrix(&waves(12, 3.0), columns, &device).require_grad();
+            let loss = label_loss(x.clone(), &labels, &kind);
+            let gradients = loss.clone().backward();
+            assert!(scalar(loss).abs() < 1e-15, "{kind:?}");
+            let g: Vec<f64> = x
+                .grad(&gradients)
+                .expect("tracked")
+                .into_data()
+                .into_vec()
+                .expect("f64");
+            assert!(g.iter().all(|g| g.abs() < 1e-15), "{kind:?} {g:?}");
+        }
+    }
+}
+
+#[test]
+fn regularisation_equals_its_direct_sum_and_its_gradient_finite_differences() {
+    let (points, width, k) = (9, 4, 5);
+    let features = waves(points * width, 1.5);
+    let positions: Vec<[f32; 3]> = (0..points)
+        .map(|i| [(i as f32 * 2.3).sin(), (i as f32).cos(), 0.1 * i as f32])
+        .collect();
+    let neighbours = without_self(&positions, k).expect("finite");
+    let chosen = [0u32, 3, 4, 8];
+    let log_softmax = |x: &[f64], i: u32| -> Vec<f64> {
+        let row = &x[i as usize * width..][..width];
+        let total: f64 = row.iter().map(|z| z.exp()).sum();
+        row.iter().map(|z| z - total.ln()).collect()
+    };
+    let value = |x: &[f64]| {
+        let mut sum = 0.0;
+        for &j in &chosen {
+            for &n in &neighbours[j as usize * k..][..k] {
+                assert_ne!(n, j);
+                let (a, b) = (log_softmax(x, j), log_softmax(x, n));
+                sum += (0..width).map(|c| a[c].exp() * (a[c] - b[c])).sum::<f64>();
+            }
+        }
+        sum / (chosen.len() * k) as f64
+    };
+    let device = plain_device().autodiff();
+    let x = matrix(&features, width, &device).require_grad();
+    let loss = neighbour_divergence(
+        x.clone(),
+        NeighbourPairs::new(chosen.to_vec(), &neighbours, k),
+    );
+    let gradients = loss.clone().backward();
+    assert!((scalar(loss) - value(&features)).abs() < 1e-12);
+    let g: Vec<f64> = x
+        .grad(&gradients)
+        .expect("tracked")
+        .into_data()
+        .into_vec()
+        .expect("f64");
+    let error = gradient_error(&features, &g, value);
+    assert!(error < 1e-6, "{error}");
+    let none = neighbour_divergence(
+        matrix(&features, width, &device),
+        NeighbourPairs::new(Vec::new(), &neighbours, k),
+    );
+    assert_eq!(scalar(none), 0.0);
+}
+
+#[test]
+fn neighbours_without_self_repeat_in_small_sets() {
+    let line = |count: usize| (0..count).map(|i| [i as f32, 0.0, 0.0]).collect::<Vec<_>>();
+    assert_eq!(
+        without_self(&line(3), 5).expect("finite"),
+        [1, 2, 1, 2, 1, 0, 2, 0, 2, 0, 1, 0, 1, 0, 1]
+    );
+    assert_eq!(without_self(&line(1), 2).expect("finite"), [0, 0]);
+    assert!(without_self(&[], 5).expect("nothing to do").is_empty());
+    let points: Vec<[f32; 3]> = (0..300)
+        .map(|i| std::array::from_fn(|a| ((i * 7 + a * 13) as f32).sin()))
+        .collect();
+    let own = PointIndex::new(&points).expect("finite").neighbours(16);
+    assert_eq!(
+        without_self(&points, 5).expect("finite"),
+        drop_self(&own, 5)
+    );
+}
+
+/// To first order the loss is what the labelled class lacks, whatever the weight: digits that a difference of logarithms near
+/// ln 1 would lose.
+#[test]
+fn js_of_a_nearly_right_prediction_is_what_it_lacks() {
+    for pi_rl in [0.01, 0.1, 0.5, 0.9, 0.99] {
+        for height in [20.0_f64, 25.0, 30.0] {
+            let lacks = (-height).exp() / (1.0 + (-height).exp());
+            let logits = matrix(&[height, 0.0], 2, &plain_device());
+            let loss = scalar(label_loss(logits, &[0], &Kind::Js { pi_rl }));
+            assert!(
+                (loss / lacks - 1.0).abs() < 1e-7,
+                "{pi_rl}, {height}: {loss:e} for {lacks:e}"
+            );
+        }
+    }
+}
+
+#[test]
+fn settings_choose_the_loss() {
+    let of = |config: SegmentationConfig| Kind::from_config(&config);
+    let gce = |gce_exponent| SegmentationConfig {
+        loss: LabelLoss::Gce,
+        gce_exponent,
+        ..Default::default()
+    };
+    assert_eq!(of(gce(0.4)).unwrap(), Kind::Gce { q: 0.4 });
+    let js = |pi_rl| SegmentationConfig {
+        loss: LabelLoss::Js,
+        pi_rl,
+        ..Default::default()
+    };
+    assert_eq!(of(js(0.3)).unwrap(), Kind::Js { pi_rl: 0.3 });
+    for q in [0.0, 1e-9, 1.1, f64::NAN] {
+        crate::support::assert_names(
+            &of(gce(q)).unwrap_err(),
+            &["segmentation.gce_exponent", "from 0.000001 to 1"],
+        );
+    }
+    crate::support::assert_names(&of(js(1.0)).unwrap_err(), &["segmentation.pi_rl"]);
+}

@@ -1,0 +1,15 @@
+//! Tests of `coseg::segmentation`.
+
+pub mod attendance;
+pub mod consistency;
+pub mod decoder;
+pub mod decoder_chunks;
+#[cfg(feature = "wgpu")]
+pub mod device_unprojection;
+pub mod loss;
+pub mod masked_unprojection;
+pub mod neighbours;
+pub mod pretrain;
+pub mod randla;
+pub mod solve;
+pub mod unprojection;

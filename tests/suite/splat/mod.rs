@@ -1,0 +1,6 @@
+//! Tests of `coseg::splat`.
+
+pub mod camera;
+pub mod camera_paths;
+pub mod level;
+pub mod ply;

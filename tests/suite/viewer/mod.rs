@@ -1,0 +1,4 @@
+//! Tests of `coseg::viewer`.
+
+pub mod viewer;
+pub mod viewer_edits;

@@ -1,0 +1,571 @@
+//! The page that shows a scene in a browser: what it carries, what it never does, and how its pictures compare.
+
+use crate::cli::cli::{fails, succeeds, utf8};
+use crate::support::assert_names;
+use crate::support::plates::{self, plates, scene as plates_scene};
+use base64::Engine;
+use coseg::data::formats::transforms::write_cameras;
+use coseg::data::{Classes, NamedCamera, Split, read_cameras};
+use coseg::raster::{Settings, render};
+use coseg::splat::Gaussians;
+use coseg::splat::camera::{Camera, Intrinsics};
+use coseg::viewer::Viewer;
+use glam::{DMat4, DVec3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+const ORIGIN: DVec3 = DVec3::new(1000.0, -20.0, 3.0);
+
+/// Gaussians of degree 3 in a box of two units, long and flat ones and faint ones among them.
+fn cloud(count: usize) -> Gaussians {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let mut some = |low: f32, high: f32| rng.random_range(low..high);
+    let mut g = Gaussians {
+        sh_degree: 3,
+        ..Gaussians::default()
+    };
+    for _ in 0..count {
+        g.means.push([(); 3].map(|()| some(-1.0, 1.0)));
+        g.log_scales.push([(); 3].map(|()| some(-5.0, -1.8)));
+        g.rotations.push([(); 4].map(|()| some(-2.0, 2.0)));
+        g.opacity_logits.push(some(-4.0, 6.0));
+        g.sh.extend((0..3).map(|_| some(-1.7, 1.7)));
+        g.sh.extend((3..48).map(|_| some(-0.2, 0.2)));
+    }
+    g
+}
+
+fn camera() -> Camera {
+    let pose = DMat4::look_at_rh(ORIGIN + DVec3::new(1.5, 1.0, 3.5), ORIGIN, DVec3::Y).inverse();
+    let lens = Intrinsics {
+        fx: 300.0,
+        fy: 310.0,
+        cx: 158.0,
+        cy: 123.0,
+        width: 320,
+        height: 240,
+    };
+    Camera::from_opengl(&pose, lens).unwrap()
+}
+
+fn viewer<'a>(
+    gaussians: &'a Gaussians,
+    labels: Option<&'a [u16]>,
+    classes: &'a Classes,
+) -> Viewer<'a> {
+    Viewer {
+        title: "a </script><b>bold</b> title {{script}}",
+        scene: "it's",
+        names: None,
+        gaussians,
+        origin: ORIGIN,
+        labels,
+        classes,
+        cameras: &[],
+        up: None,
+        alpha_max: Settings::default().alpha_max,
+    }
+}
+
+fn page_of(gaussians: &Gaussians, labels: Option<&[u16]>, classes: &Classes) -> String {
+    let cameras = [NamedCamera {
+        name: "held".into(),
+        split: Split::Test,
+        camera: camera(),
+    }];
+    Viewer {
+        cameras: &cameras,
+        ..viewer(gaussians, labels, classes)
+    }
+    .page()
+    .unwrap()
+}
+
+/// What stands in the element with this id.
+fn inside<'a>(page: &'a str, id: &str) -> &'a str {
+    let (_, after) = page.split_once(&format!("id=\"{id}\">")).unwrap();
+    after.split_once("</script>").unwrap().0
+}
+
+fn columns(page: &str) -> Vec<u8> {
+    let parts = page
+        .split("class=\"columns\">")
+        .skip(1)
+        .map(|part| part.split_once("</script>").unwrap().0);
+    parts
+        .flat_map(|part| {
+            base64::engine::general_purpose::STANDARD
+                .decode(part)
+                .unwrap()
+        })
+        .collect()
+}
+
+/// The Gaussians that the page carries, read as the page reads them, and each one's place in the list of objects.
+fn unpacked(page: &str) -> (Gaussians, Vec<u16>) {
+    let header: serde_json::Value = serde_json::from_str(inside(page, "header")).unwrap();
+    let (n, degree) = (
+        header["gaussians"].as_u64().unwrap() as usize,
+        header["degree"].as_u64().unwrap() as usize,
+    );
+    let bytes = columns(page);
+    assert_eq!(header["bytes"], bytes.len());
+    let rest = 3 * ((degree + 1).pow(2) - 1);
+    assert_eq!(
+        bytes.len(),
+        n * (38 + rest),
+        "83 bytes a Gaussian of degree 3"
+    );
+    let mut left = bytes.as_slice();
+    let mut take = |width: usize| left.split_off(..width * n).unwrap();
+    let floats: Vec<f32> = take(12)
+        .chunks_exact(4)
+        .map(|b| f32::from_le_bytes(b.try_into().unwrap()))
+        .collect();
+    let mut shorts = |width: usize| -> Vec<i16> {
+        take(2 * width)
+            .chunks_exact(2)
+            .map(|b| i16::from_le_bytes(b.try_into().unwrap()))
+            .collect()
+    };
+    let [scales, base, turns, opacities, places, spread] = [3, 3, 4, 1, 1, 1].map(&mut shorts);
+    let scaled =
+        |v: &[i16], step: f32| v.iter().map(|&v| f32::from(v) * step).collect::<Vec<f32>>();
+    let mut sh = Vec::new();
+    for (i, (base, &spread)) in base.chunks_exact(3).zip(&spread).enumerate() {
+        sh.extend(scaled(base, 1.0 / 1024.0));
+        let step = (f32::from(spread) / 1024.0).exp() / 127.0;
+        sh.extend(
+            left[rest * i..][..rest]
+                .iter()
+                .map(|&v| f32::from(v as i8) * step),
+        );
+    }
+    let logit = |v: &i16| {
+        let opacity = f64::from(*v as u16) / 65535.0;
+        (opacity / (1.0 - opacity)).ln() as f32
+    };
+    let gaussians = Gaussians {
+        means: floats.as_chunks().0.to_vec(),
+        log_scales: scaled(&scales, 1.0 / 1024.0).as_chunks().0.to_vec(),
+        rotations: scaled(&turns, 1.0 / 32767.0).as_chunks().0.to_vec(),
+        opacity_logits: opacities.iter().map(logit).collect(),
+        sh,
+        sh_degree: degree,
+    };
+    (gaussians, places.iter().map(|&v| v as u16).collect())
+}
+
+pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    let clamp = |v: &f32| f64::from(v.clamp(0.0, 1.0));
+    let squares: f64 = a
+        .iter()
+        .zip(b)
+        .map(|(a, b)| (clamp(a) - clamp(b)).powi(2))
+        .sum();
+    -10.0 * (squares / a.len() as f64).log10()
+}
+
+fn picture(gaussians: &Gaussians) -> Vec<f32> {
+    let camera = Camera {
+        center: camera().center - ORIGIN,
+        ..camera()
+    };
+    render(gaussians, &camera, &Settings::default(), [0.0; 3])
+        .unwrap()
+        .rgb
+}
+
+#[test]
+fn the_page_carries_the_scene_to_the_eye_exactly() {
+    let cloud = cloud(2000);
+    let labels: Vec<u16> = (0..2000).map(|i| [3, 900, 0][i % 3]).collect();
+    let classes = Classes::from_names(0, [(3, "wall"), (900, "chair")]);
+    let page = page_of(&cloud, Some(&labels), &classes);
+    let (carried, places) = unpacked(&page);
+    assert_eq!(carried.means, cloud.means, "not rounded at all");
+    let off = carried
+        .log_scales
+        .as_flattened()
+        .iter()
+        .zip(cloud.log_scales.as_flattened())
+        .map(|(a, b)| (a - b).abs());
+    assert!(off.fold(0.0, f32::max) < 0.51 / 1024.0);
+    let (a, b) = (picture(&carried), picture(&cloud));
+    assert!(psnr(&a, &b) > 60.0, "{}", psnr(&a, &b));
+    assert!(
+        psnr(&picture(&cloud.clone().with_sh_degree(0)), &b) < 35.0,
+        "view-dependent colours are in the picture"
+    );
+
+    let header: serde_json::Value = serde_json::from_str(inside(&page, "header")).unwrap();
+    let objects = header["objects"].as_array().unwrap();
+    for (place, label) in places.iter().zip(&labels) {
+        assert_eq!(objects[usize::from(*place)]["id"], *label);
+    }
+    let names: Vec<_> = objects.iter().map(|o| o["name"].as_str()).collect();
+    assert_eq!(names, [Some("void"), Some("wall"), Some("chair")]);
+    assert_eq!(objects[1]["gaussians"], 667);
+    assert_eq!(header["cameras"][0]["split"], "test");
+    let eye: Vec<f64> = header["cameras"][0]["center"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|v| v.as_f64().unwrap())
+        .collect();
+    assert!(
+        (DVec3::from_slice(&eye) - DVec3::new(1.5, 1.0, 3.5)).length() < 1e-9,
+        "relative to the origin"
+    );
+}
+
+#[test]
+fn scenes_without_labels_cameras_or_degrees_have_a_page_too() {
+    let cloud = cloud(300).with_sh_degree(0);
+    let page = page_of(&cloud, None, &Classes::default());
+    let header: serde_json::Value = serde_json::from_str(inside(&page, "header")).unwrap();
+    assert_eq!(header["objects"].as_array().unwrap().len(), 1);
+    assert!(header["objects"][0]["id"].is_null());
+    let (carried, _) = unpacked(&page);
+    assert!(psnr(&picture(&carried), &picture(&cloud)) > 60.0);
+
+    // All of it lies before where a visit begins, upright.
+    let one = cloud.select(&[0]);
+    for (gaussians, up) in [
+        (&cloud, None),
+        (&cloud, Some(DVec3::new(0.0, 0.0, 2.0))),
+        (&one, None),
+    ] {
+        let classes = Classes::default();
+        let page = Viewer {
+            up,
+            ..viewer(gaussians, None, &classes)
+        }
+        .page()
+        .unwrap();
+        let header: serde_json::Value = serde_json::from_str(inside(&page, "header")).unwrap();
+        let numbers = |value: &serde_json::Value| -> Vec<f64> {
+            serde_json::from_value(value.clone()).unwrap()
+        };
+        let [rotation, center] = ["rotation", "center"].map(|key| numbers(&header["start"][key]));
+        let [right, down, ahead] = [0, 3, 6].map(|row| DVec3::from_slice(&rotation[row..]));
+        assert!((right.cross(down) - ahead).length() < 1e-9 && (ahead.length() - 1.0).abs() < 1e-9);
+        let up = up.map_or(DVec3::NEG_Y, DVec3::normalize);
+        assert!(right.dot(up).abs() < 1e-9 && down.dot(up) < -0.8, "{down}");
+        let mean = DVec3::from(gaussians.means[0].map(f64::from)) - DVec3::from_slice(&center);
+        let depth = mean.dot(ahead);
+        assert!(depth > 0.1 && mean.dot(right).abs() < depth && mean.dot(down).abs() < depth);
+    }
+}
+
+#[test]
+fn the_size_of_a_page_is_known_before_it_is_made() {
+    for degree in [0, 2, 3] {
+        let cloud = cloud(2_000).with_sh_degree(degree);
+        let rest = page_of(&cloud, None, &Classes::default()).len() - Viewer::bytes(&cloud);
+        assert!(
+            (40_000..90_000).contains(&rest),
+            "{rest} bytes besides, degree {degree}"
+        );
+    }
+    assert_eq!(Viewer::bytes(&cloud(300)), 300 * (35 + 48) / 3 * 4);
+}
+
+#[test]
+fn the_page_asks_nothing_of_the_network_and_names_stay_text() {
+    let classes = Classes::from_names(0, [(1, "</script><script>alert(1)</script>{{columns}}")]);
+    let page = page_of(&cloud(10), Some(&[1; 10]), &classes);
+    for word in [
+        "http:",
+        "https:",
+        " src=",
+        "import ",
+        "fetch(",
+        "<b>bold",
+        "alert(1)</script>",
+    ] {
+        assert!(!page.contains(word), "{word}");
+    }
+    assert!(
+        !page.replace(inside(&page, "header"), "").contains("{{"),
+        "nothing is left to be filled in"
+    );
+    let header: serde_json::Value = serde_json::from_str(inside(&page, "header")).unwrap();
+    assert_eq!(header["title"], "a </script><b>bold</b> title {{script}}");
+    assert_eq!(
+        header["objects"][0]["name"],
+        "</script><script>alert(1)</script>{{columns}}"
+    );
+}
+
+#[test]
+fn what_cannot_be_shown_is_an_error() {
+    let (cloud, classes) = (cloud(10), Classes::default());
+    let viewer = viewer(&cloud, Some(&[1; 9]), &classes);
+    assert_names(
+        &Viewer {
+            labels: None,
+            up: Some(DVec3::ZERO),
+            ..viewer
+        }
+        .page()
+        .unwrap_err(),
+        &["up"],
+    );
+    assert_names(
+        &viewer.page().unwrap_err(),
+        &["gaussians.labels", "9", "10"],
+    );
+    assert_names(
+        &Viewer {
+            labels: None,
+            alpha_max: 1.5,
+            ..viewer
+        }
+        .page()
+        .unwrap_err(),
+        &["alpha_max", "1.5"],
+    );
+    let none = Gaussians::default();
+    assert_names(
+        &Viewer {
+            labels: None,
+            gaussians: &none,
+            ..viewer
+        }
+        .page()
+        .unwrap_err(),
+        &["gaussians", "none"],
+    );
+    let mut broken = cloud.clone();
+    broken.sh[100] = f32::NAN;
+    assert_names(
+        &Viewer {
+            labels: None,
+            gaussians: &broken,
+            ..viewer
+        }
+        .page()
+        .unwrap_err(),
+        &["sh", "2"],
+    );
+}
+
+#[test]
+fn the_command_writes_a_page_beside_the_scene() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = plates_scene(dir.path());
+    let said = succeeds(&[
+        "view",
+        "--scene",
+        utf8(&scene),
+        "--cameras",
+        utf8(dir.path()),
+    ]);
+    let page = scene.with_file_name("viewer.html");
+    assert!(said.contains("viewer.html"), "{said}");
+    let text = std::fs::read_to_string(&page).unwrap();
+    let header: serde_json::Value = serde_json::from_str(inside(&text, "header")).unwrap();
+    assert_eq!(header["cameras"].as_array().unwrap().len(), 6);
+    assert_eq!(header["path"], utf8(&scene));
+    let other = dir.path().join("page.htm");
+    for (flag, value) in [("--alpha-max", "2"), ("--up", "0,0")] {
+        let code = if flag == "--up" { 2 } else { 1 };
+        let message = fails(&["view", "--scene", utf8(&scene), flag, value], code);
+        assert!(message.contains(flag), "{message}");
+    }
+    let message = fails(&["view", "--scene", utf8(&scene), "--out", utf8(&other)], 1);
+    assert!(
+        message.contains("--out") && message.contains(".html") && !other.exists(),
+        "{message}"
+    );
+}
+
+#[test]
+fn a_model_folder_of_graphdeco_has_its_cameras_above_its_gaussians() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = plates_scene(dir.path());
+    let model = dir.path().join("model");
+    let iteration = model.join("point_cloud/iteration_30000");
+    std::fs::create_dir_all(&iteration).unwrap();
+    std::fs::copy(&scene, iteration.join("point_cloud.ply")).unwrap();
+    write_cameras(
+        &model.join("cameras.json"),
+        &read_cameras(dir.path(), None).unwrap(),
+    )
+    .unwrap();
+    succeeds(&["view", "--scene", utf8(&model)]);
+    let page = std::fs::read_to_string(model.join("viewer.html")).unwrap();
+    let header: serde_json::Value = serde_json::from_str(inside(&page, "header")).unwrap();
+    assert_eq!(header["cameras"].as_array().unwrap().len(), 6);
+    let out = dir.path().join("pictures");
+    succeeds(&["render", "--scene", utf8(&model), "--out", utf8(&out)]);
+    assert_eq!(
+        std::fs::read_dir(&out).unwrap().count(),
+        12,
+        "colour and coverage of six views"
+    );
+}
+
+/// A browser that draws without a screen: the program that COSEG_BROWSER names, or Chromium.
+pub fn browser() -> Option<String> {
+    let named = std::env::var("COSEG_BROWSER").ok();
+    let known = ["chromium", "chromium-browser", "google-chrome"].map(str::to_owned);
+    let answers = |name: &String| {
+        Command::new(name)
+            .arg("--version")
+            .output()
+            .is_ok_and(|o| o.status.success())
+    };
+    let found = named.into_iter().chain(known).find(answers);
+    if found.is_none() {
+        eprintln!("SKIPPED: no Chromium to draw the page; COSEG_BROWSER may name one");
+    }
+    found
+}
+
+/// Runs the browser without a window on the page at `path`, with `#` and `address` behind its name.
+fn browse(browser: &str, path: &Path, address: &str, what: &str) -> String {
+    let url = format!(
+        "file://{}#{address}",
+        path.canonicalize().unwrap().display()
+    );
+    let output = Command::new(browser)
+        .args([
+            "--headless",
+            "--no-sandbox",
+            "--hide-scrollbars",
+            "--force-device-scale-factor=1",
+            "--window-size=320,240",
+        ])
+        .args([
+            "--enable-unsafe-swiftshader",
+            "--virtual-time-budget=10000",
+            what,
+            &url,
+        ])
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// What the browser draws of the page, a view of this size.
+pub fn drawn(browser: &str, path: &Path, address: &str, [width, height]: [usize; 2]) -> Vec<f32> {
+    let shot = path.with_extension("png");
+    browse(
+        browser,
+        path,
+        &format!("{address}&bare"),
+        &format!("--screenshot={}", shot.display()),
+    );
+    let picture = image::open(&shot)
+        .unwrap()
+        .crop_imm(0, 0, width as u32, height as u32)
+        .to_rgb8();
+    assert_eq!(picture.dimensions(), (width as u32, height as u32));
+    picture
+        .into_raw()
+        .into_iter()
+        .map(|v| f32::from(v) / 255.0)
+        .collect()
+}
+
+#[test]
+fn a_browser_draws_what_the_rasterizer_does() {
+    let Some(browser) = browser() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("page.html");
+    let cloud = cloud(3000);
+    let labels: Vec<u16> = (0..3000).map(|i| [1, 2][i % 2]).collect();
+    let classes = Classes::from_names(0, [(1, "wall"), (2, "chair")]);
+    std::fs::write(&path, page_of(&cloud, Some(&labels), &classes)).unwrap();
+    let found = psnr(
+        &drawn(&browser, &path, "view=held", [320, 240]),
+        &picture(&cloud),
+    );
+    eprintln!("PSNR of the page against the rasterizer: {found:.1} dB");
+    assert!(found > 55.0, "{found}");
+    let colors: Vec<[f32; 3]> = labels
+        .iter()
+        .map(|&id| classes.color(id).map(|v| f32::from(v) / 255.0))
+        .collect();
+    let found = psnr(
+        &drawn(&browser, &path, "view=held&mode=labels", [320, 240]),
+        &picture(&cloud.painted(&colors)),
+    );
+    assert!(found > 55.0, "{found}");
+}
+
+/// The page with a program at its end, in which it finds `page` and `send`, beside itself.
+pub fn scripted(page: &Path, script: &str) -> PathBuf {
+    let send = "const send = (type, x, y, more) => document.getElementById('picture').dispatchEvent(\
+        new PointerEvent(type, { clientX: x, clientY: y, pointerId: 1, buttons: 1, ...more }));\
+        document.getElementById('picture').setPointerCapture = () => {};";
+    let text = std::fs::read_to_string(page).unwrap();
+    let script = format!(
+        "<pre id=\"said\"></pre><script type=\"module\">const page = window.page; {send} {script}</script></body>"
+    );
+    let scripted = page.with_file_name("scripted.html");
+    std::fs::write(&scripted, text.replace("</body>", &script)).unwrap();
+    scripted
+}
+
+/// The text of the element with this id after `script` has run in the page.
+pub fn after(browser: &str, page: &Path, script: &str, id: &str) -> String {
+    let dom = browse(browser, &scripted(page, script), "", "--dump-dom");
+    let (_, after) = dom.split_once(&format!("id=\"{id}\">")).unwrap();
+    after
+        .split_once("</pre>")
+        .unwrap()
+        .0
+        .replace("&gt;", ">")
+        .replace("&amp;", "&")
+}
+
+#[test]
+fn the_pointer_turns_the_picture_and_chooses_what_it_shows() {
+    let Some(browser) = browser() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let page = dir.path().join("page.html");
+    let (gaussians, labels) = plates();
+    let cameras = [NamedCamera {
+        name: "front".into(),
+        split: Split::Train,
+        camera: plates::camera(2),
+    }];
+    let classes = Classes::from_names(0, [(1, "red"), (2, "green"), (3, "blue"), (4, "wall")]);
+    let shown = viewer(&gaussians, Some(&labels), &classes);
+    Viewer {
+        cameras: &cameras,
+        origin: DVec3::ZERO,
+        ..shown
+    }
+    .write(&page)
+    .unwrap();
+    // A drag to the right and down takes what is seen along: the camera goes left, and up. It never turns over.
+    let script = "const spot = (p) => { const c = page.fitted; const d = p.map((v, k) => v - c.center[k]); \
+        const at = [0, 3, 6].map((r) => d.reduce((s, v, k) => s + v * c.rotation[r + k], 0)); \
+        return [c.fx * at[0] / at[2] + c.cx, c.fy * at[1] / at[2] + c.cy]; }; \
+        const said = []; const [x, y] = spot([0, 0.3, 0]); \
+        send('pointerdown', x, y); send('pointerup', x, y); said.push(page.scene.objects[page.chosen].name); \
+        const [u, v] = spot([0, 0, -1]); send('pointerdown', u, v); \
+        const near = page.navigation.pivot.map((w, k) => 0.7 * w + 0.3 * page.fitted.center[k]); const before = spot(near); \
+        for (let i = 1; i <= 6; i++) send('pointermove', u + i, v + i); send('pointerup', u + 6, v + 6); \
+        const after = spot(near); said.push(after[0] > before[0] + 1, after[1] > before[1] + 1); \
+        send('pointerdown', u, v); for (let i = 1; i < 400; i++) send('pointermove', u, v + 20 * i); \
+        const up = page.up; const down = page.fitted.down; \
+        said.push(up.reduce((s, w, k) => s + w * down[k], 0) < 0); \
+        document.getElementById('said').textContent = said.join(' ');";
+    assert_eq!(
+        after(&browser, &page, script, "said"),
+        "green true true true"
+    );
+}
