@@ -1,7 +1,7 @@
 //! The one error type of the library.
 //!
 //! Every variant tells the caller a different thing to do:
-//! [`Error::Input`] - mend the named field of the named file; [`Error::Config`] - mend a setting;
+//! [`Error::Input`] - correct the named field of the named file; [`Error::Config`] - correct a setting;
 //! [`Error::Argument`] - pass something else to the command or the function; [`Error::Missing`] - name another path;
 //! [`Error::Io`] - look at the path; [`Error::Limit`] - the request does not fit, the numbers are in the message;
 //! [`Error::NonFinite`] - training met a NaN or an infinity, and where; [`Error::Device`] - the backend is not usable.
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 /// Shorthand for results of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What went wrong, with the file, the field, what was found, what was expected and how to mend it.
+/// What went wrong, with the file, the field, what was found, what was expected and how to correct it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -26,17 +26,17 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file or folder that was named is not there.
-    #[error("no such {what}: {}; {mend}", path.display())]
+    #[error("no such {what}: {}; {help}", path.display())]
     Missing {
         /// `file` or `folder`.
         what: &'static str,
         /// Where it should be.
         path: PathBuf,
         /// What the user can do.
-        mend: String,
+        help: String,
     },
     /// A file was read but what it holds cannot be used.
-    #[error("{}: {field}: found {found}, expected {expected}; {mend}", path.display())]
+    #[error("{}: {field}: found {found}, expected {expected}; {help}", path.display())]
     Input {
         /// The file.
         path: PathBuf,
@@ -47,10 +47,10 @@ pub enum Error {
         /// What should stand there.
         expected: String,
         /// What the user can do.
-        mend: String,
+        help: String,
     },
     /// A setting, in a config file or by `--set`, has an unusable value.
-    #[error("setting {key}: found {found}, expected {expected}; {mend}")]
+    #[error("setting {key}: found {found}, expected {expected}; {help}")]
     Config {
         /// The setting, as a dotted path.
         key: String,
@@ -59,10 +59,10 @@ pub enum Error {
         /// What is allowed.
         expected: String,
         /// What the user can do.
-        mend: String,
+        help: String,
     },
     /// What was passed to a command or to a function of the library cannot be used.
-    #[error("{name}: found {found}, expected {expected}; {mend}")]
+    #[error("{name}: found {found}, expected {expected}; {help}")]
     Argument {
         /// The option, with its dashes, or what the argument is.
         name: String,
@@ -71,10 +71,10 @@ pub enum Error {
         /// What is allowed.
         expected: String,
         /// What the user can do.
-        mend: String,
+        help: String,
     },
     /// The request is larger than this device or this format can hold.
-    #[error("{what}: {found} exceeds the limit of {limit}; {mend}")]
+    #[error("{what}: {found} exceeds the limit of {limit}; {help}")]
     Limit {
         /// The quantity.
         what: String,
@@ -83,7 +83,7 @@ pub enum Error {
         /// The largest value that works.
         limit: String,
         /// What the user can do.
-        mend: String,
+        help: String,
     },
     /// A tensor holds a NaN or an infinity.
     #[error("non-finite value in {tensor}, row {row}{context}")]
@@ -96,18 +96,18 @@ pub enum Error {
         context: String,
     },
     /// The compute device is missing or refused the work.
-    #[error("device {device}: {reason}; {mend}")]
+    #[error("device {device}: {reason}; {help}")]
     Device {
         /// The backend asked for.
         device: String,
         /// Why it cannot be used.
         reason: String,
         /// What the user can do.
-        mend: String,
+        help: String,
     },
 }
 
-/// How to mend an error of the system, where its kind says so.
+/// What to do about an error of the system, where its kind says so.
 fn what_to_do(error: &std::io::Error) -> &'static str {
     use std::io::ErrorKind as Kind;
     match error.kind() {
@@ -130,50 +130,50 @@ impl Error {
         }
     }
 
-    /// An [`Error::Input`] naming file, field, found, expected and mend.
+    /// An [`Error::Input`] naming file, field, found, expected and help.
     pub fn input(
         path: impl AsRef<Path>,
         field: impl Into<String>,
         found: impl Into<String>,
         expected: impl Into<String>,
-        mend: impl Into<String>,
+        help: impl Into<String>,
     ) -> Self {
         Self::Input {
             path: path.as_ref().to_owned(),
             field: field.into(),
             found: found.into(),
             expected: expected.into(),
-            mend: mend.into(),
+            help: help.into(),
         }
     }
 
-    /// An [`Error::Config`] naming the setting, found, expected and mend.
+    /// An [`Error::Config`] naming the setting, found, expected and help.
     pub fn config(
         key: impl Into<String>,
         found: impl Into<String>,
         expected: impl Into<String>,
-        mend: impl Into<String>,
+        help: impl Into<String>,
     ) -> Self {
         Self::Config {
             key: key.into(),
             found: found.into(),
             expected: expected.into(),
-            mend: mend.into(),
+            help: help.into(),
         }
     }
 
-    /// An [`Error::Argument`] naming the argument, found, expected and mend.
+    /// An [`Error::Argument`] naming the argument, found, expected and help.
     pub fn argument(
         name: impl Into<String>,
         found: impl Into<String>,
         expected: impl Into<String>,
-        mend: impl Into<String>,
+        help: impl Into<String>,
     ) -> Self {
         Self::Argument {
             name: name.into(),
             found: found.into(),
             expected: expected.into(),
-            mend: mend.into(),
+            help: help.into(),
         }
     }
 

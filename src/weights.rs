@@ -27,7 +27,7 @@ pub(crate) fn file_digest(path: &Path) -> Result<String> {
 pub struct HostTensor {
     /// Extents, outermost first.
     pub shape: Vec<usize>,
-    /// Row-major values.
+    /// Variant-major values.
     pub values: Vec<f32>,
 }
 

@@ -101,7 +101,7 @@ pub fn choose(name: Option<BackendName>) -> Result<(BackendName, Device)> {
     Err(Error::Device {
         device: "none".into(),
         reason: "no backend is compiled in".into(),
-        mend: "build with --features ndarray".into(),
+        help: "build with --features ndarray".into(),
     })
 }
 
@@ -117,7 +117,7 @@ pub fn open_gpu() -> Result<Device> {
         Some(lacks) => Err(Error::Device {
             device: BackendName::Wgpu.to_string(),
             reason: format!("its adapter is no match for the kernels: {lacks}"),
-            mend: "choose another adapter or backend".into(),
+            help: "choose another adapter or backend".into(),
         }),
     }
 }
@@ -157,7 +157,7 @@ pub fn open_hardware_gpu() -> Result<Device> {
         Some(adapter) => Err(Error::Device {
             device: BackendName::Wgpu.to_string(),
             reason: format!("the only adapter is {adapter}, a software one"),
-            mend: "install the GPU's Vulkan, Metal or DX12 driver".into(),
+            help: "install the GPU's Vulkan, Metal or DX12 driver".into(),
         }),
     }
 }
@@ -238,7 +238,7 @@ pub(crate) fn read<const D: usize>(what: &str, tensor: Tensor<D>) -> Result<Vec<
     let failed = |reason: String| Error::Device {
         device: "in use".into(),
         reason: format!("reading {what} back failed: {reason}"),
-        mend: "see whether the device has memory left, or choose a CPU backend".into(),
+        help: "see whether the device has memory left, or choose a CPU backend".into(),
     };
     let data = tensor
         .try_into_data()
@@ -269,7 +269,7 @@ fn device(name: BackendName) -> Result<Device> {
             Err(Error::Device {
                 device: other.to_string(),
                 reason: format!("not part of this build, which has {}", has.join(", ")),
-                mend: format!("choose one of these, or build with --features {other}"),
+                help: format!("choose one of these, or build with --features {other}"),
             })
         }
     }
@@ -288,7 +288,7 @@ fn cuda() -> Result<Device> {
     Err(Error::Device {
         device: BackendName::Cuda.to_string(),
         reason: "no NVIDIA driver is loaded".into(),
-        mend: "install the NVIDIA driver, or choose another backend".into(),
+        help: "install the NVIDIA driver, or choose another backend".into(),
     })
 }
 
@@ -300,7 +300,7 @@ fn wgpu() -> Result<Device> {
         Err(reason) => Err(Error::Device {
             device: BackendName::Wgpu.to_string(),
             reason: format!("no usable adapter ({reason})"),
-            mend: "install a Vulkan, Metal or DX12 driver (Debian: mesa-vulkan-drivers has a software one), or choose \
+            help: "install a Vulkan, Metal or DX12 driver (Debian: mesa-vulkan-drivers has a software one), or choose \
                    another backend"
                 .into(),
         }),

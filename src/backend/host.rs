@@ -57,7 +57,7 @@ impl<E: Real> HostValues<E> {
 ///
 /// On CPU backends this costs nothing where the layout is contiguous; on a GPU it copies both ways.
 pub trait HostBackend: Backend {
-    /// Row-major contents of `tensor`, whose dtype must be `E`'s.
+    /// Variant-major contents of `tensor`, whose dtype must be `E`'s.
     fn values<E: Real>(tensor: FloatTensor<Self>) -> HostValues<E>;
     /// A tensor of `values` in row-major order on `device`.
     fn tensor<E: Real>(values: Vec<E>, shape: &[usize], device: &Self::Device)

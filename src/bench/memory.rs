@@ -5,7 +5,7 @@ use super::{
     Bench, Figure, Findings, Layout, Samples, Section, figures, gaussians_in_words,
     reset_peak_memory,
 };
-use crate::config::{Config, Row};
+use crate::config::{Config, Variant};
 use crate::data::Scene;
 use crate::error::Result;
 use crate::pipeline::train_decoder::{Plan, Recalls, train_step};
@@ -75,7 +75,7 @@ fn with_gaussians(bench: &Bench, few: &Scene, count: usize) -> Result<Vec<Figure
         device,
     };
     let mut spatial = Spatial::default();
-    let source = spatial.source(Row::Ours, &inputs)?;
+    let source = spatial.source(Variant::Ours, &inputs)?;
     let views = few.views.len();
     let mut found = Vec::new();
     for config in &configs {
@@ -84,7 +84,7 @@ fn with_gaussians(bench: &Bench, few: &Scene, count: usize) -> Result<Vec<Figure
         let plan = Plan::new(segmentation, Kind::from_config(segmentation)?, config.seed);
         let mut training = inputs.training_views();
         let mut model = decoder_row(
-            Row::Ours,
+            Variant::Ours,
             segmentation.lr,
             &plan,
             source,

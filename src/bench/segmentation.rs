@@ -2,7 +2,7 @@
 
 use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words};
 use crate::backend::device::in_host_memory;
-use crate::config::{Config, Preset, Row};
+use crate::config::{Config, Preset, Variant};
 use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::features::SCALES;
@@ -106,13 +106,13 @@ pub(super) fn measure(bench: &Bench) -> Result<Findings> {
         device,
     };
     let mut spatial = Spatial::default();
-    let source = spatial.source(Row::Ours, &inputs)?;
+    let source = spatial.source(Variant::Ours, &inputs)?;
     let segmentation = &config.segmentation;
     let mut training = inputs.training_views();
     let plan = Plan::new(segmentation, Kind::from_config(segmentation)?, config.seed);
     let mut model = Timed {
         model: decoder_row(
-            Row::Ours,
+            Variant::Ours,
             segmentation.lr,
             &plan,
             source,

@@ -115,7 +115,7 @@ impl CheckArgs {
                     field,
                     count,
                     "none",
-                    "mend what is listed above and check again",
+                    "correct what is listed above and check again",
                 ))
             }
         }

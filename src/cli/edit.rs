@@ -119,12 +119,12 @@ impl EditArgs {
             .map(|(row, _)| row)
             .collect();
         if rows.is_empty() {
-            let mend = "keep an object, or remove fewer";
+            let help = "keep an object, or remove fewer";
             return Err(Error::argument(
                 "--keep, --remove",
                 "no Gaussian left",
                 "one or more",
-                mend,
+                help,
             ));
         }
         let labels: Vec<u16> = rows.iter().map(|&row| scene.labels[row as usize]).collect();
@@ -166,12 +166,12 @@ impl EditArgs {
             let before = motions.len();
             motions.extend(staying.map(|object| (object.rows.clone(), motion(object))));
             if motions.len() == before {
-                let mend = "leave it out, or keep the object";
+                let help = "leave it out, or keep the object";
                 return Err(Error::argument(
                     flag,
                     what,
                     "an object that is neither removed nor left out",
-                    mend,
+                    help,
                 ));
             }
             Ok(())
@@ -190,8 +190,8 @@ impl EditArgs {
                     format!("{what}={translation}"),
                     format!("at most {farthest:.3e} world units"),
                 );
-                let mend = "positions so far off would lose their digits: move by less";
-                return Err(Error::argument("--move", found, expected, mend));
+                let help = "positions so far off would lose their digits: move by less";
+                return Err(Error::argument("--move", found, expected, help));
             }
             add(what, "--move", &|_| Motion {
                 translation: *translation,

@@ -3,7 +3,7 @@
 use super::run_folder::RunFolder;
 use super::terminal;
 use clap::Args;
-use coseg::config::{Association, Config, Row};
+use coseg::config::{Association, Config, Variant};
 use coseg::data::{Classes, LabelMap, LabelRuns, Limits, Scene, Split, View};
 use coseg::error::{Error, Result};
 use coseg::metrics::{
@@ -80,12 +80,12 @@ impl EvalArgs {
             && named(&scene.classes) != named(&classes)
         {
             let found = format!("{} classes, not those of the run", scene.classes.len());
-            let mend = "give the scene that was trained on, or one with the same classes.json";
+            let help = "give the scene that was trained on, or one with the same classes.json";
             return Err(Error::argument(
                 "--data",
                 found,
                 format!("the {} classes of the run", classes.len()),
-                mend,
+                help,
             ));
         }
         let Found { images, labels } = score(&scene, &ply, stored.as_ref(), &classes, &config)?;
@@ -174,11 +174,11 @@ impl EvalArgs {
 }
 
 /// The row whose identities a run with these settings stores.
-fn stored_row(config: &Config) -> Option<Row> {
+fn stored_row(config: &Config) -> Option<Variant> {
     let rows = config.segmentation.rows();
     rows.iter()
-        .find(|row| **row == Row::Ours)
-        .or_else(|| rows.iter().rfind(|row| **row != Row::Raw))
+        .find(|row| **row == Variant::Ours)
+        .or_else(|| rows.iter().rfind(|row| **row != Variant::Raw))
         .copied()
 }
 
@@ -194,13 +194,13 @@ fn stored(run: &RunFolder, ply: &PlyScene) -> Result<Option<Stored>> {
         ply.gaussians.len(),
     );
     if rows != n {
-        let mend = "the two files are of different runs; train again";
+        let help = "the two files are of different runs; train again";
         return Err(Error::input(
             &path,
             "scores",
             format!("{rows} rows"),
             format!("{n}, as in scene.ply"),
-            mend,
+            help,
         ));
     }
     Ok(Some(Stored::Identities(identities)))

@@ -43,16 +43,16 @@ pub fn print(faults: &[Error], all: bool) {
 }
 
 fn kind(fault: &Error) -> Kind {
-    let (path, field, mend) = match fault {
+    let (path, field, help) = match fault {
         Error::Input {
-            path, field, mend, ..
-        } => (folder(path), field.as_str(), mend.as_str()),
-        Error::Missing { path, what, mend } => (folder(path), *what, mend.as_str()),
+            path, field, help, ..
+        } => (folder(path), field.as_str(), help.as_str()),
+        Error::Missing { path, what, help } => (folder(path), *what, help.as_str()),
         Error::Io { path, action, .. } => (folder(path), *action, ""),
-        Error::Config { key, mend, .. }
+        Error::Config { key, help, .. }
         | Error::Argument {
-            name: key, mend, ..
-        } => (PathBuf::new(), key.as_str(), mend.as_str()),
+            name: key, help, ..
+        } => (PathBuf::new(), key.as_str(), help.as_str()),
         other => {
             return (
                 discriminant(other),
@@ -62,7 +62,7 @@ fn kind(fault: &Error) -> Kind {
             );
         }
     };
-    (discriminant(fault), path, plain(field), plain(mend))
+    (discriminant(fault), path, plain(field), plain(help))
 }
 
 fn folder(path: &Path) -> PathBuf {

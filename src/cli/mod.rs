@@ -75,7 +75,7 @@ Examples:
   coseg edit --scene runs/living --out without.ply --remove sofa
   coseg bench --run runs/living                speed on this machine, beside the bars of the design
 
-Exit code: 0 done, 1 an error that names what to mend, 2 a mistake on the command line, 130 stopped by Ctrl-C.";
+Exit code: 0 done, 1 an error that names what to help, 2 a mistake on the command line, 130 stopped by Ctrl-C.";
 
 /// The subcommands.
 #[derive(Debug, Subcommand)]

@@ -72,22 +72,22 @@ impl ObjectSceneArgs {
             .extension()
             .is_some_and(|extension| extension.eq_ignore_ascii_case("ply"))
         {
-            let mend = "end the name in .ply; other tools convert that to their formats";
+            let help = "end the name in .ply; other tools convert that to their formats";
             return Err(Error::argument(
                 "--out",
                 out.display().to_string(),
                 "a .ply file",
-                mend,
+                help,
             ));
         }
         if names.exists() && Classes::read(&names)? != *classes {
-            let (found, mend) = ("another class table", "write into another folder");
+            let (found, help) = ("another class table", "write into another folder");
             return Err(Error::input(
                 &names,
                 "classes",
                 found,
                 "that of the scene's labels, or no file",
-                mend,
+                help,
             ));
         }
         Ok(names)
@@ -98,13 +98,13 @@ impl ObjectScene {
     /// What was read from `path`, with the names in the file `classes`, or else in the one beside it.
     pub fn new(path: PathBuf, mut ply: PlyScene, classes: Option<&PathBuf>) -> Result<Self> {
         let Some(labels) = ply.labels.take() else {
-            let mend = "give the scene labels with `coseg vote` or `coseg train`";
+            let help = "give the scene labels with `coseg vote` or `coseg train`";
             return Err(Error::input(
                 path,
                 "column label",
                 "nothing",
                 "one label a Gaussian",
-                mend,
+                help,
             ));
         };
         let beside = path.with_file_name("classes.json");
@@ -114,13 +114,13 @@ impl ObjectScene {
             None => Classes::default(),
         };
         if labels.is_empty() {
-            let mend = "name a scene that holds something";
+            let help = "name a scene that holds something";
             return Err(Error::input(
                 path,
                 "element vertex",
                 "no Gaussian",
                 "one or more",
-                mend,
+                help,
             ));
         }
         let objects = inventory(&ply.gaussians, &labels);

@@ -145,12 +145,12 @@ impl RenderArgs {
             .alpha_max
             .filter(|alpha| !(*alpha > 0.0 && *alpha <= 1.0))
         {
-            let mend = "leave it out for the run's, or 0.999";
+            let help = "leave it out for the run's, or 0.999";
             return Err(Error::argument(
                 "--alpha-max",
                 alpha.to_string(),
                 "above 0, at most 1",
-                mend,
+                help,
             ));
         }
         let split = match self.split {
@@ -176,25 +176,25 @@ impl RenderArgs {
         }
         let mut scene = ply::read(&path, &Limits::default())?;
         let Some(center) = scene.gaussians.median_center() else {
-            let mend = "name a scene that holds something";
+            let help = "name a scene that holds something";
             return Err(Error::input(
                 &path,
                 "element vertex",
                 "no Gaussian",
                 "one or more",
-                mend,
+                help,
             ));
         };
         let center = DVec3::from(center.map(f64::from)) + scene.origin;
         if self.labels && scene.labels.is_none() {
-            let mend =
+            let help =
                 "leave --labels out, or give the scene labels with `coseg vote` or `coseg train`";
             return Err(Error::input(
                 &path,
                 "column label",
                 "nothing",
                 "one label a Gaussian",
-                mend,
+                help,
             ));
         }
         let beside = path.with_file_name("classes.json");

@@ -87,12 +87,12 @@ impl PathArgs {
         let mut names = names.filter_map(|entry| entry.file_name().into_string().ok());
         if let Some(left) = names.find(|name| name.starts_with(&next)) {
             let expected = "a folder without frames of a longer path";
-            let mend = "remove them, or name another folder";
+            let help = "remove them, or name another folder";
             return Err(Error::argument(
                 "--out",
                 out.join(left).display().to_string(),
                 expected,
-                mend,
+                help,
             ));
         }
         Ok(())

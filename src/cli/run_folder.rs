@@ -19,13 +19,13 @@ impl RunFolder {
     pub fn existing(dir: &Path) -> Result<Self> {
         let run = Self(dir.to_owned());
         if !run.config_path().is_file() {
-            let mend = "give the folder that `coseg train` wrote";
+            let help = "give the folder that `coseg train` wrote";
             return Err(Error::input(
                 dir,
                 "config.toml",
                 "no such file",
                 "a run folder",
-                mend,
+                help,
             ));
         }
         Ok(run)
@@ -47,7 +47,7 @@ impl RunFolder {
         };
         let run = Self(dir.to_owned());
         if run.is_used() {
-            let mend = format!(
+            let help = format!(
                 "go on with it (--resume {}) or choose another folder",
                 dir.display()
             );
@@ -56,7 +56,7 @@ impl RunFolder {
                 "config.toml",
                 "a run",
                 "no run there yet",
-                mend,
+                help,
             ));
         }
         Ok(run)

@@ -24,7 +24,7 @@ pub fn scene_path(given: &Path) -> Result<PathBuf> {
         return Err(Error::Missing {
             what: "file",
             path: given.to_owned(),
-            mend: MEND.to_owned(),
+            help: MEND.to_owned(),
         });
     }
     if !given.is_dir() {
@@ -42,14 +42,14 @@ pub fn scene_path(given: &Path) -> Result<PathBuf> {
     let other = names
         .filter(|name| name.to_lowercase().ends_with(".ply"))
         .min();
-    let (found, mend) = match other {
+    let (found, help) = match other {
         Some(name) => (
             format!("no such file, but {name}"),
             format!("give {}", given.join(name).display()),
         ),
         None => ("no such file".to_owned(), MEND.to_owned()),
     };
-    Err(Error::input(given, SCENE, found, "a run folder", mend))
+    Err(Error::input(given, SCENE, found, "a run folder", help))
 }
 
 /// The Gaussians of the last iteration in a model folder of graphdeco's 3DGS: point_cloud/iteration_N/point_cloud.ply.
@@ -83,8 +83,8 @@ pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
         (None, Some(above)) => Ok(above),
         (None, None) => {
             let expected = format!("cameras: {} is not there", beside.display());
-            let mend = "give a file of cameras, a scene folder or a run folder";
-            Err(Error::argument("--cameras", "nothing", expected, mend))
+            let help = "give a file of cameras, a scene folder or a run folder";
+            Err(Error::argument("--cameras", "nothing", expected, help))
         }
     }
 }

@@ -7,13 +7,13 @@ use super::{Settings, interrupt, terminal};
 use clap::Args;
 use coseg::backend::device;
 use coseg::backend::device::BackendName;
-use coseg::config::{Config, Row};
+use coseg::config::{Config, Variant};
 use coseg::data;
 use coseg::data::formats::transforms;
 use coseg::data::{LoadOptions, NamedCamera, Split, View, atomic};
 use coseg::error::Result;
 use coseg::pipeline;
-use coseg::pipeline::{Outcome, RowOutcome};
+use coseg::pipeline::{Outcome, VariantOutcome};
 use coseg::report::{Command, Metrics, Report, held_out_views};
 use coseg::splat::camera::Camera;
 use coseg::splat::ply;
@@ -336,7 +336,7 @@ fn summary(outcome: &Outcome) {
     if outcome.rows.is_empty() {
         return;
     }
-    let scored = |row: &RowOutcome| {
+    let scored = |row: &VariantOutcome| {
         row.scores.miou.is_some() || row.instances.is_some() || row.semantic.is_some()
     };
     if !outcome.rows.iter().any(scored) {
@@ -353,7 +353,7 @@ fn summary(outcome: &Outcome) {
     ));
     let cell = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |v| format!("{v:.4}"));
     for row in &outcome.rows {
-        let name = if row.row == Row::Ours {
+        let name = if row.row == Variant::Ours {
             "ours"
         } else {
             row.row.title()

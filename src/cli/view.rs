@@ -77,12 +77,12 @@ impl ViewArgs {
             .extension()
             .is_some_and(|extension| extension.eq_ignore_ascii_case("html"))
         {
-            let mend = "end the name in .html";
+            let help = "end the name in .html";
             return Err(Error::argument(
                 "--out",
                 out.display().to_string(),
                 "an .html file",
-                mend,
+                help,
             ));
         }
         let ply = ply::read(&path, &Limits::default())?;

@@ -34,25 +34,25 @@ impl VoteArgs {
         if config.data.association != Association::None {
             let expected =
                 "\"none\": a vote takes the ids of raw labels for classes, the same in every view";
-            let mend = "use `coseg associate`, which makes objects of segments and votes for these";
+            let help = "use `coseg associate`, which makes objects of segments and votes for these";
             return Err(Error::config(
                 "data.association",
                 "\"gaussians\"",
                 expected,
-                mend,
+                help,
             ));
         }
         let raster = raster::Settings::from(&config.raster);
         let device = self.input.device()?;
         let (scene, ply) = self.input.read(&config, &device)?;
         if !scene.split(Split::Train).any(|v| v.raw.is_some()) {
-            let mend = "add raw_label_path to the frames of a transforms.json, or name a folder with --set data.raw_labels=FOLDER";
+            let help = "add raw_label_path to the frames of a transforms.json, or name a folder with --set data.raw_labels=FOLDER";
             return Err(Error::input(
                 &self.input.data,
                 "raw_label_path",
                 "nothing",
                 "raw labels of training views",
-                mend,
+                help,
             ));
         }
         let votes = vote(

@@ -172,7 +172,7 @@ fn template() -> Result<Table> {
     full.building.densify_until = Some(0.5);
     full.building.densify_threshold = Some(2e-4);
     full.building.gaussians = path();
-    full.segmentation.rows = Some(super::Row::COMPARED.to_vec());
+    full.segmentation.rows = Some(super::Variant::COMPARED.to_vec());
     full.data.dir = path();
     full.data.scannet_labels = path();
     full.features.weights = path();
@@ -246,8 +246,8 @@ fn parse_set<'a>(set: &str, template: &Table) -> Result<Given<'a>> {
         None => return Err(unknown_key(&key, template, Origin::Set)),
         Some(Value::Table(section)) => {
             let keys = leaf_keys(section, &format!("{key}."));
-            let mend = format!("for instance --set {}=...", keys.first().unwrap_or(&key));
-            return Err(Error::config(&key, "a section", "a key within it", mend));
+            let help = format!("for instance --set {}=...", keys.first().unwrap_or(&key));
+            return Err(Error::config(&key, "a section", "a key within it", help));
         }
         Some(expected) => expected,
     };
@@ -357,10 +357,10 @@ fn describe(value: &Value) -> String {
     }
 }
 
-fn fault(origin: Origin<'_>, key: &str, found: String, expected: String, mend: String) -> Error {
+fn fault(origin: Origin<'_>, key: &str, found: String, expected: String, help: String) -> Error {
     match origin {
-        Origin::File(path, text) => Error::input(path, located(text, key), found, expected, mend),
-        Origin::Set => Error::config(key, found, expected, mend),
+        Origin::File(path, text) => Error::input(path, located(text, key), found, expected, help),
+        Origin::Set => Error::config(key, found, expected, help),
     }
 }
 
@@ -424,13 +424,13 @@ fn unknown_key(key: &str, template: &Table, origin: Origin<'_>) -> Error {
         strsim::jaro_winkler(k, key).max(strsim::jaro_winkler(&last(k), &last(key)) - 0.05)
     };
     let nearest = keys.iter().max_by(|a, b| score(a).total_cmp(&score(b)));
-    let mend = nearest.map_or_else(|| "remove it".to_owned(), |k| format!("did you mean {k}?"));
+    let help = nearest.map_or_else(|| "remove it".to_owned(), |k| format!("did you mean {k}?"));
     fault(
         origin,
         key,
         "an unknown key".into(),
         "a known key".into(),
-        mend,
+        help,
     )
 }
 
@@ -441,13 +441,13 @@ fn in_file(error: Error, given: &[Given<'_>]) -> Error {
             key,
             found,
             expected,
-            mend,
+            help,
         } => {
             let origin = given
                 .iter()
                 .rfind(|g| g.key == key)
                 .map_or(Origin::Set, |g| g.origin);
-            fault(origin, &key, found, expected, mend)
+            fault(origin, &key, found, expected, help)
         }
         other => other,
     }

@@ -10,9 +10,9 @@ mod data;
 mod features;
 mod load;
 mod presets;
-mod row;
 mod unread;
 mod validate;
+mod variant;
 
 pub use self::association::{Association, AssociationConfig};
 pub use self::building::{BuildingConfig, McmcConfig, RasterConfig, Strategy};
@@ -86,7 +86,7 @@ pub enum LabelLoss {
 /// A row of the results table; all but `raw` and `vote` are trained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Row {
+pub enum Variant {
     /// Raw labels of the test views, as they are.
     Raw,
     /// Each Gaussian takes the class with the largest summed alpha' T.
@@ -146,9 +146,9 @@ pub const GCE_EXPONENTS: [f64; 2] = [1e-6, 1.0];
 pub struct SegmentationConfig {
     /// Optimiser steps of each trained row.
     pub iterations: usize,
-    /// Which rows are trained and scored; the scene stores `ours` where present, else the last. Absent: [`Row::COMPARED`], or where
-    /// no held-out view has a truth to score them by [`Row::UNSCORED`].
-    pub rows: Option<Vec<Row>>,
+    /// Which rows are trained and scored; the scene stores `ours` where present, else the last. Absent: [`Variant::COMPARED`], or where
+    /// no held-out view has a truth to score them by [`Variant::UNSCORED`].
+    pub rows: Option<Vec<Variant>>,
     /// Learning rate of the decoder.
     pub lr: f64,
     /// Factors of the learning rates to try for each trained row; the best on held-out raw labels of training views is
@@ -220,8 +220,8 @@ pub struct SegmentationConfig {
 
 impl SegmentationConfig {
     /// `rows`, or what its absence stands for where there is a truth.
-    pub fn rows(&self) -> &[Row] {
-        self.rows.as_deref().unwrap_or(&Row::COMPARED)
+    pub fn rows(&self) -> &[Variant] {
+        self.rows.as_deref().unwrap_or(&Variant::COMPARED)
     }
 }
 

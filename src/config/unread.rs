@@ -1,8 +1,8 @@
 //! Settings that somebody gave and that nothing reads, because another one says so.
 
 use super::{
-    Association, BuildingConfig, Config, FeatureSource, LabelLoss, Layout, Resolution, Row,
-    SpatialSource, Strategy,
+    Association, BuildingConfig, Config, FeatureSource, LabelLoss, Layout, Resolution,
+    SpatialSource, Strategy, Variant,
 };
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -249,11 +249,11 @@ impl Config {
 
     fn of_segmentation(&self) -> Vec<Rule> {
         let (s, u) = (&self.segmentation, &self.unprojection);
-        let any = |is: fn(&Row) -> bool| s.rows().iter().any(is);
+        let any = |is: fn(&Variant) -> bool| s.rows().iter().any(is);
         let decodes = any(|row| row.is_fused());
         // Under `loss`, and with Eq. 9: the others are under cross-entropy without it.
-        let robust = any(|row| row.is_fused() && *row != Row::OursCe);
-        let trains = decodes || any(|row| *row == Row::PerGaussian);
+        let robust = any(|row| row.is_fused() && *row != Variant::OursCe);
+        let trains = decodes || any(|row| *row == Variant::PerGaussian);
         let counts_cells = u.resolution == Resolution::Feature && u.attendance > 0.0;
         let warms_up = robust && s.loss != LabelLoss::Ce || decodes && s.average;
         vec![
@@ -278,7 +278,7 @@ impl Config {
                 ],
             ),
             rule(
-                !any(|row| *row == Row::PerGaussian),
+                !any(|row| *row == Variant::PerGaussian),
                 "segmentation.rows has no per_gaussian",
                 &["segmentation.lr_per_gaussian"],
             ),

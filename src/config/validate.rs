@@ -16,10 +16,10 @@ impl Check {
         key: &str,
         found: impl std::fmt::Display,
         expected: &str,
-        mend: &str,
+        help: &str,
     ) {
         if self.0.is_ok() && !ok {
-            self.0 = Err(Error::config(key, found.to_string(), expected, mend));
+            self.0 = Err(Error::config(key, found.to_string(), expected, help));
         }
     }
 
@@ -35,58 +35,58 @@ impl Check {
 
     /// Above zero and finite.
     fn rate(&mut self, key: &str, value: f64) {
-        let mend = "leave the key out for the default";
+        let help = "leave the key out for the default";
         self.that(
             value > 0.0 && value.is_finite(),
             key,
             value,
             "a finite number above 0",
-            mend,
+            help,
         );
     }
 
     /// Finite and not negative.
     fn amount(&mut self, key: &str, value: f64) {
-        let mend = "leave the key out for the default";
+        let help = "leave the key out for the default";
         self.that(
             value >= 0.0 && value.is_finite(),
             key,
             value,
             "a finite number of 0 or more",
-            mend,
+            help,
         );
     }
 
     /// `low` to `high`, both allowed.
     fn within(&mut self, key: &str, value: f64, low: f64, high: f64) {
-        let (expected, mend) = (
+        let (expected, help) = (
             format!("a number from {low} to {high}"),
             "leave the key out for the default",
         );
-        self.that(value >= low && value <= high, key, value, &expected, mend);
+        self.that(value >= low && value <= high, key, value, &expected, help);
     }
 
     /// Strictly between 0 and 1.
     fn open_share(&mut self, key: &str, value: f64) {
-        let mend = "leave the key out for the default";
+        let help = "leave the key out for the default";
         self.that(
             value > 0.0 && value < 1.0,
             key,
             value,
             "a number above 0 and below 1",
-            mend,
+            help,
         );
     }
 
     /// Above 0, 1 allowed.
     fn share(&mut self, key: &str, value: f64) {
-        let mend = "leave the key out for the default";
+        let help = "leave the key out for the default";
         self.that(
             value > 0.0 && value <= 1.0,
             key,
             value,
             "a number above 0, at most 1",
-            mend,
+            help,
         );
     }
 }
@@ -107,14 +107,14 @@ impl Config {
             "choose a smaller seed",
         );
         check.positive("data.stride", self.data.stride);
-        let mend = "leave the key out for the default";
+        let help = "leave the key out for the default";
         let most = "whole megabytes, at most 2^24";
         check.that(
             self.data.decoded_mb <= 1 << 24,
             "data.decoded_mb",
             self.data.decoded_mb,
             most,
-            mend,
+            help,
         );
         self.validate_masks(&mut check);
         self.building.check(&mut check);
@@ -177,13 +177,13 @@ impl Config {
             ),
         ] {
             let needs_weights = f.source == source && f.weights.is_none();
-            let mend = "give it, or set features.source = \"auto\"";
+            let help = "give it, or set features.source = \"auto\"";
             check.that(
                 !needs_weights,
                 "features.weights",
                 "nothing",
                 expected,
-                mend,
+                help,
             );
         }
         let needs_maps = f.source == FeatureSource::Import && f.import_dir.is_none();

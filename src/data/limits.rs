@@ -25,7 +25,7 @@ impl Default for Limits {
 
 impl Limits {
     /// An [`Error::Limit`] when `found` is larger than `limit`.
-    pub(crate) fn check(what: impl Into<String>, found: u64, limit: u64, mend: &str) -> Result<()> {
+    pub(crate) fn check(what: impl Into<String>, found: u64, limit: u64, help: &str) -> Result<()> {
         if found <= limit {
             return Ok(());
         }
@@ -33,7 +33,7 @@ impl Limits {
             what: what.into(),
             found: found.to_string(),
             limit: limit.to_string(),
-            mend: mend.into(),
+            help: help.into(),
         })
     }
 }

@@ -256,7 +256,7 @@ pub struct LabelMap {
     pub width: usize,
     /// Pixels down.
     pub height: usize,
-    /// Row-major ids, length `width * height`.
+    /// Variant-major ids, length `width * height`.
     pub ids: Vec<u16>,
 }
 

@@ -2,7 +2,7 @@
 
 use super::{Limits, Split};
 use crate::config::{
-    Association, Config, DataConfig, Layout, RawFormat, Row, ScannetClasses, SpatialSource,
+    Association, Config, DataConfig, Layout, RawFormat, ScannetClasses, SpatialSource, Variant,
 };
 use std::path::PathBuf;
 
@@ -87,8 +87,9 @@ impl From<&Config> for LoadOptions {
 impl LoadOptions {
     /// Those of a scene that is to be trained by `config`: with [`LoadOptions::unit_is_metre`] as the rows of stage two have it.
     pub fn for_training(config: &Config) -> Self {
-        let encoded =
-            |row: &Row| row.is_fused() && !matches!(row, Row::NoSpatial | Row::RandomSpatial);
+        let encoded = |row: &Variant| {
+            row.is_fused() && !matches!(row, Variant::NoSpatial | Variant::RandomSpatial)
+        };
         let spatial = &config.spatial;
         let unit_is_metre = spatial.scale == 1.0
             && spatial.source != SpatialSource::Random

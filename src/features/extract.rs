@@ -193,7 +193,7 @@ impl<'a> Reduction<'a> {
                 "data",
                 found,
                 "one or more",
-                "mend the splits",
+                "correct the splits",
             ));
         };
         let again = kept.iter().filter(|maps| maps.is_none()).count();

@@ -29,7 +29,7 @@ pub fn read(dir: &Path, stem: &str) -> Result<[FeatureMap; SCALES]> {
                     format!("view {stem}, scale {n}"),
                     format!("neither {stem}.{n}.npy nor {stem}.safetensors"),
                     "one of them for every view",
-                    "write the missing maps or mend features.import_dir",
+                    "write the missing maps or correct features.import_dir",
                 ));
             }
             maps.push(read_npy(&path)?);

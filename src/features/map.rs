@@ -13,7 +13,7 @@ pub struct FeatureMap {
     pub width: usize,
     /// Values per cell.
     pub channels: usize,
-    /// Row-major `[height, width, channels]`.
+    /// Variant-major `[height, width, channels]`.
     pub data: Vec<f32>,
     /// Where the cells are, when they do not divide the image evenly.
     pub steps: Option<Steps>,

@@ -126,12 +126,12 @@ impl<'a> NeighbourGraph<'a> {
         let classes = identities.classes;
         if identities.scores.len() != self.means.len() * classes {
             let (found, expected) = (identities.scores.len() / classes.max(1), self.means.len());
-            let mend = "diffuse the identities of the graph's own Gaussians";
+            let help = "diffuse the identities of the graph's own Gaussians";
             return Err(Error::argument(
                 "identities",
                 format!("{found} rows"),
                 format!("{expected}"),
-                mend,
+                help,
             ));
         }
         if let Some(at) = identities

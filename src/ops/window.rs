@@ -55,7 +55,7 @@ impl<E: Real> Band<E> {
         Self { row, values, taps }
     }
 
-    /// Row `k` of the band, convolved in both directions.
+    /// Variant `k` of the band, convolved in both directions.
     pub fn convolved(&self, k: usize, out: &mut [E]) {
         weigh(
             std::array::from_fn(|t| &self.values[(k + t) * self.row..][..self.row]),

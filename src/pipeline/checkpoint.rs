@@ -165,7 +165,7 @@ impl Checkpoint {
                 what: format!("values of checkpoint tensor {name}"),
                 found: values.len().to_string(),
                 limit: format!("{shape:?}"),
-                mend: "give as many values as the shape has".into(),
+                help: "give as many values as the shape has".into(),
             });
         }
         self.tensors.insert(name, (shape.to_vec(), T::wrap(values)));

@@ -1,7 +1,7 @@
 //! Diffusion of a row's identities, where settings ask for it, and how compact they are.
 
 use super::segmentation_inputs::Inputs;
-use super::variants::RowOutcome;
+use super::variants::VariantOutcome;
 use crate::config::{Blend, SegmentationConfig};
 use crate::error::Result;
 use crate::metrics::{Compactness, WithoutDiffusion};
@@ -35,9 +35,9 @@ impl<'a> Compacting<'a> {
     /// Those of [`NeighbourGraph::diffused`].
     pub fn finish(
         &self,
-        row: RowOutcome,
-        score: impl Fn(&Identities, RowOutcome) -> Result<RowOutcome>,
-    ) -> Result<RowOutcome> {
+        row: VariantOutcome,
+        score: impl Fn(&Identities, VariantOutcome) -> Result<VariantOutcome>,
+    ) -> Result<VariantOutcome> {
         let Some(identities) = &row.identities else {
             return Ok(row);
         };
@@ -47,7 +47,7 @@ impl<'a> Compacting<'a> {
                 neighbours_differ: before,
                 without_diffusion: None,
             });
-            return Ok(RowOutcome { compactness, ..row });
+            return Ok(VariantOutcome { compactness, ..row });
         }
         let diffusion = Diffusion {
             steps: self.config.diffusion_steps,
@@ -66,7 +66,7 @@ impl<'a> Compacting<'a> {
             without_diffusion: Some(without),
         });
         let scored = score(&diffused, row)?;
-        Ok(RowOutcome {
+        Ok(VariantOutcome {
             identities: Some(diffused),
             compactness,
             ..scored

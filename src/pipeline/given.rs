@@ -30,12 +30,12 @@ pub(crate) fn begin(
 ) -> Result<Gaussians> {
     if atomic::same_file(path, scene_file) {
         let expected = "another file than the run's own scene.ply, which is written over";
-        let mend = "let the run write into another folder";
+        let help = "let the run write into another folder";
         return Err(Error::config(
             "building.gaussians",
             path.display().to_string(),
             expected,
-            mend,
+            help,
         ));
     }
     if scene.split(Split::Train).next().is_none() {
@@ -53,13 +53,13 @@ pub(crate) fn begin(
         ..
     } = ply::read(path, &Limits::default())?;
     if gaussians.is_empty() {
-        let mend = "name a scene that holds something";
+        let help = "name a scene that holds something";
         return Err(Error::input(
             path,
             "element vertex",
             "no Gaussian",
             "one or more",
-            mend,
+            help,
         ));
     }
     let most = config.building.max_gaussians;

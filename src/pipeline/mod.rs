@@ -22,4 +22,4 @@ pub use self::provenance::Provenance;
 pub use self::pruned::Pruned;
 pub use self::run::{Associated, Outcome, Seconds, load_scene, run};
 pub use self::segmentation_inputs::{Inputs, Seen, Spatial};
-pub use self::variants::{RowOutcome, decoder_row};
+pub use self::variants::{VariantOutcome, decoder_row};

@@ -1,7 +1,7 @@
 //! What a checkpoint was made from: settings and data. A run goes on from a checkpoint only when they are its own.
 
 use super::segmentation_inputs::Inputs;
-use crate::config::{Association, Config, Row};
+use crate::config::{Association, Config, Variant};
 use crate::data::mask::Mask;
 use crate::data::{Scene, Split, View};
 use crate::error::{Error, Result};
@@ -127,7 +127,7 @@ impl Provenance {
     ///
     /// # Errors
     /// [`Error::Io`] when the file of the point encoder's weights cannot be read.
-    pub(crate) fn row(row: Row, inputs: &Inputs) -> Result<Self> {
+    pub(crate) fn row(row: Variant, inputs: &Inputs) -> Result<Self> {
         let Inputs { scene, config, .. } = inputs;
         let sections: &[&str] = match row.is_fused() {
             true => &[
@@ -161,10 +161,13 @@ impl Provenance {
             .map(named),
         );
         // By what they are made from: on a GPU their sums need not have the same bits each time.
-        if let (true, Some(seen)) = (row.is_fused() && row != Row::NoImageFeatures, &inputs.seen) {
+        if let (true, Some(seen)) = (
+            row.is_fused() && row != Variant::NoImageFeatures,
+            &inputs.seen,
+        ) {
             data.insert(IMAGE_FEATURES.to_owned(), seen.content.clone());
         }
-        if row.is_fused() && !matches!(row, Row::NoSpatial | Row::RandomSpatial) {
+        if row.is_fused() && !matches!(row, Variant::NoSpatial | Variant::RandomSpatial) {
             data.extend(
                 spatial_digest(&config.spatial)?.map(|digest| (ENCODER.to_owned(), digest)),
             );
@@ -211,8 +214,8 @@ impl Provenance {
             let found = self.settings.get(key).cloned().unwrap_or_else(none);
             let then = then(key).cloned().unwrap_or_else(none);
             let expected = format!("{then}, as when {} was written", file.display());
-            let mend = "resume with that value, or train with this one into another folder";
-            return Err(Error::config(key, found, expected, mend));
+            let help = "resume with that value, or train with this one into another folder";
+            return Err(Error::config(key, found, expected, help));
         }
         let lacking = |name: &str| LATER.contains(&name) && !stored.data.contains_key(name);
         let differs =
@@ -257,8 +260,8 @@ impl Provenance {
                 && found != then
             {
                 let expected = format!("{then}, as when {} was written", file.display());
-                let mend = "resume with that value, or train with this one into another folder";
-                return Error::config(key, found, expected, mend);
+                let help = "resume with that value, or train with this one into another folder";
+                return Error::config(key, found, expected, help);
             }
         }
         let begun = match name {
@@ -273,13 +276,13 @@ impl Provenance {
             }
             _ => "the files that it began with, as its settings of data are the same",
         };
-        let mend = format!("resume with {begun}, or train into another folder");
+        let help = format!("resume with {begun}, or train into another folder");
         Error::input(
             file,
             name,
             "those of other data",
             "those that the run has now",
-            mend,
+            help,
         )
     }
 

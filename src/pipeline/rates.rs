@@ -157,7 +157,7 @@ fn raw_accuracy(identities: &Identities, views: &TrainingViews, inputs: &Inputs)
 #[cfg(test)]
 mod tests {
     use super::choose_rate;
-    use crate::config::{Config, Row};
+    use crate::config::{Config, Variant};
     use crate::data::{Classes, LabelMap, Scene, Split, View};
     use crate::pipeline::progress::Silent;
     use crate::pipeline::train_decoder::{Model, Pace, PerGaussian, Plan, TrainingViews};
@@ -241,7 +241,7 @@ mod tests {
         };
         let folder = tempfile::tempdir().expect("a folder");
         let pace = Pace {
-            row: Row::PerGaussian.key(),
+            row: Variant::PerGaussian.key(),
             eval_every: 1,
             checkpoint_every: 1,
             checkpoint: Some(folder.path().join("per_gaussian.safetensors")),

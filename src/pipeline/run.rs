@@ -7,8 +7,8 @@ use super::progress::{CurvePoint, Progress, Viewing};
 use super::provenance::Provenance;
 use super::pruned::{Attendance, Pruned};
 use super::segmentation_inputs::Inputs;
-use super::variants::{RowOutcome, TrainedRows, run_rows};
-use crate::config::{Association, Config, Row, SegmentationConfig};
+use super::variants::{TrainedRows, VariantOutcome, run_rows};
+use crate::config::{Association, Config, SegmentationConfig, Variant};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::{Error, Result};
 use crate::metrics::ImageScores;
@@ -70,7 +70,7 @@ pub struct Outcome {
     /// What the classes of objects are scored against, where association found objects with classes.
     pub semantics: Option<Semantics>,
     /// Rows of the label table, in the order of the configuration; empty without labels.
-    pub rows: Vec<RowOutcome>,
+    pub rows: Vec<VariantOutcome>,
     /// Where the 2D features came from; empty when none were needed.
     pub features: String,
     /// Where the point encoder came from; empty when none was needed.
@@ -94,9 +94,9 @@ impl Outcome {
     }
 
     /// The row whose identities the scene stores: `ours` where it was trained, else the last with identities.
-    pub fn stored(&self) -> Option<(&RowOutcome, &Identities)> {
-        let with = |row: &RowOutcome| row.identities.is_some();
-        let row = self.rows.iter().find(|r| r.row == Row::Ours && with(r));
+    pub fn stored(&self) -> Option<(&VariantOutcome, &Identities)> {
+        let with = |row: &VariantOutcome| row.identities.is_some();
+        let row = self.rows.iter().find(|r| r.row == Variant::Ours && with(r));
         let row = row.or_else(|| self.rows.iter().rfind(|r| with(r)))?;
         Some((row, row.identities.as_ref()?))
     }
@@ -150,9 +150,9 @@ pub fn run(
             let scored = |view: &View| has_truth(view, config.data.association, semantics.as_ref());
             let scored = scene.split(Split::Test).any(scored);
             let rows = Some(if scored {
-                Row::COMPARED.to_vec()
+                Variant::COMPARED.to_vec()
             } else {
-                Row::UNSCORED.to_vec()
+                Variant::UNSCORED.to_vec()
             });
             Config {
                 segmentation: SegmentationConfig {

@@ -2,7 +2,7 @@
 
 use super::progress::{Progress, Viewing};
 use super::train_decoder::{Encoded, Source, TrainingViews};
-use crate::config::{Config, Encode, Row, SpatialConfig, SpatialSource};
+use crate::config::{Config, Encode, SpatialConfig, SpatialSource, Variant};
 use crate::data::{Scene, Split};
 use crate::error::{Error, Result};
 use crate::features::{Reduction, SCALES};
@@ -164,15 +164,15 @@ struct Flavour {
 }
 
 impl Flavour {
-    fn of(row: Row) -> Self {
+    fn of(row: Variant) -> Self {
         let switches = Switches {
-            image: row != Row::NoImageFeatures,
-            spatial: row != Row::NoSpatial,
-            single_scale: (row == Row::SingleScale).then_some(SINGLE_SCALE),
+            image: row != Variant::NoImageFeatures,
+            spatial: row != Variant::NoSpatial,
+            single_scale: (row == Variant::SingleScale).then_some(SINGLE_SCALE),
         };
         Self {
             switches,
-            random: row == Row::RandomSpatial,
+            random: row == Variant::RandomSpatial,
         }
     }
 }
@@ -203,7 +203,7 @@ impl Spatial {
     ///
     /// # Errors
     /// Those of the encoder's weights and of the encoding.
-    pub fn source(&mut self, row: Row, inputs: &Inputs) -> Result<&Source> {
+    pub fn source(&mut self, row: Variant, inputs: &Inputs) -> Result<&Source> {
         let flavour = Flavour::of(row);
         let made = match self.source.take() {
             Some((of, source)) if of == flavour => source,
@@ -321,12 +321,12 @@ fn join(
 ) -> Result<Encoded> {
     let image = |scale: usize, rows: &[u32]| {
         let Some(seen) = &inputs.seen else {
-            let mend = "unproject image features first, or leave them off";
+            let help = "unproject image features first, or leave them off";
             return Err(Error::argument(
                 "image features",
                 "none",
                 "those of every Gaussian",
-                mend,
+                help,
             ));
         };
         let (lifted, d) = (&seen.lifted[scale], seen.dimensions);

@@ -8,7 +8,7 @@ use super::segmentation_inputs::{Inputs, Spatial};
 use super::train_decoder::{
     Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Session, Source, TrainingViews, train,
 };
-use crate::config::{LabelLoss, Prior, Row, SegmentationConfig};
+use crate::config::{LabelLoss, Prior, SegmentationConfig, Variant};
 use crate::error::Result;
 use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
 use crate::objects::Identities;
@@ -22,9 +22,9 @@ const VOTE_FLOOR: f32 = 0.02;
 
 /// One row, trained and scored.
 #[derive(Clone, Debug)]
-pub struct RowOutcome {
+pub struct VariantOutcome {
     /// Which.
-    pub row: Row,
+    pub row: Variant,
     /// What the Gaussians store; none for the raw labels themselves.
     pub identities: Option<Identities>,
     /// Held-out scores, void predictions counted as wrong.
@@ -51,7 +51,7 @@ pub struct RowOutcome {
     pub trial_seconds: Option<f64>,
 }
 
-impl RowOutcome {
+impl VariantOutcome {
     /// The row's name in settings and reports.
     pub fn name(&self) -> &'static str {
         self.row.key()
@@ -75,7 +75,7 @@ impl RowOutcome {
     }
 }
 
-impl Row {
+impl Variant {
     /// Whether the row trains the decoder.
     pub fn is_fused(self) -> bool {
         !matches!(self, Self::Raw | Self::Vote | Self::PerGaussian)
@@ -85,7 +85,7 @@ impl Row {
 /// Rows, trained and scored.
 pub struct TrainedRows {
     /// In the order of the configuration.
-    pub rows: Vec<RowOutcome>,
+    pub rows: Vec<VariantOutcome>,
     /// Name of the point encoder's weights.
     pub spatial: String,
     /// Seconds of training that earlier parts of a resumed run took.
@@ -97,7 +97,7 @@ pub struct TrainedRows {
 /// A row, trained as far as `progress` let it.
 struct Trained {
     /// Has neither identities nor scores where it was stopped before its end.
-    outcome: RowOutcome,
+    outcome: VariantOutcome,
     /// Seconds of training that earlier parts of a resumed run took.
     earlier: f64,
     /// Whether it came to its end.
@@ -121,21 +121,22 @@ pub fn run_rows(
     let (mut rows, mut earlier, mut stopped) = (Vec::new(), 0.0, false);
     for (number, &row) in config.rows().iter().enumerate() {
         // A table of votes takes as much as identities do.
-        let votes = |row: &Row| *row == Row::Vote || row.is_fused() && config.prior == Prior::Votes;
+        let votes =
+            |row: &Variant| *row == Variant::Vote || row.is_fused() && config.prior == Prior::Votes;
         views.keep_votes(config.rows()[number + 1..].iter().any(votes));
         let outcome = match row {
-            Row::Raw => {
+            Variant::Raw => {
                 let (scores, void_left_out) = held_out.score_raw(inputs);
-                RowOutcome {
+                VariantOutcome {
                     void_left_out,
                     ..untrained(row).scored(scores)
                 }
             }
-            Row::Vote => {
+            Variant::Vote => {
                 let votes = views.votes()?;
                 let (identities, agreement) = (votes.identities(), Some(votes.agreement()));
                 let scores = held_out.score(&identities, inputs)?;
-                RowOutcome {
+                VariantOutcome {
                     identities: Some(identities),
                     agreement,
                     ..untrained(row).scored(scores)
@@ -181,8 +182,8 @@ pub fn run_rows(
     })
 }
 
-fn untrained(row: Row) -> RowOutcome {
-    RowOutcome {
+fn untrained(row: Variant) -> VariantOutcome {
+    VariantOutcome {
         row,
         identities: None,
         scores: LabelScores::default(),
@@ -200,16 +201,16 @@ fn untrained(row: Row) -> RowOutcome {
 }
 
 /// Loss of a row after the warm-up.
-fn loss(row: Row, config: &SegmentationConfig) -> Result<Kind> {
+fn loss(row: Variant, config: &SegmentationConfig) -> Result<Kind> {
     match row {
-        Row::PerGaussian | Row::OursCe => Ok(Kind::Ce),
+        Variant::PerGaussian | Variant::OursCe => Ok(Kind::Ce),
         _ => Kind::from_config(config),
     }
 }
 
 /// Trains `row` and scores it.
 fn trained(
-    row: Row,
+    row: Variant,
     inputs: &Inputs,
     views: &mut TrainingViews,
     spatial: &mut Spatial,
@@ -268,7 +269,7 @@ fn trained(
             }
             (false, _) => (None, Scores::default()),
         };
-        let outcome = RowOutcome {
+        let outcome = VariantOutcome {
             identities,
             learnable_bytes: model.learnable_bytes(),
             rate: Some(rate.rate),
@@ -334,7 +335,7 @@ fn trained(
 /// # Errors
 /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite.
 pub fn decoder_row<'a>(
-    row: Row,
+    row: Variant,
     rate: f64,
     plan: &Plan,
     source: &'a Source,
@@ -348,9 +349,9 @@ pub fn decoder_row<'a>(
     let plan = FusedPlan {
         config,
         rate,
-        regularised: row != Row::OursCe && config.lambda_reg > 0.0,
+        regularised: row != Variant::OursCe && config.lambda_reg > 0.0,
         size: [inputs.gaussians.len(), classes],
-        dropout: (row != Row::OursCe && config.loss == LabelLoss::Gjs)
+        dropout: (row != Variant::OursCe && config.loss == LabelLoss::Gjs)
             .then_some(config.gjs_dropout),
         average_from: config.average.then_some(average_from),
         seed,

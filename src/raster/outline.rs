@@ -86,7 +86,7 @@ struct Outlines {
     half: [Column; 2],
     /// `1 / half[1]`.
     per_half: Column,
-    /// Row offset at which the ellipse is furthest right.
+    /// Variant offset at which the ellipse is furthest right.
     right_at: Column,
 }
 

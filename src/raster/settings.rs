@@ -43,7 +43,7 @@ impl Settings {
     /// [`Error::Config`] for a value outside its range.
     pub(super) fn check(&self) -> Result<()> {
         let unit = |key: &str, v: f64, ok: bool, range: &str| {
-            let mend = "choose a value in that range";
+            let help = "choose a value in that range";
             if ok {
                 Ok(())
             } else {
@@ -51,7 +51,7 @@ impl Settings {
                     format!("raster.{key}"),
                     v.to_string(),
                     range,
-                    mend,
+                    help,
                 ))
             }
         };

@@ -109,7 +109,7 @@ pub(super) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Result<TileList
             what: "entries of the tile lists of one view".into(),
             found: total.to_string(),
             limit: u32::MAX.to_string(),
-            mend: "render a smaller image, or remove very large Gaussians".into(),
+            help: "render a smaller image, or remove very large Gaussians".into(),
         });
     }
     let mut starts = Vec::with_capacity(tiles + 1);

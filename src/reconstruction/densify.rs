@@ -151,7 +151,7 @@ impl RowPlan {
                 what: "rows of the densification statistics".into(),
                 found: stats.gradient.len().to_string(),
                 limit: n.to_string(),
-                mend: "pass the statistics gathered for these Gaussians".into(),
+                help: "pass the statistics gathered for these Gaussians".into(),
             });
         }
         let scales: Vec<f32> = gaussians.log_scales.iter().map(largest_scale).collect();

@@ -89,7 +89,7 @@ fn neighbour_distances(positions: &[[f32; 3]]) -> Result<Vec<Option<f64>>> {
         what: "initial points".into(),
         found: distinct.len().to_string(),
         limit: u32::MAX.to_string(),
-        mend: "thin the point cloud".into(),
+        help: "thin the point cloud".into(),
     })?;
     let wanted = NonZero::new(NEIGHBOURS + 1).unwrap_or(NonZero::<usize>::MIN);
     let found = tree

@@ -2,12 +2,12 @@
 
 use super::chart::{Chart, Level, Line, thinned};
 use super::{Report, Sample};
-use crate::config::Row;
+use crate::config::Variant;
 
 /// CSS class of a row's colour.
-pub(super) fn row_class(row: Row) -> &'static str {
+pub(super) fn row_class(row: Variant) -> &'static str {
     // `ours` alone marks a table row.
-    if row == Row::Ours {
+    if row == Variant::Ours {
         "row-ours"
     } else {
         row.key()
@@ -72,7 +72,7 @@ pub(super) fn building(report: &Report<'_>) -> String {
 pub(super) fn segmentation(report: &Report<'_>) -> String {
     let rows = &report.metrics.curves.rows;
     let as_percent = |s: &[Sample]| s.iter().map(|&(i, v)| (i, 100.0 * v)).collect::<Vec<_>>();
-    let untrained = |row: &Row| !rows.iter().any(|r| r.row == *row);
+    let untrained = |row: &Variant| !rows.iter().any(|r| r.row == *row);
     let scored = report
         .metrics
         .test

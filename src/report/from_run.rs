@@ -6,12 +6,12 @@ use super::{
     BuildingHistory, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Sample, Seconds,
     TestScores,
 };
-use crate::config::{Config, LabelLoss, Row, SegmentationConfig};
+use crate::config::{Config, LabelLoss, SegmentationConfig, Variant};
 use crate::data::{Split, View};
 use crate::error::Result;
 use crate::objects::{LabelMaps, LabelRule, has_truth};
 use crate::pipeline::progress::CurvePoint;
-use crate::pipeline::{Outcome, Pictures, RowOutcome};
+use crate::pipeline::{Outcome, Pictures, VariantOutcome};
 use burn::tensor::Device;
 
 impl Metrics {
@@ -56,7 +56,7 @@ impl Metrics {
     }
 }
 
-fn row_scores(row: &RowOutcome) -> RowScores {
+fn row_scores(row: &VariantOutcome) -> RowScores {
     RowScores {
         void_left_out: row.void_left_out.as_ref().map(Into::into),
         instances: row.instances.clone(),
@@ -117,7 +117,8 @@ pub fn held_out_views<'a>(
     mut beside: impl FnMut(HeldOutView<'a>) -> Result<()>,
 ) -> Result<Vec<HeldOutView<'a>>> {
     let stored = outcome.stored().map(|(row, _)| row.row);
-    let shown = |row: Row| Some(row) == stored || matches!(row, Row::Vote | Row::PerGaussian);
+    let shown =
+        |row: Variant| Some(row) == stored || matches!(row, Variant::Vote | Variant::PerGaussian);
     let rows: Vec<_> = outcome
         .rows
         .iter()
@@ -184,13 +185,13 @@ impl Report<'_> {
                 outcome.scene.views.len()
             ));
         }
-        if outcome.rows.iter().any(|row| row.row == Row::Raw) {
+        if outcome.rows.iter().any(|row| row.row == Variant::Raw) {
             notes.push("Raw labels of held-out views are scored, never trained on.".to_owned());
         }
         if outcome
             .rows
             .iter()
-            .any(|row| row.row.is_fused() && row.row != Row::OursCe)
+            .any(|row| row.row.is_fused() && row.row != Variant::OursCe)
         {
             notes.push(format!(
                 "The decoder of ours learns under {}.",

@@ -1,6 +1,6 @@
 //! What is measured while a run trains. Plain data, so that a checkpoint can carry it.
 
-use crate::config::Row;
+use crate::config::Variant;
 use serde::{Deserialize, Serialize};
 
 /// One measurement: iteration and value.
@@ -32,7 +32,7 @@ pub struct BuildingHistory {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RowHistory {
     /// The row.
-    pub row: Row,
+    pub row: Variant,
     /// Training loss.
     pub loss: Vec<Sample>,
     /// Held-out mIoU, pooled, 0..1.

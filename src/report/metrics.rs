@@ -1,7 +1,7 @@
 //! `metrics.json`: the figures of a run, for programs.
 
 use super::History;
-use crate::config::Row;
+use crate::config::Variant;
 use crate::metrics::{
     Agreement, Compactness, ImageScores, InstanceScores, LabelScores, SemanticScores,
 };
@@ -76,7 +76,7 @@ pub struct TestScores {
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub views: BTreeMap<String, ImageScores>,
     /// Label scores by row.
-    pub labels: BTreeMap<Row, RowScores>,
+    pub labels: BTreeMap<Variant, RowScores>,
 }
 
 /// Label scores of one row.

@@ -21,7 +21,7 @@ pub use self::metrics::{
     AssociationFigures, Command, Metrics, RowScores, Scores, Seconds, TestScores, peak_memory_bytes,
 };
 
-use crate::config::{Config, Row};
+use crate::config::{Config, Variant};
 use crate::data::{Classes, LabelMap, View, atomic};
 use crate::error::{Error, Result};
 use crate::metrics::ImageScores;
@@ -53,8 +53,8 @@ pub struct HeldOutView<'a> {
     pub rgb: Vec<f32>,
     /// PSNR and SSIM against the photo.
     pub scores: ImageScores,
-    /// Rendered labels by row. `Row::Raw` is not among them: raw labels are the view's own.
-    pub labels: Vec<(Row, LabelMap)>,
+    /// Rendered labels by row. `Variant::Raw` is not among them: raw labels are the view's own.
+    pub labels: Vec<(Variant, LabelMap)>,
 }
 
 impl HeldOutView<'_> {
@@ -110,10 +110,10 @@ impl HeldOutView<'_> {
     }
 
     /// The labels of the row that the scene stores: `ours` where present, else the last.
-    fn stored(&self) -> Option<&(Row, LabelMap)> {
+    fn stored(&self) -> Option<&(Variant, LabelMap)> {
         self.labels
             .iter()
-            .find(|(row, _)| *row == Row::Ours)
+            .find(|(row, _)| *row == Variant::Ours)
             .or(self.labels.last())
     }
 }

@@ -3,7 +3,7 @@
 use super::history::late_gain;
 use super::markup::{bytes, duration, escape, percent, thousands};
 use super::{Report, compactness, curves, objects_by_class, tables, views};
-use crate::config::Row;
+use crate::config::Variant;
 use crate::error::Result;
 use std::fmt::Write;
 use std::path::Path;
@@ -111,12 +111,12 @@ fn tiles(report: &Report<'_>) -> String {
     }
     let labels = &m.test.labels;
     let miou = |row| labels.get(&row).and_then(|scores| scores.miou);
-    if let Some(ours) = miou(Row::Ours) {
+    if let Some(ours) = miou(Variant::Ours) {
         tiles.push((percent(ours), "%", "held-out mIoU, pooled".into()));
-        for row in [Row::Raw, Row::Vote] {
+        for row in [Variant::Raw, Variant::Vote] {
             if let Some(other) = miou(row) {
                 let gain = 100.0 * (ours - other);
-                let against = if row == Row::Raw {
+                let against = if row == Variant::Raw {
                     "mIoU against the raw labels"
                 } else {
                     "mIoU against the vote"

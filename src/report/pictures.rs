@@ -29,7 +29,7 @@ pub fn from_floats(rgb: &[f32], width: usize, height: usize) -> Result<RgbImage>
         what: "image values".into(),
         found: rgb.len().to_string(),
         limit: format!("{width} x {height} x 3"),
-        mend: "pass an [H, W, 3] image".into(),
+        help: "pass an [H, W, 3] image".into(),
     })
 }
 

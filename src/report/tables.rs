@@ -3,7 +3,7 @@
 use super::curves::row_class;
 use super::markup::{bytes, duration, escape, percent};
 use super::{Report, RowScores};
-use crate::config::Row;
+use crate::config::Variant;
 use std::fmt::Write;
 
 /// A table whose wide content scrolls on its own.
@@ -17,7 +17,7 @@ pub(super) fn table(head: &[String], body: &str) -> String {
     )
 }
 
-pub(super) fn row_name(row: Row) -> String {
+pub(super) fn row_name(row: Variant) -> String {
     format!(
         "<th scope=\"row\" class=\"{}\"><span class=\"mark\"></span>{}</th>",
         row_class(row),
@@ -39,7 +39,7 @@ pub(super) fn scores(report: &Report<'_>) -> String {
     let columns: [Pick; 3] = [|s| s.miou, |s| s.miou_per_view, |s| s.accuracy];
     let mut body = String::new();
     for (row, scores) in labels {
-        let class = if *row == Row::Ours {
+        let class = if *row == Variant::Ours {
             " class=\"ours\""
         } else {
             ""

@@ -5,7 +5,7 @@ use super::pictures::{
     AGREEMENT, ERROR_FULL, UNLABELLED, accuracy, colored, from_floats, heat, label_error, png,
 };
 use super::{HeldOutView, Report};
-use crate::config::Row;
+use crate::config::Variant;
 use crate::data::{LabelMap, LabelRuns};
 use crate::error::Result;
 use base64::Engine;
@@ -140,8 +140,8 @@ fn one(report: &Report<'_>, held_out: &HeldOutView<'_>, path: &Path) -> Result<S
         )?);
     }
     let raw = view.raw.as_ref().map(LabelRuns::map);
-    let raw = raw.iter().map(|labels| (Row::Raw, labels));
-    let rows: Vec<(Row, &LabelMap)> = raw
+    let raw = raw.iter().map(|labels| (Variant::Raw, labels));
+    let rows: Vec<(Variant, &LabelMap)> = raw
         .chain(held_out.labels.iter().map(|(row, labels)| (*row, labels)))
         .collect();
     for (row, labels) in &rows {

@@ -214,7 +214,7 @@ fn check_features(level: usize, features: &Tensor<2>) -> Result<()> {
 /// # Errors
 /// [`Error::Config`] for a negative or non-finite setting, and for 0 without a usable extent.
 pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64> {
-    let (scale, mend) = match config.scale {
+    let (scale, help) = match config.scale {
         0.0 => (
             ASSUMED_EXTENT / camera_extent,
             "set spatial.scale: the cameras do not tell how large the scene is",
@@ -230,7 +230,7 @@ pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64
             "spatial.scale",
             config.scale.to_string(),
             "a finite number above 0, or 0",
-            mend,
+            help,
         )),
     }
 }
@@ -254,12 +254,12 @@ pub fn load_spatial(
             (weights, format!("pretrained {}", path.display()))
         }
         (SpatialSource::Pretrained, None) => {
-            let mend = "set it to a RandLA-Net checkpoint, or set spatial.source = \"builtin\"";
+            let help = "set it to a RandLA-Net checkpoint, or set spatial.source = \"builtin\"";
             return Err(Error::config(
                 "spatial.weights",
                 "nothing",
                 "a .safetensors, .pth or .pt file",
-                mend,
+                help,
             ));
         }
     };

@@ -24,7 +24,7 @@ impl Kind {
                 }
             }
             LabelLoss::Gce => {
-                let mend = "0.7 is the default; segmentation.loss = \"ce\" is the limit 0";
+                let help = "0.7 is the default; segmentation.loss = \"ce\" is the limit 0";
                 let found = config.gce_exponent.to_string();
                 let expected =
                     format!("a number from {} to {}", GCE_EXPONENTS[0], GCE_EXPONENTS[1]);
@@ -32,7 +32,7 @@ impl Kind {
                     "segmentation.gce_exponent",
                     found,
                     expected,
-                    mend,
+                    help,
                 ));
             }
             LabelLoss::Mae => Self::Mae,
@@ -43,13 +43,13 @@ impl Kind {
                 }
             }
             LabelLoss::Js | LabelLoss::Gjs => {
-                let mend = "0.99 is the default; use segmentation.loss = \"ce\" or \"mae\" for the limits 0 and 1";
+                let help = "0.99 is the default; use segmentation.loss = \"ce\" or \"mae\" for the limits 0 and 1";
                 let found = config.pi_rl.to_string();
                 return Err(Error::config(
                     "segmentation.pi_rl",
                     found,
                     "a number above 0 and below 1",
-                    mend,
+                    help,
                 ));
             }
         })

@@ -62,7 +62,7 @@ impl PointIndex {
                 what: "points in a neighbour search".into(),
                 found: points.len().to_string(),
                 limit: u32::MAX.to_string(),
-                mend: "use fewer points".into(),
+                help: "use fewer points".into(),
             });
         }
         let points: Vec<[f64; 3]> = points.iter().map(wide).collect();
@@ -86,7 +86,7 @@ impl PointIndex {
                     what: "points in a neighbour search".into(),
                     found: e.to_string(),
                     limit: u32::MAX.to_string(),
-                    mend: "use fewer points".into(),
+                    help: "use fewer points".into(),
                 })?,
             ),
         };

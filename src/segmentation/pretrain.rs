@@ -163,7 +163,7 @@ fn check(options: &PretrainOptions) -> Result<()> {
             "pretrain",
             format!("{options:?}"),
             "rooms, steps, and 0 < fewest points <= most points <= points of a room",
-            "mend the sizes",
+            "correct the sizes",
         )),
     }
 }

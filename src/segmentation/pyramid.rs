@@ -65,12 +65,12 @@ impl Pyramid {
                     format!("image features of scale {}", scale + 1),
                     other.map(Tensor::dims),
                 );
-                let mend = "unproject them first";
+                let help = "unproject them first";
                 Err(Error::argument(
                     key,
                     format!("{found:?}"),
                     format!("{points} rows"),
-                    mend,
+                    help,
                 ))
             }
         })
@@ -87,12 +87,12 @@ impl Pyramid {
         image: impl Fn(usize, &[u32]) -> Result<Tensor<2>>,
     ) -> Result<Self> {
         if !switches.image && !switches.spatial {
-            let mend = "leave image or spatial features on";
+            let help = "leave image or spatial features on";
             return Err(Error::argument(
                 "decoder inputs",
                 "none",
                 "image features, spatial features or both",
-                mend,
+                help,
             ));
         }
         let device = encoding.coarsest.features.device();
@@ -132,7 +132,7 @@ impl Pyramid {
     }
 }
 
-/// Row numbers of a level.
+/// Variant numbers of a level.
 pub type Rows = Arc<RowList>;
 
 /// The rows of a [`Pyramid`] that some of its finest points depend on; cheap to keep per view.

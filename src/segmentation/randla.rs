@@ -483,7 +483,7 @@ fn transposed(values: &[f32], rows: usize, columns: usize) -> Vec<f32> {
         .collect()
 }
 
-/// Row-major values of a tensor, f32.
+/// Variant-major values of a tensor, f32.
 pub(crate) fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     tensor
         .into_data()

@@ -15,7 +15,7 @@ use crate::reconstruction::initialization::SH_0;
 
 /// N Gaussians in host memory, structure of arrays.
 ///
-/// Row `i` of every field belongs to the same Gaussian. Values are unactivated, as the 3DGS PLY stores them.
+/// Variant `i` of every field belongs to the same Gaussian. Values are unactivated, as the 3DGS PLY stores them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gaussians {
     /// Centres, `[N, 3]`, world units relative to the scene origin.
@@ -152,12 +152,12 @@ impl Gaussians {
         ];
         for (name, found, expected) in lengths {
             if found != expected {
-                let mend = "make all fields agree on the number of Gaussians";
+                let help = "make all fields agree on the number of Gaussians";
                 return Err(Error::argument(
                     format!("gaussians.{name}"),
                     found.to_string(),
                     expected.to_string(),
-                    mend,
+                    help,
                 ));
             }
         }

@@ -124,14 +124,14 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
     let mut positions: Vec<DVec3> = Vec::new();
     let names = columns.clone();
     file.read(&columns, |row, cells| {
-        let bad = |column: usize, expected: &str, mend: &str| {
+        let bad = |column: usize, expected: &str, help: &str| {
             let name = names[column].as_deref().unwrap_or_default();
             Error::input(
                 path,
                 format!("row {row}, column {name}"),
                 cells[column].to_string(),
                 expected,
-                mend,
+                help,
             )
         };
         // What does not fit an f32 is as unusable as what is no number.
@@ -160,7 +160,7 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
                 return Err(bad(
                     column,
                     "a class id from 0 to 65535",
-                    "mend or drop the label column",
+                    "correct or drop the label column",
                 ));
             }
             labels.push(id as u16);
@@ -193,7 +193,7 @@ fn column_names(sh_degree: usize, labelled: bool) -> Vec<String> {
 fn expect_gaussians(file: &PlyFile) -> Result<()> {
     let expected = "3D Gaussians: x y z, f_dc_*, opacity, scale_*, rot_*";
     let has = |name: &str| file.scalar(name).is_some();
-    let (found, mend) = if has("packed_position") {
+    let (found, help) = if has("packed_position") {
         (
             "a compressed scene",
             "uncompress it: splat-transform scene.compressed.ply scene.ply",
@@ -206,7 +206,7 @@ fn expect_gaussians(file: &PlyFile) -> Result<()> {
     } else {
         return Ok(());
     };
-    Err(file.error("element vertex", found, expected, mend))
+    Err(file.error("element vertex", found, expected, help))
 }
 
 fn sh_degree(file: &PlyFile) -> Result<usize> {

@@ -140,12 +140,12 @@ impl Viewer<'_> {
             ));
         }
         if !(self.alpha_max > 0.0 && self.alpha_max <= 1.0) {
-            let mend = "choose a value in that range";
+            let help = "choose a value in that range";
             return Err(Error::argument(
                 "alpha_max",
                 self.alpha_max.to_string(),
                 "a number in (0, 1]",
-                mend,
+                help,
             ));
         }
         if let Some(up) = self.up.filter(|up| up.try_normalize().is_none()) {

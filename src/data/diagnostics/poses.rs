@@ -148,7 +148,7 @@ impl Convention {
     }
 
     /// How poses of this convention become those of a layout, another one.
-    pub fn mend(self, layout: Layout) -> String {
+    pub fn help(self, layout: Layout) -> String {
         let wanted = Self::of(layout);
         let matrix = match layout {
             Layout::Auto | Layout::Transforms => "transform_matrix",
@@ -411,7 +411,7 @@ fn misread(layout: Layout, file: &Path, found: &str, fit: &str, meant: Conventio
         field,
         found,
         Convention::of(layout).description(),
-        meant.mend(layout),
+        meant.help(layout),
     ))
 }
 

@@ -74,7 +74,7 @@ pub(crate) fn better_convention(listing: &Listing, limits: &Limits) -> Option<St
             other.name(),
             100.0 * found.share(),
             100.0 * as_given.share(),
-            other.mend(listing.layout)
+            other.help(listing.layout)
         )
     })
 }

@@ -47,11 +47,11 @@ impl Frame {
     /// Reads the photo's file, not yet decoded, and settles the camera.
     pub fn open(&self, file: &Path, limits: &Limits) -> Result<(ImageFile, Geometry)> {
         if !self.image.is_file() {
-            let mend = "put the image there or drop the frame".into();
+            let help = "put the image there or drop the frame".into();
             return Err(Error::Missing {
                 what: "file",
                 path: self.image.clone(),
-                mend,
+                help,
             });
         }
         let image = ImageFile::open(&self.image, limits)?;
@@ -78,13 +78,13 @@ impl Frame {
         let Some(remap) = Remap::new(&camera, self.lens) else {
             let found = format!("radial {:?}, tangential {:?}", self.lens.k, self.lens.p);
             let expected = "a distortion that does not fold the image over";
-            let mend = "calibrate again, or undistort the photos with the tool that made the poses";
+            let help = "calibrate again, or undistort the photos with the tool that made the poses";
             return Err(Error::input(
                 &self.image,
                 "lens distortion",
                 found,
                 expected,
-                mend,
+                help,
             ));
         };
         let camera = remap.pinhole.clone();

@@ -32,18 +32,18 @@ impl Layout {
 /// layout or of several: then the error says what was looked for, or found.
 pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
     if !dir.try_exists().map_err(|e| Error::io(dir, "look at", e))? {
-        let mend =
+        let help =
             "give the scene folder that holds the photos and their cameras (--data, or data.dir)"
                 .into();
         return Err(Error::Missing {
             what: "folder",
             path: dir.to_owned(),
-            mend,
+            help,
         });
     }
     if !dir.is_dir() {
-        let mend = "give the folder that holds the photos and their cameras, not a file";
-        return Err(Error::input(dir, "scene", "a file", "a scene folder", mend));
+        let help = "give the folder that holds the photos and their cameras, not a file";
+        return Err(Error::input(dir, "scene", "a file", "a scene folder", help));
     }
     let layout = match (options.layout, &found(dir, options)[..]) {
         (Layout::Auto, [(layout, _)]) => *layout,
@@ -63,13 +63,13 @@ pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
                 .iter()
                 .map(|(l, file)| format!("{file} ({})", l.name()))
                 .collect();
-            let mend = format!("choose one with --set data.layout={}", several[0].0.name());
+            let help = format!("choose one with --set data.layout={}", several[0].0.name());
             return Err(Error::input(
                 dir,
                 "layout",
                 list.join(" and "),
                 "the files of one layout",
-                mend,
+                help,
             ));
         }
         (named, _) => named,
@@ -135,7 +135,7 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
                     transforms_test.json (Blender), sparse/0 or sparse with cameras and images \
                     as .bin or .txt (COLMAP), traj.txt with results/ or traj_w_c.txt with rgb/ (Replica), or color/ with pose/ \
                     (ScanNet); README, 'Data'";
-    let (found, mend) = match transforms::alternatives(dir) {
+    let (found, help) = match transforms::alternatives(dir) {
         others if others.is_empty() => match below(dir) {
             Some((folder, layout)) => (
                 format!(
@@ -154,7 +154,7 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
             format!("name one with --set data.transforms={}", others[0]),
         ),
     };
-    Error::input(dir, &options.transforms, found, expected, mend)
+    Error::input(dir, &options.transforms, found, expected, help)
 }
 
 /// What the folder says, by its layout. What is wrong with single frames goes to `problems`.

@@ -153,13 +153,13 @@ impl Listing {
         )?;
         if !self.frames.iter().any(|frame| frame.split == Split::Train) {
             let found = format!("{views} test frames");
-            let mend = "mark frames \"train\", or use more of them";
+            let help = "mark frames \"train\", or use more of them";
             return Err(Error::input(
                 &self.file,
                 "frames",
                 found,
                 "at least one training view",
-                mend,
+                help,
             ));
         }
         Ok(())
@@ -412,11 +412,11 @@ pub(crate) fn expect_file(path: &Path) -> Result<()> {
     if path.is_file() {
         return Ok(());
     }
-    let mend = "put the label map there, or do not name it".into();
+    let help = "put the label map there, or do not name it".into();
     Err(Error::Missing {
         what: "file",
         path: path.to_owned(),
-        mend,
+        help,
     })
 }
 
@@ -443,13 +443,13 @@ pub(crate) fn read_classes(dir: &Path, labelled: Option<&str>) -> Result<Classes
         return Classes::read(&path);
     }
     if let Some(or) = labelled {
-        let mend = format!("list the classes: {{\"0\": \"void\", \"1\": \"wall\", ..}}{or}");
+        let help = format!("list the classes: {{\"0\": \"void\", \"1\": \"wall\", ..}}{or}");
         return Err(Error::input(
             &path,
             "file",
             "nothing",
             "a class table, as frames have labels",
-            mend,
+            help,
         ));
     }
     Ok(Classes::default())

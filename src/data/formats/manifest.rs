@@ -86,7 +86,7 @@ impl Manifest {
                 format!("line {line}"),
                 message,
                 "a manifest as in data_manifests/",
-                "mend the file there",
+                "correct the file there",
             )
         })?;
         if let Some(name) = manifest

@@ -102,8 +102,8 @@ impl PlyFile {
             } else {
                 "another kind of file"
             });
-            let mend = "give the .ply file, such as the scene.ply of a run";
-            return Err(Error::input(path, "first bytes", found, "a PLY file", mend));
+            let help = "give the .ply file, such as the scene.ply of a run";
+            return Err(Error::input(path, "first bytes", found, "a PLY file", help));
         }
         let mut reader = Reader::new(file);
         let header = Parser::<Row<0>>::new()
@@ -172,9 +172,9 @@ impl PlyFile {
         field: impl Into<String>,
         found: impl Into<String>,
         expected: &str,
-        mend: &str,
+        help: &str,
     ) -> Error {
-        Error::input(&self.path, field, found, expected, mend)
+        Error::input(&self.path, field, found, expected, help)
     }
 
     /// Reads every row and hands it to `each` with its number. Cell `i` of a row is column `columns[i]`; a `None`
@@ -300,7 +300,7 @@ impl PlyFile {
         }
         let length = u128::from(length);
         if length < expected || (rows > 1 && length >= expected + rows) {
-            let mend = if length < expected {
+            let help = if length < expected {
                 "the file is cut off; copy or export it again"
             } else {
                 "rows are longer than declared (a column name used twice?); export it again"
@@ -309,7 +309,7 @@ impl PlyFile {
                 "size",
                 format!("{length} bytes"),
                 &format!("{expected} bytes"),
-                mend,
+                help,
             ));
         }
         Ok(())

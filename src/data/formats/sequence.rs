@@ -36,13 +36,13 @@ pub(crate) fn numbered(
         };
         if let Some(other) = files.insert(number, path.clone()) {
             let found = format!("{} and {}", other.display(), path.display());
-            let mend = "take one of the two away";
+            let help = "take one of the two away";
             return Err(Error::input(
                 folder,
                 format!("number {number}"),
                 found,
                 "one file a number",
-                mend,
+                help,
             ));
         }
     }

@@ -81,7 +81,7 @@ impl Classes {
                 format!("line {}", e.line()),
                 e.to_string(),
                 expected,
-                "mend the file there",
+                "correct the file there",
             )
         };
         let Pairs(pairs) = serde_json::from_str(&text).map_err(malformed)?;
@@ -92,13 +92,13 @@ impl Classes {
         let mut named = Vec::with_capacity(pairs.len());
         for (key, value) in pairs {
             let Ok(id) = key.parse::<u16>() else {
-                let mend = "renumber the classes";
+                let help = "renumber the classes";
                 return Err(Error::input(
                     path,
                     "id",
                     format!("{key:?}"),
                     "a whole number from 0 to 65535",
-                    mend,
+                    help,
                 ));
             };
             let serde_json::Value::String(name) = value else {
@@ -149,13 +149,13 @@ fn check_unique(path: &Path, ids: impl Iterator<Item = u16>) -> Result<()> {
     let mut seen = std::collections::HashSet::new();
     for id in ids {
         if !seen.insert(id) {
-            let mend = "give each class an id of its own";
+            let help = "give each class an id of its own";
             return Err(Error::input(
                 path,
                 format!("id {id}"),
                 "two entries",
                 "one entry an id",
-                mend,
+                help,
             ));
         }
     }

@@ -54,7 +54,7 @@ impl LabelMap {
                 ids.len(),
                 ids.join(" ")
             ),
-            format!("add the id to classes.json or mend the map{or}"),
+            format!("add the id to classes.json or correct the map{or}"),
         ))
     }
 
@@ -64,13 +64,13 @@ impl LabelMap {
             let id = self.ids[i];
             self.ids[i] = u16::try_from(table[usize::from(id)]).map_err(|_| {
                 let expected = "an id of the dataset's table of labels";
-                let mend = "use the table that belongs to these label maps, or mend the map";
+                let help = "use the table that belongs to these label maps, or correct the map";
                 Error::input(
                     path,
                     self.pixel(i),
                     format!("label id {id}"),
                     expected,
-                    mend,
+                    help,
                 )
             })?;
         }
@@ -84,7 +84,7 @@ impl LabelMap {
     pub(crate) fn decode(path: &Path, file: &ImageFile) -> Result<Self> {
         let grey = "a grey PNG of 8 or 16 bits whose values are class ids";
         let reject =
-            |found: &str, mend: &str| Err(Error::input(path, "pixel format", found, grey, mend));
+            |found: &str, help: &str| Err(Error::input(path, "pixel format", found, grey, help));
         match file.png_color() {
             None => return reject("JPEG", "save the ids as PNG: JPEG compression changes them"),
             Some((8 | 16, 0)) => {}

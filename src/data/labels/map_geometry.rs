@@ -49,8 +49,8 @@ impl MapGeometry {
         file.map(|file| file.maps).map_err(|e| {
             let expected =
                 "{\"maps\": \"undistorted\"} of maps that coseg wrote, or {\"maps\": \"photos\"} of maps of photos";
-            let mend = "say one of the two, or take the file away";
-            Error::input(path, format!("line {}", e.line()), e.to_string(), expected, mend)
+            let help = "say one of the two, or take the file away";
+            Error::input(path, format!("line {}", e.line()), e.to_string(), expected, help)
         })
     }
 }

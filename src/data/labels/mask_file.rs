@@ -61,10 +61,10 @@ impl Masks {
             (None, Some(NO_MASKS)) => Self::Off,
             (None, Some(name)) => {
                 let expected = "a folder of masks within the scene folder: PNG, black where a photo is left out";
-                let mend = format!(
+                let help = format!(
                     "name the folder that holds them with data.masks, leave that out, or turn masks off with data.masks={NO_MASKS}"
                 );
-                problems.push(Error::input(dir, name, "no such folder", expected, mend));
+                problems.push(Error::input(dir, name, "no such folder", expected, help));
                 Self::Off
             }
         }
@@ -86,11 +86,11 @@ impl Frame {
             return Ok(None);
         };
         if !path.is_file() {
-            let mend = "put the mask there, or do not name it".into();
+            let help = "put the mask there, or do not name it".into();
             return Err(Error::Missing {
                 what: "file",
                 path: path.clone(),
-                mend,
+                help,
             });
         }
         let file = ImageFile::open(path, limits)?;
@@ -98,16 +98,16 @@ impl Frame {
         if !geometry.is_as_seen(file.size) && !proportional(file.size, (w, h)) {
             let found = format!("{}x{} pixels", file.size.0, file.size.1);
             let expected = format!("{w}x{h}, as its photo, or a size of the same proportions");
-            let mend = "make the mask of the whole photo as it lies there, neither cut nor turned";
-            return Err(Error::input(path, "size", found, expected, mend));
+            let help = "make the mask of the whole photo as it lies there, neither cut nor turned";
+            return Err(Error::input(path, "size", found, expected, help));
         }
         let LabelMap { width, height, ids } = geometry.labels_of_photo(decode(path, &file)?);
         let mask = Mask::new(width, height, |pixel| ids[pixel] != 0);
         if mask.left_out() == width * height {
             let found = "all pixels of the view are black";
             let expected = "black where the photo is left out, and another value in the rest";
-            let mend = "invert masks that are white where the photo is left out, or drop the frame";
-            return Err(Error::input(path, "pixels", found, expected, mend));
+            let help = "invert masks that are white where the photo is left out, or drop the frame";
+            return Err(Error::input(path, "pixels", found, expected, help));
         }
         Ok((mask.left_out() > 0).then_some(mask))
     }
@@ -116,13 +116,13 @@ impl Frame {
 /// A mask of the size of its file: 0 where it is black or wholly transparent, else 1.
 fn decode(path: &Path, file: &ImageFile) -> Result<LabelMap> {
     if file.png_color().is_none() {
-        let mend = "save the mask as PNG: JPEG compression changes what is black";
+        let help = "save the mask as PNG: JPEG compression changes what is black";
         return Err(Error::input(
             path,
             "pixel format",
             "JPEG",
             "a PNG, black where the photo is left out",
-            mend,
+            help,
         ));
     }
     let (width, height) = file.size;

@@ -105,14 +105,14 @@ impl ImageFile {
             Some(exif) => format!("{w}x{h} pixels, of EXIF orientation {exif}"),
             None => format!("{w}x{h} pixels"),
         };
-        let scale = "scale the image to that size (label maps without blending), or mend the size with focal length and centre";
-        let mend = if across { ACROSS } else { scale };
+        let scale = "scale the image to that size (label maps without blending), or correct the size with focal length and centre";
+        let help = if across { ACROSS } else { scale };
         Err(Error::input(
             &self.path,
             "size",
             found,
             format!("{width}x{height}, as {whose}"),
-            mend,
+            help,
         ))
     }
 

@@ -154,13 +154,13 @@ impl PhotoFile {
         let file = ImageFile::open(&self.path, &self.limits)?;
         if file.digest() != self.digest {
             let expected = "the file that the scene was loaded with";
-            let mend = "put it back and resume, or start anew with the files as they are";
+            let help = "put it back and resume, or start anew with the files as they are";
             return Err(Error::input(
                 &self.path,
                 "content",
                 "other bytes",
                 expected,
-                mend,
+                help,
             ));
         }
         Ok(self.development.decode(&file)?.0)

@@ -81,7 +81,7 @@ fn product(scale: f32, a: &ArrayView2<f32>, b: &ArrayView2<f32>, out: &mut Array
     general_mat_mul(scale, a, b, 0.0, out);
 }
 
-/// Row-major values as rows of `columns`.
+/// Variant-major values as rows of `columns`.
 fn matrix(values: &mut [f32], columns: usize) -> ArrayViewMut2<'_, f32> {
     let rows = values.len() / columns;
     match ArrayViewMut2::from_shape((rows, columns), values) {

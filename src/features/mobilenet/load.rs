@@ -126,7 +126,7 @@ fn renaming(path: &Path, keys: &[String]) -> Result<KeyRemapper> {
 }
 
 fn check(path: &Path, result: &ApplyResult) -> Result<()> {
-    let mend = "give MobileNetV2 weights of width 1, torchvision or flat keys";
+    let help = "give MobileNetV2 weights of width 1, torchvision or flat keys";
     if let Some(error) = result.errors.first() {
         let (name, found, expected) = match error {
             ApplyError::ShapeMismatch {
@@ -144,7 +144,7 @@ fn check(path: &Path, result: &ApplyResult) -> Result<()> {
                 (path, message.clone(), "a readable tensor".to_owned())
             }
         };
-        return Err(Error::input(path, file_name(name), found, expected, mend));
+        return Err(Error::input(path, file_name(name), found, expected, help));
     }
     let missing: Vec<String> = result
         .missing
@@ -159,7 +159,7 @@ fn check(path: &Path, result: &ApplyResult) -> Result<()> {
             "tensors",
             format!("no {}", list(&missing)),
             "all of features.0 to features.17",
-            mend,
+            help,
         ));
     }
     let unexpected: Vec<String> = result
@@ -176,7 +176,7 @@ fn check(path: &Path, result: &ApplyResult) -> Result<()> {
             "tensors",
             format!("also {}", list(&unexpected)),
             expected,
-            mend,
+            help,
         ));
     }
     Ok(())

@@ -113,12 +113,12 @@ fn nothing_left(totals: &[(f64, f64)], least: f64) -> Error {
     let all: f64 = totals.iter().map(|(total, _)| total).sum();
     if all == 0.0 {
         let found = "gaussians, but no segment of a training view covers any of them";
-        let mend = format!("check that Gaussians and cameras are of one scene; {NONE}");
+        let help = format!("check that Gaussians and cameras are of one scene; {NONE}");
         return Error::config(
             "data.association",
             found,
             "Gaussians where the segments are",
-            mend,
+            help,
         );
     }
     let largest = totals
@@ -140,10 +140,10 @@ fn nothing_left(totals: &[(f64, f64)], least: f64) -> Error {
         None => {
             let found = "gaussians, but each group of segments is on Gaussians of which others have the most";
             let expected = "segments of which several views show the same";
-            let mend = format!(
+            let help = format!(
                 "check that raw labels and photos belong together, or raise association.sweeps; {NONE}"
             );
-            Error::config("data.association", found, expected, mend)
+            Error::config("data.association", found, expected, help)
         }
     }
 }

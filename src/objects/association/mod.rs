@@ -184,12 +184,12 @@ fn found<B>(
     }
     if views.iter().all(|view| view.segments.is_empty()) {
         let expected = "raw labels of training views to put together";
-        let mend = "add raw labels, or set data.association = \"none\"";
+        let help = "add raw labels, or set data.association = \"none\"";
         return Err(Error::config(
             "data.association",
             "gaussians, but no segments",
             expected,
-            mend,
+            help,
         )
         .into());
     }
@@ -220,7 +220,7 @@ fn found<B>(
             what: "groups of segments".into(),
             found: kept.len().to_string(),
             limit: (u16::MAX - 1).to_string(),
-            mend: "raise association.min_weight, or give a segmentation of larger things".into(),
+            help: "raise association.min_weight, or give a segmentation of larger things".into(),
         }
         .into());
     }

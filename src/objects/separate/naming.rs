@@ -53,7 +53,7 @@ impl Naming {
                 what: format!("label ids for the pieces of label {id}"),
                 found: format!("{pieces} pieces"),
                 limit: format!("{} ids that are free", self.free.len()),
-                mend: "separate fewer labels, or call more pieces strays".into(),
+                help: "separate fewer labels, or call more pieces strays".into(),
             });
         }
         let i = self.entry(id);

@@ -86,7 +86,7 @@ fn unit(rotations: &[f32], at: usize) -> Unit {
     }
 }
 
-/// Row of `J W` for the image axis `a`.
+/// Variant of `J W` for the image axis `a`.
 #[cube]
 fn jacobian_row(view: &[f32], tangent: f32, z: f32, #[comptime] a: usize) -> Vec3 {
     let axis = read3(view, AXES + 3 * a);

@@ -156,7 +156,7 @@ fn check_size(gpu: &Gpu, what: &str, count: usize, bytes: usize) -> Result<()> {
         what: format!("{what} on this device"),
         found: count.to_string(),
         limit: limit.to_string(),
-        mend: "render a smaller image or fewer channels, remove very large Gaussians, or use a CPU backend".into(),
+        help: "render a smaller image or fewer channels, remove very large Gaussians, or use a CPU backend".into(),
     })
 }
 
@@ -299,7 +299,7 @@ fn device_error(gpu: &Gpu, reason: String) -> Error {
     Error::Device {
         device: gpu.client.name().into(),
         reason,
-        mend: "see whether the device has memory left, or choose a CPU backend".into(),
+        help: "see whether the device has memory left, or choose a CPU backend".into(),
     }
 }
 

@@ -50,7 +50,7 @@ pub(super) struct Pixel {
     pub x: f32,
     pub y: f32,
     pub inside: bool,
-    /// Row-major; that of the first pixel when outside.
+    /// Variant-major; that of the first pixel when outside.
     pub index: usize,
 }
 

@@ -135,12 +135,12 @@ impl BuildingStage<'_> {
                 "{} Gaussians, none of which is opaque and small enough to stay",
                 old.len()
             );
-            let mend = "run `coseg data check` on the scene, whose poses are in doubt, or lower building.prune_opacity";
+            let help = "run `coseg data check` on the scene, whose poses are in doubt, or lower building.prune_opacity";
             return Err(Error::argument(
                 &name,
                 found,
                 "some that the photos show",
-                mend,
+                help,
             ));
         }
         self.tally = Tally::empty(map.len(), &self.device);

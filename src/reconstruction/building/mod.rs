@@ -140,7 +140,7 @@ impl<'a> BuildingStage<'a> {
                 "data",
                 found,
                 expected,
-                "resize the photo or mend the intrinsics",
+                "resize the photo or correct the intrinsics",
             ));
         }
         train

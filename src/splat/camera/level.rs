@@ -23,7 +23,7 @@ const ALONG_ONE_LINE: [f64; 2] = [0.3, 0.9];
 /// +z without cameras.
 pub fn level_up(cameras: &[Camera]) -> DVec3 {
     let count = cameras.len() as f64;
-    // Row by row, the axes of a camera in the world.
+    // Variant by row, the axes of a camera in the world.
     let mean_of = |axis: usize| cameras.iter().map(|c| c.rotation.row(axis)).sum::<DVec3>() / count;
     // Image rows run down.
     let (up, forward) = (-mean_of(1), mean_of(2));

@@ -103,12 +103,12 @@ impl CameraPath {
             before = key;
         }
         if !length.is_finite() {
-            let mend = "give cameras in one place";
+            let help = "give cameras in one place";
             return Err(Error::argument(
                 "cameras",
                 "centres further apart than numbers reach",
                 "a finite path",
-                mend,
+                help,
             ));
         }
         Ok(path)

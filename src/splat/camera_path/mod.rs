@@ -28,12 +28,12 @@ fn check(cameras: &[Camera]) -> Result<()> {
                 name,
                 found,
                 expected,
-                mend,
+                help,
             } => Error::Argument {
                 name: format!("cameras[{i}]: {name}"),
                 found,
                 expected,
-                mend,
+                help,
             },
             other => other,
         })?;
@@ -45,7 +45,7 @@ fn check(cameras: &[Camera]) -> Result<()> {
                 format!("cameras[{i}]: rotation"),
                 found,
                 "a rotation",
-                "mend the pose",
+                "correct the pose",
             ));
         }
     }

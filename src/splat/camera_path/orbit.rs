@@ -103,8 +103,8 @@ impl Orbit {
         // Nearer to the axis a circle is a point but for rounding.
         if !(is_finite && radius > 1e-12 * (height.abs() + target.length()) && radius > 0.0) {
             let found = format!("radius {radius:.3e} around {target}, {height:.3e} above it");
-            let mend = "give cameras that stand around something";
-            return Err(Error::argument("orbit", found, "a circle", mend));
+            let help = "give cameras that stand around something";
+            return Err(Error::argument("orbit", found, "a circle", help));
         }
         let off = [up.length() - 1.0, start.length() - 1.0, up.dot(start)];
         if off.iter().any(|off| off.is_nan() || off.abs() > 1e-6) {

@@ -1,6 +1,8 @@
 //! Loading settings: what overrides what, and what an error says.
 
-use coseg::config::{Config, Encode, LabelLoss, Normalisation, Preset, Resolution, Row, Strategy};
+use coseg::config::{
+    Config, Encode, LabelLoss, Normalisation, Preset, Resolution, Strategy, Variant,
+};
 use std::path::{Path, PathBuf};
 
 /// What a settings file and `--set` give.
@@ -140,12 +142,15 @@ fn set_takes_lists_text_and_numbers_without_quotes() {
         "building.lr_means=1",
     ];
     let config = load("", &sets).unwrap();
-    assert_eq!(config.segmentation.rows(), [Row::Raw, Row::Vote, Row::Ours]);
+    assert_eq!(
+        config.segmentation.rows(),
+        [Variant::Raw, Variant::Vote, Variant::Ours]
+    );
     assert_eq!(config.segmentation.loss, LabelLoss::Ce);
     assert_eq!(config.raster.background, [1.0, 1.0, 0.5]);
     assert_eq!(config.building.lr_means, 1.0);
     let quoted = load("", &["segmentation.rows=[\"raw\"]", "data.raw_labels=12"]).unwrap();
-    assert_eq!(quoted.segmentation.rows(), [Row::Raw]);
+    assert_eq!(quoted.segmentation.rows(), [Variant::Raw]);
     assert_eq!(quoted.data.raw_labels, "12");
 }
 
@@ -169,9 +174,9 @@ fn written_config_loads_as_itself() {
 
 #[test]
 fn row_names_are_those_of_the_config_file() {
-    for row in Row::COMPARED
+    for row in Variant::COMPARED
         .into_iter()
-        .chain([Row::NoImageFeatures, Row::RandomSpatial])
+        .chain([Variant::NoImageFeatures, Variant::RandomSpatial])
     {
         assert_eq!(
             toml::Value::try_from(row).unwrap().as_str(),

@@ -3,7 +3,7 @@
 use crate::cli::cli::{coseg, utf8};
 use crate::config::config::{assert_names, load};
 use crate::support::plates::scene;
-use coseg::config::{Config, Preset, Row};
+use coseg::config::{Config, Preset, Variant};
 
 /// What is told of these settings of the built-in scene.
 #[track_caller]
@@ -319,7 +319,7 @@ fn one_cause_is_told_once_and_one_factor_is_no_trial() {
         &["no row of segmentation.rows is trained"],
     );
     let mut config = Config::preset(Preset::Paper);
-    config.segmentation.rows = Some(vec![Row::Vote]);
+    config.segmentation.rows = Some(vec![Variant::Vote]);
     assert!(
         config.unread().is_empty(),
         "a preset gives nothing in vain: {:?}",

@@ -4,7 +4,7 @@ use crate::cli::cli::read_json;
 use crate::pipeline::resume;
 use coseg::Error;
 use coseg::data::{LabelMap, LabelRuns, LoadOptions, Photo, PhotoCache, Scene, load};
-use coseg::pipeline::RowOutcome;
+use coseg::pipeline::VariantOutcome;
 use coseg::report::{HeldOutView, held_out_views};
 use image::RgbImage;
 use rayon::prelude::*;
@@ -223,7 +223,7 @@ fn a_run_that_keeps_no_decoded_photo_gives_the_same_bits() {
         (plenty.test.psnr, plenty.test.ssim),
         (none.test.psnr, none.test.ssim)
     );
-    let scores = |rows: &[RowOutcome]| {
+    let scores = |rows: &[VariantOutcome]| {
         rows.iter()
             .map(|row| row.scores.clone())
             .collect::<Vec<_>>()
@@ -414,11 +414,7 @@ fn large_photos_are_reduced_with_their_cameras_and_labels() {
         max_side: 40,
         ..LoadOptions::default()
     };
-    assert!(
-        coseg::data::check(dir.path(), &options)
-            .problems
-            .is_empty()
-    );
+    assert!(coseg::data::check(dir.path(), &options).problems.is_empty());
     let info = coseg::data::info(dir.path(), &options).expect("info");
     assert_eq!((info.labelled, info.raw_labelled), (6, 6));
     coseg::data::thumbnails(dir.path(), &options, 3, 20).expect("thumbnails");

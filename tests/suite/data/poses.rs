@@ -162,7 +162,7 @@ fn a_room_written_in_any_convention() {
         capture.transforms(dir, convention, 1);
         let checked = check(dir, &options);
         eprintln!("{convention:?}: {:?}", checked.problems);
-        let mend = match convention {
+        let help = match convention {
             (false, false) => {
                 assert!(
                     checked.problems.is_empty() && checked.notices.is_empty(),
@@ -186,7 +186,7 @@ fn a_room_written_in_any_convention() {
             ],
         );
         assert!(
-            checked.problems[0].to_string().ends_with(mend),
+            checked.problems[0].to_string().ends_with(help),
             "{checked:?}"
         );
     }
@@ -251,7 +251,7 @@ fn colmap_models_are_mended_as_colmap_has_them() {
     let dir = folder.path();
     fs::create_dir(dir.join("images")).unwrap();
     let capture = Capture::room(&dir.join("images"), 20);
-    for (convention, mend) in [
+    for (convention, help) in [
         ((true, true), None),
         ((false, true), Some("; invert each pose")),
         (
@@ -265,7 +265,7 @@ fn colmap_models_are_mended_as_colmap_has_them() {
     ] {
         colmap(&capture, dir, convention);
         let checked = check(dir, &LoadOptions::default());
-        let Some(mend) = mend else {
+        let Some(help) = help else {
             assert!(checked.problems.is_empty(), "{checked:?}");
             continue;
         };
@@ -278,7 +278,7 @@ fn colmap_models_are_mended_as_colmap_has_them() {
             ],
         );
         assert!(
-            checked.problems[0].to_string().ends_with(mend),
+            checked.problems[0].to_string().ends_with(help),
             "{checked:?}"
         );
     }

@@ -156,7 +156,7 @@ fn depth_images_tell_as_a_cloud_does() {
             )
             .unwrap();
         }
-        for (convention, mend) in [
+        for (convention, help) in [
             ((false, true), None),
             ((true, true), Some("; invert each matrix")),
             (
@@ -180,13 +180,13 @@ fn depth_images_tell_as_a_cloud_does() {
             }
             let checked = check(dir, &LoadOptions::default());
             eprintln!("{scene} {convention:?}: {:?}", checked.problems);
-            let Some(mend) = mend else {
+            let Some(help) = help else {
                 assert!(checked.problems.is_empty(), "{checked:?}");
                 continue;
             };
             one_problem(&checked, &["pose: matrices", name(convention)]);
             assert!(
-                checked.problems[0].to_string().ends_with(mend),
+                checked.problems[0].to_string().ends_with(help),
                 "{checked:?}"
             );
         }

@@ -8,7 +8,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 fn weights() -> Option<PathBuf> {
-    let path = crate::support::shared_dir()?.join("weights/mobilenetv2/mobilenetv2_imagenet.safetensors");
+    let path =
+        crate::support::shared_dir()?.join("weights/mobilenetv2/mobilenetv2_imagenet.safetensors");
     if !path.is_file() {
         eprintln!("SKIPPED: {} is absent", path.display());
         return None;

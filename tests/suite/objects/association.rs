@@ -4,7 +4,7 @@ use crate::cli::cli::{fails, read_json, succeeds, utf8};
 use crate::objects::association_figures::rendered;
 use crate::support::plates::{self, camera, plates};
 use crate::support::spoilt_masks::{Noise, shuffled, spoilt};
-use coseg::config::{self, AssociationConfig, Row};
+use coseg::config::{self, AssociationConfig, Variant};
 use coseg::data::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, load};
 use coseg::metrics::{InstanceScores, instance_scores};
 use coseg::objects::{self, associate, associate_until, hard_label_map};
@@ -265,7 +265,7 @@ fn no_group_that_is_left_is_an_error_that_a_smaller_share_mends() {
         folder.path().join("run"),
     );
     (config.data.association, config.segmentation.rows) =
-        (config::Association::Gaussians, Some(vec![Row::Vote]));
+        (config::Association::Gaussians, Some(vec![Variant::Vote]));
     config.association.min_weight = 1.0;
     let error = run(&config, &out, &crate::support::device(), &mut Silent)
         .err()

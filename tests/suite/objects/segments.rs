@@ -5,8 +5,8 @@ use crate::cli::cli::{fails, succeeds, utf8};
 use crate::data::data_check::edit;
 use crate::support::plates::{HEIGHT, WIDTH, scene};
 use coseg::config::{Association, RawFormat};
-use coseg::data::{check, info};
 use coseg::data::{LoadOptions, load};
+use coseg::data::{check, info};
 use image::{GrayImage, Luma};
 use std::fs;
 use std::path::Path;
@@ -113,7 +113,7 @@ fn commands_say_what_they_need_for_segments() {
     succeeds(&[&look[..], &association].concat());
     assert!(sheet.is_file());
 
-    // Grey maps of ids: without a class table that is not the only thing to mend.
+    // Grey maps of ids: without a class table that is not the only thing to correct.
     edit(dir, |v| {
         let frames = v["frames"].as_array_mut().expect("frames");
         frames

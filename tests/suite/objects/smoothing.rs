@@ -1,7 +1,7 @@
 //! Compactness: diffusion of identities against the dense formula, what it must not do, and how disagreement is counted.
 
 use coseg::Error;
-use coseg::config::{BuildingConfig, Config, Row, SegmentationConfig};
+use coseg::config::{BuildingConfig, Config, SegmentationConfig, Variant};
 use coseg::objects::{Diffusion, Identities, NeighbourGraph};
 use coseg::pipeline::progress::Silent;
 use coseg::pipeline::run;
@@ -242,7 +242,12 @@ fn a_finished_run_is_diffused_without_training_again() {
         },
         segmentation: SegmentationConfig {
             iterations: 30,
-            rows: Some(vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::Ours]),
+            rows: Some(vec![
+                Variant::Raw,
+                Variant::Vote,
+                Variant::PerGaussian,
+                Variant::Ours,
+            ]),
             ..SegmentationConfig::default()
         },
         ..Config::default()

@@ -2,7 +2,7 @@
 
 use crate::support::gpu;
 use burn::tensor::{Device, Tensor, TensorData};
-use coseg::config::{BuildingConfig, Config, Row, SegmentationConfig};
+use coseg::config::{BuildingConfig, Config, SegmentationConfig, Variant};
 use coseg::data::{LoadOptions, Split, load};
 use coseg::pipeline::progress::Silent;
 use coseg::pipeline::train_decoder::{Drawn, TrainingViews};
@@ -123,7 +123,7 @@ fn trained(scene: &Path, out: &Path, device: &Device) -> Outcome {
         },
         segmentation: SegmentationConfig {
             iterations: 60,
-            rows: Some(vec![Row::Vote, Row::PerGaussian, Row::Ours]),
+            rows: Some(vec![Variant::Vote, Variant::PerGaussian, Variant::Ours]),
             ..SegmentationConfig::default()
         },
         ..Config::default()

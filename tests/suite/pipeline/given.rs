@@ -2,7 +2,7 @@
 
 use crate::pipeline::resume::{config, whole};
 use crate::support::plates;
-use coseg::config::{Config, Row};
+use coseg::config::{Config, Variant};
 use coseg::data::Limits;
 use coseg::error::Error;
 use coseg::pipeline::progress::Silent;
@@ -19,7 +19,7 @@ fn beginning_with(dir: &Path, gaussians: &Gaussians) -> (Config, PathBuf) {
     let mut config = config(dir);
     config.building.gaussians = Some(path);
     config.building.iterations = 0;
-    config.segmentation.rows = Some(vec![Row::Vote]);
+    config.segmentation.rows = Some(vec![Variant::Vote]);
     (config, dir.join("run"))
 }
 

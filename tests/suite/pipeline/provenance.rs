@@ -3,7 +3,7 @@
 
 use crate::pipeline::resume::{StopAt, config, same, whole};
 use crate::support::plates;
-use coseg::config::{Association, Config, FeatureSource, Resolution, Row, SpatialSource};
+use coseg::config::{Association, Config, FeatureSource, Resolution, SpatialSource, Variant};
 use coseg::data::{LoadOptions, Split, load};
 use coseg::error::Error;
 use coseg::pipeline::progress::Silent;
@@ -88,7 +88,7 @@ fn with_unseen(dir: &Path) -> Config {
     config
 }
 
-fn rows(config: &Config, rows: &[Row]) -> Config {
+fn rows(config: &Config, rows: &[Variant]) -> Config {
     let mut config = config.clone();
     config.segmentation.rows = Some(rows.to_vec());
     config
@@ -100,8 +100,8 @@ fn rows_do_not_decide_which_gaussians_are_pruned() {
     let config = with_unseen(folder.path());
     let all = plates::plates().0.len() + 3;
     let (few, many) = (
-        [Row::Vote, Row::PerGaussian],
-        [Row::Vote, Row::PerGaussian, Row::Ours],
+        [Variant::Vote, Variant::PerGaussian],
+        [Variant::Vote, Variant::PerGaussian, Variant::Ours],
     );
     let out = |name: &str| folder.path().join(name);
     let before = whole(&rows(&config, &few), &out("run"));
@@ -120,9 +120,9 @@ fn rows_do_not_decide_which_gaussians_are_pruned() {
     let mut by_cells = config.clone();
     by_cells.unprojection.resolution = Resolution::Feature;
     by_cells.segmentation.diffusion_steps = 2;
-    let vote = whole(&rows(&by_cells, &[Row::Vote]), &out("vote by cells"));
+    let vote = whole(&rows(&by_cells, &[Variant::Vote]), &out("vote by cells"));
     let beside = whole(
-        &rows(&by_cells, &[Row::Vote, Row::Ours]),
+        &rows(&by_cells, &[Variant::Vote, Variant::Ours]),
         &out("rows by cells"),
     );
     assert!(
@@ -194,7 +194,11 @@ fn a_decoder_of_other_image_features_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut config = rows(
         &with_unseen(folder.path()),
-        &[Row::PerGaussian, Row::NoImageFeatures, Row::Ours],
+        &[
+            Variant::PerGaussian,
+            Variant::NoImageFeatures,
+            Variant::Ours,
+        ],
     );
     let maps = folder.path().join("maps");
     (config.features.source, config.features.dimensions) = (FeatureSource::Import, 4);
@@ -236,7 +240,7 @@ fn a_decoder_of_other_image_features_is_refused() {
 #[test]
 fn a_rate_that_was_chosen_with_other_inputs_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
-    let mut config = rows(&with_unseen(folder.path()), &[Row::Ours]);
+    let mut config = rows(&with_unseen(folder.path()), &[Variant::Ours]);
     let maps = folder.path().join("maps");
     (config.features.source, config.features.dimensions) = (FeatureSource::Import, 4);
     config.features.import_dir = Some(maps.clone());
@@ -268,7 +272,7 @@ fn a_decoder_beside_another_point_encoder_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut config = rows(
         &with_unseen(folder.path()),
-        &[Row::NoSpatial, Row::RandomSpatial, Row::Ours],
+        &[Variant::NoSpatial, Variant::RandomSpatial, Variant::Ours],
     );
     let weights = folder.path().join("weights.safetensors");
     let write = |seed| {
@@ -296,7 +300,7 @@ fn a_decoder_beside_another_point_encoder_is_refused() {
 fn other_data_is_told_by_the_setting_that_made_it_so() {
     let folder = tempfile::tempdir().expect("a folder");
     let dir = folder.path();
-    let base = rows(&with_unseen(dir), &[Row::PerGaussian]);
+    let base = rows(&with_unseen(dir), &[Variant::PerGaussian]);
     let out = dir.join("run");
     let done = whole(&base, &out);
     let with = |edit: &dyn Fn(&mut Config)| {
@@ -363,7 +367,7 @@ fn other_data_is_told_by_the_setting_that_made_it_so() {
 #[test]
 fn other_objects_are_told_by_the_setting_of_association() {
     let folder = tempfile::tempdir().expect("a folder");
-    let mut config = rows(&with_unseen(folder.path()), &[Row::PerGaussian]);
+    let mut config = rows(&with_unseen(folder.path()), &[Variant::PerGaussian]);
     let out = folder.path().join("run");
     whole(&config, &out);
     let row = "per_gaussian.safetensors";

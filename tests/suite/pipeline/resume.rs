@@ -1,7 +1,7 @@
 //! A run that was stopped and gone on with is the run that was not; a checkpoint of another run is refused.
 
 use coseg::config::{
-    BuildingConfig, Config, Encode, LabelLoss, LabelSource, Row, SegmentationConfig,
+    BuildingConfig, Config, Encode, LabelLoss, LabelSource, SegmentationConfig, Variant,
 };
 use coseg::pipeline::progress::{CurvePoint, Event, Progress, Silent};
 use coseg::pipeline::{Outcome, run};
@@ -17,7 +17,7 @@ pub fn config(data: &Path) -> Config {
         },
         segmentation: SegmentationConfig {
             iterations: 30,
-            rows: Some(vec![Row::Vote, Row::PerGaussian, Row::Ours]),
+            rows: Some(vec![Variant::Vote, Variant::PerGaussian, Variant::Ours]),
             pixel_share: 0.5,
             eval_every: 10,
             checkpoint_every: 7,
@@ -92,7 +92,7 @@ pub fn same(a: &Outcome, b: &Outcome) {
     for (a, b) in a.rows.iter().zip(&b.rows) {
         let row = a.name();
         assert_eq!(bits(&a.curve), bits(&b.curve), "curve of {row}");
-        let scores = |r: &coseg::pipeline::RowOutcome| -> Vec<u32> {
+        let scores = |r: &coseg::pipeline::VariantOutcome| -> Vec<u32> {
             r.identities
                 .iter()
                 .flat_map(|i| &i.scores)
@@ -227,7 +227,12 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
         other.building.checkpoint_every,
     ) = (3, 5);
     other.segmentation.weight_cache_mb = 0;
-    other.segmentation.rows = Some(vec![Row::Raw, Row::Vote, Row::PerGaussian, Row::Ours]);
+    other.segmentation.rows = Some(vec![
+        Variant::Raw,
+        Variant::Vote,
+        Variant::PerGaussian,
+        Variant::Ours,
+    ]);
     assert_eq!(
         whole(&other, &out).rows.last().expect("a row").identities,
         done.rows[2].identities
@@ -291,7 +296,7 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     let chosen = folder.path().join("chosen");
     let mut trials = base.clone();
     (trials.segmentation.rows, trials.segmentation.lr_trials) =
-        (Some(vec![Row::PerGaussian]), vec![0.5, 1.0]);
+        (Some(vec![Variant::PerGaussian]), vec![0.5, 1.0]);
     whole(&trials, &chosen);
     trials.segmentation.render = LabelSource::Scores;
     let error = run(&trials, &chosen, &crate::support::device(), &mut Silent)
@@ -355,9 +360,9 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     named("seed", "5", "6", &|_| ());
     for row in ["per_gaussian", "ours"] {
         let rows = Some(vec![if row == "ours" {
-            Row::Ours
+            Variant::Ours
         } else {
-            Row::PerGaussian
+            Variant::PerGaussian
         }]);
         std::fs::copy(
             out.join(format!("checkpoint/{row}.safetensors")),
@@ -387,7 +392,7 @@ fn a_row_of_other_gaussians_or_labels_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
     let mut config = config(folder.path());
-    config.segmentation.rows = Some(vec![Row::PerGaussian]);
+    config.segmentation.rows = Some(vec![Variant::PerGaussian]);
     let out = folder.path().join("run");
     let trained = whole(&config, &out);
     let refusal = || {

@@ -2,7 +2,7 @@
 
 use coseg::Error;
 use coseg::config::{
-    Association, Blend, BuildingConfig, Config, LabelSource, Prior, Row, SegmentationConfig,
+    Association, Blend, BuildingConfig, Config, LabelSource, Prior, SegmentationConfig, Variant,
 };
 use coseg::data::{Classes, LabelMap, LabelRuns, LoadOptions, Split, load};
 use coseg::objects::{Identities, LabelRule, hard_label_map, label_map, vote};
@@ -26,7 +26,7 @@ fn trained(edit: impl Fn(&mut SegmentationConfig)) -> Outcome {
         },
         segmentation: SegmentationConfig {
             iterations: 20,
-            rows: Some(vec![Row::Ours]),
+            rows: Some(vec![Variant::Ours]),
             ..SegmentationConfig::default()
         },
         ..Config::default()
@@ -88,7 +88,7 @@ fn a_decoder_that_has_learned_nothing_stores_the_shares_of_the_votes() {
 fn blended_logits_without_a_prior_are_the_papers_rule_and_learn() {
     let edit = |s: &mut SegmentationConfig| {
         (s.blend, s.prior) = (Blend::Logits, Prior::None);
-        (s.rows, s.iterations, s.lr) = (Some(vec![Row::OursCe]), 100, 1e-2);
+        (s.rows, s.iterations, s.lr) = (Some(vec![Variant::OursCe]), 100, 1e-2);
     };
     let outcome = trained(edit);
     let scores = &outcome.rows[0]
@@ -126,9 +126,9 @@ fn weights_made_again_at_each_step_give_the_same_bits_as_kept_ones() {
     let scores = |megabytes| {
         let outcome = trained(|s| {
             (s.weight_cache_mb, s.pixel_share) = (megabytes, 0.25);
-            s.rows = Some(vec![Row::PerGaussian, Row::Ours]);
+            s.rows = Some(vec![Variant::PerGaussian, Variant::Ours]);
         });
-        let bits = |row: &coseg::pipeline::RowOutcome| -> Vec<u32> {
+        let bits = |row: &coseg::pipeline::VariantOutcome| -> Vec<u32> {
             row.identities
                 .iter()
                 .flat_map(|i| &i.scores)
@@ -201,7 +201,7 @@ fn the_vote_sums_weights_by_label_whatever_the_number_of_classes() {
 
 #[test]
 fn label_maps_show_the_labels_of_the_ply() {
-    let outcome = trained(|s| s.rows = Some(vec![Row::Vote]));
+    let outcome = trained(|s| s.rows = Some(vec![Variant::Vote]));
     let (gaussians, classes) = (&outcome.gaussians, &outcome.scene.classes);
     let scores = (0..gaussians.len() * classes.len())
         .map(|i| (i as f32 * 1.7).sin())
@@ -267,7 +267,7 @@ fn the_rate_that_learns_is_taken_and_one_factor_needs_no_trial() {
         (vec![0.5], 0.5 * base),
     ] {
         let outcome = trained(|s| {
-            s.rows = Some(vec![Row::PerGaussian]);
+            s.rows = Some(vec![Variant::PerGaussian]);
             s.lr_trials = trials.clone();
         });
         assert_eq!(outcome.rows[0].rate, Some(expected), "{trials:?}");
@@ -280,22 +280,22 @@ fn without_truth_only_what_is_wanted_is_trained() {
     crate::support::plates::scene(folder.path());
     let mut config = crate::pipeline::resume::config(folder.path());
     config.segmentation.rows = None;
-    let rows = |config: &Config, out: &str| -> Vec<Row> {
+    let rows = |config: &Config, out: &str| -> Vec<Variant> {
         crate::pipeline::resume::whole(config, &folder.path().join(out))
             .rows
             .iter()
             .map(|row| row.row)
             .collect()
     };
-    assert_eq!(rows(&config, "scored"), Row::COMPARED);
+    assert_eq!(rows(&config, "scored"), Variant::COMPARED);
     let file = folder.path().join("transforms.json");
     let text = std::fs::read_to_string(&file)
         .expect("frames")
         .replace("\"label_path\"", "\"elsewhere\"");
     std::fs::write(&file, text).expect("written");
-    assert_eq!(rows(&config, "unscored"), Row::UNSCORED);
-    config.segmentation.rows = Some(vec![Row::PerGaussian]);
-    assert_eq!(rows(&config, "asked for"), [Row::PerGaussian]);
+    assert_eq!(rows(&config, "unscored"), Variant::UNSCORED);
+    config.segmentation.rows = Some(vec![Variant::PerGaussian]);
+    assert_eq!(rows(&config, "asked for"), [Variant::PerGaussian]);
 }
 
 #[test]
@@ -309,7 +309,7 @@ fn a_truth_that_no_row_is_scored_by_is_none() {
         config.data.association = association;
         let outcome = crate::pipeline::resume::whole(&config, &folder.path().join(out));
         let notes = coseg::report::Report::notes_of(&outcome, &config).concat();
-        let is_scored = |row: &coseg::pipeline::RowOutcome| {
+        let is_scored = |row: &coseg::pipeline::VariantOutcome| {
             row.scores.miou.is_some() || row.instances.is_some()
         };
         let scored = outcome.rows.iter().any(is_scored);
@@ -326,11 +326,11 @@ fn a_truth_that_no_row_is_scored_by_is_none() {
     // Objects without classes are not scored by classes.
     assert_eq!(
         trained(Association::None, "classes"),
-        (Row::COMPARED.to_vec(), true)
+        (Variant::COMPARED.to_vec(), true)
     );
     assert_eq!(
         trained(Association::Gaussians, "objects of classes"),
-        (Row::UNSCORED.to_vec(), false)
+        (Variant::UNSCORED.to_vec(), false)
     );
     // Nor are classes by instances.
     let file = folder.path().join("transforms.json");
@@ -340,11 +340,11 @@ fn a_truth_that_no_row_is_scored_by_is_none() {
     std::fs::write(&file, text).expect("written");
     assert_eq!(
         trained(Association::None, "instances"),
-        (Row::UNSCORED.to_vec(), false)
+        (Variant::UNSCORED.to_vec(), false)
     );
     assert_eq!(
         trained(Association::Gaussians, "objects"),
-        (Row::COMPARED.to_vec(), true)
+        (Variant::COMPARED.to_vec(), true)
     );
 }
 
@@ -378,11 +378,11 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
         };
         let mut spatial = Spatial::default();
         let source = spatial
-            .source(Row::NoImageFeatures, &inputs)
+            .source(Variant::NoImageFeatures, &inputs)
             .expect("encoded");
         let mut views = inputs.training_views();
         let mut model = decoder_row(
-            Row::NoImageFeatures,
+            Variant::NoImageFeatures,
             1e-2,
             &plan,
             source,

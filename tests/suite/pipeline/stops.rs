@@ -1,7 +1,7 @@
 //! What a run does once it is told to stop.
 
 use crate::pipeline::resume::{config, same, whole};
-use coseg::config::{Association, Row};
+use coseg::config::{Association, Variant};
 use coseg::pipeline::progress::{Event, Progress};
 use coseg::pipeline::run;
 
@@ -48,7 +48,7 @@ fn trials_of_learning_rates_stop_too() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
     let mut config = config(folder.path());
-    config.segmentation.rows = Some(vec![Row::Vote, Row::PerGaussian]);
+    config.segmentation.rows = Some(vec![Variant::Vote, Variant::PerGaussian]);
     config.segmentation.lr_trials = vec![0.5, 1.0];
     let uninterrupted = whole(&config, &folder.path().join("whole"));
     assert!(!uninterrupted.stopped);
@@ -61,9 +61,10 @@ fn trials_of_learning_rates_stop_too() {
         told.began
     );
     let row = part.rows.last().expect("a row");
-    assert!(row.row == Row::PerGaussian && row.identities.is_none() && row.curve.is_empty());
+    assert!(row.row == Variant::PerGaussian && row.identities.is_none() && row.curve.is_empty());
     assert!(
-        part.stored().is_some_and(|(row, _)| row.row == Row::Vote),
+        part.stored()
+            .is_some_and(|(row, _)| row.row == Variant::Vote),
         "no row that was stopped is stored"
     );
     assert!(
@@ -79,7 +80,7 @@ fn nothing_is_begun_after_a_stop() {
     crate::support::plates::scene(folder.path());
     let mut config = config(folder.path());
     config.data.association = Association::Gaussians;
-    config.segmentation.rows = Some(vec![Row::Vote, Row::Ours]);
+    config.segmentation.rows = Some(vec![Variant::Vote, Variant::Ours]);
     let out = folder.path().join("run");
     for (stage, iteration, began) in [
         ("building", 7, &["building"][..]),
@@ -132,7 +133,7 @@ fn a_stop_between_views_gives_up_what_learns_nothing() {
     crate::support::plates::scene(folder.path());
     let mut config = config(folder.path());
     config.data.association = Association::Gaussians;
-    config.segmentation.rows = Some(vec![Row::Vote, Row::Ours]);
+    config.segmentation.rows = Some(vec![Variant::Vote, Variant::Ours]);
     let mut views = Views::default();
     let whole = run(
         &config,
@@ -195,7 +196,7 @@ fn features_that_are_solved_for_are_given_up_too() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
     let mut config = config(folder.path());
-    config.segmentation.rows = Some(vec![Row::Ours]);
+    config.segmentation.rows = Some(vec![Variant::Ours]);
     config.unprojection.solve_iterations = 2;
     let out = folder.path().join("run");
     // In the first residual of the first scale, in its first step, and in the last step of the last scale.

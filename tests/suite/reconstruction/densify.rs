@@ -113,7 +113,7 @@ fn non_finite_points_are_named() {
     );
 }
 
-/// Row i has mean (i, 0, 0), the given largest scale, opacity and mean gradient.
+/// Variant i has mean (i, 0, 0), the given largest scale, opacity and mean gradient.
 fn population(rows: &[(f32, f32, f32)]) -> (Gaussians, DensityStats) {
     let mut g = Gaussians {
         sh_degree: 1,
@@ -323,10 +323,18 @@ fn statistics_count_visible_iterations_only() {
 
 #[test]
 fn reset_only_lowers_opacity() {
-    let mut logits = vec![initialization::logit(0.9), initialization::logit(0.001), initialization::logit(0.01)];
+    let mut logits = vec![
+        initialization::logit(0.9),
+        initialization::logit(0.001),
+        initialization::logit(0.01),
+    ];
     reset_opacity(&mut logits);
     assert_eq!(
         logits,
-        [initialization::logit(0.01), initialization::logit(0.001), initialization::logit(0.01)]
+        [
+            initialization::logit(0.01),
+            initialization::logit(0.001),
+            initialization::logit(0.01)
+        ]
     );
 }

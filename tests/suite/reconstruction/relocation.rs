@@ -21,9 +21,15 @@ fn sigmoid(x: f64) -> f64 {
 /// The cases: opacity as the f32 logit has it, that logit, and a number of copies.
 fn cases() -> impl Iterator<Item = (f64, f32, u32)> {
     let opacities = [0.0051, 0.02, 0.3, 0.9, 0.999];
-    opacities
-        .into_iter()
-        .flat_map(|o| [2, 3, 10].map(|n| (sigmoid(f64::from(initialization::logit(o))), initialization::logit(o), n)))
+    opacities.into_iter().flat_map(|o| {
+        [2, 3, 10].map(|n| {
+            (
+                sigmoid(f64::from(initialization::logit(o))),
+                initialization::logit(o),
+                n,
+            )
+        })
+    })
 }
 
 /// What `n` Gaussians of opacity `o` and standard deviation `c` at one place cover at distance `r` from it.
@@ -201,7 +207,10 @@ fn population(opacities: &[f32]) -> Gaussians {
         means: (0..n).map(|i| [i as f32, 0.0, 0.0]).collect(),
         log_scales: (0..n).map(|i| [0.1, 0.2, 0.3 + i as f32]).collect(),
         rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
-        opacity_logits: opacities.iter().map(|&o| initialization::logit(o)).collect(),
+        opacity_logits: opacities
+            .iter()
+            .map(|&o| initialization::logit(o))
+            .collect(),
         sh: (0..3 * n).map(|i| i as f32).collect(),
         sh_degree: 0,
     }
@@ -245,7 +254,9 @@ fn the_dead_are_gone_and_the_cap_holds() {
         let new = plan.gaussians(&g);
         assert_eq!((new.len(), new.sh.len()), (count, 3 * count));
         assert!(
-            new.opacity_logits.iter().all(|&o| o > initialization::logit(0.005)),
+            new.opacity_logits
+                .iter()
+                .all(|&o| o > initialization::logit(0.005)),
             "none is dead"
         );
         assert_eq!(

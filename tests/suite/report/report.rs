@@ -1,6 +1,6 @@
 //! The run folder's results: what is written, in which shape, and that the page stands alone.
 
-use coseg::config::{Config, Row};
+use coseg::config::{Config, Variant};
 use coseg::data::{Class, Classes, LabelMap, Split, View};
 use coseg::metrics::ImageScores;
 use coseg::report::{
@@ -152,20 +152,20 @@ fn history() -> History {
             gaussians: sparse(7_000, 8_000.0, 41_250.0, 4.0),
         },
         rows: vec![
-            row(Row::PerGaussian, 0.712, 0.31),
-            row(Row::OursCe, 0.801, 0.24),
-            row(Row::Ours, 0.834, 0.11),
+            row(Variant::PerGaussian, 0.712, 0.31),
+            row(Variant::OursCe, 0.801, 0.24),
+            row(Variant::Ours, 0.834, 0.11),
         ],
     }
 }
 
 fn metrics() -> Metrics {
     let rows = [
-        (Row::Raw, 0.612, false),
-        (Row::Vote, 0.798, false),
-        (Row::PerGaussian, 0.712, true),
+        (Variant::Raw, 0.612, false),
+        (Variant::Vote, 0.798, false),
+        (Variant::PerGaussian, 0.712, true),
     ];
-    let more = [(Row::OursCe, 0.801, true), (Row::Ours, 0.834, true)];
+    let more = [(Variant::OursCe, 0.801, true), (Variant::Ours, 0.834, true)];
     Metrics {
         association: None,
         scene: "a made-up room".into(),
@@ -241,9 +241,9 @@ fn with_report(check: impl FnOnce(&Report<'_>)) {
             ssim: Some(0.94),
         },
         labels: vec![
-            (Row::Vote, labels(5.0)),
-            (Row::PerGaussian, labels(7.0)),
-            (Row::Ours, labels(2.0)),
+            (Variant::Vote, labels(5.0)),
+            (Variant::PerGaussian, labels(7.0)),
+            (Variant::Ours, labels(2.0)),
         ],
     });
     check(&Report {

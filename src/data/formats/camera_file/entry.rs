@@ -29,7 +29,7 @@ impl<'a> Entry<'a> {
         field: &str,
         found: impl Into<String>,
         expected: &str,
-        mend: &str,
+        help: &str,
     ) -> Error {
         let dot = if self.place.is_empty() { "" } else { "." };
         Error::input(
@@ -37,7 +37,7 @@ impl<'a> Entry<'a> {
             format!("{}{dot}{field}", self.place),
             found,
             expected,
-            mend,
+            help,
         )
     }
 
@@ -53,7 +53,7 @@ impl<'a> Entry<'a> {
             field,
             found,
             expected,
-            "mend the field, or export the cameras again",
+            "correct the field, or export the cameras again",
         )
     }
 
@@ -109,7 +109,7 @@ impl<'a> Entry<'a> {
             field,
             format!("{focal:?} pixels"),
             expected,
-            "mend the focal length or field of view",
+            "correct the focal length or field of view",
         ))
     }
 
@@ -120,7 +120,7 @@ impl<'a> Entry<'a> {
             let value = self.number(field)?;
             if value.fract() != 0.0 || !(1.0..=f64::from(u32::MAX)).contains(&value) {
                 let expected = "a whole number of pixels, at least 1";
-                return Err(self.error(field, format!("{value:?}"), expected, "mend the size"));
+                return Err(self.error(field, format!("{value:?}"), expected, "correct the size"));
             }
             *size = value as usize;
         }

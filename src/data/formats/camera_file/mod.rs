@@ -61,13 +61,13 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
     // Python writes NaN into JSON.
     let (blank, tokens) = blanked(text);
     let value: Value = serde_json::from_str(&blank).map_err(|e| {
-        let mend = "mend the file there or export it again";
+        let help = "correct the file there or export it again";
         Error::input(
             path,
             format!("line {}", e.line()),
             e.to_string(),
             "JSON with cameras",
-            mend,
+            help,
         )
     })?;
     let read = match &value {
@@ -83,13 +83,13 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
         _ => return Err(Error::input(path, "frames", "nothing", EXPECTED, MEND)),
     };
     if let Some(token) = tokens.first() {
-        let mend = "export the cameras again";
+        let help = "export the cameras again";
         return Err(Error::input(
             path,
             format!("line {}", token.line),
             token.text,
             "finite numbers",
-            mend,
+            help,
         ));
     }
     let cameras = read?;

@@ -16,8 +16,8 @@ pub(crate) fn cameras(path: &Path, value: &Value) -> Result<Vec<NamedCamera>> {
         .and_then(Value::as_str)
         .unwrap_or("perspective");
     if !kind.eq_ignore_ascii_case("perspective") {
-        let mend = "export the path with a perspective camera";
-        return Err(whole.error("camera_type", format!("{kind:?}"), "\"perspective\"", mend));
+        let help = "export the path with a perspective camera";
+        return Err(whole.error("camera_type", format!("{kind:?}"), "\"perspective\"", help));
     }
     let [width, height] = whole.size(["render_width", "render_height"])?;
     let list = whole.list("camera_path")?;
@@ -31,7 +31,7 @@ pub(crate) fn cameras(path: &Path, value: &Value) -> Result<Vec<NamedCamera>> {
                 "fov",
                 format!("{fov:?}"),
                 expected,
-                "mend the field of view",
+                "correct the field of view",
             ));
         }
         let focal =
@@ -41,8 +41,8 @@ pub(crate) fn cameras(path: &Path, value: &Value) -> Result<Vec<NamedCamera>> {
         let c2w = DMat4::from_cols_array(&entry.numbers(field)?).transpose();
         let last = c2w.row(3);
         if !last.abs_diff_eq(glam::DVec4::W, 1e-6) {
-            let mend = "write the matrix by rows, its translation at the end of each";
-            return Err(entry.error(field, format!("a last row of {last}"), "0, 0, 0, 1", mend));
+            let help = "write the matrix by rows, its translation at the end of each";
+            return Err(entry.error(field, format!("a last row of {last}"), "0, 0, 0, 1", help));
         }
         // From OpenGL's axes: y and z the other way.
         let c2w = DMat4::from_cols(c2w.x_axis, -c2w.y_axis, -c2w.z_axis, c2w.w_axis);

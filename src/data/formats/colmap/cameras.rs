@@ -78,13 +78,13 @@ impl Model {
 
 fn refused(path: &Path, place: &str, found: String) -> Error {
     let read: Vec<_> = MODELS.iter().filter(|m| m.2).map(|m| m.0).collect();
-    let mend = "run `colmap image_undistorter` and give the folder that it writes";
+    let help = "run `colmap image_undistorter` and give the folder that it writes";
     Error::input(
         path,
         format!("{place}: MODEL"),
         found,
         format!("one of {}", read.join(", ")),
-        mend,
+        help,
     )
 }
 

@@ -68,7 +68,7 @@ pub(crate) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
     let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
     let mut others: Vec<String> = names.filter(|name| name.starts_with("images")).collect();
     others.sort_unstable();
-    let (found, mend) = match &others[..] {
+    let (found, help) = match &others[..] {
         [] => (
             "no such folder".to_owned(),
             "put the photos there, or name their folder with data.images".to_owned(),
@@ -83,7 +83,7 @@ pub(crate) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
         &options.images,
         found,
         "the folder of the photos that the model was made from",
-        mend,
+        help,
     ))
 }
 
@@ -239,13 +239,13 @@ impl PosedImage {
         calibrated: &Path,
         cameras: &BTreeMap<u32, ModelCamera>,
     ) -> Result<(Camera, crate::data::photos::lens::Lens)> {
-        let error = |field: &str, found: String, expected: &str, mend: &str| {
+        let error = |field: &str, found: String, expected: &str, help: &str| {
             Err(Error::input(
                 posed,
                 format!("{} ({}): {field}", self.place, self.name),
                 found,
                 expected,
-                mend,
+                help,
             ))
         };
         if self.view_name().is_empty()

@@ -70,8 +70,8 @@ impl SparseModel {
         let Some(folder) = folders.first() else {
             let expected =
                 "a model in sparse/0 or sparse: cameras, images and points3D as .bin or .txt";
-            let mend = "run `colmap mapper`, or give another folder";
-            return Err(Error::input(dir, "sparse/0", "no model", expected, mend));
+            let help = "run `colmap mapper`, or give another folder";
+            return Err(Error::input(dir, "sparse/0", "no model", expected, help));
         };
         let folder = dir.join(folder);
         let (cameras, images) = (part(&folder, "cameras")?, part(&folder, "images")?);

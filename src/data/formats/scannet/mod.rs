@@ -93,8 +93,8 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let kept = options.pick(&vec![None; posed.len()]);
     let Some(&(first, _)) = kept.first() else {
         let found = format!("{all} photos, {lost} of them without a finite pose");
-        let mend = "export the .sens file of the scan, photos and poses";
-        return Err(Error::input(dir, "color", found, "photos with poses", mend));
+        let help = "export the .sens file of the scan, photos and poses";
+        return Err(Error::input(dir, "color", found, "photos with poses", help));
     };
     let intrinsics = read_intrinsics(dir, &posed[first].0.image, &options.limits)?;
     let truth = maps_of(dir, ["label-filt", "label"])?;
@@ -166,11 +166,11 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
 
 fn read_pose(path: &Path) -> Result<Pose> {
     if !path.is_file() {
-        let mend = "export the poses again, or take the photo away".into();
+        let help = "export the poses again, or take the photo away".into();
         return Err(Error::Missing {
             what: "file",
             path: path.to_owned(),
-            mend,
+            help,
         });
     }
     let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
@@ -193,11 +193,11 @@ fn maps_of(dir: &Path, names: [&str; 2]) -> Result<BTreeMap<usize, PathBuf>> {
 fn read_intrinsics(dir: &Path, photo: &Path, limits: &Limits) -> Result<Intrinsics> {
     let path = dir.join("intrinsic/intrinsic_color.txt");
     if !path.is_file() {
-        let mend = "export the intrinsics of the .sens file".into();
+        let help = "export the intrinsics of the .sens file".into();
         return Err(Error::Missing {
             what: "file",
             path,
-            mend,
+            help,
         });
     }
     let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
@@ -205,26 +205,26 @@ fn read_intrinsics(dir: &Path, photo: &Path, limits: &Limits) -> Result<Intrinsi
     let (width, height) = ImageFile::open(photo, limits)?.size;
     let (fx, fy, cx, cy) = (k[0], k[5], k[2], k[6]);
     if ![fx, fy].iter().all(|f| (1e-3..=1e9).contains(f)) {
-        let mend = "export the intrinsics of the .sens file again";
+        let help = "export the intrinsics of the .sens file again";
         return Err(Error::input(
             &path,
             "focal length",
             format!("{fx} {fy}"),
             "pixels, 0.001 to 1e9",
-            mend,
+            help,
         ));
     }
     let central = |c: f64, side: usize| (0.3..=0.7).contains(&(c / side as f64));
     if !central(cx, width) || !central(cy, height) {
         let found = format!("{cx} {cy}");
         let expected = format!("near the middle of the photos, which are {width}x{height}");
-        let mend = "where photos were scaled, scale fx fy cx cy of the first three rows with them";
+        let help = "where photos were scaled, scale fx fy cx cy of the first three rows with them";
         return Err(Error::input(
             &path,
             "principal point",
             found,
             expected,
-            mend,
+            help,
         ));
     }
     Ok(Intrinsics {

@@ -61,7 +61,7 @@ pub(crate) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
         return Ok(());
     }
     let expected = "cameras and frames as nerfstudio and instant-ngp write them (README, 'Data')";
-    let (found, mend) = match alternatives(dir) {
+    let (found, help) = match alternatives(dir) {
         others if others.is_empty() => (
             "no such file".to_owned(),
             "give another folder, or name another layout with data.layout".to_owned(),
@@ -76,7 +76,7 @@ pub(crate) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
         &options.transforms,
         found,
         expected,
-        mend,
+        help,
     ))
 }
 
@@ -295,13 +295,13 @@ fn photo(
     let image = image_path(dir, &transforms.frames[i].file_path);
     if !image.is_file() {
         let field = format!("{}.file_path", transforms.field(i));
-        let mend = "put the image there or drop the frame";
+        let help = "put the image there or drop the frame";
         faults.push(Error::input(
             path,
             field,
             format!("no file {}", image.display()),
             "an image",
-            mend,
+            help,
         ));
     }
     let declared = transforms

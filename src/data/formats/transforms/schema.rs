@@ -116,7 +116,7 @@ impl Transforms {
                 format!("line {}", e.line()),
                 found,
                 expected,
-                "mend the file there or export it again",
+                "correct the file there or export it again",
             )
         })?;
         if transforms.frames.is_empty() {
@@ -134,13 +134,13 @@ impl Transforms {
             .unwrap_or_default()
             .to_lowercase();
         if convention.contains("opencv") && !convention.contains("opengl") {
-            let mend = "negate the second and third column of every transform_matrix";
+            let help = "negate the second and third column of every transform_matrix";
             return Err(Error::input(
                 path,
                 "convention",
                 convention,
                 "OpenGL camera-to-world",
-                mend,
+                help,
             ));
         }
         Ok(transforms)
@@ -183,7 +183,7 @@ impl Transforms {
                 field,
                 format!("{value:?}"),
                 "a whole number of pixels, at least 1",
-                "mend the size",
+                "correct the size",
             ))
         };
         match (lens.w.or(self.lens.w), lens.h.or(self.lens.h)) {
@@ -207,7 +207,7 @@ impl Transforms {
             // Exporters of Blender leave the scale of the object that a camera belongs to in its matrix.
             let scale = lengths[0];
             let unscaled = DMat4::from_mat3(m * scale.recip());
-            let (scaled, mend) = match Camera::from_opengl(&unscaled, intrinsics) {
+            let (scaled, help) = match Camera::from_opengl(&unscaled, intrinsics) {
                 Some(_) => (
                     format!(", which is a rotation times {scale:.6}"),
                     format!("divide its first three columns by {scale:.6}; the translation stays"),
@@ -225,7 +225,7 @@ impl Transforms {
                     m.determinant()
                 ),
                 "a rotation (orthonormal columns, determinant +1) and a translation",
-                mend,
+                help,
             )
         })?;
         Ok((camera, lens))
@@ -289,33 +289,33 @@ impl Transforms {
         height: usize,
     ) -> Result<(Intrinsics, Lens)> {
         let (own, all) = (&self.frames[frame].lens, &self.lens);
-        let error = |name: &str, found: String, expected: &str, mend: &str| {
+        let error = |name: &str, found: String, expected: &str, help: &str| {
             Error::input(
                 path,
                 format!("{}.{name}", self.field(frame)),
                 found,
                 expected,
-                mend,
+                help,
             )
         };
         let model = own.camera_model.as_ref().or(all.camera_model.as_ref());
         if let Some(model) = model.filter(|m| !PINHOLE_MODELS.contains(&m.to_uppercase().as_str()))
         {
-            let mend = "undistort the images (colmap image_undistorter) and export again";
+            let help = "undistort the images (colmap image_undistorter) and export again";
             return Err(error(
                 "camera_model",
                 model.clone(),
                 "PINHOLE, OPENCV, SIMPLE_RADIAL or RADIAL",
-                mend,
+                help,
             ));
         }
         if own.is_fisheye.or(all.is_fisheye) == Some(true) {
-            let mend = "undistort the images (colmap image_undistorter) and export again";
+            let help = "undistort the images (colmap image_undistorter) and export again";
             return Err(error(
                 "is_fisheye",
                 "true".into(),
                 "a lens that is no fisheye",
-                mend,
+                help,
             ));
         }
         // Of what follows k3 tools differ on the meaning: a further power of the radius, or a denominator.
@@ -325,12 +325,12 @@ impl Transforms {
             ("k6", own.k6.or(all.k6)),
         ];
         if let Some((name, Some(k))) = beyond.iter().find(|(_, k)| k.is_some_and(|k| k != 0.0)) {
-            let mend = "undistort the images (colmap image_undistorter, or OpenCV undistort) and export poses with zeros";
+            let help = "undistort the images (colmap image_undistorter, or OpenCV undistort) and export poses with zeros";
             return Err(error(
                 name,
                 k.to_string(),
                 "0: of lens distortion only k1 k2 k3 p1 p2 are read",
-                mend,
+                help,
             ));
         }
         let value = |own: Option<f64>, all: Option<f64>| own.or(all).unwrap_or(0.0);
@@ -350,12 +350,12 @@ impl Transforms {
             .or(all.fl_x)
             .or_else(|| from_angle(width, own.camera_angle_x.or(all.camera_angle_x)));
         let Some(fx) = fx else {
-            let mend = "add the focal length in pixels";
+            let help = "add the focal length in pixels";
             return Err(error(
                 "fl_x",
                 "neither fl_x nor camera_angle_x".into(),
                 "one of them",
-                mend,
+                help,
             ));
         };
         let fy = own
@@ -371,7 +371,7 @@ impl Transforms {
                     name,
                     format!("{f:?}"),
                     expected,
-                    "mend the focal length or camera_angle",
+                    "correct the focal length or camera_angle",
                 ));
             }
         }
@@ -383,7 +383,7 @@ impl Transforms {
                     name,
                     format!("{c:?}"),
                     "pixels from the image corner",
-                    "mend the principal point",
+                    "correct the principal point",
                 ));
             }
         }

@@ -69,8 +69,8 @@ impl Palette {
                 "JPEG"
             };
             let expected = "a PNG with the colours of ADE20K, RGB or indexed";
-            let mend = "set data.raw_format = \"grey\" for class ids; JPEG changes colours, so save as PNG";
-            return Err(Error::input(path, "pixel format", found, expected, mend));
+            let help = "set data.raw_format = \"grey\" for class ids; JPEG changes colours, so save as PNG";
+            return Err(Error::input(path, "pixel format", found, expected, help));
         }
         let image = file.decode_rgb()?;
         let (width, height) = file.size;
@@ -81,13 +81,13 @@ impl Palette {
             if class.is_none() && pixel.0 != BLACK {
                 let field = format!("pixel x {}, y {}", i % width, i / width);
                 let expected = "one of the 150 colours of ADE20K, or black for unlabelled";
-                let mend = "save the map without blending it over the photo, and as PNG";
+                let help = "save the map without blending it over the photo, and as PNG";
                 return Err(Error::input(
                     path,
                     field,
                     format!("colour {:?}", pixel.0),
                     expected,
-                    mend,
+                    help,
                 ));
             }
             ids.push(

@@ -211,13 +211,13 @@ impl Panoptic {
         if !matches!(file.png_color(), Some((8, 2 | 6))) {
             let expected =
                 "an RGB PNG of 8 bits whose colours are segment ids, R + 256 G + 65536 B";
-            let mend = "export it with panopticapi's id2rgb, or set data.raw_format";
+            let help = "export it with panopticapi's id2rgb, or set data.raw_format";
             return Err(Error::input(
                 path,
                 "pixel format",
                 "another kind of file",
                 expected,
-                mend,
+                help,
             ));
         }
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
@@ -227,13 +227,13 @@ impl Panoptic {
                 self.maps.len(),
                 path.display()
             );
-            let mend = "export JSON and maps together";
+            let help = "export JSON and maps together";
             return Err(Error::input(
                 &self.path,
                 "annotations",
                 found,
                 "one for each map",
-                mend,
+                help,
             ));
         };
         if listed.len() >= usize::from(u16::MAX) {
@@ -241,7 +241,7 @@ impl Panoptic {
                 what: format!("{}: segments of {stem}", self.path.display()),
                 found: listed.len().to_string(),
                 limit: (u16::MAX - 1).to_string(),
-                mend: "leave small segments out".into(),
+                help: "leave small segments out".into(),
             });
         }
         let image = file.decode()?.into_rgb8();
@@ -292,13 +292,13 @@ impl Panoptic {
                     listed.len(),
                     self.path.display()
                 );
-                let mend = "export JSON and maps together";
+                let help = "export JSON and maps together";
                 Err(Error::input(
                     path,
                     format!("pixel x {x}, y {y}"),
                     found,
                     expected,
-                    mend,
+                    help,
                 ))
             }
         }

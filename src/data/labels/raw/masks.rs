@@ -27,11 +27,11 @@ pub(crate) fn read(
         path.with_extension("")
     };
     if !folder.is_dir() {
-        let mend = "put the photo's masks there, or take the frame away".into();
+        let help = "put the photo's masks there, or take the frame away".into();
         return Err(Error::Missing {
             what: "folder",
             path: folder,
-            mend,
+            help,
         });
     }
     let files = numbered(&folder)?;

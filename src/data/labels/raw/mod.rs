@@ -83,13 +83,13 @@ impl Vocabulary {
                 "names of the class table, such as {}",
                 classes.entries[0].name
             );
-            let mend = "rename the classes of classes.json, or take it away where there are no true labels";
+            let help = "rename the classes of classes.json, or take it away where there are no true labels";
             return Err(Error::input(
                 file,
                 "categories",
                 format!("{} ..", listed.join(", ")),
                 expected,
-                mend,
+                help,
             ));
         }
         let notice = (found < names.len()).then(|| {
@@ -195,12 +195,12 @@ impl RawLabels {
             RawFormat::Ade20k => Source::Ade20k(ade20k::Palette::new(first, classes)?),
             RawFormat::Masks if !segments => {
                 let expected = "\"gaussians\", as raw labels are folders of masks, whose ids differ from view to view";
-                let mend = "add --set data.association=gaussians (`coseg train`, `coseg data`), or use `coseg associate`";
+                let help = "add --set data.association=gaussians (`coseg train`, `coseg data`), or use `coseg associate`";
                 return Err(Error::config(
                     "data.association",
                     "\"none\"",
                     expected,
-                    mend,
+                    help,
                 ));
             }
             RawFormat::Masks => Source::Masks,

@@ -1,14 +1,14 @@
 //! Names of the rows of the results table.
 
-use super::Row;
+use super::Variant;
 
-impl std::fmt::Display for Row {
+impl std::fmt::Display for Variant {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(self.key())
     }
 }
 
-impl Row {
+impl Variant {
     /// What is compared by default.
     pub const COMPARED: [Self; 5] = [
         Self::Raw,
