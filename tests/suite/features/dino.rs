@@ -172,13 +172,10 @@ fn all_tokens(net: &Vit, planes: &[f32], size: [usize; 2]) -> Vec<Tokens> {
 
 #[test]
 fn activations_equal_the_stored_ones() {
-    let Some(shared) = crate::support::shared_dir() else {
+    let file = "weights/dino_arch_only/dino_vit192_depth4_RANDOM.safetensors";
+    let Some(path) = crate::support::shared_file(file) else {
         return;
     };
-    let path = shared.join("weights/dino_arch_only/dino_vit192_depth4_RANDOM.safetensors");
-    if !path.is_file() {
-        return eprintln!("SKIPPED: {} is absent", path.display());
-    }
     let net = Vit::load(&path).expect("weights");
     assert_eq!(
         [net.width(), net.patch(), net.depth(), net.heads()],

@@ -8,13 +8,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 fn weights() -> Option<PathBuf> {
-    let path =
-        crate::support::shared_dir()?.join("weights/mobilenetv2/mobilenetv2_imagenet.safetensors");
-    if !path.is_file() {
-        eprintln!("SKIPPED: {} is absent", path.display());
-        return None;
-    }
-    Some(path)
+    crate::support::shared_file("weights/mobilenetv2/mobilenetv2_imagenet.safetensors")
 }
 
 fn stored(path: &Path) -> BTreeMap<String, (Vec<usize>, Vec<f32>)> {
@@ -206,17 +200,15 @@ fn cells_are_where_the_maps_say() {
     let Some(path) = weights() else { return };
     let net =
         FoldedNet::new(&MobileNetV2::load(&path, &crate::support::device()).expect("weights"));
-    let Some(scenes) = crate::support::shared_dir() else {
-        return;
-    };
     // Where maps change when a small patch of a photo changes colour.
     let mut sums = [[0.0; 2]; 4];
     let mut patches = 0.0;
     for photo in ["train_000", "train_032", "train_064"] {
-        let file = scenes.join(format!("data/house_living/images/{photo}.jpg"));
-        let Ok(photo) = image::open(&file) else {
-            return eprintln!("SKIPPED: {} is absent", file.display());
+        let file = format!("data/house_living/images/{photo}.jpg");
+        let Some(file) = crate::support::shared_file(&file) else {
+            return;
         };
+        let photo = image::open(&file).expect("a photo");
         let photo = photo.into_rgb8();
         let size = [photo.width() as usize, photo.height() as usize];
         let before = net.maps(&photo).expect("maps");

@@ -10,7 +10,7 @@ use burn::tensor::Device;
 use coseg::backend::device::BackendName;
 use std::path::PathBuf;
 
-/// The device of tests that are not about devices: ndarray, or the first CPU backend compiled in.
+/// The device of tests that do not compare devices: ndarray, or the first CPU backend of the build.
 pub fn device() -> Device {
     let name = BackendName::compiled()
         .iter()
@@ -18,8 +18,8 @@ pub fn device() -> Device {
     coseg::backend::device::open(name.copied()).expect("a CPU backend")
 }
 
-/// The wgpu device, if this machine has one that all kernels run on. Without it tests say so and pass, unless the
-/// environment has COSEG_REQUIRE_GPU, which is `hardware` where a software adapter is not enough.
+/// The wgpu device, if this machine has one that runs all kernels. Without it tests print that they skip, and pass. With
+/// `COSEG_REQUIRE_GPU` in the environment they fail; `COSEG_REQUIRE_GPU=hardware` also refuses a software adapter.
 #[cfg(feature = "wgpu")]
 pub fn gpu() -> Option<Device> {
     let required = std::env::var_os("COSEG_REQUIRE_GPU");
@@ -35,7 +35,7 @@ pub fn gpu() -> Option<Device> {
         .ok()
 }
 
-/// The message of `error` must hold all of `parts`.
+/// Asserts that the message of `error` contains all of `parts`.
 #[track_caller]
 pub fn assert_names(error: &coseg::Error, parts: &[&str]) {
     let message = error.to_string();
@@ -44,7 +44,8 @@ pub fn assert_names(error: &coseg::Error, parts: &[&str]) {
     }
 }
 
-/// The folder of real scenes and weights that some tests use, if it is there; those tests say so and pass otherwise.
+/// The folder of real scenes and weights that some tests use. Without it these tests print that they skip, and pass; with
+/// `COSEG_REQUIRE_SHARED=1` in the environment they fail.
 pub fn shared_dir() -> Option<PathBuf> {
     let dir = std::env::var_os("COSEG_SHARED").map_or_else(
         || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared"),
@@ -53,6 +54,19 @@ pub fn shared_dir() -> Option<PathBuf> {
     if dir.is_dir() {
         return Some(dir);
     }
+    let required = std::env::var_os("COSEG_REQUIRE_SHARED").is_some_and(|value| value != "0");
+    assert!(
+        !required,
+        "COSEG_REQUIRE_SHARED is set, but {} is absent",
+        dir.display()
+    );
     eprintln!("SKIPPED: {} is absent", dir.display());
     None
+}
+
+/// A file below [`shared_dir`], under the same rule.
+pub fn shared_file(path: &str) -> Option<PathBuf> {
+    let file = shared_dir()?.join(path);
+    assert!(file.is_file(), "{} is absent", file.display());
+    Some(file)
 }
