@@ -1,6 +1,6 @@
 //! `coseg bench` as a person runs it. What it measures is never asserted, only that it measures and says what.
 
-use crate::cli::cli::{fails, read_json, succeeds, utf8};
+use crate::cli::commands::{fails, read_json, succeeds, utf8};
 use crate::support::plates::scene;
 use coseg::backend::device::BackendName;
 use coseg::bench::{Effort, Section, Source, Subject, Surfaces};

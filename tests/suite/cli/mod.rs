@@ -1,6 +1,6 @@
 //! Tests of `coseg::cli`.
 
 pub mod bench;
-pub mod cli;
+pub mod commands;
 pub mod render_settings;
 pub mod views;

@@ -1,6 +1,6 @@
 //! A scene in a run folder is rendered as the run rendered it.
 
-use crate::cli::cli::{succeeds, utf8};
+use crate::cli::commands::{succeeds, utf8};
 use crate::support::plates::scene;
 use std::path::Path;
 use std::process::Command;

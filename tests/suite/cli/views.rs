@@ -1,6 +1,6 @@
 //! New views by the program: paths, sizes, run folders in place of files, and files that are not what they are given as.
 
-use crate::cli::cli::{fails, read_json, succeeds, utf8};
+use crate::cli::commands::{fails, read_json, succeeds, utf8};
 use crate::support::plates::{HEIGHT, WIDTH, camera, scene};
 use coseg::backend::device::BackendName;
 use coseg::data::formats::transforms;

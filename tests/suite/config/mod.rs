@@ -1,4 +1,4 @@
 //! Tests of `coseg::config`.
 
-pub mod config;
+pub mod load;
 pub mod unread;

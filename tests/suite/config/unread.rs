@@ -1,7 +1,7 @@
 //! Settings given in vain: what a run says of them.
 
-use crate::cli::cli::{coseg, utf8};
-use crate::config::config::{assert_names, load};
+use crate::cli::commands::{coseg, utf8};
+use crate::config::load::{assert_names, load};
 use crate::support::plates::scene;
 use coseg::config::{Config, Preset, Variant};
 

@@ -1,6 +1,6 @@
 //! Blender's scenes of NeRF: a file of cameras for each split, photos without extension and with transparent pixels.
 
-use crate::cli::cli::{fails, succeeds, utf8};
+use crate::cli::commands::{fails, succeeds, utf8};
 use coseg::config::{BuildingConfig, Config, Layout};
 use coseg::data::check;
 use coseg::data::{LoadOptions, NamedCamera, Scene, Split, load, load_cameras, locate};

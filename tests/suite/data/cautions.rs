@@ -1,6 +1,6 @@
 //! What loads and is seldom meant: degenerate poses, odd intrinsics, labels that say nothing; and floods of one fault.
 
-use crate::cli::cli::{fails, succeeds, utf8};
+use crate::cli::commands::{fails, succeeds, utf8};
 use crate::data::colmap;
 use crate::data::data_check::edit;
 use crate::support::plates::{HEIGHT, WIDTH, scene};

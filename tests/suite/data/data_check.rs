@@ -1,6 +1,6 @@
 //! `coseg data check` and `info`, manifests, and the layouts that nothing tells apart.
 
-use crate::cli::cli::{fails, read_json, succeeds, utf8};
+use crate::cli::commands::{fails, read_json, succeeds, utf8};
 use crate::support::plates::scene;
 use coseg::config::{Config, Layout};
 use coseg::data::check;

@@ -1,7 +1,7 @@
 //! Which camera label maps are of: maps that were made of the scene come back as they were, and maps of photos have the
 //! distortion of the lens taken out once.
 
-use crate::cli::cli::{succeeds, utf8};
+use crate::cli::commands::{succeeds, utf8};
 use crate::data::colmap;
 use crate::data::data_check::edit;
 use crate::support::plates::{HEIGHT, WIDTH, scene};

@@ -1,6 +1,6 @@
 //! Folders of masks: which one is looked into, how files in it are named, when none is, and what is told of them.
 
-use crate::cli::cli::{fails, short_run, succeeds, utf8};
+use crate::cli::commands::{fails, short_run, succeeds, utf8};
 use crate::data::blender;
 use crate::data::colmap;
 use crate::data::data_check::edit;
@@ -226,7 +226,7 @@ fn photos_of_one_name_in_two_folders_have_masks_of_their_own() {
     .unwrap();
     for (split, count, id) in [("train", 5, 1), ("test", 3, 2)] {
         let path = dir.join(format!("transforms_{split}.json"));
-        let mut value = crate::cli::cli::read_json(&path);
+        let mut value = crate::cli::commands::read_json(&path);
         for i in 0..count {
             value["frames"][i]["mask_path"] = json!(format!("alpha/{split}/r_{i}.png"));
             value["frames"][i]["raw_label_path"] = json!(format!("seen/{split}/r_{i}.png"));

@@ -1,6 +1,6 @@
 //! Masks of photos: how they are read in each layout, what they leave out, and what is wrong with them.
 
-use crate::cli::cli::{fails, succeeds, utf8};
+use crate::cli::commands::{fails, succeeds, utf8};
 use crate::data::colmap;
 use crate::data::data_check::edit;
 use crate::support::plates::{HEIGHT, WIDTH, scene};

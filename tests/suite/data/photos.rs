@@ -1,6 +1,6 @@
 //! Photos stay in their files and label maps in runs: how much is in memory, and that nothing else changes.
 
-use crate::cli::cli::read_json;
+use crate::cli::commands::read_json;
 use crate::pipeline::resume;
 use coseg::Error;
 use coseg::data::{LabelMap, LabelRuns, LoadOptions, Photo, PhotoCache, Scene, load};

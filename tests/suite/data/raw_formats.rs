@@ -1,6 +1,6 @@
 //! Raw labels as segmenters write them: COCO panoptic, ADE20K colours, folders of masks; whole, then broken.
 
-use crate::cli::cli::{fails, read_json, succeeds, utf8};
+use crate::cli::commands::{fails, read_json, succeeds, utf8};
 use crate::support::assert_names;
 use crate::support::plates::{HEIGHT, WIDTH, scene};
 use coseg::config::{Association, RawFormat};

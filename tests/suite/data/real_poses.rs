@@ -20,7 +20,7 @@ const SCENES: [(&str, &str); 5] = [
 
 /// A scene folder elsewhere.
 fn capture_of(dir: &Path, transforms: &str) -> Capture {
-    let manifest = crate::cli::cli::read_json(&dir.join(transforms));
+    let manifest = crate::cli::commands::read_json(&dir.join(transforms));
     let cameras = load_cameras(&dir.join(transforms), None).unwrap();
     let paths = manifest["frames"]
         .as_array()

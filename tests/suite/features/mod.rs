@@ -2,7 +2,7 @@
 
 pub mod dino;
 pub mod dino_weights;
-pub mod features;
+pub mod extraction;
 pub mod mobilenet;
 pub mod pca;
 pub mod weights;

@@ -1,4 +1,4 @@
 //! Tests of `coseg::metrics`.
 
 pub mod instance_metrics;
-pub mod metrics;
+pub mod scores;

@@ -1,6 +1,6 @@
 //! Association: segments with ids of their own in every view become objects.
 
-use crate::cli::cli::{fails, read_json, succeeds, utf8};
+use crate::cli::commands::{fails, read_json, succeeds, utf8};
 use crate::objects::association_figures::rendered;
 use crate::support::plates::{self, camera, plates};
 use crate::support::spoilt_masks::{Noise, shuffled, spoilt};

@@ -1,6 +1,6 @@
 //! Objects of a labelled scene: listed, picked, removed, turned and moved.
 
-use crate::cli::cli::{fails, succeeds, utf8};
+use crate::cli::commands::{fails, succeeds, utf8};
 use crate::support::plates::{HEIGHT, WIDTH, camera, plates, scene};
 use coseg::data::{Classes, Limits, ObjectOf};
 use coseg::objects::{hard_label_map, inventory, pick};
@@ -211,7 +211,7 @@ fn distant_scene(dir: &Path) -> PathBuf {
     let (gaussians, labels) = plates();
     ply::write(&path, &gaussians, ORIGIN, Some(&labels)).unwrap();
     let file = dir.join("transforms.json");
-    let mut transforms = crate::cli::cli::read_json(&file);
+    let mut transforms = crate::cli::commands::read_json(&file);
     for frame in transforms["frames"].as_array_mut().unwrap() {
         for (row, by) in ORIGIN.to_array().iter().enumerate() {
             let cell = &mut frame["transform_matrix"][row][3];

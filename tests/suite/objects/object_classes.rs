@@ -1,6 +1,6 @@
 //! Objects that have classes: their scores by class, and how the classes travel.
 
-use crate::cli::cli::{read_json, succeeds, utf8};
+use crate::cli::commands::{read_json, succeeds, utf8};
 use crate::objects::association::short_run;
 use crate::support::plates;
 use coseg::data::{Class, Classes, LabelMap, Limits, ObjectOf};

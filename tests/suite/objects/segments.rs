@@ -1,7 +1,7 @@
 //! Raw labels whose ids mean something in their view alone: what is said where they are taken for classes, and photos in which
 //! nothing was found.
 
-use crate::cli::cli::{fails, succeeds, utf8};
+use crate::cli::commands::{fails, succeeds, utf8};
 use crate::data::data_check::edit;
 use crate::support::plates::{HEIGHT, WIDTH, scene};
 use coseg::config::{Association, RawFormat};

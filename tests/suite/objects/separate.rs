@@ -1,6 +1,6 @@
 //! Things of one label that do not touch.
 
-use crate::cli::cli::{fails, succeeds, utf8};
+use crate::cli::commands::{fails, succeeds, utf8};
 use crate::support::plates::plates;
 use coseg::data::{Class, Classes, Limits, ObjectOf};
 use coseg::error::Error;

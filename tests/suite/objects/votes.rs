@@ -1,6 +1,6 @@
 //! What `coseg vote` takes for votes.
 
-use crate::cli::cli::{fails, utf8};
+use crate::cli::commands::{fails, utf8};
 use crate::support::plates::{HEIGHT, WIDTH, scene};
 use coseg::data::LabelMap;
 use image::{GrayImage, Luma};

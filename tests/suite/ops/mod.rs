@@ -1,10 +1,10 @@
 //! Tests of `coseg::ops`.
 
 pub mod adam;
+pub mod autodiff;
 #[cfg(feature = "wgpu")]
 pub mod device_dense;
 #[cfg(feature = "wgpu")]
 pub mod device_ops;
 pub mod fused;
-pub mod ops;
 pub mod photometric;

@@ -1,6 +1,6 @@
 //! Ctrl-C and other signals while `coseg train` runs.
 
-use crate::cli::cli::{succeeds, utf8};
+use crate::cli::commands::{succeeds, utf8};
 use crate::support::plates::scene;
 use std::ffi::OsStr;
 use std::io::{BufRead, BufReader, Read};
@@ -139,7 +139,7 @@ fn a_run_that_is_interrupted_saves_and_is_gone_on_with() {
 
     let said = succeeds(&resume);
     assert!(said.contains("per-Gaussian CE"), "{said}");
-    let metrics = crate::cli::cli::read_json(&run.join("metrics.json"));
+    let metrics = crate::cli::commands::read_json(&run.join("metrics.json"));
     let lines: Vec<_> = metrics["commands"]
         .as_array()
         .unwrap()

@@ -1,6 +1,6 @@
 //! A run folder that is gone on with.
 
-use crate::cli::cli::{fails, read_json, short_run, succeeds, utf8};
+use crate::cli::commands::{fails, read_json, short_run, succeeds, utf8};
 use crate::support::plates::scene;
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,8 +1,8 @@
 //! Tests of `coseg::raster`.
 
 pub mod absgrad;
+pub mod blending;
 pub mod gsplat;
-pub mod raster;
 pub mod raster_contract;
 #[cfg(feature = "wgpu")]
 pub mod raster_gpu;

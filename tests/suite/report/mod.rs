@@ -1,3 +1,3 @@
 //! Tests of `coseg::report`.
 
-pub mod report;
+pub mod results;

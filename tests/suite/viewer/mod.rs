@@ -1,4 +1,4 @@
 //! Tests of `coseg::viewer`.
 
-pub mod viewer;
+pub mod page;
 pub mod viewer_edits;

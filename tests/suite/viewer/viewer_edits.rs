@@ -1,8 +1,8 @@
 //! What is done to objects in the viewer's page, and the `coseg edit` line that it writes of it.
 
-use crate::cli::cli::{succeeds, utf8};
+use crate::cli::commands::{succeeds, utf8};
 use crate::support::plates::{self, plates, scene as plates_scene};
-use crate::viewer::viewer::{after, browser, drawn, psnr, scripted};
+use crate::viewer::page::{after, browser, drawn, psnr, scripted};
 use coseg::data::{Classes, Limits, read_cameras};
 use coseg::raster::{Settings, render};
 use coseg::splat::camera::Camera;

@@ -1,6 +1,6 @@
 //! The page that shows a scene in a browser: what it carries, what it never does, and how its pictures compare.
 
-use crate::cli::cli::{fails, succeeds, utf8};
+use crate::cli::commands::{fails, succeeds, utf8};
 use crate::support::assert_names;
 use crate::support::plates::{self, plates, scene as plates_scene};
 use base64::Engine;
