@@ -1,4 +1,4 @@
-//! EWA projection of one Gaussian in kernels: [`crate::raster::geometry`]'s formulas, in `f32`.
+//! EWA projection of one Gaussian in kernels: [`crate::raster::cpu::geometry`]'s formulas, in `f32`.
 
 use super::vec3::{Vec3, add_scaled, dot, read3, scaled, vec3};
 use super::view::{AXES, CENTER, CENTER_REST, FOCAL, LIMITS};

@@ -32,10 +32,10 @@ mod view;
 
 pub(super) use self::frozen::Lists;
 
-use super::geometry::Viewpoint;
 use super::settings::Settings;
 use crate::backend::gpu::{Gpu, add_non_finite, shortfall};
 use crate::error::{Error, Result};
+use crate::raster::cpu::geometry::Viewpoint;
 use crate::splat::camera::Camera;
 use blend::Values;
 use burn::tensor::DType;

@@ -1,7 +1,7 @@
-//! Which tiles a projected Gaussian reaches: [`crate::raster::outline`]'s formulas, in kernels.
+//! Which tiles a projected Gaussian reaches: [`crate::raster::cpu::outline`]'s formulas, in kernels.
 
 use super::project::SPLAT;
-use crate::raster::footprint::TILE;
+use crate::raster::cpu::footprint::TILE;
 use burn_cubecl::cubecl::{self, prelude::*};
 
 /// A projected Gaussian as far as tile lists need it.

@@ -2,7 +2,7 @@
 
 use super::project::SPLAT;
 use super::view::{ALPHA_MAX, ALPHA_MIN, LN_ALPHA_MIN, T_MIN};
-use crate::raster::footprint::TILE;
+use crate::raster::cpu::footprint::TILE;
 use burn_cubecl::cubecl::{self, prelude::*};
 
 /// Four floats that shared memory gives in one go.

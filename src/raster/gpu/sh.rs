@@ -1,10 +1,10 @@
-//! Colours from spherical harmonics and their derivative: [`crate::raster::sh`]'s formulas, one unit a Gaussian.
+//! Colours from spherical harmonics and their derivative: [`crate::raster::cpu::sh`]'s formulas, one unit a Gaussian.
 
 use super::ewa::offset_from_camera;
 use super::project::Scene;
 use super::vec3::{Vec3, dot, read3, vec3};
 use crate::backend::gpu::{Gpu, arg};
-use crate::raster::sh::{C0, C1, C2, C3};
+use crate::raster::cpu::sh::{C0, C1, C2, C3};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 

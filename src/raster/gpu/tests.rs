@@ -408,7 +408,7 @@ fn a_patch_that_is_passed_over_shows_nothing() {
             width: size[0] as usize,
             height: size[1] as usize,
         };
-        let viewpoint = crate::raster::geometry::Viewpoint::new(&camera).expect("valid");
+        let viewpoint = crate::raster::cpu::geometry::Viewpoint::new(&camera).expect("valid");
         let constants = view::constants(&viewpoint, &camera, &settings, [0.0; 3]);
         let splats: Vec<f32> = (0..count)
             .flat_map(|i| {

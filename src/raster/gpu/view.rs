@@ -1,7 +1,7 @@
 //! Constants of one view as the kernels read them.
 
 use crate::raster::Settings;
-use crate::raster::geometry::Viewpoint;
+use crate::raster::cpu::geometry::Viewpoint;
 use crate::splat::camera::Camera;
 
 /// Rows of the world-to-camera rotation, nine numbers.

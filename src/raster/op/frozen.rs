@@ -5,7 +5,7 @@ use crate::backend::device::largest_allocation;
 use crate::backend::{HostBackend, HostKernels, Real, device_of, real_kernel};
 use crate::error::{Error, Result};
 use crate::ops::{RowList, gather_rows};
-use crate::raster::projected::{Blended, Projected};
+use crate::raster::cpu::projected::{Blended, Projected};
 use crate::raster::settings::{Settings, Splats};
 use crate::splat::camera::Camera;
 use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};

@@ -1,24 +1,24 @@
 //! View-dependent colour: real spherical harmonics in the 3DGS sign and order, and their derivative.
 
 use super::geometry::{Vec3, dot};
-use super::settings::check_finite;
 use crate::backend::Real;
 use crate::backend::simd::wide_kernel;
 use crate::error::Result;
+use crate::raster::settings::check_finite;
 use rayon::prelude::*;
 
 /// Gaussians that one task handles.
 const CHUNK: usize = 1024;
-pub(super) const C0: f64 = 0.282_094_791_773_878_14;
-pub(super) const C1: f64 = 0.488_602_511_902_919_9;
-pub(super) const C2: [f64; 5] = [
+pub(in crate::raster) const C0: f64 = 0.282_094_791_773_878_14;
+pub(in crate::raster) const C1: f64 = 0.488_602_511_902_919_9;
+pub(in crate::raster) const C2: [f64; 5] = [
     1.092_548_430_592_079_2,
     -1.092_548_430_592_079_2,
     0.315_391_565_252_520_05,
     -1.092_548_430_592_079_2,
     0.546_274_215_296_039_6,
 ];
-pub(super) const C3: [f64; 7] = [
+pub(in crate::raster) const C3: [f64; 7] = [
     -0.590_043_589_926_643_5,
     2.890_611_442_640_554,
     -0.457_045_799_464_465_8,
@@ -130,7 +130,7 @@ pub fn eval_sh<E: Real>(
 ///
 /// # Errors
 /// [`crate::Error::NonFinite`] for a NaN or an infinity in `sh`, wanted or not.
-pub(super) fn visible_colours<E: Real>(
+pub(in crate::raster) fn visible_colours<E: Real>(
     means: &[E],
     sh: &[E],
     sh_degree: usize,
@@ -232,7 +232,7 @@ fn evaluate_all<E: Real, const _FMA: bool>(
 }
 
 /// What [`sh_backward`] reads.
-pub(super) struct ShBackward<'a, E> {
+pub(in crate::raster) struct ShBackward<'a, E> {
     /// `[N, 3]`.
     pub means: &'a [E],
     /// `[N, K, 3]`.

@@ -2,12 +2,11 @@
 
 use super::blend;
 use super::channel_blocks;
-use super::counter::{count, count_used};
+use super::disc_pixels::{count, count_used};
 use super::footprint::Splat2;
 use super::geometry::Viewpoint;
 use super::labels;
 use super::projection::{Visible, project};
-use super::settings::{Settings, Splats, Stats};
 use super::sh::visible_colours;
 use super::tiles::{TileLists, depth_order, tile_lists};
 use super::weights;
@@ -15,6 +14,7 @@ use crate::backend::Real;
 use crate::data::mask::Mask;
 use crate::error::Result;
 use crate::ops::SparseMatrix;
+use crate::raster::settings::{Settings, Splats, Stats};
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
 use rayon::prelude::*;
@@ -26,13 +26,13 @@ const CHUNK: usize = 1024;
 /// One view: projection and tile lists, computed once and shared by all passes.
 #[derive(Clone, Debug)]
 pub struct Projected<E> {
-    pub(super) viewpoint: Viewpoint,
-    pub(super) settings: Settings,
+    pub(in crate::raster) viewpoint: Viewpoint,
+    pub(in crate::raster) settings: Settings,
     /// Visible Gaussians front to back.
-    pub(super) splats: Vec<Splat2>,
+    pub(in crate::raster) splats: Vec<Splat2>,
     /// Index of each in the scene.
-    pub(super) ids: Vec<u32>,
-    pub(super) tiles: TileLists,
+    pub(in crate::raster) ids: Vec<u32>,
+    pub(in crate::raster) tiles: TileLists,
     radii: Vec<u32>,
     stats: Stats,
     scalar: PhantomData<E>,
@@ -273,7 +273,12 @@ impl<E: Real> Projected<E> {
     }
 
     /// Rows of `values` `[N, channels]` of the visible Gaussians, front to back, each padded with zeros to `width`.
-    pub(super) fn in_depth_order(&self, values: &[E], channels: usize, width: usize) -> Vec<E> {
+    pub(in crate::raster) fn in_depth_order(
+        &self,
+        values: &[E],
+        channels: usize,
+        width: usize,
+    ) -> Vec<E> {
         let mut out = vec![E::zero(); self.ids.len() * width];
         if width == 0 {
             return out;
@@ -289,7 +294,7 @@ impl<E: Real> Projected<E> {
     }
 
     /// The inverse of [`Projected::in_depth_order`]; rows of culled Gaussians are zero.
-    pub(super) fn in_scene_order(&self, rows: &[E], channels: usize) -> Vec<E> {
+    pub(in crate::raster) fn in_scene_order(&self, rows: &[E], channels: usize) -> Vec<E> {
         let mut out = vec![E::zero(); self.len() * channels];
         if channels == 0 {
             return out;

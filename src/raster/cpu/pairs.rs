@@ -3,11 +3,11 @@
 
 use super::footprint::{Buffer, Footprint, Rule};
 use super::projected::Projected;
-use super::settings::PairCounts;
 use super::tile_loop::{Pass, Tile, walk};
 use crate::backend::Real;
 use crate::backend::simd::{Kernel, dispatch};
 use crate::backend::vector::{LANES, MEMBERS, Vector};
+use crate::raster::settings::PairCounts;
 
 /// Pairs of a Gaussian in a tile for which room is made beforehand; there is more when there are more.
 const USUAL: usize = 24;

@@ -8,7 +8,7 @@ use crate::backend::Real;
 use crate::backend::vector::{LANES, Vector};
 
 /// Pixels along a tile's edge.
-pub(super) const TILE: usize = 16;
+pub(in crate::raster) const TILE: usize = 16;
 /// Pixels of a tile.
 pub(super) const PIXELS: usize = TILE * TILE;
 /// Strips of a tile, in the order of their pixels.
@@ -18,7 +18,7 @@ pub(super) type Buffer<E> = [[E; LANES]; STRIPS];
 
 /// A projected Gaussian as the tile kernels read it.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Splat2 {
+pub(in crate::raster) struct Splat2 {
     /// Centre, pixels.
     pub center: [f64; 2],
     /// `B / Y`: how far the middle of a row moves per row.
@@ -186,7 +186,7 @@ pub(super) struct Rule<V> {
 
 impl<V> Rule<V> {
     #[inline(always)]
-    pub fn new<E: Real>(s: &super::Settings) -> Self
+    pub fn new<E: Real>(s: &crate::raster::Settings) -> Self
     where
         V: Vector<E>,
     {

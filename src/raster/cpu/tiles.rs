@@ -12,7 +12,7 @@ const CHUNK: usize = 4096;
 
 /// Ranks of Gaussians (positions in depth order) per tile, front to back.
 #[derive(Clone, Debug, Default)]
-pub(super) struct TileLists {
+pub(in crate::raster) struct TileLists {
     /// Tiles across and down.
     pub columns: usize,
     pub rows: usize,
@@ -53,7 +53,7 @@ impl TileLists {
 }
 
 /// Indices of `depths` (positive, finite) in ascending order, ties by index.
-pub(super) fn depth_order(depths: &[f64]) -> Vec<u32> {
+pub(in crate::raster) fn depth_order(depths: &[f64]) -> Vec<u32> {
     // Radix sort by the bits of the depth rounded to f32, which ascend with it, then put right what rounding made equal.
     let mut keys: Vec<(u32, u32)> = depths
         .iter()
@@ -94,7 +94,7 @@ pub(super) fn depth_order(depths: &[f64]) -> Vec<u32> {
 ///
 /// # Errors
 /// [`Error::Limit`] when the lists would have more than 2^32 - 1 entries.
-pub(super) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Result<TileLists> {
+pub(in crate::raster) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Result<TileLists> {
     let [columns, rows] = size.map(|s| s.div_ceil(TILE));
     let tiles = columns * rows;
     let chunk_len = CHUNK.max(splats.len().div_ceil(64));

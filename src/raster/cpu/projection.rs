@@ -6,10 +6,10 @@
 
 use super::footprint::Splat2;
 use super::geometry::{Ewa, Splat3, Viewpoint, ZERO_QUATERNION, dot};
-use super::settings::{Settings, Splats, Stats};
 use crate::backend::Real;
 use crate::backend::elementary::{exp, ln_1p_unit};
 use crate::backend::simd::wide_kernel;
+use crate::raster::settings::{Settings, Splats, Stats};
 
 /// Gaussians of one loop.
 const BLOCK: usize = 32;

@@ -3,11 +3,11 @@
 use super::footprint::{Buffer, TILE, fresh_transmittance};
 use super::pairs::Pairs;
 use super::projected::Projected;
-use super::settings::PairCounts;
 use super::tile_loop::Tile;
 use super::tiles::TileLists;
 use crate::backend::Real;
 use crate::data::mask::Mask;
+use crate::raster::settings::PairCounts;
 use rayon::prelude::*;
 
 /// Contributing pairs of one tile, Gaussian by Gaussian, front to back.

@@ -6,10 +6,10 @@
 //! `det = |m1 x m2|^2 + low_pass (|m1|^2 + |m2|^2) + low_pass^2` is a sum of positive terms, and `m1 x m2` comes from the
 //! viewing ray, `(m1 x m2)_i = s_j s_k (n . r_i)` with `n = fx fy / z^2 (tx, ty, 1)` in camera axes: thin splats do not cancel.
 
-use super::settings::Splats;
 use crate::backend::Real;
 use crate::backend::elementary::exp;
 use crate::error::{Error, Result};
+use crate::raster::settings::Splats;
 use crate::splat::camera::Camera;
 
 pub(super) type Vec3 = [f64; 3];

@@ -12,11 +12,11 @@ use super::channel_blocks;
 use super::footprint::{Buffer, Footprint, Rule, STRIPS, Splat2, UNIT, fresh_transmittance};
 use super::geometry::{Moments, Splat3, project_backward};
 use super::projected::{Blended, Projected};
-use super::settings::Splats;
 use super::tile_loop::{LOOK, Pass, Tile, gather_rows, sum_over_tiles, walk};
 use crate::backend::Real;
 use crate::backend::simd::{Kernel, dispatch};
 use crate::backend::vector::{LANES, Vector};
+use crate::raster::settings::Splats;
 use rayon::prelude::*;
 
 /// Gaussians that one task handles.
@@ -44,19 +44,19 @@ pub struct SplatGradients<E> {
 }
 
 /// Sums of a row besides those of the values, for each Gaussian: moments, and the two of absolute values.
-pub(super) const fn geometry_sums(absolute: bool) -> usize {
+pub(in crate::raster) const fn geometry_sums(absolute: bool) -> usize {
     if absolute { 8 } else { 6 }
 }
 
 /// By how much the kernels' `u` and `v` grow as the centre moves by a pixel: `u` along x, `u` along y, `v` along y.
 #[inline(always)]
-pub(super) fn drift<E: Real>(s: &Splat2) -> [E; 3] {
+pub(in crate::raster) fn drift<E: Real>(s: &Splat2) -> [E; 3] {
     [UNIT * s.du, -UNIT * s.du * s.slope, UNIT * s.dv].map(E::of)
 }
 
 /// What the backward pass over a tile reads besides the projection.
 #[derive(Clone, Copy)]
-pub(super) struct PixelGradients<'a, E> {
+pub(in crate::raster) struct PixelGradients<'a, E> {
     /// What was rendered, `[H, W, C]`, background included.
     pub image: &'a [E],
     pub transmittance: &'a [E],
@@ -284,7 +284,7 @@ impl<E: Real> Projected<E> {
         self.backward_slices(splats, values, channels, pixels, false)
     }
 
-    pub(super) fn backward_slices(
+    pub(in crate::raster) fn backward_slices(
         &self,
         splats: &Splats<'_, E>,
         values: &[E],

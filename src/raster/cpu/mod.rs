@@ -1,0 +1,27 @@
+//! The kernels of the rasterizer for the CPU.
+//!
+//! Kernels are generic over `f32` and `f64`. Geometry is computed in `f64` in both, so that the depth order and the
+//! tile lists of an `f32` render are those of its `f64` reference. Results do not depend on the number of threads.
+//! They may differ in the last bits between instruction sets.
+
+pub(super) mod backward;
+mod blend;
+mod channel_blocks;
+mod disc_pixels;
+pub(super) mod footprint;
+pub(super) mod geometry;
+mod labels;
+mod outline;
+mod pairs;
+pub(super) mod projected;
+mod projection;
+pub(super) mod sh;
+mod tile_loop;
+mod tile_map;
+mod tiles;
+mod weights;
+
+pub use self::backward::SplatGradients;
+pub use self::projected::{Blended, Projected, Rendered, render};
+pub use self::sh::eval_sh;
+pub use self::tile_map::{Positions, TilePairs};
