@@ -61,6 +61,7 @@
 
 pub mod backend;
 pub mod bench;
+pub mod checkpoint;
 pub mod config;
 pub mod data;
 pub mod error;
@@ -69,6 +70,7 @@ pub mod metrics;
 pub mod objects;
 pub mod ops;
 pub mod pipeline;
+pub mod progress;
 pub mod random;
 pub mod raster;
 pub mod reconstruction;

@@ -1,7 +1,7 @@
 //! The progress of training on a terminal: bars that carry held-out figures, or plain lines in a log.
 
 use super::{interrupt, terminal};
-use coseg::pipeline::progress::{CurvePoint, Event, Progress};
+use coseg::progress::{CurvePoint, Event, Progress};
 use indicatif::ProgressBar;
 use std::time::Instant;
 

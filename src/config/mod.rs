@@ -2,7 +2,7 @@
 //!
 //! Sections follow the pipeline. Unknown keys are errors. `--set section.key=value` overrides one key.
 //! [`Config::load`] and [`Config::load_for`] read files and overrides, [`Config::preset`] holds the named sets of defaults,
-//! [`Config::validate`] the allowed ranges, [`Config::unread`] what was given in vain.
+//! [`Config::validate`] the allowed ranges.
 
 mod association;
 mod building;
@@ -10,7 +10,6 @@ mod data;
 mod features;
 mod load;
 mod presets;
-mod unread;
 mod validate;
 mod variant;
 
@@ -151,9 +150,6 @@ pub struct SegmentationConfig {
     pub rows: Option<Vec<Variant>>,
     /// Learning rate of the decoder.
     pub lr: f64,
-    /// Factors of the learning rates to try for each trained row; the best on held-out raw labels of training views is
-    /// taken. One factor is no trial: it multiplies the rates.
-    pub lr_trials: Vec<f64>,
     /// Both learning rates fall along a half cosine, to 1 % at the end (the paper keeps them constant).
     pub lr_decay: bool,
     /// Frozen features brought to mean 0 and spread 1 per channel before the decoder (not in the paper).
@@ -199,15 +195,6 @@ pub struct SegmentationConfig {
     /// for all rows. The decoder in training has half as much again for what it keeps of each view, so that both take one and
     /// a half times this at most. What is beyond is computed at each use, to the same bits.
     pub weight_cache_mb: usize,
-    /// Passes of diffusion over the neighbour graph of the Gaussians, which every row's identities go through at the end; 0 is
-    /// none (not in the paper).
-    pub diffusion_steps: usize,
-    /// How much a Gaussian takes from its neighbours in a pass, in (0, 1); up to 0.5 a label that is certain never changes.
-    pub diffusion_strength: f64,
-    /// Difference of two image features, 1 - cos, at which neighbours count 1/e of what they would count.
-    pub diffusion_temperature: f64,
-    /// Neighbours of each Gaussian, in diffusion and in the figures of compactness.
-    pub diffusion_neighbours: usize,
     /// Gaussians decoded together in a training step, which bounds the memory of the decoder's layers; that of the scores of
     /// all Gaussians that a view shows, of their probabilities and gradients, still grows. Views that show more are decoded in
     /// parts, twice, for the same gradients. 0: all at once.
@@ -231,7 +218,6 @@ impl Default for SegmentationConfig {
             iterations: 2_000,
             rows: None,
             lr: 6e-3,
-            lr_trials: Vec::new(),
             lr_decay: true,
             standardise: true,
             layer_norm: false,
@@ -253,10 +239,6 @@ impl Default for SegmentationConfig {
             reg_samples: 1_000,
             reg_neighbours: 5,
             weight_cache_mb: 2_048,
-            diffusion_steps: 0,
-            diffusion_strength: 0.9,
-            diffusion_temperature: 0.1,
-            diffusion_neighbours: 8,
             decoder_chunk: 65_536,
             eval_every: 0,
             checkpoint_every: 0,

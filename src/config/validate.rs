@@ -234,9 +234,6 @@ impl Config {
         }
         check.rate("segmentation.lr", s.lr);
         check.rate("segmentation.lr_per_gaussian", s.lr_per_gaussian);
-        for &factor in &s.lr_trials {
-            check.rate("segmentation.lr_trials", factor);
-        }
         check.that(
             s.prior == Prior::None || s.blend == Blend::Probabilities,
             "segmentation.prior",
@@ -252,12 +249,6 @@ impl Config {
         );
         check.open_share("segmentation.pi_rl", s.pi_rl);
         check.open_share("segmentation.gjs_dropout", s.gjs_dropout);
-        check.open_share("segmentation.diffusion_strength", s.diffusion_strength);
-        check.rate(
-            "segmentation.diffusion_temperature",
-            s.diffusion_temperature,
-        );
-        check.positive("segmentation.diffusion_neighbours", s.diffusion_neighbours);
         check.amount("segmentation.lambda_pix", s.lambda_pix);
         check.amount("segmentation.lambda_reg", s.lambda_reg);
         check.within("segmentation.warmup", s.warmup, 0.0, 1.0);

@@ -11,7 +11,7 @@ mod labels;
 mod semantic;
 
 pub use self::clusters::{calinski_harabasz, davies_bouldin};
-pub use self::compactness::{Agreement, Compactness, WithoutDiffusion};
+pub use self::compactness::{Agreement, Compactness};
 pub use self::image::{ImageScores, PSNR_CAP, psnr, ssim};
 pub use self::instances::{InstanceScores, PanopticQuality, Quality, instance_scores};
 pub use self::labels::{Confusion, LabelScores, Void, label_scores};

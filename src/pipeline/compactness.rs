@@ -1,75 +1,33 @@
-//! Diffusion of a row's identities, where settings ask for it, and how compact they are.
+//! How compact the identities of the variants are.
 
 use super::segmentation_inputs::Inputs;
-use super::variants::VariantOutcome;
-use crate::config::{Blend, SegmentationConfig};
 use crate::error::Result;
-use crate::metrics::{Compactness, WithoutDiffusion};
-use crate::objects::{Diffusion, Identities, NeighbourGraph};
+use crate::metrics::Compactness;
+use crate::objects::{Identities, NeighbourGraph};
 
-/// The graph of a run, made once for all rows.
-pub struct Compacting<'a> {
-    graph: NeighbourGraph<'a>,
-    config: &'a SegmentationConfig,
-}
+/// Nearest neighbours of each Gaussian that its label is compared with.
+const NEIGHBOURS: usize = 8;
+
+/// The graph of nearest neighbours of a run, made once for all variants.
+pub(crate) struct Compacting<'a>(NeighbourGraph<'a>);
 
 impl<'a> Compacting<'a> {
-    /// The graph over the Gaussians of `inputs`, with the image features of the finest scale where a row needs them.
+    /// The graph over the Gaussians of `inputs`.
     ///
     /// # Errors
     /// Those of [`NeighbourGraph::new`].
     pub fn new(inputs: &'a Inputs) -> Result<Self> {
-        let config = &inputs.config.segmentation;
-        let features = inputs.seen.as_ref().map_or(&[][..], |seen| &seen.lifted[0]);
-        let graph = NeighbourGraph::new(
+        Ok(Self(NeighbourGraph::new(
             &inputs.gaussians.means,
-            features,
-            config.diffusion_neighbours,
-        )?;
-        Ok(Self { graph, config })
+            &[],
+            NEIGHBOURS,
+        )?))
     }
 
-    /// `row` with its identities diffused and scored again by `score`, and with its compactness.
-    ///
-    /// # Errors
-    /// Those of [`NeighbourGraph::diffused`].
-    pub fn finish(
-        &self,
-        row: VariantOutcome,
-        score: impl Fn(&Identities, VariantOutcome) -> Result<VariantOutcome>,
-    ) -> Result<VariantOutcome> {
-        let Some(identities) = &row.identities else {
-            return Ok(row);
-        };
-        let before = self.graph.disagreement(identities);
-        if self.config.diffusion_steps == 0 {
-            let compactness = Some(Compactness {
-                neighbours_differ: before,
-                without_diffusion: None,
-            });
-            return Ok(VariantOutcome { compactness, ..row });
+    /// Share of the pairs of neighbours whose labels differ.
+    pub fn of(&self, identities: &Identities) -> Compactness {
+        Compactness {
+            neighbours_differ: self.0.disagreement(identities),
         }
-        let diffusion = Diffusion {
-            steps: self.config.diffusion_steps,
-            strength: self.config.diffusion_strength,
-            temperature: self.config.diffusion_temperature,
-        };
-        let diffused = match (self.config.blend, row.rate) {
-            // Trained under blended logits: what they stand for are their softmaxes.
-            (Blend::Logits, Some(_)) => self.graph.diffused(&identities.softmax(), &diffusion)?,
-            _ => self.graph.diffused(identities, &diffusion)?,
-        };
-        let without = WithoutDiffusion::new(&row.scores, before);
-        let neighbours_differ = self.graph.disagreement(&diffused);
-        let compactness = Some(Compactness {
-            neighbours_differ,
-            without_diffusion: Some(without),
-        });
-        let scored = score(&diffused, row)?;
-        Ok(VariantOutcome {
-            identities: Some(diffused),
-            compactness,
-            ..scored
-        })
     }
 }

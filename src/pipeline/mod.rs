@@ -3,16 +3,12 @@
 pub mod train_decoder;
 pub(crate) mod variants;
 
-pub mod checkpoint;
 pub(crate) mod compactness;
-pub(crate) mod curve;
 pub(crate) mod given;
 pub(crate) mod held_out;
 pub(crate) mod pictures;
-pub mod progress;
 pub(crate) mod provenance;
 pub(crate) mod pruned;
-pub(crate) mod rates;
 pub(crate) mod run;
 pub(crate) mod segmentation_inputs;
 

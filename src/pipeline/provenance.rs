@@ -17,16 +17,12 @@ use std::path::Path;
 
 /// Settings that change when something is measured, saved or kept, or what becomes of a row after its training, and nothing
 /// else.
-const WITHOUT_EFFECT: [&str; 11] = [
+const WITHOUT_EFFECT: [&str; 7] = [
     "data.raw_labels_note",
     "data.decoded_mb",
     "features.cache_dir",
     "segmentation.rows",
     "segmentation.weight_cache_mb",
-    "segmentation.diffusion_steps",
-    "segmentation.diffusion_strength",
-    "segmentation.diffusion_temperature",
-    "segmentation.diffusion_neighbours",
     "eval_every",
     "checkpoint_every",
 ];
@@ -191,7 +187,7 @@ impl Provenance {
 
     /// Refuses a checkpoint, `stored` in `file`, that was made from other settings or data than these. A setting that it does
     /// not mention did not exist when it was written: it counts as what was done then, the default but for [`BEFORE`]. What
-    /// training is `finished` may be scored by another rule of rendering, unless a rate was chosen by such scores.
+    /// training is `finished` may be scored by another rule of rendering.
     ///
     /// # Errors
     /// [`Error::Config`] naming the first setting that differs, or the one that other data follows from; [`Error::Input`]
@@ -202,11 +198,7 @@ impl Provenance {
         defaults.extend(BEFORE.map(|(key, value)| (key.to_owned(), value.to_owned())));
         let then = |key: &str| stored.settings.get(key).or_else(|| defaults.get(key));
         let keys = self.settings.keys().chain(stored.settings.keys());
-        let tried = self
-            .settings
-            .get("segmentation.lr_trials")
-            .is_some_and(|trials| trials != "[]");
-        let keys = keys.filter(|key| *key != RENDER || tried || !finished);
+        let keys = keys.filter(|key| *key != RENDER || !finished);
         if let Some(key) = keys
             .into_iter()
             .find(|key| self.settings.get(*key) != then(key))

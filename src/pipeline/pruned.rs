@@ -1,13 +1,13 @@
 //! Attendance pruning between the stages (Algorithm 1, line 8), whichever rows follow.
 
 use super::pictures::score_images;
-use super::progress::{Event, Progress};
 use super::run::Outcome;
 use super::segmentation_inputs::Seen;
 use crate::config::{Config, Resolution};
 use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::metrics::ImageScores;
+use crate::progress::{Event, Progress};
 use crate::raster::Settings;
 use crate::segmentation::unprojection::attended;
 use crate::splat::Gaussians;
@@ -123,11 +123,11 @@ impl Attendance {
     }
 }
 
-/// Whether image features are read: by the decoder, by diffusion of whichever identities, and where pruning counts the cells of
+/// Whether image features are read: by the decoder, and where pruning counts the cells of
 /// their maps.
 fn reads_features(config: &Config) -> bool {
     let cells = config.unprojection.resolution == Resolution::Feature
         && config.unprojection.attendance > 0.0;
     let decoded = config.segmentation.rows().iter().any(|row| row.is_fused());
-    decoded || config.segmentation.diffusion_steps > 0 || cells
+    decoded || cells
 }

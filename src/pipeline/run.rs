@@ -1,18 +1,18 @@
 //! The main job: a scene in, a segmented Gaussian scene out, with everything that a report needs.
 
-use super::checkpoint::Checkpoint;
 use super::given::begin;
 use super::pictures::score_images;
-use super::progress::{CurvePoint, Progress, Viewing};
 use super::provenance::Provenance;
 use super::pruned::{Attendance, Pruned};
 use super::segmentation_inputs::Inputs;
 use super::variants::{TrainedRows, VariantOutcome, run_rows};
+use crate::checkpoint::Checkpoint;
 use crate::config::{Association, Config, SegmentationConfig, Variant};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::{Error, Result};
 use crate::metrics::ImageScores;
 use crate::objects::{self, Identities, Semantics, associate_until, has_truth};
+use crate::progress::{CurvePoint, Progress, Viewing};
 use crate::raster::Settings;
 use crate::reconstruction::building::BuildingStage;
 use crate::reconstruction::building_state::BuildingState;
@@ -164,9 +164,6 @@ pub fn run(
         }
         Some(_) => config.clone(),
     };
-    for notice in config.unread() {
-        tracing::warn!("{notice}");
-    }
     if !config.segmentation.rows().is_empty() && !has_raw_labels(&scene) {
         tracing::warn!(
             "no training view has raw labels: only the Gaussians are built (raw_label_path in transforms.json or the folder \

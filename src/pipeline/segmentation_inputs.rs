@@ -1,12 +1,12 @@
 //! The frozen inputs of stage two: image features lifted onto the Gaussians, spatial features, and their pyramids.
 
-use super::progress::{Progress, Viewing};
 use super::train_decoder::{Encoded, Source, TrainingViews};
 use crate::config::{Config, Encode, SpatialConfig, SpatialSource, Variant};
 use crate::data::{Scene, Split};
 use crate::error::{Error, Result};
 use crate::features::{Reduction, SCALES};
 use crate::objects::Semantics;
+use crate::progress::{Progress, Viewing};
 use crate::raster::{Projected, Settings};
 use crate::segmentation::encoder::{Cloud, Encoding, encode, load_spatial, metres_per_unit};
 use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};

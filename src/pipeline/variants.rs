@@ -2,7 +2,6 @@
 
 use super::compactness::Compacting;
 use super::held_out::{HeldOut, Scores};
-use super::progress::{CurvePoint, Progress};
 use super::provenance::Provenance;
 use super::segmentation_inputs::{Inputs, Spatial};
 use super::train_decoder::{
@@ -12,7 +11,7 @@ use crate::config::{LabelLoss, Prior, SegmentationConfig, Variant};
 use crate::error::Result;
 use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
 use crate::objects::Identities;
-use crate::pipeline::rates::{Rate, choose_rate};
+use crate::progress::{CurvePoint, Progress};
 use crate::segmentation::decoder::DecoderConfig;
 use crate::segmentation::loss::Kind;
 use std::path::Path;
@@ -47,8 +46,6 @@ pub struct VariantOutcome {
     pub rate: Option<f64>,
     /// Seconds of training.
     pub seconds: f64,
-    /// Seconds of trying learning rates, where several were tried.
-    pub trial_seconds: Option<f64>,
 }
 
 impl VariantOutcome {
@@ -165,9 +162,10 @@ pub fn run_rows(
                 outcome
             }
         };
-        rows.push(compacting.finish(outcome, |identities, row| {
-            Ok(row.scored(held_out.score(identities, inputs)?))
-        })?);
+        rows.push(VariantOutcome {
+            compactness: outcome.identities.as_ref().map(|i| compacting.of(i)),
+            ..outcome
+        });
         // Where nothing is left there is nothing to stop.
         stopped = rows.len() < config.rows().len() && progress.stop();
         if stopped {
@@ -196,7 +194,6 @@ fn untrained(row: Variant) -> VariantOutcome {
         learnable_bytes: 0,
         rate: None,
         seconds: 0.0,
-        trial_seconds: None,
     }
 }
 
@@ -239,7 +236,7 @@ fn trained(
     let classes = inputs.scene.classes.len();
     let fit = |views: &mut TrainingViews,
                model: &mut dyn Model,
-               rate: &Rate,
+               rate: f64,
                progress: &mut dyn Progress| {
         // Of the end of training, which asks for nothing anew.
         let mut last: Option<(Identities, Scores)> = None;
@@ -272,65 +269,31 @@ fn trained(
         let outcome = VariantOutcome {
             identities,
             learnable_bytes: model.learnable_bytes(),
-            rate: Some(rate.rate),
-            trial_seconds: rate.seconds,
+            rate: Some(rate),
             seconds: curve.last().map_or(0.0, |p| p.seconds),
             curve,
             ..untrained(row).scored(scores)
         };
         Ok(Trained {
             outcome,
-            earlier: earlier + rate.earlier,
+            earlier,
             whole,
         })
     };
-    let stopped = || Trained {
-        outcome: untrained(row),
-        earlier: 0.0,
-        whole: false,
-    };
     if !row.is_fused() {
-        let model = |rate| {
-            PerGaussian::new(
-                [inputs.gaussians.len(), classes],
-                rate,
-                config.blend,
-                &device,
-            )
-        };
-        let mut boxed =
-            |rate, _: &Plan, _: &mut TrainingViews| Ok(Box::new(model(rate)) as Box<dyn Model>);
-        let rate = choose_rate(
-            config.lr_per_gaussian,
-            &plan,
-            views,
-            inputs,
-            &pace,
-            &mut boxed,
-            progress,
-        )?;
-        let Some(rate) = rate else {
-            return Ok(stopped());
-        };
-        return fit(views, &mut model(rate.rate), &rate, progress);
+        let size = [inputs.gaussians.len(), classes];
+        let rate = config.lr_per_gaussian;
+        let mut model = PerGaussian::new(size, rate, config.blend, &device);
+        return fit(views, &mut model, rate, progress);
     }
     let source = spatial.source(row, inputs)?;
-    let mut boxed = |rate, plan: &Plan, views: &mut TrainingViews| -> Result<Box<dyn Model + '_>> {
-        Ok(Box::new(decoder_row(
-            row, rate, plan, source, inputs, views,
-        )?))
-    };
-    let rate = choose_rate(config.lr, &plan, views, inputs, &pace, &mut boxed, progress)?;
-    let Some(rate) = rate else {
-        return Ok(stopped());
-    };
-    let mut model = decoder_row(row, rate.rate, &plan, source, inputs, views)?;
-    fit(views, &mut model, &rate, progress)
+    let mut model = decoder_row(row, config.lr, &plan, source, inputs, views)?;
+    fit(views, &mut model, config.lr, progress)
 }
 
 /// The decoder of `row` before its first step at learning rate `rate`, over the frozen inputs `source`; its prior, where
 /// settings ask for one, is the votes of the views in use. Where its parameters are averaged, that begins after the share
-/// `segmentation.warmup` of the iterations of `plan`, which may be a trial's.
+/// `segmentation.warmup` of the iterations of `plan`.
 ///
 /// # Errors
 /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite.

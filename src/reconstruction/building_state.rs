@@ -2,11 +2,10 @@
 
 use super::densify::DensityStats;
 use super::parameters::{Moments, NAMES, widths, zero_moments};
+use crate::checkpoint::Checkpoint;
 use crate::error::Result;
-use crate::pipeline::checkpoint::Checkpoint;
-use crate::pipeline::curve;
-use crate::pipeline::progress::CurvePoint;
 use crate::pipeline::provenance::Provenance;
+use crate::progress::CurvePoint;
 use crate::splat::Gaussians;
 use std::path::Path;
 
@@ -90,7 +89,7 @@ impl BuildingState {
         c.put("loss.count", &[], vec![self.losses.1])?;
         c.put("seconds", &[], vec![self.seconds])?;
         c.set("provenance", &self.provenance)?;
-        curve::put(&mut c, &self.curve)?;
+        c.put_curve(&self.curve)?;
         c.save(path)
     }
 
@@ -138,13 +137,13 @@ impl BuildingState {
         state.losses = (scalar(&mut c, "loss.sum")?, scalar(&mut c, "loss.count")?);
         state.seconds = scalar(&mut c, "seconds")?;
         state.provenance = c.get("provenance")?;
-        state.curve = curve::take(&mut c)?;
+        state.curve = c.take_curve()?;
         Ok(state)
     }
 }
 
 /// A tensor without dimensions.
-fn scalar<T: crate::pipeline::checkpoint::Scalar>(c: &mut Checkpoint, name: &str) -> Result<T> {
+fn scalar<T: crate::checkpoint::Scalar>(c: &mut Checkpoint, name: &str) -> Result<T> {
     let value = c.take::<T>(name, &[])?.pop();
     value.ok_or_else(|| c.wrong(format!("tensor {name}"), "no value", "one value"))
 }

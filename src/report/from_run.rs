@@ -10,8 +10,8 @@ use crate::config::{Config, LabelLoss, SegmentationConfig, Variant};
 use crate::data::{Split, View};
 use crate::error::Result;
 use crate::objects::{LabelMaps, LabelRule, has_truth};
-use crate::pipeline::progress::CurvePoint;
 use crate::pipeline::{Outcome, Pictures, VariantOutcome};
+use crate::progress::CurvePoint;
 use burn::tensor::Device;
 
 impl Metrics {
@@ -66,7 +66,6 @@ fn row_scores(row: &VariantOutcome) -> RowScores {
         iterations: row.curve.last().map(|point| point.iteration),
         learning_rate: row.rate,
         seconds: row.curve.last().map(|_| row.seconds),
-        trial_seconds: row.trial_seconds,
         ..RowScores::from(&row.scores)
     }
 }

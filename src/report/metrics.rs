@@ -115,9 +115,6 @@ pub struct RowScores {
     /// Training time of this row alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,
-    /// Time of trying learning rates for it, where several were tried.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub trial_seconds: Option<f64>,
 }
 
 impl From<&LabelScores> for RowScores {

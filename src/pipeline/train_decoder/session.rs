@@ -1,11 +1,10 @@
 //! Training of one row from start to end: curve, held-out scores, checkpoints, resuming.
 
 use super::{Model, Plan, Recalls, TrainingViews, train_step};
+use crate::checkpoint::Checkpoint;
 use crate::error::Result;
-use crate::pipeline::checkpoint::Checkpoint;
-use crate::pipeline::curve;
-use crate::pipeline::progress::{CurvePoint, Event, Progress};
 use crate::pipeline::provenance::Provenance;
+use crate::progress::{CurvePoint, Event, Progress};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -147,7 +146,7 @@ fn save(model: &dyn Model, provenance: &Provenance, path: &Path, place: &Place) 
     let mut checkpoint = Checkpoint::new(KIND);
     checkpoint.set("iteration", &place.iteration)?;
     checkpoint.set("provenance", provenance)?;
-    curve::put(&mut checkpoint, &place.curve)?;
+    checkpoint.put_curve(&place.curve)?;
     checkpoint.put("running", &[3], place.running.to_vec())?;
     checkpoint.put("recalls", &[place.recalls.0.len()], place.recalls.0.clone())?;
     let state = model.state();
@@ -195,7 +194,7 @@ fn restore(
         Ok(_) => Recalls(checkpoint.take("recalls", &[classes])?),
         Err(_) => Recalls::new(classes),
     };
-    let mut curve = curve::take(&mut checkpoint)?;
+    let mut curve = checkpoint.take_curve()?;
     if !provenance.renders_as(&stored) {
         // Scores by another rule than this run's.
         curve.iter_mut().for_each(|point| point.miou = None);

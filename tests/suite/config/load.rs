@@ -275,15 +275,6 @@ fn values_out_of_range_are_refused() {
         ("segmentation.pi_rl=1.0", "above 0 and below 1"),
         ("segmentation.pi_rl=0", "above 0 and below 1"),
         ("segmentation.gjs_dropout=1", "above 0 and below 1"),
-        ("segmentation.diffusion_strength=1", "above 0 and below 1"),
-        (
-            "segmentation.diffusion_temperature=0",
-            "finite number above 0",
-        ),
-        (
-            "segmentation.diffusion_neighbours=0",
-            "whole number above 0",
-        ),
         ("segmentation.pixel_share=0.0", "above 0, at most 1"),
         ("segmentation.warmup=-0.1", "from 0 to 1"),
         ("segmentation.lambda_reg=inf", "finite number of 0 or more"),

@@ -1,4 +1,3 @@
 //! Tests of `coseg::config`.
 
 pub mod load;
-pub mod unread;

@@ -3,8 +3,8 @@
 use coseg::Error;
 use coseg::config::{BuildingConfig, Config, SegmentationConfig, Variant};
 use coseg::objects::{Diffusion, Identities, NeighbourGraph};
-use coseg::pipeline::progress::Silent;
 use coseg::pipeline::run;
+use coseg::progress::Silent;
 use coseg::report::Metrics;
 
 const CLASSES: usize = 3;
@@ -231,7 +231,7 @@ fn one_thread_gives_the_same_bits_as_two() {
 }
 
 #[test]
-fn a_finished_run_is_diffused_without_training_again() {
+fn a_run_reports_how_compact_identities_are() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
     let mut config = Config {
@@ -267,32 +267,12 @@ fn a_finished_run_is_diffused_without_training_again() {
         "{agreement:?}"
     );
     assert!((0.0..1.0).contains(&agreement.contested));
-    config.segmentation.diffusion_steps = 5;
-    let diffused = go(&config);
-    for (before, after) in plain.rows.iter().zip(&diffused.rows).skip(1) {
-        let (was, is) = (
-            before.compactness.expect("counted"),
-            after.compactness.expect("counted"),
-        );
-        let without = is.without_diffusion.expect("diffused");
-        assert_eq!(was.without_diffusion, None);
-        assert_eq!(
-            (without.neighbours_differ, without.miou),
-            (was.neighbours_differ, before.scores.miou)
-        );
-        assert!(
-            is.neighbours_differ < was.neighbours_differ,
-            "{}: {is:?} after {was:?}",
-            after.name()
-        );
-        assert_ne!(before.identities, after.identities);
-        assert_eq!(before.curve.len(), after.curve.len());
+    for row in &plain.rows[1..] {
+        let differ = row.compactness.expect("counted").neighbours_differ;
+        assert!((0.0..1.0).contains(&differ), "{}: {differ}", row.name());
     }
-    let metrics = serde_json::to_value(Metrics::of(&diffused)).expect("plain data");
+    let metrics = serde_json::to_value(Metrics::of(&plain)).expect("plain data");
     let row = &metrics["test"]["labels"]["ours"]["compactness"];
-    assert!(
-        row["neighbours_differ"].is_number() && row["without_diffusion"]["miou"].is_number(),
-        "{row}"
-    );
+    assert!(row["neighbours_differ"].is_number(), "{row}");
     assert!(metrics["test"]["labels"]["vote"]["agreement"]["contested"].is_number());
 }

@@ -1,6 +1,6 @@
 //! Checkpoint files: exact round trips, and errors that name file and field.
 
-use coseg::pipeline::checkpoint::Checkpoint;
+use coseg::checkpoint::Checkpoint;
 use std::fs;
 
 fn sample() -> Checkpoint {

@@ -6,8 +6,8 @@ use crate::support::plates;
 use coseg::config::{Association, Config, FeatureSource, Resolution, SpatialSource, Variant};
 use coseg::data::{LoadOptions, Split, load};
 use coseg::error::Error;
-use coseg::pipeline::progress::Silent;
 use coseg::pipeline::run;
+use coseg::progress::Silent;
 use coseg::reconstruction::BuildingStage;
 use coseg::segmentation::encoder::random_weights;
 use coseg::splat::ply;
@@ -116,10 +116,9 @@ fn rows_do_not_decide_which_gaussians_are_pruned() {
     let more = whole(&rows(&config, &many), &out("run"));
     same(&more, &whole(&rows(&config, &many), &out("at once")));
     same(&before, &whole(&rows(&config, &few), &out("at once")));
-    // Where pruning counts cells of the maps, and where diffusion looks at features, too.
+    // Where pruning counts cells of the maps, too.
     let mut by_cells = config.clone();
     by_cells.unprojection.resolution = Resolution::Feature;
-    by_cells.segmentation.diffusion_steps = 2;
     let vote = whole(&rows(&by_cells, &[Variant::Vote]), &out("vote by cells"));
     let beside = whole(
         &rows(&by_cells, &[Variant::Vote, Variant::Ours]),
@@ -235,36 +234,6 @@ fn a_decoder_of_other_image_features_is_refused() {
     });
     write_maps(&maps, 1);
     assert_eq!(whole(&config, &out).rows[2].curve, done.rows[2].curve);
-}
-
-#[test]
-fn a_rate_that_was_chosen_with_other_inputs_is_refused() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let mut config = rows(&with_unseen(folder.path()), &[Variant::Ours]);
-    let maps = folder.path().join("maps");
-    (config.features.source, config.features.dimensions) = (FeatureSource::Import, 4);
-    config.features.import_dir = Some(maps.clone());
-    config.segmentation.lr_trials = vec![0.5, 1.0];
-    write_maps(&maps, 0);
-    let out = folder.path().join("run");
-    let done = whole(&config, &out);
-    fs::remove_file(out.join("checkpoint/ours.safetensors")).expect("removed");
-    same(&done, &whole(&config, &out));
-    fs::remove_file(out.join("checkpoint/ours.safetensors")).expect("removed");
-    write_maps(&maps, 1);
-    crate::support::assert_names(
-        &refusal(&config, &out),
-        &["ours.rate.safetensors", "image features"],
-    );
-    // Earlier versions did not record them: the rate is taken.
-    edit(&out.join("checkpoint/ours.rate.safetensors"), |settings| {
-        forget(settings, "provenance")
-    });
-    let again = whole(&config, &out);
-    assert_eq!(
-        (again.rows[0].rate, again.rows[0].trial_seconds),
-        (done.rows[0].rate, done.rows[0].trial_seconds)
-    );
 }
 
 #[test]

@@ -3,8 +3,8 @@
 use coseg::config::{
     BuildingConfig, Config, Encode, LabelLoss, LabelSource, SegmentationConfig, Variant,
 };
-use coseg::pipeline::progress::{CurvePoint, Event, Progress, Silent};
 use coseg::pipeline::{Outcome, run};
+use coseg::progress::{CurvePoint, Event, Progress, Silent};
 use std::path::Path;
 
 /// Both stages on the plates, a second or two.
@@ -276,7 +276,7 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     };
     assert!(with_scores(&base) > 0);
     assert_eq!(with_scores(&scores), 0);
-    // What is not finished may not; nor where a rate was chosen by such scores.
+    // What is not finished may not.
     let half = folder.path().join("half");
     run(
         &base,
@@ -286,29 +286,6 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     )
     .expect("a part");
     let error = run(&scores, &half, &crate::support::device(), &mut Silent)
-        .err()
-        .expect("must be refused")
-        .to_string();
-    assert!(
-        error.contains("segmentation.render") && error.contains("per_gaussian.safetensors"),
-        "{error}"
-    );
-    let chosen = folder.path().join("chosen");
-    let mut trials = base.clone();
-    (trials.segmentation.rows, trials.segmentation.lr_trials) =
-        (Some(vec![Variant::PerGaussian]), vec![0.5, 1.0]);
-    whole(&trials, &chosen);
-    trials.segmentation.render = LabelSource::Scores;
-    let error = run(&trials, &chosen, &crate::support::device(), &mut Silent)
-        .err()
-        .expect("must be refused")
-        .to_string();
-    assert!(
-        error.contains("segmentation.render") && error.contains("per_gaussian.rate.safetensors"),
-        "{error}"
-    );
-    std::fs::remove_file(chosen.join("checkpoint/per_gaussian.rate.safetensors")).expect("removed");
-    let error = run(&trials, &chosen, &crate::support::device(), &mut Silent)
         .err()
         .expect("must be refused")
         .to_string();

@@ -6,9 +6,9 @@ use coseg::config::{
 };
 use coseg::data::{Classes, LabelMap, LabelRuns, LoadOptions, Split, load};
 use coseg::objects::{Identities, LabelRule, hard_label_map, label_map, vote};
-use coseg::pipeline::progress::Silent;
 use coseg::pipeline::train_decoder::{Model, Plan, Recalls, TrainingViews, train_step};
 use coseg::pipeline::{Inputs, Outcome, Spatial, decoder_row, run};
+use coseg::progress::Silent;
 use coseg::random::{Purpose, stream};
 use coseg::raster::{Projected, Settings};
 use coseg::reconstruction::initialization;
@@ -256,22 +256,6 @@ fn averaged_parameters_differ_from_the_last_ones() {
             .clone()
     };
     assert_ne!(scores(true), scores(false));
-}
-
-#[test]
-fn the_rate_that_learns_is_taken_and_one_factor_needs_no_trial() {
-    let base = SegmentationConfig::default().lr_per_gaussian;
-    for (trials, expected) in [
-        (vec![STILL, 1.0], base),
-        (vec![1.0, STILL], base),
-        (vec![0.5], 0.5 * base),
-    ] {
-        let outcome = trained(|s| {
-            s.rows = Some(vec![Variant::PerGaussian]);
-            s.lr_trials = trials.clone();
-        });
-        assert_eq!(outcome.rows[0].rate, Some(expected), "{trials:?}");
-    }
 }
 
 #[test]

@@ -2,8 +2,8 @@
 
 use crate::pipeline::resume::{config, same, whole};
 use coseg::config::{Association, Variant};
-use coseg::pipeline::progress::{Event, Progress};
 use coseg::pipeline::run;
+use coseg::progress::{Event, Progress};
 
 /// Says stop from an iteration of a stage on, and notes what began.
 struct Told {
@@ -41,37 +41,6 @@ impl Progress for Told {
     fn stop(&mut self) -> bool {
         self.stopped
     }
-}
-
-#[test]
-fn trials_of_learning_rates_stop_too() {
-    let folder = tempfile::tempdir().expect("a folder");
-    crate::support::plates::scene(folder.path());
-    let mut config = config(folder.path());
-    config.segmentation.rows = Some(vec![Variant::Vote, Variant::PerGaussian]);
-    config.segmentation.lr_trials = vec![0.5, 1.0];
-    let uninterrupted = whole(&config, &folder.path().join("whole"));
-    assert!(!uninterrupted.stopped);
-    let out = folder.path().join("parts");
-    let mut told = Told::at("rates", 10);
-    let part = run(&config, &out, &crate::support::device(), &mut told).expect("a part");
-    assert!(
-        part.stopped && told.began.last() == Some(&"rates"),
-        "{:?}",
-        told.began
-    );
-    let row = part.rows.last().expect("a row");
-    assert!(row.row == Variant::PerGaussian && row.identities.is_none() && row.curve.is_empty());
-    assert!(
-        part.stored()
-            .is_some_and(|(row, _)| row.row == Variant::Vote),
-        "no row that was stopped is stored"
-    );
-    assert!(
-        !out.join("checkpoint/per_gaussian.rate.safetensors")
-            .exists()
-    );
-    same(&uninterrupted, &whole(&config, &out));
 }
 
 #[test]

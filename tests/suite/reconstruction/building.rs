@@ -3,7 +3,7 @@
 use coseg::config::{BuildingConfig, Config};
 use coseg::data::mask::Mask;
 use coseg::data::{Classes, Points, Scene, Split, View};
-use coseg::pipeline::progress::{Event, Progress, Silent};
+use coseg::progress::{Event, Progress, Silent};
 use coseg::raster::{Settings, render};
 use coseg::reconstruction::frusta;
 use coseg::reconstruction::{BuildingStage, BuildingState, schedule};

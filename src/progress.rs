@@ -78,8 +78,8 @@ pub trait Progress {
     fn event(&mut self, event: &Event);
 
     /// Asked after each iteration, after each view of features, unprojection and association, and between the parts of a run; true ends
-    /// the run there. What was trained is in a checkpoint then, but for a trial of learning rates: that begins anew, and so
-    /// does a stage that learns nothing.
+    /// the run there. What was trained is in a checkpoint then; a stage that learns nothing begins
+    /// anew.
     fn stop(&mut self) -> bool {
         false
     }

@@ -5,6 +5,8 @@
 
 use crate::data::atomic;
 use crate::error::{Error, Result};
+use crate::metrics::ImageScores;
+use crate::progress::CurvePoint;
 use safetensors::{Dtype, SafeTensors, View};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -17,6 +19,8 @@ use std::path::{Path, PathBuf};
 const VERSION: u64 = 2;
 /// Key of the JSON object within `__metadata__`.
 const KEY: &str = "coseg";
+/// Numbers stored of each point of a curve.
+const CURVE_COLUMNS: usize = 7;
 
 /// Contents of a stored tensor.
 #[derive(Clone, Debug, PartialEq)]
@@ -345,5 +349,50 @@ impl Checkpoint {
                 .insert(name, (view.shape().to_vec(), values));
         }
         Ok(checkpoint)
+    }
+
+    /// Adds the tensor `curve`; absent scores are stored as NaN.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::put`].
+    pub fn put_curve(&mut self, curve: &[CurvePoint]) -> Result<()> {
+        let row = |p: &CurvePoint| -> [f64; CURVE_COLUMNS] {
+            [
+                p.iteration as f64,
+                p.seconds,
+                p.loss,
+                p.held_out.psnr.unwrap_or(f64::NAN),
+                p.held_out.ssim.unwrap_or(f64::NAN),
+                p.miou.unwrap_or(f64::NAN),
+                p.gaussians as f64,
+            ]
+        };
+        let values: Vec<f64> = curve.iter().flat_map(row).collect();
+        self.put("curve", &[curve.len(), CURVE_COLUMNS], values)
+    }
+
+    /// Moves the tensor `curve` out.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::take`].
+    pub fn take_curve(&mut self) -> Result<Vec<CurvePoint>> {
+        let points = self.shape("curve")?.first().copied().unwrap_or(0);
+        let values: Vec<f64> = self.take("curve", &[points, CURVE_COLUMNS])?;
+        let score = |v: f64| (!v.is_nan()).then_some(v);
+        let point = |row: &[f64; CURVE_COLUMNS]| {
+            let &[iteration, seconds, loss, psnr, ssim, miou, gaussians] = row;
+            CurvePoint {
+                iteration: iteration as usize,
+                seconds,
+                loss,
+                held_out: ImageScores {
+                    psnr: score(psnr),
+                    ssim: score(ssim),
+                },
+                miou: score(miou),
+                gaussians: gaussians as usize,
+            }
+        };
+        Ok(values.as_chunks().0.iter().map(point).collect())
     }
 }
