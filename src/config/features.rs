@@ -86,11 +86,6 @@ pub struct UnprojectionConfig {
     /// Gaussians counted on this many pixels of all training views together stay, however many pixels there are: of hundreds of
     /// large photos a share alone would prune what only a dozen of them show. 0 is no such limit, as in the paper.
     pub attendance_pixels: f64,
-    /// Steps of conjugate gradients from the weighted mean towards features that render as the maps; 0: the mean itself.
-    /// Each step renders all channels of all views.
-    pub solve_iterations: usize,
-    /// Pull back to the weighted mean while solving, above 0; 1 weighs it as much as the maps.
-    pub solve_ridge: f64,
 }
 
 impl Default for UnprojectionConfig {
@@ -100,8 +95,6 @@ impl Default for UnprojectionConfig {
             resolution: Resolution::Image,
             attendance: 1e-5,
             attendance_pixels: 40.0,
-            solve_iterations: 0,
-            solve_ridge: 0.1,
         }
     }
 }

@@ -1,8 +1,8 @@
 //! Allowed ranges of every setting.
 
 use super::{
-    Blend, BuildingConfig, Config, FeatureSource, GCE_EXPONENTS, NO_MASKS, Normalisation, Prior,
-    SpatialSource, Strategy, same_folder,
+    Blend, BuildingConfig, Config, FeatureSource, GCE_EXPONENTS, NO_MASKS, Prior, SpatialSource,
+    Strategy, same_folder,
 };
 use crate::error::{Error, Result};
 
@@ -198,14 +198,6 @@ impl Config {
         let u = &self.unprojection;
         check.within("unprojection.attendance", u.attendance, 0.0, 1.0);
         check.amount("unprojection.attendance_pixels", u.attendance_pixels);
-        check.rate("unprojection.solve_ridge", u.solve_ridge);
-        check.that(
-            u.solve_iterations == 0 || u.normalisation == Normalisation::Weight,
-            "unprojection.normalisation",
-            "count",
-            "weight where unprojection.solve_iterations is above 0",
-            "set unprojection.normalisation = \"weight\", or unprojection.solve_iterations = 0",
-        );
         let s = &self.spatial;
         check.amount("spatial.scale", s.scale);
         let needs_weights = s.source == SpatialSource::Pretrained && s.weights.is_none();

@@ -1,6 +1,7 @@
 //! Which thing each Gaussian belongs to: association of segments across views, the vote over raw labels, stored identities, label rendering.
 
 mod association;
+mod compactness;
 mod device_labels;
 mod hard_labels;
 mod identities;
@@ -9,10 +10,10 @@ mod label_maps;
 mod renderer;
 mod semantics;
 mod separate;
-mod smoothing;
 mod vote;
 
 pub use self::association::{Association, Group, associate, associate_until};
+pub use self::compactness::NeighbourGraph;
 pub use self::hard_labels::hard_label_map;
 pub use self::identities::Identities;
 pub use self::inventory::{Object, Picked, inventory, pick};
@@ -20,5 +21,4 @@ pub use self::label_maps::{DeviceLabelMaps, LabelMaps, LabelRule, label_map};
 pub use self::renderer::{Frame, RenderOptions, Renderer};
 pub use self::semantics::{Semantics, has_truth};
 pub use self::separate::{Separated, Separation};
-pub use self::smoothing::{Diffusion, NeighbourGraph};
 pub use self::vote::{Votes, vote};

@@ -5,23 +5,16 @@ use crate::error::Result;
 use crate::metrics::Compactness;
 use crate::objects::{Identities, NeighbourGraph};
 
-/// Nearest neighbours of each Gaussian that its label is compared with.
-const NEIGHBOURS: usize = 8;
-
 /// The graph of nearest neighbours of a run, made once for all variants.
-pub(crate) struct Compacting<'a>(NeighbourGraph<'a>);
+pub(crate) struct Compacting(NeighbourGraph);
 
-impl<'a> Compacting<'a> {
+impl Compacting {
     /// The graph over the Gaussians of `inputs`.
     ///
     /// # Errors
     /// Those of [`NeighbourGraph::new`].
-    pub fn new(inputs: &'a Inputs) -> Result<Self> {
-        Ok(Self(NeighbourGraph::new(
-            &inputs.gaussians.means,
-            &[],
-            NEIGHBOURS,
-        )?))
+    pub fn new(inputs: &Inputs) -> Result<Self> {
+        Ok(Self(NeighbourGraph::new(&inputs.gaussians.means)?))
     }
 
     /// Share of the pairs of neighbours whose labels differ.

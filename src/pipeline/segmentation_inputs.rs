@@ -10,7 +10,7 @@ use crate::progress::{Progress, Viewing};
 use crate::raster::{Projected, Settings};
 use crate::segmentation::encoder::{Cloud, Encoding, encode, load_spatial, metres_per_unit};
 use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};
-use crate::segmentation::unprojection::{looks_at_a_view, unproject_each};
+use crate::segmentation::unprojection::unproject_each;
 use crate::splat::Gaussians;
 use burn::tensor::{Device, Tensor, TensorData};
 use std::ops::ControlFlow;
@@ -64,11 +64,7 @@ impl Seen {
         let (name, content) = (reduction.name.clone(), reduction.content.clone());
         let mut extraction = clock.elapsed();
         let clock = Instant::now();
-        let mut viewing = Viewing::begin(
-            progress,
-            "unprojection",
-            views * looks_at_a_view(&config.unprojection),
-        );
+        let mut viewing = Viewing::begin(progress, "unprojection", views);
         let mut maps = reduction.training_views();
         let mut reducing = Duration::ZERO;
         let maps = std::iter::from_fn(|| {

@@ -3,16 +3,14 @@
 //! With the blending weights `W` of a view and its map `F`, the buffer is the sum over views of `W^T F`. At `image`
 //! resolution `F` is read bilinearly, `U F`, and the buffer is `(W U)^T F`: the exact adjoint of rendering at image
 //! resolution and comparing with `U F`. At `feature` resolution (the paper) the camera is scaled to the map, and `U` is
-//! the identity. [`Problem`] goes on from there to features that render as the maps.
+//! the identity.
 
 mod attendance;
 mod device;
 mod fold;
-mod solve;
 mod view;
 
 pub use self::attendance::attended;
-pub use self::solve::{Problem, Solved};
 
 use crate::backend::Real;
 use crate::backend::device::in_host_memory;
@@ -26,7 +24,6 @@ use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
 use burn::tensor::Device;
 use device::DeviceSums;
-use solve::solved;
 use std::borrow::Borrow;
 use std::convert::Infallible;
 use std::ops::ControlFlow;
@@ -363,18 +360,8 @@ pub fn unproject<'a>(
     Ok(lifted)
 }
 
-/// How often [`unproject_each`] looks at a view at most.
-pub fn looks_at_a_view(config: &UnprojectionConfig) -> usize {
-    // To lift it; for the first residual of each scale, and in each step.
-    1 + if config.solve_iterations > 0 {
-        SCALES * (1 + config.solve_iterations)
-    } else {
-        0
-    }
-}
-
 /// [`unproject`] with features that need not be in memory together: each view's are let go before the next are asked for.
-/// Until `looked` breaks: it is told each time that a view was looked at.
+/// Calls `looked` after each view, and stops where that breaks.
 ///
 /// # Errors
 /// As [`unproject`]; those of `features`.
@@ -397,7 +384,6 @@ pub fn unproject_each<'a, F: Borrow<ViewFeatures>, B>(
         )
     };
     let mut sums: Option<Lifting<'_>> = None;
-    let mut lattices = Vec::with_capacity(views.len());
     for (i, view) in views.iter().enumerate() {
         let Some(features) = features.next().transpose()? else {
             return Err(mismatch(format!("{} views", views.len()), i.to_string()));
@@ -419,7 +405,6 @@ pub fn unproject_each<'a, F: Borrow<ViewFeatures>, B>(
             config.resolution,
             settings,
         )?;
-        lattices.push(maps.each_ref().map(FeatureMap::lattice));
         if let ControlFlow::Break(told) = looked() {
             return Ok(ControlFlow::Break(told));
         }
@@ -435,20 +420,7 @@ pub fn unproject_each<'a, F: Borrow<ViewFeatures>, B>(
         Lifting::finish,
     )?;
     let keep = sums.attended(config);
-    let sums = match config.solve_iterations {
-        0 => sums.normalised(config.normalisation),
-        _ => match solved(
-            sums,
-            gaussians,
-            (&views, &lattices),
-            config,
-            settings,
-            looked,
-        )? {
-            ControlFlow::Continue(solved) => solved,
-            ControlFlow::Break(told) => return Ok(ControlFlow::Break(told)),
-        },
-    };
+    let sums = sums.normalised(config.normalisation);
     let seen = (0..gaussians.len())
         .map(|i| sums.weights.iter().all(|w| w[i] > 0.0))
         .collect();

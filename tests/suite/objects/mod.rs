@@ -3,6 +3,7 @@
 pub mod assignment;
 pub mod association;
 pub mod association_figures;
+pub mod compactness;
 #[cfg(feature = "wgpu")]
 pub mod device_labels;
 pub mod edit;
@@ -10,5 +11,4 @@ pub mod object_classes;
 pub mod renderer;
 pub mod segments;
 pub mod separate;
-pub mod smoothing;
 pub mod votes;

@@ -159,31 +159,3 @@ fn a_stop_between_views_gives_up_what_learns_nothing() {
         .expect("the rest"),
     );
 }
-
-#[test]
-fn features_that_are_solved_for_are_given_up_too() {
-    let folder = tempfile::tempdir().expect("a folder");
-    crate::support::plates::scene(folder.path());
-    let mut config = config(folder.path());
-    config.segmentation.rows = Some(vec![Variant::Ours]);
-    config.unprojection.solve_iterations = 2;
-    let out = folder.path().join("run");
-    // In the first residual of the first scale, in its first step, and in the last step of the last scale.
-    for view in [6, 10, 4 * (1 + 4 * 3)] {
-        let mut told = Told::at("unprojection", view);
-        let part = run(&config, &out, &crate::support::device(), &mut told).expect("a part");
-        assert!(
-            part.stopped && told.stopped && part.features.is_empty(),
-            "{view}"
-        );
-    }
-    let mut views = Views::default();
-    let done = run(&config, &out, &crate::support::device(), &mut views).expect("a run");
-    assert!(!done.stopped && done.rows.len() == 1);
-    let (_, announced, told) = views
-        .0
-        .iter()
-        .find(|(stage, ..)| *stage == "unprojection")
-        .expect("a stage");
-    assert_eq!((*announced, told.last()), (52, Some(&52)));
-}

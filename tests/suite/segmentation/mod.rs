@@ -11,5 +11,4 @@ pub mod masked_unprojection;
 pub mod neighbours;
 pub mod pretrain;
 pub mod randla;
-pub mod solve;
 pub mod unprojection;

@@ -392,7 +392,6 @@ fn count_is_algorithm_one_by_brute_force() {
         resolution: Resolution::Feature,
         attendance: 0.02,
         attendance_pixels: 0.0,
-        ..UnprojectionConfig::default()
     };
     let mut exact = Sums::<f64>::new(scene.len(), &maps(0).each_ref().map(|m| m.channels));
     for (view, features) in views.iter().zip(&set.views) {
