@@ -8,7 +8,7 @@ use burn::tensor::{Tensor, TensorData};
 use coseg::data::Split;
 use coseg::data::builtin::{BuiltinOptions, scene_with};
 use coseg::metrics::psnr;
-use coseg::ops::{Photo, photometric_loss};
+use coseg::ops::{PhotometricTarget, photometric_loss};
 use coseg::raster::{RasterInput, Settings, SplatTensors, rasterize};
 use coseg::reconstruction::initialization;
 use coseg::splat::Gaussians;
@@ -69,18 +69,17 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let scene = scene_with(&options)?;
     let views: Vec<_> = scene.split(Split::Train).collect();
-    let photos = views.iter().map(|view| {
-        let (height, width) = (view.camera.height, view.camera.width);
-        view.rgb()
-            .map(|rgb| Arc::new(Photo::new(rgb, height, width)))
+    let targets = views.iter().map(|view| {
+        let target = PhotometricTarget::new(view.image.pixels()?, view.mask.clone());
+        Ok(Arc::new(target))
     });
-    let photos = photos.collect::<coseg::Result<Vec<_>>>()?;
+    let targets = targets.collect::<coseg::Result<Vec<_>>>()?;
 
     let gaussians = initialization::from_points(&scene.points, 1, 5.0)?;
     let means = Tensor::from_inner(SplatTensors::new(&gaussians, &device).means);
     let mut learned = Learned::new(&gaussians, &device);
     let mut adam = AdamConfig::new().with_epsilon(1e-15).init();
-    println!("{} Gaussians, {} photos", gaussians.len(), photos.len());
+    println!("{} Gaussians, {} photos", gaussians.len(), targets.len());
     for step in 0..=200 {
         let i = step % views.len();
         let image = rasterize(
@@ -97,10 +96,10 @@ fn main() -> Result<(), Box<dyn Error>> {
                 .into_data()
                 .into_vec::<f32>()
                 .map_err(|e| format!("{e:?}"))?;
-            let decibels = psnr(&rendered, photos[i].rgb()).unwrap_or(f64::NAN);
+            let decibels = psnr(&rendered, &views[i].rgb()?).unwrap_or(f64::NAN);
             println!("step {step:3}: PSNR {decibels:.2} dB in {}", views[i].name);
         }
-        let gradients = photometric_loss(image, photos[i].clone(), 0.2).backward();
+        let gradients = photometric_loss(image, &targets[i], 0.2).backward();
         let gradients = GradientsParams::from_grads(gradients, &learned);
         learned = adam.step(0.01, learned, gradients);
     }

@@ -5,7 +5,6 @@ mod adam;
 mod assignment;
 mod attentive_pool;
 mod blended_labels;
-mod compared;
 mod dense;
 mod finite;
 mod fusion_layer;
@@ -15,32 +14,21 @@ mod gpu;
 mod gradient_in_hand;
 mod label_loss;
 mod neighbour_divergence;
-mod photo;
 mod photometric;
 mod pixel_labels;
-#[cfg(feature = "cube")]
-pub(crate) mod position_noise;
-mod rows;
-mod screen_gradient;
 mod sparse;
 mod sum;
-mod window;
 
-pub use self::adam::{
-    AdamBackend, AdamStep, AdamTensors, adam_step, adam_step_plain, move_towards,
-};
+pub use self::adam::{AdamBackend, AdamStep, AdamTensors, adam_step, adam_step_plain};
 pub use self::assignment::assignment;
 pub use self::attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
 pub use self::blended_labels::{
     BlendedLabelBackend, Blending, LabelledPixels, PixelWeights, blended_label_loss,
     blended_label_loss_plain,
 };
-pub use self::compared::{Compared, PackedPhoto};
 #[cfg(feature = "cube")]
 pub use self::dense::DenseBackend;
 pub use self::dense::dense;
-#[cfg(feature = "cube")]
-pub use self::finite::FiniteBackend;
 pub use self::finite::FiniteCheck;
 pub use self::fusion_layer::{
     FusionBackend, LayerGradients, LayerMap, LayerTensors, fusion_layer, fusion_layer_plain,
@@ -54,12 +42,29 @@ pub use self::label_loss::{
 pub use self::neighbour_divergence::{
     DivergenceBackend, NeighbourPairs, neighbour_divergence, neighbour_divergence_plain,
 };
-pub use self::photo::Photo;
-pub use self::photometric::{PhotometricBackend, photometric_loss, photometric_loss_plain};
+pub use self::photometric::{
+    PhotometricBackend, PhotometricTarget, photometric_loss, photometric_loss_plain,
+};
 pub use self::pixel_labels::PixelLabels;
-pub use self::rows::{RowBackend, RowMap, StartOfNew, take_rows};
-pub use self::screen_gradient::{ScreenGradientBackend, add_screen_gradients};
 pub use self::sparse::{Compact, SparseBackend, SparseMatrix, sparse_apply};
-#[cfg(feature = "cube")]
-pub use self::sum::SumBackend;
 pub use self::sum::sum_all;
+
+use std::cell::Cell;
+
+thread_local! {
+    static REFERENCES: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Runs `f` with every custom operation that this thread calls replaced by its plain-tensor reference. For tests.
+#[doc(hidden)]
+pub fn with_references<T>(f: impl FnOnce() -> T) -> T {
+    let before = REFERENCES.replace(true);
+    let out = f();
+    REFERENCES.set(before);
+    out
+}
+
+/// Whether custom operations run as their references, see [`with_references`].
+pub(crate) fn references() -> bool {
+    REFERENCES.get()
+}

@@ -2,10 +2,10 @@
 //!
 //! A resumed run derives the stream of iteration `k` again and so draws the same numbers as an uninterrupted one.
 
-pub mod philox;
-
+use burn::tensor::{Device, Distribution, Tensor};
 use rand::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::sync::{Mutex, PoisonError};
 
 /// What a stream is for; different purposes never share numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,10 +38,17 @@ pub enum Purpose {
     Benchmark = 48,
 }
 
-/// The key under which [`philox`] has numbers of `stream`'s own.
-pub fn philox_key(stream: &ChaCha8Rng) -> [u32; 2] {
-    let mut stream = stream.clone();
-    [stream.next_u32(), stream.next_u32()]
+/// Standard normal numbers from burn's generator on `device`, which `stream` seeds.
+pub fn normals<const D: usize>(
+    shape: [usize; D],
+    stream: &mut ChaCha8Rng,
+    device: &Device,
+) -> Tensor<D> {
+    // burn has one generator for the process: nobody else may draw between the seed and the numbers.
+    static GENERATOR: Mutex<()> = Mutex::new(());
+    let _guard = GENERATOR.lock().unwrap_or_else(PoisonError::into_inner);
+    device.seed(stream.next_u64());
+    Tensor::random(shape, Distribution::Normal(0.0, 1.0), device)
 }
 
 /// The stream of `purpose` at `index` (an epoch or iteration, below 2^56) under `seed`.

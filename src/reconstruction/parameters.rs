@@ -4,10 +4,10 @@ use super::densify::reset_opacity;
 use super::noise::PositionNoise;
 use crate::backend::device::read;
 use crate::error::{Error, Result};
-use crate::ops::{AdamStep, AdamTensors, FiniteCheck, RowMap, StartOfNew, adam_step, take_rows};
+use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
 use crate::raster::{ListCount, ListSummary, SplatTensors};
 use crate::splat::Gaussians;
-use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use burn::tensor::{Bool, Device, Gradients, Int, Tensor, TensorData};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
@@ -35,6 +35,36 @@ pub struct Rates {
     pub sh_dc: f64,
     /// Of the higher SH terms.
     pub sh_rest: f64,
+}
+
+/// The rows of a densified set: for each the old row that it comes from, and whether its moments start at zero.
+#[derive(Clone, Debug)]
+pub struct RowMap {
+    rows: Tensor<1, Int>,
+    is_new: Tensor<1, Bool>,
+}
+
+impl RowMap {
+    /// From old row and newness of each new row.
+    pub fn new(sources: impl Iterator<Item = (u32, bool)>, device: &Device) -> Self {
+        let (rows, is_new): (Vec<i32>, Vec<bool>) =
+            sources.map(|(row, is_new)| (row as i32, is_new)).unzip();
+        let shape = [rows.len()];
+        Self {
+            rows: Tensor::from_data(TensorData::new(rows, shape), device),
+            is_new: Tensor::from_data(TensorData::new(is_new, shape), device),
+        }
+    }
+
+    /// New rows.
+    pub fn len(&self) -> usize {
+        self.rows.dims()[0]
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
 }
 
 /// A tensor that is trained.
@@ -84,23 +114,25 @@ impl<const D: usize> Parameter<D> {
         self.state = adam_step(state, gradient, &Arc::new(AdamStep::splatting(rates, step)));
     }
 
-    /// The rows of `map`, where `values` are given with those instead of the old ones; moments of new rows are zero.
-    fn rearrange(&mut self, map: &Arc<RowMap>, values: Option<Vec<f32>>) {
+    /// Takes the rows of `map`, or `values` in their place. The moments of new rows are zero.
+    fn rearrange(&mut self, map: &RowMap, values: Option<Vec<f32>>) {
         let AdamTensors {
             param,
             first,
             second,
         } = &mut self.state;
+        let mut shape = param.dims();
+        shape[0] = map.len();
         *param = match values {
-            Some(values) => {
-                let mut shape = param.dims();
-                shape[0] = map.len();
-                Tensor::from_data(TensorData::new(values, shape), &param.device())
-            }
-            None => take_rows(param.clone(), map, StartOfNew::Copy),
+            Some(values) => Tensor::from_data(TensorData::new(values, shape), &param.device()),
+            None => param.clone().select(0, map.rows.clone()),
         };
+        let mut column = [1; D];
+        column[0] = map.len();
+        let is_new = map.is_new.clone().reshape(column).expand(shape);
         for moment in [first, second] {
-            *moment = take_rows(moment.clone(), map, StartOfNew::Zero);
+            let rows = moment.clone().select(0, map.rows.clone());
+            *moment = rows.mask_fill(is_new.clone(), 0.0);
         }
     }
 
@@ -320,18 +352,14 @@ impl Parameters {
     }
 
     /// Adds noise to the means.
-    ///
-    /// # Errors
-    /// [`Error::Device`] when the device does not give the geometry back.
-    pub fn add_noise(&mut self, noise: &PositionNoise, rng: &ChaCha8Rng) -> Result<()> {
+    pub fn add_noise(&mut self, noise: &PositionNoise, rng: &mut ChaCha8Rng) {
         let splats = SplatTensors {
             means: self.means.state.param.clone(),
             log_scales: self.log_scales.state.param.clone(),
             rotations: self.rotations.state.param.clone(),
             opacity_logits: self.opacity_logits.state.param.clone(),
         };
-        self.means.state.param = noise.applied_to(&splats, rng)?;
-        Ok(())
+        self.means.state.param = noise.apply(&splats, rng);
     }
 
     /// All means, then all log-scales, rotations and opacity logits, in one readback; see
@@ -351,7 +379,7 @@ impl Parameters {
     }
 
     /// The rows that `map` names, in its order, with `values` where they are given. Moments of new rows are zero.
-    pub fn rearrange(&mut self, map: &Arc<RowMap>, values: NewValues) {
+    pub fn rearrange(&mut self, map: &RowMap, values: NewValues) {
         let NewValues {
             means,
             log_scales,

@@ -1,71 +1,57 @@
-//! The training photos as the loss takes them, made at first use and kept while memory allows.
+//! The training photos as targets of the loss, made at first use and kept while memory allows.
 
 use crate::backend::device::in_host_memory;
 use crate::data::View;
 use crate::error::Result;
-use crate::ops::{Compared, PackedPhoto, Photo};
+use crate::ops::PhotometricTarget;
 use burn::tensor::Device;
 use std::sync::Arc;
 
-/// Bytes of photos with their SSIM moments that are kept in host memory; views beyond it are converted again at each use.
-const HOST_BUDGET: usize = 1 << 30;
-/// Bytes of photos that are kept on a GPU, and in host memory besides: 345 of 1920x1080 pixels.
-const DEVICE_BUDGET: usize = 2 << 30;
+/// Bytes of targets that are kept for a CPU. The target of a view beyond it is made again at each use.
+const CPU_BUDGET: usize = 1 << 30;
+/// Bytes of targets that are kept for a GPU: 345 photos of 1920x1080 pixels.
+const GPU_BUDGET: usize = 2 << 30;
 
-/// Photos by index of the training view.
+/// Targets by index of the training view.
 #[derive(Debug)]
-pub(crate) struct Photos {
-    kept: Vec<Option<Compared>>,
+pub(crate) struct Targets {
+    kept: Vec<Option<Arc<PhotometricTarget>>>,
     bytes: usize,
-    on_host: bool,
+    on_cpu: bool,
 }
 
-impl Photos {
-    /// None yet of `views` views, which are rendered on `device`.
+impl Targets {
+    /// No target yet of `views` views, which are rendered on `device`.
     pub fn new(views: usize, device: &Device) -> Self {
         Self {
             kept: vec![None; views],
             bytes: 0,
-            on_host: in_host_memory(device),
+            on_cpu: in_host_memory(device),
         }
     }
 
-    /// The photo of `view`, which is number `index`.
+    /// The target of `view`, whose index is `index`.
     ///
     /// # Errors
-    /// Its file can no longer be read.
-    pub fn get(&mut self, index: usize, view: &View) -> Result<Compared> {
-        if let Some(Some(photo)) = self.kept.get(index) {
-            return Ok(photo.clone());
+    /// Those of [`crate::data::Photo::pixels`].
+    pub fn get(&mut self, index: usize, view: &View) -> Result<Arc<PhotometricTarget>> {
+        if let Some(Some(target)) = self.kept.get(index) {
+            return Ok(target.clone());
         }
-        let (width, height) = (view.image.width(), view.image.height());
-        let (photo, bytes, budget) = if self.on_host {
-            let photo = match view.mask.clone() {
-                Some(mask) => Photo::masked(view.rgb()?, height, width, mask),
-                None => Photo::new(view.rgb()?, height, width),
-            };
-            (
-                Compared::Prepared(Arc::new(photo)),
-                Photo::<f32>::bytes(height, width),
-                HOST_BUDGET,
-            )
+        let target = PhotometricTarget::new(view.image.pixels()?, view.mask.clone());
+        let target = Arc::new(target);
+        let pixels = view.image.width() * view.image.height();
+        let (bytes, budget) = if self.on_cpu {
+            (PhotometricTarget::bytes_on_cpu(pixels), CPU_BUDGET)
         } else {
-            let photo = match view.mask.clone() {
-                Some(mask) => PackedPhoto::masked(&*view.image.pixels()?, mask),
-                None => PackedPhoto::new(view.image.pixels()?),
-            };
-            (
-                Compared::Packed(Arc::new(photo)),
-                PackedPhoto::bytes(height, width),
-                DEVICE_BUDGET,
-            )
+            (PhotometricTarget::bytes_on_gpu(pixels), GPU_BUDGET)
         };
         if let Some(slot) = self.kept.get_mut(index)
             && self.bytes + bytes <= budget
         {
-            *slot = Some(photo.clone());
+            *slot = Some(target.clone());
             self.bytes += bytes;
         }
-        Ok(photo)
+        Ok(target)
     }
 }

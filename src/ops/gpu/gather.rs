@@ -1,7 +1,6 @@
 //! Rows read and written by their numbers, one unit a value.
 
 use super::dense::zeros;
-use super::rows::pick;
 use crate::backend::gpu::{Gpu, arg};
 use crate::ops::gather::{GatherBackend, RowList};
 use burn::backend::tensor::FloatTensor;
@@ -11,6 +10,16 @@ use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
 use std::sync::Arc;
+
+/// `out[r] = x[rows[r]]`.
+#[cube(launch)]
+fn gather(x: &[f32], rows: &[u32], out: &mut [f32], count: u32, width: u32) {
+    let i = ABSOLUTE_POS;
+    if i < count as usize {
+        let row = rows[i / width as usize] as usize;
+        out[i] = x[row * width as usize + i % width as usize];
+    }
+}
 
 /// `out[rows[r]] = x[r]`, where no row is named twice.
 #[cube(launch)]
@@ -39,7 +48,7 @@ impl GatherBackend for CubeBackend {
         let (x, out) = (into_contiguous(x), gpu.floats([rows.len(), width]));
         let (cubes, index) = (gpu.cubes_for(count), rows.on(&gpu));
         let (count, width) = (count as u32, width as u32);
-        pick::launch(
+        gather::launch(
             &gpu.client,
             cubes,
             gpu.dim(),
@@ -48,7 +57,6 @@ impl GatherBackend for CubeBackend {
             arg(&out),
             count,
             width,
-            false,
         );
         out
     }

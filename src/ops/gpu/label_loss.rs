@@ -2,8 +2,7 @@
 
 use super::covers;
 use super::numeric::{exp_m1_nonpositive, ln_1p};
-use super::sum::sum;
-use crate::backend::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, arg, sum};
 use crate::ops::PixelLabels;
 use crate::ops::label_loss::{ClassLosses, Kind, LOG_ZERO, LabelLossBackend, UNLABELLED, on_host};
 use burn::backend::tensor::FloatTensor;

@@ -1,8 +1,7 @@
 //! Eq. 9 on a device, value and gradient: no softmax is stored, and what meets at a row is summed there, in order.
 
 use super::covers;
-use super::sum::{sum, sum_cube};
-use crate::backend::gpu::{Gpu, UNITS, arg};
+use crate::backend::gpu::{Gpu, UNITS, arg, sum, sum_cube};
 use crate::ops::neighbour_divergence::{DivergenceBackend, NeighbourPairs, on_host};
 use burn::backend::tensor::FloatTensor;
 use burn::tensor::DType;

@@ -1,7 +1,7 @@
 //! Adam over all parameters of a burn module, with state that a checkpoint can hold exactly.
 
 use crate::error::{Error, Result};
-use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step, move_towards};
+use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
 use crate::reconstruction::parameters::find_non_finite;
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Gradients, Tensor, TensorData};
@@ -162,9 +162,8 @@ impl ModuleAdam {
         };
         match self.averages.get_mut(place) {
             Some(mean) => {
-                // taken, not cloned: a buffer that nobody else holds is updated in place
-                let before = std::mem::replace(mean, Tensor::empty([0], &value.device()));
-                *mean = move_towards(before, value, 1.0 / f64::from(count));
+                let before = mean.clone();
+                *mean = before.clone() + (value - before) / f64::from(count);
             }
             None => self.averages.push(value),
         }

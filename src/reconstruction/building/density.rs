@@ -1,14 +1,14 @@
 //! What the strategies of densification add to an iteration, and where the first Gaussians come from.
 
-use super::{BuildingStage, Densified, Tally};
+use super::{BuildingStage, Densified, GradientAccumulator};
 use crate::config::{Config, Strategy};
 use crate::data::{Points, Scene, View};
 use crate::error::{Error, Result};
-use crate::ops::{RowMap, sum_all};
+use crate::ops::sum_all;
 use crate::random::{Purpose, stream};
-use crate::reconstruction::densify::{DensityRules, RowPlan, SizeLimit};
+use crate::reconstruction::densify::{DensityRules, DensityStats, RowPlan, SizeLimit};
 use crate::reconstruction::noise::PositionNoise;
-use crate::reconstruction::parameters::{Leaves, NewValues};
+use crate::reconstruction::parameters::{Leaves, NewValues, RowMap};
 use crate::reconstruction::relocate::{RelocationPlan, RelocationRules};
 use crate::reconstruction::schedule::extent;
 use crate::reconstruction::{frusta, initialization};
@@ -17,7 +17,6 @@ use burn::tensor::Tensor;
 use burn::tensor::activation::sigmoid;
 use rand_chacha::ChaCha8Rng;
 use std::borrow::Cow;
-use std::sync::Arc;
 
 /// Gaussians at the scene's points, or in the camera frusta where it has none; no more than `max_gaussians`.
 ///
@@ -100,26 +99,27 @@ impl BuildingStage<'_> {
     }
 
     /// The noise of 3DGS-MCMC after the step of `iteration`.
-    pub(crate) fn add_noise(&mut self, iteration: usize) -> Result<()> {
+    pub(crate) fn add_noise(&mut self, iteration: usize) {
         let (building, mcmc) = (&self.config.building, &self.config.building.mcmc);
         if building.strategy != Strategy::Mcmc || mcmc.noise == 0.0 {
-            return Ok(());
+            return;
         }
         let noise = PositionNoise {
             scale: mcmc.noise * self.schedule.means_rate(iteration) / (self.extent * self.extent),
             sharpness: mcmc.noise_sharpness,
             opacity: mcmc.noise_opacity,
         };
-        self.parameters.add_noise(
-            &noise,
-            &stream(self.config.seed, Purpose::PositionNoise, iteration as u64),
-        )
+        let mut rng = stream(self.config.seed, Purpose::PositionNoise, iteration as u64);
+        self.parameters.add_noise(&noise, &mut rng);
     }
 
     /// One densification: decided on the host from the geometry alone. All else is moved where it lies.
     pub(crate) fn densify(&mut self) -> Result<Densified> {
         let values = self.parameters.geometry()?;
         let old = Geometry::of_values(&values);
+        if old.is_empty() {
+            return Ok(Densified::default());
+        }
         let mut rng = stream(
             self.config.seed,
             Purpose::Densification,
@@ -143,8 +143,9 @@ impl BuildingStage<'_> {
                 help,
             ));
         }
-        self.tally = Tally::empty(map.len(), &self.device);
-        self.parameters.rearrange(&Arc::new(map), values);
+        let stats = DensityStats::new(map.len());
+        self.statistics = GradientAccumulator::new(stats, &self.device);
+        self.parameters.rearrange(&map, values);
         Ok(done)
     }
 
@@ -154,7 +155,7 @@ impl BuildingStage<'_> {
         old: Geometry<'_>,
         rng: &mut ChaCha8Rng,
     ) -> Result<(RowMap, NewValues, Densified)> {
-        let plan = RowPlan::new(old, &self.tally.read()?, &self.density_rules())?;
+        let plan = RowPlan::new(old, &self.statistics.read()?, &self.density_rules())?;
         let (means, log_scales) = plan.placed(old, rng);
         let values = NewValues {
             means: Some(means),
@@ -168,7 +169,7 @@ impl BuildingStage<'_> {
             ..
         } = plan;
         Ok((
-            RowMap::new(plan.sources()),
+            RowMap::new(plan.sources(), &self.device),
             values,
             Densified {
                 cloned,
@@ -193,7 +194,7 @@ impl BuildingStage<'_> {
             relocated: plan.relocated,
             ..Densified::default()
         };
-        (RowMap::new(plan.sources()), values, done)
+        (RowMap::new(plan.sources(), &self.device), values, done)
     }
 
     fn density_rules(&self) -> DensityRules {
@@ -234,7 +235,7 @@ mod tests {
     use crate::config::BuildingConfig;
     use crate::data::builtin::{BuiltinOptions, scene_with};
     use crate::reconstruction::BuildingState;
-    use crate::reconstruction::densify::{DensityStats, reset_opacity};
+    use crate::reconstruction::densify::reset_opacity;
     use crate::reconstruction::parameters::{Moments, OPACITY, widths};
 
     fn waves(count: usize, step: f32) -> Vec<f32> {
@@ -346,7 +347,7 @@ mod tests {
             );
             assert_same(&stage, &want, moments.each_ref());
             assert_eq!(
-                stage.tally.read().expect("readable"),
+                stage.statistics.read().expect("readable"),
                 DensityStats::new(want.len())
             );
         });

@@ -7,7 +7,7 @@ mod tally;
 
 use super::building_state::BuildingState;
 use super::parameters::{Parameters, Rates};
-use super::photos::Photos;
+use super::photos::Targets;
 use super::schedule::{Schedule, center, extent};
 use crate::backend::device::read;
 use crate::config::Config;
@@ -24,7 +24,7 @@ use pass::Pass;
 use rooms::Rooms;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use tally::Tally;
+use tally::GradientAccumulator;
 
 /// What one iteration did.
 #[derive(Clone, Debug, PartialEq)]
@@ -71,9 +71,9 @@ pub struct BuildingStage<'a> {
     device: Device,
     train: Vec<&'a View>,
     test: Vec<&'a View>,
-    photos: Photos,
+    targets: Targets,
     parameters: Parameters,
-    tally: Tally,
+    statistics: GradientAccumulator,
     rooms: Rooms,
     iteration: usize,
     losses: (f64, u64),
@@ -194,12 +194,12 @@ impl<'a> BuildingStage<'a> {
             schedule: Schedule::new(&config.building, train.len(), size),
             extent: size,
             center: center(&train),
-            photos: Photos::new(train.len(), &device),
+            targets: Targets::new(train.len(), &device),
             parameters: Parameters::new(gaussians, first, second, &device),
             config: config.clone(),
             checkpoint: None,
             provenance,
-            tally: Tally::new(stats, &device),
+            statistics: GradientAccumulator::new(stats, &device),
             rooms: Rooms::new(train.len()),
             device,
             train,
@@ -254,7 +254,7 @@ impl<'a> BuildingStage<'a> {
             gaussians,
             first,
             second,
-            stats: self.tally.read()?,
+            stats: self.statistics.read()?,
             losses: self.losses,
             curve: self.curve.clone(),
             seconds: self.seconds,
@@ -288,11 +288,12 @@ impl<'a> BuildingStage<'a> {
             checked,
         } = self.pass(index, view, iteration).map_err(locate)?;
         if let Some(gradient) = of_screen {
-            self.tally.record(gradient, &radii)?;
+            self.statistics
+                .record(gradient, radii.as_tensor(&self.device));
         }
         self.parameters
             .step(gradients, &self.rates(iteration), iteration as u32);
-        self.add_noise(iteration)?;
+        self.add_noise(iteration);
         self.iteration = iteration;
         self.losses.0 += checked.loss;
         self.losses.1 += 1;

@@ -56,7 +56,7 @@ impl BuildingStage<'_> {
         iteration: usize,
         room: Option<usize>,
     ) -> Result<Option<Pass>> {
-        let photo = self.photos.get(index, view)?;
+        let target = self.targets.get(index, view)?;
         let leaves = self.parameters.leaves();
         let screen = self.screen();
         let input = RasterInput {
@@ -73,7 +73,7 @@ impl BuildingStage<'_> {
         let (output, lists) =
             rasterize_with_room(input, &view.camera, &self.settings, background, room)?;
         let RasterOutput { image, radii, .. } = output;
-        let loss = photometric_loss(image, photo, f64::from(self.config.building.ssim_weight));
+        let loss = photometric_loss(image, &target, f64::from(self.config.building.ssim_weight));
         let loss = self.regularised(loss, &leaves);
         let mut gradients = loss.backward();
         let of_screen = screen.and_then(|screen| screen.grad_remove(&mut gradients));

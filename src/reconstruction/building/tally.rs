@@ -1,91 +1,96 @@
-//! What densification gathers, on the host or on the GPU that the gradients lie on.
+//! Statistics of densification while they are gathered, on the device of the gradients.
 
-use crate::backend::device::{in_host_memory, read};
+use crate::backend::device::read;
 use crate::error::Result;
-use crate::ops::add_screen_gradients;
-use crate::raster::Radii;
 use crate::reconstruction::densify::DensityStats;
 use burn::tensor::{Device, Tensor, TensorData};
 
-/// [`DensityStats`] in the making. On a GPU they stay there: an iteration reads nothing back for them.
+/// [`DensityStats`] as tensors `[N]`.
 #[derive(Clone, Debug)]
-pub(crate) enum Tally {
-    Host(DensityStats),
-    /// Sums of gradients, and numbers of views, `[N]`; exact up to 2^24 views.
-    Device(Box<[Tensor<1>; 2]>),
+pub(crate) struct GradientAccumulator {
+    /// Sums of lengths of the screen-space gradient.
+    gradient: Tensor<1>,
+    /// Iterations in which the Gaussian was visible; exact up to 2^24.
+    visible: Tensor<1>,
 }
 
-impl Tally {
-    /// Goes on from `stats`, where tensors lie on `device`.
+impl GradientAccumulator {
+    /// Starts from `stats`, on `device`.
     pub fn new(stats: DensityStats, device: &Device) -> Self {
-        if in_host_memory(device) {
-            return Self::Host(stats);
-        }
-        let tensor = |values: Vec<f32>| {
-            let n = values.len();
-            Tensor::from_data(TensorData::new(values, [n]), device)
-        };
+        let n = stats.gradient.len();
+        let tensor = |values: Vec<f32>| Tensor::from_data(TensorData::new(values, [n]), device);
         let visible = stats.visible.iter().map(|&count| count as f32).collect();
-        Self::Device(Box::new([tensor(stats.gradient), tensor(visible)]))
-    }
-
-    /// Nothing gathered yet for `n` Gaussians.
-    pub fn empty(n: usize, device: &Device) -> Self {
-        if in_host_memory(device) {
-            return Self::Host(DensityStats::new(n));
+        Self {
+            gradient: tensor(stats.gradient),
+            visible: tensor(visible),
         }
-        Self::Device(Box::new([
-            Tensor::zeros([n], device),
-            Tensor::zeros([n], device),
-        ]))
     }
 
-    /// Adds one iteration: `screen` is the screen-space gradient, `[N, 2]`, or `[N, 4]` of which the last two columns count.
+    /// Adds one iteration. `screen` is the screen-space gradient, `[N, 2]`, or `[N, 4]` whose last two columns count;
+    /// `radii` are `[N]`, 0 for culled Gaussians.
+    pub fn record(&mut self, screen: Tensor<2>, radii: Tensor<1>) {
+        let [n, columns] = screen.dims();
+        let gradient = screen.slice([0..n, columns - 2..columns]);
+        let length = (gradient.clone() * gradient).sum_dim(1).sqrt().reshape([n]);
+        let seen = radii.greater_elem(0.0).float();
+        self.gradient = self.gradient.clone() + length * seen.clone();
+        self.visible = self.visible.clone() + seen;
+    }
+
+    /// The statistics on the host.
     ///
     /// # Errors
-    /// [`crate::Error::Device`] when the device does not give back what the host sums.
-    pub fn record(&mut self, screen: Tensor<2>, radii: &Radii) -> Result<()> {
-        let columns = screen.dims()[1];
-        match self {
-            Self::Host(stats) => {
-                let values = read("screen-space gradient", screen)?;
-                let values = match columns {
-                    4 => values
-                        .as_chunks::<4>()
-                        .0
-                        .iter()
-                        .flat_map(|row| [row[2], row[3]])
-                        .collect(),
-                    _ => values,
-                };
-                stats.record(&values, &radii.read()?);
-            }
-            Self::Device(sums) => {
-                let radii = radii.as_tensor(&screen.device());
-                let empty = || Tensor::empty([0], &screen.device());
-                // moved out, so that the kernel finds buffers nobody else holds
-                let before = std::mem::replace(&mut **sums, [empty(), empty()]);
-                **sums = add_screen_gradients(before, screen, radii);
-            }
-        }
-        Ok(())
-    }
-
-    /// What was gathered.
-    ///
-    /// # Errors
-    /// [`crate::Error::Device`] when the device does not give it back.
+    /// [`crate::Error::Device`] when the device does not return them.
     pub fn read(&self) -> Result<DensityStats> {
-        match self {
-            Self::Host(stats) => Ok(stats.clone()),
-            Self::Device(sums) => {
-                let both = Tensor::cat(sums.to_vec(), 0);
-                let mut gradient = read("screen-space gradients", both)?;
-                let visible = gradient.split_off(gradient.len() / 2);
-                Ok(DensityStats {
-                    gradient,
-                    visible: visible.into_iter().map(|count| count as u32).collect(),
-                })
+        let both = Tensor::cat(vec![self.gradient.clone(), self.visible.clone()], 0);
+        let mut gradient = read("screen-space gradients", both)?;
+        let visible = gradient.split_off(gradient.len() / 2);
+        Ok(DensityStats {
+            gradient,
+            visible: visible.into_iter().map(|count| count as u32).collect(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::device::{BackendName, device_of_tests};
+
+    #[test]
+    fn statistics_are_those_of_the_host_on_every_device() {
+        let n = 700;
+        let waves = |count: usize, by: f32| -> Vec<f32> {
+            (0..count).map(|i| (i as f32 * by).sin() * 1e-4).collect()
+        };
+        for &name in BackendName::compiled() {
+            let Some(device) = device_of_tests(name) else {
+                continue;
+            };
+            for columns in [2, 4] {
+                let mut want = DensityStats::new(n);
+                want.visible.fill(2);
+                let mut got = GradientAccumulator::new(want.clone(), &device);
+                for view in 1..=3 {
+                    let screen = waves(n * columns, view as f32);
+                    let radii: Vec<u32> = (0..n as u32).map(|i| (i + view) % 4).collect();
+                    let as_floats: Vec<f32> = radii.iter().map(|&r| r as f32).collect();
+                    let last: Vec<f32> = screen
+                        .chunks_exact(columns)
+                        .flat_map(|row| [row[columns - 2], row[columns - 1]])
+                        .collect();
+                    want.record(&last, &radii);
+                    let screen = TensorData::new(screen, [n, columns]);
+                    got.record(
+                        Tensor::from_data(screen, &device),
+                        Tensor::from_data(TensorData::new(as_floats, [n]), &device),
+                    );
+                }
+                let got = got.read().expect("readable");
+                assert_eq!(got.visible, want.visible, "{columns} columns on {name}");
+                for (i, (a, b)) in got.gradient.iter().zip(&want.gradient).enumerate() {
+                    assert!((a - b).abs() <= 1e-6 * b, "{i} on {name}: {a} for {b}");
+                }
             }
         }
     }

@@ -5,9 +5,8 @@ use crate::ops::device_ops::{assert_close, host, leaf, uneven, value_and_gradien
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::backend::host_fallbacks;
 use coseg::ops::{
-    AdamStep, AdamTensors, FiniteCheck, LayerMap, NeighbourPairs, RowList, RowMap, SparseMatrix,
-    StartOfNew, adam_step, add_screen_gradients, fusion_layer, gather_rows, move_towards,
-    neighbour_divergence, sum_all, take_rows,
+    AdamStep, AdamTensors, FiniteCheck, LayerMap, NeighbourPairs, RowList, SparseMatrix, adam_step,
+    fusion_layer, gather_rows, neighbour_divergence, sum_all,
 };
 use std::sync::Arc;
 
@@ -66,119 +65,6 @@ fn adam_steps_with_one_rate_and_with_one_a_column() {
         for ((got, want), name) in got.iter().zip(&run(None)).zip(names) {
             assert_close(got, want, 1e-6, &format!("{name}, {} rates", rates.len()));
         }
-    }
-}
-
-#[test]
-fn running_means() {
-    let Some(gpu) = crate::support::gpu().map(Device::autodiff) else {
-        return;
-    };
-    let run = |on: Option<&Device>| {
-        let value = |k: usize| leaf(&waves(300, k as f32), 3, on).inner();
-        host((2..=9).fold(value(1), |mean, k| {
-            move_towards(mean, value(k), 1.0 / k as f64)
-        }))
-    };
-    let want: Vec<f64> = waves(300, 5.0).into_iter().map(f64::from).collect();
-    assert_close(&run(None), &want, 1e-6, "the mean of 1 to 9");
-    assert_close(
-        &on_device(Some(&gpu), || run(Some(&gpu))),
-        &want,
-        1e-6,
-        "the mean of 1 to 9 on a GPU",
-    );
-}
-
-#[test]
-fn rows_of_any_width_are_taken_to_the_bit() {
-    for device in crate::support::gpu()
-        .into_iter()
-        .chain([crate::support::device()])
-    {
-        let before = host_fallbacks();
-        for (rows, inner) in [(1, [1, 1]), (700, [3, 1]), (130, [16, 3])] {
-            let values = waves(rows * inner[0] * inner[1], 2.0);
-            let x = Tensor::<3>::from_data(
-                TensorData::new(values.clone(), [rows, inner[0], inner[1]]),
-                &device,
-            );
-            // Backwards, some left out, some twice, of which the second one is new.
-            let source = |r: u32| {
-                if r.is_multiple_of(3) {
-                    vec![(r, false), (r, true)]
-                } else {
-                    vec![(r, r % 7 == 1)]
-                }
-            };
-            let sources: Vec<(u32, bool)> = (0..rows as u32)
-                .rev()
-                .filter(|r| r % 5 != 4)
-                .flat_map(source)
-                .collect();
-            let map = Arc::new(RowMap::new(sources.iter().copied()));
-            let width = inner[0] * inner[1];
-            for new in [StartOfNew::Copy, StartOfNew::Zero] {
-                let row = |&(row, is_new): &(u32, bool)| match (is_new, new) {
-                    (true, StartOfNew::Zero) => vec![0.0; width],
-                    _ => values[row as usize * width..][..width].to_vec(),
-                };
-                let want: Vec<f32> = sources.iter().flat_map(row).collect();
-                let got = take_rows(x.clone(), &map, new);
-                assert_eq!(got.dims(), [sources.len(), inner[0], inner[1]]);
-                assert_eq!(
-                    got.into_data().into_vec::<f32>().expect("f32"),
-                    want,
-                    "{rows} rows, {new:?}, {device:?}"
-                );
-            }
-        }
-        assert_eq!(host_fallbacks(), before, "tensors went to the host");
-        let none = take_rows(
-            Tensor::<2>::ones([4, 3], &device),
-            &Arc::new(RowMap::new([])),
-            StartOfNew::Copy,
-        );
-        assert_eq!(none.dims(), [0, 3], "{device:?}");
-    }
-}
-
-#[test]
-fn screen_gradients_of_what_was_seen_are_gathered() {
-    let Some(gpu) = crate::support::gpu().map(Device::autodiff) else {
-        return;
-    };
-    for (rows, columns) in [(1, 2), (257, 2), (700, 4)] {
-        let run = |on: Option<&Device>| {
-            let line = |values: &[f32]| leaf(values, 1, on).inner().reshape([rows]);
-            let mut sums = [line(&waves(rows, 3.0)), line(&vec![2.0; rows])];
-            let kept = sums.clone();
-            for view in 1..=3 {
-                let radii: Vec<f32> = (0..rows).map(|i| ((i + view) % 4) as f32).collect();
-                let screen = leaf(&waves(rows * columns, view as f32), columns, on).inner();
-                sums = add_screen_gradients(sums, screen, line(&radii));
-            }
-            // Somebody else held them: the sums went elsewhere.
-            assert_close(
-                &host(kept[1].clone()),
-                &vec![2.0; rows],
-                0.0,
-                "what the sums began with",
-            );
-            sums.map(host)
-        };
-        let (got, want) = (on_device(Some(&gpu), || run(Some(&gpu))), run(None));
-        assert_close(
-            &got[0],
-            &want[0],
-            1e-6,
-            &format!("lengths of {rows} rows of {columns}"),
-        );
-        assert_eq!(got[1], want[1], "views of {rows} rows of {columns}");
-        assert!(
-            rows == 1 || want[1].iter().any(|&views| views < 5.0),
-            "some are not always seen"
-        );
     }
 }
 

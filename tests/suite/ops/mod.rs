@@ -8,3 +8,4 @@ pub mod device_dense;
 pub mod device_ops;
 pub mod fused;
 pub mod photometric;
+pub mod references;

@@ -1,14 +1,13 @@
 //! What masks leave out does not count: gradients, scores, and a stranger who walks through the photos of a room.
 
+use crate::ops::photometric::{compare, target};
 use coseg::config::{BuildingConfig, Config};
 use coseg::data::builtin::{BuiltinOptions, scene_with};
 use coseg::data::mask::Mask;
 use coseg::data::{Scene, Split};
 use coseg::metrics::{ImageScores, psnr, ssim};
-use coseg::ops::{PackedPhoto, Photo};
 use coseg::reconstruction::BuildingStage;
 use image::Rgb;
-use std::sync::Arc;
 
 /// Smooth structure in 0..1, another one for each phase.
 fn picture(height: usize, width: usize, phase: f64) -> Vec<f64> {
@@ -40,9 +39,10 @@ fn what_is_left_out_has_no_gradient_and_no_influence() {
         picture(height, width, 0.4),
         mask(height, width),
     );
-    let photo = Photo::masked(y.clone(), height, width, mask.clone());
+    let size = (height, width);
+    let photo = target(&y, size, Some(mask.clone()));
     for weight in [0.0, 0.2, 1.0] {
-        let (loss, gradient) = photo.compare(&x, weight);
+        let (loss, gradient) = compare(&photo, &x, weight);
         let pixels = || gradient.chunks(3).enumerate();
         assert!(
             pixels().all(|(i, pixel)| mask.uses(i) || pixel == [0.0; 3]),
@@ -53,24 +53,21 @@ fn what_is_left_out_has_no_gradient_and_no_influence() {
         let (mut other, mut another) = (x.clone(), y.clone());
         mask.fill(&mut other, 3, f64::NAN);
         mask.fill(&mut another, 3, 0.77);
-        assert_eq!(
-            Photo::masked(another, height, width, mask.clone()).compare(&other, weight),
-            (loss, gradient.clone())
-        );
+        let another = target(&another, size, Some(mask.clone()));
+        assert_eq!(compare(&another, &other, weight), (loss, gradient.clone()));
         // As if both were black there, with the gradient of that.
         let mut black = [x.clone(), y.clone()];
         black
             .iter_mut()
             .for_each(|values| mask.fill(values, 3, 0.0));
-        let (want, mut of_black) =
-            Photo::new(black[1].clone(), height, width).compare(&black[0], weight);
+        let (want, mut of_black) = compare(&target(&black[1], size, None), &black[0], weight);
         mask.fill(&mut of_black, 3, 0.0);
         assert_eq!((loss, &gradient), (want, &of_black));
         for i in (0..x.len()).step_by(41) {
             let moved = |by: f64| {
                 let mut x = x.clone();
                 x[i] += by;
-                photo.compare(&x, weight).0
+                compare(&photo, &x, weight).0
             };
             let numeric = (moved(1e-5) - moved(-1e-5)) / 2e-5;
             let off = (gradient[i] - numeric).abs();
@@ -85,35 +82,12 @@ fn what_is_left_out_has_no_gradient_and_no_influence() {
 
 #[test]
 fn a_mask_that_leaves_nothing_out_changes_no_bit() {
-    let (height, width) = (50, 37);
-    let all = Mask::new(width, height, |_| true);
-    let bytes: Vec<u8> = picture(height, width, 0.4)
-        .iter()
-        .map(|v| (v * 255.0).round() as u8)
-        .collect();
-    let y: Vec<f32> = bytes.iter().map(|&v| f32::from(v) / 255.0).collect();
-    let x: Vec<f32> = picture(height, width, 0.0)
-        .iter()
-        .map(|&v| v as f32)
-        .collect();
-    let want = Photo::new(y.clone(), height, width).compare(&x, 0.2);
+    let size = (50, 37);
+    let all = Mask::new(37, 50, |_| true);
+    let (x, y) = (picture(50, 37, 0.0), picture(50, 37, 0.4));
     assert_eq!(
-        Photo::masked(y, height, width, all.clone()).compare(&x, 0.2),
-        want
-    );
-    let pixels = image::RgbImage::from_raw(width as u32, height as u32, bytes).unwrap();
-    assert_eq!(
-        PackedPhoto::masked(&pixels, all)
-            .prepared()
-            .compare(&x, 0.2),
-        want
-    );
-    // Bytes and values with a mask are one photo, too.
-    let some = PackedPhoto::masked(&pixels, mask(height, width)).prepared();
-    let values = PackedPhoto::new(Arc::new(pixels)).prepared().rgb().to_vec();
-    assert_eq!(
-        some,
-        Photo::masked(values, height, width, mask(height, width))
+        compare(&target(&y, size, Some(all)), &x, 0.2),
+        compare(&target(&y, size, None), &x, 0.2)
     );
 }
 

@@ -1,6 +1,7 @@
 //! 3DGS-MCMC on host vectors: what replaces a Gaussian looks like it, transparent ones go, noise has the shape it should.
 
-use coseg::random::{Purpose, stream};
+use burn::tensor::Device;
+use coseg::random::{Purpose, normals, stream};
 use coseg::raster::SplatTensors;
 use coseg::raster::{Projected, Settings, Splats};
 use coseg::reconstruction::initialization;
@@ -8,7 +9,7 @@ use coseg::reconstruction::noise::PositionNoise;
 use coseg::reconstruction::relocate::{RelocationPlan, RelocationRules, shared};
 use coseg::splat::Gaussians;
 use coseg::splat::camera::Camera;
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 
 const NOWHERE: f32 = f32::NEG_INFINITY;
 /// What the f32 of a logit or a log-scale (both below 16) may be off by, twice over.
@@ -357,43 +358,48 @@ fn noise_has_the_shape_of_the_gaussian_and_spares_the_opaque() {
         sharpness: 100.0,
         opacity: 0.005,
     };
-    let moved = |threads, seed| {
+    let moved = |device: &Device, threads, seed| {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .build()
             .expect("a pool");
-        pool.install(|| noise.applied(&g.splats(), &stream(seed, Purpose::PositionNoise, 9)))
+        let mut rng = stream(seed, Purpose::PositionNoise, 9);
+        let splats = SplatTensors::new(&g, device);
+        let means = pool.install(|| noise.apply(&splats, &mut rng));
+        means.into_data().into_vec::<f32>().expect("f32")
     };
-    let means = moved(1, 1);
-    let rows = means.as_chunks::<3>().0;
-    // Half the noise is left at t; along each axis the variance takes the place of the deviation.
-    for (axis, mean, variance) in [(0, 1.0, 0.04), (1, 2.0, 0.25), (2, 3.0, 0.01)] {
-        let deviation = 0.5 * 0.8 * variance;
-        let offsets = rows[..n].iter().map(|m| f64::from(m[axis]) - mean);
-        let average = offsets.clone().sum::<f64>() / n as f64;
-        let spread = (offsets.map(|v| v * v).sum::<f64>() / n as f64).sqrt();
-        assert!(
-            average.abs() < 4.0 * deviation / (n as f64).sqrt(),
-            "axis {axis}: mean {average}"
-        );
-        assert!(
-            (spread / deviation - 1.0).abs() < 4.0 / (2.0 * n as f64).sqrt(),
-            "axis {axis}: {spread}"
-        );
+    let devices = [
+        Some(crate::support::device()),
+        #[cfg(feature = "wgpu")]
+        crate::support::gpu(),
+    ];
+    for device in devices.into_iter().flatten() {
+        let means = moved(&device, 1, 1);
+        let rows = means.as_chunks::<3>().0;
+        // Half the noise is left at t; along each axis the variance takes the place of the deviation.
+        for (axis, mean, variance) in [(0, 1.0, 0.04), (1, 2.0, 0.25), (2, 3.0, 0.01)] {
+            let deviation = 0.5 * 0.8 * variance;
+            let offsets = rows[..n].iter().map(|m| f64::from(m[axis]) - mean);
+            let average = offsets.clone().sum::<f64>() / n as f64;
+            let spread = (offsets.map(|v| v * v).sum::<f64>() / n as f64).sqrt();
+            assert!(
+                average.abs() < 4.0 * deviation / (n as f64).sqrt(),
+                "axis {axis}: mean {average}"
+            );
+            assert!(
+                (spread / deviation - 1.0).abs() < 4.0 / (2.0 * n as f64).sqrt(),
+                "axis {axis}: {spread}"
+            );
+        }
+        assert_ne!(rows[n], [1.0, 2.0, 3.0], "a little noise is left at 0.1");
+        assert_eq!(rows[n + 1], [1.0, 2.0, 3.0], "and none at 0.5");
+        assert_eq!(means, moved(&device, 2, 1), "at any number of threads");
+        assert_ne!(means, moved(&device, 1, 2));
     }
-    let gate = noise.gate(0.1);
-    assert!(
-        (gate / (1.0 / (1.0 + 9.5_f64.exp())) - 1.0).abs() < 1e-12,
-        "{gate}"
-    );
-    assert_ne!(rows[n], [1.0, 2.0, 3.0], "a little noise is left at 0.1");
-    assert_eq!(rows[n + 1], [1.0, 2.0, 3.0], "and none at 0.5");
-    assert_eq!(means, moved(2, 1), "at any number of threads");
-    assert_ne!(means, moved(1, 2));
 }
 
 #[test]
-fn noise_in_tensors_is_the_same_noise() {
+fn noise_is_that_of_the_formula() {
     let n = 3000;
     let opacities: Vec<f32> = (0..n)
         .map(|i| 0.001 + 0.2 * (i as f32 * 0.7).sin().abs().powi(3))
@@ -411,28 +417,40 @@ fn noise_in_tensors_is_the_same_noise() {
         sharpness: 100.0,
         opacity: 0.005,
     };
-    let rng = stream(4, Purpose::PositionNoise, 2);
-    let want = noise.applied(&g.splats(), &rng);
-    let moves: Vec<f32> = want
-        .iter()
-        .zip(g.means.as_flattened())
-        .map(|(to, from)| to - from)
-        .collect();
-    let largest = moves.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
-    assert!(
-        moves.contains(&0.0) && largest > 0.1,
-        "some rest, some move: {largest}"
-    );
     let devices = [
         Some(crate::support::device()),
         #[cfg(feature = "wgpu")]
         crate::support::gpu(),
     ];
     for device in devices.into_iter().flatten() {
-        let moved = noise
-            .applied_to(&SplatTensors::new(&g, &device), &rng)
-            .expect("readable");
+        let rng = || stream(4, Purpose::PositionNoise, 2);
+        let drawn = normals([n, 3], &mut rng(), &device);
+        let drawn: Vec<f32> = drawn.into_data().into_vec().expect("f32");
+        let moved = noise.apply(&SplatTensors::new(&g, &device), &mut rng());
         let got: Vec<f32> = moved.into_data().into_vec().expect("f32");
+        let want: Vec<f32> = (0..n)
+            .flat_map(|i| {
+                let [w, x, y, z] = g.rotations[i].map(f64::from);
+                let raw = DQuat::from_xyzw(x, y, z, w);
+                let rotation = match raw.length_squared() < 1e-12 {
+                    true => DQuat::IDENTITY,
+                    false => raw.normalize(),
+                };
+                let eta = DVec3::from_slice(&[0, 1, 2].map(|k| f64::from(drawn[3 * i + k])));
+                let variance = DVec3::from(g.log_scales[i].map(|s| (2.0 * f64::from(s)).exp()));
+                let gate = sigmoid(-100.0 * (sigmoid(f64::from(g.opacity_logits[i])) - 0.005));
+                let noise = rotation * (variance * (rotation.inverse() * eta)) * 0.8 * gate;
+                let mean = DVec3::from(g.means[i].map(f64::from));
+                (mean + noise).as_vec3().to_array()
+            })
+            .collect();
+        let moves = want.iter().zip(g.means.as_flattened());
+        let moves: Vec<f32> = moves.map(|(to, from)| to - from).collect();
+        let largest = moves.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
+        assert!(
+            moves.contains(&0.0) && largest > 0.1,
+            "some rest, some move: {largest}"
+        );
         for (i, (got, want)) in got.iter().zip(&want).enumerate() {
             // means of hundreds in f32, and a move of f32
             assert!(

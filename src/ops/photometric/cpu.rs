@@ -1,50 +1,56 @@
-//! Photos prepared for the photometric loss, and the CPU's kernels of it.
+//! The photometric loss on slices: bands of rows in parallel, the window in two passes.
 
-#[cfg(feature = "cube")]
-use super::gpu::DevicePhoto;
-use super::window::Band;
-use crate::backend::Real;
-#[cfg(feature = "cube")]
-use crate::backend::gpu::Resident;
+use super::{C1, C2, CHANNELS, PhotometricTarget, RADIUS, TAPS, taps};
 use crate::backend::simd::{multiply_add, wide_kernel};
-use crate::data::mask::Mask;
+use crate::backend::{HostBackend, Real, device_of};
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::FloatTensor;
+use burn::tensor::DType;
 use rayon::prelude::*;
+use std::ops::Range;
 
-/// Colour channels, interleaved.
-pub(super) const CHANNELS: usize = 3;
 /// Rows of a task.
 const BAND: usize = 32;
-pub(super) const C1: f64 = 0.01 * 0.01;
-pub(super) const C2: f64 = 0.03 * 0.03;
 
-/// A photo with its windowed moments: computed once, compared with many renders.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Photo<E = f32> {
-    height: usize,
-    width: usize,
-    /// `[H, W, 3]`.
-    pub(super) rgb: Vec<E>,
-    /// Windowed mean, `[H, W, 3]`.
-    pub(super) mean: Vec<E>,
-    /// Windowed variance, `[H, W, 3]`.
-    pub(super) variance: Vec<E>,
-    /// Pixels that are left out are black in all of these.
-    pub(super) mask: Option<Mask>,
-    #[cfg(feature = "cube")]
-    pub(super) resident: Resident<DevicePhoto>,
+/// The loss by the kernels for CPUs, wherever the tensor lives.
+pub(super) fn photometric<B: HostBackend>(
+    image: FloatTensor<B>,
+    target: &PhotometricTarget,
+    ssim_weight: f64,
+) -> (FloatTensor<B>, FloatTensor<B>) {
+    let (device, (height, width)) = (device_of::<B>(&image), target.size());
+    let shape = [height, width, CHANNELS];
+    if image.dtype() == DType::F64 {
+        let moments = Moments::new(target.values(), height, width);
+        let (loss, gradient) = moments.compare(&B::values::<f64>(image), ssim_weight);
+        return (
+            B::tensor(vec![loss], &[1], &device),
+            B::tensor(gradient, &shape, &device),
+        );
+    }
+    let moments = target
+        .moments
+        .get_or_init(|| Moments::new(target.values(), height, width));
+    let (loss, gradient) = moments.compare(&B::values::<f32>(image), ssim_weight);
+    (
+        B::tensor(vec![loss as f32], &[1], &device),
+        B::tensor(gradient, &shape, &device),
+    )
 }
 
-impl<E: Real> Photo<E> {
-    /// From `[H, W, 3]` values in 0..1, row-major.
-    ///
-    /// # Panics
-    /// If `rgb` is not `height * width * 3` long.
-    pub fn new(rgb: Vec<E>, height: usize, width: usize) -> Self {
-        assert_eq!(
-            rgb.len(),
-            height * width * CHANNELS,
-            "photo: values against {height} x {width} x {CHANNELS}"
-        );
+/// The values of a photo with their windowed moments, all `[H, W, 3]` row-major.
+#[derive(Clone, Debug)]
+pub(super) struct Moments<E> {
+    height: usize,
+    width: usize,
+    rgb: Vec<E>,
+    mean: Vec<E>,
+    variance: Vec<E>,
+}
+
+impl<E: Real> Moments<E> {
+    /// From `[H, W, 3]` values in 0..1.
+    fn new(rgb: Vec<E>, height: usize, width: usize) -> Self {
         let row = width * CHANNELS;
         let (mut mean, mut variance) = (vec![E::zero(); rgb.len()], vec![E::zero(); rgb.len()]);
         let band = (row * BAND).max(1);
@@ -54,23 +60,16 @@ impl<E: Real> Photo<E> {
             .for_each(|(b, (mean, variance))| {
                 let rows = b * BAND..b * BAND + mean.len() / row;
                 let source = |r: usize| &rgb[r * row..][..row];
-                let sums = Band::new(&rows, height, row, CHANNELS, |r, out| {
-                    out.copy_from_slice(source(r))
+                let sums = Band::new(&rows, height, row, |r, out| out.copy_from_slice(source(r)));
+                let squares = Band::new(&rows, height, row, |r, out| {
+                    multiply(source(r), source(r), out);
                 });
-                let squares = Band::new(&rows, height, row, CHANNELS, |r, out| {
-                    multiply(source(r), source(r), out)
-                });
-                for (k, (mean, variance)) in mean
-                    .chunks_exact_mut(row)
-                    .zip(variance.chunks_exact_mut(row))
-                    .enumerate()
-                {
+                let rows = mean.chunks_exact_mut(row);
+                for (k, (mean, variance)) in rows.zip(variance.chunks_exact_mut(row)).enumerate() {
                     sums.convolved(k, mean);
                     squares.convolved(k, variance);
-                    variance
-                        .iter_mut()
-                        .zip(&*mean)
-                        .for_each(|(v, &m)| *v -= m * m);
+                    let both = variance.iter_mut().zip(&*mean);
+                    both.for_each(|(v, &m)| *v -= m * m);
                 }
             });
         Self {
@@ -79,78 +78,13 @@ impl<E: Real> Photo<E> {
             rgb,
             mean,
             variance,
-            mask: None,
-            #[cfg(feature = "cube")]
-            resident: Resident::default(),
         }
-    }
-
-    /// As [`Photo::new`], and what `mask` leaves out counts for nothing: it is black here and in each render that is compared,
-    /// as if the image ended there, and the gradient is exactly zero.
-    ///
-    /// # Panics
-    /// If `rgb` is not `height * width * 3` long, or the mask has another size.
-    pub fn masked(mut rgb: Vec<E>, height: usize, width: usize, mask: Mask) -> Self {
-        assert_eq!(
-            (mask.height(), mask.width()),
-            (height, width),
-            "photo: mask against height and width"
-        );
-        mask.fill(&mut rgb, CHANNELS, E::zero());
-        Self {
-            mask: Some(mask),
-            ..Self::new(rgb, height, width)
-        }
-    }
-
-    /// The same photo in `f64`.
-    pub(super) fn widened(&self) -> Photo<f64> {
-        let rgb = self.rgb.iter().map(|v| v.wide()).collect();
-        Photo {
-            mask: self.mask.clone(),
-            ..Photo::new(rgb, self.height, self.width)
-        }
-    }
-
-    /// `[H, W, 3]` values; black where a mask leaves pixels out.
-    pub fn rgb(&self) -> &[E] {
-        &self.rgb
-    }
-
-    /// (height, width) in pixels.
-    pub fn size(&self) -> (usize, usize) {
-        (self.height, self.width)
-    }
-
-    /// Bytes held by a photo of this size in host memory; a GPU that it is compared on holds as many.
-    pub fn bytes(height: usize, width: usize) -> usize {
-        3 * height * width * CHANNELS * size_of::<E>()
     }
 
     /// Loss of `image` (`[H, W, 3]`) and its gradient to `image`.
     ///
-    /// Bands of rows run in parallel; sums are taken in row order, so the bits do not depend on the threads.
-    ///
-    /// # Panics
-    /// If `image` has another size.
-    pub fn compare(&self, image: &[E], ssim_weight: f64) -> (f64, Vec<E>) {
-        assert_eq!(
-            image.len(),
-            self.rgb.len(),
-            "photometric loss: image against photo"
-        );
-        let Some(mask) = &self.mask else {
-            return self.compare_all(image, ssim_weight);
-        };
-        let mut shown = image.to_vec();
-        mask.fill(&mut shown, CHANNELS, E::zero());
-        let (loss, mut gradient) = self.compare_all(&shown, ssim_weight);
-        mask.fill(&mut gradient, CHANNELS, E::zero());
-        (loss, gradient)
-    }
-
-    /// [`Photo::compare`] of all pixels.
-    fn compare_all(&self, image: &[E], ssim_weight: f64) -> (f64, Vec<E>) {
+    /// Sums are taken in row order, so the bits do not depend on the number of threads.
+    fn compare(&self, image: &[E], ssim_weight: f64) -> (f64, Vec<E>) {
         let (n, row) = (image.len(), self.width * CHANNELS);
         if n == 0 {
             return (0.0, Vec::new());
@@ -158,42 +92,32 @@ impl<E: Real> Photo<E> {
         let (ssim, partials) = self.similarity(image, -ssim_weight / n as f64);
         let l1_scale = E::of((1.0 - ssim_weight) / n as f64);
         let mut gradient = vec![E::zero(); n];
-        let l1: Vec<f64> = gradient
-            .par_chunks_mut(row * BAND)
-            .enumerate()
+        let bands = gradient.par_chunks_mut(row * BAND).enumerate();
+        let l1: Vec<f64> = bands
             .map(|(b, gradient)| {
                 let rows = b * BAND..b * BAND + gradient.len() / row;
                 let bands = partials.each_ref().map(|partial| {
-                    Band::new(&rows, self.height, row, CHANNELS, |r, out| {
+                    Band::new(&rows, self.height, row, |r, out| {
                         out.copy_from_slice(&partial[r * row..][..row])
                     })
                 });
                 let mut sums: [Vec<E>; 3] = std::array::from_fn(|_| vec![E::zero(); row]);
                 let (mut distance, mut total) = (vec![E::zero(); row], 0.0);
                 for (k, (r, out)) in rows.zip(gradient.chunks_exact_mut(row)).enumerate() {
-                    bands
-                        .iter()
-                        .zip(&mut sums)
-                        .for_each(|(band, sum)| band.convolved(k, sum));
+                    let both = bands.iter().zip(&mut sums);
+                    both.for_each(|(band, sum)| band.convolved(k, sum));
                     let span = r * row..(r + 1) * row;
                     let pixels = [&image[span.clone()], &self.rgb[span]];
-                    gradient_row(
-                        pixels,
-                        sums.each_ref().map(|s| &**s),
-                        l1_scale,
-                        out,
-                        &mut distance,
-                    );
+                    let sums = sums.each_ref().map(|s| &**s);
+                    gradient_row(pixels, sums, l1_scale, out, &mut distance);
                     total += sum_wide(&distance);
                 }
                 total
             })
             .collect();
         let (l1, ssim) = (l1.iter().sum::<f64>() / n as f64, ssim / n as f64);
-        (
-            (1.0 - ssim_weight) * l1 + ssim_weight * (1.0 - ssim),
-            gradient,
-        )
+        let loss = (1.0 - ssim_weight) * l1 + ssim_weight * (1.0 - ssim);
+        (loss, gradient)
     }
 
     /// Sum of SSIM over all scalars, and `scale` times its derivatives by the windowed x, x^2 and x y.
@@ -209,20 +133,12 @@ impl<E: Real> Photo<E> {
             .enumerate()
             .map(|(b, ((p, q), s))| {
                 let rows = b * BAND..b * BAND + p.len() / row;
-                let (x, y) = (
-                    |r: usize| &image[r * row..][..row],
-                    |r: usize| &self.rgb[r * row..][..row],
-                );
+                let x = |r: usize| &image[r * row..][..row];
+                let y = |r: usize| &self.rgb[r * row..][..row];
                 let bands = [
-                    Band::new(&rows, self.height, row, CHANNELS, |r, out| {
-                        out.copy_from_slice(x(r))
-                    }),
-                    Band::new(&rows, self.height, row, CHANNELS, |r, out| {
-                        multiply(x(r), x(r), out)
-                    }),
-                    Band::new(&rows, self.height, row, CHANNELS, |r, out| {
-                        multiply(x(r), y(r), out)
-                    }),
+                    Band::new(&rows, self.height, row, |r, out| out.copy_from_slice(x(r))),
+                    Band::new(&rows, self.height, row, |r, out| multiply(x(r), x(r), out)),
+                    Band::new(&rows, self.height, row, |r, out| multiply(x(r), y(r), out)),
                 ];
                 let mut sums: [Vec<E>; 3] = std::array::from_fn(|_| vec![E::zero(); row]);
                 let (mut map, mut total) = (vec![E::zero(); row], 0.0);
@@ -231,19 +147,12 @@ impl<E: Real> Photo<E> {
                     .zip(q.chunks_exact_mut(row))
                     .zip(s.chunks_exact_mut(row));
                 for (k, (((r, p), q), s)) in rows.enumerate() {
-                    bands
-                        .iter()
-                        .zip(&mut sums)
-                        .for_each(|(band, sum)| band.convolved(k, sum));
+                    let both = bands.iter().zip(&mut sums);
+                    both.for_each(|(band, sum)| band.convolved(k, sum));
                     let span = r * row..(r + 1) * row;
                     let photo = [&self.mean[span.clone()], &self.variance[span]];
-                    ssim_row(
-                        sums.each_ref().map(|s| &**s),
-                        photo,
-                        E::of(scale),
-                        [p, q, s],
-                        &mut map,
-                    );
+                    let sums = sums.each_ref().map(|s| &**s);
+                    ssim_row(sums, photo, E::of(scale), [p, q, s], &mut map);
                     total += sum_wide(&map);
                 }
                 total
@@ -253,9 +162,61 @@ impl<E: Real> Photo<E> {
     }
 }
 
+/// Rows of an image, convolved horizontally, with the rows above and below that the vertical taps need.
+struct Band<E> {
+    /// Scalars of a row.
+    row: usize,
+    /// Rows `first - RADIUS .. last + RADIUS`; zero outside the image.
+    values: Vec<E>,
+    taps: [E; TAPS],
+}
+
+impl<E: Real> Band<E> {
+    /// The band for output rows `rows` of an image of `height` rows of `row` scalars. `fill(r, out)` writes source row `r`.
+    fn new(rows: &Range<usize>, height: usize, row: usize, fill: impl Fn(usize, &mut [E])) -> Self {
+        let (taps, pad) = (taps(), RADIUS * CHANNELS);
+        let mut values = vec![E::zero(); (rows.len() + 2 * RADIUS) * row];
+        let mut source = vec![E::zero(); row + 2 * pad];
+        for (k, out) in values.chunks_exact_mut(row).enumerate() {
+            let Some(r) = (rows.start + k).checked_sub(RADIUS).filter(|&r| r < height) else {
+                continue;
+            };
+            fill(r, &mut source[pad..][..row]);
+            let shifted = std::array::from_fn(|t| &source[t * CHANNELS..][..row]);
+            weigh(shifted, &taps, out);
+        }
+        Self { row, values, taps }
+    }
+
+    /// Row `k` of the band, convolved in both directions.
+    fn convolved(&self, k: usize, out: &mut [E]) {
+        let rows = std::array::from_fn(|t| &self.values[(k + t) * self.row..][..self.row]);
+        weigh(rows, &self.taps, out);
+    }
+}
+
+wide_kernel! {
+    /// `out = sum_t taps[t] rows[t]`; all slices have one length.
+    fn weigh(rows: [&[E]; TAPS], taps: &[E; TAPS], out: &mut [E]) => weigh_body
+}
+
+#[inline(always)]
+fn weigh_body<E: Real, const FMA: bool>(rows: [&[E]; TAPS], taps: &[E; TAPS], out: &mut [E]) {
+    let n = out.len();
+    let rows = rows.map(|r| &r[..n]);
+    for i in 0..n {
+        let mut sum = taps[0] * rows[0][i];
+        for t in 1..TAPS {
+            sum = multiply_add::<E, FMA>(taps[t], rows[t][i], sum);
+        }
+        out[i] = sum;
+    }
+}
+
 fn multiply<E: Real>(a: &[E], b: &[E], out: &mut [E]) {
+    let factors = a.iter().zip(b);
     out.iter_mut()
-        .zip(a.iter().zip(b))
+        .zip(factors)
         .for_each(|(o, (&a, &b))| *o = a * b);
 }
 

@@ -1,8 +1,8 @@
-//! One Adam step in one kernel: parameter, gradient and both moments are read and written once.
+//! The Adam step in one kernel, a unit a scalar.
 
-use super::{covers, own};
+use super::{AdamBackend, AdamStep, Updated, cpu};
 use crate::backend::gpu::{Gpu, arg};
-use crate::ops::adam::{AdamBackend, AdamStep, on_host};
+use crate::ops::gpu::{covers, own};
 use burn::backend::tensor::FloatTensor;
 use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
@@ -10,7 +10,7 @@ use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::kernel::into_contiguous;
 use std::sync::Arc;
 
-/// `rate` holds for all scalars, or `rates` repeats along them.
+/// `rate` holds for all scalars, or `rates` repeats along them where `period` is above 1.
 #[cube(launch)]
 fn adam(
     param: &mut [f32],
@@ -44,16 +44,6 @@ fn adam(
     param[i] -= by * m / (v.sqrt() * root + epsilon);
 }
 
-/// `mean += share (value - mean)`.
-#[cube(launch)]
-fn move_towards(mean: &mut [f32], value: &[f32], count: u32, share: f32) {
-    let i = ABSOLUTE_POS;
-    if i >= count as usize {
-        terminate!();
-    }
-    mean[i] += share * (value[i] - mean[i]);
-}
-
 impl AdamBackend for CubeBackend {
     fn adam_step(
         param: FloatTensor<Self>,
@@ -61,10 +51,10 @@ impl AdamBackend for CubeBackend {
         first: FloatTensor<Self>,
         second: FloatTensor<Self>,
         step: Arc<AdamStep>,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>) {
+    ) -> Updated<Self> {
         let count = param.meta.num_elements();
         if !covers(&param) || count == 0 {
-            return on_host::adam_step::<Self>(param, grad, first, second, &step);
+            return cpu::adam_step::<Self>(param, grad, first, second, &step);
         }
         let gpu = Gpu::of(&param);
         let (param, first, second) = (own(param), own(first), own(second));
@@ -97,29 +87,5 @@ impl AdamBackend for CubeBackend {
             step.rates.len(),
         );
         (param, first, second)
-    }
-
-    fn move_towards(
-        mean: FloatTensor<Self>,
-        value: FloatTensor<Self>,
-        share: f64,
-    ) -> FloatTensor<Self> {
-        let count = mean.meta.num_elements();
-        if !covers(&mean) || count == 0 {
-            return on_host::move_towards::<Self>(mean, value, share);
-        }
-        let gpu = Gpu::of(&mean);
-        let mean = own(mean);
-        let value = into_contiguous(value);
-        move_towards::launch(
-            &gpu.client,
-            gpu.cubes_for(count),
-            gpu.dim(),
-            arg(&mean),
-            arg(&value),
-            count as u32,
-            share as f32,
-        );
-        mean
     }
 }

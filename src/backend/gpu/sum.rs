@@ -1,24 +1,18 @@
-//! Sums in a fixed order: the same bits every time.
+//! Sums in a fixed order, which give the same bits every time.
 
-use crate::backend::gpu::{Gpu, UNITS, arg};
-use crate::ops::sum::SumBackend;
-use burn::backend::ops::FloatTensorOps;
-use burn::backend::tensor::FloatTensor;
-use burn::tensor::FloatDType;
-use burn_cubecl::CubeBackend;
+use super::{Gpu, UNITS, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
-use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
 
 const GROUP: usize = 16;
-/// Consecutive reads under way at a time.
+/// Reads of a unit in flight at a time.
 const READS: usize = 8;
-/// Values that one cube sums before more of them share the work.
+/// Values that one cube sums before several cubes share the work.
 const STRETCH: usize = 4 * READS * UNITS as usize;
 
-/// The sum of `value` over the units of the cube, known to the first one. All of them call it.
+/// The sum of `value` over the units of the cube, known to the first unit. All units call it.
 #[cube]
-pub(super) fn sum_cube(value: f32) -> f32 {
+pub fn sum_cube(value: f32) -> f32 {
     let unit = UNIT_POS as usize;
     let mut values = Shared::<[f32]>::new_slice(UNITS as usize);
     let mut groups = Shared::<[f32]>::new_slice(GROUP);
@@ -69,8 +63,8 @@ fn sum_stretches(values: &[f32], totals: &mut [f32], count: u32, stretch: u32) {
     }
 }
 
-/// The sum of the first `count` of `values`, of which there is at least one, `[1]`.
-pub(super) fn sum(gpu: &Gpu, values: &CubeTensor, count: usize) -> CubeTensor {
+/// The sum `[1]` of the first `count` of `values`; `count` is at least 1.
+pub fn sum(gpu: &Gpu, values: &CubeTensor, count: usize) -> CubeTensor {
     let sums_of = |values: &CubeTensor, count: usize, stretch: usize| {
         let cubes = count.div_ceil(stretch);
         let totals = gpu.floats([cubes]);
@@ -92,14 +86,4 @@ pub(super) fn sum(gpu: &Gpu, values: &CubeTensor, count: usize) -> CubeTensor {
     let stretch = STRETCH.max(count.div_ceil(STRETCH));
     let parts = count.div_ceil(stretch);
     sums_of(&sums_of(values, count, stretch), parts, parts)
-}
-
-impl SumBackend for CubeBackend {
-    fn sum_all(x: FloatTensor<Self>) -> FloatTensor<Self> {
-        let (gpu, count) = (Gpu::of(&x), x.meta.num_elements());
-        match count {
-            0 => Self::float_zeros([1].into(), gpu.device(), FloatDType::F32),
-            _ => sum(&gpu, &into_contiguous(x), count),
-        }
-    }
 }

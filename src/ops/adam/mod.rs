@@ -1,0 +1,182 @@
+//! One Adam step (Kingma and Ba 2015) as a fused operation, which reads and writes the parameter, its gradient and both
+//! moments once.
+
+mod cpu;
+#[cfg(feature = "cube")]
+mod gpu;
+
+use crate::backend::HostKernels;
+use burn::backend::{Backend, Dispatch, backend_extension, tensor::FloatTensor};
+use burn::tensor::{Tensor, TensorData};
+use std::sync::Arc;
+
+/// Constants of one step.
+///
+/// With the gradient `g` and the step number `t`:
+/// `m = b1 m + (1 - b1) g`, `v = b2 v + (1 - b2) g^2`,
+/// `p = p - rate (m / (1 - b1^t)) / (sqrt(v / (1 - b2^t)) + eps)`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AdamStep {
+    /// Learning rates: one for all scalars, or one for each column of the row-major scalars.
+    pub rates: Vec<f64>,
+    /// Decay of the first moment.
+    pub beta1: f64,
+    /// Decay of the second moment.
+    pub beta2: f64,
+    /// Added to the root of the second moment.
+    pub epsilon: f64,
+    /// Number of this step, from 1.
+    pub step: u32,
+}
+
+impl AdamStep {
+    /// Step `step` (from 1) with the constants of 3DGS: betas 0.9 and 0.999, epsilon 1e-15.
+    pub fn splatting(rates: Vec<f64>, step: u32) -> Self {
+        Self {
+            rates,
+            beta1: 0.9,
+            beta2: 0.999,
+            epsilon: 1e-15,
+            step,
+        }
+    }
+
+    /// `1 - beta^t` of both moments.
+    fn corrections(&self) -> (f64, f64) {
+        let t = f64::from(self.step.max(1));
+        (1.0 - self.beta1.powf(t), 1.0 - self.beta2.powf(t))
+    }
+}
+
+/// New parameter, first moment and second moment.
+type Updated<B> = (FloatTensor<B>, FloatTensor<B>, FloatTensor<B>);
+
+/// Backend side of [`adam_step`]. It has no gradient.
+#[backend_extension(
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Cube: cfg(feature = "cube")
+)]
+pub trait AdamBackend: Backend {
+    /// New (parameter, first moment, second moment), see [`AdamStep`]. Buffers that nobody else holds are reused.
+    fn adam_step(
+        param: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        first: FloatTensor<Self>,
+        second: FloatTensor<Self>,
+        step: Arc<AdamStep>,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>);
+}
+
+impl<B: HostKernels> AdamBackend for B {
+    fn adam_step(
+        param: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        first: FloatTensor<Self>,
+        second: FloatTensor<Self>,
+        step: Arc<AdamStep>,
+    ) -> Updated<Self> {
+        cpu::adam_step::<Self>(param, grad, first, second, &step)
+    }
+}
+
+/// Tensors that one Adam step reads and replaces. They have one shape and no autodiff.
+#[derive(Clone, Debug)]
+pub struct AdamTensors<const D: usize> {
+    /// The parameter.
+    pub param: Tensor<D>,
+    /// First moment.
+    pub first: Tensor<D>,
+    /// Second moment.
+    pub second: Tensor<D>,
+}
+
+/// One fused Adam step; equals [`adam_step_plain`].
+///
+/// # Panics
+/// If shapes differ, `step.rates` is empty, or a tensor has autodiff or is neither f32 nor f64.
+pub fn adam_step<const D: usize>(
+    state: AdamTensors<D>,
+    grad: Tensor<D>,
+    step: &Arc<AdamStep>,
+) -> AdamTensors<D> {
+    let AdamTensors {
+        param,
+        first,
+        second,
+    } = state;
+    assert!(!step.rates.is_empty(), "adam_step: no learning rate");
+    assert_eq!(
+        [param.dims(), first.dims(), second.dims()],
+        [grad.dims(); 3],
+        "adam_step: parameter and moments against gradient"
+    );
+    if super::references() {
+        let state = AdamTensors {
+            param,
+            first,
+            second,
+        };
+        return adam_step_plain(state, grad, step);
+    }
+    let (param, first, second) = Dispatch::adam_step(
+        param.into_dispatch(),
+        grad.into_dispatch(),
+        first.into_dispatch(),
+        second.into_dispatch(),
+        step.clone(),
+    );
+    AdamTensors {
+        param: Tensor::from_dispatch(param),
+        first: Tensor::from_dispatch(first),
+        second: Tensor::from_dispatch(second),
+    }
+}
+
+/// The same step in plain tensor operations: the reference of [`adam_step`].
+///
+/// # Panics
+/// If the number of scalars is not a multiple of the number of rates.
+pub fn adam_step_plain<const D: usize>(
+    state: AdamTensors<D>,
+    grad: Tensor<D>,
+    step: &AdamStep,
+) -> AdamTensors<D> {
+    let (c1, c2) = step.corrections();
+    let first = state.first * step.beta1 + grad.clone() * (1.0 - step.beta1);
+    let second = state.second * step.beta2 + grad.clone() * grad * (1.0 - step.beta2);
+    let direction =
+        first.clone() * (1.0 / c1) / ((second.clone() * (1.0 / c2)).sqrt() + step.epsilon);
+    let shape = direction.dims();
+    let period = step.rates.len();
+    let rates = Tensor::<2>::from_data(
+        TensorData::new(step.rates.clone(), [1, period]),
+        (&direction.device(), direction.dtype()),
+    );
+    let columns = direction.reshape([shape.iter().product::<usize>() / period, period]);
+    AdamTensors {
+        param: state.param - (columns * rates).reshape(shape),
+        first,
+        second,
+    }
+}
+
+#[cfg(all(test, feature = "ndarray"))]
+mod tests {
+    use super::*;
+    use crate::backend::HostBackend;
+    use burn::backend::NdArray;
+
+    #[test]
+    fn buffers_nobody_else_holds_are_updated_in_place() {
+        let device = Default::default();
+        let make = |x: f32| <NdArray as HostBackend>::tensor(vec![x; 100], &[50, 2], &device);
+        let address = |t: &FloatTensor<NdArray>| NdArray::values::<f32>(t.clone()).as_ptr();
+        let (p, m, v) = (make(1.0), make(0.0), make(0.0));
+        let before = [address(&p), address(&m), address(&v)];
+        let step = Arc::new(AdamStep::splatting(vec![0.1, 0.2], 1));
+        let (p, m, v) = NdArray::adam_step(p, make(1.0), m, v, step);
+        assert_eq!(before, [address(&p), address(&m), address(&v)]);
+        assert!((NdArray::values::<f32>(p)[1] - 0.8).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,411 @@
+//! The photometric loss on a GPU: a cube a tile and channel, a unit a pixel, the window in two passes.
+//!
+//! The first kernel computes the windowed moments of the photo. The second computes SSIM and its derivatives by the windowed
+//! moments of the image. The third computes the gradient, which needs those derivatives of the neighbouring tiles too. Each
+//! cube leaves a sum, and the last kernel adds the sums up.
+
+use super::{C1, C2, CHANNELS, PhotometricBackend, PhotometricTarget, RADIUS, TAPS, cpu, taps};
+use crate::backend::gpu::{Gpu, UNITS, arg, sum, sum_cube};
+use crate::ops::gpu::covers;
+use burn::backend::tensor::FloatTensor;
+use burn::tensor::DType;
+use burn_cubecl::CubeBackend;
+use burn_cubecl::cubecl::{self, prelude::*};
+use burn_cubecl::kernel::into_contiguous;
+use burn_cubecl::tensor::CubeTensor;
+use std::sync::Arc;
+
+/// 1 / 255 in two parts. The first has 16 bits, so that a byte times it is exact. The sum of both products is the byte / 255 as
+/// the CPU rounds it, unless a compiler adds the parts first.
+const BYTE_HIGH: f32 = f32::from_bits(0x3b80_8000);
+const BYTE_LOW: f32 = (1.0 / 255.0 - BYTE_HIGH as f64) as f32;
+
+/// Value number `at` of a photo, whose bytes lie four to a word.
+#[cube]
+fn value_at(photo: &[u32], at: usize) -> f32 {
+    let byte = f32::cast_from(photo[at / 4] >> (at as u32 % 4 * 8) & 255u32);
+    byte * comptime![BYTE_HIGH] + byte * comptime![BYTE_LOW]
+}
+
+/// Pixels on a side of a tile; a unit has one.
+const TILE: usize = 16;
+/// The tile with the pixels around it that the window reaches.
+const SIDE: usize = TILE + 2 * RADIUS;
+/// Values of a plane: a tile with its rim.
+const PLANE: usize = SIDE * SIDE;
+/// Values of a plane whose rows have been convolved.
+const ROWS: usize = SIDE * TILE;
+
+/// Cubes for all tiles and channels.
+fn cubes(height: usize, width: usize) -> usize {
+    width.div_ceil(TILE) * height.div_ceil(TILE) * CHANNELS
+}
+
+/// A place in the rim of a tile.
+#[derive(CubeType, Clone, Copy)]
+struct Place {
+    inside: bool,
+    /// Pixel, row-major; that of the first one when outside.
+    pixel: usize,
+}
+
+#[cube]
+fn place(tile: usize, column: usize, row: usize, width: u32, height: u32) -> Place {
+    let across = (width + (TILE - 1) as u32) / TILE as u32;
+    // Counted from the rim's corner of the first tile, so that nothing is negative.
+    let x = (tile as u32 % across) * TILE as u32 + column as u32;
+    let y = (tile as u32 / across) * TILE as u32 + row as u32;
+    let rim = RADIUS as u32;
+    let inside = x >= rim && x < width + rim && y >= rim && y < height + rim;
+    Place {
+        inside,
+        pixel: select(inside, (y - rim) * width + x - rim, 0u32) as usize,
+    }
+}
+
+/// The pixel of this unit.
+#[cube]
+fn own_place(tile: usize, width: u32, height: u32) -> Place {
+    let unit = UNIT_POS as usize;
+    place(
+        tile,
+        RADIUS + unit % TILE,
+        RADIUS + unit / TILE,
+        width,
+        height,
+    )
+}
+
+/// Of the three planes, in their order.
+#[derive(CubeType, Clone, Copy)]
+struct Windowed {
+    first: f32,
+    second: f32,
+    third: f32,
+}
+
+/// The three planes in `planes`, convolved, at the unit's pixel; of the third one nothing unless `all`. All units of the cube
+/// call it; `planes` is complete before.
+#[cube]
+fn windowed(planes: &Shared<[f32]>, rows: &mut Shared<[f32]>, #[comptime] all: bool) -> Windowed {
+    let unit = UNIT_POS as usize;
+    let mut k = unit;
+    while k < ROWS {
+        let at = k / TILE * SIDE + k % TILE;
+        let mut first = 0.0f32;
+        let mut second = 0.0f32;
+        let mut third = 0.0f32;
+        #[unroll]
+        for t in 0..TAPS {
+            let tap = comptime![taps::<f32>()[t]];
+            first += tap * planes[at + t];
+            second += tap * planes[at + t + PLANE];
+            if comptime![all] {
+                third += tap * planes[at + t + 2 * PLANE];
+            }
+        }
+        rows[k] = first;
+        rows[k + ROWS] = second;
+        if comptime![all] {
+            rows[k + 2 * ROWS] = third;
+        }
+        k += UNITS as usize;
+    }
+    sync_cube();
+    let mut first = 0.0f32;
+    let mut second = 0.0f32;
+    let mut third = 0.0f32;
+    #[unroll]
+    for t in 0..TAPS {
+        let tap = comptime![taps::<f32>()[t]];
+        first += tap * rows[unit + t * TILE];
+        second += tap * rows[unit + t * TILE + ROWS];
+        if comptime![all] {
+            third += tap * rows[unit + t * TILE + 2 * ROWS];
+        }
+    }
+    Windowed {
+        first,
+        second,
+        third,
+    }
+}
+
+/// Windowed mean and variance of a photo, `[H, W, CHANNELS]`.
+#[cube(launch)]
+fn moments_of(
+    photo: &[u32],
+    mean: &mut [f32],
+    variance: &mut [f32],
+    width: u32,
+    height: u32,
+    cubes: u32,
+) {
+    if CUBE_POS >= cubes as usize {
+        terminate!();
+    }
+    let tile = CUBE_POS / CHANNELS;
+    let channel = CUBE_POS % CHANNELS;
+    let mut planes = Shared::<[f32]>::new_slice(2 * PLANE);
+    let mut rows = Shared::<[f32]>::new_slice(2 * ROWS);
+    let mut k = UNIT_POS as usize;
+    while k < PLANE {
+        let at = place(tile, k % SIDE, k / SIDE, width, height);
+        let mut y = 0.0f32;
+        if at.inside {
+            y = value_at(photo, at.pixel * CHANNELS + channel);
+        }
+        planes[k] = y;
+        planes[k + PLANE] = y * y;
+        k += UNITS as usize;
+    }
+    sync_cube();
+    let moments = windowed(&planes, &mut rows, false);
+    let own = own_place(tile, width, height);
+    if own.inside {
+        let at = own.pixel * CHANNELS + channel;
+        mean[at] = moments.first;
+        variance[at] = moments.second - moments.first * moments.first;
+    }
+}
+
+/// Windowed moments of the image: of x, x^2 and x y.
+const MOMENTS: usize = 3;
+
+/// `scale` times the derivatives of SSIM by the moments (`[CHANNELS, MOMENTS, H, W]`), and each cube's sum of 1 - SSIM.
+#[cube(launch)]
+fn dissimilarity(
+    image: &[f32],
+    photo: &[u32],
+    photo_mean: &[f32],
+    photo_variance: &[f32],
+    partials: &mut [f32],
+    sums: &mut [f32],
+    width: u32,
+    height: u32,
+    cubes: u32,
+    scale: f32,
+) {
+    if CUBE_POS >= cubes as usize {
+        terminate!();
+    }
+    let tile = CUBE_POS / CHANNELS;
+    let channel = CUBE_POS % CHANNELS;
+    let mut planes = Shared::<[f32]>::new_slice(MOMENTS * PLANE);
+    let mut rows = Shared::<[f32]>::new_slice(MOMENTS * ROWS);
+    let mut k = UNIT_POS as usize;
+    while k < PLANE {
+        let at = place(tile, k % SIDE, k / SIDE, width, height);
+        let mut x = 0.0f32;
+        let mut y = 0.0f32;
+        if at.inside {
+            x = image[at.pixel * CHANNELS + channel];
+            y = value_at(photo, at.pixel * CHANNELS + channel);
+        }
+        planes[k] = x;
+        planes[k + PLANE] = x * x;
+        planes[k + 2 * PLANE] = x * y;
+        k += UNITS as usize;
+    }
+    sync_cube();
+    let moments = windowed(&planes, &mut rows, true);
+    let own = own_place(tile, width, height);
+    let mut short = 0.0f32;
+    if own.inside {
+        let at = own.pixel * CHANNELS + channel;
+        let mx = moments.first;
+        let my = photo_mean[at];
+        let sxx = moments.second - mx * mx;
+        let sxy = moments.third - mx * my;
+        let a1 = 2.0f32 * mx * my + comptime![C1 as f32];
+        let a2 = 2.0f32 * sxy + comptime![C2 as f32];
+        let r1 = 1.0f32 / (mx * mx + my * my + comptime![C1 as f32]);
+        let r2 = 1.0f32 / (sxx + photo_variance[at] + comptime![C2 as f32]);
+        let ssim = a1 * a2 * r1 * r2;
+        let d_square = f32::new(-1.0) * ssim * r2;
+        let d_product = 2.0f32 * a1 * r1 * r2;
+        let d_mean =
+            2.0f32 * (my * a2 * r1 * r2 - mx * ssim * r1) - 2.0f32 * mx * d_square - my * d_product;
+        let pixels = (width * height) as usize;
+        let to = channel * MOMENTS * pixels + own.pixel;
+        partials[to] = scale * d_mean;
+        partials[to + pixels] = scale * d_square;
+        partials[to + 2 * pixels] = scale * d_product;
+        short = 1.0f32 - ssim;
+    }
+    let sum = sum_cube(short);
+    if UNIT_POS == 0 {
+        sums[CUBE_POS] = sum;
+    }
+}
+
+/// The gradient `[H, W, CHANNELS]`, and in place of each cube's sum of 1 - SSIM its part of the loss.
+#[cube(launch)]
+fn gradient_of(
+    image: &[f32],
+    photo: &[u32],
+    partials: &[f32],
+    gradient: &mut [f32],
+    sums: &mut [f32],
+    width: u32,
+    height: u32,
+    cubes: u32,
+    ssim_scale: f32,
+    l1_scale: f32,
+) {
+    if CUBE_POS >= cubes as usize {
+        terminate!();
+    }
+    let tile = CUBE_POS / CHANNELS;
+    let channel = CUBE_POS % CHANNELS;
+    let mut planes = Shared::<[f32]>::new_slice(MOMENTS * PLANE);
+    let mut rows = Shared::<[f32]>::new_slice(MOMENTS * ROWS);
+    let pixels = (width * height) as usize;
+    let mut k = UNIT_POS as usize;
+    while k < PLANE {
+        let at = place(tile, k % SIDE, k / SIDE, width, height);
+        let from = channel * MOMENTS * pixels + at.pixel;
+        #[unroll]
+        for moment in 0..MOMENTS {
+            let mut value = 0.0f32;
+            if at.inside {
+                value = partials[from + moment * pixels];
+            }
+            planes[k + moment * PLANE] = value;
+        }
+        k += UNITS as usize;
+    }
+    sync_cube();
+    let by = windowed(&planes, &mut rows, true);
+    let own = own_place(tile, width, height);
+    let mut distance = 0.0f32;
+    if own.inside {
+        let at = own.pixel * CHANNELS + channel;
+        let x = image[at];
+        let y = value_at(photo, at);
+        let difference = x - y;
+        let mut l1 = 0.0f32;
+        if difference > 0.0f32 {
+            l1 = l1_scale;
+        }
+        if difference < 0.0f32 {
+            l1 = f32::new(-1.0) * l1_scale;
+        }
+        gradient[at] = by.third * y + (by.second * (x + x) + (by.first + l1));
+        distance = difference.abs();
+    }
+    let sum = sum_cube(distance);
+    if UNIT_POS == 0 {
+        sums[CUBE_POS] = ssim_scale * sums[CUBE_POS] + l1_scale * sum;
+    }
+}
+
+/// The photo's bytes, four to a word, the first one lowest. Zeros fill up the last word.
+fn words(target: &PhotometricTarget) -> Vec<u32> {
+    let words = target.pixels.as_raw().chunks(4).map(|bytes| {
+        let mut word = [0; 4];
+        word[..bytes.len()].copy_from_slice(bytes);
+        u32::from_le_bytes(word)
+    });
+    words.collect()
+}
+
+/// Loss `[1]` and gradient `[H, W, CHANNELS]`.
+fn compare(
+    gpu: &Gpu,
+    image: &CubeTensor,
+    target: &PhotometricTarget,
+    ssim_weight: f64,
+) -> (CubeTensor, CubeTensor) {
+    let (height, width) = target.size();
+    let cubes = cubes(height, width);
+    let photo = target
+        .words
+        .on(gpu, || gpu.upload(&words(target), DType::U32));
+    let planes = || gpu.floats([height, width, CHANNELS]);
+    let (mean, variance, gradient) = (planes(), planes(), planes());
+    moments_of::launch(
+        &gpu.client,
+        gpu.cubes(cubes),
+        gpu.dim(),
+        arg(&photo),
+        arg(&mean),
+        arg(&variance),
+        width as u32,
+        height as u32,
+        cubes as u32,
+    );
+    let values = height * width * CHANNELS;
+    let ssim_scale = ssim_weight / values as f64;
+    let l1_scale = (1.0 - ssim_weight) / values as f64;
+    let (partials, sums) = (gpu.floats([MOMENTS * values]), gpu.floats([cubes]));
+    dissimilarity::launch(
+        &gpu.client,
+        gpu.cubes(cubes),
+        gpu.dim(),
+        arg(image),
+        arg(&photo),
+        arg(&mean),
+        arg(&variance),
+        arg(&partials),
+        arg(&sums),
+        width as u32,
+        height as u32,
+        cubes as u32,
+        -ssim_scale as f32,
+    );
+    gradient_of::launch(
+        &gpu.client,
+        gpu.cubes(cubes),
+        gpu.dim(),
+        arg(image),
+        arg(&photo),
+        arg(&partials),
+        arg(&gradient),
+        arg(&sums),
+        width as u32,
+        height as u32,
+        cubes as u32,
+        ssim_scale as f32,
+        l1_scale as f32,
+    );
+    (sum(gpu, &sums, cubes), gradient)
+}
+
+/// Whether one allocation holds the derivatives of an image of `values` values, and 32 bits count them.
+fn fits(gpu: &Gpu, values: usize) -> bool {
+    values.saturating_mul(MOMENTS) <= (gpu.largest() / size_of::<f32>()).min(i32::MAX as usize)
+}
+
+impl PhotometricBackend for CubeBackend {
+    fn photometric(
+        image: FloatTensor<Self>,
+        target: Arc<PhotometricTarget>,
+        ssim_weight: f64,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let (gpu, values) = (Gpu::of(&image), image.meta.num_elements());
+        if !covers(&image) || values == 0 || !fits(&gpu, values) {
+            return cpu::photometric::<Self>(image, &target, ssim_weight);
+        }
+        compare(&gpu, &into_contiguous(image), &target, ssim_weight)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bytes_become_the_values_that_the_host_has() {
+        assert_eq!(BYTE_HIGH.to_bits() & 0xff, 0, "16 bits of mantissa");
+        for byte in 0..=255 {
+            let (byte, want) = (byte as f32, byte as f32 / 255.0);
+            assert_eq!(byte * BYTE_HIGH + byte * BYTE_LOW, want);
+            assert_eq!(
+                byte.mul_add(BYTE_LOW, byte * BYTE_HIGH),
+                want,
+                "of devices that fuse"
+            );
+        }
+    }
+}

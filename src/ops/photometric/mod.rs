@@ -1,0 +1,250 @@
+//! The photometric loss of 3DGS, `(1 - w) L1 + w (1 - SSIM)` between a rendered image and a photo, fused with its gradient.
+//!
+//! SSIM has the constants of 3DGS: an 11x11 Gaussian window of sigma 1.5 with zero padding, `C1 = 0.01^2`, `C2 = 0.03^2`,
+//! population covariance, and the mean over pixels and channels. With
+//! `S = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sxx + syy + C2))`, where every moment is a convolution with the
+//! symmetric window `G`, the gradient is `dS/dx = G * dS/dmx + 2 x (G * dS/dxx) + y (G * dS/dxy)`.
+
+mod cpu;
+#[cfg(feature = "cube")]
+mod gpu;
+
+#[cfg(feature = "cube")]
+use crate::backend::gpu::Resident;
+use crate::backend::{HostKernels, Real};
+use crate::data::mask::Mask;
+use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
+use burn::backend::autodiff::grads::Gradients;
+use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
+use burn::backend::{
+    Autodiff, AutodiffBackend, Backend, Dispatch, backend_extension, tensor::FloatTensor,
+};
+use burn::tensor::module::conv2d;
+use burn::tensor::ops::ConvOptions;
+use burn::tensor::{Bool, Shape, Tensor, TensorData};
+#[cfg(feature = "cube")]
+use burn_cubecl::tensor::CubeTensor;
+use image::RgbImage;
+use std::sync::{Arc, OnceLock};
+
+/// Colour channels, interleaved.
+const CHANNELS: usize = 3;
+const C1: f64 = 0.01 * 0.01;
+const C2: f64 = 0.03 * 0.03;
+/// Taps of the window on either side of its centre.
+const RADIUS: usize = 5;
+/// Taps of the window.
+const TAPS: usize = 2 * RADIUS + 1;
+const SIGMA: f64 = 1.5;
+
+/// Normalised taps of the window along one axis. The window is their outer product.
+fn taps<E: Real>() -> [E; TAPS] {
+    let raw: [f64; TAPS] = std::array::from_fn(|k| {
+        (-(k as f64 - RADIUS as f64).powi(2) / (2.0 * SIGMA * SIGMA)).exp()
+    });
+    let sum: f64 = raw.iter().sum();
+    raw.map(|w| E::of(w / sum))
+}
+
+/// A photo that renders are compared with: 8-bit pixels, and which of them count.
+///
+/// The CPU keeps the values and their windowed moments after the first comparison. A GPU keeps the bytes, a twelfth of that,
+/// and computes the moments in each comparison.
+#[derive(Debug)]
+pub struct PhotometricTarget {
+    pixels: Arc<RgbImage>,
+    mask: Option<Mask>,
+    moments: OnceLock<cpu::Moments<f32>>,
+    #[cfg(feature = "cube")]
+    words: Resident<CubeTensor>,
+}
+
+impl PhotometricTarget {
+    /// A target with these pixels. Pixels outside the mask count for nothing: they are black in the photo and in each render,
+    /// and their gradient is exactly zero.
+    ///
+    /// # Panics
+    /// If the mask has another size than the photo.
+    pub fn new(mut pixels: Arc<RgbImage>, mask: Option<Mask>) -> Self {
+        if let Some(mask) = &mask {
+            let size = (pixels.width() as usize, pixels.height() as usize);
+            assert_eq!(
+                (mask.width(), mask.height()),
+                size,
+                "photometric target: mask against photo"
+            );
+            let pixels: &mut RgbImage = Arc::make_mut(&mut pixels);
+            mask.fill(pixels, CHANNELS, 0);
+        }
+        Self {
+            pixels,
+            mask,
+            moments: OnceLock::new(),
+            #[cfg(feature = "cube")]
+            words: Resident::default(),
+        }
+    }
+
+    /// (height, width) in pixels.
+    pub fn size(&self) -> (usize, usize) {
+        (self.pixels.height() as usize, self.pixels.width() as usize)
+    }
+
+    /// Bytes that a target of this many pixels holds on the CPU.
+    pub fn bytes_on_cpu(pixels: usize) -> usize {
+        pixels * CHANNELS * (1 + 3 * size_of::<f32>())
+    }
+
+    /// Bytes that a target of this many pixels holds on a GPU, and as many in host memory.
+    pub fn bytes_on_gpu(pixels: usize) -> usize {
+        pixels * CHANNELS
+    }
+
+    /// `[H, W, 3]` values in 0..1, row-major.
+    fn values<E: Real>(&self) -> Vec<E> {
+        let bytes = self.pixels.as_raw().iter();
+        bytes
+            .map(|&v| E::of(f64::from(f32::from(v) / 255.0)))
+            .collect()
+    }
+
+    /// Which values do not count, `[H, W, 3]`, on the device of `image`; `None` where all do.
+    fn hidden(&self, image: &Tensor<3>) -> Option<Tensor<3, Bool>> {
+        let mask = self.mask.as_ref()?;
+        let hidden = (0..mask.width() * mask.height()).map(|pixel| !mask.uses(pixel));
+        let shape = [mask.height(), mask.width(), 1];
+        let data = TensorData::new(hidden.collect::<Vec<bool>>(), shape);
+        let hidden = Tensor::<3, Bool>::from_data(data, &image.device());
+        Some(hidden.expand(image.dims()))
+    }
+}
+
+/// Backend side of [`photometric_loss`].
+#[backend_extension(
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Cube: cfg(feature = "cube"),
+    Autodiff
+)]
+pub trait PhotometricBackend: Backend {
+    /// The loss `[1]` and its gradient to the image, `[H, W, 3]`. The mask is not looked at.
+    fn photometric(
+        image: FloatTensor<Self>,
+        target: Arc<PhotometricTarget>,
+        ssim_weight: f64,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>);
+}
+
+impl<B: HostKernels> PhotometricBackend for B {
+    fn photometric(
+        image: FloatTensor<Self>,
+        target: Arc<PhotometricTarget>,
+        ssim_weight: f64,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        cpu::photometric::<Self>(image, &target, ssim_weight)
+    }
+}
+
+#[derive(Debug)]
+struct PhotometricBackward;
+
+impl<B: PhotometricBackend> Backward<B, 1> for PhotometricBackward {
+    /// The gradient for an upstream gradient of 1.
+    type State = FloatTensor<B>;
+
+    fn backward(
+        self,
+        ops: Ops<Self::State, 1>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
+        let upstream = grads.consume::<B>(&ops.node);
+        let [parent] = ops.parents;
+        if let Some(node) = parent {
+            let upstream = B::float_reshape(upstream, Shape::new([1; 3]));
+            grads.register::<B>(node.id, B::float_mul(ops.state, upstream));
+        }
+    }
+}
+
+impl<B: PhotometricBackend, C: CheckpointStrategy> PhotometricBackend for Autodiff<B, C> {
+    fn photometric(
+        image: FloatTensor<Self>,
+        target: Arc<PhotometricTarget>,
+        ssim_weight: f64,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let (image, node) = image.into_parts();
+        let (loss, gradient) = B::photometric(image, target, ssim_weight);
+        let constant = <Self as AutodiffBackend>::from_inner(gradient.clone());
+        let backward = PhotometricBackward.prepare::<C>([node]);
+        let loss = match backward.compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(gradient, loss),
+            OpsKind::UnTracked(prep) => prep.finish(loss),
+        };
+        (loss, constant)
+    }
+}
+
+/// `(1 - w) L1 + w (1 - SSIM)` as a tensor `[1]`, with a gradient to `image` (`[H, W, 3]`); equals
+/// [`photometric_loss_plain`].
+///
+/// # Panics
+/// If `image` has another size than `target`.
+pub fn photometric_loss(
+    image: Tensor<3>,
+    target: &Arc<PhotometricTarget>,
+    ssim_weight: f64,
+) -> Tensor<1> {
+    let (height, width) = target.size();
+    assert_eq!(
+        image.dims(),
+        [height, width, CHANNELS],
+        "photometric loss: image against photo"
+    );
+    if super::references() {
+        return photometric_loss_plain(image, target, ssim_weight);
+    }
+    let image = match target.hidden(&image) {
+        Some(hidden) => image.mask_fill(hidden, 0.0),
+        None => image,
+    };
+    let (loss, _) = Dispatch::photometric(image.into_dispatch(), target.clone(), ssim_weight);
+    Tensor::from_dispatch(loss)
+}
+
+/// The same loss in plain tensor operations: the reference of [`photometric_loss`].
+pub fn photometric_loss_plain(
+    image: Tensor<3>,
+    target: &PhotometricTarget,
+    ssim_weight: f64,
+) -> Tensor<1> {
+    let device = image.device();
+    let options = (&device, image.dtype());
+    let line = taps::<f64>();
+    let window: Vec<f64> = (0..CHANNELS * TAPS * TAPS)
+        .map(|i| line[i / TAPS % TAPS] * line[i % TAPS])
+        .collect();
+    let window = TensorData::new(window, [CHANNELS, 1, TAPS, TAPS]);
+    let window = Tensor::<4>::from_data(window, options);
+    let blur = |x: Tensor<4>| {
+        let padded = ConvOptions::new([1, 1], [RADIUS, RADIUS], [1, 1], CHANNELS);
+        conv2d(x, window.clone(), None, padded)
+    };
+    let image = match target.hidden(&image) {
+        Some(hidden) => image.mask_fill(hidden, 0.0),
+        None => image,
+    };
+    let photo = TensorData::new(target.values::<f64>(), image.dims());
+    let photo = Tensor::<3>::from_data(photo, options);
+    let planes = |x: Tensor<3>| x.permute([2, 0, 1]).unsqueeze::<4>();
+    let l1 = (image.clone() - photo.clone()).abs().mean();
+    let (x, y) = (planes(image), planes(photo));
+    let (mx, my) = (blur(x.clone()), blur(y.clone()));
+    let sxx = blur(x.clone() * x.clone()) - mx.clone() * mx.clone();
+    let syy = blur(y.clone() * y.clone()) - my.clone() * my.clone();
+    let sxy = blur(x * y) - mx.clone() * my.clone();
+    let above = (mx.clone() * my.clone() * 2.0 + C1) * (sxy * 2.0 + C2);
+    let below = (mx.clone() * mx + my.clone() * my + C1) * (sxx + syy + C2);
+    let ssim = (above / below).mean();
+    l1 * (1.0 - ssim_weight) + (ssim * -1.0 + 1.0) * ssim_weight
+}
