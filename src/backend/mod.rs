@@ -2,6 +2,7 @@
 
 #[cfg(target_arch = "x86_64")]
 pub(crate) mod avx;
+mod custom_op;
 pub mod device;
 pub(crate) mod elementary;
 #[cfg(feature = "cube")]
@@ -12,6 +13,7 @@ pub(crate) mod real;
 pub(crate) mod simd;
 pub(crate) mod vector;
 
+pub(crate) use self::custom_op::{AutodiffTensor, custom_op, track};
 pub use self::host::HostBackend;
 pub use self::host::HostKernels;
 pub use self::host::HostValues;

@@ -6,7 +6,7 @@ use crate::backend::device::read;
 use crate::error::{Error, Result};
 use crate::objects::{RenderOptions, Renderer};
 use crate::random::{Purpose, stream};
-use crate::raster::{ListCount, ListSummary, RasterInput, Settings, rasterize_with_room, room_for};
+use crate::raster::{ListCount, RasterInput, Settings, rasterize_with_capacity, tile_capacity};
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
 use burn::tensor::{Device, Tensor, TensorData};
@@ -98,25 +98,25 @@ pub(super) struct Rendering<'a> {
 }
 
 impl Rendering<'_> {
-    /// Milliseconds of the mean view. On a GPU its tile lists have room from the time before, as in training.
+    /// Milliseconds of the mean view. On a GPU the tile lists have the capacity of the time before, as in training.
     pub fn forward(&self) -> Result<Samples> {
         let input = self.input(&self.bench.device);
-        self.timed(|camera, settings, background, room| {
-            let (output, lists) =
-                rasterize_with_room(input.clone(), camera, settings, background, room)?;
-            finish_with(output.image, &lists)
+        self.timed(|camera, settings, background, capacity| {
+            let output =
+                rasterize_with_capacity(input.clone(), camera, settings, background, capacity)?;
+            finish_with(output.image, output.tile_lists)
         })
     }
 
     /// The same with the backward pass: gradients of geometry, colour and channels.
     pub fn both(&self) -> Result<Samples> {
         let input = self.input(&self.bench.device.clone().autodiff());
-        self.timed(|camera, settings, background, room| {
-            let (output, lists) =
-                rasterize_with_room(input.clone(), camera, settings, background, room)?;
+        self.timed(|camera, settings, background, capacity| {
+            let output =
+                rasterize_with_capacity(input.clone(), camera, settings, background, capacity)?;
             let gradients = output.image.backward();
             match input.means.grad(&gradients) {
-                Some(gradient) => finish_with(gradient, &lists),
+                Some(gradient) => finish_with(gradient, output.tile_lists),
                 None => Ok(None),
             }
         })
@@ -156,20 +156,20 @@ impl Rendering<'_> {
         (Settings::from(raster), raster.background)
     }
 
-    /// `one` is given room for the tile lists of a view that it counted before, and says how many entries there were.
+    /// `one` gets the capacity for the tile lists of a view that it counted before, and returns the count.
     fn timed(
         &self,
         one: impl Fn(&Camera, &Settings, [f32; 3], Option<usize>) -> Result<Option<ListCount>>,
     ) -> Result<Samples> {
         let (settings, background) = self.settings();
-        let mut rooms = vec![None; self.cameras.len()];
+        let mut capacities = vec![None; self.cameras.len()];
         let passes = Samples::of(self.bench.effort.repeats, || {
             self.cameras
                 .iter()
-                .zip(&mut rooms)
-                .try_for_each(|(camera, room)| {
-                    *room = one(camera, &settings, background, *room)?
-                        .map(|lists| room_for(lists.entries));
+                .zip(&mut capacities)
+                .try_for_each(|(camera, capacity)| {
+                    *capacity = one(camera, &settings, background, *capacity)?
+                        .map(|lists| tile_capacity(lists.entries));
                     Ok(())
                 })
         })?;
@@ -214,11 +214,11 @@ fn random_rows(rows: usize, channels: usize, seed: u64, device: &Device) -> Opti
     })
 }
 
-/// Waits until `tensor` is computed: on a GPU a copy, and what it waits for, happen when the bytes are touched. One value is
-/// copied, and what came of the tile lists.
+/// Waits until `tensor` is computed: a GPU copies, and waits, when the bytes are touched. Copies one value and the count of
+/// the tile lists.
 fn finish_with<const D: usize>(
     tensor: Tensor<D>,
-    lists: &ListSummary,
+    tile_lists: Tensor<1>,
 ) -> Result<Option<ListCount>> {
     let value = tensor
         .slice(std::array::from_fn::<_, D, _>(|_| 0..1))
@@ -228,9 +228,6 @@ fn finish_with<const D: usize>(
     } else {
         value
     };
-    let values = read(
-        "a rendered view",
-        Tensor::cat([value].into_iter().chain(lists.as_tensor()).collect(), 0),
-    )?;
+    let values = read("a rendered view", Tensor::cat(vec![value, tile_lists], 0))?;
     Ok(ListCount::from_values(black_box(&values[1..])))
 }

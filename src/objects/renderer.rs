@@ -7,7 +7,7 @@ use crate::data::LabelMap;
 use crate::error::{Error, Result};
 use crate::raster::{
     ListCount, Projected, RasterInput, Settings, SplatTensors, SplatView, Viewpoint,
-    rasterize_with_room, room_for,
+    rasterize_with_capacity, tile_capacity,
 };
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
@@ -69,7 +69,7 @@ impl Default for RenderOptions {
 /// A scene that is rendered view after view. A GPU gets it once, and a frame is read back once; the first frame, and one with
 /// more tile entries than any before, wait for the device once more.
 ///
-/// Beside what [`rasterize_with_room`] takes, a GPU holds channels of 32-bit floats: three and one a label for every pixel, and one a
+/// Beside what [`rasterize_with_capacity`] takes, a GPU holds channels of 32-bit floats: three and one a label for every pixel, and one a
 /// label for every Gaussian. Where either is more than a quarter of its largest allocation, or 1 GiB, labels go in blocks, which project
 /// the scene again each.
 #[derive(Debug)]
@@ -220,7 +220,7 @@ impl OnDevice {
     }
 
     fn frame(&mut self, camera: &Camera, options: &RenderOptions) -> Result<Frame> {
-        let room = self.entries.map(room_for);
+        let room = self.entries.map(tile_capacity);
         if let Some(frame) = self.attempt(camera, options, room)? {
             return Ok(frame);
         }
@@ -249,8 +249,8 @@ impl OnDevice {
         if let (Some(labels), Some(block)) = (&mut self.labels, blocks.next()) {
             input.features = Some(labels.first(block));
         }
-        let (output, summary) =
-            rasterize_with_room(input, camera, &options.settings, options.background, room)?;
+        let output =
+            rasterize_with_capacity(input, camera, &options.settings, options.background, room)?;
         let pixels = height * width;
         let rgb = output.image.clone().slice([0..height, 0..width, 0..3]);
         let mut parts = vec![
@@ -273,7 +273,7 @@ impl OnDevice {
                     .reshape([pixels]),
             );
         }
-        let (mut values, lists) = read_together(parts, summary.as_tensor())?;
+        let (mut values, lists) = read_together(parts, output.tile_lists)?;
         if let Some(lists) = lists {
             if !lists.is_sound {
                 return Ok(None);
@@ -325,10 +325,10 @@ impl OnDevice {
 /// All of `parts` one after the other, and what is known of the tile lists, by one copy from the device.
 fn read_together(
     mut parts: Vec<Tensor<1>>,
-    summary: Option<Tensor<1>>,
+    tile_lists: Tensor<1>,
 ) -> Result<(Vec<f32>, Option<ListCount>)> {
-    let fields = summary.as_ref().map_or(0, |summary| summary.dims()[0]);
-    parts.extend(summary);
+    let fields = tile_lists.dims()[0];
+    parts.push(tile_lists);
     let mut values = read("a rendered view", Tensor::cat(parts, 0))?;
     let lists = ListCount::from_values(&values.split_off(values.len() - fields));
     Ok((values, lists))

@@ -19,8 +19,7 @@ pub use self::cpu::{
     Blended, Positions, Projected, Rendered, SplatGradients, TilePairs, eval_sh, render,
 };
 pub use self::op::{
-    FrozenBackend, FrozenCall, FrozenTensors, Lifted, ListCount, ListSummary, Radii, RasterBackend,
-    RasterCall, RasterInput, RasterOutput, RasterTensors, SplatTensors, SplatView, rasterize,
-    rasterize_on_host, rasterize_with_room, room_for,
+    Lifted, ListCount, RasterInput, RasterOutput, SplatTensors, SplatView, rasterize,
+    rasterize_with_capacity, tile_capacity,
 };
 pub use self::settings::{PairCounts, Settings, Splats, Stats};

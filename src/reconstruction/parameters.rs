@@ -5,7 +5,7 @@ use super::noise::PositionNoise;
 use crate::backend::device::read;
 use crate::error::{Error, Result};
 use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
-use crate::raster::{ListCount, ListSummary, SplatTensors};
+use crate::raster::{ListCount, SplatTensors};
 use crate::splat::Gaussians;
 use burn::tensor::{Bool, Device, Gradients, Int, Tensor, TensorData};
 use rand_chacha::ChaCha8Rng;
@@ -212,7 +212,7 @@ impl ParameterGradients {
     ///
     /// # Errors
     /// [`Error::NonFinite`] naming the loss, or the gradient and its first bad row.
-    pub fn check(&self, loss: Tensor<1>, lists: &ListSummary) -> Result<Option<Checked>> {
+    pub fn check(&self, loss: Tensor<1>, tile_lists: Tensor<1>) -> Result<Option<Checked>> {
         let Self {
             means,
             log_scales,
@@ -226,7 +226,7 @@ impl ParameterGradients {
         check.add(rotations);
         check.add(opacity_logits);
         check.add(sh);
-        let (value, finite, lists) = check.read_with(loss, lists.as_tensor())?;
+        let (value, finite, lists) = check.read_with(loss, Some(tile_lists))?;
         let lists = ListCount::from_values(&lists);
         if lists.is_some_and(|lists| !lists.is_sound) {
             return Ok(None);

@@ -69,7 +69,7 @@ impl DeviceVotes {
                     part.iter().map(|&class| f32::from(class)).collect(),
                 );
                 let sums = view
-                    .adjoint(image.reshape([height, width, part.len()]))?
+                    .blend_adjoint(image.reshape([height, width, part.len()]))?
                     .sums;
                 let columns = part
                     .iter()

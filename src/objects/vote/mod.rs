@@ -32,7 +32,7 @@ pub struct Votes {
 ///
 /// # Errors
 /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite; on a GPU those of
-/// [`crate::raster::SplatView::adjoint`].
+/// [`crate::raster::SplatView::blend_adjoint`].
 pub fn vote<'a>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,

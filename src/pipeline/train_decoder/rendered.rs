@@ -25,7 +25,7 @@ pub(crate) fn visible(
     let mask = TensorData::new::<f32, _>(mask, [camera.height, camera.width, 1]);
     let weights = read(
         "weights",
-        view.adjoint(Tensor::from_data(mask, &device))?.sums,
+        view.blend_adjoint(Tensor::from_data(mask, &device))?.sums,
     )?;
     let visible = weights
         .iter()

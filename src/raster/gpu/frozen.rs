@@ -8,7 +8,7 @@ use crate::backend::gpu::{Gpu, arg};
 use crate::error::Result;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
-use std::cell::OnceCell;
+use std::sync::OnceLock;
 
 /// Pixels whose centres lie within `low..=high`, of `limit`.
 #[cube]
@@ -54,7 +54,7 @@ fn count_pixels(
 pub(crate) struct Lists {
     prepared: Prepared,
     /// `[N]`, made when first asked for: who blends alone has no use for them.
-    counts: OnceCell<CubeTensor>,
+    counts: OnceLock<CubeTensor>,
 }
 
 impl Lists {
@@ -72,7 +72,7 @@ impl Lists {
         let prepared = prepare(&gpu, inputs, scenery, entries)?;
         Ok(prepared.map(|prepared| Self {
             prepared,
-            counts: OnceCell::new(),
+            counts: OnceLock::new(),
         }))
     }
 
@@ -81,14 +81,17 @@ impl Lists {
         self.prepared.entries.len
     }
 
-    fn counts(&self, gpu: &Gpu) -> CubeTensor {
+    /// Disc pixels of every Gaussian, `[N]`.
+    pub fn counts(&self) -> CubeTensor {
         let Prepared {
+            view,
             projected,
             order,
             size,
             ..
         } = &self.prepared;
         let count = || {
+            let gpu = Gpu::of(view);
             let counts = gpu.floats([order.len]);
             count_pixels::launch(
                 &gpu.client,
@@ -168,6 +171,6 @@ impl Lists {
         let row_bytes = pixel_sums::row_bytes(&gpu);
         let sums =
             pixel_sums::adjoint(&gpu, &projected.splats, tiles, y, channels, view, row_bytes);
-        Ok((sums, self.counts(&gpu)))
+        Ok((sums, self.counts()))
     }
 }

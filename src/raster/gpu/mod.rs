@@ -30,7 +30,7 @@ mod tests;
 mod vec3;
 mod view;
 
-pub(super) use self::frozen::Lists;
+pub(crate) use self::frozen::Lists;
 
 use super::settings::Settings;
 use crate::backend::gpu::{Gpu, add_non_finite, shortfall};
@@ -49,7 +49,7 @@ use sh::Harmonics;
 pub(super) const ABSOLUTE_CHANNELS: usize = backward::ALWAYS_TOGETHER;
 
 /// The inputs of one call, contiguous `f32` tensors on one device.
-pub(super) struct Inputs {
+pub(crate) struct Inputs {
     /// `[N, 3]`.
     pub means: CubeTensor,
     /// `[N, 3]`.
@@ -66,7 +66,7 @@ pub(super) struct Inputs {
 
 /// What is seen, and how.
 #[derive(Clone, Copy)]
-pub(super) struct Scenery<'a> {
+pub(crate) struct Scenery<'a> {
     pub camera: &'a Camera,
     pub settings: &'a Settings,
     pub background: [f64; 3],
@@ -84,7 +84,7 @@ struct Prepared {
 }
 
 /// What the forward pass leaves for the backward pass.
-pub(super) struct Forward {
+pub(crate) struct Forward {
     prepared: Prepared,
     /// `[N, 3]`, where SH were given.
     colours: Option<CubeTensor>,
@@ -93,7 +93,7 @@ pub(super) struct Forward {
 }
 
 /// Gradients in the order of the inputs.
-pub(super) struct Gradients {
+pub(crate) struct Gradients {
     pub means: CubeTensor,
     pub log_scales: CubeTensor,
     pub rotations: CubeTensor,

@@ -1,14 +1,50 @@
-//! The operation's trait, and its implementation for backends whose operations are host kernels.
+//! The backend trait of the rasterizer, and the typed values that pass through it.
 
-use super::call::RasterCall;
-use super::on_host;
-use crate::backend::HostKernels;
-use burn::backend::{Backend, ExtensionType, backend_extension, tensor::FloatTensor};
+#[cfg(feature = "cube")]
+use super::gpu;
+use super::view::ViewCall;
+use super::{autodiff, cpu};
+use crate::backend::custom_op;
+use crate::error::{Error, Result};
+use crate::raster::Projected;
+use crate::raster::settings::Settings;
+use crate::splat::camera::Camera;
+use burn::backend::{Backend, ExtensionType, tensor::FloatTensor};
+use std::fmt::{Debug, Formatter};
 use std::sync::Arc;
+
+custom_op! {
+    /// Backend side of [`rasterize`](super::rasterize) and of [`SplatView`](super::SplatView).
+    pub(crate) trait RasterBackend {
+        /// Image, transmittance, radii and the count of the tile lists.
+        fn raster_forward(#[extension_type] tensors: RasterTensors<Self>, call: Arc<RasterCall>) -> RasterPass<Self>;
+        /// Projection and tile lists of frozen geometry: `[N, 3]`, `[N, 3]`, `[N, 4]`, `[N]`.
+        fn project_view(
+            means: FloatTensor<Self>,
+            log_scales: FloatTensor<Self>,
+            rotations: FloatTensor<Self>,
+            opacity_logits: FloatTensor<Self>,
+            call: Arc<ViewCall>,
+        ) -> Result<ProjectedView>;
+        /// `W s` of `values` `[N, C]`: the image `[H, W, C]` and the transmittance `[H, W]`.
+        fn blend_view(values: FloatTensor<Self>, view: ProjectedView) -> TensorPair<Self>;
+    }
+    backward {
+        /// Gradients of all inputs.
+        fn raster_backward(
+            #[extension_type] tensors: RasterTensors<Self>,
+            #[extension_type] pixels: PixelTensors<Self>,
+            saved: SavedForward,
+            call: Arc<RasterCall>,
+        ) -> RasterTensors<Self>;
+        /// `W^T y` of an image `[H, W, C]`: sums `[N, C]`, and disc pixels `[N]`.
+        fn blend_view_adjoint(image: FloatTensor<Self>, view: ProjectedView) -> TensorPair<Self>;
+    }
+}
 
 /// The tensors of one call; absent ones are empty.
 #[derive(Clone, Debug, ExtensionType)]
-pub struct RasterTensors<B: Backend> {
+pub(crate) struct RasterTensors<B: Backend> {
     pub(super) means: FloatTensor<B>,
     pub(super) log_scales: FloatTensor<B>,
     pub(super) rotations: FloatTensor<B>,
@@ -18,7 +54,7 @@ pub struct RasterTensors<B: Backend> {
     pub(super) screen: FloatTensor<B>,
 }
 
-/// Inputs of the operation, and the index of each among its parents.
+/// Number of [`RasterTensors`].
 pub(super) const INPUTS: usize = 7;
 
 impl<B: Backend> RasterTensors<B> {
@@ -65,67 +101,151 @@ impl<B: Backend> RasterTensors<B> {
     }
 }
 
-/// Backend side of [`super::rasterize`].
-#[backend_extension(
-    NdArray: cfg(feature = "ndarray"),
-    Flex: cfg(feature = "flex"),
-    Cube: cfg(feature = "cube"),
-    Autodiff
-)]
-pub trait RasterBackend: Backend {
-    /// The image `[H, W, C]`; leaves the rest of the forward pass in `call`.
-    fn raster_image(
-        #[extension_type] tensors: RasterTensors<Self>,
-        call: Arc<RasterCall>,
-    ) -> FloatTensor<Self>;
-    /// Radii `[N]` of the call that made `image`, as floats, where they lie on a device; empty where the call has them.
-    fn raster_radii(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self>;
-    /// What the call that made `image` found of the tile lists, `[3]`, where it ran on a device; empty where not.
-    fn raster_summary(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self>;
-    /// The transmittance `[H, W]` of the call that made `image`.
-    fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self>;
-    /// Keeps the gradient of the transmittance for [`RasterBackend::raster_backward`], and returns zeros like `image`.
-    fn raster_transmittance_backward(
-        image: FloatTensor<Self>,
-        d_transmittance: FloatTensor<Self>,
-        call: Arc<RasterCall>,
-    ) -> FloatTensor<Self>;
-    /// Gradients of all inputs.
-    fn raster_backward(
-        #[extension_type] tensors: RasterTensors<Self>,
-        image: FloatTensor<Self>,
-        d_image: FloatTensor<Self>,
-        call: Arc<RasterCall>,
-    ) -> RasterTensors<Self>;
+/// Image and transmittance of the forward pass, and their gradients.
+#[derive(Clone, Debug, ExtensionType)]
+pub(crate) struct PixelTensors<B: Backend> {
+    /// `[H, W, C]`.
+    pub(super) image: FloatTensor<B>,
+    /// `[H, W, C]`.
+    pub(super) d_image: FloatTensor<B>,
+    /// `[H, W]`.
+    pub(super) d_transmittance: FloatTensor<B>,
 }
 
-/// The operation by the host's kernels.
-impl<B: HostKernels> RasterBackend for B {
-    fn raster_image(tensors: RasterTensors<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
-        on_host::image::<Self>(tensors, call)
+/// What a call renders besides its tensors.
+#[derive(Clone, Debug)]
+pub(crate) struct RasterCall {
+    pub(super) camera: Camera,
+    pub(super) settings: Settings,
+    pub(super) background: [f64; 3],
+    pub(super) has_sh: bool,
+    pub(super) has_features: bool,
+    pub(super) sh_degree: usize,
+    pub(super) active_sh_degree: usize,
+    /// Whether the gradient of the screen has the columns of AbsGS.
+    pub(super) absolute_screen: bool,
+    /// Entries to allocate for the tile lists on a GPU; without it the GPU counts them first.
+    pub(super) tile_capacity: Option<usize>,
+}
+
+impl RasterCall {
+    /// Width and height in pixels.
+    pub(super) fn size(&self) -> [usize; 2] {
+        [self.camera.width, self.camera.height]
     }
-    fn raster_radii(image: FloatTensor<Self>, _call: Arc<RasterCall>) -> FloatTensor<Self> {
-        on_host::nothing::<Self>(image)
+
+    /// Number of colour channels.
+    pub(super) fn colours(&self) -> usize {
+        if self.has_sh { 3 } else { 0 }
     }
-    fn raster_summary(image: FloatTensor<Self>, _call: Arc<RasterCall>) -> FloatTensor<Self> {
-        on_host::nothing::<Self>(image)
+}
+
+/// Result of a forward pass.
+#[derive(Debug, ExtensionType)]
+pub(crate) enum RasterPass<B: Backend> {
+    /// The outputs.
+    Done {
+        /// `[H, W, C]`.
+        image: FloatTensor<B>,
+        /// `[H, W]`.
+        transmittance: FloatTensor<B>,
+        /// `[N]`.
+        radii: FloatTensor<B>,
+        /// `[3]`, see [`ListCount`](super::ListCount).
+        tile_lists: FloatTensor<B>,
+        /// What the backward pass reads.
+        saved: SavedForward,
+    },
+    /// The inputs are not valid, or the device failed.
+    Failed(Error),
+}
+
+/// Two tensors, or why there are none.
+#[derive(Debug, ExtensionType)]
+pub(crate) enum TensorPair<B: Backend> {
+    /// The outputs.
+    Done(FloatTensor<B>, FloatTensor<B>),
+    /// The device failed, or cannot hold the output.
+    Failed(Error),
+}
+
+impl<B: Backend> From<Result<(FloatTensor<B>, FloatTensor<B>)>> for TensorPair<B> {
+    fn from(found: Result<(FloatTensor<B>, FloatTensor<B>)>) -> Self {
+        match found {
+            Ok((first, second)) => Self::Done(first, second),
+            Err(error) => Self::Failed(error),
+        }
     }
-    fn raster_transmittance(image: FloatTensor<Self>, call: Arc<RasterCall>) -> FloatTensor<Self> {
-        on_host::transmittance::<Self>(image, call)
-    }
-    fn raster_transmittance_backward(
-        image: FloatTensor<Self>,
-        d_transmittance: FloatTensor<Self>,
-        call: Arc<RasterCall>,
-    ) -> FloatTensor<Self> {
-        on_host::transmittance_backward::<Self>(image, d_transmittance, call)
-    }
-    fn raster_backward(
-        tensors: RasterTensors<Self>,
-        image: FloatTensor<Self>,
-        d_image: FloatTensor<Self>,
-        call: Arc<RasterCall>,
-    ) -> RasterTensors<Self> {
-        on_host::backward::<Self>(tensors, image, d_image, call)
-    }
+}
+
+/// Declares an enum of a value of the CPU's kernels in either precision, and one of the GPU's kernels.
+macro_rules! by_kernels {
+    ($(#[$meta:meta])* $name:ident, $host:ident, $device:ident) => {
+        $(#[$meta])*
+        #[derive(Clone)]
+        pub(crate) enum $name {
+            /// Of the CPU's kernels in f32.
+            F32(Arc<$host<f32>>),
+            /// Of the CPU's kernels in f64.
+            F64(Arc<$host<f64>>),
+            /// Of the GPU's kernels.
+            #[cfg(feature = "cube")]
+            Gpu(Arc<crate::raster::gpu::$device>),
+        }
+
+        impl From<$host<f32>> for $name {
+            fn from(value: $host<f32>) -> Self {
+                Self::F32(Arc::new(value))
+            }
+        }
+
+        impl From<$host<f64>> for $name {
+            fn from(value: $host<f64>) -> Self {
+                Self::F64(Arc::new(value))
+            }
+        }
+
+        impl OfHost<$host<f32>> for $name {
+            fn of_host(&self) -> Option<&$host<f32>> {
+                if let Self::F32(value) = self { Some(value) } else { None }
+            }
+        }
+
+        impl OfHost<$host<f64>> for $name {
+            fn of_host(&self) -> Option<&$host<f64>> {
+                if let Self::F64(value) = self { Some(value) } else { None }
+            }
+        }
+
+        impl Debug for $name {
+            fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
+                f.write_str(stringify!($name))
+            }
+        }
+    };
+}
+
+/// Access to the value of the CPU's kernels in the precision of `T`.
+pub(super) trait OfHost<T> {
+    /// `None` where another precision or a GPU made the value.
+    fn of_host(&self) -> Option<&T>;
+}
+
+by_kernels! {
+    /// What a forward pass leaves for its backward pass.
+    SavedForward, Forward, Forward
+}
+
+by_kernels! {
+    /// Projection and tile lists of a view.
+    ProjectedView, Projected, Lists
+}
+
+/// What the CPU's forward pass computes.
+pub(crate) struct Forward<E> {
+    pub(super) projected: Projected<E>,
+    /// Blended values, `[N, C]`; `None` where they are the features tensor itself.
+    pub(super) values: Option<Vec<E>>,
+    /// `[H, W]`.
+    pub(super) transmittance: Vec<E>,
 }

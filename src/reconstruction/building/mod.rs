@@ -288,8 +288,7 @@ impl<'a> BuildingStage<'a> {
             checked,
         } = self.pass(index, view, iteration).map_err(locate)?;
         if let Some(gradient) = of_screen {
-            self.statistics
-                .record(gradient, radii.as_tensor(&self.device));
+            self.statistics.record(gradient, radii);
         }
         self.parameters
             .step(gradients, &self.rates(iteration), iteration as u32);

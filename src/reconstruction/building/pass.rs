@@ -5,7 +5,7 @@ use crate::data::View;
 use crate::error::Result;
 use crate::ops::photometric_loss;
 use crate::random::{Purpose, stream};
-use crate::raster::{Radii, RasterInput, RasterOutput, rasterize_with_room};
+use crate::raster::{RasterInput, RasterOutput, rasterize_with_capacity};
 use crate::reconstruction::parameters::{Checked, ParameterGradients};
 use burn::tensor::Tensor;
 use rand::Rng;
@@ -15,7 +15,8 @@ pub(crate) struct Pass {
     pub gradients: ParameterGradients,
     /// Screen-space gradient, `[N, 2]` or `[N, 4]`, where densification wants it.
     pub of_screen: Option<Tensor<2>>,
-    pub radii: Radii,
+    /// `[N]`, pixels.
+    pub radii: Tensor<1>,
     pub checked: Checked,
 }
 
@@ -70,15 +71,18 @@ impl BuildingStage<'_> {
             screen: screen.clone(),
         };
         let background = self.background(view, iteration);
-        let (output, lists) =
-            rasterize_with_room(input, &view.camera, &self.settings, background, room)?;
-        let RasterOutput { image, radii, .. } = output;
+        let RasterOutput {
+            image,
+            radii,
+            tile_lists,
+            ..
+        } = rasterize_with_capacity(input, &view.camera, &self.settings, background, room)?;
         let loss = photometric_loss(image, &target, f64::from(self.config.building.ssim_weight));
         let loss = self.regularised(loss, &leaves);
         let mut gradients = loss.backward();
         let of_screen = screen.and_then(|screen| screen.grad_remove(&mut gradients));
         let gradients = self.parameters.gradients(leaves, &mut gradients);
-        let checked = gradients.check(loss.inner(), &lists)?;
+        let checked = gradients.check(loss.inner(), tile_lists)?;
         Ok(checked.map(|checked| Pass {
             gradients,
             of_screen,

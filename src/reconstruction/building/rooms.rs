@@ -1,6 +1,6 @@
 //! How many tile entries each view had last, and what it may have now.
 
-use crate::raster::room_for;
+use crate::raster::tile_capacity;
 
 /// Entries of every view's tile lists when it was last rendered, and the Gaussians there were.
 #[derive(Clone, Debug)]
@@ -17,7 +17,7 @@ impl Rooms {
         let [entries, before] = (*self.0.get(view)?)?;
         let expected =
             (entries as u128 * gaussians.max(before) as u128 / before.max(1) as u128) as usize;
-        Some(room_for(expected))
+        Some(tile_capacity(expected))
     }
 
     /// Keeps that `view` had `entries` with `gaussians`.
@@ -37,16 +37,20 @@ mod tests {
         let mut rooms = Rooms::new(2);
         assert_eq!(rooms.room(0, 100), None, "nothing known");
         rooms.keep(0, 1_000, 100);
-        assert_eq!(rooms.room(0, 100), Some(room_for(1_000)));
-        assert_eq!(rooms.room(0, 300), Some(room_for(3_000)));
+        assert_eq!(rooms.room(0, 100), Some(tile_capacity(1_000)));
+        assert_eq!(rooms.room(0, 300), Some(tile_capacity(3_000)));
         assert_eq!(
             rooms.room(0, 50),
-            Some(room_for(1_000)),
+            Some(tile_capacity(1_000)),
             "pruned ones may have been nowhere to be seen"
         );
         assert_eq!((rooms.room(1, 100), rooms.room(2, 100)), (None, None));
         rooms.keep(2, 7, 7);
         rooms.keep(1, 0, 0);
-        assert_eq!(rooms.room(1, 9), Some(room_for(0)), "no Gaussian before");
+        assert_eq!(
+            rooms.room(1, 9),
+            Some(tile_capacity(0)),
+            "no Gaussian before"
+        );
     }
 }

@@ -132,7 +132,7 @@ impl DeviceSums {
             .clone()
             .unwrap_or_else(|| Tensor::ones([pixels, 1], &device));
         let Lifted { sums, counts } =
-            view.adjoint(all.reshape([camera.height, camera.width, 1]))?;
+            view.blend_adjoint(all.reshape([camera.height, camera.width, 1]))?;
         // The device counts all pixels: those that a mask uses are counted on the host, which projects the view once more.
         let counts: Vec<u64> = match mask {
             Some(_) => Projected::new(splats, camera, settings)?
@@ -247,7 +247,9 @@ fn lifted(
             Some(used) => image * used.clone(),
             None => image,
         };
-        Ok(view.adjoint(image.reshape([height, width, channels]))?.sums)
+        Ok(view
+            .blend_adjoint(image.reshape([height, width, channels]))?
+            .sums)
     });
     Ok(Tensor::cat(blocks.collect::<Result<Vec<_>>>()?, 1))
 }

@@ -265,7 +265,7 @@ impl<'a> Lifting<'a> {
     /// Adds a view with one map per scale, of the pixels that `mask` uses, as [`Sums::add_used`] does.
     ///
     /// # Errors
-    /// As [`Sums::add`]; on a GPU as [`crate::raster::SplatView::adjoint`].
+    /// As [`Sums::add`]; on a GPU as [`crate::raster::SplatView::blend_adjoint`].
     pub fn add(
         &mut self,
         camera: &Camera,

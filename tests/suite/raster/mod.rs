@@ -8,4 +8,4 @@ pub mod raster_contract;
 pub mod raster_gpu;
 pub mod raster_gradients;
 #[cfg(feature = "wgpu")]
-pub mod raster_room;
+pub mod tile_capacity;

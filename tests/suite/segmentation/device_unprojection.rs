@@ -62,7 +62,7 @@ fn the_adjoint_of_blending() {
                 let image = tensor(&y, [height, width, channels], device, dtype);
                 let lifted = splats(&cloud, device, dtype)
                     .seen_by(&camera, &settings)
-                    .adjoint(image)
+                    .blend_adjoint(image)
                     .expect("valid");
                 (host(lifted.sums), host(lifted.counts))
             };
@@ -169,7 +169,7 @@ fn what_cannot_be_lifted_is_refused() {
         let lift = |cloud: &Cloud, height| {
             splats(cloud, &device, DType::F32)
                 .seen_by(&camera, &Settings::default())
-                .adjoint(image(height))
+                .blend_adjoint(image(height))
         };
         let error = lift(&cloud, 11).expect_err("another size");
         crate::support::assert_names(&error, &["20x11", "20x10"]);
@@ -181,7 +181,7 @@ fn what_cannot_be_lifted_is_refused() {
         uneven.rotations = tensor(&[0.0; 16], [4, 4], &device, DType::F32);
         let error = uneven
             .seen_by(&camera, &Settings::default())
-            .adjoint(image(10))
+            .blend_adjoint(image(10))
             .expect_err("a row is missing");
         crate::support::assert_names(&error, &["frozen Gaussians", "[4, 4]"]);
         let none = lift(&Cloud::default(), 10).expect("nothing");

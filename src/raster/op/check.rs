@@ -1,0 +1,103 @@
+//! Shapes and float types of the inputs.
+
+use super::RasterInput;
+use crate::error::{Error, Result};
+use burn::tensor::{DType, Tensor};
+
+/// Sizes of a valid [`RasterInput`].
+pub(super) struct Sizes {
+    pub gaussians: usize,
+    /// SH terms, 1 without SH.
+    pub sh_terms: usize,
+    /// Whether the screen-space gradient has the columns of AbsGS.
+    pub absolute_screen: bool,
+}
+
+/// Checks `input`.
+pub(super) fn sizes(input: &RasterInput) -> Result<Sizes> {
+    let [n] = input.opacity_logits.dims();
+    shape("means", &input.means.dims(), &[n, 3])?;
+    shape("log_scales", &input.log_scales.dims(), &[n, 3])?;
+    shape("rotations", &input.rotations.dims(), &[n, 4])?;
+    if input.sh.is_none() && input.features.is_none() {
+        return Err(Error::argument(
+            "raster input",
+            "neither sh nor features",
+            "at least one",
+            "pass what to render",
+        ));
+    }
+    let sh_terms = input.sh.as_ref().map_or(1, |sh| sh.dims()[1]);
+    if !matches!(sh_terms, 1 | 4 | 9 | 16) {
+        return Err(Error::argument(
+            "raster input sh",
+            format!("{sh_terms} terms"),
+            "1, 4, 9 or 16",
+            "pass (degree + 1)^2 terms",
+        ));
+    }
+    if let Some(sh) = &input.sh {
+        shape("sh", &sh.dims(), &[n, sh_terms, 3])?;
+    }
+    if let Some(features) = &input.features {
+        shape("features", &features.dims(), &[n, features.dims()[1]])?;
+    }
+    let absolute_screen = input
+        .screen
+        .as_ref()
+        .is_some_and(|screen| screen.dims()[1] == 4);
+    if let Some(screen) = &input.screen {
+        let columns = if absolute_screen { 4 } else { 2 };
+        shape("screen", &screen.dims(), &[n, columns])?;
+    }
+    float_types(input)?;
+    Ok(Sizes {
+        gaussians: n,
+        sh_terms,
+        absolute_screen,
+    })
+}
+
+fn shape(name: &str, found: &[usize], expected: &[usize]) -> Result<()> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(Error::argument(
+        format!("raster input {name}"),
+        format!("shape {found:?}"),
+        format!("{expected:?}"),
+        "pass tensors of one scene",
+    ))
+}
+
+fn float_types(input: &RasterInput) -> Result<()> {
+    let dtype = input.means.dtype();
+    if !matches!(dtype, DType::F32 | DType::F64) {
+        return Err(Error::argument(
+            "raster input",
+            format!("{dtype:?}"),
+            "f32 or f64",
+            "cast the tensors",
+        ));
+    }
+    let types = [
+        ("log_scales", input.log_scales.dtype()),
+        ("rotations", input.rotations.dtype()),
+        ("opacity_logits", input.opacity_logits.dtype()),
+        ("sh", input.sh.as_ref().map_or(dtype, Tensor::dtype)),
+        (
+            "features",
+            input.features.as_ref().map_or(dtype, Tensor::dtype),
+        ),
+        ("screen", input.screen.as_ref().map_or(dtype, Tensor::dtype)),
+    ];
+    match types.into_iter().find(|(_, found)| *found != dtype) {
+        None => Ok(()),
+        Some((name, found)) => Err(Error::argument(
+            format!("raster input {name}"),
+            format!("{found:?}"),
+            format!("{dtype:?}, as the means have"),
+            "cast the tensors",
+        )),
+    }
+}

@@ -1,0 +1,300 @@
+//! The operations by the CPU's kernels: slices from tensors, tensors from slices.
+
+use super::backend::{
+    Forward, INPUTS, OfHost, PixelTensors, ProjectedView, RasterCall, RasterPass, RasterTensors,
+    SavedForward, TensorPair,
+};
+use super::view::ViewCall;
+use crate::backend::{HostBackend, HostValues, Real, device_of, real_kernel};
+use crate::error::{Error, Result};
+use crate::raster::cpu::backward::{PixelGradients, SplatGradients};
+use crate::raster::cpu::projected::{Blended, Projected};
+use crate::raster::cpu::sh::{ShBackward, visible_colours};
+use crate::raster::settings::{Splats, check_finite};
+use burn::backend::{TensorMetadata, tensor::FloatTensor};
+use std::sync::Arc;
+
+pub(super) fn raster_forward<B: HostBackend>(
+    tensors: RasterTensors<B>,
+    call: Arc<RasterCall>,
+) -> RasterPass<B> {
+    let device = device_of::<B>(&tensors.means);
+    let channels = call.colours() + tensors.features.shape().dims::<2>()[1];
+    let [w, h] = call.size();
+    real_kernel!(tensors.means, E => {
+        let (image, forward) = match Inputs::<E>::read::<B>(tensors).forward(&call) {
+            Ok(found) => found,
+            Err(error) => return RasterPass::Failed(error),
+        };
+        let radii: Vec<E> = forward.projected.radii().iter().map(|&r| E::of(f64::from(r))).collect();
+        let entries = E::of(forward.projected.stats().tile_entries as f64);
+        RasterPass::Done {
+            image: B::tensor::<E>(image, &[h, w, channels], &device),
+            transmittance: B::tensor::<E>(forward.transmittance.clone(), &[h, w], &device),
+            tile_lists: B::tensor::<E>(vec![E::default(), E::default(), entries], &[3], &device),
+            radii: B::tensor::<E>(radii, &[forward.projected.len()], &device),
+            saved: forward.into(),
+        }
+    })
+}
+
+pub(super) fn raster_backward<B: HostBackend>(
+    tensors: RasterTensors<B>,
+    pixels: PixelTensors<B>,
+    saved: SavedForward,
+    call: Arc<RasterCall>,
+) -> RasterTensors<B> {
+    let device = device_of::<B>(&pixels.image);
+    let tensors = tensors.into_array();
+    let shapes = tensors.each_ref().map(|t| t.shape());
+    real_kernel!(pixels.image, E => {
+        let inputs = Inputs::<E>::read::<B>(RasterTensors::from_array(tensors));
+        let [image, d_image, d_transmittance] =
+            [pixels.image, pixels.d_image, pixels.d_transmittance].map(B::values::<E>);
+        let Some(forward) = OfHost::<Forward<E>>::of_host(&saved) else {
+            unreachable!("another precision or device saved the forward pass");
+        };
+        let pixels = PixelGradients {
+            image: &image,
+            transmittance: &forward.transmittance,
+            d_image: &d_image,
+            d_transmittance: Some(&d_transmittance),
+        };
+        let gradients = inputs.backward(&call, forward, pixels);
+        let mut shapes = shapes.iter();
+        RasterTensors::from_array(gradients.map(|values| {
+            let shape = shapes.next().map_or_else(Vec::new, |shape| shape.to_vec());
+            // An absent screen tensor has no gradient, but the kernel computes one.
+            let shape = if shape.iter().product::<usize>() == values.len() { shape } else { vec![values.len()] };
+            B::tensor::<E>(values, &shape, &device)
+        }))
+    })
+}
+
+pub(super) fn project_view<B: HostBackend>(
+    means: FloatTensor<B>,
+    log_scales: FloatTensor<B>,
+    rotations: FloatTensor<B>,
+    opacity_logits: FloatTensor<B>,
+    call: Arc<ViewCall>,
+) -> Result<ProjectedView> {
+    real_kernel!(means, E => {
+        let [means, log_scales, rotations, opacity_logits] =
+            [means, log_scales, rotations, opacity_logits].map(B::values::<E>);
+        let splats = Splats {
+            means: &means,
+            log_scales: &log_scales,
+            rotations: &rotations,
+            opacity_logits: &opacity_logits,
+        };
+        Ok(Projected::new(&splats, &call.camera, &call.settings)?.into())
+    })
+}
+
+/// The error for a view that was projected on another device than `tensors` live on, or in another precision.
+pub(super) fn other_kernels() -> Error {
+    Error::argument(
+        "tensors of a view",
+        "another device or float type than the Gaussians have",
+        "those of the Gaussians",
+        "move or cast the tensors",
+    )
+}
+
+pub(super) fn blend_view<B: HostBackend>(
+    values: FloatTensor<B>,
+    view: ProjectedView,
+) -> TensorPair<B> {
+    let (device, channels) = (device_of::<B>(&values), values.shape()[1]);
+    real_kernel!(values, E => {
+        let Some(projected) = OfHost::<Projected<E>>::of_host(&view) else {
+            return TensorPair::Failed(other_kernels());
+        };
+        let [w, h] = projected.size();
+        let Blended { image, transmittance } = projected.blend(&B::values::<E>(values), channels);
+        TensorPair::Done(
+            B::tensor::<E>(image, &[h, w, channels], &device),
+            B::tensor::<E>(transmittance, &[h, w], &device),
+        )
+    })
+}
+
+pub(super) fn blend_view_adjoint<B: HostBackend>(
+    image: FloatTensor<B>,
+    view: ProjectedView,
+) -> TensorPair<B> {
+    let (device, channels) = (device_of::<B>(&image), image.shape()[2]);
+    real_kernel!(image, E => {
+        let Some(projected) = OfHost::<Projected<E>>::of_host(&view) else {
+            return TensorPair::Failed(other_kernels());
+        };
+        let sums = projected.blend_adjoint(&B::values::<E>(image), channels);
+        let counts: Vec<E> = projected.counts().into_iter().map(|count| E::of(f64::from(count))).collect();
+        let n = counts.len();
+        TensorPair::Done(
+            B::tensor::<E>(sums, &[n, channels], &device),
+            B::tensor::<E>(counts, &[n], &device),
+        )
+    })
+}
+
+/// Slices of the inputs.
+pub(super) struct Inputs<E> {
+    means: HostValues<E>,
+    log_scales: HostValues<E>,
+    rotations: HostValues<E>,
+    opacity_logits: HostValues<E>,
+    sh: HostValues<E>,
+    features: HostValues<E>,
+}
+
+impl<E: Real> Inputs<E> {
+    pub fn read<B: HostBackend>(tensors: RasterTensors<B>) -> Self {
+        Self {
+            means: B::values(tensors.means),
+            log_scales: B::values(tensors.log_scales),
+            rotations: B::values(tensors.rotations),
+            opacity_logits: B::values(tensors.opacity_logits),
+            sh: B::values(tensors.sh),
+            features: B::values(tensors.features),
+        }
+    }
+
+    fn splats(&self) -> Splats<'_, E> {
+        Splats {
+            means: &self.means,
+            log_scales: &self.log_scales,
+            rotations: &self.rotations,
+            opacity_logits: &self.opacity_logits,
+        }
+    }
+
+    fn features_per_row(&self) -> usize {
+        self.features.len() / self.opacity_logits.len().max(1)
+    }
+
+    /// Image `[H, W, channels]`, background included, and what the backward pass needs.
+    pub fn forward(&self, call: &RasterCall) -> Result<(Vec<E>, Forward<E>)> {
+        let extra = self.features_per_row();
+        check_finite("features", &self.features, extra)?;
+        let projected = Projected::new(&self.splats(), &call.camera, &call.settings)?;
+        let channels = call.colours() + extra;
+        let values = self.blended_values(call, projected.radii())?;
+        let Blended {
+            mut image,
+            transmittance,
+        } = projected.blend(values.as_deref().unwrap_or(&self.features), channels);
+        let background = call.background.map(E::of);
+        if call.has_sh && background != [E::zero(); 3] {
+            for (pixel, &t) in image.chunks_exact_mut(channels).zip(&transmittance) {
+                for (value, &b) in pixel.iter_mut().zip(&background) {
+                    *value += t * b;
+                }
+            }
+        }
+        let forward = Forward {
+            projected,
+            values,
+            transmittance,
+        };
+        Ok((image, forward))
+    }
+
+    /// Colours and features side by side, `[N, C]`; `None` for the features alone.
+    fn blended_values(&self, call: &RasterCall, radii: &[u32]) -> Result<Option<Vec<E>>> {
+        if !call.has_sh {
+            return Ok(None);
+        }
+        let colours = visible_colours(
+            &self.means,
+            &self.sh,
+            call.sh_degree,
+            call.active_sh_degree,
+            call.camera.center.to_array(),
+            radii,
+        )?;
+        let extra = self.features_per_row();
+        if extra == 0 {
+            return Ok(Some(colours));
+        }
+        let rows = colours
+            .chunks_exact(3)
+            .zip(self.features.chunks_exact(extra));
+        Ok(Some(
+            rows.flat_map(|(rgb, features)| rgb.iter().chain(features).copied())
+                .collect(),
+        ))
+    }
+
+    /// Gradients in the order of [`RasterTensors`].
+    fn backward(
+        &self,
+        call: &RasterCall,
+        forward: &Forward<E>,
+        pixels: PixelGradients<'_, E>,
+    ) -> [Vec<E>; INPUTS] {
+        let projected = &forward.projected;
+        let colours = call.colours();
+        let channels = colours + self.features_per_row();
+        let values = forward.values.as_deref().unwrap_or(&self.features);
+        let SplatGradients {
+            mut means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            values: d_values,
+            screen,
+            screen_absolute,
+        } = projected.backward_slices(
+            &self.splats(),
+            values,
+            channels,
+            pixels,
+            call.absolute_screen,
+        );
+        let d_sh = if call.has_sh {
+            ShBackward {
+                means: &self.means,
+                sh: &self.sh,
+                sh_degree: call.sh_degree,
+                active_degree: call.active_sh_degree,
+                center: call.camera.center.to_array(),
+                colours: values,
+                gradient: &d_values,
+                stride: channels,
+                wanted: projected.radii(),
+            }
+            .run(&mut means)
+        } else {
+            Vec::new()
+        };
+        let d_features = if !call.has_features || channels == colours {
+            Vec::new()
+        } else if colours == 0 {
+            d_values
+        } else {
+            d_values
+                .chunks_exact(channels)
+                .flat_map(|row| &row[colours..])
+                .copied()
+                .collect()
+        };
+        let d_screen = if call.absolute_screen {
+            let sums = screen_absolute.as_chunks::<2>().0;
+            let rows = screen.as_chunks::<2>().0.iter().zip(sums);
+            rows.flat_map(|(&[u, v], &[sum_u, sum_v])| [u, v, sum_u, sum_v])
+                .collect()
+        } else {
+            screen
+        };
+        [
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+            d_sh,
+            d_features,
+            d_screen,
+        ]
+    }
+}

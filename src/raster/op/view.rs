@@ -1,0 +1,213 @@
+//! Blending with frozen geometry and its adjoint, as operations on tensors: projected and sorted once a view.
+
+use super::backend::{ProjectedView, RasterBackend, TensorPair};
+use super::splats::SplatTensors;
+use crate::backend::device::largest_allocation;
+use crate::error::{Error, Result};
+use crate::ops::{RowList, gather_rows};
+use crate::raster::settings::Settings;
+use crate::splat::camera::Camera;
+use burn::backend::Dispatch;
+use burn::tensor::Tensor;
+use std::ops::Range;
+use std::sync::{Arc, OnceLock};
+
+/// Bytes of an image of several channels, where they need not lie together, in host memory.
+const BLOCK_BYTES: usize = 64 << 20;
+/// The most that such an image takes on a device, and the share of its largest allocation.
+const DEVICE_BLOCK_BYTES: usize = 1 << 30;
+const DEVICE_BLOCK_SHARE: usize = 4;
+/// On a device the channels of a block are a multiple of this.
+const DEVICE_STEP: usize = 32;
+/// Channels that are always blended together, however large the image: each pass evaluates all pairs anew.
+const LEAST_CHANNELS: usize = 12;
+
+/// What [`SplatView::blend_adjoint`] returns.
+#[derive(Clone, Debug)]
+pub struct Lifted {
+    /// `W^T y`, `[N, C]`.
+    pub sums: Tensor<2>,
+    /// Disc pixels: pixels whose centre lies within the projected radius, `[N]`, as floats.
+    pub counts: Tensor<1>,
+}
+
+/// What a view renders besides its Gaussians.
+#[derive(Clone, Debug)]
+pub(crate) struct ViewCall {
+    pub(super) camera: Camera,
+    pub(super) settings: Settings,
+    /// Entries of the tile lists, once a GPU has counted them for the same Gaussians and camera.
+    #[cfg_attr(
+        not(feature = "cube"),
+        allow(dead_code, reason = "only a GPU counts entries")
+    )]
+    pub(super) entries: Arc<OnceLock<usize>>,
+}
+
+/// Frozen Gaussians and a camera: projected and sorted once for all that is blended and lifted.
+#[derive(Clone, Debug)]
+pub struct SplatView {
+    splats: SplatTensors,
+    call: Arc<ViewCall>,
+    /// Made at first use.
+    projected: Arc<OnceLock<ProjectedView>>,
+}
+
+impl SplatTensors {
+    /// These Gaussians as `camera` sees them.
+    pub fn seen_by(&self, camera: &Camera, settings: &Settings) -> SplatView {
+        self.seen_again_by(camera, settings, &Arc::default())
+    }
+
+    /// [`SplatTensors::seen_by`] with the entry count of earlier calls. `entries` must belong to the same Gaussians, camera and
+    /// settings, or be new. With a count a GPU reads nothing back.
+    pub(crate) fn seen_again_by(
+        &self,
+        camera: &Camera,
+        settings: &Settings,
+        entries: &Arc<OnceLock<usize>>,
+    ) -> SplatView {
+        SplatView {
+            splats: self.clone(),
+            call: Arc::new(ViewCall {
+                camera: camera.clone(),
+                settings: *settings,
+                entries: entries.clone(),
+            }),
+            projected: Arc::default(),
+        }
+    }
+}
+
+impl SplatView {
+    /// The Gaussians.
+    pub fn splats(&self) -> &SplatTensors {
+        &self.splats
+    }
+
+    /// Where it is seen from.
+    pub fn camera(&self) -> &Camera {
+        &self.call.camera
+    }
+
+    /// Ranges of `channels` to blend together: an image of one takes about 64 MB; on a GPU a quarter of its largest allocation,
+    /// and no more than 1 GB.
+    pub fn channel_blocks(&self, channels: usize) -> impl Iterator<Item = Range<usize>> + use<> {
+        let plane = (self.camera().width * self.camera().height * size_of::<f32>()).max(1);
+        let together = match largest_allocation(&self.splats.means.device()) {
+            None => (BLOCK_BYTES / plane).max(LEAST_CHANNELS),
+            Some(most) => match (most / DEVICE_BLOCK_SHARE).min(DEVICE_BLOCK_BYTES) / plane {
+                few if few < DEVICE_STEP => few.max(LEAST_CHANNELS),
+                many => many / DEVICE_STEP * DEVICE_STEP,
+            },
+        };
+        (0..channels)
+            .step_by(together)
+            .map(move |first| first..(first + together).min(channels))
+    }
+
+    /// `S = W s` of `values` `[N, C]`, the image `[H, W, C]` with gradient to them, and the transmittance `[H, W]` (Eq. 3-4).
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for tensors of different sizes or float types; those of [`Projected::new`]; on a GPU [`Error::Limit`]
+    /// for what the device cannot hold, and [`Error::Device`] when it fails.
+    pub fn blend(&self, values: Tensor<2>) -> Result<(Tensor<3>, Tensor<2>)> {
+        let (n, rows) = (self.splats.len(), values.dims()[0]);
+        if rows != n {
+            let (found, expected) = (format!("{rows} rows"), format!("{n}, one a Gaussian"));
+            return Err(Error::argument(
+                "values to blend",
+                found,
+                expected,
+                "pass values of these Gaussians",
+            ));
+        }
+        self.splats.check(values.dtype())?;
+        match Dispatch::blend_view(values.into_dispatch(), self.projected()?) {
+            TensorPair::Done(image, transmittance) => Ok((
+                Tensor::from_dispatch(image),
+                Tensor::from_dispatch(transmittance),
+            )),
+            TensorPair::Failed(error) => Err(error),
+        }
+    }
+
+    /// [`SplatView::blend`] at the pixels `pixels` (row-major): `[P, C]` and `[P]`. Where all pixels of all channels would take
+    /// much memory, channels are blended a block at a time.
+    ///
+    /// # Errors
+    /// As [`SplatView::blend`].
+    pub fn blend_at(
+        &self,
+        values: Tensor<2>,
+        pixels: &Arc<RowList>,
+    ) -> Result<(Tensor<2>, Tensor<1>)> {
+        let (n, all) = (values.dims()[0], self.camera().width * self.camera().height);
+        let mut transmittance = None;
+        let blocks = self.channel_blocks(values.dims()[1]).map(|block| {
+            let channels = block.len();
+            let (image, of_all) = self.blend(values.clone().slice([0..n, block]))?;
+            transmittance.get_or_insert(of_all);
+            Ok(gather_rows(image.reshape([all, channels]), pixels))
+        });
+        let image = Tensor::cat(blocks.collect::<Result<Vec<_>>>()?, 1);
+        let transmittance = match transmittance {
+            Some(transmittance) => transmittance.reshape([all, 1]),
+            None => Tensor::ones([all, 1], &image.device()),
+        };
+        Ok((
+            image,
+            gather_rows(transmittance, pixels).reshape([pixels.len()]),
+        ))
+    }
+
+    /// `W^T y` of an image `y`, `[H, W, C]`: the adjoint of [`SplatView::blend`], without autodiff.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for an image of another size than the camera has; as [`SplatView::blend`].
+    pub fn blend_adjoint(&self, image: Tensor<3>) -> Result<Lifted> {
+        let camera = self.camera();
+        let [height, width, _] = image.dims();
+        if [height, width] != [camera.height, camera.width] {
+            let (found, expected) = (
+                format!("{width}x{height}"),
+                format!("{}x{}", camera.width, camera.height),
+            );
+            return Err(Error::argument(
+                "image to lift",
+                found,
+                expected,
+                "pass an image of the camera's size",
+            ));
+        }
+        self.splats.check(image.dtype())?;
+        match Dispatch::blend_view_adjoint(image.into_dispatch(), self.projected()?) {
+            TensorPair::Done(sums, counts) => Ok(Lifted {
+                sums: Tensor::from_dispatch(sums),
+                counts: Tensor::from_dispatch(counts),
+            }),
+            TensorPair::Failed(error) => Err(error),
+        }
+    }
+
+    /// Projection and tile lists, made at first use.
+    fn projected(&self) -> Result<ProjectedView> {
+        if let Some(projected) = self.projected.get() {
+            return Ok(projected.clone());
+        }
+        let SplatTensors {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits,
+        } = self.splats.clone();
+        let projected = Dispatch::project_view(
+            means.into_dispatch(),
+            log_scales.into_dispatch(),
+            rotations.into_dispatch(),
+            opacity_logits.into_dispatch(),
+            self.call.clone(),
+        )?;
+        Ok(self.projected.get_or_init(|| projected).clone())
+    }
+}
