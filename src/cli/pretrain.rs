@@ -13,7 +13,7 @@ const HELP: &str = "\
 Trains the RandLA encoder, with a decoder of its own that is thrown away, to tell the classes of procedural furnished
 rooms; the room that `coseg train` shows by default is never among them. The same seed gives the same file on one kind
 of processor and one backend.
-Use it with --set spatial.source=pretrained --set spatial.weights=FILE.
+Use it with --set spatial.source.pretrained=FILE.
 
 Example:
   coseg pretrain --out encoder.safetensors";

@@ -1,8 +1,8 @@
-//! How label maps whose ids differ from view to view are put together.
+//! Association of label maps whose ids differ from view to view.
 
 use serde::{Deserialize, Serialize};
 
-/// What makes one id of many that mean the same thing.
+/// How ids of raw labels become one id per object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Association {
@@ -13,9 +13,8 @@ pub enum Association {
     Gaussians,
 }
 
-/// Association over Gaussians; used with `data.association = "gaussians"`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+/// Options of the association over Gaussians. No key of a config file sets them.
+#[derive(Clone, Debug, PartialEq)]
 pub struct AssociationConfig {
     /// Passes over all views; the first forms groups, the others assign every view again.
     pub sweeps: usize,

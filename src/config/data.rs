@@ -1,6 +1,7 @@
 //! Where the scene comes from and how its folder is read.
 
-use super::Association;
+use super::{Association, range};
+use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Component, Path, PathBuf};
 
@@ -45,21 +46,19 @@ pub struct DataConfig {
     /// Whether ids of raw labels are class ids, or mean something within their view only and are put together after
     /// stage one.
     pub association: Association,
-    /// Of each split every so many-th frame is used; 1 means all.
+    /// Every how many frames of each split one is used; 1 uses all.
     pub stride: usize,
     /// No more frames than this, evenly chosen; 0 means no limit.
     pub max_frames: usize,
     /// Photos whose longer side has more pixels are reduced to this many, their cameras and label maps with them; 0 means no
     /// limit.
     pub max_side: usize,
-    /// Megabytes (2^20 bytes) of decoded photos kept in memory, 3 bytes a pixel; the others are decoded again from their
-    /// files at each use. No result depends on it. The photos of the built-in room lie in no file and are kept.
+    /// Megabytes (2^20 bytes) of decoded photos kept in memory, 3 bytes a pixel; the others are decoded at each use. No result
+    /// depends on it, and no key sets it.
+    #[serde(skip)]
     pub decoded_mb: usize,
     /// Class table that ScanNet's label ids are mapped to.
     pub scannet_classes: ScannetClasses,
-    /// ScanNet's table of label ids, `scannetv2-labels.combined.tsv`; absent: looked for in `dir` and the three folders
-    /// above it.
-    pub scannet_labels: Option<PathBuf>,
 }
 
 impl Default for DataConfig {
@@ -79,12 +78,27 @@ impl Default for DataConfig {
             max_side: 1_600,
             decoded_mb: 1_024,
             scannet_classes: ScannetClasses::Nyu40,
-            scannet_labels: None,
         }
     }
 }
 
 impl DataConfig {
+    /// Checks ranges, and refuses a folder of masks that holds photos or label maps.
+    pub(super) fn check(&self) -> Result<()> {
+        range::checked!(self, "data": { stride: POSITIVE });
+        let given = !self.masks.is_empty() && self.masks != NO_MASKS;
+        let other = [&self.images, &self.raw_labels];
+        if given && other.iter().any(|folder| same_folder(folder, &self.masks)) {
+            return Err(Error::config(
+                "data.masks",
+                self.masks.clone(),
+                "a folder other than data.images and data.raw_labels",
+                "name the folder of masks, or leave the key out",
+            ));
+        }
+        Ok(())
+    }
+
     /// A sentence on where the raw labels come from, where that is known: nothing in a scene folder says so.
     pub fn raw_labels_origin(&self) -> Option<String> {
         match (self.raw_labels_note.trim(), &self.dir) {

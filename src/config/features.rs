@@ -1,9 +1,12 @@
-//! Settings of what stage two is shown: image features, their lifting onto Gaussians, the point encoder.
+//! Settings of the inputs of stage two: image features, their lifting onto Gaussians, the point encoder.
 
+use super::range;
+use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// Where 2D image features come from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FeatureSource {
     /// MobileNetV2 when weights are given, else the descriptor.
@@ -15,8 +18,9 @@ pub enum FeatureSource {
     Mobilenetv2,
     /// A DINO ViT of any size, the ends of the quarters of its depth (the paper).
     Dino,
-    /// Maps read from files, one set a view.
-    Import,
+    /// Maps read from the files of this folder: `STEM.N.npy` ([H, W, C] f32, N = 1..4) or `STEM.safetensors` (tensors
+    /// `scale1`..`scale4`).
+    Import(PathBuf),
 }
 
 /// 2D image features.
@@ -26,15 +30,32 @@ pub struct FeatureConfig {
     /// The extractor.
     pub source: FeatureSource,
     /// Weights of the extractor.
-    pub weights: Option<std::path::PathBuf>,
-    /// Whether the four blocks of a DINO ViT take its final layer normalisation; other sources have none.
-    pub final_norm: bool,
-    /// Folder of imported maps: `STEM.N.npy` ([H, W, C] f32, N = 1..4) or `STEM.safetensors` (tensors `scale1`..`scale4`).
-    pub import_dir: Option<std::path::PathBuf>,
+    pub weights: Option<PathBuf>,
     /// Dimensions kept by PCA, per scale.
     pub dimensions: usize,
     /// Folder of cached maps, keyed by content; absent means no cache.
-    pub cache_dir: Option<std::path::PathBuf>,
+    pub cache_dir: Option<PathBuf>,
+    /// Whether the four blocks of a DINO ViT take its final layer normalisation. No key sets it.
+    #[serde(skip)]
+    pub final_norm: bool,
+}
+
+impl FeatureConfig {
+    pub(super) fn check(&self) -> Result<()> {
+        range::checked!(self, "features": { dimensions: POSITIVE });
+        let network = match self.source {
+            FeatureSource::Mobilenetv2 => "MobileNetV2",
+            FeatureSource::Dino => "DINO",
+            _ => return Ok(()),
+        };
+        if self.weights.is_some() {
+            return Ok(());
+        }
+        let expected =
+            format!("a path to {network} weights, because features.source asks for {network}");
+        let help = "give it, or set features.source = \"auto\"";
+        Err(Error::config("features.weights", "nothing", expected, help))
+    }
 }
 
 impl Default for FeatureConfig {
@@ -42,10 +63,9 @@ impl Default for FeatureConfig {
         Self {
             source: FeatureSource::Auto,
             weights: None,
-            final_norm: true,
-            import_dir: None,
             dimensions: 64,
             cache_dir: None,
+            final_norm: true,
         }
     }
 }
@@ -100,6 +120,11 @@ impl Default for UnprojectionConfig {
 }
 
 impl UnprojectionConfig {
+    pub(super) fn check(&self) -> Result<()> {
+        range::checked!(self, "unprojection": { attendance: UNIT, attendance_pixels: NOT_NEGATIVE });
+        Ok(())
+    }
+
     /// Pixels, of `all` that the training views have, on which a Gaussian has to be counted (T_a of Algorithm 1).
     pub fn fewest_pixels(&self, all: u64) -> f64 {
         let share = self.attendance * all as f64;
@@ -112,15 +137,15 @@ impl UnprojectionConfig {
 }
 
 /// Where the point encoder's weights come from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum SpatialSource {
     /// The weights inside this crate, made by `coseg pretrain`.
     #[default]
     Builtin,
-    /// A checkpoint, see [`SpatialConfig::weights`].
-    Pretrained,
-    /// Random weights: an ablation row.
+    /// A checkpoint of RandLA-Net (`.safetensors`, `.pth`).
+    Pretrained(PathBuf),
+    /// Random weights: an ablation.
     Random,
 }
 
@@ -141,8 +166,6 @@ pub enum Encode {
 pub struct SpatialConfig {
     /// Which weights.
     pub source: SpatialSource,
-    /// Checkpoint (`.safetensors`, `.pth`) when `source = "pretrained"`.
-    pub weights: Option<std::path::PathBuf>,
     /// Metres per world unit, applied before encoding; 0 means from the camera extent.
     pub scale: f64,
     /// What is encoded at once.
@@ -153,9 +176,15 @@ impl Default for SpatialConfig {
     fn default() -> Self {
         Self {
             source: SpatialSource::Builtin,
-            weights: None,
             scale: 1.0,
             encode: Encode::Scene,
         }
+    }
+}
+
+impl SpatialConfig {
+    pub(super) fn check(&self) -> Result<()> {
+        range::checked!(self, "spatial": { scale: NOT_NEGATIVE });
+        Ok(())
     }
 }

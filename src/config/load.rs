@@ -1,11 +1,14 @@
 //! From files and `--set` overrides to a checked [`Config`], and back to TOML.
 
-use super::{Config, Preset};
+use super::{
+    AdcConfig, Config, FeatureSource, LabelLoss, McmcConfig, Preset, SpatialSource, Strategy,
+    Variant,
+};
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
-/// Where a value was given; decides what an error names.
+/// Where a value was given; an error names it.
 #[derive(Clone, Copy)]
 enum Origin<'a> {
     /// A config file, with its text for line numbers.
@@ -14,7 +17,7 @@ enum Origin<'a> {
     Set,
 }
 
-/// One value somebody gave.
+/// A value of a file or of `--set`.
 struct Given<'a> {
     key: String,
     value: Value,
@@ -35,16 +38,17 @@ impl Config {
         Self::load_over(file, sets, |preset, _| Self::preset(preset))
     }
 
-    /// The same for the scene folder `data`, or else the one that the settings name. Without either the run is of the built-in
-    /// scene, and begins with [`Config::builtin_preset`].
+    /// The same for the scene folder `data`, or else for the one that the settings name. Without either the run trains the
+    /// built-in scene and starts from [`Config::builtin_preset`].
     ///
     /// # Errors
     /// As [`Config::load`].
     pub fn load_for(data: Option<&Path>, file: Option<&Path>, sets: &[String]) -> Result<Self> {
         let mut config = Self::load_over(file, sets, |preset, given| {
-            match data.is_some() || names_folder(given) {
-                true => Self::preset(preset),
-                false => Self::builtin_preset(preset),
+            if data.is_some() || names_folder(given) {
+                Self::preset(preset)
+            } else {
+                Self::builtin_preset(preset)
             }
         })?;
         config.data.dir = data.map(Path::to_owned).or(config.data.dir);
@@ -76,8 +80,8 @@ impl Config {
     }
 
     /// How a run whose settings file is at `path` rendered: its section `[raster]` and its `segmentation.min_coverage`, over
-    /// what its preset says. The defaults where the file has no such section, as those of other programs. All else is not
-    /// looked at: what another version wrote there is no obstacle.
+    /// its preset. The defaults where the file has no such section, as files of other programs. Other sections are ignored,
+    /// so that unknown keys there do no harm.
     ///
     /// # Errors
     /// As [`Config::load`].
@@ -111,21 +115,8 @@ impl Config {
     /// # Errors
     /// [`Error::Io`] when the working folder is gone.
     pub fn with_absolute_paths(mut self) -> Result<Self> {
-        for path in [
-            &mut self.data.dir,
-            &mut self.data.scannet_labels,
-            &mut self.building.gaussians,
-            &mut self.features.weights,
-            &mut self.features.import_dir,
-            &mut self.features.cache_dir,
-            &mut self.spatial.weights,
-        ] {
-            if let Some(relative) = path {
-                *path = Some(
-                    std::path::absolute(&*relative)
-                        .map_err(|e| Error::io(&*relative, "find", e))?,
-                );
-            }
+        for path in self.paths() {
+            *path = std::path::absolute(&*path).map_err(|e| Error::io(&*path, "find", e))?;
         }
         Ok(self)
     }
@@ -139,7 +130,7 @@ impl Config {
     }
 }
 
-/// Whether a scene folder is named; the last word counts, and may take it away.
+/// Whether a scene folder is named. The last value counts; an empty one removes the folder.
 fn names_folder(given: &[Given<'_>]) -> bool {
     given
         .iter()
@@ -165,21 +156,43 @@ fn unrepresentable(error: &toml::ser::Error) -> Error {
     )
 }
 
-/// Every key there is, optional ones included, with a value of its type.
+/// Every key with a value of its type: the union of configs that have all optional keys and all payloads.
 fn template() -> Result<Table> {
+    let path = || PathBuf::from("path");
     let mut full = Config::default();
-    let path = || Some(PathBuf::from("path"));
-    full.building.densify_until = Some(0.5);
-    full.building.densify_threshold = Some(2e-4);
-    full.building.gaussians = path();
-    full.segmentation.rows = Some(super::Variant::COMPARED.to_vec());
-    full.data.dir = path();
-    full.data.scannet_labels = path();
-    full.features.weights = path();
-    full.features.import_dir = path();
-    full.features.cache_dir = path();
-    full.spatial.weights = path();
-    Table::try_from(&full).map_err(|e| unrepresentable(&e))
+    full.building.gaussians = Some(path());
+    full.building.strategy = Strategy::Adc(AdcConfig {
+        threshold: Some(2e-4),
+        ..AdcConfig::default()
+    });
+    full.segmentation.rows = Some(Variant::COMPARED.to_vec());
+    full.data.dir = Some(path());
+    full.features.weights = Some(path());
+    full.features.cache_dir = Some(path());
+    let mut other = full.clone();
+    other.building.strategy = Strategy::Mcmc(McmcConfig::default());
+    other.features.source = FeatureSource::Import(path());
+    other.spatial.source = SpatialSource::Pretrained(path());
+    other.segmentation.loss = LabelLoss::Js { pi_rl: 0.9 };
+    let mut third = full.clone();
+    third.segmentation.loss = LabelLoss::Gjs { pi_rl: 0.9 };
+    let mut union = Table::new();
+    for config in [full, other, third] {
+        let table = Table::try_from(&config).map_err(|e| unrepresentable(&e))?;
+        merge(&mut union, table);
+    }
+    Ok(union)
+}
+
+/// Adds the keys of `more`; a payload replaces the name of a variant without one.
+fn merge(union: &mut Table, more: Table) {
+    for (name, value) in more {
+        match (union.get_mut(&name), value) {
+            (Some(Value::Table(known)), Value::Table(more)) => merge(known, more),
+            (Some(Value::Table(_)), _) => {}
+            (_, value) => _ = union.insert(name, value),
+        }
+    }
 }
 
 /// The template's value at a dotted key.
@@ -213,18 +226,8 @@ fn flatten<'a>(
         let key = format!("{prefix}{name}");
         match (lookup(template, &key), value) {
             (None, _) => return Err(unknown_key(&key, template, origin)),
-            (Some(Value::Table(_)), Value::Table(inner)) => {
+            (Some(Value::Table(_)), Value::Table(inner)) if !inner.is_empty() => {
                 flatten(inner, &format!("{key}."), template, origin, out)?;
-            }
-            (Some(Value::Table(_)), other) => {
-                let found = describe(&other);
-                return Err(fault(
-                    origin,
-                    &key,
-                    found,
-                    "a section".into(),
-                    format!("write [{key}] on a line of its own"),
-                ));
             }
             (Some(_), value) => out.push(Given { key, value, origin }),
         }
@@ -242,14 +245,8 @@ fn parse_set<'a>(set: &str, template: &Table) -> Result<Given<'a>> {
         ));
     };
     let (key, text) = (key.trim().to_owned(), text.trim());
-    let expected = match lookup(template, &key) {
-        None => return Err(unknown_key(&key, template, Origin::Set)),
-        Some(Value::Table(section)) => {
-            let keys = leaf_keys(section, &format!("{key}."));
-            let help = format!("for instance --set {}=...", keys.first().unwrap_or(&key));
-            return Err(Error::config(&key, "a section", "a key within it", help));
-        }
-        Some(expected) => expected,
+    let Some(expected) = lookup(template, &key) else {
+        return Err(unknown_key(&key, template, Origin::Set));
     };
     let parsed = format!("v = {text}")
         .parse::<Table>()
@@ -299,24 +296,54 @@ fn chosen_preset(given: &[Given<'_>]) -> Result<Preset> {
 
 /// `config` with one value replaced. One at a time, so that an error belongs to one key.
 fn apply(config: &Config, given: &Given<'_>) -> Result<Config> {
-    let mut table = Table::try_from(config).map_err(|e| unrepresentable(&e))?;
-    let mut section = &mut table;
-    let mut name = given.key.as_str();
-    while let Some((first, rest)) = name.split_once('.') {
-        let Some(inner) = section.get_mut(first).and_then(Value::as_table_mut) else {
-            return Err(wrong_value(given, "not a section"));
-        };
-        (section, name) = (inner, rest);
+    let keys: Vec<&str> = given.key.split('.').collect();
+    let mut first_error = String::new();
+    // A key of another variant of an enum takes the place of its siblings. Which level holds the enum only the types tell.
+    for alone in (1..=keys.len()).rev() {
+        let mut table = Table::try_from(config).map_err(|e| unrepresentable(&e))?;
+        put(&mut table, &keys, alone, given);
+        match table.try_into() {
+            Ok(config) => return Ok(config),
+            Err(error) if first_error.is_empty() => first_error = error.message().to_owned(),
+            Err(_) => {}
+        }
     }
-    let optional = !section.contains_key(name);
-    if given.value.as_str() == Some("") && (optional || is_optional(&given.key)) {
-        section.remove(name);
+    Err(wrong_value(given, &first_error))
+}
+
+/// Puts a value at the path `keys` below `section`; the siblings of what lies `alone` levels below go.
+fn put(section: &mut Table, keys: &[&str], alone: usize, given: &Given<'_>) {
+    let [name, below @ ..] = keys else {
+        return;
+    };
+    if alone == 0 {
+        section.retain(|key, _| key == *name);
+    }
+    if !below.is_empty() {
+        let inner = section.entry(*name).or_insert_with(|| Table::new().into());
+        if let Value::String(_) = inner {
+            *inner = Table::new().into();
+        }
+        if let Value::Table(inner) = inner {
+            put(inner, below, alone.wrapping_sub(1), given);
+        }
+        return;
+    }
+    let present = section.get(*name).and_then(Value::as_table);
+    let keeps = |present: &Table| match &given.value {
+        Value::String(variant) => present.contains_key(variant),
+        Value::Table(table) => table.is_empty(),
+        _ => false,
+    };
+    // A variant that is chosen already keeps its payload.
+    if present.is_some_and(keeps) {
+        return;
+    }
+    if given.value.as_str() == Some("") && is_optional(&given.key) {
+        section.remove(*name);
     } else {
-        section.insert(name.to_owned(), given.value.clone());
+        section.insert((*name).to_owned(), given.value.clone());
     }
-    table
-        .try_into()
-        .map_err(|e: toml::de::Error| wrong_value(given, e.message()))
 }
 
 /// Whether a key may be absent from a written config.
@@ -331,6 +358,17 @@ fn wrong_value(given: &Given<'_>, message: &str) -> Error {
             .split_once("expected ")
             .map_or(message, |(_, list)| list)
             .replace('`', "\""),
+        Some(Value::Table(_)) if message.contains("unit variant") => {
+            format!(
+                "its value, as {}.{} = ...",
+                given.key,
+                given.value.as_str().unwrap_or("NAME")
+            )
+        }
+        Some(Value::Table(_)) => match given.origin {
+            Origin::File(..) => "a section".to_owned(),
+            Origin::Set => "a key within it".to_owned(),
+        },
         Some(Value::Boolean(_)) => "true or false".to_owned(),
         Some(Value::Integer(_)) => "a whole number of 0 or more".to_owned(),
         Some(Value::Float(_)) => "a number".to_owned(),
@@ -450,5 +488,16 @@ fn in_file(error: Error, given: &[Given<'_>]) -> Error {
             fault(origin, &key, found, expected, help)
         }
         other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn there_are_at_most_sixty_keys() {
+        let keys = leaf_keys(&template().expect("plain data"), "");
+        assert!(keys.len() <= 60, "{} keys: {keys:#?}", keys.len());
     }
 }

@@ -1,6 +1,30 @@
-//! Names of the rows of the results table.
+//! Variants of stage two that the label table compares.
 
-use super::Variant;
+use serde::{Deserialize, Serialize};
+
+/// A variant of stage two: one line of the label table. All but `raw` and `vote` are trained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Variant {
+    /// Raw labels of the test views, as they are.
+    Raw,
+    /// Each Gaussian takes the class with the largest summed alpha' T.
+    Vote,
+    /// Identities learned per Gaussian with CE (ablation row 1 of the paper).
+    PerGaussian,
+    /// The decoder with CE.
+    OursCe,
+    /// The decoder with [`SegmentationConfig::loss`](super::SegmentationConfig::loss).
+    Ours,
+    /// `Ours` without image features.
+    NoImageFeatures,
+    /// `Ours` without spatial features.
+    NoSpatial,
+    /// `Ours` with one scale.
+    SingleScale,
+    /// `Ours` with a random point encoder.
+    RandomSpatial,
+}
 
 impl std::fmt::Display for Variant {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -9,7 +33,7 @@ impl std::fmt::Display for Variant {
 }
 
 impl Variant {
-    /// What is compared by default.
+    /// The variants compared by default.
     pub const COMPARED: [Self; 5] = [
         Self::Raw,
         Self::Vote,
@@ -17,10 +41,15 @@ impl Variant {
         Self::OursCe,
         Self::Ours,
     ];
-    /// What is left of it where no score can be had.
+    /// The default where no held-out view has a truth to score by.
     pub const UNSCORED: [Self; 2] = [Self::Vote, Self::Ours];
 
-    /// The row's name in `config.toml` and `metrics.json`.
+    /// Whether the variant trains the decoder.
+    pub fn trains_decoder(self) -> bool {
+        !matches!(self, Self::Raw | Self::Vote | Self::PerGaussian)
+    }
+
+    /// The variant's name in `config.toml` and `metrics.json`.
     pub fn key(self) -> &'static str {
         match self {
             Self::Raw => "raw",
@@ -35,7 +64,7 @@ impl Variant {
         }
     }
 
-    /// What the row is, for people.
+    /// The variant's name in tables for people.
     pub fn title(self) -> &'static str {
         match self {
             Self::Raw => "raw labels",

@@ -65,7 +65,7 @@ impl From<&DataConfig> for LoadOptions {
             max_frames: config.max_frames,
             max_side: config.max_side,
             scannet_classes: config.scannet_classes,
-            scannet_labels: config.scannet_labels.clone(),
+            scannet_labels: None,
             background: [0; 3],
             decoded_mb: config.decoded_mb,
             unit_is_metre: false,
@@ -88,7 +88,7 @@ impl LoadOptions {
     /// Those of a scene that is to be trained by `config`: with [`LoadOptions::unit_is_metre`] as the rows of stage two have it.
     pub fn for_training(config: &Config) -> Self {
         let encoded = |row: &Variant| {
-            row.is_fused() && !matches!(row, Variant::NoSpatial | Variant::RandomSpatial)
+            row.trains_decoder() && !matches!(row, Variant::NoSpatial | Variant::RandomSpatial)
         };
         let spatial = &config.spatial;
         let unit_is_metre = spatial.scale == 1.0

@@ -29,7 +29,7 @@ pub fn read(dir: &Path, stem: &str) -> Result<[FeatureMap; SCALES]> {
                     format!("view {stem}, scale {n}"),
                     format!("neither {stem}.{n}.npy nor {stem}.safetensors"),
                     "one of them for every view",
-                    "write the missing maps or correct features.import_dir",
+                    "write the missing maps or correct features.source.import",
                 ));
             }
             maps.push(read_npy(&path)?);
@@ -37,7 +37,7 @@ pub fn read(dir: &Path, stem: &str) -> Result<[FeatureMap; SCALES]> {
         maps
     };
     maps.try_into()
-        .map_err(|_| Error::config("features.import_dir", stem, "four maps", "report this"))
+        .map_err(|_| Error::config("features.source.import", stem, "four maps", "report this"))
 }
 
 fn read_npy(path: &Path) -> Result<FeatureMap> {

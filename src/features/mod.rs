@@ -69,41 +69,30 @@ impl Extractor {
     /// # Errors
     /// [`Error::Config`] when a needed path is not set; [`Error::Io`] and [`Error::Input`] for unusable weights.
     pub fn open(config: &FeatureConfig, device: &Device) -> Result<Self> {
-        match config.source {
+        let weights = |network: &str| {
+            config.weights.as_deref().ok_or_else(|| {
+                let expected = format!("a path to {network} weights");
+                Error::config(
+                    "features.weights",
+                    "nothing",
+                    expected,
+                    "set features.weights",
+                )
+            })
+        };
+        match &config.source {
             FeatureSource::Descriptor => Ok(Self::Descriptor),
-            FeatureSource::Auto | FeatureSource::Mobilenetv2 => match &config.weights {
-                Some(path) => Self::mobilenet(path, device),
-                None if config.source == FeatureSource::Auto => Ok(Self::Descriptor),
-                None => Err(Error::config(
-                    "features.weights",
-                    "nothing",
-                    "a path to MobileNetV2 weights, since features.source = \"mobilenetv2\"",
-                    "set features.weights",
-                )),
-            },
-            FeatureSource::Dino => match &config.weights {
-                Some(path) => Self::dino(path, config.final_norm),
-                None => Err(Error::config(
-                    "features.weights",
-                    "nothing",
-                    "a path to DINO weights, since features.source = \"dino\"",
-                    "set features.weights",
-                )),
-            },
-            FeatureSource::Import => match &config.import_dir {
-                Some(dir) if dir.is_dir() => Ok(Self::Import(dir.clone())),
-                Some(dir) => Err(Error::io(
-                    dir,
-                    "open folder",
-                    std::io::ErrorKind::NotFound.into(),
-                )),
-                None => Err(Error::config(
-                    "features.import_dir",
-                    "nothing",
-                    "a folder of maps, since features.source = \"import\"",
-                    "set features.import_dir",
-                )),
-            },
+            FeatureSource::Auto if config.weights.is_none() => Ok(Self::Descriptor),
+            FeatureSource::Auto | FeatureSource::Mobilenetv2 => {
+                Self::mobilenet(weights("MobileNetV2")?, device)
+            }
+            FeatureSource::Dino => Self::dino(weights("DINO")?, config.final_norm),
+            FeatureSource::Import(dir) if dir.is_dir() => Ok(Self::Import(dir.clone())),
+            FeatureSource::Import(dir) => Err(Error::io(
+                dir,
+                "open folder",
+                std::io::ErrorKind::NotFound.into(),
+            )),
         }
     }
 

@@ -26,12 +26,6 @@ const WITHOUT_EFFECT: [&str; 7] = [
     "eval_every",
     "checkpoint_every",
 ];
-/// What training did before a setting existed, where its default is not that.
-const BEFORE: [(&str, &str); 3] = [
-    ("building.absgrad", "false"),
-    ("segmentation.least_recall", "0.0"),
-    ("unprojection.attendance_pixels", "0.0"),
-];
 const SEED: &str = "seed";
 /// How label maps are rendered.
 const RENDER: &str = "segmentation.render";
@@ -45,21 +39,19 @@ const SECTIONS: [&str; 6] = [
     "spatial",
 ];
 /// Settings that are paths: files may move, so their names are compared.
-const PATHS: [&str; 6] = [
+const PATHS: [&str; 5] = [
     "data.dir",
-    "data.scannet_labels",
     "building.gaussians",
     "features.weights",
-    "features.import_dir",
-    "spatial.weights",
+    "features.source.import",
+    "spatial.source.pretrained",
 ];
 /// Settings of `data` that only raw labels follow from.
-const OF_RAW_LABELS: [&str; 5] = [
+const OF_RAW_LABELS: [&str; 4] = [
     "data.raw_labels",
     "data.raw_format",
     "data.association",
     "data.scannet_classes",
-    "data.scannet_labels",
 ];
 /// Settings that say which Gaussians stage two is left with.
 const OF_PRUNING: [&str; 3] = [
@@ -125,7 +117,7 @@ impl Provenance {
     /// [`Error::Io`] when the file of the point encoder's weights cannot be read.
     pub(crate) fn row(row: Variant, inputs: &Inputs) -> Result<Self> {
         let Inputs { scene, config, .. } = inputs;
-        let sections: &[&str] = match row.is_fused() {
+        let sections: &[&str] = match row.trains_decoder() {
             true => &[
                 "raster",
                 "segmentation",
@@ -158,12 +150,12 @@ impl Provenance {
         );
         // By what they are made from: on a GPU their sums need not have the same bits each time.
         if let (true, Some(seen)) = (
-            row.is_fused() && row != Variant::NoImageFeatures,
+            row.trains_decoder() && row != Variant::NoImageFeatures,
             &inputs.seen,
         ) {
             data.insert(IMAGE_FEATURES.to_owned(), seen.content.clone());
         }
-        if row.is_fused() && !matches!(row, Variant::NoSpatial | Variant::RandomSpatial) {
+        if row.trains_decoder() && !matches!(row, Variant::NoSpatial | Variant::RandomSpatial) {
             data.extend(
                 spatial_digest(&config.spatial)?.map(|digest| (ENCODER.to_owned(), digest)),
             );
@@ -186,7 +178,7 @@ impl Provenance {
     }
 
     /// Refuses a checkpoint, `stored` in `file`, that was made from other settings or data than these. A setting that it does
-    /// not mention did not exist when it was written: it counts as what was done then, the default but for [`BEFORE`]. What
+    /// not mention did not exist when it was written: it counts as what was done then, the default. What
     /// training is `finished` may be scored by another rule of rendering.
     ///
     /// # Errors
@@ -194,8 +186,7 @@ impl Provenance {
     /// naming the data.
     pub(crate) fn check(&self, stored: &Self, finished: bool, file: &Path) -> Result<()> {
         let none = || "nothing".to_owned();
-        let mut defaults = settings(&Config::default(), &SECTIONS);
-        defaults.extend(BEFORE.map(|(key, value)| (key.to_owned(), value.to_owned())));
+        let defaults = settings(&Config::default(), &SECTIONS);
         let then = |key: &str| stored.settings.get(key).or_else(|| defaults.get(key));
         let keys = self.settings.keys().chain(stored.settings.keys());
         let keys = keys.filter(|key| *key != RENDER || !finished);
@@ -261,8 +252,10 @@ impl Provenance {
                 "the Gaussians and the unprojection.attendance that it began with (earlier versions pruned nothing, as with 0, \
                  where no row had a decoder)"
             }
-            IMAGE_FEATURES => "the weights, or the maps in features.import_dir, that it began with",
-            ENCODER => "the weights in spatial.weights that it began with",
+            IMAGE_FEATURES => {
+                "the weights, or the maps in features.source.import, that it began with"
+            }
+            ENCODER => "the weights in spatial.source.pretrained that it began with",
             _ if stored.origin.is_empty() => {
                 "the files and the settings of data and association that it began with"
             }

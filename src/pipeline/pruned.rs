@@ -128,6 +128,10 @@ impl Attendance {
 fn reads_features(config: &Config) -> bool {
     let cells = config.unprojection.resolution == Resolution::Feature
         && config.unprojection.attendance > 0.0;
-    let decoded = config.segmentation.rows().iter().any(|row| row.is_fused());
+    let decoded = config
+        .segmentation
+        .rows()
+        .iter()
+        .any(|row| row.trains_decoder());
     decoded || cells
 }

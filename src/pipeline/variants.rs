@@ -18,6 +18,8 @@ use std::path::Path;
 
 /// Share added to every class of the votes that a decoder starts from.
 const VOTE_FLOOR: f32 = 0.02;
+/// Share of the frozen channels that each of the two predictions of `loss = "gjs"` drops.
+const GJS_DROPOUT: f64 = 0.2;
 
 /// One row, trained and scored.
 #[derive(Clone, Debug)]
@@ -72,13 +74,6 @@ impl VariantOutcome {
     }
 }
 
-impl Variant {
-    /// Whether the row trains the decoder.
-    pub fn is_fused(self) -> bool {
-        !matches!(self, Self::Raw | Self::Vote | Self::PerGaussian)
-    }
-}
-
 /// Rows, trained and scored.
 pub struct TrainedRows {
     /// In the order of the configuration.
@@ -118,8 +113,9 @@ pub fn run_rows(
     let (mut rows, mut earlier, mut stopped) = (Vec::new(), 0.0, false);
     for (number, &row) in config.rows().iter().enumerate() {
         // A table of votes takes as much as identities do.
-        let votes =
-            |row: &Variant| *row == Variant::Vote || row.is_fused() && config.prior == Prior::Votes;
+        let votes = |row: &Variant| {
+            *row == Variant::Vote || row.trains_decoder() && config.prior == Prior::Votes
+        };
         views.keep_votes(config.rows()[number + 1..].iter().any(votes));
         let outcome = match row {
             Variant::Raw => {
@@ -280,7 +276,7 @@ fn trained(
             whole,
         })
     };
-    if !row.is_fused() {
+    if !row.trains_decoder() {
         let size = [inputs.gaussians.len(), classes];
         let rate = config.lr_per_gaussian;
         let mut model = PerGaussian::new(size, rate, config.blend, &device);
@@ -314,15 +310,14 @@ pub fn decoder_row<'a>(
         rate,
         regularised: row != Variant::OursCe && config.lambda_reg > 0.0,
         size: [inputs.gaussians.len(), classes],
-        dropout: (row != Variant::OursCe && config.loss == LabelLoss::Gjs)
-            .then_some(config.gjs_dropout),
+        dropout: (row != Variant::OursCe && matches!(config.loss, LabelLoss::Gjs { .. }))
+            .then_some(GJS_DROPOUT),
         average_from: config.average.then_some(average_from),
         seed,
     };
     let device = inputs.device.clone().autodiff();
     let pyramid = &source.scene().pyramid;
     let decoder = DecoderConfig::for_pyramid(pyramid, classes, pyramid.levels.len() > 1)
-        .with_layer_norm(config.layer_norm)
         .with_seed(seed)
         .init(&device);
     let fused = Fused::new(

@@ -31,10 +31,7 @@ impl From<&RasterConfig> for Settings {
     fn from(c: &RasterConfig) -> Self {
         Self {
             alpha_max: c.alpha_max,
-            alpha_min: c.alpha_min,
-            t_min: c.t_min,
-            near: c.near,
-            low_pass: c.low_pass,
+            ..Self::default()
         }
     }
 }

@@ -8,6 +8,8 @@ use crate::random::{Purpose, stream};
 use glam::{DVec3, Vec3};
 use rand::seq::SliceRandom;
 
+/// Share of the learning rate of the means that is left at the end of a run (3DGS: `position_lr_final`).
+const FINAL_MEANS_RATE: f64 = 0.01;
 /// Densification starts at this share of the run at the latest.
 const LATEST_START: f64 = 0.08;
 /// Passes over all views between two opacity resets, at least.
@@ -31,14 +33,10 @@ impl Schedule {
         }
     }
 
-    /// Learning rate of the means: exponential from `lr_means` to `lr_means_final`, times the extent.
+    /// Learning rate of the means: exponential from `lr_means` to [`FINAL_MEANS_RATE`] of it, times the extent.
     pub fn means_rate(&self, step: usize) -> f64 {
         let share = (step.saturating_sub(1)) as f64 / self.config.iterations.max(1) as f64;
-        let (start, end) = (self.config.lr_means, self.config.lr_means_final);
-        if start <= 0.0 || end <= 0.0 {
-            return start.max(0.0) * self.extent;
-        }
-        ((1.0 - share) * start.ln() + share * end.ln()).exp() * self.extent
+        self.config.lr_means * FINAL_MEANS_RATE.powf(share) * self.extent
     }
 
     /// SH degree in use: one more at each eighth of the run, up to the third and to `sh_degree`; all of it from the first step
@@ -67,7 +65,7 @@ impl Schedule {
             .reset_every
             .max(PASSES_BETWEEN_RESETS * self.views)
             .max(1);
-        self.config.strategy == Strategy::Adc
+        matches!(self.config.strategy, Strategy::Adc(_))
             && step.is_multiple_of(every)
             && step < self.densify_until()
     }
@@ -186,7 +184,7 @@ mod tests {
     #[test]
     fn mcmc_densifies_for_longer_and_resets_nothing() {
         let config = BuildingConfig {
-            strategy: Strategy::Mcmc,
+            strategy: Strategy::Mcmc(Default::default()),
             ..BuildingConfig::default()
         };
         let s = Schedule::new(&config, 50, 2.0);

@@ -190,7 +190,7 @@ impl Report<'_> {
         if outcome
             .rows
             .iter()
-            .any(|row| row.row.is_fused() && row.row != Variant::OursCe)
+            .any(|row| row.row.trains_decoder() && row.row != Variant::OursCe)
         {
             notes.push(format!(
                 "The decoder of ours learns under {}.",
@@ -223,21 +223,25 @@ impl Report<'_> {
 
 /// The label loss of row `ours` and what comes before it.
 fn loss_in_words(config: &SegmentationConfig) -> String {
-    let (q, pi_rl) = (config.gce_exponent, config.pi_rl);
     let loss = match config.loss {
         LabelLoss::Ce => return "cross-entropy".to_owned(),
-        LabelLoss::Js => format!("the Jensen-Shannon loss, pi_rl = {pi_rl}"),
-        LabelLoss::Gce => format!("generalised cross-entropy, q = {q}"),
+        LabelLoss::Js { pi_rl } => format!("the Jensen-Shannon loss, pi_rl = {pi_rl}"),
+        LabelLoss::Gce { exponent, .. } => format!("generalised cross-entropy, q = {exponent}"),
         LabelLoss::Mae => "the absolute error".to_owned(),
         LabelLoss::NceRce => "normalised and reverse cross-entropy".to_owned(),
-        LabelLoss::Gjs => format!("the generalised Jensen-Shannon loss, pi_rl = {pi_rl}"),
+        LabelLoss::Gjs { pi_rl } => {
+            format!("the generalised Jensen-Shannon loss, pi_rl = {pi_rl}")
+        }
     };
     let loss = match (config.warmup * config.iterations as f64).round() {
         0.0 => loss,
         steps => format!("{loss}, after {steps} steps of cross-entropy"),
     };
-    match config.least_recall {
-        least if least > 0.0 && config.loss == LabelLoss::Gce => {
+    match config.loss {
+        LabelLoss::Gce {
+            least_recall: least,
+            ..
+        } if least > 0.0 => {
             format!(
                 "{loss}, nearer to cross-entropy for classes whose own labels get less than {least} of the probability"
             )

@@ -238,29 +238,19 @@ pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64
 /// The encoder that the settings ask for, frozen, and how a run names it: `pretrained FILE`, `trained here`, `random`.
 ///
 /// # Errors
-/// [`Error::Config`] when a checkpoint is asked for and not named; [`Error::Io`], [`Error::Input`] when it cannot be
-/// read or does not fit.
+/// [`Error::Io`], [`Error::Input`] when a checkpoint cannot be read or does not fit.
 pub fn load_spatial(
     config: &SpatialConfig,
     seed: u64,
     device: &Device,
 ) -> Result<(RandlaEncoder, String)> {
-    let (weights, name) = match (config.source, &config.weights) {
-        (SpatialSource::Builtin, _) => (builtin_weights()?, "trained here".to_owned()),
-        (SpatialSource::Random, _) => (random_weights(3, seed), "random".to_owned()),
-        (SpatialSource::Pretrained, Some(path)) => {
+    let (weights, name) = match &config.source {
+        SpatialSource::Builtin => (builtin_weights()?, "trained here".to_owned()),
+        SpatialSource::Random => (random_weights(3, seed), "random".to_owned()),
+        SpatialSource::Pretrained(path) => {
             let weights =
                 Checkpoint::open(path)?.of_network("RandLA-Net (keys `dilated_res_blocks.*`)");
             (weights, format!("pretrained {}", path.display()))
-        }
-        (SpatialSource::Pretrained, None) => {
-            let help = "set it to a RandLA-Net checkpoint, or set spatial.source = \"builtin\"";
-            return Err(Error::config(
-                "spatial.weights",
-                "nothing",
-                "a .safetensors, .pth or .pt file",
-                help,
-            ));
         }
     };
     Ok((
@@ -274,11 +264,10 @@ pub fn load_spatial(
 /// # Errors
 /// [`Error::Io`] when their file cannot be read.
 pub(crate) fn spatial_digest(config: &SpatialConfig) -> Result<Option<String>> {
-    match (config.source, &config.weights) {
-        (SpatialSource::Builtin, _) => Ok(Some(format!("{:x}", Sha256::digest(BUILTIN)))),
-        (SpatialSource::Pretrained, Some(path)) => file_digest(path).map(Some),
-        // Without a path nothing can be loaded: the loader says so.
-        (SpatialSource::Random, _) | (SpatialSource::Pretrained, None) => Ok(None),
+    match &config.source {
+        SpatialSource::Builtin => Ok(Some(format!("{:x}", Sha256::digest(BUILTIN)))),
+        SpatialSource::Pretrained(path) => file_digest(path).map(Some),
+        SpatialSource::Random => Ok(None),
     }
 }
 

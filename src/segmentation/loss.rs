@@ -1,7 +1,7 @@
 //! CoSeg loss (Eq. 8 to 10): noise-robust label loss on rendered logits, and closeness of neighbours in 3D.
 
-use crate::config::{GCE_EXPONENTS, LabelLoss, SegmentationConfig};
-use crate::error::{Error, Result};
+use crate::config::{LabelLoss, SegmentationConfig};
+use crate::error::Result;
 use crate::ops::UNLABELLED;
 use burn::tensor::activation::log_softmax;
 use burn::tensor::{Int, Tensor, TensorData};
@@ -12,46 +12,15 @@ impl Kind {
     /// The loss that the settings ask for after the warm-up; of `"gjs"` the part that reads the label.
     ///
     /// # Errors
-    /// [`Error::Config`] when `pi_rl` is not in (0, 1), or `gce_exponent` not in [`GCE_EXPONENTS`], and the loss needs it.
+    /// [`Error::Config`] when a payload of the loss is out of range.
     pub fn from_config(config: &SegmentationConfig) -> Result<Self> {
+        config.loss.check()?;
         Ok(match config.loss {
             LabelLoss::Ce => Self::Ce,
-            LabelLoss::Gce
-                if (GCE_EXPONENTS[0]..=GCE_EXPONENTS[1]).contains(&config.gce_exponent) =>
-            {
-                Self::Gce {
-                    q: config.gce_exponent,
-                }
-            }
-            LabelLoss::Gce => {
-                let help = "0.7 is the default; segmentation.loss = \"ce\" is the limit 0";
-                let found = config.gce_exponent.to_string();
-                let expected =
-                    format!("a number from {} to {}", GCE_EXPONENTS[0], GCE_EXPONENTS[1]);
-                return Err(Error::config(
-                    "segmentation.gce_exponent",
-                    found,
-                    expected,
-                    help,
-                ));
-            }
+            LabelLoss::Gce { exponent: q, .. } => Self::Gce { q },
             LabelLoss::Mae => Self::Mae,
             LabelLoss::NceRce => Self::NceRce,
-            LabelLoss::Js | LabelLoss::Gjs if config.pi_rl > 0.0 && config.pi_rl < 1.0 => {
-                Self::Js {
-                    pi_rl: config.pi_rl,
-                }
-            }
-            LabelLoss::Js | LabelLoss::Gjs => {
-                let help = "0.99 is the default; use segmentation.loss = \"ce\" or \"mae\" for the limits 0 and 1";
-                let found = config.pi_rl.to_string();
-                return Err(Error::config(
-                    "segmentation.pi_rl",
-                    found,
-                    "a number above 0 and below 1",
-                    help,
-                ));
-            }
+            LabelLoss::Js { pi_rl } | LabelLoss::Gjs { pi_rl } => Self::Js { pi_rl },
         })
     }
 }

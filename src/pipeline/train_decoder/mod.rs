@@ -22,7 +22,7 @@ pub use self::session::{Pace, Score, Session, train};
 pub use self::views::{Drawn, TrainingViews};
 
 use crate::backend::device::read;
-use crate::config::{Blend, SegmentationConfig};
+use crate::config::{Blend, LabelLoss, SegmentationConfig};
 use crate::error::{Error, Result};
 use crate::objects::Identities;
 use crate::ops::{ClassLosses, LabelledPixels, blended_label_loss, label_losses};
@@ -185,14 +185,16 @@ impl Plan {
             loss,
             warmup,
             iterations: config.iterations,
-            least_recall: if matches!(loss, Kind::Gce { .. }) {
-                config.least_recall
-            } else {
-                0.0
+            least_recall: match (loss, config.loss) {
+                (Kind::Gce { .. }, LabelLoss::Gce { least_recall, .. }) => least_recall,
+                _ => 0.0,
             },
             lambda: [config.lambda_pix, config.lambda_reg],
             // (1 - pi) / Z with the Z of Kind::Js
-            consistency: -(-config.pi_rl).ln_1p().recip(),
+            consistency: match config.loss {
+                LabelLoss::Gjs { pi_rl } => -(-pi_rl).ln_1p().recip(),
+                _ => 0.0,
+            },
             pixel_share: config.pixel_share,
             decay: config.lr_decay,
             seed,

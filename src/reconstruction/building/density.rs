@@ -1,7 +1,7 @@
 //! What the strategies of densification add to an iteration, and where the first Gaussians come from.
 
 use super::{BuildingStage, Densified, GradientAccumulator};
-use crate::config::{Config, Strategy};
+use crate::config::{AdcConfig, Config, McmcConfig, Strategy};
 use crate::data::{Points, Scene, View};
 use crate::error::{Error, Result};
 use crate::ops::sum_all;
@@ -36,11 +36,11 @@ pub(crate) fn initial(scene: &Scene, train: &[&View], config: &Config) -> Result
     };
     let mut gaussians =
         initialization::from_points(&points, building.sh_degree, extent(train, &scene.points))?;
-    if building.strategy == Strategy::Mcmc {
-        let wider = building.mcmc.init_scale.ln();
+    if let Strategy::Mcmc(mcmc) = &building.strategy {
+        let wider = mcmc.init_scale.ln();
         gaussians
             .opacity_logits
-            .fill(initialization::logit(building.mcmc.init_opacity));
+            .fill(initialization::logit(mcmc.init_opacity));
         gaussians
             .log_scales
             .as_flattened_mut()
@@ -73,37 +73,33 @@ fn thinned(points: Cow<'_, Points>, most: usize, seed: u64) -> Cow<'_, Points> {
 impl BuildingStage<'_> {
     /// What takes up the screen-space gradient, for strategies that ask for it.
     pub(crate) fn screen(&self) -> Option<Tensor<2>> {
-        let building = &self.config.building;
-        let columns = if building.absgrad { 4 } else { 2 };
-        let screen = || {
-            Tensor::zeros([self.parameters.len(), columns], &self.device)
-                .autodiff()
-                .require_grad()
+        let Strategy::Adc(adc) = &self.config.building.strategy else {
+            return None;
         };
-        (building.strategy == Strategy::Adc).then(screen)
+        let columns = if adc.absgrad { 4 } else { 2 };
+        let screen = Tensor::zeros([self.parameters.len(), columns], &self.device);
+        Some(screen.autodiff().require_grad())
     }
 
     /// The loss with what 3DGS-MCMC adds to it: weights times the mean opacity and the mean standard deviation, the latter in
     /// extents.
     pub(crate) fn regularised(&self, loss: Tensor<1>, leaves: &Leaves) -> Tensor<1> {
-        let building = &self.config.building;
-        if building.strategy != Strategy::Mcmc {
+        let Strategy::Mcmc(mcmc) = &self.config.building.strategy else {
             return loss;
-        }
+        };
         let n = self.parameters.len().max(1) as f64;
-        let opacity =
-            sum_all(sigmoid(leaves.opacity_logits.clone())) * (building.mcmc.opacity_reg / n);
-        let scales = sum_all(leaves.log_scales.clone().exp())
-            * (building.mcmc.scale_reg / (3.0 * n * self.extent));
+        let opacity = sum_all(sigmoid(leaves.opacity_logits.clone())) * (mcmc.opacity_reg / n);
+        let scales =
+            sum_all(leaves.log_scales.clone().exp()) * (mcmc.scale_reg / (3.0 * n * self.extent));
         loss + opacity + scales
     }
 
     /// The noise of 3DGS-MCMC after the step of `iteration`.
     pub(crate) fn add_noise(&mut self, iteration: usize) {
-        let (building, mcmc) = (&self.config.building, &self.config.building.mcmc);
-        if building.strategy != Strategy::Mcmc || mcmc.noise == 0.0 {
-            return;
-        }
+        let mcmc = match &self.config.building.strategy {
+            Strategy::Mcmc(mcmc) if mcmc.noise > 0.0 => mcmc,
+            _ => return,
+        };
         let noise = PositionNoise {
             scale: mcmc.noise * self.schedule.means_rate(iteration) / (self.extent * self.extent),
             sharpness: mcmc.noise_sharpness,
@@ -125,9 +121,9 @@ impl BuildingStage<'_> {
             Purpose::Densification,
             self.iteration as u64,
         );
-        let (map, values, done) = match self.config.building.strategy {
-            Strategy::Adc => self.controlled(old, &mut rng)?,
-            Strategy::Mcmc => self.relocated(old, &mut rng),
+        let (map, values, done) = match &self.config.building.strategy {
+            Strategy::Adc(adc) => self.controlled(old, adc, &mut rng)?,
+            Strategy::Mcmc(mcmc) => self.relocated(old, mcmc, &mut rng),
         };
         if map.is_empty() && !old.is_empty() {
             let name = format!("densification after {} steps", self.iteration);
@@ -135,7 +131,7 @@ impl BuildingStage<'_> {
                 "{} Gaussians, none of which is opaque and small enough to stay",
                 old.len()
             );
-            let help = "run `coseg data check` on the scene, whose poses are in doubt, or lower building.prune_opacity";
+            let help = "run `coseg data check` on the scene, whose poses are in doubt";
             return Err(Error::argument(
                 &name,
                 found,
@@ -153,9 +149,10 @@ impl BuildingStage<'_> {
     fn controlled(
         &self,
         old: Geometry<'_>,
+        adc: &AdcConfig,
         rng: &mut ChaCha8Rng,
     ) -> Result<(RowMap, NewValues, Densified)> {
-        let plan = RowPlan::new(old, &self.statistics.read()?, &self.density_rules())?;
+        let plan = RowPlan::new(old, &self.statistics.read()?, &self.density_rules(adc))?;
         let (means, log_scales) = plan.placed(old, rng);
         let values = NewValues {
             means: Some(means),
@@ -181,8 +178,13 @@ impl BuildingStage<'_> {
     }
 
     /// What 3DGS-MCMC does.
-    fn relocated(&self, old: Geometry<'_>, rng: &mut ChaCha8Rng) -> (RowMap, NewValues, Densified) {
-        let plan = RelocationPlan::new(old.opacity_logits, &self.relocation_rules(), rng);
+    fn relocated(
+        &self,
+        old: Geometry<'_>,
+        mcmc: &McmcConfig,
+        rng: &mut ChaCha8Rng,
+    ) -> (RowMap, NewValues, Densified) {
+        let plan = RelocationPlan::new(old.opacity_logits, &self.relocation_rules(mcmc), rng);
         let (opacity_logits, log_scales) = plan.corrected(old);
         let values = NewValues {
             means: None,
@@ -197,10 +199,10 @@ impl BuildingStage<'_> {
         (RowMap::new(plan.sources(), &self.device), values, done)
     }
 
-    fn density_rules(&self) -> DensityRules {
+    fn density_rules(&self, adc: &AdcConfig) -> DensityRules {
         let b = &self.config.building;
         DensityRules {
-            threshold: b.densify_threshold(),
+            threshold: adc.threshold(),
             clone_below: b.clone_below * self.extent as f32,
             prune_opacity: b.prune_opacity,
             prune_scale: SizeLimit {
@@ -212,11 +214,11 @@ impl BuildingStage<'_> {
         }
     }
 
-    fn relocation_rules(&self) -> RelocationRules {
+    fn relocation_rules(&self, mcmc: &McmcConfig) -> RelocationRules {
         let b = &self.config.building;
         RelocationRules {
             dead: b.prune_opacity,
-            growth: b.mcmc.growth,
+            growth: mcmc.growth,
             max_gaussians: b.max_gaussians,
         }
     }
@@ -287,7 +289,10 @@ mod tests {
                 continue;
             };
             let stage = BuildingStage::new(&scene, &config, &device).expect("a stage");
-            let start = trained(stage.state().expect("readable"), &stage.density_rules());
+            let start = trained(
+                stage.state().expect("readable"),
+                &stage.density_rules(&AdcConfig::default()),
+            );
             let stage = BuildingStage::from_state(&scene, &config, &device, start.clone())
                 .expect("a stage");
             assert!(
@@ -318,10 +323,14 @@ mod tests {
 
     #[test]
     fn a_densification_is_that_of_host_vectors_on_every_device() {
-        on_each_device(Strategy::Adc, |mut stage, start| {
+        on_each_device(Strategy::default(), |mut stage, start| {
             let mut rng = stream(start.seed, Purpose::Densification, 0);
-            let plan = RowPlan::new(&start.gaussians, &start.stats, &stage.density_rules())
-                .expect("matching");
+            let plan = RowPlan::new(
+                &start.gaussians,
+                &start.stats,
+                &stage.density_rules(&AdcConfig::default()),
+            )
+            .expect("matching");
             assert!(
                 plan.cloned > 9 && plan.split > 9 && plan.pruned > 9,
                 "{} {} {}",
@@ -355,11 +364,11 @@ mod tests {
 
     #[test]
     fn a_relocation_is_that_of_host_vectors_on_every_device() {
-        on_each_device(Strategy::Mcmc, |mut stage, start| {
+        on_each_device(Strategy::Mcmc(McmcConfig::default()), |mut stage, start| {
             let mut rng = stream(start.seed, Purpose::Densification, 0);
             let plan = RelocationPlan::new(
                 &start.gaussians.opacity_logits,
-                &stage.relocation_rules(),
+                &stage.relocation_rules(&McmcConfig::default()),
                 &mut rng,
             );
             assert!(
@@ -387,7 +396,7 @@ mod tests {
 
     #[test]
     fn a_reset_changes_opacities_and_their_moments_alone() {
-        on_each_device(Strategy::Adc, |mut stage, start| {
+        on_each_device(Strategy::default(), |mut stage, start| {
             let BuildingState {
                 mut gaussians,
                 mut first,

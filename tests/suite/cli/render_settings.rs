@@ -13,8 +13,6 @@ fn run(data: &Path) -> std::path::PathBuf {
         "building.random_points=300",
         "segmentation.rows=vote",
         "raster.alpha_max=0.1",
-        "raster.near=0.3",
-        "raster.low_pass=4.0",
         "raster.background=1,1,1",
     ];
     let train = ["train", "--data", utf8(data), "--out", utf8(&run)];
@@ -64,14 +62,14 @@ fn labels_are_shown_from_the_runs_coverage_on() {
     let file = run.join("config.toml");
     std::fs::write(
         &file,
-        "[raster]\nnear = 0.01\n[segmentation]\ntelepathy = 3\n",
+        "[raster]\nalpha_max = 0.999\n[segmentation]\ntelepathy = 3\n",
     )
     .unwrap();
     let usual = labels(&run, "usual");
     assert!(differ(&usual) > 100, "{}", differ(&usual));
     std::fs::write(
         &file,
-        "[raster]\nnear = 0.01\n[segmentation]\ntelepathy = 3\nmin_coverage = 0.97\n",
+        "[raster]\nalpha_max = 0.999\n[segmentation]\ntelepathy = 3\nmin_coverage = 0.97\n",
     )
     .unwrap();
     assert_eq!(labels(&run, "again"), of_run);

@@ -1,7 +1,8 @@
 //! Loading settings: what overrides what, and what an error says.
 
 use coseg::config::{
-    Config, Encode, LabelLoss, Normalisation, Preset, Resolution, Strategy, Variant,
+    BuildingConfig, Config, Encode, FeatureSource, LabelLoss, McmcConfig, Normalisation, Preset,
+    Resolution, SpatialSource, Strategy, Variant,
 };
 use std::path::{Path, PathBuf};
 
@@ -29,25 +30,25 @@ fn nothing_given_is_the_default_config() {
 
 #[test]
 fn file_overrides_preset_and_set_overrides_file() {
-    let toml = "preset = \"paper\"\n[segmentation]\niterations = 500\npi_rl = 0.5\n";
-    let config = load(toml, &["segmentation.pi_rl=0.97", "data.dir=scenes/room"]).unwrap();
+    let toml =
+        "preset = \"paper\"\n[segmentation]\niterations = 500\nloss = { js = { pi_rl = 0.5 } }\n";
+    let config = load(
+        toml,
+        &["segmentation.loss.js.pi_rl=0.97", "data.dir=scenes/room"],
+    )
+    .unwrap();
     assert_eq!(config.preset, Preset::Paper);
     assert_eq!(config.unprojection.normalisation, Normalisation::Count);
     assert_eq!(config.unprojection.resolution, Resolution::Feature);
     assert_eq!(config.spatial.encode, Encode::View);
     assert_eq!(config.segmentation.warmup, 0.0);
     assert_eq!(config.segmentation.iterations, 500);
-    assert_eq!(config.segmentation.pi_rl, 0.97);
     assert_eq!(config.data.dir, Some(PathBuf::from("scenes/room")));
     assert_eq!(config.segmentation.lr, 1e-3, "the paper's own rate");
+    assert_eq!(config.segmentation.loss, LabelLoss::Js { pi_rl: 0.97 });
     assert_eq!(
-        config.segmentation.loss,
-        LabelLoss::Js,
-        "the paper's own loss"
-    );
-    assert_eq!(
-        config.building.lr_opacity,
-        Config::default().building.lr_opacity
+        config.features.dimensions,
+        Config::default().features.dimensions
     );
 }
 
@@ -166,7 +167,7 @@ fn written_config_loads_as_itself() {
         let mut config = Config::preset(preset);
         config.data.dir = Some("with \"quotes\" and \\".into());
         config.seed = 77;
-        config.building.ssim_weight = 0.15;
+        config.building.lr_means = 0.15;
         let text = config.to_toml().unwrap();
         assert_eq!(load(&text, &[]).unwrap(), config, "{text}");
     }
@@ -197,7 +198,7 @@ fn unknown_keys_name_file_line_and_the_nearest_key() {
             "did you mean building.iterations?",
         ],
     );
-    let error = load("[segmentaton]\npi_rl = 0.5\n", &[]).unwrap_err();
+    let error = load("[segmentaton]\nlr = 0.5\n", &[]).unwrap_err();
     assert_names(
         &error,
         &["line 1", "segmentaton", "did you mean segmentation"],
@@ -207,12 +208,12 @@ fn unknown_keys_name_file_line_and_the_nearest_key() {
         &error,
         &["iterations: found an unknown key", ".iterations?"],
     );
-    let error = load("", &["segmentation.pirl=0.5"]).unwrap_err();
+    let error = load("", &["segmentation.lambdareg=0.5"]).unwrap_err();
     assert_names(
         &error,
         &[
-            "setting segmentation.pirl",
-            "did you mean segmentation.pi_rl?",
+            "setting segmentation.lambdareg",
+            "did you mean segmentation.lambda_reg?",
         ],
     );
 }
@@ -228,10 +229,13 @@ fn wrong_types_name_found_and_expected() {
             "a whole number of 0 or more",
         ],
     );
-    let error = load("", &["building.absgrad=yes"]).unwrap_err();
+    let error = load("", &["building.random_background=yes"]).unwrap_err();
     assert_names(
         &error,
-        &["building.absgrad", "found \"yes\", expected true or false"],
+        &[
+            "building.random_background",
+            "found \"yes\", expected true or false",
+        ],
     );
     let error = load("seed = -4\n", &[]).unwrap_err();
     assert_names(&error, &["seed", "-4", "a whole number of 0 or more"]);
@@ -258,42 +262,40 @@ fn wrong_types_name_found_and_expected() {
 fn values_out_of_range_are_refused() {
     for (set, expected) in [
         ("building.iterations=0", "above 0"),
-        ("data.decoded_mb=16777217", "at most 2^24"),
         ("building.sh_degree=4", "0, 1, 2 or 3"),
-        ("building.lr_opacity=nan", "finite number of 0 or more"),
-        ("building.lr_scales=-1e-3", "finite number of 0 or more"),
-        ("building.lr_means_final=0", "finite number above 0"),
+        ("building.lr_means=nan", "finite number of 0 or more"),
+        ("building.lr_means=-1e-3", "finite number of 0 or more"),
         ("building.iterations=4294967296", "fewer than 2^32"),
-        ("building.densify_until=1.5", "from 0 to 1"),
         ("raster.alpha_max=0", "at most 1"),
         ("raster.background=0,0,-0.1", "from 0 to 1"),
         ("building.strategy=best", "\"adc\" or \"mcmc\""),
-        ("building.mcmc.growth=-0.1", "finite number of 0 or more"),
-        ("building.mcmc.init_opacity=1", "above 0 and below 1"),
-        ("segmentation.gce_exponent=0", "from 0.000001 to 1"),
-        ("segmentation.gce_exponent=1.01", "from 0.000001 to 1"),
-        ("segmentation.pi_rl=1.0", "above 0 and below 1"),
-        ("segmentation.pi_rl=0", "above 0 and below 1"),
-        ("segmentation.gjs_dropout=1", "above 0 and below 1"),
+        (
+            "building.strategy.adc.threshold=-0.1",
+            "finite number of 0 or more",
+        ),
+        ("segmentation.loss.gce.exponent=0", "from 0.000001 to 1"),
+        ("segmentation.loss.gce.exponent=1.01", "from 0.000001 to 1"),
+        ("segmentation.loss.js.pi_rl=1.0", "above 0 and below 1"),
+        ("segmentation.loss.gjs.pi_rl=0", "above 0 and below 1"),
         ("segmentation.pixel_share=0.0", "above 0, at most 1"),
         ("segmentation.warmup=-0.1", "from 0 to 1"),
         ("segmentation.lambda_reg=inf", "finite number of 0 or more"),
-        ("segmentation.rows=raw,raw", "each row once"),
+        ("segmentation.rows=raw,raw", "each variant once"),
         ("unprojection.attendance=2", "from 0 to 1"),
         ("seed=9300000000000000000", "whole number"),
     ] {
         let error = load("", &[set]).unwrap_err();
         assert_names(&error, &[set.split_once('=').unwrap().0, expected]);
     }
-    let error = load("[segmentation]\npi_rl = 1.0\n", &[]).unwrap_err();
-    assert_names(&error, &["run.toml", "line 2, segmentation.pi_rl"]);
+    let error = load("[segmentation.loss.js]\npi_rl = 1.0\n", &[]).unwrap_err();
+    assert_names(&error, &["run.toml", "line 2, segmentation.loss.js.pi_rl"]);
 }
 
 #[test]
 fn values_that_need_each_other_are_checked() {
     assert_names(
         &load("", &["features.source=import"]).unwrap_err(),
-        &["features.import_dir"],
+        &["features.source", "features.source.import ="],
     );
     assert_names(
         &load("", &["features.source=mobilenetv2"]).unwrap_err(),
@@ -305,58 +307,102 @@ fn values_that_need_each_other_are_checked() {
     );
     assert_names(
         &load("", &["spatial.source=pretrained"]).unwrap_err(),
-        &["spatial.weights"],
+        &["spatial.source", "spatial.source.pretrained ="],
     );
-    assert!(load("", &["spatial.source=pretrained", "spatial.weights=w.pth"]).is_ok());
+    let config = load("", &["spatial.source.pretrained=w.pth"]).unwrap();
+    assert_eq!(
+        config.spatial.source,
+        SpatialSource::Pretrained("w.pth".into())
+    );
+}
+
+#[test]
+fn a_name_alone_chooses_a_variant_with_its_defaults() {
+    for text in [
+        "loss = \"gce\"",
+        "loss = { gce = {} }",
+        "[segmentation.loss.gce]",
+    ] {
+        let config = load(&format!("[segmentation]\n{text}\n"), &[]).unwrap();
+        assert_eq!(config.segmentation.loss, LabelLoss::GCE, "{text}");
+    }
+    let loss = |sets: &[&str]| load("", sets).unwrap().segmentation.loss;
+    assert_eq!(
+        loss(&["segmentation.loss={ gce = { exponent = 0.5 } }"]),
+        LabelLoss::Gce {
+            exponent: 0.5,
+            least_recall: 0.3
+        }
+    );
+    assert_eq!(
+        loss(&["segmentation.loss=js"]),
+        LabelLoss::Js { pi_rl: 0.99 }
+    );
+    // The name of the variant that is chosen already keeps its payload.
+    assert_eq!(
+        loss(&["preset=paper", "segmentation.loss=js"]),
+        LabelLoss::Js { pi_rl: 0.9 }
+    );
+    assert_eq!(
+        loss(&["segmentation.loss.gjs.pi_rl=0.5", "segmentation.loss=mae"]),
+        LabelLoss::Mae
+    );
+    let unknown = load("", &["segmentation.loss.js.exponent=1"]).unwrap_err();
+    assert_names(&unknown, &["segmentation.loss.js.exponent", "unknown key"]);
+    let import = |sets: &[&str]| load("", sets).unwrap().features.source;
+    assert_eq!(
+        import(&["features.source.import=maps"]),
+        FeatureSource::Import("maps".into())
+    );
+    assert_eq!(
+        import(&[
+            "features.source.import=maps",
+            "features.source=dino",
+            "features.weights=w"
+        ]),
+        FeatureSource::Dino
+    );
 }
 
 #[test]
 fn strategies_of_densification_have_defaults_and_needs_of_their_own() {
     let adc = load("", &[]).unwrap().building;
-    assert_eq!(
-        (adc.strategy, adc.densify_threshold(), adc.densify_until()),
-        (Strategy::Adc, 8e-4, 0.5)
-    );
-    assert_eq!(
-        load("", &["building.absgrad=false"])
-            .unwrap()
-            .building
-            .densify_threshold(),
-        2e-4
-    );
+    let threshold = |building: &BuildingConfig| match &building.strategy {
+        Strategy::Adc(adc) => adc.threshold(),
+        Strategy::Mcmc(_) => panic!("adc"),
+    };
+    assert_eq!((threshold(&adc), adc.densify_until()), (8e-4, 0.5));
+    let plain = load("", &["building.strategy.adc.absgrad=false"]).unwrap();
+    assert_eq!(threshold(&plain.building), 2e-4);
     let set = load(
-        "[building]\ndensify_threshold = 1e-3\n",
-        &["building.absgrad=false"],
+        "[building.strategy.adc]\nthreshold = 1e-3\n",
+        &["building.strategy.adc.absgrad=false"],
     )
-    .unwrap()
-    .building;
-    assert_eq!(set.densify_threshold(), 1e-3);
+    .unwrap();
+    assert_eq!(threshold(&set.building), 1e-3);
 
-    let toml =
-        "[building]\nstrategy = \"mcmc\"\nmax_gaussians = 9_000\n[building.mcmc]\ngrowth = 0.1\n";
-    let config = load(toml, &["building.mcmc.noise=1e5"]).unwrap();
-    let mcmc = &config.building.mcmc;
+    let toml = "[building]\nmax_gaussians = 9_000\n[building.strategy.mcmc]\ngrowth = 0.1\n";
+    let config = load(toml, &[]).unwrap();
+    let mcmc = Strategy::Mcmc(McmcConfig {
+        growth: 0.1,
+        ..McmcConfig::default()
+    });
     assert_eq!(
-        (
-            mcmc.growth,
-            mcmc.noise,
-            mcmc.opacity_reg,
-            config.building.densify_until()
-        ),
-        (0.1, 1e5, 0.01, 0.8)
+        (&config.building.strategy, config.building.densify_until()),
+        (&mcmc, 0.8)
     );
     assert_eq!(load(&config.to_toml().unwrap(), &[]).unwrap(), config);
     assert_names(
         &load(toml, &["building.max_gaussians=0"]).unwrap_err(),
         &["max_gaussians", "found 0", "mcmc"],
     );
-    let error = load("[building.mcmc]\ngrow = 1\n", &[]).unwrap_err();
+    let error = load("[building.strategy.mcmc]\ngrow = 1\n", &[]).unwrap_err();
     assert_names(
         &error,
         &[
             "line 2",
-            "building.mcmc.grow",
-            "did you mean building.mcmc.growth?",
+            "building.strategy.mcmc.grow",
+            "did you mean building.strategy.mcmc.growth?",
         ],
     );
 }

@@ -163,7 +163,7 @@ fn scannet_scenes_load() {
         &[
             "scannetv2-labels.combined.tsv",
             "no such file",
-            "data.scannet_labels",
+            "copy it from the dataset",
         ],
     );
     load(

@@ -229,17 +229,10 @@ fn unusable_settings_are_named() {
         .contains("features.dimensions")
     );
     let import = FeatureConfig {
-        source: FeatureSource::Import,
+        source: FeatureSource::Import("/nowhere/maps".into()),
         ..FeatureConfig::default()
     };
-    assert!(error(&import).contains("features.import_dir"));
-    assert!(
-        error(&FeatureConfig {
-            import_dir: Some("/nowhere/maps".into()),
-            ..import
-        })
-        .contains("/nowhere/maps")
-    );
+    assert!(error(&import).contains("/nowhere/maps"));
     let mobilenet = FeatureConfig {
         source: FeatureSource::Mobilenetv2,
         ..FeatureConfig::default()
@@ -413,8 +406,7 @@ fn maps_are_imported_from_npy_and_safetensors() {
     )
     .expect("write");
     let config = FeatureConfig {
-        source: FeatureSource::Import,
-        import_dir: Some(dir.path().to_owned()),
+        source: FeatureSource::Import(dir.path().to_owned()),
         ..FeatureConfig::default()
     };
     let set = extract(&scene, &config, 0, &crate::support::device(), &|_, _| ()).expect("imported");
@@ -448,8 +440,7 @@ fn hostile_maps_are_refused_by_name() {
         Classes::default(),
     );
     let config = FeatureConfig {
-        source: FeatureSource::Import,
-        import_dir: Some(dir.path().to_owned()),
+        source: FeatureSource::Import(dir.path().to_owned()),
         ..FeatureConfig::default()
     };
     let file = |n: usize| dir.path().join(format!("a.{n}.npy"));

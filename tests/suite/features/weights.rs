@@ -126,12 +126,12 @@ fn stored_again_an_encoder_is_the_same() {
 fn settings_choose_the_weights_and_unusable_ones_are_refused() {
     let device = crate::support::device();
     let config = SpatialConfig {
-        source: SpatialSource::Pretrained,
+        source: SpatialSource::Pretrained("/nowhere/weights.pth".into()),
         ..SpatialConfig::default()
     };
     assert!(matches!(
         load_spatial(&config, 0, &device),
-        Err(Error::Config { .. })
+        Err(Error::Io { .. })
     ));
     let (_, name) =
         load_spatial(&SpatialConfig::default(), 0, &device).expect("the weights inside this crate");

@@ -495,22 +495,6 @@ fn associate_writes_maps_of_global_ids() {
         "{pairs:?}"
     );
     let message = fails(
-        &[&arguments[..], &["--set", "association.min_overlap=0"]].concat(),
-        1,
-    );
-    assert!(
-        message.contains("association.min_overlap") && message.contains("above 0"),
-        "{message}"
-    );
-    let message = fails(
-        &[&arguments[..], &["--set", "association.min_weight=1"]].concat(),
-        1,
-    );
-    assert!(
-        message.contains("association.min_weight") && message.contains("smaller share"),
-        "{message}"
-    );
-    let message = fails(
         &[&arguments[..], &["--set", "data.association=tracks"]].concat(),
         1,
     );

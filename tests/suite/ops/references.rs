@@ -23,7 +23,10 @@ fn assert_close(name: &str, got: &[f32], want: &[f32], tolerance: f32) {
 
 #[test]
 fn a_step_of_stage_one_equals_that_of_the_references() {
-    for strategy in [Strategy::Adc, Strategy::Mcmc] {
+    for strategy in [
+        Strategy::Adc(Default::default()),
+        Strategy::Mcmc(Default::default()),
+    ] {
         let building = BuildingConfig {
             strategy,
             max_gaussians: 1_000,

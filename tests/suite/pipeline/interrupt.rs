@@ -72,10 +72,8 @@ fn long(data: &Path, run: &Path) -> Vec<String> {
         "building.iterations=500",
         "building.eval_every=5",
         "building.random_points=200",
-        "building.checkpoint_every=10000",
         "segmentation.iterations=500",
         "segmentation.eval_every=5",
-        "segmentation.checkpoint_every=10000",
         "segmentation.rows=vote,per_gaussian",
     ];
     let train = ["train", "--data", utf8(data), "--out", utf8(run)];

@@ -200,8 +200,8 @@ fn a_decoder_of_other_image_features_is_refused() {
         ],
     );
     let maps = folder.path().join("maps");
-    (config.features.source, config.features.dimensions) = (FeatureSource::Import, 4);
-    config.features.import_dir = Some(maps.clone());
+    config.features.source = FeatureSource::Import(maps.clone());
+    config.features.dimensions = 4;
     write_maps(&maps, 0);
     let out = folder.path().join("run");
     run(
@@ -219,7 +219,7 @@ fn a_decoder_of_other_image_features_is_refused() {
         &[
             "/ours.safetensors",
             "image features",
-            "features.import_dir",
+            "features.source.import",
             "another folder",
         ],
     );
@@ -251,15 +251,18 @@ fn a_decoder_beside_another_point_encoder_is_refused() {
         )
         .expect("written")
     };
-    (config.spatial.source, config.spatial.weights) =
-        (SpatialSource::Pretrained, Some(weights.clone()));
+    config.spatial.source = SpatialSource::Pretrained(weights.clone());
     write(7);
     let out = folder.path().join("run");
     let done = whole(&config, &out);
     write(8);
     crate::support::assert_names(
         &refusal(&config, &out),
-        &["/ours.safetensors", "point encoder", "spatial.weights"],
+        &[
+            "/ours.safetensors",
+            "point encoder",
+            "spatial.source.pretrained",
+        ],
     );
     write(7);
     same(&done, &whole(&config, &out));
@@ -352,12 +355,6 @@ fn other_objects_are_told_by_the_setting_of_association() {
         done.association.expect("objects").objects > 1,
         "{:?}",
         done.association
-    );
-    config.association.min_weight = 0.3;
-    refused_by(
-        &config,
-        &out,
-        ["association.min_weight", "0.3", "0.00001", row],
     );
 }
 

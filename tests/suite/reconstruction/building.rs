@@ -1,6 +1,6 @@
 //! The building stage on a tiny scene: it learns, resumes exactly, and refuses what it cannot train on.
 
-use coseg::config::{BuildingConfig, Config};
+use coseg::config::{AdcConfig, BuildingConfig, Config, Strategy};
 use coseg::data::mask::Mask;
 use coseg::data::{Classes, Points, Scene, Split, View};
 use coseg::progress::{Event, Progress, Silent};
@@ -105,7 +105,10 @@ pub fn config() -> Config {
         sh_degree: 2,
         densify_every: 10,
         densify_until: Some(0.75),
-        densify_threshold: Some(2e-5),
+        strategy: Strategy::Adc(AdcConfig {
+            threshold: Some(2e-5),
+            ..AdcConfig::default()
+        }),
         reset_every: 30,
         ..BuildingConfig::default()
     };
@@ -192,15 +195,7 @@ fn a_densification_that_leaves_nothing_is_an_error() {
     let error = stage
         .run(&mut Recorder::default())
         .expect_err("no Gaussian is that opaque");
-    crate::support::assert_names(
-        &error,
-        &[
-            "400 Gaussians",
-            "10 steps",
-            "building.prune_opacity",
-            "data check",
-        ],
-    );
+    crate::support::assert_names(&error, &["400 Gaussians", "10 steps", "data check"]);
 }
 
 #[test]
@@ -563,7 +558,6 @@ fn unusable_settings_and_scenes_are_refused() {
             .to_string()
     };
     assert!(refusal(&scene, |c| c.building.sh_degree = 4).contains("building.sh_degree"));
-    assert!(refusal(&scene, |c| c.building.ssim_weight = 1.5).contains("building.ssim_weight"));
     assert!(refusal(&scene, |c| c.building.lr_means = f64::NAN).contains("building.lr_means"));
     let mut untrained = scene.clone();
     untrained

@@ -2,7 +2,7 @@
 
 use crate::support::assert_names;
 use crate::support::device;
-use coseg::config::{BuildingConfig, Config, Strategy};
+use coseg::config::{AdcConfig, BuildingConfig, Config, McmcConfig, Strategy};
 use coseg::data::builtin::{BuiltinOptions, scene_with};
 use coseg::reconstruction::BuildingStage;
 
@@ -18,18 +18,28 @@ fn a_run_and_a_stage_refuse_the_same_settings() {
     };
     let scene = scene_with(&options).unwrap();
     type Edit = fn(&mut BuildingConfig);
-    let cases: [(&str, Edit); 9] = [
+    let cases: [(&str, Edit); 8] = [
         ("building.iterations", |b| b.iterations = 0),
         ("building.iterations", |b| b.iterations = 1 << 32),
         ("building.sh_degree", |b| b.sh_degree = 4),
-        ("building.ssim_weight", |b| b.ssim_weight = f32::NAN),
-        ("building.lr_rotations", |b| b.lr_rotations = -1e-3),
-        ("building.lr_means_final", |b| b.lr_means_final = 0.0),
-        ("building.densify_threshold", |b| {
-            b.densify_threshold = Some(f32::INFINITY)
+        ("building.lr_means", |b| b.lr_means = -1e-3),
+        ("building.random_points", |b| b.random_points = 0),
+        ("building.strategy.adc.threshold", |b| {
+            b.strategy = Strategy::Adc(AdcConfig {
+                threshold: Some(f32::INFINITY),
+                ..AdcConfig::default()
+            })
         }),
-        ("building.max_gaussians", |b| b.strategy = Strategy::Mcmc),
-        ("building.mcmc.init_opacity", |b| b.mcmc.init_opacity = 1.0),
+        ("building.strategy.mcmc.growth", |b| {
+            b.max_gaussians = 9;
+            b.strategy = Strategy::Mcmc(McmcConfig {
+                growth: f64::NAN,
+                ..McmcConfig::default()
+            })
+        }),
+        ("building.max_gaussians", |b| {
+            b.strategy = Strategy::Mcmc(McmcConfig::default())
+        }),
     ];
     for (key, edit) in cases {
         let mut config = Config::default();

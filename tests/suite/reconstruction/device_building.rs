@@ -2,7 +2,7 @@
 
 use crate::support::gpu;
 use burn::tensor::Device;
-use coseg::config::{BuildingConfig, Config, Strategy};
+use coseg::config::{AdcConfig, BuildingConfig, Config, McmcConfig, Strategy};
 use coseg::data::{LoadOptions, Scene, load};
 use coseg::reconstruction::{BuildingStage, BuildingState};
 
@@ -16,9 +16,19 @@ fn scene() -> (Scene, tempfile::TempDir) {
     )
 }
 
-fn config(densify_from: usize, absgrad: bool, strategy: Strategy) -> Config {
-    let building = BuildingConfig {
+fn adc(absgrad: bool) -> Strategy {
+    Strategy::Adc(AdcConfig {
         absgrad,
+        ..AdcConfig::default()
+    })
+}
+
+fn mcmc() -> Strategy {
+    Strategy::Mcmc(McmcConfig::default())
+}
+
+fn config(densify_from: usize, strategy: Strategy) -> Config {
+    let building = BuildingConfig {
         strategy,
         max_gaussians: 600,
         iterations: 60,
@@ -43,12 +53,8 @@ fn steps(stage: &mut BuildingStage, count: usize) -> Vec<f64> {
 fn steps_on_a_gpu_are_those_on_ndarray() {
     let Some(gpu) = gpu() else { return };
     let (scene, _folder) = scene();
-    for (absgrad, strategy) in [
-        (false, Strategy::Adc),
-        (true, Strategy::Adc),
-        (false, Strategy::Mcmc),
-    ] {
-        compare(&gpu, &scene, &config(1000, absgrad, strategy));
+    for strategy in [adc(false), adc(true), mcmc()] {
+        compare(&gpu, &scene, &config(1000, strategy));
     }
 }
 
@@ -65,7 +71,7 @@ fn compare(gpu: &Device, scene: &Scene, config: &Config) {
             "loss of step {i}: {got} for {want}"
         );
     }
-    if config.building.strategy == Strategy::Mcmc {
+    if config.building.strategy == mcmc() {
         return; // which begins half transparent and gathers nothing
     }
     assert!(losses[9] < 0.8 * losses[0], "{losses:?}"); // an opacity reset follows
@@ -107,8 +113,8 @@ fn compare(gpu: &Device, scene: &Scene, config: &Config) {
 fn a_resumed_stage_goes_on_to_the_same_bits() {
     let Some(gpu) = gpu() else { return };
     let (scene, _folder) = scene();
-    for strategy in [Strategy::Adc, Strategy::Mcmc] {
-        assert_resumes(&gpu, &scene, &config(5, false, strategy));
+    for strategy in [adc(false), mcmc()] {
+        assert_resumes(&gpu, &scene, &config(5, strategy));
     }
 }
 

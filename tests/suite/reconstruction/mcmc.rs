@@ -3,7 +3,7 @@
 use crate::reconstruction::building::{
     advance, assert_bits_follow_the_seed, config, scene, untimed,
 };
-use coseg::config::{BuildingConfig, Config, McmcConfig, Strategy};
+use coseg::config::{AdcConfig, BuildingConfig, Config, McmcConfig, Strategy};
 use coseg::data::Points;
 use coseg::reconstruction::{BuildingStage, BuildingState, schedule};
 use coseg::splat::Gaussians;
@@ -17,12 +17,10 @@ fn mcmc() -> Config {
         init_scale: 0.5,
         ..McmcConfig::default()
     };
-    let strategy = Strategy::Mcmc;
     let building = BuildingConfig {
-        strategy,
+        strategy: Strategy::Mcmc(mcmc),
         max_gaussians: CAP,
         prune_opacity: 0.1,
-        mcmc,
         ..config().building
     };
     Config {
@@ -72,12 +70,15 @@ fn resumed_run_equals_uninterrupted_run_across_relocation_and_growth() {
     );
 
     let mut other = config;
-    other.building.mcmc.noise = 1e5;
+    other.building.strategy = Strategy::Mcmc(McmcConfig {
+        growth: 0.1,
+        ..McmcConfig::default()
+    });
     let state = BuildingState::load(&path).expect("loaded");
     let refusal = BuildingStage::from_state(&scene, &other, &crate::support::device(), state)
         .err()
         .expect("refused");
-    crate::support::assert_names(&refusal, &["building.mcmc.noise", "100000", "500000"]);
+    crate::support::assert_names(&refusal, &["building.strategy.mcmc.growth", "0.1", "0.05"]);
 }
 
 #[test]
@@ -91,15 +92,14 @@ fn mcmc_learns_the_scene() {
     let building = BuildingConfig {
         iterations: 400,
         sh_degree: 2,
-        strategy: Strategy::Mcmc,
         max_gaussians: 600,
         densify_every: 20,
         // the usual small start is for longer runs: scales grow by 0.5 % a step
-        mcmc: McmcConfig {
+        strategy: Strategy::Mcmc(McmcConfig {
             init_opacity: 0.1,
             init_scale: 1.0,
             ..McmcConfig::default()
-        },
+        }),
         ..BuildingConfig::default()
     };
     let mut stage = stage(
@@ -130,11 +130,9 @@ fn the_loss_has_the_means_of_opacity_and_scale() {
     let scene = scene();
     let first = |opacity_reg, scale_reg| {
         let mut config = mcmc();
-        config.building.mcmc = McmcConfig {
-            opacity_reg,
-            scale_reg,
-            ..config.building.mcmc
-        };
+        if let Strategy::Mcmc(mcmc) = &mut config.building.strategy {
+            (mcmc.opacity_reg, mcmc.scale_reg) = (opacity_reg, scale_reg);
+        }
         let mut stage = stage(&scene, &config);
         let gaussians = stage.gaussians().expect("on the host");
         (stage.step().expect("a step").loss, gaussians)
@@ -157,9 +155,9 @@ fn the_loss_has_the_means_of_opacity_and_scale() {
 #[test]
 fn large_clouds_are_thinned_to_the_cap() {
     let scene = scene();
-    for strategy in [Strategy::Adc, Strategy::Mcmc] {
+    for strategy in [Strategy::default(), mcmc().building.strategy] {
         let building = BuildingConfig {
-            strategy,
+            strategy: strategy.clone(),
             max_gaussians: 150,
             ..mcmc().building
         };
@@ -221,8 +219,10 @@ fn absgrad_finds_more_to_densify_and_resumes() {
     let scene = scene();
     let grown = |absgrad| {
         let building = BuildingConfig {
-            absgrad,
-            densify_threshold: Some(1e-4),
+            strategy: Strategy::Adc(AdcConfig {
+                absgrad,
+                threshold: Some(1e-4),
+            }),
             ..config().building
         };
         let config = Config {

@@ -1,7 +1,7 @@
 //! The decoder's step in parts: the gradients of the step at once, whatever the size of the parts.
 
 use burn::tensor::{Tensor, TensorData};
-use coseg::config::{Blend, Config, LabelLoss, SegmentationConfig, SpatialConfig, SpatialSource};
+use coseg::config::{Blend, LabelLoss, SegmentationConfig, SpatialConfig, SpatialSource};
 use coseg::ops::{Kind, LabelledPixels, PixelWeights, SparseMatrix, UNLABELLED};
 use coseg::pipeline::train_decoder::{
     Drawn, Encoded, Fused, FusedPlan, Model, NamedValues, Source,
@@ -102,7 +102,7 @@ fn model<'a>(
         rate: 1e-2,
         regularised,
         size: [POINTS, CLASSES],
-        dropout: (config.loss == LabelLoss::Gjs).then_some(0.3),
+        dropout: matches!(config.loss, LabelLoss::Gjs { .. }).then_some(0.3),
         average_from: None,
         seed: 3,
     };
@@ -178,7 +178,10 @@ fn parts_of_any_size_give_the_gradients_of_the_step_at_once() {
         single_scale: Some(1),
         ..Switches::default()
     };
-    let (js, gjs) = (LabelLoss::Js, LabelLoss::Gjs);
+    let (js, gjs) = (
+        LabelLoss::Js { pi_rl: 0.99 },
+        LabelLoss::Gjs { pi_rl: 0.99 },
+    );
     for (switches, blend, prior, regularised, label_loss) in [
         (Switches::default(), Blend::Probabilities, true, true, js),
         (Switches::default(), Blend::Probabilities, true, true, gjs),
@@ -319,24 +322,5 @@ fn points_of_coarse_levels_decode_as_in_the_whole() {
                 .fold(0.0, f32::max);
             assert!(worst < 1e-5, "row {row} of scale {scale}: {worst}");
         }
-    }
-}
-
-#[test]
-fn the_size_of_the_parts_is_a_whole_number() {
-    let load = |set: &str| Config::load(None, &[format!("segmentation.decoder_chunk={set}")]);
-    assert_eq!(
-        load("4096").expect("allowed").segmentation.decoder_chunk,
-        4_096
-    );
-    assert_eq!(
-        load("0").expect("all at once").segmentation.decoder_chunk,
-        0
-    );
-    for refused in ["-1", "0.5", "many"] {
-        crate::support::assert_names(
-            &load(refused).expect_err(refused),
-            &["segmentation.decoder_chunk", refused],
-        );
     }
 }

@@ -334,23 +334,24 @@ fn js_of_a_nearly_right_prediction_is_what_it_lacks() {
 #[test]
 fn settings_choose_the_loss() {
     let of = |config: SegmentationConfig| Kind::from_config(&config);
-    let gce = |gce_exponent| SegmentationConfig {
-        loss: LabelLoss::Gce,
-        gce_exponent,
+    let gce = |exponent| SegmentationConfig {
+        loss: LabelLoss::Gce {
+            exponent,
+            least_recall: 0.3,
+        },
         ..Default::default()
     };
     assert_eq!(of(gce(0.4)).unwrap(), Kind::Gce { q: 0.4 });
     let js = |pi_rl| SegmentationConfig {
-        loss: LabelLoss::Js,
-        pi_rl,
+        loss: LabelLoss::Js { pi_rl },
         ..Default::default()
     };
     assert_eq!(of(js(0.3)).unwrap(), Kind::Js { pi_rl: 0.3 });
     for q in [0.0, 1e-9, 1.1, f64::NAN] {
         crate::support::assert_names(
             &of(gce(q)).unwrap_err(),
-            &["segmentation.gce_exponent", "from 0.000001 to 1"],
+            &["segmentation.loss.gce.exponent", "from 0.000001 to 1"],
         );
     }
-    crate::support::assert_names(&of(js(1.0)).unwrap_err(), &["segmentation.pi_rl"]);
+    crate::support::assert_names(&of(js(1.0)).unwrap_err(), &["segmentation.loss.js.pi_rl"]);
 }

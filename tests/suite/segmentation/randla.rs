@@ -166,11 +166,8 @@ fn levels_of_a_hundred_thousand_points_are_a_quarter_each() {
     let mut encoders =
         vec![load_spatial(&spatial(SpatialSource::Random), 0, &device).expect("random weights")];
     if let Some(dir) = crate::support::shared_dir() {
-        let weights = Some(dir.join("weights/randlanet/randlanet_semantickitti.safetensors"));
-        let config = SpatialConfig {
-            weights,
-            ..spatial(SpatialSource::Pretrained)
-        };
+        let weights = dir.join("weights/randlanet/randlanet_semantickitti.safetensors");
+        let config = spatial(SpatialSource::Pretrained(weights));
         encoders.push(load_spatial(&config, 0, &device).expect("published weights"));
     }
     for (encoder, name) in encoders {

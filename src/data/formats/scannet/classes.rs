@@ -85,7 +85,7 @@ pub(crate) fn table(dir: &Path, options: &LoadOptions) -> Result<Table> {
         let expected = format!(
             "{TABLE} there or in one of the three folders above: the labels' ids mean nothing without it"
         );
-        let help = "copy it from the dataset, or name it with data.scannet_labels";
+        let help = "copy it from the dataset to the folder of the scene";
         return Err(Error::input(dir, TABLE, "no such file", expected, help));
     };
     let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;

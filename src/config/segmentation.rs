@@ -1,0 +1,238 @@
+//! Settings of stage two: variants, losses, and how labels are blended.
+
+use super::{Variant, range};
+use crate::error::{Error, Result};
+use serde::{Deserialize, Serialize};
+
+/// Smallest and largest exponent of the GCE loss; at the first the loss is cross-entropy within f32's digits.
+pub const GCE_EXPONENTS: [f64; 2] = [1e-6, 1.0];
+
+/// Loss on rendered labels. A name alone stands for the variant with its defaults.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum LabelLoss {
+    /// Cross-entropy.
+    Ce,
+    /// Half the absolute error, 1 - p of the label.
+    Mae,
+    /// Normalised cross-entropy and reverse cross-entropy, added with equal weights (Ma et al. 2020).
+    NceRce,
+    /// Jensen-Shannon with a one-hot label (Eq. 8): the paper.
+    Js {
+        /// Weight of the raw label, in (0, 1).
+        #[serde(default = "default_pi_rl")]
+        pi_rl: f64,
+    },
+    /// Generalised cross-entropy (Zhang and Sabuncu 2018), (1 - p^q) / q of the label.
+    Gce {
+        /// Exponent q, in [`GCE_EXPONENTS`]: cross-entropy towards 0, the absolute error at 1. Its authors take 0.7.
+        #[serde(default = "default_gce_exponent")]
+        exponent: f64,
+        /// A class whose own labels get a smaller mean probability than this has a smaller exponent, so that training does
+        /// not give it up (not in the paper). The further below, the nearer to cross-entropy. 0 turns it off.
+        #[serde(default = "default_least_recall")]
+        least_recall: f64,
+    },
+    /// Generalised Jensen-Shannon of the label and two predictions under dropout (Englesson and Azizpour 2021).
+    Gjs {
+        /// Weight of the raw label, in (0, 1).
+        #[serde(default = "default_pi_rl")]
+        pi_rl: f64,
+    },
+}
+
+fn default_pi_rl() -> f64 {
+    0.99
+}
+
+fn default_gce_exponent() -> f64 {
+    0.7
+}
+
+fn default_least_recall() -> f64 {
+    0.3
+}
+
+impl LabelLoss {
+    /// Generalised cross-entropy with its defaults.
+    pub const GCE: Self = Self::Gce {
+        exponent: 0.7,
+        least_recall: 0.3,
+    };
+
+    /// Checks the ranges of the payload.
+    pub(crate) fn check(&self) -> Result<()> {
+        match *self {
+            Self::Ce | Self::Mae | Self::NceRce => Ok(()),
+            Self::Js { pi_rl } => range::OPEN_UNIT.check("segmentation.loss.js.pi_rl", pi_rl),
+            Self::Gjs { pi_rl } => range::OPEN_UNIT.check("segmentation.loss.gjs.pi_rl", pi_rl),
+            Self::Gce {
+                exponent,
+                least_recall,
+            } => {
+                let [low, high] = GCE_EXPONENTS;
+                range::Range::Within(low, high)
+                    .check("segmentation.loss.gce.exponent", exponent)?;
+                range::UNIT.check("segmentation.loss.gce.least_recall", least_recall)
+            }
+        }
+    }
+}
+
+/// What is blended along a ray to give a pixel its classes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Blend {
+    /// Logits, softmax after blending (Eq. 3 and 8 of the paper).
+    Logits,
+    /// Class probabilities of each Gaussian: a convex mixture, so one confident Gaussian cannot outvote those in front.
+    Probabilities,
+}
+
+/// What label maps are rendered from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LabelSource {
+    /// One label per Gaussian, that of its largest score. The PLY stores it as `label`.
+    Labels,
+    /// The class scores, blended (Eq. 3): the paper.
+    Scores,
+}
+
+/// What the decoder starts from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Prior {
+    /// Nothing (the paper): the classes come from the features alone.
+    None,
+    /// The votes of each Gaussian's raw labels as log-shares: the decoder learns a correction.
+    Votes,
+}
+
+/// Stage two: segmentation identities. The fields marked `serde(skip)` are constants that no key sets; library code and
+/// tests may change them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SegmentationConfig {
+    /// Optimiser steps of each trained variant.
+    pub iterations: usize,
+    /// Variants to train and score. The scene stores `ours` where present, else the last one. Absent: [`Variant::COMPARED`],
+    /// or [`Variant::UNSCORED`] where no held-out view has a truth.
+    pub rows: Option<Vec<Variant>>,
+    /// Learning rate of the decoder.
+    pub lr: f64,
+    /// The learning rate falls along a half cosine to 1 % at the end (the paper keeps it constant).
+    pub lr_decay: bool,
+    /// Frozen features are brought to mean 0 and spread 1 per channel before the decoder (not in the paper).
+    pub standardise: bool,
+    /// What is blended, in training and in the stored identities.
+    pub blend: Blend,
+    /// What the decoder's scores are added to; `votes` needs `blend = "probabilities"`.
+    pub prior: Prior,
+    /// Loss of the variant `ours`.
+    #[serde(deserialize_with = "super::by_name")]
+    pub loss: LabelLoss,
+    /// Weight of the label loss.
+    pub lambda_pix: f64,
+    /// Weight of the 3D regularisation (Eq. 9).
+    pub lambda_reg: f64,
+    /// Share of the run that trains with cross-entropy before any other loss.
+    pub warmup: f64,
+    /// Identities come from the mean of the decoder's parameters over the steps after the warm-up (not in the paper).
+    pub average: bool,
+    /// What label maps are rendered from.
+    pub render: LabelSource,
+    /// Pixels whose coverage 1 - T is below this are not trained on and show no label.
+    pub min_coverage: f64,
+    /// Share of the labelled pixels of a view that a step uses, in (0, 1].
+    pub pixel_share: f64,
+    /// Megabytes (2^20 bytes) for the blending weights of the training views, shared by all variants. On a GPU they hold the
+    /// Gaussians that each view shows. The decoder keeps half as much again for what it prepares per view. The rest is
+    /// computed at each use, to the same bits.
+    pub weight_cache_mb: usize,
+    /// Iterations between held-out evaluations; 0 means ten in the run.
+    pub eval_every: usize,
+    /// Iterations between checkpoints; 0 means ten in the run.
+    #[serde(skip)]
+    pub checkpoint_every: usize,
+    /// Learning rate of per-Gaussian identities.
+    #[serde(skip)]
+    pub lr_per_gaussian: f64,
+    /// Sampled Gaussians of the 3D regularisation, at most.
+    #[serde(skip)]
+    pub reg_samples: usize,
+    /// Neighbours of each sample in the 3D regularisation.
+    #[serde(skip)]
+    pub reg_neighbours: usize,
+    /// Gaussians decoded together in a training step, which bounds the memory of the decoder's layers. Views that show more
+    /// are decoded in parts, twice, for the same gradients. 0: all at once.
+    #[serde(skip)]
+    pub decoder_chunk: usize,
+}
+
+impl SegmentationConfig {
+    /// `rows`, or what its absence stands for where there is a truth.
+    pub fn rows(&self) -> &[Variant] {
+        self.rows.as_deref().unwrap_or(&Variant::COMPARED)
+    }
+
+    pub(super) fn check(&self) -> Result<()> {
+        range::checked!(self, "segmentation": {
+            iterations: POSITIVE,
+            lr: ABOVE_ZERO,
+            lambda_pix: NOT_NEGATIVE,
+            lambda_reg: NOT_NEGATIVE,
+            warmup: UNIT,
+            min_coverage: UNIT,
+            pixel_share: SHARE,
+        });
+        self.loss.check()?;
+        let rows = self.rows();
+        if let Some(row) = (1..rows.len()).find(|&i| rows[..i].contains(&rows[i])) {
+            return Err(Error::config(
+                "segmentation.rows",
+                format!("{} twice", rows[row]),
+                "each variant once",
+                "leave the second one out",
+            ));
+        }
+        if self.prior == Prior::Votes && self.blend == Blend::Logits {
+            return Err(Error::config(
+                "segmentation.prior",
+                "votes",
+                "none where logits are blended",
+                "set segmentation.blend = \"probabilities\", or segmentation.prior = \"none\"",
+            ));
+        }
+        Ok(())
+    }
+}
+
+impl Default for SegmentationConfig {
+    fn default() -> Self {
+        Self {
+            iterations: 2_000,
+            rows: None,
+            lr: 6e-3,
+            lr_decay: true,
+            standardise: true,
+            blend: Blend::Probabilities,
+            prior: Prior::Votes,
+            loss: LabelLoss::GCE,
+            lambda_pix: 0.8,
+            lambda_reg: 0.2,
+            warmup: 0.1,
+            average: true,
+            render: LabelSource::Labels,
+            min_coverage: 0.5,
+            pixel_share: 1.0,
+            weight_cache_mb: 2_048,
+            eval_every: 0,
+            checkpoint_every: 0,
+            lr_per_gaussian: 5e-2,
+            reg_samples: 1_000,
+            reg_neighbours: 5,
+            decoder_chunk: 65_536,
+        }
+    }
+}
