@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """gsplat on what `coseg bench` renders: the same Gaussians, cameras and cases, for a comparison in one sitting.
 
-    coseg bench --backend wgpu --only channels --run RUN --export subject --json coseg.json
+    coseg bench --backend wgpu --only raster --run RUN --gaussians 100000 --export subject --json coseg.json
     coseg render --backend wgpu --scene subject/gaussians_100000.ply --cameras subject/cameras_480x360.json --out pictures --format npy
     python3 scripts/bench_gsplat.py subject --against coseg.json --pictures pictures [--json gsplat.json]
 
@@ -30,7 +30,7 @@ from gsplat import (
 
 TYPES = {"float": "<f4", "float32": "<f4", "double": "<f8", "float64": "<f8", "uchar": "u1", "uint8": "u1",
          "ushort": "<u2", "uint16": "<u2", "int": "<i4", "int32": "<i4", "uint": "<u4", "uint32": "<u4"}
-# Name, whether colour comes from SH, channels besides: the cases of the section `channels`.
+# Name, whether colour comes from SH, channels besides: the cases of the section `raster`.
 CASES = [("RGB", True, 0), ("RGB + 20 classes", True, 20), ("64 channels", False, 64)]
 
 
@@ -194,7 +194,7 @@ def main():
         against = json.loads(args.against.read_text())
         print(f"coseg: {against['machine']}")
         for section in against["sections"]:
-            ours |= {(f["case"], f["name"]): f["median"] for f in section["figures"] if section["section"] == "channels"}
+            ours |= {(f["case"], f["name"]): f["median"] for f in section["figures"] if section["section"] == "raster"}
     mode = "packed" if args.packed else "not packed"
     print(f"gsplat {gsplat.__version__}, PyTorch {torch.__version__}, {device}, {mode}")
     smallest(args.subject)  # or the message that nothing was exported

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# On a machine with a GPU: are the kernels right there, and how fast are they? Everything in one go, into a folder.
+# On a machine with a GPU: checks that the kernels are right there and measures how fast they are.
 #
 #     scripts/measure_gpu.sh [OUT]            OUT is `measured` by default
 #
 # COSEG and SUITE name binaries that were built elsewhere (`cargo build`, and the two of `cargo test --no-run --lib --test suite`,
-# each with --release --features wgpu, run from this folder); without them they are built here. A software adapter, which is what
-# wgpu finds where the GPU's driver has no Vulkan, is refused, unless SOFTWARE=1 says that it is meant. Where Python has PyTorch with CUDA and gsplat, gsplat is timed on the same Gaussians and cameras.
-# Each step leaves a log; one that fails is said and does not keep the others from running.
+# each with --release --features wgpu); without them the script builds here. wgpu falls back to a software adapter where the
+# GPU's driver has no Vulkan; the script refuses that unless SOFTWARE=1. Where Python has PyTorch with CUDA and gsplat, gsplat
+# is timed on the same Gaussians and cameras. Each step leaves a log. A step that fails does not stop the others.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 out=${1:-measured}
@@ -32,25 +32,25 @@ fi
 export COSEG_REQUIRE_GPU
 { nvidia-smi || vulkaninfo --summary; } >"$out/device.txt" 2>&1
 
-# Kernels against the CPU's in f64, both stages against ndarray; a test that finds no device, or not the one that is meant, fails.
+# Kernels against the CPU's in f64, both stages against ndarray. A test that finds no such device fails.
 parity() {
   if [ -n "${SUITE:-}" ]; then
-    for binary in $SUITE; do "$binary" --nocapture gpu device room noise raster gsplat probe photo || return 1; done
+    for binary in $SUITE; do "$binary" --nocapture gpu device room noise raster gsplat photo || return 1; done
   else
-    cargo test --release --features wgpu --lib --test suite -- --nocapture gpu device room noise raster gsplat probe photo || return 1
+    cargo test --release --features wgpu --lib --test suite -- --nocapture gpu device room noise raster gsplat photo || return 1
   fi
 }
 step parity parity
 
 step train "$COSEG" train --backend wgpu --out "$out/run"
-step bench "$COSEG" bench --backend wgpu --run "$out/run" --large --export "$out/subject" --json "$out/coseg.json" \
-  --only roofline,raster,channels,building,unprojection,encoding,segmentation
+step bench "$COSEG" bench --backend wgpu --run "$out/run" --gaussians 10000,100000,1000000 \
+  --export "$out/subject" --json "$out/coseg.json"
 if [ "$COSEG_REQUIRE_GPU" = hardware ] && grep -q 'software adapter' "$out/coseg.json"; then
-  echo "bench: not of a GPU, $(grep -o '"backend": *"[^"]*"' "$out/coseg.json")"
+  echo "bench: not measured on a GPU, $(grep -o '"backend": *"[^"]*"' "$out/coseg.json")"
   failed=1
 fi
 if python3 -c 'import gsplat, torch; assert torch.cuda.is_available()' 2>/dev/null; then
-  step pictures "$COSEG" render --backend wgpu --scene "$out/subject/gaussians_100000.ply" \
+  step pictures "$COSEG" render --backend wgpu --scene "$out/subject/gaussians_10000.ply" \
     --cameras "$out/subject/cameras_480x360.json" --out "$out/pictures" --format npy
   step gsplat python3 scripts/bench_gsplat.py "$out/subject" --pictures "$out/pictures" --against "$out/coseg.json" \
     --json "$out/gsplat.json"

@@ -1,233 +1,200 @@
-//! The rasterizer as training uses it: the burn operation, forward alone and with its backward pass.
+//! The rasterizer as training uses it, forward and with its backward pass, and whole frames as `coseg render` makes them.
 
-use super::channels::Rendering;
-use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words, reset_peak_memory};
+use super::{Bench, Findings, Samples};
+use crate::backend::device::read;
 use crate::error::{Error, Result};
-use crate::raster::{PairCounts, Projected, RasterInput, Settings};
-use crate::report::peak_memory_bytes;
+use crate::objects::{RenderOptions, Renderer};
+use crate::random::{Purpose, stream};
+use crate::raster::{
+    ListCount, PairCounts, Projected, RasterInput, RasterOutput, Settings, rasterize_with_room,
+    room_for,
+};
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
 use burn::tensor::{Device, Tensor, TensorData};
+use rand::Rng;
 use std::hint::black_box;
 
-/// Gaussians that the bars in milliseconds are set for, and those bars: forward, forward and backward.
-const BAR_SIZE: usize = 100_000;
-const BARS: [f64; 2] = [30.0, 75.0];
-/// Bars in nanoseconds a contributing pair and core: forward, backward.
-const PAIR_BARS: [f64; 2] = [4.0, 12.0];
-const MEANT_FOR: &str = "480x360";
+/// Labels of a frame, and channels beside colour.
+const LABELS: usize = 20;
+/// A name, whether colour is rendered, and the number of channels beside it.
+const CHANNELS: [(&str, bool, usize); 3] = [
+    ("RGB", true, 0),
+    ("RGB + 20 classes", true, LABELS),
+    ("64 channels", false, 64),
+];
 
-/// Growth of time between two sizes, forward and with backward.
-struct Before {
-    gaussians: usize,
-    medians: [f64; 2],
-}
-
-pub(super) fn measure(bench: &Bench) -> Result<Findings> {
-    let effort = &bench.effort;
-    let notes = vec![
-        bench.views_in_words(effort.views),
-        "time: the mean view of a pass. A pair is a pixel and a Gaussian with alpha' of alpha_min or more, before the stop;"
-            .to_owned(),
-        "its cost is time x threads / pairs, projection, sorting and SH included. backward = the difference of the two."
-            .to_owned(),
-    ];
-    let mut findings = Findings::new(Section::Raster, notes);
-    let cameras = bench.subject.cameras(effort.views, effort.size);
-    let mut before: Option<Before> = None;
-    for &size in &effort.sizes {
-        let gaussians = bench.subject.gaussians(size)?;
-        match one_size(
-            bench,
-            &gaussians,
-            &cameras,
-            before.as_ref(),
-            &mut findings.figures,
-        ) {
-            Ok(medians) => {
-                before = Some(Before {
-                    gaussians: gaussians.len(),
-                    medians,
-                })
-            }
-            // What a device cannot hold does not make the rest worthless.
-            Err(error @ Error::Limit { .. }) => {
-                findings.notes.push(format!(
-                    "{}: left out, {error}",
-                    gaussians_in_words(gaussians.len())
-                ));
-            }
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(findings)
-}
-
-fn one_size(
+pub(super) fn measure(
     bench: &Bench,
     gaussians: &Gaussians,
-    cameras: &[Camera],
-    before: Option<&Before>,
-    figures: &mut Vec<Figure>,
-) -> Result<[f64; 2]> {
-    let (settings, repeats) = (Settings::from(&bench.config.raster), bench.effort.repeats);
-    let case = gaussians_in_words(gaussians.len());
-    let views = cameras.len().max(1) as f64;
-    let pairs = count_pairs(gaussians, cameras, &settings)?;
-    let alone = reset_peak_memory();
-
-    let rendering = Rendering {
-        bench,
-        gaussians,
-        cameras,
-        colour: true,
-        channels: 0,
-    };
-    let (forward, both) = (rendering.forward()?, rendering.both()?);
-    let peak = peak_memory_bytes();
-    let projection = Samples::of(repeats, || {
-        for camera in cameras {
-            black_box(Projected::new(&gaussians.splats(), camera, &settings)?);
+    case: &str,
+    findings: &mut Findings,
+) -> Result<()> {
+    let effort = &bench.effort;
+    findings.note(format!(
+        "times of a view, means of {} views; all channels in one pass; backward: gradients of all inputs",
+        effort.views
+    ));
+    findings.note("a frame: colour, coverage and label of each pixel in host memory, 20 labels");
+    findings.note(
+        "a pair is a pixel and a Gaussian with alpha of alpha_min or more, before the pixel is full",
+    );
+    for [width, height] in [effort.size, effort.large_size] {
+        let view = format!("{width}x{height}, {case}");
+        let cameras = &bench.subject.cameras(effort.views, [width, height]);
+        for (name, colour, channels) in CHANNELS {
+            let rendering = Rendering {
+                bench,
+                gaussians,
+                cameras,
+                colour,
+                channels,
+            };
+            let case = format!("{view}, {name}");
+            match rendering.measure(&case, findings) {
+                // Smaller cases may fit all the same.
+                Err(error @ Error::Limit { .. }) => {
+                    findings.note(format!("{case}: left out, {error}"));
+                }
+                other => other?,
+            }
         }
+        let case = format!("{view}, labels");
+        let frames = frames(bench, gaussians, cameras)?;
+        findings.measured(&case, "a frame", "ms", &frames);
+        let pairs = count_pairs(bench, gaussians, cameras)?;
+        let pixels = cameras.len() * width * height;
+        let (contributing, evaluated) = (pairs.contributing as f64, pairs.evaluated as f64);
+        findings.counted(&case, "pairs a pixel", "", contributing / pixels as f64);
+        let ratio = evaluated / contributing.max(1.0);
+        findings.counted(&case, "evaluated per pair", "", ratio);
+    }
+    Ok(())
+}
+
+/// Gaussians as cameras see them.
+struct Rendering<'a> {
+    bench: &'a Bench,
+    gaussians: &'a Gaussians,
+    cameras: &'a [Camera],
+    colour: bool,
+    channels: usize,
+}
+
+impl Rendering<'_> {
+    fn measure(&self, case: &str, findings: &mut Findings) -> Result<()> {
+        let input = self.input(&self.bench.device);
+        let forward = self.timed(&input, |output| {
+            Some(output.image.slice([0..1, 0..1, 0..1]))
+        })?;
+        findings.measured(case, "forward", "ms", &forward);
+        let input = self.input(&self.bench.device.clone().autodiff());
+        let both = self.timed(&input, |output| {
+            let gradient = input.means.grad(&output.image.backward())?;
+            Some(gradient.slice([0..1, 0..1]).unsqueeze())
+        })?;
+        findings.measured(case, "forward + backward", "ms", &both);
         Ok(())
-    })?;
+    }
 
-    let full = bench.is_full();
-    let pixels = views * (bench.effort.size[0] * bench.effort.size[1]) as f64;
-    let contributing = pairs.contributing.max(1) as f64;
-    // Nanoseconds of a thread that each pair of all views takes, of a view's milliseconds.
-    let each = 1e6 * views * rayon::current_num_threads() as f64 / contributing;
-    let mut timed = |name: &str, samples: &Samples, bar: f64| {
-        let figure = Figure::measured(&case, name, "ms", samples);
-        let barred = gaussians.len() == BAR_SIZE;
-        figures.push(if barred {
-            figure.at_most_if(full, bar, MEANT_FOR)
-        } else {
-            figure
+    /// Milliseconds of the mean view. `finish` gives one value that is read back to wait for a GPU.
+    fn timed(
+        &self,
+        input: &RasterInput,
+        finish: impl Fn(RasterOutput) -> Option<Tensor<3>>,
+    ) -> Result<Samples> {
+        let raster = &self.bench.config.raster;
+        let settings = Settings::from(raster);
+        // A view's tile lists have the capacity of the pass before, as in training.
+        let mut capacities = vec![None; self.cameras.len()];
+        let passes = Samples::of(self.bench.effort.repeats, || {
+            for (camera, capacity) in self.cameras.iter().zip(&mut capacities) {
+                let (output, lists) = rasterize_with_room(
+                    input.clone(),
+                    camera,
+                    &settings,
+                    raster.background,
+                    *capacity,
+                )?;
+                let Some(value) = finish(output) else {
+                    continue;
+                };
+                let value = if value.device().is_autodiff() {
+                    value.inner()
+                } else {
+                    value
+                };
+                let summary = std::iter::once(value.reshape([1])).chain(lists.as_tensor());
+                let values = read("a rendered view", Tensor::cat(summary.collect(), 0))?;
+                let count = ListCount::from_values(black_box(&values[1..]));
+                *capacity = count.map(|count| room_for(count.entries));
+            }
+            Ok(())
+        })?;
+        Ok(passes.scaled(1e3 / self.cameras.len().max(1) as f64))
+    }
+
+    /// The Gaussians as tensors, tracked where `device` is for autodiff.
+    fn input(&self, device: &Device) -> RasterInput {
+        let g = self.gaussians;
+        let n = g.len();
+        let features = (self.channels > 0).then(|| {
+            let mut rng = stream(self.bench.config.seed, Purpose::Benchmark, 0);
+            let values: Vec<f32> = (0..n * self.channels).map(|_| rng.random()).collect();
+            leaf(values, [n, self.channels], device)
         });
-    };
-    timed("forward", &forward, BARS[0]);
-    timed("forward + backward", &both, BARS[1]);
-    figures.push(Figure::measured(
-        &case,
-        "projection, sorting and tiles alone",
-        "ms",
-        &projection.scaled(1e3 / views),
-    ));
-    let backward = (both.median() - forward.median()).max(0.0);
-    let pair = |name: &str, milliseconds: f64, bar: f64| {
-        Figure::counted(&case, name, "ns", milliseconds * each).at_most_if(full, bar, MEANT_FOR)
-    };
-    figures.push(pair(
-        "forward, a pair and core",
-        forward.median(),
-        PAIR_BARS[0],
-    ));
-    figures.push(pair("backward, a pair and core", backward, PAIR_BARS[1]));
-    figures.push(Figure::counted(
-        &case,
-        "pairs a pixel",
-        "",
-        pairs.contributing as f64 / pixels,
-    ));
-    figures.push(Figure::counted(
-        &case,
-        "evaluated a contributing pair",
-        "",
-        pairs.evaluated as f64 / contributing,
-    ));
-    let medians = [forward.median(), both.median()];
-    if let Some(before) = before {
-        let limit = gaussians.len() as f64 / before.gaussians.max(1) as f64;
-        for (name, i) in [
-            ("growth of forward", 0),
-            ("growth of forward + backward", 1),
-        ] {
-            let name = format!(
-                "{name} from {}",
-                super::figures::thousands(before.gaussians as f64)
-            );
-            figures.push(
-                Figure::counted(&case, &name, "x", medians[i] / before.medians[i]).at_most(limit),
-            );
+        RasterInput {
+            means: leaf(g.means.as_flattened().to_vec(), [n, 3], device),
+            log_scales: leaf(g.log_scales.as_flattened().to_vec(), [n, 3], device),
+            rotations: leaf(g.rotations.as_flattened().to_vec(), [n, 4], device),
+            opacity_logits: leaf(g.opacity_logits.clone(), [n], device),
+            sh: self
+                .colour
+                .then(|| leaf(g.sh.clone(), [n, g.sh_len(), 3], device)),
+            active_sh_degree: g.sh_degree,
+            features,
+            screen: None,
         }
     }
-    if let Some(peak) = peak {
-        let name = if alone {
-            "peak memory meanwhile"
-        } else {
-            "peak memory so far"
-        };
-        figures.push(Figure::counted(&case, name, "MB", peak as f64 / 1e6));
+}
+
+fn leaf<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Tensor<D> {
+    let tensor = Tensor::from_data(TensorData::new(values, shape), device);
+    if device.is_autodiff() {
+        tensor.require_grad()
+    } else {
+        tensor
     }
-    Ok(medians)
+}
+
+/// Milliseconds of the mean frame that [`Renderer`] makes.
+fn frames(bench: &Bench, gaussians: &Gaussians, cameras: &[Camera]) -> Result<Samples> {
+    let mut rng = stream(bench.config.seed, Purpose::Benchmark, 1);
+    let labels = (0..gaussians.len()).map(|_| rng.random_range(1..=LABELS as u16));
+    let options = RenderOptions {
+        settings: Settings::from(&bench.config.raster),
+        background: bench.config.raster.background,
+        ..RenderOptions::default()
+    };
+    let labels = Some(labels.collect());
+    let mut renderer = Renderer::new(gaussians.clone(), labels, options, &bench.device)?;
+    let passes = Samples::of(bench.effort.repeats, || {
+        cameras.iter().try_for_each(|camera| {
+            black_box(renderer.frame(camera)?);
+            Ok(())
+        })
+    })?;
+    Ok(passes.scaled(1e3 / cameras.len().max(1) as f64))
 }
 
 /// Pairs of all views together.
-pub(super) fn count_pairs(
-    gaussians: &Gaussians,
-    cameras: &[Camera],
-    settings: &Settings,
-) -> Result<PairCounts> {
+fn count_pairs(bench: &Bench, gaussians: &Gaussians, cameras: &[Camera]) -> Result<PairCounts> {
+    let settings = Settings::from(&bench.config.raster);
     let mut sum = PairCounts::default();
     for camera in cameras {
-        let pairs = Projected::new(&gaussians.splats(), camera, settings)?.count_pairs();
+        let pairs = Projected::new(&gaussians.splats(), camera, &settings)?.count_pairs();
         sum.evaluated += pairs.evaluated;
         sum.contributing += pairs.contributing;
     }
     Ok(sum)
-}
-
-/// The Gaussians as tensors.
-pub(super) struct Leaves {
-    means: Tensor<2>,
-    log_scales: Tensor<2>,
-    rotations: Tensor<2>,
-    opacity_logits: Tensor<1>,
-    sh: Tensor<3>,
-    sh_degree: usize,
-}
-
-impl Leaves {
-    pub fn new(g: &Gaussians, device: &Device) -> Self {
-        let n = g.len();
-        let two = |v: &[f32], width: usize| {
-            Tensor::from_data(TensorData::new(v.to_vec(), [n, width]), device)
-        };
-        Self {
-            means: two(g.means.as_flattened(), 3),
-            log_scales: two(g.log_scales.as_flattened(), 3),
-            rotations: two(g.rotations.as_flattened(), 4),
-            opacity_logits: Tensor::from_data(
-                TensorData::new(g.opacity_logits.clone(), [n]),
-                device,
-            ),
-            sh: Tensor::from_data(TensorData::new(g.sh.clone(), [n, g.sh_len(), 3]), device),
-            sh_degree: g.sh_degree,
-        }
-    }
-
-    pub fn tracked(self) -> Self {
-        Self {
-            means: self.means.require_grad(),
-            log_scales: self.log_scales.require_grad(),
-            rotations: self.rotations.require_grad(),
-            opacity_logits: self.opacity_logits.require_grad(),
-            sh: self.sh.require_grad(),
-            ..self
-        }
-    }
-
-    pub fn input(&self) -> RasterInput {
-        RasterInput {
-            means: self.means.clone(),
-            log_scales: self.log_scales.clone(),
-            rotations: self.rotations.clone(),
-            opacity_logits: self.opacity_logits.clone(),
-            sh: Some(self.sh.clone()),
-            active_sh_degree: self.sh_degree,
-            features: None,
-            screen: None,
-        }
-    }
 }

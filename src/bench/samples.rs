@@ -3,7 +3,7 @@
 use crate::error::Result;
 use std::time::Instant;
 
-/// Values of one quantity, measured again and again; seconds unless [`Samples::scaled`].
+/// Values of one quantity; seconds unless [`Samples::scaled`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Samples(Vec<f64>);
 
@@ -21,7 +21,7 @@ impl Samples {
         Ok(samples)
     }
 
-    /// Adds the seconds of one run of `work`, and gives back what it returned.
+    /// Adds the seconds of one run of `work` and returns its result.
     ///
     /// # Errors
     /// That of `work`; nothing is added then.
@@ -69,21 +69,10 @@ impl Samples {
         self.0.iter().sum()
     }
 
-    /// Mean of all values; 0 without samples.
-    pub fn mean(&self) -> f64 {
-        self.sum() / self.0.len().max(1) as f64
-    }
-
     /// Every value times `factor`.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         Self(self.0.iter().map(|v| v * factor).collect())
-    }
-
-    /// Seconds for `work` as rates, `work` a second.
-    #[must_use]
-    pub fn rates(&self, work: f64) -> Self {
-        Self(self.0.iter().map(|seconds| work / seconds).collect())
     }
 }
 
@@ -98,15 +87,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn median_spread_and_mean() {
+    fn median_and_spread() {
         let odd: Samples = [5.0, 1.0, 3.0].into_iter().collect();
         assert_eq!(
-            (odd.median(), odd.spread(), odd.mean(), odd.len()),
-            (3.0, [1.0, 5.0], 3.0, 3)
+            (odd.median(), odd.spread(), odd.len()),
+            (3.0, [1.0, 5.0], 3)
         );
         let even: Samples = [4.0, 1.0, 2.0, 100.0].into_iter().collect();
         assert_eq!((even.median(), even.scaled(2.0).median()), (3.0, 6.0));
-        assert_eq!(even.rates(8.0).spread(), [0.08, 8.0]);
         assert_eq!(
             (Samples::default().median(), Samples::default().spread()),
             (0.0, [0.0, 0.0])

@@ -1,14 +1,14 @@
 //! The Gaussians and cameras that are measured.
 
-use super::resample::resampled;
-use super::surfels::Surfaces;
+use super::{Effort, resampled};
 use crate::config::Config;
 use crate::data::builtin::{self, BuiltinOptions};
-use crate::data::{Limits, Scene, Split, read_cameras};
+use crate::data::formats::transforms::write_cameras;
+use crate::data::{Limits, NamedCamera, Scene, Split, read_cameras};
 use crate::error::{Error, Result};
 use crate::pipeline::load_scene;
 use crate::reconstruction::BuildingStage;
-use crate::splat::camera::{Camera, level_up};
+use crate::splat::camera::Camera;
 use crate::splat::{Gaussians, ply};
 use burn::tensor::Device;
 use glam::DVec3;
@@ -17,38 +17,35 @@ use std::path::{Path, PathBuf};
 /// Where Gaussians and cameras come from.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Source {
-    /// The scene that the settings name, its Gaussians made without training.
+    /// The scene that the settings name, with the Gaussians that training would start from.
     #[default]
     Untrained,
-    /// The scene that the settings name and these trained Gaussians of it, a 3DGS PLY.
+    /// The scene that the settings name, with these trained Gaussians, a 3DGS PLY.
     Trained(PathBuf),
-    /// Trained Gaussians and cameras, without photos: a 3DGS PLY and what [`read_cameras`] reads.
+    /// Trained Gaussians and cameras, without photos.
     Files {
-        /// The Gaussians.
+        /// The Gaussians, a 3DGS PLY.
         scene: PathBuf,
-        /// The cameras; those of split `train` are used.
+        /// The cameras, as [`read_cameras`] reads them; those of split `train` are used.
         cameras: PathBuf,
     },
 }
 
-enum Origin {
-    Trained(Gaussians),
-    Cloud(Gaussians),
-    Room(Surfaces),
-}
+/// Opacity logit of Gaussians that are not trained: 0.9, so that surfaces hide what is behind them.
+const UNTRAINED_OPACITY: f32 = 2.2;
 
 /// What is measured.
 pub struct Subject {
     /// In words, for tables.
     pub description: String,
-    /// Photos and labels; absent when only Gaussians and cameras were given.
+    /// Photos and labels; absent with [`Source::Files`].
     pub scene: Option<Scene>,
     /// Training cameras, in the coordinates of the Gaussians.
     pub cameras: Vec<Camera>,
-    /// Direction that points up.
-    pub up: DVec3,
-    origin: Origin,
-    sh_degree: usize,
+    /// Whether the Gaussians are trained.
+    pub trained: bool,
+    /// The Gaussians, of any number.
+    pub own: Gaussians,
     seed: u64,
 }
 
@@ -58,112 +55,55 @@ impl Subject {
     /// # Errors
     /// Those of the loaders; [`Error::Input`] for a PLY without Gaussians.
     pub fn load(source: &Source, config: &Config, small: bool, device: &Device) -> Result<Self> {
-        if let Source::Files { scene, cameras } = source {
-            return Self::of_files(scene, cameras, config);
-        }
-        let mut scene = match &config.data.dir {
-            None if small => {
-                let options = BuiltinOptions {
-                    width: 64,
-                    height: 48,
-                    train_views: 6,
-                    test_views: 1,
-                    ..Default::default()
-                };
-                builtin::scene_with(&BuiltinOptions {
-                    points: 400,
-                    ..options
-                })?
+        let (scene, own, cameras) = match source {
+            Source::Untrained => {
+                let scene = load(config, small)?;
+                let mut own = BuildingStage::new(&scene, config, device)?.gaussians()?;
+                own.opacity_logits.fill(UNTRAINED_OPACITY);
+                let cameras = training_cameras(&scene);
+                (Some(scene), own, cameras)
             }
-            _ => load_scene(config)?,
-        };
-        let (description, origin) = match source {
             Source::Trained(path) => {
-                let (gaussians, origin) = trained(path)?;
-                scene = scene.with_origin(origin);
-                (of_trained(path, &gaussians), Origin::Trained(gaussians))
+                let (own, origin) = trained(path)?;
+                let scene = load(config, small)?.with_origin(origin);
+                let cameras = training_cameras(&scene);
+                (Some(scene), own, cameras)
             }
-            _ if config.data.dir.is_none() => {
-                let text = "the built-in room, surfels on its surfaces, made without training";
-                (text.to_owned(), Origin::Room(Surfaces::new(&scene)))
-            }
-            _ => {
-                let gaussians = BuildingStage::new(&scene, config, device)?.gaussians()?;
-                let text = format!(
-                    "{}, its initial {} Gaussians, not trained",
-                    scene.name,
-                    gaussians.len()
-                );
-                (text, Origin::Cloud(gaussians))
+            Source::Files { scene, cameras } => {
+                let (own, origin) = trained(scene)?;
+                let named = read_cameras(cameras, Some(Split::Train))?;
+                let moved = named.into_iter().map(|named| Camera {
+                    center: named.camera.center - origin,
+                    ..named.camera
+                });
+                (None, own, moved.collect())
             }
         };
-        let cameras: Vec<Camera> = scene
-            .split(Split::Train)
-            .map(|v| v.camera.clone())
-            .collect();
         if cameras.is_empty() {
-            let found = format!("{} without training views", scene.name);
-            return Err(Error::argument(
-                "data",
-                found,
-                "a scene with training views",
-                "mark some views as `train`",
-            ));
+            let expected = "a scene with training views";
+            let help = "mark some views as `train`";
+            return Err(Error::argument("data", "no training views", expected, help));
         }
-        let (up, sh_degree) = (scene.up, config.building.sh_degree);
+        let description = match (source, &scene) {
+            (Source::Trained(path) | Source::Files { scene: path, .. }, _) => {
+                format!("{}, {} trained Gaussians", path.display(), own.len())
+            }
+            (_, Some(scene)) => format!("{}, not trained: initial Gaussians", scene.name),
+            _ => String::new(),
+        };
         Ok(Self {
             description,
-            scene: Some(scene),
+            scene,
             cameras,
-            up,
-            origin,
-            sh_degree,
+            trained: *source != Source::Untrained,
+            own,
             seed: config.seed,
         })
     }
 
-    fn of_files(scene: &Path, cameras: &Path, config: &Config) -> Result<Self> {
-        let named = read_cameras(cameras, Some(Split::Train))?;
-        let (gaussians, origin) = trained(scene)?;
-        let cameras: Vec<Camera> = named
-            .into_iter()
-            .map(|n| Camera {
-                center: n.camera.center - origin,
-                ..n.camera
-            })
-            .collect();
-        let up = level_up(&cameras);
-        Ok(Self {
-            description: of_trained(scene, &gaussians),
-            scene: None,
-            cameras,
-            up,
-            sh_degree: gaussians.sh_degree,
-            origin: Origin::Trained(gaussians),
-            seed: config.seed,
-        })
-    }
-
-    /// Number of the trained Gaussians, where they are trained.
-    pub fn trained(&self) -> Option<usize> {
-        match &self.origin {
-            Origin::Trained(gaussians) => Some(gaussians.len()),
-            _ => None,
-        }
-    }
-
-    /// `count` Gaussians of the scene; trained ones are resampled to that number.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] beyond what a scene can hold.
-    pub fn gaussians(&self, count: usize) -> Result<Gaussians> {
-        let gaussians = match &self.origin {
-            Origin::Room(surfaces) => surfaces.gaussians(count, self.sh_degree, self.seed)?,
-            Origin::Trained(gaussians) | Origin::Cloud(gaussians) => {
-                resampled(gaussians, count, self.seed)
-            }
-        };
-        Ok(gaussians.select(&gaussians.spatial_order()))
+    /// The scene with about `count` Gaussians, in spatial order: see [`resampled`].
+    pub fn gaussians(&self, count: usize) -> Gaussians {
+        resampled(&self.own, count, self.seed)
     }
 
     /// `count` of the cameras, evenly chosen and cycled where there are fewer, cut and scaled to `width` x `height`.
@@ -175,40 +115,75 @@ impl Subject {
             .collect()
     }
 
-    /// Largest distance of a camera from the mean camera, world units.
-    pub fn extent(&self) -> f64 {
-        let mean =
-            self.cameras.iter().map(|c| c.center).sum::<DVec3>() / self.cameras.len().max(1) as f64;
-        self.cameras
-            .iter()
-            .map(|c| c.center.distance(mean))
-            .fold(0.0, f64::max)
+    /// Writes what section `raster` renders into `dir`, for other renderers: `gaussians_N.ply` for each number N in
+    /// `effort`, `cameras_WxH.json` for each size. Returns the paths.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn export(&self, dir: &Path, effort: &Effort) -> Result<Vec<PathBuf>> {
+        let mut written = Vec::new();
+        for &count in &effort.gaussians {
+            let gaussians = self.gaussians(count);
+            let path = dir.join(format!("gaussians_{}.ply", gaussians.len()));
+            ply::write(&path, &gaussians, DVec3::ZERO, None)?;
+            written.push(path);
+        }
+        for [width, height] in [effort.size, effort.large_size] {
+            let cameras = self.cameras(effort.views, [width, height]);
+            let named = cameras
+                .into_iter()
+                .enumerate()
+                .map(|(i, camera)| NamedCamera {
+                    name: format!("view_{i}"),
+                    split: Split::Train,
+                    camera,
+                });
+            let path = dir.join(format!("cameras_{width}x{height}.json"));
+            write_cameras(&path, &named.collect::<Vec<_>>())?;
+            written.push(path);
+        }
+        Ok(written)
     }
 }
 
-fn of_trained(path: &Path, gaussians: &Gaussians) -> String {
-    format!(
-        "{}, {} trained Gaussians, resampled where another number is stated",
-        path.display(),
-        gaussians.len()
-    )
+fn load(config: &Config, small: bool) -> Result<Scene> {
+    if small && config.data.dir.is_none() {
+        builtin::scene_with(&BuiltinOptions {
+            width: 64,
+            height: 48,
+            train_views: 6,
+            test_views: 1,
+            points: 400,
+            ..Default::default()
+        })
+    } else {
+        load_scene(config)
+    }
+}
+
+fn training_cameras(scene: &Scene) -> Vec<Camera> {
+    scene
+        .split(Split::Train)
+        .map(|view| view.camera.clone())
+        .collect()
 }
 
 fn trained(path: &Path) -> Result<(Gaussians, DVec3)> {
     let scene = ply::read(path, &Limits::default())?;
     if scene.gaussians.is_empty() {
+        let help = "give a trained scene";
         return Err(Error::input(
             path,
             "element vertex",
             "no Gaussians",
             "at least one",
-            "give a trained scene",
+            help,
         ));
     }
     Ok((scene.gaussians, scene.origin))
 }
 
-/// The camera with the middle of its image scaled to fill `width` x `height`; pixels stay square where they are.
+/// The camera with its image scaled and cut to `width` x `height`, so that pixels keep their shape.
 fn fitted(camera: &Camera, width: usize, height: usize) -> Camera {
     let (w, h) = (camera.width.max(1) as f64, camera.height.max(1) as f64);
     let scale = (width as f64 / w).max(height as f64 / h);

@@ -1,91 +1,64 @@
-//! Lifting feature maps onto the Gaussians (Algorithm 1).
+//! Lifting of feature maps onto the Gaussians (Algorithm 1).
 
-use super::{Bench, Figure, Findings, Samples, Section, gaussians_in_words};
-use crate::backend::device::in_host_memory;
+use super::{Bench, Findings, Samples};
 use crate::config::Resolution;
 use crate::error::Result;
 use crate::features::{FeatureMap, SCALES};
 use crate::random::{Purpose, stream};
 use crate::raster::Settings;
 use crate::segmentation::unprojection::Lifting;
+use crate::splat::Gaussians;
 use rand::Rng;
 use std::hint::black_box;
 
-/// Image pixels a cell, of each scale of the built-in descriptor.
+/// Image pixels per cell, for each scale of the built-in descriptor.
 const STEPS: [usize; SCALES] = [4, 4, 8, 16];
-pub(super) const CHANNELS: usize = 64;
-/// Different sets of maps; more of them than fit a cache.
+const CHANNELS: usize = 64;
+/// Different sets of maps; more than fit a cache.
 const SETS: usize = 8;
-/// Views that the bars are set for, and those bars in seconds.
-const BAR_VIEWS: usize = 80;
-const MEANT_FOR: &str = "80 views at 480x360";
-const RESOLUTIONS: [(Resolution, &str, f64); 2] = [
-    (Resolution::Feature, "`feature`", 5.0),
-    (Resolution::Image, "`image`", 15.0),
+const RESOLUTIONS: [(Resolution, &str); 2] = [
+    (Resolution::Feature, "feature"),
+    (Resolution::Image, "image"),
 ];
 
-pub(super) fn measure(bench: &Bench) -> Result<Findings> {
+pub(super) fn measure(
+    bench: &Bench,
+    gaussians: &Gaussians,
+    case: &str,
+    findings: &mut Findings,
+) -> Result<()> {
     let effort = &bench.effort;
-    let gaussians = bench.subject.gaussians(effort.gaussians)?;
+    let [width, height] = effort.size;
     let cameras = bench.subject.cameras(effort.lifted_views, effort.size);
-    let own = bench.subject.cameras.len();
-    let mut notes = vec![
-        format!(
-            "{}, {}",
-            bench.views_in_words(cameras.len()),
-            gaussians_in_words(gaussians.len())
-        ),
-        format!(
-            "maps of {CHANNELS} random numbers at every {STEPS:?} pixels, as the built-in descriptor has them; one pass"
-        ),
-    ];
-    if own < cameras.len() {
-        notes.push(format!(
-            "the scene has {own} training views; they come round again"
-        ));
-    }
-    let mut findings = Findings::new(Section::Unprojection, notes);
+    findings.note(format!(
+        "{} views of {width}x{height}, with maps of {CHANNELS} random numbers at every {STEPS:?} pixels",
+        cameras.len()
+    ));
     let sets: Vec<Vec<FeatureMap>> = (0..SETS.min(cameras.len()))
         .map(|set| maps(bench, set))
         .collect();
     let settings = Settings::from(&bench.config.raster);
-    let comparable = bench.is_full() && cameras.len() == BAR_VIEWS;
-    for (resolution, name, bar) in RESOLUTIONS {
-        let case = format!("{name} resolution");
-        // Warm-up.
-        let mut first = Lifting::new(&gaussians, &[CHANNELS; SCALES], &bench.device);
-        if let (Some(camera), Some(maps)) = (cameras.first(), sets.first()) {
-            first.add(camera, maps, None, resolution, &settings)?;
-        }
-        black_box(first.finish()?);
-        let mut sums = Lifting::new(&gaussians, &[CHANNELS; SCALES], &bench.device);
-        let mut views = Samples::default();
-        for (i, camera) in cameras.iter().enumerate() {
-            views.time(|| sums.add(camera, &sets[i % sets.len()], None, resolution, &settings))?;
-        }
-        let mut end = Samples::default();
-        end.time(|| {
-            Ok(black_box(
-                sums.finish()?
-                    .normalised(bench.config.unprojection.normalisation),
-            ))
-        })?;
-        let total = Figure::counted(&case, "all views", "s", views.sum() + end.sum());
-        findings
-            .figures
-            .push(total.at_most_if(comparable, bar, MEANT_FOR));
-        // A GPU works on after a view was handed to it.
-        if in_host_memory(&bench.device) {
-            findings
-                .figures
-                .push(Figure::measured(&case, "a view", "ms", &views.scaled(1e3)));
-        }
+    for (resolution, name) in RESOLUTIONS {
+        let lift = |views: usize| {
+            let mut lifting = Lifting::new(gaussians, &[CHANNELS; SCALES], &bench.device);
+            for (camera, maps) in cameras.iter().zip(sets.iter().cycle()).take(views) {
+                lifting.add(camera, maps, None, resolution, &settings)?;
+            }
+            let sums = lifting.finish()?;
+            black_box(sums.normalised(bench.config.unprojection.normalisation));
+            Ok(())
+        };
+        lift(1)?;
+        let mut all = Samples::default();
+        all.time(|| lift(cameras.len()))?;
+        let name = format!("all views, at {name} resolution");
+        findings.measured(case, &name, "s", &all);
     }
-    Ok(findings)
+    Ok(())
 }
 
-/// One map a scale for images of the benchmark's size.
-pub(super) fn maps(bench: &Bench, set: usize) -> Vec<FeatureMap> {
+/// One map for each scale, for images of the benchmark's size.
+fn maps(bench: &Bench, set: usize) -> Vec<FeatureMap> {
     let mut rng = stream(bench.config.seed, Purpose::Benchmark, set as u64);
     let [width, height] = bench.effort.size;
     let map = |step: usize| {

@@ -1,4 +1,4 @@
-//! `coseg bench`: speed against error on this machine.
+//! `coseg bench`: speed against error, times of the stages, memory.
 
 use super::run_folder::RunFolder;
 use super::scene_file::{cameras_path, scene_path};
@@ -7,42 +7,36 @@ use clap::Args;
 use clap::builder::RangedU64ValueParser;
 use coseg::backend::device;
 use coseg::backend::device::BackendName;
-use coseg::bench::{Bench, Effort, Findings, LARGE_BYTES, Machine, Section, Source, Subject};
+use coseg::bench::{Bench, Effort, Findings, Machine, Section, Source, Subject};
 use coseg::data::atomic;
 use coseg::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
 /// Passes behind a median, and those of --quick.
 const REPEATS: [usize; 2] = [5, 1];
+/// Numbers of Gaussians where no trained scene has a number of its own, and that of --quick.
+const UNTRAINED: [usize; 2] = [10_000, 100_000];
+const QUICK: usize = 300;
 
 const HELP: &str = "\
 Sections
-  raster        colour at 480x360, forward and with its backward pass, at 10,000, 100,000 and 1,000,000
-                Gaussians; cost of a contributing pair, growth, peak memory
-  channels      RGB, RGB + 20 classes and 64 channels at 480x360 and 1920x1080 of 100,000 Gaussians (--large:
-                a million too), in milliseconds and frames a second
-  curve         each setting of the rasterizer moved alone: time, and error against an f64 render with all exact
-  building      an iteration of stage one on the scene's own photos, at 15,000 and 50,000 Gaussians
-  unprojection  4 x 64 feature channels lifted onto 100,000 Gaussians from 80 views, at both resolutions
-  encoding      the point encoder on 100,000 points
-  segmentation  an iteration of stage two, where the scene has raw labels
-  memory        peak memory and time of such an iteration on 100,000 Gaussians (--large: a million too, in
-                about 6 GB), as segmentation.decoder_chunk goes from 4,096 to all at once
-  roofline      what the device could do at most (GB/s, GFLOP/s; latencies of a GPU), and how much of it is
-                reached on 100,000 Gaussians (--large: a million too): RGB, with 20 classes, 64 channels,
-                forward + backward, a view lifted; bytes and operations counted, the longer time is the roof
+  raster        rendering of colour, colour and 20 classes, and 64 channels, forward and with the backward pass,
+                at 480x360 and 1920x1080
+  curve         each setting of the rasterizer changed alone: its time, and its error against exact f64
+  building      a step of stage one on the scene's photos
+  unprojection  4 x 64 feature channels lifted onto the Gaussians from 80 views
+  segmentation  a step of stage two, where the scene has raw labels
 
-Every figure is a median with the smallest and largest measurement, after a warm-up run that is not counted. Beside it
-stands the bar that the design sets for it, on two cores, and whether it is met; bars that were set for another scene
-or size are shown without a verdict. Close other programs first: the first lines say how busy the machine was.
+Each figure is a median with the smallest and the largest measurement; a warm-up is not counted. Each section ends with
+its peak memory. Close other programs first: the first lines say whether the machine is busy.
 
-Without --run or --scene nothing is trained, and the output says so: Gaussians are flat discs on the built-in room's
-surfaces or, with --data, the points that training would start from. Trained ones are resampled to the number that a
-line states: fewer by chance and larger, more as smaller copies, so that each pixel meets about as many as before.
+Without --run or --scene nothing is trained, and the Gaussians are those that training would start from. With
+--gaussians a scene is resampled: to fewer and larger Gaussians, or to more and smaller ones.
 
 Examples:
   coseg bench                                              some minutes on two cores
   coseg bench --run runs/living --json living.json
+  coseg bench --run runs/living --gaussians 100000,1000000 --only raster
   coseg bench --only building --data scenes/fox --set data.transforms=transforms_4.json
   coseg bench --only raster,curve --scene scene.ply --cameras transforms.json";
 
@@ -50,7 +44,7 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_help = HELP)]
 pub struct BenchArgs {
-    /// Sections to measure, with commas between [default: all]
+    /// Sections to measure, separated by commas [default: all]
     #[arg(long, value_name = "SECTION,...", value_delimiter = ',')]
     only: Vec<Section>,
     /// Scene folder with photos [default: the built-in room]
@@ -59,7 +53,7 @@ pub struct BenchArgs {
     /// Folder that `coseg train` wrote: its scene, settings and trained Gaussians
     #[arg(long, value_name = "DIR", conflicts_with_all = ["data", "scene", "config"])]
     run: Option<PathBuf>,
-    /// Trained Gaussians in the 3DGS PLY convention or in a run folder, for sections that need no photos
+    /// Trained Gaussians, a 3DGS PLY file or a run folder, for sections that need no photos
     #[arg(long, value_name = "FILE.ply|RUN")]
     scene: Option<PathBuf>,
     /// Cameras of --scene, as `coseg render` takes them [default: cameras.json beside it]
@@ -68,13 +62,13 @@ pub struct BenchArgs {
     /// Measured passes behind each median [default: 5]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=1000))]
     repeats: Option<usize>,
-    /// A million Gaussians in `channels`, `memory`, `roofline`; in `raster` with little memory free
+    /// Numbers of Gaussians [default: that of --run or --scene, else 10000,100000]
+    #[arg(long, value_name = "N,...", value_delimiter = ',', value_parser = RangedU64ValueParser::<usize>::new().range(1..=100_000_000))]
+    gaussians: Vec<usize>,
+    /// Tiny sizes, a few seconds in all, to see that everything runs
     #[arg(long)]
-    large: bool,
-    /// Tiny sizes, a few seconds in all: shows that everything runs; the figures mean nothing
-    #[arg(long, conflicts_with = "large")]
     quick: bool,
-    /// Write what `channels` renders into this folder, Gaussians and cameras, for other renderers
+    /// Write the Gaussians and cameras of section `raster` into this folder, for other renderers
     #[arg(long, value_name = "DIR")]
     export: Option<PathBuf>,
     /// Write the figures to this file too
@@ -88,7 +82,7 @@ pub struct BenchArgs {
 }
 
 impl BenchArgs {
-    /// Measures, prints a table a section, and writes the figures where asked.
+    /// Measures, prints a table for each section, and writes the figures where asked.
     pub fn run(self) -> Result<()> {
         let (backend, device) = device::choose(self.backend)?;
         let machine = Machine::here(device::described(backend));
@@ -111,18 +105,6 @@ impl BenchArgs {
                 Source::Untrained,
             ),
         };
-        let effort = match self.quick {
-            true => Effort::quick(self.repeats.unwrap_or(REPEATS[1])),
-            false => {
-                let fits = machine
-                    .available_memory_bytes
-                    .is_none_or(|bytes| bytes >= LARGE_BYTES);
-                let mut effort =
-                    Effort::full(self.repeats.unwrap_or(REPEATS[0]), self.large || fits);
-                effort.memory.extend(self.large.then_some(1_000_000));
-                effort
-            }
-        };
         terminal::say(&machine.text());
         if self.quick {
             terminal::say("Tiny sizes (--quick): the figures mean nothing.");
@@ -131,20 +113,30 @@ impl BenchArgs {
         let sections: Vec<Section> = Section::ALL.into_iter().filter(wanted).collect();
         let bar = terminal::bar("bench", sections.len() as u64);
         let subject = Subject::load(&source, &config, self.quick, &device)?;
+        let mut gaussians = self.gaussians;
+        if gaussians.is_empty() && self.quick {
+            gaussians.push(QUICK);
+        } else if gaussians.is_empty() && subject.trained {
+            gaussians.push(subject.own.len());
+        } else if gaussians.is_empty() {
+            gaussians.extend(UNTRAINED);
+        }
+        let effort = if self.quick {
+            Effort::quick(self.repeats.unwrap_or(REPEATS[1]), gaussians)
+        } else {
+            Effort::full(self.repeats.unwrap_or(REPEATS[0]), gaussians)
+        };
+        if let Some(dir) = &self.export {
+            for path in subject.export(dir, &effort)? {
+                terminal::say(&format!("exported: {}", path.display()));
+            }
+        }
         let bench = Bench {
             config,
             subject,
             device,
             effort,
         };
-        if let Some(dir) = &self.export {
-            let written: Vec<String> = bench
-                .export(dir)?
-                .iter()
-                .map(|path| path.display().to_string())
-                .collect();
-            terminal::say(&format!("what is rendered: {}", written.join(", ")));
-        }
         let mut found = Vec::new();
         for section in sections {
             bar.set_message(section.key());
@@ -167,7 +159,7 @@ fn write_json(path: &Path, machine: &Machine, bench: &Bench, found: &[Findings])
     let json = serde_json::json!({
         "machine": machine,
         "subject": bench.subject.description,
-        "trained": bench.subject.trained().is_some(),
+        "trained": bench.subject.trained,
         "repeats": bench.effort.repeats,
         "sections": found,
     });

@@ -172,14 +172,6 @@ impl DeviceSums {
         Some(reading)
     }
 
-    /// Reads a value of every sum back.
-    pub fn wait(&self) -> Result<()> {
-        for [buffer, _] in self.scales.iter().filter_map(|scale| scale.sums.as_ref()) {
-            read("a value of the sums", buffer.clone().slice([0..1, 0..1]))?;
-        }
-        Ok(())
-    }
-
     /// The sums, read back.
     ///
     /// # Errors

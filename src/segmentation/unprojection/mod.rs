@@ -294,17 +294,6 @@ impl<'a> Lifting<'a> {
         }
     }
 
-    /// Waits until the views added so far are in the sums: a device works on after it was handed one.
-    ///
-    /// # Errors
-    /// [`Error::Device`] when the device fails.
-    pub(crate) fn wait(&self) -> Result<()> {
-        match &self.place {
-            Place::Host(_) => Ok(()),
-            Place::Device(sums) => sums.wait(),
-        }
-    }
-
     /// The sums, on the host.
     ///
     /// # Errors
