@@ -191,7 +191,8 @@ impl Bench {
                 }
                 other => other?,
             }
-            if let Some(bytes) = peak_memory_bytes() {
+            let bytes = peak_memory_bytes().filter(|_| section != Section::Curve);
+            if let Some(bytes) = bytes {
                 findings.counted(&case, peak, "MB", bytes as f64 / 1e6);
             }
         }

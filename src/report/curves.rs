@@ -1,40 +1,44 @@
-//! Which charts a run has.
+//! The charts of a run.
 
-use super::chart::{Chart, Level, Line, thinned};
+use super::chart::{Chart, Line, thinned};
 use super::{Report, Sample};
 use crate::config::Variant;
+use maud::Markup;
 
-/// CSS class of a row's colour.
-pub(super) fn row_class(row: Variant) -> &'static str {
-    // `ours` alone marks a table row.
-    if row == Variant::Ours {
-        "row-ours"
-    } else {
-        row.key()
+/// Colours of charts with a single line.
+const BLUE: [u8; 3] = [47, 125, 225];
+const ORANGE: [u8; 3] = [194, 118, 26];
+
+/// The colour of a row, readable on light and on dark pages.
+pub(super) fn color(row: Variant) -> [u8; 3] {
+    match row {
+        Variant::Raw => [128, 131, 138],
+        Variant::Vote => ORANGE,
+        Variant::PerGaussian => [138, 95, 199],
+        Variant::OursCe => [27, 145, 168],
+        Variant::Ours => BLUE,
+        Variant::NoImageFeatures => [181, 81, 122],
+        Variant::NoSpatial => [111, 145, 48],
+        Variant::SingleScale => [156, 106, 56],
+        Variant::RandomSpatial => [207, 76, 63],
     }
 }
 
-fn line(name: &str, class: &str, samples: &[Sample]) -> Line {
-    Line {
-        name: name.into(),
-        class: class.into(),
-        points: thinned(samples).0,
-    }
-}
-
-fn single(title: &str, y_title: &str, samples: &[Sample], decimals: usize) -> Chart {
+fn single(title: &str, samples: &[Sample], decimals: usize) -> Chart {
     Chart {
         title: title.into(),
-        y_title: y_title.into(),
-        lines: vec![line("", "", samples)],
-        levels: Vec::new(),
+        lines: vec![Line {
+            name: "",
+            color: BLUE,
+            points: thinned(samples).0,
+        }],
         log: false,
         decimals,
     }
 }
 
-/// A training loss; long ones are averaged, and the heading says over how many iterations.
-fn loss(title: &str, class: &str, samples: &[Sample]) -> Chart {
+/// A training loss. Long ones are averaged, and the title says over how many iterations.
+fn loss(title: &str, color: [u8; 3], samples: &[Sample]) -> Chart {
     let (points, group) = thinned(samples);
     let span = match (samples.first(), samples.get(group)) {
         (Some(first), Some(next)) if group > 1 => {
@@ -44,67 +48,62 @@ fn loss(title: &str, class: &str, samples: &[Sample]) -> Chart {
     };
     Chart {
         title: format!("{title}{span}"),
-        y_title: "loss".into(),
         lines: vec![Line {
-            name: String::new(),
-            class: class.into(),
+            name: "",
+            color,
             points,
         }],
-        levels: Vec::new(),
         log: true,
         decimals: 4,
     }
 }
 
-/// Charts of the building stage.
-pub(super) fn building(report: &Report<'_>) -> String {
+/// Charts of stage one.
+pub(super) fn building(report: &Report<'_>) -> Vec<Markup> {
     let b = &report.metrics.curves.building;
     let charts = [
-        single("Held-out PSNR", "PSNR, dB", &b.psnr, 2),
-        single("Held-out SSIM", "SSIM", &b.ssim, 3),
-        loss("Training loss", "second", &b.loss),
-        single("Gaussians", "Gaussians", &b.gaussians, 0),
+        single("Held-out PSNR, dB", &b.psnr, 2),
+        single("Held-out SSIM", &b.ssim, 3),
+        loss("Training loss", ORANGE, &b.loss),
+        single("Gaussians", &b.gaussians, 0),
     ];
     charts.iter().filter_map(Chart::figure).collect()
 }
 
-/// Charts of the segmentation stage: one of the held-out mIoU of all rows, one loss a row.
-pub(super) fn segmentation(report: &Report<'_>) -> String {
+/// Charts of stage two: the held-out mIoU of all rows, and one loss per trained row.
+pub(super) fn segmentation(report: &Report<'_>) -> Vec<Markup> {
     let rows = &report.metrics.curves.rows;
-    let as_percent = |s: &[Sample]| s.iter().map(|&(i, v)| (i, 100.0 * v)).collect::<Vec<_>>();
-    let untrained = |row: &Variant| !rows.iter().any(|r| r.row == *row);
-    let scored = report
-        .metrics
-        .test
-        .labels
+    let mut lines: Vec<Line> = rows
         .iter()
-        .filter(|(row, _)| untrained(row));
+        .filter(|trained| !trained.miou.is_empty())
+        .map(|trained| {
+            let points = thinned(&trained.miou).0;
+            Line {
+                name: trained.row.title(),
+                color: color(trained.row),
+                points: points.into_iter().map(|(i, v)| (i, 100.0 * v)).collect(),
+            }
+        })
+        .collect();
+    for (row, scores) in &report.metrics.test.labels {
+        let is_trained = rows.iter().any(|trained| trained.row == *row);
+        if let (false, Some(miou)) = (is_trained, scores.miou) {
+            lines.push(Line {
+                name: row.title(),
+                color: color(*row),
+                points: vec![(0.0, 100.0 * miou)],
+            });
+        }
+    }
     let miou = Chart {
-        title: "Held-out mIoU, pooled".into(),
-        y_title: "mIoU, %".into(),
-        lines: rows
-            .iter()
-            .map(|r| line(r.row.title(), row_class(r.row), &as_percent(&r.miou)))
-            .collect(),
-        levels: scored
-            .filter_map(|(row, s)| {
-                let value = 100.0 * s.miou?;
-                Some(Level {
-                    name: row.title().into(),
-                    class: row_class(*row).into(),
-                    value,
-                })
-            })
-            .collect(),
+        title: "Held-out mIoU, pooled, %".into(),
+        lines,
         log: false,
         decimals: 1,
     };
-    let losses = rows.iter().map(|r| {
-        loss(
-            &format!("Loss, {}", r.row.title()),
-            row_class(r.row),
-            &r.loss,
-        )
+    let losses = rows.iter().map(|trained| {
+        let title = format!("Loss, {}", trained.row.title());
+        loss(&title, color(trained.row), &trained.loss)
     });
     std::iter::once(miou)
         .chain(losses)

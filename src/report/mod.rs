@@ -1,18 +1,15 @@
 //! The run folder's results: `metrics.json`, `classes.json`, `config.toml`, held-out pictures, and `report.html`.
 
 mod chart;
-mod compactness;
 mod curves;
-mod font;
 mod from_run;
 mod history;
-mod markup;
 mod metrics;
-mod objects_by_class;
 mod page;
 pub mod pictures;
 pub mod sheet;
 mod tables;
+mod units;
 mod views;
 
 pub use self::from_run::held_out_views;
@@ -27,7 +24,7 @@ use crate::error::{Error, Result};
 use crate::metrics::ImageScores;
 use std::path::Path;
 
-/// Everything a run has to show.
+/// The results of a run.
 #[derive(Clone, Debug)]
 pub struct Report<'a> {
     /// The figures.
@@ -38,9 +35,9 @@ pub struct Report<'a> {
     pub config: &'a Config,
     /// Number of held-out views.
     pub held_out: usize,
-    /// Those of them that the page shows, in file order.
+    /// The held-out views that the page shows, in file order.
     pub views: Vec<HeldOutView<'a>>,
-    /// What a reader should know besides: what was skipped, what the figures do not say.
+    /// Notes for the reader: what was skipped, what the figures do not say.
     pub notes: Vec<String>,
 }
 
@@ -59,8 +56,8 @@ pub struct HeldOutView<'a> {
 
 impl HeldOutView<'_> {
     /// Writes its pictures into `dir`: `STEM.rgb.png`, `STEM.rgb_error.png` and, with labels, `STEM.label.png` (ids),
-    /// `STEM.label_color.png` (with a legend) and `STEM.label_error.png` (with truth). Those of an earlier result that this one has
-    /// nothing to show in are removed.
+    /// `STEM.label_color.png` (with a legend) and `STEM.label_error.png` (with truth). Removes those of an earlier result
+    /// that this one does not have.
     ///
     /// # Errors
     /// [`Error::Io`] naming the file that could not be written; those of [`crate::data::Photo::pixels`].
@@ -95,7 +92,7 @@ impl HeldOutView<'_> {
         }
     }
 
-    /// How far `rgb`, the view as rendered, is from the photo; grey where a mask leaves pixels out.
+    /// The difference of `rgb`, the rendered view, from the photo; grey where a mask leaves pixels out.
     fn color_error(&self, rgb: &image::RgbImage) -> Result<image::RgbImage> {
         let mut error = pictures::rgb_error(rgb, &*self.view.image.pixels()?);
         if let Some(mask) = &self.view.mask {
@@ -145,6 +142,6 @@ impl Report<'_> {
     /// # Errors
     /// [`Error::Io`] when a picture cannot be encoded, [`Error::Limit`] when one has another size than its photo.
     pub fn html(&self, path: &Path) -> Result<String> {
-        page::page(self, path)
+        Ok(page::page(self, path)?.into_string())
     }
 }

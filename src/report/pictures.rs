@@ -1,12 +1,14 @@
 //! Pictures for people: coloured label maps with legends, error maps, floats as 8-bit images.
 
-use super::font;
 use crate::data::{Classes, LabelMap};
 use crate::error::{Error, Result};
+use font8x8::legacy::BASIC_LEGACY;
 use image::{Rgb, RgbImage};
 use std::io::Cursor;
 use std::path::Path;
 
+/// Pixels across a character, and from its top to its bottom.
+pub(super) const GLYPH: usize = 8;
 /// Colour of unlabelled pixels.
 pub const UNLABELLED: [u8; 3] = [38, 38, 42];
 /// Colour of ids that the class table lacks.
@@ -118,8 +120,8 @@ pub fn with_legend(picture: &RgbImage, labels: &LabelMap, classes: &Classes) -> 
         entries.push((UNLABELLED, "unlabelled".into()));
     }
     let scale = if picture.width() >= 900 { 2 } else { 1 };
-    let (swatch, gap, line) = (9 * scale, 4 * scale, 14 * scale);
-    let cell = |text: &str| swatch + gap + font::ADVANCE * scale * text.chars().count() + 3 * gap;
+    let (swatch, gap, line) = (9 * scale, 4 * scale, 15 * scale);
+    let cell = |text: &str| swatch + gap + GLYPH * scale * text.chars().count() + 3 * gap;
     let widest = entries
         .iter()
         .map(|(_, text)| cell(text))
@@ -158,9 +160,13 @@ fn fill(
 
 pub(super) fn draw_text(image: &mut RgbImage, (x, y): (usize, usize), scale: usize, text: &str) {
     for (i, c) in text.chars().enumerate() {
-        for (row, bits) in font::glyph(c).into_iter().enumerate() {
-            for column in (0..5).filter(|column| bits >> (4 - column) & 1 == 1) {
-                let at = (x + scale * (font::ADVANCE * i + column), y + scale * row);
+        // Characters beyond ASCII are drawn as question marks.
+        let glyph = BASIC_LEGACY
+            .get(c as usize)
+            .unwrap_or(&BASIC_LEGACY['?' as usize]);
+        for (row, bits) in glyph.iter().enumerate() {
+            for column in (0..GLYPH).filter(|column| bits >> column & 1 == 1) {
+                let at = (x + scale * (GLYPH * i + column), y + scale * row);
                 fill(image, at, (scale, scale), [28, 28, 30]);
             }
         }

@@ -1,7 +1,6 @@
 //! A contact sheet: small photos with their labels, names and splits, on one picture.
 
-use super::font;
-use super::pictures::{colored, draw_text, with_legend};
+use super::pictures::{GLYPH, colored, draw_text, with_legend};
 use crate::data::{Classes, LabelMap, Split, Thumbnail};
 use image::imageops::replace;
 use image::{Rgb, RgbImage};
@@ -11,7 +10,7 @@ const COLUMNS: usize = 5;
 /// Pixels between them.
 const GAP: usize = 6;
 /// Pixels of the line with the name.
-const CAPTION: usize = font::HEIGHT + 5;
+const CAPTION: usize = GLYPH + 5;
 
 /// Photos in rows of five, each with its label map below where one of them has one; below them all a legend.
 pub fn contact_sheet(tiles: &[Thumbnail], classes: &Classes) -> RgbImage {
@@ -46,7 +45,7 @@ pub fn contact_sheet(tiles: &[Thumbnail], classes: &Classes) -> RgbImage {
         } else {
             ""
         };
-        let room = width / font::ADVANCE;
+        let room = width / GLYPH;
         let caption: String = format!("{split}{}", tile.name).chars().take(room).collect();
         draw_text(
             &mut sheet,

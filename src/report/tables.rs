@@ -1,252 +1,282 @@
-//! Tables of the page: rows of scores, IoU by class, times and sizes.
+//! Tables of the page: scores by row and by class, times and sizes.
 
-use super::curves::row_class;
-use super::markup::{bytes, duration, escape, percent};
+use super::chart::swatch;
+use super::curves::color;
+use super::units::{bytes, duration, percent, thousands};
 use super::{Report, RowScores};
 use crate::config::Variant;
-use std::fmt::Write;
+use crate::metrics::{PanopticScores, SemanticScores};
+use maud::{Markup, html};
 
 /// A table whose wide content scrolls on its own.
-pub(super) fn table(head: &[String], body: &str) -> String {
-    let head: String = head
-        .iter()
-        .map(|h| format!("<th scope=\"col\">{h}</th>"))
-        .collect();
-    format!(
-        "<div class=\"scroll\"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>\n"
-    )
-}
-
-pub(super) fn row_name(row: Variant) -> String {
-    format!(
-        "<th scope=\"row\" class=\"{}\"><span class=\"mark\"></span>{}</th>",
-        row_class(row),
-        row.title()
-    )
-}
-
-type Pick = fn(&RowScores) -> Option<f64>;
-
-/// A share as percent, or a dash.
-pub(super) fn cell(share: Option<f64>) -> String {
-    share.map_or("–".into(), percent)
-}
-
-/// Scores of all rows. Raw labels have two lines: their unlabelled pixels as wrong, and left out.
-pub(super) fn scores(report: &Report<'_>) -> String {
-    let labels = &report.metrics.test.labels;
-    let best = |pick: Pick| labels.values().filter_map(pick).max_by(f64::total_cmp);
-    let columns: [Pick; 3] = [|s| s.miou, |s| s.miou_per_view, |s| s.accuracy];
-    let mut body = String::new();
-    for (row, scores) in labels {
-        let class = if *row == Variant::Ours {
-            " class=\"ours\""
-        } else {
-            ""
-        };
-        let _ = write!(body, "<tr{class}>{}", row_name(*row));
-        for pick in columns {
-            let mark = if pick(scores).is_some() && pick(scores) == best(pick) {
-                " class=\"best\""
-            } else {
-                ""
-            };
-            let _ = write!(body, "<td{mark}>{}</td>", cell(pick(scores)));
-        }
-        let or_dash = |text: Option<String>| text.unwrap_or_else(|| "–".into());
-        let _ = writeln!(
-            body,
-            "<td>{}</td><td>{}</td><td>{}</td></tr>",
-            or_dash(
-                scores
-                    .iterations
-                    .map(|n| super::markup::thousands(n as u64))
-            ),
-            or_dash(scores.learning_rate.map(|rate| rate.to_string())),
-            or_dash(scores.seconds.map(duration)),
-        );
-        if let Some(s) = scores.void_left_out {
-            let cells: String = [s.miou, s.miou_per_view, s.accuracy]
-                .map(|v| format!("<td>{}</td>", cell(v)))
-                .concat();
-            let _ = writeln!(
-                body,
-                "<tr class=\"quiet\"><th scope=\"row\" class=\"{}\"><span class=\"mark\"></span>{}, unlabelled left out</th>\
-                 {cells}<td>–</td><td>–</td><td>–</td></tr>",
-                row_class(*row),
-                row.title(),
-            );
+fn table(head: &[&str], body: Markup) -> Markup {
+    html! {
+        div.scroll {
+            table {
+                thead { tr { @for name in head { th scope="col" { (name) } } } }
+                tbody { (body) }
+            }
         }
     }
+}
+
+fn row_name(row: Variant) -> Markup {
+    html! { th scope="row" { (swatch(color(row))) (row.title()) } }
+}
+
+fn shares(shares: &[Option<f64>]) -> Markup {
+    html! { @for share in shares { td { (percent(*share)) } } }
+}
+
+/// A share, bold where it is the best.
+fn share(share: Option<f64>, best: Option<f64>) -> Markup {
+    let is_best = share.is_some() && share == best;
+    html! { td.best[is_best] { (percent(share)) } }
+}
+
+/// The rows that have scores of one kind.
+fn rows_with<'a, T>(
+    report: &'a Report<'_>,
+    pick: impl Fn(&'a RowScores) -> Option<T>,
+) -> Vec<(Variant, T)> {
+    let labels = report.metrics.test.labels.iter();
+    labels
+        .filter_map(|(row, scores)| Some((*row, pick(scores)?)))
+        .collect()
+}
+
+/// Scores of all rows. Raw labels have two lines: with unlabelled pixels as wrong, and with those left out.
+pub(super) fn scores(report: &Report<'_>) -> Markup {
+    let labels = &report.metrics.test.labels;
+    let columns: [fn(&RowScores) -> Option<f64>; 3] =
+        [|s| s.miou, |s| s.miou_per_view, |s| s.accuracy];
+    let best = columns.map(|pick| labels.values().filter_map(pick).max_by(f64::total_cmp));
+    let or_dash = |text: Option<String>| text.unwrap_or_else(|| "–".into());
     let head = [
         "",
-        "mIoU pooled,&nbsp;%",
-        "mIoU per&nbsp;view,&nbsp;%",
-        "accuracy,&nbsp;%",
+        "mIoU pooled, %",
+        "mIoU per view, %",
+        "accuracy, %",
         "iterations",
         "learning rate",
         "time",
     ];
-    table(&head.map(String::from), &body)
+    let body = html! {
+        @for (row, scores) in labels {
+            tr.ours[*row == Variant::Ours] {
+                (row_name(*row))
+                @for (pick, best) in columns.iter().zip(best) { (share(pick(scores), best)) }
+                td { (or_dash(scores.iterations.map(|n| thousands(n as u64)))) }
+                td { (or_dash(scores.learning_rate.map(|rate| rate.to_string()))) }
+                td { (or_dash(scores.seconds.map(duration))) }
+            }
+            @if let Some(s) = scores.void_left_out {
+                tr.quiet {
+                    th scope="row" { (swatch(color(*row))) (row.title()) ", unlabelled left out" }
+                    (shares(&[s.miou, s.miou_per_view, s.accuracy]))
+                    td { "–" } td { "–" } td { "–" }
+                }
+            }
+        }
+    };
+    table(&head, body)
 }
 
-/// Scores of objects against true instances; empty where no row has them.
-pub(super) fn instances(report: &Report<'_>) -> String {
-    let labels = &report.metrics.test.labels;
-    let rows: Vec<_> = labels
-        .iter()
-        .filter_map(|(row, s)| Some((*row, s.instances.as_ref()?)))
-        .collect();
-    if rows.is_empty() {
-        return String::new();
-    }
-    let mut body = String::new();
-    for (row, s) in rows {
-        let shares = [
-            s.accuracy,
-            s.miou,
-            s.panoptic.pq,
-            s.panoptic.sq,
-            s.panoptic.rq,
-            s.scene.pq,
-        ];
-        let cells: String = shares
-            .map(|share| format!("<td>{}</td>", cell(share)))
-            .concat();
-        let _ = writeln!(
-            body,
-            "<tr>{}{cells}<td>{}</td><td>{}</td></tr>",
-            row_name(row),
-            s.instances,
-            s.objects
-        );
-    }
+/// Scores of objects against true instances; nothing where no row has them.
+pub(super) fn instances(report: &Report<'_>) -> Option<Markup> {
+    let rows = rows_with(report, |scores| scores.instances.as_ref());
     let head = [
         "",
-        "accuracy,&nbsp;%",
-        "mIoU,&nbsp;%",
-        "PQ,&nbsp;%",
-        "SQ,&nbsp;%",
-        "RQ,&nbsp;%",
-        "PQ of the scene,&nbsp;%",
+        "accuracy, %",
+        "mIoU, %",
+        "PQ, %",
+        "SQ, %",
+        "RQ, %",
+        "PQ of the scene, %",
+        "true instances",
+        "objects",
     ];
-    let head = head
-        .into_iter()
-        .chain(["true instances", "objects"])
-        .map(String::from);
-    format!(
-        "<h3>Objects against true instances</h3>\n<p class=\"quiet\">Accuracy and mIoU after matching objects and instances one \
-         to one over all held-out views; PQ, SQ and RQ (Kirillov et al. 2019) of each view's segments as one class, and PQ \
-         with all views as one image.</p>\n{}",
-        table(&head.collect::<Vec<_>>(), &body)
-    )
+    let body = html! {
+        @for (row, s) in &rows {
+            tr {
+                (row_name(*row))
+                (shares(&[
+                    s.accuracy, s.miou, s.panoptic.pq, s.panoptic.sq, s.panoptic.rq, s.scene.pq,
+                ]))
+                td { (s.instances) } td { (s.objects) }
+            }
+        }
+    };
+    (!rows.is_empty()).then(|| {
+        html! {
+            h3 { "Objects against true instances" }
+            p.quiet {
+                "Accuracy and mIoU after matching objects and instances one to one over all held-out views. PQ, SQ and RQ \
+                 (Kirillov et al. 2019) treat the segments of each view as one class; PQ of the scene treats all views as \
+                 one image."
+            }
+            (table(&head, body))
+        }
+    })
 }
 
-/// IoU by class and row; empty when no row has them.
-pub(super) fn class_iou(report: &Report<'_>) -> String {
-    let labels = &report.metrics.test.labels;
-    let rows: Vec<_> = labels
-        .iter()
-        .filter(|(_, s)| !s.class_iou.is_empty())
-        .collect();
-    if rows.is_empty() {
-        return String::new();
-    }
-    let mut body = String::new();
-    for class in &report.classes.entries {
-        let cells: Vec<Option<f64>> = rows
-            .iter()
-            .map(|(_, s)| s.class_iou.get(&class.id).copied())
-            .collect();
-        if cells.iter().all(Option::is_none) {
-            continue;
+/// Scores of objects against true classes, and the IoU of each class; nothing where no row has them.
+pub(super) fn objects_by_class(report: &Report<'_>) -> Option<Markup> {
+    let rows = rows_with(report, |scores| scores.semantic.as_ref());
+    let (_, first) = rows.first()?;
+    let head = [
+        "",
+        "mIoU pooled, %",
+        "mIoU per view, %",
+        "accuracy, %",
+        "PQ, %",
+        "SQ, %",
+        "RQ, %",
+        "PQ of things, %",
+        "PQ of stuff, %",
+        "PQ of the scene, %",
+    ];
+    let qualities: [fn(&PanopticScores) -> Option<f64>; 6] = [
+        |p| p.all.pq,
+        |p| p.all.sq,
+        |p| p.all.rq,
+        |p| p.things.pq,
+        |p| p.stuff.pq,
+        |p| p.scene.pq,
+    ];
+    let body = html! {
+        @for (row, s) in &rows {
+            tr {
+                (row_name(*row))
+                (shares(&[s.miou, s.miou_per_view, s.accuracy]))
+                (shares(&qualities.map(|pick| s.panoptic.as_ref().and_then(pick))))
+            }
         }
-        let best = cells
-            .iter()
-            .flatten()
-            .copied()
-            .fold(f64::NEG_INFINITY, f64::max);
-        let [r, g, b] = class.color;
-        let _ = write!(
-            body,
-            "<tr><th scope=\"row\"><span class=\"mark\" style=\"background:rgb({r} {g} {b})\"></span>{}</th>",
-            escape(&class.name)
-        );
-        for cell in cells {
-            let mark = if cell == Some(best) {
-                " class=\"best\""
-            } else {
-                ""
-            };
-            let _ = write!(body, "<td{mark}>{}</td>", self::cell(cell));
+    };
+    let iou = |s: &SemanticScores, id| s.per_class.iter().find(|c| c.id == id).map(|c| c.iou);
+    let classes = html! {
+        @for class in &first.per_class {
+            tr {
+                th scope="row" { (class.name) }
+                @for (_, s) in &rows { td { (percent(iou(s, class.id))) } }
+            }
         }
-        body.push_str("</tr>\n");
-    }
-    let head: Vec<String> = std::iter::once("class".to_owned())
-        .chain(rows.iter().map(|(row, _)| row.title().to_owned()))
+    };
+    let names: Vec<&str> = std::iter::once("class")
+        .chain(rows.iter().map(|(row, _)| row.title()))
         .collect();
-    format!("<h3>IoU by class, %</h3>\n{}", table(&head, &body))
+    Some(html! {
+        h3 { "Objects by class against true labels" }
+        p.quiet {
+            "An object counts as its class. PQ, SQ and RQ are means over classes. In a class of things each instance is a \
+             segment, in a class of stuff all pixels are one. PQ of the scene treats all views as one image."
+        }
+        (table(&head, body))
+        h3 { "IoU by class of the objects, %" }
+        (table(&names, classes))
+    })
+}
+
+/// How compact identities are, and how far the raw labels agree; nothing where no row has it.
+pub(super) fn compactness(report: &Report<'_>) -> Option<Markup> {
+    let rows = rows_with(report, |scores| scores.compactness);
+    let agreement = rows_with(report, |scores| scores.agreement);
+    let body = html! {
+        @for (row, c) in &rows {
+            tr { (row_name(*row)) td { (percent(Some(c.neighbours_differ))) } }
+        }
+    };
+    (!rows.is_empty()).then(|| {
+        html! {
+            h3 { "Compactness" }
+            p.quiet {
+                "Pairs of neighbouring Gaussians whose labels differ: borders between things, and specks."
+                @if let Some((_, a)) = agreement.first() {
+                    " The votes of the raw labels on a Gaussian have a mean entropy of " (format!("{:.3}", a.entropy))
+                    " nats. On " (percent(Some(a.contested))) " % of the Gaussians the winner has less than two thirds of them."
+                }
+            }
+            (table(&["", "neighbours that differ, %"], body))
+        }
+    })
+}
+
+/// IoU by class and row; nothing when no row has them.
+pub(super) fn class_iou(report: &Report<'_>) -> Option<Markup> {
+    let rows = rows_with(report, |s| {
+        (!s.class_iou.is_empty()).then_some(&s.class_iou)
+    });
+    let head: Vec<&str> = std::iter::once("class")
+        .chain(rows.iter().map(|(row, _)| row.title()))
+        .collect();
+    let body = html! {
+        @for class in &report.classes.entries {
+            @let cells: Vec<Option<f64>> = rows.iter().map(|(_, iou)| iou.get(&class.id).copied()).collect();
+            @let best = cells.iter().flatten().copied().max_by(f64::total_cmp);
+            @if best.is_some() {
+                tr {
+                    th scope="row" { (swatch(class.color)) (class.name) }
+                    @for cell in cells { (share(cell, best)) }
+                }
+            }
+        }
+    };
+    (!rows.is_empty()).then(|| {
+        html! {
+            h3 { "IoU by class, %" }
+            (table(&head, body))
+        }
+    })
 }
 
 /// Where the time went: a bar and a table.
-pub(super) fn times(report: &Report<'_>) -> String {
+pub(super) fn times(report: &Report<'_>) -> Markup {
     let s = &report.metrics.seconds;
-    let parts = [
-        ("building", s.building, "--ours"),
-        ("2D features", s.features, "--vote"),
-        ("unprojection", s.unprojection, "--per_gaussian"),
-        ("segmentation", s.segmentation, "--ours_ce"),
+    let known = s.building + s.features + s.unprojection + s.segmentation;
+    let stages = [
+        ("building", s.building, color(Variant::Ours)),
+        ("2D features", s.features, color(Variant::Vote)),
+        ("unprojection", s.unprojection, color(Variant::PerGaussian)),
+        ("segmentation", s.segmentation, color(Variant::OursCe)),
+        (
+            "loading, scoring, writing",
+            (s.total - known).max(0.0),
+            color(Variant::Raw),
+        ),
     ];
-    let rest = (s.total - parts.iter().map(|p| p.1).sum::<f64>()).max(0.0);
-    let all = parts
-        .into_iter()
-        .chain([("loading, scoring, writing", rest, "--raw")]);
-    let (mut bar, mut body) = (String::new(), String::new());
-    for (name, seconds, color) in all {
-        let share = if s.total > 0.0 {
-            100.0 * seconds / s.total
-        } else {
-            0.0
-        };
-        let _ = write!(
-            bar,
-            "<i style=\"width:{share:.2}%;background:var({color})\" title=\"{name}: {}\"></i>",
-            duration(seconds)
-        );
-        let _ = writeln!(
-            body,
-            "<tr><th scope=\"row\"><span class=\"mark\" style=\"background:var({color})\"></span>{name}</th>\
-             <td>{}</td><td>{share:.0} %</td></tr>",
-            duration(seconds)
-        );
+    let share = |seconds: f64| 100.0 * seconds / s.total.max(1e-9);
+    let body = html! {
+        @for (name, seconds, color) in stages {
+            tr {
+                th scope="row" { (swatch(color)) (name) }
+                td { (duration(seconds)) }
+                td { (format!("{:.0} %", share(seconds))) }
+            }
+        }
+        tr { th scope="row" { "total" } td.best { (duration(s.total)) } td {} }
+    };
+    html! {
+        div.bar aria-hidden="true" {
+            @for (name, seconds, [r, g, b]) in stages {
+                i title=(name) style=(format!("width:{:.2}%;background:rgb({r} {g} {b})", share(seconds))) {}
+            }
+        }
+        (table(&["stage", "time", "share"], body))
     }
-    let _ = writeln!(
-        body,
-        "<tr><th scope=\"row\">total</th><td class=\"best\">{}</td><td></td></tr>",
-        duration(s.total)
-    );
-    let head = ["stage", "time", "share"].map(String::from);
-    format!(
-        "<div class=\"bar\" aria-hidden=\"true\">{bar}</div>\n{}",
-        table(&head, &body)
-    )
 }
 
 /// Peak memory and the size of what was trained.
-pub(super) fn sizes(report: &Report<'_>) -> String {
+pub(super) fn sizes(report: &Report<'_>) -> Markup {
     let m = &report.metrics;
-    let peak = m
-        .peak_memory_bytes
-        .map_or("not known on this system".to_owned(), bytes);
-    let mut body =
-        format!("<tr><th scope=\"row\">peak memory of the process</th><td>{peak}</td></tr>\n");
-    for (part, size) in &m.learnable_bytes {
-        let name = escape(&part.replace('_', " "));
-        let _ = writeln!(
-            body,
-            "<tr><th scope=\"row\">learnable: {name}</th><td>{}</td></tr>",
-            bytes(*size)
-        );
-    }
-    table(&["what".into(), "size".into()], &body)
+    let peak = m.peak_memory_bytes;
+    let body = html! {
+        tr {
+            th scope="row" { "peak memory of the process" }
+            td { (peak.map_or("not known on this system".to_owned(), bytes)) }
+        }
+        @for (part, size) in &m.learnable_bytes {
+            tr { th scope="row" { "learnable: " (part.replace('_', " ")) } td { (bytes(*size)) } }
+        }
+    };
+    table(&["what", "size"], body)
 }

@@ -114,12 +114,14 @@ fn trained_scenes_come_from_files_or_from_a_run() {
         "--only",
         "segmentation,building",
         "--gaussians",
-        "90,120",
+        "300,400",
+        "--set",
+        "building.random_points=300",
     ]);
     let places = [
         "building: ",
-        "90 Gaussians",
-        "120 Gaussians",
+        "300 Gaussians",
+        "400 Gaussians",
         "segmentation: ",
     ]
     .map(|word| said.find(word));

@@ -1,19 +1,4 @@
-//! Text for HTML.
-
-/// `text` with the characters that mean something in HTML written out.
-pub(super) fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            _ => out.push(c),
-        }
-    }
-    out
-}
+//! Numbers as people read them.
 
 /// `12,345`.
 pub(super) fn thousands(value: u64) -> String {
@@ -28,9 +13,14 @@ pub(super) fn thousands(value: u64) -> String {
     out
 }
 
-/// `0.8312` as `83.1`.
-pub(super) fn percent(share: f64) -> String {
-    format!("{:.1}", 100.0 * share)
+/// `0.8312` as `83.1`, or a dash.
+pub(super) fn percent(share: Option<f64>) -> String {
+    share.map_or("–".to_owned(), |share| format!("{:.1}", 100.0 * share))
+}
+
+/// A change with its sign.
+pub(super) fn signed(value: f64, decimals: usize) -> String {
+    format!("{value:+.decimals$}").replace('-', "−")
 }
 
 /// Seconds as `41 s`, `3 min 20 s` or `2 h 5 min`.
