@@ -1,12 +1,12 @@
-//! How the program's allocator gives memory back.
+//! How the program's allocator returns memory.
 
-/// Lets freed memory stay with the process.
+/// Keeps freed memory in the process.
 ///
-/// A training step allocates and frees the same large tensors again and again. By default glibc returns them to the system,
-/// which clears every page anew for the next step; small scenes feel it most.
+/// Each training step allocates and frees the same large tensors. By default glibc returns them to the system, which then
+/// clears every page for the next step. Small scenes suffer most.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 pub fn keep_freed_memory() {
-    /// The largest that glibc takes: greater allocations still have pages of their own.
+    /// The largest value that glibc accepts: larger allocations still get pages of their own.
     const MAPPED_FROM: libc::c_int = 32 << 20;
     // SAFETY: sets two parameters of the allocator; no memory is read or written.
     unsafe {
@@ -15,6 +15,6 @@ pub fn keep_freed_memory() {
     }
 }
 
-/// Other allocators keep what they see fit.
+/// Other allocators need no advice.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 pub fn keep_freed_memory() {}

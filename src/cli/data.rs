@@ -1,6 +1,6 @@
-//! `coseg data`: looks at a scene folder without training on it.
+//! `coseg data`: checks or describes a scene folder.
 
-use super::{Settings, faults, terminal};
+use super::{Settings, fault_list, terminal};
 use clap::{Args, Subcommand};
 use coseg::data::{self, Info, LoadOptions, Manifest, atomic};
 use coseg::error::{Error, Result};
@@ -13,7 +13,7 @@ const SHEET: (usize, u32) = (25, 200);
 
 const HELP: &str = "\
 Layouts: transforms.json of nerfstudio and instant-ngp, COLMAP models, Replica as NICE-SLAM and Semantic-NeRF ship it,
-ScanNet exports. The layout is found by the files that are there; --set data.layout=NAME says which.
+ScanNet exports. The files in the folder decide, or --set data.layout=NAME.
 
 Examples:
   coseg data check scenes/living
@@ -31,7 +31,7 @@ pub struct DataArgs {
 
 #[derive(Debug, Subcommand)]
 enum Action {
-    /// Tell every problem of a scene folder at once; exit code 1 when there is one
+    /// List every problem of a scene folder at once; exit code 1 when there is one
     Check(CheckArgs),
     /// Counts, splits, image sizes, camera extent, classes
     Info(InfoArgs),
@@ -42,10 +42,10 @@ struct CheckArgs {
     /// Scene folder
     #[arg(value_name = "DIR")]
     dir: PathBuf,
-    /// Manifest of the scene: its files must be there, its layout is taken
+    /// Manifest of the scene: its files must exist, and its layout is used
     #[arg(long, value_name = "FILE.toml")]
     manifest: Option<PathBuf>,
-    /// Print every problem, and not only the first few of each kind
+    /// Print every problem, not only the first few of each kind
     #[arg(long)]
     all: bool,
     #[command(flatten)]
@@ -92,33 +92,19 @@ impl CheckArgs {
         for notice in &checked.notices {
             terminal::note(&format!("note: {notice}"));
         }
-        faults::print(&found, self.all);
+        fault_list::print(&found, self.all);
         let layout = checked.layout.map_or("unknown", |layout| layout.name());
-        match found.len() {
+        let field = format!("layout {layout}, {} frames", checked.frames);
+        let count = match found.len() {
             0 => {
-                terminal::say(&format!(
-                    "{}: layout {layout}, {} frames, no problems",
-                    self.dir.display(),
-                    checked.frames
-                ));
-                Ok(())
+                terminal::say(&format!("{}: {field}, no problems", self.dir.display()));
+                return Ok(());
             }
-            n => {
-                let count = if n == 1 {
-                    "1 problem".to_owned()
-                } else {
-                    format!("{n} problems")
-                };
-                let field = format!("layout {layout}, {} frames", checked.frames);
-                Err(Error::input(
-                    &self.dir,
-                    field,
-                    count,
-                    "none",
-                    "correct what is listed above and check again",
-                ))
-            }
-        }
+            1 => "1 problem".to_owned(),
+            n => format!("{n} problems"),
+        };
+        let help = "correct the problems above and check again";
+        Err(Error::input(&self.dir, field, count, "none", help))
     }
 }
 

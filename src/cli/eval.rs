@@ -1,16 +1,15 @@
 //! `coseg eval`: the scores of a run.
 
+use super::held_out::{Scores, Truth, rendered, scored_views};
 use super::run_folder::RunFolder;
 use super::terminal;
 use clap::Args;
 use coseg::config::{Association, Config, Variant};
-use coseg::data::{Classes, LabelMap, LabelRuns, Limits, Scene, Split, View};
+use coseg::data::{Classes, Limits, Scene, Split};
 use coseg::error::{Error, Result};
-use coseg::metrics::{
-    ImageScores, InstanceScores, SemanticScores, Void, instance_scores, label_scores,
-};
+use coseg::metrics::ImageScores;
 use coseg::objects::{Identities, LabelMaps, LabelRule, Semantics, hard_label_map};
-use coseg::raster::{Projected, Settings, render};
+use coseg::raster::{Settings, render};
 use coseg::report::{RowScores, TestScores};
 use coseg::splat::ply;
 use coseg::splat::ply::PlyScene;
@@ -18,10 +17,10 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 const HELP: &str = "\
-Prints PSNR and SSIM of the run's scene on the held-out views and, where these have true labels, mIoU (all views in
-one confusion matrix, and the mean over views), accuracy and the IoU of each class, 0 to 1, of the stored identities. Of
-a run with data.association: scores of its objects against true instances, and, where they have classes, against true
-labels, an object counting as its class. --json has the names of metrics.json.
+Prints PSNR and SSIM of the run's scene on the held-out views. Where these have true labels, prints mIoU (all views in
+one confusion matrix, and the mean over views), accuracy and the IoU of each class, 0 to 1. Where a run associated
+objects, scores them against true instances and, where segments have classes, against true labels. --json uses the names
+of metrics.json.
 
 Examples:
   coseg eval runs/living
@@ -34,7 +33,7 @@ pub struct EvalArgs {
     /// Folder that `coseg train` wrote
     #[arg(value_name = "RUN")]
     run: PathBuf,
-    /// Scene folder, where it has moved or another one is meant [default: the run's own]
+    /// Scene folder, if it has moved or you want another one [default: that of the run]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     /// Print JSON
@@ -42,135 +41,81 @@ pub struct EvalArgs {
     json: bool,
 }
 
-/// What the held-out views show.
-struct Found<'s> {
-    images: BTreeMap<String, ImageScores>,
-    /// Of the views that have truth.
-    labels: Vec<(&'s View, LabelRuns)>,
-}
-
-/// What labels are rendered from.
-enum Stored {
-    Identities(Identities),
-    Labels(Vec<u16>),
-}
-
 impl EvalArgs {
     /// Scores the run.
     pub fn run(self) -> Result<()> {
         let run = RunFolder::existing(&self.run)?;
         let mut config = run.config(&[])?;
-        if let Some(dir) = &self.data {
-            config.data.dir = Some(dir.clone());
-        }
+        config.data.dir = self.data.or(config.data.dir);
         let ply = ply::read(&run.scene_path(), &Limits::default())?;
         let scene = coseg::pipeline::load_scene(&config)?.with_origin(ply.origin);
-        let stored = stored(&run, &ply)?;
         let classes = run.classes()?;
-        let named = |classes: &Classes| {
-            classes
-                .entries
-                .iter()
-                .map(|c| (c.id, c.name.clone()))
-                .collect::<Vec<_>>()
-        };
-        let associated = config.data.association != Association::None;
-        if !associated
-            && ![&scene.classes, &classes].iter().any(|c| c.is_empty())
-            && named(&scene.classes) != named(&classes)
-        {
-            let found = format!("{} classes, not those of the run", scene.classes.len());
-            let help = "give the scene that was trained on, or one with the same classes.json";
-            return Err(Error::argument(
-                "--data",
-                found,
-                format!("the {} classes of the run", classes.len()),
-                help,
-            ));
+        let is_associated = config.data.association != Association::None;
+        if !is_associated {
+            same_classes(&scene.classes, &classes)?;
         }
-        let Found { images, labels } = score(&scene, &ply, stored.as_ref(), &classes, &config)?;
-        // Classes that association found are objects; true labels are of other classes.
-        let objects = config.data.association != Association::None;
-        let instances = objects.then(|| {
-            let known = labels
-                .iter()
-                .filter_map(|(view, found)| Some((view.instances.as_ref()?, found)));
-            instance_scores(known.map(|(truth, found)| (truth.map(), found.map())))
-        });
-        let semantics = Semantics::of(&scene).filter(|_| objects && stored.is_some());
-        let semantic = semantics.map(|semantics| semantics.score(&classes, &labels));
-        let labels = label_scores(
-            &scene.classes,
-            labels
-                .iter()
-                .filter(|_| !objects)
-                .filter_map(|(view, found)| Some((view.truth.as_ref()?.map(), found.map()))),
-            Void::Wrong,
-        );
-        let views = scene.split(Split::Test).count();
+        let identities = identities(&run, &ply)?;
+        let semantics = Semantics::of(&scene);
+        let truth = if is_associated {
+            Truth::Objects(&classes, semantics.as_ref())
+        } else {
+            Truth::Labels(&scene.classes)
+        };
+        let views = image_scores(&scene, &ply, &config)?;
+        let labels = label_scores(&scene, &ply, identities.as_ref(), &classes, &config, &truth)?;
+        let mean = ImageScores::mean(&views.values().copied().collect::<Vec<_>>());
         if self.json {
-            let row = RowScores {
-                instances,
-                semantic,
-                ..RowScores::from(&labels)
-            };
-            let labels = stored.and(stored_row(&config)).map(|name| (name, row));
-            let mean = ImageScores::mean(&images.values().copied().collect::<Vec<_>>());
+            let held_out = views.len();
+            let rows = labels.and_then(|scores| {
+                let row = RowScores {
+                    instances: scores.instances,
+                    semantic: scores.semantic,
+                    ..RowScores::from(&scores.labels)
+                };
+                Some((stored_row(&config)?, row))
+            });
             let test = TestScores {
                 psnr: mean.psnr,
                 ssim: mean.ssim,
-                views: images,
-                labels: labels.into_iter().collect(),
+                views,
+                labels: rows.into_iter().collect(),
             };
-            let json = serde_json::json!({ "scene": scene.name, "gaussians": ply.gaussians.len(), "held_out": views, "test": test });
+            let json = serde_json::json!({
+                "scene": scene.name, "gaussians": ply.gaussians.len(), "held_out": held_out, "test": test,
+            });
             terminal::say(&json.to_string());
             return Ok(());
         }
-        let images = ImageScores::mean(&images.into_values().collect::<Vec<_>>());
         terminal::say(&format!(
-            "{}: {} Gaussians, {views} held-out views",
+            "{}: {} Gaussians, {} held-out views",
             scene.name,
-            ply.gaussians.len()
+            ply.gaussians.len(),
+            views.len()
         ));
-        let of_objects =
-            |pick: fn(&InstanceScores) -> Option<f64>| instances.as_ref().and_then(pick);
-        let by_class = |pick: fn(&SemanticScores) -> Option<f64>| semantic.as_ref().and_then(pick);
-        let figures = [
-            ("PSNR", images.psnr, " dB", 2),
-            ("SSIM", images.ssim, "", 4),
-            ("mIoU pooled", labels.miou, "", 4),
-            ("mIoU per view", labels.miou_per_view, "", 4),
-            ("accuracy", labels.accuracy, "", 4),
-            ("object accuracy", of_objects(|s| s.accuracy), "", 4),
-            ("object mIoU", of_objects(|s| s.miou), "", 4),
-            ("PQ", of_objects(|s| s.panoptic.pq), "", 4),
-            ("class mIoU", by_class(|s| s.miou), "", 4),
-            ("per view", by_class(|s| s.miou_per_view), "", 4),
-            ("class accuracy", by_class(|s| s.accuracy), "", 4),
-            ("PQ by class", by_class(|s| s.panoptic?.all.pq), "", 4),
-            ("PQ of things", by_class(|s| s.panoptic?.things.pq), "", 4),
-            ("PQ of stuff", by_class(|s| s.panoptic?.stuff.pq), "", 4),
-        ];
-        for (name, value, unit, decimals) in figures {
-            if let Some(value) = value {
-                terminal::say(&format!("{name:>14}  {value:.decimals$}{unit}"));
-            }
+        if let (Some(psnr), Some(ssim)) = (mean.psnr, mean.ssim) {
+            terminal::say(&format!("images: PSNR {psnr:.2} dB, SSIM {ssim:.4}"));
         }
-        for (id, iou) in &labels.per_class {
-            terminal::say(&format!(
-                "{:>14}  {iou:.4}  IoU of {id} {}",
-                "",
-                scene.classes.name(*id)
-            ));
-        }
-        for class in semantic.iter().flat_map(|s| &s.per_class) {
-            terminal::say(&format!(
-                "{:>14}  {:.4}  IoU of {} {}",
-                "", class.iou, class.id, class.name
-            ));
+        if let Some(scores) = labels {
+            scores.print(if is_associated { "objects" } else { "labels" });
+            scores.print_classes(&scene.classes);
         }
         Ok(())
     }
+}
+
+/// The true labels of a scene must be of the classes of the run.
+fn same_classes(scene: &Classes, run: &Classes) -> Result<()> {
+    let named = |classes: &Classes| {
+        let names = classes.entries.iter().map(|c| (c.id, c.name.clone()));
+        names.collect::<Vec<_>>()
+    };
+    if scene.is_empty() || run.is_empty() || named(scene) == named(run) {
+        return Ok(());
+    }
+    let found = format!("{} classes, not those of the run", scene.len());
+    let expected = format!("the {} classes of the run", run.len());
+    let help = "give the scene that was trained on, or one with the same classes.json";
+    Err(Error::argument("--data", found, expected, help))
 }
 
 /// The row whose identities a run with these settings stores.
@@ -182,74 +127,65 @@ fn stored_row(config: &Config) -> Option<Variant> {
         .copied()
 }
 
-/// The identities of the run, or else the labels in its PLY; nothing when it has neither.
-fn stored(run: &RunFolder, ply: &PlyScene) -> Result<Option<Stored>> {
+/// The identities of the run, where it has some.
+fn identities(run: &RunFolder, ply: &PlyScene) -> Result<Option<Identities>> {
     let path = run.identities_path();
     if !path.is_file() {
-        return Ok(ply.labels.clone().map(Stored::Labels));
+        return Ok(None);
     }
     let identities = Identities::read(&path)?;
-    let (rows, n) = (
-        identities.scores.len() / identities.classes.max(1),
-        ply.gaussians.len(),
-    );
-    if rows != n {
+    let rows = identities.scores.len() / identities.classes.max(1);
+    if rows != ply.gaussians.len() {
+        let found = format!("{rows} rows");
+        let expected = format!("{}, as in scene.ply", ply.gaussians.len());
         let help = "the two files are of different runs; train again";
-        return Err(Error::input(
-            &path,
-            "scores",
-            format!("{rows} rows"),
-            format!("{n}, as in scene.ply"),
-            help,
-        ));
+        return Err(Error::input(&path, "scores", found, expected, help));
     }
-    Ok(Some(Stored::Identities(identities)))
+    Ok(Some(identities))
 }
 
-/// The labels that a projection shows.
-type Shown<'a> = dyn Fn(&Projected<f32>) -> LabelMap + 'a;
-
-/// Image scores of each view, and the rendered labels of the views that have truth.
-fn score<'s>(
-    scene: &'s Scene,
+/// Scores of the rendered colours of each held-out view.
+fn image_scores(
+    scene: &Scene,
     ply: &PlyScene,
-    stored: Option<&Stored>,
+    config: &Config,
+) -> Result<BTreeMap<String, ImageScores>> {
+    let settings = Settings::from(&config.raster);
+    let bar = terminal::bar("eval", scene.split(Split::Test).count() as u64);
+    let views = scene
+        .split(Split::Test)
+        .map(|view| {
+            let background = config.raster.background;
+            let rendered = render(&ply.gaussians, &view.camera, &settings, background)?;
+            bar.inc(1);
+            let scores = ImageScores::of_view(&rendered.rgb, view)?;
+            Ok((view.name.clone(), scores))
+        })
+        .collect();
+    bar.finish_and_clear();
+    views
+}
+
+/// Scores of the identities, or else of the labels in the PLY; nothing without either.
+fn label_scores(
+    scene: &Scene,
+    ply: &PlyScene,
+    identities: Option<&Identities>,
     classes: &Classes,
     config: &Config,
-) -> Result<Found<'s>> {
+    truth: &Truth<'_>,
+) -> Result<Option<Scores>> {
     let settings = Settings::from(&config.raster);
     let rule = LabelRule::from(&config.segmentation);
-    let shown = stored.map(|stored| -> Box<Shown<'_>> {
-        match stored {
-            Stored::Identities(identities) => {
-                let maps = LabelMaps::new(identities, classes, rule);
-                Box::new(move |projected| maps.of(projected))
-            }
-            Stored::Labels(ids) => {
-                Box::new(move |projected| hard_label_map(projected, ids, rule.min_coverage))
-            }
-        }
-    });
-    let bar = terminal::bar("eval", scene.split(Split::Test).count() as u64);
-    let (mut images, mut labels) = (BTreeMap::new(), Vec::new());
-    for view in scene.split(Split::Test) {
-        let View {
-            camera,
-            truth,
-            instances,
-            ..
-        } = view;
-        let rendered = render(&ply.gaussians, camera, &settings, config.raster.background)?;
-        images.insert(
-            view.name.clone(),
-            ImageScores::of_view(&rendered.rgb, view)?,
-        );
-        if let (true, Some(shown)) = (truth.is_some() || instances.is_some(), &shown) {
-            let projected = Projected::new(&ply.gaussians.splats(), camera, &settings)?;
-            labels.push((view, shown(&projected).into()));
-        }
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
-    Ok(Found { images, labels })
+    let views = scored_views(scene, truth);
+    let maps = if let Some(identities) = identities {
+        let maps = LabelMaps::new(identities, classes, rule);
+        rendered(views, &ply.gaussians, &settings, |view| maps.of(view))?
+    } else if let Some(labels) = &ply.labels {
+        let map = |view: &_| hard_label_map(view, labels, rule.min_coverage);
+        rendered(views, &ply.gaussians, &settings, map)?
+    } else {
+        return Ok(None);
+    };
+    Ok(Some(truth.score(&maps)))
 }

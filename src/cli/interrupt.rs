@@ -1,28 +1,26 @@
-//! Ctrl-C while a run trains: the first one asks for a checkpoint of what is trained and the end of the run, the second one
-//! ends the program.
+//! Ctrl-C while a run trains: the first one asks for a checkpoint and the end of the run, the second one ends the program.
 
 use super::terminal;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Exit code of a run that was stopped, as shells have it for SIGINT.
+/// Exit code of a run that was stopped, the shells' code for SIGINT.
 pub const EXIT: u8 = 130;
 
 static ASKED: AtomicBool = AtomicBool::new(false);
 
-/// Whether the run is to stop.
+/// Whether Ctrl-C asked the run to stop.
 pub fn asked() -> bool {
     ASKED.load(Ordering::Relaxed)
 }
 
-/// Takes Ctrl-C, and elsewhere than on Windows SIGTERM and SIGHUP, as the wish to stop. To be called once.
+/// Takes Ctrl-C, and except on Windows SIGTERM and SIGHUP, as a request to stop. Call it once.
 pub fn watch() {
     let on_signal = || {
         if ASKED.swap(true, Ordering::Relaxed) {
             std::process::exit(EXIT.into());
         }
         terminal::note(
-            "stopping after this step or view; what is trained is saved, all else is done again when the run goes on; press \
-             Ctrl-C again to stop at once",
+            "stopping after this step or view, with a checkpoint to resume from; press Ctrl-C again to stop at once",
         );
     };
     keeping_nohup(|| {
@@ -32,7 +30,7 @@ pub fn watch() {
     });
 }
 
-/// Does `set`, but a run under `nohup` still outlives its terminal.
+/// Calls `set`, but a run under `nohup` still outlives its terminal.
 #[cfg(unix)]
 fn keeping_nohup(set: impl FnOnce()) {
     let mut action = std::mem::MaybeUninit::<libc::sigaction>::zeroed();
@@ -43,12 +41,12 @@ fn keeping_nohup(set: impl FnOnce()) {
     };
     set();
     if action.sa_sigaction == libc::SIG_IGN {
-        // SAFETY: nothing is called for a signal that is ignored.
+        // SAFETY: no handler is installed, the signal is ignored.
         unsafe { libc::signal(libc::SIGHUP, libc::SIG_IGN) };
     }
 }
 
-/// Does `set`: there is no such signal.
+/// Calls `set`: this system has no such signal.
 #[cfg(not(unix))]
 fn keeping_nohup(set: impl FnOnce()) {
     set();

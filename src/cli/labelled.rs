@@ -1,11 +1,9 @@
-//! A trained scene beside a folder of raw labels: what commands that give Gaussians labels work on.
+//! A trained scene and a folder with raw labels: the input of commands that label Gaussians.
 
-use super::Settings;
-use super::scene_file::scene_path;
+use super::scene_file::{SCENE, scene_path};
+use super::{BackendArgs, Settings};
 use burn::tensor::Device;
 use clap::Args;
-use coseg::backend::device;
-use coseg::backend::device::BackendName;
 use coseg::config::Config;
 use coseg::data::{self, Limits, LoadOptions, Scene, atomic};
 use coseg::error::{Error, Result};
@@ -26,9 +24,8 @@ pub struct LabelledArgs {
     /// Folder to write to; made if absent
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Where to compute: wgpu, flex, ndarray or cuda [default: the first in this build, cuda aside]
-    #[arg(long, value_name = "NAME")]
-    backend: Option<BackendName>,
+    #[command(flatten)]
+    backend: BackendArgs,
     #[command(flatten)]
     settings: Settings,
 }
@@ -41,7 +38,7 @@ impl LabelledArgs {
 
     /// Where to compute.
     pub fn device(&self) -> Result<Device> {
-        device::open(self.backend)
+        self.backend.open()
     }
 
     /// Reads both, the scene relative to the origin of the Gaussians.
@@ -49,11 +46,12 @@ impl LabelledArgs {
         let options = LoadOptions::from(config);
         data::locate(&self.data, &options)?;
         let path = scene_path(&self.scene)?;
-        if atomic::same_file(&path, &self.out.join("scene.ply")) {
+        if atomic::same_file(&path, &self.out.join(SCENE)) {
+            let found = self.out.display().to_string();
             let expected = "another folder than that of the scene, which would be written over";
             return Err(Error::argument(
                 "--out",
-                self.out.display().to_string(),
+                found,
                 expected,
                 "name a new folder",
             ));

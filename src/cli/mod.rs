@@ -1,4 +1,4 @@
-//! Subcommands: each parses its arguments, calls the library, and says what came out.
+//! Subcommands: each parses its arguments, calls the library and prints the result.
 
 pub mod allocator;
 mod associate;
@@ -6,7 +6,8 @@ mod bench;
 mod data;
 mod edit;
 mod eval;
-mod faults;
+mod fault_list;
+mod held_out;
 mod interrupt;
 mod labelled;
 mod object_scene;
@@ -20,13 +21,17 @@ mod scene_file;
 mod separate;
 pub mod terminal;
 mod train;
+mod values;
 mod view;
 mod vote;
 
+use burn::tensor::Device;
+use clap::error::ErrorKind;
 use clap::{Args, Parser, Subcommand};
+use coseg::backend::device;
 use coseg::backend::device::BackendName;
 use coseg::config::Config;
-use coseg::error::Result;
+use coseg::error::{Error, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::LazyLock;
@@ -35,7 +40,7 @@ use std::sync::LazyLock;
 #[derive(Debug, Parser)]
 #[command(name = "coseg", version = version(), propagate_version = true, after_help = EXAMPLES)]
 pub struct Cli {
-    /// Say more about what is going on
+    /// Print what the program is doing
     #[arg(long, short, global = true, display_order = 900)]
     pub verbose: bool,
     /// What to do
@@ -62,52 +67,52 @@ const EXAMPLES: &str = "\
 Examples:
   coseg train                                  the built-in room, both stages, into runs/builtin
   coseg train --data scenes/living --out runs/living
-  coseg data check scenes/living               everything that is wrong with a folder, at once
-  coseg train --resume runs/living             go on where a run was stopped
+  coseg data check scenes/living               all problems of a folder at once
+  coseg train --resume runs/living             continue a run that was stopped
   coseg eval runs/living                       its scores on the held-out views
   coseg render --scene runs/living --out pictures --labels
   coseg render --scene runs/living --out orbit --path orbit
   coseg view --scene runs/living               a page to walk through it in a browser
   coseg vote --scene scene.ply --data scenes/living --out runs/voted
   coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=segments
-  coseg objects --scene runs/living            what there is in it, and where
-  coseg separate --scene runs/living --out objects/scene.ply    each chair a chair of its own
+  coseg objects --scene runs/living            its objects, and where they are
+  coseg separate --scene runs/living --out objects/scene.ply    each chair an object of its own
   coseg edit --scene runs/living --out without.ply --remove sofa
-  coseg bench --run runs/living                speed on this machine, beside the bars of the design
+  coseg bench --run runs/living                speed on this machine
 
-Exit code: 0 done, 1 an error that names what to help, 2 a mistake on the command line, 130 stopped by Ctrl-C.";
+Exit code: 0 success, 1 an error that says what to do, 2 a mistake on the command line, 130 stopped by Ctrl-C.";
 
 /// The subcommands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Turn photos and raw label maps into a segmented Gaussian scene
     Train(train::TrainArgs),
-    /// Look at a scene folder: its problems, what it holds
+    /// Check a scene folder, or describe it
     Data(data::DataArgs),
     /// Score a run on held-out views
     Eval(eval::EvalArgs),
     /// Render a scene in colour and labels
     Render(render::RenderArgs),
-    /// Write a scene as a page to walk through in a browser
+    /// Write a scene as a page for the browser
     View(view::ViewArgs),
     /// Label the Gaussians of a scene by a vote of raw label maps, without training
     Vote(vote::VoteArgs),
-    /// Give segments that show the same thing one id in all views, by way of a scene's Gaussians
+    /// Give the segments of an object one id in all views, through the Gaussians that they cover
     Associate(associate::AssociateArgs),
-    /// List the objects of a labelled scene, or say which one a pixel shows
+    /// List the objects of a labelled scene, or find the one at a pixel
     Objects(objects::ObjectsArgs),
-    /// Make things of one label that do not touch objects of their own
+    /// Split a label into objects that do not touch
     Separate(separate::SeparateArgs),
     /// Keep, remove, turn and move objects of a labelled scene
     Edit(edit::EditArgs),
     /// Train the point encoder on procedural rooms
     Pretrain(pretrain::PretrainArgs),
-    /// Measure speed against error on this machine
+    /// Measure speed, error and memory on this machine
     Bench(bench::BenchArgs),
 }
 
 impl Command {
-    /// Runs the command; a run that was stopped is no error, and not done either.
+    /// Runs the command. A run that was stopped is neither an error nor a success.
     pub fn run(self) -> Result<ExitCode> {
         let done = match self {
             Self::Train(args) => return args.run(),
@@ -127,29 +132,50 @@ impl Command {
     }
 }
 
-/// Settings as several commands take them.
+/// Where to compute, for several commands.
+#[derive(Args, Debug)]
+pub struct BackendArgs {
+    /// Where to compute: wgpu, flex, ndarray or cuda [default: the first in this build that works, never cuda]
+    #[arg(long, value_name = "NAME")]
+    backend: Option<BackendName>,
+}
+
+impl BackendArgs {
+    /// Opens the device.
+    pub fn open(&self) -> Result<Device> {
+        device::open(self.backend)
+    }
+}
+
+/// Settings, for several commands.
 #[derive(Args, Debug)]
 pub struct Settings {
     /// Settings file (TOML); see configs/ for examples
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Override one setting, for instance segmentation.lr=6e-3; may be repeated
+    /// Override a setting, for instance segmentation.lr=6e-3; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub sets: Vec<String>,
 }
 
 impl Settings {
-    /// The checked settings, with `--data` and `--seed` as the last words; without a scene folder those of the built-in scene.
+    /// The checked settings; `data` and `seed` override the others. Without a scene folder those of the built-in room.
     pub fn load(&self, data: Option<&PathBuf>, seed: Option<u64>) -> Result<Config> {
-        let mut config = Config::load_for(
-            data.map(PathBuf::as_path),
-            self.config.as_deref(),
-            &self.sets,
-        )?;
-        if let Some(seed) = seed {
-            config.seed = seed;
-        }
-        config.validate()?;
-        Ok(config)
+        let data = data.map(PathBuf::as_path);
+        let config = Config::load_for(data, self.config.as_deref(), &self.sets);
+        let checked = config.and_then(|mut config| {
+            config.seed = seed.unwrap_or(config.seed);
+            config.validate()?;
+            Ok(config)
+        });
+        or_usage_error(checked)
     }
+}
+
+/// Ends the program as clap does where a setting is wrong: it was given on the command line.
+pub fn or_usage_error(config: Result<Config>) -> Result<Config> {
+    if let Err(error @ Error::Config { .. }) = config {
+        clap::Error::raw(ErrorKind::ValueValidation, format!("{error}\n")).exit();
+    }
+    config
 }

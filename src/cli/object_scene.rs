@@ -1,16 +1,16 @@
 //! A labelled PLY scene with the names of its labels: what commands about objects work on.
 
-use super::scene_file::scene_path;
+use super::scene_file::{CLASSES, copy_cameras, has_extension, read_scene, scene_path};
 use clap::Args;
-use coseg::data::{Classes, Limits, atomic};
+use coseg::data::{Classes, atomic};
 use coseg::error::{Error, Result};
 use coseg::objects::{Object, inventory};
-use coseg::splat::ply;
 use coseg::splat::ply::PlyScene;
+use coseg::splat::{Gaussians, ply};
 use glam::DVec3;
 use std::path::{Path, PathBuf};
 
-/// Arguments that name both.
+/// Arguments that name the scene and its classes.
 #[derive(Args, Debug)]
 pub struct ObjectSceneArgs {
     /// Scene: a 3DGS PLY with a `label` column, as vote and associate write it, or a run folder
@@ -21,8 +21,8 @@ pub struct ObjectSceneArgs {
     classes: Option<PathBuf>,
 }
 
-/// Objects that an error names at most.
-const NAMED: usize = 20;
+/// Objects that an error lists at most.
+const LISTED: usize = 20;
 
 /// A labelled scene.
 pub struct ObjectScene {
@@ -40,89 +40,51 @@ impl ObjectSceneArgs {
     /// Reads both.
     pub fn read(&self) -> Result<ObjectScene> {
         let path = scene_path(&self.scene)?;
-        let ply = ply::read(&path, &Limits::default())?;
+        let ply = read_scene(&path)?;
         ObjectScene::new(path, ply, self.classes.as_ref())
     }
 
-    /// Where the names of labels `classes` go beside a scene written to `out`. Neither what is read, `scene` and the names given for
-    /// it, nor the class table of other labels is written over.
-    pub fn names_beside(
-        &self,
-        out: &Path,
-        scene: &ObjectScene,
-        classes: &Classes,
-    ) -> Result<PathBuf> {
-        let names = out.with_file_name("classes.json");
-        let read = [Some(&scene.path), self.classes.as_ref()];
-        if read
-            .into_iter()
-            .flatten()
-            .any(|path| atomic::same_file(path, out))
-            || out == names
-        {
+    /// Checks that a scene with labels of `classes` can be written to `out`: a .ply file that overwrites neither what was
+    /// read nor the class table of other labels.
+    pub fn check_out(&self, out: &Path, scene: &ObjectScene, classes: &Classes) -> Result<()> {
+        let names = out.with_file_name(CLASSES);
+        let found = || out.display().to_string();
+        let is_read = |path: &PathBuf| atomic::same_file(path, out);
+        if is_read(&scene.path) || self.classes.as_ref().is_some_and(is_read) || out == names {
             let expected = "another file than the scene and its classes.json";
             return Err(Error::argument(
                 "--out",
-                out.display().to_string(),
+                found(),
                 expected,
                 "name a new file",
             ));
         }
-        if !out
-            .extension()
-            .is_some_and(|extension| extension.eq_ignore_ascii_case("ply"))
-        {
+        if !has_extension(out, "ply") {
             let help = "end the name in .ply; other tools convert that to their formats";
-            return Err(Error::argument(
-                "--out",
-                out.display().to_string(),
-                "a .ply file",
-                help,
-            ));
+            return Err(Error::argument("--out", found(), "a .ply file", help));
         }
         if names.exists() && Classes::read(&names)? != *classes {
-            let (found, help) = ("another class table", "write into another folder");
-            return Err(Error::input(
-                &names,
-                "classes",
-                found,
-                "that of the scene's labels, or no file",
-                help,
-            ));
+            let expected = "that of the scene's labels, or no file";
+            let help = "write into another folder";
+            let found = "another class table";
+            return Err(Error::input(&names, "classes", found, expected, help));
         }
-        Ok(names)
+        Ok(())
     }
 }
 
 impl ObjectScene {
-    /// What was read from `path`, with the names in the file `classes`, or else in the one beside it.
+    /// A scene read from `path`, with the names in the file `classes`, or else in the one beside it.
     pub fn new(path: PathBuf, mut ply: PlyScene, classes: Option<&PathBuf>) -> Result<Self> {
         let Some(labels) = ply.labels.take() else {
-            let help = "give the scene labels with `coseg vote` or `coseg train`";
-            return Err(Error::input(
-                path,
-                "column label",
-                "nothing",
-                "one label a Gaussian",
-                help,
-            ));
+            return Err(without_labels(&path));
         };
-        let beside = path.with_file_name("classes.json");
+        let beside = path.with_file_name(CLASSES);
         let classes = match classes {
             Some(path) => Classes::read(path)?,
             None if beside.is_file() => Classes::read(&beside)?,
             None => Classes::default(),
         };
-        if labels.is_empty() {
-            let help = "name a scene that holds something";
-            return Err(Error::input(
-                path,
-                "element vertex",
-                "no Gaussian",
-                "one or more",
-                help,
-            ));
-        }
         let objects = inventory(&ply.gaussians, &labels);
         Ok(Self {
             path,
@@ -133,7 +95,22 @@ impl ObjectScene {
         })
     }
 
-    /// Corners of a box around the boxes of the objects that `what` means, world units.
+    /// Writes a scene made from this one, with `classes` as classes.json and a copy of the cameras beside it.
+    pub fn write(
+        &self,
+        out: &Path,
+        gaussians: &Gaussians,
+        labels: &[u16],
+        classes: &Classes,
+    ) -> Result<()> {
+        ply::write(out, gaussians, self.ply.origin, Some(labels))?;
+        if !classes.is_empty() {
+            classes.write(&out.with_file_name(CLASSES))?;
+        }
+        copy_cameras(&self.path, out)
+    }
+
+    /// Corners of a box around the objects called `what`, world units.
     pub fn bounds(&self, what: &str, flag: &str) -> Result<(DVec3, DVec3)> {
         let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         let around = |(low, high): (DVec3, DVec3), object: &Object| {
@@ -153,15 +130,12 @@ impl ObjectScene {
         self.classes.legend_color(id).map(|v| f32::from(v) / 255.0)
     }
 
-    /// The object with the id `what`, or else all that are called so, which for associated objects their class is too: `chair`
-    /// for `chair 2`. `flag` is where it was said.
+    /// The object with the id `what`, or all objects with that name or, for associated objects, that class: `chair` finds
+    /// `chair 2`. `flag` is the option that errors name.
     pub fn find(&self, what: &str, flag: &str) -> Result<Vec<&Object>> {
         let what = what.trim();
-        if let Some(object) = what
-            .parse()
-            .ok()
-            .and_then(|id: u16| self.objects.iter().find(|o| o.id == id))
-        {
+        let id: Option<u16> = what.parse().ok();
+        if let Some(object) = self.objects.iter().find(|o| Some(o.id) == id) {
             return Ok(vec![object]);
         }
         let found: Vec<&Object> = self
@@ -172,24 +146,18 @@ impl ObjectScene {
         if !found.is_empty() {
             return Ok(found);
         }
-        let known = |o: &Object| {
-            self.name(o.id)
-                .map_or_else(|| o.id.to_string(), |name| format!("{} {name}", o.id))
-        };
-        let mut known: Vec<String> = self.objects.iter().take(NAMED).map(known).collect();
-        if self.objects.len() > NAMED {
-            known.push(format!("or one of {} more", self.objects.len() - NAMED));
+        let listed = |o: &Object| format!("{} {}", o.id, self.name(o.id).unwrap_or_default());
+        let listed = self.objects.iter().take(LISTED).map(listed);
+        let mut listed: Vec<String> = listed.map(|name| name.trim_end().to_owned()).collect();
+        if self.objects.len() > LISTED {
+            listed.push(format!("or one of {} more", self.objects.len() - LISTED));
         }
-        let expected = format!("an id or a name of the scene: {}", known.join(", "));
-        Err(Error::argument(
-            flag,
-            what,
-            expected,
-            "`coseg objects --scene FILE.ply` lists them",
-        ))
+        let expected = format!("an id or a name of the scene: {}", listed.join(", "));
+        let help = "`coseg objects --scene FILE.ply` lists them";
+        Err(Error::argument(flag, what, expected, help))
     }
 
-    /// Ids of the objects that `list` names; `flag` is where they were said.
+    /// Ids of the objects in `list`, see [`Self::find`].
     pub fn ids(&self, list: &[String], flag: &str) -> Result<Vec<u16>> {
         let mut ids = Vec::new();
         for what in list {
@@ -202,13 +170,18 @@ impl ObjectScene {
         let Some(name) = self.name(id) else {
             return false;
         };
-        let numbered = self
-            .classes
-            .index(id)
-            .is_some_and(|i| self.classes.entries[i].object_of.is_some_and(|of| of.thing));
+        let class = self.classes.index(id).map(|i| &self.classes.entries[i]);
+        let is_numbered = class.is_some_and(|class| class.object_of.is_some_and(|of| of.thing));
         let class = name
             .rsplit_once(' ')
-            .filter(|(_, number)| numbered && number.parse::<u32>().is_ok());
+            .filter(|(_, number)| is_numbered && number.parse::<u32>().is_ok());
         name == what || class.is_some_and(|(class, _)| class == what)
     }
+}
+
+/// The error of a scene that needs a label column.
+pub fn without_labels(path: &Path) -> Error {
+    let help = "give the scene labels with `coseg vote` or `coseg train`";
+    let expected = "one label for each Gaussian";
+    Error::input(path, "column label", "nothing", expected, help)
 }

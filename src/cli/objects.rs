@@ -1,8 +1,9 @@
-//! `coseg objects`: what a labelled scene holds, and what a pixel shows.
+//! `coseg objects`: the objects of a labelled scene, and the one that a pixel shows.
 
 use super::object_scene::{ObjectScene, ObjectSceneArgs};
-use super::scene_file::{cameras_path, raster_beside};
+use super::scene_file::{cameras_path, rendering_beside};
 use super::terminal;
+use super::values::numbers;
 use clap::Args;
 use coseg::data::{NamedCamera, read_cameras};
 use coseg::error::{Error, Result};
@@ -15,11 +16,11 @@ use std::path::{Path, PathBuf};
 
 const HELP: &str = "\
 Without --pixel: every label of the scene with its name, number of Gaussians, and the centre and size of its box in
-world units; a box leaves out the outermost 1 % of the centres on each side, one at least of three or more. --json: id,
-name, gaussians, and the corners low and high of the box.
+world units. A box leaves out the outermost 1 % of the centres on each side, at least one where there are three or more.
+--json: id, name, gaussians, and the corners low and high of the box.
 
-With --frame and --pixel: the label whose Gaussians have most of that pixel, the share of the pixel that
-they have, and where they are. --json: id, name, share, point; null where there is no Gaussian.
+With --frame and --pixel: the label that covers most of that pixel, its share of the pixel, and where its Gaussians are.
+--json: id, name, share, point; null where there is no Gaussian.
 
 Examples:
   coseg objects --scene runs/room
@@ -40,7 +41,7 @@ pub struct ObjectsArgs {
         requires = "pixel"
     )]
     cameras: Option<PathBuf>,
-    /// Name of a frame: its file name, with or without extension (COLMAP: folders joined to it by _)
+    /// Name of a frame: its file name, with or without extension (COLMAP: with its folders, joined by _)
     #[arg(long, value_name = "STEM", requires = "pixel")]
     frame: Option<String>,
     /// Column and row of a pixel, from 0 at the top left
@@ -52,12 +53,8 @@ pub struct ObjectsArgs {
 }
 
 fn parse_pixel(text: &str) -> std::result::Result<[usize; 2], String> {
-    let parsed = text
-        .split_once(',')
-        .and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
-    parsed.ok_or_else(|| {
-        "expected a column and a row with a comma between, for instance 240,180".into()
-    })
+    let expected = "expected a column and a row separated by a comma, for instance 240,180";
+    numbers(text, ',').ok_or_else(|| expected.into())
 }
 
 impl ObjectsArgs {
@@ -120,28 +117,25 @@ impl ObjectsArgs {
         else {
             let some: Vec<&str> = frames.iter().take(5).map(|f| f.name.as_str()).collect();
             let expected = format!("one of {} frames such as {}", frames.len(), some.join(", "));
-            return Err(Error::argument(
-                "--frame",
-                frame,
-                expected,
-                "name a frame of --cameras",
-            ));
+            let help = "name a frame of --cameras";
+            return Err(Error::argument("--frame", frame, expected, help));
         };
         let [width, height] = [camera.width, camera.height];
         if x >= width || y >= height {
             let expected = format!("a column below {width} and a row below {height}");
+            let help = "choose a pixel of the frame";
             return Err(Error::argument(
                 "--pixel",
                 format!("{x},{y}"),
                 expected,
-                "choose a pixel of the frame",
+                help,
             ));
         }
         let camera = Camera {
             center: camera.center - scene.ply.origin,
             ..camera.clone()
         };
-        let settings = Settings::from(&raster_beside(&scene.path));
+        let settings = Settings::from(&rendering_beside(&scene.path).raster);
         let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &settings)?;
         let picked = pick(&projected, &scene.ply.gaussians, &scene.labels, [x, y]);
         let world = |point: DVec3| point + scene.ply.origin;
@@ -170,7 +164,7 @@ impl ObjectsArgs {
     }
 }
 
-/// The name of a label, `-` where none is known.
+/// The name of a label, or `-`.
 fn shown(scene: &ObjectScene, id: u16) -> &str {
     scene.name(id).unwrap_or("-")
 }

@@ -1,19 +1,16 @@
-//! `coseg pretrain`: an encoder from procedural rooms.
+//! `coseg pretrain`: the point encoder, trained on procedural rooms.
 
-use super::terminal;
+use super::{BackendArgs, terminal};
 use clap::Args;
-use coseg::backend::device;
-use coseg::backend::device::BackendName;
 use coseg::data::atomic;
 use coseg::error::Result;
 use coseg::segmentation::pretrain::{PretrainOptions, PretrainProgress, pretrain};
 use std::path::PathBuf;
 
 const HELP: &str = "\
-Trains the RandLA encoder, with a decoder of its own that is thrown away, to tell the classes of procedural furnished
-rooms; the room that `coseg train` shows by default is never among them. The same seed gives the same file on one kind
-of processor and one backend.
-Use it with --set spatial.source.pretrained=FILE.
+Trains the RandLA encoder to tell the classes of procedural furnished rooms. Its decoder is thrown away. The built-in room
+of `coseg train` is never among the rooms. The same seed gives the same file on one kind of processor and one backend.
+Use the file with --set spatial.source.pretrained=FILE.
 
 Example:
   coseg pretrain --out encoder.safetensors";
@@ -34,9 +31,8 @@ pub struct PretrainArgs {
     /// Seed of weights, rooms and every other choice
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Where to compute: wgpu, flex, ndarray or cuda [default: the first in this build, cuda aside]
-    #[arg(long, value_name = "NAME")]
-    backend: Option<BackendName>,
+    #[command(flatten)]
+    backend: BackendArgs,
 }
 
 impl PretrainArgs {
@@ -49,7 +45,7 @@ impl PretrainArgs {
             steps: self.steps.unwrap_or(defaults.steps),
             ..defaults
         };
-        let device = device::open(self.backend)?;
+        let device = self.backend.open()?;
         let all_rooms = options.rooms + options.held_out;
         let bar = terminal::bar("pretrain", (all_rooms + options.steps) as u64);
         let tenth = options.steps.div_ceil(10).max(1);

@@ -1,4 +1,4 @@
-//! The progress of training on a terminal: bars that carry held-out figures, or plain lines in a log.
+//! The progress of training: bars with held-out figures on a terminal, lines in a log.
 
 use super::{interrupt, terminal};
 use coseg::progress::{CurvePoint, Event, Progress};
@@ -16,7 +16,7 @@ pub struct Bars {
     last: Option<CurvePoint>,
 }
 
-/// Held-out figures in a few words, where there are any.
+/// Held-out figures in a few words; empty where there are none.
 fn figures(point: &CurvePoint) -> String {
     let psnr = point.held_out.psnr.map(|v| format!(" PSNR {v:.2} dB"));
     let ssim = point.held_out.ssim.map(|v| format!(" SSIM {v:.3}"));
@@ -30,20 +30,20 @@ fn figures(point: &CurvePoint) -> String {
 }
 
 impl Bars {
-    /// A line about a stage that is done: without a terminal its points were told already.
-    fn tell_end(&self) {
+    /// A line about a stage that is done. Without a terminal its points were printed already.
+    fn print_end(&self) {
         let seconds = self
             .started
             .map_or(0.0, |start| start.elapsed().as_secs_f64());
         match &self.last {
             None => terminal::note(&format!("{}  {seconds:.1} s", self.stage)),
-            Some(point) if self.bar.is_some() => self.tell(point, seconds),
+            Some(point) if self.bar.is_some() => self.print(point, seconds),
             Some(_) => {}
         }
     }
 
     /// A line about a point of the stage's curve.
-    fn tell(&self, point: &CurvePoint, seconds: f64) {
+    fn print(&self, point: &CurvePoint, seconds: f64) {
         let &CurvePoint {
             iteration,
             loss,
@@ -64,7 +64,7 @@ impl Bars {
 }
 
 impl Drop for Bars {
-    /// A stage that was stopped, or met an error, leaves no bar behind.
+    /// Removes the bar of a stage that was stopped or failed.
     fn drop(&mut self) {
         self.clear();
     }
@@ -91,7 +91,7 @@ impl Progress for Bars {
                     bar.reset_eta();
                     self.bar = Some(bar);
                 } else if *done > 0 {
-                    terminal::note(&format!("{stage}: goes on after {done} of {iterations}"));
+                    terminal::note(&format!("{stage}: continues after {done} of {iterations}"));
                 }
             }
             Event::Step {
@@ -106,12 +106,12 @@ impl Progress for Bars {
                 self.last = Some(*point);
                 match &self.bar {
                     Some(bar) => bar.set_message(figures(point)),
-                    None => self.tell(point, point.seconds),
+                    None => self.print(point, point.seconds),
                 }
             }
             Event::Densified { .. } | Event::Saved { .. } => {}
             Event::Finished => {
-                self.tell_end();
+                self.print_end();
                 self.clear();
             }
             _ => {}

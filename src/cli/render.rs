@@ -1,51 +1,46 @@
 //! `coseg render`: pictures of a PLY scene.
 
-use super::object_scene::ObjectScene;
+use super::object_scene::without_labels;
 use super::render_path::PathArgs;
-use super::scene_file::{cameras_path, rendering_beside, scene_path};
-use super::terminal;
+use super::scene_file::{CAMERAS, CLASSES, cameras_path, read_scene, rendering_beside, scene_path};
+use super::values::{alpha_max, numbers};
+use super::{BackendArgs, terminal};
 use clap::{Args, ValueEnum};
-use coseg::backend::device;
-use coseg::backend::device::BackendName;
-use coseg::config::Config;
 use coseg::data::formats::transforms;
 use coseg::data::{Classes, LabelMap, Limits, NamedCamera, Split, atomic, read_cameras};
-use coseg::error::{Error, Result};
+use coseg::error::Result;
 use coseg::objects::{Frame, RenderOptions, Renderer};
 use coseg::raster::Settings;
 use coseg::report::pictures;
 use coseg::splat::camera::Camera;
-use coseg::splat::ply;
-use coseg::splat::ply::PlyScene;
-use glam::DVec3;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 const HELP: &str = "\
-For each frame, STEM being its file name without extension, the output folder gets
-  --format npy   STEM.rgb.npy    [H, W, 3] float32, not clamped, background included
-                 STEM.alpha.npy  [H, W] float32, what covers the background (1 - transmittance)
+For each frame, with STEM its file name without extension, the output folder gets
+  --format npy   STEM.rgb.npy    [H, W, 3] float32, not clamped, with the background
+                 STEM.alpha.npy  [H, W] float32, how much of the background is covered (1 - transmittance)
   --format png   STEM.rgb.png    8 bits a channel
                  STEM.alpha.png  8-bit grey
   --labels       STEM.label.png  the label with the largest blended weight, 0 where alpha is below the run's
                                  segmentation.min_coverage, or 0.5; 8-bit grey, or 16-bit where ids exceed 255
-                 STEM.label_color.png  the same in colours, with a legend, where classes.json lies beside the scene
+                 STEM.label_color.png  the same in colours, with a legend, where classes.json is beside the scene
 
 Cameras
   transforms.json  instant-ngp and nerfstudio, with w and h
-  cameras.json     a run's, or that of graphdeco's 3DGS
-  camera path      of nerfstudio's viewer, in its normalised coordinates as the PLY of its ns-export is
+  cameras.json     of a run, or of graphdeco's 3DGS
+  camera path      of nerfstudio's viewer, in its normalised coordinates, for the PLY of its ns-export
   DIR              a scene folder of any layout, or a run folder
 
-The config.toml of a run beside the scene says how splats are blended, and how much has to cover a pixel that shows a label,
-so that pictures are those in its renders folder. Label maps are of the PLY's label of each Gaussian in any case: those of a
-run with segmentation.render = \"scores\", as the preset \"paper\" has it, are of blended scores instead.
+Where the config.toml of a run is beside the scene, its raster settings apply, and the pictures equal those in the run's
+renders folder. Label maps show the PLY's label of each Gaussian. Only a run with segmentation.render = \"scores\", as in
+the preset \"paper\", has other ones: those of blended scores.
 
 Paths: frames path_0000, path_0001, ... and their cameras as cameras.json.
-  --path interpolate  through the cameras in file order, of --split if given; turning on the spot takes frames too
-  --path orbit        once around the point that the cameras look at, as far from it and as high as most of them stand (medians),
-                      with the first one's lens. In rooms what stands in between is in the way: lower --radius
-  --object OBJECT     around the box of one object, nearer where it is small; `coseg edit --keep OBJECT` leaves it alone
+  --path interpolate  through the cameras in file order, of --split if given; turns on the spot take frames too
+  --path orbit        once around the point that the cameras look at, at their median distance and height, with the lens
+                      of the first one; lower --radius in rooms, where furniture and walls may be in the way
+  --object OBJECT     around the box of one object, closer to a small one; `coseg edit --keep OBJECT` isolates it
 A film of them, width and height even:
   ffmpeg -framerate 30 -i pictures/path_%04d.rgb.png -pix_fmt yuv420p film.mp4
 
@@ -62,7 +57,7 @@ pub struct RenderArgs {
     /// Scene in the 3DGS PLY convention, or a run folder; its `label` column is needed for --labels
     #[arg(long, value_name = "FILE.ply|RUN")]
     scene: PathBuf,
-    /// Cameras, of this or another tool, see below [default: cameras.json beside the scene]
+    /// Cameras of this or another tool, see below [default: cameras.json beside the scene]
     #[arg(long, value_name = "FILE.json|DIR")]
     cameras: Option<PathBuf>,
     /// Folder to write to; made if absent
@@ -76,7 +71,7 @@ pub struct RenderArgs {
     split: SplitArg,
     #[command(flatten)]
     path: PathArgs,
-    /// Size of the images, pixels; another aspect shows more or less at the sides [default: as given]
+    /// Size of the images, pixels; another aspect shows more or less at the sides [default: that of the cameras]
     #[arg(long, value_name = "W,H", value_parser = parse_size)]
     size: Option<[usize; 2]>,
     /// Render the labels too
@@ -86,11 +81,10 @@ pub struct RenderArgs {
     #[arg(long, value_name = "R,G,B", value_parser = parse_color)]
     background: Option<[f32; 3]>,
     /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99 [default: the run's, or 0.999]
-    #[arg(long, value_name = "X")]
+    #[arg(long, value_name = "X", value_parser = alpha_max)]
     alpha_max: Option<f64>,
-    /// What renders: wgpu, flex, ndarray or cuda [default: the first in this build, cuda aside]
-    #[arg(long, value_name = "NAME")]
-    backend: Option<BackendName>,
+    #[command(flatten)]
+    backend: BackendArgs,
 }
 
 /// Kinds of image files.
@@ -108,51 +102,25 @@ enum SplitArg {
     All,
 }
 
-/// `r,g,b` in 0..1.
 fn parse_color(text: &str) -> std::result::Result<[f32; 3], String> {
-    let values: Vec<f32> = text
-        .split(',')
-        .filter_map(|v| v.trim().parse().ok())
-        .collect();
-    match <[f32; 3]>::try_from(values) {
-        Ok(color)
-            if text.split(',').count() == 3 && color.iter().all(|v| (0.0..=1.0).contains(v)) =>
-        {
-            Ok(color)
-        }
-        _ => {
-            Err("expected three numbers from 0 to 1 with commas between, for instance 1,1,1".into())
-        }
-    }
+    let color = numbers(text, ',').filter(|color| color.iter().all(|v| (0.0..=1.0).contains(v)));
+    let expected = "expected three numbers from 0 to 1 separated by commas, for instance 1,1,1";
+    color.ok_or_else(|| expected.into())
 }
 
-/// `w,h`, no more pixels than an image may have.
+/// No more pixels than an image may have.
 fn parse_size(text: &str) -> std::result::Result<[usize; 2], String> {
     let most = Limits::default().image_pixels;
-    let parsed = text
-        .split_once(',')
-        .and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
     let fits = |&[w, h]: &[usize; 2]| w > 0 && h > 0 && (w as u64).saturating_mul(h as u64) <= most;
-    parsed.filter(fits).ok_or_else(|| {
-        format!("expected a width and a height, {most} pixels at most, for instance 1280,720")
+    let size = numbers(text, ',').filter(fits);
+    size.ok_or_else(|| {
+        format!("expected a width and a height, at most {most} pixels, for instance 1280,720")
     })
 }
 
 impl RenderArgs {
     /// Renders every frame.
     pub fn run(self) -> Result<()> {
-        if let Some(alpha) = self
-            .alpha_max
-            .filter(|alpha| !(*alpha > 0.0 && *alpha <= 1.0))
-        {
-            let help = "leave it out for the run's, or 0.999";
-            return Err(Error::argument(
-                "--alpha-max",
-                alpha.to_string(),
-                "above 0, at most 1",
-                help,
-            ));
-        }
         let split = match self.split {
             SplitArg::Train => Some(Split::Train),
             SplitArg::Test => Some(Split::Test),
@@ -161,98 +129,60 @@ impl RenderArgs {
         let path = scene_path(&self.scene)?;
         let keys = cameras_path(self.cameras.as_deref(), &path)?;
         self.path.check(&self.out, &keys)?;
-        let Config {
-            mut raster,
-            segmentation,
-            ..
-        } = rendering_beside(&path);
+        let config = rendering_beside(&path);
+        let mut raster = config.raster;
         raster.alpha_max = self.alpha_max.unwrap_or(raster.alpha_max);
         raster.background = self.background.unwrap_or(raster.background);
         let mut cameras = read_cameras(&keys, split)?;
         if let Some([width, height]) = self.size {
-            cameras
-                .iter_mut()
-                .for_each(|named| named.camera = named.camera.with_size(width, height));
+            for named in &mut cameras {
+                named.camera = named.camera.with_size(width, height);
+            }
         }
-        let mut scene = ply::read(&path, &Limits::default())?;
-        let Some(center) = scene.gaussians.median_center() else {
-            let help = "name a scene that holds something";
-            return Err(Error::input(
-                &path,
-                "element vertex",
-                "no Gaussian",
-                "one or more",
-                help,
-            ));
-        };
-        let center = DVec3::from(center.map(f64::from)) + scene.origin;
+        let scene = read_scene(&path)?;
         if self.labels && scene.labels.is_none() {
-            let help =
-                "leave --labels out, or give the scene labels with `coseg vote` or `coseg train`";
-            return Err(Error::input(
-                &path,
-                "column label",
-                "nothing",
-                "one label a Gaussian",
-                help,
-            ));
+            return Err(without_labels(&path));
         }
-        let beside = path.with_file_name("classes.json");
+        let beside = path.with_file_name(CLASSES);
         let classes = if self.labels && beside.is_file() {
             Some(Classes::read(&beside)?)
         } else {
             None
         };
-        let along = if self.path.object.is_some() {
-            let objects = ObjectScene::new(path, scene, None)?;
-            let along = self.path.cameras(&cameras, center, Some(&objects))?;
-            scene = PlyScene {
-                labels: Some(objects.labels),
-                ..objects.ply
-            };
-            along
-        } else {
-            self.path.cameras(&cameras, center, None)?
-        };
+        let along = self.path.cameras(&cameras, &path, &scene)?;
         let is_path = along.is_some();
         let cameras = along.unwrap_or(cameras);
-        let PlyScene {
-            gaussians,
-            origin,
-            labels,
-        } = scene;
-        let (settings, background) = (Settings::from(&raster), raster.background);
         let options = RenderOptions {
-            settings,
-            background,
-            min_coverage: segmentation.min_coverage as f32,
+            settings: Settings::from(&raster),
+            background: raster.background,
+            min_coverage: config.segmentation.min_coverage as f32,
         };
-        let labels = labels.filter(|_| self.labels);
-        let mut renderer = Renderer::new(gaussians, labels, options, &device::open(self.backend)?)?;
+        let labels = scene.labels.filter(|_| self.labels);
+        let device = self.backend.open()?;
+        let mut renderer = Renderer::new(scene.gaussians, labels, options, &device)?;
         if is_path {
-            transforms::write_cameras(&self.out.join("cameras.json"), &cameras)?;
+            transforms::write_cameras(&self.out.join(CAMERAS), &cameras)?;
         }
         let bar = terminal::bar("render", cameras.len() as u64);
         let mut times = Vec::with_capacity(cameras.len());
         for NamedCamera { name, camera, .. } in &cameras {
             let camera = Camera {
-                center: camera.center - origin,
+                center: camera.center - scene.origin,
                 ..camera.clone()
             };
             let start = Instant::now();
             let frame = renderer.frame(&camera)?;
-            times.push(start.elapsed());
+            times.push(start.elapsed().as_secs_f64());
             self.write(name, &frame, classes.as_ref())?;
             bar.inc(1);
         }
         bar.finish_and_clear();
         let mut said = format!("{} frames in {}", cameras.len(), self.out.display());
         // A GPU compiles its kernels for the first one.
-        if let [_, others @ ..] = times.as_slice()
-            && !others.is_empty()
-        {
-            let each = 1e3 * others.iter().sum::<Duration>().as_secs_f64() / others.len() as f64;
-            said += &format!("; {each:.1} ms each after the first, writing aside");
+        let others = times.get(1..).unwrap_or_default();
+        if !others.is_empty() {
+            let each = 1e3 * others.iter().sum::<f64>() / others.len() as f64;
+            said += &format!("; {each:.1} ms each after the first, without writing");
         }
         terminal::say(&said);
         Ok(())

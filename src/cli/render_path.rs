@@ -1,6 +1,8 @@
-//! Paths of cameras that `coseg render` makes from given ones.
+//! Camera paths of `coseg render`.
 
 use super::object_scene::ObjectScene;
+use super::scene_file::CAMERAS;
+use super::values::numbers;
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
 use coseg::data::formats::transforms;
@@ -8,26 +10,27 @@ use coseg::data::{NamedCamera, Split, atomic};
 use coseg::error::{Error, Result};
 use coseg::splat::camera::Camera;
 use coseg::splat::camera_path::{CameraPath, Orbit};
+use coseg::splat::ply::PlyScene;
 use glam::DVec3;
 use std::path::Path;
 
-/// Frames of a path unless said otherwise.
+/// Frames of a path by default.
 const FRAMES: usize = 120;
-/// What the frames of a path are called, before their number.
+/// The name of a frame of a path before its number.
 const PREFIX: &str = "path_";
 
-/// Arguments that name a path.
+/// Arguments of a path.
 #[derive(Args, Debug)]
 pub struct PathArgs {
-    /// New views: through the cameras, or around what they look at
+    /// Render new views: through the cameras, or around the point that they look at
     #[arg(long, value_enum, value_name = "KIND")]
-    pub path: Option<PathKind>,
+    path: Option<PathKind>,
     /// Frames of the path, evenly spaced [default: 120]
     #[arg(long, value_name = "N", requires = "path", value_parser = RangedU64ValueParser::<usize>::new().range(1..=65_536))]
     frames: Option<usize>,
     /// Orbit this object, an id or a name as `coseg objects` lists them
     #[arg(long, value_name = "OBJECT", requires = "path")]
-    pub object: Option<String>,
+    object: Option<String>,
     /// Radius of the orbit, world units [default: from the cameras, or from the object's size]
     #[arg(long, value_name = "X", requires = "path", value_parser = parse_radius)]
     radius: Option<f64>,
@@ -41,69 +44,58 @@ pub enum PathKind {
 }
 
 fn parse_radius(text: &str) -> std::result::Result<f64, String> {
-    let radius = text
-        .trim()
-        .parse()
-        .ok()
-        .filter(|radius: &f64| radius.is_finite() && *radius > 0.0);
+    let radius = numbers(text, ',').map(|[radius]: [f64; 1]| radius);
+    let radius = radius.filter(|radius| radius.is_finite() && *radius > 0.0);
     radius.ok_or_else(|| "expected a number above 0".into())
 }
 
 impl PathArgs {
-    /// Neither takes what only an orbit has, nor writes over the cameras of something else in `out`.
+    /// Refuses options of an orbit for another path, and a folder `out` with the cameras or frames of something else.
     pub fn check(&self, out: &Path, cameras: &Path) -> Result<()> {
         let Some(kind) = self.path else { return Ok(()) };
-        for (flag, is_there) in [
+        for (flag, is_given) in [
             ("--object", self.object.is_some()),
             ("--radius", self.radius.is_some()),
         ] {
-            if is_there && kind != PathKind::Orbit {
-                return Err(Error::argument(
-                    flag,
-                    "--path interpolate",
-                    "--path orbit",
-                    "leave one of them out",
-                ));
+            if is_given && kind != PathKind::Orbit {
+                let found = "--path interpolate";
+                let help = "leave one of them out";
+                return Err(Error::argument(flag, found, "--path orbit", help));
             }
         }
-        let file = out.join("cameras.json");
-        let of_path =
-            |cameras: &[NamedCamera]| cameras.iter().all(|camera| camera.name.starts_with(PREFIX));
+        let file = out.join(CAMERAS);
         // A path that this command wrote is a transforms.json.
-        let ours = || transforms::load_cameras(&file, None).is_ok_and(|cameras| of_path(&cameras));
-        if file.exists() && (atomic::same_file(&file, cameras) || !ours()) {
-            let expected =
-                "a folder without cameras of its own: those of the path are written there";
+        let is_path = transforms::load_cameras(&file, None)
+            .is_ok_and(|cameras| cameras.iter().all(|c| c.name.starts_with(PREFIX)));
+        if file.exists() && (atomic::same_file(&file, cameras) || !is_path) {
+            let expected = "a folder without cameras.json: the cameras of the path go there";
+            let found = file.display().to_string();
             return Err(Error::argument(
                 "--out",
-                file.display().to_string(),
+                found,
                 expected,
                 "name another folder",
             ));
         }
-        // A video of the pictures would end with those of the longer path.
+        // A film of the frames would end with those of the longer path.
         let next = format!("{PREFIX}{:04}.", self.frames.unwrap_or(FRAMES));
-        let names = std::fs::read_dir(out).into_iter().flatten().flatten();
-        let mut names = names.filter_map(|entry| entry.file_name().into_string().ok());
+        let files = std::fs::read_dir(out).into_iter().flatten().flatten();
+        let mut names = files.filter_map(|entry| entry.file_name().into_string().ok());
         if let Some(left) = names.find(|name| name.starts_with(&next)) {
+            let found = out.join(left).display().to_string();
             let expected = "a folder without frames of a longer path";
             let help = "remove them, or name another folder";
-            return Err(Error::argument(
-                "--out",
-                out.join(left).display().to_string(),
-                expected,
-                help,
-            ));
+            return Err(Error::argument("--out", found, expected, help));
         }
         Ok(())
     }
 
-    /// The path made from `keys`, if there is to be one; `center` is the scene's. `scene` is needed for an object.
+    /// The path made from `keys`, if one is wanted, in the scene read from `path`.
     pub fn cameras(
         &self,
         keys: &[NamedCamera],
-        center: DVec3,
-        scene: Option<&ObjectScene>,
+        path: &Path,
+        scene: &PlyScene,
     ) -> Result<Option<Vec<NamedCamera>>> {
         let count = self.frames.unwrap_or(FRAMES);
         let keys: Vec<Camera> = keys.iter().map(|key| key.camera.clone()).collect();
@@ -111,12 +103,14 @@ impl PathArgs {
             None => return Ok(None),
             Some(PathKind::Interpolate) => CameraPath::through(&keys)?.frames(count),
             Some(PathKind::Orbit) => {
-                let orbit = match (&self.object, scene) {
-                    (Some(object), Some(scene)) => {
-                        let (low, high) = scene.bounds(object, "--object")?;
-                        Orbit::of_box(&keys, low, high)?
-                    }
-                    _ => Orbit::of_cameras(&keys, center)?,
+                let orbit = if let Some(object) = &self.object {
+                    let scene = ObjectScene::new(path.to_owned(), scene.clone(), None)?;
+                    let (low, high) = scene.bounds(object, "--object")?;
+                    Orbit::of_box(&keys, low, high)?
+                } else {
+                    let center = scene.gaussians.median_center().unwrap_or_default();
+                    let center = DVec3::from(center.map(f64::from)) + scene.origin;
+                    Orbit::of_cameras(&keys, center)?
                 };
                 let radius = self.radius.unwrap_or(orbit.radius);
                 Orbit { radius, ..orbit }.frames(&keys[0], count)?

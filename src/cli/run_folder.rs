@@ -1,6 +1,7 @@
-//! What lies where in a run folder.
+//! The files of a run folder.
 
-use super::scene_file::CONFIG;
+use super::or_usage_error;
+use super::scene_file::{CAMERAS, CLASSES, CONFIG, SCENE};
 use coseg::config::Config;
 use coseg::data::{Classes, atomic};
 use coseg::error::{Error, Result};
@@ -18,20 +19,15 @@ impl RunFolder {
     /// [`Error::Input`] when `dir` holds no `config.toml`.
     pub fn existing(dir: &Path) -> Result<Self> {
         let run = Self(dir.to_owned());
-        if !run.config_path().is_file() {
+        if !run.is_used() {
+            let (field, found) = (CONFIG, "no such file");
             let help = "give the folder that `coseg train` wrote";
-            return Err(Error::input(
-                dir,
-                "config.toml",
-                "no such file",
-                "a run folder",
-                help,
-            ));
+            return Err(Error::input(dir, field, found, "a run folder", help));
         }
         Ok(run)
     }
 
-    /// A place for a new run: `dir`, or `runs/NAME` with a number behind it when that is taken.
+    /// The folder of a new run: `dir`, or `runs/NAME`, numbered when that is taken.
     ///
     /// # Errors
     /// [`Error::Input`] when `dir` already holds a run.
@@ -48,16 +44,10 @@ impl RunFolder {
         let run = Self(dir.to_owned());
         if run.is_used() {
             let help = format!(
-                "go on with it (--resume {}) or choose another folder",
+                "continue it (--resume {}) or choose another folder",
                 dir.display()
             );
-            return Err(Error::input(
-                dir,
-                "config.toml",
-                "a run",
-                "no run there yet",
-                help,
-            ));
+            return Err(Error::input(dir, CONFIG, "a run", "no run there yet", help));
         }
         Ok(run)
     }
@@ -66,23 +56,22 @@ impl RunFolder {
         self.config_path().exists()
     }
 
-    /// Notes that `command` begins the run, or goes on with it, with the settings `config`. A new run has both at once, so that
-    /// it can be gone on with however it ends. One that was there may yet refuse these settings: it keeps its own until it is
-    /// done.
+    /// Starts or resumes the run with `command` and the settings `config`. A new run gets both files at once, so that it can
+    /// be resumed however it ends. An earlier run may still refuse these settings: it keeps its own until the end.
     ///
     /// # Errors
     /// [`Error::Io`] naming the file; [`Error::Argument`] for settings that TOML cannot hold.
     pub fn begin(&self, config: &Config, command: Command) -> Result<Begun> {
-        // A run of before this file was kept has none; one that cannot be read says nothing.
+        // A file that cannot be read is ignored.
         let earlier = std::fs::read(self.commands_path()).ok();
         let earlier = earlier.and_then(|text| serde_json::from_slice::<Vec<Command>>(&text).ok());
         let commands: Vec<Command> = earlier.into_iter().flatten().chain([command]).collect();
         let begun = Begun {
             run: self.clone(),
-            anew: !self.is_used(),
+            is_new: !self.is_used(),
             commands,
         };
-        if begun.anew {
+        if begun.is_new {
             let config = config.to_toml()?;
             let written = atomic::write_bytes(self.config_path(), config.as_bytes())
                 .and_then(|()| begun.keep());
@@ -91,7 +80,7 @@ impl RunFolder {
         Ok(begun)
     }
 
-    /// Largest memory of the part of the run that ended last, where one did.
+    /// Peak memory of the earlier part of the run, where there is one.
     pub fn peak_memory_before(&self) -> Option<u64> {
         let text = std::fs::read(self.0.join("metrics.json")).ok()?;
         serde_json::from_slice::<Metrics>(&text)
@@ -109,19 +98,19 @@ impl RunFolder {
         self.0.join(CONFIG)
     }
 
-    /// The command lines that the run is of.
+    /// The command lines of the run.
     fn commands_path(&self) -> PathBuf {
         self.0.join("commands.json")
     }
 
     /// The scene.
     pub fn scene_path(&self) -> PathBuf {
-        self.0.join("scene.ply")
+        self.0.join(SCENE)
     }
 
     /// The views' cameras.
     pub fn cameras_path(&self) -> PathBuf {
-        self.0.join("cameras.json")
+        self.0.join(CAMERAS)
     }
 
     /// Scores of each Gaussian for each class.
@@ -139,33 +128,17 @@ impl RunFolder {
         self.0.join("viewer.html")
     }
 
-    /// Settings as run, with overrides. A run of before there was `data.max_side` had its photos at their full size, and one of
-    /// before there were masks used them whole; the built-in scene has neither.
+    /// Settings as run, with overrides.
     ///
     /// # Errors
     /// As [`Config::load`].
     pub fn config(&self, sets: &[String]) -> Result<Config> {
-        let path = self.config_path();
-        let text = std::fs::read_to_string(&path).unwrap_or_default();
-        let says = |key: &str| {
-            text.lines().any(|line| {
-                line.split('=')
-                    .next()
-                    .is_some_and(|name| name.trim() == key)
-            })
-        };
-        let then = [
-            ("max_side", "data.max_side=0"),
-            ("masks", "data.masks=none"),
-        ];
-        let then = then
-            .into_iter()
-            .filter(|(key, _)| says("dir") && !says(key))
-            .map(|(_, set)| set.to_owned());
-        Config::load(
-            Some(&path),
-            &then.chain(sets.iter().cloned()).collect::<Vec<_>>(),
-        )
+        let config = Config::load(Some(&self.config_path()), sets);
+        if sets.is_empty() {
+            config
+        } else {
+            or_usage_error(config)
+        }
     }
 
     /// The class table; empty for runs without labels.
@@ -173,7 +146,7 @@ impl RunFolder {
     /// # Errors
     /// As [`Classes::read`].
     pub fn classes(&self) -> Result<Classes> {
-        let path = self.0.join("classes.json");
+        let path = self.0.join(CLASSES);
         if path.is_file() {
             Classes::read(&path)
         } else {
@@ -182,18 +155,18 @@ impl RunFolder {
     }
 }
 
-/// A run that has begun, or goes on.
+/// A run that was started or resumed.
 #[derive(Debug)]
 pub struct Begun {
     run: RunFolder,
-    /// Whether there was none before.
-    anew: bool,
-    /// The command lines that the run is of, this one the last.
+    /// Whether the folder is new.
+    is_new: bool,
+    /// The command lines of the run, this one the last.
     pub commands: Vec<Command>,
 }
 
 impl Begun {
-    /// Writes the command lines, once the run has gone on.
+    /// Writes the command lines.
     ///
     /// # Errors
     /// [`Error::Io`] naming the file.
@@ -204,14 +177,14 @@ impl Begun {
         atomic::write_bytes(&path, text.as_bytes())
     }
 
-    /// Frees the folder of a new run for another try after an error, where training has not begun: input was at fault.
+    /// Removes the files of a new run after an error, unless training has started: the input was wrong.
     pub fn undo(&self) {
         let checkpoints = self.run.0.join("checkpoint");
         let started = std::fs::read_dir(&checkpoints).is_ok_and(|mut files| files.next().is_some());
-        if !self.anew || started {
+        if !self.is_new || started {
             return;
         }
-        // The error that led here is told; what cannot be removed does no harm.
+        // The first error is the one to report; files that cannot be removed do no harm.
         for path in [self.run.config_path(), self.run.commands_path()] {
             let _ = atomic::remove(path);
         }

@@ -1,30 +1,33 @@
-//! Where a scene and its cameras lie: in files, or in the folder that `coseg train` wrote.
+//! The files of a scene: given by name, or in the folder that `coseg train` wrote.
 
-use coseg::config::{Config, RasterConfig};
-use coseg::data::atomic;
+use coseg::config::Config;
+use coseg::data::{Limits, atomic};
 use coseg::error::{Error, Result};
+use coseg::splat::ply;
+use coseg::splat::ply::PlyScene;
 use std::path::{Path, PathBuf};
 
 /// The settings of a run folder.
 pub const CONFIG: &str = "config.toml";
+/// The class table of a run folder.
+pub const CLASSES: &str = "classes.json";
 /// The scene of a run folder.
-const SCENE: &str = "scene.ply";
+pub const SCENE: &str = "scene.ply";
 /// The cameras of a run folder.
-const CAMERAS: &str = "cameras.json";
+pub const CAMERAS: &str = "cameras.json";
 /// The scene of a model folder of graphdeco's 3DGS, in point_cloud/iteration_N.
 const GRAPHDECO: &str = "point_cloud.ply";
 
-/// The PLY file that `--scene` means: itself, scene.ply in a folder, or the last of a model folder of graphdeco's 3DGS.
+/// The PLY file that `--scene` means: the file itself, scene.ply in a folder, or the last of a model folder of graphdeco's
+/// 3DGS.
 pub fn scene_path(given: &Path) -> Result<PathBuf> {
-    const MEND: &str = "give a .ply file, or the folder that `coseg train` wrote";
-    if !given
-        .try_exists()
-        .map_err(|e| Error::io(given, "look at", e))?
-    {
+    const HELP: &str = "give a .ply file, or the folder that `coseg train` wrote";
+    let exists = given.try_exists();
+    if !exists.map_err(|e| Error::io(given, "look at", e))? {
         return Err(Error::Missing {
             what: "file",
             path: given.to_owned(),
-            help: MEND.to_owned(),
+            help: HELP.to_owned(),
         });
     }
     if !given.is_dir() {
@@ -37,80 +40,93 @@ pub fn scene_path(given: &Path) -> Result<PathBuf> {
     if let Some(newest) = of_graphdeco(given) {
         return Ok(newest);
     }
-    let names = std::fs::read_dir(given).into_iter().flatten().flatten();
-    let names = names.filter_map(|entry| entry.file_name().into_string().ok());
-    let other = names
-        .filter(|name| name.to_lowercase().ends_with(".ply"))
+    let files = std::fs::read_dir(given).into_iter().flatten().flatten();
+    let other = files
+        .map(|entry| entry.path())
+        .filter(|path| has_extension(path, "ply"))
         .min();
-    let (found, help) = match other {
-        Some(name) => (
-            format!("no such file, but {name}"),
-            format!("give {}", given.join(name).display()),
+    let (found, help) = match &other {
+        Some(path) => (
+            format!("no such file, but {}", path.display()),
+            format!("give {}", path.display()),
         ),
-        None => ("no such file".to_owned(), MEND.to_owned()),
+        None => ("no such file".to_owned(), HELP.to_owned()),
     };
     Err(Error::input(given, SCENE, found, "a run folder", help))
 }
 
 /// The Gaussians of the last iteration in a model folder of graphdeco's 3DGS: point_cloud/iteration_N/point_cloud.ply.
 fn of_graphdeco(folder: &Path) -> Option<PathBuf> {
-    let iterations = std::fs::read_dir(folder.join("point_cloud"))
-        .ok()?
-        .flatten();
+    let iterations = std::fs::read_dir(folder.join("point_cloud")).ok()?;
     let numbered = |entry: std::fs::DirEntry| {
-        let number: u64 = entry
-            .file_name()
-            .to_str()?
-            .strip_prefix("iteration_")?
-            .parse()
-            .ok()?;
+        let name = entry.file_name();
+        let number: u64 = name.to_str()?.strip_prefix("iteration_")?.parse().ok()?;
         let file = entry.path().join(GRAPHDECO);
         file.is_file().then_some((number, file))
     };
-    iterations.filter_map(numbered).max().map(|(_, file)| file)
+    let newest = iterations.flatten().filter_map(numbered).max()?;
+    Some(newest.1)
 }
 
-/// What `--cameras` names, or else the cameras beside the scene `scene`, or those of graphdeco's model folder.
-pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
-    let beside = scene.with_file_name(CAMERAS);
-    // graphdeco's 3DGS keeps its cameras above point_cloud/iteration_N.
-    let above = scene.ancestors().nth(3).map(|model| model.join(CAMERAS));
-    let above = above
-        .filter(|file| file.is_file() && scene.file_name().is_some_and(|name| name == GRAPHDECO));
-    match (given, above) {
-        (Some(path), _) => Ok(path.to_owned()),
-        (None, _) if beside.is_file() => Ok(beside),
-        (None, Some(above)) => Ok(above),
-        (None, None) => {
-            let expected = format!("cameras: {} is not there", beside.display());
-            let help = "give a file of cameras, a scene folder or a run folder";
-            Err(Error::argument("--cameras", "nothing", expected, help))
-        }
+/// Reads a scene that must hold Gaussians.
+pub fn read_scene(path: &Path) -> Result<PlyScene> {
+    let scene = ply::read(path, &Limits::default())?;
+    if scene.gaussians.is_empty() {
+        let help = "name a scene that is not empty";
+        return Err(Error::input(
+            path,
+            "element vertex",
+            "no Gaussian",
+            "one or more",
+            help,
+        ));
     }
+    Ok(scene)
 }
 
-/// How the run that the scene `scene` lies in rendered, see [`Config::rendering_of`]; else the defaults. Files of other
-/// programs are called config.toml too: one without such settings says nothing, and one that cannot be used is warned of, since
-/// the scene can be looked at all the same.
+/// Whether `path` ends in `.extension`, in small or in capital letters.
+pub fn has_extension(path: &Path, extension: &str) -> bool {
+    path.extension()
+        .is_some_and(|found| found.eq_ignore_ascii_case(extension))
+}
+
+/// What `--cameras` names, or else the cameras beside the scene `scene` or in its model folder of graphdeco's 3DGS.
+pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
+    if let Some(path) = given {
+        return Ok(path.to_owned());
+    }
+    let beside = scene.with_file_name(CAMERAS);
+    if beside.is_file() {
+        return Ok(beside);
+    }
+    // graphdeco's 3DGS keeps its cameras above point_cloud/iteration_N.
+    let model = scene.ancestors().nth(3);
+    let above = model.map(|model| model.join(CAMERAS));
+    let is_graphdeco = scene.file_name().is_some_and(|name| name == GRAPHDECO);
+    above
+        .filter(|file| is_graphdeco && file.is_file())
+        .ok_or_else(|| {
+            let expected = format!("cameras: {} does not exist", beside.display());
+            let help = "give a file of cameras, a scene folder or a run folder";
+            Error::argument("--cameras", "nothing", expected, help)
+        })
+}
+
+/// The settings that rendered the run of the scene `scene`, see [`Config::rendering_of`]; defaults where there are none.
+/// Other programs have files called config.toml too: one that cannot be used is a warning, not an error.
 pub fn rendering_beside(scene: &Path) -> Config {
     let file = scene.with_file_name(CONFIG);
     if !file.is_file() {
         return Config::default();
     }
-    let read = Config::rendering_of(&file);
-    let read = read.inspect_err(|error| {
-        tracing::warn!("the scene is rendered with default raster settings: {error}")
-    });
-    read.unwrap_or_default()
+    Config::rendering_of(&file).unwrap_or_else(|error| {
+        tracing::warn!("the scene is rendered with default raster settings: {error}");
+        Config::default()
+    })
 }
 
-/// The raster settings among these.
-pub fn raster_beside(scene: &Path) -> RasterConfig {
-    rendering_beside(scene).raster
-}
-
-/// Copies the cameras beside the scene `from` beside the scene `to`, where there are some and none yet.
-pub fn bring_cameras(from: &Path, to: &Path) -> Result<()> {
+/// Copies the cameras beside the scene `from` beside the scene `to`, unless that has some.
+pub fn copy_cameras(from: &Path, to: &Path) -> Result<()> {
     let [source, target] = [from, to].map(|scene| scene.with_file_name(CAMERAS));
     if !source.is_file() || target.exists() {
         return Ok(());

@@ -1,33 +1,33 @@
-//! What a person sees: lines, warnings, errors, and a bar while something runs.
+//! Output: lines, warnings, errors, and progress bars.
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{self, IsTerminal, Write};
 use std::sync::LazyLock;
 
-/// All bars, so that a line printed meanwhile goes above them.
+/// All bars; lines are printed above them.
 static BARS: LazyLock<MultiProgress> =
     LazyLock::new(|| MultiProgress::with_draw_target(ProgressDrawTarget::stderr_with_hz(4)));
 
-/// One line of result on standard output. A closed pipe ends the output, not the work.
+/// Prints a line of the result on standard output. A closed pipe ends the output, not the work.
 pub fn say(line: &str) {
     BARS.suspend(|| {
         let _ = writeln!(io::stdout(), "{line}");
     });
 }
 
-/// One line of progress on standard error.
+/// Prints a line on standard error.
 pub fn note(line: &str) {
     BARS.suspend(|| {
         let _ = writeln!(io::stderr(), "{line}");
     });
 }
 
-/// An error, with whatever caused it.
+/// Prints an error.
 pub fn error(error: &coseg::Error) {
     note(&format!("error: {error}"));
 }
 
-/// A panic is a fault of this program: say so in one place, without a trace unless asked for.
+/// Reports a panic as a fault of this program, with a trace only if RUST_BACKTRACE asks for it.
 pub fn report_panics() {
     let trace = std::env::var_os("RUST_BACKTRACE").is_some_and(|v| v != "0");
     let default = std::panic::take_hook();
@@ -42,7 +42,7 @@ pub fn report_panics() {
             .map_or(String::new(), |l| format!(" at {}:{}", l.file(), l.line()));
         note(&format!(
             "error: coseg {} met a fault of its own{place}: {}\n\
-             This is a bug. Please report it with the command line; checkpoints and results written before are intact.",
+             This is a bug. Please report it with the command line. Checkpoints and results written before are intact.",
             env!("CARGO_PKG_VERSION"),
             text.unwrap_or("no message"),
         ));
@@ -52,7 +52,7 @@ pub fn report_panics() {
     }));
 }
 
-/// Shows the library's warnings, and with `verbose` what it is doing, above the bars.
+/// Shows the library's warnings above the bars, with `verbose` its other messages too.
 pub fn show_warnings(verbose: bool) {
     let level = if verbose {
         tracing::Level::INFO
@@ -96,7 +96,7 @@ pub fn draws_bars() -> bool {
     io::stderr().is_terminal()
 }
 
-/// A bar over `steps` named `name`; hidden when standard error is no terminal.
+/// A bar of `steps`; hidden when standard error is no terminal.
 pub fn bar(name: &str, steps: u64) -> ProgressBar {
     let bar = BARS.add(ProgressBar::new(steps));
     let template = "{prefix:>14} {bar:28} {pos}/{len} {elapsed_precise} left {eta_precise} {msg}";

@@ -1,7 +1,8 @@
 //! `coseg view`: a scene as a page for the browser.
 
-use super::scene_file::{cameras_path, raster_beside, scene_path};
+use super::scene_file::{CLASSES, cameras_path, has_extension, rendering_beside, scene_path};
 use super::terminal;
+use super::values::{alpha_max, numbers};
 use clap::Args;
 use coseg::data::{Classes, Limits, read_cameras};
 use coseg::error::{Error, Result};
@@ -14,11 +15,11 @@ use std::path::{Path, PathBuf};
 const PAGE: &str = "viewer.html";
 
 const HELP: &str = "\
-One page that works offline, 111 bytes a Gaussian of SH degree 3, drawn by the browser's WebGL 2. It shows colours, labels, or
-both; an object is chosen by a click, hidden, shown alone, turned, moved; the page says which `coseg edit` writes that as a
-new file.
+The page works offline and needs WebGL 2. It takes 111 bytes for each Gaussian of SH degree 3. It shows colours, labels,
+or both. Click on an object to choose it; hide it, show it alone, turn it or move it. The page shows the `coseg edit`
+command that writes this as a new file.
 
-  FILE.html#view=NAME&mode=labels   begins at the view NAME, percent-encoded; modes are colour, both and labels
+  FILE.html#view=NAME&mode=labels   starts at the view NAME, percent-encoded; modes are colour, both and labels
 
 `coseg train` writes this page as viewer.html into its run folder, up to 128 MB.
 
@@ -38,34 +39,23 @@ pub struct ViewArgs {
     /// Page to write [default: viewer.html beside the scene, or in the folder]
     #[arg(long, value_name = "FILE.html")]
     out: Option<PathBuf>,
-    /// Views to go to, as `coseg render` takes them [default: cameras.json beside the scene, if it is there]
+    /// Views to start from, as `coseg render` takes them [default: cameras.json beside the scene, if it is there]
     #[arg(long, value_name = "FILE.json|DIR")]
     cameras: Option<PathBuf>,
     /// Names of the labels [default: classes.json beside the scene, if it is there]
     #[arg(long, value_name = "FILE.json")]
     classes: Option<PathBuf>,
-    /// Which way is up in the world, such as 0,0,1 [default: as the cameras have it, or 0,-1,0 without them]
+    /// Which way is up in the world, such as 0,0,1 [default: that of the cameras, or 0,-1,0 without them]
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_direction, allow_hyphen_values = true)]
     up: Option<DVec3>,
     /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99 [default: the run's, or 0.999]
-    #[arg(long, value_name = "X")]
+    #[arg(long, value_name = "X", value_parser = alpha_max)]
     alpha_max: Option<f64>,
 }
 
 impl ViewArgs {
     /// Writes the page.
     pub fn run(self) -> Result<()> {
-        if let Some(alpha) = self
-            .alpha_max
-            .filter(|alpha| !(*alpha > 0.0 && *alpha <= 1.0))
-        {
-            return Err(Error::argument(
-                "--alpha-max",
-                alpha.to_string(),
-                "a number in (0, 1]",
-                "choose one there",
-            ));
-        }
         let path = scene_path(&self.scene)?;
         let page = if self.scene.is_dir() {
             self.scene.join(PAGE)
@@ -73,22 +63,15 @@ impl ViewArgs {
             path.with_file_name(PAGE)
         };
         let out = self.out.unwrap_or(page);
-        if !out
-            .extension()
-            .is_some_and(|extension| extension.eq_ignore_ascii_case("html"))
-        {
+        if !has_extension(&out, "html") {
+            let found = out.display().to_string();
             let help = "end the name in .html";
-            return Err(Error::argument(
-                "--out",
-                out.display().to_string(),
-                "an .html file",
-                help,
-            ));
+            return Err(Error::argument("--out", found, "an .html file", help));
         }
         let ply = ply::read(&path, &Limits::default())?;
-        let beside = |name: &str| Some(path.with_file_name(name)).filter(|file| file.is_file());
         let names = self.classes.as_ref().map(|file| file.display().to_string());
-        let classes = self.classes.or_else(|| beside("classes.json"));
+        let beside = Some(path.with_file_name(CLASSES)).filter(|file| file.is_file());
+        let classes = self.classes.or(beside);
         let classes =
             classes.map_or_else(|| Ok(Classes::default()), |file| Classes::read(&file))?;
         let cameras = self.cameras.or_else(|| cameras_path(None, &path).ok());
@@ -105,7 +88,7 @@ impl ViewArgs {
             up: self.up,
             alpha_max: self
                 .alpha_max
-                .unwrap_or_else(|| raster_beside(&path).alpha_max),
+                .unwrap_or_else(|| rendering_beside(&path).raster.alpha_max),
         };
         viewer.write(&out)?;
         terminal::say(&format!("{}: open it in a browser", out.display()));
@@ -114,21 +97,13 @@ impl ViewArgs {
 }
 
 fn parse_direction(text: &str) -> std::result::Result<DVec3, String> {
-    let values: Vec<f64> = text
-        .split(',')
-        .map_while(|v| v.trim().parse().ok())
-        .collect();
-    let direction = <[f64; 3]>::try_from(values)
-        .ok()
-        .filter(|_| text.split(',').count() == 3)
-        .map(DVec3::from);
+    let direction = numbers::<f64, 3>(text, ',').map(DVec3::from);
     let direction = direction.filter(|direction| direction.try_normalize().is_some());
-    direction.ok_or_else(|| {
-        "expected a direction: three numbers with commas between, for instance 0,0,1".into()
-    })
+    let expected = "expected a direction: three numbers separated by commas, for instance 0,0,1";
+    direction.ok_or_else(|| expected.into())
 }
 
-/// The folder of a scene.ply, as of a run, otherwise the file's own name.
+/// The name of the folder for a scene.ply, of the file for others.
 fn title(scene: &Path) -> String {
     let folder = scene.parent().and_then(|folder| folder.canonicalize().ok());
     let named = |path: &Path| {

@@ -1,8 +1,8 @@
-//! A scene as one HTML page that needs nothing else: to walk through in a browser, by WebGL 2, to look at labels, and to choose
-//! objects, hide, turn and move them; the page says which `coseg edit` writes that as a new file.
+//! A scene as one offline HTML page: walk through it in a browser with WebGL 2, show labels, and choose, hide, turn and move
+//! objects. The page shows the `coseg edit` command that writes these changes as a new file.
 //!
-//! Pictures are those of [`crate::raster::render`] but for the rounding of `packing.rs`, half floats in blending, and
-//! what lies behind a transmittance of 1e-4, which the page adds.
+//! Pictures equal those of [`crate::raster::render`] except for the rounding of `packing.rs`, half floats in blending, and
+//! Gaussians behind a transmittance of 1e-4, which the page blends too.
 
 mod packing;
 
@@ -16,9 +16,9 @@ use glam::{DMat3, DVec3};
 use serde::Serialize;
 use std::path::Path;
 
-/// Bytes of the columns that one element holds, whole groups of three: browsers bound the length of a text.
+/// Bytes of the columns in one element, a multiple of three: browsers limit the length of a text.
 const PART: usize = 3 << 25;
-/// Cosine of 3 degrees.
+/// Cosine of 3 degrees: directions that close are equal.
 const NEARLY: f64 = 0.9986;
 
 /// The parts of the page's program, in order.
@@ -35,32 +35,32 @@ const SCRIPT: [&str; 10] = [
     include_str!("page/main.js"),
 ];
 
-/// What a page shows.
+/// The content of a page.
 #[derive(Clone, Copy, Debug)]
 pub struct Viewer<'a> {
     /// Heading and title.
     pub title: &'a str,
-    /// What `--scene` is in the command lines that the page writes.
+    /// The value of `--scene` in the commands that the page writes.
     pub scene: &'a str,
-    /// What `--classes` is in them, where the names of labels do not lie beside the scene.
+    /// The value of `--classes` in them, where classes.json is not beside the scene.
     pub names: Option<&'a str>,
     /// The scene.
     pub gaussians: &'a Gaussians,
-    /// What was subtracted from every position of the scene, world units.
+    /// The point that was subtracted from every position of the scene, world units.
     pub origin: DVec3,
-    /// One label id a Gaussian, where the scene has labels.
+    /// One label id for each Gaussian, where the scene has labels.
     pub labels: Option<&'a [u16]>,
     /// Names and colours of the labels; empty where none are known.
     pub classes: &'a Classes,
-    /// Views to go to, in world units; the first held-out one, or else the first, is where a visit begins.
+    /// Views to visit, in world units. The page starts at the first held-out one, or else at the first.
     pub cameras: &'a [NamedCamera],
-    /// World direction that points up. None: that of the cameras, or -y without them.
+    /// World direction that points up; `None` is that of the cameras, or -y without them.
     pub up: Option<DVec3>,
     /// Cap of a splat's opacity at a pixel, in (0, 1].
     pub alpha_max: f64,
 }
 
-/// What the page's program is told beside the columns.
+/// The input of the page's program beside the columns.
 #[derive(Serialize)]
 struct Header<'a> {
     title: &'a str,
@@ -86,7 +86,7 @@ struct Extent {
 
 #[derive(Serialize)]
 struct Entry<'a> {
-    /// None of a scene without labels, whose one entry is everything.
+    /// `None` for the single entry of a scene without labels.
     id: Option<u16>,
     name: Option<&'a str>,
     color: [u8; 3],
@@ -119,12 +119,12 @@ impl Viewer<'_> {
         atomic::write_bytes(path, self.page()?.as_bytes())
     }
 
-    /// Bytes of the page of `gaussians`, but for those that it has whatever the scene.
+    /// Bytes of the page that depend on `gaussians`.
     pub fn bytes(gaussians: &Gaussians) -> usize {
         packing::bytes(gaussians).div_ceil(3) * 4
     }
 
-    /// The page: 111 bytes a Gaussian of SH degree 3, and some 60 kB with a few views.
+    /// The page: 111 bytes for each Gaussian of SH degree 3, and about 60 kB.
     ///
     /// # Errors
     /// [`Error::Argument`] for no Gaussian, fields or labels of another length, or an `alpha_max` or `up` out of range;
@@ -132,29 +132,22 @@ impl Viewer<'_> {
     pub fn page(&self) -> Result<String> {
         self.gaussians.check(self.labels)?;
         if self.gaussians.is_empty() {
-            return Err(Error::argument(
-                "gaussians",
-                "none",
-                "one or more",
-                "name a scene that holds something",
-            ));
+            let help = "name a scene that is not empty";
+            return Err(Error::argument("gaussians", "none", "one or more", help));
         }
         if !(self.alpha_max > 0.0 && self.alpha_max <= 1.0) {
             let help = "choose a value in that range";
+            let found = self.alpha_max.to_string();
             return Err(Error::argument(
                 "alpha_max",
-                self.alpha_max.to_string(),
+                found,
                 "a number in (0, 1]",
                 help,
             ));
         }
         if let Some(up) = self.up.filter(|up| up.try_normalize().is_none()) {
-            return Err(Error::argument(
-                "up",
-                up.to_string(),
-                "a direction",
-                "name one, such as 0,0,1",
-            ));
+            let help = "name one, such as 0,0,1";
+            return Err(Error::argument("up", up.to_string(), "a direction", help));
         }
         let unlabelled = vec![0; self.gaussians.len()];
         let all = inventory(self.gaussians, &unlabelled);
@@ -239,7 +232,7 @@ impl Viewer<'_> {
         }
     }
 
-    /// Where a visit begins when there are no cameras: before the box `all`, a little above it.
+    /// The start without cameras: in front of the box `all`, a little above it.
     fn without_cameras(&self, all: &Object, up: DVec3) -> Camera {
         let longest = |scales: &[f32; 3]| scales.iter().copied().fold(f32::MIN, f32::max).exp();
         // One Gaussian has no box.
@@ -252,7 +245,7 @@ impl Viewer<'_> {
                 .fold(0.0, f32::max)
                 .min(1.0);
         let distance = (1.2 * all.low.distance(all.high)).max(f64::from(least));
-        // Along z as COLMAP's first cameras look, as far as that is across.
+        // Along z, as COLMAP's first cameras look, but level.
         let ahead = DVec3::Z
             .reject_from_normalized(up)
             .try_normalize()
@@ -274,13 +267,13 @@ impl Viewer<'_> {
     }
 }
 
-/// An element with some of the columns' bytes.
+/// An element with a part of the columns.
 fn part(bytes: &[u8]) -> String {
     let text = base64::engine::general_purpose::STANDARD.encode(bytes);
     format!("<script type=\"text/plain\" class=\"columns\">{text}</script>\n")
 }
 
-/// An axis of the world where `up` is nearly one: what cameras say is as steady as who held them.
+/// The axis of the world nearest to `up` if it is close: handheld cameras only give a rough direction.
 fn upright(up: DVec3) -> DVec3 {
     let axes = DVec3::AXES.into_iter().flat_map(|axis| [axis, -axis]);
     axes.into_iter()
@@ -314,13 +307,13 @@ fn view<'a>(name: &'a str, split: Split, camera: &Camera) -> View<'a> {
     }
 }
 
-/// JSON that can stand in a page: no text in it ends the element that holds it.
+/// JSON for a page: no text in it can end its element.
 fn json(value: &impl Serialize) -> Result<String> {
     let text = serde_json::to_string(value).map_err(|e| Error::io("viewer", "encode", e.into()))?;
     Ok(text.replace('<', "\\u003c"))
 }
 
-/// The shell with its `{{names}}` replaced; what is put in is not looked at again.
+/// The shell with its `{{names}}` replaced. The replacements are not searched for names.
 fn filled(parts: &[(&str, &str)]) -> String {
     let mut out = String::new();
     let mut pieces = include_str!("page/shell.html").split("{{");

@@ -1,7 +1,7 @@
-//! The columns of numbers that a page carries: 83 bytes a Gaussian of SH degree 3, little endian.
+//! The columns of numbers in a page: 83 bytes for each Gaussian of SH degree 3, little endian.
 //!
-//! Centres are `f32` as they are. Lengths are kept as logarithms in steps of 1/1024 (0.05 %), turns in 1/32767, opacities in
-//! 1/65535, constant colour terms in 1/1024 (up to 32), and view-dependent ones in 1/127 of the largest of their Gaussian.
+//! Centres are `f32`. Lengths are logarithms in steps of 1/1024 (0.05 %), quaternions have steps of 1/32767, opacities of
+//! 1/65535, constant colour terms of 1/1024 (up to 32), view-dependent ones of 1/127 of the largest of their Gaussian.
 
 use crate::splat::{Gaussians, rotation};
 
@@ -13,7 +13,7 @@ pub(super) fn bytes(gaussians: &Gaussians) -> usize {
     gaussians.len() * (35 + 3 * gaussians.sh_len())
 }
 
-/// Columns one after the other; `objects` are places in the page's list of objects, one a Gaussian.
+/// The columns, one after the other. `objects` has the index of each Gaussian's object in the page's list.
 pub(super) fn columns(gaussians: &Gaussians, objects: &[u16]) -> Vec<u8> {
     let width = 3 * gaussians.sh_len();
     let colours = || gaussians.sh.chunks_exact(width).map(|sh| sh.split_at(3));
@@ -55,7 +55,7 @@ pub(super) fn columns(gaussians: &Gaussians, objects: &[u16]) -> Vec<u8> {
     out.extend(objects.iter().flat_map(|v| v.to_le_bytes()));
     out.extend(spread.iter().flat_map(|v| v.to_le_bytes()));
     for ((_, rest), &spread) in colours().zip(&spread) {
-        // What the page multiplies by, so that rounding of the scale is made good here.
+        // The scale that the page computes, with its rounding.
         let scale = 127.0 / (f32::from(spread) / LOG_STEPS).exp();
         out.extend(
             rest.iter()
@@ -65,7 +65,7 @@ pub(super) fn columns(gaussians: &Gaussians, objects: &[u16]) -> Vec<u8> {
     out
 }
 
-/// The nearest whole number of steps that there is room for.
+/// The nearest number of steps in range.
 fn steps(value: f32, steps: f32) -> i16 {
     (value * steps).round() as i16
 }

@@ -1,4 +1,4 @@
-// The camera: world to camera axes (x right, y down, z forward), as in the library, and how it is moved about.
+// The camera: world to camera axes (x right, y down, z forward), as in the library, and its motions.
 
 const NEAR = 0.01;
 const STEEPEST = 1.5; // radians

@@ -1,9 +1,9 @@
-// The `coseg edit` that writes what the page shows.
+// The `coseg edit` command that writes what the page shows.
 
-/** As a shell takes it. */
+/** Quoted for a shell. */
 const quoted = (text) => (/^[A-Za-z0-9_\-./=,:+]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`);
 
-/** Digits behind the point that tell apart a thousandth of the scene. */
+/** Decimals that resolve a thousandth of the scene. */
 function digitsOf({ low, high }) {
   const size = Math.hypot(...minus(high, low));
   return size > 0 ? Math.max(0, Math.min(12, Math.ceil(3 - Math.log10(size)))) : 6;

@@ -2,11 +2,11 @@
 
 const MODES = { colour: 0, both: 0.6, labels: 1 };
 const BACKGROUNDS = [[0, 0, 0], [0.5, 0.5, 0.5], [1, 1, 1]];
-const HOVERED = 500_000; // Gaussians up to which what is under the pointer is told all the time
-const FRAME = 1000 / 60; // milliseconds of a step that no frame came before
-const SLOW = 60; // milliseconds of a frame beyond which moving pictures are drawn smaller
+const HOVERED = 500_000; // up to this number of Gaussians, the object under the pointer is shown all the time
+const FRAME = 1000 / 60; // milliseconds of a step without a frame before it
+const SLOW = 60; // milliseconds of a frame above which moving pictures are drawn smaller
 
-/** Percent signs that encode nothing are themselves. */
+/** The decoded text, or the text itself where its percent signs encode nothing. */
 function plain(text) {
   try {
     return decodeURIComponent(text);

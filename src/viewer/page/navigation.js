@@ -1,10 +1,10 @@
-// Mouse, touch and keys: what is under the pointer is held on to.
+// Mouse, touch and keys. A drag holds on to the point under the pointer.
 
 const KEYS_OF_MOVES = {
   KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyE: [0, -1, 0], KeyQ: [0, 1, 0],
 };
 const KEYS_OF_TURNS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }; // yaw, rise
-const STILL = 4; // pixels that a pointer may stray in a click
+const STILL = 4; // pixels that a pointer may move in a click
 
 /** Whether keys are typed into an element. */
 const takesText = (target) => target.matches?.("select, textarea, input:not([type=checkbox])") ?? false;

@@ -1,4 +1,4 @@
-// The panel beside the picture: objects, views, and what the changes are as a command.
+// The panel beside the picture: objects, views, and the command that writes the changes.
 
 /** An element with properties and children. */
 function element(tag, properties = {}, ...children) {
@@ -11,7 +11,7 @@ const called = (object) => object.name ?? (object.id === null ? "all Gaussians" 
 const grouped = (count) => count.toString().replace(/\B(?=(\d{3})+$)/g, "\u202f");
 
 class Panel {
-  /** `page` is what the panel acts on: main.js. */
+  /** `page` is the page of main.js. */
   constructor(scene, page) {
     this.scene = scene;
     this.page = page;
@@ -41,7 +41,7 @@ class Panel {
   }
 
   row(object, i) {
-    const box = element("input", { type: "checkbox", checked: true, title: "shown", ariaLabel: `${called(object)} shown` });
+    const box = element("input", { type: "checkbox", checked: true, title: "show", ariaLabel: `show ${called(object)}` });
     box.onchange = () => this.page.show(i, box.checked);
     const mark = element("i");
     mark.style.background = `rgb(${object.color.join(" ")})`;
@@ -58,7 +58,7 @@ class Panel {
     select.append(element("option", { value: "" }, "free"), ...cameras.map(named));
     select.onchange = () => {
       if (select.value !== "") this.page.goTo(Number(select.value));
-      // Keys walk again.
+      // So that keys walk again.
       select.blur();
     };
     this.select = select;
@@ -70,7 +70,7 @@ class Panel {
     document.getElementById("after").onclick = step(1);
   }
 
-  /** Which view the camera is at; none where it has moved on. */
+  /** Selects the view that the camera is at, if any. */
   setView(i) {
     this.select.value = i ?? "";
   }
@@ -101,7 +101,7 @@ class Panel {
     this.list.scrollTop = Math.min(top, Math.max(scrollTop, bottom - clientHeight));
   }
 
-  /** The chosen object; its controls stay the same elements, so that what has the focus keeps it. */
+  /** The chosen object. Its controls stay the same elements and keep the focus. */
   showChosen() {
     const { objects, chosen, moving } = this.page;
     this.details.hidden = chosen < 0;
@@ -128,14 +128,14 @@ class Panel {
       return input;
     };
     const along = (k) => (value) => page.moveTo(i, page.objects[i].offset.map((v, j) => (j === k ? value : v)));
-    const fields = [0, 1, 2].map((k) => field(`moved along ${"xyz"[k]}, world units`, "any", along(k)));
-    const turn = field(`turned about ${scene.upright.name}, degrees`, 15, (degrees) => page.turnTo(i, degrees));
+    const fields = [0, 1, 2].map((k) => field(`shift along ${"xyz"[k]}, world units`, "any", along(k)));
+    const turn = field(`turn about ${scene.upright.name}, degrees`, 15, (degrees) => page.turnTo(i, degrees));
     this.details.replaceChildren(
       element("b", { textContent: called(object) }),
       element("p", { textContent: `id ${object.id}, ${size} world units` }),
       element("div", { className: "buttons" }, button("Only this", () => page.showOnly(i)), hide, move),
-      element("label", {}, "moved", element("span", { className: "fields" }, ...fields)),
-      element("label", {}, `turned about ${scene.upright.name}`, element("span", { className: "fields" }, turn, "°")),
+      element("label", {}, "shift", element("span", { className: "fields" }, ...fields)),
+      element("label", {}, `turn about ${scene.upright.name}`, element("span", { className: "fields" }, turn, "°")),
     );
     this.controls = { hide, move, fields, turn };
     this.described = i;
@@ -146,9 +146,9 @@ class Panel {
       await navigator.clipboard.writeText(this.command.textContent);
       button.textContent = "Copied";
     } catch {
-      // A page from a file may not be let at the clipboard: then the line is marked for the user's own keys.
+      // A page from a file may have no access to the clipboard: select the line for the user.
       getSelection().selectAllChildren(this.command);
-      button.textContent = "Marked";
+      button.textContent = "Selected";
     }
     setTimeout(() => (button.textContent = "Copy"), 1500);
   }

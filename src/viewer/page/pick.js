@@ -1,10 +1,10 @@
-// What is under a point of the picture, with the weights that blending gives each Gaussian there.
+// The object at a point of the picture, by the weights that blending gives each Gaussian there.
 
 const LOW_PASS = 0.3; // square pixels, as in splat.vert
 
 /**
  * The object with the largest share of the point (x, y) of the camera's image, and where it is: the mean centre of its
- * Gaussians, by weight. Nothing where no Gaussian has a part.
+ * Gaussians, by weight. Nothing where no Gaussian has a share.
  */
 function pick(scene, order, objects, camera, x, y) {
   const { geometry } = scene;

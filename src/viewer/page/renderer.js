@@ -9,7 +9,7 @@ class Renderer {
     this.gl = gl;
     this.canvas = canvas;
     this.scene = scene;
-    // Without them eight bits have to do.
+    // Otherwise eight bits must do.
     this.halfFloats = Boolean(gl.getExtension("EXT_color_buffer_float") ?? gl.getExtension("EXT_color_buffer_half_float"));
     this.splats = this.program(shaders.splatVertex, shaders.splatFragment);
     this.screen = this.program(shaders.screenVertex, shaders.screenFragment);

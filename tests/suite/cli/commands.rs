@@ -1,4 +1,4 @@
-//! The program as a person runs it: exit codes, messages, and what lies in the folders afterwards.
+//! The program as a user runs it: exit codes, messages, and the files that it writes.
 
 use crate::support::plates::{HEIGHT, WIDTH, camera, plates, scene};
 use coseg::backend::device::BackendName;
@@ -34,7 +34,7 @@ pub fn succeeds(arguments: &[&str]) -> String {
     text(&output.stdout)
 }
 
-/// Runs, expects `code`, and gives back standard error, which must not show a panic or a trace.
+/// Runs, expects `code`, and returns standard error, which must not show a panic or a trace.
 #[track_caller]
 pub fn fails(arguments: &[&str], code: i32) -> String {
     let output = coseg(arguments);
@@ -130,23 +130,24 @@ fn mistakes_on_the_command_line_exit_with_2() {
 }
 
 #[test]
-fn bad_input_exits_with_1_and_names_what_to_mend() {
+fn bad_settings_exit_with_2_and_touch_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
-    let message = fails(
-        &[
-            "train",
-            "--out",
-            utf8(&out),
-            "--set",
-            "building.iteratons=5",
-        ],
-        1,
-    );
-    assert!(
-        message.contains("did you mean building.iterations?"),
-        "{message}"
-    );
+    let train = ["train", "--out", utf8(&out), "--set"];
+    for (set, word) in [
+        ("building.iteratons=5", "did you mean building.iterations?"),
+        ("segmentation.lr=-1", "segmentation.lr"),
+    ] {
+        let message = fails(&[&train[..], &[set]].concat(), 2);
+        assert!(message.contains(word), "{message}");
+    }
+    assert!(!out.exists());
+}
+
+#[test]
+fn bad_input_exits_with_1_and_says_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
     let message = fails(
         &["train", "--out", utf8(&out), "--data", "no/such/scene"],
         1,
@@ -168,7 +169,7 @@ fn bad_input_exits_with_1_and_names_what_to_mend() {
         "--out",
         utf8(&out),
     ];
-    let message = fails(&[&render[..], &["--alpha-max", "1.5"]].concat(), 1);
+    let message = fails(&[&render[..], &["--alpha-max", "1.5"]].concat(), 2);
     assert!(
         message.contains("--alpha-max") && message.contains("1.5"),
         "{message}"
@@ -341,7 +342,7 @@ fn vote_outvotes_wrong_views() {
     assert_eq!(Classes::read(&out.join("classes.json")).unwrap().len(), 4);
 }
 
-/// What `coseg train` says of a short run on the scene in `data` into `run`.
+/// The output of `coseg train` for a short run on the scene in `data` into `run`.
 pub fn short_run(data: &Path, run: &Path) -> String {
     let small = [
         "--set",
@@ -571,7 +572,7 @@ fn folders_that_are_no_scenes_are_found_before_anything_is_begun() {
 }
 
 #[test]
-fn a_run_is_not_gone_on_with_under_other_settings() {
+fn a_run_is_not_resumed_with_other_settings() {
     let folder = tempfile::tempdir().unwrap();
     scene(folder.path());
     let run = folder.path().join("run");

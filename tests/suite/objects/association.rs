@@ -496,7 +496,7 @@ fn associate_writes_maps_of_global_ids() {
     );
     let message = fails(
         &[&arguments[..], &["--set", "data.association=tracks"]].concat(),
-        1,
+        2,
     );
     assert!(
         message.contains("\"none\"") && message.contains("\"gaussians\""),

@@ -269,7 +269,7 @@ fn runs_score_objects_by_class_and_eval_says_the_same() {
     }
     let said = succeeds(&["eval", utf8(&run)]);
     assert!(
-        said.contains("class mIoU")
+        said.contains("objects, by class: mIoU")
             && said.contains("PQ of things")
             && said.contains("IoU of 2 wall"),
         "{said}"

@@ -1,4 +1,4 @@
-//! Many faults of a few kinds, told so that the kinds can be seen.
+//! Many faults of a few kinds, printed by kind.
 
 use super::terminal;
 use coseg::Error;
@@ -6,10 +6,10 @@ use std::collections::HashMap;
 use std::mem::{Discriminant, discriminant};
 use std::path::{Path, PathBuf};
 
-/// Faults of one kind that are printed.
+/// Faults of one kind that are printed by default.
 const SHOWN: usize = 3;
 
-/// Two faults with the same kind differ in which frame, file or pixel they are about.
+/// Faults of the same kind differ only in their frame, file or pixel.
 type Kind = (Discriminant<Error>, PathBuf, String, String);
 
 /// Prints the first few faults of each kind and how many more there are, or all of them.
@@ -24,7 +24,7 @@ pub fn print(faults: &[Error], all: bool) {
         }
     }
     for group in groups {
-        // One more takes no more room than to say so.
+        // One more takes as much room as the line that counts it.
         let shown = if all || group.len() == SHOWN + 1 {
             group.len()
         } else {
@@ -69,7 +69,7 @@ fn folder(path: &Path) -> PathBuf {
     path.parent().map_or_else(PathBuf::new, Path::to_owned)
 }
 
-/// Without numbers and names in brackets: `frames[3] (images/a.png).file_path` is the field of many frames.
+/// `text` without numbers and names in brackets: `frames[3] (images/a.png).file_path` is the field of many frames.
 fn plain(text: &str) -> String {
     let mut depth = 0_usize;
     let keep = |c: &char| {

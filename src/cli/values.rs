@@ -1,0 +1,16 @@
+//! Values of options that are numbers.
+
+use std::str::FromStr;
+
+/// Exactly `N` numbers with `separator` between them.
+pub fn numbers<T: FromStr, const N: usize>(text: &str, separator: char) -> Option<[T; N]> {
+    let values = text.split(separator).map(|value| value.trim().parse().ok());
+    values.collect::<Option<Vec<T>>>()?.try_into().ok()
+}
+
+/// The cap of a splat's opacity.
+pub fn alpha_max(text: &str) -> Result<f64, String> {
+    let alpha = text.trim().parse().ok();
+    let alpha = alpha.filter(|alpha: &f64| *alpha > 0.0 && *alpha <= 1.0);
+    alpha.ok_or_else(|| "expected a number above 0, at most 1".into())
+}
