@@ -135,7 +135,7 @@ impl Command {
 /// Where to compute, for several commands.
 #[derive(Args, Debug)]
 pub struct BackendArgs {
-    /// Where to compute: wgpu, flex, ndarray or cuda [default: the first in this build that works, never cuda]
+    /// Where to compute: wgpu, flex, ndarray or cuda [default: the first that works, never cuda]
     #[arg(long, value_name = "NAME")]
     backend: Option<BackendName>,
 }

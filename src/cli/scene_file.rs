@@ -41,18 +41,19 @@ pub fn scene_path(given: &Path) -> Result<PathBuf> {
         return Ok(newest);
     }
     let files = std::fs::read_dir(given).into_iter().flatten().flatten();
-    let other = files
+    let plys = files
         .map(|entry| entry.path())
-        .filter(|path| has_extension(path, "ply"))
-        .min();
-    let (found, help) = match &other {
-        Some(path) => (
-            format!("no such file, but {}", path.display()),
-            format!("give {}", path.display()),
-        ),
-        None => ("no such file".to_owned(), HELP.to_owned()),
-    };
-    Err(Error::input(given, SCENE, found, "a run folder", help))
+        .filter(|path| has_extension(path, "ply"));
+    let help = plys
+        .min()
+        .map_or(HELP.to_owned(), |other| format!("give {}", other.display()));
+    Err(Error::input(
+        given,
+        SCENE,
+        "no such file",
+        "a run folder",
+        help,
+    ))
 }
 
 /// The Gaussians of the last iteration in a model folder of graphdeco's 3DGS: point_cloud/iteration_N/point_cloud.ply.

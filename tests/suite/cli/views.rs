@@ -460,11 +460,7 @@ fn files_that_are_something_else_are_named() {
         &["scene.ply: found no such file", "a run folder"],
     );
     fs::rename(&ply, run.join("other.ply")).unwrap();
-    refused(
-        &run,
-        &[],
-        &["no such file, but other.ply", "give", "run/other.ply"],
-    );
+    refused(&run, &[], &["other.ply", "give", "run/other.ply"]);
     fs::remove_file(&json).unwrap();
     refused(
         &run.join("other.ply"),

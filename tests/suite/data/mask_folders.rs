@@ -136,51 +136,6 @@ fn masks_are_turned_off() {
 }
 
 #[test]
-fn a_run_of_before_there_were_masks_goes_on_without() {
-    let folder = tempfile::tempdir().unwrap();
-    let dir = folder.path();
-    plates::scene(dir);
-    let run = dir.join("run");
-    short_run(dir, &run);
-    let scores = || succeeds(&["eval", utf8(&run), "--json"]);
-    let before = scores();
-    let file = run.join("config.toml");
-    let text = fs::read_to_string(&file).unwrap();
-    let lines = text
-        .lines()
-        .filter(|line| !line.starts_with("masks"))
-        .map(|line| format!("{line}\n"));
-    fs::write(&file, lines.collect::<String>()).unwrap();
-    // Held-out and training photos get masks that were not looked at then.
-    for i in 0..6 {
-        write(
-            &dir.join(format!("masks/v{i}.png")),
-            (WIDTH as u32, HEIGHT as u32),
-            30,
-        );
-    }
-    edit(dir, |v| {
-        (0..6).for_each(|i| v["frames"][i]["mask_path"] = json!(format!("masks/v{i}.png")))
-    });
-    assert_eq!(scores(), before);
-    succeeds(&["train", "--resume", utf8(&run)]);
-    assert!(
-        fs::read_to_string(&file)
-            .unwrap()
-            .contains("\nmasks = \"none\"\n")
-    );
-    // Who wants them says so, and hears that they change what was trained on.
-    let message = fails(
-        &["train", "--resume", utf8(&run), "--set", "data.masks=masks"],
-        1,
-    );
-    assert!(
-        message.contains("setting data.masks: found \"masks\", expected \"\""),
-        "{message}"
-    );
-}
-
-#[test]
 fn points_of_depth_images_are_not_of_what_is_left_out() {
     let folder = scannet::scene();
     let whole = load(folder.path(), &LoadOptions::default()).unwrap().points;

@@ -500,7 +500,7 @@ fn folders_of_masks_are_one_map_each() {
     assert!(message.contains("data.association"), "{message}");
     let message = fails(
         &["data", "check", utf8(dir), "--set", "data.raw_format=coco"],
-        1,
+        2,
     );
     assert!(message.contains("coco_panoptic"), "{message}");
 }

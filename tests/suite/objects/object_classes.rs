@@ -211,8 +211,7 @@ fn runs_score_objects_by_class_and_eval_says_the_same() {
         "--out",
         utf8(&out),
     ]);
-    let all =
-        "by class: mIoU 1.0000, accuracy 1.0000, PQ 1.0000, of things 1.0000, of stuff 1.0000";
+    let all = "by class: mIoU 1.0000, mIoU per view 1.0000, accuracy 1.0000, PQ 1.0000, PQ of things 1.0000";
     assert!(
         said.contains(&format!("maps, {all}")) && said.contains(&format!("rendered, {all}")),
         "{said}"

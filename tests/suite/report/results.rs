@@ -1,4 +1,4 @@
-//! The run folder's results: what is written, in which shape, and that the page stands alone.
+//! The results in a run folder: files, layouts, and a page that needs no other file.
 
 use coseg::config::{Config, Variant};
 use coseg::data::{Class, Classes, LabelMap, Split, View};
@@ -394,7 +394,7 @@ fn assert_finite(page: &str) {
 #[track_caller]
 fn assert_balanced(page: &str) {
     let mut open: Vec<String> = Vec::new();
-    let empty = ["meta", "img", "!doctype"];
+    let empty = ["meta", "img", "!DOCTYPE"];
     for tag in page.split('<').skip(1) {
         let inner = tag.split('>').next().unwrap();
         let name: String = inner
