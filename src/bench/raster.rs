@@ -6,8 +6,8 @@ use crate::error::{Error, Result};
 use crate::objects::{RenderOptions, Renderer};
 use crate::random::{Purpose, stream};
 use crate::raster::{
-    ListCount, PairCounts, Projected, RasterInput, RasterOutput, Settings, rasterize_with_room,
-    room_for,
+    ListCount, PairCounts, Projected, RasterInput, RasterOutput, Settings, rasterize_with_capacity,
+    tile_capacity,
 };
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
@@ -109,13 +109,14 @@ impl Rendering<'_> {
         let mut capacities = vec![None; self.cameras.len()];
         let passes = Samples::of(self.bench.effort.repeats, || {
             for (camera, capacity) in self.cameras.iter().zip(&mut capacities) {
-                let (output, lists) = rasterize_with_room(
+                let output = rasterize_with_capacity(
                     input.clone(),
                     camera,
                     &settings,
                     raster.background,
                     *capacity,
                 )?;
+                let tile_lists = output.tile_lists.clone();
                 let Some(value) = finish(output) else {
                     continue;
                 };
@@ -124,10 +125,10 @@ impl Rendering<'_> {
                 } else {
                     value
                 };
-                let summary = std::iter::once(value.reshape([1])).chain(lists.as_tensor());
-                let values = read("a rendered view", Tensor::cat(summary.collect(), 0))?;
+                let both = Tensor::cat(vec![value.reshape([1]), tile_lists], 0);
+                let values = read("a rendered view", both)?;
                 let count = ListCount::from_values(black_box(&values[1..]));
-                *capacity = count.map(|count| room_for(count.entries));
+                *capacity = count.map(|count| tile_capacity(count.entries));
             }
             Ok(())
         })?;

@@ -1,6 +1,6 @@
 //! Folders of masks: which one is looked into, how files in it are named, when none is, and what is told of them.
 
-use crate::cli::commands::{fails, short_run, succeeds, utf8};
+use crate::cli::commands::{succeeds, utf8};
 use crate::data::blender;
 use crate::data::colmap;
 use crate::data::data_check::edit;
