@@ -119,10 +119,13 @@ fn lines(figures: &[Figure]) -> String {
     let mut rows = vec![["", "", "median", "spread"].map(str::to_owned).to_vec()];
     let mut last = "";
     for figure in figures {
-        let is_new = figure.case != last;
+        let case = match &figure.case {
+            case if case == last => String::new(),
+            case => case.clone(),
+        };
         last = &figure.case;
         rows.push(vec![
-            is_new.then(|| figure.case.clone()).unwrap_or_default(),
+            case,
             figure.name.clone(),
             figure.value(),
             figure.spread(),
