@@ -71,6 +71,7 @@ pub mod objects;
 pub mod ops;
 pub mod pipeline;
 pub mod progress;
+pub mod provenance;
 pub mod random;
 pub mod raster;
 pub mod reconstruction;

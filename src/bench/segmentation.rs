@@ -6,7 +6,7 @@ use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::features::SCALES;
 use crate::pipeline::train_decoder::{Plan, Recalls, train_step};
-use crate::pipeline::{Inputs, Seen, Spatial, decoder_row};
+use crate::pipeline::{Inputs, LiftedFeatures, Spatial, decoder_row};
 use crate::random::{Purpose, stream};
 use crate::raster::Settings;
 use crate::segmentation::loss::Kind;
@@ -34,7 +34,7 @@ pub(super) fn measure(
     let inputs = Inputs {
         scene: &scene,
         gaussians,
-        seen: Some(random_features(gaussians.len(), config)),
+        lifted: Some(random_features(gaussians.len(), config)),
         semantics: None,
         config,
         settings: Settings::from(&config.raster),
@@ -86,7 +86,7 @@ fn labelled_views(bench: &Bench) -> Option<Scene> {
 }
 
 /// Random numbers in place of the image features of `count` Gaussians.
-fn random_features(count: usize, config: &Config) -> Seen {
+fn random_features(count: usize, config: &Config) -> LiftedFeatures {
     let mut rng = stream(config.seed, Purpose::Benchmark, 0);
     let dimensions = config.features.dimensions;
     let lifted: [Vec<f32>; SCALES] = std::array::from_fn(|_| {
@@ -94,7 +94,7 @@ fn random_features(count: usize, config: &Config) -> Seen {
             .map(|_| rng.random_range(-1.0..1.0))
             .collect()
     });
-    Seen {
+    LiftedFeatures {
         kept: (0..count as u32).collect(),
         lifted,
         dimensions,

@@ -1,21 +1,27 @@
-//! The two stages of training: building Gaussians from photos, then segmentation identities; checkpoints, progress.
+//! The pipeline of a run, in the paper's order.
+//!
+//! ```text
+//! photos -> reconstruct -> (associate) -> lift -> encode -> decode -> identities -> label maps and objects
+//! ```
+//!
+//! [`run`] calls the steps in order; each has a file of its name. `variants` trains and scores the lines of the label table,
+//! `evaluate` holds the scores, `initial_scene` reads Gaussians of another trainer.
 
 pub mod train_decoder;
+
+mod associate;
+pub(crate) mod encode;
+pub(crate) mod evaluate;
+mod initial_scene;
+pub(crate) mod lift;
+mod reconstruct;
+mod run;
 pub(crate) mod variants;
 
-pub(crate) mod compactness;
-pub(crate) mod given;
-pub(crate) mod held_out;
-pub(crate) mod pictures;
-pub(crate) mod provenance;
-pub(crate) mod pruned;
-pub(crate) mod run;
-pub(crate) mod segmentation_inputs;
-
-pub use self::given::compare_with_photos;
-pub use self::pictures::{Pictures, score_images};
-pub use self::provenance::Provenance;
-pub use self::pruned::Pruned;
-pub use self::run::{Associated, Outcome, Seconds, load_scene, run};
-pub use self::segmentation_inputs::{Inputs, Seen, Spatial};
+pub use self::associate::Associated;
+pub use self::encode::{Inputs, Spatial};
+pub use self::evaluate::{Pictures, score_images};
+pub use self::initial_scene::compare_with_photos;
+pub use self::lift::{LiftedFeatures, Pruned};
+pub use self::run::{Outcome, Seconds, load_scene, run};
 pub use self::variants::{VariantOutcome, decoder_row};

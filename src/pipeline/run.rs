@@ -1,29 +1,25 @@
 //! The main job: a scene in, a segmented Gaussian scene out, with everything that a report needs.
 
-use super::given::begin;
-use super::pictures::score_images;
-use super::provenance::Provenance;
-use super::pruned::{Attendance, Pruned};
-use super::segmentation_inputs::Inputs;
-use super::variants::{TrainedRows, VariantOutcome, run_rows};
-use crate::checkpoint::Checkpoint;
-use crate::config::{Association, Config, SegmentationConfig, Variant};
+use super::associate::{Associated, associate};
+use super::encode::Inputs;
+use super::evaluate::score_images;
+use super::lift::{Pruned, lift};
+use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
+use super::variants::{VariantOutcome, run_rows};
+use crate::config::{Association, Config, Variant};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::metrics::ImageScores;
-use crate::objects::{self, Identities, Semantics, associate_until, has_truth};
-use crate::progress::{CurvePoint, Progress, Viewing};
+use crate::objects::{Identities, Semantics, has_truth};
+use crate::progress::{CurvePoint, Progress};
 use crate::raster::Settings;
-use crate::reconstruction::building::BuildingStage;
-use crate::reconstruction::building_state::BuildingState;
-use crate::splat::{Gaussians, ply};
+use crate::splat::Gaussians;
 use burn::tensor::Device;
-use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Instant;
 
-/// Seconds spent in each part of the job; evaluations are part of the stage they belong to. Training of earlier parts of a
-/// resumed run counts; what such a run does again (loading, association, features, unprojection) counts once.
+/// Seconds spent in each part of the job; evaluations count in their stage. Training in earlier parts of a resumed run counts;
+/// steps that it repeats (loading, association, features, unprojection) count once.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Seconds {
     /// Stage one.
@@ -38,24 +34,9 @@ pub struct Seconds {
     pub total: f64,
 }
 
-/// What association made of the raw labels.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Associated {
-    /// Segments of the training views.
-    pub segments: usize,
-    /// Objects that they show.
-    pub objects: usize,
-    /// Segments that belong to none.
-    pub dropped: usize,
-    /// Segments that were divided among several.
-    pub divided: usize,
-    /// Seconds that it took.
-    pub seconds: f64,
-}
-
-/// All that a run made.
+/// The results of a run.
 pub struct Outcome {
-    /// The scene as loaded; after association its classes are objects and its raw labels say which.
+    /// The scene as loaded; after association its classes and raw labels are objects.
     pub scene: Scene,
     /// The trained Gaussians in spatial order, after attendance pruning.
     pub gaussians: Gaussians,
@@ -69,7 +50,7 @@ pub struct Outcome {
     pub association: Option<Associated>,
     /// What the classes of objects are scored against, where association found objects with classes.
     pub semantics: Option<Semantics>,
-    /// Rows of the label table, in the order of the configuration; empty without labels.
+    /// Variants of the label table, in the order of the settings; empty without labels.
     pub rows: Vec<VariantOutcome>,
     /// Where the 2D features came from; empty when none were needed.
     pub features: String,
@@ -77,23 +58,43 @@ pub struct Outcome {
     pub spatial: String,
     /// Where the time went.
     pub seconds: Seconds,
-    /// The settings as they ran: where none named the rows, those that were chosen.
+    /// The settings as they ran, with the chosen variants where none were named.
     pub config: Config,
-    /// Whether `progress` ended the run before it was done. What it had not come to is empty here, a row that it was in the
-    /// middle of has no identities, and half-built Gaussians have no scores; [`run`] goes on with it.
+    /// Whether `progress` stopped the run. Later results are empty then, the variant in training has no identities, and
+    /// half-built Gaussians have no scores. [`run`] resumes it.
     pub stopped: bool,
-    /// Seconds of training in stage two that earlier parts of a resumed run took.
-    earlier_segmentation: f64,
 }
 
 impl Outcome {
-    /// Whether to do nothing more: the run was stopped, or is now.
-    fn stops(&mut self, progress: &mut dyn Progress) -> bool {
-        self.stopped = self.stopped || progress.stop();
-        self.stopped
+    /// After stage one.
+    fn new(
+        scene: Scene,
+        config: &Config,
+        reconstruction: Reconstruction,
+        test: ImageScores,
+    ) -> Self {
+        Self {
+            scene,
+            gaussians: reconstruction.gaussians,
+            building: reconstruction.curve,
+            test,
+            pruned: None,
+            association: None,
+            semantics: None,
+            rows: Vec::new(),
+            features: String::new(),
+            spatial: String::new(),
+            seconds: Seconds {
+                building: reconstruction.seconds,
+                total: reconstruction.earlier,
+                ..Seconds::default()
+            },
+            config: config.clone(),
+            stopped: false,
+        }
     }
 
-    /// The row whose identities the scene stores: `ours` where it was trained, else the last with identities.
+    /// The variant whose identities the scene stores: `ours` where it was trained, else the last with identities.
     pub fn stored(&self) -> Option<(&VariantOutcome, &Identities)> {
         let with = |row: &VariantOutcome| row.identities.is_some();
         let row = self.rows.iter().find(|r| r.row == Variant::Ours && with(r));
@@ -130,11 +131,11 @@ fn load(config: &Config, options: impl FnOnce(&Config) -> LoadOptions) -> Result
     }
 }
 
-/// Runs both stages, or as much of them as `progress` does not stop. Checkpoints go to and come from `out/checkpoint`; a run
-/// that finds its own there goes on.
+/// Runs the pipeline on the scene that `config` names, until `progress` stops it: reconstruct, associate, lift, and for each
+/// variant encode, decode and score. Checkpoints lie in `out/checkpoint`; a run that finds its own there resumes.
 ///
 /// # Errors
-/// Those of loading, of both stages, and of writing; nothing written before is lost.
+/// Those of loading, of both stages, and of writing. Files written before stay.
 pub fn run(
     config: &Config,
     out: &Path,
@@ -143,280 +144,102 @@ pub fn run(
 ) -> Result<Outcome> {
     let start = Instant::now();
     let scene = load(config, LoadOptions::for_training)?;
-    let config = &match &config.segmentation.rows {
-        None => {
-            // As stage two will know them: association has yet to come.
-            let semantics = Semantics::of(&scene);
-            let scored = |view: &View| has_truth(view, config.data.association, semantics.as_ref());
-            let scored = scene.split(Split::Test).any(scored);
-            let rows = Some(if scored {
-                Variant::COMPARED.to_vec()
-            } else {
-                Variant::UNSCORED.to_vec()
-            });
-            Config {
-                segmentation: SegmentationConfig {
-                    rows,
-                    ..config.segmentation.clone()
-                },
-                ..config.clone()
-            }
-        }
-        Some(_) => config.clone(),
-    };
+    let config = &with_variants(config, &scene);
     if !config.segmentation.rows().is_empty() && !has_raw_labels(&scene) {
         tracing::warn!(
             "no training view has raw labels: only the Gaussians are built (raw_label_path in transforms.json or the folder \
-             data.raw_labels names them; segmentation.rows = [] says that none are meant)"
+             data.raw_labels names them; set segmentation.rows = [] if there are none)"
         );
     }
-    let settings = Settings::from(&config.raster);
-    let (checkpoints, scene_file) = (out.join("checkpoint"), out.join("scene.ply"));
-    // Before anything is written: a file that cannot be begun with leaves no run behind.
-    let begun = match &config.building.gaussians {
-        Some(path) if !checkpoints.join(BUILDING).is_file() || config.building.iterations == 0 => {
-            Some(begin(path, &scene, config, &scene_file, device)?)
-        }
-        _ => None,
-    };
-    std::fs::create_dir_all(&checkpoints).map_err(|e| Error::io(&checkpoints, "create", e))?;
-    let mut seconds = Seconds::default();
-
-    let clock = Instant::now();
-    let Built {
-        gaussians,
-        curve: building,
-        earlier,
-        anew,
-        whole,
-    } = match begun {
-        Some(gaussians) if config.building.iterations == 0 => {
-            taken(gaussians, &scene, config, &checkpoints)?
-        }
-        begun => build(&scene, config, begun, &checkpoints, device, progress)?,
-    };
-    // What a finished run wrote stays until another result is there.
-    if anew || !scene_file.exists() {
-        ply::write(&scene_file, &gaussians, scene.origin, None)?;
-    }
-    seconds.building = clock.elapsed().as_secs_f64() + earlier;
-
-    // Whoever stops a run is not kept waiting.
-    let test = if whole {
-        score_images(&gaussians, &scene, config, device)?
+    let files = RunFiles::new(out);
+    let reconstruction = reconstruct(&scene, config, &files, device, progress)?;
+    // A run that is stopped ends without delay.
+    let test = if reconstruction.complete {
+        score_images(&reconstruction.gaussians, &scene, config, device)?
     } else {
         ImageScores::default()
     };
-    let mut outcome = Outcome {
-        gaussians,
-        building,
-        test,
-        pruned: None,
-        association: None,
-        semantics: None,
-        rows: Vec::new(),
-        features: String::new(),
-        spatial: String::new(),
-        seconds,
-        config: config.clone(),
-        stopped: !whole,
-        earlier_segmentation: 0.0,
-        scene,
-    };
-    let segments = config.data.association == Association::Gaussians;
-    if segments
-        && outcome.scene.split(Split::Train).any(|v| v.raw.is_some())
-        && !outcome.stops(progress)
-    {
-        put_together(&mut outcome, progress)?;
+    let mut stopped = !reconstruction.complete;
+    let mut outcome = Outcome::new(scene, config, reconstruction, test);
+
+    let segments = config.data.association == Association::Gaussians
+        && outcome
+            .scene
+            .split(Split::Train)
+            .any(|view| view.raw.is_some());
+    stopped = stopped || segments && progress.stop();
+    if segments && !stopped {
+        match associate(&outcome.gaussians, &mut outcome.scene, config, progress)? {
+            Some((counts, semantics)) => {
+                outcome.association = Some(counts);
+                outcome.semantics = semantics;
+            }
+            None => stopped = true,
+        }
     }
-    if has_raw_labels(&outcome.scene)
-        && !config.segmentation.rows().is_empty()
-        && !outcome.stops(progress)
-    {
-        outcome.seconds.segmentation =
-            segment(&mut outcome, &settings, &checkpoints, device, progress)?;
+
+    let segmented = has_raw_labels(&outcome.scene) && !config.segmentation.rows().is_empty();
+    stopped = stopped || segmented && progress.stop();
+    let mut earlier_stage_two = 0.0;
+    if segmented && !stopped {
+        match lift(
+            &outcome.gaussians,
+            &outcome.scene,
+            test,
+            config,
+            device,
+            progress,
+        )? {
+            Some(lifted) => {
+                outcome.gaussians = lifted.gaussians;
+                outcome.test = lifted.pruned.scores_after;
+                outcome.pruned = Some(lifted.pruned);
+                [outcome.seconds.features, outcome.seconds.unprojection] = lifted.seconds;
+                let features = lifted.features;
+                outcome.features = features.as_ref().map_or(String::new(), |f| f.name.clone());
+                let clock = Instant::now();
+                let inputs = Inputs {
+                    scene: &outcome.scene,
+                    gaussians: &outcome.gaussians,
+                    lifted: features,
+                    semantics: outcome.semantics.as_ref(),
+                    config,
+                    settings: Settings::from(&config.raster),
+                    device,
+                };
+                let trained = run_rows(&inputs, &files.checkpoints, progress)?;
+                outcome.rows = trained.rows;
+                outcome.spatial = trained.spatial;
+                stopped = trained.stopped;
+                earlier_stage_two = trained.earlier;
+                outcome.seconds.segmentation = clock.elapsed().as_secs_f64() + trained.earlier;
+            }
+            None => stopped = true,
+        }
     }
-    outcome.seconds.total = start.elapsed().as_secs_f64() + earlier + outcome.earlier_segmentation;
+    outcome.stopped = stopped;
+    outcome.seconds.total += start.elapsed().as_secs_f64() + earlier_stage_two;
     Ok(outcome)
+}
+
+/// `config` with the variants to train: the default ones where it names none.
+fn with_variants(config: &Config, scene: &Scene) -> Config {
+    let mut config = config.clone();
+    if config.segmentation.rows.is_none() {
+        // The semantics of stage two: association has yet to come.
+        let semantics = Semantics::of(scene);
+        let scored = |view: &View| has_truth(view, config.data.association, semantics.as_ref());
+        let variants = if scene.split(Split::Test).any(scored) {
+            Variant::COMPARED.to_vec()
+        } else {
+            Variant::UNSCORED.to_vec()
+        };
+        config.segmentation.rows = Some(variants);
+    }
+    config
 }
 
 /// Whether stage two has something to train on.
 fn has_raw_labels(scene: &Scene) -> bool {
     scene.split(Split::Train).any(|view| view.raw.is_some()) && !scene.classes.is_empty()
-}
-
-/// What stage one gave.
-struct Built {
-    /// In spatial order.
-    gaussians: Gaussians,
-    curve: Vec<CurvePoint>,
-    /// Seconds of it that earlier parts of a resumed run took.
-    earlier: f64,
-    /// Whether this part of the run did any of it.
-    anew: bool,
-    /// Whether it is done; otherwise it was stopped.
-    whole: bool,
-}
-
-/// Checkpoint of stage one.
-const BUILDING: &str = "building.safetensors";
-/// What stage one came from where its Gaussians were taken as they are.
-const GIVEN: &str = "given.safetensors";
-/// Kind of that checkpoint.
-const GIVEN_KIND: &str = "given Gaussians";
-
-/// Stage one that takes `gaussians` as they are. A run that goes on has to have begun with them, and with these photos.
-fn taken(
-    gaussians: Gaussians,
-    scene: &Scene,
-    config: &Config,
-    checkpoints: &Path,
-) -> Result<Built> {
-    let (built, file) = (checkpoints.join(BUILDING), checkpoints.join(GIVEN));
-    let provenance = Provenance::given(config, scene, &gaussians);
-    if built.is_file() {
-        provenance.check_built(&BuildingState::load(&built)?.provenance, scene, &built)?;
-    }
-    let anew = !file.is_file();
-    if anew {
-        let mut checkpoint = Checkpoint::new(GIVEN_KIND);
-        checkpoint.set("provenance", &provenance)?;
-        checkpoint.save(&file)?;
-    } else {
-        provenance.check_built(
-            &Checkpoint::load(&file, GIVEN_KIND)?.get("provenance")?,
-            scene,
-            &file,
-        )?;
-    }
-    let gaussians = gaussians.select(&gaussians.spatial_order());
-    Ok(Built {
-        gaussians,
-        curve: Vec::new(),
-        earlier: 0.0,
-        anew,
-        whole: true,
-    })
-}
-
-/// Stage one from its checkpoint, or from the Gaussians `begun`, or from points.
-fn build(
-    scene: &Scene,
-    config: &Config,
-    begun: Option<Gaussians>,
-    checkpoints: &Path,
-    device: &Device,
-    progress: &mut dyn Progress,
-) -> Result<Built> {
-    let (checkpoint, given) = (checkpoints.join(BUILDING), checkpoints.join(GIVEN));
-    if given.is_file() {
-        let stored = Checkpoint::load(&given, GIVEN_KIND)?.get("provenance")?;
-        Provenance::building(config, scene).check_built(&stored, scene, &given)?;
-    }
-    let mut stage = match (checkpoint.is_file(), begun) {
-        (true, _) => {
-            BuildingStage::from_state(scene, config, device, BuildingState::load(&checkpoint)?)?
-        }
-        (false, Some(gaussians)) => {
-            let gaussians = gaussians.with_sh_degree(config.building.sh_degree);
-            BuildingStage::from_state(
-                scene,
-                config,
-                device,
-                BuildingState::new(gaussians, config.seed),
-            )?
-        }
-        (false, None) => BuildingStage::new(scene, config, device)?,
-    }
-    .checkpoint_at(checkpoint);
-    let (earlier, before) = (stage.seconds(), stage.iteration());
-    stage.run(progress)?;
-    let gaussians = stage.gaussians()?;
-    Ok(Built {
-        gaussians: gaussians.select(&gaussians.spatial_order()),
-        curve: stage.curve().to_vec(),
-        earlier,
-        anew: stage.iteration() > before,
-        whole: stage.iteration() >= config.building.iterations,
-    })
-}
-
-/// Makes objects of the segments that the raw labels of the scene hold, unless it is stopped before they are. They are not
-/// stored: a run that is gone on with makes them again, and the same ones.
-fn put_together(outcome: &mut Outcome, progress: &mut dyn Progress) -> Result<()> {
-    let Outcome {
-        scene,
-        gaussians,
-        config,
-        ..
-    } = outcome;
-    let (clock, settings) = (Instant::now(), Settings::from(&config.raster));
-    let looks = objects::Association::looks(scene, &config.association);
-    let mut viewing = Viewing::begin(progress, "association", looks);
-    let looked = &mut |views| viewing.looked(views);
-    let ControlFlow::Continue(found) =
-        associate_until(gaussians, scene, &config.association, &settings, looked)?
-    else {
-        outcome.stopped = true;
-        return Ok(());
-    };
-    viewing.end();
-    let (segments, objects) = (found.segments, found.groups.len());
-    let (dropped, divided) = (found.dropped, found.divided);
-    // Before the true labels that it is made of leave the scene.
-    outcome.semantics = Semantics::of(scene);
-    found.apply(scene);
-    let seconds = clock.elapsed().as_secs_f64();
-    outcome.association = Some(Associated {
-        segments,
-        objects,
-        dropped,
-        divided,
-        seconds,
-    });
-    Ok(())
-}
-
-/// Stage two; returns its seconds, those that earlier parts of a resumed run took included.
-fn segment(
-    outcome: &mut Outcome,
-    settings: &Settings,
-    checkpoints: &Path,
-    device: &Device,
-    progress: &mut dyn Progress,
-) -> Result<f64> {
-    let config = &outcome.config.clone();
-    let attendance = Attendance::of(
-        &outcome.scene,
-        &outcome.gaussians,
-        config,
-        settings,
-        device,
-        progress,
-    )?;
-    let (Some(attendance), false) = (attendance, progress.stop()) else {
-        outcome.stopped = true;
-        return Ok(0.0);
-    };
-    let seen = attendance.apply(outcome, device)?;
-    let clock = Instant::now();
-    let inputs = Inputs {
-        scene: &outcome.scene,
-        gaussians: &outcome.gaussians,
-        seen,
-        semantics: outcome.semantics.as_ref(),
-        config,
-        settings: *settings,
-        device,
-    };
-    let TrainedRows {
-        rows,
-        spatial,
-        earlier,
-        stopped,
-    } = run_rows(&inputs, checkpoints, progress)?;
-    (outcome.rows, outcome.spatial, outcome.earlier_segmentation) = (rows, spatial, earlier);
-    outcome.stopped = stopped;
-    Ok(clock.elapsed().as_secs_f64() + earlier)
 }

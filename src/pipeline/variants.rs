@@ -1,9 +1,7 @@
 //! The rows of the label table: what each is, and its training and scoring.
 
-use super::compactness::Compacting;
-use super::held_out::{HeldOut, Scores};
-use super::provenance::Provenance;
-use super::segmentation_inputs::{Inputs, Spatial};
+use super::encode::{Inputs, Spatial};
+use super::evaluate::{HeldOut, NeighbourAgreement, Scores};
 use super::train_decoder::{
     Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Session, Source, TrainingViews, train,
 };
@@ -12,7 +10,9 @@ use crate::error::Result;
 use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
 use crate::objects::Identities;
 use crate::progress::{CurvePoint, Progress};
+use crate::provenance::Provenance;
 use crate::segmentation::decoder::DecoderConfig;
+use crate::segmentation::encoder::spatial_digest;
 use crate::segmentation::loss::Kind;
 use std::path::Path;
 
@@ -108,7 +108,7 @@ pub fn run_rows(
     let config = &inputs.config.segmentation;
     let held_out = HeldOut::new(inputs)?;
     let mut views = inputs.training_views();
-    let compacting = Compacting::new(inputs)?;
+    let neighbours = NeighbourAgreement::new(inputs)?;
     let mut spatial = Spatial::default();
     let (mut rows, mut earlier, mut stopped) = (Vec::new(), 0.0, false);
     for (number, &row) in config.rows().iter().enumerate() {
@@ -159,7 +159,7 @@ pub fn run_rows(
             }
         };
         rows.push(VariantOutcome {
-            compactness: outcome.identities.as_ref().map(|i| compacting.of(i)),
+            compactness: outcome.identities.as_ref().map(|i| neighbours.of(i)),
             ..outcome
         });
         // Where nothing is left there is nothing to stop.
@@ -201,6 +201,29 @@ fn loss(row: Variant, config: &SegmentationConfig) -> Result<Kind> {
     }
 }
 
+/// What the training of `variant` follows from.
+///
+/// # Errors
+/// [`crate::Error::Io`] when the file of the point encoder's weights cannot be read.
+fn provenance(variant: Variant, inputs: &Inputs) -> Result<Provenance> {
+    let decoder = variant.trains_decoder();
+    let mut provenance =
+        Provenance::stage_two(inputs.config, inputs.scene, inputs.gaussians, decoder);
+    if let Some(lifted) = &inputs.lifted
+        && decoder
+        && variant != Variant::NoImageFeatures
+    {
+        provenance = provenance.with_image_features(&lifted.content);
+    }
+    if decoder
+        && !matches!(variant, Variant::NoSpatial | Variant::RandomSpatial)
+        && let Some(weights) = spatial_digest(&inputs.config.spatial)?
+    {
+        provenance = provenance.with_point_encoder(&weights);
+    }
+    Ok(provenance)
+}
+
 /// Trains `row` and scores it.
 fn trained(
     row: Variant,
@@ -226,7 +249,7 @@ fn trained(
         eval_every: tenth(config.eval_every),
         checkpoint_every: tenth(config.checkpoint_every),
         checkpoint: Some(checkpoints.join(format!("{}.safetensors", row.key()))),
-        provenance: Provenance::row(row, inputs)?,
+        provenance: provenance(row, inputs)?,
     };
     let device = inputs.device.clone().autodiff();
     let classes = inputs.scene.classes.len();

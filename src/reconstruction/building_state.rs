@@ -4,8 +4,8 @@ use super::densify::DensityStats;
 use super::parameters::{Moments, NAMES, widths, zero_moments};
 use crate::checkpoint::Checkpoint;
 use crate::error::Result;
-use crate::pipeline::provenance::Provenance;
 use crate::progress::CurvePoint;
+use crate::provenance::Provenance;
 use crate::splat::Gaussians;
 use std::path::Path;
 

@@ -3,8 +3,8 @@
 use super::{Model, Plan, Recalls, TrainingViews, train_step};
 use crate::checkpoint::Checkpoint;
 use crate::error::Result;
-use crate::pipeline::provenance::Provenance;
 use crate::progress::{CurvePoint, Event, Progress};
+use crate::provenance::Provenance;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 

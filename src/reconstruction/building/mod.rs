@@ -14,8 +14,8 @@ use crate::config::Config;
 use crate::data::{Scene, Split, View};
 use crate::error::{Error, Result};
 use crate::metrics::ImageScores;
-use crate::pipeline::provenance::Provenance;
 use crate::progress::{CurvePoint, Event, Progress};
+use crate::provenance::Provenance;
 use crate::raster::{RasterInput, Settings, rasterize};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
@@ -147,11 +147,11 @@ impl<'a> BuildingStage<'a> {
             .iter()
             .chain(&test)
             .try_for_each(|view| view.check_mask())?;
-        let provenance = Provenance::building(config, scene);
+        let provenance = Provenance::stage_one(config, scene);
         if state.provenance.is_known() {
-            provenance.check_built(
+            provenance.check(
                 &state.provenance,
-                scene,
+                false,
                 Path::new("the building checkpoint"),
             )?;
         }

@@ -1,5 +1,4 @@
-//! What a run goes on from: rows do not decide over which Gaussians, other inputs are told by what made them so, and runs of
-//! earlier versions, which recorded less, still go on.
+//! What a run resumes from: variants do not decide over which Gaussians, and a refusal names the setting that made other inputs.
 
 use crate::pipeline::resume::{StopAt, config, same, whole};
 use crate::support::plates;
@@ -13,38 +12,8 @@ use coseg::segmentation::encoder::random_weights;
 use coseg::splat::ply;
 use glam::DVec3;
 use safetensors::tensor::{Dtype, TensorView};
-use serde_json::Value;
-use sha2::{Digest, Sha256};
 use std::fs;
 use std::path::Path;
-
-/// Changes the settings of a checkpoint as they are stored.
-fn edit(path: &Path, change: impl FnOnce(&mut Value)) {
-    let bytes = fs::read(path).expect("read");
-    let length = u64::from_le_bytes(bytes[..8].try_into().expect("8 bytes")) as usize;
-    let mut header: Value = serde_json::from_slice(&bytes[8..8 + length]).expect("JSON");
-    let stored = &mut header["__metadata__"]["coseg"];
-    let mut metadata: Value = serde_json::from_str(stored.as_str().expect("text")).expect("JSON");
-    change(&mut metadata["settings"]);
-    *stored = metadata.to_string().into();
-    let mut text = header.to_string();
-    text.push_str(&" ".repeat(text.len().next_multiple_of(8) - text.len()));
-    let parts = [
-        &(text.len() as u64).to_le_bytes(),
-        text.as_bytes(),
-        &bytes[8 + length..],
-    ];
-    fs::write(path, parts.concat()).expect("written");
-}
-
-/// Takes a member out of a stored provenance.
-fn forget(provenance: &mut Value, key: &str) {
-    provenance
-        .as_object_mut()
-        .expect("an object")
-        .remove(key)
-        .unwrap_or_else(|| panic!("{key} is there"));
-}
 
 fn refusal(config: &Config, out: &Path) -> Error {
     run(config, out, &crate::support::device(), &mut Silent)
@@ -145,21 +114,6 @@ fn rows_do_not_decide_which_gaussians_are_pruned() {
             "per_gaussian.safetensors",
         ],
     );
-    // Earlier versions pruned nothing beside these rows: such a run is told how it goes on.
-    let path = out("kept").join("checkpoint/per_gaussian.safetensors");
-    edit(&path, |settings| {
-        forget(&mut settings["provenance"], "origin")
-    });
-    let error = refusal(&rows(&config, &few), &out("kept"));
-    crate::support::assert_names(
-        &error,
-        &[
-            "per_gaussian.safetensors",
-            "Gaussians",
-            "unprojection.attendance",
-            "as with 0",
-        ],
-    );
     assert_eq!(whole(&kept, &out("kept")).gaussians.len(), all);
     let file = folder.path().join("transforms.json");
     let text = fs::read_to_string(&file)
@@ -226,14 +180,6 @@ fn a_decoder_of_other_image_features_is_refused() {
     write_maps(&maps, 0);
     let done = whole(&config, &out);
     same(&done, &whole(&config, &folder.path().join("at once")));
-    // Earlier versions did not record them: the row goes on.
-    edit(&out.join("checkpoint/ours.safetensors"), |settings| {
-        forget(&mut settings["provenance"]["data"], "image features");
-        forget(&mut settings["provenance"]["data"], "point encoder");
-        forget(&mut settings["provenance"], "origin");
-    });
-    write_maps(&maps, 1);
-    assert_eq!(whole(&config, &out).rows[2].curve, done.rows[2].curve);
 }
 
 #[test]
@@ -321,18 +267,6 @@ fn other_data_is_told_by_the_setting_that_made_it_so() {
     });
     same(&done, &whole(&other, &out));
 
-    // Earlier versions did not record them: they go on, and are told what to look at.
-    for file in [given, row] {
-        edit(&out.join("checkpoint").join(file), |settings| {
-            forget(&mut settings["provenance"], "origin")
-        });
-    }
-    let error = refusal(&with(&|c| c.data.stride = 2), &out);
-    assert!(matches!(error, Error::Input { .. }), "{error}");
-    crate::support::assert_names(
-        &error,
-        &[given, "photos", "the settings of data and association"],
-    );
     same(&done, &whole(&base, &out));
 }
 
@@ -358,78 +292,13 @@ fn other_objects_are_told_by_the_setting_of_association() {
     );
 }
 
-/// The digest of photos by their pixels, as versions made it that decoded them all: of views of loaded scenes without masks.
-fn digest_of_pixels(dir: &Path) -> String {
-    let scene = load(dir, &LoadOptions::default()).expect("scene");
-    let mut all = Sha256::new();
-    for view in &scene.views {
-        let c = &view.camera;
-        let mut hash = Sha256::new();
-        hash.update(format!(
-            "{} {:?} {} {}\n",
-            view.name, view.split, c.width, c.height
-        ));
-        let numbers = c
-            .rotation
-            .to_cols_array()
-            .into_iter()
-            .chain(c.center.to_array());
-        numbers
-            .chain([c.fx, c.fy, c.cx, c.cy])
-            .for_each(|v| hash.update(v.to_le_bytes()));
-        hash.update(view.image.pixels().expect("photo").as_raw());
-        all.update(hash.finalize());
-    }
-    for values in [&scene.points.positions, &scene.points.colors] {
-        values
-            .as_flattened()
-            .iter()
-            .for_each(|v| all.update(v.to_le_bytes()));
-    }
-    format!("{:x}", all.finalize())
-}
-
 #[test]
-fn photos_are_told_by_their_files_and_runs_that_compared_pixels_go_on() {
+fn photos_are_compared_by_their_files_without_decoding() {
     let folder = tempfile::tempdir().expect("a folder");
     plates::scene(folder.path());
     let mut config = rows(&config(folder.path()), &[]);
     config.building.iterations = 6;
-    let (out, whole_out) = (folder.path().join("run"), folder.path().join("whole"));
-    run(
-        &config,
-        &out,
-        &crate::support::device(),
-        &mut StopAt::new("building", 3),
-    )
-    .expect("a part");
-    let path = out.join("checkpoint/building.safetensors");
-    let digest = digest_of_pixels(folder.path());
-    let as_before = |digest: &str| {
-        edit(&path, |settings| {
-            forget(&mut settings["provenance"], "origin");
-            forget(
-                &mut settings["provenance"]["data"],
-                "photos, masks, cameras and points",
-            );
-            settings["provenance"]["data"]["photos, cameras and points"] = digest.into();
-        });
-    };
-    as_before(&digest.replace(&digest[..4], "0000"));
-    crate::support::assert_names(
-        &refusal(&config, &out),
-        &["building checkpoint", "photos", "other data"],
-    );
-    edit(&path, |settings| {
-        settings["provenance"]["data"]["photos, cameras and points"] = digest.clone().into()
-    });
-    same(&whole(&config, &whole_out), &whole(&config, &out));
-    // What goes on records the files.
-    edit(&path, |settings| {
-        assert!(settings["provenance"]["data"]["photos, masks, cameras and points"].is_string())
-    });
-
-    // No photo is decoded to be told: one that nothing looks at need not even be there.
+    // A photo that nothing reads need not even be there.
     let scene = load(
         folder.path(),
         &LoadOptions {

@@ -202,7 +202,8 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     named("segmentation.lr", "0.01", "0.006", &|c| {
         c.segmentation.lr = 0.01
     });
-    named("segmentation.loss.gce.exponent", "0.5", "0.7", &|c| {
+    let gce = |exponent| format!("{{\"gce\":{{\"exponent\":{exponent},\"least_recall\":1.0}}}}");
+    named("segmentation.loss", &gce(0.5), &gce(0.7), &|c| {
         c.segmentation.loss = LabelLoss::Gce {
             exponent: 0.5,
             least_recall: 1.0,

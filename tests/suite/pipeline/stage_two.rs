@@ -354,7 +354,7 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
         let inputs = Inputs {
             scene,
             gaussians,
-            seen: None,
+            lifted: None,
             semantics: None,
             config: &config,
             settings,

@@ -78,7 +78,7 @@ fn resumed_run_equals_uninterrupted_run_across_relocation_and_growth() {
     let refusal = BuildingStage::from_state(&scene, &other, &crate::support::device(), state)
         .err()
         .expect("refused");
-    crate::support::assert_names(&refusal, &["building.strategy.mcmc.growth", "0.1", "0.05"]);
+    crate::support::assert_names(&refusal, &["building.strategy", "0.1", "0.05"]);
 }
 
 #[test]

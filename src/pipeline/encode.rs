@@ -1,132 +1,29 @@
-//! The frozen inputs of stage two: image features lifted onto the Gaussians, spatial features, and their pyramids.
+//! Encoding of a run: the frozen point encoder over the Gaussians, joined with their lifted features.
 
+use super::lift::LiftedFeatures;
 use super::train_decoder::{Encoded, Source, TrainingViews};
-use crate::config::{Config, Encode, SpatialConfig, SpatialSource, Variant};
+use crate::config::{Config, Encode, SpatialSource, Variant};
 use crate::data::{Scene, Split};
 use crate::error::{Error, Result};
-use crate::features::{Reduction, SCALES};
 use crate::objects::Semantics;
-use crate::progress::{Progress, Viewing};
 use crate::raster::{Projected, Settings};
 use crate::segmentation::encoder::{Cloud, Encoding, encode, load_spatial, metres_per_unit};
 use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};
-use crate::segmentation::unprojection::unproject_each;
 use crate::splat::Gaussians;
 use burn::tensor::{Device, Tensor, TensorData};
-use std::ops::ControlFlow;
-use std::time::{Duration, Instant};
 
 /// Scale (zero-based) whose image features the single-scale row reads.
 const SINGLE_SCALE: usize = 0;
 
-/// Image features lifted onto the Gaussians that were seen often enough.
-pub struct Seen {
-    /// Rows of the Gaussians that attendance pruning keeps, ascending.
-    pub kept: Vec<u32>,
-    /// Lifted features of the kept Gaussians per scale, `[N, D]`.
-    pub lifted: [Vec<f32>; SCALES],
-    /// D.
-    pub dimensions: usize,
-    /// Where the features came from.
-    pub name: String,
-    /// What they depend on besides photos and Gaussians, see [`Reduction::content`].
-    pub content: String,
-    /// Seconds of extraction and of unprojection.
-    pub seconds: [f64; 2],
-}
-
-impl Seen {
-    /// Extracts and unprojects features of the training views, a few views at a time. None where `progress` says stop in
-    /// between: nothing of them is kept.
-    ///
-    /// # Errors
-    /// Those of the extractor and of the unprojection.
-    pub fn new(
-        scene: &Scene,
-        gaussians: &Gaussians,
-        config: &Config,
-        settings: &Settings,
-        device: &Device,
-        progress: &mut dyn Progress,
-    ) -> Result<Option<Self>> {
-        let (clock, views) = (Instant::now(), scene.split(Split::Train).count());
-        let mut viewing = Viewing::begin(progress, "features", views);
-        let reduction = Reduction::fit(scene, &config.features, config.seed, device, &mut || {
-            viewing.looked(1)
-        })?;
-        let ControlFlow::Continue(mut reduction) = reduction else {
-            return Ok(None);
-        };
-        viewing.end();
-        if progress.stop() {
-            return Ok(None);
-        }
-        let (name, content) = (reduction.name.clone(), reduction.content.clone());
-        let mut extraction = clock.elapsed();
-        let clock = Instant::now();
-        let mut viewing = Viewing::begin(progress, "unprojection", views);
-        let mut maps = reduction.training_views();
-        let mut reducing = Duration::ZERO;
-        let maps = std::iter::from_fn(|| {
-            let clock = Instant::now();
-            let next = maps.next();
-            reducing += clock.elapsed();
-            next
-        });
-        let (train, looked) = (scene.split(Split::Train), &mut || viewing.looked(1));
-        let lifted = unproject_each(
-            gaussians,
-            train,
-            maps,
-            &config.unprojection,
-            settings,
-            device,
-            looked,
-        )?;
-        let ControlFlow::Continue(lifted) = lifted else {
-            return Ok(None);
-        };
-        extraction += reducing;
-        let unprojection = clock.elapsed().saturating_sub(reducing);
-        viewing.end();
-        let kept: Vec<u32> = (0..gaussians.len() as u32)
-            .filter(|&i| lifted.keep[i as usize])
-            .collect();
-        let dimensions = config.features.dimensions;
-        let mut rows = lifted.features;
-        rows.iter_mut()
-            .for_each(|rows| keep_rows(rows, &kept, dimensions));
-        let seconds = [extraction, unprojection].map(|time| time.as_secs_f64());
-        Ok(Some(Self {
-            lifted: rows,
-            kept,
-            dimensions,
-            name,
-            content,
-            seconds,
-        }))
-    }
-}
-
-/// Leaves the rows `kept` (ascending) of `values`, `[N, width]`: the features of a large scene take a gigabyte, and are not
-/// copied.
-fn keep_rows(values: &mut Vec<f32>, kept: &[u32], width: usize) {
-    for (to, &from) in kept.iter().enumerate() {
-        let from = from as usize * width;
-        values.copy_within(from..from + width, to * width);
-    }
-    values.truncate(kept.len() * width);
-}
-
-/// Everything stage two reads.
+/// The inputs of stage two.
 pub struct Inputs<'a> {
     /// The scene.
     pub scene: &'a Scene,
     /// Its Gaussians, after attendance pruning.
     pub gaussians: &'a Gaussians,
     /// Lifted image features; absent where nothing reads them.
-    pub seen: Option<Seen>,
-    /// What the classes of objects are scored against, where classes are objects that association found.
+    pub lifted: Option<LiftedFeatures>,
+    /// What the classes of objects are scored against, after association.
     pub semantics: Option<&'a Semantics>,
     /// Settings of the run.
     pub config: &'a Config,
@@ -152,14 +49,14 @@ impl<'a> Inputs<'a> {
     }
 }
 
-/// What a row's decoder is shown, and whether the encoder is a random one.
+/// Which inputs a variant leaves out, and whether its point encoder is random.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Flavour {
+struct Ablation {
     switches: Switches,
     random: bool,
 }
 
-impl Flavour {
+impl Ablation {
     fn of(row: Variant) -> Self {
         let switches = Switches {
             image: row != Variant::NoImageFeatures,
@@ -173,13 +70,13 @@ impl Flavour {
     }
 }
 
-/// Encodings of the scene, made at the first row that needs them and shared by the others.
+/// Encodings of the scene, made for the first variant that needs them and shared by the others.
 #[derive(Default)]
 pub struct Spatial {
     /// Where the weights came from; empty until an encoder was needed.
     pub name: String,
     encodings: Option<(bool, Encodings)>,
-    source: Option<(Flavour, Source)>,
+    source: Option<(Ablation, Source)>,
 }
 
 struct Encodings {
@@ -195,26 +92,26 @@ struct EncodedView {
 }
 
 impl Spatial {
-    /// The decoder's input for `row`.
+    /// The input of the decoder of a variant.
     ///
     /// # Errors
     /// Those of the encoder's weights and of the encoding.
     pub fn source(&mut self, row: Variant, inputs: &Inputs) -> Result<&Source> {
-        let flavour = Flavour::of(row);
+        let ablation = Ablation::of(row);
         let made = match self.source.take() {
-            Some((of, source)) if of == flavour => source,
-            _ => self.make(flavour, inputs)?,
+            Some((of, source)) if of == ablation => source,
+            _ => self.make(ablation, inputs)?,
         };
-        Ok(&self.source.insert((flavour, made)).1)
+        Ok(&self.source.insert((ablation, made)).1)
     }
 
-    fn make(&mut self, flavour: Flavour, inputs: &Inputs) -> Result<Source> {
+    fn make(&mut self, ablation: Ablation, inputs: &Inputs) -> Result<Source> {
         let encodings = match self.encodings.take() {
-            Some((random, encodings)) if random == flavour.random => encodings,
-            _ => self.encode(flavour.random, inputs)?,
+            Some((random, encodings)) if random == ablation.random => encodings,
+            _ => self.encode(ablation.random, inputs)?,
         };
         let all: Vec<u32> = (0..inputs.gaussians.len() as u32).collect();
-        let scene = join(&encodings.scene, all, flavour, inputs)?;
+        let scene = join(&encodings.scene, all, ablation, inputs)?;
         let scales = inputs
             .config
             .segmentation
@@ -234,7 +131,7 @@ impl Spatial {
                     Ok(scaled(join(
                         &v.encoding,
                         v.visible.clone(),
-                        flavour,
+                        ablation,
                         inputs,
                     )?))
                 };
@@ -245,19 +142,16 @@ impl Spatial {
                 }
             }
         };
-        self.encodings = Some((flavour.random, encodings));
+        self.encodings = Some((ablation.random, encodings));
         Ok(source)
     }
 
     fn encode(&mut self, random: bool, inputs: &Inputs) -> Result<Encodings> {
         let Config { seed, spatial, .. } = inputs.config;
-        let spatial = match random {
-            true => SpatialConfig {
-                source: SpatialSource::Random,
-                ..spatial.clone()
-            },
-            false => spatial.clone(),
-        };
+        let mut spatial = spatial.clone();
+        if random {
+            spatial.source = SpatialSource::Random;
+        }
         let (encoder, name) = load_spatial(&spatial, *seed, inputs.device)?;
         if !random || self.name.is_empty() {
             self.name = name;
@@ -312,11 +206,11 @@ fn camera_extent(scene: &Scene) -> f64 {
 fn join(
     encoding: &Encoding,
     points: Vec<u32>,
-    flavour: Flavour,
+    ablation: Ablation,
     inputs: &Inputs,
 ) -> Result<Encoded> {
     let image = |scale: usize, rows: &[u32]| {
-        let Some(seen) = &inputs.seen else {
+        let Some(features) = &inputs.lifted else {
             let help = "unproject image features first, or leave them off";
             return Err(Error::argument(
                 "image features",
@@ -325,7 +219,7 @@ fn join(
                 help,
             ));
         };
-        let (lifted, d) = (&seen.lifted[scale], seen.dimensions);
+        let (lifted, d) = (&features.lifted[scale], features.dimensions);
         let mut values = Vec::with_capacity(rows.len() * d);
         for &row in rows {
             values.extend_from_slice(&lifted[points[row as usize] as usize * d..][..d]);
@@ -336,26 +230,7 @@ fn join(
         ))
     };
     Ok(Encoded {
-        pyramid: Pyramid::gathered(encoding, flavour.switches, image)?,
+        pyramid: Pyramid::gathered(encoding, ablation.switches, image)?,
         points,
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::keep_rows;
-
-    #[test]
-    fn kept_rows_stay_in_order() {
-        let all: Vec<f32> = (0..12).map(|v| v as f32).collect();
-        for (kept, want) in [
-            (vec![0, 1, 2, 3], all.clone()),
-            (vec![1, 3], vec![3.0, 4.0, 5.0, 9.0, 10.0, 11.0]),
-            (vec![], vec![]),
-        ] {
-            let mut rows = all.clone();
-            keep_rows(&mut rows, &kept, 3);
-            assert_eq!(rows, want, "{kept:?}");
-        }
-    }
 }

@@ -1,14 +1,14 @@
 //! How compact the identities of the variants are.
 
-use super::segmentation_inputs::Inputs;
 use crate::error::Result;
 use crate::metrics::Compactness;
 use crate::objects::{Identities, NeighbourGraph};
+use crate::pipeline::encode::Inputs;
 
 /// The graph of nearest neighbours of a run, made once for all variants.
-pub(crate) struct Compacting(NeighbourGraph);
+pub(crate) struct NeighbourAgreement(NeighbourGraph);
 
-impl Compacting {
+impl NeighbourAgreement {
     /// The graph over the Gaussians of `inputs`.
     ///
     /// # Errors

@@ -1,6 +1,6 @@
-//! Gaussians that another run or another trainer made, as the start of a run.
+//! The initial scene of a run: Gaussians of another run or another trainer.
 
-use super::pictures::Pictures;
+use super::evaluate::Pictures;
 use crate::config::Config;
 use crate::data::{Limits, Scene, Split, atomic};
 use crate::error::{Error, Result};
@@ -8,20 +8,20 @@ use crate::splat::{Gaussians, ply};
 use burn::tensor::Device;
 use std::path::Path;
 
-/// Training photos that are looked at.
+/// Training photos that the Gaussians are compared with.
 const PHOTOS: usize = 8;
 /// PSNR in dB below which Gaussians do not show the photos. Those of the built-in room have 31 in place; moved by a tenth of its
 /// size, turned by ten degrees, mirrored, of half the size or with other axes they have 7 to 14.
 const MISPLACED: f64 = 15.0;
 
-/// The Gaussians of the PLY at `path` that a run of `scene` begins with, relative to its origin; warns where they do not show the
-/// photos. The run will write `scene_file`.
+/// The Gaussians of the PLY at `path`, relative to the origin of `scene`; warns where they do not show its photos. The run will
+/// write `scene_file`.
 ///
 /// # Errors
 /// Those of [`ply::read`]; [`Error::Input`] for a file without Gaussians; [`Error::Argument`] for a scene without training
 /// views; [`Error::Config`] for a file that would be written over, and more Gaussians than `building.max_gaussians` has, where they are trained: trained ones
 /// cannot be thinned as points can.
-pub(crate) fn begin(
+pub(crate) fn load_initial_scene(
     path: &Path,
     scene: &Scene,
     config: &Config,

@@ -1,6 +1,5 @@
 //! Label maps that are rendered again and again over Gaussians that stay as they are, and their scores.
 
-use super::segmentation_inputs::Inputs;
 use crate::backend::device::renders_on;
 use crate::config::Association;
 use crate::data::{LabelRuns, Split, View};
@@ -9,6 +8,7 @@ use crate::metrics::{
     InstanceScores, LabelScores, SemanticScores, Void, instance_scores, label_scores,
 };
 use crate::objects::{Identities, LabelMaps, LabelRule, Semantics, has_truth};
+use crate::pipeline::encode::Inputs;
 use crate::raster::{Projected, SplatTensors};
 use std::borrow::Cow;
 

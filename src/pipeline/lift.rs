@@ -1,0 +1,249 @@
+//! Lifting of a run: image features onto Gaussians (Eq. 5), and attendance pruning (Algorithm 1, line 8).
+
+use super::evaluate::score_images;
+use crate::config::{Config, Resolution};
+use crate::data::{Scene, Split};
+use crate::error::Result;
+use crate::features::{Reduction, SCALES};
+use crate::metrics::ImageScores;
+use crate::progress::{Event, Progress, Viewing};
+use crate::raster::Settings;
+use crate::segmentation::unprojection::{attended, unproject_each};
+use crate::splat::Gaussians;
+use burn::tensor::Device;
+use std::ops::ControlFlow;
+use std::time::{Duration, Instant};
+
+/// A larger share of pruned Gaussians is warned of; trained scenes lose a thousandth.
+const MANY_PRUNED: f64 = 0.05;
+
+/// Image features lifted onto the Gaussians that enough pixels show.
+pub struct LiftedFeatures {
+    /// Indices of the Gaussians that attendance pruning keeps, ascending.
+    pub kept: Vec<u32>,
+    /// Lifted features of the kept Gaussians per scale, `[N, D]`.
+    pub lifted: [Vec<f32>; SCALES],
+    /// D.
+    pub dimensions: usize,
+    /// Where the features came from.
+    pub name: String,
+    /// What the features depend on besides photos and Gaussians, see [`Reduction::content`].
+    pub content: String,
+    /// Seconds of extraction and of unprojection.
+    pub seconds: [f64; 2],
+}
+
+impl LiftedFeatures {
+    /// Extracts and unprojects features of the training views, a few views at a time. None where `progress` stops it.
+    ///
+    /// # Errors
+    /// Those of the extractor and of the unprojection.
+    pub fn of_views(
+        scene: &Scene,
+        gaussians: &Gaussians,
+        config: &Config,
+        settings: &Settings,
+        device: &Device,
+        progress: &mut dyn Progress,
+    ) -> Result<Option<Self>> {
+        let (clock, views) = (Instant::now(), scene.split(Split::Train).count());
+        let mut viewing = Viewing::begin(progress, "features", views);
+        let reduction = Reduction::fit(scene, &config.features, config.seed, device, &mut || {
+            viewing.looked(1)
+        })?;
+        let ControlFlow::Continue(mut reduction) = reduction else {
+            return Ok(None);
+        };
+        viewing.end();
+        if progress.stop() {
+            return Ok(None);
+        }
+        let (name, content) = (reduction.name.clone(), reduction.content.clone());
+        let mut extraction = clock.elapsed();
+        let clock = Instant::now();
+        let mut viewing = Viewing::begin(progress, "unprojection", views);
+        let mut maps = reduction.training_views();
+        let mut reducing = Duration::ZERO;
+        let maps = std::iter::from_fn(|| {
+            let clock = Instant::now();
+            let next = maps.next();
+            reducing += clock.elapsed();
+            next
+        });
+        let (train, looked) = (scene.split(Split::Train), &mut || viewing.looked(1));
+        let lifted = unproject_each(
+            gaussians,
+            train,
+            maps,
+            &config.unprojection,
+            settings,
+            device,
+            looked,
+        )?;
+        let ControlFlow::Continue(lifted) = lifted else {
+            return Ok(None);
+        };
+        extraction += reducing;
+        let unprojection = clock.elapsed().saturating_sub(reducing);
+        viewing.end();
+        let kept: Vec<u32> = (0..gaussians.len() as u32)
+            .filter(|&i| lifted.keep[i as usize])
+            .collect();
+        let dimensions = config.features.dimensions;
+        let mut rows = lifted.features;
+        rows.iter_mut()
+            .for_each(|rows| keep_rows(rows, &kept, dimensions));
+        let seconds = [extraction, unprojection].map(|time| time.as_secs_f64());
+        Ok(Some(Self {
+            lifted: rows,
+            kept,
+            dimensions,
+            name,
+            content,
+            seconds,
+        }))
+    }
+}
+
+/// Keeps the rows `kept` (ascending) of `values`, `[N, width]`, in place: the features of a large scene take a gigabyte.
+fn keep_rows(values: &mut Vec<f32>, kept: &[u32], width: usize) {
+    for (to, &from) in kept.iter().enumerate() {
+        let from = from as usize * width;
+        values.copy_within(from..from + width, to * width);
+    }
+    values.truncate(kept.len() * width);
+}
+
+/// What attendance pruning (Algorithm 1, line 8) removed and what it cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pruned {
+    /// Gaussians before.
+    pub before: usize,
+    /// Gaussians after.
+    pub after: usize,
+    /// Mean held-out scores before.
+    pub scores_before: ImageScores,
+    /// Mean held-out scores after.
+    pub scores_after: ImageScores,
+}
+
+/// Gaussians after attendance pruning, with their features.
+pub(crate) struct Lifted {
+    /// The Gaussians that enough pixels show.
+    pub gaussians: Gaussians,
+    /// Their features; absent where no variant reads them.
+    pub features: Option<LiftedFeatures>,
+    /// What pruning removed.
+    pub pruned: Pruned,
+    /// Seconds of extraction and of unprojection.
+    pub seconds: [f64; 2],
+}
+
+/// Lifts image features of the training views onto `gaussians`, and prunes those that too few pixels show. Pruning is the same
+/// whichever variants follow, so that they compare over the same Gaussians. Features are extracted only where they are read.
+/// `test` are the held-out scores of `gaussians`. None where `progress` stops it.
+///
+/// # Errors
+/// Those of [`LiftedFeatures::of_views`], of [`attended`] and of [`score_images`].
+pub(crate) fn lift(
+    gaussians: &Gaussians,
+    scene: &Scene,
+    test: ImageScores,
+    config: &Config,
+    device: &Device,
+    progress: &mut dyn Progress,
+) -> Result<Option<Lifted>> {
+    let settings = &Settings::from(&config.raster);
+    let (features, counted, seconds) = if reads_features(config) {
+        let features =
+            LiftedFeatures::of_views(scene, gaussians, config, settings, device, progress)?;
+        let Some(features) = features else {
+            return Ok(None);
+        };
+        let seconds = features.seconds;
+        (Some(features), Vec::new(), seconds)
+    } else {
+        let clock = Instant::now();
+        let counted = count(scene, gaussians, config, settings, device, progress)?;
+        (None, counted, [0.0, clock.elapsed().as_secs_f64()])
+    };
+    if progress.stop() {
+        return Ok(None);
+    }
+    let kept = features.as_ref().map_or(&counted, |lifted| &lifted.kept);
+    let (before, after) = (gaussians.len(), kept.len());
+    let removed = before - after;
+    let (gaussians, scores_after) = if removed > 0 {
+        let gaussians = gaussians.select(kept);
+        let scores = score_images(&gaussians, scene, config, device)?;
+        (gaussians, scores)
+    } else {
+        (gaussians.clone(), test)
+    };
+    if removed as f64 > MANY_PRUNED * before as f64 {
+        tracing::warn!(
+            "attendance pruning removed {removed} of {before} Gaussians, because few pixels see them; a smaller \
+             unprojection.attendance than {} keeps more",
+            config.unprojection.attendance
+        );
+    }
+    Ok(Some(Lifted {
+        gaussians,
+        features,
+        pruned: Pruned {
+            before,
+            after,
+            scores_before: test,
+            scores_after,
+        },
+        seconds,
+    }))
+}
+
+/// Indices of the Gaussians that enough pixels show, counted without features.
+fn count(
+    scene: &Scene,
+    gaussians: &Gaussians,
+    config: &Config,
+    settings: &Settings,
+    device: &Device,
+    progress: &mut dyn Progress,
+) -> Result<Vec<u32>> {
+    progress.event(&Event::Started {
+        stage: "attendance",
+        done: 0,
+        iterations: 1,
+    });
+    let views = scene.split(Split::Train);
+    let keep = attended(gaussians, views, &config.unprojection, settings, device)?;
+    progress.event(&Event::Finished);
+    let kept = (0..).zip(keep).filter(|(_, keep)| *keep);
+    Ok(kept.map(|(index, _)| index).collect())
+}
+
+/// Whether image features are read: by the decoder, and where pruning counts the cells of their maps.
+fn reads_features(config: &Config) -> bool {
+    let cells = config.unprojection.resolution == Resolution::Feature
+        && config.unprojection.attendance > 0.0;
+    let variants = config.segmentation.rows();
+    cells || variants.iter().any(|variant| variant.trains_decoder())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::keep_rows;
+
+    #[test]
+    fn kept_rows_stay_in_order() {
+        let all: Vec<f32> = (0..12).map(|v| v as f32).collect();
+        for (kept, want) in [
+            (vec![0, 1, 2, 3], all.clone()),
+            (vec![1, 3], vec![3.0, 4.0, 5.0, 9.0, 10.0, 11.0]),
+            (vec![], vec![]),
+        ] {
+            let mut rows = all.clone();
+            keep_rows(&mut rows, &kept, 3);
+            assert_eq!(rows, want, "{kept:?}");
+        }
+    }
+}

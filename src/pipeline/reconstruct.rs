@@ -1,0 +1,170 @@
+//! Stage one of a run: photos to Gaussians, from a checkpoint, from points, or from the Gaussians of another run.
+
+use super::initial_scene::load_initial_scene;
+use crate::checkpoint::Checkpoint;
+use crate::config::Config;
+use crate::data::Scene;
+use crate::error::{Error, Result};
+use crate::progress::{CurvePoint, Progress};
+use crate::provenance::Provenance;
+use crate::reconstruction::building::BuildingStage;
+use crate::reconstruction::building_state::BuildingState;
+use crate::splat::{Gaussians, ply};
+use burn::tensor::Device;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Checkpoint of stage one.
+const BUILDING: &str = "building.safetensors";
+/// Provenance of Gaussians that were taken as they are.
+const GIVEN: &str = "given.safetensors";
+/// Kind of the second file.
+const GIVEN_KIND: &str = "given Gaussians";
+
+/// Result of stage one.
+pub(crate) struct Reconstruction {
+    /// In spatial order.
+    pub gaussians: Gaussians,
+    /// Held-out scores over the iterations.
+    pub curve: Vec<CurvePoint>,
+    /// Seconds of stage one, earlier parts of a resumed run included.
+    pub seconds: f64,
+    /// The share of `seconds` of earlier parts.
+    pub earlier: f64,
+    /// Whether the stage came to its end; otherwise `progress` stopped it.
+    pub complete: bool,
+    /// Whether this part of the run did any of it.
+    new: bool,
+}
+
+/// Files of a run.
+pub(crate) struct RunFiles {
+    /// Folder of checkpoints.
+    pub checkpoints: PathBuf,
+    /// The scene as PLY.
+    pub scene: PathBuf,
+}
+
+impl RunFiles {
+    /// Those of the run folder `out`.
+    pub fn new(out: &Path) -> Self {
+        Self {
+            checkpoints: out.join("checkpoint"),
+            scene: out.join("scene.ply"),
+        }
+    }
+
+    fn building(&self) -> PathBuf {
+        self.checkpoints.join(BUILDING)
+    }
+
+    fn given(&self) -> PathBuf {
+        self.checkpoints.join(GIVEN)
+    }
+}
+
+/// Gaussians from the photos of `scene`. Writes checkpoints and `scene.ply`.
+///
+/// # Errors
+/// Those of the initial scene, of training, and of files; an unusable initial scene leaves no run folder behind.
+pub(crate) fn reconstruct(
+    scene: &Scene,
+    config: &Config,
+    files: &RunFiles,
+    device: &Device,
+    progress: &mut dyn Progress,
+) -> Result<Reconstruction> {
+    let as_they_are = config.building.iterations == 0;
+    let initial = match &config.building.gaussians {
+        Some(path) if as_they_are || !files.building().is_file() => {
+            let initial = load_initial_scene(path, scene, config, &files.scene, device)?;
+            Some(initial)
+        }
+        _ => None,
+    };
+    let folder = &files.checkpoints;
+    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
+    let clock = Instant::now();
+    let mut result = match initial {
+        Some(gaussians) if as_they_are => take(gaussians, scene, config, files)?,
+        initial => build(scene, config, initial, files, device, progress)?,
+    };
+    // The scene of a finished run stays until there is another result.
+    if result.new || !files.scene.exists() {
+        ply::write(&files.scene, &result.gaussians, scene.origin, None)?;
+    }
+    result.seconds = clock.elapsed().as_secs_f64() + result.earlier;
+    Ok(result)
+}
+
+/// Takes `gaussians` as they are. A resumed run has to have begun with them, and with these photos.
+fn take(
+    gaussians: Gaussians,
+    scene: &Scene,
+    config: &Config,
+    files: &RunFiles,
+) -> Result<Reconstruction> {
+    let (built, given) = (files.building(), files.given());
+    let provenance = Provenance::initial_scene(config, scene, &gaussians);
+    if built.is_file() {
+        let stored = BuildingState::load(&built)?.provenance;
+        provenance.check(&stored, false, &built)?;
+    }
+    let new = !given.is_file();
+    if new {
+        let mut checkpoint = Checkpoint::new(GIVEN_KIND);
+        checkpoint.set("provenance", &provenance)?;
+        checkpoint.save(&given)?;
+    } else {
+        let stored = Checkpoint::load(&given, GIVEN_KIND)?.get("provenance")?;
+        provenance.check(&stored, false, &given)?;
+    }
+    Ok(Reconstruction {
+        gaussians: gaussians.select(&gaussians.spatial_order()),
+        curve: Vec::new(),
+        seconds: 0.0,
+        earlier: 0.0,
+        complete: true,
+        new,
+    })
+}
+
+/// Trains Gaussians from the checkpoint, from the `initial` ones, or from points.
+fn build(
+    scene: &Scene,
+    config: &Config,
+    initial: Option<Gaussians>,
+    files: &RunFiles,
+    device: &Device,
+    progress: &mut dyn Progress,
+) -> Result<Reconstruction> {
+    let (checkpoint, given) = (files.building(), files.given());
+    if given.is_file() {
+        let stored = Checkpoint::load(&given, GIVEN_KIND)?.get("provenance")?;
+        Provenance::stage_one(config, scene).check(&stored, false, &given)?;
+    }
+    let state = match initial {
+        _ if checkpoint.is_file() => Some(BuildingState::load(&checkpoint)?),
+        Some(gaussians) => {
+            let gaussians = gaussians.with_sh_degree(config.building.sh_degree);
+            Some(BuildingState::new(gaussians, config.seed))
+        }
+        None => None,
+    };
+    let stage = match state {
+        Some(state) => BuildingStage::from_state(scene, config, device, state)?,
+        None => BuildingStage::new(scene, config, device)?,
+    };
+    let mut stage = stage.checkpoint_at(checkpoint);
+    let (earlier, first) = (stage.seconds(), stage.iteration());
+    stage.run(progress)?;
+    let gaussians = stage.gaussians()?;
+    Ok(Reconstruction {
+        gaussians: gaussians.select(&gaussians.spatial_order()),
+        curve: stage.curve().to_vec(),
+        seconds: 0.0,
+        earlier,
+        complete: stage.iteration() >= config.building.iterations,
+        new: stage.iteration() > first,
+    })
+}

@@ -1,0 +1,355 @@
+//! What a checkpoint was made from: settings and data. A run resumes a checkpoint only when both are its own.
+
+use crate::config::{Config, DataConfig, LabelSource, UnprojectionConfig};
+use crate::data::{Scene, Split, View};
+use crate::error::{Error, Result};
+use crate::splat::Gaussians;
+use crate::splat::camera::Camera;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Sections that a stage reads, of [`Config`] as JSON.
+const STAGE_ONE: &[&str] = &["seed", "building", "raster"];
+const PER_GAUSSIAN: &[&str] = &["seed", "raster", "segmentation"];
+const DECODER: &[&str] = &[
+    "seed",
+    "raster",
+    "segmentation",
+    "features",
+    "unprojection",
+    "spatial",
+];
+
+/// JSON text of settings by dotted key.
+type Values = BTreeMap<String, String>;
+
+/// A kind of data that training follows from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Data {
+    /// What stage one sees. First, since Gaussians are placed among the cameras.
+    Photos,
+    Gaussians,
+    Labels,
+    ImageFeatures,
+    PointEncoder,
+}
+
+impl Data {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Photos => "photos, masks, cameras and points",
+            Self::Gaussians => "Gaussians",
+            Self::Labels => "raw labels and cameras",
+            Self::ImageFeatures => "image features",
+            Self::PointEncoder => "point encoder",
+        }
+    }
+
+    /// What to resume with where this data differs and no setting says why.
+    fn original(self) -> &'static str {
+        match self {
+            Self::Photos | Self::Labels => {
+                "the original files, as the settings of data are the same"
+            }
+            Self::Gaussians => "the original Gaussians",
+            Self::ImageFeatures => "the original weights, or maps in features.source.import",
+            Self::PointEncoder => "the original weights in spatial.source.pretrained",
+        }
+    }
+}
+
+/// A digest of data, and the settings that it follows from.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+struct Origin {
+    /// SHA-256.
+    digest: String,
+    /// Other settings may give the same data, so they alone are no reason to refuse. They explain other data.
+    settings: Values,
+}
+
+/// Settings and data that training follows from. The default is empty: that of a state made in memory.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Provenance {
+    settings: Values,
+    data: BTreeMap<Data, Origin>,
+    /// How label maps are rendered, in stage two. It affects held-out scores, not training.
+    render: Option<LabelSource>,
+}
+
+impl Provenance {
+    /// The provenance of stage one.
+    pub fn stage_one(config: &Config, scene: &Scene) -> Self {
+        let without_labels = DataConfig {
+            raw_labels: String::new(),
+            raw_format: Default::default(),
+            association: Default::default(),
+            scannet_classes: Default::default(),
+            ..config.data.clone()
+        };
+        let origin = Config {
+            data: without_labels,
+            ..config.clone()
+        };
+        let mut provenance = Self {
+            settings: values(config, STAGE_ONE),
+            ..Self::default()
+        };
+        provenance.add(
+            Data::Photos,
+            digest_photos(scene),
+            values(&origin, &["data"]),
+        );
+        provenance
+    }
+
+    /// The provenance of a stage one that takes `gaussians` as they are.
+    pub fn initial_scene(config: &Config, scene: &Scene, gaussians: &Gaussians) -> Self {
+        let mut provenance = Self::stage_one(config, scene);
+        let digest = digest_gaussians(gaussians);
+        provenance.add(Data::Gaussians, digest, Values::new());
+        provenance
+    }
+
+    /// The provenance of a variant of stage two, by a decoder or per Gaussian.
+    pub fn stage_two(
+        config: &Config,
+        scene: &Scene,
+        gaussians: &Gaussians,
+        trains_decoder: bool,
+    ) -> Self {
+        let sections = if trains_decoder {
+            DECODER
+        } else {
+            PER_GAUSSIAN
+        };
+        let pruning = Config {
+            unprojection: UnprojectionConfig {
+                normalisation: Default::default(),
+                ..config.unprojection.clone()
+            },
+            ..config.clone()
+        };
+        let mut provenance = Self {
+            settings: values(config, sections),
+            render: Some(config.segmentation.render),
+            ..Self::default()
+        };
+        let (geometry, labels) = (digest_gaussians(gaussians), digest_labels(scene));
+        provenance.add(
+            Data::Gaussians,
+            geometry,
+            values(&pruning, &["unprojection"]),
+        );
+        provenance.add(Data::Labels, labels, values(config, &["data"]));
+        provenance
+    }
+
+    /// Adds image features by what they are made from: on a GPU their sums need not have the same bits each time.
+    pub fn with_image_features(mut self, content: &str) -> Self {
+        let mut digest = Sha256::new();
+        digest.update(content);
+        self.add(Data::ImageFeatures, digest, Values::new());
+        self
+    }
+
+    /// Adds the point encoder by the digest of its weights.
+    pub fn with_point_encoder(mut self, weights: &str) -> Self {
+        let mut digest = Sha256::new();
+        digest.update(weights);
+        self.add(Data::PointEncoder, digest, Values::new());
+        self
+    }
+
+    fn add(&mut self, data: Data, digest: Sha256, settings: Values) {
+        let digest = format!("{:x}", digest.finalize());
+        self.data.insert(data, Origin { digest, settings });
+    }
+
+    /// Whether anything is known.
+    pub fn is_known(&self) -> bool {
+        *self != Self::default()
+    }
+
+    /// Refuses a checkpoint, `stored` in `file`, that was made from other settings or data than these. A `finished` training
+    /// may be scored by another rule of rendering.
+    ///
+    /// # Errors
+    /// [`Error::Config`] naming the first setting that differs, or the one that other data follows from; [`Error::Input`]
+    /// naming the data.
+    pub fn check(&self, stored: &Self, finished: bool, file: &Path) -> Result<()> {
+        if let Some(key) = first_difference(&self.settings, &stored.settings) {
+            return Err(other_setting(key, &self.settings, &stored.settings, file));
+        }
+        if !finished && self.render != stored.render {
+            let text = |render: Option<LabelSource>| match render {
+                Some(render) => format!("{render:?}").to_lowercase(),
+                None => "nothing".to_owned(),
+            };
+            let expected = format!(
+                "{}, as when {} was written",
+                text(stored.render),
+                file.display()
+            );
+            return Err(Error::config(
+                "segmentation.render",
+                text(self.render),
+                expected,
+                RESUME,
+            ));
+        }
+        let kinds = self.data.keys().chain(stored.data.keys());
+        let digest = |of: &Self, data| of.data.get(data).map(|origin| origin.digest.clone());
+        match kinds
+            .filter(|data| digest(self, data) != digest(stored, data))
+            .min()
+        {
+            Some(data) => Err(self.other_data(*data, stored, file)),
+            None => Ok(()),
+        }
+    }
+
+    /// The refusal of other data. It names the setting that explains the difference, if there is one.
+    fn other_data(&self, data: Data, stored: &Self, file: &Path) -> Error {
+        if let (Some(now), Some(then)) = (self.data.get(&data), stored.data.get(&data))
+            && let Some(key) = first_difference(&now.settings, &then.settings)
+        {
+            return other_setting(key, &now.settings, &then.settings, file);
+        }
+        let help = format!(
+            "resume with {}, or train into another folder",
+            data.original()
+        );
+        let found = "those of other data";
+        Error::input(file, data.name(), found, "those of this run", help)
+    }
+
+    /// Whether label maps are rendered by the same rule as in `stored`.
+    pub fn renders_as(&self, stored: &Self) -> bool {
+        self.render == stored.render
+    }
+}
+
+const RESUME: &str = "resume with that value, or train with this one into another folder";
+
+/// The first key with different values. The scene folder comes last: its name differs for a scene that was moved as well.
+fn first_difference<'a>(now: &'a Values, then: &'a Values) -> Option<&'a str> {
+    now.keys()
+        .chain(then.keys())
+        .filter(|key| now.get(*key) != then.get(*key))
+        .min_by_key(|key| key.as_str() == "data.dir")
+        .map(String::as_str)
+}
+
+fn other_setting(key: &str, now: &Values, then: &Values, file: &Path) -> Error {
+    let value = |values: &Values| values.get(key).cloned().unwrap_or("nothing".into());
+    let expected = format!("{}, as when {} was written", value(then), file.display());
+    Error::config(key, value(now), expected, RESUME)
+}
+
+/// The settings of some sections, without those that do not affect results. Paths count by their file names, as files may move.
+fn values(config: &Config, sections: &[&str]) -> Values {
+    let mut config = config.clone();
+    config.data.raw_labels_note = String::new();
+    config.building.eval_every = 0;
+    config.features.cache_dir = None;
+    config.segmentation.rows = None;
+    config.segmentation.render = LabelSource::Labels;
+    config.segmentation.weight_cache_mb = 0;
+    config.segmentation.eval_every = 0;
+    for path in config.paths() {
+        *path = path.file_name().unwrap_or_default().into();
+    }
+    // Settings are plain data and always have a JSON form. Through text an f32 keeps its short form.
+    let text = serde_json::to_string(&config).unwrap_or_default();
+    let json: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
+    let mut out = Values::new();
+    for section in sections {
+        match &json[*section] {
+            serde_json::Value::Object(fields) => out.extend(
+                fields
+                    .iter()
+                    .map(|(name, value)| (format!("{section}.{name}"), value.to_string())),
+            ),
+            value => _ = out.insert((*section).to_owned(), value.to_string()),
+        }
+    }
+    out
+}
+
+/// Points, and of every view its name, split, camera, mask and photo.
+fn digest_photos(scene: &Scene) -> Sha256 {
+    let views: Vec<&View> = scene.views.iter().collect();
+    let mut digest = digest_views(&views, |view, hash| {
+        view.image.identify(hash);
+        let mask = view.mask.iter().flat_map(|mask| mask.words());
+        mask.for_each(|word| hash.update(word.to_le_bytes()));
+    });
+    digest.update(bytes(scene.points.positions.as_flattened()));
+    digest.update(bytes(scene.points.colors.as_flattened()));
+    digest
+}
+
+/// Class ids, and of every training view with raw labels its name, split, camera and labels.
+fn digest_labels(scene: &Scene) -> Sha256 {
+    let labelled = scene.split(Split::Train).filter(|v| v.raw.is_some());
+    let views: Vec<&View> = labelled.collect();
+    let mut digest = digest_views(&views, |view, hash| {
+        let ids = view.raw.iter().flat_map(|raw| raw.map().ids);
+        hash.update(ids.flat_map(u16::to_le_bytes).collect::<Vec<u8>>());
+    });
+    let classes = scene.classes.entries.iter();
+    classes.for_each(|class| digest.update(class.id.to_le_bytes()));
+    digest
+}
+
+/// Name, split, camera and some content of each view.
+fn digest_views(views: &[&View], content: impl Fn(&View, &mut Sha256) + Sync) -> Sha256 {
+    let digest_view = |view: &&View| {
+        let Camera {
+            rotation,
+            center,
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        } = &view.camera;
+        let mut hash = Sha256::new();
+        hash.update(format!("{} {:?} {width} {height}\n", view.name, view.split));
+        let pose = rotation
+            .to_cols_array()
+            .into_iter()
+            .chain(center.to_array());
+        let numbers = pose.chain([*fx, *fy, *cx, *cy]);
+        numbers.for_each(|v| hash.update(v.to_le_bytes()));
+        content(view, &mut hash);
+        hash.finalize()
+    };
+    let parts: Vec<_> = views.par_iter().map(digest_view).collect();
+    let mut hash = Sha256::new();
+    parts.iter().for_each(|part| hash.update(part));
+    hash
+}
+
+fn digest_gaussians(g: &Gaussians) -> Sha256 {
+    let mut hash = Sha256::new();
+    hash.update(format!("{} {}\n", g.len(), g.sh_degree));
+    let parts = [
+        g.means.as_flattened(),
+        g.log_scales.as_flattened(),
+        g.rotations.as_flattened(),
+        &g.opacity_logits,
+        &g.sh,
+    ];
+    parts.into_iter().for_each(|part| hash.update(bytes(part)));
+    hash
+}
+
+fn bytes(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
