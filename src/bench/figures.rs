@@ -1,6 +1,7 @@
 //! The figures of a section, with their spread, and the table of them.
 
 use super::{Samples, Section};
+use crate::report::thousands;
 use serde::Serialize;
 use std::fmt::Write;
 
@@ -188,21 +189,8 @@ pub(super) fn short(value: f64) -> String {
         v if v < 0.1 => format!("{value:.3}"),
         v if v < 10.0 && value.fract() != 0.0 => format!("{value:.2}"),
         v if v < 100.0 && value.fract() != 0.0 => format!("{value:.1}"),
-        _ => thousands(value),
+        _ => thousands(value.round() as u64),
     }
-}
-
-/// `12,345`, of a value that is not negative.
-pub(super) fn thousands(value: f64) -> String {
-    let digits = format!("{value:.0}");
-    let mut out = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            out.push(',');
-        }
-        out.push(digit);
-    }
-    out
 }
 
 #[cfg(test)]

@@ -22,7 +22,7 @@ pub use self::subject::{Source, Subject};
 
 use crate::config::Config;
 use crate::error::{Error, Result};
-use crate::report::peak_memory_bytes;
+use crate::report::{peak_memory_bytes, thousands};
 use burn::tensor::Device;
 use serde::Serialize;
 
@@ -168,7 +168,7 @@ impl Bench {
         let mut findings = Findings::new(section, &self.subject.description);
         for &count in &self.effort.gaussians {
             let gaussians = self.subject.gaussians(count);
-            let case = format!("{} Gaussians", figures::thousands(gaussians.len() as f64));
+            let case = format!("{} Gaussians", thousands(gaussians.len() as u64));
             let peak = if machine::reset_peak_memory() {
                 "peak memory of the process"
             } else {

@@ -1,4 +1,4 @@
-//! From what a run made to what its report shows.
+//! The report of a finished run.
 
 use super::views::shown_of;
 use super::{AssociationFigures, peak_memory_bytes};
@@ -15,8 +15,8 @@ use crate::progress::CurvePoint;
 use burn::tensor::Device;
 
 impl Metrics {
-    /// The figures of a finished run, but for its commands and the scores of single views, which it does not know; peak memory is that
-    /// of this process until now.
+    /// The figures of a finished run without its commands and the scores of single views. Peak memory is that of this process
+    /// so far.
     pub fn of(outcome: &Outcome) -> Self {
         let s = &outcome.seconds;
         Self {
@@ -103,9 +103,9 @@ impl History {
     }
 }
 
-/// Renders the held-out views of a finished run in colour and in the labels of the vote, of the per-Gaussian identities
-/// and of the row that the scene stores, as far as the run has them; on `device`. Those that the page shows are returned, each of
-/// the others goes to `beside` as soon as it is rendered.
+/// Renders the held-out views of a finished run on `device`: colour, and the labels of the vote, of the per-Gaussian
+/// identities and of the row that the scene stores, where the run has them. Returns the views that the page shows; each
+/// other one goes to `beside` as soon as it is rendered.
 ///
 /// # Errors
 /// As [`Pictures::labelled`]; those of `beside`.
@@ -124,14 +124,11 @@ pub fn held_out_views<'a>(
         .filter(|r| shown(r.row) && r.identities.is_some())
         .collect();
     let rule = LabelRule::from(&config.segmentation);
-    let maps = rows.iter().filter_map(|r| {
-        Some(LabelMaps::new(
-            r.identities.as_ref()?,
-            &outcome.scene.classes,
-            rule,
-        ))
-    });
-    let maps: Vec<_> = maps.collect();
+    let classes = &outcome.scene.classes;
+    let identities = rows.iter().filter_map(|r| r.identities.as_ref());
+    let maps: Vec<_> = identities
+        .map(|identities| LabelMaps::new(identities, classes, rule))
+        .collect();
     let mut pictures = Pictures::new(&outcome.gaussians, config, device)?.with_labels(&maps);
     let test: Vec<&View> = outcome.scene.split(Split::Test).collect();
     let on_page: Vec<usize> = shown_of(test.len()).collect();
@@ -145,16 +142,17 @@ pub fn held_out_views<'a>(
             scores,
             labels,
         };
-        match on_page.contains(&i) {
-            true => views.push(rendered),
-            false => beside(rendered)?,
+        if on_page.contains(&i) {
+            views.push(rendered);
+        } else {
+            beside(rendered)?;
         }
     }
     Ok(views)
 }
 
 impl Report<'_> {
-    /// What a reader of a run's figures should know, as far as the run itself shows it.
+    /// Notes for a reader of the figures, as far as the run itself knows them.
     pub fn notes_of(outcome: &Outcome, config: &Config) -> Vec<String> {
         let mut notes = Vec::new();
         if config.data.dir.is_none() {
@@ -162,7 +160,7 @@ impl Report<'_> {
         }
         if let Some(path) = &config.building.gaussians {
             let what = match config.building.iterations {
-                0 => "are those of a file, and none were built",
+                0 => "are those of a file, without training",
                 _ => "were trained from those of a file",
             };
             notes.push(format!("The Gaussians {what}: {}.", path.display()));
@@ -193,14 +191,14 @@ impl Report<'_> {
             .any(|row| row.row.trains_decoder() && row.row != Variant::OursCe)
         {
             notes.push(format!(
-                "The decoder of ours learns under {}.",
+                "The decoder of the row ours learns with {}.",
                 loss_in_words(&config.segmentation)
             ));
         }
         if let Some(a) = &outcome.association {
             notes.push(format!(
-                "Ids of the raw labels meant something within a view only: their {} segments in training views were put \
-                 together into {} objects over the Gaussians, {} of them belong to none, {} were divided among several.",
+                "The ids of the raw labels had a meaning only within a view. Association put the {} segments of the training \
+                 views together into {} objects; {} segments belong to none, {} were divided among several.",
                 a.segments, a.objects, a.dropped, a.divided
             ));
         }
@@ -210,7 +208,7 @@ impl Report<'_> {
                 None => "not measured".to_owned(),
             };
             notes.push(format!(
-                "Attendance pruning removed {} of {} Gaussians; held-out PSNR before {}, after {}.",
+                "Pruning of unseen Gaussians removed {} of {} Gaussians; held-out PSNR before {}, after {}.",
                 pruned.before - pruned.after,
                 pruned.before,
                 psnr(&pruned.scores_before),
@@ -221,7 +219,7 @@ impl Report<'_> {
     }
 }
 
-/// The label loss of row `ours` and what comes before it.
+/// The label loss of row `ours` and its warm-up.
 fn loss_in_words(config: &SegmentationConfig) -> String {
     let loss = match config.loss {
         LabelLoss::Ce => return "cross-entropy".to_owned(),

@@ -1,4 +1,4 @@
-//! What is measured while a run trains. Plain data, so that a checkpoint can carry it.
+//! Measurements during training, as plain data that a checkpoint can store.
 
 use crate::config::Variant;
 use serde::{Deserialize, Serialize};
@@ -39,8 +39,7 @@ pub struct RowHistory {
     pub miou: Vec<Sample>,
 }
 
-/// How much a curve still rose over the last fifth of its run; `None` with fewer than three measurements there or
-/// before.
+/// The rise of a curve over the last fifth of its run; `None` with fewer than three measurements.
 pub fn late_gain(samples: &[Sample]) -> Option<f64> {
     let &(end, last) = samples.last()?;
     let start = end - end / 5;

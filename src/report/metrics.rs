@@ -13,35 +13,35 @@ use std::collections::BTreeMap;
 pub struct Metrics {
     /// Name of the scene.
     pub scene: String,
-    /// Commands that the run is of: one that began it, and one for each time it was gone on with.
+    /// The command that started the run, and one for each time that it was resumed.
     #[serde(default)]
     pub commands: Vec<Command>,
     /// Gaussians in `scene.ply`.
     pub gaussians: usize,
-    /// What association made of the raw labels, where settings asked for it.
+    /// The result of association, where the settings asked for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub association: Option<AssociationFigures>,
     /// Scores on the held-out views.
     pub test: TestScores,
     /// Where the time went.
     pub seconds: Seconds,
-    /// Largest resident memory of the process; `None` where the system does not say.
+    /// Peak resident memory of the process; `None` where the system does not report it.
     pub peak_memory_bytes: Option<u64>,
-    /// Size of what was trained: `gaussians`, and each trained row by its name.
+    /// Size of the learned parameters: `gaussians`, and each trained row by its name.
     pub learnable_bytes: BTreeMap<String, u64>,
     /// Where the point encoder's weights came from, such as `pretrained FILE`, `trained here` or `random`.
     pub spatial: String,
     /// Where the 2D features came from.
     pub features: String,
-    /// What was measured while it trained.
+    /// Measurements during training.
     #[serde(default)]
     pub curves: History,
 }
 
-/// A command line and what it ran on.
+/// A command line and the device that it ran on.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Command {
-    /// As a shell takes it.
+    /// Quoted for a shell.
     pub line: String,
     /// Backend and processor threads, in words.
     pub device: String,
@@ -49,16 +49,16 @@ pub struct Command {
     pub version: String,
 }
 
-/// What association made of segments whose ids meant something within a view only.
+/// The result of association: objects from segments whose ids meant nothing in other views.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct AssociationFigures {
     /// Segments of the training views.
     pub segments: usize,
     /// Objects that they show.
     pub objects: usize,
-    /// Segments that belong to none.
+    /// Segments without an object.
     pub dropped: usize,
-    /// Segments that were divided among several.
+    /// Segments that were divided among several objects.
     #[serde(default)]
     pub divided: usize,
     /// Wall-clock seconds, part of the total.
@@ -94,16 +94,16 @@ pub struct RowScores {
     /// IoU by class id, pooled, for the classes in the test truth.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub class_iou: BTreeMap<u16, f64>,
-    /// Scores against true instances, where classes are objects that association found.
+    /// Scores against true instances, where association made objects.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub instances: Option<InstanceScores>,
-    /// Scores of these objects against true classes, where their segments say classes.
+    /// Scores of these objects against true classes, where their segments have classes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub semantic: Option<SemanticScores>,
     /// How compact the identities are.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub compactness: Option<Compactness>,
-    /// How far the raw labels agree about the Gaussians; of the vote.
+    /// How far the raw labels agree about the Gaussians; only for the vote.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub agreement: Option<Agreement>,
     /// Optimiser steps, for trained rows.
@@ -161,11 +161,11 @@ pub struct Seconds {
     pub unprojection: f64,
     /// Training and scoring of all label rows, point encoding included.
     pub segmentation: f64,
-    /// Everything from loading to the last score, training of earlier parts of a resumed run too.
+    /// Everything from loading to the last score, with earlier parts of a resumed run.
     pub total: f64,
 }
 
-/// Largest resident memory of this process so far, bytes (`VmHWM`); `None` where the system does not say.
+/// Peak resident memory of this process so far, bytes (`VmHWM`); `None` where the system does not report it.
 pub fn peak_memory_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status

@@ -18,6 +18,8 @@ pub use self::metrics::{
     AssociationFigures, Command, Metrics, RowScores, Scores, Seconds, TestScores, peak_memory_bytes,
 };
 
+pub(crate) use self::units::thousands;
+
 use crate::config::{Config, Variant};
 use crate::data::{Classes, LabelMap, View, atomic};
 use crate::error::{Error, Result};
@@ -27,7 +29,7 @@ use std::path::Path;
 /// The results of a run.
 #[derive(Clone, Debug)]
 pub struct Report<'a> {
-    /// The figures.
+    /// Figures, as in `metrics.json`.
     pub metrics: Metrics,
     /// Class table of the scene.
     pub classes: &'a Classes,

@@ -1,4 +1,4 @@
-//! Pictures for people: coloured label maps with legends, error maps, floats as 8-bit images.
+//! Pictures: coloured label maps with legends, error maps, floats as 8-bit images.
 
 use crate::data::{Classes, LabelMap};
 use crate::error::{Error, Result};
@@ -11,7 +11,7 @@ use std::path::Path;
 pub(super) const GLYPH: usize = 8;
 /// Colour of unlabelled pixels.
 pub const UNLABELLED: [u8; 3] = [38, 38, 42];
-/// Colour of ids that the class table lacks.
+/// Colour of ids that are not in the class table.
 const UNKNOWN: [u8; 3] = [255, 0, 200];
 /// Colours of [`label_error`]: right, wrong, truth unlabelled.
 pub const AGREEMENT: [[u8; 3]; 3] = [[226, 229, 226], [208, 52, 44], [112, 114, 120]];
@@ -21,7 +21,7 @@ pub const ERROR_FULL: f32 = 0.1;
 /// `[H, W, 3]` floats as 8-bit sRGB: clamped to 0..1 and rounded. NaN becomes 0.
 ///
 /// # Errors
-/// [`Error::Limit`] when `rgb` has not `width * height * 3` values.
+/// [`Error::Limit`] when `rgb` does not have `width * height * 3` values.
 pub fn from_floats(rgb: &[f32], width: usize, height: usize) -> Result<RgbImage> {
     let bytes: Vec<u8> = rgb
         .iter()
@@ -45,7 +45,7 @@ pub fn colored(labels: &LabelMap, classes: &Classes) -> RgbImage {
     per_pixel(labels.width, labels.height, |p| color(labels.ids[p]))
 }
 
-/// Where the labels agree with the truth (light), differ (red), and where the truth has no label (grey).
+/// Light where the labels equal the truth, red where they differ, grey where the truth has no label.
 pub fn label_error(labels: &LabelMap, truth: &LabelMap, ignore: u16) -> RgbImage {
     per_pixel(truth.width, truth.height, |p| {
         match (truth.ids[p], labels.ids.get(p)) {
@@ -56,7 +56,7 @@ pub fn label_error(labels: &LabelMap, truth: &LabelMap, ignore: u16) -> RgbImage
     })
 }
 
-/// Share of labelled pixels that are right; `None` when the truth has no labelled pixel.
+/// Share of labelled pixels with the right label; `None` when the truth has no labelled pixel.
 pub fn accuracy(labels: &LabelMap, truth: &LabelMap, ignore: u16) -> Option<f64> {
     let (mut right, mut all) = (0_usize, 0_usize);
     for (id, t) in labels
@@ -71,7 +71,7 @@ pub fn accuracy(labels: &LabelMap, truth: &LabelMap, ignore: u16) -> Option<f64>
     (all > 0).then(|| right as f64 / all as f64)
 }
 
-/// Mean absolute RGB error a pixel as a heat map: black is none, bright yellow [`ERROR_FULL`] or more.
+/// Mean absolute RGB error of each pixel as a heat map: black is 0, bright yellow [`ERROR_FULL`] or more.
 pub fn rgb_error(a: &RgbImage, b: &RgbImage) -> RgbImage {
     let (width, height) = (a.width().min(b.width()), a.height().min(b.height()));
     RgbImage::from_fn(width, height, |x, y| {
@@ -85,7 +85,7 @@ pub fn rgb_error(a: &RgbImage, b: &RgbImage) -> RgbImage {
     })
 }
 
-/// Black, violet, red, orange, pale yellow: even steps in lightness.
+/// A colour for a share in 0..1: black, violet, red, orange, pale yellow, in even steps of lightness.
 pub fn heat(share: f32) -> [u8; 3] {
     const STOPS: [[f32; 3]; 5] = [
         [0.0, 0.0, 4.0],
@@ -176,7 +176,7 @@ pub(super) fn draw_text(image: &mut RgbImage, (x, y): (usize, usize), scale: usi
 /// An RGB image as PNG bytes.
 ///
 /// # Errors
-/// [`Error::Io`] naming `path`, for which the bytes are meant, when encoding fails.
+/// [`Error::Io`] naming `path`, the file of the bytes, when encoding fails.
 pub fn png(image: &RgbImage, path: &Path) -> Result<Vec<u8>> {
     let mut bytes = Cursor::new(Vec::new());
     image

@@ -1,18 +1,18 @@
-//! A contact sheet: small photos with their labels, names and splits, on one picture.
+//! A contact sheet: small photos with their labels, names and splits in one picture.
 
 use super::pictures::{GLYPH, colored, draw_text, with_legend};
 use crate::data::{Classes, LabelMap, Split, Thumbnail};
 use image::imageops::replace;
 use image::{Rgb, RgbImage};
 
-/// Photos next to each other.
+/// Photos in a row.
 const COLUMNS: usize = 5;
 /// Pixels between them.
 const GAP: usize = 6;
-/// Pixels of the line with the name.
+/// Height of the line with the name, pixels.
 const CAPTION: usize = GLYPH + 5;
 
-/// Photos in rows of five, each with its label map below where one of them has one; below them all a legend.
+/// Photos in rows of five; where some have label maps, these are below them, with a legend at the end.
 pub fn contact_sheet(tiles: &[Thumbnail], classes: &Classes) -> RgbImage {
     let width = tiles
         .iter()

@@ -1,7 +1,7 @@
 //! Numbers as people read them.
 
 /// `12,345`.
-pub(super) fn thousands(value: u64) -> String {
+pub fn thousands(value: u64) -> String {
     let digits = value.to_string();
     let mut out = String::new();
     for (i, digit) in digits.chars().enumerate() {

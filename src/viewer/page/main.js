@@ -29,7 +29,7 @@ class Page {
     this.mode = "colour";
     this.background = BACKGROUNDS[0];
     this.coarse = 1;
-    /** Whether the order is of another picture. */
+    /** Whether the order belongs to another picture. */
     this.stale = true;
     this.up = this.scene.up;
     const { low, high } = this.scene.extent;

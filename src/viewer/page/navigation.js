@@ -28,7 +28,7 @@ class Navigation {
     canvas.addEventListener("contextmenu", (e) => e.preventDefault());
     window.addEventListener("keydown", (e) => this.key(e, true));
     window.addEventListener("keyup", (e) => this.key(e, false));
-    // Keys that are let go elsewhere are not told of.
+    // The page does not see when keys are released elsewhere.
     for (const leaving of ["blur", "focusin"]) window.addEventListener(leaving, (e) => this.leave(e));
     document.addEventListener("visibilitychange", () => this.keys.clear());
   }
@@ -130,7 +130,7 @@ class Navigation {
     return (this.pointers.size > 0 && this.moved) || now - (this.rolled ?? -Infinity) < 150;
   }
 
-  /** Goes on as the held keys say, for so many seconds; whether there are any. */
+  /** Moves for `seconds` by the keys that are held; returns whether any are. */
   step(seconds) {
     const camera = this.view.camera();
     for (const code of this.keys) {
