@@ -22,42 +22,27 @@ const KEY: &str = "coseg";
 /// Numbers stored of each point of a curve.
 const CURVE_COLUMNS: usize = 7;
 
-/// Contents of a stored tensor.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Values {
-    /// 32-bit floats.
-    F32(Vec<f32>),
-    /// 64-bit floats.
-    F64(Vec<f64>),
-    /// 32-bit unsigned integers.
-    U32(Vec<u32>),
-    /// 64-bit unsigned integers.
-    U64(Vec<u64>),
-}
-
 /// Scalar types that a checkpoint holds.
 pub trait Scalar: Sized {
-    /// Wraps a vector.
-    fn wrap(values: Vec<Self>) -> Values;
-    /// The vector, when it is of this type.
-    fn unwrap(values: Values) -> Option<Vec<Self>>;
-    /// Name in error messages.
-    const NAME: &'static str;
+    /// The type in the file.
+    const DTYPE: Dtype;
+    /// Little-endian bytes of values.
+    fn to_bytes(values: &[Self]) -> Vec<u8>;
+    /// Values of little-endian bytes.
+    fn from_bytes(bytes: &[u8]) -> Vec<Self>;
 }
 
 macro_rules! scalar {
-    ($type:ty, $variant:ident) => {
+    ($type:ty, $dtype:ident) => {
         impl Scalar for $type {
-            fn wrap(values: Vec<Self>) -> Values {
-                Values::$variant(values)
+            const DTYPE: Dtype = Dtype::$dtype;
+            fn to_bytes(values: &[Self]) -> Vec<u8> {
+                values.iter().flat_map(|v| v.to_le_bytes()).collect()
             }
-            fn unwrap(values: Values) -> Option<Vec<Self>> {
-                match values {
-                    Values::$variant(values) => Some(values),
-                    _ => None,
-                }
+            fn from_bytes(bytes: &[u8]) -> Vec<Self> {
+                let (scalars, _) = bytes.as_chunks();
+                scalars.iter().map(|b| Self::from_le_bytes(*b)).collect()
             }
-            const NAME: &'static str = stringify!($variant);
         }
     };
 }
@@ -66,86 +51,41 @@ scalar!(f64, F64);
 scalar!(u32, U32);
 scalar!(u64, U64);
 
-impl Values {
-    fn len(&self) -> usize {
-        match self {
-            Self::F32(v) => v.len(),
-            Self::F64(v) => v.len(),
-            Self::U32(v) => v.len(),
-            Self::U64(v) => v.len(),
-        }
-    }
+/// A stored tensor.
+#[derive(Clone, Debug, PartialEq)]
+struct Stored {
+    dtype: Dtype,
+    shape: Vec<usize>,
+    bytes: Vec<u8>,
+}
 
+impl View for &Stored {
     fn dtype(&self) -> Dtype {
-        match self {
-            Self::F32(_) => Dtype::F32,
-            Self::F64(_) => Dtype::F64,
-            Self::U32(_) => Dtype::U32,
-            Self::U64(_) => Dtype::U64,
-        }
+        self.dtype
     }
-
-    fn bytes(&self) -> Vec<u8> {
-        match self {
-            Self::F32(v) => v.iter().flat_map(|x| x.to_le_bytes()).collect(),
-            Self::F64(v) => v.iter().flat_map(|x| x.to_le_bytes()).collect(),
-            Self::U32(v) => v.iter().flat_map(|x| x.to_le_bytes()).collect(),
-            Self::U64(v) => v.iter().flat_map(|x| x.to_le_bytes()).collect(),
-        }
+    fn shape(&self) -> &[usize] {
+        &self.shape
     }
-
-    /// `None` for a type that checkpoints do not use.
-    fn from_bytes(dtype: Dtype, bytes: &[u8]) -> Option<Self> {
-        let (words, _) = bytes.as_chunks::<4>();
-        let (long, _) = bytes.as_chunks::<8>();
-        match dtype {
-            Dtype::F32 => Some(Self::F32(
-                words.iter().map(|b| f32::from_le_bytes(*b)).collect(),
-            )),
-            Dtype::U32 => Some(Self::U32(
-                words.iter().map(|b| u32::from_le_bytes(*b)).collect(),
-            )),
-            Dtype::F64 => Some(Self::F64(
-                long.iter().map(|b| f64::from_le_bytes(*b)).collect(),
-            )),
-            Dtype::U64 => Some(Self::U64(
-                long.iter().map(|b| u64::from_le_bytes(*b)).collect(),
-            )),
-            _ => None,
-        }
+    fn data(&self) -> Cow<'_, [u8]> {
+        self.bytes.as_slice().into()
+    }
+    fn data_len(&self) -> usize {
+        self.bytes.len()
     }
 }
 
 /// Named tensors and settings, in memory.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Checkpoint {
-    /// Where it was loaded from, for error messages.
+    /// The file, for error messages.
     path: PathBuf,
     kind: String,
     settings: BTreeMap<String, serde_json::Value>,
-    tensors: BTreeMap<String, (Vec<usize>, Values)>,
-}
-
-/// A tensor on its way to the file.
-struct Stored<'a>(&'a [usize], &'a Values);
-
-impl View for Stored<'_> {
-    fn dtype(&self) -> Dtype {
-        self.1.dtype()
-    }
-    fn shape(&self) -> &[usize] {
-        self.0
-    }
-    fn data(&self) -> Cow<'_, [u8]> {
-        self.1.bytes().into()
-    }
-    fn data_len(&self) -> usize {
-        self.1.len() * self.1.dtype().bitsize() / 8
-    }
+    tensors: BTreeMap<String, Stored>,
 }
 
 impl Checkpoint {
-    /// An empty one; `kind` says what it is a state of, such as `building`.
+    /// An empty checkpoint of a `kind`, such as `building`.
     pub fn new(kind: impl Into<String>) -> Self {
         Self {
             kind: kind.into(),
@@ -172,7 +112,12 @@ impl Checkpoint {
                 help: "give as many values as the shape has".into(),
             });
         }
-        self.tensors.insert(name, (shape.to_vec(), T::wrap(values)));
+        let tensor = Stored {
+            dtype: T::DTYPE,
+            shape: shape.to_vec(),
+            bytes: T::to_bytes(&values),
+        };
+        self.tensors.insert(name, tensor);
         Ok(())
     }
 
@@ -182,7 +127,7 @@ impl Checkpoint {
     /// [`Error::Input`] when there is none of this name.
     pub fn shape(&self, name: &str) -> Result<&[usize]> {
         match self.tensors.get(name) {
-            Some((shape, _)) => Ok(shape),
+            Some(tensor) => Ok(&tensor.shape),
             None => Err(self.wrong(format!("tensor {name}"), "nothing", "a tensor of this name")),
         }
     }
@@ -192,27 +137,20 @@ impl Checkpoint {
     /// # Errors
     /// [`Error::Input`] naming file and tensor when it is missing or of another type or shape.
     pub fn take<T: Scalar>(&mut self, name: &str, shape: &[usize]) -> Result<Vec<T>> {
-        let found = self.shape(name)?.to_vec();
+        let found = self.shape(name)?;
         let field = format!("tensor {name}");
         if found != shape {
-            return Err(self.wrong(
-                field,
-                format!("shape {found:?}"),
-                format!("shape {shape:?}"),
-            ));
+            let found = format!("shape {found:?}");
+            return Err(self.wrong(field, found, format!("shape {shape:?}")));
         }
-        let (_, values) = self
-            .tensors
-            .remove(name)
-            .unwrap_or((found, Values::F32(Vec::new())));
-        let dtype = values.dtype();
-        T::unwrap(values).ok_or_else(|| {
-            self.wrong(
-                field,
-                format!("type {dtype:?}"),
-                format!("type {}", T::NAME),
-            )
-        })
+        if let Some(tensor) = self.tensors.get(name)
+            && tensor.dtype != T::DTYPE
+        {
+            let found = format!("type {:?}", tensor.dtype);
+            return Err(self.wrong(field, found, format!("type {:?}", T::DTYPE)));
+        }
+        let tensor = self.tensors.remove(name);
+        Ok(tensor.map_or(Vec::new(), |tensor| T::from_bytes(&tensor.bytes)))
     }
 
     /// Adds a setting.
@@ -232,11 +170,6 @@ impl Checkpoint {
         Ok(())
     }
 
-    /// Whether a setting is there.
-    pub fn has(&self, key: &str) -> bool {
-        self.settings.contains_key(key)
-    }
-
     /// Reads a setting.
     ///
     /// # Errors
@@ -250,7 +183,7 @@ impl Checkpoint {
             .map_err(|e| self.wrong(field, e.to_string(), std::any::type_name::<T>()))
     }
 
-    /// What this is a state of.
+    /// The kind of state.
     pub fn kind(&self) -> &str {
         &self.kind
     }
@@ -279,11 +212,7 @@ impl Checkpoint {
         let settings =
             serde_json::json!({ "kind": self.kind, "version": VERSION, "settings": self.settings });
         let metadata = HashMap::from([(KEY.to_owned(), settings.to_string())]);
-        let tensors = self
-            .tensors
-            .iter()
-            .map(|(name, (shape, values))| (name, Stored(shape, values)));
-        let bytes = safetensors::serialize(tensors, Some(metadata))
+        let bytes = safetensors::serialize(&self.tensors, Some(metadata))
             .map_err(|e| Error::io(path, "encode", std::io::Error::other(e.to_string())))?;
         atomic::write_bytes(path, &bytes)
     }
@@ -336,17 +265,12 @@ impl Checkpoint {
                 .extend(settings.iter().map(|(k, v)| (k.clone(), v.clone())));
         }
         for (name, view) in file.tensors() {
-            let Some(values) = Values::from_bytes(view.dtype(), view.data()) else {
-                let found = format!("type {:?}", view.dtype());
-                return Err(checkpoint.wrong(
-                    format!("tensor {name}"),
-                    found,
-                    "F32, F64, U32 or U64",
-                ));
+            let tensor = Stored {
+                dtype: view.dtype(),
+                shape: view.shape().to_vec(),
+                bytes: view.data().to_vec(),
             };
-            checkpoint
-                .tensors
-                .insert(name, (view.shape().to_vec(), values));
+            checkpoint.tensors.insert(name, tensor);
         }
         Ok(checkpoint)
     }

@@ -4,6 +4,7 @@ use super::progress::Bars;
 use super::run_folder::RunFolder;
 use super::scene_file::scene_path;
 use super::{Settings, interrupt, terminal};
+use burn::tensor::Device;
 use clap::Args;
 use coseg::backend::device;
 use coseg::backend::device::BackendName;
@@ -88,39 +89,9 @@ pub struct TrainArgs {
 }
 
 impl TrainArgs {
-    /// Trains, or goes on training, and writes the run folder, unless it is stopped before.
+    /// Trains or resumes, and writes the run folder unless the run is stopped.
     pub fn run(mut self) -> Result<ExitCode> {
-        if let Some(path) = &self.scene {
-            // Ahead of what `--set` says. All Gaussians of the file come back.
-            let sets = [
-                "building.iterations=0",
-                "building.max_gaussians=0",
-                "unprojection.attendance=0",
-            ];
-            let sets = sets.map(str::to_owned);
-            let sets = sets.into_iter().chain([format!(
-                "building.gaussians={}",
-                scene_path(path)?.display()
-            )]);
-            self.settings.sets.splice(0..0, sets);
-        }
-        let (run, config) = match &self.resume {
-            Some(dir) => {
-                let run = RunFolder::existing(dir)?;
-                let mut config = run.config(&self.settings.sets)?;
-                config.data.dir = self.data.clone().or(config.data.dir);
-                (run, config)
-            }
-            None => {
-                let config = self.settings.load(self.data.as_ref(), self.seed)?;
-                (
-                    RunFolder::new(self.out.as_deref(), &scene_name(&config))?,
-                    config,
-                )
-            }
-        };
-        // A run is gone on with, and scored, from other folders too.
-        let config = config.with_absolute_paths()?;
+        let (run, config) = self.settle()?;
         if let Some(dir) = &config.data.dir {
             data::locate(dir, &LoadOptions::from(&config))?;
         }
@@ -135,111 +106,53 @@ impl TrainArgs {
             scene_name(&config),
             run.path().display()
         ));
-
         interrupt::watch();
-        let version = env!("CARGO_PKG_VERSION").to_owned();
-        let begun = run.begin(
-            &config,
-            Command {
-                line: command_line(),
-                device: device_text,
-                version,
-            },
-        )?;
+        let command = Command {
+            line: command_line(),
+            device: device_text,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+        };
+        let begun = run.begin(&config, command)?;
         let outcome = pipeline::run(&config, run.path(), &device, &mut Bars::default());
         let outcome = outcome.inspect_err(|_| begun.undo())?;
         begun.keep()?;
         if outcome.stopped {
-            terminal::note(&format!("stopped; go on with: {}", self.resume_line(&run)));
+            let line = self.resume_line(&run);
+            terminal::note(&format!("stopped; resume with: {line}"));
             return Ok(ExitCode::from(interrupt::EXIT));
         }
-        let config = &outcome.config;
-        let labels = outcome.stored().map(|(_, identities)| identities);
-        let ids = labels.map(|identities| identities.ids(&outcome.scene.classes));
-        if labels.is_none() {
-            // Those of an earlier result, which had other rows.
-            atomic::remove(run.identities_path())?;
-        }
-        ply::write(
-            &run.scene_path(),
-            &outcome.gaussians,
-            outcome.scene.origin,
-            ids.as_deref(),
-        )?;
-        let cameras = cameras_of(&outcome);
-        transforms::write_cameras(&run.cameras_path(), &cameras)?;
-        let viewer = Viewer {
-            title: &scene_name(config),
-            scene: &run.path().display().to_string(),
-            names: None,
-            gaussians: &outcome.gaussians,
-            origin: outcome.scene.origin,
-            labels: ids.as_deref(),
-            classes: &outcome.scene.classes,
-            cameras: &cameras,
-            // Where the scene says so; else as for other scenes.
-            up: Some(outcome.scene.up).filter(|up| *up == DVec3::Z),
-            alpha_max: config.raster.alpha_max,
-        };
-        let page_bytes = Viewer::bytes(&outcome.gaussians);
-        let shown = match page_bytes <= LARGEST_PAGE {
-            true => {
-                viewer.write(&run.viewer_path())?;
-                format!("viewer: {}", run.viewer_path().display())
-            }
-            false => {
-                // That of an earlier result.
-                atomic::remove(run.viewer_path())?;
-                let megabytes = page_bytes / 1_000_000;
-                let line = [
-                    "coseg",
-                    "view",
-                    "--scene",
-                    &run.path().display().to_string(),
-                ]
-                .map(str::to_owned)
-                .map(quoted);
-                format!("viewer: {megabytes} MB, which `{}` writes", line.join(" "))
-            }
-        };
-        if let Some(identities) = labels {
-            identities.write(&run.identities_path())?;
-        }
-        let (classes, renders) = (&outcome.scene.classes, run.path().join("renders"));
-        let mut metrics = Metrics {
-            commands: begun.commands,
-            ..Metrics::of(&outcome)
-        };
-        let mut scores = BTreeMap::new();
-        let views = held_out_views(&outcome, config, &device, |view| {
-            scores.insert(view.view.name.clone(), view.scores);
-            view.write(classes, &renders)
-        })?;
-        scores.extend(
-            views
-                .iter()
-                .map(|view| (view.view.name.clone(), view.scores)),
-        );
-        metrics.test.views = scores;
-        // Of a run in parts the largest counts, as far as they came to an end.
-        metrics.peak_memory_bytes = metrics.peak_memory_bytes.max(run.peak_memory_before());
-        let report = Report {
-            metrics,
-            classes,
-            config,
-            held_out: outcome.scene.split(Split::Test).count(),
-            views,
-            notes: Report::notes_of(&outcome, config),
-        };
-        report.write(run.path())?;
+        let viewer = write_scene(&outcome, &run)?;
+        write_report(&outcome, &run, begun.commands, &device)?;
         summary(&outcome);
         terminal::say(&format!("report: {}", run.report_path().display()));
-        terminal::say(&shown);
+        terminal::say(&viewer);
         Ok(ExitCode::SUCCESS)
     }
 
-    /// The command line that goes on with `run`. Settings that a finished run is gone on with are its own only once it is done
-    /// again.
+    /// The run folder and the settings, with absolute paths: a run is resumed and scored from other folders too.
+    fn settle(&mut self) -> Result<(RunFolder, Config)> {
+        if let Some(path) = &self.scene {
+            // Ahead of `--set`. All Gaussians of the file come back.
+            let sets = [
+                "building.iterations=0".to_owned(),
+                "building.max_gaussians=0".to_owned(),
+                "unprojection.attendance=0".to_owned(),
+                format!("building.gaussians={}", scene_path(path)?.display()),
+            ];
+            self.settings.sets.splice(0..0, sets);
+        }
+        if let Some(dir) = &self.resume {
+            let run = RunFolder::existing(dir)?;
+            let mut config = run.config(&self.settings.sets)?;
+            config.data.dir = self.data.clone().or(config.data.dir);
+            return Ok((run, config.with_absolute_paths()?));
+        }
+        let config = self.settings.load(self.data.as_ref(), self.seed)?;
+        let run = RunFolder::new(self.out.as_deref(), &scene_name(&config))?;
+        Ok((run, config.with_absolute_paths()?))
+    }
+
+    /// The command line that resumes `run`. The settings of `--set` belong to a resumed run only once it is done again.
     fn resume_line(&self, run: &RunFolder) -> String {
         let mut words = ["coseg", "train", "--resume"].map(str::to_owned).to_vec();
         words.push(run.path().display().to_string());
@@ -263,6 +176,78 @@ impl TrainArgs {
         );
         words.into_iter().map(quoted).collect::<Vec<_>>().join(" ")
     }
+}
+
+/// Writes the labelled scene, its cameras and its page for the browser. Returns where that page is, or how to get it.
+fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<String> {
+    let (scene, gaussians) = (&outcome.scene, &outcome.gaussians);
+    let identities = outcome.stored().map(|(_, identities)| identities);
+    let ids = identities.map(|identities| identities.ids(&scene.classes));
+    ply::write(&run.scene_path(), gaussians, scene.origin, ids.as_deref())?;
+    match identities {
+        Some(identities) => identities.write(&run.identities_path())?,
+        // Those of an earlier result, which had other variants.
+        None => atomic::remove(run.identities_path())?,
+    }
+    let cameras = cameras_of(outcome);
+    transforms::write_cameras(&run.cameras_path(), &cameras)?;
+    let page_bytes = Viewer::bytes(gaussians);
+    if page_bytes > LARGEST_PAGE {
+        // The page of an earlier result.
+        atomic::remove(run.viewer_path())?;
+        let megabytes = page_bytes / 1_000_000;
+        let folder = quoted(run.path().display().to_string());
+        let line = format!("coseg view --scene {folder}");
+        return Ok(format!("viewer: {megabytes} MB, which `{line}` writes"));
+    }
+    let viewer = Viewer {
+        title: &scene_name(&outcome.config),
+        scene: &run.path().display().to_string(),
+        names: None,
+        gaussians,
+        origin: scene.origin,
+        labels: ids.as_deref(),
+        classes: &scene.classes,
+        cameras: &cameras,
+        // Where the scene says so; else as for other scenes.
+        up: Some(scene.up).filter(|up| *up == DVec3::Z),
+        alpha_max: outcome.config.raster.alpha_max,
+    };
+    viewer.write(&run.viewer_path())?;
+    Ok(format!("viewer: {}", run.viewer_path().display()))
+}
+
+/// Renders the held-out views, and writes the report and the metrics.
+fn write_report(
+    outcome: &Outcome,
+    run: &RunFolder,
+    commands: Vec<Command>,
+    device: &Device,
+) -> Result<()> {
+    let (classes, renders) = (&outcome.scene.classes, run.path().join("renders"));
+    let mut metrics = Metrics {
+        commands,
+        ..Metrics::of(outcome)
+    };
+    let mut scores = BTreeMap::new();
+    let views = held_out_views(outcome, &outcome.config, device, |view| {
+        scores.insert(view.view.name.clone(), view.scores);
+        view.write(classes, &renders)
+    })?;
+    let shown = views.iter().map(|v| (v.view.name.clone(), v.scores));
+    scores.extend(shown);
+    metrics.test.views = scores;
+    // The largest of the parts of a resumed run, as far as they came to an end.
+    metrics.peak_memory_bytes = metrics.peak_memory_bytes.max(run.peak_memory_before());
+    let report = Report {
+        metrics,
+        classes,
+        config: &outcome.config,
+        held_out: outcome.scene.split(Split::Test).count(),
+        views,
+        notes: Report::notes_of(outcome, &outcome.config),
+    };
+    report.write(run.path())
 }
 
 /// The views' cameras in world units.

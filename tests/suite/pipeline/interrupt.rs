@@ -92,7 +92,7 @@ fn a_run_that_is_interrupted_saves_and_is_gone_on_with() {
     let arguments = long(folder.path(), &run);
     let resume = ["train", "--resume", utf8(&run)];
     let line = format!(
-        "stopped; go on with: coseg train --resume '{}'",
+        "stopped; resume with: coseg train --resume '{}'",
         run.display()
     );
     let without_results = || {
