@@ -105,6 +105,16 @@ pub fn choose(name: Option<BackendName>) -> Result<(BackendName, Device)> {
     })
 }
 
+/// The best CPU backend compiled in, else the best backend.
+///
+/// # Errors
+/// As [`choose`].
+pub fn open_cpu() -> Result<Device> {
+    let compiled = BackendName::compiled().iter();
+    let cpu = compiled.copied().find(|name| *name != BackendName::Wgpu);
+    open(cpu)
+}
+
 /// The device of wgpu, a software one too, if all kernels of this crate run on it.
 ///
 /// # Errors

@@ -9,7 +9,7 @@ use coseg::data::formats::transforms;
 use coseg::data::{MapGeometry, NamedCamera, Scene, Split, View};
 use coseg::error::Result;
 use coseg::objects::{LabelMaps, LabelRule, Semantics, associate, vote};
-use coseg::raster::Settings;
+use coseg::raster::{Settings, SplatTensors};
 use coseg::splat::camera::Camera;
 use coseg::splat::ply;
 
@@ -87,8 +87,9 @@ impl AssociateArgs {
             .collect();
         truth.score(&own).print("held-out views, maps");
         let maps = LabelMaps::new(&identities, classes, LabelRule::from(&config.segmentation));
+        let splats = SplatTensors::new(&ply.gaussians, &device);
         let views = scored_views(&scene, &truth);
-        let shown = rendered(views, &ply.gaussians, &settings, |view| maps.of(view))?;
+        let shown = rendered(views, |camera| maps.of(&splats.seen_by(camera, &settings)))?;
         truth.score(&shown).print("held-out views, rendered");
         Ok(())
     }

@@ -4,12 +4,13 @@ use super::held_out::{Scores, Truth, rendered, scored_views};
 use super::run_folder::RunFolder;
 use super::terminal;
 use clap::Args;
+use coseg::backend::device::open_cpu;
 use coseg::config::{Association, Config, Variant};
 use coseg::data::{Classes, Limits, Scene, Split};
 use coseg::error::{Error, Result};
 use coseg::metrics::ImageScores;
 use coseg::objects::{Identities, LabelMaps, LabelRule, Semantics, hard_label_map};
-use coseg::raster::{Settings, render};
+use coseg::raster::{Projected, Settings, SplatTensors, render};
 use coseg::report::{RowScores, TestScores};
 use coseg::splat::ply;
 use coseg::splat::ply::PlyScene;
@@ -180,10 +181,15 @@ fn label_scores(
     let views = scored_views(scene, truth);
     let maps = if let Some(identities) = identities {
         let maps = LabelMaps::new(identities, classes, rule);
-        rendered(views, &ply.gaussians, &settings, |view| maps.of(view))?
+        let splats = SplatTensors::new(&ply.gaussians, &open_cpu()?);
+        rendered(views, |camera| {
+            maps.of(&splats.seen_by(camera, &settings))
+        })?
     } else if let Some(labels) = &ply.labels {
-        let map = |view: &_| hard_label_map(view, labels, rule.min_coverage);
-        rendered(views, &ply.gaussians, &settings, map)?
+        rendered(views, |camera| {
+            let projected = Projected::new(&ply.gaussians.splats(), camera, &settings)?;
+            Ok(hard_label_map(&projected, labels, rule.min_coverage))
+        })?
     } else {
         return Ok(None);
     };

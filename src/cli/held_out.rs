@@ -7,21 +7,15 @@ use coseg::metrics::{
     InstanceScores, LabelScores, SemanticScores, Void, instance_scores, label_scores,
 };
 use coseg::objects::Semantics;
-use coseg::raster::{Projected, Settings};
-use coseg::splat::Gaussians;
+use coseg::splat::camera::Camera;
 
-/// The labels that `map` gives the views of `views`.
+/// The labels that the cameras of `views` see, by `map`.
 pub fn rendered<'a>(
     views: impl Iterator<Item = &'a View>,
-    gaussians: &Gaussians,
-    settings: &Settings,
-    map: impl Fn(&Projected<f32>) -> LabelMap,
+    map: impl Fn(&Camera) -> Result<LabelMap>,
 ) -> Result<Vec<(&'a View, LabelRuns)>> {
     views
-        .map(|view| {
-            let projected = Projected::new(&gaussians.splats(), &view.camera, settings)?;
-            Ok((view, LabelRuns::from(map(&projected))))
-        })
+        .map(|view| Ok((view, LabelRuns::from(map(&view.camera)?))))
         .collect()
 }
 

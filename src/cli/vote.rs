@@ -8,7 +8,7 @@ use coseg::config::Association;
 use coseg::data::Split;
 use coseg::error::{Error, Result};
 use coseg::objects::{LabelMaps, LabelRule, vote};
-use coseg::raster::Settings;
+use coseg::raster::{Settings, SplatTensors};
 use coseg::splat::ply;
 
 const HELP: &str = "\
@@ -62,8 +62,9 @@ impl VoteArgs {
         let truth = Truth::Labels(&scene.classes);
         let rule = LabelRule::from(&config.segmentation);
         let maps = LabelMaps::new(&identities, &scene.classes, rule);
+        let splats = SplatTensors::new(&ply.gaussians, &device);
         let views = scored_views(&scene, &truth);
-        let maps = rendered(views, &ply.gaussians, &settings, |view| maps.of(view))?;
+        let maps = rendered(views, |camera| maps.of(&splats.seen_by(camera, &settings)))?;
         truth
             .score(&maps)
             .print(&format!("{} held-out views", maps.len()));

@@ -1,14 +1,13 @@
 //! Label maps rendered from identities.
 
-use super::device_labels::{DeviceLabels, larger_of, largest_of};
-use super::identities::largest;
-use super::{Identities, hard_label_map};
+use super::Identities;
 use crate::backend::device::read;
 use crate::config::{LabelSource, SegmentationConfig};
 use crate::data::{Classes, LabelMap};
 use crate::error::Result;
-use crate::raster::{Projected, SplatView};
-use burn::tensor::{Device, Tensor, TensorData};
+use crate::raster::{GaussianLabels, Largest, SplatView};
+use burn::tensor::{Tensor, TensorData};
+use std::sync::OnceLock;
 
 /// How label maps are rendered from identities.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,19 +27,6 @@ impl From<&SegmentationConfig> for LabelRule {
     }
 }
 
-/// Renders identities: at each pixel the class with the largest blended score (`argmax` of Eq. 3), or by [`hard_label_map`] the
-/// class whose Gaussians have the largest summed alpha' T. [`LabelMaps`] of one view.
-///
-/// Pixels that are barely covered, or where nothing is known (of Gaussians that have most of the pixel), take the ignored id.
-pub fn label_map(
-    projected: &Projected<f32>,
-    identities: &Identities,
-    classes: &Classes,
-    rule: &LabelRule,
-) -> LabelMap {
-    LabelMaps::new(identities, classes, *rule).of(projected)
-}
-
 /// Identities as they are rendered by a rule, made once for any number of views.
 #[derive(Clone, Debug)]
 pub struct LabelMaps<'a> {
@@ -51,23 +37,22 @@ pub struct LabelMaps<'a> {
 
 #[derive(Clone, Debug)]
 enum Blended<'a> {
-    /// 1 more than the class index of each Gaussian. 0 is what nothing is known of; it competes as in [`hard_label_map`].
-    Labels(Vec<u16>),
-    Scores(&'a Identities),
+    /// 1 more than the class index of each Gaussian; 0 where nothing is known, which competes as a label of its own.
+    Labels(GaussianLabels),
+    /// The scores, and their tensor `[N, C]`, made at first use.
+    Scores(&'a Identities, OnceLock<Tensor<2>>),
 }
 
 impl<'a> LabelMaps<'a> {
     /// Of `identities` over `classes` by `rule`.
     pub fn new(identities: &'a Identities, classes: &'a Classes, rule: LabelRule) -> Self {
         let blended = match rule.source {
-            LabelSource::Labels => Blended::Labels(
-                identities
-                    .labels()
-                    .into_iter()
-                    .map(|class| class.map_or(0, |c| c + 1))
-                    .collect(),
-            ),
-            LabelSource::Scores => Blended::Scores(identities),
+            LabelSource::Labels => {
+                let label = |class: Option<u16>| class.map_or(0, |c| c + 1);
+                let labels = identities.labels().into_iter().map(label).collect();
+                Blended::Labels(GaussianLabels::new(labels))
+            }
+            LabelSource::Scores => Blended::Scores(identities, OnceLock::new()),
         };
         Self {
             blended,
@@ -76,150 +61,84 @@ impl<'a> LabelMaps<'a> {
         }
     }
 
-    /// What `projected` shows of them, as [`label_map`].
+    /// What `view` shows of the identities: at each pixel the class with the largest blended score (`argmax` of Eq. 3), or the
+    /// class whose Gaussians have the largest summed alpha' T.
+    ///
+    /// Pixels that are barely covered, or where nothing is known (of Gaussians that have most of the pixel), take the ignored id.
+    /// All views must be of Gaussians on one device.
+    ///
+    /// # Errors
+    /// As [`SplatView::blend`]; [`crate::Error::Device`] when the device does not return the map.
     ///
     /// # Panics
     /// If the identities are of another number of Gaussians.
-    pub fn of(&self, projected: &Projected<f32>) -> LabelMap {
-        let id = |class: Option<u16>| self.id(class);
-        match &self.blended {
-            Blended::Labels(labels) => {
-                let mut map = hard_label_map(projected, labels, self.min_coverage);
-                map.ids
-                    .iter_mut()
-                    .for_each(|label| *label = id(label.checked_sub(1)));
-                map
-            }
-            Blended::Scores(Identities { scores, classes }) => {
-                let blended = projected.blend(scores, *classes);
-                let [width, height] = projected.size();
-                let pixels = blended
-                    .image
-                    .chunks_exact((*classes).max(1))
-                    .zip(&blended.transmittance);
-                let class = |(row, t): (&[f32], &f32)| {
-                    if 1.0 - t >= self.min_coverage {
-                        largest(row)
-                    } else {
-                        None
-                    }
-                };
-                LabelMap {
-                    width,
-                    height,
-                    ids: pixels.map(|pixel| id(class(pixel))).collect(),
-                }
-            }
-        }
-    }
-
-    /// The same on a GPU, whose memory they go to: 4 bytes a Gaussian and class of scores; of labels 4 a Gaussian, and as many for
-    /// each label that is blended together with others, 1 GiB at most.
-    pub fn on(&self, device: &Device) -> DeviceLabelMaps<'_> {
-        let device = device.clone().inner();
-        let blended = match &self.blended {
-            Blended::Labels(labels) => {
-                OnDevice::Labels(Box::new(DeviceLabels::new(labels, &device)))
-            }
-            Blended::Scores(Identities { scores, classes }) => {
-                let shape = [scores.len() / (*classes).max(1), *classes];
-                OnDevice::Scores(Box::new(Tensor::from_data(
-                    TensorData::new(scores.clone(), shape),
-                    &device,
-                )))
-            }
-        };
-        DeviceLabelMaps {
-            maps: self,
-            blended,
-        }
-    }
-
-    fn id(&self, class: Option<u16>) -> u16 {
-        class
-            .and_then(|c| self.classes.entries.get(usize::from(c)))
-            .map_or(self.classes.ignore, |class| class.id)
-    }
-}
-
-/// [`LabelMaps`] that a GPU renders.
-#[derive(Debug)]
-pub struct DeviceLabelMaps<'a> {
-    maps: &'a LabelMaps<'a>,
-    blended: OnDevice,
-}
-
-#[derive(Debug)]
-enum OnDevice {
-    Labels(Box<DeviceLabels>),
-    /// `[N, C]`.
-    Scores(Box<Tensor<2>>),
-}
-
-impl DeviceLabelMaps<'_> {
-    /// What `view` shows of them: [`LabelMaps::of`] but for pixels where rounding decides. Read back once.
-    ///
-    /// # Errors
-    /// As [`SplatView::blend`]; [`crate::Error::Device`] when the device does not give the map back.
-    pub fn of(&mut self, view: &SplatView) -> Result<LabelMap> {
+    pub fn of(&self, view: &SplatView) -> Result<LabelMap> {
         let (width, height) = (view.camera().width, view.camera().height);
-        // The least and the largest blended value, and the index of the latter.
-        let mut found: Option<(Tensor<3>, (Tensor<3>, Tensor<3>))> = None;
-        let mut transmittance = None;
-        let blocks = match &self.blended {
-            OnDevice::Labels(labels) => labels.blocks(view, 0),
-            OnDevice::Scores(scores) => view.channel_blocks(scores.dims()[1]).collect(),
+        let (found, transmittance) = match &self.blended {
+            Blended::Labels(labels) => {
+                let pixels = view.largest_labels(labels)?;
+                let class = |label: u16| label.checked_sub(1);
+                let classes: Vec<_> = pixels.labels.into_iter().map(class).collect();
+                (classes, pixels.transmittance)
+            }
+            Blended::Scores(identities, tensor) => largest_scores(view, identities, tensor)?,
         };
-        for block in blocks {
-            let first = block.start;
-            let values = match &mut self.blended {
-                OnDevice::Labels(labels) if first == 0 => labels.first(block),
-                OnDevice::Labels(labels) => labels.one_hot(block),
-                OnDevice::Scores(scores) => {
-                    Tensor::clone(scores).slice([0..scores.dims()[0], block])
-                }
-            };
-            let (image, t) = view.blend(values)?;
-            transmittance.get_or_insert(t);
-            let (least, largest) = (image.clone().min_dim(2), largest_of(image, first as f64));
-            found = Some(match found {
-                Some((other, best)) => (other.min_pair(least), larger_of(best, largest)),
-                None => (least, largest),
-            });
-        }
-        let (Some((least, (largest, index))), Some(transmittance)) = (found, transmittance) else {
-            return Ok(LabelMap {
-                width,
-                height,
-                ids: vec![self.maps.classes.ignore; width * height],
-            });
-        };
-        let unknown = match &self.blended {
-            OnDevice::Labels(_) => largest.lower_equal_elem(0.0),
-            // All alike: nothing is known. A single class has nothing to be told from.
-            OnDevice::Scores(scores) if scores.dims()[1] > 1 => largest.lower_equal(least),
-            OnDevice::Scores(_) => largest.is_nan(),
-        };
-        let pixels = width * height;
-        let parts = vec![
-            index.mask_fill(unknown, -1.0).reshape([pixels]),
-            transmittance.reshape([pixels]),
-        ];
-        let mut index = read("a label map", Tensor::<1>::cat(parts, 0))?;
-        let transmittance = index.split_off(pixels);
-        let class = |index: f32| match &self.blended {
-            OnDevice::Labels(labels) => labels.ids().get(index as usize)?.checked_sub(1),
-            OnDevice::Scores(_) => Some(index as u16),
-        };
-        let pixels = index.into_iter().zip(transmittance);
-        let class = |(index, t): (f32, f32)| {
-            let shown = index >= 0.0 && 1.0 - t >= self.maps.min_coverage;
-            if shown { class(index) } else { None }
+        let id = |(class, t): (Option<u16>, f32)| {
+            class
+                .filter(|_| 1.0 - t >= self.min_coverage)
+                .and_then(|c| self.classes.entries.get(usize::from(c)))
+                .map_or(self.classes.ignore, |class| class.id)
         };
         Ok(LabelMap {
             width,
             height,
-            ids: pixels.map(|pixel| self.maps.id(class(pixel))).collect(),
+            ids: found.into_iter().zip(transmittance).map(id).collect(),
         })
     }
+}
+
+/// The class with the largest blended score at each pixel, `None` where all are equal, and the transmittance.
+fn largest_scores(
+    view: &SplatView,
+    identities: &Identities,
+    tensor: &OnceLock<Tensor<2>>,
+) -> Result<(Vec<Option<u16>>, Vec<f32>)> {
+    let n = view.splats().len();
+    let classes = identities.classes;
+    let pixels = view.camera().width * view.camera().height;
+    let scores = tensor.get_or_init(|| {
+        Tensor::from_data(
+            TensorData::new(identities.scores.clone(), [n, classes]),
+            &view.device(),
+        )
+    });
+    // The least and the largest blended score.
+    let mut found: Option<(Tensor<3>, Largest)> = None;
+    let mut transmittance = None;
+    for block in view.channel_blocks(if n > 0 { classes } else { 0 }) {
+        let first = block.start as f64;
+        let (image, t) = view.blend(scores.clone().slice([0..n, block]))?;
+        transmittance.get_or_insert(t);
+        let least = image.clone().min_dim(2);
+        let largest = Largest::of(image, first);
+        found = Some(match found {
+            Some((other, best)) => (other.min_pair(least), best.or(largest)),
+            None => (least, largest),
+        });
+    }
+    let (Some((least, Largest { value, index })), Some(transmittance)) = (found, transmittance)
+    else {
+        return Ok((vec![None; pixels], vec![1.0; pixels]));
+    };
+    // A single class has no other to differ from.
+    let index = if classes > 1 {
+        index.mask_fill(value.lower_equal(least), -1.0)
+    } else {
+        index
+    };
+    let parts = vec![index.reshape([pixels]), transmittance.reshape([pixels])];
+    let mut index = read("a label map", Tensor::<1>::cat(parts, 0))?;
+    let transmittance = index.split_off(pixels);
+    let class = |index: f32| (index >= 0.0).then_some(index as u16);
+    Ok((index.into_iter().map(class).collect(), transmittance))
 }

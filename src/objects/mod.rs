@@ -2,7 +2,6 @@
 
 mod association;
 mod compactness;
-mod device_labels;
 mod hard_labels;
 mod identities;
 mod inventory;
@@ -17,7 +16,7 @@ pub use self::compactness::NeighbourGraph;
 pub use self::hard_labels::hard_label_map;
 pub use self::identities::Identities;
 pub use self::inventory::{Object, Picked, inventory, pick};
-pub use self::label_maps::{DeviceLabelMaps, LabelMaps, LabelRule, label_map};
+pub use self::label_maps::{LabelMaps, LabelRule};
 pub use self::renderer::{Frame, RenderOptions, Renderer};
 pub use self::semantics::{Semantics, has_truth};
 pub use self::separate::{Separated, Separation};

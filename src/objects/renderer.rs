@@ -1,13 +1,12 @@
 //! Views of a labelled scene on any device: colour, coverage and labels of a camera together.
 
-use super::device_labels::{DeviceLabels, larger_of, largest_of};
 use super::hard_labels::with_hard_labels;
 use crate::backend::device::{read, renders_on};
 use crate::data::LabelMap;
 use crate::error::{Error, Result};
 use crate::raster::{
-    ListCount, Projected, RasterInput, Settings, SplatTensors, SplatView, Viewpoint,
-    rasterize_with_capacity, tile_capacity,
+    GaussianLabels, Largest, ListCount, Projected, RasterInput, Settings, SplatTensors, SplatView,
+    Viewpoint, rasterize_with_capacity, tile_capacity,
 };
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
@@ -75,6 +74,7 @@ impl Default for RenderOptions {
 #[derive(Debug)]
 pub struct Renderer {
     options: RenderOptions,
+    splats: SplatTensors,
     place: Place,
 }
 
@@ -102,18 +102,20 @@ impl Renderer {
         options.check()?;
         // Where there is nothing, nothing is sent; where the host would render all the same, nothing is copied for each frame.
         let on_host = !renders_on(device) || gaussians.is_empty();
-        let place = match on_host {
-            true => Place::Host {
+        let splats = SplatTensors::new(&gaussians, device);
+        let place = if on_host {
+            Place::Host {
                 gaussians: Box::new(gaussians),
                 labels,
-            },
-            false => Place::Device(Box::new(OnDevice::new(
-                gaussians,
-                labels.as_deref(),
-                device,
-            ))),
+            }
+        } else {
+            Place::Device(Box::new(OnDevice::new(gaussians, labels, &splats)))
         };
-        Ok(Self { options, place })
+        Ok(Self {
+            options,
+            splats,
+            place,
+        })
     }
 
     /// Renders with `options` from now on.
@@ -143,12 +145,9 @@ impl Renderer {
 }
 
 impl Renderer {
-    /// The Gaussians as `camera` sees them, where they are on a GPU.
-    pub(crate) fn seen_by(&self, camera: &Camera) -> Option<SplatView> {
-        match &self.place {
-            Place::Host { .. } => None,
-            Place::Device(scene) => Some(scene.view(camera, &self.options.settings)),
-        }
+    /// The Gaussians as `camera` sees them.
+    pub(crate) fn view(&self, camera: &Camera) -> SplatView {
+        self.splats.seen_by(camera, &self.options.settings)
     }
 }
 
@@ -183,26 +182,21 @@ fn on_host(
 #[derive(Debug)]
 struct OnDevice {
     input: RasterInput,
-    labels: Option<DeviceLabels>,
+    labels: Option<GaussianLabels>,
     /// The most entries that the tile lists of a view had so far.
     entries: Option<usize>,
 }
 
 impl OnDevice {
-    fn new(gaussians: Gaussians, labels: Option<&[u16]>, device: &Device) -> Self {
-        let device = device.clone().inner();
-        let (n, terms) = (gaussians.len(), gaussians.sh_len());
-        let SplatTensors {
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
-        } = SplatTensors::new(&gaussians, &device);
+    fn new(gaussians: Gaussians, labels: Option<Vec<u16>>, splats: &SplatTensors) -> Self {
+        let device = splats.device();
+        let n = gaussians.len();
+        let terms = gaussians.sh_len();
         let input = RasterInput {
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
+            means: splats.means.clone(),
+            log_scales: splats.log_scales.clone(),
+            rotations: splats.rotations.clone(),
+            opacity_logits: splats.opacity_logits.clone(),
             sh: Some(Tensor::from_data(
                 TensorData::new(gaussians.sh, [n, terms, 3]),
                 &device,
@@ -211,7 +205,7 @@ impl OnDevice {
             features: None,
             screen: None,
         };
-        let labels = labels.map(|labels| DeviceLabels::new(labels, &device));
+        let labels = labels.map(GaussianLabels::new);
         Self {
             input,
             labels,
@@ -246,8 +240,8 @@ impl OnDevice {
             .map_or_else(Vec::new, |labels| labels.blocks(&view, 3))
             .into_iter();
         let mut input = self.input.clone();
-        if let (Some(labels), Some(block)) = (&mut self.labels, blocks.next()) {
-            input.features = Some(labels.first(block));
+        if let (Some(labels), Some(block)) = (&self.labels, blocks.next()) {
+            input.features = Some(labels.one_hot(block, &view.device()));
         }
         let output =
             rasterize_with_capacity(input, camera, &options.settings, options.background, room)?;
@@ -260,18 +254,13 @@ impl OnDevice {
         if let Some(labels) = &self.labels {
             // The colour competes with less than any weight: to cut it off would copy all the others.
             let weights = output.image.slice_fill([0..height, 0..width, 0..3], -1.0);
-            let mut largest = largest_of(weights, -3.0);
+            let mut largest = Largest::of(weights, -3.0);
             for block in blocks {
                 let first = block.start as f64;
-                let (image, _) = view.blend(labels.one_hot(block))?;
-                largest = larger_of(largest, largest_of(image, first));
+                let (image, _) = view.blend(labels.one_hot(block, &view.device()))?;
+                largest = largest.or(Largest::of(image, first));
             }
-            parts.push(
-                largest
-                    .1
-                    .mask_fill(largest.0.lower_equal_elem(0.0), -1.0)
-                    .reshape([pixels]),
-            );
+            parts.push(largest.indices());
         }
         let (mut values, lists) = read_together(parts, output.tile_lists)?;
         if let Some(lists) = lists {
@@ -284,9 +273,8 @@ impl OnDevice {
         let (transmittance, index) = rest.split_at(pixels);
         let alpha: Vec<f32> = transmittance.iter().map(|t| 1.0 - t).collect();
         let labels = self.labels.as_ref().map(|labels| {
-            // -1 is cut off to no label.
-            let id = |(&index, &alpha): (&f32, &f32)| match labels.ids().get(index as usize) {
-                Some(&id) if index >= 0.0 && alpha >= options.min_coverage => id,
+            let id = |(&index, &alpha): (&f32, &f32)| match labels.at(index) {
+                Some(id) if alpha >= options.min_coverage => id,
                 _ => 0,
             };
             LabelMap {

@@ -18,6 +18,7 @@ pub(crate) use self::cpu::sh::basis as sh_basis;
 pub use self::cpu::{
     Blended, Positions, Projected, Rendered, SplatGradients, TilePairs, eval_sh, render,
 };
+pub(crate) use self::op::{GaussianLabels, Largest, one_hot};
 pub use self::op::{
     Lifted, ListCount, RasterInput, RasterOutput, SplatTensors, SplatView, rasterize,
     rasterize_with_capacity, tile_capacity,

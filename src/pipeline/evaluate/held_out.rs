@@ -1,6 +1,5 @@
 //! Label maps that are rendered again and again over Gaussians that stay as they are, and their scores.
 
-use crate::backend::device::renders_on;
 use crate::config::Association;
 use crate::data::{LabelRuns, Split, View};
 use crate::error::Result;
@@ -9,39 +8,35 @@ use crate::metrics::{
 };
 use crate::objects::{Identities, LabelMaps, LabelRule, Semantics, has_truth};
 use crate::pipeline::encode::Inputs;
-use crate::raster::{Projected, SplatTensors};
-use std::borrow::Cow;
+use crate::raster::{SplatTensors, SplatView};
 
 /// Bytes of projected test views that are kept; others are projected again at each use.
 const PROJECTED_BYTES: usize = 1 << 29;
 
-/// Views in which identities are rendered. On the host views are projected once, as far as memory allows; a GPU projects them each
-/// time.
+/// Views in which identities are rendered. Their projections are kept, as far as memory allows.
 pub struct LabelledViews<'a> {
-    views: Vec<(&'a View, Option<Projected<f32>>)>,
-    /// The Gaussians on a GPU.
-    splats: Option<SplatTensors>,
+    views: Vec<(&'a View, Option<SplatView>)>,
+    splats: SplatTensors,
 }
 
 impl<'a> LabelledViews<'a> {
-    /// `views` of the Gaussians of `inputs`; of their projections `bytes` are kept at most.
+    /// `views` of the Gaussians of `inputs`; keeps at most `bytes` of their projections.
     ///
     /// # Errors
-    /// As [`Projected::new`].
+    /// As [`SplatView::blend`].
     pub fn new(
         views: impl Iterator<Item = &'a View>,
         inputs: &Inputs,
         bytes: usize,
     ) -> Result<Self> {
-        let on_device = renders_on(inputs.device) && !inputs.gaussians.is_empty();
-        let splats = on_device.then(|| SplatTensors::new(inputs.gaussians, inputs.device));
-        let mut left = if on_device { 0 } else { bytes };
-        let keep = |view| {
+        let splats = SplatTensors::new(inputs.gaussians, inputs.device);
+        let mut left = bytes;
+        let keep = |view: &'a View| {
             if left == 0 {
                 return Ok((view, None));
             }
-            let projected = project(view, inputs)?;
-            let rest = left.checked_sub(projected.bytes());
+            let projected = splats.seen_by(&view.camera, &inputs.settings);
+            let rest = left.checked_sub(projected.bytes()?);
             left = rest.unwrap_or(left);
             Ok((view, rest.map(|_| projected)))
         };
@@ -54,7 +49,7 @@ impl<'a> LabelledViews<'a> {
     /// What each view shows of `identities`.
     ///
     /// # Errors
-    /// As [`Projected::new`]; on a GPU as [`crate::objects::DeviceLabelMaps::of`].
+    /// As [`LabelMaps::of`].
     pub fn maps(
         &self,
         identities: &Identities,
@@ -62,27 +57,15 @@ impl<'a> LabelledViews<'a> {
     ) -> Result<Vec<(&'a View, LabelRuns)>> {
         let rule = LabelRule::from(&inputs.config.segmentation);
         let maps = LabelMaps::new(identities, &inputs.scene.classes, rule);
-        if let Some(splats) = &self.splats {
-            let mut maps = maps.on(inputs.device);
-            let of = |(view, _): &(&'a View, _)| {
-                let map = maps.of(&splats.seen_by(&view.camera, &inputs.settings))?;
-                Ok((*view, LabelRuns::from(map)))
+        let map = |(view, kept): &(&'a View, Option<SplatView>)| {
+            let map = match kept {
+                Some(projected) => maps.of(projected)?,
+                None => maps.of(&self.splats.seen_by(&view.camera, &inputs.settings))?,
             };
-            return self.views.iter().map(of).collect();
-        }
-        let of = |(view, projected): &(&'a View, Option<Projected<f32>>)| {
-            let projected = match projected {
-                Some(projected) => Cow::Borrowed(projected),
-                None => Cow::Owned(project(view, inputs)?),
-            };
-            Ok((*view, LabelRuns::from(maps.of(&projected))))
+            Ok((*view, LabelRuns::from(map)))
         };
-        self.views.iter().map(of).collect()
+        self.views.iter().map(map).collect()
     }
-}
-
-fn project(view: &View, inputs: &Inputs) -> Result<Projected<f32>> {
-    Projected::new(&inputs.gaussians.splats(), &view.camera, &inputs.settings)
 }
 
 /// Test views with truth.
@@ -120,7 +103,7 @@ impl<'a> HeldOut<'a> {
     /// Those of the scene of `inputs`.
     ///
     /// # Errors
-    /// As [`Projected::new`].
+    /// As [`SplatView::blend`].
     pub fn new(inputs: &Inputs<'a>) -> Result<Self> {
         let (association, semantics) = (inputs.config.data.association, inputs.semantics);
         let known = |view: &&View| has_truth(view, association, semantics);

@@ -76,6 +76,11 @@ impl Lists {
         }))
     }
 
+    /// Bytes of projection and lists.
+    pub fn bytes(&self) -> usize {
+        100 * self.prepared.order.len + 8 * self.prepared.entries.len
+    }
+
     /// Entries of the tile lists.
     pub fn entries(&self) -> usize {
         self.prepared.entries.len

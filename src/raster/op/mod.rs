@@ -10,10 +10,12 @@ mod check;
 mod cpu;
 #[cfg(feature = "cube")]
 mod gpu;
+mod labels;
 mod splats;
 mod tile_lists;
 mod view;
 
+pub(crate) use self::labels::{GaussianLabels, Largest, one_hot};
 pub use self::splats::SplatTensors;
 pub use self::tile_lists::{ListCount, tile_capacity};
 pub use self::view::{Lifted, SplatView};

@@ -36,6 +36,11 @@ impl SplatTensors {
         }
     }
 
+    /// Where they live, without autodiff.
+    pub fn device(&self) -> Device {
+        self.means.device()
+    }
+
     /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.opacity_logits.dims()[0]

@@ -8,7 +8,7 @@ use crate::ops::{RowList, gather_rows};
 use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
 use burn::backend::Dispatch;
-use burn::tensor::Tensor;
+use burn::tensor::{Device, Tensor};
 use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 
@@ -85,6 +85,24 @@ impl SplatView {
         &self.splats
     }
 
+    /// Where the Gaussians live, without autodiff.
+    pub fn device(&self) -> Device {
+        self.splats.device()
+    }
+
+    /// Bytes of projection and tile lists, which are made if need be.
+    ///
+    /// # Errors
+    /// As [`SplatView::blend`].
+    pub(crate) fn bytes(&self) -> Result<usize> {
+        Ok(match self.projected()? {
+            ProjectedView::F32(projected) => projected.bytes(),
+            ProjectedView::F64(projected) => projected.bytes(),
+            #[cfg(feature = "cube")]
+            ProjectedView::Gpu(lists) => lists.bytes(),
+        })
+    }
+
     /// Where it is seen from.
     pub fn camera(&self) -> &Camera {
         &self.call.camera
@@ -94,7 +112,7 @@ impl SplatView {
     /// and no more than 1 GB.
     pub fn channel_blocks(&self, channels: usize) -> impl Iterator<Item = Range<usize>> + use<> {
         let plane = (self.camera().width * self.camera().height * size_of::<f32>()).max(1);
-        let together = match largest_allocation(&self.splats.means.device()) {
+        let together = match largest_allocation(&self.device()) {
             None => (BLOCK_BYTES / plane).max(LEAST_CHANNELS),
             Some(most) => match (most / DEVICE_BLOCK_SHARE).min(DEVICE_BLOCK_BYTES) / plane {
                 few if few < DEVICE_STEP => few.max(LEAST_CHANNELS),
@@ -191,7 +209,7 @@ impl SplatView {
     }
 
     /// Projection and tile lists, made at first use.
-    fn projected(&self) -> Result<ProjectedView> {
+    pub(super) fn projected(&self) -> Result<ProjectedView> {
         if let Some(projected) = self.projected.get() {
             return Ok(projected.clone());
         }

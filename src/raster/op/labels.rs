@@ -1,0 +1,224 @@
+//! One label a Gaussian: at each pixel the label whose Gaussians weigh most.
+//!
+//! The CPU's kernel sums the weights of the labels that a tile shows. A GPU blends one channel for each label, in blocks.
+
+use super::backend::ProjectedView;
+use super::view::SplatView;
+use crate::backend::device::{largest_allocation, read};
+use crate::error::Result;
+use burn::tensor::{Device, Tensor, TensorData};
+use std::ops::Range;
+use std::sync::OnceLock;
+
+/// Bytes of one channel a label for all Gaussians, and labels that are blended together all the same.
+const BLOCK_BYTES: usize = 1 << 30;
+const FEWEST: usize = 8;
+
+/// The labels of a scene's Gaussians.
+#[derive(Clone, Debug)]
+pub(crate) struct GaussianLabels {
+    /// `[N]`.
+    labels: Vec<u16>,
+    /// Those that occur, ascending.
+    ids: Vec<u16>,
+    /// Index among `ids` of each Gaussian's, `[N, 1]`, made at first use.
+    indices: OnceLock<Tensor<2>>,
+}
+
+/// What [`SplatView::largest_labels`] returns.
+pub(crate) struct LabelledPixels {
+    /// `[H, W]`: the label whose Gaussians have the largest summed alpha' T, ties to the lower one, and 0 where there are none.
+    pub labels: Vec<u16>,
+    /// What shows of the background, `[H, W]`.
+    pub transmittance: Vec<f32>,
+}
+
+impl GaussianLabels {
+    pub fn new(labels: Vec<u16>) -> Self {
+        let mut ids = labels.clone();
+        ids.sort_unstable();
+        ids.dedup();
+        Self {
+            labels,
+            ids,
+            indices: OnceLock::new(),
+        }
+    }
+
+    /// The label of each Gaussian.
+    pub fn labels(&self) -> &[u16] {
+        &self.labels
+    }
+
+    /// The labels that occur, ascending.
+    pub fn ids(&self) -> &[u16] {
+        &self.ids
+    }
+
+    /// Ranges of labels: those that `view` blends beside `others` channels, and further ones in passes of their own. Neither an
+    /// image of them nor a channel a Gaussian is more than a block may have.
+    pub fn blocks(&self, view: &SplatView, others: usize) -> Vec<Range<usize>> {
+        let labels = self.ids.len();
+        let of_image = view
+            .channel_blocks(others + labels)
+            .next()
+            .map_or(labels, |block| block.len() - others);
+        let most = largest_allocation(&view.device())
+            .map_or(BLOCK_BYTES, |most| (most / 4).min(BLOCK_BYTES));
+        let of_gaussians = (most / (self.labels.len() * size_of::<f32>()).max(1)).max(FEWEST);
+        let together = of_image.min(of_gaussians).max(1);
+        (0..labels)
+            .step_by(together)
+            .map(|first| first..(first + together).min(labels))
+            .collect()
+    }
+
+    /// 1 where a Gaussian has a label of `block`, `[N, len]`.
+    pub fn one_hot(&self, block: Range<usize>, device: &Device) -> Tensor<2> {
+        let indices = self.indices.get_or_init(|| {
+            let index = |label| self.ids.partition_point(|id| id < label) as f32;
+            let indices: Vec<f32> = self.labels.iter().map(index).collect();
+            Tensor::from_data(TensorData::new(indices, [self.labels.len(), 1]), device)
+        });
+        one_hot(indices, block.map(|index| index as f32).collect())
+    }
+}
+
+impl SplatView {
+    /// At each pixel the label that weighs most.
+    ///
+    /// # Errors
+    /// As [`SplatView::blend`].
+    ///
+    /// # Panics
+    /// If there is not one label for each Gaussian.
+    pub(crate) fn largest_labels(&self, labels: &GaussianLabels) -> Result<LabelledPixels> {
+        let n = self.splats().len();
+        assert_eq!(labels.labels.len(), n, "one label a Gaussian");
+        if let ProjectedView::F32(projected) = self.projected()? {
+            let (blended, labels) = projected.blend_labels::<0>(&[], &labels.labels);
+            return Ok(LabelledPixels {
+                labels,
+                transmittance: blended.transmittance,
+            });
+        }
+        let mut largest: Option<Largest> = None;
+        let mut transmittance = None;
+        for block in labels.blocks(self, 0) {
+            let first = block.start as f64;
+            let (image, of_all) = self.blend(labels.one_hot(block, &self.device()))?;
+            transmittance.get_or_insert(of_all);
+            let found = Largest::of(image, first);
+            largest = Some(match largest {
+                Some(before) => before.or(found),
+                None => found,
+            });
+        }
+        let pixels = self.camera().width * self.camera().height;
+        let (Some(largest), Some(transmittance)) = (largest, transmittance) else {
+            return Ok(LabelledPixels {
+                labels: vec![0; pixels],
+                transmittance: vec![1.0; pixels],
+            });
+        };
+        let parts = vec![largest.indices(), transmittance.reshape([pixels])];
+        let mut values = read("a label map", Tensor::<1>::cat(parts, 0))?;
+        let transmittance = values.split_off(pixels);
+        let labels = values
+            .into_iter()
+            .map(|index| labels.at(index).unwrap_or(0))
+            .collect();
+        Ok(LabelledPixels {
+            labels,
+            transmittance,
+        })
+    }
+}
+
+impl GaussianLabels {
+    /// The label that one of [`Largest::indices`] stands for.
+    pub fn at(&self, index: f32) -> Option<u16> {
+        (index >= 0.0).then(|| self.ids.get(index as usize).copied())?
+    }
+}
+
+/// 1 where the one value of a row of `[rows, 1]` is the value of the column, `[rows, values]`.
+pub(crate) fn one_hot(of_rows: &Tensor<2>, values: Vec<f32>) -> Tensor<2> {
+    let rows = of_rows.dims()[0];
+    let columns = values.len();
+    let values = Tensor::<2>::from_data(TensorData::new(values, [1, columns]), &of_rows.device());
+    of_rows
+        .clone()
+        .expand([rows, columns])
+        .equal(values.expand([rows, columns]))
+        .float()
+}
+
+/// The largest channel at each pixel.
+#[derive(Clone)]
+pub(crate) struct Largest {
+    /// Its value, `[H, W, 1]`.
+    pub value: Tensor<3>,
+    /// Its number, `[H, W, 1]`.
+    pub index: Tensor<3>,
+}
+
+impl Largest {
+    /// Of `image`, `[H, W, C]`, whose first channel has the number `first`; ties go to the lower one.
+    pub fn of(image: Tensor<3>, first: f64) -> Self {
+        let (value, index) = image.max_dim_with_indices(2);
+        Self {
+            value,
+            index: index.float() + first,
+        }
+    }
+
+    /// The larger of both at each pixel, `self` where they are equal.
+    pub fn or(self, other: Self) -> Self {
+        let better = other.value.clone().greater(self.value.clone());
+        Self {
+            value: self.value.mask_where(better.clone(), other.value),
+            index: self.index.mask_where(better, other.index),
+        }
+    }
+
+    /// The numbers, `[H W]`, -1 where no channel is above 0.
+    pub fn indices(self) -> Tensor<1> {
+        let [height, width, _] = self.value.dims();
+        self.index
+            .mask_fill(self.value.lower_equal_elem(0.0), -1.0)
+            .reshape([height * width])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::device::{BackendName, device_of_tests};
+
+    #[test]
+    fn equal_labels_go_to_the_lower_one_within_and_between_blocks() {
+        for device in BackendName::compiled()
+            .iter()
+            .filter_map(|&name| device_of_tests(name))
+        {
+            let block = |values: [f32; 4], first| {
+                Largest::of(Tensor::from_data([[values]], &device), first)
+            };
+            let index =
+                |largest: Largest| largest.index.into_data().into_vec::<f32>().expect("floats")[0];
+            assert_eq!(index(block([0.1, 0.4, 0.4, 0.3], 8.0)), 9.0, "{device:?}");
+            let between = |a, b| index(block(a, 0.0).or(block(b, 4.0)));
+            assert_eq!(
+                between([0.0, 0.0, 0.5, 0.0], [0.5, 0.5, 0.0, 0.0]),
+                2.0,
+                "{device:?}"
+            );
+            assert_eq!(
+                between([0.0, 0.0, 0.5, 0.0], [0.0, 0.6, 0.6, 0.0]),
+                5.0,
+                "{device:?}"
+            );
+        }
+    }
+}
