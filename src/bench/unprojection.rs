@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::features::{FeatureMap, SCALES};
 use crate::random::{Purpose, stream};
 use crate::raster::Settings;
-use crate::segmentation::unprojection::Lifting;
+use crate::segmentation::unprojection::LiftedViews;
 use crate::splat::Gaussians;
 use rand::Rng;
 use std::hint::black_box;
@@ -40,7 +40,7 @@ pub(super) fn measure(
     let settings = Settings::from(&bench.config.raster);
     for (resolution, name) in RESOLUTIONS {
         let lift = |views: usize| {
-            let mut lifting = Lifting::new(gaussians, &[CHANNELS; SCALES], &bench.device);
+            let mut lifting = LiftedViews::new(gaussians, &[CHANNELS; SCALES], &bench.device);
             for (camera, maps) in cameras.iter().zip(sets.iter().cycle()).take(views) {
                 lifting.add(camera, maps, None, resolution, &settings)?;
             }

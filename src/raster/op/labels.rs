@@ -45,16 +45,6 @@ impl GaussianLabels {
         }
     }
 
-    /// The label of each Gaussian.
-    pub fn labels(&self) -> &[u16] {
-        &self.labels
-    }
-
-    /// The labels that occur, ascending.
-    pub fn ids(&self) -> &[u16] {
-        &self.ids
-    }
-
     /// Ranges of labels: those that `view` blends beside `others` channels, and further ones in passes of their own. Neither an
     /// image of them nor a channel a Gaussian is more than a block may have.
     pub fn blocks(&self, view: &SplatView, others: usize) -> Vec<Range<usize>> {

@@ -6,8 +6,8 @@ use coseg::data::{
     Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, View, load,
 };
 use coseg::metrics::{InstanceScores, instance_scores};
-use coseg::objects::{LabelRule, Semantics, associate, label_map, vote};
-use coseg::raster::{Projected, Settings};
+use coseg::objects::{LabelMaps, LabelRule, Semantics, associate, vote};
+use coseg::raster::{Settings, SplatTensors};
 use coseg::splat::{Gaussians, ply};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -121,9 +121,11 @@ pub fn rendered(gaussians: &Gaussians, scene: &Scene) -> Vec<LabelMap> {
         source: LabelSource::Labels,
         min_coverage: 0.5,
     };
+    let maps = LabelMaps::new(&votes, &scene.classes, rule);
+    let splats = SplatTensors::new(gaussians, &crate::support::device());
     let render = |view: &View| {
-        let projected = Projected::new(&gaussians.splats(), &view.camera, &settings).expect("view");
-        label_map(&projected, &votes, &scene.classes, &rule)
+        maps.of(&splats.seen_by(&view.camera, &settings))
+            .expect("a map")
     };
     scene.split(Split::Test).map(render).collect()
 }

@@ -1,12 +1,13 @@
-//! Votes and label maps on a GPU: those of the host.
+//! Votes and label maps on a GPU: those of the CPU.
 
 use crate::backend::device_training::on_device;
 use crate::objects::renderer::scene as gaussians;
 use crate::support::raster_reference::numbers;
+use burn::tensor::Device;
 use coseg::config::LabelSource;
 use coseg::data::{Classes, LabelMap, LabelRuns, Scene};
 use coseg::objects::{Identities, LabelMaps, LabelRule, vote};
-use coseg::raster::{Projected, Settings, SplatTensors};
+use coseg::raster::{Settings, SplatTensors};
 
 fn classes(count: u16) -> Classes {
     Classes::from_names(0, (0..=count).map(|id| (id, format!("class {id}"))))
@@ -101,7 +102,9 @@ fn label_maps_are_those_of_the_host() {
         let camera = crate::support::raster_reference::camera(width, height);
         let gaussians = gaussians(&camera, scale);
         let settings = Settings::default();
-        let projected = Projected::new(&gaussians.splats(), &camera, &settings).expect("a view");
+        let cpu = crate::support::device();
+        let [on_cpu, on_gpu] = [&cpu, &gpu]
+            .map(|device| SplatTensors::new(&gaussians, device).seen_by(&camera, &settings));
         let c = usize::from(count);
         let mut scores: Vec<f32> = numbers(gaussians.len() * c, 3)
             .into_iter()
@@ -113,23 +116,19 @@ fn label_maps_are_those_of_the_host() {
             .step_by(5)
             .for_each(|row| row.fill(0.25));
         let (identities, classes) = (Identities { scores, classes: c }, classes(count));
-        let view = SplatTensors::new(&gaussians, &gpu).seen_by(&camera, &settings);
         for (source, min_coverage) in [
             (LabelSource::Labels, 0.3),
             (LabelSource::Scores, 0.3),
             (LabelSource::Labels, 0.0),
             (LabelSource::Scores, 0.0),
         ] {
-            let maps = LabelMaps::new(
-                &identities,
-                &classes,
-                LabelRule {
-                    source,
-                    min_coverage,
-                },
-            );
-            let want = maps.of(&projected);
-            let got = on_device(Some(&gpu), || maps.on(&gpu).of(&view).expect("a map"));
+            let rule = LabelRule {
+                source,
+                min_coverage,
+            };
+            let maps = || LabelMaps::new(&identities, &classes, rule);
+            let want = maps().of(&on_cpu).expect("a map");
+            let got = on_device(Some(&gpu), || maps().of(&on_gpu).expect("a map"));
             assert_eq!((got.width, got.height), (width, height));
             let differ = got
                 .ids
@@ -162,25 +161,23 @@ fn nothing_known_is_the_ignored_id_on_every_device() {
         scores: vec![0.5; gaussians.len() * 3],
         classes: 3,
     };
-    let projected = Projected::new(&gaussians.splats(), &camera, &settings).expect("a view");
     for source in [LabelSource::Labels, LabelSource::Scores] {
-        let maps = LabelMaps::new(
-            &identities,
-            &classes,
-            LabelRule {
-                source,
-                min_coverage: 0.0,
-            },
-        );
-        assert!(
-            maps.of(&projected).ids.iter().all(|id| *id == 0),
-            "{source:?}"
-        );
+        let rule = LabelRule {
+            source,
+            min_coverage: 0.0,
+        };
+        let map = |device: &Device| {
+            let view = SplatTensors::new(&gaussians, device).seen_by(&camera, &settings);
+            LabelMaps::new(&identities, &classes, rule)
+                .of(&view)
+                .expect("a map")
+        };
+        let on_cpu = map(&crate::support::device());
+        assert!(on_cpu.ids.iter().all(|id| *id == 0), "{source:?}");
         let Some(gpu) = crate::support::gpu() else {
             continue;
         };
-        let view = SplatTensors::new(&gaussians, &gpu).seen_by(&camera, &settings);
-        let map = maps.on(&gpu).of(&view).expect("a map");
+        let map = map(&gpu);
         let known = map.ids.iter().filter(|id| **id != 0).count();
         // Rounding may tell equal sums apart.
         assert!(

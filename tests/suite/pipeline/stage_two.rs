@@ -5,12 +5,12 @@ use coseg::config::{
     Association, Blend, BuildingConfig, Config, LabelSource, Prior, SegmentationConfig, Variant,
 };
 use coseg::data::{Classes, LabelMap, LabelRuns, LoadOptions, Split, load};
-use coseg::objects::{Identities, LabelRule, hard_label_map, label_map, vote};
+use coseg::objects::{Identities, LabelMaps, LabelRule, hard_label_map, vote};
 use coseg::pipeline::train_decoder::{Model, Plan, Recalls, TrainingViews, train_step};
 use coseg::pipeline::{Inputs, Outcome, Spatial, decoder_row, run};
 use coseg::progress::Silent;
 use coseg::random::{Purpose, stream};
-use coseg::raster::{Projected, Settings};
+use coseg::raster::{Projected, Settings, SplatTensors};
 use coseg::reconstruction::initialization;
 use coseg::segmentation::loss::Kind;
 use std::sync::Arc;
@@ -214,17 +214,17 @@ fn label_maps_show_the_labels_of_the_ply() {
     for view in outcome.scene.split(Split::Test) {
         let projected = Projected::new(&gaussians.splats(), &view.camera, &Settings::default())
             .expect("finite");
+        let seen = SplatTensors::new(gaussians, &crate::support::device())
+            .seen_by(&view.camera, &Settings::default());
         let map = |source| {
-            label_map(
-                &projected,
-                &identities,
-                classes,
-                &LabelRule {
-                    source,
-                    min_coverage: 0.5,
-                },
-            )
-            .ids
+            let rule = LabelRule {
+                source,
+                min_coverage: 0.5,
+            };
+            LabelMaps::new(&identities, classes, rule)
+                .of(&seen)
+                .expect("a map")
+                .ids
         };
         let labels = map(LabelSource::Labels);
         assert_eq!(

@@ -1,4 +1,4 @@
-//! One view's part of the unprojection.
+//! Lifting on the CPU.
 //!
 //! First the pairs of each tile are folded to scalar weights per (Gaussian, feature cell) through the bilinear taps; then
 //! every Gaussian gathers its cells' feature vectors, each once. Threads own disjoint Gaussians, which take their tiles in
@@ -21,7 +21,7 @@ const CHUNK: usize = 512;
 const LANES: usize = 64;
 
 /// Adds the view of `camera`, of the pixels that `mask` uses; `grids` lists the lattices of the maps and the scales that have them.
-pub fn add<E: Real>(
+pub(super) fn lift_view<E: Real>(
     sums: &mut Sums<E>,
     splats: &Splats<'_, E>,
     camera: &Camera,

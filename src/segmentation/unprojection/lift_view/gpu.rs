@@ -1,4 +1,4 @@
-//! The sums of the unprojection on a GPU: maps are read bilinearly as a sparse product, and lifted by the rasterizer's adjoint.
+//! Lifting in tensors: maps are read bilinearly as a sparse product, and lifted by the adjoint of blending.
 
 use super::Sums;
 use crate::backend::device::read;
@@ -12,12 +12,12 @@ use crate::splat::camera::Camera;
 use burn::tensor::{Device, Tensor, TensorData};
 use std::sync::Arc;
 
-/// [`Sums`] that stay on a device until they are read.
-pub(super) struct DeviceSums {
+/// [`Sums`] as tensors.
+pub(super) struct TensorSums {
     splats: SplatTensors,
     scales: Vec<Scale>,
-    /// `U` of the lattices and image sizes met so far: views of one camera have one a scale.
-    reads: Vec<(Lattice, [usize; 2], Arc<SparseMatrix>)>,
+    /// `U` of each lattice and image size so far. Views of one camera share one for each scale.
+    bilinear_reads: Vec<(Lattice, [usize; 2], Arc<SparseMatrix>)>,
 }
 
 struct Scale {
@@ -29,8 +29,8 @@ struct Scale {
     pixels: u64,
 }
 
-impl DeviceSums {
-    /// Of no views yet.
+impl TensorSums {
+    /// No views yet.
     pub fn new(splats: SplatTensors, channels: &[usize]) -> Self {
         let n = splats.len();
         let scale = |&channels| Scale {
@@ -42,7 +42,7 @@ impl DeviceSums {
         Self {
             scales: channels.iter().map(scale).collect(),
             splats,
-            reads: Vec::new(),
+            bilinear_reads: Vec::new(),
         }
     }
 
@@ -57,34 +57,34 @@ impl DeviceSums {
         settings: &Settings,
     ) -> Result<()> {
         let channels: Vec<usize> = self.scales.iter().map(|scale| scale.channels).collect();
-        super::check(self.splats.len(), &channels, self.splats.len(), maps)?;
+        super::check_maps(self.splats.len(), &channels, self.splats.len(), maps)?;
         mask.map_or(Ok(()), |mask| {
             mask.expect_size("a view", camera.width, camera.height)
         })?;
         // At image resolution all scales share the camera: its lists, weights and counts.
-        let mut shared: Option<Seen> = None;
+        let mut shared: Option<ProjectedPixels> = None;
         for (number, map) in maps.iter().enumerate() {
-            let seen = match (resolution, shared.take()) {
-                (Resolution::Image, Some(seen)) => seen,
-                (Resolution::Image, None) => self.look(splats, camera, mask, settings)?,
+            let projected = match (resolution, shared.take()) {
+                (Resolution::Image, Some(projected)) => projected,
+                (Resolution::Image, None) => self.project(splats, camera, mask, settings)?,
                 (Resolution::Feature, _) => {
                     let cells = map.lattice().camera(camera);
-                    let mask = mask.map(|mask| super::of_cells(mask, camera, &cells));
-                    self.look(splats, &cells, mask.as_ref(), settings)?
+                    let mask = mask.map(|mask| super::mask_of_cells(mask, camera, &cells));
+                    self.project(splats, &cells, mask.as_ref(), settings)?
                 }
             };
-            let seen = shared.insert(seen);
+            let projected = shared.insert(projected);
             let reading = match resolution {
                 Resolution::Image => self.reading(map.lattice(), camera),
                 Resolution::Feature => None,
             };
-            let lifted = lifted(seen, map, reading, &self.splats.means.device())?;
-            let Seen {
+            let lifted = lifted(projected, map, reading, &self.splats.means.device())?;
+            let ProjectedPixels {
                 weights,
                 counts,
                 pixels,
                 ..
-            } = seen;
+            } = projected;
             let scale = &mut self.scales[number];
             scale.sums = Some(match scale.sums.take() {
                 Some([buffer, sum]) => [buffer + lifted, sum + weights.clone()],
@@ -101,25 +101,26 @@ impl DeviceSums {
     }
 
     /// Algorithm 1's counter in the view of `camera`, `[N]`, of the pixels that `mask` uses, and how many these are.
-    pub fn counts(
+    pub fn disc_pixels(
         &self,
         splats: &Splats<'_, f32>,
         camera: &Camera,
         mask: Option<&Mask>,
         settings: &Settings,
     ) -> Result<(Vec<u64>, u64)> {
-        let Seen { counts, pixels, .. } = self.look(splats, camera, mask, settings)?;
+        let ProjectedPixels { counts, pixels, .. } =
+            self.project(splats, camera, mask, settings)?;
         Ok((counts, pixels))
     }
 
     /// The view of `camera`, of the pixels that `mask` uses.
-    fn look(
+    fn project(
         &self,
         splats: &Splats<'_, f32>,
         camera: &Camera,
         mask: Option<&Mask>,
         settings: &Settings,
-    ) -> Result<Seen> {
+    ) -> Result<ProjectedPixels> {
         let view = self.splats.seen_by(camera, settings);
         let (pixels, device) = (camera.height * camera.width, self.splats.means.device());
         let used = mask.map(|mask| {
@@ -133,7 +134,7 @@ impl DeviceSums {
             .unwrap_or_else(|| Tensor::ones([pixels, 1], &device));
         let Lifted { sums, counts } =
             view.blend_adjoint(all.reshape([camera.height, camera.width, 1]))?;
-        // The device counts all pixels: those that a mask uses are counted on the host, which projects the view once more.
+        // The GPU counts all pixels. With a mask the CPU counts, and projects the view once more.
         let counts: Vec<u64> = match mask {
             Some(_) => Projected::new(splats, camera, settings)?
                 .used_counts(mask)
@@ -145,7 +146,7 @@ impl DeviceSums {
                 .map(|count| count as u64)
                 .collect(),
         };
-        Ok(Seen {
+        Ok(ProjectedPixels {
             view,
             used,
             weights: sums,
@@ -161,14 +162,14 @@ impl DeviceSums {
             return None;
         }
         if let Some((.., reading)) = self
-            .reads
+            .bilinear_reads
             .iter()
             .find(|(of, at, _)| (*of, *at) == (lattice, size))
         {
             return Some(reading.clone());
         }
         let reading = Arc::new(bilinear(&lattice, size));
-        self.reads.push((lattice, size, reading.clone()));
+        self.bilinear_reads.push((lattice, size, reading.clone()));
         Some(reading)
     }
 
@@ -203,21 +204,21 @@ impl DeviceSums {
     }
 }
 
-/// A view as its maps are lifted in it.
-struct Seen {
+/// A view whose maps are lifted, and its pixels that count.
+struct ProjectedPixels {
     view: SplatView,
-    /// 1 for pixels that a mask uses and 0 for the others, `[W H, 1]`, where some are left out.
+    /// 1 for pixels that the mask uses and 0 for the others, `[W H, 1]`; `None` without a mask.
     used: Option<Tensor<2>>,
-    /// `W^T 1`, `[N, 1]`, of the pixels that are used.
+    /// `W^T 1` over the used pixels, `[N, 1]`.
     weights: Tensor<2>,
-    /// Of the pixels that are used, and how many these are.
+    /// Disc pixels of each Gaussian among the used ones, and the number of used pixels.
     counts: Vec<u64>,
     pixels: u64,
 }
 
 /// `W^T U F`, `[N, channels]`: a block of channels at a time, so that no image holds them all.
 fn lifted(
-    Seen { view, used, .. }: &Seen,
+    ProjectedPixels { view, used, .. }: &ProjectedPixels,
     map: &FeatureMap,
     reading: Option<Arc<SparseMatrix>>,
     device: &Device,

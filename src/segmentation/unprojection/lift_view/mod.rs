@@ -1,0 +1,264 @@
+//! The operation `lift_view`: one view's part of Eq. 5, `W^T F` or `(W U)^T F`, added to the sums of the views before.
+//!
+//! The CPU's kernel folds the weights of each Gaussian to scalar weights per feature cell first (`fold`), then gathers each
+//! cell's features once (`cpu`). On a GPU the map is read bilinearly as a sparse product, and lifted by the adjoint of blending
+//! (`gpu`), which is also the reference in plain tensors.
+
+mod cpu;
+mod fold;
+mod gpu;
+
+use crate::backend::Real;
+use crate::backend::device::in_host_memory;
+use crate::config::Resolution;
+use crate::data::mask::Mask;
+use crate::error::{Error, Result};
+use crate::features::{FeatureMap, Lattice};
+use crate::raster::{Projected, Settings, SplatTensors, Splats};
+use crate::splat::Gaussians;
+use crate::splat::camera::Camera;
+use burn::tensor::Device;
+use gpu::TensorSums;
+
+/// Sums over the views added so far, per Gaussian and scale.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sums<E> {
+    /// `sum_v (W U)^T F_v` per scale, `[N, channels]`.
+    pub buffers: Vec<Vec<E>>,
+    /// Channels per scale.
+    pub channels: Vec<usize>,
+    /// `sum_v W^T 1` per scale, `[N]`: at `image` resolution the same at every scale.
+    pub weights: Vec<Vec<E>>,
+    /// Algorithm 1's counter per scale, `[N]`: pixels (at `feature` resolution: cells) whose centre lies within the radius,
+    /// those that masks leave out not counted: they add nothing to the buffers either.
+    pub counts: Vec<Vec<u64>>,
+    /// Pixels (cells) of all views per scale that masks do not leave out, without masks `sum_v H_v W_v`.
+    pub pixels: Vec<u64>,
+}
+
+impl<E: Real> Sums<E> {
+    /// Of no views yet, for `n` Gaussians and one entry of `channels` per scale.
+    pub fn new(n: usize, channels: &[usize]) -> Self {
+        Self {
+            buffers: channels.iter().map(|c| vec![E::zero(); n * c]).collect(),
+            channels: channels.to_vec(),
+            weights: vec![vec![E::zero(); n]; channels.len()],
+            counts: vec![vec![0; n]; channels.len()],
+            pixels: vec![0; channels.len()],
+        }
+    }
+
+    /// Adds a view with one map per scale.
+    ///
+    /// Results do not depend on the number of threads. Memory beside the sums: the view's contributing pairs folded to
+    /// (Gaussian, cell) weights, and nothing per pixel and channel.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when maps or Gaussians do not match what this was made for; [`Error::NonFinite`] for maps with
+    /// such values; what [`crate::raster::Projected::new`] returns.
+    pub fn add(
+        &mut self,
+        splats: &Splats<'_, E>,
+        camera: &Camera,
+        maps: &[FeatureMap],
+        resolution: Resolution,
+        settings: &Settings,
+    ) -> Result<()> {
+        self.add_used(splats, camera, maps, None, resolution, settings)
+    }
+
+    /// [`Sums::add`] of the pixels that `mask`, of the camera's size, uses; at `feature` resolution of the cells whose centre
+    /// is such a pixel. Counts are of these pixels, or cells, too.
+    ///
+    /// # Errors
+    /// As [`Sums::add`]; [`Error::Argument`] for a mask of another size.
+    pub fn add_used(
+        &mut self,
+        splats: &Splats<'_, E>,
+        camera: &Camera,
+        maps: &[FeatureMap],
+        mask: Option<&Mask>,
+        resolution: Resolution,
+        settings: &Settings,
+    ) -> Result<()> {
+        check_maps(
+            self.counts.first().map_or(splats.len(), Vec::len),
+            &self.channels,
+            splats.len(),
+            maps,
+        )?;
+        mask.map_or(Ok(()), |mask| {
+            mask.expect_size("a view", camera.width, camera.height)
+        })?;
+        // Scales on one grid share the projection and the scalar weights.
+        let mut grids: Vec<(Lattice, Vec<usize>)> = Vec::new();
+        for (scale, map) in maps.iter().enumerate() {
+            let lattice = map.lattice();
+            match grids.iter_mut().find(|(of, _)| *of == lattice) {
+                Some((_, scales)) => scales.push(scale),
+                None => grids.push((lattice, vec![scale])),
+            }
+        }
+        match resolution {
+            Resolution::Image => cpu::lift_view(self, splats, camera, maps, mask, &grids, settings),
+            Resolution::Feature => grids.iter().try_for_each(|grid| {
+                // Cells are the pixels of the scaled camera.
+                let pixels = (
+                    Lattice {
+                        steps: None,
+                        ..grid.0
+                    },
+                    grid.1.clone(),
+                );
+                let cells = grid.0.camera(camera);
+                let mask = mask.map(|mask| mask_of_cells(mask, camera, &cells));
+                cpu::lift_view(
+                    self,
+                    splats,
+                    &cells,
+                    maps,
+                    mask.as_ref(),
+                    &[pixels],
+                    settings,
+                )
+            }),
+        }
+    }
+}
+
+/// `mask`, of the pixels of `camera`, at the centres of the pixels of `cells`, the same camera at another size.
+fn mask_of_cells(mask: &Mask, camera: &Camera, cells: &Camera) -> Mask {
+    let pixel = |cell: usize,
+                 [center, focal]: [f64; 2],
+                 [pixel_center, pixel_focal]: [f64; 2],
+                 pixels: usize| {
+        let place = (cell as f64 + 0.5 - center) * pixel_focal / focal + pixel_center;
+        (place.max(0.0) as usize).min(pixels.saturating_sub(1))
+    };
+    Mask::new(cells.width, cells.height, |i| {
+        let (x, y) = (i % cells.width, i / cells.width);
+        let x = pixel(
+            x,
+            [cells.cx, cells.fx],
+            [camera.cx, camera.fx],
+            camera.width,
+        );
+        let y = pixel(
+            y,
+            [cells.cy, cells.fy],
+            [camera.cy, camera.fy],
+            camera.height,
+        );
+        mask.uses(y * camera.width + x)
+    })
+}
+
+/// Checks that `maps` of `gaussians` Gaussians fit sums over `n` Gaussians and maps of `channels`.
+fn check_maps(n: usize, channels: &[usize], gaussians: usize, maps: &[FeatureMap]) -> Result<()> {
+    let found: Vec<usize> = maps.iter().map(|m| m.channels).collect();
+    if found != channels {
+        return Err(Error::argument(
+            "feature maps",
+            format!("channels {found:?}"),
+            format!("{channels:?}, one map a scale"),
+            "reduce all views alike",
+        ));
+    }
+    if gaussians != n {
+        let (found, expected) = (format!("{gaussians} Gaussians"), format!("{n}"));
+        return Err(Error::argument(
+            "unprojection",
+            found,
+            expected,
+            "use new sums for another scene",
+        ));
+    }
+    for (scale, map) in maps.iter().enumerate() {
+        map.check(&format!("feature map of scale {}", scale + 1))?;
+        if map.cells() == 0 {
+            return Err(Error::argument(
+                "feature map",
+                "no cells",
+                "one or more",
+                "leave the view out",
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Sums over views in the making, on the device that holds the Gaussians.
+pub struct LiftedViews<'a> {
+    gaussians: &'a Gaussians,
+    kernel: Kernel,
+}
+
+enum Kernel {
+    Cpu(Sums<f32>),
+    Gpu(Box<TensorSums>),
+}
+
+impl<'a> LiftedViews<'a> {
+    /// No views yet, one entry of `channels` per scale.
+    pub fn new(gaussians: &'a Gaussians, channels: &[usize], device: &Device) -> Self {
+        let kernel = if in_host_memory(device) || gaussians.is_empty() {
+            Kernel::Cpu(Sums::new(gaussians.len(), channels))
+        } else {
+            let splats = SplatTensors::new(gaussians, device);
+            Kernel::Gpu(Box::new(TensorSums::new(splats, channels)))
+        };
+        Self { gaussians, kernel }
+    }
+
+    /// Adds a view with one map per scale, of the pixels that `mask` uses; see [`Sums::add_used`].
+    ///
+    /// # Errors
+    /// As [`Sums::add`]; on a GPU as [`crate::raster::SplatView::blend_adjoint`].
+    pub fn add(
+        &mut self,
+        camera: &Camera,
+        maps: &[FeatureMap],
+        mask: Option<&Mask>,
+        resolution: Resolution,
+        settings: &Settings,
+    ) -> Result<()> {
+        let splats = self.gaussians.splats();
+        match &mut self.kernel {
+            Kernel::Cpu(sums) => sums.add_used(&splats, camera, maps, mask, resolution, settings),
+            Kernel::Gpu(sums) => sums.add(&splats, camera, maps, mask, resolution, settings),
+        }
+    }
+
+    /// Algorithm 1's counter in the view of `camera`, `[N]`, of the pixels that `mask` uses, and the number of these pixels. The
+    /// kernels are those that lift features, so that a pixel on the rim of a disc counts alike.
+    ///
+    /// # Errors
+    /// As [`Projected::new`]; [`Error::Device`] when the device fails.
+    pub fn disc_pixels(
+        &self,
+        camera: &Camera,
+        mask: Option<&Mask>,
+        settings: &Settings,
+    ) -> Result<(Vec<u64>, u64)> {
+        let splats = self.gaussians.splats();
+        match &self.kernel {
+            Kernel::Cpu(_) => {
+                let counts = Projected::new(&splats, camera, settings)?.used_counts(mask);
+                let pixels = mask.map_or(camera.width * camera.height, Mask::kept);
+                Ok((counts.into_iter().map(u64::from).collect(), pixels as u64))
+            }
+            Kernel::Gpu(sums) => sums.disc_pixels(&splats, camera, mask, settings),
+        }
+    }
+
+    /// The sums, on the host.
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not return them.
+    pub fn finish(self) -> Result<Sums<f32>> {
+        match self.kernel {
+            Kernel::Cpu(sums) => Ok(sums),
+            Kernel::Gpu(sums) => sums.into_sums(),
+        }
+    }
+}
