@@ -1,5 +1,5 @@
 //! Which burn device a run uses. Order when several are compiled in: wgpu (where there is an adapter), flex, ndarray;
-//! `--backend` overrides, and alone takes cuda, which has never been run.
+//! `--backend` overrides the order. Only `--backend cuda` selects cuda, which has never been run.
 
 use crate::error::{Error, Result};
 use burn::backend::DispatchDevice;
@@ -19,7 +19,7 @@ pub enum BackendName {
 }
 
 impl BackendName {
-    /// The backends compiled into this build that are taken unasked, best first.
+    /// The compiled backends that are chosen without `--backend`, best first.
     pub fn compiled() -> &'static [Self] {
         &[
             #[cfg(feature = "wgpu")]
@@ -172,8 +172,8 @@ pub fn open_hardware_gpu() -> Result<Device> {
     }
 }
 
-/// [`open_gpu`] for tests: without it they say so and pass, unless the environment has COSEG_REQUIRE_GPU, which is
-/// `hardware` where a software adapter is not enough.
+/// [`open_gpu`] for tests. Without a GPU they print so and pass, unless COSEG_REQUIRE_GPU is set; its value `hardware` excludes
+/// software adapters.
 #[cfg(all(test, feature = "cube"))]
 pub(crate) fn gpu_of_tests() -> Option<Device> {
     let required = std::env::var_os("COSEG_REQUIRE_GPU");
@@ -189,7 +189,7 @@ pub(crate) fn gpu_of_tests() -> Option<Device> {
         .ok()
 }
 
-/// The device of `name` for tests, a GPU as [`gpu_of_tests`]; other backends that do not open are told.
+/// The device of `name` for tests, a GPU as [`gpu_of_tests`]; other backends that do not open are reported.
 #[cfg(test)]
 pub(crate) fn device_of_tests(name: BackendName) -> Option<Device> {
     match name {
@@ -203,7 +203,7 @@ pub(crate) fn device_of_tests(name: BackendName) -> Option<Device> {
 
 /// Whether tensors on `device`, with or without autodiff, lie in host memory.
 ///
-/// Fused operations lend such tensors to kernels for the CPU; elsewhere kernels of the device, or plain tensors, keep the data there.
+/// For custom operations, which choose their kernel by it.
 pub fn in_host_memory(device: &Device) -> bool {
     match device.clone().inner().as_dispatch() {
         #[cfg(feature = "flex")]
@@ -215,12 +215,12 @@ pub fn in_host_memory(device: &Device) -> bool {
     }
 }
 
-/// Whether scenes are rendered on `device`: a GPU that is no match for the kernels would hand everything back to the host.
+/// Whether the GPU kernels render scenes on `device`: a GPU without their requirements copies everything to the CPU.
 pub fn renders_on(device: &Device) -> bool {
     !in_host_memory(device) && shortfall(device).is_none()
 }
 
-/// What `device`, if it is a GPU, has too little of for the rasterizer's kernels: there it copies from and to the GPU and
+/// The requirement of the rasterizer's kernels that `device`, if it is a GPU, does not meet. Such a device copies to the host and
 /// renders on the CPU.
 pub fn shortfall(device: &Device) -> Option<String> {
     match device.clone().inner().as_dispatch() {
@@ -242,8 +242,7 @@ pub(crate) fn largest_allocation(device: &Device) -> Option<usize> {
 /// The row-major values of a tensor of f32, on the host; `what` names it.
 ///
 /// # Errors
-/// [`Error::Device`] when the device does not give them back, also for what went wrong on it since it was last read, such as
-/// memory that it had not.
+/// [`Error::Device`] when the device does not return them, also for errors since it was last read, such as a lack of memory.
 pub(crate) fn read<const D: usize>(what: &str, tensor: Tensor<D>) -> Result<Vec<f32>> {
     let failed = |reason: String| Error::Device {
         device: "in use".into(),
@@ -341,7 +340,7 @@ fn adapter() -> &'static std::result::Result<Option<Adapter>, String> {
                 software,
             }))
         }
-        // Registered already: somebody computes on it.
+        // Registered already: another part of the program computes on it.
         Err(WgpuInitError::Registration { .. }) => Ok(None),
         Err(WgpuInitError::AdapterUnavailable { message, .. }) => Err(message),
         Err(error) => Err(error.to_string()),

@@ -7,7 +7,7 @@ use std::ops::Deref;
 
 /// The row-major contents of a tensor in host memory.
 pub enum HostValues<E> {
-    /// A copy, or a buffer taken over.
+    /// A copy, or the tensor's own buffer.
     Owned(Vec<E>),
     /// A shared ndarray buffer in standard layout.
     #[cfg(feature = "ndarray")]
@@ -57,7 +57,7 @@ impl<E: Real> HostValues<E> {
 ///
 /// On CPU backends this costs nothing where the layout is contiguous; on a GPU it copies both ways.
 pub trait HostBackend: Backend {
-    /// Variant-major contents of `tensor`, whose dtype must be `E`'s.
+    /// Row-major contents of `tensor`, whose dtype must be `E`'s.
     fn values<E: Real>(tensor: FloatTensor<Self>) -> HostValues<E>;
     /// A tensor of `values` in row-major order on `device`.
     fn tensor<E: Real>(values: Vec<E>, shape: &[usize], device: &Self::Device)
@@ -93,7 +93,7 @@ thread_local! {
     static FALLBACKS: Cell<usize> = const { Cell::new(0) };
 }
 
-/// How many tensors of a GPU went to kernels for the CPU, of calls on this thread.
+/// Number of GPU tensors that calls on this thread passed to kernels for the CPU.
 pub fn host_fallbacks() -> usize {
     FALLBACKS.get()
 }

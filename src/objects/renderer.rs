@@ -65,12 +65,12 @@ impl Default for RenderOptions {
     }
 }
 
-/// A scene that is rendered view after view. A GPU gets it once, and a frame is read back once; the first frame, and one with
-/// more tile entries than any before, wait for the device once more.
+/// A scene that is rendered view after view. It is sent to a GPU once, and each frame is read back once. The first frame, and a
+/// frame with more tile entries than all before, wait for the device once more.
 ///
-/// Beside what [`rasterize_with_capacity`] takes, a GPU holds channels of 32-bit floats: three and one a label for every pixel, and one a
-/// label for every Gaussian. Where either is more than a quarter of its largest allocation, or 1 GiB, labels go in blocks, which project
-/// the scene again each.
+/// Beside the memory of [`rasterize_with_capacity`], a GPU holds channels of 32-bit floats: for every pixel three and one a label,
+/// and for every Gaussian one a label. Where either exceeds a quarter of its largest allocation, or 1 GiB, labels are blended in
+/// blocks.
 #[derive(Debug)]
 pub struct Renderer {
     options: RenderOptions,
@@ -91,7 +91,7 @@ impl Renderer {
     /// `gaussians` on `device`, and a label for each where there are any; positions in the coordinates of the cameras.
     ///
     /// # Errors
-    /// As [`Gaussians::check`]; [`Error::Argument`] for options that are no numbers.
+    /// As [`Gaussians::check`]; [`Error::Argument`] for options that are not finite.
     pub fn new(
         gaussians: Gaussians,
         labels: Option<Vec<u16>>,
@@ -100,7 +100,7 @@ impl Renderer {
     ) -> Result<Self> {
         gaussians.check(labels.as_deref())?;
         options.check()?;
-        // Where there is nothing, nothing is sent; where the host would render all the same, nothing is copied for each frame.
+        // A GPU without the kernels' requirements would copy every frame to the host.
         let on_host = !renders_on(device) || gaussians.is_empty();
         let splats = SplatTensors::new(&gaussians, device);
         let place = if on_host {
@@ -121,7 +121,7 @@ impl Renderer {
     /// Renders with `options` from now on.
     ///
     /// # Errors
-    /// [`Error::Argument`] for options that are no numbers.
+    /// [`Error::Argument`] for options that are not finite.
     pub fn set_options(&mut self, options: RenderOptions) -> Result<()> {
         options.check()?;
         self.options = options;
@@ -133,7 +133,7 @@ impl Renderer {
     /// # Errors
     /// As [`Projected::new`]; on a GPU [`Error::Limit`] for what it cannot hold, and [`Error::Device`] when it fails.
     pub fn frame(&mut self, camera: &Camera) -> Result<Frame> {
-        // Before any size is made of its width and height.
+        // Checks width and height before they become sizes.
         Viewpoint::new(camera)?;
         match &mut self.place {
             Place::Host { gaussians, labels } => {
@@ -218,14 +218,14 @@ impl OnDevice {
         if let Some(frame) = self.attempt(camera, options, room)? {
             return Ok(frame);
         }
-        // The view has more entries than there was room for.
+        // The capacity did not suffice.
         match self.attempt(camera, options, None)? {
             Some(frame) => Ok(frame),
             None => Err(Error::non_finite("scene to render", 0)),
         }
     }
 
-    /// `None` where `room` did not suffice.
+    /// `None` where the capacity `room` did not suffice.
     fn attempt(
         &mut self,
         camera: &Camera,
@@ -252,7 +252,7 @@ impl OnDevice {
             output.transmittance.reshape([pixels]),
         ];
         if let Some(labels) = &self.labels {
-            // The colour competes with less than any weight: to cut it off would copy all the others.
+            // Colours below any weight never win; slicing them off would copy all other channels.
             let weights = output.image.slice_fill([0..height, 0..width, 0..3], -1.0);
             let mut largest = Largest::of(weights, -3.0);
             for block in blocks {
@@ -310,7 +310,7 @@ impl OnDevice {
     }
 }
 
-/// All of `parts` one after the other, and what is known of the tile lists, by one copy from the device.
+/// All `parts` one after the other, and the count of the tile lists, in one copy from the device.
 fn read_together(
     mut parts: Vec<Tensor<1>>,
     tile_lists: Tensor<1>,

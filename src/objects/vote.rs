@@ -181,7 +181,7 @@ impl Votes {
         }
     }
 
-    /// Logarithms of the shares of each Gaussian's votes, `[N, C]`, every share raised by `floor`: what the votes say to a
+    /// Logarithms of the shares of each Gaussian's votes, `[N, C]`, every share raised by `floor`: the votes as logits of a
     /// softmax. Equal in all classes where nothing was voted.
     pub fn log_shares(&self, floor: f32) -> Vec<f32> {
         let rows = self.table.chunks_exact(self.classes.max(1));

@@ -75,7 +75,7 @@ impl Gpu {
         calculate_cube_count_elemwise(&self.client, units, self.dim())
     }
 
-    /// `cubes` cubes; there may be a few more, which a kernel has to turn away.
+    /// `cubes` cubes, perhaps a few more, which a kernel has to skip.
     pub fn cubes(&self, cubes: usize) -> CubeCount {
         self.cubes_for(cubes * UNITS as usize)
     }

@@ -1,5 +1,4 @@
-//! What the GPU kernels of this crate stand on: buffers and launch sizes, a look at non-finite values, and host values that
-//! stay on a device.
+//! Basics of the GPU kernels: buffers and launch sizes, counts of non-finite values, and host values that stay on a device.
 
 mod buffers;
 mod finite;

@@ -1,4 +1,4 @@
-//! What the kernels need of a device.
+//! Requirements of the kernels.
 
 use super::UNITS;
 use burn_cubecl::cubecl::ir::HardwareProperties;
@@ -9,7 +9,7 @@ const BUFFERS: u32 = 14;
 /// Bytes that the units of a cube share: the backward pass over tiles, in its narrowest block of channels.
 const SHARED: usize = 32 << 10;
 
-/// What this device has too little of for the rasterizer's kernels, which take the most.
+/// The requirement of the rasterizer's kernels that this device does not meet.
 pub fn shortfall(client: &Client) -> Option<String> {
     lacks(&client.properties().hardware)
 }

@@ -4,8 +4,8 @@ use super::Gpu;
 use burn_cubecl::CubeDevice;
 use std::sync::{Mutex, PoisonError};
 
-/// What a host value looks like on a device, made at first use. It is not part of the value: a clone makes its own, and all
-/// are equal.
+/// The device copy of a host value, made at first use. It is not part of the value: a clone makes its own, and all copies compare
+/// equal.
 pub struct Resident<T>(Mutex<Option<(CubeDevice, T)>>);
 
 impl<T: Clone> Resident<T> {

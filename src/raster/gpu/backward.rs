@@ -2,9 +2,9 @@
 //!
 //! A cube takes [`BATCH`] Gaussians of its tile at a time. First every unit is a pixel: it blends them once more, front
 //! to back, and leaves `alpha' T` and `g = dL/dalpha' alpha'` in shared memory. Then [`LANES`] units share a Gaussian and
-//! sum over all pixels; their sums meet in shared memory again. What a tile has for a Gaussian goes to that entry's own
-//! row, and a second kernel adds up each Gaussian's rows, which are neighbours: no atomics, and the same bits every time.
-//! All is linear in the image's gradient, so that channels come in blocks, and the moments of the blocks add up.
+//! sum over all pixels; their sums meet in shared memory again. The sums of a tile entry go to its own row, and a second kernel
+//! adds the rows of each Gaussian, which are neighbours: no atomics, and the same bits every time. Everything is linear in the
+//! gradient of the image, so that channels come in blocks, and the moments of the blocks add up.
 
 use super::blend::four_values;
 use super::pixel::{
@@ -88,7 +88,7 @@ pub(super) fn tiles_backward(
     let mut d_pixels = Shared::<[Four]>::new_slice(units * fours);
     let mut pairs = Shared::<[f32]>::new_slice(comptime![pairs_of(moments)]);
     let mut batch_entries = Shared::<[u32]>::new_slice(BATCH);
-    // Whether a Gaussian may show in a patch, and whether a pixel of the patch takes something of it.
+    // Whether a Gaussian may show in a patch, and whether it contributes to a pixel of the patch.
     let mut reached = Shared::<[u32]>::new_slice(BATCH * PATCHES);
     let touched = Shared::<[Atomic<u32>]>::new_slice(BATCH * PATCHES);
     let live = Shared::<[Atomic<u32>]>::new_slice(3usize);
@@ -96,7 +96,7 @@ pub(super) fn tiles_backward(
     let own = pixel(tile, UNIT_POS, width, height);
     let mut done = !own.inside;
     let mut t = 1.0f32;
-    // What is left of dL/dS . S + dL/dT T after the Gaussians so far.
+    // The rest of dL/dS . S + dL/dT T after the Gaussians so far.
     let mut rest = 0.0f32;
     let mut d_own = Array::<Four>::new(fours);
     #[unroll]
@@ -188,7 +188,7 @@ pub(super) fn tiles_backward(
                             }
                             let share = weight * d;
                             rest -= share;
-                            // Nothing passes the cap.
+                            // No gradient passes the cap.
                             if alpha < rule.alpha_max {
                                 g = share - rest * (alpha / (1.0f32 - alpha));
                             }
@@ -287,7 +287,7 @@ pub(super) fn tiles_backward(
         slot = (slot + 1u32) % 3u32;
         sync_cube();
         if going == 0u32 {
-            // Nothing reaches the rest of the list.
+            // No light reaches the rest of the list.
             let left = (end - at) as usize * columns;
             let mut k = unit;
             while k < left {

@@ -119,9 +119,9 @@ fn blend_tiles(
     let fours = comptime![block.div_ceil(4)];
     let mut batch = Shared::<[Four]>::new_slice(BATCH * SPLAT_FOURS);
     let mut values = Shared::<[Four]>::new_slice(BATCH * fours);
-    // Whether some unit still takes something: told in one slot, while another is read and the third is cleared.
+    // Whether some unit still blends: written to one slot while another is read and the third is cleared.
     let live = Shared::<[Atomic<u32>]>::new_slice(3usize);
-    // The Gaussians that may show in each patch, in slots likewise.
+    // The Gaussians that may show in each patch, in the same slots.
     let masks = Shared::<[Atomic<u32>]>::new_slice(3 * MASKS);
     let patch = unit / PATCH;
     let rule = rule(view);
@@ -228,18 +228,18 @@ fn blend_tiles(
     }
 }
 
-/// What is blended.
+/// Values to blend.
 pub(super) struct Values {
     /// `[N, 3]`.
     pub colours: Option<CubeTensor>,
     /// `[N, C]`.
     pub features: Option<CubeTensor>,
-    /// Of both together.
+    /// Number of channels of both.
     pub channels: usize,
 }
 
 impl Values {
-    /// Both tensors as kernel arguments; an absent one is stood in for.
+    /// Both tensors as kernel arguments; a dummy replaces an absent one.
     pub fn args(&self, gpu: &Gpu) -> [BufferArg; 2] {
         [&self.colours, &self.features]
             .map(|t| t.as_ref().map_or_else(|| arg(&gpu.floats([1])), arg))

@@ -4,10 +4,10 @@ use super::vec3::{Vec3, add_scaled, dot, read3, scaled, vec3};
 use super::view::{AXES, CENTER, CENTER_REST, FOCAL, LIMITS};
 use burn_cubecl::cubecl::{self, prelude::*};
 
-/// Length below which a quaternion is taken for the identity.
+/// A quaternion below this length counts as the identity.
 const ZERO_LENGTH: f32 = 1e-6;
 
-/// A unit quaternion and the length it was divided by; 0 when it stands in for a zero one.
+/// A unit quaternion and the length it was divided by; 0 when it replaces a zero quaternion.
 #[derive(CubeType, Clone, Copy)]
 pub(super) struct Unit {
     pub w: f32,
@@ -86,7 +86,7 @@ fn unit(rotations: &[f32], at: usize) -> Unit {
     }
 }
 
-/// Variant of `J W` for the image axis `a`.
+/// Row of `J W` for the image axis `a`.
 #[cube]
 fn jacobian_row(view: &[f32], tangent: f32, z: f32, #[comptime] a: usize) -> Vec3 {
     let axis = read3(view, AXES + 3 * a);

@@ -50,16 +50,16 @@ fn count_pixels(
     counts[i] = count;
 }
 
-/// A view's projection, tile lists and counts: for values to be blended, and images to be lifted.
+/// Projection, tile lists and disc pixels of a view.
 pub(crate) struct Lists {
     prepared: Prepared,
-    /// `[N]`, made when first asked for: who blends alone has no use for them.
+    /// `[N]`, made at first use: blending alone does not need them.
     counts: OnceLock<CubeTensor>,
 }
 
 impl Lists {
-    /// Of `inputs`; `None` when some of them holds a NaN or an infinity. `entries` says how many tile entries these inputs have in
-    /// this view, where lists of the same were made before: then nothing is read back, and they count as finite.
+    /// Of `inputs`; `None` when an input holds a NaN or an infinity. `entries` is the number of tile entries, if lists of the same
+    /// inputs and view were made before: then nothing is read back, and the inputs count as finite.
     ///
     /// # Errors
     /// As [`super::forward`].

@@ -1,4 +1,5 @@
-//! Tile lists: how many tiles each Gaussian reaches, an entry for each of them in depth order, entries by tile.
+//! Tile lists. The kernels count the tiles that each Gaussian reaches, write one entry for each in depth order, and sort the
+//! entries by tile.
 
 use super::outline::{outline, pixel_rows, tile_columns, tile_rows};
 use super::project::ProjectedScene;
@@ -42,8 +43,8 @@ fn count_tiles(
     counts[rank] = sum;
 }
 
-/// The total behind the last Gaussian, where the host reads it, and what it means for lists with `room`: as floats, so that
-/// it can be read with others.
+/// Reports the total number of entries to the host, and as floats with the entries beyond the capacity `room`, so that the host
+/// can read them together with other floats.
 #[cube(launch)]
 fn report_total(
     offsets: &[u32],
@@ -56,13 +57,13 @@ fn report_total(
         let total = offsets[gaussians as usize];
         report[1].store(total);
         summary[0] = f32::cast_from(report[0].load());
-        // Zero says exactly that all found room, which a rounded total would not.
+        // Exactly zero if the capacity sufficed; the rounded total would not tell.
         summary[1] = f32::cast_from(total - min(total, room));
         summary[2] = f32::cast_from(total);
     }
 }
 
-/// Tile and Gaussian of every entry that there is room for, and where those of each rank end.
+/// Tile and Gaussian of every entry within the capacity `room`, and where the entries of each rank end.
 #[cube(launch)]
 fn emit_entries(
     splats: &[f32],
@@ -93,7 +94,7 @@ fn emit_entries(
         for row in rows.first..rows.end {
             let columns = tile_columns(&o, &pixels, row, width, everywhere);
             for column in columns.first..columns.end {
-                // Two kernels need not round alike: never more entries than were counted,
+                // Two kernels may round differently. Never write more entries than were counted,
                 if at < end {
                     tiles[at as usize] = row * tiles_across + column;
                     gaussian_of[at as usize] = id;
@@ -102,7 +103,7 @@ fn emit_entries(
             }
         }
         ends[rank] = at;
-        // and what is missing goes to a tile that does not exist.
+        // and give missing entries to a tile that does not exist.
         while at < end {
             tiles[at as usize] = tiles_across * tiles_down;
             gaussian_of[at as usize] = id;
@@ -168,7 +169,7 @@ pub(super) struct Order {
 pub(super) struct Report {
     /// Non-finite rows, and entries, capped at [`super::scan::CEILING`]: `u32`.
     pub counts: CubeTensor,
-    /// Non-finite rows, entries without room, and entries, as floats.
+    /// Non-finite rows, entries beyond the capacity, and entries, as floats.
     pub summary: CubeTensor,
 }
 
@@ -181,7 +182,7 @@ impl Report {
     }
 }
 
-/// Sorts by depth and counts tiles; the number of entries goes to `report`, where `room` is how many will be listed.
+/// Sorts by depth and counts tiles. Writes the number of entries, and of those beyond `room`, to `report`.
 pub(super) fn depth_order(
     gpu: &Gpu,
     scene: &ProjectedScene,
@@ -222,13 +223,13 @@ pub(super) fn depth_order(
 
 /// Entries sorted by tile, front to back within each.
 pub(super) struct TileEntries {
-    /// Number of entries, or what there is room for: those that are too many come last, on no tile.
+    /// Number of entries, or the capacity: unused entries come last, on no tile.
     pub len: usize,
     /// Start and end of each tile's list, row-major.
     pub ranges: CubeTensor,
     /// The Gaussian of each entry of the lists.
     pub gaussians: CubeTensor,
-    /// Where each entry of the lists stands among the entries in depth order, in which a Gaussian's are neighbours.
+    /// Position of each entry of the lists among the entries in depth order, where the entries of a Gaussian are neighbours.
     pub entries: CubeTensor,
     /// Where the entries of each rank end: those that a tile has.
     pub ends: CubeTensor,
@@ -239,7 +240,7 @@ pub(super) fn tile_counts(size: [usize; 2]) -> [usize; 2] {
     size.map(|s| s.div_ceil(TILE))
 }
 
-/// The `len` entries of `order`, or as many as there are: then `padded`. What has no room is left out.
+/// The entries of `order`: all `len` of them, or with `padded` those that fit a capacity of `len`.
 pub(super) fn tile_entries(
     gpu: &Gpu,
     scene: &ProjectedScene,

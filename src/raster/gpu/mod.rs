@@ -1,15 +1,14 @@
 //! The rasterizer's kernels for GPUs, one CubeCL source for every device.
 //!
-//! They follow the CPU's formulas step by step, in `f32`: the camera centre is split in two floats, and the exponent is
-//! `-(u^2 + v^2)` with the determinant as a sum of positive terms, so that what is lost is digits and not splats. No
-//! subgroup operation and no float atomic is used, and sums are taken in a fixed order: a device gives the same bits
-//! every time. One readback a forward pass: the number of tile entries, and the count of non-finite rows beside it; none where
-//! the caller says how many entries to make room for, and looks at these numbers later.
+//! They follow the CPU's formulas step by step, in `f32`. The camera centre is split into two floats, and the exponent is
+//! `-(u^2 + v^2)` with the determinant as a sum of positive terms: rounding costs digits, never splats. The kernels use no
+//! subgroup operation and no float atomic, and sum in a fixed order, so that a device returns the same bits every time. A forward
+//! pass reads back once: the number of tile entries and the number of non-finite rows. With a tile capacity it reads nothing.
 //!
-//! Memory besides inputs and outputs, bytes: 64 a Gaussian (100 in the backward pass), 28 a tile entry while they are sorted
-//! and 8 afterwards, and in the backward pass and the adjoint up to 128 a tile entry (80 where cubes have 32 KB of shared memory),
-//! 1 GiB at most (more entries go through in slabs). Sums of absolute values add 8 a Gaussian and 8 a tile entry. Room taken
-//! beforehand counts as entries.
+//! Memory besides inputs and outputs, in bytes: 64 for each Gaussian (100 in the backward pass), 28 for each tile entry during the
+//! sort and 8 afterwards. The backward pass and the adjoint take up to 128 for each tile entry (80 where cubes have 32 KB of shared
+//! memory), 1 GiB at most: more entries go through in slabs. Sums of absolute values add 8 for each Gaussian and tile entry. A
+//! tile capacity counts as entries.
 
 mod backward;
 mod blend;
@@ -45,7 +44,7 @@ use lists::{Order, Report, TileEntries};
 use project::{ProjectedScene, Scene};
 use sh::Harmonics;
 
-/// Most channels of which there are sums of absolute screen-space gradients.
+/// Sums of absolute screen-space gradients exist for up to this many channels.
 pub(super) const ABSOLUTE_CHANNELS: usize = backward::ALWAYS_TOGETHER;
 
 /// The inputs of one call, contiguous `f32` tensors on one device.
@@ -64,7 +63,7 @@ pub(crate) struct Inputs {
     pub features: Option<CubeTensor>,
 }
 
-/// What is seen, and how.
+/// Camera, settings and background.
 #[derive(Clone, Copy)]
 pub(crate) struct Scenery<'a> {
     pub camera: &'a Camera,
@@ -146,7 +145,7 @@ impl Inputs {
     }
 }
 
-/// [`Error::Limit`] when `bytes` of `what` are more than one allocation of the device holds, or than 32 bits count.
+/// [`Error::Limit`] when `count` of `what`, of `bytes` each, exceed the largest allocation of the device or 32 bits.
 fn check_size(gpu: &Gpu, what: &str, count: usize, bytes: usize) -> Result<()> {
     let limit = (gpu.largest() / bytes.max(1)).min(scan::CEILING as usize - 1);
     if count <= limit {
@@ -160,11 +159,11 @@ fn check_size(gpu: &Gpu, what: &str, count: usize, bytes: usize) -> Result<()> {
     })
 }
 
-/// Renders `inputs`, of which there is at least one Gaussian and one channel: the image `[H, W, C]`, or nothing when some input holds a NaN
-/// or an infinity.
+/// Renders `inputs`, at least one Gaussian and one channel: the image `[H, W, C]`, or `None` when an input holds a NaN or an
+/// infinity.
 ///
-/// With `room` for that many tile entries nothing is read back: the caller looks at [`Forward::summary`], and uses neither the
-/// image nor its gradients when entries found no room or rows were not finite.
+/// With `room`, a capacity in tile entries, nothing is read back. The caller reads [`Forward::summary`], and discards the image
+/// and its gradients if the capacity did not suffice or rows were not finite.
 ///
 /// # Errors
 /// [`Error::Config`] for settings out of range, [`Error::Argument`] for an unusable camera, [`Error::Limit`] for what the device
@@ -217,7 +216,7 @@ pub(super) fn forward(
     )))
 }
 
-/// Projects and sorts `inputs`; nothing when some of them holds a NaN or an infinity. With `room` as [`forward`].
+/// Projects and sorts `inputs`; `None` when an input holds a NaN or an infinity. `room` as in [`forward`].
 fn prepare(
     gpu: &Gpu,
     inputs: &Inputs,
@@ -314,7 +313,7 @@ fn read_words(gpu: &Gpu, tensor: &CubeTensor) -> Result<Vec<u32>> {
 }
 
 impl Forward {
-    /// Non-finite rows, tile entries that found no room, and tile entries, as floats.
+    /// Non-finite rows, tile entries beyond the capacity, and tile entries, as floats.
     pub fn summary(&self) -> CubeTensor {
         self.prepared.summary.clone()
     }
@@ -324,9 +323,8 @@ impl Forward {
         self.prepared.projected.radii.clone()
     }
 
-    /// Gradients of all inputs; `image` is what [`forward`] gave, `d_image` (`[H, W, C]`) and `d_transmittance`
-    /// (`[H, W]`) are contiguous. `absolute` asks for sums of absolute screen-space gradients as well, which there are for
-    /// [`ABSOLUTE_CHANNELS`] channels at most.
+    /// Gradients of all inputs. `image` is the output of [`forward`]; `d_image` (`[H, W, C]`) and `d_transmittance` (`[H, W]`) are
+    /// contiguous. `absolute` adds sums of absolute screen-space gradients, for at most [`ABSOLUTE_CHANNELS`] channels.
     pub fn backward(
         &self,
         inputs: &Inputs,

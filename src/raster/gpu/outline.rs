@@ -13,7 +13,7 @@ pub(super) struct Outline {
     /// Half axes of the row section and of the bounding box.
     half_x: f32,
     half_y: f32,
-    /// Variant offset at which the ellipse is furthest right.
+    /// Row offset at which the ellipse is furthest right.
     right_at: f32,
 }
 

@@ -1,11 +1,11 @@
-//! What a pixel sees of a projected Gaussian.
+//! Evaluation of a projected Gaussian at a pixel.
 
 use super::project::SPLAT;
 use super::view::{ALPHA_MAX, ALPHA_MIN, LN_ALPHA_MIN, T_MIN};
 use crate::raster::cpu::footprint::TILE;
 use burn_cubecl::cubecl::{self, prelude::*};
 
-/// Four floats that shared memory gives in one go.
+/// Four floats that shared memory loads at once.
 pub(super) type Four = Vector<f32, Const<4>>;
 
 /// Fours of a projected Gaussian.
@@ -50,11 +50,11 @@ pub(super) struct Pixel {
     pub x: f32,
     pub y: f32,
     pub inside: bool,
-    /// Variant-major; that of the first pixel when outside.
+    /// Row-major; that of the first pixel when outside.
     pub index: usize,
 }
 
-/// Units that stand together: a patch of [`PATCH_WIDTH`] x [`PATCH_HEIGHT`] pixels, as many as run in step on most devices.
+/// A patch of [`PATCH_WIDTH`] x [`PATCH_HEIGHT`] pixels belongs to neighbouring units: as many as run in step on most devices.
 pub(super) const PATCH: usize = PATCH_WIDTH * PATCH_HEIGHT;
 pub(super) const PATCH_WIDTH: usize = 8;
 pub(super) const PATCH_HEIGHT: usize = 4;
@@ -99,7 +99,7 @@ pub(super) fn alpha_at(batch: &Shared<[Four]>, at: usize, x: f32, y: f32, rule: 
     alpha
 }
 
-/// What a pixel takes of a Gaussian.
+/// Contribution of a Gaussian to a pixel.
 #[derive(CubeType, Clone, Copy)]
 pub(super) struct Taken {
     /// Below the cap, or at it.
@@ -110,7 +110,7 @@ pub(super) struct Taken {
     pub shows: bool,
 }
 
-/// What the pixel at (x, y), of which `t` is left, takes of the `at`-th Gaussian of a batch: one arithmetic for both passes.
+/// Contribution of the `at`-th Gaussian of a batch to the pixel at (x, y) with transmittance `t`. Both passes share this arithmetic.
 #[cube]
 pub(super) fn take(
     batch: &Shared<[Four]>,
@@ -129,8 +129,8 @@ pub(super) fn take(
     }
 }
 
-/// Whether Gaussian `id` may reach alpha_min at a pixel centre of patch `patch` of tile `tile`: never false where [`alpha_at`] gives
-/// as much, as the reach has a margin that rounding does not use up.
+/// Whether Gaussian `id` may reach alpha_min at a pixel centre of patch `patch` of tile `tile`. Never false where [`alpha_at`]
+/// reaches it: the margin of the reach exceeds rounding.
 #[cube]
 pub(super) fn reaches_patch(
     splats: &[f32],
@@ -156,7 +156,7 @@ pub(super) fn reaches_patch(
     for row in 0..PATCH_HEIGHT {
         let dy = first.y + row as f32 - splats[at + 1];
         let v = dv * dy;
-        // The point of the row that is nearest to where the Gaussian peaks in it.
+        // The point of the row nearest to the peak of the Gaussian in that row.
         let nearest = min(max(slope * dy, left), right);
         let u = du * fma(-slope, dy, nearest);
         reaches = reaches || fma(u, u, v * v) <= reach * reach;

@@ -16,7 +16,7 @@ pub(super) struct PixelGradients<'a> {
     /// `[H, W]`.
     pub transmittance: &'a CubeTensor,
     pub d_transmittance: Option<&'a CubeTensor>,
-    /// Whether sums of absolute values are wanted; of [`super::backward::ALWAYS_TOGETHER`] channels at most.
+    /// Whether to add sums of absolute values, for at most [`super::backward::ALWAYS_TOGETHER`] channels.
     pub absolute: bool,
 }
 
@@ -29,12 +29,12 @@ pub(super) struct Tiles<'a> {
     pub size: [usize; 2],
 }
 
-/// Bytes that the rows of one pass may take: more entries go through in several passes.
+/// Bytes that the rows of one pass may take. More entries go through in several passes.
 pub(super) fn row_bytes(gpu: &Gpu) -> usize {
     gpu.largest().min(1 << 30)
 }
 
-/// Runs the backward pass over the tiles; rows take `row_bytes` at most.
+/// Runs the backward pass over the tiles. Rows take at most `row_bytes`.
 pub(super) fn pixel_sums(
     gpu: &Gpu,
     splats: &CubeTensor,
@@ -141,7 +141,7 @@ fn sums_over_tiles(
         let columns = moments + block;
         let most = (row_bytes / (columns * size_of::<f32>())).clamp(1, entries.len.max(1));
         let rows = gpu.floats([most, columns]);
-        // Without entries once all the same, for the zeros.
+        // One pass even without entries, to write the zeros.
         for first_entry in (0..entries.len.max(1)).step_by(most) {
             let slab = Slab {
                 channels: values.channels,

@@ -101,9 +101,9 @@ fn project_kernel(
     splats[SPLAT * i + 7] = p.z;
 }
 
-/// What [`project`] gives, a row for every Gaussian of the scene.
+/// Result of [`project`], one row for each Gaussian of the scene.
 pub(super) struct ProjectedScene {
-    /// `[N, SPLAT]`; rows of culled Gaussians hold anything.
+    /// `[N, SPLAT]`; rows of culled Gaussians are undefined.
     pub splats: CubeTensor,
     /// Bits of camera z, which ascend with it.
     pub depths: CubeTensor,

@@ -1,4 +1,4 @@
-//! The sums over each Gaussian's tiles: a row a tile entry, and a Gaussian's entries are neighbours.
+//! Sums over the tiles of each Gaussian. Each tile entry has a row; the rows of a Gaussian are neighbours.
 
 use super::lists::{Order, TileEntries};
 use crate::backend::gpu::{Gpu, arg};
@@ -37,7 +37,7 @@ fn sum_rows(
     let end = min(ends[rank], end_entry);
     let mut sum = 0.0f32;
     let mut entry = first;
-    // Eight reads under way at a time: a Gaussian may have thousands of rows.
+    // Eight reads in flight at a time: a Gaussian may have thousands of rows.
     while entry + 8u32 <= end {
         let at = (entry - first_entry) as usize * columns + column;
         let mut part = 0.0f32;
@@ -85,7 +85,7 @@ fn sum_rows(
 
 /// Sums over all pixels, a row for every Gaussian of the scene; zero for culled ones.
 pub(super) struct PixelSums {
-    /// `[N, 6]`, or `[N, 8]` with sums of absolute values; of any length where none were asked for.
+    /// `[N, 6]`, or `[N, 8]` with sums of absolute values; of any length where none are wanted.
     pub moments: CubeTensor,
     /// `[N, 3]`; of any length without colours.
     pub d_colours: CubeTensor,

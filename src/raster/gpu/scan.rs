@@ -8,7 +8,7 @@ use burn_cubecl::tensor::CubeTensor;
 const ITEMS: usize = 8;
 /// Values of a cube.
 const BLOCK: usize = UNITS as usize * ITEMS;
-/// Sums stop here, so that none wraps: a total of [`CEILING`] means this or more.
+/// Sums are capped here, so that none wraps: a total of [`CEILING`] means this or more.
 pub(super) const CEILING: u32 = 0x7fff_ffff;
 const GROUP: usize = 16;
 /// Blocks that one cube sums by itself, for two launches fewer: chosen by counting, not by a measurement.
@@ -49,7 +49,7 @@ fn capped(a: u32, b: u32) -> u32 {
     min(a + b, CEILING)
 }
 
-/// Writes the sums of what comes before each value of block `block`, on top of `carry`, and gives the sum of all of them with it.
+/// Writes `carry` plus the sum of the values before each value of block `block`, and returns `carry` plus the sum of all of them.
 /// All units of the cube call it.
 #[cube]
 fn scan_block(

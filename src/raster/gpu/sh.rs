@@ -225,9 +225,9 @@ pub(super) fn colours(
     out
 }
 
-/// What the backward step of [`colours`] reads.
+/// Inputs of the backward step of [`colours`].
 pub(super) struct ColourGradients<'a> {
-    /// As [`colours`] gave them.
+    /// The output of [`colours`].
     pub colours: &'a CubeTensor,
     pub d_colours: &'a CubeTensor,
     pub radii: &'a CubeTensor,

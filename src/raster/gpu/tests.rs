@@ -1,4 +1,4 @@
-//! The parts of the pipeline, each against the CPU's.
+//! Each stage of the GPU pipeline against the CPU's.
 
 use super::blend::{Values, blend};
 use super::lists::{Order, Report, TileEntries, depth_order, tile_counts, tile_entries};

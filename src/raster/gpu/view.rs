@@ -6,7 +6,7 @@ use crate::splat::camera::Camera;
 
 /// Rows of the world-to-camera rotation, nine numbers.
 pub(super) const AXES: usize = 0;
-/// Camera centre rounded to f32, and what the rounding left: the difference to a mean keeps its digits.
+/// Camera centre rounded to f32, and the rounding error: the difference to a mean keeps its digits.
 pub(super) const CENTER: usize = 9;
 pub(super) const CENTER_REST: usize = 12;
 /// `fx fy`, `cx cy`, pixels.

@@ -113,7 +113,7 @@ fn gather_rows<E: Real, const FMA: bool>(
     first: usize,
     view: &Folded<'_, E>,
 ) {
-    // All entries first: reads all over the memory that do not wait for each other.
+    // All entries first: scattered reads that do not wait for each other.
     let (mut near, mut ends) = (Vec::new(), Vec::new());
     for i in (first..).take(scales.first().map_or(0, |rows| rows.weights.len())) {
         near.extend(

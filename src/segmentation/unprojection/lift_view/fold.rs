@@ -23,7 +23,7 @@ pub struct Taps {
 }
 
 impl Taps {
-    /// Of the cells of `lattice` over the image of `camera`.
+    /// Taps of the cells of `lattice` at the pixels of `camera`.
     pub fn new(lattice: &Lattice, camera: &Camera) -> Self {
         let of =
             |axis: Axis, pixels: usize| (0..pixels).map(|i| axis.taps(i as f64 + 0.5)).collect();
@@ -58,7 +58,7 @@ pub struct Entry<E> {
 }
 
 impl<E: Real> Entry<E> {
-    /// Asks for its cells to be brought near.
+    /// Prefetches its cells.
     #[inline(always)]
     pub fn prefetch(&self, tiles: &[Vec<CellWeight<E>>]) {
         if let Some(first) = tiles[self.tile as usize].get(self.at as usize) {
@@ -74,8 +74,8 @@ impl<E: Real> Entry<E> {
     }
 }
 
-/// Folds the pairs of the tile with number `tile` onto the cells of every grid, [`SCALES`] at most. `entries` has one
-/// for each of its Gaussians; returned are the cells of the first Gaussian grid by grid, then those of the next.
+/// Folds the pairs of the tile with number `tile` onto the cells of every grid, at most [`SCALES`]. `entries` has one for each of
+/// its Gaussians. Returns the cells of the first Gaussian grid by grid, then those of the next.
 pub fn fold_tile<E: Real>(
     tile: usize,
     pairs: &TilePairs<'_, E>,
@@ -221,7 +221,7 @@ fn fold_all<E: Real, const FMA: bool>(
     let edge = TilePairs::<E>::EDGE;
     let lanes = window.lanes;
     let mut sums = vec![E::zero(); window.rows * lanes];
-    // `out` is longer than what is written, so that cells need no asking for room.
+    // `out` is longer than needed, so that writing a cell needs no capacity check.
     let mut len = 0;
     for (i, entry) in entries.iter_mut().enumerate().take(pairs.len()) {
         let (_, pixels, weights) = pairs.gaussian(i);

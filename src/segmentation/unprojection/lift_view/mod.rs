@@ -30,14 +30,14 @@ pub struct Sums<E> {
     /// `sum_v W^T 1` per scale, `[N]`: at `image` resolution the same at every scale.
     pub weights: Vec<Vec<E>>,
     /// Algorithm 1's counter per scale, `[N]`: pixels (at `feature` resolution: cells) whose centre lies within the radius,
-    /// those that masks leave out not counted: they add nothing to the buffers either.
+    /// except for masked ones, which add nothing to the buffers either.
     pub counts: Vec<Vec<u64>>,
-    /// Pixels (cells) of all views per scale that masks do not leave out, without masks `sum_v H_v W_v`.
+    /// Unmasked pixels (cells) of all views per scale; without masks `sum_v H_v W_v`.
     pub pixels: Vec<u64>,
 }
 
 impl<E: Real> Sums<E> {
-    /// Of no views yet, for `n` Gaussians and one entry of `channels` per scale.
+    /// No views yet, for `n` Gaussians and one entry of `channels` per scale.
     pub fn new(n: usize, channels: &[usize]) -> Self {
         Self {
             buffers: channels.iter().map(|c| vec![E::zero(); n * c]).collect(),
