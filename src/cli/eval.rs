@@ -182,9 +182,7 @@ fn label_scores(
     let maps = if let Some(identities) = identities {
         let maps = LabelMaps::new(identities, classes, rule);
         let splats = SplatTensors::new(&ply.gaussians, &open_cpu()?);
-        rendered(views, |camera| {
-            maps.of(&splats.seen_by(camera, &settings))
-        })?
+        rendered(views, |camera| maps.of(&splats.seen_by(camera, &settings)))?
     } else if let Some(labels) = &ply.labels {
         rendered(views, |camera| {
             let projected = Projected::new(&ply.gaussians.splats(), camera, &settings)?;
