@@ -1,14 +1,14 @@
-//! What a running stage tells its caller.
+//! Progress of a running stage, as events for its caller.
 
 use crate::metrics::ImageScores;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 
-/// Something that happened in a stage; iterations count from 1.
+/// An event of a stage; iterations count from 1.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Event {
-    /// A stage begins, or goes on, after `done` of `iterations`.
+    /// A stage begins, or resumes, after `done` of `iterations`.
     Started {
         /// Name of the stage.
         stage: &'static str,
@@ -26,9 +26,9 @@ pub enum Event {
         /// Gaussians in the scene.
         gaussians: usize,
     },
-    /// One more view, or several, was looked at in a stage that goes through views and learns nothing.
+    /// A stage that learns nothing has gone through one or more views.
     Viewed {
-        /// Iterations done: views, each counted as often as the stage looks at it.
+        /// Views done, each counted as often as the stage reads it.
         done: usize,
     },
     /// The held-out views were scored.
@@ -51,7 +51,7 @@ pub enum Event {
         /// After this iteration.
         iteration: usize,
     },
-    /// The stage is done; of one that was stopped before its end nothing is told.
+    /// The stage is done. Not sent for stages that were stopped early.
     Finished,
 }
 
@@ -85,14 +85,14 @@ pub trait Progress {
     }
 }
 
-/// A stage that goes through views and learns nothing, as it is told to its caller.
+/// Progress of a stage that goes through views and learns nothing.
 pub(crate) struct Viewing<'p> {
     progress: &'p mut dyn Progress,
     done: usize,
 }
 
 impl<'p> Viewing<'p> {
-    /// A stage that looks at `views` views, each counted as often as it does.
+    /// Starts a stage of `views` views, each counted as often as the stage reads it.
     pub fn begin(progress: &'p mut dyn Progress, stage: &'static str, views: usize) -> Self {
         progress.event(&Event::Started {
             stage,
@@ -102,7 +102,7 @@ impl<'p> Viewing<'p> {
         Self { progress, done: 0 }
     }
 
-    /// Tells of `more` views, where there are any, and asks whether to go on.
+    /// Reports `more` views, and asks whether to continue.
     pub fn looked(&mut self, more: usize) -> ControlFlow<()> {
         if more > 0 {
             self.done += more;
@@ -121,7 +121,7 @@ impl<'p> Viewing<'p> {
     }
 }
 
-/// Listens to nothing.
+/// Ignores all events.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Silent;
 

@@ -8,7 +8,7 @@ use std::path::{Component, Path, PathBuf};
 /// Value of [`DataConfig::masks`] that turns masks off.
 pub const NO_MASKS: &str = "none";
 
-/// Whether two names are of one folder as they are written, as `masks`, `./masks` and `masks/` are.
+/// Whether two names mean one folder as written, as `masks`, `./masks` and `masks/` do.
 pub(crate) fn same_folder(a: &str, b: &str) -> bool {
     let parts = |name| {
         Path::new(name)
@@ -29,8 +29,8 @@ pub struct DataConfig {
     /// File within `dir` that lists frames, of layout `transforms`. Where the usual one is not there, `transforms_train.json` and
     /// `transforms_test.json` (else `transforms_val.json`) are read together.
     pub transforms: String,
-    /// Folder of photos within `dir`, of layout `colmap`. In another one than `images` photos may be smaller than the
-    /// model says, in the same proportion: cameras are scaled to them.
+    /// Folder of photos within `dir`, of layout `colmap`. Its photos may be smaller than the model says, in the same
+    /// proportion: cameras are scaled to them.
     pub images: String,
     /// Folder of raw labels within `dir`; replaces the folder named in the frames. Empty: as the frames say.
     pub raw_labels: String,
@@ -38,13 +38,12 @@ pub struct DataConfig {
     /// frames name. Empty: as the frames say, or `masks`, of layout `colmap`, unless raw labels lie there. [`NO_MASKS`]: photos
     /// are used whole, whatever masks there are; a folder of that name is `./none`.
     pub masks: String,
-    /// Where the raw labels come from, for the report: a network's name, or that they are simulated. Empty: nothing is
-    /// said, but for the built-in scene, whose raw labels are simulated.
+    /// Origin of the raw labels, for the report, such as the name of a network. Empty: unknown, but simulated for the built-in
+    /// scene.
     pub raw_labels_note: String,
     /// How raw labels are stored.
     pub raw_format: RawFormat,
-    /// Whether ids of raw labels are class ids, or mean something within their view only and are put together after
-    /// stage one.
+    /// Whether ids of raw labels are class ids, or hold within their view only and are associated after stage one.
     pub association: Association,
     /// Every how many frames of each split one is used; 1 uses all.
     pub stride: usize,
@@ -99,7 +98,7 @@ impl DataConfig {
         Ok(())
     }
 
-    /// A sentence on where the raw labels come from, where that is known: nothing in a scene folder says so.
+    /// A sentence on the origin of the raw labels, where it is known.
     pub fn raw_labels_origin(&self) -> Option<String> {
         match (self.raw_labels_note.trim(), &self.dir) {
             ("", None) => Some(
