@@ -11,6 +11,21 @@ use std::path::{Path, PathBuf};
 /// Shorthand for results of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
+/// An [`Error::Input`] with its parts by name; each part is a format string, perhaps with arguments:
+/// `invalid!(path, "line {line}"; found "{word:?}"; expected "a number"; help "correct the file")`.
+macro_rules! invalid {
+    ($path:expr, $($field:expr),+; found $($found:expr),+; expected $($expected:expr),+; help $($help:expr),+) => {
+        $crate::error::Error::input(
+            $path,
+            std::fmt::format(format_args!($($field),+)),
+            std::fmt::format(format_args!($($found),+)),
+            std::fmt::format(format_args!($($expected),+)),
+            std::fmt::format(format_args!($($help),+)),
+        )
+    };
+}
+pub(crate) use invalid;
+
 /// What went wrong, with the file, the field, what was found, what was expected and how to correct it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -127,6 +142,15 @@ impl Error {
             path: path.as_ref().to_owned(),
             action,
             source,
+        }
+    }
+
+    /// An [`Error::Missing`] for the file at `path`.
+    pub(crate) fn missing_file(path: impl AsRef<Path>, help: &str) -> Self {
+        Self::Missing {
+            what: "file",
+            path: path.as_ref().to_owned(),
+            help: help.to_owned(),
         }
     }
 

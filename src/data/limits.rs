@@ -1,6 +1,7 @@
 //! Bounds on what a scene may claim, checked before anything of that size is allocated.
 
 use crate::error::{Error, Result};
+use std::path::Path;
 
 /// Largest sizes that loaders accept; raise a field to load more.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -24,16 +25,39 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// An [`Error::Limit`] when `found` is larger than `limit`.
-    pub(crate) fn check(what: impl Into<String>, found: u64, limit: u64, help: &str) -> Result<()> {
-        if found <= limit {
-            return Ok(());
-        }
-        Err(Error::Limit {
-            what: what.into(),
-            found: found.to_string(),
-            limit: limit.to_string(),
-            help: help.into(),
-        })
+    /// Refuses more than [`Limits::views`] frames in the file at `path`.
+    pub(crate) fn check_views(&self, path: &Path, count: usize) -> Result<()> {
+        let help = "thin out with data.stride or data.max_frames";
+        check(path, "frames", count as u64, self.views as u64, help)
     }
+
+    /// Refuses an image at `path` with more than [`Limits::image_pixels`] pixels.
+    pub(crate) fn check_pixels(&self, path: &Path, width: usize, height: usize) -> Result<()> {
+        let pixels = (width as u64).saturating_mul(height as u64);
+        check(
+            path,
+            "pixels",
+            pixels,
+            self.image_pixels,
+            "lower the size of the image",
+        )
+    }
+
+    /// Refuses more than [`Limits::points`] points in the file at `path`.
+    pub(crate) fn check_points(&self, path: &Path, count: u64) -> Result<()> {
+        check(path, "points", count, self.points, "thin the cloud out")
+    }
+}
+
+/// An [`Error::Limit`] when `found` is larger than `limit`.
+pub(crate) fn check(path: &Path, what: &str, found: u64, limit: u64, help: &str) -> Result<()> {
+    if found <= limit {
+        return Ok(());
+    }
+    Err(Error::Limit {
+        what: format!("{}: {what}", path.display()),
+        found: found.to_string(),
+        limit: limit.to_string(),
+        help: help.to_owned(),
+    })
 }

@@ -7,15 +7,16 @@ pub mod builtin;
 pub(crate) mod diagnostics;
 pub mod formats;
 pub mod labels;
-mod limits;
+pub(crate) mod limits;
 mod options;
 pub mod photos;
+pub(crate) mod read;
 
 pub use self::diagnostics::check::{Checked, check};
 pub use self::diagnostics::info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
 pub use self::formats::camera_file::read_cameras;
 pub use self::formats::layout::locate;
-pub use self::formats::manifest::{ExpectedFile, LabelMapping, Manifest};
+pub use self::formats::manifest::{ClassTable, ExpectedFile, LabelMapping, Manifest};
 pub use self::labels::label_runs::LabelRuns;
 pub use self::labels::map_geometry::MapGeometry;
 pub use self::labels::palette::class_color;
@@ -24,20 +25,20 @@ pub use self::options::LoadOptions;
 pub use self::photos::photo::Photo;
 pub use self::photos::photo_cache::PhotoCache;
 
-use self::diagnostics::{cautions, poses};
+use self::diagnostics::{notices, poses};
 use self::formats::{layout, listing};
 use self::mask::Mask;
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::splat::camera::Camera;
 use glam::DVec3;
 use std::path::Path;
 
-/// Loads the scene in folder `dir`, in whatever layout it is or the options say.
+/// Loads the scene in folder `dir`, in the layout that the options name or that the folder has.
 ///
-/// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. Photos with lens distortion
-/// become those of pinholes, and so do their label maps. Photos are decoded in parallel, and kept decoded as far as
-/// [`LoadOptions::decoded_mb`] allows; the others are decoded again at use, from files that must stay as they are. What
-/// was left out is told as warnings, and so is what loads but is seldom meant, such as poses in another convention.
+/// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. Lens distortion is taken out of
+/// photos and label maps. Photos are decoded in parallel, and kept decoded up to [`LoadOptions::decoded_mb`]; the others are
+/// decoded again at each use, from files that must not change. Warnings say what is left out, and what loads but is seldom
+/// intended, such as poses in another convention.
 ///
 /// # Errors
 /// [`crate::Error::Missing`], [`crate::Error::Input`], [`crate::Error::Io`] or [`crate::Error::Limit`] naming file and
@@ -46,39 +47,31 @@ use std::path::Path;
 pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
     let mut problems = listing::Problems::default();
     let listing = layout::list(dir, options, &mut problems)?;
-    problems.none()?;
-    for notice in &listing.notices {
-        tracing::warn!("{}: {notice}", dir.display());
-    }
+    problems.first()?;
+    let warn = |notice: &String| tracing::warn!("{}: {notice}", dir.display());
+    listing.notices.iter().for_each(warn);
     let (scene, turned) = listing.load(dir, options)?;
-    let empty = scene
-        .points
-        .is_empty()
-        .then(|| cautions::empty_cloud(&listing.cloud))
-        .flatten();
-    for notice in turned
-        .into_iter()
-        .chain(empty)
-        .chain(cautions::of_scene(&scene, listing.unlabelled()))
-    {
-        tracing::warn!("{}: {notice}", dir.display());
+    turned.iter().for_each(warn);
+    if scene.points.is_empty() {
+        notices::empty_cloud(&listing.cloud).iter().for_each(warn);
     }
+    notices::scene(&scene, listing.unlabelled())
+        .iter()
+        .for_each(warn);
     // Points of depth images lie where the poses put them.
-    let given = !matches!(listing.cloud, listing::Cloud::Depth(_));
-    match given
-        .then(|| poses::of_scene(listing.layout, &listing.file, &scene))
-        .flatten()
-    {
-        Some(poses::Verdict::Misread(fault)) => tracing::warn!("{fault}"),
-        Some(poses::Verdict::Unrelated(notice)) => tracing::warn!("{notice}"),
-        None => {}
+    if !matches!(listing.cloud, listing::Cloud::Depth(_)) {
+        match poses::of_scene(listing.layout, &listing.file, &scene) {
+            Some(poses::Verdict::Misread(fault)) => tracing::warn!("{fault}"),
+            Some(poses::Verdict::Unrelated(notice)) => tracing::warn!("{notice}"),
+            None => {}
+        }
     }
     Ok(scene)
 }
 
 /// The cameras of the scene in folder `dir`, in whatever layout, in the order of its views: pinholes as [`load`] makes
-/// them of distorted photos, in world units; subtract a scene's origin before rendering it. `split` keeps only those
-/// frames. Photos need not be there where their sizes are known without them.
+/// them of distorted photos, in world units; subtract a scene's origin before rendering. `split` keeps only those
+/// frames. Photos may be missing where their sizes are known without them.
 ///
 /// # Errors
 /// As [`load`]; also when no frame is left.
@@ -89,35 +82,29 @@ pub fn load_cameras(
 ) -> Result<Vec<NamedCamera>> {
     let mut problems = listing::Problems::default();
     let listing = layout::list(dir, options, &mut problems)?;
-    problems.none()?;
+    problems.first()?;
     let mut cameras = Vec::new();
-    for frame in listing
-        .frames
-        .iter()
-        .filter(|frame| split.is_none_or(|wanted| wanted == frame.split))
-    {
-        let geometry = match frame.scales {
-            true => frame.open(&listing.file, &options.limits)?.1,
-            false => frame.geometry((frame.camera.width, frame.camera.height))?,
+    for frame in &listing.frames {
+        if split.is_some_and(|split| split != frame.split) {
+            continue;
+        }
+        let geometry = if frame.resizable {
+            frame.open(&listing.file, &options.limits)?.1
+        } else {
+            frame.own_geometry()?
         };
-        let camera = geometry.within(options.max_side).seen();
         cameras.push(NamedCamera {
             name: frame.name.clone(),
             split: frame.split,
-            camera,
+            camera: geometry.limited_to(options.max_side).view_camera(),
         });
     }
     if cameras.is_empty() {
-        let found = split.map_or("no frame".to_owned(), |split| {
-            format!("no frame of split {split}")
-        });
-        return Err(Error::input(
-            &listing.file,
-            "frames",
-            found,
-            "at least one",
-            "choose the other split or all",
-        ));
+        let of_split = split.map_or(String::new(), |split| format!(" of split {split}"));
+        return Err(
+            invalid!(&listing.file, "frames"; found "no frame{of_split}"; expected "at least one";
+            help "choose the other split or all"),
+        );
     }
     Ok(cameras)
 }

@@ -1,8 +1,10 @@
 //! What a scene folder holds, in figures and small pictures, without holding all of it in memory.
 
+use super::poses::evenly;
 use crate::data::formats::frame::Frame;
 use crate::data::formats::layout;
-use crate::data::formats::listing::{Listing, Maps, Problems, in_order, scene_name};
+use crate::data::formats::listing::{Listing, Problems, in_order, scene_name};
+use crate::data::labels::frame_labels::FrameLabels;
 use crate::data::labels::raw::RawMap;
 use crate::data::{Classes, LabelMap, LoadOptions, Split};
 use crate::error::Result;
@@ -11,6 +13,7 @@ use image::RgbImage;
 use image::imageops::{FilterType, resize};
 use rayon::prelude::*;
 use serde::Serialize;
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -47,7 +50,7 @@ pub struct Info {
     pub instances: usize,
     /// The classes, and last the ignored id.
     pub classes: Vec<ClassShare>,
-    /// What loading leaves out or takes for granted.
+    /// What loading leaves out or assumes.
     pub notices: Vec<String>,
 }
 
@@ -58,7 +61,7 @@ pub struct CameraBox {
     pub low: [f64; 3],
     /// Largest coordinates.
     pub high: [f64; 3],
-    /// Mean, which loading takes for the origin.
+    /// Mean, which is the origin of the loaded scene.
     pub mean: [f64; 3],
     /// Largest distance from the mean.
     pub extent: f64,
@@ -80,13 +83,17 @@ pub struct ClassShare {
 }
 
 /// What a frame holds.
-struct Looked {
+#[derive(Default)]
+struct FrameInfo {
     size: (usize, usize),
     distorted: bool,
-    /// Pixels as they are used, and how many of them a mask leaves out.
-    pixels: [usize; 2],
-    /// Pixels of each class in the true and in the raw labels.
-    counts: [BTreeMap<u16, u64>; 2],
+    /// Pixels as they are used.
+    pixels: usize,
+    /// Pixels that a mask leaves out.
+    left_out: usize,
+    /// Pixels of each class in the true labels and in the raw ones.
+    truth: BTreeMap<u16, u64>,
+    raw: BTreeMap<u16, u64>,
     /// Raw segments, where ids are not classes.
     segments: usize,
 }
@@ -98,49 +105,22 @@ struct Looked {
 pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
     let listing = listing(dir, options)?;
     let known = listing.classes.lookup();
-    let looked = in_order(
+    let frames = in_order(
         listing
             .frames
             .par_iter()
-            .map(|frame| look(&listing, frame, &known, options)),
+            .map(|frame| FrameInfo::new(&listing, frame, &known, options)),
     )?;
     let mut sizes = BTreeMap::new();
-    let mut views = BTreeMap::new();
-    let mut pixels: [BTreeMap<u16, u64>; 2] = Default::default();
-    for Looked { size, counts, .. } in &looked {
-        *sizes.entry(*size).or_insert(0) += 1;
-        let mut ids: Vec<&u16> = counts.iter().flat_map(BTreeMap::keys).collect();
-        ids.sort_unstable();
-        ids.dedup();
-        ids.into_iter()
-            .for_each(|id| *views.entry(*id).or_insert(0) += 1);
-        for (sum, counts) in pixels.iter_mut().zip(counts) {
-            counts
-                .iter()
-                .for_each(|(id, n)| *sum.entry(*id).or_insert(0) += n);
-        }
+    for frame in &frames {
+        *sizes.entry(frame.size).or_insert(0) += 1;
     }
-    let [all, left_out] = [0, 1].map(|i| looked.iter().map(|l| l.pixels[i]).sum::<usize>());
     let mut sizes: Vec<_> = sizes.into_iter().map(|((w, h), n)| (w, h, n)).collect();
-    sizes.sort_by_key(|&(.., n)| std::cmp::Reverse(n));
-    let totals = [0, 1].map(|i| pixels[i].values().sum::<u64>().max(1) as f64);
-    let share = |id: u16, name: String| ClassShare {
-        id,
-        name,
-        truth: pixels[0].get(&id).copied().unwrap_or(0) as f64 / totals[0],
-        raw: pixels[1].get(&id).copied().unwrap_or(0) as f64 / totals[1],
-        views: views.get(&id).copied().unwrap_or(0),
-    };
-    let Classes { entries, ignore } = &listing.classes;
-    let listed = entries
-        .iter()
-        .filter(|class| !listing.occurring_classes || views.contains_key(&class.id));
-    let mut classes: Vec<ClassShare> = listed
-        .map(|class| share(class.id, class.name.clone()))
-        .collect();
-    if !entries.is_empty() {
-        classes.push(share(*ignore, "unlabelled".into()));
-    }
+    sizes.sort_by_key(|&(.., n)| Reverse(n));
+    let (left_out, pixels) = (
+        frames.iter().map(|f| f.left_out),
+        frames.iter().map(|f| f.pixels),
+    );
     let count = |of: fn(&&Frame) -> bool| listing.frames.iter().filter(of).count();
     Ok(Info {
         name: scene_name(dir),
@@ -148,78 +128,98 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
         train: count(|frame| frame.split == Split::Train),
         test: count(|frame| frame.split == Split::Test),
         sizes,
-        distorted: looked.iter().filter(|l| l.distorted).count(),
-        masked: looked.iter().filter(|l| l.pixels[1] > 0).count(),
-        left_out: left_out as f64 / all.max(1) as f64,
+        distorted: frames.iter().filter(|frame| frame.distorted).count(),
+        masked: frames.iter().filter(|frame| frame.left_out > 0).count(),
+        left_out: left_out.sum::<usize>() as f64 / pixels.sum::<usize>().max(1) as f64,
         cameras: camera_box(&listing),
         points: listing.points(listing.origin(), &options.limits)?.len(),
         labelled: count(|frame| frame.truth.is_some()),
         raw_labelled: count(|frame| frame.raw.is_some()),
-        segments: looked.iter().map(|l| l.segments).sum(),
+        segments: frames.iter().map(|frame| frame.segments).sum(),
         instances: count(|frame| frame.instances.is_some()),
-        classes,
+        classes: class_shares(&listing, &frames),
         notices: listing.notices,
     })
+}
+
+fn class_shares(listing: &Listing, frames: &[FrameInfo]) -> Vec<ClassShare> {
+    let sum = |of: fn(&FrameInfo) -> &BTreeMap<u16, u64>, id: u16| -> u64 {
+        frames.iter().filter_map(|frame| of(frame).get(&id)).sum()
+    };
+    let total = |of: fn(&FrameInfo) -> &BTreeMap<u16, u64>| -> f64 {
+        frames
+            .iter()
+            .flat_map(|frame| of(frame).values())
+            .sum::<u64>()
+            .max(1) as f64
+    };
+    let (all_truth, all_raw) = (total(|frame| &frame.truth), total(|frame| &frame.raw));
+    let share = |id: u16, name: &str| ClassShare {
+        id,
+        name: name.to_owned(),
+        truth: sum(|frame| &frame.truth, id) as f64 / all_truth,
+        raw: sum(|frame| &frame.raw, id) as f64 / all_raw,
+        views: frames
+            .iter()
+            .filter(|f| f.truth.contains_key(&id) || f.raw.contains_key(&id))
+            .count(),
+    };
+    let Classes { entries, ignore } = &listing.classes;
+    let mut classes: Vec<_> = entries
+        .iter()
+        .map(|class| share(class.id, &class.name))
+        .collect();
+    classes.retain(|class| !listing.occurring_classes || class.views > 0);
+    if !entries.is_empty() {
+        classes.push(share(*ignore, "unlabelled"));
+    }
+    classes
 }
 
 fn listing(dir: &Path, options: &LoadOptions) -> Result<Listing> {
     let mut problems = Problems::default();
     let listing = layout::list(dir, options, &mut problems)?;
-    problems.none()?;
+    problems.first()?;
     listing.check_sizes(&options.limits)?;
     Ok(listing)
 }
 
-fn look(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) -> Result<Looked> {
-    let (file, geometry) = frame.open(&listing.file, &options.limits)?;
-    let geometry = geometry.within(options.max_side);
-    let mut counts: [BTreeMap<u16, u64>; 2] = Default::default();
-    let mut segments = 0;
-    let mask = frame.read_mask(&geometry, &options.limits)?;
-    let maps = Maps {
-        listing,
-        frame,
-        geometry: &geometry,
-        known,
-        limits: &options.limits,
-        mask: mask.as_ref(),
-    };
-    if let Some(map) = maps.truth()? {
-        counts[0] = pixels_by_id(&map);
-    }
-    if let Some(RawMap {
-        map,
-        segments: told,
-    }) = maps.raw()?
-    {
-        let pixels = pixels_by_id(&map);
+impl FrameInfo {
+    fn new(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) -> Result<Self> {
+        let limits = &options.limits;
+        let (file, geometry) = frame.open(&listing.file, limits)?;
+        let geometry = geometry.limited_to(options.max_side);
+        let mask = frame.read_mask(&geometry, limits)?;
+        let labels = FrameLabels::new(listing, frame, &geometry, known, limits, mask.as_ref());
+        let camera = geometry.view_camera();
+        let mut info = Self {
+            size: file.size,
+            distorted: !frame.lens.is_pinhole(),
+            pixels: camera.width * camera.height,
+            left_out: mask.as_ref().map_or(0, |mask| mask.left_out()),
+            truth: labels
+                .truth()?
+                .as_ref()
+                .map(pixels_by_id)
+                .unwrap_or_default(),
+            ..Self::default()
+        };
+        let Some(RawMap { map, segments }) = labels.raw()? else {
+            return Ok(info);
+        };
+        info.raw = pixels_by_id(&map);
         if listing.raw.are_segments() {
-            segments = pixels.keys().filter(|id| **id != 0).count();
-            for (id, n) in pixels {
-                let class = told
-                    .iter()
-                    .find(|segment| segment.id == id)
-                    .and_then(|segment| segment.class);
-                *counts[1]
-                    .entry(class.unwrap_or(listing.classes.ignore))
-                    .or_default() += n;
+            info.segments = info.raw.keys().filter(|id| **id != 0).count();
+            for (id, pixels) in std::mem::take(&mut info.raw) {
+                let segment = segments.iter().find(|segment| segment.id == id);
+                let class = segment
+                    .and_then(|segment| segment.class)
+                    .unwrap_or(listing.classes.ignore);
+                *info.raw.entry(class).or_default() += pixels;
             }
-        } else {
-            counts[1] = pixels;
         }
+        Ok(info)
     }
-    let seen = geometry.seen();
-    let pixels = [
-        seen.width * seen.height,
-        mask.map_or(0, |mask| mask.left_out()),
-    ];
-    Ok(Looked {
-        size: file.size,
-        distorted: !frame.lens.is_pinhole(),
-        pixels,
-        counts,
-        segments,
-    })
 }
 
 fn pixels_by_id(map: &LabelMap) -> BTreeMap<u16, u64> {
@@ -264,41 +264,31 @@ pub fn thumbnails(
 ) -> Result<(Vec<Thumbnail>, Classes)> {
     let listing = listing(dir, options)?;
     let known = listing.classes.lookup();
-    let all = listing.frames.len();
-    let chosen: Vec<&Frame> = (0..count.min(all))
-        .map(|i| &listing.frames[i * all / count.min(all)])
-        .collect();
-    let made = in_order(chosen.into_par_iter().map(|frame| {
-        let (file, geometry) = frame.open(&listing.file, &options.limits)?;
-        let geometry = geometry.within(options.max_side);
+    let limits = &options.limits;
+    let chosen = evenly(listing.frames.len(), count);
+    let made = in_order(chosen.into_par_iter().map(|i| {
+        let frame = &listing.frames[i];
+        let (file, geometry) = frame.open(&listing.file, limits)?;
+        let geometry = geometry.limited_to(options.max_side);
         let mut photo = geometry.photo(&file)?;
-        let mask = frame.read_mask(&geometry, &options.limits)?;
-        let mask = mask.as_ref();
-        mask.into_iter()
-            .for_each(|mask| mask.fill(&mut photo, 3, 0));
-        let height = (u64::from(photo.height()) * u64::from(width)
-            / u64::from(photo.width().max(1)))
-        .clamp(1, 4 * u64::from(width));
-        let photo = resize(&photo, width.max(1), height as u32, FilterType::Triangle);
-        let (listing, limits) = (&listing, &options.limits);
-        let maps = Maps {
-            listing,
-            frame,
-            geometry: &geometry,
-            known: &known,
-            limits,
-            mask,
-        };
-        let mut labels = maps.truth()?;
-        if labels.is_none() {
-            labels = maps.raw()?.map(|raw| raw.map);
+        let mask = frame.read_mask(&geometry, limits)?;
+        if let Some(mask) = &mask {
+            mask.fill(&mut photo, 3, 0);
         }
-        let labels = labels.map(|map| map.resized(photo.width() as usize, photo.height() as usize));
+        let height = u64::from(photo.height()) * u64::from(width) / u64::from(photo.width().max(1));
+        let height = height.clamp(1, 4 * u64::from(width)) as u32;
+        let photo = resize(&photo, width.max(1), height, FilterType::Triangle);
+        let labels = FrameLabels::new(&listing, frame, &geometry, &known, limits, mask.as_ref());
+        let map = match labels.truth()? {
+            Some(truth) => Some(truth),
+            None => labels.raw()?.map(|raw| raw.map),
+        };
+        let size = (photo.width() as usize, photo.height() as usize);
         Ok(Thumbnail {
             name: frame.name.clone(),
             split: frame.split,
             photo,
-            labels,
+            labels: map.map(|map| map.resized(size.0, size.1)),
         })
     }))?;
     Ok((made, listing.classes))

@@ -1,42 +1,45 @@
-//! Whether poses are read the way they were written: the wrong convention trains to mush without an error.
+//! Whether poses are read in the convention they were written in: with another one, training fails without an error.
 //!
 //! A pose is a rotation and a translation, which may be camera-to-world or world-to-camera, in OpenGL or in OpenCV axes.
-//! The layout says which; a folder that was put together by hand may hold another one. The initial cloud tells: read
-//! rightly, its points lie in the photos, and have the colours of the pixels that they fall on.
+//! The layout defines which; a folder that was put together by hand may hold another one. The initial cloud shows it: with
+//! the right convention its points lie in the photos, and have the colours of the pixels that they fall on.
 
+use super::convention::Convention;
 use crate::config::Layout;
+use crate::data::formats::frame::Frame;
 use crate::data::formats::listing::{Cloud, Listing};
 use crate::data::{Limits, Points, Scene};
-use crate::error::Error;
+use crate::error::{Error, invalid};
 use crate::splat::camera::Camera;
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use image::RgbImage;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Cameras, photos and points that are looked at, at most, evenly chosen.
+/// Most cameras, photos and points that are looked at, evenly chosen.
 const CAMERAS: usize = 256;
 const PHOTOS: usize = 16;
 const POINTS: usize = 4_096;
-/// Fewer points than this say nothing.
+/// Fewer points than this are not enough.
 const TOO_FEW_POINTS: usize = 100;
-/// Cells across and down a photo, in each of which the nearest point is compared: it may hide the others.
+/// Cells across and down a photo. In each the nearest point is compared: it may hide the others.
 const CELLS: usize = 24;
 /// Points that a photo must hold to be compared.
 const COMPARED: usize = 8;
 
-/// Agreement ([`Fit::agreement`]) below which poses are clearly misread, and above which they are clearly read rightly.
+/// Agreement ([`Fit::agreement`]) below which the convention is clearly wrong, and above which it is clearly right.
 ///
 /// Measured on two captures of objects, three of rooms and the built-in room, written in each of the four conventions,
-/// whole and thinned out to every 3rd, 10th and 40th photo, with points of a cloud or of depth images: read rightly 0.81
-/// to 0.91, wrongly at most 0.18; of 200 points alone rightly 0.50 and more, wrongly at most 0.32. An alarm needs both
-/// sides to fail: colours that are made up, or change with the exposure, only keep it silent.
+/// whole and thinned out to every 3rd, 10th and 40th photo, with points of a cloud or of depth images: 0.81 to 0.91 in the
+/// right convention, at most 0.18 in a wrong one; with only 200 points at least 0.50 and at most 0.32. A fault needs both
+/// bounds: made-up colours, or colours that change with the exposure, only hide it.
 const MISREAD: f64 = 0.3;
 const READ: f64 = 0.5;
-/// The same for the share of the points that some photo holds, which is all that a cloud without colours tells. Measured
-/// on the same: rightly 0.95 to 1.00 (0.38 by three photos of a room), wrongly 0.00 to 1.00, as rooms have points on all
-/// sides. Of wrong readings above the first bound nothing is told.
+/// The same for the share of the points that some photo holds, which is all that a cloud without colours shows. Measured
+/// on the same captures: 0.95 to 1.00 in the right convention (0.38 for three photos of a room), 0.00 to 1.00 in a wrong
+/// one, as rooms have points on all sides. Wrong conventions above the first bound are not reported.
 const UNSEEN: f64 = 0.5;
 const SEEN: f64 = 0.9;
 /// That share where points and photos have nothing to do with each other.
@@ -47,127 +50,8 @@ const ELSEWHERE: f64 = 0.02;
 pub(crate) enum Verdict {
     /// They are of another convention.
     Misread(Error),
-    /// They fit in none: a sentence.
+    /// They fit in no convention: a notice.
     Unrelated(String),
-}
-
-/// How a rotation and a translation are meant.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Convention {
-    /// They take world to camera coordinates, not back.
-    to_camera: bool,
-    /// Camera axes are x right, y down, z forward; else x right, y up, z backward.
-    opencv: bool,
-}
-
-impl Convention {
-    pub const ALL: [Self; 4] = [
-        Self {
-            to_camera: false,
-            opencv: false,
-        },
-        Self {
-            to_camera: true,
-            opencv: false,
-        },
-        Self {
-            to_camera: false,
-            opencv: true,
-        },
-        Self {
-            to_camera: true,
-            opencv: true,
-        },
-    ];
-
-    /// That of a layout.
-    pub fn of(layout: Layout) -> Self {
-        match layout {
-            Layout::Auto | Layout::Transforms => Self {
-                to_camera: false,
-                opencv: false,
-            },
-            Layout::Colmap => Self {
-                to_camera: true,
-                opencv: true,
-            },
-            Layout::Replica | Layout::Scannet => Self {
-                to_camera: false,
-                opencv: true,
-            },
-        }
-    }
-
-    pub fn name(self) -> &'static str {
-        match (self.to_camera, self.opencv) {
-            (false, false) => "camera-to-world in OpenGL axes",
-            (true, false) => "world-to-camera in OpenGL axes",
-            (false, true) => "camera-to-world in OpenCV axes",
-            (true, true) => "world-to-camera in OpenCV axes",
-        }
-    }
-
-    fn description(self) -> String {
-        let axes = if self.opencv {
-            "y down, looking along z"
-        } else {
-            "y up, looking along -z"
-        };
-        format!("{} (x right, {axes})", self.name())
-    }
-
-    /// From our axes to these, and back.
-    fn axes(self) -> DMat3 {
-        if self.opencv {
-            DMat3::IDENTITY
-        } else {
-            DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0))
-        }
-    }
-
-    /// Rotation and translation of `camera`.
-    pub fn write(self, camera: &Camera) -> (DMat3, DVec3) {
-        let rotation = self.axes() * camera.rotation;
-        match self.to_camera {
-            true => (rotation, -(rotation * camera.center)),
-            false => (rotation.transpose(), camera.center),
-        }
-    }
-
-    /// `camera` with this pose.
-    pub fn read(self, (rotation, translation): (DMat3, DVec3), camera: &Camera) -> Camera {
-        let (rotation, center) = match self.to_camera {
-            true => (rotation, -(rotation.transpose() * translation)),
-            false => (rotation.transpose(), translation),
-        };
-        Camera {
-            rotation: self.axes() * rotation,
-            center,
-            ..camera.clone()
-        }
-    }
-
-    /// How poses of this convention become those of a layout, another one.
-    pub fn help(self, layout: Layout) -> String {
-        let wanted = Self::of(layout);
-        let matrix = match layout {
-            Layout::Auto | Layout::Transforms => "transform_matrix",
-            Layout::Colmap => "pose",
-            Layout::Replica | Layout::Scannet => "matrix",
-        };
-        // The camera's side of the matrix.
-        let lines = if wanted.to_camera { "rows" } else { "columns" };
-        match (
-            self.to_camera != wanted.to_camera,
-            self.opencv != wanted.opencv,
-        ) {
-            (true, false) => format!("invert each {matrix}"),
-            (true, true) => {
-                format!("invert each {matrix}, then negate its second and third {lines}")
-            }
-            (false, _) => format!("negate the second and third {lines} of each {matrix}"),
-        }
-    }
 }
 
 /// A camera in world units, and perhaps its photo.
@@ -180,13 +64,14 @@ struct Shot {
 struct Anchor {
     position: DVec3,
     color: [f32; 3],
-    /// The shot whose depth image shows it; `position` is in the axes of its camera, else in the world.
+    /// The shot whose depth image shows it; `position` is then in the axes of its camera, else in the world.
     source: Option<usize>,
 }
 
 /// How well points and photos fit.
 #[derive(Clone, Copy, Debug)]
 struct Fit {
+    convention: Convention,
     /// Share of the points that a photo holds, median over the cameras.
     typical: f64,
     /// Share of the points that some photo holds.
@@ -196,45 +81,34 @@ struct Fit {
     agreement: f64,
 }
 
-/// What the points of a listing say. Those of depth images lie where the poses put them, and are made anew.
+/// What the points of a listing say. Points of depth images depend on the poses; they are made anew.
 pub(crate) fn of_listing(listing: &Listing, points: &Points, limits: &Limits) -> Option<Verdict> {
-    let posed: Vec<usize> = (0..listing.frames.len())
-        .filter(|&i| listing.frames[i].posed)
-        .collect();
-    if posed.is_empty()
-        || (!matches!(listing.cloud, Cloud::Depth(_)) && points.len() < TOO_FEW_POINTS)
-    {
+    let posed: Vec<&Frame> = listing.frames.iter().filter(|frame| frame.posed).collect();
+    let depth = match &listing.cloud {
+        Cloud::Depth(depth) => Some(depth),
+        _ => None,
+    };
+    if posed.is_empty() || (depth.is_none() && points.len() < TOO_FEW_POINTS) {
         return None;
     }
-    let depth = if let Cloud::Depth(depth) = &listing.cloud {
-        Some(depth)
-    } else {
-        None
-    };
-    let chosen = evenly(posed.len(), if depth.is_some() { PHOTOS } else { CAMERAS });
-    let photos = evenly(chosen.len(), PHOTOS);
-    let shots: Vec<Shot> = (0..chosen.len())
-        .into_par_iter()
-        .map(|place| {
-            let frame = &listing.frames[posed[chosen[place]]];
-            let opened = photos
-                .contains(&place)
-                .then(|| frame.open(&listing.file, limits).ok())
-                .flatten();
-            match opened
-                .and_then(|(file, geometry)| Some((geometry.photo(&file).ok()?, geometry.camera)))
-            {
-                Some((photo, camera)) => Shot {
-                    camera,
-                    photo: Some(Arc::new(photo)),
-                },
-                None => Shot {
-                    camera: frame.camera.clone(),
-                    photo: None,
-                },
-            }
+    let most = if depth.is_some() { PHOTOS } else { CAMERAS };
+    let chosen = evenly(posed.len(), most);
+    let shots = shots(chosen.len(), |place, with_photo| {
+        let frame = posed[chosen[place]];
+        let open = || {
+            let (file, geometry) = frame.open(&listing.file, limits).ok()?;
+            let photo = Some(Arc::new(geometry.photo(&file).ok()?));
+            Some(Shot {
+                camera: geometry.camera,
+                photo,
+            })
+        };
+        let camera = frame.camera.clone();
+        with_photo.then(open).flatten().unwrap_or(Shot {
+            camera,
+            photo: None,
         })
-        .collect();
+    });
     let Some(depth) = depth else {
         return judge(
             listing.layout,
@@ -243,61 +117,54 @@ pub(crate) fn of_listing(listing: &Listing, points: &Points, limits: &Limits) ->
             &anchors(points, listing.origin()),
         );
     };
+    let files: Vec<_> = listing
+        .frames
+        .iter()
+        .zip(&depth.files)
+        .filter(|(frame, _)| frame.posed)
+        .collect();
     let made = shots.par_iter().enumerate().map(|(place, shot)| {
-        let i = posed[chosen[place]];
-        let Some(file) = &depth.files[i] else {
+        let (frame, Some(file)) = files[chosen[place]] else {
             return Vec::new();
         };
-        let (frame, most) = (&listing.frames[i], POINTS / shots.len());
-        let points = depth
-            .of_frame(frame, file, &listing.file, most, shot.camera.center, limits)
-            .unwrap_or_default();
-        let turn = |anchor: Anchor| {
-            let position = shot.camera.rotation * anchor.position;
-            Anchor {
-                position,
-                source: Some(place),
-                ..anchor
-            }
-        };
-        anchors(&points, DVec3::ZERO)
-            .into_iter()
-            .map(turn)
-            .collect()
+        let most = POINTS / shots.len();
+        let points = depth.of_frame(frame, file, &listing.file, most, shot.camera.center, limits);
+        let mut anchors = anchors(&points.unwrap_or_default(), DVec3::ZERO);
+        for anchor in &mut anchors {
+            anchor.position = shot.camera.rotation * anchor.position;
+            anchor.source = Some(place);
+        }
+        anchors
     });
     let made: Vec<Vec<Anchor>> = made.collect();
-    judge(
-        listing.layout,
-        &listing.file,
-        &shots,
-        &made.into_iter().flatten().collect::<Vec<_>>(),
-    )
+    let made: Vec<Anchor> = made.into_iter().flatten().collect();
+    judge(listing.layout, &listing.file, &shots, &made)
 }
 
-/// What the points of a scene say, which must not come from depth images. `file` is the one that lists its frames.
+/// What the points of a scene say, which must not come from depth images. `file` lists its frames.
 pub(crate) fn of_scene(layout: Layout, file: &Path, scene: &Scene) -> Option<Verdict> {
     // Before photos are decoded for it.
     if scene.points.len() < TOO_FEW_POINTS {
         return None;
     }
     let chosen = evenly(scene.views.len(), CAMERAS);
-    let photos = evenly(chosen.len(), PHOTOS);
-    let shot = |(place, i): (usize, &usize)| {
-        let view = &scene.views[*i];
-        let camera = Camera {
-            center: view.camera.center + scene.origin,
-            ..view.camera.clone()
-        };
-        Shot {
-            camera,
-            photo: photos
-                .contains(&place)
-                .then(|| view.image.pixels().ok())
-                .flatten(),
-        }
-    };
-    let shots: Vec<Shot> = chosen.par_iter().enumerate().map(shot).collect();
+    let shots = shots(chosen.len(), |place, with_photo| {
+        let view = &scene.views[chosen[place]];
+        let mut camera = view.camera.clone();
+        camera.center += scene.origin;
+        let photo = with_photo.then(|| view.image.pixels().ok()).flatten();
+        Shot { camera, photo }
+    });
     judge(layout, file, &shots, &anchors(&scene.points, scene.origin))
+}
+
+/// `count` shots, some of them with photos, by their places.
+fn shots(count: usize, shot: impl Fn(usize, bool) -> Shot + Sync) -> Vec<Shot> {
+    let photos = evenly(count, PHOTOS);
+    (0..count)
+        .into_par_iter()
+        .map(|place| shot(place, photos.contains(&place)))
+        .collect()
 }
 
 /// At most `most` of `n` places, evenly chosen.
@@ -307,13 +174,10 @@ pub(crate) fn evenly(n: usize, most: usize) -> Vec<usize> {
 }
 
 fn anchors(points: &Points, origin: DVec3) -> Vec<Anchor> {
-    let anchor = |i: usize| {
-        let position = DVec3::from(points.positions[i].map(f64::from)) + origin;
-        Anchor {
-            position,
-            color: points.colors[i],
-            source: None,
-        }
+    let anchor = |i: usize| Anchor {
+        position: DVec3::from(points.positions[i].map(f64::from)) + origin,
+        color: points.colors[i],
+        source: None,
     };
     evenly(points.len(), POINTS)
         .into_iter()
@@ -325,215 +189,188 @@ fn judge(layout: Layout, file: &Path, shots: &[Shot], anchors: &[Anchor]) -> Opt
     if anchors.len() < TOO_FEW_POINTS {
         return None;
     }
-    let given = Convention::of(layout);
-    let as_given = fit(given, given, shots, anchors);
-    if as_given.agreement >= MISREAD {
+    let of_layout = Convention::of(layout);
+    let as_read = Fit::new(of_layout, of_layout, shots, anchors);
+    if as_read.agreement >= MISREAD {
         return None;
     }
-    let others = Convention::ALL.into_iter().filter(|other| *other != given);
-    let others: Vec<(Convention, Fit)> = others
-        .map(|other| (other, fit(given, other, shots, anchors)))
+    let others: Vec<Fit> = of_layout
+        .others()
+        .map(|other| Fit::new(of_layout, other, shots, anchors))
         .collect();
-    let best = |of: fn(&Fit) -> f64| {
-        others
-            .iter()
-            .copied()
-            .max_by(|a, b| of(&a.1).total_cmp(&of(&b.1)))
-    };
-    let (by_color, by_color_fit) = best(|fit| fit.agreement)?;
-    if by_color_fit.agreement > READ {
+    let best = |by: fn(&Fit) -> f64| others.iter().max_by(|a, b| by(a).total_cmp(&by(b)));
+    let by_color = best(|fit| fit.agreement)?;
+    if by_color.agreement > READ {
         let found = format!(
-            "poses by which a photo holds {:.0} % of the initial points (median), whose colours correlate with its own by {:.2}",
-            100.0 * as_given.typical,
-            as_given.agreement
+            "poses by which a photo holds {:.0} % of the initial points (median), whose colours correlate with its own by \
+             {:.2}; {:.0} % and {:.2}",
+            100.0 * as_read.typical,
+            as_read.agreement,
+            100.0 * by_color.typical,
+            by_color.agreement
         );
-        let meant = format!(
-            "{:.0} % and {:.2}",
-            100.0 * by_color_fit.typical,
-            by_color_fit.agreement
-        );
-        return Some(misread(layout, file, &found, &meant, by_color));
+        return Some(misread(layout, file, &found, by_color.convention));
     }
-    // From here on colours say nothing, and points of depth images are in front of cameras whatever these are.
-    if by_color_fit.agreement >= MISREAD || anchors.iter().any(|anchor| anchor.source.is_some()) {
+    // From here on colours say nothing, and points of depth images are in front of cameras in any convention.
+    if by_color.agreement >= MISREAD || anchors.iter().any(|anchor| anchor.source.is_some()) {
         return None;
     }
-    let (by_place, by_place_fit) = best(|fit| {
+    let by_place = best(|fit| {
         if fit.seen > SEEN {
             1.0 + fit.typical
         } else {
             fit.seen
         }
     })?;
-    if as_given.seen < UNSEEN
-        && by_place_fit.seen > SEEN
-        && by_place_fit.typical > 2.0 * as_given.typical
-    {
+    let is_better = by_place.seen > SEEN && by_place.typical > 2.0 * as_read.typical;
+    if as_read.seen < UNSEEN && is_better {
+        let (seen, other) = (100.0 * as_read.seen, 100.0 * by_place.seen);
         let found = format!(
-            "poses by which the photos hold {:.0} % of the initial points",
-            100.0 * as_given.seen
+            "poses by which the photos hold {seen:.0} % of the initial points; {other:.0} %"
         );
-        return Some(misread(
-            layout,
-            file,
-            &found,
-            &format!("{:.0} %", 100.0 * by_place_fit.seen),
-            by_place,
-        ));
+        return Some(misread(layout, file, &found, by_place.convention));
     }
-    let unrelated = as_given.seen < ELSEWHERE && by_place_fit.seen <= SEEN;
-    unrelated.then(|| {
+    (as_read.seen < ELSEWHERE && by_place.seen <= SEEN).then(|| {
         Verdict::Unrelated(format!(
-            "{}: the photos hold {:.1} % of the initial points, whichever way the poses are read: points and poses may \
-             be in different coordinates",
+            "{}: the photos hold {:.1} % of the initial points, in every convention of poses: points and poses may be in \
+             different coordinates",
             file.display(),
-            100.0 * as_given.seen
+            100.0 * as_read.seen
         ))
     })
 }
 
-/// The fault of poses that are meant in another convention; `found` says how they fit as they are, `fit` how as meant.
-fn misread(layout: Layout, file: &Path, found: &str, fit: &str, meant: Convention) -> Verdict {
-    let (path, field) = match layout {
-        Layout::Auto | Layout::Transforms => (file.to_owned(), "transform_matrix of the frames"),
-        Layout::Colmap => (file.to_owned(), "QW QX QY QZ TX TY TZ of the images"),
-        Layout::Replica => (file.to_owned(), "rows"),
-        Layout::Scannet => (
-            file.ancestors()
+/// The fault of poses that are meant in another convention; `found` says how well both fit.
+fn misread(layout: Layout, file: &Path, found: &str, meant: Convention) -> Verdict {
+    let mut path = file.to_owned();
+    let field = match layout {
+        Layout::Auto | Layout::Transforms => "transform_matrix of the frames",
+        Layout::Colmap => "QW QX QY QZ TX TY TZ of the images",
+        Layout::Replica => "rows",
+        Layout::Scannet => {
+            path = file
+                .ancestors()
                 .nth(2)
-                .map_or(PathBuf::new(), |dir| dir.join("pose")),
-            "matrices",
-        ),
+                .map_or(PathBuf::new(), |dir| dir.join("pose"));
+            "matrices"
+        }
     };
-    let found = format!("{found}; {fit} if they are {}", meant.name());
-    Verdict::Misread(Error::input(
-        path,
-        field,
-        found,
-        Convention::of(layout).description(),
-        meant.help(layout),
-    ))
+    Verdict::Misread(
+        invalid!(path, "{field}"; found "{found} if they are {}", meant.name();
+        expected "{}", Convention::of(layout).description(); help "{}", meant.help(layout)),
+    )
 }
 
-/// How well points and photos fit when poses that were taken for `given` are read as `other`.
-fn fit(given: Convention, other: Convention, shots: &[Shot], anchors: &[Anchor]) -> Fit {
-    let cameras: Vec<Camera> = shots
-        .iter()
-        .map(|s| other.read(given.write(&s.camera), &s.camera))
-        .collect();
-    let world = |anchor: &Anchor| match anchor.source {
-        Some(i) => cameras[i].rotation.transpose() * anchor.position + cameras[i].center,
-        None => anchor.position,
-    };
-    let positions: Vec<DVec3> = anchors.iter().map(world).collect();
-    let look = |(i, shot): (usize, &Shot)| {
-        look(i, &cameras[i], shot.photo.as_deref(), anchors, &positions)
-    };
-    let looked: Vec<Looked> = shots.par_iter().enumerate().map(look).collect();
-    let mut shares: Vec<f64> = looked.iter().map(|l| l.share).collect();
-    shares.sort_by(f64::total_cmp);
-    let seen = (0..anchors.len())
-        .filter(|&i| looked.iter().any(|l| l.held[i]))
-        .count();
-    let compared: Vec<[f64; 3]> = looked.iter().filter_map(|l| l.moments).collect();
-    let sums = compared
-        .iter()
-        .fold([0.0; 3], |sum, m| std::array::from_fn(|i| sum[i] + m[i]));
-    let photos = shots.iter().filter(|shot| shot.photo.is_some()).count();
-    let correlation = sums[0] / (sums[1] * sums[2]).sqrt().max(1e-9);
-    Fit {
-        typical: shares.get(shares.len() / 2).copied().unwrap_or(0.0),
-        seen: seen as f64 / anchors.len().max(1) as f64,
-        agreement: correlation * compared.len() as f64 / photos.max(1) as f64,
+impl Fit {
+    /// How well points and photos fit when poses that were read as `as_read` are read in another convention.
+    fn new(
+        as_read: Convention,
+        convention: Convention,
+        shots: &[Shot],
+        anchors: &[Anchor],
+    ) -> Self {
+        let cameras: Vec<Camera> = shots
+            .iter()
+            .map(|shot| convention.reread(as_read, &shot.camera))
+            .collect();
+        let world = |anchor: &Anchor| match anchor.source {
+            Some(i) => cameras[i].rotation.transpose() * anchor.position + cameras[i].center,
+            None => anchor.position,
+        };
+        let positions: Vec<DVec3> = anchors.iter().map(world).collect();
+        let look = |(i, shot): (usize, &Shot)| {
+            ShotFit::new(i, &cameras[i], shot.photo.as_deref(), anchors, &positions)
+        };
+        let fits: Vec<ShotFit> = shots.par_iter().enumerate().map(look).collect();
+        let mut shares: Vec<f64> = fits.iter().map(|fit| fit.share).collect();
+        shares.sort_by(f64::total_cmp);
+        let seen = (0..anchors.len())
+            .filter(|&i| fits.iter().any(|fit| fit.held[i]))
+            .count();
+        let moments: Vec<DVec3> = fits.iter().filter_map(|fit| fit.moments).collect();
+        let sum: DVec3 = moments.iter().sum();
+        let photos = shots.iter().filter(|shot| shot.photo.is_some()).count();
+        let correlation = sum.x / (sum.y * sum.z).sqrt().max(1e-9);
+        Self {
+            convention,
+            typical: shares.get(shares.len() / 2).copied().unwrap_or(0.0),
+            seen: seen as f64 / anchors.len().max(1) as f64,
+            agreement: correlation * moments.len() as f64 / photos.max(1) as f64,
+        }
     }
 }
 
-/// What a camera has of the points.
-struct Looked {
+/// Which points a shot shows.
+struct ShotFit {
     /// Whether each lies in the image.
     held: Vec<bool>,
     /// Share of those that do, points of its own depth image left out.
     share: f64,
-    /// Products of the deviations of colours of points and pixels: of both, of the points', of the pixels'. None without
-    /// a photo, or too few points in it.
-    moments: Option<[f64; 3]>,
+    /// Sums of products of the deviations of colours: of points and pixels, of points, of pixels. None without a photo, or
+    /// with too few points in it.
+    moments: Option<DVec3>,
 }
 
-fn look(
-    i: usize,
-    camera: &Camera,
-    photo: Option<&RgbImage>,
-    anchors: &[Anchor],
-    positions: &[DVec3],
-) -> Looked {
-    let (w, h) = (camera.width as f64, camera.height as f64);
-    let mut held = vec![false; anchors.len()];
-    let mut nearest: Vec<Option<(f64, usize, [f64; 2])>> = vec![None; CELLS * CELLS];
-    let mut own = 0;
-    for (k, (anchor, position)) in anchors.iter().zip(positions).enumerate() {
-        if anchor.source == Some(i) {
-            own += 1;
-            continue;
-        }
-        let Some((u, v, z)) = camera.project(*position) else {
-            continue;
-        };
-        if !(u >= 0.0 && v >= 0.0 && u < w && v < h) {
-            continue;
-        }
-        held[k] = true;
-        let cell = (v / h * CELLS as f64) as usize * CELLS + (u / w * CELLS as f64) as usize;
-        if let Some(place) = nearest
-            .get_mut(cell)
-            .filter(|place| place.is_none_or(|(depth, ..)| z < depth))
-        {
-            *place = Some((z, k, [u, v]));
-        }
-    }
-    let share =
-        held.iter().filter(|held| **held).count() as f64 / (anchors.len() - own).max(1) as f64;
-    let pairs = photo.map(|photo| {
-        let of = |(_, k, [u, v]): &(f64, usize, [f64; 2])| {
-            let pixel = photo.get_pixel(
-                (*u as u32).min(photo.width() - 1),
-                (*v as u32).min(photo.height() - 1),
-            );
-            Pair {
-                point: anchors[*k].color.map(f64::from),
-                pixel: pixel.0.map(|c| f64::from(c) / 255.0),
+impl ShotFit {
+    fn new(
+        i: usize,
+        camera: &Camera,
+        photo: Option<&RgbImage>,
+        anchors: &[Anchor],
+        positions: &[DVec3],
+    ) -> Self {
+        let (w, h) = (camera.width as f64, camera.height as f64);
+        let mut held = vec![false; anchors.len()];
+        let mut nearest: BTreeMap<[usize; 2], (f64, usize, [f64; 2])> = BTreeMap::new();
+        let mut own = 0;
+        for (k, (anchor, position)) in anchors.iter().zip(positions).enumerate() {
+            if anchor.source == Some(i) {
+                own += 1;
+                continue;
             }
-        };
-        nearest.iter().flatten().map(of).collect::<Vec<_>>()
-    });
-    Looked {
-        held,
-        share,
-        moments: pairs
-            .filter(|pairs| pairs.len() >= COMPARED)
-            .map(|pairs| moments(&pairs)),
-    }
-}
-
-/// Colours of a point and of the pixel that it falls on.
-struct Pair {
-    point: [f64; 3],
-    pixel: [f64; 3],
-}
-
-fn moments(pairs: &[Pair]) -> [f64; 3] {
-    let n = pairs.len().max(1) as f64;
-    let mut sums = [0.0; 3];
-    for c in 0..3 {
-        let mean =
-            |of: fn(&Pair) -> [f64; 3]| pairs.iter().map(|pair| of(pair)[c]).sum::<f64>() / n;
-        let (point, pixel) = (mean(|pair| pair.point), mean(|pair| pair.pixel));
-        for pair in pairs {
-            let (a, b) = (pair.point[c] - point, pair.pixel[c] - pixel);
-            [a * b, a * a, b * b]
-                .iter()
-                .zip(&mut sums)
-                .for_each(|(term, sum)| *sum += term);
+            let place = camera.project(*position);
+            let Some((u, v, z)) =
+                place.filter(|(u, v, _)| *u >= 0.0 && *v >= 0.0 && *u < w && *v < h)
+            else {
+                continue;
+            };
+            held[k] = true;
+            let cell = [v / h, u / w].map(|share| (share * CELLS as f64) as usize);
+            let nearest = nearest.entry(cell).or_insert((z, k, [u, v]));
+            if z < nearest.0 {
+                *nearest = (z, k, [u, v]);
+            }
+        }
+        let count = held.iter().filter(|held| **held).count();
+        let share = count as f64 / (anchors.len() - own).max(1) as f64;
+        let photo = photo.filter(|_| nearest.len() >= COMPARED);
+        let moments = photo.map(|photo| {
+            let pairs = nearest.values().map(|(_, k, [u, v])| {
+                let x = (*u as u32).min(photo.width() - 1);
+                let y = (*v as u32).min(photo.height() - 1);
+                let pixel = photo.get_pixel(x, y).0.map(|c| f64::from(c) / 255.0);
+                (
+                    DVec3::from(anchors[*k].color.map(f64::from)),
+                    DVec3::from(pixel),
+                )
+            });
+            moments(&pairs.collect::<Vec<_>>())
+        });
+        Self {
+            held,
+            share,
+            moments,
         }
     }
-    sums
+}
+
+/// Sums over the colours of points and pixels, as in [`ShotFit::moments`].
+fn moments(pairs: &[(DVec3, DVec3)]) -> DVec3 {
+    let count = pairs.len() as f64;
+    let point = pairs.iter().map(|(point, _)| point).sum::<DVec3>() / count;
+    let pixel = pairs.iter().map(|(_, pixel)| pixel).sum::<DVec3>() / count;
+    let deviations = pairs.iter().map(|(a, b)| (*a - point, *b - pixel));
+    deviations
+        .map(|(a, b)| DVec3::new(a.dot(b), a.dot(a), b.dot(b)))
+        .sum()
 }

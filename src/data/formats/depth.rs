@@ -1,13 +1,15 @@
 //! An initial cloud from depth images, for recorded sequences that come with them.
 
 use super::frame::Frame;
+use super::listing::in_order;
+use crate::data::diagnostics::poses::evenly;
 use crate::data::{LabelMap, Limits, Points, Split};
 use crate::error::Result;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
-/// Frames that are looked at, evenly chosen among those trained on, and points of the cloud, at most.
+/// Most frames that are looked at, evenly chosen among those trained on, and most points of the cloud.
 const FRAMES: usize = 64;
 const POINTS: usize = 50_000;
 
@@ -20,33 +22,30 @@ pub(crate) struct Depth {
 }
 
 impl Depth {
-    /// Points on a grid over each chosen frame, without those that its mask leaves out, with the colours of its photo, relative to `origin`.
+    /// Points on a grid over each chosen frame, except where its mask leaves pixels out, with the colours of its photo.
+    /// Positions are relative to `origin`; `file` lists the frames.
     pub fn points(
         &self,
         frames: &[Frame],
-        listed_in: &Path,
+        file: &Path,
         origin: DVec3,
         limits: &Limits,
     ) -> Result<Points> {
-        let known = frames
+        let train = frames
             .iter()
             .zip(&self.files)
             .filter(|(frame, _)| frame.split == Split::Train);
-        let known: Vec<(&Frame, &PathBuf)> = known
-            .filter_map(|(frame, file)| Some((frame, file.as_ref()?)))
+        let known: Vec<_> = train
+            .filter_map(|(frame, depth)| Some((frame, depth.as_ref()?)))
             .collect();
-        let chosen = FRAMES.min(known.len());
-        let each = POINTS / chosen.max(1);
-        let made: Vec<Result<Points>> = (0..chosen)
-            .into_par_iter()
-            .map(|i| {
-                let (frame, file) = known[i * known.len() / chosen];
-                self.of_frame(frame, file, listed_in, each, origin, limits)
-            })
-            .collect();
+        let chosen = evenly(known.len(), FRAMES);
+        let most = POINTS / chosen.len().max(1);
+        let parts = chosen.into_par_iter().map(|i| {
+            let (frame, depth) = known[i];
+            self.of_frame(frame, depth, file, most, origin, limits)
+        });
         let mut points = Points::default();
-        for part in made {
-            let part = part?;
+        for part in in_order(parts)? {
             points.positions.extend(part.positions);
             points.colors.extend(part.colors);
         }
@@ -54,45 +53,40 @@ impl Depth {
     }
 
     /// At most `most` points of one frame, relative to `origin`, with the colours of its photo.
-    pub(crate) fn of_frame(
+    pub fn of_frame(
         &self,
         frame: &Frame,
+        depth: &Path,
         file: &Path,
-        listed_in: &Path,
         most: usize,
         origin: DVec3,
         limits: &Limits,
     ) -> Result<Points> {
-        let (image, geometry) = frame.open(listed_in, limits)?;
+        let (image, geometry) = frame.open(file, limits)?;
         let photo = geometry.photo(&image)?;
         let mask = frame.read_mask(&geometry, limits)?;
-        let depth = LabelMap::read(file, limits)?;
+        let LabelMap {
+            width,
+            height,
+            ids: depth,
+        } = LabelMap::read(depth, limits)?;
         let camera = &geometry.camera;
         // As many columns and rows as keep the proportions of the image.
-        let across = ((most * depth.width) as f64 / depth.height as f64)
+        let across = ((most * width) as f64 / height as f64)
             .sqrt()
             .floor()
             .max(1.0) as usize;
-        let (columns, rows) = (
-            across.min(depth.width),
-            (most / across).clamp(1, depth.height),
-        );
+        let columns = across.min(width);
+        let rows = (most / across).clamp(1, height);
         let mut points = Points::default();
         for i in 0..columns * rows {
-            let (column, row) = (
-                (i % columns * 2 + 1) * depth.width / (2 * columns),
-                (i / columns * 2 + 1) * depth.height / (2 * rows),
-            );
-            let value = depth.ids[row * depth.width + column];
-            if value == 0 {
-                continue;
-            }
-            let u = (column as f64 + 0.5) * camera.width as f64 / depth.width as f64;
-            let v = (row as f64 + 0.5) * camera.height as f64 / depth.height as f64;
-            if mask
-                .as_ref()
-                .is_some_and(|mask| !mask.uses(v as usize * camera.width + u as usize))
-            {
+            let column = (i % columns * 2 + 1) * width / (2 * columns);
+            let row = (i / columns * 2 + 1) * height / (2 * rows);
+            let value = depth[row * width + column];
+            let u = (column as f64 + 0.5) * camera.width as f64 / width as f64;
+            let v = (row as f64 + 0.5) * camera.height as f64 / height as f64;
+            let pixel = v as usize * camera.width + u as usize;
+            if value == 0 || mask.as_ref().is_some_and(|mask| !mask.uses(pixel)) {
                 continue;
             }
             let position =

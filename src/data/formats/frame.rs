@@ -1,10 +1,10 @@
-//! One posed photo of a scene folder, and the camera that its pixels are of.
+//! One posed photo of a scene folder, and the camera of the view that it becomes.
 
 use crate::data::photos::image_file::ImageFile;
-use crate::data::photos::lens::{Lens, Remap};
-use crate::data::photos::photo::Development;
+use crate::data::photos::lens::{Lens, Undistortion};
+use crate::data::photos::photo::Preprocessing;
 use crate::data::{LabelMap, Limits, MapGeometry, Split};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::splat::camera::Camera;
 use image::RgbImage;
 use std::path::{Component, Path, PathBuf};
@@ -18,16 +18,16 @@ pub(crate) struct Frame {
     pub name: String,
     pub split: Split,
     pub image: PathBuf,
-    /// `false` where the photo is known to be missing, which was told.
+    /// `false` where the photo is known to be missing, which was reported.
     pub present: bool,
-    /// Pose and intrinsics of the photo as it lies there, in world units.
+    /// Pose and intrinsics of the photo as stored, in world units.
     pub camera: Camera,
-    /// `false` where the pose or the intrinsics cannot be read, which was told.
+    /// `false` where the pose or the intrinsics cannot be read, which was reported.
     pub posed: bool,
     pub lens: Lens,
-    /// A photo of another size is taken, and the camera scaled to it.
-    pub scales: bool,
-    /// Which pixels count; all of them without one.
+    /// A photo of another size is accepted, and the camera scaled to it.
+    pub resizable: bool,
+    /// Which pixels are used; all of them without one.
     pub mask: Option<PathBuf>,
     pub truth: Option<PathBuf>,
     /// Raw labels: a map, or a folder of masks.
@@ -36,76 +36,87 @@ pub(crate) struct Frame {
     pub instances: Option<PathBuf>,
 }
 
-/// The camera of a view and how its photo becomes a pinhole's.
+/// The camera of a view, and how its photo becomes a pinhole's.
 pub(crate) struct Geometry {
     /// Undistorted, in world units, of the size of the photo's file.
     pub camera: Camera,
-    development: Development,
+    preprocessing: Preprocessing,
 }
 
 impl Frame {
-    /// Reads the photo's file, not yet decoded, and settles the camera.
+    /// A frame of a pinhole camera without labels.
+    pub fn new(name: String, split: Split, image: PathBuf, camera: Camera) -> Self {
+        Self {
+            name,
+            split,
+            image,
+            present: true,
+            camera,
+            posed: true,
+            lens: Lens::default(),
+            resizable: false,
+            mask: None,
+            truth: None,
+            raw: None,
+            instances: None,
+        }
+    }
+
+    /// Reads the photo's file, not yet decoded, and settles the camera. `file` lists the frames, for messages.
     pub fn open(&self, file: &Path, limits: &Limits) -> Result<(ImageFile, Geometry)> {
         if !self.image.is_file() {
-            let help = "put the image there or drop the frame".into();
-            return Err(Error::Missing {
-                what: "file",
-                path: self.image.clone(),
-                help,
-            });
+            return Err(Error::missing_file(
+                &self.image,
+                "put the image there or drop the frame",
+            ));
         }
         let image = ImageFile::open(&self.image, limits)?;
-        let (w, h) = (self.camera.width, self.camera.height);
-        let geometry = match self.scales && proportional(image.size, (w, h)) {
-            true => self.geometry(image.size)?,
-            false => {
-                image.expect_size(w, h, &format!("{} says", file.display()))?;
-                self.geometry((w, h))?
-            }
-        };
+        let size = (self.camera.width, self.camera.height);
+        if !(self.resizable && proportional(image.size, size)) {
+            image.expect_size(size, &format!("{} says", file.display()))?;
+        }
+        let geometry = self.geometry(image.size)?;
         Ok((image, geometry))
     }
 
     /// The camera for a photo of this size.
     pub fn geometry(&self, (width, height): (usize, usize)) -> Result<Geometry> {
         let camera = self.camera.resized(width, height);
+        let mut preprocessing = Preprocessing::default();
         if self.lens.is_pinhole() {
             return Ok(Geometry {
                 camera,
-                development: Development::default(),
+                preprocessing,
             });
         }
-        let Some(remap) = Remap::new(&camera, self.lens) else {
-            let found = format!("radial {:?}, tangential {:?}", self.lens.k, self.lens.p);
-            let expected = "a distortion that does not fold the image over";
-            let help = "calibrate again, or undistort the photos with the tool that made the poses";
-            return Err(Error::input(
-                &self.image,
-                "lens distortion",
-                found,
-                expected,
-                help,
-            ));
+        let Some(undistortion) = Undistortion::new(&camera, self.lens) else {
+            return Err(invalid!(&self.image, "lens distortion";
+                found "radial {:?}, tangential {:?}", self.lens.k, self.lens.p;
+                expected "a distortion that does not fold the image over";
+                help "calibrate again, or undistort the photos with the tool that made the poses"));
         };
-        let camera = remap.pinhole.clone();
+        let camera = undistortion.pinhole.clone();
+        preprocessing.undistortion = Some(undistortion);
         Ok(Geometry {
             camera,
-            development: Development {
-                remap: Some(remap),
-                ..Development::default()
-            },
+            preprocessing,
         })
     }
 
-    /// Whether it has labels or a mask, and its photo, in `file`, may have been turned for them without that a size tells.
-    pub fn is_turned_unseen(&self, file: &ImageFile) -> bool {
+    /// The camera for the size that the frame's own camera has.
+    pub fn own_geometry(&self) -> Result<Geometry> {
+        self.geometry((self.camera.width, self.camera.height))
+    }
+
+    /// Whether it has labels or a mask that may be of a turned copy of the photo in `file`, while no size shows it.
+    pub fn may_be_turned(&self, file: &ImageFile) -> bool {
         let maps = [&self.truth, &self.raw, &self.instances, &self.mask];
-        maps.into_iter().any(Option::is_some) && file.turns_unseen()
+        maps.into_iter().any(Option::is_some) && file.turns_without_trace()
     }
 }
 
-/// A photo's path without its extension, folders joined by `_`: what names its view where photos of several folders have the same
-/// file names.
+/// A photo's path without its extension, folders joined by `_`: the name of its view where photos of several folders
+/// have the same file names.
 pub(crate) fn joined_name(photo: &Path) -> String {
     let path = photo.with_extension("");
     let parts = path.components().filter_map(|part| match part {
@@ -115,13 +126,14 @@ pub(crate) fn joined_name(photo: &Path) -> String {
     parts.collect::<Vec<_>>().join("_")
 }
 
-/// Whether two sizes have the same proportions, as far as [`PROPORTION`] asks.
+/// Whether two sizes have the same proportions, within [`PROPORTION`].
 pub(crate) fn proportional((w, h): (usize, usize), (width, height): (usize, usize)) -> bool {
     let ratio = (w as f64 / h as f64) / (width as f64 / height as f64);
     (ratio - 1.0).abs() < PROPORTION
 }
 
-/// The size to which a photo is reduced so that no side is longer than `most` pixels; none where none is, or `most` is 0.
+/// The size to which a photo is reduced so that no side is longer than `most` pixels; `None` where it stays as it is, as
+/// it always does for a `most` of 0.
 pub(crate) fn reduced((width, height): (usize, usize), most: usize) -> Option<(usize, usize)> {
     let longer = width.max(height);
     let side = |length: usize| ((length * most) as f64 / longer as f64).round().max(1.0) as usize;
@@ -129,57 +141,55 @@ pub(crate) fn reduced((width, height): (usize, usize), most: usize) -> Option<(u
 }
 
 impl Geometry {
-    /// The same with no side longer than `most` pixels; 0 is no limit.
-    pub fn within(mut self, most: usize) -> Self {
-        self.development.size = reduced((self.camera.width, self.camera.height), most);
+    /// Reduces the photo so that no side is longer than `most` pixels; 0 is no limit.
+    pub fn limited_to(mut self, most: usize) -> Self {
+        self.preprocessing.size = reduced((self.camera.width, self.camera.height), most);
         self
     }
 
-    /// The camera of the photo as it is used.
-    pub fn seen(&self) -> Camera {
-        self.development.size.map_or_else(
-            || self.camera.clone(),
-            |(width, height)| self.camera.resized(width, height),
-        )
+    /// The camera of the view: that of the photo as it is used.
+    pub fn view_camera(&self) -> Camera {
+        match self.preprocessing.size {
+            Some((width, height)) => self.camera.resized(width, height),
+            None => self.camera.clone(),
+        }
     }
 
-    /// How the photo's file becomes what is used.
-    pub fn development(&self) -> Development {
-        self.development.clone()
+    /// What is done to the photo's file.
+    pub fn preprocessing(&self) -> Preprocessing {
+        self.preprocessing.clone()
     }
 
     /// The photo as it is used.
     pub fn photo(&self, file: &ImageFile) -> Result<RgbImage> {
-        Ok(self.development.decode(file)?.0)
+        Ok(self.preprocessing.decode(file)?.0)
     }
 
-    /// Whether a picture of this size is one of the reduced photo, as maps that were made of the scene are where nothing says
-    /// what they are of.
-    pub fn is_as_seen(&self, size: (usize, usize)) -> bool {
-        self.development.size == Some(size)
+    /// Whether `size` is that of the reduced photo. Label maps of this size were made of the loaded scene, unless a file
+    /// beside them says otherwise.
+    pub fn is_reduced_size(&self, size: (usize, usize)) -> bool {
+        self.preprocessing.size == Some(size)
     }
 
-    /// A label map, in any size, as the camera sees it. Where nothing is `said` of what it is of, one of the size of the
-    /// reduced photo was made of the scene.
-    pub fn labels(&self, map: LabelMap, said: Option<MapGeometry>) -> LabelMap {
-        match said {
+    /// A label map of any size as the view's camera sees it; `declared` is what a file beside it says of its camera.
+    pub fn labels(&self, map: LabelMap, declared: Option<MapGeometry>) -> LabelMap {
+        match declared {
             Some(MapGeometry::Undistorted) => self.resized(map),
-            None if self.is_as_seen((map.width, map.height)) => map,
+            None if self.is_reduced_size((map.width, map.height)) => map,
             None | Some(MapGeometry::Photos) => self.labels_of_photo(map),
         }
     }
 
-    /// A map of the photo as it lies there, in any size, as the camera sees it.
+    /// A map of the photo as stored, in any size, as the view's camera sees it.
     pub fn labels_of_photo(&self, map: LabelMap) -> LabelMap {
-        let map = match &self.development.remap {
-            Some(remap) => remap.labels(&map),
+        self.resized(match &self.preprocessing.undistortion {
+            Some(undistortion) => undistortion.labels(&map),
             None => map,
-        };
-        self.resized(map)
+        })
     }
 
     fn resized(&self, map: LabelMap) -> LabelMap {
-        let Camera { width, height, .. } = self.seen();
-        map.resized(width, height)
+        let camera = self.view_camera();
+        map.resized(camera.width, camera.height)
     }
 }

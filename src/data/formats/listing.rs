@@ -1,19 +1,17 @@
-//! What a scene folder says before any photo is decoded, whatever its layout, and the scene that follows from it.
+//! What a scene folder of any layout says before a photo is decoded, and the scene that follows from it.
 
 use super::colmap;
 use super::depth::Depth;
-use super::frame::{Frame, Geometry, joined_name, proportional};
+use super::frame::Frame;
 use crate::config::Layout;
-use crate::data::diagnostics::cautions;
+use crate::data::diagnostics::notices;
+use crate::data::labels::frame_labels::FrameLabels;
 use crate::data::labels::map_geometry::MapGeometries;
-use crate::data::labels::raw::{RawLabels, RawMap};
-use crate::data::mask::Mask;
-use crate::data::photos::image_file::ImageFile;
+use crate::data::labels::raw::{self, RawLabels};
 use crate::data::{
-    Classes, LabelMap, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, Split,
-    View,
+    Classes, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, Split, View,
 };
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::splat::camera::{Camera, level_up};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -26,17 +24,18 @@ pub(crate) struct Listing {
     pub layout: Layout,
     /// The file that lists the frames, for messages.
     pub file: PathBuf,
-    /// Those that are read, in file order or by name.
+    /// The frames that are read, in file order or by name.
     pub frames: Vec<Frame>,
     /// Class table; empty without labels, and where it could not be read.
     pub classes: Classes,
-    /// Of the class table, which is that of a whole dataset, only classes that occur in the scene are kept.
+    /// The class table is that of a whole dataset: only classes that occur in the scene are kept.
     pub occurring_classes: bool,
-    /// Class id of each id in the true labels, where they hold others; [`UNMAPPED`] where there is none. Length 65536.
+    /// Class id of each id in the true labels, where they hold ids of another table; [`UNMAPPED`] where there is none.
+    /// Length 65536.
     pub truth_ids: Option<Vec<u32>>,
     /// How the raw labels are stored.
     pub raw: RawLabels,
-    /// What label maps are of, where their folders say so.
+    /// Which cameras the label maps belong to, where their folders say so.
     pub geometries: MapGeometries,
     /// Label maps of another size than their photos are resampled.
     pub resample_labels: bool,
@@ -44,7 +43,7 @@ pub(crate) struct Listing {
     pub cloud: Cloud,
     /// Whether +z is up in the world; else the cameras tell.
     pub z_up: bool,
-    /// What was left out or taken for granted, in sentences.
+    /// What is left out or assumed, in sentences.
     pub notices: Vec<String>,
 }
 
@@ -58,33 +57,8 @@ pub(crate) enum Cloud {
     Ply(PathBuf),
     /// `points3D` of a COLMAP model.
     Colmap(PathBuf),
-    /// What depth images show.
+    /// Depth images.
     Depth(Depth),
-}
-
-impl Cloud {
-    /// For layouts that name no cloud: `points.ply` in the scene folder, else the depth images of `frames`, which
-    /// `file` gives.
-    pub fn of_sequence(
-        dir: &Path,
-        frames: &[Frame],
-        scale: f64,
-        file: impl Fn(&Frame) -> PathBuf,
-    ) -> Self {
-        let path = dir.join("points.ply");
-        if path.is_file() {
-            return Self::Ply(path);
-        }
-        let files: Vec<_> = frames
-            .iter()
-            .map(|frame| Some(file(frame)).filter(|file| file.is_file()))
-            .collect();
-        if files.iter().all(Option::is_none) {
-            Self::None
-        } else {
-            Self::Depth(Depth { files, scale })
-        }
-    }
 }
 
 /// Faults that do not keep the rest of a folder from being looked at.
@@ -96,14 +70,14 @@ impl Problems {
         self.0.push(error);
     }
 
-    /// The value, or nothing and a fault more.
+    /// The value; an error is recorded.
     pub fn keep<T>(&mut self, result: Result<T>) -> Option<T> {
         result.map_err(|error| self.push(error)).ok()
     }
 
     /// # Errors
     /// The first fault.
-    pub fn none(self) -> Result<()> {
+    pub fn first(self) -> Result<()> {
         self.0.into_iter().next().map_or(Ok(()), Err)
     }
 
@@ -117,6 +91,38 @@ impl Problems {
 }
 
 impl Listing {
+    /// A listing without a cloud. Its class table is that of the folder, or where labels need one and the folder has none,
+    /// the one of the `dataset`. Raw labels are settled later.
+    pub fn new(
+        dir: &Path,
+        options: &LoadOptions,
+        layout: Layout,
+        file: PathBuf,
+        frames: Vec<Frame>,
+        dataset: Option<Classes>,
+        problems: &mut Problems,
+    ) -> Self {
+        let labelled = raw::needs_classes(dir, options, &frames);
+        let own = dir.join("classes.json").is_file();
+        let dataset = dataset.filter(|_| labelled.is_some() && !own);
+        let occurring_classes = dataset.is_some();
+        let classes = dataset.map_or_else(|| read_classes(dir, labelled), Ok);
+        Self {
+            layout,
+            file,
+            frames,
+            classes: problems.keep(classes).unwrap_or_default(),
+            occurring_classes,
+            truth_ids: None,
+            raw: RawLabels::grey(),
+            geometries: MapGeometries::default(),
+            resample_labels: false,
+            cloud: Cloud::None,
+            z_up: false,
+            notices: Vec::new(),
+        }
+    }
+
     /// Settles how the raw labels are stored. Where that fails they are left out, which is a fault.
     pub fn with_raw_labels(
         mut self,
@@ -124,45 +130,31 @@ impl Listing {
         options: &LoadOptions,
         problems: &mut Problems,
     ) -> Self {
-        let settled = RawLabels::settle(
-            dir,
-            options,
-            &self.frames,
-            &mut self.classes,
-            &mut self.notices,
-        );
-        match problems.keep(settled) {
-            Some((raw, own)) => {
+        match problems.keep(RawLabels::settle(dir, options, &self)) {
+            Some((raw, vocabulary)) => {
                 self.raw = raw;
-                self.occurring_classes |= own;
+                if let Some(vocabulary) = vocabulary {
+                    self.occurring_classes |= self.classes.is_empty();
+                    self.classes = vocabulary.classes;
+                    self.notices.extend(vocabulary.notice);
+                }
             }
             None => self.frames.iter_mut().for_each(|frame| frame.raw = None),
         }
         self
     }
 
-    /// Refuses a listing without training views, or of more than the limits allow.
+    /// Refuses a listing without training views, or with more views than the limits allow.
     pub fn check_sizes(&self, limits: &Limits) -> Result<()> {
-        let views = self.frames.len() as u64;
-        let what = format!("{}: frames", self.file.display());
-        Limits::check(
-            what,
-            views,
-            limits.views as u64,
-            "thin out with data.stride or data.max_frames",
-        )?;
-        if !self.frames.iter().any(|frame| frame.split == Split::Train) {
-            let found = format!("{views} test frames");
-            let help = "mark frames \"train\", or use more of them";
-            return Err(Error::input(
-                &self.file,
-                "frames",
-                found,
-                "at least one training view",
-                help,
-            ));
+        let views = self.frames.len();
+        limits.check_views(&self.file, views)?;
+        if self.frames.iter().any(|frame| frame.split == Split::Train) {
+            return Ok(());
         }
-        Ok(())
+        Err(
+            invalid!(&self.file, "frames"; found "{views} test frames"; expected "at least one training view";
+            help "mark frames \"train\", or use more of them"),
+        )
     }
 
     /// The id of pixels without a raw label.
@@ -194,230 +186,95 @@ impl Listing {
         if self.z_up {
             return DVec3::Z;
         }
-        level_up(
-            &self
-                .frames
-                .iter()
-                .map(|frame| frame.camera.clone())
-                .collect::<Vec<_>>(),
-        )
+        let cameras: Vec<Camera> = self
+            .frames
+            .iter()
+            .map(|frame| frame.camera.clone())
+            .collect();
+        level_up(&cameras)
     }
 
-    /// Decodes everything, a few files at a time. With the scene comes what the photos' files said beside their pixels.
+    /// Decodes everything, a few files at a time. The second value is a notice on photos that may have been turned.
     pub fn load(&self, dir: &Path, options: &LoadOptions) -> Result<(Scene, Option<String>)> {
-        let limits = &options.limits;
-        self.check_sizes(limits)?;
+        self.check_sizes(&options.limits)?;
         let cache = Arc::new(PhotoCache::new(options.decoded_mb.saturating_mul(1 << 20)));
-        let (origin, up) = (self.origin(), self.up());
+        let origin = self.origin();
         let known = self.classes.lookup();
-        let read = in_order(self.frames.par_iter().map(|frame| {
-            let (file, geometry) = frame.open(&self.file, limits)?;
-            let geometry = geometry.within(options.max_side);
-            let image = Photo::in_file(
-                &file,
-                geometry.development().over(options.background),
-                limits,
-                &cache,
-            )?;
-            let mask = frame.read_mask(&geometry, limits)?;
-            let (known, geometry) = (&known, &geometry);
-            let maps = Maps {
-                listing: self,
-                frame,
-                geometry,
-                known,
-                limits,
-                mask: mask.as_ref(),
-            };
-            let truth = maps.truth()?.map(LabelRuns::from);
-            let raw = maps.raw()?;
-            let (raw, segments) =
-                raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
-            let instances = maps.instances()?.map(LabelRuns::from);
-            let camera = geometry.seen();
-            let camera = Camera {
-                center: camera.center - origin,
-                ..camera
-            };
-            let (name, split) = (frame.name.clone(), frame.split);
-            let view = View {
-                name,
-                split,
-                camera,
-                image,
-                mask,
-                truth,
-                raw,
-                segments,
-                instances,
-            };
-            Ok((view, frame.is_turned_unseen(&file)))
-        }))?;
-        let (views, turned): (Vec<View>, Vec<bool>) = read.into_iter().unzip();
-        let turned = cautions::turned(self.frames.iter().zip(turned));
-        let points = self.points(origin, limits)?;
+        let views = self
+            .frames
+            .par_iter()
+            .map(|frame| self.view(frame, options, origin, &known, &cache));
+        let (views, turned): (Vec<View>, Vec<bool>) = in_order(views)?.into_iter().unzip();
+        let scene = Scene {
+            name: scene_name(dir),
+            classes: self.classes_of(&views),
+            views,
+            points: self.points(origin, &options.limits)?,
+            origin,
+            up: self.up(),
+        };
+        Ok((scene, notices::turned(self.frames.iter().zip(turned))))
+    }
+
+    /// The view of a frame, and whether its photo may have been turned for its labels.
+    fn view(
+        &self,
+        frame: &Frame,
+        options: &LoadOptions,
+        origin: DVec3,
+        known: &[u16],
+        cache: &Arc<PhotoCache>,
+    ) -> Result<(View, bool)> {
+        let limits = &options.limits;
+        let (file, geometry) = frame.open(&self.file, limits)?;
+        let geometry = geometry.limited_to(options.max_side);
+        let preprocessing = geometry.preprocessing().over(options.background);
+        let image = Photo::in_file(&file, preprocessing, limits, cache)?;
+        let mask = frame.read_mask(&geometry, limits)?;
+        let labels = FrameLabels::new(self, frame, &geometry, known, limits, mask.as_ref());
+        let truth = labels.truth()?.map(LabelRuns::from);
+        let raw = labels.raw()?;
+        let (raw, segments) = raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
+        let instances = labels.instances()?.map(LabelRuns::from);
+        let mut camera = geometry.view_camera();
+        camera.center -= origin;
+        let view = View {
+            name: frame.name.clone(),
+            split: frame.split,
+            camera,
+            image,
+            mask,
+            truth,
+            raw,
+            segments,
+            instances,
+        };
+        Ok((view, frame.may_be_turned(&file)))
+    }
+
+    /// The classes of the scene: of the table of a whole dataset, only those that some view has.
+    fn classes_of(&self, views: &[View]) -> Classes {
         let mut classes = self.classes.clone();
         if self.occurring_classes {
             let mut occurs = vec![false; 1 << 16];
-            let of_classes = !self.raw.are_segments();
-            let maps = views.iter().flat_map(|view| {
-                view.truth
+            for view in views {
+                let raw = view.raw.iter().filter(|_| !self.raw.are_segments());
+                let ids = view
+                    .truth
                     .iter()
-                    .chain(view.raw.iter().filter(|_| of_classes))
-            });
-            maps.flat_map(LabelRuns::runs)
-                .for_each(|(id, _)| occurs[usize::from(id)] = true);
-            let told = views
-                .iter()
-                .flat_map(|view| &view.segments)
-                .filter_map(|segment| segment.class);
-            told.for_each(|id| occurs[usize::from(id)] = true);
+                    .chain(raw)
+                    .flat_map(LabelRuns::runs)
+                    .map(|(id, _)| id);
+                let segments = view.segments.iter().filter_map(|segment| segment.class);
+                ids.chain(segments)
+                    .for_each(|id| occurs[usize::from(id)] = true);
+            }
             classes
                 .entries
                 .retain(|class| occurs[usize::from(class.id)]);
         }
-        Ok((
-            Scene {
-                name: scene_name(dir),
-                views,
-                classes,
-                points,
-                origin,
-                up,
-            },
-            turned,
-        ))
+        classes
     }
-}
-
-/// What the label maps of a frame are read with.
-#[derive(Clone, Copy)]
-pub(crate) struct Maps<'a> {
-    pub listing: &'a Listing,
-    pub frame: &'a Frame,
-    pub geometry: &'a Geometry,
-    /// [`Classes::lookup`] of the listing's classes.
-    pub known: &'a [u16],
-    pub limits: &'a Limits,
-    /// Maps are unlabelled where it leaves pixels out.
-    pub mask: Option<&'a Mask>,
-}
-
-impl Maps<'_> {
-    /// The true labels as the view's camera sees them, in class ids.
-    pub fn truth(&self) -> Result<Option<LabelMap>> {
-        let Self {
-            listing,
-            known,
-            mask,
-            ..
-        } = *self;
-        let Some(path) = &self.frame.truth else {
-            return Ok(None);
-        };
-        let mut map = self.grey(path)?;
-        if let Some(ids) = &listing.truth_ids {
-            map.translate(path, ids)?;
-        }
-        map.settle_ids(path, &listing.classes, known, "")?;
-        Ok(Some(
-            self.seen(path, map).without(mask, listing.classes.ignore),
-        ))
-    }
-
-    /// The true instances as the view's camera sees them.
-    pub fn instances(&self) -> Result<Option<LabelMap>> {
-        let Some(path) = &self.frame.instances else {
-            return Ok(None);
-        };
-        Ok(Some(
-            self.seen(path, self.grey(path)?).without(self.mask, 0),
-        ))
-    }
-
-    /// The raw labels as the view's camera sees them.
-    pub fn raw(&self) -> Result<Option<RawMap>> {
-        let Self {
-            listing,
-            geometry,
-            known,
-            limits,
-            mask,
-            ..
-        } = *self;
-        let Some(path) = &self.frame.raw else {
-            return Ok(None);
-        };
-        let check = |file: &ImageFile| self.check_size(path, file);
-        let photo = (geometry.camera.width, geometry.camera.height);
-        let raw = listing
-            .raw
-            .read(path, photo, &listing.classes, known, limits, &check)?;
-        Ok(Some(RawMap {
-            map: self.seen(path, raw.map).without(mask, listing.unlabelled()),
-            ..raw
-        }))
-    }
-
-    /// A grey label map of the size of its file.
-    fn grey(&self, path: &Path) -> Result<LabelMap> {
-        expect_file(path)?;
-        let file = ImageFile::open(path, self.limits)?;
-        self.check_size(path, &file)?;
-        LabelMap::decode(path, &file)
-    }
-
-    /// The map that was read from `path` as the view's camera sees it.
-    fn seen(&self, path: &Path, map: LabelMap) -> LabelMap {
-        self.geometry.labels(map, self.listing.geometries.of(path))
-    }
-
-    /// Refuses a file of the labels at `path` that has another size than its photo, as that lies there or as it is used, or,
-    /// where maps are resampled, other proportions.
-    fn check_size(&self, path: &Path, file: &ImageFile) -> Result<()> {
-        let Self {
-            listing,
-            frame,
-            geometry,
-            ..
-        } = *self;
-        let said = listing.geometries.of(path).is_some();
-        if !said && geometry.is_as_seen(file.size) {
-            return Ok(());
-        }
-        let (w, h) = (geometry.camera.width, geometry.camera.height);
-        let resampled = said || listing.resample_labels || frame.scales;
-        match resampled && proportional(file.size, (w, h)) {
-            true => Ok(()),
-            false => {
-                let photo = || {
-                    ImageFile::open(&frame.image, self.limits)
-                        .ok()?
-                        .exif_orientation()
-                };
-                let whose = match file.lies_across(w, h).then(photo).flatten() {
-                    Some(exif) => {
-                        format!("its photo as it is stored, whose EXIF orientation is {exif}")
-                    }
-                    None => "its photo".to_owned(),
-                };
-                file.expect_size(w, h, &whose)
-            }
-        }
-    }
-}
-
-/// Refuses a label map that is not there.
-pub(crate) fn expect_file(path: &Path) -> Result<()> {
-    if path.is_file() {
-        return Ok(());
-    }
-    let help = "put the label map there, or do not name it".into();
-    Err(Error::Missing {
-        what: "file",
-        path: path.to_owned(),
-        help,
-    })
 }
 
 pub(crate) fn scene_name(dir: &Path) -> String {
@@ -435,86 +292,15 @@ pub(crate) fn in_order<T: Send>(
     all.into_iter().collect()
 }
 
-/// `classes.json` of a scene folder; only scenes without labels may lack it: those that have some are `labelled`, with what
-/// else mends that.
-pub(crate) fn read_classes(dir: &Path, labelled: Option<&str>) -> Result<Classes> {
+/// `classes.json` of a scene folder. Only scenes without labels may lack it; for others, `labelled` is added to the help.
+fn read_classes(dir: &Path, labelled: Option<&str>) -> Result<Classes> {
     let path = dir.join("classes.json");
-    if path.is_file() {
-        return Classes::read(&path);
-    }
-    if let Some(or) = labelled {
-        let help = format!("list the classes: {{\"0\": \"void\", \"1\": \"wall\", ..}}{or}");
-        return Err(Error::input(
-            &path,
-            "file",
-            "nothing",
-            "a class table, as frames have labels",
-            help,
-        ));
-    }
-    Ok(Classes::default())
-}
-
-/// Label maps of photos in a layout that does not name them: by name in a folder.
-pub(crate) struct LabelFolder {
-    folder: PathBuf,
-    required: bool,
-}
-
-impl LabelFolder {
-    /// Folder `name` of `dir`, where some photos may lack a map.
-    pub fn optional(dir: &Path, name: &str) -> Self {
-        Self::in_folder(dir.join(name))
-    }
-
-    /// `folder`, where some photos may lack a map.
-    pub fn in_folder(folder: PathBuf) -> Self {
-        Self {
-            folder,
-            required: false,
-        }
-    }
-
-    /// The raw labels: the folder that the user names, where each photo must have a map, or `labels_raw`.
-    pub fn raw(dir: &Path, named: Option<&str>) -> Self {
-        match named {
-            Some(name) => Self {
-                folder: dir.join(name),
-                required: true,
-            },
-            None => Self::optional(dir, "labels_raw"),
-        }
-    }
-
-    /// The map of the photo that lies at `photo` below the folder of photos: the same path with `.png` for its extension or
-    /// behind it, the name of its view, or its stem alone; or a folder of masks of one of these names without `.png`.
-    pub fn of(&self, photo: &Path) -> Option<PathBuf> {
-        let files = self.files(photo);
-        let masks = files
-            .iter()
-            .map(|path| path.with_extension(""))
-            .find(|path| path.is_dir());
-        let found = files.iter().find(|path| path.is_file()).cloned().or(masks);
-        found.or_else(|| files.into_iter().next().filter(|_| self.required))
-    }
-
-    /// [`LabelFolder::of`] where a folder of masks is none of the answers.
-    pub fn file_of(&self, photo: &Path) -> Option<PathBuf> {
-        self.files(photo).into_iter().find(|path| path.is_file())
-    }
-
-    /// Files that may be meant, the usual one first.
-    fn files(&self, photo: &Path) -> Vec<PathBuf> {
-        let usual = self.folder.join(photo).with_extension("png");
-        let behind = format!("{}.png", photo.to_string_lossy());
-        let of_view = format!("{}.png", joined_name(photo));
-        let stem = photo
-            .file_stem()
-            .map(|stem| format!("{}.png", stem.to_string_lossy()));
-        let others = [Some(behind), Some(of_view), stem]
-            .into_iter()
-            .flatten()
-            .map(|name| self.folder.join(name));
-        std::iter::once(usual).chain(others).collect()
+    match labelled {
+        _ if path.is_file() => Classes::read(&path),
+        None => Ok(Classes::default()),
+        Some(or) => Err(
+            invalid!(&path, "file"; found "nothing"; expected "a class table, as frames have labels";
+            help "list the classes: {{\"0\": \"void\", \"1\": \"wall\", ..}}{or}"),
+        ),
     }
 }

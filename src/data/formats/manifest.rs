@@ -1,15 +1,16 @@
-//! Manifests: what is known of a published scene that cannot be shipped, so that two people mean the same data by its
-//! name.
+//! Manifests: what is known of a published scene that cannot be shipped, so that its name means the same data to
+//! everybody.
 
 use crate::config::{Layout, ScannetClasses};
-use crate::data::LoadOptions;
-use crate::error::{Error, Result};
+use crate::data::{LoadOptions, read};
+use crate::error::{Error, Result, invalid};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
+
+const AGAIN: &str = "unpack the dataset again";
 
 /// A file of `data_manifests/`.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
@@ -27,8 +28,8 @@ pub struct Manifest {
     pub layout: Layout,
     /// Which frames are held out, in words.
     pub split: String,
-    /// Class table: `replica`, `nyu40` or `scannet20`; absent for scenes without labels.
-    pub classes: Option<String>,
+    /// Class table; absent for scenes without labels.
+    pub classes: Option<ClassTable>,
     /// Id of unlabelled pixels.
     pub ignore: u16,
     /// How ids in the label maps become class ids; absent: they are class ids.
@@ -36,6 +37,18 @@ pub struct Manifest {
     /// Files that must be there.
     #[serde(default)]
     pub files: Vec<ExpectedFile>,
+}
+
+/// A class table of a dataset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ClassTable {
+    /// The 101 classes of Replica.
+    Replica,
+    /// The 40 classes of NYU Depth v2.
+    Nyu40,
+    /// The 20 of them that ScanNet's benchmark counts.
+    Scannet20,
 }
 
 /// How ids in label maps become class ids, many to one.
@@ -76,34 +89,13 @@ impl Manifest {
     /// [`Error::Io`]; [`Error::Input`] naming line and fault: no TOML, unknown or missing keys, a class table that
     /// there is not.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
-        let manifest: Self = toml::from_str(&text).map_err(|e: toml::de::Error| {
+        let text = read::text(path)?;
+        toml::from_str(&text).map_err(|e: toml::de::Error| {
             let start = e.span().map_or(0, |span| span.start);
             let line = text.bytes().take(start).filter(|&b| b == b'\n').count() + 1;
-            let message = e.message().replace('\n', ", ");
-            Error::input(
-                path,
-                format!("line {line}"),
-                message,
-                "a manifest as in data_manifests/",
-                "correct the file there",
-            )
-        })?;
-        if let Some(name) = manifest
-            .classes
-            .as_deref()
-            .filter(|name| !["replica", "nyu40", "scannet20"].contains(name))
-        {
-            let expected = "replica, nyu40 or scannet20";
-            return Err(Error::input(
-                path,
-                "classes",
-                format!("{name:?}"),
-                expected,
-                "name a table, or leave it out",
-            ));
-        }
-        Ok(manifest)
+            invalid!(path, "line {line}"; found "{}", e.message().replace('\n', ", ");
+                expected "a manifest as in data_manifests/"; help "correct the file there")
+        })
     }
 
     /// `options` with the layout and class table of the manifest.
@@ -112,15 +104,15 @@ impl Manifest {
             layout: self.layout,
             ..options.clone()
         };
-        match self.classes.as_deref() {
-            Some("scannet20") => options.scannet_classes = ScannetClasses::Scannet20,
-            Some("nyu40") => options.scannet_classes = ScannetClasses::Nyu40,
-            _ => {}
+        match self.classes {
+            Some(ClassTable::Scannet20) => options.scannet_classes = ScannetClasses::Scannet20,
+            Some(ClassTable::Nyu40) => options.scannet_classes = ScannetClasses::Nyu40,
+            Some(ClassTable::Replica) | None => {}
         }
         options
     }
 
-    /// What of the expected files is missing or differs in folder `dir`; at most one fault for each entry.
+    /// What is wrong with the expected files in folder `dir`; at most one fault for each entry.
     pub fn check(&self, dir: &Path) -> Vec<Error> {
         self.files
             .iter()
@@ -130,35 +122,28 @@ impl Manifest {
 }
 
 impl ExpectedFile {
-    /// The paths that are meant, in `dir`.
+    /// All paths of the entry, in `dir`.
     fn paths(&self, dir: &Path) -> Vec<PathBuf> {
-        let Some(count) = self.count else {
-            return vec![dir.join(&self.path)];
+        let numbered = |i: usize| {
+            let path = self.path.replace("{:06}", &format!("{i:06}"));
+            dir.join(path.replace("{}", &i.to_string()))
         };
-        let named = |i: usize| {
-            self.path
-                .replace("{:06}", &format!("{i:06}"))
-                .replace("{}", &i.to_string())
-        };
-        (0..count).map(|i| dir.join(named(i))).collect()
+        match self.count {
+            Some(count) => (0..count).map(numbered).collect(),
+            None => vec![dir.join(&self.path)],
+        }
     }
 
     fn check(&self, dir: &Path) -> Result<()> {
-        let again = "unpack the dataset again";
         let paths = self.paths(dir);
         let missing: Vec<&PathBuf> = paths.iter().filter(|path| !path.is_file()).collect();
         if let [first, rest @ ..] = &missing[..] {
-            let found = match rest.len() {
-                0 => "no such file".to_owned(),
-                more => format!("no such file, as {more} more of {}", paths.len()),
+            let more = match rest.len() {
+                0 => String::new(),
+                more => format!(", and {more} more of {} are missing", paths.len()),
             };
-            return Err(Error::input(
-                first,
-                &self.path,
-                found,
-                "a file that the manifest lists",
-                again,
-            ));
+            return Err(invalid!(first, "{}", self.path; found "no such file{more}";
+                expected "a file that the manifest lists"; help "{AGAIN}"));
         }
         let Some(path) = paths.first().filter(|_| self.count.is_none()) else {
             return Ok(());
@@ -167,35 +152,21 @@ impl ExpectedFile {
             .map_err(|e| Error::io(path, "measure", e))?
             .len();
         if let Some(size) = self.size.filter(|size| *size != length) {
-            return Err(Error::input(
-                path,
-                "size",
-                format!("{length} bytes"),
-                format!("{size} bytes"),
-                again,
-            ));
+            return Err(
+                invalid!(path, "size"; found "{length} bytes"; expected "{size} bytes"; help "{AGAIN}"),
+            );
         }
         let Some(expected) = &self.sha256 else {
             return Ok(());
         };
-        let found = sha256(path)?;
+        let mut hash = Sha256::new();
+        File::open(path)
+            .and_then(|mut file| std::io::copy(&mut file, &mut hash))
+            .map_err(|e| Error::io(path, "read", e))?;
+        let found = format!("{:x}", hash.finalize());
         if found.eq_ignore_ascii_case(expected) {
             return Ok(());
         }
-        Err(Error::input(path, "sha256", found, expected, again))
-    }
-}
-
-fn sha256(path: &Path) -> Result<String> {
-    let mut file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
-    let (mut hash, mut block) = (Sha256::new(), vec![0; 1 << 16]);
-    loop {
-        match file
-            .read(&mut block)
-            .map_err(|e| Error::io(path, "read", e))?
-        {
-            0 => return Ok(format!("{:x}", hash.finalize())),
-            n => hash.update(&block[..n]),
-        }
+        Err(invalid!(path, "sha256"; found "{found}"; expected "{expected}"; help "{AGAIN}"))
     }
 }

@@ -1,9 +1,14 @@
-//! Scene folders: the layouts that are read, and what they have in common.
+//! Scene folders: the layouts that are read, and what they share.
+//!
+//! [`layout::list`] finds the layout of a folder and asks its module for a [`listing::Listing`]: frames with cameras,
+//! photos and label files, and the initial cloud. [`listing::Listing::load`] makes the scene of it, the same way for all.
 
+pub(crate) mod camera_checks;
 pub(crate) mod camera_file;
 pub(crate) mod colmap;
 pub(crate) mod depth;
 pub(crate) mod frame;
+pub(crate) mod label_folder;
 pub(crate) mod layout;
 pub(crate) mod listing;
 pub(crate) mod manifest;

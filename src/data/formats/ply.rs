@@ -1,15 +1,15 @@
-//! Scalar columns of a PLY element, in and out, in blocks of rows: what point clouds and Gaussian scenes share.
+//! Scalar columns of a PLY element, read and written in blocks of rows: what point clouds and Gaussian scenes share.
 //!
 //! The format itself is `ply-rs-bw`'s. Its rows are addressed by property name; here every wanted property is renamed
 //! once, in a private copy of the element definition, to its column number, so that no row compares names.
 
 use crate::data::Limits;
 use crate::data::photos::file_kind;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{
-    Addable, ElementDef, Encoding, Header, KeyMap, PropertyAccess, PropertyAccessResult,
-    PropertyDef, PropertyType, ScalarType,
+    Addable, ElementDef, Encoding, Header, PropertyAccess, PropertyAccessResult, PropertyDef,
+    PropertyType, ScalarType,
 };
 use ply_rs_bw::writer::Writer;
 use std::fs::File;
@@ -93,49 +93,32 @@ impl PlyFile {
         let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
         let mut file = BufReader::with_capacity(1 << 20, file);
         let first = file.fill_buf().map_err(|e| Error::io(path, "read", e))?;
-        // What begins like one, and breaks off or has other line ends, is told as a bad header.
-        let kind = file_kind::by_first_bytes(first)
-            .or_else(|| first.starts_with(b"ply").then_some("a PLY file"));
-        if kind != Some("a PLY file") {
-            let found = kind.unwrap_or(if first.is_empty() {
+        // A file that begins like one and is cut off, or has other line ends, has a bad header.
+        if !first.starts_with(b"ply") {
+            let other = if first.is_empty() {
                 "an empty file"
             } else {
                 "another kind of file"
-            });
-            let help = "give the .ply file, such as the scene.ply of a run";
-            return Err(Error::input(path, "first bytes", found, "a PLY file", help));
+            };
+            return Err(
+                invalid!(path, "first bytes"; found "{}", file_kind(first).unwrap_or(other);
+                expected "a PLY file"; help "give the .ply file, such as the scene.ply of a run"),
+            );
         }
         let mut reader = Reader::new(file);
-        let header = Parser::<Row<0>>::new()
-            .read_header(&mut reader)
-            .map_err(|e| {
-                let line = e
-                    .line()
-                    .map_or_else(|| "header".into(), |l| format!("header, line {l}"));
-                Error::input(
-                    path,
-                    line,
-                    what(&e.to_string()),
-                    "a PLY header",
-                    "export the file again",
-                )
-            })?;
+        let header = Parser::<Row<0>>::new().read_header(&mut reader).map_err(|e| {
+            let line = e.line().map_or_else(String::new, |line| format!(", line {line}"));
+            invalid!(path, "header{line}"; found "{}", cause(&e.to_string()); expected "a PLY header";
+                help "export the file again")
+        })?;
         let Some(def) = header.elements.get(element) else {
             let found: Vec<_> = header.elements.keys().map(String::as_str).collect();
-            return Err(Error::input(
-                path,
-                "header",
-                format!("elements [{}]", found.join(", ")),
-                format!("an element `{element}`"),
-                "export the file as a point cloud or Gaussian scene",
-            ));
+            return Err(
+                invalid!(path, "header"; found "elements [{}]", found.join(", ");
+                expected "an element `{element}`"; help "export the file as a point cloud or Gaussian scene"),
+            );
         };
-        Limits::check(
-            format!("{}: rows of {element}", path.display()),
-            def.count as u64,
-            limits.points,
-            "split it",
-        )?;
+        limits.check_points(path, def.count as u64)?;
         Ok(Self {
             path: path.to_owned(),
             reader,
@@ -193,41 +176,33 @@ impl PlyFile {
             .find(|name| self.scalar(name).is_none())
         {
             let found: Vec<_> = self.names().collect();
-            let found = format!("columns [{}]", found.join(", "));
-            let expected = format!("a scalar column `{missing}`");
-            return Err(self.error(
-                format!("element {}", self.element),
-                found,
-                &expected,
-                "export it with this column",
-            ));
-        }
-        let mut renamed = self.def().clone();
-        renamed.properties = KeyMap::new();
-        for (place, (name, def)) in self.def().properties.iter().enumerate() {
-            let key = match columns.iter().position(|c| c.as_deref() == Some(name)) {
-                Some(column) => slot_key(column),
-                None => format!("ignored {place}"),
-            };
-            renamed.properties.insert(key, def.clone());
+            return Err(
+                invalid!(&self.path, "element {}", self.element; found "columns [{}]", found.join(", ");
+                expected "a scalar column `{missing}`"; help "export it with this column"),
+            );
         }
         self.check_size()?;
         let parser = Parser::<Row<N>>::new();
-        let before: Vec<_> = self
-            .header
-            .elements
-            .values()
-            .take_while(|e| e.name != self.element)
-            .cloned()
-            .collect();
-        for mut skipped in before {
-            let names: Vec<_> = skipped.properties.drain(..).map(|(_, def)| def).collect();
-            for (place, def) in names.into_iter().enumerate() {
-                skipped.properties.insert(format!("ignored {place}"), def);
+        let elements: Vec<ElementDef> = self.header.elements.values().cloned().collect();
+        for mut element in elements {
+            let is_wanted = element.name == self.element;
+            let column = |name: &str| {
+                columns
+                    .iter()
+                    .position(|column| column.as_deref() == Some(name))
+            };
+            let properties: Vec<_> = element.properties.drain(..).collect();
+            for (place, (name, def)) in properties.into_iter().enumerate() {
+                let key = column(&name).filter(|_| is_wanted).map(slot_key);
+                let key = key.unwrap_or_else(|| format!("ignored {place}"));
+                element.properties.insert(key, def);
             }
-            self.blocks(&parser, &skipped, |_, _| Ok(()))?;
+            if is_wanted {
+                return self.blocks(&parser, &element, |i, row: &Row<N>| each(i, &row.0));
+            }
+            self.blocks(&parser, &element, |_, _| Ok(()))?;
         }
-        self.blocks(&parser, &renamed, |i, row: &Row<N>| each(i, &row.0))
+        Ok(())
     }
 
     fn blocks<const N: usize>(
@@ -243,39 +218,29 @@ impl PlyFile {
             def.count
         };
         let mut block = def.clone();
-        let mut first = 0;
-        while first < rows {
+        for first in (0..rows).step_by(BLOCK) {
             block.count = BLOCK.min(rows - first);
             let parsed = parser.read_payload_for_element(&mut self.reader, &block, &self.header).map_err(|e| {
-                Error::input(
-                    &self.path,
-                    format!("element {}, rows {first} to {}", def.name, first + block.count - 1),
-                    what(&e.to_string()),
-                    format!("{rows} complete rows"),
-                    "the file is damaged or cut off (in ascii files, nan and inf count as damage); copy or export it again",
-                )
+                invalid!(&self.path, "element {}, rows {first} to {}", def.name, first + block.count - 1;
+                    found "{}", cause(&e.to_string()); expected "{rows} complete rows";
+                    help "the file is damaged or cut off (in ascii files, nan and inf count as damage); copy or export it again")
             })?;
             for (i, row) in parsed.iter().enumerate() {
                 each(first + i, row)?;
             }
-            first += block.count;
         }
         Ok(())
     }
 
-    /// A binary file of scalar columns has a size that follows from its header; a wrong one is refused before anything
-    /// is read. Much longer ones have rows with more in them than declared, such as a column name used twice.
+    /// The size of a binary file of scalar columns follows from its header; a wrong one is refused before anything is read.
+    /// Much longer files have rows with more in them than declared, such as a column name used twice.
     fn check_size(&mut self) -> Result<()> {
-        let all_scalar = |e: &ElementDef| {
-            e.properties
-                .values()
-                .all(|p| matches!(p.data_type, PropertyType::Scalar(_)))
-        };
-        if self.header.encoding == Encoding::Ascii || !self.header.elements.values().all(all_scalar)
-        {
-            return Ok(());
-        }
         let unreadable = |e| Error::io(&self.path, "measure", e);
+        let start = self
+            .reader
+            .get_mut()
+            .stream_position()
+            .map_err(unreadable)?;
         let length = self
             .reader
             .get_ref()
@@ -283,64 +248,56 @@ impl PlyFile {
             .metadata()
             .map_err(unreadable)?
             .len();
-        let start = self
-            .reader
-            .get_mut()
-            .stream_position()
-            .map_err(unreadable)?;
-        let (mut expected, mut rows) = (u128::from(start), 0_u128);
+        let (mut expected, mut rows) = (u128::from(start), 0);
         for element in self.header.elements.values() {
-            let stride: usize = element
+            let sizes = element
                 .properties
                 .values()
-                .map(|p| size_of_scalar(&p.data_type))
-                .sum();
-            expected += element.count as u128 * stride as u128;
+                .map(|property| size_of_scalar(&property.data_type));
+            let Some(stride) = sizes
+                .sum::<Option<u128>>()
+                .filter(|_| self.header.encoding != Encoding::Ascii)
+            else {
+                return Ok(());
+            };
+            expected += element.count as u128 * stride;
             rows += element.count as u128;
         }
         let length = u128::from(length);
-        if length < expected || (rows > 1 && length >= expected + rows) {
-            let help = if length < expected {
-                "the file is cut off; copy or export it again"
-            } else {
-                "rows are longer than declared (a column name used twice?); export it again"
-            };
-            return Err(self.error(
-                "size",
-                format!("{length} bytes"),
-                &format!("{expected} bytes"),
-                help,
-            ));
-        }
-        Ok(())
+        let help = if length < expected {
+            "the file is cut off; copy or export it again"
+        } else if rows > 1 && length >= expected + rows {
+            "rows are longer than declared (a column name used twice?); export it again"
+        } else {
+            return Ok(());
+        };
+        Err(
+            invalid!(&self.path, "size"; found "{length} bytes"; expected "{expected} bytes"; help "{help}"),
+        )
     }
 }
 
-fn size_of_scalar(t: &PropertyType) -> usize {
-    match t {
-        PropertyType::Scalar(ScalarType::Char | ScalarType::UChar) => 1,
-        PropertyType::Scalar(ScalarType::Short | ScalarType::UShort) => 2,
-        PropertyType::Scalar(ScalarType::Int | ScalarType::UInt | ScalarType::Float) => 4,
-        PropertyType::Scalar(ScalarType::Double) => 8,
-        PropertyType::List(..) => 0,
+/// Bytes of a property; `None` for a list.
+fn size_of_scalar(property: &PropertyType) -> Option<u128> {
+    match property {
+        PropertyType::Scalar(ScalarType::Char | ScalarType::UChar) => Some(1),
+        PropertyType::Scalar(ScalarType::Short | ScalarType::UShort) => Some(2),
+        PropertyType::Scalar(ScalarType::Int | ScalarType::UInt | ScalarType::Float) => Some(4),
+        PropertyType::Scalar(ScalarType::Double) => Some(8),
+        PropertyType::List(..) => None,
     }
 }
 
-/// What went wrong, without the whole lines of the file that the parser quotes in its messages.
-fn what(message: &str) -> String {
+/// The cause in a message of the parser, without the whole lines of the file that it quotes.
+fn cause(message: &str) -> String {
     let first = message.lines().next().unwrap_or_default();
     let detail = message
         .rsplit_once("Error: ")
-        .map_or("", |(_, detail)| detail.lines().next().unwrap_or_default());
-    let text = [first, detail].join(" ");
+        .and_then(|(_, detail)| detail.lines().next());
+    let text = [first, detail.unwrap_or_default()].join(" ");
     // The rest is the parser's own bookkeeping.
-    text.split("ParseError {")
-        .next()
-        .unwrap_or_default()
-        .trim()
-        .chars()
-        .take(300)
-        .collect()
+    let text = text.split("ParseError {").next().unwrap_or_default();
+    text.trim().chars().take(300).collect()
 }
 
 /// Writes one element `vertex` as binary little-endian PLY. `fill(i, row)` sets the cells of row `i`.

@@ -1,8 +1,9 @@
 //! Initial point clouds from PLY files.
 
+use super::camera_checks::fits_f32;
 use super::ply::PlyFile;
 use crate::data::{Limits, Points};
-use crate::error::Result;
+use crate::error::{Result, invalid};
 use glam::DVec3;
 use ply_rs_bw::ply::ScalarType;
 use std::path::Path;
@@ -27,48 +28,34 @@ impl Points {
     /// The file cannot be read, is cut off, lacks a column, or holds a non-finite value (its row and column are named).
     pub fn read(path: &Path, origin: DVec3, limits: &Limits) -> Result<Self> {
         let file = PlyFile::open(path, "vertex", limits)?;
-        let color = ["red", "green", "blue"];
-        let colored = color.iter().any(|c| file.scalar(c).is_some());
+        let colors = ["red", "green", "blue"];
+        let colored = colors.iter().any(|color| file.scalar(color).is_some());
         let scale = match file.scalar("red") {
             Some(ScalarType::UChar | ScalarType::Char) => 255.0,
             Some(ScalarType::UShort | ScalarType::Short) => 65_535.0,
             _ => 1.0,
         };
-        let name = |c: &str| Some(c.to_owned());
-        let mut columns = [name("x"), name("y"), name("z"), None, None, None];
-        if colored {
-            columns[3..].clone_from_slice(&color.map(name));
-        }
+        let [r, g, b] = colors.map(|color| colored.then(|| color.to_owned()));
+        let [x, y, z] = ["x", "y", "z"].map(|axis| Some(axis.to_owned()));
+        let columns = [x, y, z, r, g, b];
         let mut points = Self::default();
         let mut brightest = 0.0_f32;
         file.read(&columns, |row, cells| {
-            if let Some(bad) = cells.iter().position(|&v| !(v as f32).is_finite()) {
-                let column = columns[bad].clone().unwrap_or_default();
-                return Err(crate::Error::input(
-                    path,
-                    format!("row {row}, column {column}"),
-                    cells[bad].to_string(),
-                    "a finite number (f32)",
-                    "remove this point",
-                ));
+            if let Some(bad) = cells.iter().position(|v| !fits_f32(*v)) {
+                return Err(invalid!(path, "row {row}, column {}", columns[bad].as_deref().unwrap_or_default();
+                    found "{}", cells[bad]; expected "a finite number (f32)"; help "remove this point"));
             }
-            points.positions.push(
-                [
-                    cells[0] - origin.x,
-                    cells[1] - origin.y,
-                    cells[2] - origin.z,
-                ]
-                .map(|v| v as f32),
-            );
-            let rgb = [cells[3], cells[4], cells[5]]
-                .map(|v| if colored { (v / scale) as f32 } else { 0.5 });
+            let [x, y, z, r, g, b] = *cells;
+            let position = (DVec3::new(x, y, z) - origin).to_array();
+            points.positions.push(position.map(|v| v as f32));
+            let rgb = [r, g, b].map(|v| if colored { (v / scale) as f32 } else { 0.5 });
             brightest = rgb.iter().fold(brightest, |a, &b| a.max(b));
             points.colors.push(rgb);
             Ok(())
         })?;
         let range = if brightest > 1.0 { 255.0 } else { 1.0 };
-        for c in points.colors.iter_mut().flatten() {
-            *c = (*c / range).clamp(0.0, 1.0);
+        for color in points.colors.iter_mut().flatten() {
+            *color = (*color / range).clamp(0.0, 1.0);
         }
         Ok(points)
     }

@@ -1,52 +1,99 @@
-//! What recorded sequences (Replica, ScanNet) have in common: files with a number in their names, poses as text.
+//! What recorded sequences (Replica, ScanNet) share: files with a number in their names, poses as text, depth images.
 
-use crate::error::{Error, Result};
+use super::camera_checks::{fits_f32, not_a_rotation};
+use super::depth::Depth;
+use super::frame::Frame;
+use super::label_folder::SideFolders;
+use super::listing::Cloud;
+use crate::data::Split;
+use crate::error::{Error, Result, invalid};
 use crate::splat::camera::{Camera, Intrinsics};
-use glam::{DMat3, DMat4};
+use glam::DMat4;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Files of `folder` named `prefix`, a number, and one of `extensions`, by number: `rgb_10.png` follows `rgb_9.png`.
+/// Value of a metre in depth images.
+pub(crate) const MILLIMETRES: f64 = 1000.0;
+
+/// Files by the number in their names.
+pub(crate) type Numbered = BTreeMap<usize, PathBuf>;
+
+/// Files of `folder` named `prefix`, a number, and one of `extensions`: `rgb_10.png` follows `rgb_9.png`.
 ///
 /// # Errors
 /// The folder cannot be read; two files have the same number.
-pub(crate) fn numbered(
-    folder: &Path,
-    prefix: &str,
-    extensions: &[&str],
-) -> Result<BTreeMap<usize, PathBuf>> {
-    let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "list", e))?;
-    let mut files: BTreeMap<usize, PathBuf> = BTreeMap::new();
-    for entry in entries {
+pub(crate) fn numbered(folder: &Path, prefix: &str, extensions: &[&str]) -> Result<Numbered> {
+    let mut files = Numbered::new();
+    for entry in std::fs::read_dir(folder).map_err(|e| Error::io(folder, "list", e))? {
         let path = entry.map_err(|e| Error::io(folder, "list", e))?.path();
         let extension = path
             .extension()
-            .and_then(|e| e.to_str())
             .unwrap_or_default()
+            .to_string_lossy()
             .to_lowercase();
-        let digits = path
-            .file_stem()
-            .and_then(|s| s.to_str())
-            .and_then(|s| s.strip_prefix(prefix));
-        let number = digits
-            .filter(|d| d.bytes().all(|b| b.is_ascii_digit()))
-            .and_then(|d| d.parse().ok());
-        let Some(number) = number.filter(|_| extensions.contains(&&*extension)) else {
+        let stem = path.file_stem().and_then(|stem| stem.to_str());
+        let digits = stem
+            .and_then(|stem| stem.strip_prefix(prefix))
+            .filter(|digits| {
+                digits.bytes().all(|b| b.is_ascii_digit()) && extensions.contains(&&*extension)
+            });
+        let Some(number) = digits.and_then(|digits| digits.parse().ok()) else {
             continue;
         };
         if let Some(other) = files.insert(number, path.clone()) {
-            let found = format!("{} and {}", other.display(), path.display());
-            let help = "take one of the two away";
-            return Err(Error::input(
-                folder,
-                format!("number {number}"),
-                found,
-                "one file a number",
-                help,
-            ));
+            return Err(
+                invalid!(folder, "number {number}"; found "{} and {}", other.display(), path.display();
+                expected "one file for each number"; help "remove one of the two"),
+            );
         }
     }
     Ok(files)
+}
+
+/// The first of `folders` of label maps that is there, whose files are named `prefix` and a number; none without a folder.
+pub(crate) fn numbered_maps(dir: &Path, folders: &[&str], prefix: &str) -> Result<Numbered> {
+    let mut folders = folders.iter().map(|name| dir.join(name));
+    match folders.find(|folder| folder.is_dir()) {
+        Some(folder) => numbered(&folder, prefix, &["png"]),
+        None => Ok(Numbered::new()),
+    }
+}
+
+/// The frame of a photo, with the instances of its number.
+pub(crate) fn frame(
+    image: &Path,
+    split: Split,
+    camera: Camera,
+    folders: &SideFolders,
+    instances: Option<&PathBuf>,
+) -> Frame {
+    let photo = PathBuf::from(image.file_name().unwrap_or_default());
+    let name = photo.with_extension("").to_string_lossy().into_owned();
+    Frame {
+        instances: instances.cloned(),
+        ..folders.frame(Frame::new(name, split, image.to_owned(), camera), &photo)
+    }
+}
+
+/// The initial cloud: `points.ply` in the scene folder, else the depth images of `frames`, which `file` names.
+pub(crate) fn cloud(
+    dir: &Path,
+    frames: &[Frame],
+    scale: f64,
+    file: impl Fn(&str) -> String,
+) -> Cloud {
+    let path = dir.join("points.ply");
+    if path.is_file() {
+        return Cloud::Ply(path);
+    }
+    let files = frames
+        .iter()
+        .map(|frame| Some(dir.join(file(&frame.name))).filter(|file| file.is_file()));
+    let files: Vec<_> = files.collect();
+    match files.iter().all(Option::is_none) {
+        true => Cloud::None,
+        false => Cloud::Depth(Depth { files, scale }),
+    }
 }
 
 /// A camera-to-world matrix in OpenCV axes, row by row. Lost poses hold infinities.
@@ -58,27 +105,22 @@ pub(crate) type Pose = [f64; 16];
 /// There are more or fewer, or they are no numbers.
 pub(crate) fn pose(text: &str, path: &Path, field: &str) -> Result<Pose> {
     let error = |found: String| {
-        let expected = "16 numbers: a 4x4 camera-to-world matrix, row by row";
-        Error::input(
-            path,
-            field,
-            found,
-            expected,
-            "copy the file again, or drop the frame",
-        )
+        invalid!(path, "{field}"; found "{found}";
+            expected "16 numbers: a 4x4 camera-to-world matrix, row by row";
+            help "copy the file again, or drop the frame")
     };
-    let mut pose = [0.0; 16];
-    let mut words = text.split_ascii_whitespace();
-    for (i, value) in pose.iter_mut().enumerate() {
-        let word = words.next().ok_or_else(|| error(format!("{i} numbers")))?;
-        *value = word
-            .parse()
-            .map_err(|_| error(format!("{:?}", word.chars().take(40).collect::<String>())))?;
-    }
-    match words.next() {
-        Some(_) => Err(error("more than 16 numbers".into())),
-        None => Ok(pose),
-    }
+    let number = |word: &str| {
+        let shown = || error(format!("{:?}", word.chars().take(40).collect::<String>()));
+        word.parse().map_err(|_| shown())
+    };
+    let words = text.split_ascii_whitespace().take(17);
+    let numbers = words.map(number).collect::<Result<Vec<f64>>>()?;
+    numbers
+        .try_into()
+        .map_err(|numbers: Vec<f64>| match numbers.len() {
+            17 => error("more than 16 numbers".into()),
+            count => error(format!("{count} numbers")),
+        })
 }
 
 /// The camera of a pose.
@@ -91,38 +133,24 @@ pub(crate) fn camera(
     path: &Path,
     field: &str,
 ) -> Result<Camera> {
-    let error = |found: String, expected: &str| {
-        Error::input(
-            path,
-            field,
-            found,
-            expected,
-            "drop the frame, or export its pose again",
-        )
-    };
-    if let Some(i) = pose.iter().position(|v| !(*v as f32).is_finite()) {
-        let found = format!("{} in row {}, column {}", pose[i], i / 4, i % 4);
-        return Err(error(found, "finite numbers (f32)"));
+    let again = "drop the frame, or export its pose again";
+    if let Some(i) = pose.iter().position(|v| !fits_f32(*v)) {
+        return Err(
+            invalid!(path, "{field}"; found "{} in row {}, column {}", pose[i], i / 4, i % 4;
+            expected "finite numbers (f32)"; help "{again}"),
+        );
     }
-    if pose[12..]
+    let last = &pose[12..];
+    if last
         .iter()
         .zip([0.0, 0.0, 0.0, 1.0])
         .any(|(v, want)| (v - want).abs() > 1e-6)
     {
-        return Err(error(format!("last row {:?}", &pose[12..]), "[0, 0, 0, 1]"));
+        return Err(
+            invalid!(path, "{field}"; found "last row {last:?}"; expected "[0, 0, 0, 1]"; help "{again}"),
+        );
     }
     // The matrix is stored by rows.
     let matrix = DMat4::from_cols_array(pose).transpose();
-    Camera::from_opencv(&matrix, intrinsics).ok_or_else(|| {
-        let m = DMat3::from_mat4(matrix);
-        let lengths = [m.x_axis, m.y_axis, m.z_axis].map(|a| a.length());
-        let found = format!(
-            "column lengths {lengths:.4?}, determinant {:.4}",
-            m.determinant()
-        );
-        error(
-            found,
-            "a rotation (orthonormal columns, determinant +1) and a translation",
-        )
-    })
+    Camera::from_opencv(&matrix, intrinsics).ok_or_else(|| not_a_rotation(path, field, &matrix))
 }

@@ -1,22 +1,16 @@
 //! Class tables: `classes.json` in and out, and the colours of legends.
 
-use crate::data::{Class, Classes, ObjectOf, atomic, class_color};
-use crate::error::{Error, Result};
+use crate::data::{Class, Classes, ObjectOf, atomic, class_color, read};
+use crate::error::{Result, invalid};
 use serde::{Deserialize, Deserializer, Serialize, de};
+use serde_json::Value;
+use std::collections::HashSet;
 use std::path::Path;
 
 /// The id that `classes.json` maps to a name in [`VOID_NAMES`].
 const VOID: u16 = 0;
-/// Names of id 0 that mean 'unlabelled'.
-const VOID_NAMES: [&str; 7] = [
-    "void",
-    "ignore",
-    "ignored",
-    "unlabelled",
-    "unlabeled",
-    "unknown",
-    "undefined",
-];
+/// Names of id 0 that mean 'unlabelled', separated by blanks.
+const VOID_NAMES: &str = "void ignore ignored unlabelled unlabeled unknown undefined";
 
 impl Classes {
     /// A table of classes with colours from [`class_color`], ascending by id. Entries with the ignored id and repeated
@@ -71,19 +65,11 @@ impl Classes {
     /// (`color` may be absent; objects have `class` and `thing` besides, see [`ObjectOf`]).
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Input`] naming line or id: malformed JSON, ids that are not u16 or appear twice.
+    /// [`crate::Error::Io`]; [`crate::Error::Input`] naming line or id: malformed JSON, ids that are not u16 or appear twice.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        let text = read::text(path)?;
         let expected = "{\"0\": \"void\", \"1\": \"NAME\", ..} or {\"ignore\": 0, \"classes\": [{\"id\": 1, \"name\": ..}, ..]}";
-        let malformed = |e: serde_json::Error| {
-            Error::input(
-                path,
-                format!("line {}", e.line()),
-                e.to_string(),
-                expected,
-                "correct the file there",
-            )
-        };
+        let malformed = |e: serde_json::Error| read::json_error(path, &e, expected);
         let Pairs(pairs) = serde_json::from_str(&text).map_err(malformed)?;
         if pairs.iter().any(|(key, _)| key == "classes") {
             let file: ClassFile = serde_json::from_str(&text).map_err(malformed)?;
@@ -91,53 +77,37 @@ impl Classes {
         }
         let mut named = Vec::with_capacity(pairs.len());
         for (key, value) in pairs {
-            let Ok(id) = key.parse::<u16>() else {
-                let help = "renumber the classes";
-                return Err(Error::input(
-                    path,
-                    "id",
-                    format!("{key:?}"),
-                    "a whole number from 0 to 65535",
-                    help,
-                ));
+            let id: u16 = key.parse().map_err(|_| {
+                invalid!(path, "id"; found "{key:?}"; expected "a whole number from 0 to 65535";
+                    help "renumber the classes")
+            })?;
+            let Value::String(name) = value else {
+                return Err(
+                    invalid!(path, "id {id}"; found "{value}"; expected "a name"; help "put it in quotes"),
+                );
             };
-            let serde_json::Value::String(name) = value else {
-                return Err(Error::input(
-                    path,
-                    format!("id {id}"),
-                    value.to_string(),
-                    "a name",
-                    "put it in quotes",
-                ));
-            };
+            let is_void = VOID_NAMES
+                .split(' ')
+                .any(|void| void == name.trim().to_lowercase());
+            if id == VOID && !is_void {
+                return Err(invalid!(path, "id 0"; found "{name:?}";
+                    expected "\"void\": id 0 is the ignored one in this form of the file";
+                    help "use the form with \"ignore\" and \"classes\", or add one to all ids"));
+            }
             named.push((id, name));
         }
         check_unique(path, named.iter().map(|(id, _)| *id))?;
-        let is_void = |name: &str| VOID_NAMES.contains(&name.trim().to_lowercase().as_str());
-        if let Some((_, name)) = named
-            .iter()
-            .find(|(id, name)| *id == VOID && !is_void(name))
-        {
-            return Err(Error::input(
-                path,
-                "id 0",
-                format!("{name:?}"),
-                "\"void\": id 0 is the ignored one in this form of the file",
-                "use the form with \"ignore\" and \"classes\", or add one to all ids",
-            ));
-        }
         Ok(Self::from_names(VOID, named))
     }
 
     /// Writes `{"ignore": .., "classes": [{"id", "name", "color"}, ..]}`, of objects `class` and `thing` too.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// [`crate::Error::Io`].
     pub fn write(&self, path: &Path) -> Result<()> {
-        let classes = self.entries.iter().map(ClassEntry::from).collect();
         let file = ClassFile {
             ignore: self.ignore,
-            classes,
+            classes: self.entries.iter().map(ClassEntry::from).collect(),
         };
         atomic::write(path, |out| {
             serde_json::to_writer_pretty(out, &file).map_err(Into::into)
@@ -146,17 +116,13 @@ impl Classes {
 }
 
 fn check_unique(path: &Path, ids: impl Iterator<Item = u16>) -> Result<()> {
-    let mut seen = std::collections::HashSet::new();
+    let mut first = HashSet::new();
     for id in ids {
-        if !seen.insert(id) {
-            let help = "give each class an id of its own";
-            return Err(Error::input(
-                path,
-                format!("id {id}"),
-                "two entries",
-                "one entry an id",
-                help,
-            ));
+        if !first.insert(id) {
+            return Err(
+                invalid!(path, "id {id}"; found "two entries"; expected "one entry for each id";
+                help "give each class an id of its own"),
+            );
         }
     }
     Ok(())
@@ -196,27 +162,22 @@ impl From<&Class> for ClassEntry {
 impl ClassFile {
     fn into_classes(self, path: &Path) -> Result<Classes> {
         check_unique(path, self.classes.iter().map(|c| c.id))?;
-        let mut classes = Classes::from_names(
-            self.ignore,
-            self.classes.iter().map(|c| (c.id, c.name.clone())),
-        );
+        let names = self.classes.iter().map(|c| (c.id, c.name.clone()));
+        let mut classes = Classes::from_names(self.ignore, names);
         for entry in self.classes {
-            let Some(i) = classes.index(entry.id) else {
-                continue;
-            };
-            let class = &mut classes.entries[i];
-            class.color = entry.color.unwrap_or(class.color);
-            class.object_of = entry.class.map(|class| ObjectOf {
-                class,
-                thing: entry.thing.unwrap_or(true),
-            });
+            if let Some(i) = classes.index(entry.id) {
+                let class = &mut classes.entries[i];
+                class.color = entry.color.unwrap_or(class.color);
+                let thing = entry.thing.unwrap_or(true);
+                class.object_of = entry.class.map(|class| ObjectOf { class, thing });
+            }
         }
         Ok(classes)
     }
 }
 
-/// A JSON object as it stands: keys in order, repeated ones kept.
-struct Pairs(Vec<(String, serde_json::Value)>);
+/// The entries of a JSON object in order, with repeated keys.
+struct Pairs(Vec<(String, Value)>);
 
 impl<'de> Deserialize<'de> for Pairs {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {

@@ -2,25 +2,26 @@
 
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Limits, atomic};
-use crate::error::{Error, Result};
-use image::{DynamicImage, ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use crate::error::{Result, invalid};
+use image::{DynamicImage, GrayImage, ImageBuffer, Luma, codecs::png::PngEncoder};
+use std::collections::BTreeSet;
 use std::io;
 use std::path::Path;
 
-/// What datasets and segmenters write for pixels that count for nothing (Cityscapes, ADE20K, mmsegmentation).
+/// The id that datasets and segmenters write for unlabelled pixels (Cityscapes, ADE20K, mmsegmentation).
 const USUALLY_IGNORED: u16 = 255;
 
 impl LabelMap {
     /// Reads a grey PNG of 8 or 16 bits.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Input`] when the file is not a complete PNG or holds colours instead of ids.
+    /// [`crate::Error::Io`]; [`crate::Error::Input`] when the file is not a complete PNG or holds colours instead of ids.
     pub fn read(path: &Path, limits: &Limits) -> Result<Self> {
         Self::decode(path, &ImageFile::open(path, limits)?)
     }
 
-    /// Refuses ids other than those of `classes`, whose lookup `known` is, and the ignored one. [`USUALLY_IGNORED`] becomes that one
-    /// where no class has it. `or` is added to what mends it.
+    /// Refuses ids other than those of `classes`, whose lookup `known` is, and the ignored one. [`USUALLY_IGNORED`] becomes
+    /// the ignored id where no class has it. `or` is added to the help.
     pub(crate) fn settle_ids(
         &mut self,
         path: &Path,
@@ -28,50 +29,41 @@ impl LabelMap {
         known: &[u16],
         or: &str,
     ) -> Result<()> {
-        if known[usize::from(USUALLY_IGNORED)] == u16::MAX {
+        let is_class = |id: u16| known[usize::from(id)] != u16::MAX;
+        if !is_class(USUALLY_IGNORED) {
             let ignored = self.ids.iter_mut().filter(|id| **id == USUALLY_IGNORED);
             ignored.for_each(|id| *id = classes.ignore);
         }
-        let unknown = |&id: &u16| id != classes.ignore && known[usize::from(id)] == u16::MAX;
-        let Some(i) = self.ids.iter().position(unknown) else {
+        let is_unknown = |id: u16| id != classes.ignore && !is_class(id);
+        let Some(i) = self.ids.iter().position(|id| is_unknown(*id)) else {
             return Ok(());
         };
-        let mut found: Vec<u16> = self.ids.iter().copied().filter(|id| unknown(id)).collect();
-        found.sort_unstable();
-        found.dedup();
-        let more = match &found[..] {
-            [_] => String::new(),
-            all => format!(", and {} other unknown ids", all.len() - 1),
+        let unknown: BTreeSet<u16> = self
+            .ids
+            .iter()
+            .copied()
+            .filter(|id| is_unknown(*id))
+            .collect();
+        let more = match unknown.len() - 1 {
+            0 => String::new(),
+            more => format!(", and {more} other unknown ids"),
         };
         let ids: Vec<_> = classes.entries.iter().map(|c| c.id.to_string()).collect();
-        Err(Error::input(
-            path,
-            self.pixel(i),
-            format!("label id {}{more}", self.ids[i]),
-            format!(
-                "{} (ignored) or one of the {} class ids [{}]",
-                classes.ignore,
-                ids.len(),
-                ids.join(" ")
-            ),
-            format!("add the id to classes.json or correct the map{or}"),
-        ))
+        Err(
+            invalid!(path, "{}", self.pixel(i); found "label id {}{more}", self.ids[i];
+            expected "{} (ignored) or one of the {} class ids [{}]", classes.ignore, ids.len(), ids.join(" ");
+            help "add the id to classes.json or correct the map{or}"),
+        )
     }
 
-    /// Replaces ids by what `table` (length 65536) has for them.
+    /// Replaces ids by their entries in `table` (length 65536).
     pub(crate) fn translate(&mut self, path: &Path, table: &[u32]) -> Result<()> {
         for i in 0..self.ids.len() {
             let id = self.ids[i];
             self.ids[i] = u16::try_from(table[usize::from(id)]).map_err(|_| {
-                let expected = "an id of the dataset's table of labels";
-                let help = "use the table that belongs to these label maps, or correct the map";
-                Error::input(
-                    path,
-                    self.pixel(i),
-                    format!("label id {id}"),
-                    expected,
-                    help,
-                )
+                invalid!(path, "{}", self.pixel(i); found "label id {id}";
+                    expected "an id of the dataset's table of labels";
+                    help "use the table that belongs to these label maps, or correct the map")
             })?;
         }
         Ok(())
@@ -82,40 +74,33 @@ impl LabelMap {
     }
 
     pub(crate) fn decode(path: &Path, file: &ImageFile) -> Result<Self> {
-        let grey = "a grey PNG of 8 or 16 bits whose values are class ids";
-        let reject =
-            |found: &str, help: &str| Err(Error::input(path, "pixel format", found, grey, help));
-        match file.png_color() {
-            None => return reject("JPEG", "save the ids as PNG: JPEG compression changes them"),
-            Some((8 | 16, 0)) => {}
-            Some((bits, 0)) => {
-                return reject(&format!("{bits}-bit grey"), "save it with 8 bits a pixel");
-            }
-            Some((_, 3)) => {
-                return reject(
-                    "a palette PNG",
-                    "save the palette indices as grey; in Python: Image.fromarray(np.array(Image.open(path)))",
-                );
-            }
-            Some(_) => {
-                return reject(
-                    "a PNG with colours or alpha",
-                    "map each colour to its class id and save as grey",
-                );
-            }
-        }
+        let (found, help) = match file.png_color() {
+            Some((8 | 16, 0)) => (
+                "a grey PNG with transparency",
+                "save it without transparency",
+            ),
+            Some((_, 0)) => ("grey of less than 8 bits", "save it with 8 bits a pixel"),
+            Some((_, 3)) => (
+                "a palette PNG",
+                "save the palette indices as grey; in Python: Image.fromarray(np.array(Image.open(path)))",
+            ),
+            Some(_) => (
+                "a PNG with colours or alpha",
+                "map each colour to its class id and save as grey",
+            ),
+            None => ("JPEG", "save the ids as PNG: JPEG compression changes them"),
+        };
         let (width, height) = file.size;
-        let ids = match file.decode()? {
-            DynamicImage::ImageLuma8(image) => {
+        let is_grey = matches!(file.png_color(), Some((8 | 16, 0)));
+        let ids = match is_grey.then(|| file.decode()).transpose()? {
+            Some(DynamicImage::ImageLuma8(image)) => {
                 image.into_raw().into_iter().map(u16::from).collect()
             }
-            DynamicImage::ImageLuma16(image) => image.into_raw(),
-            // The header says grey of 8 or 16 bits; a transparency chunk adds alpha.
+            Some(DynamicImage::ImageLuma16(image)) => image.into_raw(),
+            // A transparency chunk adds alpha to grey.
             _ => {
-                return reject(
-                    "a grey PNG with transparency",
-                    "save it without transparency",
-                );
+                return Err(invalid!(path, "pixel format"; found "{found}";
+                    expected "a grey PNG of 8 or 16 bits whose values are class ids"; help "{help}"));
             }
         };
         Ok(Self { width, height, ids })
@@ -124,7 +109,7 @@ impl LabelMap {
     /// Writes a grey PNG: 8 bits when every id fits, else 16.
     ///
     /// # Errors
-    /// [`Error::Io`], also when `ids` does not fill `width` x `height`.
+    /// [`crate::Error::Io`], also when `ids` does not fill `width` x `height`.
     pub fn write(&self, path: &Path) -> Result<()> {
         self.write_as(path, self.ids.iter().any(|&id| id > 255))
     }
@@ -138,27 +123,20 @@ impl LabelMap {
     }
 
     fn write_as(&self, path: &Path, wide: bool) -> Result<()> {
-        let (bytes, color): (Vec<u8>, _) = if wide {
-            // The encoder takes 16-bit samples in the machine's own order.
-            (
-                self.ids.iter().flat_map(|id| id.to_ne_bytes()).collect(),
-                ExtendedColorType::L16,
-            )
-        } else {
-            (
-                self.ids.iter().map(|&id| id as u8).collect(),
-                ExtendedColorType::L8,
-            )
-        };
-        let size = u32::try_from(self.width)
-            .ok()
-            .zip(u32::try_from(self.height).ok());
-        let fits = size.filter(|_| Some(self.ids.len()) == self.width.checked_mul(self.height));
+        let (width, height) = (self.width as u32, self.height as u32);
+        let wrong_size = || io::Error::other("label ids do not fill the image");
         atomic::write(path, |out| {
-            let (w, h) = fits.ok_or_else(|| io::Error::other("label ids do not fill the image"))?;
-            PngEncoder::new(out)
-                .write_image(&bytes, w, h, color)
-                .map_err(io::Error::other)
+            let encoder = PngEncoder::new(out);
+            let written = if wide {
+                let image = ImageBuffer::<Luma<u16>, _>::from_raw(width, height, &self.ids[..]);
+                image.ok_or_else(wrong_size)?.write_with_encoder(encoder)
+            } else {
+                let ids = self.ids.iter().map(|&id| id as u8).collect();
+                GrayImage::from_raw(width, height, ids)
+                    .ok_or_else(wrong_size)?
+                    .write_with_encoder(encoder)
+            };
+            written.map_err(io::Error::other)
         })
     }
 }

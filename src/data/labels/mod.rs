@@ -1,6 +1,7 @@
-//! Label maps: formats of raw labels, class tables, palettes, masks of photos.
+//! Labels: class tables, label maps and their cameras, masks, and the formats of raw labels.
 
 pub(crate) mod classes;
+pub(crate) mod frame_labels;
 pub(crate) mod label_map;
 pub(crate) mod label_runs;
 pub(crate) mod map_geometry;

@@ -2,16 +2,20 @@
 
 use crate::data::Limits;
 use crate::data::formats::frame::proportional;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage};
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Rgb, RgbImage};
 use sha2::{Digest, Sha256};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-/// What mends a picture that lies across.
-const ACROSS: &str = "it is turned by a quarter, as some programs turn photos by their EXIF orientation and others do not: \
-                      apply that to the photos or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them";
+/// Help for a picture that lies across.
+const ACROSS: &str = "it is turned by a quarter: some programs turn photos by their EXIF orientation and others do not; \
+    apply it to the photos or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them";
+/// Help for a picture of another size.
+const SCALE: &str = "scale the image to that size (label maps without blending), or correct the size with focal length \
+    and centre";
+const AGAIN: &str = "copy or export it again";
 
 /// An image file in memory, its header read and its end seen, not yet decoded.
 pub(crate) struct ImageFile {
@@ -26,61 +30,41 @@ impl ImageFile {
     /// Reads `path` and checks that it is a complete PNG or JPEG of an acceptable size.
     pub fn open(path: &Path, limits: &Limits) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read image", e))?;
-        let again = "copy or export it again";
         let format = match image::guess_format(&bytes) {
             Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
             _ => {
                 let start = String::from_utf8_lossy(&bytes[..bytes.len().min(8)])
                     .escape_debug()
                     .to_string();
-                let found = format!("a file of {} bytes starting with \"{start}\"", bytes.len());
-                return Err(Error::input(
-                    path,
-                    "format",
-                    found,
-                    "PNG or JPEG",
-                    "convert it",
-                ));
+                return Err(
+                    invalid!(path, "format"; found "a file of {} bytes starting with \"{start}\"", bytes.len();
+                    expected "PNG or JPEG"; help "convert it"),
+                );
             }
         };
-        let complete = if format == ImageFormat::Png {
-            png_is_complete(&bytes)
+        let is_complete = if format == ImageFormat::Png {
+            png_is_complete
         } else {
-            jpeg_is_complete(&bytes)
+            jpeg_is_complete
         };
-        if !complete {
-            let found = format!("{} bytes without the end of the image", bytes.len());
-            return Err(Error::input(
-                path,
-                "image data",
-                found,
-                format!("a complete {}", name(format)),
-                again,
-            ));
+        let name = name(format);
+        if !is_complete(&bytes) {
+            return Err(
+                invalid!(path, "image data"; found "{} bytes without the end of the image", bytes.len();
+                expected "a complete {name}"; help "{AGAIN}"),
+            );
         }
-        let size = ImageReader::with_format(Cursor::new(&bytes), format)
-            .into_dimensions()
-            .map_err(|e| {
-                Error::input(
-                    path,
-                    "header",
-                    e.to_string(),
-                    format!("a valid {}", name(format)),
-                    again,
-                )
-            })?;
-        let pixels = u64::from(size.0) * u64::from(size.1);
-        Limits::check(
-            format!("{}: pixels", path.display()),
-            pixels,
-            limits.image_pixels,
-            "scale the image down",
+        let size = ImageReader::with_format(Cursor::new(&bytes), format).into_dimensions();
+        let (width, height) = size.map_err(
+            |e| invalid!(path, "header"; found "{e}"; expected "a valid {name}"; help "{AGAIN}"),
         )?;
+        let size = (width as usize, height as usize);
+        limits.check_pixels(path, size.0, size.1)?;
         Ok(Self {
             path: path.to_owned(),
             bytes,
             format,
-            size: (size.0 as usize, size.1 as usize),
+            size,
         })
     }
 
@@ -94,35 +78,28 @@ impl ImageFile {
         Sha256::digest(&self.bytes).into()
     }
 
-    /// An error unless the photo or label map has the size that `whose` expects.
-    pub fn expect_size(&self, width: usize, height: usize, whose: &str) -> Result<()> {
-        let (w, h) = self.size;
-        if (w, h) == (width, height) {
+    /// Refuses a photo or label map of another size than `whose` expects.
+    pub fn expect_size(&self, size: (usize, usize), whose: &str) -> Result<()> {
+        if self.size == size {
             return Ok(());
         }
-        let across = self.lies_across(width, height);
-        let found = match self.exif_orientation().filter(|_| across) {
-            Some(exif) => format!("{w}x{h} pixels, of EXIF orientation {exif}"),
-            None => format!("{w}x{h} pixels"),
-        };
-        let scale = "scale the image to that size (label maps without blending), or correct the size with focal length and centre";
-        let help = if across { ACROSS } else { scale };
-        Err(Error::input(
-            &self.path,
-            "size",
-            found,
-            format!("{width}x{height}, as {whose}"),
-            help,
-        ))
+        let across = self.lies_across(size);
+        let exif = self.exif_orientation().filter(|_| across);
+        let exif = exif.map_or(String::new(), |exif| {
+            format!(", of EXIF orientation {exif}")
+        });
+        Err(
+            invalid!(&self.path, "size"; found "{}x{} pixels{exif}", self.size.0, self.size.1;
+            expected "{}x{}, as {whose}", size.0, size.1; help "{}", if across { ACROSS } else { SCALE }),
+        )
     }
 
     /// Whether it has the proportions of `width` and `height` swapped, and not those themselves.
-    pub fn lies_across(&self, width: usize, height: usize) -> bool {
+    pub fn lies_across(&self, (width, height): (usize, usize)) -> bool {
         proportional(self.size, (height, width)) && !proportional(self.size, (width, height))
     }
 
-    /// How its EXIF data ask programs to turn it before it is shown, 2 to 8 as they number that; `None` where it lies as it is
-    /// to be seen.
+    /// The EXIF orientation, 2 to 8, by which programs should turn or mirror it; `None` where it is stored upright.
     pub fn exif_orientation(&self) -> Option<u8> {
         let decoder =
             ImageReader::with_format(Cursor::new(&self.bytes), self.format).into_decoder();
@@ -130,8 +107,8 @@ impl ImageFile {
         orientation.filter(|exif| *exif != Orientation::NoTransforms.to_exif())
     }
 
-    /// Whether its EXIF data ask programs to turn it or to mirror it, and its size does not tell whether one has.
-    pub fn turns_unseen(&self) -> bool {
+    /// Whether its EXIF orientation turns or mirrors it while its size stays the same.
+    pub fn turns_without_trace(&self) -> bool {
         let (w, h) = self.size;
         // From 5 on the sides are swapped.
         self.exif_orientation()
@@ -149,14 +126,7 @@ impl ImageFile {
         // The size was checked against our own limits.
         reader.no_limits();
         reader.decode().map_err(|e| {
-            let expected = format!("a valid {}", name(self.format));
-            Error::input(
-                &self.path,
-                "image data",
-                e.to_string(),
-                expected,
-                "copy or export it again",
-            )
+            invalid!(&self.path, "image data"; found "{e}"; expected "a valid {}", name(self.format); help "{AGAIN}")
         })
     }
 
@@ -172,20 +142,12 @@ impl ImageFile {
             return Ok((image.into_rgb8(), false));
         }
         let rgba = image.into_rgba8();
-        let (width, height) = rgba.dimensions();
-        let blend = |c: u8, behind: u8, a: u8| {
-            let (c, behind, a) = (u32::from(c), u32::from(behind), u32::from(a));
-            ((c * a + behind * (255 - a) + 127) / 255) as u8
-        };
         let transparent = rgba.pixels().any(|pixel| pixel.0[3] < u8::MAX);
-        let photo = RgbImage::from_fn(width, height, |x, y| {
-            let [r, g, b, a] = rgba.get_pixel(x, y).0;
-            let [behind_r, behind_g, behind_b] = background;
-            image::Rgb([
-                blend(r, behind_r, a),
-                blend(g, behind_g, a),
-                blend(b, behind_b, a),
-            ])
+        let photo = RgbImage::from_fn(rgba.width(), rgba.height(), |x, y| {
+            let [color @ .., a] = rgba.get_pixel(x, y).0.map(u32::from);
+            Rgb(std::array::from_fn(|i| {
+                ((color[i] * a + u32::from(background[i]) * (255 - a) + 127) / 255) as u8
+            }))
         });
         Ok((photo, transparent))
     }

@@ -1,4 +1,4 @@
-//! Lens distortion (Brown-Conrady, as OpenCV and COLMAP have it) and how photos and label maps are freed of it.
+//! Lens distortion (Brown-Conrady, as in OpenCV and COLMAP) and its removal from photos and label maps.
 //!
 //! The pinhole that a distorted photo becomes has its size and principal point, and the focal lengths times one factor:
 //! the smallest, hence the widest view, at which every pixel lies within the photo. So no pixel is made up, and none
@@ -20,7 +20,7 @@ pub(crate) struct Lens {
     pub p: [f64; 2],
 }
 
-/// Factors of the focal length among which [`Remap::new`] searches.
+/// Factors of the focal length among which [`Undistortion::new`] searches.
 const ZOOM: [f64; 2] = [0.25, 4.0];
 /// Bisections of that range: 2^-40 of it is far below a pixel.
 const BISECTIONS: usize = 40;
@@ -61,14 +61,14 @@ impl Lens {
 
 /// From a distorted photo to a pinhole's.
 #[derive(Clone, Debug)]
-pub(crate) struct Remap {
+pub(crate) struct Undistortion {
     photo: Camera,
     lens: Lens,
     /// The pinhole: pose, size and principal point of the photo's camera.
     pub pinhole: Camera,
 }
 
-impl Remap {
+impl Undistortion {
     /// `None` when no factor from 0.25 to 4 gives a whole image: the coefficients are beyond what the model is made
     /// for.
     pub fn new(photo: &Camera, lens: Lens) -> Option<Self> {

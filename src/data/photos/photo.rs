@@ -1,9 +1,9 @@
 //! The photo of a view: a file that is decoded when its pixels are asked for, or pixels made in memory.
 
 use super::image_file::ImageFile;
-use super::lens::Remap;
+use super::lens::Undistortion;
 use crate::data::{Limits, PhotoCache};
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use image::{RgbImage, imageops};
 use sha2::{Digest, Sha256};
 use std::fmt;
@@ -35,7 +35,7 @@ struct PhotoFile {
     /// SHA-256 of the file when the scene was loaded.
     digest: [u8; 32],
     limits: Limits,
-    development: Development,
+    preprocessing: Preprocessing,
     cache: Arc<PhotoCache>,
     /// Its number in the cache.
     number: usize,
@@ -45,11 +45,11 @@ impl Photo {
     /// The photo in `file`, decoded once to see that it can be.
     pub(crate) fn in_file(
         file: &ImageFile,
-        development: Development,
+        preprocessing: Preprocessing,
         limits: &Limits,
         cache: &Arc<PhotoCache>,
     ) -> Result<Self> {
-        let (pixels, transparent) = development.decode(file)?;
+        let (pixels, transparent) = preprocessing.decode(file)?;
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
         let number = cache.admit(pixels);
         let (path, digest) = (file.path().to_owned(), file.digest());
@@ -57,7 +57,7 @@ impl Photo {
             path,
             digest,
             limits: limits.clone(),
-            development,
+            preprocessing,
             cache: cache.clone(),
             number,
         };
@@ -87,8 +87,8 @@ impl Photo {
     /// The pixels. They stay in memory as long as the caller or the cache holds them.
     ///
     /// # Errors
-    /// [`Error::Io`] when the file can no longer be read, [`Error::Input`] when it is another one than the scene was
-    /// loaded with.
+    /// [`crate::Error::Io`] when the file can no longer be read, [`crate::Error::Input`] when it has changed since the
+    /// scene was loaded.
     pub fn pixels(&self) -> Result<Arc<RgbImage>> {
         match &self.source {
             Source::Pixels(pixels) => Ok(pixels.clone()),
@@ -108,9 +108,13 @@ impl Photo {
                 hash.update(format!("file {} {}\n", self.width, self.height));
                 hash.update(file.digest);
                 if self.transparent {
-                    hash.update(file.development.background);
+                    hash.update(file.preprocessing.background);
                 }
-                let numbers = file.development.remap.iter().flat_map(Remap::numbers);
+                let numbers = file
+                    .preprocessing
+                    .undistortion
+                    .iter()
+                    .flat_map(Undistortion::numbers);
                 numbers.for_each(|number| hash.update(number.to_le_bytes()));
             }
         }
@@ -153,32 +157,26 @@ impl PhotoFile {
     fn read(&self) -> Result<RgbImage> {
         let file = ImageFile::open(&self.path, &self.limits)?;
         if file.digest() != self.digest {
-            let expected = "the file that the scene was loaded with";
-            let help = "put it back and resume, or start anew with the files as they are";
-            return Err(Error::input(
-                &self.path,
-                "content",
-                "other bytes",
-                expected,
-                help,
-            ));
+            return Err(invalid!(&self.path, "content"; found "other bytes";
+                expected "the file that the scene was loaded with";
+                help "put it back and resume, or start anew with the files as they are"));
         }
-        Ok(self.development.decode(&file)?.0)
+        Ok(self.preprocessing.decode(&file)?.0)
     }
 }
 
 /// What becomes of a file's pixels: the distortion of the lens is taken out, then they are resampled.
 #[derive(Clone, Default)]
-pub(crate) struct Development {
+pub(crate) struct Preprocessing {
     /// The distortion; none of a pinhole.
-    pub remap: Option<Remap>,
+    pub undistortion: Option<Undistortion>,
     /// Pixels across and down, where they are fewer than the file's.
     pub size: Option<(usize, usize)>,
     /// What transparent pixels are blended onto.
     pub background: [u8; 3],
 }
 
-impl Development {
+impl Preprocessing {
     /// The same with another colour behind transparent pixels.
     pub fn over(self, background: [u8; 3]) -> Self {
         Self { background, ..self }
@@ -187,8 +185,8 @@ impl Development {
     /// The photo in `file` as the view's camera sees it, and whether some pixel is transparent.
     pub fn decode(&self, file: &ImageFile) -> Result<(RgbImage, bool)> {
         let (mut photo, transparent) = file.decode_photo(self.background)?;
-        if let Some(remap) = &self.remap {
-            photo = remap.photo(&photo);
+        if let Some(undistortion) = &self.undistortion {
+            photo = undistortion.photo(&photo);
         }
         if let Some((width, height)) = self.size {
             // Bicubic, the kernel as wide as the reduction: what 3DGS does with photos of more than 1600 pixels.

@@ -1,60 +1,35 @@
 //! Fields of a JSON object, with errors that say where they are.
 
 use crate::data::Limits;
-use crate::error::{Error, Result};
+use crate::data::formats::camera_checks::{FOCAL, describe_rotation, fits_f32};
+use crate::error::{Error, Result, invalid};
+use crate::splat::camera::{Camera, Intrinsics};
+use glam::DMat4;
 use serde_json::Value;
 use std::path::Path;
 
 /// An object in a file of cameras.
-pub(crate) struct Entry<'a> {
+pub(super) struct Entry<'a> {
     path: &'a Path,
-    /// Where it stands in the file, such as `cameras[3]`; empty for the whole.
-    place: String,
+    /// What precedes its fields in messages, such as `cameras[3].`; empty for the whole file.
+    prefix: String,
     value: &'a Value,
 }
 
 /// Longest value that an error shows, in characters.
 const SHOWN: usize = 60;
 
-/// Focal lengths beyond these are mistakes, pixels.
-const FOCAL: std::ops::RangeInclusive<f64> = 1e-3..=1e9;
-
 impl<'a> Entry<'a> {
-    pub fn new(path: &'a Path, place: String, value: &'a Value) -> Self {
-        Self { path, place, value }
+    pub fn new(path: &'a Path, prefix: String, value: &'a Value) -> Self {
+        Self {
+            path,
+            prefix,
+            value,
+        }
     }
 
-    pub fn error(
-        &self,
-        field: &str,
-        found: impl Into<String>,
-        expected: &str,
-        help: &str,
-    ) -> Error {
-        let dot = if self.place.is_empty() { "" } else { "." };
-        Error::input(
-            self.path,
-            format!("{}{dot}{field}", self.place),
-            found,
-            expected,
-            help,
-        )
-    }
-
-    fn unlike(&self, field: &str, value: Option<&Value>, expected: &str) -> Error {
-        let found = value.map_or_else(|| "nothing".to_owned(), |value| value.to_string());
-        let short: String = found.chars().take(SHOWN).collect();
-        let found = if short.len() < found.len() {
-            format!("{short}...")
-        } else {
-            found
-        };
-        self.error(
-            field,
-            found,
-            expected,
-            "correct the field, or export the cameras again",
-        )
+    pub fn error(&self, field: &str, found: &str, expected: &str, help: &str) -> Error {
+        invalid!(self.path, "{}{field}", self.prefix; found "{found}"; expected "{expected}"; help "{help}")
     }
 
     /// The field, where it is there.
@@ -62,91 +37,120 @@ impl<'a> Entry<'a> {
         self.value.get(field)
     }
 
-    /// A list.
-    pub fn list(&self, field: &str) -> Result<&'a [Value]> {
-        let list = self.get(field).and_then(Value::as_array);
-        list.map(Vec::as_slice)
-            .ok_or_else(|| self.unlike(field, self.get(field), "a list"))
-    }
-
-    /// A number that is finite in f32 too.
-    pub fn number(&self, field: &str) -> Result<f64> {
+    /// What `read` makes of the field.
+    fn read<T>(
+        &self,
+        field: &str,
+        expected: &str,
+        read: impl Fn(&'a Value) -> Option<T>,
+    ) -> Result<T> {
         let value = self.get(field);
-        number(value).ok_or_else(|| self.unlike(field, value, "a finite number (f32)"))
+        value.and_then(read).ok_or_else(|| {
+            let mut found = value.map_or_else(|| "nothing".to_owned(), Value::to_string);
+            if let Some((end, _)) = found.char_indices().nth(SHOWN) {
+                found.truncate(end);
+                found += "...";
+            }
+            self.error(
+                field,
+                &found,
+                expected,
+                "correct the field, or export the cameras again",
+            )
+        })
     }
 
-    /// `N` numbers, each finite in f32 too.
+    /// A list of cameras: not empty, and no longer than a scene may be.
+    pub fn cameras(&self, field: &str) -> Result<&'a [Value]> {
+        let list = self.read(field, "a list", Value::as_array)?;
+        check_count(self.path, field, list)?;
+        Ok(list)
+    }
+
+    /// A number that is finite as f32 too.
+    pub fn number(&self, field: &str) -> Result<f64> {
+        self.read(field, "a finite number (f32)", number)
+    }
+
+    /// `N` such numbers.
     pub fn numbers<const N: usize>(&self, field: &str) -> Result<[f64; N]> {
-        numbers(self.get(field)).ok_or_else(|| {
-            self.unlike(field, self.get(field), &format!("{N} finite numbers (f32)"))
-        })
+        self.read(field, &format!("{N} finite numbers (f32)"), numbers)
     }
 
     /// Three rows of three such numbers.
     pub fn rows(&self, field: &str) -> Result<[[f64; 3]; 3]> {
-        let rows = self
-            .get(field)
-            .and_then(Value::as_array)
-            .filter(|rows| rows.len() == 3);
-        let read =
-            rows.and_then(|r| Some([numbers(r.first())?, numbers(r.get(1))?, numbers(r.get(2))?]));
-        read.ok_or_else(|| self.unlike(field, self.get(field), "3 rows of 3 finite numbers (f32)"))
+        self.read(field, "3 rows of 3 finite numbers (f32)", |value| {
+            let rows: Option<Vec<_>> = value.as_array()?.iter().map(numbers).collect();
+            rows?.try_into().ok()
+        })
     }
 
-    /// A focal length, in pixels.
-    pub fn focal(&self, field: &str) -> Result<f64> {
-        let value = self.number(field)?;
-        self.check_focal(field, value)
-    }
-
-    /// `focal`, which `field` gave.
+    /// Refuses a focal length, in pixels, that `field` gave.
     pub fn check_focal(&self, field: &str, focal: f64) -> Result<f64> {
         if FOCAL.contains(&focal) {
             return Ok(focal);
         }
         let expected = "a focal length of 0.001 to 1e9 pixels";
-        Err(self.error(
-            field,
-            format!("{focal:?} pixels"),
-            expected,
-            "correct the focal length or field of view",
-        ))
+        let help = "correct the focal length or field of view";
+        Err(self.error(field, &format!("{focal:?} pixels"), expected, help))
     }
 
-    /// Width and height in pixels, no more in all than an image may have.
+    /// Width and height in pixels, in all no more than an image may have.
     pub fn size(&self, fields: [&str; 2]) -> Result<[usize; 2]> {
         let mut size = [0; 2];
         for (size, field) in size.iter_mut().zip(fields) {
             let value = self.number(field)?;
             if value.fract() != 0.0 || !(1.0..=f64::from(u32::MAX)).contains(&value) {
                 let expected = "a whole number of pixels, at least 1";
-                return Err(self.error(field, format!("{value:?}"), expected, "correct the size"));
+                return Err(self.error(field, &format!("{value:?}"), expected, "correct the size"));
             }
             *size = value as usize;
         }
-        let pixels = (size[0] as u64).saturating_mul(size[1] as u64);
-        let what = format!(
-            "{}: pixels of {} {}",
-            self.path.display(),
-            self.place,
-            fields.join(" x ")
-        );
-        Limits::check(
-            what,
-            pixels,
-            Limits::default().image_pixels,
-            "lower the size",
-        )?;
+        let place = self.path.join(self.prefix.trim_end_matches('.'));
+        Limits::default().check_pixels(&place, size[0], size[1])?;
         Ok(size)
+    }
+
+    /// A camera with its principal point in the middle; `field` holds its pose `c2w`, in OpenCV axes.
+    pub fn centred(
+        &self,
+        field: &str,
+        [fx, fy]: [f64; 2],
+        [width, height]: [usize; 2],
+        c2w: &DMat4,
+    ) -> Result<Camera> {
+        let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
+        let intrinsics = Intrinsics {
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        };
+        Camera::from_opencv(c2w, intrinsics).ok_or_else(|| {
+            let expected = "a rotation (orthonormal columns, determinant +1)";
+            let help = "remove scale, shear and mirroring from the pose";
+            self.error(field, &describe_rotation(c2w), expected, help)
+        })
     }
 }
 
-fn number(value: Option<&Value>) -> Option<f64> {
-    value?.as_f64().filter(|&value| (value as f32).is_finite())
+/// Refuses a list of cameras that is empty, or longer than a scene may be.
+pub(super) fn check_count(path: &Path, field: &str, list: &[Value]) -> Result<()> {
+    if list.is_empty() {
+        return Err(
+            invalid!(path, "{field}"; found "no cameras"; expected "at least one"; help "export them again"),
+        );
+    }
+    Limits::default().check_views(path, list.len())
 }
 
-fn numbers<const N: usize>(value: Option<&Value>) -> Option<[f64; N]> {
-    let list = value?.as_array()?;
-    let values: Option<Vec<f64>> = list.iter().map(|value| number(Some(value))).collect();
+fn number(value: &Value) -> Option<f64> {
+    value.as_f64().filter(|value| fits_f32(*value))
+}
+
+fn numbers<const N: usize>(value: &Value) -> Option<[f64; N]> {
+    let values: Option<Vec<f64>> = value.as_array()?.iter().map(number).collect();
     values?.try_into().ok()
 }

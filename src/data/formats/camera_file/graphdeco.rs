@@ -1,6 +1,7 @@
 //! `cameras.json` as graphdeco's 3DGS writes it (`camera_to_JSON`): a list of cameras, camera-to-world with OpenCV axes.
 
-use super::{Entry, centred, check_count};
+use super::entry::{Entry, check_count};
+use crate::data::photos::EXTENSIONS;
 use crate::data::{NamedCamera, Split};
 use crate::error::Result;
 use glam::{DMat3, DMat4, DVec3};
@@ -8,29 +9,30 @@ use serde_json::Value;
 use std::collections::HashMap;
 use std::path::Path;
 
-pub(crate) fn cameras(path: &Path, list: &[Value]) -> Result<Vec<NamedCamera>> {
+pub(super) fn cameras(path: &Path, list: &[Value]) -> Result<Vec<NamedCamera>> {
     check_count(path, "cameras", list)?;
-    let (mut cameras, mut seen) = (Vec::with_capacity(list.len()), HashMap::new());
+    let mut cameras = Vec::with_capacity(list.len());
+    let mut first = HashMap::new();
     for (i, value) in list.iter().enumerate() {
-        let entry = Entry::new(path, format!("cameras[{i}]"), value);
+        let entry = Entry::new(path, format!("cameras[{i}]."), value);
         let name = name(&entry)?;
-        if let Some(first) = seen.insert(name.clone(), i) {
+        if let Some(first) = first.insert(name.clone(), i) {
             let found = format!("{name:?}, which cameras[{first}] has too");
             let expected = "names that differ: outputs are named by them";
             return Err(entry.error(
                 "img_name",
-                found,
+                &found,
                 expected,
                 "rename one of the cameras or drop it",
             ));
         }
         let size = entry.size(["width", "height"])?;
-        let focal = [entry.focal("fx")?, entry.focal("fy")?];
+        let focal = |field| entry.check_focal(field, entry.number(field)?);
+        let focals = [focal("fx")?, focal("fy")?];
         let rotation = DMat3::from_cols_array_2d(&entry.rows("rotation")?).transpose();
-        let position = DVec3::from(entry.numbers::<3>("position")?);
         let mut c2w = DMat4::from_mat3(rotation);
-        c2w.w_axis = position.extend(1.0);
-        let camera = centred(&entry, "rotation", focal, size, c2w)?;
+        c2w.w_axis = DVec3::from(entry.numbers("position")?).extend(1.0);
+        let camera = entry.centred("rotation", focals, size, &c2w)?;
         cameras.push(NamedCamera {
             name,
             split: Split::Train,
@@ -47,19 +49,17 @@ fn name(entry: &Entry<'_>) -> Result<String> {
         Some(Value::Number(number)) => number.to_string(),
         _ => String::new(),
     };
-    let extension = given
-        .rsplit_once('.')
-        .filter(|(_, e)| ["png", "jpg", "jpeg"].contains(&&*e.to_lowercase()));
-    let name = extension
-        .map_or(&*given, |(stem, _)| stem)
-        .replace(['/', '\\'], "_");
-    match name.is_empty() {
-        true => Err(entry.error(
+    let stem = match given.rsplit_once('.') {
+        Some((stem, extension)) if EXTENSIONS.contains(&&*extension.to_lowercase()) => stem,
+        _ => &given,
+    };
+    if stem.is_empty() {
+        return Err(entry.error(
             "img_name",
             "no name",
             "the name of an image",
             "name the camera",
-        )),
-        false => Ok(name),
+        ));
     }
+    Ok(stem.replace(['/', '\\'], "_"))
 }

@@ -1,113 +1,112 @@
-//! Where a COLMAP model lies in a scene folder, and what of the photos it leaves out.
+//! Where a COLMAP model lies in a scene folder, and which photos it lacks.
 
-use super::{PosedImage, binary, text};
+use super::images::{self, PosedImage};
 use crate::data::Limits;
-use crate::data::diagnostics::cautions::some_of;
-use crate::error::{Error, Result};
+use crate::data::diagnostics::notices::first_names;
+use crate::data::photos::is_photo;
+use crate::data::read::names;
+use crate::error::{Error, Result, invalid};
 use std::collections::HashSet;
 use std::path::{Component, Path, PathBuf};
 
-/// Folders of models, relative to the scene folder: of the first kind that is there; the last is nerfstudio's. With `N`
-/// the mapper writes one for each piece of the scene that it could not join to the others.
-const FOLDERS: [&str; 3] = ["sparse/N", "sparse", "colmap/sparse/N"];
-/// Files in a folder of photos that are looked at.
+/// Parents of numbered models, relative to the scene folder: the mapper writes one for each piece of the scene that it
+/// could not join to the others. The last is nerfstudio's. A model may also lie in `sparse` itself.
+const PLACES: [&str; 3] = ["sparse/N", "sparse", "colmap/sparse/N"];
+/// Most files in a folder of photos that are looked at.
 const MOST_FILES: usize = 100_000;
 
 /// The files of a model.
-pub(crate) struct SparseModel {
+pub(super) struct SparseModel {
     pub folder: PathBuf,
-    pub cameras: ModelFile,
-    pub images: ModelFile,
-    /// What is said of other models beside it.
-    pub passed_over: Option<String>,
+    pub cameras: PathBuf,
+    pub images: PathBuf,
+    /// A notice on other models beside it.
+    pub others: Option<String>,
 }
 
 impl SparseModel {
     /// The model with the most photos.
     ///
     /// # Errors
-    /// There is no model, or only a part of it; of several, one cannot be read.
+    /// There is no model, or only a part of one; one of several cannot be read.
     pub fn find(dir: &Path, limits: &Limits) -> Result<Self> {
         let folders = candidates(dir);
-        let mut found = Self::one(dir, &folders)?;
+        let first = Self::first_of(dir, &folders)?;
         if folders.len() < 2 {
-            return Ok(found);
+            return Ok(first);
         }
         let mut counts = Vec::new();
         for folder in &folders {
-            counts.push(part(&dir.join(folder), "images")?.image_count(limits)?);
+            counts.push(images::count(&part(&dir.join(folder), "images")?, limits)?);
         }
         let most = counts.iter().copied().max().unwrap_or_default();
         let chosen = counts
             .iter()
             .position(|&count| count == most)
             .unwrap_or_default();
-        let others = folders
+        let all = folders
             .iter()
             .zip(&counts)
             .enumerate()
-            .filter(|&(i, _)| i != chosen);
-        let others: Vec<String> = others
+            .filter(|(i, _)| *i != chosen);
+        let others: Vec<String> = all
             .map(|(_, (folder, count))| format!("{folder} of {count}"))
             .collect();
-        found = Self::one(dir, &folders[chosen..])?;
-        let chosen = &folders[chosen];
-        found.passed_over = Some(format!(
-            "{chosen}, a model of {most} photos, is read, and not {}: COLMAP could not join these pieces; to read another, \
-             take {chosen} out of the folder",
+        let name = &folders[chosen];
+        let notice = format!(
+            "{name}, a model of {most} photos, is read, and not {}: COLMAP could not join these pieces; to read another, \
+             move {name} out of the folder",
             others.join(", ")
-        ));
-        Ok(found)
+        );
+        let model = Self::first_of(dir, &folders[chosen..])?;
+        Ok(Self {
+            others: Some(notice),
+            ..model
+        })
     }
 
     /// Refuses a folder without a whole model.
     pub fn expect(dir: &Path) -> Result<()> {
-        Self::one(dir, &candidates(dir)).map(|_| ())
+        Self::first_of(dir, &candidates(dir)).map(|_| ())
     }
 
-    /// That of the first of `folders`.
-    fn one(dir: &Path, folders: &[String]) -> Result<Self> {
-        let Some(folder) = folders.first() else {
-            let expected =
-                "a model in sparse/0 or sparse: cameras, images and points3D as .bin or .txt";
-            let help = "run `colmap mapper`, or give another folder";
-            return Err(Error::input(dir, "sparse/0", "no model", expected, help));
-        };
+    fn first_of(dir: &Path, folders: &[String]) -> Result<Self> {
+        let folder = folders.first().ok_or_else(|| {
+            invalid!(dir, "sparse/0"; found "no model";
+                expected "a model in sparse/0 or sparse: cameras, images and points3D as .bin or .txt";
+                help "run `colmap mapper`, or give another folder")
+        })?;
         let folder = dir.join(folder);
-        let (cameras, images) = (part(&folder, "cameras")?, part(&folder, "images")?);
         Ok(Self {
+            cameras: part(&folder, "cameras")?,
+            images: part(&folder, "images")?,
             folder,
-            cameras,
-            images,
-            passed_over: None,
+            others: None,
         })
     }
 }
 
-/// The file by which a model in a scene folder is known, relative to it, if there is one.
-pub(crate) fn found(dir: &Path) -> Option<String> {
+/// The file by which a model in a scene folder is recognised, relative to it, if there is one.
+pub(crate) fn marker(dir: &Path) -> Option<String> {
     let folder = candidates(dir).into_iter().next()?;
-    let file = files(&dir.join(&folder)).into_iter().flatten().next()?;
-    Some(format!(
-        "{folder}/{}",
-        file.path().file_name()?.to_string_lossy()
-    ))
+    let file = parts(&dir.join(&folder)).into_iter().next()?;
+    Some(format!("{folder}/{}", file.file_name()?.to_string_lossy()))
 }
 
-/// Folders with a model, of the first kind in [`FOLDERS`] that has any, by their numbers. Those with a part of one only where
-/// none has a whole one.
+/// Folders with a model, at the first of [`PLACES`] that has any, by their numbers. Folders with only a part of a model
+/// count where none has a whole one.
 fn candidates(dir: &Path) -> Vec<String> {
-    for kind in FOLDERS {
-        let mut folders: Vec<String> = match kind.strip_suffix("/N") {
+    for place in PLACES {
+        let mut folders: Vec<String> = match place.strip_suffix("/N") {
             Some(parent) => numbers(&dir.join(parent))
-                .into_iter()
+                .iter()
                 .map(|n| format!("{parent}/{n}"))
                 .collect(),
-            None => vec![kind.to_owned()],
+            None => vec![place.to_owned()],
         };
-        let has = |folder: &String| files(&dir.join(folder)).into_iter().flatten().count();
-        let most = folders.iter().map(has).max().unwrap_or_default();
-        folders.retain(|folder| has(folder) == most);
+        let count = |folder: &String| parts(&dir.join(folder)).len();
+        let most = folders.iter().map(count).max().unwrap_or_default();
+        folders.retain(|folder| count(folder) == most);
         if most > 0 {
             return folders;
         }
@@ -116,124 +115,77 @@ fn candidates(dir: &Path) -> Vec<String> {
 }
 
 /// Its cameras and its images, without which there is no model.
-fn files(folder: &Path) -> [Option<ModelFile>; 2] {
-    ["cameras", "images"].map(|name| ModelFile::find(folder, name))
+fn parts(folder: &Path) -> Vec<PathBuf> {
+    ["cameras", "images"]
+        .into_iter()
+        .filter_map(|name| find(folder, name))
+        .collect()
 }
 
 /// Numbers that are folders in `dir`, in order.
 fn numbers(dir: &Path) -> Vec<u32> {
-    let entries = std::fs::read_dir(dir)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .filter(|entry| entry.path().is_dir());
-    let number = |name: String| name.parse::<u32>().ok().filter(|n| n.to_string() == name);
-    let mut numbers: Vec<u32> = entries
-        .filter_map(|e| number(e.file_name().into_string().ok()?))
-        .collect();
+    let number = |name: &str| name.parse::<u32>().ok().filter(|n| n.to_string() == name);
+    let folders = names(dir, |name, path| number(name).is_some() && path.is_dir());
+    let mut numbers: Vec<u32> = folders.iter().filter_map(|name| number(name)).collect();
     numbers.sort_unstable();
     numbers
 }
 
-/// A file of a model in either form.
-#[derive(Clone, Debug)]
-pub(crate) enum ModelFile {
-    Binary(PathBuf),
-    Text(PathBuf),
+/// `folder/name.bin`, or else `folder/name.txt`.
+pub(super) fn find(folder: &Path, name: &str) -> Option<PathBuf> {
+    let forms = ["bin", "txt"].map(|form| folder.join(format!("{name}.{form}")));
+    forms.into_iter().find(|path| path.is_file())
 }
 
-impl ModelFile {
-    /// `folder/name.bin`, or else `folder/name.txt`.
-    pub fn find(folder: &Path, name: &str) -> Option<Self> {
-        let [binary, text] = ["bin", "txt"].map(|e| folder.join(format!("{name}.{e}")));
-        match (binary.is_file(), text.is_file()) {
-            (true, _) => Some(Self::Binary(binary)),
-            (false, true) => Some(Self::Text(text)),
-            _ => None,
-        }
-    }
-
-    pub fn path(&self) -> &Path {
-        match self {
-            Self::Binary(path) | Self::Text(path) => path,
-        }
-    }
-
-    /// What it says, where it is `images`.
-    pub fn images(&self, limits: &Limits) -> Result<Vec<PosedImage>> {
-        match self {
-            Self::Binary(path) => binary::images(path, limits),
-            Self::Text(path) => text::images(path),
-        }
-    }
-
-    /// How many there are in it, where it is `images`.
-    fn image_count(&self, limits: &Limits) -> Result<u64> {
-        match self {
-            Self::Binary(path) => binary::image_count(path),
-            Self::Text(_) => Ok(self.images(limits)?.len() as u64),
-        }
-    }
+fn part(folder: &Path, name: &str) -> Result<PathBuf, Error> {
+    find(folder, name).ok_or_else(|| {
+        invalid!(folder, "{name}"; found "no such file"; expected "{name}.bin or {name}.txt";
+            help "copy the whole model: cameras, images and points3D")
+    })
 }
 
-fn part(folder: &Path, name: &str) -> Result<ModelFile> {
-    ModelFile::find(folder, name).ok_or_else(|| {
-        let expected = format!("{name}.bin or {name}.txt");
-        Error::input(
-            folder,
-            name,
-            "no such file",
-            expected,
-            "copy the whole model: cameras, images and points3D",
+/// A notice on photos in the folder `photos` that the model lacks: COLMAP leaves out photos that it cannot place.
+pub(super) fn unplaced(photos: &Path, images: &[PosedImage]) -> Option<String> {
+    let placed: HashSet<String> = images
+        .iter()
+        .map(|image| comparable(Path::new(&image.name)))
+        .collect();
+    let mut all = Vec::new();
+    list_photos(photos, Path::new(""), &mut all);
+    let missing = all
+        .iter()
+        .filter(|path| !placed.contains(&comparable(path)));
+    let mut missing: Vec<String> = missing.map(|path| path.display().to_string()).collect();
+    missing.sort_unstable();
+    // A model of other photos altogether is an error elsewhere, by the names that it has.
+    (!missing.is_empty() && missing.len() < all.len()).then(|| {
+        format!(
+            "{} of the {} photos in {} are not in the model and not used: COLMAP did not place them, or they are newer ({})",
+            missing.len(),
+            all.len(),
+            photos.display(),
+            first_names(&missing)
         )
     })
 }
 
-/// What is said of photos in the folder `photos` that `images`, the whole model, does not have: COLMAP leaves out what it cannot
-/// place.
-pub(crate) fn unplaced(photos: &Path, images: &[PosedImage]) -> Option<String> {
-    let placed: HashSet<String> = images
-        .iter()
-        .map(|image| same(Path::new(&image.name)))
-        .collect();
-    let mut all = Vec::new();
-    list_photos(photos, Path::new(""), &mut all);
-    let count = all.len();
-    let mut others: Vec<String> = all
-        .iter()
-        .filter(|path| !placed.contains(&same(path)))
-        .map(|path| path.display().to_string())
-        .collect();
-    others.sort_unstable();
-    // A model of other photos altogether is an error elsewhere, by the names that it has.
-    (!others.is_empty() && others.len() < count).then(|| {
-        let of = format!("{} of the {count} photos in {}", others.len(), photos.display());
-        let names = some_of(&others);
-        format!("{of} are not in the model that is read, and not used: COLMAP did not place them, or they are newer ({names})")
-    })
-}
-
 /// A path to compare by: some file systems do not tell cases apart.
-fn same(path: &Path) -> String {
+fn comparable(path: &Path) -> String {
     let parts = path
         .components()
         .filter(|part| matches!(part, Component::Normal(_)));
-    parts
-        .map(|part| part.as_os_str().to_string_lossy().to_lowercase())
-        .collect::<Vec<_>>()
-        .join("/")
+    parts.collect::<PathBuf>().to_string_lossy().to_lowercase()
 }
 
 /// Photos in `folder/below` and in its folders, by their paths within `folder`.
 fn list_photos(folder: &Path, below: &Path, out: &mut Vec<PathBuf>) {
-    for entry in std::fs::read_dir(folder.join(below))
+    let entries = std::fs::read_dir(folder.join(below))
         .into_iter()
         .flatten()
-        .flatten()
-        .take(MOST_FILES)
-    {
+        .flatten();
+    for entry in entries.take(MOST_FILES) {
         let name = entry.file_name();
-        // What systems put beside photos: previews, halves of files.
+        // Systems put previews and halves of files beside photos.
         if out.len() >= MOST_FILES || name.to_string_lossy().starts_with(['.', '@']) {
             continue;
         }
@@ -245,14 +197,4 @@ fn list_photos(folder: &Path, below: &Path, out: &mut Vec<PathBuf>) {
             _ => {}
         }
     }
-}
-
-fn is_photo(path: &Path) -> bool {
-    let extension = path
-        .extension()
-        .and_then(|e| e.to_str())
-        .unwrap_or_default();
-    ["png", "jpg", "jpeg"]
-        .iter()
-        .any(|known| extension.eq_ignore_ascii_case(known))
 }

@@ -2,31 +2,30 @@
 //! fields of this crate: per frame `split`, `label_path`, `raw_label_path`, `instance_path`; per folder `classes.json`.
 //! `mask_path` is nerfstudio's.
 
-mod beside;
+mod named_folder;
 pub(crate) mod not_finite;
 mod schema;
 mod sources;
 mod splits;
 mod write;
 
-pub(crate) use self::sources::found;
+pub(crate) use self::sources::marker;
 pub use self::write::write_cameras;
 pub use crate::data::NamedCamera;
 pub use crate::data::options::LoadOptions;
 
 use super::frame::Frame;
-use super::listing::{Cloud, Listing, Problems, read_classes};
+use super::listing::{Cloud, Listing, Problems};
 use crate::config::Layout;
-use crate::data::labels::map_geometry::MapGeometries;
 use crate::data::labels::mask_file::Masks;
-use crate::data::labels::raw;
-use crate::data::labels::raw::RawLabels;
+use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::photos::lens::Lens;
+use crate::data::read::names;
 use crate::data::{Limits, Scene, Split};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::splat::camera::Camera;
-use beside::Beside;
+use named_folder::NamedFolder;
 use rayon::prelude::*;
 use sources::{Kept, Source, Sources};
 use std::path::{Path, PathBuf};
@@ -37,176 +36,188 @@ const CLOUDS: [&str; 3] = ["points.ply", "sparse_pc.ply", "points3D.ply"];
 /// Loads the scene in folder `dir` from its `transforms.json`, whatever else lies there.
 ///
 /// As [`crate::data::load`]; `up` is +z when the file's `convention` says `world z up`, else that of its cameras
-/// ([`crate::splat::camera::level_up`]). `split` of the frames is `train`, `test` or `val` (also `validation`, `eval`), or nerfstudio's lists
-/// (`train_filenames`, ..) say it: validation frames are held out where there are no test frames, else left out. Without
-/// a split in the file every 8th frame from the first on is test. Blender's files, one for each split, are read
-/// together. `ply_file_path` names the initial cloud, without which [`Scene::points`] is empty. Frames may lack labels;
-/// where they have some, `classes.json` must be there.
+/// ([`crate::splat::camera::level_up`]). `split` of the frames is `train`, `test` or `val` (also `validation`, `eval`), or
+/// nerfstudio's lists (`train_filenames`, ..) give it: validation frames are held out where there are no test frames, else
+/// left out. Without a split in the file every 8th frame from the first on is test. Blender's files, one for each split,
+/// are read together. `ply_file_path` names the initial cloud, without which [`Scene::points`] is empty. Frames may lack
+/// labels; where they have some, `classes.json` must be there.
 ///
 /// # Errors
 /// As [`crate::data::load`].
 pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
-    crate::data::load(
-        dir,
-        &LoadOptions {
-            layout: Layout::Transforms,
-            ..options.clone()
-        },
-    )
+    let options = LoadOptions {
+        layout: Layout::Transforms,
+        ..options.clone()
+    };
+    crate::data::load(dir, &options)
 }
 
 /// Refuses a folder without the file.
 pub(crate) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
-    if found(dir, options).is_some() {
+    if marker(dir, options).is_some() {
         return Ok(());
     }
+    let others = alternatives(dir);
     let expected = "cameras and frames as nerfstudio and instant-ngp write them (README, 'Data')";
-    let (found, help) = match alternatives(dir) {
-        others if others.is_empty() => (
-            "no such file".to_owned(),
-            "give another folder, or name another layout with data.layout".to_owned(),
-        ),
-        others => (
-            format!("no such file, but {}", others.join(", ")),
-            format!("name one with --set data.transforms={}", others[0]),
-        ),
-    };
-    Err(Error::input(
-        dir,
-        &options.transforms,
-        found,
-        expected,
-        help,
-    ))
+    let file = &options.transforms;
+    Err(match others.first() {
+        None => invalid!(dir, "{file}"; found "no such file"; expected "{expected}";
+            help "give another folder, or name another layout with data.layout"),
+        Some(first) => invalid!(dir, "{file}"; found "no such file, but {}", others.join(", ");
+            expected "{expected}"; help "name one with --set data.transforms={first}"),
+    })
 }
 
-/// What the folder says.
+/// Files of `dir` that may be meant.
+pub(crate) fn alternatives(dir: &Path) -> Vec<String> {
+    let mut names = names(dir, |name, _| {
+        name.starts_with("transforms") && name.ends_with(".json")
+    });
+    // Blender's scenes have a file for each split: the one to train on comes first.
+    names.sort_by_key(|name| !name.contains("train"));
+    names.truncate(4);
+    names
+}
+
+/// Lists the frames of the folder.
 pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
+    let limits = &options.limits;
     let sources = Sources::read(dir, options, problems)?;
     let kept = sources.pick(options, problems);
-    let masks = Masks::of(dir, options, Layout::Transforms, problems);
-    let masks_beside = match &masks {
-        Masks::In(folder) => Some(Beside::new(folder.clone(), &sources, |frame| {
-            frame.mask_path.as_ref()
-        })),
-        Masks::OfFrames | Masks::Off => None,
-    };
-    let raw_beside = options.raw_labels.as_ref().map(|folder| {
-        let folder = dir.join(folder);
-        Beside::new(folder, &sources, |frame| frame.raw_label_path.as_ref())
-    });
-    let limits = &options.limits;
-    let what = format!("{}: frames", sources.file.display());
-    Limits::check(
-        what,
-        kept.len() as u64,
-        limits.views as u64,
-        "thin out with data.stride or data.max_frames",
-    )?;
-
-    let mut found = Vec::new();
+    limits.check_views(&sources.file, kept.len())?;
+    let files = LabelFiles::new(dir, options, &sources, problems);
+    let mut photos = Vec::new();
     let look = |kept: &Kept| photo(dir, &sources.files[kept.source], kept.index, limits);
-    kept.par_iter().map(look).collect_into_vec(&mut found);
+    kept.par_iter().map(look).collect_into_vec(&mut photos);
     let mut frames = Vec::with_capacity(kept.len());
-    for (
-        Kept {
-            source,
-            index: i,
-            split,
-            name,
-        },
-        (image, mut faults, size),
-    ) in kept.into_iter().zip(found)
-    {
-        // Of a repeated frame nothing else is told.
-        let Some(name) = name else { continue };
-        let Source {
-            path, transforms, ..
-        } = &sources.files[source];
-        let present = faults.is_empty();
-        let camera = size.map(|size| match transforms.camera(path, i, size) {
-            Ok((camera, lens)) => (camera, lens, true),
-            Err(fault) => {
-                faults.push(fault);
-                (Camera::unposed(size), Lens::default(), false)
-            }
-        });
-        faults.into_iter().for_each(|fault| problems.push(fault));
-        let Some((camera, lens, posed)) = camera else {
-            continue;
-        };
-        let frame = &transforms.frames[i];
-        let said = |path: &Option<String>| path.as_ref().map(|path| dir.join(path));
-        let (truth, instances) = (said(&frame.label_path), said(&frame.instance_path));
-        let raw = match &raw_beside {
-            Some(beside) => Some(beside.file_or_masks(frame, &name)),
-            None => said(&frame.raw_label_path),
-        };
-        let mask = match (&masks_beside, &masks) {
-            (Some(beside), _) => beside.file_of(frame, &name),
-            (None, Masks::OfFrames) => said(&frame.mask_path),
-            (None, _) => None,
-        };
-        let scales = false;
-        frames.push(Frame {
-            name,
-            split,
-            image,
-            present,
-            camera,
-            posed,
-            lens,
-            scales,
-            mask,
-            truth,
-            raw,
-            instances,
-        });
+    for (kept, photo) in kept.into_iter().zip(photos) {
+        // Nothing else is reported of a repeated frame.
+        if let Some(name) = kept.name {
+            let source = &sources.files[kept.source];
+            let frame = frame(source, kept.index, kept.split, name, photo, problems);
+            frames
+                .extend(frame.map(|frame| files.add(frame, &source.transforms.frames[kept.index])));
+        }
     }
     let Sources {
         file,
         files,
         mut notices,
     } = sources;
-    let cloud = files
+    let named_cloud = files
         .iter()
         .find_map(|source| source.transforms.ply_file_path.as_ref());
-    if cloud.is_none()
-        && let Some(cloud) = CLOUDS.into_iter().find(|name| dir.join(name).is_file())
-    {
+    let unnamed = CLOUDS.into_iter().find(|name| dir.join(name).is_file());
+    if let (None, Some(cloud)) = (named_cloud, unnamed) {
         let file = files[0]
             .path
             .file_name()
             .unwrap_or_default()
             .to_string_lossy();
-        let told = format!("{cloud} is not read: {file} does not name it");
         notices.push(format!(
-            "{told}; add \"ply_file_path\": \"{cloud}\" where it is the initial cloud"
+            "{cloud} is not read: {file} does not name it; add \"ply_file_path\": \"{cloud}\" if it is the initial cloud"
         ));
     }
-    let labelled = raw::need_table(dir, options, &frames);
-    let classes = problems
-        .keep(read_classes(dir, labelled))
-        .unwrap_or_default();
     Ok(Listing {
-        layout: Layout::Transforms,
         z_up: files.iter().all(|source| source.transforms.z_up()),
-        cloud: cloud.map_or(Cloud::None, |file| Cloud::Ply(dir.join(file))),
-        file,
-        frames,
-        classes,
-        occurring_classes: false,
-        truth_ids: None,
-        raw: RawLabels::grey(),
-        geometries: MapGeometries::default(),
-        resample_labels: false,
+        cloud: named_cloud.map_or(Cloud::None, |file| Cloud::Ply(dir.join(file))),
         notices,
+        ..Listing::new(
+            dir,
+            options,
+            Layout::Transforms,
+            file,
+            frames,
+            None,
+            problems,
+        )
+    })
+}
+
+/// Where the label maps and masks of frames lie.
+struct LabelFiles<'a> {
+    dir: &'a Path,
+    masks: Masks,
+    mask_folder: Option<NamedFolder>,
+    raw_folder: Option<NamedFolder>,
+}
+
+impl<'a> LabelFiles<'a> {
+    fn new(
+        dir: &'a Path,
+        options: &LoadOptions,
+        sources: &Sources,
+        problems: &mut Problems,
+    ) -> Self {
+        let masks = Masks::new(dir, options, Layout::Transforms, problems);
+        let mask_folder = match &masks {
+            Masks::In(folder) => Some(NamedFolder::new(folder.clone(), sources, |f| {
+                f.mask_path.as_ref()
+            })),
+            Masks::OfFrames | Masks::Off => None,
+        };
+        let raw_folder = options.raw_labels.as_ref().map(|folder| dir.join(folder));
+        let raw_folder = raw_folder
+            .map(|folder| NamedFolder::new(folder, sources, |f| f.raw_label_path.as_ref()));
+        Self {
+            dir,
+            masks,
+            mask_folder,
+            raw_folder,
+        }
+    }
+
+    /// `frame` with the files of `fields`, which are its entry in the file.
+    fn add(&self, frame: Frame, fields: &schema::Frame) -> Frame {
+        let given = |path: &Option<String>| path.as_ref().map(|path| self.dir.join(path));
+        let mask = match (&self.mask_folder, &self.masks) {
+            (Some(folder), _) => folder.file(fields, &frame.name),
+            (None, Masks::OfFrames) => given(&fields.mask_path),
+            (None, _) => None,
+        };
+        let raw = match &self.raw_folder {
+            Some(folder) => Some(folder.file_or_masks(fields, &frame.name)),
+            None => given(&fields.raw_label_path),
+        };
+        Frame {
+            mask,
+            truth: given(&fields.label_path),
+            raw,
+            instances: given(&fields.instance_path),
+            ..frame
+        }
+    }
+}
+
+/// A frame without labels. It is left out where not even the size of its photo is known.
+fn frame(
+    source: &Source,
+    index: usize,
+    split: Split,
+    name: String,
+    photo: FoundPhoto,
+    problems: &mut Problems,
+) -> Option<Frame> {
+    let present = photo.faults.is_empty();
+    photo
+        .faults
+        .into_iter()
+        .for_each(|fault| problems.push(fault));
+    let size = photo.size?;
+    let camera = problems.keep(source.transforms.camera(&source.path, index, size));
+    let posed = camera.is_some();
+    let (camera, lens) = camera.unwrap_or_else(|| (Camera::unposed(size), Lens::default()));
+    Some(Frame {
+        present,
+        posed,
+        lens,
+        ..Frame::new(name, split, photo.path, camera)
     })
 }
 
 /// The cameras of a `transforms.json`, in file order, without looking at images: each frame or the file must say `w`
-/// and `h`. Lens distortion is taken out as [`crate::data::load`] takes it out of photos. Positions are world units; subtract
-/// a scene's origin before rendering it. `split` keeps only those frames.
+/// and `h`. Lens distortion is taken out as [`crate::data::load`] takes it out of photos. Positions are world units;
+/// subtract a scene's origin before rendering. `split` keeps only those frames.
 ///
 /// # Errors
 /// As [`load`]; also when no frame is left.
@@ -214,133 +225,92 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
     let mut problems = Problems::default();
     let sources = Sources::of_file(path, &mut problems)?;
     let kept = sources.pick(&LoadOptions::default(), &mut problems);
-    problems.none()?;
+    problems.first()?;
     let transforms = &sources.files[0].transforms;
     let mut cameras = Vec::new();
     for Kept {
-        index: i,
-        split: s,
+        index,
+        split: of,
         name,
         ..
     } in kept
     {
-        let Some(name) = name.filter(|_| split.is_none_or(|wanted| wanted == s)) else {
+        let Some(name) = name.filter(|_| split.is_none_or(|split| split == of)) else {
             continue;
         };
-        let Some(size) = transforms.declared_size(path, i)? else {
-            let field = format!("{}.w", transforms.field(i));
-            return Err(Error::input(
-                path,
-                field,
-                "no image size",
-                "w and h in pixels",
-                "add w and h",
-            ));
-        };
-        let pixels = (size.0 as u64).saturating_mul(size.1 as u64);
-        Limits::check(
-            format!("{}: pixels", path.display()),
-            pixels,
-            Limits::default().image_pixels,
-            "lower w and h",
-        )?;
-        let (camera, lens) = transforms.camera(path, i, size)?;
-        let image = PathBuf::from(&transforms.frames[i].file_path);
-        let (mask, truth, raw, instances) = (None, None, None, None);
-        let (present, posed, scales) = (true, true, false);
+        let size = transforms.declared_size(path, index)?.ok_or_else(|| {
+            invalid!(path, "{}.w", transforms.field(index); found "no image size"; expected "w and h in pixels";
+                help "add w and h")
+        })?;
+        Limits::default().check_pixels(path, size.0, size.1)?;
+        let (camera, lens) = transforms.camera(path, index, size)?;
+        let image = PathBuf::from(&transforms.frames[index].file_path);
         let frame = Frame {
-            name,
-            split: s,
-            image,
-            present,
-            camera,
-            posed,
             lens,
-            scales,
-            mask,
-            truth,
-            raw,
-            instances,
+            ..Frame::new(name, of, image, camera)
         };
+        let camera = frame.own_geometry()?.camera;
         cameras.push(NamedCamera {
-            camera: frame.geometry(size)?.camera,
             name: frame.name,
-            split: s,
+            split: of,
+            camera,
         });
     }
     if cameras.is_empty() {
-        let found = format!("no frame of split {split:?}");
-        return Err(Error::input(
-            path,
-            "frames",
-            found,
-            "at least one",
-            "choose the other split or all",
-        ));
+        return Err(
+            invalid!(path, "frames"; found "no frame of split {split:?}"; expected "at least one";
+            help "choose the other split or all"),
+        );
     }
     Ok(cameras)
 }
 
-/// Image path of a frame, what is wrong with the image, and its size, which is the image's own where the file leaves it
-/// out.
-fn photo(
-    dir: &Path,
-    Source {
-        path, transforms, ..
-    }: &Source,
-    i: usize,
-    limits: &Limits,
-) -> (PathBuf, Vec<Error>, Option<(usize, usize)>) {
-    let mut faults = Vec::new();
-    let image = image_path(dir, &transforms.frames[i].file_path);
-    if !image.is_file() {
-        let field = format!("{}.file_path", transforms.field(i));
-        let help = "put the image there or drop the frame";
-        faults.push(Error::input(
-            path,
-            field,
-            format!("no file {}", image.display()),
-            "an image",
-            help,
-        ));
-    }
-    let declared = transforms
-        .declared_size(path, i)
-        .map_err(|fault| faults.push(fault))
-        .ok()
-        .flatten();
-    let size = match declared {
-        None if faults.is_empty() => ImageFile::open(&image, limits)
-            .map(|file| file.size)
-            .map_err(|e| faults.push(e))
-            .ok(),
-        declared => declared,
-    };
-    (image, faults, size)
+/// What is known of a frame's photo.
+struct FoundPhoto {
+    path: PathBuf,
+    faults: Vec<Error>,
+    /// The size that the file gives, else the image's own.
+    size: Option<(usize, usize)>,
 }
 
-/// Blender-made files leave the extension out.
+fn photo(dir: &Path, source: &Source, i: usize, limits: &Limits) -> FoundPhoto {
+    let Source {
+        path: file,
+        transforms,
+        ..
+    } = source;
+    let path = image_path(dir, &transforms.frames[i].file_path);
+    let mut problems = Problems::default();
+    let is_there = path.is_file();
+    if !is_there {
+        problems.push(
+            invalid!(file, "{}.file_path", transforms.field(i); found "no file {}", path.display();
+            expected "an image"; help "put the image there or drop the frame"),
+        );
+    }
+    let size = match problems.keep(transforms.declared_size(file, i)) {
+        Some(None) if is_there => problems
+            .keep(ImageFile::open(&path, limits))
+            .map(|image| image.size),
+        declared => declared.flatten(),
+    };
+    FoundPhoto {
+        path,
+        faults: problems.all(),
+        size,
+    }
+}
+
+/// The image of a frame; files made by Blender leave the extension out.
 fn image_path(dir: &Path, file: &str) -> PathBuf {
     let path = dir.join(file);
     if path.extension().is_some() || path.is_file() {
         return path;
     }
-    ["png", "jpg", "jpeg"]
-        .map(|e| path.with_extension(e))
+    let mut paths = EXTENSIONS
         .into_iter()
-        .find(|p| p.is_file())
+        .map(|extension| path.with_extension(extension));
+    paths
+        .find(|path| path.is_file())
         .unwrap_or_else(|| path.with_extension("png"))
-}
-
-/// Files of `dir` that may be meant, by name.
-pub(crate) fn alternatives(dir: &Path) -> Vec<String> {
-    let names = std::fs::read_dir(dir).into_iter().flatten().flatten();
-    let names = names.filter_map(|entry| entry.file_name().into_string().ok());
-    let mut names: Vec<String> = names
-        .filter(|n| n.starts_with("transforms") && n.ends_with(".json"))
-        .collect();
-    // Blender's scenes have a file for each split: the first to be named is the one to train on.
-    names.sort_unstable_by(|a, b| (!a.contains("train"), a).cmp(&(!b.contains("train"), b)));
-    names.truncate(4);
-    names
 }

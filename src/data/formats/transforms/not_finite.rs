@@ -1,23 +1,20 @@
-//! JSON as Python writes it when a number is none: `NaN` and `Infinity`, which no JSON parser takes.
+//! JSON as Python writes it for numbers that are not finite: `NaN` and `Infinity`, which no JSON parser takes.
 
-/// A token that is no JSON.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// A word that is no JSON.
 pub(crate) struct Token {
     /// Line in the file, from 1.
     pub line: usize,
-    /// As it stands there.
     pub text: &'static str,
 }
 
 /// `text` with each `NaN` and `Infinity` outside of strings replaced by `null`, and what was replaced, in order.
-pub(crate) fn blanked(text: &str) -> (String, Vec<Token>) {
-    let (mut out, mut tokens) = (String::with_capacity(text.len()), Vec::new());
+pub(crate) fn nulled(text: &str) -> (String, Vec<Token>) {
+    let mut out = String::with_capacity(text.len());
+    let mut tokens = Vec::new();
     let (mut rest, mut line, mut quoted) = (text, 1, false);
     while let Some(c) = rest.chars().next() {
-        let token = ["NaN", "-Infinity", "Infinity"]
-            .into_iter()
-            .find(|t| !quoted && rest.starts_with(t));
-        if let Some(text) = token {
+        let mut words = ["NaN", "-Infinity", "Infinity"].into_iter();
+        if let Some(text) = words.find(|word| !quoted && rest.starts_with(word)) {
             tokens.push(Token { line, text });
             out.push_str("null");
             rest = &rest[text.len()..];
@@ -43,7 +40,7 @@ mod tests {
 
     #[test]
     fn strings_stay_as_they_are() {
-        let (out, tokens) = blanked("{\"NaN\\\"NaN\": [1,\n NaN, -Infinity], \"b\": Infinity}");
+        let (out, tokens) = nulled("{\"NaN\\\"NaN\": [1,\n NaN, -Infinity], \"b\": Infinity}");
         assert_eq!(out, "{\"NaN\\\"NaN\": [1,\n null, null], \"b\": null}");
         let found: Vec<_> = tokens.iter().map(|t| (t.line, t.text)).collect();
         assert_eq!(found, [(2, "NaN"), (2, "-Infinity"), (2, "Infinity")]);

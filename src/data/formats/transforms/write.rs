@@ -2,7 +2,6 @@
 
 use crate::data::{NamedCamera, Split, atomic};
 use crate::error::Result;
-use glam::DMat4;
 use serde::Serialize;
 use std::io::Write;
 use std::path::Path;
@@ -16,7 +15,7 @@ struct File<'a> {
 #[derive(Serialize)]
 struct FrameOut {
     file_path: String,
-    split: &'static str,
+    split: Split,
     w: usize,
     h: usize,
     fl_x: f64,
@@ -33,25 +32,18 @@ struct FrameOut {
 /// # Errors
 /// [`crate::Error::Io`].
 pub fn write_cameras(path: &Path, cameras: &[NamedCamera]) -> Result<()> {
-    let frame = |NamedCamera {
-                     name,
-                     split,
-                     camera,
-                 }: &NamedCamera| {
-        let rows: DMat4 = camera.to_opengl().transpose();
+    let frame = |named: &NamedCamera| {
+        let camera = &named.camera;
         FrameOut {
-            file_path: format!("{}.png", name.replace(['/', '\\'], "_")),
-            split: match split {
-                Split::Train => "train",
-                Split::Test => "test",
-            },
+            file_path: format!("{}.png", named.name.replace(['/', '\\'], "_")),
+            split: named.split,
             w: camera.width,
             h: camera.height,
             fl_x: camera.fx,
             fl_y: camera.fy,
             cx: camera.cx,
             cy: camera.cy,
-            transform_matrix: rows.to_cols_array_2d(),
+            transform_matrix: camera.to_opengl().transpose().to_cols_array_2d(),
         }
     };
     let file = File {

@@ -5,11 +5,13 @@
 
 use super::{RawMap, Vocabulary};
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{Classes, LabelMap, Segment};
-use crate::error::{Error, Result};
-use serde::Deserialize;
-use std::collections::HashMap;
+use crate::data::{Classes, LabelMap, Segment, limits, read};
+use crate::error::{Error, Result, invalid};
+use serde::{Deserialize, Deserializer};
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
+
+const EXPORT_TOGETHER: &str = "export JSON and maps together";
 
 /// The file. Unknown keys are ignored.
 #[derive(Deserialize)]
@@ -28,50 +30,46 @@ struct Annotation {
 struct SegmentInfo {
     id: u32,
     category_id: u32,
-    isthing: Option<Flag>,
+    #[serde(default, deserialize_with = "flag")]
+    isthing: Option<bool>,
 }
 
 #[derive(Deserialize)]
 struct Category {
     id: u32,
     name: String,
-    isthing: Option<Flag>,
+    #[serde(default, deserialize_with = "flag")]
+    isthing: Option<bool>,
 }
 
 /// COCO writes 0 and 1, Detectron2 false and true.
-#[derive(Clone, Copy, Deserialize)]
-#[serde(untagged)]
-enum Flag {
-    Bool(bool),
-    Number(u8),
-}
-
-impl Flag {
-    fn is_set(self) -> bool {
-        match self {
-            Self::Bool(set) => set,
-            Self::Number(number) => number != 0,
-        }
+fn flag<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<bool>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Flag {
+        Bool(bool),
+        Number(u8),
     }
+    let flag = Option::<Flag>::deserialize(deserializer)?;
+    Ok(flag.map(|flag| match flag {
+        Flag::Bool(set) => set,
+        Flag::Number(number) => number != 0,
+    }))
 }
 
-/// A segment of a photo.
-struct Listed {
-    id: u32,
-    class: Option<u16>,
-    thing: bool,
-}
+/// The segments of a map by their ids: class, and whether it is a thing.
+type Segments = BTreeMap<u32, (Option<u16>, bool)>;
 
 /// What the JSON file says.
-pub(crate) struct Panoptic {
+pub(super) struct Panoptic {
     path: PathBuf,
     /// Segments of each map by its file stem.
-    maps: HashMap<String, Vec<Listed>>,
-    vocabulary: Vocabulary,
+    maps: HashMap<String, Segments>,
+    pub vocabulary: Vocabulary,
 }
 
 /// The JSON file of a folder of maps: beside it with its name, or within it.
-pub(crate) fn find(folder: &Path) -> Option<PathBuf> {
+pub(super) fn find(folder: &Path) -> Option<PathBuf> {
     places(folder).into_iter().find(|path| path.is_file())
 }
 
@@ -83,114 +81,82 @@ fn places(folder: &Path) -> [PathBuf; 3] {
     ]
 }
 
+fn stem(path: &Path) -> String {
+    path.file_stem()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned()
+}
+
 impl Panoptic {
     /// Reads the JSON file of the maps in `folder`, for a scene with the class table `classes`.
     pub fn read(folder: &Path, classes: &Classes) -> Result<Self> {
-        let again = "export the panoptic JSON again";
-        let Some(path) = find(folder) else {
+        let path = find(folder).ok_or_else(|| {
             let [beside, within, other] = places(folder).map(|path| path.display().to_string());
-            let expected = format!("{beside}, {within} or {other}");
-            return Err(Error::input(
-                folder,
-                "panoptic JSON",
-                "no such file",
-                expected,
-                "put it there",
-            ));
-        };
-        let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
-        let file: File = serde_json::from_str(&text).map_err(|e| {
-            let expected = "{\"annotations\": [{\"file_name\", \"segments_info\": [{\"id\", \"category_id\"}, ..]}, ..], \
-                            \"categories\": [{\"id\", \"name\", \"isthing\"}, ..]}";
-            Error::input(&path, format!("line {}", e.line()), e.to_string(), expected, again)
+            invalid!(folder, "panoptic JSON"; found "no such file"; expected "{beside}, {within} or {other}";
+                help "put it there")
         })?;
+        let expected = "{\"annotations\": [{\"file_name\", \"segments_info\": [{\"id\", \"category_id\"}, ..]}, ..], \
+            \"categories\": [{\"id\", \"name\", \"isthing\"}, ..]}";
+        let file: File = read::json(&path, expected)?;
+        let error = |field: &str, found: String, expected: &str| invalid!(&path, "{field}"; found "{found}"; expected "{expected}"; help "export the panoptic JSON again");
+        // Id 0 is unlabelled in a class table: where the file has a class 0, all ids move up by one.
+        let shift = u32::from(file.categories.iter().any(|category| category.id == 0));
         let mut names = Vec::with_capacity(file.categories.len());
-        let mut places = HashMap::new();
+        let mut indices = HashMap::new();
         for (i, category) in file.categories.iter().enumerate() {
             let field = format!("categories[{i}].id");
-            // Id 0 is unlabelled in a class table of ours: where the file has a class 0, all ids move up by one.
-            let id = category
-                .id
-                .saturating_add(u32::from(file.categories.iter().any(|c| c.id == 0)));
-            let Ok(own) = u16::try_from(id) else {
-                return Err(Error::input(
-                    &path,
-                    field,
-                    category.id.to_string(),
-                    "0 to 65534",
-                    "renumber the categories",
-                ));
-            };
-            if places.insert(category.id, i).is_some() {
-                return Err(Error::input(
-                    &path,
-                    field,
+            let own = u16::try_from(category.id.saturating_add(shift));
+            let own = own.map_err(|_| error(&field, category.id.to_string(), "0 to 65534"))?;
+            if indices.insert(category.id, i).is_some() {
+                return Err(error(
+                    &field,
                     format!("{} twice", category.id),
                     "each id once",
-                    again,
                 ));
             }
             names.push((own, category.name.as_str()));
         }
         if names.is_empty() {
-            return Err(Error::input(
-                &path,
+            return Err(error(
                 "categories",
-                "none",
+                "none".into(),
                 "the classes of the segments",
-                again,
             ));
         }
         let vocabulary = Vocabulary::new(&path, classes, &names)?;
         let mut maps = HashMap::new();
         for (i, annotation) in file.annotations.iter().enumerate() {
             let field = format!("annotations[{i}] ({})", annotation.file_name);
-            let mut listed = Vec::with_capacity(annotation.segments_info.len());
+            let mut segments = Segments::new();
             for (j, info) in annotation.segments_info.iter().enumerate() {
-                let Some(&category) = places.get(&info.category_id) else {
+                let index = *indices.get(&info.category_id).ok_or_else(|| {
                     let field = format!("{field}.segments_info[{j}].category_id");
                     let expected = format!("one of the {} ids of categories", names.len());
-                    return Err(Error::input(
-                        &path,
-                        field,
-                        info.category_id.to_string(),
-                        expected,
-                        again,
-                    ));
-                };
-                let thing = file.categories[category]
+                    error(&field, info.category_id.to_string(), &expected)
+                })?;
+                let thing = file.categories[index]
                     .isthing
                     .or(info.isthing)
-                    .is_none_or(Flag::is_set);
-                listed.push(Listed {
-                    id: info.id,
-                    class: vocabulary.ids[category],
-                    thing,
-                });
+                    .unwrap_or(true);
+                let segment = (vocabulary.ids[index], thing);
+                if segments.insert(info.id, segment).is_some() {
+                    let field = format!("{field}.segments_info");
+                    return Err(error(
+                        &field,
+                        format!("id {} twice", info.id),
+                        "each id once",
+                    ));
+                }
             }
-            listed.sort_by_key(|segment| segment.id);
-            if let Some(pair) = listed.windows(2).find(|pair| pair[0].id == pair[1].id) {
-                let field = format!("{field}.segments_info");
-                return Err(Error::input(
-                    &path,
-                    field,
-                    format!("id {} twice", pair[0].id),
-                    "each id once",
-                    again,
-                ));
-            }
-            let stem = Path::new(&annotation.file_name)
-                .file_stem()
-                .unwrap_or_default()
-                .to_string_lossy()
-                .into_owned();
-            if maps.insert(stem, listed).is_some() {
-                return Err(Error::input(
-                    &path,
-                    field,
-                    "a second annotation of this file",
-                    "one a file",
-                    again,
+            if maps
+                .insert(stem(Path::new(&annotation.file_name)), segments)
+                .is_some()
+            {
+                return Err(error(
+                    &field,
+                    "a second annotation of this file".into(),
+                    "one for each file",
                 ));
             }
         }
@@ -201,106 +167,62 @@ impl Panoptic {
         })
     }
 
-    pub fn vocabulary(&self) -> &Vocabulary {
-        &self.vocabulary
-    }
-
     /// The segments of a map, numbered from 1 on in the order of their ids. Those whose class the scene does not have
     /// are unlabelled.
     pub fn decode(&self, path: &Path, file: &ImageFile) -> Result<RawMap> {
         if !matches!(file.png_color(), Some((8, 2 | 6))) {
-            let expected =
-                "an RGB PNG of 8 bits whose colours are segment ids, R + 256 G + 65536 B";
-            let help = "export it with panopticapi's id2rgb, or set data.raw_format";
-            return Err(Error::input(
-                path,
-                "pixel format",
-                "another kind of file",
-                expected,
-                help,
-            ));
+            return Err(invalid!(path, "pixel format"; found "another kind of file";
+                expected "an RGB PNG of 8 bits whose colours are segment ids, R + 256 G + 65536 B";
+                help "export it with panopticapi's id2rgb, or set data.raw_format"));
         }
-        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-        let Some(listed) = self.maps.get(&*stem) else {
-            let found = format!(
-                "{} annotations, none for {}",
-                self.maps.len(),
-                path.display()
-            );
-            let help = "export JSON and maps together";
-            return Err(Error::input(
-                &self.path,
-                "annotations",
-                found,
-                "one for each map",
-                help,
-            ));
-        };
-        if listed.len() >= usize::from(u16::MAX) {
-            return Err(Error::Limit {
-                what: format!("{}: segments of {stem}", self.path.display()),
-                found: listed.len().to_string(),
-                limit: (u16::MAX - 1).to_string(),
-                help: "leave small segments out".into(),
-            });
+        let listed = self.maps.get(&stem(path)).ok_or_else(|| {
+            invalid!(&self.path, "annotations"; found "{} annotations, none for {}", self.maps.len(), path.display();
+                expected "one for each map"; help "{EXPORT_TOGETHER}")
+        })?;
+        let what = format!("segments of {}", stem(path));
+        let most = u64::from(u16::MAX) - 1;
+        limits::check(
+            &self.path,
+            &what,
+            listed.len() as u64,
+            most,
+            "leave small segments out",
+        )?;
+        let mut numbers = HashMap::from([(0, 0)]);
+        let mut segments = Vec::new();
+        for ((&id, &(class, thing)), number) in listed.iter().zip(1..) {
+            numbers.insert(id, if class.is_some() { number } else { 0 });
+            segments.extend(class.map(|_| Segment {
+                id: number,
+                class,
+                thing,
+            }));
         }
+        // 0 is unlabelled, whatever is listed.
+        numbers.insert(0, 0);
         let image = file.decode()?.into_rgb8();
         let (width, height) = file.size;
         let mut ids = Vec::with_capacity(width * height);
         // Neighbours are mostly of one segment.
-        let (mut last, mut last_id) = (0, 0);
+        let (mut last, mut last_number) = (0, 0);
         for (i, pixel) in image.pixels().enumerate() {
             let [r, g, b] = pixel.0.map(u32::from);
             let id = r + 256 * g + 65_536 * b;
             if id != last {
-                (last, last_id) = (id, self.place(listed, id, path, (i % width, i / width))?);
+                last = id;
+                last_number = *numbers
+                    .get(&id)
+                    .ok_or_else(|| self.unknown(id, listed, path, (i % width, i / width)))?;
             }
-            ids.push(last_id);
+            ids.push(last_number);
         }
-        let segment = |(listed, id): (&Listed, u16)| {
-            listed.class.map(|class| Segment {
-                id,
-                class: Some(class),
-                thing: listed.thing,
-            })
-        };
-        let segments = listed.iter().zip(1..).filter_map(segment).collect();
-        Ok(RawMap {
-            map: LabelMap { width, height, ids },
-            segments,
-        })
+        let map = LabelMap { width, height, ids };
+        Ok(RawMap { map, segments })
     }
 
-    /// Number of the segment with this id, 0 for none.
-    fn place(
-        &self,
-        listed: &[Listed],
-        id: u32,
-        path: &Path,
-        (x, y): (usize, usize),
-    ) -> Result<u16> {
-        if id == 0 {
-            return Ok(0);
-        }
-        match listed.binary_search_by_key(&id, |segment| segment.id) {
-            Ok(i) if listed[i].class.is_none() => Ok(0),
-            Ok(i) => Ok(i as u16 + 1),
-            Err(_) => {
-                let found = format!("segment id {id}");
-                let expected = format!(
-                    "one of the {} segments that {} lists",
-                    listed.len(),
-                    self.path.display()
-                );
-                let help = "export JSON and maps together";
-                Err(Error::input(
-                    path,
-                    format!("pixel x {x}, y {y}"),
-                    found,
-                    expected,
-                    help,
-                ))
-            }
-        }
+    /// The error for a segment that is not listed.
+    fn unknown(&self, id: u32, listed: &Segments, path: &Path, (x, y): (usize, usize)) -> Error {
+        invalid!(path, "pixel x {x}, y {y}"; found "segment id {id}";
+            expected "one of the {} segments that {} lists", listed.len(), self.path.display(); help "{EXPORT_TOGETHER}")
     }
 }

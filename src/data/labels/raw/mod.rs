@@ -1,22 +1,23 @@
 //! Raw labels as segmenters write them: which of the formats a folder has, and what its maps say.
 
 mod ade20k;
-mod ade20k_table;
 mod coco;
 mod masks;
 
+use super::frame_labels::expect_file;
 use crate::config::{Association, RawFormat};
 use crate::data::formats::frame::Frame;
+use crate::data::formats::listing::Listing;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Limits, LoadOptions, Segment};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use std::path::{Path, PathBuf};
 
-/// What mends unknown ids that are no classes.
+/// Help for unknown ids that may be no classes.
 const IF_SEGMENTS: &str = "; where ids mean something in their view alone (instance masks), \
-                           add --set data.association=gaussians, or use `coseg associate`";
+    add --set data.association=gaussians, or use `coseg associate`";
 
-/// The raw labels of a scene folder, as far as they are known before a map is decoded.
+/// The format of the raw labels of a scene folder.
 pub(crate) struct RawLabels {
     source: Source,
     /// Ids are segments of their view, not classes.
@@ -26,7 +27,8 @@ pub(crate) struct RawLabels {
 enum Source {
     Grey,
     Coco(coco::Panoptic),
-    Ade20k(ade20k::Palette),
+    /// With the class id of each class of ADE20K.
+    Ade20k(Vec<Option<u16>>),
     Masks,
 }
 
@@ -38,132 +40,116 @@ pub(crate) struct RawMap {
     pub segments: Vec<Segment>,
 }
 
-/// Class ids of a segmenter's own classes in the class table of the scene, or the segmenter's table itself.
-struct Vocabulary {
-    /// The table of the scene.
-    classes: Classes,
+/// How a segmenter's own classes become those of the scene.
+#[derive(Clone)]
+pub(crate) struct Vocabulary {
+    /// The class table of the scene.
+    pub classes: Classes,
     /// Class id of each of the segmenter's classes, in its order.
     ids: Vec<Option<u16>>,
-    /// What was left out.
-    notice: Option<String>,
+    /// Which classes are left out.
+    pub notice: Option<String>,
 }
 
 impl Vocabulary {
-    /// The segmenter's classes `names` (`own` is the id that each has in a table of its own) in the table `classes`,
-    /// matched by name; without a table theirs is taken.
+    /// Matches the segmenter's classes `names` to the table `classes` by name; an empty table is replaced by theirs, with
+    /// the ids that come with the names.
     ///
     /// # Errors
     /// No name is in the table.
     fn new(file: &Path, classes: &Classes, names: &[(u16, &str)]) -> Result<Self> {
         if classes.is_empty() {
-            let classes = Classes::from_names(0, names.iter().copied());
             return Ok(Self {
-                classes,
+                classes: Classes::from_names(0, names.iter().copied()),
                 ids: names.iter().map(|(id, _)| Some(*id)).collect(),
                 notice: None,
             });
         }
         let plain = |name: &str| name.trim().to_lowercase().replace(['-', '_'], " ");
-        let known: Vec<(String, u16)> = classes
-            .entries
-            .iter()
-            .map(|c| (plain(&c.name), c.id))
-            .collect();
-        let find = |name: &str| {
-            known
+        let find = |(_, name): &(u16, &str)| {
+            let class = classes
+                .entries
                 .iter()
-                .find(|(k, _)| *k == plain(name))
-                .map(|(_, id)| *id)
+                .find(|class| plain(&class.name) == plain(name));
+            class.map(|class| class.id)
         };
-        let ids: Vec<Option<u16>> = names.iter().map(|(_, name)| find(name)).collect();
-        let found = ids.iter().flatten().count();
+        let ids: Vec<Option<u16>> = names.iter().map(find).collect();
+        let (found, all) = (ids.iter().flatten().count(), names.len());
         if found == 0 {
             let listed: Vec<_> = names.iter().take(5).map(|(_, name)| *name).collect();
-            let expected = format!(
-                "names of the class table, such as {}",
-                classes.entries[0].name
+            return Err(
+                invalid!(file, "categories"; found "{} ..", listed.join(", ");
+                expected "names of the class table, such as {}", classes.entries[0].name;
+                help "rename the classes of classes.json, or remove it where there are no true labels"),
             );
-            let help = "rename the classes of classes.json, or take it away where there are no true labels";
-            return Err(Error::input(
-                file,
-                "categories",
-                format!("{} ..", listed.join(", ")),
-                expected,
-                help,
-            ));
         }
-        let notice = (found < names.len()).then(|| {
-            format!(
-                "{found} of the {} classes of {} are in the class table by name; pixels of the others are unlabelled",
-                names.len(),
-                file.display()
-            )
-        });
+        let notice = format!(
+            "{found} of the {all} classes of {} are in the class table by name; pixels of the others are unlabelled",
+            file.display()
+        );
         Ok(Self {
             classes: classes.clone(),
             ids,
-            notice,
+            notice: (found < all).then_some(notice),
         })
     }
 }
 
-/// Whether the frames' labels need a class table from elsewhere: all but raw labels that bring their own or have none. What is
-/// told then is what mends its absence beside a table.
-pub(crate) fn need_table(
+/// Whether the labels of the frames need a class table: all but raw labels that bring their own or have none. The answer is
+/// what to add to the help where the table is missing.
+pub(crate) fn needs_classes(
     dir: &Path,
     options: &LoadOptions,
     frames: &[Frame],
 ) -> Option<&'static str> {
-    let any = |of: fn(&Frame) -> bool| frames.iter().any(of);
-    let grey = || detect(dir, options, frames).is_ok_and(|format| format == RawFormat::Grey);
-    if any(|frame| frame.truth.is_some()) {
+    if frames.iter().any(|frame| frame.truth.is_some()) {
         return Some("");
     }
-    let raw =
-        any(|frame| frame.raw.is_some()) && options.association == Association::None && grey();
-    raw.then_some(IF_SEGMENTS)
+    let is_raw =
+        frames.iter().any(|frame| frame.raw.is_some()) && options.association == Association::None;
+    (is_raw && detect(dir, options, frames) == RawFormat::Grey).then_some(IF_SEGMENTS)
 }
 
-/// The format that the options name, or that the first map has.
-fn detect(dir: &Path, options: &LoadOptions, frames: &[Frame]) -> Result<RawFormat> {
+/// The format that the options name, or that of the first map.
+fn detect(dir: &Path, options: &LoadOptions, frames: &[Frame]) -> RawFormat {
+    let mut maps = frames.iter().filter_map(|frame| frame.raw.as_ref());
+    let Some(first) = maps.find(|map| map.exists()) else {
+        return if options.raw_format == RawFormat::Auto {
+            RawFormat::Grey
+        } else {
+            options.raw_format
+        };
+    };
     if options.raw_format != RawFormat::Auto {
-        return Ok(options.raw_format);
+        return options.raw_format;
     }
-    let there = |path: &&PathBuf| path.exists();
-    let Some(first) = frames
-        .iter()
-        .filter_map(|frame| frame.raw.as_ref())
-        .find(there)
-    else {
-        return Ok(RawFormat::Grey);
-    };
     if first.is_dir() {
-        return Ok(RawFormat::Masks);
+        return RawFormat::Masks;
     }
-    // A file that cannot be read is told of where it is read.
+    // A file that cannot be read is reported where it is read.
     let Ok(file) = ImageFile::open(first, &options.limits) else {
-        return Ok(RawFormat::Grey);
+        return RawFormat::Grey;
     };
-    Ok(match file.png_color() {
+    match file.png_color() {
         Some((_, 2 | 6)) if coco::find(&folder(dir, options, first)).is_some() => {
             RawFormat::CocoPanoptic
         }
         Some((_, 2 | 3 | 6)) if ade20k::matches(&file) => RawFormat::Ade20k,
         _ => RawFormat::Grey,
-    })
+    }
 }
 
 /// The folder of raw labels that `map` is in.
 fn folder(dir: &Path, options: &LoadOptions, map: &Path) -> PathBuf {
     let usual = dir.join(options.raw_labels.as_deref().unwrap_or("labels_raw"));
-    match map.starts_with(&usual) {
-        true => usual,
-        false => map.parent().map_or(usual, Path::to_owned),
+    match map.parent() {
+        Some(parent) if !map.starts_with(&usual) => parent.to_owned(),
+        _ => usual,
     }
 }
 
 impl RawLabels {
-    /// Of a folder without any, or whose format is not known.
+    /// Grey maps of class ids; also where there are no raw labels.
     pub fn grey() -> Self {
         Self {
             source: Source::Grey,
@@ -171,29 +157,34 @@ impl RawLabels {
         }
     }
 
-    /// Settles the format for `frames`. Where `classes` is empty, the segmenter's own class table takes its place, and
-    /// the answer has `true` with it.
+    /// The format of the raw labels of `listing`, and the segmenter's vocabulary where the format has one.
     ///
     /// # Errors
     /// As for [`crate::data::load`]; [`Error::Config`] for masks without association.
     pub fn settle(
         dir: &Path,
         options: &LoadOptions,
-        frames: &[Frame],
-        classes: &mut Classes,
-        notices: &mut Vec<String>,
-    ) -> Result<(Self, bool)> {
+        listing: &Listing,
+    ) -> Result<(Self, Option<Vocabulary>)> {
+        let (frames, classes) = (&listing.frames, &listing.classes);
         let Some(first) = frames.iter().find_map(|frame| frame.raw.as_ref()) else {
-            return Ok((Self::grey(), false));
+            return Ok((Self::grey(), None));
         };
         let segments = options.association != Association::None;
-        let source = match detect(dir, options, frames)? {
+        let mut vocabulary = None;
+        let source = match detect(dir, options, frames) {
             RawFormat::Auto | RawFormat::Grey => Source::Grey,
             RawFormat::CocoPanoptic => {
-                Source::Coco(coco::Panoptic::read(&folder(dir, options, first), classes)?)
+                let panoptic = coco::Panoptic::read(&folder(dir, options, first), classes)?;
+                vocabulary = Some(panoptic.vocabulary.clone());
+                Source::Coco(panoptic)
             }
-            RawFormat::Ade20k => Source::Ade20k(ade20k::Palette::new(first, classes)?),
-            RawFormat::Masks if !segments => {
+            RawFormat::Ade20k => {
+                let own = vocabulary.insert(ade20k::vocabulary(first, classes)?);
+                Source::Ade20k(own.ids.clone())
+            }
+            RawFormat::Masks if segments => Source::Masks,
+            RawFormat::Masks => {
                 let expected = "\"gaussians\", as raw labels are folders of masks, whose ids differ from view to view";
                 let help = "add --set data.association=gaussians (`coseg train`, `coseg data`), or use `coseg associate`";
                 return Err(Error::config(
@@ -203,19 +194,8 @@ impl RawLabels {
                     help,
                 ));
             }
-            RawFormat::Masks => Source::Masks,
         };
-        let vocabulary = match &source {
-            Source::Coco(panoptic) => Some(panoptic.vocabulary()),
-            Source::Ade20k(palette) => Some(palette.vocabulary()),
-            Source::Grey | Source::Masks => None,
-        };
-        let own = vocabulary.is_some() && classes.is_empty();
-        if let Some(vocabulary) = vocabulary {
-            *classes = vocabulary.classes.clone();
-            notices.extend(vocabulary.notice.clone());
-        }
-        Ok((Self { source, segments }, own))
+        Ok((Self { source, segments }, vocabulary))
     }
 
     /// Whether ids are segments of their view.
@@ -223,43 +203,39 @@ impl RawLabels {
         self.segments
     }
 
-    /// Reads the map at `path` of a photo of the size `photo`; `check_size` refuses files of the wrong size. `known` is the
-    /// lookup of `classes`.
+    /// Reads the map at `path` of a photo of the size `photo`; `check_size` refuses files of the wrong size. With the class
+    /// table comes its lookup.
     pub fn read(
         &self,
         path: &Path,
         photo: (usize, usize),
-        classes: &Classes,
-        known: &[u16],
+        (classes, known): (&Classes, &[u16]),
         limits: &Limits,
         check_size: &dyn Fn(&ImageFile) -> Result<()>,
     ) -> Result<RawMap> {
+        let without_segments = |map| RawMap {
+            map,
+            segments: Vec::new(),
+        };
         if let Source::Masks = self.source {
-            let map = masks::read(path, photo, limits, check_size)?;
-            return Ok(RawMap {
-                map,
-                segments: Vec::new(),
-            });
+            return masks::read(path, photo, limits, check_size).map(without_segments);
         }
-        crate::data::formats::listing::expect_file(path)?;
+        expect_file(path)?;
         let file = ImageFile::open(path, limits)?;
         check_size(&file)?;
         match &self.source {
             Source::Coco(panoptic) => {
-                let read = panoptic.decode(path, &file)?;
+                let raw = panoptic.decode(path, &file)?;
                 Ok(if self.segments {
-                    read
+                    raw
                 } else {
-                    RawMap {
-                        map: by_class(&read, classes),
-                        segments: Vec::new(),
-                    }
+                    without_segments(by_class(&raw, classes))
                 })
             }
-            Source::Ade20k(palette) => {
-                let map = palette.decode(path, &file)?;
+            Source::Ade20k(ids) => {
+                let map = ade20k::decode(path, &file, ids, classes.ignore)?;
                 let segments = if self.segments {
-                    palette.stuff()
+                    ade20k::stuff(ids)
                 } else {
                     Vec::new()
                 };
@@ -270,28 +246,21 @@ impl RawLabels {
                 if !self.segments {
                     map.settle_ids(path, classes, known, IF_SEGMENTS)?;
                 }
-                Ok(RawMap {
-                    map,
-                    segments: Vec::new(),
-                })
+                Ok(without_segments(map))
             }
         }
     }
 }
 
 /// A map of segments as a map of their classes.
-fn by_class(read: &RawMap, classes: &Classes) -> LabelMap {
-    let mut table = vec![classes.ignore; 1 << 16];
-    for segment in &read.segments {
-        table[usize::from(segment.id)] = segment.class.unwrap_or(classes.ignore);
+fn by_class(raw: &RawMap, classes: &Classes) -> LabelMap {
+    let mut class_ids = vec![classes.ignore; 1 << 16];
+    for segment in &raw.segments {
+        class_ids[usize::from(segment.id)] = segment.class.unwrap_or(classes.ignore);
     }
-    LabelMap {
-        ids: read
-            .map
-            .ids
-            .iter()
-            .map(|&id| table[usize::from(id)])
-            .collect(),
-        ..read.map
-    }
+    let mut map = raw.map.clone();
+    map.ids
+        .iter_mut()
+        .for_each(|id| *id = class_ids[usize::from(*id)]);
+    map
 }

@@ -1,0 +1,100 @@
+//! Conventions of poses.
+
+use crate::config::Layout;
+use crate::splat::camera::Camera;
+use glam::{DMat3, DVec3};
+
+/// How a rotation and a translation are meant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Convention {
+    /// They map world to camera coordinates, not back.
+    to_camera: bool,
+    /// Camera axes are x right, y down, z forward; else x right, y up, z backward.
+    opencv: bool,
+}
+
+impl Convention {
+    const fn new(to_camera: bool, opencv: bool) -> Self {
+        Self { to_camera, opencv }
+    }
+
+    /// All conventions but this one.
+    pub fn others(self) -> impl Iterator<Item = Self> {
+        let all = [(false, false), (true, false), (false, true), (true, true)];
+        all.into_iter()
+            .map(|(to_camera, opencv)| Self::new(to_camera, opencv))
+            .filter(move |other| *other != self)
+    }
+
+    /// The convention of a layout.
+    pub fn of(layout: Layout) -> Self {
+        match layout {
+            Layout::Auto | Layout::Transforms => Self::new(false, false),
+            Layout::Colmap => Self::new(true, true),
+            Layout::Replica | Layout::Scannet => Self::new(false, true),
+        }
+    }
+
+    pub fn name(self) -> String {
+        let direction = if self.to_camera {
+            "world-to-camera"
+        } else {
+            "camera-to-world"
+        };
+        let axes = if self.opencv { "OpenCV" } else { "OpenGL" };
+        format!("{direction} in {axes} axes")
+    }
+
+    pub fn description(self) -> String {
+        let axes = if self.opencv {
+            "y down, looking along z"
+        } else {
+            "y up, looking along -z"
+        };
+        format!("{} (x right, {axes})", self.name())
+    }
+
+    /// From the axes of [`Camera`] to these, and back.
+    fn axes(self) -> DMat3 {
+        let sign = if self.opencv { 1.0 } else { -1.0 };
+        DMat3::from_diagonal(DVec3::new(1.0, sign, sign))
+    }
+
+    /// `camera` as it is when its pose, which was read in the convention `as_read`, is read in this one.
+    pub fn reread(self, as_read: Self, camera: &Camera) -> Camera {
+        let rotation = as_read.axes() * camera.rotation;
+        let (rotation, translation) = match as_read.to_camera {
+            true => (rotation, -(rotation * camera.center)),
+            false => (rotation.transpose(), camera.center),
+        };
+        let (rotation, center) = match self.to_camera {
+            true => (rotation, -(rotation.transpose() * translation)),
+            false => (rotation.transpose(), translation),
+        };
+        Camera {
+            rotation: self.axes() * rotation,
+            center,
+            ..camera.clone()
+        }
+    }
+
+    /// How to change poses of this convention into those of a layout with another one.
+    pub fn help(self, layout: Layout) -> String {
+        let wanted = Self::of(layout);
+        let matrix = match layout {
+            Layout::Auto | Layout::Transforms => "transform_matrix",
+            Layout::Colmap => "pose",
+            Layout::Replica | Layout::Scannet => "matrix",
+        };
+        // The camera's side of the matrix.
+        let lines = if wanted.to_camera { "rows" } else { "columns" };
+        let inverts = self.to_camera != wanted.to_camera;
+        match (inverts, self.opencv != wanted.opencv) {
+            (true, false) => format!("invert each {matrix}"),
+            (true, true) => {
+                format!("invert each {matrix}, then negate its second and third {lines}")
+            }
+            (false, _) => format!("negate the second and third {lines} of each {matrix}"),
+        }
+    }
+}

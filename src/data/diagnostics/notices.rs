@@ -1,0 +1,297 @@
+//! Notices on poses, intrinsics, labels and the initial cloud: what loads but is seldom intended.
+
+use crate::config::Layout;
+use crate::data::formats::frame::Frame;
+use crate::data::formats::listing::{Cloud, Listing};
+use crate::data::{Scene, Split};
+use crate::splat::camera::Camera;
+use glam::DVec3;
+use std::collections::HashMap;
+
+/// Names that a notice lists.
+const NAMES: usize = 3;
+/// Cameras nearer to each other than this, in world units, stand at one place.
+const ONE_PLACE: f64 = 1e-6;
+/// Fields of view, in degrees, outside of which no lens without fisheye projection lies.
+const FIELD_OF_VIEW: [f64; 2] = [5.0, 170.0];
+/// Distances of the farthest camera from the mean of all, in metres, of captures in a room.
+const EXTENT: [f64; 2] = [1.0, 4.0];
+
+/// The first few names, and how many more there are.
+pub(crate) fn first_names(names: &[impl AsRef<str>]) -> String {
+    let first: Vec<&str> = names.iter().take(NAMES).map(AsRef::as_ref).collect();
+    match names.len() - first.len() {
+        0 => first.join(", "),
+        more => format!("{} and {more} more", first.join(", ")),
+    }
+}
+
+fn frame_names(frames: &[&Frame]) -> String {
+    let names: Vec<&str> = frames.iter().map(|frame| &*frame.name).collect();
+    first_names(&names)
+}
+
+/// Cameras of a COLMAP model, whose unit is arbitrary, at distances that are unusual for metres, where `unit_is_metre`.
+/// Without labels nothing needs the unit.
+pub(crate) fn unit(listing: &Listing, unit_is_metre: bool) -> Option<String> {
+    let labelled = listing.frames.iter().any(|frame| frame.raw.is_some());
+    let mean = listing.origin();
+    let distances = listing
+        .frames
+        .iter()
+        .map(|frame| frame.camera.center.distance(mean));
+    let extent = distances.fold(0.0, f64::max);
+    let [low, high] = EXTENT;
+    let applies = listing.layout == Layout::Colmap && unit_is_metre && labelled;
+    (applies && !(low..=high).contains(&extent)).then(|| {
+        format!(
+            "cameras are up to {extent:.3} units from their mean, and the point encoder takes a unit for a metre, which in a \
+             COLMAP model it seldom is: --set spatial.scale=0 takes a scale from the cameras, or give the metres of a unit"
+        )
+    })
+}
+
+/// Photos that are reduced to `most` pixels a side; 0 is no limit.
+pub(crate) fn large_photos(listing: &Listing, most: usize) -> Option<String> {
+    let is_large =
+        |frame: &&Frame| !frame.resizable && frame.camera.width.max(frame.camera.height) > most;
+    let count = listing.frames.iter().filter(is_large).count();
+    (most > 0 && count > 0)
+        .then(|| format!("{count} photos have more than {most} pixels a side and are reduced to that (data.max_side)"))
+}
+
+/// Photos without a mask where others have one, or where `folder` holds masks.
+pub(crate) fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<String> {
+    let without: Vec<&Frame> = listing
+        .frames
+        .iter()
+        .filter(|frame| frame.mask.is_none())
+        .collect();
+    let (count, all) = (without.len(), listing.frames.len());
+    if count == 0 {
+        return None;
+    }
+    if count < all {
+        let names = frame_names(&without);
+        return Some(format!(
+            "{count} of {all} photos have no mask and are used whole: {names}"
+        ));
+    }
+    folder.map(|folder| {
+        format!("no photo has a mask in {folder}, and all are used whole: masks of a.jpg are named a.png or a.jpg.png")
+    })
+}
+
+/// Masks that leave most of their views out. `masked` are the pixels of each view with a mask, and how many the mask leaves
+/// out.
+pub(crate) fn inverted_masks(masked: impl Iterator<Item = [usize; 2]>) -> Option<String> {
+    let (mut views, mut all, mut left_out) = (0, 0, 0);
+    for [pixels, out] in masked {
+        views += 1;
+        all += pixels;
+        left_out += out;
+    }
+    let percent = 100.0 * left_out as f64 / all as f64;
+    (2 * left_out > all).then(|| {
+        format!(
+            "masks leave {percent:.0} % of the pixels of {views} views out: black is left out, so invert masks that are \
+             white there"
+        )
+    })
+}
+
+/// Unusual poses and intrinsics.
+pub(crate) fn cameras(listing: &Listing) -> Vec<String> {
+    let posed: Vec<&Frame> = listing.frames.iter().filter(|frame| frame.posed).collect();
+    let centers = || posed.iter().map(|frame| frame.camera.center);
+    let size = centers().fold(DVec3::NEG_INFINITY, DVec3::max)
+        - centers().fold(DVec3::INFINITY, DVec3::min);
+    let mut notices = Vec::new();
+    if posed.len() > 1 && size.max_element() < ONE_PLACE {
+        notices.push(format!(
+            "all {} cameras stand at one place: depth can only be learned from photos of different places",
+            posed.len()
+        ));
+    }
+    notices.extend(equal_poses(&posed));
+    let is_transforms = listing.layout == Layout::Transforms;
+    let sides: [(_, _, fn(&Camera) -> [f64; 3]); 2] = [
+        (["cx", "fl_x"], "x", |camera| {
+            [camera.fx, camera.cx, camera.width as f64]
+        }),
+        (["cy", "fl_y"], "y", |camera| {
+            [camera.fy, camera.cy, camera.height as f64]
+        }),
+    ];
+    for ([center, focal], axis, side) in sides {
+        let field = |key: &str, name: &str| {
+            if is_transforms {
+                key.to_owned()
+            } else {
+                format!("{name}, {axis}")
+            }
+        };
+        notices.extend(outside_center(
+            &posed,
+            side,
+            &field(center, "principal point"),
+        ));
+        notices.extend(unusual_field_of_view(
+            &posed,
+            side,
+            &field(focal, "focal length"),
+        ));
+    }
+    let file = listing.file.display();
+    notices
+        .into_iter()
+        .map(|notice| format!("{file}: {notice}"))
+        .collect()
+}
+
+/// Frames that have exactly the pose of another one.
+fn equal_poses(posed: &[&Frame]) -> Option<String> {
+    let mut first: HashMap<Vec<u64>, &str> = HashMap::new();
+    let mut pairs = Vec::new();
+    for frame in posed {
+        let rotation = frame.camera.rotation.to_cols_array().into_iter();
+        // Adding 0 makes both zeros one.
+        let pose = rotation
+            .chain(frame.camera.center.to_array())
+            .map(|number| (number + 0.0).to_bits());
+        let earlier = *first.entry(pose.collect()).or_insert(&frame.name);
+        if earlier != frame.name {
+            pairs.push(format!("{} as {earlier}", frame.name));
+        }
+    }
+    (!pairs.is_empty()).then(|| {
+        let (count, all) = (pairs.len(), posed.len());
+        format!(
+            "{count} of {all} frames have exactly the pose of an earlier one: {}",
+            first_names(&pairs)
+        )
+    })
+}
+
+/// Principal points outside of the photo. `side` gives focal length, principal point and length of one side.
+fn outside_center(posed: &[&Frame], side: fn(&Camera) -> [f64; 3], field: &str) -> Option<String> {
+    let is_outside = |frame: &&&Frame| {
+        let [_, center, length] = side(&frame.camera);
+        !(0.0..=length).contains(&center)
+    };
+    let outside: Vec<&Frame> = posed.iter().filter(is_outside).copied().collect();
+    let [_, center, length] = side(&outside.first()?.camera);
+    Some(format!(
+        "{field} of {}: found {center}, expected a pixel of the photo, 0 to {length}; where photos were scaled, scale the \
+         intrinsics with them",
+        frame_names(&outside)
+    ))
+}
+
+fn unusual_field_of_view(
+    posed: &[&Frame],
+    side: fn(&Camera) -> [f64; 3],
+    field: &str,
+) -> Option<String> {
+    let angle = |frame: &Frame| {
+        let [focal, _, length] = side(&frame.camera);
+        2.0 * (0.5 * length / focal).atan().to_degrees()
+    };
+    let [low, high] = FIELD_OF_VIEW;
+    let unusual: Vec<&Frame> = posed
+        .iter()
+        .filter(|frame| !(low..=high).contains(&angle(frame)))
+        .copied()
+        .collect();
+    let first = unusual.first()?;
+    let [focal, ..] = side(&first.camera);
+    Some(format!(
+        "{field} of {}: found {focal} pixels, a field of view of {:.1} degrees, expected {low} to {high}; give it in pixels \
+         of these photos, not in millimetres or for another size",
+        frame_names(&unusual),
+        angle(first)
+    ))
+}
+
+/// Training frames without raw labels where others have some.
+pub(crate) fn without_raw(listing: &Listing) -> Option<String> {
+    let train = listing
+        .frames
+        .iter()
+        .filter(|frame| frame.split == Split::Train);
+    let (labelled, without): (Vec<&Frame>, Vec<&Frame>) =
+        train.partition(|frame| frame.raw.is_some());
+    let (count, all) = (without.len(), without.len() + labelled.len());
+    (!without.is_empty() && !labelled.is_empty()).then(|| {
+        format!(
+            "{count} of {all} training frames have no raw labels: {}",
+            frame_names(&without)
+        )
+    })
+}
+
+/// Training frames whose raw labels are unlabelled in every pixel. `train` are those with raw labels: name, and whether it
+/// is so.
+pub(crate) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Option<String> {
+    let train: Vec<_> = train.collect();
+    let void: Vec<&str> = train
+        .iter()
+        .filter(|(_, void)| *void)
+        .map(|(name, _)| *name)
+        .collect();
+    let (count, all) = (void.len(), train.len());
+    (count > 0).then(|| {
+        let names = first_names(&void);
+        let notice = format!(
+            "raw labels of {count} of {all} training frames are unlabelled in every pixel: {names}"
+        );
+        if count < all {
+            return notice;
+        }
+        format!(
+            "{notice}; stage two has nothing to learn from: look at the ids and at classes.json"
+        )
+    })
+}
+
+/// Photos whose labels may be of a turned copy, while no size shows it. Each frame comes with whether it is so.
+pub(crate) fn turned<'a>(frames: impl Iterator<Item = (&'a Frame, bool)>) -> Option<String> {
+    let turned: Vec<&Frame> = frames
+        .filter(|(_, turned)| *turned)
+        .map(|(frame, _)| frame)
+        .collect();
+    (!turned.is_empty()).then(|| {
+        format!(
+            "{} photos have an EXIF orientation by which programs turn or mirror them, which is not done here, and no size \
+             shows whether their label maps and masks were made of turned photos: {}; apply the orientation to the photos \
+             or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them",
+            turned.len(),
+            frame_names(&turned)
+        )
+    })
+}
+
+/// Notices on a loaded scene.
+pub(crate) fn scene(scene: &Scene, unlabelled: u16) -> Vec<String> {
+    let masks = scene.views.iter().filter_map(|view| view.mask.as_ref());
+    let inverted =
+        inverted_masks(masks.map(|mask| [mask.width() * mask.height(), mask.left_out()]));
+    let train = scene
+        .split(Split::Train)
+        .filter_map(|view| Some((&*view.name, view.raw.as_ref()?)));
+    let void =
+        void_raw(train.map(|(name, raw)| (name, raw.runs().all(|(id, _)| id == unlabelled))));
+    inverted.into_iter().chain(void).collect()
+}
+
+/// A cloud without points.
+pub(crate) fn empty_cloud(cloud: &Cloud) -> Option<String> {
+    let what = match cloud {
+        Cloud::None => return None,
+        Cloud::Ply(path) | Cloud::Colmap(path) => format!("{} holds no points", path.display()),
+        Cloud::Depth(_) => "the depth images show nothing".to_owned(),
+    };
+    Some(format!(
+        "{what}: Gaussians start at random places in front of the cameras"
+    ))
+}

@@ -1,0 +1,135 @@
+//! The posed images of a model.
+
+use super::AGAIN;
+use super::cameras::ModelCamera;
+use super::reader::Reader;
+use crate::data::Limits;
+use crate::data::formats::camera_checks::not_a_rotation;
+use crate::data::formats::frame::joined_name;
+use crate::data::limits;
+use crate::data::photos::lens::Lens;
+use crate::error::{Result, invalid};
+use crate::splat::camera::Camera;
+use glam::{DMat3, DMat4, DQuat, DVec3};
+use std::collections::BTreeMap;
+use std::path::{Component, Path};
+
+/// Bytes of the smallest image and of each observation in a binary file.
+const SMALLEST: u64 = 4 + 7 * 8 + 4 + 2 + 8;
+const OBSERVATION: u64 = 24;
+
+/// A registered image as the model has it.
+#[derive(Debug, PartialEq)]
+pub(super) struct PosedImage {
+    /// Path below the folder of photos, with `/`.
+    pub name: String,
+    /// World-to-camera, w x y z.
+    rotation: [f64; 4],
+    /// World-to-camera.
+    translation: [f64; 3],
+    camera: u32,
+    /// Where it stands in the file, for messages.
+    pub place: String,
+}
+
+/// How many images the model has.
+pub(super) fn count(path: &Path, limits: &Limits) -> Result<u64> {
+    match Reader::open(path, "image", SMALLEST)?.count() {
+        Some(count) => Ok(count),
+        None => Ok(read(path, limits)?.len() as u64),
+    }
+}
+
+/// Reads `images.bin` or `images.txt`.
+pub(super) fn read(path: &Path, limits: &Limits) -> Result<Vec<PosedImage>> {
+    let mut reader = Reader::open(path, "image", SMALLEST)?;
+    // A model may have more images than a scene: they are thinned out later.
+    let most = (limits.views as u64).saturating_mul(64);
+    limits::check(
+        path,
+        "images",
+        reader.count().unwrap_or(0),
+        most,
+        "split the model",
+    )?;
+    let mut images = Vec::new();
+    while reader.next()? {
+        let place = reader.place();
+        reader.value::<u32>("IMAGE_ID")?;
+        let rotation = reader.values("QW QX QY QZ")?;
+        let translation = reader.values("TX TY TZ")?;
+        let camera = reader.value("CAMERA_ID")?;
+        let name = reader.name()?;
+        reader.skip_list(OBSERVATION, "POINTS2D", true)?;
+        images.push(PosedImage {
+            name,
+            rotation,
+            translation,
+            camera,
+            place,
+        });
+    }
+    Ok(images)
+}
+
+impl PosedImage {
+    /// Its path without extension, folders joined by `_`: unique where photos of several cameras have the same file
+    /// names.
+    pub fn view_name(&self) -> String {
+        joined_name(Path::new(&self.name))
+    }
+
+    /// The camera in world units, and its lens. `images` and `calibration` are the two files, for messages.
+    pub fn camera(
+        &self,
+        images: &Path,
+        calibration: &Path,
+        cameras: &BTreeMap<u32, ModelCamera>,
+    ) -> Result<(Camera, Lens)> {
+        let error = |field: &str, found: String, expected: &str, help: &str| {
+            invalid!(images, "{} ({}): {field}", self.place, self.name; found "{found}";
+                expected "{expected}"; help "{help}")
+        };
+        let is_below = |part| matches!(part, Component::Normal(_) | Component::CurDir);
+        if self.view_name().is_empty() || !Path::new(&self.name).components().all(is_below) {
+            let expected = "a path below the folder of photos";
+            let help = "write the model with relative names";
+            return Err(error("NAME", format!("{:?}", self.name), expected, help));
+        }
+        let Some(camera) = cameras.get(&self.camera) else {
+            let expected = format!(
+                "one of the {} cameras of {}",
+                cameras.len(),
+                calibration.display()
+            );
+            let help = "copy cameras and images of the same model";
+            return Err(error("CAMERA_ID", self.camera.to_string(), &expected, help));
+        };
+        let [w, x, y, z] = self.rotation;
+        let norm = DQuat::from_xyzw(x, y, z, w).length();
+        // Text files round; anything farther off is no rotation.
+        if !(0.99..1.01).contains(&norm) {
+            let found = format!("{:?} of length {norm:.4}", self.rotation);
+            return Err(error(
+                "QW QX QY QZ",
+                found,
+                "a quaternion of length 1",
+                AGAIN,
+            ));
+        }
+        if self.translation.iter().any(|&v| !(v as f32).is_finite()) {
+            let found = format!("{:?}", self.translation);
+            return Err(error("TX TY TZ", found, "finite numbers (f32)", AGAIN));
+        }
+        let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
+        let center = -(rotation.transpose() * DVec3::from(self.translation));
+        let mut pose = DMat4::from_mat3(rotation.transpose());
+        pose.w_axis = center.extend(1.0);
+        let (intrinsics, lens) = camera.checked(calibration)?;
+        let camera = Camera::from_opencv(&pose, intrinsics);
+        Ok((
+            camera.ok_or_else(|| not_a_rotation(images, &self.place, &pose))?,
+            lens,
+        ))
+    }
+}

@@ -1,0 +1,225 @@
+//! Replica as two papers rendered it, which is what everybody trains on:
+//! NICE-SLAM (`results/frame%06d.jpg`, `traj.txt`, `cam_params.json` beside or above the scene; no labels) and
+//! Semantic-NeRF (`rgb/rgb_N.png`, `semantic_class/semantic_class_N.png`, `traj_w_c.txt`).
+//!
+//! In both, row N of the trajectory is the camera-to-world pose of photo N in OpenCV axes, and pixel centres are at
+//! whole numbers: half a pixel is added to the principal point.
+
+use super::camera_checks::FOCAL;
+use super::frame::Frame;
+use super::label_folder::SideFolders;
+use super::listing::{Listing, Problems};
+use super::sequence::{self, MILLIMETRES};
+use crate::config::Layout;
+use crate::data::options::LoadOptions;
+use crate::data::photos::EXTENSIONS;
+use crate::data::photos::image_file::ImageFile;
+use crate::data::{Classes, Limits, read};
+use crate::error::{Result, invalid};
+use crate::splat::camera::Intrinsics;
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+/// Trajectory, folder of photos, what precedes their numbers.
+const NICE_SLAM: [&str; 3] = ["traj.txt", "results", "frame"];
+const SEMANTIC_NERF: [&str; 3] = ["traj_w_c.txt", "rgb", "rgb_"];
+
+/// The class names of the dataset (its `info_semantic.json`) in the order of their ids 1 to 101; 0 is undefined.
+const CLASSES: &str = include_str!("../labels/tables/replica.txt");
+
+/// The trajectory in a scene folder, if it is of this layout.
+pub(crate) fn marker(dir: &Path) -> Option<String> {
+    version(dir).map(|[trajectory, ..]| trajectory.to_owned())
+}
+
+fn version(dir: &Path) -> Option<[&'static str; 3]> {
+    [SEMANTIC_NERF, NICE_SLAM]
+        .into_iter()
+        .find(|[t, photos, _]| dir.join(t).is_file() && dir.join(photos).is_dir())
+}
+
+/// Refuses a folder of another layout.
+pub(crate) fn expect(dir: &Path) -> Result<()> {
+    checked_version(dir).map(|_| ())
+}
+
+fn checked_version(dir: &Path) -> Result<[&'static str; 3]> {
+    version(dir).ok_or_else(|| {
+        invalid!(dir, "traj.txt"; found "neither";
+            expected "traj.txt with results/ (NICE-SLAM) or traj_w_c.txt with rgb/ (Semantic-NeRF)";
+            help "give the folder of one scene or sequence")
+    })
+}
+
+/// Lists the frames of the folder.
+pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
+    let version = checked_version(dir)?;
+    let is_nice_slam = version == NICE_SLAM;
+    let [trajectory, folder, prefix] = version;
+    let path = dir.join(trajectory);
+    let photos = sequence::numbered(&dir.join(folder), prefix, &EXTENSIONS)?;
+    let text = read::text(&path)?;
+    let rows = text
+        .lines()
+        .map(str::trim)
+        .enumerate()
+        .filter(|(_, row)| !row.is_empty());
+    let rows: Vec<(usize, &str)> = rows.collect();
+    let mut notices = Vec::new();
+    let unseen = (0..rows.len())
+        .filter(|number| !photos.contains_key(number))
+        .count();
+    if unseen > 0 {
+        notices.push(format!(
+            "{unseen} of {} poses in {trajectory} have no photo in {folder}",
+            rows.len()
+        ));
+    }
+    let photos: Vec<(usize, PathBuf)> = photos.into_iter().collect();
+    let kept = options.pick(&vec![None; photos.len()]);
+    let Some(&(first, _)) = kept.first() else {
+        return Err(
+            invalid!(dir, "{folder}"; found "no photos"; expected "{prefix}0.png and so on";
+            help "unpack the whole scene"),
+        );
+    };
+    let (intrinsics, scale) = match is_nice_slam {
+        true => nice_slam(dir, &mut notices)?,
+        false => (right_angle(&photos[first].1, &options.limits)?, MILLIMETRES),
+    };
+    let truth_folders: &[&str] = if is_nice_slam {
+        &[]
+    } else {
+        &["semantic_class"]
+    };
+    let truth = sequence::numbered_maps(dir, truth_folders, "semantic_class_")?;
+    let instances = sequence::numbered_maps(dir, &["semantic_instance"], "semantic_instance_")?;
+    let folders = SideFolders::new(dir, options, Layout::Replica, problems);
+    let mut frames = Vec::with_capacity(kept.len());
+    for (i, split) in kept {
+        let (number, image) = &photos[i];
+        let Some((line, row)) = rows.get(*number) else {
+            problems.push(
+                invalid!(&path, "rows"; found "{} rows, none for {}", rows.len(), image.display();
+                expected "one for each photo"; help "unpack the whole scene again"),
+            );
+            continue;
+        };
+        let field = format!("line {}", line + 1);
+        let camera = sequence::pose(row, &path, &field)
+            .and_then(|pose| sequence::camera(&pose, intrinsics, &path, &field));
+        let Some(camera) = problems.keep(camera) else {
+            continue;
+        };
+        let frame = sequence::frame(image, split, camera, &folders, instances.get(number));
+        let truth = truth.get(number).cloned().or(frame.truth);
+        frames.push(Frame { truth, ..frame });
+    }
+    let cloud = sequence::cloud(dir, &frames, scale, |name| match is_nice_slam {
+        true => format!("{folder}/{}.png", name.replacen(prefix, "depth", 1)),
+        false => format!("depth/{}.png", name.replacen(prefix, "depth_", 1)),
+    });
+    let classes = Classes::from_names(0, (1..).zip(CLASSES.lines()));
+    let listing = Listing::new(
+        dir,
+        options,
+        Layout::Replica,
+        path,
+        frames,
+        Some(classes),
+        problems,
+    );
+    Ok(Listing {
+        cloud,
+        notices,
+        ..listing
+    })
+}
+
+/// `cam_params.json`.
+#[derive(Deserialize)]
+struct CameraFile {
+    camera: CameraParams,
+}
+
+#[derive(Deserialize)]
+struct CameraParams {
+    w: usize,
+    h: usize,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    /// Value of a metre in the depth images.
+    #[serde(default = "scale")]
+    scale: f64,
+}
+
+/// As NICE-SLAM publishes it.
+fn scale() -> f64 {
+    6553.5
+}
+
+/// The parameters that NICE-SLAM publishes for all eight scenes.
+const PUBLISHED: &str =
+    r#"{"camera": {"w": 1200, "h": 680, "fx": 600.0, "fy": 600.0, "cx": 599.5, "cy": 339.5}}"#;
+
+/// Intrinsics and the value of a metre in the depth images.
+fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Intrinsics, f64)> {
+    let places = ["cam_params.json", "../cam_params.json"].map(|name| dir.join(name));
+    let path = places.iter().find(|path| path.is_file());
+    let text = match path {
+        Some(path) => read::text(path)?,
+        None => {
+            notices.push("no cam_params.json here or above: 1200x680 photos with a focal length of 600 are assumed".into());
+            PUBLISHED.to_owned()
+        }
+    };
+    let path = path.unwrap_or(&places[0]);
+    let expected = "{\"camera\": {\"w\", \"h\", \"fx\", \"fy\", \"cx\", \"cy\", ..}}";
+    let file = serde_json::from_str(&text).map_err(|e| read::json_error(path, &e, expected))?;
+    let CameraFile {
+        camera:
+            CameraParams {
+                w,
+                h,
+                fx,
+                fy,
+                cx,
+                cy,
+                scale,
+            },
+    } = file;
+    let numbers = [fx, fy, cx, cy, scale];
+    if [w, h].iter().any(|side| !(1..=1 << 32).contains(side))
+        || !numbers.iter().all(|v| FOCAL.contains(v))
+    {
+        return Err(invalid!(path, "camera"; found "{w}x{h} {numbers:?}";
+            expected "sizes, focal lengths, centre and scale above 0"; help "copy the file again"));
+    }
+    // Pixel centres move from whole numbers to halves.
+    let (cx, cy) = (cx + 0.5, cy + 0.5);
+    let intrinsics = Intrinsics {
+        fx,
+        fy,
+        cx,
+        cy,
+        width: w,
+        height: h,
+    };
+    Ok((intrinsics, scale))
+}
+
+/// Semantic-NeRF renders with a field of view of 90 degrees across, square pixels, the centre in the middle.
+fn right_angle(photo: &Path, limits: &Limits) -> Result<Intrinsics> {
+    let (width, height) = ImageFile::open(photo, limits)?.size;
+    let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
+    Ok(Intrinsics {
+        fx: cx,
+        fy: cx,
+        cx,
+        cy,
+        width,
+        height,
+    })
+}

@@ -1,0 +1,226 @@
+//! ScanNet scenes as its SensReader exports them: `color/N.jpg`, `pose/N.txt` (camera-to-world, OpenCV axes),
+//! `intrinsic/intrinsic_color.txt`, and `label-filt/N.png` whose ids `scannetv2-labels.combined.tsv` maps to classes.
+//!
+//! Frames that the tracker lost have poses of infinities: they are left out and counted.
+
+use super::camera_checks::FOCAL;
+use super::frame::Frame;
+use super::label_folder::SideFolders;
+use super::listing::{Listing, Problems, UNMAPPED};
+use super::sequence::{self, MILLIMETRES, Pose};
+use crate::config::{Layout, ScannetClasses};
+use crate::data::options::LoadOptions;
+use crate::data::photos::EXTENSIONS;
+use crate::data::photos::image_file::ImageFile;
+use crate::data::{Classes, Limits, read};
+use crate::error::{Error, Result, invalid};
+use crate::splat::camera::Intrinsics;
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+
+/// The 40 classes of NYU Depth v2 in the order of their ids, from 1.
+const NYU40: &str = include_str!("../labels/tables/nyu40.txt");
+/// The ids of those that ScanNet's benchmark counts.
+const SCANNET20: [u16; 20] = [
+    1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 24, 28, 33, 34, 36, 39,
+];
+/// Name of the table of labels that comes with the dataset.
+const TABLE: &str = "scannetv2-labels.combined.tsv";
+
+/// The folder of photos in a scene folder, if it is of this layout.
+pub(crate) fn marker(dir: &Path) -> Option<String> {
+    let is_folder = |name| dir.join(name).is_dir();
+    (is_folder("color") && is_folder("pose")).then(|| "color/ with pose/".to_owned())
+}
+
+/// Refuses a folder of another layout.
+pub(crate) fn expect(dir: &Path) -> Result<()> {
+    marker(dir).map(|_| ()).ok_or_else(|| {
+        invalid!(dir, "color"; found "not both folders";
+            expected "color/ and pose/, as ScanNet's SensReader writes them"; help "export the .sens file of the scan")
+    })
+}
+
+/// Lists the frames of the folder.
+pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
+    let photos = sequence::numbered(&dir.join("color"), "", &EXTENSIONS)?;
+    let pose_file = |image: &Path| {
+        let name = image.with_extension("txt");
+        dir.join("pose").join(name.file_name().unwrap_or_default())
+    };
+    let photos: Vec<(usize, PathBuf)> = photos.into_iter().collect();
+    let mut poses = Vec::new();
+    photos
+        .par_iter()
+        .map(|(_, image)| read_matrix(&pose_file(image)))
+        .collect_into_vec(&mut poses);
+    let mut lost = 0;
+    let mut posed: Vec<(usize, &PathBuf, Pose)> = Vec::with_capacity(photos.len());
+    for ((number, image), pose) in photos.iter().zip(poses) {
+        match problems.keep(pose) {
+            Some(pose) if pose.iter().all(|v| v.is_finite()) => posed.push((*number, image, pose)),
+            Some(_) => lost += 1,
+            None => {}
+        }
+    }
+    let all = photos.len();
+    let notice =
+        format!("{lost} of {all} frames left out: their poses hold infinities (tracking was lost)");
+    let kept = options.pick(&vec![None; posed.len()]);
+    let Some(&(first, _)) = kept.first() else {
+        return Err(
+            invalid!(dir, "color"; found "{all} photos, {lost} of them without a finite pose";
+            expected "photos with poses"; help "export the .sens file of the scan, photos and poses"),
+        );
+    };
+    let intrinsics = read_intrinsics(dir, posed[first].1, &options.limits)?;
+    let truth = sequence::numbered_maps(dir, &["label-filt", "label"], "")?;
+    let instances = sequence::numbered_maps(dir, &["instance-filt", "instance"], "")?;
+    let folders = SideFolders::new(dir, options, Layout::Scannet, problems);
+    let mut frames = Vec::with_capacity(kept.len());
+    for (i, split) in kept {
+        let (number, image, pose) = &posed[i];
+        let camera = sequence::camera(pose, intrinsics, &pose_file(image), "matrix");
+        if let Some(camera) = problems.keep(camera) {
+            let frame = sequence::frame(image, split, camera, &folders, instances.get(number));
+            frames.push(Frame {
+                truth: truth.get(number).cloned(),
+                ..frame
+            });
+        }
+    }
+    let own_classes = dir.join("classes.json").is_file();
+    let needs_table = !own_classes && frames.iter().any(|frame| frame.truth.is_some());
+    let table = needs_table
+        .then(|| problems.keep(label_table(dir, options)))
+        .flatten();
+    let cloud = sequence::cloud(dir, &frames, MILLIMETRES, |name| {
+        format!("depth/{name}.png")
+    });
+    let file = dir.join("intrinsic/intrinsic_color.txt");
+    let dataset = Some(classes(options.scannet_classes));
+    let mut listing = Listing::new(
+        dir,
+        options,
+        Layout::Scannet,
+        file,
+        frames,
+        dataset,
+        problems,
+    );
+    if needs_table && table.is_none() {
+        // Reported once; without the table every map would be reported as well.
+        listing
+            .frames
+            .iter_mut()
+            .for_each(|frame| frame.truth = None);
+    }
+    Ok(Listing {
+        truth_ids: table,
+        resample_labels: true,
+        cloud,
+        z_up: true,
+        notices: if lost > 0 { vec![notice] } else { Vec::new() },
+        ..listing
+    })
+}
+
+/// A 4x4 matrix in a file of its own.
+fn read_matrix(path: &Path) -> Result<Pose> {
+    if !path.is_file() {
+        return Err(Error::missing_file(
+            path,
+            "export it from the .sens file again",
+        ));
+    }
+    sequence::pose(&read::text(path)?, path, "matrix")
+}
+
+/// `intrinsic_color.txt`: a 4x4 matrix whose upper left 3x3 is K, for photos of the size of `photo`.
+fn read_intrinsics(dir: &Path, photo: &Path, limits: &Limits) -> Result<Intrinsics> {
+    let path = dir.join("intrinsic/intrinsic_color.txt");
+    let [fx, _, cx, _, _, fy, cy, ..] = read_matrix(&path)?;
+    let (width, height) = ImageFile::open(photo, limits)?.size;
+    if ![fx, fy].iter().all(|f| FOCAL.contains(f)) {
+        return Err(
+            invalid!(&path, "focal length"; found "{fx} {fy}"; expected "pixels, 0.001 to 1e9";
+            help "export the intrinsics of the .sens file again"),
+        );
+    }
+    let is_central = |c: f64, side: usize| (0.3..=0.7).contains(&(c / side as f64));
+    if !is_central(cx, width) || !is_central(cy, height) {
+        return Err(invalid!(&path, "principal point"; found "{cx} {cy}";
+            expected "near the middle of the photos, which are {width}x{height}";
+            help "where photos were scaled, scale fx fy cx cy of the first three rows with them"));
+    }
+    Ok(Intrinsics {
+        fx,
+        fy,
+        cx,
+        cy,
+        width,
+        height,
+    })
+}
+
+/// Whether the class `id` of NYU40 is in the set.
+fn in_set(set: ScannetClasses, id: u16) -> bool {
+    set == ScannetClasses::Nyu40 || SCANNET20.contains(&id)
+}
+
+/// The classes of a set, with NYU40's ids; 0 is unlabelled.
+fn classes(set: ScannetClasses) -> Classes {
+    let named = (1_u16..).zip(NYU40.lines());
+    Classes::from_names(0, named.filter(|(id, _)| in_set(set, *id)))
+}
+
+/// Reads the table of labels that the options name, or that lies in `dir` or one of the three folders above it: the NYU40
+/// id of each label id, 0 for those outside of the set, [`UNMAPPED`] for those that the table lacks.
+fn label_table(dir: &Path, options: &LoadOptions) -> Result<Vec<u32>> {
+    let full = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
+    let mut near = full.ancestors().take(4).map(|folder| folder.join(TABLE));
+    let named = options.scannet_labels.clone();
+    let path = named.or_else(|| near.find(|path| path.is_file())).ok_or_else(|| {
+        invalid!(dir, "{TABLE}"; found "no such file";
+            expected "{TABLE} there or in one of the three folders above: the labels' ids mean nothing without it";
+            help "copy it from the dataset, or name it with data.scannet_labels")
+    })?;
+    let error = |line: usize, found: String, expected: &str| {
+        invalid!(&path, "line {line}"; found "{found}"; expected "{expected}";
+            help "copy the table from the dataset again")
+    };
+    let text = read::text(&path)?;
+    let mut rows = text
+        .lines()
+        .map(|row| row.split('\t').map(str::trim).collect::<Vec<_>>())
+        .zip(1..);
+    let (header, _) = rows.next().unwrap_or_default();
+    let column = |name: &'static str| {
+        let place = header.iter().position(|column| *column == name);
+        let expected = format!("a column {name}, separated by tabs");
+        place
+            .map(|place| (name, place))
+            .ok_or_else(|| error(1, format!("columns {header:?}"), &expected))
+    };
+    let columns = [column("id")?, column("nyu40id")?];
+    let mut ids = vec![UNMAPPED; 1 << 16];
+    ids[0] = 0;
+    for (cells, line) in rows.filter(|(cells, _)| cells.iter().any(|cell| !cell.is_empty())) {
+        let value = |(name, place): (&str, usize)| {
+            let cell = cells.get(place).copied().unwrap_or_default();
+            let found = || format!("{cell:?} in column {name}");
+            cell.parse::<u16>()
+                .map_err(|_| error(line, found(), "a whole number from 0 to 65535"))
+        };
+        let [id, class] = [value(columns[0])?, value(columns[1])?];
+        if usize::from(class) > NYU40.lines().count() {
+            return Err(error(line, format!("nyu40id {class}"), "0 to 40"));
+        }
+        ids[usize::from(id)] = if in_set(options.scannet_classes, class) {
+            class.into()
+        } else {
+            0
+        };
+    }
+    Ok(ids)
+}

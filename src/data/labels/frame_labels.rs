@@ -1,0 +1,133 @@
+//! The label maps of a frame, as the camera of its view sees them.
+
+use super::raw::RawMap;
+use crate::data::formats::frame::{Frame, Geometry, proportional};
+use crate::data::formats::listing::Listing;
+use crate::data::mask::Mask;
+use crate::data::photos::image_file::ImageFile;
+use crate::data::{LabelMap, Limits};
+use crate::error::{Error, Result};
+use std::path::Path;
+
+/// Reads the label maps of a frame.
+pub(crate) struct FrameLabels<'a> {
+    listing: &'a Listing,
+    frame: &'a Frame,
+    geometry: &'a Geometry,
+    /// [`crate::data::Classes::lookup`] of the listing's classes.
+    known: &'a [u16],
+    limits: &'a Limits,
+    /// Maps are unlabelled where it leaves pixels out.
+    mask: Option<&'a Mask>,
+}
+
+impl<'a> FrameLabels<'a> {
+    pub fn new(
+        listing: &'a Listing,
+        frame: &'a Frame,
+        geometry: &'a Geometry,
+        known: &'a [u16],
+        limits: &'a Limits,
+        mask: Option<&'a Mask>,
+    ) -> Self {
+        Self {
+            listing,
+            frame,
+            geometry,
+            known,
+            limits,
+            mask,
+        }
+    }
+
+    /// The true labels, in class ids.
+    pub fn truth(&self) -> Result<Option<LabelMap>> {
+        let Some(path) = &self.frame.truth else {
+            return Ok(None);
+        };
+        let mut map = self.read_grey(path)?;
+        if let Some(ids) = &self.listing.truth_ids {
+            map.translate(path, ids)?;
+        }
+        let classes = &self.listing.classes;
+        map.settle_ids(path, classes, self.known, "")?;
+        Ok(Some(self.in_view(path, map, classes.ignore)))
+    }
+
+    /// The true instances.
+    pub fn instances(&self) -> Result<Option<LabelMap>> {
+        let path = self.frame.instances.as_ref();
+        path.map(|path| Ok(self.in_view(path, self.read_grey(path)?, 0)))
+            .transpose()
+    }
+
+    /// The raw labels.
+    pub fn raw(&self) -> Result<Option<RawMap>> {
+        let Some(path) = &self.frame.raw else {
+            return Ok(None);
+        };
+        let camera = &self.geometry.camera;
+        let check_size = |file: &ImageFile| self.check_size(path, file);
+        let raw = self.listing.raw.read(
+            path,
+            (camera.width, camera.height),
+            (&self.listing.classes, self.known),
+            self.limits,
+            &check_size,
+        )?;
+        let map = self.in_view(path, raw.map, self.listing.unlabelled());
+        Ok(Some(RawMap { map, ..raw }))
+    }
+
+    /// A grey label map of the size of its file.
+    fn read_grey(&self, path: &Path) -> Result<LabelMap> {
+        expect_file(path)?;
+        let file = ImageFile::open(path, self.limits)?;
+        self.check_size(path, &file)?;
+        LabelMap::decode(path, &file)
+    }
+
+    /// The map that was read from `path` as the view's camera sees it; masked pixels have the id `unlabelled`.
+    fn in_view(&self, path: &Path, map: LabelMap, unlabelled: u16) -> LabelMap {
+        let mut map = self.geometry.labels(map, self.listing.geometries.of(path));
+        if let Some(mask) = self.mask {
+            mask.fill(&mut map.ids, 1, unlabelled);
+        }
+        map
+    }
+
+    /// Refuses a file of the labels at `path` whose size is neither that of the stored nor of the reduced photo; where maps
+    /// are resampled it only needs the same proportions.
+    fn check_size(&self, path: &Path, file: &ImageFile) -> Result<()> {
+        let declared = self.listing.geometries.of(path).is_some();
+        if !declared && self.geometry.is_reduced_size(file.size) {
+            return Ok(());
+        }
+        let size = (self.geometry.camera.width, self.geometry.camera.height);
+        let resampled = declared || self.listing.resample_labels || self.frame.resizable;
+        if resampled && proportional(file.size, size) {
+            return Ok(());
+        }
+        let photo = || {
+            ImageFile::open(&self.frame.image, self.limits)
+                .ok()?
+                .exif_orientation()
+        };
+        let exif = file.lies_across(size).then(photo).flatten();
+        let whose = exif.map_or("its photo".to_owned(), |exif| {
+            format!("its photo as it is stored, whose EXIF orientation is {exif}")
+        });
+        file.expect_size(size, &whose)
+    }
+}
+
+/// Refuses a label map that is not there.
+pub(crate) fn expect_file(path: &Path) -> Result<()> {
+    if path.is_file() {
+        return Ok(());
+    }
+    Err(Error::missing_file(
+        path,
+        "put the label map there, or do not name it",
+    ))
+}

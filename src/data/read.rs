@@ -1,0 +1,33 @@
+//! Text and JSON files, with errors that name the file and the line.
+
+use crate::error::{Error, Result, invalid};
+use serde::de::DeserializeOwned;
+use std::path::Path;
+
+/// The text of a file.
+pub(crate) fn text(path: &Path) -> Result<String> {
+    std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))
+}
+
+/// A JSON file; `expected` describes its form in errors.
+pub(crate) fn json<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<T> {
+    serde_json::from_str(&text(path)?).map_err(|e| json_error(path, &e, expected))
+}
+
+/// The error for JSON that does not parse.
+pub(crate) fn json_error(path: &Path, e: &serde_json::Error, expected: &str) -> Error {
+    invalid!(path, "line {}", e.line(); found "{e}"; expected "{expected}";
+        help "correct the file there, or export it again")
+}
+
+/// The names of the files and folders in `dir` that `keep` accepts, sorted; empty where `dir` cannot be read.
+pub(crate) fn names(dir: &Path, keep: impl Fn(&str, &Path) -> bool) -> Vec<String> {
+    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
+    let mut names: Vec<String> = entries
+        .filter_map(|entry| Some((entry.file_name().into_string().ok()?, entry.path())))
+        .filter(|(name, path)| keep(name, path))
+        .map(|(name, _)| name)
+        .collect();
+    names.sort_unstable();
+    names
+}
