@@ -146,18 +146,6 @@ impl Object<'_> {
         self.solid(Shape::Ellipsoid, center, size, DMat3::IDENTITY, material);
     }
 
-    /// Four legs of square section at the corners of a `width` x `depth` rectangle.
-    pub fn legs(&mut self, width: f64, depth: f64, height: f64, thickness: f64, material: usize) {
-        for (sx, sy) in [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)] {
-            let at = [
-                sx * (width - thickness),
-                sy * (depth - thickness),
-                height / 2.0,
-            ];
-            self.cuboid(at, [thickness, thickness, height], material);
-        }
-    }
-
     /// Lets light through the solid added last.
     pub fn translucent(&mut self) {
         if let Some(s) = self.builder.solids.last_mut() {

@@ -2,10 +2,11 @@
 
 use super::noise::noise;
 use crate::data::LabelMap;
+use glam::DVec2;
 use rand::Rng;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// How labels are spoilt. Probabilities are those of an object of ordinary difficulty at `strength` 1.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,20 +38,18 @@ pub struct Corruption {
 impl Default for Corruption {
     /// Calibrated on the built-in scene; confusions are those of its classes.
     fn default() -> Self {
-        use super::build::class::{
-            CABINET, CEILING, CHAIR, FLOOR, LAMP, PICTURE, SOFA, TABLE, WALL, WINDOW,
-        };
+        use super::build::class::*;
         let confusions = [
-            (WALL, vec![CEILING, CABINET, WINDOW]),
-            (FLOOR, vec![TABLE, WALL, SOFA]),
-            (CEILING, vec![WALL, WINDOW, LAMP]),
-            (WINDOW, vec![PICTURE, WALL, CABINET]),
-            (PICTURE, vec![WINDOW, WALL, CABINET]),
-            (TABLE, vec![CABINET, CHAIR, FLOOR]),
-            (CHAIR, vec![SOFA, TABLE, CABINET]),
-            (SOFA, vec![CHAIR, TABLE, FLOOR]),
-            (CABINET, vec![TABLE, WALL, SOFA]),
-            (LAMP, vec![CHAIR, PICTURE, WALL]),
+            (WALL, [CEILING, CABINET, WINDOW]),
+            (FLOOR, [TABLE, WALL, SOFA]),
+            (CEILING, [WALL, WINDOW, LAMP]),
+            (WINDOW, [PICTURE, WALL, CABINET]),
+            (PICTURE, [WINDOW, WALL, CABINET]),
+            (TABLE, [CABINET, CHAIR, FLOOR]),
+            (CHAIR, [SOFA, TABLE, CABINET]),
+            (SOFA, [CHAIR, TABLE, FLOOR]),
+            (CABINET, [TABLE, WALL, SOFA]),
+            (LAMP, [CHAIR, PICTURE, WALL]),
         ];
         Self {
             strength: 1.0,
@@ -62,7 +61,9 @@ impl Default for Corruption {
             drop: 0.02,
             warp: 2.5,
             void_borders: 0.3,
-            confusions: confusions.into(),
+            confusions: confusions
+                .map(|(class, others)| (class, others.into()))
+                .into(),
             ignore: 0,
         }
     }
@@ -119,65 +120,29 @@ struct Objects {
 
 impl Objects {
     fn draw(labels: &[LabelMap], instances: &[&[u16]], params: &Corruption, seed: u64) -> Self {
-        let mut largest: BTreeMap<(u16, u16), f64> = BTreeMap::new();
-        for (map, ids) in labels.iter().zip(instances) {
-            let mut area: BTreeMap<(u16, u16), usize> = BTreeMap::new();
-            for (&class, &id) in map.ids.iter().zip(*ids) {
-                *area.entry((id, class)).or_default() += 1;
-            }
-            for (key, n) in area {
-                let share = largest.entry(key).or_default();
-                *share = share.max(n as f64 / map.ids.len() as f64);
-            }
-        }
-        largest.retain(|key, _| key.1 != params.ignore);
-        let classes: Vec<u16> = largest
-            .keys()
-            .map(|k| k.1)
-            .collect::<std::collections::BTreeSet<_>>()
-            .into_iter()
-            .collect();
-        let wrong: BTreeMap<u16, Vec<u16>> = classes
-            .iter()
-            .map(|&c| {
-                let listed = params
-                    .confusions
-                    .iter()
-                    .find(|l| l.0 == c)
-                    .map(|l| l.1.clone());
-                let mut others = listed.unwrap_or_else(|| classes.clone());
-                others.retain(|&o| o != c && o != params.ignore);
-                (c, others)
-            })
-            .collect();
-        let (mut difficulty, mut runs) = (BTreeMap::new(), BTreeMap::new());
+        let largest = largest_shares(labels, instances, params.ignore);
+        let classes: BTreeSet<u16> = largest.keys().map(|(_, class)| *class).collect();
+        let mistaken_for = |class: u16| {
+            let listed = params.confusions.iter().find(|(of, _)| *of == class);
+            let all = || classes.iter().copied().collect();
+            let mut others: Vec<u16> = listed.map_or_else(all, |(_, others)| others.clone());
+            others.retain(|&other| other != class && other != params.ignore);
+            (class, others)
+        };
+        let wrong: BTreeMap<u16, Vec<u16>> = classes.iter().copied().map(mistaken_for).collect();
+        let mut difficulty = BTreeMap::new();
+        let mut runs = BTreeMap::new();
         for (&(id, class), share) in &largest {
             let rng = &mut fork(seed, 1, u64::from(id) << 16 | u64::from(class));
             let spread = 0.7;
             let normal = super::points::gauss(rng);
-            let hard =
-                (spread * normal - spread * spread / 2.0).exp().min(3.0) / (1.0 + 4.0 * share);
+            let hard = (spread * normal - spread * spread / 2.0).exp().min(3.0);
+            let hard = hard / (1.0 + 4.0 * share);
             difficulty.insert(id, hard);
-            let p = (params.strength * params.run_share * hard).min(0.8);
-            let leave = 1.0 / params.run_length.max(1.0);
-            let enter = leave * p / (1.0 - p);
-            let favourite = pick(&wrong[&class], rng);
-            let mut now = None;
-            let states = (0..labels.len()).map(|i| {
-                let inside = match now {
-                    _ if i == 0 => rng.random::<f64>() < p,
-                    Some(_) => rng.random::<f64>() >= leave,
-                    None => rng.random::<f64>() < enter,
-                };
-                now = match now {
-                    _ if !inside => None,
-                    Some(c) => Some(c),
-                    None if rng.random_bool(0.67) => favourite,
-                    None => pick(&wrong[&class], rng),
-                };
-                now
-            });
-            runs.insert((id, class), states.collect());
+            runs.insert(
+                (id, class),
+                run(labels.len(), hard, &wrong[&class], params, rng),
+            );
         }
         Self {
             difficulty,
@@ -185,6 +150,61 @@ impl Objects {
             wrong,
         }
     }
+}
+
+/// Largest share of a view that each (instance, class) fills.
+fn largest_shares(
+    labels: &[LabelMap],
+    instances: &[&[u16]],
+    ignore: u16,
+) -> BTreeMap<(u16, u16), f64> {
+    let mut largest = BTreeMap::new();
+    for (map, ids) in labels.iter().zip(instances) {
+        let mut area: BTreeMap<(u16, u16), usize> = BTreeMap::new();
+        for (&class, &id) in map
+            .ids
+            .iter()
+            .zip(*ids)
+            .filter(|(class, _)| **class != ignore)
+        {
+            *area.entry((id, class)).or_default() += 1;
+        }
+        for (key, n) in area {
+            let share: &mut f64 = largest.entry(key).or_default();
+            *share = share.max(n as f64 / map.ids.len() as f64);
+        }
+    }
+    largest
+}
+
+/// The wrong class of an object in each view, a two-state chain.
+fn run(
+    views: usize,
+    hard: f64,
+    wrong: &[u16],
+    params: &Corruption,
+    rng: &mut ChaCha8Rng,
+) -> Vec<Option<u16>> {
+    let p = (params.strength * params.run_share * hard).min(0.8);
+    let leave = 1.0 / params.run_length.max(1.0);
+    let enter = leave * p / (1.0 - p);
+    let favourite = pick(wrong, rng);
+    let mut now = None;
+    let states = (0..views).map(|i| {
+        let inside = match now {
+            _ if i == 0 => rng.random::<f64>() < p,
+            Some(_) => rng.random::<f64>() >= leave,
+            None => rng.random::<f64>() < enter,
+        };
+        now = match now {
+            _ if !inside => None,
+            Some(class) => Some(class),
+            None if rng.random_bool(0.67) => favourite,
+            None => pick(wrong, rng),
+        };
+        now
+    });
+    states.collect()
 }
 
 fn pick(from: &[u16], rng: &mut ChaCha8Rng) -> Option<u16> {
@@ -282,11 +302,10 @@ fn spoil_segments(
         } else if share > 0.01 && split < rate * params.split {
             let through = pixels[rng.random_range(0..pixels.len())];
             let (sin, cos) = rng.random_range(0.0..std::f64::consts::TAU).sin_cos();
+            let place = |i: usize| DVec2::new((i % map.width) as f64, (i / map.width) as f64);
             let side = |&i: &usize| {
-                let (dx, dy) = ((i % map.width) as f64, (i / map.width) as f64);
-                (dx - (through % map.width) as f64) * cos
-                    + (dy - (through / map.width) as f64) * sin
-                    > 0.0
+                let offset = place(i) - place(through);
+                offset.x * cos + offset.y * sin > 0.0
             };
             let (mut part, rest): (Vec<_>, Vec<_>) = pixels.iter().partition(|i| side(i));
             if part.len() > rest.len() {

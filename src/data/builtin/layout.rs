@@ -1,11 +1,11 @@
 //! Drawing a furnished room: walls with windows and pictures, a seating group, a dining group, cabinets and lamps.
 
 use super::build::{Builder, class};
-use super::furniture::{Kind, Place, pendant, table_lamp};
-use super::shell;
+use super::furniture::Kind;
 use super::style::Style;
-use glam::{DMat2, DVec2, DVec3};
+use glam::{DMat2, DMat3, DVec2, DVec3};
 use rand::Rng;
+use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// A room while it is being furnished: what is taken on the floor and on the walls.
@@ -19,22 +19,22 @@ pub(super) struct Plan {
 }
 
 impl Plan {
+    fn new(size: DVec3) -> Self {
+        Self {
+            size,
+            floor: Vec::new(),
+            walls: Default::default(),
+        }
+    }
+
     /// Length of wall `k` (0 south, 1 east, 2 north, 3 west).
     pub fn length(&self, k: usize) -> f64 {
-        if k.is_multiple_of(2) {
-            self.size.x
-        } else {
-            self.size.y
-        }
+        self.size[k % 2]
     }
 
     /// Point of wall `k` at `s` along it from its middle, `out` into the room, height `z`.
     pub fn on_wall(&self, k: usize, s: f64, out: f64, z: f64) -> DVec3 {
-        let across = if k.is_multiple_of(2) {
-            self.size.y
-        } else {
-            self.size.x
-        };
+        let across = self.size[(k + 1) % 2];
         let flat = DMat2::from_angle(yaw(k)) * DVec2::new(s, out - across / 2.0);
         flat.extend(z)
     }
@@ -80,7 +80,7 @@ impl Plan {
         &mut self,
         walls: &[usize],
         [w, d, h]: [f64; 3],
-        rng: &mut impl Rng,
+        rng: &mut ChaCha8Rng,
     ) -> Option<(usize, f64)> {
         for attempt in 0..40 {
             let k = walls[attempt % walls.len()];
@@ -107,315 +107,217 @@ pub(super) fn yaw(k: usize) -> f64 {
     k as f64 * FRAC_PI_2
 }
 
-/// Draws a room. `size` overrides its extents.
-pub(super) fn furnish(b: &mut Builder, size: Option<DVec3>, rng: &mut impl Rng) -> DVec3 {
-    let drawn = DVec3::new(
-        rng.random_range(4.6..6.8),
-        rng.random_range(4.2..5.8),
-        rng.random_range(2.5..2.9),
-    );
+/// A room while it is being drawn.
+pub(super) struct Decorator<'a> {
+    pub builder: Builder,
+    pub plan: Plan,
+    pub style: Style,
+    pub rng: &'a mut ChaCha8Rng,
+}
+
+/// Draws a room; returns its parts and its extents, which `size` overrides.
+pub(super) fn furnish(size: Option<DVec3>, rng: &mut ChaCha8Rng) -> (Builder, DVec3) {
+    let width = rng.random_range(4.6..6.8);
+    let depth = rng.random_range(4.2..5.8);
+    let drawn = DVec3::new(width, depth, rng.random_range(2.5..2.9));
     let size = size.unwrap_or(drawn);
-    let plan = &mut Plan {
-        size,
-        floor: Vec::new(),
-        walls: Default::default(),
-    };
-    let style = &Style::draw(b, rng);
-    shell::shell(b, plan, style, rng);
-    let sunny = rng.random_range(0..4);
-    let mut windows = 0;
-    for k in [sunny, (sunny + 1) % 4, sunny] {
-        windows += usize::from(shell::window(b, plan, style, k, rng));
-    }
-    if windows == 0 {
-        shell::window(b, plan, style, (sunny + 2) % 4, rng);
-    }
-    let lounge = seating(
-        b,
-        plan,
+    let mut builder = Builder::default();
+    let style = Style::draw(&mut builder, rng);
+    let mut room = Decorator {
+        builder,
+        plan: Plan::new(size),
         style,
-        [0, 1, 2, 3].map(|i| (sunny + 2 + i) % 4),
         rng,
-    );
-    let dining = dining_group(b, plan, style, rng);
-    cabinets(b, plan, style, rng);
-    if !dining || rng.random_bool(0.4) {
-        desk_corner(b, plan, style, rng);
+    };
+    room.shell();
+    let sunny = room.rng.random_range(0..4);
+    let walls = [sunny, (sunny + 1) % 4, sunny];
+    let windows = walls.map(|k| room.window(k));
+    if !windows.contains(&true) {
+        room.window((sunny + 2) % 4);
+    }
+    let lounge = room.seating([0, 1, 2, 3].map(|i| (sunny + 2 + i) % 4));
+    let dining = room.dining_group();
+    room.cabinets();
+    if !dining || room.rng.random_bool(0.4) {
+        room.desk_corner();
     }
     for _ in 0..1 + usize::from(!lounge) {
-        let piece = Kind::FloorLamp.size(rng);
-        if let Some((k, s)) = plan.place_at_wall(&shuffled(rng), piece, rng) {
-            let at = plan.on_wall(k, s, piece[1] / 2.0 + 0.03, 0.0);
-            Kind::FloorLamp.build(
-                b,
-                style,
-                Place {
-                    at,
-                    yaw: 0.0,
-                    size: piece,
-                    variant: 0,
-                },
-                rng,
-            );
+        room.floor_lamp();
+    }
+    for _ in 0..room.rng.random_range(5..9) {
+        room.picture();
+    }
+    (room.builder, size)
+}
+
+impl Decorator<'_> {
+    fn shuffled_walls(&mut self) -> [usize; 4] {
+        let mut order = [0, 1, 2, 3];
+        for i in (1..4).rev() {
+            order.swap(i, self.rng.random_range(0..=i));
         }
+        order
     }
-    let wanted = rng.random_range(5..9);
-    for _ in 0..wanted {
-        shell::picture(b, plan, style, rng);
-    }
-    size
-}
 
-fn shuffled(rng: &mut impl Rng) -> [usize; 4] {
-    let mut order = [0, 1, 2, 3];
-    for i in (1..4).rev() {
-        order.swap(i, rng.random_range(0..=i));
+    /// Adds a piece that stands at `at`, turned by `yaw`; `variant` picks among its looks.
+    fn put(&mut self, kind: Kind, at: DVec3, yaw: f64, size: [f64; 3], variant: usize) {
+        let object = &mut self.builder.object(kind.class(), at, yaw);
+        kind.build(object, &self.style, size, variant, self.rng);
     }
-    order
-}
 
-/// Sofa at a wall, a rug, a low table before it, armchairs and a side table with a lamp.
-fn seating(
-    b: &mut Builder,
-    plan: &mut Plan,
-    style: &Style,
-    walls: [usize; 4],
-    rng: &mut impl Rng,
-) -> bool {
-    let size = Kind::Sofa.size(rng);
-    let Some((k, s)) = plan.place_at_wall(&walls, size, rng) else {
-        return false;
-    };
-    let variant = rng.random_range(0..12);
-    let at = plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
-    Kind::Sofa.build(
-        b,
-        style,
-        Place {
-            at,
-            yaw: yaw(k),
-            size,
-            variant,
-        },
-        rng,
-    );
-    let low = Kind::CoffeeTable.size(rng);
-    let front = size[1] + 0.42 + low[1] / 2.0;
-    let middle = plan.on_wall(k, s, front, 0.0);
-    shell::rug(
-        b,
-        plan,
-        style,
-        middle,
-        yaw(k),
-        [size[0] + 0.5, low[1] + 1.3],
-        rng,
-    );
-    if plan.take_floor(middle, yaw(k), low[0], low[1], 0.1) {
-        let variant = rng.random_range(0..4);
-        Kind::CoffeeTable.build(
-            b,
-            style,
-            Place {
-                at: middle,
-                yaw: yaw(k),
-                size: low,
-                variant,
-            },
-            rng,
-        );
-    }
-    let across = rng.random_range(0..3);
-    for side in [-1.0, 1.0] {
-        let chair = Kind::Armchair.size(rng);
-        // Facing the low table from its side, or from across.
-        let (ds, dy, turn) = if across == 2 {
-            (
-                side * (chair[0] / 2.0 + 0.12),
-                front + low[1] / 2.0 + 0.4 + chair[1] / 2.0,
-                PI,
-            )
-        } else {
-            (
-                side * (low[0] / 2.0 + 0.4 + chair[1] / 2.0),
-                front + 0.1,
-                side * FRAC_PI_2,
-            )
+    /// Sofa at a wall, a rug, a low table before it, armchairs and a side table with a lamp.
+    fn seating(&mut self, walls: [usize; 4]) -> bool {
+        let size = Kind::Sofa.size(self.rng);
+        let Some((k, s)) = self.plan.place_at_wall(&walls, size, self.rng) else {
+            return false;
         };
-        let turn = turn + rng.random_range(-0.25..0.25);
-        let at = plan.on_wall(k, s + ds, dy, 0.0);
-        if plan.take_floor(at, yaw(k) + turn, chair[0], chair[1], 0.08) {
-            let place = Place {
-                at,
-                yaw: yaw(k) + turn,
-                size: chair,
-                variant: variant + 1,
-            };
-            Kind::Armchair.build(b, style, place, rng);
+        let variant = self.rng.random_range(0..12);
+        let at = self.plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
+        self.put(Kind::Sofa, at, yaw(k), size, variant);
+        let low = Kind::CoffeeTable.size(self.rng);
+        let front = size[1] + 0.42 + low[1] / 2.0;
+        let middle = self.plan.on_wall(k, s, front, 0.0);
+        self.rug(middle, yaw(k), [size[0] + 0.5, low[1] + 1.3]);
+        if self.plan.take_floor(middle, yaw(k), low[0], low[1], 0.1) {
+            let variant = self.rng.random_range(0..4);
+            self.put(Kind::CoffeeTable, middle, yaw(k), low, variant);
         }
-    }
-    let table = Kind::SideTable.size(rng);
-    for side in [-1.0, 1.0] {
-        let ds = side * (size[0] / 2.0 + table[0] / 2.0 + 0.1);
-        let at = plan.on_wall(k, s + ds, 0.3, 0.0);
-        let free = plan.take_floor(at, 0.0, table[0], table[0], 0.02);
-        if free && plan.take_wall(k, [s + ds - 0.24, s + ds + 0.24, 0.0, 1.15], 0.02) {
-            let variant = rng.random_range(0..2);
-            Kind::SideTable.build(
-                b,
-                style,
-                Place {
-                    at,
-                    yaw: 0.0,
-                    size: table,
-                    variant,
-                },
-                rng,
-            );
-            table_lamp(b, style, at + DVec3::Z * table[2], rng);
+        let across = self.rng.random_range(0..3);
+        for side in [-1.0, 1.0] {
+            let chair = Kind::Armchair.size(self.rng);
+            // Facing the low table from its side, or from across.
+            let mut ds = side * (low[0] / 2.0 + 0.4 + chair[1] / 2.0);
+            let mut dy = front + 0.1;
+            let mut turn = side * FRAC_PI_2;
+            if across == 2 {
+                ds = side * (chair[0] / 2.0 + 0.12);
+                dy = front + low[1] / 2.0 + 0.4 + chair[1] / 2.0;
+                turn = PI;
+            }
+            let turn = turn + self.rng.random_range(-0.25..0.25);
+            let at = self.plan.on_wall(k, s + ds, dy, 0.0);
+            let yaw = yaw(k) + turn;
+            if self.plan.take_floor(at, yaw, chair[0], chair[1], 0.08) {
+                self.put(Kind::Armchair, at, yaw, chair, variant + 1);
+            }
         }
+        let table = Kind::SideTable.size(self.rng);
+        for side in [-1.0, 1.0] {
+            let s = s + side * (size[0] / 2.0 + table[0] / 2.0 + 0.1);
+            let at = self.plan.on_wall(k, s, 0.3, 0.0);
+            let free = self.plan.take_floor(at, 0.0, table[0], table[0], 0.02);
+            if free
+                && self
+                    .plan
+                    .take_wall(k, [s - 0.24, s + 0.24, 0.0, 1.15], 0.02)
+            {
+                let variant = self.rng.random_range(0..2);
+                self.put(Kind::SideTable, at, 0.0, table, variant);
+                self.table_lamp(at + DVec3::Z * table[2]);
+            }
+        }
+        true
     }
-    true
-}
 
-/// Table with chairs around it, a rug below and a lamp above.
-fn dining_group(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl Rng) -> bool {
-    let size = Kind::DiningTable.size(rng);
-    for _ in 0..60 {
-        let reach = plan.size.truncate() / 2.0 - 1.15;
-        let x = rng.random_range(-1.0..1.0) * reach.x;
-        let y = rng.random_range(-1.0..1.0) * reach.y;
-        let turn = yaw(rng.random_range(0..2)) + rng.random_range(-0.12..0.12);
-        let at = DVec3::new(x, y, 0.0);
-        if !plan.take_floor(at, turn, size[0] + 0.7, size[1] + 1.0, 0.15) {
-            continue;
+    /// Table with chairs around it and a lamp above.
+    fn dining_group(&mut self) -> bool {
+        let size = Kind::DiningTable.size(self.rng);
+        for _ in 0..60 {
+            let reach = self.plan.size.truncate() / 2.0 - 1.15;
+            let x = self.rng.random_range(-1.0..1.0) * reach.x;
+            let y = self.rng.random_range(-1.0..1.0) * reach.y;
+            let turn = yaw(self.rng.random_range(0..2)) + self.rng.random_range(-0.12..0.12);
+            let at = DVec3::new(x, y, 0.0);
+            if self
+                .plan
+                .take_floor(at, turn, size[0] + 0.7, size[1] + 1.0, 0.15)
+            {
+                self.set_table(at, turn, size);
+                return true;
+            }
         }
-        let look = rng.random_range(0..4);
-        Kind::DiningTable.build(
-            b,
-            style,
-            Place {
-                at,
-                yaw: turn,
-                size,
-                variant: look,
-            },
-            rng,
-        );
-        let variant = rng.random_range(0..12);
-        let r = glam::DMat3::from_rotation_z(turn);
+        false
+    }
+
+    fn set_table(&mut self, at: DVec3, turn: f64, size: [f64; 3]) {
+        let look = self.rng.random_range(0..4);
+        self.put(Kind::DiningTable, at, turn, size, look);
+        let variant = self.rng.random_range(0..12);
+        let axes = DMat3::from_rotation_z(turn);
         let (w, d) = (size[0] / 2.0, size[1] / 2.0);
         let mut seats = vec![(-w * 0.5, -d - 0.12, 0.0), (w * 0.5, -d - 0.12, 0.0)];
         seats.extend([(-w * 0.5, d + 0.12, PI), (w * 0.5, d + 0.12, PI)]);
-        if rng.random_bool(0.6) {
+        if self.rng.random_bool(0.6) {
             seats.push((w + 0.1, 0.0, FRAC_PI_2));
         }
-        for (i, (sx, sy, facing)) in seats.into_iter().enumerate() {
-            let jitter = rng.random_range(-0.2..0.2);
-            let chair = Kind::Chair.size(rng);
-            let at = at + r * DVec3::new(sx, sy, 0.0);
+        for (i, (x, y, facing)) in seats.into_iter().enumerate() {
+            let jitter = self.rng.random_range(-0.2..0.2);
+            let chair = Kind::Chair.size(self.rng);
+            let seat = at + axes * DVec3::new(x, y, 0.0);
             let yaw = turn + facing + jitter;
-            let place = Place {
-                at,
-                yaw,
-                size: chair,
-                variant: variant + i % 2 * 7,
-            };
-            Kind::Chair.build(b, style, place, rng);
+            self.put(Kind::Chair, seat, yaw, chair, variant + i % 2 * 7);
         }
-        let drop = plan.size.z - rng.random_range(1.75..1.85);
-        pendant(b, style, at + DVec3::Z * plan.size.z, drop, rng);
-        return true;
+        let ceiling = self.plan.size.z;
+        let drop = ceiling - self.rng.random_range(1.75..1.85);
+        self.pendant(at + DVec3::Z * ceiling, drop);
     }
-    false
-}
 
-/// Two to four cabinets along the walls.
-fn cabinets(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl Rng) {
-    let mut kinds = vec![Kind::Bookcase, Kind::Sideboard];
-    kinds.extend(
-        [Kind::Chest, Kind::Wardrobe, Kind::Bookcase]
-            .iter()
-            .filter(|_| rng.random_bool(0.55)),
-    );
-    for kind in kinds {
-        let size = kind.size(rng);
-        let Some((k, s)) = plan.place_at_wall(&shuffled(rng), size, rng) else {
-            continue;
+    /// Two to five cabinets along the walls.
+    fn cabinets(&mut self) {
+        let mut kinds = vec![Kind::Bookcase, Kind::Sideboard];
+        let more = [Kind::Chest, Kind::Wardrobe, Kind::Bookcase];
+        kinds.extend(more.iter().filter(|_| self.rng.random_bool(0.55)));
+        for kind in kinds {
+            let size = kind.size(self.rng);
+            let walls = self.shuffled_walls();
+            let Some((k, s)) = self.plan.place_at_wall(&walls, size, self.rng) else {
+                continue;
+            };
+            let at = self.plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
+            let variant = self.rng.random_range(0..12);
+            self.put(kind, at, yaw(k), size, variant);
+            // Something tall on a low cabinet needs free wall behind it.
+            let low = matches!(kind, Kind::Sideboard | Kind::Chest);
+            let (from, to) = (s - size[0] / 2.0, s + size[0] / 2.0);
+            let above = [from, to, size[2] + 0.05, size[2] + 0.5];
+            if low && self.plan.take_wall(k, above, 0.0) {
+                let x = if kind == Kind::Sideboard {
+                    size[0] * 0.34
+                } else {
+                    0.0
+                };
+                self.table_lamp(self.plan.on_wall(k, s + x, size[1] / 2.0, size[2]));
+            }
+        }
+    }
+
+    /// A desk at a wall with its chair.
+    fn desk_corner(&mut self) {
+        let size = Kind::Desk.size(self.rng);
+        let walls = self.shuffled_walls();
+        // The chair's place counts, so that nothing else stands there.
+        let room = [size[0], size[1] + 0.5, 1.0];
+        let Some((k, s)) = self.plan.place_at_wall(&walls, room, self.rng) else {
+            return;
         };
-        let at = plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
-        let variant = rng.random_range(0..12);
-        kind.build(
-            b,
-            style,
-            Place {
-                at,
-                yaw: yaw(k),
-                size,
-                variant,
-            },
-            rng,
-        );
-        let top = matches!(kind, Kind::Sideboard | Kind::Chest);
-        // Something tall on a low cabinet needs free wall behind it.
-        if top
-            && plan.take_wall(
-                k,
-                [
-                    s - size[0] / 2.0,
-                    s + size[0] / 2.0,
-                    size[2] + 0.05,
-                    size[2] + 0.5,
-                ],
-                0.0,
-            )
-        {
-            let x = if kind == Kind::Sideboard {
-                size[0] * 0.34
-            } else {
-                0.0
-            };
-            let out = plan.on_wall(k, s + x, size[1] / 2.0, size[2]);
-            table_lamp(b, style, out, rng);
+        let variant = self.rng.random_range(0..12);
+        let at = self.plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
+        self.put(Kind::Desk, at, yaw(k), size, variant);
+        let turn = yaw(k) + PI + self.rng.random_range(-0.3..0.3);
+        let at = self.plan.on_wall(k, s - 0.15, size[1] + 0.18, 0.0);
+        let chair = Kind::Chair.size(self.rng);
+        self.put(Kind::Chair, at, turn, chair, variant + 1);
+    }
+
+    fn floor_lamp(&mut self) {
+        let size = Kind::FloorLamp.size(self.rng);
+        let walls = self.shuffled_walls();
+        if let Some((k, s)) = self.plan.place_at_wall(&walls, size, self.rng) {
+            let at = self.plan.on_wall(k, s, size[1] / 2.0 + 0.03, 0.0);
+            self.put(Kind::FloorLamp, at, 0.0, size, 0);
         }
     }
-}
-
-/// A desk at a wall with its chair.
-fn desk_corner(b: &mut Builder, plan: &mut Plan, style: &Style, rng: &mut impl Rng) {
-    let size = Kind::Desk.size(rng);
-    // The chair's place counts, so that nothing else stands there.
-    let Some((k, s)) = plan.place_at_wall(&shuffled(rng), [size[0], size[1] + 0.5, 1.0], rng)
-    else {
-        return;
-    };
-    let variant = rng.random_range(0..12);
-    let at = plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
-    Kind::Desk.build(
-        b,
-        style,
-        Place {
-            at,
-            yaw: yaw(k),
-            size,
-            variant,
-        },
-        rng,
-    );
-    let turn = yaw(k) + PI + rng.random_range(-0.3..0.3);
-    let at = plan.on_wall(k, s - 0.15, size[1] + 0.18, 0.0);
-    let size = Kind::Chair.size(rng);
-    Kind::Chair.build(
-        b,
-        style,
-        Place {
-            at,
-            yaw: turn,
-            size,
-            variant: variant + 1,
-        },
-        rng,
-    );
 }
 
 /// How many objects of each class id (0..=10) a room holds.

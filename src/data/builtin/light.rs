@@ -44,26 +44,15 @@ impl Lit<'_> {
         let (mut open, mut sum) = (0.0, 0.0);
         for i in 0..count {
             // Vogel spiral, lifted to the hemisphere: the same rays for every point, so light maps stay smooth.
-            let (r2, angle) = (
-                (i as f64 + 0.5) / count as f64,
-                i as f64 * 2.399_963_229_728_653,
-            );
+            let r2 = (i as f64 + 0.5) / count as f64;
+            let angle = i as f64 * 2.399_963_229_728_653;
             let r = r2.sqrt();
             let d = t * (r * angle.cos()) + b * (r * angle.sin()) + n * (1.0 - r2).sqrt();
-            match self
+            let hit = self
                 .bvh
-                .first(self.solids, o, d, (0.0, REACH), |s| s.casts_shadow)
-            {
-                Some(hit) => {
-                    let f = hit.t / REACH;
-                    open += f64::from(u8::from(hit.t > 0.02));
-                    sum += 0.18 + 0.82 * f.powf(0.6);
-                }
-                None => {
-                    open += 1.0;
-                    sum += 1.0;
-                }
-            }
+                .first(self.solids, o, d, (0.0, REACH), |s| s.casts_shadow);
+            open += hit.map_or(1.0, |hit| if hit.t > 0.02 { 1.0 } else { 0.0 });
+            sum += hit.map_or(1.0, |hit| 0.18 + 0.82 * (hit.t / REACH).powf(0.6));
         }
         (open / count as f64, sum / count as f64)
     }
@@ -207,7 +196,7 @@ impl LightMap {
 
 /// 3x3 mean over texels that see light; buried texels take their neighbours' mean, so no dark fringes form.
 fn smooth(raw: &[(DVec3, f64)], columns: usize, rows: usize) -> Vec<[f32; 3]> {
-    let gather = |i: usize, reach: usize| {
+    let mean = |i: usize, reach: usize| {
         let (x, y) = (i % columns, i / columns);
         let (mut sum, mut weight) = (DVec3::ZERO, 0.0);
         for v in y.saturating_sub(reach)..(y + reach + 1).min(rows) {
@@ -219,21 +208,10 @@ fn smooth(raw: &[(DVec3, f64)], columns: usize, rows: usize) -> Vec<[f32; 3]> {
                 }
             }
         }
-        if weight > 0.0 {
-            sum / weight
-        } else {
-            DVec3::splat(-1.0)
-        }
+        (weight > 0.0).then(|| sum / weight)
     };
+    let texel = |i| mean(i, 1).or_else(|| mean(i, 3)).unwrap_or_default();
     (0..raw.len())
-        .map(|i| {
-            let near = gather(i, 1);
-            let value = if near.x >= 0.0 {
-                near
-            } else {
-                gather(i, 3).max(DVec3::ZERO)
-            };
-            value.to_array().map(|c| c as f32)
-        })
+        .map(|i| texel(i).as_vec3().to_array())
         .collect()
 }

@@ -22,7 +22,7 @@ pub use self::corrupt::{Corruption, corrupt};
 pub use self::points::{LabelledPoints, PRETRAINING_SEEDS, labelled_points};
 pub use self::room::{Room, Truth, render_truth};
 
-use super::{Class, Classes, LabelMap, LabelRuns, Scene, Split, View};
+use super::{Class, Classes, LabelMap, Scene, Split, View};
 use crate::error::{Error, Result};
 use build::class;
 use glam::DVec3;
@@ -117,10 +117,11 @@ pub fn scene_with(options: &BuiltinOptions) -> Result<Scene> {
         ("builtin.test_views", options.test_views, 0, 100_000),
     ] {
         if !(low..=high).contains(&value) {
+            let expected = format!("{low} to {high}");
             return Err(Error::argument(
                 key,
                 value.to_string(),
-                format!("{low} to {high}"),
+                expected,
                 "change the option",
             ));
         }
@@ -129,72 +130,56 @@ pub fn scene_with(options: &BuiltinOptions) -> Result<Scene> {
 }
 
 fn assemble(options: &BuiltinOptions) -> Scene {
-    let BuiltinOptions {
-        seed,
-        width,
-        height,
-        train_views,
-        test_views,
-        points,
-        ..
-    } = *options;
+    let seed = options.seed;
     let room = Room::of_scene(seed);
-    let shots = cameras::shots(&room, (width, height), train_views, test_views, seed);
+    let size = (options.width, options.height);
+    let shots = cameras::shots(&room, size, options.train_views, options.test_views, seed);
     let truths: Vec<Truth> = shots
         .iter()
-        .map(|s| render_truth(&room, &s.camera))
+        .map(|shot| render_truth(&room, &shot.camera))
         .collect();
-    let train = || {
-        shots
-            .iter()
-            .zip(&truths)
-            .filter(|(s, _)| s.split == Split::Train)
-    };
-    let seen: Vec<_> = train().map(|(s, t)| (&s.camera, t)).collect();
-    let points = points::initial_points(&room, &seen, points, seed);
+    let train = shots
+        .iter()
+        .zip(&truths)
+        .filter(|(shot, _)| shot.split == Split::Train);
+    let train: Vec<_> = train.map(|(shot, truth)| (&shot.camera, truth)).collect();
+    let points = points::initial_points(&room, &train, options.points, seed);
 
-    // Errors run along the walk, test views among the training views next to which they were taken.
+    // Errors run along the walk, with each test view among the training views near it.
     let mut order: Vec<usize> = (0..shots.len()).collect();
     order.sort_by(|&i, &j| shots[i].along.total_cmp(&shots[j].along).then(i.cmp(&j)));
     let labels: Vec<_> = order.iter().map(|&i| truths[i].labels.clone()).collect();
-    let instances: Vec<_> = order
-        .iter()
-        .map(|&i| truths[i].instances.as_slice())
-        .collect();
+    let instances: Vec<_> = order.iter().map(|&i| &truths[i].instances[..]).collect();
     let raw_seed = stream(seed, Purpose::RawLabels).random();
-    let spoilt = corrupt(&labels, &instances, &options.corruption, raw_seed);
-    let mut raw: Vec<Option<LabelMap>> = vec![None; shots.len()];
-    for (i, map) in order.into_iter().zip(spoilt) {
-        raw[i] = Some(map);
-    }
+    let raw = corrupt(&labels, &instances, &options.corruption, raw_seed);
+    let mut raw: Vec<(usize, LabelMap)> = order.into_iter().zip(raw).collect();
+    raw.sort_by_key(|(i, _)| *i);
 
     let mut counts = [0; 2];
     let views = shots
         .into_iter()
         .zip(truths)
         .zip(raw)
-        .map(|((shot, truth), raw)| {
-            let test = shot.split == Split::Test;
-            let number = counts[usize::from(test)];
-            counts[usize::from(test)] += 1;
+        .map(|((shot, truth), (_, raw))| {
+            let count = &mut counts[usize::from(shot.split == Split::Test)];
+            let name = format!("{}_{count:03}", shot.split);
+            *count += 1;
             let LabelMap { width, height, .. } = truth.labels;
+            let instances = LabelMap {
+                width,
+                height,
+                ids: truth.instances,
+            };
             View {
-                name: format!("{}_{number:03}", if test { "test" } else { "train" }),
+                name,
                 split: shot.split,
                 camera: shot.camera,
                 image: truth.image.into(),
                 mask: None,
                 truth: Some(truth.labels.into()),
-                raw: raw.map(LabelRuns::from),
+                raw: Some(raw.into()),
                 segments: Vec::new(),
-                instances: Some(
-                    LabelMap {
-                        width,
-                        height,
-                        ids: truth.instances,
-                    }
-                    .into(),
-                ),
+                instances: Some(instances.into()),
             }
         });
     Scene {

@@ -50,50 +50,36 @@ pub fn labelled_points(seed: u64, count: usize) -> LabelledPoints {
         let p = eye + d * hit.t;
         // Thinned as long as that succeeds; a cloud denser than the cells fills up at random.
         if taken.insert((p / cell).floor().as_i64vec3()) || tries > 6 * count {
-            rays.push((
-                eye,
-                d,
-                hit,
-                DVec3::new(gauss(rng), gauss(rng), gauss(rng)) * noise,
-                rng.random::<f64>(),
-            ));
+            let offset = gauss3(rng) * noise;
+            rays.push((eye, d, hit, offset, rng.random::<f64>()));
         }
     }
-    let made: Vec<_> = rays
-        .par_iter()
-        .map(|(eye, d, hit, offset, fate)| {
-            // Outliers float somewhere before their surface.
-            let t = if *fate < 0.01 {
-                hit.t * (0.3 + 65.0 * fate)
-            } else {
-                hit.t
-            };
-            let p = *eye + *d * t + *offset;
-            (
-                p.as_vec3().to_array(),
-                room.shade(hit, *eye, *d, (16, 2)),
-                room.solids[hit.solid].class,
-            )
-        })
-        .collect();
+    let made = rays.par_iter().map(|(eye, d, hit, offset, fate)| {
+        // Outliers float somewhere before their surface.
+        let share = if *fate < 0.01 { 0.3 + 65.0 * fate } else { 1.0 };
+        let p = *eye + *d * (hit.t * share) + *offset;
+        let color = room.shade(hit, *eye, *d, (16, 2));
+        (
+            (p.as_vec3().to_array(), color),
+            room.solids[hit.solid].class,
+        )
+    });
+    let ((positions, colors), classes) = made.unzip();
     LabelledPoints {
-        positions: made.iter().map(|m| m.0).collect(),
-        colors: made.iter().map(|m| m.1).collect(),
-        classes: made.iter().map(|m| m.2).collect(),
+        positions,
+        colors,
+        classes,
     }
 }
 
 /// Standing places with a little free space around.
 fn eyes(room: &Room, rng: &mut ChaCha8Rng) -> Vec<DVec3> {
     let mut eyes = Vec::new();
+    let reach = room.size / 2.0 - 0.5;
     for _ in 0..400 {
-        let reach = room.size / 2.0 - 0.5;
-        let at = DVec3::new(
-            rng.random_range(-reach.x..reach.x),
-            rng.random_range(-reach.y..reach.y),
-            1.5,
-        );
-        let at = at + DVec3::Z * rng.random_range(-0.4..0.4);
+        let x = rng.random_range(-reach.x..reach.x);
+        let y = rng.random_range(-reach.y..reach.y);
+        let at = DVec3::new(x, y, 1.5 + rng.random_range(-0.4..0.4));
         if room.clearance(at) > 0.25 {
             eyes.push(at);
         }
@@ -108,10 +94,8 @@ fn eyes(room: &Room, rng: &mut ChaCha8Rng) -> Vec<DVec3> {
 }
 
 fn unit(rng: &mut ChaCha8Rng) -> DVec3 {
-    let (z, a) = (
-        rng.random_range(-1.0..1.0_f64),
-        rng.random_range(0.0..std::f64::consts::TAU),
-    );
+    let z = rng.random_range(-1.0..1.0_f64);
+    let a = rng.random_range(0.0..std::f64::consts::TAU);
     let r = (1.0 - z * z).sqrt();
     DVec3::new(r * a.cos(), r * a.sin(), z)
 }
@@ -120,6 +104,10 @@ fn unit(rng: &mut ChaCha8Rng) -> DVec3 {
 pub(super) fn gauss(rng: &mut ChaCha8Rng) -> f64 {
     let (a, b): (f64, f64) = (rng.random(), rng.random());
     (-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()
+}
+
+fn gauss3(rng: &mut ChaCha8Rng) -> DVec3 {
+    DVec3::new(gauss(rng), gauss(rng), gauss(rng))
 }
 
 /// About `count` points back-projected from the depth of training views, thinned to one an 8 cm cell: 0.3 % of depth
@@ -138,16 +126,14 @@ pub(super) fn initial_points(
             break;
         }
         let (camera, truth) = views[rng.random_range(0..views.len())];
-        let (x, y) = (
-            rng.random_range(0..camera.width),
-            rng.random_range(0..camera.height),
-        );
+        let x = rng.random_range(0..camera.width);
+        let y = rng.random_range(0..camera.height);
         let depth = f64::from(truth.depth[y * camera.width + x]);
         let mut p = camera.center + camera.ray(x as f64 + 0.5, y as f64 + 0.5) * depth;
         if !taken.insert((p / 0.08).floor().as_i64vec3()) {
             continue;
         }
-        p += DVec3::new(gauss(rng), gauss(rng), gauss(rng)) * (0.005 + 0.003 * depth);
+        p += gauss3(rng) * (0.005 + 0.003 * depth);
         if rng.random_bool(0.02) {
             let inside = DVec3::new(rng.random(), rng.random(), rng.random());
             p = (inside - DVec3::new(0.5, 0.5, 0.0)) * room.size;

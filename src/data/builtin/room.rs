@@ -48,6 +48,17 @@ pub struct Truth {
     pub depth: Vec<f32>,
 }
 
+/// Least number of objects of some classes in a room of a scene.
+const LEAST: [(u16, usize); 7] = [
+    (class::WINDOW, 3),
+    (class::PICTURE, 5),
+    (class::TABLE, 3),
+    (class::CHAIR, 4),
+    (class::SOFA, 2),
+    (class::CABINET, 3),
+    (class::LAMP, 3),
+];
+
 /// A furnished room: floor at z = 0, its centre at the origin, metres.
 #[derive(Clone, Debug)]
 pub struct Room {
@@ -66,18 +77,13 @@ impl Room {
     pub fn of_scene(seed: u64) -> Self {
         let mut rng = stream(seed, Purpose::Scene);
         loop {
-            let mut b = Builder::default();
-            let size = layout::furnish(&mut b, Some(DVec3::new(6.4, 5.2, 2.7)), &mut rng);
-            let n = |c: u16| layout::census(&b)[usize::from(c)];
-            let rich = n(class::WINDOW) >= 3
-                && n(class::PICTURE) >= 5
-                && n(class::TABLE) >= 3
-                && n(class::CHAIR) >= 4
-                && n(class::SOFA) >= 2
-                && n(class::CABINET) >= 3
-                && n(class::LAMP) >= 3;
+            let (b, size) = layout::furnish(Some(DVec3::new(6.4, 5.2, 2.7)), &mut rng);
+            let count = layout::census(&b);
             // About one layout in a few passes, so this ends soon.
-            if rich {
+            if LEAST
+                .iter()
+                .all(|(class, least)| count[usize::from(*class)] >= *least)
+            {
                 let mut room = Self::new(b, size);
                 room.bake();
                 return room;
@@ -87,8 +93,7 @@ impl Room {
 
     /// A room to learn from: drawn from another stream than every scene's, of any size and furnishing.
     pub(super) fn for_pretraining(seed: u64) -> Self {
-        let mut b = Builder::default();
-        let size = layout::furnish(&mut b, None, &mut stream(seed, Purpose::Pretraining));
+        let (b, size) = layout::furnish(None, &mut stream(seed, Purpose::Pretraining));
         Self::new(b, size)
     }
 
@@ -186,14 +191,6 @@ fn display(x: f64) -> f32 {
     TABLE[i] * (1.0 - f) + TABLE[i + 1] * f
 }
 
-/// What one pixel holds.
-struct Pixel {
-    color: [u8; 3],
-    class: u16,
-    instance: u16,
-    depth: f32,
-}
-
 /// Ray-casts what `camera` sees of `room`: photo, exact labels, objects and depth. Colour is sampled at pixel centres
 /// (weight 1/2) and pixel corners (1/8 each), which anti-aliases for two rays a pixel. Light is the same from every
 /// direction. The camera must be inside the room; pixels without a hit (outside it) are black with label and depth 0.
@@ -202,53 +199,47 @@ pub fn render_truth(room: &Room, camera: &Camera) -> Truth {
     let see = |u: f64, v: f64| {
         let d = camera.ray(u, v);
         let hit = room.cast(camera.center, d);
-        (
-            hit,
-            hit.map_or([0.0; 3], |hit| room.shade(&hit, camera.center, d, (0, 0))),
-        )
+        let color = hit.map_or([0.0; 3], |hit| room.shade(&hit, camera.center, d, (0, 0)));
+        (hit, color)
     };
-    let corners: Vec<Vec<[f32; 3]>> = (0..=h)
-        .into_par_iter()
-        .map(|y| (0..=w).map(|x| see(x as f64, y as f64).1).collect())
+    let across = w + 1;
+    let corners = (0..across * (h + 1)).into_par_iter();
+    let corners = corners.map(|i| see((i % across) as f64, (i / across) as f64).1);
+    let corners: Vec<[f32; 3]> = corners.collect();
+    let pixels = (0..w * h).into_par_iter().map(|i| {
+        let (x, y) = (i % w, i / w);
+        let (hit, center) = see(x as f64 + 0.5, y as f64 + 0.5);
+        let corner = y * across + x;
+        let around = [0, 1, across, across + 1].map(|step| corners[corner + step]);
+        let color = [0, 1, 2].map(|k| {
+            let c = 0.5 * center[k] + 0.125 * around.iter().map(|a| a[k]).sum::<f32>();
+            (c * 255.0 + 0.5) as u8
+        });
+        (color, hit)
+    });
+    let pixels: Vec<([u8; 3], Option<Hit>)> = pixels.collect();
+    let solids = || {
+        pixels
+            .iter()
+            .map(|(_, hit)| hit.map(|hit| &room.solids[hit.solid]))
+    };
+    let bytes = pixels.iter().flat_map(|(color, _)| *color).collect();
+    let ids = solids()
+        .map(|solid| solid.map_or(0, |solid| solid.class))
         .collect();
-    let rows: Vec<Vec<Pixel>> = (0..h)
-        .into_par_iter()
-        .map(|y| {
-            (0..w)
-                .map(|x| {
-                    let (hit, center) = see(x as f64 + 0.5, y as f64 + 0.5);
-                    let around = [
-                        corners[y][x],
-                        corners[y][x + 1],
-                        corners[y + 1][x],
-                        corners[y + 1][x + 1],
-                    ];
-                    let color = [0, 1, 2].map(|k| {
-                        let c = 0.5 * center[k] + 0.125 * around.iter().map(|a| a[k]).sum::<f32>();
-                        (c * 255.0 + 0.5) as u8
-                    });
-                    let solid = hit.map(|hit| &room.solids[hit.solid]);
-                    let depth = hit.map_or(0.0, |hit| hit.t as f32);
-                    Pixel {
-                        color,
-                        class: solid.map_or(0, |s| s.class),
-                        instance: solid.map_or(0, |s| s.instance),
-                        depth,
-                    }
-                })
-                .collect()
-        })
-        .collect();
-    let pixels = || rows.iter().flatten();
-    let bytes = pixels().flat_map(|p| p.color).collect();
     Truth {
         image: image::RgbImage::from_raw(w as u32, h as u32, bytes).unwrap_or_default(),
         labels: LabelMap {
             width: w,
             height: h,
-            ids: pixels().map(|p| p.class).collect(),
+            ids,
         },
-        instances: pixels().map(|p| p.instance).collect(),
-        depth: pixels().map(|p| p.depth).collect(),
+        instances: solids()
+            .map(|solid| solid.map_or(0, |solid| solid.instance))
+            .collect(),
+        depth: pixels
+            .iter()
+            .map(|(_, hit)| hit.map_or(0.0, |hit| hit.t as f32))
+            .collect(),
     }
 }

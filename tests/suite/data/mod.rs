@@ -14,6 +14,7 @@ pub mod mask_folders;
 pub mod masks;
 pub mod photos;
 pub mod poses;
+pub mod properties;
 pub mod raw_formats;
 pub mod real_poses;
 pub mod replica;

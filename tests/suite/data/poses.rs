@@ -228,7 +228,7 @@ fn a_cloud_without_colours_tells_by_places_alone() {
         checked
             .notices
             .iter()
-            .any(|n| n.contains("whichever way the poses are read")),
+            .any(|n| n.contains("in every convention of poses")),
         "{checked:?}"
     );
 }
