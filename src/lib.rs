@@ -66,6 +66,7 @@ pub mod config;
 pub mod data;
 pub mod error;
 pub mod features;
+pub mod files;
 pub mod metrics;
 pub mod objects;
 pub mod ops;

@@ -2,15 +2,12 @@
 
 pub mod mask;
 
-pub mod atomic;
 pub mod builtin;
 pub(crate) mod diagnostics;
 pub mod formats;
 pub mod labels;
-pub(crate) mod limits;
 mod options;
 pub mod photos;
-pub(crate) mod read;
 
 pub use self::diagnostics::check::{Checked, check};
 pub use self::diagnostics::info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
@@ -20,10 +17,11 @@ pub use self::formats::manifest::{ClassTable, ExpectedFile, LabelMapping, Manife
 pub use self::labels::label_runs::LabelRuns;
 pub use self::labels::map_geometry::MapGeometry;
 pub use self::labels::palette::class_color;
-pub use self::limits::Limits;
 pub use self::options::LoadOptions;
 pub use self::photos::photo::Photo;
 pub use self::photos::photo_cache::PhotoCache;
+
+pub use crate::files::{Limits, atomic};
 
 use self::diagnostics::{notices, poses};
 use self::formats::{layout, listing};

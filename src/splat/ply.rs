@@ -5,10 +5,9 @@
 //! and `splat-transform` can filter on it.
 
 use super::Gaussians;
-use crate::data::formats::ply;
-use crate::data::formats::ply::PlyFile;
-use crate::data::{Limits, atomic};
 use crate::error::{Error, Result};
+use crate::files::ply::{self, PlyFile};
+use crate::files::{Limits, atomic};
 use glam::DVec3;
 use ply_rs_bw::ply::ScalarType;
 use std::path::Path;

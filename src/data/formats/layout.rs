@@ -7,8 +7,8 @@ use crate::data::LoadOptions;
 use crate::data::diagnostics::notices;
 use crate::data::labels::map_geometry::{self, MapGeometries};
 use crate::data::labels::mask_file;
-use crate::data::read::names;
 use crate::error::{Error, Result, invalid};
+use crate::files::names;
 use std::path::Path;
 
 /// Folders within a folder without a layout that are looked at for one.

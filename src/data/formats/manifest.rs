@@ -2,8 +2,9 @@
 //! everybody.
 
 use crate::config::{Layout, ScannetClasses};
-use crate::data::{LoadOptions, read};
+use crate::data::LoadOptions;
 use crate::error::{Error, Result, invalid};
+use crate::files;
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -89,7 +90,7 @@ impl Manifest {
     /// [`Error::Io`]; [`Error::Input`] naming line and fault: no TOML, unknown or missing keys, a class table that
     /// there is not.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = read::text(path)?;
+        let text = files::text(path)?;
         toml::from_str(&text).map_err(|e: toml::de::Error| {
             let start = e.span().map_or(0, |span| span.start);
             let line = text.bytes().take(start).filter(|&b| b == b'\n').count() + 1;

@@ -1,9 +1,9 @@
 //! Initial point clouds from PLY files.
 
 use super::camera_checks::fits_f32;
-use super::ply::PlyFile;
 use crate::data::{Limits, Points};
 use crate::error::{Result, invalid};
+use crate::files::ply::PlyFile;
 use glam::DVec3;
 use ply_rs_bw::ply::ScalarType;
 use std::path::Path;

@@ -14,8 +14,9 @@ use crate::config::Layout;
 use crate::data::options::LoadOptions;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{Classes, Limits, read};
+use crate::data::{Classes, Limits};
 use crate::error::{Result, invalid};
+use crate::files;
 use crate::splat::camera::Intrinsics;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -58,7 +59,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let [trajectory, folder, prefix] = version;
     let path = dir.join(trajectory);
     let photos = sequence::numbered(&dir.join(folder), prefix, &EXTENSIONS)?;
-    let text = read::text(&path)?;
+    let text = files::text(&path)?;
     let rows = text
         .lines()
         .map(str::trim)
@@ -169,7 +170,7 @@ fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Intrinsics, f64)>
     let places = ["cam_params.json", "../cam_params.json"].map(|name| dir.join(name));
     let path = places.iter().find(|path| path.is_file());
     let text = match path {
-        Some(path) => read::text(path)?,
+        Some(path) => files::text(path)?,
         None => {
             notices.push("no cam_params.json here or above: 1200x680 photos with a focal length of 600 are assumed".into());
             PUBLISHED.to_owned()
@@ -177,7 +178,7 @@ fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Intrinsics, f64)>
     };
     let path = path.unwrap_or(&places[0]);
     let expected = "{\"camera\": {\"w\", \"h\", \"fx\", \"fy\", \"cx\", \"cy\", ..}}";
-    let file = serde_json::from_str(&text).map_err(|e| read::json_error(path, &e, expected))?;
+    let file = serde_json::from_str(&text).map_err(|e| files::json_error(path, &e, expected))?;
     let CameraFile {
         camera:
             CameraParams {

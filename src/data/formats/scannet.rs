@@ -12,8 +12,9 @@ use crate::config::{Layout, ScannetClasses};
 use crate::data::options::LoadOptions;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{Classes, Limits, read};
+use crate::data::{Classes, Limits};
 use crate::error::{Error, Result, invalid};
+use crate::files;
 use crate::splat::camera::Intrinsics;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -133,7 +134,7 @@ fn read_matrix(path: &Path) -> Result<Pose> {
             "export it from the .sens file again",
         ));
     }
-    sequence::pose(&read::text(path)?, path, "matrix")
+    sequence::pose(&files::text(path)?, path, "matrix")
 }
 
 /// `intrinsic_color.txt`: a 4x4 matrix whose upper left 3x3 is K, for photos of the size of `photo`.
@@ -189,7 +190,7 @@ fn label_table(dir: &Path, options: &LoadOptions) -> Result<Vec<u32>> {
         invalid!(&path, "line {line}"; found "{found}"; expected "{expected}";
             help "copy the table from the dataset again")
     };
-    let text = read::text(&path)?;
+    let text = files::text(&path)?;
     let mut rows = text
         .lines()
         .map(|row| row.split('\t').map(str::trim).collect::<Vec<_>>())

@@ -1,7 +1,8 @@
 //! Class tables: `classes.json` in and out, and the colours of legends.
 
-use crate::data::{Class, Classes, ObjectOf, atomic, class_color, read};
+use crate::data::{Class, Classes, ObjectOf, atomic, class_color};
 use crate::error::{Result, invalid};
+use crate::files;
 use serde::{Deserialize, Deserializer, Serialize, de};
 use serde_json::Value;
 use std::collections::HashSet;
@@ -67,9 +68,9 @@ impl Classes {
     /// # Errors
     /// [`crate::Error::Io`]; [`crate::Error::Input`] naming line or id: malformed JSON, ids that are not u16 or appear twice.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = read::text(path)?;
+        let text = files::text(path)?;
         let expected = "{\"0\": \"void\", \"1\": \"NAME\", ..} or {\"ignore\": 0, \"classes\": [{\"id\": 1, \"name\": ..}, ..]}";
-        let malformed = |e: serde_json::Error| read::json_error(path, &e, expected);
+        let malformed = |e: serde_json::Error| files::json_error(path, &e, expected);
         let Pairs(pairs) = serde_json::from_str(&text).map_err(malformed)?;
         if pairs.iter().any(|(key, _)| key == "classes") {
             let file: ClassFile = serde_json::from_str(&text).map_err(malformed)?;

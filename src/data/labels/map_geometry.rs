@@ -3,8 +3,9 @@
 use crate::data::formats::frame::{Frame, reduced};
 use crate::data::formats::listing::{Listing, Problems};
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{LoadOptions, atomic, read};
+use crate::data::{LoadOptions, atomic};
 use crate::error::Result;
+use crate::files;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -45,7 +46,7 @@ impl MapGeometry {
 
     fn read(path: &Path) -> Result<Self> {
         let expected = "{\"maps\": \"undistorted\"} for maps that coseg wrote, or {\"maps\": \"photos\"} for maps of photos";
-        read::json::<File>(path, expected).map(|file| file.maps)
+        files::json::<File>(path, expected).map(|file| file.maps)
     }
 }
 

@@ -19,14 +19,3 @@ pub(crate) fn is_photo(path: &Path) -> bool {
         .to_lowercase();
     EXTENSIONS.contains(&&*extension)
 }
-
-/// The kind of a file by its first bytes, of those kinds that get mixed up.
-pub(crate) fn file_kind(bytes: &[u8]) -> Option<&'static str> {
-    let first = bytes.iter().find(|byte| !byte.is_ascii_whitespace());
-    match bytes {
-        [0x89, b'P', b'N', b'G', ..] => Some("a PNG image"),
-        [0xFF, 0xD8, 0xFF, ..] => Some("a JPEG image"),
-        [b'p', b'l', b'y', b'\n' | b'\r', ..] => Some("a PLY file"),
-        _ => matches!(first, Some(b'{' | b'[')).then_some("JSON"),
-    }
-}

@@ -6,9 +6,9 @@ mod nerfstudio;
 
 use super::layout;
 use super::transforms::{self, not_finite::nulled};
-use crate::data::photos::file_kind;
-use crate::data::{LoadOptions, NamedCamera, Split, read};
+use crate::data::{LoadOptions, NamedCamera, Split};
 use crate::error::{Error, Result, invalid};
+use crate::files;
 use serde_json::Value;
 use std::path::Path;
 
@@ -51,14 +51,14 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
             help "give a file of cameras, such as the cameras.json of a run")
     };
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-    if let Some(kind) = file_kind(&bytes).filter(|kind| *kind != "JSON") {
+    if let Some(kind) = files::kind(&bytes).filter(|kind| *kind != "JSON") {
         return Err(unusable("first bytes", kind));
     }
     let text = std::str::from_utf8(&bytes).map_err(|_| unusable("first bytes", "no text"))?;
     // Python writes NaN into JSON.
     let (text, tokens) = nulled(text);
-    let value: Value =
-        serde_json::from_str(&text).map_err(|e| read::json_error(path, &e, "JSON with cameras"))?;
+    let value: Value = serde_json::from_str(&text)
+        .map_err(|e| files::json_error(path, &e, "JSON with cameras"))?;
     let cameras = if let Value::Array(list) = &value {
         graphdeco::cameras(path, list)
     } else if value.get("frames").is_some() {

@@ -6,9 +6,9 @@ use super::reader::Reader;
 use crate::data::Limits;
 use crate::data::formats::camera_checks::not_a_rotation;
 use crate::data::formats::frame::joined_name;
-use crate::data::limits;
 use crate::data::photos::lens::Lens;
 use crate::error::{Result, invalid};
+use crate::files::check_limit;
 use crate::splat::camera::Camera;
 use glam::{DMat3, DMat4, DQuat, DVec3};
 use std::collections::BTreeMap;
@@ -45,7 +45,7 @@ pub(super) fn read(path: &Path, limits: &Limits) -> Result<Vec<PosedImage>> {
     let mut reader = Reader::open(path, "image", SMALLEST)?;
     // A model may have more images than a scene: they are thinned out later.
     let most = (limits.views as u64).saturating_mul(64);
-    limits::check(
+    check_limit(
         path,
         "images",
         reader.count().unwrap_or(0),

@@ -4,8 +4,8 @@ use super::images::{self, PosedImage};
 use crate::data::Limits;
 use crate::data::diagnostics::notices::first_names;
 use crate::data::photos::is_photo;
-use crate::data::read::names;
 use crate::error::{Error, Result, invalid};
+use crate::files::names;
 use std::collections::HashSet;
 use std::path::{Component, Path, PathBuf};
 

@@ -3,8 +3,8 @@
 use super::not_finite::{Token, nulled};
 use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS, describe_rotation, fits_f32};
 use crate::data::photos::lens::Lens;
-use crate::data::read;
 use crate::error::{Error, Result, invalid};
+use crate::files;
 use crate::splat::camera::{Camera, Intrinsics};
 use glam::{DMat3, DMat4};
 use serde::Deserialize;
@@ -86,12 +86,12 @@ const UNDISTORT: &str = "undistort the images (colmap image_undistorter) and exp
 impl Transforms {
     /// Reads the file and checks what concerns it as a whole.
     pub fn read(path: &Path) -> Result<Self> {
-        let original = read::text(path)?;
+        let original = files::text(path)?;
         // Python writes NaN into JSON. In a pose, the frame can be named.
         let (text, tokens) = nulled(&original);
         let expected = "transforms.json as nerfstudio and instant-ngp have it";
         let mut file: Self =
-            serde_json::from_str(&text).map_err(|e| read::json_error(path, &e, expected))?;
+            serde_json::from_str(&text).map_err(|e| files::json_error(path, &e, expected))?;
         if let Some(token) = tokens
             .first()
             .filter(|_| file.gaps().count() != tokens.len())

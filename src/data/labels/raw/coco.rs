@@ -5,8 +5,10 @@
 
 use super::{RawMap, Vocabulary};
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{Classes, LabelMap, Segment, limits, read};
+use crate::data::{Classes, LabelMap, Segment};
 use crate::error::{Error, Result, invalid};
+use crate::files;
+use crate::files::check_limit;
 use serde::{Deserialize, Deserializer};
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -98,7 +100,7 @@ impl Panoptic {
         })?;
         let expected = "{\"annotations\": [{\"file_name\", \"segments_info\": [{\"id\", \"category_id\"}, ..]}, ..], \
             \"categories\": [{\"id\", \"name\", \"isthing\"}, ..]}";
-        let file: File = read::json(&path, expected)?;
+        let file: File = files::json(&path, expected)?;
         let error = |field: &str, found: String, expected: &str| invalid!(&path, "{field}"; found "{found}"; expected "{expected}"; help "export the panoptic JSON again");
         // Id 0 is unlabelled in a class table: where the file has a class 0, all ids move up by one.
         let shift = u32::from(file.categories.iter().any(|category| category.id == 0));
@@ -181,7 +183,7 @@ impl Panoptic {
         })?;
         let what = format!("segments of {}", stem(path));
         let most = u64::from(u16::MAX) - 1;
-        limits::check(
+        check_limit(
             &self.path,
             &what,
             listed.len() as u64,

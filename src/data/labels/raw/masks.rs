@@ -3,9 +3,10 @@
 
 use crate::data::formats::sequence::{Numbered, numbered};
 use crate::data::photos::image_file::ImageFile;
-use crate::data::read::{self, names};
-use crate::data::{LabelMap, Limits, limits};
+use crate::data::{LabelMap, Limits};
 use crate::error::{Error, Result, invalid};
+use crate::files::check_limit;
+use crate::files::{self, names};
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -63,7 +64,7 @@ pub(super) fn read(
     let (width, height) = size;
     limits.check_pixels(&folder, width, height)?;
     let help = "keep the masks with the best scores";
-    limits::check(&folder, "masks", files.len() as u64, u16::MAX.into(), help)?;
+    check_limit(&folder, "masks", files.len() as u64, u16::MAX.into(), help)?;
     let mut ids = vec![0; width * height];
     let mut areas = vec![u32::MAX; width * height];
     for (path, id) in files.values().zip(1..) {
@@ -104,7 +105,7 @@ fn check_table(folder: &Path, files: &Numbered) -> Result<bool> {
         return Ok(false);
     }
     let mut listed = BTreeSet::new();
-    let text = read::text(&path)?;
+    let text = files::text(&path)?;
     let rows = text
         .lines()
         .zip(1..)

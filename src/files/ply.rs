@@ -3,8 +3,7 @@
 //! The format itself is `ply-rs-bw`'s. Its rows are addressed by property name; here every wanted property is renamed
 //! once, in a private copy of the element definition, to its column number, so that no row compares names.
 
-use crate::data::Limits;
-use crate::data::photos::file_kind;
+use super::{Limits, kind};
 use crate::error::{Error, Result, invalid};
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{
@@ -101,7 +100,7 @@ impl PlyFile {
                 "another kind of file"
             };
             return Err(
-                invalid!(path, "first bytes"; found "{}", file_kind(first).unwrap_or(other);
+                invalid!(path, "first bytes"; found "{}", kind(first).unwrap_or(other);
                 expected "a PLY file"; help "give the .ply file, such as the scene.ply of a run"),
             );
         }

@@ -28,13 +28,13 @@ impl Limits {
     /// Refuses more than [`Limits::views`] frames in the file at `path`.
     pub(crate) fn check_views(&self, path: &Path, count: usize) -> Result<()> {
         let help = "thin out with data.stride or data.max_frames";
-        check(path, "frames", count as u64, self.views as u64, help)
+        check_limit(path, "frames", count as u64, self.views as u64, help)
     }
 
     /// Refuses an image at `path` with more than [`Limits::image_pixels`] pixels.
     pub(crate) fn check_pixels(&self, path: &Path, width: usize, height: usize) -> Result<()> {
         let pixels = (width as u64).saturating_mul(height as u64);
-        check(
+        check_limit(
             path,
             "pixels",
             pixels,
@@ -45,12 +45,18 @@ impl Limits {
 
     /// Refuses more than [`Limits::points`] points in the file at `path`.
     pub(crate) fn check_points(&self, path: &Path, count: u64) -> Result<()> {
-        check(path, "points", count, self.points, "thin the cloud out")
+        check_limit(path, "points", count, self.points, "thin the cloud out")
     }
 }
 
 /// An [`Error::Limit`] when `found` is larger than `limit`.
-pub(crate) fn check(path: &Path, what: &str, found: u64, limit: u64, help: &str) -> Result<()> {
+pub(crate) fn check_limit(
+    path: &Path,
+    what: &str,
+    found: u64,
+    limit: u64,
+    help: &str,
+) -> Result<()> {
     if found <= limit {
         return Ok(());
     }

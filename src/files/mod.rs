@@ -1,4 +1,11 @@
-//! Text and JSON files, with errors that name the file and the line.
+//! Files: read with errors that name file and line, bounded by limits, replaced safely; tables of numbers in PLY.
+
+pub mod atomic;
+mod limits;
+pub(crate) mod ply;
+
+pub use self::limits::Limits;
+pub(crate) use self::limits::check_limit;
 
 use crate::error::{Error, Result, invalid};
 use serde::de::DeserializeOwned;
@@ -30,4 +37,15 @@ pub(crate) fn names(dir: &Path, keep: impl Fn(&str, &Path) -> bool) -> Vec<Strin
         .collect();
     names.sort_unstable();
     names
+}
+
+/// The kind of a file by its first bytes, of those kinds that get mixed up.
+pub(crate) fn kind(bytes: &[u8]) -> Option<&'static str> {
+    let first = bytes.iter().find(|byte| !byte.is_ascii_whitespace());
+    match bytes {
+        [0x89, b'P', b'N', b'G', ..] => Some("a PNG image"),
+        [0xFF, 0xD8, 0xFF, ..] => Some("a JPEG image"),
+        [b'p', b'l', b'y', b'\n' | b'\r', ..] => Some("a PLY file"),
+        _ => matches!(first, Some(b'{' | b'[')).then_some("JSON"),
+    }
 }
