@@ -5,14 +5,15 @@ use rayon::prelude::*;
 use std::fmt;
 use std::sync::Arc;
 
-/// Pixels of a word.
+/// Pixels in a word.
 const WORD: usize = u32::BITS as usize;
-/// Words that one task looks at, at least.
+/// Least number of words for one task.
 const TASK: usize = 1 << 9;
 /// Words whose used pixels are counted together for [`Mask::nth`].
 const BLOCK: usize = 1 << 6;
 
-/// Which pixels of a photo are used and which are left out, `[H, W]` row-major, a bit a pixel. Copies share the bits.
+/// Which pixels of a photo are used and which are left out, `[H, W]` row-major, one bit for each pixel. Copies share the
+/// bits.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Mask {
     width: usize,
@@ -25,7 +26,7 @@ pub struct Mask {
 }
 
 impl Mask {
-    /// Of `width` x `height` pixels; `used` says by the number of a pixel, row-major, whether it is used.
+    /// A mask of `width` x `height` pixels; `used` decides by the row-major number of a pixel whether it is used.
     pub fn new(width: usize, height: usize, used: impl Fn(usize) -> bool) -> Self {
         let pixels = width * height;
         let word = |first: usize| {

@@ -129,7 +129,7 @@ pub struct Scene {
     pub classes: Classes,
     /// Initial cloud, relative to [`Scene::origin`].
     pub points: Points,
-    /// What was subtracted from every world position (f64); exports add it back.
+    /// The offset that was subtracted from every world position (f64); exports add it back.
     pub origin: DVec3,
     /// World direction that points up, unit length.
     pub up: DVec3,
@@ -176,7 +176,7 @@ impl std::fmt::Display for Split {
     }
 }
 
-/// One posed photo with what is known of it.
+/// One posed photo with its labels.
 #[derive(Clone, Debug)]
 pub struct View {
     /// File stem, unique within the scene.
@@ -187,13 +187,14 @@ pub struct View {
     pub camera: Camera,
     /// The photo, 8-bit sRGB.
     pub image: Photo,
-    /// Which pixels count, where some are left out: these are not trained on, not scored, and unlabelled in the maps below.
+    /// Which pixels are used, where some are left out: these are not trained on, not scored, and unlabelled in the maps
+    /// below.
     pub mask: Option<Mask>,
     /// True labels, where known. Only for scoring.
     pub truth: Option<LabelRuns>,
-    /// Raw labels of a 2D segmenter, where given. Those of test views only score the 2D baseline.
+    /// Raw labels of a 2D segmenter, where given. In test views they only score the 2D baseline.
     pub raw: Option<LabelRuns>,
-    /// What is known of the ids of [`View::raw`] where they are segments of this view, not classes.
+    /// The segments of [`View::raw`] as far as they are known, where its ids are segments of this view, not classes.
     pub segments: Vec<Segment>,
     /// True instance ids, where known; 0 is none. Only for scoring.
     pub instances: Option<LabelRuns>,
@@ -204,9 +205,9 @@ pub struct View {
 pub struct Segment {
     /// Id in the view's raw labels.
     pub id: u16,
-    /// Class id, where the segmenter says one.
+    /// Class id, where the segmenter gives one.
     pub class: Option<u16>,
-    /// Whether it is a thing, of which there may be several, and not stuff such as floor.
+    /// Whether it is a thing, which can be counted, and not stuff such as floor.
     pub thing: bool,
 }
 
@@ -241,7 +242,7 @@ pub struct LabelMap {
     pub width: usize,
     /// Pixels down.
     pub height: usize,
-    /// Variant-major ids, length `width * height`.
+    /// Row-major ids, length `width * height`.
     pub ids: Vec<u16>,
 }
 
@@ -269,7 +270,7 @@ pub struct Class {
     pub name: String,
     /// Colour in legends and pictures, 8-bit sRGB.
     pub color: [u8; 3],
-    /// What it is, where the entry is an object that association found and its segments say so.
+    /// What it is, where the entry is an object that association found and its segments have classes.
     pub object_of: Option<ObjectOf>,
 }
 

@@ -24,7 +24,7 @@ pub struct LoadOptions {
     pub raw_format: RawFormat,
     /// Whether ids of raw labels are classes, or segments of their view that are to be put together.
     pub association: Association,
-    /// Of each split every so many-th frame is read, at least 1.
+    /// Every `stride`-th frame of each split is read; at least 1.
     pub stride: usize,
     /// No more frames than this, evenly chosen; 0 means no limit.
     pub max_frames: usize,
@@ -38,8 +38,8 @@ pub struct LoadOptions {
     pub background: [u8; 3],
     /// Megabytes (2^20 bytes) of decoded photos that a scene keeps; the others are decoded again at each use.
     pub decoded_mb: usize,
-    /// Whether something takes the unit of the scene for a metre, as the point encoder does unless it is told otherwise.
-    /// Nothing is read in another way for it: cameras that are seldom so far apart are told of.
+    /// Whether the unit of the scene is taken for a metre, as the point encoder does by default. It only decides whether
+    /// unusual distances between cameras are reported.
     pub unit_is_metre: bool,
     /// Largest sizes accepted.
     pub limits: Limits,
@@ -100,8 +100,8 @@ impl LoadOptions {
         }
     }
 
-    /// Which frames are read, as (index, split), ascending. `given` is what the folder says of each; where it says
-    /// nothing of any, every 8th of those that are read is test, from the first on.
+    /// Which frames are read, as (index, split), ascending. `given` are the splits that the folder defines; without any,
+    /// every 8th frame that is read is test, from the first on.
     pub(crate) fn pick(&self, given: &[Option<Split>]) -> Vec<(usize, Split)> {
         let wanted = if self.max_frames == 0 {
             given.len()

@@ -63,13 +63,15 @@ impl Convention {
     /// `camera` as it is when its pose, which was read in the convention `as_read`, is read in this one.
     pub fn reread(self, as_read: Self, camera: &Camera) -> Camera {
         let rotation = as_read.axes() * camera.rotation;
-        let (rotation, translation) = match as_read.to_camera {
-            true => (rotation, -(rotation * camera.center)),
-            false => (rotation.transpose(), camera.center),
+        let (rotation, translation) = if as_read.to_camera {
+            (rotation, -(rotation * camera.center))
+        } else {
+            (rotation.transpose(), camera.center)
         };
-        let (rotation, center) = match self.to_camera {
-            true => (rotation, -(rotation.transpose() * translation)),
-            false => (rotation.transpose(), translation),
+        let (rotation, center) = if self.to_camera {
+            (rotation, -(rotation.transpose() * translation))
+        } else {
+            (rotation.transpose(), translation)
         };
         Camera {
             rotation: self.axes() * rotation,

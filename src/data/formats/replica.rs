@@ -84,9 +84,10 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             help "unpack the whole scene"),
         );
     };
-    let (intrinsics, scale) = match is_nice_slam {
-        true => nice_slam(dir, &mut notices)?,
-        false => (right_angle(&photos[first].1, &options.limits)?, MILLIMETRES),
+    let (intrinsics, scale) = if is_nice_slam {
+        nice_slam(dir, &mut notices)?
+    } else {
+        (right_angle(&photos[first].1, &options.limits)?, MILLIMETRES)
     };
     let truth_folders: &[&str] = if is_nice_slam {
         &[]
@@ -116,9 +117,16 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         let truth = truth.get(number).cloned().or(frame.truth);
         frames.push(Frame { truth, ..frame });
     }
-    let cloud = sequence::cloud(dir, &frames, scale, |name| match is_nice_slam {
-        true => format!("{folder}/{}.png", name.replacen(prefix, "depth", 1)),
-        false => format!("depth/{}.png", name.replacen(prefix, "depth_", 1)),
+    let (depth_folder, depth_prefix) = if is_nice_slam {
+        (folder, "depth")
+    } else {
+        ("depth", "depth_")
+    };
+    let cloud = sequence::cloud(dir, &frames, scale, |name| {
+        format!(
+            "{depth_folder}/{}.png",
+            name.replacen(prefix, depth_prefix, 1)
+        )
     });
     let classes = Classes::from_names(0, (1..).zip(CLASSES.lines()));
     let listing = Listing::new(

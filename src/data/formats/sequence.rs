@@ -90,10 +90,10 @@ pub(crate) fn cloud(
         .iter()
         .map(|frame| Some(dir.join(file(&frame.name))).filter(|file| file.is_file()));
     let files: Vec<_> = files.collect();
-    match files.iter().all(Option::is_none) {
-        true => Cloud::None,
-        false => Cloud::Depth(Depth { files, scale }),
+    if files.iter().all(Option::is_none) {
+        return Cloud::None;
     }
+    Cloud::Depth(Depth { files, scale })
 }
 
 /// A camera-to-world matrix in OpenCV axes, row by row. Lost poses hold infinities.

@@ -1,9 +1,9 @@
-//! Label maps in little memory.
+//! Label maps compressed to runs of equal ids.
 
 use crate::data::LabelMap;
 
-/// A label map as runs of equal ids, `[H, W]` row-major: neighbouring pixels mostly agree, and runs become a map again in
-/// a fraction of the time that an image file takes. Never larger than the map.
+/// A label map as runs of equal ids, `[H, W]` row-major: neighbouring pixels mostly agree, and runs decode much faster than
+/// an image file. Never larger than the map.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LabelRuns {
     width: usize,
@@ -73,9 +73,10 @@ impl From<LabelMap> for LabelRuns {
             .chunk_by(|a, b| a == b)
             .flat_map(|run| run.chunks(longest));
         let runs: Vec<(u16, u16)> = of_equal.map(|run| (run[0], run.len() as u16)).collect();
-        let ids = match size_of_val(&*runs) < size_of_val(&*ids) {
-            true => Ids::Runs(runs.into()),
-            false => Ids::Plain(ids.into()),
+        let ids = if size_of_val(&*runs) < size_of_val(&*ids) {
+            Ids::Runs(runs.into())
+        } else {
+            Ids::Plain(ids.into())
         };
         Self { width, height, ids }
     }

@@ -179,7 +179,7 @@ fn png_is_complete(bytes: &[u8]) -> bool {
 }
 
 /// Whether the segments and scans of a JPEG lead to its end marker. (Cut-off files end in grey rows when decoded, and
-/// an embedded thumbnail has an end marker of its own, so neither the decoder nor a search tells.)
+/// an embedded thumbnail has an end marker of its own, so neither the decoder nor a search would notice.)
 fn jpeg_is_complete(bytes: &[u8]) -> bool {
     const END: u8 = 0xD9;
     const SCAN: u8 = 0xDA;
