@@ -17,6 +17,9 @@ const FIELD_OF_VIEW: [f64; 2] = [5.0, 170.0];
 /// Distances of the farthest camera from the mean of all, in metres, of captures in a room.
 const EXTENT: [f64; 2] = [1.0, 4.0];
 
+/// Focal length, principal point and length of one side of a photo.
+type Side = fn(&Camera) -> [f64; 3];
+
 /// The first few names, and how many more there are.
 pub(crate) fn first_names(names: &[impl AsRef<str>]) -> String {
     let first: Vec<&str> = names.iter().take(NAMES).map(AsRef::as_ref).collect();
@@ -115,7 +118,7 @@ pub(crate) fn cameras(listing: &Listing) -> Vec<String> {
     }
     notices.extend(equal_poses(&posed));
     let is_transforms = listing.layout == Layout::Transforms;
-    let sides: [(_, _, fn(&Camera) -> [f64; 3]); 2] = [
+    let sides: [([&str; 2], &str, Side); 2] = [
         (["cx", "fl_x"], "x", |camera| {
             [camera.fx, camera.cx, camera.width as f64]
         }),
@@ -174,7 +177,7 @@ fn equal_poses(posed: &[&Frame]) -> Option<String> {
 }
 
 /// Principal points outside of the photo. `side` gives focal length, principal point and length of one side.
-fn outside_center(posed: &[&Frame], side: fn(&Camera) -> [f64; 3], field: &str) -> Option<String> {
+fn outside_center(posed: &[&Frame], side: Side, field: &str) -> Option<String> {
     let is_outside = |frame: &&&Frame| {
         let [_, center, length] = side(&frame.camera);
         !(0.0..=length).contains(&center)
@@ -188,11 +191,7 @@ fn outside_center(posed: &[&Frame], side: fn(&Camera) -> [f64; 3], field: &str) 
     ))
 }
 
-fn unusual_field_of_view(
-    posed: &[&Frame],
-    side: fn(&Camera) -> [f64; 3],
-    field: &str,
-) -> Option<String> {
+fn unusual_field_of_view(posed: &[&Frame], side: Side, field: &str) -> Option<String> {
     let angle = |frame: &Frame| {
         let [focal, _, length] = side(&frame.camera);
         2.0 * (0.5 * length / focal).atan().to_degrees()

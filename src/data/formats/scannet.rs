@@ -184,7 +184,7 @@ fn label_table(dir: &Path, options: &LoadOptions) -> Result<Vec<u32>> {
     let path = named.or_else(|| near.find(|path| path.is_file())).ok_or_else(|| {
         invalid!(dir, "{TABLE}"; found "no such file";
             expected "{TABLE} there or in one of the three folders above: the labels' ids mean nothing without it";
-            help "copy it from the dataset, or name it with data.scannet_labels")
+            help "copy it from the dataset to the folder of the scene")
     })?;
     let error = |line: usize, found: String, expected: &str| {
         invalid!(&path, "line {line}"; found "{found}"; expected "{expected}";
