@@ -65,17 +65,20 @@ fn label_maps() -> impl Strategy<Value = LabelMap> {
 fn class_tables() -> impl Strategy<Value = Classes> {
     let object = proptest::option::of((any::<u16>(), any::<bool>()));
     let class = ("[a-z \"\\\\é]{1,12}", any::<[u8; 3]>(), object);
-    (any::<u16>(), btree_map(any::<u16>(), class, 0..20)).prop_map(|(ignore, mut classes)| {
+    let tables = (any::<u16>(), btree_map(any::<u16>(), class, 0..20));
+    tables.prop_map(|(ignore, mut classes)| {
         classes.remove(&ignore);
-        let entry =
-            |(id, (name, color, object)): (u16, (String, [u8; 3], Option<(u16, bool)>))| Class {
+        let entries = classes.into_iter().map(|(id, (name, color, object))| {
+            let object_of = object.map(|(class, thing)| ObjectOf { class, thing });
+            Class {
                 id,
                 name,
                 color,
-                object_of: object.map(|(class, thing)| ObjectOf { class, thing }),
-            };
+                object_of,
+            }
+        });
         Classes {
-            entries: classes.into_iter().map(entry).collect(),
+            entries: entries.collect(),
             ignore,
         }
     })
