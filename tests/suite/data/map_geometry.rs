@@ -148,7 +148,7 @@ fn maps_of_reduced_photos_are_undistorted_where_that_is_said() {
             "both",
             "undistorted",
             "photos",
-            "take the file away",
+            "correct the file there",
         ],
     );
     assert_eq!(

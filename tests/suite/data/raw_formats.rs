@@ -542,7 +542,11 @@ fn broken_folders_of_masks_are_refused() {
     refused(dir, &options, &["v1/2.png", "pixel format", "grey PNG"]);
     fs::write(at("2.png"), whole).expect("write");
     fs::write(at("02.png"), fs::read(at("2.png")).expect("mask")).expect("write");
-    refused(dir, &options, &["sam/v1", "number 2", "one file a number"]);
+    refused(
+        dir,
+        &options,
+        &["sam/v1", "number 2", "one file for each number"],
+    );
     fs::rename(at("02.png"), at("best.png")).expect("rename");
     refused(dir, &options, &["sam/v1", "best.png", "whole numbers"]);
     fs::remove_dir_all(dir.join("sam/v1")).expect("remove");

@@ -514,7 +514,7 @@ fn sizes_beyond_the_limits_are_refused() {
                 points: 1,
                 ..Limits::default()
             },
-            "rows of vertex",
+            "points",
         ),
     ] {
         expect_error(

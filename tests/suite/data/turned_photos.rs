@@ -146,8 +146,7 @@ fn photos_upside_down_are_told_of_where_they_have_labels() {
         .collect();
     assert_eq!(told.len(), 1, "{found:?}");
     assert!(
-        told[0].starts_with("2 photos ask by their EXIF orientation")
-            && told[0].contains(": v2, v4;"),
+        told[0].starts_with("2 photos have an EXIF orientation") && told[0].contains(": v2, v4;"),
         "{told:?}"
     );
     load(dir, &LoadOptions::default()).expect("scene");
