@@ -1,7 +1,7 @@
 //! Segmented 3D Gaussian scenes from posed photos and noisy 2D label maps.
 //!
 //! Two stages, as in the paper *CoSegGaussians: Compact and Swift Scene Segmenting 3D Gaussians with Dual Feature Fusion*
-//! (arXiv 2401.05925): Gaussians are built from the photos ([`train::BuildingStage`]); then image features, unprojected onto
+//! (arXiv 2401.05925): Gaussians are built from the photos ([`reconstruction::Trainer`]); then image features, unprojected onto
 //! them ([`segmentation::unprojection`]), and features of a point encoder ([`segmentation::randla`]) are fused by a decoder
 //! that learns from the label maps under a loss that stands noise ([`train::segmentation`]). [`train::run`] does both, and
 //! is what `coseg train` calls. What departs from the paper is a setting, named by `preset = "paper"` ([`config`]).

@@ -3,7 +3,7 @@
 use super::{Bench, Findings, Samples};
 use crate::data::Split;
 use crate::error::Result;
-use crate::reconstruction::{BuildingStage, BuildingState};
+use crate::reconstruction::{Trainer, TrainerState};
 use crate::splat::Gaussians;
 
 /// Length of the run whose middle is measured, steps.
@@ -35,11 +35,11 @@ pub(super) fn measure(
     // Three eighths into the run the last SH degree comes on.
     let every = config.building.densify_every.max(1);
     let densified = (3 * RUN / 8 / every + 2) * every;
-    let state = BuildingState {
+    let state = TrainerState {
         iteration: densified.saturating_sub(steps / 2 + effort.settle),
-        ..BuildingState::new(gaussians.clone(), config.seed)
+        ..TrainerState::new(gaussians.clone(), config.seed)
     };
-    let mut stage = BuildingStage::from_state(scene, &config, &bench.device, state)?;
+    let mut stage = Trainer::from_state(scene, &config, &bench.device, state)?;
     for _ in 0..effort.settle {
         stage.step()?;
     }

@@ -7,7 +7,7 @@ use crate::data::formats::transforms::write_cameras;
 use crate::data::{Limits, NamedCamera, Scene, Split, read_cameras};
 use crate::error::{Error, Result};
 use crate::pipeline::load_scene;
-use crate::reconstruction::BuildingStage;
+use crate::reconstruction::Trainer;
 use crate::splat::camera::Camera;
 use crate::splat::{Gaussians, ply};
 use burn::tensor::Device;
@@ -58,7 +58,7 @@ impl Subject {
         let (scene, own, cameras) = match source {
             Source::Untrained => {
                 let scene = load(config, small)?;
-                let mut own = BuildingStage::new(&scene, config, device)?.gaussians()?;
+                let mut own = Trainer::new(&scene, config, device)?.gaussians()?;
                 own.opacity_logits.fill(UNTRAINED_OPACITY);
                 let cameras = training_cameras(&scene);
                 (Some(scene), own, cameras)

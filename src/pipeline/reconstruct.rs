@@ -7,8 +7,7 @@ use crate::data::Scene;
 use crate::error::{Error, Result};
 use crate::progress::{CurvePoint, Progress};
 use crate::provenance::Provenance;
-use crate::reconstruction::building::BuildingStage;
-use crate::reconstruction::building_state::BuildingState;
+use crate::reconstruction::{Trainer, TrainerState};
 use crate::splat::{Gaussians, ply};
 use burn::tensor::Device;
 use std::path::{Path, PathBuf};
@@ -107,7 +106,7 @@ fn take(
     let (built, given) = (files.building(), files.given());
     let provenance = Provenance::initial_scene(config, scene, &gaussians);
     if built.is_file() {
-        let stored = BuildingState::load(&built)?.provenance;
+        let stored = TrainerState::load(&built)?.provenance;
         provenance.check(&stored, false, &built)?;
     }
     let new = !given.is_file();
@@ -144,16 +143,16 @@ fn build(
         Provenance::stage_one(config, scene).check(&stored, false, &given)?;
     }
     let state = match initial {
-        _ if checkpoint.is_file() => Some(BuildingState::load(&checkpoint)?),
+        _ if checkpoint.is_file() => Some(TrainerState::load(&checkpoint)?),
         Some(gaussians) => {
             let gaussians = gaussians.with_sh_degree(config.building.sh_degree);
-            Some(BuildingState::new(gaussians, config.seed))
+            Some(TrainerState::new(gaussians, config.seed))
         }
         None => None,
     };
     let stage = match state {
-        Some(state) => BuildingStage::from_state(scene, config, device, state)?,
-        None => BuildingStage::new(scene, config, device)?,
+        Some(state) => Trainer::from_state(scene, config, device, state)?,
+        None => Trainer::new(scene, config, device)?,
     };
     let mut stage = stage.checkpoint_at(checkpoint);
     let (earlier, first) = (stage.seconds(), stage.iteration());

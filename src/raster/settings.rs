@@ -23,7 +23,13 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self::from(&RasterConfig::default())
+        Self {
+            alpha_max: RasterConfig::default().alpha_max,
+            alpha_min: 1.0 / 255.0,
+            t_min: 1e-4,
+            near: 0.01,
+            low_pass: 0.3,
+        }
     }
 }
 

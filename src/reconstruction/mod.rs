@@ -1,18 +1,18 @@
-//! Stage one: Gaussians from photos. Schedule, densification, 3DGS-MCMC, initialization.
+//! Stage one: 3D Gaussians from posed photos (3DGS, Kerbl et al. 2023; 3DGS-MCMC, Kheradmand et al. 2024).
 
-pub(crate) mod building;
-pub(crate) mod building_state;
+mod capacity;
 pub mod densify;
-pub mod frusta;
 pub mod initialization;
-pub mod noise;
-pub(crate) mod parameters;
-pub(crate) mod photos;
-pub mod relocate;
+pub mod mcmc;
+pub(crate) mod optimizer;
 pub mod schedule;
+mod state;
+mod step;
+mod strategy;
+mod targets;
+mod trainer;
 
-pub use self::building::BuildingStage;
-pub use self::building::Densified;
-pub use self::building::StepReport;
-pub use self::building_state::BuildingState;
-pub use self::parameters::Moments;
+pub use self::densify::Densified;
+pub use self::optimizer::Moments;
+pub use self::state::TrainerState;
+pub use self::trainer::{StepReport, Trainer};

@@ -1,6 +1,6 @@
-//! When what happens in the building stage: learning rates, SH degree, densification, resets, order of views.
+//! The schedule of stage one: learning rates, SH degree, densification, resets, order of views.
 //!
-//! Steps count from 1; everything is a function of the step, so a resumed run needs no memory of it.
+//! Steps count from 1. Everything is a function of the step, so a resumed run needs no memory of it.
 
 use crate::config::{BuildingConfig, Strategy};
 use crate::data::{Points, View};
@@ -8,8 +8,8 @@ use crate::random::{Purpose, stream};
 use glam::{DVec3, Vec3};
 use rand::seq::SliceRandom;
 
-/// Share of the learning rate of the means that is left at the end of a run (3DGS: `position_lr_final`).
-const FINAL_MEANS_RATE: f64 = 0.01;
+/// Learning rate of the means at the end of the run, as a share of the first.
+const FINAL_RATE: f64 = 0.01;
 /// Densification starts at this share of the run at the latest.
 const LATEST_START: f64 = 0.08;
 /// Passes over all views between two opacity resets, at least.
@@ -24,7 +24,7 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Of a run over `views` training views of a scene of size `extent` (world units).
+    /// The schedule of a run over `views` training views of a scene of size `extent` (world units).
     pub fn new(config: &BuildingConfig, views: usize, extent: f64) -> Self {
         Self {
             config: config.clone(),
@@ -33,14 +33,14 @@ impl Schedule {
         }
     }
 
-    /// Learning rate of the means: exponential from `lr_means` to [`FINAL_MEANS_RATE`] of it, times the extent.
+    /// Learning rate of the means: exponential from `lr_means` to a hundredth of it, times the extent.
     pub fn means_rate(&self, step: usize) -> f64 {
-        let share = (step.saturating_sub(1)) as f64 / self.config.iterations.max(1) as f64;
-        self.config.lr_means * FINAL_MEANS_RATE.powf(share) * self.extent
+        let share = step.saturating_sub(1) as f64 / self.config.iterations.max(1) as f64;
+        self.config.lr_means * FINAL_RATE.powf(share) * self.extent
     }
 
-    /// SH degree in use: one more at each eighth of the run, up to the third and to `sh_degree`; all of it from the first step
-    /// where the run begins with Gaussians that have colours already.
+    /// SH degree in use: one more at each eighth of the run, up to the third and to `sh_degree`. A run that starts from given
+    /// Gaussians uses all degrees from the first step.
     pub fn sh_degree(&self, step: usize) -> usize {
         if self.config.gaussians.is_some() {
             return self.config.sh_degree;
@@ -60,11 +60,8 @@ impl Schedule {
 
     /// Whether opacities are reset after `step`; never with [`Strategy::Mcmc`].
     pub fn resets(&self, step: usize) -> bool {
-        let every = self
-            .config
-            .reset_every
-            .max(PASSES_BETWEEN_RESETS * self.views)
-            .max(1);
+        let passes = PASSES_BETWEEN_RESETS * self.views;
+        let every = self.config.reset_every.max(passes).max(1);
         matches!(self.config.strategy, Strategy::Adc(_))
             && step.is_multiple_of(every)
             && step < self.densify_until()
@@ -72,36 +69,16 @@ impl Schedule {
 
     /// Whether the held-out views are scored after `step`.
     pub fn evaluates(&self, step: usize) -> bool {
-        self.every(self.config.eval_every, step)
+        self.is_due(self.config.eval_every, step)
     }
 
     /// Whether a checkpoint is written after `step`.
     pub fn saves(&self, step: usize) -> bool {
-        self.every(self.config.checkpoint_every, step)
-    }
-
-    /// Index among the training views at `step`: each epoch is a shuffle of all views.
-    pub fn view(&self, seed: u64, step: usize) -> usize {
-        let (epoch, place) = (
-            step.saturating_sub(1) / self.views.max(1),
-            step.saturating_sub(1) % self.views.max(1),
-        );
-        let mut order: Vec<usize> = (0..self.views).collect();
-        order.shuffle(&mut stream(seed, Purpose::ViewOrder, epoch as u64));
-        order.get(place).copied().unwrap_or(0)
-    }
-
-    /// Whether the colour behind the scene may change in `step`: while densification and resets leave opacities to be found.
-    pub fn varies_background(&self, step: usize) -> bool {
-        step <= self.densify_until()
-    }
-
-    fn densify_until(&self) -> usize {
-        (f64::from(self.config.densify_until()) * self.config.iterations as f64) as usize
+        self.is_due(self.config.checkpoint_every, step)
     }
 
     /// Every `interval` steps (0: ten times in the run) and at the end.
-    fn every(&self, interval: usize, step: usize) -> bool {
+    fn is_due(&self, interval: usize, step: usize) -> bool {
         let interval = if interval == 0 {
             self.config.iterations.div_ceil(10)
         } else {
@@ -109,9 +86,27 @@ impl Schedule {
         };
         step.is_multiple_of(interval.max(1)) || step == self.config.iterations
     }
+
+    /// Index among the training views at `step`: each epoch is a shuffle of all views.
+    pub fn view(&self, seed: u64, step: usize) -> usize {
+        let views = self.views.max(1);
+        let (epoch, place) = ((step.max(1) - 1) / views, (step.max(1) - 1) % views);
+        let mut order: Vec<usize> = (0..self.views).collect();
+        order.shuffle(&mut stream(seed, Purpose::ViewOrder, epoch as u64));
+        order.get(place).copied().unwrap_or(0)
+    }
+
+    /// Whether the background of `step` may be random: as long as densification and resets change opacities.
+    pub fn varies_background(&self, step: usize) -> bool {
+        step <= self.densify_until()
+    }
+
+    fn densify_until(&self) -> usize {
+        (f64::from(self.config.densify_until()) * self.config.iterations as f64) as usize
+    }
 }
 
-/// Cameras stand at one place where they reach less than this share of the distance of what they see.
+/// Cameras that reach less than this share of the distance of what they see count as standing at one place.
 const ONE_PLACE: f64 = 1e-6;
 
 /// Mean position of the cameras, world units; the origin without any.
@@ -121,7 +116,7 @@ pub fn center(views: &[&View]) -> DVec3 {
 
 /// Size of the scene in world units: 1.1 times the largest distance of a camera from the mean camera.
 ///
-/// Where all cameras stand at one place, by the distance of the points: the rms distance of the points from it, or 1 without points.
+/// Where all cameras stand at one place, the rms distance of the points from it, or 1 without points.
 pub fn extent(views: &[&View], points: &Points) -> f64 {
     let mean = center(views);
     let reach = views
@@ -139,7 +134,7 @@ pub fn extent(views: &[&View], points: &Points) -> f64 {
     } else {
         1.0
     };
-    // Poses of one tripod differ by the rounding of whoever wrote them.
+    // Poses of one tripod differ by the rounding of the program that wrote them.
     if reach > ONE_PLACE * surroundings {
         1.1 * reach
     } else {
@@ -152,14 +147,11 @@ mod tests {
     use super::*;
 
     fn schedule(iterations: usize, views: usize) -> Schedule {
-        Schedule::new(
-            &BuildingConfig {
-                iterations,
-                ..BuildingConfig::default()
-            },
-            views,
-            2.0,
-        )
+        let config = BuildingConfig {
+            iterations,
+            ..BuildingConfig::default()
+        };
+        Schedule::new(&config, views, 2.0)
     }
 
     #[test]

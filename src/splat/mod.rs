@@ -11,7 +11,11 @@ pub mod ply;
 pub use self::geometry::Geometry;
 pub use self::motion::Motion;
 use crate::error::{Error, Result};
-use crate::reconstruction::initialization::SH_0;
+
+/// SH basis function of degree 0, `1 / (2 sqrt(pi))`.
+pub const SH_0: f32 = 0.282_094_8;
+/// A quaternion of a smaller squared length stands for no rotation.
+pub(crate) const ZERO_QUATERNION: f64 = 1e-12;
 
 /// N Gaussians in host memory, structure of arrays.
 ///
@@ -181,7 +185,7 @@ impl Gaussians {
 pub(crate) fn rotation(quaternion: &[f32; 4]) -> glam::DQuat {
     let [w, x, y, z] = quaternion.map(f64::from);
     let q = glam::DQuat::from_xyzw(x, y, z, w);
-    if q.length_squared() < 1e-12 {
+    if q.length_squared() < ZERO_QUATERNION {
         glam::DQuat::IDENTITY
     } else {
         q.normalize()

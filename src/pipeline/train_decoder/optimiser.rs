@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
-use crate::reconstruction::parameters::find_non_finite;
+use crate::reconstruction::optimizer::find_non_finite;
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Gradients, Tensor, TensorData};
 use std::sync::Arc;

@@ -4,7 +4,7 @@ use crate::cli::commands::{fails, succeeds, utf8};
 use coseg::config::{BuildingConfig, Config, Layout};
 use coseg::data::check;
 use coseg::data::{LoadOptions, NamedCamera, Scene, Split, load, load_cameras, locate};
-use coseg::reconstruction::BuildingStage;
+use coseg::reconstruction::Trainer;
 use glam::{DMat4, DVec3};
 use image::{Rgba, RgbaImage};
 use serde_json::json;
@@ -178,7 +178,7 @@ fn transparent_pixels_show_the_background_and_no_random_one_lies_behind_them() {
             building,
             ..Config::default()
         };
-        let mut stage = BuildingStage::new(scene, &config, &crate::support::device()).unwrap();
+        let mut stage = Trainer::new(scene, &config, &crate::support::device()).unwrap();
         (0..6)
             .map(|_| stage.step().unwrap().loss)
             .collect::<Vec<f64>>()

@@ -3,12 +3,12 @@
 use crate::reconstruction::building::{config, scene};
 use coseg::config::{BuildingConfig, Config, Strategy};
 use coseg::ops::with_references;
-use coseg::reconstruction::{BuildingStage, BuildingState};
+use coseg::reconstruction::{Trainer, TrainerState};
 
 /// Loss of the first step, and the state after it, whose first moments are a tenth of the gradients.
-fn step(config: &Config) -> (f64, BuildingState) {
+fn step(config: &Config) -> (f64, TrainerState) {
     let scene = scene();
-    let mut stage = BuildingStage::new(&scene, config, &crate::support::device()).expect("a stage");
+    let mut stage = Trainer::new(&scene, config, &crate::support::device()).expect("a stage");
     let loss = stage.step().expect("a step").loss;
     (loss, stage.state().expect("readable"))
 }
@@ -23,10 +23,7 @@ fn assert_close(name: &str, got: &[f32], want: &[f32], tolerance: f32) {
 
 #[test]
 fn a_step_of_stage_one_equals_that_of_the_references() {
-    for strategy in [
-        Strategy::Adc(Default::default()),
-        Strategy::Mcmc(Default::default()),
-    ] {
+    for strategy in [Strategy::default(), Strategy::Mcmc(Default::default())] {
         let building = BuildingConfig {
             strategy,
             max_gaussians: 1_000,
@@ -47,7 +44,7 @@ fn a_step_of_stage_one_equals_that_of_the_references() {
             assert_close(name, &got.first[k], &want.first[k], 1e-3);
             assert_close(name, &got.second[k], &want.second[k], 1e-3);
         }
-        let means = |state: &BuildingState| state.gaussians.means.as_flattened().to_vec();
+        let means = |state: &TrainerState| state.gaussians.means.as_flattened().to_vec();
         assert_close("means after the step", &means(&got), &means(&want), 1e-3);
     }
 }

@@ -7,7 +7,7 @@ use coseg::data::{LoadOptions, Split, load};
 use coseg::error::Error;
 use coseg::pipeline::run;
 use coseg::progress::Silent;
-use coseg::reconstruction::BuildingStage;
+use coseg::reconstruction::Trainer;
 use coseg::segmentation::encoder::random_weights;
 use coseg::splat::ply;
 use glam::DVec3;
@@ -310,5 +310,5 @@ fn photos_are_compared_by_their_files_without_decoding() {
     let test = scene.split(Split::Test).next().expect("a test view");
     fs::remove_file(folder.path().join(format!("images/{}.png", test.name))).expect("removed");
     assert!(test.image.pixels().is_err());
-    BuildingStage::new(&scene, &config, &crate::support::device()).expect("a stage");
+    Trainer::new(&scene, &config, &crate::support::device()).expect("a stage");
 }

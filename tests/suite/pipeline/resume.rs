@@ -325,7 +325,7 @@ fn a_row_of_other_gaussians_or_labels_is_refused() {
     // As many Gaussians, one of them moved by a hair.
     let building = out.join("checkpoint/building.safetensors");
     let before = std::fs::read(&building).expect("read");
-    let mut state = coseg::reconstruction::BuildingState::load(&building).expect("loaded");
+    let mut state = coseg::reconstruction::TrainerState::load(&building).expect("loaded");
     state.gaussians.means[7][0] += 1e-3;
     state.save(&building).expect("saved");
     let error = refusal();

@@ -5,8 +5,8 @@ use coseg::data::mask::Mask;
 use coseg::data::{Classes, Points, Scene, Split, View};
 use coseg::progress::{Event, Progress, Silent};
 use coseg::raster::{Settings, render};
-use coseg::reconstruction::frusta;
-use coseg::reconstruction::{BuildingStage, BuildingState, schedule};
+use coseg::reconstruction::initialization::random_points;
+use coseg::reconstruction::{Trainer, TrainerState, schedule};
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DVec3};
 use rand::{Rng, SeedableRng};
@@ -123,14 +123,14 @@ fn device() -> burn::tensor::Device {
     crate::support::device()
 }
 
-pub fn advance(stage: &mut BuildingStage, to: usize) {
+pub fn advance(stage: &mut Trainer, to: usize) {
     while stage.iteration() < to {
         stage.step().expect("a step");
     }
 }
 
 /// Clocks differ between runs; everything else must not.
-pub fn untimed(mut state: BuildingState) -> BuildingState {
+pub fn untimed(mut state: TrainerState) -> TrainerState {
     state.seconds = 0.0;
     state.curve.iter_mut().for_each(|p| p.seconds = 0.0);
     state
@@ -183,7 +183,7 @@ fn a_densification_that_leaves_nothing_is_an_error() {
         ..config().building
     };
     let scene = scene();
-    let mut stage = BuildingStage::new(
+    let mut stage = Trainer::new(
         &scene,
         &Config {
             building,
@@ -206,7 +206,7 @@ fn training_learns_the_scene() {
         sh_degree: 2,
         ..BuildingConfig::default()
     };
-    let mut stage = BuildingStage::new(
+    let mut stage = Trainer::new(
         &scene,
         &Config {
             building,
@@ -265,7 +265,7 @@ fn black_surfaces_become_opaque_before_a_changing_background() {
             random_background,
             ..BuildingConfig::default()
         };
-        let mut stage = BuildingStage::new(
+        let mut stage = Trainer::new(
             &scene,
             &Config {
                 building,
@@ -295,7 +295,7 @@ fn black_surfaces_become_opaque_before_a_changing_background() {
 #[test]
 fn resumed_run_equals_uninterrupted_run_bit_for_bit() {
     let (scene, device, config) = (scene(), device(), config());
-    let mut whole = BuildingStage::new(&scene, &config, &device).expect("a stage");
+    let mut whole = Trainer::new(&scene, &config, &device).expect("a stage");
     let mut densified = 0;
     let mut resets = 0;
     while whole.iteration() < 60 {
@@ -312,14 +312,14 @@ fn resumed_run_equals_uninterrupted_run_bit_for_bit() {
     let dir = tempfile::tempdir().expect("a folder");
     let path = dir.path().join("building.safetensors");
     // before and after densifications, and on both sides of the reset
-    let mut stage = BuildingStage::new(&scene, &config, &device).expect("a stage");
+    let mut stage = Trainer::new(&scene, &config, &device).expect("a stage");
     for stop in [1, 17, 20, 29, 30, 44, 60] {
         advance(&mut stage, stop);
         let state = stage.state().expect("a state");
         state.save(&path).expect("saved");
-        let loaded = BuildingState::load(&path).expect("loaded");
+        let loaded = TrainerState::load(&path).expect("loaded");
         assert_eq!(loaded, state, "a checkpoint gives back the state");
-        stage = BuildingStage::from_state(&scene, &config, &device, loaded).expect("a stage");
+        stage = Trainer::from_state(&scene, &config, &device, loaded).expect("a stage");
     }
     assert!(
         untimed(stage.state().expect("a state")) == whole,
@@ -343,22 +343,22 @@ fn run_resumed_from_its_own_checkpoint_keeps_the_curves() {
     let (scene, device, config) = (scene(), device(), config());
     let dir = tempfile::tempdir().expect("a folder");
     let path = dir.path().join("building.safetensors");
-    let mut whole = BuildingStage::new(&scene, &config, &device).expect("a stage");
+    let mut whole = Trainer::new(&scene, &config, &device).expect("a stage");
     whole.run(&mut Silent).expect("a run");
-    let mut part = BuildingStage::new(&scene, &config, &device)
+    let mut part = Trainer::new(&scene, &config, &device)
         .expect("a stage")
         .checkpoint_at(&path);
     part.run(&mut StopAt(33)).expect("a run");
     assert_eq!(part.iteration(), 33);
-    let state = BuildingState::load(&path).expect("loaded");
-    let mut rest = BuildingStage::from_state(&scene, &config, &device, state)
+    let state = TrainerState::load(&path).expect("loaded");
+    let mut rest = Trainer::from_state(&scene, &config, &device, state)
         .expect("a stage")
         .checkpoint_at(&path);
     rest.run(&mut Silent).expect("a run");
     let whole = untimed(whole.state().expect("a state"));
     assert!(untimed(rest.state().expect("a state")) == whole);
     assert!(
-        untimed(BuildingState::load(&path).expect("loaded")) == whole,
+        untimed(TrainerState::load(&path).expect("loaded")) == whole,
         "the last checkpoint is the end of the run"
     );
 }
@@ -376,7 +376,7 @@ pub fn assert_bits_follow_the_seed(config: &Config) {
                 seed,
                 ..config.clone()
             };
-            let mut stage = BuildingStage::new(&scene, &config, &device).expect("a stage");
+            let mut stage = Trainer::new(&scene, &config, &device).expect("a stage");
             advance(&mut stage, 35);
             untimed(stage.state().expect("a state"))
         })
@@ -394,14 +394,13 @@ fn same_seed_same_bits_at_one_and_two_threads() {
 #[test]
 fn non_finite_values_stop_the_run_and_are_located() {
     let (scene, device, config) = (scene(), device(), config());
-    let mut stage = BuildingStage::new(&scene, &config, &device).expect("a stage");
+    let mut stage = Trainer::new(&scene, &config, &device).expect("a stage");
     advance(&mut stage, 3);
     let good = stage.state().expect("a state");
-    let failure = |spoil: fn(&mut BuildingState)| {
+    let failure = |spoil: fn(&mut TrainerState)| {
         let mut state = good.clone();
         spoil(&mut state);
-        let mut stage =
-            BuildingStage::from_state(&scene, &config, &device, state).expect("a stage");
+        let mut stage = Trainer::from_state(&scene, &config, &device, state).expect("a stage");
         let message = stage.step().expect_err("must stop").to_string();
         assert_eq!(stage.iteration(), 3);
         assert!(
@@ -434,7 +433,7 @@ fn scenes_without_points_start_in_the_frusta() {
         building,
         ..config()
     };
-    let stage = BuildingStage::new(&scene, &config, &device()).expect("a stage");
+    let stage = Trainer::new(&scene, &config, &device()).expect("a stage");
     let gaussians = stage.gaussians().expect("on the host");
     assert_eq!(gaussians.len(), 500);
     let seen = |p: &[f32; 3]| {
@@ -465,7 +464,7 @@ fn drawn(views: &mut [View], count: usize) -> Vec<(usize, usize, usize)> {
         .into();
     }
     let views: Vec<&View> = views.iter().collect();
-    let points = frusta::points(&views, count, &mut ChaCha8Rng::seed_from_u64(8)).expect("points");
+    let points = random_points(&views, count, &mut ChaCha8Rng::seed_from_u64(8)).expect("points");
     assert_eq!(points.positions.len(), points.colors.len());
     points
         .colors
@@ -539,8 +538,8 @@ fn an_empty_scene_of_gaussians_trains_without_effect() {
         sh_degree: 2,
         ..Default::default()
     };
-    let state = BuildingState::new(empty, 7);
-    let mut stage = BuildingStage::from_state(&scene, &config(), &device, state).expect("a stage");
+    let state = TrainerState::new(empty, 7);
+    let mut stage = Trainer::from_state(&scene, &config(), &device, state).expect("a stage");
     advance(&mut stage, 12);
     assert!(stage.gaussians().expect("on the host").is_empty());
     assert!(stage.evaluate().expect("scores").held_out.psnr.is_some());
@@ -552,7 +551,7 @@ fn unusable_settings_and_scenes_are_refused() {
     let refusal = |scene: &Scene, edit: fn(&mut Config)| {
         let mut config = config();
         edit(&mut config);
-        BuildingStage::new(scene, &config, &device)
+        Trainer::new(scene, &config, &device)
             .err()
             .expect("must be refused")
             .to_string()
@@ -568,7 +567,7 @@ fn unusable_settings_and_scenes_are_refused() {
     let mut misfit = scene.clone();
     misfit.views[3].camera.width += 1;
     assert!(refusal(&misfit, |_| ()).contains("view3"));
-    let state = BuildingStage::new(&scene, &config(), &device)
+    let state = Trainer::new(&scene, &config(), &device)
         .expect("a stage")
         .state()
         .expect("a state");
@@ -576,7 +575,7 @@ fn unusable_settings_and_scenes_are_refused() {
         seed: 8,
         ..config()
     };
-    let message = BuildingStage::from_state(&scene, &other, &device, state)
+    let message = Trainer::from_state(&scene, &other, &device, state)
         .err()
         .expect("another seed")
         .to_string();

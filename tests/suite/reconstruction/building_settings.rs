@@ -4,7 +4,7 @@ use crate::support::assert_names;
 use crate::support::device;
 use coseg::config::{AdcConfig, BuildingConfig, Config, McmcConfig, Strategy};
 use coseg::data::builtin::{BuiltinOptions, scene_with};
-use coseg::reconstruction::BuildingStage;
+use coseg::reconstruction::Trainer;
 
 #[test]
 fn a_run_and_a_stage_refuse_the_same_settings() {
@@ -44,7 +44,7 @@ fn a_run_and_a_stage_refuse_the_same_settings() {
     for (key, edit) in cases {
         let mut config = Config::default();
         edit(&mut config.building);
-        let stage = BuildingStage::new(&scene, &config, &device())
+        let stage = Trainer::new(&scene, &config, &device())
             .err()
             .expect("must be refused");
         for error in [
@@ -79,7 +79,7 @@ fn a_rate_of_zero_leaves_a_parameter_as_it_is() {
         ..Config::default()
     };
     config.validate().unwrap();
-    let mut stage = BuildingStage::new(&scene, &config, &device()).unwrap();
+    let mut stage = Trainer::new(&scene, &config, &device()).unwrap();
     let before = stage.gaussians().unwrap();
     for _ in 0..3 {
         stage.step().unwrap();

@@ -3,7 +3,7 @@
 use coseg::data::Points;
 use coseg::random::{Purpose, stream};
 use coseg::reconstruction::densify::{
-    DensityRules, DensityStats, Origin, RowPlan, SizeLimit, reset_opacity,
+    AdcRules, Densification, GradientStatistics, SizeLimit, adc, reset_opacity,
 };
 use coseg::reconstruction::initialization;
 use coseg::splat::Gaussians;
@@ -49,7 +49,7 @@ fn points_become_isotropic_gaussians_of_neighbour_distance() {
     let opacity = 1.0 / (1.0 + (-g.opacity_logits[7]).exp());
     assert!((opacity - 0.1).abs() < 1e-6);
     for (c, want) in [0.25, 0.5, 1.0].into_iter().enumerate() {
-        assert!((0.5 + initialization::SH_0 * g.sh[7 * 27 + c] - want).abs() < 1e-6);
+        assert!((0.5 + coseg::splat::SH_0 * g.sh[7 * 27 + c] - want).abs() < 1e-6);
     }
     assert!(g.sh[7 * 27 + 3..8 * 27].iter().all(|&s| s == 0.0));
 }
@@ -114,12 +114,12 @@ fn non_finite_points_are_named() {
 }
 
 /// Variant i has mean (i, 0, 0), the given largest scale, opacity and mean gradient.
-fn population(rows: &[(f32, f32, f32)]) -> (Gaussians, DensityStats) {
+fn population(rows: &[(f32, f32, f32)]) -> (Gaussians, GradientStatistics) {
     let mut g = Gaussians {
         sh_degree: 1,
         ..Gaussians::default()
     };
-    let mut stats = DensityStats::new(rows.len());
+    let mut stats = GradientStatistics::new(rows.len());
     for (i, &(scale, opacity, gradient)) in rows.iter().enumerate() {
         g.means.push([i as f32, 0.0, 0.0]);
         g.log_scales
@@ -133,19 +133,34 @@ fn population(rows: &[(f32, f32, f32)]) -> (Gaussians, DensityStats) {
     (g, stats)
 }
 
-fn rules() -> DensityRules {
+fn rules() -> AdcRules {
     let prune_scale = SizeLimit {
         share: 0.05,
         extent: 20.0,
         center: [0.0; 3],
     };
-    DensityRules {
+    AdcRules {
         threshold: 1.0,
         clone_below: 0.1,
         prune_opacity: 0.005,
         prune_scale,
         max_gaussians: 0,
     }
+}
+
+fn planned(
+    g: &Gaussians,
+    stats: &GradientStatistics,
+    rules: &AdcRules,
+    seed: u64,
+) -> Densification {
+    adc(
+        g,
+        stats,
+        rules,
+        &mut stream(seed, Purpose::Densification, 7),
+    )
+    .expect("matching statistics")
 }
 
 #[test]
@@ -159,35 +174,21 @@ fn small_are_cloned_large_are_split_useless_are_pruned() {
         (1.5, 0.5, 2.0),    // too large, but its children are not
         (3.0, 0.5, 2.0),    // too large, and so are its children
     ]);
-    let plan = RowPlan::new(&g, &stats, &rules()).expect("matching statistics");
-    use Origin::{Child, Clone, Kept};
-    let want = [
-        (0, Kept),
-        (1, Kept),
-        (1, Clone),
-        (2, Child),
-        (2, Child),
-        (5, Child),
-        (5, Child),
-    ];
-    assert_eq!(plan.rows, want);
-    assert_eq!((plan.cloned, plan.split, plan.pruned), (1, 2, 3));
+    let planned = |seed| planned(&g, &stats, &rules(), seed);
+    let plan = planned(1);
+    assert_eq!(plan.rows, [0, 1, 1, 2, 2, 5, 5]);
+    assert_eq!(plan.is_new, [false, false, true, true, true, true, true]);
+    let done = plan.done;
+    assert_eq!((done.cloned, done.split, done.pruned), (1, 2, 3));
 
-    let new = plan.gaussians(&g, &mut stream(1, Purpose::Densification, 7));
+    let new = plan.gaussians(&g);
     assert_eq!((new.len(), new.sh.len()), (7, 7 * 12));
     assert_eq!(new.means[2], g.means[1]);
     assert_ne!(new.means[3], new.means[4], "children are two samples");
     assert!((new.log_scales[3][1].exp() * 1.6 / 0.5 - 1.0).abs() < 1e-5);
     assert_eq!(&new.sh[3 * 12..4 * 12], &g.sh[2 * 12..3 * 12]);
-    assert_eq!(
-        new,
-        plan.gaussians(&g, &mut stream(1, Purpose::Densification, 7)),
-        "seeded"
-    );
-    assert_ne!(
-        new,
-        plan.gaussians(&g, &mut stream(2, Purpose::Densification, 7))
-    );
+    assert_eq!(new, planned(1).gaussians(&g), "seeded");
+    assert_ne!(new, planned(2).gaussians(&g));
 
     let moments: Vec<f32> = (0..14).map(|v| v as f32 + 1.0).collect();
     let moments = plan.moments(&moments, 2);
@@ -209,7 +210,7 @@ fn what_is_far_from_the_cameras_may_be_large() {
         [-39.0, 0.0, 0.0],
     ];
     let kept = |center: [f32; 3]| {
-        let rules = DensityRules {
+        let rules = AdcRules {
             prune_scale: SizeLimit {
                 share: 0.1,
                 extent: 1.0,
@@ -217,8 +218,7 @@ fn what_is_far_from_the_cameras_may_be_large() {
             },
             ..rules()
         };
-        let plan = RowPlan::new(&g, &stats, &rules).expect("ok");
-        plan.rows.iter().map(|&(row, _)| row).collect::<Vec<_>>()
+        planned(&g, &stats, &rules, 1).rows
     };
     // A scale of 2 is a tenth of 20 world units.
     assert_eq!(kept([0.0; 3]), [1, 2, 3]);
@@ -227,7 +227,7 @@ fn what_is_far_from_the_cameras_may_be_large() {
         [0, 1, 2],
         "distances are from the cameras"
     );
-    let close = DensityRules {
+    let close = AdcRules {
         prune_scale: SizeLimit {
             share: 0.1,
             extent: 20.1,
@@ -236,7 +236,7 @@ fn what_is_far_from_the_cameras_may_be_large() {
         ..rules()
     };
     assert_eq!(
-        RowPlan::new(&g, &stats, &close).expect("ok").rows.len(),
+        planned(&g, &stats, &close, 1).rows.len(),
         4,
         "extents count where they are longer"
     );
@@ -251,28 +251,28 @@ fn budget_takes_the_highest_gradients() {
         (0.05, 0.001, 9.0),
     ]);
     for (budget, want) in [(3, 3), (4, 4), (5, 5), (6, 6), (100, 6), (1, 3)] {
-        let plan = RowPlan::new(
+        let plan = planned(
             &g,
             &stats,
-            &DensityRules {
+            &AdcRules {
                 max_gaussians: budget,
                 ..rules()
             },
-        )
-        .expect("ok");
+            1,
+        );
         assert_eq!(plan.rows.len(), want, "budget {budget}");
     }
-    let plan = RowPlan::new(
+    let plan = planned(
         &g,
         &stats,
-        &DensityRules {
+        &AdcRules {
             max_gaussians: 4,
             ..rules()
         },
-    )
-    .expect("ok");
-    assert_eq!((plan.cloned, plan.split), (1, 0));
-    assert_eq!(plan.rows[3], (1, Origin::Clone));
+        1,
+    );
+    assert_eq!((plan.done.cloned, plan.done.split), (1, 0));
+    assert_eq!((plan.rows[3], plan.is_new[3]), (1, true));
 }
 
 #[test]
@@ -282,8 +282,7 @@ fn children_follow_the_parents_distribution() {
     let q = [0.5_f32.sqrt(), 0.0, 0.0, 0.5_f32.sqrt()]; // 90 degrees about z: local x becomes world y
     g.means.iter_mut().for_each(|m| *m = [1.0, 2.0, 3.0]);
     g.rotations.iter_mut().for_each(|r| *r = q.map(|v| 7.0 * v)); // unnormalised
-    let plan = RowPlan::new(&g, &stats, &rules()).expect("ok");
-    let new = plan.gaussians(&g, &mut stream(3, Purpose::Densification, 1));
+    let new = planned(&g, &stats, &rules(), 3).gaussians(&g);
     assert_eq!(new.len(), 2 * n);
     for (axis, mean, deviation) in [(0, 1.0, 0.5), (1, 2.0, 0.25), (2, 3.0, 0.05)] {
         let values: Vec<f64> = new.means.iter().map(|m| f64::from(m[axis])).collect();
@@ -304,20 +303,31 @@ fn children_follow_the_parents_distribution() {
 
 #[test]
 fn statistics_count_visible_iterations_only() {
-    let mut stats = DensityStats::new(3);
-    stats.record(&[3.0, 4.0, 30.0, 40.0, 0.0, 0.0], &[2, 0, 1]);
-    stats.record(&[0.0, 1.0, 0.0, 0.0, 0.0, 0.0], &[2, 0, 0]);
+    let stats = GradientStatistics {
+        gradient: vec![6.0, 0.0, 0.0],
+        visible: vec![2, 0, 1],
+    };
     assert_eq!(
         (stats.mean(0), stats.mean(1), stats.mean(2)),
         (3.0, 0.0, 0.0)
     );
-    assert_eq!(stats.visible, [2, 0, 1]);
     let (g, _) = population(&[(0.05, 0.5, 0.0)]);
     assert!(
-        RowPlan::new(&g, &stats, &rules()).is_err(),
+        adc(
+            &g,
+            &stats,
+            &rules(),
+            &mut stream(1, Purpose::Densification, 7)
+        )
+        .is_err(),
         "statistics of other Gaussians"
     );
-    let none = RowPlan::new(&Gaussians::default(), &DensityStats::new(0), &rules()).expect("empty");
+    let none = planned(
+        &Gaussians::default(),
+        &GradientStatistics::new(0),
+        &rules(),
+        1,
+    );
     assert!(none.rows.is_empty());
 }
 

@@ -4,7 +4,7 @@ use crate::support::gpu;
 use burn::tensor::Device;
 use coseg::config::{AdcConfig, BuildingConfig, Config, McmcConfig, Strategy};
 use coseg::data::{LoadOptions, Scene, load};
-use coseg::reconstruction::{BuildingStage, BuildingState};
+use coseg::reconstruction::{Trainer, TrainerState};
 
 /// The plates, and the folder that they are read from.
 fn scene() -> (Scene, tempfile::TempDir) {
@@ -43,7 +43,7 @@ fn config(densify_from: usize, strategy: Strategy) -> Config {
     }
 }
 
-fn steps(stage: &mut BuildingStage, count: usize) -> Vec<f64> {
+fn steps(stage: &mut Trainer, count: usize) -> Vec<f64> {
     (0..count)
         .map(|_| stage.step().expect("a step").loss)
         .collect()
@@ -60,7 +60,7 @@ fn steps_on_a_gpu_are_those_on_ndarray() {
 
 fn compare(gpu: &Device, scene: &Scene, config: &Config) {
     let run = |device: &Device| {
-        let mut stage = BuildingStage::new(scene, config, device).expect("a stage");
+        let mut stage = Trainer::new(scene, config, device).expect("a stage");
         let losses = steps(&mut stage, 12);
         (losses, stage.state().expect("readable"))
     };
@@ -91,7 +91,7 @@ fn compare(gpu: &Device, scene: &Scene, config: &Config) {
             .any(|&count| count > 0 && count < 12),
         "some are seen in some views"
     );
-    let total = |state: &BuildingState| {
+    let total = |state: &TrainerState| {
         state
             .stats
             .gradient
@@ -119,7 +119,7 @@ fn a_resumed_stage_goes_on_to_the_same_bits() {
 }
 
 fn assert_resumes(gpu: &Device, scene: &Scene, config: &Config) {
-    let mut whole = BuildingStage::new(scene, config, gpu).expect("a stage");
+    let mut whole = Trainer::new(scene, config, gpu).expect("a stage");
     steps(&mut whole, 15);
     let state = whole.state().expect("readable");
     assert!(
@@ -127,7 +127,7 @@ fn assert_resumes(gpu: &Device, scene: &Scene, config: &Config) {
         "a densification has been: {}",
         state.gaussians.len()
     );
-    let mut resumed = BuildingStage::from_state(scene, config, gpu, state).expect("a stage");
+    let mut resumed = Trainer::from_state(scene, config, gpu, state).expect("a stage");
     assert_eq!(steps(&mut whole, 8), steps(&mut resumed, 8));
     let [a, b] = [whole, resumed].map(|stage| stage.state().expect("readable"));
     assert!(

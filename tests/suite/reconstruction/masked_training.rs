@@ -6,7 +6,7 @@ use coseg::data::builtin::{BuiltinOptions, scene_with};
 use coseg::data::mask::Mask;
 use coseg::data::{Scene, Split};
 use coseg::metrics::{ImageScores, psnr, ssim};
-use coseg::reconstruction::BuildingStage;
+use coseg::reconstruction::Trainer;
 use image::Rgb;
 
 /// Smooth structure in 0..1, another one for each phase.
@@ -186,7 +186,7 @@ fn trained(scene: &Scene, iterations: usize) -> f64 {
         ..Config::default()
     };
     let device = crate::support::device();
-    let mut stage = BuildingStage::new(scene, &config, &device).unwrap();
+    let mut stage = Trainer::new(scene, &config, &device).unwrap();
     while stage.iteration() < config.building.iterations {
         stage.step().unwrap();
     }
@@ -221,7 +221,7 @@ fn a_stranger_in_the_photos_hurts_unless_masked() {
 fn a_mask_of_another_size_is_no_mask() {
     let mut scene = tiny();
     scene.views[5].mask = Some(Mask::new(72, 96, |i| i > 7));
-    let error = BuildingStage::new(&scene, &Config::default(), &crate::support::device())
+    let error = Trainer::new(&scene, &Config::default(), &crate::support::device())
         .map(|_| ())
         .unwrap_err();
     let parts = ["72x96", &scene.views[5].name, "96x72", "mask"];

@@ -5,7 +5,7 @@ use crate::reconstruction::building::{
 };
 use coseg::config::{AdcConfig, BuildingConfig, Config, McmcConfig, Strategy};
 use coseg::data::Points;
-use coseg::reconstruction::{BuildingStage, BuildingState, schedule};
+use coseg::reconstruction::{Trainer, TrainerState, schedule};
 use coseg::splat::Gaussians;
 
 const CAP: usize = 470;
@@ -29,8 +29,8 @@ fn mcmc() -> Config {
     }
 }
 
-fn stage<'a>(scene: &'a coseg::data::Scene, config: &Config) -> BuildingStage<'a> {
-    BuildingStage::new(scene, config, &crate::support::device()).expect("a stage")
+fn stage<'a>(scene: &'a coseg::data::Scene, config: &Config) -> Trainer<'a> {
+    Trainer::new(scene, config, &crate::support::device()).expect("a stage")
 }
 
 #[test]
@@ -60,8 +60,8 @@ fn resumed_run_equals_uninterrupted_run_across_relocation_and_growth() {
     for stop in [1, 9, 10, 25, 40, 41, 60] {
         advance(&mut part, stop);
         part.state().expect("a state").save(&path).expect("saved");
-        let loaded = BuildingState::load(&path).expect("loaded");
-        part = BuildingStage::from_state(&scene, &config, &crate::support::device(), loaded)
+        let loaded = TrainerState::load(&path).expect("loaded");
+        part = Trainer::from_state(&scene, &config, &crate::support::device(), loaded)
             .expect("a stage");
     }
     assert!(
@@ -74,8 +74,8 @@ fn resumed_run_equals_uninterrupted_run_across_relocation_and_growth() {
         growth: 0.1,
         ..McmcConfig::default()
     });
-    let state = BuildingState::load(&path).expect("loaded");
-    let refusal = BuildingStage::from_state(&scene, &other, &crate::support::device(), state)
+    let state = TrainerState::load(&path).expect("loaded");
+    let refusal = Trainer::from_state(&scene, &other, &crate::support::device(), state)
         .err()
         .expect("refused");
     crate::support::assert_names(&refusal, &["building.strategy", "0.1", "0.05"]);
@@ -196,19 +196,19 @@ fn large_clouds_are_thinned_to_the_cap() {
 #[test]
 fn mcmc_without_gaussians_or_without_a_cap() {
     let (scene, config, device) = (scene(), mcmc(), crate::support::device());
-    let state = BuildingState::new(
+    let state = TrainerState::new(
         Gaussians {
             sh_degree: 2,
             ..Gaussians::default()
         },
         7,
     );
-    let mut empty = BuildingStage::from_state(&scene, &config, &device, state).expect("a stage");
+    let mut empty = Trainer::from_state(&scene, &config, &device, state).expect("a stage");
     advance(&mut empty, 12);
     assert!(empty.gaussians().expect("on the host").is_empty());
     let mut endless = config;
     endless.building.max_gaussians = 0;
-    let refusal = BuildingStage::new(&scene, &endless, &device)
+    let refusal = Trainer::new(&scene, &endless, &device)
         .err()
         .expect("refused");
     crate::support::assert_names(&refusal, &["building.max_gaussians", "mcmc"]);
@@ -235,8 +235,8 @@ fn absgrad_finds_more_to_densify_and_resumes() {
         let mut part = stage(&scene, &config);
         advance(&mut part, 14);
         let half = part.state().expect("a state");
-        let mut part = BuildingStage::from_state(&scene, &config, &crate::support::device(), half)
-            .expect("a stage");
+        let mut part =
+            Trainer::from_state(&scene, &config, &crate::support::device(), half).expect("a stage");
         advance(&mut part, 21);
         assert!(
             untimed(part.state().expect("a state")) == whole,

@@ -4,9 +4,9 @@ use burn::tensor::Device;
 use coseg::random::{Purpose, normals, stream};
 use coseg::raster::SplatTensors;
 use coseg::raster::{Projected, Settings, Splats};
+use coseg::reconstruction::densify::Densification;
 use coseg::reconstruction::initialization;
-use coseg::reconstruction::noise::PositionNoise;
-use coseg::reconstruction::relocate::{RelocationPlan, RelocationRules, shared};
+use coseg::reconstruction::mcmc::{PositionNoise, RelocationRules, relocate, shared};
 use coseg::splat::Gaussians;
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DQuat, DVec3};
@@ -225,12 +225,15 @@ fn rules(max_gaussians: usize) -> RelocationRules {
     }
 }
 
-fn planned(g: &Gaussians, rules: &RelocationRules, seed: u64) -> RelocationPlan {
-    RelocationPlan::new(
-        &g.opacity_logits,
-        rules,
-        &mut stream(seed, Purpose::Densification, 3),
-    )
+fn planned(g: &Gaussians, rules: &RelocationRules, seed: u64) -> Densification {
+    relocate(g, rules, &mut stream(seed, Purpose::Densification, 3))
+}
+
+/// New rows that are copies of each of the `n` old ones.
+fn copies(plan: &Densification, n: usize) -> Vec<u32> {
+    let mut copies = vec![0; n];
+    plan.rows.iter().for_each(|&row| copies[row as usize] += 1);
+    copies
 }
 
 #[test]
@@ -249,7 +252,7 @@ fn the_dead_are_gone_and_the_cap_holds() {
     for (cap, count) in [(1000, 315), (310, 310), (300, 300), (10, 300)] {
         let plan = planned(&g, &rules(cap), 1);
         assert_eq!(
-            (plan.relocated, plan.added, plan.rows.len()),
+            (plan.done.relocated, plan.done.cloned, plan.rows.len()),
             (100, count - 300, count)
         );
         let new = plan.gaussians(&g);
@@ -261,16 +264,16 @@ fn the_dead_are_gone_and_the_cap_holds() {
             "none is dead"
         );
         assert_eq!(
-            planned(&new, &rules(count), 2).relocated,
+            planned(&new, &rules(count), 2).done.relocated,
             0,
             "and none is found dead by the next"
         );
-        assert_eq!(plan.copies.iter().sum::<u32>() as usize, count);
+        let copies = copies(&plan, g.len());
 
         let moments: Vec<f32> = (0..600).map(|i| 1.0 + i as f32).collect();
         let kept = plan.moments(&moments, 2);
         for (i, &row) in plan.rows.iter().enumerate() {
-            let (row, copies) = (row as usize, plan.copies[row as usize]);
+            let (row, copies) = (row as usize, copies[row as usize]);
             assert!(opacities[row] > 0.005, "copies are of live ones");
             assert_eq!(
                 (new.means[i], &new.sh[3 * i..3 * i + 3]),
@@ -308,6 +311,7 @@ fn the_opaque_are_drawn_in_proportion() {
     let mut opacities = vec![0.001; 60_000];
     opacities.extend([0.1, 0.2, 0.3, 0.9]);
     let plan = planned(&population(&opacities), &rules(0), 5);
+    let copies = copies(&plan, opacities.len());
     for (i, share) in [
         (60_000, 1.0 / 15.0),
         (60_001, 2.0 / 15.0),
@@ -315,7 +319,7 @@ fn the_opaque_are_drawn_in_proportion() {
         (60_003, 0.6),
     ] {
         let deviation = (60_000.0_f64 * share * (1.0 - share)).sqrt();
-        let drawn = f64::from(plan.copies[i] - 1);
+        let drawn = f64::from(copies[i] - 1);
         assert!(
             (drawn - 60_000.0 * share).abs() < 4.0 * deviation,
             "row {i}: {drawn}"
@@ -328,7 +332,7 @@ fn without_live_gaussians_nothing_happens() {
     for opacities in [vec![], vec![0.001; 7]] {
         let g = population(&opacities);
         let plan = planned(&g, &rules(100), 1);
-        assert_eq!((plan.relocated, plan.added), (0, 0));
+        assert_eq!((plan.done.relocated, plan.done.cloned), (0, 0));
         assert_eq!(plan.gaussians(&g), g);
         assert_eq!(
             plan.moments(&vec![1.0; 2 * g.len()], 2),
@@ -336,7 +340,7 @@ fn without_live_gaussians_nothing_happens() {
         );
     }
     assert_eq!(
-        planned(&population(&[0.5; 3]), &rules(100), 1).added,
+        planned(&population(&[0.5; 3]), &rules(100), 1).done.cloned,
         1,
         "small sets grow too"
     );

@@ -1,4 +1,4 @@
-//! Initial points for scenes without a point cloud: pixels pushed to the depth at which other photos agree best.
+//! Initial points of scenes without a point cloud: pixels at the depth at which other photos agree best.
 
 use crate::data::{Points, View};
 use crate::error::Result;
@@ -9,23 +9,22 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Depths tried for a pixel.
+/// Depths that are tried for a pixel.
 const DEPTHS: usize = 24;
 /// Depths span this factor either way of the focus distance.
 const REACH: f64 = 4.0;
-/// Other views a depth is checked in, at most.
+/// Largest number of other views that a depth is checked in.
 const WITNESSES: usize = 12;
-/// Photos looked at side by side.
+/// Photos that are in memory at a time.
 const AT_ONCE: usize = 16;
 
 /// `count` points in the frusta of `views`, coloured as the pixel they were drawn at.
 ///
 /// Each lies on the ray of a random pixel of a random view. Of 24 depths, log-spaced with a random offset from a quarter
 /// of to four times the focus distance, it takes the one at which the better half of the other views that see the point
-/// show the most similar colour (mean absolute difference). Pixels that masks leave out are not drawn, and show nothing. The
-/// focus distance is the median depth of the point nearest to all optical axes, or ten baselines where the axes are parallel.
+/// show the most similar colour (mean absolute difference). Masked pixels are neither drawn nor compared. The focus distance is the median depth of the point nearest to all optical axes, or ten baselines where the axes are parallel.
 ///
-/// Empty when there is no view with pixels that are used. Each photo is decoded twice at most, and a few are in memory at a time.
+/// Empty without a view that has unmasked pixels. Each photo is decoded twice at most.
 ///
 /// # Errors
 /// Those of [`crate::data::Photo::pixels`].
@@ -35,7 +34,7 @@ pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Poi
         .copied()
         .filter(|v| v.camera.width > 0 && v.camera.height > 0)
         .collect();
-    // Views that masks leave out altogether still tell the focus distance.
+    // Views that are masked altogether still count for the focus distance.
     let used: Vec<usize> = (0..views.len())
         .filter(|&i| views[i].mask.as_ref().is_none_or(|mask| mask.kept() > 0))
         .collect();
@@ -44,12 +43,12 @@ pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Poi
     }
     let focus = focus_distance(&views);
     let witnesses: Vec<Vec<usize>> = (0..views.len()).map(|i| witnesses(&views, i)).collect();
-    // drawn in order, judged in parallel
+    // Pixels are drawn in order, and compared in parallel.
     let mut drawn: Vec<Drawn> = (0..count)
         .map(|_| {
             let view = used[rng.random_range(0..used.len())];
             let View { camera, mask, .. } = views[view];
-            // By rank among the used ones: however few they are, each is drawn as often, and no other.
+            // By rank among the unmasked ones, so that each of them is equally likely.
             let ranked = mask.as_ref().and_then(|mask| {
                 let pixel = mask.nth(rng.random_range(0..mask.kept()))?;
                 Some((pixel % mask.width(), pixel / mask.width()))
@@ -113,7 +112,7 @@ pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Poi
                 .differences
                 .chunk_by(|a, b| a.0 == b.0)
                 .map(|of_depth| (disagreement(of_depth), usize::from(of_depth[0].0)));
-            // a pixel that no other view sees keeps a depth that is as random as its offset
+            // A pixel that no other view sees gets a random depth.
             let chosen = judged
                 .min_by(|a, b| a.0.total_cmp(&b.0))
                 .map_or((drawn.offset * DEPTHS as f64) as usize, |(_, k)| k);
@@ -132,15 +131,15 @@ struct Drawn {
     view: usize,
     x: u32,
     y: u32,
-    /// Shift of the depths tried, in steps, 0 to 1.
+    /// Shift of the depths, in steps, 0 to 1.
     offset: f64,
     /// Its colour.
     color: [u8; 3],
-    /// Depths tried, by number, each with the colour difference in a view that sees the point there.
+    /// Indices of depths, each with the colour difference in a view that sees the point there.
     differences: Vec<(u8, u16)>,
 }
 
-/// Has `look` see the photos of all views, a few at a time: number of the first, and these.
+/// Calls `look` with the photos of all views, a few at a time: index of the first one, and the photos.
 fn each_photo(views: &[&View], mut look: impl FnMut(usize, &[Arc<RgbImage>])) -> Result<()> {
     for (batch, views) in views.chunks(AT_ONCE).enumerate() {
         let photos = views
@@ -165,7 +164,7 @@ fn witnesses(views: &[&View], index: usize) -> Vec<usize> {
     others[..near].iter().step_by(stride).copied().collect()
 }
 
-/// Difference between `color` and what a view shows at `position`; `None` where it does not see it, or its mask leaves that out.
+/// Difference between `color` and the colour of a view at `position`; `None` where it is out of view or masked.
 fn difference(view: &View, photo: &RgbImage, position: DVec3, color: [u8; 3]) -> Option<u16> {
     let (u, v, _) = view.camera.project(position)?;
     if u < 0.0 || v < 0.0 {
@@ -189,7 +188,7 @@ fn difference(view: &View, photo: &RgbImage, position: DVec3, color: [u8; 3]) ->
     )
 }
 
-/// Mean over the better half of the differences of a depth, which ascend.
+/// Mean over the better half of the differences of a depth, which are sorted.
 fn disagreement(differences: &[(u8, u16)]) -> f64 {
     let half = differences.len().div_ceil(2);
     let sum: u32 = differences[..half]
@@ -215,7 +214,7 @@ fn focus_distance(views: &[&View]) -> f64 {
         a += p;
         b += p * (view.camera.center - mean);
     }
-    // parallel axes leave the depth undetermined
+    // Parallel axes leave the depth undetermined.
     if a.determinant() < 1e-4 * (views.len() as f64).powi(3) {
         return fallback;
     }

@@ -1,11 +1,34 @@
-//! Statistics of densification while they are gathered, on the device of the gradients.
+//! Screen-space gradients between densifications.
 
 use crate::backend::device::read;
 use crate::error::Result;
-use crate::reconstruction::densify::DensityStats;
 use burn::tensor::{Device, Tensor, TensorData};
 
-/// [`DensityStats`] as tensors `[N]`.
+/// Screen-space gradients since the last densification.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GradientStatistics {
+    /// Sum of |(dL/du W/2, dL/dv H/2)|, `[N]`; with AbsGS of sums of absolute values.
+    pub gradient: Vec<f32>,
+    /// Iterations in which the Gaussian was visible, `[N]`.
+    pub visible: Vec<u32>,
+}
+
+impl GradientStatistics {
+    /// Zeros for `n` Gaussians.
+    pub fn new(n: usize) -> Self {
+        Self {
+            gradient: vec![0.0; n],
+            visible: vec![0; n],
+        }
+    }
+
+    /// Mean over the iterations in which Gaussian `i` was visible; 0 when it never was.
+    pub fn mean(&self, i: usize) -> f32 {
+        self.gradient[i] / self.visible[i].max(1) as f32
+    }
+}
+
+/// [`GradientStatistics`] as tensors `[N]` on the device of the gradients.
 #[derive(Clone, Debug)]
 pub(crate) struct GradientAccumulator {
     /// Sums of lengths of the screen-space gradient.
@@ -16,7 +39,7 @@ pub(crate) struct GradientAccumulator {
 
 impl GradientAccumulator {
     /// Starts from `stats`, on `device`.
-    pub fn new(stats: DensityStats, device: &Device) -> Self {
+    pub fn new(stats: GradientStatistics, device: &Device) -> Self {
         let n = stats.gradient.len();
         let tensor = |values: Vec<f32>| Tensor::from_data(TensorData::new(values, [n]), device);
         let visible = stats.visible.iter().map(|&count| count as f32).collect();
@@ -41,11 +64,11 @@ impl GradientAccumulator {
     ///
     /// # Errors
     /// [`crate::Error::Device`] when the device does not return them.
-    pub fn read(&self) -> Result<DensityStats> {
+    pub fn read(&self) -> Result<GradientStatistics> {
         let both = Tensor::cat(vec![self.gradient.clone(), self.visible.clone()], 0);
         let mut gradient = read("screen-space gradients", both)?;
         let visible = gradient.split_off(gradient.len() / 2);
-        Ok(DensityStats {
+        Ok(GradientStatistics {
             gradient,
             visible: visible.into_iter().map(|count| count as u32).collect(),
         })
@@ -68,7 +91,7 @@ mod tests {
                 continue;
             };
             for columns in [2, 4] {
-                let mut want = DensityStats::new(n);
+                let mut want = GradientStatistics::new(n);
                 want.visible.fill(2);
                 let mut got = GradientAccumulator::new(want.clone(), &device);
                 for view in 1..=3 {
@@ -79,7 +102,12 @@ mod tests {
                         .chunks_exact(columns)
                         .flat_map(|row| [row[columns - 2], row[columns - 1]])
                         .collect();
-                    want.record(&last, &radii);
+                    for (i, row) in last.as_chunks::<2>().0.iter().enumerate() {
+                        if radii[i] > 0 {
+                            want.gradient[i] += row[0].hypot(row[1]);
+                            want.visible[i] += 1;
+                        }
+                    }
                     let screen = TensorData::new(screen, [n, columns]);
                     got.record(
                         Tensor::from_data(screen, &device),

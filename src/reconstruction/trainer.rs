@@ -1,14 +1,13 @@
-//! The building stage: 3D Gaussians from posed photos.
+//! Training of stage one.
 
-mod density;
-mod pass;
-mod rooms;
-mod tally;
-
-use super::building_state::BuildingState;
-use super::parameters::{Parameters, Rates};
-use super::photos::Targets;
+use super::capacity::Capacities;
+use super::densify::{Densified, GradientAccumulator};
+use super::initialization::initial_gaussians;
+use super::optimizer::Parameters;
 use super::schedule::{Schedule, center, extent};
+use super::state::TrainerState;
+use super::step::Pass;
+use super::targets::Targets;
 use crate::backend::device::read;
 use crate::config::Config;
 use crate::data::{Scene, Split, View};
@@ -20,11 +19,8 @@ use crate::raster::{RasterInput, Settings, rasterize};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 use glam::DVec3;
-use pass::Pass;
-use rooms::Rooms;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use tally::GradientAccumulator;
 
 /// What one iteration did.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,175 +39,87 @@ pub struct StepReport {
     pub reset: bool,
 }
 
-/// What one densification did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Densified {
-    /// Gaussians added as copies of others.
-    pub cloned: usize,
-    /// Gaussians replaced by two.
-    pub split: usize,
-    /// Gaussians removed.
-    pub pruned: usize,
-    /// Transparent Gaussians moved onto opaque ones.
-    pub relocated: usize,
-}
-
 /// Trains Gaussians on the training views of a scene.
 ///
-/// An iteration renders one view, compares it with its photo ((1 - w) L1 + w (1 - SSIM)), takes one Adam step on all
-/// parameters, and densifies or resets when the [`Schedule`] says so. [`crate::config::Strategy::Mcmc`] adds to the loss what
-/// keeps opacities and scales small, and noise to the means after the step. The same scene, settings and seed give the same
-/// bits at any thread count, interrupted or not.
-pub struct BuildingStage<'a> {
-    config: Config,
-    settings: Settings,
-    schedule: Schedule,
-    extent: f64,
-    center: DVec3,
-    device: Device,
+/// An iteration renders one view, compares it with its photo (`(1 - w) L1 + w (1 - SSIM)`), takes one Adam step on all
+/// parameters, and densifies or resets when the [`Schedule`] says so. [`crate::config::Strategy::Mcmc`] adds a regularisation of
+/// opacities and scales to the loss, and noise to the means after the step. The same scene, settings and seed give the same bits
+/// at any thread count, interrupted or not.
+pub struct Trainer<'a> {
+    pub(super) config: Config,
+    pub(super) settings: Settings,
+    pub(super) schedule: Schedule,
+    pub(super) extent: f64,
+    pub(super) center: DVec3,
+    pub(super) device: Device,
     train: Vec<&'a View>,
     test: Vec<&'a View>,
-    targets: Targets,
-    parameters: Parameters,
-    statistics: GradientAccumulator,
-    rooms: Rooms,
-    iteration: usize,
-    losses: (f64, u64),
+    pub(super) targets: Targets,
+    pub(super) parameters: Parameters,
+    pub(super) statistics: GradientAccumulator,
+    pub(super) capacities: Capacities,
+    pub(super) iteration: usize,
+    pub(super) losses: (f64, u64),
     curve: Vec<CurvePoint>,
     seconds: f64,
     checkpoint: Option<PathBuf>,
     provenance: Provenance,
 }
 
-impl<'a> BuildingStage<'a> {
-    /// Initial Gaussians from the scene's points, or in the camera frusta where it has none.
+impl<'a> Trainer<'a> {
+    /// Starts from the points of the scene, or from points in the camera frusta where it has none.
     ///
     /// # Errors
-    /// [`Error::Config`] for settings that cannot work; [`Error::Argument`] for a scene without training views;
-    /// [`Error::NonFinite`] for points that are not finite; those of [`crate::data::Photo::pixels`].
+    /// As [`Trainer::from_state`], and [`Error::NonFinite`] for points that are not finite.
     pub fn new(scene: &'a Scene, config: &Config, device: &Device) -> Result<Self> {
-        let train: Vec<&View> = scene.split(Split::Train).collect();
         config.building.validate()?;
-        let gaussians = density::initial(scene, &train, config)?;
-        Self::from_state(
-            scene,
-            config,
-            device,
-            BuildingState::new(gaussians, config.seed),
-        )
+        let train: Vec<&View> = scene.split(Split::Train).collect();
+        let gaussians = initial_gaussians(scene, &train, config)?;
+        let state = TrainerState::new(gaussians, config.seed);
+        Self::from_state(scene, config, device, state)
     }
 
-    /// Goes on from a state, exactly as the run that it is of would have.
+    /// Continues from a state exactly as the run that it was taken from.
     ///
     /// # Errors
-    /// [`Error::Config`] for settings that cannot work or are not those of the state; [`Error::Argument`] for a scene without
-    /// training views; [`Error::Input`] when the state is of another scene; those of [`crate::data::Photo::pixels`].
+    /// [`Error::Config`] for settings that cannot work or are not those of the state; [`Error::Input`] for the state of another
+    /// scene; [`Error::Argument`] for a scene without
+    /// training views, or whose photos and masks have other sizes than their cameras; those of [`crate::data::Photo::pixels`].
     pub fn from_state(
         scene: &'a Scene,
         config: &Config,
         device: &Device,
-        state: BuildingState,
+        state: TrainerState,
     ) -> Result<Self> {
         config.building.validate()?;
+        check_scene(scene)?;
+        let provenance = check_state(&state, scene, config)?;
         let train: Vec<&View> = scene.split(Split::Train).collect();
-        let test: Vec<&View> = scene.split(Split::Test).collect();
-        if train.is_empty() {
-            let found = format!("{} without training views", scene.name);
-            return Err(Error::argument(
-                "data",
-                found,
-                "a scene with training views",
-                "mark some views as `train`",
-            ));
-        }
-        if let Some(view) = train
-            .iter()
-            .chain(&test)
-            .find(|v| (v.image.width(), v.image.height()) != (v.camera.width, v.camera.height))
-        {
-            let found = format!(
-                "{}x{} pixels in view {}",
-                view.image.width(),
-                view.image.height(),
-                view.name
-            );
-            let expected = format!("{}x{} as its camera", view.camera.width, view.camera.height);
-            return Err(Error::argument(
-                "data",
-                found,
-                expected,
-                "resize the photo or correct the intrinsics",
-            ));
-        }
-        train
-            .iter()
-            .chain(&test)
-            .try_for_each(|view| view.check_mask())?;
-        let provenance = Provenance::stage_one(config, scene);
-        if state.provenance.is_known() {
-            provenance.check(
-                &state.provenance,
-                false,
-                Path::new("the building checkpoint"),
-            )?;
-        }
-        if state.seed != config.seed {
-            let (found, expected) = (config.seed.to_string(), state.seed.to_string());
-            return Err(Error::config(
-                "seed",
-                found,
-                expected,
-                "resume with the seed of the checkpoint",
-            ));
-        }
-        if state.gaussians.sh_degree != config.building.sh_degree {
-            let (found, expected) = (
-                config.building.sh_degree.to_string(),
-                state.gaussians.sh_degree.to_string(),
-            );
-            return Err(Error::config(
-                "building.sh_degree",
-                found,
-                expected,
-                "resume with the checkpoint's degree",
-            ));
-        }
         let size = extent(&train, &scene.points);
         let device = device.clone().inner();
-        let BuildingState {
-            iteration,
-            gaussians,
-            first,
-            second,
-            stats,
-            losses,
-            curve,
-            seconds,
-            ..
-        } = state;
         Ok(Self {
             settings: Settings::from(&config.raster),
             schedule: Schedule::new(&config.building, train.len(), size),
             extent: size,
             center: center(&train),
             targets: Targets::new(train.len(), &device),
-            parameters: Parameters::new(gaussians, first, second, &device),
+            parameters: Parameters::new(state.gaussians, state.first, state.second, &device),
             config: config.clone(),
             checkpoint: None,
             provenance,
-            statistics: GradientAccumulator::new(stats, &device),
-            rooms: Rooms::new(train.len()),
+            statistics: GradientAccumulator::new(state.stats, &device),
+            capacities: Capacities::new(train.len()),
             device,
             train,
-            test,
-            iteration,
-            losses,
-            curve,
-            seconds,
+            test: scene.split(Split::Test).collect(),
+            iteration: state.iteration,
+            losses: state.losses,
+            curve: state.curve,
+            seconds: state.seconds,
         })
     }
 
-    /// Has [`BuildingStage::run`] keep its checkpoint at `path`.
+    /// Makes [`Trainer::run`] keep its checkpoint at `path`.
     #[must_use]
     pub fn checkpoint_at(mut self, path: impl Into<PathBuf>) -> Self {
         self.checkpoint = Some(path.into());
@@ -223,7 +131,7 @@ impl<'a> BuildingStage<'a> {
         self.iteration
     }
 
-    /// Curves so far, one point an evaluation.
+    /// Curve so far, one point per evaluation.
     pub fn curve(&self) -> &[CurvePoint] {
         &self.curve
     }
@@ -236,18 +144,18 @@ impl<'a> BuildingStage<'a> {
     /// The Gaussians as they are now.
     ///
     /// # Errors
-    /// [`Error::Device`] when the device does not give them back.
+    /// [`Error::Device`] when the device does not return them.
     pub fn gaussians(&self) -> Result<Gaussians> {
-        Ok(self.parameters.clone().into_host()?.0)
+        Ok(self.parameters.to_host()?.0)
     }
 
-    /// Everything needed to go on later.
+    /// Everything that a later run needs to continue.
     ///
     /// # Errors
-    /// [`Error::Device`] when the device does not give the parameters back.
-    pub fn state(&self) -> Result<BuildingState> {
-        let (gaussians, first, second) = self.parameters.clone().into_host()?;
-        Ok(BuildingState {
+    /// [`Error::Device`] when the device does not return the parameters.
+    pub fn state(&self) -> Result<TrainerState> {
+        let (gaussians, first, second) = self.parameters.to_host()?;
+        Ok(TrainerState {
             provenance: self.provenance.clone(),
             seed: self.config.seed,
             iteration: self.iteration,
@@ -261,8 +169,8 @@ impl<'a> BuildingStage<'a> {
         })
     }
 
-    /// One iteration. After an error nothing has changed, with one exception: a GPU that fails between the step and what follows it
-    /// (noise, densification, reset) leaves a state to start over from the last checkpoint with.
+    /// One iteration. After an error nothing has changed, with one exception: when a GPU fails in densification or in a reset, only
+    /// the last checkpoint is good.
     ///
     /// # Errors
     /// [`Error::NonFinite`] naming tensor, row, view and iteration when the loss or a gradient is not finite; [`Error::Limit`]
@@ -281,13 +189,14 @@ impl<'a> BuildingStage<'a> {
             },
             other => other,
         };
+        let pass = self.pass(index, view, iteration).map_err(locate)?;
         let Pass {
             gradients,
-            of_screen,
+            screen,
             radii,
             checked,
-        } = self.pass(index, view, iteration).map_err(locate)?;
-        if let Some(gradient) = of_screen {
+        } = pass;
+        if let Some(gradient) = screen {
             self.statistics.record(gradient, radii);
         }
         self.parameters
@@ -303,7 +212,7 @@ impl<'a> BuildingStage<'a> {
         };
         let reset = self.schedule.resets(iteration);
         if reset {
-            self.reset()?;
+            self.parameters.reset_opacity()?;
         }
         self.seconds += start.elapsed().as_secs_f64();
         let (view, gaussians) = (view.name.clone(), self.parameters.len());
@@ -317,11 +226,11 @@ impl<'a> BuildingStage<'a> {
         })
     }
 
-    /// Trains to the end of the run, or until `progress` says stop, scoring the held-out views and keeping the
-    /// checkpoint as the settings say.
+    /// Trains to the end of the run, or until `progress` stops it. Scores the held-out views and writes
+    /// the checkpoint on schedule.
     ///
     /// # Errors
-    /// As [`BuildingStage::step`], and [`Error::Io`] from the checkpoint. The last checkpoint stays.
+    /// As [`Trainer::step`], and [`Error::Io`] from the checkpoint. The last checkpoint stays.
     pub fn run(&mut self, progress: &mut dyn Progress) -> Result<()> {
         let iterations = self.config.building.iterations;
         progress.event(&Event::Started {
@@ -331,30 +240,19 @@ impl<'a> BuildingStage<'a> {
         });
         while self.iteration < iterations {
             let report = self.step()?;
-            let StepReport {
-                iteration,
-                loss,
-                gaussians,
-                ..
-            } = report;
+            let iteration = report.iteration;
             progress.event(&Event::Step {
                 iteration,
-                loss,
-                gaussians,
+                loss: report.loss,
+                gaussians: report.gaussians,
             });
-            if let Some(Densified {
-                cloned,
-                split,
-                pruned,
-                relocated,
-            }) = report.densified
-            {
+            if let Some(done) = report.densified {
                 progress.event(&Event::Densified {
                     iteration,
-                    cloned,
-                    split,
-                    pruned,
-                    relocated,
+                    cloned: done.cloned,
+                    split: done.split,
+                    pruned: done.pruned,
+                    relocated: done.relocated,
                 });
             }
             if self.schedule.evaluates(iteration) {
@@ -429,15 +327,72 @@ impl<'a> BuildingStage<'a> {
         Ok(())
     }
 
-    fn rates(&self, iteration: usize) -> Rates {
+    /// Learning rates of the parameters, in their order.
+    fn rates(&self, iteration: usize) -> [Vec<f64>; 5] {
         let b = &self.config.building;
-        Rates {
-            means: self.schedule.means_rate(iteration),
-            log_scales: b.lr_scales,
-            rotations: b.lr_rotations,
-            opacity_logits: b.lr_opacity,
-            sh_dc: b.lr_sh_dc,
-            sh_rest: b.lr_sh_rest,
-        }
+        let mut sh = vec![b.lr_sh_rest; 3 * (b.sh_degree + 1).pow(2)];
+        sh[..3].fill(b.lr_sh_dc);
+        [
+            vec![self.schedule.means_rate(iteration)],
+            vec![b.lr_scales],
+            vec![b.lr_rotations],
+            vec![b.lr_opacity],
+            sh,
+        ]
     }
+}
+
+/// Checks that there are training views, and that photos and masks have the sizes of their cameras.
+fn check_scene(scene: &Scene) -> Result<()> {
+    if scene.split(Split::Train).next().is_none() {
+        return Err(Error::argument(
+            "data",
+            format!("{} without training views", scene.name),
+            "a scene with training views",
+            "mark some views as `train`",
+        ));
+    }
+    for view in [Split::Train, Split::Test]
+        .into_iter()
+        .flat_map(|split| scene.split(split))
+    {
+        let (width, height) = (view.image.width(), view.image.height());
+        if (width, height) != (view.camera.width, view.camera.height) {
+            let camera = &view.camera;
+            return Err(Error::argument(
+                "data",
+                format!("{width}x{height} pixels in view {}", view.name),
+                format!("{}x{} as its camera", camera.width, camera.height),
+                "resize the photo or correct the intrinsics",
+            ));
+        }
+        view.check_mask()?;
+    }
+    Ok(())
+}
+
+/// Checks that settings and scene are those of the state. Returns their provenance.
+fn check_state(state: &TrainerState, scene: &Scene, config: &Config) -> Result<Provenance> {
+    let provenance = Provenance::stage_one(config, scene);
+    if state.provenance.is_known() {
+        let file = Path::new("the building checkpoint");
+        provenance.check(&state.provenance, false, file)?;
+    }
+    if state.seed != config.seed {
+        return Err(Error::config(
+            "seed",
+            config.seed.to_string(),
+            state.seed.to_string(),
+            "resume with the seed of the checkpoint",
+        ));
+    }
+    if state.gaussians.sh_degree != config.building.sh_degree {
+        return Err(Error::config(
+            "building.sh_degree",
+            config.building.sh_degree.to_string(),
+            state.gaussians.sh_degree.to_string(),
+            "resume with the checkpoint's degree",
+        ));
+    }
+    Ok(provenance)
 }

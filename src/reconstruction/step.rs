@@ -1,61 +1,62 @@
-//! Rendering one view and going back: the loss and its gradients, before anything is changed by them.
+//! The forward and backward pass over one view: loss and gradients, before they change anything.
 
-use super::BuildingStage;
+use super::Trainer;
+use super::optimizer::{Checked, ParameterGradients};
 use crate::data::View;
 use crate::error::Result;
 use crate::ops::photometric_loss;
 use crate::random::{Purpose, stream};
 use crate::raster::{RasterInput, RasterOutput, rasterize_with_capacity};
-use crate::reconstruction::parameters::{Checked, ParameterGradients};
 use burn::tensor::Tensor;
 use rand::Rng;
 
-/// What a view says of the parameters.
+/// Loss and gradients of one view.
 pub(crate) struct Pass {
     pub gradients: ParameterGradients,
-    /// Screen-space gradient, `[N, 2]` or `[N, 4]`, where densification wants it.
-    pub of_screen: Option<Tensor<2>>,
-    /// `[N]`, pixels.
+    /// Screen-space gradient, `[N, 2]` or `[N, 4]`, where densification needs it.
+    pub screen: Option<Tensor<2>>,
+    /// `[N]`, pixels; 0 for culled Gaussians.
     pub radii: Tensor<1>,
     pub checked: Checked,
 }
 
-impl BuildingStage<'_> {
-    /// The pass of iteration `iteration` over `view`, the one at `index`; its tile lists take the room that they had last time,
-    /// so that the one readback of a pass on a GPU is its last act.
+impl Trainer<'_> {
+    /// The pass of `iteration` over `view`, whose index is `index`. Its tile lists get the capacity that they needed last time,
+    /// so that a pass on a GPU reads back once, at its end.
     pub(crate) fn pass(&mut self, index: usize, view: &View, iteration: usize) -> Result<Pass> {
-        let room = self.rooms.room(index, self.parameters.len());
-        let pass = match self.attempt(index, view, iteration, room)? {
+        let capacity = self.capacities.of(index, self.parameters.len());
+        let pass = match self.try_pass(index, view, iteration, capacity)? {
             Some(pass) => pass,
-            // Without room taken beforehand lists are as they should be, or it is an error.
-            None => match self.attempt(index, view, iteration, None)? {
-                Some(pass) => pass,
-                None => return Err(crate::Error::non_finite("raster input", 0)),
-            },
+            // Without a given capacity the lists are complete, or there is an error.
+            None => self
+                .try_pass(index, view, iteration, None)?
+                .ok_or_else(|| crate::Error::non_finite("raster input", 0))?,
         };
         if let Some(entries) = pass.checked.entries {
-            self.rooms.keep(index, entries, self.parameters.len());
+            self.capacities
+                .record(index, entries, self.parameters.len());
         }
         Ok(pass)
     }
 
-    /// What is behind the scene in step `iteration`.
+    /// Colour behind the scene in `iteration`.
     fn background(&self, view: &View, iteration: usize) -> [f32; 3] {
         let random =
             self.config.building.random_background && self.schedule.varies_background(iteration);
-        match random && !view.image.is_transparent() {
-            true => stream(self.config.seed, Purpose::Background, iteration as u64).random(),
-            false => self.config.raster.background,
+        if random && !view.image.is_transparent() {
+            stream(self.config.seed, Purpose::Background, iteration as u64).random()
+        } else {
+            self.config.raster.background
         }
     }
 
-    /// `None` where `room` was too small, or an input is not finite.
-    fn attempt(
+    /// `None` where `capacity` was too small, or an input is not finite.
+    fn try_pass(
         &mut self,
         index: usize,
         view: &View,
         iteration: usize,
-        room: Option<usize>,
+        capacity: Option<usize>,
     ) -> Result<Option<Pass>> {
         let target = self.targets.get(index, view)?;
         let leaves = self.parameters.leaves();
@@ -76,16 +77,16 @@ impl BuildingStage<'_> {
             radii,
             tile_lists,
             ..
-        } = rasterize_with_capacity(input, &view.camera, &self.settings, background, room)?;
+        } = rasterize_with_capacity(input, &view.camera, &self.settings, background, capacity)?;
         let loss = photometric_loss(image, &target, f64::from(self.config.building.ssim_weight));
         let loss = self.regularised(loss, &leaves);
         let mut gradients = loss.backward();
-        let of_screen = screen.and_then(|screen| screen.grad_remove(&mut gradients));
-        let gradients = self.parameters.gradients(leaves, &mut gradients);
+        let screen = screen.and_then(|screen| screen.grad_remove(&mut gradients));
+        let gradients = leaves.gradients(&mut gradients);
         let checked = gradients.check(loss.inner(), tile_lists)?;
         Ok(checked.map(|checked| Pass {
             gradients,
-            of_screen,
+            screen,
             radii,
             checked,
         }))
@@ -99,7 +100,7 @@ mod tests {
     use crate::config::Config;
     use crate::data::Scene;
     use crate::data::builtin::{BuiltinOptions, scene_with};
-    use crate::reconstruction::parameters::Parameters;
+    use crate::reconstruction::optimizer::Parameters;
     use burn::tensor::Device;
 
     const VIEWS: usize = 2;
@@ -119,28 +120,28 @@ mod tests {
     }
 
     #[test]
-    fn too_little_room_costs_time_and_nothing_else() {
+    fn too_little_capacity_costs_time_and_nothing_else() {
         let Some((scene, device)) = scene() else {
             return;
         };
         let run = |spoil: bool| {
-            let mut stage = BuildingStage::new(&scene, &Config::default(), &device).expect("valid");
+            let mut trainer = Trainer::new(&scene, &Config::default(), &device).expect("valid");
             (0..5)
                 .map(|_| {
                     for view in 0..2 {
                         if spoil {
-                            stage.rooms.keep(view, 1, usize::MAX);
+                            trainer.capacities.record(view, 1, usize::MAX);
                         }
                     }
-                    let step = stage.step().expect("finite");
-                    let room = (0..2)
-                        .filter_map(|view| stage.rooms.room(view, 3_000))
+                    let step = trainer.step().expect("finite");
+                    let capacity = (0..2)
+                        .filter_map(|view| trainer.capacities.of(view, 3_000))
                         .max()
                         .expect("a GPU counts");
-                    // A spoilt room has 4,097 entries, and this is a fifth and as many more than the view had.
+                    // A spoilt capacity has 4,097 entries, and this is a fifth and as many more than the view had.
                     assert!(
-                        room > 10_000,
-                        "a view has more entries than a spoilt room: {room}"
+                        capacity > 10_000,
+                        "a view has more entries than a spoilt capacity: {capacity}"
                     );
                     step.loss.to_bits()
                 })
@@ -150,21 +151,20 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_is_named_in_views_with_room_too() {
+    fn what_is_not_finite_is_named_in_views_with_a_capacity_too() {
         let Some((scene, device)) = scene() else {
             return;
         };
-        let mut stage = BuildingStage::new(&scene, &Config::default(), &device).expect("valid");
-        (0..2 * VIEWS).for_each(|_| assert!(stage.step().expect("finite").loss > 0.0));
+        let mut trainer = Trainer::new(&scene, &Config::default(), &device).expect("valid");
+        (0..2 * VIEWS).for_each(|_| assert!(trainer.step().expect("finite").loss > 0.0));
         assert!(
-            (0..VIEWS).all(|view| stage.rooms.room(view, 3_000).is_some()),
+            (0..VIEWS).all(|view| trainer.capacities.of(view, 3_000).is_some()),
             "all have been seen"
         );
-        let (mut gaussians, first, second) =
-            stage.parameters.clone().into_host().expect("readable");
+        let (mut gaussians, first, second) = trainer.parameters.to_host().expect("readable");
         gaussians.means[21][1] = f32::NAN;
-        stage.parameters = Parameters::new(gaussians, first, second, &device);
-        let message = stage.step().expect_err("must stop").to_string();
+        trainer.parameters = Parameters::new(gaussians, first, second, &device);
+        let message = trainer.step().expect_err("must stop").to_string();
         assert!(
             message.contains("means") && message.contains("row 21"),
             "{message}"
@@ -173,7 +173,7 @@ mod tests {
             message.contains(&format!("iteration {}", 2 * VIEWS + 1)),
             "{message}"
         );
-        assert_eq!(stage.iteration(), 2 * VIEWS);
-        assert_eq!(stage.losses.1, 2 * VIEWS as u64);
+        assert_eq!(trainer.iteration(), 2 * VIEWS);
+        assert_eq!(trainer.losses.1, 2 * VIEWS as u64);
     }
 }

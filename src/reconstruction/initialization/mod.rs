@@ -1,13 +1,19 @@
-//! Initial Gaussians from a point cloud.
+//! Initial Gaussians from a point cloud, or from random points in the camera frusta.
 
-use crate::data::Points;
+mod frusta;
+
+pub use self::frusta::points as random_points;
+
+use super::schedule::extent;
+use crate::config::{Config, Strategy};
+use crate::data::{Points, Scene, View};
 use crate::error::{Error, Result};
-use crate::splat::Gaussians;
+use crate::random::{Purpose, stream};
+use crate::splat::{Gaussians, SH_0};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use std::borrow::Cow;
 use std::num::NonZero;
 
-/// SH basis function of degree 0, 1 / (2 sqrt(pi)).
-pub const SH_0: f32 = 0.282_094_8;
 /// Opacity of a new Gaussian.
 const OPACITY: f32 = 0.1;
 /// Neighbours that set the scale, the point itself not counted.
@@ -15,6 +21,54 @@ const NEIGHBOURS: usize = 3;
 /// Smallest initial scale and scale of a lone point, as shares of the extent.
 const SCALE_FLOOR: f64 = 1e-7;
 const LONE_SCALE: f64 = 0.01;
+
+/// Gaussians at the points of the scene, or in the camera frusta where it has none; no more than `max_gaussians`.
+///
+/// # Errors
+/// Those of [`from_points`] and of [`crate::data::Photo::pixels`].
+pub(crate) fn initial_gaussians(
+    scene: &Scene,
+    train: &[&View],
+    config: &Config,
+) -> Result<Gaussians> {
+    let building = &config.building;
+    let points = if scene.points.positions.is_empty() {
+        let mut rng = stream(config.seed, Purpose::InitialPoints, 0);
+        Cow::Owned(random_points(train, building.random_points, &mut rng)?)
+    } else {
+        Cow::Borrowed(&scene.points)
+    };
+    let most = building.max_gaussians;
+    let points = if most > 0 && points.positions.len() > most {
+        Cow::Owned(thinned(&points, most, config.seed))
+    } else {
+        points
+    };
+    let mut gaussians = from_points(&points, building.sh_degree, extent(train, &scene.points))?;
+    if let Strategy::Mcmc(mcmc) = &building.strategy {
+        let wider = mcmc.init_scale.ln();
+        let opacity = logit(mcmc.init_opacity);
+        gaussians.opacity_logits.fill(opacity);
+        let scales = gaussians.log_scales.as_flattened_mut();
+        scales.iter_mut().for_each(|s| *s += wider);
+    }
+    Ok(gaussians)
+}
+
+/// `most` random points of `points`, in their order.
+fn thinned(points: &Points, most: usize, seed: u64) -> Points {
+    let mut rng = stream(seed, Purpose::InitialPoints, 1);
+    let mut kept = rand::seq::index::sample(&mut rng, points.positions.len(), most).into_vec();
+    kept.sort_unstable();
+    let pick = |values: &[[f32; 3]]| {
+        let kept = kept.iter().filter_map(|&i| values.get(i));
+        kept.copied().collect()
+    };
+    Points {
+        positions: pick(&points.positions),
+        colors: pick(&points.colors),
+    }
+}
 
 /// Logit of `p`, natural logarithm of the odds.
 pub fn logit(p: f32) -> f32 {
@@ -26,17 +80,19 @@ pub fn logit(p: f32) -> f32 {
 ///
 /// Points at the same position count once as neighbours and share their scale, so duplicates never give a scale of 0.
 /// With fewer than 4 distinct points the distances that exist are used; a single one gets 1 % of `extent`.
-/// `extent` is the scene's size in world units (see `train::schedule::extent`).
+/// `extent` is the scene's size in world units (see [`extent`]).
 ///
 /// # Errors
 /// [`Error::NonFinite`] for a position or colour that is not finite; [`Error::Limit`] beyond 2^32 points.
 pub fn from_points(points: &Points, sh_degree: usize, extent: f64) -> Result<Gaussians> {
-    let finite = |v: &[f32; 3]| v.iter().all(|x| x.is_finite());
-    if let Some(row) = points.positions.iter().position(|p| !finite(p)) {
-        return Err(Error::non_finite("points.positions", row));
-    }
-    if let Some(row) = points.colors.iter().position(|c| !finite(c)) {
-        return Err(Error::non_finite("points.colors", row));
+    for (name, values) in [
+        ("points.positions", &points.positions),
+        ("points.colors", &points.colors),
+    ] {
+        let infinite = |v: &[f32; 3]| v.iter().any(|x| !x.is_finite());
+        if let Some(row) = values.iter().position(infinite) {
+            return Err(Error::non_finite(name, row));
+        }
     }
     let n = points.positions.len();
     let coefficients = 3 * (sh_degree + 1).pow(2);
@@ -46,14 +102,12 @@ pub fn from_points(points: &Points, sh_degree: usize, extent: f64) -> Result<Gau
             *s = (c - 0.5) / SH_0;
         }
     }
-    let log_scales = neighbour_distances(&points.positions)?
-        .into_iter()
-        .map(|d| {
-            [d.unwrap_or(LONE_SCALE * extent)
-                .max(SCALE_FLOOR * extent)
-                .ln() as f32; 3]
-        })
-        .collect();
+    let log_scale = |distance: Option<f64>| {
+        let scale = distance.unwrap_or(LONE_SCALE * extent);
+        [scale.max(SCALE_FLOOR * extent).ln() as f32; 3]
+    };
+    let distances = neighbour_distances(&points.positions)?;
+    let log_scales = distances.into_iter().map(log_scale).collect();
     Ok(Gaussians {
         means: points.positions.clone(),
         log_scales,

@@ -1,10 +1,11 @@
-//! Everything a building stage remembers, on the host and in checkpoints.
+//! The state of a trainer, on the host and in checkpoints.
 
-use super::densify::DensityStats;
-use super::parameters::{Moments, NAMES, widths, zero_moments};
-use crate::checkpoint::Checkpoint;
+use super::densify::GradientStatistics;
+use super::optimizer::{Moments, NAMES, from_values, into_values, widths, zero_moments};
+use crate::checkpoint::{Checkpoint, Scalar};
 use crate::error::Result;
 use crate::progress::CurvePoint;
+use crate::provenance::Provenance;
 use crate::provenance::Provenance;
 use crate::splat::Gaussians;
 use std::path::Path;
@@ -12,10 +13,10 @@ use std::path::Path;
 /// Kind of checkpoint.
 const KIND: &str = "building";
 
-/// State of a building stage after some iterations; with scene and settings it determines the rest of the run.
+/// State of stage one after some iterations. With scene and settings it determines the rest of the run.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct BuildingState {
-    /// What it was made from; nothing for a state that no stage has had.
+pub struct TrainerState {
+    /// Settings and photos that it was trained with; empty for a state made in memory.
     pub provenance: Provenance,
     /// Seed of the run.
     pub seed: u64,
@@ -28,7 +29,7 @@ pub struct BuildingState {
     /// Second moments.
     pub second: Moments,
     /// Screen-space gradients since the last densification.
-    pub stats: DensityStats,
+    pub stats: GradientStatistics,
     /// Sum and number of the training losses since the last point of the curve.
     pub losses: (f64, u64),
     /// Curves so far.
@@ -37,11 +38,11 @@ pub struct BuildingState {
     pub seconds: f64,
 }
 
-impl BuildingState {
+impl TrainerState {
     /// The state before the first iteration.
     pub fn new(gaussians: Gaussians, seed: u64) -> Self {
         let (first, second) = (zero_moments(&gaussians), zero_moments(&gaussians));
-        let stats = DensityStats::new(gaussians.len());
+        let stats = GradientStatistics::new(gaussians.len());
         Self {
             seed,
             gaussians,
@@ -52,7 +53,7 @@ impl BuildingState {
         }
     }
 
-    /// Writes a checkpoint; the file that was there stays whole until the new one is on disk.
+    /// Writes a checkpoint. The file that was there stays whole until the new one is on disk.
     ///
     /// # Errors
     /// [`crate::Error::Io`] naming the file.
@@ -62,26 +63,17 @@ impl BuildingState {
         c.set("sh_degree", &self.gaussians.sh_degree)?;
         c.put("seed", &[], vec![self.seed])?;
         c.put("iteration", &[], vec![self.iteration as u64])?;
-        let g = &self.gaussians;
-        let values = [
-            g.means.as_flattened(),
-            g.log_scales.as_flattened(),
-            g.rotations.as_flattened(),
-            &g.opacity_logits,
-            &g.sh,
+        let values = into_values(self.gaussians.clone());
+        let all = [
+            (&values, ""),
+            (&self.first, ".first"),
+            (&self.second, ".second"),
         ];
-        for (k, width) in widths(g).into_iter().enumerate() {
-            c.put(NAMES[k], &[n, width], values[k].to_vec())?;
-            c.put(
-                format!("{}.first", NAMES[k]),
-                &[n, width],
-                self.first[k].clone(),
-            )?;
-            c.put(
-                format!("{}.second", NAMES[k]),
-                &[n, width],
-                self.second[k].clone(),
-            )?;
+        for (k, width) in widths(self.gaussians.sh_degree).into_iter().enumerate() {
+            for (values, suffix) in all {
+                let name = format!("{}{suffix}", NAMES[k]);
+                c.put(name, &[n, width], values[k].clone())?;
+            }
         }
         c.put("density.gradient", &[n], self.stats.gradient.clone())?;
         c.put("density.visible", &[n], self.stats.visible.clone())?;
@@ -114,23 +106,14 @@ impl BuildingState {
             ..Self::default()
         };
         state.iteration = scalar::<u64>(&mut c, "iteration")? as usize;
-        state.gaussians.sh_degree = sh_degree;
         let mut values = Moments::default();
-        for (k, width) in widths(&state.gaussians).into_iter().enumerate() {
+        for (k, width) in widths(sh_degree).into_iter().enumerate() {
             values[k] = c.take(NAMES[k], &[n, width])?;
             state.first[k] = c.take(&format!("{}.first", NAMES[k]), &[n, width])?;
             state.second[k] = c.take(&format!("{}.second", NAMES[k]), &[n, width])?;
         }
-        let [means, log_scales, rotations, opacity_logits, sh] = values;
-        state.gaussians = Gaussians {
-            means: means.as_chunks().0.to_vec(),
-            log_scales: log_scales.as_chunks().0.to_vec(),
-            rotations: rotations.as_chunks().0.to_vec(),
-            opacity_logits,
-            sh,
-            sh_degree,
-        };
-        state.stats = DensityStats {
+        state.gaussians = from_values(values, sh_degree);
+        state.stats = GradientStatistics {
             gradient: c.take("density.gradient", &[n])?,
             visible: c.take("density.visible", &[n])?,
         };
@@ -143,7 +126,7 @@ impl BuildingState {
 }
 
 /// A tensor without dimensions.
-fn scalar<T: crate::checkpoint::Scalar>(c: &mut Checkpoint, name: &str) -> Result<T> {
+fn scalar<T: Scalar>(c: &mut Checkpoint, name: &str) -> Result<T> {
     let value = c.take::<T>(name, &[])?.pop();
     value.ok_or_else(|| c.wrong(format!("tensor {name}"), "no value", "one value"))
 }

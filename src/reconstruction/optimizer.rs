@@ -1,0 +1,312 @@
+//! The Gaussians as tensors on the device, with the moments of their optimiser.
+
+use super::densify::{Densification, reset_opacity};
+use crate::backend::device::read;
+use crate::error::{Error, Result};
+use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
+use crate::raster::{ListCount, SplatTensors};
+use crate::splat::Gaussians;
+use burn::tensor::{Bool, Device, Gradients, Int, Tensor, TensorData};
+use std::sync::Arc;
+
+/// Names of the parameters, in the order of [`Moments`].
+pub const NAMES: [&str; 5] = ["means", "log_scales", "rotations", "opacity_logits", "sh"];
+/// Place of the means in [`Moments`].
+const MEANS: usize = 0;
+/// Place of the log-scales in [`Moments`].
+const LOG_SCALES: usize = 1;
+/// Place of the opacity logits in [`Moments`].
+pub const OPACITY: usize = 3;
+
+/// One value for each scalar of each parameter, row-major: a first or second moment.
+pub type Moments = [Vec<f32>; 5];
+
+/// Zero moments for these Gaussians.
+pub fn zero_moments(gaussians: &Gaussians) -> Moments {
+    widths(gaussians.sh_degree).map(|width| vec![0.0; gaussians.len() * width])
+}
+
+/// Scalars of a row of each parameter.
+pub fn widths(sh_degree: usize) -> [usize; 5] {
+    [3, 3, 4, 1, 3 * (sh_degree + 1).pow(2)]
+}
+
+/// The values of each parameter, row-major.
+pub fn into_values(gaussians: Gaussians) -> Moments {
+    [
+        gaussians.means.into_flattened(),
+        gaussians.log_scales.into_flattened(),
+        gaussians.rotations.into_flattened(),
+        gaussians.opacity_logits,
+        gaussians.sh,
+    ]
+}
+
+/// The inverse of [`into_values`].
+pub fn from_values(values: Moments, sh_degree: usize) -> Gaussians {
+    let [means, log_scales, rotations, opacity_logits, sh] = values;
+    Gaussians {
+        means: means.as_chunks().0.to_vec(),
+        log_scales: log_scales.as_chunks().0.to_vec(),
+        rotations: rotations.as_chunks().0.to_vec(),
+        opacity_logits,
+        sh,
+        sh_degree,
+    }
+}
+
+/// All trained tensors of a scene, each `[N, width]`, with their moments.
+#[derive(Clone, Debug)]
+pub struct Parameters {
+    sh_degree: usize,
+    state: [AdamTensors<2>; 5],
+}
+
+/// Tracked handles on the parameters, for one pass.
+#[derive(Clone, Debug)]
+pub struct Leaves {
+    /// `[N, 3]`.
+    pub means: Tensor<2>,
+    /// `[N, 3]`.
+    pub log_scales: Tensor<2>,
+    /// `[N, 4]`.
+    pub rotations: Tensor<2>,
+    /// `[N]`.
+    pub opacity_logits: Tensor<1>,
+    /// `[N, K, 3]`.
+    pub sh: Tensor<3>,
+}
+
+impl Leaves {
+    /// The gradients of these leaves, which are dropped: they share the buffers of the parameters.
+    pub fn gradients(self, gradients: &mut Gradients) -> ParameterGradients {
+        ParameterGradients([
+            gradient(self.means, gradients),
+            gradient(self.log_scales, gradients),
+            gradient(self.rotations, gradients),
+            gradient(self.opacity_logits, gradients),
+            gradient(self.sh, gradients),
+        ])
+    }
+}
+
+/// The gradient of `leaf`, `[N, width]`; zeros where it has none.
+fn gradient<const D: usize>(leaf: Tensor<D>, gradients: &mut Gradients) -> Tensor<2> {
+    let dims = leaf.dims();
+    let found = leaf.grad_remove(gradients);
+    let gradient = found.unwrap_or_else(|| leaf.inner().zeros_like());
+    gradient.reshape([dims[0], dims[1..].iter().product()])
+}
+
+/// Gradients of all parameters, each `[N, width]`.
+pub struct ParameterGradients([Tensor<2>; 5]);
+
+impl ParameterGradients {
+    /// Checks that `loss` and all gradients are finite, and returns the loss. One readback returns the count of the tile lists
+    /// too. `None` where the lists are incomplete.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] naming the loss, or the gradient and its first bad row.
+    pub fn check(&self, loss: Tensor<1>, tile_lists: Tensor<1>) -> Result<Option<Checked>> {
+        let mut check = FiniteCheck::default();
+        self.0.iter().for_each(|gradient| check.add(gradient));
+        let (value, finite, lists) = check.read_with(loss, Some(tile_lists))?;
+        let lists = ListCount::from_values(&lists);
+        if lists.is_some_and(|lists| !lists.is_sound) {
+            return Ok(None);
+        }
+        if !value.is_finite() {
+            return Err(Error::non_finite("loss", 0));
+        }
+        // The search clears what was only a sum that overflowed.
+        if !finite {
+            for (name, gradient) in NAMES.iter().zip(&self.0) {
+                find_non_finite(name, gradient)?;
+            }
+        }
+        Ok(Some(Checked {
+            loss: value.into(),
+            entries: lists.map(|lists| lists.entries),
+        }))
+    }
+}
+
+/// Looks at all values of a gradient.
+///
+/// # Errors
+/// [`Error::NonFinite`] naming the tensor and its first bad row.
+pub fn find_non_finite<const D: usize>(name: &str, gradient: &Tensor<D>) -> Result<()> {
+    let name = format!("gradient of {name}");
+    let values = read(&name, gradient.clone())?;
+    let width = (values.len() / gradient.dims()[0].max(1)).max(1);
+    match values.iter().position(|v| !v.is_finite()) {
+        Some(i) => Err(Error::non_finite(name, i / width)),
+        None => Ok(()),
+    }
+}
+
+/// What [`ParameterGradients::check`] found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Checked {
+    /// The value of the loss.
+    pub loss: f64,
+    /// Entries of the tile lists, where a GPU counted them.
+    pub entries: Option<usize>,
+}
+
+impl Parameters {
+    /// Puts Gaussians and moments on `device` (without autodiff).
+    pub fn new(gaussians: Gaussians, first: Moments, second: Moments, device: &Device) -> Self {
+        let (n, sh_degree) = (gaussians.len(), gaussians.sh_degree);
+        let mut all = [into_values(gaussians), first, second];
+        let widths = widths(sh_degree);
+        let state = std::array::from_fn(|k| {
+            let [param, first, second] = all.each_mut().map(|values| {
+                let values = std::mem::take(&mut values[k]);
+                Tensor::from_data(TensorData::new(values, [n, widths[k]]), device)
+            });
+            AdamTensors {
+                param,
+                first,
+                second,
+            }
+        });
+        Self { sh_degree, state }
+    }
+
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.state[MEANS].param.dims()[0]
+    }
+
+    /// The geometry.
+    pub fn splats(&self) -> SplatTensors {
+        let [means, log_scales, rotations, opacity_logits, _] =
+            self.state.each_ref().map(|state| state.param.clone());
+        SplatTensors {
+            means,
+            log_scales,
+            rotations,
+            opacity_logits: opacity_logits.reshape([self.len()]),
+        }
+    }
+
+    /// Tracked handles on the present values.
+    pub fn leaves(&self) -> Leaves {
+        fn tracked<const D: usize>(tensor: Tensor<D>) -> Tensor<D> {
+            Tensor::from_inner(tensor).require_grad()
+        }
+        let splats = self.splats();
+        let coefficients = (self.sh_degree + 1).pow(2);
+        let sh = self.state[4].param.clone();
+        Leaves {
+            means: tracked(splats.means),
+            log_scales: tracked(splats.log_scales),
+            rotations: tracked(splats.rotations),
+            opacity_logits: tracked(splats.opacity_logits),
+            sh: tracked(sh.reshape([self.len(), coefficients, 3])),
+        }
+    }
+
+    /// One Adam step, number `step` from 1. `rates` are learning rates of each parameter: one, or one per column.
+    pub fn step(&mut self, gradients: ParameterGradients, rates: &[Vec<f64>; 5], step: u32) {
+        let updates = self.state.iter_mut().zip(gradients.0).zip(rates);
+        for ((state, gradient), rates) in updates {
+            let empty = Tensor::empty([0; 2], &gradient.device());
+            let emptied = AdamTensors {
+                param: empty.clone(),
+                first: empty.clone(),
+                second: empty,
+            };
+            // Moved out, so that the step finds buffers that nobody else holds.
+            let before = std::mem::replace(state, emptied);
+            *state = adam_step(
+                before,
+                gradient,
+                &Arc::new(AdamStep::splatting(rates.clone(), step)),
+            );
+        }
+    }
+
+    /// Replaces the means.
+    pub fn set_means(&mut self, means: Tensor<2>) {
+        self.state[MEANS].param = means;
+    }
+
+    /// All means, then all log-scales, rotations and opacity logits, in one readback; see
+    /// [`crate::splat::Geometry::of_values`].
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not return them.
+    pub fn geometry(&self) -> Result<Vec<f32>> {
+        let flat = |state: &AdamTensors<2>| state.param.clone().flatten::<1>(0, 1);
+        let parts = self.state[..4].iter().map(flat).collect();
+        read("geometry", Tensor::cat(parts, 0))
+    }
+
+    /// Makes the rows those of `densification`.
+    pub fn rearrange(&mut self, densification: Densification) {
+        let Densification {
+            rows,
+            is_new,
+            means,
+            log_scales,
+            opacity_logits,
+            ..
+        } = densification;
+        let device = self.state[MEANS].param.device();
+        let count = rows.len();
+        let rows = rows.into_iter().map(|row| row as i32).collect::<Vec<_>>();
+        let rows = Tensor::<1, Int>::from_data(TensorData::new(rows, [count]), &device);
+        let is_new = Tensor::<2, Bool>::from_data(TensorData::new(is_new, [count, 1]), &device);
+        for state in &mut self.state {
+            let shape = [count, state.param.dims()[1]];
+            state.param = state.param.clone().select(0, rows.clone());
+            for moment in [&mut state.first, &mut state.second] {
+                let kept = moment.clone().select(0, rows.clone());
+                *moment = kept.mask_fill(is_new.clone().expand(shape), 0.0);
+            }
+        }
+        let given = [
+            (MEANS, means.into_flattened()),
+            (LOG_SCALES, log_scales.into_flattened()),
+            (OPACITY, opacity_logits),
+        ];
+        for (k, values) in given {
+            let param = &mut self.state[k].param;
+            *param = Tensor::from_data(TensorData::new(values, param.dims()), &device);
+        }
+    }
+
+    /// Caps every opacity, see [`reset_opacity`], and sets the moments of the opacities to zero.
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not return the opacities.
+    pub fn reset_opacity(&mut self) -> Result<()> {
+        let AdamTensors {
+            param,
+            first,
+            second,
+        } = &mut self.state[OPACITY];
+        let mut logits = read(NAMES[OPACITY], param.clone())?;
+        reset_opacity(&mut logits);
+        *param = Tensor::from_data(TensorData::new(logits, param.dims()), &param.device());
+        *first = first.zeros_like();
+        *second = second.zeros_like();
+        Ok(())
+    }
+
+    /// Gaussians, first and second moments, on the host.
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not return them.
+    pub fn to_host(&self) -> Result<(Gaussians, Moments, Moments)> {
+        let (mut values, mut first, mut second) = <(Moments, Moments, Moments)>::default();
+        for (k, state) in self.state.iter().enumerate() {
+            values[k] = read(NAMES[k], state.param.clone())?;
+            first[k] = read(NAMES[k], state.first.clone())?;
+            second[k] = read(NAMES[k], state.second.clone())?;
+        }
+        Ok((from_values(values, self.sh_degree), first, second))
+    }
+}

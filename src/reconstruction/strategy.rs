@@ -1,0 +1,279 @@
+//! What the strategy of densification adds to an iteration.
+
+use super::Trainer;
+use super::densify::{
+    AdcRules, Densified, GradientAccumulator, GradientStatistics, SizeLimit, adc,
+};
+use super::mcmc::{PositionNoise, RelocationRules, relocate};
+use super::optimizer::Leaves;
+use crate::config::{AdcConfig, McmcConfig, Strategy};
+use crate::error::{Error, Result};
+use crate::ops::sum_all;
+use crate::random::{Purpose, stream};
+use crate::splat::Geometry;
+use burn::tensor::Tensor;
+use burn::tensor::activation::sigmoid;
+
+impl Trainer<'_> {
+    /// A tensor of zeros that receives the screen-space gradient, for strategies that need it.
+    pub(crate) fn screen(&self) -> Option<Tensor<2>> {
+        let Strategy::Adc(adc) = &self.config.building.strategy else {
+            return None;
+        };
+        let columns = if adc.absgrad { 4 } else { 2 };
+        let zeros = Tensor::zeros([self.parameters.len(), columns], &self.device);
+        Some(zeros.autodiff().require_grad())
+    }
+
+    /// The loss with the regularisation of 3DGS-MCMC: weights times the mean opacity and the mean standard deviation, the latter
+    /// in extents.
+    pub(crate) fn regularised(&self, loss: Tensor<1>, leaves: &Leaves) -> Tensor<1> {
+        let Strategy::Mcmc(mcmc) = &self.config.building.strategy else {
+            return loss;
+        };
+        let n = self.parameters.len().max(1) as f64;
+        let opacity = sum_all(sigmoid(leaves.opacity_logits.clone())) * (mcmc.opacity_reg / n);
+        let scales =
+            sum_all(leaves.log_scales.clone().exp()) * (mcmc.scale_reg / (3.0 * n * self.extent));
+        loss + opacity + scales
+    }
+
+    /// Adds the noise of 3DGS-MCMC to the means after the step of `iteration`.
+    pub(crate) fn add_noise(&mut self, iteration: usize) {
+        let mcmc = match &self.config.building.strategy {
+            Strategy::Mcmc(mcmc) if mcmc.noise > 0.0 => mcmc,
+            _ => return,
+        };
+        let noise = PositionNoise {
+            scale: mcmc.noise * self.schedule.means_rate(iteration) / (self.extent * self.extent),
+            sharpness: mcmc.noise_sharpness,
+            opacity: mcmc.noise_opacity,
+        };
+        let mut rng = stream(self.config.seed, Purpose::PositionNoise, iteration as u64);
+        let means = noise.apply(&self.parameters.splats(), &mut rng);
+        self.parameters.set_means(means);
+    }
+
+    /// One densification. The host decides from the geometry alone; all else is moved on the device.
+    pub(crate) fn densify(&mut self) -> Result<Densified> {
+        let values = self.parameters.geometry()?;
+        let old = Geometry::of_values(&values);
+        if old.is_empty() {
+            return Ok(Densified::default());
+        }
+        let iteration = self.iteration as u64;
+        let mut rng = stream(self.config.seed, Purpose::Densification, iteration);
+        let densification = match &self.config.building.strategy {
+            Strategy::Adc(config) => {
+                let rules = self.adc_rules(config);
+                adc(old, &self.statistics.read()?, &rules, &mut rng)?
+            }
+            Strategy::Mcmc(config) => relocate(old, &self.relocation_rules(config), &mut rng),
+        };
+        if densification.rows.is_empty() {
+            return Err(Error::argument(
+                format!("densification after {} steps", self.iteration),
+                format!(
+                    "{} Gaussians, none of which is opaque and small enough to stay",
+                    old.len()
+                ),
+                "some that the photos show",
+                "run `coseg data check` on the scene, whose poses are in doubt",
+            ));
+        }
+        let stats = GradientStatistics::new(densification.rows.len());
+        self.statistics = GradientAccumulator::new(stats, &self.device);
+        let done = densification.done;
+        self.parameters.rearrange(densification);
+        Ok(done)
+    }
+
+    fn adc_rules(&self, adc: &AdcConfig) -> AdcRules {
+        let building = &self.config.building;
+        AdcRules {
+            threshold: adc.threshold(),
+            clone_below: building.clone_below * self.extent as f32,
+            prune_opacity: building.prune_opacity,
+            prune_scale: SizeLimit {
+                share: building.prune_scale,
+                extent: self.extent as f32,
+                center: self.center.as_vec3().to_array(),
+            },
+            max_gaussians: building.max_gaussians,
+        }
+    }
+
+    fn relocation_rules(&self, mcmc: &McmcConfig) -> RelocationRules {
+        let building = &self.config.building;
+        RelocationRules {
+            dead: building.prune_opacity,
+            growth: mcmc.growth,
+            max_gaussians: building.max_gaussians,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::device::{BackendName, device_of_tests};
+    use crate::backend::host_fallbacks;
+    use crate::config::{BuildingConfig, Config};
+    use crate::data::builtin::{BuiltinOptions, scene_with};
+    use crate::reconstruction::TrainerState;
+    use crate::reconstruction::densify::{Densification, reset_opacity};
+    use crate::reconstruction::optimizer::{Moments, OPACITY, widths};
+    use crate::splat::Gaussians;
+
+    fn waves(count: usize, step: f32) -> Vec<f32> {
+        (0..count).map(|i| (i as f32 * step).sin()).collect()
+    }
+
+    /// `start` as if it had been trained: moments of every size, gradients and opacities on either side of all thresholds.
+    fn trained(mut start: TrainerState, rules: &AdcRules) -> TrainerState {
+        let g = &mut start.gaussians;
+        let n = g.len();
+        g.opacity_logits = waves(n, 1.3).iter().map(|v| 7.0 * v).collect();
+        g.log_scales = waves(n, 0.7)
+            .iter()
+            .map(|v| [v - 3.0, 3.0 * v, v - 4.0].map(|s| s + rules.clone_below.ln()))
+            .collect();
+        g.sh = waves(g.sh.len(), 0.9);
+        start.first = widths(g.sh_degree).map(|width| waves(n * width, 1.1));
+        start.second =
+            widths(g.sh_degree).map(|width| waves(n * width, 1.9).iter().map(|v| v * v).collect());
+        start.stats.visible = (0..n as u32).map(|i| i % 5).collect();
+        start.stats.gradient = waves(n, 2.3)
+            .iter()
+            .map(|v| 6.0 * rules.threshold * v.abs())
+            .collect();
+        start
+    }
+
+    /// Has `look` see a stage on each device there is, and the state that it began with.
+    fn on_each_device(strategy: Strategy, look: impl Fn(Trainer<'_>, TrainerState)) {
+        let options = BuiltinOptions {
+            width: 64,
+            height: 48,
+            train_views: 2,
+            points: 900,
+            ..BuiltinOptions::default()
+        };
+        let scene = scene_with(&options).expect("a scene");
+        let building = BuildingConfig {
+            strategy,
+            sh_degree: 2,
+            max_gaussians: 1000,
+            ..BuildingConfig::default()
+        };
+        let config = Config {
+            building,
+            ..Config::default()
+        };
+        for &name in BackendName::compiled() {
+            let Some(device) = device_of_tests(name) else {
+                continue;
+            };
+            let stage = Trainer::new(&scene, &config, &device).expect("a stage");
+            let start = trained(
+                stage.state().expect("readable"),
+                &stage.adc_rules(&AdcConfig::default()),
+            );
+            let stage =
+                Trainer::from_state(&scene, &config, &device, start.clone()).expect("a stage");
+            assert!(
+                stage.state().expect("readable") == start,
+                "what a stage begins with, on {name}"
+            );
+            look(stage, start);
+        }
+    }
+
+    fn assert_same(stage: &Trainer<'_>, gaussians: &Gaussians, [first, second]: [&Moments; 2]) {
+        let got = stage.state().expect("readable");
+        assert!(
+            got.gaussians == *gaussians,
+            "Gaussians on {:?}",
+            stage.device
+        );
+        assert!(
+            got.first == *first && got.second == *second,
+            "moments on {:?}",
+            stage.device
+        );
+    }
+
+    /// Densifies `stage` and compares it with `plan` applied to host vectors.
+    fn assert_densifies(mut stage: Trainer<'_>, start: &TrainerState, plan: &Densification) {
+        let want = plan.gaussians(&start.gaussians);
+        let widths = widths(start.gaussians.sh_degree);
+        let moments = [&start.first, &start.second]
+            .map(|old| std::array::from_fn(|k| plan.moments(&old[k], widths[k])));
+        let before = host_fallbacks();
+        let done = stage.densify().expect("readable");
+        assert_eq!(
+            host_fallbacks(),
+            before,
+            "tensors went to the host on {:?}",
+            stage.device
+        );
+        assert_eq!(done, plan.done);
+        assert_same(&stage, &want, moments.each_ref());
+        assert_eq!(
+            stage.statistics.read().expect("readable"),
+            GradientStatistics::new(want.len())
+        );
+    }
+
+    #[test]
+    fn a_densification_is_that_of_host_vectors_on_every_device() {
+        on_each_device(Strategy::default(), |stage, start| {
+            let mut rng = stream(start.seed, Purpose::Densification, 0);
+            let rules = stage.adc_rules(&AdcConfig::default());
+            let plan = adc(&start.gaussians, &start.stats, &rules, &mut rng).expect("matching");
+            let Densified {
+                cloned,
+                split,
+                pruned,
+                ..
+            } = plan.done;
+            assert!(cloned > 9 && split > 9 && pruned > 9, "{:?}", plan.done);
+            assert_densifies(stage, &start, &plan);
+        });
+    }
+
+    #[test]
+    fn a_relocation_is_that_of_host_vectors_on_every_device() {
+        on_each_device(Strategy::Mcmc(McmcConfig::default()), |stage, start| {
+            let mut rng = stream(start.seed, Purpose::Densification, 0);
+            let plan = relocate(
+                &start.gaussians,
+                &stage.relocation_rules(&McmcConfig::default()),
+                &mut rng,
+            );
+            assert!(
+                plan.done.relocated > 9 && plan.done.cloned > 9,
+                "{:?}",
+                plan.done
+            );
+            assert_densifies(stage, &start, &plan);
+        });
+    }
+
+    #[test]
+    fn a_reset_changes_opacities_and_their_moments_alone() {
+        on_each_device(Strategy::default(), |mut stage, start| {
+            let TrainerState {
+                mut gaussians,
+                mut first,
+                mut second,
+                ..
+            } = start;
+            reset_opacity(&mut gaussians.opacity_logits);
+            first[OPACITY].fill(0.0);
+            second[OPACITY].fill(0.0);
+            stage.parameters.reset_opacity().expect("readable");
+            assert_same(&stage, &gaussians, [&first, &second]);
+        });
+    }
+}
