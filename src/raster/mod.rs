@@ -13,8 +13,7 @@ mod gpu;
 mod op;
 mod settings;
 
-pub(crate) use self::cpu::geometry::{Viewpoint, ZERO_QUATERNION};
-pub(crate) use self::cpu::sh::basis as sh_basis;
+pub(crate) use self::cpu::geometry::Viewpoint;
 pub use self::cpu::{
     Blended, Positions, Projected, Rendered, SplatGradients, TilePairs, eval_sh, render,
 };

@@ -1,8 +1,8 @@
-//! The geometry of Gaussians, apart from their colours.
+//! The geometry of Gaussians, without their colours.
 
 use super::Gaussians;
 
-/// The geometry of N Gaussians, unactivated: all that densification looks at.
+/// The geometry of N Gaussians, unactivated: what densification reads.
 #[derive(Clone, Copy, Debug)]
 pub struct Geometry<'a> {
     /// Centres, `[N, 3]`.
@@ -19,7 +19,7 @@ impl<'a> Geometry<'a> {
     /// Scalars of a Gaussian.
     const WIDTH: usize = 3 + 3 + 4 + 1;
 
-    /// From what `Parameters::geometry` reads: all means, then all log-scales, rotations and opacity logits, `[11 N]`.
+    /// From all means, then all log-scales, rotations and opacity logits, `[11 N]`.
     pub(crate) fn of_values(values: &'a [f32]) -> Self {
         let n = values.len() / Self::WIDTH;
         let (means, rest) = values.split_at(3 * n);

@@ -1,4 +1,4 @@
-//! The scene as 3D Gaussians: parameters on the host, initialisation, densification, spherical harmonics, PLY.
+//! The scene as 3D Gaussians: parameters on the host, spherical harmonics, PLY files, cameras and camera paths.
 
 pub mod camera;
 pub mod camera_path;
@@ -7,19 +7,19 @@ mod geometry;
 mod motion;
 mod order;
 pub mod ply;
+pub(crate) mod sh;
 
 pub use self::geometry::Geometry;
 pub use self::motion::Motion;
+pub use self::sh::SH_0;
 use crate::error::{Error, Result};
 
-/// SH basis function of degree 0, `1 / (2 sqrt(pi))`.
-pub const SH_0: f32 = 0.282_094_8;
 /// A quaternion of a smaller squared length stands for no rotation.
 pub(crate) const ZERO_QUATERNION: f64 = 1e-12;
 
 /// N Gaussians in host memory, structure of arrays.
 ///
-/// Variant `i` of every field belongs to the same Gaussian. Values are unactivated, as the 3DGS PLY stores them.
+/// Row `i` of every field belongs to the same Gaussian. Values are unactivated, as the 3DGS PLY stores them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gaussians {
     /// Centres, `[N, 3]`, world units relative to the scene origin.
@@ -47,7 +47,7 @@ impl Gaussians {
         self.means.is_empty()
     }
 
-    /// Median of the centres along each axis, which strays do not move, relative to the scene origin; `None` for no Gaussian.
+    /// Median of the centres along each axis, relative to the scene origin; `None` without Gaussians. Outliers do not move it.
     pub fn median_center(&self) -> Option<[f32; 3]> {
         let median = |axis: usize| {
             let mut along: Vec<f32> = self.means.iter().map(|mean| mean[axis]).collect();
@@ -90,13 +90,13 @@ impl Gaussians {
             .collect()
     }
 
-    /// The same Gaussians in these colours, sRGB in 0..1, one a Gaussian, wherever they are seen from.
+    /// The same Gaussians in these view-independent colours, sRGB in 0..1, one per Gaussian.
     ///
     /// # Panics
     /// If there are not as many colours as Gaussians.
     #[must_use]
     pub fn painted(self, colors: &[[f32; 3]]) -> Self {
-        assert_eq!(colors.len(), self.len(), "one colour a Gaussian");
+        assert_eq!(colors.len(), self.len(), "one colour per Gaussian");
         let sh = colors
             .as_flattened()
             .iter()
@@ -109,7 +109,7 @@ impl Gaussians {
         }
     }
 
-    /// The same Gaussians with SH of `degree`: higher coefficients are zero where there were none, and dropped where there were.
+    /// The same Gaussians with SH of `degree`: missing coefficients are zero, higher ones are dropped.
     #[must_use]
     pub fn with_sh_degree(self, degree: usize) -> Self {
         if degree == self.sh_degree {
@@ -133,7 +133,7 @@ impl Gaussians {
         (self.sh_degree + 1).pow(2)
     }
 
-    /// Looks whether these are Gaussians: lengths agree, those of `labels` too, the degree is known, and every value is finite.
+    /// Checks that all lengths agree, that of `labels` too, that the degree is at most 3, and that every value is finite.
     ///
     /// # Errors
     /// [`Error::Argument`] for a length or degree; [`Error::NonFinite`] naming tensor and row.

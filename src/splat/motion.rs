@@ -1,7 +1,7 @@
 //! Rigid motions of Gaussians: centres, axes and view-dependent colours.
 
-use super::Gaussians;
-use crate::raster::{ZERO_QUATERNION, sh_basis};
+use super::sh::basis;
+use super::{Gaussians, ZERO_QUATERNION};
 use glam::{DQuat, DVec3};
 
 /// `x -> rotation (x - pivot) + pivot + translation`, in the axes of the world.
@@ -9,7 +9,7 @@ use glam::{DQuat, DVec3};
 pub struct Motion {
     /// Unit quaternion; right-handed, about axes through the pivot.
     pub rotation: DQuat,
-    /// The point that the rotation leaves where it is, in the coordinates of [`Gaussians::means`].
+    /// The fixed point of the rotation, in the coordinates of [`Gaussians::means`].
     pub pivot: DVec3,
     /// World units.
     pub translation: DVec3,
@@ -28,7 +28,7 @@ const LEGENDRE: [[f64; 2]; 4] = [
 const LONGITUDES: usize = 8;
 
 impl Motion {
-    /// Moves the Gaussians `rows`: what a camera moved along with them sees stays the same.
+    /// Moves the Gaussians `rows`. A camera that moves along sees the same image.
     ///
     /// # Panics
     /// If a row is not below [`Gaussians::len`].
@@ -45,7 +45,7 @@ impl Motion {
                 continue;
             }
             let [w, x, y, z] = gaussians.rotations[i].map(f64::from);
-            // The length of a raw quaternion stays as it is. One of no length stands for no rotation.
+            // The raw quaternion keeps its length. One of length zero stands for no rotation.
             let raw = DQuat::from_xyzw(x, y, z, w);
             let raw = if raw.length_squared() < ZERO_QUATERNION {
                 DQuat::IDENTITY
@@ -81,10 +81,10 @@ impl Motion {
                 let across = (1.0 - z * z).sqrt();
                 let direction = DVec3::new(across * cos, across * sin, z);
                 let share = weight * std::f64::consts::TAU / LONGITUDES as f64;
-                let turned = sh_basis((self.rotation * direction).to_array(), degree);
-                let basis = sh_basis(direction.to_array(), degree);
+                let turned = basis((self.rotation * direction).to_array(), degree);
+                let base = basis(direction.to_array(), degree);
                 for (row, t) in matrix.iter_mut().zip(turned) {
-                    for (m, b) in row.iter_mut().zip(basis) {
+                    for (m, b) in row.iter_mut().zip(base) {
                         *m += share * t * b;
                     }
                 }

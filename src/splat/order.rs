@@ -6,10 +6,10 @@ use super::Gaussians;
 const BITS: u32 = 21;
 
 impl Gaussians {
-    /// Rows along a Z-order curve through the centres (Morton 1966): rows that follow each other lie near each other, so
-    /// that what a view reads of a scene, and what a Gaussian reads of a view, is mostly in the cache already.
+    /// Rows along a Z-order curve through the centres (Morton 1966). Consecutive rows lie close together, so that views and
+    /// Gaussians read mostly cached memory.
     ///
-    /// Centres that are not finite come last. Equal cells keep their order.
+    /// Centres that are not finite come last. Rows of one cell keep their order.
     pub fn spatial_order(&self) -> Vec<u32> {
         let finite = |p: &&[f32; 3]| p.iter().all(|v| v.is_finite());
         let bound = |start: f32, pick: fn(f32, f32) -> f32| {

@@ -32,7 +32,7 @@ pub struct PlyScene {
 
 /// Writes `gaussians` to `path` (binary little-endian), adding `origin` back to the positions in f64.
 ///
-/// `labels` are class ids, one a Gaussian. Normals are zero. The file appears complete or not at all.
+/// `labels` are class ids, one per Gaussian. Normals are zero. The file appears complete or not at all.
 ///
 /// # Errors
 /// [`Error::NonFinite`] naming tensor and row; [`Error::Argument`] when `labels` or a field has the wrong length;
@@ -113,7 +113,7 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
     let recorded = recorded_origin(&file);
     let mut columns = [const { None }; COLUMNS];
     for (column, name) in columns.iter_mut().zip(column_names(sh_degree, labelled)) {
-        // Normals carry nothing.
+        // Normals are zero.
         *column = (!name.starts_with('n')).then_some(name);
     }
     let mut scene = PlyScene {
@@ -133,7 +133,7 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
                 help,
             )
         };
-        // What does not fit an f32 is as unusable as what is no number.
+        // A value that does not fit an f32 counts as not finite.
         if let Some(column) = cells.iter().position(|&v| !(v as f32).is_finite()) {
             return Err(bad(
                 column,
@@ -188,7 +188,7 @@ fn column_names(sh_degree: usize, labelled: bool) -> Vec<String> {
     names
 }
 
-/// [`Error::Input`] for the kinds of PLY files that get mixed up with 3DGS's.
+/// [`Error::Input`] for compressed scenes and point clouds, which users may take for 3DGS PLY files.
 fn expect_gaussians(file: &PlyFile) -> Result<()> {
     let expected = "3D Gaussians: x y z, f_dc_*, opacity, scale_*, rot_*";
     let has = |name: &str| file.scalar(name).is_some();

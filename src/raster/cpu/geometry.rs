@@ -8,8 +8,9 @@
 
 use crate::backend::Real;
 use crate::backend::elementary::exp;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::raster::settings::Splats;
+use crate::splat::ZERO_QUATERNION;
 use crate::splat::camera::Camera;
 
 pub(super) type Vec3 = [f64; 3];
@@ -41,16 +42,9 @@ pub(crate) struct Viewpoint {
 
 impl Viewpoint {
     /// # Errors
-    /// [`Error::Argument`] for an unusable camera.
+    /// Those of [`Camera::check`].
     pub fn new(camera: &Camera) -> Result<Self> {
-        let bad = |field: &str, found: String, expected: &str| {
-            Err(Error::argument(
-                format!("camera.{field}"),
-                found,
-                expected,
-                "pass a usable camera",
-            ))
-        };
+        camera.check()?;
         let Camera {
             rotation,
             center,
@@ -61,22 +55,6 @@ impl Viewpoint {
             width,
             height,
         } = camera;
-        if !rotation.is_finite() || !center.is_finite() {
-            return bad("pose", format!("{rotation} {center}"), "finite numbers");
-        }
-        if !(fx.is_finite() && fy.is_finite() && *fx > 0.0 && *fy > 0.0) {
-            return bad("fx, fy", format!("{fx}, {fy}"), "positive numbers");
-        }
-        if !(cx.is_finite() && cy.is_finite()) {
-            return bad("cx, cy", format!("{cx}, {cy}"), "finite numbers");
-        }
-        if *width == 0 || *height == 0 || width.saturating_mul(*height) > u32::MAX as usize {
-            return bad(
-                "width, height",
-                format!("{width} x {height}"),
-                "1 to 2^32 - 1 pixels",
-            );
-        }
         let limits =
             |f: f64, c: f64, n: usize| [-(0.15 * n as f64 + c) / f, (1.15 * n as f64 - c) / f];
         Ok(Self {
@@ -141,9 +119,6 @@ fn sigmoid(x: f64) -> f64 {
         e / (1.0 + e)
     }
 }
-
-/// Squared length below which a quaternion is taken for the identity.
-pub(crate) const ZERO_QUATERNION: f64 = 1e-12;
 
 /// A unit quaternion, the length it was divided by, and whether it stands in for a zero one.
 pub(super) struct Unit {

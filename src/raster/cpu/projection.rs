@@ -5,11 +5,12 @@
 //! First what is certainly not in the image is put aside by a cheap test, then the others are projected in full.
 
 use super::footprint::Splat2;
-use super::geometry::{Ewa, Splat3, Viewpoint, ZERO_QUATERNION, dot};
+use super::geometry::{Ewa, Splat3, Viewpoint, dot};
 use crate::backend::Real;
 use crate::backend::elementary::{exp, ln_1p_unit};
 use crate::backend::simd::wide_kernel;
 use crate::raster::settings::{Settings, Splats, Stats};
+use crate::splat::ZERO_QUATERNION;
 
 /// Gaussians of one loop.
 const BLOCK: usize = 32;

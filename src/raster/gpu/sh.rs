@@ -4,7 +4,7 @@ use super::ewa::offset_from_camera;
 use super::project::Scene;
 use super::vec3::{Vec3, dot, read3, vec3};
 use crate::backend::gpu::{Gpu, arg};
-use crate::raster::cpu::sh::{C0, C1, C2, C3};
+use crate::splat::sh::{C0, C1, C2, C3};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 

@@ -1,29 +1,28 @@
-//! Which way is up, as the cameras tell.
+//! The up direction of a scene, estimated from its cameras.
 
 use super::Camera;
 use glam::{DMat3, DVec3};
 use nalgebra::Matrix3;
 
-/// Mean squared sine of the cameras' roll beyond which they were not held level (18 degrees): turned photos among
-/// upright ones.
+/// Mean squared sine of the cameras' roll (18 degrees) above which they were not held level, such as with portrait photos among
+/// landscape ones.
 const LARGEST_ROLL: f64 = 0.1;
-/// How much the mean of the cameras' up directions counts beside their levelness: the variance of a hand's roll (3
-/// degrees) beside that of a common tilt (10 degrees), of one camera and of very many.
+/// Weight of the mean of the cameras' up directions relative to their levelness, for one camera and for very many: the variance
+/// of hand-held roll (3 degrees) over that of a common tilt (10 degrees).
 const MEAN: [f64; 2] = [0.1, 1e-3];
-/// Lengths of the mean up and viewing directions, below and above which cameras look along one line and every way round.
+/// Cameras look along one line with any roll where the mean up direction is shorter than the first, and the mean viewing
+/// direction longer than the second.
 const ALONG_ONE_LINE: [f64; 2] = [0.3, 0.9];
 
-/// World direction that points up, unit length.
+/// World direction that points up, unit length; +z without cameras.
 ///
-/// People hold cameras level, so it is perpendicular to the rows of their images, by least squares, whichever way they
-/// are tilted. What this leaves open, the slope of a row of cameras say, is decided by the mean of their own up directions,
-/// which a common tilt takes along; so is all where they are not level, as with photos that are stored sideways. Where that
-/// mean cancels out, cameras that look along one line are taken to look down, as from a drone (not up, nor straight ahead with
-/// every other photo upside down), and otherwise it is that of the first.
-/// +z without cameras.
+/// People hold cameras level, so up is perpendicular to the rows of the images, by least squares, however the cameras are
+/// tilted. The mean of the cameras' up directions decides what this leaves open, such as the slope of a row of cameras. It decides
+/// everything where the cameras are not level, as with photos that are stored sideways. Where that mean cancels out, cameras that
+/// look along one line are assumed to look down, as from a drone; for others, the up direction of the first camera counts.
 pub fn level_up(cameras: &[Camera]) -> DVec3 {
     let count = cameras.len() as f64;
-    // Variant by row, the axes of a camera in the world.
+    // The rows of the rotation are the axes of the camera in the world.
     let mean_of = |axis: usize| cameras.iter().map(|c| c.rotation.row(axis)).sum::<DVec3>() / count;
     // Image rows run down.
     let (up, forward) = (-mean_of(1), mean_of(2));

@@ -4,6 +4,7 @@ mod level;
 
 pub use self::level::level_up;
 
+use crate::error::{Error, Result};
 use glam::{DMat3, DMat4, DVec3};
 
 /// A posed pinhole camera.
@@ -79,7 +80,7 @@ impl Camera {
         })
     }
 
-    /// A camera of this image size without a pose of its own, for looking at files whose pose cannot be read.
+    /// A camera of this image size at the origin, for files whose pose cannot be read.
     pub(crate) fn unposed((width, height): (usize, usize)) -> Self {
         let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
         Self {
@@ -92,6 +93,46 @@ impl Camera {
             width,
             height,
         }
+    }
+
+    /// Checks that the camera can be rendered from: a finite pose, positive focal lengths, 1 to 2^32 - 1 pixels.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] naming the field.
+    pub fn check(&self) -> Result<()> {
+        let wrong = |field: &str, found: String, expected: &str| {
+            let help = "pass a usable camera";
+            Err(Error::argument(
+                format!("camera.{field}"),
+                found,
+                expected,
+                help,
+            ))
+        };
+        let Self {
+            rotation,
+            center,
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        } = self;
+        if !rotation.is_finite() || !center.is_finite() {
+            return wrong("pose", format!("{rotation} {center}"), "finite numbers");
+        }
+        if !(fx.is_finite() && fy.is_finite() && *fx > 0.0 && *fy > 0.0) {
+            return wrong("fx, fy", format!("{fx}, {fy}"), "positive numbers");
+        }
+        if !(cx.is_finite() && cy.is_finite()) {
+            return wrong("cx, cy", format!("{cx}, {cy}"), "finite numbers");
+        }
+        if *width == 0 || *height == 0 || width.saturating_mul(*height) > u32::MAX as usize {
+            let found = format!("{width} x {height}");
+            return wrong("width, height", found, "1 to 2^32 - 1 pixels");
+        }
+        Ok(())
     }
 
     /// The OpenGL camera-to-world matrix; the inverse of [`Camera::from_opengl`].
@@ -143,8 +184,8 @@ impl Camera {
         }
     }
 
-    /// The same view as an image of `width` x `height` pixels whose pixels keep their shape: scaled as the height says, with
-    /// more or less at both sides where the aspect differs. [`Camera::resized`] where it does not.
+    /// The same view as an image of `width` x `height` pixels, scaled by the height. Where the aspect differs, both sides show
+    /// more or less; otherwise it equals [`Camera::resized`].
     pub fn with_size(&self, width: usize, height: usize) -> Self {
         let scale = height as f64 / self.height as f64;
         let sides = 0.5 * (width as f64 - scale * self.width as f64);
@@ -161,7 +202,7 @@ impl Camera {
     }
 }
 
-/// What a camera knows besides its pose; units as in [`Camera`].
+/// The parameters of a camera without its pose; units as in [`Camera`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
     /// Focal length along x, pixels.

@@ -7,24 +7,24 @@ use glam::{DMat3, DQuat, DVec3};
 
 /// Parts of each segment whose lengths are summed.
 const PARTS: usize = 32;
-/// A key nearer to the one before it than this share of the path's unit of turning is the same one again.
+/// A key closer to the one before it than this share of [`spread`] repeats it.
 const SAME: f64 = 1e-9;
 
 /// A smooth path through cameras, the keys, in their order.
 ///
 /// Centres follow a centripetal Catmull-Rom spline (Yuksel, Schaefer, Keyser 2011), camera-to-world rotations Bézier curves
 /// of unit quaternions (Shoemake 1985) whose angular velocities at the keys follow the same rule, from key to key the
-/// shorter way round. Velocity and angular velocity are continuous. Focal lengths and principal points are linear between
-/// keys. Images have the size of the first key's; keys of other sizes are brought to it by [`Camera::with_size`].
+/// shorter rotation. Velocity and angular velocity are continuous. Focal lengths and principal points are linear between
+/// keys. Images have the size of the first key; [`Camera::with_size`] resizes the other keys.
 ///
-/// Lengths are in world units, and turning counts: `sqrt(|dc|^2 + (r da)^2)` for a step by `dc` that turns by `da` radians,
+/// Lengths are in world units and include rotation: `sqrt(|dc|^2 + (r da)^2)` for a step by `dc` with a rotation by `da` radians,
 /// where `r` is the root mean square distance of the keys from their mean, or 1 where they share a centre.
 #[derive(Clone, Debug)]
 pub struct CameraPath {
     size: [usize; 2],
     keys: Vec<Key>,
     segments: Vec<Segment>,
-    /// Length from the start to the end of each part, `PARTS` a segment, after a leading 0.
+    /// Length from the start to the end of each part, `PARTS` per segment, after a leading 0.
     lengths: Vec<f64>,
 }
 
@@ -46,10 +46,10 @@ struct Segment {
 }
 
 impl CameraPath {
-    /// A path through `cameras`. One with the pose of the camera before it adds nothing.
+    /// A path through `cameras`. A camera with the pose of the one before it is left out.
     ///
     /// # Errors
-    /// [`Error::Argument`] for no camera, and naming the first that is unusable.
+    /// [`Error::Argument`] without cameras, or naming the first that is unusable.
     pub fn through(cameras: &[Camera]) -> Result<Self> {
         check(cameras)?;
         let [width, height] = [cameras[0].width, cameras[0].height];
@@ -59,7 +59,7 @@ impl CameraPath {
             .collect::<Vec<_>>();
         let per_radian = spread(&keys);
         keys.dedup_by(|key, before| distance(before, key, per_radian) <= SAME * per_radian);
-        // Those that were repeated have no more weight than the others.
+        // Again, so that repeated keys have no more weight than the others.
         let per_radian = spread(&keys);
 
         let step =
@@ -119,12 +119,12 @@ impl CameraPath {
         self.lengths.last().copied().unwrap_or(0.0)
     }
 
-    /// Where along the path each key lies, repeated ones left out.
+    /// Position of each key along the path, without repeated ones.
     pub fn key_lengths(&self) -> Vec<f64> {
         self.lengths.iter().step_by(PARTS).copied().collect()
     }
 
-    /// The camera `length` along the path; before its start and after its end that of the start and end.
+    /// The camera at `length` along the path, clamped to its start and end.
     pub fn at(&self, length: f64) -> Camera {
         let part = self
             .lengths
@@ -135,7 +135,7 @@ impl CameraPath {
             Some(&end) => {
                 let start = self.lengths[part - 1];
                 let within = ((length - start) / (end - start)).clamp(0.0, 1.0);
-                // Of a part without length, or asked for no number: its start.
+                // The start, for a part without length and for a length that is not a number.
                 let within = if within.is_nan() { 0.0 } else { within };
                 let (segment, before) = ((part - 1) / PARTS, (part - 1) % PARTS);
                 self.key(segment, (before as f64 + within) / PARTS as f64)
@@ -156,13 +156,13 @@ impl CameraPath {
         }
     }
 
-    /// `count` cameras as far apart along the path as each other, from its start to its end; one alone is the start.
+    /// `count` cameras at equal distances along the path, from its start to its end; a single one is the start.
     pub fn frames(&self, count: usize) -> Vec<Camera> {
         let step = self.length() / count.saturating_sub(1).max(1) as f64;
         (0..count).map(|i| self.at(step * i as f64)).collect()
     }
 
-    /// At `t` in 0..1 of a segment.
+    /// The key at `t` in 0..1 of a segment.
     fn key(&self, segment: usize, t: f64) -> Key {
         let Segment { centers, rotations } = &self.segments[segment];
         let [a, b] = [
@@ -199,7 +199,7 @@ impl Key {
     }
 }
 
-/// How far one key is from another, where turning by a radian counts as `per_radian` world units.
+/// Distance of two keys, where a rotation by one radian counts as `per_radian` world units.
 fn distance(a: &Key, b: &Key, per_radian: f64) -> f64 {
     a.center
         .distance(b.center)
@@ -208,7 +208,7 @@ fn distance(a: &Key, b: &Key, per_radian: f64) -> f64 {
 
 /// From one key to the next.
 struct Step {
-    /// Interval of the spline's parameter: the square root of the distance, which is what centripetal means.
+    /// Interval of the spline's parameter. For a centripetal spline, the square root of the distance.
     knots: f64,
     /// Centre and rotation vector per unit of the parameter.
     velocity: [DVec3; 2],
@@ -227,7 +227,7 @@ impl Step {
     }
 }
 
-/// Velocities at a key: the slope there of the parabola through it and its neighbours; at an end that of the chord.
+/// Velocities at a key: the slope of the parabola through it and its neighbours; at an end the slope of the chord.
 fn velocities(steps: &[Step], key: usize) -> [DVec3; 2] {
     match (
         key.checked_sub(1).and_then(|i| steps.get(i)),
@@ -246,7 +246,7 @@ fn turn(a: DQuat, b: DQuat) -> DVec3 {
     // q and -q are one rotation.
     let q = if q.w < 0.0 { -q } else { q };
     let sine = q.xyz().length();
-    // sin x = x where nothing else is left of it.
+    // sin x = x for the smallest angles.
     let angle_by_sine = if sine < 1e-150 {
         2.0
     } else {

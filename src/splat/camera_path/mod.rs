@@ -1,6 +1,6 @@
-//! Cameras that nobody took a photo with: a smooth path through given ones, and a circle around what they look at.
+//! Camera paths: a smooth path through given cameras, and a circle around what they look at.
 //!
-//! Both give [`super::camera::Camera`]s in the coordinates of those that they are made from.
+//! Both return [`super::camera::Camera`]s in the coordinates of the given ones.
 
 mod interpolate;
 mod orbit;
@@ -10,9 +10,8 @@ pub use self::orbit::{Orbit, focus};
 
 use super::camera::Camera;
 use crate::error::{Error, Result};
-use crate::raster::Viewpoint;
 
-/// At least one camera, each of them usable.
+/// Checks that there is a camera and that each is usable.
 fn check(cameras: &[Camera]) -> Result<()> {
     if cameras.is_empty() {
         return Err(Error::argument(
@@ -23,7 +22,7 @@ fn check(cameras: &[Camera]) -> Result<()> {
         ));
     }
     for (i, camera) in cameras.iter().enumerate() {
-        Viewpoint::new(camera).map_err(|error| match error {
+        camera.check().map_err(|error| match error {
             Error::Argument {
                 name,
                 found,

@@ -7,15 +7,15 @@ use glam::{DMat3, DVec3};
 use nalgebra::Matrix3;
 use std::f64::consts::{FRAC_PI_3, TAU};
 
-/// The least mean squared sine between optical axes and the direction nearest to all of them at which they meet somewhere.
+/// Optical axes meet where the mean squared sine of their angles to the direction closest to all of them is at least this.
 const LEAST_SPREAD: f64 = 1e-3;
-/// An orbit of a box is no nearer than this share of the cameras' distance from it.
+/// Smallest distance of an orbit from its box, as a share of the cameras' distance from it.
 const NEAREST: f64 = 0.1;
 
 /// A circle of cameras that look at one point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orbit {
-    /// What is looked at, world units.
+    /// Where the cameras look, world units.
     pub target: DVec3,
     /// Axis of the circle, unit length.
     pub up: DVec3,
@@ -23,23 +23,23 @@ pub struct Orbit {
     pub start: DVec3,
     /// Distance of the circle from its axis, world units.
     pub radius: f64,
-    /// How far the circle lies above [`Orbit::target`] along [`Orbit::up`], world units.
+    /// Height of the circle above [`Orbit::target`] along [`Orbit::up`], world units.
     pub height: f64,
 }
 
 impl Orbit {
-    /// Around the [`focus`] of `cameras`, or around `scene_center` where they have none. The axis is their [`level_up`]; radius
-    /// and height are medians of the cameras' own, so that the circle stays among them; it starts on the side of the first.
+    /// Around the [`focus`] of `cameras`, or around `scene_center` where they have none. The axis is their [`level_up`]. Radius
+    /// and height are the medians of the cameras, so that the circle stays among them. It starts on the side of the first one.
     ///
     /// # Errors
-    /// [`Error::Argument`] for no camera or an unusable one, and where the cameras stand above or at the centre.
+    /// [`Error::Argument`] without cameras, for an unusable one, and where the cameras stand above or at the centre.
     pub fn of_cameras(cameras: &[Camera], scene_center: DVec3) -> Result<Self> {
         check(cameras)?;
         Self::about(cameras, focus(cameras).unwrap_or(scene_center))
     }
 
-    /// Around the box from `low` to `high`: so far off that the ball around it fits the field of view of the first camera, but
-    /// no further than the cameras are (median), and as steep from above or below as they are, 60 degrees at most.
+    /// Around the box from `low` to `high`. The distance is such that the sphere around the box fits the field of view of the
+    /// first camera, but at most the median distance of the cameras. The elevation is their median, at most 60 degrees.
     ///
     /// # Errors
     /// As [`Orbit::of_cameras`].
@@ -100,7 +100,7 @@ impl Orbit {
         } = *self;
         let is_finite =
             target.is_finite() && height.is_finite() && (radius + height.abs()).is_finite();
-        // Nearer to the axis a circle is a point but for rounding.
+        // A smaller circle is a point but for rounding.
         if !(is_finite && radius > 1e-12 * (height.abs() + target.length()) && radius > 0.0) {
             let found = format!("radius {radius:.3e} around {target}, {height:.3e} above it");
             let help = "give cameras that stand around something";
@@ -119,8 +119,8 @@ impl Orbit {
         Ok(())
     }
 
-    /// `count` cameras along the whole circle, evenly spaced and counter-clockwise as seen from the tip of [`Orbit::up`], with the
-    /// intrinsics of `lens`; the last is one step before the first, so that a film of them loops.
+    /// `count` cameras along the whole circle with the intrinsics of `lens`, evenly spaced and counter-clockwise as seen from the
+    /// tip of [`Orbit::up`]. The last is one step before the first, so that a film of them loops.
     ///
     /// # Errors
     /// [`Error::Argument`] for directions that are not perpendicular unit vectors, or no radius above 0.
@@ -130,7 +130,7 @@ impl Orbit {
         let camera = |i: usize| {
             let (sin, cos) = (TAU * i as f64 / count as f64).sin_cos();
             let offset = self.height * self.up + self.radius * (cos * self.start + sin * side);
-            // Right of who looks inwards from there is the way that the circle goes, whatever the height.
+            // The tangent of the circle, which points right for a camera that looks inwards.
             let right = cos * side - sin * self.start;
             let forward = -offset.normalize();
             let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
@@ -144,13 +144,13 @@ impl Orbit {
     }
 }
 
-/// The point nearest to all optical axes, by least squares: sum of (I - d d^T) (x - c) = 0 for centres c and unit directions d.
+/// The point closest to all optical axes by least squares: sum of (I - d d^T) (x - c) = 0 for centres c and unit directions d.
 ///
-/// `None` where the axes are nearly parallel, which one camera's are too, or where the point is not in front of more than half
-/// of the cameras, as in photos taken outwards from one place.
+/// `None` where the axes are nearly parallel, as with one camera, or where the point lies behind half of the cameras or more,
+/// as in photos taken outwards from one place.
 pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     let count = cameras.len() as f64;
-    // About the mean, since scenes lie far from the origin.
+    // Relative to the mean, because scenes may lie far from the origin.
     let mean = cameras
         .iter()
         .map(|camera| camera.center / count)
