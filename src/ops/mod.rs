@@ -19,7 +19,7 @@ mod pixel_labels;
 mod sparse;
 mod sum;
 
-pub use self::adam::{AdamBackend, AdamStep, AdamTensors, adam_step, adam_step_plain};
+pub use self::adam::{AdamStep, AdamTensors, adam_step, adam_step_plain};
 pub use self::assignment::assignment;
 pub use self::attentive_pool::{PoolBackend, attentive_pool, attentive_pool_plain};
 pub use self::blended_labels::{
@@ -42,9 +42,7 @@ pub use self::label_loss::{
 pub use self::neighbour_divergence::{
     DivergenceBackend, NeighbourPairs, neighbour_divergence, neighbour_divergence_plain,
 };
-pub use self::photometric::{
-    PhotometricBackend, PhotometricTarget, photometric_loss, photometric_loss_plain,
-};
+pub use self::photometric::{PhotometricTarget, photometric_loss, photometric_loss_plain};
 pub use self::pixel_labels::PixelLabels;
 pub use self::sparse::{Compact, SparseBackend, SparseMatrix, sparse_apply};
 pub use self::sum::sum_all;

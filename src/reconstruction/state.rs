@@ -6,7 +6,6 @@ use crate::checkpoint::{Checkpoint, Scalar};
 use crate::error::Result;
 use crate::progress::CurvePoint;
 use crate::provenance::Provenance;
-use crate::provenance::Provenance;
 use crate::splat::Gaussians;
 use std::path::Path;
 

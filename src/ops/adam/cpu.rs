@@ -6,6 +6,7 @@ use crate::backend::{HostBackend, Real, device_of, real_kernel};
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Scalars that one task updates.
 const CHUNK: usize = 1 << 14;
@@ -79,12 +80,12 @@ fn update_body<E: Real, const FMA: bool>(
 }
 
 /// The step by the kernel for CPUs, wherever the tensors live.
-pub(super) fn adam_step<B: HostBackend>(
+pub fn adam_step<B: HostBackend>(
     param: FloatTensor<B>,
     grad: FloatTensor<B>,
     first: FloatTensor<B>,
     second: FloatTensor<B>,
-    step: &AdamStep,
+    step: Arc<AdamStep>,
 ) -> Updated<B> {
     let (device, shape) = (device_of::<B>(&param), param.shape());
     real_kernel!(param, E => {

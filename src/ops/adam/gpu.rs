@@ -1,6 +1,6 @@
 //! The Adam step in one kernel, a unit a scalar.
 
-use super::{AdamBackend, AdamStep, Updated, cpu};
+use super::{AdamStep, Updated, cpu};
 use crate::backend::gpu::{Gpu, arg};
 use crate::ops::gpu::{covers, own};
 use burn::backend::tensor::FloatTensor;
@@ -44,48 +44,47 @@ fn adam(
     param[i] -= by * m / (v.sqrt() * root + epsilon);
 }
 
-impl AdamBackend for CubeBackend {
-    fn adam_step(
-        param: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        first: FloatTensor<Self>,
-        second: FloatTensor<Self>,
-        step: Arc<AdamStep>,
-    ) -> Updated<Self> {
-        let count = param.meta.num_elements();
-        if !covers(&param) || count == 0 {
-            return cpu::adam_step::<Self>(param, grad, first, second, &step);
-        }
-        let gpu = Gpu::of(&param);
-        let (param, first, second) = (own(param), own(first), own(second));
-        let (c1, c2) = step.corrections();
-        let rates: Vec<f32> = step.rates.iter().map(|rate| (rate / c1) as f32).collect();
-        let rate = rates.first().copied().unwrap_or_default();
-        // One rate for all travels with the launch.
-        let rates = if rates.len() > 1 {
-            gpu.upload(&rates, DType::F32)
-        } else {
-            gpu.floats([1])
-        };
-        adam::launch(
-            &gpu.client,
-            gpu.cubes_for(count),
-            gpu.dim(),
-            arg(&param),
-            arg(&into_contiguous(grad)),
-            arg(&first),
-            arg(&second),
-            arg(&rates),
-            count as u32,
-            rate,
-            step.beta1 as f32,
-            (1.0 - step.beta1) as f32,
-            step.beta2 as f32,
-            (1.0 - step.beta2) as f32,
-            (1.0 / c2.sqrt()) as f32,
-            step.epsilon as f32,
-            step.rates.len(),
-        );
-        (param, first, second)
+/// The step on a GPU; tensors that are not f32 take the kernel for CPUs.
+pub fn adam_step(
+    param: FloatTensor<CubeBackend>,
+    grad: FloatTensor<CubeBackend>,
+    first: FloatTensor<CubeBackend>,
+    second: FloatTensor<CubeBackend>,
+    step: Arc<AdamStep>,
+) -> Updated<CubeBackend> {
+    let count = param.meta.num_elements();
+    if !covers(&param) || count == 0 {
+        return cpu::adam_step::<CubeBackend>(param, grad, first, second, step);
     }
+    let gpu = Gpu::of(&param);
+    let (param, first, second) = (own(param), own(first), own(second));
+    let (c1, c2) = step.corrections();
+    let rates: Vec<f32> = step.rates.iter().map(|rate| (rate / c1) as f32).collect();
+    let rate = rates.first().copied().unwrap_or_default();
+    // One rate for all travels with the launch.
+    let rates = if rates.len() > 1 {
+        gpu.upload(&rates, DType::F32)
+    } else {
+        gpu.floats([1])
+    };
+    adam::launch(
+        &gpu.client,
+        gpu.cubes_for(count),
+        gpu.dim(),
+        arg(&param),
+        arg(&into_contiguous(grad)),
+        arg(&first),
+        arg(&second),
+        arg(&rates),
+        count as u32,
+        rate,
+        step.beta1 as f32,
+        (1.0 - step.beta1) as f32,
+        step.beta2 as f32,
+        (1.0 - step.beta2) as f32,
+        (1.0 / c2.sqrt()) as f32,
+        step.epsilon as f32,
+        step.rates.len(),
+    );
+    (param, first, second)
 }

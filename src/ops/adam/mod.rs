@@ -5,8 +5,8 @@ mod cpu;
 #[cfg(feature = "cube")]
 mod gpu;
 
-use crate::backend::HostKernels;
-use burn::backend::{Backend, Dispatch, backend_extension, tensor::FloatTensor};
+use crate::backend::custom_op;
+use burn::backend::{Dispatch, tensor::FloatTensor};
 use burn::tensor::{Tensor, TensorData};
 use std::sync::Arc;
 
@@ -51,33 +51,19 @@ impl AdamStep {
 /// New parameter, first moment and second moment.
 type Updated<B> = (FloatTensor<B>, FloatTensor<B>, FloatTensor<B>);
 
-/// Backend side of [`adam_step`]. It has no gradient.
-#[backend_extension(
-    NdArray: cfg(feature = "ndarray"),
-    Flex: cfg(feature = "flex"),
-    Cube: cfg(feature = "cube")
-)]
-pub trait AdamBackend: Backend {
-    /// New (parameter, first moment, second moment), see [`AdamStep`]. Buffers that nobody else holds are reused.
-    fn adam_step(
-        param: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        first: FloatTensor<Self>,
-        second: FloatTensor<Self>,
-        step: Arc<AdamStep>,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>);
-}
-
-impl<B: HostKernels> AdamBackend for B {
-    fn adam_step(
-        param: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        first: FloatTensor<Self>,
-        second: FloatTensor<Self>,
-        step: Arc<AdamStep>,
-    ) -> Updated<Self> {
-        cpu::adam_step::<Self>(param, grad, first, second, &step)
+custom_op! {
+    /// Backend side of [`adam_step`].
+    pub(crate) trait AdamBackend {
+        /// New (parameter, first moment, second moment), see [`AdamStep`]. Buffers that nobody else holds are reused.
+        fn adam_step(
+            param: FloatTensor<Self>,
+            grad: FloatTensor<Self>,
+            first: FloatTensor<Self>,
+            second: FloatTensor<Self>,
+            step: Arc<AdamStep>,
+        ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>);
     }
+    no_gradient
 }
 
 /// Tensors that one Adam step reads and replaces. They have one shape and no autodiff.

@@ -8,14 +8,24 @@ use burn::backend::tensor::FloatTensor;
 use burn::tensor::DType;
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Rows of a task.
 const BAND: usize = 32;
 
-/// The loss by the kernels for CPUs, wherever the tensor lives.
-pub(super) fn photometric<B: HostBackend>(
+/// The loss alone.
+pub fn photometric_loss<B: HostBackend>(
     image: FloatTensor<B>,
-    target: &PhotometricTarget,
+    target: Arc<PhotometricTarget>,
+    ssim_weight: f64,
+) -> FloatTensor<B> {
+    loss_and_gradient::<B>(image, target, ssim_weight).0
+}
+
+/// Loss and gradient by the kernels for CPUs, wherever the tensor lives.
+pub fn loss_and_gradient<B: HostBackend>(
+    image: FloatTensor<B>,
+    target: Arc<PhotometricTarget>,
     ssim_weight: f64,
 ) -> (FloatTensor<B>, FloatTensor<B>) {
     let (device, (height, width)) = (device_of::<B>(&image), target.size());

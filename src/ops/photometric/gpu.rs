@@ -4,7 +4,7 @@
 //! moments of the image. The third computes the gradient, which needs those derivatives of the neighbouring tiles too. Each
 //! cube leaves a sum, and the last kernel adds the sums up.
 
-use super::{C1, C2, CHANNELS, PhotometricBackend, PhotometricTarget, RADIUS, TAPS, cpu, taps};
+use super::{C1, C2, CHANNELS, PhotometricTarget, RADIUS, TAPS, cpu, taps};
 use crate::backend::gpu::{Gpu, UNITS, arg, sum, sum_cube};
 use crate::ops::gpu::covers;
 use burn::backend::tensor::FloatTensor;
@@ -377,18 +377,26 @@ fn fits(gpu: &Gpu, values: usize) -> bool {
     values.saturating_mul(MOMENTS) <= (gpu.largest() / size_of::<f32>()).min(i32::MAX as usize)
 }
 
-impl PhotometricBackend for CubeBackend {
-    fn photometric(
-        image: FloatTensor<Self>,
-        target: Arc<PhotometricTarget>,
-        ssim_weight: f64,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let (gpu, values) = (Gpu::of(&image), image.meta.num_elements());
-        if !covers(&image) || values == 0 || !fits(&gpu, values) {
-            return cpu::photometric::<Self>(image, &target, ssim_weight);
-        }
-        compare(&gpu, &into_contiguous(image), &target, ssim_weight)
+/// The loss alone.
+pub fn photometric_loss(
+    image: FloatTensor<CubeBackend>,
+    target: Arc<PhotometricTarget>,
+    ssim_weight: f64,
+) -> FloatTensor<CubeBackend> {
+    loss_and_gradient(image, target, ssim_weight).0
+}
+
+/// Loss and gradient on a GPU; tensors that are not f32, and images that are too large, take the kernels for CPUs.
+pub fn loss_and_gradient(
+    image: FloatTensor<CubeBackend>,
+    target: Arc<PhotometricTarget>,
+    ssim_weight: f64,
+) -> (FloatTensor<CubeBackend>, FloatTensor<CubeBackend>) {
+    let (gpu, values) = (Gpu::of(&image), image.meta.num_elements());
+    if !covers(&image) || values == 0 || !fits(&gpu, values) {
+        return cpu::loss_and_gradient::<CubeBackend>(image, target, ssim_weight);
     }
+    compare(&gpu, &into_contiguous(image), &target, ssim_weight)
 }
 
 #[cfg(test)]

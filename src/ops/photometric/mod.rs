@@ -11,17 +11,12 @@ mod gpu;
 
 #[cfg(feature = "cube")]
 use crate::backend::gpu::Resident;
-use crate::backend::{HostKernels, Real};
+use crate::backend::{Real, custom_op};
 use crate::data::mask::Mask;
-use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
-use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::{
-    Autodiff, AutodiffBackend, Backend, Dispatch, backend_extension, tensor::FloatTensor,
-};
+use burn::backend::{Dispatch, tensor::FloatTensor};
 use burn::tensor::module::conv2d;
 use burn::tensor::ops::ConvOptions;
-use burn::tensor::{Bool, Shape, Tensor, TensorData};
+use burn::tensor::{Bool, Tensor, TensorData};
 #[cfg(feature = "cube")]
 use burn_cubecl::tensor::CubeTensor;
 use image::RgbImage;
@@ -119,69 +114,46 @@ impl PhotometricTarget {
     }
 }
 
-/// Backend side of [`photometric_loss`].
-#[backend_extension(
-    NdArray: cfg(feature = "ndarray"),
-    Flex: cfg(feature = "flex"),
-    Cube: cfg(feature = "cube"),
-    Autodiff
-)]
-pub trait PhotometricBackend: Backend {
-    /// The loss `[1]` and its gradient to the image, `[H, W, 3]`. The mask is not looked at.
-    fn photometric(
-        image: FloatTensor<Self>,
-        target: Arc<PhotometricTarget>,
-        ssim_weight: f64,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>);
-}
-
-impl<B: HostKernels> PhotometricBackend for B {
-    fn photometric(
-        image: FloatTensor<Self>,
-        target: Arc<PhotometricTarget>,
-        ssim_weight: f64,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        cpu::photometric::<Self>(image, &target, ssim_weight)
+custom_op! {
+    /// Backend side of [`photometric_loss`].
+    pub(crate) trait PhotometricBackend {
+        /// The loss `[1]`. The mask is not looked at.
+        fn photometric_loss(
+            image: FloatTensor<Self>,
+            target: Arc<PhotometricTarget>,
+            ssim_weight: f64,
+        ) -> FloatTensor<Self>;
+    }
+    backward {
+        /// The loss `[1]` and its gradient to the image, `[H, W, 3]`.
+        fn loss_and_gradient(
+            image: FloatTensor<Self>,
+            target: Arc<PhotometricTarget>,
+            ssim_weight: f64,
+        ) -> (FloatTensor<Self>, FloatTensor<Self>);
     }
 }
 
-#[derive(Debug)]
-struct PhotometricBackward;
+mod autodiff {
+    use super::{PhotometricBackend, PhotometricTarget};
+    use crate::backend::{AutodiffTensor, track};
+    use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
+    use burn::tensor::Shape;
+    use std::sync::Arc;
 
-impl<B: PhotometricBackend> Backward<B, 1> for PhotometricBackward {
-    /// The gradient for an upstream gradient of 1.
-    type State = FloatTensor<B>;
-
-    fn backward(
-        self,
-        ops: Ops<Self::State, 1>,
-        grads: &mut Gradients,
-        _checkpointer: &mut Checkpointer,
-    ) {
-        let upstream = grads.consume::<B>(&ops.node);
-        let [parent] = ops.parents;
-        if let Some(node) = parent {
-            let upstream = B::float_reshape(upstream, Shape::new([1; 3]));
-            grads.register::<B>(node.id, B::float_mul(ops.state, upstream));
-        }
-    }
-}
-
-impl<B: PhotometricBackend, C: CheckpointStrategy> PhotometricBackend for Autodiff<B, C> {
-    fn photometric(
-        image: FloatTensor<Self>,
+    pub fn photometric_loss<B: PhotometricBackend, C: CheckpointStrategy>(
+        image: AutodiffTensor<B, C>,
         target: Arc<PhotometricTarget>,
         ssim_weight: f64,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let (image, node) = image.into_parts();
-        let (loss, gradient) = B::photometric(image, target, ssim_weight);
-        let constant = <Self as AutodiffBackend>::from_inner(gradient.clone());
-        let backward = PhotometricBackward.prepare::<C>([node]);
-        let loss = match backward.compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish(gradient, loss),
-            OpsKind::UnTracked(prep) => prep.finish(loss),
-        };
-        (loss, constant)
+    ) -> AutodiffTensor<B, C> {
+        track::<B, C, 1, _>([image], |[image]| {
+            let (loss, gradient) = B::loss_and_gradient(image, target, ssim_weight);
+            let backward = move |upstream, _wanted| {
+                let upstream = B::float_reshape(upstream, Shape::new([1; 3]));
+                [Some(B::float_mul(gradient, upstream))]
+            };
+            (loss, backward)
+        })
     }
 }
 
@@ -208,7 +180,7 @@ pub fn photometric_loss(
         Some(hidden) => image.mask_fill(hidden, 0.0),
         None => image,
     };
-    let (loss, _) = Dispatch::photometric(image.into_dispatch(), target.clone(), ssim_weight);
+    let loss = Dispatch::photometric_loss(image.into_dispatch(), target.clone(), ssim_weight);
     Tensor::from_dispatch(loss)
 }
 

@@ -15,7 +15,7 @@ fn classes(count: u16) -> Classes {
 
 /// A scene of eight views that show from 1 to 64 of 70 classes, and pixels of none.
 fn labelled() -> Scene {
-    let mut scene = crate::reconstruction::building::scene();
+    let mut scene = crate::reconstruction::trainer::scene();
     scene.classes = classes(70);
     for (v, view) in scene.views.iter_mut().enumerate() {
         let (width, height) = (view.camera.width, view.camera.height);

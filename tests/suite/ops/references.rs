@@ -1,6 +1,6 @@
 //! A whole step of a stage with all custom operations replaced by their plain-tensor references.
 
-use crate::reconstruction::building::{config, scene};
+use crate::reconstruction::trainer::{config, scene};
 use coseg::config::{BuildingConfig, Config, Strategy};
 use coseg::ops::with_references;
 use coseg::reconstruction::{Trainer, TrainerState};

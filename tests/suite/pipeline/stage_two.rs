@@ -143,7 +143,7 @@ fn weights_made_again_at_each_step_give_the_same_bits_as_kept_ones() {
 #[test]
 fn the_vote_sums_weights_by_label_whatever_the_number_of_classes() {
     // 70 classes, of which a view shows from 1 to 60.
-    let mut scene = crate::reconstruction::building::scene();
+    let mut scene = crate::reconstruction::trainer::scene();
     scene.classes = Classes::from_names(0, (0..=70).map(|id| (id, format!("class {id}"))));
     for (v, view) in scene.views.iter_mut().enumerate() {
         let (width, height) = (view.camera.width, view.camera.height);

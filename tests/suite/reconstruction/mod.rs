@@ -1,10 +1,10 @@
 //! Tests of `coseg::reconstruction`.
 
-pub mod building;
-pub mod building_settings;
 pub mod densify;
-#[cfg(feature = "wgpu")]
-pub mod device_building;
 pub mod masked_training;
 pub mod mcmc;
 pub mod relocation;
+pub mod settings;
+pub mod trainer;
+#[cfg(feature = "wgpu")]
+pub mod trainer_on_gpu;
