@@ -5,11 +5,11 @@ use crate::config::{Config, Variant};
 use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::features::SCALES;
-use crate::pipeline::train_decoder::{Plan, Recalls, train_step};
+use crate::pipeline::train_decoder::{ClassRecall, Plan, train_step};
 use crate::pipeline::{Inputs, LiftedFeatures, Spatial, decoder_row};
 use crate::random::{Purpose, stream};
 use crate::raster::Settings;
-use crate::segmentation::loss::Kind;
+use crate::segmentation::loss::LabelLoss;
 use crate::splat::Gaussians;
 use rand::Rng;
 
@@ -47,12 +47,12 @@ pub(super) fn measure(
     let mut training = inputs.training_views();
     let plan = Plan::new(
         &config.segmentation,
-        Kind::from_config(&config.segmentation)?,
+        LabelLoss::from_config(&config.segmentation)?,
         config.seed,
     );
     let lr = config.segmentation.lr;
     let mut model = decoder_row(Variant::Ours, lr, &plan, source, &inputs, &mut training)?;
-    let mut recalls = Recalls::new(training.classes());
+    let mut recalls = ClassRecall::new(training.classes());
     // The first pass over the views computes their weights. All steps are after the warm-up of the loss.
     let start = plan.warmup.next_multiple_of(views);
     let counted = bench.effort.repeats.max(1) * bench.effort.steps;

@@ -1,7 +1,7 @@
 //! Encoding of a run: the frozen point encoder over the Gaussians, joined with their lifted features.
 
 use super::lift::LiftedFeatures;
-use super::train_decoder::{Encoded, Source, TrainingViews};
+use super::train_decoder::{DecoderInput, Encoded, TrainingViews};
 use crate::config::{Config, Encode, SpatialSource, Variant};
 use crate::data::{Scene, Split};
 use crate::error::{Error, Result};
@@ -76,7 +76,7 @@ pub struct Spatial {
     /// Where the weights came from; empty until an encoder was needed.
     pub name: String,
     encodings: Option<(bool, Encodings)>,
-    source: Option<(Ablation, Source)>,
+    source: Option<(Ablation, DecoderInput)>,
 }
 
 struct Encodings {
@@ -96,7 +96,7 @@ impl Spatial {
     ///
     /// # Errors
     /// Those of the encoder's weights and of the encoding.
-    pub fn source(&mut self, row: Variant, inputs: &Inputs) -> Result<&Source> {
+    pub fn source(&mut self, row: Variant, inputs: &Inputs) -> Result<&DecoderInput> {
         let ablation = Ablation::of(row);
         let made = match self.source.take() {
             Some((of, source)) if of == ablation => source,
@@ -105,7 +105,7 @@ impl Spatial {
         Ok(&self.source.insert((ablation, made)).1)
     }
 
-    fn make(&mut self, ablation: Ablation, inputs: &Inputs) -> Result<Source> {
+    fn make(&mut self, ablation: Ablation, inputs: &Inputs) -> Result<DecoderInput> {
         let encodings = match self.encodings.take() {
             Some((random, encodings)) if random == ablation.random => encodings,
             _ => self.encode(ablation.random, inputs)?,
@@ -125,7 +125,7 @@ impl Spatial {
             None => encoded,
         };
         let source = match inputs.config.spatial.encode {
-            Encode::Scene => Source::Scene(scaled(scene)),
+            Encode::Scene => DecoderInput::Scene(scaled(scene)),
             Encode::View => {
                 let view = |v: &EncodedView| {
                     Ok(scaled(join(
@@ -135,7 +135,7 @@ impl Spatial {
                         inputs,
                     )?))
                 };
-                Source::Views {
+                DecoderInput::Views {
                     views: encodings.views.iter().map(view).collect::<Result<_>>()?,
                     weights: encodings.views.iter().map(|v| v.weights.clone()).collect(),
                     scene: scaled(scene),

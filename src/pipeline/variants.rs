@@ -3,9 +3,10 @@
 use super::encode::{Inputs, Spatial};
 use super::evaluate::{HeldOut, NeighbourAgreement, Scores};
 use super::train_decoder::{
-    Fused, FusedPlan, Model, Pace, PerGaussian, Plan, Session, Source, TrainingViews, train,
+    DecoderInput, DecoderModel, DecoderPlan, IdentityModel, PerGaussian, Plan, Schedule,
+    TrainingRun, TrainingViews, train_decoder,
 };
-use crate::config::{LabelLoss, Prior, SegmentationConfig, Variant};
+use crate::config::{Prior, SegmentationConfig, Variant};
 use crate::error::Result;
 use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
 use crate::objects::Identities;
@@ -13,7 +14,7 @@ use crate::progress::{CurvePoint, Progress};
 use crate::provenance::Provenance;
 use crate::segmentation::decoder::DecoderConfig;
 use crate::segmentation::encoder::spatial_digest;
-use crate::segmentation::loss::Kind;
+use crate::segmentation::loss::LabelLoss;
 use std::path::Path;
 
 /// Share added to every class of the votes that a decoder starts from.
@@ -194,10 +195,10 @@ fn untrained(row: Variant) -> VariantOutcome {
 }
 
 /// Loss of a row after the warm-up.
-fn loss(row: Variant, config: &SegmentationConfig) -> Result<Kind> {
+fn loss(row: Variant, config: &SegmentationConfig) -> Result<LabelLoss> {
     match row {
-        Variant::PerGaussian | Variant::OursCe => Ok(Kind::Ce),
-        _ => Kind::from_config(config),
+        Variant::PerGaussian | Variant::OursCe => Ok(LabelLoss::Ce),
+        _ => LabelLoss::from_config(config),
     }
 }
 
@@ -244,8 +245,8 @@ fn trained(
             every
         }
     };
-    let pace = Pace {
-        row: row.key(),
+    let schedule = Schedule {
+        variant: row.key(),
         eval_every: tenth(config.eval_every),
         checkpoint_every: tenth(config.checkpoint_every),
         checkpoint: Some(checkpoints.join(format!("{}.safetensors", row.key()))),
@@ -254,12 +255,12 @@ fn trained(
     let device = inputs.device.clone().autodiff();
     let classes = inputs.scene.classes.len();
     let fit = |views: &mut TrainingViews,
-               model: &mut dyn Model,
+               model: &mut dyn IdentityModel,
                rate: f64,
                progress: &mut dyn Progress| {
         // Of the end of training, which asks for nothing anew.
         let mut last: Option<(Identities, Scores)> = None;
-        let mut score = |model: &mut dyn Model, iteration| {
+        let mut score = |model: &mut dyn IdentityModel, iteration| {
             if held_out.is_empty() {
                 return Ok(None);
             }
@@ -271,11 +272,11 @@ fn trained(
             }
             Ok(miou)
         };
-        let Session {
+        let TrainingRun {
             curve,
-            earlier,
-            whole,
-        } = train(model, views, &plan, &pace, &mut score, progress)?;
+            earlier_seconds: earlier,
+            finished: whole,
+        } = train_decoder(model, views, &plan, &schedule, &mut score, progress)?;
         let (identities, scores) = match (whole, last.take()) {
             (true, Some((identities, scores))) => (Some(identities), scores),
             (true, None) => {
@@ -320,21 +321,21 @@ pub fn decoder_row<'a>(
     row: Variant,
     rate: f64,
     plan: &Plan,
-    source: &'a Source,
+    source: &'a DecoderInput,
     inputs: &'a Inputs,
     views: &mut TrainingViews,
-) -> Result<Fused<'a>> {
+) -> Result<DecoderModel<'a>> {
     let config = &inputs.config.segmentation;
     let (seed, classes) = (inputs.config.seed, inputs.scene.classes.len());
     // Not `plan.warmup`: a row under cross-entropy has no warm-up, and is averaged over the same steps as the others.
     let average_from = (config.warmup * plan.iterations as f64) as usize;
-    let plan = FusedPlan {
+    let dropout = matches!(plan.loss, LabelLoss::Gjs { .. }).then_some(GJS_DROPOUT);
+    let plan = DecoderPlan {
         config,
         rate,
         regularised: row != Variant::OursCe && config.lambda_reg > 0.0,
         size: [inputs.gaussians.len(), classes],
-        dropout: (row != Variant::OursCe && matches!(config.loss, LabelLoss::Gjs { .. }))
-            .then_some(GJS_DROPOUT),
+        dropout,
         average_from: config.average.then_some(average_from),
         seed,
     };
@@ -343,7 +344,7 @@ pub fn decoder_row<'a>(
     let decoder = DecoderConfig::for_pyramid(pyramid, classes, pyramid.levels.len() > 1)
         .with_seed(seed)
         .init(&device);
-    let fused = Fused::new(
+    let fused = DecoderModel::new(
         decoder,
         source,
         &inputs.gaussians.means,

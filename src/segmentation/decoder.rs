@@ -1,17 +1,16 @@
-//! The decoder (Eq. 7): image and spatial features fused from global to local into one identity a Gaussian.
+//! The decoder (Eq. 7) fuses image and spatial features from global to local into one identity for each Gaussian.
 //!
-//! Only its parameters are learned. The linear map of a concatenation is the sum of the maps of its parts, and a linear
-//! map may be applied before upsampling, US(x) W = US(x W), on a quarter of the rows: what comes up from below is never
-//! put beside the frozen features.
+//! Only its parameters are learned. Linear maps are applied before upsampling, on a quarter of the rows.
 
-use super::pyramid::{Pyramid, Restriction};
+use super::pixels::constant;
+use super::pyramid::{Level, Pyramid};
 use super::randla::{SLOPE, parameter};
-use crate::ops::{LayerMap, dense, fusion_layer};
+use crate::ops::sparse_apply;
 use burn::config::Config;
 use burn::module::{Module, Param};
 use burn::nn::{LayerNorm, LayerNormConfig, Linear};
 use burn::tensor::activation::leaky_relu;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -114,7 +113,7 @@ fn uniform(count: usize, bound: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
         .collect()
 }
 
-/// Shared MLP over the frozen features of a level and what comes up from below.
+/// The shared MLP of a scale, over the frozen features of a level and what comes up from below.
 #[derive(Module, Debug)]
 struct FusionLayer {
     features: Option<Param<Tensor<2>>>,
@@ -124,38 +123,29 @@ struct FusionLayer {
 }
 
 impl FusionLayer {
-    /// `features` are the frozen rows of the level, each channel times its factor in `channels` where there are any;
-    /// `below` is what comes up from the next coarser one, before upsampling.
-    fn forward(
-        &self,
-        features: Tensor<2>,
-        channels: &[f32],
-        below: Tensor<2>,
-        mut map: LayerMap,
-    ) -> Tensor<2> {
-        let (bias, device) = (self.bias.val(), features.device());
-        let width = bias.dims()[0];
-        let weight = match &self.features {
-            // (x diag(f)) W = x (diag(f) W)
-            Some(weight) if !channels.is_empty() => {
-                let factors = TensorData::new(channels.to_vec(), [channels.len(), 1]);
-                weight.val() * Tensor::from_data(factors, &device)
-            }
-            Some(weight) => weight.val(),
-            None => Tensor::zeros([features.dims()[1], width], &device),
+    /// `[N_n, width]` from the frozen features of `level` and `below` `[N_(n+1), width below]`. The linear map of a
+    /// concatenation is the sum of the maps of its parts, and US(y) W = US(y W).
+    fn forward(&self, level: &Level, below: Tensor<2>) -> Tensor<2> {
+        let bias = self.bias.val().unsqueeze::<2>();
+        let device = bias.device();
+        let upsampled = self.below.as_ref().map(|weight| {
+            let below = constant(below, &device).matmul(weight.val());
+            sparse_apply(below, level.upsample.clone())
+        });
+        let own = self.features.as_ref().map(|weight| {
+            let features = constant(level.features.clone(), &device);
+            features.matmul(weight.val())
+        });
+        let sum = match (own, upsampled) {
+            (Some(own), Some(upsampled)) => own + upsampled + bias,
+            (Some(sum), None) | (None, Some(sum)) => sum + bias,
+            (None, None) => bias.expand([level.points.len(), self.bias.dims()[0]]),
         };
-        let below = match &self.below {
-            Some(weight) => dense(below, weight.val(), None),
-            None => Tensor::zeros([map.upsample.columns, width], &device),
+        let sum = match &self.norm {
+            Some(norm) => norm.forward(sum),
+            None => sum,
         };
-        let Some(norm) = &self.norm else {
-            return fusion_layer(features, weight, below, bias, map);
-        };
-        map.slope = 1.0;
-        leaky_relu(
-            norm.forward(fusion_layer(features, weight, below, bias, map)),
-            SLOPE,
-        )
+        leaky_relu(sum, SLOPE)
     }
 }
 
@@ -176,78 +166,37 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// Decodes the kept part of `pyramid` from global to local: row `i` of what comes out at a scale belongs to the
-    /// `i`-th kept row of that level. Gradients flow to the parameters, and to features that track them.
+    /// Decodes `pyramid` from global to local. Gradients flow to the parameters, and to features that track them.
     ///
     /// # Panics
-    /// If `pyramid` has fewer levels or other widths than the decoder was made for, or `kept` is of another pyramid.
-    pub fn forward(&self, pyramid: &Pyramid, kept: &Restriction) -> Decoded {
-        self.forward_scaled(pyramid, kept, &[])
-    }
-
-    /// [`Decoder::forward`] of frozen features whose channels are first multiplied by `factors`, one list a scale, empty
-    /// for none: dropout is a list of zeros and 1 / (1 - rate).
-    ///
-    /// # Panics
-    /// As [`Decoder::forward`]; if a list is not as long as its scale has channels.
-    pub fn forward_scaled(
-        &self,
-        pyramid: &Pyramid,
-        kept: &Restriction,
-        factors: &[Vec<f32>],
-    ) -> Decoded {
-        let (hidden, fused) = self.decode(pyramid, kept, factors, 0);
+    /// If `pyramid` has fewer levels or other widths than the decoder was made for.
+    pub fn forward(&self, pyramid: &Pyramid) -> Decoded {
+        let fused = self.fuse(pyramid, 0);
+        let hidden = match fused.first() {
+            Some(finest) => finest.clone(),
+            None => pyramid.top.clone(),
+        };
         Decoded { hidden, fused }
     }
 
-    /// [`Decoded::fused`] of the scales from `finest` (zero-based) on alone, what Eq. 9 needs: finer ones are not decoded.
-    /// `factors` as in [`Decoder::forward_scaled`].
+    /// [`Decoded::fused`] from scale `finest` (zero-based) on: Eq. 9 reads the coarse scales alone.
     ///
     /// # Panics
-    /// As [`Decoder::forward_scaled`].
-    pub fn fused(
-        &self,
-        pyramid: &Pyramid,
-        kept: &Restriction,
-        factors: &[Vec<f32>],
-        finest: usize,
-    ) -> Vec<Tensor<2>> {
-        self.decode(pyramid, kept, factors, finest).1
-    }
-
-    fn decode(
-        &self,
-        pyramid: &Pyramid,
-        kept: &Restriction,
-        factors: &[Vec<f32>],
-        finest: usize,
-    ) -> (Tensor<2>, Vec<Tensor<2>>) {
-        let device = self.last.weight.device();
+    /// As [`Decoder::forward`].
+    pub fn fuse(&self, pyramid: &Pyramid, finest: usize) -> Vec<Tensor<2>> {
         assert!(
             self.layers.len() <= pyramid.levels.len(),
             "levels of the pyramid against layers of the decoder"
         );
-        let mut below = tracked(&kept.of_top(&pyramid.top), &device);
+        let mut below = pyramid.top.clone();
         let mut fused = Vec::with_capacity(self.layers.len());
-        for (n, (layer, level)) in self
-            .layers
-            .iter()
-            .zip(&pyramid.levels)
-            .enumerate()
-            .skip(finest)
-            .rev()
-        {
-            let map = LayerMap {
-                rows: kept.rows(n).cloned(),
-                upsample: kept.upsample(n).clone(),
-                slope: SLOPE,
-            };
-            let channels = factors.get(n).map_or(&[][..], |f| f);
-            below = layer.forward(tracked(&level.features, &device), channels, below, map);
+        let scales = self.layers.iter().zip(&pyramid.levels).skip(finest);
+        for (layer, level) in scales.rev() {
+            below = layer.forward(level, below);
             fused.push(below.clone());
         }
         fused.reverse();
-        (below, fused)
+        fused
     }
 
     /// Logits `[rows, C]` of hidden features `[rows, 64]`, of Gaussians or of pixels.
@@ -255,14 +204,10 @@ impl Decoder {
     /// The FC commutes with blending: of hidden features blended with weights that sum to 1 - T, the blended logits are
     /// `blended W + (1 - T) b`. Divided by 1 - T, as the label loss wants them, they are `classify(blended / (1 - T))`.
     pub fn classify(&self, hidden: Tensor<2>) -> Tensor<2> {
-        dense(
-            hidden,
-            self.last.weight.val(),
-            self.last.bias.as_ref().map(Param::val),
-        )
+        self.last.forward(hidden)
     }
 
-    /// The decoder with its last layer at zero: it says nothing until it has learned.
+    /// The decoder with its last layer at zero: all scores are 0 until it has learned.
     #[must_use]
     pub fn with_silent_start(mut self) -> Self {
         let silent =
@@ -278,13 +223,5 @@ impl Decoder {
     /// Bytes of the learned parameters; [`Module::num_params`] counts them.
     pub fn bytes(&self) -> usize {
         4 * self.num_params()
-    }
-}
-
-/// A frozen tensor beside parameters on `device`, with or without autodiff.
-fn tracked(frozen: &Tensor<2>, device: &Device) -> Tensor<2> {
-    match device.is_autodiff() && !frozen.device().is_autodiff() {
-        true => Tensor::from_inner(frozen.clone()),
-        false => frozen.clone(),
     }
 }

@@ -5,6 +5,7 @@ pub mod encoder;
 pub mod interpolation;
 pub mod loss;
 pub mod neighbours;
+pub mod pixels;
 pub mod pretrain;
 pub mod probe;
 pub mod pyramid;

@@ -4,15 +4,15 @@
 
 use super::decoder::{Decoder, DecoderConfig};
 use super::encoder::{Cloud, encode, encoder_input, random_weights};
-use super::loss::{Kind, label_loss};
+use super::loss::{CoSegLoss, LabelLoss};
+use super::pixels::UNLABELLED;
 use super::probe::{LabelledCloud, Scores, best};
-use super::pyramid::{Level, Pyramid, Restriction, Switches};
+use super::pyramid::{Level, Pyramid, Switches};
 use super::randla::{Form, LAYERS, NEIGHBOURS, RATIO, RandlaEncoder, host};
 use super::sampling::Hierarchy;
 use crate::data::builtin::{PRETRAINING_SEEDS, classes, labelled_points};
 use crate::error::{Error, Result};
 use crate::metrics::Confusion;
-use crate::ops::UNLABELLED;
 use crate::weights::Checkpoint;
 use burn::module::Module;
 use burn::optim::{AdamConfig, GradientsParams};
@@ -230,17 +230,9 @@ fn student_loss(
         levels: levels.collect(),
         top,
     };
-    let logits = student.head.classify(
-        student
-            .head
-            .forward(&pyramid, &Restriction::none(&pyramid))
-            .hidden,
-    );
-    Ok(label_loss(
-        logits,
-        &balanced(&cloud.labels, &mut rng),
-        &Kind::Ce,
-    ))
+    let logits = student.head.classify(student.head.forward(&pyramid).hidden);
+    let labels = balanced(&cloud.labels, &mut rng);
+    Ok(CoSegLoss::from(LabelLoss::Ce).of_logits(logits, &labels))
 }
 
 fn augment(
@@ -336,8 +328,7 @@ fn finish(
                 ..Switches::default()
             },
         )?;
-        let logits =
-            host(head.classify(head.forward(&pyramid, &Restriction::none(&pyramid)).hidden));
+        let logits = host(head.classify(head.forward(&pyramid).hidden));
         let truth = cloud.labels.iter().map(|&l| usize::from(l));
         confusion.add(truth, best(&logits, classes().len()));
     }

@@ -1,7 +1,7 @@
 //! A linear probe: how much of the classes can be read off frozen spatial features by one linear map.
 
 use super::encoder::{Cloud, Encoding, encode};
-use super::loss::{Kind, label_loss};
+use super::loss::{CoSegLoss, LabelLoss};
 use super::randla::{RandlaEncoder, host, parameter, tensor};
 use crate::error::Result;
 use crate::metrics::{Confusion, Void};
@@ -19,7 +19,7 @@ use rand_chacha::ChaCha8Rng;
 pub struct LabelledCloud {
     /// `[N, 3]` metres, z up.
     pub positions: Vec<[f32; 3]>,
-    /// `[N]` class indices, [`crate::ops::UNLABELLED`] where there is none.
+    /// `[N]` class indices, [`super::pixels::UNLABELLED`] where there is none.
     pub labels: Vec<u16>,
 }
 
@@ -202,7 +202,7 @@ fn fit(
             .collect();
         let batch_labels: Vec<u16> = chosen.iter().map(|&i| labels[i]).collect();
         let logits: Tensor<2> = map.forward(tensor(batch, [chosen.len(), width], &device));
-        let loss = label_loss(logits, &batch_labels, &Kind::Ce);
+        let loss = CoSegLoss::from(LabelLoss::Ce).of_logits(logits, &batch_labels);
         let gradients = GradientsParams::from_grads(loss.backward(), &map);
         map = adam.step(RATE * (1.0 - step as f64 / STEPS as f64), map, gradients);
     }

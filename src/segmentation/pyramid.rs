@@ -2,8 +2,8 @@
 
 use super::encoder::Encoding;
 use crate::error::{Error, Result};
-use crate::ops::{RowList, SparseMatrix, gather_rows};
-use burn::tensor::Tensor;
+use crate::ops::SparseMatrix;
+use burn::tensor::{Int, Tensor, TensorData};
 use std::sync::Arc;
 
 /// Which features the decoder reads: the switches of the ablation table.
@@ -57,9 +57,7 @@ impl Pyramid {
     pub fn new(encoding: &Encoding, image: &[Tensor<2>], switches: Switches) -> Result<Self> {
         let points = encoding.levels[0].indices.len();
         Self::gathered(encoding, switches, |scale, rows| match image.get(scale) {
-            Some(features) if features.dims()[0] == points => {
-                Ok(select(features, &Arc::new(rows.to_vec().into())))
-            }
+            Some(features) if features.dims()[0] == points => Ok(select(features, rows)),
             other => {
                 let (key, found) = (
                     format!("image features of scale {}", scale + 1),
@@ -130,112 +128,110 @@ impl Pyramid {
         };
         Ok(Self { levels, top })
     }
+
+    /// The part that holds `rows` alone.
+    #[must_use]
+    pub fn part(&self, rows: &Dependencies) -> Self {
+        let levels = self.levels.iter().zip(&rows.levels);
+        let levels = levels.map(|(level, (rows, upsample))| Level {
+            points: Arc::new(rows.iter().map(|&r| level.points[r as usize]).collect()),
+            features: select(&level.features, rows),
+            upsample: upsample.clone(),
+        });
+        Self {
+            levels: levels.collect(),
+            top: select(&self.top, &rows.top),
+        }
+    }
+
+    /// The same with each channel of the levels multiplied by its factor: `factors` holds one list for each level.
+    /// Dropout is a list of zeros and 1 / (1 - rate).
+    ///
+    /// # Panics
+    /// If a list is not as long as its level has channels.
+    #[must_use]
+    pub fn scaled(&self, factors: &[Vec<f32>]) -> Self {
+        let mut scaled = self.clone();
+        for (level, factors) in scaled.levels.iter_mut().zip(factors) {
+            let factors = TensorData::new(factors.clone(), [1, factors.len()]);
+            let factors = Tensor::from_data(factors, &level.features.device());
+            level.features = level.features.clone() * factors;
+        }
+        scaled
+    }
+
+    /// Bytes of the features.
+    pub fn bytes(&self) -> usize {
+        let features = self.levels.iter().map(|level| &level.features);
+        let values = features
+            .chain([&self.top])
+            .map(|f| f.shape().num_elements());
+        4 * values.sum::<usize>()
+    }
 }
 
-/// Variant numbers of a level.
-pub type Rows = Arc<RowList>;
-
-/// The rows of a [`Pyramid`] that some of its finest points depend on; cheap to keep per view.
+/// The rows of a [`Pyramid`] that some of its points depend on.
 #[derive(Clone, Debug)]
-pub struct Restriction {
-    levels: Vec<(Option<Rows>, Arc<SparseMatrix>)>,
-    top: Option<Rows>,
+pub struct Dependencies {
+    /// For each level its rows, and the interpolation onto them from the rows of the next coarser set.
+    levels: Vec<(Vec<u32>, Arc<SparseMatrix>)>,
+    /// Rows of the set below the last level.
+    top: Vec<u32>,
 }
 
-impl Restriction {
+impl Dependencies {
     /// Follows the interpolation maps down from `finest`, rows of level 1.
     ///
     /// # Panics
     /// If a row is not one of level 1.
-    pub fn new(pyramid: &Pyramid, finest: Rows) -> Self {
+    pub fn new(pyramid: &Pyramid, finest: Vec<u32>) -> Self {
         Self::of_levels(pyramid, [finest])
     }
 
-    /// What points of several levels depend on, and those points: `wanted` holds rows of level 1, of level 2 and so on. Levels
-    /// that it does not reach add nothing of their own.
+    /// The rows that points of several levels depend on, with those points. `wanted` holds rows of level 1, of level 2 and
+    /// so on.
     ///
     /// # Panics
     /// If a row is not one of its level.
-    pub fn of_levels(pyramid: &Pyramid, wanted: impl IntoIterator<Item = Rows>) -> Self {
+    pub fn of_levels(pyramid: &Pyramid, wanted: impl IntoIterator<Item = Vec<u32>>) -> Self {
         let mut wanted = wanted.into_iter();
         let mut rows = wanted.next().unwrap_or_default();
         let mut levels = Vec::with_capacity(pyramid.levels.len());
         for level in &pyramid.levels {
             let used = level.upsample.select_rows(&rows);
-            let (upsample, below) = match wanted.next().filter(|more| !more.is_empty()) {
-                None => {
-                    let used = used.compact();
-                    (used.matrix, used.columns)
-                }
-                Some(more) => {
-                    let mut below = [&used.indices[..], &more].concat();
-                    below.sort_unstable();
-                    below.dedup();
-                    (used.over_columns(&below), below)
-                }
-            };
-            levels.push((Some(rows), Arc::new(upsample)));
-            rows = Arc::new(below.into());
+            let mut below = wanted.next().unwrap_or_default();
+            below.extend_from_slice(used.entries().0);
+            below.sort_unstable();
+            below.dedup();
+            levels.push((rows, Arc::new(used.over_columns(&below))));
+            rows = below;
         }
-        Self {
-            levels,
-            top: Some(rows),
-        }
+        Self { levels, top: rows }
     }
 
-    /// All of `pyramid`.
-    pub fn none(pyramid: &Pyramid) -> Self {
-        Self {
-            levels: pyramid
-                .levels
-                .iter()
-                .map(|level| (None, level.upsample.clone()))
-                .collect(),
-            top: None,
-        }
-    }
-
-    /// Rows of the pyramid's level `scale` (0 = finest) that are kept; `None`: all.
-    pub fn rows(&self, scale: usize) -> Option<&Rows> {
-        self.levels[scale].0.as_ref()
-    }
-
-    /// Interpolation onto the kept rows of level `scale` from those of the next coarser set.
-    pub fn upsample(&self, scale: usize) -> &Arc<SparseMatrix> {
-        &self.levels[scale].1
-    }
-
-    /// The kept rows of `top`, the features below the last level.
-    pub fn of_top(&self, top: &Tensor<2>) -> Tensor<2> {
-        match &self.top {
-            None => top.clone(),
-            Some(rows) => select(top, rows),
-        }
+    /// Rows of level `scale` (0 is the finest).
+    pub fn rows(&self, scale: usize) -> &[u32] {
+        &self.levels[scale].0
     }
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        let rows = self
-            .levels
-            .iter()
-            .map(|level| &level.0)
-            .chain([&self.top])
-            .flatten();
-        4 * rows.map(|r| r.len()).sum::<usize>()
-            + self
-                .levels
-                .iter()
-                .map(|level| level.1.bytes())
-                .sum::<usize>()
+        let levels = self.levels.iter();
+        let levels = levels.map(|(rows, upsample)| 4 * rows.len() + upsample.bytes());
+        levels.sum::<usize>() + 4 * self.top.len()
     }
 }
 
-fn select(features: &Tensor<2>, rows: &Rows) -> Tensor<2> {
-    match features.dims()[1] {
+/// The rows `rows` of `features`.
+pub(crate) fn select(features: &Tensor<2>, rows: &[u32]) -> Tensor<2> {
+    let (device, channels) = (features.device(), features.dims()[1]);
+    if channels == 0 {
         // Some backends refuse to index nothing.
-        0 => Tensor::zeros([rows.len(), 0], &features.device()),
-        _ => gather_rows(features.clone(), rows),
+        return Tensor::zeros([rows.len(), 0], &device);
     }
+    let index: Vec<i32> = rows.iter().map(|&row| row as i32).collect();
+    let index = Tensor::<1, Int>::from_data(TensorData::new(index, [rows.len()]), &device);
+    features.clone().select(0, index)
 }
 
 /// Per-channel mean and spread of a pyramid's frozen features.

@@ -1,19 +1,19 @@
 //! RandLA-Net's encoder (Hu et al. 2020), as burn modules.
 //!
-//! Features are `[rows, channels]` throughout; a tensor over the `K` neighbours of `R` points has `R K` rows, those of
-//! a point together. 1x1 convolutions are therefore linear layers. Key names and wiring are those of the PyTorch port
+//! Features are `[rows, channels]` throughout. A tensor over the `K` neighbours of `R` points has `K R` rows, first those of
+//! the first neighbours: sums over neighbours then add long contiguous arrays. 1x1 convolutions are linear layers. Key names and wiring are those of the PyTorch port
 //! whose checkpoints are published.
 
+use super::pyramid::select;
 use super::sampling::{Hierarchy, SampledLevel};
 use crate::error::{Error, Result};
-use crate::ops::{SparseMatrix, attentive_pool, sparse_apply};
 use crate::weights::{Checkpoint, HostTensor};
 use burn::module::{Module, Param};
 use burn::nn::{BatchNorm, BatchNormConfig, Linear};
 use burn::tensor::activation::leaky_relu;
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
-use std::sync::Arc;
+use std::ops::Range;
 
 /// Slope of LeakyReLU below zero.
 pub const SLOPE: f64 = 0.2;
@@ -210,10 +210,11 @@ impl AttentivePooling {
         self.mlp.save(weights, &format!("{name}.mlp"));
     }
 
-    /// `x` is `[R K, in]`, the result `[R, out]`: softmax of `x W` over the K rows of a point, per channel.
+    /// `[R, out]` from `x` `[K R, in]`: for each channel the mean over the K neighbours of a point, by the softmax of
+    /// `x W` over them.
     fn forward(&self, x: Tensor<2>, k: usize) -> Tensor<2> {
         let scores = self.score.forward(x.clone());
-        self.mlp.forward(attentive_pool(x, scores, k))
+        self.mlp.forward(attentive_mean(x, scores, k))
     }
 }
 
@@ -275,13 +276,13 @@ impl ResidualBlock {
         let code = self
             .first_code
             .forward(position_code(level, all.clone(), &features.device()));
-        let gathered = gather(narrow, level, all.clone());
+        let gathered = gather(&narrow, level, all.clone());
         let pooled = self.first_pooling.forward(
             Tensor::cat(vec![gathered, code.clone()], 1),
             level.neighbours.k,
         );
         let code = self.second_code.forward(code);
-        let gathered = gather(pooled, level, all);
+        let gathered = gather(&pooled, level, all);
         let pooled = self
             .second_pooling
             .forward(Tensor::cat(vec![gathered, code], 1), level.neighbours.k);
@@ -295,7 +296,7 @@ impl ResidualBlock {
     fn forward_chunked(&self, features: Tensor<2>, level: &SampledLevel) -> Tensor<2> {
         let (points, k, device) = (level.positions.len(), level.neighbours.k, features.device());
         let chunk = (CHUNK_VALUES / (k * self.width)).max(1);
-        let chunks = |stage: &(dyn Fn(std::ops::Range<usize>) -> Tensor<2> + Sync)| {
+        let chunks = |stage: &(dyn Fn(Range<usize>) -> Tensor<2> + Sync)| {
             let starts: Vec<usize> = (0..points).step_by(chunk).collect();
             let parts: Vec<Tensor<2>> = starts
                 .into_par_iter()
@@ -308,17 +309,15 @@ impl ResidualBlock {
             let code = self
                 .first_code
                 .forward(position_code(level, range.clone(), &device));
-            self.first_pooling.forward(
-                Tensor::cat(vec![gather(narrow.clone(), level, range), code], 1),
-                k,
-            )
+            self.first_pooling
+                .forward(Tensor::cat(vec![gather(&narrow, level, range), code], 1), k)
         });
         chunks(&|range| {
             let code = self
                 .first_code
                 .forward(position_code(level, range.clone(), &device));
             let code = self.second_code.forward(code);
-            let gathered = gather(pooled.clone(), level, range.clone());
+            let gathered = gather(&pooled, level, range.clone());
             let pooled = self
                 .second_pooling
                 .forward(Tensor::cat(vec![gathered, code], 1), k);
@@ -422,18 +421,16 @@ impl RandlaEncoder {
     }
 }
 
-/// Local spatial encoding's input for the neighbours of the points in `range`: distance, p_i - p_k, p_i, p_k.
-fn position_code(
-    level: &SampledLevel,
-    range: std::ops::Range<usize>,
-    device: &Device,
-) -> Tensor<2> {
-    let rows = range.len() * level.neighbours.k;
+/// The input of the local spatial encoding for the neighbours of the points in `range`, `[K R, 10]`: distance, p_i - p_k,
+/// p_i, p_k.
+fn position_code(level: &SampledLevel, range: Range<usize>, device: &Device) -> Tensor<2> {
+    let k = level.neighbours.k;
+    let rows = range.len() * k;
     let mut code = Vec::with_capacity(rows * POSITION_CHANNELS);
-    for i in range {
-        let p = level.positions[i];
-        for &j in level.neighbours.row(i) {
-            let q = level.positions[j as usize];
+    for slot in 0..k {
+        for i in range.clone() {
+            let p = level.positions[i];
+            let q = level.positions[level.neighbours.row(i)[slot] as usize];
             let d = [p[0] - q[0], p[1] - q[1], p[2] - q[2]];
             let distance = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
             code.extend_from_slice(&[
@@ -444,34 +441,43 @@ fn position_code(
     tensor(code, [rows, POSITION_CHANNELS], device)
 }
 
-/// Rows of `features` for the neighbours of the points in `range`: `[range K, d]`.
-fn gather(features: Tensor<2>, level: &SampledLevel, range: std::ops::Range<usize>) -> Tensor<2> {
-    let k = level.neighbours.k;
-    let indices = level.neighbours.indices[range.start * k..range.end * k].to_vec();
-    sparse_apply(
-        features,
-        Arc::new(SparseMatrix::selection(indices, level.positions.len())),
-    )
+/// Rows of `features` for the neighbours of `points`: `[K R, d]`.
+fn gather(
+    features: &Tensor<2>,
+    level: &SampledLevel,
+    points: impl Iterator<Item = usize> + Clone,
+) -> Tensor<2> {
+    let neighbours = &level.neighbours;
+    let slots = (0..neighbours.k).flat_map(|slot| points.clone().map(move |i| (slot, i)));
+    let rows: Vec<u32> = slots.map(|(slot, i)| neighbours.row(i)[slot]).collect();
+    select(features, &rows)
 }
 
-/// Random sampling's pooling: the kept points, so many `together`, take the element-wise maximum over their neighbours'
-/// features.
+/// `[R, C]` from `x` and `scores` `[K R, C]`: for each channel the mean over K neighbours by the softmax of their scores.
+fn attentive_mean(x: Tensor<2>, scores: Tensor<2>, k: usize) -> Tensor<2> {
+    let [rows, channels] = x.dims();
+    let shape = [k, rows / k, channels];
+    let scores = scores.reshape(shape);
+    // The shift is a constant that cancels.
+    let weights = (scores.clone() - over_neighbours(scores.detach())).exp();
+    let sum = (x.reshape(shape) * weights.clone()).sum_dim(0);
+    (sum / weights.sum_dim(0)).reshape([rows / k, channels])
+}
+
+/// The largest value over the first dimension, `[1, R, d]`.
+fn over_neighbours(x: Tensor<3>) -> Tensor<3> {
+    let k = x.dims()[0];
+    let slots = x.clone().chunk(k, 0).into_iter();
+    slots.reduce(Tensor::max_pair).unwrap_or(x)
+}
+
+/// Random sampling: the kept points, `together` at a time, take the element-wise maximum over their neighbours' features.
 fn sample(features: &Tensor<2>, level: &SampledLevel, together: usize) -> Tensor<2> {
-    let ([points, channels], k) = (features.dims(), level.neighbours.k);
+    let channels = features.dims()[1];
     let parts = level.kept.chunks(together).map(|kept| {
-        let indices = kept
-            .iter()
-            .flat_map(|&i| level.neighbours.row(i as usize))
-            .copied()
-            .collect();
-        let gathered: Tensor<2> = sparse_apply(
-            features.clone(),
-            Arc::new(SparseMatrix::selection(indices, points)),
-        );
-        gathered
-            .reshape([kept.len(), k, channels])
-            .max_dim(1)
-            .reshape([kept.len(), channels])
+        let gathered = gather(features, level, kept.iter().map(|&i| i as usize));
+        let shape = [level.neighbours.k, kept.len(), channels];
+        over_neighbours(gathered.reshape(shape)).reshape([kept.len(), channels])
     });
     Tensor::cat(parts.collect(), 0)
 }
@@ -506,4 +512,70 @@ pub(crate) fn parameter<const D: usize>(
     device: &Device,
 ) -> Param<Tensor<D>> {
     Param::from_tensor(tensor(values, shape, device))
+}
+
+#[cfg(all(test, feature = "ndarray"))]
+mod tests {
+    use super::*;
+    use burn::tensor::DType;
+
+    const SHAPE: [usize; 3] = [5, 6, 7];
+
+    fn input(values: &[f64]) -> Tensor<2> {
+        let device = crate::backend::device::open(None).unwrap().autodiff();
+        let data = TensorData::new(values.to_vec(), [SHAPE[0] * SHAPE[1], SHAPE[2]]);
+        Tensor::from_data(data, (&device, DType::F64)).require_grad()
+    }
+
+    fn wave(step: f64, amplitude: f64) -> Vec<f64> {
+        let count = SHAPE.iter().product::<usize>();
+        (0..count)
+            .map(|i| (i as f64 * step).sin() * amplitude)
+            .collect()
+    }
+
+    /// The sum of cubes of the means, by the definition of the softmax.
+    fn direct(x: &[f64], scores: &[f64]) -> f64 {
+        let columns = SHAPE[1] * SHAPE[2];
+        let mean = |i: usize| {
+            let of = |values: &[f64]| -> Vec<f64> {
+                (0..SHAPE[0])
+                    .map(|slot| values[slot * columns + i])
+                    .collect()
+            };
+            let (x, scores) = (of(x), of(scores));
+            let highest = scores.iter().copied().fold(f64::MIN, f64::max);
+            let powers: Vec<f64> = scores.iter().map(|s| (s - highest).exp()).collect();
+            let sum: f64 = powers.iter().zip(&x).map(|(p, x)| p * x).sum();
+            sum / powers.iter().sum::<f64>()
+        };
+        (0..columns).map(|i| mean(i).powi(3)).sum()
+    }
+
+    #[test]
+    fn attentive_mean_equals_its_definition_and_its_gradient_finite_differences() {
+        for amplitude in [3.0, 9e3] {
+            let (x, scores) = (wave(0.7, 3.0), wave(1.3, amplitude));
+            let leaves = [input(&x), input(&scores)];
+            let mean = attentive_mean(leaves[0].clone(), leaves[1].clone(), SHAPE[0]);
+            let value = mean.powi_scalar(3).sum();
+            let gradients = value.clone().backward();
+            let value: f64 = value.into_scalar();
+            let want = direct(&x, &scores);
+            assert!((value - want).abs() < 1e-10 * want.abs());
+            for (which, leaf) in leaves.iter().enumerate() {
+                let gradient = leaf.grad(&gradients).unwrap().into_data();
+                let gradient = gradient.into_vec::<f64>().unwrap();
+                for (i, got) in gradient.iter().enumerate() {
+                    let at = |by: f64| {
+                        let mut moved = [x.clone(), scores.clone()];
+                        moved[which][i] += by;
+                        direct(&moved[0], &moved[1])
+                    };
+                    let numeric = (at(1e-5) - at(-1e-5)) / 2e-5;
+                    assert!((got - numeric).abs() < 1e-5, "{got} for {numeric}");
+                }
+            }
+        }
+    }
 }

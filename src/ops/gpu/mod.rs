@@ -1,15 +1,5 @@
 //! Operations of this crate by CubeCL kernels: the CPU's formulas in `f32`, sums in a fixed order, no float atomics.
 
-mod dense;
-mod fusion_layer;
-mod gather;
-mod label_loss;
-mod neighbour_divergence;
-mod numeric;
-mod sparse;
-
-pub(super) use self::sparse::DeviceMatrix;
-
 use burn::tensor::DType;
 use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;

@@ -324,8 +324,3 @@ pub fn with_parameters<M: Module>(
     let module = module.map(&mut write);
     write.complete.then_some(module)
 }
-
-/// Bytes of all parameters of a module as f32.
-pub fn parameter_bytes<M: Module>(module: &M) -> usize {
-    4 * module.num_params()
-}

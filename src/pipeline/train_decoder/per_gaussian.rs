@@ -1,14 +1,15 @@
-//! Identities learned per Gaussian (ablation row 1 of the paper): `N x C` free logits under cross-entropy.
+//! Identities learned for each Gaussian (ablation row 1 of the paper): `N x C` free logits under cross-entropy.
 
 use super::optimiser::{self, ModuleAdam, NamedValues};
-use super::views::Drawn;
-use super::{Model, Prediction, Scores, stored};
+use super::views::ViewSample;
+use super::{IdentityModel, Prediction, stored};
 use crate::config::Blend;
 use crate::error::Result;
 use crate::objects::Identities;
-use crate::ops::gather_rows;
+use crate::ops::{SparseMatrix, sparse_apply};
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Gradients, Tensor};
+use std::sync::Arc;
 
 #[derive(Module, Debug)]
 struct Logits {
@@ -17,6 +18,7 @@ struct Logits {
 
 /// The free logits with their optimiser.
 pub struct PerGaussian {
+    /// Absent only within a step.
     logits: Option<Logits>,
     adam: ModuleAdam,
     size: [usize; 2],
@@ -37,43 +39,33 @@ impl PerGaussian {
         }
     }
 
-    fn scores(&self) -> Tensor<2> {
-        match &self.logits {
-            Some(logits) => logits.scores.val(),
-            None => Tensor::zeros(self.size, &self.device),
-        }
+    fn logits(&self) -> &Logits {
+        self.logits.as_ref().expect("present between steps")
     }
 }
 
-impl Model for PerGaussian {
-    fn predict(&mut self, _view: usize, drawn: &Drawn) -> Result<Prediction> {
-        let scores = Scores::blended(
-            gather_rows(self.scores(), &drawn.visible),
-            &drawn.pixels,
-            self.blend,
-        )?;
+impl IdentityModel for PerGaussian {
+    fn predict(&mut self, _view: usize, sample: &ViewSample) -> Result<Prediction> {
+        let visible = SparseMatrix::selection(sample.visible.to_vec(), self.size[0]);
+        let scores = sparse_apply(self.logits().scores.val(), Arc::new(visible));
         Ok(Prediction {
-            scores,
+            scores: sample.blended(scores, self.blend)?,
             regularisation: None,
         })
     }
 
     fn step(&mut self, loss: Tensor<1>, gradients: &mut Gradients, factor: f64) -> Result<f32> {
-        let Some(logits) = &self.logits else {
-            return Ok(f32::NAN);
-        };
-        let value = ModuleAdam::check(logits, loss, gradients)?;
-        // taken, not cloned: buffers that nobody else holds are updated in place
-        self.logits = self
-            .logits
-            .take()
-            .map(|logits| self.adam.step(logits, gradients, factor));
+        let value = ModuleAdam::check(self.logits(), loss, gradients)?;
+        // Taken, not cloned: buffers with one owner are updated in place.
+        let logits = self.logits.take();
+        self.logits = logits.map(|logits| self.adam.step(logits, gradients, factor));
         Ok(value)
     }
 
     fn identities(&mut self) -> Result<Identities> {
+        let scores = self.logits().scores.val().inner();
         Ok(Identities {
-            scores: optimiser::values(stored(self.scores().inner(), self.blend)),
+            scores: optimiser::values(stored(scores, self.blend)),
             classes: self.size[1],
         })
     }
@@ -84,12 +76,7 @@ impl Model for PerGaussian {
 
     fn state(&self) -> NamedValues {
         let mut state = self.adam.state();
-        state.extend(
-            self.logits
-                .as_ref()
-                .map(optimiser::parameters)
-                .unwrap_or_default(),
-        );
+        state.extend(optimiser::parameters(self.logits()));
         state
     }
 

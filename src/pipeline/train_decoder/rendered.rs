@@ -2,10 +2,9 @@
 
 use crate::backend::device::read;
 use crate::error::Result;
-use crate::ops::{Blending, RowList};
 use crate::raster::SplatView;
+use crate::segmentation::pixels::Blending;
 use burn::tensor::{Tensor, TensorData};
-use std::sync::Arc;
 
 /// What is left of the background at every pixel of `view`, and the Gaussians that some pixel shows for which `wanted` says so
 /// from its number and transmittance.
@@ -48,7 +47,7 @@ impl RenderedView {
 }
 
 impl Blending for RenderedView {
-    fn blend(&self, values: Tensor<2>, pixels: &Arc<RowList>) -> Result<Tensor<2>> {
+    fn blend(&self, values: Tensor<2>, pixels: &[u32]) -> Result<Tensor<2>> {
         let (image, transmittance) = self.0.blend_at(values, pixels)?;
         let coverage = transmittance.neg() + 1.0;
         Ok(image / coverage.reshape([pixels.len(), 1]))

@@ -1,15 +1,18 @@
-//! What stage two needs of a training view: its labelled pixels, and their normalised blending weights.
+//! The training views of stage two: labelled pixels, and their normalised blending weights.
 
-use super::drawing::{one_of_each_run, view_at};
+use super::pixel_sample::stratified_sample;
 use super::rendered::{RenderedView, visible};
 use crate::backend::device::in_host_memory;
+use crate::config::Blend;
 use crate::data::{Classes, LabelMap, LabelRuns, View};
 use crate::error::Result;
 use crate::objects::{Votes, vote};
-use crate::ops::{LabelledPixels, PixelLabels, PixelWeights, RowList, SparseMatrix, UNLABELLED};
+use crate::ops::SparseMatrix;
 use crate::raster::{Projected, Settings, SplatTensors};
+use crate::segmentation::loss::Scores;
+use crate::segmentation::pixels::{LabelledPixels, PixelWeights, UNLABELLED};
 use crate::splat::Gaussians;
-use burn::tensor::Device;
+use burn::tensor::{Device, Tensor};
 use rand::Rng;
 use std::sync::{Arc, OnceLock};
 
@@ -23,7 +26,7 @@ const BAND: usize = 1 << 17;
 #[derive(Clone, Debug)]
 struct LabelledView {
     /// Scene index of each Gaussian that some of the pixels show, ascending.
-    visible: Arc<RowList>,
+    visible: Arc<Vec<u32>>,
     /// Class index of each pixel's raw label, [`UNLABELLED`] where it has none or is not covered.
     labels: LabelRuns,
     /// Number of labelled, covered pixels.
@@ -32,7 +35,7 @@ struct LabelledView {
     /// Entries of the tile lists of the visible Gaussians, once a GPU has made them.
     entries: Arc<OnceLock<usize>>,
     /// Rows of the weights and labels of all pixels, once a step has asked for them: 6 bytes a pixel.
-    all: OnceLock<(Arc<RowList>, Arc<PixelLabels>)>,
+    all: OnceLock<(Arc<Vec<u32>>, Arc<Vec<u16>>)>,
 }
 
 /// What is kept of a view beside which pixels and Gaussians take part.
@@ -48,7 +51,7 @@ enum Kept {
 impl LabelledView {
     /// Rows of a random share of the pixels: one of each run of `1 / share` neighbours.
     fn sample(&self, share: f64, rng: &mut impl Rng) -> Vec<u32> {
-        one_of_each_run(self.count, share, rng)
+        stratified_sample(self.count, share, rng)
     }
 
     /// [`LabelledView::sample`] with `weights`, of which `rows` says from the drawn rows and their pixels which are drawn. Those that
@@ -63,10 +66,7 @@ impl LabelledView {
         let draw = || {
             let drawn = sample();
             let (pixels, labels) = self.pixels(&drawn);
-            (
-                Arc::new(rows(drawn, pixels).into()),
-                Arc::new(labels.into()),
-            )
+            (Arc::new(rows(drawn, pixels)), Arc::new(labels))
         };
         let (rows, labels) = if keep {
             self.all.get_or_init(draw).clone()
@@ -102,13 +102,26 @@ impl LabelledView {
     }
 }
 
-/// The pixels of a step.
+/// The sampled pixels of a step.
 #[derive(Clone, Debug)]
-pub struct Drawn {
+pub struct ViewSample {
     /// Scene index of each Gaussian that the view's labelled pixels show, ascending.
-    pub visible: Arc<RowList>,
-    /// The drawn pixels over `visible`.
+    pub visible: Arc<Vec<u32>>,
+    /// The sampled pixels over `visible`.
     pub pixels: LabelledPixels,
+}
+
+impl ViewSample {
+    /// The scores `[V, C]` of the visible Gaussians, blended before or after their softmax.
+    ///
+    /// # Errors
+    /// Those of [`LabelledPixels::blend`].
+    pub fn blended(&self, scores: Tensor<2>, blend: Blend) -> Result<Scores> {
+        Ok(match blend {
+            Blend::Logits => Scores::Pixels(self.pixels.blend(scores)?),
+            Blend::Probabilities => Scores::Gaussians(scores),
+        })
+    }
 }
 
 /// All training views of a scene. Which pixels and Gaussians take part is found at a view's first use; weights are kept up
@@ -117,8 +130,6 @@ pub struct Drawn {
 pub struct TrainingViews<'a> {
     gaussians: &'a Gaussians,
     views: Vec<&'a View>,
-    /// Views in use.
-    used: Vec<usize>,
     classes: &'a Classes,
     settings: Settings,
     min_coverage: f32,
@@ -143,14 +154,13 @@ impl<'a> TrainingViews<'a> {
         device: &Device,
     ) -> Self {
         let views: Vec<_> = views.filter(|v| v.raw.is_some()).collect();
-        let (seen, used) = (vec![None; views.len()], (0..views.len()).collect());
+        let seen = vec![None; views.len()];
         let splats = (!in_host_memory(device)).then(|| SplatTensors::new(gaussians, device));
         let device = device.clone();
         Self {
             gaussians,
             seen,
             views,
-            used,
             classes,
             settings,
             min_coverage,
@@ -172,32 +182,6 @@ impl<'a> TrainingViews<'a> {
         self.views.is_empty()
     }
 
-    /// Leaves out every `every`-th view, or none.
-    pub fn hold_back(&mut self, every: Option<usize>) {
-        let out = |i: &usize| every.is_some_and(|every| i % every.max(1) == every / 2);
-        let used = (0..self.views.len()).filter(|i| !out(i)).collect();
-        if used != self.used {
-            (self.used, self.votes) = (used, None);
-        }
-    }
-
-    /// The views left out.
-    pub fn held_back(&self) -> impl Iterator<Item = &'a View> {
-        self.views
-            .iter()
-            .enumerate()
-            .filter(|(i, _)| self.used.binary_search(i).is_err())
-            .map(|(_, view)| *view)
-    }
-
-    /// The view of `iteration`: those in use in a fresh shuffle every epoch, a function of (seed, iteration) alone.
-    ///
-    /// # Panics
-    /// If no view is in use.
-    pub fn at(&self, seed: u64, iteration: usize) -> usize {
-        self.used[view_at(seed, iteration, self.used.len())]
-    }
-
     /// How many classes labels may say.
     pub fn classes(&self) -> usize {
         self.classes.len()
@@ -213,12 +197,12 @@ impl<'a> TrainingViews<'a> {
     /// # Errors
     /// As [`vote`].
     pub fn votes(&mut self) -> Result<Arc<Votes>> {
-        let used = self.used.iter().map(|&i| self.views[i]);
+        let views = self.views.iter().copied();
         let votes = match self.votes.take() {
             Some(votes) => votes,
             None => Arc::new(vote(
                 self.gaussians,
-                used,
+                views,
                 self.classes,
                 &self.settings,
                 &self.device,
@@ -244,7 +228,7 @@ impl<'a> TrainingViews<'a> {
     /// # Errors
     /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite; on a GPU those of
     /// [`crate::raster::SplatView::blend`].
-    pub fn draw(&mut self, index: usize, share: f64, rng: &mut impl Rng) -> Result<Drawn> {
+    pub fn sample(&mut self, index: usize, share: f64, rng: &mut impl Rng) -> Result<ViewSample> {
         let (view, kept) = match (&self.seen[index], self.splats.clone()) {
             (Some(view), None) => (view.clone(), view.kept.clone()),
             (None, None) => {
@@ -288,7 +272,7 @@ impl<'a> TrainingViews<'a> {
                 )
             }
         };
-        Ok(Drawn { visible, pixels })
+        Ok(ViewSample { visible, pixels })
     }
 
     /// Whether the list of all pixels of `view` is kept: as long as the budget lasts, of views of which more is.
@@ -369,7 +353,7 @@ impl<'a> TrainingViews<'a> {
             }
             None => Kept::Nothing,
         };
-        let (visible, labels) = (Arc::new(visible.into()), LabelRuns::from(map));
+        let (visible, labels) = (Arc::new(visible), LabelRuns::from(map));
         let view = LabelledView {
             visible,
             labels,
@@ -446,7 +430,7 @@ impl<'a> TrainingViews<'a> {
             ids: covered,
             ..map
         });
-        let (visible, entries) = (Arc::new(visible.into()), Arc::default());
+        let (visible, entries) = (Arc::new(visible), Arc::default());
         let view = LabelledView {
             visible,
             labels,

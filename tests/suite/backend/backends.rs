@@ -5,11 +5,11 @@ use burn::tensor::{Device, Tensor, TensorData};
 use coseg::backend::device;
 use coseg::backend::device::BackendName;
 use coseg::config::{SpatialConfig, SpatialSource};
-use coseg::ops::{Kind, label_loss};
 use coseg::raster::{RasterInput, Settings, rasterize};
 use coseg::segmentation::decoder::DecoderConfig;
 use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
-use coseg::segmentation::pyramid::{Pyramid, Restriction, Switches};
+use coseg::segmentation::loss::{CoSegLoss, LabelLoss};
+use coseg::segmentation::pyramid::{Pyramid, Switches};
 use coseg::splat::Gaussians;
 use glam::{DMat3, DVec3};
 
@@ -84,15 +84,11 @@ fn segmentation(device: &Device) -> [Vec<f32>; 4] {
         .collect();
     let pyramid = Pyramid::new(&encoding, &image, Switches::default()).expect("features");
     let decoder = DecoderConfig::for_pyramid(&pyramid, 6, true).init(&device.clone().autodiff());
-    let logits = decoder.classify(
-        decoder
-            .forward(&pyramid, &Restriction::none(&pyramid))
-            .hidden,
-    );
+    let logits = decoder.classify(decoder.forward(&pyramid).hidden);
     let labels: Vec<u16> = (0..POINTS)
         .map(|i| if i % 7 == 6 { u16::MAX } else { (i % 6) as u16 })
         .collect();
-    let loss = label_loss(logits.clone(), &labels, &Kind::Js { pi_rl: 0.9 });
+    let loss = CoSegLoss::from(LabelLoss::Js { pi: 0.9 }).of_logits(logits.clone(), &labels);
     let gradients = loss.backward();
     struct First<'a>(&'a burn::tensor::Gradients, Option<Vec<f32>>);
     impl burn::module::ModuleVisitor for First<'_> {

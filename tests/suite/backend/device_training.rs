@@ -1,13 +1,11 @@
 //! What a step of training has besides rasterizing and losses, on a GPU: optimiser, running means, the look at gradients,
-//! the decoder's layer, Eq. 9. Against the CPU's kernels in f64, fed the same f32 numbers.
+//! Eq. 9. Against the CPU's kernels in f64, fed the same f32 numbers.
 
-use crate::ops::device_ops::{assert_close, host, leaf, uneven, value_and_gradients, waves};
+use crate::ops::device_ops::{assert_close, host, leaf, value_and_gradients, waves};
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::backend::host_fallbacks;
-use coseg::ops::{
-    AdamStep, AdamTensors, FiniteCheck, LayerMap, NeighbourPairs, RowList, SparseMatrix, adam_step,
-    fusion_layer, gather_rows, neighbour_divergence, sum_all,
-};
+use coseg::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step, sum_all};
+use coseg::segmentation::loss::{NeighbourPairs, neighbour_divergence};
 use std::sync::Arc;
 
 /// What `f` gives, none of whose tensors went to the CPU's kernels when it ran on a GPU.
@@ -131,7 +129,7 @@ fn divergences_of_neighbours() {
                 neighbours: Vec::clone(&neighbours),
             };
             value_and_gradients(&[(&waves(points * width, 2.5), width)], on, |t| {
-                neighbour_divergence(t[0].clone(), pairs.clone()).reshape([1, 1])
+                neighbour_divergence(t[0].clone(), &pairs).reshape([1, 1])
             })
         };
         let mut twice = chosen.clone();
@@ -181,117 +179,4 @@ fn sums_of_all_values() {
         }
         assert_eq!(got, run(Some(&gpu)), "the same bits each time");
     }
-}
-
-#[test]
-fn rows_by_their_numbers() {
-    let Some(gpu) = crate::support::gpu().map(Device::autodiff) else {
-        return;
-    };
-    let some = |count: u32, of: u32| (0..count).map(|r| r * of / count).collect::<Vec<_>>();
-    // In order, out of order, all, none, and one that is named twice.
-    let out_of_order: Vec<u32> = (0..83).map(|r| (r * 7 + 3) % 97).collect();
-    let twice: Vec<u32> = some(40, 97).into_iter().chain([5, 5, 96, 0]).collect();
-    for (rows, channels) in [
-        (some(1, 97), 1),
-        (some(60, 97), 5),
-        (some(97, 97), 64),
-        (out_of_order, 3),
-        (twice, 7),
-        (Vec::new(), 4),
-    ] {
-        let list = Arc::new(RowList::from(rows.clone()));
-        let x = waves(97 * channels, 1.0);
-        let run = |on: Option<&Device>| {
-            value_and_gradients(&[(&x, channels)], on, |t| gather_rows(t[0].clone(), &list))
-        };
-        // Twice: the device keeps the list.
-        for _ in 0..2 {
-            let got = on_device(Some(&gpu), || run(Some(&gpu)));
-            for ((got, want), name) in got.iter().zip(&run(None)).zip(["rows", "gradient"]) {
-                assert_close(
-                    got,
-                    want,
-                    1e-6,
-                    &format!("{name}: {} rows, {channels} channels", rows.len()),
-                );
-            }
-        }
-    }
-}
-
-#[test]
-fn layers_of_the_decoder() {
-    let Some(gpu) = crate::support::gpu().map(Device::autodiff) else {
-        return;
-    };
-    let some: Vec<u32> = (0..83).map(|r| (r * 7 + 3) % 97).collect();
-    for (rows, inputs, slope) in [
-        (Some(some.clone()), 6, 0.2),
-        (None, 6, 0.2),
-        (Some(some.clone()), 6, 1.0),
-        (Some(some), 0, 0.2),
-    ] {
-        let count = rows.as_ref().map_or(97, Vec::len);
-        let map = LayerMap {
-            rows: rows.map(|rows| Arc::new(rows.into())),
-            upsample: Arc::new(uneven(count, 31)),
-            slope,
-        };
-        let (x, weight, below, bias) = (
-            waves(97 * inputs, 1.0),
-            waves(inputs * 9, 0.5),
-            waves(31 * 9, 0.7),
-            waves(9, 0.3),
-        );
-        let run = |on: Option<&Device>| {
-            let given = [
-                (&below[..], 9),
-                (&bias[..], 9),
-                (&x[..], inputs),
-                (&weight[..], 9),
-            ];
-            value_and_gradients(if inputs > 0 { &given } else { &given[..2] }, on, |t| {
-                let empty =
-                    |shape: [usize; 2]| Tensor::zeros(shape, (&t[0].device(), t[0].dtype()));
-                let [x, weight] = if inputs > 0 {
-                    [t[2].clone(), t[3].clone()]
-                } else {
-                    [empty([97, 0]), empty([0, 9])]
-                };
-                fusion_layer(
-                    x,
-                    weight,
-                    t[0].clone(),
-                    t[1].clone().reshape([9]),
-                    map.clone(),
-                )
-            })
-        };
-        let what = format!(
-            "{inputs} inputs, slope {slope}, {} rows",
-            map.upsample.rows()
-        );
-        let names = ["value", "below", "bias", "x", "weight"];
-        let got = on_device(Some(&gpu), || run(Some(&gpu)));
-        for ((got, want), name) in got.iter().zip(&run(None)).zip(names) {
-            assert_close(got, want, 1e-5, &format!("{name}: {what}"));
-        }
-    }
-    // Frozen features get no gradient, and nothing is computed for them.
-    let map = LayerMap {
-        rows: None,
-        upsample: Arc::new(SparseMatrix::selection(vec![0, 1, 1], 2)),
-        slope: 0.2,
-    };
-    let frozen = Tensor::from_inner(leaf(&waves(12, 1.0), 4, Some(&gpu)).inner());
-    let (weight, below) = (
-        leaf(&waves(8, 1.0), 2, Some(&gpu)),
-        leaf(&waves(4, 1.0), 2, Some(&gpu)),
-    );
-    let bias = leaf(&[0.1, 0.2], 2, Some(&gpu)).reshape([2]);
-    let gradients = fusion_layer(frozen.clone(), weight.clone(), below, bias, map)
-        .sum()
-        .backward();
-    assert!(frozen.grad(&gradients).is_none() && weight.grad(&gradients).is_some());
 }

@@ -1,11 +1,9 @@
 //! Operations with GPU kernels against the CPU's in f64, fed the same f32 numbers.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use coseg::ops::{
-    ClassLosses, Kind, LabelledPixels, PixelWeights, SparseMatrix, UNLABELLED, attentive_pool,
-    blended_label_loss, sparse_apply,
-};
-use coseg::segmentation::loss::label_loss;
+use coseg::ops::{SparseMatrix, sparse_apply};
+use coseg::segmentation::loss::{CoSegLoss, LabelLoss, Scores};
+use coseg::segmentation::pixels::{LabelledPixels, PixelWeights, UNLABELLED};
 use std::sync::Arc;
 
 /// The wgpu device with autodiff, if this machine has one.
@@ -139,16 +137,16 @@ fn a_sparse_product_of_nothing() {
     assert_eq!(host(out.inner()), [0.0; 4]);
 }
 
-const KINDS: [Kind; 9] = [
-    Kind::Ce,
-    Kind::Mae,
-    Kind::Gce { q: 0.7 },
-    Kind::Gce { q: 0.01 },
-    Kind::Js { pi_rl: 0.01 },
-    Kind::Js { pi_rl: 0.5 },
-    Kind::Js { pi_rl: 0.9 },
-    Kind::Js { pi_rl: 0.99 },
-    Kind::NceRce,
+const KINDS: [LabelLoss; 9] = [
+    LabelLoss::Ce,
+    LabelLoss::Mae,
+    LabelLoss::Gce { q: 0.7 },
+    LabelLoss::Gce { q: 0.01 },
+    LabelLoss::Js { pi: 0.01 },
+    LabelLoss::Js { pi: 0.5 },
+    LabelLoss::Js { pi: 0.9 },
+    LabelLoss::Js { pi: 0.99 },
+    LabelLoss::NceRce,
 ];
 
 #[test]
@@ -173,7 +171,9 @@ fn label_losses() {
         for kind in KINDS {
             let run = |gpu| {
                 value_and_gradients(&[(&logits, classes)], gpu, |l| {
-                    label_loss(l[0].clone(), &labels, &kind).unsqueeze()
+                    CoSegLoss::from(kind)
+                        .of_logits(l[0].clone(), &labels)
+                        .unsqueeze()
                 })
             };
             let (got, want) = (run(Some(&device)), run(None));
@@ -200,7 +200,9 @@ fn label_losses_of_sure_predictions() {
             for kind in KINDS {
                 let run = |gpu| {
                     value_and_gradients(&[(&logits, 3)], gpu, |l| {
-                        label_loss(l[0].clone(), &[label], &kind).unsqueeze()
+                        CoSegLoss::from(kind)
+                            .of_logits(l[0].clone(), &[label])
+                            .unsqueeze()
                     })
                 };
                 let (got, want) = (run(Some(&device)), run(None));
@@ -256,14 +258,14 @@ fn blended_label_losses() {
     ));
     let scores = waves(points * classes, 2.5);
     let shares = vec![0.5, 1.0, 0.0, 0.9];
-    let for_all = KINDS.into_iter().map(ClassLosses::from);
-    for kind in for_all.chain(KINDS.into_iter().map(|kind| ClassLosses {
-        kind,
-        shares: shares.clone(),
+    let for_all = KINDS.into_iter().map(CoSegLoss::from);
+    for kind in for_all.chain(KINDS.into_iter().map(|label| CoSegLoss {
+        robustness: shares.clone(),
+        ..label.into()
     })) {
         let run = |gpu| {
             value_and_gradients(&[(&scores, classes)], gpu, |l| {
-                blended_label_loss(l[0].clone(), pixels.clone(), &kind)
+                kind.forward(Scores::Gaussians(l[0].clone()), &pixels, None)
                     .expect("a loss")
                     .unsqueeze()
             })
@@ -271,35 +273,6 @@ fn blended_label_losses() {
         let (got, want) = (run(Some(&device)), run(None));
         for ((got, want), what) in got.iter().zip(&want).zip(["loss", "gradient"]) {
             assert_close(got, want, 2e-5, &format!("{kind:?}: {what}"));
-        }
-    }
-}
-
-#[test]
-fn attentive_pooling() {
-    let Some(device) = gpu() else { return };
-    for (points, k, channels) in [(1, 1, 1), (5, 16, 8), (90, 16, 32)] {
-        let (x, scores) = (
-            waves(points * k * channels, 1.0),
-            waves(points * k * channels, 3.0),
-        );
-        let run = |gpu| {
-            value_and_gradients(&[(&x, channels), (&scores, channels)], gpu, |l| {
-                attentive_pool(l[0].clone(), l[1].clone(), k)
-            })
-        };
-        let (got, want) = (run(Some(&device)), run(None));
-        for ((got, want), what) in
-            got.iter()
-                .zip(&want)
-                .zip(["output", "gradient of x", "gradient of the scores"])
-        {
-            assert_close(
-                got,
-                want,
-                1e-5,
-                &format!("{points} points, {k} neighbours, {channels} channels: {what}"),
-            );
         }
     }
 }

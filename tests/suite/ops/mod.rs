@@ -3,9 +3,6 @@
 pub mod adam;
 pub mod autodiff;
 #[cfg(feature = "wgpu")]
-pub mod device_dense;
-#[cfg(feature = "wgpu")]
 pub mod device_ops;
-pub mod fused;
 pub mod photometric;
 pub mod references;

@@ -4,7 +4,7 @@ use crate::support::gpu;
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::config::{BuildingConfig, Config, SegmentationConfig, Variant};
 use coseg::data::{LoadOptions, Split, load};
-use coseg::pipeline::train_decoder::{Drawn, TrainingViews};
+use coseg::pipeline::train_decoder::{TrainingViews, ViewSample};
 use coseg::pipeline::{Outcome, run};
 use coseg::progress::Silent;
 use coseg::random::{Purpose, stream};
@@ -38,8 +38,8 @@ fn views_show_the_same_pixels_and_blend_alike() {
             // A view's first use, and another.
             for time in 0..2 {
                 let rng = || stream(3, Purpose::Pixels, time);
-                let want = on_host.draw(index, share, &mut rng()).expect("finite");
-                let got = on_gpu.draw(index, share, &mut rng()).expect("finite");
+                let want = on_host.sample(index, share, &mut rng()).expect("finite");
+                let got = on_gpu.sample(index, share, &mut rng()).expect("finite");
                 // A Gaussian that shows at a cut-off alone may be seen here and not there.
                 let both = got
                     .visible
@@ -81,7 +81,7 @@ fn views_show_the_same_pixels_and_blend_alike() {
 
 /// Values that belong to the Gaussians, blended at the drawn pixels; and the gradient of a sum of these, for all `count`
 /// Gaussians.
-fn blended(drawn: &Drawn, count: usize, device: &Device) -> [Vec<f32>; 2] {
+fn blended(drawn: &ViewSample, count: usize, device: &Device) -> [Vec<f32>; 2] {
     const CHANNELS: usize = 7;
     let device = device.clone().autodiff();
     let number = |i: usize, by: f32| (i as f32 * by).sin();

@@ -6,13 +6,13 @@ use coseg::config::{
 };
 use coseg::data::{Classes, LabelMap, LabelRuns, LoadOptions, Split, load};
 use coseg::objects::{Identities, LabelMaps, LabelRule, hard_label_map, vote};
-use coseg::pipeline::train_decoder::{Model, Plan, Recalls, TrainingViews, train_step};
+use coseg::pipeline::train_decoder::{ClassRecall, IdentityModel, Plan, TrainingViews, train_step};
 use coseg::pipeline::{Inputs, Outcome, Spatial, decoder_row, run};
 use coseg::progress::Silent;
 use coseg::random::{Purpose, stream};
 use coseg::raster::{Projected, Settings, SplatTensors};
 use coseg::reconstruction::initialization;
-use coseg::segmentation::loss::Kind;
+use coseg::segmentation::loss::LabelLoss;
 use std::sync::Arc;
 
 fn trained(edit: impl Fn(&mut SegmentationConfig)) -> Outcome {
@@ -348,7 +348,7 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
         ) = (average, 0.5, 40);
         let plan = Plan {
             iterations,
-            ..Plan::new(&config.segmentation, Kind::Ce, 0)
+            ..Plan::new(&config.segmentation, LabelLoss::Ce, 0)
         };
         let (scene, gaussians, settings) = (&scene, &gaussians, Settings::default());
         let inputs = Inputs {
@@ -374,7 +374,7 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
             &mut views,
         )
         .expect("a decoder");
-        let mut recalls = Recalls::new(views.classes());
+        let mut recalls = ClassRecall::new(views.classes());
         for i in 0..4 {
             train_step(&mut model, &mut views, &plan, &mut recalls, i).expect("a step");
         }
@@ -417,7 +417,7 @@ fn all_pixels_of_a_view_are_listed_once_as_far_as_the_budget_reaches() {
             );
             let mut drawn = || {
                 views
-                    .draw(0, share, &mut stream(1, Purpose::Pixels, 0))
+                    .sample(0, share, &mut stream(1, Purpose::Pixels, 0))
                     .expect("pixels")
                     .pixels
             };

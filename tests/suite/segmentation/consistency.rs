@@ -2,11 +2,12 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use coseg::config::{SpatialConfig, SpatialSource};
-use coseg::ops::{Kind, UNLABELLED};
-use coseg::pipeline::train_decoder::{dropped_channels, generalised_js};
+use coseg::pipeline::train_decoder::dropped_channels;
 use coseg::segmentation::decoder::DecoderConfig;
 use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
-use coseg::segmentation::pyramid::{Pyramid, Restriction, Switches};
+use coseg::segmentation::loss::{CoSegLoss, LabelLoss};
+use coseg::segmentation::pixels::UNLABELLED;
+use coseg::segmentation::pyramid::{Pyramid, Switches};
 use glam::DVec3;
 
 const CLASSES: usize = 4;
@@ -52,15 +53,15 @@ fn direct([a, b]: [&[f64]; 2], label: usize, pi: f64) -> f64 {
     (entropy(&mean) - rest * (entropy(a) + entropy(b))) / (-(1.0 - pi) * (1.0 - pi).ln())
 }
 
-fn loss(pair: &[Vec<f64>; 2], labels: &[u16], pi_rl: f64, device: &Device) -> f64 {
+fn generalised_js(pi: f64) -> CoSegLoss {
+    CoSegLoss::from(LabelLoss::Gjs { pi })
+}
+
+fn loss(pair: &[Vec<f64>; 2], labels: &[u16], pi: f64, device: &Device) -> f64 {
     let pair = pair.each_ref().map(|p| tensor(p, device));
-    generalised_js(
-        pair,
-        labels,
-        &Kind::Js { pi_rl },
-        -(1.0 - pi_rl).ln().recip(),
-    )
-    .into_scalar::<f64>()
+    generalised_js(pi)
+        .of_pair(pair, labels)
+        .into_scalar::<f64>()
 }
 
 #[test]
@@ -88,36 +89,20 @@ fn generalised_js_equals_its_definition() {
 fn two_predictions_that_agree_leave_the_label_term() {
     let ([a, _], labels) = example();
     let device = crate::support::device();
-    let kind = Kind::Js { pi_rl: 0.9 };
-    let at = |weight: f64| {
-        generalised_js(
-            [tensor(&a, &device), tensor(&a, &device)],
-            &labels,
-            &kind,
-            weight,
-        )
-        .into_scalar::<f64>()
+    let at = |loss: CoSegLoss| {
+        loss.of_pair([tensor(&a, &device), tensor(&a, &device)], &labels)
+            .into_scalar::<f64>()
     };
+    let label_term = at(LabelLoss::Js { pi: 0.9 }.into());
+    let both = at(generalised_js(0.9));
     assert!(
-        (at(1.0) - at(0.0)).abs() < 1e-12 * at(0.0),
-        "{} {}",
-        at(1.0),
-        at(0.0)
+        (both - label_term).abs() < 1e-12 * label_term,
+        "{both} {label_term}"
     );
-    let none = generalised_js(
-        [tensor(&[], &device), tensor(&[], &device)],
-        &[],
-        &kind,
-        1.0,
-    )
-    .into_scalar::<f64>();
-    assert_eq!(none, 0.0);
-    let unlabelled = generalised_js(
-        [tensor(&a, &device), tensor(&a, &device)],
-        &[UNLABELLED; 5],
-        &kind,
-        1.0,
-    );
+    let none = generalised_js(0.9).of_pair([tensor(&[], &device), tensor(&[], &device)], &[]);
+    assert_eq!(none.into_scalar::<f64>(), 0.0);
+    let unlabelled =
+        generalised_js(0.9).of_pair([tensor(&a, &device), tensor(&a, &device)], &[UNLABELLED; 5]);
     assert!(unlabelled.into_scalar::<f64>().abs() < 1e-12);
 }
 
@@ -127,8 +112,7 @@ fn its_gradient_is_finite_at_certain_predictions_and_right_elsewhere() {
     let device = crate::support::device().autodiff();
     let gradient = |pair: &[Vec<f64>; 2]| -> Vec<f64> {
         let a = tensor(&pair[0], &device).require_grad();
-        let kind = Kind::Js { pi_rl: 0.9 };
-        let value = generalised_js([a.clone(), tensor(&pair[1], &device)], &labels, &kind, 0.4);
+        let value = generalised_js(0.9).of_pair([a.clone(), tensor(&pair[1], &device)], &labels);
         a.grad(&value.backward())
             .expect("tracked")
             .into_data()
@@ -141,8 +125,7 @@ fn its_gradient_is_finite_at_certain_predictions_and_right_elsewhere() {
         let at = |delta: f64| {
             let mut pair = pair.clone();
             pair[0][i] += delta;
-            let tensors = pair.each_ref().map(|p| tensor(p, &plain));
-            generalised_js(tensors, &labels, &Kind::Js { pi_rl: 0.9 }, 0.4).into_scalar::<f64>()
+            loss(&pair, &labels, 0.9, &plain)
         };
         let numeric = (at(1e-5) - at(-1e-5)) / 2e-5;
         assert!(
@@ -200,21 +183,16 @@ fn dropout_is_a_scaling_of_the_frozen_channels() {
     );
 
     let decoder = DecoderConfig::for_pyramid(&pyramid, CLASSES, true).init(&device);
-    let kept = Restriction::none(&pyramid);
     let mut scaled = pyramid.clone();
     for (level, factors) in scaled.levels.iter_mut().zip(&factors) {
         let factors = TensorData::new(factors.clone(), [1, factors.len()]);
         level.features = level.features.clone() * Tensor::<2>::from_data(factors, &device);
     }
-    let values = |pyramid: &Pyramid, factors: &[Vec<f32>]| -> Vec<f32> {
-        decoder
-            .forward_scaled(pyramid, &kept, factors)
-            .hidden
-            .into_data()
-            .into_vec()
-            .expect("f32")
+    let values = |pyramid: &Pyramid| -> Vec<f32> {
+        let hidden = decoder.forward(pyramid).hidden;
+        hidden.into_data().into_vec().expect("f32")
     };
-    let (found, want) = (values(&pyramid, &factors), values(&scaled, &[]));
+    let (found, want) = (values(&pyramid.scaled(&factors)), values(&scaled));
     let largest = want.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
     let difference = found
         .iter()
@@ -222,7 +200,7 @@ fn dropout_is_a_scaling_of_the_frozen_channels() {
         .map(|(a, b)| (a - b).abs())
         .fold(0.0, f32::max);
     assert!(difference < 1e-5 * largest, "{difference} of {largest}");
-    let plain = values(&pyramid, &[]);
+    let plain = values(&pyramid);
     assert!(
         plain
             .iter()

@@ -1,16 +1,13 @@
 //! The decoder: against Eq. 7 written out, its switches, its restriction, what it learns.
 
 use burn::module::Module;
-use burn::tensor::module::linear;
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::Error;
 use coseg::config::{SpatialConfig, SpatialSource};
-use coseg::ops::dense;
 use coseg::segmentation::decoder::{Decoder, DecoderConfig, HIDDEN};
 use coseg::segmentation::encoder::{Cloud, Encoding, encode, load_spatial};
-use coseg::segmentation::pyramid::{Pyramid, Restriction, Switches};
+use coseg::segmentation::pyramid::{Dependencies, Pyramid, Switches};
 use glam::DVec3;
-use std::sync::Arc;
 
 const POINTS: usize = 1_500;
 
@@ -72,7 +69,7 @@ fn decodes_as_equation_7_says() {
     let (encoding, image) = scene(&device);
     let input = Pyramid::new(&encoding, &image, Switches::default()).expect("features");
     let decoder = make(&input, false, 1, &device);
-    let decoded = decoder.forward(&input, &Restriction::none(&input));
+    let decoded = decoder.forward(&input);
     let logits = decoder.classify(decoded.hidden.clone());
     assert_eq!(
         (decoded.hidden.dims(), logits.dims()),
@@ -158,10 +155,10 @@ fn a_restricted_input_decodes_to_the_same_rows() {
     ] {
         let input = Pyramid::new(&encoding, &image, switches).expect("features");
         let decoder = make(&input, true, 1, &device);
-        let whole = decoder.forward(&input, &Restriction::none(&input));
-        let restriction = Restriction::new(&input, Arc::new(rows.clone().into()));
-        let part = decoder.forward(&input, &restriction);
-        let kept = |n: usize| restriction.rows(n).expect("a part");
+        let whole = decoder.forward(&input);
+        let dependencies = Dependencies::new(&input, rows.clone());
+        let part = decoder.forward(&input.part(&dependencies));
+        let kept = |n: usize| dependencies.rows(n);
         assert!(kept(0).len() == rows.len() && part.fused.len() == input.levels.len());
         for (n, (part, whole)) in part.fused.into_iter().zip(whole.fused).enumerate() {
             let index: Vec<i64> = kept(n).iter().map(|&r| i64::from(r)).collect();
@@ -240,9 +237,7 @@ fn gradients_reach_every_parameter_and_equal_seeds_equal_weights() {
     let (encoding, image) = scene(&device.clone().inner());
     let input = Pyramid::new(&encoding, &image, Switches::default()).expect("features");
     let make = |seed| make(&input, true, seed, &device);
-    let logits = |decoder: &Decoder| {
-        decoder.classify(decoder.forward(&input, &Restriction::none(&input)).hidden)
-    };
+    let logits = |decoder: &Decoder| decoder.classify(decoder.forward(&input).hidden);
     let decoder = make(1);
     assert_eq!(
         values(logits(&decoder).inner()),
@@ -270,33 +265,4 @@ fn gradients_reach_every_parameter_and_equal_seeds_equal_weights() {
     let mut check = Check(&gradients, 0);
     decoder.visit(&mut check);
     assert_eq!(check.1, 4 * (3 + 2) + 2);
-}
-
-#[test]
-fn a_dense_map_on_the_host_is_burns() {
-    let device = plain_device().autodiff();
-    let numbers = |rows: usize, columns: usize, step: f32| {
-        let values: Vec<f32> = (0..rows * columns)
-            .map(|i| (i as f32 * step).sin())
-            .collect();
-        Tensor::<2>::from_data(TensorData::new(values, [rows, columns]), &device).require_grad()
-    };
-    let run = |map: &dyn Fn(Tensor<2>, Tensor<2>, Tensor<1>) -> Tensor<2>| {
-        let (x, weight, bias) = (
-            numbers(900, 64, 0.37),
-            numbers(64, 21, 0.71),
-            numbers(1, 21, 1.3),
-        );
-        let out = map(x.clone(), weight.clone(), bias.clone().reshape([21]));
-        let gradients = out.clone().powi_scalar(2).sum().backward();
-        let of = |t: &Tensor<2>| values(t.grad(&gradients).expect("tracked"));
-        [of(&x), of(&weight), of(&bias), values(out.inner())]
-    };
-    let burns = run(&|x, weight, bias| linear(x, weight, Some(bias)));
-    assert_eq!(run(&|x, weight, bias| dense(x, weight, Some(bias))), burns);
-    let product = run(&|x, weight, bias| dense(x, weight, None) + bias.unsqueeze());
-    assert_eq!(
-        product,
-        run(&|x, weight, bias| x.matmul(weight) + bias.unsqueeze())
-    );
 }

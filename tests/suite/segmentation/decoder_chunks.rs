@@ -2,13 +2,15 @@
 
 use burn::tensor::{Tensor, TensorData};
 use coseg::config::{Blend, LabelLoss, SegmentationConfig, SpatialConfig, SpatialSource};
-use coseg::ops::{Kind, LabelledPixels, PixelWeights, SparseMatrix, UNLABELLED};
+use coseg::ops::SparseMatrix;
 use coseg::pipeline::train_decoder::{
-    Drawn, Encoded, Fused, FusedPlan, Model, NamedValues, Source,
+    DecoderInput, DecoderModel, DecoderPlan, Encoded, IdentityModel, NamedValues, ViewSample,
 };
 use coseg::segmentation::decoder::DecoderConfig;
 use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
-use coseg::segmentation::pyramid::{Pyramid, Restriction, Switches};
+use coseg::segmentation::loss::{self, CoSegLoss};
+use coseg::segmentation::pixels::{LabelledPixels, PixelWeights, UNLABELLED};
+use coseg::segmentation::pyramid::{Dependencies, Pyramid, Switches};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -18,8 +20,8 @@ const PIXELS: usize = 700;
 
 struct Scene {
     means: Vec<[f32; 3]>,
-    source: Source,
-    drawn: Drawn,
+    source: DecoderInput,
+    drawn: ViewSample,
 }
 
 impl Scene {
@@ -50,7 +52,7 @@ impl Scene {
             })
             .collect();
         let pyramid = Pyramid::new(&encoding, &image, switches).expect("features");
-        let source = Source::Scene(Encoded {
+        let source = DecoderInput::Scene(Encoded {
             pyramid,
             points: (0..POINTS as u32).collect(),
         });
@@ -82,8 +84,8 @@ impl Scene {
         Self {
             means,
             source,
-            drawn: Drawn {
-                visible: Arc::new(visible.into()),
+            drawn: ViewSample {
+                visible: Arc::new(visible),
                 pixels,
             },
         }
@@ -96,8 +98,8 @@ fn model<'a>(
     config: &'a SegmentationConfig,
     regularised: bool,
     prior: bool,
-) -> Fused<'a> {
-    let plan = FusedPlan {
+) -> DecoderModel<'a> {
+    let plan = DecoderPlan {
         config,
         rate: 1e-2,
         regularised,
@@ -111,7 +113,7 @@ fn model<'a>(
     let decoder = DecoderConfig::for_pyramid(pyramid, CLASSES, pyramid.levels.len() > 1)
         .with_seed(1)
         .init(&device);
-    let fused = Fused::new(decoder, &scene.source, &scene.means, 1, plan, &device);
+    let fused = DecoderModel::new(decoder, &scene.source, &scene.means, 1, plan, &device);
     if !prior {
         return fused;
     }
@@ -142,18 +144,21 @@ fn config(blend: Blend, chunk: usize) -> SegmentationConfig {
 }
 
 /// Losses and state after some steps.
-fn trained(model: &mut Fused, scene: &Scene, steps: usize) -> (Vec<f32>, NamedValues) {
-    let kind = Kind::Js { pi_rl: 0.9 };
+fn trained(model: &mut DecoderModel, scene: &Scene, steps: usize) -> (Vec<f32>, NamedValues) {
+    let label = loss::LabelLoss::Gjs { pi: 0.9 };
+    let loss = CoSegLoss {
+        lambda: [0.8, 20.0],
+        ..label.into()
+    };
     let losses = (0..steps).map(|_| {
         let prediction = model.predict(0, &scene.drawn).expect("a prediction");
-        let mut loss = prediction
-            .scores
-            .loss(scene.drawn.pixels.clone(), &kind.into(), 0.4)
-            .expect("a loss")
-            * 0.8;
-        if let Some(regularisation) = prediction.regularisation {
-            loss = loss + regularisation * 20.0;
-        }
+        let loss = loss
+            .forward(
+                prediction.scores,
+                &scene.drawn.pixels,
+                prediction.regularisation,
+            )
+            .expect("a loss");
         model
             .step(loss.clone().inner(), &mut loss.backward(), 1.0)
             .expect("a step")
@@ -294,14 +299,13 @@ fn points_of_coarse_levels_decode_as_in_the_whole() {
     let pyramid = &scene.source.scene().pyramid;
     let decoder =
         DecoderConfig::for_pyramid(pyramid, CLASSES, true).init(&crate::support::device());
-    let whole = decoder.forward(pyramid, &Restriction::none(pyramid));
-    let wanted =
-        [vec![], vec![], vec![3, 17, 60], vec![0, 9, 20]].map(|rows| Arc::new(rows.into()));
-    let kept = Restriction::of_levels(pyramid, wanted.clone());
-    let fused = decoder.fused(pyramid, &kept, &[], 2);
+    let whole = decoder.forward(pyramid);
+    let wanted = [vec![], vec![], vec![3, 17, 60], vec![0, 9, 20]];
+    let kept = Dependencies::of_levels(pyramid, wanted.clone());
+    let fused = decoder.fuse(&pyramid.part(&kept), 2);
     assert_eq!(fused.len(), 2);
     for (scale, part) in [2, 3].into_iter().zip(fused) {
-        let rows = kept.rows(scale).expect("a part");
+        let rows = kept.rows(scale);
         assert!(
             rows.is_sorted() && wanted[scale].iter().all(|row| rows.contains(row)),
             "{rows:?}"

@@ -1,23 +1,21 @@
 //! Label losses and 3D regularisation: values by direct sums, gradients by finite differences, limits, hard cases.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use coseg::config::{LabelLoss, SegmentationConfig};
-use coseg::ops::{Kind, UNLABELLED};
-use coseg::segmentation::loss::{
-    NeighbourPairs, label_loss, label_loss_plain, neighbour_divergence,
-};
+use coseg::config::{self, SegmentationConfig};
+use coseg::segmentation::loss::{CoSegLoss, LabelLoss, NeighbourPairs, neighbour_divergence};
 use coseg::segmentation::neighbours::{PointIndex, drop_self, without_self};
+use coseg::segmentation::pixels::UNLABELLED;
 
-const KINDS: [Kind; 9] = [
-    Kind::Ce,
-    Kind::Mae,
-    Kind::Gce { q: 0.7 },
-    Kind::Gce { q: 0.01 },
-    Kind::Js { pi_rl: 0.1 },
-    Kind::Js { pi_rl: 0.5 },
-    Kind::Js { pi_rl: 0.9 },
-    Kind::Js { pi_rl: 0.97 },
-    Kind::NceRce,
+const KINDS: [LabelLoss; 9] = [
+    LabelLoss::Ce,
+    LabelLoss::Mae,
+    LabelLoss::Gce { q: 0.7 },
+    LabelLoss::Gce { q: 0.01 },
+    LabelLoss::Js { pi: 0.1 },
+    LabelLoss::Js { pi: 0.5 },
+    LabelLoss::Js { pi: 0.9 },
+    LabelLoss::Js { pi: 0.97 },
+    LabelLoss::NceRce,
 ];
 
 fn plain_device() -> Device {
@@ -29,6 +27,11 @@ fn matrix(values: &[f64], columns: usize, device: &Device) -> Tensor<2> {
         TensorData::new(values.to_vec(), [values.len() / columns, columns]),
         (device, DType::F64),
     )
+}
+
+/// The mean loss over the labelled rows of `logits`.
+fn label_loss(logits: Tensor<2>, labels: &[u16], kind: &LabelLoss) -> Tensor<1> {
+    CoSegLoss::from(*kind).of_logits(logits, labels)
 }
 
 fn scalar(t: Tensor<1>) -> f64 {
@@ -52,26 +55,27 @@ fn example() -> (Vec<f64>, Vec<u16>) {
 }
 
 /// Eq. 8 as it is written: two divergences, term by term, 0 ln 0 = 0.
-fn direct(logits: &[f64], label: usize, kind: Kind) -> f64 {
+fn direct(logits: &[f64], label: usize, kind: LabelLoss) -> f64 {
     let highest = logits.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let total: f64 = logits.iter().map(|z| (z - highest).exp()).sum();
     let p: Vec<f64> = logits.iter().map(|z| (z - highest).exp() / total).collect();
     match kind {
-        Kind::Ce => -p[label].ln(),
-        Kind::Mae => {
+        LabelLoss::Ce => -p[label].ln(),
+        LabelLoss::Mae => {
             0.5 * p
                 .iter()
                 .enumerate()
                 .map(|(k, p)| (f64::from(u8::from(k == label)) - p).abs())
                 .sum::<f64>()
         }
-        Kind::Gce { q } => (1.0 - p[label].powf(q)) / q,
+        LabelLoss::Gce { q } => (1.0 - p[label].powf(q)) / q,
         // Reverse cross-entropy: -sum_k p_k ln of the label, ln 0 = -4
-        Kind::NceRce => {
+        LabelLoss::NceRce => {
             p[label].ln() / p.iter().map(|p| p.ln()).sum::<f64>()
                 + 4.0 * (p.iter().sum::<f64>() - p[label])
         }
-        Kind::Js { pi_rl } => {
+        LabelLoss::Gjs { .. } => unreachable!("it compares two predictions"),
+        LabelLoss::Js { pi: pi_rl } => {
             let kappa = |k: usize| f64::from(u8::from(k == label));
             let m = |k: usize| pi_rl * kappa(k) + (1.0 - pi_rl) * p[k];
             let term = |a: f64, b: f64| if a > 0.0 { a * (a / b).ln() } else { 0.0 };
@@ -84,7 +88,7 @@ fn direct(logits: &[f64], label: usize, kind: Kind) -> f64 {
 }
 
 #[test]
-fn label_loss_equals_its_direct_sum_and_the_plain_form() {
+fn label_loss_equals_its_direct_sum() {
     let (logits, labels) = example();
     let device = plain_device();
     for kind in KINDS {
@@ -95,18 +99,9 @@ fn label_loss_equals_its_direct_sum_and_the_plain_form() {
             .sum();
         let want = sum / kept.len() as f64;
         let found = scalar(label_loss(matrix(&logits, 5, &device), &labels, &kind));
-        let plain = scalar(label_loss_plain(
-            matrix(&logits, 5, &device),
-            &labels,
-            &kind,
-        ));
         assert!(
             (found - want).abs() < 1e-12 * want.max(1.0),
             "{kind:?}: {found} against {want}"
-        );
-        assert!(
-            (plain - want).abs() < 1e-12 * want.max(1.0),
-            "{kind:?}: plain {plain} against {want}"
         );
     }
 }
@@ -130,44 +125,36 @@ fn gradient_error(x: &[f64], analytic: &[f64], value: impl Fn(&[f64]) -> f64) ->
     worst
 }
 
+/// The loss of one pixel whose label has this log-probability, and p_y dL/dp_y.
+fn of_log_probability(kind: LabelLoss, log_p: f64) -> (f64, f64) {
+    let odds = -(-log_p).exp_m1().ln(); // logit of p
+    let x = matrix(&[odds, 0.0], 2, &plain_device().autodiff()).require_grad();
+    let loss = label_loss(x.clone(), &[0], &kind);
+    let gradient = x.grad(&loss.backward()).expect("tracked");
+    let gradient: Vec<f64> = gradient.into_data().into_vec().expect("f64");
+    // dL/dz_y = p dL/dp (1 - p)
+    (scalar(loss.inner()), gradient[0] / -log_p.exp_m1())
+}
+
 #[test]
-fn label_loss_gradient_equals_finite_differences_and_autodiff_of_the_plain_form() {
+fn label_loss_gradient_equals_finite_differences() {
     let (logits, labels) = example();
     let device = plain_device().autodiff();
     for kind in KINDS {
-        let gradient = |plain: bool, factor: f64| -> Vec<f64> {
-            let x = matrix(&logits, 5, &device).require_grad();
-            let loss = match plain {
-                true => label_loss_plain(x.clone(), &labels, &kind),
-                false => label_loss(x.clone(), &labels, &kind),
-            };
-            let gradients = (loss * factor).backward();
-            x.grad(&gradients)
-                .expect("tracked")
-                .into_data()
-                .into_vec()
-                .expect("f64")
-        };
-        let (fused, plain) = (gradient(false, 3.0), gradient(true, 3.0));
+        let x = matrix(&logits, 5, &device).require_grad();
+        let loss = label_loss(x.clone(), &labels, &kind) * 3.0;
+        let gradient = x.grad(&loss.backward()).expect("tracked");
+        let gradient: Vec<f64> = gradient.into_data().into_vec().expect("f64");
         let value = |x: &[f64]| 3.0 * scalar(label_loss(matrix(x, 5, &device), &labels, &kind));
-        let error = gradient_error(&logits, &fused, value);
+        let error = gradient_error(&logits, &gradient, value);
         assert!(error < 1e-6, "{kind:?}: {error}");
-        let corrupted: Vec<f64> = fused.iter().map(|g| g * 1.01).collect();
+        let corrupted: Vec<f64> = gradient.iter().map(|g| g * 1.01).collect();
         assert!(
             gradient_error(&logits, &corrupted, value) > 1e-3,
             "a wrong gradient must be caught"
         );
-        let difference = fused
-            .iter()
-            .zip(&plain)
-            .map(|(a, b)| (a - b).abs())
-            .fold(0.0, f64::max);
         assert!(
-            difference < 1e-12,
-            "{kind:?}: {difference:e} {fused:?} {plain:?}"
-        );
-        assert!(
-            fused[3 * 5..4 * 5].iter().all(|&g| g == 0.0),
+            gradient[3 * 5..4 * 5].iter().all(|&g| g == 0.0),
             "ignored pixels have no gradient"
         );
     }
@@ -181,13 +168,13 @@ fn jensen_shannon_tends_to_cross_entropy_and_to_absolute_error() {
                 && (a.1 - b.1).abs() <= tolerance * b.1.abs()
         };
         // to first order in pi / p, and in 1 / ln(1 - pi)
-        let js = Kind::Js { pi_rl: 1e-22 }.of_log_probability(log_p);
+        let js = of_log_probability(LabelLoss::Js { pi: 1e-22 }, log_p);
         assert!(
-            close(js, Kind::Ce.of_log_probability(log_p), 1e-6),
+            close(js, of_log_probability(LabelLoss::Ce, log_p), 1e-6),
             "ln p {log_p}: {js:?}"
         );
-        let js = Kind::Js { pi_rl: 1.0 - 1e-16 }.of_log_probability(log_p);
-        let mae = Kind::Mae.of_log_probability(log_p);
+        let js = of_log_probability(LabelLoss::Js { pi: 1.0 - 1e-16 }, log_p);
+        let mae = of_log_probability(LabelLoss::Mae, log_p);
         assert!(
             (js.0 - mae.0).abs() < 0.05 && (js.1 - mae.1).abs() <= 0.9 * -mae.1.min(-1e-300),
             "{log_p}: {js:?} {mae:?}"
@@ -274,10 +261,8 @@ fn regularisation_equals_its_direct_sum_and_its_gradient_finite_differences() {
     };
     let device = plain_device().autodiff();
     let x = matrix(&features, width, &device).require_grad();
-    let loss = neighbour_divergence(
-        x.clone(),
-        NeighbourPairs::new(chosen.to_vec(), &neighbours, k),
-    );
+    let pairs = NeighbourPairs::new(chosen.to_vec(), &neighbours, k);
+    let loss = neighbour_divergence(x.clone(), &pairs);
     let gradients = loss.clone().backward();
     assert!((scalar(loss) - value(&features)).abs() < 1e-12);
     let g: Vec<f64> = x
@@ -290,7 +275,7 @@ fn regularisation_equals_its_direct_sum_and_its_gradient_finite_differences() {
     assert!(error < 1e-6, "{error}");
     let none = neighbour_divergence(
         matrix(&features, width, &device),
-        NeighbourPairs::new(Vec::new(), &neighbours, k),
+        &NeighbourPairs::new(Vec::new(), &neighbours, k),
     );
     assert_eq!(scalar(none), 0.0);
 }
@@ -322,7 +307,7 @@ fn js_of_a_nearly_right_prediction_is_what_it_lacks() {
         for height in [20.0_f64, 25.0, 30.0] {
             let lacks = (-height).exp() / (1.0 + (-height).exp());
             let logits = matrix(&[height, 0.0], 2, &plain_device());
-            let loss = scalar(label_loss(logits, &[0], &Kind::Js { pi_rl }));
+            let loss = scalar(label_loss(logits, &[0], &LabelLoss::Js { pi: pi_rl }));
             assert!(
                 (loss / lacks - 1.0).abs() < 1e-7,
                 "{pi_rl}, {height}: {loss:e} for {lacks:e}"
@@ -333,20 +318,20 @@ fn js_of_a_nearly_right_prediction_is_what_it_lacks() {
 
 #[test]
 fn settings_choose_the_loss() {
-    let of = |config: SegmentationConfig| Kind::from_config(&config);
+    let of = |config: SegmentationConfig| LabelLoss::from_config(&config);
     let gce = |exponent| SegmentationConfig {
-        loss: LabelLoss::Gce {
+        loss: config::LabelLoss::Gce {
             exponent,
             least_recall: 0.3,
         },
         ..Default::default()
     };
-    assert_eq!(of(gce(0.4)).unwrap(), Kind::Gce { q: 0.4 });
+    assert_eq!(of(gce(0.4)).unwrap(), LabelLoss::Gce { q: 0.4 });
     let js = |pi_rl| SegmentationConfig {
-        loss: LabelLoss::Js { pi_rl },
+        loss: config::LabelLoss::Js { pi_rl },
         ..Default::default()
     };
-    assert_eq!(of(js(0.3)).unwrap(), Kind::Js { pi_rl: 0.3 });
+    assert_eq!(of(js(0.3)).unwrap(), LabelLoss::Js { pi: 0.3 });
     for q in [0.0, 1e-9, 1.1, f64::NAN] {
         crate::support::assert_names(
             &of(gce(q)).unwrap_err(),

@@ -1,6 +1,7 @@
 //! Tests of `coseg::segmentation`.
 
 pub mod attendance;
+pub mod blended_loss;
 pub mod consistency;
 pub mod decoder;
 pub mod decoder_chunks;

@@ -1,7 +1,7 @@
 //! Pretraining on procedural rooms: it learns, it repeats, and what it stores is what it trained.
 
-use coseg::ops::UNLABELLED;
 use coseg::segmentation::encoder::random_weights;
+use coseg::segmentation::pixels::UNLABELLED;
 use coseg::segmentation::pretrain::{PretrainOptions, TrainedEncoder, pretrain, room};
 use coseg::segmentation::probe::{LabelledCloud, linear_probe};
 use coseg::segmentation::randla::{Form, RandlaEncoder};

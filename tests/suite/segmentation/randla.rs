@@ -1,9 +1,8 @@
 //! The RandLA encoder against stored activations of the published one.
 
-use burn::tensor::{DType, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 use coseg::Error;
 use coseg::config::{SpatialConfig, SpatialSource};
-use coseg::ops::{attentive_pool, attentive_pool_plain};
 use coseg::segmentation::encoder::{Cloud, encode, load_spatial, random_weights};
 use coseg::segmentation::neighbours::Neighbours;
 use coseg::segmentation::randla::{Form, LAYERS, RandlaEncoder};
@@ -340,51 +339,4 @@ fn encoders_of_colour_ask_for_it() {
             .len(),
         LAYERS
     );
-}
-
-#[test]
-fn attentive_pooling_equals_its_plain_form_and_its_gradients() {
-    let device = crate::support::device().autodiff();
-    let (k, channels, points) = (5, 7, 6);
-    let wave = |a: f64| {
-        (0..points * k * channels)
-            .map(|i| (i as f64 * a).sin() * 3.0)
-            .collect::<Vec<f64>>()
-    };
-    let input = |values: Vec<f64>| -> Tensor<2> {
-        Tensor::from_data(
-            TensorData::new(values, [points * k, channels]),
-            (&device, DType::F64),
-        )
-        .require_grad()
-    };
-    let run = |op: fn(Tensor<2>, Tensor<2>, usize) -> Tensor<2>, huge: f64| {
-        let (x, scores) = (
-            input(wave(0.7)),
-            input(wave(1.3).into_iter().map(|s| s * huge).collect()),
-        );
-        let y = op(x.clone(), scores.clone(), k);
-        let g = y.clone().powi_scalar(3).sum().backward();
-        let host = |t: Tensor<2>| t.into_data().into_vec::<f64>().expect("f64");
-        [
-            host(y.inner()),
-            host(x.grad(&g).expect("tracked")),
-            host(scores.grad(&g).expect("tracked")),
-        ]
-    };
-    for huge in [1.0, 3e3] {
-        for (fused, plain) in run(attentive_pool, huge)
-            .iter()
-            .zip(&run(attentive_pool_plain, huge))
-        {
-            let rms = (plain.iter().map(|v| v * v).sum::<f64>() / plain.len() as f64).sqrt();
-            assert!(
-                fused
-                    .iter()
-                    .zip(plain)
-                    .all(|(a, b)| (a - b).abs() <= 1e-12 * rms.max(1e-9)),
-                "scores times {huge}"
-            );
-        }
-    }
 }

@@ -1,6 +1,6 @@
-//! Training of one row from start to end: curve, held-out scores, checkpoints, resuming.
+//! Training of one variant from start to end: curve, held-out scores, checkpoints, resuming.
 
-use super::{Model, Plan, Recalls, TrainingViews, train_step};
+use super::{ClassRecall, IdentityModel, Plan, TrainingViews, train_step};
 use crate::checkpoint::Checkpoint;
 use crate::error::Result;
 use crate::progress::{CurvePoint, Event, Progress};
@@ -8,94 +8,94 @@ use crate::provenance::Provenance;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// When a row is measured and saved, and where.
+/// When a variant is evaluated and saved, and where.
 #[derive(Clone, Debug)]
-pub struct Pace {
-    /// Name of the row, for progress.
-    pub row: &'static str,
+pub struct Schedule {
+    /// Name of the variant, for progress.
+    pub variant: &'static str,
     /// Iterations between held-out evaluations.
     pub eval_every: usize,
     /// Iterations between checkpoints.
     pub checkpoint_every: usize,
-    /// The checkpoint; absent means none is written or read.
+    /// The checkpoint; none is written or read where it is absent.
     pub checkpoint: Option<PathBuf>,
-    /// What the row is trained from; a checkpoint of anything else is refused.
+    /// Settings and data of the training; a checkpoint of any other is refused.
     pub provenance: Provenance,
 }
 
-/// Scores the identities of a model on the held-out views after so many iterations: pooled mIoU, none where nothing can be scored.
-pub type Score<'a> = &'a mut dyn FnMut(&mut dyn Model, usize) -> Result<Option<f64>>;
+/// Scores a model on the held-out views after the given number of iterations: the pooled mIoU, or none without such views.
+pub type Evaluate<'a> = &'a mut dyn FnMut(&mut dyn IdentityModel, usize) -> Result<Option<f64>>;
 
-/// What training gave beside the model.
+/// The outcome of [`train_decoder`], beside the trained model.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Session {
-    /// One point an evaluation.
+pub struct TrainingRun {
+    /// One point for each evaluation.
     pub curve: Vec<CurvePoint>,
-    /// Seconds of training that the checkpoint had.
-    pub earlier: f64,
-    /// Whether the model is trained to the end of the plan; otherwise it was stopped.
-    pub whole: bool,
+    /// Seconds of training before the checkpoint that was resumed.
+    pub earlier_seconds: f64,
+    /// Whether training reached the end of the plan; otherwise it was stopped.
+    pub finished: bool,
 }
 
 /// What a checkpoint holds besides the model.
 #[derive(Clone, Debug)]
-struct Place {
+struct State {
     iteration: usize,
     curve: Vec<CurvePoint>,
     /// Seconds so far; sum and number of the losses since the last point of the curve.
     running: [f64; 3],
-    recalls: Recalls,
+    recall: ClassRecall,
 }
 
-/// Trains `model` by `plan` from its checkpoint, or from the start when there is none, to the end or until `progress` says stop.
+/// Trains `model` by `plan` from its checkpoint, or from the start without one, to the end or until `progress` stops it.
 ///
 /// # Errors
 /// Those of [`train_step`]; the last checkpoint stays as it was. Those of reading or writing the checkpoint;
 /// [`crate::Error::Config`] and [`crate::Error::Input`] when it was made from other settings or data.
-pub fn train(
-    model: &mut dyn Model,
+pub fn train_decoder(
+    model: &mut dyn IdentityModel,
     views: &mut TrainingViews,
     plan: &Plan,
-    pace: &Pace,
-    score: Score,
+    schedule: &Schedule,
+    evaluate: Evaluate,
     progress: &mut dyn Progress,
-) -> Result<Session> {
-    let mut place = match &pace.checkpoint {
+) -> Result<TrainingRun> {
+    let mut state = match &schedule.checkpoint {
         Some(path) if path.is_file() => restore(
             model,
             views.classes(),
-            &pace.provenance,
+            &schedule.provenance,
             plan.iterations,
             path,
         )?,
-        _ => Place {
+        _ => State {
             iteration: 0,
             curve: Vec::new(),
             running: [0.0; 3],
-            recalls: Recalls::new(views.classes()),
+            recall: ClassRecall::new(views.classes()),
         },
     };
-    let earlier = place.running[0];
+    let earlier_seconds = state.running[0];
     let gaussians = views.gaussians();
     progress.event(&Event::Started {
-        stage: pace.row,
-        done: place.iteration,
+        stage: schedule.variant,
+        done: state.iteration,
         iterations: plan.iterations,
     });
-    while place.iteration < plan.iterations {
+    while state.iteration < plan.iterations {
         let clock = Instant::now();
         let loss = f64::from(train_step(
             model,
             views,
             plan,
-            &mut place.recalls,
-            place.iteration,
+            &mut state.recall,
+            state.iteration,
         )?);
-        place.iteration += 1;
-        let iteration = place.iteration;
-        place.running[0] += clock.elapsed().as_secs_f64();
-        place.running[1] += loss;
-        place.running[2] += 1.0;
+        state.iteration += 1;
+        let iteration = state.iteration;
+        state.running[0] += clock.elapsed().as_secs_f64();
+        state.running[1] += loss;
+        state.running[2] += 1.0;
         progress.event(&Event::Step {
             iteration,
             loss,
@@ -104,9 +104,9 @@ pub fn train(
         let stop = progress.stop();
         let end = iteration == plan.iterations;
         // No point for a stop: the curve of a resumed run is that of an uninterrupted one.
-        if end || iteration.is_multiple_of(pace.eval_every.max(1)) {
-            let [seconds, sum, count] = place.running;
-            let miou = score(model, iteration)?;
+        if end || iteration.is_multiple_of(schedule.eval_every.max(1)) {
+            let [seconds, sum, count] = state.running;
+            let miou = evaluate(model, iteration)?;
             let point = CurvePoint {
                 iteration,
                 seconds,
@@ -115,40 +115,45 @@ pub fn train(
                 gaussians,
                 ..CurvePoint::default()
             };
-            place.running = [seconds, 0.0, 0.0];
-            place.curve.push(point);
+            state.running = [seconds, 0.0, 0.0];
+            state.curve.push(point);
             progress.event(&Event::Evaluated(point));
         }
-        if let Some(path) = &pace.checkpoint
-            && (end || stop || iteration.is_multiple_of(pace.checkpoint_every.max(1)))
+        if let Some(path) = &schedule.checkpoint
+            && (end || stop || iteration.is_multiple_of(schedule.checkpoint_every.max(1)))
         {
-            save(model, &pace.provenance, path, &place)?;
+            save(model, &schedule.provenance, path, &state)?;
             progress.event(&Event::Saved { iteration });
         }
         if stop {
             break;
         }
     }
-    let whole = place.iteration >= plan.iterations;
-    if whole {
+    let finished = state.iteration >= plan.iterations;
+    if finished {
         progress.event(&Event::Finished);
     }
-    Ok(Session {
-        curve: place.curve,
-        earlier,
-        whole,
+    Ok(TrainingRun {
+        curve: state.curve,
+        earlier_seconds,
+        finished,
     })
 }
 
 const KIND: &str = "segmentation row";
 
-fn save(model: &dyn Model, provenance: &Provenance, path: &Path, place: &Place) -> Result<()> {
+fn save(
+    model: &dyn IdentityModel,
+    provenance: &Provenance,
+    path: &Path,
+    state: &State,
+) -> Result<()> {
     let mut checkpoint = Checkpoint::new(KIND);
-    checkpoint.set("iteration", &place.iteration)?;
+    checkpoint.set("iteration", &state.iteration)?;
     checkpoint.set("provenance", provenance)?;
-    checkpoint.put_curve(&place.curve)?;
-    checkpoint.put("running", &[3], place.running.to_vec())?;
-    checkpoint.put("recalls", &[place.recalls.0.len()], place.recalls.0.clone())?;
+    checkpoint.put_curve(&state.curve)?;
+    checkpoint.put("running", &[3], state.running.to_vec())?;
+    checkpoint.put("recall", &[state.recall.0.len()], state.recall.0.clone())?;
     let state = model.state();
     checkpoint.set(
         "tensors",
@@ -164,12 +169,12 @@ fn save(model: &dyn Model, provenance: &Provenance, path: &Path, place: &Place) 
 }
 
 fn restore(
-    model: &mut dyn Model,
+    model: &mut dyn IdentityModel,
     classes: usize,
     provenance: &Provenance,
     iterations: usize,
     path: &Path,
-) -> Result<Place> {
+) -> Result<State> {
     let mut checkpoint = Checkpoint::load(path, KIND)?;
     let (stored, iteration): (Provenance, usize) =
         (checkpoint.get("provenance")?, checkpoint.get("iteration")?);
@@ -189,20 +194,16 @@ fn restore(
     }
     let running: Vec<f64> = checkpoint.take("running", &[3])?;
     let running = [running[0], running[1], running[2]];
-    // Earlier versions had none.
-    let recalls = match checkpoint.shape("recalls") {
-        Ok(_) => Recalls(checkpoint.take("recalls", &[classes])?),
-        Err(_) => Recalls::new(classes),
-    };
+    let recall = ClassRecall(checkpoint.take("recall", &[classes])?);
     let mut curve = checkpoint.take_curve()?;
     if !provenance.renders_as(&stored) {
         // Scores by another rule than this run's.
         curve.iter_mut().for_each(|point| point.miou = None);
     }
-    Ok(Place {
+    Ok(State {
         iteration,
         curve,
         running,
-        recalls,
+        recall,
     })
 }

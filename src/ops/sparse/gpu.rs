@@ -1,8 +1,8 @@
 //! Constant sparse matrices on a device: compressed rows, one unit a row and channel.
 
-use super::covers;
+use super::{SparseBackend, SparseMatrix, cpu};
 use crate::backend::gpu::{Gpu, arg};
-use crate::ops::sparse::{SparseBackend, SparseMatrix, on_host};
+use crate::ops::gpu::covers;
 use burn::backend::tensor::FloatTensor;
 use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 /// The arrays of a [`SparseMatrix`].
 #[derive(Clone)]
-pub(crate) struct DeviceMatrix {
+pub(super) struct DeviceMatrix {
     offsets: CubeTensor,
     indices: CubeTensor,
     values: CubeTensor,
@@ -73,11 +73,6 @@ impl DeviceMatrix {
             .on(gpu, || Self::upload(gpu, &matrix.transposed()))
     }
 
-    /// Offsets, indices and values as kernel arguments.
-    pub fn args(&self) -> [BufferArg; 3] {
-        [&self.offsets, &self.indices, &self.values].map(arg)
-    }
-
     /// `W x`, `[rows, channels]`.
     pub fn apply(&self, gpu: &Gpu, x: CubeTensor) -> CubeTensor {
         let channels = x.meta.shape()[1];
@@ -101,7 +96,7 @@ impl DeviceMatrix {
 impl SparseBackend for CubeBackend {
     fn sparse_apply(x: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
         if !covers(&x) || matrix.rows() * x.meta.num_elements() == 0 {
-            return on_host::apply::<Self>(x, &matrix);
+            return cpu::apply::<Self>(x, &matrix);
         }
         let gpu = Gpu::of(&x);
         DeviceMatrix::by_rows(&gpu, &matrix).apply(&gpu, x)
@@ -109,7 +104,7 @@ impl SparseBackend for CubeBackend {
 
     fn sparse_apply_adjoint(g: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
         if !covers(&g) || matrix.columns * g.meta.num_elements() == 0 {
-            return on_host::apply_adjoint::<Self>(g, &matrix);
+            return cpu::apply_adjoint::<Self>(g, &matrix);
         }
         let gpu = Gpu::of(&g);
         DeviceMatrix::by_columns(&gpu, &matrix).apply(&gpu, g)

@@ -1,43 +1,44 @@
-//! How far a model follows the labels of each class, and which classes a robust loss is about to give up.
+//! How well a model follows the labels of each class, and how robust the loss of that class may be.
 //!
-//! Robust losses turn away from labels that the model holds for unlikely. That is what they are for, but a class whose labels
-//! the model never came to believe is turned away from as a whole, however right they are: its gradient dies, and with it
-//! the class. Below a least mean probability of its own labels a class is therefore learnt by generalised cross-entropy with a
-//! smaller exponent, the nearer to cross-entropy the less it is followed. (A switch from one loss to the other swings to and fro,
-//! and takes neighbouring classes along.)
+//! Robust losses have small gradients where the model finds a label unlikely. That rejects wrong labels. But a class whose
+//! labels the model never learned is then rejected as a whole, and its gradient vanishes. A class whose mean probability of
+//! its own labels is low therefore learns by generalised cross-entropy with a smaller exponent, closer to cross-entropy the
+//! lower that mean is. (A hard switch between two losses oscillates and disturbs neighbouring classes.)
 
-use super::Scores;
+use crate::backend::device::read;
 use crate::error::Result;
-use crate::ops::{LabelledPixels, UNLABELLED};
+use crate::segmentation::loss::Scores;
+use crate::segmentation::pixels::{LabelledPixels, UNLABELLED};
+use burn::tensor::{Int, Tensor, TensorData};
 
 /// Steps between two measurements.
 const EVERY: usize = 5;
-/// Pixels of a class that are looked at, at most.
+/// Most pixels of a class in a measurement.
 const PIXELS: usize = 256;
-/// Pixels that count as much as all before them, were there no [`FASTEST`].
+/// Number of pixels that would replace the running mean, were there no [`LARGEST_SHARE`].
 const WEIGHT: f64 = 500.0;
-/// Share of a measurement in the running mean, at most.
-const FASTEST: f64 = 0.2;
+/// Largest share of a measurement in the running mean.
+const LARGEST_SHARE: f64 = 0.2;
 
 /// Running means of the probability that a model gives to the label of a pixel, by class.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Recalls(pub Vec<f64>);
+pub struct ClassRecall(pub Vec<f64>);
 
-impl Recalls {
-    /// Before anything is known: nothing has been given up.
+impl ClassRecall {
+    /// The state before any measurement: full recall.
     pub fn new(classes: usize) -> Self {
         Self(vec![1.0; classes])
     }
 
-    /// The part of its robustness that a loss keeps, by class: all of it from a recall of `least` on.
-    pub fn shares(&self, least: f64) -> Vec<f64> {
+    /// The share of its robustness that a loss keeps for each class: all of it from a recall of `least` on.
+    pub fn robustness(&self, least: f64) -> Vec<f64> {
         self.0
             .iter()
             .map(|&recall| (recall / least).min(1.0))
             .collect()
     }
 
-    /// Takes up what `scores` say of `pixels`, at the iterations where that is done.
+    /// Measures `scores` of `pixels` at every fifth iteration.
     ///
     /// # Errors
     /// Those of [`LabelledPixels::blend`] and of reading from the device.
@@ -50,35 +51,48 @@ impl Recalls {
         if !iteration.is_multiple_of(EVERY) {
             return Ok(());
         }
-        let chosen = some_of_each(&pixels.labels, self.0.len());
-        let labels: Vec<u16> = chosen
-            .iter()
-            .map(|&place| pixels.labels[place as usize])
-            .collect();
+        let classes = self.0.len();
+        let chosen = some_of_each(&pixels.labels, classes);
         if chosen.is_empty() {
             return Ok(());
         }
-        let probabilities = scores.probabilities_at(pixels, &chosen)?;
-        let mut sums = vec![(0.0, 0.0); self.0.len()];
-        for (row, &label) in probabilities.chunks_exact(self.0.len()).zip(&labels) {
+        let chosen_pixels = pixels.at(&chosen);
+        let probabilities = at(scores, &chosen).probabilities(&chosen_pixels)?;
+        let probabilities = read("class probabilities of pixels", probabilities)?;
+        let mut sums = vec![(0.0, 0.0); classes];
+        for (row, &label) in probabilities
+            .chunks_exact(classes)
+            .zip(chosen_pixels.labels.iter())
+        {
             let (sum, count) = &mut sums[usize::from(label)];
             *sum += f64::from(row[usize::from(label)]);
             *count += 1.0;
         }
-        for (recall, (sum, count)) in self
-            .0
-            .iter_mut()
-            .zip(sums)
-            .filter(|(_, (sum, count))| sum.is_finite() && *count > 0.0)
-        {
-            *recall += (count / WEIGHT).min(FASTEST) * (sum / count - *recall);
+        for (recall, (sum, count)) in self.0.iter_mut().zip(sums) {
+            if count > 0.0 && f64::is_finite(sum) {
+                *recall += (count / WEIGHT).min(LARGEST_SHARE) * (sum / count - *recall);
+            }
         }
         Ok(())
     }
 }
 
+/// The first prediction of `scores` for the pixels at `places`, without gradient.
+fn at(scores: &Scores, places: &[usize]) -> Scores {
+    match scores {
+        Scores::Pixels(logits) => {
+            let rows: Vec<i64> = places.iter().map(|&place| place as i64).collect();
+            let rows = TensorData::new(rows, [places.len()]);
+            let rows = Tensor::<1, Int>::from_data(rows, &logits.device());
+            Scores::Pixels(logits.clone().detach().select(0, rows))
+        }
+        Scores::Gaussians(scores) => Scores::Gaussians(scores.clone().detach()),
+        Scores::Pair(pair) => at(&pair[0], places),
+    }
+}
+
 /// Places of up to [`PIXELS`] pixels of each class, evenly spread over its own.
-fn some_of_each(labels: &[u16], classes: usize) -> Vec<u32> {
+fn some_of_each(labels: &[u16], classes: usize) -> Vec<usize> {
     let mut of_class = vec![Vec::new(); classes];
     for (place, &label) in (0..).zip(labels).filter(|(_, label)| **label != UNLABELLED) {
         of_class[usize::from(label)].push(place);
@@ -95,7 +109,9 @@ fn some_of_each(labels: &[u16], classes: usize) -> Vec<u32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use burn::tensor::Tensor;
+    use crate::ops::SparseMatrix;
+    use crate::segmentation::pixels::PixelWeights;
+    use std::sync::Arc;
 
     #[test]
     fn pixels_are_spread_over_each_class() {
@@ -112,7 +128,7 @@ mod tests {
         let count = |class| {
             chosen
                 .iter()
-                .filter(|&&place| labels[place as usize] == class)
+                .filter(|&&place| labels[place] == class)
                 .count()
         };
         assert_eq!((count(0), count(1), count(UNLABELLED)), (PIXELS, 7, 0));
@@ -127,7 +143,7 @@ mod tests {
     fn a_class_whose_labels_are_not_followed_falls_below_and_rises_again() {
         let device = crate::backend::device::open(None).unwrap();
         let pixels = LabelledPixels::new(
-            crate::ops::PixelWeights::Stored(std::sync::Arc::new(crate::ops::SparseMatrix::new(
+            PixelWeights::Stored(Arc::new(SparseMatrix::new(
                 1,
                 (0..=40).collect(),
                 vec![0; 40],
@@ -136,18 +152,18 @@ mod tests {
             (0..40).collect(),
             (0..40).map(|i| if i < 20 { 0 } else { 2 }).collect(),
         );
-        let mut recalls = Recalls::new(3);
+        let mut recall = ClassRecall::new(3);
         let mut learn = |logits: [f32; 3], steps: usize| {
             // Of the one Gaussian behind all pixels.
             let scores = Scores::Gaussians(Tensor::<2>::from_data([logits], &device));
-            (0..steps).for_each(|i| recalls.measure(&scores, &pixels, i).unwrap());
+            (0..steps).for_each(|i| recall.measure(&scores, &pixels, i).unwrap());
             (
-                recalls
-                    .shares(0.3)
+                recall
+                    .robustness(0.3)
                     .iter()
                     .map(|&share| share < 1.0)
                     .collect::<Vec<_>>(),
-                recalls.0.clone(),
+                recall.0.clone(),
             )
         };
         let (below, values) = learn([5.0, 0.0, -5.0], 300);

@@ -1,4 +1,4 @@
-//! Which view an iteration of stage two looks at, and which of its pixels.
+//! The view of an iteration of stage two, and its sample of pixels.
 
 use crate::random::{Purpose, stream};
 use rand::{Rng, seq::SliceRandom};
@@ -11,9 +11,10 @@ pub fn view_at(seed: u64, iteration: usize, views: usize) -> usize {
     order[place]
 }
 
-/// One of each run of `1 / share` of the numbers below `count`, ascending. Where that is no whole number, runs of the two whole
-/// ones beside it alternate, so that the share is exact, and begin elsewhere each time, so that each number is drawn as often.
-pub(crate) fn one_of_each_run(count: usize, share: f64, rng: &mut impl Rng) -> Vec<u32> {
+/// A stratified sample of the numbers below `count`: one of each run of `1 / share` of them, ascending. Where `1 / share` is
+/// no whole number, runs of two lengths alternate so that the share is exact. They start at a random offset then, so that
+/// each number is as likely.
+pub(super) fn stratified_sample(count: usize, share: f64, rng: &mut impl Rng) -> Vec<u32> {
     let run = (1.0 / share.clamp(0.0, 1.0)).max(1.0);
     // One divided by 1/49 is not quite 49.
     let whole = (run - run.round()).abs() < 1e-9 * run;
@@ -37,7 +38,7 @@ pub(crate) fn one_of_each_run(count: usize, share: f64, rng: &mut impl Rng) -> V
 
 #[cfg(test)]
 mod tests {
-    use super::one_of_each_run;
+    use super::stratified_sample;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -58,7 +59,7 @@ mod tests {
                 1.0 - 1e-12,
                 1.0,
             ] {
-                let rows = one_of_each_run(count, share, &mut ChaCha8Rng::seed_from_u64(3));
+                let rows = stratified_sample(count, share, &mut ChaCha8Rng::seed_from_u64(3));
                 assert!(
                     rows.is_sorted_by(|a, b| a < b)
                         && rows.iter().all(|row| (*row as usize) < count)
@@ -71,10 +72,10 @@ mod tests {
                 );
             }
         }
-        // Each as often as any other, but for the ends, whose runs are cut.
+        // Each number is as likely, but for the ends, where runs are cut.
         let (mut rng, mut drawn) = (ChaCha8Rng::seed_from_u64(4), [0; 700]);
         (0..1_000)
-            .flat_map(|_| one_of_each_run(700, 0.7, &mut rng))
+            .flat_map(|_| stratified_sample(700, 0.7, &mut rng))
             .for_each(|row| drawn[row as usize] += 1);
         assert!(
             drawn[2..698].iter().all(|times| (620..780).contains(times)),
@@ -83,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn one_of_so_many_draws_what_it_always_drew() {
+    fn a_whole_number_of_runs_draws_one_of_each() {
         for (share, stride) in [
             (0.5, 2),
             (0.25, 4),
@@ -97,14 +98,14 @@ mod tests {
                 .step_by(stride)
                 .map(|first| same.random_range(first..(first + stride).min(count)));
             let want: Vec<u32> = want.map(|row| row as u32).collect();
-            assert_eq!(one_of_each_run(count, share, &mut rng), want, "{share}");
+            assert_eq!(stratified_sample(count, share, &mut rng), want, "{share}");
         }
         let mut rng = ChaCha8Rng::seed_from_u64(6);
-        assert!(one_of_each_run(50, 1.0, &mut rng).into_iter().eq(0..50));
+        assert!(stratified_sample(50, 1.0, &mut rng).into_iter().eq(0..50));
         assert_eq!(
             rng.random::<u64>(),
             ChaCha8Rng::seed_from_u64(6).random::<u64>(),
-            "nothing is drawn for all"
+            "a share of 1 draws no random number"
         );
     }
 }

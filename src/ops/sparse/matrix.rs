@@ -1,0 +1,234 @@
+//! Constant sparse matrices in compressed rows.
+
+#[cfg(feature = "cube")]
+use super::gpu::DeviceMatrix;
+#[cfg(feature = "cube")]
+use crate::backend::gpu::Resident;
+
+/// A constant sparse matrix in compressed rows, `[rows, columns]`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SparseMatrix {
+    // Not to be changed: a device may hold copies.
+    pub(crate) columns: usize,
+    /// Start of each row in `indices`; `rows + 1` entries, the first 0, ascending.
+    pub(crate) offsets: Vec<u32>,
+    /// Column of each entry.
+    pub(crate) indices: Vec<u32>,
+    /// Value of each entry.
+    pub(crate) values: Vec<f32>,
+    #[cfg(feature = "cube")]
+    pub(super) resident: ResidentMatrix,
+}
+
+/// Copies of a matrix on a device.
+#[cfg(feature = "cube")]
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct ResidentMatrix {
+    /// By rows, and by columns.
+    pub rows: Resident<DeviceMatrix>,
+    pub columns: Resident<DeviceMatrix>,
+}
+
+impl SparseMatrix {
+    /// Of compressed rows: `offsets` holds the start of each row in `indices`, and the end of the last.
+    ///
+    /// # Panics
+    /// If `offsets` does not rise from 0 to the number of entries, `indices` and `values` differ in length, or an index is
+    /// not below `columns`.
+    pub fn new(columns: usize, offsets: Vec<u32>, indices: Vec<u32>, values: Vec<f32>) -> Self {
+        assert_eq!(
+            indices.len(),
+            values.len(),
+            "sparse matrix: indices against values"
+        );
+        let (first, last) = (
+            offsets.first().map(|&o| o as usize),
+            offsets.last().map(|&o| o as usize),
+        );
+        assert_eq!(
+            (first, last),
+            (Some(0), Some(indices.len())),
+            "sparse matrix: offsets against entries"
+        );
+        assert!(offsets.is_sorted(), "sparse matrix: offsets that fall");
+        assert!(
+            indices.iter().all(|&i| (i as usize) < columns),
+            "sparse matrix: an index is not below {columns}"
+        );
+        Self::unchecked(columns, offsets, indices, values)
+    }
+
+    /// [`SparseMatrix::new`] of what is right by construction.
+    pub(crate) fn unchecked(
+        columns: usize,
+        offsets: Vec<u32>,
+        indices: Vec<u32>,
+        values: Vec<f32>,
+    ) -> Self {
+        Self {
+            columns,
+            offsets,
+            indices,
+            values,
+            #[cfg(feature = "cube")]
+            resident: ResidentMatrix::default(),
+        }
+    }
+
+    /// The rows `rows` of what has `columns` rows, in that order.
+    ///
+    /// # Panics
+    /// If a row is not below `columns`.
+    pub fn selection(rows: Vec<u32>, columns: usize) -> Self {
+        let (offsets, ones) = ((0..=rows.len() as u32).collect(), vec![1.0; rows.len()]);
+        Self::new(columns, offsets, rows, ones)
+    }
+
+    /// Sums of `k` rows each, of what has `columns` rows: row r sums the rows `rows[r k..(r + 1) k]`.
+    ///
+    /// # Panics
+    /// If a row is not below `columns`.
+    pub fn row_sums(rows: Vec<u32>, k: usize, columns: usize) -> Self {
+        let offsets = (0..=rows.len() as u32).step_by(k.max(1)).collect();
+        let ones = vec![1.0; rows.len()];
+        Self::new(columns, offsets, rows, ones)
+    }
+
+    /// Number of columns.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// Columns and values of all entries, row by row.
+    pub fn entries(&self) -> (&[u32], &[f32]) {
+        (&self.indices, &self.values)
+    }
+
+    /// Number of rows.
+    pub fn rows(&self) -> usize {
+        self.offsets.len().saturating_sub(1)
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        4 * (self.offsets.len() + self.indices.len() + self.values.len())
+    }
+
+    /// Entries of row `r` as (columns, values).
+    pub fn row(&self, r: usize) -> (&[u32], &[f32]) {
+        let span = self.offsets[r] as usize..self.offsets[r + 1] as usize;
+        (&self.indices[span.clone()], &self.values[span])
+    }
+
+    /// The same matrix with each row divided by its sum; rows that sum to less than `floor` become empty.
+    ///
+    /// Of blending weights this makes weighted means: a row sums to `1 - T`.
+    #[must_use]
+    pub fn normalised(&self, floor: f32) -> Self {
+        let mut out = Self::unchecked(self.columns, vec![0], Vec::new(), Vec::new());
+        for r in 0..self.rows() {
+            let (columns, values) = self.row(r);
+            let sum: f32 = values.iter().sum();
+            if sum >= floor && sum > 0.0 {
+                out.indices.extend_from_slice(columns);
+                out.values.extend(values.iter().map(|v| v / sum));
+            }
+            out.offsets.push(out.indices.len() as u32);
+        }
+        out
+    }
+
+    /// The rows `rows` in that order.
+    #[must_use]
+    pub fn select_rows(&self, rows: &[u32]) -> Self {
+        let mut out = Self::unchecked(
+            self.columns,
+            Vec::with_capacity(rows.len() + 1),
+            Vec::new(),
+            Vec::new(),
+        );
+        out.offsets.push(0);
+        out.append_rows(self, rows);
+        out
+    }
+
+    /// The rows `rows` for inputs of `classes` channels laid side by side, `[columns classes, 1]`: row r reads channel
+    /// `channels[r]` alone.
+    #[must_use]
+    pub(crate) fn select_channels(
+        &self,
+        rows: &[u32],
+        channels: impl Iterator<Item = u32>,
+        classes: u32,
+    ) -> Self {
+        let mut out = self.select_rows(rows);
+        for (r, channel) in channels.enumerate() {
+            let span = out.offsets[r] as usize..out.offsets[r + 1] as usize;
+            let entries = &mut out.indices[span];
+            entries.iter_mut().for_each(|i| *i = *i * classes + channel);
+        }
+        out.columns *= classes as usize;
+        out
+    }
+
+    /// Adds the rows `rows` of `other`, in that order.
+    ///
+    /// # Panics
+    /// If `other` has another number of columns.
+    pub fn append_rows(&mut self, other: &Self, rows: &[u32]) {
+        assert_eq!(self.columns, other.columns, "append_rows: columns");
+        for &r in rows {
+            let (columns, values) = other.row(r as usize);
+            self.indices.extend_from_slice(columns);
+            self.values.extend_from_slice(values);
+            self.offsets.push(self.indices.len() as u32);
+        }
+        #[cfg(feature = "cube")]
+        {
+            self.resident = ResidentMatrix::default();
+        }
+    }
+
+    /// The matrix over `columns` (ascending, below [`SparseMatrix::columns`]) alone.
+    ///
+    /// # Panics
+    /// If an entry lies in another column.
+    #[must_use]
+    pub fn over_columns(mut self, columns: &[u32]) -> Self {
+        let mut place = vec![u32::MAX; self.columns];
+        for (i, &c) in columns.iter().enumerate() {
+            place[c as usize] = i as u32;
+        }
+        for c in &mut self.indices {
+            *c = place[*c as usize];
+        }
+        assert!(
+            !self.indices.contains(&u32::MAX),
+            "over_columns: an entry in a column that is left out"
+        );
+        Self::unchecked(columns.len(), self.offsets, self.indices, self.values)
+    }
+
+    /// The transposed matrix; the entries of its rows ascend.
+    #[must_use]
+    pub fn transposed(&self) -> Self {
+        let mut offsets = vec![0_u32; self.columns + 1];
+        for &c in &self.indices {
+            offsets[c as usize + 1] += 1;
+        }
+        for c in 0..self.columns {
+            offsets[c + 1] += offsets[c];
+        }
+        let mut next = offsets.clone();
+        let (mut indices, mut values) = (vec![0; self.indices.len()], vec![0.0; self.values.len()]);
+        for r in 0..self.rows() {
+            let (columns, row) = self.row(r);
+            for (&c, &v) in columns.iter().zip(row) {
+                let at = next[c as usize] as usize;
+                (indices[at], values[at]) = (r as u32, v);
+                next[c as usize] += 1;
+            }
+        }
+        Self::unchecked(self.rows(), offsets, indices, values)
+    }
+}
