@@ -4,12 +4,11 @@
 
 use super::pixels::constant;
 use super::pyramid::{Level, Pyramid};
-use super::randla::{SLOPE, parameter};
+use super::randla::{leaky_relu, parameter};
 use crate::ops::sparse_apply;
 use burn::config::Config;
 use burn::module::{Module, Param};
 use burn::nn::{LayerNorm, LayerNormConfig, Linear};
-use burn::tensor::activation::leaky_relu;
 use burn::tensor::{Device, Tensor};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -145,7 +144,7 @@ impl FusionLayer {
             Some(norm) => norm.forward(sum),
             None => sum,
         };
-        leaky_relu(sum, SLOPE)
+        leaky_relu(sum)
     }
 }
 

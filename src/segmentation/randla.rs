@@ -10,13 +10,13 @@ use crate::error::{Error, Result};
 use crate::weights::{Checkpoint, HostTensor};
 use burn::module::{Module, Param};
 use burn::nn::{BatchNorm, BatchNormConfig, Linear};
-use burn::tensor::activation::leaky_relu;
+use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
 use std::ops::Range;
 
 /// Slope of LeakyReLU below zero.
-pub const SLOPE: f64 = 0.2;
+const SLOPE: f64 = 0.2;
 /// Epsilon of batch normalisation in the published port (PyTorch's default).
 pub const NORM_EPSILON: f64 = 1e-5;
 /// Share of a new batch in the running statistics while pretraining.
@@ -32,6 +32,11 @@ pub const RATIO: usize = 4;
 
 /// Values that [`RandlaEncoder::encode_levels`] holds per tensor in one chunk of points, when it may chunk.
 const CHUNK_VALUES: usize = 1 << 19;
+
+/// LeakyReLU with slope 0.2, as a sum: the backward pass of burn's own selects by masks, twice.
+pub(crate) fn leaky_relu(x: Tensor<2>) -> Tensor<2> {
+    relu(x.clone()) * (1.0 - SLOPE) + x * SLOPE
+}
 
 /// Linear layer, batch normalisation (unless folded into the former), LeakyReLU (unless `linear_only`).
 #[derive(Module, Debug)]
@@ -164,11 +169,7 @@ impl SharedMlp {
             Some(norm) => norm.forward(x),
             None => x,
         };
-        if self.linear_only {
-            x
-        } else {
-            leaky_relu(x, SLOPE)
-        }
+        if self.linear_only { x } else { leaky_relu(x) }
     }
 }
 
@@ -286,10 +287,7 @@ impl ResidualBlock {
         let pooled = self
             .second_pooling
             .forward(Tensor::cat(vec![gathered, code], 1), level.neighbours.k);
-        leaky_relu(
-            self.widen.forward(pooled) + self.shortcut.forward(features),
-            SLOPE,
-        )
+        leaky_relu(self.widen.forward(pooled) + self.shortcut.forward(features))
     }
 
     /// The same in chunks of points, side by side: memory for `[points, K, d]` tensors stays bounded.
@@ -322,7 +320,7 @@ impl ResidualBlock {
                 .second_pooling
                 .forward(Tensor::cat(vec![gathered, code], 1), k);
             let shortcut = self.shortcut.forward(features.clone().slice([range]));
-            leaky_relu(self.widen.forward(pooled) + shortcut, SLOPE)
+            leaky_relu(self.widen.forward(pooled) + shortcut)
         })
     }
 }

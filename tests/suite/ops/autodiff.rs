@@ -1,7 +1,7 @@
 //! Custom operations: adjointness, gradients, agreement with plain tensors.
 
-use burn::tensor::{Tensor, TensorData};
-use coseg::ops::{SparseMatrix, sparse_apply};
+use burn::tensor::{DType, Tensor, TensorData};
+use coseg::ops::{SparseMatrix, sparse_apply, sparse_apply_plain};
 use std::sync::Arc;
 
 /// 3 x 4, one empty row.
@@ -72,4 +72,41 @@ fn sparse_apply_gradient_matches_plain_matmul() {
     let (ga, gb) = (a.grad(&ga).expect("tracked"), b.grad(&gb).expect("tracked"));
     let difference = (ga - gb).abs().max().into_scalar::<f32>();
     assert!(difference < 1e-5, "{difference}");
+}
+
+#[test]
+fn sparse_apply_equals_its_reference_and_its_gradient_finite_differences() {
+    let device = crate::support::device().autodiff();
+    for channels in [1, 5, 37] {
+        let values: Vec<f64> = (0..4 * channels).map(|i| (i as f64 * 0.7).sin()).collect();
+        let input = |values: &[f64]| {
+            let data = TensorData::new(values.to_vec(), [4, channels]);
+            Tensor::<2>::from_data(data, (&device, DType::F64)).require_grad()
+        };
+        let run = |apply: &dyn Fn(Tensor<2>) -> Tensor<2>, values: &[f64]| {
+            let x = input(values);
+            let value = apply(x.clone()).powi_scalar(3).sum();
+            let gradient = x.grad(&value.backward()).expect("tracked").into_data();
+            let gradient = gradient.into_vec::<f64>().expect("f64");
+            (value.into_scalar::<f64>(), gradient)
+        };
+        let op = |x| sparse_apply(x, Arc::new(matrix()));
+        let (value, gradient) = run(&op, &values);
+        let (plain, plain_gradient) = run(&|x| sparse_apply_plain(x, &matrix()), &values);
+        assert!((value - plain).abs() < 1e-12);
+        let rms = (gradient.iter().map(|g| g * g).sum::<f64>() / gradient.len() as f64).sqrt();
+        for (i, got) in gradient.iter().enumerate() {
+            assert!((got - plain_gradient[i]).abs() < 1e-12 * rms.max(1.0));
+            let at = |by: f64| {
+                let mut moved = values.clone();
+                moved[i] += by;
+                run(&op, &moved).0
+            };
+            let numeric = (at(1e-5) - at(-1e-5)) / 2e-5;
+            assert!(
+                (got - numeric).abs() <= 1e-6 * got.abs().max(rms),
+                "{i}: {got} for {numeric}"
+            );
+        }
+    }
 }

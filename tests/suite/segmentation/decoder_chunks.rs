@@ -261,6 +261,33 @@ fn parts_of_any_size_give_the_gradients_of_the_step_at_once() {
     }
 }
 
+/// A whole step with all custom operations replaced by their plain-tensor references.
+#[test]
+fn a_step_by_references_has_the_same_loss_and_gradients() {
+    let scene = Scene::new(Switches::default());
+    for (blend, chunk) in [
+        (Blend::Probabilities, 0),
+        (Blend::Probabilities, 300),
+        (Blend::Logits, 0),
+    ] {
+        let config = config(blend, chunk);
+        let step = || {
+            let mut model = model(&scene, &config, true, blend == Blend::Probabilities);
+            gradients(trained(&mut model, &scene, 1))
+        };
+        let (loss, found) = step();
+        let (reference_loss, references) = coseg::ops::with_references(step);
+        assert!((loss - reference_loss).abs() <= 1e-6 * loss.abs());
+        assert_eq!(found.len(), references.len());
+        for ((name, got), (_, want)) in found.iter().zip(&references) {
+            let rms = (want.iter().map(|v| v * v).sum::<f32>() / want.len() as f32).sqrt();
+            let off = got.iter().zip(want).map(|(a, b)| (a - b).abs());
+            let worst = off.fold(0.0, f32::max);
+            assert!(worst <= 1e-4 * rms, "{name} is off by {worst}, rms {rms}");
+        }
+    }
+}
+
 #[test]
 fn the_regularisation_matters_in_parts_too() {
     let scene = Scene::new(Switches::default());
