@@ -6,6 +6,7 @@ use crate::backend::{HostBackend, Real, device_of, real_kernel};
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// At most this many channels are handled together: one cache line of f32.
 const LANES: usize = 16;
@@ -115,15 +116,18 @@ impl SparseMatrix {
 }
 
 /// `W x`, wherever the tensor lives.
-pub(super) fn apply<B: HostBackend>(x: FloatTensor<B>, matrix: &SparseMatrix) -> FloatTensor<B> {
+pub(super) fn sparse_apply<B: HostBackend>(
+    x: FloatTensor<B>,
+    matrix: Arc<SparseMatrix>,
+) -> FloatTensor<B> {
     let (device, channels) = (device_of::<B>(&x), x.shape()[1]);
     real_kernel!(x, E => B::tensor::<E>(matrix.apply::<E>(&B::values(x), channels), &[matrix.rows(), channels], &device))
 }
 
 /// `W^T g`, wherever the tensor lives.
-pub(super) fn apply_adjoint<B: HostBackend>(
+pub(super) fn sparse_apply_adjoint<B: HostBackend>(
     g: FloatTensor<B>,
-    matrix: &SparseMatrix,
+    matrix: Arc<SparseMatrix>,
 ) -> FloatTensor<B> {
     let (device, channels) = (device_of::<B>(&g), g.shape()[1]);
     real_kernel!(g, E => B::tensor::<E>(matrix.apply_adjoint::<E>(&B::values(g), channels), &[matrix.columns, channels], &device))

@@ -1,6 +1,6 @@
 //! Constant sparse matrices on a device: compressed rows, one unit a row and channel.
 
-use super::{SparseBackend, SparseMatrix, cpu};
+use super::{SparseMatrix, cpu};
 use crate::backend::gpu::{Gpu, arg};
 use crate::ops::gpu::covers;
 use burn::backend::tensor::FloatTensor;
@@ -93,20 +93,24 @@ impl DeviceMatrix {
     }
 }
 
-impl SparseBackend for CubeBackend {
-    fn sparse_apply(x: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
-        if !covers(&x) || matrix.rows() * x.meta.num_elements() == 0 {
-            return cpu::apply::<Self>(x, &matrix);
-        }
-        let gpu = Gpu::of(&x);
-        DeviceMatrix::by_rows(&gpu, &matrix).apply(&gpu, x)
+pub(super) fn sparse_apply(
+    x: FloatTensor<CubeBackend>,
+    matrix: Arc<SparseMatrix>,
+) -> FloatTensor<CubeBackend> {
+    if !covers(&x) || matrix.rows() * x.meta.num_elements() == 0 {
+        return cpu::sparse_apply::<CubeBackend>(x, matrix);
     }
+    let gpu = Gpu::of(&x);
+    DeviceMatrix::by_rows(&gpu, &matrix).apply(&gpu, x)
+}
 
-    fn sparse_apply_adjoint(g: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
-        if !covers(&g) || matrix.columns * g.meta.num_elements() == 0 {
-            return cpu::apply_adjoint::<Self>(g, &matrix);
-        }
-        let gpu = Gpu::of(&g);
-        DeviceMatrix::by_columns(&gpu, &matrix).apply(&gpu, g)
+pub(super) fn sparse_apply_adjoint(
+    g: FloatTensor<CubeBackend>,
+    matrix: Arc<SparseMatrix>,
+) -> FloatTensor<CubeBackend> {
+    if !covers(&g) || matrix.columns * g.meta.num_elements() == 0 {
+        return cpu::sparse_apply_adjoint::<CubeBackend>(g, matrix);
     }
+    let gpu = Gpu::of(&g);
+    DeviceMatrix::by_columns(&gpu, &matrix).apply(&gpu, g)
 }

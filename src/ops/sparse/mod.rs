@@ -10,78 +10,38 @@ mod matrix;
 
 pub use self::matrix::SparseMatrix;
 
-use crate::backend::HostKernels;
-use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
-use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::{Autodiff, Backend, Dispatch, backend_extension, tensor::FloatTensor};
+use crate::backend::custom_op;
+use burn::backend::{Dispatch, tensor::FloatTensor};
 use burn::tensor::{IndexingUpdateOp, Int, Tensor, TensorData};
 use std::sync::Arc;
 
-/// Backend side of [`sparse_apply`].
-#[backend_extension(
-    NdArray: cfg(feature = "ndarray"),
-    Flex: cfg(feature = "flex"),
-    Cube: cfg(feature = "cube"),
-    Autodiff
-)]
-pub trait SparseBackend: Backend {
-    /// `W x`, see [`SparseMatrix::apply`].
-    fn sparse_apply(x: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self>;
-    /// `W^T g`, see [`SparseMatrix::apply_adjoint`].
-    fn sparse_apply_adjoint(g: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self>;
-}
-
-impl<B: HostKernels> SparseBackend for B {
-    fn sparse_apply(x: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
-        cpu::apply::<Self>(x, &matrix)
+custom_op! {
+    /// Backend side of [`sparse_apply`].
+    pub trait SparseBackend {
+        /// `W x`, see [`SparseMatrix::apply`].
+        fn sparse_apply(x: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self>;
     }
-    fn sparse_apply_adjoint(g: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
-        cpu::apply_adjoint::<Self>(g, &matrix)
+    backward {
+        /// `W^T g`, see [`SparseMatrix::apply_adjoint`].
+        fn sparse_apply_adjoint(g: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self>;
     }
 }
 
-#[derive(Debug)]
-struct SparseBackward;
+mod autodiff {
+    use super::{SparseBackend, SparseMatrix};
+    use crate::backend::{AutodiffTensor, track};
+    use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
+    use std::sync::Arc;
 
-impl<B: SparseBackend> Backward<B, 1> for SparseBackward {
-    type State = Arc<SparseMatrix>;
-
-    fn backward(
-        self,
-        ops: Ops<Self::State, 1>,
-        grads: &mut Gradients,
-        _checkpointer: &mut Checkpointer,
-    ) {
-        let g = grads.consume::<B>(&ops.node);
-        let [parent] = ops.parents;
-        if let Some(node) = parent {
-            grads.register::<B>(node.id, B::sparse_apply_adjoint(g, ops.state));
-        }
-    }
-}
-
-impl<B: SparseBackend, C: CheckpointStrategy> SparseBackend for Autodiff<B, C> {
-    fn sparse_apply(x: FloatTensor<Self>, matrix: Arc<SparseMatrix>) -> FloatTensor<Self> {
-        let (x, node) = x.into_parts();
-        match SparseBackward
-            .prepare::<C>([node])
-            .compute_bound()
-            .stateful()
-        {
-            OpsKind::Tracked(prep) => {
-                let out = B::sparse_apply(x, matrix.clone());
-                prep.finish(matrix, out)
-            }
-            OpsKind::UnTracked(prep) => prep.finish(B::sparse_apply(x, matrix)),
-        }
-    }
-
-    fn sparse_apply_adjoint(
-        _g: FloatTensor<Self>,
-        _matrix: Arc<SparseMatrix>,
-    ) -> FloatTensor<Self> {
-        unimplemented!("second-order gradients")
+    pub fn sparse_apply<B: SparseBackend, C: CheckpointStrategy>(
+        x: AutodiffTensor<B, C>,
+        matrix: Arc<SparseMatrix>,
+    ) -> AutodiffTensor<B, C> {
+        track::<B, C, 1, _>([x], |[x]| {
+            let out = B::sparse_apply(x, matrix.clone());
+            let backward = move |g, _wanted| [Some(B::sparse_apply_adjoint(g, matrix))];
+            (out, backward)
+        })
     }
 }
 

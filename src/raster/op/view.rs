@@ -4,7 +4,7 @@ use super::backend::{ProjectedView, RasterBackend, TensorPair};
 use super::splats::SplatTensors;
 use crate::backend::device::largest_allocation;
 use crate::error::{Error, Result};
-use crate::ops::{RowList, gather_rows};
+use crate::ops::{SparseMatrix, sparse_apply};
 use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
 use burn::backend::Dispatch;
@@ -155,18 +155,15 @@ impl SplatView {
     ///
     /// # Errors
     /// As [`SplatView::blend`].
-    pub fn blend_at(
-        &self,
-        values: Tensor<2>,
-        pixels: &Arc<RowList>,
-    ) -> Result<(Tensor<2>, Tensor<1>)> {
+    pub fn blend_at(&self, values: Tensor<2>, pixels: &[u32]) -> Result<(Tensor<2>, Tensor<1>)> {
         let (n, all) = (values.dims()[0], self.camera().width * self.camera().height);
+        let chosen = Arc::new(SparseMatrix::selection(pixels.to_vec(), all));
         let mut transmittance = None;
         let blocks = self.channel_blocks(values.dims()[1]).map(|block| {
             let channels = block.len();
             let (image, of_all) = self.blend(values.clone().slice([0..n, block]))?;
             transmittance.get_or_insert(of_all);
-            Ok(gather_rows(image.reshape([all, channels]), pixels))
+            Ok(sparse_apply(image.reshape([all, channels]), chosen.clone()))
         });
         let image = Tensor::cat(blocks.collect::<Result<Vec<_>>>()?, 1);
         let transmittance = match transmittance {
@@ -175,7 +172,7 @@ impl SplatView {
         };
         Ok((
             image,
-            gather_rows(transmittance, pixels).reshape([pixels.len()]),
+            sparse_apply(transmittance, chosen).reshape([pixels.len()]),
         ))
     }
 
