@@ -47,7 +47,7 @@ impl LabelLoss {
     /// The loss that the settings ask for after the warm-up.
     ///
     /// # Errors
-    /// [`Error::Config`] when a payload of the loss is out of range.
+    /// [`crate::Error::Config`] when a payload of the loss is out of range.
     pub fn from_config(config: &SegmentationConfig) -> Result<Self> {
         config.loss.check()?;
         Ok(match config.loss {
@@ -123,7 +123,7 @@ impl OwnClass {
     /// term keeps the digits of 1 - p_y. The shift is a constant that cancels.
     fn of_logits(logits: Tensor<2>, labels: &[u16]) -> Self {
         let classes = logits.dims()[1];
-        let own = one_hot(labels, classes, &logits.device());
+        let own = one_hot(labels, &logits);
         let margins = logits.clone() - (logits * own.clone()).sum_dim(1);
         let shift = margins.clone().detach().max_dim(1);
         let own_power = shift.clone().neg().exp();

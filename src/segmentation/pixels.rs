@@ -89,9 +89,9 @@ impl LabelledPixels {
     pub fn blend_own_class(&self, values: Tensor<2>) -> Result<Tensor<2>> {
         let [gaussians, classes] = values.dims();
         let PixelWeights::Stored(weights) = &self.weights else {
-            let device = values.device();
             let blended = self.blend(values)?;
-            return Ok((blended * one_hot(&self.labels, classes, &device)).sum_dim(1));
+            let own = one_hot(&self.labels, &blended);
+            return Ok((blended * own).sum_dim(1));
         };
         let labels = self.labels.iter().map(|&label| u32::from(label));
         let own = weights.select_channels(&self.rows, labels, classes as u32);
@@ -100,15 +100,16 @@ impl LabelledPixels {
     }
 }
 
-/// `[P, classes]`: 1 at each pixel's label, else 0.
-pub(crate) fn one_hot(labels: &[u16], classes: usize, device: &Device) -> Tensor<2> {
+/// 1 at each pixel's label, else 0: a constant of the shape of `values` `[P, C]`.
+pub(crate) fn one_hot(labels: &[u16], values: &Tensor<2>) -> Tensor<2> {
+    let shape = values.dims();
+    let device = values.device();
     let plain = device.clone().inner();
-    let shape = [labels.len(), classes];
     let labels: Vec<i32> = labels.iter().map(|&label| i32::from(label)).collect();
     let labels = Tensor::<2, Int>::from_data(TensorData::new(labels, [shape[0], 1]), &plain);
-    let numbers = Tensor::<1, Int>::arange(0..classes as i64, &plain).reshape([1, classes]);
-    let same = labels.expand(shape).equal(numbers.expand(shape)).float();
-    constant(same, device)
+    let numbers = Tensor::<1, Int>::arange(0..shape[1] as i64, &plain).reshape([1, shape[1]]);
+    let same = labels.expand(shape).equal(numbers.expand(shape));
+    constant(same.float().cast(values.dtype()), &device)
 }
 
 /// A tensor without autodiff, beside tensors of `device`.
