@@ -22,6 +22,9 @@ const DEVICE_PIXEL: usize = PIXEL + 2 * size_of::<u32>();
 /// Pixels whose weights are made together at a view's first use.
 const BAND: usize = 1 << 17;
 
+/// Rows of the weights, and class indices.
+type PixelList = (Arc<Vec<u32>>, Arc<Vec<u16>>);
+
 /// The labelled, covered pixels of one view, and the Gaussians that they show.
 #[derive(Clone, Debug)]
 struct LabelledView {
@@ -35,7 +38,7 @@ struct LabelledView {
     /// Entries of the tile lists of the visible Gaussians, once a GPU has made them.
     entries: Arc<OnceLock<usize>>,
     /// Rows of the weights and labels of all pixels, once a step has asked for them: 6 bytes a pixel.
-    all: OnceLock<(Arc<Vec<u32>>, Arc<Vec<u16>>)>,
+    all: OnceLock<PixelList>,
 }
 
 /// What is kept of a view beside which pixels and Gaussians take part.
