@@ -1,7 +1,5 @@
 //! Devices, access to tensors from the host, GPU buffers, SIMD.
 
-#[cfg(target_arch = "x86_64")]
-pub(crate) mod avx;
 mod custom_op;
 pub mod device;
 pub(crate) mod elementary;
@@ -11,7 +9,6 @@ pub(crate) mod host;
 pub(crate) mod matmul;
 pub(crate) mod real;
 pub(crate) mod simd;
-pub(crate) mod vector;
 
 pub(crate) use self::custom_op::{AutodiffTensor, custom_op, track};
 pub use self::host::HostBackend;

@@ -1,7 +1,7 @@
-//! The two pointwise functions of a transformer, eight numbers at a time.
+//! The two pointwise functions of a transformer, a register of numbers at a time.
 
-use crate::backend::simd::{Kernel, dispatch};
-use crate::backend::vector::{LANES, Vector};
+use crate::backend::Real;
+use crate::backend::simd::{Kernel, Lanes};
 
 pub(super) const LOG2_E: f32 = std::f32::consts::LOG2_E;
 
@@ -10,36 +10,41 @@ const LOWEST: f32 = -1e30;
 
 /// `2^(x - max x)` in place; returns their sum, which is at least 1.
 pub(super) fn softmax_numerators(row: &mut [f32]) -> f32 {
-    dispatch(Softmax { row })
+    f32::dispatch(Softmax { row })
 }
 
 /// The Gaussian error linear unit, `x Phi(x)` with the normal distribution's own Phi (not the tanh approximation), in place.
 ///
 /// By Abramowitz and Stegun 7.1.26, whose erf is within 1.5e-7 of the true one: results are within 3e-7.
 pub(super) fn gelu(values: &mut [f32]) {
-    dispatch(Gelu { values });
+    f32::dispatch(Gelu { values });
 }
 
-/// Eights of `values`; the last, `tail`, is filled up with `filler` and has to be put back into `rest`.
-struct Eights<'a> {
-    whole: &'a mut [[f32; LANES]],
-    tail: [f32; LANES],
+/// Numbers of the widest register.
+const WIDEST: usize = 16;
+
+/// Registers of a slice. Its end, in `tail`, is filled up with a filler, and has to be put back into `rest`.
+struct Registers<'a> {
+    whole: &'a mut [f32],
+    tail: [f32; WIDEST],
     rest: &'a mut [f32],
 }
 
-impl<'a> Eights<'a> {
+impl<'a> Registers<'a> {
     #[inline(always)]
     fn of(values: &'a mut [f32], filler: f32) -> Self {
-        let (whole, rest) = values.as_chunks_mut::<LANES>();
-        let mut tail = [filler; LANES];
+        let (whole, rest) = values.split_at_mut(values.len() / WIDEST * WIDEST);
+        let mut tail = [filler; WIDEST];
         tail[..rest.len()].copy_from_slice(rest);
         Self { whole, tail, rest }
     }
 
     /// For loops, not closures: a closure that is not inlined would lose the wider instructions.
     #[inline(always)]
-    fn iter_mut(&mut self) -> impl Iterator<Item = &mut [f32; LANES]> {
-        self.whole.iter_mut().chain(std::iter::once(&mut self.tail))
+    fn iter_mut<S: Lanes<f32>>(&mut self) -> impl Iterator<Item = &mut S::V> {
+        S::registers_mut(self.whole)
+            .iter_mut()
+            .chain(S::registers_mut(&mut self.tail))
     }
 
     #[inline(always)]
@@ -56,23 +61,22 @@ impl Kernel<f32> for Softmax<'_> {
     type Output = f32;
 
     #[inline(always)]
-    fn run<V: Vector<f32>>(self) -> f32 {
-        let mut row = Eights::of(self.row, LOWEST);
-        let mut largest = V::splat(LOWEST);
-        for x in row.iter_mut() {
-            largest = largest.max(V::load(x));
+    fn run<S: Lanes<f32>>(self, s: S) -> f32 {
+        let mut row = Registers::of(self.row, LOWEST);
+        let mut largest = s.splat(LOWEST);
+        for &mut x in row.iter_mut::<S>() {
+            largest = s.max(largest, x);
         }
-        let mut lanes = [0.0; LANES];
-        largest.store(&mut lanes);
-        let largest = V::splat(lanes.iter().fold(LOWEST, |a, &b| a.max(b)));
-        let mut sum = V::splat(0.0);
-        for x in row.iter_mut() {
-            let power = V::load(x).sub(largest).exp2_nonpositive();
-            sum = sum.add(power);
-            power.store(x);
+        let mut lanes = [LOWEST; WIDEST];
+        S::registers_mut(&mut lanes)[0] = largest;
+        let largest = s.splat(lanes.iter().fold(LOWEST, |a, &b| a.max(b)));
+        let mut sum = s.splat(0.0);
+        for x in row.iter_mut::<S>() {
+            *x = s.exp2_nonpositive(s.sub(*x, largest));
+            sum = s.add(sum, *x);
         }
         row.put_back();
-        sum.total()
+        s.total(sum)
     }
 }
 
@@ -84,28 +88,26 @@ impl Kernel<f32> for Gelu<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<V: Vector<f32>>(self) {
+    fn run<S: Lanes<f32>>(self, s: S) {
         // Of t = 1 / (1 + p z) at z = |x| / sqrt 2, and the coefficients of its powers, highest first.
         const P: f32 = 0.327_591_1 * std::f32::consts::FRAC_1_SQRT_2;
         const HIGHEST: f32 = 1.061_405_4;
         const OTHERS: [f32; 4] = [-1.453_152, 1.421_413_7, -0.284_496_74, 0.254_829_6];
-        let (one, zero) = (V::splat(1.0), V::splat(0.0));
-        let mut values = Eights::of(self.values, 0.0);
-        for at in values.iter_mut() {
-            let x = V::load(at);
-            let minus = x.minus_abs();
-            let t = one.div(minus.fnma(V::splat(P), one));
-            let mut series = V::splat(HIGHEST);
+        let one = s.splat(1.0);
+        let zero = s.splat(0.0);
+        let mut values = Registers::of(self.values, 0.0);
+        for x in values.iter_mut::<S>() {
+            let minus = s.minus_abs(*x);
+            let t = s.div(one, s.neg_mul_add(minus, s.splat(P), one));
+            let mut series = s.splat(HIGHEST);
             for c in OTHERS {
-                series = series.fma(t, V::splat(c));
+                series = s.mul_add(series, t, s.splat(c));
             }
-            let power = minus
-                .mul(zero.sub(minus))
-                .mul(V::splat(0.5 * LOG2_E))
-                .exp2_nonpositive();
+            let minus_square = s.mul(minus, s.sub(zero, minus));
+            let power = s.exp2_nonpositive(s.mul(minus_square, s.splat(0.5 * LOG2_E)));
             // erfc z = t series exp(-z^2), and x Phi(x) = max(x, 0) - |x| erfc(z) / 2.
-            let erfc = t.mul(series).mul(power);
-            minus.mul(V::splat(0.5)).fma(erfc, x.max(zero)).store(at);
+            let erfc = s.mul(s.mul(t, series), power);
+            *x = s.mul_add(s.mul(minus, s.splat(0.5)), erfc, s.max(*x, zero));
         }
         values.put_back();
     }

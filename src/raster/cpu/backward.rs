@@ -9,39 +9,13 @@
 
 use super::blend::tile_image;
 use super::channel_blocks;
-use super::footprint::{Buffer, Footprint, Rule, STRIPS, Splat2, UNIT, fresh_transmittance};
-use super::geometry::{Moments, Splat3, project_backward};
+use super::footprint::{Buffer, Footprint, Rule, Splat2, UNIT, fresh_transmittance};
+pub use super::parameter_gradients::SplatGradients;
 use super::projected::{Blended, Projected};
 use super::tile_loop::{LOOK, Pass, Tile, gather_rows, sum_over_tiles, walk};
 use crate::backend::Real;
-use crate::backend::simd::{Kernel, dispatch};
-use crate::backend::vector::{LANES, Vector};
+use crate::backend::simd::{Kernel, Lanes};
 use crate::raster::settings::Splats;
-use rayon::prelude::*;
-
-/// Gaussians that one task handles.
-const CHUNK: usize = 512;
-/// Gaussians whose sums are read together.
-const NEAR: usize = 16;
-
-/// Gradients of all that [`Projected::blend`] depends on; rows of culled Gaussians are zero.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SplatGradients<E> {
-    /// `[N, 3]`.
-    pub means: Vec<E>,
-    /// `[N, 3]`.
-    pub log_scales: Vec<E>,
-    /// `[N, 4]`.
-    pub rotations: Vec<E>,
-    /// `[N]`.
-    pub opacity_logits: Vec<E>,
-    /// Of the blended values, `[N, C]`.
-    pub values: Vec<E>,
-    /// Of the projected centres, in units of half the image: `(dL/du W/2, dL/dv H/2)`, `[N, 2]`.
-    pub screen: Vec<E>,
-    /// Sums of the absolute values of what single pixels add to `screen`, `[N, 2]`; empty unless asked for.
-    pub screen_absolute: Vec<E>,
-}
 
 /// Sums of a row besides those of the values, for each Gaussian: moments, and the two of absolute values.
 pub(in crate::raster) const fn geometry_sums(absolute: bool) -> usize {
@@ -90,8 +64,35 @@ struct BackwardTile<'a, E, const C: usize, const ABSOLUTE: bool> {
     sums: &'a mut [E],
 }
 
-struct BackwardPass<'a, E, V, const C: usize, const ABSOLUTE: bool> {
-    rule: Rule<V>,
+impl<E: Real, const C: usize, const ABSOLUTE: bool> Kernel<E> for BackwardTile<'_, E, C, ABSOLUTE> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Lanes<E>>(self, s: S) {
+        let size = self.p.size();
+        let mut pass = BackwardPass::<E, S, C, ABSOLUTE> {
+            rule: Rule::new(s, &self.p.settings),
+            values: self.values,
+            splats: &self.p.splats,
+            t: fresh_transmittance(self.tile, size),
+            rest: Buffer::zeros(),
+            d_image: tile_image(self.pixels.d_image, self.tile, size),
+            g: Buffer::zeros(),
+            near: [[E::zero(); C]; LOOK],
+            drifts: [[E::zero(); 3]; LOOK],
+            sums: self.sums,
+        };
+        for (to, from, len) in self.tile.rows(size) {
+            for x in 0..len {
+                pass.rest.0[to + x] = self.pixels.budget(from + x, C);
+            }
+        }
+        walk(s, self.p, self.tile, &mut pass);
+    }
+}
+
+struct BackwardPass<'a, E, S: Lanes<E>, const C: usize, const ABSOLUTE: bool> {
+    rule: Rule<E, S>,
     values: &'a [E],
     splats: &'a [Splat2],
     t: Buffer<E>,
@@ -106,8 +107,8 @@ struct BackwardPass<'a, E, V, const C: usize, const ABSOLUTE: bool> {
     sums: &'a mut [E],
 }
 
-impl<E: Real, V: Vector<E>, const C: usize, const ABSOLUTE: bool> Pass<E, V>
-    for BackwardPass<'_, E, V, C, ABSOLUTE>
+impl<E: Real, S: Lanes<E>, const C: usize, const ABSOLUTE: bool> Pass<E>
+    for BackwardPass<'_, E, S, C, ABSOLUTE>
 {
     #[inline(always)]
     fn transmittance(&self) -> &Buffer<E> {
@@ -126,103 +127,81 @@ impl<E: Real, V: Vector<E>, const C: usize, const ABSOLUTE: bool> Pass<E, V>
 
     #[inline(always)]
     fn take(&mut self, next: usize, entry: usize, footprint: &Footprint<E>) {
-        let value = self.near[next].map(V::splat);
-        let mut d_value = [V::splat(E::zero()); C];
-        footprint.for_each(|strip| {
-            let (mut alpha, mut t) = (footprint.alpha(strip, &self.rule), V::load(&self.t[strip]));
-            let weight = self.rule.absorb(&mut alpha, &mut t);
-            t.store(&mut self.t[strip]);
-            let mut d = V::splat(E::zero());
-            for c in 0..C {
-                let g = V::load(&self.d_image[c][strip]);
-                d = g.fma(value[c], d);
-                d_value[c] = weight.fma(g, d_value[c]);
-            }
-            let own = weight.mul(d);
-            let rest = V::load(&self.rest[strip]).sub(own);
-            rest.store(&mut self.rest[strip]);
-            let g = rest.fnma(alpha.div(self.rule.one().sub(alpha)), own);
-            self.rule.below_cap(alpha, g).store(&mut self.g[strip]);
-        });
-        // A second loop, because the sums of both do not fit into 16 registers.
-        let mut moments = [V::splat(E::zero()); 6];
-        let mut minus_absolute = [V::splat(E::zero()); 2];
-        let [u_x, u_y, v_y] = self.drifts[next].map(V::splat);
-        footprint.for_each(|strip| {
-            let (g, u, v) = (
-                V::load(&self.g[strip]),
-                footprint.u::<V>(strip),
-                V::splat(footprint.v(strip)),
-            );
-            let (gu, gv) = (g.mul(u), g.mul(v));
-            let [m, m_u, m_v, m_uu, m_uv, m_vv] = &mut moments;
-            *m = m.add(g);
-            *m_u = m_u.add(gu);
-            *m_v = m_v.add(gv);
-            *m_uu = gu.fma(u, *m_uu);
-            *m_uv = gu.fma(v, *m_uv);
-            *m_vv = gv.fma(v, *m_vv);
-            if ABSOLUTE {
-                let [x, y] = &mut minus_absolute;
-                *x = x.add(gu.mul(u_x).minus_abs());
-                *y = y.add(gv.fma(v_y, gu.mul(u_y)).minus_abs());
-            }
-        });
+        if footprint.strips == 0 {
+            return;
+        }
         let width = geometry_sums(ABSOLUTE) + C;
+        let d_value = self.share_out(next, footprint);
+        // A second loop, because the sums of both do not fit into 16 registers.
+        let (moments, absolute) = self.moments(next, footprint);
+        let s = self.rule.s;
         let sums = &mut self.sums[entry * width..][..width];
         for (to, sum) in sums.iter_mut().zip(moments.into_iter().chain(d_value)) {
-            *to = sum.total();
+            *to = s.total(sum);
         }
         if ABSOLUTE {
-            for (to, sum) in sums[6 + C..].iter_mut().zip(minus_absolute) {
-                *to = -sum.total();
+            for (to, sum) in sums[6 + C..].iter_mut().zip(absolute) {
+                *to = -s.total(sum);
             }
         }
     }
 }
 
-impl<E: Real, const C: usize, const ABSOLUTE: bool> Kernel<E> for BackwardTile<'_, E, C, ABSOLUTE> {
-    type Output = ();
+impl<E: Real, S: Lanes<E>, const C: usize, const ABSOLUTE: bool>
+    BackwardPass<'_, E, S, C, ABSOLUTE>
+{
+    /// Leaves `dL/dalpha' alpha'` of the Gaussian in `g`; the gradient of its values.
     #[inline(always)]
-    fn run<V: Vector<E>>(self) {
-        let Self {
-            p,
-            tile,
-            values,
-            pixels,
-            sums,
-        } = self;
-        let mut pass = BackwardPass::<E, V, C, ABSOLUTE> {
-            rule: Rule::new::<E>(&p.settings),
-            values,
-            splats: &p.splats,
-            t: fresh_transmittance(tile, p.size()),
-            rest: [[E::zero(); LANES]; STRIPS],
-            d_image: tile_image(pixels.d_image, tile, p.size()),
-            g: [[E::zero(); LANES]; STRIPS],
-            near: [[E::zero(); C]; LOOK],
-            drifts: [[E::zero(); 3]; LOOK],
-            sums,
-        };
-        for (to, from, len) in tile.rows(p.size()) {
-            for x in 0..len {
-                pass.rest.as_flattened_mut()[to + x] = pixels.budget(from + x, C);
+    fn share_out(&mut self, next: usize, footprint: &Footprint<E>) -> [S::V; C] {
+        let s = self.rule.s;
+        let value = self.near[next].map(|value| s.splat(value));
+        let mut d_value = [s.splat(E::zero()); C];
+        footprint.for_each(|strip| {
+            let (alpha, weight) = self.rule.absorb(footprint, &mut self.t, strip);
+            let mut d = s.splat(E::zero());
+            for c in 0..C {
+                let g = self.d_image[c].get::<S>(strip);
+                d = s.mul_add(g, value[c], d);
+                d_value[c] = s.mul_add(weight, g, d_value[c]);
             }
-        }
-        walk(p, tile, &mut pass);
+            let own = s.mul(weight, d);
+            let rest = s.sub(self.rest.get::<S>(strip), own);
+            self.rest.set::<S>(strip, rest);
+            let odds = s.div(alpha, s.sub(self.rule.one, alpha));
+            let g = s.neg_mul_add(rest, odds, own);
+            self.g.set::<S>(strip, self.rule.below_cap(alpha, g));
+        });
+        d_value
     }
-}
 
-/// Six sums of kernels as [`Moments`].
-fn moments<E: Real>(m: &[E]) -> Moments {
-    let (first, second) = (UNIT.recip(), (UNIT * UNIT).recip());
-    Moments {
-        one: m[0].wide(),
-        u: first * m[1].wide(),
-        v: first * m[2].wide(),
-        uu: second * m[3].wide(),
-        uv: second * m[4].wide(),
-        vv: second * m[5].wide(),
+    /// Sums of `g` times 1, u, v, u^2, u v, v^2; and, negative, of the absolute values of what single pixels add to
+    /// the gradient of the centre.
+    #[inline(always)]
+    fn moments(&self, next: usize, footprint: &Footprint<E>) -> ([S::V; 6], [S::V; 2]) {
+        let s = self.rule.s;
+        let mut moments = [s.splat(E::zero()); 6];
+        let mut minus_absolute = [s.splat(E::zero()); 2];
+        let [u_x, u_y, v_y] = self.drifts[next].map(|drift| s.splat(drift));
+        footprint.for_each(|strip| {
+            let g = self.g.get::<S>(strip);
+            let u = footprint.u(s, strip);
+            let v = s.splat(footprint.v(strip));
+            let gu = s.mul(g, u);
+            let gv = s.mul(g, v);
+            let [one, m_u, m_v, m_uu, m_uv, m_vv] = &mut moments;
+            *one = s.add(*one, g);
+            *m_u = s.add(*m_u, gu);
+            *m_v = s.add(*m_v, gv);
+            *m_uu = s.mul_add(gu, u, *m_uu);
+            *m_uv = s.mul_add(gu, v, *m_uv);
+            *m_vv = s.mul_add(gv, v, *m_vv);
+            if ABSOLUTE {
+                let [x, y] = &mut minus_absolute;
+                *x = s.add(*x, s.minus_abs(s.mul(gu, u_x)));
+                *y = s.add(*y, s.minus_abs(s.mul_add(gv, v_y, s.mul(gu, u_y))));
+            }
+        });
+        (moments, minus_absolute)
     }
 }
 
@@ -233,7 +212,7 @@ fn fused<E: Real, const C: usize, const ABSOLUTE: bool>(
 ) -> Vec<E> {
     let values = p.in_depth_order(values, C, C);
     sum_over_tiles(p, geometry_sums(ABSOLUTE) + C, |tile, sums| {
-        dispatch(BackwardTile::<E, C, ABSOLUTE> {
+        E::dispatch(BackwardTile::<E, C, ABSOLUTE> {
             p,
             tile,
             values: &values,
@@ -284,6 +263,7 @@ impl<E: Real> Projected<E> {
         self.backward_slices(splats, values, channels, pixels, false)
     }
 
+    /// [`Projected::backward`], with [`SplatGradients::screen_absolute`] when `absolute`.
     pub(in crate::raster) fn backward_slices(
         &self,
         splats: &Splats<'_, E>,
@@ -292,163 +272,36 @@ impl<E: Real> Projected<E> {
         pixels: PixelGradients<'_, E>,
         absolute: bool,
     ) -> SplatGradients<E> {
-        let [w, h] = self.size();
+        let pixel_count = self.size()[0] * self.size()[1];
         let n = self.len();
-        assert_eq!(
-            values.len(),
-            n * channels,
-            "backward: values against Gaussians times channels"
-        );
-        assert_eq!(splats.len(), n, "backward: splats against Gaussians");
-        assert_eq!(
-            pixels.image.len(),
-            w * h * channels,
-            "backward: image against pixels times channels"
-        );
-        assert_eq!(
-            pixels.d_image.len(),
-            w * h * channels,
-            "backward: d_image against pixels times channels"
-        );
-        assert_eq!(
-            pixels.transmittance.len(),
-            w * h,
-            "backward: transmittance against pixels"
-        );
-        assert!(
-            pixels.d_transmittance.is_none_or(|d| d.len() == w * h),
-            "backward: d_transmittance against pixels"
-        );
-        // Without channels there is still the transmittance: one channel of zeros.
-        let nothing = if channels == 0 {
-            vec![E::zero(); n.max(w * h)]
-        } else {
-            Vec::new()
+        let same = |name: &str, found: usize, expected: usize| {
+            assert_eq!(found, expected, "backward: length of {name}");
         };
-        let (pixels, values, lanes) = match channels {
-            0 => {
-                let image = &nothing[..w * h];
-                (
-                    PixelGradients {
-                        image,
-                        d_image: image,
-                        ..pixels
-                    },
-                    &nothing[..n],
-                    1,
-                )
-            }
-            _ => (pixels, values, channels),
-        };
-        let mut out;
-        if absolute {
-            let sums = pixel_sums::<E, true>(self, values, lanes, pixels);
-            let stride = geometry_sums(true) + lanes;
-            out = self.to_parameters(splats, &sums, channels, stride);
-            out.screen_absolute = self.screen_absolute(&sums, stride);
-        } else {
-            let sums = pixel_sums::<E, false>(self, values, lanes, pixels);
-            out = self.to_parameters(splats, &sums, channels, geometry_sums(false) + lanes);
+        same("splats", splats.len(), n);
+        same("values", values.len(), n * channels);
+        same("image", pixels.image.len(), pixel_count * channels);
+        same("d_image", pixels.d_image.len(), pixel_count * channels);
+        same("transmittance", pixels.transmittance.len(), pixel_count);
+        if let Some(d) = pixels.d_transmittance {
+            same("d_transmittance", d.len(), pixel_count);
         }
-        out
-    }
-
-    /// [`SplatGradients::screen_absolute`] from the last two of each row of `stride` sums.
-    fn screen_absolute(&self, sums: &[E], stride: usize) -> Vec<E> {
-        // The derivative of u^2 is 2 u, and the kernels' u and v are both longer by the unit than those of alpha'.
-        let scale = self.size().map(|s| E::of(s as f64 / (UNIT * UNIT)));
-        let rows = sums.chunks_exact(stride).flat_map(|row| {
-            let [x, y] = [row[stride - 2], row[stride - 1]];
-            [x * scale[0], y * scale[1]]
-        });
-        self.in_scene_order(&rows.collect::<Vec<E>>(), 2)
-    }
-
-    /// Gradients of the parameters from `sums`: a row of `stride` a visible Gaussian, moments and then values.
-    fn to_parameters(
-        &self,
-        splats: &Splats<'_, E>,
-        sums: &[E],
-        channels: usize,
-        stride: usize,
-    ) -> SplatGradients<E> {
-        let n = self.len();
-        let mut ranks = vec![u32::MAX; n];
-        for (&id, rank) in self.ids.iter().zip(0..) {
-            ranks[id as usize] = rank;
+        if channels == 0 {
+            // There is still the transmittance: one channel of zeros.
+            let zeros = vec![E::zero(); n.max(pixel_count)];
+            let pixels = PixelGradients {
+                image: &zeros[..pixel_count],
+                d_image: &zeros[..pixel_count],
+                ..pixels
+            };
+            let mut out = self.backward_slices(splats, &zeros[..n], 1, pixels, absolute);
+            out.values.clear();
+            return out;
         }
-        let zeros = |width: usize| vec![E::zero(); n * width];
-        let mut out = SplatGradients {
-            means: zeros(3),
-            log_scales: zeros(3),
-            rotations: zeros(4),
-            opacity_logits: zeros(1),
-            values: zeros(channels),
-            screen: zeros(2),
-            screen_absolute: Vec::new(),
+        let sums = if absolute {
+            pixel_sums::<E, true>(self, values, channels, pixels)
+        } else {
+            pixel_sums::<E, false>(self, values, channels, pixels)
         };
-        let half = self.size().map(|s| s as f64 / 2.0);
-        // chunks_mut(0) panics; without channels no row has values.
-        let value_rows = CHUNK * channels.max(1);
-        let mut values: Vec<&mut [E]> = out.values.chunks_mut(value_rows).collect();
-        values.resize_with(n.div_ceil(CHUNK), Default::default);
-        out.means
-            .par_chunks_mut(CHUNK * 3)
-            .zip(out.log_scales.par_chunks_mut(CHUNK * 3))
-            .zip(out.rotations.par_chunks_mut(CHUNK * 4))
-            .zip(out.opacity_logits.par_chunks_mut(CHUNK))
-            .zip(out.screen.par_chunks_mut(CHUNK * 2))
-            .zip(values)
-            .zip(ranks.par_chunks(CHUNK))
-            .enumerate()
-            .for_each(
-                |(
-                    chunk,
-                    ((((((means, log_scales), rotations), logits), screen), values), ranks),
-                )| {
-                    let visible: Vec<_> = ranks
-                        .iter()
-                        .copied()
-                        .enumerate()
-                        .filter(|(_, rank)| *rank != u32::MAX)
-                        .collect();
-                    for visible in visible.chunks(NEAR) {
-                        // All reads of far memory first, so that they wait for each other as little as possible.
-                        let mut near = [(Splat2::default(), Moments::default()); NEAR];
-                        for (near, &(row, rank)) in near.iter_mut().zip(visible) {
-                            let (rank, sums) =
-                                (rank as usize, &sums[rank as usize * stride..][..stride]);
-                            *near = (self.splats[rank], moments(sums));
-                            values[channels * row..][..channels]
-                                .copy_from_slice(&sums[6..6 + channels]);
-                        }
-                        for ((projected, moments), &(row, _)) in near.iter().zip(visible) {
-                            let splat = Splat3::read(splats, chunk * CHUNK + row);
-                            let g = project_backward(
-                                &splat,
-                                &self.viewpoint,
-                                projected,
-                                moments,
-                                self.settings.low_pass,
-                            );
-                            write(&mut means[3 * row..], g.mean);
-                            write(&mut log_scales[3 * row..], g.log_scale);
-                            write(&mut rotations[4 * row..], g.rotation);
-                            write(
-                                &mut screen[2 * row..],
-                                [g.center[0] * half[0], g.center[1] * half[1]],
-                            );
-                            logits[row] = E::of(g.logit);
-                        }
-                    }
-                },
-            );
-        out
+        self.parameter_gradients(splats, &sums, channels, absolute)
     }
-}
-
-/// `values` at the start of `to`.
-#[inline(always)]
-fn write<E: Real, const K: usize>(to: &mut [E], values: [f64; K]) {
-    to[..K].copy_from_slice(&values.map(E::of));
 }

@@ -7,32 +7,24 @@ use super::pairs::Pairs;
 use super::projected::{Blended, Projected};
 use super::tile_loop::{Tile, for_each_tile_row, sum_over_tiles};
 use crate::backend::Real;
-use crate::backend::simd::{Kernel, dispatch};
-use crate::backend::vector::{LANES, Vector};
+use crate::backend::simd::{Kernel, Lanes};
 
-/// Channels per row of padded values: a multiple of this.
-const ALIGN: usize = 8;
+/// Channels of a narrow block: rows of padded values are a multiple of it.
+const NARROW: usize = 16;
+/// Channels of a wide block.
+const WIDE: usize = 32;
+/// Most registers of a block: they hold four numbers or more.
+const REGISTERS: usize = WIDE / 4;
 
-/// Runs `$body` with the constant `$k` bound to the widest block, 32 channels or fewer, that fits `$left`.
+/// Runs `$body` with the constant `$k` bound to the widest block that fits `$left` channels.
 macro_rules! block {
     ($left:expr, $k:ident => $body:expr) => {
-        match $left {
-            32.. => {
-                const $k: usize = 32;
-                $body
-            }
-            24.. => {
-                const $k: usize = 24;
-                $body
-            }
-            16.. => {
-                const $k: usize = 16;
-                $body
-            }
-            _ => {
-                const $k: usize = 8;
-                $body
-            }
+        if $left >= WIDE {
+            const $k: usize = WIDE;
+            $body
+        } else {
+            const $k: usize = NARROW;
+            $body
         }
     };
 }
@@ -47,40 +39,37 @@ struct Block<'a, E, const GEOMETRY: bool> {
     channel: usize,
 }
 
-/// `out[pixel] += weight * value`, `out` is `[PIXELS, K]`.
-struct BlendBlock<'a, E, const K: usize>(Block<'a, E, false>, &'a mut [E]);
+impl<'a, E, const GEOMETRY: bool> Block<'a, E, GEOMETRY> {
+    /// Values of the tile's `i`-th Gaussian, `k` channels.
+    #[inline(always)]
+    fn values_of(&self, i: usize, k: usize) -> &'a [E] {
+        &self.values[self.ranks[i] as usize * self.width + self.channel..][..k]
+    }
+}
+
+/// `out[pixel] += weight value`; `out` is `[PIXELS, K]`.
+struct BlendBlock<'a, E, const K: usize> {
+    block: Block<'a, E, false>,
+    out: &'a mut [E],
+}
 
 impl<E: Real, const K: usize> Kernel<E> for BlendBlock<'_, E, K> {
     type Output = ();
+
     #[inline(always)]
-    fn run<V: Vector<E>>(self) {
-        let (
-            Block {
-                pairs,
-                ranks,
-                values,
-                width,
-                channel,
-            },
-            out,
-        ) = (self.0, self.1);
+    fn run<S: Lanes<E>>(self, s: S) {
+        let pairs = self.block.pairs;
         for i in 0..pairs.ends.len() {
-            let Some(&value) = values[ranks[i] as usize * width + channel..].first_chunk::<K>()
-            else {
-                return;
-            };
+            let mut value = [s.splat(E::zero()); REGISTERS];
+            let value = &mut value[..K / S::LANES];
+            value.copy_from_slice(S::registers(self.block.values_of(i, K)));
             let range = pairs.range(i);
-            for (&pixel, &weight) in pairs.pixels[range.clone()]
-                .iter()
-                .zip(&pairs.weights[range])
-            {
-                let Some(out) = out[pixel as usize * K..].first_chunk_mut::<K>() else {
-                    return;
-                };
-                let weight = V::splat(weight);
-                for (out, value) in vectors_mut(out).zip(vectors(&value)) {
-                    let sum = weight.fma(V::load(value), V::load(out));
-                    sum.store(out);
+            let pixels = pairs.pixels[range.clone()].iter();
+            for (&pixel, &weight) in pixels.zip(&pairs.weights[range]) {
+                let weight = s.splat(weight);
+                let out = S::registers_mut(&mut self.out[pixel as usize * K..][..K]);
+                for (out, &value) in out.iter_mut().zip(&*value) {
+                    *out = s.mul_add(weight, value, *out);
                 }
             }
         }
@@ -103,67 +92,44 @@ struct AdjointBlock<'a, E, const K: usize, const GEOMETRY: bool> {
 
 impl<E: Real, const K: usize, const GEOMETRY: bool> Kernel<E> for AdjointBlock<'_, E, K, GEOMETRY> {
     type Output = ();
+
     #[inline(always)]
-    fn run<V: Vector<E>>(self) {
-        let Self {
-            block:
-                Block {
-                    pairs,
-                    ranks,
-                    values,
-                    width,
-                    channel,
-                },
-            image,
-            sums,
-            stride,
-            at,
-            used,
-            projections,
-        } = self;
+    fn run<S: Lanes<E>>(self, s: S) {
+        let pairs = self.block.pairs;
+        let zero = s.splat(E::zero());
         for i in 0..pairs.ends.len() {
-            let mut sum = [E::zero(); K];
-            let mut value = [E::zero(); K];
+            let mut sum = [zero; REGISTERS];
+            let mut value = [zero; REGISTERS];
+            let sum = &mut sum[..K / S::LANES];
+            let value = &mut value[..K / S::LANES];
             if GEOMETRY {
-                value.copy_from_slice(&values[ranks[i] as usize * width + channel..][..K]);
+                value.copy_from_slice(S::registers(self.block.values_of(i, K)));
             }
             for pair in pairs.range(i) {
-                let Some(image) = image[pairs.pixels[pair] as usize * K..].first_chunk::<K>()
-                else {
-                    return;
-                };
-                let weight = V::splat(pairs.weights[pair]);
-                for (sum, image) in vectors_mut(&mut sum).zip(vectors(image)) {
-                    weight.fma(V::load(image), V::load(sum)).store(sum);
+                let image = S::registers(&self.image[pairs.pixels[pair] as usize * K..][..K]);
+                let weight = s.splat(pairs.weights[pair]);
+                for (sum, &image) in sum.iter_mut().zip(image) {
+                    *sum = s.mul_add(weight, image, *sum);
                 }
                 if GEOMETRY {
-                    let mut part = V::splat(E::zero());
-                    for (value, image) in vectors(&value).zip(vectors(image)) {
-                        part = V::load(value).fma(V::load(image), part);
+                    let mut part = zero;
+                    for (&value, &image) in value.iter().zip(image) {
+                        part = s.mul_add(value, image, part);
                     }
-                    projections[pair] += part.total();
+                    self.projections[pair] += s.total(part);
                 }
             }
-            sums[i * stride + at..][..used].copy_from_slice(&sum[..used]);
+            let mut lanes = [E::zero(); K];
+            S::registers_mut(&mut lanes).copy_from_slice(sum);
+            self.sums[i * self.stride + self.at..][..self.used]
+                .copy_from_slice(&lanes[..self.used]);
         }
     }
 }
 
-/// `K` numbers as vectors.
-#[inline(always)]
-fn vectors<E, const K: usize>(x: &[E; K]) -> impl Iterator<Item = &[E; LANES]> {
-    x.as_chunks().0.iter()
-}
-
-/// [`vectors`], to write to.
-#[inline(always)]
-fn vectors_mut<E, const K: usize>(x: &mut [E; K]) -> impl Iterator<Item = &mut [E; LANES]> {
-    x.as_chunks_mut().0.iter_mut()
-}
-
 /// Blends `values`, `[N, channels]`.
 pub(super) fn blend<E: Real>(p: &Projected<E>, values: &[E], channels: usize) -> Blended<E> {
-    let width = channels.next_multiple_of(ALIGN);
+    let width = channels.next_multiple_of(NARROW);
     let values = p.in_depth_order(values, channels, width);
     let size = p.size();
     for_each_tile_row(p, channels, |tile, image, transmittance| {
@@ -171,7 +137,7 @@ pub(super) fn blend<E: Real>(p: &Projected<E>, values: &[E], channels: usize) ->
         let first = tile.origin[1] * size[0];
         for (from, to, len) in tile.rows(size) {
             for x in 0..len {
-                transmittance[to - first + x] = pairs.t.as_flattened()[from + x].abs();
+                transmittance[to - first + x] = pairs.t.0[from + x].abs();
             }
         }
         let mut channel = 0;
@@ -185,7 +151,7 @@ pub(super) fn blend<E: Real>(p: &Projected<E>, values: &[E], channels: usize) ->
             };
             channel += block!(width - channel, K => {
                 let mut out = vec![E::zero(); PIXELS * K];
-                dispatch(BlendBlock::<E, K>(block, &mut out));
+                E::dispatch(BlendBlock::<E, K> { block, out: &mut out });
                 let used = K.min(channels - channel);
                 for (from, to, len) in tile.rows(size) {
                         for x in 0..len {
@@ -222,7 +188,7 @@ fn tile_channels<E: Real>(
 /// `W^T image`, `[visible, channels]` front to back; `image` is `[H, W, channels]`.
 pub(super) fn adjoint<E: Real>(p: &Projected<E>, image: &[E], channels: usize) -> Vec<E> {
     let size = p.size();
-    let width = channels.next_multiple_of(ALIGN);
+    let width = channels.next_multiple_of(NARROW);
     sum_over_tiles(p, channels, |tile, sums| {
         let pairs = Pairs::<E, false>::gather(p, tile, fresh_transmittance(tile, size));
         let mut channel = 0;
@@ -237,7 +203,7 @@ pub(super) fn adjoint<E: Real>(p: &Projected<E>, image: &[E], channels: usize) -
             channel += block!(width - channel, K => {
                 let image = tile_channels(image, tile, size, channels, channel, K);
                 let used = K.min(channels - channel);
-                dispatch(AdjointBlock::<E, K, false> {
+                E::dispatch(AdjointBlock::<E, K, false> {
                     block, image: &image, sums, stride: channels, at: channel, used, projections: &mut [],
                 });
                 K
@@ -255,7 +221,7 @@ pub(super) fn backward<E: Real, const ABSOLUTE: bool>(
     pixels: PixelGradients<'_, E>,
 ) -> Vec<E> {
     let size = p.size();
-    let width = channels.next_multiple_of(ALIGN);
+    let width = channels.next_multiple_of(NARROW);
     let stride = geometry_sums(ABSOLUTE) + channels;
     let values = p.in_depth_order(values, channels, width);
     sum_over_tiles(p, stride, |tile, sums| {
@@ -274,7 +240,7 @@ pub(super) fn backward<E: Real, const ABSOLUTE: bool>(
                 let image = tile_channels(pixels.d_image, tile, size, channels, channel, K);
                 let used = K.min(channels - channel);
                 let at = 6 + channel;
-                dispatch(AdjointBlock::<E, K, true> {
+                E::dispatch(AdjointBlock::<E, K, true> {
                     block, image: &image, sums, stride, at, used, projections: &mut projections,
                 });
                 K
@@ -296,7 +262,7 @@ pub(super) fn backward<E: Real, const ABSOLUTE: bool>(
                 [E::zero(); 3]
             };
             for pair in pairs.range(i) {
-                let (alpha, u, v) = (pairs.alphas[pair], pairs.us[pair], pairs.vs[pair]);
+                let [alpha, u, v] = pairs.geometry[pair];
                 let own = pairs.weights[pair] * projections[pair];
                 let rest = &mut budget[pairs.pixels[pair] as usize];
                 *rest -= own;

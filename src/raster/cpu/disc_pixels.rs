@@ -1,14 +1,17 @@
 //! Algorithm 1's counter: pixels within a radius.
 
 use crate::backend::elementary::floor;
-use crate::backend::simd::wide_function;
+use crate::backend::simd::vectorized;
 
 /// Rows of pixels of one loop.
 const BLOCK: usize = 8;
 
-wide_function! {
-    /// For each disc, a centre and a radius in pixels, the pixels of an image of `size` whose centres lie in it.
-    pub(super) fn count(discs: &[([f64; 2], u32)], size: [usize; 2], counts: &mut [u32]) => count_all
+/// For each disc, a centre and a radius in pixels, the pixels of an image of `size` whose centres lie in it.
+pub(super) fn count(discs: &[([f64; 2], u32)], size: [usize; 2], counts: &mut [u32]) {
+    vectorized(
+        #[inline(always)]
+        || count_all(discs, size, counts),
+    )
 }
 
 #[inline(always)]

@@ -1,22 +1,51 @@
-//! Which pixels of a tile a projected Gaussian reaches, and its alpha' there.
+//! Which pixels of a tile a projected Gaussian reaches, and its alpha' there (Eq. 2).
 //!
-//! A tile is cut into strips of `LANES` neighbouring pixels of a row. Strips are fixed in place: a kernel's state lies
-//! in aligned vectors, so that a strip's next load finds the whole of its last store.
+//! A tile is cut into strips: neighbouring pixels of a row, as many as a register holds.
 
 use super::tile_loop::Tile;
 use crate::backend::Real;
-use crate::backend::vector::{LANES, Vector};
+use crate::backend::simd::Lanes;
+use crate::raster::Settings;
 
 /// Pixels along a tile's edge.
 pub(in crate::raster) const TILE: usize = 16;
 /// Pixels of a tile.
 pub(super) const PIXELS: usize = TILE * TILE;
-/// Strips of a tile, in the order of their pixels.
-pub(super) const STRIPS: usize = PIXELS / LANES;
+/// Most strips that a tile is cut into: registers hold four numbers or more.
+const MAX_STRIPS: usize = 64;
+
+/// Strips of a tile.
+pub(super) const fn strips<E, S: Lanes<E>>() -> usize {
+    PIXELS / S::LANES
+}
+
 /// A value for every pixel of a tile, row-major.
-pub(super) type Buffer<E> = [[E; LANES]; STRIPS];
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+pub(super) struct Buffer<E>(pub [E; PIXELS]);
+
+impl<E: Real> Buffer<E> {
+    pub fn zeros() -> Self {
+        Self([E::zero(); PIXELS])
+    }
+
+    /// The values of a strip.
+    #[inline(always)]
+    pub fn get<S: Lanes<E>>(&self, strip: usize) -> S::V {
+        // The remainder spares a check of bounds.
+        S::registers(&self.0)[strip % strips::<E, S>()]
+    }
+
+    #[inline(always)]
+    pub fn set<S: Lanes<E>>(&mut self, strip: usize, x: S::V) {
+        S::registers_mut(&mut self.0)[strip % strips::<E, S>()] = x;
+    }
+}
 
 /// A projected Gaussian as the tile kernels read it.
+///
+/// With the 2D covariance `[[X, B], [B, Y]]` and `s2 = X - B^2 / Y`, the exponent of Eq. 2 at an offset `(x, y)` from
+/// the centre is `-(u^2 + v^2)` with `u = (x - B / Y y) / sqrt(2 s2)` and `v = y / sqrt(2 Y)`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::raster) struct Splat2 {
     /// Centre, pixels.
@@ -31,32 +60,6 @@ pub(in crate::raster) struct Splat2 {
     pub reach: f64,
     /// Natural logarithm of the opacity.
     pub log_opacity: f64,
-}
-
-/// Rows and columns of the first pixels of the first `LANES` strips, which are [`GROUP_ROWS`] rows.
-#[derive(Clone, Copy)]
-pub(super) struct Grid<V> {
-    rows: V,
-    columns: V,
-}
-
-/// Rows that `LANES` strips make.
-const GROUP_ROWS: usize = LANES * LANES / TILE;
-const GROUPS: usize = TILE / GROUP_ROWS;
-
-impl<V> Grid<V> {
-    #[inline(always)]
-    pub fn new<E: Real>() -> Self
-    where
-        V: Vector<E>,
-    {
-        let pixel: [usize; LANES] = std::array::from_fn(|strip| strip * LANES);
-        let load = |x: [usize; LANES]| V::load(&x.map(|x| E::of(x as f64)));
-        Self {
-            rows: load(pixel.map(|p| p / TILE)),
-            columns: load(pixel.map(|p| p % TILE)),
-        }
-    }
 }
 
 /// A Gaussian seen from the corner of a tile. Kernels work with base 2: their `u`, `v` are [`UNIT`] times those of
@@ -78,21 +81,44 @@ pub(super) struct Corner<E> {
 pub(super) const UNIT: f64 = 1.201_122_408_786_449_8;
 
 impl<E: Real> Corner<E> {
-    /// Of `s` over `tile`.
     #[inline(always)]
-    pub fn new(s: &Splat2, tile: Tile<'_>) -> Self {
+    pub fn new(splat: &Splat2, tile: Tile<'_>) -> Self {
         // In f64 as far as the corner: a huge splat centred far away would lose its edge in f32.
-        let x = tile.origin[0] as f64 + 0.5 - s.center[0];
-        let y = tile.origin[1] as f64 + 0.5 - s.center[1];
-        let (du, dv) = (UNIT * s.du, UNIT * s.dv);
+        let x = tile.origin[0] as f64 + 0.5 - splat.center[0];
+        let y = tile.origin[1] as f64 + 0.5 - splat.center[1];
+        let du = UNIT * splat.du;
+        let dv = UNIT * splat.dv;
         Self {
-            u: E::of(du * (x - s.slope * y)),
+            u: E::of(du * (x - splat.slope * y)),
             v: E::of(dv * y),
             du: E::of(du),
-            du_row: E::of(-du * s.slope),
+            du_row: E::of(-du * splat.slope),
             dv: E::of(dv),
-            reach2: E::of(UNIT * UNIT * s.reach * s.reach),
-            peak: E::of(UNIT * UNIT * s.log_opacity),
+            reach2: E::of(UNIT * UNIT * splat.reach * splat.reach),
+            peak: E::of(UNIT * UNIT * splat.log_opacity),
+        }
+    }
+}
+
+/// Rows and columns of the first pixels of the first `LANES` strips.
+pub(super) struct Grid<V> {
+    rows: V,
+    columns: V,
+}
+
+impl<V: Copy> Grid<V> {
+    #[inline(always)]
+    pub fn new<E: Real, S: Lanes<E, V = V>>(_: S) -> Self {
+        let mut rows = [E::zero(); TILE];
+        let mut columns = [E::zero(); TILE];
+        for strip in 0..S::LANES {
+            let pixel = strip * S::LANES;
+            rows[strip] = E::of((pixel / TILE) as f64);
+            columns[strip] = E::of((pixel % TILE) as f64);
+        }
+        Self {
+            rows: S::registers(&rows)[0],
+            columns: S::registers(&columns)[0],
         }
     }
 }
@@ -100,46 +126,56 @@ impl<E: Real> Corner<E> {
 /// One Gaussian over one tile.
 pub(super) struct Footprint<E> {
     /// A bit for every strip that the ellipse reaches.
-    pub strips: u32,
-    /// `u` at the first pixel of every strip; `v` and `peak - v^2` there.
-    u: [[E; LANES]; GROUPS],
-    v: [[E; LANES]; GROUPS],
-    top: [[E; LANES]; GROUPS],
+    pub strips: u64,
+    /// `u`, `v` and `peak - v^2` at the first pixel of every strip.
+    u: [E; MAX_STRIPS],
+    v: [E; MAX_STRIPS],
+    top: [E; MAX_STRIPS],
     /// Step of `u` along a row.
     du: E,
 }
 
 impl<E: Real> Footprint<E> {
-    #[inline(always)]
-    pub fn new<V: Vector<E>>(corner: &Corner<E>, grid: &Grid<V>) -> Self {
-        let du = corner.du;
-        let [u, v, du_row, dv] = [corner.u, corner.v, corner.du_row, corner.dv].map(V::splat);
-        let (top_u, top_v) = (
-            grid.rows.fma(du_row, grid.columns.fma(V::splat(du), u)),
-            grid.rows.fma(dv, v),
-        );
-        let minus_length = V::splat(-du * E::of((LANES - 1) as f64));
-        let [reach2, peak, zero] = [corner.reach2, corner.peak, E::zero()].map(V::splat);
-        let nothing = [[E::zero(); LANES]; GROUPS];
-        let mut out = Self {
+    pub fn empty() -> Self {
+        Self {
             strips: 0,
-            u: nothing,
-            v: nothing,
-            top: nothing,
-            du,
-        };
-        for group in 0..GROUPS {
-            let rows = V::splat(E::of((group * GROUP_ROWS) as f64));
-            let (u, v) = (rows.fma(du_row, top_u), rows.fma(dv, top_v));
-            // Distance in u from the strip to the middle of the row section; NaN stays NaN, and reaches nothing.
-            let away = zero.max(u.max(minus_length.sub(u)));
-            let vv = v.mul(v);
-            out.strips |= reach2.bits_above(away.fma(away, vv)) << (group * LANES);
-            u.store(&mut out.u[group]);
-            v.store(&mut out.v[group]);
-            peak.sub(vv).store(&mut out.top[group]);
+            u: [E::zero(); MAX_STRIPS],
+            v: [E::zero(); MAX_STRIPS],
+            top: [E::zero(); MAX_STRIPS],
+            du: E::zero(),
         }
-        out
+    }
+
+    /// Becomes that of the Gaussian seen from `corner`.
+    #[inline(always)]
+    pub fn place<S: Lanes<E>>(&mut self, s: S, corner: &Corner<E>, grid: &Grid<S::V>) {
+        let du_row = s.splat(corner.du_row);
+        let dv = s.splat(corner.dv);
+        let first_u = s.mul_add(
+            grid.rows,
+            du_row,
+            s.mul_add(grid.columns, s.splat(corner.du), s.splat(corner.u)),
+        );
+        let first_v = s.mul_add(grid.rows, dv, s.splat(corner.v));
+        let minus_length = s.splat(-corner.du * E::of((S::LANES - 1) as f64));
+        let reach2 = s.splat(corner.reach2);
+        let peak = s.splat(corner.peak);
+        let zero = s.splat(E::zero());
+        self.strips = 0;
+        self.du = corner.du;
+        for group in 0..strips::<E, S>() / S::LANES {
+            let rows = s.splat(E::of((group * S::LANES * S::LANES / TILE) as f64));
+            let u = s.mul_add(rows, du_row, first_u);
+            let v = s.mul_add(rows, dv, first_v);
+            let vv = s.mul(v, v);
+            // Distance in u from the strip to the middle of the row section.
+            let away = s.max(zero, s.max(u, s.sub(minus_length, u)));
+            let reached = s.greater(reach2, s.mul_add(away, away, vv));
+            self.strips |= u64::from(s.bits(reached)) << (group * S::LANES);
+            S::registers_mut(&mut self.u)[group] = u;
+            S::registers_mut(&mut self.v)[group] = v;
+            S::registers_mut(&mut self.top)[group] = s.sub(peak, vv);
+        }
     }
 
     /// Calls `f` with every strip that is reached, in order.
@@ -147,115 +183,109 @@ impl<E: Real> Footprint<E> {
     pub fn for_each(&self, mut f: impl FnMut(usize)) {
         let mut strips = self.strips;
         while strips != 0 {
-            f(strips.trailing_zeros() as usize % STRIPS);
+            f(strips.trailing_zeros() as usize);
             strips &= strips - 1;
         }
     }
 
     /// alpha' at the pixels of a strip, 0 below the cut-off.
     #[inline(always)]
-    pub fn alpha<V: Vector<E>>(&self, strip: usize, rule: &Rule<V>) -> V {
-        let u: V = self.u(strip);
-        rule.cut(
-            u.fnma(u, V::splat(self.top.as_flattened()[strip]))
-                .exp2_nonpositive(),
-        )
+    pub fn alpha<S: Lanes<E>>(&self, strip: usize, rule: &Rule<E, S>) -> S::V {
+        let s = rule.s;
+        let u = self.u(s, strip);
+        let top = s.splat(self.top[strip % MAX_STRIPS]);
+        rule.cut(s.exp2_nonpositive(s.neg_mul_add(u, u, top)))
     }
 
     /// `u` at the pixels of a strip.
     #[inline(always)]
-    pub fn u<V: Vector<E>>(&self, strip: usize) -> V {
-        V::ramp().fma(V::splat(self.du), V::splat(self.u.as_flattened()[strip]))
+    pub fn u<S: Lanes<E>>(&self, s: S, strip: usize) -> S::V {
+        s.mul_add(
+            s.ramp(),
+            s.splat(self.du),
+            s.splat(self.u[strip % MAX_STRIPS]),
+        )
     }
 
     /// `v` at the pixels of a strip.
     #[inline(always)]
     pub fn v(&self, strip: usize) -> E {
-        self.v.as_flattened()[strip]
+        self.v[strip % MAX_STRIPS]
     }
 }
 
-/// Constants of the blending rule.
-#[derive(Clone, Copy)]
-pub(super) struct Rule<V> {
-    alpha_max: V,
-    alpha_min: V,
-    t_min: V,
-    one: V,
+/// The blending rule: cap, cut-off, and the end of a pixel.
+pub(super) struct Rule<E, S: Lanes<E>> {
+    pub s: S,
+    alpha_max: S::V,
+    alpha_min: S::V,
+    t_min: S::V,
+    pub one: S::V,
 }
 
-impl<V> Rule<V> {
+impl<E: Real, S: Lanes<E>> Rule<E, S> {
     #[inline(always)]
-    pub fn new<E: Real>(s: &crate::raster::Settings) -> Self
-    where
-        V: Vector<E>,
-    {
-        let splat = |x: f64| V::splat(E::of(x));
-        let [alpha_max, alpha_min, t_min] = [s.alpha_max, s.alpha_min, s.t_min].map(splat);
+    pub fn new(s: S, settings: &Settings) -> Self {
         Self {
-            alpha_max,
-            alpha_min,
-            t_min,
-            one: splat(1.0),
+            s,
+            alpha_max: s.splat(E::of(settings.alpha_max)),
+            alpha_min: s.splat(E::of(settings.alpha_min)),
+            t_min: s.splat(E::of(settings.t_min)),
+            one: s.splat(E::one()),
         }
     }
 
     /// The cap and the cut-off.
     #[inline(always)]
-    fn cut<E>(&self, alpha: V) -> V
-    where
-        V: Vector<E>,
-    {
-        alpha.min(self.alpha_max).keep_from(self.alpha_min)
+    fn cut(&self, alpha: S::V) -> S::V {
+        let alpha = self.s.min(alpha, self.alpha_max);
+        self.s.keep(self.s.at_least(alpha, self.alpha_min), alpha)
     }
 
-    /// Weights `alpha' T`; updates `t`. A pixel that ends keeps its transmittance with the sign turned, which also stops
-    /// it from taking anything more; `alpha` becomes 0 there.
+    /// One Gaussian over one strip: alpha' of its pixels, 0 where a pixel has ended, and the weights `alpha' T`
+    /// (Eq. 3). Updates the transmittance. A pixel that ends keeps its transmittance with the sign turned, which also
+    /// stops it from taking anything more.
     #[inline(always)]
-    pub fn absorb<E>(&self, alpha: &mut V, t: &mut V) -> V
-    where
-        V: Vector<E>,
-    {
-        let next = alpha.fnma(*t, *t);
-        *alpha = alpha.keep_above(next, self.t_min);
-        let weight = alpha.mul(*t);
-        *t = next.select_above(self.t_min, next, t.minus_abs());
-        weight
+    pub fn absorb(
+        &self,
+        footprint: &Footprint<E>,
+        transmittance: &mut Buffer<E>,
+        strip: usize,
+    ) -> (S::V, S::V) {
+        let s = self.s;
+        let alpha = footprint.alpha(strip, self);
+        let t = transmittance.get::<S>(strip);
+        let next = s.neg_mul_add(alpha, t, t);
+        let goes_on = s.greater(next, self.t_min);
+        let alpha = s.keep(goes_on, alpha);
+        transmittance.set::<S>(strip, s.select(goes_on, next, s.minus_abs(t)));
+        (alpha, s.mul(alpha, t))
     }
 
     /// `g` where alpha' is below the cap, else 0.
     #[inline(always)]
-    pub fn below_cap<E>(&self, alpha: V, g: V) -> V
-    where
-        V: Vector<E>,
-    {
-        g.keep_above(self.alpha_max, alpha)
-    }
-
-    /// 1 in all lanes.
-    pub fn one(&self) -> V
-    where
-        V: Copy,
-    {
-        self.one
+    pub fn below_cap(&self, alpha: S::V, g: S::V) -> S::V {
+        self.s.keep(self.s.greater(self.alpha_max, alpha), g)
     }
 }
 
 /// Transmittance of a tile's pixels: 1 inside an image of `size`, ended outside.
 #[inline(always)]
 pub(super) fn fresh_transmittance<E: Real>(tile: Tile<'_>, size: [usize; 2]) -> Buffer<E> {
-    let mut t = [[-E::one(); LANES]; STRIPS];
+    let mut t = Buffer([-E::one(); PIXELS]);
     for (at, _, len) in tile.rows(size) {
-        t.as_flattened_mut()[at..at + len].fill(E::one());
+        t.0[at..at + len].fill(E::one());
     }
     t
 }
 
 /// A bit for every strip that still has a pixel which takes more.
 #[inline(always)]
-pub(super) fn live_strips<E: Real, V: Vector<E>>(t: &Buffer<E>) -> u32 {
-    let zero = V::splat(E::zero());
-    t.iter().enumerate().fold(0, |live, (strip, t)| {
-        live | u32::from(V::load(t).bits_above(zero) != 0) << strip
-    })
+pub(super) fn live_strips<E: Real, S: Lanes<E>>(s: S, t: &Buffer<E>) -> u64 {
+    let zero = s.splat(E::zero());
+    let mut live = 0;
+    for (strip, &t) in S::registers(&t.0).iter().enumerate() {
+        live |= u64::from(s.bits(s.greater(t, zero)) != 0) << strip;
+    }
+    live
 }

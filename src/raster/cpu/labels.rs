@@ -2,11 +2,11 @@
 //! scene has.
 
 use super::blend::{Beside, blend_beside};
-use super::footprint::{Buffer, PIXELS, STRIPS};
+use super::footprint::{Buffer, PIXELS};
 use super::projected::{Blended, Projected};
 use super::tile_loop::LOOK;
 use crate::backend::Real;
-use crate::backend::vector::{LANES, Vector};
+use crate::backend::simd::Lanes;
 
 /// Sums of the weights of each label of a tile.
 struct LabelSums<'a, E> {
@@ -40,16 +40,16 @@ impl<E: Real> Beside<E> for LabelSums<'_, E> {
                 .position(|&other| other == label)
                 .unwrap_or_else(|| {
                     self.seen.push(label);
-                    self.weights.push([[E::zero(); LANES]; STRIPS]);
+                    self.weights.push(Buffer::zeros());
                     self.seen.len() - 1
                 });
         }
     }
 
     #[inline(always)]
-    fn add<V: Vector<E>>(&mut self, strip: usize, weight: V) {
-        let own = &mut self.weights[self.slot][strip];
-        weight.add(V::load(own)).store(own);
+    fn add<S: Lanes<E>>(&mut self, s: S, strip: usize, weight: S::V) {
+        let own = &mut self.weights[self.slot];
+        own.set::<S>(strip, s.add(weight, own.get::<S>(strip)));
     }
 
     /// The label with the largest sum, ties to the lower one, and 0 where nothing was taken.
@@ -60,9 +60,7 @@ impl<E: Real> Beside<E> for LabelSums<'_, E> {
         let (mut weights, mut labels) = ([E::zero(); PIXELS], [E::zero(); PIXELS]);
         for (label, own) in ascending {
             let label = E::of(f64::from(label));
-            for ((weight, best), &own) in
-                weights.iter_mut().zip(&mut labels).zip(own.as_flattened())
-            {
+            for ((weight, best), &own) in weights.iter_mut().zip(&mut labels).zip(&own.0) {
                 *best = if own > *weight { label } else { *best };
                 *weight = if own > *weight { own } else { *weight };
             }

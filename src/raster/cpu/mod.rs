@@ -13,6 +13,7 @@ pub(super) mod geometry;
 mod labels;
 mod outline;
 mod pairs;
+mod parameter_gradients;
 pub(super) mod projected;
 mod projection;
 pub(super) mod sh;

@@ -3,7 +3,7 @@
 //! Nothing is fused, so that the lists do not depend on the instruction set.
 
 use super::footprint::{Splat2, TILE};
-use crate::backend::simd::wide_function;
+use crate::backend::simd::vectorized;
 use std::ops::Range;
 
 /// Gaussians of one loop.
@@ -22,9 +22,12 @@ pub(super) struct Bins {
     pub per_tile: Vec<u32>,
 }
 
-wide_function! {
-    /// Finds every tile of an image of `size` pixels that holds a pixel centre near the ellipse of each of `splats`.
-    pub(super) fn bin(splats: &[Splat2], size: [usize; 2]) -> Bins => bin_all
+/// Finds every tile of an image of `size` pixels that holds a pixel centre near the ellipse of each of `splats`.
+pub(super) fn bin(splats: &[Splat2], size: [usize; 2]) -> Bins {
+    vectorized(
+        #[inline(always)]
+        || bin_all(splats, size),
+    )
 }
 
 #[inline(always)]

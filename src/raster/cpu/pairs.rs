@@ -1,81 +1,50 @@
 //! The contributing pairs of a tile as a list, for many channels and for the matrix `W` itself: a pair's weight is
 //! computed once, over pixel lanes.
 
-use super::footprint::{Buffer, Footprint, Rule};
+use super::footprint::{Buffer, Footprint, Rule, TILE};
 use super::projected::Projected;
 use super::tile_loop::{Pass, Tile, walk};
 use crate::backend::Real;
-use crate::backend::simd::{Kernel, dispatch};
-use crate::backend::vector::{LANES, MEMBERS, Vector};
-use crate::raster::settings::PairCounts;
+use crate::backend::simd::{Kernel, Lanes};
+use crate::raster::PairCounts;
 
-/// Pairs of a Gaussian in a tile for which room is made beforehand; there is more when there are more.
+/// Pairs of a Gaussian in a tile for which the lists have room at first.
 const USUAL: usize = 24;
 
 /// Contributing pairs of one tile, Gaussian by Gaussian, front to back.
 pub(super) struct Pairs<E, const GEOMETRY: bool> {
-    /// Transmittance, ended pixels negative.
+    /// Transmittance, negative where a pixel has ended.
     pub t: Buffer<E>,
     /// One past the last pair of each of the tile's Gaussians that was looked at.
     pub ends: Vec<u32>,
     /// Pixel within the tile, `row * TILE + column`, ascending for each Gaussian.
     pub pixels: Vec<u16>,
+    /// alpha' T.
     pub weights: Vec<E>,
     /// alpha' and the kernels' u, v of each pair when `GEOMETRY`.
-    pub alphas: Vec<E>,
-    pub us: Vec<E>,
-    pub vs: Vec<E>,
+    pub geometry: Vec<[E; 3]>,
     pub counts: PairCounts,
 }
 
-struct PairPass<V, E, const GEOMETRY: bool> {
-    rule: Rule<V>,
-    pairs: Pairs<E, GEOMETRY>,
-    /// Pairs so far; the lists are longer, so that a strip is written without asking for room for every pixel.
-    len: usize,
-}
-
-impl<E: Real, V: Vector<E>, const GEOMETRY: bool> Pass<E, V> for PairPass<V, E, GEOMETRY> {
-    #[inline(always)]
-    fn transmittance(&self) -> &Buffer<E> {
-        &self.pairs.t
+impl<E: Real, const GEOMETRY: bool> Pairs<E, GEOMETRY> {
+    /// The pairs of `tile`, of pixels where `t` is positive.
+    pub fn gather(p: &Projected<E>, tile: Tile<'_>, t: Buffer<E>) -> Self {
+        E::dispatch(Gather { p, tile, t })
     }
 
-    #[inline(always)]
-    fn gather(&mut self, _ranks: &[u32]) {}
+    fn resize(&mut self, len: usize) {
+        self.pixels.resize(len, 0);
+        self.weights.resize(len, E::zero());
+        if GEOMETRY {
+            self.geometry.resize(len, [E::zero(); 3]);
+        }
+    }
 
+    /// Pairs of the tile's `i`-th Gaussian, as positions.
     #[inline(always)]
-    fn take(&mut self, _next: usize, _entry: usize, footprint: &Footprint<E>) {
-        let (pairs, mut len) = (&mut self.pairs, self.len);
-        footprint.for_each(|strip| {
-            let (mut alpha, mut t) = (footprint.alpha(strip, &self.rule), V::load(&pairs.t[strip]));
-            let weight = self.rule.absorb(&mut alpha, &mut t);
-            t.store(&mut pairs.t[strip]);
-            pairs.counts.evaluated += LANES as u64;
-            if len + LANES > pairs.pixels.len() {
-                pairs.resize(2 * len + LANES);
-            }
-            // The lanes that contribute come first; the next pairs are written over the others.
-            let members = weight.bits_above(V::splat(E::zero())) as usize;
-            let from = &MEMBERS[members];
-            if let Some(pixels) = pairs.pixels[len..].first_chunk_mut() {
-                *pixels = from.map(|lane| (strip * LANES) as u16 + u16::from(lane));
-            }
-            let put = |list: &mut [E], lanes: V| {
-                if let Some(to) = list[len..].first_chunk_mut() {
-                    lanes.permute(from).store(to);
-                }
-            };
-            put(&mut pairs.weights, weight);
-            if GEOMETRY {
-                put(&mut pairs.alphas, alpha);
-                put(&mut pairs.us, footprint.u(strip));
-                put(&mut pairs.vs, V::splat(footprint.v(strip)));
-            }
-            len += members.count_ones() as usize;
-        });
-        self.len = len;
-        pairs.ends.push(len as u32);
+    pub fn range(&self, i: usize) -> std::ops::Range<usize> {
+        let first = if i == 0 { 0 } else { self.ends[i - 1] as usize };
+        first..self.ends[i] as usize
     }
 }
 
@@ -87,26 +56,24 @@ struct Gather<'a, E, const GEOMETRY: bool> {
 
 impl<E: Real, const GEOMETRY: bool> Kernel<E> for Gather<'_, E, GEOMETRY> {
     type Output = Pairs<E, GEOMETRY>;
+
     #[inline(always)]
-    fn run<V: Vector<E>>(self) -> Self::Output {
-        let Gather { p, tile, t } = self;
+    fn run<S: Lanes<E>>(self, s: S) -> Self::Output {
         let mut pairs = Pairs {
-            t,
-            ends: Vec::with_capacity(tile.ranks.len()),
+            t: self.t,
+            ends: Vec::with_capacity(self.tile.ranks.len()),
             pixels: Vec::new(),
             weights: Vec::new(),
-            alphas: Vec::new(),
-            us: Vec::new(),
-            vs: Vec::new(),
+            geometry: Vec::new(),
             counts: PairCounts::default(),
         };
-        pairs.resize(USUAL * tile.ranks.len());
-        let mut pass = PairPass::<V, E, GEOMETRY> {
-            rule: Rule::new::<E>(&p.settings),
+        pairs.resize(USUAL * self.tile.ranks.len());
+        let mut pass = PairPass {
+            rule: Rule::new(s, &self.p.settings),
             pairs,
             len: 0,
         };
-        walk(p, tile, &mut pass);
+        walk(s, self.p, self.tile, &mut pass);
         let PairPass { mut pairs, len, .. } = pass;
         pairs.resize(len);
         pairs.counts.contributing = len as u64;
@@ -114,26 +81,63 @@ impl<E: Real, const GEOMETRY: bool> Kernel<E> for Gather<'_, E, GEOMETRY> {
     }
 }
 
-impl<E: Real, const GEOMETRY: bool> Pairs<E, GEOMETRY> {
-    /// The pairs of `tile`, of pixels where `t` is positive.
-    pub fn gather(p: &Projected<E>, tile: Tile<'_>, t: Buffer<E>) -> Self {
-        dispatch(Gather { p, tile, t })
-    }
+struct PairPass<E, S: Lanes<E>, const GEOMETRY: bool> {
+    rule: Rule<E, S>,
+    pairs: Pairs<E, GEOMETRY>,
+    /// Pairs so far; the lists are longer, so that a strip asks for room once.
+    len: usize,
+}
 
-    fn resize(&mut self, len: usize) {
-        self.pixels.resize(len, 0);
-        self.weights.resize(len, E::zero());
-        if GEOMETRY {
-            for list in [&mut self.alphas, &mut self.us, &mut self.vs] {
-                list.resize(len, E::zero());
-            }
-        }
-    }
-
-    /// Pairs of the tile's `i`-th Gaussian, as positions.
+impl<E: Real, S: Lanes<E>, const GEOMETRY: bool> Pass<E> for PairPass<E, S, GEOMETRY> {
     #[inline(always)]
-    pub fn range(&self, i: usize) -> std::ops::Range<usize> {
-        let first = if i == 0 { 0 } else { self.ends[i - 1] as usize };
-        first..self.ends[i] as usize
+    fn transmittance(&self) -> &Buffer<E> {
+        &self.pairs.t
     }
+
+    #[inline(always)]
+    fn gather(&mut self, _ranks: &[u32]) {}
+
+    #[inline(always)]
+    fn take(&mut self, _next: usize, _entry: usize, footprint: &Footprint<E>) {
+        let s = self.rule.s;
+        let pairs = &mut self.pairs;
+        let mut len = self.len;
+        footprint.for_each(|strip| {
+            let (alpha, weight) = self.rule.absorb(footprint, &mut pairs.t, strip);
+            pairs.counts.evaluated += S::LANES as u64;
+            if len + S::LANES > pairs.pixels.len() {
+                pairs.resize(2 * len + S::LANES);
+            }
+            let members = s.bits(s.greater(weight, s.splat(E::zero())));
+            // The lanes that contribute come first; the next pairs are written over the others.
+            let to = len..len + S::LANES;
+            S::registers_mut(&mut pairs.weights[to.clone()])[0] = s.compress(weight, members);
+            let pixels = &mut pairs.pixels[to.clone()];
+            let mut count = 0;
+            // As many steps for every strip: a loop over the members alone would be mispredicted.
+            for lane in 0..S::LANES {
+                pixels[count % S::LANES] = (strip * S::LANES + lane) as u16;
+                count += (members >> lane & 1) as usize;
+            }
+            if GEOMETRY {
+                let alphas = lanes::<E, S>(s.compress(alpha, members));
+                let us = lanes::<E, S>(s.compress(footprint.u(s, strip), members));
+                let v = footprint.v(strip);
+                for ((to, alpha), u) in pairs.geometry[to].iter_mut().zip(alphas).zip(us) {
+                    *to = [alpha, u, v];
+                }
+            }
+            len += count;
+        });
+        self.len = len;
+        pairs.ends.push(len as u32);
+    }
+}
+
+/// The numbers of a register, which are [`TILE`] at most.
+#[inline(always)]
+fn lanes<E: Real, S: Lanes<E>>(x: S::V) -> [E; TILE] {
+    let mut out = [E::zero(); TILE];
+    S::registers_mut(&mut out)[0] = x;
+    out
 }

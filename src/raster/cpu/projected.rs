@@ -272,6 +272,15 @@ impl<E: Real> Projected<E> {
         self.stats
     }
 
+    /// Position in depth order of each Gaussian of the scene, `u32::MAX` for a culled one.
+    pub(super) fn ranks(&self) -> Vec<u32> {
+        let mut ranks = vec![u32::MAX; self.len()];
+        for (rank, &id) in (0..).zip(&self.ids) {
+            ranks[id as usize] = rank;
+        }
+        ranks
+    }
+
     /// Rows of `values` `[N, channels]` of the visible Gaussians, front to back, each padded with zeros to `width`.
     pub(in crate::raster) fn in_depth_order(
         &self,

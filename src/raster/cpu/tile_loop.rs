@@ -3,8 +3,7 @@
 use super::footprint::{Buffer, Corner, Footprint, Grid, TILE, live_strips};
 use super::projected::{Blended, Projected};
 use crate::backend::Real;
-use crate::backend::simd::prefetch;
-use crate::backend::vector::Vector;
+use crate::backend::simd::{Lanes, prefetch};
 use rayon::prelude::*;
 
 /// List entries between two looks at which rows are still live.
@@ -32,6 +31,22 @@ impl Tile<'_> {
     }
 }
 
+impl<E: Real> Projected<E> {
+    /// The tile in column `x`, row `y`.
+    pub(super) fn tile(&self, x: usize, y: usize) -> Tile<'_> {
+        Tile {
+            origin: [x * TILE, y * TILE],
+            ranks: &self.tiles.ranks[self.tiles.tile(x, y)],
+        }
+    }
+
+    /// All tiles, row-major.
+    pub(super) fn all_tiles(&self) -> impl Iterator<Item = Tile<'_>> {
+        (0..self.tiles.rows)
+            .flat_map(move |y| (0..self.tiles.columns).map(move |x| self.tile(x, y)))
+    }
+}
+
 /// Runs `f` over all tiles in parallel, each with its part of the image and transmittance rows of its row of tiles.
 pub(super) fn for_each_tile_row<E: Real>(
     p: &Projected<E>,
@@ -55,15 +70,7 @@ pub(super) fn for_each_tile_row<E: Real>(
         .with_max_len(1)
         .for_each(|(row, image, transmittance)| {
             for column in 0..p.tiles.columns {
-                let ranks = &p.tiles.ranks[p.tiles.tile(column, row)];
-                f(
-                    Tile {
-                        origin: [column * TILE, row * TILE],
-                        ranks,
-                    },
-                    image,
-                    transmittance,
-                );
+                f(p.tile(column, row), image, transmittance);
             }
         });
     out
@@ -98,17 +105,12 @@ pub(super) fn sum_over_tiles<E: Real>(
         let mut parts = Vec::with_capacity((end - row) * p.tiles.columns);
         for tile_row in row..end {
             for column in 0..p.tiles.columns {
-                let ranks = &p.tiles.ranks[p.tiles.tile(column, tile_row)];
-                let (own, others) = rest.split_at_mut(ranks.len() * width);
-                rest = others;
-                if !ranks.is_empty() {
-                    parts.push((
-                        Tile {
-                            origin: [column * TILE, tile_row * TILE],
-                            ranks,
-                        },
-                        own,
-                    ));
+                let tile = p.tile(column, tile_row);
+                let own = rest
+                    .split_off_mut(..tile.ranks.len() * width)
+                    .unwrap_or_default();
+                if !own.is_empty() {
+                    parts.push((tile, own));
                 }
             }
         }
@@ -117,13 +119,10 @@ pub(super) fn sum_over_tiles<E: Real>(
             .zip(cursors.par_chunks_mut(256))
             .enumerate()
             .for_each(|(chunk, (sums, cursors))| {
-                for ((sum, cursor), rank) in
-                    sums.chunks_exact_mut(width).zip(cursors).zip(chunk * 256..)
-                {
-                    for &slot in &p.tiles.slots(rank)[*cursor as usize..] {
-                        if slot as usize >= band.end {
-                            break;
-                        }
+                let own = sums.chunks_exact_mut(width).zip(cursors);
+                for ((sum, cursor), rank) in own.zip(chunk * 256..) {
+                    let slots = &p.tiles.slots(rank)[*cursor as usize..];
+                    for &slot in slots.iter().take_while(|slot| (**slot as usize) < band.end) {
                         *cursor += 1;
                         let part = &partial[(slot as usize - band.start) * width..][..width];
                         for (s, &x) in sum.iter_mut().zip(part) {
@@ -138,39 +137,41 @@ pub(super) fn sum_over_tiles<E: Real>(
 }
 
 /// What a kernel does with the Gaussians of a tile, front to back.
-pub(super) trait Pass<E, V> {
-    /// Transmittance of the tile's pixels, ended ones negative.
+pub(super) trait Pass<E> {
+    /// Transmittance of the tile's pixels, negative where a pixel has ended.
     fn transmittance(&self) -> &Buffer<E>;
     /// The next Gaussians have these ranks, [`LOOK`] at most.
     fn gather(&mut self, ranks: &[u32]);
-    /// The `next`-th of them, which is entry `entry` of the tile's list.
+    /// Takes the `next`-th of them, which is entry `entry` of the tile's list.
     fn take(&mut self, next: usize, entry: usize, footprint: &Footprint<E>);
 }
 
 /// Shows `pass` the Gaussians of `tile` until all pixels have ended.
 #[inline(always)]
-pub(super) fn walk<E: Real, V: Vector<E>>(
+pub(super) fn walk<E: Real, S: Lanes<E>>(
+    s: S,
     p: &Projected<E>,
     tile: Tile<'_>,
-    pass: &mut impl Pass<E, V>,
+    pass: &mut impl Pass<E>,
 ) {
-    let grid = Grid::<V>::new::<E>();
+    let grid = Grid::new(s);
+    let mut footprint = Footprint::empty();
     let mut corners = [Corner::default(); LOOK];
     for (look, ranks) in tile.ranks.chunks(LOOK).enumerate() {
         for &rank in tile.ranks.iter().skip((look + 1) * LOOK).take(LOOK) {
             prefetch(&p.splats[rank as usize]);
         }
-        let live = live_strips::<E, V>(pass.transmittance());
+        let live = live_strips(s, pass.transmittance());
         if live == 0 {
             break;
         }
-        // All reads of far memory first, so that they wait for each other as little as possible.
+        // All reads of far memory come first, so that they wait for each other as little as possible.
         for (corner, &rank) in corners.iter_mut().zip(ranks) {
             *corner = Corner::new(&p.splats[rank as usize], tile);
         }
         pass.gather(ranks);
         for (next, corner) in corners[..ranks.len()].iter().enumerate() {
-            let mut footprint = Footprint::new::<V>(corner, &grid);
+            footprint.place(s, corner, &grid);
             footprint.strips &= live;
             pass.take(next, look * LOOK + next, &footprint);
         }

@@ -75,53 +75,35 @@ impl<E: Real> Projected<E> {
             self.tiles.ranks.len(),
             "map_tiles: entries against tile lists"
         );
-        let columns = self.tiles.columns;
         let mut rest = entries;
-        let mut parts = Vec::with_capacity(columns * self.tiles.rows);
-        for tile in 0..columns * self.tiles.rows {
-            let (x, y) = (tile % columns, tile / columns);
-            let ranks = &self.tiles.ranks[self.tiles.tile(x, y)];
-            let (own, others) = rest.split_at_mut(ranks.len());
-            parts.push((
-                tile,
-                Tile {
-                    origin: [x * TILE, y * TILE],
-                    ranks,
-                },
-                own,
-            ));
-            rest = others;
+        let mut parts = Vec::with_capacity(self.tiles.columns * self.tiles.rows);
+        for tile in self.all_tiles() {
+            let own = rest.split_off_mut(..tile.ranks.len());
+            parts.push((tile, own.unwrap_or_default()));
         }
         parts
             .into_par_iter()
-            .map(|(number, tile, own)| {
+            .enumerate()
+            .map(|(number, (tile, own))| {
                 let mut t = fresh_transmittance(tile, self.size());
                 if let Some(mask) = mask {
-                    end_unused(&mut t, tile, self.size(), mask);
+                    end_unused(&mut t, tile, self.size(), |pixel| mask.uses(pixel));
                 }
-                let pairs = Pairs::gather(self, tile, t);
-                f(
-                    number,
-                    &TilePairs {
-                        origin: tile.origin,
-                        ids: &self.ids,
-                        ranks: tile.ranks,
-                        pairs,
-                    },
-                    own,
-                )
+                let pairs = TilePairs {
+                    origin: tile.origin,
+                    ids: &self.ids,
+                    ranks: tile.ranks,
+                    pairs: Pairs::gather(self, tile, t),
+                };
+                f(number, &pairs, own)
             })
             .collect()
     }
 
     /// Where each Gaussian stands in the tile lists.
     pub fn positions(&self) -> Positions<'_> {
-        let mut ranks = vec![u32::MAX; self.len()];
-        for (rank, &id) in (0..).zip(&self.ids) {
-            ranks[id as usize] = rank;
-        }
         Positions {
-            ranks,
+            ranks: self.ranks(),
             tiles: &self.tiles,
         }
     }
@@ -140,12 +122,17 @@ impl<E: Real> Projected<E> {
     }
 }
 
-/// Ends the pixels of a tile that `mask` leaves out: they take nothing.
-fn end_unused<E: Real>(t: &mut Buffer<E>, tile: Tile<'_>, size: [usize; 2], mask: &Mask) {
+/// Ends the pixels of a tile that are not `used`: they take nothing.
+pub(super) fn end_unused<E: Real>(
+    t: &mut Buffer<E>,
+    tile: Tile<'_>,
+    size: [usize; 2],
+    used: impl Fn(usize) -> bool,
+) {
     for (at, pixel, len) in tile.rows(size) {
-        let row = t.as_flattened_mut()[at..at + len].iter_mut().enumerate();
-        row.filter(|(i, _)| !mask.uses(pixel + i))
-            .for_each(|(_, t)| *t = -E::one());
+        for x in (0..len).filter(|x| !used(pixel + x)) {
+            t.0[at + x] = -E::one();
+        }
     }
 }
 

@@ -4,39 +4,29 @@ use super::footprint::{TILE, fresh_transmittance};
 use super::pairs::Pairs;
 use super::projected::Projected;
 use super::tile_loop::Tile;
+use super::tile_map::end_unused;
 use crate::backend::Real;
 use crate::ops::SparseMatrix;
 use rayon::prelude::*;
 
 /// `W` with rows `pixels`; see [`Projected::weights`].
 pub(super) fn weights<E: Real>(p: &Projected<E>, pixels: Option<&[u32]>) -> SparseMatrix {
-    let [w, h] = p.size();
-    let wanted = pixels.map(|pixels| {
-        let mut wanted = vec![false; w * h];
-        for &pixel in pixels {
-            wanted[pixel as usize] = true;
-        }
-        wanted
-    });
-    let all = every_row(p, wanted.as_deref());
-    let Some(pixels) = pixels else { return all };
-    let ascending = pixels.windows(2).all(|w| w[0] < w[1]);
-    let mut offsets = Vec::with_capacity(pixels.len() + 1);
-    offsets.push(0);
-    let mut sum = 0;
+    let Some(pixels) = pixels else {
+        return every_row(p, |_| true);
+    };
+    let mut wanted = vec![false; p.size()[0] * p.size()[1]];
     for &pixel in pixels {
-        sum += all.row(pixel as usize).0.len();
-        offsets.push(offset(sum));
+        wanted[pixel as usize] = true;
     }
-    if ascending {
-        return SparseMatrix::unchecked(all.columns, offsets, all.indices, all.values);
-    }
-    let mut indices = Vec::with_capacity(sum);
-    let mut values = Vec::with_capacity(sum);
+    let all = every_row(p, |pixel| wanted[pixel]);
+    let mut offsets = vec![0];
+    let mut indices = Vec::new();
+    let mut values = Vec::new();
     for &pixel in pixels {
         let (columns, weights) = all.row(pixel as usize);
         indices.extend_from_slice(columns);
         values.extend_from_slice(weights);
+        offsets.push(offset(indices.len()));
     }
     SparseMatrix::unchecked(all.columns, offsets, indices, values)
 }
@@ -50,88 +40,45 @@ fn offset(count: usize) -> u32 {
     count as u32
 }
 
-/// `W` with a row for every pixel; rows of pixels not in `wanted` are empty.
-fn every_row<E: Real>(p: &Projected<E>, wanted: Option<&[bool]>) -> SparseMatrix {
+/// `W` with a row for every pixel; rows of pixels that are not `wanted` are empty.
+fn every_row<E: Real>(p: &Projected<E>, wanted: impl Fn(usize) -> bool + Sync) -> SparseMatrix {
     let [w, h] = p.size();
-    struct Strip {
-        /// Entries per pixel.
-        counts: Vec<u32>,
-        indices: Vec<u32>,
-        values: Vec<f32>,
-    }
-    let strips: Vec<Strip> = (0..p.tiles.rows)
+    let tiles: Vec<Tile<'_>> = p.all_tiles().collect();
+    let tiles: Vec<(Tile<'_>, Pairs<E, false>)> = tiles
         .into_par_iter()
-        .with_max_len(1)
-        .map(|row| {
-            let height = (h - row * TILE).min(TILE);
-            let tiles: Vec<(Tile<'_>, Pairs<E, false>)> = (0..p.tiles.columns)
-                .map(|column| {
-                    let ranks = &p.tiles.ranks[p.tiles.tile(column, row)];
-                    let tile = Tile {
-                        origin: [column * TILE, row * TILE],
-                        ranks,
-                    };
-                    let mut t = fresh_transmittance(tile, p.size());
-                    if let Some(wanted) = wanted {
-                        for (to, from, len) in tile.rows(p.size()) {
-                            for x in 0..len {
-                                if !wanted[from + x] {
-                                    t.as_flattened_mut()[to + x] = -E::one();
-                                }
-                            }
-                        }
-                    }
-                    (tile, Pairs::gather(p, tile, t))
-                })
-                .collect();
-            let mut counts = vec![0; w * height];
-            for (tile, pairs) in &tiles {
-                for &pixel in &pairs.pixels {
-                    counts[pixel as usize / TILE * w + tile.origin[0] + pixel as usize % TILE] += 1;
-                }
-            }
-            let mut next = Vec::with_capacity(counts.len());
-            let mut sum = 0_u32;
-            for count in &counts {
-                next.push(sum);
-                sum += count;
-            }
-            let (mut indices, mut values) = (vec![0; sum as usize], vec![0.0; sum as usize]);
-            for (tile, pairs) in &tiles {
-                for (i, &rank) in tile.ranks.iter().enumerate().take(pairs.ends.len()) {
-                    let id = p.ids[rank as usize];
-                    let range = pairs.range(i);
-                    for (&pixel, weight) in pairs.pixels[range.clone()]
-                        .iter()
-                        .zip(&pairs.weights[range])
-                    {
-                        let next = &mut next
-                            [pixel as usize / TILE * w + tile.origin[0] + pixel as usize % TILE];
-                        indices[*next as usize] = id;
-                        values[*next as usize] = weight.wide() as f32;
-                        *next += 1;
-                    }
-                }
-            }
-            Strip {
-                counts,
-                indices,
-                values,
-            }
+        .map(|tile| {
+            let mut t = fresh_transmittance(tile, p.size());
+            end_unused(&mut t, tile, p.size(), &wanted);
+            (tile, Pairs::gather(p, tile, t))
         })
         .collect();
-    let total: usize = strips.iter().map(|s| s.indices.len()).sum();
-    let mut offsets = Vec::with_capacity(w * h + 1);
-    offsets.push(0);
-    let (mut indices, mut values) = (Vec::with_capacity(total), Vec::with_capacity(total));
-    let mut sum = 0;
-    for strip in strips {
-        for count in strip.counts {
-            sum += count as usize;
-            offsets.push(offset(sum));
+    let in_image = |tile: &Tile<'_>, pixel: u16| {
+        let pixel = pixel as usize;
+        (tile.origin[1] + pixel / TILE) * w + tile.origin[0] + pixel % TILE
+    };
+    let mut offsets = vec![0_u32; w * h + 1];
+    let total: usize = tiles.iter().map(|(_, pairs)| pairs.pixels.len()).sum();
+    offset(total);
+    for (tile, pairs) in &tiles {
+        for &pixel in &pairs.pixels {
+            offsets[in_image(tile, pixel) + 1] += 1;
         }
-        indices.extend_from_slice(&strip.indices);
-        values.extend_from_slice(&strip.values);
+    }
+    for pixel in 0..w * h {
+        offsets[pixel + 1] += offsets[pixel];
+    }
+    let mut next = offsets.clone();
+    let mut indices = vec![0; total];
+    let mut values = vec![0.0; total];
+    for (tile, pairs) in &tiles {
+        for (i, &rank) in tile.ranks.iter().enumerate().take(pairs.ends.len()) {
+            for pair in pairs.range(i) {
+                let at = &mut next[in_image(tile, pairs.pixels[pair])];
+                indices[*at as usize] = p.ids[rank as usize];
+                values[*at as usize] = pairs.weights[pair].wide() as f32;
+                *at += 1;
+            }
+        }
     }
     SparseMatrix::unchecked(p.len(), offsets, indices, values)
 }
