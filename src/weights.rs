@@ -244,7 +244,13 @@ impl Checkpoint {
         }
     }
 
-    fn problem(&self, name: &str, found: impl Into<String>, expected: impl Into<String>) -> Error {
+    /// The error for a tensor that [`Checkpoint::network`] cannot use.
+    pub(crate) fn problem(
+        &self,
+        name: &str,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+    ) -> Error {
         let network = if self.network.is_empty() {
             "the network that is asked for"
         } else {

@@ -18,6 +18,9 @@ pub const PCA_CELLS: usize = 100_000;
 /// the cache).
 const KEPT_BYTES: usize = 1 << 30;
 
+/// Views extracted side by side.
+const BATCH: usize = 8;
+
 /// Reduced maps of one view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ViewFeatures {
@@ -41,12 +44,12 @@ pub struct FeatureSet {
 /// Features of the training views: four maps each, reduced by a PCA per scale that is fitted on all of them, then
 /// L2-normalised.
 ///
-/// The fit reads at most [`PCA_CELLS`] cells per scale, drawn with `seed`. Weights are read by way of `device`. `progress`
-/// is told how many of how many steps are done.
+/// The fit reads at most [`PCA_CELLS`] cells per scale, drawn with `seed`. Networks run on `device`. `progress` receives the
+/// steps done and the steps in all.
 ///
 /// # Errors
-/// [`Error::Config`] for unusable settings; [`Error::Argument`] for a scene without training views; what [`Extractor::open`]
-/// and [`Extractor::maps`] return. A cache that cannot be written is warned of, no more.
+/// [`Error::Config`] for unusable settings; [`Error::Argument`] for a scene without training views; those of
+/// [`Extractor::open`] and [`Extractor::maps`]. A cache that cannot be written only gives a warning.
 pub fn extract(
     scene: &Scene,
     config: &FeatureConfig,
@@ -54,77 +57,34 @@ pub fn extract(
     device: &Device,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<FeatureSet> {
-    Ok(run(scene, config, seed, false, device, progress)?.0)
-}
-
-/// [`extract`], and the test views reduced by the same PCA, in the scene's order. Test views do not enter the fit.
-///
-/// # Errors
-/// As [`extract`].
-pub fn extract_all(
-    scene: &Scene,
-    config: &FeatureConfig,
-    seed: u64,
-    device: &Device,
-    progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<(FeatureSet, Vec<ViewFeatures>)> {
-    run(scene, config, seed, true, device, progress)
-}
-
-fn run(
-    scene: &Scene,
-    config: &FeatureConfig,
-    seed: u64,
-    with_test: bool,
-    device: &Device,
-    progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<(FeatureSet, Vec<ViewFeatures>)> {
-    let test: Vec<&View> = if with_test {
-        scene.split(Split::Test).collect()
-    } else {
-        vec![]
-    };
-    let (train, fitted) = (scene.split(Split::Train).count(), &mut 0);
-    let total = 2 * train + test.len();
-    let looked = &mut || {
-        *fitted += 1;
-        progress(*fitted, total);
+    let total = 2 * scene.split(Split::Train).count();
+    let mut done = 0;
+    let mut step = || {
+        done += 1;
+        progress(done, total);
         ControlFlow::<Infallible>::Continue(())
     };
-    let ControlFlow::Continue(mut reduction) = Reduction::fit(scene, config, seed, device, looked)?;
-    let step = |done: usize| move |(i, _): &(usize, _)| progress(done + i + 1, total);
-    let views = reduction
-        .training_views()
-        .enumerate()
-        .inspect(step(train))
-        .map(|(_, view)| view);
-    let views = views.collect::<Result<_>>()?;
-    let tested = reduction
-        .reduced(&test, Vec::new())
-        .enumerate()
-        .inspect(step(2 * train))
-        .map(|(_, view)| view);
-    let tested = tested.collect::<Result<_>>()?;
-    let Reduction {
-        name, reductions, ..
-    } = reduction;
-    Ok((
-        FeatureSet {
-            name,
-            reductions,
-            views,
-        },
-        tested,
-    ))
+    let ControlFlow::Continue(mut reduction) =
+        Reduction::fit(scene, config, seed, device, &mut step)?;
+    let mut views = Vec::with_capacity(total / 2);
+    for view in reduction.training_views() {
+        views.push(view?);
+        let ControlFlow::Continue(()) = step();
+    }
+    Ok(FeatureSet {
+        name: reduction.name,
+        reductions: reduction.reductions,
+        views,
+    })
 }
 
-/// The fitted reductions of a scene's features, and what makes its maps: for scenes whose maps are not all kept.
+/// The fitted reductions of a scene's features and their extractor. Use it where not all maps fit in memory.
 pub struct Reduction<'a> {
     /// Where the features come from, see [`Extractor::name`].
     pub name: String,
     /// One a scale.
     pub reductions: [Pca; SCALES],
-    /// What the maps depend on besides the photos: the arithmetic and the weights, or the imported maps of the training views.
+    /// What the maps depend on besides the photos: the arithmetic and the weights, or a digest of the imported training maps.
     pub content: String,
     extractor: Extractor,
     config: &'a FeatureConfig,
@@ -134,7 +94,8 @@ pub struct Reduction<'a> {
 }
 
 impl<'a> Reduction<'a> {
-    /// Fits a PCA per scale to the training views, as [`extract`] does, unless `looked` breaks: it is told of each view.
+    /// Fits a PCA per scale to the training views, as [`extract`] does. Calls `viewed` after each view, and stops when that
+    /// breaks.
     ///
     /// # Errors
     /// As [`extract`].
@@ -143,7 +104,7 @@ impl<'a> Reduction<'a> {
         config: &'a FeatureConfig,
         seed: u64,
         device: &Device,
-        looked: &mut dyn FnMut() -> ControlFlow<B>,
+        viewed: &mut dyn FnMut() -> ControlFlow<B>,
     ) -> Result<ControlFlow<B, Self>> {
         if config.dimensions == 0 {
             return Err(Error::config(
@@ -158,10 +119,10 @@ impl<'a> Reduction<'a> {
         let mut kept: Vec<Option<[FeatureMap; SCALES]>> = Vec::with_capacity(train.len());
         let mut kept_bytes = 0;
         let mut moments: Option<[Moments; SCALES]> = None;
-        // Maps that are not made from photos have to speak for themselves.
+        // Imported maps do not depend on photos: their own digest identifies them.
         let (key, mut imported) = (extractor.cache_key(), Sha256::new());
         let quota = PCA_CELLS.div_ceil(train.len().max(1));
-        for batch in train.chunks(extractor.batch()) {
+        for batch in train.chunks(BATCH) {
             let with_digest =
                 |maps: [FeatureMap; SCALES]| (key.is_none().then(|| digest(&maps)), maps);
             let look = |view: &&View| cached_maps(&extractor, config, view).map(with_digest);
@@ -175,15 +136,15 @@ impl<'a> Reduction<'a> {
                     let index = (kept.len() * SCALES + n) as u64;
                     moments.add(
                         &subsample(map, quota, seed, index),
-                        &what(view, n),
+                        &map_name(view, n),
                         map.channels,
                     )?;
                 }
                 let bytes: usize = maps.iter().map(|m| 4 * m.data.len()).sum();
                 kept_bytes += bytes;
                 kept.push((kept_bytes <= KEPT_BYTES).then_some(maps));
-                if let ControlFlow::Break(told) = looked() {
-                    return Ok(ControlFlow::Break(told));
+                if let ControlFlow::Break(stop) = viewed() {
+                    return Ok(ControlFlow::Break(stop));
                 }
             }
         }
@@ -217,20 +178,25 @@ impl<'a> Reduction<'a> {
         }))
     }
 
-    /// Reduced maps of the training views in the scene's order, a few made at a time. What was kept for them goes.
+    /// Reduced maps of the training views in the scene's order, computed a few at a time. Releases the unreduced maps.
     pub fn training_views(&mut self) -> impl Iterator<Item = Result<ViewFeatures>> {
         let kept = std::mem::take(&mut self.kept);
         self.reduced(&self.train, kept)
     }
 
-    /// Reduced maps of `views`, whose unreduced ones are those of `kept` where it has any.
+    /// Reduced maps of any views of the scene, computed a few at a time.
+    pub fn views(&self, views: &[&View]) -> impl Iterator<Item = Result<ViewFeatures>> {
+        self.reduced(views, Vec::new())
+    }
+
+    /// Reduced maps of `views`. `kept` has the unreduced maps of the first of them, as far as they are in memory.
     fn reduced(
         &self,
         views: &[&View],
         kept: Vec<Option<[FeatureMap; SCALES]>>,
     ) -> impl Iterator<Item = Result<ViewFeatures>> {
         let mut kept = kept.into_iter();
-        views.chunks(self.extractor.batch()).flat_map(move |batch| {
+        views.chunks(BATCH).flat_map(move |batch| {
             let kept: Vec<_> = batch.iter().map(|_| kept.next().flatten()).collect();
             let reduced = batch.par_iter().zip(kept).map(|(view, kept)| {
                 let maps =
@@ -248,12 +214,8 @@ fn reduce_view(
     reductions: &[Pca; SCALES],
 ) -> Result<ViewFeatures> {
     let mut reduced: [FeatureMap; SCALES] = Default::default();
-    for (n, (out, (map, pca))) in reduced
-        .iter_mut()
-        .zip(maps.iter().zip(reductions))
-        .enumerate()
-    {
-        *out = pca.apply(map, &what(view, n))?;
+    for (n, out) in reduced.iter_mut().enumerate() {
+        *out = reductions[n].apply(&maps[n], &map_name(view, n))?;
     }
     Ok(ViewFeatures {
         view: view.name.clone(),
@@ -276,7 +238,8 @@ fn digest(maps: &[FeatureMap; SCALES]) -> [u8; 32] {
     hash.finalize().into()
 }
 
-fn what(view: &View, scale: usize) -> String {
+/// What errors call a map.
+fn map_name(view: &View, scale: usize) -> String {
     format!("features of view {}, scale {}", view.name, scale + 1)
 }
 

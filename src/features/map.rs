@@ -1,7 +1,9 @@
 //! Feature maps: grids of vectors.
 
 use super::lattice::{Axis, Lattice, Steps};
+use crate::backend::device::read;
 use crate::error::{Error, Result};
+use burn::tensor::Tensor;
 use rayon::prelude::*;
 
 /// A grid of feature vectors over an image; [`Lattice`] says where its cells are.
@@ -13,7 +15,7 @@ pub struct FeatureMap {
     pub width: usize,
     /// Values per cell.
     pub channels: usize,
-    /// Variant-major `[height, width, channels]`.
+    /// Row-major `[height, width, channels]`.
     pub data: Vec<f32>,
     /// Where the cells are, when they do not divide the image evenly.
     pub steps: Option<Steps>,
@@ -29,6 +31,23 @@ impl FeatureMap {
             data: vec![0.0; height * width * channels],
             steps: None,
         }
+    }
+
+    /// The map of cells `[1, height, width, channels]`; `what` names it in errors.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] with the first cell that holds a NaN or an infinity; [`Error::Device`] when the device fails.
+    pub(super) fn from_tensor(cells: Tensor<4>, steps: Option<Steps>, what: &str) -> Result<Self> {
+        let [_, height, width, channels] = cells.dims();
+        let map = Self {
+            height,
+            width,
+            channels,
+            data: read(what, cells)?,
+            steps,
+        };
+        map.check(what)?;
+        Ok(map)
     }
 
     /// Where the cells are.

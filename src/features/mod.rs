@@ -13,9 +13,8 @@ mod lattice;
 mod map;
 pub mod mobilenet;
 mod pca;
-pub mod probe;
 
-pub use self::extract::{FeatureSet, PCA_CELLS, Reduction, ViewFeatures, extract, extract_all};
+pub use self::extract::{FeatureSet, PCA_CELLS, Reduction, ViewFeatures, extract};
 pub(crate) use self::lattice::Axis;
 pub use self::lattice::{Lattice, Steps};
 pub use self::map::FeatureMap;
@@ -25,7 +24,7 @@ use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::View;
 use crate::error::{Error, Result};
 use crate::weights::file_digest;
-use burn::tensor::Device;
+use burn::tensor::{Device, Tensor, TensorData};
 use image::RgbImage;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -42,7 +41,7 @@ pub enum Extractor {
     /// MobileNetV2, see [`mobilenet`].
     MobileNetV2 {
         /// The network.
-        net: Box<mobilenet::FoldedNet>,
+        net: Box<mobilenet::MobileNetV2>,
         /// Where its weights were read from.
         path: PathBuf,
         /// SHA-256 of that file.
@@ -86,7 +85,7 @@ impl Extractor {
             FeatureSource::Auto | FeatureSource::Mobilenetv2 => {
                 Self::mobilenet(weights("MobileNetV2")?, device)
             }
-            FeatureSource::Dino => Self::dino(weights("DINO")?, config.final_norm),
+            FeatureSource::Dino => Self::dino(weights("DINO")?, config.final_norm, device),
             FeatureSource::Import(dir) if dir.is_dir() => Ok(Self::Import(dir.clone())),
             FeatureSource::Import(dir) => Err(Error::io(
                 dir,
@@ -97,10 +96,7 @@ impl Extractor {
     }
 
     fn mobilenet(path: &Path, device: &Device) -> Result<Self> {
-        let net = mobilenet::FoldedNet::new(&mobilenet::MobileNetV2::load(
-            path,
-            &device.clone().inner(),
-        )?);
+        let net = mobilenet::MobileNetV2::load(path, &device.clone().inner())?;
         Ok(Self::MobileNetV2 {
             net: Box::new(net),
             path: path.to_owned(),
@@ -108,8 +104,8 @@ impl Extractor {
         })
     }
 
-    fn dino(path: &Path, final_norm: bool) -> Result<Self> {
-        let net = dino::Vit::load(path)?.with_final_norm(final_norm);
+    fn dino(path: &Path, final_norm: bool, device: &Device) -> Result<Self> {
+        let net = dino::Vit::load(path, &device.clone().inner())?.with_final_norm(final_norm);
         Ok(Self::Dino {
             net: Box::new(net),
             path: path.to_owned(),
@@ -165,13 +161,33 @@ impl Extractor {
             Self::Import(_) => None,
         }
     }
+}
 
-    /// Views extracted side by side.
-    fn batch(&self) -> usize {
-        match self {
-            // One occupies all threads, and takes some hundred megabytes.
-            Self::Dino { .. } => 1,
-            _ => 8,
-        }
+/// The image as `[1, 3, H, W]`, normalised as networks trained on ImageNet expect it.
+///
+/// # Errors
+/// [`Error::Argument`] for an image without pixels.
+fn normalized(image: &RgbImage, device: &Device) -> Result<Tensor<4>> {
+    /// Mean of ImageNet's RGB, 0..1.
+    const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
+    /// Standard deviation of ImageNet's RGB.
+    const STD: [f32; 3] = [0.229, 0.224, 0.225];
+
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    if width == 0 || height == 0 {
+        let found = format!("{width} x {height} pixels");
+        return Err(Error::argument(
+            "image",
+            found,
+            "one pixel or more",
+            "give another image",
+        ));
     }
+    let mut planes = Vec::with_capacity(3 * width * height);
+    for (c, (mean, std)) in MEAN.iter().zip(STD).enumerate() {
+        let channel = image.as_raw().iter().skip(c).step_by(3);
+        planes.extend(channel.map(|&x| (f32::from(x) / 255.0 - mean) / std));
+    }
+    let data = TensorData::new(planes, [1, 3, height, width]);
+    Ok(Tensor::from_data(data, device))
 }

@@ -37,8 +37,8 @@ pub(crate) fn associate(
     progress: &mut dyn Progress,
 ) -> Result<Option<(Associated, Option<Semantics>)>> {
     let (clock, settings) = (Instant::now(), Settings::from(&config.raster));
-    let looks = Association::looks(scene, &config.association);
-    let mut viewing = Viewing::begin(progress, "association", looks);
+    let steps = Association::steps(scene, &config.association);
+    let mut viewing = Viewing::begin(progress, "association", steps);
     let looked = &mut |views| viewing.looked(views);
     let found = associate_until(gaussians, scene, &config.association, &settings, looked)?;
     let ControlFlow::Continue(found) = found else {

@@ -28,10 +28,6 @@ pub enum Purpose {
     Dropout = 8,
     /// Cells that a PCA is fitted on; index = 4 * training view + scale.
     PcaCells = 32,
-    /// Pixels that a linear probe is trained on; index = view.
-    ProbePixels = 33,
-    /// Order of a linear probe's training pixels; index = epoch.
-    ProbeOrder = 34,
     /// Colours behind the scene; index = iteration.
     Background = 9,
     /// Scenes and maps that benchmarks make up; index = size.

@@ -1,14 +1,19 @@
 //! DINO weights from `.safetensors` or PyTorch files, with the key names of facebookresearch/dino.
 //!
 //! Published backbones have the keys at the top. Full checkpoints hold two networks, under `teacher` and `student`, and
-//! prefixes `module.` and `backbone.`; the teacher is the one that DINO's results are of, and is taken.
+//! prefixes `module.` and `backbone.`. The teacher gives DINO's published results, so we take it.
 
-use super::layers::{Block, LayerNorm, Linear};
 use super::position::PositionEmbedding;
-use super::{HEAD, QUERIES, Vit};
+use super::{Block, HEAD, QUERIES, Vit};
 use crate::error::{Error, Result};
 use crate::weights::Checkpoint;
+use burn::module::Param;
+use burn::nn::{LayerNorm, LayerNormConfig, Linear};
+use burn::tensor::{Device, Tensor, TensorData};
 use std::path::Path;
+
+/// Epsilon of the layer normalisations.
+const EPSILON: f64 = 1e-6;
 
 /// Tensors of a block.
 const PARTS: [&str; 6] = [
@@ -24,75 +29,39 @@ const NETWORK: &str =
     "a DINO ViT (keys `cls_token`, `pos_embed`, `patch_embed.proj.*`, `blocks.N.*`, `norm.*`)";
 
 /// The weights under one prefix of a file.
-struct Weights {
+struct Weights<'a> {
     file: Checkpoint,
     prefix: String,
+    device: &'a Device,
 }
 
 impl Vit {
-    /// Reads weights from a `.safetensors` file, or anything else as a PyTorch checkpoint. Width, depth, patch size, hidden
-    /// width and the grid of position embeddings are those of the tensors; there is a head for every [`HEAD`] channels.
+    /// Reads weights from a `.safetensors` file, or from any other file as a PyTorch checkpoint. Width, depth, patch size,
+    /// hidden width and the grid of position embeddings are those of the tensors; there is a head for every [`HEAD`] channels.
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is damaged, when tensors are missing, have
-    /// shapes that do not go together, hold a value that is not finite, or are of another network.
-    pub fn load(path: &Path) -> Result<Self> {
+    /// shapes that do not go together, hold a value that is not finite, or belong to another network.
+    pub fn load(path: &Path, device: &Device) -> Result<Self> {
         // The student and the optimiser's state are three quarters of a full checkpoint.
-        let weights = Weights::of(Checkpoint::open_where(path, |name| {
-            !["student.", "optimizer."]
-                .iter()
-                .any(|part| name.starts_with(part))
-        })?);
-        let weights = match weights.present("cls_token") {
-            true => weights,
-            false => Weights::of(Checkpoint::open(path)?),
-        };
+        let needed = |name: &str| !name.starts_with("student.") && !name.starts_with("optimizer.");
+        let mut weights = Weights::new(Checkpoint::open_where(path, needed)?, device);
+        if !weights.present("cls_token") {
+            weights = Weights::new(Checkpoint::open(path)?, device);
+        }
         weights.check_kind()?;
-
-        let (width, patch) = match weights.shape("patch_embed.proj.weight")? {
-            &[width, 3, rows, columns]
-                if rows == columns && rows > 0 && width > 0 && width % HEAD == 0 =>
-            {
-                (width, rows)
-            }
-            other => {
-                let expected = format!("[width, 3, patch, patch], width a multiple of {HEAD}");
-                return Err(weights.problem(
-                    "patch_embed.proj.weight",
-                    format!("shape {other:?}"),
-                    expected,
-                ));
-            }
-        };
-        let side = match weights.shape("pos_embed")? {
-            &[1, tokens, found]
-                if found == width && tokens > 1 && (tokens - 1).isqrt().pow(2) == tokens - 1 =>
-            {
-                (tokens - 1).isqrt()
-            }
-            other => {
-                let expected =
-                    format!("[1, 1 + side x side, {width}], a class token and a square grid");
-                return Err(weights.problem("pos_embed", format!("shape {other:?}"), expected));
-            }
-        };
-        let embedding = Linear::new(
-            &weights.values("patch_embed.proj.weight", &[width, 3, patch, patch])?,
-            weights.values("patch_embed.proj.bias", &[width])?,
-        );
-        let depth = weights.depth()?;
+        let (width, patch) = weights.patch()?;
+        let side = weights.side(width)?;
+        let blocks = (0..weights.depth()?).map(|n| weights.block(n, width));
         Ok(Self {
-            width,
             patch,
-            embedding,
-            class_token: weights.values("cls_token", &[1, 1, width])?,
+            embedding: weights.linear("patch_embed.proj", &[width, 3, patch, patch])?,
+            class_token: weights.parameter("cls_token", [1, 1, width])?,
             positions: PositionEmbedding {
                 side,
-                values: weights.values("pos_embed", &[1, 1 + side * side, width])?,
+                values: weights.positions(side, width)?,
             },
-            blocks: (0..depth)
-                .map(|n| weights.block(n, width))
-                .collect::<Result<_>>()?,
+            blocks: blocks.collect::<Result<_>>()?,
             norm: weights.norm("norm", width)?,
             final_norm: true,
             queries: QUERIES,
@@ -100,9 +69,9 @@ impl Vit {
     }
 }
 
-impl Weights {
+impl<'a> Weights<'a> {
     /// Chooses the network: a teacher, else one under neither name, else a student.
-    fn of(file: Checkpoint) -> Self {
+    fn new(file: Checkpoint, device: &'a Device) -> Self {
         let prefixes = file
             .tensors
             .keys()
@@ -120,6 +89,7 @@ impl Weights {
         Self {
             file: file.of_network(NETWORK),
             prefix,
+            device,
         }
     }
 
@@ -133,22 +103,9 @@ impl Weights {
         self.file.shape(&format!("{}{name}", self.prefix))
     }
 
-    fn values(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
-        Ok(self
-            .file
-            .get(&format!("{}{name}", self.prefix), shape)?
-            .to_vec())
-    }
-
     fn problem(&self, name: &str, found: impl Into<String>, expected: impl Into<String>) -> Error {
-        let field = format!("{}{name}", self.prefix);
-        Error::input(
-            &self.file.origin,
-            field,
-            found,
-            expected,
-            format!("give a checkpoint of {NETWORK}"),
-        )
+        let name = format!("{}{name}", self.prefix);
+        self.file.problem(&name, found, expected)
     }
 
     /// Names below the prefix.
@@ -187,7 +144,40 @@ impl Weights {
         Ok(())
     }
 
-    /// One more than the highest number of a block; whether all below are there, their tensors tell.
+    /// Width and patch size.
+    fn patch(&self) -> Result<(usize, usize)> {
+        let name = "patch_embed.proj.weight";
+        match *self.shape(name)? {
+            [width, 3, patch, columns]
+                if patch == columns && patch > 0 && width > 0 && width % HEAD == 0 =>
+            {
+                Ok((width, patch))
+            }
+            ref other => {
+                let expected = format!("[width, 3, patch, patch], width a multiple of {HEAD}");
+                Err(self.problem(name, format!("shape {other:?}"), expected))
+            }
+        }
+    }
+
+    /// Cells along a side of the grid of position embeddings.
+    fn side(&self, width: usize) -> Result<usize> {
+        let side = |tokens: usize| (tokens - 1).isqrt();
+        match *self.shape("pos_embed")? {
+            [1, tokens, found]
+                if found == width && tokens > 1 && side(tokens).pow(2) == tokens - 1 =>
+            {
+                Ok(side(tokens))
+            }
+            ref other => {
+                let expected =
+                    format!("[1, 1 + side x side, {width}], a class token and a square grid");
+                Err(self.problem("pos_embed", format!("shape {other:?}"), expected))
+            }
+        }
+    }
+
+    /// One more than the highest number of a block. A gap shows when its tensors are asked for.
     fn depth(&self) -> Result<usize> {
         let numbers = self
             .names()
@@ -197,11 +187,8 @@ impl Weights {
             match number.parse::<usize>() {
                 Ok(n) if n < self.file.tensors.len() => depth = depth.max(n + 1),
                 _ => {
-                    return Err(self.problem(
-                        &format!("blocks.{number}"),
-                        "this block",
-                        "blocks.0, blocks.1, ...",
-                    ));
+                    let name = format!("blocks.{number}");
+                    return Err(self.problem(&name, "this block", "blocks.0, blocks.1, ..."));
                 }
             }
         }
@@ -213,39 +200,58 @@ impl Weights {
 
     fn block(&self, n: usize, width: usize) -> Result<Block> {
         let name = |part: &str| format!("blocks.{n}.{part}");
-        let hidden = match self.shape(&name("mlp.fc1.weight"))? {
-            &[hidden, found] if found == width && hidden > 0 => hidden,
-            other => {
+        let fc1 = name("mlp.fc1.weight");
+        let hidden = match *self.shape(&fc1)? {
+            [hidden, found] if found == width && hidden > 0 => hidden,
+            ref other => {
                 let expected = format!("[hidden, {width}]");
-                return Err(self.problem(
-                    &name("mlp.fc1.weight"),
-                    format!("shape {other:?}"),
-                    expected,
-                ));
+                return Err(self.problem(&fc1, format!("shape {other:?}"), expected));
             }
         };
         Ok(Block {
             norm1: self.norm(&name("norm1"), width)?,
-            qkv: self.linear(&name("attn.qkv"), [width, 3 * width])?,
-            projection: self.linear(&name("attn.proj"), [width, width])?,
+            qkv: self.linear(&name("attn.qkv"), &[3 * width, width])?,
+            projection: self.linear(&name("attn.proj"), &[width, width])?,
             norm2: self.norm(&name("norm2"), width)?,
-            fc1: self.linear(&name("mlp.fc1"), [width, hidden])?,
-            fc2: self.linear(&name("mlp.fc2"), [hidden, width])?,
+            fc1: self.linear(&name("mlp.fc1"), &[hidden, width])?,
+            fc2: self.linear(&name("mlp.fc2"), &[width, hidden])?,
         })
     }
 
-    fn linear(&self, name: &str, [input, output]: [usize; 2]) -> Result<Linear> {
-        let weights = self.values(&format!("{name}.weight"), &[output, input])?;
-        Ok(Linear::new(
-            &weights,
-            self.values(&format!("{name}.bias"), &[output])?,
-        ))
+    /// The layer whose weights have the shape `[out, in]`, or `[out, ...]` with the extents of the inputs.
+    fn linear(&self, name: &str, shape: &[usize]) -> Result<Linear> {
+        let weight = self.tensor(&format!("{name}.weight"), shape)?;
+        let weight: Tensor<2> = weight.reshape([shape[0], shape[1..].iter().product()]);
+        Ok(Linear {
+            // Burn keeps weights as [in, out].
+            weight: Param::from_tensor(weight.transpose()),
+            bias: Some(self.parameter(&format!("{name}.bias"), [shape[0]])?),
+        })
     }
 
     fn norm(&self, name: &str, width: usize) -> Result<LayerNorm> {
-        Ok(LayerNorm {
-            weight: self.values(&format!("{name}.weight"), &[width])?,
-            bias: self.values(&format!("{name}.bias"), &[width])?,
-        })
+        let mut norm = LayerNormConfig::new(width)
+            .with_epsilon(EPSILON)
+            .init(self.device);
+        norm.gamma = self.parameter(&format!("{name}.weight"), [width])?;
+        norm.beta = Some(self.parameter(&format!("{name}.bias"), [width])?);
+        Ok(norm)
+    }
+
+    fn positions(&self, side: usize, width: usize) -> Result<Param<Tensor<2>>> {
+        let values = self.tensor("pos_embed", &[1, 1 + side * side, width])?;
+        Ok(Param::from_tensor(values.reshape([1 + side * side, width])))
+    }
+
+    fn parameter<const D: usize>(&self, name: &str, shape: [usize; D]) -> Result<Param<Tensor<D>>> {
+        let values = self.tensor(name, &shape)?;
+        Ok(Param::from_tensor(values.reshape(shape)))
+    }
+
+    /// The values of a tensor of this shape, in one row.
+    fn tensor(&self, name: &str, shape: &[usize]) -> Result<Tensor<1>> {
+        let values = self.file.get(&format!("{}{name}", self.prefix), shape)?;
+        let data = TensorData::new(values.to_vec(), [values.len()]);
+        Ok(Tensor::from_data(data, self.device))
     }
 }

@@ -1,215 +1,163 @@
 //! MobileNetV2 weights from `.safetensors` or PyTorch files.
 //!
 //! Two layouts of keys are published: torchvision's nested one (`features.2.conv.0.0.weight`) and a flat one
-//! (`features.2.conv.0.weight`). Both are renamed to the names of the modules here.
+//! (`features.2.conv.0.weight`).
 
-use super::{BLOCKS, MobileNetV2};
-use crate::error::{Error, Result};
-use burn::store::{ApplyError, ApplyResult, KeyRemapper, ModuleSnapshot, ModuleStore};
-use burn::store::{PyTorchToBurnAdapter, PytorchStore, SafetensorsStore};
-use burn::tensor::Device;
+use super::{BLOCKS, Block, Convolution, MobileNetV2, STEM};
+use crate::error::Result;
+use crate::weights::Checkpoint;
+use burn::module::Param;
+use burn::tensor::{Device, Tensor, TensorData};
 use std::path::Path;
 
-/// Names listed in an error at most.
-const LISTED: usize = 6;
+/// Epsilon of batch normalisation: PyTorch's default.
+const EPSILON: f64 = 1e-5;
 
-/// Any parents before `features.`, such as `module.` or `state_dict.`.
-const PARENTS: &str = r"^(?:[A-Za-z_]\w*\.)*?";
+const NETWORK: &str = "MobileNetV2 of width 1 (keys `features.0.*` to `features.17.*`)";
 
 impl MobileNetV2 {
-    /// Reads weights from a `.safetensors` file, or anything else as a PyTorch checkpoint; the classifier and
-    /// `features.18` may be there and are not used.
+    /// Reads weights from a `.safetensors` file, or from any other file as a PyTorch checkpoint. The classifier and
+    /// `features.18` are not used.
     ///
     /// # Errors
-    /// [`Error::Io`] when the file cannot be opened; [`Error::Input`] when it is damaged, when tensors are missing, have
-    /// other shapes, hold a value that is not finite, or are blocks this network does not have.
+    /// [`crate::Error::Io`] when the file cannot be opened; [`crate::Error::Input`] when it is damaged, when tensors are missing, have
+    /// other shapes, hold a value that is not finite, or belong to blocks that this network does not have.
     pub fn load(path: &Path, device: &Device) -> Result<Self> {
-        std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
-        let mut net = Self::new(device);
-        let result = if path
-            .extension()
-            .is_some_and(|e| e.eq_ignore_ascii_case("safetensors"))
-        {
-            let open = || {
-                SafetensorsStore::from_file(path)
-                    .allow_partial(true)
-                    .validate(false)
+        let mut weights = Weights::open(path, device)?;
+        let stem = weights.convolution("0.0", "0.1", [STEM, 3, 3], 2)?;
+        let mut input = STEM;
+        let mut blocks = Vec::with_capacity(BLOCKS.len());
+        for (n, &(expansion, output, stride)) in (1..).zip(&BLOCKS) {
+            let hidden = input * expansion;
+            let expand = match expansion {
+                1 => None,
+                _ => Some(weights.layer(n, 0, false, [hidden, input, 1], 1)?),
             };
-            let keys = open().keys().map_err(|e| damaged(path, e))?;
-            let mut store = open()
-                .with_from_adapter(PyTorchToBurnAdapter)
-                .remap(renaming(path, &keys)?);
-            net.load_from(&mut store).map_err(|e| damaged(path, e))?
-        } else {
-            let open = || {
-                PytorchStore::from_file(path)
-                    .allow_partial(true)
-                    .validate(false)
-                    .map_indices_contiguous(false)
-            };
-            let keys = open().keys().map_err(|e| damaged(path, e))?;
-            let mut store = open().remap(renaming(path, &keys)?);
-            net.load_from(&mut store).map_err(|e| damaged(path, e))?
-        };
-        check(path, &result)?;
-        net.check_values(path)?;
-        Ok(net)
-    }
-
-    fn check_values(&self, path: &Path) -> Result<()> {
-        for tensor in self.collect(None, None, false) {
-            let data = burn::store::bridge::to_data(&tensor).map_err(|e| damaged(path, e))?;
-            let negative_variance = tensor.name.ends_with("running_var");
-            let Ok(values) = data.as_slice::<f32>() else {
-                continue;
-            }; // flags
-            if let Some(v) = values
-                .iter()
-                .find(|v| !v.is_finite() || negative_variance && **v < 0.0)
-            {
-                let expected = if negative_variance {
-                    "finite values, none negative"
-                } else {
-                    "finite values"
-                };
-                return Err(Error::input(
-                    path,
-                    tensor.name.clone(),
-                    v.to_string(),
-                    expected,
-                    "download the file again",
-                ));
-            }
+            let next = usize::from(expand.is_some());
+            blocks.push(Block {
+                expand,
+                depthwise: weights.layer(n, next, false, [hidden, 1, 3], stride)?,
+                project: weights.layer(n, next + 1, true, [output, hidden, 1], 1)?,
+                residual: stride == 1 && input == output,
+            });
+            input = output;
         }
-        Ok(())
+        weights.check_unused()?;
+        Ok(Self { stem, blocks })
     }
 }
 
-/// From the file's keys to the modules' names.
-fn renaming(path: &Path, keys: &[String]) -> Result<KeyRemapper> {
-    let nested = keys
-        .iter()
-        .any(|k| k.ends_with("features.1.conv.0.0.weight"));
-    let mut rules = vec![(
-        format!(r"{PARENTS}features\.0\.0\."),
-        "stem.conv.".to_owned(),
-    )];
-    rules.push((
-        format!(r"{PARENTS}features\.0\.1\."),
-        "stem.norm.".to_owned(),
-    ));
-    for (n, &(expansion, ..)) in BLOCKS.iter().enumerate() {
-        let expands = expansion > 1;
-        let places: &[(&str, [&str; 2])] = match (nested, expands) {
-            (false, false) => &[("depthwise", ["0", "1"]), ("project", ["3", "4"])],
-            (false, true) => &[
-                ("expand", ["0", "1"]),
-                ("depthwise", ["3", "4"]),
-                ("project", ["6", "7"]),
-            ],
-            (true, false) => &[("depthwise", ["0.0", "0.1"]), ("project", ["1", "2"])],
-            (true, true) => &[
-                ("expand", ["0.0", "0.1"]),
-                ("depthwise", ["1.0", "1.1"]),
-                ("project", ["2", "3"]),
-            ],
+/// The tensors of a file that no layer has taken yet.
+struct Weights<'a> {
+    file: Checkpoint,
+    /// What precedes the names of layers: `features.` and its parents, such as `module.`.
+    prefix: String,
+    /// Whether keys are torchvision's.
+    nested: bool,
+    device: &'a Device,
+}
+
+impl<'a> Weights<'a> {
+    fn open(path: &Path, device: &'a Device) -> Result<Self> {
+        let file = Checkpoint::open(path)?.of_network(NETWORK);
+        let parents = |key: &String| Some(key.strip_suffix("0.0.weight")?.to_owned());
+        let prefix = file
+            .tensors
+            .keys()
+            .filter_map(parents)
+            .find(|prefix| prefix.ends_with("features."))
+            .unwrap_or_else(|| "features.".into());
+        let nested = format!("{prefix}1.conv.0.0.weight");
+        Ok(Self {
+            nested: file.tensors.contains_key(&nested),
+            file,
+            prefix,
+            device,
+        })
+    }
+
+    /// Layer `place` of block `block`, both as torchvision counts. The last layer of a block has no activation, and its keys
+    /// are not nested.
+    fn layer(
+        &mut self,
+        block: usize,
+        place: usize,
+        last: bool,
+        shape: [usize; 3],
+        stride: usize,
+    ) -> Result<Convolution> {
+        let [conv, norm] = match (self.nested, last) {
+            (true, false) => [format!("{place}.0"), format!("{place}.1")],
+            (true, true) => [place.to_string(), (place + 1).to_string()],
+            // Convolution, normalisation and activation are counted one by one.
+            (false, _) => [(3 * place).to_string(), (3 * place + 1).to_string()],
         };
-        for (layer, indices) in places {
-            for (part, index) in ["conv", "norm"].into_iter().zip(indices) {
-                let index = index.replace('.', r"\.");
-                let from = format!(r"{PARENTS}features\.{}\.conv\.{index}\.", n + 1);
-                rules.push((from, format!("blocks.{n}.{layer}.{part}.")));
-            }
+        let key = |part: String| format!("{block}.conv.{part}");
+        self.convolution(&key(conv), &key(norm), shape, stride)
+    }
+
+    /// The convolution of shape `[out, in / groups, kernel, kernel]` under the key `conv`, with the batch normalisation under
+    /// `norm` folded in.
+    fn convolution(
+        &mut self,
+        conv: &str,
+        norm: &str,
+        [outputs, group, kernel]: [usize; 3],
+        stride: usize,
+    ) -> Result<Convolution> {
+        let shape = [outputs, group, kernel, kernel];
+        let weight = self.take(&format!("{conv}.weight"), &shape)?;
+        let gamma = self.take(&format!("{norm}.weight"), &[outputs])?;
+        let beta = self.take(&format!("{norm}.bias"), &[outputs])?;
+        let mean = self.take(&format!("{norm}.running_mean"), &[outputs])?;
+        let variance_name = format!("{norm}.running_var");
+        let variance = self.take(&variance_name, &[outputs])?;
+        if let Some(negative) = variance.iter().find(|v| **v < 0.0) {
+            let name = format!("{}{variance_name}", self.prefix);
+            return Err(self
+                .file
+                .problem(&name, negative.to_string(), "none negative"));
+        }
+        let scale: Vec<f64> = gamma
+            .iter()
+            .zip(&variance)
+            .map(|(&gamma, &variance)| f64::from(gamma) / (f64::from(variance) + EPSILON).sqrt())
+            .collect();
+        let taps = group * kernel * kernel;
+        let weight: Vec<f32> = weight
+            .chunks(taps)
+            .zip(&scale)
+            .flat_map(|(row, scale)| row.iter().map(move |&w| (f64::from(w) * scale) as f32))
+            .collect();
+        let bias: Vec<f32> = (0..outputs)
+            .map(|c| (f64::from(beta[c]) - f64::from(mean[c]) * scale[c]) as f32)
+            .collect();
+        let weight = Tensor::from_data(TensorData::new(weight, shape), self.device);
+        let bias = Tensor::from_data(TensorData::new(bias, [outputs]), self.device);
+        Ok(Convolution {
+            weight: Param::from_tensor(weight),
+            bias: Param::from_tensor(bias),
+            stride,
+        })
+    }
+
+    fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
+        let name = format!("{}{name}", self.prefix);
+        let values = self.file.get(&name, shape)?.to_vec();
+        self.file.tensors.remove(&name);
+        Ok(values)
+    }
+
+    /// Refuses tensors of further layers: they belong to another network.
+    fn check_unused(&self) -> Result<()> {
+        let further = |name: &&String| {
+            name.strip_prefix(&self.prefix).is_some_and(|rest| {
+                !rest.starts_with("18.") && !rest.ends_with("num_batches_tracked")
+            })
+        };
+        match self.file.tensors.keys().find(further) {
+            Some(name) => Err(self.file.problem(name, "this tensor", "none of this name")),
+            None => Ok(()),
         }
     }
-    KeyRemapper::from_patterns(rules).map_err(|e| damaged(path, e))
-}
-
-fn check(path: &Path, result: &ApplyResult) -> Result<()> {
-    let help = "give MobileNetV2 weights of width 1, torchvision or flat keys";
-    if let Some(error) = result.errors.first() {
-        let (name, found, expected) = match error {
-            ApplyError::ShapeMismatch {
-                path,
-                expected,
-                found,
-            } => (path, format!("{found:?}"), format!("{expected:?}")),
-            ApplyError::DTypeMismatch {
-                path,
-                expected,
-                found,
-            } => (path, format!("{found:?}"), format!("{expected:?}")),
-            ApplyError::AdapterError { path, message }
-            | ApplyError::LoadError { path, message } => {
-                (path, message.clone(), "a readable tensor".to_owned())
-            }
-        };
-        return Err(Error::input(path, file_name(name), found, expected, help));
-    }
-    let missing: Vec<String> = result
-        .missing
-        .iter()
-        .map(|(name, _)| name)
-        .filter(|n| !n.ends_with(".training"))
-        .map(|n| file_name(n))
-        .collect();
-    if !missing.is_empty() {
-        return Err(Error::input(
-            path,
-            "tensors",
-            format!("no {}", list(&missing)),
-            "all of features.0 to features.17",
-            help,
-        ));
-    }
-    let unexpected: Vec<String> = result
-        .unused
-        .iter()
-        .filter(|n| !n.ends_with("num_batches_tracked") && !n.contains("features.18."))
-        .filter(|n| n.starts_with("blocks.") || n.starts_with("stem.") || n.contains("features."))
-        .map(|n| file_name(n))
-        .collect();
-    if !unexpected.is_empty() {
-        let expected = "no other tensors in features.0 to features.17";
-        return Err(Error::input(
-            path,
-            "tensors",
-            format!("also {}", list(&unexpected)),
-            expected,
-            help,
-        ));
-    }
-    Ok(())
-}
-
-/// A module's tensor as messages name it: `features.2 expand conv weight`.
-fn file_name(module_name: &str) -> String {
-    let parts: Vec<&str> = module_name.split('.').collect();
-    match parts.as_slice() {
-        ["stem", rest @ ..] => format!("features.0 {}", rest.join(" ")),
-        ["blocks", n, rest @ ..] => match n.parse::<usize>() {
-            Ok(n) => format!("features.{} {}", n + 1, rest.join(" ")),
-            Err(_) => module_name.to_owned(),
-        },
-        _ => module_name.to_owned(),
-    }
-}
-
-fn list(names: &[String]) -> String {
-    let shown = names[..names.len().min(LISTED)].join(", ");
-    if names.len() > LISTED {
-        format!("{shown} and {} more", names.len() - LISTED)
-    } else {
-        shown
-    }
-}
-
-fn damaged(path: &Path, cause: impl std::fmt::Display) -> Error {
-    Error::input(
-        path,
-        "contents",
-        cause.to_string(),
-        "a whole weight file",
-        "check that the download is complete",
-    )
 }

@@ -1,49 +1,64 @@
-//! Segments that cover several groups at once, as a segmenter makes them that takes two things for one.
+//! Segments that cover several groups: a segmenter took two objects for one.
 
-use super::groups::{Groups, Kind};
-use super::masks::{Mask, Masks};
-use super::territory::Shown;
+use super::groups::{Category, Groups};
+use super::ownership::visible_groups;
+use super::segments::{SegmentWeights, ViewSegments};
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 
-/// Of a group that a view shows less of than this share of what another view does, it says nothing: a sliver may be
-/// the rim of Gaussians that stand before it.
+/// A view does not count for a group when it shows less than this share of what the best view shows: a sliver may be the rim
+/// of Gaussians that stand in front.
 const SLIVER: f64 = 0.1;
 
-/// The segments of a view, in order; one that covers several groups of its kind is divided among them, each Gaussian
-/// going to the group that has most weight on it. `extents` are those of [`super::territory::extents`].
-pub(super) fn divided<'a>(groups: &Groups, view: &'a Masks, extents: &[f64]) -> Vec<Cow<'a, Mask>> {
-    let shown = Shown::new(groups, view);
-    let mut pieces = Vec::with_capacity(view.segments.len());
-    for (m, mask) in view.segments.iter().enumerate() {
-        let known = |&(group, _): &(u32, f64)| {
-            groups.kind(group) == Kind::from(mask)
-                && shown.of(group) > SLIVER * extents[group as usize]
+/// The segments of a view, in order. A segment that covers several groups of its category is divided among them: each Gaussian
+/// goes to the group with the most weight on it. `extents` are those of [`super::ownership::extents`].
+pub(super) fn divided<'a>(
+    groups: &Groups,
+    view: &'a ViewSegments,
+    extents: &[f64],
+) -> Vec<Cow<'a, SegmentWeights>> {
+    // Groups with their pixels, ascending by group.
+    let mut covered: BTreeMap<usize, Vec<(u32, f64)>> = BTreeMap::new();
+    for visible in visible_groups(groups, view) {
+        let Some((segment, pixels)) = visible.covered_by else {
+            continue;
         };
-        let covered: Vec<(u32, f64)> = shown.covered(m).filter(known).collect();
-        match covered.len() {
-            0 | 1 => pieces.push(Cow::Borrowed(mask)),
-            _ => pieces.extend(cut(groups, mask, &covered).into_iter().map(Cow::Owned)),
+        let category = Category::from(&view.segments[segment]);
+        if groups.category(visible.set) == category
+            && visible.total > SLIVER * extents[visible.set as usize]
+        {
+            let covered = covered.entry(segment).or_default();
+            covered.push((visible.set, pixels));
+        }
+    }
+    let mut pieces = Vec::with_capacity(view.segments.len());
+    for (n, segment) in view.segments.iter().enumerate() {
+        match covered.get(&n) {
+            Some(covered) if covered.len() > 1 => {
+                pieces.extend(cut(groups, segment, covered).into_iter().map(Cow::Owned));
+            }
+            _ => pieces.push(Cow::Borrowed(segment)),
         }
     }
     pieces
 }
 
-/// Pieces of a segment, one for each of the groups that has a Gaussian of it; what none of them has goes to the one that
-/// shows most.
-fn cut(groups: &Groups, mask: &Mask, covered: &[(u32, f64)]) -> Vec<Mask> {
-    let largest = covered.iter().enumerate().fold(
-        0,
-        |best, (i, c)| if c.1 > covered[best].1 { i } else { best },
-    );
-    let mut pieces: Vec<Mask> = covered
-        .iter()
-        .map(|_| Mask {
-            segment: mask.segment,
-            weights: Vec::new(),
-            total: 0.0,
-        })
-        .collect();
-    for &(gaussian, weight) in &mask.weights {
+/// The pieces of a segment, one for each of the groups that has a Gaussian of it. Gaussians that none of them has go to the
+/// group that shows most.
+fn cut(groups: &Groups, segment: &SegmentWeights, covered: &[(u32, f64)]) -> Vec<SegmentWeights> {
+    let mut largest = 0;
+    for (i, (_, pixels)) in covered.iter().enumerate() {
+        if *pixels > covered[largest].1 {
+            largest = i;
+        }
+    }
+    let empty = SegmentWeights {
+        segment: segment.segment,
+        weights: Vec::new(),
+        total: 0.0,
+    };
+    let mut pieces = vec![empty; covered.len()];
+    for &(gaussian, weight) in &segment.weights {
         let mut best = (largest, 0.0);
         for &(group, w) in &groups.owners()[gaussian as usize] {
             if let Ok(i) = covered.binary_search_by_key(&group, |(group, _)| *group)

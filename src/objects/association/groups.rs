@@ -1,89 +1,97 @@
-//! Groups of segments, as weights on the Gaussians that they cover, and how much a view's segments overlap with them.
+//! Groups of segments as weights on the Gaussians that they cover, and how much a view's segments overlap with them.
 
-use super::masks::Mask;
+use super::segments::SegmentWeights;
+use super::sums::SparseSums;
 use crate::ops::assignment;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// Pixels of evidence that count as much as none at all: a Gaussian that was seen in one pixel is half known.
+/// Pixels of evidence that count as much as none: a Gaussian seen in one pixel is half known.
 const DOUBT: f64 = 1.0;
-/// What a pixel of a segment on Gaussians that no view has shown yet counts in the union.
+/// What a pixel of a segment counts in the union where no view has shown its Gaussians yet.
 const UNKNOWN: f64 = 0.1;
-/// Weights that are left by rounding when a segment is taken out.
+/// Weights below this are rounding left over after a segment is removed.
 const RESIDUE: f32 = 1e-3;
-/// A segment that no group takes one to one belongs to the group that claims more than this share of it: a part of it.
+/// An unmatched segment is part of the group that claims more than this share of it.
 const CONTAINED: f64 = 0.5;
 
-/// Which segments may belong together: those of one class, things with things.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Kind {
+/// Only segments of one category may belong together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Category {
     pub class: Option<u16>,
     pub thing: bool,
 }
 
-impl From<&Mask> for Kind {
-    fn from(mask: &Mask) -> Self {
+impl From<&SegmentWeights> for Category {
+    fn from(weights: &SegmentWeights) -> Self {
         Self {
-            class: mask.segment.class,
-            thing: mask.segment.thing,
+            class: weights.segment.class,
+            thing: weights.segment.thing,
         }
     }
 }
 
 /// The segments of a view, some in pieces, and the group of each.
 #[derive(Clone, Default)]
-pub(super) struct Placed<'a> {
-    /// In the order of the segments; pieces of one have its id.
-    pub masks: Vec<Cow<'a, Mask>>,
-    /// The group of each, where it has one.
+pub(super) struct Assigned<'a> {
+    /// In the order of the segments. Pieces of a segment have its id.
+    pub pieces: Vec<Cow<'a, SegmentWeights>>,
+    /// The group of each piece, where it has one.
     pub groups: Vec<Option<u32>>,
 }
 
-impl Placed<'_> {
+impl Assigned<'_> {
     /// For each segment, the groups of its pieces.
     pub fn by_segment(&self) -> impl Iterator<Item = &[Option<u32>]> {
         let mut from = 0;
-        self.masks
+        self.pieces
             .chunk_by(|a, b| a.segment.id == b.segment.id)
             .map(move |pieces| {
                 from += pieces.len();
                 &self.groups[from - pieces.len()..from]
             })
     }
+
+    /// The pieces that have a group, with it.
+    fn grouped(&self) -> impl Iterator<Item = (&SegmentWeights, u32)> {
+        let pieces = self.pieces.iter().zip(&self.groups);
+        pieces.filter_map(|(piece, group)| Some((&**piece, (*group)?)))
+    }
 }
 
-/// What happens to segments that no group takes one to one.
+/// What happens to a segment that is matched with no group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Leftovers {
-    /// They may join the group that contains them.
-    pub join: bool,
-    /// They open a group, else they belong to none.
-    pub open: bool,
+pub(super) enum Unmatched {
+    /// It opens a group.
+    Opens,
+    /// It joins the group that contains it, and opens a group if there is none.
+    JoinsOrOpens,
+    /// It joins the group that contains it, and has no group if there is none.
+    Joins,
 }
 
-/// All groups.
-#[derive(Clone, Debug)]
+/// Groups of segments as weights on Gaussians: `W_gi`, pixels.
 pub(super) struct Groups {
-    /// The groups of each Gaussian with their weights, pixels.
+    /// For each Gaussian its groups with their weights.
     owners: Vec<Vec<(u32, f32)>>,
-    kinds: Vec<Kind>,
+    categories: Vec<Category>,
 }
 
-/// How a view's segments and the groups overlap, in pixels.
+/// How much the segments of a view overlap with the groups.
 pub(super) struct Overlaps {
-    /// For each segment, what each group claims of it; ascending by group.
+    /// For each segment the groups and the pixels that they claim of it, ascending by group.
     pub claimed: Vec<Vec<(u32, f64)>>,
     /// For each segment, pixels on Gaussians that are known.
     known: Vec<f64>,
     /// What each group claims of all segments of the view.
-    pub visible: BTreeMap<u32, f64>,
+    visible: BTreeMap<u32, f64>,
 }
 
 impl Overlaps {
-    /// IoU of a segment with the group as the view shows it, over what is known. What is not known counts a little, so
-    /// that a sliver of a new thing is no match.
-    fn iou(&self, mask: usize, total: f64, group: u32, claimed: f64) -> f64 {
-        let known = self.known[mask];
+    /// IoU of a segment with the group as the view shows it, over what is known. Unknown pixels count a little, so that a
+    /// sliver of a new object is no match.
+    fn iou(&self, segment: usize, total: f64, group: u32, claimed: f64) -> f64 {
+        let known = self.known[segment];
         let visible = self.visible.get(&group).copied().unwrap_or(0.0);
         let union = known + visible - claimed + UNKNOWN * (total - known).max(0.0);
         if union > 0.0 { claimed / union } else { 0.0 }
@@ -91,26 +99,26 @@ impl Overlaps {
 }
 
 impl Groups {
-    /// None yet, on `gaussians` Gaussians.
+    /// No groups yet, on `gaussians` Gaussians.
     pub fn new(gaussians: usize) -> Self {
         Self {
             owners: vec![Vec::new(); gaussians],
-            kinds: Vec::new(),
+            categories: Vec::new(),
         }
     }
 
     /// Number of groups ever opened.
     pub fn len(&self) -> usize {
-        self.kinds.len()
+        self.categories.len()
     }
 
-    pub fn kind(&self, group: u32) -> Kind {
-        self.kinds[group as usize]
+    pub fn category(&self, group: u32) -> Category {
+        self.categories[group as usize]
     }
 
     /// Opens an empty group.
-    pub fn open(&mut self, kind: Kind) -> u32 {
-        self.kinds.push(kind);
+    pub fn open(&mut self, category: Category) -> u32 {
+        self.categories.push(category);
         self.len() as u32 - 1
     }
 
@@ -121,22 +129,20 @@ impl Groups {
 
     /// The weight of all groups on a Gaussian.
     pub fn total(&self, gaussian: u32) -> f64 {
-        self.owners[gaussian as usize]
-            .iter()
-            .map(|(_, w)| f64::from(*w))
-            .sum()
+        let owners = self.owners[gaussian as usize].iter();
+        owners.map(|(_, weight)| f64::from(*weight)).sum()
     }
 
-    /// Takes the groups away from all Gaussians, but keeps their numbers.
-    pub fn clear(&mut self) {
+    /// Sums the weights of all groups afresh, so that rounding does not depend on the order of earlier changes.
+    pub fn rebuild(&mut self, views: &[Assigned<'_>]) {
         self.owners.iter_mut().for_each(Vec::clear);
+        views.iter().for_each(|view| self.add(view));
     }
 
     /// Adds the segments of a view to their groups.
-    pub fn add(&mut self, view: &Placed<'_>) {
-        for (mask, group) in view.masks.iter().zip(&view.groups) {
-            let Some(group) = *group else { continue };
-            for &(gaussian, weight) in &mask.weights {
+    pub fn add(&mut self, view: &Assigned<'_>) {
+        for (piece, group) in view.grouped() {
+            for &(gaussian, weight) in &piece.weights {
                 let owners = &mut self.owners[gaussian as usize];
                 match owners.iter_mut().find(|(g, _)| *g == group) {
                     Some((_, sum)) => *sum += weight,
@@ -146,11 +152,10 @@ impl Groups {
         }
     }
 
-    /// Takes the segments of a view out of their groups.
-    pub fn remove(&mut self, view: &Placed<'_>) {
-        for (mask, group) in view.masks.iter().zip(&view.groups) {
-            let Some(group) = *group else { continue };
-            for &(gaussian, weight) in &mask.weights {
+    /// Removes the segments of a view from their groups.
+    pub fn remove(&mut self, view: &Assigned<'_>) {
+        for (piece, group) in view.grouped() {
+            for &(gaussian, weight) in &piece.weights {
                 let owners = &mut self.owners[gaussian as usize];
                 if let Some(i) = owners.iter().position(|(g, _)| *g == group) {
                     owners[i].1 -= weight;
@@ -164,118 +169,99 @@ impl Groups {
 
     /// Overlaps of a view's segments with all groups: group g claims of segment m `sum_i w_mi W_gi / (W_i + 1)`, where
     /// `W_gi` is the group's weight on Gaussian i and `W_i` that of all groups.
-    pub fn overlaps(&self, masks: &[Cow<'_, Mask>]) -> Overlaps {
-        let mut sums = vec![0.0_f64; self.len()];
-        let mut visible = BTreeMap::new();
-        let (mut claimed, mut known) = (
-            Vec::with_capacity(masks.len()),
-            Vec::with_capacity(masks.len()),
-        );
-        for mask in masks {
-            let (mut seen, mut touched) = (0.0, Vec::new());
-            for &(gaussian, weight) in &mask.weights {
-                let owners = &self.owners[gaussian as usize];
-                let all: f64 = owners.iter().map(|(_, w)| f64::from(*w)).sum();
+    pub fn overlaps(&self, pieces: &[Cow<'_, SegmentWeights>]) -> Overlaps {
+        let mut sums = SparseSums::new(self.len());
+        let mut overlaps = Overlaps {
+            claimed: Vec::with_capacity(pieces.len()),
+            known: Vec::with_capacity(pieces.len()),
+            visible: BTreeMap::new(),
+        };
+        for piece in pieces {
+            let mut known = 0.0;
+            for &(gaussian, weight) in &piece.weights {
+                let all = self.total(gaussian);
                 let share = f64::from(weight) / (all + DOUBT);
-                seen += share * all;
-                for &(group, w) in owners {
-                    let sum = &mut sums[group as usize];
-                    if *sum == 0.0 {
-                        touched.push(group);
-                    }
-                    *sum += share * f64::from(w);
+                known += share * all;
+                for &(group, weight) in &self.owners[gaussian as usize] {
+                    sums.add(group, share * f64::from(weight));
                 }
             }
-            touched.sort_unstable();
-            let row: Vec<_> = touched
-                .into_iter()
-                .map(|g| (g, std::mem::take(&mut sums[g as usize])))
-                .collect();
-            row.iter()
-                .for_each(|(group, pixels)| *visible.entry(*group).or_insert(0.0) += pixels);
-            claimed.push(row);
-            known.push(seen);
+            let claimed = sums.take();
+            for (group, pixels) in &claimed {
+                *overlaps.visible.entry(*group).or_insert(0.0) += pixels;
+            }
+            overlaps.claimed.push(claimed);
+            overlaps.known.push(known);
         }
-        Overlaps {
-            claimed,
-            known,
-            visible,
-        }
+        overlaps
     }
 
-    /// The group of each segment of a view: one to one at the largest sum of IoU, pairs below `least` left out; what
-    /// stays alone as `leftovers` says. All segments of a class of stuff belong to one group.
-    pub fn place<'a>(
+    /// Assigns a group to each segment of a view: one to one at the largest sum of IoU, without pairs below `least`.
+    /// `unmatched` says what happens to the others. All segments of a class of stuff belong to one group.
+    pub fn assign<'a>(
         &mut self,
-        masks: Vec<Cow<'a, Mask>>,
+        pieces: Vec<Cow<'a, SegmentWeights>>,
         least: f64,
-        leftovers: Leftovers,
-    ) -> Placed<'a> {
-        let overlaps = self.overlaps(&masks);
-        let mut assigned = vec![None; masks.len()];
-        let things: Vec<usize> = (0..masks.len())
-            .filter(|&m| masks[m].segment.thing)
+        unmatched: Unmatched,
+    ) -> Assigned<'a> {
+        let overlaps = self.overlaps(&pieces);
+        let mut groups = self.matched(&pieces, &overlaps, least);
+        for (n, piece) in pieces.iter().enumerate() {
+            if piece.weights.is_empty() {
+                continue;
+            }
+            let category = Category::from(&**piece);
+            if !category.thing {
+                let group = self.categories.iter().position(|c| *c == category);
+                groups[n] = group.map(|group| group as u32);
+            } else if groups[n].is_none() && unmatched != Unmatched::Opens {
+                groups[n] = self.container(piece, &overlaps.claimed[n]);
+            }
+            if groups[n].is_none() && unmatched != Unmatched::Joins {
+                groups[n] = Some(self.open(category));
+            }
+        }
+        Assigned { pieces, groups }
+    }
+
+    /// The groups of the things among `pieces`, one to one at the largest sum of IoU.
+    fn matched(
+        &self,
+        pieces: &[Cow<'_, SegmentWeights>],
+        overlaps: &Overlaps,
+        least: f64,
+    ) -> Vec<Option<u32>> {
+        let things: Vec<usize> = (0..pieces.len())
+            .filter(|&n| pieces[n].segment.thing)
             .collect();
-        let mut columns: Vec<u32> = things
-            .iter()
-            .flat_map(|&m| overlaps.claimed[m].iter().map(|(g, _)| *g))
-            .collect();
+        let claimants = things.iter().flat_map(|&n| &overlaps.claimed[n]);
+        let mut columns: Vec<u32> = claimants.map(|(group, _)| *group).collect();
         columns.sort_unstable();
         columns.dedup();
         let mut values = vec![0.0; things.len() * columns.len()];
-        for (row, &m) in values.chunks_exact_mut(columns.len().max(1)).zip(&things) {
-            for &(group, claimed) in &overlaps.claimed[m] {
-                let iou = overlaps.iou(m, masks[m].total, group, claimed);
-                if let (Ok(column), true) = (
-                    columns.binary_search(&group),
-                    self.kind(group) == Kind::from(&*masks[m]),
-                ) {
-                    row[column] = if iou >= least { iou } else { 0.0 };
+        for (row, &n) in values.chunks_exact_mut(columns.len().max(1)).zip(&things) {
+            let category = Category::from(&*pieces[n]);
+            for &(group, claimed) in &overlaps.claimed[n] {
+                let iou = overlaps.iou(n, pieces[n].total, group, claimed);
+                if iou >= least && self.category(group) == category {
+                    row[columns.partition_point(|column| *column < group)] = iou;
                 }
             }
         }
-        for (&m, column) in things.iter().zip(assignment(&values, columns.len())) {
-            assigned[m] = column.map(|column| columns[column]);
+        let mut groups = vec![None; pieces.len()];
+        for (&n, column) in things.iter().zip(assignment(&values, columns.len())) {
+            groups[n] = column.map(|column| columns[column]);
         }
-        for (m, mask) in masks
-            .iter()
-            .enumerate()
-            .filter(|(_, mask)| !mask.weights.is_empty())
-        {
-            let kind = Kind::from(&**mask);
-            if !kind.thing {
-                assigned[m] = self
-                    .kinds
-                    .iter()
-                    .position(|k| *k == kind)
-                    .map(|group| group as u32);
-            } else if assigned[m].is_none() && leftovers.join {
-                assigned[m] = self.container(mask, &overlaps.claimed[m]);
-            }
-            if assigned[m].is_none() && leftovers.open {
-                assigned[m] = Some(self.open(kind));
-            }
-        }
-        Placed {
-            masks,
-            groups: assigned,
-        }
+        groups
     }
 
-    /// The group that claims most of a segment.
-    pub fn container(&self, mask: &Mask, claimed: &[(u32, f64)]) -> Option<u32> {
+    /// The group that claims most of a segment, the first of equals, if that is most of the segment.
+    pub fn container(&self, piece: &SegmentWeights, claimed: &[(u32, f64)]) -> Option<u32> {
         let fits = claimed
             .iter()
-            .filter(|(group, _)| self.kind(*group) == Kind::from(mask));
-        // Of equal claims the first.
-        let most = fits.fold(
-            None,
-            |best: Option<(u32, f64)>, &(group, pixels)| match best {
-                Some((_, most)) if most >= pixels => best,
-                _ => Some((group, pixels)),
-            },
-        );
-        most.filter(|(_, pixels)| *pixels > CONTAINED * mask.total)
-            .map(|(group, _)| group)
+            .filter(|(group, _)| self.category(*group) == Category::from(piece));
+        let most = fits.reduce(|best, other| if other.1 > best.1 { other } else { best });
+        most.filter(|(_, pixels)| *pixels > CONTAINED * piece.total)
+            .map(|(group, _)| *group)
     }
 }

@@ -1,50 +1,90 @@
-//! Groups that turn out to be one thing, and groups that turn out to be nothing.
+//! The merge graph: pairs of groups that are one object, and groups that are negligible.
 
 use super::groups::Groups;
-use super::territory::{Shown, extents};
+use super::ownership::{Evidence, Visible, evidence};
 use crate::error::{Error, Result};
 use std::collections::BTreeMap;
 
-/// Share of a group's weight that another must have on the same Gaussians before the two can be one: neighbours share
+/// Two groups can be one when the one has more than this share of the other's weight on the same Gaussians: neighbours share
 /// the Gaussians of their border.
 const SHARED: f64 = 0.02;
-/// Views that say that two groups are two, before any was asked: one view alone does not make one of two.
+/// Views that count as evidence for two objects before any view is asked: one view alone does not make one of two.
 pub(super) const DOUBT: f64 = 1.0;
-/// A view that shows less than this share of a group than another view does counts less than one.
-const ENOUGH: f64 = 0.1;
-/// A group that has less than this share of its Gaussians is a stray: others have the rest.
+/// A group with a lower purity is a stray: others have most of its Gaussians.
 const PURITY: f64 = 0.15;
 
-/// How much a view counts that shows the share `part` of what the view does that shows most.
-pub(super) fn say(part: f64) -> f64 {
-    (part / ENOUGH).min(1.0)
+/// The size of a group.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Total {
+    /// Pixels.
+    pub weight: f64,
+    /// Mean of its share `W_gi / W_i` of the Gaussians that it covers.
+    purity: f64,
 }
 
-/// Weight of each group, pixels, and its purity, the mean of its share `W_gi / W_i` of the Gaussians that it covers.
-pub(super) fn totals(groups: &Groups) -> Vec<(f64, f64)> {
-    let mut sums = vec![(0.0, 0.0); groups.len()];
-    for owners in groups.owners() {
-        let all: f64 = owners.iter().map(|(_, w)| f64::from(*w)).sum();
+/// The size of each group.
+pub(super) fn totals(groups: &Groups) -> Vec<Total> {
+    let mut totals = vec![Total::default(); groups.len()];
+    for (gaussian, owners) in (0..).zip(groups.owners()) {
+        let all = groups.total(gaussian);
         for &(group, weight) in owners {
-            let (weight, sum) = (f64::from(weight), &mut sums[group as usize]);
-            sum.0 += weight;
-            sum.1 += weight * weight / all;
+            let total = &mut totals[group as usize];
+            let weight = f64::from(weight);
+            total.weight += weight;
+            total.purity += weight * weight / all;
         }
     }
-    sums.into_iter()
-        .map(|(total, pure)| (total, if total > 0.0 { pure / total } else { 0.0 }))
-        .collect()
+    for total in totals.iter_mut().filter(|total| total.weight > 0.0) {
+        total.purity /= total.weight;
+    }
+    totals
 }
 
-/// Pairs (smaller, larger) of groups to be made one, each group in one pair at most. `shown` has what each view shows.
+/// Pairs (smaller, larger) of groups to merge. Each group is in one pair at most. `visible` has what each view shows, `extents`
+/// the most that a view shows of each group.
 ///
-/// Two groups are one where they share Gaussians and more than the share `above` of the views say so. A view has a say
-/// where a segment covers the one group and a segment the other; it says one where that is the same segment. A view that
-/// shows little of either, of what the view does that shows most, counts less than one. So a segmenter that sees a part
-/// in few views does not keep it apart, and one that takes two things for one in few views, however large they are
-/// there, does not join them.
-pub(super) fn pairs(groups: &Groups, shown: &[Shown], above: f64) -> Vec<(u32, u32)> {
-    let mut shared: BTreeMap<(u32, u32), f64> = BTreeMap::new();
+/// Two groups are merged where they share Gaussians and more than the share `above` of the views say that they are one
+/// ([`evidence`]). So a segmenter that sees a part in few views does not keep it apart, and one that joins two objects in few
+/// views, however large they are there, does not merge them.
+pub(super) fn pairs(
+    groups: &Groups,
+    visible: &[Vec<Visible>],
+    extents: &[f64],
+    above: f64,
+) -> Vec<(u32, u32)> {
+    let totals = totals(groups);
+    let mut candidates = Vec::new();
+    for ((a, b), pixels) in shared_weights(groups) {
+        let [weight_a, weight_b] = [a, b].map(|group| totals[group as usize].weight);
+        let category = groups.category(a);
+        let can_merge = category.thing && category == groups.category(b);
+        if !can_merge || pixels <= SHARED * weight_a.min(weight_b) {
+            continue;
+        }
+        let Evidence { one, two } = evidence(visible, extents, [a, b]);
+        let all = one + two + DOUBT;
+        if one > above * all {
+            let [small, large] = if weight_a >= weight_b { [b, a] } else { [a, b] };
+            candidates.push((one / all, small, large));
+        }
+    }
+    candidates.sort_by(|x, y| y.0.total_cmp(&x.0).then((x.1, x.2).cmp(&(y.1, y.2))));
+    let mut taken = vec![false; groups.len()];
+    candidates.retain(|&(_, small, large)| {
+        let free = !taken[small as usize] && !taken[large as usize];
+        if free {
+            taken[small as usize] = true;
+            taken[large as usize] = true;
+        }
+        free
+    });
+    let pair = |(_, small, large)| (small, large);
+    candidates.into_iter().map(pair).collect()
+}
+
+/// For each pair of groups on a Gaussian the sum of the smaller weight of the two.
+fn shared_weights(groups: &Groups) -> BTreeMap<(u32, u32), f64> {
+    let mut shared = BTreeMap::new();
     for owners in groups.owners() {
         for (i, &(g, a)) in owners.iter().enumerate() {
             for &(h, b) in &owners[..i] {
@@ -52,100 +92,52 @@ pub(super) fn pairs(groups: &Groups, shown: &[Shown], above: f64) -> Vec<(u32, u
             }
         }
     }
-    let totals = totals(groups);
-    let extents = extents(groups.len(), shown);
-    let places: Vec<BTreeMap<u32, usize>> = shown.iter().map(|shown| shown.places()).collect();
-    let mut candidates = Vec::new();
-    for ((a, b), pixels) in shared {
-        let [wa, wb] = [a, b].map(|g| totals[g as usize].0);
-        let kind = groups.kind(a);
-        if !kind.thing || kind != groups.kind(b) || pixels <= SHARED * wa.min(wb) {
-            continue;
-        }
-        let (mut one, mut two) = (0.0, DOUBT);
-        for (shown, places) in shown.iter().zip(&places) {
-            let (Some(at_a), Some(at_b)) = (places.get(&a), places.get(&b)) else {
-                continue;
-            };
-            let part = |g: u32| shown.of(g) / extents[g as usize];
-            *(if at_a == at_b { &mut one } else { &mut two }) += say(part(a).min(part(b)));
-        }
-        if one > above * (one + two) {
-            let (large, small) = if wa >= wb { (a, b) } else { (b, a) };
-            candidates.push((one / (one + two), small, large));
-        }
-    }
-    candidates.sort_by(|x, y| y.0.total_cmp(&x.0).then((x.1, x.2).cmp(&(y.1, y.2))));
-    let mut touched = vec![false; groups.len()];
-    candidates.retain(|&(_, small, large)| {
-        let free = !touched[small as usize] && !touched[large as usize];
-        touched[small as usize] |= free;
-        touched[large as usize] |= free;
-        free
-    });
-    candidates
-        .into_iter()
-        .map(|(_, small, large)| (small, large))
-        .collect()
+    shared
 }
 
-/// Which groups are dropped: those of no more than the share `least` of all weight, and strays.
+/// Which groups are negligible: those of no more than the share `least` of all weight, and strays.
 ///
 /// # Errors
-/// [`Error::Config`] when that leaves none.
+/// [`Error::Config`] when all are.
 pub(super) fn negligible(groups: &Groups, least: f64) -> Result<Vec<bool>> {
     let totals = totals(groups);
-    let all: f64 = totals.iter().map(|(total, _)| total).sum();
-    let negligible: Vec<bool> = totals
-        .iter()
-        .map(|(total, purity)| *total <= least * all || *purity < PURITY)
-        .collect();
+    let all: f64 = totals.iter().map(|total| total.weight).sum();
+    let small = |total: &Total| total.weight <= least * all || total.purity < PURITY;
+    let negligible: Vec<bool> = totals.iter().map(small).collect();
     if negligible.iter().all(|negligible| *negligible) {
-        Err(nothing_left(&totals, least))
-    } else {
-        Ok(negligible)
+        return Err(nothing_left(&totals, least));
     }
+    Ok(negligible)
 }
 
-/// Why groups of these weights and purities are all dropped.
-fn nothing_left(totals: &[(f64, f64)], least: f64) -> Error {
+/// Why all groups of these sizes are negligible.
+fn nothing_left(totals: &[Total], least: f64) -> Error {
     const NONE: &str = "data.association = \"none\" trains on the ids of the maps as they are";
-    let all: f64 = totals.iter().map(|(total, _)| total).sum();
+    let all: f64 = totals.iter().map(|total| total.weight).sum();
     if all == 0.0 {
         let found = "gaussians, but no segment of a training view covers any of them";
+        let expected = "Gaussians where the segments are";
         let help = format!("check that Gaussians and cameras are of one scene; {NONE}");
-        return Error::config(
-            "data.association",
-            found,
-            "Gaussians where the segments are",
-            help,
+        return Error::config("data.association", found, expected, help);
+    }
+    let pure = totals.iter().filter(|total| total.purity >= PURITY);
+    let Some(largest) = pure.map(|total| total.weight / all).reduce(f64::max) else {
+        let found = "gaussians, but others have most of the Gaussians of every group of segments";
+        let expected = "segments of which several views show the same";
+        let help = format!(
+            "check that raw labels and photos belong together, or raise association.sweeps; {NONE}"
         );
-    }
-    let largest = totals
-        .iter()
-        .filter(|(_, purity)| *purity >= PURITY)
-        .map(|(total, _)| total / all);
-    match largest.reduce(f64::max) {
-        Some(largest) => {
-            let dropped = totals.iter().filter(|(total, _)| *total > 0.0).count();
-            let found = format!("{least}, which drops all {dropped} groups of segments");
-            let expected = format!("less than {largest:.2e}, the share of the largest one");
-            Error::config(
-                "association.min_weight",
-                found,
-                expected,
-                "set a smaller share",
-            )
-        }
-        None => {
-            let found = "gaussians, but each group of segments is on Gaussians of which others have the most";
-            let expected = "segments of which several views show the same";
-            let help = format!(
-                "check that raw labels and photos belong together, or raise association.sweeps; {NONE}"
-            );
-            Error::config("data.association", found, expected, help)
-        }
-    }
+        return Error::config("data.association", found, expected, help);
+    };
+    let dropped = totals.iter().filter(|total| total.weight > 0.0).count();
+    let found = format!("{least}, which drops all {dropped} groups of segments");
+    let expected = format!("less than {largest:.2e}, the share of the largest one");
+    Error::config(
+        "association.min_weight",
+        found,
+        expected,
+        "set a smaller share",
+    )
 }
 
 #[cfg(test)]
@@ -154,7 +146,11 @@ mod tests {
 
     #[test]
     fn what_leaves_no_group_is_named() {
-        let said = |totals: &[(f64, f64)], least| nothing_left(totals, least).to_string();
+        let said = |totals: &[(f64, f64)], least| {
+            let total = |&(weight, purity): &(f64, f64)| Total { weight, purity };
+            let totals: Vec<Total> = totals.iter().map(total).collect();
+            nothing_left(&totals, least).to_string()
+        };
         let message = said(&[(3.0, 0.9), (0.0, 0.0), (1.0, 1.0), (4.0, 0.1)], 0.6);
         for part in [
             "association.min_weight: found 0.6",
@@ -172,7 +168,7 @@ mod tests {
         );
         let message = said(&[(1.0, 0.1), (1.0, 0.1)], 0.0);
         assert!(
-            message.contains("data.association") && message.contains("others have the most"),
+            message.contains("data.association") && message.contains("others have most"),
             "{message}"
         );
     }

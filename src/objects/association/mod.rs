@@ -1,55 +1,58 @@
-//! Association: segments whose ids mean something within their view only become segments of one thing.
+//! Association: segments of several views that show one object, found by way of the Gaussians.
 //!
-//! The Gaussians are what views have in common. A segment covers Gaussian i with weight `w_mi = sum_p alpha'_i T_i` over its
-//! pixels, and a group of segments with the sum of theirs. Of what a view shows, group g claims `sum_i w_mi W_gi / W_i`
-//! pixels of segment m; the IoU of segment and group in these pixels scores the pair. It compares what the view can
-//! see, so that a wall of which each view has a part is one wall. Pairs are chosen one to one in each view (as Gaga,
-//! arXiv 2404.07977, and CCGS, arXiv 2502.16303, do on sets of points; weights in place of point tests are ours).
+//! The ids of segments mean something within their view only. The Gaussians are what views have in common. A segment covers
+//! Gaussian i with weight `w_mi = sum_p alpha'_i T_i` over its pixels, and a group of segments with the sum of theirs. Of what a
+//! view shows, group g claims `sum_i w_mi W_gi / W_i` pixels of segment m. The IoU of segment and group in these pixels scores
+//! the pair. It compares what the view can see, so that a wall of which each view shows a part is one wall. Pairs are chosen one
+//! to one in each view (as Gaga, arXiv 2404.07977, and CCGS, arXiv 2502.16303, do on sets of points; weights in place of point
+//! tests are ours).
 //!
-//! The first sweep takes the views in an order of overlap and opens groups. Later sweeps take each view out of the groups
-//! and assign it again, so that no view confirms itself; then groups that most views take for two are split, groups that
-//! most take for one are merged, and at last strays dropped. A segment that covers most of what its view shows of several
-//! groups is a segmenter's taking two things for one: since the other views keep these groups apart, it is divided among
-//! them, Gaussian by Gaussian and at last pixel by pixel. (MaskClustering, arXiv 2401.07745, also counts the views that
+//! The first sweep takes the views in an order of overlap and opens groups. Later sweeps remove each view from the groups and
+//! assign it again, so that no view confirms itself. Then groups that most views take for two objects are split, and groups that
+//! most views take for one are merged. Strays are dropped last. A segment that covers most of what its view shows of several
+//! groups means that the segmenter took two objects for one. The other views keep these groups apart, so the segment is divided
+//! among them, Gaussian by Gaussian and then pixel by pixel. (MaskClustering, arXiv 2401.07745, also counts the views that
 //! agree, and leaves such segments out.)
-//! Memory grows with the pairs of segments and Gaussians, 8 bytes each, and 4 more while the order of views is found; not
-//! with their product.
+//!
+//! Memory grows with the pairs of segments and Gaussians, 8 bytes each, and 4 more while the order of the views is found. It does
+//! not grow with their product.
 
-mod asked;
 mod divide;
 mod groups;
-mod masks;
 mod merge;
 mod order;
+mod ownership;
 mod paint;
-mod scratch;
+mod pair_evidence;
+mod segments;
 mod split;
+mod sums;
 mod sweeps;
-mod territory;
 
 use crate::config::AssociationConfig;
 use crate::data::{Class, Classes, LabelRuns, ObjectOf, Scene, Split, View, class_color};
 use crate::error::{Error, Result};
 use crate::raster::Settings;
 use crate::splat::Gaussians;
-use groups::{Groups, Kind, Placed};
-use masks::{Masks, NOTHING, masks};
+use groups::{Assigned, Category, Groups};
+use ownership::{extents, visible_in_views};
 use paint::paint;
-use scratch::Zeros;
-use std::collections::HashMap;
+use segments::{UNLABELLED, ViewSegments, view_segments};
+use std::collections::{BTreeSet, HashMap};
 use std::convert::Infallible;
 use std::ops::ControlFlow;
+use sums::{Scratch, SparseSums};
 
-/// A thing that segments of several views show.
+/// An object that segments of several views show.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
     /// Id in the maps and in the class table.
     pub id: u16,
-    /// Class of its segments, where the segmenter says one.
+    /// Class of its segments, where the segmenter gives one.
     pub class: Option<u16>,
     /// Training views with a segment of it.
     pub views: usize,
-    /// Sum of alpha' T of its segments, pixels of the training views.
+    /// Sum of `alpha' T` of its segments, pixels of the training views.
     pub weight: f64,
 }
 
@@ -62,18 +65,18 @@ pub struct Association {
     pub groups: Vec<Group>,
     /// For each view of the scene, its raw labels in ids of the groups.
     pub maps: Vec<Option<LabelRuns>>,
-    /// Segments of the training views.
+    /// Number of segments in the training views.
     pub segments: usize,
-    /// Those that belong to no group: their pixels become unlabelled.
+    /// Number of segments without a group: their pixels become unlabelled.
     pub dropped: usize,
-    /// Those that cover several groups and were divided among them, pixel by pixel.
+    /// Number of segments that cover several groups and were divided among them, pixel by pixel.
     pub divided: usize,
 }
 
-/// Why an association ended before it was done.
+/// Why an association ended early.
 enum End<B> {
-    /// Its caller said so.
-    Told(B),
+    /// The caller stopped it.
+    Stopped(B),
     Failed(Error),
 }
 
@@ -83,48 +86,46 @@ impl<B> From<Error> for End<B> {
     }
 }
 
-/// Is told how many more views were looked at, and may end the association.
-type Look<'l, B> = dyn FnMut(usize) -> Result<(), End<B>> + 'l;
+/// Receives the number of views done since the last call. Its error ends the association.
+type Progress<'p, B> = dyn FnMut(usize) -> Result<(), End<B>> + 'p;
 
 impl Association {
-    /// How many views [`associate_until`] looks at, each as often as it does.
-    pub fn looks(scene: &Scene, config: &AssociationConfig) -> usize {
-        let [trained, tested] = [Split::Train, Split::Test].map(|split| scene.split(split).count());
-        // For their segments, in the sweeps, and to be painted.
-        (config.sweeps + 2) * trained + tested
+    /// Steps of [`associate_until`] in all: one for each pass over each view.
+    pub fn steps(scene: &Scene, config: &AssociationConfig) -> usize {
+        let [train, test] = [Split::Train, Split::Test].map(|split| scene.split(split).count());
+        // One pass finds the segments, then come the sweeps, and one pass paints the maps.
+        (config.sweeps + 2) * train + test
     }
 
-    /// Makes the groups the classes of `scene` and the maps its raw labels. True labels are of other classes and leave
-    /// the scene: [`Semantics`](super::Semantics) takes them up before. [`View::instances`] stays to be scored against.
+    /// Makes the groups the classes of `scene` and the maps its raw labels. True labels have other classes and leave the scene:
+    /// take [`Semantics`](super::Semantics) before. [`View::instances`] stays, for the scores.
     ///
     /// # Panics
     /// If the scene has another number of views than the one that was associated.
     pub fn apply(self, scene: &mut Scene) {
-        assert_eq!(
-            self.maps.len(),
-            scene.views.len(),
-            "association of another scene"
-        );
+        let views = (self.maps.len(), scene.views.len());
+        assert_eq!(views.0, views.1, "association of another scene");
         scene.classes = self.classes;
         for (view, map) in scene.views.iter_mut().zip(self.maps) {
-            (view.raw, view.truth) = (map, None);
+            view.raw = map;
+            view.truth = None;
             view.segments.clear();
         }
     }
 }
 
-/// Finds which segments of the raw labels of `scene` show one thing, by way of its Gaussians. Groups come from the
-/// training views; raw labels of test views are only told which groups they show.
+/// Finds which segments of the raw labels of `scene` show one object, by way of its Gaussians. The training views form the
+/// groups. Segments of test views are then assigned to them.
 ///
-/// Ids are those of [`View::segments`], or of the map itself where it says nothing of them: then all are things without a
-/// class. Of stuff all segments of a class are one group.
+/// Ids of segments are those of [`View::segments`]. An id that is not among them is a thing without a class. All segments of a
+/// class of stuff are one group.
 ///
 /// # Errors
 /// [`Error::NonFinite`] when a Gaussian's parameters are not finite; [`Error::Limit`] for more groups than u16 has ids;
 /// [`Error::Config`] when no training view has raw labels, and when no group is left of them.
 ///
 /// # Panics
-/// If raw labels are not of the size of their view's camera.
+/// If raw labels have another size than their view's camera.
 pub fn associate(
     gaussians: &Gaussians,
     scene: &Scene,
@@ -136,8 +137,8 @@ pub fn associate(
     Ok(found)
 }
 
-/// [`associate`], until `looked` breaks: it is told each time how many more views were looked at, [`Association::looks`] in
-/// all, and 0 where it is only asked whether to go on.
+/// [`associate`], until `progress` breaks. It receives the steps done since its last call, [`Association::steps`] in all; 0 only
+/// asks whether to go on.
 ///
 /// # Errors
 /// As [`associate`].
@@ -149,135 +150,161 @@ pub fn associate_until<B>(
     scene: &Scene,
     config: &AssociationConfig,
     settings: &Settings,
-    looked: &mut dyn FnMut(usize) -> ControlFlow<B>,
+    progress: &mut dyn FnMut(usize) -> ControlFlow<B>,
 ) -> Result<ControlFlow<B, Association>> {
-    let mut look = |views| match looked(views) {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(told) => Err(End::Told(told)),
+    let run = Run {
+        gaussians,
+        scene,
+        config,
+        settings,
     };
-    match found(gaussians, scene, config, settings, &mut look) {
+    let found = run.associate(&mut |views| match progress(views) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(stop) => Err(End::Stopped(stop)),
+    });
+    match found {
         Ok(found) => Ok(ControlFlow::Continue(found)),
-        Err(End::Told(told)) => Ok(ControlFlow::Break(told)),
+        Err(End::Stopped(stop)) => Ok(ControlFlow::Break(stop)),
         Err(End::Failed(error)) => Err(error),
     }
 }
 
-fn found<B>(
-    gaussians: &Gaussians,
-    scene: &Scene,
-    config: &AssociationConfig,
-    settings: &Settings,
-    look: &mut Look<'_, B>,
-) -> Result<Association, End<B>> {
-    let zeros = Zeros::new(gaussians.len());
-    let raw = |view: &'_ View| match &view.raw {
-        Some(raw) => masks(gaussians, view, &raw.map(), settings, &zeros),
-        None => Ok(Masks::default()),
-    };
-    let trained: Vec<usize> = (0..scene.views.len())
-        .filter(|&v| scene.views[v].split == Split::Train)
-        .collect();
-    let mut views = Vec::with_capacity(trained.len());
-    for &v in &trained {
-        views.push(raw(&scene.views[v])?);
-        look(1)?;
-    }
-    if views.iter().all(|view| view.segments.is_empty()) {
-        let expected = "raw labels of training views to put together";
-        let help = "add raw labels, or set data.association = \"none\"";
-        return Err(Error::config(
-            "data.association",
-            "gaussians, but no segments",
-            expected,
-            help,
-        )
-        .into());
-    }
-    let mut groups = Groups::new(gaussians.len());
-    let placed = sweeps::group(&mut groups, &views, config, look)?;
+/// The inputs of an association.
+struct Run<'a> {
+    gaussians: &'a Gaussians,
+    scene: &'a Scene,
+    config: &'a AssociationConfig,
+    settings: &'a Settings,
+}
 
-    let totals = merge::totals(&groups);
-    let mut counts = vec![0; groups.len()];
-    for placed in &placed {
-        let mut present: Vec<u32> = placed.groups.iter().flatten().copied().collect();
-        present.sort_unstable();
-        present.dedup();
+impl Run<'_> {
+    fn associate<B>(&self, progress: &mut Progress<'_, B>) -> Result<Association, End<B>> {
+        let count = self.gaussians.len();
+        let scratch = Scratch::new(move || SparseSums::new(count));
+        let mut views = Vec::new();
+        for view in self.scene.split(Split::Train) {
+            views.push(self.segments(view, &scratch)?);
+            progress(1)?;
+        }
+        if views.iter().all(|view| view.segments.is_empty()) {
+            let found = "gaussians, but no segments";
+            let expected = "raw labels of training views to put together";
+            let help = "add raw labels, or set data.association = \"none\"";
+            return Err(Error::config("data.association", found, expected, help).into());
+        }
+        let mut groups = Groups::new(count);
+        let assigned = sweeps::form_groups(&mut groups, &views, self.config, progress)?;
+        let (kept, found) = listed(&groups, &assigned)?;
+        let maps = self.maps(&mut groups, &views, &assigned, &kept, &scratch, progress)?;
+        let segments = || assigned.iter().flat_map(Assigned::by_segment);
+        let categories = kept.iter().map(|&group| groups.category(group));
+        Ok(Association {
+            classes: class_table(categories, &self.scene.classes),
+            groups: found,
+            maps,
+            segments: segments().count(),
+            dropped: segments()
+                .filter(|pieces| pieces.iter().all(Option::is_none))
+                .count(),
+            divided: segments()
+                .filter(|pieces| pieces.iter().any(|group| *group != pieces[0]))
+                .count(),
+        })
+    }
+
+    fn segments(&self, view: &View, scratch: &Scratch<SparseSums>) -> Result<ViewSegments> {
+        match &view.raw {
+            Some(raw) => view_segments(self.gaussians, view, &raw.map(), self.settings, scratch),
+            None => Ok(ViewSegments::default()),
+        }
+    }
+
+    /// The raw labels of all views in ids of the groups that are `kept`.
+    fn maps<B>(
+        &self,
+        groups: &mut Groups,
+        views: &[ViewSegments],
+        assigned: &[Assigned<'_>],
+        kept: &[u32],
+        scratch: &Scratch<SparseSums>,
+        progress: &mut Progress<'_, B>,
+    ) -> Result<Vec<Option<LabelRuns>>, End<B>> {
+        let ids: HashMap<u32, u16> = kept.iter().copied().zip(1..).collect();
+        let ids = |group: u32| ids.get(&group).copied().unwrap_or(UNLABELLED);
+        let sizes = extents(groups.len(), &visible_in_views(groups, views));
+        let paint = |view: &View, assigned: &Assigned<'_>| -> Result<Option<LabelRuns>> {
+            let map = paint(self.gaussians, view, assigned, &ids, self.settings)?;
+            Ok(map.map(LabelRuns::from))
+        };
+        let mut maps = vec![None; self.scene.views.len()];
+        let slots = || (0..).zip(&self.scene.views);
+        let trained = slots().filter(|(_, view)| view.split == Split::Train);
+        for ((v, view), assigned) in trained.zip(assigned) {
+            maps[v] = paint(view, assigned)?;
+            progress(1)?;
+        }
+        for (v, view) in slots().filter(|(_, view)| view.split == Split::Test) {
+            let segments = self.segments(view, scratch)?;
+            let least = self.config.min_overlap;
+            let assigned = sweeps::assign_view(groups, &segments, &sizes, least);
+            maps[v] = paint(view, &assigned)?;
+            progress(1)?;
+        }
+        Ok(maps)
+    }
+}
+
+/// The groups that have a segment, largest first, by number and as the result lists them.
+///
+/// # Errors
+/// [`Error::Limit`] for more groups than u16 has ids.
+fn listed(groups: &Groups, assigned: &[Assigned<'_>]) -> Result<(Vec<u32>, Vec<Group>)> {
+    let totals = merge::totals(groups);
+    let weight = |group: u32| totals[group as usize].weight;
+    let mut views = vec![0; groups.len()];
+    for view in assigned {
+        let present: BTreeSet<u32> = view.groups.iter().flatten().copied().collect();
         present
             .into_iter()
-            .for_each(|group| counts[group as usize] += 1);
+            .for_each(|group| views[group as usize] += 1);
     }
     let mut kept: Vec<u32> = (0..groups.len() as u32)
-        .filter(|&g| counts[g as usize] > 0)
+        .filter(|&group| views[group as usize] > 0)
         .collect();
-    kept.sort_by(|&a, &b| {
-        totals[b as usize]
-            .0
-            .total_cmp(&totals[a as usize].0)
-            .then(a.cmp(&b))
-    });
+    kept.sort_by(|&a, &b| weight(b).total_cmp(&weight(a)).then(a.cmp(&b)));
     if kept.len() >= usize::from(u16::MAX) {
         return Err(Error::Limit {
             what: "groups of segments".into(),
             found: kept.len().to_string(),
             limit: (u16::MAX - 1).to_string(),
             help: "raise association.min_weight, or give a segmentation of larger things".into(),
-        }
-        .into());
+        });
     }
-    let ids: HashMap<u32, u16> = kept.iter().copied().zip(1..).collect();
-    let mut maps = vec![None; scene.views.len()];
-    let ids = |group: u32| ids.get(&group).copied().unwrap_or(NOTHING);
-    for (&v, placed) in trained.iter().zip(&placed) {
-        maps[v] = paint(gaussians, &scene.views[v], placed, &ids, settings)?.map(LabelRuns::from);
-        look(1)?;
-    }
-    let sizes = territory::sizes(&groups, &views);
-    for (map, view) in maps
-        .iter_mut()
-        .zip(&scene.views)
-        .filter(|(_, view)| view.split == Split::Test)
-    {
-        let masks = raw(view)?;
-        let placed = sweeps::place(&mut groups, &masks, &sizes, config.min_overlap);
-        *map = paint(gaussians, view, &placed, &ids, settings)?.map(LabelRuns::from);
-        look(1)?;
-    }
-    let group = |(&g, id)| Group {
+    let group = |(&group, id)| Group {
         id,
-        class: groups.kind(g).class,
-        views: counts[g as usize],
-        weight: totals[g as usize].0,
+        class: groups.category(group).class,
+        views: views[group as usize],
+        weight: weight(group),
     };
-    let segments = || placed.iter().flat_map(Placed::by_segment);
-    Ok(Association {
-        classes: named(kept.iter().map(|&g| groups.kind(g)), &scene.classes),
-        groups: kept.iter().zip(1..).map(group).collect(),
-        maps,
-        segments: segments().count(),
-        dropped: segments()
-            .filter(|pieces| pieces.iter().all(Option::is_none))
-            .count(),
-        divided: segments()
-            .filter(|pieces| pieces.iter().any(|group| *group != pieces[0]))
-            .count(),
-    })
+    let found = kept.iter().zip(1..).map(group).collect();
+    Ok((kept, found))
 }
 
-/// The class table of groups of these kinds: `object 1`, or `chair 2` where the class is known, or `floor` for stuff.
-fn named(kinds: impl Iterator<Item = Kind>, classes: &Classes) -> Classes {
+/// The class table of groups of these categories: `object 1`, or `chair 2` where the class is known, or `floor` for stuff.
+fn class_table(categories: impl Iterator<Item = Category>, classes: &Classes) -> Classes {
     let mut numbers: HashMap<Option<u16>, usize> = HashMap::new();
-    let entry = |(kind, id): (Kind, u16)| {
-        let name = kind.class.map_or("object", |class| classes.name(class));
-        let number = numbers.entry(kind.class).or_default();
+    let entry = |(category, id): (Category, u16)| {
+        let name = category.class.map_or("object", |class| classes.name(class));
+        let number = numbers.entry(category.class).or_default();
         *number += 1;
-        let name = if kind.thing {
+        let name = if category.thing {
             format!("{name} {number}")
         } else {
             name.to_owned()
         };
-        let object_of = kind.class.map(|class| ObjectOf {
+        let object_of = category.class.map(|class| ObjectOf {
             class,
-            thing: kind.thing,
+            thing: category.thing,
         });
         Class {
             id,
@@ -287,7 +314,7 @@ fn named(kinds: impl Iterator<Item = Kind>, classes: &Classes) -> Classes {
         }
     };
     Classes {
-        entries: kinds.zip(1..).map(entry).collect(),
-        ignore: NOTHING,
+        entries: categories.zip(1..).map(entry).collect(),
+        ignore: UNLABELLED,
     }
 }

@@ -1,65 +1,55 @@
-//! The order in which views are looked at first.
+//! The order of the views in the first sweep.
 
-use super::masks::{Mask, Masks};
+use super::segments::{SegmentWeights, ViewSegments};
+use super::sums::SparseRows;
 
-/// Views, each time the one with most weight on Gaussians that the views before it show; the first is the one with most
-/// weight. Ties go to the lower index. Every pair of a segment and a Gaussian is looked at twice, however many views there are;
-/// meanwhile it takes up 4 bytes beside its own 8.
-pub(super) fn overlapping_order(views: &[Masks], gaussians: usize) -> Vec<usize> {
-    let segments: Vec<(usize, &Mask)> = views
+/// Views in an order of overlap. Each is the one with most weight on Gaussians that the views before it show; the first is the
+/// one with most weight. Ties go to the lower index. Time grows with the pairs of segments and Gaussians, not with the number of
+/// views.
+pub(super) fn view_order(views: &[ViewSegments], gaussians: usize) -> Vec<usize> {
+    let segments: Vec<(usize, &SegmentWeights)> = views
         .iter()
         .enumerate()
-        .flat_map(|(v, view)| view.segments.iter().map(move |mask| (v, mask)))
+        .flat_map(|(v, view)| view.segments.iter().map(move |segment| (v, segment)))
         .collect();
-    // Segments of each Gaussian, in compressed rows.
-    let mut offsets = vec![0_usize; gaussians + 1];
-    segments
-        .iter()
-        .flat_map(|(_, mask)| &mask.weights)
-        .for_each(|(g, _)| offsets[*g as usize + 1] += 1);
-    for g in 0..gaussians {
-        offsets[g + 1] += offsets[g];
-    }
-    let mut next = offsets.clone();
-    let mut entries = vec![0_u32; offsets[gaussians]];
-    for (s, (_, mask)) in (0..).zip(&segments) {
-        for &(g, _) in &mask.weights {
-            let place = &mut next[g as usize];
-            entries[*place] = s;
-            *place += 1;
-        }
-    }
-    drop(next);
-    let totals: Vec<f64> = views
-        .iter()
-        .map(|view| view.segments.iter().map(|mask| mask.total).sum())
-        .collect();
+    let entries = (0..)
+        .zip(&segments)
+        .flat_map(|(n, (_, segment))| segment.weights.iter().map(move |(g, _)| (*g, n)));
+    let segments_of = SparseRows::<u32>::new(gaussians, entries);
+    let total = |view: &ViewSegments| view.segments.iter().map(|segment| segment.total).sum();
+    let totals: Vec<f64> = views.iter().map(total).collect();
     let mut known = vec![0.0_f64; views.len()];
     let mut seen = vec![false; gaussians];
     let mut left: Vec<usize> = (0..views.len()).collect();
     let mut order = Vec::with_capacity(views.len());
     while !left.is_empty() {
-        let better = |a: usize, b: usize| (known[a], totals[a]) > (known[b], totals[b]);
-        let best = (1..left.len()).fold(
-            0,
-            |best, i| if better(left[i], left[best]) { i } else { best },
-        );
+        let mut best = 0;
+        for (i, &view) in left.iter().enumerate() {
+            if (known[view], totals[view]) > (known[left[best]], totals[left[best]]) {
+                best = i;
+            }
+        }
         let view = left.remove(best);
         order.push(view);
-        for &(g, _) in views[view].segments.iter().flat_map(|mask| &mask.weights) {
-            if !std::mem::replace(&mut seen[g as usize], true) {
-                for &s in &entries[offsets[g as usize]..offsets[g as usize + 1]] {
-                    let (v, mask) = segments[s as usize];
-                    // It is there: the row is of segments that cover the Gaussian.
-                    let place = mask
-                        .weights
-                        .binary_search_by_key(&g, |(gaussian, _)| *gaussian);
-                    known[v] += place.map_or(0.0, |i| f64::from(mask.weights[i].1));
-                }
+        let weights = views[view].segments.iter().flat_map(|s| &s.weights);
+        for &(gaussian, _) in weights {
+            if std::mem::replace(&mut seen[gaussian as usize], true) {
+                continue;
+            }
+            for &n in segments_of.row(gaussian) {
+                let (v, segment) = segments[n as usize];
+                known[v] += segment.weight_on(gaussian);
             }
         }
     }
     order
+}
+
+impl SegmentWeights {
+    fn weight_on(&self, gaussian: u32) -> f64 {
+        let place = self.weights.binary_search_by_key(&gaussian, |(g, _)| *g);
+        place.map_or(0.0, |place| f64::from(self.weights[place].1))
+    }
 }
 
 #[cfg(test)]
@@ -72,8 +62,8 @@ mod tests {
     const GAUSSIANS: u32 = 60;
 
     /// The weight of all segments of a view on a Gaussian.
-    fn on(view: &Masks, gaussian: u32) -> f64 {
-        let weights = view.segments.iter().flat_map(|mask| &mask.weights);
+    fn on(view: &ViewSegments, gaussian: u32) -> f64 {
+        let weights = view.segments.iter().flat_map(|s| &s.weights);
         weights
             .filter(|(g, _)| *g == gaussian)
             .map(|(_, weight)| f64::from(*weight))
@@ -92,7 +82,7 @@ mod tests {
                 };
                 let weights: Vec<(u32, f32)> = (0..GAUSSIANS).filter_map(weight).collect();
                 let total = weights.iter().map(|(_, weight)| f64::from(*weight)).sum();
-                Mask {
+                SegmentWeights {
                     segment: Segment {
                         id,
                         class: None,
@@ -102,13 +92,13 @@ mod tests {
                     total,
                 }
             };
-            let views: Vec<Masks> = (0..7)
-                .map(|_| Masks {
+            let views: Vec<ViewSegments> = (0..7)
+                .map(|_| ViewSegments {
                     segments: (1..4).map(&mut segment).collect(),
-                    rest: Vec::new(),
+                    unlabelled: Vec::new(),
                 })
                 .collect();
-            let order = overlapping_order(&views, GAUSSIANS as usize);
+            let order = view_order(&views, GAUSSIANS as usize);
             for place in 0..views.len() {
                 let before = |g: &u32| order[..place].iter().any(|&v| on(&views[v], *g) > 0.0);
                 let known: Vec<u32> = (0..GAUSSIANS).filter(before).collect();
@@ -116,7 +106,7 @@ mod tests {
                     let overlap: f64 = known.iter().map(|&g| on(&views[v], g)).sum();
                     (
                         overlap,
-                        views[v].segments.iter().map(|mask| mask.total).sum::<f64>(),
+                        views[v].segments.iter().map(|s| s.total).sum::<f64>(),
                     )
                 };
                 let chosen = order[place];

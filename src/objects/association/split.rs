@@ -1,22 +1,23 @@
-//! Groups that turn out to be two things.
+//! Groups that turn out to be two objects.
 //!
-//! A segment that covers two things may come first, and the views that show only one of them then go to its group, where
-//! they outweigh those that show both and tell them apart. Weights do not show that; segments side by side do.
+//! A segment that covers two objects may come first. The views that show only one of them then join its group, where they
+//! outweigh the views that show both and tell them apart. Weights do not show that; segments side by side do.
 
-use super::asked::{Own, says};
-use super::groups::{Groups, Placed};
-use super::masks::{Mask, Masks};
+use super::groups::{Assigned, Groups};
 use super::merge::DOUBT;
-use super::scratch::Zeros;
-use super::{End, Look};
+use super::ownership::Evidence;
+use super::pair_evidence::{PartGaussian, pair_evidence};
+use super::segments::{SegmentWeights, ViewSegments};
+use super::sums::Scratch;
+use super::{End, Progress};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Pairs of segments, of those that a group has side by side in a view, from which its parts are grown.
+/// Pairs of segments from which the parts of a group are grown, at most.
 const SEEDS: usize = 6;
-/// A segment of which the one part has this much of what the other has is of both.
+/// A segment belongs to both parts when the smaller one has more than this share of what the larger one has of it.
 const MIXED: f64 = 0.25;
-/// A part of a group that has less than this share of its Gaussians is nothing by itself: a piece of something else.
+/// A part with less than this share of its Gaussians is a piece of another object.
 const OWN: f64 = 0.5;
 /// Passes over the segments of a group in which its two parts settle.
 const PASSES: usize = 4;
@@ -24,89 +25,100 @@ const PASSES: usize = 4;
 /// Weights of the two parts of a group on each Gaussian, pixels.
 type Parts = [[f32; 2]];
 
-/// Pieces of a group by view and place in the view, in the order in which views are looked at.
-type Pieces = Vec<(usize, usize)>;
+/// A piece of a group: its view, and its place in the view.
+type Piece = (usize, usize);
 
 /// Two pieces of a view, from which two parts grow.
-type Seed = [(usize, usize); 2];
+type Seed = [Piece; 2];
 
-/// A group that may be two things.
+/// A group that may be two objects.
 struct Suspect {
     group: u32,
-    pieces: Pieces,
+    /// In the order of the views.
+    pieces: Vec<Piece>,
     seeds: Vec<Seed>,
     /// The Gaussians of the group, ascending.
     gaussians: Vec<u32>,
-    /// The pieces that leave, and their weight; of several ways to part the group the one with the largest smaller part.
-    best: Option<(f64, Pieces)>,
+    /// The smaller part of the best partition so far: the one whose smaller part is largest.
+    best: Option<SmallerPart>,
 }
 
-/// A way to part a group: the pieces of the smaller part, their weight, and the Gaussians of both parts.
-struct Way {
+/// The pieces that leave a group, and their weight.
+struct SmallerPart {
     weight: f64,
-    leaving: Pieces,
-    parts: Vec<Own>,
+    pieces: Vec<Piece>,
 }
 
-/// Splits groups that more than the share `1 - above` of the views, one more that does not counted in, take for two; says
-/// whether there were any. Of a split group the larger part keeps its number. `groups` has the weights of `placed`. `look` is
-/// asked whether to go on.
+/// A group in two parts.
+struct Partition {
+    smaller: SmallerPart,
+    parts: Vec<PartGaussian>,
+}
+
+/// Splits each group that the views take for two objects, and returns whether there is one: more than the share `1 - above` of
+/// the views that count, with [`DOUBT`] more for one object, must say two. The larger part keeps the number of the group.
+/// `groups` has the weights of `assigned`. Asks `progress` whether to go on.
 ///
-/// The views are asked of one way to part each of the groups at a time: [`SEEDS`] passes over their segments, however many
-/// groups there are.
+/// One pass over the views compares a partition of every group, so there are [`SEEDS`] passes whatever the number of groups.
 pub(super) fn split<B>(
     groups: &mut Groups,
-    views: &[Masks],
-    placed: &mut [Placed<'_>],
+    views: &[ViewSegments],
+    assigned: &mut [Assigned<'_>],
     order: &[usize],
     above: f64,
-    look: &mut Look<'_, B>,
+    progress: &mut Progress<'_, B>,
 ) -> Result<bool, End<B>> {
-    let mut suspects = suspects(groups, placed, order);
-    let zeros = Zeros::new(groups.owners().len());
+    let mut suspects = suspects(groups, assigned, order);
+    let gaussians = groups.owners().len();
+    let scratch = Scratch::new(move || vec![[0.0; 2]; gaussians]);
     for round in 0..SEEDS {
-        look(0)?;
-        let way =
-            |suspect: &Suspect| way(groups, placed, suspect, *suspect.seeds.get(round)?, &zeros);
-        let ways: Vec<Option<Way>> = suspects.par_iter().map(way).collect();
-        let ways = suspects
+        progress(0)?;
+        let found: Vec<Option<Partition>> = suspects
+            .par_iter()
+            .map(|suspect| {
+                let seed = suspect.seeds.get(round)?;
+                partition(groups, assigned, suspect, *seed, &mut scratch.borrow())
+            })
+            .collect();
+        let (suspects, found): (Vec<&mut Suspect>, Vec<Partition>) = suspects
             .iter_mut()
-            .zip(ways)
-            .filter_map(|(suspect, way)| Some((suspect, way?)));
-        let (suspects, ways): (Vec<&mut Suspect>, Vec<Way>) = ways.unzip();
-        let parts: Vec<&[Own]> = ways.iter().map(|way| &*way.parts).collect();
-        let said = says(groups.owners().len(), views, &parts);
-        for ((suspect, way), (one, two)) in suspects.into_iter().zip(ways).zip(said) {
+            .zip(found)
+            .filter_map(|(suspect, found)| Some((suspect, found?)))
+            .unzip();
+        let parts: Vec<&[PartGaussian]> = found.iter().map(|found| &*found.parts).collect();
+        let evidence = pair_evidence(gaussians, views, &parts);
+        for ((suspect, found), Evidence { one, two }) in
+            suspects.into_iter().zip(found).zip(evidence)
+        {
             if above * two > (1.0 - above) * (one + DOUBT) {
-                suspect.best = Some((way.weight, way.leaving));
+                suspect.best = Some(found.smaller);
             }
         }
     }
     let mut any = false;
     for Suspect { group, best, .. } in suspects {
-        let Some((_, leaving)) = best else { continue };
-        let new = groups.open(groups.kind(group));
-        leaving
-            .into_iter()
-            .for_each(|(v, k)| placed[v].groups[k] = Some(new));
+        let Some(leaving) = best else { continue };
+        let new = groups.open(groups.category(group));
+        for (view, place) in leaving.pieces {
+            assigned[view].groups[place] = Some(new);
+        }
         any = true;
     }
     Ok(any)
 }
 
 /// The groups of things that have two segments of some view, ascending.
-fn suspects(groups: &Groups, placed: &[Placed<'_>], order: &[usize]) -> Vec<Suspect> {
-    let mut pieces: BTreeMap<u32, Pieces> = BTreeMap::new();
-    for &v in order {
-        for (k, group) in placed[v].groups.iter().enumerate() {
-            let Some(group) = group.filter(|group| groups.kind(*group).thing) else {
-                continue;
-            };
-            pieces.entry(group).or_default().push((v, k));
+fn suspects(groups: &Groups, assigned: &[Assigned<'_>], order: &[usize]) -> Vec<Suspect> {
+    let mut pieces: BTreeMap<u32, Vec<Piece>> = BTreeMap::new();
+    for &view in order {
+        for (place, group) in assigned[view].groups.iter().enumerate() {
+            if let Some(group) = group.filter(|group| groups.category(*group).thing) {
+                pieces.entry(group).or_default().push((view, place));
+            }
         }
     }
-    let suspect = |(group, pieces): (u32, Pieces)| {
-        let seeds = seeds(placed, &pieces);
+    let suspect = |(group, pieces): (u32, Vec<Piece>)| {
+        let seeds = seeds(assigned, &pieces);
         (!seeds.is_empty()).then(|| Suspect {
             group,
             pieces,
@@ -126,159 +138,154 @@ fn suspects(groups: &Groups, placed: &[Placed<'_>], order: &[usize]) -> Vec<Susp
     suspects
 }
 
-/// The way to part a group that grows from `seed`, where it would be better than the best one and both parts are things by
-/// themselves.
-fn way(
+/// The partition of a group that grows from `seed`, where its smaller part is larger than that of the best one and both parts
+/// have most of their Gaussians. `parts` are zero before and after.
+fn partition(
     groups: &Groups,
-    placed: &[Placed<'_>],
+    assigned: &[Assigned<'_>],
     suspect: &Suspect,
     seed: Seed,
-    zeros: &Zeros<[f32; 2]>,
-) -> Option<Way> {
-    let Suspect {
-        pieces,
-        gaussians,
-        best,
-        ..
-    } = suspect;
-    let mask = |&(v, k): &(usize, usize)| &*placed[v].masks[k];
-    let mut parts = zeros.lend();
-    let sides = grown(&mut parts, placed, pieces, seed);
+    parts: &mut Parts,
+) -> Option<Partition> {
+    let pieces = &suspect.pieces;
+    let sides = grow(parts, assigned, pieces, seed);
     let of_side = |side| {
-        pieces
-            .iter()
-            .zip(&sides)
+        let sided = pieces.iter().zip(&sides);
+        sided
             .filter(move |(_, s)| **s == side)
             .map(|(piece, _)| *piece)
     };
-    let weights = [0, 1].map(|side| of_side(side).map(|piece| mask(&piece).total).sum::<f64>());
-    let smaller = usize::from(weights[0] >= weights[1]);
-    let improves = best
-        .as_ref()
-        .is_none_or(|(weight, _)| weights[smaller] > *weight);
-    let things = || {
-        purity(groups, gaussians, &parts)
-            .iter()
-            .all(|purity| *purity > OWN)
+    let weight = |side| {
+        of_side(side)
+            .map(|piece| weights(assigned, piece).total)
+            .sum()
     };
-    let found = (improves && things()).then(|| {
-        let parts = owned(groups, gaussians, &parts);
-        Way {
-            weight: weights[smaller],
-            leaving: of_side(smaller).collect(),
-            parts,
-        }
+    let [first, second]: [f64; 2] = [weight(0), weight(1)];
+    let smaller = usize::from(first >= second);
+    let smaller = SmallerPart {
+        weight: first.min(second),
+        pieces: of_side(smaller).collect(),
+    };
+    let best = suspect.best.as_ref();
+    let improves = best.is_none_or(|best| smaller.weight > best.weight);
+    let is_object = |side| purity(groups, &suspect.gaussians, parts, side) > OWN;
+    let found = (improves && is_object(0) && is_object(1)).then(|| Partition {
+        smaller,
+        parts: part_gaussians(groups, &suspect.gaussians, parts),
     });
-    pieces
-        .iter()
-        .flat_map(|piece| &mask(piece).weights)
-        .for_each(|(i, _)| parts[*i as usize] = [0.0; 2]);
+    for &piece in pieces {
+        for (gaussian, _) in &weights(assigned, piece).weights {
+            parts[*gaussian as usize] = [0.0; 2];
+        }
+    }
     found
 }
 
-/// The mean of each part's share of all weight on the Gaussians that it covers, some of `gaussians`.
-fn purity(groups: &Groups, gaussians: &[u32], parts: &Parts) -> [f64; 2] {
-    [0, 1].map(|side| {
-        let (mut sum, mut pure) = (0.0, 0.0);
-        for &gaussian in gaussians {
-            let own = f64::from(parts[gaussian as usize][side]);
-            if own > 0.0 {
-                sum += own;
-                pure += own * own / groups.total(gaussian).max(own);
-            }
-        }
-        if sum > 0.0 { pure / sum } else { 0.0 }
-    })
+fn weights<'a>(assigned: &'a [Assigned<'_>], (view, place): Piece) -> &'a SegmentWeights {
+    &assigned[view].pieces[place]
 }
 
-/// Of the Gaussians of a group those that one of its parts has; where both do, the one with more.
-fn owned(groups: &Groups, gaussians: &[u32], parts: &Parts) -> Vec<Own> {
+/// The mean of a part's share of all weight on the Gaussians that it covers, some of `gaussians`.
+fn purity(groups: &Groups, gaussians: &[u32], parts: &Parts, side: usize) -> f64 {
+    let (mut sum, mut pure) = (0.0, 0.0);
+    for &gaussian in gaussians {
+        let own = f64::from(parts[gaussian as usize][side]);
+        if own > 0.0 {
+            sum += own;
+            pure += own * own / groups.total(gaussian).max(own);
+        }
+    }
+    if sum > 0.0 { pure / sum } else { 0.0 }
+}
+
+/// The Gaussians of the parts, among those of a group. Where both parts have a Gaussian, the one with more weight has it.
+fn part_gaussians(groups: &Groups, gaussians: &[u32], parts: &Parts) -> Vec<PartGaussian> {
     let own = |&gaussian: &u32| {
         let [a, b] = parts[gaussian as usize];
-        let side = usize::from(b > a);
-        let own = f64::from(parts[gaussian as usize][side]);
-        (own > 0.0).then(|| Own {
+        let own = f64::from(a.max(b));
+        (own > 0.0).then(|| PartGaussian {
             gaussian,
-            side,
+            side: u32::from(b > a),
             share: own / groups.total(gaussian).max(own),
         })
     };
     gaussians.iter().filter_map(own).collect()
 }
 
-/// Pairs of a view's two largest segments in the group, those with the largest second one first.
-fn seeds(placed: &[Placed<'_>], pieces: &Pieces) -> Vec<Seed> {
-    let total = |(v, k): (usize, usize)| placed[v].masks[k].total;
-    let segment = |(v, k): (usize, usize)| placed[v].masks[k].segment.id;
+/// The pairs of a view's two largest segments in the group, those with the largest second one first.
+fn seeds(assigned: &[Assigned<'_>], pieces: &[Piece]) -> Vec<Seed> {
+    let total = |piece: Piece| weights(assigned, piece).total;
+    let segment = |piece: Piece| weights(assigned, piece).segment.id;
     let mut pairs = Vec::new();
     for of_view in pieces.chunk_by(|a, b| a.0 == b.0) {
         let mut of_view = of_view.to_vec();
         of_view.sort_by(|&a, &b| total(b).total_cmp(&total(a)).then(a.cmp(&b)));
-        if let Some(&second) = of_view
+        let first = of_view[0];
+        let other = of_view
             .iter()
-            .find(|piece| segment(**piece) != segment(of_view[0]))
-        {
-            pairs.push([of_view[0], second]);
-        }
+            .find(|piece| segment(**piece) != segment(first));
+        pairs.extend(other.map(|&second| [first, second]));
     }
     pairs.sort_by(|a, b| total(b[1]).total_cmp(&total(a[1])).then(a.cmp(b)));
     pairs.truncate(SEEDS);
     pairs
 }
 
-/// Puts into `parts`, which are zero, the two parts that grow from a pair of segments, which stay: each other piece goes to the
-/// part that has it, and to neither, in the end to the larger one, where both have some of it. Returns the part of each piece.
-fn grown(parts: &mut Parts, placed: &[Placed<'_>], pieces: &Pieces, seed: Seed) -> Vec<usize> {
-    let mask = |&(v, k): &(usize, usize)| &*placed[v].masks[k];
-    let mut sides: Vec<Option<usize>> = pieces
-        .iter()
-        .map(|piece| seed.iter().position(|s| s == piece))
-        .collect();
-    let add = |parts: &mut Parts, mask: &Mask, side: Option<usize>, sign: f32| {
+/// Grows two parts from a pair of segments, which stay, into `parts`, which are zero. Each other piece goes to the part that
+/// has it, and to neither while both have some of it; the larger one takes it in the end. Returns the part of each piece.
+fn grow(parts: &mut Parts, assigned: &[Assigned<'_>], pieces: &[Piece], seed: Seed) -> Vec<usize> {
+    let add = |parts: &mut Parts, piece: Piece, side: Option<usize>, sign: f32| {
         let Some(side) = side else { return };
-        mask.weights
-            .iter()
-            .for_each(|(i, w)| parts[*i as usize][side] += sign * w);
+        for (gaussian, weight) in &weights(assigned, piece).weights {
+            parts[*gaussian as usize][side] += sign * weight;
+        }
     };
-    pieces
-        .iter()
-        .zip(&sides)
-        .for_each(|(piece, &side)| add(parts, mask(piece), side, 1.0));
+    let seeded = |piece: Piece| seed.iter().position(|s| *s == piece);
+    let mut sides: Vec<Option<usize>> = pieces.iter().map(|piece| seeded(*piece)).collect();
+    for (piece, side) in pieces.iter().zip(&sides) {
+        add(parts, *piece, *side, 1.0);
+    }
     let mut larger = vec![0; pieces.len()];
     for _ in 0..PASSES {
-        for ((piece, side), larger) in pieces.iter().zip(&mut sides).zip(&mut larger) {
-            if let Some(i) = seed.iter().position(|s| s == piece) {
-                *larger = i;
+        for ((&piece, side), larger) in pieces.iter().zip(&mut sides).zip(&mut larger) {
+            if let Some(seeded) = seeded(piece) {
+                *larger = seeded;
                 continue;
             }
-            add(parts, mask(piece), *side, -1.0);
-            let mut claims = [0.0_f64; 2];
-            for &(gaussian, weight) in &mask(piece).weights {
-                let [a, b] = parts[gaussian as usize].map(|w| f64::from(w.max(0.0)));
-                let share = f64::from(weight) / (a + b + 1.0);
-                claims[0] += share * a;
-                claims[1] += share * b;
-            }
+            add(parts, piece, *side, -1.0);
+            let claims = claims(parts, weights(assigned, piece));
             *larger = usize::from(claims[1] > claims[0]);
             let clear = claims[1 - *larger] < MIXED * claims[*larger];
             *side = clear.then_some(*larger);
-            add(parts, mask(piece), *side, 1.0);
+            add(parts, piece, *side, 1.0);
         }
     }
     larger
+}
+
+/// What each part claims of a piece, pixels.
+fn claims(parts: &Parts, piece: &SegmentWeights) -> [f64; 2] {
+    let mut claims = [0.0; 2];
+    for &(gaussian, weight) in &piece.weights {
+        let [a, b] = parts[gaussian as usize].map(|w| f64::from(w.max(0.0)));
+        let share = f64::from(weight) / (a + b + 1.0);
+        claims[0] += share * a;
+        claims[1] += share * b;
+    }
+    claims
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::data::Segment;
-    use crate::objects::association::groups::Kind;
+    use crate::objects::association::groups::Category;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use std::borrow::Cow;
     use std::convert::Infallible;
 
-    const KIND: Kind = Kind {
+    const CATEGORY: Category = Category {
         class: None,
         thing: true,
     };
@@ -287,8 +294,8 @@ mod tests {
     type Span = (u32, u32);
 
     /// Views, each with ten pixels on every Gaussian of its segments.
-    fn views(of: &[&[Span]]) -> Vec<Masks> {
-        let mask = |(id, &(first, end)): (usize, &Span)| Mask {
+    fn views(of: &[&[Span]]) -> Vec<ViewSegments> {
+        let mask = |(id, &(first, end)): (usize, &Span)| SegmentWeights {
             segment: Segment {
                 id: id as u16 + 1,
                 class: None,
@@ -298,9 +305,9 @@ mod tests {
             total: 10.0 * f64::from(end - first),
         };
         of.iter()
-            .map(|view| Masks {
+            .map(|view| ViewSegments {
                 segments: view.iter().enumerate().map(mask).collect(),
-                rest: Vec::new(),
+                unlabelled: Vec::new(),
             })
             .collect()
     }
@@ -310,36 +317,36 @@ mod tests {
         match split {
             Ok(any) => any,
             Err(End::Failed(error)) => panic!("{error}"),
-            Err(End::Told(never)) => match never {},
+            Err(End::Stopped(never)) => match never {},
         }
     }
 
     /// Whether anything was split, and the groups of each view's segments after all of them were one group.
-    fn parted(views: &[Masks]) -> (bool, Vec<Vec<u32>>) {
+    fn parted(views: &[ViewSegments]) -> (bool, Vec<Vec<u32>>) {
         let mut groups = Groups::new(20);
-        let only = groups.open(KIND);
-        let mut placed: Vec<Placed<'_>> = views
+        let only = groups.open(CATEGORY);
+        let mut assigned: Vec<Assigned<'_>> = views
             .iter()
-            .map(|view| Placed {
-                masks: view.segments.iter().map(Cow::Borrowed).collect(),
+            .map(|view| Assigned {
+                pieces: view.segments.iter().map(Cow::Borrowed).collect(),
                 groups: vec![Some(only); view.segments.len()],
             })
             .collect();
-        placed.iter().for_each(|view| groups.add(view));
+        assigned.iter().for_each(|view| groups.add(view));
         let order: Vec<usize> = (0..views.len()).collect();
         let any = whether(split(
             &mut groups,
             views,
-            &mut placed,
+            &mut assigned,
             &order,
             0.5,
             &mut |_| Ok(()),
         ));
         (
             any,
-            placed
+            assigned
                 .iter()
-                .map(|view| view.groups.iter().map(|g| g.expect("placed")).collect())
+                .map(|view| view.groups.iter().map(|g| g.expect("assigned")).collect())
                 .collect(),
         )
     }
@@ -387,28 +394,28 @@ mod tests {
         // Gaussians 0 and 1 belong to a much heavier group of their own.
         let views = views(&[&[(2, 20), (0, 2)], &[(2, 20), (0, 2)], &[(2, 20), (0, 2)]]);
         let mut groups = Groups::new(20);
-        let [one, other] = [groups.open(KIND), groups.open(KIND)];
-        let mut placed: Vec<Placed<'_>> = views
+        let [one, other] = [groups.open(CATEGORY), groups.open(CATEGORY)];
+        let mut assigned: Vec<Assigned<'_>> = views
             .iter()
-            .map(|view| Placed {
-                masks: view.segments.iter().map(Cow::Borrowed).collect(),
+            .map(|view| Assigned {
+                pieces: view.segments.iter().map(Cow::Borrowed).collect(),
                 groups: vec![Some(one); 2],
             })
             .collect();
-        placed.iter().for_each(|view| groups.add(view));
-        let heavy = Mask {
+        assigned.iter().for_each(|view| groups.add(view));
+        let heavy = SegmentWeights {
             weights: vec![(0, 1e3), (1, 1e3)],
             total: 2e3,
             ..views[0].segments[1].clone()
         };
-        groups.add(&Placed {
-            masks: vec![Cow::Owned(heavy)],
+        groups.add(&Assigned {
+            pieces: vec![Cow::Owned(heavy)],
             groups: vec![Some(other)],
         });
         assert!(!whether(split(
             &mut groups,
             &views,
-            &mut placed,
+            &mut assigned,
             &[0, 1, 2],
             0.5,
             &mut |_| Ok(())
@@ -418,17 +425,17 @@ mod tests {
     /// The pieces that leave each group, found for one group after the other, by vectors of all Gaussians made anew.
     fn one_by_one(
         groups: &Groups,
-        views: &[Masks],
-        placed: &[Placed<'_>],
+        views: &[ViewSegments],
+        assigned: &[Assigned<'_>],
         order: &[usize],
-    ) -> Vec<Option<Pieces>> {
+    ) -> Vec<Option<Vec<Piece>>> {
         let all: Vec<u32> = (0..groups.owners().len() as u32).collect();
         let leaving = |suspect: Suspect| {
-            let mask = |&(v, k): &(usize, usize)| &*placed[v].masks[k];
-            let mut best: Option<(f64, Pieces)> = None;
+            let mask = |&(v, k): &(usize, usize)| &*assigned[v].pieces[k];
+            let mut best: Option<(f64, Vec<Piece>)> = None;
             for &seed in &suspect.seeds {
                 let mut parts = vec![[0.0; 2]; all.len()];
-                let sides = grown(&mut parts, placed, &suspect.pieces, seed);
+                let sides = grow(&mut parts, assigned, &suspect.pieces, seed);
                 let pieces = suspect.pieces.iter().zip(&sides);
                 let of_side = |side| {
                     pieces
@@ -443,19 +450,20 @@ mod tests {
                     .as_ref()
                     .is_none_or(|(weight, _)| weights[smaller] > *weight);
                 if improves
-                    && purity(groups, &all, &parts)
+                    && [0, 1]
                         .iter()
-                        .all(|purity| *purity > OWN)
+                        .all(|&side| purity(groups, &all, &parts, side) > OWN)
                 {
-                    let said = says(all.len(), views, &[&owned(groups, &all, &parts)]);
-                    if said[0].1 > said[0].0 + DOUBT {
+                    let parts = part_gaussians(groups, &all, &parts);
+                    let evidence = pair_evidence(all.len(), views, &[&parts]);
+                    if evidence[0].two > evidence[0].one + DOUBT {
                         best = Some((weights[smaller], of_side(smaller).collect()));
                     }
                 }
             }
             best.map(|(_, leaving)| leaving)
         };
-        suspects(groups, placed, order)
+        suspects(groups, assigned, order)
             .into_iter()
             .map(leaving)
             .collect()
@@ -489,32 +497,32 @@ mod tests {
             }
             let views = views(&spans.iter().map(|view| &**view).collect::<Vec<_>>());
             let mut groups = Groups::new(62);
-            (0..3).for_each(|group| assert_eq!(groups.open(KIND), group));
-            let placed = views.iter().zip(of);
-            let placed = placed.map(|(view, groups)| Placed {
-                masks: view.segments.iter().map(Cow::Borrowed).collect(),
+            (0..3).for_each(|group| assert_eq!(groups.open(CATEGORY), group));
+            let assigned = views.iter().zip(of);
+            let assigned = assigned.map(|(view, groups)| Assigned {
+                pieces: view.segments.iter().map(Cow::Borrowed).collect(),
                 groups,
             });
-            let mut placed: Vec<Placed<'_>> = placed.collect();
-            placed.iter().for_each(|view| groups.add(view));
+            let mut assigned: Vec<Assigned<'_>> = assigned.collect();
+            assigned.iter().for_each(|view| groups.add(view));
             let order: Vec<usize> = (0..views.len()).rev().collect();
-            let leaving = one_by_one(&groups, &views, &placed, &order);
+            let leaving = one_by_one(&groups, &views, &assigned, &order);
             let mut want: Vec<Vec<Option<u32>>> =
-                placed.iter().map(|view| view.groups.clone()).collect();
-            let found: Vec<&Pieces> = leaving.iter().flatten().collect();
+                assigned.iter().map(|view| view.groups.clone()).collect();
+            let found: Vec<&Vec<Piece>> = leaving.iter().flatten().collect();
             for (new, pieces) in (3..).zip(&found) {
                 pieces.iter().for_each(|&(v, k)| want[v][k] = Some(new));
             }
             let any = whether(split(
                 &mut groups,
                 &views,
-                &mut placed,
+                &mut assigned,
                 &order,
                 0.5,
                 &mut |_| Ok(()),
             ));
             assert_eq!(any, !found.is_empty());
-            assert!(placed.iter().map(|view| &view.groups).eq(&want));
+            assert!(assigned.iter().map(|view| &view.groups).eq(&want));
             splits += found.len();
             stay += leaving.len() - found.len();
         }

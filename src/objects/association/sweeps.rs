@@ -1,127 +1,113 @@
-//! Passes over the views that form the groups.
+//! The passes over the views that form the groups.
 
 use super::divide::divided;
-use super::groups::{Groups, Leftovers, Placed};
-use super::masks::{Mask, Masks};
+use super::groups::{Assigned, Groups, Unmatched};
 use super::merge;
-use super::order::overlapping_order;
+use super::order::view_order;
+use super::ownership::{extents, visible_in_views};
+use super::segments::ViewSegments;
 use super::split::split;
-use super::territory::{Shown, extents};
-use super::{End, Look};
+use super::{End, Progress};
 use crate::config::AssociationConfig;
-use rayon::prelude::*;
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-/// Forms the groups of `views`, and says which group each segment belongs to. `look` is told of each view in each sweep.
+/// Forms the groups of `views` and returns the group of each segment. Reports each view in each sweep to `progress`.
 ///
 /// # Errors
-/// [`crate::Error::Config`] when no group is left; those of `look`.
-pub(super) fn group<'a, B>(
+/// [`crate::Error::Config`] when no group is left; those of `progress`.
+pub(super) fn form_groups<'a, B>(
     groups: &mut Groups,
-    views: &'a [Masks],
+    views: &'a [ViewSegments],
     config: &AssociationConfig,
-    look: &mut Look<'_, B>,
-) -> Result<Vec<Placed<'a>>, End<B>> {
-    let order = overlapping_order(views, groups.owners().len());
-    let mut placed = vec![Placed::default(); views.len()];
+    progress: &mut Progress<'_, B>,
+) -> Result<Vec<Assigned<'a>>, End<B>> {
+    let order = view_order(views, groups.owners().len());
+    let mut assigned = vec![Assigned::default(); views.len()];
     let mut sizes = Vec::new();
     for sweep in 0..config.sweeps {
         for &v in &order {
-            groups.remove(&placed[v]);
-            placed[v] = match sweep {
-                // Nothing is known yet of what a segment may cover.
-                0 => groups.place(
-                    whole(&views[v]),
-                    config.min_overlap,
-                    Leftovers {
-                        join: false,
-                        open: true,
-                    },
-                ),
-                _ => {
-                    let pieces = divided(groups, &views[v], &sizes);
-                    groups.place(
-                        pieces,
-                        config.min_overlap,
-                        Leftovers {
-                            join: true,
-                            open: true,
-                        },
-                    )
-                }
+            groups.remove(&assigned[v]);
+            assigned[v] = if sweep == 0 {
+                // No group is known yet that a segment may cover.
+                let whole = views[v].segments.iter().map(Cow::Borrowed).collect();
+                groups.assign(whole, config.min_overlap, Unmatched::Opens)
+            } else {
+                let pieces = divided(groups, &views[v], &sizes);
+                groups.assign(pieces, config.min_overlap, Unmatched::JoinsOrOpens)
             };
             sizes.resize(groups.len(), 0.0);
-            groups.add(&placed[v]);
-            look(1)?;
+            groups.add(&assigned[v]);
+            progress(1)?;
         }
-        rebuild(groups, &placed);
-        if split(groups, views, &mut placed, &order, config.merge_above, look)? {
-            rebuild(groups, &placed);
+        groups.rebuild(&assigned);
+        let above = config.merge_above;
+        if split(groups, views, &mut assigned, &order, above, progress)? {
+            groups.rebuild(&assigned);
         }
-        sizes = loop {
-            look(0)?;
-            let shown: Vec<Shown> = views
-                .par_iter()
-                .map(|view| Shown::new(groups, view))
-                .collect();
-            let pairs = merge::pairs(groups, &shown, config.merge_above);
-            if pairs.is_empty() {
-                break extents(groups.len(), &shown);
-            }
-            let into: HashMap<u32, u32> = pairs.into_iter().collect();
-            for group in placed
-                .iter_mut()
-                .flat_map(|placed| &mut placed.groups)
-                .flatten()
-            {
-                *group = into.get(group).copied().unwrap_or(*group);
-            }
-            rebuild(groups, &placed);
-        };
+        sizes = merge_groups(groups, views, &mut assigned, above, progress)?;
     }
-    let negligible = merge::negligible(groups, config.min_weight)?;
-    for group in placed.iter_mut().flat_map(|placed| &mut placed.groups) {
+    drop_negligible(groups, &mut assigned, config.min_weight)?;
+    Ok(assigned)
+}
+
+/// Merges pairs of groups until the views find no more that are one object. Returns the extents of the groups.
+fn merge_groups<B>(
+    groups: &mut Groups,
+    views: &[ViewSegments],
+    assigned: &mut [Assigned<'_>],
+    above: f64,
+    progress: &mut Progress<'_, B>,
+) -> Result<Vec<f64>, End<B>> {
+    loop {
+        progress(0)?;
+        let visible = visible_in_views(groups, views);
+        let extents = extents(groups.len(), &visible);
+        let pairs = merge::pairs(groups, &visible, &extents, above);
+        if pairs.is_empty() {
+            return Ok(extents);
+        }
+        let into: HashMap<u32, u32> = pairs.into_iter().collect();
+        for group in assigned
+            .iter_mut()
+            .flat_map(|view| &mut view.groups)
+            .flatten()
+        {
+            *group = into.get(group).copied().unwrap_or(*group);
+        }
+        groups.rebuild(assigned);
+    }
+}
+
+/// Drops negligible groups. Their segments go to the groups that contain them.
+fn drop_negligible<B>(
+    groups: &mut Groups,
+    assigned: &mut [Assigned<'_>],
+    min_weight: f64,
+) -> Result<(), End<B>> {
+    let negligible = merge::negligible(groups, min_weight)?;
+    for group in assigned.iter_mut().flat_map(|view| &mut view.groups) {
         *group = group.filter(|group| !negligible[*group as usize]);
     }
-    rebuild(groups, &placed);
-    for Placed {
-        masks,
-        groups: assigned,
-    } in &mut placed
-    {
-        let overlaps = groups.overlaps(masks);
-        for ((mask, claimed), group) in masks.iter().zip(&overlaps.claimed).zip(assigned) {
-            *group = group.or_else(|| groups.container(mask, claimed));
+    groups.rebuild(assigned);
+    for view in assigned.iter_mut() {
+        let overlaps = groups.overlaps(&view.pieces);
+        let pieces = view.pieces.iter().zip(&overlaps.claimed);
+        for ((piece, claimed), group) in pieces.zip(&mut view.groups) {
+            *group = group.or_else(|| groups.container(piece, claimed));
         }
     }
-    rebuild(groups, &placed);
-    Ok(placed)
+    groups.rebuild(assigned);
+    Ok(())
 }
 
-/// Places the segments of a view that had no part in the groups.
-pub(super) fn place<'a>(
+/// Assigns the segments of a view that did not form the groups.
+pub(super) fn assign_view<'a>(
     groups: &mut Groups,
-    view: &'a Masks,
+    view: &'a ViewSegments,
     sizes: &[f64],
     least: f64,
-) -> Placed<'a> {
-    groups.place(
-        divided(groups, view, sizes),
-        least,
-        Leftovers {
-            join: true,
-            open: false,
-        },
-    )
-}
-
-fn whole(view: &Masks) -> Vec<Cow<'_, Mask>> {
-    view.segments.iter().map(Cow::Borrowed).collect()
-}
-
-/// Sums the weights of all groups afresh: the same bits in whichever order views came and went.
-fn rebuild(groups: &mut Groups, placed: &[Placed<'_>]) {
-    groups.clear();
-    placed.iter().for_each(|placed| groups.add(placed));
+) -> Assigned<'a> {
+    let pieces = divided(groups, view, sizes);
+    groups.assign(pieces, least, Unmatched::Joins)
 }

@@ -1,11 +1,12 @@
 //! DINO's ViT: parity with stored activations and with plain loops, any image size, memory, weight files.
 
 use crate::support::dino_reference::by_plain_loops;
+use burn::tensor::{Tensor, TensorData};
 use coseg::Error;
 use coseg::config::{FeatureConfig, FeatureSource};
 use coseg::data::{Classes, Points, Scene, Split, View};
-use coseg::features::dino::{Tokens, Vit};
-use coseg::features::{Moments, Pca, Steps, extract};
+use coseg::features::dino::Vit;
+use coseg::features::{Steps, extract};
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DVec3};
 use image::RgbImage;
@@ -130,7 +131,7 @@ fn net(size: Size) -> Vit {
     let dir = tempfile::tempdir().expect("temporary folder");
     let path = dir.path().join("vit.safetensors");
     write(&path, &generated(size));
-    Vit::load(&path).expect("weights")
+    Vit::load(&path, &crate::support::device()).expect("weights")
 }
 
 pub fn picture(width: u32, height: u32, seed: u32) -> RgbImage {
@@ -158,16 +159,13 @@ fn difference(found: &[f32], expected: &[f32]) -> f32 {
         / largest
 }
 
-/// Tokens before the first block and after each.
-fn all_tokens(net: &Vit, planes: &[f32], size: [usize; 2]) -> Vec<Tokens> {
-    let mut all = vec![];
-    let last = net.forward(planes, size, net.depth(), &mut |n, tokens| {
-        assert_eq!(n, all.len());
-        all.push(tokens.clone());
-        Ok(())
-    });
-    assert_eq!(last.expect("tokens"), all[net.depth()]);
-    all
+fn image_tensor(planes: &[f32], [height, width]: [usize; 2]) -> Tensor<4> {
+    let data = TensorData::new(planes.to_vec(), [1, 3, height, width]);
+    Tensor::from_data(data, &crate::support::device())
+}
+
+fn values(tokens: Tensor<3>) -> Vec<f32> {
+    tokens.into_data().into_vec::<f32>().expect("f32")
 }
 
 #[test]
@@ -176,7 +174,7 @@ fn activations_equal_the_stored_ones() {
     let Some(path) = crate::support::shared_file(file) else {
         return;
     };
-    let net = Vit::load(&path).expect("weights");
+    let net = Vit::load(&path, &crate::support::device()).expect("weights");
     assert_eq!(
         [net.width(), net.patch(), net.depth(), net.heads()],
         [192, 16, 4, 3]
@@ -185,16 +183,14 @@ fn activations_equal_the_stored_ones() {
     let stored = read(&path.with_file_name("dino_vit192_depth4_RANDOM_parity.safetensors"));
     for (input, name) in [("input_224", "224"), ("input_192x256", "192x256")] {
         let (shape, planes) = &stored[input];
-        let tokens = all_tokens(&net, planes, [shape[2], shape[3]]);
+        let tokens = net.forward(image_tensor(planes, [shape[2], shape[3]]));
+        assert_eq!(tokens.len(), 5);
         let names = ["tokens", "block0", "block1", "block2", "block3"].map(str::to_owned);
         for (part, tokens) in names.iter().zip(&tokens) {
-            compare(&format!("{name}.{part}"), &tokens.values, &stored);
+            compare(&format!("{name}.{part}"), &values(tokens.clone()), &stored);
         }
-        compare(
-            &format!("{name}.norm"),
-            &net.normalised(&tokens[4]).values,
-            &stored,
-        );
+        let last = net.normalized(tokens[4].clone());
+        compare(&format!("{name}.norm"), &values(last), &stored);
     }
 }
 
@@ -216,10 +212,9 @@ fn the_network_equals_plain_loops_in_f64() {
         .map(|&x| x as f32)
         .collect();
     let net = net(TINY);
-    let tokens = net
-        .forward(&planes, [pixels, pixels], TINY.depth, &mut |_, _| Ok(()))
-        .expect("tokens");
-    let worst = difference(&net.normalised(&tokens).values, &expected);
+    let tokens = net.forward(image_tensor(&planes, [pixels; 2]));
+    let last = net.normalized(tokens[TINY.depth].clone());
+    let worst = difference(&values(last), &expected);
     eprintln!("f32 against f64: {worst:.1e}");
     assert!(worst < 1e-5, "{worst}");
 }
@@ -285,7 +280,7 @@ fn a_cell_is_centred_on_its_patch() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let path = dir.path().join("vit.safetensors");
     write(&path, &weights);
-    let net = Vit::load(&path).expect("weights");
+    let net = Vit::load(&path, &crate::support::device()).expect("weights");
     let image = picture(22, 19, 0);
     let before = net.maps(&image).expect("maps");
     for (x, y) in [(0, 0), (7, 3), (8, 4), (21, 18)] {
@@ -457,7 +452,7 @@ fn overflowing_activations_are_errors() {
         let dir = tempfile::tempdir().expect("temporary folder");
         let path = dir.path().join("vit.safetensors");
         write(&path, &weights);
-        let error = Vit::load(&path)
+        let error = Vit::load(&path, &crate::support::device())
             .expect("finite weights")
             .maps(&picture(20, 20, 0))
             .expect_err(name);
@@ -465,65 +460,5 @@ fn overflowing_activations_are_errors() {
             matches!(&error, Error::NonFinite { tensor, .. } if tensor.contains("DINO")),
             "{name}: {error}"
         );
-    }
-}
-
-/// Peak of the resident memory, MiB; `reset` starts it anew.
-fn peak_memory(reset: bool) -> Option<usize> {
-    if reset {
-        std::fs::write("/proc/self/clear_refs", "5").ok()?;
-    }
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status
-        .lines()
-        .find_map(|line| line.strip_prefix("VmHWM:"))?;
-    Some(line.split_whitespace().next()?.parse::<usize>().ok()? / 1024)
-}
-
-/// Seconds that processors have worked for this process, all threads together.
-fn processor_seconds() -> Option<f64> {
-    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-    let ticks = stat
-        .rsplit(')')
-        .next()?
-        .split_whitespace()
-        .skip(11)
-        .take(2)
-        .map(|t| t.parse::<f64>().ok());
-    Some(ticks.sum::<Option<f64>>()? / 100.0)
-}
-
-#[test]
-#[ignore = "a measurement"]
-fn timing() {
-    let net = net(SMALL_8);
-    for (width, height) in [(480, 360), (960, 540)] {
-        let image = picture(width, height, 0);
-        for queries in [128, 256, 512] {
-            let net = net.clone().with_query_chunk(queries);
-            let before = peak_memory(true);
-            let (start, worked) = (std::time::Instant::now(), processor_seconds());
-            let maps = net.maps(&image).expect("maps");
-            let seconds = start.elapsed().as_secs_f64();
-            let worked = processor_seconds().zip(worked).map(|(b, a)| b - a);
-            eprintln!(
-                "S/8, {width}x{height}, {} threads, {queries} queries: {seconds:.2} s ({worked:.2?} processor seconds), peak \
-                 {:?} MiB (before: {before:?}), of which maps {}",
-                rayon::current_num_threads(),
-                peak_memory(false),
-                maps.iter().map(|m| m.data.len() * 4).sum::<usize>() >> 20
-            );
-            if queries == 512 && width == 480 {
-                let start = std::time::Instant::now();
-                let mut moments = Moments::new(768);
-                moments.add(&maps[3].data, "map", 768).expect("finite");
-                let added = start.elapsed().as_secs_f64();
-                let rank = Pca::fit(&moments, 64).rank;
-                let fitted = start.elapsed().as_secs_f64() - added;
-                eprintln!(
-                    "PCA of 768 channels: {added:.2} s a map, {fitted:.2} s to fit {rank} components"
-                );
-            }
-        }
     }
 }

@@ -26,7 +26,7 @@ fn full_checkpoints_give_the_teacher() {
     write(&plain, &teacher);
     let image = picture(9, 7, 0);
     let maps = |path: &Path| -> [FeatureMap; 4] {
-        Vit::load(path)
+        Vit::load(path, &crate::support::device())
             .expect("weights")
             .maps(&image)
             .expect("maps")
@@ -69,7 +69,7 @@ fn full_checkpoints_give_the_teacher() {
         assert!(maps(&path) == expected, "{name}");
         for cut in [0, 3, 500, bytes.len() / 2, bytes.len() - 30] {
             std::fs::write(&path, &bytes[..cut]).expect("write");
-            let found = Vit::load(&path);
+            let found = Vit::load(&path, &crate::support::device());
             assert!(
                 matches!(&found, Err(Error::Input { path: p, .. }) if *p == path),
                 "{name} {cut}"
@@ -104,7 +104,7 @@ fn unusable_weights_are_named() {
         let mut weights = generated(size);
         change(&mut weights);
         write(&path, &weights);
-        let error = Vit::load(&path).expect_err("unusable");
+        let error = Vit::load(&path, &crate::support::device()).expect_err("unusable");
         assert!(matches!(error, Error::Input { .. }), "{error}");
         for word in words.iter().chain(&["vit.safetensors", "expected", "DINO"]) {
             assert!(error.to_string().contains(word), "{word}: {error}");
@@ -167,6 +167,7 @@ fn unusable_weights_are_named() {
         &|w| w.get_mut("blocks.1.attn.proj.bias").expect("a tensor").1[5] = f32::NAN,
         &["blocks.1.attn.proj.bias", "NaN"],
     );
-    let absent = Vit::load(&dir.path().join("absent.pth")).expect_err("no file");
+    let absent =
+        Vit::load(&dir.path().join("absent.pth"), &crate::support::device()).expect_err("no file");
     assert!(matches!(absent, Error::Io { .. }) && absent.to_string().contains("absent.pth"));
 }

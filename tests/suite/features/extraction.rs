@@ -1,14 +1,16 @@
 //! Feature extraction: the descriptor, the cache, imported maps, the linear probe.
 
+use crate::support::linear_probe::{ProbeScore, ProbeView, linear_probe};
 use coseg::config::{FeatureConfig, FeatureSource};
 use coseg::data::formats::transforms;
 use coseg::data::formats::transforms::LoadOptions;
-use coseg::data::{Class, Classes, LabelMap, LabelRuns, Photo, Points, Scene, Split, View};
-use coseg::features::probe::{ProbeScore, ProbeSettings, ProbeView, linear_probe};
-use coseg::features::{FeatureMap, ViewFeatures, descriptor, extract, extract_all};
+use coseg::data::{Classes, LabelMap, LabelRuns, Photo, Points, Scene, Split, View};
+use coseg::features::{FeatureMap, Reduction, ViewFeatures, descriptor, extract};
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DVec3};
 use image::RgbImage;
+use std::convert::Infallible;
+use std::ops::ControlFlow;
 use std::path::Path;
 
 fn camera(width: usize, height: usize) -> Camera {
@@ -143,17 +145,13 @@ fn descriptor_knows_no_position() {
 #[test]
 fn extraction_reduces_every_view_and_fits_on_training_views_only() {
     let mut scene = pictures(8);
-    let (set, test) = extract_all(
-        &scene,
-        &descriptor_config(),
-        1,
-        &crate::support::device(),
-        &|_, _| (),
-    )
-    .expect("descriptor");
+    let config = descriptor_config();
+    let set = extract(&scene, &config, 1, &crate::support::device(), &|_, _| ()).expect("maps");
+    let (train, test) = extract_with_tests(&scene, &config, 1);
     assert_eq!(set.name, "descriptor");
-    assert_eq!((set.views.len(), test.len()), (6, 2));
-    for view in set.views.iter().chain(&test) {
+    assert_eq!((train.len(), test.len()), (6, 2));
+    assert_eq!(set.views, train);
+    for view in train.iter().chain(&test) {
         for map in &view.maps {
             assert_eq!(map.channels, 64);
             for cell in map.data.chunks_exact(64) {
@@ -164,30 +162,31 @@ fn extraction_reduces_every_view_and_fits_on_training_views_only() {
     for view in scene.views.iter_mut().filter(|v| v.split == Split::Test) {
         view.image = RgbImage::from_pixel(70, 54, image::Rgb([250, 0, 0])).into();
     }
-    let (other, _) = extract_all(
-        &scene,
-        &descriptor_config(),
-        1,
-        &crate::support::device(),
-        &|_, _| (),
-    )
-    .expect("descriptor");
+    let other = extract(&scene, &config, 1, &crate::support::device(), &|_, _| ()).expect("maps");
     assert_eq!(
         set.reductions, other.reductions,
         "test views must not enter the fit"
     );
-    let (train_only, again) = (
-        extract(
-            &scene,
-            &descriptor_config(),
-            1,
-            &crate::support::device(),
-            &|_, _| (),
-        )
-        .expect("descriptor"),
-        other,
-    );
-    assert_eq!(train_only.views, again.views);
+    assert_eq!(set.views, other.views);
+}
+
+/// Reduced maps of the training views and of the test views.
+fn extract_with_tests(
+    scene: &Scene,
+    config: &FeatureConfig,
+    seed: u64,
+) -> (Vec<ViewFeatures>, Vec<ViewFeatures>) {
+    let go_on = &mut || ControlFlow::<Infallible>::Continue(());
+    let device = crate::support::device();
+    let ControlFlow::Continue(mut reduction) =
+        Reduction::fit(scene, config, seed, &device, go_on).expect("maps");
+    let train: Vec<_> = reduction
+        .training_views()
+        .map(|v| v.expect("maps"))
+        .collect();
+    let test: Vec<&View> = scene.split(Split::Test).collect();
+    let test = reduction.views(&test).map(|v| v.expect("maps")).collect();
+    (train, test)
 }
 
 #[test]
@@ -490,86 +489,6 @@ fn hostile_maps_are_refused_by_name() {
     assert!(error().contains("a.safetensors"), "{}", error());
 }
 
-fn two_classes() -> Classes {
-    let class = |id: u16| Class {
-        id,
-        name: format!("c{id}"),
-        color: [0; 3],
-        object_of: None,
-    };
-    Classes {
-        entries: vec![class(1), class(4)],
-        ignore: 0,
-    }
-}
-
-#[test]
-fn linear_probe_reads_a_linear_rule_and_nothing_from_noise() {
-    let (w, h) = (40, 30);
-    let labels = |seed: usize| LabelMap {
-        width: w,
-        height: h,
-        ids: (0..w * h)
-            .map(|i| {
-                if (i / 7 + seed).is_multiple_of(3) {
-                    1
-                } else {
-                    4
-                }
-            })
-            .collect(),
-    };
-    let maps = |truth: &LabelMap, seed: usize| {
-        let noise = ramp(w * h, seed);
-        let told = truth
-            .ids
-            .iter()
-            .zip(&noise)
-            .flat_map(|(&id, &n)| [f32::from(id) + n, 3.0])
-            .collect();
-        [FeatureMap {
-            height: h,
-            width: w,
-            channels: 2,
-            data: told,
-            steps: None,
-        }]
-    };
-    let truths: Vec<LabelMap> = (0..4).map(labels).collect();
-    let told: Vec<_> = truths.iter().enumerate().map(|(i, t)| maps(t, i)).collect();
-    let views: Vec<ProbeView> = truths
-        .iter()
-        .zip(&told)
-        .map(|(truth, maps)| ProbeView { truth, maps })
-        .collect();
-    let settings = ProbeSettings {
-        test_stride: 1,
-        ..ProbeSettings::default()
-    };
-    let score =
-        linear_probe(&two_classes(), &views[..3], &views[3..], &settings).expect("labelled");
-    assert!(score.accuracy > 0.999 && score.miou > 0.999, "{score:?}");
-    let blind: Vec<_> = (0..4)
-        .map(|i| {
-            [FeatureMap {
-                height: h,
-                width: w,
-                channels: 1,
-                data: ramp(w * h, i),
-                steps: None,
-            }]
-        })
-        .collect();
-    let views: Vec<ProbeView> = truths
-        .iter()
-        .zip(&blind)
-        .map(|(truth, maps)| ProbeView { truth, maps })
-        .collect();
-    let score =
-        linear_probe(&two_classes(), &views[..3], &views[3..], &settings).expect("labelled");
-    assert!(score.miou < 0.45, "{score:?}");
-}
-
 fn probe_of(scene: &Scene, train: &[ViewFeatures], test: &[ViewFeatures]) -> ProbeScore {
     fn views<'a>(truth: &'a [LabelMap], features: &'a [ViewFeatures]) -> Vec<ProbeView<'a>> {
         truth
@@ -589,7 +508,7 @@ fn probe_of(scene: &Scene, train: &[ViewFeatures], test: &[ViewFeatures]) -> Pro
     };
     let truth = [truth(Split::Train), truth(Split::Test)];
     let (train, test) = (views(&truth[0], train), views(&truth[1], test));
-    linear_probe(&scene.classes, &train, &test, &ProbeSettings::default()).expect("labelled")
+    linear_probe(&scene.classes, &train, &test)
 }
 
 fn rgb_maps(scene: &Scene, split: Split) -> Vec<ViewFeatures> {
@@ -614,69 +533,27 @@ fn rgb_maps(scene: &Scene, split: Split) -> Vec<ViewFeatures> {
         .collect()
 }
 
-/// The scene with every `step`-th view of both splits.
-fn house(step: usize) -> Option<(Scene, std::path::PathBuf)> {
-    let shared = crate::support::shared_dir()?;
-    let mut scene = transforms::load(&shared.join("data/house_living"), &LoadOptions::default())
-        .expect("scene");
-    let mut seen = 0;
-    scene.views.retain(|_| {
-        seen += 1;
-        seen % step == 0
-    });
-    Some((
-        scene,
-        shared.join("weights/mobilenetv2/mobilenetv2_imagenet.safetensors"),
-    ))
-}
-
-fn probed(scene: &Scene, config: &FeatureConfig) -> ProbeScore {
-    let start = std::time::Instant::now();
-    let (set, test) =
-        extract_all(scene, config, 0, &crate::support::device(), &|_, _| ()).expect("features");
-    let seconds = start.elapsed().as_secs_f64();
-    let score = probe_of(scene, &set.views, &test);
-    eprintln!(
-        "{}: {score:?}, {} views in {seconds:.1} s",
-        set.name,
-        scene.views.len()
-    );
-    score
-}
-
 #[test]
 fn descriptor_beats_raw_colour_in_the_linear_probe() {
-    let Some((scene, _)) = house(5) else { return };
-    let rgb = probe_of(
-        &scene,
-        &rgb_maps(&scene, Split::Train),
-        &rgb_maps(&scene, Split::Test),
-    );
-    eprintln!("raw colour: {rgb:?}");
-    let ours = probed(&scene, &descriptor_config());
-    assert!(ours.accuracy > rgb.accuracy + 0.2 && ours.miou > rgb.miou + 0.3);
-}
-
-#[test]
-#[ignore = "a measurement"]
-fn probe_of_house_living() {
-    let Some((scene, weights)) = house(1) else {
+    let Some(shared) = crate::support::shared_dir() else {
         return;
     };
+    let mut scene = transforms::load(&shared.join("data/house_living"), &LoadOptions::default())
+        .expect("scene");
+    let mut count = 0;
+    scene.views.retain(|_| {
+        count += 1;
+        count % 5 == 0
+    });
     let rgb = probe_of(
         &scene,
         &rgb_maps(&scene, Split::Train),
         &rgb_maps(&scene, Split::Test),
     );
     eprintln!("raw colour: {rgb:?}");
-    probed(&scene, &descriptor_config());
-    if weights.is_file() {
-        probed(
-            &scene,
-            &FeatureConfig {
-                weights: Some(weights),
-                ..FeatureConfig::default()
-            },
-        );
-    }
+    let config = descriptor_config();
+    let (set, test) = extract_with_tests(&scene, &config, 0);
+    let ours = probe_of(&scene, &set, &test);
+    eprintln!("descriptor: {ours:?}");
+    assert!(ours.accuracy > rgb.accuracy + 0.2 && ours.miou > rgb.miou + 0.3);
 }

@@ -1,8 +1,8 @@
 //! MobileNetV2: parity with stored activations, key layouts, sizes, damaged weights.
 
 use burn::tensor::{Tensor, TensorData};
-use coseg::features::FeatureMap;
-use coseg::features::mobilenet::{FoldedNet, MobileNetV2, STEPS};
+use coseg::features::mobilenet::{MobileNetV2, STEPS};
+use coseg::features::{FeatureMap, Steps};
 use safetensors::tensor::{SafeTensors, TensorView};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -33,34 +33,17 @@ fn activations_equal_the_stored_ones() {
     let net = MobileNetV2::load(&path, &device).expect("weights");
     let stored = stored(&path.with_file_name("mobilenetv2_parity_fox224.safetensors"));
     let (shape, input) = stored["input"].clone();
-    let folded = FoldedNet::new(&net);
-    let maps = folded
-        .forward(input.clone(), shape[2], shape[3])
-        .expect("maps");
     let input = Tensor::<4>::from_data(TensorData::new(input, shape), &device);
     let names = ["features.3", "features.6", "features.13", "features.17"];
-    for ((name, scale), map) in names.iter().zip(net.forward(input)).zip(maps) {
+    for (name, scale) in names.iter().zip(net.forward(input)) {
         let (shape, expected) = &stored[*name];
         assert_eq!(scale.dims().to_vec(), *shape, "{name}");
-        assert_eq!(
-            [1, map.channels, map.height, map.width].as_slice(),
-            shape.as_slice(),
-            "{name}"
-        );
         compare(name, &planes(scale), expected);
-        compare(&format!("{name}, folded"), &unfold(&map), expected);
     }
 }
 
 fn planes(x: Tensor<4>) -> Vec<f32> {
     x.into_data().into_vec::<f32>().expect("f32")
-}
-
-/// Cells to planes.
-fn unfold(map: &FeatureMap) -> Vec<f32> {
-    (0..map.channels)
-        .flat_map(|c| map.data.iter().skip(c).step_by(map.channels).copied())
-        .collect()
 }
 
 /// Writes weights under which every layer is a mean: of its channels, and of its 3x3 neighbourhood with binomial weights.
@@ -154,26 +137,38 @@ fn center_of_mass(
     sum.map(|s| s / total)
 }
 
+/// The map of planes `[1, C, H, W]`.
+fn cells((scale, steps): (Tensor<4>, Steps)) -> FeatureMap {
+    let [_, channels, height, width] = scale.dims();
+    FeatureMap {
+        height,
+        width,
+        channels,
+        data: planes(scale.permute([0, 2, 3, 1])),
+        steps: Some(steps),
+    }
+}
+
 #[test]
 fn cells_keep_their_stride_at_any_image_size() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let path = dir.path().join("blur.safetensors");
     write_blur_weights(&path);
-    let net =
-        FoldedNet::new(&MobileNetV2::load(&path, &crate::support::device()).expect("weights"));
+    let net = MobileNetV2::load(&path, &crate::support::device()).expect("weights");
     // A single bright pixel further from every border than the network sees (245 pixels).
     let (width, height) = (541_usize, 525_usize);
     for (x, y) in [(256_usize, 256_usize), (271, 262), (263, 268)] {
         let mut image = vec![0.0_f32; 3 * width * height];
         (0..3).for_each(|c| image[(c * height + y) * width + x] = 1.0);
-        let maps = net.forward(image, height, width).expect("maps");
+        let image = TensorData::new(image, [1, 3, height, width]);
+        let scales = net.forward(Tensor::from_data(image, &crate::support::device()));
+        let maps: Vec<FeatureMap> = scales.into_iter().zip(STEPS).map(cells).collect();
         for (map, steps) in maps.iter().zip(STEPS) {
             let stride = steps.stride as usize;
             assert_eq!(
                 (map.width, map.height),
                 (width.div_ceil(stride), height.div_ceil(stride))
             );
-            assert_eq!(map.steps, Some(steps));
             // Symmetric kernels see it where padding puts it: half a pixel into the first cell, not at the trained offset.
             let [u, v] = center_of_mass(map, [width, height], |values, _| f64::from(values[0]));
             let (at_u, at_v) = (x as f64 + steps.offset, y as f64 + steps.offset);
@@ -198,8 +193,9 @@ fn cells_keep_their_stride_at_any_image_size() {
 #[test]
 fn cells_are_where_the_maps_say() {
     let Some(path) = weights() else { return };
-    let net =
-        FoldedNet::new(&MobileNetV2::load(&path, &crate::support::device()).expect("weights"));
+    let net = MobileNetV2::load(&path, &crate::support::device()).expect("weights");
+    let small = net.maps(&image::RgbImage::new(37, 51)).expect("maps");
+    assert_eq!(small.map(|map| map.steps), STEPS.map(Some));
     // Where maps change when a small patch of a photo changes colour.
     let mut sums = [[0.0; 2]; 4];
     let mut patches = 0.0;
@@ -249,57 +245,6 @@ fn cells_are_where_the_maps_say() {
             steps.stride
         );
     }
-}
-
-#[test]
-fn folded_kernels_equal_the_modules_at_any_size() {
-    let Some(path) = weights() else { return };
-    let device = crate::support::device();
-    let net = MobileNetV2::load(&path, &device).expect("weights");
-    let folded = FoldedNet::new(&net);
-    for (height, width) in [(1, 1), (2, 3), (33, 47), (64, 32)] {
-        let input: Vec<f32> = (0..3 * height * width)
-            .map(|i| 2.0 * (i as f32 * 0.37).sin())
-            .collect();
-        let maps = folded.forward(input.clone(), height, width).expect("maps");
-        let input = Tensor::<4>::from_data(TensorData::new(input, [1, 3, height, width]), &device);
-        for (scale, map) in net.forward(input).into_iter().zip(&maps) {
-            assert_eq!(scale.dims(), [1, map.channels, map.height, map.width]);
-            compare(&format!("{height}x{width}"), &unfold(map), &planes(scale));
-        }
-    }
-    assert!(folded.forward(vec![], 0, 5).is_err());
-}
-
-#[test]
-#[ignore = "a measurement"]
-fn timing() {
-    let Some(path) = weights() else { return };
-    let net = MobileNetV2::load(&path, &crate::support::device()).expect("weights");
-    let folded = FoldedNet::new(&net);
-    let image = vec![0.1_f32; 3 * 360 * 480];
-    let start = std::time::Instant::now();
-    for _ in 0..5 {
-        folded.forward(image.clone(), 360, 480).expect("maps");
-    }
-    eprintln!(
-        "folded kernels, 480x360, one thread: {:.3} s",
-        start.elapsed().as_secs_f64() / 5.0
-    );
-    let input = Tensor::<4>::from_data(
-        TensorData::new(image, [1, 3, 360, 480]),
-        &crate::support::device(),
-    );
-    let start = std::time::Instant::now();
-    let sum: f32 = net
-        .forward(input)
-        .into_iter()
-        .map(|x| x.sum().into_scalar::<f32>())
-        .sum();
-    eprintln!(
-        "plain modules, 480x360, all threads: {:.3} s ({sum})",
-        start.elapsed().as_secs_f64()
-    );
 }
 
 fn compare(name: &str, found: &[f32], expected: &[f32]) {
@@ -399,7 +344,7 @@ fn unusable_weights_are_named() {
         (name != "features.5.conv.3.weight").then(|| name.to_owned())
     });
     assert!(
-        error(&file).contains("features.5 depthwise conv weight"),
+        error(&file).contains("features.5.conv.3.weight"),
         "{}",
         error(&file)
     );
@@ -422,7 +367,7 @@ fn unusable_weights_are_named() {
     };
     rewritten(&path, &file, |name| Some(swap(name)));
     assert!(
-        error(&file).contains("features.7 project conv weight"),
+        error(&file).contains("features.7.conv.6.weight"),
         "{}",
         error(&file)
     );

@@ -301,7 +301,7 @@ fn views_are_told_of_and_may_end_it() {
         );
         (found.expect("association"), told)
     };
-    let looks = objects::Association::looks(&scene, &config);
+    let looks = objects::Association::steps(&scene, &config);
     assert_eq!(looks, (2 + config.sweeps) * 4 + 2);
     assert_eq!(
         until(usize::MAX),

@@ -1,6 +1,7 @@
 //! Scenes, references and devices that several tests share.
 
 pub mod dino_reference;
+pub mod linear_probe;
 pub mod plates;
 pub mod raster_reference;
 pub mod spoilt_masks;

@@ -1,23 +1,24 @@
 //! What each segment of a view covers: the weight `alpha' T` of its pixels on every Gaussian.
 
-use super::scratch::Zeros;
+use super::sums::{Scratch, SparseSums};
 use crate::data::{LabelMap, Segment, View};
 use crate::error::Result;
 use crate::raster::{Projected, Settings};
 use crate::splat::Gaussians;
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 
 /// The id of pixels that belong to no segment.
-pub(super) const NOTHING: u16 = 0;
+pub(super) const UNLABELLED: u16 = 0;
 /// Pixels whose blending weights are held at once.
 pub(super) const BAND: usize = 1 << 18;
 /// Weights below a hundredth of a pixel are left out.
 const LEAST: f64 = 0.01;
 
-/// A segment of a view.
+/// A segment of a view, or a piece of one, and the Gaussians that it covers.
 #[derive(Clone, Debug)]
-pub(super) struct Mask {
-    /// Its id, class and kind in the view.
+pub(super) struct SegmentWeights {
+    /// Its id and category in the view.
     pub segment: Segment,
     /// Gaussian and the sum of `alpha' T` over the segment's pixels, ascending by Gaussian.
     pub weights: Vec<(u32, f32)>,
@@ -25,105 +26,106 @@ pub(super) struct Mask {
     pub total: f64,
 }
 
-/// All that a view's labels cover.
+/// What the labels of a view cover.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Masks {
+pub(super) struct ViewSegments {
     /// The segments, ascending by id.
-    pub segments: Vec<Mask>,
-    /// The same weights of the pixels without a segment, those that the view's mask leaves out not counted: what they show is
-    /// unknown, not without a segment.
-    pub rest: Vec<(u32, f32)>,
+    pub segments: Vec<SegmentWeights>,
+    /// The weights of the pixels without a segment. Pixels that the view's mask leaves out do not count: what they show is
+    /// unknown, not unlabelled.
+    pub unlabelled: Vec<(u32, f32)>,
 }
 
-/// The segments of `raw`, a map of `view`. `zeros` are as long as there are Gaussians.
-pub(super) fn masks(
+/// The segments of `raw`, a map of `view`. `scratch` has sums for all Gaussians.
+pub(super) fn view_segments(
     gaussians: &Gaussians,
     view: &View,
     raw: &LabelMap,
     settings: &Settings,
-    zeros: &Zeros<f64>,
-) -> Result<Masks> {
-    let mut place = vec![u32::MAX; 1 << 16];
-    raw.ids.iter().for_each(|&id| place[usize::from(id)] = 0);
-    let mut masks = Vec::new();
-    for id in 0..=u16::MAX {
-        if place[usize::from(id)] == 0 {
-            place[usize::from(id)] = masks.len() as u32;
-            let told = view.segments.iter().find(|segment| segment.id == id);
-            let segment = told.copied().unwrap_or(Segment {
-                id,
-                class: None,
-                thing: true,
-            });
-            masks.push(Mask {
-                segment,
-                weights: Vec::new(),
-                total: 0.0,
-            });
-        }
+    scratch: &Scratch<SparseSums>,
+) -> Result<ViewSegments> {
+    let mut segments = empty_segments(view, raw);
+    let mut place = vec![0; 1 << 16];
+    for (n, segment) in segments.iter().enumerate() {
+        place[usize::from(segment.segment.id)] = n;
     }
     let pixels: Vec<u32> = (0..raw.ids.len() as u32).collect();
     let projected = Projected::new(&gaussians.splats(), &view.camera, settings)?;
+    let used = |pixel: u32| {
+        let mask = view.mask.as_ref();
+        mask.is_none_or(|mask| mask.uses(pixel as usize))
+    };
     for band in pixels.chunks(BAND) {
         let weights = projected.weights(Some(band));
-        let mut rows = vec![Vec::new(); masks.len()];
-        let used = |pixel: u32| {
-            view.mask
-                .as_ref()
-                .is_none_or(|mask| mask.uses(pixel as usize))
-        };
+        let mut rows = vec![Vec::new(); segments.len()];
         for (row, &pixel) in band.iter().enumerate().filter(|(_, pixel)| used(**pixel)) {
-            rows[place[usize::from(raw.ids[pixel as usize])] as usize].push(row);
+            rows[place[usize::from(raw.ids[pixel as usize])]].push(row);
         }
         // Each segment's sums run over its pixels in order: the same bits at any number of threads.
-        masks.par_iter_mut().zip(rows).for_each_init(
-            || zeros.lend(),
-            |sums, (mask, rows)| {
-                let sums: &mut [f64] = sums;
-                let mut touched = Vec::new();
-                for (&gaussian, &weight) in rows.into_iter().flat_map(|row| {
+        segments
+            .par_iter_mut()
+            .zip(rows)
+            .for_each(|(segment, rows)| {
+                let mut sums = scratch.borrow();
+                for row in rows {
                     let (columns, values) = weights.row(row);
-                    columns.iter().zip(values)
-                }) {
-                    let sum = &mut sums[gaussian as usize];
-                    if *sum == 0.0 {
-                        touched.push(gaussian);
+                    for (&gaussian, &weight) in columns.iter().zip(values) {
+                        sums.add(gaussian, f64::from(weight));
                     }
-                    *sum += f64::from(weight);
                 }
-                let taken = touched
-                    .into_iter()
-                    .map(|g| (g, std::mem::take(&mut sums[g as usize]) as f32));
-                mask.weights.extend(taken);
-            },
-        );
+                let sums = sums.take().into_iter();
+                segment
+                    .weights
+                    .extend(sums.map(|(gaussian, sum)| (gaussian, sum as f32)));
+            });
     }
-    masks.par_iter_mut().for_each(|mask| {
-        // Bands add up; the sort keeps their order.
-        mask.weights.sort_by_key(|(gaussian, _)| *gaussian);
-        mask.weights.dedup_by(|next, kept| {
+    segments.par_iter_mut().for_each(SegmentWeights::finish);
+    let unlabelled = segments
+        .first()
+        .is_some_and(|segment| segment.segment.id == UNLABELLED)
+        .then(|| segments.remove(0).weights);
+    Ok(ViewSegments {
+        segments,
+        unlabelled: unlabelled.unwrap_or_default(),
+    })
+}
+
+/// The segments of a map without weights, ascending by id; [`UNLABELLED`] is one of them where it occurs.
+fn empty_segments(view: &View, raw: &LabelMap) -> Vec<SegmentWeights> {
+    let ids: BTreeSet<u16> = raw.ids.iter().copied().collect();
+    let segment = |id: u16| {
+        let described = view.segments.iter().find(|segment| segment.id == id);
+        let segment = described.copied().unwrap_or(Segment {
+            id,
+            class: None,
+            thing: true,
+        });
+        SegmentWeights {
+            segment,
+            weights: Vec::new(),
+            total: 0.0,
+        }
+    };
+    ids.into_iter().map(segment).collect()
+}
+
+impl SegmentWeights {
+    /// Adds up the weights of the bands and leaves out the smallest.
+    fn finish(&mut self) {
+        // The sort is stable: bands add up in order.
+        self.weights.sort_by_key(|(gaussian, _)| *gaussian);
+        self.weights.dedup_by(|next, kept| {
             let same = next.0 == kept.0;
             if same {
                 kept.1 += next.1;
             }
             same
         });
-        mask.weights
+        self.weights
             .retain(|(_, weight)| f64::from(*weight) >= LEAST);
-        mask.total = mask
-            .weights
-            .iter()
-            .map(|(_, weight)| f64::from(*weight))
-            .sum();
-    });
-    let rest = masks
-        .first()
-        .is_some_and(|mask| mask.segment.id == NOTHING)
-        .then(|| masks.remove(0).weights);
-    Ok(Masks {
-        segments: masks,
-        rest: rest.unwrap_or_default(),
-    })
+        let weights = self.weights.iter();
+        self.total = weights.map(|(_, weight)| f64::from(*weight)).sum();
+    }
 }
 
 #[cfg(test)]
@@ -172,14 +174,14 @@ mod tests {
             segments: Vec::new(),
             instances: None,
         };
-        let zeros = Zeros::new(gaussians.len());
+        let scratch = Scratch::new(|| SparseSums::new(32));
         let of = |view: &View| {
-            masks(&gaussians, view, &raw, &Settings::default(), &zeros).expect("masks")
+            view_segments(&gaussians, view, &raw, &Settings::default(), &scratch).expect("segments")
         };
         let whole = of(&view);
         view.mask = Some(crate::data::mask::Mask::new(width, height, used));
         let part = of(&view);
-        assert!(zeros.lend().iter().all(|sum| *sum == 0.0), "as it was lent");
+        assert!(scratch.borrow().take().is_empty());
         assert_eq!(part.segments[0].weights, whole.segments[0].weights);
         let projected =
             Projected::new(&gaussians.splats(), &view.camera, &Settings::default()).expect("view");
@@ -188,14 +190,19 @@ mod tests {
             .collect();
         let want = projected.blend_adjoint(&rest, 1);
         let mut found = vec![0.0; 32];
-        part.rest
+        part.unlabelled
             .iter()
             .for_each(|&(gaussian, weight)| found[gaussian as usize] = weight);
         assert!(
             found.iter().zip(&want).all(|(a, b)| (a - b).abs() < 0.011),
             "{found:?} {want:?}"
         );
-        let sum = |masks: &Masks| masks.rest.iter().map(|(_, weight)| weight).sum::<f32>();
+        let sum = |view: &ViewSegments| {
+            view.unlabelled
+                .iter()
+                .map(|(_, weight)| weight)
+                .sum::<f32>()
+        };
         assert!(sum(&part) < 0.6 * sum(&whole) && sum(&part) > 0.0);
     }
 }

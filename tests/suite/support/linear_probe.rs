@@ -1,15 +1,15 @@
-//! Linear probe: how much class information features hold that a linear map can read.
+//! Linear probe: how much class information a linear map can read from features.
 //!
-//! A multinomial logistic regression from the features at a pixel to its true class is trained on training views and
-//! scored on test views. It measures features; it is no part of the method, which never sees true labels.
+//! A multinomial logistic regression from the features at a pixel to its true class, trained on training views and scored on
+//! test views.
 
-use super::FeatureMap;
-use crate::data::{Classes, LabelMap};
-use crate::error::{Error, Result};
-use crate::metrics::{Confusion, Void};
-use crate::random::{self, Purpose};
+use coseg::data::{Classes, LabelMap};
+use coseg::features::FeatureMap;
+use coseg::metrics::{Confusion, Void};
 use nalgebra::DMatrix;
+use rand::SeedableRng;
 use rand::seq::{SliceRandom, index};
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 /// One view: its true labels and any number of feature maps, read bilinearly and concatenated.
@@ -21,36 +21,6 @@ pub struct ProbeView<'a> {
     pub maps: &'a [FeatureMap],
 }
 
-/// How the regression is trained.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ProbeSettings {
-    /// Pixels drawn from each training view.
-    pub pixels_per_view: usize,
-    /// Every n-th pixel along both axes of the test views is scored.
-    pub test_stride: usize,
-    /// Passes over the drawn pixels, Adam with a cosine schedule.
-    pub epochs: usize,
-    /// Highest learning rate, on standardised features.
-    pub lr: f32,
-    /// Weight of half the squared weights.
-    pub decay: f32,
-    /// Seed of pixels and batches.
-    pub seed: u64,
-}
-
-impl Default for ProbeSettings {
-    fn default() -> Self {
-        Self {
-            pixels_per_view: 500,
-            test_stride: 3,
-            epochs: 30,
-            lr: 1e-2,
-            decay: 1e-4,
-            seed: 0,
-        }
-    }
-}
-
 /// What the regression reaches on the test views.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProbeScore {
@@ -58,71 +28,40 @@ pub struct ProbeScore {
     pub accuracy: f64,
     /// Mean intersection over union over the classes present in the test truth, pooled over views, 0..1.
     pub miou: f64,
-    /// Length of the feature vector.
-    pub dimensions: usize,
-    /// Training pixels and test pixels.
-    pub pixels: [usize; 2],
 }
 
+/// Pixels drawn from each training view.
+const PIXELS_PER_VIEW: usize = 500;
+/// Every n-th pixel along both axes of the test views is scored.
+const TEST_STRIDE: usize = 3;
+/// Passes over the drawn pixels: Adam with a cosine schedule.
+const EPOCHS: usize = 30;
+/// Highest learning rate, on standardised features.
+const RATE: f32 = 1e-2;
+/// Weight of half the squared weights.
+const DECAY: f32 = 1e-4;
 /// Pixels in a batch.
 const BATCH: usize = 1000;
 
-/// Trains on `train`, scores on `test`; the same settings give the same bits.
-///
-/// # Errors
-/// [`Error::Argument`] when there is no labelled pixel or a view's maps are not like the others'.
-pub fn linear_probe(
-    classes: &Classes,
-    train: &[ProbeView],
-    test: &[ProbeView],
-    settings: &ProbeSettings,
-) -> Result<ProbeScore> {
-    let dimensions = train
-        .first()
-        .map_or(0, |v| v.maps.iter().map(|m| m.channels).sum());
-    for view in train.iter().chain(test) {
-        let found: usize = view.maps.iter().map(|m| m.channels).sum();
-        if found != dimensions || dimensions == 0 {
-            let (found, wanted) = (
-                format!("{found} channels"),
-                format!("{dimensions} (the first view's), not 0"),
-            );
-            return Err(Error::argument(
-                "linear probe",
-                found,
-                wanted,
-                "give every view the same maps",
-            ));
-        }
-    }
+/// Trains on `train`, scores on `test`.
+pub fn linear_probe(classes: &Classes, train: &[ProbeView], test: &[ProbeView]) -> ProbeScore {
+    let dimensions = train[0].maps.iter().map(|m| m.channels).sum();
     let mut drawn = gather(classes, train, dimensions, |view, truth| {
-        let mut rng = random::stream(settings.seed, Purpose::ProbePixels, view as u64);
+        let mut rng = ChaCha8Rng::seed_from_u64(view as u64);
         let count = truth.ids.len();
-        index::sample(&mut rng, count, settings.pixels_per_view.min(count)).into_vec()
+        index::sample(&mut rng, count, PIXELS_PER_VIEW.min(count)).into_vec()
     });
     let mut scored = gather(classes, test, dimensions, |_, truth| {
-        let step = settings.test_stride.max(1);
-        let rows = (step / 2..truth.height).step_by(step);
-        rows.flat_map(|y| {
-            (step / 2..truth.width)
-                .step_by(step)
-                .map(move |x| y * truth.width + x)
-        })
-        .collect()
+        let along = |size: usize| (TEST_STRIDE / 2..size).step_by(TEST_STRIDE);
+        let width = truth.width;
+        along(truth.height)
+            .flat_map(|y| along(width).map(move |x| y * width + x))
+            .collect()
     });
-    if drawn.classes.is_empty() || scored.classes.is_empty() {
-        return Err(Error::argument(
-            "linear probe",
-            "no labelled pixel",
-            "some in both splits",
-            "give views with truth",
-        ));
-    }
     let (mean, scale) = spread(&drawn.values, dimensions);
     drawn.standardise(&mean, &scale);
     scored.standardise(&mean, &scale);
-    let weights = fit(&drawn, dimensions, classes.len(), settings);
-    Ok(score(&scored, &weights, dimensions, drawn.classes.len()))
+    score(&scored, &fit(&drawn, dimensions, classes.len()), dimensions)
 }
 
 /// Feature vectors, each with a constant 1 appended, and class indices.
@@ -225,35 +164,24 @@ fn spread(values: &[f32], dimensions: usize) -> (Vec<f32>, Vec<f32>) {
 }
 
 /// Weights `[classes, dimensions + 1]`.
-fn fit(
-    samples: &Samples,
-    dimensions: usize,
-    classes: usize,
-    settings: &ProbeSettings,
-) -> DMatrix<f32> {
+fn fit(samples: &Samples, dimensions: usize, classes: usize) -> DMatrix<f32> {
     let width = dimensions + 1;
     let mut weights = DMatrix::<f32>::zeros(classes, width);
     let (mut m, mut v) = (weights.clone(), weights.clone());
     let mut order: Vec<usize> = (0..samples.classes.len()).collect();
-    let steps = settings.epochs * order.len().div_ceil(BATCH);
+    let steps = EPOCHS * order.len().div_ceil(BATCH);
     let mut step = 0_i32;
-    for epoch in 0..settings.epochs {
-        order.shuffle(&mut random::stream(
-            settings.seed,
-            Purpose::ProbeOrder,
-            epoch as u64,
-        ));
+    for epoch in 0..EPOCHS {
+        order.shuffle(&mut ChaCha8Rng::seed_from_u64(epoch as u64));
         for rows in order.chunks(BATCH) {
             let x = samples.batch(rows, width);
             let mut residual = softmax(&weights * &x);
             for (mut column, &row) in residual.column_iter_mut().zip(rows) {
                 column[samples.classes[row]] -= 1.0;
             }
-            let gradient = residual * x.transpose() / rows.len() as f32 + &weights * settings.decay;
+            let gradient = residual * x.transpose() / rows.len() as f32 + &weights * DECAY;
             step += 1;
-            let lr = 0.5
-                * settings.lr
-                * (1.0 + (std::f32::consts::PI * step as f32 / steps as f32).cos());
+            let lr = 0.5 * RATE * (1.0 + (std::f32::consts::PI * step as f32 / steps as f32).cos());
             let (c1, c2) = (1.0 - 0.9_f32.powi(step), 1.0 - 0.999_f32.powi(step));
             for (((w, &g), m), v) in weights
                 .iter_mut()
@@ -280,12 +208,7 @@ fn softmax(mut logits: DMatrix<f32>) -> DMatrix<f32> {
     logits
 }
 
-fn score(
-    samples: &Samples,
-    weights: &DMatrix<f32>,
-    dimensions: usize,
-    trained: usize,
-) -> ProbeScore {
+fn score(samples: &Samples, weights: &DMatrix<f32>, dimensions: usize) -> ProbeScore {
     let (classes, width) = (weights.nrows(), dimensions + 1);
     let rows: Vec<usize> = (0..samples.classes.len()).collect();
     let predicted: Vec<usize> = rows
@@ -300,11 +223,8 @@ fn score(
         .collect();
     let mut confusion = Confusion::new(classes);
     confusion.add(samples.classes.iter().copied(), predicted);
-    // Both are known: there is at least one scored pixel, and each has a class.
     ProbeScore {
-        accuracy: confusion.accuracy(Void::Wrong).unwrap_or(0.0),
-        miou: confusion.miou(Void::Wrong).unwrap_or(0.0),
-        dimensions,
-        pixels: [trained, rows.len()],
+        accuracy: confusion.accuracy(Void::Wrong).expect("labelled pixels"),
+        miou: confusion.miou(Void::Wrong).expect("labelled pixels"),
     }
 }

@@ -1,0 +1,132 @@
+//! Which Gaussians belong to which group, and what a view shows of them.
+//!
+//! The group with the most weight on a Gaussian owns it: a few segments that cover two objects leave less weight on the other
+//! object than that object's own group has. An owner counts by its share of all weight there.
+
+use super::groups::Groups;
+use super::segments::ViewSegments;
+use super::sums::SparseSums;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// A segment covers something when it shows more than this share of what all segments of the view show of it,
+const COVERED: f64 = 0.5;
+/// and more than this share of what the view shows of it: where its own segment is missing, neighbours show its rim.
+const IN_VIEW: f64 = 0.25;
+/// A view that shows less than this share of what the best view shows counts less than one.
+const ENOUGH: f64 = 0.1;
+
+/// What a view shows of some set of Gaussians, such as those of a group.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Visible {
+    /// Which set.
+    pub set: u32,
+    /// Pixels in the whole view.
+    pub total: f64,
+    /// The segment that covers it, where one does, and the pixels in that.
+    pub covered_by: Option<(usize, f64)>,
+}
+
+/// What a view shows of sets of Gaussians, ascending by set. `pixels` gives the sets of a Gaussian, and how many of its pixels
+/// in the view count for each.
+pub(super) fn visible<I: Iterator<Item = (u32, f64)>>(
+    view: &ViewSegments,
+    sums: &mut SparseSums,
+    pixels: impl Fn(u32, f64) -> I,
+) -> Vec<Visible> {
+    let mut row = |weights: &[(u32, f32)]| {
+        for &(gaussian, weight) in weights {
+            for (set, pixels) in pixels(gaussian, f64::from(weight)) {
+                sums.add(set, pixels);
+            }
+        }
+        sums.take()
+    };
+    let mut in_segments: BTreeMap<u32, Vec<(usize, f64)>> = BTreeMap::new();
+    for (number, segment) in view.segments.iter().enumerate() {
+        for (set, pixels) in row(&segment.weights) {
+            in_segments.entry(set).or_default().push((number, pixels));
+        }
+    }
+    let unlabelled = row(&view.unlabelled);
+    for (set, _) in &unlabelled {
+        in_segments.entry(*set).or_default();
+    }
+    let mut unlabelled = unlabelled.into_iter().peekable();
+    let visible = |(set, segments): (u32, Vec<(usize, f64)>)| {
+        let labelled: f64 = segments.iter().map(|(_, pixels)| pixels).sum();
+        let rest = unlabelled.next_if(|(other, _)| *other == set);
+        let total = labelled + rest.map_or(0.0, |(_, pixels)| pixels);
+        let covers =
+            |&(_, pixels): &(usize, f64)| pixels > COVERED * labelled && pixels > IN_VIEW * total;
+        Visible {
+            set,
+            total,
+            covered_by: segments.into_iter().find(covers),
+        }
+    };
+    in_segments.into_iter().map(visible).collect()
+}
+
+/// What a view shows of the Gaussians that each group owns.
+pub(super) fn visible_groups(groups: &Groups, view: &ViewSegments) -> Vec<Visible> {
+    let mut sums = SparseSums::new(groups.len());
+    visible(view, &mut sums, |gaussian, weight| {
+        let owners = &groups.owners()[gaussian as usize];
+        let most = owners.iter().map(|(_, w)| *w).fold(0.0, f32::max);
+        let all = groups.total(gaussian);
+        owners
+            .iter()
+            .filter(move |(_, w)| *w >= most)
+            .map(move |&(group, w)| (group, weight * f64::from(w) / all))
+    })
+}
+
+/// [`visible_groups`] of each view.
+pub(super) fn visible_in_views(groups: &Groups, views: &[ViewSegments]) -> Vec<Vec<Visible>> {
+    views
+        .par_iter()
+        .map(|view| visible_groups(groups, view))
+        .collect()
+}
+
+/// The most that a view shows of each of `sets` sets, pixels.
+pub(super) fn extents(sets: usize, views: &[Vec<Visible>]) -> Vec<f64> {
+    let mut extents = vec![0.0_f64; sets];
+    for visible in views.iter().flatten() {
+        let extent = &mut extents[visible.set as usize];
+        *extent = extent.max(visible.total);
+    }
+    extents
+}
+
+/// How many views say that two sets are one object, and how many that they are two.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Evidence {
+    pub one: f64,
+    pub two: f64,
+}
+
+/// The evidence of `views` on two sets. A view counts where a segment covers the one set and a segment covers the other. It
+/// says one where that is the same segment. A view that shows little of either, compared with the best view, counts less.
+pub(super) fn evidence(views: &[Vec<Visible>], extents: &[f64], pair: [u32; 2]) -> Evidence {
+    let mut evidence = Evidence::default();
+    for view in views {
+        let found = pair.map(|set| {
+            let place = view.binary_search_by_key(&set, |visible| visible.set);
+            place.ok().map(|place| view[place])
+        });
+        let [Some(a), Some(b)] = found else { continue };
+        let (Some((in_a, _)), Some((in_b, _))) = (a.covered_by, b.covered_by) else {
+            continue;
+        };
+        let share = |visible: Visible| visible.total / extents[visible.set as usize];
+        let weight = (share(a).min(share(b)) / ENOUGH).min(1.0);
+        if in_a == in_b {
+            evidence.one += weight;
+        } else {
+            evidence.two += weight;
+        }
+    }
+    evidence
+}
