@@ -28,8 +28,8 @@ impl ImageScores {
         }
     }
 
-    /// Scores of a render of `view` (`[height, width, 3]`) against its photo, of what its mask uses: PSNR of those pixels, SSIM
-    /// over the windows that hold no other pixel. The same as [`ImageScores::of`] without a mask.
+    /// Scores of a render of `view` (`[height, width, 3]`) against its photo, over the pixels that its mask uses: PSNR of those
+    /// pixels, SSIM over the windows that hold no other pixel. The same as [`ImageScores::of`] without a mask.
     ///
     /// # Errors
     /// As [`crate::data::Photo::pixels`]; [`crate::Error::Argument`] for a mask of another size than the photo.
@@ -134,7 +134,7 @@ fn ssim_within(
     (!value.is_nan()).then_some(value)
 }
 
-/// Of the windows whose first row is `y`, from left to right, whether all of their pixels are used.
+/// For the windows whose first row is `y`, from left to right: whether all of their pixels are used.
 fn whole_windows(mask: &Mask, y: usize) -> Vec<bool> {
     let side = 2 * RADIUS + 1;
     let used = |x: usize| (y..y + side).all(|row| mask.uses(row * mask.width() + x));
@@ -154,7 +154,7 @@ fn window() -> [f64; 2 * RADIUS + 1] {
     w.map(|v| v / sum)
 }
 
-/// Sum of the SSIM map over the windows whose first row is `y`, those of them that are `taken`, and how many scalars that is: down
+/// Sum of the SSIM map over the windows whose first row is `y` and that are `taken`, and the number of scalars summed. Sums down
 /// the columns first, then across.
 fn ssim_row(
     a: &[f32],

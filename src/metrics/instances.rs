@@ -14,10 +14,10 @@ const MATCH: f64 = 0.5;
 /// Scores of a set of views against their true instances, each in 0..1.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct InstanceScores {
-    /// Association accuracy: share of the pixels with a true instance that carry the object which, over all views
-    /// together, is matched with it one to one at the largest sum of pixels. Pixels without an object are wrong.
+    /// Association accuracy: share of the pixels with a true instance that show the object matched with it. Objects and instances
+    /// are matched one to one at the largest sum of pixels over all views. Pixels without an object are wrong.
     pub accuracy: Option<f64>,
-    /// Mean over the true instances of the IoU with the object matched with it, all views counted together; 0 without one.
+    /// Mean over the true instances of the IoU with the matched object, all views counted together; 0 without one.
     pub miou: Option<f64>,
     /// Panoptic quality of each view's segments, all views counted together, one class.
     pub panoptic: Quality,
@@ -48,7 +48,7 @@ impl Pairs {
     /// Counts one view; pixels past the shorter slice are not counted.
     pub fn add(&mut self, truth: &[u16], prediction: &[u16]) {
         let mut run: Option<((u16, u16), u64)> = None;
-        // Neighbours mostly have the same pair: one look into the map a run.
+        // Neighbours mostly have the same pair: one look-up for each run.
         for pair in truth.iter().copied().zip(prediction.iter().copied()) {
             match &mut run {
                 Some((last, n)) if *last == pair => *n += 1,
@@ -103,7 +103,7 @@ impl Pairs {
 
 /// Matched segments and those without a match, by class.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Tally {
+struct ClassMatches {
     iou: f64,
     matched: usize,
     unmatched: usize,
@@ -114,7 +114,7 @@ struct Tally {
 /// As in panopticapi: segments of one class match above an IoU of 0.5; pixels without truth (id 0) are taken out of
 /// unions, and a predicted segment without a match that lies on them by more than half is no false positive.
 #[derive(Clone, Debug, Default)]
-pub struct PanopticQuality(BTreeMap<u16, Tally>);
+pub struct PanopticQuality(BTreeMap<u16, ClassMatches>);
 
 impl PanopticQuality {
     /// Counts one image, `[H, W]` segment ids, 0 is none. `classes` tells the class of a true and of a predicted segment.
@@ -134,9 +134,9 @@ impl PanopticQuality {
         for &(truth, prediction) in pairs.0.keys().filter(|(t, p)| *t != VOID && *p != VOID) {
             let iou = pairs.iou(truth, prediction, &areas);
             if iou > MATCH && true_class(truth) == predicted_class(prediction) {
-                let tally = self.0.entry(true_class(truth)).or_default();
-                tally.iou += iou;
-                tally.matched += 1;
+                let matches = self.0.entry(true_class(truth)).or_default();
+                matches.iou += iou;
+                matches.matched += 1;
                 matched[0].push(truth);
                 matched[1].push(prediction);
             }
@@ -167,7 +167,7 @@ impl PanopticQuality {
 
     /// The mean over those of these classes that occur.
     pub fn quality_of(&self, wanted: impl Fn(u16) -> bool) -> Quality {
-        let weight = |t: &Tally| t.matched as f64 + 0.5 * t.unmatched as f64;
+        let weight = |t: &ClassMatches| t.matched as f64 + 0.5 * t.unmatched as f64;
         let occurs = || {
             self.0
                 .iter()

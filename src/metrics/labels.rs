@@ -4,7 +4,7 @@ use super::mean;
 use crate::data::Classes;
 use serde::{Deserialize, Serialize};
 
-/// What a pixel counts whose prediction is void (the ignored id, or an id that is no class) while its truth is a class.
+/// How a pixel counts when its truth is a class and its prediction is void: the ignored id, or an id that is no class.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Void {
     /// A wrong prediction of no class.
@@ -55,7 +55,7 @@ impl Confusion {
         self.add(index(truth), index(prediction));
     }
 
-    /// Adds the counts of another confusion of as many classes; others are refused with `false`.
+    /// Adds the counts of another confusion of as many classes; returns `false` for others.
     pub fn merge(&mut self, other: &Self) -> bool {
         let same = self.classes == other.classes;
         if same {

@@ -1,11 +1,11 @@
-//! What a labelled scene holds, and which of it a pixel shows.
+//! The objects of a labelled scene, and the object at a pixel.
 
 use crate::raster::Projected;
 use crate::splat::Gaussians;
 use glam::DVec3;
 use std::collections::BTreeMap;
 
-/// Share of an object's Gaussians that lie beyond its box on each side: strays would make it as large as the scene.
+/// Share of an object's Gaussians beyond its box on each side. Strays would make the box as large as the scene.
 const BEYOND: f64 = 0.01;
 
 /// The Gaussians of one label.
@@ -15,10 +15,10 @@ pub struct Object {
     pub id: u16,
     /// Its Gaussians, ascending.
     pub rows: Vec<u32>,
-    /// Corners of a box around the centres of all but the outermost 1 % along each axis and side, one at least of three or
-    /// more, in the coordinates of [`Gaussians::means`].
+    /// Lower corner of a box around the centres, in the coordinates of [`Gaussians::means`]. The box leaves out the outermost 1 %
+    /// along each axis and side, at least one of three or more.
     pub low: DVec3,
-    /// The other corner.
+    /// Upper corner.
     pub high: DVec3,
 }
 
@@ -29,7 +29,7 @@ impl Object {
     }
 }
 
-/// The objects of a scene, ascending by id; every id that occurs is one.
+/// The objects of a scene, ascending by id. Every id that occurs is an object.
 ///
 /// # Panics
 /// If `labels` does not have one id a Gaussian.
@@ -62,11 +62,11 @@ pub fn inventory(gaussians: &Gaussians, labels: &[u16]) -> Vec<Object> {
 /// What a pixel shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Picked {
-    /// The label whose Gaussians have the largest summed alpha' T there; ties to the lower id.
+    /// The label whose Gaussians have the largest summed `alpha' T` there. Ties go to the lower id.
     pub id: u16,
     /// That sum, in (0, 1].
     pub weight: f64,
-    /// Where it is: the mean centre of its Gaussians by their weights, in the coordinates of [`Gaussians::means`].
+    /// Mean centre of its Gaussians by their weights, in the coordinates of [`Gaussians::means`].
     pub point: DVec3,
 }
 

@@ -1,37 +1,37 @@
-//! What is known of classes where the class table of a scene becomes one of objects.
+//! Classes and true labels from before association, which replaces the classes of a scene by objects.
 
 use crate::config::Association;
 use crate::data::{Classes, LabelRuns, Scene, Split, View};
 use crate::metrics::{SemanticScores, SemanticView, semantic_scores};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Whether labels of `view` can be scored: against its true labels, or where `association` makes objects of segments against
-/// true instances, or by the classes that `semantics` knows.
+/// Whether labels of `view` can be scored: against its true labels, or, where `association` makes objects of segments, against
+/// true instances or by the classes of `semantics`.
 pub fn has_truth(view: &View, association: Association, semantics: Option<&Semantics>) -> bool {
     match association {
         Association::None => view.truth.is_some(),
-        // Ids of objects are those of no truth.
+        // No true labels have the ids of objects.
         Association::Gaussians => {
             view.instances.is_some() || semantics.is_some_and(|semantics| semantics.knows(view))
         }
     }
 }
 
-/// Classes and true labels of a scene before association: what objects with classes are scored against.
+/// Classes and true labels of a scene before association, to score objects with classes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Semantics {
     /// The class table of the true labels.
     pub classes: Classes,
-    /// Ids of the classes whose segments are stuff.
+    /// Ids of the classes of stuff.
     pub stuff: BTreeSet<u16>,
     /// True labels of the test views by their names.
     truth: BTreeMap<String, LabelRuns>,
 }
 
 impl Semantics {
-    /// Of a scene as loaded, not yet associated; `None` where no segment has a class, or no test view true labels.
+    /// From a scene before association. `None` where no segment has a class, or no test view has true labels.
     pub fn of(scene: &Scene) -> Option<Self> {
-        let told = || {
+        let described = || {
             scene
                 .views
                 .iter()
@@ -42,11 +42,11 @@ impl Semantics {
             .split(Split::Test)
             .filter_map(|view| Some((view.name.clone(), view.truth.clone()?)))
             .collect();
-        let stuff = told()
+        let stuff = described()
             .filter(|(_, thing)| !thing)
             .map(|(class, _)| class)
             .collect();
-        (told().next().is_some() && !truth.is_empty()).then(|| Self {
+        (described().next().is_some() && !truth.is_empty()).then(|| Self {
             classes: scene.classes.clone(),
             stuff,
             truth,
@@ -58,7 +58,7 @@ impl Semantics {
         self.truth.contains_key(&view.name)
     }
 
-    /// Scores maps of objects, whose table is `objects`, in the views that have true labels.
+    /// Scores maps of objects in the views that have true labels. `objects` is their class table.
     pub fn score(&self, objects: &Classes, found: &[(&View, LabelRuns)]) -> SemanticScores {
         let maps = found.iter().filter_map(|(view, found)| {
             let truth = self.truth.get(&view.name)?;

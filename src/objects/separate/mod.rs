@@ -1,11 +1,11 @@
-//! Things of one label that do not touch, told apart: `chair` becomes `chair 1` and `chair 2`.
+//! Objects of one label that do not touch become labels of their own: `chair` becomes `chair 1` and `chair 2`.
 //!
-//! A Gaussian of opacity o is taken as the ellipsoid within which `o exp(-r^2 / 2)` exceeds [`Separation::level`]. Two of one label
-//! touch where their ellipsoids overlap (Perram and Wertheim 1985). Chains of Gaussians that touch are pieces; pieces of little
-//! area are strays, and belong with the piece nearest to them.
+//! A Gaussian of opacity o stands for the ellipsoid within which `o exp(-r^2 / 2)` exceeds [`Separation::level`]. Two of one label
+//! touch where their ellipsoids overlap (Perram and Wertheim 1985). Connected components are pieces. Pieces of little area are
+//! strays, and go to the nearest piece.
 
-mod body;
-mod chains;
+mod components;
+mod ellipsoid;
 mod naming;
 mod regions;
 
@@ -13,12 +13,12 @@ use crate::data::Classes;
 use crate::error::{Error, Result};
 use crate::segmentation::neighbours::PointIndex;
 use crate::splat::Gaussians;
-use body::Body;
-use chains::Chains;
+use components::connected_components;
+use ellipsoid::Ellipsoid;
 use naming::Naming;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What counts as touching, and as a thing.
+/// What counts as touching, and as an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Separation {
     /// Opacity at which a Gaussian ends, in (0, 1); a less opaque one touches nothing.
@@ -26,10 +26,10 @@ pub struct Separation {
     /// Pieces with less than this share of the area of their label's largest piece are strays, in [0, 1]. The area of a Gaussian is
     /// its opacity times its two larger standard deviations.
     pub smallest: f64,
-    /// Pieces of fewer solid Gaussians than this are strays too, but for the largest piece of a label.
+    /// Pieces of fewer solid Gaussians than this are strays too, except the largest piece of a label.
     pub fewest: usize,
-    /// Nearest Gaussians of the same label that each is compared with, at least 1; a large one with all whose centres lie as near as
-    /// its longest half-axis too.
+    /// Nearest Gaussians of the same label that each is compared with, at least 1. A large one is also compared with all whose
+    /// centres lie within its longest half-axis.
     pub neighbours: usize,
 }
 
@@ -50,14 +50,14 @@ impl Default for Separation {
 pub struct Separated {
     /// Label of each Gaussian.
     pub labels: Vec<u16>,
-    /// What the labels are: those of the scene, with the new ones behind.
+    /// The class table of the scene and the new labels.
     pub classes: Classes,
-    /// Labels that became several, each with its pieces from the largest on, the label itself first.
+    /// Labels that became several, each with its pieces, the largest first. That is the label itself.
     pub pieces: BTreeMap<u16, Vec<u16>>,
 }
 
 impl Separation {
-    /// Separates the things of each label that `wanted` says yes to. The largest piece keeps the label; others get ids above all
+    /// Separates the objects of each label that `wanted` accepts. The largest piece keeps the label. The others get ids above all
     /// those in use, and a name with the next free number.
     ///
     /// # Errors
@@ -95,7 +95,7 @@ impl Separation {
             }
             separated.pieces.insert(id, ids);
         }
-        // Without a table all labels are named, not the divided ones alone.
+        // Without a class table all labels get names, not only the divided ones.
         let unnamed = separated
             .labels
             .iter()
@@ -128,59 +128,66 @@ impl Separation {
         Ok(())
     }
 
-    /// Number of pieces that `rows` fall into, and which of them each is in, from the largest on.
+    /// The number of pieces of the Gaussians `rows`, and the piece of each of them. The largest piece is 0.
     fn pieces(&self, gaussians: &Gaussians, rows: &[u32]) -> Result<(usize, Vec<u32>)> {
-        let bodies: Vec<Option<Body>> = rows
-            .iter()
-            .map(|&row| Body::new(gaussians, row as usize, self.level))
-            .collect();
-        let solid: Vec<u32> = (0..)
-            .zip(&bodies)
-            .filter(|(_, body)| body.is_some())
-            .map(|(i, _)| i)
-            .collect();
+        let position = |i: usize| gaussians.means[rows[i] as usize];
+        let mut solid = Vec::new();
+        let mut ellipsoids = Vec::new();
+        for (i, &row) in rows.iter().enumerate() {
+            if let Some(ellipsoid) = Ellipsoid::new(gaussians, row as usize, self.level) {
+                solid.push(i);
+                ellipsoids.push(ellipsoid);
+            }
+        }
         if solid.len() < 2 {
             return Ok((1, vec![0; rows.len()]));
         }
-        let at = |i: u32| gaussians.means[rows[i as usize] as usize];
-        let points: Vec<[f32; 3]> = solid.iter().map(|&i| at(i)).collect();
-        let bodies: Vec<Body> = bodies.into_iter().flatten().collect();
-        let mut chains = Chains::of(&bodies, &points, self.neighbours)?;
-        // Area by chain, the chain being named by its first member.
-        let mut sizes: BTreeMap<u32, (f64, usize)> = BTreeMap::new();
-        for (k, body) in (0..).zip(&bodies) {
-            let (area, count) = sizes.entry(chains.first(k)).or_default();
-            (*area, *count) = (*area + body.area, *count + 1);
-        }
-        let mut order: Vec<(u32, (f64, usize))> = sizes.into_iter().collect();
-        order.sort_by(|(a, (large, _)), (b, (small, _))| small.total_cmp(large).then(a.cmp(b)));
-        let (first, (largest, _)) = order[0];
-        order.retain(|(of, (area, count))| {
-            *of == first || (*area >= self.smallest * largest && *count >= self.fewest)
-        });
-        let place: BTreeMap<u32, u32> = order
-            .iter()
-            .zip(0..)
-            .map(|((first, _), place)| (*first, place))
-            .collect();
-        let (mut of, mut known, mut kept) = (vec![u32::MAX; rows.len()], Vec::new(), Vec::new());
+        let points: Vec<[f32; 3]> = solid.iter().map(|&i| position(i)).collect();
+        let components = connected_components(&ellipsoids, &points, self.neighbours)?;
+        let places = self.ranked(&ellipsoids, &components);
+        let mut pieces = vec![u32::MAX; rows.len()];
+        let mut known = Vec::new();
+        let mut kept = Vec::new();
         for (k, &i) in solid.iter().enumerate() {
-            if let Some(&piece) = place.get(&chains.first(k as u32)) {
-                of[i as usize] = piece;
+            if let Some(&piece) = places.get(&components[k]) {
+                pieces[i] = piece;
                 known.push(piece);
                 kept.push(points[k]);
             }
         }
-        let strays: Vec<u32> = (0..)
-            .zip(&of)
-            .filter(|(_, piece)| **piece == u32::MAX)
-            .map(|(i, _)| i)
-            .collect();
-        let queries: Vec<[f32; 3]> = strays.iter().map(|&i| at(i)).collect();
+        let strays: Vec<usize> = (0..rows.len()).filter(|&i| pieces[i] == u32::MAX).collect();
+        let queries: Vec<[f32; 3]> = strays.iter().map(|&i| position(i)).collect();
         let (nearest, _) = PointIndex::new(&kept)?.nearest(&queries, 1)?;
-        for (&i, &at) in strays.iter().zip(&nearest.indices) {
-            of[i as usize] = known[at as usize];
+        for (&i, &place) in strays.iter().zip(&nearest.indices) {
+            pieces[i] = known[place as usize];
         }
-        Ok((order.len(), of))
+        Ok((places.len(), pieces))
     }
+
+    /// The components that are no strays with their ranks by area. A component is named by its first member.
+    fn ranked(&self, ellipsoids: &[Ellipsoid], components: &[u32]) -> BTreeMap<u32, u32> {
+        let mut sizes: BTreeMap<u32, Size> = BTreeMap::new();
+        for (component, ellipsoid) in components.iter().zip(ellipsoids) {
+            let size = sizes.entry(*component).or_default();
+            size.area += ellipsoid.area;
+            size.count += 1;
+        }
+        let mut order: Vec<(u32, Size)> = sizes.into_iter().collect();
+        order.sort_by(|(a, large), (b, small)| small.area.total_cmp(&large.area).then(a.cmp(b)));
+        let (first, Size { area: largest, .. }) = order[0];
+        let is_piece = |&(component, ref size): &(u32, Size)| {
+            let large = size.area >= self.smallest * largest && size.count >= self.fewest;
+            component == first || large
+        };
+        let pieces = order.into_iter().filter(is_piece);
+        pieces.map(|(component, _)| component).zip(0..).collect()
+    }
+}
+
+/// Size of a component.
+#[derive(Default)]
+struct Size {
+    area: f64,
+    /// Solid Gaussians.
+    count: usize,
 }

@@ -1,23 +1,23 @@
-//! Ids and names for what a label is divided into.
+//! Ids and names for the pieces of a label.
 
 use crate::data::{Class, Classes, ObjectOf, class_color};
 use crate::error::{Error, Result};
 use std::collections::{BTreeSet, HashMap, HashSet};
 
-/// Gives them out.
+/// Hands out free ids and names.
 pub(super) struct Naming {
-    /// The table so far.
+    /// The class table so far.
     pub classes: Classes,
     names: HashSet<String>,
-    /// Last number given after a name.
+    /// The last number used after each name.
     numbers: HashMap<String, u32>,
-    /// Ids that nothing has, the largest that were in use below the first of them.
+    /// Unused ids, taken from the back: first those above all used ones, then the rest.
     free: Vec<u16>,
 }
 
 impl Naming {
     pub fn new(labels: &[u16], classes: &Classes) -> Self {
-        // No table says which id stands for nothing: 0 is what every command writes.
+        // Without a class table 0 is unlabelled, as in every file that the commands write.
         let mut classes = classes.clone();
         if classes.is_empty() {
             classes.ignore = 0;
@@ -34,7 +34,6 @@ impl Naming {
             .rfind(|id| **id != classes.ignore)
             .copied()
             .unwrap_or(0);
-        // Above all others first, then what is left below; taken from the back.
         let order = (1..=largest).rev().chain((largest..=u16::MAX).rev());
         let free = order.filter(|id| !used.contains(id)).collect();
         let names = classes.entries.iter().map(|c| c.name.clone()).collect();
@@ -46,7 +45,7 @@ impl Naming {
         }
     }
 
-    /// Ids of the `pieces` of `id`, itself the first. Pieces are things, whatever the whole was.
+    /// Ids of the `pieces` of `id`; the first is `id`. Pieces are things, whatever the whole was.
     pub fn divide(&mut self, id: u16, pieces: usize) -> Result<Vec<u16>> {
         if pieces - 1 > self.free.len() {
             return Err(Error::Limit {
@@ -56,58 +55,42 @@ impl Naming {
                 help: "separate fewer labels, or call more pieces strays".into(),
             });
         }
-        let i = self.entry(id);
-        let whole = self.classes.entries[i].clone();
-        // A thing is numbered on: `chair 2` has the class name `chair`.
-        let numbered = whole
-            .object_of
-            .filter(|of| of.thing)
-            .and_then(|_| whole.name.rsplit_once(' '));
-        let base = numbered
-            .filter(|(_, number)| number.parse::<u32>().is_ok())
-            .map_or(&*whole.name, |(base, _)| base);
-        let of = ObjectOf {
+        let whole = self.entry(id).clone();
+        let base = base_name(&whole);
+        let object_of = Some(ObjectOf {
             class: whole.object_of.map_or(id, |of| of.class),
             thing: true,
-        };
-        let mut ids = vec![id];
-        self.classes.entries[i].object_of = Some(of);
+        });
         if base == whole.name {
-            self.classes.entries[i].name = self.next_name(base);
+            let name = self.next_name(base);
+            self.entry(id).name = name;
         }
+        let mut ids = vec![id];
         ids.extend((1..pieces).filter_map(|_| self.free.pop()));
         for &next in &ids[1..] {
             let name = self.next_name(base);
-            let at = self.classes.entries.partition_point(|c| c.id < next);
-            self.classes.entries.insert(
-                at,
-                Class {
-                    id: next,
-                    name,
-                    color: class_color(next),
-                    object_of: Some(of),
-                },
-            );
+            self.entry(next).name = name;
+        }
+        for &piece in &ids {
+            self.entry(piece).object_of = object_of;
         }
         Ok(ids)
     }
 
-    /// Where `id` stands in the table, which it is added to where it is missing.
-    pub fn entry(&mut self, id: u16) -> usize {
-        let i = self.classes.entries.partition_point(|c| c.id < id);
-        if self.classes.entries.get(i).is_none_or(|c| c.id != id) {
-            let name = format!("label {id}");
-            self.classes.entries.insert(
-                i,
-                Class {
-                    id,
-                    name,
-                    color: class_color(id),
-                    object_of: None,
-                },
-            );
+    /// The entry of `id` in the table. A missing one is added as `label ID`.
+    pub fn entry(&mut self, id: u16) -> &mut Class {
+        let entries = &mut self.classes.entries;
+        let i = entries.partition_point(|c| c.id < id);
+        if entries.get(i).is_none_or(|c| c.id != id) {
+            let class = Class {
+                id,
+                name: format!("label {id}"),
+                color: class_color(id),
+                object_of: None,
+            };
+            entries.insert(i, class);
         }
-        i
+        &mut entries[i]
     }
 
     fn next_name(&mut self, base: &str) -> String {
@@ -119,5 +102,14 @@ impl Naming {
                 return name;
             }
         }
+    }
+}
+
+/// The name without the number of a thing: `chair` for `chair 2`.
+fn base_name(class: &Class) -> &str {
+    let is_thing = class.object_of.is_some_and(|of| of.thing);
+    match class.name.rsplit_once(' ') {
+        Some((base, number)) if is_thing && number.parse::<u32>().is_ok() => base,
+        _ => &class.name,
     }
 }

@@ -1,62 +1,62 @@
-//! Bodies grouped by place, so that a search passes over a region all of whose bodies it need not look at.
+//! A bounding volume hierarchy over centres whose searches skip regions of one component.
 
 use glam::DVec3;
 use std::collections::HashSet;
 
-/// Bodies of a region that is not divided further, at most.
+/// Most ellipsoids of a region that is not divided further.
 const LEAF: usize = 16;
-/// The chain of a region whose bodies are in several.
+/// The component of a region whose ellipsoids belong to several.
 const SEVERAL: u32 = u32::MAX;
 
-/// A box, and the bodies in it.
+/// A box and the ellipsoids with centres in it.
 struct Region {
     low: DVec3,
     high: DVec3,
     /// Places in [`Regions::order`].
     first: usize,
     end: usize,
-    /// Number of the second half; the first half comes right behind its whole. 0 where it is not divided.
+    /// Number of the second half. The first half follows its whole. 0 for a leaf.
     second: usize,
-    /// Chain of all its bodies, or [`SEVERAL`].
-    chain: u32,
+    /// Component of all its ellipsoids, or [`SEVERAL`].
+    component: u32,
 }
 
-/// Halves of halves of a set of centres. A half has a higher number than its whole.
+/// The hierarchy. A half has a higher number than its whole.
 pub(super) struct Regions {
     regions: Vec<Region>,
-    /// Numbers of the bodies, those of a region side by side.
+    /// Numbers of the ellipsoids, those of a region side by side.
     order: Vec<u32>,
     /// Centre of each, in this order.
     centers: Vec<DVec3>,
-    /// Chain of each, in this order.
-    chains: Vec<u32>,
+    /// Component of each, in this order.
+    components: Vec<u32>,
 }
 
-/// What a search asks for.
+/// A search for ellipsoids that touch one.
 pub(super) struct Query {
     pub center: DVec3,
-    /// Centres no farther than this are looked at.
+    /// The search visits centres no farther than this.
     pub radius: f64,
-    /// Its own chain, whose bodies are passed over.
-    pub chain: u32,
+    /// Its own component, which the search skips.
+    pub component: u32,
 }
 
 impl Regions {
-    /// Of fewer than 2^32 - 1 bodies at `centers`, each a chain of its own until [`Regions::tell`] says otherwise.
+    /// Of fewer than 2^32 - 1 ellipsoids at `centers`, each a component of its own until [`Regions::set_components`].
     pub fn new(centers: &[DVec3]) -> Self {
         let order: Vec<u32> = (0..centers.len() as u32).collect();
-        let mut made = Self {
+        let mut regions = Self {
             regions: Vec::new(),
             order,
             centers: Vec::new(),
-            chains: Vec::new(),
+            components: Vec::new(),
         };
         if !centers.is_empty() {
-            made.divide(centers, 0, centers.len());
+            regions.divide(centers, 0, centers.len());
         }
-        made.centers = made.order.iter().map(|&i| centers[i as usize]).collect();
-        made.tell(|i| i);
-        made
+        regions.centers = regions.order.iter().map(|&i| centers[i as usize]).collect();
+        regions.set_components(|i| i);
+        regions
     }
 
     fn divide(&mut self, centers: &[DVec3], first: usize, end: usize) {
@@ -73,7 +73,7 @@ impl Regions {
             first,
             end,
             second: 0,
-            chain: SEVERAL,
+            component: SEVERAL,
         });
         if here.len() <= LEAF {
             return;
@@ -90,37 +90,39 @@ impl Regions {
         self.divide(centers, first + half, end);
     }
 
-    /// Says which chain each body is in.
-    pub fn tell(&mut self, mut chain: impl FnMut(u32) -> u32) {
-        self.chains = self.order.iter().map(|&i| chain(i)).collect();
+    /// Sets the component of each ellipsoid.
+    pub fn set_components(&mut self, mut component: impl FnMut(u32) -> u32) {
+        self.components = self.order.iter().map(|&i| component(i)).collect();
         for number in (0..self.regions.len()).rev() {
             let region = &self.regions[number];
             let shared = match region.second {
                 0 => {
-                    let here = &self.chains[region.first..region.end];
-                    if here.iter().all(|chain| *chain == here[0]) {
+                    let here = &self.components[region.first..region.end];
+                    if here.iter().all(|component| *component == here[0]) {
                         here[0]
                     } else {
                         SEVERAL
                     }
                 }
                 second => {
-                    let [a, b] = [number + 1, second].map(|half| self.regions[half].chain);
+                    let [a, b] = [number + 1, second].map(|half| self.regions[half].component);
                     if a == b { a } else { SEVERAL }
                 }
             };
-            self.regions[number].chain = shared;
+            self.regions[number].component = shared;
         }
     }
 
-    /// One body of each other chain that `touches` says yes to, where it does for any within reach, and how many regions and
-    /// bodies were looked at. Of a chain that is found no more are; the nearer half of a region comes first.
+    /// One ellipsoid of each other component that `touches` accepts within reach, and how many regions and ellipsoids the search
+    /// visited. It skips a component once it has found one of it, and visits the nearer half of a region first.
     pub fn touched(
         &self,
         query: &Query,
         mut touches: impl FnMut(u32) -> bool,
     ) -> (Vec<u32>, usize) {
-        let (mut found, mut met, mut looked) = (Vec::new(), HashSet::new(), 0);
+        let mut found = Vec::new();
+        let mut met = HashSet::new();
+        let mut visited = 0;
         let reach = query.radius * query.radius;
         let mut open: Vec<usize> = if self.regions.is_empty() {
             Vec::new()
@@ -129,9 +131,9 @@ impl Regions {
         };
         while let Some(number) = open.pop() {
             let region = &self.regions[number];
-            looked += 1;
-            if region.chain == query.chain
-                || met.contains(&region.chain)
+            visited += 1;
+            if region.component == query.component
+                || met.contains(&region.component)
                 || self.apart(number, query) > reach
             {
                 continue;
@@ -142,23 +144,23 @@ impl Regions {
                 open.extend(if a_is_nearer { [b, a] } else { [a, b] });
                 continue;
             }
-            looked += region.end - region.first;
+            visited += region.end - region.first;
             for place in region.first..region.end {
-                let (chain, body) = (self.chains[place], self.order[place]);
+                let (component, ellipsoid) = (self.components[place], self.order[place]);
                 let near = self.centers[place].distance_squared(query.center) <= reach;
-                if !near || chain == query.chain || met.contains(&chain) {
+                if !near || component == query.component || met.contains(&component) {
                     continue;
                 }
-                if touches(body) {
-                    met.insert(chain);
-                    found.push(body);
+                if touches(ellipsoid) {
+                    met.insert(component);
+                    found.push(ellipsoid);
                 }
             }
         }
-        (found, looked)
+        (found, visited)
     }
 
-    /// Squared distance of a query from a region's box; rounded as that of a centre in it is, and so no larger.
+    /// Squared distance of a query from a region's box. It rounds as that of a centre in the box does, so it is no larger.
     fn apart(&self, number: usize, query: &Query) -> f64 {
         let Region { low, high, .. } = &self.regions[number];
         query

@@ -1,4 +1,5 @@
 //! Tests of `coseg::metrics`.
 
 pub mod instance_metrics;
+pub mod properties;
 pub mod scores;

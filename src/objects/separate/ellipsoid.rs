@@ -3,16 +3,17 @@
 use crate::splat::{Gaussians, rotation};
 use glam::{DMat3, DVec3};
 
-/// Thickness of an ellipsoid at least, squared, as a share of the square of its size.
+/// The least squared thickness of an ellipsoid, as a share of its squared size.
 const FLATNESS: f64 = 1e-10;
-/// Golden section, and how often an interval is divided by it: to 1e-4 of its length.
+/// Golden section.
 const GOLDEN: f64 = 0.618_033_988_749_894_8;
+/// Divisions of an interval by the golden section: to 1e-4 of its length.
 const SECTIONS: usize = 20;
 
-/// The ellipsoid that a Gaussian is taken for.
-pub(super) struct Body {
+/// Where a Gaussian is more opaque than some level.
+pub(super) struct Ellipsoid {
     pub center: DVec3,
-    /// A, where the ellipsoid is x^T A^-1 x <= 1 about its centre.
+    /// A of x^T A^-1 x <= 1, x from the centre.
     shape: DMat3,
     /// Longest half-axis.
     pub longest: f64,
@@ -20,7 +21,7 @@ pub(super) struct Body {
     pub area: f64,
 }
 
-impl Body {
+impl Ellipsoid {
     /// `None` for a Gaussian less opaque than `level`.
     pub fn new(gaussians: &Gaussians, row: usize, level: f64) -> Option<Self> {
         let opacity = 1.0 / (1.0 + (-f64::from(gaussians.opacity_logits[row])).exp());
@@ -28,7 +29,7 @@ impl Body {
         let [a, b, c] = gaussians.log_scales[row].map(|s| f64::from(s).exp());
         let half = DVec3::new(a, b, c) * radius;
         let turned = DMat3::from_quat(rotation(&gaussians.rotations[row]));
-        // No ellipsoid is flat: a thickness far below what is seen keeps sums of two invertible.
+        // A thickness far below what is visible keeps sums of two shapes invertible.
         let squares = half * half + FLATNESS * half.length_squared();
         let shape = turned * DMat3::from_diagonal(squares) * turned.transpose();
         let area = opacity * (a * b).max(b * c).max(a * c);
@@ -45,12 +46,12 @@ impl Body {
         })
     }
 
-    /// Whether the ellipsoids overlap: the largest of K(s) = s (1 - s) d^T ((1 - s) A + s B)^-1 d over 0 < s < 1, which is concave, is
-    /// no more than 1.
+    /// Whether the ellipsoids overlap: the maximum of K(s) = s (1 - s) d^T ((1 - s) A + s B)^-1 d over 0 < s < 1 is no more than
+    /// 1 (Perram and Wertheim 1985). K is concave.
     pub fn touches(&self, other: &Self) -> bool {
         let apart = other.center - self.center;
-        let shadow = |body: &Self| apart.dot(body.shape * apart).sqrt();
-        // Their shadows on the line between the centres overlap: needed, and quickly told.
+        let shadow = |ellipsoid: &Self| apart.dot(ellipsoid.shape * apart).sqrt();
+        // A cheap test first: their projections on the line between the centres must overlap.
         if apart.length_squared() > shadow(self) + shadow(other) {
             return false;
         }
@@ -58,7 +59,7 @@ impl Body {
             let sum = self.shape * (1.0 - s) + other.shape * s;
             s * (1.0 - s) * apart.dot(sum.inverse() * apart)
         };
-        let (mut low, mut high) = (0.0, 1.0);
+        let [mut low, mut high] = [0.0, 1.0];
         let [mut left, mut right] = [1.0 - GOLDEN, GOLDEN];
         let [mut at_left, mut at_right] = [k(left), k(right)];
         for _ in 0..SECTIONS {
