@@ -6,7 +6,6 @@ pub(crate) mod elementary;
 #[cfg(feature = "cube")]
 pub(crate) mod gpu;
 pub(crate) mod host;
-pub(crate) mod matmul;
 pub(crate) mod real;
 pub(crate) mod simd;
 
