@@ -71,7 +71,7 @@ pub struct RenderArgs {
     split: SplitArg,
     #[command(flatten)]
     path: PathArgs,
-    /// Size of the images, pixels; another aspect shows more or less at the sides [default: the cameras']
+    /// Size of the images, pixels; another aspect shows more or less at the sides [default: as given]
     #[arg(long, value_name = "W,H", value_parser = parse_size)]
     size: Option<[usize; 2]>,
     /// Render the labels too

@@ -22,7 +22,7 @@ const PREFIX: &str = "path_";
 /// Arguments of a path.
 #[derive(Args, Debug)]
 pub struct PathArgs {
-    /// New views: through the cameras, or around the point that they look at
+    /// New views: through the cameras, or around what they look at
     #[arg(long, value_enum, value_name = "KIND")]
     path: Option<PathKind>,
     /// Frames of the path, evenly spaced [default: 120]

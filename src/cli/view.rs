@@ -39,13 +39,13 @@ pub struct ViewArgs {
     /// Page to write [default: viewer.html beside the scene, or in the folder]
     #[arg(long, value_name = "FILE.html")]
     out: Option<PathBuf>,
-    /// Views to start from, as `coseg render` takes them [default: cameras.json beside the scene, if it is there]
+    /// Views to start from, as `coseg render` takes them [default: cameras.json beside the scene]
     #[arg(long, value_name = "FILE.json|DIR")]
     cameras: Option<PathBuf>,
     /// Names of the labels [default: classes.json beside the scene, if it is there]
     #[arg(long, value_name = "FILE.json")]
     classes: Option<PathBuf>,
-    /// Which way is up in the world, such as 0,0,1 [default: that of the cameras, or 0,-1,0 without them]
+    /// Which way is up in the world, such as 0,0,1 [default: that of the cameras, or 0,-1,0]
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_direction, allow_hyphen_values = true)]
     up: Option<DVec3>,
     /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99 [default: the run's, or 0.999]

@@ -365,7 +365,7 @@ fn the_page_stands_alone() {
             "lamp &lt;tall&gt;",
             "table &amp; chairs",
             "+22.2",
-            "pi_rl = 0.9",
+            "iterations = 2000",
             "simulated",
         ] {
             assert!(page.contains(part), "{part} is not in the page");
