@@ -113,7 +113,7 @@ fn non_finite_points_are_named() {
     );
 }
 
-/// Variant i has mean (i, 0, 0), the given largest scale, opacity and mean gradient.
+/// Row i has mean (i, 0, 0), the given largest scale, opacity and mean gradient.
 fn population(rows: &[(f32, f32, f32)]) -> (Gaussians, GradientStatistics) {
     let mut g = Gaussians {
         sh_degree: 1,

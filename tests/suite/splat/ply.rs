@@ -85,7 +85,7 @@ fn the_layout_is_that_of_3dgs() {
         header.starts_with("ply\nformat binary_little_endian 1.0\n"),
         "{header}"
     );
-    // Variant 1, by hand: f_rest is channel-major, the host's SH is coefficient-major.
+    // Row 1, by hand: f_rest is channel-major, the host's SH is coefficient-major.
     let bytes = fs::read(&path).expect("read");
     assert_eq!(bytes.len(), header.len() + 2 * (26 * 4 + 2));
     let row = &bytes[header.len() + 26 * 4 + 2..];
