@@ -122,7 +122,7 @@ fn a_run_that_is_interrupted_saves_and_is_gone_on_with() {
 
     let mut running =
         Running::coseg(&[&resume[..], &["--set", "segmentation.weight_cache_mb=64"]].concat());
-    running.until("building: goes on after");
+    running.until("building: continues after");
     running.until("per_gaussian 5/");
     running.send("-TERM");
     let (code, said) = running.end();
