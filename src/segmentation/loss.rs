@@ -78,11 +78,18 @@ impl LabelLoss {
     }
 }
 
-/// (1 - p^q) / q for exponents `q`, `[P, 1]` or `[1, 1]`. 1 - exp(x) = 2 t / (1 + t) with t = tanh(-x / 2) keeps its digits
-/// near x = 0.
+/// (1 - p^q) / q for exponents `q`, `[P, 1]` or `[1, 1]`. Near p = 1 the difference 1 - exp(x) would lose its digits: there it
+/// is 2 t / (1 + t) with t = tanh(-x / 2), by the continued fraction of tanh, which is plain arithmetic on every device.
 fn generalised_cross_entropy(log_p: Tensor<2>, q: Tensor<2>) -> Tensor<2> {
-    let t = (log_p * (q.clone() * -0.5)).tanh();
-    t.clone() * (q.recip() * 2.0) / (t + 1.0)
+    let x = log_p * q.clone();
+    let half = (x.clone() * -0.5).clamp_max(1.0);
+    let square = half.clone() * half.clone();
+    let numerator = (square.clone() + 105.0) * square.clone() + 945.0;
+    let denominator = (square.clone() * 15.0 + 420.0) * square + 945.0;
+    let tanh = half * numerator / denominator;
+    let near = tanh.clone() * 2.0 / (tanh + 1.0);
+    let far = x.clone().exp().neg() + 1.0;
+    far.mask_where(x.greater_elem(-0.5), near) * q.recip()
 }
 
 /// Eq. 8 over Z, in closed form. With m = pi + (1 - pi) p_y the divergence to the label is -ln m; that to the prediction

@@ -124,20 +124,16 @@ fn nothing_left(totals: &[Total], least: f64) -> Error {
     let Some(largest) = pure.map(|total| total.weight / all).reduce(f64::max) else {
         let found = "gaussians, but others have most of the Gaussians of every group of segments";
         let expected = "segments of which several views show the same";
-        let help = format!(
-            "check that raw labels and photos belong together, or raise association.sweeps; {NONE}"
-        );
+        let help = format!("check that raw labels and photos belong together; {NONE}");
         return Error::config("data.association", found, expected, help);
     };
     let dropped = totals.iter().filter(|total| total.weight > 0.0).count();
-    let found = format!("{least}, which drops all {dropped} groups of segments");
-    let expected = format!("less than {largest:.2e}, the share of the largest one");
-    Error::config(
-        "association.min_weight",
-        found,
-        expected,
-        "set a smaller share",
-    )
+    let found = format!(
+        "gaussians, but all {dropped} groups of segments are small: the largest has {largest:.2e} of the weight"
+    );
+    let expected = format!("a group of at least {least}");
+    let help = format!("give a segmentation of larger things, or more views of them; {NONE}");
+    Error::config("data.association", found, expected, help)
 }
 
 #[cfg(test)]
@@ -153,10 +149,11 @@ mod tests {
         };
         let message = said(&[(3.0, 0.9), (0.0, 0.0), (1.0, 1.0), (4.0, 0.1)], 0.6);
         for part in [
-            "association.min_weight: found 0.6",
+            "data.association",
             "all 3 groups",
-            "less than 3.75e-1",
-            "smaller share",
+            "the largest has 3.75e-1",
+            "at least 0.6",
+            "larger things",
         ] {
             assert!(message.contains(part), "{part}: {message}");
         }

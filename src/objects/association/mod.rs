@@ -277,7 +277,7 @@ fn listed(groups: &Groups, assigned: &[Assigned<'_>]) -> Result<(Vec<u32>, Vec<G
             what: "groups of segments".into(),
             found: kept.len().to_string(),
             limit: (u16::MAX - 1).to_string(),
-            help: "raise association.min_weight, or give a segmentation of larger things".into(),
+            help: "give a segmentation of larger things".into(),
         });
     }
     let group = |(&group, id)| Group {

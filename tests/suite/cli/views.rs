@@ -465,7 +465,7 @@ fn files_that_are_something_else_are_named() {
     refused(
         &run.join("other.ply"),
         &[],
-        &["--cameras", "nothing", "cameras.json is not there"],
+        &["--cameras", "nothing", "cameras.json does not exist"],
     );
     refused(
         &run.join("other.ply"),

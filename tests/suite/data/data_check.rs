@@ -361,7 +361,7 @@ fn manifests_say_what_is_missing() {
     );
     for part in [
         "v6.png",
-        "as 1 more of 8",
+        "and 1 more of 8 are missing",
         "classes.json: size",
         "expected 3 bytes",
         "plates.ply: sha256",
