@@ -92,6 +92,20 @@ fn generalised_cross_entropy(log_p: Tensor<2>, q: Tensor<2>) -> Tensor<2> {
     far.mask_where(x.greater_elem(-0.5), near) * q.recip()
 }
 
+/// ln(1 + x) for x > -1. Near 0 it is 2 artanh(x / (2 + x)) by its series: GPUs round 1 + x before they take the logarithm.
+fn log1p(x: Tensor<2>) -> Tensor<2> {
+    const NEAR: f64 = 0.125;
+    let near = x.clone().clamp(-NEAR, NEAR);
+    let z = near.clone() / (near + 2.0);
+    let square = z.clone() * z.clone();
+    let mut series = square.clone() * (1.0 / 13.0) + 1.0 / 11.0;
+    for divisor in [9.0, 7.0, 5.0, 3.0, 1.0] {
+        series = series * square.clone() + 1.0 / divisor;
+    }
+    let is_near = x.clone().abs().lower_elem(NEAR);
+    (x + 1.0).log().mask_where(is_near, z * series * 2.0)
+}
+
 /// Eq. 8 over Z, in closed form. With m = pi + (1 - pi) p_y the divergence to the label is -ln m; that to the prediction
 /// is p_y ln(p_y / m) - (1 - p_y) ln(1 - pi).
 fn jensen_shannon(own: OwnClass, pi: f64) -> Tensor<2> {
@@ -101,13 +115,13 @@ fn jensen_shannon(own: OwnClass, pi: f64) -> Tensor<2> {
     let missing = rest.clone() * (1.0 - pi);
     let log_m = (p.clone() * (1.0 - pi) + pi).log().mask_where(
         missing.clone().lower_elem(0.5),
-        missing.clamp_max(0.5).neg().log1p(),
+        log1p(missing.clamp_max(0.5).neg()),
     );
     // ln(m / p) = ln(1 + pi (1 - p) / p): likewise. The divisor keeps the branch that is not taken finite.
     let excess = rest.clone() * pi;
     let divisor = p.clone().max_pair(excess.clone());
     let log_m_over_p = (log_m.clone() - log_p)
-        .mask_where(excess.clone().lower(p.clone()), (excess / divisor).log1p());
+        .mask_where(excess.clone().lower(p.clone()), log1p(excess / divisor));
     let prediction = rest * -log_rest_weight - p * log_m_over_p;
     let z = -(1.0 - pi) * log_rest_weight;
     log_m * (-pi / z) + prediction * ((1.0 - pi) / z)
@@ -136,7 +150,7 @@ impl OwnClass {
         let own_power = shift.clone().neg().exp();
         let others = ((margins.clone() - shift.clone()).exp() * (own.neg() + 1.0)).sum_dim(1);
         let total = others.clone() + own_power.clone();
-        let log_p = ((others.clone() + (own_power.clone() - 1.0)).log1p() + shift).neg();
+        let log_p = (log1p(others.clone() + (own_power.clone() - 1.0)) + shift).neg();
         let sum_of_logs =
             (classes > 1).then(|| margins.sum_dim(1) + log_p.clone() * classes as f64);
         Self {

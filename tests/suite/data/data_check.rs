@@ -376,7 +376,7 @@ fn manifests_say_what_is_missing() {
             ["line 5", "blender"],
         ),
         ("ignore = 0", "ignored = 0", ["line", "ignored"]),
-        ("split", "classes = \"coco\"\nsplit", ["classes", "coco"]),
+        ("split", "classes = \"coco\"\nsplit", ["line 6", "coco"]),
     ] {
         fs::write(&path, text.replacen(from, to, 1)).unwrap();
         let message = Manifest::read(&path).unwrap_err().to_string();

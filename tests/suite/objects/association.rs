@@ -241,7 +241,7 @@ fn nothing_to_put_together_is_an_error() {
 }
 
 #[test]
-fn no_group_that_is_left_is_an_error_that_a_smaller_share_mends() {
+fn no_group_that_is_left_is_an_error() {
     let (gaussians, scene) = plate_scene();
     let all = AssociationConfig {
         min_weight: 1.0,
@@ -251,11 +251,11 @@ fn no_group_that_is_left_is_an_error_that_a_smaller_share_mends() {
     crate::support::assert_names(
         &error,
         &[
-            "association.min_weight",
-            "found 1",
+            "data.association",
             "all 4 groups",
-            "less than",
-            "smaller share",
+            "the largest has",
+            "at least 1",
+            "larger things",
         ],
     );
     let folder = tempfile::tempdir().expect("folder");
@@ -270,7 +270,7 @@ fn no_group_that_is_left_is_an_error_that_a_smaller_share_mends() {
     let error = run(&config, &out, &crate::support::device(), &mut Silent)
         .err()
         .expect("none left");
-    crate::support::assert_names(&error, &["association.min_weight", "smaller share"]);
+    crate::support::assert_names(&error, &["data.association", "larger things"]);
     // What was built stays.
     let built = fs::read(out.join("checkpoint/building.safetensors")).expect("checkpoint");
     config.association = AssociationConfig::default();
