@@ -153,10 +153,13 @@ impl OwnClass {
         let log_p = (log1p(others.clone() + (own_power.clone() - 1.0)) + shift).neg();
         let sum_of_logs =
             (classes > 1).then(|| margins.sum_dim(1) + log_p.clone() * classes as f64);
+        let p = own_power / total.clone();
+        // Each form keeps the digits of values and gradients where the other cancels.
+        let rest = (others / total).mask_where(p.clone().lower_elem(0.5), p.clone().neg() + 1.0);
         Self {
             log_p,
-            p: own_power / total.clone(),
-            rest: others / total,
+            p,
+            rest,
             sum_of_logs,
         }
     }
