@@ -1,38 +1,28 @@
 //! Segmented 3D Gaussian scenes from posed photos and noisy 2D label maps.
 //!
-//! Two stages, as in the paper *CoSegGaussians: Compact and Swift Scene Segmenting 3D Gaussians with Dual Feature Fusion*
-//! (arXiv 2401.05925): Gaussians are built from the photos ([`reconstruction::Trainer`]); then image features, unprojected onto
-//! them ([`segmentation::unprojection`]), and features of a point encoder ([`segmentation::randla`]) are fused by a decoder
-//! that learns from the label maps under a loss that stands noise ([`train::segmentation`]). [`train::run`] does both, and
-//! is what `coseg train` calls. What departs from the paper is a setting, named by `preset = "paper"` ([`config`]).
+//! The crate implements *CoSegGaussians: Compact and Swift Scene Segmenting 3D Gaussians with Dual Feature Fusion*
+//! (arXiv 2401.05925). `preset = "paper"` ([`config`]) restores the paper's own choices.
 //!
-//! # Parts that stand alone
+//! ```text
+//! photos -> reconstruct -> (associate) -> lift -> encode -> decode -> identities -> label maps and objects
+//! ```
 //!
-//! | what | where |
+//! [`pipeline::run`] calls these steps in order. `docs/architecture.md` has the pipeline with its types.
+//!
+//! | paper | module |
 //! |---|---|
-//! | a differentiable rasterizer of N channels, as an operation of burn | [`raster::rasterize`] |
-//! | one view's blending as a linear map and its adjoint, on the CPU in `f32` or `f64` | [`raster::Projected`] |
-//! | scenes in the layouts of nerfstudio, COLMAP, Replica, ScanNet | [`data::load`] |
-//! | 3DGS PLY files with labels, hostile ones included | [`gaussians::ply`] |
-//! | clone, split and prune; relocation of 3DGS-MCMC | [`gaussians::densify`], [`gaussians::relocate`] |
-//! | a vote of label maps, objects from masks with ids of their view alone, picking | [`objects`] |
-//! | new views: paths through cameras, circles around things | [`camera_path`] |
-//! | a scene as a page for the browser | [`viewer::Viewer`] |
-//! | DINO, MobileNetV2 and weight-free features of an image | [`features`] |
+//! | Eq. 1 to 4, rendering in N channels | [`raster`] |
+//! | Eq. 5, Algorithm 1, unprojection | [`segmentation::unprojection`] |
+//! | Eq. 6, RandLA-Net | [`segmentation::randla`] |
+//! | Eq. 7, decoder | [`segmentation::decoder`] |
+//! | Eq. 8 to 10, CoSeg loss | [`segmentation::loss`] |
+//! | stage one | [`reconstruction`] |
+//! | stage two | [`pipeline::train_decoder`] |
 //!
-//! `examples/` has the rasterizer in a training loop of burn's own optimiser, and features lifted onto Gaussians.
+//! Operations run on ndarray and flex by CPU kernels in f32 or f64, and on wgpu by CubeCL kernels in f32.
 //!
-//! # One code, several backends
-//!
-//! Operations of this crate run on burn's ndarray and flex backends by kernels for the CPU (AVX2 and AVX-512 chosen at run
-//! time), in `f32` or `f64`; on wgpu most by CubeCL kernels, in `f32`, the rest by burn's. cuda, by name alone, is type-checked and was
-//! never run. [`device::open`] takes a GPU where there is one, else a CPU backend.
-//!
-//! # Conventions
-//!
-//! Cameras look along +z with x right and y down, pixel centres at half integers ([`camera`]). Gaussians are kept unactivated, as
-//! their PLY stores them ([`gaussians::Gaussians`]). Class id 0 is unlabelled unless `classes.json` says otherwise. Every error
-//! is an [`Error`] that names what was found, what was expected and what mends it.
+//! Cameras look along +z with x right and y down, pixel centres at half integers. Gaussians are stored unactivated, as in their
+//! PLY. Class id 0 is unlabelled unless `classes.json` says otherwise.
 //!
 //! ```
 //! use coseg::splat::camera::{Camera, Intrinsics};
