@@ -1,5 +1,5 @@
 //! What every custom burn operation of this crate stands on: kernels are plain slices-in, slices-out Rust, and
-//! [`HostBackend`] lends them the contents of a tensor on any backend.
+//! `HostBackend` lends them the contents of a tensor on any backend.
 
 mod adam;
 mod assignment;

@@ -127,7 +127,7 @@ impl SplatView {
     /// `S = W s` of `values` `[N, C]`, the image `[H, W, C]` with gradient to them, and the transmittance `[H, W]` (Eq. 3-4).
     ///
     /// # Errors
-    /// [`Error::Argument`] for tensors of different sizes or float types; those of [`Projected::new`]; on a GPU [`Error::Limit`]
+    /// [`Error::Argument`] for tensors of different sizes or float types; those of `Projected::new`; on a GPU [`Error::Limit`]
     /// for what the device cannot hold, and [`Error::Device`] when it fails.
     pub fn blend(&self, values: Tensor<2>) -> Result<(Tensor<3>, Tensor<2>)> {
         let (n, rows) = (self.splats.len(), values.dims()[0]);
