@@ -47,7 +47,7 @@ impl<E: Real> TilePairs<'_, E> {
 
 impl<E: Real> Projected<E> {
     /// Runs `f` over all tiles in parallel, with the tile's number (row-major) and its part of `entries`, which has
-    /// [`Stats::tile_entries`](super::Stats::tile_entries) of them: the tile's Gaussians in order, those behind
+    /// `Stats::tile_entries` of them: the tile's Gaussians in order, those behind
     /// [`TilePairs::len`] too. The results are in order of the tiles.
     ///
     /// # Panics
