@@ -5,8 +5,8 @@ use crate::config::{Config, Variant};
 use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::features::SCALES;
-use crate::pipeline::train_decoder::{ClassRecall, Plan, train_step};
-use crate::pipeline::{Inputs, LiftedFeatures, Spatial, decoder_row};
+use crate::pipeline::train_decoder::Plan;
+use crate::pipeline::{Inputs, LiftedFeatures, decoder_training, encode};
 use crate::random::{Purpose, stream};
 use crate::raster::Settings;
 use crate::segmentation::loss::LabelLoss;
@@ -40,27 +40,27 @@ pub(super) fn measure(
         settings: Settings::from(&config.raster),
         device: &bench.device,
     };
-    let mut spatial = Spatial::default();
     let mut encoding = Samples::default();
-    let source = encoding.time(|| spatial.source(Variant::Ours, &inputs))?;
+    let encodings = encoding.time(|| encode(&inputs, &config.spatial))?;
     findings.measured(case, "point encoder and its neighbours", "s", &encoding);
-    let mut training = inputs.training_views();
-    let plan = Plan::new(
-        &config.segmentation,
-        LabelLoss::from_config(&config.segmentation)?,
-        config.seed,
-    );
-    let lr = config.segmentation.lr;
-    let mut model = decoder_row(Variant::Ours, lr, &plan, source, &inputs, &mut training)?;
-    let mut recalls = ClassRecall::new(training.classes());
-    // The first pass over the views computes their weights. All steps are after the warm-up of the loss.
-    let start = plan.warmup.next_multiple_of(views);
+    let input = encodings.decoder_input(Variant::Ours, &inputs)?;
+    let settings = &config.segmentation;
+    let plan = Plan {
+        // All steps are after the warm-up of the loss.
+        warmup: 0,
+        ..Plan::new(settings, LabelLoss::from_config(settings)?, config.seed)
+    };
+    let classes = scene.classes.len();
+    let prior = vec![0.0; gaussians.len() * classes];
+    let mut training = decoder_training(Variant::Ours, &plan, &input, Some(prior), &inputs, views);
+    let mut training_views = inputs.training_views();
+    // The first pass over the views computes their weights.
     let counted = bench.effort.repeats.max(1) * bench.effort.steps;
     let mut first = Samples::default();
     let mut rest = Samples::default();
     for i in 0..views + counted {
         let samples = if i < views { &mut first } else { &mut rest };
-        samples.time(|| train_step(&mut model, &mut training, &plan, &mut recalls, start + i))?;
+        samples.time(|| training.step(&mut training_views, &plan))?;
     }
     findings.measured(case, "a step", "ms", &rest.scaled(1e3));
     let name = "the first step on a view, with its weights";

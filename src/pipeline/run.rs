@@ -5,7 +5,7 @@ use super::encode::Inputs;
 use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
-use super::variants::{VariantOutcome, run_rows};
+use super::variants::{VariantOutcome, train_variants};
 use crate::config::{Association, Config, Variant};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::Result;
@@ -207,12 +207,12 @@ pub fn run(
                     settings: Settings::from(&config.raster),
                     device,
                 };
-                let trained = run_rows(&inputs, &files.checkpoints, progress)?;
+                let trained = train_variants(&inputs, &files.checkpoints, progress)?;
                 outcome.rows = trained.rows;
                 outcome.spatial = trained.spatial;
                 stopped = trained.stopped;
-                earlier_stage_two = trained.earlier;
-                outcome.seconds.segmentation = clock.elapsed().as_secs_f64() + trained.earlier;
+                earlier_stage_two = outcome.rows.iter().map(|row| row.earlier_seconds).sum();
+                outcome.seconds.segmentation = clock.elapsed().as_secs_f64() + earlier_stage_two;
             }
             None => stopped = true,
         }

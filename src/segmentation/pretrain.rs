@@ -6,13 +6,12 @@ use super::decoder::{Decoder, DecoderConfig};
 use super::encoder::{Cloud, encode, encoder_input, random_weights};
 use super::loss::{CoSegLoss, LabelLoss};
 use super::pixels::UNLABELLED;
-use super::probe::{LabelledCloud, Scores, best};
 use super::pyramid::{Level, Pyramid, Switches};
 use super::randla::{Form, LAYERS, NEIGHBOURS, RATIO, RandlaEncoder, host};
 use super::sampling::Hierarchy;
 use crate::data::builtin::{PRETRAINING_SEEDS, classes, labelled_points};
 use crate::error::{Error, Result};
-use crate::metrics::Confusion;
+use crate::metrics::{Confusion, Void};
 use crate::weights::Checkpoint;
 use burn::module::Module;
 use burn::optim::{AdamConfig, GradientsParams};
@@ -71,6 +70,33 @@ pub struct PretrainProgress {
     pub steps: [usize; 2],
     /// Loss of the last step.
     pub loss: f32,
+}
+
+/// Labelled points of one room.
+#[derive(Clone, Debug, Default)]
+pub struct LabelledCloud {
+    /// `[N, 3]` metres, z up.
+    pub positions: Vec<[f32; 3]>,
+    /// `[N]` class indices, [`UNLABELLED`] where there is none.
+    pub labels: Vec<u16>,
+}
+
+/// How well labels can be told.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Scores {
+    /// Share of labelled points told right.
+    pub accuracy: f64,
+    /// Mean IoU over the classes present, all rooms together.
+    pub miou: f64,
+}
+
+impl From<&Confusion> for Scores {
+    fn from(confusion: &Confusion) -> Self {
+        Self {
+            accuracy: confusion.accuracy(Void::Wrong).unwrap_or_default(),
+            miou: confusion.miou(Void::Wrong).unwrap_or_default(),
+        }
+    }
 }
 
 /// A pretrained encoder and how well its own head tells the classes of held-out rooms.
@@ -299,6 +325,13 @@ fn balanced(labels: &[u16], rng: &mut ChaCha8Rng) -> Vec<u16> {
     kept
 }
 
+/// Index of the largest logit of each row.
+fn best_classes(logits: Tensor<2>) -> Vec<usize> {
+    let best = logits.argmax(1).into_data().convert::<i64>();
+    let best: Vec<i64> = best.into_vec().unwrap_or_default();
+    best.into_iter().map(|class| class as usize).collect()
+}
+
 /// Freezes the encoder, scores it as it will be used, and writes its notes.
 fn finish(
     student: Student,
@@ -328,11 +361,11 @@ fn finish(
                 ..Switches::default()
             },
         )?;
-        let logits = host(head.classify(head.forward(&pyramid).hidden));
+        let logits = head.classify(head.forward(&pyramid).hidden);
         let truth = cloud.labels.iter().map(|&l| usize::from(l));
-        confusion.add(truth, best(&logits, classes().len()));
+        confusion.add(truth, best_classes(logits));
     }
-    let scores = Scores::of(&confusion);
+    let scores = Scores::from(&confusion);
     let tenth = losses.len().div_ceil(10).max(1);
     for (key, value) in [
         ("command", format!("coseg pretrain --seed {}", options.seed)),

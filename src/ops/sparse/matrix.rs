@@ -141,52 +141,39 @@ impl SparseMatrix {
     /// The rows `rows` in that order.
     #[must_use]
     pub fn select_rows(&self, rows: &[u32]) -> Self {
-        let mut out = Self::unchecked(
-            self.columns,
-            Vec::with_capacity(rows.len() + 1),
-            Vec::new(),
-            Vec::new(),
-        );
-        out.offsets.push(0);
-        out.append_rows(self, rows);
-        out
+        let entries = rows.iter().map(|&r| self.row(r as usize).0.len()).sum();
+        let mut offsets = Vec::with_capacity(rows.len() + 1);
+        let mut indices = Vec::with_capacity(entries);
+        let mut values = Vec::with_capacity(entries);
+        offsets.push(0);
+        for &r in rows {
+            let (columns, of_row) = self.row(r as usize);
+            indices.extend_from_slice(columns);
+            values.extend_from_slice(of_row);
+            offsets.push(indices.len() as u32);
+        }
+        Self::unchecked(self.columns, offsets, indices, values)
     }
 
-    /// The rows `rows` for inputs of `classes` channels laid side by side, `[columns classes, 1]`: row r reads channel
+    /// The same rows for inputs of `classes` channels laid side by side, `[columns classes, 1]`: row r reads channel
     /// `channels[r]` alone.
     #[must_use]
-    pub(crate) fn select_channels(
-        &self,
-        rows: &[u32],
-        channels: impl Iterator<Item = u32>,
-        classes: u32,
-    ) -> Self {
-        let mut out = self.select_rows(rows);
-        for (r, channel) in channels.enumerate() {
-            let span = out.offsets[r] as usize..out.offsets[r + 1] as usize;
-            let entries = &mut out.indices[span];
-            entries.iter_mut().for_each(|i| *i = *i * classes + channel);
+    pub(crate) fn of_channels(&self, channels: &[u16], classes: usize) -> Self {
+        let mut indices = Vec::with_capacity(self.indices.len());
+        for (r, &channel) in channels.iter().enumerate() {
+            let read = |&column: &u32| column * classes as u32 + u32::from(channel);
+            indices.extend(self.row(r).0.iter().map(read));
         }
-        out.columns *= classes as usize;
-        out
+        let (offsets, values) = (self.offsets.clone(), self.values.clone());
+        Self::unchecked(self.columns * classes, offsets, indices, values)
     }
 
-    /// Adds the rows `rows` of `other`, in that order.
-    ///
-    /// # Panics
-    /// If `other` has another number of columns.
-    pub fn append_rows(&mut self, other: &Self, rows: &[u32]) {
-        assert_eq!(self.columns, other.columns, "append_rows: columns");
-        for &r in rows {
-            let (columns, values) = other.row(r as usize);
-            self.indices.extend_from_slice(columns);
-            self.values.extend_from_slice(values);
-            self.offsets.push(self.indices.len() as u32);
-        }
-        #[cfg(feature = "cube")]
-        {
-            self.resident = ResidentMatrix::default();
-        }
+    /// The columns that hold an entry, ascending.
+    pub(crate) fn used_columns(&self) -> Vec<u32> {
+        let mut used = vec![false; self.columns];
+        self.indices.iter().for_each(|&c| used[c as usize] = true);
+        let columns = (0..).zip(used).filter(|(_, used)| *used);
+        columns.map(|(column, _)| column).collect()
     }
 
     /// The matrix over `columns` (ascending, below [`SparseMatrix::columns`]) alone.

@@ -1,9 +1,11 @@
 //! Pretraining on procedural rooms: it learns, it repeats, and what it stores is what it trained.
 
+use crate::support::point_probe::linear_probe;
 use coseg::segmentation::encoder::random_weights;
 use coseg::segmentation::pixels::UNLABELLED;
-use coseg::segmentation::pretrain::{PretrainOptions, TrainedEncoder, pretrain, room};
-use coseg::segmentation::probe::{LabelledCloud, linear_probe};
+use coseg::segmentation::pretrain::{
+    LabelledCloud, PretrainOptions, TrainedEncoder, pretrain, room,
+};
 use coseg::segmentation::randla::{Form, RandlaEncoder};
 use coseg::weights::Checkpoint;
 use coseg::{Error, Result};

@@ -3,6 +3,7 @@
 pub mod dino_reference;
 pub mod linear_probe;
 pub mod plates;
+pub mod point_probe;
 pub mod raster_reference;
 pub mod spoilt_masks;
 pub mod torch_file;
