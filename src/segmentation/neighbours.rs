@@ -58,12 +58,7 @@ impl PointIndex {
     pub fn new(points: &[[f32; 3]]) -> Result<Self> {
         check_finite("points", points)?;
         if u32::try_from(points.len()).is_err() {
-            return Err(Error::Limit {
-                what: "points in a neighbour search".into(),
-                found: points.len().to_string(),
-                limit: u32::MAX.to_string(),
-                help: "use fewer points".into(),
-            });
+            return Err(too_many(points.len().to_string()));
         }
         let points: Vec<[f64; 3]> = points.iter().map(wide).collect();
         let mut members: Vec<u32> = (0..points.len() as u32).collect();
@@ -79,16 +74,11 @@ impl PointIndex {
             }
         }
         offsets.push(members.len() as u32);
-        let tree = match unique.is_empty() {
-            true => None,
-            false => Some(
-                ImmutableKdTree::new_from_slice(&unique).map_err(|e| Error::Limit {
-                    what: "points in a neighbour search".into(),
-                    found: e.to_string(),
-                    limit: u32::MAX.to_string(),
-                    help: "use fewer points".into(),
-                })?,
-            ),
+        let tree = if unique.is_empty() {
+            None
+        } else {
+            let tree = ImmutableKdTree::new_from_slice(&unique);
+            Some(tree.map_err(|e| too_many(e.to_string()))?)
         };
         Ok(Self {
             points,
@@ -158,6 +148,23 @@ impl PointIndex {
         Ok((Neighbours { k, indices }, distances))
     }
 
+    /// The points within `radius` of `query`, in no order.
+    pub fn within(&self, query: [f64; 3], radius: f64) -> impl Iterator<Item = u32> {
+        let near = self.tree.as_ref().map(|tree| {
+            let query = tree
+                .query(&query)
+                .within::<SquaredEuclidean<f64>>(radius * radius);
+            query.unsorted().execute()
+        });
+        let groups = near.into_iter().flatten().map(|hit| hit.item as usize);
+        groups.flat_map(|group| self.group(group).iter().copied())
+    }
+
+    /// The points of one position.
+    fn group(&self, group: usize) -> &[u32] {
+        &self.members[self.offsets[group] as usize..self.offsets[group + 1] as usize]
+    }
+
     /// Puts the nearest `k` points (fewer in a small set) into `found` as (squared distance, index), ascending.
     fn collect(&self, query: &[f64; 3], k: usize, found: &mut Vec<(f64, u32)>) {
         found.clear();
@@ -172,9 +179,7 @@ impl PointIndex {
             .nearest_n::<SquaredEuclidean<f64>>(wanted)
             .execute();
         let mut add = |group: u32| {
-            let span =
-                self.offsets[group as usize] as usize..self.offsets[group as usize + 1] as usize;
-            let members = &self.members[span];
+            let members = self.group(group as usize);
             let distance = squared_distance(&self.points[members[0] as usize], query);
             found.extend(members.iter().take(k + 1).map(|&m| (distance, m)));
         };
@@ -235,6 +240,15 @@ fn fill(row: &mut [u32], first: usize, found: impl Iterator<Item = u32>) {
     }
     for i in end..row.len() {
         row[i] = row[i - end];
+    }
+}
+
+fn too_many(found: String) -> Error {
+    Error::Limit {
+        what: "points in a neighbour search".into(),
+        found,
+        limit: u32::MAX.to_string(),
+        help: "use fewer points".into(),
     }
 }
 
