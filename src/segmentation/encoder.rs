@@ -1,7 +1,9 @@
 //! The frozen spatial encoder of a run: which weights, and a cloud of Gaussian centres turned into features (Eq. 6).
 
 use super::neighbours::{Neighbours, check_finite};
-use super::randla::{Form, LAYERS, NEIGHBOURS, POSITION_CHANNELS, RATIO, RandlaEncoder, tensor};
+use super::randla::{
+    LAYERS, NEIGHBOURS, POSITION_CHANNELS, RATIO, RandlaEncoder, block_name, tensor,
+};
 use super::sampling::Hierarchy;
 use crate::config::{SpatialConfig, SpatialSource};
 use crate::error::{Error, Result};
@@ -253,10 +255,8 @@ pub fn load_spatial(
             (weights, format!("pretrained {}", path.display()))
         }
     };
-    Ok((
-        RandlaEncoder::load(&weights, Form::Frozen, &device.clone().inner())?,
-        name,
-    ))
+    let encoder = RandlaEncoder::load(&weights, &device.clone().inner())?;
+    Ok((encoder, name))
 }
 
 /// SHA-256 of the weights that `config` asks for; of random ones, which their seed says, none.
@@ -290,7 +290,6 @@ pub fn random_weights(inputs: usize, seed: u64) -> Checkpoint {
     add_random_mlp(&mut weights, "fc0", [inputs, WIDTHS[0]], &mut rng);
     let mut input = WIDTHS[0];
     for (n, &d) in WIDTHS[1..].iter().enumerate() {
-        let block = |part: &str| format!("dilated_res_blocks.{n}.{part}");
         for (part, shape) in [
             ("mlp1", [input, d / 2]),
             ("lfa.mlp1", [POSITION_CHANNELS, d / 2]),
@@ -300,17 +299,10 @@ pub fn random_weights(inputs: usize, seed: u64) -> Checkpoint {
             ("mlp2", [d, 2 * d]),
             ("shortcut", [input, 2 * d]),
         ] {
-            add_random_mlp(&mut weights, &block(part), shape, &mut rng);
+            add_random_mlp(&mut weights, &block_name(n, part), shape, &mut rng);
         }
-        for stage in [1, 2] {
-            let values = he_uniform(d * d, d, &mut rng);
-            weights.insert(
-                &block(&format!("lfa.att_pooling_{stage}.fc.weight")),
-                HostTensor {
-                    shape: vec![d, d],
-                    values,
-                },
-            );
+        for stage in ["lfa.att_pooling_1.fc.weight", "lfa.att_pooling_2.fc.weight"] {
+            add_random_matrix(&mut weights, &block_name(n, stage), [d, d], &mut rng);
         }
         input = 2 * d;
     }
@@ -318,39 +310,32 @@ pub fn random_weights(inputs: usize, seed: u64) -> Checkpoint {
 }
 
 /// Adds a shared MLP's `conv.weight` and `bn.bn.*` under `name`.
-pub(crate) fn add_random_mlp(
+fn add_random_mlp(weights: &mut Checkpoint, name: &str, shape: [usize; 2], rng: &mut ChaCha8Rng) {
+    add_random_matrix(weights, &format!("{name}.conv.weight"), shape, rng);
+    let statistics = [
+        ("weight", 1.0),
+        ("bias", 0.0),
+        ("running_mean", 0.0),
+        ("running_var", 1.0),
+    ];
+    for (part, value) in statistics {
+        let (shape, values) = (vec![shape[1]], vec![value; shape[1]]);
+        weights.insert(
+            &format!("{name}.bn.bn.{part}"),
+            HostTensor { shape, values },
+        );
+    }
+}
+
+/// Adds a matrix `[out, in]`, uniform as He et al. 2015 choose it.
+fn add_random_matrix(
     weights: &mut Checkpoint,
     name: &str,
     [input, output]: [usize; 2],
     rng: &mut ChaCha8Rng,
 ) {
-    let values = he_uniform(input * output, input, rng);
-    weights.insert(
-        &format!("{name}.conv.weight"),
-        HostTensor {
-            shape: vec![output, input],
-            values,
-        },
-    );
-    for (part, value) in [
-        ("weight", 1.0),
-        ("bias", 0.0),
-        ("running_mean", 0.0),
-        ("running_var", 1.0),
-    ] {
-        weights.insert(
-            &format!("{name}.bn.bn.{part}"),
-            HostTensor {
-                shape: vec![output],
-                values: vec![value; output],
-            },
-        );
-    }
-}
-
-fn he_uniform(count: usize, inputs: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
-    let bound = (6.0 / inputs.max(1) as f64).sqrt() as f32;
-    (0..count)
-        .map(|_| bound * rng.random_range(-1.0f32..1.0))
-        .collect()
+    let bound = (6.0 / input.max(1) as f64).sqrt() as f32;
+    let draw = |_| bound * rng.random_range(-1.0f32..1.0);
+    let (shape, values) = (vec![output, input], (0..input * output).map(draw).collect());
+    weights.insert(name, HostTensor { shape, values });
 }

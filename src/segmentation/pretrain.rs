@@ -7,7 +7,7 @@ use super::encoder::{Cloud, encode, encoder_input, random_weights};
 use super::loss::{CoSegLoss, LabelLoss};
 use super::pixels::UNLABELLED;
 use super::pyramid::{Level, Pyramid, Switches};
-use super::randla::{Form, LAYERS, NEIGHBOURS, RATIO, RandlaEncoder, host};
+use super::randla::{LAYERS, NEIGHBOURS, RATIO, RandlaEncoder, host};
 use super::sampling::Hierarchy;
 use crate::data::builtin::{PRETRAINING_SEEDS, classes, labelled_points};
 use crate::error::{Error, Result};
@@ -141,7 +141,7 @@ pub fn pretrain(
     }
     let (train, held_out) = rooms.split_at(options.rooms);
     let device = device.clone().inner().autodiff();
-    let encoder = RandlaEncoder::load(&random_weights(3, options.seed), Form::Trainable, &device)?;
+    let encoder = RandlaEncoder::load(&random_weights(3, options.seed), &device)?;
     let (spatial, top) = (
         encoder.widths(),
         encoder.widths().last().copied().unwrap_or_default(),
@@ -183,15 +183,17 @@ fn check(options: &PretrainOptions) -> Result<()> {
         && fewest > 0
         && fewest <= most
         && most <= options.room_points;
-    match usable && options.rooms + options.held_out <= ROOMS_PER_SEED as usize {
-        true => Ok(()),
-        false => Err(Error::argument(
-            "pretrain",
-            format!("{options:?}"),
-            "rooms, steps, and 0 < fewest points <= most points <= points of a room",
-            "correct the sizes",
-        )),
+    if usable && options.rooms + options.held_out <= ROOMS_PER_SEED as usize {
+        return Ok(());
     }
+    let expected = "rooms, steps, and 0 < fewest points <= most points <= points of a room";
+    let found = format!("{options:?}");
+    Err(Error::argument(
+        "pretrain",
+        found,
+        expected,
+        "correct the sizes",
+    ))
 }
 
 fn rate(step: usize, options: &PretrainOptions) -> f64 {
@@ -342,7 +344,7 @@ fn finish(
 ) -> Result<TrainedEncoder> {
     let mut weights = student.encoder.to_checkpoint("pretrained RandLA weights");
     let plain = device.clone().inner();
-    let encoder = RandlaEncoder::load(&weights, Form::Frozen, &plain)?;
+    let encoder = RandlaEncoder::load(&weights, &plain)?;
     let head = student.head.valid();
     let mut confusion = Confusion::new(classes().len());
     for (i, cloud) in held_out.iter().enumerate() {

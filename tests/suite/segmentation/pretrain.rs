@@ -6,7 +6,7 @@ use coseg::segmentation::pixels::UNLABELLED;
 use coseg::segmentation::pretrain::{
     LabelledCloud, PretrainOptions, TrainedEncoder, pretrain, room,
 };
-use coseg::segmentation::randla::{Form, RandlaEncoder};
+use coseg::segmentation::randla::RandlaEncoder;
 use coseg::weights::Checkpoint;
 use coseg::{Error, Result};
 use rand::{Rng, SeedableRng};
@@ -221,7 +221,7 @@ fn probe_table() {
     let mut add = |name: &str, weights: Checkpoint| {
         encoders.push((
             name.to_owned(),
-            RandlaEncoder::load(&weights, Form::Frozen, &device).expect("RandLA weights"),
+            RandlaEncoder::load(&weights, &device).expect("RandLA weights"),
         ));
     };
     if let Some(file) = std::env::var_os("COSEG_PROBE_WEIGHTS") {
