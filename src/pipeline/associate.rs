@@ -7,7 +7,6 @@ use crate::objects::{Association, Semantics, associate_until};
 use crate::progress::{Progress, Viewing};
 use crate::raster::Settings;
 use crate::splat::Gaussians;
-use std::ops::ControlFlow;
 use std::time::Instant;
 
 /// Result of the association.
@@ -41,7 +40,7 @@ pub(crate) fn associate(
     let mut viewing = Viewing::begin(progress, "association", steps);
     let looked = &mut |views| viewing.looked(views);
     let found = associate_until(gaussians, scene, &config.association, &settings, looked)?;
-    let ControlFlow::Continue(found) = found else {
+    let Some(found) = found else {
         return Ok(None);
     };
     viewing.end();

@@ -2,7 +2,7 @@
 
 use super::ownership::{Evidence, evidence, extents, visible};
 use super::segments::ViewSegments;
-use super::sums::{Scratch, SparseRows, SparseSums};
+use super::sums::{SparseRows, SparseSums};
 use rayon::prelude::*;
 
 /// A Gaussian of one of two parts.
@@ -30,15 +30,17 @@ pub(super) fn pair_evidence(
         .map(|(pair, part): (u32, _)| (part.gaussian, (2 * pair + part.side, part.share)));
     let index = SparseRows::new(gaussians, entries);
     let sets = 2 * pairs.len();
-    let scratch = Scratch::new(move || SparseSums::new(sets));
     let views: Vec<_> = views
         .par_iter()
-        .map(|view| {
-            visible(view, &mut scratch.borrow(), |gaussian, weight| {
-                let sets = index.row(gaussian).iter();
-                sets.map(move |&(set, share)| (set, weight * share))
-            })
-        })
+        .map_init(
+            || SparseSums::new(sets),
+            |sums, view| {
+                visible(view, sums, |gaussian, weight| {
+                    let sets = index.row(gaussian).iter();
+                    sets.map(move |&(set, share)| (set, weight * share))
+                })
+            },
+        )
         .collect();
     let extents = extents(sets, &views);
     (0..pairs.len() as u32)

@@ -1,8 +1,5 @@
 //! Sparse sums and sparse rows.
 
-use std::cell::{RefCell, RefMut};
-use thread_local::ThreadLocal;
-
 /// Sums by index. The vector is long and mostly zero, so it is kept and used again.
 pub(super) struct SparseSums {
     sums: Vec<f64>,
@@ -33,31 +30,6 @@ impl SparseSums {
         let sums = &mut self.sums;
         let taken = |index: u32| (index, std::mem::take(&mut sums[index as usize]));
         self.touched.drain(..).map(taken).collect()
-    }
-}
-
-/// A scratch value for each thread. Who borrows it leaves it as it was.
-pub(super) struct Scratch<T: Send> {
-    values: ThreadLocal<RefCell<T>>,
-    new: Box<dyn Fn() -> T + Sync>,
-}
-
-impl<T: Send> Scratch<T> {
-    pub fn new(new: impl Fn() -> T + Sync + 'static) -> Self {
-        Self {
-            values: ThreadLocal::new(),
-            new: Box::new(new),
-        }
-    }
-
-    /// The value of this thread.
-    ///
-    /// # Panics
-    /// If the thread has borrowed it already.
-    pub fn borrow(&self) -> RefMut<'_, T> {
-        self.values
-            .get_or(|| RefCell::new((self.new)()))
-            .borrow_mut()
     }
 }
 

@@ -9,6 +9,7 @@ use super::segments::ViewSegments;
 use super::split::split;
 use super::{End, Progress};
 use crate::config::AssociationConfig;
+use crate::error::Result;
 use std::borrow::Cow;
 use std::collections::HashMap;
 
@@ -16,12 +17,12 @@ use std::collections::HashMap;
 ///
 /// # Errors
 /// [`crate::Error::Config`] when no group is left; those of `progress`.
-pub(super) fn form_groups<'a, B>(
+pub(super) fn form_groups<'a>(
     groups: &mut Groups,
     views: &'a [ViewSegments],
     config: &AssociationConfig,
-    progress: &mut Progress<'_, B>,
-) -> Result<Vec<Assigned<'a>>, End<B>> {
+    progress: &mut Progress,
+) -> std::result::Result<Vec<Assigned<'a>>, End> {
     let order = view_order(views, groups.owners().len());
     let mut assigned = vec![Assigned::default(); views.len()];
     let mut sizes = Vec::new();
@@ -52,13 +53,13 @@ pub(super) fn form_groups<'a, B>(
 }
 
 /// Merges pairs of groups until the views find no more that are one object. Returns the extents of the groups.
-fn merge_groups<B>(
+fn merge_groups(
     groups: &mut Groups,
     views: &[ViewSegments],
     assigned: &mut [Assigned<'_>],
     above: f64,
-    progress: &mut Progress<'_, B>,
-) -> Result<Vec<f64>, End<B>> {
+    progress: &mut Progress,
+) -> std::result::Result<Vec<f64>, End> {
     loop {
         progress(0)?;
         let visible = visible_in_views(groups, views);
@@ -80,11 +81,11 @@ fn merge_groups<B>(
 }
 
 /// Drops negligible groups. Their segments go to the groups that contain them.
-fn drop_negligible<B>(
+fn drop_negligible(
     groups: &mut Groups,
     assigned: &mut [Assigned<'_>],
     min_weight: f64,
-) -> Result<(), End<B>> {
+) -> Result<()> {
     let negligible = merge::negligible(groups, min_weight)?;
     for group in assigned.iter_mut().flat_map(|view| &mut view.groups) {
         *group = group.filter(|group| !negligible[*group as usize]);
