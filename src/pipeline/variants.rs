@@ -354,7 +354,7 @@ pub fn decoder_training<'a>(
     let (seed, classes) = (inputs.config.seed, inputs.scene.classes.len());
     let device = inputs.device.clone().autodiff();
     let pyramid = &input.scene().pyramid;
-    let decoder = DecoderConfig::for_pyramid(pyramid, classes, pyramid.levels.len() > 1)
+    let decoder = DecoderConfig::for_pyramid(pyramid, classes)
         .with_seed(seed)
         .init(&device);
     let decoder_plan = DecoderPlan {

@@ -148,6 +148,28 @@ impl PointIndex {
         Ok((Neighbours { k, indices }, distances))
     }
 
+    /// Root mean square distance of each point to its `k` nearest other positions, fewer where there are fewer; `None` where
+    /// there is no other.
+    pub fn rms_distances(&self, k: usize) -> Vec<Option<f64>> {
+        let mut distances = vec![None; self.len()];
+        let (Some(tree), Some(wanted)) = (&self.tree, NonZero::new(k + 1)) else {
+            return distances;
+        };
+        for group in 0..self.offsets.len() - 1 {
+            let members = self.group(group);
+            let near = tree
+                .query(&self.points[members[0] as usize])
+                .nearest_n::<SquaredEuclidean<f64>>(wanted)
+                .execute();
+            // The position itself is the one hit at distance 0.
+            let others = near.len() - 1;
+            let sum: f64 = near.iter().map(|hit| hit.distance).sum();
+            let rms = (others > 0).then(|| (sum / others as f64).sqrt());
+            members.iter().for_each(|&i| distances[i as usize] = rms);
+        }
+        distances
+    }
+
     /// The points within `radius` of `query`, in no order.
     pub fn within(&self, query: [f64; 3], radius: f64) -> impl Iterator<Item = u32> {
         let near = self.tree.as_ref().map(|tree| {
@@ -209,26 +231,13 @@ impl PointIndex {
 /// # Errors
 /// [`Error::NonFinite`] naming the first bad row.
 pub fn without_self(points: &[[f32; 3]], k: usize) -> Result<Vec<u32>> {
-    Ok(drop_self(
-        &PointIndex::new(points)?.neighbours((k + 1).min(points.len().max(1))),
-        k,
-    ))
-}
-
-/// The same from rows that begin with the point itself, as an encoding's levels hold them.
-pub fn drop_self(neighbours: &Neighbours, k: usize) -> Vec<u32> {
-    let mut rows = Vec::with_capacity(neighbours.len() * k);
-    for i in 0..neighbours.len() {
-        let row = neighbours.row(i);
-        // a set smaller than K repeats its members, itself among them, after all others
-        let others = &row[1..1 + row[1..]
-            .iter()
-            .position(|&j| j as usize == i)
-            .unwrap_or(row.len() - 1)];
-        let others = if others.is_empty() { row } else { others };
-        rows.extend((0..k).map(|n| others[n % others.len()]));
-    }
-    rows
+    let near = PointIndex::new(points)?.neighbours((k + 1).min(points.len()));
+    let others = |i| match near.row(i) {
+        [own] => vec![*own; k],
+        [_, others @ ..] => others.iter().copied().cycle().take(k).collect(),
+        [] => Vec::new(),
+    };
+    Ok((0..points.len()).flat_map(others).collect())
 }
 
 /// Writes `found` into `row` from `first` on, and repeats the row's beginning when it runs out.

@@ -83,7 +83,7 @@ fn segmentation(device: &Device) -> [Vec<f32>; 4] {
         })
         .collect();
     let pyramid = Pyramid::new(&encoding, &image, Switches::default()).expect("features");
-    let decoder = DecoderConfig::for_pyramid(&pyramid, 6, true).init(&device.clone().autodiff());
+    let decoder = DecoderConfig::for_pyramid(&pyramid, 6).init(&device.clone().autodiff());
     let logits = decoder.classify(decoder.forward(&pyramid).hidden);
     let labels: Vec<u16> = (0..POINTS)
         .map(|i| if i % 7 == 6 { u16::MAX } else { (i % 6) as u16 })

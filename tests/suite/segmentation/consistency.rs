@@ -182,7 +182,7 @@ fn dropout_is_a_scaling_of_the_frozen_channels() {
         all.len()
     );
 
-    let decoder = DecoderConfig::for_pyramid(&pyramid, CLASSES, true).init(&device);
+    let decoder = DecoderConfig::for_pyramid(&pyramid, CLASSES).init(&device);
     let mut scaled = pyramid.clone();
     for (level, factors) in scaled.levels.iter_mut().zip(&factors) {
         let factors = TensorData::new(factors.clone(), [1, factors.len()]);

@@ -30,7 +30,7 @@ fn largest_difference(a: Tensor<2>, b: Tensor<2>) -> f32 {
 }
 
 fn make(input: &Pyramid, layer_norm: bool, seed: u64, device: &Device) -> Decoder {
-    DecoderConfig::for_pyramid(input, 6, true)
+    DecoderConfig::for_pyramid(input, 6)
         .with_layer_norm(layer_norm)
         .with_seed(seed)
         .init(device)

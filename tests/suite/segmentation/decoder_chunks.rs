@@ -107,7 +107,7 @@ fn model<'a>(
     };
     let device = crate::support::device().autodiff();
     let pyramid = &scene.source.scene().pyramid;
-    let decoder = DecoderConfig::for_pyramid(pyramid, CLASSES, pyramid.levels.len() > 1)
+    let decoder = DecoderConfig::for_pyramid(pyramid, CLASSES)
         .with_seed(1)
         .init(&device);
     let mut model = DecoderModel::new(
@@ -348,8 +348,7 @@ fn parts_have_the_same_bits_at_any_number_of_threads() {
 fn points_of_coarse_levels_decode_as_in_the_whole() {
     let scene = Scene::new(Switches::default(), Blend::Probabilities);
     let pyramid = &scene.source.scene().pyramid;
-    let decoder =
-        DecoderConfig::for_pyramid(pyramid, CLASSES, true).init(&crate::support::device());
+    let decoder = DecoderConfig::for_pyramid(pyramid, CLASSES).init(&crate::support::device());
     let whole = decoder.forward(pyramid);
     let wanted = [vec![], vec![], vec![3, 17, 60], vec![0, 9, 20]];
     let kept = Dependencies::of_levels(pyramid, wanted.clone());
