@@ -1,7 +1,7 @@
 //! The variants of the label table: what each is, and its training and scoring.
 
 use super::encode::{Encodings, Inputs, encode, spatial_of};
-use super::evaluate::{HeldOut, NeighbourAgreement, Scores};
+use super::evaluate::{HeldOut, Scores};
 use super::train_decoder::{
     Adam, DecoderInput, DecoderModel, DecoderPlan, IdentityModel, PerGaussian, Plan, Schedule,
     Training, TrainingRun, TrainingViews,
@@ -10,7 +10,7 @@ use crate::config::{Prior, SegmentationConfig, SpatialConfig, Variant};
 use crate::data::Split;
 use crate::error::Result;
 use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
-use crate::objects::{Identities, Votes, vote};
+use crate::objects::{Identities, NeighbourGraph, Votes, vote};
 use crate::progress::{CurvePoint, Progress};
 use crate::provenance::Provenance;
 use crate::segmentation::decoder::DecoderConfig;
@@ -102,7 +102,7 @@ pub fn train_variants(
 ) -> Result<TrainedVariants> {
     let variants = inputs.config.segmentation.rows();
     let mut stage = StageTwo::new(inputs, checkpoints)?;
-    let neighbours = NeighbourAgreement::new(inputs)?;
+    let neighbours = NeighbourGraph::new(&inputs.gaussians.means)?;
     let mut rows: Vec<VariantOutcome> = Vec::new();
     let mut stopped = false;
     for &variant in variants {
@@ -117,7 +117,10 @@ pub fn train_variants(
             Variant::PerGaussian => stage.per_gaussian(progress)?,
             _ => stage.decoder(variant, progress)?,
         };
-        outcome.compactness = outcome.identities.as_ref().map(|i| neighbours.of(i));
+        let compactness = |identities: &Identities| Compactness {
+            neighbours_differ: neighbours.disagreement(identities),
+        };
+        outcome.compactness = outcome.identities.as_ref().map(compactness);
         stopped = variant != Variant::Raw && outcome.identities.is_none();
         rows.push(outcome);
         if stopped {

@@ -1,6 +1,6 @@
 //! The frozen spatial encoder of a run: which weights, and a cloud of Gaussian centres turned into features (Eq. 6).
 
-use super::neighbours::{Neighbours, check_finite};
+use super::neighbours::check_finite;
 use super::randla::{
     LAYERS, NEIGHBOURS, POSITION_CHANNELS, RATIO, RandlaEncoder, block_name, tensor,
 };
@@ -70,9 +70,10 @@ impl Cloud<'_> {
         let median = |axis: fn(&DVec3) -> f64| {
             let mut values: Vec<f64> = turned.iter().map(axis).collect();
             let middle = values.len() / 2;
-            match values.is_empty() {
-                true => 0.0,
-                false => *values.select_nth_unstable_by(middle, f64::total_cmp).1,
+            if values.is_empty() {
+                0.0
+            } else {
+                *values.select_nth_unstable_by(middle, f64::total_cmp).1
             }
         };
         let centre = DVec3::new(median(|p| p.x), median(|p| p.y), median(|p| p.z));
@@ -88,10 +89,6 @@ impl Cloud<'_> {
 pub struct Level {
     /// `[N_n]` rows of the encoded cloud; level 1 holds them all, in order.
     pub indices: Vec<u32>,
-    /// `[N_n, 3]` in metres, z up, centred.
-    pub positions: Vec<[f32; 3]>,
-    /// `[N_n, K]` nearest points of this level, itself first; empty for the coarsest set.
-    pub neighbours: Neighbours,
     /// `f_s,n` before its sampling, `[N_n, S_n]`; without autodiff.
     pub features: Tensor<2>,
 }
@@ -133,28 +130,15 @@ pub fn encode(
     let device = device.clone().inner();
     let input = encoder_input(encoder.inputs(), &positions, cloud.colors, &device)?;
     let (features, coarsest) = encoder.encode_levels(input, &hierarchy, true);
-    let upsample = hierarchy.upsampling()?;
     for (n, f) in features.iter().chain([&coarsest]).enumerate() {
         check_features(n, f)?;
     }
-    let coarsest = Level {
-        indices: hierarchy.coarsest_indices,
-        positions: hierarchy.coarsest_positions,
-        neighbours: Neighbours::default(),
-        features: coarsest,
-    };
-    let levels = hierarchy.levels.into_iter().zip(features);
-    let levels = levels
-        .map(|(l, features)| Level {
-            indices: l.indices,
-            positions: l.positions,
-            neighbours: l.neighbours,
-            features,
-        })
-        .collect();
+    let upsample = hierarchy.upsampling()?;
+    let level = |(indices, features)| Level { indices, features };
+    let indices = hierarchy.levels.into_iter().map(|level| level.indices);
     Ok(Encoding {
-        levels,
-        coarsest,
+        levels: indices.zip(features).map(level).collect(),
+        coarsest: level((hierarchy.coarsest_indices, coarsest)),
         upsample,
     })
 }
@@ -216,25 +200,18 @@ fn check_features(level: usize, features: &Tensor<2>) -> Result<()> {
 /// # Errors
 /// [`Error::Config`] for a negative or non-finite setting, and for 0 without a usable extent.
 pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64> {
-    let (scale, help) = match config.scale {
-        0.0 => (
-            ASSUMED_EXTENT / camera_extent,
-            "set spatial.scale: the cameras do not tell how large the scene is",
-        ),
-        scale => (
-            scale,
-            "give metres per world unit, or 0 to derive it from the cameras",
-        ),
+    let (scale, help) = if config.scale == 0.0 {
+        let help = "set spatial.scale: the cameras do not tell how large the scene is";
+        (ASSUMED_EXTENT / camera_extent, help)
+    } else {
+        let help = "give metres per world unit, or 0 to derive it from the cameras";
+        (config.scale, help)
     };
-    match scale.is_finite() && scale > 0.0 {
-        true => Ok(scale),
-        false => Err(Error::config(
-            "spatial.scale",
-            config.scale.to_string(),
-            "a finite number above 0, or 0",
-            help,
-        )),
+    if scale.is_finite() && scale > 0.0 {
+        return Ok(scale);
     }
+    let (found, expected) = (config.scale.to_string(), "a finite number above 0, or 0");
+    Err(Error::config("spatial.scale", found, expected, help))
 }
 
 /// The encoder that the settings ask for, frozen, and how a run names it: `pretrained FILE`, `trained here`, `random`.

@@ -2,6 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::ops::FiniteCheck;
+use crate::reconstruction::optimizer::find_non_finite;
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::optim::{AdamConfig, AdamState, AdaptiveMomentumState, Optimizer};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
@@ -120,30 +121,22 @@ pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
         .unwrap_or_default()
 }
 
-/// The value of `loss` (`[1]`), once it and `gradient` `[P]` of the parameters of `module` are known to be finite: one readback.
+/// The value of `loss` (`[1]`), once it and `gradient` `[P]` are known to be finite: one readback.
 ///
 /// # Errors
-/// [`Error::NonFinite`] naming the loss, or the parameter whose gradient holds a NaN or an infinity; [`Error::Device`] when
-/// the device fails.
-pub fn finite_loss<M: Module>(loss: Tensor<1>, gradient: &Tensor<1>, module: &M) -> Result<f32> {
+/// [`Error::NonFinite`] naming the loss or the gradient; [`Error::Device`] when the device fails.
+pub fn finite_loss(loss: Tensor<1>, gradient: &Tensor<1>) -> Result<f32> {
     let mut check = FiniteCheck::default();
     check.add(gradient);
     let (value, finite) = check.read(loss)?;
     if !value.is_finite() {
         return Err(Error::non_finite("segmentation loss", 0));
     }
-    if finite {
-        return Ok(value);
+    if !finite {
+        // The search clears what was only a sum that overflowed.
+        find_non_finite("the parameters", gradient)?;
     }
-    let gradient = values(gradient.clone());
-    match gradient.iter().position(|value| !value.is_finite()) {
-        Some(place) => {
-            let (name, row) = parameter_at(module, place);
-            Err(Error::non_finite(format!("gradient of {name}"), row))
-        }
-        // Only their sum overflowed.
-        None => Ok(value),
-    }
+    Ok(value)
 }
 
 /// The parameters of `module` in its own order, `[P]`, without autodiff.
@@ -199,41 +192,4 @@ pub fn with_parameters<M: Module>(module: M, values: Tensor<1>) -> M {
 /// `module` with the parameters `values`; `None` where it has another number of them.
 pub fn restored<M: Module>(module: M, values: Vec<f32>, device: &Device) -> Option<M> {
     (values.len() == module.num_params()).then(|| with_parameters(module, vector(values, device)))
-}
-
-/// Name and row of the parameter that holds the scalar at `place` of [`parameters`].
-fn parameter_at<M: Module>(module: &M, place: usize) -> (String, usize) {
-    struct Find {
-        path: Vec<String>,
-        left: usize,
-        found: Option<(String, usize)>,
-    }
-    impl ModuleVisitor for Find {
-        fn enter_module(&mut self, name: &str, _container: &str) {
-            self.path.push(name.to_owned());
-        }
-        fn exit_module(&mut self, _name: &str, _container: &str) {
-            self.path.pop();
-        }
-        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            if self.found.is_some() {
-                return;
-            }
-            let shape = param.val().shape();
-            let count = shape.num_elements();
-            if self.left < count {
-                let row = self.left * shape[0] / count;
-                self.found = Some((self.path.join("."), row));
-            } else {
-                self.left -= count;
-            }
-        }
-    }
-    let mut find = Find {
-        path: Vec::new(),
-        left: place,
-        found: None,
-    };
-    module.visit(&mut find);
-    find.found.unwrap_or_default()
 }

@@ -182,7 +182,7 @@ impl<M: IdentityModel> Training<M> {
         let loss = self.coseg_loss(plan, &scores, &sample)?;
         let loss = loss.forward(scores, &sample.pixels, decoded.regularisation.clone())?;
         let gradient = self.model.gradient(view, &decoded, &mut loss.backward());
-        let value = finite_loss(loss.inner(), &gradient, self.model.module())?;
+        let value = finite_loss(loss.inner(), &gradient)?;
         let module = self.model.module().clone();
         let factor = plan.rate_factor(self.iteration);
         self.model
