@@ -101,7 +101,7 @@ pub fn train_variants(
     progress: &mut dyn Progress,
 ) -> Result<TrainedVariants> {
     let variants = inputs.config.segmentation.rows();
-    let mut stage = StageTwo::new(inputs, checkpoints)?;
+    let mut stage = StageTwo::new(inputs, checkpoints);
     let neighbours = NeighbourGraph::new(&inputs.gaussians.means)?;
     let mut rows: Vec<VariantOutcome> = Vec::new();
     let mut stopped = false;
@@ -148,16 +148,16 @@ struct StageTwo<'a> {
 }
 
 impl<'a> StageTwo<'a> {
-    fn new(inputs: &'a Inputs<'a>, checkpoints: &'a Path) -> Result<Self> {
-        Ok(Self {
+    fn new(inputs: &'a Inputs<'a>, checkpoints: &'a Path) -> Self {
+        Self {
             inputs,
             checkpoints,
             views: inputs.training_views(),
-            held_out: HeldOut::new(inputs)?,
+            held_out: HeldOut::new(inputs),
             votes: OnceCell::new(),
             encodings: None,
             spatial: String::new(),
-        })
+        }
     }
 
     /// The raw labels of the held-out views.
