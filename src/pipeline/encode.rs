@@ -186,7 +186,7 @@ fn join(
         ))
     };
     Ok(Encoded {
-        pyramid: Pyramid::gathered(encoding, switches, image)?,
+        pyramid: Pyramid::new(encoding, switches, image)?,
         points,
     })
 }

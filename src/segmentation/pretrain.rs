@@ -355,14 +355,12 @@ fn finish(
             scale: 1.0,
         };
         let encoding = encode(&encoder, &points, options.seed ^ i as u64, &plain)?;
-        let pyramid = Pyramid::new(
-            &encoding,
-            &[],
-            Switches {
-                image: false,
-                ..Switches::default()
-            },
-        )?;
+        let switches = Switches {
+            image: false,
+            ..Switches::default()
+        };
+        let no_image = |_, rows: &[u32]| Ok(Tensor::zeros([rows.len(), 0], &plain));
+        let pyramid = Pyramid::new(&encoding, switches, no_image)?;
         let logits = head.classify(head.forward(&pyramid).hidden);
         let truth = cloud.labels.iter().map(|&l| usize::from(l));
         confusion.add(truth, best_classes(logits));

@@ -49,37 +49,12 @@ pub struct Pyramid {
 }
 
 impl Pyramid {
-    /// Puts an encoding and the unprojected features together. `image[n]` is f_d of scale n + 1 for the whole encoded
-    /// cloud, `[N, D]`; each level reads the rows of its own points.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] when all features are off, or image features are on and missing or of another length.
-    pub fn new(encoding: &Encoding, image: &[Tensor<2>], switches: Switches) -> Result<Self> {
-        let points = encoding.levels[0].indices.len();
-        Self::gathered(encoding, switches, |scale, rows| match image.get(scale) {
-            Some(features) if features.dims()[0] == points => Ok(select(features, rows)),
-            other => {
-                let (key, found) = (
-                    format!("image features of scale {}", scale + 1),
-                    other.map(Tensor::dims),
-                );
-                let help = "unproject them first";
-                Err(Error::argument(
-                    key,
-                    format!("{found:?}"),
-                    format!("{points} rows"),
-                    help,
-                ))
-            }
-        })
-    }
-
-    /// [`Pyramid::new`] with image features that are gathered where they are needed: `image(n, rows)` is f_d of scale n + 1
-    /// for the rows `rows` of the encoded cloud, `[rows, D]`. Nothing is asked for that no level reads.
+    /// Joins an encoding with unprojected features: `image(n, rows)` is f_d of scale n + 1 for the rows `rows` of the encoded
+    /// cloud, `[rows, D]`. Nothing is asked for that no level reads.
     ///
     /// # Errors
     /// [`Error::Argument`] when all features are off; those of `image`.
-    pub fn gathered(
+    pub fn new(
         encoding: &Encoding,
         switches: Switches,
         image: impl Fn(usize, &[u32]) -> Result<Tensor<2>>,

@@ -14,8 +14,8 @@
 //! among them, Gaussian by Gaussian and then pixel by pixel. (MaskClustering, arXiv 2401.07745, also counts the views that
 //! agree, and leaves such segments out.)
 //!
-//! Memory grows with the pairs of segments and Gaussians, 8 bytes each, and 4 more while the order of the views is found. It does
-//! not grow with their product.
+//! Memory grows with the pairs of segments and Gaussians, 8 bytes each, and as much again while the order of the views is found.
+//! It does not grow with their product.
 
 mod divide;
 mod groups;

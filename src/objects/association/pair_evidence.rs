@@ -2,7 +2,7 @@
 
 use super::ownership::{Evidence, evidence, extents, visible};
 use super::segments::ViewSegments;
-use super::sums::{SparseRows, SparseSums};
+use super::sums::SparseSums;
 use rayon::prelude::*;
 
 /// A Gaussian of one of two parts.
@@ -24,11 +24,13 @@ pub(super) fn pair_evidence(
     if pairs.is_empty() {
         return Vec::new();
     }
-    let entries = (0..)
-        .zip(pairs)
-        .flat_map(|(pair, parts)| parts.iter().map(move |part| (pair, part)))
-        .map(|(pair, part): (u32, _)| (part.gaussian, (2 * pair + part.side, part.share)));
-    let index = SparseRows::new(gaussians, entries);
+    // For each Gaussian the parts that have it.
+    let mut parts_of: Vec<Vec<(u32, f64)>> = vec![Vec::new(); gaussians];
+    for (pair, parts) in (0..).zip(pairs) {
+        for part in *parts {
+            parts_of[part.gaussian as usize].push((2 * pair + part.side, part.share));
+        }
+    }
     let sets = 2 * pairs.len();
     let views: Vec<_> = views
         .par_iter()
@@ -36,7 +38,7 @@ pub(super) fn pair_evidence(
             || SparseSums::new(sets),
             |sums, view| {
                 visible(view, sums, |gaussian, weight| {
-                    let sets = index.row(gaussian).iter();
+                    let sets = parts_of[gaussian as usize].iter();
                     sets.map(move |&(set, share)| (set, weight * share))
                 })
             },

@@ -1,5 +1,6 @@
 //! The generalised Jensen-Shannon loss against its definition; dropout of channels.
 
+use crate::support::joined_pyramid;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use coseg::config::{SpatialConfig, SpatialSource};
 use coseg::pipeline::train_decoder::dropped_channels;
@@ -159,15 +160,14 @@ fn dropout_is_a_scaling_of_the_frozen_channels() {
         scale: 1.0,
     };
     let encoding = encode(&encoder, &cloud, 3, &device).expect("finite");
-    let pyramid = Pyramid::new(
+    let pyramid = joined_pyramid(
         &encoding,
         &[],
         Switches {
             image: false,
             ..Switches::default()
         },
-    )
-    .expect("features");
+    );
 
     let factors = dropped_channels(&pyramid, 0.25, 3, 7);
     assert_eq!(factors, dropped_channels(&pyramid, 0.25, 3, 7));

@@ -1,5 +1,6 @@
 //! The decoder's step in parts: the gradients of the step at once, whatever the size of the parts.
 
+use crate::support::joined_pyramid;
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::{Tensor, TensorData};
 use coseg::config::{Blend, LabelLoss, SegmentationConfig, SpatialConfig, SpatialSource};
@@ -53,7 +54,7 @@ impl Scene {
                 Tensor::from_data(TensorData::new::<f32, _>(values, [POINTS, 8]), &device)
             })
             .collect();
-        let pyramid = Pyramid::new(&encoding, &image, switches).expect("features");
+        let pyramid = joined_pyramid(&encoding, &image, switches);
         let source = DecoderInput::Scene(Encoded {
             pyramid,
             points: (0..POINTS as u32).collect(),
