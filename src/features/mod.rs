@@ -71,12 +71,8 @@ impl Extractor {
         let weights = |network: &str| {
             config.weights.as_deref().ok_or_else(|| {
                 let expected = format!("a path to {network} weights");
-                Error::config(
-                    "features.weights",
-                    "nothing",
-                    expected,
-                    "set features.weights",
-                )
+                let help = "set features.weights";
+                Error::config("features.weights", "nothing", expected, help)
             })
         };
         match &config.source {
@@ -87,11 +83,10 @@ impl Extractor {
             }
             FeatureSource::Dino => Self::dino(weights("DINO")?, config.final_norm, device),
             FeatureSource::Import(dir) if dir.is_dir() => Ok(Self::Import(dir.clone())),
-            FeatureSource::Import(dir) => Err(Error::io(
-                dir,
-                "open folder",
-                std::io::ErrorKind::NotFound.into(),
-            )),
+            FeatureSource::Import(dir) => {
+                let error = std::io::ErrorKind::NotFound.into();
+                Err(Error::io(dir, "open folder", error))
+            }
         }
     }
 
@@ -176,12 +171,8 @@ fn normalized(image: &RgbImage, device: &Device) -> Result<Tensor<4>> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     if width == 0 || height == 0 {
         let found = format!("{width} x {height} pixels");
-        return Err(Error::argument(
-            "image",
-            found,
-            "one pixel or more",
-            "give another image",
-        ));
+        let help = "give another image";
+        return Err(Error::argument("image", found, "one pixel or more", help));
     }
     let mut planes = Vec::with_capacity(3 * width * height);
     for (c, (mean, std)) in MEAN.iter().zip(STD).enumerate() {

@@ -146,7 +146,7 @@ fn descriptor_knows_no_position() {
 fn extraction_reduces_every_view_and_fits_on_training_views_only() {
     let mut scene = pictures(8);
     let config = descriptor_config();
-    let set = extract(&scene, &config, 1, &crate::support::device(), &|_, _| ()).expect("maps");
+    let set = extract(&scene, &config, 1, &crate::support::device()).expect("maps");
     let (train, test) = extract_with_tests(&scene, &config, 1);
     assert_eq!(set.name, "descriptor");
     assert_eq!((train.len(), test.len()), (6, 2));
@@ -162,7 +162,7 @@ fn extraction_reduces_every_view_and_fits_on_training_views_only() {
     for view in scene.views.iter_mut().filter(|v| v.split == Split::Test) {
         view.image = RgbImage::from_pixel(70, 54, image::Rgb([250, 0, 0])).into();
     }
-    let other = extract(&scene, &config, 1, &crate::support::device(), &|_, _| ()).expect("maps");
+    let other = extract(&scene, &config, 1, &crate::support::device()).expect("maps");
     assert_eq!(
         set.reductions, other.reductions,
         "test views must not enter the fit"
@@ -198,15 +198,9 @@ fn extraction_gives_the_same_bits_at_one_and_two_threads() {
             .build()
             .expect("threads");
         pool.install(|| {
-            extract(
-                &scene,
-                &descriptor_config(),
-                5,
-                &crate::support::device(),
-                &|_, _| (),
-            )
-            .expect("descriptor")
-            .views
+            extract(&scene, &descriptor_config(), 5, &crate::support::device())
+                .expect("descriptor")
+                .views
         })
     };
     assert!(with(1) == with(2));
@@ -216,7 +210,7 @@ fn extraction_gives_the_same_bits_at_one_and_two_threads() {
 fn unusable_settings_are_named() {
     let scene = pictures(3);
     let error = |config: &FeatureConfig| {
-        extract(&scene, config, 0, &crate::support::device(), &|_, _| ())
+        extract(&scene, config, 0, &crate::support::device())
             .expect_err("unusable")
             .to_string()
     };
@@ -240,16 +234,10 @@ fn unusable_settings_are_named() {
     let mut empty = pictures(3);
     empty.views.clear();
     assert!(
-        extract(
-            &empty,
-            &descriptor_config(),
-            0,
-            &crate::support::device(),
-            &|_, _| ()
-        )
-        .expect_err("no view")
-        .to_string()
-        .contains("training view")
+        extract(&empty, &descriptor_config(), 0, &crate::support::device())
+            .expect_err("no view")
+            .to_string()
+            .contains("training view")
     );
 }
 
@@ -262,7 +250,7 @@ fn cache_is_used_and_damage_is_mended() {
         ..descriptor_config()
     };
     let run = || {
-        extract(&scene, &config, 0, &crate::support::device(), &|_, _| ())
+        extract(&scene, &config, 0, &crate::support::device())
             .expect("descriptor")
             .views
     };
@@ -282,15 +270,9 @@ fn cache_is_used_and_damage_is_mended() {
         "one entry a training view, no temporary left"
     );
     assert!(run() == fresh, "cached maps are the computed ones");
-    let plain = extract(
-        &scene,
-        &descriptor_config(),
-        0,
-        &crate::support::device(),
-        &|_, _| (),
-    )
-    .expect("descriptor")
-    .views;
+    let plain = extract(&scene, &descriptor_config(), 0, &crate::support::device())
+        .expect("descriptor")
+        .views;
     assert!(plain == fresh);
     // A flipped bit, a cut file and rubbish: computed again, and written again.
     let whole: Vec<Vec<u8>> = paths
@@ -324,13 +306,12 @@ fn a_used_cache_entry_is_read_not_computed() {
         cache_dir: Some(dir.path().to_owned()),
         ..descriptor_config()
     };
-    extract(&one, &config, 0, &crate::support::device(), &|_, _| ()).expect("descriptor");
+    extract(&one, &config, 0, &crate::support::device()).expect("descriptor");
     let other = scene(
         vec![view("b", Split::Train, picture(64, 48, 2), None)],
         Classes::default(),
     );
-    let expected =
-        extract(&other, &config, 0, &crate::support::device(), &|_, _| ()).expect("descriptor");
+    let expected = extract(&other, &config, 0, &crate::support::device()).expect("descriptor");
     // Put the entry of `b` where that of `a` is expected: if it is read, `a` looks like `b`.
     let mut paths: Vec<_> = std::fs::read_dir(dir.path())
         .expect("cache")
@@ -342,8 +323,7 @@ fn a_used_cache_entry_is_read_not_computed() {
             .expect("time")
     });
     std::fs::copy(&paths[1], &paths[0]).expect("copy");
-    let read =
-        extract(&one, &config, 0, &crate::support::device(), &|_, _| ()).expect("descriptor");
+    let read = extract(&one, &config, 0, &crate::support::device()).expect("descriptor");
     assert!(read.views[0].maps == expected.views[0].maps);
 }
 
@@ -408,7 +388,7 @@ fn maps_are_imported_from_npy_and_safetensors() {
         source: FeatureSource::Import(dir.path().to_owned()),
         ..FeatureConfig::default()
     };
-    let set = extract(&scene, &config, 0, &crate::support::device(), &|_, _| ()).expect("imported");
+    let set = extract(&scene, &config, 0, &crate::support::device()).expect("imported");
     assert_eq!(set.name, format!("imported {}", dir.path().display()));
     for (n, [h, w, _]) in shapes.into_iter().enumerate() {
         let map = &set.views[0].maps[n];
@@ -445,13 +425,13 @@ fn hostile_maps_are_refused_by_name() {
     let file = |n: usize| dir.path().join(format!("a.{n}.npy"));
     let good = || (1..=4).for_each(|n| write_npy(&file(n), &[2, 3, 4], &ramp(24, n)));
     let error = || {
-        extract(&one, &config, 0, &crate::support::device(), &|_, _| ())
+        extract(&one, &config, 0, &crate::support::device())
             .expect_err("hostile")
             .to_string()
     };
     assert!(error().contains("view a, scale 1"), "absent");
     good();
-    extract(&one, &config, 0, &crate::support::device(), &|_, _| ()).expect("good maps");
+    extract(&one, &config, 0, &crate::support::device()).expect("good maps");
     let bytes = std::fs::read(file(3)).expect("map");
     for cut in [0, 5, 9, 40, bytes.len() - 3] {
         std::fs::write(file(3), &bytes[..cut]).expect("write");
