@@ -2,20 +2,20 @@
 
 use super::held_out::{Truth, rendered, scored_views};
 use super::labelled::LabelledArgs;
+use super::scene_file::cameras_of;
 use super::terminal;
 use clap::Args;
 use coseg::config::Association;
 use coseg::data::formats::transforms;
-use coseg::data::{MapGeometry, NamedCamera, Scene, Split, View};
+use coseg::data::{MapGeometry, Split};
 use coseg::error::Result;
 use coseg::objects::{LabelMaps, LabelRule, Semantics, associate, vote};
 use coseg::raster::{Settings, SplatTensors};
-use coseg::splat::camera::Camera;
 use coseg::splat::ply;
 
 const HELP: &str = "\
-The ids of instance masks of unordered photos mean nothing in other views. Segments that cover the same Gaussians get
-one id. Writes labels/VIEW.png (16-bit grey, 0 is unlabelled) for each view with raw labels, classes.json, and scene.ply
+The ids of instance masks often mean nothing in other views. Segments that cover the same Gaussians get one id.
+ Writes labels/VIEW.png (16-bit grey, 0 is unlabelled) for each view with raw labels, classes.json, and scene.ply
 with a label column from a vote of the maps. Where frames have true instances, prints scores; where segments have classes
 and frames true labels, scores by class. `coseg train` does the same after stage one with data.association = \"gaussians\".
 
@@ -46,7 +46,7 @@ impl AssociateArgs {
         let (mut scene, ply) = self.input.read(&config, &device)?;
         let found = associate(&ply.gaussians, &scene, &config.association, &settings)?;
         terminal::say(&format!(
-            "{} segments of training views: {} objects, {} segments of none, {} divided",
+            "{} segments of training views: {} objects; {} segments are in no object, {} are divided",
             found.segments,
             found.groups.len(),
             found.dropped,
@@ -64,7 +64,7 @@ impl AssociateArgs {
                 map.map().write_wide(&folder.join(format!("{name}.png")))?;
             }
         }
-        transforms::write_cameras(&out.join("cameras.json"), &cameras(&scene))?;
+        transforms::write_cameras(&out.join("cameras.json"), &cameras_of(&scene))?;
         classes.write(&out.join("classes.json"))?;
         let train = scene.split(Split::Train);
         let identities = vote(&ply.gaussians, train, classes, &settings, &device)?.identities();
@@ -93,17 +93,4 @@ impl AssociateArgs {
         truth.score(&shown).print("held-out views, rendered");
         Ok(())
     }
-}
-
-/// The cameras of the views, in world units.
-fn cameras(scene: &Scene) -> Vec<NamedCamera> {
-    let named = |view: &View| NamedCamera {
-        name: view.name.clone(),
-        split: view.split,
-        camera: Camera {
-            center: view.camera.center + scene.origin,
-            ..view.camera.clone()
-        },
-    };
-    scene.views.iter().map(named).collect()
 }

@@ -1,7 +1,8 @@
 //! `coseg eval`: the scores of a run.
 
 use super::held_out::{Scores, Truth, rendered, scored_views};
-use super::run_folder::RunFolder;
+use super::run_folder::{IDENTITIES, RunFolder};
+use super::scene_file::SCENE;
 use super::terminal;
 use clap::Args;
 use coseg::backend::device::open_cpu;
@@ -48,7 +49,7 @@ impl EvalArgs {
         let run = RunFolder::existing(&self.run)?;
         let mut config = run.config(&[])?;
         config.data.dir = self.data.or(config.data.dir);
-        let ply = ply::read(&run.scene_path(), &Limits::default())?;
+        let ply = ply::read(&run.file(SCENE), &Limits::default())?;
         let scene = coseg::pipeline::load_scene(&config)?.with_origin(ply.origin);
         let classes = run.classes()?;
         let is_associated = config.data.association != Association::None;
@@ -130,7 +131,7 @@ fn stored_row(config: &Config) -> Option<Variant> {
 
 /// The identities of the run, where it has some.
 fn identities(run: &RunFolder, ply: &PlyScene) -> Result<Option<Identities>> {
-    let path = run.identities_path();
+    let path = run.file(IDENTITIES);
     if !path.is_file() {
         return Ok(None);
     }
