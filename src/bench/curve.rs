@@ -132,29 +132,20 @@ impl Point {
 
 /// The settings to try: the configured ones, then each setting from exact to coarse, then all exact.
 fn points(configured: &Settings, exact: &Settings, sh_degree: usize) -> Vec<Point> {
-    let mut tried = Vec::new();
-    for alpha_min in ALPHA_MIN {
-        let name = format!("alpha_min {}", number(alpha_min));
-        let settings = Settings {
-            alpha_min,
-            ..*configured
-        };
-        tried.push((name, settings));
-    }
-    for t_min in T_MIN {
-        let settings = Settings {
-            t_min,
-            ..*configured
-        };
-        tried.push((format!("t_min {}", number(t_min)), settings));
-    }
-    for alpha_max in ALPHA_MAX {
-        let settings = Settings {
-            alpha_max,
-            ..*configured
-        };
-        tried.push((format!("alpha_max {alpha_max}"), settings));
-    }
+    let changed = |name: String, change: &dyn Fn(&mut Settings)| {
+        let mut settings = *configured;
+        change(&mut settings);
+        (name, settings)
+    };
+    let alpha_min =
+        ALPHA_MIN.map(|v| changed(format!("alpha_min {}", number(v)), &|s| s.alpha_min = v));
+    let t_min = T_MIN.map(|v| changed(format!("t_min {}", number(v)), &|s| s.t_min = v));
+    let alpha_max = ALPHA_MAX.map(|v| changed(format!("alpha_max {v}"), &|s| s.alpha_max = v));
+    let mut tried: Vec<_> = alpha_min
+        .into_iter()
+        .chain(t_min)
+        .chain(alpha_max)
+        .collect();
     tried.push(("all exact".to_owned(), *exact));
     tried.retain(|(_, settings)| settings != configured);
     let point = |(name, settings)| Point {

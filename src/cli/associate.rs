@@ -1,6 +1,6 @@
 //! `coseg associate`: one id for each object, from label maps whose ids differ from view to view.
 
-use super::held_out::{Truth, rendered, scored_views};
+use super::held_out::{Truth, scored_views};
 use super::labelled::LabelledArgs;
 use super::scene_file::cameras_of;
 use super::terminal;
@@ -9,8 +9,8 @@ use coseg::config::Association;
 use coseg::data::formats::transforms;
 use coseg::data::{MapGeometry, Split};
 use coseg::error::Result;
-use coseg::objects::{LabelMaps, LabelRule, Semantics, associate, vote};
-use coseg::raster::{Settings, SplatTensors};
+use coseg::objects::{Semantics, associate, vote};
+use coseg::raster::Settings;
 use coseg::splat::ply;
 
 const HELP: &str = "\
@@ -86,11 +86,9 @@ impl AssociateArgs {
             .filter_map(|view| Some((view, view.raw.clone()?)))
             .collect();
         truth.score(&own).print("held-out views, maps");
-        let maps = LabelMaps::new(&identities, classes, LabelRule::from(&config.segmentation));
-        let splats = SplatTensors::new(&ply.gaussians, &device);
-        let views = scored_views(&scene, &truth);
-        let shown = rendered(views, |camera| maps.of(&splats.seen_by(camera, &settings)))?;
-        truth.score(&shown).print("held-out views, rendered");
+        let shown =
+            truth.score_identities(&identities, &ply.gaussians, &scene, &config, &device)?;
+        shown.print("held-out views, rendered");
         Ok(())
     }
 }

@@ -10,8 +10,8 @@ use coseg::config::{Association, Config, Variant};
 use coseg::data::{Classes, Limits, Scene, Split};
 use coseg::error::{Error, Result};
 use coseg::metrics::ImageScores;
-use coseg::objects::{Identities, LabelMaps, LabelRule, Semantics, hard_label_map};
-use coseg::raster::{Projected, Settings, SplatTensors, render};
+use coseg::objects::{Identities, LabelRule, Semantics, hard_label_map};
+use coseg::raster::{Projected, Settings, render};
 use coseg::report::{RowScores, TestScores};
 use coseg::splat::ply;
 use coseg::splat::ply::PlyScene;
@@ -61,10 +61,10 @@ impl EvalArgs {
         let truth = if is_associated {
             Truth::Objects(&classes, semantics.as_ref())
         } else {
-            Truth::Labels(&scene.classes)
+            Truth::Labels(&classes)
         };
         let views = image_scores(&scene, &ply, &config)?;
-        let labels = label_scores(&scene, &ply, identities.as_ref(), &classes, &config, &truth)?;
+        let labels = label_scores(&scene, &ply, identities.as_ref(), &config, &truth)?;
         let mean = ImageScores::mean(&views.values().copied().collect::<Vec<_>>());
         if self.json {
             let held_out = views.len();
@@ -173,24 +173,22 @@ fn label_scores(
     scene: &Scene,
     ply: &PlyScene,
     identities: Option<&Identities>,
-    classes: &Classes,
     config: &Config,
     truth: &Truth<'_>,
 ) -> Result<Option<Scores>> {
-    let settings = Settings::from(&config.raster);
-    let rule = LabelRule::from(&config.segmentation);
-    let views = scored_views(scene, truth);
-    let maps = if let Some(identities) = identities {
-        let maps = LabelMaps::new(identities, classes, rule);
-        let splats = SplatTensors::new(&ply.gaussians, &open_cpu()?);
-        rendered(views, |camera| maps.of(&splats.seen_by(camera, &settings)))?
-    } else if let Some(labels) = &ply.labels {
-        rendered(views, |camera| {
-            let projected = Projected::new(&ply.gaussians.splats(), camera, &settings)?;
-            Ok(hard_label_map(&projected, labels, rule.min_coverage))
-        })?
-    } else {
+    let gaussians = &ply.gaussians;
+    if let Some(identities) = identities {
+        let scores = truth.score_identities(identities, gaussians, scene, config, &open_cpu()?)?;
+        return Ok(Some(scores));
+    }
+    let Some(labels) = &ply.labels else {
         return Ok(None);
     };
+    let settings = Settings::from(&config.raster);
+    let least = LabelRule::from(&config.segmentation).min_coverage;
+    let maps = rendered(scored_views(scene, truth), |camera| {
+        let projected = Projected::new(&gaussians.splats(), camera, &settings)?;
+        Ok(hard_label_map(&projected, labels, least))
+    })?;
     Ok(Some(truth.score(&maps)))
 }

@@ -411,6 +411,69 @@ fn maps_are_imported_from_npy_and_safetensors() {
     );
 }
 
+/// An npy file of version 1 with this header and these bytes.
+fn npy(descr: &str, fortran: bool, shape: &str, bytes: Vec<u8>) -> Vec<u8> {
+    let order = if fortran { "True" } else { "False" };
+    let text = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': ({shape}), }}\n");
+    let mut file = b"\x93NUMPY\x01\x00".to_vec();
+    file.extend((text.len() as u16).to_le_bytes());
+    file.extend(text.bytes());
+    file.extend(bytes);
+    file
+}
+
+#[test]
+fn npy_maps_of_any_order_and_float_are_the_same() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let one = scene(
+        vec![view("a", Split::Train, picture(16, 16, 0), None)],
+        Classes::default(),
+    );
+    let config = FeatureConfig {
+        source: FeatureSource::Import(dir.path().to_owned()),
+        ..FeatureConfig::default()
+    };
+    let (height, width, channels) = (3, 4, 2);
+    // Numbers that half precision holds exactly.
+    let value = |y: usize, x: usize, c: usize| ((y * 5 + x * x * 3 + c * 7) % 13) as f32 - 4.5;
+    let mut row_major = Vec::new();
+    for y in 0..height {
+        for x in 0..width {
+            row_major.extend((0..channels).map(|c| value(y, x, c)));
+        }
+    }
+    let mut column_major = Vec::new();
+    for c in 0..channels {
+        for x in 0..width {
+            column_major.extend((0..height).map(|y| value(y, x, c)));
+        }
+    }
+    let shape = format!("{height}, {width}, {channels}");
+    let maps = |descr: &str, fortran: bool, bytes: Vec<u8>| {
+        for n in 1..=4 {
+            let file = npy(descr, fortran, &shape, bytes.clone());
+            std::fs::write(dir.path().join(format!("a.{n}.npy")), file).expect("write");
+        }
+        extract(&one, &config, 0, &crate::support::device())
+    };
+    fn bytes<const N: usize>(values: &[f32], to: impl Fn(f32) -> [u8; N]) -> Vec<u8> {
+        values.iter().flat_map(|&v| to(v)).collect()
+    }
+    let plain = maps("<f4", false, bytes(&row_major, f32::to_le_bytes)).expect("maps");
+    let half = |v: f32| half::f16::from_f32(v);
+    for (descr, fortran, bytes) in [
+        (">f4", false, bytes(&row_major, f32::to_be_bytes)),
+        ("<f2", false, bytes(&row_major, |v| half(v).to_le_bytes())),
+        (">f2", false, bytes(&row_major, |v| half(v).to_be_bytes())),
+        ("<f4", true, bytes(&column_major, f32::to_le_bytes)),
+    ] {
+        let found = maps(descr, fortran, bytes).expect("maps");
+        assert!(found.views == plain.views, "{descr} {fortran}");
+    }
+    let error = maps("<f8", false, vec![0; 8 * 24]).expect_err("f64");
+    crate::support::assert_names(&error, &["a.1.npy", "dtype", "f8"]);
+}
+
 #[test]
 fn hostile_maps_are_refused_by_name() {
     let dir = tempfile::tempdir().expect("temporary folder");
