@@ -70,10 +70,10 @@ pub struct TrainArgs {
     /// 3DGS PLY of this or another trainer whose Gaussians to label, instead of building new ones
     #[arg(long, value_name = "FILE.ply|RUN", conflicts_with = "resume")]
     scene: Option<PathBuf>,
-    /// Run folder to write [default: runs/NAME, with NAME of the scene and a number if that folder is taken]
+    /// Run folder to write [default: runs/NAME of the scene, with a number if that is taken]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Continue this run from its last checkpoint, as if it had not stopped; add --data if its scene has moved
+    /// Continue this run from its last checkpoint; add --data if its scene has moved
     #[arg(long, value_name = "RUN", conflicts_with_all = ["out", "seed", "config"])]
     resume: Option<PathBuf>,
     /// Seed of every random choice [default: 0]

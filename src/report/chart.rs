@@ -31,6 +31,8 @@ const TEXT: RGBColor = RGBColor(118, 121, 130);
 const GRID: RGBColor = RGBColor(226, 226, 221);
 /// Ticks of an axis, about.
 const TICKS: usize = 6;
+/// A logarithmic axis spans this ratio or more.
+const LEAST_RATIO: f64 = 3.0;
 /// Lines with more points than this are averaged in groups.
 const MOST_POINTS: usize = 160;
 /// Lines with at most this many points have markers.
@@ -92,7 +94,11 @@ impl Chart {
         if self.lines.iter().all(|line| line.points.len() < 2) {
             return None;
         }
-        let log = self.log && points().all(|point| point.1 > 0.0);
+        let values = points().map(|point| point.1);
+        let low = values.clone().fold(f64::INFINITY, f64::min);
+        let high = values.fold(0.0, f64::max);
+        // Two digits tell the ticks of a logarithmic axis apart only over a wide range.
+        let log = self.log && low > 0.0 && high > LEAST_RATIO * low;
         let place = |value: f64| if log { value.log10() } else { value };
         let y = around(points().map(|point| place(point.1)));
         let end = points().fold(1.0, |end: f64, point| end.max(point.0));
