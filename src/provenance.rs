@@ -1,4 +1,4 @@
-//! What a checkpoint was made from: settings and data. A run resumes a checkpoint only when both are its own.
+//! The settings and data that a checkpoint depends on. A run resumes only a checkpoint with the same ones.
 
 use crate::checkpoint::Scalar;
 use crate::config::{Config, LabelSource};
@@ -26,11 +26,11 @@ const DECODER: &[&str] = &[
 /// JSON text of settings by dotted key.
 type Values = BTreeMap<String, String>;
 
-/// A kind of data that training follows from.
+/// A kind of data that training depends on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Data {
-    /// What stage one sees. First, since Gaussians are placed among the cameras.
+    /// The input of stage one. First, since the Gaussians depend on the cameras too.
     Photos,
     Gaussians,
     Labels,
@@ -49,7 +49,7 @@ impl Data {
         }
     }
 
-    /// What to resume with where this data differs and no setting says why.
+    /// What to resume with, where this data differs and no setting explains it.
     fn original(self) -> &'static str {
         match self {
             Self::Photos | Self::Labels => {
@@ -62,16 +62,16 @@ impl Data {
     }
 }
 
-/// A digest of data, and the settings that it follows from.
+/// A digest of data, and the settings that it depends on.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Origin {
     /// SHA-256.
     digest: String,
-    /// Other settings may give the same data, so they alone are no reason to refuse. They explain other data.
+    /// They explain a different digest. Other settings with the same digest are accepted.
     settings: Values,
 }
 
-/// Settings and data that training follows from. The default is empty: that of a state made in memory.
+/// The settings and data that training depends on. Empty for a state that was made in memory.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Provenance {
     settings: Values,
@@ -154,12 +154,12 @@ impl Provenance {
         *self != Self::default()
     }
 
-    /// Refuses a checkpoint, `stored` in `file`, that was made from other settings or data than these. A `finished` training
-    /// may be scored by another rule of rendering.
+    /// Refuses a checkpoint, `stored` in `file`, of other settings or data. A `finished` training may be scored by another rule
+    /// of rendering.
     ///
     /// # Errors
-    /// [`Error::Config`] naming the first setting that differs, or the one that other data follows from; [`Error::Input`]
-    /// naming the data.
+    /// [`Error::Config`] naming the first setting that differs, or the one that explains other data; [`Error::Input`] naming
+    /// the data.
     pub fn check(&self, stored: &Self, finished: bool, file: &Path) -> Result<()> {
         if let Some(key) = first_difference(&self.settings, &stored.settings) {
             return Err(other_setting(key, &self.settings, &stored.settings, file));

@@ -72,7 +72,7 @@ pub struct Reduction<'a> {
     pub name: String,
     /// One a scale.
     pub reductions: [Pca; SCALES],
-    /// What the maps depend on besides the photos: the arithmetic and the weights, or a digest of the imported training maps.
+    /// What the maps depend on besides the photos: arithmetic and weights, or a digest of the imported maps.
     pub content: String,
     extractor: Extractor,
     config: &'a FeatureConfig,
@@ -203,7 +203,7 @@ fn reduce_view(
     })
 }
 
-/// What errors call a map.
+/// The name of a map in errors.
 fn map_name(view: &View, scale: usize) -> String {
     format!("features of view {}, scale {}", view.name, scale + 1)
 }

@@ -63,7 +63,7 @@ pub enum Extractor {
 }
 
 impl Extractor {
-    /// The extractor that the settings ask for; reads weights where it has any, by way of `device`.
+    /// The extractor of the settings. Reads its weights, if it has any, onto `device`.
     ///
     /// # Errors
     /// [`Error::Config`] when a needed path is not set; [`Error::Io`] and [`Error::Input`] for unusable weights.
@@ -131,7 +131,7 @@ impl Extractor {
         self.maps_of(&view.name, || view.image.pixels())
     }
 
-    /// The maps of the view of this name, whose photo `pixels` gives where it is looked at.
+    /// The maps of the view `name`; `pixels` decodes its photo where that is needed.
     fn maps_of(
         &self,
         name: &str,

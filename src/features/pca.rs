@@ -22,7 +22,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Of no rows yet, with `channels` columns.
+    /// No rows yet, of `channels` columns.
     pub fn new(channels: usize) -> Self {
         Self {
             count: 0.0,
