@@ -2,7 +2,6 @@
 //! `HostBackend` lends them the contents of a tensor on any backend.
 
 mod adam;
-mod assignment;
 mod finite;
 #[cfg(feature = "cube")]
 mod gpu;
@@ -11,7 +10,6 @@ mod sparse;
 mod sum;
 
 pub use self::adam::{AdamStep, AdamTensors, adam_step, adam_step_plain};
-pub use self::assignment::assignment;
 pub use self::finite::FiniteCheck;
 pub use self::photometric::{PhotometricTarget, photometric_loss, photometric_loss_plain};
 pub use self::sparse::{SparseBackend, SparseMatrix, sparse_apply, sparse_apply_plain};

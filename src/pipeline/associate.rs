@@ -7,10 +7,11 @@ use crate::objects::{Association, Semantics, associate_until};
 use crate::progress::{Progress, Viewing};
 use crate::raster::Settings;
 use crate::splat::Gaussians;
+use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
 /// Result of the association.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Associated {
     /// Segments of the training views.
     pub segments: usize,

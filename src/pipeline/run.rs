@@ -15,12 +15,13 @@ use crate::progress::{CurvePoint, Progress};
 use crate::raster::Settings;
 use crate::splat::Gaussians;
 use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::time::Instant;
 
 /// Seconds spent in each part of the job; evaluations count in their stage. Training in earlier parts of a resumed run counts;
 /// steps that it repeats (loading, association, features, unprojection) count once.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Seconds {
     /// Stage one.
     pub building: f64,

@@ -450,7 +450,7 @@ fn associate_writes_maps_of_global_ids() {
     ];
     let said = succeeds(&arguments);
     assert!(
-        said.contains("16 segments of training views: 4 objects, 0 segments of none"),
+        said.contains("16 segments of training views: 4 objects; 0 segments are in no object"),
         "{said}"
     );
     assert!(
@@ -508,7 +508,7 @@ fn a_run_trains_on_objects_and_scores_them() {
     plate_folder(dir);
     let run = dir.join("run");
     let said = short_run(dir, &run);
-    assert!(said.contains("16 segments put together into"), "{said}");
+    assert!(said.contains("16 segments joined into"), "{said}");
     let metrics = read_json(&run.join("metrics.json"));
     assert_eq!(metrics["association"]["segments"], 16);
     let labels = &metrics["test"]["labels"];
