@@ -17,6 +17,8 @@ use crate::segmentation::encoder::spatial_digest;
 use crate::segmentation::loss::LabelLoss;
 use std::path::Path;
 
+/// Learning rate of per-Gaussian identities.
+const LR_PER_GAUSSIAN: f64 = 5e-2;
 /// Share added to every class of the votes that a decoder starts from.
 const VOTE_FLOOR: f32 = 0.02;
 /// Share of the frozen channels that each of the two predictions of `loss = "gjs"` drops.
@@ -302,9 +304,8 @@ fn trained(
     };
     if !row.trains_decoder() {
         let size = [inputs.gaussians.len(), classes];
-        let rate = config.lr_per_gaussian;
-        let mut model = PerGaussian::new(size, rate, config.blend, &device);
-        return fit(views, &mut model, rate, progress);
+        let mut model = PerGaussian::new(size, LR_PER_GAUSSIAN, config.blend, &device);
+        return fit(views, &mut model, LR_PER_GAUSSIAN, progress);
     }
     let source = spatial.source(row, inputs)?;
     let mut model = decoder_row(row, config.lr, &plan, source, inputs, views)?;
