@@ -19,6 +19,8 @@ use crate::segmentation::loss::LabelLoss;
 use std::cell::OnceCell;
 use std::path::Path;
 
+/// Learning rate of per-Gaussian identities.
+const LR_PER_GAUSSIAN: f64 = 5e-2;
 /// Share added to every class of the votes that a decoder starts from.
 const VOTE_FLOOR: f32 = 0.02;
 /// Share of the frozen channels that each of the two predictions of `loss = "gjs"` drops.

@@ -240,8 +240,7 @@ impl Run<'_> {
         }
         for (v, view) in slots().filter(|(_, view)| view.split == Split::Test) {
             let segments = self.segments(view)?;
-            let least = self.config.min_overlap;
-            let assigned = sweeps::assign_view(groups, &segments, &sizes, least);
+            let assigned = sweeps::assign_view(groups, &segments, &sizes, sweeps::MIN_OVERLAP);
             maps[v] = paint(view, &assigned)?;
             progress(1)?;
         }

@@ -13,6 +13,12 @@ use crate::error::Result;
 use std::borrow::Cow;
 use std::collections::HashMap;
 
+/// Smallest overlap (IoU of a segment and a group as the view shows it) at which the two belong together.
+pub(super) const MIN_OVERLAP: f64 = 0.25;
+/// Two groups become one when more than this share of the views that show both put them into one segment. One view that keeps
+/// them apart is assumed. A group that more than the other views keep apart becomes two.
+const MERGE_ABOVE: f64 = 0.5;
+
 /// Forms the groups of `views` and returns the group of each segment. Reports each view in each sweep to `progress`.
 ///
 /// # Errors
@@ -32,21 +38,20 @@ pub(super) fn form_groups<'a>(
             assigned[v] = if sweep == 0 {
                 // No group is known yet that a segment may cover.
                 let whole = views[v].segments.iter().map(Cow::Borrowed).collect();
-                groups.assign(whole, config.min_overlap, Unmatched::Opens)
+                groups.assign(whole, MIN_OVERLAP, Unmatched::Opens)
             } else {
                 let pieces = divided(groups, &views[v], &sizes);
-                groups.assign(pieces, config.min_overlap, Unmatched::JoinsOrOpens)
+                groups.assign(pieces, MIN_OVERLAP, Unmatched::JoinsOrOpens)
             };
             sizes.resize(groups.len(), 0.0);
             groups.add(&assigned[v]);
             progress(1)?;
         }
         groups.rebuild(&assigned);
-        let above = config.merge_above;
-        if split(groups, views, &mut assigned, &order, above, progress)? {
+        if split(groups, views, &mut assigned, &order, MERGE_ABOVE, progress)? {
             groups.rebuild(&assigned);
         }
-        sizes = merge_groups(groups, views, &mut assigned, above, progress)?;
+        sizes = merge_groups(groups, views, &mut assigned, MERGE_ABOVE, progress)?;
     }
     drop_negligible(groups, &mut assigned, config.min_weight)?;
     Ok(assigned)
