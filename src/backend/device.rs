@@ -119,7 +119,6 @@ pub fn open_cpu() -> Result<Device> {
 ///
 /// # Errors
 /// As [`choose`], and [`Error::Device`] where there is a [`shortfall`].
-#[cfg(feature = "cube")]
 pub fn open_gpu() -> Result<Device> {
     let device = open(Some(BackendName::Wgpu))?;
     match shortfall(&device) {
@@ -159,7 +158,6 @@ pub fn described(name: BackendName) -> String {
 ///
 /// # Errors
 /// As [`open_gpu`]; [`Error::Device`] for a software adapter.
-#[cfg(feature = "cube")]
 pub fn open_hardware_gpu() -> Result<Device> {
     let device = open_gpu()?;
     match software_adapter(BackendName::Wgpu) {
@@ -174,7 +172,7 @@ pub fn open_hardware_gpu() -> Result<Device> {
 
 /// [`open_gpu`] for tests. Without a GPU they print so and pass, unless COSEG_REQUIRE_GPU is set; its value `hardware` excludes
 /// software adapters.
-#[cfg(all(test, feature = "cube"))]
+#[cfg(test)]
 pub(crate) fn gpu_of_tests() -> Option<Device> {
     let required = std::env::var_os("COSEG_REQUIRE_GPU");
     let hardware = required.as_ref().is_some_and(|how| how == "hardware");
@@ -193,7 +191,6 @@ pub(crate) fn gpu_of_tests() -> Option<Device> {
 #[cfg(test)]
 pub(crate) fn device_of_tests(name: BackendName) -> Option<Device> {
     match name {
-        #[cfg(feature = "wgpu")]
         BackendName::Wgpu => gpu_of_tests(),
         _ => open(Some(name))
             .inspect_err(|error| eprintln!("SKIPPED: {error}"))
@@ -213,11 +210,6 @@ pub fn in_host_memory(device: &Device) -> bool {
         #[allow(unreachable_patterns, reason = "unreachable without a GPU backend")]
         _ => false,
     }
-}
-
-/// Whether the GPU kernels render scenes on `device`: a GPU without their requirements copies everything to the CPU.
-pub fn renders_on(device: &Device) -> bool {
-    !in_host_memory(device) && shortfall(device).is_none()
 }
 
 /// The requirement of the rasterizer's kernels that `device`, if it is a GPU, does not meet. Such a device copies to the host and

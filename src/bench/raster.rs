@@ -178,7 +178,7 @@ fn frames(bench: &Bench, gaussians: &Gaussians, cameras: &[Camera]) -> Result<Sa
         ..RenderOptions::default()
     };
     let labels = Some(labels.collect());
-    let mut renderer = Renderer::new(gaussians.clone(), labels, options, &bench.device)?;
+    let renderer = Renderer::new(gaussians.clone(), labels, options, &bench.device)?;
     let passes = Samples::of(bench.effort.repeats, || {
         cameras.iter().try_for_each(|camera| {
             black_box(renderer.frame(camera)?);

@@ -2,13 +2,12 @@
 
 use super::pixel_sample::stratified_sample;
 use super::rendered::{RenderedView, visible};
-use crate::backend::device::in_host_memory;
 use crate::config::Blend;
 use crate::data::{Classes, LabelMap, LabelRuns, View};
 use crate::error::Result;
 use crate::objects::{Votes, vote};
 use crate::ops::SparseMatrix;
-use crate::raster::{Projected, Settings, SplatTensors};
+use crate::raster::{Settings, SplatTensors, SplatView};
 use crate::segmentation::loss::Scores;
 use crate::segmentation::pixels::{LabelledPixels, PixelWeights, UNLABELLED};
 use crate::splat::Gaussians;
@@ -138,8 +137,7 @@ pub struct TrainingViews<'a> {
     min_coverage: f32,
     seen: Vec<Option<Arc<LabelledView>>>,
     budget: usize,
-    /// All Gaussians, where they are rendered on a GPU.
-    splats: Option<SplatTensors>,
+    splats: SplatTensors,
     votes: Option<Arc<Votes>>,
     keep_votes: bool,
     device: Device,
@@ -158,7 +156,7 @@ impl<'a> TrainingViews<'a> {
     ) -> Self {
         let views: Vec<_> = views.filter(|v| v.raw.is_some()).collect();
         let seen = vec![None; views.len()];
-        let splats = (!in_host_memory(device)).then(|| SplatTensors::new(gaussians, device));
+        let splats = SplatTensors::new(gaussians, device);
         let device = device.clone();
         Self {
             gaussians,
@@ -232,23 +230,18 @@ impl<'a> TrainingViews<'a> {
     /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite; on a GPU those of
     /// [`crate::raster::SplatView::blend`].
     pub fn sample(&mut self, index: usize, share: f64, rng: &mut impl Rng) -> Result<ViewSample> {
-        let (view, kept) = match (&self.seen[index], self.splats.clone()) {
-            (Some(view), None) => (view.clone(), view.kept.clone()),
-            (None, None) => {
-                let view = self.look(index)?;
-                (view.clone(), view.kept.clone())
+        let stored = self.splats.have_stored_weights();
+        let view = match &self.seen[index] {
+            Some(view) => view.clone(),
+            None if stored => self.look(index)?,
+            None => self.look_on_device(index)?,
+        };
+        let kept = match &view.kept {
+            Kept::Nothing if !stored => {
+                let rendered = self.rendered(index, &view.visible, &view.entries);
+                Kept::OnDevice(Arc::new(rendered))
             }
-            (seen, Some(splats)) => {
-                let view = match seen {
-                    Some(view) => view.clone(),
-                    None => self.look_on_device(index, &splats)?,
-                };
-                let rendered = match &view.kept {
-                    Kept::OnDevice(rendered) => rendered.clone(),
-                    _ => Arc::new(self.rendered(index, &splats, &view.visible, &view.entries)),
-                };
-                (view, Kept::OnDevice(rendered))
-            }
+            kept => kept.clone(),
         };
         let visible = view.visible.clone();
         let keep = share >= 1.0 && self.keeps_pixels(&view);
@@ -264,10 +257,9 @@ impl<'a> TrainingViews<'a> {
             }
             Kept::Nothing => {
                 let (pixels, labels) = view.pixels(&sample());
-                let weights = Arc::new(
-                    self.normalised_weights(index, &pixels)?
-                        .over_columns(&visible),
-                );
+                let weights = self.view(index).weights(&pixels)?;
+                let weights = weights.normalised(self.min_coverage);
+                let weights = Arc::new(weights.over_columns(&visible));
                 LabelledPixels::new(
                     PixelWeights::Stored(weights),
                     (0..pixels.len() as u32).collect(),
@@ -294,16 +286,10 @@ impl<'a> TrainingViews<'a> {
         left.is_some()
     }
 
-    /// Weights of `pixels` of view `index` over all Gaussians; rows of barely covered pixels are empty.
-    fn normalised_weights(&self, index: usize, pixels: &[u32]) -> Result<SparseMatrix> {
-        let projected = Projected::new(
-            &self.gaussians.splats(),
-            &self.views[index].camera,
-            &self.settings,
-        )?;
-        Ok(projected
-            .weights(Some(pixels))
-            .normalised(self.min_coverage))
+    /// View `index` of all Gaussians.
+    fn view(&self, index: usize) -> SplatView {
+        self.splats
+            .seen_by(&self.views[index].camera, &self.settings)
     }
 
     /// Class index of the raw label of each pixel of view `index`, [`UNLABELLED`] where it has none.
@@ -326,7 +312,7 @@ impl<'a> TrainingViews<'a> {
     }
 
     /// [`TrainingViews::look`] on a GPU.
-    fn look_on_device(&mut self, index: usize, splats: &SplatTensors) -> Result<Arc<LabelledView>> {
+    fn look_on_device(&mut self, index: usize) -> Result<Arc<LabelledView>> {
         let mut map = self.raw_classes(index);
         let covered = |pixel: usize, t: f32| {
             let coverage = 1.0 - t;
@@ -334,10 +320,7 @@ impl<'a> TrainingViews<'a> {
                 && coverage >= self.min_coverage
                 && coverage > 0.0
         };
-        let (transmittance, visible) = visible(
-            &splats.seen_by(&self.views[index].camera, &self.settings),
-            covered,
-        )?;
+        let (transmittance, visible) = visible(&self.view(index), covered)?;
         let kept: Vec<bool> = transmittance
             .iter()
             .enumerate()
@@ -352,7 +335,7 @@ impl<'a> TrainingViews<'a> {
         let kept = match self.budget.checked_sub(RenderedView::bytes(visible.len())) {
             Some(left) => {
                 self.budget = left;
-                Kept::OnDevice(Arc::new(self.rendered(index, splats, &visible, &entries)))
+                Kept::OnDevice(Arc::new(self.rendered(index, &visible, &entries)))
             }
             None => Kept::Nothing,
         };
@@ -372,11 +355,10 @@ impl<'a> TrainingViews<'a> {
     fn rendered(
         &self,
         index: usize,
-        splats: &SplatTensors,
         visible: &[u32],
         entries: &Arc<OnceLock<usize>>,
     ) -> RenderedView {
-        RenderedView(splats.select(visible).seen_again_by(
+        RenderedView(self.splats.select(visible).seen_again_by(
             &self.views[index].camera,
             &self.settings,
             entries,
@@ -390,11 +372,7 @@ impl<'a> TrainingViews<'a> {
         let labelled: Vec<u32> = (0..map.ids.len() as u32)
             .filter(|&p| map.ids[p as usize] != UNLABELLED)
             .collect();
-        let projected = Projected::new(
-            &self.gaussians.splats(),
-            &self.views[index].camera,
-            &self.settings,
-        )?;
+        let view = self.view(index);
         let mut covered = vec![UNLABELLED; map.ids.len()];
         let (mut shown, mut count) = (vec![false; self.gaussians.len()], 0);
         let mut keep = Some(SparseMatrix::new(
@@ -404,7 +382,7 @@ impl<'a> TrainingViews<'a> {
             Vec::new(),
         ));
         for band in labelled.chunks(BAND) {
-            let weights = projected.weights(Some(band)).normalised(self.min_coverage);
+            let weights = view.weights(band)?.normalised(self.min_coverage);
             let rows: Vec<u32> = (0..band.len() as u32)
                 .filter(|&r| !weights.row(r as usize).0.is_empty())
                 .collect();

@@ -3,6 +3,7 @@
 use super::blend::{self, Values};
 use super::pixel_sums::{self, Tiles};
 use super::project::SPLAT;
+use super::sh::{self, Harmonics};
 use super::{Inputs, Prepared, Scenery, check_size, prepare};
 use crate::backend::gpu::{Gpu, arg};
 use crate::error::Result;
@@ -84,6 +85,16 @@ impl Lists {
     /// Entries of the tile lists.
     pub fn entries(&self) -> usize {
         self.prepared.entries.len
+    }
+
+    /// Colours `[N, 3]` of the Gaussians with these means, from coefficients `[N, K, 3]` of degree `degree`.
+    pub fn colours(&self, means: CubeTensor, sh: CubeTensor, degree: usize) -> CubeTensor {
+        let gpu = Gpu::of(&means);
+        let Prepared {
+            view, projected, ..
+        } = &self.prepared;
+        let harmonics = Harmonics::new(sh, self.prepared.order.len, degree);
+        sh::colours(&gpu, &means, &harmonics, &projected.radii, view)
     }
 
     /// Disc pixels of every Gaussian, `[N]`.

@@ -317,3 +317,57 @@ pub(super) fn tile_entries(
         ends,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::Settings;
+    use crate::raster::gpu::fixture::{View, words};
+
+    #[test]
+    fn tile_lists_agree() {
+        for settings in [
+            Settings::default(),
+            Settings {
+                alpha_min: 0.0,
+                ..Settings::default()
+            },
+        ] {
+            for (n, scale, size) in [
+                (2000, 0.03, [130, 90]),
+                (300, 0.5, [65, 40]),
+                (100, 3.0, [33, 47]),
+            ] {
+                let Some(view) = View::new(n, scale, size, &settings) else {
+                    return;
+                };
+                let [across, down] = tile_counts(size);
+                let ranges = words(&view.gpu, &view.entries.ranges);
+                let gaussians = words(&view.gpu, &view.entries.gaussians);
+                let (mut entries, mut differing) = (0, 0);
+                for tile in 0..across * down {
+                    let got = &gaussians[ranges[2 * tile] as usize..ranges[2 * tile + 1] as usize];
+                    let ranks =
+                        &view.host.tiles.ranks[view.host.tiles.tile(tile % across, tile / across)];
+                    let want: Vec<u32> = ranks
+                        .iter()
+                        .map(|&rank| view.host.ids[rank as usize])
+                        .collect();
+                    entries += want.len();
+                    // Lists differ where an ellipse grazes a tile; what both have is in one order.
+                    let both: Vec<u32> =
+                        got.iter().copied().filter(|id| want.contains(id)).collect();
+                    let shared: Vec<u32> =
+                        want.iter().copied().filter(|id| got.contains(id)).collect();
+                    let flips = both.iter().zip(&shared).filter(|(a, b)| a != b).count();
+                    differing += got.len() + want.len() - both.len() - shared.len() + flips;
+                }
+                assert!(entries > 0);
+                assert!(
+                    differing * 500 <= entries,
+                    "{differing} of {entries} entries differ, {n} Gaussians"
+                );
+            }
+        }
+    }
+}

@@ -24,8 +24,6 @@ mod radix_sort;
 mod row_sums;
 mod scan;
 mod sh;
-#[cfg(test)]
-mod tests;
 mod vec3;
 mod view;
 
@@ -41,7 +39,7 @@ use burn::tensor::DType;
 use burn_cubecl::cubecl::prelude::*;
 use burn_cubecl::tensor::CubeTensor;
 use lists::{Order, Report, TileEntries};
-use project::{ProjectedScene, Scene};
+use project::ProjectedScene;
 use sh::Harmonics;
 
 /// Sums of absolute screen-space gradients exist for up to this many channels.
@@ -109,29 +107,14 @@ pub(super) fn covers(tensor: &CubeTensor) -> bool {
 }
 
 impl Inputs {
+    /// Number of Gaussians.
     fn len(&self) -> usize {
         self.logits.meta.num_elements()
     }
 
-    fn scene(&self) -> Scene {
-        Scene {
-            means: self.means.clone(),
-            log_scales: self.log_scales.clone(),
-            rotations: self.rotations.clone(),
-            logits: self.logits.clone(),
-            len: self.len(),
-        }
-    }
-
     fn harmonics(&self) -> Option<Harmonics> {
         let (sh, active) = self.sh.as_ref()?;
-        let stored = sh.meta.num_elements() / (3 * self.len().max(1));
-        let degree = (*active).min(stored.isqrt().saturating_sub(1)) as u32;
-        Some(Harmonics {
-            sh: sh.clone(),
-            stored,
-            degree,
-        })
+        Some(Harmonics::new(sh.clone(), self.len(), *active))
     }
 
     fn values(&self, colours: Option<CubeTensor>) -> Values {
@@ -201,7 +184,7 @@ pub(super) fn forward(
         size,
         ..
     } = &prepared;
-    let colours = harmonics.map(|h| sh::colours(&gpu, &inputs.scene(), &h, &projected.radii, view));
+    let colours = harmonics.map(|h| sh::colours(&gpu, &inputs.means, &h, &projected.radii, view));
     let values = inputs.values(colours);
     let (image, transmittance) =
         blend::blend(&gpu, &projected.splats, entries, &values, view, *size);
@@ -233,7 +216,6 @@ fn prepare(
     let size = viewpoint.size;
     let len = inputs.len();
     check_size(gpu, "Gaussians", len, project::SPLAT * size_of::<f32>())?;
-    let scene = inputs.scene();
     let view = gpu.upload(
         &view::constants(&viewpoint, camera, settings, background),
         DType::F32,
@@ -243,7 +225,7 @@ fn prepare(
     for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
         add_non_finite(gpu, tensor, tensor.meta.num_elements(), &report.counts);
     }
-    let projected = project::project(gpu, &scene, &view, &report.counts, everywhere);
+    let projected = project::project(gpu, inputs, &view, &report.counts, everywhere);
     let fits = |count: usize| {
         check_size(
             gpu,
@@ -366,10 +348,9 @@ impl Forward {
             view,
             row_bytes,
         );
-        let scene = inputs.scene();
         let d = parameters::backward(
             &gpu,
-            &scene,
+            inputs,
             view,
             &projected.splats,
             &projected.radii,
@@ -383,7 +364,12 @@ impl Forward {
                     radii: &projected.radii,
                 };
                 Some(sh::backward(
-                    &gpu, &scene, &harmonics, &from, view, &d.means,
+                    &gpu,
+                    &inputs.means,
+                    &harmonics,
+                    &from,
+                    view,
+                    &d.means,
                 ))
             }
             _ => None,
@@ -396,6 +382,115 @@ impl Forward {
             sh,
             features: inputs.features.as_ref().map(|_| sums.d_features),
             screen: d.screen,
+        }
+    }
+}
+
+#[cfg(test)]
+mod fixture {
+    //! What the tests of the kernels share.
+
+    use super::lists::{Order, Report, TileEntries, depth_order, tile_entries};
+    use super::project::{ProjectedScene, project};
+    use super::scan::CEILING;
+    use super::*;
+    use crate::backend::device::gpu_of_tests;
+    use crate::raster::{Projected, Splats};
+    use burn_cubecl::CubeDevice;
+    use glam::{DMat3, DVec3};
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// The default device, if this machine has one.
+    pub fn gpu() -> Option<Gpu> {
+        gpu_of_tests()?;
+        Some(Gpu::on(CubeDevice::Wgpu(Default::default())))
+    }
+
+    pub fn words(gpu: &Gpu, tensor: &CubeTensor) -> Vec<u32> {
+        read_words(gpu, tensor).expect("a working device")
+    }
+
+    pub fn floats(gpu: &Gpu, tensor: &CubeTensor) -> Vec<f32> {
+        words(gpu, tensor).into_iter().map(f32::from_bits).collect()
+    }
+
+    /// A scene in host memory and on the device, as far as tile lists.
+    pub struct View {
+        pub gpu: Gpu,
+        pub host: Projected<f32>,
+        pub constants: CubeTensor,
+        pub projected: ProjectedScene,
+        pub order: Order,
+        pub entries: TileEntries,
+        pub size: [usize; 2],
+    }
+
+    impl View {
+        pub fn new(n: usize, scale: f32, size: [usize; 2], settings: &Settings) -> Option<Self> {
+            let gpu = gpu()?;
+            let mut rng = ChaCha8Rng::seed_from_u64(3);
+            let mut draw = |n: usize, low: f32, high: f32| -> Vec<f32> {
+                (0..n).map(|_| rng.random_range(low..high)).collect()
+            };
+            let means: Vec<f32> = draw(3 * n, -2.0, 2.0);
+            let log_scales: Vec<f32> = draw(3 * n, -1.0, 1.0)
+                .iter()
+                .map(|x| x + scale.ln())
+                .collect();
+            let (rotations, logits) = (draw(4 * n, -1.0, 1.0), draw(n, -3.0, 3.0));
+            let camera = Camera {
+                rotation: DMat3::IDENTITY,
+                center: DVec3::new(0.1, 0.2, -2.5),
+                fx: 0.8 * size[0] as f64,
+                fy: 0.8 * size[0] as f64,
+                cx: 0.5 * size[0] as f64,
+                cy: 0.5 * size[1] as f64,
+                width: size[0],
+                height: size[1],
+            };
+            let splats = Splats {
+                means: &means,
+                log_scales: &log_scales,
+                rotations: &rotations,
+                opacity_logits: &logits,
+            };
+            let host = Projected::new(&splats, &camera, settings).expect("valid");
+            let [means, log_scales, rotations, logits] =
+                [&means, &log_scales, &rotations, &logits].map(|v| gpu.upload(v, DType::F32));
+            let inputs = Inputs {
+                means,
+                log_scales,
+                rotations,
+                logits,
+                sh: None,
+                features: None,
+            };
+            let constants = view::constants(&host.viewpoint, &camera, settings, [0.0; 3]);
+            let constants = gpu.upload(&constants, DType::F32);
+            let report = Report::new(&gpu);
+            let everywhere = settings.alpha_min == 0.0;
+            let projected = project(&gpu, &inputs, &constants, &report.counts, everywhere);
+            let order = depth_order(
+                &gpu,
+                &projected,
+                n,
+                size,
+                everywhere,
+                &report,
+                CEILING as usize,
+            );
+            let count = words(&gpu, &report.counts)[1] as usize;
+            let entries = tile_entries(&gpu, &projected, &order, count, false, size, everywhere);
+            Some(Self {
+                gpu,
+                host,
+                constants,
+                projected,
+                order,
+                entries,
+                size,
+            })
         }
     }
 }

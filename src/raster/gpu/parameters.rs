@@ -1,8 +1,9 @@
 //! From the sums over pixels to the gradients of the parameters: one unit a Gaussian.
 
+use super::Inputs;
 use super::backward::ABSOLUTE_MOMENTS;
 use super::ewa::{Unit, ewa, offset_from_camera, rows_cross, to_camera};
-use super::project::{SPLAT, Scene};
+use super::project::SPLAT;
 use super::vec3::{Vec3, add_scaled, cross, dot, read3, scaled, vec3, write3};
 use super::view::{AXES, FOCAL, LOW_PASS, SIZE};
 use crate::backend::gpu::{Gpu, arg};
@@ -151,13 +152,13 @@ pub(super) struct GeometryGradients {
 /// Gradients from `moments`, `[N, 6]` or `[N, 8]`, zero for culled Gaussians.
 pub(super) fn backward(
     gpu: &Gpu,
-    scene: &Scene,
+    inputs: &Inputs,
     view: &CubeTensor,
     splats: &CubeTensor,
     radii: &CubeTensor,
     moments: &CubeTensor,
 ) -> GeometryGradients {
-    let n = scene.len;
+    let n = inputs.len();
     let sums = moments.meta.num_elements() / n.max(1);
     let out = GeometryGradients {
         means: gpu.floats([n, 3]),
@@ -170,10 +171,10 @@ pub(super) fn backward(
         &gpu.client,
         gpu.cubes_for(n),
         gpu.dim(),
-        arg(&scene.means),
-        arg(&scene.log_scales),
-        arg(&scene.rotations),
-        arg(&scene.logits),
+        arg(&inputs.means),
+        arg(&inputs.log_scales),
+        arg(&inputs.rotations),
+        arg(&inputs.logits),
         arg(view),
         arg(splats),
         arg(radii),

@@ -186,3 +186,100 @@ fn sums_over_tiles(
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::Settings;
+    use crate::raster::gpu::blend::blend;
+    use crate::raster::gpu::fixture::{View, floats};
+    use burn::tensor::DType;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn entries_in_slabs_give_the_same_sums() {
+        let Some(view) = View::new(400, 0.1, [50, 41], &Settings::default()) else {
+            return;
+        };
+        let gpu = &view.gpu;
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let mut draw = |n: usize| -> CubeTensor {
+            let values: Vec<f32> = (0..n).map(|_| rng.random_range(-1.0..1.0)).collect();
+            gpu.upload(&values, DType::F32)
+        };
+        let pixels = 50 * 41;
+        let values = Values {
+            colours: Some(draw(400 * 3)),
+            features: Some(draw(400 * 9)),
+            channels: 12,
+        };
+        let (image, transmittance) = blend(
+            gpu,
+            &view.projected.splats,
+            &view.entries,
+            &values,
+            &view.constants,
+            view.size,
+        );
+        let (d_image, d_transmittance) = (draw(pixels * 12), draw(pixels));
+        let gradients = PixelGradients {
+            image: &image,
+            d_image: &d_image,
+            transmittance: &transmittance,
+            d_transmittance: Some(&d_transmittance),
+            absolute: false,
+        };
+        let tiles = Tiles {
+            order: &view.order,
+            entries: &view.entries,
+            size: view.size,
+        };
+        let sums = |row_bytes: usize| {
+            let out = pixel_sums(
+                gpu,
+                &view.projected.splats,
+                tiles,
+                &values,
+                &gradients,
+                &view.constants,
+                row_bytes,
+            );
+            [out.moments, out.d_colours, out.d_features].map(|t| floats(gpu, &t))
+        };
+        let whole = sums(usize::MAX);
+        let slabs = sums(view.entries.len * 56 / 3);
+        let lift = |row_bytes: usize| {
+            let sums = adjoint(
+                gpu,
+                &view.projected.splats,
+                tiles,
+                &d_image,
+                12,
+                &view.constants,
+                row_bytes,
+            );
+            floats(gpu, &sums)
+        };
+        let lifted = [lift(usize::MAX), lift(view.entries.len * 48 / 3)];
+        let d_values: Vec<f32> = whole[1]
+            .chunks_exact(3)
+            .zip(whole[2].chunks_exact(9))
+            .flat_map(|(a, b)| [a, b].concat())
+            .collect();
+        let pairs = whole
+            .iter()
+            .zip(&slabs)
+            .chain([(&lifted[0], &lifted[1]), (&d_values, &lifted[0])]);
+        for (whole, slabs) in pairs {
+            let largest = whole.iter().fold(0.0_f32, |a, v| a.max(v.abs()));
+            assert!(largest > 0.0);
+            assert!(
+                whole
+                    .iter()
+                    .zip(slabs)
+                    .all(|(a, b)| (a - b).abs() <= 1e-5 * largest)
+            );
+        }
+    }
+}

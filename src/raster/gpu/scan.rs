@@ -177,3 +177,49 @@ pub(super) fn exclusive_sums(gpu: &Gpu, values: &CubeTensor, len: usize) -> Cube
     );
     sums
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::gpu::fixture::{gpu, words};
+    use burn::tensor::DType;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn sums_of_what_comes_before() {
+        let Some(gpu) = gpu() else { return };
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for len in [
+            1,
+            7,
+            8,
+            255,
+            2047,
+            2048,
+            2049,
+            16_384,
+            16_385,
+            70_000,
+            2048 * 2048 + 5,
+        ] {
+            let values: Vec<u32> = (0..len).map(|_| rng.random_range(0..100)).collect();
+            let sums = words(
+                &gpu,
+                &exclusive_sums(&gpu, &gpu.upload(&values, DType::U32), len),
+            );
+            let mut sum = 0;
+            for (i, value) in values.iter().enumerate() {
+                assert_eq!(sums[i], sum, "{i} of {len}");
+                sum += value;
+            }
+        }
+        let large = vec![1 << 29; 5000];
+        let sums = words(
+            &gpu,
+            &exclusive_sums(&gpu, &gpu.upload(&large, DType::U32), 5000),
+        );
+        assert_eq!(sums[..3], [0, 1 << 29, 1 << 30]);
+        assert!(sums[4..].iter().all(|&s| s == CEILING));
+    }
+}

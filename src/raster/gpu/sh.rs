@@ -1,7 +1,6 @@
 //! Colours from spherical harmonics and their derivative: [`crate::raster::cpu::sh`]'s formulas, one unit a Gaussian.
 
 use super::ewa::offset_from_camera;
-use super::project::Scene;
 use super::vec3::{Vec3, dot, read3, vec3};
 use crate::backend::gpu::{Gpu, arg};
 use crate::splat::sh::{C0, C1, C2, C3};
@@ -200,25 +199,35 @@ pub(super) struct Harmonics {
     pub degree: u32,
 }
 
+impl Harmonics {
+    /// The coefficients of `gaussians` Gaussians, up to the degree `active`.
+    pub fn new(sh: CubeTensor, gaussians: usize, active: usize) -> Self {
+        let stored = sh.meta.num_elements() / (3 * gaussians.max(1));
+        let degree = active.min(stored.isqrt().saturating_sub(1)) as u32;
+        Self { sh, stored, degree }
+    }
+}
+
 /// `max(0, SH(direction) + 0.5)`, `[N, 3]`; 0 for culled Gaussians.
 pub(super) fn colours(
     gpu: &Gpu,
-    scene: &Scene,
+    means: &CubeTensor,
     harmonics: &Harmonics,
     radii: &CubeTensor,
     view: &CubeTensor,
 ) -> CubeTensor {
-    let out = gpu.floats([scene.len, 3]);
+    let count = means.meta.shape()[0];
+    let out = gpu.floats([count, 3]);
     eval_colours::launch(
         &gpu.client,
-        gpu.cubes_for(scene.len),
+        gpu.cubes_for(count),
         gpu.dim(),
-        arg(&scene.means),
+        arg(means),
         arg(&harmonics.sh),
         arg(radii),
         arg(view),
         arg(&out),
-        scene.len as u32,
+        count as u32,
         harmonics.stored,
         harmonics.degree,
     );
@@ -236,18 +245,19 @@ pub(super) struct ColourGradients<'a> {
 /// Gradient of the coefficients; that of the means, through the direction, is added to `d_means`.
 pub(super) fn backward(
     gpu: &Gpu,
-    scene: &Scene,
+    means: &CubeTensor,
     harmonics: &Harmonics,
     from: &ColourGradients<'_>,
     view: &CubeTensor,
     d_means: &CubeTensor,
 ) -> CubeTensor {
-    let out = gpu.floats([scene.len, harmonics.stored, 3]);
+    let count = means.meta.shape()[0];
+    let out = gpu.floats([count, harmonics.stored, 3]);
     colours_backward::launch(
         &gpu.client,
-        gpu.cubes_for(scene.len),
+        gpu.cubes_for(count),
         gpu.dim(),
-        arg(&scene.means),
+        arg(means),
         arg(&harmonics.sh),
         arg(from.radii),
         arg(view),
@@ -255,7 +265,7 @@ pub(super) fn backward(
         arg(from.d_colours),
         arg(&out),
         arg(d_means),
-        scene.len as u32,
+        count as u32,
         harmonics.stored,
         harmonics.degree,
     );

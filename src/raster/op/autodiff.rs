@@ -1,8 +1,8 @@
 //! The operations in the autodiff graph.
 
 use super::backend::{
-    INPUTS, PixelTensors, ProjectedView, RasterBackend, RasterCall, RasterPass, RasterTensors,
-    TensorPair,
+    Colours, INPUTS, PixelTensors, ProjectedView, RasterBackend, RasterCall, RasterPass,
+    RasterTensors, TensorPair,
 };
 use super::view::ViewCall;
 use crate::backend::{AutodiffTensor, track};
@@ -74,6 +74,20 @@ pub(super) fn project_view<B: RasterBackend, C: CheckpointStrategy>(
     let [means, log_scales, rotations, opacity_logits] =
         [means, log_scales, rotations, opacity_logits].map(Autodiff::<B, C>::inner);
     B::project_view(means, log_scales, rotations, opacity_logits, call)
+}
+
+pub(super) fn view_colours<B: RasterBackend, C: CheckpointStrategy>(
+    means: AutodiffTensor<B, C>,
+    sh: AutodiffTensor<B, C>,
+    degree: usize,
+    view: ProjectedView,
+    call: Arc<ViewCall>,
+) -> Colours<Autodiff<B, C>> {
+    let [means, sh] = [means, sh].map(Autodiff::<B, C>::inner);
+    match B::view_colours(means, sh, degree, view, call) {
+        Colours::Done(colours) => Colours::Done(Autodiff::<B, C>::from_inner(colours)),
+        Colours::Failed(error) => Colours::Failed(error),
+    }
 }
 
 pub(super) fn blend_view<B: RasterBackend, C: CheckpointStrategy>(

@@ -26,6 +26,14 @@ custom_op! {
             opacity_logits: FloatTensor<Self>,
             call: Arc<ViewCall>,
         ) -> Result<ProjectedView>;
+        /// Colours `[N, 3]` of the means `[N, 3]` and coefficients `[N, K, 3]`.
+        fn view_colours(
+            means: FloatTensor<Self>,
+            sh: FloatTensor<Self>,
+            degree: usize,
+            view: ProjectedView,
+            call: Arc<ViewCall>,
+        ) -> Colours<Self>;
         /// `W s` of `values` `[N, C]`: the image `[H, W, C]` and the transmittance `[H, W]`.
         fn blend_view(values: FloatTensor<Self>, view: ProjectedView) -> TensorPair<Self>;
     }
@@ -157,6 +165,15 @@ pub(crate) enum RasterPass<B: Backend> {
         saved: SavedForward,
     },
     /// The inputs are not valid, or the device failed.
+    Failed(Error),
+}
+
+/// Colours, or why there are none.
+#[derive(Debug, ExtensionType)]
+pub(crate) enum Colours<B: Backend> {
+    /// `[N, 3]`.
+    Done(FloatTensor<B>),
+    /// The coefficients are not finite.
     Failed(Error),
 }
 

@@ -1,7 +1,8 @@
 //! The operations by the GPU's kernels, or by the CPU's where the GPU's do not reach.
 
 use super::backend::{
-    PixelTensors, ProjectedView, RasterCall, RasterPass, RasterTensors, SavedForward, TensorPair,
+    Colours, PixelTensors, ProjectedView, RasterCall, RasterPass, RasterTensors, SavedForward,
+    TensorPair,
 };
 use super::cpu;
 use super::view::ViewCall;
@@ -144,6 +145,21 @@ pub(super) fn project_view(
         None => {
             cpu::project_view::<CubeBackend>(means, log_scales, rotations, opacity_logits, call)
         }
+    }
+}
+
+pub(super) fn view_colours(
+    means: CubeTensor,
+    sh: CubeTensor,
+    degree: usize,
+    view: ProjectedView,
+    call: Arc<ViewCall>,
+) -> Colours<CubeBackend> {
+    match &view {
+        ProjectedView::Gpu(lists) => {
+            Colours::Done(lists.colours(into_contiguous(means), into_contiguous(sh), degree))
+        }
+        _ => cpu::view_colours(means, sh, degree, view, call),
     }
 }
 

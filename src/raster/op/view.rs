@@ -1,10 +1,11 @@
 //! Blending with frozen geometry and its adjoint, as operations on tensors: projected and sorted once a view.
 
-use super::backend::{ProjectedView, RasterBackend, TensorPair};
+use super::backend::{Colours, ProjectedView, RasterBackend, TensorPair};
+use super::reference::{ReferenceView, colours};
 use super::splats::SplatTensors;
 use crate::backend::device::largest_allocation;
 use crate::error::{Error, Result};
-use crate::ops::{SparseMatrix, sparse_apply};
+use crate::ops::{SparseMatrix, references, sparse_apply};
 use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
 use burn::backend::Dispatch;
@@ -141,6 +142,9 @@ impl SplatView {
             ));
         }
         self.splats.check(values.dtype())?;
+        if references() {
+            return Ok(self.reference().blend(values));
+        }
         match Dispatch::blend_view(values.into_dispatch(), self.projected()?) {
             TensorPair::Done(image, transmittance) => Ok((
                 Tensor::from_dispatch(image),
@@ -196,6 +200,10 @@ impl SplatView {
             ));
         }
         self.splats.check(image.dtype())?;
+        if references() {
+            let (sums, counts) = self.reference().blend_adjoint(image.inner());
+            return Ok(Lifted { sums, counts });
+        }
         match Dispatch::blend_view_adjoint(image.into_dispatch(), self.projected()?) {
             TensorPair::Done(sums, counts) => Ok(Lifted {
                 sums: Tensor::from_dispatch(sums),
@@ -203,6 +211,51 @@ impl SplatView {
             }),
             TensorPair::Failed(error) => Err(error),
         }
+    }
+
+    /// The rows `pixels` (row-major) of `W`, entries front to back, rounded to `f32`.
+    ///
+    /// # Errors
+    /// As [`SplatView::blend`]; [`Error::Device`] where [`SplatTensors::have_stored_weights`] is false.
+    ///
+    /// # Panics
+    /// If a pixel is outside the image.
+    pub(crate) fn weights(&self, pixels: &[u32]) -> Result<SparseMatrix> {
+        if references() {
+            return Ok(self.reference().weights(pixels));
+        }
+        match self.projected()? {
+            ProjectedView::F32(projected) => Ok(projected.weights(Some(pixels))),
+            ProjectedView::F64(projected) => Ok(projected.weights(Some(pixels))),
+            #[cfg(feature = "cube")]
+            ProjectedView::Gpu(_) => Err(Error::Device {
+                device: "the GPU of this view".into(),
+                reason: "it blends anew and has no stored weights".into(),
+                help: "use `blend`".into(),
+            }),
+        }
+    }
+
+    /// Colours `max(0, SH + 0.5)` of all Gaussians, `[N, 3]`, from coefficients `[N, K, 3]` of degree `degree`, without
+    /// autodiff; any values for Gaussians that the view does not show.
+    ///
+    /// # Errors
+    /// As [`SplatView::blend`]; [`Error::NonFinite`] for the coefficients.
+    pub(crate) fn colours(&self, sh: Tensor<3>, degree: usize) -> Result<Tensor<2>> {
+        if references() {
+            return Ok(colours(&self.splats.means, sh, degree, self.camera()).inner());
+        }
+        let means = self.splats.means.clone().into_dispatch();
+        let call = self.call.clone();
+        match Dispatch::view_colours(means, sh.into_dispatch(), degree, self.projected()?, call) {
+            Colours::Done(colours) => Ok(Tensor::from_dispatch(colours)),
+            Colours::Failed(error) => Err(error),
+        }
+    }
+
+    fn reference(&self) -> ReferenceView {
+        let frozen = self.splats.clone().inner();
+        ReferenceView::new(&frozen, None, &self.call.camera, &self.call.settings)
     }
 
     /// Projection and tile lists, made at first use.
