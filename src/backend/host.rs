@@ -98,20 +98,6 @@ pub fn host_fallbacks() -> usize {
     FALLBACKS.get()
 }
 
-/// Counts, and warns once, that a kernel runs on the CPU although its tensors live on a GPU.
-#[cfg(feature = "cube")]
-fn note_host_fallback() {
-    FALLBACKS.set(FALLBACKS.get() + 1);
-    static ONCE: std::sync::Once = std::sync::Once::new();
-    ONCE.call_once(|| {
-        tracing::warn!(
-            "part of this run has no kernel for this GPU: it runs on the CPU and copies from and to the GPU (tensors of f64, \
-             images beyond one allocation, absolute screen-space gradients of more than 8 channels, and all rasterizing where the \
-             device binds too few buffers or shares too little memory)"
-        );
-    });
-}
-
 #[cfg(feature = "ndarray")]
 mod on_ndarray {
     use super::*;
@@ -178,6 +164,19 @@ mod on_cube {
     use burn::backend::ops::FloatTensorOps;
     use burn::tensor::TensorData;
     use burn_cubecl::CubeBackend;
+
+    /// Counts, and warns once, that a kernel runs on the CPU although its tensors live on a GPU.
+    fn note_host_fallback() {
+        FALLBACKS.set(FALLBACKS.get() + 1);
+        static ONCE: std::sync::Once = std::sync::Once::new();
+        ONCE.call_once(|| {
+            tracing::warn!(
+                "part of this run has no kernel for this GPU: it runs on the CPU and copies from and to the GPU (tensors of f64, \
+                 images beyond one allocation, absolute screen-space gradients of more than 8 channels, and all rasterizing where the \
+                 device binds too few buffers or shares too little memory)"
+            );
+        });
+    }
 
     impl HostBackend for CubeBackend {
         fn values<E: Real>(tensor: FloatTensor<Self>) -> HostValues<E> {

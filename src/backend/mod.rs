@@ -7,6 +7,7 @@ pub(crate) mod elementary;
 pub(crate) mod gpu;
 pub(crate) mod host;
 pub(crate) mod real;
+mod resident;
 pub(crate) mod simd;
 
 pub(crate) use self::custom_op::{AutodiffTensor, custom_op, track};
@@ -17,3 +18,4 @@ pub(crate) use self::host::device_of;
 pub use self::host::host_fallbacks;
 pub(crate) use self::host::real_kernel;
 pub use self::real::Real;
+pub(crate) use self::resident::Resident;

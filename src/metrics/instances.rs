@@ -1,8 +1,8 @@
 //! Scores of instance maps, whose predicted ids need not be those of the truth: association accuracy, instance mIoU,
 //! panoptic quality.
 
+use super::assignment::assignment;
 use super::mean;
-use crate::ops::assignment;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -2,7 +2,7 @@
 
 use super::segments::SegmentWeights;
 use super::sums::SparseSums;
-use crate::ops::assignment;
+use crate::metrics::assignment;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 

@@ -8,17 +8,18 @@
 mod cpu;
 #[cfg(feature = "cube")]
 mod gpu;
+#[cfg(not(feature = "cube"))]
+mod gpu {
+    pub(super) type PhotoWords = ();
+}
 
-#[cfg(feature = "cube")]
-use crate::backend::gpu::Resident;
-use crate::backend::{Real, custom_op};
+use crate::backend::{Real, Resident, custom_op};
 use crate::data::mask::Mask;
+use crate::ops::CustomOp;
 use burn::backend::{Dispatch, tensor::FloatTensor};
 use burn::tensor::module::conv2d;
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Bool, Tensor, TensorData};
-#[cfg(feature = "cube")]
-use burn_cubecl::tensor::CubeTensor;
 use image::RgbImage;
 use std::sync::{Arc, OnceLock};
 
@@ -50,8 +51,11 @@ pub struct PhotometricTarget {
     pixels: Arc<RgbImage>,
     mask: Option<Mask>,
     moments: OnceLock<cpu::Moments<f32>>,
-    #[cfg(feature = "cube")]
-    words: Resident<CubeTensor>,
+    #[cfg_attr(
+        not(feature = "cube"),
+        allow(dead_code, reason = "only a GPU reads it")
+    )]
+    words: Resident<gpu::PhotoWords>,
 }
 
 impl PhotometricTarget {
@@ -75,7 +79,6 @@ impl PhotometricTarget {
             pixels,
             mask,
             moments: OnceLock::new(),
-            #[cfg(feature = "cube")]
             words: Resident::default(),
         }
     }
@@ -173,7 +176,7 @@ pub fn photometric_loss(
         [height, width, CHANNELS],
         "photometric loss: image against photo"
     );
-    if super::references() {
+    if CustomOp::Photometric.is_replaced() {
         return photometric_loss_plain(image, target, ssim_weight);
     }
     let image = match target.hidden(&image) {

@@ -1,9 +1,7 @@
 //! Constant sparse matrices in compressed rows.
 
-#[cfg(feature = "cube")]
 use super::gpu::DeviceMatrix;
-#[cfg(feature = "cube")]
-use crate::backend::gpu::Resident;
+use crate::backend::Resident;
 
 /// A constant sparse matrix in compressed rows, `[rows, columns]`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -16,12 +14,10 @@ pub struct SparseMatrix {
     pub(crate) indices: Vec<u32>,
     /// Value of each entry.
     pub(crate) values: Vec<f32>,
-    #[cfg(feature = "cube")]
     pub(super) resident: ResidentMatrix,
 }
 
 /// Copies of a matrix on a device.
-#[cfg(feature = "cube")]
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct ResidentMatrix {
     /// By rows, and by columns.
@@ -70,7 +66,6 @@ impl SparseMatrix {
             offsets,
             indices,
             values,
-            #[cfg(feature = "cube")]
             resident: ResidentMatrix::default(),
         }
     }
@@ -183,10 +178,7 @@ impl SparseMatrix {
             self.values.extend_from_slice(values);
             self.offsets.push(self.indices.len() as u32);
         }
-        #[cfg(feature = "cube")]
-        {
-            self.resident = ResidentMatrix::default();
-        }
+        self.resident = ResidentMatrix::default();
     }
 
     /// The matrix over `columns` (ascending, below [`SparseMatrix::columns`]) alone.

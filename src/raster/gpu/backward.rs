@@ -52,8 +52,7 @@ pub(super) fn tiles_backward(
     gaussians: &[u32],
     entries: &[u32],
     splats: &[f32],
-    colours: &[f32],
-    features: &[f32],
+    all_values: &[f32],
     view: &[f32],
     image: &[f32],
     d_image: &[f32],
@@ -69,7 +68,6 @@ pub(super) fn tiles_backward(
     end_entry: u32,
     #[comptime] block: usize,
     #[comptime] moments: usize,
-    #[comptime] with_colours: bool,
     #[comptime] with_transmittance: bool,
 ) {
     let tile = CUBE_POS;
@@ -149,7 +147,7 @@ pub(super) fn tiles_backward(
         if comptime![moments > 0] && unit < count as usize * fours {
             let id = gaussians[at as usize + unit / fours] as usize;
             let channel = first_channel + 4u32 * (unit % fours) as u32;
-            values[unit] = four_values(colours, features, id, channel, channels, with_colours);
+            values[unit] = four_values(all_values, id, channel, channels);
         }
         if unit < count as usize {
             batch_entries[unit] = entries[at as usize + unit];

@@ -1,6 +1,6 @@
 //! `W` and `W^T` of a view whose geometry is frozen, and the counter of Algorithm 1.
 
-use super::blend::{self, Values};
+use super::blend;
 use super::pixel_sums::{self, Tiles};
 use super::project::SPLAT;
 use super::sh::{self, Harmonics};
@@ -144,16 +144,12 @@ impl Lists {
             (size[0] * size[1]).saturating_mul(channels),
             size_of::<f32>(),
         )?;
-        let values = Values {
-            colours: None,
-            features: Some(values),
-            channels,
-        };
         Ok(blend::blend(
             &gpu,
             &projected.splats,
             entries,
             &values,
+            channels,
             view,
             *size,
         ))
@@ -185,8 +181,7 @@ impl Lists {
             size: *size,
         };
         let row_bytes = pixel_sums::row_bytes(&gpu);
-        let sums =
-            pixel_sums::adjoint(&gpu, &projected.splats, tiles, y, channels, view, row_bytes);
+        let sums = pixel_sums::adjoint(&gpu, &projected.splats, tiles, y, view, row_bytes);
         Ok((sums, self.counts()))
     }
 }

@@ -114,13 +114,6 @@ fn emit_entries(
     }
 }
 
-#[cube(launch)]
-fn fill(values: &mut [u32], value: u32, count: u32) {
-    if ABSOLUTE_POS < count as usize {
-        values[ABSOLUTE_POS] = value;
-    }
-}
-
 /// Start and end of every tile's entries, and their Gaussians.
 #[cube(launch)]
 fn find_ranges(
@@ -251,33 +244,22 @@ pub(super) fn tile_entries(
     everywhere: bool,
 ) -> TileEntries {
     let tile_count: usize = tile_counts(size).iter().product();
-    let ranges = gpu.words(2 * tile_count);
-    let filled = |words: &CubeTensor, value: usize, len: usize| {
-        fill::launch(
-            &gpu.client,
-            gpu.cubes_for(len),
-            gpu.dim(),
-            arg(words),
-            value as u32,
-            len as u32,
-        );
-    };
-    filled(&ranges, 0, 2 * tile_count);
-    let (tiles, gaussian_of) = (gpu.words(len), gpu.words(len));
-    let (gaussians, ends) = (gpu.words(len), gpu.words(order.len));
+    let ranges = gpu.filled(2 * tile_count, 0);
     if len == 0 {
-        filled(&ends, 0, order.len);
         return TileEntries {
             len,
             ranges,
-            gaussians,
-            entries: gaussian_of,
-            ends,
+            gaussians: gpu.words(0),
+            entries: gpu.words(0),
+            ends: gpu.filled(order.len, 0),
         };
     }
-    if padded {
-        filled(&tiles, tile_count, len);
-    }
+    let (gaussian_of, gaussians, ends) = (gpu.words(len), gpu.words(len), gpu.words(order.len));
+    let tiles = if padded {
+        gpu.filled(len, tile_count as u32)
+    } else {
+        gpu.words(len)
+    };
     emit_entries::launch(
         &gpu.client,
         gpu.cubes_for(order.len),

@@ -34,9 +34,11 @@ use crate::backend::gpu::{Gpu, add_non_finite, shortfall};
 use crate::error::{Error, Result};
 use crate::raster::cpu::geometry::Viewpoint;
 use crate::splat::camera::Camera;
-use blend::Values;
-use burn::tensor::DType;
+use burn::backend::ops::FloatTensorOps;
+use burn::tensor::{DType, Slice};
+use burn_cubecl::CubeBackend;
 use burn_cubecl::cubecl::prelude::*;
+use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
 use lists::{Order, Report, TileEntries};
 use project::ProjectedScene;
@@ -83,8 +85,8 @@ struct Prepared {
 /// What the forward pass leaves for the backward pass.
 pub(crate) struct Forward {
     prepared: Prepared,
-    /// `[N, 3]`, where SH were given.
-    colours: Option<CubeTensor>,
+    /// What was blended, `[N, C]`, colours first.
+    values: CubeTensor,
     /// `[H, W]`.
     pub transmittance: CubeTensor,
 }
@@ -117,13 +119,19 @@ impl Inputs {
         Some(Harmonics::new(sh.clone(), self.len(), *active))
     }
 
-    fn values(&self, colours: Option<CubeTensor>) -> Values {
+    /// Number of channels.
+    fn channels(&self) -> usize {
+        let colours = self.sh.as_ref().map_or(0, |_| 3);
         let width = |t: &CubeTensor| t.meta.num_elements() / self.len().max(1);
-        let channels = colours.as_ref().map_or(0, |_| 3) + self.features.as_ref().map_or(0, width);
-        Values {
-            colours,
-            features: self.features.clone(),
-            channels,
+        colours + self.features.as_ref().map_or(0, width)
+    }
+
+    /// `colours` `[N, 3]` and the features side by side, `[N, C]`.
+    fn values(&self, colours: Option<CubeTensor>) -> CubeTensor {
+        let parts: Vec<CubeTensor> = colours.into_iter().chain(self.features.clone()).collect();
+        match &parts[..] {
+            [only] => only.clone(),
+            _ => into_contiguous(CubeBackend::float_cat(parts, 1)),
         }
     }
 }
@@ -158,7 +166,7 @@ pub(super) fn forward(
 ) -> Result<Option<(CubeTensor, Forward)>> {
     let gpu = Gpu::of(&inputs.means);
     let harmonics = inputs.harmonics();
-    let channels = harmonics.as_ref().map_or(0, |_| 3) + inputs.values(None).channels;
+    let channels = inputs.channels();
     let pixels = scenery.camera.width.saturating_mul(scenery.camera.height);
     check_size(
         &gpu,
@@ -186,14 +194,20 @@ pub(super) fn forward(
     } = &prepared;
     let colours = harmonics.map(|h| sh::colours(&gpu, &inputs.means, &h, &projected.radii, view));
     let values = inputs.values(colours);
-    let (image, transmittance) =
-        blend::blend(&gpu, &projected.splats, entries, &values, view, *size);
-    let Values { colours, .. } = values;
+    let (image, transmittance) = blend::blend(
+        &gpu,
+        &projected.splats,
+        entries,
+        &values,
+        channels,
+        view,
+        *size,
+    );
     Ok(Some((
         image,
         Forward {
             prepared,
-            colours,
+            values,
             transmittance,
         },
     )))
@@ -213,11 +227,17 @@ fn prepare(
     } = scenery;
     settings.check()?;
     let viewpoint = Viewpoint::new(camera)?;
+    // The background is part of colours alone.
+    let behind = if inputs.sh.is_some() {
+        background
+    } else {
+        [0.0; 3]
+    };
     let size = viewpoint.size;
     let len = inputs.len();
     check_size(gpu, "Gaussians", len, project::SPLAT * size_of::<f32>())?;
     let view = gpu.upload(
-        &view::constants(&viewpoint, camera, settings, background),
+        &view::constants(&viewpoint, camera, settings, behind),
         DType::F32,
     );
     let report = Report::new(gpu);
@@ -324,7 +344,6 @@ impl Forward {
             size,
             ..
         } = &self.prepared;
-        let values = inputs.values(self.colours.clone());
         let transmittance = &self.transmittance;
         let pixels = pixel_sums::PixelGradients {
             image,
@@ -343,7 +362,7 @@ impl Forward {
             &gpu,
             &projected.splats,
             tiles,
-            &values,
+            Some(&self.values),
             &pixels,
             view,
             row_bytes,
@@ -356,31 +375,29 @@ impl Forward {
             &projected.radii,
             &sums.moments,
         );
-        let sh = match (inputs.harmonics(), &self.colours) {
-            (Some(harmonics), Some(colours)) => {
-                let from = sh::ColourGradients {
-                    colours,
-                    d_colours: &sums.d_colours,
-                    radii: &projected.radii,
-                };
-                Some(sh::backward(
-                    &gpu,
-                    &inputs.means,
-                    &harmonics,
-                    &from,
-                    view,
-                    &d.means,
-                ))
+        let harmonics = inputs.harmonics();
+        let features = inputs.features.as_ref().map(|_| match &harmonics {
+            None => sums.values.clone(),
+            Some(_) => {
+                let after_colours = [Slice::full(), Slice::from(3..)];
+                CubeBackend::float_slice(sums.values.clone(), &after_colours)
             }
-            _ => None,
-        };
+        });
+        let sh = harmonics.map(|harmonics| {
+            let from = sh::ColourGradients {
+                values: &self.values,
+                d_values: &sums.values,
+                radii: &projected.radii,
+            };
+            sh::backward(&gpu, &inputs.means, &harmonics, &from, view, &d.means)
+        });
         Gradients {
             means: d.means,
             log_scales: d.log_scales,
             rotations: d.rotations,
             logits: d.logits,
             sh,
-            features: inputs.features.as_ref().map(|_| sums.d_features),
+            features,
             screen: d.screen,
         }
     }

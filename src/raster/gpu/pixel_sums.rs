@@ -2,7 +2,7 @@
 //! Gaussian's tiles.
 
 use super::backward::{ABSOLUTE_MOMENTS, MOMENTS, tiles_backward, widest};
-use super::blend::{Values, blocks};
+use super::blend::blocks;
 use super::lists::{Order, TileEntries, tile_counts};
 use super::row_sums::{PixelSums, Slab, add_rows};
 use crate::backend::gpu::{Gpu, arg};
@@ -34,88 +34,34 @@ pub(super) fn row_bytes(gpu: &Gpu) -> usize {
     gpu.largest().min(1 << 30)
 }
 
-/// Runs the backward pass over the tiles. Rows take at most `row_bytes`.
-pub(super) fn pixel_sums(
-    gpu: &Gpu,
-    splats: &CubeTensor,
-    tiles: Tiles<'_>,
-    values: &Values,
-    pixels: &PixelGradients<'_>,
-    view: &CubeTensor,
-    row_bytes: usize,
-) -> PixelSums {
-    let moments = if pixels.absolute {
-        ABSOLUTE_MOMENTS
-    } else {
-        MOMENTS
-    };
-    sums_over_tiles(
-        gpu,
-        splats,
-        tiles,
-        &Pass {
-            values,
-            pixels,
-            moments,
-        },
-        view,
-        row_bytes,
-    )
-}
-
 /// `W^T y` alone, `[N, channels]`: `y` is `[H, W, channels]`.
 pub(super) fn adjoint(
     gpu: &Gpu,
     splats: &CubeTensor,
     tiles: Tiles<'_>,
     y: &CubeTensor,
-    channels: usize,
     view: &CubeTensor,
     row_bytes: usize,
 ) -> CubeTensor {
-    let values = Values {
-        colours: None,
-        features: None,
-        channels,
-    };
     // Read by the moments alone.
     let absent = gpu.floats([1]);
-    let (image, transmittance) = (&absent, &absent);
     let pixels = PixelGradients {
-        image,
+        image: &absent,
         d_image: y,
-        transmittance,
+        transmittance: &absent,
         d_transmittance: None,
         absolute: false,
     };
-    sums_over_tiles(
-        gpu,
-        splats,
-        tiles,
-        &Pass {
-            values: &values,
-            pixels: &pixels,
-            moments: 0,
-        },
-        view,
-        row_bytes,
-    )
-    .d_features
+    pixel_sums(gpu, splats, tiles, None, &pixels, view, row_bytes).values
 }
 
-/// What is summed over the tiles.
-struct Pass<'a> {
-    values: &'a Values,
-    pixels: &'a PixelGradients<'a>,
-    /// [`MOMENTS`], [`ABSOLUTE_MOMENTS`], or none.
-    moments: usize,
-}
-
-fn sums_over_tiles(
+/// Runs the backward pass over the tiles; without `values` (`[N, C]`) it sums no moments. Rows take at most `row_bytes`.
+pub(super) fn pixel_sums(
     gpu: &Gpu,
     splats: &CubeTensor,
     tiles: Tiles<'_>,
-    pass: &Pass<'_>,
+    values: Option<&CubeTensor>,
+    pixels: &PixelGradients<'_>,
     view: &CubeTensor,
     row_bytes: usize,
 ) -> PixelSums {
@@ -124,35 +70,32 @@ fn sums_over_tiles(
         entries,
         size,
     } = tiles;
-    let &Pass {
-        values,
-        pixels,
-        moments,
-    } = pass;
     let [w, h] = size;
     let tile_count: usize = tile_counts(size).iter().product();
-    let colours = if values.colours.is_some() { 3 } else { 0 };
+    let channels = pixels.d_image.meta.num_elements() / (w * h);
+    let moments = match values {
+        None => 0,
+        Some(_) if pixels.absolute => ABSOLUTE_MOMENTS,
+        Some(_) => MOMENTS,
+    };
     let out = PixelSums {
         moments: gpu.floats([order.len, moments]),
-        d_colours: gpu.floats([order.len, colours]),
-        d_features: gpu.floats([order.len, values.channels - colours]),
+        values: gpu.floats([order.len, channels]),
     };
-    for (first_channel, block) in blocks(values.channels, widest(gpu, moments)) {
+    for (first_channel, block) in blocks(channels, widest(gpu, moments)) {
         let columns = moments + block;
         let most = (row_bytes / (columns * size_of::<f32>())).clamp(1, entries.len.max(1));
         let rows = gpu.floats([most, columns]);
         // One pass even without entries, to write the zeros.
         for first_entry in (0..entries.len.max(1)).step_by(most) {
             let slab = Slab {
-                channels: values.channels,
+                channels,
                 first_channel,
                 block,
                 moments,
-                with_colours: values.colours.is_some(),
                 first_entry,
                 end_entry: (first_entry + most).min(entries.len),
             };
-            let [colours, features] = values.args(gpu);
             tiles_backward::launch(
                 &gpu.client,
                 gpu.cubes(tile_count),
@@ -161,8 +104,7 @@ fn sums_over_tiles(
                 arg(&entries.gaussians),
                 arg(&entries.entries),
                 arg(splats),
-                colours,
-                features,
+                arg(values.unwrap_or(pixels.d_image)),
                 arg(view),
                 arg(pixels.image),
                 arg(pixels.d_image),
@@ -178,7 +120,6 @@ fn sums_over_tiles(
                 slab.end_entry as u32,
                 slab.block,
                 slab.moments,
-                slab.with_colours,
                 first_channel == 0 && pixels.d_transmittance.is_some(),
             );
             add_rows(gpu, order, entries, &rows, &slab, &out);
@@ -209,16 +150,13 @@ mod tests {
             gpu.upload(&values, DType::F32)
         };
         let pixels = 50 * 41;
-        let values = Values {
-            colours: Some(draw(400 * 3)),
-            features: Some(draw(400 * 9)),
-            channels: 12,
-        };
+        let values = draw(400 * 12);
         let (image, transmittance) = blend(
             gpu,
             &view.projected.splats,
             &view.entries,
             &values,
+            12,
             &view.constants,
             view.size,
         );
@@ -240,12 +178,12 @@ mod tests {
                 gpu,
                 &view.projected.splats,
                 tiles,
-                &values,
+                Some(&values),
                 &gradients,
                 &view.constants,
                 row_bytes,
             );
-            [out.moments, out.d_colours, out.d_features].map(|t| floats(gpu, &t))
+            [out.moments, out.values].map(|t| floats(gpu, &t))
         };
         let whole = sums(usize::MAX);
         let slabs = sums(view.entries.len * 56 / 3);
@@ -255,22 +193,16 @@ mod tests {
                 &view.projected.splats,
                 tiles,
                 &d_image,
-                12,
                 &view.constants,
                 row_bytes,
             );
             floats(gpu, &sums)
         };
         let lifted = [lift(usize::MAX), lift(view.entries.len * 48 / 3)];
-        let d_values: Vec<f32> = whole[1]
-            .chunks_exact(3)
-            .zip(whole[2].chunks_exact(9))
-            .flat_map(|(a, b)| [a, b].concat())
-            .collect();
         let pairs = whole
             .iter()
             .zip(&slabs)
-            .chain([(&lifted[0], &lifted[1]), (&d_values, &lifted[0])]);
+            .chain([(&lifted[0], &lifted[1]), (&whole[1], &lifted[0])]);
         for (whole, slabs) in pairs {
             let largest = whole.iter().fold(0.0_f32, |a, v| a.max(v.abs()));
             assert!(largest > 0.0);

@@ -146,11 +146,12 @@ fn colours_backward(
     sh: &[f32],
     radii: &[u32],
     view: &[f32],
-    colours: &[f32],
-    d_colours: &[f32],
+    values: &[f32],
+    d_values: &[f32],
     d_sh: &mut [f32],
     d_means: &mut [f32],
     count: u32,
+    channels: u32,
     #[comptime] stored: usize,
     #[comptime] degree: u32,
 ) {
@@ -160,9 +161,10 @@ fn colours_backward(
     }
     let terms = comptime![((degree + 1) * (degree + 1)) as usize];
     // The colour is 0 where max(0, .) cut it off, and where the Gaussian is culled.
-    let gx = select(colours[3 * i] > 0.0f32, d_colours[3 * i], 0.0f32);
-    let gy = select(colours[3 * i + 1] > 0.0f32, d_colours[3 * i + 1], 0.0f32);
-    let gz = select(colours[3 * i + 2] > 0.0f32, d_colours[3 * i + 2], 0.0f32);
+    let at = i * channels as usize;
+    let gx = select(values[at] > 0.0f32, d_values[at], 0.0f32);
+    let gy = select(values[at + 1] > 0.0f32, d_values[at + 1], 0.0f32);
+    let gz = select(values[at + 2] > 0.0f32, d_values[at + 2], 0.0f32);
     let offset = offset_from_camera(view, &read3(means, 3 * i));
     let length = length_of(&offset);
     let d = direction(&offset, length);
@@ -234,11 +236,10 @@ pub(super) fn colours(
     out
 }
 
-/// Inputs of the backward step of [`colours`].
+/// The values that were blended, `[N, C]`, colours first, and their gradients.
 pub(super) struct ColourGradients<'a> {
-    /// The output of [`colours`].
-    pub colours: &'a CubeTensor,
-    pub d_colours: &'a CubeTensor,
+    pub values: &'a CubeTensor,
+    pub d_values: &'a CubeTensor,
     pub radii: &'a CubeTensor,
 }
 
@@ -261,11 +262,12 @@ pub(super) fn backward(
         arg(&harmonics.sh),
         arg(from.radii),
         arg(view),
-        arg(from.colours),
-        arg(from.d_colours),
+        arg(from.values),
+        arg(from.d_values),
         arg(&out),
         arg(d_means),
         count as u32,
+        (from.values.meta.num_elements() / count.max(1)) as u32,
         harmonics.stored,
         harmonics.degree,
     );

@@ -6,7 +6,7 @@ use super::backend::ProjectedView;
 use super::view::SplatView;
 use crate::backend::device::read;
 use crate::error::Result;
-use crate::ops::references;
+use crate::ops::CustomOp;
 use burn::tensor::{Device, Tensor, TensorData};
 use std::ops::Range;
 use std::sync::OnceLock;
@@ -90,7 +90,7 @@ impl SplatView {
     ) -> Result<LabelledPixels> {
         let n = self.splats().len();
         assert_eq!(labels.labels.len(), n, "one label a Gaussian");
-        if !references()
+        if !CustomOp::Raster.is_replaced()
             && let ProjectedView::F32(projected) = self.projected()?
         {
             let (blended, labels) = match colours {

@@ -4,7 +4,7 @@ use super::backend::{RasterBackend, RasterCall, RasterPass, RasterTensors};
 use super::input::{RasterInput, RasterOutput, sizes};
 use super::reference;
 use crate::error::Result;
-use crate::ops::references;
+use crate::ops::CustomOp;
 use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
 use burn::backend::Dispatch;
@@ -48,7 +48,7 @@ pub fn rasterize_with_capacity(
     tile_capacity: Option<usize>,
 ) -> Result<RasterOutput> {
     let sizes = sizes(&input)?;
-    if references() {
+    if CustomOp::Raster.is_replaced() {
         return reference::rasterize(input, camera, settings, background);
     }
     let call = RasterCall {

@@ -5,7 +5,7 @@ use super::reference::{ReferenceView, colours};
 use super::splats::SplatTensors;
 use crate::backend::device::largest_allocation;
 use crate::error::{Error, Result};
-use crate::ops::{SparseMatrix, references, sparse_apply};
+use crate::ops::{CustomOp, SparseMatrix, sparse_apply};
 use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
 use burn::backend::Dispatch;
@@ -142,7 +142,7 @@ impl SplatView {
             ));
         }
         self.splats.check(values.dtype())?;
-        if references() {
+        if CustomOp::Raster.is_replaced() {
             return Ok(self.reference().blend(values));
         }
         match Dispatch::blend_view(values.into_dispatch(), self.projected()?) {
@@ -200,7 +200,7 @@ impl SplatView {
             ));
         }
         self.splats.check(image.dtype())?;
-        if references() {
+        if CustomOp::Raster.is_replaced() {
             let (sums, counts) = self.reference().blend_adjoint(image.inner());
             return Ok(Lifted { sums, counts });
         }
@@ -221,7 +221,7 @@ impl SplatView {
     /// # Panics
     /// If a pixel is outside the image.
     pub(crate) fn weights(&self, pixels: &[u32]) -> Result<SparseMatrix> {
-        if references() {
+        if CustomOp::Raster.is_replaced() {
             return Ok(self.reference().weights(pixels));
         }
         match self.projected()? {
@@ -242,7 +242,7 @@ impl SplatView {
     /// # Errors
     /// As [`SplatView::blend`]; [`Error::NonFinite`] for the coefficients.
     pub(crate) fn colours(&self, sh: Tensor<3>, degree: usize) -> Result<Tensor<2>> {
-        if references() {
+        if CustomOp::Raster.is_replaced() {
             return Ok(colours(&self.splats.means, sh, degree, self.camera()).inner());
         }
         let means = self.splats.means.clone().into_dispatch();

@@ -4,7 +4,7 @@ use crate::reconstruction::trainer::{config, scene};
 use coseg::config::{BuildingConfig, Config, LabelSource, Resolution, Strategy, Variant};
 use coseg::data::{LabelMap, LoadOptions, Split, load};
 use coseg::objects::{Identities, LabelMaps, LabelRule, RenderOptions, Renderer, Votes};
-use coseg::ops::with_references;
+use coseg::ops::{CustomOp, with_references};
 use coseg::pipeline::train_decoder::{ClassRecall, IdentityModel, NamedValues, Plan, train_step};
 use coseg::pipeline::{Inputs, LiftedFeatures, Spatial, decoder_row};
 use coseg::progress::Silent;
@@ -53,7 +53,7 @@ fn a_step_of_stage_one_equals_that_of_the_references() {
             ..config()
         };
         let (loss, got) = step(&config);
-        let (want_loss, want) = with_references(|| step(&config));
+        let (want_loss, want) = with_references(&CustomOp::ALL, || step(&config));
         assert!(
             (loss - want_loss).abs() < 1e-5 * want_loss,
             "{loss} against {want_loss}"
@@ -148,7 +148,7 @@ fn a_step_of_stage_two_equals_that_of_the_references() {
         let mut config = Config::default();
         config.unprojection.resolution = resolution;
         let got = stage_two(&config);
-        let want = with_references(|| stage_two(&config));
+        let want = with_references(&CustomOp::ALL, || stage_two(&config));
         assert_eq!(got.lifted.kept, want.lifted.kept);
         for (got, want) in got.lifted.lifted.iter().zip(&want.lifted.lifted) {
             assert_close("lifted features", got, want, 1e-4);

@@ -2,7 +2,7 @@
 
 use crate::support::raster_reference::{Cloud, camera, cloud, numbers};
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use coseg::ops::with_references;
+use coseg::ops::{CustomOp, with_references};
 use coseg::raster::{RasterInput, Settings, SplatTensors, rasterize};
 
 const SMOOTH: Settings = Settings {
@@ -106,7 +106,8 @@ fn rendering_and_all_gradients_equal_the_reference() {
             all.extend(input.features.map(|features| grad!("features", features)));
             all
         };
-        for ((name, got), (_, want)) in run().into_iter().zip(with_references(run)) {
+        for ((name, got), (_, want)) in run().into_iter().zip(with_references(&CustomOp::ALL, run))
+        {
             let what = format!("{name} at degree {degree}");
             assert_close(&what, &got, &want, 1e-9);
         }
@@ -146,7 +147,9 @@ fn frozen_blending_and_its_adjoint_equal_the_reference() {
                     ("counts", host(lifted.counts)),
                 ]
             };
-            for ((name, got), (_, want)) in run().into_iter().zip(with_references(run)) {
+            for ((name, got), (_, want)) in
+                run().into_iter().zip(with_references(&CustomOp::ALL, run))
+            {
                 assert_close(&format!("{name} of {channels}"), &got, &want, 1e-9);
             }
         }

@@ -276,7 +276,8 @@ fn a_step_by_references_has_the_same_loss_and_gradients() {
             gradients(trained(&mut model, &scene, 1))
         };
         let (loss, found) = step();
-        let (reference_loss, references) = coseg::ops::with_references(step);
+        let (reference_loss, references) =
+            coseg::ops::with_references(&coseg::ops::CustomOp::ALL, step);
         assert!((loss - reference_loss).abs() <= 1e-6 * loss.abs());
         assert_eq!(found.len(), references.len());
         for ((name, got), (_, want)) in found.iter().zip(&references) {

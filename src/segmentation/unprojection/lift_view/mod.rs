@@ -14,7 +14,7 @@ use crate::config::Resolution;
 use crate::data::mask::Mask;
 use crate::error::{Error, Result};
 use crate::features::{FeatureMap, Lattice};
-use crate::ops::references;
+use crate::ops::CustomOp;
 use crate::raster::{Projected, Settings, SplatTensors, Splats};
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
@@ -202,7 +202,7 @@ enum Kernel {
 impl<'a> LiftedViews<'a> {
     /// No views yet, one entry of `channels` per scale.
     pub fn new(gaussians: &'a Gaussians, channels: &[usize], device: &Device) -> Self {
-        let by_cpu = in_host_memory(device) && !references();
+        let by_cpu = in_host_memory(device) && !CustomOp::Raster.is_replaced();
         let kernel = if by_cpu || gaussians.is_empty() {
             Kernel::Cpu(Sums::new(gaussians.len(), channels))
         } else {

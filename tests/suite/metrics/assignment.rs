@@ -1,6 +1,6 @@
 //! One-to-one pairing against all ways to pair.
 
-use coseg::ops::assignment;
+use coseg::metrics::assignment;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
