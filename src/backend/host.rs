@@ -64,14 +64,6 @@ pub trait HostBackend: Backend {
     -> FloatTensor<Self>;
 }
 
-/// A backend whose operations are this crate's kernels for the CPU.
-pub trait HostKernels: HostBackend {}
-
-#[cfg(feature = "ndarray")]
-impl HostKernels for burn::backend::NdArray {}
-#[cfg(feature = "flex")]
-impl HostKernels for burn::backend::Flex {}
-
 /// Runs `$body` with the type `$e` bound to the element type of `$tensor` (f32 or f64).
 macro_rules! real_kernel {
     ($tensor:expr, $e:ident => $body:expr) => {

@@ -12,7 +12,6 @@ pub(crate) mod simd;
 
 pub(crate) use self::custom_op::{AutodiffTensor, custom_op, track};
 pub use self::host::HostBackend;
-pub use self::host::HostKernels;
 pub use self::host::HostValues;
 pub(crate) use self::host::device_of;
 pub use self::host::host_fallbacks;

@@ -9,10 +9,10 @@ use super::optimiser::{self, ModuleAdam, NamedValues};
 use super::view_input::{Part, REGULARISED, ViewInput};
 use super::views::ViewSample;
 use super::{IdentityModel, Prediction, stored};
-use crate::backend::device::in_host_memory;
 use crate::config::{Blend, SegmentationConfig};
 use crate::error::Result;
 use crate::objects::Identities;
+use crate::ops::SparseMatrix;
 use crate::random::{Purpose, stream};
 use crate::segmentation::decoder::Decoder;
 use crate::segmentation::loss::{NeighbourPairs, Scores, neighbour_divergence};
@@ -193,8 +193,7 @@ impl<'a> DecoderModel<'a> {
         }
         let encoded = self.input.view(view);
         let mut input = ViewInput::new(encoded, visible, self.means, &self.plan)?;
-        // A GPU holds the maps between levels twice, by rows and by columns.
-        let copies = if in_host_memory(&self.device) { 1 } else { 3 };
+        let copies = SparseMatrix::copies(&self.device);
         let kept = self.budget.checked_sub(copies * input.bytes());
         if let Some(left) = kept {
             input.gather(&encoded.pyramid, left.min(self.gathered));

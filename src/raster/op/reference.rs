@@ -221,8 +221,7 @@ fn rotation_columns(rotations: Tensor<2>) -> [Tensor<2>; 3] {
         .lower_elem(ZERO_QUATERNION.sqrt())
         .expand(scaled.dims());
     let identity = constant(&[1.0, 0.0, 0.0, 0.0], [4, 1], &scaled).expand(scaled.dims());
-    let q = scaled.clone() * 1.0;
-    let q = q.mask_fill(zero.clone(), 0.0) + identity.mask_fill(zero.bool_not(), 0.0);
+    let q = scaled.mask_where(zero, identity);
     let q = q.clone() / q.square().sum_dim(0).sqrt();
     let [w, x, y, z] = [0, 1, 2, 3].map(|k| row(&q, k));
     let twice = |a: &Tensor<2>, b: &Tensor<2>| a.clone() * b.clone() * 2.0;
