@@ -9,50 +9,14 @@
 
 use super::blend::tile_image;
 use super::channel_blocks;
-use super::footprint::{Buffer, Footprint, Rule, Splat2, UNIT, fresh_transmittance};
-pub use super::parameter_gradients::SplatGradients;
+use super::footprint::{Buffer, Footprint, Rule, Splat2, Tile, fresh_transmittance};
+use super::parameter_gradients::SplatGradients;
+use super::pixel_gradients::{PixelGradients, drift, geometry_sums};
 use super::projected::{Blended, Projected};
-use super::tile_loop::{LOOK, Pass, Tile, gather_rows, sum_over_tiles, walk};
+use super::tile_loop::{LOOK, Pass, gather_rows, sum_over_tiles, walk};
 use crate::backend::Real;
 use crate::backend::simd::{Kernel, Lanes};
 use crate::raster::settings::Splats;
-
-/// Sums of a row besides those of the values, for each Gaussian: moments, and the two of absolute values.
-pub(in crate::raster) const fn geometry_sums(absolute: bool) -> usize {
-    if absolute { 8 } else { 6 }
-}
-
-/// By how much the kernels' `u` and `v` grow as the centre moves by a pixel: `u` along x, `u` along y, `v` along y.
-#[inline(always)]
-pub(in crate::raster) fn drift<E: Real>(s: &Splat2) -> [E; 3] {
-    [UNIT * s.du, -UNIT * s.du * s.slope, UNIT * s.dv].map(E::of)
-}
-
-/// What the backward pass over a tile reads besides the projection.
-#[derive(Clone, Copy)]
-pub(in crate::raster) struct PixelGradients<'a, E> {
-    /// What was rendered, `[H, W, C]`, background included.
-    pub image: &'a [E],
-    pub transmittance: &'a [E],
-    pub d_image: &'a [E],
-    pub d_transmittance: Option<&'a [E]>,
-}
-
-impl<E: Real> PixelGradients<'_, E> {
-    /// `d_image . image + d_transmittance transmittance` of a pixel: the part of the loss's differential that is still
-    /// to be shared out before the first Gaussian.
-    #[inline(always)]
-    pub fn budget(&self, pixel: usize, channels: usize) -> E {
-        let at = pixel * channels;
-        let mut sum = self
-            .d_transmittance
-            .map_or(E::zero(), |d| d[pixel] * self.transmittance[pixel]);
-        for c in 0..channels {
-            sum += self.d_image[at + c] * self.image[at + c];
-        }
-        sum
-    }
-}
 
 struct BackwardTile<'a, E, const C: usize, const ABSOLUTE: bool> {
     p: &'a Projected<E>,

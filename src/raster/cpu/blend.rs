@@ -1,8 +1,8 @@
 //! Blending of a few channels (Eq. 3-4) and its adjoint: pixel lanes inside, channels unrolled.
 
-use super::footprint::{Buffer, Footprint, PIXELS, Rule, fresh_transmittance};
+use super::footprint::{Buffer, Footprint, PIXELS, Rule, Tile, fresh_transmittance};
 use super::projected::{Blended, Projected};
-use super::tile_loop::{LOOK, Pass, Tile, for_each_tile_row, gather_rows, sum_over_tiles, walk};
+use super::tile_loop::{LOOK, Pass, for_each_tile_row, gather_rows, sum_over_tiles, walk};
 use crate::backend::Real;
 use crate::backend::simd::{Kernel, Lanes};
 

@@ -301,7 +301,7 @@ pub(super) struct Gradient3 {
     pub center: [f64; 2],
 }
 
-/// The derivative of [`super::projection::project`] followed by the exponent, for a Gaussian that it called visible.
+/// The derivative of the projection followed by the exponent, for a Gaussian that it called visible.
 pub(super) fn project_backward(
     s: &Splat3,
     v: &Viewpoint,

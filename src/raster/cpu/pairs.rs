@@ -1,12 +1,12 @@
 //! The contributing pairs of a tile as a list, for many channels and for the matrix `W` itself: a pair's weight is
 //! computed once, over pixel lanes.
 
-use super::footprint::{Buffer, Footprint, Rule, TILE};
+use super::footprint::{Buffer, Footprint, Rule, TILE, Tile};
 use super::projected::Projected;
-use super::tile_loop::{Pass, Tile, walk};
+use super::tile_loop::{Pass, walk};
 use crate::backend::Real;
 use crate::backend::simd::{Kernel, Lanes};
-use crate::raster::PairCounts;
+use crate::raster::settings::PairCounts;
 
 /// Pairs of a Gaussian in a tile for which the lists have room at first.
 const USUAL: usize = 24;

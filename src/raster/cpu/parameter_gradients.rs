@@ -1,11 +1,11 @@
 //! Gradients of the parameters from the sums over pixels of the backward pass.
 
-use super::backward::geometry_sums;
 use super::footprint::{Splat2, UNIT};
 use super::geometry::{Moments, Splat3, project_backward};
+use super::pixel_gradients::geometry_sums;
 use super::projected::Projected;
 use crate::backend::Real;
-use crate::raster::Splats;
+use crate::raster::settings::Splats;
 use rayon::prelude::*;
 
 /// Gaussians that one task handles.

@@ -1,9 +1,8 @@
 //! The contributing pairs of a view, tile by tile, for linear reads of the image other than pixel by pixel.
 
-use super::footprint::{Buffer, TILE, fresh_transmittance};
+use super::footprint::{Buffer, TILE, Tile, fresh_transmittance};
 use super::pairs::Pairs;
 use super::projected::Projected;
-use super::tile_loop::Tile;
 use super::tiles::TileLists;
 use crate::backend::Real;
 use crate::data::mask::Mask;

@@ -1,10 +1,11 @@
 //! `W` and `W^T` of a view whose geometry is frozen, and the counter of Algorithm 1.
 
 use super::blend;
+use super::inputs::Inputs;
 use super::pixel_sums::{self, Tiles};
+use super::prepare::{Prepared, Scenery, check_size, prepare};
 use super::project::SPLAT;
 use super::sh::{self, Harmonics};
-use super::{Inputs, Prepared, Scenery, check_size, prepare};
 use crate::backend::gpu::{Gpu, arg};
 use crate::error::Result;
 use burn_cubecl::cubecl::{self, prelude::*};

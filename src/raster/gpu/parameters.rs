@@ -1,8 +1,8 @@
 //! From the sums over pixels to the gradients of the parameters: one unit a Gaussian.
 
-use super::Inputs;
 use super::backward::ABSOLUTE_MOMENTS;
 use super::ewa::{Unit, ewa, offset_from_camera, rows_cross, to_camera};
+use super::inputs::Inputs;
 use super::project::SPLAT;
 use super::vec3::{Vec3, add_scaled, cross, dot, read3, scaled, vec3, write3};
 use super::view::{AXES, FOCAL, LOW_PASS, SIZE};

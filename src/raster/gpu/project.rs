@@ -1,7 +1,7 @@
 //! Projection and culling: one unit a Gaussian.
 
-use super::Inputs;
 use super::ewa::{ewa, offset_from_camera, rows_cross, to_camera};
+use super::inputs::Inputs;
 use super::vec3::{dot, read3};
 use super::view::{FOCAL, LN_ALPHA_MIN, LOW_PASS, NEAR, PRINCIPAL, SIZE};
 use crate::backend::gpu::{Gpu, arg, is_finite};

@@ -1,13 +1,14 @@
 //! The operations by the CPU's kernels: slices from tensors, tensors from slices.
 
-use super::backend::{
+use super::tensors::ViewCall;
+use super::tensors::{
     Colours, Forward, INPUTS, OfHost, PixelTensors, ProjectedView, RasterCall, RasterPass,
     RasterTensors, SavedForward, TensorPair,
 };
-use super::view::ViewCall;
 use crate::backend::{HostBackend, HostValues, Real, device_of, real_kernel};
 use crate::error::{Error, Result};
-use crate::raster::cpu::backward::{PixelGradients, SplatGradients};
+use crate::raster::cpu::SplatGradients;
+use crate::raster::cpu::pixel_gradients::PixelGradients;
 use crate::raster::cpu::projected::{Blended, Projected};
 use crate::raster::cpu::sh::{ShBackward, visible_colours};
 use crate::raster::settings::{Splats, check_finite};

@@ -1,11 +1,11 @@
 //! The operations by the GPU's kernels, or by the CPU's where the GPU's do not reach.
 
-use super::backend::{
+use super::cpu;
+use super::tensors::ViewCall;
+use super::tensors::{
     Colours, PixelTensors, ProjectedView, RasterCall, RasterPass, RasterTensors, SavedForward,
     TensorPair,
 };
-use super::cpu;
-use super::view::ViewCall;
 use crate::backend::HostBackend;
 use crate::error::{Error, Result};
 use crate::raster::gpu::{self, Gradients, Inputs, Lists, Scenery};

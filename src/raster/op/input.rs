@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use burn::tensor::{DType, Tensor};
 
-/// What [`rasterize`](super::rasterize) renders. All tensors have one float type and live on one device.
+/// What [`crate::raster::rasterize`] renders. All tensors have one float type and live on one device.
 #[derive(Clone, Debug)]
 pub struct RasterInput {
     /// `[N, 3]`, world units.
@@ -25,7 +25,7 @@ pub struct RasterInput {
     pub screen: Option<Tensor<2>>,
 }
 
-/// What [`rasterize`](super::rasterize) returns.
+/// What [`crate::raster::rasterize`] returns.
 #[derive(Clone, Debug)]
 pub struct RasterOutput {
     /// `[H, W, 3 + C]`, colour first when SH were given. The background is part of the colour.

@@ -2,7 +2,7 @@
 //!
 //! The CPU's kernel sums the weights of the labels that a tile shows. A GPU blends one channel for each label, in blocks.
 
-use super::backend::ProjectedView;
+use super::tensors::ProjectedView;
 use super::view::SplatView;
 use crate::backend::device::read;
 use crate::error::Result;

@@ -1,10 +1,9 @@
 //! The rasterizer as burn operations: [`rasterize`] with gradients to every input, and [`SplatView`], which blends with
 //! frozen geometry and applies the adjoint.
 //!
-//! The backend trait is in `backend`, its implementations are in `cpu`, `gpu` and `autodiff`. A forward pass returns what its
+//! The backend trait is in `backend`, its kernels are in `cpu` and `gpu`. A forward pass returns what its
 //! backward pass needs as a typed value, which the autodiff node keeps.
 
-mod autodiff;
 mod backend;
 mod cpu;
 #[cfg(feature = "cube")]
@@ -14,6 +13,7 @@ mod labels;
 mod rasterize;
 mod reference;
 mod splats;
+mod tensors;
 mod tile_lists;
 mod view;
 

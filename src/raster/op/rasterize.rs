@@ -1,8 +1,9 @@
 //! [`rasterize`], with gradients to every input.
 
-use super::backend::{RasterBackend, RasterCall, RasterPass, RasterTensors};
+use super::backend::RasterBackend;
 use super::input::{RasterInput, RasterOutput, sizes};
 use super::reference;
+use super::tensors::{RasterCall, RasterPass, RasterTensors};
 use crate::error::Result;
 use crate::ops::CustomOp;
 use crate::raster::settings::Settings;

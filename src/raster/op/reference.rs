@@ -43,7 +43,7 @@ struct Footprints {
     front: Tensor<2>,
 }
 
-/// [`super::rasterize()`] of a valid input.
+/// [`crate::raster::rasterize`] of a valid input.
 pub(super) fn rasterize(
     input: RasterInput,
     camera: &Camera,

@@ -1,8 +1,9 @@
 //! Blending with frozen geometry and its adjoint, as operations on tensors: projected and sorted once a view.
 
-use super::backend::{Colours, ProjectedView, RasterBackend, TensorPair};
+use super::backend::RasterBackend;
 use super::reference::{ReferenceView, colours};
 use super::splats::SplatTensors;
+use super::tensors::{Colours, ProjectedView, TensorPair, ViewCall};
 use crate::backend::device::largest_allocation;
 use crate::error::{Error, Result};
 use crate::ops::{CustomOp, SparseMatrix, sparse_apply};
@@ -30,19 +31,6 @@ pub struct Lifted {
     pub sums: Tensor<2>,
     /// Disc pixels: pixels whose centre lies within the projected radius, `[N]`, as floats.
     pub counts: Tensor<1>,
-}
-
-/// What a view renders besides its Gaussians.
-#[derive(Clone, Debug)]
-pub(crate) struct ViewCall {
-    pub(super) camera: Camera,
-    pub(super) settings: Settings,
-    /// Entries of the tile lists, once a GPU has counted them for the same Gaussians and camera.
-    #[cfg_attr(
-        not(feature = "cube"),
-        allow(dead_code, reason = "only a GPU counts entries")
-    )]
-    pub(super) entries: Arc<OnceLock<usize>>,
 }
 
 /// Frozen Gaussians and a camera: projected and sorted once for all that is blended and lifted.
