@@ -74,10 +74,10 @@ pub fn open(name: Option<BackendName>) -> Result<Device> {
 ///
 /// Without a name, a wgpu backend that finds no adapter, or only a software one, or one that the rasterizer's kernels do not
 /// run on ([`shortfall`]), gives way to the next one, with one warning. The devices themselves are lazy: wgpu's adapter is
-/// asked for here, so that its absence is an error and not a later panic.
+/// acquired here, so that its absence is an error and not a later panic.
 ///
 /// # Errors
-/// [`Error::Device`] when the backend asked for is not compiled in or has no usable adapter.
+/// [`Error::Device`] when the named backend is not compiled in or has no usable adapter.
 pub fn choose(name: Option<BackendName>) -> Result<(BackendName, Device)> {
     if let Some(name) = name {
         return Ok((name, device(name)?));
@@ -131,7 +131,7 @@ pub fn open_gpu() -> Result<Device> {
     }
 }
 
-/// `name` and, where it is known, what it computes on: "wgpu (NVIDIA H100 PCIe, vulkan)". A software adapter is called one.
+/// `name` and, where it is known, its adapter: "wgpu (NVIDIA H100 PCIe, vulkan)". A software adapter is called one.
 pub fn described(name: BackendName) -> String {
     #[cfg(feature = "wgpu")]
     if let (
@@ -308,7 +308,7 @@ fn wgpu() -> Result<Device> {
     }
 }
 
-/// What wgpu computes on.
+/// The adapter that wgpu computes on.
 #[cfg(feature = "wgpu")]
 #[derive(Clone, Debug)]
 struct Adapter {
@@ -317,7 +317,7 @@ struct Adapter {
     software: bool,
 }
 
-/// Acquires the adapter of the default wgpu device, once a process: what is known of it, or why there is none.
+/// Acquires the adapter of the default wgpu device once. Returns its properties, or why there is none.
 #[cfg(feature = "wgpu")]
 fn adapter() -> &'static std::result::Result<Option<Adapter>, String> {
     use burn::tensor::wgpu::{WgpuInitError, wgpu::DeviceType};

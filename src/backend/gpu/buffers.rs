@@ -24,7 +24,7 @@ impl Gpu {
         }
     }
 
-    /// A device without a tensor at hand.
+    /// A device without a tensor.
     #[cfg(test)]
     pub fn on(device: CubeDevice) -> Self {
         Self {

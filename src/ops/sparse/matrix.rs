@@ -8,7 +8,7 @@ use burn::tensor::Device;
 /// A constant sparse matrix in compressed rows, `[rows, columns]`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SparseMatrix {
-    // Not to be changed: a device may hold copies.
+    // Never changed: a device may hold copies.
     pub(crate) columns: usize,
     /// Start of each row in `indices`; `rows + 1` entries, the first 0, ascending.
     pub(crate) offsets: Vec<u32>,
@@ -28,7 +28,7 @@ pub(super) struct ResidentMatrix {
 }
 
 impl SparseMatrix {
-    /// Of compressed rows: `offsets` holds the start of each row in `indices`, and the end of the last.
+    /// A matrix from compressed rows: `offsets` holds the start of each row in `indices`, and the end of the last.
     ///
     /// # Panics
     /// If `offsets` does not rise from 0 to the number of entries, `indices` and `values` differ in length, or an index is
@@ -56,7 +56,7 @@ impl SparseMatrix {
         Self::unchecked(columns, offsets, indices, values)
     }
 
-    /// [`SparseMatrix::new`] of what is right by construction.
+    /// [`SparseMatrix::new`] without checks, for arrays that are valid by construction.
     pub(crate) fn unchecked(
         columns: usize,
         offsets: Vec<u32>,
@@ -72,7 +72,7 @@ impl SparseMatrix {
         }
     }
 
-    /// The rows `rows` of what has `columns` rows, in that order.
+    /// Selects the rows `rows` of an input with `columns` rows, in that order.
     ///
     /// # Panics
     /// If a row is not below `columns`.
@@ -81,7 +81,7 @@ impl SparseMatrix {
         Self::new(columns, offsets, rows, ones)
     }
 
-    /// Sums of `k` rows each, of what has `columns` rows: row r sums the rows `rows[r k..(r + 1) k]`.
+    /// Sums `k` rows of an input with `columns` rows: row r sums the rows `rows[r k..(r + 1) k]`.
     ///
     /// # Panics
     /// If a row is not below `columns`.
@@ -124,7 +124,7 @@ impl SparseMatrix {
 
     /// The same matrix with each row divided by its sum; rows that sum to less than `floor` become empty.
     ///
-    /// Of blending weights this makes weighted means: a row sums to `1 - T`.
+    /// Blending weights, whose rows sum to `1 - T`, become weighted means.
     #[must_use]
     pub fn normalised(&self, floor: f32) -> Self {
         let mut out = Self::unchecked(self.columns, vec![0], Vec::new(), Vec::new());

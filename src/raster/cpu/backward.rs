@@ -1,11 +1,11 @@
 //! The handwritten backward pass.
 //!
 //! Front to back, with the forward pass's own transmittances. For a pixel let `d_i = dL/dS . s_i`; then
-//! `dL/dalpha'_i = T_i d_i - R_i / (1 - alpha'_i)` with `R_i = sum_(j > i) w_j d_j + dL/dT T`: what is left of
+//! `dL/dalpha'_i = T_i d_i - R_i / (1 - alpha'_i)`. `R_i = sum_(j > i) w_j d_j + dL/dT T` is the rest of
 //! `dL/dS . S + dL/dT T` after the first `i` Gaussians. One running scalar per pixel, whatever the number of channels.
 //!
-//! AbsGS (Ye et al. 2024) asks for the absolute values of the gradients of the projected centres before they are summed
-//! over the pixels. The kernels do so when `ABSOLUTE`, and are otherwise those without.
+//! AbsGS (Ye et al. 2024) sums the absolute values of each pixel's gradient of the projected centres. The kernels add these
+//! sums when `ABSOLUTE`.
 
 use super::blend::tile_image;
 use super::channel_blocks;
@@ -138,8 +138,8 @@ impl<E: Real, S: Lanes<E>, const C: usize, const ABSOLUTE: bool>
         d_value
     }
 
-    /// Sums of `g` times 1, u, v, u^2, u v, v^2; and, negative, of the absolute values of what single pixels add to
-    /// the gradient of the centre.
+    /// Sums of `g` times 1, u, v, u^2, u v, v^2; and minus the sums of each pixel's absolute contribution to the gradient of
+    /// the centre.
     #[inline(always)]
     fn moments(&self, next: usize, footprint: &Footprint<E>) -> ([S::V; 6], [S::V; 2]) {
         let s = self.rule.s;
@@ -203,9 +203,9 @@ fn pixel_sums<E: Real, const ABSOLUTE: bool>(
 impl<E: Real> Projected<E> {
     /// Gradients of a loss `L` through [`Projected::blend`] and the projection.
     ///
-    /// `splats` and `values` (`[N, channels]`) are what was rendered, `forward` what came out (a background may have been
-    /// added to its image: `image + T b`, and `d_image` is then taken to reach `T` through it), `d_image` `[H, W, channels]`
-    /// and `d_transmittance` `[H, W]` are dL/d(output).
+    /// `splats` and `values` (`[N, channels]`) are the inputs of the forward pass, `forward` is its output. Its image may include
+    /// a background, `image + T b`; then `d_image` reaches `T` through it. `d_image` `[H, W, channels]` and `d_transmittance`
+    /// `[H, W]` are the gradients of the output.
     ///
     /// # Panics
     /// If the lengths disagree.

@@ -214,7 +214,7 @@ pub(super) struct Ewa {
 }
 
 impl Ewa {
-    /// Of a Gaussian at `p` in camera coordinates.
+    /// Projects a Gaussian at `p` in camera coordinates.
     #[inline(always)]
     pub fn new(rotation: [f64; 4], scale: Vec3, v: &Viewpoint, p: Vec3) -> Self {
         // No `from_fn` within `from_fn`: where a closure is not inlined, loops over Gaussians do not become vectors.

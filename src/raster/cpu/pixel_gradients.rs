@@ -8,7 +8,7 @@ pub(in crate::raster) const fn geometry_sums(absolute: bool) -> usize {
     if absolute { 8 } else { 6 }
 }
 
-/// By how much the kernels' `u` and `v` grow as the centre moves by a pixel: `u` along x, `u` along y, `v` along y.
+/// Change of the kernels' `u` and `v` as the centre moves by a pixel: `u` along x, `u` along y, `v` along y.
 #[inline(always)]
 pub(in crate::raster) fn drift<E: Real>(s: &Splat2) -> [E; 3] {
     [UNIT * s.du, -UNIT * s.du * s.slope, UNIT * s.dv].map(E::of)
@@ -17,7 +17,7 @@ pub(in crate::raster) fn drift<E: Real>(s: &Splat2) -> [E; 3] {
 /// What the backward pass over a tile reads besides the projection.
 #[derive(Clone, Copy)]
 pub(in crate::raster) struct PixelGradients<'a, E> {
-    /// What was rendered, `[H, W, C]`, background included.
+    /// The rendered image, `[H, W, C]`, background included.
     pub image: &'a [E],
     pub transmittance: &'a [E],
     pub d_image: &'a [E],
@@ -25,8 +25,7 @@ pub(in crate::raster) struct PixelGradients<'a, E> {
 }
 
 impl<E: Real> PixelGradients<'_, E> {
-    /// `d_image . image + d_transmittance transmittance` of a pixel: the part of the loss's differential that is still
-    /// to be shared out before the first Gaussian.
+    /// `d_image . image + d_transmittance transmittance` of a pixel: `R` before the first Gaussian.
     #[inline(always)]
     pub fn budget(&self, pixel: usize, channels: usize) -> E {
         let at = pixel * channels;

@@ -1,9 +1,10 @@
 //! Forward blending: a cube a tile, a unit a pixel, a block of channels in registers.
 
-use super::lists::{TileEntries, tile_counts};
+use super::lists::tile_counts;
 use super::pixel::{
     Four, PATCH, PATCHES, SPLAT_FOURS, pixel, reaches_patch, rule, splat_four, take,
 };
+use super::prepare::Prepared;
 use super::view::BACKGROUND;
 use crate::backend::gpu::{Gpu, UNITS, arg};
 use burn::tensor::Shape;
@@ -178,18 +179,17 @@ pub(super) fn blocks(channels: usize, widest: usize) -> impl Iterator<Item = (us
         })
 }
 
-/// Image `[H, W, channels]` of `values` `[N, channels]`, the background of `view` included, and transmittance `[H, W]`.
+/// Image `[H, W, channels]` of `values` `[N, channels]`, background included, and transmittance `[H, W]`.
 pub(super) fn blend(
     gpu: &Gpu,
-    splats: &CubeTensor,
-    entries: &TileEntries,
+    prepared: &Prepared,
     values: &CubeTensor,
     channels: usize,
-    view: &CubeTensor,
-    size: [usize; 2],
 ) -> (CubeTensor, CubeTensor) {
-    let [w, h] = size;
-    let tiles: usize = tile_counts(size).iter().product();
+    let Prepared { view, entries, .. } = prepared;
+    let splats = &prepared.projected.splats;
+    let [w, h] = prepared.size;
+    let tiles: usize = tile_counts(prepared.size).iter().product();
     let image = gpu.floats(Shape::new([h, w, channels]));
     let transmittance = gpu.floats(Shape::new([h, w]));
     for (first, block) in blocks(channels, WIDEST) {

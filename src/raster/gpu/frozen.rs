@@ -2,7 +2,7 @@
 
 use super::blend;
 use super::inputs::Inputs;
-use super::pixel_sums::{self, Tiles};
+use super::pixel_sums;
 use super::prepare::{Prepared, Scenery, check_size, prepare};
 use super::project::SPLAT;
 use super::sh::{self, Harmonics};
@@ -132,28 +132,10 @@ impl Lists {
     /// [`crate::Error::Limit`] for what the device cannot hold.
     pub fn blend(&self, values: CubeTensor, channels: usize) -> Result<(CubeTensor, CubeTensor)> {
         let gpu = Gpu::of(&values);
-        let Prepared {
-            view,
-            projected,
-            entries,
-            size,
-            ..
-        } = &self.prepared;
-        check_size(
-            &gpu,
-            "pixels times channels",
-            (size[0] * size[1]).saturating_mul(channels),
-            size_of::<f32>(),
-        )?;
-        Ok(blend::blend(
-            &gpu,
-            &projected.splats,
-            entries,
-            &values,
-            channels,
-            view,
-            *size,
-        ))
+        let count = self.prepared.size.iter().product::<usize>();
+        let count = count.saturating_mul(channels);
+        check_size(&gpu, "pixels times channels", count, size_of::<f32>())?;
+        Ok(blend::blend(&gpu, &self.prepared, &values, channels))
     }
 
     /// `W^T y` `[N, channels]` and the counts `[N]`; `y` is `[H, W, channels]`, contiguous.
@@ -162,27 +144,9 @@ impl Lists {
     /// [`crate::Error::Limit`] for what the device cannot hold.
     pub fn lift(&self, y: &CubeTensor, channels: usize) -> Result<(CubeTensor, CubeTensor)> {
         let gpu = Gpu::of(y);
-        let Prepared {
-            view,
-            projected,
-            order,
-            entries,
-            size,
-            ..
-        } = &self.prepared;
-        check_size(
-            &gpu,
-            "Gaussians times channels",
-            order.len.saturating_mul(channels),
-            size_of::<f32>(),
-        )?;
-        let tiles = Tiles {
-            order,
-            entries,
-            size: *size,
-        };
-        let row_bytes = pixel_sums::row_bytes(&gpu);
-        let sums = pixel_sums::adjoint(&gpu, &projected.splats, tiles, y, view, row_bytes);
+        let count = self.prepared.order.len.saturating_mul(channels);
+        check_size(&gpu, "Gaussians times channels", count, size_of::<f32>())?;
+        let sums = pixel_sums::adjoint(&gpu, &self.prepared, y, pixel_sums::row_bytes(&gpu));
         Ok((sums, self.counts()))
     }
 }

@@ -324,8 +324,8 @@ mod tests {
                     return;
                 };
                 let [across, down] = tile_counts(size);
-                let ranges = words(&view.gpu, &view.entries.ranges);
-                let gaussians = words(&view.gpu, &view.entries.gaussians);
+                let ranges = words(&view.gpu, &view.prepared.entries.ranges);
+                let gaussians = words(&view.gpu, &view.prepared.entries.gaussians);
                 let (mut entries, mut differing) = (0, 0);
                 for tile in 0..across * down {
                     let got = &gaussians[ranges[2 * tile] as usize..ranges[2 * tile + 1] as usize];

@@ -53,11 +53,7 @@ mod fixture {
     //! What the tests of the kernels share.
 
     use super::inputs::Inputs;
-    use super::lists::{Order, Report, TileEntries, depth_order, tile_entries};
-    use super::prepare::read_words;
-    use super::project::{ProjectedScene, project};
-    use super::scan::CEILING;
-    use super::view;
+    use super::prepare::{Prepared, Scenery, prepare, read_words};
     use crate::backend::device::gpu_of_tests;
     use crate::backend::gpu::Gpu;
     use crate::raster::Settings;
@@ -88,11 +84,7 @@ mod fixture {
     pub struct View {
         pub gpu: Gpu,
         pub host: Projected<f32>,
-        pub constants: CubeTensor,
-        pub projected: ProjectedScene,
-        pub order: Order,
-        pub entries: TileEntries,
-        pub size: [usize; 2],
+        pub prepared: Prepared,
     }
 
     impl View {
@@ -135,30 +127,16 @@ mod fixture {
                 sh: None,
                 features: None,
             };
-            let constants = view::constants(&host.viewpoint, &camera, settings, [0.0; 3]);
-            let constants = gpu.upload(&constants, DType::F32);
-            let report = Report::new(&gpu);
-            let everywhere = settings.alpha_min == 0.0;
-            let projected = project(&gpu, &inputs, &constants, &report.counts, everywhere);
-            let order = depth_order(
-                &gpu,
-                &projected,
-                n,
-                size,
-                everywhere,
-                &report,
-                CEILING as usize,
-            );
-            let count = words(&gpu, &report.counts)[1] as usize;
-            let entries = tile_entries(&gpu, &projected, &order, count, false, size, everywhere);
+            let scenery = Scenery {
+                camera: &camera,
+                settings,
+                background: [0.0; 3],
+            };
+            let prepared = prepare(&gpu, &inputs, scenery, None).expect("a working device");
             Some(Self {
+                prepared: prepared.expect("finite"),
                 gpu,
                 host,
-                constants,
-                projected,
-                order,
-                entries,
-                size,
             })
         }
     }

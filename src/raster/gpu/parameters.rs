@@ -145,7 +145,7 @@ pub(super) struct GeometryGradients {
     pub log_scales: CubeTensor,
     pub rotations: CubeTensor,
     pub logits: CubeTensor,
-    /// Of the projected centres, in units of half the image, `[N, 2]`, or `[N, 4]` with sums of absolute values.
+    /// Gradients of the projected centres in units of half the image, `[N, 2]`, or `[N, 4]` with sums of absolute values.
     pub screen: CubeTensor,
 }
 

@@ -3,7 +3,7 @@
 use super::blend;
 use super::inputs::Inputs;
 use super::parameters;
-use super::pixel_sums;
+use super::pixel_sums::{PixelGradients, pixel_sums, row_bytes};
 use super::prepare::{Prepared, Scenery, check_size, prepare};
 use super::sh;
 use crate::backend::gpu::Gpu;
@@ -70,23 +70,11 @@ pub(in crate::raster) fn forward(
         return Ok(None);
     };
     let Prepared {
-        view,
-        projected,
-        entries,
-        size,
-        ..
+        view, projected, ..
     } = &prepared;
     let colours = harmonics.map(|h| sh::colours(&gpu, &inputs.means, &h, &projected.radii, view));
     let values = inputs.values(colours);
-    let (image, transmittance) = blend::blend(
-        &gpu,
-        &projected.splats,
-        entries,
-        &values,
-        channels,
-        view,
-        *size,
-    );
+    let (image, transmittance) = blend::blend(&gpu, &prepared, &values, channels);
     Ok(Some((
         image,
         Forward {
@@ -120,36 +108,17 @@ impl Forward {
     ) -> Gradients {
         let gpu = Gpu::of(&inputs.means);
         let Prepared {
-            view,
-            projected,
-            order,
-            entries,
-            size,
-            ..
+            view, projected, ..
         } = &self.prepared;
-        let transmittance = &self.transmittance;
-        let pixels = pixel_sums::PixelGradients {
+        let pixels = PixelGradients {
             image,
             d_image,
-            transmittance,
+            transmittance: &self.transmittance,
             d_transmittance,
             absolute,
         };
-        let tiles = pixel_sums::Tiles {
-            order,
-            entries,
-            size: *size,
-        };
-        let row_bytes = pixel_sums::row_bytes(&gpu);
-        let sums = pixel_sums::pixel_sums(
-            &gpu,
-            &projected.splats,
-            tiles,
-            Some(&self.values),
-            &pixels,
-            view,
-            row_bytes,
-        );
+        let values = Some(&self.values);
+        let sums = pixel_sums(&gpu, &self.prepared, values, &pixels, row_bytes(&gpu));
         let d = parameters::backward(
             &gpu,
             inputs,

@@ -3,8 +3,9 @@
 
 use super::backward::{ABSOLUTE_MOMENTS, MOMENTS, tiles_backward, widest};
 use super::blend::blocks;
-use super::lists::{Order, TileEntries, tile_counts};
-use super::row_sums::{PixelSums, Slab, add_rows};
+use super::lists::tile_counts;
+use super::prepare::Prepared;
+use super::row_sums::sum_rows;
 use crate::backend::gpu::{Gpu, arg};
 use burn_cubecl::tensor::CubeTensor;
 
@@ -20,27 +21,24 @@ pub(super) struct PixelGradients<'a> {
     pub absolute: bool,
 }
 
-/// The tile lists of a view.
-#[derive(Clone, Copy)]
-pub(super) struct Tiles<'a> {
-    pub order: &'a Order,
-    pub entries: &'a TileEntries,
-    /// Image width and height, pixels.
-    pub size: [usize; 2],
-}
-
 /// Bytes that the rows of one pass may take. More entries go through in several passes.
 pub(super) fn row_bytes(gpu: &Gpu) -> usize {
     gpu.largest().min(1 << 30)
 }
 
+/// Sums over all pixels, a row for every Gaussian of the scene; zero for culled ones.
+pub(super) struct PixelSums {
+    /// `[N, 6]`, or `[N, 8]` with sums of absolute values; of any length where none are wanted.
+    pub moments: CubeTensor,
+    /// Gradients of the values, `[N, C]`.
+    pub values: CubeTensor,
+}
+
 /// `W^T y` alone, `[N, channels]`: `y` is `[H, W, channels]`.
 pub(super) fn adjoint(
     gpu: &Gpu,
-    splats: &CubeTensor,
-    tiles: Tiles<'_>,
+    prepared: &Prepared,
     y: &CubeTensor,
-    view: &CubeTensor,
     row_bytes: usize,
 ) -> CubeTensor {
     // Read by the moments alone.
@@ -52,26 +50,26 @@ pub(super) fn adjoint(
         d_transmittance: None,
         absolute: false,
     };
-    pixel_sums(gpu, splats, tiles, None, &pixels, view, row_bytes).values
+    pixel_sums(gpu, prepared, None, &pixels, row_bytes).values
 }
 
 /// Runs the backward pass over the tiles; without `values` (`[N, C]`) it sums no moments. Rows take at most `row_bytes`.
 pub(super) fn pixel_sums(
     gpu: &Gpu,
-    splats: &CubeTensor,
-    tiles: Tiles<'_>,
+    prepared: &Prepared,
     values: Option<&CubeTensor>,
     pixels: &PixelGradients<'_>,
-    view: &CubeTensor,
     row_bytes: usize,
 ) -> PixelSums {
-    let Tiles {
+    let Prepared {
+        view,
         order,
         entries,
         size,
-    } = tiles;
-    let [w, h] = size;
-    let tile_count: usize = tile_counts(size).iter().product();
+        ..
+    } = prepared;
+    let [w, h] = *size;
+    let tile_count: usize = tile_counts(*size).iter().product();
     let channels = pixels.d_image.meta.num_elements() / (w * h);
     let moments = match values {
         None => 0,
@@ -88,14 +86,7 @@ pub(super) fn pixel_sums(
         let rows = gpu.floats([most, columns]);
         // One pass even without entries, to write the zeros.
         for first_entry in (0..entries.len.max(1)).step_by(most) {
-            let slab = Slab {
-                channels,
-                first_channel,
-                block,
-                moments,
-                first_entry,
-                end_entry: (first_entry + most).min(entries.len),
-            };
+            let end_entry = (first_entry + most).min(entries.len);
             tiles_backward::launch(
                 &gpu.client,
                 gpu.cubes(tile_count),
@@ -103,7 +94,7 @@ pub(super) fn pixel_sums(
                 arg(&entries.ranges),
                 arg(&entries.gaussians),
                 arg(&entries.entries),
-                arg(splats),
+                arg(&prepared.projected.splats),
                 arg(values.unwrap_or(pixels.d_image)),
                 arg(view),
                 arg(pixels.image),
@@ -114,15 +105,35 @@ pub(super) fn pixel_sums(
                 w as u32,
                 h as u32,
                 tile_count as u32,
-                slab.channels as u32,
-                slab.first_channel as u32,
-                slab.first_entry as u32,
-                slab.end_entry as u32,
-                slab.block,
-                slab.moments,
+                channels as u32,
+                first_channel as u32,
+                first_entry as u32,
+                end_entry as u32,
+                block,
+                moments,
                 first_channel == 0 && pixels.d_transmittance.is_some(),
             );
-            add_rows(gpu, order, entries, &rows, &slab, &out);
+            // The first slab of each part overwrites its sums.
+            sum_rows::launch(
+                &gpu.client,
+                gpu.cubes_for(order.len * columns),
+                gpu.dim(),
+                arg(&order.ids),
+                arg(&order.offsets),
+                arg(&entries.ends),
+                arg(&rows),
+                arg(&out.moments),
+                arg(&out.values),
+                order.len as u32,
+                channels as u32,
+                first_channel as u32,
+                first_entry as u32,
+                end_entry as u32,
+                block,
+                moments,
+                first_channel > 0 || first_entry > 0,
+                first_entry > 0,
+            );
         }
     }
     out
@@ -151,15 +162,7 @@ mod tests {
         };
         let pixels = 50 * 41;
         let values = draw(400 * 12);
-        let (image, transmittance) = blend(
-            gpu,
-            &view.projected.splats,
-            &view.entries,
-            &values,
-            12,
-            &view.constants,
-            view.size,
-        );
+        let (image, transmittance) = blend(gpu, &view.prepared, &values, 12);
         let (d_image, d_transmittance) = (draw(pixels * 12), draw(pixels));
         let gradients = PixelGradients {
             image: &image,
@@ -168,37 +171,17 @@ mod tests {
             d_transmittance: Some(&d_transmittance),
             absolute: false,
         };
-        let tiles = Tiles {
-            order: &view.order,
-            entries: &view.entries,
-            size: view.size,
-        };
         let sums = |row_bytes: usize| {
-            let out = pixel_sums(
-                gpu,
-                &view.projected.splats,
-                tiles,
-                Some(&values),
-                &gradients,
-                &view.constants,
-                row_bytes,
-            );
+            let out = pixel_sums(gpu, &view.prepared, Some(&values), &gradients, row_bytes);
             [out.moments, out.values].map(|t| floats(gpu, &t))
         };
         let whole = sums(usize::MAX);
-        let slabs = sums(view.entries.len * 56 / 3);
+        let slabs = sums(view.prepared.entries.len * 56 / 3);
         let lift = |row_bytes: usize| {
-            let sums = adjoint(
-                gpu,
-                &view.projected.splats,
-                tiles,
-                &d_image,
-                &view.constants,
-                row_bytes,
-            );
+            let sums = adjoint(gpu, &view.prepared, &d_image, row_bytes);
             floats(gpu, &sums)
         };
-        let lifted = [lift(usize::MAX), lift(view.entries.len * 48 / 3)];
+        let lifted = [lift(usize::MAX), lift(view.prepared.entries.len * 48 / 3)];
         let pairs = whole
             .iter()
             .zip(&slabs)

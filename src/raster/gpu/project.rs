@@ -158,8 +158,8 @@ mod tests {
         let Some(view) = View::new(3000, 0.05, [120, 77], &Settings::default()) else {
             return;
         };
-        assert!(covers(&view.constants), "this device runs the kernels");
-        let splats = floats(&view.gpu, &view.projected.splats);
+        assert!(covers(&view.prepared.view), "this device runs the kernels");
+        let splats = floats(&view.gpu, &view.prepared.projected.splats);
         let mut culled = vec![true; view.host.len()];
         for (splat, &id) in view.host.splats.iter().zip(&view.host.ids) {
             culled[id as usize] = false;
@@ -186,7 +186,7 @@ mod tests {
                 );
             }
         }
-        let radii = words(&view.gpu, &view.projected.radii);
+        let radii = words(&view.gpu, &view.prepared.projected.radii);
         let differing = radii
             .iter()
             .zip(&culled)

@@ -1,13 +1,10 @@
 //! Sums over the tiles of each Gaussian. Each tile entry has a row; the rows of a Gaussian are neighbours.
 
-use super::lists::{Order, TileEntries};
-use crate::backend::gpu::{Gpu, arg};
 use burn_cubecl::cubecl::{self, prelude::*};
-use burn_cubecl::tensor::CubeTensor;
 
 /// Adds up each Gaussian's rows: one unit a Gaussian and column.
 #[cube(launch)]
-fn sum_rows(
+pub(super) fn sum_rows(
     ids: &[u32],
     offsets: &[u32],
     ends: &[u32],
@@ -66,55 +63,4 @@ fn sum_rows(
             value_sums[to] = sum;
         }
     }
-}
-
-/// Sums over all pixels, a row for every Gaussian of the scene; zero for culled ones.
-pub(super) struct PixelSums {
-    /// `[N, 6]`, or `[N, 8]` with sums of absolute values; of any length where none are wanted.
-    pub moments: CubeTensor,
-    /// Gradients of the values, `[N, C]`.
-    pub values: CubeTensor,
-}
-
-/// What one pass over the tiles covers: a block of channels and a range of entries.
-pub(super) struct Slab {
-    /// Of all blocks.
-    pub channels: usize,
-    pub first_channel: usize,
-    pub block: usize,
-    /// Moments of a row, before the block: all of them or none.
-    pub moments: usize,
-    pub first_entry: usize,
-    pub end_entry: usize,
-}
-
-/// Adds `rows`, `[entries of the slab, moments + block]`, to `sums`; the first slab of each part overwrites it.
-pub(super) fn add_rows(
-    gpu: &Gpu,
-    order: &Order,
-    entries: &TileEntries,
-    rows: &CubeTensor,
-    slab: &Slab,
-    sums: &PixelSums,
-) {
-    sum_rows::launch(
-        &gpu.client,
-        gpu.cubes_for(order.len * (slab.moments + slab.block)),
-        gpu.dim(),
-        arg(&order.ids),
-        arg(&order.offsets),
-        arg(&entries.ends),
-        arg(rows),
-        arg(&sums.moments),
-        arg(&sums.values),
-        order.len as u32,
-        slab.channels as u32,
-        slab.first_channel as u32,
-        slab.first_entry as u32,
-        slab.end_entry as u32,
-        slab.block,
-        slab.moments,
-        slab.first_channel > 0 || slab.first_entry > 0,
-        slab.first_entry > 0,
-    );
 }

@@ -167,7 +167,7 @@ impl SplatView {
 }
 
 impl GaussianLabels {
-    /// The label that one of [`Largest::indices`] stands for.
+    /// The label with this index from [`Largest::indices`].
     fn at(&self, index: f32) -> Option<u16> {
         (index >= 0.0).then(|| self.ids.get(index as usize).copied())?
     }

@@ -172,11 +172,11 @@ macro_rules! by_kernels {
         $(#[$meta])*
         #[derive(Clone)]
         pub(crate) enum $name {
-            /// Of the CPU's kernels in f32.
+            /// The CPU's kernels in f32 made it.
             F32(Arc<$host<f32>>),
-            /// Of the CPU's kernels in f64.
+            /// The CPU's kernels in f64 made it.
             F64(Arc<$host<f64>>),
-            /// Of the GPU's kernels.
+            /// The GPU's kernels made it.
             #[cfg(feature = "cube")]
             Gpu(Arc<crate::raster::gpu::$device>),
         }
