@@ -246,7 +246,7 @@ impl View<'_> {
         let labels = (0..self.gaussians.len()).map(|_| rng.random_range(1..=LABELS as u16));
         let labels = Some(labels.collect());
         let options = RenderOptions::default();
-        let mut renderer = Renderer::new(self.gaussians.clone(), labels, options, device)?;
+        let renderer = Renderer::new(self.gaussians.clone(), labels, options, device)?;
         self.passes(|| {
             for camera in self.cameras {
                 black_box(renderer.frame(camera)?);

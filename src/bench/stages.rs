@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::metrics::ImageScores;
 use crate::pipeline::Inputs;
 use crate::pipeline::lift::lift;
-use crate::pipeline::variants::run_rows;
+use crate::pipeline::variants::train_variants;
 use crate::progress::{Event, Progress};
 use crate::raster::Settings;
 use crate::reconstruction::{Trainer, TrainerState};
@@ -116,7 +116,7 @@ fn stage_two(
         device,
     };
     let folder = tempfile::tempdir().map_err(|e| Error::io(std::env::temp_dir(), "create", e))?;
-    run_rows(&inputs, folder.path(), &mut clock)?;
+    train_variants(&inputs, folder.path(), &mut clock)?;
     figures.add("image features of all views", "s", &[features]);
     figures.add("their lifting onto the Gaussians", "s", &[unprojection]);
     // The first pass over the views computes their weights.

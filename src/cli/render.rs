@@ -156,7 +156,7 @@ impl RenderArgs {
         };
         let labels = scene.labels.filter(|_| self.labels);
         let device = self.backend.open()?;
-        let mut renderer = Renderer::new(scene.gaussians, labels, options, &device)?;
+        let renderer = Renderer::new(scene.gaussians, labels, options, &device)?;
         if is_path {
             transforms::write_cameras(&self.out.join(CAMERAS), &cameras)?;
         }

@@ -191,7 +191,7 @@ impl<'a> StageTwo<'a> {
         let plan = plan(Variant::PerGaussian, self.inputs)?;
         let device = self.inputs.device.clone().autodiff();
         let model = PerGaussian::new(size, config.blend, &device);
-        let rate = config.lr_per_gaussian;
+        let rate = LR_PER_GAUSSIAN;
         let training = Training::new(model, Adam::new(rate, None), classes);
         self.trained(Variant::PerGaussian, training, &plan, rate, progress)
     }

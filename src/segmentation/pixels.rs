@@ -1,10 +1,9 @@
 //! Labelled pixels of a training view, and the frozen blending weights that connect them to the Gaussians.
 
-use crate::backend::device::in_host_memory;
 use crate::backend::device::read;
 use crate::error::Result;
 use crate::ops::{SparseMatrix, sparse_apply};
-use crate::raster::{Projected, Settings, SplatTensors, SplatView};
+use crate::raster::{Settings, SplatTensors, SplatView};
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
 use burn::tensor::{Device, Int, Tensor, TensorData};
@@ -65,21 +64,17 @@ impl PixelWeights {
 
 /// Gaussians whose views are blended with frozen weights: stored ones in host memory, rendered ones on a GPU.
 #[derive(Clone, Debug)]
-pub(crate) struct FrozenGaussians<'a> {
-    gaussians: &'a Gaussians,
+pub(crate) struct FrozenGaussians {
+    splats: SplatTensors,
     settings: Settings,
-    /// Present where views are rendered.
-    splats: Option<SplatTensors>,
 }
 
-impl<'a> FrozenGaussians<'a> {
+impl FrozenGaussians {
     /// `gaussians`, blended on `device`.
-    pub fn new(gaussians: &'a Gaussians, settings: Settings, device: &Device) -> Self {
-        let on_gpu = !in_host_memory(device);
+    pub fn new(gaussians: &Gaussians, settings: Settings, device: &Device) -> Self {
         Self {
-            gaussians,
+            splats: SplatTensors::new(gaussians, device),
             settings,
-            splats: on_gpu.then(|| SplatTensors::new(gaussians, device)),
         }
     }
 
@@ -97,61 +92,60 @@ impl<'a> FrozenGaussians<'a> {
         let wanted: Vec<u32> = (0..labels.len() as u32)
             .filter(|&pixel| labels[pixel as usize] != UNLABELLED)
             .collect();
-        let (visible, pixels, weights) = match &self.splats {
-            Some(splats) => self.rendered(splats, camera, &wanted, min_coverage)?,
-            None => self.stored(camera, &wanted, min_coverage)?,
+        let view = self.splats.seen_by(camera, &self.settings);
+        let (visible, pixels, weights) = if self.splats.have_stored_weights() {
+            stored(&view, &wanted, min_coverage)?
+        } else {
+            rendered(&view, wanted, min_coverage)?
         };
         let labels = pixels.iter().map(|&p| labels[p as usize]).collect();
         Ok((visible, LabelledPixels::new(weights, labels)))
     }
+}
 
-    fn stored(
-        &self,
-        camera: &Camera,
-        wanted: &[u32],
-        min_coverage: f32,
-    ) -> Result<(Vec<u32>, Vec<u32>, PixelWeights)> {
-        let projected = Projected::new(&self.gaussians.splats(), camera, &self.settings)?;
-        let weights = projected.weights(Some(wanted)).normalised(min_coverage);
-        let covered: Vec<u32> = (0..weights.rows() as u32)
-            .filter(|&row| !weights.row(row as usize).0.is_empty())
-            .collect();
-        let pixels = covered.iter().map(|&row| wanted[row as usize]).collect();
-        let visible = weights.used_columns();
-        let weights = weights.select_rows(&covered).over_columns(&visible);
-        Ok((visible, pixels, PixelWeights::Stored(Arc::new(weights))))
-    }
+/// Visible Gaussians, covered pixels among `wanted`, and their weights as a matrix.
+fn stored(
+    view: &SplatView,
+    wanted: &[u32],
+    min_coverage: f32,
+) -> Result<(Vec<u32>, Vec<u32>, PixelWeights)> {
+    let weights = view.weights(wanted)?.normalised(min_coverage);
+    let covered: Vec<u32> = (0..weights.rows() as u32)
+        .filter(|&row| !weights.row(row as usize).0.is_empty())
+        .collect();
+    let pixels = covered.iter().map(|&row| wanted[row as usize]).collect();
+    let visible = weights.used_columns();
+    let weights = weights.select_rows(&covered).over_columns(&visible);
+    Ok((visible, pixels, PixelWeights::Stored(Arc::new(weights))))
+}
 
-    fn rendered(
-        &self,
-        splats: &SplatTensors,
-        camera: &Camera,
-        wanted: &[u32],
-        min_coverage: f32,
-    ) -> Result<(Vec<u32>, Vec<u32>, PixelWeights)> {
-        let view = splats.seen_by(camera, &self.settings);
-        // Next to nothing is blended: the transmittance is what is asked for.
-        let nothing = Tensor::<2>::zeros([splats.len(), 1], &splats.device());
-        let transmittance = read("transmittance", view.blend(nothing)?.1)?;
-        let mut pixels = wanted.to_vec();
-        pixels.retain(|&pixel| {
-            let coverage = 1.0 - transmittance[pixel as usize];
-            coverage >= min_coverage && coverage > 0.0
-        });
-        let mut mask = vec![0.0_f32; camera.width * camera.height];
-        pixels.iter().for_each(|&pixel| mask[pixel as usize] = 1.0);
-        let mask = TensorData::new(mask, [camera.height, camera.width, 1]);
-        let mask = Tensor::from_data(mask, &splats.device());
-        let weights = read("weights", view.blend_adjoint(mask)?.sums)?;
-        let shown = (0..).zip(&weights).filter(|(_, weight)| **weight > 0.0);
-        let visible: Vec<u32> = shown.map(|(gaussian, _)| gaussian).collect();
-        let view = splats.select(&visible).seen_by(camera, &self.settings);
-        let weights = PixelWeights::Rendered {
-            view,
-            pixels: Arc::new(pixels.clone()),
-        };
-        Ok((visible, pixels, weights))
-    }
+/// Visible Gaussians, covered pixels among `wanted`, and weights that are blended anew at each use.
+fn rendered(
+    view: &SplatView,
+    wanted: Vec<u32>,
+    min_coverage: f32,
+) -> Result<(Vec<u32>, Vec<u32>, PixelWeights)> {
+    let (splats, camera) = (view.splats(), view.camera());
+    // Next to nothing is blended: the transmittance is what is asked for.
+    let nothing = Tensor::<2>::zeros([splats.len(), 1], &splats.device());
+    let transmittance = read("transmittance", view.blend(nothing)?.1)?;
+    let mut pixels = wanted;
+    pixels.retain(|&pixel| {
+        let coverage = 1.0 - transmittance[pixel as usize];
+        coverage >= min_coverage && coverage > 0.0
+    });
+    let mut mask = vec![0.0_f32; camera.width * camera.height];
+    pixels.iter().for_each(|&pixel| mask[pixel as usize] = 1.0);
+    let mask = TensorData::new(mask, [camera.height, camera.width, 1]);
+    let mask = Tensor::from_data(mask, &splats.device());
+    let weights = read("weights", view.blend_adjoint(mask)?.sums)?;
+    let shown = (0..).zip(&weights).filter(|(_, weight)| **weight > 0.0);
+    let visible: Vec<u32> = shown.map(|(gaussian, _)| gaussian).collect();
+    let weights = PixelWeights::Rendered {
+        view: view.of_gaussians(&visible),
+        pixels: Arc::new(pixels.clone()),
+    };
+    Ok((visible, pixels, weights))
 }
 
 /// Labelled pixels of a view over the Gaussians it sees.

@@ -1,14 +1,14 @@
 //! Constant sparse matrices in compressed rows.
 
-#[cfg(feature = "cube")]
 use super::gpu::DeviceMatrix;
-#[cfg(feature = "cube")]
-use crate::backend::gpu::Resident;
+use crate::backend::Resident;
+use crate::backend::device::in_host_memory;
+use burn::tensor::Device;
 
 /// A constant sparse matrix in compressed rows, `[rows, columns]`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SparseMatrix {
-    // Not to be changed: a device may hold copies.
+    // Never changed: a device may hold copies.
     pub(crate) columns: usize,
     /// Start of each row in `indices`; `rows + 1` entries, the first 0, ascending.
     pub(crate) offsets: Vec<u32>,
@@ -16,12 +16,10 @@ pub struct SparseMatrix {
     pub(crate) indices: Vec<u32>,
     /// Value of each entry.
     pub(crate) values: Vec<f32>,
-    #[cfg(feature = "cube")]
     pub(super) resident: ResidentMatrix,
 }
 
 /// Copies of a matrix on a device.
-#[cfg(feature = "cube")]
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct ResidentMatrix {
     /// By rows, and by columns.
@@ -30,7 +28,7 @@ pub(super) struct ResidentMatrix {
 }
 
 impl SparseMatrix {
-    /// Of compressed rows: `offsets` holds the start of each row in `indices`, and the end of the last.
+    /// A matrix from compressed rows: `offsets` holds the start of each row in `indices`, and the end of the last.
     ///
     /// # Panics
     /// If `offsets` does not rise from 0 to the number of entries, `indices` and `values` differ in length, or an index is
@@ -58,7 +56,7 @@ impl SparseMatrix {
         Self::unchecked(columns, offsets, indices, values)
     }
 
-    /// [`SparseMatrix::new`] of what is right by construction.
+    /// [`SparseMatrix::new`] without checks, for arrays that are valid by construction.
     pub(crate) fn unchecked(
         columns: usize,
         offsets: Vec<u32>,
@@ -70,12 +68,11 @@ impl SparseMatrix {
             offsets,
             indices,
             values,
-            #[cfg(feature = "cube")]
             resident: ResidentMatrix::default(),
         }
     }
 
-    /// The rows `rows` of what has `columns` rows, in that order.
+    /// Selects the rows `rows` of an input with `columns` rows, in that order.
     ///
     /// # Panics
     /// If a row is not below `columns`.
@@ -84,7 +81,7 @@ impl SparseMatrix {
         Self::new(columns, offsets, rows, ones)
     }
 
-    /// Sums of `k` rows each, of what has `columns` rows: row r sums the rows `rows[r k..(r + 1) k]`.
+    /// Sums `k` rows of an input with `columns` rows: row r sums the rows `rows[r k..(r + 1) k]`.
     ///
     /// # Panics
     /// If a row is not below `columns`.
@@ -92,6 +89,11 @@ impl SparseMatrix {
         let offsets = (0..=rows.len() as u32).step_by(k.max(1)).collect();
         let ones = vec![1.0; rows.len()];
         Self::new(columns, offsets, rows, ones)
+    }
+
+    /// Copies of a matrix in memory once `device` has multiplied by it and by its transpose: a GPU holds both.
+    pub fn copies(device: &Device) -> usize {
+        if in_host_memory(device) { 1 } else { 3 }
     }
 
     /// Number of columns.
@@ -122,7 +124,7 @@ impl SparseMatrix {
 
     /// The same matrix with each row divided by its sum; rows that sum to less than `floor` become empty.
     ///
-    /// Of blending weights this makes weighted means: a row sums to `1 - T`.
+    /// Blending weights, whose rows sum to `1 - T`, become weighted means.
     #[must_use]
     pub fn normalised(&self, floor: f32) -> Self {
         let mut out = Self::unchecked(self.columns, vec![0], Vec::new(), Vec::new());

@@ -147,6 +147,11 @@ impl<M: IdentityModel> Training<M> {
         4 * self.model.module().num_params()
     }
 
+    /// Step count of Adam, its moments and the mean of the parameters, each in the order of the module's parameters.
+    pub fn optimizer_state(&self) -> NamedValues {
+        self.adam.state()
+    }
+
     /// One iteration. Returns the loss, 0 for a view without labelled pixels.
     ///
     /// # Errors

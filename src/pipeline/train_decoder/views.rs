@@ -47,7 +47,7 @@ impl ViewSample {
 
 /// All training views of a scene with raw labels.
 pub struct TrainingViews<'a> {
-    gaussians: FrozenGaussians<'a>,
+    gaussians: FrozenGaussians,
     views: Vec<&'a View>,
     /// Class index of each label id, [`UNLABELLED`](crate::segmentation::pixels::UNLABELLED) for the others.
     lookup: Vec<u16>,

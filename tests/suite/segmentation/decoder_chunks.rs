@@ -12,7 +12,7 @@ use coseg::segmentation::decoder::DecoderConfig;
 use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
 use coseg::segmentation::loss::{self, CoSegLoss};
 use coseg::segmentation::pixels::{LabelledPixels, PixelWeights, UNLABELLED};
-use coseg::segmentation::pyramid::{Dependencies, Pyramid, Switches};
+use coseg::segmentation::pyramid::{Dependencies, Switches};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -306,7 +306,8 @@ fn a_step_by_references_has_the_same_loss_and_gradients() {
             gradients(&mut model, &scene)
         };
         let (loss, found) = step();
-        let (reference_loss, references) = coseg::ops::with_references(step);
+        let (reference_loss, references) =
+            coseg::ops::with_references(&coseg::ops::CustomOp::ALL, step);
         assert!((loss - reference_loss).abs() <= 1e-6 * loss.abs());
         assert_eq!(found.len(), references.len());
         for ((name, got), (_, want)) in found.iter().zip(&references) {
