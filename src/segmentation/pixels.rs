@@ -1,7 +1,6 @@
 //! Labelled pixels of a training view, and the frozen blending weights that connect them to the Gaussians.
 
-use crate::backend::device::in_host_memory;
-use crate::backend::device::read;
+use crate::backend::device::{in_host_memory, read};
 use crate::error::Result;
 use crate::ops::{SparseMatrix, sparse_apply};
 use crate::raster::{Projected, Settings, SplatTensors, SplatView};
@@ -21,7 +20,7 @@ pub enum PixelWeights {
     /// Computed anew at each use, on a GPU.
     Rendered {
         /// The V Gaussians in the view.
-        view: SplatView,
+        view: Box<SplatView>,
         /// Row-major numbers of the P pixels.
         pixels: Arc<Vec<u32>>,
     },
@@ -147,7 +146,7 @@ impl<'a> FrozenGaussians<'a> {
         let visible: Vec<u32> = shown.map(|(gaussian, _)| gaussian).collect();
         let view = splats.select(&visible).seen_by(camera, &self.settings);
         let weights = PixelWeights::Rendered {
-            view,
+            view: Box::new(view),
             pixels: Arc::new(pixels.clone()),
         };
         Ok((visible, pixels, weights))

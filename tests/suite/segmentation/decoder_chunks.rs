@@ -12,7 +12,7 @@ use coseg::segmentation::decoder::DecoderConfig;
 use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
 use coseg::segmentation::loss::{self, CoSegLoss};
 use coseg::segmentation::pixels::{LabelledPixels, PixelWeights, UNLABELLED};
-use coseg::segmentation::pyramid::{Dependencies, Pyramid, Switches};
+use coseg::segmentation::pyramid::{Dependencies, Switches};
 use glam::DVec3;
 use std::sync::Arc;
 
