@@ -1,6 +1,7 @@
 //! Which thing each Gaussian belongs to: association of segments across views, the vote over raw labels, stored identities, label rendering.
 
 mod association;
+mod calibration;
 mod compactness;
 mod hard_labels;
 mod identities;
@@ -9,9 +10,11 @@ mod label_maps;
 mod renderer;
 mod semantics;
 mod separate;
+mod superpoints;
 mod vote;
 
 pub use self::association::{Association, Group, associate, associate_until};
+pub use self::calibration::Calibration;
 pub use self::compactness::NeighbourGraph;
 pub use self::hard_labels::hard_label_map;
 pub use self::identities::Identities;
@@ -20,4 +23,5 @@ pub use self::label_maps::{LabelMaps, LabelRule};
 pub use self::renderer::{Frame, RenderOptions, Renderer};
 pub use self::semantics::{Semantics, has_truth};
 pub use self::separate::{Separated, Separation};
+pub use self::superpoints::{PooledVotes, SuperpointOptions, Superpoints};
 pub use self::vote::{Votes, vote};

@@ -1,0 +1,337 @@
+//! Correction of pooled votes for systematic errors of the labels, fitted without truth.
+//!
+//! A vote averages independent errors away. It believes errors that repeat: a network names a frequent class such as wall wherever
+//! it is unsure. Two corrections of the class shares of superpoints follow each other.
+//!
+//! 1. Shares are divided by prior^e, where the prior of a class is its mean share over the scene (logit adjustment, Menon et al.
+//!    2021). The exponent e comes from the *preference* of the labels, see [`Calibration::preference`]: it is 0 for errors that
+//!    prefer no class, and up to [`LARGEST_EXPONENT`] for those of a network.
+//! 2. Shares become likelihoods under a confusion matrix theta, whose row y holds how often superpoints of class y are labelled
+//!    c (Dawid and Skene 1979, with superpoints as items and their winning class instead of a soft assignment). A superpoint of
+//!    shares s has the probabilities p_y ~ prod_c theta_yc^s_c.
+
+use super::superpoints::PooledVotes;
+
+/// Preferences between which the exponent rises from 0 to [`LARGEST_EXPONENT`]. Simulated labels have 0.2 to 0.5, those of a
+/// network 0.7 to 0.9.
+const PREFERENCES: [f64; 2] = [0.5, 0.65];
+/// The exponent of labels that prefer frequent classes.
+const LARGEST_EXPONENT: f64 = 0.5;
+/// Weight of the confusion matrix without preferred pairs, in shares of the scene.
+const SHRINKAGE: f64 = 0.01;
+/// Share of errors added to each row of the confusion matrix.
+const SMOOTHING: f64 = 0.1;
+/// Rounds in which winners and confusion matrix follow from each other.
+const ROUNDS: usize = 2;
+/// Share below which a class counts as absent from a superpoint.
+const LEAST: f64 = 1e-6;
+/// Share of both fluxes of a pair that is added to each, which keeps their ratio finite.
+const FLUX_FLOOR: f64 = 0.02;
+
+/// What the votes of a scene say about its labels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Calibration {
+    /// How strongly the errors prefer frequent classes: 0 where each class loses the same share of its area, 1 where as much area
+    /// moves to the larger class of a pair as to the smaller one.
+    pub preference: f64,
+    /// The exponent e.
+    pub exponent: f64,
+    /// Mean share of each class over the scene, `[C]`.
+    prior: Vec<f64>,
+    /// ln theta, `[C, C]`: true class, then label. Rows of classes that win nowhere are negative infinity.
+    log_confusion: Vec<f64>,
+}
+
+impl Calibration {
+    /// Fits the calibration to `votes`. `exponent` replaces the one that follows from the preference.
+    pub fn fit(votes: &PooledVotes, exponent: Option<f64>) -> Self {
+        let prior = prior(votes);
+        let preference = preference(&Flux::new(votes, &winners(&votes.shares, votes.classes)));
+        let [low, high] = PREFERENCES;
+        let fitted = LARGEST_EXPONENT * ((preference - low) / (high - low)).clamp(0.0, 1.0);
+        let mut calibration = Self {
+            preference,
+            exponent: exponent.unwrap_or(fitted),
+            prior,
+            log_confusion: Vec::new(),
+        };
+        let divided = PooledVotes {
+            shares: calibration.divided(votes),
+            ..votes.clone()
+        };
+        let mut winners = winners(&divided.shares, votes.classes);
+        for _ in 0..ROUNDS {
+            calibration.log_confusion = Flux::new(&divided, &winners).log_confusion();
+            let likelihoods = calibration.likelihoods(&divided.shares, votes.classes);
+            winners = self::winners(&likelihoods, votes.classes);
+        }
+        calibration
+    }
+
+    /// Class probabilities of the superpoints of `votes`, `[S, C]`; zeros where nothing was voted.
+    pub fn apply(&self, votes: &PooledVotes) -> Vec<f64> {
+        self.likelihoods(&self.divided(votes), votes.classes)
+    }
+
+    /// Shares over prior^e, normalised.
+    fn divided(&self, votes: &PooledVotes) -> Vec<f64> {
+        let factor = |prior: &f64| prior.max(LEAST).powf(-self.exponent);
+        let factors: Vec<f64> = self.prior.iter().map(factor).collect();
+        let mut shares = votes.shares.clone();
+        for row in shares.chunks_exact_mut(votes.classes.max(1)) {
+            row.iter_mut().zip(&factors).for_each(|(s, f)| *s *= f);
+            normalise(row);
+        }
+        shares
+    }
+
+    /// p_y ~ prod_c theta_yc^s_c for rows of shares s.
+    fn likelihoods(&self, shares: &[f64], classes: usize) -> Vec<f64> {
+        let mut all = vec![0.0; shares.len()];
+        let rows = shares.chunks_exact(classes.max(1));
+        for (row, out) in rows.zip(all.chunks_exact_mut(classes.max(1))) {
+            // Most shares are zero.
+            let shown: Vec<_> = (0..)
+                .zip(row)
+                .filter(|(_, share)| **share > LEAST)
+                .collect();
+            if shown.is_empty() {
+                continue;
+            }
+            let logs = self.log_confusion.chunks_exact(classes);
+            for (p, log) in out.iter_mut().zip(logs) {
+                *p = shown
+                    .iter()
+                    .map(|&(c, share): &(usize, _)| share * log[c])
+                    .sum();
+            }
+            let highest = out.iter().fold(f64::NEG_INFINITY, |h, &l| h.max(l));
+            out.iter_mut().for_each(|p| *p = (*p - highest).exp());
+            normalise(out);
+        }
+        all
+    }
+}
+
+/// Mean share of each class over all Gaussians with votes.
+fn prior(votes: &PooledVotes) -> Vec<f64> {
+    let mut prior = vec![0.0; votes.classes];
+    for (row, size) in votes.rows() {
+        prior.iter_mut().zip(row).for_each(|(p, s)| *p += size * s);
+    }
+    normalise(&mut prior);
+    prior
+}
+
+/// Class of the largest value of each row, none where all are zero. Ties go to the lower index.
+fn winners(rows: &[f64], classes: usize) -> Vec<Option<usize>> {
+    let largest = |row: &[f64]| {
+        let best = (0..row.len()).reduce(|a, b| if row[b] > row[a] { b } else { a })?;
+        (row[best] > 0.0).then_some(best)
+    };
+    rows.chunks_exact(classes.max(1)).map(largest).collect()
+}
+
+fn normalise(row: &mut [f64]) {
+    let sum: f64 = row.iter().sum();
+    if sum > 0.0 {
+        row.iter_mut().for_each(|value| *value /= sum);
+    }
+}
+
+/// How much of the scene has which label, by winning class: `[C, C]` row-major, winner, then label.
+struct Flux {
+    classes: usize,
+    table: Vec<f64>,
+}
+
+impl Flux {
+    fn new(votes: &PooledVotes, winners: &[Option<usize>]) -> Self {
+        let classes = votes.classes;
+        let mut table = vec![0.0; classes * classes];
+        for ((row, size), winner) in votes.rows().zip(winners) {
+            if let Some(winner) = winner {
+                let to = &mut table[winner * classes..][..classes];
+                to.iter_mut().zip(row).for_each(|(t, s)| *t += size * s);
+            }
+        }
+        Self { classes, table }
+    }
+
+    fn at(&self, winner: usize, label: usize) -> f64 {
+        self.table[winner * self.classes + label]
+    }
+
+    /// What each class wins, `[C]`.
+    fn won(&self) -> Vec<f64> {
+        let rows = self.table.chunks_exact(self.classes.max(1));
+        rows.map(|row| row.iter().sum()).collect()
+    }
+
+    /// ln theta. Rows are shrunk towards a matrix where all classes are labelled right equally often and errors name each class as
+    /// often as it is named elsewhere.
+    fn log_confusion(&self) -> Vec<f64> {
+        let (classes, won) = (self.classes, self.won());
+        let total: f64 = won.iter().sum();
+        let right: f64 = (0..classes).map(|c| self.at(c, c)).sum();
+        let right = right / total.max(LEAST);
+        let wrong = |c: usize| {
+            let named: f64 = (0..classes).map(|y| self.at(y, c)).sum();
+            (named - self.at(c, c) + LEAST * total) / (total - won[c]).max(LEAST * total)
+        };
+        let mut errors: Vec<f64> = (0..classes).map(wrong).collect();
+        normalise(&mut errors);
+        let row = |y: usize| {
+            let mut typical: Vec<f64> = errors.iter().map(|e| (1.0 - right) * e).collect();
+            typical[y] += right;
+            normalise(&mut typical);
+            let add = |(c, t): (usize, f64)| self.at(y, c) + SHRINKAGE * total * t;
+            let mut row: Vec<f64> = typical.into_iter().enumerate().map(add).collect();
+            normalise(&mut row);
+            let smooth = |(p, e): (&mut f64, &f64)| *p += SMOOTHING * e + LEAST;
+            row.iter_mut().zip(&errors).for_each(smooth);
+            normalise(&mut row);
+            row.into_iter().map(f64::ln).collect::<Vec<_>>()
+        };
+        let rows = (0..classes).map(|y| {
+            if won[y] > 0.0 {
+                row(y)
+            } else {
+                vec![f64::NEG_INFINITY; classes]
+            }
+        });
+        rows.flatten().collect()
+    }
+}
+
+/// How strongly errors prefer frequent classes.
+///
+/// F_ab is the area labelled b in superpoints that a wins, and A_a the area that a wins. If labels prefer no class, each class
+/// loses the same share of its area: F_ab / F_ba = A_a / A_b. The preference g is the least-squares fit of
+/// ln(F_ab / F_ba) = (1 - g) ln(A_a / A_b) over all pairs, weighted by F_ab + F_ba.
+fn preference(flux: &Flux) -> f64 {
+    let won = flux.won();
+    let (mut product, mut square) = (0.0, 0.0);
+    for a in 0..flux.classes {
+        for b in 0..a {
+            let both = flux.at(a, b) + flux.at(b, a);
+            if both > 0.0 && won[a] > 0.0 && won[b] > 0.0 {
+                let floor = FLUX_FLOOR * both;
+                let flows = ((flux.at(a, b) + floor) / (flux.at(b, a) + floor)).ln();
+                let areas = (won[a] / won[b]).ln();
+                product += both * flows * areas;
+                square += both * areas * areas;
+            }
+        }
+    }
+    if square > 0.0 {
+        1.0 - product / square
+    } else {
+        0.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// Superpoints of each class, from a frequent one to a rare one.
+    const COUNTS: [usize; 5] = [400, 150, 60, 25, 10];
+
+    /// Votes of superpoints of true classes `truth`, whose labels name class c instead with the weight `wrong(truth, c)`, times a
+    /// random factor that differs between superpoints.
+    fn votes(wrong: impl Fn(usize, usize) -> f64) -> (PooledVotes, Vec<usize>) {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let classes = COUNTS.len();
+        let truth: Vec<usize> = (0..classes).flat_map(|c| vec![c; COUNTS[c]]).collect();
+        let mut shares = Vec::new();
+        for &y in &truth {
+            let factor = rng.random_range(0.0..2.0);
+            let weight = |c: usize| if c == y { 1.0 } else { factor * wrong(y, c) };
+            let mut row: Vec<f64> = (0..classes).map(weight).collect();
+            normalise(&mut row);
+            shares.extend(row);
+        }
+        let sizes = (0..truth.len()).map(|_| rng.random_range(20.0..200.0));
+        let sizes = sizes.collect();
+        let votes = PooledVotes {
+            shares,
+            sizes,
+            classes,
+        };
+        (votes, truth)
+    }
+
+    fn right(rows: &[f64], truth: &[usize]) -> usize {
+        let winners = winners(rows, COUNTS.len());
+        let pairs = winners.iter().zip(truth);
+        pairs.filter(|(w, t)| **w == Some(**t)).count()
+    }
+
+    #[test]
+    fn errors_that_prefer_no_class_are_left_alone() {
+        // Each class loses a quarter, to all others alike.
+        let (votes, truth) = votes(|_, _| 0.06);
+        let calibration = Calibration::fit(&votes, None);
+        assert!(calibration.preference < 0.2, "{}", calibration.preference);
+        assert_eq!(calibration.exponent, 0.0);
+        let rows = calibration.apply(&votes);
+        assert_eq!(right(&votes.shares, &truth), truth.len());
+        assert_eq!(right(&rows, &truth), truth.len());
+    }
+
+    #[test]
+    fn a_class_that_is_named_too_often_gives_way() {
+        // All are taken for the frequent class, often by most of their labels.
+        let (votes, truth) = votes(|_, c| if c == 0 { 1.0 } else { 0.01 });
+        let calibration = Calibration::fit(&votes, None);
+        assert!(calibration.preference > 0.65, "{}", calibration.preference);
+        assert_eq!(calibration.exponent, LARGEST_EXPONENT);
+        let voted = right(&votes.shares, &truth);
+        let calibrated = right(&calibration.apply(&votes), &truth);
+        assert!(
+            voted < truth.len() * 85 / 100 && calibrated > truth.len() * 95 / 100,
+            "{voted}, then {calibrated} of {}",
+            truth.len()
+        );
+    }
+
+    #[test]
+    fn probabilities_sum_to_one_and_nothing_stays_nothing() {
+        let (mut votes, _) = votes(|_, c| 0.1 * c as f64);
+        votes.shares[..COUNTS.len()].fill(0.0);
+        votes.sizes[0] = 0.0;
+        let calibration = Calibration::fit(&votes, Some(0.25));
+        assert_eq!(calibration.exponent, 0.25);
+        let rows = calibration.apply(&votes);
+        let sums: Vec<f64> = rows
+            .chunks_exact(COUNTS.len())
+            .map(|r| r.iter().sum())
+            .collect();
+        assert_eq!(sums[0], 0.0);
+        assert!(sums[1..].iter().all(|sum| (sum - 1.0).abs() < 1e-12));
+        let none = PooledVotes {
+            shares: Vec::new(),
+            sizes: Vec::new(),
+            classes: 3,
+        };
+        assert!(Calibration::fit(&none, None).apply(&none).is_empty());
+    }
+
+    #[test]
+    fn a_class_that_wins_nowhere_gets_no_probability() {
+        let (votes, _) = votes(|_, c| if c == 1 { 0.02 } else { 0.0 });
+        let mut shares = votes.shares.clone();
+        for row in shares.chunks_exact_mut(COUNTS.len()) {
+            row[4] = row[4].min(0.3);
+            row[0] += 0.7;
+            normalise(row);
+        }
+        let votes = PooledVotes { shares, ..votes };
+        let rows = Calibration::fit(&votes, Some(0.0)).apply(&votes);
+        let rare = rows.chunks_exact(COUNTS.len()).map(|row| row[4]);
+        assert!(rare.into_iter().all(|p| p == 0.0));
+    }
+}

@@ -1,0 +1,362 @@
+//! Superpoints: groups of neighbouring Gaussians that lie on one surface and have one colour.
+//!
+//! The segmentation is that of Felzenszwalb and Huttenlocher, *Efficient Graph-Based Image Segmentation* (IJCV 2004), on the graph
+//! of nearest neighbours of the Gaussians instead of the grid of pixels. Two components C merge over an edge whose weight is at
+//! most Int(C) + k / |C| for both. Int(C) is the largest weight that merged C so far, and |C| is its size.
+
+use super::Votes;
+use crate::error::Result;
+use crate::segmentation::neighbours::{Neighbours, PointIndex};
+use crate::splat::Gaussians;
+use glam::DVec3;
+use nalgebra::{Matrix3, SymmetricEigen};
+use rayon::prelude::*;
+use union_find::{QuickUnionUf, UnionBySize, UnionFind};
+
+/// How Gaussians are grouped.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SuperpointOptions {
+    /// Nearest neighbours of each Gaussian that have an edge to it.
+    pub neighbours: usize,
+    /// k of the paper, in edge weight times Gaussians: a larger one gives larger superpoints.
+    pub scale: f64,
+    /// Superpoints of fewer Gaussians merge with the neighbour that is most alike.
+    pub least: usize,
+}
+
+impl Default for SuperpointOptions {
+    fn default() -> Self {
+        Self {
+            neighbours: 12,
+            scale: 0.5,
+            least: 5,
+        }
+    }
+}
+
+/// The superpoint of each Gaussian.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Superpoints {
+    /// Number of the superpoint of each Gaussian, `[N]`. They are numbered by their first Gaussian.
+    pub of: Vec<u32>,
+    /// Number of superpoints.
+    pub count: usize,
+}
+
+/// Votes of superpoints.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PooledVotes {
+    /// Mean share of each class over the Gaussians with votes, `[S, C]` row-major; zeros where there are none.
+    pub shares: Vec<f64>,
+    /// Number of Gaussians with votes in each superpoint, `[S]`.
+    pub sizes: Vec<f64>,
+    /// C.
+    pub classes: usize,
+}
+
+impl PooledVotes {
+    /// Shares and size of each superpoint.
+    pub fn rows(&self) -> impl Iterator<Item = (&[f64], f64)> {
+        let shares = self.shares.chunks_exact(self.classes.max(1));
+        shares.zip(self.sizes.iter().copied())
+    }
+}
+
+/// An edge of the graph.
+#[derive(Clone, Copy, Debug)]
+struct Edge {
+    weight: f32,
+    ends: [u32; 2],
+}
+
+impl Superpoints {
+    /// The superpoints of `gaussians`. The weight of an edge is 1 - |n_a . n_b| of the normals plus the distance of the colours
+    /// (sRGB in 0..1).
+    ///
+    /// # Errors
+    /// [`crate::Error::NonFinite`] when a centre is not finite.
+    pub fn new(gaussians: &Gaussians, options: &SuperpointOptions) -> Result<Self> {
+        let near = PointIndex::new(&gaussians.means)?
+            .neighbours((options.neighbours + 1).min(gaussians.len()));
+        let normals = normals(&gaussians.means, &near);
+        let colors: Vec<_> = gaussians.base_colors().into_iter().map(vector).collect();
+        let weight = |a: usize, b: usize| {
+            let turn = 1.0 - normals[a].dot(normals[b]).abs();
+            (turn + colors[a].distance(colors[b])) as f32
+        };
+        Ok(Self::of_edges(
+            gaussians.len(),
+            edges(&near, weight),
+            options,
+        ))
+    }
+
+    /// Pools `votes`: each Gaussian with votes counts the same, however many pixels show it.
+    ///
+    /// # Panics
+    /// If the votes are of another number of Gaussians.
+    pub fn pool(&self, votes: &Votes) -> PooledVotes {
+        let classes = votes.classes;
+        assert_eq!(
+            votes.table.len(),
+            self.of.len() * classes,
+            "one row of votes for each Gaussian"
+        );
+        let mut shares = vec![0.0; self.count * classes];
+        let mut sizes = vec![0.0; self.count];
+        let rows = votes.table.chunks_exact(classes.max(1));
+        for (row, &superpoint) in rows.zip(&self.of) {
+            let superpoint = superpoint as usize;
+            let total: f64 = row.iter().map(|&v| f64::from(v)).sum();
+            if total > 0.0 {
+                sizes[superpoint] += 1.0;
+                let to = &mut shares[superpoint * classes..][..classes];
+                to.iter_mut()
+                    .zip(row)
+                    .for_each(|(s, &v)| *s += f64::from(v) / total);
+            }
+        }
+        for (row, &size) in shares.chunks_exact_mut(classes.max(1)).zip(&sizes) {
+            row.iter_mut()
+                .for_each(|share| *share /= f64::max(size, 1.0));
+        }
+        PooledVotes {
+            shares,
+            sizes,
+            classes,
+        }
+    }
+
+    /// Rows of values of superpoints, `[S, C]`, as rows of their Gaussians, `[N, C]`.
+    pub fn spread(&self, values: &[f64], classes: usize) -> Vec<f32> {
+        let row = |&superpoint: &u32| &values[superpoint as usize * classes..][..classes];
+        self.of.iter().flat_map(row).map(|&v| v as f32).collect()
+    }
+
+    /// The segmentation of a graph of `points` nodes.
+    fn of_edges(points: usize, mut edges: Vec<Edge>, options: &SuperpointOptions) -> Self {
+        edges.par_sort_unstable_by(|a, b| a.weight.total_cmp(&b.weight).then(a.ends.cmp(&b.ends)));
+        let mut components = Components::new(points);
+        for edge in &edges {
+            components.merge_if(edge, |inside, size| {
+                f64::from(edge.weight) <= inside + options.scale / size as f64
+            });
+        }
+        for edge in &edges {
+            components.absorb(edge, options.least);
+        }
+        components.numbered()
+    }
+}
+
+/// Components of the graph with what the merge rule reads.
+struct Components {
+    sets: QuickUnionUf<UnionBySize>,
+    /// Int(C) and |C|, at the root of each set.
+    inside: Vec<f64>,
+    size: Vec<usize>,
+}
+
+impl Components {
+    fn new(points: usize) -> Self {
+        Self {
+            sets: QuickUnionUf::new(points),
+            inside: vec![0.0; points],
+            size: vec![1; points],
+        }
+    }
+
+    /// Joins the ends of `edge` where `rule` holds for Int(C) and |C| of both components.
+    fn merge_if(&mut self, edge: &Edge, rule: impl Fn(f64, usize) -> bool) {
+        let [a, b] = edge.ends.map(|end| self.sets.find(end as usize));
+        if a != b && rule(self.inside[a], self.size[a]) && rule(self.inside[b], self.size[b]) {
+            self.join(a, b, edge.weight);
+        }
+    }
+
+    /// Joins the ends of `edge` where one of their components has fewer than `least` points.
+    fn absorb(&mut self, edge: &Edge, least: usize) {
+        let [a, b] = edge.ends.map(|end| self.sets.find(end as usize));
+        if a != b && self.size[a].min(self.size[b]) < least {
+            self.join(a, b, edge.weight);
+        }
+    }
+
+    fn join(&mut self, a: usize, b: usize, weight: f32) {
+        let size = self.size[a] + self.size[b];
+        self.sets.union(a, b);
+        let root = self.sets.find(a);
+        self.size[root] = size;
+        // Edges come in ascending order.
+        self.inside[root] = f64::from(weight);
+    }
+
+    fn numbered(mut self) -> Superpoints {
+        let points = self.size.len();
+        let (mut number, mut count) = (vec![u32::MAX; points], 0);
+        let mut of = Vec::with_capacity(points);
+        for point in 0..points {
+            let number = &mut number[self.sets.find(point)];
+            if *number == u32::MAX {
+                *number = count;
+                count += 1;
+            }
+            of.push(*number);
+        }
+        Superpoints {
+            of,
+            count: count as usize,
+        }
+    }
+}
+
+/// One edge for each pair of neighbours.
+fn edges(near: &Neighbours, weight: impl Fn(usize, usize) -> f32 + Sync) -> Vec<Edge> {
+    let of_row = |a: usize| {
+        let others = near.row(a).iter().map(|&b| b as usize);
+        // A pair that lists each other has one edge, from the smaller number.
+        let once = move |b: &usize| *b > a || *b < a && !near.row(*b).contains(&(a as u32));
+        let weight = &weight;
+        others.filter(once).map(move |b| Edge {
+            weight: weight(a, b),
+            ends: [a.min(b) as u32, a.max(b) as u32],
+        })
+    };
+    (0..near.len())
+        .into_par_iter()
+        .flat_map_iter(of_row)
+        .collect()
+}
+
+fn vector(p: [f32; 3]) -> DVec3 {
+    DVec3::from_array(p.map(f64::from))
+}
+
+/// The normal of the surface at each centre: the direction in which its nearest neighbours spread least.
+fn normals(centers: &[[f32; 3]], near: &Neighbours) -> Vec<DVec3> {
+    let of_row = |row: usize| {
+        let points = near.row(row).iter().map(|&i| vector(centers[i as usize]));
+        let mean = points.clone().sum::<DVec3>() / near.k as f64;
+        let spread = points.fold(Matrix3::<f64>::zeros(), |sum, point| {
+            let from_mean = nalgebra::Vector3::from((point - mean).to_array());
+            sum + from_mean * from_mean.transpose()
+        });
+        let eigen = SymmetricEigen::new(spread);
+        let normal = eigen.eigenvectors.column(eigen.eigenvalues.imin());
+        DVec3::new(normal[0], normal[1], normal[2])
+    };
+    (0..near.len()).into_par_iter().map(of_row).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GREY: [f32; 3] = [0.5; 3];
+    const RED: [f32; 3] = [0.9, 0.2, 0.2];
+
+    /// A grid of `side` squared points with a spacing of 5 cm on the plane through `corner` along `u` and `v`.
+    fn plane(corner: DVec3, u: DVec3, v: DVec3, side: usize) -> Vec<[f32; 3]> {
+        let cells = (0..side * side).map(|i| ((i % side) as f64, (i / side) as f64));
+        cells
+            .map(|(x, y)| (corner + 0.05 * (x * u + y * v)).as_vec3().to_array())
+            .collect()
+    }
+
+    fn scene(parts: &[(Vec<[f32; 3]>, [f32; 3])]) -> (Gaussians, Vec<usize>) {
+        let (mut means, mut sh, mut part) = (Vec::new(), Vec::new(), Vec::new());
+        for (number, (points, color)) in parts.iter().enumerate() {
+            for point in points {
+                means.push(*point);
+                sh.extend(color.map(|c| (c - 0.5) / crate::splat::SH_0));
+                part.push(number);
+            }
+        }
+        let n = means.len();
+        let gaussians = Gaussians {
+            means,
+            log_scales: vec![[-4.0; 3]; n],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            opacity_logits: vec![2.0; n],
+            sh,
+            sh_degree: 0,
+        };
+        (gaussians, part)
+    }
+
+    /// The share of Gaussians in superpoints whose majority is their own part, and the superpoints that hold 90 % of each part.
+    fn purity(superpoints: &Superpoints, part: &[usize]) -> f64 {
+        let parts = part.iter().max().map_or(0, |p| p + 1);
+        let mut table = vec![0_usize; superpoints.count * parts];
+        for (&superpoint, &part) in superpoints.of.iter().zip(part) {
+            table[superpoint as usize * parts + part] += 1;
+        }
+        let majority = table.chunks_exact(parts).map(|row| row.iter().max());
+        majority.flatten().sum::<usize>() as f64 / part.len() as f64
+    }
+
+    #[test]
+    fn planes_that_meet_are_apart() {
+        let floor = plane(DVec3::ZERO, DVec3::X, DVec3::Y, 30);
+        let wall = plane(DVec3::ZERO, DVec3::X, DVec3::Z, 30);
+        let (gaussians, part) = scene(&[(floor, GREY), (wall, GREY)]);
+        let superpoints = Superpoints::new(&gaussians, &SuperpointOptions::default()).unwrap();
+        assert!(purity(&superpoints, &part) > 0.95);
+        assert!(superpoints.count <= 20, "{}", superpoints.count);
+    }
+
+    #[test]
+    fn a_box_on_a_floor_is_apart() {
+        let floor = plane(DVec3::ZERO, DVec3::X, DVec3::Y, 40);
+        let corner = DVec3::new(0.7, 0.7, 0.05);
+        let (far, top) = (DVec3::new(0.45, 0.45, 0.0), DVec3::new(0.0, 0.0, 0.45));
+        let mut sides = plane(corner, DVec3::X, DVec3::Z, 10);
+        sides.extend(plane(corner, DVec3::Y, DVec3::Z, 10));
+        sides.extend(plane(corner + far, -DVec3::X, DVec3::Z, 10));
+        sides.extend(plane(corner + far, -DVec3::Y, DVec3::Z, 10));
+        sides.extend(plane(corner + top, DVec3::X, DVec3::Y, 10));
+        let (gaussians, part) = scene(&[(floor, GREY), (sides, RED)]);
+        let superpoints = Superpoints::new(&gaussians, &SuperpointOptions::default()).unwrap();
+        assert!(purity(&superpoints, &part) > 0.98);
+        assert!(superpoints.count <= 30, "{}", superpoints.count);
+    }
+
+    #[test]
+    fn a_colour_edge_on_a_plane_separates() {
+        let left = plane(DVec3::ZERO, DVec3::X, DVec3::Y, 20);
+        let right = plane(DVec3::X, DVec3::X, DVec3::Y, 20);
+        let (gaussians, part) = scene(&[(left, GREY), (right, RED)]);
+        let superpoints = Superpoints::new(&gaussians, &SuperpointOptions::default()).unwrap();
+        assert_eq!(purity(&superpoints, &part), 1.0);
+        assert_eq!(superpoints.count, 2);
+    }
+
+    #[test]
+    fn the_merge_rule_is_that_of_the_paper() {
+        // A chain of four points: 0.1, 0.3, 0.1. With k = 0.35 the middle edge exceeds 0.1 + 0.35 / 2 of both pairs.
+        let edge = |a, b, weight| Edge {
+            weight,
+            ends: [a, b],
+        };
+        let chain = vec![edge(0, 1, 0.1), edge(1, 2, 0.3), edge(2, 3, 0.1)];
+        let of = |scale, least| {
+            let options = SuperpointOptions {
+                neighbours: 1,
+                scale,
+                least,
+            };
+            Superpoints::of_edges(4, chain.clone(), &options).of
+        };
+        assert_eq!(of(0.35, 1), [0, 0, 1, 1]);
+        assert_eq!(of(0.45, 1), [0, 0, 0, 0]);
+        assert_eq!(of(0.35, 3), [0, 0, 0, 0], "pairs are below the least size");
+        assert_eq!(of(0.05, 1), [0, 1, 2, 3]);
+    }
+
+    #[test]
+    fn no_gaussians_have_no_superpoints() {
+        let superpoints =
+            Superpoints::new(&Gaussians::default(), &SuperpointOptions::default()).unwrap();
+        assert_eq!(superpoints, Superpoints::default());
+    }
+}
