@@ -107,6 +107,9 @@ pub enum Prior {
     None,
     /// The votes of each Gaussian's raw labels as log-shares: the decoder learns a correction.
     Votes,
+    /// The votes, pooled over superpoints and calibrated. The decoder learns from what they say about the labelled pixels, instead
+    /// of from the raw labels.
+    Pooled,
 }
 
 /// Stage two: segmentation identities. The fields marked `serde(skip)` are constants that no key sets; library code and
@@ -127,8 +130,10 @@ pub struct SegmentationConfig {
     pub standardise: bool,
     /// What is blended, in training and in the stored identities.
     pub blend: Blend,
-    /// What the decoder's scores are added to; `votes` needs `blend = "probabilities"`.
+    /// What the decoder's scores are added to; all but `none` need `blend = "probabilities"`.
     pub prior: Prior,
+    /// Exponent of the class frequencies that pooled votes are divided by, 0 to 1. Absent: it follows from the votes.
+    pub prior_exponent: Option<f64>,
     /// Loss of the variant `ours`.
     #[serde(deserialize_with = "super::by_name")]
     pub loss: LabelLoss,
@@ -196,10 +201,16 @@ impl SegmentationConfig {
                 "leave the second one out",
             ));
         }
-        if self.prior == Prior::Votes && self.blend == Blend::Logits {
+        if let Some(exponent) = self.prior_exponent {
+            range::UNIT.check("segmentation.prior_exponent", exponent)?;
+        }
+        if self.prior != Prior::None && self.blend == Blend::Logits {
             return Err(Error::config(
                 "segmentation.prior",
-                "votes",
+                match self.prior {
+                    Prior::Pooled => "pooled",
+                    _ => "votes",
+                },
                 "none where logits are blended",
                 "set segmentation.blend = \"probabilities\", or segmentation.prior = \"none\"",
             ));
@@ -217,7 +228,8 @@ impl Default for SegmentationConfig {
             lr_decay: true,
             standardise: true,
             blend: Blend::Probabilities,
-            prior: Prior::Votes,
+            prior: Prior::Pooled,
+            prior_exponent: None,
             loss: LabelLoss::GCE,
             lambda_pix: 0.8,
             lambda_reg: 0.2,

@@ -10,7 +10,10 @@
 //!    c (Dawid and Skene 1979, with superpoints as items and their winning class instead of a soft assignment). A superpoint of
 //!    shares s has the probabilities p_y ~ prod_c theta_yc^s_c.
 
-use super::superpoints::PooledVotes;
+use super::superpoints::{PooledVotes, SuperpointOptions, Superpoints};
+use super::{Identities, Votes};
+use crate::error::Result;
+use crate::splat::Gaussians;
 
 /// Preferences between which the exponent rises from 0 to [`LARGEST_EXPONENT`]. Simulated labels have 0.2 to 0.5, those of a
 /// network 0.7 to 0.9.
@@ -27,6 +30,33 @@ const ROUNDS: usize = 2;
 const LEAST: f64 = 1e-6;
 /// Share of both fluxes of a pair that is added to each, which keeps their ratio finite.
 const FLUX_FLOOR: f64 = 0.02;
+
+/// The votes of `gaussians`, pooled over superpoints and calibrated: class probabilities of each Gaussian, zeros where nothing was
+/// voted in its superpoint. `exponent` replaces the one that follows from the votes.
+///
+/// # Errors
+/// [`crate::Error::NonFinite`] when a centre is not finite.
+///
+/// # Panics
+/// If `votes` are of another number of Gaussians.
+pub fn pooled_vote(
+    gaussians: &Gaussians,
+    votes: &Votes,
+    exponent: Option<f64>,
+) -> Result<Identities> {
+    let superpoints = Superpoints::new(gaussians, &SuperpointOptions::default())?;
+    let pooled = superpoints.pool(votes);
+    let calibration = Calibration::fit(&pooled, exponent);
+    let (preference, exponent) = (calibration.preference, calibration.exponent);
+    tracing::info!(
+        "{} superpoints; label errors prefer frequent classes by {preference:.2}, exponent {exponent:.2}",
+        superpoints.count
+    );
+    Ok(Identities {
+        scores: superpoints.spread(&calibration.apply(&pooled), votes.classes),
+        classes: votes.classes,
+    })
+}
 
 /// What the votes of a scene say about its labels.
 #[derive(Clone, Debug, PartialEq)]

@@ -14,7 +14,7 @@ mod superpoints;
 mod vote;
 
 pub use self::association::{Association, Group, associate, associate_until};
-pub use self::calibration::Calibration;
+pub use self::calibration::{Calibration, pooled_vote};
 pub use self::compactness::NeighbourGraph;
 pub use self::hard_labels::hard_label_map;
 pub use self::identities::Identities;
