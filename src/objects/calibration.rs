@@ -10,10 +10,7 @@
 //!    c (Dawid and Skene 1979, with superpoints as items and their winning class instead of a soft assignment). A superpoint of
 //!    shares s has the probabilities p_y ~ prod_c theta_yc^s_c.
 
-use super::superpoints::{PooledVotes, SuperpointOptions, Superpoints};
-use super::{Identities, Votes};
-use crate::error::Result;
-use crate::splat::Gaussians;
+use super::PooledVotes;
 
 /// Preferences between which the exponent rises from 0 to [`LARGEST_EXPONENT`]. Simulated labels have 0.2 to 0.5, those of a
 /// network 0.7 to 0.9.
@@ -21,42 +18,13 @@ const PREFERENCES: [f64; 2] = [0.5, 0.65];
 /// The exponent of labels that prefer frequent classes.
 const LARGEST_EXPONENT: f64 = 0.5;
 /// Weight of the confusion matrix without preferred pairs, in shares of the scene.
-const SHRINKAGE: f64 = 0.01;
+const SHRINKAGE: f64 = 0.03;
 /// Share of errors added to each row of the confusion matrix.
 const SMOOTHING: f64 = 0.1;
-/// Rounds in which winners and confusion matrix follow from each other.
-const ROUNDS: usize = 2;
 /// Share below which a class counts as absent from a superpoint.
 const LEAST: f64 = 1e-6;
 /// Share of both fluxes of a pair that is added to each, which keeps their ratio finite.
 const FLUX_FLOOR: f64 = 0.02;
-
-/// The votes of `gaussians`, pooled over superpoints and calibrated: class probabilities of each Gaussian, zeros where nothing was
-/// voted in its superpoint. `exponent` replaces the one that follows from the votes.
-///
-/// # Errors
-/// [`crate::Error::NonFinite`] when a centre is not finite.
-///
-/// # Panics
-/// If `votes` are of another number of Gaussians.
-pub fn pooled_vote(
-    gaussians: &Gaussians,
-    votes: &Votes,
-    exponent: Option<f64>,
-) -> Result<Identities> {
-    let superpoints = Superpoints::new(gaussians, &SuperpointOptions::default())?;
-    let pooled = superpoints.pool(votes);
-    let calibration = Calibration::fit(&pooled, exponent);
-    let (preference, exponent) = (calibration.preference, calibration.exponent);
-    tracing::info!(
-        "{} superpoints; label errors prefer frequent classes by {preference:.2}, exponent {exponent:.2}",
-        superpoints.count
-    );
-    Ok(Identities {
-        scores: superpoints.spread(&calibration.apply(&pooled), votes.classes),
-        classes: votes.classes,
-    })
-}
 
 /// What the votes of a scene say about its labels.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,8 +34,8 @@ pub struct Calibration {
     pub preference: f64,
     /// The exponent e.
     pub exponent: f64,
-    /// Mean share of each class over the scene, `[C]`.
-    prior: Vec<f64>,
+    /// prior^-e of each class, `[C]`.
+    factors: Vec<f64>,
     /// ln theta, `[C, C]`: true class, then label. Rows of classes that win nowhere are negative infinity.
     log_confusion: Vec<f64>,
 }
@@ -79,68 +47,49 @@ impl Calibration {
         let preference = preference(&Flux::new(votes, &winners(&votes.shares, votes.classes)));
         let [low, high] = PREFERENCES;
         let fitted = LARGEST_EXPONENT * ((preference - low) / (high - low)).clamp(0.0, 1.0);
-        let mut calibration = Self {
+        let exponent = exponent.unwrap_or(fitted);
+        let factor = |prior: &f64| prior.max(LEAST).powf(-exponent);
+        let factors: Vec<f64> = prior.iter().map(factor).collect();
+        let mut divided = votes.clone();
+        for row in divided.shares.chunks_exact_mut(votes.classes.max(1)) {
+            divide(row, &factors);
+        }
+        let winners = winners(&divided.shares, votes.classes);
+        Self {
             preference,
-            exponent: exponent.unwrap_or(fitted),
-            prior,
-            log_confusion: Vec::new(),
-        };
-        let divided = PooledVotes {
-            shares: calibration.divided(votes),
-            ..votes.clone()
-        };
-        let mut winners = winners(&divided.shares, votes.classes);
-        for _ in 0..ROUNDS {
-            calibration.log_confusion = Flux::new(&divided, &winners).log_confusion();
-            let likelihoods = calibration.likelihoods(&divided.shares, votes.classes);
-            winners = self::winners(&likelihoods, votes.classes);
+            exponent,
+            factors,
+            log_confusion: Flux::new(&divided, &winners).log_confusion(),
         }
-        calibration
     }
 
-    /// Class probabilities of the superpoints of `votes`, `[S, C]`; zeros where nothing was voted.
-    pub fn apply(&self, votes: &PooledVotes) -> Vec<f64> {
-        self.likelihoods(&self.divided(votes), votes.classes)
-    }
-
-    /// Shares over prior^e, normalised.
-    fn divided(&self, votes: &PooledVotes) -> Vec<f64> {
-        let factor = |prior: &f64| prior.max(LEAST).powf(-self.exponent);
-        let factors: Vec<f64> = self.prior.iter().map(factor).collect();
-        let mut shares = votes.shares.clone();
-        for row in shares.chunks_exact_mut(votes.classes.max(1)) {
-            row.iter_mut().zip(&factors).for_each(|(s, f)| *s *= f);
-            normalise(row);
+    /// Turns the class shares `row`, `[C]`, of any sum, into class probabilities. Zeros stay zeros.
+    pub fn apply(&self, row: &mut [f64]) {
+        divide(row, &self.factors);
+        // Most shares are zero.
+        let shown: Vec<(usize, f64)> = (0..)
+            .zip(row.iter().copied())
+            .filter(|(_, share)| *share > LEAST)
+            .collect();
+        if shown.is_empty() || !self.log_confusion.iter().any(|l| l.is_finite()) {
+            return;
         }
-        shares
-    }
-
-    /// p_y ~ prod_c theta_yc^s_c for rows of shares s.
-    fn likelihoods(&self, shares: &[f64], classes: usize) -> Vec<f64> {
-        let mut all = vec![0.0; shares.len()];
-        let rows = shares.chunks_exact(classes.max(1));
-        for (row, out) in rows.zip(all.chunks_exact_mut(classes.max(1))) {
-            // Most shares are zero.
-            let shown: Vec<_> = (0..)
-                .zip(row)
-                .filter(|(_, share)| **share > LEAST)
-                .collect();
-            if shown.is_empty() {
-                continue;
-            }
-            let logs = self.log_confusion.chunks_exact(classes);
-            for (p, log) in out.iter_mut().zip(logs) {
-                *p = shown
-                    .iter()
-                    .map(|&(c, share): &(usize, _)| share * log[c])
-                    .sum();
-            }
-            let highest = out.iter().fold(f64::NEG_INFINITY, |h, &l| h.max(l));
-            out.iter_mut().for_each(|p| *p = (*p - highest).exp());
-            normalise(out);
+        for (p, log) in row
+            .iter_mut()
+            .zip(self.log_confusion.chunks_exact(self.factors.len()))
+        {
+            *p = shown.iter().map(|&(c, share)| share * log[c]).sum();
         }
-        all
+        let highest = row.iter().fold(f64::NEG_INFINITY, |h, &l| h.max(l));
+        row.iter_mut().for_each(|p| *p = (*p - highest).exp());
+        normalise(row);
     }
+}
+
+/// Multiplies `row` by `factors` and brings its sum to 1.
+fn divide(row: &mut [f64], factors: &[f64]) {
+    row.iter_mut().zip(factors).for_each(|(s, f)| *s *= f);
+    normalise(row);
 }
 
 /// Mean share of each class over all Gaussians with votes.
@@ -294,6 +243,14 @@ mod tests {
         (votes, truth)
     }
 
+    /// The calibrated rows of `votes`.
+    fn applied(calibration: &Calibration, votes: &PooledVotes) -> Vec<f64> {
+        let mut rows = votes.shares.clone();
+        let each = rows.chunks_exact_mut(COUNTS.len());
+        each.for_each(|row| calibration.apply(row));
+        rows
+    }
+
     fn right(rows: &[f64], truth: &[usize]) -> usize {
         let winners = winners(rows, COUNTS.len());
         let pairs = winners.iter().zip(truth);
@@ -307,7 +264,7 @@ mod tests {
         let calibration = Calibration::fit(&votes, None);
         assert!(calibration.preference < 0.2, "{}", calibration.preference);
         assert_eq!(calibration.exponent, 0.0);
-        let rows = calibration.apply(&votes);
+        let rows = applied(&calibration, &votes);
         assert_eq!(right(&votes.shares, &truth), truth.len());
         assert_eq!(right(&rows, &truth), truth.len());
     }
@@ -320,7 +277,7 @@ mod tests {
         assert!(calibration.preference > 0.65, "{}", calibration.preference);
         assert_eq!(calibration.exponent, LARGEST_EXPONENT);
         let voted = right(&votes.shares, &truth);
-        let calibrated = right(&calibration.apply(&votes), &truth);
+        let calibrated = right(&applied(&calibration, &votes), &truth);
         assert!(
             voted < truth.len() * 85 / 100 && calibrated > truth.len() * 95 / 100,
             "{voted}, then {calibrated} of {}",
@@ -335,7 +292,7 @@ mod tests {
         votes.sizes[0] = 0.0;
         let calibration = Calibration::fit(&votes, Some(0.25));
         assert_eq!(calibration.exponent, 0.25);
-        let rows = calibration.apply(&votes);
+        let rows = applied(&calibration, &votes);
         let sums: Vec<f64> = rows
             .chunks_exact(COUNTS.len())
             .map(|r| r.iter().sum())
@@ -347,7 +304,9 @@ mod tests {
             sizes: Vec::new(),
             classes: 3,
         };
-        assert!(Calibration::fit(&none, None).apply(&none).is_empty());
+        let mut row = [1.0, 0.0, 0.0];
+        Calibration::fit(&none, None).apply(&mut row);
+        assert!(row.iter().all(|p| !p.is_nan()), "{row:?}");
     }
 
     #[test]
@@ -360,7 +319,7 @@ mod tests {
             normalise(row);
         }
         let votes = PooledVotes { shares, ..votes };
-        let rows = Calibration::fit(&votes, Some(0.0)).apply(&votes);
+        let rows = applied(&Calibration::fit(&votes, Some(0.0)), &votes);
         let rare = rows.chunks_exact(COUNTS.len()).map(|row| row[4]);
         assert!(rare.into_iter().all(|p| p == 0.0));
     }

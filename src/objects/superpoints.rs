@@ -4,7 +4,6 @@
 //! of nearest neighbours of the Gaussians instead of the grid of pixels. Two components C merge over an edge whose weight is at
 //! most Int(C) + k / |C| for both. Int(C) is the largest weight that merged C so far, and |C| is its size.
 
-use super::Votes;
 use crate::error::Result;
 use crate::segmentation::neighbours::{Neighbours, PointIndex};
 use crate::splat::Gaussians;
@@ -12,27 +11,6 @@ use glam::DVec3;
 use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 use union_find::{QuickUnionUf, UnionBySize, UnionFind};
-
-/// How Gaussians are grouped.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SuperpointOptions {
-    /// Nearest neighbours of each Gaussian that have an edge to it.
-    pub neighbours: usize,
-    /// k of the paper, in edge weight times Gaussians: a larger one gives larger superpoints.
-    pub scale: f64,
-    /// Superpoints of fewer Gaussians merge with the neighbour that is most alike.
-    pub least: usize,
-}
-
-impl Default for SuperpointOptions {
-    fn default() -> Self {
-        Self {
-            neighbours: 12,
-            scale: 0.5,
-            least: 5,
-        }
-    }
-}
 
 /// The superpoint of each Gaussian.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -43,25 +21,6 @@ pub struct Superpoints {
     pub count: usize,
 }
 
-/// Votes of superpoints.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PooledVotes {
-    /// Mean share of each class over the Gaussians with votes, `[S, C]` row-major; zeros where there are none.
-    pub shares: Vec<f64>,
-    /// Number of Gaussians with votes in each superpoint, `[S]`.
-    pub sizes: Vec<f64>,
-    /// C.
-    pub classes: usize,
-}
-
-impl PooledVotes {
-    /// Shares and size of each superpoint.
-    pub fn rows(&self) -> impl Iterator<Item = (&[f64], f64)> {
-        let shares = self.shares.chunks_exact(self.classes.max(1));
-        shares.zip(self.sizes.iter().copied())
-    }
-}
-
 /// An edge of the graph.
 #[derive(Clone, Copy, Debug)]
 struct Edge {
@@ -69,81 +28,47 @@ struct Edge {
     ends: [u32; 2],
 }
 
-impl Superpoints {
-    /// The superpoints of `gaussians`. The weight of an edge is 1 - |n_a . n_b| of the normals plus the distance of the colours
-    /// (sRGB in 0..1).
+/// The graph of neighbouring Gaussians, its edges in ascending order of weight.
+#[derive(Clone, Debug)]
+pub struct SurfaceGraph {
+    points: usize,
+    edges: Vec<Edge>,
+}
+
+impl SurfaceGraph {
+    /// Each of `gaussians` with its nearest `neighbours`. The weight of an edge is 1 - |n_a . n_b| of the normals plus the distance
+    /// of the colours (sRGB in 0..1).
     ///
     /// # Errors
     /// [`crate::Error::NonFinite`] when a centre is not finite.
-    pub fn new(gaussians: &Gaussians, options: &SuperpointOptions) -> Result<Self> {
+    pub fn new(gaussians: &Gaussians, neighbours: usize) -> Result<Self> {
         let near = PointIndex::new(&gaussians.means)?
-            .neighbours((options.neighbours + 1).min(gaussians.len()));
+            .neighbours(neighbours.saturating_add(1).min(gaussians.len()));
         let normals = normals(&gaussians.means, &near);
         let colors: Vec<_> = gaussians.base_colors().into_iter().map(vector).collect();
         let weight = |a: usize, b: usize| {
             let turn = 1.0 - normals[a].dot(normals[b]).abs();
             (turn + colors[a].distance(colors[b])) as f32
         };
-        Ok(Self::of_edges(
-            gaussians.len(),
-            edges(&near, weight),
-            options,
-        ))
+        Ok(Self::of_edges(gaussians.len(), edges(&near, weight)))
     }
 
-    /// Pools `votes`: each Gaussian with votes counts the same, however many pixels show it.
-    ///
-    /// # Panics
-    /// If the votes are of another number of Gaussians.
-    pub fn pool(&self, votes: &Votes) -> PooledVotes {
-        let classes = votes.classes;
-        assert_eq!(
-            votes.table.len(),
-            self.of.len() * classes,
-            "one row of votes for each Gaussian"
-        );
-        let mut shares = vec![0.0; self.count * classes];
-        let mut sizes = vec![0.0; self.count];
-        let rows = votes.table.chunks_exact(classes.max(1));
-        for (row, &superpoint) in rows.zip(&self.of) {
-            let superpoint = superpoint as usize;
-            let total: f64 = row.iter().map(|&v| f64::from(v)).sum();
-            if total > 0.0 {
-                sizes[superpoint] += 1.0;
-                let to = &mut shares[superpoint * classes..][..classes];
-                to.iter_mut()
-                    .zip(row)
-                    .for_each(|(s, &v)| *s += f64::from(v) / total);
-            }
-        }
-        for (row, &size) in shares.chunks_exact_mut(classes.max(1)).zip(&sizes) {
-            row.iter_mut()
-                .for_each(|share| *share /= f64::max(size, 1.0));
-        }
-        PooledVotes {
-            shares,
-            sizes,
-            classes,
-        }
-    }
-
-    /// Rows of values of superpoints, `[S, C]`, as rows of their Gaussians, `[N, C]`.
-    pub fn spread(&self, values: &[f64], classes: usize) -> Vec<f32> {
-        let row = |&superpoint: &u32| &values[superpoint as usize * classes..][..classes];
-        self.of.iter().flat_map(row).map(|&v| v as f32).collect()
-    }
-
-    /// The segmentation of a graph of `points` nodes.
-    fn of_edges(points: usize, mut edges: Vec<Edge>, options: &SuperpointOptions) -> Self {
+    fn of_edges(points: usize, mut edges: Vec<Edge>) -> Self {
         edges.par_sort_unstable_by(|a, b| a.weight.total_cmp(&b.weight).then(a.ends.cmp(&b.ends)));
-        let mut components = Components::new(points);
-        for edge in &edges {
+        Self { points, edges }
+    }
+
+    /// The superpoints at `scale`: k of the paper, in edge weight times Gaussians. A larger one gives larger superpoints. Those of
+    /// fewer than `least` Gaussians merge with the neighbour that is most alike.
+    pub fn superpoints(&self, scale: f64, least: usize) -> Superpoints {
+        let mut components = Components::new(self.points);
+        for edge in &self.edges {
             components.merge_if(edge, |inside, size| {
-                f64::from(edge.weight) <= inside + options.scale / size as f64
+                f64::from(edge.weight) <= inside + scale / size as f64
             });
         }
-        for edge in &edges {
-            components.absorb(edge, options.least);
+        for edge in &self.edges {
+            components.absorb(edge, least);
         }
         components.numbered()
     }
@@ -284,7 +209,13 @@ mod tests {
         (gaussians, part)
     }
 
-    /// The share of Gaussians in superpoints whose majority is their own part, and the superpoints that hold 90 % of each part.
+    fn superpoints(gaussians: &Gaussians) -> Superpoints {
+        SurfaceGraph::new(gaussians, 12)
+            .unwrap()
+            .superpoints(0.5, 5)
+    }
+
+    /// The share of Gaussians in superpoints whose majority is their own part.
     fn purity(superpoints: &Superpoints, part: &[usize]) -> f64 {
         let parts = part.iter().max().map_or(0, |p| p + 1);
         let mut table = vec![0_usize; superpoints.count * parts];
@@ -300,7 +231,7 @@ mod tests {
         let floor = plane(DVec3::ZERO, DVec3::X, DVec3::Y, 30);
         let wall = plane(DVec3::ZERO, DVec3::X, DVec3::Z, 30);
         let (gaussians, part) = scene(&[(floor, GREY), (wall, GREY)]);
-        let superpoints = Superpoints::new(&gaussians, &SuperpointOptions::default()).unwrap();
+        let superpoints = superpoints(&gaussians);
         assert!(purity(&superpoints, &part) > 0.95);
         assert!(superpoints.count <= 20, "{}", superpoints.count);
     }
@@ -316,7 +247,7 @@ mod tests {
         sides.extend(plane(corner + far, -DVec3::Y, DVec3::Z, 10));
         sides.extend(plane(corner + top, DVec3::X, DVec3::Y, 10));
         let (gaussians, part) = scene(&[(floor, GREY), (sides, RED)]);
-        let superpoints = Superpoints::new(&gaussians, &SuperpointOptions::default()).unwrap();
+        let superpoints = superpoints(&gaussians);
         assert!(purity(&superpoints, &part) > 0.98);
         assert!(superpoints.count <= 30, "{}", superpoints.count);
     }
@@ -326,7 +257,7 @@ mod tests {
         let left = plane(DVec3::ZERO, DVec3::X, DVec3::Y, 20);
         let right = plane(DVec3::X, DVec3::X, DVec3::Y, 20);
         let (gaussians, part) = scene(&[(left, GREY), (right, RED)]);
-        let superpoints = Superpoints::new(&gaussians, &SuperpointOptions::default()).unwrap();
+        let superpoints = superpoints(&gaussians);
         assert_eq!(purity(&superpoints, &part), 1.0);
         assert_eq!(superpoints.count, 2);
     }
@@ -340,12 +271,8 @@ mod tests {
         };
         let chain = vec![edge(0, 1, 0.1), edge(1, 2, 0.3), edge(2, 3, 0.1)];
         let of = |scale, least| {
-            let options = SuperpointOptions {
-                neighbours: 1,
-                scale,
-                least,
-            };
-            Superpoints::of_edges(4, chain.clone(), &options).of
+            let graph = SurfaceGraph::of_edges(4, chain.clone());
+            graph.superpoints(scale, least).of
         };
         assert_eq!(of(0.35, 1), [0, 0, 1, 1]);
         assert_eq!(of(0.45, 1), [0, 0, 0, 0]);
@@ -355,8 +282,7 @@ mod tests {
 
     #[test]
     fn no_gaussians_have_no_superpoints() {
-        let superpoints =
-            Superpoints::new(&Gaussians::default(), &SuperpointOptions::default()).unwrap();
+        let superpoints = superpoints(&Gaussians::default());
         assert_eq!(superpoints, Superpoints::default());
     }
 }

@@ -1,0 +1,129 @@
+//! The pooled vote: raw labels vote for the surface patch that they show, not for single Gaussians.
+//!
+//! The class shares of a Gaussian are the mean of its own votes and of those of the superpoints that hold it, at several scales: a
+//! superpoint that reaches across two objects costs little then. [`Calibration`] corrects them for systematic errors.
+
+use super::superpoints::{Superpoints, SurfaceGraph};
+use super::{Calibration, Identities, Votes};
+use crate::error::Result;
+use crate::splat::Gaussians;
+use rayon::prelude::*;
+
+/// Nearest neighbours of each Gaussian in the graph of superpoints.
+const NEIGHBOURS: usize = 12;
+/// Scales of the superpoints. The calibration is fitted on those of [`FITTED`].
+const SCALES: [f64; 3] = [0.1, 0.3, 1.0];
+/// Index of the scale in the middle.
+const FITTED: usize = 1;
+/// Least number of Gaussians of a superpoint.
+const LEAST: usize = 5;
+
+/// Votes of superpoints.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PooledVotes {
+    /// Mean share of each class over the Gaussians with votes, `[S, C]` row-major; zeros where there are none.
+    pub shares: Vec<f64>,
+    /// Number of Gaussians with votes in each superpoint, `[S]`.
+    pub sizes: Vec<f64>,
+    /// C.
+    pub classes: usize,
+}
+
+impl PooledVotes {
+    /// Pools `votes` over `superpoints`. Each Gaussian with votes counts the same, however many pixels show it.
+    ///
+    /// # Panics
+    /// If the votes are of another number of Gaussians.
+    pub fn new(votes: &Votes, superpoints: &Superpoints) -> Self {
+        let (classes, count) = (votes.classes, superpoints.count);
+        assert_eq!(
+            votes.table.len(),
+            superpoints.of.len() * classes,
+            "one row of votes for each Gaussian"
+        );
+        let mut shares = vec![0.0; count * classes];
+        let mut sizes = vec![0.0; count];
+        let rows = votes.table.chunks_exact(classes.max(1));
+        for (row, &superpoint) in rows.zip(&superpoints.of) {
+            let superpoint = superpoint as usize;
+            if add_shares(&mut shares[superpoint * classes..][..classes], row) {
+                sizes[superpoint] += 1.0;
+            }
+        }
+        for (row, &size) in shares.chunks_exact_mut(classes.max(1)).zip(&sizes) {
+            row.iter_mut()
+                .for_each(|share| *share /= f64::max(size, 1.0));
+        }
+        Self {
+            shares,
+            sizes,
+            classes,
+        }
+    }
+
+    /// Shares and size of each superpoint.
+    pub fn rows(&self) -> impl Iterator<Item = (&[f64], f64)> {
+        let shares = self.shares.chunks_exact(self.classes.max(1));
+        shares.zip(self.sizes.iter().copied())
+    }
+
+    /// Shares of superpoint `index`.
+    fn row(&self, index: u32) -> &[f64] {
+        &self.shares[index as usize * self.classes..][..self.classes]
+    }
+}
+
+/// The votes of `gaussians`, pooled over superpoints and calibrated: class probabilities of each Gaussian, zeros where nothing was
+/// voted on it and its superpoints. `exponent` replaces the one that follows from the votes, see [`Calibration`].
+///
+/// # Errors
+/// [`crate::Error::NonFinite`] when a centre is not finite.
+///
+/// # Panics
+/// If `votes` are of another number of Gaussians.
+pub fn pooled_vote(
+    gaussians: &Gaussians,
+    votes: &Votes,
+    exponent: Option<f64>,
+) -> Result<Identities> {
+    let classes = votes.classes;
+    let graph = SurfaceGraph::new(gaussians, NEIGHBOURS)?;
+    let superpoints = SCALES.map(|scale| graph.superpoints(scale, LEAST));
+    let pooled = superpoints.each_ref().map(|s| PooledVotes::new(votes, s));
+    let calibration = Calibration::fit(&pooled[FITTED], exponent);
+    tracing::info!(
+        "{} superpoints; label errors prefer frequent classes by {:.2}, exponent {:.2}",
+        superpoints[FITTED].count,
+        calibration.preference,
+        calibration.exponent
+    );
+    let mut scores = vec![0.0; votes.table.len()];
+    let rows = scores
+        .par_chunks_exact_mut(classes.max(1))
+        .zip(votes.table.par_chunks_exact(classes.max(1)));
+    rows.enumerate().for_each(|(gaussian, (scores, own))| {
+        let mut shares = vec![0.0; classes];
+        add_shares(&mut shares, own);
+        for (pooled, superpoints) in pooled.iter().zip(&superpoints) {
+            let row = pooled.row(superpoints.of[gaussian]);
+            shares.iter_mut().zip(row).for_each(|(s, p)| *s += p);
+        }
+        calibration.apply(&mut shares);
+        let probabilities = scores.iter_mut().zip(shares);
+        probabilities.for_each(|(score, p)| *score = p as f32);
+    });
+    Ok(Identities { scores, classes })
+}
+
+/// Adds the class shares of `votes` to `sums`. Returns whether there are votes.
+fn add_shares(sums: &mut [f64], votes: &[f32]) -> bool {
+    let total: f64 = votes.iter().map(|&v| f64::from(v)).sum();
+    if total <= 0.0 {
+        return false;
+    }
+    let shares = votes.iter().map(|&v| f64::from(v) / total);
+    sums.iter_mut()
+        .zip(shares)
+        .for_each(|(sum, share)| *sum += share);
+    true
+}
