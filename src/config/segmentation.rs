@@ -108,7 +108,7 @@ pub enum Prior {
     /// The votes of each Gaussian's raw labels as log-shares: the decoder learns a correction.
     Votes,
     /// The votes, pooled over superpoints and calibrated. The decoder learns from what they say about the labelled pixels, instead
-    /// of from the raw labels.
+    /// of from the raw labels. Objects that association found take [`Prior::Votes`] instead.
     Pooled,
 }
 

@@ -6,7 +6,7 @@ use super::train_decoder::{
     Adam, DecoderInput, DecoderModel, DecoderPlan, IdentityModel, PerGaussian, Plan, Schedule,
     Training, TrainingViews,
 };
-use crate::config::{Prior, SegmentationConfig, SpatialConfig, Variant};
+use crate::config::{Association, Prior, SegmentationConfig, SpatialConfig, Variant};
 use crate::data::Split;
 use crate::error::Result;
 use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
@@ -211,11 +211,10 @@ impl<'a> StageTwo<'a> {
     /// A decoder (Eq. 7).
     fn decoder(&mut self, variant: Variant, progress: &mut dyn Progress) -> Result<VariantOutcome> {
         let inputs = self.inputs;
-        let config = &inputs.config.segmentation;
         let plan = plan(variant, inputs)?;
         let input = self.encodings(variant)?.decoder_input(variant, inputs)?;
         let prior = self.prior()?;
-        match config.prior {
+        match self.prior_kind() {
             Prior::Pooled => {
                 let pooled = self.pooled()?.clone();
                 self.views.use_labels_of(&pooled, inputs.device);
@@ -227,9 +226,18 @@ impl<'a> StageTwo<'a> {
         self.trained(variant, training, &plan, rate, progress)
     }
 
+    /// What decoders start from. Two objects of association may share a superpoint: their votes are not pooled.
+    fn prior_kind(&self) -> Prior {
+        let config = self.inputs.config;
+        match (config.segmentation.prior, config.data.association) {
+            (Prior::Pooled, Association::Gaussians) => Prior::Votes,
+            (prior, _) => prior,
+        }
+    }
+
     /// The scores that a decoder starts from, `[N, C]`.
     fn prior(&self) -> Result<Option<Vec<f32>>> {
-        match self.inputs.config.segmentation.prior {
+        match self.prior_kind() {
             Prior::None => Ok(None),
             Prior::Votes => Ok(Some(self.votes()?.log_shares(VOTE_FLOOR))),
             Prior::Pooled => {
