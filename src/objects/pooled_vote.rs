@@ -127,3 +127,85 @@ fn add_shares(sums: &mut [f64], votes: &[f32]) -> bool {
         .for_each(|(sum, share)| *sum += share);
     true
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// Two squares of 20 x 20 Gaussians side by side on one plane, the left one grey and the right one red.
+    fn squares() -> Gaussians {
+        let cells = (0..800).map(|i| (i % 40, i / 40));
+        let grey_or_red = |x: usize| {
+            if x < 20 {
+                [0.5, 0.5, 0.5]
+            } else {
+                [0.9, 0.2, 0.2]
+            }
+        };
+        let colors: Vec<[f32; 3]> = cells.clone().map(|(x, _)| grey_or_red(x)).collect();
+        let means: Vec<[f32; 3]> = cells
+            .map(|(x, y)| [x as f32 * 0.05, y as f32 * 0.05, 0.0])
+            .collect();
+        let n = means.len();
+        Gaussians {
+            means,
+            log_scales: vec![[-4.0; 3]; n],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            opacity_logits: vec![2.0; n],
+            sh: colors
+                .as_flattened()
+                .iter()
+                .map(|c| (c - 0.5) / crate::splat::SH_0)
+                .collect(),
+            sh_degree: 0,
+        }
+    }
+
+    #[test]
+    fn neighbours_on_a_surface_correct_a_noisy_vote() {
+        let gaussians = squares();
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let mut table = Vec::new();
+        for i in 0..gaussians.means.len() {
+            let class = usize::from(i % 40 >= 20);
+            // Three in ten are wrong; one in ten sees nothing.
+            let voted = if rng.random_bool(0.3) {
+                1 - class
+            } else {
+                class
+            };
+            let mut row = [0.0; 3];
+            row[voted] = if rng.random_bool(0.1) {
+                0.0
+            } else {
+                rng.random_range(1.0..9.0)
+            };
+            table.extend(row);
+        }
+        let votes = Votes { table, classes: 3 };
+        let identities = pooled_vote(&gaussians, &votes, None).unwrap();
+        for (i, row) in identities.scores.chunks_exact(3).enumerate() {
+            let class = usize::from(i % 40 >= 20);
+            assert!(row[class] > row[1 - class] && row[2] == 0.0, "{i}: {row:?}");
+            assert!((row.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{i}: {row:?}");
+        }
+    }
+
+    #[test]
+    fn each_gaussian_with_votes_counts_the_same() {
+        let superpoints = Superpoints {
+            of: vec![0, 0, 0, 1],
+            count: 2,
+        };
+        let votes = Votes {
+            table: vec![100.0, 0.0, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0],
+            classes: 2,
+        };
+        let pooled = PooledVotes::new(&votes, &superpoints);
+        assert_eq!(pooled.shares, [0.75, 0.25, 0.0, 0.0]);
+        assert_eq!(pooled.sizes, [2.0, 0.0]);
+        assert_eq!(pooled.row(0), [0.75, 0.25]);
+    }
+}
