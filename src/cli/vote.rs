@@ -53,7 +53,7 @@ impl VoteArgs {
         let train = scene.split(Split::Train);
         let votes = vote(&ply.gaussians, train, &scene.classes, &settings, &device)?;
         let identities = if self.pooled {
-            pooled_vote(&ply.gaussians, &votes, config.segmentation.prior_exponent)?
+            pooled_vote(&ply.gaussians, &votes, config.segmentation.prior_exponent)?.identities
         } else {
             votes.identities()
         };

@@ -4,36 +4,27 @@
 //! it is unsure. Two corrections of the class shares of superpoints follow each other.
 //!
 //! 1. Shares are divided by prior^e, where the prior of a class is its mean share over the scene (logit adjustment, Menon et al.
-//!    2021). The exponent e comes from the *preference* of the labels, see [`Calibration::preference`]: it is 0 for errors that
-//!    prefer no class, and up to [`LARGEST_EXPONENT`] for those of a network.
+//!    2021).
 //! 2. Shares become likelihoods under a confusion matrix theta, whose row y holds how often superpoints of class y are labelled
 //!    c (Dawid and Skene 1979, with superpoints as items and their winning class instead of a soft assignment). A superpoint of
 //!    shares s has the probabilities p_y ~ prod_c theta_yc^s_c.
 
 use super::PooledVotes;
 
-/// Preferences between which the exponent rises from 0 to [`LARGEST_EXPONENT`]. Simulated labels have 0.2 to 0.5, those of a
-/// network 0.7 to 0.9.
-const PREFERENCES: [f64; 2] = [0.5, 0.65];
-/// The exponent of labels that prefer frequent classes.
-const LARGEST_EXPONENT: f64 = 0.5;
+/// Exponent e of class frequencies, unless settings give another.
+const EXPONENT: f64 = 0.5;
+/// Preferences between which the correction rises from nothing to all of it. Simulated labels of three rooms had 0.26 to 0.56,
+/// those of a network 0.72 and more.
+const PREFERENCES: [f64; 2] = [0.58, 0.7];
 /// Weight of the confusion matrix without preferred pairs, in shares of the scene.
 const SHRINKAGE: f64 = 0.03;
 /// Share of errors added to each row of the confusion matrix.
 const SMOOTHING: f64 = 0.1;
 /// Share below which a class counts as absent from a superpoint.
 const LEAST: f64 = 1e-6;
-/// Share of both fluxes of a pair that is added to each, which keeps their ratio finite.
-const FLUX_FLOOR: f64 = 0.02;
-
 /// What the votes of a scene say about its labels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibration {
-    /// How strongly the errors prefer frequent classes: 0 where each class loses the same share of its area, 1 where as much area
-    /// moves to the larger class of a pair as to the smaller one.
-    pub preference: f64,
-    /// The exponent e.
-    pub exponent: f64,
     /// prior^-e of each class, `[C]`.
     factors: Vec<f64>,
     /// ln theta, `[C, C]`: true class, then label. Rows of classes that win nowhere are negative infinity.
@@ -41,13 +32,10 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// Fits the calibration to `votes`. `exponent` replaces the one that follows from the preference.
+    /// Fits the calibration to `votes`, with `exponent` instead of the usual one where it is given.
     pub fn fit(votes: &PooledVotes, exponent: Option<f64>) -> Self {
         let prior = prior(votes);
-        let preference = preference(&Flux::new(votes, &winners(&votes.shares, votes.classes)));
-        let [low, high] = PREFERENCES;
-        let fitted = LARGEST_EXPONENT * ((preference - low) / (high - low)).clamp(0.0, 1.0);
-        let exponent = exponent.unwrap_or(fitted);
+        let exponent = exponent.unwrap_or(EXPONENT);
         let factor = |prior: &f64| prior.max(LEAST).powf(-exponent);
         let factors: Vec<f64> = prior.iter().map(factor).collect();
         let mut divided = votes.clone();
@@ -56,8 +44,6 @@ impl Calibration {
         }
         let winners = winners(&divided.shares, votes.classes);
         Self {
-            preference,
-            exponent,
             factors,
             log_confusion: Flux::new(&divided, &winners).log_confusion(),
         }
@@ -104,11 +90,12 @@ fn prior(votes: &PooledVotes) -> Vec<f64> {
 
 /// Class of the largest value of each row, none where all are zero. Ties go to the lower index.
 fn winners(rows: &[f64], classes: usize) -> Vec<Option<usize>> {
-    let largest = |row: &[f64]| {
-        let best = (0..row.len()).reduce(|a, b| if row[b] > row[a] { b } else { a })?;
-        (row[best] > 0.0).then_some(best)
-    };
-    rows.chunks_exact(classes.max(1)).map(largest).collect()
+    rows.chunks_exact(classes.max(1)).map(winner).collect()
+}
+
+fn winner(row: &[f64]) -> Option<usize> {
+    let best = (0..row.len()).reduce(|a, b| if row[b] > row[a] { b } else { a })?;
+    (row[best] > 0.0).then_some(best)
 }
 
 fn normalise(row: &mut [f64]) {
@@ -125,16 +112,26 @@ struct Flux {
 }
 
 impl Flux {
+    fn empty(classes: usize) -> Self {
+        Self {
+            classes,
+            table: vec![0.0; classes * classes],
+        }
+    }
+
     fn new(votes: &PooledVotes, winners: &[Option<usize>]) -> Self {
-        let classes = votes.classes;
-        let mut table = vec![0.0; classes * classes];
+        let mut flux = Self::empty(votes.classes);
         for ((row, size), winner) in votes.rows().zip(winners) {
             if let Some(winner) = winner {
-                let to = &mut table[winner * classes..][..classes];
-                to.iter_mut().zip(row).for_each(|(t, s)| *t += size * s);
+                flux.add(*winner, row, size);
             }
         }
-        Self { classes, table }
+        flux
+    }
+
+    fn add(&mut self, winner: usize, shares: &[f64], size: f64) {
+        let to = &mut self.table[winner * self.classes..][..self.classes];
+        to.iter_mut().zip(shares).for_each(|(t, s)| *t += size * s);
     }
 
     fn at(&self, winner: usize, label: usize) -> f64 {
@@ -183,31 +180,40 @@ impl Flux {
     }
 }
 
-/// How strongly errors prefer frequent classes.
+/// How strongly the errors of labels prefer frequent classes: the area that is labelled as a larger class than the one that wins
+/// it, over the area that is labelled as a smaller one. If each class loses the same share of its area, the large ones lose more
+/// and this is well below 1. A network that says wall wherever it is unsure brings it towards 1 and above.
 ///
-/// F_ab is the area labelled b in superpoints that a wins, and A_a the area that a wins. If labels prefer no class, each class
-/// loses the same share of its area: F_ab / F_ba = A_a / A_b. The preference g is the least-squares fit of
-/// ln(F_ab / F_ba) = (1 - g) ln(A_a / A_b) over all pairs, weighted by F_ab + F_ba.
-fn preference(flux: &Flux) -> f64 {
+/// `rows` are class shares of pieces of surface, `[N, C]`. Leave out those at the border of two classes: there both lose alike.
+pub fn preference<'a>(rows: impl Iterator<Item = &'a [f64]>, classes: usize) -> f64 {
+    let mut flux = Flux::empty(classes);
+    for row in rows {
+        if let Some(winner) = winner(row) {
+            flux.add(winner, row, 1.0);
+        }
+    }
     let won = flux.won();
-    let (mut product, mut square) = (0.0, 0.0);
-    for a in 0..flux.classes {
-        for b in 0..a {
-            let both = flux.at(a, b) + flux.at(b, a);
-            if both > 0.0 && won[a] > 0.0 && won[b] > 0.0 {
-                let floor = FLUX_FLOOR * both;
-                let flows = ((flux.at(a, b) + floor) / (flux.at(b, a) + floor)).ln();
-                let areas = (won[a] / won[b]).ln();
-                product += both * flows * areas;
-                square += both * areas * areas;
+    let (mut to_larger, mut to_smaller) = (0.0, 0.0);
+    for winner in 0..classes {
+        for label in 0..classes {
+            if won[label] > won[winner] {
+                to_larger += flux.at(winner, label);
+            } else if won[label] > 0.0 && won[label] < won[winner] {
+                to_smaller += flux.at(winner, label);
             }
         }
     }
-    if square > 0.0 {
-        1.0 - product / square
+    if to_smaller > 0.0 {
+        to_larger / to_smaller
     } else {
         0.0
     }
+}
+
+/// The share of the correction that labels of this [`preference`] get, 0 to 1.
+pub fn strength(preference: f64) -> f64 {
+    let [low, high] = PREFERENCES;
+    ((preference - low) / (high - low)).clamp(0.0, 1.0)
 }
 
 #[cfg(test)]
@@ -261,21 +267,19 @@ mod tests {
     fn errors_that_prefer_no_class_are_left_alone() {
         // Each class loses a quarter, to all others alike.
         let (votes, truth) = votes(|_, _| 0.06);
-        let calibration = Calibration::fit(&votes, None);
-        assert!(calibration.preference < 0.2, "{}", calibration.preference);
-        assert_eq!(calibration.exponent, 0.0);
-        let rows = applied(&calibration, &votes);
+        let preference = preference(votes.rows().map(|row| row.0), COUNTS.len());
+        assert!(preference > 0.0 && preference < 0.5, "{preference}");
+        assert_eq!(strength(preference), 0.0);
         assert_eq!(right(&votes.shares, &truth), truth.len());
-        assert_eq!(right(&rows, &truth), truth.len());
     }
 
     #[test]
     fn a_class_that_is_named_too_often_gives_way() {
         // All are taken for the frequent class, often by most of their labels.
         let (votes, truth) = votes(|_, c| if c == 0 { 1.0 } else { 0.01 });
+        let preference = preference(votes.rows().map(|row| row.0), COUNTS.len());
+        assert_eq!(strength(preference), 1.0, "{preference}");
         let calibration = Calibration::fit(&votes, None);
-        assert!(calibration.preference > 0.65, "{}", calibration.preference);
-        assert_eq!(calibration.exponent, LARGEST_EXPONENT);
         let voted = right(&votes.shares, &truth);
         let calibrated = right(&applied(&calibration, &votes), &truth);
         assert!(
@@ -291,7 +295,6 @@ mod tests {
         votes.shares[..COUNTS.len()].fill(0.0);
         votes.sizes[0] = 0.0;
         let calibration = Calibration::fit(&votes, Some(0.25));
-        assert_eq!(calibration.exponent, 0.25);
         let rows = applied(&calibration, &votes);
         let sums: Vec<f64> = rows
             .chunks_exact(COUNTS.len())

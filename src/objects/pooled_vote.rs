@@ -3,6 +3,7 @@
 //! The class shares of a Gaussian are the mean of its own votes and of those of the superpoints that hold it, at several scales: a
 //! superpoint that reaches across two objects costs little then. [`Calibration`] corrects them for systematic errors.
 
+use super::calibration::{preference, strength};
 use super::superpoints::{Superpoints, SurfaceGraph};
 use super::{Calibration, Identities, Votes};
 use crate::error::Result;
@@ -73,8 +74,18 @@ impl PooledVotes {
     }
 }
 
-/// The votes of `gaussians`, pooled over superpoints and calibrated: class probabilities of each Gaussian, zeros where nothing was
-/// voted on it and its superpoints. `exponent` replaces the one that follows from the votes, see [`Calibration`].
+/// The pooled vote of a scene.
+#[derive(Clone, Debug)]
+pub struct PooledVote {
+    /// Class probabilities of each Gaussian; zeros where nothing was voted on it and its superpoints.
+    pub identities: Identities,
+    /// 1 where the votes are pooled and calibrated, 0 where they stay as they are, see [`strength`].
+    pub strength: f64,
+}
+
+/// Pools the votes of `gaussians` over superpoints and calibrates them, as far as the errors of the labels prefer frequent classes.
+/// Other labels keep the votes of each Gaussian by itself: these average their errors away. `exponent` is used for labels of any
+/// kind.
 ///
 /// # Errors
 /// [`crate::Error::NonFinite`] when a centre is not finite.
@@ -85,17 +96,17 @@ pub fn pooled_vote(
     gaussians: &Gaussians,
     votes: &Votes,
     exponent: Option<f64>,
-) -> Result<Identities> {
+) -> Result<PooledVote> {
     let classes = votes.classes;
     let graph = SurfaceGraph::new(gaussians, NEIGHBOURS)?;
+    let preference = preference_inside(votes, &graph);
+    let strength = exponent.map_or_else(|| strength(preference), |_| 1.0);
     let superpoints = SCALES.map(|scale| graph.superpoints(scale, LEAST));
     let pooled = superpoints.each_ref().map(|s| PooledVotes::new(votes, s));
     let calibration = Calibration::fit(&pooled[FITTED], exponent);
     tracing::info!(
-        "{} superpoints; label errors prefer frequent classes by {:.2}, exponent {:.2}",
-        superpoints[FITTED].count,
-        calibration.preference,
-        calibration.exponent
+        "{} superpoints; label errors prefer frequent classes by {preference:.2}, corrected by {strength:.2}",
+        superpoints[FITTED].count
     );
     let mut scores = vec![0.0; votes.table.len()];
     let rows = scores
@@ -103,16 +114,35 @@ pub fn pooled_vote(
         .zip(votes.table.par_chunks_exact(classes.max(1)));
     rows.enumerate().for_each(|(gaussian, (scores, own))| {
         let mut shares = vec![0.0; classes];
-        add_shares(&mut shares, own);
+        let voted = add_shares(&mut shares, own);
+        let own = shares.clone();
         for (pooled, superpoints) in pooled.iter().zip(&superpoints) {
             let row = pooled.row(superpoints.of[gaussian]);
             shares.iter_mut().zip(row).for_each(|(s, p)| *s += p);
         }
         calibration.apply(&mut shares);
-        let probabilities = scores.iter_mut().zip(shares);
-        probabilities.for_each(|(score, p)| *score = p as f32);
+        let strength = if voted { strength } else { 1.0 };
+        for ((score, p), own) in scores.iter_mut().zip(shares).zip(own) {
+            *score = (strength * p + (1.0 - strength) * own) as f32;
+        }
     });
-    Ok(Identities { scores, classes })
+    let identities = Identities { scores, classes };
+    Ok(PooledVote {
+        identities,
+        strength,
+    })
+}
+
+/// The [`preference`] of the labels on Gaussians whose neighbours have the same winner: others lie at the border of two objects.
+fn preference_inside(votes: &Votes, graph: &SurfaceGraph) -> f64 {
+    let inside = graph.inside(&votes.winners());
+    let mut shares = vec![0.0; votes.table.len()];
+    let rows = shares.chunks_exact_mut(votes.classes.max(1));
+    for (row, votes) in rows.zip(votes.table.chunks_exact(votes.classes.max(1))) {
+        add_shares(row, votes);
+    }
+    let rows = shares.chunks_exact(votes.classes.max(1)).zip(inside);
+    preference(rows.filter(|row| row.1).map(|row| row.0), votes.classes)
 }
 
 /// Adds the class shares of `votes` to `sums`. Returns whether there are votes.
@@ -185,7 +215,9 @@ mod tests {
             table.extend(row);
         }
         let votes = Votes { table, classes: 3 };
-        let identities = pooled_vote(&gaussians, &votes, None).unwrap();
+        let identities = pooled_vote(&gaussians, &votes, Some(0.0))
+            .unwrap()
+            .identities;
         for (i, row) in identities.scores.chunks_exact(3).enumerate() {
             let class = usize::from(i % 40 >= 20);
             assert!(row[class] > row[1 - class] && row[2] == 0.0, "{i}: {row:?}");

@@ -58,6 +58,18 @@ impl SurfaceGraph {
         Self { points, edges }
     }
 
+    /// Whether all neighbours of each Gaussian have its label.
+    pub fn inside<T: PartialEq>(&self, labels: &[T]) -> Vec<bool> {
+        let mut inside = vec![true; self.points];
+        for Edge { ends: [a, b], .. } in &self.edges {
+            if labels[*a as usize] != labels[*b as usize] {
+                inside[*a as usize] = false;
+                inside[*b as usize] = false;
+            }
+        }
+        inside
+    }
+
     /// The superpoints at `scale`: k of the paper, in edge weight times Gaussians. A larger one gives larger superpoints. Those of
     /// fewer than `least` Gaussians merge with the neighbour that is most alike.
     pub fn superpoints(&self, scale: f64, least: usize) -> Superpoints {

@@ -10,7 +10,7 @@ use crate::config::{Association, Prior, SegmentationConfig, SpatialConfig, Varia
 use crate::data::Split;
 use crate::error::Result;
 use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
-use crate::objects::{Identities, NeighbourGraph, Votes, pooled_vote, vote};
+use crate::objects::{Identities, NeighbourGraph, PooledVote, Votes, pooled_vote, vote};
 use crate::progress::{CurvePoint, Progress};
 use crate::provenance::Provenance;
 use crate::segmentation::decoder::DecoderConfig;
@@ -142,7 +142,7 @@ struct StageTwo<'a> {
     views: TrainingViews<'a>,
     held_out: HeldOut<'a>,
     votes: OnceCell<Votes>,
-    pooled: OnceCell<Identities>,
+    pooled: OnceCell<PooledVote>,
     /// The last encodings, and the weights that they were made with.
     encodings: Option<(SpatialConfig, Encodings)>,
     /// Name of the encoder's weights; those of the random encoder only where there are no others.
@@ -186,7 +186,7 @@ impl<'a> StageTwo<'a> {
 
     /// The vote, pooled over superpoints and calibrated.
     fn pooled_vote(&self) -> Result<VariantOutcome> {
-        let identities = self.pooled()?.clone();
+        let identities = self.pooled()?.identities.clone();
         let scores = self.held_out.score(&identities, self.inputs)?;
         Ok(VariantOutcome {
             identities: Some(identities),
@@ -214,9 +214,9 @@ impl<'a> StageTwo<'a> {
         let plan = plan(variant, inputs)?;
         let input = self.encodings(variant)?.decoder_input(variant, inputs)?;
         let prior = self.prior()?;
-        match self.prior_kind() {
+        match self.prior_kind()? {
             Prior::Pooled => {
-                let pooled = self.pooled()?.clone();
+                let pooled = self.pooled()?.identities.clone();
                 self.views.use_labels_of(&pooled, inputs.device);
             }
             Prior::None | Prior::Votes => self.views.use_raw_labels(),
@@ -226,22 +226,29 @@ impl<'a> StageTwo<'a> {
         self.trained(variant, training, &plan, rate, progress)
     }
 
-    /// What decoders start from. Two objects of association may share a superpoint: their votes are not pooled.
-    fn prior_kind(&self) -> Prior {
+    /// What decoders start from. Votes are not pooled where that would correct nothing, nor those of objects of association: two of
+    /// them may share a superpoint.
+    fn prior_kind(&self) -> Result<Prior> {
         let config = self.inputs.config;
-        match (config.segmentation.prior, config.data.association) {
-            (Prior::Pooled, Association::Gaussians) => Prior::Votes,
-            (prior, _) => prior,
+        let prior = config.segmentation.prior;
+        if prior != Prior::Pooled {
+            return Ok(prior);
+        }
+        let objects = config.data.association == Association::Gaussians;
+        if objects || self.pooled()?.strength == 0.0 {
+            Ok(Prior::Votes)
+        } else {
+            Ok(prior)
         }
     }
 
     /// The scores that a decoder starts from, `[N, C]`.
     fn prior(&self) -> Result<Option<Vec<f32>>> {
-        match self.prior_kind() {
+        match self.prior_kind()? {
             Prior::None => Ok(None),
             Prior::Votes => Ok(Some(self.votes()?.log_shares(VOTE_FLOOR))),
             Prior::Pooled => {
-                let probabilities = self.pooled()?.scores.iter();
+                let probabilities = self.pooled()?.identities.scores.iter();
                 Ok(Some(probabilities.map(|p| (p + VOTE_FLOOR).ln()).collect()))
             }
         }
@@ -265,7 +272,7 @@ impl<'a> StageTwo<'a> {
     }
 
     /// The pooled and calibrated votes, made once.
-    fn pooled(&self) -> Result<&Identities> {
+    fn pooled(&self) -> Result<&PooledVote> {
         if let Some(pooled) = self.pooled.get() {
             return Ok(pooled);
         }
