@@ -133,7 +133,8 @@ pub fn pooled_vote(
     })
 }
 
-/// The [`preference`] of the labels on Gaussians whose neighbours have the same winner: others lie at the border of two objects.
+/// The [`preference`] of the labels on Gaussians whose neighbours, and theirs, have the same winner: at the border of two objects
+/// both lose alike.
 fn preference_inside(votes: &Votes, graph: &SurfaceGraph) -> f64 {
     let inside = graph.inside(&votes.winners());
     let mut shares = vec![0.0; votes.table.len()];

@@ -58,16 +58,27 @@ impl SurfaceGraph {
         Self { points, edges }
     }
 
-    /// Whether all neighbours of each Gaussian have its label.
+    /// Whether all neighbours of each Gaussian, and theirs, have its label.
     pub fn inside<T: PartialEq>(&self, labels: &[T]) -> Vec<bool> {
-        let mut inside = vec![true; self.points];
+        let near = self.alike(labels);
+        let mut inside = near.clone();
         for Edge { ends: [a, b], .. } in &self.edges {
-            if labels[*a as usize] != labels[*b as usize] {
-                inside[*a as usize] = false;
-                inside[*b as usize] = false;
-            }
+            inside[*a as usize] &= near[*b as usize];
+            inside[*b as usize] &= near[*a as usize];
         }
         inside
+    }
+
+    /// Whether all neighbours of each Gaussian have its label.
+    fn alike<T: PartialEq>(&self, labels: &[T]) -> Vec<bool> {
+        let mut alike = vec![true; self.points];
+        for Edge { ends: [a, b], .. } in &self.edges {
+            if labels[*a as usize] != labels[*b as usize] {
+                alike[*a as usize] = false;
+                alike[*b as usize] = false;
+            }
+        }
+        alike
     }
 
     /// The superpoints at `scale`: k of the paper, in edge weight times Gaussians. A larger one gives larger superpoints. Those of
@@ -290,6 +301,17 @@ mod tests {
         assert_eq!(of(0.45, 1), [0, 0, 0, 0]);
         assert_eq!(of(0.35, 3), [0, 0, 0, 0], "pairs are below the least size");
         assert_eq!(of(0.05, 1), [0, 1, 2, 3]);
+    }
+
+    #[test]
+    fn what_lies_inside_is_two_edges_from_another_label() {
+        let chain = (0..7).map(|a| Edge {
+            weight: 0.1,
+            ends: [a, a + 1],
+        });
+        let graph = SurfaceGraph::of_edges(8, chain.collect());
+        let inside = graph.inside(&[1, 1, 1, 1, 2, 2, 2, 2]);
+        assert_eq!(inside, [true, true, false, false, false, false, true, true]);
     }
 
     #[test]
