@@ -7,7 +7,7 @@ use clap::Args;
 use coseg::config::Association;
 use coseg::data::Split;
 use coseg::error::{Error, Result};
-use coseg::objects::vote;
+use coseg::objects::{pooled_vote, vote};
 use coseg::raster::Settings;
 use coseg::splat::ply;
 
@@ -25,6 +25,10 @@ Example:
 pub struct VoteArgs {
     #[command(flatten)]
     input: LabelledArgs,
+    /// Pool the votes over superpoints (patches of one surface and colour), and correct them for classes that the labels name too
+    /// often
+    #[arg(long)]
+    pooled: bool,
 }
 
 impl VoteArgs {
@@ -48,7 +52,11 @@ impl VoteArgs {
         }
         let train = scene.split(Split::Train);
         let votes = vote(&ply.gaussians, train, &scene.classes, &settings, &device)?;
-        let identities = votes.identities();
+        let identities = if self.pooled {
+            pooled_vote(&ply.gaussians, &votes, config.segmentation.prior_exponent)?.identities
+        } else {
+            votes.identities()
+        };
         let ids = identities.ids(&scene.classes);
         let path = self.input.out.join("scene.ply");
         ply::write(&path, &ply.gaussians, ply.origin, Some(&ids))?;

@@ -108,6 +108,9 @@ pub enum Prior {
     None,
     /// The votes of each Gaussian's raw labels as log-shares: the decoder learns a correction.
     Votes,
+    /// The votes, pooled over superpoints and calibrated. The decoder learns from what they say about the labelled pixels, instead
+    /// of from the raw labels. Objects that association found take [`Prior::Votes`] instead.
+    Pooled,
 }
 
 /// Stage two: segmentation identities. No key sets the fields marked `serde(skip)`; tests on small scenes change them.
@@ -132,9 +135,11 @@ pub struct SegmentationConfig {
     /// What is blended, in training and in the stored identities.
     #[default(Blend::Probabilities)]
     pub blend: Blend,
-    /// What the decoder's scores are added to; `votes` needs `blend = "probabilities"`.
-    #[default(Prior::Votes)]
+    /// What the decoder's scores are added to; all but `none` need `blend = "probabilities"`.
+    #[default(Prior::Pooled)]
     pub prior: Prior,
+    /// Exponent of the class frequencies that pooled votes are divided by, 0 to 1. Absent: it follows from the votes.
+    pub prior_exponent: Option<f64>,
     /// Loss of the variant `ours`.
     #[serde(deserialize_with = "super::by_name")]
     #[default(LabelLoss::GCE)]
@@ -211,10 +216,16 @@ impl SegmentationConfig {
                 "leave the second one out",
             ));
         }
-        if self.prior == Prior::Votes && self.blend == Blend::Logits {
+        if let Some(exponent) = self.prior_exponent {
+            range::UNIT.check("segmentation.prior_exponent", exponent)?;
+        }
+        if self.prior != Prior::None && self.blend == Blend::Logits {
             return Err(Error::config(
                 "segmentation.prior",
-                "votes",
+                match self.prior {
+                    Prior::Pooled => "pooled",
+                    _ => "votes",
+                },
                 "none where logits are blended",
                 "set segmentation.blend = \"probabilities\", or segmentation.prior = \"none\"",
             ));

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A variant of stage two: one line of the label table. All but `raw` and `vote` are trained.
+/// A variant of stage two: one line of the label table. All but `raw` and the votes are trained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Variant {
@@ -10,6 +10,8 @@ pub enum Variant {
     Raw,
     /// Each Gaussian takes the class with the largest summed alpha' T.
     Vote,
+    /// The vote, pooled over superpoints and calibrated.
+    PooledVote,
     /// Identities learned per Gaussian with CE (ablation row 1 of the paper).
     PerGaussian,
     /// The decoder with CE.
@@ -34,9 +36,10 @@ impl std::fmt::Display for Variant {
 
 impl Variant {
     /// The variants compared by default.
-    pub const COMPARED: [Self; 5] = [
+    pub const COMPARED: [Self; 6] = [
         Self::Raw,
         Self::Vote,
+        Self::PooledVote,
         Self::PerGaussian,
         Self::OursCe,
         Self::Ours,
@@ -46,7 +49,10 @@ impl Variant {
 
     /// Whether the variant trains the decoder.
     pub fn trains_decoder(self) -> bool {
-        !matches!(self, Self::Raw | Self::Vote | Self::PerGaussian)
+        !matches!(
+            self,
+            Self::Raw | Self::Vote | Self::PooledVote | Self::PerGaussian
+        )
     }
 
     /// The variant's name in `config.toml` and `metrics.json`.
@@ -54,6 +60,7 @@ impl Variant {
         match self {
             Self::Raw => "raw",
             Self::Vote => "vote",
+            Self::PooledVote => "pooled_vote",
             Self::PerGaussian => "per_gaussian",
             Self::OursCe => "ours_ce",
             Self::Ours => "ours",
@@ -69,6 +76,7 @@ impl Variant {
         match self {
             Self::Raw => "raw labels",
             Self::Vote => "vote",
+            Self::PooledVote => "pooled vote",
             Self::PerGaussian => "per-Gaussian CE",
             Self::OursCe => "ours, CE",
             Self::Ours => "ours",

@@ -1,23 +1,29 @@
 //! Which thing each Gaussian belongs to: association of segments across views, the vote over raw labels, stored identities, label rendering.
 
 mod association;
+mod calibration;
 mod compactness;
 mod hard_labels;
 mod identities;
 mod inventory;
 mod label_maps;
+mod pooled_vote;
 mod renderer;
 mod semantics;
 mod separate;
+mod superpoints;
 mod vote;
 
 pub use self::association::{Association, Group, associate, associate_until};
+pub use self::calibration::{Calibration, preference, strength};
 pub use self::compactness::NeighbourGraph;
 pub use self::hard_labels::hard_label_map;
 pub use self::identities::Identities;
 pub use self::inventory::{Object, Picked, inventory, pick};
 pub use self::label_maps::{LabelMaps, LabelRule};
+pub use self::pooled_vote::{PooledVote, PooledVotes, pooled_vote};
 pub use self::renderer::{Frame, RenderOptions, Renderer};
 pub use self::semantics::{Semantics, has_truth};
 pub use self::separate::{Separated, Separation};
+pub use self::superpoints::{Superpoints, SurfaceGraph};
 pub use self::vote::{Votes, vote};

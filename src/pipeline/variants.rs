@@ -6,11 +6,11 @@ use super::train_decoder::{
     Adam, DecoderInput, DecoderModel, DecoderPlan, IdentityModel, PerGaussian, Plan, Schedule,
     Training, TrainingViews,
 };
-use crate::config::{Prior, SegmentationConfig, SpatialConfig, Variant};
+use crate::config::{Association, Prior, SegmentationConfig, SpatialConfig, Variant};
 use crate::data::Split;
 use crate::error::Result;
 use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
-use crate::objects::{Identities, NeighbourGraph, Votes, vote};
+use crate::objects::{Identities, NeighbourGraph, PooledVote, Votes, pooled_vote, vote};
 use crate::progress::{CurvePoint, Progress};
 use crate::provenance::Provenance;
 use crate::segmentation::decoder::DecoderConfig;
@@ -116,6 +116,7 @@ pub fn train_variants(
         let mut outcome = match variant {
             Variant::Raw => stage.raw(),
             Variant::Vote => stage.vote()?,
+            Variant::PooledVote => stage.pooled_vote()?,
             Variant::PerGaussian => stage.per_gaussian(progress)?,
             _ => stage.decoder(variant, progress)?,
         };
@@ -143,6 +144,7 @@ struct StageTwo<'a> {
     views: TrainingViews<'a>,
     held_out: HeldOut<'a>,
     votes: OnceCell<Votes>,
+    pooled: OnceCell<PooledVote>,
     /// The last encodings, and the weights that they were made with.
     encodings: Option<(SpatialConfig, Encodings)>,
     /// Name of the encoder's weights; those of the random encoder only where there are no others.
@@ -157,6 +159,7 @@ impl<'a> StageTwo<'a> {
             views: inputs.training_views(),
             held_out: HeldOut::new(inputs),
             votes: OnceCell::new(),
+            pooled: OnceCell::new(),
             encodings: None,
             spatial: String::new(),
         }
@@ -183,12 +186,23 @@ impl<'a> StageTwo<'a> {
         })
     }
 
+    /// The vote, pooled over superpoints and calibrated.
+    fn pooled_vote(&self) -> Result<VariantOutcome> {
+        let identities = self.pooled()?.identities.clone();
+        let scores = self.held_out.score(&identities, self.inputs)?;
+        Ok(VariantOutcome {
+            identities: Some(identities),
+            ..VariantOutcome::new(Variant::PooledVote, scores)
+        })
+    }
+
     /// Identities that each Gaussian learns by itself.
     fn per_gaussian(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
         let config = &self.inputs.config.segmentation;
         let classes = self.inputs.scene.classes.len();
         let size = [self.inputs.gaussians.len(), classes];
         let plan = plan(Variant::PerGaussian, self.inputs)?;
+        self.views.use_raw_labels();
         let device = self.inputs.device.clone().autodiff();
         let model = PerGaussian::new(size, config.blend, &device);
         let rate = LR_PER_GAUSSIAN;
@@ -202,16 +216,43 @@ impl<'a> StageTwo<'a> {
         let plan = plan(variant, inputs)?;
         let input = self.encodings(variant)?.decoder_input(variant, inputs)?;
         let prior = self.prior()?;
+        match self.prior_kind()? {
+            Prior::Pooled => {
+                let pooled = self.pooled()?.identities.clone();
+                self.views.use_labels_of(&pooled, inputs.device);
+            }
+            Prior::None | Prior::Votes => self.views.use_raw_labels(),
+        }
         let training = decoder_training(variant, &plan, &input, prior, inputs, self.views.len());
         let rate = inputs.config.segmentation.lr;
         self.trained(variant, training, &plan, rate, progress)
     }
 
+    /// What decoders start from. Votes are not pooled where that would correct nothing, nor those of objects of association: two of
+    /// them may share a superpoint.
+    fn prior_kind(&self) -> Result<Prior> {
+        let config = self.inputs.config;
+        let prior = config.segmentation.prior;
+        if prior != Prior::Pooled {
+            return Ok(prior);
+        }
+        let objects = config.data.association == Association::Gaussians;
+        if objects || self.pooled()?.strength == 0.0 {
+            Ok(Prior::Votes)
+        } else {
+            Ok(prior)
+        }
+    }
+
     /// The scores that a decoder starts from, `[N, C]`.
     fn prior(&self) -> Result<Option<Vec<f32>>> {
-        match self.inputs.config.segmentation.prior {
+        match self.prior_kind()? {
             Prior::None => Ok(None),
             Prior::Votes => Ok(Some(self.votes()?.log_shares(VOTE_FLOOR))),
+            Prior::Pooled => {
+                let probabilities = self.pooled()?.identities.scores.iter();
+                Ok(Some(probabilities.map(|p| (p + VOTE_FLOOR).ln()).collect()))
+            }
         }
     }
 
@@ -230,6 +271,16 @@ impl<'a> StageTwo<'a> {
         let views = scene.split(Split::Train).filter(|v| v.raw.is_some());
         let votes = vote(gaussians, views, &scene.classes, settings, device)?;
         Ok(self.votes.get_or_init(|| votes))
+    }
+
+    /// The pooled and calibrated votes, made once.
+    fn pooled(&self) -> Result<&PooledVote> {
+        if let Some(pooled) = self.pooled.get() {
+            return Ok(pooled);
+        }
+        let exponent = self.inputs.config.segmentation.prior_exponent;
+        let pooled = pooled_vote(self.inputs.gaussians, self.votes()?, exponent)?;
+        Ok(self.pooled.get_or_init(|| pooled))
     }
 
     /// The encodings of the Gaussians (Eq. 6) by the weights that `variant` uses.

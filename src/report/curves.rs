@@ -14,6 +14,7 @@ pub(super) fn color(row: Variant) -> [u8; 3] {
     match row {
         Variant::Raw => [128, 131, 138],
         Variant::Vote => ORANGE,
+        Variant::PooledVote => [180, 148, 24],
         Variant::PerGaussian => [138, 95, 199],
         Variant::OursCe => [27, 145, 168],
         Variant::Ours => BLUE,

@@ -2,14 +2,17 @@
 
 use super::sampling::stratified_sample;
 use super::view_cache::ViewCache;
+use crate::backend::device::read;
 use crate::config::{Blend, SegmentationConfig};
 use crate::data::{Classes, LabelRuns, View};
 use crate::error::Result;
+use crate::objects::Identities;
 use crate::raster::Settings;
 use crate::segmentation::loss::Scores;
 use crate::segmentation::pixels::{FrozenGaussians, LabelledPixels};
+use crate::segmentation::pyramid::select;
 use crate::splat::Gaussians;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
 use rand::Rng;
 use std::sync::Arc;
 
@@ -53,6 +56,15 @@ pub struct TrainingViews<'a> {
     lookup: Vec<u16>,
     min_coverage: f32,
     samples: ViewCache<ViewSample>,
+    /// What replaces the raw labels.
+    replaced: Option<ReplacedLabels>,
+}
+
+/// Labels of the pixels by what identities say.
+struct ReplacedLabels {
+    /// `[N, C]`, without autodiff.
+    scores: Tensor<2>,
+    labels: ViewCache<Vec<u16>>,
 }
 
 impl<'a> TrainingViews<'a> {
@@ -72,7 +84,26 @@ impl<'a> TrainingViews<'a> {
             min_coverage: config.min_coverage as f32,
             samples: ViewCache::new(views.len(), config.weight_cache_mb << 20),
             views,
+            replaced: None,
         }
+    }
+
+    /// Pixels keep their raw labels from now on.
+    pub fn use_raw_labels(&mut self) {
+        self.replaced = None;
+    }
+
+    /// From now on, labelled pixels take the class of the largest blended score of `identities`. They keep their raw label where
+    /// the scores are all zero.
+    pub fn use_labels_of(&mut self, identities: &Identities, device: &Device) {
+        let classes = identities.classes;
+        let size = [identities.scores.len() / classes.max(1), classes];
+        let scores = TensorData::new(identities.scores.clone(), size);
+        self.replaced = Some(ReplacedLabels {
+            scores: Tensor::from_data(scores, device),
+            // Two bytes a pixel: less than a hundredth of what the weights take.
+            labels: ViewCache::new(self.views.len(), usize::MAX),
+        });
     }
 
     /// Number of views, those left out included.
@@ -97,7 +128,21 @@ impl<'a> TrainingViews<'a> {
     /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite; on a GPU those of
     /// [`crate::raster::SplatView::blend`].
     pub fn sample(&mut self, index: usize, share: f64, rng: &mut impl Rng) -> Result<ViewSample> {
-        let all = self.all_pixels(index)?;
+        let mut all = self.all_pixels(index)?;
+        if let Some(ReplacedLabels { scores, labels }) = &mut self.replaced {
+            let labels = labels.get(index, || {
+                let labels = largest_blended(scores, &all)?;
+                let bytes = 2 * labels.len();
+                Ok((labels, bytes))
+            })?;
+            all = Arc::new(ViewSample {
+                visible: all.visible.clone(),
+                pixels: LabelledPixels {
+                    weights: all.pixels.weights.clone(),
+                    labels,
+                },
+            });
+        }
         if share >= 1.0 {
             return Ok(ViewSample::clone(&all));
         }
@@ -126,4 +171,19 @@ impl<'a> TrainingViews<'a> {
             Ok((sample, bytes))
         })
     }
+}
+
+/// The class of the largest blended score of each pixel of `view`, its own label where all are zero.
+fn largest_blended(scores: &Tensor<2>, view: &ViewSample) -> Result<Vec<u16>> {
+    let classes = scores.dims()[1];
+    let blended = view.pixels.blend(select(scores, &view.visible))?;
+    let blended = read("labels of pixels", blended)?;
+    let rows = blended
+        .chunks_exact(classes.max(1))
+        .zip(view.pixels.labels.iter());
+    let label = |(row, &own): (&[f32], &u16)| {
+        let best = (0..classes).reduce(|a, b| if row[b] > row[a] { b } else { a });
+        best.filter(|&c| row[c] > 0.0).map_or(own, |c| c as u16)
+    };
+    Ok(rows.map(label).collect())
 }

@@ -47,7 +47,7 @@ const STILL: f64 = 1e-12;
 
 #[test]
 fn a_decoder_that_has_learned_nothing_stores_the_shares_of_the_votes() {
-    let outcome = trained(|s| s.lr = STILL);
+    let outcome = trained(|s| (s.lr, s.prior) = (STILL, Prior::Votes));
     let scene = &outcome.scene;
     let votes = vote(
         &outcome.gaussians,
@@ -82,6 +82,64 @@ fn a_decoder_that_has_learned_nothing_stores_the_shares_of_the_votes() {
         checked += usize::from(total > 0.0);
     }
     assert!(checked > 100, "{checked} Gaussians were voted on");
+}
+
+#[test]
+fn a_decoder_that_has_learned_nothing_stores_the_pooled_vote() {
+    let outcome = trained(|s| {
+        s.lr = STILL;
+        s.rows = Some(vec![Variant::PooledVote, Variant::Ours]);
+    });
+    let [pooled, ours] = [0, 1].map(|row: usize| outcome.rows[row].identities.as_ref().unwrap());
+    let (classes, floor) = (pooled.classes, 0.02_f32);
+    let rows = pooled.scores.chunks_exact(classes);
+    let mut known = 0;
+    for (pooled, stored) in rows.zip(ours.scores.chunks_exact(classes)) {
+        let sum: f32 = pooled.iter().sum();
+        assert!(sum == 0.0 || (sum - 1.0).abs() < 1e-5, "{pooled:?}");
+        for (p, s) in pooled.iter().zip(stored) {
+            let expected = (p + floor) / (sum + classes as f32 * floor);
+            assert!((s - expected).abs() < 1e-5, "{stored:?} of {pooled:?}");
+        }
+        known += usize::from(sum > 0.0);
+    }
+    assert!(known > 100, "{known} Gaussians are known");
+}
+
+#[test]
+fn labels_of_pixels_can_come_from_identities() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
+    let gaussians = initialization::from_points(&scene.points, 0, 2.0).expect("Gaussians");
+    let device = crate::support::device();
+    let mut views = TrainingViews::new(
+        &gaussians,
+        scene.split(Split::Train),
+        &scene.classes,
+        Settings::default(),
+        &SegmentationConfig::default(),
+        &device,
+    );
+    let classes = scene.classes.len();
+    let labels = |views: &mut TrainingViews| {
+        let sample = views.sample(0, 1.0, &mut stream(1, Purpose::Pixels, 0));
+        sample.expect("pixels").pixels.labels
+    };
+    let raw = labels(&mut views);
+    assert!(raw.len() > 100 && raw.iter().any(|&label| label != 1));
+    let of = |row: &[f32]| Identities {
+        scores: row.repeat(gaussians.len()),
+        classes,
+    };
+    let mut row = vec![0.1; classes];
+    row[1] = 0.5;
+    views.use_labels_of(&of(&row), &device);
+    assert!(labels(&mut views).iter().all(|&label| label == 1));
+    views.use_labels_of(&of(&vec![0.0; classes]), &device);
+    assert_eq!(labels(&mut views), raw, "nothing is known");
+    views.use_raw_labels();
+    assert_eq!(labels(&mut views), raw);
 }
 
 #[test]

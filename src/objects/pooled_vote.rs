@@ -1,0 +1,244 @@
+//! The pooled vote: raw labels vote for the surface patch that they show, not for single Gaussians.
+//!
+//! The class shares of a Gaussian are the mean of its own votes and of those of the superpoints that hold it, at several scales: a
+//! superpoint that reaches across two objects costs little then. [`Calibration`] corrects them for systematic errors.
+
+use super::calibration::{preference, strength};
+use super::superpoints::{Superpoints, SurfaceGraph};
+use super::{Calibration, Identities, Votes};
+use crate::error::Result;
+use crate::splat::Gaussians;
+use rayon::prelude::*;
+
+/// Nearest neighbours of each Gaussian in the graph of superpoints.
+const NEIGHBOURS: usize = 12;
+/// Scales of the superpoints. The calibration is fitted on those of [`FITTED`].
+const SCALES: [f64; 3] = [0.1, 0.3, 1.0];
+/// Index of the scale in the middle.
+const FITTED: usize = 1;
+/// Least number of Gaussians of a superpoint.
+const LEAST: usize = 5;
+
+/// Votes of superpoints.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PooledVotes {
+    /// Mean share of each class over the Gaussians with votes, `[S, C]` row-major; zeros where there are none.
+    pub shares: Vec<f64>,
+    /// Number of Gaussians with votes in each superpoint, `[S]`.
+    pub sizes: Vec<f64>,
+    /// C.
+    pub classes: usize,
+}
+
+impl PooledVotes {
+    /// Pools `votes` over `superpoints`. Each Gaussian with votes counts the same, however many pixels show it.
+    ///
+    /// # Panics
+    /// If the votes are of another number of Gaussians.
+    pub fn new(votes: &Votes, superpoints: &Superpoints) -> Self {
+        let (classes, count) = (votes.classes, superpoints.count);
+        assert_eq!(
+            votes.table.len(),
+            superpoints.of.len() * classes,
+            "one row of votes for each Gaussian"
+        );
+        let mut shares = vec![0.0; count * classes];
+        let mut sizes = vec![0.0; count];
+        let rows = votes.table.chunks_exact(classes.max(1));
+        for (row, &superpoint) in rows.zip(&superpoints.of) {
+            let superpoint = superpoint as usize;
+            if add_shares(&mut shares[superpoint * classes..][..classes], row) {
+                sizes[superpoint] += 1.0;
+            }
+        }
+        for (row, &size) in shares.chunks_exact_mut(classes.max(1)).zip(&sizes) {
+            row.iter_mut()
+                .for_each(|share| *share /= f64::max(size, 1.0));
+        }
+        Self {
+            shares,
+            sizes,
+            classes,
+        }
+    }
+
+    /// Shares and size of each superpoint.
+    pub fn rows(&self) -> impl Iterator<Item = (&[f64], f64)> {
+        let shares = self.shares.chunks_exact(self.classes.max(1));
+        shares.zip(self.sizes.iter().copied())
+    }
+
+    /// Shares of superpoint `index`.
+    fn row(&self, index: u32) -> &[f64] {
+        &self.shares[index as usize * self.classes..][..self.classes]
+    }
+}
+
+/// The pooled vote of a scene.
+#[derive(Clone, Debug)]
+pub struct PooledVote {
+    /// Class probabilities of each Gaussian; zeros where nothing was voted on it and its superpoints.
+    pub identities: Identities,
+    /// 1 where the votes are pooled and calibrated, 0 where they stay as they are, see [`strength`].
+    pub strength: f64,
+}
+
+/// Pools the votes of `gaussians` over superpoints and calibrates them, as far as the errors of the labels prefer frequent classes.
+/// Other labels keep the votes of each Gaussian by itself: these average their errors away. `exponent` is used for labels of any
+/// kind.
+///
+/// # Errors
+/// [`crate::Error::NonFinite`] when a centre is not finite.
+///
+/// # Panics
+/// If `votes` are of another number of Gaussians.
+pub fn pooled_vote(
+    gaussians: &Gaussians,
+    votes: &Votes,
+    exponent: Option<f64>,
+) -> Result<PooledVote> {
+    let classes = votes.classes;
+    let graph = SurfaceGraph::new(gaussians, NEIGHBOURS)?;
+    let preference = preference_inside(votes, &graph);
+    let strength = exponent.map_or_else(|| strength(preference), |_| 1.0);
+    let superpoints = SCALES.map(|scale| graph.superpoints(scale, LEAST));
+    let pooled = superpoints.each_ref().map(|s| PooledVotes::new(votes, s));
+    let calibration = Calibration::fit(&pooled[FITTED], exponent);
+    tracing::info!(
+        "{} superpoints; label errors prefer frequent classes by {preference:.2}, corrected by {strength:.2}",
+        superpoints[FITTED].count
+    );
+    let mut scores = vec![0.0; votes.table.len()];
+    let rows = scores
+        .par_chunks_exact_mut(classes.max(1))
+        .zip(votes.table.par_chunks_exact(classes.max(1)));
+    rows.enumerate().for_each(|(gaussian, (scores, own))| {
+        let mut shares = vec![0.0; classes];
+        let voted = add_shares(&mut shares, own);
+        let own = shares.clone();
+        for (pooled, superpoints) in pooled.iter().zip(&superpoints) {
+            let row = pooled.row(superpoints.of[gaussian]);
+            shares.iter_mut().zip(row).for_each(|(s, p)| *s += p);
+        }
+        calibration.apply(&mut shares);
+        let strength = if voted { strength } else { 1.0 };
+        for ((score, p), own) in scores.iter_mut().zip(shares).zip(own) {
+            *score = (strength * p + (1.0 - strength) * own) as f32;
+        }
+    });
+    let identities = Identities { scores, classes };
+    Ok(PooledVote {
+        identities,
+        strength,
+    })
+}
+
+/// The [`preference`] of the labels on Gaussians whose neighbours, and theirs, have the same winner: at the border of two objects
+/// both lose alike.
+fn preference_inside(votes: &Votes, graph: &SurfaceGraph) -> f64 {
+    let inside = graph.inside(&votes.winners());
+    let mut shares = vec![0.0; votes.table.len()];
+    let rows = shares.chunks_exact_mut(votes.classes.max(1));
+    for (row, votes) in rows.zip(votes.table.chunks_exact(votes.classes.max(1))) {
+        add_shares(row, votes);
+    }
+    let rows = shares.chunks_exact(votes.classes.max(1)).zip(inside);
+    preference(rows.filter(|row| row.1).map(|row| row.0), votes.classes)
+}
+
+/// Adds the class shares of `votes` to `sums`. Returns whether there are votes.
+fn add_shares(sums: &mut [f64], votes: &[f32]) -> bool {
+    let total: f64 = votes.iter().map(|&v| f64::from(v)).sum();
+    if total <= 0.0 {
+        return false;
+    }
+    let shares = votes.iter().map(|&v| f64::from(v) / total);
+    sums.iter_mut()
+        .zip(shares)
+        .for_each(|(sum, share)| *sum += share);
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// Two squares of 20 x 20 Gaussians side by side on one plane, the left one grey and the right one red.
+    fn squares() -> Gaussians {
+        let cells = (0..800).map(|i| (i % 40, i / 40));
+        let grey_or_red = |x: usize| {
+            if x < 20 {
+                [0.5, 0.5, 0.5]
+            } else {
+                [0.9, 0.2, 0.2]
+            }
+        };
+        let colors: Vec<[f32; 3]> = cells.clone().map(|(x, _)| grey_or_red(x)).collect();
+        let means: Vec<[f32; 3]> = cells
+            .map(|(x, y)| [x as f32 * 0.05, y as f32 * 0.05, 0.0])
+            .collect();
+        let n = means.len();
+        Gaussians {
+            means,
+            log_scales: vec![[-4.0; 3]; n],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            opacity_logits: vec![2.0; n],
+            sh: colors
+                .as_flattened()
+                .iter()
+                .map(|c| (c - 0.5) / crate::splat::SH_0)
+                .collect(),
+            sh_degree: 0,
+        }
+    }
+
+    #[test]
+    fn neighbours_on_a_surface_correct_a_noisy_vote() {
+        let gaussians = squares();
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let mut table = Vec::new();
+        for i in 0..gaussians.means.len() {
+            let class = usize::from(i % 40 >= 20);
+            // Three in ten are wrong; one in ten sees nothing.
+            let voted = if rng.random_bool(0.3) {
+                1 - class
+            } else {
+                class
+            };
+            let mut row = [0.0; 3];
+            row[voted] = if rng.random_bool(0.1) {
+                0.0
+            } else {
+                rng.random_range(1.0..9.0)
+            };
+            table.extend(row);
+        }
+        let votes = Votes { table, classes: 3 };
+        let identities = pooled_vote(&gaussians, &votes, Some(0.0))
+            .unwrap()
+            .identities;
+        for (i, row) in identities.scores.chunks_exact(3).enumerate() {
+            let class = usize::from(i % 40 >= 20);
+            assert!(row[class] > row[1 - class] && row[2] == 0.0, "{i}: {row:?}");
+            assert!((row.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{i}: {row:?}");
+        }
+    }
+
+    #[test]
+    fn each_gaussian_with_votes_counts_the_same() {
+        let superpoints = Superpoints {
+            of: vec![0, 0, 0, 1],
+            count: 2,
+        };
+        let votes = Votes {
+            table: vec![100.0, 0.0, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0],
+            classes: 2,
+        };
+        let pooled = PooledVotes::new(&votes, &superpoints);
+        assert_eq!(pooled.shares, [0.75, 0.25, 0.0, 0.0]);
+        assert_eq!(pooled.sizes, [2.0, 0.0]);
+        assert_eq!(pooled.row(0), [0.75, 0.25]);
+    }
+}
