@@ -2,7 +2,7 @@
 
 use super::scene_file::{CLASSES, copy_cameras, has_extension, read_scene, scene_path};
 use clap::Args;
-use coseg::data::{Classes, atomic};
+use coseg::data::{Classes, LoadOptions, atomic, check_output_file};
 use coseg::error::{Error, Result};
 use coseg::objects::{Object, inventory};
 use coseg::splat::ply::PlyScene;
@@ -47,6 +47,9 @@ impl ObjectSceneArgs {
     /// Checks that a scene with labels of `classes` can be written to `out`: a .ply file that overwrites neither what was
     /// read nor the class table of other labels.
     pub fn check_out(&self, out: &Path, scene: &ObjectScene, classes: &Classes) -> Result<()> {
+        if let Some(folder) = out.parent() {
+            check_output_file("--out", out, (folder, &LoadOptions::default()))?;
+        }
         let names = out.with_file_name(CLASSES);
         let found = || out.display().to_string();
         let is_read = |path: &PathBuf| atomic::same_file(path, out);

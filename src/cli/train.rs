@@ -1,5 +1,6 @@
 //! `coseg train`: the main job.
 
+use super::label::SegmenterArgs;
 use super::progress::Bars;
 use super::run_folder::RunFolder;
 use super::scene_file::scene_path;
@@ -12,7 +13,7 @@ use coseg::config::{Config, Variant};
 use coseg::data;
 use coseg::data::formats::transforms;
 use coseg::data::{LoadOptions, NamedCamera, Split, View, atomic};
-use coseg::error::Result;
+use coseg::error::{Error, Result};
 use coseg::pipeline;
 use coseg::pipeline::{Outcome, VariantOutcome};
 use coseg::report::{Command, Metrics, Report, held_out_views};
@@ -72,6 +73,11 @@ pub struct TrainArgs {
     /// 3DGS PLY of this or another trainer whose Gaussians to label, instead of building new ones
     #[arg(long, value_name = "FILE.ply|RUN", conflicts_with = "resume")]
     scene: Option<PathBuf>,
+    /// Label the photos first, by this semantic segmenter, into labels/ of the run folder; `coseg label --help`
+    #[arg(long, value_name = "FILE.onnx", conflicts_with = "resume")]
+    segmenter: Option<PathBuf>,
+    #[command(flatten)]
+    labelling: SegmenterArgs,
     /// Run folder to write [default: runs/NAME of the scene, numbered when taken]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -91,9 +97,12 @@ pub struct TrainArgs {
 impl TrainArgs {
     /// Trains or resumes, and writes the run folder unless the run is stopped.
     pub fn run(mut self) -> Result<ExitCode> {
-        let (run, config) = self.settle()?;
+        let (run, mut config) = self.settle()?;
         if let Some(dir) = &config.data.dir {
-            data::locate(dir, &LoadOptions::from(&config))?;
+            let options = LoadOptions::from(&config);
+            data::locate(dir, &options)?;
+            let renders = run.path().join("renders");
+            data::check_outputs("--out", &[run.path(), &renders], Some((dir, &options)))?;
         }
         let (backend, device) = device::choose(self.backend)?;
         let device_text = format!(
@@ -107,6 +116,10 @@ impl TrainArgs {
             run.path().display()
         ));
         interrupt::watch();
+        if self.label(&run, &mut config)? {
+            terminal::note("stopped; the same command continues");
+            return Ok(ExitCode::from(interrupt::EXIT));
+        }
         let command = Command {
             line: command_line(),
             device: device_text,
@@ -127,6 +140,28 @@ impl TrainArgs {
         terminal::say(&format!("report: {}", run.report_path().display()));
         terminal::say(&viewer);
         Ok(ExitCode::SUCCESS)
+    }
+
+    /// Labels the photos by the segmenter, if one is given; its labels become the raw ones. True where it was stopped.
+    fn label(&self, run: &RunFolder, config: &mut Config) -> Result<bool> {
+        let Some(model) = &self.segmenter else {
+            return self.labelling.expect_none().map(|()| false);
+        };
+        let Some(dir) = &config.data.dir else {
+            let expected = "a scene folder whose photos it labels";
+            return Err(Error::argument(
+                "--segmenter",
+                "the built-in room",
+                expected,
+                "add --data DIR",
+            ));
+        };
+        let labels = run.path().join("labels");
+        let scene = (dir.as_path(), &LoadOptions::from(&*config));
+        let done = self.labelling.label_for_training(scene, model, &labels)?;
+        let labels = labels.canonicalize().unwrap_or(labels);
+        config.data.raw_labels = labels.display().to_string();
+        Ok(done.stopped)
     }
 
     /// The run folder and the settings, with absolute paths: a run is resumed and scored from other folders too.

@@ -2,6 +2,7 @@
 
 pub mod dino_reference;
 pub mod linear_probe;
+pub mod onnx;
 pub mod plates;
 pub mod raster_reference;
 pub mod spoilt_masks;
