@@ -47,9 +47,6 @@ impl ObjectSceneArgs {
     /// Checks that a scene with labels of `classes` can be written to `out`: a .ply file that overwrites neither what was
     /// read nor the class table of other labels.
     pub fn check_out(&self, out: &Path, scene: &ObjectScene, classes: &Classes) -> Result<()> {
-        if let Some(folder) = out.parent() {
-            check_output_file("--out", out, (folder, &LoadOptions::default()))?;
-        }
         let names = out.with_file_name(CLASSES);
         let found = || out.display().to_string();
         let is_read = |path: &PathBuf| atomic::same_file(path, out);
@@ -61,6 +58,9 @@ impl ObjectSceneArgs {
                 expected,
                 "name a new file",
             ));
+        }
+        if let Some(folder) = out.parent() {
+            check_output_file("--out", out, (folder, &LoadOptions::default()))?;
         }
         if !has_extension(out, "ply") {
             let help = "end the name in .ply; other tools convert that to their formats";

@@ -359,7 +359,7 @@ fn typed(proto: &ModelProto, contract: &Contract) -> Result<TypedModel, TractErr
     let onnx = tract_onnx::onnx().with_ignore_value_info(true);
     let mut model = onnx.model_for_proto_model(proto)?;
     let shape = contract.input_shape();
-    model.set_input_fact(0, InferenceFact::dt_shape(f32::datum_type(), &shape))?;
+    model.set_input_fact(0, InferenceFact::dt_shape(f32::datum_type(), shape))?;
     model.into_typed()
 }
 
