@@ -40,6 +40,7 @@ The run folder gets
   cameras.json   the views as a transforms.json, for render and objects
   config.toml    all settings as run
   renders/       held-out views: colour, labels, error maps
+  labels/        with --segmenter: label maps and scores of all photos, as `coseg label` writes them
   checkpoint/    what --resume goes on from
 
 Ctrl-C, or SIGTERM, saves a checkpoint and stops after the step or view; a second one stops at once. The report and all else that
@@ -58,6 +59,7 @@ Examples:
   coseg train --data scenes/living --set data.raw_labels=labels_raw --set segmentation.rows=raw,vote,ours
   coseg train --config configs/fox.toml --data scenes/fox --out runs/fox
   coseg train --data scenes/fox --set features.source=dino --set features.weights=dino_deitsmall8_pretrain.pth
+  coseg train --data scenes/fox --segmenter net.onnx --classes mine.toml      photos alone: labels them first
   coseg train --data scenes/fox --scene other/point_cloud.ply          stage two alone, on Gaussians of another trainer
   coseg train --data scenes/fox --scene other/point_cloud.ply --set building.iterations=2000      trained further first
   coseg train --resume runs/fox

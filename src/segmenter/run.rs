@@ -93,10 +93,8 @@ impl Logits {
     fn mapped<'a>(&self, mapping: &'a Mapping) -> Mapped<'a> {
         let (classes, channels) = (mapping.channels.len(), mapping.ids.len());
         let cells = self.width * self.height;
-        let (mut values, mut listed) = (
-            Vec::with_capacity(cells * channels),
-            Vec::with_capacity(cells),
-        );
+        let mut values = Vec::with_capacity(cells * channels);
+        let mut listed = Vec::with_capacity(cells);
         let keeps_all = mapping
             .channels
             .iter()
@@ -104,20 +102,12 @@ impl Logits {
             .all(|(class, channel)| *channel == Some(class));
         let mut sums = vec![0.0_f32; channels];
         for cell in self.values.chunks_exact(classes) {
-            let most = match self.kind {
-                Values::Logits => cell.iter().copied().fold(f32::NEG_INFINITY, f32::max),
-                Values::Probabilities => 0.0,
-            };
-            let weight = |value: f32| match self.kind {
-                Values::Logits => (value - most).exp(),
-                Values::Probabilities => value.max(0.0),
-            };
+            let weights = weights(cell, self.kind);
+            let all: f32 = weights.iter().sum();
             sums.fill(0.0);
-            let mut all = 0.0;
-            for (&value, channel) in cell.iter().zip(&mapping.channels) {
-                all += weight(value);
+            for (weight, channel) in weights.iter().zip(&mapping.channels) {
                 if let Some(channel) = channel {
-                    sums[*channel] += weight(value);
+                    sums[*channel] += weight;
                 }
             }
             listed.push(if all > 0.0 {
@@ -128,10 +118,11 @@ impl Logits {
             match self.kind {
                 // A class of its own keeps its logit.
                 Values::Logits if keeps_all => values.extend_from_slice(cell),
-                Values::Logits => values.extend(
-                    sums.iter()
-                        .map(|sum| most + sum.max(f32::MIN_POSITIVE).ln()),
-                ),
+                Values::Logits => {
+                    let most = largest(cell);
+                    let logit = |sum: &f32| most + sum.max(f32::MIN_POSITIVE).ln();
+                    values.extend(sums.iter().map(logit));
+                }
                 Values::Probabilities => values.extend_from_slice(&sums),
             }
         }
@@ -182,7 +173,8 @@ impl Mapped<'_> {
         let channels = self.mapping.ids.len();
         let columns = Between::axis(&self.grid, 0, self.width);
         let mut ids = Vec::with_capacity(self.grid.photo[0] * self.grid.photo[1]);
-        let (mut row, mut listed) = (Vec::new(), Vec::new());
+        let mut row = Vec::new();
+        let mut listed = Vec::new();
         let mut candidates = Vec::new();
         for down in Between::axis(&self.grid, 1, self.height) {
             self.blend_rows(down, &self.values, channels, &mut row);
@@ -230,10 +222,8 @@ impl Mapped<'_> {
         let block = self.width.max(self.height).div_ceil(MOST_CELLS);
         let [width, height] = [self.width, self.height].map(|n| n.div_ceil(block));
         let classes = best.clamp(1, self.mapping.ids.len());
-        let (mut ids, mut probabilities) = (
-            vec![0; classes * width * height],
-            vec![0; classes * width * height],
-        );
+        let mut ids = vec![0; classes * width * height];
+        let mut probabilities = vec![0; classes * width * height];
         let mut sums = vec![0.0_f32; self.mapping.ids.len()];
         let mut order: Vec<usize> = Vec::new();
         for cell in 0..width * height {
@@ -286,19 +276,29 @@ impl Mapped<'_> {
                     continue;
                 }
                 let values = &self.values[cell * sums.len()..][..sums.len()];
-                let most = values.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-                let weight = |value: f32| match self.kind {
-                    Values::Logits => (value - most).exp(),
-                    Values::Probabilities => value,
-                };
-                let all: f32 = values.iter().map(|&value| weight(value)).sum();
+                let weights = weights(values, self.kind);
+                let all: f32 = weights.iter().sum();
                 sums.iter_mut()
-                    .zip(values)
-                    .for_each(|(sum, &value)| *sum += weight(value) / all);
+                    .zip(weights)
+                    .for_each(|(sum, weight)| *sum += weight / all);
             }
         }
         sums.iter_mut().for_each(|sum| *sum /= cells);
     }
+}
+
+/// Probabilities up to a common factor.
+fn weights(values: &[f32], kind: Values) -> Vec<f32> {
+    let most = largest(values);
+    let weight = |value: &f32| match kind {
+        Values::Logits => (value - most).exp(),
+        Values::Probabilities => value.max(0.0),
+    };
+    values.iter().map(weight).collect()
+}
+
+fn largest(values: &[f32]) -> f32 {
+    values.iter().copied().fold(f32::NEG_INFINITY, f32::max)
 }
 
 /// The channels that can be the highest somewhere between two cells: those that reach the best lower end.

@@ -56,14 +56,14 @@ impl Placement {
     /// Where a point of the view lies on the photo, as shares of its width and height.
     fn shares(&self, x: f64, y: f64) -> [f64; 2] {
         let [width, height] = self.photo.map(|n| n as f64);
-        let (mut u, mut v) = (
+        let mut point = (
             x / self.view[0] as f64 * width,
             y / self.view[1] as f64 * height,
         );
         if let Some(undistortion) = &self.undistortion {
-            (u, v) = undistortion.source(u, v);
+            point = undistortion.source(point.0, point.1);
         }
-        [u / width, v / height]
+        [point.0 / width, point.1 / height]
     }
 }
 
