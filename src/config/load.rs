@@ -175,6 +175,7 @@ fn template() -> Result<Table> {
     other.spatial.source = SpatialSource::Pretrained(path());
     other.segmentation.loss = LabelLoss::Js { pi_rl: 0.9 };
     let mut third = full.clone();
+    third.features.source = FeatureSource::Segmenter("tensor".to_owned());
     third.segmentation.loss = LabelLoss::Gjs { pi_rl: 0.9 };
     let mut union = Table::new();
     for config in [full, other, third] {

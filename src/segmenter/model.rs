@@ -1,25 +1,22 @@
 //! The network: an ONNX file that fits its contract.
 
 use super::contract::Contract;
+use super::graph::{self, OTHER, one_line};
 use crate::error::{Error, Result, invalid};
 use sha2::{Digest, Sha256};
 use std::cell::Cell;
-use std::collections::HashSet;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use tract_onnx::pb::{GraphProto, ModelProto, TensorProto, ValueInfoProto};
-use tract_onnx::pb::{tensor_proto, tensor_shape_proto, type_proto};
+use tract_onnx::pb::ModelProto;
 use tract_onnx::prelude::{
     Datum, Framework, InferenceFact, InferenceModelExt, IntoRunnable, Tensor, TractError,
-    TypedModel, TypedRunnableModel, tvec,
+    TypedFact, TypedModel, TypedRunnableModel, tvec,
 };
 
 /// Most values of a tensor within a network: 4 GB.
 const LARGEST: u128 = 1 << 30;
-/// What to do about a network that does not fit.
-const OTHER: &str = "choose the contract of this network (--contract), or export the network again";
 
 /// A network that was read and prepared for one size of input.
 pub struct Network {
@@ -30,6 +27,8 @@ pub struct Network {
     /// SHA-256 of the file, in hexadecimal digits.
     pub digest: String,
     output: String,
+    /// Shape of the output.
+    shape: [usize; 4],
     plan: Arc<TypedRunnableModel>,
 }
 
@@ -49,31 +48,30 @@ impl Network {
     /// files or do not fill their shapes, operators that are not implemented, inputs and outputs of other names, types
     /// or shapes than the contract says; [`Error::Limit`] for tensors of more than 4 GB.
     pub fn load(file: &Path, contract: Contract) -> Result<Self> {
+        Self::open(file, contract, None)
+    }
+
+    /// [`Network::load`] with `tensor` for the output: any tensor within the network that has four dimensions.
+    pub(super) fn open(file: &Path, contract: Contract, tensor: Option<&str>) -> Result<Self> {
         let bytes = std::fs::read(file).map_err(|e| Error::io(file, "read", e))?;
         let digest = format!("{:x}", Sha256::digest(&bytes));
-        let mut proto = decode(file, &bytes)?;
+        let (proto, output) = graph::read(file, &bytes, &contract, tensor)?;
         drop(bytes);
-        let graph = proto
-            .graph
-            .as_mut()
-            .ok_or_else(|| not_onnx(file, "a file without a graph"))?;
-        graph
-            .initializer
-            .iter()
-            .try_for_each(|weights| check_weights(file, weights))?;
-        check_operators(file, graph)?;
-        check_input(file, graph, &contract)?;
-        let output = choose_output(file, graph, contract.output.tensor.as_deref())?;
         let typed = guarded(file, || typed(&proto, &contract))?;
         drop(proto);
         check_sizes(file, &typed)?;
-        check_output(file, &typed, &output, &contract)?;
+        let fact = guarded(file, || typed.output_fact(0).cloned())?;
+        let shape = match tensor {
+            None => check_output(file, &fact, &output, &contract)?,
+            Some(_) => shape_of_map(file, &fact, &output)?,
+        };
         let plan = guarded(file, || typed.into_optimized()?.into_runnable())?;
         Ok(Self {
             contract,
             file: file.to_owned(),
             digest,
             output,
+            shape,
             plan,
         })
     }
@@ -95,7 +93,7 @@ impl Network {
             ))
         });
         let (shape, values) = outputs?;
-        if shape != self.contract.output_shape() {
+        if shape != self.shape {
             return Err(wrong_output(
                 &self.file,
                 &self.output,
@@ -110,10 +108,15 @@ impl Network {
         }
     }
 
+    /// Shape of the output.
+    pub(super) fn shape(&self) -> [usize; 4] {
+        self.shape
+    }
+
     /// Bytes of memory that a photo takes while the network runs, about: the largest layer with its inputs, twice.
     pub(super) fn working_bytes(&self) -> usize {
         let model = self.plan.model();
-        let volume = |fact: &tract_onnx::prelude::TypedFact| {
+        let volume = |fact: &TypedFact| {
             let shape = fact.shape.as_concrete().unwrap_or_default();
             shape.iter().product::<usize>()
         };
@@ -155,204 +158,6 @@ fn guarded<T>(file: &Path, work: impl FnOnce() -> Result<T, TractError>) -> Resu
     )
 }
 
-fn one_line(text: &str) -> String {
-    let line: String = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    line.chars().take(400).collect()
-}
-
-fn not_onnx(file: &Path, found: &str) -> Error {
-    invalid!(file, "model"; found "{found}"; expected "an ONNX network"; help "copy or export it again")
-}
-
-fn decode(file: &Path, bytes: &[u8]) -> Result<ModelProto> {
-    if let Some(kind) = crate::files::kind(bytes) {
-        return Err(not_onnx(file, kind));
-    }
-    let proto = tract_onnx::onnx().proto_model_for_read(&mut &*bytes);
-    proto.map_err(|e| {
-        let found = format!(
-            "{} bytes that are damaged or cut off ({})",
-            bytes.len(),
-            one_line(&format!("{e:#}"))
-        );
-        not_onnx(file, &found)
-    })
-}
-
-/// Refuses weights that do not fill their shape.
-fn check_weights(file: &Path, weights: &TensorProto) -> Result<()> {
-    let name = &weights.name;
-    if weights.data_location == Some(tensor_proto::DataLocation::External as i32) {
-        return Err(
-            invalid!(file, "tensor {name}"; found "weights in another file"; expected "weights in this file";
-            help "save the network as one file; in Python: onnx.save(onnx.load(path), path)"),
-        );
-    }
-    let shape = &weights.dims;
-    let volume = shape.iter().try_fold(1_u128, |all, &side| {
-        all.checked_mul(u128::try_from(side).ok()?)
-    });
-    let stored = [
-        weights.float_data.len(),
-        weights.int32_data.len(),
-        weights.int64_data.len(),
-        weights.double_data.len(),
-        weights.uint64_data.len(),
-        weights.string_data.len(),
-    ];
-    let raw = weights.raw_data.len() as u128;
-    let bytes = value_bytes(weights.data_type);
-    let fits = volume.is_some_and(|volume| {
-        let is_raw = bytes.is_some_and(|bytes| Some(raw) == volume.checked_mul(bytes));
-        if raw > 0 {
-            is_raw
-        } else {
-            volume == stored.iter().map(|n| *n as u128).sum::<u128>()
-        }
-    });
-    if fits {
-        return Ok(());
-    }
-    Err(
-        invalid!(file, "tensor {name}"; found "shape {shape:?} with {raw} bytes, {} numbers", stored.iter().sum::<usize>();
-        expected "as many values as the shape has"; help "copy or export the network again"),
-    )
-}
-
-/// Bytes of a value of an ONNX type.
-fn value_bytes(kind: i32) -> Option<u128> {
-    use tensor_proto::DataType as Type;
-    Some(match Type::try_from(kind).ok()? {
-        Type::Uint8 | Type::Int8 | Type::Bool => 1,
-        Type::Uint16 | Type::Int16 | Type::Float16 | Type::Bfloat16 => 2,
-        Type::Float | Type::Int32 | Type::Uint32 => 4,
-        Type::Double | Type::Int64 | Type::Uint64 => 8,
-        _ => return None,
-    })
-}
-
-fn check_operators(file: &Path, graph: &GraphProto) -> Result<()> {
-    let known = tract_onnx::onnx().op_register.0;
-    let unknown = graph
-        .node
-        .iter()
-        .find(|node| !known.contains_key(&node.op_type));
-    unknown.map_or(Ok(()), |node| {
-        Err(
-            invalid!(file, "operator {:?}", node.name; found "{:?}", node.op_type; expected "an operator that tract implements";
-            help "export the network with other operators or another opset"),
-        )
-    })
-}
-
-/// Refuses a network whose inputs are not the one of the contract.
-fn check_input(file: &Path, graph: &GraphProto, contract: &Contract) -> Result<()> {
-    let weights: HashSet<&str> = graph
-        .initializer
-        .iter()
-        .map(|weights| weights.name.as_str())
-        .collect();
-    let inputs: Vec<&ValueInfoProto> = graph
-        .input
-        .iter()
-        .filter(|input| !weights.contains(input.name.as_str()))
-        .collect();
-    let named = |input: &ValueInfoProto| {
-        contract
-            .input
-            .tensor
-            .as_ref()
-            .is_none_or(|name| *name == input.name)
-    };
-    let [input] = inputs[..] else {
-        return Err(
-            invalid!(file, "inputs"; found "{}", described(&inputs); expected "one input"; help "{OTHER}"),
-        );
-    };
-    if !named(input) {
-        let expected = contract.input.tensor.as_deref().unwrap_or_default();
-        return Err(invalid!(file, "inputs"; found "{}", described(&inputs);
-            expected "{expected:?}, as {} says", contract.file.display(); help "{OTHER}"));
-    }
-    let expected = contract.input_shape();
-    let declared = shape(input);
-    let fits = declared.as_ref().is_none_or(|declared| {
-        let same = |(found, expected): (&Option<i64>, &usize)| {
-            found.is_none_or(|found| found == *expected as i64)
-        };
-        declared.len() == expected.len() && declared.iter().zip(&expected).all(same)
-    });
-    if fits {
-        return Ok(());
-    }
-    Err(
-        invalid!(file, "tensor {}", input.name; found "shape {}", shape_text(declared.as_deref());
-        expected "{expected:?}, as {} says", contract.file.display(); help "{OTHER}"),
-    )
-}
-
-/// Makes the named output, or the only one, the network's only output; returns its name.
-fn choose_output(file: &Path, graph: &mut GraphProto, name: Option<&str>) -> Result<String> {
-    let outputs: Vec<&ValueInfoProto> = graph.output.iter().collect();
-    let name = match (name, &outputs[..]) {
-        (Some(name), _) if outputs.iter().any(|output| output.name == name) => name.to_owned(),
-        (None, [output]) => output.name.clone(),
-        (name, _) => {
-            let expected = name.map_or(
-                "one output, or its name in the contract".to_owned(),
-                |name| format!("{name:?}"),
-            );
-            return Err(
-                invalid!(file, "outputs"; found "{}", described(&outputs); expected "{expected}"; help "{OTHER}"),
-            );
-        }
-    };
-    // The library takes this for granted.
-    let made = graph.node.iter().flat_map(|node| &node.output);
-    let given = graph.input.iter().map(|input| &input.name);
-    if !made.chain(given).any(|made| *made == name) {
-        return Err(
-            invalid!(file, "tensor {name}"; found "no operator that makes it"; expected "an output of the graph"; help "{OTHER}"),
-        );
-    }
-    graph.output.retain(|output| output.name == name);
-    graph.output.truncate(1);
-    Ok(name)
-}
-
-/// Names and shapes of inputs or outputs.
-fn described(all: &[&ValueInfoProto]) -> String {
-    let each = all
-        .iter()
-        .map(|one| format!("{} {}", one.name, shape_text(shape(one).as_deref())));
-    let text = each.collect::<Vec<_>>().join(", ");
-    if text.is_empty() {
-        "none".to_owned()
-    } else {
-        text
-    }
-}
-
-/// The declared dimensions; `None` for those that are open.
-fn shape(value: &ValueInfoProto) -> Option<Vec<Option<i64>>> {
-    let type_proto::Value::TensorType(tensor) = value.r#type.as_ref()?.value.as_ref()?;
-    let side = |side: &tensor_shape_proto::Dimension| match side.value {
-        Some(tensor_shape_proto::dimension::Value::DimValue(side)) if side >= 0 => Some(side),
-        _ => None,
-    };
-    Some(tensor.shape.as_ref()?.dim.iter().map(side).collect())
-}
-
-fn shape_text(shape: Option<&[Option<i64>]>) -> String {
-    let side = |side: &Option<i64>| side.map_or("?".to_owned(), |side| side.to_string());
-    shape.map_or("of open shape".to_owned(), |shape| {
-        format!(
-            "[{}]",
-            shape.iter().map(side).collect::<Vec<_>>().join(", ")
-        )
-    })
-}
-
 /// The network for the contract's input.
 fn typed(proto: &ModelProto, contract: &Contract) -> Result<TypedModel, TractError> {
     // Declared shapes within the graph may be of another batch or size.
@@ -390,23 +195,36 @@ fn check_sizes(file: &Path, model: &TypedModel) -> Result<()> {
     Ok(())
 }
 
-fn check_output(file: &Path, model: &TypedModel, name: &str, contract: &Contract) -> Result<()> {
-    let fact = guarded(file, || model.output_fact(0).cloned())?;
+/// The shape of the output, which must be the contract's.
+fn check_output(
+    file: &Path,
+    fact: &TypedFact,
+    name: &str,
+    contract: &Contract,
+) -> Result<[usize; 4]> {
     let expected = contract.output_shape();
-    if fact.datum_type == f32::datum_type()
-        && fact
-            .shape
-            .as_concrete()
-            .is_some_and(|shape| shape == expected)
-    {
-        return Ok(());
+    let fits =
+        fact.datum_type == f32::datum_type() && fact.shape.as_concrete() == Some(&expected[..]);
+    if fits {
+        return Ok(expected);
     }
-    Err(wrong_output(
-        file,
-        name,
-        format!("{:?} {:?}", fact.datum_type, fact.shape),
-        contract,
-    ))
+    let found = format!("{:?} {:?}", fact.datum_type, fact.shape);
+    Err(wrong_output(file, name, found, contract))
+}
+
+/// The shape of a tensor within the network, which must be one map of a photo.
+fn shape_of_map(file: &Path, fact: &TypedFact, name: &str) -> Result<[usize; 4]> {
+    let shape = fact
+        .shape
+        .as_concrete()
+        .and_then(|shape| <[usize; 4]>::try_from(shape).ok());
+    let is_map = |shape: &[usize; 4]| {
+        fact.datum_type == f32::datum_type() && shape[0] == 1 && !shape.contains(&0)
+    };
+    shape.filter(is_map).ok_or_else(|| {
+        invalid!(file, "tensor {name}"; found "{:?} {:?}", fact.datum_type, fact.shape; expected "F32 [1, channels, rows, columns]";
+            help "name another tensor")
+    })
 }
 
 fn wrong_output(file: &Path, name: &str, found: String, contract: &Contract) -> Error {
