@@ -195,6 +195,13 @@ fn check_sizes(file: &Path, model: &TypedModel) -> Result<()> {
     Ok(())
 }
 
+/// Type and shape of a tensor.
+fn described(fact: &TypedFact) -> String {
+    let shape = fact.shape.as_concrete();
+    let shape = shape.map_or_else(|| format!("{:?}", fact.shape), |shape| format!("{shape:?}"));
+    format!("{:?} {shape}", fact.datum_type)
+}
+
 /// The shape of the output, which must be the contract's.
 fn check_output(
     file: &Path,
@@ -208,8 +215,7 @@ fn check_output(
     if fits {
         return Ok(expected);
     }
-    let found = format!("{:?} {:?}", fact.datum_type, fact.shape);
-    Err(wrong_output(file, name, found, contract))
+    Err(wrong_output(file, name, described(fact), contract))
 }
 
 /// The shape of a tensor within the network, which must be one map of a photo.
@@ -222,7 +228,7 @@ fn shape_of_map(file: &Path, fact: &TypedFact, name: &str) -> Result<[usize; 4]>
         fact.datum_type == f32::datum_type() && shape[0] == 1 && !shape.contains(&0)
     };
     shape.filter(is_map).ok_or_else(|| {
-        invalid!(file, "tensor {name}"; found "{:?} {:?}", fact.datum_type, fact.shape; expected "F32 [1, channels, rows, columns]";
+        invalid!(file, "tensor {name}"; found "{}", described(fact); expected "F32 [1, channels, rows, columns]";
             help "name another tensor")
     })
 }

@@ -82,6 +82,8 @@ fn damaged_files_are_errors() {
             }
         }
     }
+    let longer = [&bytes[..], &[0]].concat();
+    assert_names(&read(&longer).expect_err("longer"), &["more behind the end"]);
     assert_names(&read(b"\x89PNG").expect_err("a PNG"), &["a.scores", "compressed data"]);
     assert!(ScoreMap::read(&folder.path().join("none.scores"), &Limits::default()).is_err());
 }

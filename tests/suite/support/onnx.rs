@@ -65,7 +65,7 @@ impl Onnx {
             [-20.0, -20.0, 40.0],
             [0.0, 0.0, 0.0],
         ];
-        let bias: [f32; 5] = [8.0, 0.0, 0.0, 0.0, 6.0];
+        let bias: [f32; 5] = [24.0, 0.0, 0.0, 0.0, 18.0];
         let cell = STRIDE * STRIDE;
         let weights = matrix
             .iter()

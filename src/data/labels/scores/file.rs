@@ -3,20 +3,20 @@
 use crate::data::{Limits, atomic};
 use crate::error::{Error, Result, invalid};
 use crate::files::check_limit;
-use flate2::Compression;
-use flate2::read::ZlibDecoder;
 use flate2::write::ZlibEncoder;
+use flate2::{Compression, Decompress, FlushDecompress, Status};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
-use std::fs::File;
-use std::io::{self, Read, Write};
+use std::io::{self, Write};
 use std::path::Path;
 
 /// Key of the metadata: `Header` as JSON.
 const KEY: &str = "coseg scores 1";
 /// Most bytes of the names, shapes and metadata in front of the tensors.
 const HEADER: u64 = 1 << 16;
+/// Bytes by which the memory of the content grows.
+const CHUNK: usize = 1 << 16;
 /// What to do about a file that is damaged.
 const AGAIN: &str = "delete it and run `coseg label` again, or copy it again";
 
@@ -203,24 +203,33 @@ impl ScoreMap {
     }
 }
 
-/// The bytes of a compressed file, no more than scores within `limits` take.
+/// The bytes of a compressed file, no more than scores within `limits` take. The file must end where its stream does.
 fn inflate(path: &Path, limits: &Limits) -> Result<Vec<u8>> {
-    let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
     let most = limits.image_pixels.saturating_mul(3).saturating_add(HEADER);
+    let help = "store fewer classes of each cell";
+    let size = std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;
+    check_limit(path, "bytes", size.len(), most, help)?;
+    let file = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let damaged = |found: String| invalid!(path, "compressed data"; found "{found}"; expected "a complete file of scores"; help "{AGAIN}");
+    let mut decoder = Decompress::new(true);
     let mut bytes = Vec::new();
-    let read = ZlibDecoder::new(file)
-        .take(most + 1)
-        .read_to_end(&mut bytes);
-    read.map_err(|e| {
-        invalid!(path, "compressed data"; found "{e}"; expected "a complete file of scores"; help "{AGAIN}")
-    })?;
-    check_limit(
-        path,
-        "bytes",
-        bytes.len() as u64,
-        most,
-        "store fewer classes of each cell",
-    )?;
+    loop {
+        bytes.reserve(CHUNK);
+        let (read, written) = (decoder.total_in(), decoder.total_out());
+        let rest = &file[read as usize..];
+        let status = decoder.decompress_vec(rest, &mut bytes, FlushDecompress::None);
+        let status = status.map_err(|e| damaged(e.to_string()))?;
+        check_limit(path, "bytes", bytes.len() as u64, most, help)?;
+        if status == Status::StreamEnd {
+            break;
+        }
+        if (decoder.total_in(), decoder.total_out()) == (read, written) {
+            return Err(damaged(format!("{} bytes without the end", file.len())));
+        }
+    }
+    if decoder.total_in() != file.len() as u64 {
+        return Err(damaged("more behind the end".to_owned()));
+    }
     Ok(bytes)
 }
 
