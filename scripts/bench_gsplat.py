@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""gsplat on what `coseg bench` renders: the same Gaussians, cameras and cases, for a comparison in one sitting.
+"""gsplat on what the benchmark `raster` renders: the same Gaussians, cameras and cases, for a comparison in one sitting.
 
-    coseg bench --backend wgpu --only raster --run RUN --gaussians 100000 --export subject --json coseg.json
+    cargo bench --features wgpu --bench raster -- RUN --backend wgpu --gaussians 100000 --export subject --json coseg.json
     coseg render --backend wgpu --scene subject/gaussians_100000.ply --cameras subject/cameras_480x360.json --out pictures --format npy
     python3 scripts/bench_gsplat.py subject --against coseg.json --pictures pictures [--json gsplat.json]
 
@@ -30,7 +30,7 @@ from gsplat import (
 
 TYPES = {"float": "<f4", "float32": "<f4", "double": "<f8", "float64": "<f8", "uchar": "u1", "uint8": "u1",
          "ushort": "<u2", "uint16": "<u2", "int": "<i4", "int32": "<i4", "uint": "<u4", "uint32": "<u4"}
-# Name, whether colour comes from SH, channels besides: the cases of the section `raster`.
+# Name, whether colour comes from SH, channels besides: the cases of benches/raster.rs.
 CASES = [("RGB", True, 0), ("RGB + 20 classes", True, 20), ("64 channels", False, 64)]
 
 
@@ -113,7 +113,7 @@ def smallest(subject):
     """Gaussians and cameras of the smallest case."""
     found = plys(subject)[:1] + camera_files(subject)[:1]
     if len(found) < 2:
-        sys.exit(f"{subject}: no gaussians_N.ply beside cameras_WxH.json; write them with coseg bench --export")
+        sys.exit(f"{subject}: no gaussians_N.ply beside cameras_WxH.json; write them with `cargo bench --bench raster -- RUN --export`")
     return found
 
 
@@ -182,8 +182,8 @@ def measure(g, views, colour, channels, repeats, packed):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("subject", type=Path, help="folder that `coseg bench --export` wrote")
-    parser.add_argument("--against", type=Path, help="figures of `coseg bench --json`")
+    parser.add_argument("subject", type=Path, help="folder that `--export` of the benchmark wrote")
+    parser.add_argument("--against", type=Path, help="figures that `--json` of the benchmark wrote")
     parser.add_argument("--pictures", type=Path, help="folder of what `coseg render` made of the smallest case, as npy")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--packed", action="store_true", help="gsplat's packed mode: less memory, usually slower")
@@ -194,7 +194,7 @@ def main():
         against = json.loads(args.against.read_text())
         print(f"coseg: {against['machine']}")
         for section in against["sections"]:
-            ours |= {(f["case"], f["name"]): f["median"] for f in section["figures"] if section["section"] == "raster"}
+            ours |= {(section["gaussians"], f["name"]): f["median"] for f in section["figures"]}
     mode = "packed" if args.packed else "not packed"
     print(f"gsplat {gsplat.__version__}, PyTorch {torch.__version__}, {device}, {mode}")
     smallest(args.subject)  # or the message that nothing was exported
@@ -212,7 +212,7 @@ def main():
                     print(f"{case}: left out, {str(error).splitlines()[0]}")
                     continue
                 for what, ms in zip(("forward", "forward + backward"), times):
-                    coseg = ours.get((case, what))
+                    coseg = ours.get((len(g["means"]), f"{cameras.stem[8:]}, {name}: {what}"))
                     beside = f"   coseg {coseg:9.3f} ms, x{ms / coseg:.2f}" if coseg else ""
                     print(f"{case:<52} {what:<19} {ms:9.3f} ms{beside}", flush=True)
                     found.append({"case": case, "name": what, "unit": "ms", "median": ms, "coseg": coseg})

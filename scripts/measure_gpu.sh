@@ -4,7 +4,8 @@
 #     scripts/measure_gpu.sh [OUT]            OUT is `measured` by default
 #
 # COSEG and SUITE name binaries that were built elsewhere (`cargo build`, and the two of `cargo test --no-run --lib --test suite`,
-# each with --release --features wgpu); without them the script builds here. wgpu falls back to a software adapter where the
+# each with --release --features wgpu), and RASTER the one of `cargo bench --no-run --bench raster`; without them the script
+# builds here. wgpu falls back to a software adapter where the
 # GPU's driver has no Vulkan; the script refuses that unless SOFTWARE=1. Where Python has PyTorch with CUDA and gsplat, gsplat
 # is timed on the same Gaussians and cameras. Each step leaves a log. A step that fails does not stop the others.
 set -uo pipefail
@@ -43,8 +44,10 @@ parity() {
 step parity parity
 
 step train "$COSEG" train --backend wgpu --out "$out/run"
-step bench "$COSEG" bench --backend wgpu --run "$out/run" --gaussians 10000,100000,1000000 \
-  --export "$out/subject" --json "$out/coseg.json"
+step bench "$COSEG" bench --backend wgpu --run "$out/run" --gaussians 10000,100000,1000000 --json "$out/bench.json"
+# Cargo runs benchmarks in the folder of the package.
+step raster ${RASTER:-cargo bench --features wgpu --bench raster --} "$(realpath "$out")/run" --backend wgpu \
+  --gaussians 10000,100000,1000000 --export "$(realpath "$out")/subject" --json "$(realpath "$out")/coseg.json"
 if [ "$COSEG_REQUIRE_GPU" = hardware ] && grep -q 'software adapter' "$out/coseg.json"; then
   echo "bench: not measured on a GPU, $(grep -o '"backend": *"[^"]*"' "$out/coseg.json")"
   failed=1

@@ -1,7 +1,7 @@
-//! Checkpoints: named tensors and settings in one safetensors file, written so that a crash leaves the old one whole.
+//! Checkpoints: named tensors and settings in one safetensors file. A crash while it is written leaves the old file whole.
 //!
-//! Metadata is one JSON object under the key `coseg` of
-//! `__metadata__`; numbers that must come back bit for bit belong in tensors.
+//! Settings are one JSON object under the key `coseg` of `__metadata__`. Numbers that must come back bit for bit belong in
+//! tensors.
 
 use crate::data::atomic;
 use crate::error::{Error, Result};
@@ -46,6 +46,8 @@ macro_rules! scalar {
         }
     };
 }
+scalar!(half::f16, F16);
+scalar!(half::bf16, BF16);
 scalar!(f32, F32);
 scalar!(f64, F64);
 scalar!(u32, U32);
@@ -143,14 +145,13 @@ impl Checkpoint {
             let found = format!("shape {found:?}");
             return Err(self.wrong(field, found, format!("shape {shape:?}")));
         }
-        if let Some(tensor) = self.tensors.get(name)
-            && tensor.dtype != T::DTYPE
-        {
-            let found = format!("type {:?}", tensor.dtype);
-            return Err(self.wrong(field, found, format!("type {:?}", T::DTYPE)));
+        match self.tensors.remove(name) {
+            Some(tensor) if tensor.dtype == T::DTYPE => Ok(T::from_bytes(&tensor.bytes)),
+            other => {
+                let found = format!("type {:?}", other.map(|tensor| tensor.dtype));
+                Err(self.wrong(field, found, format!("type {:?}", T::DTYPE)))
+            }
         }
-        let tensor = self.tensors.remove(name);
-        Ok(tensor.map_or(Vec::new(), |tensor| T::from_bytes(&tensor.bytes)))
     }
 
     /// Adds a setting.
@@ -158,14 +159,9 @@ impl Checkpoint {
     /// # Errors
     /// [`Error::Config`] when the value cannot be written as JSON.
     pub fn set<T: Serialize>(&mut self, key: &str, value: &T) -> Result<()> {
-        let value = serde_json::to_value(value).map_err(|e| {
-            Error::config(
-                key,
-                e.to_string(),
-                "a value that JSON can hold",
-                "change the value",
-            )
-        })?;
+        let expected = "a value that JSON can hold";
+        let value = serde_json::to_value(value)
+            .map_err(|e| Error::config(key, e.to_string(), expected, "change the value"))?;
         self.settings.insert(key.to_owned(), value);
         Ok(())
     }
@@ -229,41 +225,28 @@ impl Checkpoint {
             kind: kind.to_owned(),
             ..Self::default()
         };
-        let (file, (_, header)) = SafeTensors::deserialize(&bytes)
-            .and_then(|file| Ok((file, SafeTensors::read_metadata(&bytes)?)))
-            .map_err(|e| {
-                checkpoint.wrong(
-                    "header",
-                    format!("{} bytes, {e}", bytes.len()),
-                    "a whole safetensors file",
-                )
-            })?;
-        let text = header
-            .metadata()
-            .as_ref()
-            .and_then(|m| m.get(KEY))
-            .map_or("{}", |s| s.as_str());
-        let json: serde_json::Value = serde_json::from_str(text).map_err(|e| {
-            checkpoint.wrong(format!("metadata {KEY}"), e.to_string(), "a JSON object")
-        })?;
-        if json["version"] != VERSION {
-            let found = json
-                .get("version")
-                .map_or("nothing".to_owned(), |v| v.to_string());
-            return Err(checkpoint.wrong("metadata version", found, VERSION.to_string()));
+        let damaged = |e| {
+            let found = format!("{} bytes, {e}", bytes.len());
+            checkpoint.wrong("header", found, "a whole safetensors file")
+        };
+        let file = SafeTensors::deserialize(&bytes).map_err(damaged)?;
+        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(damaged)?;
+        let text = header.metadata().as_ref().and_then(|m| m.get(KEY));
+        let mut json: serde_json::Value = match text {
+            Some(text) => serde_json::from_str(text)
+                .map_err(|e| checkpoint.wrong("metadata", e.to_string(), "a JSON object"))?,
+            None => serde_json::Value::Null,
+        };
+        for (key, expected) in [
+            ("version", serde_json::json!(VERSION)),
+            ("kind", kind.into()),
+        ] {
+            if json[key] != expected {
+                let (field, found) = (format!("metadata {key}"), json[key].to_string());
+                return Err(checkpoint.wrong(field, found, expected.to_string()));
+            }
         }
-        if json["kind"] != kind {
-            return Err(checkpoint.wrong(
-                "metadata kind",
-                json["kind"].to_string(),
-                format!("\"{kind}\""),
-            ));
-        }
-        if let Some(settings) = json["settings"].as_object() {
-            checkpoint
-                .settings
-                .extend(settings.iter().map(|(k, v)| (k.clone(), v.clone())));
-        }
+        checkpoint.settings = serde_json::from_value(json["settings"].take()).unwrap_or_default();
         for (name, view) in file.tensors() {
             let tensor = Stored {
                 dtype: view.dtype(),

@@ -50,7 +50,7 @@ pub enum Error {
         /// What the user can do.
         help: String,
     },
-    /// A file was read but what it holds cannot be used.
+    /// The content of a file cannot be used.
     #[error("{}: {field}: found {found}, expected {expected}; {help}", path.display())]
     Input {
         /// The file.
@@ -113,7 +113,7 @@ pub enum Error {
     /// The compute device is missing or refused the work.
     #[error("device {device}: {reason}; {help}")]
     Device {
-        /// The backend asked for.
+        /// The requested backend.
         device: String,
         /// Why it cannot be used.
         reason: String,

@@ -77,9 +77,8 @@ pub trait Progress {
     /// Called after each event.
     fn event(&mut self, event: &Event);
 
-    /// Asked after each iteration, after each view of features, unprojection and association, and between the parts of a run; true ends
-    /// the run there. What was trained is in a checkpoint then; a stage that learns nothing begins
-    /// anew.
+    /// Whether to end the run. Called after each iteration, after each view of features, unprojection and association, and
+    /// between the parts of a run. A resumed run continues training from a checkpoint, and repeats a stage that learns nothing.
     fn stop(&mut self) -> bool {
         false
     }

@@ -1,10 +1,10 @@
-//! What a checkpoint was made from: settings and data. A run resumes a checkpoint only when both are its own.
+//! The settings and data that a checkpoint depends on. A run resumes only a checkpoint with the same ones.
 
-use crate::config::{Config, DataConfig, LabelSource, UnprojectionConfig};
+use crate::checkpoint::Scalar;
+use crate::config::{Config, LabelSource};
 use crate::data::{Scene, Split, View};
 use crate::error::{Error, Result};
 use crate::splat::Gaussians;
-use crate::splat::camera::Camera;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -26,11 +26,11 @@ const DECODER: &[&str] = &[
 /// JSON text of settings by dotted key.
 type Values = BTreeMap<String, String>;
 
-/// A kind of data that training follows from.
+/// A kind of data that training depends on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Data {
-    /// What stage one sees. First, since Gaussians are placed among the cameras.
+    /// The input of stage one. First, since the Gaussians depend on the cameras too.
     Photos,
     Gaussians,
     Labels,
@@ -49,7 +49,7 @@ impl Data {
         }
     }
 
-    /// What to resume with where this data differs and no setting says why.
+    /// What to resume with, where this data differs and no setting explains it.
     fn original(self) -> &'static str {
         match self {
             Self::Photos | Self::Labels => {
@@ -62,16 +62,16 @@ impl Data {
     }
 }
 
-/// A digest of data, and the settings that it follows from.
+/// A digest of data, and the settings that it depends on.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Origin {
     /// SHA-256.
     digest: String,
-    /// Other settings may give the same data, so they alone are no reason to refuse. They explain other data.
+    /// They explain a different digest. Other settings with the same digest are accepted.
     settings: Values,
 }
 
-/// Settings and data that training follows from. The default is empty: that of a state made in memory.
+/// The settings and data that training depends on. Empty for a state that was made in memory.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Provenance {
     settings: Values,
@@ -83,35 +83,23 @@ pub struct Provenance {
 impl Provenance {
     /// The provenance of stage one.
     pub fn stage_one(config: &Config, scene: &Scene) -> Self {
-        let without_labels = DataConfig {
-            raw_labels: String::new(),
-            raw_format: Default::default(),
-            association: Default::default(),
-            scannet_classes: Default::default(),
-            ..config.data.clone()
-        };
-        let origin = Config {
-            data: without_labels,
-            ..config.clone()
-        };
-        let mut provenance = Self {
+        let mut without_labels = config.clone();
+        without_labels.data.raw_labels = String::new();
+        without_labels.data.raw_format = Default::default();
+        without_labels.data.association = Default::default();
+        without_labels.data.scannet_classes = Default::default();
+        let provenance = Self {
             settings: values(config, STAGE_ONE),
             ..Self::default()
         };
-        provenance.add(
-            Data::Photos,
-            digest_photos(scene),
-            values(&origin, &["data"]),
-        );
-        provenance
+        let settings = values(&without_labels, &["data"]);
+        provenance.with(Data::Photos, digest_photos(scene), settings)
     }
 
     /// The provenance of a stage one that takes `gaussians` as they are.
     pub fn initial_scene(config: &Config, scene: &Scene, gaussians: &Gaussians) -> Self {
-        let mut provenance = Self::stage_one(config, scene);
         let digest = digest_gaussians(gaussians);
-        provenance.add(Data::Gaussians, digest, Values::new());
-        provenance
+        Self::stage_one(config, scene).with(Data::Gaussians, digest, Values::new())
     }
 
     /// The provenance of a variant of stage two, by a decoder or per Gaussian.
@@ -126,47 +114,39 @@ impl Provenance {
         } else {
             PER_GAUSSIAN
         };
-        let pruning = Config {
-            unprojection: UnprojectionConfig {
-                normalisation: Default::default(),
-                ..config.unprojection.clone()
-            },
-            ..config.clone()
-        };
-        let mut provenance = Self {
+        let mut pruning = config.clone();
+        pruning.unprojection.normalisation = Default::default();
+        let provenance = Self {
             settings: values(config, sections),
             render: Some(config.segmentation.render),
             ..Self::default()
         };
-        let (geometry, labels) = (digest_gaussians(gaussians), digest_labels(scene));
-        provenance.add(
-            Data::Gaussians,
-            geometry,
-            values(&pruning, &["unprojection"]),
-        );
-        provenance.add(Data::Labels, labels, values(config, &["data"]));
+        let pruning = values(&pruning, &["unprojection"]);
         provenance
+            .with(Data::Gaussians, digest_gaussians(gaussians), pruning)
+            .with(
+                Data::Labels,
+                digest_labels(scene),
+                values(config, &["data"]),
+            )
     }
 
     /// Adds image features by what they are made from: on a GPU their sums need not have the same bits each time.
-    pub fn with_image_features(mut self, content: &str) -> Self {
-        let mut digest = Sha256::new();
-        digest.update(content);
-        self.add(Data::ImageFeatures, digest, Values::new());
-        self
+    pub fn with_image_features(self, content: &str) -> Self {
+        let digest = Sha256::new().chain_update(content);
+        self.with(Data::ImageFeatures, digest, Values::new())
     }
 
     /// Adds the point encoder by the digest of its weights.
-    pub fn with_point_encoder(mut self, weights: &str) -> Self {
-        let mut digest = Sha256::new();
-        digest.update(weights);
-        self.add(Data::PointEncoder, digest, Values::new());
-        self
+    pub fn with_point_encoder(self, weights: &str) -> Self {
+        let digest = Sha256::new().chain_update(weights);
+        self.with(Data::PointEncoder, digest, Values::new())
     }
 
-    fn add(&mut self, data: Data, digest: Sha256, settings: Values) {
+    fn with(mut self, data: Data, digest: Sha256, settings: Values) -> Self {
         let digest = format!("{:x}", digest.finalize());
         self.data.insert(data, Origin { digest, settings });
+        self
     }
 
     /// Whether anything is known.
@@ -174,32 +154,20 @@ impl Provenance {
         *self != Self::default()
     }
 
-    /// Refuses a checkpoint, `stored` in `file`, that was made from other settings or data than these. A `finished` training
-    /// may be scored by another rule of rendering.
+    /// Refuses a checkpoint, `stored` in `file`, of other settings or data. A `finished` training may be scored by another rule
+    /// of rendering.
     ///
     /// # Errors
-    /// [`Error::Config`] naming the first setting that differs, or the one that other data follows from; [`Error::Input`]
-    /// naming the data.
+    /// [`Error::Config`] naming the first setting that differs, or the one that explains other data; [`Error::Input`] naming
+    /// the data.
     pub fn check(&self, stored: &Self, finished: bool, file: &Path) -> Result<()> {
         if let Some(key) = first_difference(&self.settings, &stored.settings) {
             return Err(other_setting(key, &self.settings, &stored.settings, file));
         }
         if !finished && self.render != stored.render {
-            let text = |render: Option<LabelSource>| match render {
-                Some(render) => format!("{render:?}").to_lowercase(),
-                None => "nothing".to_owned(),
-            };
-            let expected = format!(
-                "{}, as when {} was written",
-                text(stored.render),
-                file.display()
-            );
-            return Err(Error::config(
-                "segmentation.render",
-                text(self.render),
-                expected,
-                RESUME,
-            ));
+            let text = |render| serde_json::json!(render).to_string();
+            let [now, then] = [self.render, stored.render].map(text);
+            return Err(other_value("segmentation.render", now, &then, file));
         }
         let kinds = self.data.keys().chain(stored.data.keys());
         let digest = |of: &Self, data| of.data.get(data).map(|origin| origin.digest.clone());
@@ -233,8 +201,6 @@ impl Provenance {
     }
 }
 
-const RESUME: &str = "resume with that value, or train with this one into another folder";
-
 /// The first key with different values. The scene folder comes last: its name differs for a scene that was moved as well.
 fn first_difference<'a>(now: &'a Values, then: &'a Values) -> Option<&'a str> {
     now.keys()
@@ -246,8 +212,13 @@ fn first_difference<'a>(now: &'a Values, then: &'a Values) -> Option<&'a str> {
 
 fn other_setting(key: &str, now: &Values, then: &Values, file: &Path) -> Error {
     let value = |values: &Values| values.get(key).cloned().unwrap_or("nothing".into());
-    let expected = format!("{}, as when {} was written", value(then), file.display());
-    Error::config(key, value(now), expected, RESUME)
+    other_value(key, value(now), &value(then), file)
+}
+
+fn other_value(key: &str, now: String, then: &str, file: &Path) -> Error {
+    let expected = format!("{then}, as when {} was written", file.display());
+    let help = "resume with that value, or train with this one into another folder";
+    Error::config(key, now, expected, help)
 }
 
 /// The settings of some sections, without those that do not affect results. Paths count by their file names, as files may move.
@@ -267,14 +238,12 @@ fn values(config: &Config, sections: &[&str]) -> Values {
     let text = serde_json::to_string(&config).unwrap_or_default();
     let json: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
     let mut out = Values::new();
-    for section in sections {
-        match &json[*section] {
-            serde_json::Value::Object(fields) => out.extend(
-                fields
-                    .iter()
-                    .map(|(name, value)| (format!("{section}.{name}"), value.to_string())),
-            ),
-            value => _ = out.insert((*section).to_owned(), value.to_string()),
+    for &section in sections {
+        if let Some(fields) = json[section].as_object() {
+            let fields = fields.iter();
+            out.extend(fields.map(|(name, v)| (format!("{section}.{name}"), v.to_string())));
+        } else {
+            out.insert(section.to_owned(), json[section].to_string());
         }
     }
     out
@@ -288,8 +257,8 @@ fn digest_photos(scene: &Scene) -> Sha256 {
         let mask = view.mask.iter().flat_map(|mask| mask.words());
         mask.for_each(|word| hash.update(word.to_le_bytes()));
     });
-    digest.update(bytes(scene.points.positions.as_flattened()));
-    digest.update(bytes(scene.points.colors.as_flattened()));
+    digest.update(f32::to_bytes(scene.points.positions.as_flattened()));
+    digest.update(f32::to_bytes(scene.points.colors.as_flattened()));
     digest
 }
 
@@ -309,24 +278,10 @@ fn digest_labels(scene: &Scene) -> Sha256 {
 /// Name, split, camera and some content of each view.
 fn digest_views(views: &[&View], content: impl Fn(&View, &mut Sha256) + Sync) -> Sha256 {
     let digest_view = |view: &&View| {
-        let Camera {
-            rotation,
-            center,
-            fx,
-            fy,
-            cx,
-            cy,
-            width,
-            height,
-        } = &view.camera;
         let mut hash = Sha256::new();
-        hash.update(format!("{} {:?} {width} {height}\n", view.name, view.split));
-        let pose = rotation
-            .to_cols_array()
-            .into_iter()
-            .chain(center.to_array());
-        let numbers = pose.chain([*fx, *fy, *cx, *cy]);
-        numbers.for_each(|v| hash.update(v.to_le_bytes()));
+        let (name, split, camera) = (&view.name, view.split, &view.camera);
+        // The debug form of a number has all of its digits.
+        hash.update(format!("{name} {split:?} {camera:?}\n"));
         content(view, &mut hash);
         hash.finalize()
     };
@@ -346,10 +301,8 @@ fn digest_gaussians(g: &Gaussians) -> Sha256 {
         &g.opacity_logits,
         &g.sh,
     ];
-    parts.into_iter().for_each(|part| hash.update(bytes(part)));
+    for part in parts {
+        hash.update(f32::to_bytes(part));
+    }
     hash
-}
-
-fn bytes(values: &[f32]) -> Vec<u8> {
-    values.iter().flat_map(|v| v.to_le_bytes()).collect()
 }

@@ -1,10 +1,12 @@
 //! Named tensors read from PyTorch and safetensors files.
 
+use crate::checkpoint::Scalar;
 use crate::error::{Error, Result};
 use burn::store::pytorch_reader::{DType as TorchType, PytorchReader};
 use half::{bf16, f16};
-use safetensors::{Dtype, SafeTensors};
+use safetensors::{Dtype, SafeTensors, View};
 use sha2::{Digest, Sha256};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
@@ -27,8 +29,34 @@ pub(crate) fn file_digest(path: &Path) -> Result<String> {
 pub struct HostTensor {
     /// Extents, outermost first.
     pub shape: Vec<usize>,
-    /// Variant-major values.
+    /// Row-major values.
     pub values: Vec<f32>,
+}
+
+impl View for &HostTensor {
+    fn dtype(&self) -> Dtype {
+        Dtype::F32
+    }
+    fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+    fn data(&self) -> Cow<'_, [u8]> {
+        f32::to_bytes(&self.values).into()
+    }
+    fn data_len(&self) -> usize {
+        4 * self.values.len()
+    }
+}
+
+/// Little-endian numbers of a floating-point type as f32; none for other types.
+pub(crate) fn floats(bytes: &[u8], dtype: Dtype) -> Option<Vec<f32>> {
+    match dtype {
+        Dtype::F32 => Some(f32::from_bytes(bytes)),
+        Dtype::F64 => Some(f64::from_bytes(bytes).iter().map(|&v| v as f32).collect()),
+        Dtype::F16 => Some(f16::from_bytes(bytes).iter().map(|v| v.to_f32()).collect()),
+        Dtype::BF16 => Some(bf16::from_bytes(bytes).iter().map(|v| v.to_f32()).collect()),
+        _ => None,
+    }
 }
 
 /// All floating-point tensors of a weight file.
@@ -36,12 +64,14 @@ pub struct HostTensor {
 pub struct Checkpoint {
     /// Where they came from, for messages.
     pub origin: PathBuf,
-    /// By name, without a leading `module.`.
+    /// By name, without a leading `module.` and without the prefix of [`Checkpoint::under`].
     pub tensors: BTreeMap<String, HostTensor>,
     /// The file's own notes (safetensors only).
     pub metadata: BTreeMap<String, String>,
     /// The network that [`Checkpoint::get`] asks for in its messages.
     pub network: &'static str,
+    /// What precedes the names in the file.
+    pub prefix: String,
 }
 
 impl Checkpoint {
@@ -74,27 +104,21 @@ impl Checkpoint {
             ..Self::default()
         };
         for (name, tensor) in reader.tensors().iter().filter(|(name, _)| keep(name)) {
-            let convert: fn(&[u8]) -> f32 = match tensor.dtype() {
-                TorchType::F32 => |b| f32::from_ne_bytes(array(b)),
-                TorchType::F64 => |b| f64::from_ne_bytes(array(b)) as f32,
-                TorchType::F16 => |b| f16::from_ne_bytes(array(b)).to_f32(),
-                TorchType::BF16 => |b| bf16::from_ne_bytes(array(b)).to_f32(),
+            let dtype = match tensor.dtype() {
+                TorchType::F32 => Dtype::F32,
+                TorchType::F64 => Dtype::F64,
+                TorchType::F16 => Dtype::F16,
+                TorchType::BF16 => Dtype::BF16,
                 _ => continue, // counters such as num_batches_tracked
             };
-            let size = tensor.byte_len() / tensor.num_elements().max(1);
             let bytes = tensor.read().map_err(|e| unreadable(path, name, e))?;
-            let values = bytes.chunks_exact(size.max(1)).map(convert).collect();
+            let values = floats(&bytes, dtype).unwrap_or_default();
+            let shape = tensor.shape().to_vec();
             let name = NESTS
                 .iter()
                 .find_map(|n| name.strip_prefix(n)?.strip_prefix('.'))
                 .unwrap_or(name);
-            checkpoint.insert(
-                name,
-                HostTensor {
-                    shape: tensor.shape().to_vec(),
-                    values,
-                },
-            );
+            checkpoint.insert(name, HostTensor { shape, values });
         }
         Ok(checkpoint)
     }
@@ -123,36 +147,10 @@ impl Checkpoint {
             ..Self::default()
         };
         for (name, view) in file.iter().filter(|(name, _)| keep(name)) {
-            let values = match view.dtype() {
-                Dtype::F32 => view
-                    .data()
-                    .chunks_exact(4)
-                    .map(|b| f32::from_le_bytes(array(b)))
-                    .collect(),
-                Dtype::F64 => view
-                    .data()
-                    .chunks_exact(8)
-                    .map(|b| f64::from_le_bytes(array(b)) as f32)
-                    .collect(),
-                Dtype::F16 => view
-                    .data()
-                    .chunks_exact(2)
-                    .map(|b| f16::from_le_bytes(array(b)).to_f32())
-                    .collect(),
-                Dtype::BF16 => view
-                    .data()
-                    .chunks_exact(2)
-                    .map(|b| bf16::from_le_bytes(array(b)).to_f32())
-                    .collect(),
-                _ => continue,
-            };
-            checkpoint.insert(
-                name,
-                HostTensor {
-                    shape: view.shape().to_vec(),
-                    values,
-                },
-            );
+            if let Some(values) = floats(view.data(), view.dtype()) {
+                let shape = view.shape().to_vec();
+                checkpoint.insert(name, HostTensor { shape, values });
+            }
         }
         Ok(checkpoint)
     }
@@ -160,33 +158,21 @@ impl Checkpoint {
     /// The bytes of a safetensors file with these tensors and notes.
     ///
     /// # Errors
-    /// [`Error::Input`] when a tensor's shape does not match its values.
+    /// [`Error::Input`] when they cannot be encoded.
     pub fn to_safetensors(&self) -> Result<Vec<u8>> {
-        let bytes: BTreeMap<&String, Vec<u8>> = self
-            .tensors
-            .iter()
-            .map(|(name, t)| {
-                (
-                    name,
-                    t.values.iter().flat_map(|v| v.to_le_bytes()).collect(),
-                )
-            })
-            .collect();
-        let mut views = Vec::with_capacity(bytes.len());
-        for (name, bytes) in &bytes {
-            let view = safetensors::tensor::TensorView::new(
-                Dtype::F32,
-                self.tensors[*name].shape.clone(),
-                bytes,
-            );
-            views.push((
-                (*name).clone(),
-                view.map_err(|e| unreadable(&self.origin, name, e))?,
-            ));
-        }
         let metadata: HashMap<String, String> = self.metadata.clone().into_iter().collect();
-        safetensors::serialize(views, Some(metadata))
+        safetensors::serialize(&self.tensors, Some(metadata))
             .map_err(|e| unreadable(&self.origin, "tensors", e))
+    }
+
+    /// The tensors whose names start with `prefix`, named without it. Messages name them as the file does.
+    pub(crate) fn under(mut self, prefix: &str) -> Self {
+        let tensors = std::mem::take(&mut self.tensors).into_iter();
+        self.tensors = tensors
+            .filter_map(|(name, tensor)| Some((name.strip_prefix(prefix)?.to_owned(), tensor)))
+            .collect();
+        self.prefix.push_str(prefix);
+        self
     }
 
     /// The same, with the network named that messages of [`Checkpoint::get`] ask for.
@@ -252,17 +238,13 @@ impl Checkpoint {
         expected: impl Into<String>,
     ) -> Error {
         let network = if self.network.is_empty() {
-            "the network that is asked for"
+            "the expected network"
         } else {
             self.network
         };
-        Error::input(
-            &self.origin,
-            name,
-            found,
-            expected,
-            format!("give a checkpoint of {network}"),
-        )
+        let field = format!("{}{name}", self.prefix);
+        let help = format!("give a checkpoint of {network}");
+        Error::input(&self.origin, field, found, expected, help)
     }
 }
 
@@ -274,10 +256,4 @@ fn unreadable(path: &Path, field: &str, cause: impl std::fmt::Display) -> Error 
         "a whole weight file",
         "check that the download is complete",
     )
-}
-
-fn array<const N: usize>(bytes: &[u8]) -> [u8; N] {
-    let mut out = [0; N];
-    out.copy_from_slice(bytes); // chunks_exact(N): always N bytes
-    out
 }

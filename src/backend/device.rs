@@ -74,10 +74,10 @@ pub fn open(name: Option<BackendName>) -> Result<Device> {
 ///
 /// Without a name, a wgpu backend that finds no adapter, or only a software one, or one that the rasterizer's kernels do not
 /// run on ([`shortfall`]), gives way to the next one, with one warning. The devices themselves are lazy: wgpu's adapter is
-/// asked for here, so that its absence is an error and not a later panic.
+/// acquired here, so that its absence is an error and not a later panic.
 ///
 /// # Errors
-/// [`Error::Device`] when the backend asked for is not compiled in or has no usable adapter.
+/// [`Error::Device`] when the named backend is not compiled in or has no usable adapter.
 pub fn choose(name: Option<BackendName>) -> Result<(BackendName, Device)> {
     if let Some(name) = name {
         return Ok((name, device(name)?));
@@ -119,7 +119,6 @@ pub fn open_cpu() -> Result<Device> {
 ///
 /// # Errors
 /// As [`choose`], and [`Error::Device`] where there is a [`shortfall`].
-#[cfg(feature = "cube")]
 pub fn open_gpu() -> Result<Device> {
     let device = open(Some(BackendName::Wgpu))?;
     match shortfall(&device) {
@@ -132,7 +131,7 @@ pub fn open_gpu() -> Result<Device> {
     }
 }
 
-/// `name` and, where it is known, what it computes on: "wgpu (NVIDIA H100 PCIe, vulkan)". A software adapter is called one.
+/// `name` and, where it is known, its adapter: "wgpu (NVIDIA H100 PCIe, vulkan)". A software adapter is called one.
 pub fn described(name: BackendName) -> String {
     #[cfg(feature = "wgpu")]
     if let (
@@ -159,7 +158,6 @@ pub fn described(name: BackendName) -> String {
 ///
 /// # Errors
 /// As [`open_gpu`]; [`Error::Device`] for a software adapter.
-#[cfg(feature = "cube")]
 pub fn open_hardware_gpu() -> Result<Device> {
     let device = open_gpu()?;
     match software_adapter(BackendName::Wgpu) {
@@ -174,7 +172,7 @@ pub fn open_hardware_gpu() -> Result<Device> {
 
 /// [`open_gpu`] for tests. Without a GPU they print so and pass, unless COSEG_REQUIRE_GPU is set; its value `hardware` excludes
 /// software adapters.
-#[cfg(all(test, feature = "cube"))]
+#[cfg(test)]
 pub(crate) fn gpu_of_tests() -> Option<Device> {
     let required = std::env::var_os("COSEG_REQUIRE_GPU");
     let hardware = required.as_ref().is_some_and(|how| how == "hardware");
@@ -193,7 +191,6 @@ pub(crate) fn gpu_of_tests() -> Option<Device> {
 #[cfg(test)]
 pub(crate) fn device_of_tests(name: BackendName) -> Option<Device> {
     match name {
-        #[cfg(feature = "wgpu")]
         BackendName::Wgpu => gpu_of_tests(),
         _ => open(Some(name))
             .inspect_err(|error| eprintln!("SKIPPED: {error}"))
@@ -213,11 +210,6 @@ pub fn in_host_memory(device: &Device) -> bool {
         #[allow(unreachable_patterns, reason = "unreachable without a GPU backend")]
         _ => false,
     }
-}
-
-/// Whether the GPU kernels render scenes on `device`: a GPU without their requirements copies everything to the CPU.
-pub fn renders_on(device: &Device) -> bool {
-    !in_host_memory(device) && shortfall(device).is_none()
 }
 
 /// The requirement of the rasterizer's kernels that `device`, if it is a GPU, does not meet. Such a device copies to the host and
@@ -316,7 +308,7 @@ fn wgpu() -> Result<Device> {
     }
 }
 
-/// What wgpu computes on.
+/// The adapter that wgpu computes on.
 #[cfg(feature = "wgpu")]
 #[derive(Clone, Debug)]
 struct Adapter {
@@ -325,7 +317,7 @@ struct Adapter {
     software: bool,
 }
 
-/// Acquires the adapter of the default wgpu device, once a process: what is known of it, or why there is none.
+/// Acquires the adapter of the default wgpu device once. Returns its properties, or why there is none.
 #[cfg(feature = "wgpu")]
 fn adapter() -> &'static std::result::Result<Option<Adapter>, String> {
     use burn::tensor::wgpu::{WgpuInitError, wgpu::DeviceType};

@@ -64,14 +64,6 @@ pub trait HostBackend: Backend {
     -> FloatTensor<Self>;
 }
 
-/// A backend whose operations are this crate's kernels for the CPU.
-pub trait HostKernels: HostBackend {}
-
-#[cfg(feature = "ndarray")]
-impl HostKernels for burn::backend::NdArray {}
-#[cfg(feature = "flex")]
-impl HostKernels for burn::backend::Flex {}
-
 /// Runs `$body` with the type `$e` bound to the element type of `$tensor` (f32 or f64).
 macro_rules! real_kernel {
     ($tensor:expr, $e:ident => $body:expr) => {
@@ -96,20 +88,6 @@ thread_local! {
 /// Number of GPU tensors that calls on this thread passed to kernels for the CPU.
 pub fn host_fallbacks() -> usize {
     FALLBACKS.get()
-}
-
-/// Counts, and warns once, that a kernel runs on the CPU although its tensors live on a GPU.
-#[cfg(feature = "cube")]
-fn note_host_fallback() {
-    FALLBACKS.set(FALLBACKS.get() + 1);
-    static ONCE: std::sync::Once = std::sync::Once::new();
-    ONCE.call_once(|| {
-        tracing::warn!(
-            "part of this run has no kernel for this GPU: it runs on the CPU and copies from and to the GPU (tensors of f64, \
-             images beyond one allocation, absolute screen-space gradients of more than 8 channels, and all rasterizing where the \
-             device binds too few buffers or shares too little memory)"
-        );
-    });
 }
 
 #[cfg(feature = "ndarray")]
@@ -178,6 +156,19 @@ mod on_cube {
     use burn::backend::ops::FloatTensorOps;
     use burn::tensor::TensorData;
     use burn_cubecl::CubeBackend;
+
+    /// Counts, and warns once, that a kernel runs on the CPU although its tensors live on a GPU.
+    fn note_host_fallback() {
+        FALLBACKS.set(FALLBACKS.get() + 1);
+        static ONCE: std::sync::Once = std::sync::Once::new();
+        ONCE.call_once(|| {
+            tracing::warn!(
+                "part of this run has no kernel for this GPU: it runs on the CPU and copies from and to the GPU (tensors of f64, \
+                 images beyond one allocation, absolute screen-space gradients of more than 8 channels, and all rasterizing where the \
+                 device binds too few buffers or shares too little memory)"
+            );
+        });
+    }
 
     impl HostBackend for CubeBackend {
         fn values<E: Real>(tensor: FloatTensor<Self>) -> HostValues<E> {

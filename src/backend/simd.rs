@@ -67,7 +67,7 @@ pub trait Lanes<E>: Copy {
     }
 }
 
-/// What `pulp` has no common name for.
+/// Operations that `pulp` has no common name for.
 pub trait MaskBits: Simd {
     fn mask_bits(self, mask: Self::m32s) -> u32;
     fn compress_f32s(self, x: Self::f32s, bits: u32) -> Self::f32s;
@@ -337,7 +337,7 @@ pub(crate) fn has_fma() -> bool {
     return cfg!(target_arch = "aarch64");
 }
 
-/// Asks for the memory of `value`, its first and its last byte, to be brought near, where the hardware can be asked.
+/// Prefetches the first and the last byte of `value` where the hardware can.
 #[inline(always)]
 pub(crate) fn prefetch<T>(value: &T) {
     #[cfg(target_arch = "x86_64")]

@@ -1,6 +1,7 @@
 //! Time against error: each setting of the rasterizer changed alone, against an exact rendering in f64.
 
-use super::{Bench, Findings, Samples};
+use super::figures::timed;
+use super::{Bench, Figures};
 use crate::error::Result;
 use crate::objects::{RenderOptions, Renderer};
 use crate::raster::{Projected, Settings, Splats, eval_sh};
@@ -8,8 +9,9 @@ use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
 use std::hint::black_box;
 
-/// Views of a pass, at most.
+/// Views of a pass, at most, and their size.
 const VIEWS: usize = 4;
+const SIZE: [usize; 2] = [480, 360];
 /// Stands for an alpha_min of 0, at which every Gaussian would meet every pixel. What a million Gaussians could add below
 /// it is less than an f32 can show.
 const NEARLY_ZERO: f64 = 1e-14;
@@ -29,76 +31,91 @@ struct Point {
     name: String,
     settings: Settings,
     sh_degree: usize,
-    seconds: Samples,
+    /// Milliseconds of a view, for each pass over the views.
+    times: Vec<f64>,
 }
 
-pub(super) fn measure(
-    bench: &Bench,
-    gaussians: &Gaussians,
-    case: &str,
-    findings: &mut Findings,
-) -> Result<()> {
-    let effort = &bench.effort;
-    let [width, height] = effort.size;
-    let cameras = bench.subject.cameras(effort.views.min(VIEWS), effort.size);
-    findings.note(format!(
-        "{case}, {} views of {width}x{height} on black; the time of a view with its way to host memory",
+pub(super) fn measure(bench: &Bench, gaussians: &Gaussians) -> Result<Figures> {
+    let cameras = cameras(bench);
+    let [width, height] = SIZE;
+    let mut figures = Figures::new("curve", gaussians.len());
+    figures.notes.push(format!(
+        "{} views of {width}x{height} on black; the time of a view, until it is in host memory",
         cameras.len()
     ));
-    findings.note(
-        "error: absolute, of RGB, against f64 with alpha_min 1e-14, t_min 0, alpha_max 1. The first line has the",
+    figures.notes.push(
+        "error: absolute, of RGB, against f64 with alpha_min 1e-14, t_min 0, alpha_max 1"
+            .to_owned(),
     );
-    findings.note("configured settings; each other line changes one of them.");
-    let default = Settings::from(&bench.config.raster);
+    figures
+        .notes
+        .push("each line changes one of the configured settings".to_owned());
+    let configured = Settings::from(&bench.config.raster);
     let exact = Settings {
         alpha_min: NEARLY_ZERO,
         t_min: 0.0,
         alpha_max: 1.0,
-        ..default
+        ..configured
     };
     let wide = Wide::new(gaussians);
     let reference = cameras
         .iter()
         .map(|camera| wide.render(camera, &exact))
         .collect::<Result<Vec<_>>>()?;
-    let mut points = points(&default, &exact, gaussians.sh_degree);
+    let mut points = points(&configured, &exact, gaussians.sh_degree);
     let mut renderers = (0..=gaussians.sh_degree)
         .map(|degree| {
-            let gaussians = truncated(gaussians, degree);
+            let gaussians = gaussians.clone().with_sh_degree(degree);
             Renderer::new(gaussians, None, RenderOptions::default(), &bench.device)
         })
         .collect::<Result<Vec<_>>>()?;
     // Round by round, so that a slow moment of the machine meets all points alike. The first round is the warm-up.
-    for round in 0..=effort.repeats {
+    for round in 0..=bench.repeats {
         for point in &mut points {
             let renderer = point.renderer(&mut renderers)?;
-            let mut samples = Samples::default();
-            samples.time(|| {
+            let mut seconds = Vec::new();
+            timed(&mut seconds, || {
                 cameras.iter().try_for_each(|camera| {
                     black_box(renderer.frame(camera)?);
                     Ok(())
                 })
             })?;
             if round > 0 {
-                point.seconds.push(samples.sum());
+                let of_view = |seconds: f64| 1e3 * seconds / cameras.len() as f64;
+                point.times.extend(seconds.into_iter().map(of_view));
             }
         }
     }
-    let first = points[0].seconds.median();
     for point in &points {
-        let mut error = Error::default();
         let renderer = point.renderer(&mut renderers)?;
+        let (mut sum, mut count, mut largest) = (0.0, 0, 0.0_f64);
         for (camera, reference) in cameras.iter().zip(&reference) {
-            error.add(&renderer.frame(camera)?.rgb, reference);
+            for (found, exact) in renderer.frame(camera)?.rgb.iter().zip(reference) {
+                let difference = (f64::from(*found) - exact).abs();
+                sum += difference;
+                count += 1;
+                largest = largest.max(difference);
+            }
         }
-        let (name, seconds) = (&point.name, &point.seconds);
-        let time = seconds.scaled(1e3 / cameras.len().max(1) as f64);
-        findings.measured(name, "time", "ms", &time);
-        findings.counted(name, "of the first", "", seconds.median() / first);
-        findings.counted(name, "mean error", "", error.sum / error.count as f64);
-        findings.counted(name, "largest error", "", error.largest);
+        figures.add(&point.name, "ms", &point.times);
+        if let Some(figure) = figures.figures.last_mut() {
+            figure.error = Some([sum / count as f64, largest]);
+        }
     }
-    Ok(())
+    Ok(figures)
+}
+
+/// Some of the training cameras, evenly chosen.
+fn cameras(bench: &Bench) -> Vec<Camera> {
+    let views = &bench.scene.views;
+    let count = VIEWS.min(views.len());
+    (0..count)
+        .map(|i| {
+            views[i * views.len() / count]
+                .camera
+                .with_size(SIZE[0], SIZE[1])
+        })
+        .collect()
 }
 
 impl Point {
@@ -114,46 +131,35 @@ impl Point {
 }
 
 /// The settings to try: the configured ones, then each setting from exact to coarse, then all exact.
-fn points(default: &Settings, exact: &Settings, sh_degree: usize) -> Vec<Point> {
-    let point = |name: String, settings: Settings| Point {
+fn points(configured: &Settings, exact: &Settings, sh_degree: usize) -> Vec<Point> {
+    let changed = |name: String, change: &dyn Fn(&mut Settings)| {
+        let mut settings = *configured;
+        change(&mut settings);
+        (name, settings)
+    };
+    let alpha_min =
+        ALPHA_MIN.map(|v| changed(format!("alpha_min {}", number(v)), &|s| s.alpha_min = v));
+    let t_min = T_MIN.map(|v| changed(format!("t_min {}", number(v)), &|s| s.t_min = v));
+    let alpha_max = ALPHA_MAX.map(|v| changed(format!("alpha_max {v}"), &|s| s.alpha_max = v));
+    let mut tried: Vec<_> = alpha_min
+        .into_iter()
+        .chain(t_min)
+        .chain(alpha_max)
+        .collect();
+    tried.push(("all exact".to_owned(), *exact));
+    tried.retain(|(_, settings)| settings != configured);
+    let point = |(name, settings)| Point {
         name,
         settings,
         sh_degree,
-        seconds: Samples::default(),
+        times: Vec::new(),
     };
-    let alpha_min = ALPHA_MIN.map(|value| {
-        let settings = Settings {
-            alpha_min: value,
-            ..*default
-        };
-        (format!("alpha_min {}", number(value)), settings)
-    });
-    let t_min = T_MIN.map(|value| {
-        let settings = Settings {
-            t_min: value,
-            ..*default
-        };
-        (format!("t_min {}", number(value)), settings)
-    });
-    let alpha_max = ALPHA_MAX.map(|value| {
-        let settings = Settings {
-            alpha_max: value,
-            ..*default
-        };
-        (format!("alpha_max {value}"), settings)
-    });
-    let changed = alpha_min.into_iter().chain(t_min).chain(alpha_max);
-    let mut points = vec![point("as configured".into(), *default)];
-    points.extend(
-        changed
-            .filter(|(_, settings)| settings != default)
-            .map(|(name, settings)| point(name, settings)),
-    );
+    let mut points = vec![point(("as configured".to_owned(), *configured))];
+    points.extend(tried.into_iter().map(point));
     points.extend((0..sh_degree).map(|degree| Point {
         sh_degree: degree,
-        ..point(format!("SH degree {degree} of {sh_degree}"), *default)
+        ..point((format!("SH degree {degree} of {sh_degree}"), *configured))
     }));
-    points.push(point("all exact".into(), *exact));
     points
 }
 
@@ -166,17 +172,6 @@ fn number(value: f64) -> String {
         format!("{value:e}")
     } else {
         value.to_string()
-    }
-}
-
-/// Without the SH terms above `degree`.
-fn truncated(gaussians: &Gaussians, degree: usize) -> Gaussians {
-    let kept = 3 * (degree + 1).pow(2);
-    let rows = gaussians.sh.chunks_exact(3 * gaussians.sh_len());
-    Gaussians {
-        sh: rows.flat_map(|row| &row[..kept]).copied().collect(),
-        sh_degree: degree,
-        ..gaussians.clone()
     }
 }
 
@@ -216,24 +211,5 @@ impl Wide {
         let center = camera.center.to_array();
         let colours = eval_sh(&self.means, &self.sh, degree, degree, center);
         Ok(projected.blend(&colours, 3).image)
-    }
-}
-
-/// Absolute differences.
-#[derive(Default)]
-struct Error {
-    sum: f64,
-    count: usize,
-    largest: f64,
-}
-
-impl Error {
-    fn add(&mut self, found: &[f32], expected: &[f64]) {
-        for (a, b) in found.iter().zip(expected) {
-            let difference = (f64::from(*a) - b).abs();
-            self.sum += difference;
-            self.largest = self.largest.max(difference);
-        }
-        self.count += expected.len();
     }
 }

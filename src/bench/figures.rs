@@ -1,188 +1,129 @@
-//! The figures of a section, with their spread, and the table of them.
+//! Measured figures with their spread, and the table of them.
 
-use super::{Samples, Section};
+use crate::error::Result;
 use crate::report::thousands;
 use serde::Serialize;
 use std::fmt::Write;
+use std::time::Instant;
 
-/// One measured or counted quantity.
+/// One measured quantity.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Figure {
-    /// What it was measured on, such as `100,000 Gaussians`.
-    pub case: String,
-    /// What it is.
+    /// What was measured.
     pub name: String,
-    /// Its unit; empty for plain numbers.
+    /// Its unit.
     pub unit: &'static str,
-    /// The median of the measurements, or the count.
+    /// The median of the measurements.
     pub median: f64,
     /// The smallest measurement.
     pub low: f64,
     /// The largest measurement.
     pub high: f64,
-    /// Measurements behind the median; 1 for a count.
+    /// Number of measurements.
     pub samples: usize,
+    /// Mean and largest absolute error of RGB, where the figure has a reference.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub error: Option<[f64; 2]>,
 }
 
-impl Figure {
-    fn value(&self) -> String {
-        format!("{} {}", short(self.median), self.unit)
-            .trim_end()
-            .to_owned()
-    }
-
-    fn spread(&self) -> String {
-        if self.samples > 1 {
-            format!("{} .. {}", short(self.low), short(self.high))
-        } else {
-            String::new()
-        }
-    }
-}
-
-/// What a section found.
+/// What one part of the benchmark measured.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Findings {
-    /// The section.
-    pub section: Section,
+pub struct Figures {
+    /// Its name on the command line.
+    pub section: &'static str,
+    /// Number of Gaussians.
+    pub gaussians: usize,
     /// What was measured and how; one line each.
     pub notes: Vec<String>,
-    /// Why nothing was measured, where nothing was.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub skipped: Option<String>,
-    /// The figures, in order of their cases.
+    /// The figures.
     pub figures: Vec<Figure>,
 }
 
-impl Findings {
-    pub(super) fn new(section: Section, subject: &str) -> Self {
+impl Figures {
+    /// No figures yet.
+    pub fn new(section: &'static str, gaussians: usize) -> Self {
         Self {
             section,
-            notes: vec![subject.to_owned()],
-            skipped: None,
+            gaussians,
+            notes: Vec::new(),
             figures: Vec::new(),
         }
     }
 
-    /// Adds a line of explanation, once.
-    pub(super) fn note(&mut self, note: impl Into<String>) {
-        let note = note.into();
-        if !self.notes.contains(&note) {
-            self.notes.push(note);
-        }
-    }
-
-    /// Adds the median and the spread of `samples`.
-    pub(super) fn measured(
-        &mut self,
-        case: &str,
-        name: &str,
-        unit: &'static str,
-        samples: &Samples,
-    ) {
-        let [low, high] = samples.spread();
+    /// Adds the median and the spread of `samples`; nothing without samples.
+    pub fn add(&mut self, name: impl Into<String>, unit: &'static str, samples: &[f64]) {
+        let mut sorted = samples.to_vec();
+        sorted.sort_unstable_by(f64::total_cmp);
+        let (Some(&low), Some(&high)) = (sorted.first(), sorted.last()) else {
+            return;
+        };
         self.figures.push(Figure {
-            case: case.to_owned(),
-            name: name.to_owned(),
+            name: name.into(),
             unit,
-            median: samples.median(),
+            median: median(&sorted),
             low,
             high,
-            samples: samples.len(),
+            samples: sorted.len(),
+            error: None,
         });
-    }
-
-    /// Adds a single value.
-    pub(super) fn counted(&mut self, case: &str, name: &str, unit: &'static str, value: f64) {
-        self.measured(case, name, unit, &[value].into_iter().collect());
     }
 
     /// Title, notes and table as text.
     pub fn text(&self) -> String {
-        let mut out = format!("{}: {}\n", self.section, self.section.title());
+        let count = thousands(self.gaussians as u64);
+        let mut out = format!("{}: {count} Gaussians\n", self.section);
         for note in &self.notes {
             let _ = writeln!(out, "  {note}");
         }
-        if let Some(why) = &self.skipped {
-            let _ = writeln!(out, "  skipped: {why}");
-            return out;
+        let errors = self.figures.iter().any(|figure| figure.error.is_some());
+        let columns = ["", "median", "spread", "mean error", "largest error"].map(str::to_owned);
+        let rows = std::iter::once(columns).chain(self.figures.iter().map(Figure::cells));
+        for [name, median, spread, mean, largest] in rows {
+            let _ = write!(out, "  {name:<44}{median:>12}{spread:>20}");
+            if errors {
+                let _ = write!(out, "{mean:>13}{largest:>15}");
+            }
+            out.push('\n');
         }
-        out.push_str(&match self.section {
-            Section::Curve => grid(&self.figures),
-            _ => lines(&self.figures),
-        });
         out
     }
 }
 
-/// A line for each figure; a case is named once.
-fn lines(figures: &[Figure]) -> String {
-    let mut rows = vec![["", "", "median", "spread"].map(str::to_owned).to_vec()];
-    let mut last = "";
-    for figure in figures {
-        let case = match &figure.case {
-            case if case == last => String::new(),
-            case => case.clone(),
+impl Figure {
+    fn cells(&self) -> [String; 5] {
+        let [mean, largest] = self.error.map_or_else(Default::default, |e| e.map(short));
+        let spread = match self.samples {
+            1 => String::new(),
+            _ => format!("{} .. {}", short(self.low), short(self.high)),
         };
-        last = &figure.case;
-        rows.push(vec![
-            case,
-            figure.name.clone(),
-            figure.value(),
-            figure.spread(),
-        ]);
+        let median = format!("{} {}", short(self.median), self.unit);
+        [self.name.clone(), median, spread, mean, largest]
     }
-    aligned(&rows, 2)
 }
 
-/// A line for each case, a column for each name.
-fn grid(figures: &[Figure]) -> String {
-    let mut names = vec![""];
-    let mut rows: Vec<Vec<String>> = Vec::new();
-    for figure in figures {
-        let column = names.iter().position(|name| *name == figure.name);
-        let column = column.unwrap_or_else(|| {
-            names.push(&figure.name);
-            names.len() - 1
-        });
-        if rows.last().is_none_or(|row| row[0] != figure.case) {
-            rows.push(vec![figure.case.clone()]);
-        }
-        if let Some(row) = rows.last_mut() {
-            row.resize(column.max(row.len()), String::new());
-            row.push(figure.value());
-        }
+/// The middle of sorted values, or the mean of the middle two.
+fn median(sorted: &[f64]) -> f64 {
+    let middle = sorted.len() / 2;
+    if sorted.len() % 2 == 1 {
+        sorted[middle]
+    } else {
+        0.5 * (sorted[middle - 1] + sorted[middle])
     }
-    rows.insert(0, names.into_iter().map(str::to_owned).collect());
-    aligned(&rows, 1)
 }
 
-/// Rows with padded columns, those from `right` on aligned to the right.
-fn aligned(rows: &[Vec<String>], right: usize) -> String {
-    let mut widths: Vec<usize> = Vec::new();
-    for row in rows {
-        widths.resize(widths.len().max(row.len()), 0);
-        for (width, cell) in widths.iter_mut().zip(row) {
-            *width = (*width).max(cell.chars().count());
-        }
-    }
-    let mut out = String::new();
-    for row in rows {
-        let mut line = String::new();
-        for (column, (cell, &width)) in row.iter().zip(&widths).enumerate() {
-            let _ = if column < right {
-                write!(line, "  {cell:<width$}")
-            } else {
-                write!(line, "  {cell:>width$}")
-            };
-        }
-        let _ = writeln!(out, "{}", line.trim_end());
-    }
-    out
+/// Adds the seconds of one run of `work` to `samples`, and returns its result.
+///
+/// # Errors
+/// That of `work`; nothing is added then.
+pub fn timed<T>(samples: &mut Vec<f64>, work: impl FnOnce() -> Result<T>) -> Result<T> {
+    let start = Instant::now();
+    let out = work()?;
+    samples.push(start.elapsed().as_secs_f64());
+    Ok(out)
 }
 
 /// About three digits; whole numbers stay whole.
-pub(super) fn short(value: f64) -> String {
+fn short(value: f64) -> String {
     match value.abs() {
         0.0 => "0".to_owned(),
         v if v < 1e-2 => format!("{value:.1e}"),
@@ -214,19 +155,26 @@ mod tests {
     }
 
     #[test]
-    fn tables_are_aligned_and_name_a_case_once() {
-        let mut findings = Findings::new(Section::Raster, "a room");
-        findings.note("a note");
-        findings.counted("ten", "pairs", "", 5.0);
-        findings.measured("ten", "time", "ms", &[1.0, 2.0].into_iter().collect());
-        let text = findings.text();
-        assert_eq!(text.matches("ten").count(), 1, "{text}");
-        assert!(
-            text.contains("a note") && text.contains("1.50 ms  1 .. 2"),
-            "{text}"
+    fn figures_have_their_median_and_spread() {
+        let mut found = Figures::new("stages", 1_200);
+        found.notes.push("a note".to_owned());
+        found.add("nothing", "ms", &[]);
+        found.add("odd", "ms", &[5.0, 1.0, 3.0]);
+        found.add("even", "ms", &[4.0, 1.0, 2.0, 100.0]);
+        let [odd, even] = &found.figures[..] else {
+            panic!("{found:?}");
+        };
+        assert_eq!(
+            (odd.median, odd.low, odd.high, odd.samples),
+            (3.0, 1.0, 5.0, 3)
         );
-        findings.section = Section::Curve;
-        let text = findings.text();
-        assert!(text.ends_with("  ten      5  1.50 ms\n"), "{text}");
+        assert_eq!(even.median, 3.0);
+        let text = found.text();
+        for part in ["stages: 1,200 Gaussians", "a note", "3 ms", "1 .. 5"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        assert!(!text.contains("error"), "{text}");
+        found.figures[0].error = Some([0.25, 0.5]);
+        assert!(found.text().contains("largest error"), "{}", found.text());
     }
 }

@@ -62,7 +62,7 @@ fn first_line(path: &str, prefix: &str) -> Option<String> {
     Some(line.to_owned())
 }
 
-/// Makes [`crate::report::peak_memory_bytes`] count from now on. `false` where the system does not allow that.
-pub(super) fn reset_peak_memory() -> bool {
-    std::fs::write("/proc/self/clear_refs", "5").is_ok()
+/// Makes [`crate::report::peak_memory_bytes`] count from now on. Where the system does not allow that, it counts on.
+pub(super) fn reset_peak_memory() {
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
 }

@@ -1,201 +1,109 @@
 //! Measurements that `coseg bench` prints: speed against error, times of the stages, memory.
 //!
-//! A [`Bench`] holds the scene and the amount of work. [`Bench::measure`] runs one [`Section`] and returns its [`Findings`]:
-//! medians with their spread. Warm-up runs are not counted.
+//! A [`Bench`] holds the scene. [`Bench::curve`] and [`Bench::stages`] measure it with any number of Gaussians.
 
-mod building;
 mod curve;
 mod figures;
 mod machine;
-mod raster;
 mod resample;
-mod samples;
-mod segmentation;
-mod subject;
-mod unprojection;
+mod stages;
 
-pub use self::figures::{Figure, Findings};
+pub use self::figures::{Figure, Figures};
 pub use self::machine::Machine;
 pub use self::resample::resampled;
-pub use self::samples::Samples;
-pub use self::subject::{Source, Subject};
 
 use crate::config::Config;
+use crate::data::{Scene, Split};
 use crate::error::{Error, Result};
-use crate::report::{peak_memory_bytes, thousands};
+use crate::pipeline::load_scene;
+use crate::reconstruction::Trainer;
+use crate::splat::Gaussians;
+use crate::splat::ply::PlyScene;
 use burn::tensor::Device;
-use serde::Serialize;
 
-/// A part of the pipeline that is measured on its own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Section {
-    /// The rasterizer, forward and backward.
-    Raster,
-    /// Time against error of the rasterizer's settings.
-    Curve,
-    /// A step of stage one.
-    Building,
-    /// Lifting of feature maps onto Gaussians.
-    Unprojection,
-    /// A step of stage two.
-    Segmentation,
-}
+/// Opacity logit of Gaussians that are not trained: 0.9, so that surfaces hide what is behind them.
+const UNTRAINED_OPACITY: f32 = 2.2;
 
-impl Section {
-    /// All sections, in the order in which they run.
-    pub const ALL: [Self; 5] = [
-        Self::Raster,
-        Self::Curve,
-        Self::Building,
-        Self::Unprojection,
-        Self::Segmentation,
-    ];
-
-    /// Its name on the command line and in JSON.
-    pub fn key(self) -> &'static str {
-        match self {
-            Self::Raster => "raster",
-            Self::Curve => "curve",
-            Self::Building => "building",
-            Self::Unprojection => "unprojection",
-            Self::Segmentation => "segmentation",
-        }
-    }
-
-    /// What it measures, in a few words.
-    pub fn title(self) -> &'static str {
-        match self {
-            Self::Raster => "rendering, forward and backward",
-            Self::Curve => "time against error of the rasterizer's settings",
-            Self::Building => "a step of stage one",
-            Self::Unprojection => "4 x 64 feature channels lifted onto the Gaussians",
-            Self::Segmentation => "a step of stage two, row `ours`",
-        }
-    }
-}
-
-impl std::fmt::Display for Section {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.key())
-    }
-}
-
-impl std::str::FromStr for Section {
-    type Err = Error;
-    fn from_str(name: &str) -> Result<Self> {
-        let found = Self::ALL.into_iter().find(|section| section.key() == name);
-        found.ok_or_else(|| {
-            let all = Self::ALL.map(Self::key).join(", ");
-            Error::argument("--only", name, all, "separate sections by commas")
-        })
-    }
-}
-
-/// How much work the measurements do.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Effort {
-    /// Measured passes behind a median.
-    pub repeats: usize,
-    /// Numbers of Gaussians that every section is measured at, ascending.
-    pub gaussians: Vec<usize>,
-    /// Width and height of rendered images, pixels.
-    pub size: [usize; 2],
-    /// A second, larger size for section `raster`.
-    pub large_size: [usize; 2],
-    /// Rendered views in a pass.
-    pub views: usize,
-    /// Views that are lifted.
-    pub lifted_views: usize,
-    /// Labelled training views in stage two.
-    pub labelled_views: usize,
-    /// Steps of stage one before those that count.
-    pub settle: usize,
-    /// Steps of either stage that count, per repeat.
-    pub steps: usize,
-}
-
-impl Effort {
-    /// Enough work for figures that can be trusted.
-    pub fn full(repeats: usize, gaussians: Vec<usize>) -> Self {
-        Self {
-            repeats,
-            gaussians,
-            size: [480, 360],
-            large_size: [1920, 1080],
-            views: 6,
-            lifted_views: 80,
-            labelled_views: 12,
-            settle: 100,
-            steps: 20,
-        }
-    }
-
-    /// A few seconds of work, to see that everything runs. The figures mean nothing.
-    pub fn quick(repeats: usize, gaussians: Vec<usize>) -> Self {
-        Self {
-            repeats,
-            gaussians,
-            size: [64, 48],
-            large_size: [96, 64],
-            views: 2,
-            lifted_views: 3,
-            labelled_views: 2,
-            settle: 2,
-            steps: 4,
-        }
-    }
-}
-
-/// A scene, a device, and how much work to do.
+/// The scene to measure, and the number of repetitions.
 pub struct Bench {
     /// Settings of the rasterizer and of both stages.
     pub config: Config,
-    /// The scene.
-    pub subject: Subject,
+    /// The training views.
+    pub scene: Scene,
+    /// The trained Gaussians, or those that training starts from.
+    pub gaussians: Gaussians,
+    /// Whether the Gaussians are trained.
+    pub trained: bool,
     /// Where tensors live; without autodiff.
     pub device: Device,
-    /// How much work.
-    pub effort: Effort,
+    /// Measured passes behind a median.
+    pub repeats: usize,
 }
 
 impl Bench {
-    /// Measures one section at each number of Gaussians. Where the system reports memory, each has its peak too.
+    /// Loads the scene that `config` names. Without `trained` Gaussians it takes those that training starts from.
     ///
     /// # Errors
-    /// Those of the part that is measured. A number of Gaussians that the device cannot hold becomes a note instead.
-    pub fn measure(&self, section: Section) -> Result<Findings> {
-        let mut findings = Findings::new(section, &self.subject.description);
-        for &count in &self.effort.gaussians {
-            let gaussians = self.subject.gaussians(count);
-            let case = format!("{} Gaussians", thousands(gaussians.len() as u64));
-            let peak = if machine::reset_peak_memory() {
-                "peak memory of the process"
-            } else {
-                "peak memory of the process so far"
-            };
-            let measured = match section {
-                Section::Raster => raster::measure(self, &gaussians, &case, &mut findings),
-                Section::Curve => curve::measure(self, &gaussians, &case, &mut findings),
-                Section::Building => building::measure(self, &gaussians, &case, &mut findings),
-                Section::Unprojection => {
-                    unprojection::measure(self, &gaussians, &case, &mut findings)
-                }
-                Section::Segmentation => {
-                    segmentation::measure(self, &gaussians, &case, &mut findings)
-                }
-            };
-            match measured {
-                Err(error @ Error::Limit { .. }) => {
-                    findings.note(format!("{case}: left out, {error}"));
-                }
-                other => other?,
-            }
-            let bytes = peak_memory_bytes().filter(|_| section != Section::Curve);
-            if let Some(bytes) = bytes {
-                findings.counted(&case, peak, "MB", bytes as f64 / 1e6);
-            }
+    /// Those of the loader; [`Error::Argument`] for a scene without training views.
+    pub fn load(
+        config: Config,
+        trained: Option<PlyScene>,
+        device: Device,
+        repeats: usize,
+    ) -> Result<Self> {
+        let mut scene = load_scene(&config)?;
+        scene.views.retain(|view| view.split == Split::Train);
+        if scene.views.is_empty() {
+            let help = "mark some views as `train`";
+            return Err(Error::argument(
+                "data",
+                "no training view",
+                "one or more",
+                help,
+            ));
         }
-        Ok(findings)
+        let is_trained = trained.is_some();
+        let gaussians = match trained {
+            Some(ply) => {
+                scene = scene.with_origin(ply.origin);
+                ply.gaussians
+            }
+            None => {
+                let mut initial = Trainer::new(&scene, &config, &device)?.gaussians()?;
+                initial.opacity_logits.fill(UNTRAINED_OPACITY);
+                initial
+            }
+        };
+        Ok(Self {
+            config,
+            scene,
+            gaussians,
+            trained: is_trained,
+            device,
+            repeats,
+        })
+    }
+
+    /// The scene in a few words.
+    pub fn subject(&self) -> String {
+        let kind = if self.trained { "trained" } else { "initial" };
+        let (name, count) = (&self.scene.name, self.gaussians.len());
+        format!("{name}, {count} {kind} Gaussians")
+    }
+
+    /// Time against error of the rasterizer's settings, with about `count` Gaussians.
+    ///
+    /// # Errors
+    /// Those of rendering; [`Error::Limit`] for more Gaussians than the device holds.
+    pub fn curve(&self, count: usize) -> Result<Figures> {
+        curve::measure(self, &resampled(&self.gaussians, count, self.config.seed))
+    }
+
+    /// Times and peak memory of both stages, with about `count` Gaussians.
+    ///
+    /// # Errors
+    /// Those of the stages; [`Error::Limit`] for more Gaussians than the device holds.
+    pub fn stages(&self, count: usize) -> Result<Figures> {
+        stages::measure(self, &resampled(&self.gaussians, count, self.config.seed))
     }
 }

@@ -1,22 +1,22 @@
 //! `coseg associate`: one id for each object, from label maps whose ids differ from view to view.
 
-use super::held_out::{Truth, rendered, scored_views};
+use super::held_out::{Truth, scored_views};
 use super::labelled::LabelledArgs;
+use super::scene_file::cameras_of;
 use super::terminal;
 use clap::Args;
 use coseg::config::Association;
 use coseg::data::formats::transforms;
-use coseg::data::{MapGeometry, NamedCamera, Scene, Split, View};
+use coseg::data::{MapGeometry, Split};
 use coseg::error::{Error, Result};
-use coseg::objects::{LabelMaps, LabelRule, Semantics, associate, vote};
-use coseg::raster::{Settings, SplatTensors};
-use coseg::splat::camera::Camera;
+use coseg::objects::{Semantics, associate, vote};
+use coseg::raster::Settings;
 use coseg::splat::ply;
 use std::path::Path;
 
 const HELP: &str = "\
-The ids of instance masks of unordered photos mean nothing in other views. Segments that cover the same Gaussians get
-one id. Writes labels/VIEW.png (16-bit grey, 0 is unlabelled) for each view with raw labels, classes.json, and scene.ply
+The ids of instance masks often mean nothing in other views. Segments that cover the same Gaussians get one id.
+ Writes labels/VIEW.png (16-bit grey, 0 is unlabelled) for each view with raw labels, classes.json, and scene.ply
 with a label column from a vote of the maps. Where frames have true instances, prints scores; where segments have classes
 and frames true labels, scores by class. `coseg train` does the same after stage one with data.association = \"gaussians\".
 
@@ -48,7 +48,7 @@ impl AssociateArgs {
         let (mut scene, ply) = self.input.read(&config, &device)?;
         let found = associate(&ply.gaussians, &scene, &config.association, &settings)?;
         terminal::say(&format!(
-            "{} segments of training views: {} objects, {} segments of none, {} divided",
+            "{} segments of training views: {} objects; {} segments are in no object, {} are divided",
             found.segments,
             found.groups.len(),
             found.dropped,
@@ -66,7 +66,7 @@ impl AssociateArgs {
                 map.map().write_wide(&folder.join(format!("{name}.png")))?;
             }
         }
-        transforms::write_cameras(&out.join("cameras.json"), &cameras(&scene))?;
+        transforms::write_cameras(&out.join("cameras.json"), &cameras_of(&scene))?;
         classes.write(&out.join("classes.json"))?;
         let train = scene.split(Split::Train);
         let identities = vote(&ply.gaussians, train, classes, &settings, &device)?.identities();
@@ -88,11 +88,9 @@ impl AssociateArgs {
             .filter_map(|view| Some((view, view.raw.clone()?)))
             .collect();
         truth.score(&own).print("held-out views, maps");
-        let maps = LabelMaps::new(&identities, classes, LabelRule::from(&config.segmentation));
-        let splats = SplatTensors::new(&ply.gaussians, &device);
-        let views = scored_views(&scene, &truth);
-        let shown = rendered(views, |camera| maps.of(&splats.seen_by(camera, &settings)))?;
-        truth.score(&shown).print("held-out views, rendered");
+        let shown =
+            truth.score_identities(&identities, &ply.gaussians, &scene, &config, &device)?;
+        shown.print("held-out views, rendered");
         Ok(())
     }
 }
@@ -115,17 +113,4 @@ fn check_own(out: &Path) -> Result<()> {
         expected,
         "name a new folder",
     ))
-}
-
-/// The cameras of the views, in world units.
-fn cameras(scene: &Scene) -> Vec<NamedCamera> {
-    let named = |view: &View| NamedCamera {
-        name: view.name.clone(),
-        split: view.split,
-        camera: Camera {
-            center: view.camera.center + scene.origin,
-            ..view.camera.clone()
-        },
-    };
-    scene.views.iter().map(named).collect()
 }

@@ -33,7 +33,7 @@ pub struct DataArgs {
 enum Action {
     /// List every problem of a scene folder at once; exit code 1 when there is one
     Check(CheckArgs),
-    /// Counts, splits, image sizes, camera extent, classes
+    /// Show counts, splits, image sizes, camera extent and classes
     Info(InfoArgs),
 }
 
@@ -42,7 +42,7 @@ struct CheckArgs {
     /// Scene folder
     #[arg(value_name = "DIR")]
     dir: PathBuf,
-    /// Manifest of the scene: its files must exist, and its layout is used
+    /// Manifest of the scene: gives the layout and names files that must exist
     #[arg(long, value_name = "FILE.toml")]
     manifest: Option<PathBuf>,
     /// Print every problem, not only the first few of each kind
@@ -182,7 +182,7 @@ fn print(info: &Info) {
         say(
             "segments",
             format!(
-                "{} in the raw labels, to be put together over Gaussians",
+                "{} in the raw labels, to be joined over Gaussians",
                 info.segments
             ),
         );

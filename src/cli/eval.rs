@@ -1,7 +1,8 @@
 //! `coseg eval`: the scores of a run.
 
 use super::held_out::{Scores, Truth, rendered, scored_views};
-use super::run_folder::RunFolder;
+use super::run_folder::{IDENTITIES, RunFolder};
+use super::scene_file::SCENE;
 use super::terminal;
 use clap::Args;
 use coseg::backend::device::open_cpu;
@@ -9,8 +10,8 @@ use coseg::config::{Association, Config, Variant};
 use coseg::data::{Classes, Limits, Scene, Split};
 use coseg::error::{Error, Result};
 use coseg::metrics::ImageScores;
-use coseg::objects::{Identities, LabelMaps, LabelRule, Semantics, hard_label_map};
-use coseg::raster::{Projected, Settings, SplatTensors, render};
+use coseg::objects::{Identities, LabelRule, Semantics, hard_label_map};
+use coseg::raster::{Projected, Settings, render};
 use coseg::report::{RowScores, TestScores};
 use coseg::splat::ply;
 use coseg::splat::ply::PlyScene;
@@ -48,7 +49,7 @@ impl EvalArgs {
         let run = RunFolder::existing(&self.run)?;
         let mut config = run.config(&[])?;
         config.data.dir = self.data.or(config.data.dir);
-        let ply = ply::read(&run.scene_path(), &Limits::default())?;
+        let ply = ply::read(&run.file(SCENE), &Limits::default())?;
         let scene = coseg::pipeline::load_scene(&config)?.with_origin(ply.origin);
         let classes = run.classes()?;
         let is_associated = config.data.association != Association::None;
@@ -60,10 +61,10 @@ impl EvalArgs {
         let truth = if is_associated {
             Truth::Objects(&classes, semantics.as_ref())
         } else {
-            Truth::Labels(&scene.classes)
+            Truth::Labels(&classes)
         };
         let views = image_scores(&scene, &ply, &config)?;
-        let labels = label_scores(&scene, &ply, identities.as_ref(), &classes, &config, &truth)?;
+        let labels = label_scores(&scene, &ply, identities.as_ref(), &config, &truth)?;
         let mean = ImageScores::mean(&views.values().copied().collect::<Vec<_>>());
         if self.json {
             let held_out = views.len();
@@ -130,7 +131,7 @@ fn stored_row(config: &Config) -> Option<Variant> {
 
 /// The identities of the run, where it has some.
 fn identities(run: &RunFolder, ply: &PlyScene) -> Result<Option<Identities>> {
-    let path = run.identities_path();
+    let path = run.file(IDENTITIES);
     if !path.is_file() {
         return Ok(None);
     }
@@ -172,24 +173,22 @@ fn label_scores(
     scene: &Scene,
     ply: &PlyScene,
     identities: Option<&Identities>,
-    classes: &Classes,
     config: &Config,
     truth: &Truth<'_>,
 ) -> Result<Option<Scores>> {
-    let settings = Settings::from(&config.raster);
-    let rule = LabelRule::from(&config.segmentation);
-    let views = scored_views(scene, truth);
-    let maps = if let Some(identities) = identities {
-        let maps = LabelMaps::new(identities, classes, rule);
-        let splats = SplatTensors::new(&ply.gaussians, &open_cpu()?);
-        rendered(views, |camera| maps.of(&splats.seen_by(camera, &settings)))?
-    } else if let Some(labels) = &ply.labels {
-        rendered(views, |camera| {
-            let projected = Projected::new(&ply.gaussians.splats(), camera, &settings)?;
-            Ok(hard_label_map(&projected, labels, rule.min_coverage))
-        })?
-    } else {
+    let gaussians = &ply.gaussians;
+    if let Some(identities) = identities {
+        let scores = truth.score_identities(identities, gaussians, scene, config, &open_cpu()?)?;
+        return Ok(Some(scores));
+    }
+    let Some(labels) = &ply.labels else {
         return Ok(None);
     };
+    let settings = Settings::from(&config.raster);
+    let least = LabelRule::from(&config.segmentation).min_coverage;
+    let maps = rendered(scored_views(scene, truth), |camera| {
+        let projected = Projected::new(&gaussians.splats(), camera, &settings)?;
+        Ok(hard_label_map(&projected, labels, least))
+    })?;
     Ok(Some(truth.score(&maps)))
 }

@@ -2,7 +2,6 @@
 
 use super::terminal;
 use coseg::Error;
-use std::collections::HashMap;
 use std::mem::{Discriminant, discriminant};
 use std::path::{Path, PathBuf};
 
@@ -14,27 +13,26 @@ type Kind = (Discriminant<Error>, PathBuf, String, String);
 
 /// Prints the first few faults of each kind and how many more there are, or all of them.
 pub fn print(faults: &[Error], all: bool) {
-    let mut kinds: HashMap<Kind, usize> = HashMap::new();
-    let mut groups: Vec<Vec<&Error>> = Vec::new();
+    let mut groups: Vec<(Kind, Vec<&Error>)> = Vec::new();
     for fault in faults {
-        let group = *kinds.entry(kind(fault)).or_insert(groups.len());
-        match groups.get_mut(group) {
-            Some(group) => group.push(fault),
-            None => groups.push(vec![fault]),
+        let kind = kind(fault);
+        match groups.iter_mut().find(|(of, _)| *of == kind) {
+            Some((_, group)) => group.push(fault),
+            None => groups.push((kind, vec![fault])),
         }
     }
-    for group in groups {
+    for (_, group) in groups {
         // One more takes as much room as the line that counts it.
         let shown = if all || group.len() == SHOWN + 1 {
             group.len()
         } else {
             SHOWN
         };
-        group
-            .iter()
-            .take(shown)
-            .for_each(|fault| terminal::error(fault));
-        if let Some(more) = group.len().checked_sub(shown).filter(|more| *more > 0) {
+        for fault in group.iter().take(shown) {
+            terminal::error(fault);
+        }
+        if group.len() > shown {
+            let more = group.len() - shown;
             terminal::note(&format!(
                 "error: .. and {more} more like it (--all shows them)"
             ));
@@ -54,12 +52,8 @@ fn kind(fault: &Error) -> Kind {
             name: key, help, ..
         } => (PathBuf::new(), key.as_str(), help.as_str()),
         other => {
-            return (
-                discriminant(other),
-                PathBuf::new(),
-                other.to_string(),
-                String::new(),
-            );
+            let (none, text) = (PathBuf::new(), other.to_string());
+            return (discriminant(other), none, text, String::new());
         }
     };
     (discriminant(fault), path, plain(field), plain(help))

@@ -1,12 +1,16 @@
 //! Scores of label maps on the held-out views.
 
 use super::terminal;
+use burn::tensor::Device;
+use coseg::config::Config;
 use coseg::data::{Classes, LabelMap, LabelRuns, Scene, Split, View};
 use coseg::error::Result;
 use coseg::metrics::{
     InstanceScores, LabelScores, SemanticScores, Void, instance_scores, label_scores,
 };
-use coseg::objects::Semantics;
+use coseg::objects::{Identities, LabelMaps, LabelRule, Semantics};
+use coseg::raster::{Settings, SplatTensors};
+use coseg::splat::Gaussians;
 use coseg::splat::camera::Camera;
 
 /// The labels that the cameras of `views` see, by `map`.
@@ -36,6 +40,23 @@ impl Truth<'_> {
                 view.instances.is_some() || semantics.is_some_and(|known| known.knows(view))
             }
         }
+    }
+
+    /// Scores what the held-out views of `scene` show of the identities of `gaussians`.
+    pub fn score_identities(
+        &self,
+        identities: &Identities,
+        gaussians: &Gaussians,
+        scene: &Scene,
+        config: &Config,
+        device: &Device,
+    ) -> Result<Scores> {
+        let (Self::Labels(classes) | Self::Objects(classes, _)) = self;
+        let settings = Settings::from(&config.raster);
+        let maps = LabelMaps::new(identities, classes, LabelRule::from(&config.segmentation));
+        let splats = SplatTensors::new(gaussians, device);
+        let map = |camera: &Camera| maps.of(&splats.seen_by(camera, &settings));
+        Ok(self.score(&rendered(scored_views(scene, self), map)?))
     }
 
     /// Scores `maps`; unlabelled pixels count as wrong.

@@ -142,13 +142,19 @@ impl Command {
 pub struct BackendArgs {
     /// Where to compute: wgpu, flex, ndarray or cuda [default: the first that works, never cuda]
     #[arg(long, value_name = "NAME")]
-    backend: Option<BackendName>,
+    pub backend: Option<BackendName>,
 }
 
 impl BackendArgs {
     /// Opens the device.
     pub fn open(&self) -> Result<Device> {
         device::open(self.backend)
+    }
+
+    /// Opens the device, and describes it in a few words.
+    pub fn choose(&self) -> Result<(String, Device)> {
+        let (backend, device) = device::choose(self.backend)?;
+        Ok((device::described(backend), device))
     }
 }
 

@@ -1,6 +1,8 @@
 //! A labelled PLY scene with the names of its labels: what commands about objects work on.
 
-use super::scene_file::{CLASSES, copy_cameras, has_extension, read_scene, scene_path};
+use super::scene_file::{
+    CLASSES, classes_beside, copy_cameras, has_extension, read_scene, scene_path,
+};
 use clap::Args;
 use coseg::data::{Classes, LoadOptions, atomic, check_output_file};
 use coseg::error::{Error, Result};
@@ -82,12 +84,7 @@ impl ObjectScene {
         let Some(labels) = ply.labels.take() else {
             return Err(without_labels(&path));
         };
-        let beside = path.with_file_name(CLASSES);
-        let classes = match classes {
-            Some(path) => Classes::read(path)?,
-            None if beside.is_file() => Classes::read(&beside)?,
-            None => Classes::default(),
-        };
+        let classes = classes_beside(&path, classes.map(PathBuf::as_path))?;
         let objects = inventory(&ply.gaussians, &labels);
         Ok(Self {
             path,

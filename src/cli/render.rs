@@ -2,7 +2,9 @@
 
 use super::object_scene::without_labels;
 use super::render_path::PathArgs;
-use super::scene_file::{CAMERAS, CLASSES, cameras_path, read_scene, rendering_beside, scene_path};
+use super::scene_file::{
+    CAMERAS, cameras_path, classes_beside, read_scene, rendering_beside, scene_path,
+};
 use super::values::{alpha_max, numbers};
 use super::{BackendArgs, terminal};
 use clap::{Args, ValueEnum};
@@ -152,12 +154,7 @@ impl RenderArgs {
         if self.labels && scene.labels.is_none() {
             return Err(without_labels(&path));
         }
-        let beside = path.with_file_name(CLASSES);
-        let classes = if self.labels && beside.is_file() {
-            Some(Classes::read(&beside)?)
-        } else {
-            None
-        };
+        let classes = classes_beside(&path, None)?;
         let along = self.path.cameras(&cameras, &path, &scene)?;
         let is_path = along.is_some();
         let cameras = along.unwrap_or(cameras);
@@ -168,7 +165,7 @@ impl RenderArgs {
         };
         let labels = scene.labels.filter(|_| self.labels);
         let device = self.backend.open()?;
-        let mut renderer = Renderer::new(scene.gaussians, labels, options, &device)?;
+        let renderer = Renderer::new(scene.gaussians, labels, options, &device)?;
         if is_path {
             transforms::write_cameras(&self.out.join(CAMERAS), &cameras)?;
         }
@@ -182,7 +179,7 @@ impl RenderArgs {
             let start = Instant::now();
             let frame = renderer.frame(&camera)?;
             times.push(start.elapsed().as_secs_f64());
-            self.write(name, &frame, classes.as_ref())?;
+            self.write(name, &frame, &classes)?;
             bar.inc(1);
         }
         bar.finish_and_clear();
@@ -197,7 +194,7 @@ impl RenderArgs {
         Ok(())
     }
 
-    fn write(&self, name: &str, frame: &Frame, classes: Option<&Classes>) -> Result<()> {
+    fn write(&self, name: &str, frame: &Frame, classes: &Classes) -> Result<()> {
         let file = |kind: &str| self.out.join(format!("{name}.{kind}"));
         let &Frame {
             width,
@@ -224,9 +221,9 @@ impl RenderArgs {
         }
         let Some(labels) = labels else { return Ok(()) };
         labels.write(&file("label.png"))?;
-        let Some(classes) = classes else {
+        if classes.is_empty() {
             return Ok(());
-        };
+        }
         let path = file("label_color.png");
         let colored = pictures::with_legend(&pictures::colored(labels, classes), labels, classes);
         atomic::write_bytes(&path, &pictures::png(&colored, &path)?)

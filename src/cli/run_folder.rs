@@ -1,12 +1,21 @@
 //! The files of a run folder.
 
 use super::or_usage_error;
-use super::scene_file::{CAMERAS, CLASSES, CONFIG, SCENE};
+use super::scene_file::{CONFIG, SCENE, classes_beside};
 use coseg::config::Config;
 use coseg::data::{Classes, atomic};
 use coseg::error::{Error, Result};
 use coseg::report::{Command, Metrics};
 use std::path::{Path, PathBuf};
+
+/// The command lines of a run.
+const COMMANDS: &str = "commands.json";
+/// The scores of each Gaussian for each class.
+pub const IDENTITIES: &str = "identities.safetensors";
+/// The figures for programs.
+const METRICS: &str = "metrics.json";
+/// The figures on a page.
+pub const REPORT: &str = "report.html";
 
 /// A run folder.
 #[derive(Clone, Debug)]
@@ -35,10 +44,8 @@ impl RunFolder {
         let Some(dir) = dir else {
             let base = Path::new("runs");
             let numbered = (2..).map(|i| base.join(format!("{name}-{i}")));
-            let free = std::iter::once(base.join(name))
-                .chain(numbered)
-                .map(Self)
-                .find(|run| !run.is_used());
+            let mut all = std::iter::once(base.join(name)).chain(numbered).map(Self);
+            let free = all.find(|run| !run.is_used());
             return Ok(free.unwrap_or_else(|| Self(base.join(name))));
         };
         let run = Self(dir.to_owned());
@@ -53,7 +60,7 @@ impl RunFolder {
     }
 
     fn is_used(&self) -> bool {
-        self.config_path().exists()
+        self.file(CONFIG).exists()
     }
 
     /// Starts or resumes the run with `command` and the settings `config`. A new run gets both files at once, so that it can
@@ -63,7 +70,7 @@ impl RunFolder {
     /// [`Error::Io`] naming the file; [`Error::Argument`] for settings that TOML cannot hold.
     pub fn begin(&self, config: &Config, command: Command) -> Result<Begun> {
         // A file that cannot be read is ignored.
-        let earlier = std::fs::read(self.commands_path()).ok();
+        let earlier = std::fs::read(self.file(COMMANDS)).ok();
         let earlier = earlier.and_then(|text| serde_json::from_slice::<Vec<Command>>(&text).ok());
         let commands: Vec<Command> = earlier.into_iter().flatten().chain([command]).collect();
         let begun = Begun {
@@ -73,7 +80,7 @@ impl RunFolder {
         };
         if begun.is_new {
             let config = config.to_toml()?;
-            let written = atomic::write_bytes(self.config_path(), config.as_bytes())
+            let written = atomic::write_bytes(self.file(CONFIG), config.as_bytes())
                 .and_then(|()| begun.keep());
             written.inspect_err(|_| begun.undo())?;
         }
@@ -82,10 +89,9 @@ impl RunFolder {
 
     /// Peak memory of the earlier part of the run, where there is one.
     pub fn peak_memory_before(&self) -> Option<u64> {
-        let text = std::fs::read(self.0.join("metrics.json")).ok()?;
-        serde_json::from_slice::<Metrics>(&text)
-            .ok()?
-            .peak_memory_bytes
+        let text = std::fs::read(self.file(METRICS)).ok()?;
+        let metrics: Metrics = serde_json::from_slice(&text).ok()?;
+        metrics.peak_memory_bytes
     }
 
     /// The folder itself.
@@ -93,39 +99,9 @@ impl RunFolder {
         &self.0
     }
 
-    /// Settings as run.
-    pub fn config_path(&self) -> PathBuf {
-        self.0.join(CONFIG)
-    }
-
-    /// The command lines of the run.
-    fn commands_path(&self) -> PathBuf {
-        self.0.join("commands.json")
-    }
-
-    /// The scene.
-    pub fn scene_path(&self) -> PathBuf {
-        self.0.join(SCENE)
-    }
-
-    /// The views' cameras.
-    pub fn cameras_path(&self) -> PathBuf {
-        self.0.join(CAMERAS)
-    }
-
-    /// Scores of each Gaussian for each class.
-    pub fn identities_path(&self) -> PathBuf {
-        self.0.join("identities.safetensors")
-    }
-
-    /// The page.
-    pub fn report_path(&self) -> PathBuf {
-        self.0.join("report.html")
-    }
-
-    /// The scene as a page.
-    pub fn viewer_path(&self) -> PathBuf {
-        self.0.join("viewer.html")
+    /// The file `name` of the folder.
+    pub fn file(&self, name: &str) -> PathBuf {
+        self.0.join(name)
     }
 
     /// Settings as run, with overrides.
@@ -133,7 +109,7 @@ impl RunFolder {
     /// # Errors
     /// As [`Config::load`].
     pub fn config(&self, sets: &[String]) -> Result<Config> {
-        let config = Config::load(Some(&self.config_path()), sets);
+        let config = Config::load(Some(&self.file(CONFIG)), sets);
         if sets.is_empty() {
             config
         } else {
@@ -146,12 +122,7 @@ impl RunFolder {
     /// # Errors
     /// As [`Classes::read`].
     pub fn classes(&self) -> Result<Classes> {
-        let path = self.0.join(CLASSES);
-        if path.is_file() {
-            Classes::read(&path)
-        } else {
-            Ok(Classes::default())
-        }
+        classes_beside(&self.file(SCENE), None)
     }
 }
 
@@ -171,7 +142,7 @@ impl Begun {
     /// # Errors
     /// [`Error::Io`] naming the file.
     pub fn keep(&self) -> Result<()> {
-        let path = self.run.commands_path();
+        let path = self.run.file(COMMANDS);
         let text = serde_json::to_string_pretty(&self.commands)
             .map_err(|e| Error::io(&path, "encode", e.into()))?;
         atomic::write_bytes(&path, text.as_bytes())
@@ -185,7 +156,7 @@ impl Begun {
             return;
         }
         // The first error is the one to report; files that cannot be removed do no harm.
-        for path in [self.run.config_path(), self.run.commands_path()] {
+        for path in [self.run.file(CONFIG), self.run.file(COMMANDS)] {
             let _ = atomic::remove(path);
         }
         let _ = std::fs::remove_dir(&checkpoints);

@@ -1,8 +1,9 @@
 //! The files of a scene: given by name, or in the folder that `coseg train` wrote.
 
 use coseg::config::Config;
-use coseg::data::{Limits, atomic};
+use coseg::data::{Classes, Limits, NamedCamera, Scene, View, atomic};
 use coseg::error::{Error, Result};
+use coseg::splat::camera::Camera;
 use coseg::splat::ply;
 use coseg::splat::ply::PlyScene;
 use std::path::{Path, PathBuf};
@@ -15,6 +16,8 @@ pub const CLASSES: &str = "classes.json";
 pub const SCENE: &str = "scene.ply";
 /// The cameras of a run folder.
 pub const CAMERAS: &str = "cameras.json";
+/// The page of a scene.
+pub const VIEWER: &str = "viewer.html";
 /// The scene of a model folder of graphdeco's 3DGS, in point_cloud/iteration_N.
 const GRAPHDECO: &str = "point_cloud.ply";
 
@@ -67,6 +70,29 @@ fn of_graphdeco(folder: &Path) -> Option<PathBuf> {
     };
     let newest = iterations.flatten().filter_map(numbered).max()?;
     Some(newest.1)
+}
+
+/// The class table `given`, or the one beside the scene `scene`; empty where there is none.
+pub fn classes_beside(scene: &Path, given: Option<&Path>) -> Result<Classes> {
+    let beside = scene.with_file_name(CLASSES);
+    match given {
+        Some(path) => Classes::read(path),
+        None if beside.is_file() => Classes::read(&beside),
+        None => Ok(Classes::default()),
+    }
+}
+
+/// The cameras of all views of a scene, in world units.
+pub fn cameras_of(scene: &Scene) -> Vec<NamedCamera> {
+    let named = |view: &View| NamedCamera {
+        name: view.name.clone(),
+        split: view.split,
+        camera: Camera {
+            center: view.camera.center + scene.origin,
+            ..view.camera.clone()
+        },
+    };
+    scene.views.iter().map(named).collect()
 }
 
 /// Reads a scene that must hold Gaussians.

@@ -1,23 +1,21 @@
 //! `coseg train`: the main job.
 
+use super::held_out::Scores;
 use super::label::SegmenterArgs;
 use super::progress::Bars;
-use super::run_folder::RunFolder;
-use super::scene_file::scene_path;
-use super::{Settings, interrupt, terminal};
+use super::run_folder::{IDENTITIES, REPORT, RunFolder};
+use super::scene_file::{CAMERAS, SCENE, VIEWER, cameras_of, scene_path};
+use super::{BackendArgs, Settings, interrupt, terminal};
 use burn::tensor::Device;
 use clap::Args;
-use coseg::backend::device;
-use coseg::backend::device::BackendName;
-use coseg::config::{Config, Variant};
+use coseg::config::Config;
 use coseg::data;
 use coseg::data::formats::transforms;
-use coseg::data::{LoadOptions, NamedCamera, Split, View, atomic};
+use coseg::data::{LoadOptions, Split, atomic};
 use coseg::error::{Error, Result};
 use coseg::pipeline;
 use coseg::pipeline::{Outcome, VariantOutcome};
 use coseg::report::{Command, Metrics, Report, held_out_views};
-use coseg::splat::camera::Camera;
 use coseg::splat::ply;
 use coseg::viewer::Viewer;
 use glam::DVec3;
@@ -25,7 +23,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-/// Bytes of a viewer.html that nobody asked for, at most: 1.1 million Gaussians of SH degree 3.
+/// Largest viewer.html that `coseg train` writes, bytes: 1.1 million Gaussians of SH degree 3.
 const LARGEST_PAGE: usize = 128_000_000;
 
 const HELP: &str = "\
@@ -41,18 +39,18 @@ The run folder gets
   config.toml    all settings as run
   renders/       held-out views: colour, labels, error maps
   labels/        with --segmenter: label maps and scores of all photos, as `coseg label` writes them
-  checkpoint/    what --resume goes on from
+  checkpoint/    the state that --resume continues from
 
-Ctrl-C, or SIGTERM, saves a checkpoint and stops after the step or view; a second one stops at once. The report and all else that
-shows results is written when the run is done.
+Ctrl-C, or SIGTERM, saves a checkpoint and stops after the step or view; a second one stops at once. The report and the other
+results are written when the run is done.
 
-Settings come from the preset (preset = \"default\", \"paper\" or \"fast\"), then --config, then --set; sections are
-data, association, building, raster, features, unprojection, spatial and segmentation. Relative paths are meant from the working
-folder. Times are seconds, lengths world units, shares 0 to 1.
+Settings come from the preset (preset = \"default\", \"paper\" or \"fast\"), then --config, then --set. Their sections are
+data, building, raster, features, unprojection, spatial and segmentation. Relative paths start at the working folder. Times are
+in seconds, lengths in world units, shares from 0 to 1.
 
-Without --data and data.dir the built-in room is trained, with building.iterations = 2400, building.max_gaussians = 25000 and
-segmentation.pixel_share = 0.25 in place of the usual defaults; presets (\"paper\" takes none of these), --config and --set
-come on top.
+Without --data and data.dir, `coseg train` trains the built-in room. Its defaults are building.iterations = 2400,
+building.max_gaussians = 25000 and segmentation.pixel_share = 0.25. The preset \"paper\" keeps its own values, and --config and
+--set override all of them.
 
 Examples:
   coseg train
@@ -69,7 +67,7 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_help = HELP)]
 pub struct TrainArgs {
-    /// Scene folder: photos, cameras, label maps; README, 'Data' [default: the built-in room]
+    /// Scene folder with photos, cameras and label maps [default: the built-in room]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     /// 3DGS PLY of this or another trainer whose Gaussians to label, instead of building new ones
@@ -80,18 +78,17 @@ pub struct TrainArgs {
     segmenter: Option<PathBuf>,
     #[command(flatten)]
     labelling: SegmenterArgs,
-    /// Run folder to write [default: runs/NAME of the scene, numbered when taken]
+    /// Run folder to write [default: runs/NAME of the scene, with a number if that is taken]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Go on with this run from its last checkpoint, as if it had not stopped; --data if its scene moved
+    /// Continue this run from its last checkpoint; add --data if its scene has moved
     #[arg(long, value_name = "RUN", conflicts_with_all = ["out", "seed", "config"])]
     resume: Option<PathBuf>,
-    /// Where to compute: wgpu, flex, ndarray or cuda [default: the first in this build, cuda aside]
-    #[arg(long, value_name = "NAME")]
-    backend: Option<BackendName>,
     /// Seed of every random choice [default: 0]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
+    #[command(flatten)]
+    backend: BackendArgs,
     #[command(flatten)]
     settings: Settings,
 }
@@ -106,12 +103,9 @@ impl TrainArgs {
             let renders = run.path().join("renders");
             data::check_outputs("--out", &[run.path(), &renders], Some((dir, &options)))?;
         }
-        let (backend, device) = device::choose(self.backend)?;
-        let device_text = format!(
-            "{} backend, {} threads",
-            device::described(backend),
-            rayon::current_num_threads()
-        );
+        let (backend, device) = self.backend.choose()?;
+        let threads = rayon::current_num_threads();
+        let device_text = format!("{backend} backend, {threads} threads");
         terminal::note(&format!(
             "{} -> {} ({device_text})",
             scene_name(&config),
@@ -139,7 +133,7 @@ impl TrainArgs {
         let viewer = write_scene(&outcome, &run)?;
         write_report(&outcome, &run, begun.commands, &device)?;
         summary(&outcome);
-        terminal::say(&format!("report: {}", run.report_path().display()));
+        terminal::say(&format!("report: {}", run.file(REPORT).display()));
         terminal::say(&viewer);
         Ok(ExitCode::SUCCESS)
     }
@@ -193,24 +187,18 @@ impl TrainArgs {
     fn resume_line(&self, run: &RunFolder) -> String {
         let mut words = ["coseg", "train", "--resume"].map(str::to_owned).to_vec();
         words.push(run.path().display().to_string());
+        let mut option = |name: &str, value: String| words.extend([name.to_owned(), value]);
         if self.resume.is_some() {
-            words.extend(
-                self.data
-                    .iter()
-                    .flat_map(|dir| ["--data".to_owned(), dir.display().to_string()]),
-            );
-            words.extend(
-                self.settings
-                    .sets
-                    .iter()
-                    .flat_map(|set| ["--set".to_owned(), set.clone()]),
-            );
+            if let Some(dir) = &self.data {
+                option("--data", dir.display().to_string());
+            }
+            for set in &self.settings.sets {
+                option("--set", set.clone());
+            }
         }
-        words.extend(
-            self.backend
-                .iter()
-                .flat_map(|name| ["--backend".to_owned(), name.to_string()]),
-        );
+        if let Some(name) = self.backend.backend {
+            option("--backend", name.to_string());
+        }
         words.into_iter().map(quoted).collect::<Vec<_>>().join(" ")
     }
 }
@@ -220,22 +208,24 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<String> {
     let (scene, gaussians) = (&outcome.scene, &outcome.gaussians);
     let identities = outcome.stored().map(|(_, identities)| identities);
     let ids = identities.map(|identities| identities.ids(&scene.classes));
-    ply::write(&run.scene_path(), gaussians, scene.origin, ids.as_deref())?;
+    ply::write(&run.file(SCENE), gaussians, scene.origin, ids.as_deref())?;
     match identities {
-        Some(identities) => identities.write(&run.identities_path())?,
+        Some(identities) => identities.write(&run.file(IDENTITIES))?,
         // Those of an earlier result, which had other variants.
-        None => atomic::remove(run.identities_path())?,
+        None => atomic::remove(run.file(IDENTITIES))?,
     }
-    let cameras = cameras_of(outcome);
-    transforms::write_cameras(&run.cameras_path(), &cameras)?;
+    let cameras = cameras_of(scene);
+    transforms::write_cameras(&run.file(CAMERAS), &cameras)?;
     let page_bytes = Viewer::bytes(gaussians);
     if page_bytes > LARGEST_PAGE {
         // The page of an earlier result.
-        atomic::remove(run.viewer_path())?;
+        atomic::remove(run.file(VIEWER))?;
         let megabytes = page_bytes / 1_000_000;
         let folder = quoted(run.path().display().to_string());
         let line = format!("coseg view --scene {folder}");
-        return Ok(format!("viewer: {megabytes} MB, which `{line}` writes"));
+        return Ok(format!(
+            "viewer: left out, as it takes {megabytes} MB; `{line}` writes it"
+        ));
     }
     let viewer = Viewer {
         title: &scene_name(&outcome.config),
@@ -250,8 +240,8 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<String> {
         up: Some(scene.up).filter(|up| *up == DVec3::Z),
         alpha_max: outcome.config.raster.alpha_max,
     };
-    viewer.write(&run.viewer_path())?;
-    Ok(format!("viewer: {}", run.viewer_path().display()))
+    viewer.write(&run.file(VIEWER))?;
+    Ok(format!("viewer: {}", run.file(VIEWER).display()))
 }
 
 /// Renders the held-out views, and writes the report and the metrics.
@@ -274,7 +264,7 @@ fn write_report(
     let shown = views.iter().map(|v| (v.view.name.clone(), v.scores));
     scores.extend(shown);
     metrics.test.views = scores;
-    // The largest of the parts of a resumed run, as far as they came to an end.
+    // Of a resumed run, the largest of the parts that came to their end.
     metrics.peak_memory_bytes = metrics.peak_memory_bytes.max(run.peak_memory_before());
     let report = Report {
         metrics,
@@ -287,39 +277,16 @@ fn write_report(
     report.write(run.path())
 }
 
-/// The views' cameras in world units.
-fn cameras_of(outcome: &Outcome) -> Vec<NamedCamera> {
-    let origin = outcome.scene.origin;
-    let camera = |view: &View| Camera {
-        center: view.camera.center + origin,
-        ..view.camera.clone()
-    };
-    let named = |view: &View| NamedCamera {
-        name: view.name.clone(),
-        split: view.split,
-        camera: camera(view),
-    };
-    outcome.scene.views.iter().map(named).collect()
-}
-
 /// Name of the scene, for the run folder.
 fn scene_name(config: &Config) -> String {
-    let dir = config
-        .data
-        .dir
-        .as_deref()
-        .map(|dir| dir.canonicalize().unwrap_or_else(|_| dir.to_owned()));
+    let Some(dir) = &config.data.dir else {
+        return "builtin".to_owned();
+    };
+    let dir = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
     let name = dir
-        .as_deref()
-        .and_then(|dir| dir.file_name())
+        .file_name()
         .map(|name| name.to_string_lossy().into_owned());
-    name.unwrap_or_else(|| {
-        if config.data.dir.is_some() {
-            "scene".into()
-        } else {
-            "builtin".into()
-        }
-    })
+    name.unwrap_or_else(|| "scene".to_owned())
 }
 
 /// This command line, quoted where a shell would need it.
@@ -351,7 +318,7 @@ fn summary(outcome: &Outcome) {
     }
     if let Some(a) = &outcome.association {
         terminal::say(&format!(
-            "{} segments put together into {} objects, {} of none, {} divided; scores are against true instances",
+            "{} segments joined into {} objects; {} segments are in no object, {} are divided; scores are against true instances",
             a.segments, a.objects, a.dropped, a.divided
         ));
     }
@@ -369,32 +336,12 @@ fn summary(outcome: &Outcome) {
         ));
         return;
     }
-    terminal::say(&format!(
-        "{:<28} {:>8} {:>9} {:>9}",
-        "row", "mIoU", "per view", "accuracy"
-    ));
-    let cell = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |v| format!("{v:.4}"));
     for row in &outcome.rows {
-        let name = if row.row == Variant::Ours {
-            "ours"
-        } else {
-            row.row.title()
+        let scores = Scores {
+            labels: row.scores.clone(),
+            instances: row.instances.clone(),
+            semantic: row.semantic.clone(),
         };
-        let s = &row.scores;
-        let [miou, per_view, accuracy] = match &row.instances {
-            Some(s) => [s.miou, None, s.accuracy],
-            None => [s.miou, s.miou_per_view, s.accuracy],
-        };
-        terminal::say(&format!(
-            "{name:<28} {:>8} {:>9} {:>9}",
-            cell(miou),
-            cell(per_view),
-            cell(accuracy)
-        ));
-        if let Some(s) = &row.semantic {
-            let [miou, per_view, accuracy] = [s.miou, s.miou_per_view, s.accuracy].map(cell);
-            let name = format!("{name}, by class");
-            terminal::say(&format!("{name:<28} {miou:>8} {per_view:>9} {accuracy:>9}"));
-        }
+        scores.print(row.row.title());
     }
 }

@@ -1,18 +1,17 @@
 //! `coseg view`: a scene as a page for the browser.
 
-use super::scene_file::{CLASSES, cameras_path, has_extension, rendering_beside, scene_path};
+use super::scene_file::{
+    SCENE, VIEWER, cameras_path, classes_beside, has_extension, rendering_beside, scene_path,
+};
 use super::terminal;
 use super::values::{alpha_max, numbers};
 use clap::Args;
-use coseg::data::{Classes, Limits, read_cameras};
+use coseg::data::{Limits, read_cameras};
 use coseg::error::{Error, Result};
 use coseg::splat::ply;
 use coseg::viewer::Viewer;
 use glam::DVec3;
 use std::path::{Path, PathBuf};
-
-/// The page beside a scene.
-const PAGE: &str = "viewer.html";
 
 const HELP: &str = "\
 The page works offline and needs WebGL 2. It takes 111 bytes for each Gaussian of SH degree 3. It shows colours, labels,
@@ -57,12 +56,11 @@ impl ViewArgs {
     /// Writes the page.
     pub fn run(self) -> Result<()> {
         let path = scene_path(&self.scene)?;
-        let page = if self.scene.is_dir() {
-            self.scene.join(PAGE)
-        } else {
-            path.with_file_name(PAGE)
+        let out = match self.out {
+            Some(out) => out,
+            None if self.scene.is_dir() => self.scene.join(VIEWER),
+            None => path.with_file_name(VIEWER),
         };
-        let out = self.out.unwrap_or(page);
         if !has_extension(&out, "html") {
             let found = out.display().to_string();
             let help = "end the name in .html";
@@ -70,10 +68,7 @@ impl ViewArgs {
         }
         let ply = ply::read(&path, &Limits::default())?;
         let names = self.classes.as_ref().map(|file| file.display().to_string());
-        let beside = Some(path.with_file_name(CLASSES)).filter(|file| file.is_file());
-        let classes = self.classes.or(beside);
-        let classes =
-            classes.map_or_else(|| Ok(Classes::default()), |file| Classes::read(&file))?;
+        let classes = classes_beside(&path, self.classes.as_deref())?;
         let cameras = self.cameras.or_else(|| cameras_path(None, &path).ok());
         let cameras = cameras.map_or_else(|| Ok(Vec::new()), |file| read_cameras(&file, None))?;
         let viewer = Viewer {
@@ -105,16 +100,13 @@ fn parse_direction(text: &str) -> std::result::Result<DVec3, String> {
 
 /// The name of the folder for a scene.ply, of the file for others.
 fn title(scene: &Path) -> String {
-    let folder = scene.parent().and_then(|folder| folder.canonicalize().ok());
-    let named = |path: &Path| {
-        path.file_name()
-            .map(|name| name.to_string_lossy().into_owned())
+    let named = |path: &Path| Some(path.file_name()?.to_string_lossy().into_owned());
+    let folder = match named(scene).as_deref() {
+        Some(SCENE) => scene.parent().and_then(|folder| folder.canonicalize().ok()),
+        _ => None,
     };
-    let folder = folder
-        .as_deref()
-        .and_then(named)
-        .filter(|_| scene.file_name().is_some_and(|name| name == "scene.ply"));
-    folder
+    let title = folder.and_then(|folder| named(&folder));
+    title
         .or_else(|| named(scene))
         .unwrap_or_else(|| "scene".to_owned())
 }

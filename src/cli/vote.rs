@@ -1,14 +1,14 @@
 //! `coseg vote`: labels for Gaussians by a vote of raw label maps.
 
-use super::held_out::{Truth, rendered, scored_views};
+use super::held_out::{Truth, scored_views};
 use super::labelled::LabelledArgs;
 use super::terminal;
 use clap::Args;
 use coseg::config::Association;
 use coseg::data::Split;
 use coseg::error::{Error, Result};
-use coseg::objects::{LabelMaps, LabelRule, vote};
-use coseg::raster::{Settings, SplatTensors};
+use coseg::objects::vote;
+use coseg::raster::Settings;
 use coseg::splat::ply;
 
 const HELP: &str = "\
@@ -60,14 +60,10 @@ impl VoteArgs {
             ids.len() - unseen
         ));
         let truth = Truth::Labels(&scene.classes);
-        let rule = LabelRule::from(&config.segmentation);
-        let maps = LabelMaps::new(&identities, &scene.classes, rule);
-        let splats = SplatTensors::new(&ply.gaussians, &device);
-        let views = scored_views(&scene, &truth);
-        let maps = rendered(views, |camera| maps.of(&splats.seen_by(camera, &settings)))?;
-        truth
-            .score(&maps)
-            .print(&format!("{} held-out views", maps.len()));
+        let scores =
+            truth.score_identities(&identities, &ply.gaussians, &scene, &config, &device)?;
+        let views = scored_views(&scene, &truth).count();
+        scores.print(&format!("{views} held-out views"));
         Ok(())
     }
 }

@@ -1,6 +1,6 @@
 //! Settings of stage one and of the blending.
 
-use super::range;
+use super::range::{Range, checked};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -51,24 +51,14 @@ impl AdcConfig {
     }
 }
 
-/// Settings of [`Strategy::Mcmc`]. After each step the means get `lr noise sigmoid(-k (o - t)) Sigma eta`, with lr their
-/// learning rate, o the opacity, Sigma the covariance and eta standard normal. Lengths are in units of the scene's extent (1.1
-/// times the largest distance of a camera from the mean one), so that the constants mean the same in every scene. The fields
-/// marked `serde(skip)` have the values of 3DGS-MCMC; no key sets them.
+/// Settings of [`Strategy::Mcmc`]. Lengths are in units of the scene's extent (1.1 times the largest distance of a camera from
+/// the mean one), so that the constants mean the same in every scene. The fields marked `serde(skip)` have the values of
+/// 3DGS-MCMC. No key sets them; tests on small scenes change them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct McmcConfig {
     /// A densification adds this share of the present Gaussians; short runs need more to reach the cap early.
     pub growth: f64,
-    /// Noise on the means, per learning rate; 0 turns it off.
-    #[serde(skip)]
-    pub noise: f64,
-    /// How sharply the noise fades out above `noise_opacity`: k.
-    #[serde(skip)]
-    pub noise_sharpness: f64,
-    /// Opacity at which half the noise is left: t.
-    #[serde(skip)]
-    pub noise_opacity: f64,
     /// Weight of the mean opacity in the loss.
     #[serde(skip)]
     pub opacity_reg: f64,
@@ -87,9 +77,6 @@ impl Default for McmcConfig {
     fn default() -> Self {
         Self {
             growth: 0.05,
-            noise: 5e5,
-            noise_sharpness: 100.0,
-            noise_opacity: 0.005,
             opacity_reg: 0.01,
             scale_reg: 0.01,
             init_opacity: 0.5,
@@ -99,7 +86,7 @@ impl Default for McmcConfig {
 }
 
 /// Stage one (3DGS): 0.8 L1 + 0.2 (1 - SSIM), Adam, a strategy of densification. The fields marked `serde(skip)` have the values
-/// of 3DGS (Kerbl et al. 2023); no key sets them, library code and tests may. A learning rate of 0 freezes its parameter, but
+/// of 3DGS (Kerbl et al. 2023). No key sets them; tests with short runs change them. A learning rate of 0 freezes its parameter, but
 /// for densification and resets.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -108,6 +95,7 @@ pub struct BuildingConfig {
     pub iterations: usize,
     /// Gaussians to begin with: a 3DGS PLY of this or another trainer, in the world units and axes of the cameras. Absent:
     /// the scene's points.
+    #[serde(deserialize_with = "super::optional_path")]
     pub gaussians: Option<PathBuf>,
     /// Highest SH degree, 0 to 3.
     pub sh_degree: usize,
@@ -129,24 +117,9 @@ pub struct BuildingConfig {
     /// Iterations between checkpoints; 0 means ten in the run.
     #[serde(skip)]
     pub checkpoint_every: usize,
-    /// Weight of the SSIM term; L1 has the rest.
-    #[serde(skip)]
-    pub ssim_weight: f32,
-    /// Learning rate of the SH constant term.
-    #[serde(skip)]
-    pub lr_sh_dc: f64,
-    /// Learning rate of the higher SH terms.
-    #[serde(skip)]
-    pub lr_sh_rest: f64,
     /// Learning rate of the opacity logits.
     #[serde(skip)]
     pub lr_opacity: f64,
-    /// Learning rate of the log-scales.
-    #[serde(skip)]
-    pub lr_scales: f64,
-    /// Learning rate of the rotations.
-    #[serde(skip)]
-    pub lr_rotations: f64,
     /// Iterations between densifications.
     #[serde(skip)]
     pub densify_every: usize,
@@ -156,16 +129,9 @@ pub struct BuildingConfig {
     /// Densification ends at this share of the run; absent: 0.5, or 0.8 with [`Strategy::Mcmc`].
     #[serde(skip)]
     pub densify_until: Option<f32>,
-    /// Gaussians below this share of the extent are cloned, others split.
-    #[serde(skip)]
-    pub clone_below: f32,
     /// Gaussians less opaque than this are pruned, or moved by [`Strategy::Mcmc`].
     #[serde(skip)]
     pub prune_opacity: f32,
-    /// Gaussians larger than this share of their distance from the mean camera, or of the extent where that is longer, are
-    /// pruned.
-    #[serde(skip)]
-    pub prune_scale: f32,
     /// Smallest number of iterations between opacity resets; at least 5 passes over the views are kept as well.
     #[serde(skip)]
     pub reset_every: usize,
@@ -187,7 +153,7 @@ impl BuildingConfig {
     /// [`Error::Config`] for the first value that is not.
     pub fn validate(&self) -> Result<()> {
         if self.gaussians.is_none() {
-            range::checked!(self, "building": { iterations: POSITIVE });
+            checked!(self, "building": { iterations: Positive });
         }
         let out_of_range = |key: &str, found: usize, expected: &str, help: &str| {
             Err(Error::config(key, found.to_string(), expected, help))
@@ -200,10 +166,10 @@ impl BuildingConfig {
             let (key, found) = ("building.sh_degree", self.sh_degree);
             return out_of_range(key, found, "0, 1, 2 or 3", "3 is the usual choice");
         }
-        range::checked!(self, "building": { lr_means: NOT_NEGATIVE, random_points: POSITIVE });
+        checked!(self, "building": { lr_means: NotNegative, random_points: Positive });
         match &self.strategy {
             Strategy::Adc(adc) => {
-                range::NOT_NEGATIVE.check("building.strategy.adc.threshold", adc.threshold())
+                Range::NotNegative.check("building.strategy.adc.threshold", adc.threshold())
             }
             Strategy::Mcmc(_) if self.max_gaussians == 0 => out_of_range(
                 "building.max_gaussians",
@@ -212,7 +178,7 @@ impl BuildingConfig {
                 "give it, such as 100_000",
             ),
             Strategy::Mcmc(mcmc) => {
-                range::NOT_NEGATIVE.check("building.strategy.mcmc.growth", mcmc.growth)
+                Range::NotNegative.check("building.strategy.mcmc.growth", mcmc.growth)
             }
         }
     }
@@ -231,18 +197,11 @@ impl Default for BuildingConfig {
             random_points: 20_000,
             eval_every: 0,
             checkpoint_every: 0,
-            ssim_weight: 0.2,
-            lr_sh_dc: 2.5e-3,
-            lr_sh_rest: 1.25e-4,
             lr_opacity: 5e-2,
-            lr_scales: 5e-3,
-            lr_rotations: 1e-3,
             densify_every: 100,
             densify_from: 500,
             densify_until: None,
-            clone_below: 0.01,
             prune_opacity: 0.005,
-            prune_scale: 0.1,
             reset_every: 1_000,
         }
     }
@@ -260,9 +219,9 @@ pub struct RasterConfig {
 
 impl RasterConfig {
     pub(super) fn check(&self) -> Result<()> {
-        range::checked!(self, "raster": { alpha_max: SHARE });
+        checked!(self, "raster": { alpha_max: Share });
         let mut channels = self.background.into_iter();
-        channels.try_for_each(|channel| range::UNIT.check("raster.background", channel))
+        channels.try_for_each(|channel| Range::Unit.check("raster.background", channel))
     }
 }
 

@@ -1,6 +1,7 @@
 //! Where the scene comes from and how its folder is read.
 
-use super::{Association, range};
+use super::Association;
+use super::range::checked;
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Component, Path, PathBuf};
@@ -23,6 +24,7 @@ pub(crate) fn same_folder(a: &str, b: &str) -> bool {
 #[serde(default, deny_unknown_fields)]
 pub struct DataConfig {
     /// Scene folder; absent means the built-in scene.
+    #[serde(deserialize_with = "super::optional_path")]
     pub dir: Option<PathBuf>,
     /// How the folder is laid out.
     pub layout: Layout,
@@ -84,7 +86,7 @@ impl Default for DataConfig {
 impl DataConfig {
     /// Checks ranges, and refuses a folder of masks that holds photos or label maps.
     pub(super) fn check(&self) -> Result<()> {
-        range::checked!(self, "data": { stride: POSITIVE });
+        checked!(self, "data": { stride: Positive });
         let given = !self.masks.is_empty() && self.masks != NO_MASKS;
         let other = [&self.images, &self.raw_labels];
         if given && other.iter().any(|folder| same_folder(folder, &self.masks)) {

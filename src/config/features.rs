@@ -1,6 +1,6 @@
 //! Settings of the inputs of stage two: image features, their lifting onto Gaussians, the point encoder.
 
-use super::range;
+use super::range::checked;
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -32,10 +32,12 @@ pub struct FeatureConfig {
     /// The extractor.
     pub source: FeatureSource,
     /// Weights of the extractor.
+    #[serde(deserialize_with = "super::optional_path")]
     pub weights: Option<PathBuf>,
     /// Dimensions kept by PCA, per scale.
     pub dimensions: usize,
     /// Folder of cached maps, keyed by content; absent means no cache.
+    #[serde(deserialize_with = "super::optional_path")]
     pub cache_dir: Option<PathBuf>,
     /// Whether the four blocks of a DINO ViT take its final layer normalisation. No key sets it.
     #[serde(skip)]
@@ -44,7 +46,7 @@ pub struct FeatureConfig {
 
 impl FeatureConfig {
     pub(super) fn check(&self) -> Result<()> {
-        range::checked!(self, "features": { dimensions: POSITIVE });
+        checked!(self, "features": { dimensions: Positive });
         let network = match self.source {
             FeatureSource::Mobilenetv2 => "MobileNetV2",
             FeatureSource::Dino => "DINO",
@@ -124,7 +126,7 @@ impl Default for UnprojectionConfig {
 
 impl UnprojectionConfig {
     pub(super) fn check(&self) -> Result<()> {
-        range::checked!(self, "unprojection": { attendance: UNIT, attendance_pixels: NOT_NEGATIVE });
+        checked!(self, "unprojection": { attendance: Unit, attendance_pixels: NotNegative });
         Ok(())
     }
 
@@ -187,7 +189,7 @@ impl Default for SpatialConfig {
 
 impl SpatialConfig {
     pub(super) fn check(&self) -> Result<()> {
-        range::checked!(self, "spatial": { scale: NOT_NEGATIVE });
+        checked!(self, "spatial": { scale: NotNegative });
         Ok(())
     }
 }

@@ -1,34 +1,26 @@
 //! From files and `--set` overrides to a checked [`Config`], and back to TOML.
 
-use super::{
-    AdcConfig, Config, FeatureSource, LabelLoss, McmcConfig, Preset, SpatialSource, Strategy,
-    Variant,
-};
+use super::{Config, Preset};
 use crate::error::{Error, Result};
-use std::path::{Path, PathBuf};
+use crate::files;
+use std::path::Path;
 use toml::{Table, Value};
 
-/// Where a value was given; an error names it.
-#[derive(Clone, Copy)]
-enum Origin<'a> {
-    /// A config file, with its text for line numbers.
-    File(&'a Path, &'a str),
-    /// `--set`.
-    Set,
-}
-
-/// A value of a file or of `--set`.
-struct Given<'a> {
+/// A value that a file or `--set` gives to a key.
+struct Assignment<'a> {
+    /// Dotted.
     key: String,
-    value: Value,
-    origin: Origin<'a>,
+    /// What the value may mean: the first that the key can hold counts.
+    readings: Vec<Value>,
+    /// The file and its text; `None` for `--set`.
+    file: Option<(&'a Path, &'a str)>,
 }
 
 impl Config {
     /// Reads the settings of a run: the preset first, then `file`, then each `section.key=value` of `sets`.
     ///
-    /// The values of `sets` are TOML; text needs no quotes, lists of names may be written `a,b,c`, and an empty value
-    /// takes an optional path away. Relative paths are meant from the working folder.
+    /// The values of `sets` are TOML. Text needs no quotes, lists may be written `a,b,c`, and an empty value removes an
+    /// optional path. Relative paths start from the working folder.
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read; [`Error::Input`] for a fault in the file (syntax, unknown key, wrong
@@ -59,55 +51,43 @@ impl Config {
     fn load_over(
         file: Option<&Path>,
         sets: &[String],
-        base: impl FnOnce(Preset, &[Given<'_>]) -> Self,
+        base: impl FnOnce(Preset, &[Assignment<'_>]) -> Self,
     ) -> Result<Self> {
-        let template = template()?;
-        let text = match file {
-            Some(path) => std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?,
-            None => String::new(),
-        };
-        let mut given = Vec::new();
-        if let Some(path) = file {
-            let table = text
-                .parse::<Table>()
-                .map_err(|e| syntax_error(path, &text, &e))?;
-            flatten(table, "", &template, Origin::File(path, &text), &mut given)?;
-        }
+        let text = file.map_or(Ok(String::new()), files::text)?;
+        let mut given = file.map_or(Ok(Vec::new()), |path| assignments(path, &text))?;
         for set in sets {
-            given.push(parse_set(set, &template)?);
+            given.push(parse_set(set)?);
         }
-        from_given(&given, base(chosen_preset(&given)?, &given))
+        base(chosen_preset(&given)?, &given).with(&given)
     }
 
-    /// How a run whose settings file is at `path` rendered: its section `[raster]` and its `segmentation.min_coverage`, over
-    /// its preset. The defaults where the file has no such section, as files of other programs. Other sections are ignored,
-    /// so that unknown keys there do no harm.
+    /// The settings that a run whose settings file is at `path` rendered with: its section `[raster]` and its
+    /// `segmentation.min_coverage`, over its preset. The defaults where the file has no such section, as files of other
+    /// programs. Other sections are ignored, so that unknown keys there do no harm.
     ///
     /// # Errors
     /// As [`Config::load`].
     pub fn rendering_of(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
-        let mut table = text
-            .parse::<Table>()
-            .map_err(|e| syntax_error(path, &text, &e))?;
-        if !table.get("raster").is_some_and(Value::is_table) {
+        let text = files::text(path)?;
+        let mut given = assignments(path, &text)?;
+        let is_raster = |key: &str| key.starts_with("raster.");
+        if !given.iter().any(|one| is_raster(&one.key)) {
             return Ok(Self::default());
         }
-        if let Some(section) = table.get_mut("segmentation").and_then(Value::as_table_mut) {
-            section.retain(|key, _| key == "min_coverage");
-        }
-        table.retain(|key, value| {
-            matches!(key, "preset" | "raster") || key == "segmentation" && value.is_table()
+        given.retain(|one| {
+            is_raster(&one.key) || ["preset", "segmentation.min_coverage"].contains(&&*one.key)
         });
-        let mut given = Vec::new();
-        flatten(
-            table,
-            "",
-            &template()?,
-            Origin::File(path, &text),
-            &mut given,
-        )?;
-        from_given(&given, Self::preset(chosen_preset(&given)?))
+        Self::preset(chosen_preset(&given)?).with(&given)
+    }
+
+    /// This config with each value of `given`, checked.
+    fn with(mut self, given: &[Assignment<'_>]) -> Result<Self> {
+        // One at a time, so that an error belongs to one key.
+        for one in given {
+            self = one.apply(&self)?;
+        }
+        self.validate().map_err(|error| in_file(error, given))?;
+        Ok(self)
     }
 
     /// This config with paths that do not depend on the working folder.
@@ -126,280 +106,212 @@ impl Config {
     /// # Errors
     /// [`Error::Argument`] when a value has no TOML form (a seed beyond 2^63 - 1).
     pub fn to_toml(&self) -> Result<String> {
-        toml::to_string(self).map_err(|e| unrepresentable(&e))
+        toml::to_string(self).map_err(|e| {
+            let expected = "settings that TOML can hold";
+            Error::argument("settings", e.to_string(), expected, "check seed and paths")
+        })
     }
 }
 
-/// Whether a scene folder is named. The last value counts; an empty one removes the folder.
-fn names_folder(given: &[Given<'_>]) -> bool {
-    given
-        .iter()
-        .rfind(|g| g.key == "data.dir")
-        .is_some_and(|g| g.value.as_str() != Some(""))
+/// The values of a file.
+fn assignments<'a>(path: &'a Path, text: &'a str) -> Result<Vec<Assignment<'a>>> {
+    let table = text
+        .parse::<Table>()
+        .map_err(|e| syntax_error(path, text, &e))?;
+    let mut values = Vec::new();
+    flatten(table, "", &mut values);
+    let assignment = |(key, value)| Assignment {
+        key,
+        readings: vec![value],
+        file: Some((path, text)),
+    };
+    Ok(values.into_iter().map(assignment).collect())
 }
 
-/// `config` with each value of `given`, checked.
-fn from_given(given: &[Given<'_>], mut config: Config) -> Result<Config> {
-    for one in given {
-        config = apply(&config, one)?;
-    }
-    config.validate().map_err(|error| in_file(error, given))?;
-    Ok(config)
-}
-
-fn unrepresentable(error: &toml::ser::Error) -> Error {
-    Error::argument(
-        "settings",
-        error.to_string(),
-        "settings that TOML can hold",
-        "check seed and paths",
-    )
-}
-
-/// Every key with a value of its type: the union of configs that have all optional keys and all payloads.
-fn template() -> Result<Table> {
-    let path = || PathBuf::from("path");
-    let mut full = Config::default();
-    full.building.gaussians = Some(path());
-    full.building.strategy = Strategy::Adc(AdcConfig {
-        threshold: Some(2e-4),
-        ..AdcConfig::default()
-    });
-    full.segmentation.rows = Some(Variant::COMPARED.to_vec());
-    full.data.dir = Some(path());
-    full.features.weights = Some(path());
-    full.features.cache_dir = Some(path());
-    let mut other = full.clone();
-    other.building.strategy = Strategy::Mcmc(McmcConfig::default());
-    other.features.source = FeatureSource::Import(path());
-    other.spatial.source = SpatialSource::Pretrained(path());
-    other.segmentation.loss = LabelLoss::Js { pi_rl: 0.9 };
-    let mut third = full.clone();
-    third.features.source = FeatureSource::Segmenter("tensor".to_owned());
-    third.segmentation.loss = LabelLoss::Gjs { pi_rl: 0.9 };
-    let mut union = Table::new();
-    for config in [full, other, third] {
-        let table = Table::try_from(&config).map_err(|e| unrepresentable(&e))?;
-        merge(&mut union, table);
-    }
-    Ok(union)
-}
-
-/// Adds the keys of `more`; a payload replaces the name of a variant without one.
-fn merge(union: &mut Table, more: Table) {
-    for (name, value) in more {
-        match (union.get_mut(&name), value) {
-            (Some(Value::Table(known)), Value::Table(more)) => merge(known, more),
-            (Some(Value::Table(_)), _) => {}
-            (_, value) => _ = union.insert(name, value),
-        }
-    }
-}
-
-/// The template's value at a dotted key.
-fn lookup<'t>(template: &'t Table, key: &str) -> Option<&'t Value> {
-    let mut parts = key.split('.');
-    let first = template.get(parts.next()?)?;
-    parts.try_fold(first, |value, part| value.as_table()?.get(part))
-}
-
-/// All dotted keys that hold values.
-fn leaf_keys(table: &Table, prefix: &str) -> Vec<String> {
-    let mut keys = Vec::new();
-    for (name, value) in table {
-        match value {
-            Value::Table(inner) => keys.extend(leaf_keys(inner, &format!("{prefix}{name}."))),
-            _ => keys.push(format!("{prefix}{name}")),
-        }
-    }
-    keys
-}
-
-/// The table's values in dotted form; unknown keys are errors.
-fn flatten<'a>(
-    table: Table,
-    prefix: &str,
-    template: &Table,
-    origin: Origin<'a>,
-    out: &mut Vec<Given<'a>>,
-) -> Result<()> {
+/// The values of a table by their dotted keys.
+fn flatten(table: Table, prefix: &str, out: &mut Vec<(String, Value)>) {
     for (name, value) in table {
         let key = format!("{prefix}{name}");
-        match (lookup(template, &key), value) {
-            (None, _) => return Err(unknown_key(&key, template, origin)),
-            (Some(Value::Table(_)), Value::Table(inner)) if !inner.is_empty() => {
-                flatten(inner, &format!("{key}."), template, origin, out)?;
-            }
-            (Some(_), value) => out.push(Given { key, value, origin }),
+        match value {
+            Value::Table(inner) if !inner.is_empty() => flatten(inner, &format!("{key}."), out),
+            value => out.push((key, value)),
         }
     }
-    Ok(())
 }
 
-fn parse_set<'a>(set: &str, template: &Table) -> Result<Given<'a>> {
+fn parse_set<'a>(set: &str) -> Result<Assignment<'a>> {
     let Some((key, text)) = set.split_once('=') else {
-        return Err(Error::argument(
-            "--set",
-            set,
-            "section.key=value",
-            "for instance --set building.iterations=3000",
-        ));
+        let help = "for instance --set building.iterations=3000";
+        return Err(Error::argument("--set", set, "section.key=value", help));
     };
-    let (key, text) = (key.trim().to_owned(), text.trim());
-    let Some(expected) = lookup(template, &key) else {
-        return Err(unknown_key(&key, template, Origin::Set));
-    };
-    let parsed = format!("v = {text}")
-        .parse::<Table>()
-        .ok()
-        .and_then(|mut t| t.remove("v"));
-    let value = match (expected, parsed) {
-        (Value::String(_), Some(Value::String(text))) => Value::String(text),
-        (Value::String(_), _) => Value::String(text.to_owned()),
-        (Value::Array(_), None) => {
-            let list = text.trim_start_matches('[').trim_end_matches(']');
-            Value::Array(
-                list.split(',')
-                    .filter(|s| !s.trim().is_empty())
-                    .map(scalar)
-                    .collect(),
-            )
-        }
-        (_, Some(value)) => value,
-        (_, None) => Value::String(text.to_owned()),
-    };
-    Ok(Given {
-        key,
-        value,
-        origin: Origin::Set,
+    let text = text.trim();
+    let items = text.trim_matches(['[', ']']).split(',');
+    let items = items.filter(|item| !item.trim().is_empty()).map(value_of);
+    Ok(Assignment {
+        key: key.trim().to_owned(),
+        readings: vec![value_of(text), text.into(), Value::Array(items.collect())],
+        file: None,
     })
 }
 
-/// A list item of `--set key=a,b,c`: a number where it reads as one, else text.
-fn scalar(text: &str) -> Value {
-    let text = text.trim();
-    text.parse()
-        .map(Value::Integer)
-        .or_else(|_| text.parse().map(Value::Float))
-        .unwrap_or_else(|_| text.into())
+/// The value of a TOML text, or else the text itself.
+fn value_of(text: &str) -> Value {
+    let table = format!("v = {text}").parse::<Table>();
+    let value = table.ok().and_then(|mut table| table.remove("v"));
+    value.unwrap_or_else(|| text.trim().into())
+}
+
+/// Whether a scene folder is named. The last value counts; an empty one removes the folder.
+fn names_folder(given: &[Assignment<'_>]) -> bool {
+    let last = given.iter().rfind(|one| one.key == "data.dir");
+    last.is_some_and(|one| one.readings[0].as_str() != Some(""))
 }
 
 /// The preset that applies: the last one given.
-fn chosen_preset(given: &[Given<'_>]) -> Result<Preset> {
-    let Some(last) = given.iter().rfind(|g| g.key == "preset") else {
-        return Ok(Preset::Default);
-    };
-    last.value
-        .clone()
-        .try_into()
-        .map_err(|e: toml::de::Error| wrong_value(last, e.message()))
-}
-
-/// `config` with one value replaced. One at a time, so that an error belongs to one key.
-fn apply(config: &Config, given: &Given<'_>) -> Result<Config> {
-    let keys: Vec<&str> = given.key.split('.').collect();
-    let mut first_error = String::new();
-    // A key of another variant of an enum takes the place of its siblings. Which level holds the enum only the types tell.
-    for alone in (1..=keys.len()).rev() {
-        let mut table = Table::try_from(config).map_err(|e| unrepresentable(&e))?;
-        put(&mut table, &keys, alone, given);
-        match table.try_into() {
-            Ok(config) => return Ok(config),
-            Err(error) if first_error.is_empty() => first_error = error.message().to_owned(),
-            Err(_) => {}
-        }
+fn chosen_preset(given: &[Assignment<'_>]) -> Result<Preset> {
+    match given.iter().rfind(|one| one.key == "preset") {
+        Some(last) => Ok(last.apply(&Config::default())?.preset),
+        None => Ok(Preset::Default),
     }
-    Err(wrong_value(given, &first_error))
 }
 
-/// Puts a value at the path `keys` below `section`; the siblings of what lies `alone` levels below go.
-fn put(section: &mut Table, keys: &[&str], alone: usize, given: &Given<'_>) {
-    let [name, below @ ..] = keys else {
+/// `config` as a table. Every config that was read has such a form.
+fn table_of(config: &Config) -> Table {
+    Table::try_from(config).unwrap_or_default()
+}
+
+impl Assignment<'_> {
+    /// `config` with this value.
+    fn apply(&self, config: &Config) -> Result<Config> {
+        let keys: Vec<&str> = self.key.split('.').collect();
+        let mut refusal = String::new();
+        for value in &self.readings {
+            let wants_list = ["expected a sequence", "expected an array"]
+                .iter()
+                .any(|list| refusal.contains(list));
+            // A list can fill a section too, which nobody means.
+            if value.is_array() && !refusal.is_empty() && !wants_list {
+                continue;
+            }
+            // A variant with a payload takes the place of another one. Only the types tell which table holds variants.
+            for emptied in (1..keys.len().max(2)).rev() {
+                let mut table = table_of(config);
+                insert(&mut table, &keys, emptied, value);
+                match table.try_into::<Config>() {
+                    Ok(config) => return Ok(config),
+                    Err(error) => refusal = error.message().to_owned(),
+                }
+            }
+        }
+        Err(self.refused(&refusal))
+    }
+
+    /// The error for a value of which serde says `message`.
+    fn refused(&self, message: &str) -> Error {
+        let mut quoted = message.split('`').skip(1).step_by(2);
+        if message.contains("unknown field") {
+            let unknown = quoted.next().unwrap_or_default();
+            return self.unknown_key(unknown, quoted);
+        }
+        let expected = message.rsplit_once("expected ").map_or(message, |m| m.1);
+        let expected = match expected {
+            "usize" | "u64" | "u32" => "a whole number of 0 or more".to_owned(),
+            "f64" | "f32" => "a number".to_owned(),
+            "a boolean" => "true or false".to_owned(),
+            "a sequence" => "a list of names".to_owned(),
+            "newtype variant" => {
+                let name = self.readings[0].as_str().unwrap_or("NAME");
+                format!("its value, as {}.{name} = ...", self.key)
+            }
+            section if section.starts_with("struct ") && self.file.is_none() => {
+                "a key within it".to_owned()
+            }
+            section if section.starts_with("struct ") => "a section".to_owned(),
+            other => match other.strip_prefix("an array of length ") {
+                Some(length) => format!("a list of {length} numbers"),
+                None => other.replace('`', "\""),
+            },
+        };
+        let found = match &self.readings[0] {
+            Value::Table(_) => "a section".to_owned(),
+            other => other.to_string(),
+        };
+        let help = "write it as expected, or leave the key out";
+        fault(self.file, &self.key, found, expected, help.into())
+    }
+
+    /// The error for a part of the key that its section does not have; `known` are those that it has.
+    fn unknown_key<'k>(&self, unknown: &str, known: impl Iterator<Item = &'k str>) -> Error {
+        let parts = self.key.split('.');
+        let section: String = parts
+            .take_while(|part| *part != unknown)
+            .map(|part| format!("{part}."))
+            .collect();
+        let key = format!("{section}{unknown}");
+        let mut values = Vec::new();
+        flatten(table_of(&Config::default()), "", &mut values);
+        let elsewhere = values.into_iter().map(|(key, _)| key);
+        let beside = known.map(|name| format!("{section}{name}"));
+        let last = |key: &str| key.rsplit('.').next().unwrap_or_default().to_owned();
+        // The whole key may be misspelt, or only its last part be right and the section be missing or wrong.
+        let score = |k: &String| {
+            strsim::jaro_winkler(k, &key).max(strsim::jaro_winkler(&last(k), unknown) - 0.05)
+        };
+        let nearest = beside
+            .chain(elsewhere)
+            .max_by(|a, b| score(a).total_cmp(&score(b)));
+        let help = nearest.map_or("remove it".into(), |k| format!("did you mean {k}?"));
+        fault(
+            self.file,
+            &key,
+            "an unknown key".into(),
+            "a known key".into(),
+            help,
+        )
+    }
+}
+
+/// Puts `value` at the path `keys` of `table`. The table at depth `emptied` of the path loses its other entries.
+fn insert(table: &mut Table, keys: &[&str], emptied: usize, value: &Value) {
+    let [parents @ .., name] = keys else {
         return;
     };
-    if alone == 0 {
-        section.retain(|key, _| key == *name);
-    }
-    if !below.is_empty() {
-        let inner = section.entry(*name).or_insert_with(|| Table::new().into());
-        if let Value::String(_) = inner {
+    let mut section = table;
+    for (depth, parent) in parents.iter().enumerate() {
+        let inner = section
+            .entry(*parent)
+            .or_insert_with(|| Table::new().into());
+        if depth == emptied || !inner.is_table() {
             *inner = Table::new().into();
         }
-        if let Value::Table(inner) = inner {
-            put(inner, below, alone.wrapping_sub(1), given);
-        }
-        return;
+        let Value::Table(inner) = inner else {
+            return;
+        };
+        section = inner;
     }
-    let present = section.get(*name).and_then(Value::as_table);
-    let keeps = |present: &Table| match &given.value {
+    // A section without keys changes nothing, and a variant that is chosen already keeps its payload.
+    let keeps = |present: &Table| match value {
         Value::String(variant) => present.contains_key(variant),
         Value::Table(table) => table.is_empty(),
         _ => false,
     };
-    // A variant that is chosen already keeps its payload.
-    if present.is_some_and(keeps) {
-        return;
-    }
-    if given.value.as_str() == Some("") && is_optional(&given.key) {
-        section.remove(*name);
-    } else {
-        section.insert((*name).to_owned(), given.value.clone());
+    let present = section.get(*name).and_then(Value::as_table);
+    if !present.is_some_and(keeps) {
+        section.insert((*name).to_owned(), value.clone());
     }
 }
 
-/// Whether a key may be absent from a written config.
-fn is_optional(key: &str) -> bool {
-    Table::try_from(Config::default()).is_ok_and(|table| lookup(&table, key).is_none())
-}
-
-fn wrong_value(given: &Given<'_>, message: &str) -> Error {
-    let expected = match template().ok().as_ref().and_then(|t| lookup(t, &given.key)) {
-        // An enumeration: serde lists what there is.
-        _ if message.starts_with("unknown variant") => message
-            .split_once("expected ")
-            .map_or(message, |(_, list)| list)
-            .replace('`', "\""),
-        Some(Value::Table(_)) if message.contains("unit variant") => {
-            format!(
-                "its value, as {}.{} = ...",
-                given.key,
-                given.value.as_str().unwrap_or("NAME")
-            )
-        }
-        Some(Value::Table(_)) => match given.origin {
-            Origin::File(..) => "a section".to_owned(),
-            Origin::Set => "a key within it".to_owned(),
-        },
-        Some(Value::Boolean(_)) => "true or false".to_owned(),
-        Some(Value::Integer(_)) => "a whole number of 0 or more".to_owned(),
-        Some(Value::Float(_)) => "a number".to_owned(),
-        Some(Value::String(_)) => "text".to_owned(),
-        Some(Value::Array(items)) => match items.first() {
-            Some(Value::String(_)) => "a list of names".to_owned(),
-            _ => format!("a list of {} numbers", items.len()),
-        },
-        _ => message.to_owned(),
-    };
-    fault(
-        given.origin,
-        &given.key,
-        describe(&given.value),
-        expected,
-        "write it as expected, or leave the key out".into(),
-    )
-}
-
-fn describe(value: &Value) -> String {
-    match value {
-        Value::Table(_) => "a section".to_owned(),
-        other => other.to_string(),
-    }
-}
-
-fn fault(origin: Origin<'_>, key: &str, found: String, expected: String, help: String) -> Error {
-    match origin {
-        Origin::File(path, text) => Error::input(path, located(text, key), found, expected, help),
-        Origin::Set => Error::config(key, found, expected, help),
+/// A fault of a file, by its line, or of `--set`.
+fn fault(
+    file: Option<(&Path, &str)>,
+    key: &str,
+    found: String,
+    expected: String,
+    help: String,
+) -> Error {
+    match file {
+        Some((path, text)) => Error::input(path, located(text, key), found, expected, help),
+        None => Error::config(key, found, expected, help),
     }
 }
 
@@ -449,32 +361,8 @@ fn syntax_error(path: &Path, text: &str, error: &toml::de::Error) -> Error {
     )
 }
 
-fn unknown_key(key: &str, template: &Table, origin: Origin<'_>) -> Error {
-    let mut keys = leaf_keys(template, "");
-    keys.extend(
-        template
-            .iter()
-            .filter(|(_, v)| v.is_table())
-            .map(|(k, _)| k.clone()),
-    );
-    let last = |k: &str| k.rsplit('.').next().unwrap_or_default().to_owned();
-    // The whole key may be misspelt, or only its last part be right and the section be missing or wrong.
-    let score = |k: &String| {
-        strsim::jaro_winkler(k, key).max(strsim::jaro_winkler(&last(k), &last(key)) - 0.05)
-    };
-    let nearest = keys.iter().max_by(|a, b| score(a).total_cmp(&score(b)));
-    let help = nearest.map_or_else(|| "remove it".to_owned(), |k| format!("did you mean {k}?"));
-    fault(
-        origin,
-        key,
-        "an unknown key".into(),
-        "a known key".into(),
-        help,
-    )
-}
-
 /// A range error as the file's fault, when the value came from the file.
-fn in_file(error: Error, given: &[Given<'_>]) -> Error {
+fn in_file(error: Error, given: &[Assignment<'_>]) -> Error {
     match error {
         Error::Config {
             key,
@@ -482,11 +370,8 @@ fn in_file(error: Error, given: &[Given<'_>]) -> Error {
             expected,
             help,
         } => {
-            let origin = given
-                .iter()
-                .rfind(|g| g.key == key)
-                .map_or(Origin::Set, |g| g.origin);
-            fault(origin, &key, found, expected, help)
+            let file = given.iter().rfind(|one| one.key == key);
+            fault(file.and_then(|one| one.file), &key, found, expected, help)
         }
         other => other,
     }
@@ -495,10 +380,57 @@ fn in_file(error: Error, given: &[Given<'_>]) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::{
+        AdcConfig, FeatureSource, LabelLoss, McmcConfig, SpatialSource, Strategy, Variant,
+    };
+    use std::path::PathBuf;
+
+    /// Every key with a value: the union of configs that have all optional keys and all payloads.
+    fn template() -> Table {
+        let path = || PathBuf::from("path");
+        let mut full = Config::default();
+        full.building.gaussians = Some(path());
+        full.building.strategy = Strategy::Adc(AdcConfig {
+            threshold: Some(2e-4),
+            ..AdcConfig::default()
+        });
+        full.segmentation.rows = Some(Variant::COMPARED.to_vec());
+        full.data.dir = Some(path());
+        full.features.weights = Some(path());
+        full.features.cache_dir = Some(path());
+        let mut other = full.clone();
+        other.building.strategy = Strategy::Mcmc(McmcConfig::default());
+        other.features.source = FeatureSource::Import(path());
+        other.spatial.source = SpatialSource::Pretrained(path());
+        other.segmentation.loss = LabelLoss::Js { pi_rl: 0.9 };
+        let mut third = full.clone();
+        third.segmentation.loss = LabelLoss::Gjs { pi_rl: 0.9 };
+        let mut union = Table::new();
+        for config in [full, other, third] {
+            merge(&mut union, table_of(&config));
+        }
+        union
+    }
+
+    /// Adds the keys of `more`; a payload replaces the name of a variant without one.
+    fn merge(union: &mut Table, more: Table) {
+        for (name, value) in more {
+            match (union.get_mut(&name), value) {
+                (Some(Value::Table(known)), Value::Table(more)) => merge(known, more),
+                (Some(Value::Table(_)), _) => {}
+                (_, value) => _ = union.insert(name, value),
+            }
+        }
+    }
 
     #[test]
     fn there_are_at_most_sixty_keys() {
-        let keys = leaf_keys(&template().expect("plain data"), "");
-        assert!(keys.len() <= 60, "{} keys: {keys:#?}", keys.len());
+        let mut keys = Vec::new();
+        flatten(template(), "", &mut keys);
+        assert!(
+            (50..=60).contains(&keys.len()),
+            "{} keys: {keys:#?}",
+            keys.len()
+        );
     }
 }

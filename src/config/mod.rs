@@ -129,3 +129,9 @@ fn by_name<'de, D: Deserializer<'de>, T: DeserializeOwned>(from: D) -> Result<T,
     };
     result.map_err(serde::de::Error::custom)
 }
+
+/// Reads a path; an empty one is none.
+fn optional_path<'de, D: Deserializer<'de>>(from: D) -> Result<Option<PathBuf>, D::Error> {
+    let path = Option::<PathBuf>::deserialize(from)?;
+    Ok(path.filter(|path| !path.as_os_str().is_empty()))
+}

@@ -1,6 +1,8 @@
 //! Ranges of numbers in the settings. Each section names the range of its fields beside them.
 
 use crate::error::{Error, Result};
+use num_traits::AsPrimitive;
+use std::fmt::Display;
 
 /// Allowed values of a number.
 #[derive(Clone, Copy, Debug)]
@@ -15,39 +17,10 @@ pub(super) enum Range {
     OpenUnit,
     /// Above 0, 1 at most.
     Share,
+    /// From 0 to 1, both allowed.
+    Unit,
     /// From the first to the second, both allowed.
     Within(f64, f64),
-}
-
-pub(super) const POSITIVE: Range = Range::Positive;
-pub(super) const ABOVE_ZERO: Range = Range::AboveZero;
-pub(super) const NOT_NEGATIVE: Range = Range::NotNegative;
-pub(super) const OPEN_UNIT: Range = Range::OpenUnit;
-pub(super) const SHARE: Range = Range::Share;
-pub(super) const UNIT: Range = Range::Within(0.0, 1.0);
-
-/// A number of the settings.
-pub(super) trait Number: Copy + std::fmt::Display {
-    /// For comparison with the ends of a range.
-    fn as_f64(self) -> f64;
-}
-
-impl Number for f64 {
-    fn as_f64(self) -> f64 {
-        self
-    }
-}
-
-impl Number for f32 {
-    fn as_f64(self) -> f64 {
-        self.into()
-    }
-}
-
-impl Number for usize {
-    fn as_f64(self) -> f64 {
-        self as f64
-    }
 }
 
 impl Range {
@@ -55,8 +28,8 @@ impl Range {
     ///
     /// # Errors
     /// [`Error::Config`] naming `key`.
-    pub fn check(self, key: &str, value: impl Number) -> Result<()> {
-        let v = value.as_f64();
+    pub fn check(self, key: &str, value: impl AsPrimitive<f64> + Display) -> Result<()> {
+        let v: f64 = value.as_();
         let (inside, expected) = match self {
             Self::Positive => (v >= 1.0, "a whole number above 0".to_owned()),
             Self::AboveZero => (
@@ -75,6 +48,7 @@ impl Range {
                 v > 0.0 && v <= 1.0,
                 "a number above 0, at most 1".to_owned(),
             ),
+            Self::Unit => return Self::Within(0.0, 1.0).check(key, value),
             Self::Within(low, high) => (
                 v >= low && v <= high,
                 format!("a number from {low} to {high}"),
@@ -92,7 +66,7 @@ impl Range {
 macro_rules! checked {
     ($config:expr, $section:literal: { $($field:ident: $range:ident),* $(,)? }) => {
         $(
-            $crate::config::range::$range
+            $crate::config::range::Range::$range
                 .check(concat!($section, ".", stringify!($field)), $config.$field)?;
         )*
     };

@@ -1,6 +1,7 @@
 //! Settings of stage two: variants, losses, and how labels are blended.
 
-use super::{Variant, range};
+use super::Variant;
+use super::range::{Range, checked};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 
@@ -64,16 +65,15 @@ impl LabelLoss {
     pub(crate) fn check(&self) -> Result<()> {
         match *self {
             Self::Ce | Self::Mae | Self::NceRce => Ok(()),
-            Self::Js { pi_rl } => range::OPEN_UNIT.check("segmentation.loss.js.pi_rl", pi_rl),
-            Self::Gjs { pi_rl } => range::OPEN_UNIT.check("segmentation.loss.gjs.pi_rl", pi_rl),
+            Self::Js { pi_rl } => Range::OpenUnit.check("segmentation.loss.js.pi_rl", pi_rl),
+            Self::Gjs { pi_rl } => Range::OpenUnit.check("segmentation.loss.gjs.pi_rl", pi_rl),
             Self::Gce {
                 exponent,
                 least_recall,
             } => {
                 let [low, high] = GCE_EXPONENTS;
-                range::Range::Within(low, high)
-                    .check("segmentation.loss.gce.exponent", exponent)?;
-                range::UNIT.check("segmentation.loss.gce.least_recall", least_recall)
+                Range::Within(low, high).check("segmentation.loss.gce.exponent", exponent)?;
+                Range::Unit.check("segmentation.loss.gce.least_recall", least_recall)
             }
         }
     }
@@ -109,8 +109,7 @@ pub enum Prior {
     Votes,
 }
 
-/// Stage two: segmentation identities. The fields marked `serde(skip)` are constants that no key sets; library code and
-/// tests may change them.
+/// Stage two: segmentation identities. No key sets the fields marked `serde(skip)`; tests on small scenes change them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SegmentationConfig {
@@ -155,9 +154,6 @@ pub struct SegmentationConfig {
     /// Iterations between checkpoints; 0 means ten in the run.
     #[serde(skip)]
     pub checkpoint_every: usize,
-    /// Learning rate of per-Gaussian identities.
-    #[serde(skip)]
-    pub lr_per_gaussian: f64,
     /// Sampled Gaussians of the 3D regularisation, at most.
     #[serde(skip)]
     pub reg_samples: usize,
@@ -177,14 +173,14 @@ impl SegmentationConfig {
     }
 
     pub(super) fn check(&self) -> Result<()> {
-        range::checked!(self, "segmentation": {
-            iterations: POSITIVE,
-            lr: ABOVE_ZERO,
-            lambda_pix: NOT_NEGATIVE,
-            lambda_reg: NOT_NEGATIVE,
-            warmup: UNIT,
-            min_coverage: UNIT,
-            pixel_share: SHARE,
+        checked!(self, "segmentation": {
+            iterations: Positive,
+            lr: AboveZero,
+            lambda_pix: NotNegative,
+            lambda_reg: NotNegative,
+            warmup: Unit,
+            min_coverage: Unit,
+            pixel_share: Share,
         });
         self.loss.check()?;
         let rows = self.rows();
@@ -229,7 +225,6 @@ impl Default for SegmentationConfig {
             weight_cache_mb: 2_048,
             eval_every: 0,
             checkpoint_every: 0,
-            lr_per_gaussian: 5e-2,
             reg_samples: 1_000,
             reg_neighbours: 5,
             decoder_chunk: 65_536,

@@ -14,7 +14,7 @@ pub use self::diagnostics::check::{Checked, check};
 pub use self::diagnostics::info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
 pub use self::formats::camera_file::read_cameras;
 pub use self::formats::layout::locate;
-pub use self::formats::manifest::{ClassTable, ExpectedFile, LabelMapping, Manifest};
+pub use self::formats::manifest::{ClassTable, ExpectedFile, Manifest};
 pub use self::labels::label_runs::LabelRuns;
 pub use self::labels::map_geometry::MapGeometry;
 pub use self::labels::palette::class_color;
@@ -27,7 +27,7 @@ pub use self::photos::photo_cache::PhotoCache;
 pub use crate::files::{Limits, atomic};
 
 use self::diagnostics::{notices, poses};
-use self::formats::{layout, listing};
+use self::formats::listing;
 use self::mask::Mask;
 use crate::error::{Result, invalid};
 use crate::splat::camera::Camera;
@@ -47,12 +47,14 @@ use std::path::Path;
 /// no pinhole after undistortion, unknown label ids, repeated names, no training view.
 pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
     let mut problems = listing::Problems::default();
-    let listing = layout::list(dir, options, &mut problems)?;
+    let listing = notices::list(dir, options, &mut problems)?;
     problems.first()?;
     let warn = |notice: &String| tracing::warn!("{}: {notice}", dir.display());
     listing.notices.iter().for_each(warn);
     let (scene, turned) = listing.load(dir, options)?;
-    turned.iter().for_each(warn);
+    notices::turned(listing.frames.iter().zip(turned))
+        .iter()
+        .for_each(warn);
     if scene.points.is_empty() {
         notices::empty_cloud(&listing.cloud).iter().for_each(warn);
     }
@@ -82,7 +84,7 @@ pub fn load_cameras(
     split: Option<Split>,
 ) -> Result<Vec<NamedCamera>> {
     let mut problems = listing::Problems::default();
-    let listing = layout::list(dir, options, &mut problems)?;
+    let listing = notices::list(dir, options, &mut problems)?;
     problems.first()?;
     let mut cameras = Vec::new();
     for frame in &listing.frames {

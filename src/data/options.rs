@@ -120,6 +120,12 @@ impl LoadOptions {
     }
 }
 
+/// At most `most` of `n` places, evenly chosen.
+pub(crate) fn evenly(n: usize, most: usize) -> Vec<usize> {
+    let taken = n.min(most);
+    (0..taken).map(|i| i * n / taken).collect()
+}
+
 fn every(given: &[Option<Split>], stride: usize) -> Vec<(usize, Split)> {
     if given.iter().all(Option::is_none) {
         let split = |i: usize| {

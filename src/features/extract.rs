@@ -44,8 +44,7 @@ pub struct FeatureSet {
 /// Features of the training views: four maps each, reduced by a PCA per scale that is fitted on all of them, then
 /// L2-normalised.
 ///
-/// The fit reads at most [`PCA_CELLS`] cells per scale, drawn with `seed`. Networks run on `device`. `progress` receives the
-/// steps done and the steps in all.
+/// The fit reads at most [`PCA_CELLS`] cells per scale, drawn with `seed`. Networks run on `device`.
 ///
 /// # Errors
 /// [`Error::Config`] for unusable settings; [`Error::Argument`] for a scene without training views; those of
@@ -55,22 +54,11 @@ pub fn extract(
     config: &FeatureConfig,
     seed: u64,
     device: &Device,
-    progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<FeatureSet> {
-    let total = 2 * scene.split(Split::Train).count();
-    let mut done = 0;
-    let mut step = || {
-        done += 1;
-        progress(done, total);
-        ControlFlow::<Infallible>::Continue(())
-    };
+    let mut go_on = || ControlFlow::<Infallible>::Continue(());
     let ControlFlow::Continue(mut reduction) =
-        Reduction::fit(scene, config, seed, device, &mut step)?;
-    let mut views = Vec::with_capacity(total / 2);
-    for view in reduction.training_views() {
-        views.push(view?);
-        let ControlFlow::Continue(()) = step();
-    }
+        Reduction::fit(scene, config, seed, device, &mut go_on)?;
+    let views = reduction.training_views().collect::<Result<_>>()?;
     Ok(FeatureSet {
         name: reduction.name,
         reductions: reduction.reductions,
@@ -84,12 +72,12 @@ pub struct Reduction<'a> {
     pub name: String,
     /// One a scale.
     pub reductions: [Pca; SCALES],
-    /// What the maps depend on besides the photos: the arithmetic and the weights, or a digest of the imported training maps.
+    /// What the maps depend on besides the photos: arithmetic and weights, or a digest of the imported maps.
     pub content: String,
     extractor: Extractor,
     config: &'a FeatureConfig,
     train: Vec<&'a View>,
-    /// Unreduced maps of the training views, as far as they were kept.
+    /// Unreduced maps of the training views that were kept.
     kept: Vec<Option<[FeatureMap; SCALES]>>,
 }
 
@@ -107,12 +95,8 @@ impl<'a> Reduction<'a> {
         viewed: &mut dyn FnMut() -> ControlFlow<B>,
     ) -> Result<ControlFlow<B, Self>> {
         if config.dimensions == 0 {
-            return Err(Error::config(
-                "features.dimensions",
-                "0",
-                "1 or more",
-                "64 is the usual choice",
-            ));
+            let help = "64 is the usual choice";
+            return Err(Error::config("features.dimensions", "0", "1 or more", help));
         }
         let extractor = Extractor::open(config, device)?;
         let train: Vec<&View> = scene.split(Split::Train).collect();
@@ -123,13 +107,14 @@ impl<'a> Reduction<'a> {
         let (key, mut imported) = (extractor.cache_key(), Sha256::new());
         let quota = PCA_CELLS.div_ceil(train.len().max(1));
         for batch in train.chunks(BATCH) {
-            let with_digest =
-                |maps: [FeatureMap; SCALES]| (key.is_none().then(|| digest(&maps)), maps);
-            let look = |view: &&View| cached_maps(&extractor, config, view).map(with_digest);
-            let batch_maps: Vec<_> = batch.par_iter().map(look).collect();
+            let look = |view: &&View| {
+                let maps = cached_maps(&extractor, config, view)?;
+                Ok((key.is_none().then(|| cache::digest(&maps)), maps))
+            };
+            let batch_maps: Vec<Result<_>> = batch.par_iter().map(look).collect();
             for (view, maps) in batch.iter().zip(batch_maps) {
                 let (digest, maps) = maps?;
-                digest.iter().for_each(|digest| imported.update(digest));
+                imported.update(digest.unwrap_or_default());
                 let moments = moments
                     .get_or_insert_with(|| std::array::from_fn(|n| Moments::new(maps[n].channels)));
                 for (n, (map, moments)) in maps.iter().zip(moments).enumerate() {
@@ -140,8 +125,7 @@ impl<'a> Reduction<'a> {
                         map.channels,
                     )?;
                 }
-                let bytes: usize = maps.iter().map(|m| 4 * m.data.len()).sum();
-                kept_bytes += bytes;
+                kept_bytes += maps.iter().map(|m| 4 * m.data.len()).sum::<usize>();
                 kept.push((kept_bytes <= KEPT_BYTES).then_some(maps));
                 if let ControlFlow::Break(stop) = viewed() {
                     return Ok(ControlFlow::Break(stop));
@@ -150,12 +134,8 @@ impl<'a> Reduction<'a> {
         }
         let Some(moments) = moments else {
             let found = format!("no training view in {}", scene.name);
-            return Err(Error::argument(
-                "data",
-                found,
-                "one or more",
-                "correct the splits",
-            ));
+            let help = "correct the splits";
+            return Err(Error::argument("data", found, "one or more", help));
         };
         let again = kept.iter().filter(|maps| maps.is_none()).count();
         if again > 0 && config.cache_dir.is_none() && matches!(extractor, Extractor::Dino { .. }) {
@@ -189,7 +169,7 @@ impl<'a> Reduction<'a> {
         self.reduced(views, Vec::new())
     }
 
-    /// Reduced maps of `views`. `kept` has the unreduced maps of the first of them, as far as they are in memory.
+    /// Reduced maps of `views`. `kept` has unreduced maps of the first of them, where they are in memory.
     fn reduced(
         &self,
         views: &[&View],
@@ -223,22 +203,7 @@ fn reduce_view(
     })
 }
 
-/// SHA-256 of the maps of a view.
-fn digest(maps: &[FeatureMap; SCALES]) -> [u8; 32] {
-    let mut hash = Sha256::new();
-    for map in maps {
-        hash.update(format!("{} {} {}\n", map.height, map.width, map.channels));
-        hash.update(
-            map.data
-                .iter()
-                .flat_map(|v| v.to_le_bytes())
-                .collect::<Vec<u8>>(),
-        );
-    }
-    hash.finalize().into()
-}
-
-/// What errors call a map.
+/// The name of a map in errors.
 fn map_name(view: &View, scale: usize) -> String {
     format!("features of view {}, scale {}", view.name, scale + 1)
 }

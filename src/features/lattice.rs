@@ -13,6 +13,13 @@ pub struct Steps {
     pub offset: f64,
 }
 
+impl Steps {
+    /// Both in pixels.
+    pub const fn new(stride: f64, offset: f64) -> Self {
+        Self { stride, offset }
+    }
+}
+
 /// The cells of a map.
 ///
 /// Without [`Steps`] they divide the image evenly: cell `(x, y)` is centred on `((x + 0.5) W / width, (y + 0.5) H / height)`
@@ -56,12 +63,8 @@ impl Lattice {
 
     /// Whether the cells are the pixels of a `width` x `height` image.
     pub fn is_of_pixels(&self, width: usize, height: usize) -> bool {
-        let pixels = Steps {
-            stride: 1.0,
-            offset: 0.5,
-        };
         (self.width, self.height) == (width, height)
-            && self.steps.is_none_or(|steps| steps == pixels)
+            && self.steps.is_none_or(|steps| steps == Steps::new(1.0, 0.5))
     }
 
     /// `camera` with the cells for its pixels.

@@ -74,7 +74,7 @@ pub enum Extractor {
 }
 
 impl Extractor {
-    /// The extractor that the settings ask for; reads weights where it has any, by way of `device`.
+    /// The extractor of the settings. Reads its weights, if it has any, onto `device`.
     ///
     /// # Errors
     /// [`Error::Config`] when a needed path is not set; [`Error::Io`] and [`Error::Input`] for unusable weights.
@@ -82,12 +82,8 @@ impl Extractor {
         let weights = |network: &str| {
             config.weights.as_deref().ok_or_else(|| {
                 let expected = format!("a path to {network} weights");
-                Error::config(
-                    "features.weights",
-                    "nothing",
-                    expected,
-                    "set features.weights",
-                )
+                let help = "set features.weights";
+                Error::config("features.weights", "nothing", expected, help)
             })
         };
         match &config.source {
@@ -105,11 +101,10 @@ impl Extractor {
                 Ok(Self::Segmenter { tap, path, tensor })
             }
             FeatureSource::Import(dir) if dir.is_dir() => Ok(Self::Import(dir.clone())),
-            FeatureSource::Import(dir) => Err(Error::io(
-                dir,
-                "open folder",
-                std::io::ErrorKind::NotFound.into(),
-            )),
+            FeatureSource::Import(dir) => {
+                let error = std::io::ErrorKind::NotFound.into();
+                Err(Error::io(dir, "open folder", error))
+            }
         }
     }
 
@@ -157,7 +152,7 @@ impl Extractor {
         self.maps_of(&view.name, || view.image.pixels())
     }
 
-    /// The maps of the view of this name, whose photo `pixels` gives where it is looked at.
+    /// The maps of the view `name`; `pixels` decodes its photo where that is needed.
     fn maps_of(
         &self,
         name: &str,
@@ -201,12 +196,8 @@ fn normalized(image: &RgbImage, device: &Device) -> Result<Tensor<4>> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     if width == 0 || height == 0 {
         let found = format!("{width} x {height} pixels");
-        return Err(Error::argument(
-            "image",
-            found,
-            "one pixel or more",
-            "give another image",
-        ));
+        let help = "give another image";
+        return Err(Error::argument("image", found, "one pixel or more", help));
     }
     let mut planes = Vec::with_capacity(3 * width * height);
     for (c, (mean, std)) in MEAN.iter().zip(STD).enumerate() {

@@ -5,7 +5,7 @@
 
 use super::FeatureMap;
 use crate::error::{Error, Result};
-use nalgebra::{DMatrix, SymmetricEigen};
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 
 /// Rows accumulated as one block.
@@ -15,18 +15,18 @@ const BLOCK: usize = 512;
 #[derive(Clone, Debug)]
 pub struct Moments {
     count: f64,
-    mean: Vec<f64>,
+    mean: DVector<f64>,
     /// Sum of (x - mean)(x - mean)^T.
     scatter: DMatrix<f64>,
     largest: f64,
 }
 
 impl Moments {
-    /// Of no rows yet, with `channels` columns.
+    /// No rows yet, of `channels` columns.
     pub fn new(channels: usize) -> Self {
         Self {
             count: 0.0,
-            mean: vec![0.0; channels],
+            mean: DVector::zeros(channels),
             scatter: DMatrix::zeros(channels, channels),
             largest: 0.0,
         }
@@ -39,77 +39,50 @@ impl Moments {
     /// holds a NaN or an infinity.
     pub fn add(&mut self, rows: &[f32], what: &str, channels: usize) -> Result<()> {
         check_channels(what, channels, self.mean.len())?;
-        if channels == 0 {
-            return Ok(());
-        }
         if let Some(at) = rows.iter().position(|x| !x.is_finite()) {
             return Err(Error::non_finite(what, at / channels));
         }
         // Blocks are independent; groups of them bound the memory, and merging follows the row order.
-        for group in rows.chunks(BLOCK * channels * 16) {
-            let parts: Vec<Self> = group
-                .par_chunks(BLOCK * channels)
-                .map(|b| Self::of_block(b, channels))
+        for group in rows.chunks((BLOCK * channels * 16).max(1)) {
+            let blocks = group.par_chunks(BLOCK * channels);
+            let parts: Vec<Self> = blocks
+                .map(|block| Self::of_block(block, channels))
                 .collect();
-            for part in &parts {
-                self.merge(part);
-            }
+            parts.iter().for_each(|part| self.merge(part));
         }
         Ok(())
     }
 
     fn of_block(rows: &[f32], channels: usize) -> Self {
         let n = rows.len() / channels;
-        let mut mean = vec![0.0; channels];
-        let mut largest = 0.0_f64;
-        for row in rows.chunks_exact(channels) {
-            for (m, &x) in mean.iter_mut().zip(row) {
-                *m += f64::from(x);
-                largest = largest.max(f64::from(x.abs()));
-            }
-        }
-        mean.iter_mut().for_each(|m| *m /= n as f64);
-        let centred = DMatrix::from_fn(channels, n, |c, r| {
-            f64::from(rows[r * channels + c]) - mean[c]
-        });
-        let scatter = &centred * centred.transpose();
+        let mut rows = columns(rows, channels);
+        let largest = rows.amax();
+        let mean = rows.column_mean();
+        rows.column_iter_mut().for_each(|mut row| row -= &mean);
         Self {
             count: n as f64,
             mean,
-            scatter,
+            scatter: &rows * rows.transpose(),
             largest,
         }
     }
 
     fn merge(&mut self, other: &Self) {
         let total = self.count + other.count;
-        if other.count == 0.0 {
-            return;
-        }
-        let delta: Vec<f64> = other
-            .mean
-            .iter()
-            .zip(&self.mean)
-            .map(|(b, a)| b - a)
-            .collect();
-        let weight = self.count * other.count / total;
-        for (j, column) in self
-            .scatter
-            .as_mut_slice()
-            .chunks_exact_mut(delta.len().max(1))
-            .enumerate()
-        {
-            let other = &other.scatter.as_slice()[j * delta.len()..][..delta.len()];
-            for ((s, &o), &d) in column.iter_mut().zip(other).zip(&delta) {
-                *s += o + weight * d * delta[j];
-            }
-        }
-        for (m, d) in self.mean.iter_mut().zip(&delta) {
-            *m += d * other.count / total;
-        }
+        let delta = &other.mean - &self.mean;
+        self.scatter += &other.scatter;
+        self.scatter
+            .ger(self.count * other.count / total, &delta, &delta, 1.0);
+        self.mean.axpy(other.count / total, &delta, 1.0);
         self.count = total;
         self.largest = self.largest.max(other.largest);
     }
+}
+
+/// Cells `[n, channels]` as the columns of a matrix.
+fn columns(cells: &[f32], channels: usize) -> DMatrix<f64> {
+    let values = cells.iter().map(|&v| f64::from(v));
+    DMatrix::from_iterator(channels, cells.len() / channels, values)
 }
 
 /// A fitted reduction from `channels` to `dimensions`.
@@ -141,58 +114,40 @@ impl Pca {
     /// largest value) are left out; the output has zeros in their place.
     pub fn fit(moments: &Moments, dimensions: usize) -> Self {
         let channels = moments.mean.len();
-        if channels == 0 {
-            let (mean, components, variances) = (vec![], vec![], vec![]);
-            return Self {
-                channels,
-                dimensions,
-                rank: 0,
-                mean,
-                components,
-                variances,
-                explained: 1.0,
-                floor: 0.0,
-            };
-        }
         let covariance = &moments.scatter / moments.count.max(1.0);
-        let total: f64 = covariance.diagonal().iter().sum();
-        let eigen = SymmetricEigen::new(covariance);
-        let mut order: Vec<usize> = (0..channels).collect();
-        order.sort_by(|&a, &b| {
-            eigen.eigenvalues[b]
-                .total_cmp(&eigen.eigenvalues[a])
-                .then(a.cmp(&b))
-        });
-        let first = order.first().map_or(0.0, |&i| eigen.eigenvalues[i]);
+        let total = covariance.trace();
+        let eigen = match channels {
+            0 => None,
+            _ => Some(SymmetricEigen::new(covariance)),
+        };
+        let mut axes: Vec<(f64, &[f64])> = eigen.iter().flat_map(axes_of).collect();
+        axes.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let first = axes.first().map_or(0.0, |(variance, _)| *variance);
         let rounding = moments.largest * f64::from(f32::EPSILON);
         let floor = (first * 1e-10).max(rounding * rounding);
-        order.retain(|&i| eigen.eigenvalues[i] > floor);
-        order.truncate(dimensions);
-        let mut components = Vec::with_capacity(order.len() * channels);
-        for &i in &order {
-            let v = eigen.eigenvectors.column(i);
-            let peak = v
+        axes.retain(|(variance, _)| *variance > floor);
+        axes.truncate(dimensions);
+        let signed = |axis: &[f64]| {
+            let peak = axis
                 .iter()
                 .fold(0.0_f64, |a, &b| if b.abs() > a.abs() { b } else { a });
-            components.extend(v.iter().map(|x| x * peak.signum()));
-        }
-        let variances: Vec<f64> = order.iter().map(|&i| eigen.eigenvalues[i]).collect();
-        let kept: f64 = variances.iter().sum();
-        let explained = if total > 0.0 {
-            (kept / total).min(1.0)
-        } else {
-            1.0
+            axis.iter().map(|x| x * peak.signum()).collect::<Vec<_>>()
         };
-        let (mean, floor) = (moments.mean.clone(), floor.sqrt());
+        let variances: Vec<f64> = axes.iter().map(|(variance, _)| *variance).collect();
+        let kept: f64 = variances.iter().sum();
         Self {
             channels,
             dimensions,
-            rank: order.len(),
-            mean,
-            components,
+            rank: axes.len(),
+            mean: moments.mean.as_slice().to_vec(),
+            components: axes.iter().flat_map(|(_, axis)| signed(axis)).collect(),
             variances,
-            explained,
-            floor,
+            explained: if total > 0.0 {
+                (kept / total).min(1.0)
+            } else {
+                1.0
+            },
+            floor: floor.sqrt(),
         }
     }
 
@@ -205,47 +160,43 @@ impl Pca {
     pub fn apply(&self, map: &FeatureMap, what: &str) -> Result<FeatureMap> {
         map.check(what)?;
         check_channels(what, map.channels, self.channels)?;
-        let (c, d, rank) = (self.channels, self.dimensions, self.rank);
         let mut out = FeatureMap {
             steps: map.steps,
-            ..FeatureMap::zeros(map.height, map.width, d)
+            ..FeatureMap::zeros(map.height, map.width, self.dimensions)
         };
-        // [channels, rank], so that the inner loop runs over outputs.
-        let mut basis = vec![0.0_f64; c * rank];
-        for (k, component) in self.components.chunks_exact(c.max(1)).enumerate() {
-            for (i, &x) in component.iter().enumerate() {
-                basis[i * rank + k] = x;
-            }
-        }
-        if c == 0 || rank == 0 {
+        if self.rank == 0 {
             return Ok(out);
         }
+        let components = DMatrix::from_row_slice(self.rank, self.channels, &self.components);
+        let mean = DVector::from_column_slice(&self.mean);
         out.data
-            .par_chunks_exact_mut(d)
-            .zip(map.data.par_chunks_exact(c))
-            .with_min_len(256)
-            .for_each_init(
-                || vec![0.0_f64; rank],
-                |sum, (out, cell)| {
-                    sum.fill(0.0);
-                    for ((&x, &m), basis) in
-                        cell.iter().zip(&self.mean).zip(basis.chunks_exact(rank))
-                    {
-                        let x = f64::from(x) - m;
-                        for (s, &b) in sum.iter_mut().zip(basis) {
-                            *s += x * b;
-                        }
-                    }
-                    let norm = sum.iter().map(|s| s * s).sum::<f64>().sqrt();
+            .par_chunks_mut(BLOCK * self.dimensions)
+            .zip(map.data.par_chunks(BLOCK * self.channels))
+            .for_each(|(out, cells)| {
+                let mut cells = columns(cells, self.channels);
+                cells.column_iter_mut().for_each(|mut cell| cell -= &mean);
+                let projected = &components * cells;
+                for (out, cell) in out
+                    .chunks_exact_mut(self.dimensions)
+                    .zip(projected.column_iter())
+                {
+                    let norm = cell.norm();
                     if norm > self.floor {
-                        for (o, s) in out.iter_mut().zip(&*sum) {
-                            *o = (s / norm) as f32;
-                        }
+                        out.iter_mut()
+                            .zip(&cell)
+                            .for_each(|(out, v)| *out = (v / norm) as f32);
                     }
-                },
-            );
+                }
+            });
         Ok(out)
     }
+}
+
+/// Variance and direction of each axis.
+fn axes_of(eigen: &SymmetricEigen<f64, nalgebra::Dyn>) -> impl Iterator<Item = (f64, &[f64])> {
+    let vectors = eigen.eigenvectors.as_slice();
+    let axes = vectors.chunks_exact(eigen.eigenvalues.len());
+    eigen.eigenvalues.iter().copied().zip(axes)
 }
 
 fn check_channels(what: &str, found: usize, expected: usize) -> Result<()> {

@@ -1,85 +1,51 @@
 //! How well features separate into given clusters, without truth.
 
-/// Centroids, sizes and distances to the centroids of a clustering; f64 throughout.
-struct Clusters {
-    /// `[K, D]`.
-    centroids: Vec<f64>,
-    sizes: Vec<f64>,
-    /// Sum of squared distances to the centroid, per cluster.
-    squares: Vec<f64>,
-    /// Mean distance to the centroid, per cluster.
-    spread: Vec<f64>,
-    /// Mean of all rows, `[D]`.
-    mean: Vec<f64>,
+use nalgebra::DVector;
+use std::collections::BTreeMap;
+
+/// A cluster of feature vectors.
+struct Cluster {
+    size: f64,
+    centroid: DVector<f64>,
+    /// Sum of squared distances to the centroid.
+    squares: f64,
+    /// Mean distance to the centroid.
+    spread: f64,
 }
 
-impl Clusters {
-    /// `None` unless the rows fit their labels, all are finite, and 2 <= clusters < rows.
-    fn new(features: &[f32], dimensions: usize, labels: &[u16]) -> Option<Self> {
-        let n = labels.len();
-        if dimensions == 0
-            || features.len() != n.checked_mul(dimensions)?
-            || features.iter().any(|v| !v.is_finite())
-        {
-            return None;
-        }
-        let mut ids = labels.to_vec();
-        ids.sort_unstable();
-        ids.dedup();
-        let k = ids.len();
-        if k < 2 || k >= n {
-            return None;
-        }
-        let cluster: Vec<usize> = labels
+impl Cluster {
+    fn of(rows: &[&[f32]]) -> Self {
+        let wide =
+            |row: &&[f32]| DVector::from_iterator(row.len(), row.iter().map(|&v| f64::from(v)));
+        let size = rows.len() as f64;
+        let centroid = rows.iter().map(wide).sum::<DVector<f64>>() / size;
+        let distances: Vec<f64> = rows
             .iter()
-            .filter_map(|l| ids.binary_search(l).ok())
+            .map(|row| wide(row).metric_distance(&centroid))
             .collect();
-        let rows = || {
-            features
-                .chunks_exact(dimensions)
-                .zip(cluster.iter().copied())
-        };
-        let (mut centroids, mut sizes) = (vec![0.0; k * dimensions], vec![0.0; k]);
-        for (row, c) in rows() {
-            sizes[c] += 1.0;
-            add(
-                &mut centroids[c * dimensions..][..dimensions],
-                row.iter().map(|&v| f64::from(v)),
-            );
+        Self {
+            size,
+            centroid,
+            squares: distances.iter().map(|d| d * d).sum(),
+            spread: distances.iter().sum::<f64>() / size,
         }
-        let mut mean = vec![0.0; dimensions];
-        for (centroid, &size) in centroids.chunks_exact_mut(dimensions).zip(&sizes) {
-            add(&mut mean, centroid.iter().map(|v| v / n as f64));
-            centroid.iter_mut().for_each(|v| *v /= size);
-        }
-        let (mut squares, mut spread) = (vec![0.0; k], vec![0.0; k]);
-        for (row, c) in rows() {
-            let centroid = &centroids[c * dimensions..][..dimensions];
-            let square = squared_distance(row.iter().map(|&v| f64::from(v)), centroid);
-            squares[c] += square;
-            spread[c] += square.sqrt() / sizes[c];
-        }
-        Some(Self {
-            centroids,
-            sizes,
-            squares,
-            spread,
-            mean,
-        })
-    }
-
-    fn centroid(&self, c: usize) -> &[f64] {
-        let d = self.mean.len();
-        &self.centroids[c * d..][..d]
     }
 }
 
-fn add(to: &mut [f64], values: impl Iterator<Item = f64>) {
-    to.iter_mut().zip(values).for_each(|(a, b)| *a += b);
-}
-
-fn squared_distance(a: impl Iterator<Item = f64>, b: &[f64]) -> f64 {
-    a.zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
+/// The clusters of `features` `[N, dimensions]` under `labels` `[N]`. None unless the lengths agree, all values are finite, and
+/// 2 <= clusters < N.
+fn clusters(features: &[f32], dimensions: usize, labels: &[u16]) -> Option<Vec<Cluster>> {
+    let n = labels.len();
+    let fits = dimensions > 0 && features.len() == n.checked_mul(dimensions)?;
+    if !fits || features.iter().any(|v| !v.is_finite()) {
+        return None;
+    }
+    let mut rows: BTreeMap<u16, Vec<&[f32]>> = BTreeMap::new();
+    for (row, label) in features.chunks_exact(dimensions).zip(labels) {
+        rows.entry(*label).or_default().push(row);
+    }
+    let clusters = rows.values().map(|rows| Cluster::of(rows));
+    (2..n).contains(&rows.len()).then(|| clusters.collect())
 }
 
 /// Calinski-Harabasz index of `features` `[N, dimensions]` under `labels` `[N]` (1974): between-cluster over
@@ -87,16 +53,16 @@ fn squared_distance(a: impl Iterator<Item = f64>, b: &[f64]) -> f64 {
 ///
 /// `None` unless 2 <= clusters < N, all values are finite, the lengths agree and the clusters have any spread.
 pub fn calinski_harabasz(features: &[f32], dimensions: usize, labels: &[u16]) -> Option<f64> {
-    let clusters = Clusters::new(features, dimensions, labels)?;
-    let (k, n) = (clusters.sizes.len(), labels.len());
-    let between: f64 = (0..k)
-        .map(|c| {
-            clusters.sizes[c]
-                * squared_distance(clusters.centroid(c).iter().copied(), &clusters.mean)
-        })
-        .sum();
-    let within: f64 = clusters.squares.iter().sum();
-    (within > 0.0).then(|| (between / (k - 1) as f64) / (within / (n - k) as f64))
+    let clusters = clusters(features, dimensions, labels)?;
+    let (n, k) = (labels.len() as f64, clusters.len() as f64);
+    let sums = clusters.iter().map(|c| &c.centroid * c.size);
+    let mean = sums.sum::<DVector<f64>>() / n;
+    let between = clusters
+        .iter()
+        .map(|c| c.size * (&c.centroid - &mean).norm_squared())
+        .sum::<f64>();
+    let within: f64 = clusters.iter().map(|c| c.squares).sum();
+    (within > 0.0).then(|| (between / (k - 1.0)) / (within / (n - k)))
 }
 
 /// Davies-Bouldin index of `features` `[N, dimensions]` under `labels` `[N]` (1979): the mean over clusters of the worst
@@ -105,21 +71,16 @@ pub fn calinski_harabasz(features: &[f32], dimensions: usize, labels: &[u16]) ->
 /// Clusters with one and the same centroid are not compared with each other, as in scikit-learn. `None` unless
 /// 2 <= clusters < N, all values are finite, the lengths agree and two centroids differ.
 pub fn davies_bouldin(features: &[f32], dimensions: usize, labels: &[u16]) -> Option<f64> {
-    let clusters = Clusters::new(features, dimensions, labels)?;
-    let k = clusters.sizes.len();
-    let mut compared = false;
-    let mut worst = vec![0.0_f64; k];
-    for i in 0..k {
-        for j in i + 1..k {
-            let distance =
-                squared_distance(clusters.centroid(i).iter().copied(), clusters.centroid(j)).sqrt();
-            if distance > 0.0 {
-                let ratio = (clusters.spread[i] + clusters.spread[j]) / distance;
-                worst[i] = worst[i].max(ratio);
-                worst[j] = worst[j].max(ratio);
-                compared = true;
-            }
-        }
-    }
-    compared.then(|| worst.iter().sum::<f64>() / k as f64)
+    let clusters = clusters(features, dimensions, labels)?;
+    let worst = |a: &Cluster| {
+        let others = clusters.iter().filter_map(|b| {
+            let distance = a.centroid.metric_distance(&b.centroid);
+            (distance > 0.0).then(|| (a.spread + b.spread) / distance)
+        });
+        others.max_by(f64::total_cmp)
+    };
+    let ratios: Vec<Option<f64>> = clusters.iter().map(worst).collect();
+    let sum: f64 = ratios.iter().flatten().sum();
+    let is_compared = ratios.iter().any(Option::is_some);
+    is_compared.then(|| sum / clusters.len() as f64)
 }

@@ -1,8 +1,7 @@
 //! Scores of instance maps, whose predicted ids need not be those of the truth: association accuracy, instance mIoU,
 //! panoptic quality.
 
-use super::mean;
-use crate::ops::assignment;
+use super::{assignment, mean};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -211,10 +210,10 @@ pub fn instance_scores(
             .filter(|id| *id != VOID)
             .collect::<Vec<_>>()
     });
-    let values: Vec<f64> = instances
+    let values: Vec<i64> = instances
         .iter()
         .flat_map(|&t| objects.iter().map(move |&p| (t, p)))
-        .map(|(t, p)| pooled.get(t, p) as f64)
+        .map(|(t, p)| pooled.get(t, p) as i64)
         .collect();
     let mut partners = assignment(&values, objects.len());
     partners.resize(instances.len(), None);

@@ -3,6 +3,7 @@
 //!
 //! No score is ever NaN: where there is nothing to score the answer is `None`.
 
+mod assignment;
 mod clusters;
 mod compactness;
 mod image;
@@ -10,6 +11,7 @@ mod instances;
 mod labels;
 mod semantic;
 
+pub use self::assignment::assignment;
 pub use self::clusters::{calinski_harabasz, davies_bouldin};
 pub use self::compactness::{Agreement, Compactness};
 pub use self::image::{ImageScores, PSNR_CAP, psnr, ssim};

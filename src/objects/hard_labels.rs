@@ -1,7 +1,7 @@
 //! Label maps of scenes that have one label a Gaussian.
 
 use crate::data::LabelMap;
-use crate::raster::{Blended, Projected};
+use crate::raster::Projected;
 
 /// Renders one label per Gaussian: at each pixel the label whose Gaussians have the largest summed alpha' T, ties to the
 /// lower id, and 0 where 1 - T is below `min_coverage`.
@@ -11,24 +11,11 @@ use crate::raster::{Blended, Projected};
 /// # Panics
 /// If `labels` does not have one id for each Gaussian of `projected`.
 pub fn hard_label_map(projected: &Projected<f32>, labels: &[u16], min_coverage: f32) -> LabelMap {
-    with_hard_labels::<0>(projected, &[], labels, min_coverage).1
-}
-
-/// [`Projected::blend`] of `values`, `[N, C]`, and [`hard_label_map`], in one pass.
-///
-/// # Panics
-/// If `labels` does not have one id for each Gaussian of `projected`, or `values` not C a Gaussian.
-pub fn with_hard_labels<const C: usize>(
-    projected: &Projected<f32>,
-    values: &[f32],
-    labels: &[u16],
-    min_coverage: f32,
-) -> (Blended<f32>, LabelMap) {
-    let (blended, mut ids) = projected.blend_labels::<C>(values, labels);
+    let (blended, mut ids) = projected.blend_labels::<0>(&[], labels);
     for (id, &t) in ids.iter_mut().zip(&blended.transmittance) {
         let covered = 1.0 - t >= min_coverage;
         *id = if covered { *id } else { 0 };
     }
     let [width, height] = projected.size();
-    (blended, LabelMap { width, height, ids })
+    LabelMap { width, height, ids }
 }

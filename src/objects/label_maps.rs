@@ -76,7 +76,7 @@ impl<'a> LabelMaps<'a> {
         let (width, height) = (view.camera().width, view.camera().height);
         let (found, transmittance) = match &self.blended {
             Blended::Labels(labels) => {
-                let pixels = view.largest_labels(labels)?;
+                let pixels = view.blend_labels(None, labels)?;
                 let class = |label: u16| label.checked_sub(1);
                 let classes: Vec<_> = pixels.labels.into_iter().map(class).collect();
                 (classes, pixels.transmittance)

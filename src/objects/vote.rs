@@ -5,7 +5,7 @@
 //! a class.
 
 use super::Identities;
-use crate::backend::device::{largest_allocation, read};
+use crate::backend::device::read;
 use crate::data::{Classes, View};
 use crate::error::Result;
 use crate::metrics::Agreement;
@@ -74,8 +74,7 @@ struct VoteTables {
 impl VoteTables {
     /// No votes yet of `classes` for `splats`; there are some of both.
     fn new(splats: &SplatTensors, classes: usize) -> Self {
-        let most = largest_allocation(&splats.device()).map_or(usize::MAX, |bytes| bytes / 4);
-        let width = (most / (splats.len() * size_of::<f32>())).clamp(1, classes);
+        let width = splats.channels_within(usize::MAX).clamp(1, classes);
         Self::of_width(splats, classes, width)
     }
 

@@ -1,8 +1,6 @@
-//! What every custom burn operation of this crate stands on: kernels are plain slices-in, slices-out Rust, and
-//! `HostBackend` lends them the contents of a tensor on any backend.
+//! The custom burn operations beside the rasterizer, and sums in a fixed order.
 
 mod adam;
-mod assignment;
 mod finite;
 #[cfg(feature = "cube")]
 mod gpu;
@@ -11,7 +9,6 @@ mod sparse;
 mod sum;
 
 pub use self::adam::{AdamStep, AdamTensors, adam_step, adam_step_plain};
-pub use self::assignment::assignment;
 pub use self::finite::FiniteCheck;
 pub use self::photometric::{PhotometricTarget, photometric_loss, photometric_loss_plain};
 pub use self::sparse::{SparseBackend, SparseMatrix, sparse_apply, sparse_apply_plain};
@@ -19,20 +16,39 @@ pub use self::sum::sum_all;
 
 use std::cell::Cell;
 
-thread_local! {
-    static REFERENCES: Cell<bool> = const { Cell::new(false) };
-}
-
-/// Runs `f` with every custom operation that this thread calls replaced by its plain-tensor reference. For tests.
+/// Custom operations that tests and benchmarks replace by their references.
 #[doc(hidden)]
-pub fn with_references<T>(f: impl FnOnce() -> T) -> T {
-    let before = REFERENCES.replace(true);
-    let out = f();
-    REFERENCES.set(before);
-    out
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CustomOp {
+    /// The rasterizer, blending with frozen geometry, its adjoint, lifting.
+    Raster,
+    /// [`sparse_apply`].
+    Sparse,
+    /// [`photometric_loss`].
+    Photometric,
+    /// [`adam_step`].
+    Adam,
 }
 
-/// Whether custom operations run as their references, see [`with_references`].
-pub(crate) fn references() -> bool {
-    REFERENCES.get()
+impl CustomOp {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Raster, Self::Sparse, Self::Photometric, Self::Adam];
+
+    /// Whether this thread runs the reference, see [`with_references`].
+    pub(crate) fn is_replaced(self) -> bool {
+        REPLACED.get().contains(&self)
+    }
+}
+
+thread_local! {
+    static REPLACED: Cell<&'static [CustomOp]> = const { Cell::new(&[]) };
+}
+
+/// Runs `f` with the operations `replaced` that this thread calls replaced by their plain-tensor references.
+#[doc(hidden)]
+pub fn with_references<T>(replaced: &'static [CustomOp], f: impl FnOnce() -> T) -> T {
+    let before = REPLACED.replace(replaced);
+    let out = f();
+    REPLACED.set(before);
+    out
 }

@@ -7,11 +7,11 @@ use crate::objects::{Association, Semantics, associate_until};
 use crate::progress::{Progress, Viewing};
 use crate::raster::Settings;
 use crate::splat::Gaussians;
-use std::ops::ControlFlow;
+use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
 /// Result of the association.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Associated {
     /// Segments of the training views.
     pub segments: usize,
@@ -41,7 +41,7 @@ pub(crate) fn associate(
     let mut viewing = Viewing::begin(progress, "association", steps);
     let looked = &mut |views| viewing.looked(views);
     let found = associate_until(gaussians, scene, &config.association, &settings, looked)?;
-    let ControlFlow::Continue(found) = found else {
+    let Some(found) = found else {
         return Ok(None);
     };
     viewing.end();

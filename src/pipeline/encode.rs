@@ -1,18 +1,18 @@
-//! Encoding of a run: the frozen point encoder over the Gaussians, joined with their lifted features.
+//! Encoding of a run: the frozen point encoder over the Gaussians (Eq. 6), joined with their lifted features.
 
 use super::lift::LiftedFeatures;
 use super::train_decoder::{DecoderInput, Encoded, TrainingViews};
-use crate::config::{Config, Encode, SpatialSource, Variant};
+use crate::config::{Config, Encode, SpatialConfig, SpatialSource, Variant};
 use crate::data::{Scene, Split};
 use crate::error::{Error, Result};
 use crate::objects::Semantics;
 use crate::raster::{Projected, Settings};
-use crate::segmentation::encoder::{Cloud, Encoding, encode, load_spatial, metres_per_unit};
+use crate::segmentation::encoder::{self, Cloud, Encoding, load_spatial, metres_per_unit};
 use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};
 use crate::splat::Gaussians;
 use burn::tensor::{Device, Tensor, TensorData};
 
-/// Scale (zero-based) whose image features the single-scale row reads.
+/// Scale (zero-based) whose image features the single-scale variant reads.
 const SINGLE_SCALE: usize = 0;
 
 /// The inputs of stage two.
@@ -34,164 +34,120 @@ pub struct Inputs<'a> {
 }
 
 impl<'a> Inputs<'a> {
-    /// The labelled training views, with the coverage and the budget for weights that settings say.
+    /// The labelled training views.
     pub fn training_views(&self) -> TrainingViews<'a> {
-        let config = &self.config.segmentation;
         TrainingViews::new(
             self.gaussians,
             self.scene.split(Split::Train),
             &self.scene.classes,
             self.settings,
-            config.min_coverage as f32,
-            config.weight_cache_mb << 20,
+            &self.config.segmentation,
             self.device,
         )
     }
 }
 
-/// Which inputs a variant leaves out, and whether its point encoder is random.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Ablation {
-    switches: Switches,
-    random: bool,
-}
-
-impl Ablation {
-    fn of(row: Variant) -> Self {
-        let switches = Switches {
-            image: row != Variant::NoImageFeatures,
-            spatial: row != Variant::NoSpatial,
-            single_scale: (row == Variant::SingleScale).then_some(SINGLE_SCALE),
-        };
-        Self {
-            switches,
-            random: row == Variant::RandomSpatial,
-        }
-    }
-}
-
-/// Encodings of the scene, made for the first variant that needs them and shared by the others.
-#[derive(Default)]
-pub struct Spatial {
-    /// Where the weights came from; empty until an encoder was needed.
-    pub name: String,
-    encodings: Option<(bool, Encodings)>,
-    source: Option<(Ablation, DecoderInput)>,
-}
-
-struct Encodings {
+/// Spatial features of the Gaussians, from local to global.
+pub struct Encodings {
+    /// Where the encoder's weights came from.
+    pub weights: String,
     scene: Encoding,
+    /// With `spatial.encode = "view"`, in the order of the training views.
     views: Vec<EncodedView>,
 }
 
 /// A view's visible Gaussians, encoded alone.
 struct EncodedView {
     visible: Vec<u32>,
+    /// Summed alpha' T of each.
     weights: Vec<f32>,
     encoding: Encoding,
 }
 
-impl Spatial {
-    /// The input of the decoder of a variant.
+/// Encodes the Gaussians of `inputs` by the weights that `spatial` names.
+///
+/// # Errors
+/// Those of the encoder's weights and of [`encoder::encode`].
+pub fn encode(inputs: &Inputs, spatial: &SpatialConfig) -> Result<Encodings> {
+    let (gaussians, seed) = (inputs.gaussians, inputs.config.seed);
+    let (encoder, weights) = load_spatial(spatial, seed, inputs.device)?;
+    let scale = metres_per_unit(spatial, camera_extent(inputs.scene))?;
+    let colors: Vec<[f32; 3]> = gaussians.base_colors();
+    let encoded = |positions: &[[f32; 3]], colors: &[[f32; 3]]| {
+        let cloud = Cloud {
+            positions,
+            colors: Some(colors),
+            up: inputs.scene.up,
+            scale,
+        };
+        encoder::encode(&encoder, &cloud, seed, inputs.device)
+    };
+    let mut views = Vec::new();
+    if spatial.encode == Encode::View {
+        for view in inputs.scene.split(Split::Train).filter(|v| v.raw.is_some()) {
+            let projected = Projected::new(&gaussians.splats(), &view.camera, &inputs.settings)?;
+            let sums = projected.weight_sums();
+            let visible: Vec<u32> = (0..gaussians.len() as u32)
+                .filter(|&i| projected.radii()[i as usize] > 0)
+                .collect();
+            let of_visible = |values: &[[f32; 3]]| -> Vec<[f32; 3]> {
+                visible.iter().map(|&i| values[i as usize]).collect()
+            };
+            views.push(EncodedView {
+                encoding: encoded(&of_visible(&gaussians.means), &of_visible(&colors))?,
+                weights: visible.iter().map(|&i| sums[i as usize]).collect(),
+                visible,
+            });
+        }
+    }
+    Ok(Encodings {
+        weights,
+        scene: encoded(&gaussians.means, &colors)?,
+        views,
+    })
+}
+
+/// The weights of the point encoder that `variant` uses.
+pub fn spatial_of(variant: Variant, config: &Config) -> SpatialConfig {
+    let mut spatial = config.spatial.clone();
+    if variant == Variant::RandomSpatial {
+        spatial.source = SpatialSource::Random;
+    }
+    spatial
+}
+
+impl Encodings {
+    /// The input of the decoder of `variant`: spatial features joined with the lifted ones, as far as the variant reads them.
     ///
     /// # Errors
-    /// Those of the encoder's weights and of the encoding.
-    pub fn source(&mut self, row: Variant, inputs: &Inputs) -> Result<&DecoderInput> {
-        let ablation = Ablation::of(row);
-        let made = match self.source.take() {
-            Some((of, source)) if of == ablation => source,
-            _ => self.make(ablation, inputs)?,
-        };
-        Ok(&self.source.insert((ablation, made)).1)
-    }
-
-    fn make(&mut self, ablation: Ablation, inputs: &Inputs) -> Result<DecoderInput> {
-        let encodings = match self.encodings.take() {
-            Some((random, encodings)) if random == ablation.random => encodings,
-            _ => self.encode(ablation.random, inputs)?,
+    /// [`Error::Argument`] for a variant that reads image features where none were lifted.
+    pub fn decoder_input(&self, variant: Variant, inputs: &Inputs) -> Result<DecoderInput> {
+        let switches = Switches {
+            image: variant != Variant::NoImageFeatures,
+            spatial: variant != Variant::NoSpatial,
+            single_scale: (variant == Variant::SingleScale).then_some(SINGLE_SCALE),
         };
         let all: Vec<u32> = (0..inputs.gaussians.len() as u32).collect();
-        let scene = join(&encodings.scene, all, ablation, inputs)?;
-        let scales = inputs
-            .config
-            .segmentation
-            .standardise
-            .then(|| Standardisation::of(&scene.pyramid));
-        let scaled = |encoded: Encoded| match &scales {
-            Some(scales) => Encoded {
-                pyramid: scales.apply(encoded.pyramid),
-                ..encoded
+        let mut scene = join(&self.scene, all, switches, inputs)?;
+        let mut views: Vec<Encoded> = self
+            .views
+            .iter()
+            .map(|view| join(&view.encoding, view.visible.clone(), switches, inputs))
+            .collect::<Result<_>>()?;
+        if inputs.config.segmentation.standardise {
+            let scales = Standardisation::of(&scene.pyramid);
+            for encoded in views.iter_mut().chain([&mut scene]) {
+                scales.apply(&mut encoded.pyramid);
+            }
+        }
+        Ok(match inputs.config.spatial.encode {
+            Encode::Scene => DecoderInput::Scene(scene),
+            Encode::View => DecoderInput::Views {
+                views,
+                weights: self.views.iter().map(|v| v.weights.clone()).collect(),
+                scene,
             },
-            None => encoded,
-        };
-        let source = match inputs.config.spatial.encode {
-            Encode::Scene => DecoderInput::Scene(scaled(scene)),
-            Encode::View => {
-                let view = |v: &EncodedView| {
-                    Ok(scaled(join(
-                        &v.encoding,
-                        v.visible.clone(),
-                        ablation,
-                        inputs,
-                    )?))
-                };
-                DecoderInput::Views {
-                    views: encodings.views.iter().map(view).collect::<Result<_>>()?,
-                    weights: encodings.views.iter().map(|v| v.weights.clone()).collect(),
-                    scene: scaled(scene),
-                }
-            }
-        };
-        self.encodings = Some((ablation.random, encodings));
-        Ok(source)
-    }
-
-    fn encode(&mut self, random: bool, inputs: &Inputs) -> Result<Encodings> {
-        let Config { seed, spatial, .. } = inputs.config;
-        let mut spatial = spatial.clone();
-        if random {
-            spatial.source = SpatialSource::Random;
-        }
-        let (encoder, name) = load_spatial(&spatial, *seed, inputs.device)?;
-        if !random || self.name.is_empty() {
-            self.name = name;
-        }
-        let scale = metres_per_unit(&spatial, camera_extent(inputs.scene))?;
-        let gaussians = inputs.gaussians;
-        let colors: Vec<[f32; 3]> = gaussians.base_colors();
-        let one = |positions: &[[f32; 3]], colors: &[[f32; 3]]| {
-            let cloud = Cloud {
-                positions,
-                colors: Some(colors),
-                up: inputs.scene.up,
-                scale,
-            };
-            encode(&encoder, &cloud, *seed, inputs.device)
-        };
-        let scene = one(&gaussians.means, &colors)?;
-        let mut views = Vec::new();
-        if spatial.encode == Encode::View {
-            for view in inputs.scene.split(Split::Train).filter(|v| v.raw.is_some()) {
-                let projected =
-                    Projected::new(&gaussians.splats(), &view.camera, &inputs.settings)?;
-                let sums = projected.weight_sums();
-                let visible: Vec<u32> = (0..gaussians.len() as u32)
-                    .filter(|&i| projected.radii()[i as usize] > 0)
-                    .collect();
-                let positions: Vec<_> = visible
-                    .iter()
-                    .map(|&i| gaussians.means[i as usize])
-                    .collect();
-                let tints: Vec<_> = visible.iter().map(|&i| colors[i as usize]).collect();
-                let weights = visible.iter().map(|&i| sums[i as usize]).collect();
-                views.push(EncodedView {
-                    encoding: one(&positions, &tints)?,
-                    visible,
-                    weights,
-                });
-            }
-        }
-        Ok(Encodings { scene, views })
+        })
     }
 }
 
@@ -206,7 +162,7 @@ fn camera_extent(scene: &Scene) -> f64 {
 fn join(
     encoding: &Encoding,
     points: Vec<u32>,
-    ablation: Ablation,
+    switches: Switches,
     inputs: &Inputs,
 ) -> Result<Encoded> {
     let image = |scale: usize, rows: &[u32]| {
@@ -230,7 +186,7 @@ fn join(
         ))
     };
     Ok(Encoded {
-        pyramid: Pyramid::gathered(encoding, ablation.switches, image)?,
+        pyramid: Pyramid::new(encoding, switches, image)?,
         points,
     })
 }

@@ -12,7 +12,7 @@ use crate::segmentation::unprojection::{attended, unproject_each};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 use std::ops::ControlFlow;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// A larger share of pruned Gaussians is warned of; trained scenes lose a thousandth.
 const MANY_PRUNED: f64 = 0.05;
@@ -29,7 +29,7 @@ pub struct LiftedFeatures {
     pub name: String,
     /// What the features depend on besides photos and Gaussians, see [`Reduction::content`].
     pub content: String,
-    /// Seconds of extraction and of unprojection.
+    /// Seconds of extraction, and of reduction and unprojection.
     pub seconds: [f64; 2],
 }
 
@@ -46,11 +46,12 @@ impl LiftedFeatures {
         device: &Device,
         progress: &mut dyn Progress,
     ) -> Result<Option<Self>> {
-        let (clock, views) = (Instant::now(), scene.split(Split::Train).count());
+        let clock = Instant::now();
+        let views = scene.split(Split::Train).count();
         let mut viewing = Viewing::begin(progress, "features", views);
-        let reduction = Reduction::fit(scene, &config.features, config.seed, device, &mut || {
-            viewing.looked(1)
-        })?;
+        let (features, seed) = (&config.features, config.seed);
+        let looked = &mut || viewing.looked(1);
+        let reduction = Reduction::fit(scene, features, seed, device, looked)?;
         let ControlFlow::Continue(mut reduction) = reduction else {
             return Ok(None);
         };
@@ -58,49 +59,37 @@ impl LiftedFeatures {
         if progress.stop() {
             return Ok(None);
         }
-        let (name, content) = (reduction.name.clone(), reduction.content.clone());
-        let mut extraction = clock.elapsed();
+        let extraction = clock.elapsed().as_secs_f64();
         let clock = Instant::now();
+        let (name, content) = (reduction.name.clone(), reduction.content.clone());
         let mut viewing = Viewing::begin(progress, "unprojection", views);
-        let mut maps = reduction.training_views();
-        let mut reducing = Duration::ZERO;
-        let maps = std::iter::from_fn(|| {
-            let clock = Instant::now();
-            let next = maps.next();
-            reducing += clock.elapsed();
-            next
-        });
-        let (train, looked) = (scene.split(Split::Train), &mut || viewing.looked(1));
         let lifted = unproject_each(
             gaussians,
-            train,
-            maps,
+            scene.split(Split::Train),
+            reduction.training_views(),
             &config.unprojection,
             settings,
             device,
-            looked,
+            &mut || viewing.looked(1),
         )?;
         let ControlFlow::Continue(lifted) = lifted else {
             return Ok(None);
         };
-        extraction += reducing;
-        let unprojection = clock.elapsed().saturating_sub(reducing);
         viewing.end();
         let kept: Vec<u32> = (0..gaussians.len() as u32)
             .filter(|&i| lifted.keep[i as usize])
             .collect();
-        let dimensions = config.features.dimensions;
+        let dimensions = features.dimensions;
         let mut rows = lifted.features;
         rows.iter_mut()
             .for_each(|rows| keep_rows(rows, &kept, dimensions));
-        let seconds = [extraction, unprojection].map(|time| time.as_secs_f64());
         Ok(Some(Self {
             lifted: rows,
             kept,
             dimensions,
             name,
             content,
-            seconds,
+            seconds: [extraction, clock.elapsed().as_secs_f64()],
         }))
     }
 }

@@ -19,9 +19,9 @@ mod run;
 pub(crate) mod variants;
 
 pub use self::associate::Associated;
-pub use self::encode::{Inputs, Spatial};
+pub use self::encode::{Encodings, Inputs, encode};
 pub use self::evaluate::{Pictures, score_images};
 pub use self::initial_scene::compare_with_photos;
 pub use self::lift::{LiftedFeatures, Pruned};
 pub use self::run::{Outcome, Seconds, load_scene, run};
-pub use self::variants::{VariantOutcome, decoder_row};
+pub use self::variants::{VariantOutcome, decoder_training};

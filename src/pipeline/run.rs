@@ -5,7 +5,7 @@ use super::encode::Inputs;
 use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
-use super::variants::{VariantOutcome, run_rows};
+use super::variants::{VariantOutcome, train_variants};
 use crate::config::{Association, Config, Variant};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::Result;
@@ -15,18 +15,19 @@ use crate::progress::{CurvePoint, Progress};
 use crate::raster::Settings;
 use crate::splat::Gaussians;
 use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::time::Instant;
 
 /// Seconds spent in each part of the job; evaluations count in their stage. Training in earlier parts of a resumed run counts;
 /// steps that it repeats (loading, association, features, unprojection) count once.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Seconds {
     /// Stage one.
     pub building: f64,
-    /// 2D feature extraction and reduction.
+    /// 2D feature extraction.
     pub features: f64,
-    /// Lifting features onto Gaussians.
+    /// Reducing features and lifting them onto Gaussians.
     pub unprojection: f64,
     /// Stage two, the point encoder included.
     pub segmentation: f64,
@@ -67,17 +68,12 @@ pub struct Outcome {
 
 impl Outcome {
     /// After stage one.
-    fn new(
-        scene: Scene,
-        config: &Config,
-        reconstruction: Reconstruction,
-        test: ImageScores,
-    ) -> Self {
+    fn new(scene: Scene, config: &Config, reconstruction: Reconstruction) -> Self {
         Self {
             scene,
             gaussians: reconstruction.gaussians,
             building: reconstruction.curve,
-            test,
+            test: ImageScores::default(),
             pruned: None,
             association: None,
             semantics: None,
@@ -153,73 +149,90 @@ pub fn run(
     }
     let files = RunFiles::new(out);
     let reconstruction = reconstruct(&scene, config, &files, device, progress)?;
+    let complete = reconstruction.complete;
+    let mut outcome = Outcome::new(scene, config, reconstruction);
     // A run that is stopped ends without delay.
-    let test = if reconstruction.complete {
-        score_images(&reconstruction.gaussians, &scene, config, device)?
-    } else {
-        ImageScores::default()
+    let finished = complete && {
+        outcome.test = score_images(&outcome.gaussians, &outcome.scene, config, device)?;
+        outcome.associate(progress)? && outcome.segment(&files, device, progress)?
     };
-    let mut stopped = !reconstruction.complete;
-    let mut outcome = Outcome::new(scene, config, reconstruction, test);
+    outcome.stopped = !finished;
+    outcome.seconds.total += start.elapsed().as_secs_f64();
+    Ok(outcome)
+}
 
-    let segments = config.data.association == Association::Gaussians
-        && outcome
+impl Outcome {
+    /// Makes segments of single views objects, where settings ask for it. False where `progress` stopped it.
+    fn associate(&mut self, progress: &mut dyn Progress) -> Result<bool> {
+        let has_segments = self
             .scene
             .split(Split::Train)
             .any(|view| view.raw.is_some());
-    stopped = stopped || segments && progress.stop();
-    if segments && !stopped {
-        match associate(&outcome.gaussians, &mut outcome.scene, config, progress)? {
-            Some((counts, semantics)) => {
-                outcome.association = Some(counts);
-                outcome.semantics = semantics;
-            }
-            None => stopped = true,
+        if self.config.data.association == Association::None || !has_segments {
+            return Ok(true);
         }
+        if progress.stop() {
+            return Ok(false);
+        }
+        let found = associate(&self.gaussians, &mut self.scene, &self.config, progress)?;
+        let Some((counts, semantics)) = found else {
+            return Ok(false);
+        };
+        self.association = Some(counts);
+        self.semantics = semantics;
+        Ok(true)
     }
 
-    let segmented = has_raw_labels(&outcome.scene) && !config.segmentation.rows().is_empty();
-    stopped = stopped || segmented && progress.stop();
-    let mut earlier_stage_two = 0.0;
-    if segmented && !stopped {
-        match lift(
-            &outcome.gaussians,
-            &outcome.scene,
-            test,
+    /// Stage two: lifts features, trains the variants and scores them. False where `progress` stopped it.
+    fn segment(
+        &mut self,
+        files: &RunFiles,
+        device: &Device,
+        progress: &mut dyn Progress,
+    ) -> Result<bool> {
+        let config = &self.config;
+        if !has_raw_labels(&self.scene) || config.segmentation.rows().is_empty() {
+            return Ok(true);
+        }
+        if progress.stop() {
+            return Ok(false);
+        }
+        let lifted = lift(
+            &self.gaussians,
+            &self.scene,
+            self.test,
             config,
             device,
             progress,
-        )? {
-            Some(lifted) => {
-                outcome.gaussians = lifted.gaussians;
-                outcome.test = lifted.pruned.scores_after;
-                outcome.pruned = Some(lifted.pruned);
-                [outcome.seconds.features, outcome.seconds.unprojection] = lifted.seconds;
-                let features = lifted.features;
-                outcome.features = features.as_ref().map_or(String::new(), |f| f.name.clone());
-                let clock = Instant::now();
-                let inputs = Inputs {
-                    scene: &outcome.scene,
-                    gaussians: &outcome.gaussians,
-                    lifted: features,
-                    semantics: outcome.semantics.as_ref(),
-                    config,
-                    settings: Settings::from(&config.raster),
-                    device,
-                };
-                let trained = run_rows(&inputs, &files.checkpoints, progress)?;
-                outcome.rows = trained.rows;
-                outcome.spatial = trained.spatial;
-                stopped = trained.stopped;
-                earlier_stage_two = trained.earlier;
-                outcome.seconds.segmentation = clock.elapsed().as_secs_f64() + trained.earlier;
-            }
-            None => stopped = true,
+        )?;
+        let Some(lifted) = lifted else {
+            return Ok(false);
+        };
+        self.gaussians = lifted.gaussians;
+        self.test = lifted.pruned.scores_after;
+        self.pruned = Some(lifted.pruned);
+        [self.seconds.features, self.seconds.unprojection] = lifted.seconds;
+        if let Some(features) = &lifted.features {
+            self.features.clone_from(&features.name);
         }
+        let clock = Instant::now();
+        let inputs = Inputs {
+            scene: &self.scene,
+            gaussians: &self.gaussians,
+            lifted: lifted.features,
+            semantics: self.semantics.as_ref(),
+            config,
+            settings: Settings::from(&config.raster),
+            device,
+        };
+        let trained = train_variants(&inputs, &files.checkpoints, progress)?;
+        self.rows = trained.rows;
+        self.spatial = trained.spatial;
+        let earlier: f64 = self.rows.iter().map(|row| row.earlier_seconds).sum();
+        self.seconds.segmentation = clock.elapsed().as_secs_f64() + earlier;
+        self.seconds.total += earlier;
+        Ok(!trained.stopped)
     }
-    outcome.stopped = stopped;
-    outcome.seconds.total += start.elapsed().as_secs_f64() + earlier_stage_two;
-    Ok(outcome)
 }
 
 /// `config` with the variants to train: the default ones where it names none.

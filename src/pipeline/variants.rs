@@ -1,33 +1,37 @@
-//! The rows of the label table: what each is, and its training and scoring.
+//! The variants of the label table: what each is, and its training and scoring.
 
-use super::encode::{Inputs, Spatial};
-use super::evaluate::{HeldOut, NeighbourAgreement, Scores};
+use super::encode::{Encodings, Inputs, encode, spatial_of};
+use super::evaluate::{HeldOut, Scores};
 use super::train_decoder::{
-    DecoderInput, DecoderModel, DecoderPlan, IdentityModel, PerGaussian, Plan, Schedule,
-    TrainingRun, TrainingViews, train_decoder,
+    Adam, DecoderInput, DecoderModel, DecoderPlan, IdentityModel, PerGaussian, Plan, Schedule,
+    Training, TrainingRun, TrainingViews,
 };
-use crate::config::{Prior, SegmentationConfig, Variant};
+use crate::config::{Prior, SegmentationConfig, SpatialConfig, Variant};
+use crate::data::Split;
 use crate::error::Result;
 use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
-use crate::objects::Identities;
+use crate::objects::{Identities, NeighbourGraph, Votes, vote};
 use crate::progress::{CurvePoint, Progress};
 use crate::provenance::Provenance;
 use crate::segmentation::decoder::DecoderConfig;
 use crate::segmentation::encoder::spatial_digest;
 use crate::segmentation::loss::LabelLoss;
+use std::cell::OnceCell;
 use std::path::Path;
 
+/// Learning rate of per-Gaussian identities.
+const LR_PER_GAUSSIAN: f64 = 5e-2;
 /// Share added to every class of the votes that a decoder starts from.
 const VOTE_FLOOR: f32 = 0.02;
 /// Share of the frozen channels that each of the two predictions of `loss = "gjs"` drops.
 const GJS_DROPOUT: f64 = 0.2;
 
-/// One row, trained and scored.
+/// One variant, trained and scored.
 #[derive(Clone, Debug)]
 pub struct VariantOutcome {
     /// Which.
     pub row: Variant,
-    /// What the Gaussians store; none for the raw labels themselves.
+    /// What the Gaussians store; none for the raw labels themselves, and where training was stopped before its end.
     pub identities: Option<Identities>,
     /// Held-out scores, void predictions counted as wrong.
     pub scores: LabelScores,
@@ -49,163 +53,278 @@ pub struct VariantOutcome {
     pub rate: Option<f64>,
     /// Seconds of training.
     pub seconds: f64,
+    /// The share of them of earlier parts of a resumed run.
+    pub earlier_seconds: f64,
 }
 
 impl VariantOutcome {
-    /// The row's name in settings and reports.
+    /// A variant without identities or training.
+    fn new(row: Variant, scores: Scores) -> Self {
+        Self {
+            row,
+            identities: None,
+            scores: scores.labels,
+            void_left_out: None,
+            instances: scores.instances,
+            semantic: scores.semantic,
+            compactness: None,
+            agreement: None,
+            curve: Vec::new(),
+            learnable_bytes: 0,
+            rate: None,
+            seconds: 0.0,
+            earlier_seconds: 0.0,
+        }
+    }
+
+    /// The variant's name in settings and reports.
     pub fn name(&self) -> &'static str {
         self.row.key()
     }
-
-    /// The same with these scores.
-    fn scored(
-        self,
-        Scores {
-            labels,
-            instances,
-            semantic,
-        }: Scores,
-    ) -> Self {
-        Self {
-            scores: labels,
-            instances,
-            semantic,
-            ..self
-        }
-    }
 }
 
-/// Rows, trained and scored.
-pub struct TrainedRows {
+/// Variants, trained and scored.
+pub struct TrainedVariants {
     /// In the order of the configuration.
     pub rows: Vec<VariantOutcome>,
-    /// Name of the point encoder's weights.
+    /// Name of the point encoder's weights; empty where none were needed.
     pub spatial: String,
-    /// Seconds of training that earlier parts of a resumed run took.
-    pub earlier: f64,
-    /// Whether `progress` said stop before all rows were done.
+    /// Whether `progress` said stop before all variants were done.
     pub stopped: bool,
 }
 
-/// A row, trained as far as `progress` let it.
-struct Trained {
-    /// Has neither identities nor scores where it was stopped before its end.
-    outcome: VariantOutcome,
-    /// Seconds of training that earlier parts of a resumed run took.
-    earlier: f64,
-    /// Whether it came to its end.
-    whole: bool,
-}
-
-/// Trains and scores the configured rows in order, until `progress` says stop.
+/// Trains and scores the configured variants in order, until `progress` says stop.
 ///
 /// # Errors
 /// Those of training, of the encoder's weights, and of checkpoints.
-pub fn run_rows(
+pub fn train_variants(
     inputs: &Inputs,
     checkpoints: &Path,
     progress: &mut dyn Progress,
-) -> Result<TrainedRows> {
-    let config = &inputs.config.segmentation;
-    let held_out = HeldOut::new(inputs)?;
-    let mut views = inputs.training_views();
-    let neighbours = NeighbourAgreement::new(inputs)?;
-    let mut spatial = Spatial::default();
-    let (mut rows, mut earlier, mut stopped) = (Vec::new(), 0.0, false);
-    for (number, &row) in config.rows().iter().enumerate() {
-        // A table of votes takes as much as identities do.
-        let votes = |row: &Variant| {
-            *row == Variant::Vote || row.trains_decoder() && config.prior == Prior::Votes
-        };
-        views.keep_votes(config.rows()[number + 1..].iter().any(votes));
-        let outcome = match row {
-            Variant::Raw => {
-                let (scores, void_left_out) = held_out.score_raw(inputs);
-                VariantOutcome {
-                    void_left_out,
-                    ..untrained(row).scored(scores)
-                }
-            }
-            Variant::Vote => {
-                let votes = views.votes()?;
-                let (identities, agreement) = (votes.identities(), Some(votes.agreement()));
-                let scores = held_out.score(&identities, inputs)?;
-                VariantOutcome {
-                    identities: Some(identities),
-                    agreement,
-                    ..untrained(row).scored(scores)
-                }
-            }
-            _ => {
-                let Trained {
-                    outcome,
-                    earlier: before,
-                    whole,
-                } = trained(
-                    row,
-                    inputs,
-                    &mut views,
-                    &mut spatial,
-                    &held_out,
-                    checkpoints,
-                    progress,
-                )?;
-                earlier += before;
-                if !whole {
-                    rows.push(outcome);
-                    stopped = true;
-                    break;
-                }
-                outcome
-            }
-        };
-        rows.push(VariantOutcome {
-            compactness: outcome.identities.as_ref().map(|i| neighbours.of(i)),
-            ..outcome
-        });
+) -> Result<TrainedVariants> {
+    let variants = inputs.config.segmentation.rows();
+    let mut stage = StageTwo::new(inputs, checkpoints);
+    let neighbours = NeighbourGraph::new(&inputs.gaussians.means)?;
+    let mut rows: Vec<VariantOutcome> = Vec::new();
+    let mut stopped = false;
+    for &variant in variants {
         // Where nothing is left there is nothing to stop.
-        stopped = rows.len() < config.rows().len() && progress.stop();
+        stopped = !rows.is_empty() && progress.stop();
+        if stopped {
+            break;
+        }
+        let mut outcome = match variant {
+            Variant::Raw => stage.raw(),
+            Variant::Vote => stage.vote()?,
+            Variant::PerGaussian => stage.per_gaussian(progress)?,
+            _ => stage.decoder(variant, progress)?,
+        };
+        let compactness = |identities: &Identities| Compactness {
+            neighbours_differ: neighbours.disagreement(identities),
+        };
+        outcome.compactness = outcome.identities.as_ref().map(compactness);
+        stopped = variant != Variant::Raw && outcome.identities.is_none();
+        rows.push(outcome);
         if stopped {
             break;
         }
     }
-    Ok(TrainedRows {
+    Ok(TrainedVariants {
         rows,
-        spatial: spatial.name,
-        earlier,
+        spatial: stage.spatial,
         stopped,
     })
 }
 
-fn untrained(row: Variant) -> VariantOutcome {
-    VariantOutcome {
-        row,
-        identities: None,
-        scores: LabelScores::default(),
-        void_left_out: None,
-        instances: None,
-        semantic: None,
-        compactness: None,
-        agreement: None,
-        curve: Vec::new(),
-        learnable_bytes: 0,
-        rate: None,
-        seconds: 0.0,
+/// What the variants share.
+struct StageTwo<'a> {
+    inputs: &'a Inputs<'a>,
+    checkpoints: &'a Path,
+    views: TrainingViews<'a>,
+    held_out: HeldOut<'a>,
+    votes: OnceCell<Votes>,
+    /// The last encodings, and the weights that they were made with.
+    encodings: Option<(SpatialConfig, Encodings)>,
+    /// Name of the encoder's weights; those of the random encoder only where there are no others.
+    spatial: String,
+}
+
+impl<'a> StageTwo<'a> {
+    fn new(inputs: &'a Inputs<'a>, checkpoints: &'a Path) -> Self {
+        Self {
+            inputs,
+            checkpoints,
+            views: inputs.training_views(),
+            held_out: HeldOut::new(inputs),
+            votes: OnceCell::new(),
+            encodings: None,
+            spatial: String::new(),
+        }
+    }
+
+    /// The raw labels of the held-out views.
+    fn raw(&self) -> VariantOutcome {
+        let (scores, void_left_out) = self.held_out.score_raw(self.inputs);
+        VariantOutcome {
+            void_left_out,
+            ..VariantOutcome::new(Variant::Raw, scores)
+        }
+    }
+
+    /// The vote of the training views.
+    fn vote(&self) -> Result<VariantOutcome> {
+        let votes = self.votes()?;
+        let identities = votes.identities();
+        let scores = self.held_out.score(&identities, self.inputs)?;
+        Ok(VariantOutcome {
+            identities: Some(identities),
+            agreement: Some(votes.agreement()),
+            ..VariantOutcome::new(Variant::Vote, scores)
+        })
+    }
+
+    /// Identities that each Gaussian learns by itself.
+    fn per_gaussian(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
+        let config = &self.inputs.config.segmentation;
+        let classes = self.inputs.scene.classes.len();
+        let size = [self.inputs.gaussians.len(), classes];
+        let plan = plan(Variant::PerGaussian, self.inputs)?;
+        let device = self.inputs.device.clone().autodiff();
+        let model = PerGaussian::new(size, config.blend, &device);
+        let rate = LR_PER_GAUSSIAN;
+        let training = Training::new(model, Adam::new(rate, None), classes);
+        self.trained(Variant::PerGaussian, training, &plan, rate, progress)
+    }
+
+    /// A decoder (Eq. 7).
+    fn decoder(&mut self, variant: Variant, progress: &mut dyn Progress) -> Result<VariantOutcome> {
+        let inputs = self.inputs;
+        let plan = plan(variant, inputs)?;
+        let input = self.encodings(variant)?.decoder_input(variant, inputs)?;
+        let prior = self.prior()?;
+        let training = decoder_training(variant, &plan, &input, prior, inputs, self.views.len());
+        let rate = inputs.config.segmentation.lr;
+        self.trained(variant, training, &plan, rate, progress)
+    }
+
+    /// The scores that a decoder starts from, `[N, C]`.
+    fn prior(&self) -> Result<Option<Vec<f32>>> {
+        match self.inputs.config.segmentation.prior {
+            Prior::None => Ok(None),
+            Prior::Votes => Ok(Some(self.votes()?.log_shares(VOTE_FLOOR))),
+        }
+    }
+
+    /// The votes of the training views, counted once.
+    fn votes(&self) -> Result<&Votes> {
+        if let Some(votes) = self.votes.get() {
+            return Ok(votes);
+        }
+        let Inputs {
+            scene,
+            gaussians,
+            settings,
+            device,
+            ..
+        } = self.inputs;
+        let views = scene.split(Split::Train).filter(|v| v.raw.is_some());
+        let votes = vote(gaussians, views, &scene.classes, settings, device)?;
+        Ok(self.votes.get_or_init(|| votes))
+    }
+
+    /// The encodings of the Gaussians (Eq. 6) by the weights that `variant` uses.
+    fn encodings(&mut self, variant: Variant) -> Result<&Encodings> {
+        let spatial = spatial_of(variant, self.inputs.config);
+        let encodings = match self.encodings.take() {
+            Some((of, encodings)) if of == spatial => encodings,
+            _ => encode(self.inputs, &spatial)?,
+        };
+        if variant != Variant::RandomSpatial || self.spatial.is_empty() {
+            self.spatial.clone_from(&encodings.weights);
+        }
+        Ok(&self.encodings.insert((spatial, encodings)).1)
+    }
+
+    /// Trains by `plan` until `progress` says stop, and scores the identities.
+    fn trained<M: IdentityModel>(
+        &mut self,
+        variant: Variant,
+        mut training: Training<M>,
+        plan: &Plan,
+        rate: f64,
+        progress: &mut dyn Progress,
+    ) -> Result<VariantOutcome> {
+        let (held_out, inputs) = (&self.held_out, self.inputs);
+        let schedule = schedule(variant, inputs, self.checkpoints)?;
+        // Of the last iteration.
+        let mut last: Option<(Identities, Scores)> = None;
+        let mut evaluate = |training: &Training<M>| {
+            if held_out.is_empty() {
+                return Ok(None);
+            }
+            let identities = training.identities();
+            let scores = held_out.score(&identities, inputs)?;
+            let miou = scores.miou();
+            if training.iteration() == plan.iterations {
+                last = Some((identities, scores));
+            }
+            Ok(miou)
+        };
+        let run = training.run(&mut self.views, plan, &schedule, &mut evaluate, progress)?;
+        let TrainingRun {
+            curve,
+            earlier_seconds,
+            finished,
+        } = run;
+        if finished && last.is_none() {
+            let identities = training.identities();
+            let scores = held_out.score(&identities, inputs)?;
+            last = Some((identities, scores));
+        }
+        let (identities, scores) = last.unzip();
+        Ok(VariantOutcome {
+            identities,
+            learnable_bytes: training.learnable_bytes(),
+            rate: Some(rate),
+            seconds: curve.last().map_or(0.0, |p| p.seconds),
+            earlier_seconds,
+            curve,
+            ..VariantOutcome::new(variant, scores.unwrap_or_default())
+        })
     }
 }
 
-/// Loss of a row after the warm-up.
-fn loss(row: Variant, config: &SegmentationConfig) -> Result<LabelLoss> {
-    match row {
-        Variant::PerGaussian | Variant::OursCe => Ok(LabelLoss::Ce),
-        _ => LabelLoss::from_config(config),
-    }
+/// How `variant` is trained.
+fn plan(variant: Variant, inputs: &Inputs) -> Result<Plan> {
+    let config = &inputs.config.segmentation;
+    let loss = match variant {
+        Variant::PerGaussian | Variant::OursCe => LabelLoss::Ce,
+        _ => LabelLoss::from_config(config)?,
+    };
+    Ok(Plan::new(config, loss, inputs.config.seed))
 }
 
-/// What the training of `variant` follows from.
+/// When `variant` is evaluated and saved.
 ///
 /// # Errors
 /// [`crate::Error::Io`] when the file of the point encoder's weights cannot be read.
+fn schedule(variant: Variant, inputs: &Inputs, checkpoints: &Path) -> Result<Schedule> {
+    let config = &inputs.config.segmentation;
+    let or_a_tenth = |every: usize| match every {
+        0 => config.iterations.div_ceil(10),
+        every => every,
+    };
+    Ok(Schedule {
+        variant: variant.key(),
+        gaussians: inputs.gaussians.len(),
+        eval_every: or_a_tenth(config.eval_every),
+        checkpoint_every: or_a_tenth(config.checkpoint_every),
+        checkpoint: Some(checkpoints.join(format!("{}.safetensors", variant.key()))),
+        provenance: provenance(variant, inputs)?,
+    })
+}
+
+/// What the training of `variant` follows from.
 fn provenance(variant: Variant, inputs: &Inputs) -> Result<Provenance> {
     let decoder = variant.trains_decoder();
     let mut provenance =
@@ -225,135 +344,38 @@ fn provenance(variant: Variant, inputs: &Inputs) -> Result<Provenance> {
     Ok(provenance)
 }
 
-/// Trains `row` and scores it.
-fn trained(
-    row: Variant,
-    inputs: &Inputs,
-    views: &mut TrainingViews,
-    spatial: &mut Spatial,
-    held_out: &HeldOut,
-    checkpoints: &Path,
-    progress: &mut dyn Progress,
-) -> Result<Trained> {
-    let config = &inputs.config.segmentation;
-    let seed = inputs.config.seed;
-    let plan = Plan::new(config, loss(row, config)?, seed);
-    let tenth = |every: usize| {
-        if every == 0 {
-            config.iterations.div_ceil(10)
-        } else {
-            every
-        }
-    };
-    let schedule = Schedule {
-        variant: row.key(),
-        eval_every: tenth(config.eval_every),
-        checkpoint_every: tenth(config.checkpoint_every),
-        checkpoint: Some(checkpoints.join(format!("{}.safetensors", row.key()))),
-        provenance: provenance(row, inputs)?,
-    };
-    let device = inputs.device.clone().autodiff();
-    let classes = inputs.scene.classes.len();
-    let fit = |views: &mut TrainingViews,
-               model: &mut dyn IdentityModel,
-               rate: f64,
-               progress: &mut dyn Progress| {
-        // Of the end of training, which asks for nothing anew.
-        let mut last: Option<(Identities, Scores)> = None;
-        let mut score = |model: &mut dyn IdentityModel, iteration| {
-            if held_out.is_empty() {
-                return Ok(None);
-            }
-            let identities = model.identities()?;
-            let scores = held_out.score(&identities, inputs)?;
-            let miou = scores.miou();
-            if iteration == plan.iterations {
-                last = Some((identities, scores));
-            }
-            Ok(miou)
-        };
-        let TrainingRun {
-            curve,
-            earlier_seconds: earlier,
-            finished: whole,
-        } = train_decoder(model, views, &plan, &schedule, &mut score, progress)?;
-        let (identities, scores) = match (whole, last.take()) {
-            (true, Some((identities, scores))) => (Some(identities), scores),
-            (true, None) => {
-                let identities = model.identities()?;
-                let scores = held_out.score(&identities, inputs)?;
-                (Some(identities), scores)
-            }
-            (false, _) => (None, Scores::default()),
-        };
-        let outcome = VariantOutcome {
-            identities,
-            learnable_bytes: model.learnable_bytes(),
-            rate: Some(rate),
-            seconds: curve.last().map_or(0.0, |p| p.seconds),
-            curve,
-            ..untrained(row).scored(scores)
-        };
-        Ok(Trained {
-            outcome,
-            earlier,
-            whole,
-        })
-    };
-    if !row.trains_decoder() {
-        let size = [inputs.gaussians.len(), classes];
-        let rate = config.lr_per_gaussian;
-        let mut model = PerGaussian::new(size, rate, config.blend, &device);
-        return fit(views, &mut model, rate, progress);
-    }
-    let source = spatial.source(row, inputs)?;
-    let mut model = decoder_row(row, config.lr, &plan, source, inputs, views)?;
-    fit(views, &mut model, config.lr, progress)
-}
-
-/// The decoder of `row` before its first step at learning rate `rate`, over the frozen inputs `source`; its prior, where
-/// settings ask for one, is the votes of the views in use. Where its parameters are averaged, that begins after the share
-/// `segmentation.warmup` of the iterations of `plan`.
-///
-/// # Errors
-/// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite.
-pub fn decoder_row<'a>(
-    row: Variant,
-    rate: f64,
+/// The decoder of `variant` before its first step, over the frozen `input`. Its scores are added to `prior`, `[N, C]`. Where its
+/// parameters are averaged, that begins after the share `segmentation.warmup` of the iterations of `plan`. `views` is the number
+/// of training views.
+pub fn decoder_training<'a>(
+    variant: Variant,
     plan: &Plan,
-    source: &'a DecoderInput,
+    input: &'a DecoderInput,
+    prior: Option<Vec<f32>>,
     inputs: &'a Inputs,
-    views: &mut TrainingViews,
-) -> Result<DecoderModel<'a>> {
-    let config = &inputs.config.segmentation;
+    views: usize,
+) -> Training<DecoderModel<'a>> {
+    let config: &SegmentationConfig = &inputs.config.segmentation;
     let (seed, classes) = (inputs.config.seed, inputs.scene.classes.len());
-    // Not `plan.warmup`: a row under cross-entropy has no warm-up, and is averaged over the same steps as the others.
-    let average_from = (config.warmup * plan.iterations as f64) as usize;
-    let dropout = matches!(plan.loss, LabelLoss::Gjs { .. }).then_some(GJS_DROPOUT);
-    let plan = DecoderPlan {
-        config,
-        rate,
-        regularised: row != Variant::OursCe && config.lambda_reg > 0.0,
-        size: [inputs.gaussians.len(), classes],
-        dropout,
-        average_from: config.average.then_some(average_from),
-        seed,
-    };
     let device = inputs.device.clone().autodiff();
-    let pyramid = &source.scene().pyramid;
-    let decoder = DecoderConfig::for_pyramid(pyramid, classes, pyramid.levels.len() > 1)
+    let pyramid = &input.scene().pyramid;
+    let decoder = DecoderConfig::for_pyramid(pyramid, classes)
         .with_seed(seed)
         .init(&device);
-    let fused = DecoderModel::new(
-        decoder,
-        source,
-        &inputs.gaussians.means,
-        views.len(),
-        plan,
-        &device,
-    );
-    Ok(match config.prior {
-        Prior::None => fused,
-        Prior::Votes => fused.with_prior(views.votes()?.log_shares(VOTE_FLOOR)),
-    })
+    let decoder_plan = DecoderPlan {
+        config,
+        regularised: variant != Variant::OursCe && config.lambda_reg > 0.0,
+        size: [inputs.gaussians.len(), classes],
+        dropout: matches!(plan.loss, LabelLoss::Gjs { .. }).then_some(GJS_DROPOUT),
+        seed,
+    };
+    let means = &inputs.gaussians.means;
+    let mut model = DecoderModel::new(decoder, input, means, views, decoder_plan, &device);
+    if let Some(prior) = prior {
+        model = model.with_prior(prior);
+    }
+    // Not `plan.warmup`: a variant under cross-entropy has no warm-up, and is averaged over the same steps as the others.
+    let average_from = (config.warmup * plan.iterations as f64) as usize;
+    let adam = Adam::new(config.lr, config.average.then_some(average_from));
+    Training::new(model, adam, classes)
 }

@@ -13,7 +13,6 @@ mod gpu;
 mod op;
 mod settings;
 
-pub(crate) use self::cpu::geometry::Viewpoint;
 pub use self::cpu::{
     Blended, Positions, Projected, Rendered, SplatGradients, TilePairs, eval_sh, render,
 };

@@ -45,49 +45,41 @@ impl From<&RasterConfig> for Settings {
 impl Settings {
     /// [`Error::Config`] for a value outside its range.
     pub(super) fn check(&self) -> Result<()> {
-        let unit = |key: &str, v: f64, ok: bool, range: &str| {
-            let help = "choose a value in that range";
-            if ok {
-                Ok(())
-            } else {
-                Err(Error::config(
-                    format!("raster.{key}"),
-                    v.to_string(),
-                    range,
-                    help,
-                ))
-            }
-        };
-        unit(
-            "alpha_max",
-            self.alpha_max,
-            self.alpha_max > 0.0 && self.alpha_max <= 1.0,
-            "a number in (0, 1]",
-        )?;
-        unit(
-            "alpha_min",
-            self.alpha_min,
-            (0.0..1.0).contains(&self.alpha_min),
-            "a number in [0, 1)",
-        )?;
-        unit(
-            "t_min",
-            self.t_min,
-            (0.0..1.0).contains(&self.t_min),
-            "a number in [0, 1)",
-        )?;
-        unit(
-            "near",
-            self.near,
-            self.near > 0.0 && self.near.is_finite(),
-            "a positive number",
-        )?;
-        unit(
-            "low_pass",
-            self.low_pass,
-            self.low_pass >= 0.0 && self.low_pass.is_finite(),
-            "a number of 0 or more",
-        )
+        let share = 0.0..1.0;
+        let not_negative = 0.0..f64::INFINITY;
+        let cap = self.alpha_max > 0.0 && self.alpha_max <= 1.0;
+        let near = self.near > 0.0 && self.near.is_finite();
+        let rules = [
+            ("alpha_max", self.alpha_max, cap, "a number in (0, 1]"),
+            (
+                "alpha_min",
+                self.alpha_min,
+                share.contains(&self.alpha_min),
+                "a number in [0, 1)",
+            ),
+            (
+                "t_min",
+                self.t_min,
+                share.contains(&self.t_min),
+                "a number in [0, 1)",
+            ),
+            ("near", self.near, near, "a positive number"),
+            (
+                "low_pass",
+                self.low_pass,
+                not_negative.contains(&self.low_pass),
+                "a number of 0 or more",
+            ),
+        ];
+        match rules.into_iter().find(|(_, _, holds, _)| !holds) {
+            None => Ok(()),
+            Some((key, found, _, range)) => Err(Error::config(
+                format!("raster.{key}"),
+                found.to_string(),
+                range,
+                "choose a value in that range",
+            )),
+        }
     }
 }
 

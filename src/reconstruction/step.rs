@@ -10,6 +10,9 @@ use crate::raster::{RasterInput, RasterOutput, rasterize_with_capacity};
 use burn::tensor::Tensor;
 use rand::Rng;
 
+/// Weight of the SSIM term of the loss; L1 has the rest (Kerbl et al. 2023).
+const SSIM_WEIGHT: f64 = 0.2;
+
 /// Loss and gradients of one view.
 pub(crate) struct Pass {
     pub gradients: ParameterGradients,
@@ -78,7 +81,7 @@ impl Trainer<'_> {
             tile_lists,
             ..
         } = rasterize_with_capacity(input, &view.camera, &self.settings, background, capacity)?;
-        let loss = photometric_loss(image, &target, f64::from(self.config.building.ssim_weight));
+        let loss = photometric_loss(image, &target, SSIM_WEIGHT);
         let loss = self.regularised(loss, &leaves);
         let mut gradients = loss.backward();
         let screen = screen.and_then(|screen| screen.grad_remove(&mut gradients));

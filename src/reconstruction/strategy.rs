@@ -14,6 +14,16 @@ use crate::splat::Geometry;
 use burn::tensor::Tensor;
 use burn::tensor::activation::sigmoid;
 
+/// Noise of 3DGS-MCMC: after each step the means get `lr NOISE sigmoid(-k (o - t)) Sigma eta`, with lr their learning rate, o
+/// the opacity, Sigma the covariance, eta standard normal, k the sharpness, and t the opacity that keeps half the noise.
+const NOISE: f64 = 5e5;
+const NOISE_SHARPNESS: f64 = 100.0;
+const NOISE_OPACITY: f64 = 0.005;
+/// Gaussians below this share of the extent are cloned, others split.
+const CLONE_BELOW: f32 = 0.01;
+/// Gaussians larger than this share of their distance from the mean camera, or of the extent where that is longer, are pruned.
+const PRUNE_SCALE: f32 = 0.1;
+
 impl Trainer<'_> {
     /// A tensor of zeros that receives the screen-space gradient, for strategies that need it.
     pub(crate) fn screen(&self) -> Option<Tensor<2>> {
@@ -40,14 +50,13 @@ impl Trainer<'_> {
 
     /// Adds the noise of 3DGS-MCMC to the means after the step of `iteration`.
     pub(crate) fn add_noise(&mut self, iteration: usize) {
-        let mcmc = match &self.config.building.strategy {
-            Strategy::Mcmc(mcmc) if mcmc.noise > 0.0 => mcmc,
-            _ => return,
+        let Strategy::Mcmc(_) = &self.config.building.strategy else {
+            return;
         };
         let noise = PositionNoise {
-            scale: mcmc.noise * self.schedule.means_rate(iteration) / (self.extent * self.extent),
-            sharpness: mcmc.noise_sharpness,
-            opacity: mcmc.noise_opacity,
+            scale: NOISE * self.schedule.means_rate(iteration) / (self.extent * self.extent),
+            sharpness: NOISE_SHARPNESS,
+            opacity: NOISE_OPACITY,
         };
         let mut rng = stream(self.config.seed, Purpose::PositionNoise, iteration as u64);
         let means = noise.apply(&self.parameters.splats(), &mut rng);
@@ -92,10 +101,10 @@ impl Trainer<'_> {
         let building = &self.config.building;
         AdcRules {
             threshold: adc.threshold(),
-            clone_below: building.clone_below * self.extent as f32,
+            clone_below: CLONE_BELOW * self.extent as f32,
             prune_opacity: building.prune_opacity,
             prune_scale: SizeLimit {
-                share: building.prune_scale,
+                share: PRUNE_SCALE,
                 extent: self.extent as f32,
                 center: self.center.as_vec3().to_array(),
             },

@@ -22,6 +22,13 @@ use glam::DVec3;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+/// Learning rates of the parameters that no setting names, as in 3DGS (Kerbl et al. 2023): SH constant term, higher SH terms,
+/// log-scales, rotations.
+const LR_SH_DC: f64 = 2.5e-3;
+const LR_SH_REST: f64 = 1.25e-4;
+const LR_SCALES: f64 = 5e-3;
+const LR_ROTATIONS: f64 = 1e-3;
+
 /// What one iteration did.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepReport {
@@ -330,12 +337,12 @@ impl<'a> Trainer<'a> {
     /// Learning rates of the parameters, in their order.
     fn rates(&self, iteration: usize) -> [Vec<f64>; 5] {
         let b = &self.config.building;
-        let mut sh = vec![b.lr_sh_rest; 3 * (b.sh_degree + 1).pow(2)];
-        sh[..3].fill(b.lr_sh_dc);
+        let mut sh = vec![LR_SH_REST; 3 * (b.sh_degree + 1).pow(2)];
+        sh[..3].fill(LR_SH_DC);
         [
             vec![self.schedule.means_rate(iteration)],
-            vec![b.lr_scales],
-            vec![b.lr_rotations],
+            vec![LR_SCALES],
+            vec![LR_ROTATIONS],
             vec![b.lr_opacity],
             sh,
         ]

@@ -2,8 +2,6 @@
 
 use super::units::thousands;
 use maud::{Markup, PreEscaped, html};
-use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
-use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use std::ops::Range;
 
@@ -33,6 +31,8 @@ const TEXT: RGBColor = RGBColor(118, 121, 130);
 const GRID: RGBColor = RGBColor(226, 226, 221);
 /// Ticks of an axis, about.
 const TICKS: usize = 6;
+/// A logarithmic axis spans this ratio or more.
+const LEAST_RATIO: f64 = 3.0;
 /// Lines with more points than this are averaged in groups.
 const MOST_POINTS: usize = 160;
 /// Lines with at most this many points have markers.
@@ -94,8 +94,13 @@ impl Chart {
         if self.lines.iter().all(|line| line.points.len() < 2) {
             return None;
         }
-        let log = self.log && points().all(|point| point.1 > 0.0);
-        let y = Axis::around(points().map(|point| point.1), log);
+        let values = points().map(|point| point.1);
+        let low = values.clone().fold(f64::INFINITY, f64::min);
+        let high = values.fold(0.0, f64::max);
+        // Two digits tell the ticks of a logarithmic axis apart only over a wide range.
+        let log = self.log && low > 0.0 && high > LEAST_RATIO * low;
+        let place = |value: f64| if log { value.log10() } else { value };
+        let y = around(points().map(|point| place(point.1)));
         let end = points().fold(1.0, |end: f64, point| end.max(point.0));
         let mut out = String::new();
         let drawn = || -> Result<(), Box<dyn std::error::Error + '_>> {
@@ -105,7 +110,7 @@ impl Chart {
                 .margin_right(28)
                 .x_label_area_size(64)
                 .y_label_area_size(92)
-                .build_cartesian_2d(Axis::linear(0.0..end), y)?;
+                .build_cartesian_2d(0.0..end, y)?;
             let font = ("sans-serif", 24).into_font().color(&TEXT);
             chart
                 .configure_mesh()
@@ -116,13 +121,17 @@ impl Chart {
                 .label_style(font.clone())
                 .axis_desc_style(font)
                 .x_desc("iteration")
+                .x_labels(TICKS)
+                .y_labels(TICKS)
+                .x_label_formatter(&|x| tick(*x))
+                .y_label_formatter(&|y| if log { tick(two_digits(*y)) } else { tick(*y) })
                 .draw()?;
             for line in &self.lines {
                 let [r, g, b] = line.color;
                 let style = RGBColor(r, g, b).stroke_width(4);
-                let points = line.points.iter().copied();
-                if let [level] = line.points[..] {
-                    let across = [(0.0, level.1), (end, level.1)];
+                let points = line.points.iter().map(|&(x, value)| (x, place(value)));
+                if let [(_, level)] = line.points[..] {
+                    let across = [(0.0, place(level)), (end, place(level))];
                     chart.draw_series(DashedLineSeries::new(across, 10, 8, style))?;
                     continue;
                 }
@@ -148,92 +157,23 @@ pub(super) fn swatch([r, g, b]: [u8; 3]) -> Markup {
     html! { span.mark style={ "background:rgb(" (r) " " (g) " " (b) ")" } {} }
 }
 
-/// An axis with ticks of its own: the logarithmic one of plotters has too few.
-struct Axis {
-    range: Range<f64>,
-    ticks: Vec<f64>,
-    log: bool,
+/// The range that shows all of `values`, with a margin.
+fn around(values: impl Iterator<Item = f64>) -> Range<f64> {
+    let none = (f64::INFINITY, f64::NEG_INFINITY);
+    let (mut low, mut high) = values.fold(none, |(low, high), v| (low.min(v), high.max(v)));
+    if high - low <= 1e-9 * high.abs() {
+        let apart = 0.5 * high.abs().max(1e-3);
+        low -= apart;
+        high += apart;
+    }
+    let margin = 0.06 * (high - low);
+    low - margin..high + margin
 }
 
-impl Axis {
-    fn linear(range: Range<f64>) -> Self {
-        Self {
-            ticks: RangedCoordf64::from(range.clone()).key_points(TICKS),
-            range,
-            log: false,
-        }
-    }
-
-    /// The axis that shows all of `values`, with a margin.
-    fn around(values: impl Iterator<Item = f64>, log: bool) -> Self {
-        let place = |value: f64| if log { value.log10() } else { value };
-        let (mut low, mut high) = values
-            .map(place)
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
-                (low.min(v), high.max(v))
-            });
-        if high - low <= 1e-9 * high.abs() {
-            let apart = 0.5 * high.abs().max(1e-3);
-            low -= apart;
-            high += apart;
-        }
-        let margin = 0.06 * (high - low);
-        let (low, high) = (low - margin, high + margin);
-        if log {
-            Self::logarithmic(10_f64.powf(low)..10_f64.powf(high))
-        } else {
-            Self::linear(low..high)
-        }
-    }
-
-    /// With ticks at 1, 2 and 5 times powers of ten, at powers alone where those are many, and at even steps where those are
-    /// few.
-    fn logarithmic(range: Range<f64>) -> Self {
-        let (low, high) = (range.start.log10(), range.end.log10());
-        let steps: &[f64] = if high - low > 2.5 {
-            &[1.0]
-        } else {
-            &[1.0, 2.0, 5.0]
-        };
-        let mut ticks: Vec<f64> = (low.floor() as i32..=high.ceil() as i32)
-            .flat_map(|decade| steps.iter().map(move |step| step * 10_f64.powi(decade)))
-            .filter(|tick| range.contains(tick))
-            .collect();
-        if ticks.len() < 3 {
-            ticks = RangedCoordf64::from(range.clone()).key_points(TICKS);
-        }
-        Self {
-            range,
-            ticks,
-            log: true,
-        }
-    }
-}
-
-impl Ranged for Axis {
-    type FormatOption = NoDefaultFormatting;
-    type ValueType = f64;
-
-    fn map(&self, value: &f64, (from, to): (i32, i32)) -> i32 {
-        let place = |value: f64| if self.log { value.log10() } else { value };
-        let (low, high) = (place(self.range.start), place(self.range.end));
-        let share = (place(*value) - low) / (high - low);
-        from + (f64::from(to - from) * share).round() as i32
-    }
-
-    fn key_points<Hint: KeyPointHint>(&self, _: Hint) -> Vec<f64> {
-        self.ticks.clone()
-    }
-
-    fn range(&self) -> Range<f64> {
-        self.range.clone()
-    }
-}
-
-impl ValueFormatter<f64> for Axis {
-    fn format_ext(&self, value: &f64) -> String {
-        tick(*value)
-    }
+/// The value at `log10`, which a logarithmic axis names by two digits.
+fn two_digits(log10: f64) -> f64 {
+    let unit = 10_f64.powf(log10.floor() - 1.0);
+    (10_f64.powf(log10) / unit).round() * unit
 }
 
 /// A tick's text, with as few digits as tell it from its neighbours.
@@ -260,16 +200,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_axis_has_several_ticks() {
-        for (low, high) in [(0.021, 0.31), (0.30, 0.34), (1e-9, 5.0), (0.9, 1.1)] {
-            let ticks = Axis::logarithmic(low..high).ticks;
-            assert!((3..=14).contains(&ticks.len()), "{low}..{high}: {ticks:?}");
-        }
-    }
-
-    #[test]
     fn ticks_are_short() {
         let texts = [0.0, 0.25, -3.0, 12_000.0, 1e-6].map(tick);
         assert_eq!(texts, ["0", "0.25", "−3", "12,000", "1e-6"]);
+    }
+
+    #[test]
+    fn logarithmic_ticks_have_two_digits() {
+        let texts = [-1.5, -0.8, 0.0, 1.2, -4.0].map(|log10| tick(two_digits(log10)));
+        assert_eq!(texts, ["0.032", "0.16", "1", "16", "1e-4"]);
     }
 }

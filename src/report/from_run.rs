@@ -1,12 +1,12 @@
 //! The report of a finished run.
 
+use super::peak_memory_bytes;
 use super::views::shown_of;
-use super::{AssociationFigures, peak_memory_bytes};
 use super::{
-    BuildingHistory, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Sample, Seconds,
+    BuildingHistory, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Sample,
     TestScores,
 };
-use crate::config::{Config, LabelLoss, SegmentationConfig, Variant};
+use crate::config::{Config, Variant};
 use crate::data::{Split, View};
 use crate::error::Result;
 use crate::objects::{LabelMaps, LabelRule, has_truth};
@@ -18,34 +18,18 @@ impl Metrics {
     /// The figures of a finished run without its commands and the scores of single views. Peak memory is that of this process
     /// so far.
     pub fn of(outcome: &Outcome) -> Self {
-        let s = &outcome.seconds;
+        let rows = outcome.rows.iter();
         Self {
             scene: outcome.scene.name.clone(),
             gaussians: outcome.gaussians.len(),
-            association: outcome.association.map(|a| AssociationFigures {
-                segments: a.segments,
-                objects: a.objects,
-                dropped: a.dropped,
-                divided: a.divided,
-                seconds: a.seconds,
-            }),
+            association: outcome.association,
             test: TestScores {
                 psnr: outcome.test.psnr,
                 ssim: outcome.test.ssim,
                 views: Default::default(),
-                labels: outcome
-                    .rows
-                    .iter()
-                    .map(|row| (row.row, row_scores(row)))
-                    .collect(),
+                labels: rows.map(|row| (row.row, row_scores(row))).collect(),
             },
-            seconds: Seconds {
-                building: s.building,
-                features: s.features,
-                unprojection: s.unprojection,
-                segmentation: s.segmentation,
-                total: s.total,
-            },
+            seconds: outcome.seconds,
             peak_memory_bytes: peak_memory_bytes(),
             learnable_bytes: outcome.learnable_bytes().into_iter().collect(),
             spatial: outcome.spatial.clone(),
@@ -152,98 +136,69 @@ pub fn held_out_views<'a>(
 }
 
 impl Report<'_> {
-    /// Notes for a reader of the figures, as far as the run itself knows them.
+    /// Notes for a reader of the figures.
     pub fn notes_of(outcome: &Outcome, config: &Config) -> Vec<String> {
+        let scene = &outcome.scene;
+        let rows = || outcome.rows.iter().map(|row| row.row);
         let mut notes = Vec::new();
+        let mut note = |text: String| notes.push(text);
         if config.data.dir.is_none() {
-            notes.push("The scene is the built-in one: procedural and ray-cast.".to_owned());
+            note("The scene is the built-in one: procedural and ray-cast.".to_owned());
         }
         if let Some(path) = &config.building.gaussians {
             let what = match config.building.iterations {
                 0 => "are those of a file, without training",
                 _ => "were trained from those of a file",
             };
-            notes.push(format!("The Gaussians {what}: {}.", path.display()));
+            note(format!("The Gaussians {what}: {}.", path.display()));
         }
         let scored =
             |view: &View| has_truth(view, config.data.association, outcome.semantics.as_ref());
-        if !outcome.scene.split(Split::Test).any(scored) && !outcome.rows.is_empty() {
-            notes.push("No held-out view has true labels: no row of labels is scored.".into());
+        if !scene.split(Split::Test).any(scored) && !outcome.rows.is_empty() {
+            note("No held-out view has true labels: no row of labels is scored.".to_owned());
         }
-        let masked = outcome
-            .scene
+        let views = scene.views.len();
+        match scene
             .views
             .iter()
             .filter(|view| view.mask.is_some())
-            .count();
-        if masked > 0 {
-            notes.push(format!(
-                "Masks leave pixels of {masked} of {} photos out of training and of all scores.",
-                outcome.scene.views.len()
-            ));
-        }
-        if outcome.rows.iter().any(|row| row.row == Variant::Raw) {
-            notes.push("Raw labels of held-out views are scored, never trained on.".to_owned());
-        }
-        if outcome
-            .rows
-            .iter()
-            .any(|row| row.row.trains_decoder() && row.row != Variant::OursCe)
+            .count()
         {
-            notes.push(format!(
-                "The decoder of the row ours learns with {}.",
-                loss_in_words(&config.segmentation)
+            0 => {}
+            masked => note(format!(
+                "Masks leave pixels of {masked} of {views} photos out of training and of all scores."
+            )),
+        }
+        if rows().any(|row| row == Variant::Raw) {
+            note("Raw labels of held-out views are scored, never trained on.".to_owned());
+        }
+        if rows().any(|row| row.trains_decoder() && row != Variant::OursCe) {
+            let s = &config.segmentation;
+            let steps = (s.warmup * s.iterations as f64).round();
+            note(format!(
+                "The decoder of the row ours learns with segmentation.loss = {}, after {steps} steps of cross-entropy.",
+                serde_json::json!(s.loss)
             ));
         }
         if let Some(a) = &outcome.association {
-            notes.push(format!(
-                "The ids of the raw labels had a meaning only within a view. Association put the {} segments of the training \
-                 views together into {} objects; {} segments belong to none, {} were divided among several.",
+            note(format!(
+                "The ids of the raw labels are valid only within a view. Association joined the {} segments of the training \
+                 views into {} objects; {} segments are in no object, {} were divided among several.",
                 a.segments, a.objects, a.dropped, a.divided
             ));
         }
         if let Some(pruned) = &outcome.pruned {
-            let psnr = |scores: &crate::metrics::ImageScores| match scores.psnr {
-                Some(psnr) => format!("{psnr:.2} dB"),
-                None => "not measured".to_owned(),
+            let psnr = |psnr: Option<f64>| {
+                psnr.map_or("not measured".to_owned(), |psnr| format!("{psnr:.2} dB"))
             };
-            notes.push(format!(
+            note(format!(
                 "Pruning of unseen Gaussians removed {} of {} Gaussians; held-out PSNR before {}, after {}.",
                 pruned.before - pruned.after,
                 pruned.before,
-                psnr(&pruned.scores_before),
-                psnr(&pruned.scores_after),
+                psnr(pruned.scores_before.psnr),
+                psnr(pruned.scores_after.psnr),
             ));
         }
         notes
-    }
-}
-
-/// The label loss of row `ours` and its warm-up.
-fn loss_in_words(config: &SegmentationConfig) -> String {
-    let loss = match config.loss {
-        LabelLoss::Ce => return "cross-entropy".to_owned(),
-        LabelLoss::Js { pi_rl } => format!("the Jensen-Shannon loss, pi_rl = {pi_rl}"),
-        LabelLoss::Gce { exponent, .. } => format!("generalised cross-entropy, q = {exponent}"),
-        LabelLoss::Mae => "the absolute error".to_owned(),
-        LabelLoss::NceRce => "normalised and reverse cross-entropy".to_owned(),
-        LabelLoss::Gjs { pi_rl } => {
-            format!("the generalised Jensen-Shannon loss, pi_rl = {pi_rl}")
-        }
-    };
-    let loss = match (config.warmup * config.iterations as f64).round() {
-        0.0 => loss,
-        steps => format!("{loss}, after {steps} steps of cross-entropy"),
-    };
-    match config.loss {
-        LabelLoss::Gce {
-            least_recall: least,
-            ..
-        } if least > 0.0 => {
-            format!(
-                "{loss}, nearer to cross-entropy for classes whose own labels get less than {least} of the probability"
-            )
-        }
-        _ => loss,
     }
 }

@@ -5,6 +5,7 @@ use crate::config::Variant;
 use crate::metrics::{
     Agreement, Compactness, ImageScores, InstanceScores, LabelScores, SemanticScores,
 };
+use crate::pipeline::{Associated, Seconds};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -20,7 +21,7 @@ pub struct Metrics {
     pub gaussians: usize,
     /// The result of association, where the settings asked for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub association: Option<AssociationFigures>,
+    pub association: Option<Associated>,
     /// Scores on the held-out views.
     pub test: TestScores,
     /// Where the time went.
@@ -47,22 +48,6 @@ pub struct Command {
     pub device: String,
     /// Version of this crate.
     pub version: String,
-}
-
-/// The result of association: objects from segments whose ids meant nothing in other views.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct AssociationFigures {
-    /// Segments of the training views.
-    pub segments: usize,
-    /// Objects that they show.
-    pub objects: usize,
-    /// Segments without an object.
-    pub dropped: usize,
-    /// Segments that were divided among several objects.
-    #[serde(default)]
-    pub divided: usize,
-    /// Wall-clock seconds, part of the total.
-    pub seconds: f64,
 }
 
 /// Scores on the held-out views.
@@ -148,21 +133,6 @@ pub struct Scores {
     pub miou_per_view: Option<f64>,
     /// Pixel accuracy.
     pub accuracy: Option<f64>,
-}
-
-/// Wall-clock seconds by stage.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Seconds {
-    /// Gaussians from photos.
-    pub building: f64,
-    /// 2D features.
-    pub features: f64,
-    /// Lifting features onto Gaussians.
-    pub unprojection: f64,
-    /// Training and scoring of all label rows, point encoding included.
-    pub segmentation: f64,
-    /// Everything from loading to the last score, with earlier parts of a resumed run.
-    pub total: f64,
 }
 
 /// Peak resident memory of this process so far, bytes (`VmHWM`); `None` where the system does not report it.

@@ -14,9 +14,7 @@ mod views;
 
 pub use self::from_run::held_out_views;
 pub use self::history::{BuildingHistory, History, RowHistory, Sample};
-pub use self::metrics::{
-    AssociationFigures, Command, Metrics, RowScores, Scores, Seconds, TestScores, peak_memory_bytes,
-};
+pub use self::metrics::{Command, Metrics, RowScores, Scores, TestScores, peak_memory_bytes};
 
 pub(crate) use self::units::thousands;
 

@@ -5,7 +5,7 @@ use super::curves::color;
 use super::units::{bytes, duration, percent, thousands};
 use super::{Report, RowScores};
 use crate::config::Variant;
-use crate::metrics::{PanopticScores, SemanticScores};
+use crate::metrics::{Compactness, InstanceScores, SemanticScores};
 use maud::{Markup, html};
 
 /// A table whose wide content scrolls on its own.
@@ -82,31 +82,38 @@ pub(super) fn scores(report: &Report<'_>) -> Markup {
     table(&head, body)
 }
 
-/// Scores of objects against true instances; nothing where no row has them.
-pub(super) fn instances(report: &Report<'_>) -> Option<Markup> {
-    let rows = rows_with(report, |scores| scores.instances.as_ref());
-    let head = [
-        "",
-        "accuracy, %",
-        "mIoU, %",
-        "PQ, %",
-        "SQ, %",
-        "RQ, %",
-        "PQ of the scene, %",
-        "true instances",
-        "objects",
-    ];
+/// A column of a table: its head, and the text of a cell.
+type Column<T> = (&'static str, fn(&T) -> String);
+
+/// A table with a line for each row.
+fn row_table<T>(rows: &[(Variant, &T)], columns: &[Column<T>]) -> Markup {
+    let head: Vec<&str> = std::iter::once("")
+        .chain(columns.iter().map(|(head, _)| *head))
+        .collect();
     let body = html! {
-        @for (row, s) in &rows {
+        @for (row, scores) in rows {
             tr {
                 (row_name(*row))
-                (shares(&[
-                    s.accuracy, s.miou, s.panoptic.pq, s.panoptic.sq, s.panoptic.rq, s.scene.pq,
-                ]))
-                td { (s.instances) } td { (s.objects) }
+                @for (_, cell) in columns { td { (cell(scores)) } }
             }
         }
     };
+    table(&head, body)
+}
+
+/// Scores of objects against true instances; nothing where no row has them.
+pub(super) fn instances(report: &Report<'_>) -> Option<Markup> {
+    let rows = rows_with(report, |scores| scores.instances.as_ref());
+    let columns: [Column<InstanceScores>; 8] = [
+        ("accuracy, %", |s| percent(s.accuracy)),
+        ("mIoU, %", |s| percent(s.miou)),
+        ("PQ, %", |s| percent(s.panoptic.pq)),
+        ("SQ, %", |s| percent(s.panoptic.sq)),
+        ("RQ, %", |s| percent(s.panoptic.rq)),
+        ("PQ of the scene, %", |s| percent(s.scene.pq)),
+        ("true instances", |s| s.instances.to_string()),
+        ("objects", |s| s.objects.to_string()),
+    ];
     (!rows.is_empty()).then(|| {
         html! {
             h3 { "Objects against true instances" }
@@ -115,7 +122,7 @@ pub(super) fn instances(report: &Report<'_>) -> Option<Markup> {
                  (Kirillov et al. 2019) treat the segments of each view as one class; PQ of the scene treats all views as \
                  one image."
             }
-            (table(&head, body))
+            (row_table(&rows, &columns))
         }
     })
 }
@@ -124,68 +131,48 @@ pub(super) fn instances(report: &Report<'_>) -> Option<Markup> {
 pub(super) fn objects_by_class(report: &Report<'_>) -> Option<Markup> {
     let rows = rows_with(report, |scores| scores.semantic.as_ref());
     let (_, first) = rows.first()?;
-    let head = [
-        "",
-        "mIoU pooled, %",
-        "mIoU per view, %",
-        "accuracy, %",
-        "PQ, %",
-        "SQ, %",
-        "RQ, %",
-        "PQ of things, %",
-        "PQ of stuff, %",
-        "PQ of the scene, %",
+    let columns: [Column<SemanticScores>; 9] = [
+        ("mIoU pooled, %", |s| percent(s.miou)),
+        ("mIoU per view, %", |s| percent(s.miou_per_view)),
+        ("accuracy, %", |s| percent(s.accuracy)),
+        ("PQ, %", |s| percent(s.panoptic.and_then(|p| p.all.pq))),
+        ("SQ, %", |s| percent(s.panoptic.and_then(|p| p.all.sq))),
+        ("RQ, %", |s| percent(s.panoptic.and_then(|p| p.all.rq))),
+        ("PQ of things, %", |s| {
+            percent(s.panoptic.and_then(|p| p.things.pq))
+        }),
+        ("PQ of stuff, %", |s| {
+            percent(s.panoptic.and_then(|p| p.stuff.pq))
+        }),
+        ("PQ of the scene, %", |s| {
+            percent(s.panoptic.and_then(|p| p.scene.pq))
+        }),
     ];
-    let qualities: [fn(&PanopticScores) -> Option<f64>; 6] = [
-        |p| p.all.pq,
-        |p| p.all.sq,
-        |p| p.all.rq,
-        |p| p.things.pq,
-        |p| p.stuff.pq,
-        |p| p.scene.pq,
-    ];
-    let body = html! {
-        @for (row, s) in &rows {
-            tr {
-                (row_name(*row))
-                (shares(&[s.miou, s.miou_per_view, s.accuracy]))
-                (shares(&qualities.map(|pick| s.panoptic.as_ref().and_then(pick))))
-            }
-        }
-    };
     let iou = |s: &SemanticScores, id| s.per_class.iter().find(|c| c.id == id).map(|c| c.iou);
-    let classes = html! {
-        @for class in &first.per_class {
-            tr {
-                th scope="row" { (class.name) }
-                @for (_, s) in &rows { td { (percent(iou(s, class.id))) } }
-            }
-        }
-    };
-    let names: Vec<&str> = std::iter::once("class")
-        .chain(rows.iter().map(|(row, _)| row.title()))
-        .collect();
+    let classes = first.per_class.iter().map(|class| {
+        let name = html! { (class.name) };
+        let cells = rows.iter().map(|(_, s)| iou(s, class.id));
+        (name, cells.collect())
+    });
     Some(html! {
         h3 { "Objects by class against true labels" }
         p.quiet {
             "An object counts as its class. PQ, SQ and RQ are means over classes. In a class of things each instance is a \
              segment, in a class of stuff all pixels are one. PQ of the scene treats all views as one image."
         }
-        (table(&head, body))
+        (row_table(&rows, &columns))
         h3 { "IoU by class of the objects, %" }
-        (table(&names, classes))
+        (class_table(&rows, classes))
     })
 }
 
 /// How compact identities are, and how far the raw labels agree; nothing where no row has it.
 pub(super) fn compactness(report: &Report<'_>) -> Option<Markup> {
-    let rows = rows_with(report, |scores| scores.compactness);
+    let rows = rows_with(report, |scores| scores.compactness.as_ref());
     let agreement = rows_with(report, |scores| scores.agreement);
-    let body = html! {
-        @for (row, c) in &rows {
-            tr { (row_name(*row)) td { (percent(Some(c.neighbours_differ))) } }
-        }
-    };
+    let columns: [Column<Compactness>; 1] = [("neighbours that differ, %", |c| {
+        percent(Some(c.neighbours_differ))
+    })];
     (!rows.is_empty()).then(|| {
         html! {
             h3 { "Compactness" }
@@ -196,7 +183,7 @@ pub(super) fn compactness(report: &Report<'_>) -> Option<Markup> {
                     " nats. On " (percent(Some(a.contested))) " % of the Gaussians the winner has less than two thirds of them."
                 }
             }
-            (table(&["", "neighbours that differ, %"], body))
+            (row_table(&rows, &columns))
         }
     })
 }
@@ -206,27 +193,39 @@ pub(super) fn class_iou(report: &Report<'_>) -> Option<Markup> {
     let rows = rows_with(report, |s| {
         (!s.class_iou.is_empty()).then_some(&s.class_iou)
     });
+    let classes = report.classes.entries.iter().map(|class| {
+        let name = html! { (swatch(class.color)) (class.name) };
+        let cells = rows.iter().map(|(_, iou)| iou.get(&class.id).copied());
+        (name, cells.collect())
+    });
+    (!rows.is_empty()).then(|| {
+        html! {
+            h3 { "IoU by class, %" }
+            (class_table(&rows, classes))
+        }
+    })
+}
+
+/// A table with a line for each class that any row has a share for, and a column for each row.
+fn class_table<T>(
+    rows: &[(Variant, T)],
+    classes: impl Iterator<Item = (Markup, Vec<Option<f64>>)>,
+) -> Markup {
     let head: Vec<&str> = std::iter::once("class")
         .chain(rows.iter().map(|(row, _)| row.title()))
         .collect();
     let body = html! {
-        @for class in &report.classes.entries {
-            @let cells: Vec<Option<f64>> = rows.iter().map(|(_, iou)| iou.get(&class.id).copied()).collect();
+        @for (name, cells) in classes {
             @let best = cells.iter().flatten().copied().max_by(f64::total_cmp);
             @if best.is_some() {
                 tr {
-                    th scope="row" { (swatch(class.color)) (class.name) }
+                    th scope="row" { (name) }
                     @for cell in cells { (share(cell, best)) }
                 }
             }
         }
     };
-    (!rows.is_empty()).then(|| {
-        html! {
-            h3 { "IoU by class, %" }
-            (table(&head, body))
-        }
-    })
+    table(&head, body)
 }
 
 /// Where the time went: a bar and a table.

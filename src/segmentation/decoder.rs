@@ -38,24 +38,12 @@ pub struct DecoderConfig {
 }
 
 impl DecoderConfig {
-    /// The decoder that reads `pyramid`, or only its finest level (`multi_scale = false`).
-    pub fn for_pyramid(pyramid: &Pyramid, classes: usize, multi_scale: bool) -> Self {
-        let scales = if multi_scale {
-            pyramid.levels.len().min(WIDTHS.len())
-        } else {
-            1.min(pyramid.levels.len())
-        };
-        let levels = &pyramid.levels[..scales];
-        let top = if multi_scale {
-            pyramid.top.dims()[1]
-        } else {
-            0
-        };
-        Self::new(
-            levels.iter().map(|l| l.features.dims()[1]).collect(),
-            top,
-            classes,
-        )
+    /// The decoder that reads `pyramid`.
+    pub fn for_pyramid(pyramid: &Pyramid, classes: usize) -> Self {
+        let channels = |features: &Tensor<2>| features.dims()[1];
+        let levels = pyramid.levels.iter().take(WIDTHS.len());
+        let features = levels.map(|level| channels(&level.features)).collect();
+        Self::new(features, channels(&pyramid.top), classes)
     }
 
     /// A decoder with seeded first weights, uniform in +-1/sqrt(inputs of the layer).
@@ -64,23 +52,16 @@ impl DecoderConfig {
         rng.set_stream(INIT_STREAM);
         let scales = self.features.len().min(WIDTHS.len());
         let layers = (0..scales).map(|n| {
-            let (width, below) = (
-                WIDTHS[n],
-                if n + 1 < scales {
-                    WIDTHS[n + 1]
-                } else {
-                    self.top
-                },
-            );
+            let width = WIDTHS[n];
+            let below = if n + 1 < scales {
+                WIDTHS[n + 1]
+            } else {
+                self.top
+            };
             let bound = bound(self.features[n] + below);
             let mut map = |inputs: usize| {
-                (inputs > 0).then(|| {
-                    parameter(
-                        uniform(inputs * width, bound, &mut rng),
-                        [inputs, width],
-                        device,
-                    )
-                })
+                let values = uniform(inputs * width, bound, &mut rng);
+                (inputs > 0).then(|| parameter(values, [inputs, width], device))
             };
             FusionLayer {
                 features: map(self.features[n]),

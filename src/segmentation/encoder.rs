@@ -1,7 +1,9 @@
 //! The frozen spatial encoder of a run: which weights, and a cloud of Gaussian centres turned into features (Eq. 6).
 
-use super::neighbours::{Neighbours, check_finite};
-use super::randla::{Form, LAYERS, NEIGHBOURS, POSITION_CHANNELS, RATIO, RandlaEncoder, tensor};
+use super::neighbours::check_finite;
+use super::randla::{
+    LAYERS, NEIGHBOURS, POSITION_CHANNELS, RATIO, RandlaEncoder, block_name, tensor,
+};
 use super::sampling::Hierarchy;
 use crate::config::{SpatialConfig, SpatialSource};
 use crate::error::{Error, Result};
@@ -68,9 +70,10 @@ impl Cloud<'_> {
         let median = |axis: fn(&DVec3) -> f64| {
             let mut values: Vec<f64> = turned.iter().map(axis).collect();
             let middle = values.len() / 2;
-            match values.is_empty() {
-                true => 0.0,
-                false => *values.select_nth_unstable_by(middle, f64::total_cmp).1,
+            if values.is_empty() {
+                0.0
+            } else {
+                *values.select_nth_unstable_by(middle, f64::total_cmp).1
             }
         };
         let centre = DVec3::new(median(|p| p.x), median(|p| p.y), median(|p| p.z));
@@ -86,10 +89,6 @@ impl Cloud<'_> {
 pub struct Level {
     /// `[N_n]` rows of the encoded cloud; level 1 holds them all, in order.
     pub indices: Vec<u32>,
-    /// `[N_n, 3]` in metres, z up, centred.
-    pub positions: Vec<[f32; 3]>,
-    /// `[N_n, K]` nearest points of this level, itself first; empty for the coarsest set.
-    pub neighbours: Neighbours,
     /// `f_s,n` before its sampling, `[N_n, S_n]`; without autodiff.
     pub features: Tensor<2>,
 }
@@ -131,28 +130,15 @@ pub fn encode(
     let device = device.clone().inner();
     let input = encoder_input(encoder.inputs(), &positions, cloud.colors, &device)?;
     let (features, coarsest) = encoder.encode_levels(input, &hierarchy, true);
-    let upsample = hierarchy.upsampling()?;
     for (n, f) in features.iter().chain([&coarsest]).enumerate() {
         check_features(n, f)?;
     }
-    let coarsest = Level {
-        indices: hierarchy.coarsest_indices,
-        positions: hierarchy.coarsest_positions,
-        neighbours: Neighbours::default(),
-        features: coarsest,
-    };
-    let levels = hierarchy.levels.into_iter().zip(features);
-    let levels = levels
-        .map(|(l, features)| Level {
-            indices: l.indices,
-            positions: l.positions,
-            neighbours: l.neighbours,
-            features,
-        })
-        .collect();
+    let upsample = hierarchy.upsampling()?;
+    let level = |(indices, features)| Level { indices, features };
+    let indices = hierarchy.levels.into_iter().map(|level| level.indices);
     Ok(Encoding {
-        levels,
-        coarsest,
+        levels: indices.zip(features).map(level).collect(),
+        coarsest: level((hierarchy.coarsest_indices, coarsest)),
         upsample,
     })
 }
@@ -214,25 +200,18 @@ fn check_features(level: usize, features: &Tensor<2>) -> Result<()> {
 /// # Errors
 /// [`Error::Config`] for a negative or non-finite setting, and for 0 without a usable extent.
 pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64> {
-    let (scale, help) = match config.scale {
-        0.0 => (
-            ASSUMED_EXTENT / camera_extent,
-            "set spatial.scale: the cameras do not tell how large the scene is",
-        ),
-        scale => (
-            scale,
-            "give metres per world unit, or 0 to derive it from the cameras",
-        ),
+    let (scale, help) = if config.scale == 0.0 {
+        let help = "set spatial.scale: the cameras do not tell how large the scene is";
+        (ASSUMED_EXTENT / camera_extent, help)
+    } else {
+        let help = "give metres per world unit, or 0 to derive it from the cameras";
+        (config.scale, help)
     };
-    match scale.is_finite() && scale > 0.0 {
-        true => Ok(scale),
-        false => Err(Error::config(
-            "spatial.scale",
-            config.scale.to_string(),
-            "a finite number above 0, or 0",
-            help,
-        )),
+    if scale.is_finite() && scale > 0.0 {
+        return Ok(scale);
     }
+    let (found, expected) = (config.scale.to_string(), "a finite number above 0, or 0");
+    Err(Error::config("spatial.scale", found, expected, help))
 }
 
 /// The encoder that the settings ask for, frozen, and how a run names it: `pretrained FILE`, `trained here`, `random`.
@@ -253,10 +232,8 @@ pub fn load_spatial(
             (weights, format!("pretrained {}", path.display()))
         }
     };
-    Ok((
-        RandlaEncoder::load(&weights, Form::Frozen, &device.clone().inner())?,
-        name,
-    ))
+    let encoder = RandlaEncoder::load(&weights, &device.clone().inner())?;
+    Ok((encoder, name))
 }
 
 /// SHA-256 of the weights that `config` asks for; of random ones, which their seed says, none.
@@ -290,7 +267,6 @@ pub fn random_weights(inputs: usize, seed: u64) -> Checkpoint {
     add_random_mlp(&mut weights, "fc0", [inputs, WIDTHS[0]], &mut rng);
     let mut input = WIDTHS[0];
     for (n, &d) in WIDTHS[1..].iter().enumerate() {
-        let block = |part: &str| format!("dilated_res_blocks.{n}.{part}");
         for (part, shape) in [
             ("mlp1", [input, d / 2]),
             ("lfa.mlp1", [POSITION_CHANNELS, d / 2]),
@@ -300,17 +276,10 @@ pub fn random_weights(inputs: usize, seed: u64) -> Checkpoint {
             ("mlp2", [d, 2 * d]),
             ("shortcut", [input, 2 * d]),
         ] {
-            add_random_mlp(&mut weights, &block(part), shape, &mut rng);
+            add_random_mlp(&mut weights, &block_name(n, part), shape, &mut rng);
         }
-        for stage in [1, 2] {
-            let values = he_uniform(d * d, d, &mut rng);
-            weights.insert(
-                &block(&format!("lfa.att_pooling_{stage}.fc.weight")),
-                HostTensor {
-                    shape: vec![d, d],
-                    values,
-                },
-            );
+        for stage in ["lfa.att_pooling_1.fc.weight", "lfa.att_pooling_2.fc.weight"] {
+            add_random_matrix(&mut weights, &block_name(n, stage), [d, d], &mut rng);
         }
         input = 2 * d;
     }
@@ -318,39 +287,32 @@ pub fn random_weights(inputs: usize, seed: u64) -> Checkpoint {
 }
 
 /// Adds a shared MLP's `conv.weight` and `bn.bn.*` under `name`.
-pub(crate) fn add_random_mlp(
+fn add_random_mlp(weights: &mut Checkpoint, name: &str, shape: [usize; 2], rng: &mut ChaCha8Rng) {
+    add_random_matrix(weights, &format!("{name}.conv.weight"), shape, rng);
+    let statistics = [
+        ("weight", 1.0),
+        ("bias", 0.0),
+        ("running_mean", 0.0),
+        ("running_var", 1.0),
+    ];
+    for (part, value) in statistics {
+        let (shape, values) = (vec![shape[1]], vec![value; shape[1]]);
+        weights.insert(
+            &format!("{name}.bn.bn.{part}"),
+            HostTensor { shape, values },
+        );
+    }
+}
+
+/// Adds a matrix `[out, in]`, uniform as He et al. 2015 choose it.
+fn add_random_matrix(
     weights: &mut Checkpoint,
     name: &str,
     [input, output]: [usize; 2],
     rng: &mut ChaCha8Rng,
 ) {
-    let values = he_uniform(input * output, input, rng);
-    weights.insert(
-        &format!("{name}.conv.weight"),
-        HostTensor {
-            shape: vec![output, input],
-            values,
-        },
-    );
-    for (part, value) in [
-        ("weight", 1.0),
-        ("bias", 0.0),
-        ("running_mean", 0.0),
-        ("running_var", 1.0),
-    ] {
-        weights.insert(
-            &format!("{name}.bn.bn.{part}"),
-            HostTensor {
-                shape: vec![output],
-                values: vec![value; output],
-            },
-        );
-    }
-}
-
-fn he_uniform(count: usize, inputs: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
-    let bound = (6.0 / inputs.max(1) as f64).sqrt() as f32;
-    (0..count)
-        .map(|_| bound * rng.random_range(-1.0f32..1.0))
-        .collect()
+    let bound = (6.0 / input.max(1) as f64).sqrt() as f32;
+    let draw = |_| bound * rng.random_range(-1.0f32..1.0);
+    let (shape, values) = (vec![output, input], (0..input * output).map(draw).collect());
+    weights.insert(name, HostTensor { shape, values });
 }

@@ -1,11 +1,12 @@
 //! The CoSeg loss (Eq. 8 to 10): a noise-robust label loss on rendered class scores, and closeness of neighbours in 3D.
 
 use super::pixels::{LabelledPixels, UNLABELLED, one_hot};
+use super::pyramid::select;
 use crate::config::{self, SegmentationConfig};
 use crate::error::Result;
 use crate::ops::{SparseMatrix, sparse_apply};
 use burn::tensor::activation::{log_softmax, softmax};
-use burn::tensor::{Int, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 use std::sync::Arc;
 
 /// Keeps the logarithm of a blended probability finite.
@@ -189,6 +190,16 @@ pub enum Scores {
 }
 
 impl Scores {
+    /// The first prediction for the pixels at `places`, without gradient.
+    #[must_use]
+    pub(crate) fn at(&self, places: &[u32]) -> Self {
+        match self {
+            Self::Pixels(logits) => Self::Pixels(select(&logits.clone().detach(), places)),
+            Self::Gaussians(scores) => Self::Gaussians(scores.clone().detach()),
+            Self::Pair(pair) => pair[0].at(places),
+        }
+    }
+
     /// Class probabilities of `pixels`, `[P, C]`; of a pair their mean.
     ///
     /// # Errors
@@ -257,8 +268,8 @@ impl CoSegLoss {
             }
             Scores::Gaussians(scores) => {
                 let (pixels, classes) = (pixels.labelled(), scores.dims()[1]);
-                assert_labels(&pixels.labels, pixels.rows.len(), classes);
-                if pixels.labels.is_empty() {
+                assert_labels(&pixels.labels, pixels.len(), classes);
+                if pixels.is_empty() {
                     return Ok((scores * 0.0).sum());
                 }
                 let p = pixels.blend_own_class(softmax(scores, 1))?;
@@ -279,21 +290,18 @@ impl CoSegLoss {
     pub fn of_logits(&self, logits: Tensor<2>, labels: &[u16]) -> Tensor<1> {
         let [rows, classes] = logits.dims();
         assert_labels(labels, rows, classes);
-        let kept: Vec<usize> = (0..rows).filter(|&i| labels[i] != UNLABELLED).collect();
+        let kept: Vec<u32> = (0..rows as u32)
+            .filter(|&i| labels[i as usize] != UNLABELLED)
+            .collect();
         if kept.is_empty() {
             return (logits * 0.0).sum();
         }
         if kept.len() == rows {
             return self.mean(OwnClass::of_logits(logits, labels), labels);
         }
-        let index: Vec<i64> = kept.iter().map(|&i| i as i64).collect();
-        let index = TensorData::new(index, [kept.len()]);
-        let index = Tensor::<1, Int>::from_data(index, &logits.device());
-        let labels: Vec<u16> = kept.iter().map(|&i| labels[i]).collect();
-        self.mean(
-            OwnClass::of_logits(logits.select(0, index), &labels),
-            &labels,
-        )
+        let labels: Vec<u16> = kept.iter().map(|&i| labels[i as usize]).collect();
+        let own = OwnClass::of_logits(select(&logits, &kept), &labels);
+        self.mean(own, &labels)
     }
 
     /// The mean over pixels of the label loss of the mean of two predictions, class probabilities `[P, C]`, and of their

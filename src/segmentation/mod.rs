@@ -7,7 +7,6 @@ pub mod loss;
 pub mod neighbours;
 pub mod pixels;
 pub mod pretrain;
-pub mod probe;
 pub mod pyramid;
 pub mod randla;
 pub mod sampling;

@@ -58,12 +58,7 @@ impl PointIndex {
     pub fn new(points: &[[f32; 3]]) -> Result<Self> {
         check_finite("points", points)?;
         if u32::try_from(points.len()).is_err() {
-            return Err(Error::Limit {
-                what: "points in a neighbour search".into(),
-                found: points.len().to_string(),
-                limit: u32::MAX.to_string(),
-                help: "use fewer points".into(),
-            });
+            return Err(too_many(points.len().to_string()));
         }
         let points: Vec<[f64; 3]> = points.iter().map(wide).collect();
         let mut members: Vec<u32> = (0..points.len() as u32).collect();
@@ -79,16 +74,11 @@ impl PointIndex {
             }
         }
         offsets.push(members.len() as u32);
-        let tree = match unique.is_empty() {
-            true => None,
-            false => Some(
-                ImmutableKdTree::new_from_slice(&unique).map_err(|e| Error::Limit {
-                    what: "points in a neighbour search".into(),
-                    found: e.to_string(),
-                    limit: u32::MAX.to_string(),
-                    help: "use fewer points".into(),
-                })?,
-            ),
+        let tree = if unique.is_empty() {
+            None
+        } else {
+            let tree = ImmutableKdTree::new_from_slice(&unique);
+            Some(tree.map_err(|e| too_many(e.to_string()))?)
         };
         Ok(Self {
             points,
@@ -158,6 +148,45 @@ impl PointIndex {
         Ok((Neighbours { k, indices }, distances))
     }
 
+    /// Root mean square distance of each point to its `k` nearest other positions, fewer where there are fewer; `None` where
+    /// there is no other.
+    pub fn rms_distances(&self, k: usize) -> Vec<Option<f64>> {
+        let mut distances = vec![None; self.len()];
+        let (Some(tree), Some(wanted)) = (&self.tree, NonZero::new(k + 1)) else {
+            return distances;
+        };
+        for group in 0..self.offsets.len() - 1 {
+            let members = self.group(group);
+            let near = tree
+                .query(&self.points[members[0] as usize])
+                .nearest_n::<SquaredEuclidean<f64>>(wanted)
+                .execute();
+            // The position itself is the one hit at distance 0.
+            let others = near.len() - 1;
+            let sum: f64 = near.iter().map(|hit| hit.distance).sum();
+            let rms = (others > 0).then(|| (sum / others as f64).sqrt());
+            members.iter().for_each(|&i| distances[i as usize] = rms);
+        }
+        distances
+    }
+
+    /// The points within `radius` of `query`, in no order.
+    pub fn within(&self, query: [f64; 3], radius: f64) -> impl Iterator<Item = u32> {
+        let near = self.tree.as_ref().map(|tree| {
+            let query = tree
+                .query(&query)
+                .within::<SquaredEuclidean<f64>>(radius * radius);
+            query.unsorted().execute()
+        });
+        let groups = near.into_iter().flatten().map(|hit| hit.item as usize);
+        groups.flat_map(|group| self.group(group).iter().copied())
+    }
+
+    /// The points of one position.
+    fn group(&self, group: usize) -> &[u32] {
+        &self.members[self.offsets[group] as usize..self.offsets[group + 1] as usize]
+    }
+
     /// Puts the nearest `k` points (fewer in a small set) into `found` as (squared distance, index), ascending.
     fn collect(&self, query: &[f64; 3], k: usize, found: &mut Vec<(f64, u32)>) {
         found.clear();
@@ -172,9 +201,7 @@ impl PointIndex {
             .nearest_n::<SquaredEuclidean<f64>>(wanted)
             .execute();
         let mut add = |group: u32| {
-            let span =
-                self.offsets[group as usize] as usize..self.offsets[group as usize + 1] as usize;
-            let members = &self.members[span];
+            let members = self.group(group as usize);
             let distance = squared_distance(&self.points[members[0] as usize], query);
             found.extend(members.iter().take(k + 1).map(|&m| (distance, m)));
         };
@@ -204,26 +231,13 @@ impl PointIndex {
 /// # Errors
 /// [`Error::NonFinite`] naming the first bad row.
 pub fn without_self(points: &[[f32; 3]], k: usize) -> Result<Vec<u32>> {
-    Ok(drop_self(
-        &PointIndex::new(points)?.neighbours((k + 1).min(points.len().max(1))),
-        k,
-    ))
-}
-
-/// The same from rows that begin with the point itself, as an encoding's levels hold them.
-pub fn drop_self(neighbours: &Neighbours, k: usize) -> Vec<u32> {
-    let mut rows = Vec::with_capacity(neighbours.len() * k);
-    for i in 0..neighbours.len() {
-        let row = neighbours.row(i);
-        // a set smaller than K repeats its members, itself among them, after all others
-        let others = &row[1..1 + row[1..]
-            .iter()
-            .position(|&j| j as usize == i)
-            .unwrap_or(row.len() - 1)];
-        let others = if others.is_empty() { row } else { others };
-        rows.extend((0..k).map(|n| others[n % others.len()]));
-    }
-    rows
+    let near = PointIndex::new(points)?.neighbours((k + 1).min(points.len()));
+    let others = |i| match near.row(i) {
+        [own] => vec![*own; k],
+        [_, others @ ..] => others.iter().copied().cycle().take(k).collect(),
+        [] => Vec::new(),
+    };
+    Ok((0..points.len()).flat_map(others).collect())
 }
 
 /// Writes `found` into `row` from `first` on, and repeats the row's beginning when it runs out.
@@ -235,6 +249,15 @@ fn fill(row: &mut [u32], first: usize, found: impl Iterator<Item = u32>) {
     }
     for i in end..row.len() {
         row[i] = row[i - end];
+    }
+}
+
+fn too_many(found: String) -> Error {
+    Error::Limit {
+        what: "points in a neighbour search".into(),
+        found,
+        limit: u32::MAX.to_string(),
+        help: "use fewer points".into(),
     }
 }
 

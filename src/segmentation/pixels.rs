@@ -1,50 +1,179 @@
 //! Labelled pixels of a training view, and the frozen blending weights that connect them to the Gaussians.
 
+use crate::backend::device::read;
 use crate::error::Result;
 use crate::ops::{SparseMatrix, sparse_apply};
+use crate::raster::{Settings, SplatTensors, SplatView};
+use crate::splat::Gaussians;
+use crate::splat::camera::Camera;
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use std::sync::Arc;
 
 /// The label of pixels that do not count.
 pub const UNLABELLED: u16 = u16::MAX;
 
-/// Blends the V Gaussians that a view sees into its pixels, with frozen weights. The weights of a pixel sum to 1.
-pub trait Blending: std::fmt::Debug + Send + Sync {
-    /// Blends `values` `[V, C]` at the pixels `pixels` (row-major numbers): `[P, C]`, with gradient to `values`.
-    ///
-    /// # Errors
-    /// When the device fails.
-    fn blend(&self, values: Tensor<2>, pixels: &[u32]) -> Result<Tensor<2>>;
-}
-
-/// The weights of [`LabelledPixels`].
+/// Blending weights of P pixels over the V Gaussians that they show. The weights of a pixel sum to 1.
 #[derive(Clone, Debug)]
 pub enum PixelWeights {
-    /// Stored as a matrix `[R, V]` whose rows sum to 1.
+    /// Stored as a matrix `[P, V]`.
     Stored(Arc<SparseMatrix>),
-    /// Computed anew at each use; rows are the pixels of a view.
-    Rendered(Arc<dyn Blending>),
+    /// Computed anew at each use, on a GPU.
+    Rendered {
+        /// The V Gaussians in the view.
+        view: SplatView,
+        /// Row-major numbers of the P pixels.
+        pixels: Arc<Vec<u32>>,
+    },
+}
+
+impl PixelWeights {
+    /// Blends `values` `[V, C]`: `[P, C]`, with gradient to `values`.
+    fn blend(&self, values: Tensor<2>) -> Result<Tensor<2>> {
+        match self {
+            Self::Stored(weights) => Ok(sparse_apply(values, weights.clone())),
+            Self::Rendered { view, pixels } => {
+                let (image, transmittance) = view.blend_at(values, pixels)?;
+                let coverage = transmittance.neg() + 1.0;
+                Ok(image / coverage.reshape([pixels.len(), 1]))
+            }
+        }
+    }
+
+    /// The weights of the pixels at `places`.
+    fn at(&self, places: &[u32]) -> Self {
+        match self {
+            Self::Stored(weights) => Self::Stored(Arc::new(weights.select_rows(places))),
+            Self::Rendered { view, pixels } => {
+                let pixels = places.iter().map(|&place| pixels[place as usize]);
+                Self::Rendered {
+                    view: view.clone(),
+                    pixels: Arc::new(pixels.collect()),
+                }
+            }
+        }
+    }
+
+    /// Bytes held.
+    fn bytes(&self) -> Result<usize> {
+        match self {
+            Self::Stored(weights) => Ok(weights.bytes()),
+            Self::Rendered { view, pixels } => Ok(view.bytes()? + 4 * pixels.len()),
+        }
+    }
+}
+
+/// Gaussians whose views are blended with frozen weights: stored ones in host memory, rendered ones on a GPU.
+#[derive(Clone, Debug)]
+pub(crate) struct FrozenGaussians {
+    splats: SplatTensors,
+    settings: Settings,
+}
+
+impl FrozenGaussians {
+    /// `gaussians`, blended on `device`.
+    pub fn new(gaussians: &Gaussians, settings: Settings, device: &Device) -> Self {
+        Self {
+            splats: SplatTensors::new(gaussians, device),
+            settings,
+        }
+    }
+
+    /// The pixels of `camera` that have one of `labels` and a coverage 1 - T of at least `min_coverage`. Also returns the scene
+    /// index of each Gaussian that they show, ascending: the columns of their weights.
+    ///
+    /// # Errors
+    /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite; on a GPU those of [`SplatView::blend`].
+    pub fn labelled_pixels(
+        &self,
+        camera: &Camera,
+        labels: &[u16],
+        min_coverage: f32,
+    ) -> Result<(Vec<u32>, LabelledPixels)> {
+        let wanted: Vec<u32> = (0..labels.len() as u32)
+            .filter(|&pixel| labels[pixel as usize] != UNLABELLED)
+            .collect();
+        let view = self.splats.seen_by(camera, &self.settings);
+        let (visible, pixels, weights) = if self.splats.have_stored_weights() {
+            stored(&view, &wanted, min_coverage)?
+        } else {
+            rendered(&view, wanted, min_coverage)?
+        };
+        let labels = pixels.iter().map(|&p| labels[p as usize]).collect();
+        Ok((visible, LabelledPixels::new(weights, labels)))
+    }
+}
+
+/// Visible Gaussians, covered pixels among `wanted`, and their weights as a matrix.
+fn stored(
+    view: &SplatView,
+    wanted: &[u32],
+    min_coverage: f32,
+) -> Result<(Vec<u32>, Vec<u32>, PixelWeights)> {
+    let weights = view.weights(wanted)?.normalised(min_coverage);
+    let covered: Vec<u32> = (0..weights.rows() as u32)
+        .filter(|&row| !weights.row(row as usize).0.is_empty())
+        .collect();
+    let pixels = covered.iter().map(|&row| wanted[row as usize]).collect();
+    let visible = weights.used_columns();
+    let weights = weights.select_rows(&covered).over_columns(&visible);
+    Ok((visible, pixels, PixelWeights::Stored(Arc::new(weights))))
+}
+
+/// Visible Gaussians, covered pixels among `wanted`, and weights that are blended anew at each use.
+fn rendered(
+    view: &SplatView,
+    wanted: Vec<u32>,
+    min_coverage: f32,
+) -> Result<(Vec<u32>, Vec<u32>, PixelWeights)> {
+    let (splats, camera) = (view.splats(), view.camera());
+    // Next to nothing is blended: the transmittance is what is asked for.
+    let nothing = Tensor::<2>::zeros([splats.len(), 1], &splats.device());
+    let transmittance = read("transmittance", view.blend(nothing)?.1)?;
+    let mut pixels = wanted;
+    pixels.retain(|&pixel| {
+        let coverage = 1.0 - transmittance[pixel as usize];
+        coverage >= min_coverage && coverage > 0.0
+    });
+    let mut mask = vec![0.0_f32; camera.width * camera.height];
+    pixels.iter().for_each(|&pixel| mask[pixel as usize] = 1.0);
+    let mask = TensorData::new(mask, [camera.height, camera.width, 1]);
+    let mask = Tensor::from_data(mask, &splats.device());
+    let weights = read("weights", view.blend_adjoint(mask)?.sums)?;
+    let shown = (0..).zip(&weights).filter(|(_, weight)| **weight > 0.0);
+    let visible: Vec<u32> = shown.map(|(gaussian, _)| gaussian).collect();
+    let weights = PixelWeights::Rendered {
+        view: view.of_gaussians(&visible),
+        pixels: Arc::new(pixels.clone()),
+    };
+    Ok((visible, pixels, weights))
 }
 
 /// Labelled pixels of a view over the Gaussians it sees.
 #[derive(Clone, Debug)]
 pub struct LabelledPixels {
-    /// Frozen blending weights.
+    /// Frozen blending weights, one row for each pixel.
     pub weights: PixelWeights,
-    /// Rows of `weights`, one for each pixel.
-    pub rows: Arc<Vec<u32>>,
     /// Class index of each pixel, or [`UNLABELLED`].
     pub labels: Arc<Vec<u16>>,
 }
 
 impl LabelledPixels {
-    /// The rows `rows` of `weights`, with one class index each.
-    pub fn new(weights: PixelWeights, rows: Vec<u32>, labels: Vec<u16>) -> Self {
+    /// Pixels with one class index each.
+    pub fn new(weights: PixelWeights, labels: Vec<u16>) -> Self {
         Self {
             weights,
-            rows: Arc::new(rows),
             labels: Arc::new(labels),
         }
+    }
+
+    /// Number of pixels.
+    pub fn len(&self) -> usize {
+        self.labels.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.labels.is_empty()
     }
 
     /// The pixels that have a label.
@@ -53,31 +182,25 @@ impl LabelledPixels {
         if !self.labels.contains(&UNLABELLED) {
             return self.clone();
         }
-        let pixels = self.rows.iter().zip(self.labels.iter());
-        let (rows, labels) = pixels.filter(|(_, label)| **label != UNLABELLED).unzip();
-        Self::new(self.weights.clone(), rows, labels)
+        let places: Vec<u32> = (0..self.len() as u32)
+            .filter(|&place| self.labels[place as usize] != UNLABELLED)
+            .collect();
+        self.at(&places)
     }
 
     /// The pixels at `places`.
     #[must_use]
-    pub fn at(&self, places: &[usize]) -> Self {
-        let rows = places.iter().map(|&place| self.rows[place]).collect();
-        let labels = places.iter().map(|&place| self.labels[place]).collect();
-        Self::new(self.weights.clone(), rows, labels)
+    pub fn at(&self, places: &[u32]) -> Self {
+        let label = |&place: &u32| self.labels[place as usize];
+        Self::new(self.weights.at(places), places.iter().map(label).collect())
     }
 
     /// Blends `values` `[V, C]` at the pixels: `[P, C]`, with gradient to `values`.
     ///
     /// # Errors
-    /// Those of [`Blending::blend`].
+    /// When the device fails.
     pub fn blend(&self, values: Tensor<2>) -> Result<Tensor<2>> {
-        match &self.weights {
-            PixelWeights::Stored(weights) => {
-                let rows = weights.select_rows(&self.rows);
-                Ok(sparse_apply(values, Arc::new(rows)))
-            }
-            PixelWeights::Rendered(view) => view.blend(values, &self.rows),
-        }
+        self.weights.blend(values)
     }
 
     /// Blends only the channel of each pixel's label: `[P, 1]` from `values` `[V, C]`. All pixels must be labelled.
@@ -85,7 +208,7 @@ impl LabelledPixels {
     /// With stored weights this costs one multiplication for each weight, for any number of classes.
     ///
     /// # Errors
-    /// Those of [`Blending::blend`].
+    /// When the device fails.
     pub fn blend_own_class(&self, values: Tensor<2>) -> Result<Tensor<2>> {
         let [gaussians, classes] = values.dims();
         let PixelWeights::Stored(weights) = &self.weights else {
@@ -93,10 +216,17 @@ impl LabelledPixels {
             let own = one_hot(&self.labels, &blended);
             return Ok((blended * own).sum_dim(1));
         };
-        let labels = self.labels.iter().map(|&label| u32::from(label));
-        let own = weights.select_channels(&self.rows, labels, classes as u32);
+        let own = weights.of_channels(&self.labels, classes);
         let flat = values.reshape([gaussians * classes, 1]);
         Ok(sparse_apply(flat, Arc::new(own)))
+    }
+
+    /// Bytes held.
+    ///
+    /// # Errors
+    /// As [`SplatView::blend`].
+    pub(crate) fn bytes(&self) -> Result<usize> {
+        Ok(self.weights.bytes()? + 2 * self.len())
     }
 }
 

@@ -6,13 +6,12 @@ use super::decoder::{Decoder, DecoderConfig};
 use super::encoder::{Cloud, encode, encoder_input, random_weights};
 use super::loss::{CoSegLoss, LabelLoss};
 use super::pixels::UNLABELLED;
-use super::probe::{LabelledCloud, Scores, best};
 use super::pyramid::{Level, Pyramid, Switches};
-use super::randla::{Form, LAYERS, NEIGHBOURS, RATIO, RandlaEncoder, host};
+use super::randla::{LAYERS, NEIGHBOURS, RATIO, RandlaEncoder, host};
 use super::sampling::Hierarchy;
 use crate::data::builtin::{PRETRAINING_SEEDS, classes, labelled_points};
 use crate::error::{Error, Result};
-use crate::metrics::Confusion;
+use crate::metrics::{Confusion, Void};
 use crate::weights::Checkpoint;
 use burn::module::Module;
 use burn::optim::{AdamConfig, GradientsParams};
@@ -73,6 +72,33 @@ pub struct PretrainProgress {
     pub loss: f32,
 }
 
+/// Labelled points of one room.
+#[derive(Clone, Debug, Default)]
+pub struct LabelledCloud {
+    /// `[N, 3]` metres, z up.
+    pub positions: Vec<[f32; 3]>,
+    /// `[N]` class indices, [`UNLABELLED`] where there is none.
+    pub labels: Vec<u16>,
+}
+
+/// How well labels can be told.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Scores {
+    /// Share of labelled points told right.
+    pub accuracy: f64,
+    /// Mean IoU over the classes present, all rooms together.
+    pub miou: f64,
+}
+
+impl From<&Confusion> for Scores {
+    fn from(confusion: &Confusion) -> Self {
+        Self {
+            accuracy: confusion.accuracy(Void::Wrong).unwrap_or_default(),
+            miou: confusion.miou(Void::Wrong).unwrap_or_default(),
+        }
+    }
+}
+
 /// A pretrained encoder and how well its own head tells the classes of held-out rooms.
 #[derive(Clone, Debug)]
 pub struct TrainedEncoder {
@@ -115,7 +141,7 @@ pub fn pretrain(
     }
     let (train, held_out) = rooms.split_at(options.rooms);
     let device = device.clone().inner().autodiff();
-    let encoder = RandlaEncoder::load(&random_weights(3, options.seed), Form::Trainable, &device)?;
+    let encoder = RandlaEncoder::load(&random_weights(3, options.seed), &device)?;
     let (spatial, top) = (
         encoder.widths(),
         encoder.widths().last().copied().unwrap_or_default(),
@@ -157,15 +183,17 @@ fn check(options: &PretrainOptions) -> Result<()> {
         && fewest > 0
         && fewest <= most
         && most <= options.room_points;
-    match usable && options.rooms + options.held_out <= ROOMS_PER_SEED as usize {
-        true => Ok(()),
-        false => Err(Error::argument(
-            "pretrain",
-            format!("{options:?}"),
-            "rooms, steps, and 0 < fewest points <= most points <= points of a room",
-            "correct the sizes",
-        )),
+    if usable && options.rooms + options.held_out <= ROOMS_PER_SEED as usize {
+        return Ok(());
     }
+    let expected = "rooms, steps, and 0 < fewest points <= most points <= points of a room";
+    let found = format!("{options:?}");
+    Err(Error::argument(
+        "pretrain",
+        found,
+        expected,
+        "correct the sizes",
+    ))
 }
 
 fn rate(step: usize, options: &PretrainOptions) -> f64 {
@@ -299,6 +327,13 @@ fn balanced(labels: &[u16], rng: &mut ChaCha8Rng) -> Vec<u16> {
     kept
 }
 
+/// Index of the largest logit of each row.
+fn best_classes(logits: Tensor<2>) -> Vec<usize> {
+    let best = logits.argmax(1).into_data().convert::<i64>();
+    let best: Vec<i64> = best.into_vec().unwrap_or_default();
+    best.into_iter().map(|class| class as usize).collect()
+}
+
 /// Freezes the encoder, scores it as it will be used, and writes its notes.
 fn finish(
     student: Student,
@@ -309,7 +344,7 @@ fn finish(
 ) -> Result<TrainedEncoder> {
     let mut weights = student.encoder.to_checkpoint("pretrained RandLA weights");
     let plain = device.clone().inner();
-    let encoder = RandlaEncoder::load(&weights, Form::Frozen, &plain)?;
+    let encoder = RandlaEncoder::load(&weights, &plain)?;
     let head = student.head.valid();
     let mut confusion = Confusion::new(classes().len());
     for (i, cloud) in held_out.iter().enumerate() {
@@ -320,19 +355,17 @@ fn finish(
             scale: 1.0,
         };
         let encoding = encode(&encoder, &points, options.seed ^ i as u64, &plain)?;
-        let pyramid = Pyramid::new(
-            &encoding,
-            &[],
-            Switches {
-                image: false,
-                ..Switches::default()
-            },
-        )?;
-        let logits = host(head.classify(head.forward(&pyramid).hidden));
+        let switches = Switches {
+            image: false,
+            ..Switches::default()
+        };
+        let no_image = |_, rows: &[u32]| Ok(Tensor::zeros([rows.len(), 0], &plain));
+        let pyramid = Pyramid::new(&encoding, switches, no_image)?;
+        let logits = head.classify(head.forward(&pyramid).hidden);
         let truth = cloud.labels.iter().map(|&l| usize::from(l));
-        confusion.add(truth, best(&logits, classes().len()));
+        confusion.add(truth, best_classes(logits));
     }
-    let scores = Scores::of(&confusion);
+    let scores = Scores::from(&confusion);
     let tenth = losses.len().div_ceil(10).max(1);
     for (key, value) in [
         ("command", format!("coseg pretrain --seed {}", options.seed)),

@@ -2,8 +2,8 @@
 
 use super::encoder::Encoding;
 use crate::error::{Error, Result};
-use crate::ops::SparseMatrix;
-use burn::tensor::{Int, Tensor, TensorData};
+use crate::ops::{SparseMatrix, sparse_apply};
+use burn::tensor::{Tensor, TensorData};
 use std::sync::Arc;
 
 /// Which features the decoder reads: the switches of the ablation table.
@@ -49,37 +49,12 @@ pub struct Pyramid {
 }
 
 impl Pyramid {
-    /// Puts an encoding and the unprojected features together. `image[n]` is f_d of scale n + 1 for the whole encoded
-    /// cloud, `[N, D]`; each level reads the rows of its own points.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] when all features are off, or image features are on and missing or of another length.
-    pub fn new(encoding: &Encoding, image: &[Tensor<2>], switches: Switches) -> Result<Self> {
-        let points = encoding.levels[0].indices.len();
-        Self::gathered(encoding, switches, |scale, rows| match image.get(scale) {
-            Some(features) if features.dims()[0] == points => Ok(select(features, rows)),
-            other => {
-                let (key, found) = (
-                    format!("image features of scale {}", scale + 1),
-                    other.map(Tensor::dims),
-                );
-                let help = "unproject them first";
-                Err(Error::argument(
-                    key,
-                    format!("{found:?}"),
-                    format!("{points} rows"),
-                    help,
-                ))
-            }
-        })
-    }
-
-    /// [`Pyramid::new`] with image features that are gathered where they are needed: `image(n, rows)` is f_d of scale n + 1
-    /// for the rows `rows` of the encoded cloud, `[rows, D]`. Nothing is asked for that no level reads.
+    /// Joins an encoding with unprojected features: `image(n, rows)` is f_d of scale n + 1 for the rows `rows` of the encoded
+    /// cloud, `[rows, D]`. Nothing is asked for that no level reads.
     ///
     /// # Errors
     /// [`Error::Argument`] when all features are off; those of `image`.
-    pub fn gathered(
+    pub fn new(
         encoding: &Encoding,
         switches: Switches,
         image: impl Fn(usize, &[u32]) -> Result<Tensor<2>>,
@@ -115,16 +90,18 @@ impl Pyramid {
                 .collect();
             levels.push(Level {
                 points: Arc::new(level.indices.clone()),
-                features: match parts.is_empty() {
-                    true => Tensor::zeros([level.indices.len(), 0], &device),
-                    false => Tensor::cat(parts, 1),
+                features: if parts.is_empty() {
+                    Tensor::zeros([level.indices.len(), 0], &device)
+                } else {
+                    Tensor::cat(parts, 1)
                 },
                 upsample: encoding.upsample[n].clone(),
             });
         }
-        let top = match switches.spatial && switches.single_scale.is_none() {
-            true => encoding.coarsest.features.clone(),
-            false => Tensor::zeros([encoding.upsample[count - 1].columns, 0], &device),
+        let top = if switches.spatial && switches.single_scale.is_none() {
+            encoding.coarsest.features.clone()
+        } else {
+            Tensor::zeros([encoding.upsample[count - 1].columns, 0], &device)
         };
         Ok(Self { levels, top })
     }
@@ -160,13 +137,10 @@ impl Pyramid {
         scaled
     }
 
-    /// Bytes of the features.
-    pub fn bytes(&self) -> usize {
-        let features = self.levels.iter().map(|level| &level.features);
-        let values = features
-            .chain([&self.top])
-            .map(|f| f.shape().num_elements());
-        4 * values.sum::<usize>()
+    /// Features of the levels, then of the set below them.
+    fn features(&self) -> impl Iterator<Item = &Tensor<2>> {
+        let levels = self.levels.iter().map(|level| &level.features);
+        levels.chain([&self.top])
     }
 }
 
@@ -222,16 +196,15 @@ impl Dependencies {
     }
 }
 
-/// The rows `rows` of `features`.
+/// The rows `rows` of `features`, with gradient to them.
 pub(crate) fn select(features: &Tensor<2>, rows: &[u32]) -> Tensor<2> {
-    let (device, channels) = (features.device(), features.dims()[1]);
+    let [count, channels] = features.dims();
     if channels == 0 {
-        // Some backends refuse to index nothing.
-        return Tensor::zeros([rows.len(), 0], &device);
+        // Some backends refuse tensors without values.
+        return Tensor::zeros([rows.len(), 0], &features.device());
     }
-    let index: Vec<i32> = rows.iter().map(|&row| row as i32).collect();
-    let index = Tensor::<1, Int>::from_data(TensorData::new(index, [rows.len()]), &device);
-    features.clone().select(0, index)
+    let rows = SparseMatrix::selection(rows.to_vec(), count);
+    sparse_apply(features.clone(), Arc::new(rows))
 }
 
 /// Per-channel mean and spread of a pyramid's frozen features.
@@ -240,8 +213,8 @@ pub(crate) fn select(features: &Tensor<2>, rows: &[u32]) -> Tensor<2> {
 /// fewer steps. The paper says nothing of it; `standardise = false` leaves the features as they are.
 #[derive(Clone, Debug)]
 pub struct Standardisation {
-    levels: Vec<ChannelScale>,
-    top: ChannelScale,
+    /// Of each level, then of the set below them.
+    channels: Vec<ChannelScale>,
 }
 
 /// `[1, C]` mean and reciprocal spread; 0 for channels that do not vary.
@@ -255,10 +228,14 @@ struct ChannelScale {
 const FLAT: f32 = 1e-5;
 
 impl ChannelScale {
-    fn of(features: &Tensor<2>) -> Option<Self> {
+    fn of(features: &Tensor<2>) -> Self {
         let [rows, channels] = features.dims();
         if rows == 0 || channels == 0 {
-            return None;
+            let empty = Tensor::zeros([1, channels], &features.device());
+            return Self {
+                mean: empty.clone(),
+                factor: empty,
+            };
         }
         let mean = features.clone().mean_dim(0);
         let square = features.clone().powi_scalar(2).mean_dim(0);
@@ -268,51 +245,25 @@ impl ChannelScale {
             .sqrt();
         let varies = spread.clone().greater(square.sqrt() * FLAT).float();
         let factor = varies / spread.clamp_min(f32::MIN_POSITIVE);
-        Some(Self { mean, factor })
-    }
-
-    fn or_none(features: &Tensor<2>) -> Self {
-        let empty = || Tensor::zeros([1, features.dims()[1]], &features.device());
-        Self::of(features).unwrap_or_else(|| Self {
-            mean: empty(),
-            factor: empty(),
-        })
-    }
-
-    /// In place where nobody else holds `features`.
-    fn apply(&self, features: Tensor<2>) -> Tensor<2> {
-        match features.shape().num_elements() {
-            0 => features,
-            _ => (features - self.mean.clone()) * self.factor.clone(),
-        }
+        Self { mean, factor }
     }
 }
 
 impl Standardisation {
     /// Statistics of `pyramid`.
     pub fn of(pyramid: &Pyramid) -> Self {
-        let levels = pyramid
-            .levels
-            .iter()
-            .map(|l| ChannelScale::or_none(&l.features))
-            .collect();
-        Self {
-            levels,
-            top: ChannelScale::or_none(&pyramid.top),
-        }
+        let channels = pyramid.features().map(ChannelScale::of).collect();
+        Self { channels }
     }
 
-    /// The pyramid with every channel brought to mean 0 and spread 1 by these statistics.
-    #[must_use]
-    pub fn apply(&self, pyramid: Pyramid) -> Pyramid {
-        let levels = pyramid.levels.into_iter().zip(&self.levels);
-        let levels = levels.map(|(level, scale)| Level {
-            features: scale.apply(level.features),
-            ..level
-        });
-        Pyramid {
-            levels: levels.collect(),
-            top: self.top.apply(pyramid.top),
+    /// Brings every channel of `pyramid` to mean 0 and spread 1 by these statistics.
+    pub fn apply(&self, pyramid: &mut Pyramid) {
+        let levels = pyramid.levels.iter_mut().map(|level| &mut level.features);
+        let features = levels.chain([&mut pyramid.top]);
+        for (features, ChannelScale { mean, factor }) in features.zip(&self.channels) {
+            if features.shape().num_elements() > 0 {
+                *features = (features.clone() - mean.clone()) * factor.clone();
+            }
         }
     }
 }

@@ -8,7 +8,7 @@ use super::pyramid::select;
 use super::sampling::{Hierarchy, SampledLevel};
 use crate::error::{Error, Result};
 use crate::weights::{Checkpoint, HostTensor};
-use burn::module::{Module, Param};
+use burn::module::{Module, Param, RunningState};
 use burn::nn::{BatchNorm, BatchNormConfig, Linear};
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor, TensorData};
@@ -38,139 +38,118 @@ pub(crate) fn leaky_relu(x: Tensor<2>) -> Tensor<2> {
     relu(x.clone()) * (1.0 - SLOPE) + x * SLOPE
 }
 
-/// Linear layer, batch normalisation (unless folded into the former), LeakyReLU (unless `linear_only`).
-#[derive(Module, Debug)]
-pub struct SharedMlp {
-    linear: Linear,
-    norm: Option<BatchNorm>,
-    linear_only: bool,
+/// Reads modules from a checkpoint, on a device.
+struct Loader<'a> {
+    weights: &'a Checkpoint,
+    device: &'a Device,
 }
 
-/// Whether batch normalisation is folded into the linear layers or kept as a layer that trains.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Form {
-    /// Inference: constant weights, running statistics folded in.
-    Frozen,
-    /// Pretraining: batch statistics on an autodiff device.
-    Trainable,
-}
+impl Loader<'_> {
+    /// Linear weights `[out, in]` under `name`, as burn has them.
+    fn matrix(&self, name: &str, [input, output]: [usize; 2]) -> Result<Param<Tensor<2>>> {
+        let values = transposed(self.weights.get(name, &[output, input])?, input, output);
+        Ok(parameter(values, [input, output], self.device))
+    }
 
-impl SharedMlp {
-    /// Reads `NAME.conv.weight` (`[out, in]`), optional `NAME.conv.bias`, and `NAME.bn.bn.*`.
-    pub(crate) fn load(
-        weights: &Checkpoint,
-        name: &str,
-        [input, output]: [usize; 2],
-        linear_only: bool,
-        form: Form,
-        device: &Device,
-    ) -> Result<Self> {
-        let weight = weights.get(&format!("{name}.conv.weight"), &[output, input])?;
-        let bias_name = format!("{name}.conv.bias");
-        let bias = match weights.tensors.contains_key(&bias_name) {
-            true => weights.get(&bias_name, &[output])?.to_vec(),
-            false => vec![0.0; output],
-        };
-        let part = |part: &str| weights.get(&format!("{name}.bn.bn.{part}"), &[output]);
-        let (gamma, beta) = (part("weight")?, part("bias")?);
-        let (mean, variance) = (part("running_mean")?, part("running_var")?);
-        let mut matrix = transposed(weight, input, output);
-        if form == Form::Trainable {
-            let norm = BatchNormConfig::new(output)
-                .with_epsilon(NORM_EPSILON)
-                .with_momentum(NORM_MOMENTUM);
-            let mut norm = norm.init(device);
-            norm.gamma = parameter(gamma.to_vec(), [output], device);
-            norm.beta = parameter(beta.to_vec(), [output], device);
-            let state =
-                |v: &[f32]| burn::module::RunningState::new(tensor(v.to_vec(), [output], device));
-            (norm.running_mean, norm.running_var) = (state(mean), state(variance));
-            // the bias of a layer before batch normalisation has no effect, so none is trained
-            let linear = Linear {
-                weight: parameter(matrix, [input, output], device),
-                bias: None,
-            };
-            return Ok(Self {
-                linear,
-                norm: Some(norm),
-                linear_only,
-            });
+    fn vector(&self, name: &str, length: usize) -> Result<Tensor<1>> {
+        let values = self.weights.get(name, &[length])?;
+        Ok(tensor(values.to_vec(), [length], self.device))
+    }
+
+    /// `NAME.conv.weight`, optional `NAME.conv.bias`, and `NAME.bn.bn.*`.
+    fn mlp(&self, name: &str, [input, output]: [usize; 2]) -> Result<SharedMlp> {
+        let weight = self.matrix(&format!("{name}.conv.weight"), [input, output])?;
+        let statistic = |part: &str| self.vector(&format!("{name}.bn.bn.{part}"), output);
+        let config = BatchNormConfig::new(output)
+            .with_epsilon(NORM_EPSILON)
+            .with_momentum(NORM_MOMENTUM);
+        let mut norm = config.init(self.device);
+        norm.gamma = Param::from_tensor(statistic("weight")?);
+        norm.beta = Param::from_tensor(statistic("bias")?);
+        let mut mean = statistic("running_mean")?;
+        let bias = format!("{name}.conv.bias");
+        if self.weights.tensors.contains_key(&bias) {
+            // A bias before batch normalisation moves the mean alone.
+            mean = mean - self.vector(&bias, output)?;
         }
-        let scale: Vec<f64> = (0..output)
-            .map(|c| f64::from(gamma[c]) / (f64::from(variance[c]).max(0.0) + NORM_EPSILON).sqrt())
-            .collect();
-        for row in matrix.chunks_exact_mut(output) {
-            row.iter_mut()
-                .zip(&scale)
-                .for_each(|(w, s)| *w = (f64::from(*w) * s) as f32);
-        }
-        let shift =
-            |c: usize| (f64::from(bias[c]) - f64::from(mean[c])) * scale[c] + f64::from(beta[c]);
-        let bias = (0..output).map(|c| shift(c) as f32).collect();
-        let linear = Linear {
-            weight: parameter(matrix, [input, output], device),
-            bias: Some(parameter(bias, [output], device)),
-        };
-        Ok(Self {
-            linear,
-            norm: None,
-            linear_only,
+        norm.running_mean = RunningState::new(mean);
+        norm.running_var = RunningState::new(statistic("running_var")?);
+        Ok(SharedMlp {
+            linear: Linear { weight, bias: None },
+            norm,
         })
     }
 
-    /// Writes what [`SharedMlp::load`] reads.
-    fn save(&self, weights: &mut Checkpoint, name: &str) {
-        let [input, output] = self.linear.weight.dims();
-        let matrix = transposed(&host(self.linear.weight.val()), output, input);
-        weights.insert(
-            &format!("{name}.conv.weight"),
-            HostTensor {
-                shape: vec![output, input],
-                values: matrix,
-            },
-        );
-        let mut vector = |part: &str, values: Vec<f32>| {
-            weights.insert(
-                &format!("{name}.{part}"),
-                HostTensor {
-                    shape: vec![output],
-                    values,
-                },
-            );
-        };
-        if let Some(bias) = &self.linear.bias {
-            vector("conv.bias", host(bias.val()));
-        }
-        let folded = [
-            vec![1.0; output],
-            vec![0.0; output],
-            vec![0.0; output],
-            vec![1.0 - NORM_EPSILON as f32; output],
-        ];
-        let [gamma, beta, mean, variance] = match &self.norm {
-            Some(norm) => [
-                host(norm.gamma.val()),
-                host(norm.beta.val()),
-                host(norm.running_mean.value_sync()),
-                host(norm.running_var.value_sync()),
-            ],
-            None => folded,
-        };
-        vector("bn.bn.weight", gamma);
-        vector("bn.bn.bias", beta);
-        vector("bn.bn.running_mean", mean);
-        vector("bn.bn.running_var", variance);
+    fn pooling(&self, name: &str, shape: [usize; 2]) -> Result<AttentivePooling> {
+        let weight = self.matrix(&format!("{name}.fc.weight"), [shape[0]; 2])?;
+        Ok(AttentivePooling {
+            score: Linear { weight, bias: None },
+            mlp: self.mlp(&format!("{name}.mlp"), shape)?,
+        })
     }
 
-    /// `[rows, in]` to `[rows, out]`.
-    pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
-        let x = self.linear.forward(x);
-        let x = match &self.norm {
-            Some(norm) => norm.forward(x),
-            None => x,
-        };
-        if self.linear_only { x } else { leaky_relu(x) }
+    fn block(&self, n: usize, [input, d]: [usize; 2]) -> Result<ResidualBlock> {
+        let mlp = |part: &str, shape| self.mlp(&block_name(n, part), shape);
+        let pooling = |part: &str, shape| self.pooling(&block_name(n, part), shape);
+        Ok(ResidualBlock {
+            narrow: mlp("mlp1", [input, d / 2])?,
+            first_code: mlp("lfa.mlp1", [POSITION_CHANNELS, d / 2])?,
+            first_pooling: pooling("lfa.att_pooling_1", [d, d / 2])?,
+            second_code: mlp("lfa.mlp2", [d / 2, d / 2])?,
+            second_pooling: pooling("lfa.att_pooling_2", [d, d])?,
+            widen: mlp("mlp2", [d, 2 * d])?,
+            shortcut: mlp("shortcut", [input, 2 * d])?,
+            width: d,
+        })
     }
+}
+
+/// Name of a part of block `n` in a checkpoint.
+pub(super) fn block_name(n: usize, part: &str) -> String {
+    format!("dilated_res_blocks.{n}.{part}")
+}
+
+/// A linear layer and batch normalisation.
+#[derive(Module, Debug)]
+pub struct SharedMlp {
+    linear: Linear,
+    norm: BatchNorm,
+}
+
+impl SharedMlp {
+    /// `[rows, in]` to `[rows, out]`.
+    fn linear(&self, x: Tensor<2>) -> Tensor<2> {
+        self.norm.forward(self.linear.forward(x))
+    }
+
+    /// [`SharedMlp::linear`] and LeakyReLU.
+    pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
+        leaky_relu(self.linear(x))
+    }
+
+    fn save(&self, weights: &mut Checkpoint, name: &str) {
+        save_matrix(weights, &format!("{name}.conv.weight"), &self.linear);
+        for (part, values) in [
+            ("weight", self.norm.gamma.val()),
+            ("bias", self.norm.beta.val()),
+            ("running_mean", self.norm.running_mean.value_sync()),
+            ("running_var", self.norm.running_var.value_sync()),
+        ] {
+            let shape = values.dims().to_vec();
+            let values = host(values);
+            weights.insert(
+                &format!("{name}.bn.bn.{part}"),
+                HostTensor { shape, values },
+            );
+        }
+    }
+}
+
+fn save_matrix(weights: &mut Checkpoint, name: &str, linear: &Linear) {
+    let [input, output] = linear.weight.dims();
+    let values = transposed(&host(linear.weight.val()), output, input);
+    let shape = vec![output, input];
+    weights.insert(name, HostTensor { shape, values });
 }
 
 /// Weighted sum over the neighbours of each point, weights learned per channel, then a shared MLP.
@@ -181,41 +160,24 @@ pub struct AttentivePooling {
 }
 
 impl AttentivePooling {
-    fn load(
-        weights: &Checkpoint,
-        name: &str,
-        shape: [usize; 2],
-        form: Form,
-        device: &Device,
-    ) -> Result<Self> {
-        let [input, _] = shape;
-        let score = weights.get(&format!("{name}.fc.weight"), &[input, input])?;
-        let weight = parameter(transposed(score, input, input), [input, input], device);
-        let mlp = SharedMlp::load(weights, &format!("{name}.mlp"), shape, false, form, device)?;
-        Ok(Self {
-            score: Linear { weight, bias: None },
-            mlp,
-        })
-    }
-
     fn save(&self, weights: &mut Checkpoint, name: &str) {
-        let shape = self.score.weight.dims();
-        let values = transposed(&host(self.score.weight.val()), shape[1], shape[0]);
-        weights.insert(
-            &format!("{name}.fc.weight"),
-            HostTensor {
-                shape: shape.to_vec(),
-                values,
-            },
-        );
+        save_matrix(weights, &format!("{name}.fc.weight"), &self.score);
         self.mlp.save(weights, &format!("{name}.mlp"));
     }
 
-    /// `[R, out]` from `x` `[K R, in]`: for each channel the mean over the K neighbours of a point, by the softmax of
-    /// `x W` over them.
-    fn forward(&self, x: Tensor<2>, k: usize) -> Tensor<2> {
+    /// `[R, out]` for the points in `range`, from `features` of all points and the position `code` of their neighbours: for
+    /// each channel the mean over the K neighbours of a point, by the softmax of `x W` over them.
+    fn over(
+        &self,
+        features: &Tensor<2>,
+        code: &Tensor<2>,
+        level: &SampledLevel,
+        range: Range<usize>,
+    ) -> Tensor<2> {
+        let x = Tensor::cat(vec![gather(features, level, range), code.clone()], 1);
         let scores = self.score.forward(x.clone());
-        self.mlp.forward(attentive_mean(x, scores, k))
+        self.mlp
+            .forward(attentive_mean(x, scores, level.neighbours.k))
     }
 }
 
@@ -233,33 +195,8 @@ pub struct ResidualBlock {
 }
 
 impl ResidualBlock {
-    fn load(
-        weights: &Checkpoint,
-        n: usize,
-        [input, d]: [usize; 2],
-        form: Form,
-        device: &Device,
-    ) -> Result<Self> {
-        let name = |part: &str| format!("dilated_res_blocks.{n}.{part}");
-        let mlp = |part: &str, shape, linear_only| {
-            SharedMlp::load(weights, &name(part), shape, linear_only, form, device)
-        };
-        let pooling =
-            |part: &str, shape| AttentivePooling::load(weights, &name(part), shape, form, device);
-        Ok(Self {
-            narrow: mlp("mlp1", [input, d / 2], false)?,
-            first_code: mlp("lfa.mlp1", [POSITION_CHANNELS, d / 2], false)?,
-            first_pooling: pooling("lfa.att_pooling_1", [d, d / 2])?,
-            second_code: mlp("lfa.mlp2", [d / 2, d / 2], false)?,
-            second_pooling: pooling("lfa.att_pooling_2", [d, d])?,
-            widen: mlp("mlp2", [d, 2 * d], true)?,
-            shortcut: mlp("shortcut", [input, 2 * d], true)?,
-            width: d,
-        })
-    }
-
     fn save(&self, weights: &mut Checkpoint, n: usize) {
-        let name = |part: &str| format!("dilated_res_blocks.{n}.{part}");
+        let name = |part: &str| block_name(n, part);
         self.narrow.save(weights, &name("mlp1"));
         self.first_code.save(weights, &name("lfa.mlp1"));
         self.first_pooling.save(weights, &name("lfa.att_pooling_1"));
@@ -274,20 +211,11 @@ impl ResidualBlock {
     fn forward(&self, features: Tensor<2>, level: &SampledLevel) -> Tensor<2> {
         let all = 0..level.positions.len();
         let narrow = self.narrow.forward(features.clone());
-        let code = self
-            .first_code
-            .forward(position_code(level, all.clone(), &features.device()));
-        let gathered = gather(&narrow, level, all.clone());
-        let pooled = self.first_pooling.forward(
-            Tensor::cat(vec![gathered, code.clone()], 1),
-            level.neighbours.k,
-        );
+        let code = self.code(level, all.clone(), &features.device());
+        let pooled = self.first_pooling.over(&narrow, &code, level, all.clone());
         let code = self.second_code.forward(code);
-        let gathered = gather(&pooled, level, all);
-        let pooled = self
-            .second_pooling
-            .forward(Tensor::cat(vec![gathered, code], 1), level.neighbours.k);
-        leaky_relu(self.widen.forward(pooled) + self.shortcut.forward(features))
+        let pooled = self.second_pooling.over(&pooled, &code, level, all);
+        leaky_relu(self.widen.linear(pooled) + self.shortcut.linear(features))
     }
 
     /// The same in chunks of points, side by side: memory for `[points, K, d]` tensors stays bounded.
@@ -304,24 +232,23 @@ impl ResidualBlock {
         };
         let narrow = self.narrow.forward(features.clone());
         let pooled = chunks(&|range| {
-            let code = self
-                .first_code
-                .forward(position_code(level, range.clone(), &device));
-            self.first_pooling
-                .forward(Tensor::cat(vec![gather(&narrow, level, range), code], 1), k)
+            let code = self.code(level, range.clone(), &device);
+            self.first_pooling.over(&narrow, &code, level, range)
         });
         chunks(&|range| {
-            let code = self
-                .first_code
-                .forward(position_code(level, range.clone(), &device));
+            let code = self.code(level, range.clone(), &device);
             let code = self.second_code.forward(code);
-            let gathered = gather(&pooled, level, range.clone());
             let pooled = self
                 .second_pooling
-                .forward(Tensor::cat(vec![gathered, code], 1), k);
-            let shortcut = self.shortcut.forward(features.clone().slice([range]));
-            leaky_relu(self.widen.forward(pooled) + shortcut)
+                .over(&pooled, &code, level, range.clone());
+            let shortcut = self.shortcut.linear(features.clone().slice([range]));
+            leaky_relu(self.widen.linear(pooled) + shortcut)
         })
+    }
+
+    /// Encoded relative positions of the neighbours of the points in `range`, `[K R, d / 2]`.
+    fn code(&self, level: &SampledLevel, range: Range<usize>, device: &Device) -> Tensor<2> {
+        self.first_code.forward(position_code(level, range, device))
     }
 }
 
@@ -339,7 +266,8 @@ impl RandlaEncoder {
     /// # Errors
     /// [`Error::Input`] naming the tensor that is missing, has another shape than its neighbours ask for, or is not
     /// finite.
-    pub fn load(weights: &Checkpoint, form: Form, device: &Device) -> Result<Self> {
+    pub fn load(weights: &Checkpoint, device: &Device) -> Result<Self> {
+        let loader = Loader { weights, device };
         let [stem, inputs] = match weights.shape("fc0.conv.weight")? {
             [stem, inputs, ..] if matches!(inputs, 3 | 6) => [*stem, *inputs],
             other => {
@@ -355,16 +283,13 @@ impl RandlaEncoder {
         let mut blocks = Vec::with_capacity(LAYERS);
         let mut input = stem;
         for n in 0..LAYERS {
-            let width = weights.shape(&format!(
-                "dilated_res_blocks.{n}.lfa.att_pooling_2.fc.weight"
-            ))?;
+            let width = weights.shape(&block_name(n, "lfa.att_pooling_2.fc.weight"))?;
             let d = width.first().copied().unwrap_or_default();
-            blocks.push(ResidualBlock::load(weights, n, [input, d], form, device)?);
+            blocks.push(loader.block(n, [input, d])?);
             input = 2 * d;
         }
-        let stem = SharedMlp::load(weights, "fc0", [inputs, stem], false, form, device)?;
         Ok(Self {
-            stem,
+            stem: loader.mlp("fc0", [inputs, stem])?,
             blocks,
             inputs,
         })
@@ -405,12 +330,11 @@ impl RandlaEncoder {
         let mut features = self.stem.forward(input);
         let mut outputs = Vec::with_capacity(self.blocks.len());
         for (block, level) in self.blocks.iter().zip(&hierarchy.levels) {
-            let (output, together) = match chunked {
-                true => (
-                    block.forward_chunked(features, level),
-                    CHUNK_VALUES / (level.neighbours.k * 2 * block.width),
-                ),
-                false => (block.forward(features, level), level.kept.len()),
+            let (output, together) = if chunked {
+                let together = CHUNK_VALUES / (level.neighbours.k * 2 * block.width);
+                (block.forward_chunked(features, level), together)
+            } else {
+                (block.forward(features, level), level.kept.len())
             };
             features = sample(&output, level, together.max(1));
             outputs.push(output);

@@ -70,7 +70,7 @@ struct Header<'a> {
     bytes: usize,
     degree: usize,
     alpha_max: f64,
-    up: [f64; 3],
+    up: DVec3,
     extent: Extent,
     start: View<'a>,
     objects: Vec<Entry<'a>>,
@@ -80,8 +80,8 @@ struct Header<'a> {
 /// A box without the outermost 1 % on each side, relative to the origin.
 #[derive(Serialize)]
 struct Extent {
-    low: [f64; 3],
-    high: [f64; 3],
+    low: DVec3,
+    high: DVec3,
 }
 
 #[derive(Serialize)]
@@ -91,23 +91,18 @@ struct Entry<'a> {
     name: Option<&'a str>,
     color: [u8; 3],
     gaussians: usize,
-    low: [f64; 3],
-    high: [f64; 3],
+    low: DVec3,
+    high: DVec3,
 }
 
-/// A camera relative to the origin, the rotation row by row.
+/// A camera relative to the origin.
 #[derive(Serialize)]
 struct View<'a> {
     name: &'a str,
     split: Split,
-    rotation: [f64; 9],
-    center: [f64; 3],
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
-    width: usize,
-    height: usize,
+    /// Its rotation is transposed: matrices are written column by column, and the page reads them row by row.
+    #[serde(flatten)]
+    camera: Camera,
 }
 
 impl Viewer<'_> {
@@ -136,14 +131,10 @@ impl Viewer<'_> {
             return Err(Error::argument("gaussians", "none", "one or more", help));
         }
         if !(self.alpha_max > 0.0 && self.alpha_max <= 1.0) {
+            let expected = "a number in (0, 1]";
             let help = "choose a value in that range";
             let found = self.alpha_max.to_string();
-            return Err(Error::argument(
-                "alpha_max",
-                found,
-                "a number in (0, 1]",
-                help,
-            ));
+            return Err(Error::argument("alpha_max", found, expected, help));
         }
         if let Some(up) = self.up.filter(|up| up.try_normalize().is_none()) {
             let help = "name one, such as 0,0,1";
@@ -156,10 +147,9 @@ impl Viewer<'_> {
             .map_or_else(|| all.clone(), |labels| inventory(self.gaussians, labels));
         let mut places = unlabelled;
         for (place, object) in (0..=u16::MAX).zip(&objects) {
-            object
-                .rows
-                .iter()
-                .for_each(|&row| places[row as usize] = place);
+            for &row in &object.rows {
+                places[row as usize] = place;
+            }
         }
         let columns = packing::columns(self.gaussians, &places);
         let header = json(&self.header(&all[0], &objects, columns.len()))?;
@@ -192,8 +182,8 @@ impl Viewer<'_> {
                 [255; 3]
             },
             gaussians: object.rows.len(),
-            low: object.low.to_array(),
-            high: object.high.to_array(),
+            low: object.low,
+            high: object.high,
         };
         let moved = |camera: &Camera| Camera {
             center: camera.center - self.origin,
@@ -219,10 +209,10 @@ impl Viewer<'_> {
             bytes,
             degree: self.gaussians.sh_degree,
             alpha_max: self.alpha_max,
-            up: up.to_array(),
+            up,
             extent: Extent {
-                low: all.low.to_array(),
-                high: all.high.to_array(),
+                low: all.low,
+                high: all.high,
             },
             start: view("", Split::Train, &start),
             objects: objects.iter().map(entry).collect(),
@@ -282,28 +272,14 @@ fn upright(up: DVec3) -> DVec3 {
 }
 
 fn view<'a>(name: &'a str, split: Split, camera: &Camera) -> View<'a> {
-    let &Camera {
-        rotation,
-        center,
-        fx,
-        fy,
-        cx,
-        cy,
-        width,
-        height,
-    } = camera;
-    let rotation = rotation.transpose().to_cols_array();
+    let camera = Camera {
+        rotation: camera.rotation.transpose(),
+        ..camera.clone()
+    };
     View {
         name,
         split,
-        rotation,
-        center: center.to_array(),
-        fx,
-        fy,
-        cx,
-        cy,
-        width,
-        height,
+        camera,
     }
 }
 

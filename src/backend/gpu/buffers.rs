@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Shape};
 use burn_cubecl::cubecl::{calculate_cube_count_elemwise, prelude::*};
-use burn_cubecl::ops::numeric::empty_device_contiguous_dtype;
+use burn_cubecl::ops::numeric::{empty_device_contiguous_dtype, full_client};
 use burn_cubecl::{CubeDevice, tensor::CubeTensor};
 
 /// Units of a cube, in all kernels: the pixels of a tile.
@@ -24,7 +24,7 @@ impl Gpu {
         }
     }
 
-    /// A device without a tensor at hand.
+    /// A device without a tensor.
     #[cfg(test)]
     pub fn on(device: CubeDevice) -> Self {
         Self {
@@ -46,6 +46,12 @@ impl Gpu {
     /// Uninitialised `u32`s; at least one.
     pub fn words(&self, len: usize) -> CubeTensor {
         self.empty(Shape::new([len]), DType::U32)
+    }
+
+    /// `len` times `value`; at least once.
+    pub fn filled(&self, len: usize, value: u32) -> CubeTensor {
+        let (client, device) = (self.client.clone(), self.device.clone());
+        full_client(client, Shape::new([len.max(1)]), device, value)
     }
 
     fn empty(&self, shape: Shape, dtype: DType) -> CubeTensor {

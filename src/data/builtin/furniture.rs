@@ -1,7 +1,6 @@
 //! Furniture. Every piece is centred on its frame's origin, stands on z = 0 and looks along +y.
 
 use super::build::{Light, Object, class};
-use super::layout::Decorator;
 use super::noise::rgb;
 use super::patterns::Pattern;
 use super::shapes::Shape;
@@ -10,7 +9,7 @@ use glam::{DMat3, DVec3};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-/// What stands on the floor.
+/// What stands on the floor or on other furniture, and what hangs from the ceiling.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Sofa,
@@ -25,6 +24,8 @@ pub(super) enum Kind {
     Wardrobe,
     Chest,
     FloorLamp,
+    TableLamp,
+    Pendant,
 }
 
 impl Kind {
@@ -44,6 +45,8 @@ impl Kind {
             Self::Wardrobe => [between(1.0, 1.5), 0.58, between(1.95, 2.15)],
             Self::Chest => [between(0.75, 1.0), 0.48, between(0.85, 1.05)],
             Self::FloorLamp => [0.44, 0.44, between(1.5, 1.7)],
+            Self::TableLamp => [0.32, 0.32, 0.47],
+            Self::Pendant => [0.46, 0.46, 0.9],
         }
     }
 
@@ -54,7 +57,7 @@ impl Kind {
             Self::CoffeeTable | Self::SideTable | Self::DiningTable | Self::Desk => class::TABLE,
             Self::Chair => class::CHAIR,
             Self::Bookcase | Self::Sideboard | Self::Wardrobe | Self::Chest => class::CABINET,
-            Self::FloorLamp => class::LAMP,
+            Self::FloorLamp | Self::TableLamp | Self::Pendant => class::LAMP,
         }
     }
 
@@ -79,6 +82,8 @@ impl Kind {
             Self::Wardrobe => wardrobe(o, s, size, variant),
             Self::Chest => chest(o, s, size, variant),
             Self::FloorLamp => floor_lamp(o, s, size, rng),
+            Self::TableLamp => table_lamp(o, s, rng),
+            Self::Pendant => pendant(o, s, size, rng),
         }
     }
 }
@@ -353,26 +358,21 @@ fn floor_lamp(o: &mut Object, s: &Style, [w, _, h]: [f64; 3], rng: &mut ChaCha8R
     shade(o, [0.0, 0.0, h - 0.17], 0.34, radii, rgb(tone), 0.42);
 }
 
-impl Decorator<'_> {
-    /// A lamp for a table top or cabinet, its foot at `at`.
-    pub fn table_lamp(&mut self, at: DVec3) {
-        let color = self.style.palette[self.rng.random_range(0..4)];
-        let o = &mut self.builder.object(class::LAMP, at, 0.0);
-        let clay = o.builder.matt(Pattern::Gradient(color * 0.7, color));
-        o.turned([0.0, 0.0, 0.01], 0.02, 0.08, 0.075, clay);
-        o.ball([0.0, 0.0, 0.12], [0.17, 0.17, 0.22], clay);
-        o.turned([0.0, 0.0, 0.25], 0.08, 0.02, 0.02, self.style.metal);
-        shade(o, [0.0, 0.0, 0.37], 0.2, [0.16, 0.11], rgb(0xf2e2bd), 0.22);
-    }
+/// For a table top or cabinet.
+fn table_lamp(o: &mut Object, s: &Style, rng: &mut ChaCha8Rng) {
+    let color = s.palette[rng.random_range(0..4)];
+    let clay = o.builder.matt(Pattern::Gradient(color * 0.7, color));
+    o.turned([0.0, 0.0, 0.01], 0.02, 0.08, 0.075, clay);
+    o.ball([0.0, 0.0, 0.12], [0.17, 0.17, 0.22], clay);
+    o.turned([0.0, 0.0, 0.25], 0.08, 0.02, 0.02, s.metal);
+    shade(o, [0.0, 0.0, 0.37], 0.2, [0.16, 0.11], rgb(0xf2e2bd), 0.22);
+}
 
-    /// A lamp hanging from the ceiling at `at`, its shade `drop` metres below.
-    pub fn pendant(&mut self, at: DVec3, drop: f64) {
-        let color = self.style.palette[self.rng.random_range(0..4)];
-        let color = color.lerp(rgb(0xf2e2bd), 0.3);
-        let o = &mut self.builder.object(class::LAMP, at, 0.0);
-        let metal = self.style.metal;
-        o.turned([0.0, 0.0, -0.015], 0.03, 0.05, 0.06, metal);
-        o.turned([0.0, 0.0, -drop / 2.0], drop, 0.012, 0.012, metal);
-        shade(o, [0.0, 0.0, -drop], 0.22, [0.23, 0.09], color, 0.42);
-    }
+/// Hangs from z = 0.
+fn pendant(o: &mut Object, s: &Style, [.., drop]: [f64; 3], rng: &mut ChaCha8Rng) {
+    let color = s.palette[rng.random_range(0..4)];
+    let color = color.lerp(rgb(0xf2e2bd), 0.3);
+    o.turned([0.0, 0.0, -0.015], 0.03, 0.05, 0.06, s.metal);
+    o.turned([0.0, 0.0, -drop / 2.0], drop, 0.012, 0.012, s.metal);
+    shade(o, [0.0, 0.0, -drop], 0.22, [0.23, 0.09], color, 0.42);
 }

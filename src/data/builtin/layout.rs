@@ -166,6 +166,11 @@ impl Decorator<'_> {
         kind.build(object, &self.style, size, variant, self.rng);
     }
 
+    fn table_lamp(&mut self, at: DVec3) {
+        let size = Kind::TableLamp.size(self.rng);
+        self.put(Kind::TableLamp, at, 0.0, size, 0);
+    }
+
     /// Sofa at a wall, a rug, a low table before it, armchairs and a side table with a lamp.
     fn seating(&mut self, walls: [usize; 4]) -> bool {
         let size = Kind::Sofa.size(self.rng);
@@ -259,8 +264,10 @@ impl Decorator<'_> {
             self.put(Kind::Chair, seat, yaw, chair, variant + i % 2 * 7);
         }
         let ceiling = self.plan.size.z;
+        // How far the shade hangs below the ceiling.
         let drop = ceiling - self.rng.random_range(1.75..1.85);
-        self.pendant(at + DVec3::Z * ceiling, drop);
+        let at = at + DVec3::Z * ceiling;
+        self.put(Kind::Pendant, at, 0.0, [0.46, 0.46, drop], 0);
     }
 
     /// Two to five cabinets along the walls.

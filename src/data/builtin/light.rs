@@ -1,8 +1,7 @@
 //! View-independent light: soft daylight from windows, lamps with shadows, and ambient occlusion, kept in light maps.
 
 use super::build::Light;
-use super::bvh::Bvh;
-use super::shapes::Solid;
+use super::shapes::Solids;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::f64::consts::PI;
@@ -12,11 +11,10 @@ const REACH: f64 = 1.5;
 /// Offset of shadow rays off their surface, metres.
 const LIFT: f64 = 2e-3;
 
-/// Solids, their tree and the lights: all that light depends on.
+/// Solids and lights: all that light depends on.
 #[derive(Clone, Debug)]
 pub(super) struct Lit<'a> {
-    pub solids: &'a [Solid],
-    pub bvh: &'a Bvh,
+    pub solids: &'a Solids,
     pub lights: &'a [Light],
     /// Ambient rays a point, and samples along each side of a window.
     pub quality: (usize, usize),
@@ -48,9 +46,7 @@ impl Lit<'_> {
             let angle = i as f64 * 2.399_963_229_728_653;
             let r = r2.sqrt();
             let d = t * (r * angle.cos()) + b * (r * angle.sin()) + n * (1.0 - r2).sqrt();
-            let hit = self
-                .bvh
-                .first(self.solids, o, d, (0.0, REACH), |s| s.casts_shadow);
+            let hit = self.solids.first_opaque(o, d, REACH);
             open += hit.map_or(1.0, |hit| if hit.t > 0.02 { 1.0 } else { 0.0 });
             sum += hit.map_or(1.0, |hit| 0.18 + 0.82 * (hit.t / REACH).powf(0.6));
         }
@@ -78,7 +74,7 @@ impl Lit<'_> {
                     let to = center + DVec3::from(corner) * 0.06 - o;
                     let d2 = to.length_squared();
                     let cos = n.dot(to) / d2.sqrt();
-                    if cos > 0.0 && !self.bvh.blocked(self.solids, o, to, 0.0, 1.0) {
+                    if cos > 0.0 && !self.solids.blocked(o, to) {
                         sum += cos / (d2 + 0.25);
                     }
                 }
@@ -98,8 +94,7 @@ impl Lit<'_> {
                     let to = center + across * at(i % k) + up * at(i / k) - o;
                     let d2 = to.length_squared().max(0.05);
                     let (here, there) = (n.dot(to) / d2.sqrt(), -normal.dot(to) / d2.sqrt());
-                    if here > 0.0 && there > 0.0 && !self.bvh.blocked(self.solids, o, to, 0.0, 1.0)
-                    {
+                    if here > 0.0 && there > 0.0 && !self.solids.blocked(o, to) {
                         sum += here * there / (PI * d2);
                     }
                 }
@@ -126,7 +121,7 @@ struct Side {
 impl LightMap {
     /// Bakes solid `index` with texels of about `texel` metres; `interior` is the room's size, points outside stay dark.
     pub fn bake(lit: &Lit, index: usize, texel: f64, interior: DVec3) -> Self {
-        let solid = &lit.solids[index];
+        let solid = &lit.solids.all[index];
         let sides = [0, 1, 2, 3, 4, 5].map(|side| {
             let (axis, sign) = (side / 2, if side % 2 == 0 { -1.0 } else { 1.0 });
             let (ua, va) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -140,10 +135,10 @@ impl LightMap {
                     q[ua] = (2 * (i % columns) + 1) as f64 / columns as f64 - 1.0;
                     q[va] = (2 * (i / columns) + 1) as f64 / rows as f64 - 1.0;
                     let o = q * solid.half * 2.0;
-                    let Some(entry) = solid.hit_local(o, -o) else {
+                    let Some((t, normal)) = solid.entry(o, -o, 0.0, 1.0) else {
                         return (DVec3::ZERO, 0.0);
                     };
-                    let p = solid.to_room(o - o * entry.t);
+                    let p = solid.to_room(o - o * t);
                     let outside = (p.truncate().abs() - interior.truncate() / 2.0)
                         .max_element()
                         .max(p.z - interior.z)
@@ -151,7 +146,7 @@ impl LightMap {
                     if outside > 1e-6 {
                         return (DVec3::ZERO, 0.0);
                     }
-                    lit.arriving(p, solid.axes * entry.normal)
+                    lit.arriving(p, solid.axes * normal)
                 })
                 .collect();
             Side {

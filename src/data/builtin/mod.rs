@@ -2,7 +2,6 @@
 //! an initial cloud. It shares no code with the rasterizer, so it is also an independent check of the conventions.
 
 mod build;
-mod bvh;
 mod cameras;
 mod corrupt;
 mod furniture;

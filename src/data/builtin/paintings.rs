@@ -15,27 +15,13 @@ pub(super) fn painting(
     let aspect = face.0 / face.1;
     let edge = ((1.0 - x.abs()) * face.0).min((1.0 - y.abs()) * face.1);
     let mat = 1.0 - step(0.045, 0.06, edge);
-    let inside = match style % 6 {
-        0 => sunset(x * aspect, y, seed),
+    let inside = match style {
         1 => blocks(x, y, [a, b, c]),
         2 => circles(x * aspect, y, [a, b, c], seed),
-        3 => fields(x, y, [a, b, c]),
         4 => hills(x * aspect, y, seed),
-        _ => flowers(x * aspect, y, [a, b, c], seed),
+        _ => fields(x, y, [a, b, c]),
     };
     inside.lerp(rgb(0xf2efe6), mat)
-}
-
-/// Sun over a sea.
-fn sunset(x: f64, y: f64, seed: u64) -> DVec3 {
-    let sky = rgb(0xf3b35a).lerp(rgb(0x5a6ea8), step(-0.1, 1.0, y));
-    let sun = 1.0 - step(0.26, 0.32, (x - 0.2).hypot(y - 0.12));
-    let sea = rgb(0x27486b).lerp(
-        rgb(0xe0935a),
-        0.7 * band(x - 0.2, 0.12, 0.35) * noise(x * 2.0, y * 9.0, seed),
-    );
-    let above = step(-0.12, -0.06, y);
-    sea.lerp(sky.lerp(rgb(0xfff0c0), sun), above)
 }
 
 /// Rectangles of primary colours between dark bars.
@@ -85,26 +71,6 @@ fn hills(x: f64, y: f64, seed: u64) -> DVec3 {
         color = color.lerp(rgb(tone), 1.0 - step(ridge - 0.03, ridge + 0.03, y));
     }
     color
-}
-
-/// A bunch of round flowers in a vase.
-fn flowers(x: f64, y: f64, colors: [DVec3; 3], seed: u64) -> DVec3 {
-    let ground = rgb(0x36414e).lerp(rgb(0x8b6a48), 1.0 - step(-0.62, -0.56, y));
-    let vase = band(x, 0.22 - 0.1 * y, 0.04) * band(y + 0.55, 0.28, 0.04);
-    let leaves = 1.0
-        - step(
-            0.6,
-            0.72,
-            x.hypot(1.1 * (y - 0.2)) + 0.2 * noise(x * 4.0, y * 4.0, seed),
-        );
-    let mut c = ground.lerp(rgb(0x3f6b45), leaves).lerp(rgb(0xd9d2c4), vase);
-    for i in 0..6 {
-        let t = f64::from(i) * 2.4 + seed as f64 % 6.0;
-        let r = 0.14 + 0.11 * f64::from(i % 3);
-        let (dx, dy) = (x - 2.0 * r * t.cos(), y - 0.25 - 1.5 * r * t.sin());
-        c = c.lerp(colors[i as usize % 3], 1.0 - step(0.13, 0.19, dx.hypot(dy)));
-    }
-    c
 }
 
 /// Sky, far hills, trees and a lawn; `azimuth` in radians along the horizon, `y` in -1..1 up the pane.

@@ -17,12 +17,8 @@ pub(super) enum Pattern {
     Wood(DVec3, DVec3),
     /// Floor boards along u: light, dark, board width.
     Planks(DVec3, DVec3, f64),
-    /// Square tiles: two tones, grout, size.
-    Tiles(DVec3, DVec3, DVec3, f64),
-    /// Herringbone-like parquet of square blocks with turning grain: light, dark, block size.
+    /// Parquet of square blocks whose grain turns from block to block: light, dark, block size.
     Parquet(DVec3, DVec3, f64),
-    /// Running-bond bricks: brick, mortar.
-    Bricks(DVec3, DVec3),
     /// Upright stripes: two colours, period.
     Stripes(DVec3, DVec3, f64),
     /// Wallpaper with a lattice of soft round motifs: ground, motif, spacing.
@@ -35,8 +31,8 @@ pub(super) enum Pattern {
     Panels(DVec3, DVec3, DVec3, [u32; 2]),
     /// Spines of books.
     Books,
-    /// Rug: style, field, figure and border colours.
-    Rug(u32, [DVec3; 3]),
+    /// Rug with rows of diamonds: spacing; colours of field, figure and border.
+    Rug(f64, [DVec3; 3]),
     /// A painted picture of this style within a mat.
     Painting(u32, [DVec3; 3]),
     /// The view out of a window; the panorama is continuous over windows.
@@ -149,14 +145,6 @@ impl Material {
                 ));
                 c * (0.84 + 0.26 * tone) * (1.0 - 0.35 * seam)
             }
-            Pattern::Tiles(a, b, grout, size) => {
-                let (i, j) = ((u / size).floor() as i64, (v / size).floor() as i64);
-                let base = if (i + j).rem_euclid(2) == 0 { a } else { b };
-                let tone =
-                    0.93 + 0.1 * hash(i, j, seed) + 0.08 * (cloud(u / 0.2, v / 0.2, seed) - 0.5);
-                let seam = band(fold(u, size), 0.004, 0.012).max(band(fold(v, size), 0.004, 0.012));
-                (base * tone).lerp(grout, 0.8 * seam)
-            }
             Pattern::Parquet(light, dark, size) => {
                 let (i, j) = ((u / size).floor() as i64, (v / size).floor() as i64);
                 let turned = (i + j).rem_euclid(2) == 0;
@@ -164,22 +152,6 @@ impl Material {
                 let tone = if turned { 1.04 } else { 0.92 } * (0.95 + 0.1 * hash(i, j, seed));
                 let strips = band(fold(across, size / 3.0), 0.002, 0.012);
                 grain(light, dark, along, across, seed) * tone * (1.0 - 0.12 * strips)
-            }
-            Pattern::Bricks(brick, mortar) => {
-                let (height, width) = (0.12, 0.36);
-                let row = (v / height).floor();
-                let shift = if row as i64 % 2 == 0 {
-                    0.0
-                } else {
-                    width / 2.0
-                };
-                let tone = hash(((u + shift) / width).floor() as i64, row as i64, seed);
-                let seam = band(fold(v, height), 0.004, 0.014).max(band(
-                    fold(u + shift, width),
-                    0.004,
-                    0.014,
-                ));
-                (brick * (0.87 + 0.26 * tone)).lerp(mortar, 0.5 * seam)
             }
             Pattern::Stripes(a, b, period) => {
                 // The inner part of cushions and of walls alike: stripes upright on side faces, along x on top.
@@ -243,7 +215,7 @@ impl Material {
                 let gap = band(fold(u, width), 0.002, 0.012);
                 c.lerp(DVec3::splat(0.5), 0.3 * label) * (1.0 - 0.35 * gap)
             }
-            Pattern::Rug(style, colors) => rug(style, colors, u, v, face),
+            Pattern::Rug(spacing, colors) => rug(spacing, colors, u, v, face),
             Pattern::Painting(style, colors) => {
                 painting(style, colors, u / face.0, v / face.1, face, seed)
             }
@@ -261,41 +233,12 @@ fn grain(light: DVec3, dark: DVec3, along: f64, across: f64, seed: u64) -> DVec3
     light.lerp(dark, 0.2 * rings + 0.1 + 0.4 * streak)
 }
 
-fn rug(style: u32, [field, figure, border]: [DVec3; 3], u: f64, v: f64, face: (f64, f64)) -> DVec3 {
+fn rug(s: f64, [field, figure, border]: [DVec3; 3], u: f64, v: f64, face: (f64, f64)) -> DVec3 {
     let edge = (face.0 - u.abs()).min(face.1 - v.abs());
-    let inside = match style % 4 {
-        0 => {
-            // Diamonds in rows.
-            let s = 0.42;
-            let d = fold(u, s).abs() + fold(v, s).abs();
-            let core = 1.0 - step(0.06, 0.085, d);
-            field
-                .lerp(figure, step(0.165, 0.195, d) * 0.85)
-                .lerp(border, core)
-        }
-        1 => {
-            // Concentric medallion.
-            let r = (u / face.0).hypot(v / face.1);
-            let ring = step(-0.2, 0.2, (r * 14.0).sin());
-            let far = step(0.9, 1.0, r);
-            field
-                .lerp(figure, ring * (1.0 - far))
-                .lerp(border * 0.9, 1.0 - step(0.1, 0.16, r))
-        }
-        2 => {
-            // Broad bands with a thin line.
-            let s = 0.5;
-            let wide = step(-0.015, 0.015, fold(u, s).abs() - 0.14);
-            field
-                .lerp(figure, wide)
-                .lerp(border, band(fold(u + s / 2.0, s), 0.025, 0.015))
-        }
-        _ => {
-            // Zigzag.
-            let x = v + 0.5 * fold(u, 0.36).abs();
-            field.lerp(figure, step(-0.015, 0.015, fold(x, 0.34).abs() - 0.085))
-        }
-    };
+    let d = (fold(u, s).abs() + fold(v, s).abs()) / s;
+    let inside = field
+        .lerp(figure, step(0.39, 0.465, d) * 0.85)
+        .lerp(border, 1.0 - step(0.14, 0.2, d));
     let frame = 1.0 - step(0.10, 0.12, edge);
     let line = band(edge - 0.15, 0.015, 0.012);
     inside.lerp(border, frame).lerp(figure, 0.9 * line)

@@ -61,7 +61,7 @@ pub fn labelled_points(seed: u64, count: usize) -> LabelledPoints {
         let color = room.shade(hit, *eye, *d, (16, 2));
         (
             (p.as_vec3().to_array(), color),
-            room.solids[hit.solid].class,
+            room.solids.all[hit.solid].class,
         )
     });
     let ((positions, colors), classes) = made.unzip();

@@ -1,11 +1,10 @@
 //! A finished room and its ray-cast pictures.
 
 use super::build::{Builder, Light, class};
-use super::bvh::{Bvh, Hit};
 use super::layout;
 use super::light::{LightMap, Lit};
 use super::patterns::{Material, Spot};
-use super::shapes::Solid;
+use super::shapes::{Hit, Solid, Solids};
 use crate::data::LabelMap;
 use crate::splat::camera::Camera;
 use glam::DVec3;
@@ -64,10 +63,9 @@ const LEAST: [(u16, usize); 7] = [
 pub struct Room {
     /// Width (x), depth (y), height (z).
     pub size: DVec3,
-    pub(super) solids: Vec<Solid>,
+    pub(super) solids: Solids,
     materials: Vec<Material>,
     lights: Vec<Light>,
-    bvh: Bvh,
     /// One a solid; empty where light is computed point by point.
     light_maps: Vec<LightMap>,
 }
@@ -98,13 +96,11 @@ impl Room {
     }
 
     fn new(b: Builder, size: DVec3) -> Self {
-        let bvh = Bvh::new(&b.solids);
         Self {
             size,
-            solids: b.solids,
+            solids: Solids::new(b.solids),
             materials: b.materials,
             lights: b.lights,
-            bvh,
             light_maps: Vec::new(),
         }
     }
@@ -113,9 +109,9 @@ impl Room {
         let lit = self.lit((40, 3));
         let fixed = |c: u16| matches!(c, class::WALL | class::FLOOR | class::CEILING);
         let texel = |s: &Solid| if fixed(s.class) { 0.08 } else { 0.05 };
-        let maps = (0..self.solids.len())
+        let maps = (0..self.solids.all.len())
             .into_par_iter()
-            .map(|i| LightMap::bake(&lit, i, texel(&self.solids[i]), self.size))
+            .map(|i| LightMap::bake(&lit, i, texel(&self.solids.all[i]), self.size))
             .collect();
         self.light_maps = maps;
     }
@@ -123,20 +119,18 @@ impl Room {
     fn lit(&self, quality: (usize, usize)) -> Lit<'_> {
         Lit {
             solids: &self.solids,
-            bvh: &self.bvh,
             lights: &self.lights,
             quality,
         }
     }
 
     pub(super) fn cast(&self, o: DVec3, d: DVec3) -> Option<Hit> {
-        self.bvh
-            .first(&self.solids, o, d, (1e-6, f64::INFINITY), |_| true)
+        self.solids.first(o, d, 1e-6, f64::INFINITY)
     }
 
     /// Display colour (sRGB, 0..1) of what a ray hit. `quality` is used where no light maps were baked.
     pub(super) fn shade(&self, hit: &Hit, o: DVec3, d: DVec3, quality: (usize, usize)) -> [f32; 3] {
-        let solid = &self.solids[hit.solid];
+        let solid = &self.solids.all[hit.solid];
         let room_point = o + d * hit.t;
         let p = solid.to_local(room_point);
         let material = &self.materials[solid.material];
@@ -159,6 +153,7 @@ impl Room {
     /// Smallest distance from `p` to a piece of furniture or a wall, metres; a lower bound for round shapes.
     pub fn clearance(&self, p: DVec3) -> f64 {
         self.solids
+            .all
             .iter()
             .map(|s| s.clearance(p))
             .fold(f64::INFINITY, f64::min)
@@ -221,7 +216,7 @@ pub fn render_truth(room: &Room, camera: &Camera) -> Truth {
     let solids = || {
         pixels
             .iter()
-            .map(|(_, hit)| hit.map(|hit| &room.solids[hit.solid]))
+            .map(|(_, hit)| hit.map(|hit| &room.solids.all[hit.solid]))
     };
     let bytes = pixels.iter().flat_map(|(color, _)| *color).collect();
     let ids = solids()

@@ -1,6 +1,7 @@
-//! The solids the room is made of and where rays meet them. All are convex and star-shaped about their centre.
+//! The solids of the room and where rays meet them.
 
 use glam::{DMat3, DVec3};
+use std::ops::Range;
 
 /// A convex solid in its local frame, bounded by the box `[-half, half]` of its [`Solid`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,6 +14,38 @@ pub(super) enum Shape {
     Ellipsoid,
     /// A cone frustum along z; radii at the bottom and at the top as fractions of `half.x`.
     Frustum(f64, f64),
+}
+
+impl Shape {
+    /// Value and gradient at `p` of a convex function that is 0 on the surface and positive outside.
+    fn level(self, p: DVec3, half: DVec3) -> (f64, DVec3) {
+        let beyond = p.abs() - half;
+        match self {
+            Self::Box => {
+                let axis = beyond.max_position();
+                (beyond[axis], DVec3::AXES[axis] * p[axis].signum())
+            }
+            Self::Rounded(radius) => {
+                let beyond = (beyond + radius).max(DVec3::ZERO);
+                let normal = beyond.normalize_or_zero() * p.signum();
+                (beyond.length() - radius, normal)
+            }
+            Self::Ellipsoid => {
+                let unit = p / half;
+                (unit.length() - 1.0, unit.normalize_or_zero() / half)
+            }
+            Self::Frustum(bottom, top) => {
+                let slope = half.x * (top - bottom) / (2.0 * half.z);
+                let across = p.with_z(0.0);
+                let outside = across.length() - half.x * bottom - slope * (p.z + half.z);
+                if outside > beyond.z {
+                    (outside, across.normalize_or_zero() - slope * DVec3::Z)
+                } else {
+                    (beyond.z, DVec3::Z * p.z.signum())
+                }
+            }
+        }
+    }
 }
 
 /// A solid placed in the room.
@@ -36,14 +69,10 @@ pub(super) struct Solid {
     pub casts_shadow: bool,
 }
 
-/// Where a ray enters a solid.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Entry {
-    /// Ray parameter.
-    pub t: f64,
-    /// Outward normal in the local frame, unit length.
-    pub normal: DVec3,
-}
+/// Distance from a surface, metres, at which a ray has reached it.
+const REACHED: f64 = 1e-11;
+/// More steps than any ray needs that is not a tangent.
+const STEPS: usize = 50;
 
 impl Solid {
     /// A room point in the local frame.
@@ -56,33 +85,24 @@ impl Solid {
         self.axes * p + self.center
     }
 
-    /// Corners of the axis-aligned bounding box in room coordinates.
-    pub fn bounds(&self) -> (DVec3, DVec3) {
-        let reach = DVec3::new(
-            self.axes.row(0).abs().dot(self.half),
-            self.axes.row(1).abs().dot(self.half),
-            self.axes.row(2).abs().dot(self.half),
-        );
-        (self.center - reach, self.center + reach)
-    }
-
-    /// First entry of the room-space ray `o + t d` with `near < t < far`; `None` also when `o` is inside.
-    pub fn hit(&self, o: DVec3, d: DVec3, near: f64, far: f64) -> Option<Entry> {
-        let inverse = self.axes.transpose();
-        self.hit_local(inverse * (o - self.center), inverse * d)
-            .filter(|e| e.t > near && e.t < far)
-    }
-
-    /// First entry of a local ray, at any parameter.
-    pub fn hit_local(&self, o: DVec3, d: DVec3) -> Option<Entry> {
-        match self.shape {
-            Shape::Box => enter_box(o, d, self.half),
-            Shape::Rounded(radius) => enter_rounded(o, d, self.half, radius),
-            Shape::Ellipsoid => enter_ellipsoid(o, d, self.half),
-            Shape::Frustum(bottom, top) => {
-                enter_frustum(o, d, self.half, bottom * self.half.x, top * self.half.x)
+    /// Where the local ray `o + t d` enters the solid, `near < t < far`, and the outward normal there; `None` where it
+    /// misses, and where it starts inside.
+    ///
+    /// Newton's method on a convex function never passes the first zero when it starts before it.
+    pub fn entry(&self, o: DVec3, d: DVec3, near: f64, far: f64) -> Option<(f64, DVec3)> {
+        let mut t = near;
+        for _ in 0..STEPS {
+            let (level, gradient) = self.shape.level(o + d * t, self.half);
+            if level < REACHED {
+                return (t > near).then(|| (t, gradient.normalize_or_zero()));
+            }
+            let slope = gradient.dot(d);
+            t -= level / slope;
+            if slope >= 0.0 || t >= far {
+                return None;
             }
         }
+        None
     }
 
     /// Lower bound of the distance from a room point to the solid (exact for boxes, 0 inside the bounding box).
@@ -93,142 +113,121 @@ impl Solid {
     }
 }
 
-/// Slab test.
-fn enter_box(o: DVec3, d: DVec3, half: DVec3) -> Option<Entry> {
-    let inv = d.recip();
-    let (a, b) = ((-half - o) * inv, (half - o) * inv);
-    let (near, far) = (a.min(b), a.max(b));
-    let t = near.max_element();
-    if t > far.min_element() {
-        return None;
+/// What a ray hit.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Hit {
+    /// Ray parameter.
+    pub t: f64,
+    /// Index of the solid.
+    pub solid: usize,
+    /// Outward normal in the solid's frame, unit length.
+    pub normal: DVec3,
+}
+
+/// An axis-aligned box.
+#[derive(Clone, Copy, Debug)]
+struct Bounds {
+    low: DVec3,
+    high: DVec3,
+}
+
+impl Bounds {
+    fn of(solid: &Solid) -> Self {
+        let axis = |i: usize| solid.axes.row(i).abs().dot(solid.half);
+        // A hair of slack keeps rays that lie in a face of the box.
+        let reach = DVec3::new(axis(0), axis(1), axis(2)) + 1e-9;
+        Self {
+            low: solid.center - reach,
+            high: solid.center + reach,
+        }
     }
-    let axis = if near.x == t {
-        DVec3::X
-    } else if near.y == t {
-        DVec3::Y
-    } else {
-        DVec3::Z
-    };
-    Some(Entry {
-        t,
-        normal: axis * -axis.dot(d).signum(),
-    })
-}
 
-/// Entry of a sphere of `radius` about `c`.
-fn enter_sphere(o: DVec3, d: DVec3, c: DVec3, radius: f64) -> Option<f64> {
-    let oc = o - c;
-    smaller_root(
-        d.length_squared(),
-        oc.dot(d),
-        oc.length_squared() - radius * radius,
-    )
-}
-
-/// Smaller root of `a t^2 + 2 b t + c`, in the form that does not cancel.
-fn smaller_root(a: f64, b: f64, c: f64) -> Option<f64> {
-    let disc = b * b - a * c;
-    if !(disc > 0.0 && a > 0.0) {
-        return None;
+    fn union(self, other: Self) -> Self {
+        Self {
+            low: self.low.min(other.low),
+            high: self.high.max(other.high),
+        }
     }
-    let root = disc.sqrt();
-    Some(if b > 0.0 {
-        (-b - root) / a
-    } else {
-        c / (-b + root)
-    })
+
+    /// Whether a ray meets the box between `near` and `far`; `inverse` is the reciprocal of its direction.
+    fn meets(&self, o: DVec3, inverse: DVec3, near: f64, far: f64) -> bool {
+        let (a, b) = ((self.low - o) * inverse, (self.high - o) * inverse);
+        a.min(b).max_element().max(near) <= a.max(b).min_element().min(far)
+    }
 }
 
-fn enter_ellipsoid(o: DVec3, d: DVec3, half: DVec3) -> Option<Entry> {
-    let t = enter_sphere(o / half, d / half, DVec3::ZERO, 1.0)?;
-    Some(Entry {
-        t,
-        normal: ((o + d * t) / (half * half)).normalize(),
-    })
+/// All solids of a room. A ray looks at the box of each object first: a room has few.
+#[derive(Clone, Debug)]
+pub(super) struct Solids {
+    /// Those of one object stand together.
+    pub all: Vec<Solid>,
+    bounds: Vec<Bounds>,
+    objects: Vec<(Bounds, Range<usize>)>,
 }
 
-fn enter_frustum(o: DVec3, d: DVec3, half: DVec3, bottom: f64, top: f64) -> Option<Entry> {
-    let slope = (top - bottom) / (2.0 * half.z);
-    // Radius along the ray: r(t) = r0 + r1 t.
-    let (r0, r1) = (bottom + slope * (o.z + half.z), slope * d.z);
-    let mut best: Option<Entry> = None;
-    let a = d.x * d.x + d.y * d.y - r1 * r1;
-    let b = o.x * d.x + o.y * d.y - r0 * r1;
-    let c = o.x * o.x + o.y * o.y - r0 * r0;
-    if a.abs() > 1e-14 {
-        let disc = b * b - a * c;
-        if disc > 0.0 {
-            let root = disc.sqrt();
-            for t in [(-b - root) / a, (-b + root) / a] {
-                let p = o + d * t;
-                let normal = DVec3::new(p.x, p.y, -slope * (r0 + r1 * t)).normalize_or_zero();
-                // Keeps the nearer sheet that lies between the caps and faces the ray.
-                if p.z.abs() <= half.z
-                    && r0 + r1 * t >= 0.0
-                    && normal.dot(d) < 0.0
-                    && best.is_none_or(|e| t < e.t)
-                {
-                    best = Some(Entry { t, normal });
+impl Solids {
+    pub fn new(all: Vec<Solid>) -> Self {
+        let bounds: Vec<Bounds> = all.iter().map(Bounds::of).collect();
+        let mut objects: Vec<(Bounds, Range<usize>)> = Vec::new();
+        for (i, own) in bounds.iter().enumerate() {
+            match objects.last_mut() {
+                Some((around, solids)) if all[i - 1].instance == all[i].instance => {
+                    *around = around.union(*own);
+                    solids.end = i + 1;
                 }
+                _ => objects.push((*own, i..i + 1)),
             }
         }
-    }
-    if d.z != 0.0 {
-        let side = -d.z.signum();
-        let t = (side * half.z - o.z) / d.z;
-        let p = o + d * t;
-        let radius = if side > 0.0 { top } else { bottom };
-        if p.x * p.x + p.y * p.y <= radius * radius && best.is_none_or(|e| t < e.t) {
-            best = Some(Entry {
-                t,
-                normal: DVec3::Z * side,
-            });
+        Self {
+            all,
+            bounds,
+            objects,
         }
     }
-    best
+
+    /// The solids that a ray hits with `near < t < far`, in no order.
+    fn hits(&self, o: DVec3, d: DVec3, near: f64, far: f64) -> impl Iterator<Item = Hit> {
+        let inverse = d.recip();
+        let met = move |bounds: &Bounds| bounds.meets(o, inverse, near, far);
+        let objects = self.objects.iter().filter(move |(around, _)| met(around));
+        let solids = objects.flat_map(|(_, solids)| solids.clone());
+        solids
+            .filter(move |&i| met(&self.bounds[i]))
+            .filter_map(move |i| {
+                let solid = &self.all[i];
+                let (t, normal) =
+                    solid.entry(solid.to_local(o), solid.axes.transpose() * d, near, far)?;
+                Some(Hit {
+                    t,
+                    solid: i,
+                    normal,
+                })
+            })
+    }
+
+    /// The first solid that a ray hits with `near < t < far`.
+    pub fn first(&self, o: DVec3, d: DVec3, near: f64, far: f64) -> Option<Hit> {
+        nearest(self.hits(o, d, near, far))
+    }
+
+    /// The same among the solids that cast shadows.
+    pub fn first_opaque(&self, o: DVec3, d: DVec3, far: f64) -> Option<Hit> {
+        nearest(self.opaque(o, d, far))
+    }
+
+    /// Whether any solid that casts shadows lies between `o` and `o + d`.
+    pub fn blocked(&self, o: DVec3, d: DVec3) -> bool {
+        self.opaque(o, d, 1.0).next().is_some()
+    }
+
+    fn opaque(&self, o: DVec3, d: DVec3, far: f64) -> impl Iterator<Item = Hit> {
+        self.hits(o, d, 0.0, far)
+            .filter(|hit| self.all[hit.solid].casts_shadow)
+    }
 }
 
-/// Box swept by a sphere: flat faces first, then the twelve edge cylinders and eight corner spheres. The solid is
-/// convex, so its entry is the first entry of any of these parts.
-fn enter_rounded(o: DVec3, d: DVec3, half: DVec3, radius: f64) -> Option<Entry> {
-    let outer = enter_box(o, d, half)?;
-    let inner = half - DVec3::splat(radius);
-    let on_face = (o + d * outer.t) * (DVec3::ONE - outer.normal.abs());
-    if on_face.abs().cmple(inner).all() {
-        return Some(outer);
-    }
-    let mut t = f64::INFINITY;
-    for axis in 0..3 {
-        let mut part = inner;
-        part[axis] = half[axis];
-        if let Some(e) = enter_box(o, d, part) {
-            t = t.min(e.t);
-        }
-        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        for (su, sv) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
-            let (ou, ov) = (o[u] - su * inner[u], o[v] - sv * inner[v]);
-            let root = smaller_root(
-                d[u] * d[u] + d[v] * d[v],
-                ou * d[u] + ov * d[v],
-                ou * ou + ov * ov - radius * radius,
-            );
-            if let Some(s) = root.filter(|s| (o[axis] + d[axis] * s).abs() <= inner[axis]) {
-                t = t.min(s);
-            }
-        }
-    }
-    for corner in 0..8 {
-        let sign = |bit: usize| if corner >> bit & 1 == 1 { 1.0 } else { -1.0 };
-        let c = inner * DVec3::new(sign(0), sign(1), sign(2));
-        if let Some(s) = enter_sphere(o, d, c, radius) {
-            t = t.min(s);
-        }
-    }
-    let p = o + d * t;
-    t.is_finite().then(|| Entry {
-        t,
-        normal: (p - p.clamp(-inner, inner)).normalize_or_zero(),
-    })
+fn nearest(hits: impl Iterator<Item = Hit>) -> Option<Hit> {
+    hits.min_by(|a, b| a.t.total_cmp(&b.t))
 }
 
 #[cfg(test)]
@@ -288,27 +287,27 @@ mod tests {
                 let march = (0..3000)
                     .map(|i| i as f64 * 5e-4)
                     .find(|&t| inside(shape, half, s.to_local(o + d * t)));
-                let Some(e) = s.hit(o, d, 0.0, 10.0) else {
+                let Some((t, normal)) = s.entry(s.to_local(o), s.axes.transpose() * d, 0.0, 10.0)
+                else {
                     // A grazing ray may slip between two marched samples, never the other way round.
                     assert!(march.is_none(), "{shape:?} missed");
                     continue;
                 };
                 hits += 1;
-                let p = s.to_local(o + d * e.t);
+                let p = s.to_local(o + d * t);
                 assert!(
-                    inside(shape, half, p - e.normal * 1e-6),
+                    inside(shape, half, p - normal * 1e-6),
                     "{shape:?} {p} {}",
-                    e.normal
+                    normal
                 );
                 assert!(
-                    !inside(shape, half, p + e.normal * 1e-6),
+                    !inside(shape, half, p + normal * 1e-6),
                     "{shape:?} {p} {}",
-                    e.normal
+                    normal
                 );
                 assert!(
-                    march.is_none_or(|t| t >= e.t - 1e-9),
-                    "{shape:?} something before {}",
-                    e.t
+                    march.is_none_or(|marched| marched >= t - 1e-9),
+                    "{shape:?} something before {t}"
                 );
             }
             assert!(hits > 500, "{shape:?} {hits}");

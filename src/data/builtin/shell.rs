@@ -34,7 +34,7 @@ impl Decorator<'_> {
         let floor = match self.rng.random_range(0..4) {
             0 => Pattern::Planks(light, dark, 0.2),
             1 => Pattern::Parquet(light, dark, 0.45),
-            2 => Pattern::Tiles(rgb(0xd6cbb8), rgb(0xa89a86), rgb(0x8b8378), 0.45),
+            2 => Pattern::Parquet(rgb(0xd6cbb8), rgb(0xa89a86), 0.45),
             _ => Pattern::Planks(light * 0.9, dark, 0.26),
         };
         let floor = self.builder.matt(floor);
@@ -54,7 +54,7 @@ impl Decorator<'_> {
         let special = match self.rng.random_range(0..4) {
             0 => Pattern::Motif(tone, tone * 0.72, 0.42),
             1 => Pattern::Stripes(tone, tone * 0.8, 0.5),
-            2 => Pattern::Bricks(rgb(0xb07a5c), rgb(0xc9b9a4)),
+            2 => Pattern::Clouds(rgb(0xb07a5c), rgb(0x97654a), 0.3),
             _ => Pattern::Clouds(color * 0.8, color * 0.68, 0.6),
         };
         let special = self.builder.matt(special);
@@ -205,8 +205,8 @@ impl Decorator<'_> {
     /// A rug; it counts as floor, as carpets do in indoor data sets. Cut to the room.
     pub fn rug(&mut self, at: DVec3, turn: f64, [w, d]: [f64; 2]) {
         let colors = self.style.three(self.rng);
-        let rug = Pattern::Rug(self.rng.random_range(0..4), colors);
-        let wool = self.builder.matt(rug);
+        let spacing = [0.42, 0.5, 0.34, 0.6][self.rng.random_range(0..4)];
+        let wool = self.builder.matt(Pattern::Rug(spacing, colors));
         // Half extents along room axes; rugs lie at right angles to the walls.
         let turned = turn.sin().abs() > 0.5;
         let flat = if turned {

@@ -3,7 +3,6 @@
 use super::{notices, photometric_poses, poses};
 use crate::config::Layout;
 use crate::data::formats::frame::Frame;
-use crate::data::formats::layout;
 use crate::data::formats::listing::{Listing, Problems};
 use crate::data::labels::frame_labels::FrameLabels;
 use crate::data::{LoadOptions, Split};
@@ -30,7 +29,7 @@ pub struct Checked {
 pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
     let mut problems = Problems::default();
     let mut checked = Checked::default();
-    let listing = layout::list(dir, options, &mut problems);
+    let listing = notices::list(dir, options, &mut problems);
     if let Some(mut listing) = problems.keep(listing) {
         checked.layout = Some(listing.layout);
         checked.frames = listing.frames.len();

@@ -1,11 +1,11 @@
 //! What a scene folder holds, in figures and small pictures, without holding all of it in memory.
 
-use super::poses::evenly;
+use super::notices;
 use crate::data::formats::frame::Frame;
-use crate::data::formats::layout;
 use crate::data::formats::listing::{Listing, Problems, in_order, scene_name};
 use crate::data::labels::frame_labels::FrameLabels;
 use crate::data::labels::raw::RawMap;
+use crate::data::options::evenly;
 use crate::data::{Classes, LabelMap, LoadOptions, Split};
 use crate::error::Result;
 use glam::DVec3;
@@ -178,7 +178,7 @@ fn class_shares(listing: &Listing, frames: &[FrameInfo]) -> Vec<ClassShare> {
 
 fn listing(dir: &Path, options: &LoadOptions) -> Result<Listing> {
     let mut problems = Problems::default();
-    let listing = layout::list(dir, options, &mut problems)?;
+    let listing = notices::list(dir, options, &mut problems)?;
     problems.first()?;
     listing.check_sizes(&options.limits)?;
     Ok(listing)

@@ -1,15 +1,18 @@
 //! Notices on poses, intrinsics, labels and the initial cloud: what loads but is seldom intended.
 
 use crate::config::Layout;
-use crate::data::formats::frame::Frame;
-use crate::data::formats::listing::{Cloud, Listing};
-use crate::data::{Scene, Split};
+use crate::data::formats::frame::{Frame, reduced};
+use crate::data::formats::layout;
+use crate::data::formats::listing::{Cloud, Listing, Problems, first_names};
+use crate::data::labels::mask_file;
+use crate::data::photos::image_file::ImageFile;
+use crate::data::{LoadOptions, MapGeometry, Scene, Split};
+use crate::error::Result;
 use crate::splat::camera::Camera;
 use glam::DVec3;
 use std::collections::HashMap;
+use std::path::Path;
 
-/// Names that a notice lists.
-const NAMES: usize = 3;
 /// Cameras nearer to each other than this, in world units, stand at one place.
 const ONE_PLACE: f64 = 1e-6;
 /// Fields of view, in degrees, outside of which no lens without fisheye projection lies.
@@ -20,13 +23,21 @@ const EXTENT: [f64; 2] = [1.0, 4.0];
 /// Focal length, principal point and length of one side of a photo.
 type Side = fn(&Camera) -> [f64; 3];
 
-/// The first few names, and how many more there are.
-pub(crate) fn first_names(names: &[impl AsRef<str>]) -> String {
-    let first: Vec<&str> = names.iter().take(NAMES).map(AsRef::as_ref).collect();
-    match names.len() - first.len() {
-        0 => first.join(", "),
-        more => format!("{} and {more} more", first.join(", ")),
-    }
+/// Lists the frames of a folder, with notices on poses, intrinsics, labels and masks.
+pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
+    let mut listing = layout::list(dir, options, problems)?;
+    let masks = mask_file::folder_name(dir, options, listing.layout);
+    let of_scene = [
+        large_photos(&listing, options.max_side),
+        assumed_undistorted(&listing, options),
+        unit(&listing, options.unit_is_metre),
+        without_mask(&listing, masks),
+    ];
+    let mut notices: Vec<String> = of_scene.into_iter().flatten().collect();
+    notices.extend(cameras(&listing));
+    notices.extend(without_raw(&listing));
+    listing.notices.extend(notices);
+    Ok(listing)
 }
 
 fn frame_names(frames: &[&Frame]) -> String {
@@ -36,7 +47,7 @@ fn frame_names(frames: &[&Frame]) -> String {
 
 /// Cameras of a COLMAP model, whose unit is arbitrary, at distances that are unusual for metres, where `unit_is_metre`.
 /// Without labels nothing needs the unit.
-pub(crate) fn unit(listing: &Listing, unit_is_metre: bool) -> Option<String> {
+fn unit(listing: &Listing, unit_is_metre: bool) -> Option<String> {
     let labelled = listing.frames.iter().any(|frame| frame.raw.is_some());
     let mean = listing.origin();
     let distances = listing
@@ -55,7 +66,7 @@ pub(crate) fn unit(listing: &Listing, unit_is_metre: bool) -> Option<String> {
 }
 
 /// Photos that are reduced to `most` pixels a side; 0 is no limit.
-pub(crate) fn large_photos(listing: &Listing, most: usize) -> Option<String> {
+fn large_photos(listing: &Listing, most: usize) -> Option<String> {
     let is_large =
         |frame: &&Frame| !frame.resizable && frame.camera.width.max(frame.camera.height) > most;
     let count = listing.frames.iter().filter(is_large).count();
@@ -64,7 +75,7 @@ pub(crate) fn large_photos(listing: &Listing, most: usize) -> Option<String> {
 }
 
 /// Photos without a mask where others have one, or where `folder` holds masks.
-pub(crate) fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<String> {
+fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<String> {
     let without: Vec<&Frame> = listing
         .frames
         .iter()
@@ -213,7 +224,7 @@ fn unusual_field_of_view(posed: &[&Frame], side: Side, field: &str) -> Option<St
 }
 
 /// Training frames without raw labels where others have some.
-pub(crate) fn without_raw(listing: &Listing) -> Option<String> {
+fn without_raw(listing: &Listing) -> Option<String> {
     let train = listing
         .frames
         .iter()
@@ -266,6 +277,32 @@ pub(crate) fn turned<'a>(frames: impl Iterator<Item = (&'a Frame, bool)>) -> Opt
              or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them",
             turned.len(),
             frame_names(&turned)
+        )
+    })
+}
+
+/// A notice where only the size of a map says that lens distortion is already taken out of it. Looks at the first raw labels
+/// of a photo with distortion.
+fn assumed_undistorted(listing: &Listing, options: &LoadOptions) -> Option<String> {
+    let mut distorted = listing
+        .frames
+        .iter()
+        .filter(|frame| !frame.lens.is_pinhole() && !frame.resizable);
+    let (map, size) = distorted.find_map(|frame| {
+        let size = reduced((frame.camera.width, frame.camera.height), options.max_side)?;
+        Some((frame.raw.as_ref().filter(|map| map.is_file())?, size))
+    })?;
+    let is_declared = listing.geometries.of(map).is_some();
+    // A file that cannot be read is reported where it is read.
+    let file = ImageFile::open(map, &options.limits).ok()?;
+    (!is_declared && file.size == size).then(|| {
+        format!(
+            "{}: label maps of {}x{} pixels, to which photos are reduced, are taken for maps that coseg wrote, without \
+             lens distortion; if they are of photos that were only reduced, write {{\"maps\": \"photos\"}} into {}",
+            map.display(),
+            size.0,
+            size.1,
+            map.with_file_name(MapGeometry::FILE).display()
         )
     })
 }

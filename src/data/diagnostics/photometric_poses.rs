@@ -4,10 +4,10 @@
 //! convention they are found; with another they are compared along wrong lines, and found by chance only.
 
 use super::convention::Convention;
-use super::poses::evenly;
 use crate::data::Limits;
 use crate::data::formats::frame::Frame;
 use crate::data::formats::listing::Listing;
+use crate::data::options::evenly;
 use crate::splat::camera::Camera;
 use glam::DVec3;
 use image::RgbImage;

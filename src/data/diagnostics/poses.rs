@@ -8,6 +8,7 @@ use super::convention::Convention;
 use crate::config::Layout;
 use crate::data::formats::frame::Frame;
 use crate::data::formats::listing::{Cloud, Listing};
+use crate::data::options::evenly;
 use crate::data::{Limits, Points, Scene};
 use crate::error::{Error, invalid};
 use crate::splat::camera::Camera;
@@ -165,12 +166,6 @@ fn shots(count: usize, shot: impl Fn(usize, bool) -> Shot + Sync) -> Vec<Shot> {
         .into_par_iter()
         .map(|place| shot(place, photos.contains(&place)))
         .collect()
-}
-
-/// At most `most` of `n` places, evenly chosen.
-pub(crate) fn evenly(n: usize, most: usize) -> Vec<usize> {
-    let taken = n.min(most);
-    (0..taken).map(|i| i * n / taken).collect()
 }
 
 fn anchors(points: &Points, origin: DVec3) -> Vec<Anchor> {

@@ -2,7 +2,7 @@
 
 use super::frame::Frame;
 use super::listing::in_order;
-use crate::data::diagnostics::poses::evenly;
+use crate::data::options::evenly;
 use crate::data::{LabelMap, Limits, Points, Split};
 use crate::error::Result;
 use glam::DVec3;

@@ -1,7 +1,7 @@
 //! One posed photo of a scene folder, and the camera of the view that it becomes.
 
 use crate::data::labels::scores::Placement;
-use crate::data::photos::image_file::ImageFile;
+use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::photos::lens::{Lens, Undistortion};
 use crate::data::photos::photo::Preprocessing;
 use crate::data::{LabelMap, Limits, MapGeometry, Split};
@@ -10,10 +10,6 @@ use crate::splat::camera::Camera;
 use image::RgbImage;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
-
-/// How far the proportions of a label map may be from those of its photo when it is resampled: ScanNet's own sizes,
-/// 1296x968 and 640x480, differ by 0.4 %.
-const PROPORTION: f64 = 0.02;
 
 /// One posed photo.
 pub(crate) struct Frame {
@@ -126,12 +122,6 @@ pub(crate) fn joined_name(photo: &Path) -> String {
         _ => None,
     });
     parts.collect::<Vec<_>>().join("_")
-}
-
-/// Whether two sizes have the same proportions, within [`PROPORTION`].
-pub(crate) fn proportional((w, h): (usize, usize), (width, height): (usize, usize)) -> bool {
-    let ratio = (w as f64 / h as f64) / (width as f64 / height as f64);
-    (ratio - 1.0).abs() < PROPORTION
 }
 
 /// The size to which a photo is reduced so that no side is longer than `most` pixels; `None` where it stays as it is, as

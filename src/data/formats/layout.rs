@@ -4,9 +4,7 @@ use super::listing::{Listing, Problems};
 use super::{colmap, replica, scannet, transforms};
 use crate::config::Layout;
 use crate::data::LoadOptions;
-use crate::data::diagnostics::notices;
-use crate::data::labels::map_geometry::{self, MapGeometries};
-use crate::data::labels::mask_file;
+use crate::data::labels::map_geometry::MapGeometries;
 use crate::error::{Error, Result, invalid};
 use crate::files::names;
 use std::path::Path;
@@ -168,18 +166,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     }?;
     let mut listing = listing.with_raw_labels(dir, options, problems);
     listing.geometries = MapGeometries::read(&listing.frames, problems);
-    let masks = mask_file::folder_name(dir, options, listing.layout);
-    let notices = [
-        unread_transforms(dir, options, listing.layout),
-        notices::large_photos(&listing, options.max_side),
-        map_geometry::assumed_undistorted(&listing, options),
-        notices::unit(&listing, options.unit_is_metre),
-        notices::without_mask(&listing, masks),
-    ];
-    let frames = notices::cameras(&listing)
-        .into_iter()
-        .chain(notices::without_raw(&listing));
-    let notices: Vec<String> = notices.into_iter().flatten().chain(frames).collect();
-    listing.notices.extend(notices);
+    let unread = unread_transforms(dir, options, listing.layout);
+    listing.notices.extend(unread);
     Ok(listing)
 }

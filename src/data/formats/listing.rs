@@ -4,7 +4,6 @@ use super::colmap;
 use super::depth::Depth;
 use super::frame::Frame;
 use crate::config::Layout;
-use crate::data::diagnostics::notices;
 use crate::data::labels::frame_labels::FrameLabels;
 use crate::data::labels::map_geometry::MapGeometries;
 use crate::data::labels::raw::{self, RawLabels};
@@ -194,8 +193,9 @@ impl Listing {
         level_up(&cameras)
     }
 
-    /// Decodes everything, a few files at a time. The second value is a notice on photos that may have been turned.
-    pub fn load(&self, dir: &Path, options: &LoadOptions) -> Result<(Scene, Option<String>)> {
+    /// Decodes everything, a few files at a time. The second value tells of each frame whether its photo may have been turned
+    /// for its labels.
+    pub fn load(&self, dir: &Path, options: &LoadOptions) -> Result<(Scene, Vec<bool>)> {
         self.check_sizes(&options.limits)?;
         let cache = Arc::new(PhotoCache::new(options.decoded_mb.saturating_mul(1 << 20)));
         let origin = self.origin();
@@ -213,7 +213,7 @@ impl Listing {
             origin,
             up: self.up(),
         };
-        Ok((scene, notices::turned(self.frames.iter().zip(turned))))
+        Ok((scene, turned))
     }
 
     /// The view of a frame, and whether its photo may have been turned for its labels.
@@ -276,6 +276,18 @@ impl Listing {
                 .retain(|class| occurs[usize::from(class.id)]);
         }
         classes
+    }
+}
+
+/// Names that a notice lists.
+const NAMES: usize = 3;
+
+/// The first few names, and how many more there are.
+pub(crate) fn first_names(names: &[impl AsRef<str>]) -> String {
+    let first: Vec<&str> = names.iter().take(NAMES).map(AsRef::as_ref).collect();
+    match names.len() - first.len() {
+        0 => first.join(", "),
+        more => format!("{} and {more} more", first.join(", ")),
     }
 }
 

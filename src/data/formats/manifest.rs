@@ -1,4 +1,4 @@
-//! Manifests: what is known of a published scene that cannot be shipped, so that its name means the same data to
+//! Manifests: the layout and files of a published scene that cannot be shipped, so that its name means the same data to
 //! everybody.
 
 use crate::config::{Layout, ScannetClasses};
@@ -7,34 +7,19 @@ use crate::error::{Error, Result, invalid};
 use crate::files;
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
-
-const AGAIN: &str = "unpack the dataset again";
 
 /// A file of `data_manifests/`.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
-    /// Name of the scene.
-    pub name: String,
-    /// Page of the dataset, where it can be had and on which terms.
+    /// Page where the dataset can be had, and on which terms.
     pub source: String,
-    /// Licence as that page states it.
-    pub licence: String,
-    /// Folder of the scene within the dataset as it is unpacked.
-    pub folder: String,
-    /// How that folder is laid out.
+    /// How the folder of the scene is laid out.
     pub layout: Layout,
-    /// Which frames are held out, in words.
-    pub split: String,
     /// Class table; absent for scenes without labels.
     pub classes: Option<ClassTable>,
-    /// Id of unlabelled pixels.
-    pub ignore: u16,
-    /// How ids in the label maps become class ids; absent: they are class ids.
-    pub label_map: Option<LabelMapping>,
     /// Files that must be there.
     #[serde(default)]
     pub files: Vec<ExpectedFile>,
@@ -50,23 +35,6 @@ pub enum ClassTable {
     Nyu40,
     /// The 20 of them that ScanNet's benchmark counts.
     Scannet20,
-}
-
-/// How ids in label maps become class ids, many to one.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(untagged)]
-pub enum LabelMapping {
-    /// By two columns of a tab-separated table that comes with the dataset.
-    Table {
-        /// Name of the table.
-        table: String,
-        /// Column of the ids in the label maps.
-        from: String,
-        /// Column of the class ids.
-        to: String,
-    },
-    /// Id by id.
-    Ids(BTreeMap<String, u16>),
 }
 
 /// A file, or files with a number in their names, that a scene must have.
@@ -115,7 +83,7 @@ impl Manifest {
     pub fn check(&self, dir: &Path) -> Vec<Error> {
         self.files
             .iter()
-            .filter_map(|file| file.check(dir).err())
+            .filter_map(|file| file.check(dir, &self.source).err())
             .collect()
     }
 }
@@ -133,7 +101,8 @@ impl ExpectedFile {
         }
     }
 
-    fn check(&self, dir: &Path) -> Result<()> {
+    fn check(&self, dir: &Path, source: &str) -> Result<()> {
+        let again = format!("unpack the dataset again ({source})");
         let paths = self.paths(dir);
         let missing: Vec<&PathBuf> = paths.iter().filter(|path| !path.is_file()).collect();
         if let [first, rest @ ..] = &missing[..] {
@@ -142,7 +111,7 @@ impl ExpectedFile {
                 more => format!(", and {more} more of {} are missing", paths.len()),
             };
             return Err(invalid!(first, "{}", self.path; found "no such file{more}";
-                expected "a file that the manifest lists"; help "{AGAIN}"));
+                expected "a file that the manifest lists"; help "{again}"));
         }
         let Some(path) = paths.first().filter(|_| self.count.is_none()) else {
             return Ok(());
@@ -152,7 +121,7 @@ impl ExpectedFile {
             .len();
         if let Some(size) = self.size.filter(|size| *size != length) {
             return Err(
-                invalid!(path, "size"; found "{length} bytes"; expected "{size} bytes"; help "{AGAIN}"),
+                invalid!(path, "size"; found "{length} bytes"; expected "{size} bytes"; help "{again}"),
             );
         }
         let Some(expected) = &self.sha256 else {
@@ -166,6 +135,6 @@ impl ExpectedFile {
         if found.eq_ignore_ascii_case(expected) {
             return Ok(());
         }
-        Err(invalid!(path, "sha256"; found "{found}"; expected "{expected}"; help "{AGAIN}"))
+        Err(invalid!(path, "sha256"; found "{found}"; expected "{expected}"; help "{again}"))
     }
 }

@@ -222,13 +222,8 @@ fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Intrinsics, f64)>
 /// Semantic-NeRF renders with a field of view of 90 degrees across, square pixels, the centre in the middle.
 fn right_angle(photo: &Path, limits: &Limits) -> Result<Intrinsics> {
     let (width, height) = ImageFile::open(photo, limits)?.size;
-    let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
-    Ok(Intrinsics {
-        fx: cx,
-        fy: cx,
-        cx,
-        cy,
-        width,
-        height,
-    })
+    Ok(Intrinsics::centred(
+        [0.5 * width as f64; 2],
+        [width, height],
+    ))
 }

@@ -1,11 +1,11 @@
 //! The label maps of a frame, as the camera of its view sees them.
 
 use super::raw::RawMap;
-use crate::data::formats::frame::{Frame, Geometry, proportional};
+use crate::data::formats::frame::{Frame, Geometry};
 use crate::data::formats::listing::Listing;
 use crate::data::labels::scores;
 use crate::data::mask::Mask;
-use crate::data::photos::image_file::ImageFile;
+use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::{LabelMap, Limits, ViewScores};
 use crate::error::{Error, Result};
 use std::path::Path;

@@ -1,9 +1,8 @@
 //! Which camera label maps belong to, as a file beside them says.
 
-use crate::data::formats::frame::{Frame, reduced};
-use crate::data::formats::listing::{Listing, Problems};
-use crate::data::photos::image_file::ImageFile;
-use crate::data::{LoadOptions, atomic};
+use crate::data::atomic;
+use crate::data::formats::frame::Frame;
+use crate::data::formats::listing::Problems;
 use crate::error::Result;
 use crate::files;
 use serde::{Deserialize, Serialize};
@@ -12,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 /// Which camera the label maps of a folder belong to, as `geometry.json` in it says.
 ///
-/// Without that file maps belong to the stored photos, except maps of the very size that [`LoadOptions::max_side`] reduces a
+/// Without that file maps belong to the stored photos, except maps of the very size that `data.max_side` reduces a
 /// photo to, which are taken for maps of the loaded scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -81,30 +80,4 @@ impl MapGeometries {
     pub fn of(&self, map: &Path) -> Option<MapGeometry> {
         self.0.get(map.parent()?).copied()
     }
-}
-
-/// A notice where only the size of a map says that lens distortion is already taken out of it. Looks at the first raw labels
-/// of a photo with distortion.
-pub(crate) fn assumed_undistorted(listing: &Listing, options: &LoadOptions) -> Option<String> {
-    let mut distorted = listing
-        .frames
-        .iter()
-        .filter(|frame| !frame.lens.is_pinhole() && !frame.resizable);
-    let (map, size) = distorted.find_map(|frame| {
-        let size = reduced((frame.camera.width, frame.camera.height), options.max_side)?;
-        Some((frame.raw.as_ref().filter(|map| map.is_file())?, size))
-    })?;
-    let is_declared = listing.geometries.of(map).is_some();
-    // A file that cannot be read is reported where it is read.
-    let file = ImageFile::open(map, &options.limits).ok()?;
-    (!is_declared && file.size == size).then(|| {
-        format!(
-            "{}: label maps of {}x{} pixels, to which photos are reduced, are taken for maps that coseg wrote, without \
-             lens distortion; if they are of photos that were only reduced, write {{\"maps\": \"photos\"}} into {}",
-            map.display(),
-            size.0,
-            size.1,
-            map.with_file_name(MapGeometry::FILE).display()
-        )
-    })
 }

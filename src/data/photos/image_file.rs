@@ -1,7 +1,6 @@
 //! PNG and JPEG files, whole or refused: decoders forgive files that were cut off, training would not.
 
 use crate::data::Limits;
-use crate::data::formats::frame::proportional;
 use crate::error::{Error, Result, invalid};
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Rgb, RgbImage};
@@ -9,6 +8,9 @@ use sha2::{Digest, Sha256};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
+/// How far the proportions of a label map may be from those of its photo when it is resampled: ScanNet's own sizes,
+/// 1296x968 and 640x480, differ by 0.4 %.
+const PROPORTION: f64 = 0.02;
 /// Help for a picture that lies across.
 const ACROSS: &str = "it is turned by a quarter: some programs turn photos by their EXIF orientation and others do not; \
     apply it to the photos or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them";
@@ -151,6 +153,12 @@ impl ImageFile {
         });
         Ok((photo, transparent))
     }
+}
+
+/// Whether two sizes have the same proportions, within [`PROPORTION`].
+pub(crate) fn proportional((w, h): (usize, usize), (width, height): (usize, usize)) -> bool {
+    let ratio = (w as f64 / h as f64) / (width as f64 / height as f64);
+    (ratio - 1.0).abs() < PROPORTION
 }
 
 fn name(format: ImageFormat) -> &'static str {

@@ -5,7 +5,7 @@
 
 use super::position::PositionEmbedding;
 use super::{Block, HEAD, QUERIES, Vit};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::weights::Checkpoint;
 use burn::module::Param;
 use burn::nn::{LayerNorm, LayerNormConfig, Linear};
@@ -28,38 +28,34 @@ const PARTS: [&str; 6] = [
 const NETWORK: &str =
     "a DINO ViT (keys `cls_token`, `pos_embed`, `patch_embed.proj.*`, `blocks.N.*`, `norm.*`)";
 
-/// The weights under one prefix of a file.
-struct Weights<'a> {
-    file: Checkpoint,
-    prefix: String,
-    device: &'a Device,
-}
-
 impl Vit {
     /// Reads weights from a `.safetensors` file, or from any other file as a PyTorch checkpoint. Width, depth, patch size,
     /// hidden width and the grid of position embeddings are those of the tensors; there is a head for every [`HEAD`] channels.
     ///
     /// # Errors
-    /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is damaged, when tensors are missing, have
+    /// [`crate::Error::Io`] when the file cannot be read; [`crate::Error::Input`] when it is damaged, when tensors are missing, have
     /// shapes that do not go together, hold a value that is not finite, or belong to another network.
     pub fn load(path: &Path, device: &Device) -> Result<Self> {
         // The student and the optimiser's state are three quarters of a full checkpoint.
         let needed = |name: &str| !name.starts_with("student.") && !name.starts_with("optimizer.");
-        let mut weights = Weights::new(Checkpoint::open_where(path, needed)?, device);
-        if !weights.present("cls_token") {
-            weights = Weights::new(Checkpoint::open(path)?, device);
+        let mut file = network(Checkpoint::open_where(path, needed)?);
+        if !file.tensors.contains_key("cls_token") {
+            file = network(Checkpoint::open(path)?);
         }
+        let weights = Weights { file, device };
         weights.check_kind()?;
         let (width, patch) = weights.patch()?;
         let side = weights.side(width)?;
         let blocks = (0..weights.depth()?).map(|n| weights.block(n, width));
+        let places = 1 + side * side;
+        let positions = weights.tensor("pos_embed", &[1, places, width])?;
         Ok(Self {
             patch,
             embedding: weights.linear("patch_embed.proj", &[width, 3, patch, patch])?,
             class_token: weights.parameter("cls_token", [1, 1, width])?,
             positions: PositionEmbedding {
                 side,
-                values: weights.positions(side, width)?,
+                values: Param::from_tensor(positions.reshape([places, width])),
             },
             blocks: blocks.collect::<Result<_>>()?,
             norm: weights.norm("norm", width)?,
@@ -69,63 +65,40 @@ impl Vit {
     }
 }
 
-impl<'a> Weights<'a> {
-    /// Chooses the network: a teacher, else one under neither name, else a student.
-    fn new(file: Checkpoint, device: &'a Device) -> Self {
-        let prefixes = file
-            .tensors
-            .keys()
-            .filter_map(|name| name.strip_suffix("cls_token"));
-        let rank = |prefix: &str| match prefix {
-            p if p.split('.').any(|part| part == "teacher") => 0,
-            p if p.split('.').any(|part| part == "student") => 2,
-            _ => 1,
-        };
-        let prefixes = prefixes.filter(|p| p.is_empty() || p.ends_with('.'));
-        let prefix = prefixes
-            .min_by_key(|p| (rank(p), p.len()))
-            .unwrap_or_default()
-            .to_owned();
-        Self {
-            file: file.of_network(NETWORK),
-            prefix,
-            device,
+/// The tensors of the network in `file`: of the teacher, else of one under neither name, else of the student.
+fn network(file: Checkpoint) -> Checkpoint {
+    let rank = |prefix: &str| {
+        let mut parts = prefix.split('.');
+        match parts.find(|part| ["teacher", "student"].contains(part)) {
+            Some("teacher") => 0,
+            Some(_) => 2,
+            None => 1,
         }
-    }
+    };
+    let names = file.tensors.keys();
+    let prefix = names
+        .filter_map(|name| name.strip_suffix("cls_token"))
+        .filter(|prefix| prefix.is_empty() || prefix.ends_with('.'))
+        .min_by_key(|prefix| (rank(prefix), prefix.len()))
+        .unwrap_or_default()
+        .to_owned();
+    file.under(&prefix).of_network(NETWORK)
+}
 
-    fn present(&self, name: &str) -> bool {
-        self.file
-            .tensors
-            .contains_key(&format!("{}{name}", self.prefix))
-    }
+/// The weights of a file and where they go.
+struct Weights<'a> {
+    file: Checkpoint,
+    device: &'a Device,
+}
 
-    fn shape(&self, name: &str) -> Result<&[usize]> {
-        self.file.shape(&format!("{}{name}", self.prefix))
-    }
-
-    fn problem(&self, name: &str, found: impl Into<String>, expected: impl Into<String>) -> Error {
-        let name = format!("{}{name}", self.prefix);
-        self.file.problem(&name, found, expected)
-    }
-
-    /// Names below the prefix.
-    fn names(&self) -> impl Iterator<Item = &str> {
-        self.file
-            .tensors
-            .keys()
-            .filter_map(|name| name.strip_prefix(self.prefix.as_str()))
-    }
-
+impl Weights<'_> {
     /// Refuses relatives that compute something else: DINOv2 scales its layers and may have registers, iBOT masks.
     fn check_kind(&self) -> Result<()> {
-        for name in self.names() {
+        for name in self.file.tensors.keys() {
             let Some(rest) = name.strip_prefix("blocks.") else {
                 if name == "register_tokens" {
-                    return Err(self.problem(
-                        name,
-                        "this tensor",
-                        "none of this name: DINOv2's registers are not read",
-                    ));
+                    let expected = "none of this name: DINOv2's registers are not read";
+                    return Err(self.file.problem(name, "this tensor", expected));
                 }
                 continue;
             };
@@ -138,7 +111,7 @@ impl<'a> Weights<'a> {
                     "weight and bias of {} in each block, nothing else",
                     PARTS.join(", ")
                 );
-                return Err(self.problem(name, "this tensor", expected));
+                return Err(self.file.problem(name, "this tensor", expected));
             }
         }
         Ok(())
@@ -147,7 +120,7 @@ impl<'a> Weights<'a> {
     /// Width and patch size.
     fn patch(&self) -> Result<(usize, usize)> {
         let name = "patch_embed.proj.weight";
-        match *self.shape(name)? {
+        match *self.file.shape(name)? {
             [width, 3, patch, columns]
                 if patch == columns && patch > 0 && width > 0 && width % HEAD == 0 =>
             {
@@ -155,7 +128,9 @@ impl<'a> Weights<'a> {
             }
             ref other => {
                 let expected = format!("[width, 3, patch, patch], width a multiple of {HEAD}");
-                Err(self.problem(name, format!("shape {other:?}"), expected))
+                Err(self
+                    .file
+                    .problem(name, format!("shape {other:?}"), expected))
             }
         }
     }
@@ -163,7 +138,7 @@ impl<'a> Weights<'a> {
     /// Cells along a side of the grid of position embeddings.
     fn side(&self, width: usize) -> Result<usize> {
         let side = |tokens: usize| (tokens - 1).isqrt();
-        match *self.shape("pos_embed")? {
+        match *self.file.shape("pos_embed")? {
             [1, tokens, found]
                 if found == width && tokens > 1 && side(tokens).pow(2) == tokens - 1 =>
             {
@@ -172,28 +147,33 @@ impl<'a> Weights<'a> {
             ref other => {
                 let expected =
                     format!("[1, 1 + side x side, {width}], a class token and a square grid");
-                Err(self.problem("pos_embed", format!("shape {other:?}"), expected))
+                Err(self
+                    .file
+                    .problem("pos_embed", format!("shape {other:?}"), expected))
             }
         }
     }
 
-    /// One more than the highest number of a block. A gap shows when its tensors are asked for.
+    /// One more than the highest number of a block. A gap becomes an error when its tensors are read.
     fn depth(&self) -> Result<usize> {
-        let numbers = self
-            .names()
-            .filter_map(|name| name.strip_prefix("blocks.")?.split('.').next());
+        let names = self.file.tensors.keys();
+        let numbers = names.filter_map(|name| name.strip_prefix("blocks.")?.split('.').next());
         let mut depth = 0;
         for number in numbers {
             match number.parse::<usize>() {
                 Ok(n) if n < self.file.tensors.len() => depth = depth.max(n + 1),
                 _ => {
                     let name = format!("blocks.{number}");
-                    return Err(self.problem(&name, "this block", "blocks.0, blocks.1, ..."));
+                    return Err(self
+                        .file
+                        .problem(&name, "this block", "blocks.0, blocks.1, ..."));
                 }
             }
         }
         match depth {
-            0 => Err(self.problem("blocks.0", "no such block", "one or more")),
+            0 => Err(self
+                .file
+                .problem("blocks.0", "no such block", "one or more")),
             depth => Ok(depth),
         }
     }
@@ -201,11 +181,13 @@ impl<'a> Weights<'a> {
     fn block(&self, n: usize, width: usize) -> Result<Block> {
         let name = |part: &str| format!("blocks.{n}.{part}");
         let fc1 = name("mlp.fc1.weight");
-        let hidden = match *self.shape(&fc1)? {
+        let hidden = match *self.file.shape(&fc1)? {
             [hidden, found] if found == width && hidden > 0 => hidden,
             ref other => {
                 let expected = format!("[hidden, {width}]");
-                return Err(self.problem(&fc1, format!("shape {other:?}"), expected));
+                return Err(self
+                    .file
+                    .problem(&fc1, format!("shape {other:?}"), expected));
             }
         };
         Ok(Block {
@@ -238,11 +220,6 @@ impl<'a> Weights<'a> {
         Ok(norm)
     }
 
-    fn positions(&self, side: usize, width: usize) -> Result<Param<Tensor<2>>> {
-        let values = self.tensor("pos_embed", &[1, 1 + side * side, width])?;
-        Ok(Param::from_tensor(values.reshape([1 + side * side, width])))
-    }
-
     fn parameter<const D: usize>(&self, name: &str, shape: [usize; D]) -> Result<Param<Tensor<D>>> {
         let values = self.tensor(name, &shape)?;
         Ok(Param::from_tensor(values.reshape(shape)))
@@ -250,7 +227,7 @@ impl<'a> Weights<'a> {
 
     /// The values of a tensor of this shape, in one row.
     fn tensor(&self, name: &str, shape: &[usize]) -> Result<Tensor<1>> {
-        let values = self.file.get(&format!("{}{name}", self.prefix), shape)?;
+        let values = self.file.get(name, shape)?;
         let data = TensorData::new(values.to_vec(), [values.len()]);
         Ok(Tensor::from_data(data, self.device))
     }

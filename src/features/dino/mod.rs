@@ -188,10 +188,7 @@ impl Vit {
         let cells = Tensor::cat(vec![patches, class], 2);
         let cells = cells.reshape([1, rows, (count - 1) / rows, 2 * width]);
         let stride = self.patch as f64;
-        let steps = Steps {
-            stride,
-            offset: 0.5 * stride,
-        };
+        let steps = Steps::new(stride, 0.5 * stride);
         FeatureMap::from_tensor(cells, Some(steps), name)
     }
 

@@ -44,7 +44,7 @@ impl PositionEmbedding {
     }
 }
 
-/// The matrix `[to, from]` that interpolates `from` cells at `to` places. Beyond the grid its border cells go on.
+/// The matrix `[to, from]` that interpolates `from` cells at `to` places. Beyond the grid, border cells repeat.
 fn interpolation(from: usize, to: usize) -> Vec<f32> {
     let step = from as f64 / (to as f64 + MARGIN);
     let last = from as f64 - 1.0;

@@ -50,8 +50,6 @@ impl MobileNetV2 {
 /// The tensors of a file that no layer has taken yet.
 struct Weights<'a> {
     file: Checkpoint,
-    /// What precedes the names of layers: `features.` and its parents, such as `module.`.
-    prefix: String,
     /// Whether keys are torchvision's.
     nested: bool,
     device: &'a Device,
@@ -60,18 +58,14 @@ struct Weights<'a> {
 impl<'a> Weights<'a> {
     fn open(path: &Path, device: &'a Device) -> Result<Self> {
         let file = Checkpoint::open(path)?.of_network(NETWORK);
+        // `features.` and its parents, such as `module.`.
         let parents = |key: &String| Some(key.strip_suffix("0.0.weight")?.to_owned());
-        let prefix = file
-            .tensors
-            .keys()
-            .filter_map(parents)
-            .find(|prefix| prefix.ends_with("features."))
-            .unwrap_or_else(|| "features.".into());
-        let nested = format!("{prefix}1.conv.0.0.weight");
+        let mut prefixes = file.tensors.keys().filter_map(parents);
+        let prefix = prefixes.find(|prefix| prefix.ends_with("features."));
+        let file = file.under(&prefix.unwrap_or_else(|| "features.".into()));
         Ok(Self {
-            nested: file.tensors.contains_key(&nested),
+            nested: file.tensors.contains_key("1.conv.0.0.weight"),
             file,
-            prefix,
             device,
         })
     }
@@ -113,10 +107,8 @@ impl<'a> Weights<'a> {
         let variance_name = format!("{norm}.running_var");
         let variance = self.take(&variance_name, &[outputs])?;
         if let Some(negative) = variance.iter().find(|v| **v < 0.0) {
-            let name = format!("{}{variance_name}", self.prefix);
-            return Err(self
-                .file
-                .problem(&name, negative.to_string(), "none negative"));
+            let found = negative.to_string();
+            return Err(self.file.problem(&variance_name, found, "none negative"));
         }
         let scale: Vec<f64> = gamma
             .iter()
@@ -142,20 +134,16 @@ impl<'a> Weights<'a> {
     }
 
     fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
-        let name = format!("{}{name}", self.prefix);
-        let values = self.file.get(&name, shape)?.to_vec();
-        self.file.tensors.remove(&name);
+        let values = self.file.get(name, shape)?.to_vec();
+        self.file.tensors.remove(name);
         Ok(values)
     }
 
     /// Refuses tensors of further layers: they belong to another network.
     fn check_unused(&self) -> Result<()> {
-        let further = |name: &&String| {
-            name.strip_prefix(&self.prefix).is_some_and(|rest| {
-                !rest.starts_with("18.") && !rest.ends_with("num_batches_tracked")
-            })
-        };
-        match self.file.tensors.keys().find(further) {
+        let is_further =
+            |name: &&String| !name.starts_with("18.") && !name.ends_with("num_batches_tracked");
+        match self.file.tensors.keys().find(is_further) {
             Some(name) => Err(self.file.problem(name, "this tensor", "none of this name")),
             None => Ok(()),
         }

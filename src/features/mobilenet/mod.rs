@@ -49,22 +49,10 @@ const TAPS: [usize; SCALES] = [3, 6, 13, 17];
 /// that padding leaves out: small changes of photos move the maps of the ImageNet weights around these offsets (standard
 /// errors 0.1 to 0.8 pixels), near half a stride.
 pub const STEPS: [Steps; SCALES] = [
-    Steps {
-        stride: 4.0,
-        offset: 1.9,
-    },
-    Steps {
-        stride: 8.0,
-        offset: 3.0,
-    },
-    Steps {
-        stride: 16.0,
-        offset: 6.1,
-    },
-    Steps {
-        stride: 32.0,
-        offset: 11.6,
-    },
+    Steps::new(4.0, 1.9),
+    Steps::new(8.0, 3.0),
+    Steps::new(16.0, 6.1),
+    Steps::new(32.0, 11.6),
 ];
 
 /// A convolution with its batch normalisation folded in. The padding keeps the size at stride 1.

@@ -2,7 +2,7 @@
 
 use super::segments::SegmentWeights;
 use super::sums::SparseSums;
-use crate::ops::assignment;
+use crate::metrics::assignment;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
@@ -14,6 +14,8 @@ const UNKNOWN: f64 = 0.1;
 const RESIDUE: f32 = 1e-3;
 /// An unmatched segment is part of the group that claims more than this share of it.
 const CONTAINED: f64 = 0.5;
+/// Matching sums IoU in whole steps of one over this.
+const IOU_STEPS: f64 = (1_u64 << 48) as f64;
 
 /// Only segments of one category may belong together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -238,13 +240,14 @@ impl Groups {
         let mut columns: Vec<u32> = claimants.map(|(group, _)| *group).collect();
         columns.sort_unstable();
         columns.dedup();
-        let mut values = vec![0.0; things.len() * columns.len()];
+        let mut values = vec![0; things.len() * columns.len()];
         for (row, &n) in values.chunks_exact_mut(columns.len().max(1)).zip(&things) {
             let category = Category::from(&*pieces[n]);
             for &(group, claimed) in &overlaps.claimed[n] {
                 let iou = overlaps.iou(n, pieces[n].total, group, claimed);
                 if iou >= least && self.category(group) == category {
-                    row[columns.partition_point(|column| *column < group)] = iou;
+                    row[columns.partition_point(|column| *column < group)] =
+                        (iou * IOU_STEPS) as i64;
                 }
             }
         }

@@ -14,8 +14,8 @@
 //! among them, Gaussian by Gaussian and then pixel by pixel. (MaskClustering, arXiv 2401.07745, also counts the views that
 //! agree, and leaves such segments out.)
 //!
-//! Memory grows with the pairs of segments and Gaussians, 8 bytes each, and 4 more while the order of the views is found. It does
-//! not grow with their product.
+//! Memory grows with the pairs of segments and Gaussians, 8 bytes each, and as much again while the order of the views is found.
+//! It does not grow with their product.
 
 mod divide;
 mod groups;
@@ -39,9 +39,7 @@ use ownership::{extents, visible_in_views};
 use paint::paint;
 use segments::{UNLABELLED, ViewSegments, view_segments};
 use std::collections::{BTreeSet, HashMap};
-use std::convert::Infallible;
 use std::ops::ControlFlow;
-use sums::{Scratch, SparseSums};
 
 /// An object that segments of several views show.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,20 +72,20 @@ pub struct Association {
 }
 
 /// Why an association ended early.
-enum End<B> {
+enum End {
     /// The caller stopped it.
-    Stopped(B),
+    Stopped,
     Failed(Error),
 }
 
-impl<B> From<Error> for End<B> {
+impl From<Error> for End {
     fn from(error: Error) -> Self {
         Self::Failed(error)
     }
 }
 
 /// Receives the number of views done since the last call. Its error ends the association.
-type Progress<'p, B> = dyn FnMut(usize) -> Result<(), End<B>> + 'p;
+type Progress<'p> = dyn FnMut(usize) -> Result<(), End> + 'p;
 
 impl Association {
     /// Steps of [`associate_until`] in all: one for each pass over each view.
@@ -133,12 +131,12 @@ pub fn associate(
     config: &AssociationConfig,
     settings: &Settings,
 ) -> Result<Association> {
-    let go_on = &mut |_: usize| ControlFlow::<Infallible>::Continue(());
-    let ControlFlow::Continue(found) = associate_until(gaussians, scene, config, settings, go_on)?;
-    Ok(found)
+    let go_on = &mut |_| ControlFlow::Continue(());
+    let found = associate_until(gaussians, scene, config, settings, go_on)?;
+    Ok(found.expect("nothing stops it"))
 }
 
-/// [`associate`], until `progress` breaks. It receives the steps done since its last call, [`Association::steps`] in all; 0 only
+/// [`associate`], or `None` where `progress` breaks. It receives the steps done since its last call, [`Association::steps`] in all; 0 only
 /// asks whether to go on.
 ///
 /// # Errors
@@ -146,13 +144,13 @@ pub fn associate(
 ///
 /// # Panics
 /// As [`associate`].
-pub fn associate_until<B>(
+pub fn associate_until(
     gaussians: &Gaussians,
     scene: &Scene,
     config: &AssociationConfig,
     settings: &Settings,
-    progress: &mut dyn FnMut(usize) -> ControlFlow<B>,
-) -> Result<ControlFlow<B, Association>> {
+    progress: &mut dyn FnMut(usize) -> ControlFlow<()>,
+) -> Result<Option<Association>> {
     let run = Run {
         gaussians,
         scene,
@@ -161,11 +159,11 @@ pub fn associate_until<B>(
     };
     let found = run.associate(&mut |views| match progress(views) {
         ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(stop) => Err(End::Stopped(stop)),
+        ControlFlow::Break(()) => Err(End::Stopped),
     });
     match found {
-        Ok(found) => Ok(ControlFlow::Continue(found)),
-        Err(End::Stopped(stop)) => Ok(ControlFlow::Break(stop)),
+        Ok(found) => Ok(Some(found)),
+        Err(End::Stopped) => Ok(None),
         Err(End::Failed(error)) => Err(error),
     }
 }
@@ -179,12 +177,10 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    fn associate<B>(&self, progress: &mut Progress<'_, B>) -> Result<Association, End<B>> {
-        let count = self.gaussians.len();
-        let scratch = Scratch::new(move || SparseSums::new(count));
+    fn associate(&self, progress: &mut Progress) -> Result<Association, End> {
         let mut views = Vec::new();
         for view in self.scene.split(Split::Train) {
-            views.push(self.segments(view, &scratch)?);
+            views.push(self.segments(view)?);
             progress(1)?;
         }
         if views.iter().all(|view| view.segments.is_empty()) {
@@ -193,10 +189,10 @@ impl Run<'_> {
             let help = "add raw labels, or set data.association = \"none\"";
             return Err(Error::config("data.association", found, expected, help).into());
         }
-        let mut groups = Groups::new(count);
+        let mut groups = Groups::new(self.gaussians.len());
         let assigned = sweeps::form_groups(&mut groups, &views, self.config, progress)?;
         let (kept, found) = listed(&groups, &assigned)?;
-        let maps = self.maps(&mut groups, &views, &assigned, &kept, &scratch, progress)?;
+        let maps = self.maps(&mut groups, &views, &assigned, &kept, progress)?;
         let segments = || assigned.iter().flat_map(Assigned::by_segment);
         let categories = kept.iter().map(|&group| groups.category(group));
         Ok(Association {
@@ -213,23 +209,22 @@ impl Run<'_> {
         })
     }
 
-    fn segments(&self, view: &View, scratch: &Scratch<SparseSums>) -> Result<ViewSegments> {
+    fn segments(&self, view: &View) -> Result<ViewSegments> {
         match &view.raw {
-            Some(raw) => view_segments(self.gaussians, view, &raw.map(), self.settings, scratch),
+            Some(raw) => view_segments(self.gaussians, view, &raw.map(), self.settings),
             None => Ok(ViewSegments::default()),
         }
     }
 
     /// The raw labels of all views in ids of the groups that are `kept`.
-    fn maps<B>(
+    fn maps(
         &self,
         groups: &mut Groups,
         views: &[ViewSegments],
         assigned: &[Assigned<'_>],
         kept: &[u32],
-        scratch: &Scratch<SparseSums>,
-        progress: &mut Progress<'_, B>,
-    ) -> Result<Vec<Option<LabelRuns>>, End<B>> {
+        progress: &mut Progress,
+    ) -> Result<Vec<Option<LabelRuns>>, End> {
         let ids: HashMap<u32, u16> = kept.iter().copied().zip(1..).collect();
         let ids = |group: u32| ids.get(&group).copied().unwrap_or(UNLABELLED);
         let sizes = extents(groups.len(), &visible_in_views(groups, views));
@@ -245,9 +240,8 @@ impl Run<'_> {
             progress(1)?;
         }
         for (v, view) in slots().filter(|(_, view)| view.split == Split::Test) {
-            let segments = self.segments(view, scratch)?;
-            let least = self.config.min_overlap;
-            let assigned = sweeps::assign_view(groups, &segments, &sizes, least);
+            let segments = self.segments(view)?;
+            let assigned = sweeps::assign_view(groups, &segments, &sizes, sweeps::MIN_OVERLAP);
             maps[v] = paint(view, &assigned)?;
             progress(1)?;
         }

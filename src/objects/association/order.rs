@@ -1,25 +1,21 @@
 //! The order of the views in the first sweep.
 
-use super::segments::{SegmentWeights, ViewSegments};
-use super::sums::SparseRows;
+use super::segments::ViewSegments;
 
 /// Views in an order of overlap. Each is the one with most weight on Gaussians that the views before it show; the first is the
 /// one with most weight. Ties go to the lower index. Time grows with the pairs of segments and Gaussians, not with the number of
 /// views.
 pub(super) fn view_order(views: &[ViewSegments], gaussians: usize) -> Vec<usize> {
-    let segments: Vec<(usize, &SegmentWeights)> = views
-        .iter()
-        .enumerate()
-        .flat_map(|(v, view)| view.segments.iter().map(move |segment| (v, segment)))
-        .collect();
-    let entries = (0..)
-        .zip(&segments)
-        .flat_map(|(n, (_, segment))| segment.weights.iter().map(move |(g, _)| (*g, n)));
-    let segments_of = SparseRows::<u32>::new(gaussians, entries);
+    // For each Gaussian the views that show it, with the weights of their segments.
+    let mut shown: Vec<Vec<(u32, f32)>> = vec![Vec::new(); gaussians];
+    for (v, view) in (0..).zip(views) {
+        for &(gaussian, weight) in view.segments.iter().flat_map(|s| &s.weights) {
+            shown[gaussian as usize].push((v, weight));
+        }
+    }
     let total = |view: &ViewSegments| view.segments.iter().map(|segment| segment.total).sum();
     let totals: Vec<f64> = views.iter().map(total).collect();
     let mut known = vec![0.0_f64; views.len()];
-    let mut seen = vec![false; gaussians];
     let mut left: Vec<usize> = (0..views.len()).collect();
     let mut order = Vec::with_capacity(views.len());
     while !left.is_empty() {
@@ -33,29 +29,20 @@ pub(super) fn view_order(views: &[ViewSegments], gaussians: usize) -> Vec<usize>
         order.push(view);
         let weights = views[view].segments.iter().flat_map(|s| &s.weights);
         for &(gaussian, _) in weights {
-            if std::mem::replace(&mut seen[gaussian as usize], true) {
-                continue;
-            }
-            for &n in segments_of.row(gaussian) {
-                let (v, segment) = segments[n as usize];
-                known[v] += segment.weight_on(gaussian);
+            // Counted once.
+            for (v, weight) in std::mem::take(&mut shown[gaussian as usize]) {
+                known[v as usize] += f64::from(weight);
             }
         }
     }
     order
 }
 
-impl SegmentWeights {
-    fn weight_on(&self, gaussian: u32) -> f64 {
-        let place = self.weights.binary_search_by_key(&gaussian, |(g, _)| *g);
-        place.map_or(0.0, |place| f64::from(self.weights[place].1))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::data::Segment;
+    use crate::objects::association::segments::SegmentWeights;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 

@@ -2,7 +2,7 @@
 
 use super::ownership::{Evidence, evidence, extents, visible};
 use super::segments::ViewSegments;
-use super::sums::{Scratch, SparseRows, SparseSums};
+use super::sums::SparseSums;
 use rayon::prelude::*;
 
 /// A Gaussian of one of two parts.
@@ -24,21 +24,25 @@ pub(super) fn pair_evidence(
     if pairs.is_empty() {
         return Vec::new();
     }
-    let entries = (0..)
-        .zip(pairs)
-        .flat_map(|(pair, parts)| parts.iter().map(move |part| (pair, part)))
-        .map(|(pair, part): (u32, _)| (part.gaussian, (2 * pair + part.side, part.share)));
-    let index = SparseRows::new(gaussians, entries);
+    // For each Gaussian the parts that have it.
+    let mut parts_of: Vec<Vec<(u32, f64)>> = vec![Vec::new(); gaussians];
+    for (pair, parts) in (0..).zip(pairs) {
+        for part in *parts {
+            parts_of[part.gaussian as usize].push((2 * pair + part.side, part.share));
+        }
+    }
     let sets = 2 * pairs.len();
-    let scratch = Scratch::new(move || SparseSums::new(sets));
     let views: Vec<_> = views
         .par_iter()
-        .map(|view| {
-            visible(view, &mut scratch.borrow(), |gaussian, weight| {
-                let sets = index.row(gaussian).iter();
-                sets.map(move |&(set, share)| (set, weight * share))
-            })
-        })
+        .map_init(
+            || SparseSums::new(sets),
+            |sums, view| {
+                visible(view, sums, |gaussian, weight| {
+                    let sets = parts_of[gaussian as usize].iter();
+                    sets.map(move |&(set, share)| (set, weight * share))
+                })
+            },
+        )
         .collect();
     let extents = extents(sets, &views);
     (0..pairs.len() as u32)

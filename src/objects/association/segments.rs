@@ -1,6 +1,6 @@
 //! What each segment of a view covers: the weight `alpha' T` of its pixels on every Gaussian.
 
-use super::sums::{Scratch, SparseSums};
+use super::sums::SparseSums;
 use crate::data::{LabelMap, Segment, View};
 use crate::error::Result;
 use crate::raster::{Projected, Settings};
@@ -36,13 +36,12 @@ pub(super) struct ViewSegments {
     pub unlabelled: Vec<(u32, f32)>,
 }
 
-/// The segments of `raw`, a map of `view`. `scratch` has sums for all Gaussians.
+/// The segments of `raw`, a map of `view`.
 pub(super) fn view_segments(
     gaussians: &Gaussians,
     view: &View,
     raw: &LabelMap,
     settings: &Settings,
-    scratch: &Scratch<SparseSums>,
 ) -> Result<ViewSegments> {
     let mut segments = empty_segments(view, raw);
     let mut place = vec![0; 1 << 16];
@@ -62,11 +61,9 @@ pub(super) fn view_segments(
             rows[place[usize::from(raw.ids[pixel as usize])]].push(row);
         }
         // Each segment's sums run over its pixels in order: the same bits at any number of threads.
-        segments
-            .par_iter_mut()
-            .zip(rows)
-            .for_each(|(segment, rows)| {
-                let mut sums = scratch.borrow();
+        segments.par_iter_mut().zip(rows).for_each_init(
+            || SparseSums::new(gaussians.len()),
+            |sums, (segment, rows)| {
                 for row in rows {
                     let (columns, values) = weights.row(row);
                     for (&gaussian, &weight) in columns.iter().zip(values) {
@@ -77,7 +74,8 @@ pub(super) fn view_segments(
                 segment
                     .weights
                     .extend(sums.map(|(gaussian, sum)| (gaussian, sum as f32)));
-            });
+            },
+        );
     }
     segments.par_iter_mut().for_each(SegmentWeights::finish);
     let unlabelled = segments
@@ -175,14 +173,12 @@ mod tests {
             segments: Vec::new(),
             instances: None,
         };
-        let scratch = Scratch::new(|| SparseSums::new(32));
         let of = |view: &View| {
-            view_segments(&gaussians, view, &raw, &Settings::default(), &scratch).expect("segments")
+            view_segments(&gaussians, view, &raw, &Settings::default()).expect("segments")
         };
         let whole = of(&view);
         view.mask = Some(crate::data::mask::Mask::new(width, height, used));
         let part = of(&view);
-        assert!(scratch.borrow().take().is_empty());
         assert_eq!(part.segments[0].weights, whole.segments[0].weights);
         let projected =
             Projected::new(&gaussians.splats(), &view.camera, &Settings::default()).expect("view");

@@ -8,7 +8,6 @@ use super::merge::DOUBT;
 use super::ownership::Evidence;
 use super::pair_evidence::{PartGaussian, pair_evidence};
 use super::segments::{SegmentWeights, ViewSegments};
-use super::sums::Scratch;
 use super::{End, Progress};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -60,25 +59,27 @@ struct Partition {
 /// `groups` has the weights of `assigned`. Asks `progress` whether to go on.
 ///
 /// One pass over the views compares a partition of every group, so there are [`SEEDS`] passes whatever the number of groups.
-pub(super) fn split<B>(
+pub(super) fn split(
     groups: &mut Groups,
     views: &[ViewSegments],
     assigned: &mut [Assigned<'_>],
     order: &[usize],
     above: f64,
-    progress: &mut Progress<'_, B>,
-) -> Result<bool, End<B>> {
+    progress: &mut Progress,
+) -> Result<bool, End> {
     let mut suspects = suspects(groups, assigned, order);
     let gaussians = groups.owners().len();
-    let scratch = Scratch::new(move || vec![[0.0; 2]; gaussians]);
     for round in 0..SEEDS {
         progress(0)?;
         let found: Vec<Option<Partition>> = suspects
             .par_iter()
-            .map(|suspect| {
-                let seed = suspect.seeds.get(round)?;
-                partition(groups, assigned, suspect, *seed, &mut scratch.borrow())
-            })
+            .map_init(
+                || vec![[0.0; 2]; gaussians],
+                |parts, suspect| {
+                    let seed = suspect.seeds.get(round)?;
+                    partition(groups, assigned, suspect, *seed, parts)
+                },
+            )
             .collect();
         let (suspects, found): (Vec<&mut Suspect>, Vec<Partition>) = suspects
             .iter_mut()
@@ -283,7 +284,6 @@ mod tests {
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use std::borrow::Cow;
-    use std::convert::Infallible;
 
     const CATEGORY: Category = Category {
         class: None,
@@ -313,12 +313,8 @@ mod tests {
     }
 
     /// Whether anything was split.
-    fn whether(split: Result<bool, End<Infallible>>) -> bool {
-        match split {
-            Ok(any) => any,
-            Err(End::Failed(error)) => panic!("{error}"),
-            Err(End::Stopped(never)) => match never {},
-        }
+    fn whether(split: Result<bool, End>) -> bool {
+        split.map_err(|_| "ended").expect("nothing ends it")
     }
 
     /// Whether anything was split, and the groups of each view's segments after all of them were one group.

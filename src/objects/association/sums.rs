@@ -1,7 +1,4 @@
-//! Sparse sums and sparse rows.
-
-use std::cell::{RefCell, RefMut};
-use thread_local::ThreadLocal;
+//! Sparse sums.
 
 /// Sums by index. The vector is long and mostly zero, so it is kept and used again.
 pub(super) struct SparseSums {
@@ -36,62 +33,6 @@ impl SparseSums {
     }
 }
 
-/// A scratch value for each thread. Who borrows it leaves it as it was.
-pub(super) struct Scratch<T: Send> {
-    values: ThreadLocal<RefCell<T>>,
-    new: Box<dyn Fn() -> T + Sync>,
-}
-
-impl<T: Send> Scratch<T> {
-    pub fn new(new: impl Fn() -> T + Sync + 'static) -> Self {
-        Self {
-            values: ThreadLocal::new(),
-            new: Box::new(new),
-        }
-    }
-
-    /// The value of this thread.
-    ///
-    /// # Panics
-    /// If the thread has borrowed it already.
-    pub fn borrow(&self) -> RefMut<'_, T> {
-        self.values
-            .get_or(|| RefCell::new((self.new)()))
-            .borrow_mut()
-    }
-}
-
-/// Compressed sparse rows: values by row, in the order in which they were given.
-pub(super) struct SparseRows<T> {
-    offsets: Vec<usize>,
-    values: Vec<T>,
-}
-
-impl<T: Copy + Default> SparseRows<T> {
-    /// `entries` are pairs of row and value.
-    pub fn new(rows: usize, entries: impl Iterator<Item = (u32, T)> + Clone) -> Self {
-        let mut offsets = vec![0_usize; rows + 1];
-        for (row, _) in entries.clone() {
-            offsets[row as usize + 1] += 1;
-        }
-        for row in 0..rows {
-            offsets[row + 1] += offsets[row];
-        }
-        let mut next = offsets.clone();
-        let mut values = vec![T::default(); offsets[rows]];
-        for (row, value) in entries {
-            values[next[row as usize]] = value;
-            next[row as usize] += 1;
-        }
-        Self { offsets, values }
-    }
-
-    pub fn row(&self, row: u32) -> &[T] {
-        let row = row as usize;
-        &self.values[self.offsets[row]..self.offsets[row + 1]]
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -104,15 +45,5 @@ mod tests {
         }
         assert_eq!(sums.take(), [(0, 0.0), (1, 4.0), (3, 3.0)]);
         assert!(sums.take().is_empty() && sums.sums.iter().all(|sum| *sum == 0.0));
-    }
-
-    #[test]
-    fn rows_keep_the_order_of_their_entries() {
-        let entries = [(2, 'a'), (0, 'b'), (2, 'c')];
-        let rows = SparseRows::new(3, entries.into_iter());
-        assert_eq!(
-            [rows.row(0), rows.row(1), rows.row(2)],
-            [&['b'][..], &[], &['a', 'c']]
-        );
     }
 }

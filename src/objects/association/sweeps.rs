@@ -9,19 +9,26 @@ use super::segments::ViewSegments;
 use super::split::split;
 use super::{End, Progress};
 use crate::config::AssociationConfig;
+use crate::error::Result;
 use std::borrow::Cow;
 use std::collections::HashMap;
+
+/// Smallest overlap (IoU of a segment and a group as the view shows it) at which the two belong together.
+pub(super) const MIN_OVERLAP: f64 = 0.25;
+/// Two groups become one when more than this share of the views that show both put them into one segment. One view that keeps
+/// them apart is assumed. A group that more than the other views keep apart becomes two.
+const MERGE_ABOVE: f64 = 0.5;
 
 /// Forms the groups of `views` and returns the group of each segment. Reports each view in each sweep to `progress`.
 ///
 /// # Errors
 /// [`crate::Error::Config`] when no group is left; those of `progress`.
-pub(super) fn form_groups<'a, B>(
+pub(super) fn form_groups<'a>(
     groups: &mut Groups,
     views: &'a [ViewSegments],
     config: &AssociationConfig,
-    progress: &mut Progress<'_, B>,
-) -> Result<Vec<Assigned<'a>>, End<B>> {
+    progress: &mut Progress,
+) -> std::result::Result<Vec<Assigned<'a>>, End> {
     let order = view_order(views, groups.owners().len());
     let mut assigned = vec![Assigned::default(); views.len()];
     let mut sizes = Vec::new();
@@ -31,34 +38,33 @@ pub(super) fn form_groups<'a, B>(
             assigned[v] = if sweep == 0 {
                 // No group is known yet that a segment may cover.
                 let whole = views[v].segments.iter().map(Cow::Borrowed).collect();
-                groups.assign(whole, config.min_overlap, Unmatched::Opens)
+                groups.assign(whole, MIN_OVERLAP, Unmatched::Opens)
             } else {
                 let pieces = divided(groups, &views[v], &sizes);
-                groups.assign(pieces, config.min_overlap, Unmatched::JoinsOrOpens)
+                groups.assign(pieces, MIN_OVERLAP, Unmatched::JoinsOrOpens)
             };
             sizes.resize(groups.len(), 0.0);
             groups.add(&assigned[v]);
             progress(1)?;
         }
         groups.rebuild(&assigned);
-        let above = config.merge_above;
-        if split(groups, views, &mut assigned, &order, above, progress)? {
+        if split(groups, views, &mut assigned, &order, MERGE_ABOVE, progress)? {
             groups.rebuild(&assigned);
         }
-        sizes = merge_groups(groups, views, &mut assigned, above, progress)?;
+        sizes = merge_groups(groups, views, &mut assigned, MERGE_ABOVE, progress)?;
     }
     drop_negligible(groups, &mut assigned, config.min_weight)?;
     Ok(assigned)
 }
 
 /// Merges pairs of groups until the views find no more that are one object. Returns the extents of the groups.
-fn merge_groups<B>(
+fn merge_groups(
     groups: &mut Groups,
     views: &[ViewSegments],
     assigned: &mut [Assigned<'_>],
     above: f64,
-    progress: &mut Progress<'_, B>,
-) -> Result<Vec<f64>, End<B>> {
+    progress: &mut Progress,
+) -> std::result::Result<Vec<f64>, End> {
     loop {
         progress(0)?;
         let visible = visible_in_views(groups, views);
@@ -80,11 +86,11 @@ fn merge_groups<B>(
 }
 
 /// Drops negligible groups. Their segments go to the groups that contain them.
-fn drop_negligible<B>(
+fn drop_negligible(
     groups: &mut Groups,
     assigned: &mut [Assigned<'_>],
     min_weight: f64,
-) -> Result<(), End<B>> {
+) -> Result<()> {
     let negligible = merge::negligible(groups, min_weight)?;
     for group in assigned.iter_mut().flat_map(|view| &mut view.groups) {
         *group = group.filter(|group| !negligible[*group as usize]);

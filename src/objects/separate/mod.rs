@@ -7,7 +7,6 @@
 mod components;
 mod ellipsoid;
 mod naming;
-mod regions;
 
 use crate::data::Classes;
 use crate::error::{Error, Result};

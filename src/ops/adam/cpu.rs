@@ -38,7 +38,7 @@ impl AdamStep {
 }
 
 struct Constants<E> {
-    /// Of one tile, divided by the correction of the first moment.
+    /// Rates of one tile, divided by the correction of the first moment.
     rates: Vec<E>,
     beta1: E,
     rest1: E,

@@ -6,6 +6,7 @@ mod cpu;
 mod gpu;
 
 use crate::backend::custom_op;
+use crate::ops::CustomOp;
 use burn::backend::{Dispatch, tensor::FloatTensor};
 use burn::tensor::{Tensor, TensorData};
 use std::sync::Arc;
@@ -97,7 +98,7 @@ pub fn adam_step<const D: usize>(
         [grad.dims(); 3],
         "adam_step: parameter and moments against gradient"
     );
-    if super::references() {
+    if CustomOp::Adam.is_replaced() {
         let state = AdamTensors {
             param,
             first,

@@ -15,7 +15,7 @@ pub(super) fn own(tensor: CubeTensor) -> CubeTensor {
     }
 }
 
-/// Whether kernels take `tensor`; what is not `f32` goes to the host's.
+/// Whether the GPU's kernels take `tensor`. Other types go to the CPU's kernels.
 pub(super) fn covers(tensor: &CubeTensor) -> bool {
     tensor.dtype == DType::F32
 }

@@ -1,14 +1,14 @@
 //! The photometric loss on a GPU: a cube a tile and channel, a unit a pixel, the window in two passes.
 //!
-//! The first kernel computes the windowed moments of the photo. The second computes SSIM and its derivatives by the windowed
-//! moments of the image. The third computes the gradient, which needs those derivatives of the neighbouring tiles too. Each
-//! cube leaves a sum, and the last kernel adds the sums up.
+//! The first kernel computes SSIM and its derivatives by the windowed moments of the image. The second computes the gradient,
+//! which needs those derivatives of the neighbouring tiles too. Each cube leaves its part of the loss.
 
 use super::{C1, C2, CHANNELS, PhotometricTarget, RADIUS, TAPS, cpu, taps};
-use crate::backend::gpu::{Gpu, UNITS, arg, sum, sum_cube};
+use crate::backend::gpu::{Gpu, UNITS, arg, sum_cube};
 use crate::ops::gpu::covers;
+use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::FloatTensor;
-use burn::tensor::DType;
+use burn::tensor::{DType, Shape};
 use burn_cubecl::CubeBackend;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::kernel::into_contiguous;
@@ -26,6 +26,9 @@ fn value_at(photo: &[u32], at: usize) -> f32 {
     let byte = f32::cast_from(photo[at / 4] >> (at as u32 % 4 * 8) & 255u32);
     byte * comptime![BYTE_HIGH] + byte * comptime![BYTE_LOW]
 }
+
+/// The bytes of a photo, four to a word.
+pub(super) type PhotoWords = CubeTensor;
 
 /// Pixels on a side of a tile; a unit has one.
 const TILE: usize = 16;
@@ -76,109 +79,53 @@ fn own_place(tile: usize, width: u32, height: u32) -> Place {
     )
 }
 
-/// Of the three planes, in their order.
-#[derive(CubeType, Clone, Copy)]
-struct Windowed {
-    first: f32,
-    second: f32,
-    third: f32,
-}
-
-/// The three planes in `planes`, convolved, at the unit's pixel; of the third one nothing unless `all`. All units of the cube
-/// call it; `planes` is complete before.
+/// The first `count` of `planes`, convolved, at the unit's pixel. All units of the cube call it; `planes` is complete before.
 #[cube]
-fn windowed(planes: &Shared<[f32]>, rows: &mut Shared<[f32]>, #[comptime] all: bool) -> Windowed {
+fn windowed(
+    planes: &Shared<[f32]>,
+    rows: &mut Shared<[f32]>,
+    #[comptime] count: usize,
+) -> Array<f32> {
     let unit = UNIT_POS as usize;
     let mut k = unit;
     while k < ROWS {
         let at = k / TILE * SIDE + k % TILE;
-        let mut first = 0.0f32;
-        let mut second = 0.0f32;
-        let mut third = 0.0f32;
+        #[unroll]
+        for plane in 0..count {
+            let mut sum = 0.0f32;
+            #[unroll]
+            for t in 0..TAPS {
+                let tap = comptime![taps::<f32>()[t]];
+                sum += tap * planes[at + t + plane * PLANE];
+            }
+            rows[k + plane * ROWS] = sum;
+        }
+        k += UNITS as usize;
+    }
+    sync_cube();
+    let mut out = Array::<f32>::new(count);
+    #[unroll]
+    for plane in 0..count {
+        let mut sum = 0.0f32;
         #[unroll]
         for t in 0..TAPS {
             let tap = comptime![taps::<f32>()[t]];
-            first += tap * planes[at + t];
-            second += tap * planes[at + t + PLANE];
-            if comptime![all] {
-                third += tap * planes[at + t + 2 * PLANE];
-            }
+            sum += tap * rows[unit + t * TILE + plane * ROWS];
         }
-        rows[k] = first;
-        rows[k + ROWS] = second;
-        if comptime![all] {
-            rows[k + 2 * ROWS] = third;
-        }
-        k += UNITS as usize;
+        out[plane] = sum;
     }
-    sync_cube();
-    let mut first = 0.0f32;
-    let mut second = 0.0f32;
-    let mut third = 0.0f32;
-    #[unroll]
-    for t in 0..TAPS {
-        let tap = comptime![taps::<f32>()[t]];
-        first += tap * rows[unit + t * TILE];
-        second += tap * rows[unit + t * TILE + ROWS];
-        if comptime![all] {
-            third += tap * rows[unit + t * TILE + 2 * ROWS];
-        }
-    }
-    Windowed {
-        first,
-        second,
-        third,
-    }
+    out
 }
 
-/// Windowed mean and variance of a photo, `[H, W, CHANNELS]`.
-#[cube(launch)]
-fn moments_of(
-    photo: &[u32],
-    mean: &mut [f32],
-    variance: &mut [f32],
-    width: u32,
-    height: u32,
-    cubes: u32,
-) {
-    if CUBE_POS >= cubes as usize {
-        terminate!();
-    }
-    let tile = CUBE_POS / CHANNELS;
-    let channel = CUBE_POS % CHANNELS;
-    let mut planes = Shared::<[f32]>::new_slice(2 * PLANE);
-    let mut rows = Shared::<[f32]>::new_slice(2 * ROWS);
-    let mut k = UNIT_POS as usize;
-    while k < PLANE {
-        let at = place(tile, k % SIDE, k / SIDE, width, height);
-        let mut y = 0.0f32;
-        if at.inside {
-            y = value_at(photo, at.pixel * CHANNELS + channel);
-        }
-        planes[k] = y;
-        planes[k + PLANE] = y * y;
-        k += UNITS as usize;
-    }
-    sync_cube();
-    let moments = windowed(&planes, &mut rows, false);
-    let own = own_place(tile, width, height);
-    if own.inside {
-        let at = own.pixel * CHANNELS + channel;
-        mean[at] = moments.first;
-        variance[at] = moments.second - moments.first * moments.first;
-    }
-}
+/// Windowed moments of image x and photo y: of x, x^2, x y, y and y^2. The loss has derivatives by the first three.
+const MOMENTS: usize = 5;
+const PARTIALS: usize = 3;
 
-/// Windowed moments of the image: of x, x^2 and x y.
-const MOMENTS: usize = 3;
-
-/// `scale` times the derivatives of SSIM by the moments (`[CHANNELS, MOMENTS, H, W]`), and each cube's sum of 1 - SSIM.
+/// `scale` times the derivatives of SSIM by the moments (`[CHANNELS, PARTIALS, H, W]`), and each cube's sum of 1 - SSIM.
 #[cube(launch)]
 fn dissimilarity(
     image: &[f32],
     photo: &[u32],
-    photo_mean: &[f32],
-    photo_variance: &[f32],
     partials: &mut [f32],
     sums: &mut [f32],
     width: u32,
@@ -205,29 +152,30 @@ fn dissimilarity(
         planes[k] = x;
         planes[k + PLANE] = x * x;
         planes[k + 2 * PLANE] = x * y;
+        planes[k + 3 * PLANE] = y;
+        planes[k + 4 * PLANE] = y * y;
         k += UNITS as usize;
     }
     sync_cube();
-    let moments = windowed(&planes, &mut rows, true);
+    let moments = windowed(&planes, &mut rows, MOMENTS);
     let own = own_place(tile, width, height);
     let mut short = 0.0f32;
     if own.inside {
-        let at = own.pixel * CHANNELS + channel;
-        let mx = moments.first;
-        let my = photo_mean[at];
-        let sxx = moments.second - mx * mx;
-        let sxy = moments.third - mx * my;
+        let (mx, my) = (moments[0], moments[3]);
+        let sxx = moments[1] - mx * mx;
+        let sxy = moments[2] - mx * my;
+        let syy = moments[4] - my * my;
         let a1 = 2.0f32 * mx * my + comptime![C1 as f32];
         let a2 = 2.0f32 * sxy + comptime![C2 as f32];
         let r1 = 1.0f32 / (mx * mx + my * my + comptime![C1 as f32]);
-        let r2 = 1.0f32 / (sxx + photo_variance[at] + comptime![C2 as f32]);
+        let r2 = 1.0f32 / (sxx + syy + comptime![C2 as f32]);
         let ssim = a1 * a2 * r1 * r2;
         let d_square = f32::new(-1.0) * ssim * r2;
         let d_product = 2.0f32 * a1 * r1 * r2;
         let d_mean =
             2.0f32 * (my * a2 * r1 * r2 - mx * ssim * r1) - 2.0f32 * mx * d_square - my * d_product;
         let pixels = (width * height) as usize;
-        let to = channel * MOMENTS * pixels + own.pixel;
+        let to = channel * PARTIALS * pixels + own.pixel;
         partials[to] = scale * d_mean;
         partials[to + pixels] = scale * d_square;
         partials[to + 2 * pixels] = scale * d_product;
@@ -258,25 +206,25 @@ fn gradient_of(
     }
     let tile = CUBE_POS / CHANNELS;
     let channel = CUBE_POS % CHANNELS;
-    let mut planes = Shared::<[f32]>::new_slice(MOMENTS * PLANE);
-    let mut rows = Shared::<[f32]>::new_slice(MOMENTS * ROWS);
+    let mut planes = Shared::<[f32]>::new_slice(PARTIALS * PLANE);
+    let mut rows = Shared::<[f32]>::new_slice(PARTIALS * ROWS);
     let pixels = (width * height) as usize;
     let mut k = UNIT_POS as usize;
     while k < PLANE {
         let at = place(tile, k % SIDE, k / SIDE, width, height);
-        let from = channel * MOMENTS * pixels + at.pixel;
+        let from = channel * PARTIALS * pixels + at.pixel;
         #[unroll]
-        for moment in 0..MOMENTS {
+        for partial in 0..PARTIALS {
             let mut value = 0.0f32;
             if at.inside {
-                value = partials[from + moment * pixels];
+                value = partials[from + partial * pixels];
             }
-            planes[k + moment * PLANE] = value;
+            planes[k + partial * PLANE] = value;
         }
         k += UNITS as usize;
     }
     sync_cube();
-    let by = windowed(&planes, &mut rows, true);
+    let by = windowed(&planes, &mut rows, PARTIALS);
     let own = own_place(tile, width, height);
     let mut distance = 0.0f32;
     if own.inside {
@@ -291,7 +239,7 @@ fn gradient_of(
         if difference < 0.0f32 {
             l1 = f32::new(-1.0) * l1_scale;
         }
-        gradient[at] = by.third * y + (by.second * (x + x) + (by.first + l1));
+        gradient[at] = by[2] * y + (by[1] * (x + x) + (by[0] + l1));
         distance = difference.abs();
     }
     let sum = sum_cube(distance);
@@ -319,34 +267,21 @@ fn compare(
 ) -> (CubeTensor, CubeTensor) {
     let (height, width) = target.size();
     let cubes = cubes(height, width);
+    let is_here = |words: &PhotoWords| words.device == *gpu.device();
     let photo = target
         .words
-        .on(gpu, || gpu.upload(&words(target), DType::U32));
-    let planes = || gpu.floats([height, width, CHANNELS]);
-    let (mean, variance, gradient) = (planes(), planes(), planes());
-    moments_of::launch(
-        &gpu.client,
-        gpu.cubes(cubes),
-        gpu.dim(),
-        arg(&photo),
-        arg(&mean),
-        arg(&variance),
-        width as u32,
-        height as u32,
-        cubes as u32,
-    );
+        .get(is_here, || gpu.upload(&words(target), DType::U32));
+    let gradient = gpu.floats([height, width, CHANNELS]);
     let values = height * width * CHANNELS;
     let ssim_scale = ssim_weight / values as f64;
     let l1_scale = (1.0 - ssim_weight) / values as f64;
-    let (partials, sums) = (gpu.floats([MOMENTS * values]), gpu.floats([cubes]));
+    let (partials, sums) = (gpu.floats([PARTIALS * values]), gpu.floats([cubes]));
     dissimilarity::launch(
         &gpu.client,
         gpu.cubes(cubes),
         gpu.dim(),
         arg(image),
         arg(&photo),
-        arg(&mean),
-        arg(&variance),
         arg(&partials),
         arg(&sums),
         width as u32,
@@ -369,12 +304,14 @@ fn compare(
         ssim_scale as f32,
         l1_scale as f32,
     );
-    (sum(gpu, &sums, cubes), gradient)
+    let sums = CubeBackend::float_reshape(sums, Shape::new([1, cubes]));
+    let loss = CubeBackend::float_sum_dim(sums, 1);
+    (CubeBackend::float_reshape(loss, Shape::new([1])), gradient)
 }
 
 /// Whether one allocation holds the derivatives of an image of `values` values, and 32 bits count them.
 fn fits(gpu: &Gpu, values: usize) -> bool {
-    values.saturating_mul(MOMENTS) <= (gpu.largest() / size_of::<f32>()).min(i32::MAX as usize)
+    values.saturating_mul(PARTIALS) <= (gpu.largest() / size_of::<f32>()).min(i32::MAX as usize)
 }
 
 /// The loss alone.

@@ -8,17 +8,19 @@
 mod cpu;
 #[cfg(feature = "cube")]
 mod gpu;
+#[cfg(not(feature = "cube"))]
+mod gpu {
+    pub(super) type PhotoWords = ();
+}
 
-#[cfg(feature = "cube")]
-use crate::backend::gpu::Resident;
-use crate::backend::{Real, custom_op};
+use crate::backend::device::in_host_memory;
+use crate::backend::{Real, Resident, custom_op};
 use crate::data::mask::Mask;
+use crate::ops::CustomOp;
 use burn::backend::{Dispatch, tensor::FloatTensor};
 use burn::tensor::module::conv2d;
 use burn::tensor::ops::ConvOptions;
-use burn::tensor::{Bool, Tensor, TensorData};
-#[cfg(feature = "cube")]
-use burn_cubecl::tensor::CubeTensor;
+use burn::tensor::{Bool, Device, Tensor, TensorData};
 use image::RgbImage;
 use std::sync::{Arc, OnceLock};
 
@@ -43,15 +45,18 @@ fn taps<E: Real>() -> [E; TAPS] {
 
 /// A photo that renders are compared with: 8-bit pixels, and which of them count.
 ///
-/// The CPU keeps the values and their windowed moments after the first comparison. A GPU keeps the bytes, a twelfth of that,
+/// The CPU keeps the values and their windowed moments after the first comparison. A GPU keeps the bytes, a thirteenth of that,
 /// and computes the moments in each comparison.
 #[derive(Debug)]
 pub struct PhotometricTarget {
     pixels: Arc<RgbImage>,
     mask: Option<Mask>,
     moments: OnceLock<cpu::Moments<f32>>,
-    #[cfg(feature = "cube")]
-    words: Resident<CubeTensor>,
+    #[cfg_attr(
+        not(feature = "cube"),
+        allow(dead_code, reason = "only a GPU reads it")
+    )]
+    words: Resident<gpu::PhotoWords>,
 }
 
 impl PhotometricTarget {
@@ -75,7 +80,6 @@ impl PhotometricTarget {
             pixels,
             mask,
             moments: OnceLock::new(),
-            #[cfg(feature = "cube")]
             words: Resident::default(),
         }
     }
@@ -85,14 +89,22 @@ impl PhotometricTarget {
         (self.pixels.height() as usize, self.pixels.width() as usize)
     }
 
-    /// Bytes that a target of this many pixels holds on the CPU.
-    pub fn bytes_on_cpu(pixels: usize) -> usize {
-        pixels * CHANNELS * (1 + 3 * size_of::<f32>())
+    /// Bytes that a target of this many pixels holds on `device`; on a GPU as many in host memory.
+    pub fn bytes(pixels: usize, device: &Device) -> usize {
+        if in_host_memory(device) {
+            pixels * CHANNELS * (1 + 3 * size_of::<f32>())
+        } else {
+            pixels * CHANNELS
+        }
     }
 
-    /// Bytes that a target of this many pixels holds on a GPU, and as many in host memory.
-    pub fn bytes_on_gpu(pixels: usize) -> usize {
-        pixels * CHANNELS
+    /// Bytes of targets to keep for `device`: on a GPU 345 photos of 1920x1080 pixels.
+    pub fn budget(device: &Device) -> usize {
+        if in_host_memory(device) {
+            1 << 30
+        } else {
+            2 << 30
+        }
     }
 
     /// `[H, W, 3]` values in 0..1, row-major.
@@ -173,7 +185,7 @@ pub fn photometric_loss(
         [height, width, CHANNELS],
         "photometric loss: image against photo"
     );
-    if super::references() {
+    if CustomOp::Photometric.is_replaced() {
         return photometric_loss_plain(image, target, ssim_weight);
     }
     let image = match target.hidden(&image) {

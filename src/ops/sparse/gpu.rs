@@ -62,15 +62,20 @@ impl DeviceMatrix {
 
     /// `matrix` on the device of `gpu`.
     pub fn by_rows(gpu: &Gpu, matrix: &SparseMatrix) -> Self {
-        matrix.resident.rows.on(gpu, || Self::upload(gpu, matrix))
+        let is_here = |copy: &Self| copy.values.device == *gpu.device();
+        matrix
+            .resident
+            .rows
+            .get(is_here, || Self::upload(gpu, matrix))
     }
 
     /// Its transpose.
     pub fn by_columns(gpu: &Gpu, matrix: &SparseMatrix) -> Self {
+        let is_here = |copy: &Self| copy.values.device == *gpu.device();
         matrix
             .resident
             .columns
-            .on(gpu, || Self::upload(gpu, &matrix.transposed()))
+            .get(is_here, || Self::upload(gpu, &matrix.transposed()))
     }
 
     /// `W x`, `[rows, channels]`.

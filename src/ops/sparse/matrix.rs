@@ -1,14 +1,14 @@
 //! Constant sparse matrices in compressed rows.
 
-#[cfg(feature = "cube")]
 use super::gpu::DeviceMatrix;
-#[cfg(feature = "cube")]
-use crate::backend::gpu::Resident;
+use crate::backend::Resident;
+use crate::backend::device::in_host_memory;
+use burn::tensor::Device;
 
 /// A constant sparse matrix in compressed rows, `[rows, columns]`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SparseMatrix {
-    // Not to be changed: a device may hold copies.
+    // Never changed: a device may hold copies.
     pub(crate) columns: usize,
     /// Start of each row in `indices`; `rows + 1` entries, the first 0, ascending.
     pub(crate) offsets: Vec<u32>,
@@ -16,12 +16,10 @@ pub struct SparseMatrix {
     pub(crate) indices: Vec<u32>,
     /// Value of each entry.
     pub(crate) values: Vec<f32>,
-    #[cfg(feature = "cube")]
     pub(super) resident: ResidentMatrix,
 }
 
 /// Copies of a matrix on a device.
-#[cfg(feature = "cube")]
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct ResidentMatrix {
     /// By rows, and by columns.
@@ -30,7 +28,7 @@ pub(super) struct ResidentMatrix {
 }
 
 impl SparseMatrix {
-    /// Of compressed rows: `offsets` holds the start of each row in `indices`, and the end of the last.
+    /// A matrix from compressed rows: `offsets` holds the start of each row in `indices`, and the end of the last.
     ///
     /// # Panics
     /// If `offsets` does not rise from 0 to the number of entries, `indices` and `values` differ in length, or an index is
@@ -58,7 +56,7 @@ impl SparseMatrix {
         Self::unchecked(columns, offsets, indices, values)
     }
 
-    /// [`SparseMatrix::new`] of what is right by construction.
+    /// [`SparseMatrix::new`] without checks, for arrays that are valid by construction.
     pub(crate) fn unchecked(
         columns: usize,
         offsets: Vec<u32>,
@@ -70,12 +68,11 @@ impl SparseMatrix {
             offsets,
             indices,
             values,
-            #[cfg(feature = "cube")]
             resident: ResidentMatrix::default(),
         }
     }
 
-    /// The rows `rows` of what has `columns` rows, in that order.
+    /// Selects the rows `rows` of an input with `columns` rows, in that order.
     ///
     /// # Panics
     /// If a row is not below `columns`.
@@ -84,7 +81,7 @@ impl SparseMatrix {
         Self::new(columns, offsets, rows, ones)
     }
 
-    /// Sums of `k` rows each, of what has `columns` rows: row r sums the rows `rows[r k..(r + 1) k]`.
+    /// Sums `k` rows of an input with `columns` rows: row r sums the rows `rows[r k..(r + 1) k]`.
     ///
     /// # Panics
     /// If a row is not below `columns`.
@@ -92,6 +89,11 @@ impl SparseMatrix {
         let offsets = (0..=rows.len() as u32).step_by(k.max(1)).collect();
         let ones = vec![1.0; rows.len()];
         Self::new(columns, offsets, rows, ones)
+    }
+
+    /// Copies of a matrix in memory once `device` has multiplied by it and by its transpose: a GPU holds both.
+    pub fn copies(device: &Device) -> usize {
+        if in_host_memory(device) { 1 } else { 3 }
     }
 
     /// Number of columns.
@@ -122,7 +124,7 @@ impl SparseMatrix {
 
     /// The same matrix with each row divided by its sum; rows that sum to less than `floor` become empty.
     ///
-    /// Of blending weights this makes weighted means: a row sums to `1 - T`.
+    /// Blending weights, whose rows sum to `1 - T`, become weighted means.
     #[must_use]
     pub fn normalised(&self, floor: f32) -> Self {
         let mut out = Self::unchecked(self.columns, vec![0], Vec::new(), Vec::new());
@@ -141,52 +143,39 @@ impl SparseMatrix {
     /// The rows `rows` in that order.
     #[must_use]
     pub fn select_rows(&self, rows: &[u32]) -> Self {
-        let mut out = Self::unchecked(
-            self.columns,
-            Vec::with_capacity(rows.len() + 1),
-            Vec::new(),
-            Vec::new(),
-        );
-        out.offsets.push(0);
-        out.append_rows(self, rows);
-        out
+        let entries = rows.iter().map(|&r| self.row(r as usize).0.len()).sum();
+        let mut offsets = Vec::with_capacity(rows.len() + 1);
+        let mut indices = Vec::with_capacity(entries);
+        let mut values = Vec::with_capacity(entries);
+        offsets.push(0);
+        for &r in rows {
+            let (columns, of_row) = self.row(r as usize);
+            indices.extend_from_slice(columns);
+            values.extend_from_slice(of_row);
+            offsets.push(indices.len() as u32);
+        }
+        Self::unchecked(self.columns, offsets, indices, values)
     }
 
-    /// The rows `rows` for inputs of `classes` channels laid side by side, `[columns classes, 1]`: row r reads channel
+    /// The same rows for inputs of `classes` channels laid side by side, `[columns classes, 1]`: row r reads channel
     /// `channels[r]` alone.
     #[must_use]
-    pub(crate) fn select_channels(
-        &self,
-        rows: &[u32],
-        channels: impl Iterator<Item = u32>,
-        classes: u32,
-    ) -> Self {
-        let mut out = self.select_rows(rows);
-        for (r, channel) in channels.enumerate() {
-            let span = out.offsets[r] as usize..out.offsets[r + 1] as usize;
-            let entries = &mut out.indices[span];
-            entries.iter_mut().for_each(|i| *i = *i * classes + channel);
+    pub(crate) fn of_channels(&self, channels: &[u16], classes: usize) -> Self {
+        let mut indices = Vec::with_capacity(self.indices.len());
+        for (r, &channel) in channels.iter().enumerate() {
+            let read = |&column: &u32| column * classes as u32 + u32::from(channel);
+            indices.extend(self.row(r).0.iter().map(read));
         }
-        out.columns *= classes as usize;
-        out
+        let (offsets, values) = (self.offsets.clone(), self.values.clone());
+        Self::unchecked(self.columns * classes, offsets, indices, values)
     }
 
-    /// Adds the rows `rows` of `other`, in that order.
-    ///
-    /// # Panics
-    /// If `other` has another number of columns.
-    pub fn append_rows(&mut self, other: &Self, rows: &[u32]) {
-        assert_eq!(self.columns, other.columns, "append_rows: columns");
-        for &r in rows {
-            let (columns, values) = other.row(r as usize);
-            self.indices.extend_from_slice(columns);
-            self.values.extend_from_slice(values);
-            self.offsets.push(self.indices.len() as u32);
-        }
-        #[cfg(feature = "cube")]
-        {
-            self.resident = ResidentMatrix::default();
-        }
+    /// The columns that hold an entry, ascending.
+    pub(crate) fn used_columns(&self) -> Vec<u32> {
+        let mut used = vec![false; self.columns];
+        self.indices.iter().for_each(|&c| used[c as usize] = true);
+        let columns = (0..).zip(used).filter(|(_, used)| *used);
+        columns.map(|(column, _)| column).collect()
     }
 
     /// The matrix over `columns` (ascending, below [`SparseMatrix::columns`]) alone.

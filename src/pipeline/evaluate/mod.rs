@@ -1,9 +1,7 @@
-//! Scores of a run: held-out pictures and label maps, and how compact identities are.
+//! Scores of a run: held-out pictures and label maps.
 
-mod compactness;
 mod held_out;
 mod pictures;
 
-pub(crate) use self::compactness::NeighbourAgreement;
 pub(crate) use self::held_out::{HeldOut, Scores};
 pub use self::pictures::{Pictures, score_images};

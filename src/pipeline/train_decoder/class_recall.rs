@@ -9,7 +9,6 @@ use crate::backend::device::read;
 use crate::error::Result;
 use crate::segmentation::loss::Scores;
 use crate::segmentation::pixels::{LabelledPixels, UNLABELLED};
-use burn::tensor::{Int, Tensor, TensorData};
 
 /// Steps between two measurements.
 const EVERY: usize = 5;
@@ -57,7 +56,7 @@ impl ClassRecall {
             return Ok(());
         }
         let chosen_pixels = pixels.at(&chosen);
-        let probabilities = at(scores, &chosen).probabilities(&chosen_pixels)?;
+        let probabilities = scores.at(&chosen).probabilities(&chosen_pixels)?;
         let probabilities = read("class probabilities of pixels", probabilities)?;
         let mut sums = vec![(0.0, 0.0); classes];
         for (row, &label) in probabilities
@@ -77,23 +76,9 @@ impl ClassRecall {
     }
 }
 
-/// The first prediction of `scores` for the pixels at `places`, without gradient.
-fn at(scores: &Scores, places: &[usize]) -> Scores {
-    match scores {
-        Scores::Pixels(logits) => {
-            let rows: Vec<i64> = places.iter().map(|&place| place as i64).collect();
-            let rows = TensorData::new(rows, [places.len()]);
-            let rows = Tensor::<1, Int>::from_data(rows, &logits.device());
-            Scores::Pixels(logits.clone().detach().select(0, rows))
-        }
-        Scores::Gaussians(scores) => Scores::Gaussians(scores.clone().detach()),
-        Scores::Pair(pair) => at(&pair[0], places),
-    }
-}
-
 /// Places of up to [`PIXELS`] pixels of each class, evenly spread over its own.
-fn some_of_each(labels: &[u16], classes: usize) -> Vec<usize> {
-    let mut of_class = vec![Vec::new(); classes];
+fn some_of_each(labels: &[u16], classes: usize) -> Vec<u32> {
+    let mut of_class: Vec<Vec<u32>> = vec![Vec::new(); classes];
     for (place, &label) in (0..).zip(labels).filter(|(_, label)| **label != UNLABELLED) {
         of_class[usize::from(label)].push(place);
     }
@@ -111,6 +96,7 @@ mod tests {
     use super::*;
     use crate::ops::SparseMatrix;
     use crate::segmentation::pixels::PixelWeights;
+    use burn::tensor::Tensor;
     use std::sync::Arc;
 
     #[test]
@@ -128,7 +114,7 @@ mod tests {
         let count = |class| {
             chosen
                 .iter()
-                .filter(|&&place| labels[place] == class)
+                .filter(|&&place| labels[place as usize] == class)
                 .count()
         };
         assert_eq!((count(0), count(1), count(UNLABELLED)), (PIXELS, 7, 0));
@@ -149,7 +135,6 @@ mod tests {
                 vec![0; 40],
                 vec![1.0; 40],
             ))),
-            (0..40).collect(),
             (0..40).map(|i| if i < 20 { 0 } else { 2 }).collect(),
         );
         let mut recall = ClassRecall::new(3);

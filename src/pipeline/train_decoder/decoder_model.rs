@@ -1,24 +1,25 @@
 //! The decoder variants: multi-scale fusion (Eq. 7) trained by the label loss and the 3D regularisation (Eq. 10).
 //!
-//! A step decodes only what the view's visible Gaussians depend on. Where logits are blended, the linear last layer is
-//! applied to pixels, after blending the hidden features. Views that see more Gaussians than `segmentation.decoder_chunk`
-//! are decoded in parts, see [`super::in_parts`].
+//! A step decodes only what the view's visible Gaussians depend on. Views that show more than `segmentation.decoder_chunk`
+//! are decoded in parts, so that the memory of the decoder's layers does not grow with the scene. The label loss reaches the
+//! decoder through the scores `s` of the visible Gaussians alone. So each part is decoded without autodiff, the loss gives
+//! `dL/ds` once, and then each part is decoded again with autodiff and its backward pass starts from its rows of `dL/ds`:
+//! `dL/dtheta = sum_parts (ds_part/dtheta)^T dL/ds_part`. Recomputing instead of keeping is the trade of Chen et al. 2016
+//! (Training deep nets with sublinear memory cost). Points of coarse scales that several parts depend on are decoded in each.
 
-use super::in_parts::{self, PendingScores};
-use super::optimiser::{self, ModuleAdam, NamedValues};
-use super::view_input::{Part, REGULARISED, ViewInput};
-use super::views::ViewSample;
-use super::{IdentityModel, Prediction, stored};
-use crate::backend::device::in_host_memory;
+use super::adam::{parameter_gradients, values};
+use super::view_cache::ViewCache;
+use super::view_input::{DecoderInput, Encoded, Part, REGULARISED, ViewInput};
+use super::{Decoded, IdentityModel};
 use crate::config::{Blend, SegmentationConfig};
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::random::{Purpose, stream};
 use crate::segmentation::decoder::Decoder;
-use crate::segmentation::loss::{NeighbourPairs, Scores, neighbour_divergence};
 use crate::segmentation::pixels::constant;
 use crate::segmentation::pyramid::{Dependencies, Pyramid, select};
 use burn::module::Module;
+use burn::tensor::activation::softmax;
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use rand::Rng;
 use std::sync::Arc;
@@ -26,69 +27,27 @@ use std::sync::Arc;
 /// Gaussians decoded at once when the stored identities are made.
 const CHUNK: usize = 16_384;
 
-/// A set of Gaussians with the decoder's frozen inputs.
-#[derive(Clone, Debug)]
-pub struct Encoded {
-    /// Frozen inputs of all scales; level 1 holds every point of the set.
-    pub pyramid: Pyramid,
-    /// Scene index of each point of the set, ascending.
-    pub points: Vec<u32>,
-}
-
-/// The decoder's frozen input.
-pub enum DecoderInput {
-    /// The whole scene, encoded once; each view uses the part it sees.
-    Scene(Encoded),
-    /// The visible Gaussians of each training view, encoded alone (the paper), and the whole scene for Gaussians that no
-    /// view sees.
-    Views {
-        /// In the order of the training views.
-        views: Vec<Encoded>,
-        /// Summed alpha' T of each view's points, for the weighted mean of identities.
-        weights: Vec<Vec<f32>>,
-        /// The whole scene.
-        scene: Encoded,
-    },
-}
-
-impl DecoderInput {
-    /// The encoding of the whole scene.
-    pub fn scene(&self) -> &Encoded {
-        match self {
-            Self::Scene(scene) | Self::Views { scene, .. } => scene,
-        }
-    }
-
-    fn view(&self, view: usize) -> &Encoded {
-        match self {
-            Self::Scene(scene) => scene,
-            Self::Views { views, .. } => &views[view],
-        }
-    }
-}
-
 /// How a decoder variant is trained.
 #[derive(Clone, Copy, Debug)]
 pub struct DecoderPlan<'a> {
     /// Settings of stage two.
     pub config: &'a SegmentationConfig,
-    /// Learning rate.
-    pub rate: f64,
     /// Whether Eq. 9 is part of the loss.
     pub regularised: bool,
     /// Number of Gaussians and of classes.
     pub size: [usize; 2],
-    /// Step after which the parameters are averaged; the averages then make the stored identities.
-    pub average_from: Option<usize>,
     /// Share of the frozen channels that each of two predictions does without; absent for one prediction of all channels.
     pub dropout: Option<f64>,
     /// Seed of the regularisation's samples, and of dropout.
     pub seed: u64,
 }
 
+/// Factors of the frozen channels of each scale.
+type ChannelFactors = Vec<Vec<f32>>;
+
 /// Factors of the frozen channels of each scale for prediction `index` of a run with `seed`: 0 for a random `rate` of
 /// them, 1 / (1 - rate) for the others.
-pub fn dropped_channels(pyramid: &Pyramid, rate: f64, seed: u64, index: usize) -> Vec<Vec<f32>> {
+pub fn dropped_channels(pyramid: &Pyramid, rate: f64, seed: u64, index: usize) -> ChannelFactors {
     let mut rng = stream(seed, Purpose::Dropout, index as u64);
     let kept = (1.0 - rate).recip() as f32;
     let mut factor = || if rng.random_bool(rate) { 0.0 } else { kept };
@@ -98,30 +57,31 @@ pub fn dropped_channels(pyramid: &Pyramid, rate: f64, seed: u64, index: usize) -
         .collect()
 }
 
-/// The decoder's input for `part` of `pyramid`, its channels multiplied by `factors` where there are any.
-pub(super) fn input(part: &Part, pyramid: &Pyramid, factors: &[Vec<f32>]) -> Pyramid {
-    part.pyramid(pyramid).scaled(factors)
+/// Scores in the form that identities store.
+pub(super) fn stored_scores(scores: Tensor<2>, blend: Blend) -> Tensor<2> {
+    match blend {
+        Blend::Logits => scores,
+        Blend::Probabilities => softmax(scores, 1),
+    }
+}
+
+/// How a view was decoded in parts: its scores are leaves of the loss's graph, and wait for their gradient.
+pub struct DecodedParts {
+    input: Arc<ViewInput>,
+    /// Of the channels of each prediction.
+    factors: Vec<ChannelFactors>,
 }
 
 /// A decoder in training.
 pub struct DecoderModel<'a> {
-    /// Absent only within a step.
-    decoder: Option<Decoder>,
+    decoder: Decoder,
     /// Added to the scores of each Gaussian, `[N, C]`, without autodiff.
     prior: Option<Tensor<2>>,
-    adam: ModuleAdam,
     input: &'a DecoderInput,
     plan: DecoderPlan<'a>,
     /// Centres of all Gaussians.
     means: &'a [[f32; 3]],
-    /// Made at a view's first use and kept while `budget` bytes last.
-    views: Vec<Option<Arc<ViewInput>>>,
-    budget: usize,
-    /// Most bytes of gathered features for a view.
-    gathered: usize,
-    /// Present between the prediction and the step of a view in parts.
-    pending: Option<PendingScores>,
-    iteration: usize,
+    views: ViewCache<ViewInput>,
     device: Device,
 }
 
@@ -136,23 +96,14 @@ impl<'a> DecoderModel<'a> {
         plan: DecoderPlan<'a>,
         device: &Device,
     ) -> Self {
-        let adam = ModuleAdam::new(plan.rate);
-        let budget = plan.config.weight_cache_mb << 19;
         Self {
-            decoder: Some(decoder),
+            decoder,
             prior: None,
-            adam: match plan.average_from {
-                Some(from) => adam.averaging(from),
-                None => adam,
-            },
             input,
             plan,
             means,
-            views: vec![None; views],
-            budget,
-            gathered: budget / (2 * views.max(1)),
-            pending: None,
-            iteration: 0,
+            // Half of what the weights of the views may take.
+            views: ViewCache::new(views, plan.config.weight_cache_mb << 19),
             device: device.clone(),
         }
     }
@@ -169,7 +120,7 @@ impl<'a> DecoderModel<'a> {
             size[0] * size[1],
             "one prior score for each Gaussian and class"
         );
-        self.decoder = self.decoder.map(Decoder::with_silent_start);
+        self.decoder = self.decoder.with_silent_start();
         let prior = TensorData::new(prior, size);
         self.prior = Some(Tensor::from_data(prior, &self.device.clone().inner()));
         self
@@ -188,115 +139,27 @@ impl<'a> DecoderModel<'a> {
     }
 
     fn view_input(&mut self, view: usize, visible: &[u32]) -> Result<Arc<ViewInput>> {
-        if let Some(input) = &self.views[view] {
-            return Ok(input.clone());
-        }
-        let encoded = self.input.view(view);
-        let mut input = ViewInput::new(encoded, visible, self.means, &self.plan)?;
-        // A GPU holds the maps between levels twice, by rows and by columns.
-        let copies = if in_host_memory(&self.device) { 1 } else { 3 };
-        let kept = self.budget.checked_sub(copies * input.bytes());
-        if let Some(left) = kept {
-            input.gather(&encoded.pyramid, left.min(self.gathered));
-            self.budget = self.budget.saturating_sub(copies * input.bytes());
-        }
-        let input = Arc::new(input);
-        if kept.is_some() {
-            self.views[view] = Some(input.clone());
-        }
-        Ok(input)
-    }
-
-    /// The sample of this iteration at each regularised scale.
-    fn samples(&self, input: &ViewInput) -> Vec<Option<NeighbourPairs>> {
-        let clouds = input.clouds.iter().zip(REGULARISED);
-        clouds
-            .map(|(cloud, scale)| cloud.sample(&self.plan, scale, self.iteration))
-            .collect()
-    }
-
-    /// Predicts all visible Gaussians at once, once for each of `factors`. The loss's graph reaches the parameters.
-    fn predict_whole(
-        &self,
-        decoder: &Decoder,
-        pyramid: &Pyramid,
-        view: &ViewInput,
-        sample: &ViewSample,
-        factors: &[Vec<Vec<f32>>],
-    ) -> Result<Prediction> {
-        let part = &view.parts[0];
-        let mut regularisation = None;
-        let mut scores = Vec::with_capacity(factors.len());
-        for factors in factors {
-            let decoded = decoder.forward(&input(part, pyramid, factors));
-            if scores.is_empty() {
-                let samples = self.samples(view).into_iter().zip(REGULARISED);
-                let terms = samples.filter_map(|(pairs, scale)| {
-                    let fused = decoded.fused.get(scale)?.clone();
-                    Some(neighbour_divergence(fused, &pairs?))
-                });
-                regularisation = terms.reduce(|sum, term| sum + term);
-            }
-            scores.push(match self.plan.config.blend {
-                // The last layer is linear: hidden features are blended, and it is applied to pixels.
-                Blend::Logits if self.prior.is_none() => {
-                    Scores::Pixels(decoder.classify(sample.pixels.blend(decoded.hidden)?))
-                }
-                blend => {
-                    let scores = self.scores(decoder, decoded.hidden, &part.gaussians);
-                    sample.blended(scores, blend)?
-                }
-            });
-        }
-        Ok(Prediction {
-            scores: one_or_pair(scores),
-            regularisation,
+        let (encoded, means, plan) = (self.input.view(view), self.means, &self.plan);
+        self.views.get(view, || {
+            let input = ViewInput::new(encoded, visible, means, plan)?;
+            let bytes = input.bytes();
+            Ok((input, bytes))
         })
     }
 
-    /// Predicts part by part. The loss's graph ends at the scores; [`IdentityModel::step`] carries their gradient on.
-    fn predict_in_parts(
-        &self,
-        decoder: &Decoder,
-        view: usize,
-        input: Arc<ViewInput>,
-        sample: &ViewSample,
-        factors: Vec<Vec<Vec<f32>>>,
-    ) -> Result<(Prediction, PendingScores)> {
-        let pyramid = &self.input.view(view).pyramid;
-        let frozen = decoder.valid();
-        let regularisation = in_parts::regularisation(
-            decoder,
-            pyramid,
-            &factors[0],
-            &input.clouds,
-            self.samples(&input),
-        );
-        let mut leaves = Vec::with_capacity(factors.len());
-        let mut scores = Vec::with_capacity(factors.len());
-        for factors in factors {
-            let parts = input.parts.iter().map(|part| {
-                let decoded = frozen.forward(&self::input(part, pyramid, &factors));
-                self.scores(&frozen, decoded.hidden, &part.gaussians)
-            });
-            let leaf = Tensor::from_inner(Tensor::cat(parts.collect(), 0)).require_grad();
-            scores.push(sample.blended(leaf.clone(), self.plan.config.blend)?);
-            leaves.push((leaf, factors));
-        }
-        let prediction = Prediction {
-            scores: one_or_pair(scores),
-            regularisation,
+    /// Factors of the channels of each prediction; no factors for all channels as they are.
+    fn channel_factors(&self, pyramid: &Pyramid, iteration: usize) -> Vec<ChannelFactors> {
+        let Some(rate) = self.plan.dropout else {
+            return vec![Vec::new()];
         };
-        let pending = PendingScores {
-            view,
-            input,
-            scores: leaves,
-        };
-        Ok((prediction, pending))
+        let predictions = [2 * iteration, 2 * iteration + 1];
+        predictions
+            .map(|index| dropped_channels(pyramid, rate, self.plan.seed, index))
+            .into()
     }
 
     /// Scores of the finest points, in chunks so that memory beside them does not grow with the scene.
-    fn decode(&self, decoder: &Decoder, encoded: &Encoded) -> Vec<f32> {
+    fn decode_all(&self, decoder: &Decoder, encoded: &Encoded) -> Vec<f32> {
         let count = encoded.points.len();
         let mut scores = Vec::with_capacity(count * self.plan.size[1]);
         for first in (0..count).step_by(CHUNK) {
@@ -306,7 +169,7 @@ impl<'a> DecoderModel<'a> {
             let part = Dependencies::new(&encoded.pyramid, finest);
             let decoded = decoder.forward(&encoded.pyramid.part(&part));
             let part = self.scores(decoder, decoded.hidden, points);
-            scores.extend(optimiser::values(stored(part, self.plan.config.blend)));
+            scores.extend(values(stored_scores(part, self.plan.config.blend)));
         }
         scores
     }
@@ -323,7 +186,7 @@ impl<'a> DecoderModel<'a> {
         let mut sums = vec![0.0_f32; count * classes];
         let mut totals = vec![0.0_f32; count];
         for (view, weights) in views.iter().zip(weights) {
-            let decoded = self.decode(decoder, view);
+            let decoded = self.decode_all(decoder, view);
             let rows = decoded.chunks_exact(classes.max(1)).zip(&view.points);
             for ((row, &i), &w) in rows.zip(weights) {
                 totals[i as usize] += w;
@@ -331,7 +194,7 @@ impl<'a> DecoderModel<'a> {
                 sum.iter_mut().zip(row).for_each(|(s, v)| *s += w * v);
             }
         }
-        let whole = self.decode(decoder, scene);
+        let whole = self.decode_all(decoder, scene);
         for (i, &total) in totals.iter().enumerate() {
             let span = i * classes..(i + 1) * classes;
             if total > 0.0 {
@@ -344,57 +207,89 @@ impl<'a> DecoderModel<'a> {
     }
 }
 
-fn one_or_pair(mut scores: Vec<Scores>) -> Scores {
-    let last = scores.pop().expect("at least one prediction");
-    match scores.pop() {
-        Some(first) => Scores::Pair(Box::new([first, last])),
-        None => last,
-    }
+/// The decoder's input for `part` of `pyramid`, its channels multiplied by `factors` where there are any.
+fn part_of(pyramid: &Pyramid, part: &Part, factors: &ChannelFactors) -> Pyramid {
+    pyramid.part(&part.rows).scaled(factors)
 }
 
 impl IdentityModel for DecoderModel<'_> {
-    fn predict(&mut self, view: usize, sample: &ViewSample) -> Result<Prediction> {
-        let input = self.view_input(view, &sample.visible)?;
-        let decoder = self.decoder.as_ref().expect("present between steps");
+    type Module = Decoder;
+
+    fn module(&self) -> &Decoder {
+        &self.decoder
+    }
+
+    fn set_module(&mut self, decoder: Decoder) {
+        self.decoder = decoder;
+    }
+
+    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<Decoded> {
+        let input = self.view_input(view, visible)?;
         let pyramid = &self.input.view(view).pyramid;
-        // Factors of the channels of each prediction.
-        let factors = match self.plan.dropout {
-            None => vec![Vec::new()],
-            Some(rate) => [2 * self.iteration, 2 * self.iteration + 1]
-                .map(|index| dropped_channels(pyramid, rate, self.plan.seed, index))
-                .into(),
-        };
-        let prediction = if input.parts.len() == 1 {
-            self.pending = None;
-            self.predict_whole(decoder, pyramid, &input, sample, &factors)?
-        } else {
-            let (prediction, pending) =
-                self.predict_in_parts(decoder, view, input, sample, factors)?;
-            self.pending = Some(pending);
-            prediction
-        };
-        self.iteration += 1;
-        Ok(prediction)
-    }
-
-    fn step(&mut self, loss: Tensor<1>, gradients: &mut Gradients, factor: f64) -> Result<f32> {
-        let decoder = self.decoder.as_ref().expect("present between steps");
-        if let Some(pending) = self.pending.take() {
-            let pyramid = &self.input.view(pending.view).pyramid;
-            pending.add_gradients(decoder, pyramid, gradients);
+        let factors = self.channel_factors(pyramid, iteration);
+        match &input.parts[..] {
+            [part] => {
+                let decoded = factors.iter().map(|factors| {
+                    let decoded = self.decoder.forward(&part_of(pyramid, part, factors));
+                    let scores = self.scores(&self.decoder, decoded.hidden, visible);
+                    (scores, decoded.fused)
+                });
+                let (scores, fused): (Vec<_>, Vec<_>) = decoded.unzip();
+                Ok(Decoded {
+                    scores,
+                    regularisation: input.regularisation(&fused[0], &self.plan, iteration),
+                    parts: None,
+                })
+            }
+            parts => {
+                let frozen = self.decoder.valid();
+                let scores = factors.iter().map(|factors| {
+                    let scores = parts.iter().map(|part| {
+                        let decoded = frozen.forward(&part_of(pyramid, part, factors));
+                        self.scores(&frozen, decoded.hidden, &visible[part.places.clone()])
+                    });
+                    Tensor::from_inner(Tensor::cat(scores.collect(), 0)).require_grad()
+                });
+                let scores = scores.collect();
+                let regularisation = input.coarse_rows(pyramid).and_then(|coarse| {
+                    let coarse = pyramid.part(&coarse).scaled(&factors[0]);
+                    let fused = self.decoder.fuse(&coarse, REGULARISED.start);
+                    input.regularisation(&fused, &self.plan, iteration)
+                });
+                Ok(Decoded {
+                    scores,
+                    regularisation,
+                    parts: Some(DecodedParts { input, factors }),
+                })
+            }
         }
-        let value = ModuleAdam::check(decoder, loss, gradients)?;
-        // Taken, not cloned: buffers with one owner are updated in place.
-        let decoder = self.decoder.take();
-        self.decoder = decoder.map(|decoder| self.adam.step(decoder, gradients, factor));
-        Ok(value)
     }
 
-    fn identities(&mut self) -> Result<Identities> {
-        let decoder = self.decoder.as_ref().expect("present between steps");
-        let decoder = self.adam.averaged(decoder.valid());
+    fn gradient(&self, view: usize, decoded: &Decoded, gradients: &mut Gradients) -> Tensor<1> {
+        let decoder = &self.decoder;
+        let mut sum = parameter_gradients(decoder, gradients);
+        let Some(DecodedParts { input, factors }) = &decoded.parts else {
+            return sum;
+        };
+        let pyramid = &self.input.view(view).pyramid;
+        for (scores, factors) in decoded.scores.iter().zip(factors) {
+            let Some(gradient) = scores.grad_remove(gradients) else {
+                continue;
+            };
+            for part in &input.parts {
+                let seed = Tensor::from_inner(gradient.clone().slice([part.places.clone()]));
+                let hidden = decoder.forward(&part_of(pyramid, part, factors)).hidden;
+                let mut of_part = (decoder.classify(hidden) * seed).sum().backward();
+                sum = sum + parameter_gradients(decoder, &mut of_part);
+            }
+        }
+        sum
+    }
+
+    fn identities(&self, decoder: Decoder) -> Identities {
+        let decoder = decoder.valid();
         let scores = match self.input {
-            DecoderInput::Scene(scene) => self.decode(&decoder, scene),
+            DecoderInput::Scene(scene) => self.decode_all(&decoder, scene),
             DecoderInput::Views {
                 views,
                 scene,
@@ -402,26 +297,6 @@ impl IdentityModel for DecoderModel<'_> {
             } => self.mean_over_views(&decoder, views, weights, scene),
         };
         let classes = self.plan.size[1];
-        Ok(Identities { scores, classes })
-    }
-
-    fn learnable_bytes(&self) -> usize {
-        self.decoder.as_ref().map_or(0, Decoder::bytes)
-    }
-
-    fn state(&self) -> NamedValues {
-        let mut state = self.adam.state();
-        if let Some(decoder) = &self.decoder {
-            state.extend(optimiser::parameters(decoder));
-        }
-        state.push(("iteration".into(), vec![self.iteration as f32]));
-        state
-    }
-
-    fn restore(&mut self, state: &dyn Fn(&str) -> Option<Vec<f32>>) -> Option<()> {
-        self.iteration = *state("iteration")?.first()? as usize;
-        self.adam = self.adam.clone().with_state(state, &self.device)?;
-        self.decoder = Some(optimiser::with_parameters(self.decoder.take()?, state)?);
-        Some(())
+        Identities { scores, classes }
     }
 }

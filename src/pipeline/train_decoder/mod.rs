@@ -1,184 +1,297 @@
 //! Stage two: identities are learned from raw labels while the geometry is frozen.
 //!
-//! [`train_decoder`] runs [`train_step`] for each iteration: draw labelled pixels of a view, predict their class scores
-//! with an [`IdentityModel`], and follow the gradient of the CoSeg loss (Eq. 10).
+//! [`Training::step`] is one iteration: labelled pixels of a view, the scores of the Gaussians that it shows (Eq. 7), these
+//! blended into the pixels (Eq. 3), the CoSeg loss (Eq. 8 to 10), a step of Adam. [`Training::run`] repeats it.
 
+mod adam;
+mod checkpoint;
 mod class_recall;
 mod decoder_model;
-mod in_parts;
-mod optimiser;
 mod per_gaussian;
-mod pixel_sample;
-mod rendered;
-mod training;
+mod plan;
+mod sampling;
+mod view_cache;
 mod view_input;
 mod views;
 
+pub use self::adam::{Adam, NamedValues};
 pub use self::class_recall::ClassRecall;
-pub use self::decoder_model::{DecoderInput, DecoderModel, DecoderPlan, Encoded, dropped_channels};
-pub use self::optimiser::{ModuleAdam, NamedValues};
+pub use self::decoder_model::{DecodedParts, DecoderModel, DecoderPlan, dropped_channels};
 pub use self::per_gaussian::PerGaussian;
-pub use self::pixel_sample::view_at;
-pub use self::training::{Evaluate, Schedule, TrainingRun, train_decoder};
+pub use self::plan::Plan;
+pub use self::sampling::view_at;
+pub use self::view_input::{DecoderInput, Encoded};
 pub use self::views::{TrainingViews, ViewSample};
 
-use crate::config::{self, Blend, SegmentationConfig};
 use crate::error::{Error, Result};
 use crate::objects::Identities;
+use crate::progress::{CurvePoint, Event, Progress};
+use crate::provenance::Provenance;
 use crate::random::{Purpose, stream};
-use crate::segmentation::loss::{CoSegLoss, LabelLoss, Scores};
-use burn::tensor::activation::softmax;
+use crate::segmentation::loss::{CoSegLoss, Scores};
+use adam::{finite_loss, parameter_gradients};
+use burn::module::Module;
 use burn::tensor::{Gradients, Tensor};
+use std::path::PathBuf;
+use std::time::Instant;
 
-/// Class scores of some pixels, with their 3D regularisation.
-pub struct Prediction {
-    /// Class scores.
-    pub scores: Scores,
+/// Scores of the Gaussians of a view, with gradient to the parameters of the model.
+pub struct Decoded {
+    /// `[V, C]`; two predictions where the loss compares two.
+    pub scores: Vec<Tensor<2>>,
     /// Eq. 9, where the model has one.
     pub regularisation: Option<Tensor<1>>,
+    /// Present where the scores were decoded in parts, without autodiff: they are leaves.
+    pub parts: Option<DecodedParts>,
 }
 
-/// A model that stage two trains: it predicts class scores and stores identities.
+/// A model that stage two trains: parameters from which every Gaussian gets its class scores.
 pub trait IdentityModel {
-    /// Scores of the sampled pixels of training view `view`.
-    ///
-    /// # Errors
-    /// When a frozen input is not finite, or the device fails.
-    fn predict(&mut self, view: usize, sample: &ViewSample) -> Result<Prediction>;
-    /// One optimiser step at `factor` times the learning rate. `loss` (`[1]`, without autodiff) and `gradients` belong to the
-    /// last prediction. Returns the value of the loss.
-    ///
-    /// # Errors
-    /// [`Error::NonFinite`] naming the loss or the parameter, [`Error::Device`] when the device fails. The model is unchanged
-    /// then.
-    fn step(&mut self, loss: Tensor<1>, gradients: &mut Gradients, factor: f64) -> Result<f32>;
-    /// The identities to store, `[N, C]`.
+    /// The module that holds the parameters.
+    type Module: Module;
+
+    /// The parameters.
+    fn module(&self) -> &Self::Module;
+
+    /// Replaces the parameters.
+    fn set_module(&mut self, module: Self::Module);
+
+    /// Scores of the Gaussians `visible` in training view `view`.
     ///
     /// # Errors
     /// When a frozen input is not finite.
-    fn identities(&mut self) -> Result<Identities>;
-    /// Bytes of everything that is learned.
-    fn learnable_bytes(&self) -> usize;
-    /// Parameters, moments and counters, by name.
-    fn state(&self) -> NamedValues;
-    /// Restores what [`IdentityModel::state`] returned; `None` when a name is missing.
-    fn restore(&mut self, state: &dyn Fn(&str) -> Option<Vec<f32>>) -> Option<()>;
-}
+    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<Decoded>;
 
-/// How a variant is trained.
-#[derive(Clone, Debug)]
-pub struct Plan {
-    /// Label loss after the warm-up.
-    pub loss: LabelLoss,
-    /// Iterations of cross-entropy before it.
-    pub warmup: usize,
-    /// All iterations.
-    pub iterations: usize,
-    /// Recall below which a class learns by a less robust loss, see [`ClassRecall`]; 0 is never.
-    pub least_recall: f64,
-    /// Weights of the label loss and of the 3D regularisation.
-    pub lambda: [f64; 2],
-    /// Share of the pixels in a step.
-    pub pixel_share: f64,
-    /// Whether the learning rate falls along a half cosine, to 1 % at the end.
-    pub decay: bool,
-    /// Seed of view order and pixel choice.
-    pub seed: u64,
-}
-
-impl Plan {
-    /// The plan of `config` under `loss`.
-    pub fn new(config: &SegmentationConfig, loss: LabelLoss, seed: u64) -> Self {
-        let warmup = match loss {
-            LabelLoss::Ce => 0,
-            _ => (config.warmup * config.iterations as f64).round() as usize,
-        };
-        let least_recall = match (loss, config.loss) {
-            (LabelLoss::Gce { .. }, config::LabelLoss::Gce { least_recall, .. }) => least_recall,
-            _ => 0.0,
-        };
-        Self {
-            loss,
-            warmup,
-            iterations: config.iterations,
-            least_recall,
-            lambda: [config.lambda_pix, config.lambda_reg],
-            pixel_share: config.pixel_share,
-            decay: config.lr_decay,
-            seed,
-        }
+    /// The gradient of all parameters, `[P]`, from the `gradients` of a loss of what was `decoded` in `view`.
+    fn gradient(&self, _view: usize, _decoded: &Decoded, gradients: &mut Gradients) -> Tensor<1> {
+        parameter_gradients(self.module(), gradients)
     }
 
-    /// Share of the learning rate at `iteration` (from 0).
-    pub fn rate_factor(&self, iteration: usize) -> f64 {
-        if !self.decay {
-            return 1.0;
-        }
-        let done = iteration as f64 / self.iterations.max(1) as f64;
-        0.01 + 0.99 * 0.5 * (1.0 + (std::f64::consts::PI * done).cos())
-    }
-
-    /// The loss at `iteration`.
-    fn loss_at(&self, iteration: usize) -> CoSegLoss {
-        let label = if iteration < self.warmup {
-            LabelLoss::Ce
-        } else {
-            self.loss
-        };
-        CoSegLoss {
-            label,
-            lambda: self.lambda,
-            robustness: Vec::new(),
-        }
-    }
+    /// The identities that the parameters `module` give, `[N, C]`.
+    fn identities(&self, module: Self::Module) -> Identities;
 }
 
-/// One iteration of `model`. Returns the loss.
-///
-/// # Errors
-/// [`Error::NonFinite`] naming view and iteration, [`Error::Limit`] and [`Error::Device`] where a GPU fails. The model is
-/// unchanged then.
-pub fn train_step(
-    model: &mut dyn IdentityModel,
-    views: &mut TrainingViews,
-    plan: &Plan,
-    recall: &mut ClassRecall,
+/// A model in training.
+pub struct Training<M> {
+    /// The model.
+    pub model: M,
+    adam: Adam,
+    recall: ClassRecall,
     iteration: usize,
-) -> Result<f32> {
-    let view = view_at(plan.seed, iteration, views.len());
-    let mut rng = stream(plan.seed, Purpose::Pixels, iteration as u64);
-    let sample = views.sample(view, plan.pixel_share, &mut rng)?;
-    if sample.pixels.labels.is_empty() {
-        return Ok(0.0);
-    }
-    let mut step = || {
-        let prediction = model.predict(view, &sample)?;
-        let mut loss = plan.loss_at(iteration);
-        if plan.least_recall > 0.0 {
-            recall.measure(&prediction.scores, &sample.pixels, iteration)?;
-            loss.robustness = recall.robustness(plan.least_recall);
-        }
-        let loss = loss.forward(prediction.scores, &sample.pixels, prediction.regularisation)?;
-        let mut gradients = loss.backward();
-        model.step(loss.inner(), &mut gradients, plan.rate_factor(iteration))
-    };
-    step().map_err(|error| match error {
-        Error::NonFinite { tensor, row, .. } => Error::NonFinite {
-            tensor,
-            row,
-            context: format!(
-                ", view {}, segmentation iteration {iteration}",
-                views.name(view)
-            ),
-        },
-        other => other,
-    })
+    curve: Vec<CurvePoint>,
+    /// Seconds so far.
+    seconds: f64,
+    /// Losses since the last point of the curve.
+    losses: Losses,
 }
 
-/// Scores in the form that identities store.
-fn stored(scores: Tensor<2>, blend: Blend) -> Tensor<2> {
-    match blend {
-        Blend::Logits => scores,
-        Blend::Probabilities => softmax(scores, 1),
+/// Sum and number of losses.
+#[derive(Clone, Copy, Debug, Default)]
+struct Losses {
+    sum: f64,
+    count: f64,
+}
+
+/// When a variant is evaluated and saved, and where.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    /// Name of the variant, for progress.
+    pub variant: &'static str,
+    /// Number of Gaussians, for progress.
+    pub gaussians: usize,
+    /// Iterations between held-out evaluations.
+    pub eval_every: usize,
+    /// Iterations between checkpoints.
+    pub checkpoint_every: usize,
+    /// The checkpoint; none is written or read where it is absent.
+    pub checkpoint: Option<PathBuf>,
+    /// Settings and data of the training; a checkpoint of any other is refused.
+    pub provenance: Provenance,
+}
+
+/// Scores a model on the held-out views: the pooled mIoU, or none without such views.
+pub type Evaluate<'a, M> = &'a mut dyn FnMut(&Training<M>) -> Result<Option<f64>>;
+
+/// The outcome of [`Training::run`], beside the trained model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrainingRun {
+    /// One point for each evaluation.
+    pub curve: Vec<CurvePoint>,
+    /// Seconds of training before the checkpoint that was resumed.
+    pub earlier_seconds: f64,
+    /// Whether training reached the end of the plan; otherwise it was stopped.
+    pub finished: bool,
+}
+
+impl<M: IdentityModel> Training<M> {
+    /// `model` before its first step, with scores for `classes` classes.
+    pub fn new(model: M, adam: Adam, classes: usize) -> Self {
+        Self {
+            model,
+            adam,
+            recall: ClassRecall::new(classes),
+            iteration: 0,
+            curve: Vec::new(),
+            seconds: 0.0,
+            losses: Losses::default(),
+        }
+    }
+
+    /// Iterations so far.
+    pub fn iteration(&self) -> usize {
+        self.iteration
+    }
+
+    /// Bytes of everything that is learned.
+    pub fn learnable_bytes(&self) -> usize {
+        4 * self.model.module().num_params()
+    }
+
+    /// Step count of Adam, its moments and the mean of the parameters, each in the order of the module's parameters.
+    pub fn optimizer_state(&self) -> NamedValues {
+        self.adam.state()
+    }
+
+    /// One iteration. Returns the loss, 0 for a view without labelled pixels.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] naming view and iteration, [`Error::Limit`] and [`Error::Device`] where a GPU fails. The model is
+    /// unchanged then.
+    pub fn step(&mut self, views: &mut TrainingViews, plan: &Plan) -> Result<f32> {
+        let view = view_at(plan.seed, self.iteration, views.len());
+        let loss = self.step_on(view, views, plan);
+        let loss = loss.map_err(|error| match error {
+            Error::NonFinite { tensor, row, .. } => {
+                let (name, iteration) = (views.name(view), self.iteration);
+                let context = format!(", view {name}, segmentation iteration {iteration}");
+                Error::NonFinite {
+                    tensor,
+                    row,
+                    context,
+                }
+            }
+            other => other,
+        })?;
+        self.iteration += 1;
+        Ok(loss)
+    }
+
+    fn step_on(&mut self, view: usize, views: &mut TrainingViews, plan: &Plan) -> Result<f32> {
+        let mut rng = stream(plan.seed, Purpose::Pixels, self.iteration as u64);
+        let sample = views.sample(view, plan.pixel_share, &mut rng)?;
+        if sample.pixels.is_empty() {
+            return Ok(0.0);
+        }
+        let decoded = self.model.decode(view, &sample.visible, self.iteration)?;
+        let scores = sample.blended(decoded.scores.clone(), plan.blend)?;
+        let loss = self.coseg_loss(plan, &scores, &sample)?;
+        let loss = loss.forward(scores, &sample.pixels, decoded.regularisation.clone())?;
+        let gradient = self.model.gradient(view, &decoded, &mut loss.backward());
+        let value = finite_loss(loss.inner(), &gradient)?;
+        let module = self.model.module().clone();
+        let factor = plan.rate_factor(self.iteration);
+        self.model
+            .set_module(self.adam.step(module, gradient, factor));
+        Ok(value)
+    }
+
+    /// Eq. 10 in this iteration.
+    fn coseg_loss(
+        &mut self,
+        plan: &Plan,
+        scores: &Scores,
+        sample: &ViewSample,
+    ) -> Result<CoSegLoss> {
+        let mut robustness = Vec::new();
+        if plan.least_recall > 0.0 {
+            self.recall
+                .measure(scores, &sample.pixels, self.iteration)?;
+            robustness = self.recall.robustness(plan.least_recall);
+        }
+        Ok(CoSegLoss {
+            label: plan.label_loss(self.iteration),
+            lambda: plan.lambda,
+            robustness,
+        })
+    }
+
+    /// The identities to store. They come from the mean of the parameters where it is kept.
+    pub fn identities(&self) -> Identities {
+        let module = self.adam.averaged(self.model.module().clone());
+        self.model.identities(module)
+    }
+
+    /// Trains by `plan` from the checkpoint, or from the start without one, to the end or until `progress` stops it.
+    ///
+    /// # Errors
+    /// Those of [`Training::step`]; the last checkpoint stays as it was. Those of reading or writing the checkpoint;
+    /// [`Error::Config`] and [`Error::Input`] when it was made from other settings or data.
+    pub fn run(
+        &mut self,
+        views: &mut TrainingViews,
+        plan: &Plan,
+        schedule: &Schedule,
+        evaluate: Evaluate<M>,
+        progress: &mut dyn Progress,
+    ) -> Result<TrainingRun> {
+        self.resume(plan, schedule)?;
+        let earlier_seconds = self.seconds;
+        progress.event(&Event::Started {
+            stage: schedule.variant,
+            done: self.iteration,
+            iterations: plan.iterations,
+        });
+        let mut stop = false;
+        while self.iteration < plan.iterations && !stop {
+            let clock = Instant::now();
+            let loss = f64::from(self.step(views, plan)?);
+            self.seconds += clock.elapsed().as_secs_f64();
+            self.losses.sum += loss;
+            self.losses.count += 1.0;
+            let iteration = self.iteration;
+            progress.event(&Event::Step {
+                iteration,
+                loss,
+                gaussians: schedule.gaussians,
+            });
+            stop = progress.stop();
+            let end = iteration == plan.iterations;
+            let due = |every: usize| end || iteration.is_multiple_of(every.max(1));
+            // No point for a stop: the curve of a resumed run is that of an uninterrupted one.
+            if due(schedule.eval_every) {
+                let point = self.evaluated(schedule.gaussians, evaluate)?;
+                progress.event(&Event::Evaluated(point));
+            }
+            if let Some(path) = &schedule.checkpoint
+                && (stop || due(schedule.checkpoint_every))
+            {
+                self.save(&schedule.provenance, path)?;
+                progress.event(&Event::Saved { iteration });
+            }
+        }
+        let finished = self.iteration >= plan.iterations;
+        if finished {
+            progress.event(&Event::Finished);
+        }
+        Ok(TrainingRun {
+            curve: self.curve.clone(),
+            earlier_seconds,
+            finished,
+        })
+    }
+
+    /// A new point of the curve.
+    fn evaluated(&mut self, gaussians: usize, evaluate: Evaluate<M>) -> Result<CurvePoint> {
+        let losses = std::mem::take(&mut self.losses);
+        let point = CurvePoint {
+            iteration: self.iteration,
+            seconds: self.seconds,
+            loss: losses.sum / losses.count.max(1.0),
+            miou: evaluate(self)?,
+            gaussians,
+            ..CurvePoint::default()
+        };
+        self.curve.push(point);
+        Ok(point)
     }
 }

@@ -1,23 +1,66 @@
-//! The decoder's frozen input for one training view: parts of the pyramid, and neighbours for the 3D regularisation.
+//! The decoder's frozen input: of the scene, and of the Gaussians that a training view shows.
 
-use super::decoder_model::{DecoderPlan, Encoded};
+use super::DecoderPlan;
 use crate::error::Result;
 use crate::random::{Purpose, stream};
-use crate::segmentation::loss::NeighbourPairs;
+use crate::segmentation::loss::{NeighbourPairs, neighbour_divergence};
 use crate::segmentation::neighbours::without_self;
 use crate::segmentation::pyramid::{Dependencies, Pyramid};
+use burn::tensor::Tensor;
 use std::ops::Range;
 
 /// Scales of the 3D regularisation (n = 3, 4), zero-based.
-pub(super) const REGULARISED: [usize; 2] = [2, 3];
+pub(super) const REGULARISED: Range<usize> = 2..4;
 
-/// Frozen, so it is computed once for each view and kept where memory allows.
+/// A set of Gaussians with the decoder's frozen inputs.
+#[derive(Clone, Debug)]
+pub struct Encoded {
+    /// Frozen inputs of all scales; level 1 holds every point of the set.
+    pub pyramid: Pyramid,
+    /// Scene index of each point of the set, ascending.
+    pub points: Vec<u32>,
+}
+
+/// The decoder's frozen input.
+pub enum DecoderInput {
+    /// The whole scene, encoded once; each view uses the part it sees.
+    Scene(Encoded),
+    /// The visible Gaussians of each training view, encoded alone (the paper), and the whole scene for Gaussians that no
+    /// view sees.
+    Views {
+        /// In the order of the training views.
+        views: Vec<Encoded>,
+        /// Summed alpha' T of each view's points, for the weighted mean of identities.
+        weights: Vec<Vec<f32>>,
+        /// The whole scene.
+        scene: Encoded,
+    },
+}
+
+impl DecoderInput {
+    /// The encoding of the whole scene.
+    pub fn scene(&self) -> &Encoded {
+        match self {
+            Self::Scene(scene) | Self::Views { scene, .. } => scene,
+        }
+    }
+
+    /// The encoding that training view `view` uses.
+    pub fn view(&self, view: usize) -> &Encoded {
+        match self {
+            Self::Scene(scene) => scene,
+            Self::Views { views, .. } => &views[view],
+        }
+    }
+}
+
+/// What the Gaussians that a view shows depend on.
 #[derive(Clone, Debug)]
 pub(super) struct ViewInput {
-    /// The view's visible Gaussians in order, in parts that are decoded at once.
+    /// The visible Gaussians in order, in parts that are decoded at once.
     pub parts: Vec<Part>,
     /// The points of the regularised scales that all parts together depend on.
-    pub clouds: [Cloud; REGULARISED.len()],
+    clouds: Vec<Cloud>,
 }
 
 /// Gaussians that are decoded together.
@@ -25,30 +68,16 @@ pub(super) struct ViewInput {
 pub(super) struct Part {
     /// Their places among the visible Gaussians.
     pub places: Range<usize>,
-    /// Their numbers in the scene.
-    pub gaussians: Vec<u32>,
     /// The rows of the pyramid that they depend on.
     pub rows: Dependencies,
-    /// Those rows, where memory allows.
-    pub pyramid: Option<Pyramid>,
-}
-
-impl Part {
-    /// The part of the encoding's pyramid `whole` that these Gaussians depend on.
-    pub fn pyramid(&self, whole: &Pyramid) -> Pyramid {
-        match &self.pyramid {
-            Some(pyramid) => pyramid.clone(),
-            None => whole.part(&self.rows),
-        }
-    }
 }
 
 /// Points of a regularised scale.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Cloud {
+#[derive(Clone, Debug)]
+struct Cloud {
     /// Rows of the pyramid's level, ascending.
-    pub rows: Vec<u32>,
-    /// The K nearest others of each point, `[N_n, K]`, as places in `rows`; empty without regularisation.
+    rows: Vec<u32>,
+    /// The K nearest others of each point, `[N_n, K]`, as places in `rows`.
     neighbours: Vec<u32>,
 }
 
@@ -66,56 +95,60 @@ impl ViewInput {
     ) -> Result<Self> {
         let row = |g: &u32| encoded.points.binary_search(g).ok().map(|row| row as u32);
         let rows: Vec<u32> = visible.iter().filter_map(row).collect();
-        let size = match plan.config.decoder_chunk {
-            0 => rows.len().max(1),
-            // Parts of one size instead of a small one at the end.
-            chunk => rows
-                .len()
-                .div_ceil(rows.len().div_ceil(chunk).max(1))
-                .max(1),
+        let count = rows.len().max(1);
+        let parts = match plan.config.decoder_chunk {
+            0 => 1,
+            chunk => count.div_ceil(chunk),
         };
-        let part = |start: usize| {
-            let places = start..(start + size).min(rows.len());
+        // Parts of one size instead of a small one at the end.
+        let size = count.div_ceil(parts);
+        let part = |first: usize| {
+            let places = first..(first + size).min(rows.len());
             Part {
-                gaussians: visible[places.clone()].to_vec(),
                 rows: Dependencies::new(&encoded.pyramid, rows[places.clone()].to_vec()),
-                pyramid: None,
                 places,
             }
         };
-        let parts: Vec<Part> = (0..rows.len().max(1)).step_by(size).map(part).collect();
-        let mut clouds = [Cloud::default(), Cloud::default()];
-        if plan.regularised {
-            for (cloud, scale) in clouds.iter_mut().zip(REGULARISED) {
-                if scale < encoded.pyramid.levels.len() {
-                    *cloud = Cloud::new(encoded, &parts, scale, means, plan)?;
-                }
-            }
-        }
+        let parts: Vec<Part> = (0..count).step_by(size).map(part).collect();
+        let clouds = if plan.regularised && encoded.pyramid.levels.len() >= REGULARISED.end {
+            let neighbours = plan.config.reg_neighbours;
+            let cloud = |scale| Cloud::new(encoded, &parts, scale, means, neighbours);
+            REGULARISED.map(cloud).collect::<Result<_>>()?
+        } else {
+            Vec::new()
+        };
         Ok(Self { parts, clouds })
     }
 
-    /// Gathers the parts of `whole` once, if they fit in `budget` bytes.
-    pub fn gather(&mut self, whole: &Pyramid, budget: usize) {
-        let mut left = budget;
-        for part in &mut self.parts {
-            let pyramid = whole.part(&part.rows);
-            match left.checked_sub(pyramid.bytes()) {
-                Some(rest) => left = rest,
-                None => return,
-            }
-            part.pyramid = Some(pyramid);
-        }
+    /// Rows of the regularised scales and of what they depend on; none without regularisation.
+    pub fn coarse_rows(&self, pyramid: &Pyramid) -> Option<Dependencies> {
+        let coarse = self.clouds.iter().map(|cloud| cloud.rows.clone());
+        let finer = std::iter::repeat_n(Vec::new(), REGULARISED.start);
+        (!self.clouds.is_empty()).then(|| Dependencies::of_levels(pyramid, finer.chain(coarse)))
+    }
+
+    /// Eq. 9 over a sample of the points of the regularised scales. `fused` are the fused features of all their points, the
+    /// last scales of a decoding. None without points that have neighbours.
+    pub fn regularisation(
+        &self,
+        fused: &[Tensor<2>],
+        plan: &DecoderPlan,
+        iteration: usize,
+    ) -> Option<Tensor<1>> {
+        let coarse = fused.iter().rev().take(self.clouds.len()).rev();
+        let terms = self.clouds.iter().zip(REGULARISED).zip(coarse);
+        let terms = terms.filter_map(|((cloud, scale), fused)| {
+            let pairs = cloud.sample(plan, scale, iteration)?;
+            Some(neighbour_divergence(fused.clone(), &pairs))
+        });
+        terms.reduce(|sum, term| sum + term)
     }
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         let clouds = self.clouds.iter();
         let clouds = clouds.map(|cloud| 4 * (cloud.rows.len() + cloud.neighbours.len()));
-        let parts = self.parts.iter().map(|part| {
-            let gathered = part.pyramid.as_ref().map_or(0, Pyramid::bytes);
-            4 * part.gaussians.len() + part.rows.bytes() + gathered
-        });
+        let parts = self.parts.iter().map(|part| part.rows.bytes());
         parts.chain(clouds).sum()
     }
 }
@@ -126,7 +159,7 @@ impl Cloud {
         parts: &[Part],
         scale: usize,
         means: &[[f32; 3]],
-        plan: &DecoderPlan,
+        neighbours: usize,
     ) -> Result<Self> {
         let rows = parts.iter().flat_map(|part| part.rows.rows(scale));
         let mut rows: Vec<u32> = rows.copied().collect();
@@ -135,19 +168,14 @@ impl Cloud {
         let points = &encoded.pyramid.levels[scale].points;
         let centre = |&r: &u32| means[encoded.points[points[r as usize] as usize] as usize];
         let centres: Vec<[f32; 3]> = rows.iter().map(centre).collect();
-        let neighbours = without_self(&centres, plan.config.reg_neighbours)?;
+        let neighbours = without_self(&centres, neighbours)?;
         Ok(Self { rows, neighbours })
     }
 
     /// The sampled points of `iteration` at `scale` with their neighbours, as places in [`Cloud::rows`].
-    pub fn sample(
-        &self,
-        plan: &DecoderPlan,
-        scale: usize,
-        iteration: usize,
-    ) -> Option<NeighbourPairs> {
+    fn sample(&self, plan: &DecoderPlan, scale: usize, iteration: usize) -> Option<NeighbourPairs> {
         let (points, k) = (self.rows.len(), plan.config.reg_neighbours);
-        if self.neighbours.len() != points * k || points < 2 {
+        if points < 2 {
             return None;
         }
         let index = (iteration * 4 + scale) as u64;

@@ -1,58 +1,22 @@
 //! The handwritten backward pass.
 //!
 //! Front to back, with the forward pass's own transmittances. For a pixel let `d_i = dL/dS . s_i`; then
-//! `dL/dalpha'_i = T_i d_i - R_i / (1 - alpha'_i)` with `R_i = sum_(j > i) w_j d_j + dL/dT T`: what is left of
+//! `dL/dalpha'_i = T_i d_i - R_i / (1 - alpha'_i)`. `R_i = sum_(j > i) w_j d_j + dL/dT T` is the rest of
 //! `dL/dS . S + dL/dT T` after the first `i` Gaussians. One running scalar per pixel, whatever the number of channels.
 //!
-//! AbsGS (Ye et al. 2024) asks for the absolute values of the gradients of the projected centres before they are summed
-//! over the pixels. The kernels do so when `ABSOLUTE`, and are otherwise those without.
+//! AbsGS (Ye et al. 2024) sums the absolute values of each pixel's gradient of the projected centres. The kernels add these
+//! sums when `ABSOLUTE`.
 
 use super::blend::tile_image;
 use super::channel_blocks;
-use super::footprint::{Buffer, Footprint, Rule, Splat2, UNIT, fresh_transmittance};
-pub use super::parameter_gradients::SplatGradients;
+use super::footprint::{Buffer, Footprint, Rule, Splat2, Tile, fresh_transmittance};
+use super::parameter_gradients::SplatGradients;
+use super::pixel_gradients::{PixelGradients, drift, geometry_sums};
 use super::projected::{Blended, Projected};
-use super::tile_loop::{LOOK, Pass, Tile, gather_rows, sum_over_tiles, walk};
+use super::tile_loop::{LOOK, Pass, gather_rows, sum_over_tiles, walk};
 use crate::backend::Real;
 use crate::backend::simd::{Kernel, Lanes};
 use crate::raster::settings::Splats;
-
-/// Sums of a row besides those of the values, for each Gaussian: moments, and the two of absolute values.
-pub(in crate::raster) const fn geometry_sums(absolute: bool) -> usize {
-    if absolute { 8 } else { 6 }
-}
-
-/// By how much the kernels' `u` and `v` grow as the centre moves by a pixel: `u` along x, `u` along y, `v` along y.
-#[inline(always)]
-pub(in crate::raster) fn drift<E: Real>(s: &Splat2) -> [E; 3] {
-    [UNIT * s.du, -UNIT * s.du * s.slope, UNIT * s.dv].map(E::of)
-}
-
-/// What the backward pass over a tile reads besides the projection.
-#[derive(Clone, Copy)]
-pub(in crate::raster) struct PixelGradients<'a, E> {
-    /// What was rendered, `[H, W, C]`, background included.
-    pub image: &'a [E],
-    pub transmittance: &'a [E],
-    pub d_image: &'a [E],
-    pub d_transmittance: Option<&'a [E]>,
-}
-
-impl<E: Real> PixelGradients<'_, E> {
-    /// `d_image . image + d_transmittance transmittance` of a pixel: the part of the loss's differential that is still
-    /// to be shared out before the first Gaussian.
-    #[inline(always)]
-    pub fn budget(&self, pixel: usize, channels: usize) -> E {
-        let at = pixel * channels;
-        let mut sum = self
-            .d_transmittance
-            .map_or(E::zero(), |d| d[pixel] * self.transmittance[pixel]);
-        for c in 0..channels {
-            sum += self.d_image[at + c] * self.image[at + c];
-        }
-        sum
-    }
-}
 
 struct BackwardTile<'a, E, const C: usize, const ABSOLUTE: bool> {
     p: &'a Projected<E>,
@@ -174,8 +138,8 @@ impl<E: Real, S: Lanes<E>, const C: usize, const ABSOLUTE: bool>
         d_value
     }
 
-    /// Sums of `g` times 1, u, v, u^2, u v, v^2; and, negative, of the absolute values of what single pixels add to
-    /// the gradient of the centre.
+    /// Sums of `g` times 1, u, v, u^2, u v, v^2; and minus the sums of each pixel's absolute contribution to the gradient of
+    /// the centre.
     #[inline(always)]
     fn moments(&self, next: usize, footprint: &Footprint<E>) -> ([S::V; 6], [S::V; 2]) {
         let s = self.rule.s;
@@ -239,9 +203,9 @@ fn pixel_sums<E: Real, const ABSOLUTE: bool>(
 impl<E: Real> Projected<E> {
     /// Gradients of a loss `L` through [`Projected::blend`] and the projection.
     ///
-    /// `splats` and `values` (`[N, channels]`) are what was rendered, `forward` what came out (a background may have been
-    /// added to its image: `image + T b`, and `d_image` is then taken to reach `T` through it), `d_image` `[H, W, channels]`
-    /// and `d_transmittance` `[H, W]` are dL/d(output).
+    /// `splats` and `values` (`[N, channels]`) are the inputs of the forward pass, `forward` is its output. Its image may include
+    /// a background, `image + T b`; then `d_image` reaches `T` through it. `d_image` `[H, W, channels]` and `d_transmittance`
+    /// `[H, W]` are the gradients of the output.
     ///
     /// # Panics
     /// If the lengths disagree.

@@ -1,18 +1,18 @@
 //! Blending of a few channels (Eq. 3-4) and its adjoint: pixel lanes inside, channels unrolled.
 
-use super::footprint::{Buffer, Footprint, PIXELS, Rule, fresh_transmittance};
+use super::footprint::{Buffer, Footprint, PIXELS, Rule, Tile, fresh_transmittance};
 use super::projected::{Blended, Projected};
-use super::tile_loop::{LOOK, Pass, Tile, for_each_tile_row, gather_rows, sum_over_tiles, walk};
+use super::tile_loop::{LOOK, Pass, for_each_tile_row, gather_rows, sum_over_tiles, walk};
 use crate::backend::Real;
 use crate::backend::simd::{Kernel, Lanes};
 
-/// What a blending pass sums of the weights besides, pixel by pixel: one more channel of the image, or none.
+/// Another sum over the weights of a blending pass: one more channel of the image, or none.
 pub(super) trait Beside<E> {
     /// Channels that [`Beside::channel`] has.
     const CHANNELS: usize;
     /// The next Gaussians have these ranks, [`LOOK`] at most.
     fn gather(&mut self, ranks: &[u32]);
-    /// The `next`-th of them follows, and reaches some strip.
+    /// The next call of [`Beside::add`] is about the `next`-th of them.
     fn begin(&mut self, next: usize);
     /// Adds its weights in a strip.
     fn add<S: Lanes<E>>(&mut self, s: S, strip: usize, weight: S::V);
@@ -20,7 +20,7 @@ pub(super) trait Beside<E> {
     fn channel(&self) -> [E; PIXELS];
 }
 
-/// Nothing besides.
+/// No other sum.
 struct Nothing;
 
 impl<E: Real> Beside<E> for Nothing {
@@ -47,7 +47,7 @@ pub(super) fn blend<E: Real, const C: usize>(
     blend_beside::<E, _, C>(p, values, used, || Nothing)
 }
 
-/// [`blend`], and what `beside`, made for each tile, sums of the weights: the image has its channel after the others.
+/// [`blend`] with another sum over the weights. `beside` makes it for each tile. Its channel follows the others.
 pub(super) fn blend_beside<E: Real, B: Beside<E>, const C: usize>(
     p: &Projected<E>,
     values: &[E],

@@ -1,11 +1,11 @@
 //! Blending of many channels, its adjoint and its backward pass: the pairs of a tile first, then the channels in blocks,
 //! with channel lanes inside.
 
-use super::backward::{PixelGradients, drift, geometry_sums};
-use super::footprint::{PIXELS, fresh_transmittance};
+use super::footprint::{PIXELS, Tile, fresh_transmittance};
 use super::pairs::Pairs;
+use super::pixel_gradients::{PixelGradients, drift, geometry_sums};
 use super::projected::{Blended, Projected};
-use super::tile_loop::{Tile, for_each_tile_row, sum_over_tiles};
+use super::tile_loop::{for_each_tile_row, sum_over_tiles};
 use crate::backend::Real;
 use crate::backend::simd::{Kernel, Lanes};
 

@@ -2,10 +2,9 @@
 //!
 //! A tile is cut into strips: neighbouring pixels of a row, as many as a register holds.
 
-use super::tile_loop::Tile;
 use crate::backend::Real;
 use crate::backend::simd::Lanes;
-use crate::raster::Settings;
+use crate::raster::settings::Settings;
 
 /// Pixels along a tile's edge.
 pub(in crate::raster) const TILE: usize = 16;
@@ -13,6 +12,24 @@ pub(in crate::raster) const TILE: usize = 16;
 pub(super) const PIXELS: usize = TILE * TILE;
 /// Most strips that a tile is cut into: registers hold four numbers or more.
 const MAX_STRIPS: usize = 64;
+
+/// One tile: its first pixel and its Gaussians' ranks, front to back.
+#[derive(Clone, Copy)]
+pub(super) struct Tile<'a> {
+    pub origin: [usize; 2],
+    pub ranks: &'a [u32],
+}
+
+impl Tile<'_> {
+    /// For every row of the tile inside an image of `size`: its position in the tile's buffers and in the image, and its
+    /// length there.
+    #[inline(always)]
+    pub fn rows(&self, size: [usize; 2]) -> impl Iterator<Item = (usize, usize, usize)> + use<> {
+        let [x, y] = self.origin;
+        let len = (size[0] - x).min(TILE);
+        (0..(size[1] - y).min(TILE)).map(move |row| (row * TILE, (y + row) * size[0] + x, len))
+    }
+}
 
 /// Strips of a tile.
 pub(super) const fn strips<E, S: Lanes<E>>() -> usize {

@@ -214,7 +214,7 @@ pub(super) struct Ewa {
 }
 
 impl Ewa {
-    /// Of a Gaussian at `p` in camera coordinates.
+    /// Projects a Gaussian at `p` in camera coordinates.
     #[inline(always)]
     pub fn new(rotation: [f64; 4], scale: Vec3, v: &Viewpoint, p: Vec3) -> Self {
         // No `from_fn` within `from_fn`: where a closure is not inlined, loops over Gaussians do not become vectors.
@@ -301,7 +301,7 @@ pub(super) struct Gradient3 {
     pub center: [f64; 2],
 }
 
-/// The derivative of [`super::projection::project`] followed by the exponent, for a Gaussian that it called visible.
+/// The derivative of the projection followed by the exponent, for a Gaussian that it called visible.
 pub(super) fn project_backward(
     s: &Splat3,
     v: &Viewpoint,

@@ -1,5 +1,5 @@
-//! One label a Gaussian beside what is blended: each pixel sums the weights of every label that it sees, of however many the
-//! scene has.
+//! Label maps of scenes with one label for each Gaussian: each pixel sums the weights of every label that it sees. The number of
+//! labels in the scene does not matter.
 
 use super::blend::{Beside, blend_beside};
 use super::footprint::{Buffer, PIXELS};
@@ -15,7 +15,7 @@ struct LabelSums<'a, E> {
     /// Labels of the tile in the order in which they appear, and the sums of their weights.
     seen: Vec<u16>,
     weights: Vec<Buffer<E>>,
-    /// Labels of the next Gaussians, and where in `seen` that of the one at hand is.
+    /// Labels of the next Gaussians, and the place in `seen` of the current one's.
     near: [u16; LOOK],
     slot: usize,
 }

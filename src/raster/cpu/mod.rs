@@ -4,25 +4,29 @@
 //! tile lists of an `f32` render are those of its `f64` reference. Results do not depend on the number of threads.
 //! They may differ in the last bits between instruction sets.
 
-pub(super) mod backward;
+mod backward;
 mod blend;
 mod channel_blocks;
 mod disc_pixels;
 pub(super) mod footprint;
 pub(super) mod geometry;
 mod labels;
+mod linear_map;
 mod outline;
 mod pairs;
 mod parameter_gradients;
+pub(super) mod pixel_gradients;
 pub(super) mod projected;
 mod projection;
+mod render;
 pub(super) mod sh;
 mod tile_loop;
 mod tile_map;
 mod tiles;
 mod weights;
 
-pub use self::backward::SplatGradients;
-pub use self::projected::{Blended, Projected, Rendered, render};
+pub use self::parameter_gradients::SplatGradients;
+pub use self::projected::{Blended, Projected};
+pub use self::render::{Rendered, render};
 pub use self::sh::eval_sh;
 pub use self::tile_map::{Positions, TilePairs};

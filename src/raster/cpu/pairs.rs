@@ -1,21 +1,21 @@
 //! The contributing pairs of a tile as a list, for many channels and for the matrix `W` itself: a pair's weight is
 //! computed once, over pixel lanes.
 
-use super::footprint::{Buffer, Footprint, Rule, TILE};
+use super::footprint::{Buffer, Footprint, Rule, TILE, Tile};
 use super::projected::Projected;
-use super::tile_loop::{Pass, Tile, walk};
+use super::tile_loop::{Pass, walk};
 use crate::backend::Real;
 use crate::backend::simd::{Kernel, Lanes};
-use crate::raster::PairCounts;
+use crate::raster::settings::PairCounts;
 
-/// Pairs of a Gaussian in a tile for which the lists have room at first.
+/// Initial capacity of the lists: pairs of one Gaussian in a tile.
 const USUAL: usize = 24;
 
 /// Contributing pairs of one tile, Gaussian by Gaussian, front to back.
 pub(super) struct Pairs<E, const GEOMETRY: bool> {
     /// Transmittance, negative where a pixel has ended.
     pub t: Buffer<E>,
-    /// One past the last pair of each of the tile's Gaussians that was looked at.
+    /// For each Gaussian of the tile that was visited: one past its last pair.
     pub ends: Vec<u32>,
     /// Pixel within the tile, `row * TILE + column`, ascending for each Gaussian.
     pub pixels: Vec<u16>,
@@ -84,7 +84,7 @@ impl<E: Real, const GEOMETRY: bool> Kernel<E> for Gather<'_, E, GEOMETRY> {
 struct PairPass<E, S: Lanes<E>, const GEOMETRY: bool> {
     rule: Rule<E, S>,
     pairs: Pairs<E, GEOMETRY>,
-    /// Pairs so far; the lists are longer, so that a strip asks for room once.
+    /// Pairs so far. The lists are longer, so that a strip resizes them once at most.
     len: usize,
 }
 
@@ -109,7 +109,7 @@ impl<E: Real, S: Lanes<E>, const GEOMETRY: bool> Pass<E> for PairPass<E, S, GEOM
                 pairs.resize(2 * len + S::LANES);
             }
             let members = s.bits(s.greater(weight, s.splat(E::zero())));
-            // The lanes that contribute come first; the next pairs are written over the others.
+            // Lanes that contribute come first. The next pairs overwrite the rest.
             let to = len..len + S::LANES;
             S::registers_mut(&mut pairs.weights[to.clone()])[0] = s.compress(weight, members);
             let pixels = &mut pairs.pixels[to.clone()];

@@ -1,11 +1,11 @@
 //! Gradients of the parameters from the sums over pixels of the backward pass.
 
-use super::backward::geometry_sums;
 use super::footprint::{Splat2, UNIT};
 use super::geometry::{Moments, Splat3, project_backward};
+use super::pixel_gradients::geometry_sums;
 use super::projected::Projected;
 use crate::backend::Real;
-use crate::raster::Splats;
+use crate::raster::settings::Splats;
 use rayon::prelude::*;
 
 /// Gaussians that one task handles.
@@ -24,11 +24,11 @@ pub struct SplatGradients<E> {
     pub rotations: Vec<E>,
     /// `[N]`.
     pub opacity_logits: Vec<E>,
-    /// Of the blended values, `[N, C]`.
+    /// Gradients of the blended values, `[N, C]`.
     pub values: Vec<E>,
-    /// Of the projected centres, in units of half the image: `(dL/du W/2, dL/dv H/2)`, `[N, 2]`.
+    /// Gradients of the projected centres in units of half the image: `(dL/du W/2, dL/dv H/2)`, `[N, 2]`.
     pub screen: Vec<E>,
-    /// Sums of the absolute values of what single pixels add to `screen`, `[N, 2]`; empty unless asked for.
+    /// Each pixel's contribution to `screen` in absolute value, summed over the pixels, `[N, 2]`; empty unless requested.
     pub screen_absolute: Vec<E>,
 }
 

@@ -1,8 +1,8 @@
 //! Projection of many Gaussians, in `f64`: loops without branches over columns of values, which become vectors.
 //!
-//! Nothing is fused, so that the depth order and the tile lists do not depend on the instruction set, nor, but for numbers
-//! that `E` cannot hold, on `E`.
-//! First what is certainly not in the image is put aside by a cheap test, then the others are projected in full.
+//! Nothing is fused: the depth order and the tile lists do not depend on the instruction set. They do not depend on `E` either,
+//! except where `E` cannot hold a number.
+//! A cheap test first removes Gaussians that are certainly outside the image. The others are projected in full.
 
 use super::footprint::Splat2;
 use super::geometry::{Ewa, Splat3, Viewpoint, dot};
@@ -27,7 +27,7 @@ pub(super) struct Visible {
     pub splat: Splat2,
 }
 
-/// What becomes of a Gaussian; as wide as the numbers that it is found out from.
+/// Whether a Gaussian is visible, or why not. As wide as `f64`, so that loops over both become vectors.
 #[derive(Clone, Copy, PartialEq)]
 #[repr(u64)]
 enum Fate {
@@ -167,7 +167,7 @@ fn sift<E: Real>(splats: &Splats<'_, E>, first: usize, len: usize, view: &View) 
                 v.focal[a] * ratio + v.principal[a],
                 (2.0 * variance * tau).sqrt(),
             );
-            // False where something overflowed: the projection is to find and count that.
+            // False where something overflowed: the projection counts that case.
             out |= (variance < 1e30)
                 & ((center + reach < -1.0) | (center - reach > v.size[a] as f64 + 1.0));
         }
@@ -202,7 +202,7 @@ struct Block {
 }
 
 impl Block {
-    /// Of the Gaussians `ids`, [`BLOCK`] at most.
+    /// Projects the Gaussians `ids`, at most [`BLOCK`].
     #[inline(always)]
     fn new<E: Real>(splats: &Splats<'_, E>, ids: &[usize], view: &View) -> Self {
         let none = [0.0; BLOCK];

@@ -81,7 +81,7 @@ pub fn eval_sh<E: Real>(
     out
 }
 
-/// [`eval_sh`] of the rows whose entry in `wanted` is not 0; the others are 0.
+/// [`eval_sh`] for rows with a nonzero entry in `wanted`; other rows are 0.
 ///
 /// # Errors
 /// [`crate::Error::NonFinite`] for a NaN or an infinity in `sh`, wanted or not.
@@ -95,7 +95,7 @@ pub(in crate::raster) fn visible_colours<E: Real>(
 ) -> Result<Vec<E>> {
     let rows = Coefficients::new(means, sh, sh_degree, active_degree, center);
     let mut out = vec![E::zero(); means.len()];
-    // Coefficients are looked at and used while they are near: they are most of a scene's memory.
+    // Coefficients are most of a scene's memory: each is checked and used while it is in the cache.
     let finite = out
         .par_chunks_mut(3 * CHUNK)
         .zip(wanted.par_chunks(CHUNK))
@@ -104,7 +104,7 @@ pub(in crate::raster) fn visible_colours<E: Real>(
             evaluate(&rows, chunk * CHUNK, wanted, out);
             rows.are_finite(chunk * CHUNK, wanted.len())
         });
-    // All of them, so that no thread's haste decides what is looked at.
+    // All chunks are checked, so that the result does not depend on which thread comes first.
     if !finite.reduce(|| true, |a, b| a & b) {
         check_finite("sh", sh, rows.width)?;
     }

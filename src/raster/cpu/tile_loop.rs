@@ -1,6 +1,6 @@
 //! The loops over tiles, and over the Gaussians of a tile, that all kernels share.
 
-use super::footprint::{Buffer, Corner, Footprint, Grid, TILE, live_strips};
+use super::footprint::{Buffer, Corner, Footprint, Grid, TILE, Tile, live_strips};
 use super::projected::{Blended, Projected};
 use crate::backend::Real;
 use crate::backend::simd::{Lanes, prefetch};
@@ -12,24 +12,6 @@ pub(super) const LOOK: usize = 16;
 /// [`BANDS`] bands, each of which looks at all Gaussians.
 const BAND_BYTES: std::ops::RangeInclusive<usize> = 4 << 20..=64 << 20;
 const BANDS: usize = 8;
-
-/// One tile: its first pixel and its Gaussians' ranks, front to back.
-#[derive(Clone, Copy)]
-pub(super) struct Tile<'a> {
-    pub origin: [usize; 2],
-    pub ranks: &'a [u32],
-}
-
-impl Tile<'_> {
-    /// For every row of the tile inside an image of `size`: its position in the tile's buffers and in the image, and its
-    /// length there.
-    #[inline(always)]
-    pub fn rows(&self, size: [usize; 2]) -> impl Iterator<Item = (usize, usize, usize)> + use<> {
-        let [x, y] = self.origin;
-        let len = (size[0] - x).min(TILE);
-        (0..(size[1] - y).min(TILE)).map(move |row| (row * TILE, (y + row) * size[0] + x, len))
-    }
-}
 
 impl<E: Real> Projected<E> {
     /// The tile in column `x`, row `y`.

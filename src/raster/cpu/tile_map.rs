@@ -1,9 +1,8 @@
-//! The contributing pairs of a view, tile by tile, for linear reads of the image other than pixel by pixel.
+//! The contributing pairs of a view, tile by tile, for callers that fold pixels themselves.
 
-use super::footprint::{Buffer, TILE, fresh_transmittance};
+use super::footprint::{Buffer, TILE, Tile, fresh_transmittance};
 use super::pairs::Pairs;
 use super::projected::Projected;
-use super::tile_loop::Tile;
 use super::tiles::TileLists;
 use crate::backend::Real;
 use crate::data::mask::Mask;
@@ -23,7 +22,7 @@ impl<E: Real> TilePairs<'_, E> {
     /// Pixels along a tile's edge.
     pub const EDGE: usize = TILE;
 
-    /// Gaussians of the tile that were looked at before all its pixels ended.
+    /// Gaussians of the tile that were visited before all its pixels ended.
     pub fn len(&self) -> usize {
         self.pairs.ends.len()
     }
@@ -46,9 +45,9 @@ impl<E: Real> TilePairs<'_, E> {
 }
 
 impl<E: Real> Projected<E> {
-    /// Runs `f` over all tiles in parallel, with the tile's number (row-major) and its part of `entries`, which has
-    /// `Stats::tile_entries` of them: the tile's Gaussians in order, those behind
-    /// [`TilePairs::len`] too. The results are in order of the tiles.
+    /// Runs `f` over all tiles in parallel, with the tile's number (row-major) and its part of `entries`. `entries` has
+    /// `Stats::tile_entries` elements: one for each Gaussian of each tile, in order, including those behind
+    /// [`TilePairs::len`]. Results are in the order of the tiles.
     ///
     /// # Panics
     /// If `entries` has another length.
@@ -100,7 +99,7 @@ impl<E: Real> Projected<E> {
             .collect()
     }
 
-    /// Where each Gaussian stands in the tile lists.
+    /// The entries of each Gaussian in the tile lists.
     pub fn positions(&self) -> Positions<'_> {
         Positions {
             ranks: self.ranks(),
@@ -136,7 +135,7 @@ pub(super) fn end_unused<E: Real>(
     }
 }
 
-/// Where Gaussians stand in the tile lists.
+/// The entries of Gaussians in the tile lists.
 pub struct Positions<'a> {
     /// Position in depth order of each Gaussian of the scene; culled ones have `u32::MAX`.
     ranks: Vec<u32>,

@@ -1,9 +1,8 @@
 //! The matrix `W` of a view.
 
-use super::footprint::{TILE, fresh_transmittance};
+use super::footprint::{TILE, Tile, fresh_transmittance};
 use super::pairs::Pairs;
 use super::projected::Projected;
-use super::tile_loop::Tile;
 use super::tile_map::end_unused;
 use crate::backend::Real;
 use crate::ops::SparseMatrix;

@@ -17,8 +17,8 @@ use burn_cubecl::cubecl::{self, prelude::*};
 
 /// Sums over pixels of g times 1, u, v, u^2, u v, v^2.
 pub(super) const MOMENTS: usize = 6;
-/// These and the sums over pixels of the absolute values of what each adds to the gradient of the projected centre, half of it,
-/// along x in units of the inverse width: `|g u|`, `|g (v dv - slope u du)|`.
+/// These, and the sums over pixels of the absolute contributions to half the gradient of the projected centre, along x in units
+/// of the inverse width: `|g u|`, `|g (v dv - slope u du)|`.
 pub(super) const ABSOLUTE_MOMENTS: usize = 8;
 /// Gaussians that a cube takes together.
 const BATCH: usize = 8;
@@ -28,8 +28,7 @@ const LANES: usize = UNITS as usize / BATCH;
 const _: () = assert!(LANES == PATCH);
 /// Channels that make one block on every device: sums of absolute values of more are not sums over blocks.
 pub(super) const ALWAYS_TOGETHER: usize = 8;
-/// Widest block with and without moments, where shared memory holds the gradients of so many channels: chosen by counting
-/// registers, not by a measurement.
+/// Widest block with and without moments where shared memory suffices. Chosen by counting registers, not by a measurement.
 const WIDEST: [usize; 2] = [24, 32];
 
 /// Floats that all units of a cube leave for each other: alpha' T and, for the moments, g of every pixel of a batch.
@@ -40,7 +39,7 @@ const fn pairs_of(moments: usize) -> usize {
 /// Widest block that this device has shared memory for.
 pub(super) fn widest(gpu: &Gpu, moments: usize) -> usize {
     let floats = gpu.client.properties().hardware.max_shared_memory_size / size_of::<f32>();
-    // A batch, what is known of its patches and entries, and slots.
+    // A batch, its patches and entries, and slots.
     let others = pairs_of(moments) + BATCH * (SPLAT + 2 * PATCHES + 1) + 64;
     let fits = floats.saturating_sub(others) / (UNITS as usize + BATCH) / 4 * 4;
     fits.clamp(ALWAYS_TOGETHER, WIDEST[usize::from(moments == 0)])
@@ -52,8 +51,7 @@ pub(super) fn tiles_backward(
     gaussians: &[u32],
     entries: &[u32],
     splats: &[f32],
-    colours: &[f32],
-    features: &[f32],
+    all_values: &[f32],
     view: &[f32],
     image: &[f32],
     d_image: &[f32],
@@ -69,7 +67,6 @@ pub(super) fn tiles_backward(
     end_entry: u32,
     #[comptime] block: usize,
     #[comptime] moments: usize,
-    #[comptime] with_colours: bool,
     #[comptime] with_transmittance: bool,
 ) {
     let tile = CUBE_POS;
@@ -149,7 +146,7 @@ pub(super) fn tiles_backward(
         if comptime![moments > 0] && unit < count as usize * fours {
             let id = gaussians[at as usize + unit / fours] as usize;
             let channel = first_channel + 4u32 * (unit % fours) as u32;
-            values[unit] = four_values(colours, features, id, channel, channels, with_colours);
+            values[unit] = four_values(all_values, id, channel, channels);
         }
         if unit < count as usize {
             batch_entries[unit] = entries[at as usize + unit];

@@ -1,9 +1,10 @@
 //! Forward blending: a cube a tile, a unit a pixel, a block of channels in registers.
 
-use super::lists::{TileEntries, tile_counts};
+use super::lists::tile_counts;
 use super::pixel::{
     Four, PATCH, PATCHES, SPLAT_FOURS, pixel, reaches_patch, rule, splat_four, take,
 };
+use super::prepare::Prepared;
 use super::view::BACKGROUND;
 use crate::backend::gpu::{Gpu, UNITS, arg};
 use burn::tensor::Shape;
@@ -18,77 +19,18 @@ const MASKS: usize = PATCHES * WORDS;
 /// Widest block of channels.
 const WIDEST: usize = 32;
 
-/// Value of Gaussian `id` in channel `channel`: colours come before features, and zeros after.
+/// Values `[N, channels]` of Gaussian `id` in four channels from `channel` on; zeros after the last.
 #[cube]
-pub(super) fn value_of(
-    colours: &[f32],
-    features: &[f32],
-    id: usize,
-    channel: u32,
-    channels: u32,
-    #[comptime] with_colours: bool,
-) -> f32 {
-    let mut value = 0.0f32;
-    if comptime![with_colours] {
-        if channel < 3u32 {
-            value = colours[3 * id + channel as usize];
-        } else if channel < channels {
-            value = features[id * (channels - 3u32) as usize + (channel - 3u32) as usize];
-        }
-    } else if channel < channels {
-        value = features[id * channels as usize + channel as usize];
-    }
-    value
-}
-
-/// Values of Gaussian `id` in four channels from `channel` on.
-#[cube]
-pub(super) fn four_values(
-    colours: &[f32],
-    features: &[f32],
-    id: usize,
-    channel: u32,
-    channels: u32,
-    #[comptime] with_colours: bool,
-) -> Four {
+pub(super) fn four_values(values: &[f32], id: usize, channel: u32, channels: u32) -> Four {
     let mut four = Four::empty();
-    four.insert(
-        0usize,
-        value_of(colours, features, id, channel, channels, with_colours),
-    );
-    four.insert(
-        1usize,
-        value_of(
-            colours,
-            features,
-            id,
-            channel + 1u32,
-            channels,
-            with_colours,
-        ),
-    );
-    four.insert(
-        2usize,
-        value_of(
-            colours,
-            features,
-            id,
-            channel + 2u32,
-            channels,
-            with_colours,
-        ),
-    );
-    four.insert(
-        3usize,
-        value_of(
-            colours,
-            features,
-            id,
-            channel + 3u32,
-            channels,
-            with_colours,
-        ),
-    );
+    #[unroll]
+    for k in 0..4usize {
+        let mut value = 0.0f32;
+        if channel + (k as u32) < channels {
+            value = values[id * channels as usize + channel as usize + k];
+        }
+        four.insert(k, value);
+    }
     four
 }
 
@@ -97,8 +39,7 @@ fn blend_tiles(
     ranges: &[u32],
     gaussians: &[u32],
     splats: &[f32],
-    colours: &[f32],
-    features: &[f32],
+    all_values: &[f32],
     view: &[f32],
     image: &mut [f32],
     transmittance: &mut [f32],
@@ -108,7 +49,6 @@ fn blend_tiles(
     channels: u32,
     first_channel: u32,
     #[comptime] block: usize,
-    #[comptime] with_colours: bool,
     #[comptime] with_transmittance: bool,
 ) {
     let tile = CUBE_POS;
@@ -155,7 +95,7 @@ fn blend_tiles(
         while k < count as usize * fours {
             let id = gaussians[at as usize + k / fours] as usize;
             let channel = first_channel + 4u32 * (k % fours) as u32;
-            values[k] = four_values(colours, features, id, channel, channels, with_colours);
+            values[k] = four_values(all_values, id, channel, channels);
             k += UNITS as usize;
         }
         let next_slot = ((slot + 1u32) % 3u32) as usize;
@@ -216,7 +156,7 @@ fn blend_tiles(
             let channel = first_channel + k as u32;
             if channel < channels {
                 let mut value = sums[k / 4].extract_dynamic(k % 4);
-                if comptime![with_colours] && channel < 3u32 {
+                if channel < 3u32 {
                     value += t * view[BACKGROUND + channel as usize];
                 }
                 image[own.index * channels as usize + channel as usize] = value;
@@ -225,24 +165,6 @@ fn blend_tiles(
         if comptime![with_transmittance] {
             transmittance[own.index] = t;
         }
-    }
-}
-
-/// Values to blend.
-pub(super) struct Values {
-    /// `[N, 3]`.
-    pub colours: Option<CubeTensor>,
-    /// `[N, C]`.
-    pub features: Option<CubeTensor>,
-    /// Number of channels of both.
-    pub channels: usize,
-}
-
-impl Values {
-    /// Both tensors as kernel arguments; a dummy replaces an absent one.
-    pub fn args(&self, gpu: &Gpu) -> [BufferArg; 2] {
-        [&self.colours, &self.features]
-            .map(|t| t.as_ref().map_or_else(|| arg(&gpu.floats([1])), arg))
     }
 }
 
@@ -257,21 +179,20 @@ pub(super) fn blocks(channels: usize, widest: usize) -> impl Iterator<Item = (us
         })
 }
 
-/// Image `[H, W, C]`, background included, and transmittance `[H, W]`.
+/// Image `[H, W, channels]` of `values` `[N, channels]`, background included, and transmittance `[H, W]`.
 pub(super) fn blend(
     gpu: &Gpu,
-    splats: &CubeTensor,
-    entries: &TileEntries,
-    values: &Values,
-    view: &CubeTensor,
-    size: [usize; 2],
+    prepared: &Prepared,
+    values: &CubeTensor,
+    channels: usize,
 ) -> (CubeTensor, CubeTensor) {
-    let [w, h] = size;
-    let tiles: usize = tile_counts(size).iter().product();
-    let image = gpu.floats(Shape::new([h, w, values.channels]));
+    let Prepared { view, entries, .. } = prepared;
+    let splats = &prepared.projected.splats;
+    let [w, h] = prepared.size;
+    let tiles: usize = tile_counts(prepared.size).iter().product();
+    let image = gpu.floats(Shape::new([h, w, channels]));
     let transmittance = gpu.floats(Shape::new([h, w]));
-    for (first, block) in blocks(values.channels, WIDEST) {
-        let [colours, features] = values.args(gpu);
+    for (first, block) in blocks(channels, WIDEST) {
         blend_tiles::launch(
             &gpu.client,
             gpu.cubes(tiles),
@@ -279,18 +200,16 @@ pub(super) fn blend(
             arg(&entries.ranges),
             arg(&entries.gaussians),
             arg(splats),
-            colours,
-            features,
+            arg(values),
             arg(view),
             arg(&image),
             arg(&transmittance),
             w as u32,
             h as u32,
             tiles as u32,
-            values.channels as u32,
+            channels as u32,
             first as u32,
             block,
-            values.colours.is_some(),
             first == 0,
         );
     }

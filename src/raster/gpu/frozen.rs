@@ -1,9 +1,11 @@
 //! `W` and `W^T` of a view whose geometry is frozen, and the counter of Algorithm 1.
 
-use super::blend::{self, Values};
-use super::pixel_sums::{self, Tiles};
+use super::blend;
+use super::inputs::Inputs;
+use super::pixel_sums;
+use super::prepare::{Prepared, Scenery, check_size, prepare};
 use super::project::SPLAT;
-use super::{Inputs, Prepared, Scenery, check_size, prepare};
+use super::sh::{self, Harmonics};
 use crate::backend::gpu::{Gpu, arg};
 use crate::error::Result;
 use burn_cubecl::cubecl::{self, prelude::*};
@@ -86,6 +88,16 @@ impl Lists {
         self.prepared.entries.len
     }
 
+    /// Colours `[N, 3]` of the Gaussians with these means, from coefficients `[N, K, 3]` of degree `degree`.
+    pub fn colours(&self, means: CubeTensor, sh: CubeTensor, degree: usize) -> CubeTensor {
+        let gpu = Gpu::of(&means);
+        let Prepared {
+            view, projected, ..
+        } = &self.prepared;
+        let harmonics = Harmonics::new(sh, self.prepared.order.len, degree);
+        sh::colours(&gpu, &means, &harmonics, &projected.radii, view)
+    }
+
     /// Disc pixels of every Gaussian, `[N]`.
     pub fn counts(&self) -> CubeTensor {
         let Prepared {
@@ -120,32 +132,10 @@ impl Lists {
     /// [`crate::Error::Limit`] for what the device cannot hold.
     pub fn blend(&self, values: CubeTensor, channels: usize) -> Result<(CubeTensor, CubeTensor)> {
         let gpu = Gpu::of(&values);
-        let Prepared {
-            view,
-            projected,
-            entries,
-            size,
-            ..
-        } = &self.prepared;
-        check_size(
-            &gpu,
-            "pixels times channels",
-            (size[0] * size[1]).saturating_mul(channels),
-            size_of::<f32>(),
-        )?;
-        let values = Values {
-            colours: None,
-            features: Some(values),
-            channels,
-        };
-        Ok(blend::blend(
-            &gpu,
-            &projected.splats,
-            entries,
-            &values,
-            view,
-            *size,
-        ))
+        let count = self.prepared.size.iter().product::<usize>();
+        let count = count.saturating_mul(channels);
+        check_size(&gpu, "pixels times channels", count, size_of::<f32>())?;
+        Ok(blend::blend(&gpu, &self.prepared, &values, channels))
     }
 
     /// `W^T y` `[N, channels]` and the counts `[N]`; `y` is `[H, W, channels]`, contiguous.
@@ -154,28 +144,9 @@ impl Lists {
     /// [`crate::Error::Limit`] for what the device cannot hold.
     pub fn lift(&self, y: &CubeTensor, channels: usize) -> Result<(CubeTensor, CubeTensor)> {
         let gpu = Gpu::of(y);
-        let Prepared {
-            view,
-            projected,
-            order,
-            entries,
-            size,
-            ..
-        } = &self.prepared;
-        check_size(
-            &gpu,
-            "Gaussians times channels",
-            order.len.saturating_mul(channels),
-            size_of::<f32>(),
-        )?;
-        let tiles = Tiles {
-            order,
-            entries,
-            size: *size,
-        };
-        let row_bytes = pixel_sums::row_bytes(&gpu);
-        let sums =
-            pixel_sums::adjoint(&gpu, &projected.splats, tiles, y, channels, view, row_bytes);
+        let count = self.prepared.order.len.saturating_mul(channels);
+        check_size(&gpu, "Gaussians times channels", count, size_of::<f32>())?;
+        let sums = pixel_sums::adjoint(&gpu, &self.prepared, y, pixel_sums::row_bytes(&gpu));
         Ok((sums, self.counts()))
     }
 }

@@ -114,13 +114,6 @@ fn emit_entries(
     }
 }
 
-#[cube(launch)]
-fn fill(values: &mut [u32], value: u32, count: u32) {
-    if ABSOLUTE_POS < count as usize {
-        values[ABSOLUTE_POS] = value;
-    }
-}
-
 /// Start and end of every tile's entries, and their Gaussians.
 #[cube(launch)]
 fn find_ranges(
@@ -251,33 +244,22 @@ pub(super) fn tile_entries(
     everywhere: bool,
 ) -> TileEntries {
     let tile_count: usize = tile_counts(size).iter().product();
-    let ranges = gpu.words(2 * tile_count);
-    let filled = |words: &CubeTensor, value: usize, len: usize| {
-        fill::launch(
-            &gpu.client,
-            gpu.cubes_for(len),
-            gpu.dim(),
-            arg(words),
-            value as u32,
-            len as u32,
-        );
-    };
-    filled(&ranges, 0, 2 * tile_count);
-    let (tiles, gaussian_of) = (gpu.words(len), gpu.words(len));
-    let (gaussians, ends) = (gpu.words(len), gpu.words(order.len));
+    let ranges = gpu.filled(2 * tile_count, 0);
     if len == 0 {
-        filled(&ends, 0, order.len);
         return TileEntries {
             len,
             ranges,
-            gaussians,
-            entries: gaussian_of,
-            ends,
+            gaussians: gpu.words(0),
+            entries: gpu.words(0),
+            ends: gpu.filled(order.len, 0),
         };
     }
-    if padded {
-        filled(&tiles, tile_count, len);
-    }
+    let (gaussian_of, gaussians, ends) = (gpu.words(len), gpu.words(len), gpu.words(order.len));
+    let tiles = if padded {
+        gpu.filled(len, tile_count as u32)
+    } else {
+        gpu.words(len)
+    };
     emit_entries::launch(
         &gpu.client,
         gpu.cubes_for(order.len),
@@ -315,5 +297,59 @@ pub(super) fn tile_entries(
         gaussians,
         entries,
         ends,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::Settings;
+    use crate::raster::gpu::fixture::{View, words};
+
+    #[test]
+    fn tile_lists_agree() {
+        for settings in [
+            Settings::default(),
+            Settings {
+                alpha_min: 0.0,
+                ..Settings::default()
+            },
+        ] {
+            for (n, scale, size) in [
+                (2000, 0.03, [130, 90]),
+                (300, 0.5, [65, 40]),
+                (100, 3.0, [33, 47]),
+            ] {
+                let Some(view) = View::new(n, scale, size, &settings) else {
+                    return;
+                };
+                let [across, down] = tile_counts(size);
+                let ranges = words(&view.gpu, &view.prepared.entries.ranges);
+                let gaussians = words(&view.gpu, &view.prepared.entries.gaussians);
+                let (mut entries, mut differing) = (0, 0);
+                for tile in 0..across * down {
+                    let got = &gaussians[ranges[2 * tile] as usize..ranges[2 * tile + 1] as usize];
+                    let ranks =
+                        &view.host.tiles.ranks[view.host.tiles.tile(tile % across, tile / across)];
+                    let want: Vec<u32> = ranks
+                        .iter()
+                        .map(|&rank| view.host.ids[rank as usize])
+                        .collect();
+                    entries += want.len();
+                    // Lists differ where an ellipse grazes a tile; what both have is in one order.
+                    let both: Vec<u32> =
+                        got.iter().copied().filter(|id| want.contains(id)).collect();
+                    let shared: Vec<u32> =
+                        want.iter().copied().filter(|id| got.contains(id)).collect();
+                    let flips = both.iter().zip(&shared).filter(|(a, b)| a != b).count();
+                    differing += got.len() + want.len() - both.len() - shared.len() + flips;
+                }
+                assert!(entries > 0);
+                assert!(
+                    differing * 500 <= entries,
+                    "{differing} of {entries} entries differ, {n} Gaussians"
+                );
+            }
+        }
     }
 }

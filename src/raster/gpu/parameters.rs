@@ -2,7 +2,8 @@
 
 use super::backward::ABSOLUTE_MOMENTS;
 use super::ewa::{Unit, ewa, offset_from_camera, rows_cross, to_camera};
-use super::project::{SPLAT, Scene};
+use super::inputs::Inputs;
+use super::project::SPLAT;
 use super::vec3::{Vec3, add_scaled, cross, dot, read3, scaled, vec3, write3};
 use super::view::{AXES, FOCAL, LOW_PASS, SIZE};
 use crate::backend::gpu::{Gpu, arg};
@@ -144,20 +145,20 @@ pub(super) struct GeometryGradients {
     pub log_scales: CubeTensor,
     pub rotations: CubeTensor,
     pub logits: CubeTensor,
-    /// Of the projected centres, in units of half the image, `[N, 2]`, or `[N, 4]` with sums of absolute values.
+    /// Gradients of the projected centres in units of half the image, `[N, 2]`, or `[N, 4]` with sums of absolute values.
     pub screen: CubeTensor,
 }
 
 /// Gradients from `moments`, `[N, 6]` or `[N, 8]`, zero for culled Gaussians.
 pub(super) fn backward(
     gpu: &Gpu,
-    scene: &Scene,
+    inputs: &Inputs,
     view: &CubeTensor,
     splats: &CubeTensor,
     radii: &CubeTensor,
     moments: &CubeTensor,
 ) -> GeometryGradients {
-    let n = scene.len;
+    let n = inputs.len();
     let sums = moments.meta.num_elements() / n.max(1);
     let out = GeometryGradients {
         means: gpu.floats([n, 3]),
@@ -170,10 +171,10 @@ pub(super) fn backward(
         &gpu.client,
         gpu.cubes_for(n),
         gpu.dim(),
-        arg(&scene.means),
-        arg(&scene.log_scales),
-        arg(&scene.rotations),
-        arg(&scene.logits),
+        arg(&inputs.means),
+        arg(&inputs.log_scales),
+        arg(&inputs.rotations),
+        arg(&inputs.logits),
         arg(view),
         arg(splats),
         arg(radii),

@@ -163,3 +163,131 @@ pub(super) fn reaches_patch(
     }
     reaches
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::gpu::arg;
+    use crate::raster::Settings;
+    use crate::raster::gpu::fixture::{gpu, words};
+    use crate::raster::gpu::view;
+    use crate::splat::camera::Camera;
+    use burn::tensor::DType;
+    use glam::{DMat3, DVec3};
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// A cube a splat, a unit a pixel of `tile`: pixels that the splat shows in, and those of them whose patch it does not reach.
+    #[cube(launch)]
+    fn count_missed(
+        splats: &[f32],
+        view: &[f32],
+        found: &[Atomic<u32>],
+        splat_count: u32,
+        tile: u32,
+        width: u32,
+        height: u32,
+    ) {
+        let id = CUBE_POS;
+        if id >= splat_count as usize {
+            terminate!();
+        }
+        let mut own = Shared::<[Four]>::new_slice(SPLAT_FOURS);
+        if (UNIT_POS as usize) < SPLAT_FOURS {
+            own[UNIT_POS as usize] = splat_four(splats, id, UNIT_POS as usize);
+        }
+        sync_cube();
+        let rule = rule(view);
+        let at = pixel(tile as usize, UNIT_POS, width, height);
+        let alpha = alpha_at(&own, 0usize, at.x, at.y, &rule);
+        let patch = UNIT_POS / PATCH as u32;
+        let reached = reaches_patch(splats, id, tile as usize, patch, width, height);
+        if alpha > 0.0f32 && alpha >= rule.alpha_min {
+            found[0].fetch_add(1u32);
+            if !reached {
+                found[1].fetch_add(1u32);
+            }
+        }
+        if reached {
+            found[2].fetch_add(1u32);
+        }
+    }
+
+    #[test]
+    fn a_patch_that_is_passed_over_shows_nothing() {
+        let Some(gpu) = gpu() else { return };
+        let mut rng = ChaCha8Rng::seed_from_u64(9);
+        let (count, size) = (20_000_usize, [96_u32, 64]);
+        for (alpha_min, least) in [(1.0 / 255.0, 0.5), (0.0, 0.0)] {
+            let settings = Settings {
+                alpha_min,
+                ..Settings::default()
+            };
+            let camera = Camera {
+                rotation: DMat3::IDENTITY,
+                center: DVec3::ZERO,
+                fx: 90.0,
+                fy: 90.0,
+                cx: 48.0,
+                cy: 32.0,
+                width: size[0] as usize,
+                height: size[1] as usize,
+            };
+            let viewpoint = crate::raster::cpu::geometry::Viewpoint::new(&camera).expect("valid");
+            let constants = view::constants(&viewpoint, &camera, &settings, [0.0; 3]);
+            let splats: Vec<f32> = (0..count)
+                .flat_map(|i| {
+                    // Widths from a third of a pixel to thousands, slopes to match, centres near the tile and far off.
+                    let (wide, tall) = (
+                        10_f32.powf(rng.random_range(-0.5..4.0)),
+                        10_f32.powf(rng.random_range(-0.5..4.0)),
+                    );
+                    let far = if i % 4 == 0 { 5_000.0 } else { 40.0 };
+                    let log_opacity: f32 = rng.random_range(-5.5..0.0);
+                    let tau = log_opacity - constants[view::LN_ALPHA_MIN];
+                    let slope = rng.random_range(-2.0..2.0) * wide / tall
+                        * if i % 3 == 0 { 50.0 } else { 1.0 };
+                    let (x, y) = (
+                        rng.random_range(-far..far) + 40.0,
+                        rng.random_range(-far..far) + 24.0,
+                    );
+                    [
+                        x,
+                        y,
+                        slope,
+                        wide.recip(),
+                        tall.recip(),
+                        log_opacity,
+                        (tau + 1e-3).sqrt(),
+                        1.0,
+                    ]
+                })
+                .collect();
+            let (splats, constants) = (
+                gpu.upload(&splats, DType::F32),
+                gpu.upload(&constants, DType::F32),
+            );
+            let found = gpu.upload(&[0_u32; 3], DType::U32);
+            count_missed::launch(
+                &gpu.client,
+                gpu.cubes(count),
+                gpu.dim(),
+                arg(&splats),
+                arg(&constants),
+                arg(&found),
+                count as u32,
+                7,
+                size[0],
+                size[1],
+            );
+            let found = words(&gpu, &found);
+            assert!(found[0] > 50_000, "some show: {found:?}");
+            assert_eq!(found[1], 0, "of {found:?} at alpha_min {alpha_min}");
+            assert!(
+                f64::from(found[0]) >= least * f64::from(found[2]),
+                "reached for little: {found:?}"
+            );
+            eprintln!("alpha_min {alpha_min}: shows, missed, reached {found:?}");
+        }
+    }
+}

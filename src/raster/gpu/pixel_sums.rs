@@ -2,9 +2,10 @@
 //! Gaussian's tiles.
 
 use super::backward::{ABSOLUTE_MOMENTS, MOMENTS, tiles_backward, widest};
-use super::blend::{Values, blocks};
-use super::lists::{Order, TileEntries, tile_counts};
-use super::row_sums::{PixelSums, Slab, add_rows};
+use super::blend::blocks;
+use super::lists::tile_counts;
+use super::prepare::Prepared;
+use super::row_sums::sum_rows;
 use crate::backend::gpu::{Gpu, arg};
 use burn_cubecl::tensor::CubeTensor;
 
@@ -20,139 +21,72 @@ pub(super) struct PixelGradients<'a> {
     pub absolute: bool,
 }
 
-/// The tile lists of a view.
-#[derive(Clone, Copy)]
-pub(super) struct Tiles<'a> {
-    pub order: &'a Order,
-    pub entries: &'a TileEntries,
-    /// Image width and height, pixels.
-    pub size: [usize; 2],
-}
-
 /// Bytes that the rows of one pass may take. More entries go through in several passes.
 pub(super) fn row_bytes(gpu: &Gpu) -> usize {
     gpu.largest().min(1 << 30)
 }
 
-/// Runs the backward pass over the tiles. Rows take at most `row_bytes`.
-pub(super) fn pixel_sums(
-    gpu: &Gpu,
-    splats: &CubeTensor,
-    tiles: Tiles<'_>,
-    values: &Values,
-    pixels: &PixelGradients<'_>,
-    view: &CubeTensor,
-    row_bytes: usize,
-) -> PixelSums {
-    let moments = if pixels.absolute {
-        ABSOLUTE_MOMENTS
-    } else {
-        MOMENTS
-    };
-    sums_over_tiles(
-        gpu,
-        splats,
-        tiles,
-        &Pass {
-            values,
-            pixels,
-            moments,
-        },
-        view,
-        row_bytes,
-    )
+/// Sums over all pixels, a row for every Gaussian of the scene; zero for culled ones.
+pub(super) struct PixelSums {
+    /// `[N, 6]`, or `[N, 8]` with sums of absolute values; of any length where none are wanted.
+    pub moments: CubeTensor,
+    /// Gradients of the values, `[N, C]`.
+    pub values: CubeTensor,
 }
 
 /// `W^T y` alone, `[N, channels]`: `y` is `[H, W, channels]`.
 pub(super) fn adjoint(
     gpu: &Gpu,
-    splats: &CubeTensor,
-    tiles: Tiles<'_>,
+    prepared: &Prepared,
     y: &CubeTensor,
-    channels: usize,
-    view: &CubeTensor,
     row_bytes: usize,
 ) -> CubeTensor {
-    let values = Values {
-        colours: None,
-        features: None,
-        channels,
-    };
     // Read by the moments alone.
     let absent = gpu.floats([1]);
-    let (image, transmittance) = (&absent, &absent);
     let pixels = PixelGradients {
-        image,
+        image: &absent,
         d_image: y,
-        transmittance,
+        transmittance: &absent,
         d_transmittance: None,
         absolute: false,
     };
-    sums_over_tiles(
-        gpu,
-        splats,
-        tiles,
-        &Pass {
-            values: &values,
-            pixels: &pixels,
-            moments: 0,
-        },
-        view,
-        row_bytes,
-    )
-    .d_features
+    pixel_sums(gpu, prepared, None, &pixels, row_bytes).values
 }
 
-/// What is summed over the tiles.
-struct Pass<'a> {
-    values: &'a Values,
-    pixels: &'a PixelGradients<'a>,
-    /// [`MOMENTS`], [`ABSOLUTE_MOMENTS`], or none.
-    moments: usize,
-}
-
-fn sums_over_tiles(
+/// Runs the backward pass over the tiles; without `values` (`[N, C]`) it sums no moments. Rows take at most `row_bytes`.
+pub(super) fn pixel_sums(
     gpu: &Gpu,
-    splats: &CubeTensor,
-    tiles: Tiles<'_>,
-    pass: &Pass<'_>,
-    view: &CubeTensor,
+    prepared: &Prepared,
+    values: Option<&CubeTensor>,
+    pixels: &PixelGradients<'_>,
     row_bytes: usize,
 ) -> PixelSums {
-    let Tiles {
+    let Prepared {
+        view,
         order,
         entries,
         size,
-    } = tiles;
-    let &Pass {
-        values,
-        pixels,
-        moments,
-    } = pass;
-    let [w, h] = size;
-    let tile_count: usize = tile_counts(size).iter().product();
-    let colours = if values.colours.is_some() { 3 } else { 0 };
+        ..
+    } = prepared;
+    let [w, h] = *size;
+    let tile_count: usize = tile_counts(*size).iter().product();
+    let channels = pixels.d_image.meta.num_elements() / (w * h);
+    let moments = match values {
+        None => 0,
+        Some(_) if pixels.absolute => ABSOLUTE_MOMENTS,
+        Some(_) => MOMENTS,
+    };
     let out = PixelSums {
         moments: gpu.floats([order.len, moments]),
-        d_colours: gpu.floats([order.len, colours]),
-        d_features: gpu.floats([order.len, values.channels - colours]),
+        values: gpu.floats([order.len, channels]),
     };
-    for (first_channel, block) in blocks(values.channels, widest(gpu, moments)) {
+    for (first_channel, block) in blocks(channels, widest(gpu, moments)) {
         let columns = moments + block;
         let most = (row_bytes / (columns * size_of::<f32>())).clamp(1, entries.len.max(1));
         let rows = gpu.floats([most, columns]);
         // One pass even without entries, to write the zeros.
         for first_entry in (0..entries.len.max(1)).step_by(most) {
-            let slab = Slab {
-                channels: values.channels,
-                first_channel,
-                block,
-                moments,
-                with_colours: values.colours.is_some(),
-                first_entry,
-                end_entry: (first_entry + most).min(entries.len),
-            };
-            let [colours, features] = values.args(gpu);
+            let end_entry = (first_entry + most).min(entries.len);
             tiles_backward::launch(
                 &gpu.client,
                 gpu.cubes(tile_count),
@@ -160,9 +94,8 @@ fn sums_over_tiles(
                 arg(&entries.ranges),
                 arg(&entries.gaussians),
                 arg(&entries.entries),
-                arg(splats),
-                colours,
-                features,
+                arg(&prepared.projected.splats),
+                arg(values.unwrap_or(pixels.d_image)),
                 arg(view),
                 arg(pixels.image),
                 arg(pixels.d_image),
@@ -172,17 +105,96 @@ fn sums_over_tiles(
                 w as u32,
                 h as u32,
                 tile_count as u32,
-                slab.channels as u32,
-                slab.first_channel as u32,
-                slab.first_entry as u32,
-                slab.end_entry as u32,
-                slab.block,
-                slab.moments,
-                slab.with_colours,
+                channels as u32,
+                first_channel as u32,
+                first_entry as u32,
+                end_entry as u32,
+                block,
+                moments,
                 first_channel == 0 && pixels.d_transmittance.is_some(),
             );
-            add_rows(gpu, order, entries, &rows, &slab, &out);
+            // The first slab of each part overwrites its sums.
+            sum_rows::launch(
+                &gpu.client,
+                gpu.cubes_for(order.len * columns),
+                gpu.dim(),
+                arg(&order.ids),
+                arg(&order.offsets),
+                arg(&entries.ends),
+                arg(&rows),
+                arg(&out.moments),
+                arg(&out.values),
+                order.len as u32,
+                channels as u32,
+                first_channel as u32,
+                first_entry as u32,
+                end_entry as u32,
+                block,
+                moments,
+                first_channel > 0 || first_entry > 0,
+                first_entry > 0,
+            );
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::Settings;
+    use crate::raster::gpu::blend::blend;
+    use crate::raster::gpu::fixture::{View, floats};
+    use burn::tensor::DType;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn entries_in_slabs_give_the_same_sums() {
+        let Some(view) = View::new(400, 0.1, [50, 41], &Settings::default()) else {
+            return;
+        };
+        let gpu = &view.gpu;
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let mut draw = |n: usize| -> CubeTensor {
+            let values: Vec<f32> = (0..n).map(|_| rng.random_range(-1.0..1.0)).collect();
+            gpu.upload(&values, DType::F32)
+        };
+        let pixels = 50 * 41;
+        let values = draw(400 * 12);
+        let (image, transmittance) = blend(gpu, &view.prepared, &values, 12);
+        let (d_image, d_transmittance) = (draw(pixels * 12), draw(pixels));
+        let gradients = PixelGradients {
+            image: &image,
+            d_image: &d_image,
+            transmittance: &transmittance,
+            d_transmittance: Some(&d_transmittance),
+            absolute: false,
+        };
+        let sums = |row_bytes: usize| {
+            let out = pixel_sums(gpu, &view.prepared, Some(&values), &gradients, row_bytes);
+            [out.moments, out.values].map(|t| floats(gpu, &t))
+        };
+        let whole = sums(usize::MAX);
+        let slabs = sums(view.prepared.entries.len * 56 / 3);
+        let lift = |row_bytes: usize| {
+            let sums = adjoint(gpu, &view.prepared, &d_image, row_bytes);
+            floats(gpu, &sums)
+        };
+        let lifted = [lift(usize::MAX), lift(view.prepared.entries.len * 48 / 3)];
+        let pairs = whole
+            .iter()
+            .zip(&slabs)
+            .chain([(&lifted[0], &lifted[1]), (&whole[1], &lifted[0])]);
+        for (whole, slabs) in pairs {
+            let largest = whole.iter().fold(0.0_f32, |a, v| a.max(v.abs()));
+            assert!(largest > 0.0);
+            assert!(
+                whole
+                    .iter()
+                    .zip(slabs)
+                    .all(|(a, b)| (a - b).abs() <= 1e-5 * largest)
+            );
+        }
+    }
 }

@@ -1,6 +1,7 @@
 //! Projection and culling: one unit a Gaussian.
 
 use super::ewa::{ewa, offset_from_camera, rows_cross, to_camera};
+use super::inputs::Inputs;
 use super::vec3::{dot, read3};
 use super::view::{FOCAL, LN_ALPHA_MIN, LOW_PASS, NEAR, PRINCIPAL, SIZE};
 use crate::backend::gpu::{Gpu, arg, is_finite};
@@ -111,45 +112,86 @@ pub(super) struct ProjectedScene {
     pub radii: CubeTensor,
 }
 
-/// Geometry of `N` Gaussians on the device.
-pub(super) struct Scene {
-    pub means: CubeTensor,
-    pub log_scales: CubeTensor,
-    pub rotations: CubeTensor,
-    pub logits: CubeTensor,
-    pub len: usize,
-}
-
-/// Projects `scene`; adds rows with a NaN or an infinity to `report[0]`.
+/// Projects `inputs`; adds rows with a NaN or an infinity to `report[0]`.
 pub(super) fn project(
     gpu: &Gpu,
-    scene: &Scene,
+    inputs: &Inputs,
     view: &CubeTensor,
     report: &CubeTensor,
     everywhere: bool,
 ) -> ProjectedScene {
     let out = ProjectedScene {
-        splats: gpu.floats([scene.len, SPLAT]),
-        depths: gpu.words(scene.len),
-        radii: gpu.words(scene.len),
+        splats: gpu.floats([inputs.len(), SPLAT]),
+        depths: gpu.words(inputs.len()),
+        radii: gpu.words(inputs.len()),
     };
-    if scene.len > 0 {
+    if inputs.len() > 0 {
         project_kernel::launch(
             &gpu.client,
-            gpu.cubes_for(scene.len),
+            gpu.cubes_for(inputs.len()),
             gpu.dim(),
-            arg(&scene.means),
-            arg(&scene.log_scales),
-            arg(&scene.rotations),
-            arg(&scene.logits),
+            arg(&inputs.means),
+            arg(&inputs.log_scales),
+            arg(&inputs.rotations),
+            arg(&inputs.logits),
             arg(view),
             arg(&out.splats),
             arg(&out.depths),
             arg(&out.radii),
             arg(report),
-            scene.len as u32,
+            inputs.len() as u32,
             everywhere,
         );
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::Settings;
+    use crate::raster::gpu::covers;
+    use crate::raster::gpu::fixture::{View, floats, words};
+
+    #[test]
+    fn projections_agree() {
+        let Some(view) = View::new(3000, 0.05, [120, 77], &Settings::default()) else {
+            return;
+        };
+        assert!(covers(&view.prepared.view), "this device runs the kernels");
+        let splats = floats(&view.gpu, &view.prepared.projected.splats);
+        let mut culled = vec![true; view.host.len()];
+        for (splat, &id) in view.host.splats.iter().zip(&view.host.ids) {
+            culled[id as usize] = false;
+            let got = &splats[id as usize * SPLAT..][..SPLAT];
+            let want = [
+                splat.center[0],
+                splat.center[1],
+                splat.slope,
+                splat.du,
+                splat.dv,
+                splat.log_opacity,
+                splat.reach,
+            ];
+            for (field, (&got, want)) in got.iter().zip(want).enumerate() {
+                // Cancellation in the slope is relative to the ellipse, and in the centre to the image.
+                let size = if field < 2 {
+                    120.0
+                } else {
+                    want.abs().max(0.1)
+                };
+                assert!(
+                    (f64::from(got) - want).abs() < 2e-5 * size,
+                    "Gaussian {id}, field {field}: {got}, expected {want}"
+                );
+            }
+        }
+        let radii = words(&view.gpu, &view.prepared.projected.radii);
+        let differing = radii
+            .iter()
+            .zip(&culled)
+            .filter(|&(&r, &culled)| (r == 0) != culled)
+            .count();
+        assert!(differing <= 2, "{differing} fates differ");
+    }
 }

@@ -234,3 +234,44 @@ pub(super) fn sort_positions(
     }
     (keys, values)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::gpu::fixture::{gpu, words};
+    use burn::tensor::DType;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn sorting_is_stable() {
+        let Some(gpu) = gpu() else { return };
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        for (len, bits) in [
+            (1, 32),
+            (5, 4),
+            (255, 10),
+            (2048, 32),
+            (2049, 13),
+            (50_000, 13),
+            (50_000, 32),
+            (300_000, 8),
+        ] {
+            let most = u32::MAX >> (32 - bits);
+            let keys: Vec<u32> = (0..len).map(|_| rng.random_range(0..=most)).collect();
+            let (sorted, positions) =
+                sort_positions(&gpu, gpu.upload(&keys, DType::U32), len, bits);
+            let mut want: Vec<u32> = (0..len as u32).collect();
+            want.sort_by_key(|&i| keys[i as usize]);
+            assert!(
+                words(&gpu, &positions)[..len] == want,
+                "positions of {len} keys of {bits} bits"
+            );
+            let want: Vec<u32> = want.iter().map(|&i| keys[i as usize]).collect();
+            assert!(
+                words(&gpu, &sorted)[..len] == want,
+                "{len} keys of {bits} bits"
+            );
+        }
+    }
+}

@@ -11,10 +11,13 @@ const BLOCK: usize = UNITS as usize * ITEMS;
 /// Sums are capped here, so that none wraps: a total of [`CEILING`] means this or more.
 pub(super) const CEILING: u32 = 0x7fff_ffff;
 const GROUP: usize = 16;
-/// Blocks that one cube sums by itself, for two launches fewer: chosen by counting, not by a measurement.
-const IN_TURN: usize = 8;
 
-/// Replaces the [`UNITS`] values in `sums` by the sums of those before each. All units of the cube call it; `sums` is
+#[cube]
+fn capped(a: u32, b: u32) -> u32 {
+    min(a + b, CEILING)
+}
+
+/// Replaces the [`UNITS`] values in `sums` by the capped sums of those before each. All units of the cube call it; `sums` is
 /// complete before and after. `totals` holds [`GROUP`] + 1 values, the last of them the sum of all.
 #[cube]
 pub(super) fn scan_cube(sums: &mut Shared<[u32]>, totals: &mut Shared<[u32]>) {
@@ -25,7 +28,7 @@ pub(super) fn scan_cube(sums: &mut Shared<[u32]>, totals: &mut Shared<[u32]>) {
         for k in 0..GROUP {
             let value = sums[unit * GROUP + k];
             sums[unit * GROUP + k] = sum;
-            sum += value;
+            sum = capped(sum, value);
         }
         totals[unit] = sum;
     }
@@ -35,33 +38,23 @@ pub(super) fn scan_cube(sums: &mut Shared<[u32]>, totals: &mut Shared<[u32]>) {
         for k in 0..GROUP {
             let value = totals[k];
             totals[k] = sum;
-            sum += value;
+            sum = capped(sum, value);
         }
         totals[GROUP] = sum;
     }
     sync_cube();
-    sums[unit] += totals[unit / GROUP];
+    sums[unit] = capped(sums[unit], totals[unit / GROUP]);
     sync_cube();
 }
 
-#[cube]
-fn capped(a: u32, b: u32) -> u32 {
-    min(a + b, CEILING)
-}
-
-/// Writes `carry` plus the sum of the values before each value of block `block`, and returns `carry` plus the sum of all of them.
-/// All units of the cube call it.
-#[cube]
-fn scan_block(
-    values: &[u32],
-    sums: &mut [u32],
-    count: u32,
-    block: usize,
-    carry: u32,
-    shared: &mut Shared<[u32]>,
-) -> u32 {
+/// Exclusive sums within each block of [`BLOCK`] values, and the blocks' totals.
+#[cube(launch)]
+fn scan_blocks(values: &[u32], sums: &mut [u32], totals: &mut [u32], count: u32, blocks: u32) {
+    if CUBE_POS >= blocks as usize {
+        terminate!();
+    }
     let unit = UNIT_POS as usize;
-    let first = block * BLOCK + unit * ITEMS;
+    let first = CUBE_POS * BLOCK + unit * ITEMS;
     let mut before = Array::<u32>::new(ITEMS);
     let mut sum = 0u32;
     #[unroll]
@@ -71,59 +64,19 @@ fn scan_block(
             sum = capped(sum, values[first + k]);
         }
     }
-    // Capped sums need a scan of their own: 256 capped values may wrap when simply added.
+    let mut shared = Shared::<[u32]>::new_slice(UNITS as usize);
+    let mut groups = Shared::<[u32]>::new_slice(GROUP + 1);
     shared[unit] = sum;
     sync_cube();
-    let mut step = 1usize;
-    while step < UNITS as usize {
-        let mut other = 0u32;
-        if unit >= step {
-            other = shared[unit - step];
-        }
-        sync_cube();
-        shared[unit] = capped(shared[unit], other);
-        sync_cube();
-        step *= 2;
-    }
-    let mut base = carry;
-    if unit > 0 {
-        base = capped(carry, shared[unit - 1]);
-    }
+    scan_cube(&mut shared, &mut groups);
     #[unroll]
     for k in 0..ITEMS {
         if first + k < count as usize {
-            sums[first + k] = capped(base, before[k]);
+            sums[first + k] = capped(shared[unit], before[k]);
         }
     }
-    let total = capped(carry, shared[UNITS as usize - 1]);
-    // The next block writes where others may still read.
-    sync_cube();
-    total
-}
-
-/// Exclusive sums within each block of [`BLOCK`] values, and the blocks' totals.
-#[cube(launch)]
-fn scan_blocks(values: &[u32], sums: &mut [u32], totals: &mut [u32], count: u32, blocks: u32) {
-    if CUBE_POS >= blocks as usize {
-        terminate!();
-    }
-    let mut shared = Shared::<[u32]>::new_slice(UNITS as usize);
-    let total = scan_block(values, sums, count, CUBE_POS, 0u32, &mut shared);
-    if UNIT_POS == 0 {
-        totals[CUBE_POS] = total;
-    }
-}
-
-/// Exclusive sums of all values, block after block: one launch instead of three where there are few.
-#[cube(launch)]
-fn scan_in_turn(values: &[u32], sums: &mut [u32], count: u32, blocks: u32) {
-    if CUBE_POS > 0 {
-        terminate!();
-    }
-    let mut shared = Shared::<[u32]>::new_slice(UNITS as usize);
-    let mut carry = 0u32;
-    for block in 0..blocks {
-        carry = scan_block(values, sums, count, block as usize, carry, &mut shared);
+    if unit == 0 {
+        totals[CUBE_POS] = groups[GROUP];
     }
 }
 
@@ -143,18 +96,6 @@ pub(super) fn exclusive_sums(gpu: &Gpu, values: &CubeTensor, len: usize) -> Cube
         return sums;
     }
     let blocks = len.div_ceil(BLOCK);
-    if blocks <= IN_TURN {
-        scan_in_turn::launch(
-            &gpu.client,
-            gpu.cubes(1),
-            gpu.dim(),
-            arg(values),
-            arg(&sums),
-            len as u32,
-            blocks as u32,
-        );
-        return sums;
-    }
     let totals = gpu.words(blocks);
     scan_blocks::launch(
         &gpu.client,
@@ -166,6 +107,9 @@ pub(super) fn exclusive_sums(gpu: &Gpu, values: &CubeTensor, len: usize) -> Cube
         len as u32,
         blocks as u32,
     );
+    if blocks == 1 {
+        return sums;
+    }
     let starts = exclusive_sums(gpu, &totals, blocks);
     add_block_starts::launch(
         &gpu.client,
@@ -176,4 +120,50 @@ pub(super) fn exclusive_sums(gpu: &Gpu, values: &CubeTensor, len: usize) -> Cube
         len as u32,
     );
     sums
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::gpu::fixture::{gpu, words};
+    use burn::tensor::DType;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn sums_of_what_comes_before() {
+        let Some(gpu) = gpu() else { return };
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for len in [
+            1,
+            7,
+            8,
+            255,
+            2047,
+            2048,
+            2049,
+            16_384,
+            16_385,
+            70_000,
+            2048 * 2048 + 5,
+        ] {
+            let values: Vec<u32> = (0..len).map(|_| rng.random_range(0..100)).collect();
+            let sums = words(
+                &gpu,
+                &exclusive_sums(&gpu, &gpu.upload(&values, DType::U32), len),
+            );
+            let mut sum = 0;
+            for (i, value) in values.iter().enumerate() {
+                assert_eq!(sums[i], sum, "{i} of {len}");
+                sum += value;
+            }
+        }
+        let large = vec![1 << 29; 5000];
+        let sums = words(
+            &gpu,
+            &exclusive_sums(&gpu, &gpu.upload(&large, DType::U32), 5000),
+        );
+        assert_eq!(sums[..3], [0, 1 << 29, 1 << 30]);
+        assert!(sums[4..].iter().all(|&s| s == CEILING));
+    }
 }

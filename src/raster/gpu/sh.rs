@@ -1,7 +1,6 @@
 //! Colours from spherical harmonics and their derivative: [`crate::raster::cpu::sh`]'s formulas, one unit a Gaussian.
 
 use super::ewa::offset_from_camera;
-use super::project::Scene;
 use super::vec3::{Vec3, dot, read3, vec3};
 use crate::backend::gpu::{Gpu, arg};
 use crate::splat::sh::{C0, C1, C2, C3};
@@ -147,11 +146,12 @@ fn colours_backward(
     sh: &[f32],
     radii: &[u32],
     view: &[f32],
-    colours: &[f32],
-    d_colours: &[f32],
+    values: &[f32],
+    d_values: &[f32],
     d_sh: &mut [f32],
     d_means: &mut [f32],
     count: u32,
+    channels: u32,
     #[comptime] stored: usize,
     #[comptime] degree: u32,
 ) {
@@ -161,9 +161,10 @@ fn colours_backward(
     }
     let terms = comptime![((degree + 1) * (degree + 1)) as usize];
     // The colour is 0 where max(0, .) cut it off, and where the Gaussian is culled.
-    let gx = select(colours[3 * i] > 0.0f32, d_colours[3 * i], 0.0f32);
-    let gy = select(colours[3 * i + 1] > 0.0f32, d_colours[3 * i + 1], 0.0f32);
-    let gz = select(colours[3 * i + 2] > 0.0f32, d_colours[3 * i + 2], 0.0f32);
+    let at = i * channels as usize;
+    let gx = select(values[at] > 0.0f32, d_values[at], 0.0f32);
+    let gy = select(values[at + 1] > 0.0f32, d_values[at + 1], 0.0f32);
+    let gz = select(values[at + 2] > 0.0f32, d_values[at + 2], 0.0f32);
     let offset = offset_from_camera(view, &read3(means, 3 * i));
     let length = length_of(&offset);
     let d = direction(&offset, length);
@@ -200,62 +201,73 @@ pub(super) struct Harmonics {
     pub degree: u32,
 }
 
+impl Harmonics {
+    /// The coefficients of `gaussians` Gaussians, up to the degree `active`.
+    pub fn new(sh: CubeTensor, gaussians: usize, active: usize) -> Self {
+        let stored = sh.meta.num_elements() / (3 * gaussians.max(1));
+        let degree = active.min(stored.isqrt().saturating_sub(1)) as u32;
+        Self { sh, stored, degree }
+    }
+}
+
 /// `max(0, SH(direction) + 0.5)`, `[N, 3]`; 0 for culled Gaussians.
 pub(super) fn colours(
     gpu: &Gpu,
-    scene: &Scene,
+    means: &CubeTensor,
     harmonics: &Harmonics,
     radii: &CubeTensor,
     view: &CubeTensor,
 ) -> CubeTensor {
-    let out = gpu.floats([scene.len, 3]);
+    let count = means.meta.shape()[0];
+    let out = gpu.floats([count, 3]);
     eval_colours::launch(
         &gpu.client,
-        gpu.cubes_for(scene.len),
+        gpu.cubes_for(count),
         gpu.dim(),
-        arg(&scene.means),
+        arg(means),
         arg(&harmonics.sh),
         arg(radii),
         arg(view),
         arg(&out),
-        scene.len as u32,
+        count as u32,
         harmonics.stored,
         harmonics.degree,
     );
     out
 }
 
-/// Inputs of the backward step of [`colours`].
+/// The values that were blended, `[N, C]`, colours first, and their gradients.
 pub(super) struct ColourGradients<'a> {
-    /// The output of [`colours`].
-    pub colours: &'a CubeTensor,
-    pub d_colours: &'a CubeTensor,
+    pub values: &'a CubeTensor,
+    pub d_values: &'a CubeTensor,
     pub radii: &'a CubeTensor,
 }
 
 /// Gradient of the coefficients; that of the means, through the direction, is added to `d_means`.
 pub(super) fn backward(
     gpu: &Gpu,
-    scene: &Scene,
+    means: &CubeTensor,
     harmonics: &Harmonics,
     from: &ColourGradients<'_>,
     view: &CubeTensor,
     d_means: &CubeTensor,
 ) -> CubeTensor {
-    let out = gpu.floats([scene.len, harmonics.stored, 3]);
+    let count = means.meta.shape()[0];
+    let out = gpu.floats([count, harmonics.stored, 3]);
     colours_backward::launch(
         &gpu.client,
-        gpu.cubes_for(scene.len),
+        gpu.cubes_for(count),
         gpu.dim(),
-        arg(&scene.means),
+        arg(means),
         arg(&harmonics.sh),
         arg(from.radii),
         arg(view),
-        arg(from.colours),
-        arg(from.d_colours),
+        arg(from.values),
+        arg(from.d_values),
         arg(&out),
         arg(d_means),
-        scene.len as u32,
+        count as u32,
+        (from.values.meta.num_elements() / count.max(1)) as u32,
         harmonics.stored,
         harmonics.degree,
     );

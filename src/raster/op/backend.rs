@@ -1,20 +1,19 @@
-//! The backend trait of the rasterizer, and the typed values that pass through it.
+//! The backend trait of the rasterizer, its kernels for each backend, and its nodes in the autodiff graph.
 
+use super::cpu;
 #[cfg(feature = "cube")]
 use super::gpu;
-use super::view::ViewCall;
-use super::{autodiff, cpu};
+use super::tensors::{
+    Colours, PixelTensors, ProjectedView, RasterCall, RasterPass, RasterTensors, SavedForward,
+    TensorPair, ViewCall,
+};
 use crate::backend::custom_op;
-use crate::error::{Error, Result};
-use crate::raster::Projected;
-use crate::raster::settings::Settings;
-use crate::splat::camera::Camera;
-use burn::backend::{Backend, ExtensionType, tensor::FloatTensor};
-use std::fmt::{Debug, Formatter};
+use crate::error::Result;
+use burn::backend::tensor::FloatTensor;
 use std::sync::Arc;
 
 custom_op! {
-    /// Backend side of [`rasterize`](super::rasterize) and of [`SplatView`](super::SplatView).
+    /// Backend side of [`crate::raster::rasterize`] and of [`SplatView`](super::SplatView).
     pub(crate) trait RasterBackend {
         /// Image, transmittance, radii and the count of the tile lists.
         fn raster_forward(#[extension_type] tensors: RasterTensors<Self>, call: Arc<RasterCall>) -> RasterPass<Self>;
@@ -26,6 +25,14 @@ custom_op! {
             opacity_logits: FloatTensor<Self>,
             call: Arc<ViewCall>,
         ) -> Result<ProjectedView>;
+        /// Colours `[N, 3]` of the means `[N, 3]` and coefficients `[N, K, 3]`.
+        fn view_colours(
+            means: FloatTensor<Self>,
+            sh: FloatTensor<Self>,
+            degree: usize,
+            view: ProjectedView,
+            call: Arc<ViewCall>,
+        ) -> Colours<Self>;
         /// `W s` of `values` `[N, C]`: the image `[H, W, C]` and the transmittance `[H, W]`.
         fn blend_view(values: FloatTensor<Self>, view: ProjectedView) -> TensorPair<Self>;
     }
@@ -42,210 +49,126 @@ custom_op! {
     }
 }
 
-/// The tensors of one call; absent ones are empty.
-#[derive(Clone, Debug, ExtensionType)]
-pub(crate) struct RasterTensors<B: Backend> {
-    pub(super) means: FloatTensor<B>,
-    pub(super) log_scales: FloatTensor<B>,
-    pub(super) rotations: FloatTensor<B>,
-    pub(super) opacity_logits: FloatTensor<B>,
-    pub(super) sh: FloatTensor<B>,
-    pub(super) features: FloatTensor<B>,
-    pub(super) screen: FloatTensor<B>,
-}
+/// The operations in the autodiff graph.
+mod autodiff {
+    use super::*;
+    use crate::backend::{AutodiffTensor, track};
+    use crate::raster::op::tensors::INPUTS;
+    use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
+    use burn::backend::{Autodiff, AutodiffBackend, Backend, TensorMetadata};
+    use burn::tensor::{Shape, Slice};
+    use std::ops::Range;
 
-/// Number of [`RasterTensors`].
-pub(super) const INPUTS: usize = 7;
-
-impl<B: Backend> RasterTensors<B> {
-    pub(super) fn from_array(tensors: [FloatTensor<B>; INPUTS]) -> Self {
-        let [
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
-            sh,
-            features,
-            screen,
-        ] = tensors;
-        Self {
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
-            sh,
-            features,
-            screen,
+    /// Image and transmittance are parts of one node's output, so that one backward pass gets the gradients of both.
+    pub(super) fn raster_forward<B: RasterBackend, C: CheckpointStrategy>(
+        tensors: RasterTensors<Autodiff<B, C>>,
+        call: Arc<RasterCall>,
+    ) -> RasterPass<Autodiff<B, C>> {
+        let tracked = tensors.into_array();
+        let tensors = RasterTensors::<B>::from_array(tracked.clone().map(|t| t.into_parts().0));
+        let (image, transmittance, radii, tile_lists, saved) =
+            match B::raster_forward(tensors.clone(), call.clone()) {
+                RasterPass::Done {
+                    image,
+                    transmittance,
+                    radii,
+                    tile_lists,
+                    saved,
+                } => (image, transmittance, radii, tile_lists, saved),
+                RasterPass::Failed(error) => return RasterPass::Failed(error),
+            };
+        let (image_shape, pixel_shape) = (image.shape(), transmittance.shape());
+        let (values, pixels) = (image_shape.num_elements(), pixel_shape.num_elements());
+        let kept = saved.clone();
+        let (image_dims, pixel_dims) = (image_shape.clone(), pixel_shape.clone());
+        let both = track::<B, C, INPUTS, _>(tracked, |_| {
+            let flat = |tensor, len| B::float_reshape(tensor, Shape::new([len]));
+            let parts = vec![flat(image.clone(), values), flat(transmittance, pixels)];
+            let backward = move |gradient: FloatTensor<B>, _: [bool; INPUTS]| {
+                let pixels = PixelTensors {
+                    image,
+                    d_image: part::<B>(gradient.clone(), 0..values, image_dims),
+                    d_transmittance: part::<B>(gradient, values..values + pixels, pixel_dims),
+                };
+                B::raster_backward(tensors, pixels, kept, call)
+                    .into_array()
+                    .map(Some)
+            };
+            (B::float_cat(parts, 0), backward)
+        });
+        RasterPass::Done {
+            image: part::<Autodiff<B, C>>(both.clone(), 0..values, image_shape),
+            transmittance: part::<Autodiff<B, C>>(both, values..values + pixels, pixel_shape),
+            radii: Autodiff::<B, C>::from_inner(radii),
+            tile_lists: Autodiff::<B, C>::from_inner(tile_lists),
+            saved,
         }
     }
 
-    pub(super) fn into_array(self) -> [FloatTensor<B>; INPUTS] {
-        let Self {
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
-            sh,
-            features,
-            screen,
-        } = self;
-        [
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
-            sh,
-            features,
-            screen,
-        ]
-    }
-}
-
-/// Image and transmittance of the forward pass, and their gradients.
-#[derive(Clone, Debug, ExtensionType)]
-pub(crate) struct PixelTensors<B: Backend> {
-    /// `[H, W, C]`.
-    pub(super) image: FloatTensor<B>,
-    /// `[H, W, C]`.
-    pub(super) d_image: FloatTensor<B>,
-    /// `[H, W]`.
-    pub(super) d_transmittance: FloatTensor<B>,
-}
-
-/// What a call renders besides its tensors.
-#[derive(Clone, Debug)]
-pub(crate) struct RasterCall {
-    pub(super) camera: Camera,
-    pub(super) settings: Settings,
-    pub(super) background: [f64; 3],
-    pub(super) has_sh: bool,
-    pub(super) has_features: bool,
-    pub(super) sh_degree: usize,
-    pub(super) active_sh_degree: usize,
-    /// Whether the gradient of the screen has the columns of AbsGS.
-    pub(super) absolute_screen: bool,
-    /// Entries to allocate for the tile lists on a GPU; without it the GPU counts them first.
-    pub(super) tile_capacity: Option<usize>,
-}
-
-impl RasterCall {
-    /// Width and height in pixels.
-    pub(super) fn size(&self) -> [usize; 2] {
-        [self.camera.width, self.camera.height]
+    /// The values `range` of a vector in another shape.
+    fn part<B: Backend>(
+        vector: FloatTensor<B>,
+        range: Range<usize>,
+        shape: Shape,
+    ) -> FloatTensor<B> {
+        B::float_reshape(B::float_slice(vector, &[Slice::from(range)]), shape)
     }
 
-    /// Number of colour channels.
-    pub(super) fn colours(&self) -> usize {
-        if self.has_sh { 3 } else { 0 }
+    pub(super) fn project_view<B: RasterBackend, C: CheckpointStrategy>(
+        means: AutodiffTensor<B, C>,
+        log_scales: AutodiffTensor<B, C>,
+        rotations: AutodiffTensor<B, C>,
+        opacity_logits: AutodiffTensor<B, C>,
+        call: Arc<ViewCall>,
+    ) -> Result<ProjectedView> {
+        let [means, log_scales, rotations, opacity_logits] =
+            [means, log_scales, rotations, opacity_logits].map(Autodiff::<B, C>::inner);
+        B::project_view(means, log_scales, rotations, opacity_logits, call)
     }
-}
 
-/// Result of a forward pass.
-#[derive(Debug, ExtensionType)]
-pub(crate) enum RasterPass<B: Backend> {
-    /// The outputs.
-    Done {
-        /// `[H, W, C]`.
-        image: FloatTensor<B>,
-        /// `[H, W]`.
-        transmittance: FloatTensor<B>,
-        /// `[N]`.
-        radii: FloatTensor<B>,
-        /// `[3]`, see [`ListCount`](super::ListCount).
-        tile_lists: FloatTensor<B>,
-        /// What the backward pass reads.
-        saved: SavedForward,
-    },
-    /// The inputs are not valid, or the device failed.
-    Failed(Error),
-}
-
-/// Two tensors, or why there are none.
-#[derive(Debug, ExtensionType)]
-pub(crate) enum TensorPair<B: Backend> {
-    /// The outputs.
-    Done(FloatTensor<B>, FloatTensor<B>),
-    /// The device failed, or cannot hold the output.
-    Failed(Error),
-}
-
-impl<B: Backend> From<Result<(FloatTensor<B>, FloatTensor<B>)>> for TensorPair<B> {
-    fn from(found: Result<(FloatTensor<B>, FloatTensor<B>)>) -> Self {
-        match found {
-            Ok((first, second)) => Self::Done(first, second),
-            Err(error) => Self::Failed(error),
+    pub(super) fn view_colours<B: RasterBackend, C: CheckpointStrategy>(
+        means: AutodiffTensor<B, C>,
+        sh: AutodiffTensor<B, C>,
+        degree: usize,
+        view: ProjectedView,
+        call: Arc<ViewCall>,
+    ) -> Colours<Autodiff<B, C>> {
+        let [means, sh] = [means, sh].map(Autodiff::<B, C>::inner);
+        match B::view_colours(means, sh, degree, view, call) {
+            Colours::Done(colours) => Colours::Done(Autodiff::<B, C>::from_inner(colours)),
+            Colours::Failed(error) => Colours::Failed(error),
         }
     }
-}
 
-/// Declares an enum of a value of the CPU's kernels in either precision, and one of the GPU's kernels.
-macro_rules! by_kernels {
-    ($(#[$meta:meta])* $name:ident, $host:ident, $device:ident) => {
-        $(#[$meta])*
-        #[derive(Clone)]
-        pub(crate) enum $name {
-            /// Of the CPU's kernels in f32.
-            F32(Arc<$host<f32>>),
-            /// Of the CPU's kernels in f64.
-            F64(Arc<$host<f64>>),
-            /// Of the GPU's kernels.
-            #[cfg(feature = "cube")]
-            Gpu(Arc<crate::raster::gpu::$device>),
-        }
-
-        impl From<$host<f32>> for $name {
-            fn from(value: $host<f32>) -> Self {
-                Self::F32(Arc::new(value))
+    pub(super) fn blend_view<B: RasterBackend, C: CheckpointStrategy>(
+        values: AutodiffTensor<B, C>,
+        view: ProjectedView,
+    ) -> TensorPair<Autodiff<B, C>> {
+        let plain = Autodiff::<B, C>::inner(values.clone());
+        match B::blend_view(plain, view.clone()) {
+            TensorPair::Failed(error) => TensorPair::Failed(error),
+            TensorPair::Done(image, transmittance) => {
+                let image = track::<B, C, 1, _>([values], |_| {
+                    let backward =
+                        move |gradient, _: [bool; 1]| [gradient_of_values::<B>(gradient, view)];
+                    (image, backward)
+                });
+                TensorPair::Done(image, Autodiff::<B, C>::from_inner(transmittance))
             }
         }
+    }
 
-        impl From<$host<f64>> for $name {
-            fn from(value: $host<f64>) -> Self {
-                Self::F64(Arc::new(value))
+    fn gradient_of_values<B: RasterBackend>(
+        gradient: FloatTensor<B>,
+        view: ProjectedView,
+    ) -> Option<FloatTensor<B>> {
+        match B::blend_view_adjoint(gradient, view) {
+            TensorPair::Done(sums, _) => Some(sums),
+            // The gradient is as large as the values, which the device holds.
+            TensorPair::Failed(error) => {
+                tracing::error!("no gradient of blended values: {error}");
+                None
             }
         }
-
-        impl OfHost<$host<f32>> for $name {
-            fn of_host(&self) -> Option<&$host<f32>> {
-                if let Self::F32(value) = self { Some(value) } else { None }
-            }
-        }
-
-        impl OfHost<$host<f64>> for $name {
-            fn of_host(&self) -> Option<&$host<f64>> {
-                if let Self::F64(value) = self { Some(value) } else { None }
-            }
-        }
-
-        impl Debug for $name {
-            fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
-                f.write_str(stringify!($name))
-            }
-        }
-    };
-}
-
-/// Access to the value of the CPU's kernels in the precision of `T`.
-pub(super) trait OfHost<T> {
-    /// `None` where another precision or a GPU made the value.
-    fn of_host(&self) -> Option<&T>;
-}
-
-by_kernels! {
-    /// What a forward pass leaves for its backward pass.
-    SavedForward, Forward, Forward
-}
-
-by_kernels! {
-    /// Projection and tile lists of a view.
-    ProjectedView, Projected, Lists
-}
-
-/// What the CPU's forward pass computes.
-pub(crate) struct Forward<E> {
-    pub(super) projected: Projected<E>,
-    /// Blended values, `[N, C]`; `None` where they are the features tensor itself.
-    pub(super) values: Option<Vec<E>>,
-    /// `[H, W]`.
-    pub(super) transmittance: Vec<E>,
+    }
 }

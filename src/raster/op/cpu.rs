@@ -1,13 +1,14 @@
 //! The operations by the CPU's kernels: slices from tensors, tensors from slices.
 
-use super::backend::{
-    Forward, INPUTS, OfHost, PixelTensors, ProjectedView, RasterCall, RasterPass, RasterTensors,
-    SavedForward, TensorPair,
+use super::tensors::ViewCall;
+use super::tensors::{
+    Colours, Forward, INPUTS, OfHost, PixelTensors, ProjectedView, RasterCall, RasterPass,
+    RasterTensors, SavedForward, TensorPair,
 };
-use super::view::ViewCall;
 use crate::backend::{HostBackend, HostValues, Real, device_of, real_kernel};
 use crate::error::{Error, Result};
-use crate::raster::cpu::backward::{PixelGradients, SplatGradients};
+use crate::raster::cpu::SplatGradients;
+use crate::raster::cpu::pixel_gradients::PixelGradients;
 use crate::raster::cpu::projected::{Blended, Projected};
 use crate::raster::cpu::sh::{ShBackward, visible_colours};
 use crate::raster::settings::{Splats, check_finite};
@@ -88,6 +89,28 @@ pub(super) fn project_view<B: HostBackend>(
             opacity_logits: &opacity_logits,
         };
         Ok(Projected::new(&splats, &call.camera, &call.settings)?.into())
+    })
+}
+
+pub(super) fn view_colours<B: HostBackend>(
+    means: FloatTensor<B>,
+    sh: FloatTensor<B>,
+    degree: usize,
+    view: ProjectedView,
+    call: Arc<ViewCall>,
+) -> Colours<B> {
+    let (device, shape) = (device_of::<B>(&means), means.shape());
+    real_kernel!(means, E => {
+        let Some(projected) = OfHost::<Projected<E>>::of_host(&view) else {
+            return Colours::Failed(other_kernels());
+        };
+        let stored = sh.shape()[1].isqrt() - 1;
+        let center = call.camera.center.to_array();
+        let (means, sh) = (B::values::<E>(means), B::values::<E>(sh));
+        match visible_colours(&means, &sh, stored, degree, center, projected.radii()) {
+            Ok(colours) => Colours::Done(B::tensor::<E>(colours, &shape, &device)),
+            Err(error) => Colours::Failed(error),
+        }
     })
 }
 

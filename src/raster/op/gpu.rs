@@ -1,10 +1,11 @@
 //! The operations by the GPU's kernels, or by the CPU's where the GPU's do not reach.
 
-use super::backend::{
-    PixelTensors, ProjectedView, RasterCall, RasterPass, RasterTensors, SavedForward, TensorPair,
-};
 use super::cpu;
-use super::view::ViewCall;
+use super::tensors::ViewCall;
+use super::tensors::{
+    Colours, PixelTensors, ProjectedView, RasterCall, RasterPass, RasterTensors, SavedForward,
+    TensorPair,
+};
 use crate::backend::HostBackend;
 use crate::error::{Error, Result};
 use crate::raster::gpu::{self, Gradients, Inputs, Lists, Scenery};
@@ -144,6 +145,21 @@ pub(super) fn project_view(
         None => {
             cpu::project_view::<CubeBackend>(means, log_scales, rotations, opacity_logits, call)
         }
+    }
+}
+
+pub(super) fn view_colours(
+    means: CubeTensor,
+    sh: CubeTensor,
+    degree: usize,
+    view: ProjectedView,
+    call: Arc<ViewCall>,
+) -> Colours<CubeBackend> {
+    match &view {
+        ProjectedView::Gpu(lists) => {
+            Colours::Done(lists.colours(into_contiguous(means), into_contiguous(sh), degree))
+        }
+        _ => cpu::view_colours(means, sh, degree, view, call),
     }
 }
 

@@ -2,10 +2,11 @@
 //!
 //! The CPU's kernel sums the weights of the labels that a tile shows. A GPU blends one channel for each label, in blocks.
 
-use super::backend::ProjectedView;
+use super::tensors::ProjectedView;
 use super::view::SplatView;
-use crate::backend::device::{largest_allocation, read};
+use crate::backend::device::read;
 use crate::error::Result;
+use crate::ops::CustomOp;
 use burn::tensor::{Device, Tensor, TensorData};
 use std::ops::Range;
 use std::sync::OnceLock;
@@ -25,8 +26,10 @@ pub(crate) struct GaussianLabels {
     indices: OnceLock<Tensor<2>>,
 }
 
-/// What [`SplatView::largest_labels`] returns.
+/// What [`SplatView::blend_labels`] returns.
 pub(crate) struct LabelledPixels {
+    /// `[H, W, 3]` without background; empty without colours.
+    pub rgb: Vec<f32>,
     /// `[H, W]`: the label whose Gaussians have the largest summed alpha' T, ties to the lower one, and 0 where there are none.
     pub labels: Vec<u16>,
     /// What shows of the background, `[H, W]`.
@@ -47,15 +50,13 @@ impl GaussianLabels {
 
     /// Ranges of labels: those that `view` blends beside `others` channels, and further ones in passes of their own. Neither an
     /// image of them nor a channel a Gaussian is more than a block may have.
-    pub fn blocks(&self, view: &SplatView, others: usize) -> Vec<Range<usize>> {
+    fn blocks(&self, view: &SplatView, others: usize) -> Vec<Range<usize>> {
         let labels = self.ids.len();
         let of_image = view
             .channel_blocks(others + labels)
             .next()
             .map_or(labels, |block| block.len() - others);
-        let most = largest_allocation(&view.device())
-            .map_or(BLOCK_BYTES, |most| (most / 4).min(BLOCK_BYTES));
-        let of_gaussians = (most / (self.labels.len() * size_of::<f32>()).max(1)).max(FEWEST);
+        let of_gaussians = view.splats().channels_within(BLOCK_BYTES).max(FEWEST);
         let together = of_image.min(of_gaussians).max(1);
         (0..labels)
             .step_by(together)
@@ -64,7 +65,7 @@ impl GaussianLabels {
     }
 
     /// 1 where a Gaussian has a label of `block`, `[N, len]`.
-    pub fn one_hot(&self, block: Range<usize>, device: &Device) -> Tensor<2> {
+    fn one_hot(&self, block: Range<usize>, device: &Device) -> Tensor<2> {
         let indices = self.indices.get_or_init(|| {
             let index = |label| self.ids.partition_point(|id| id < label) as f32;
             let indices: Vec<f32> = self.labels.iter().map(index).collect();
@@ -75,59 +76,99 @@ impl GaussianLabels {
 }
 
 impl SplatView {
-    /// At each pixel the label that weighs most.
+    /// At each pixel the label that weighs most, and the colour where there are `colours` `[N, 3]`.
     ///
     /// # Errors
     /// As [`SplatView::blend`].
     ///
     /// # Panics
     /// If there is not one label for each Gaussian.
-    pub(crate) fn largest_labels(&self, labels: &GaussianLabels) -> Result<LabelledPixels> {
+    pub(crate) fn blend_labels(
+        &self,
+        colours: Option<Tensor<2>>,
+        labels: &GaussianLabels,
+    ) -> Result<LabelledPixels> {
         let n = self.splats().len();
         assert_eq!(labels.labels.len(), n, "one label a Gaussian");
-        if let ProjectedView::F32(projected) = self.projected()? {
-            let (blended, labels) = projected.blend_labels::<0>(&[], &labels.labels);
+        if !CustomOp::Raster.is_replaced()
+            && let ProjectedView::F32(projected) = self.projected()?
+        {
+            let (blended, labels) = match colours {
+                Some(colours) => {
+                    projected.blend_labels::<3>(&read("colours", colours)?, &labels.labels)
+                }
+                None => projected.blend_labels::<0>(&[], &labels.labels),
+            };
             return Ok(LabelledPixels {
+                rgb: blended.image,
                 labels,
                 transmittance: blended.transmittance,
             });
         }
+        self.blend_one_hot(colours, labels)
+    }
+
+    /// [`SplatView::blend_labels`] with a channel for each label.
+    fn blend_one_hot(
+        &self,
+        colours: Option<Tensor<2>>,
+        labels: &GaussianLabels,
+    ) -> Result<LabelledPixels> {
+        let others = colours.as_ref().map_or(0, |_| 3);
+        let pixels = self.camera().width * self.camera().height;
+        let mut beside = colours;
+        let mut parts: Vec<Tensor<1>> = Vec::new();
         let mut largest: Option<Largest> = None;
-        let mut transmittance = None;
-        for block in labels.blocks(self, 0) {
+        for block in labels.blocks(self, others) {
             let first = block.start as f64;
-            let (image, of_all) = self.blend(labels.one_hot(block, &self.device()))?;
-            transmittance.get_or_insert(of_all);
-            let found = Largest::of(image, first);
+            let one_hot = labels.one_hot(block, &self.device());
+            let found = match beside.take() {
+                // The first block is blended together with the colours.
+                Some(colours) => {
+                    let (image, transmittance) =
+                        self.blend(Tensor::cat(vec![colours, one_hot], 1))?;
+                    parts.push(image.clone().narrow(2, 0, 3).reshape([3 * pixels]));
+                    parts.push(transmittance.reshape([pixels]));
+                    // Colours below any weight never win; slicing them off would copy all other channels.
+                    let [height, width, _] = image.dims();
+                    Largest::of(image.slice_fill([0..height, 0..width, 0..3], -1.0), -3.0)
+                }
+                None => {
+                    let (image, transmittance) = self.blend(one_hot)?;
+                    if parts.is_empty() {
+                        parts.push(transmittance.reshape([pixels]));
+                    }
+                    Largest::of(image, first)
+                }
+            };
             largest = Some(match largest {
                 Some(before) => before.or(found),
                 None => found,
             });
         }
-        let pixels = self.camera().width * self.camera().height;
-        let (Some(largest), Some(transmittance)) = (largest, transmittance) else {
+        let Some(largest) = largest else {
             return Ok(LabelledPixels {
+                rgb: vec![0.0; others * pixels],
                 labels: vec![0; pixels],
                 transmittance: vec![1.0; pixels],
             });
         };
-        let parts = vec![largest.indices(), transmittance.reshape([pixels])];
-        let mut values = read("a label map", Tensor::<1>::cat(parts, 0))?;
-        let transmittance = values.split_off(pixels);
-        let labels = values
-            .into_iter()
-            .map(|index| labels.at(index).unwrap_or(0))
-            .collect();
+        parts.push(largest.indices());
+        let mut rgb = read("a label map", Tensor::cat(parts, 0))?;
+        let mut transmittance = rgb.split_off(others * pixels);
+        let indices = transmittance.split_off(pixels);
+        let label = |index| labels.at(index).unwrap_or(0);
         Ok(LabelledPixels {
-            labels,
+            rgb,
+            labels: indices.into_iter().map(label).collect(),
             transmittance,
         })
     }
 }
 
 impl GaussianLabels {
-    /// The label that one of [`Largest::indices`] stands for.
-    pub fn at(&self, index: f32) -> Option<u16> {
+    /// The label with this index from [`Largest::indices`].
+    fn at(&self, index: f32) -> Option<u16> {
         (index >= 0.0).then(|| self.ids.get(index as usize).copied())?
     }
 }

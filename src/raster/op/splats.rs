@@ -1,5 +1,6 @@
 //! The geometry of Gaussians as tensors.
 
+use crate::backend::device::{in_host_memory, largest_allocation};
 use crate::error::{Error, Result};
 use crate::splat::Gaussians;
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
@@ -36,9 +37,31 @@ impl SplatTensors {
         }
     }
 
+    /// The same tensors without autodiff.
+    #[must_use]
+    pub(super) fn inner(self) -> Self {
+        Self {
+            means: self.means.inner(),
+            log_scales: self.log_scales.inner(),
+            rotations: self.rotations.inner(),
+            opacity_logits: self.opacity_logits.inner(),
+        }
+    }
+
     /// Where they live, without autodiff.
     pub fn device(&self) -> Device {
         self.means.device()
+    }
+
+    /// Whether [`SplatView::weights`](super::SplatView::weights) exist. A GPU blends anew at each use.
+    pub(crate) fn have_stored_weights(&self) -> bool {
+        in_host_memory(&self.device())
+    }
+
+    /// How many channels of all Gaussians a quarter of one allocation holds, `most` bytes at most.
+    pub(crate) fn channels_within(&self, most: usize) -> usize {
+        let bytes = largest_allocation(&self.device()).map_or(most, |all| (all / 4).min(most));
+        bytes / (self.len() * size_of::<f32>()).max(1)
     }
 
     /// Number of Gaussians.

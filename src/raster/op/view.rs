@@ -1,10 +1,12 @@
 //! Blending with frozen geometry and its adjoint, as operations on tensors: projected and sorted once a view.
 
-use super::backend::{ProjectedView, RasterBackend, TensorPair};
+use super::backend::RasterBackend;
+use super::reference::{ReferenceView, colours};
 use super::splats::SplatTensors;
+use super::tensors::{Colours, ProjectedView, TensorPair, ViewCall};
 use crate::backend::device::largest_allocation;
 use crate::error::{Error, Result};
-use crate::ops::{SparseMatrix, sparse_apply};
+use crate::ops::{CustomOp, SparseMatrix, sparse_apply};
 use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
 use burn::backend::Dispatch;
@@ -31,19 +33,6 @@ pub struct Lifted {
     pub counts: Tensor<1>,
 }
 
-/// What a view renders besides its Gaussians.
-#[derive(Clone, Debug)]
-pub(crate) struct ViewCall {
-    pub(super) camera: Camera,
-    pub(super) settings: Settings,
-    /// Entries of the tile lists, once a GPU has counted them for the same Gaussians and camera.
-    #[cfg_attr(
-        not(feature = "cube"),
-        allow(dead_code, reason = "only a GPU counts entries")
-    )]
-    pub(super) entries: Arc<OnceLock<usize>>,
-}
-
 /// Frozen Gaussians and a camera: projected and sorted once for all that is blended and lifted.
 #[derive(Clone, Debug)]
 pub struct SplatView {
@@ -56,23 +45,12 @@ pub struct SplatView {
 impl SplatTensors {
     /// These Gaussians as `camera` sees them.
     pub fn seen_by(&self, camera: &Camera, settings: &Settings) -> SplatView {
-        self.seen_again_by(camera, settings, &Arc::default())
-    }
-
-    /// [`SplatTensors::seen_by`] with the entry count of earlier calls. `entries` must belong to the same Gaussians, camera and
-    /// settings, or be new. With a count a GPU reads nothing back.
-    pub(crate) fn seen_again_by(
-        &self,
-        camera: &Camera,
-        settings: &Settings,
-        entries: &Arc<OnceLock<usize>>,
-    ) -> SplatView {
         SplatView {
             splats: self.clone(),
             call: Arc::new(ViewCall {
                 camera: camera.clone(),
                 settings: *settings,
-                entries: entries.clone(),
+                entries: Arc::default(),
             }),
             projected: Arc::default(),
         }
@@ -80,6 +58,17 @@ impl SplatTensors {
 }
 
 impl SplatView {
+    /// The same view of the Gaussians `rows` alone, in that order.
+    ///
+    /// # Panics
+    /// If a row is not below N.
+    pub(crate) fn of_gaussians(&self, rows: &[u32]) -> Self {
+        let ViewCall {
+            camera, settings, ..
+        } = &*self.call;
+        self.splats.select(rows).seen_by(camera, settings)
+    }
+
     /// The Gaussians.
     pub fn splats(&self) -> &SplatTensors {
         &self.splats
@@ -141,6 +130,9 @@ impl SplatView {
             ));
         }
         self.splats.check(values.dtype())?;
+        if CustomOp::Raster.is_replaced() {
+            return Ok(self.reference().blend(values));
+        }
         match Dispatch::blend_view(values.into_dispatch(), self.projected()?) {
             TensorPair::Done(image, transmittance) => Ok((
                 Tensor::from_dispatch(image),
@@ -196,6 +188,10 @@ impl SplatView {
             ));
         }
         self.splats.check(image.dtype())?;
+        if CustomOp::Raster.is_replaced() {
+            let (sums, counts) = self.reference().blend_adjoint(image.inner());
+            return Ok(Lifted { sums, counts });
+        }
         match Dispatch::blend_view_adjoint(image.into_dispatch(), self.projected()?) {
             TensorPair::Done(sums, counts) => Ok(Lifted {
                 sums: Tensor::from_dispatch(sums),
@@ -203,6 +199,51 @@ impl SplatView {
             }),
             TensorPair::Failed(error) => Err(error),
         }
+    }
+
+    /// The rows `pixels` (row-major) of `W`, entries front to back, rounded to `f32`.
+    ///
+    /// # Errors
+    /// As [`SplatView::blend`]; [`Error::Device`] where [`SplatTensors::have_stored_weights`] is false.
+    ///
+    /// # Panics
+    /// If a pixel is outside the image.
+    pub(crate) fn weights(&self, pixels: &[u32]) -> Result<SparseMatrix> {
+        if CustomOp::Raster.is_replaced() {
+            return Ok(self.reference().weights(pixels));
+        }
+        match self.projected()? {
+            ProjectedView::F32(projected) => Ok(projected.weights(Some(pixels))),
+            ProjectedView::F64(projected) => Ok(projected.weights(Some(pixels))),
+            #[cfg(feature = "cube")]
+            ProjectedView::Gpu(_) => Err(Error::Device {
+                device: "the GPU of this view".into(),
+                reason: "it blends anew and has no stored weights".into(),
+                help: "use `blend`".into(),
+            }),
+        }
+    }
+
+    /// Colours `max(0, SH + 0.5)` of all Gaussians, `[N, 3]`, from coefficients `[N, K, 3]` of degree `degree`, without
+    /// autodiff; any values for Gaussians that the view does not show.
+    ///
+    /// # Errors
+    /// As [`SplatView::blend`]; [`Error::NonFinite`] for the coefficients.
+    pub(crate) fn colours(&self, sh: Tensor<3>, degree: usize) -> Result<Tensor<2>> {
+        if CustomOp::Raster.is_replaced() {
+            return Ok(colours(&self.splats.means, sh, degree, self.camera()).inner());
+        }
+        let means = self.splats.means.clone().into_dispatch();
+        let call = self.call.clone();
+        match Dispatch::view_colours(means, sh.into_dispatch(), degree, self.projected()?, call) {
+            Colours::Done(colours) => Ok(Tensor::from_dispatch(colours)),
+            Colours::Failed(error) => Err(error),
+        }
+    }
+
+    fn reference(&self) -> ReferenceView {
+        let frozen = self.splats.clone().inner();
+        ReferenceView::new(&frozen, None, &self.call.camera, &self.call.settings)
     }
 
     /// Projection and tile lists, made at first use.

@@ -7,12 +7,11 @@ pub use self::frusta::points as random_points;
 use super::schedule::extent;
 use crate::config::{Config, Strategy};
 use crate::data::{Points, Scene, View};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::random::{Purpose, stream};
+use crate::segmentation::neighbours::{PointIndex, check_finite};
 use crate::splat::{Gaussians, SH_0};
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use std::borrow::Cow;
-use std::num::NonZero;
 
 /// Opacity of a new Gaussian.
 const OPACITY: f32 = 0.1;
@@ -83,17 +82,10 @@ pub fn logit(p: f32) -> f32 {
 /// `extent` is the scene's size in world units (see [`extent`]).
 ///
 /// # Errors
-/// [`Error::NonFinite`] for a position or colour that is not finite; [`Error::Limit`] beyond 2^32 points.
+/// [`crate::Error::NonFinite`] for a position or colour that is not finite; [`crate::Error::Limit`] beyond 2^32 points.
 pub fn from_points(points: &Points, sh_degree: usize, extent: f64) -> Result<Gaussians> {
-    for (name, values) in [
-        ("points.positions", &points.positions),
-        ("points.colors", &points.colors),
-    ] {
-        let infinite = |v: &[f32; 3]| v.iter().any(|x| !x.is_finite());
-        if let Some(row) = values.iter().position(infinite) {
-            return Err(Error::non_finite(name, row));
-        }
-    }
+    check_finite("points.positions", &points.positions)?;
+    check_finite("points.colors", &points.colors)?;
     let n = points.positions.len();
     let coefficients = 3 * (sh_degree + 1).pow(2);
     let mut sh = vec![0.0; n * coefficients];
@@ -106,7 +98,7 @@ pub fn from_points(points: &Points, sh_degree: usize, extent: f64) -> Result<Gau
         let scale = distance.unwrap_or(LONE_SCALE * extent);
         [scale.max(SCALE_FLOOR * extent).ln() as f32; 3]
     };
-    let distances = neighbour_distances(&points.positions)?;
+    let distances = PointIndex::new(&points.positions)?.rms_distances(NEIGHBOURS);
     let log_scales = distances.into_iter().map(log_scale).collect();
     Ok(Gaussians {
         means: points.positions.clone(),
@@ -116,48 +108,4 @@ pub fn from_points(points: &Points, sh_degree: usize, extent: f64) -> Result<Gau
         sh,
         sh_degree,
     })
-}
-
-/// Root mean square distance of each point to its 3 nearest at other positions; `None` when there is no other position.
-///
-/// # Errors
-/// [`Error::Limit`] beyond 2^32 points.
-fn neighbour_distances(positions: &[[f32; 3]]) -> Result<Vec<Option<f64>>> {
-    // -0 and 0 are one position
-    let wide = |p: &[f32; 3]| p.map(|x| f64::from(x) + 0.0);
-    let mut order: Vec<usize> = (0..positions.len()).collect();
-    order.sort_unstable_by_key(|&i| (wide(&positions[i]).map(f64::to_bits), i));
-    let mut distinct: Vec<[f64; 3]> = Vec::new();
-    let mut slot = vec![0; positions.len()];
-    for i in order {
-        let p = wide(&positions[i]);
-        if distinct.last() != Some(&p) {
-            distinct.push(p);
-        }
-        slot[i] = distinct.len() - 1;
-    }
-    if distinct.len() < 2 {
-        return Ok(vec![None; positions.len()]);
-    }
-    let tree = ImmutableKdTree::<f64, 3>::new_from_slice(&distinct).map_err(|_| Error::Limit {
-        what: "initial points".into(),
-        found: distinct.len().to_string(),
-        limit: u32::MAX.to_string(),
-        help: "thin the point cloud".into(),
-    })?;
-    let wanted = NonZero::new(NEIGHBOURS + 1).unwrap_or(NonZero::<usize>::MIN);
-    let found = tree
-        .query_batch(&distinct)
-        .nearest_n::<SquaredEuclidean<f64>>(wanted)
-        .execute();
-    let distances: Vec<Option<f64>> = found
-        .iter()
-        .map(|hits| {
-            // the point itself is the one hit at distance 0
-            let others = hits.len().saturating_sub(1);
-            (others > 0)
-                .then(|| (hits.iter().map(|h| h.distance).sum::<f64>() / others as f64).sqrt())
-        })
-        .collect();
-    Ok(slot.into_iter().map(|s| distances[s]).collect())
 }

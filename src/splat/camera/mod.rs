@@ -32,6 +32,28 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// A camera from its pose, as the fields have it, and its intrinsics.
+    pub fn new(rotation: DMat3, center: DVec3, intrinsics: Intrinsics) -> Self {
+        let Intrinsics {
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        } = intrinsics;
+        Self {
+            rotation,
+            center,
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        }
+    }
+
     /// A camera from an OpenGL camera-to-world matrix (x right, y up, looking along -z), as `transforms.json` has it.
     ///
     /// Returns `None` when the matrix is not finite or its rotation part is not a proper rotation within 1e-3.
@@ -60,39 +82,14 @@ impl Camera {
         {
             return None;
         }
-        let Intrinsics {
-            fx,
-            fy,
-            cx,
-            cy,
-            width,
-            height,
-        } = intrinsics;
-        Some(Self {
-            rotation: m.transpose(),
-            center,
-            fx,
-            fy,
-            cx,
-            cy,
-            width,
-            height,
-        })
+        Some(Self::new(m.transpose(), center, intrinsics))
     }
 
     /// A camera of this image size at the origin, for files whose pose cannot be read.
     pub(crate) fn unposed((width, height): (usize, usize)) -> Self {
-        let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
-        Self {
-            rotation: DMat3::IDENTITY,
-            center: DVec3::ZERO,
-            fx: cx.max(1.0),
-            fy: cx.max(1.0),
-            cx,
-            cy,
-            width,
-            height,
-        }
+        let focal = (width as f64 / 2.0).max(1.0);
+        let intrinsics = Intrinsics::centred([focal; 2], [width, height]);
+        Self::new(DMat3::IDENTITY, DVec3::ZERO, intrinsics)
     }
 
     /// Checks that the camera can be rendered from: a finite pose, positive focal lengths, 1 to 2^32 - 1 pixels.
@@ -217,4 +214,18 @@ pub struct Intrinsics {
     pub width: usize,
     /// Image height, pixels.
     pub height: usize,
+}
+
+impl Intrinsics {
+    /// Of an image with these focal lengths along x and y, and the principal point in its middle; all in pixels.
+    pub fn centred([fx, fy]: [f64; 2], [width, height]: [usize; 2]) -> Self {
+        Self {
+            fx,
+            fy,
+            cx: 0.5 * width as f64,
+            cy: 0.5 * height as f64,
+            width,
+            height,
+        }
+    }
 }

@@ -2,8 +2,8 @@
 
 use super::check;
 use crate::error::{Error, Result};
-use crate::splat::camera::Camera;
-use glam::{DMat3, DQuat, DVec3};
+use crate::splat::camera::{Camera, Intrinsics};
+use glam::{DMat3, DQuat, DVec3, DVec4};
 
 /// Parts of each segment whose lengths are summed.
 const PARTS: usize = 32;
@@ -22,27 +22,21 @@ const SAME: f64 = 1e-9;
 #[derive(Clone, Debug)]
 pub struct CameraPath {
     size: [usize; 2],
-    keys: Vec<Key>,
-    segments: Vec<Segment>,
+    start: Key,
+    /// Control points of a cubic Bézier curve from each key to the next.
+    segments: Vec<[Key; 4]>,
     /// Length from the start to the end of each part, `PARTS` per segment, after a leading 0.
     lengths: Vec<f64>,
 }
 
-/// A camera of the path.
+/// A camera of the path, or a control point of it.
 #[derive(Clone, Copy, Debug)]
 struct Key {
     center: DVec3,
     /// Camera to world, OpenCV axes.
     rotation: DQuat,
     /// fx, fy, cx, cy.
-    intrinsics: [f64; 4],
-}
-
-/// Control points of cubic Bézier curves between two keys.
-#[derive(Clone, Copy, Debug)]
-struct Segment {
-    centers: [DVec3; 4],
-    rotations: [DQuat; 4],
+    intrinsics: DVec4,
 }
 
 impl CameraPath {
@@ -62,54 +56,37 @@ impl CameraPath {
         // Again, so that repeated keys have no more weight than the others.
         let per_radian = spread(&keys);
 
-        let step =
-            |pair: &[Key]| Step::new(&pair[0], &pair[1], distance(&pair[0], &pair[1], per_radian));
-        let steps: Vec<Step> = keys.windows(2).map(step).collect();
+        let pairs = keys.windows(2);
+        let steps: Vec<Step> = pairs
+            .map(|pair| Step::new(&pair[0], &pair[1], per_radian))
+            .collect();
         let segment = |(i, pair): (usize, &[Key])| {
             let third = steps[i].knots / 3.0;
             let [start, end] = [velocities(&steps, i), velocities(&steps, i + 1)];
-            let [a, b] = [&pair[0], &pair[1]];
-            let turned = |q: DQuat, by: DVec3| q * DQuat::from_scaled_axis(by);
-            Segment {
-                centers: [
-                    a.center,
-                    a.center + third * start[0],
-                    b.center - third * end[0],
-                    b.center,
-                ],
-                rotations: [
-                    a.rotation,
-                    turned(a.rotation, third * start[1]),
-                    turned(b.rotation, -third * end[1]),
-                    b.rotation,
-                ],
-            }
+            let [a, b] = [pair[0], pair[1]];
+            let intrinsics = |t: f64| a.intrinsics.lerp(b.intrinsics, t);
+            let after = a.moved(start.map(|v| third * v), intrinsics(1.0 / 3.0));
+            let before = b.moved(end.map(|v| -third * v), intrinsics(2.0 / 3.0));
+            [a, after, before, b]
         };
-        let segments = keys.windows(2).enumerate().map(segment).collect();
         let mut path = Self {
             size: [width, height],
-            keys,
-            segments,
+            start: keys[0],
+            segments: keys.windows(2).enumerate().map(segment).collect(),
             lengths: vec![0.0],
         };
-        let (mut length, mut before) = (0.0, path.keys[0]);
-        for part in 1..=PARTS * path.segments.len() {
-            let key = path.key(
-                (part - 1) / PARTS,
-                ((part - 1) % PARTS + 1) as f64 / PARTS as f64,
-            );
+        let mut length = 0.0;
+        let mut before = path.start;
+        for part in 0..PARTS * path.segments.len() {
+            let key = path.key(part, 1.0);
             length += distance(&before, &key, per_radian);
             path.lengths.push(length);
             before = key;
         }
         if !length.is_finite() {
+            let found = "centres further apart than numbers reach";
             let help = "give cameras in one place";
-            return Err(Error::argument(
-                "cameras",
-                "centres further apart than numbers reach",
-                "a finite path",
-                help,
-            ));
+            return Err(Error::argument("cameras", found, "a finite path", help));
         }
         Ok(path)
     }
@@ -126,34 +103,26 @@ impl CameraPath {
 
     /// The camera at `length` along the path, clamped to its start and end.
     pub fn at(&self, length: f64) -> Camera {
-        let part = self
-            .lengths
-            .partition_point(|&l| l < length)
-            .clamp(1, self.lengths.len().max(2) - 1);
-        let key = match self.lengths.get(part) {
-            None => self.keys[0],
-            Some(&end) => {
-                let start = self.lengths[part - 1];
-                let within = ((length - start) / (end - start)).clamp(0.0, 1.0);
-                // The start, for a part without length and for a length that is not a number.
-                let within = if within.is_nan() { 0.0 } else { within };
-                let (segment, before) = ((part - 1) / PARTS, (part - 1) % PARTS);
-                self.key(segment, (before as f64 + within) / PARTS as f64)
+        let end = self.lengths.partition_point(|&l| l < length);
+        let key = match end.min(self.lengths.len() - 1).checked_sub(1) {
+            None => self.start,
+            Some(part) => {
+                let [start, end] = [self.lengths[part], self.lengths[part + 1]];
+                self.key(part, ((length - start) / (end - start)).min(1.0))
             }
         };
-        let [fx, fy, cx, cy] = key.intrinsics;
+        let [fx, fy, cx, cy] = key.intrinsics.to_array();
         let [width, height] = self.size;
-        let rotation = DMat3::from_quat(key.rotation).transpose();
-        Camera {
-            rotation,
-            center: key.center,
+        let intrinsics = Intrinsics {
             fx,
             fy,
             cx,
             cy,
             width,
             height,
-        }
+        };
+        let rotation = DMat3::from_quat(key.rotation).transpose();
+        Camera::new(rotation, key.center, intrinsics)
     }
 
     /// `count` cameras at equal distances along the path, from its start to its end; a single one is the start.
@@ -162,40 +131,38 @@ impl CameraPath {
         (0..count).map(|i| self.at(step * i as f64)).collect()
     }
 
-    /// The key at `t` in 0..1 of a segment.
-    fn key(&self, segment: usize, t: f64) -> Key {
-        let Segment { centers, rotations } = &self.segments[segment];
-        let [a, b] = [
-            self.keys[segment].intrinsics,
-            self.keys[segment + 1].intrinsics,
-        ];
-        Key {
-            center: de_casteljau(*centers, |a, b| a.lerp(b, t)),
-            rotation: de_casteljau(*rotations, |a, b| {
-                a * DQuat::from_scaled_axis(t * turn(a, b))
-            })
-            .normalize(),
-            intrinsics: [0, 1, 2, 3].map(|i| (1.0 - t) * a[i] + t * b[i]),
-        }
+    /// The camera at `within` of a part, from 0 at its start to 1 at its end, by de Casteljau's algorithm.
+    fn key(&self, part: usize, within: f64) -> Key {
+        let t = ((part % PARTS) as f64 + within) / PARTS as f64;
+        let [a, b, c, d] = self.segments[part / PARTS];
+        let [ab, bc, cd] = [a.mix(b, t), b.mix(c, t), c.mix(d, t)];
+        ab.mix(bc, t).mix(bc.mix(cd, t), t)
     }
 }
 
 impl Key {
     fn new(camera: &Camera) -> Self {
-        let &Camera {
-            rotation,
-            center,
-            fx,
-            fy,
-            cx,
-            cy,
-            ..
-        } = camera;
         Self {
-            center,
-            rotation: DQuat::from_mat3(&rotation.transpose()).normalize(),
-            intrinsics: [fx, fy, cx, cy],
+            center: camera.center,
+            rotation: DQuat::from_mat3(&camera.rotation.transpose()).normalize(),
+            intrinsics: DVec4::new(camera.fx, camera.fy, camera.cx, camera.cy),
         }
+    }
+
+    /// The pose after a shift and a rotation by a vector in the key's axes, with these intrinsics.
+    fn moved(self, [shift, turn]: [DVec3; 2], intrinsics: DVec4) -> Self {
+        Self {
+            center: self.center + shift,
+            rotation: (self.rotation * DQuat::from_scaled_axis(turn)).normalize(),
+            intrinsics,
+        }
+    }
+
+    /// The key at `t` on the way to another one, from 0 to 1.
+    fn mix(self, other: Self, t: f64) -> Self {
+        let shift = t * (other.center - self.center);
+        let turn = t * turn(self.rotation, other.rotation);
+        self.moved([shift, turn], self.intrinsics.lerp(other.intrinsics, t))
     }
 }
 
@@ -215,8 +182,8 @@ struct Step {
 }
 
 impl Step {
-    fn new(a: &Key, b: &Key, distance: f64) -> Self {
-        let knots = distance.sqrt();
+    fn new(a: &Key, b: &Key, per_radian: f64) -> Self {
+        let knots = distance(a, b, per_radian).sqrt();
         Self {
             knots,
             velocity: [
@@ -245,19 +212,7 @@ fn turn(a: DQuat, b: DQuat) -> DVec3 {
     let q = a.conjugate() * b;
     // q and -q are one rotation.
     let q = if q.w < 0.0 { -q } else { q };
-    let sine = q.xyz().length();
-    // sin x = x for the smallest angles.
-    let angle_by_sine = if sine < 1e-150 {
-        2.0
-    } else {
-        2.0 * sine.atan2(q.w) / sine
-    };
-    angle_by_sine * q.xyz()
-}
-
-fn de_casteljau<T: Copy>([a, b, c, d]: [T; 4], mix: impl Fn(T, T) -> T) -> T {
-    let [ab, bc, cd] = [mix(a, b), mix(b, c), mix(c, d)];
-    mix(mix(ab, bc), mix(bc, cd))
+    q.to_scaled_axis()
 }
 
 /// Root mean square distance of the keys from their mean; 1 where that is 0.

@@ -1,5 +1,6 @@
 //! The same code on every backend of the build: encoder, decoder, loss and rasterizer against ndarray.
 
+use crate::support::joined_pyramid;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::backend::device;
@@ -9,7 +10,7 @@ use coseg::raster::{RasterInput, Settings, rasterize};
 use coseg::segmentation::decoder::DecoderConfig;
 use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
 use coseg::segmentation::loss::{CoSegLoss, LabelLoss};
-use coseg::segmentation::pyramid::{Pyramid, Switches};
+use coseg::segmentation::pyramid::Switches;
 use coseg::splat::Gaussians;
 use glam::{DMat3, DVec3};
 
@@ -82,8 +83,8 @@ fn segmentation(device: &Device) -> [Vec<f32>; 4] {
             )
         })
         .collect();
-    let pyramid = Pyramid::new(&encoding, &image, Switches::default()).expect("features");
-    let decoder = DecoderConfig::for_pyramid(&pyramid, 6, true).init(&device.clone().autodiff());
+    let pyramid = joined_pyramid(&encoding, &image, Switches::default());
+    let decoder = DecoderConfig::for_pyramid(&pyramid, 6).init(&device.clone().autodiff());
     let logits = decoder.classify(decoder.forward(&pyramid).hidden);
     let labels: Vec<u16> = (0..POINTS)
         .map(|i| if i % 7 == 6 { u16::MAX } else { (i % 6) as u16 })

@@ -3,9 +3,6 @@
 use crate::cli::commands::{fails, read_json, succeeds, utf8};
 use crate::support::plates::scene;
 use coseg::backend::device::BackendName;
-use coseg::bench::{Section, Source, Subject};
-use coseg::config::Config;
-use coseg::data::Limits;
 use std::path::Path;
 
 /// The name of a CPU backend.
@@ -17,18 +14,18 @@ fn backend() -> String {
         .to_string()
 }
 
-/// `bench --quick` on a CPU backend.
+/// `bench --repeats 1` on a CPU backend.
 fn quick(more: &[&str]) -> String {
-    succeeds(&[&["bench", "--quick", "--backend", &backend()], more].concat())
+    succeeds(&[&["bench", "--repeats", "1", "--backend", &backend()], more].concat())
 }
 
-/// The figures of a section in a JSON file.
-fn figures(path: &Path, section: &str) -> Vec<serde_json::Value> {
+/// The figures of a section for so many Gaussians in a JSON file.
+fn figures(path: &Path, section: &str, gaussians: usize) -> Vec<serde_json::Value> {
     let json = read_json(path);
     let sections = json["sections"].as_array().unwrap();
     let found = sections
         .iter()
-        .find(|s| s["section"] == section)
+        .find(|s| s["section"] == section && s["gaussians"] == gaussians)
         .unwrap_or_else(|| panic!("{section}: {json}"));
     let figures = found["figures"].as_array().unwrap();
     for figure in figures {
@@ -39,28 +36,57 @@ fn figures(path: &Path, section: &str) -> Vec<serde_json::Value> {
         };
         let (low, median, high) = (number("low"), number("median"), number("high"));
         assert!(low <= median && median <= high && low >= 0.0, "{figure}");
-        assert!(
-            !figure["case"].as_str().unwrap().is_empty() && figure["samples"].as_u64().unwrap() > 0,
-            "{figure}"
-        );
+        assert!(figure["samples"].as_u64().unwrap() > 0, "{figure}");
     }
     figures.clone()
 }
 
+fn named<'a>(figures: &'a [serde_json::Value], name: &str) -> &'a serde_json::Value {
+    let found = figures.iter().find(|figure| figure["name"] == name);
+    found.unwrap_or_else(|| panic!("{name}: {figures:?}"))
+}
+
 #[test]
-fn every_section_runs_on_the_built_in_room() {
+fn both_sections_run_before_training() {
     let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
     let json = folder.path().join("deep/figures.json");
-    let said = quick(&["--json", utf8(&json)]);
-    for section in Section::ALL {
-        let title = format!("{section}: {}", section.title());
-        assert!(said.contains(&title), "{title}: {said}");
-        assert!(figures(&json, section.key()).len() > 1, "{section}: {said}");
+    let said = quick(&[
+        "--data",
+        utf8(folder.path()),
+        "--gaussians",
+        "300,400",
+        "--set",
+        "building.random_points=300",
+        "--json",
+        utf8(&json),
+    ]);
+    let places = [
+        "300 initial Gaussians",
+        "curve: 300 Gaussians",
+        "curve: 400 Gaussians",
+        "stages: 300 Gaussians",
+        "stages: 400 Gaussians",
+        "figures: ",
+    ]
+    .map(|text| said.find(text));
+    assert!(places.is_sorted() && places[0].is_some(), "{said}");
+    for gaussians in [300, 400] {
+        let stages = figures(&json, "stages", gaussians);
+        for name in [
+            "stage one, a step",
+            "image features of all views",
+            "their lifting onto the Gaussians",
+            "stage two, the first step on a view",
+            "stage two, a step",
+        ] {
+            assert!(
+                named(&stages, name)["median"].as_f64().unwrap() > 0.0,
+                "{name}"
+            );
+        }
+        assert_eq!(named(&stages, "stage two, a step")["samples"], 20);
     }
-    assert!(
-        said.contains("not trained") && !said.contains("skipped"),
-        "{said}"
-    );
     let machine = &read_json(&json)["machine"];
     assert!(
         machine["threads"].as_u64().unwrap() > 0 && !machine["cpu"].as_str().unwrap().is_empty(),
@@ -71,61 +97,33 @@ fn every_section_runs_on_the_built_in_room() {
 #[test]
 fn coarser_settings_err_more_and_exact_ones_least() {
     let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
     let json = folder.path().join("figures.json");
-    quick(&["--only", "curve", "--json", utf8(&json)]);
-    let found = figures(&json, "curve");
-    let error = |case: &str| {
-        let row = found
-            .iter()
-            .find(|f| f["case"] == case && f["name"] == "mean error");
-        row.unwrap_or_else(|| panic!("{case}: {found:?}"))["median"]
-            .as_f64()
-            .unwrap()
-    };
+    let data = utf8(folder.path());
+    quick(&[
+        "--only",
+        "curve",
+        "--data",
+        data,
+        "--gaussians",
+        "300",
+        "--json",
+        utf8(&json),
+    ]);
+    let found = figures(&json, "curve", 300);
+    let error = |name: &str| named(&found, name)["error"][0].as_f64().unwrap();
     assert!(
         error("alpha_min 1/32") > error("alpha_min 1/64")
             && error("alpha_min 1/64") > error("alpha_min 1/1024")
     );
     assert!(error("t_min 0.01") > error("t_min 1e-3"));
     assert!(error("all exact") < 1e-6, "{}", error("all exact"));
-    assert_eq!(found[1]["name"], "of the first");
-    assert_eq!(found[1]["median"], 1.0);
 }
 
 #[test]
-fn trained_scenes_come_from_files_or_from_a_run() {
+fn trained_gaussians_come_from_a_run() {
     let folder = tempfile::tempdir().unwrap();
-    let (ply, cameras) = (scene(folder.path()), folder.path().join("transforms.json"));
-    let files = ["--scene", utf8(&ply), "--cameras", utf8(&cameras)];
-    let said = quick(&[&files[..], &["--only", "curve,building"]].concat());
-    assert!(
-        said.contains("plates.ply, 111 trained Gaussians") && said.contains("300 Gaussians"),
-        "{said}"
-    );
-    assert!(
-        said.contains("skipped: --scene and --cameras have no photos"),
-        "{said}"
-    );
-
-    // Sections keep their own order, whatever the order in which they are named.
-    let said = quick(&[
-        "--data",
-        utf8(folder.path()),
-        "--only",
-        "segmentation,building",
-        "--gaussians",
-        "300,400",
-        "--set",
-        "building.random_points=300",
-    ]);
-    let places = [
-        "building: ",
-        "300 Gaussians",
-        "400 Gaussians",
-        "segmentation: ",
-    ]
-    .map(|word| said.find(word));
-    assert!(places.is_sorted() && places[0].is_some(), "{said}");
+    scene(folder.path());
     let run = folder.path().join("run");
     let (data, out, backend) = (utf8(folder.path()), utf8(&run), backend());
     let mut train = vec!["train", "--data", data, "--out", out, "--backend", &backend];
@@ -137,90 +135,27 @@ fn trained_scenes_come_from_files_or_from_a_run() {
         train.extend(["--set", setting]);
     }
     succeeds(&train);
-    let said = quick(&["--run", utf8(&run), "--only", "unprojection"]);
-    assert!(said.contains("scene.ply, 200 trained Gaussians"), "{said}");
-}
-
-#[test]
-fn other_renderers_get_the_same_gaussians_and_cameras() {
-    let folder = tempfile::tempdir().unwrap();
-    let (ply, cameras) = (scene(folder.path()), folder.path().join("transforms.json"));
-    let out = folder.path().join("out");
-    let said = quick(&[
-        "--scene",
-        utf8(&ply),
-        "--cameras",
-        utf8(&cameras),
-        "--gaussians",
-        "600",
-        "--only",
-        "curve",
-        "--export",
-        utf8(&out),
-    ]);
-    let files = [
-        "gaussians_600.ply",
-        "cameras_64x48.json",
-        "cameras_96x64.json",
-    ]
-    .map(|name| out.join(name));
-    assert!(files.iter().all(|file| said.contains(utf8(file))), "{said}");
-    // Both are read back as what they are, and show what the plates show.
-    let gaussians = coseg::splat::ply::read(&files[0], &Limits::default()).unwrap();
-    assert_eq!(
-        (gaussians.gaussians.len(), gaussians.origin),
-        (600, glam::DVec3::ZERO)
-    );
-    let views = coseg::data::formats::transforms::load_cameras(&files[2], None).unwrap();
-    let sizes: Vec<_> = views
-        .iter()
-        .map(|view| [view.camera.width, view.camera.height])
-        .collect();
-    assert_eq!(sizes, [[96, 64]; 2]);
-    for view in &views {
-        let picture = coseg::raster::render(
-            &gaussians.gaussians,
-            &view.camera,
-            &Default::default(),
-            [0.0; 3],
-        )
-        .unwrap();
-        let covered = picture.transmittance.iter().filter(|t| **t < 0.5).count();
-        assert!(
-            covered * 4 > 96 * 64,
-            "{covered} pixels of {} show something",
-            view.name
-        );
+    let said = quick(&["--run", out, "--only", "stages"]);
+    for part in [
+        "200 trained Gaussians",
+        "stages: 200 Gaussians",
+        "stage two, a step",
+    ] {
+        assert!(said.contains(part), "{part}: {said}");
     }
+    assert!(!said.contains("curve: "), "{said}");
 }
 
 #[test]
 fn mistakes_are_named() {
-    let message = fails(&["bench", "--only", "raster,speed"], 2);
+    let message = fails(&["bench", "--only", "speed"], 2);
     assert!(
-        message.contains("speed") && message.contains("raster, curve, building"),
+        message.contains("speed") && message.contains("curve, stages"),
         "{message}"
     );
     fails(&["bench", "--repeats", "0"], 2);
     fails(&["bench", "--gaussians", "0"], 2);
-    fails(&["bench", "--cameras", "x.json"], 2);
     fails(&["bench", "--run", "runs/x", "--data", "y"], 2);
-    let message = fails(&["bench", "--quick", "--scene", "no/such.ply"], 1);
-    assert!(
-        message.contains("no such file: no/such.ply; give a .ply file"),
-        "{message}"
-    );
-    let message = fails(&["bench", "--quick", "--run", "no/such/run"], 1);
+    let message = fails(&["bench", "--run", "no/such/run"], 1);
     assert!(message.contains("a run folder"), "{message}");
-}
-
-#[test]
-fn cameras_are_chosen_evenly_and_cycled() {
-    let device = crate::support::device();
-    let subject = Subject::load(&Source::Untrained, &Config::default(), true, &device).unwrap();
-    let cameras = subject.cameras(9, [32, 32]);
-    assert_eq!(
-        (subject.cameras.len(), cameras.len(), &cameras[0]),
-        (6, 9, &cameras[6])
-    );
 }

@@ -379,7 +379,7 @@ fn json_errors_name_the_line() {
     // Python writes NaN into JSON.
     let broken = pretty.replacen("1000000.0", "NaN", 1);
     fs::write(&path, &broken).expect("write");
-    let line = format!("line {}: found NaN", line_of(&broken, "NaN"));
+    let line = format!("found NaN in line {}", line_of(&broken, "NaN"));
     expect_error(
         dir.path(),
         &options,

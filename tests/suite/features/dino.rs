@@ -383,8 +383,7 @@ fn extraction_reduces_the_maps_and_names_the_file() {
         cache_dir: cached.clone(),
         ..FeatureConfig::default()
     };
-    let run =
-        |config: &FeatureConfig| extract(&scene, config, 0, &crate::support::device(), &|_, _| ());
+    let run = |config: &FeatureConfig| extract(&scene, config, 0, &crate::support::device());
     let set = run(&config).expect("features");
     assert_eq!(set.name, format!("dino {}", path.display()));
     assert_eq!(set.views.len(), 3);

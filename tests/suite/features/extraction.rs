@@ -147,7 +147,7 @@ fn descriptor_knows_no_position() {
 fn extraction_reduces_every_view_and_fits_on_training_views_only() {
     let mut scene = pictures(8);
     let config = descriptor_config();
-    let set = extract(&scene, &config, 1, &crate::support::device(), &|_, _| ()).expect("maps");
+    let set = extract(&scene, &config, 1, &crate::support::device()).expect("maps");
     let (train, test) = extract_with_tests(&scene, &config, 1);
     assert_eq!(set.name, "descriptor");
     assert_eq!((train.len(), test.len()), (6, 2));
@@ -163,7 +163,7 @@ fn extraction_reduces_every_view_and_fits_on_training_views_only() {
     for view in scene.views.iter_mut().filter(|v| v.split == Split::Test) {
         view.image = RgbImage::from_pixel(70, 54, image::Rgb([250, 0, 0])).into();
     }
-    let other = extract(&scene, &config, 1, &crate::support::device(), &|_, _| ()).expect("maps");
+    let other = extract(&scene, &config, 1, &crate::support::device()).expect("maps");
     assert_eq!(
         set.reductions, other.reductions,
         "test views must not enter the fit"
@@ -199,15 +199,9 @@ fn extraction_gives_the_same_bits_at_one_and_two_threads() {
             .build()
             .expect("threads");
         pool.install(|| {
-            extract(
-                &scene,
-                &descriptor_config(),
-                5,
-                &crate::support::device(),
-                &|_, _| (),
-            )
-            .expect("descriptor")
-            .views
+            extract(&scene, &descriptor_config(), 5, &crate::support::device())
+                .expect("descriptor")
+                .views
         })
     };
     assert!(with(1) == with(2));
@@ -217,7 +211,7 @@ fn extraction_gives_the_same_bits_at_one_and_two_threads() {
 fn unusable_settings_are_named() {
     let scene = pictures(3);
     let error = |config: &FeatureConfig| {
-        extract(&scene, config, 0, &crate::support::device(), &|_, _| ())
+        extract(&scene, config, 0, &crate::support::device())
             .expect_err("unusable")
             .to_string()
     };
@@ -241,16 +235,10 @@ fn unusable_settings_are_named() {
     let mut empty = pictures(3);
     empty.views.clear();
     assert!(
-        extract(
-            &empty,
-            &descriptor_config(),
-            0,
-            &crate::support::device(),
-            &|_, _| ()
-        )
-        .expect_err("no view")
-        .to_string()
-        .contains("training view")
+        extract(&empty, &descriptor_config(), 0, &crate::support::device())
+            .expect_err("no view")
+            .to_string()
+            .contains("training view")
     );
 }
 
@@ -263,7 +251,7 @@ fn cache_is_used_and_damage_is_mended() {
         ..descriptor_config()
     };
     let run = || {
-        extract(&scene, &config, 0, &crate::support::device(), &|_, _| ())
+        extract(&scene, &config, 0, &crate::support::device())
             .expect("descriptor")
             .views
     };
@@ -283,15 +271,9 @@ fn cache_is_used_and_damage_is_mended() {
         "one entry a training view, no temporary left"
     );
     assert!(run() == fresh, "cached maps are the computed ones");
-    let plain = extract(
-        &scene,
-        &descriptor_config(),
-        0,
-        &crate::support::device(),
-        &|_, _| (),
-    )
-    .expect("descriptor")
-    .views;
+    let plain = extract(&scene, &descriptor_config(), 0, &crate::support::device())
+        .expect("descriptor")
+        .views;
     assert!(plain == fresh);
     // A flipped bit, a cut file and rubbish: computed again, and written again.
     let whole: Vec<Vec<u8>> = paths
@@ -325,13 +307,12 @@ fn a_used_cache_entry_is_read_not_computed() {
         cache_dir: Some(dir.path().to_owned()),
         ..descriptor_config()
     };
-    extract(&one, &config, 0, &crate::support::device(), &|_, _| ()).expect("descriptor");
+    extract(&one, &config, 0, &crate::support::device()).expect("descriptor");
     let other = scene(
         vec![view("b", Split::Train, picture(64, 48, 2), None)],
         Classes::default(),
     );
-    let expected =
-        extract(&other, &config, 0, &crate::support::device(), &|_, _| ()).expect("descriptor");
+    let expected = extract(&other, &config, 0, &crate::support::device()).expect("descriptor");
     // Put the entry of `b` where that of `a` is expected: if it is read, `a` looks like `b`.
     let mut paths: Vec<_> = std::fs::read_dir(dir.path())
         .expect("cache")
@@ -343,8 +324,7 @@ fn a_used_cache_entry_is_read_not_computed() {
             .expect("time")
     });
     std::fs::copy(&paths[1], &paths[0]).expect("copy");
-    let read =
-        extract(&one, &config, 0, &crate::support::device(), &|_, _| ()).expect("descriptor");
+    let read = extract(&one, &config, 0, &crate::support::device()).expect("descriptor");
     assert!(read.views[0].maps == expected.views[0].maps);
 }
 
@@ -409,7 +389,7 @@ fn maps_are_imported_from_npy_and_safetensors() {
         source: FeatureSource::Import(dir.path().to_owned()),
         ..FeatureConfig::default()
     };
-    let set = extract(&scene, &config, 0, &crate::support::device(), &|_, _| ()).expect("imported");
+    let set = extract(&scene, &config, 0, &crate::support::device()).expect("imported");
     assert_eq!(set.name, format!("imported {}", dir.path().display()));
     for (n, [h, w, _]) in shapes.into_iter().enumerate() {
         let map = &set.views[0].maps[n];
@@ -432,6 +412,69 @@ fn maps_are_imported_from_npy_and_safetensors() {
     );
 }
 
+/// An npy file of version 1 with this header and these bytes.
+fn npy(descr: &str, fortran: bool, shape: &str, bytes: Vec<u8>) -> Vec<u8> {
+    let order = if fortran { "True" } else { "False" };
+    let text = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': ({shape}), }}\n");
+    let mut file = b"\x93NUMPY\x01\x00".to_vec();
+    file.extend((text.len() as u16).to_le_bytes());
+    file.extend(text.bytes());
+    file.extend(bytes);
+    file
+}
+
+#[test]
+fn npy_maps_of_any_order_and_float_are_the_same() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let one = scene(
+        vec![view("a", Split::Train, picture(16, 16, 0), None)],
+        Classes::default(),
+    );
+    let config = FeatureConfig {
+        source: FeatureSource::Import(dir.path().to_owned()),
+        ..FeatureConfig::default()
+    };
+    let (height, width, channels) = (3, 4, 2);
+    // Numbers that half precision holds exactly.
+    let value = |y: usize, x: usize, c: usize| ((y * 5 + x * x * 3 + c * 7) % 13) as f32 - 4.5;
+    let mut row_major = Vec::new();
+    for y in 0..height {
+        for x in 0..width {
+            row_major.extend((0..channels).map(|c| value(y, x, c)));
+        }
+    }
+    let mut column_major = Vec::new();
+    for c in 0..channels {
+        for x in 0..width {
+            column_major.extend((0..height).map(|y| value(y, x, c)));
+        }
+    }
+    let shape = format!("{height}, {width}, {channels}");
+    let maps = |descr: &str, fortran: bool, bytes: Vec<u8>| {
+        for n in 1..=4 {
+            let file = npy(descr, fortran, &shape, bytes.clone());
+            std::fs::write(dir.path().join(format!("a.{n}.npy")), file).expect("write");
+        }
+        extract(&one, &config, 0, &crate::support::device())
+    };
+    fn bytes<const N: usize>(values: &[f32], to: impl Fn(f32) -> [u8; N]) -> Vec<u8> {
+        values.iter().flat_map(|&v| to(v)).collect()
+    }
+    let plain = maps("<f4", false, bytes(&row_major, f32::to_le_bytes)).expect("maps");
+    let half = |v: f32| half::f16::from_f32(v);
+    for (descr, fortran, bytes) in [
+        (">f4", false, bytes(&row_major, f32::to_be_bytes)),
+        ("<f2", false, bytes(&row_major, |v| half(v).to_le_bytes())),
+        (">f2", false, bytes(&row_major, |v| half(v).to_be_bytes())),
+        ("<f4", true, bytes(&column_major, f32::to_le_bytes)),
+    ] {
+        let found = maps(descr, fortran, bytes).expect("maps");
+        assert!(found.views == plain.views, "{descr} {fortran}");
+    }
+    let error = maps("<f8", false, vec![0; 8 * 24]).expect_err("f64");
+    crate::support::assert_names(&error, &["a.1.npy", "dtype", "f8"]);
+}
+
 #[test]
 fn hostile_maps_are_refused_by_name() {
     let dir = tempfile::tempdir().expect("temporary folder");
@@ -446,13 +489,13 @@ fn hostile_maps_are_refused_by_name() {
     let file = |n: usize| dir.path().join(format!("a.{n}.npy"));
     let good = || (1..=4).for_each(|n| write_npy(&file(n), &[2, 3, 4], &ramp(24, n)));
     let error = || {
-        extract(&one, &config, 0, &crate::support::device(), &|_, _| ())
+        extract(&one, &config, 0, &crate::support::device())
             .expect_err("hostile")
             .to_string()
     };
     assert!(error().contains("view a, scale 1"), "absent");
     good();
-    extract(&one, &config, 0, &crate::support::device(), &|_, _| ()).expect("good maps");
+    extract(&one, &config, 0, &crate::support::device()).expect("good maps");
     let bytes = std::fs::read(file(3)).expect("map");
     for cut in [0, 5, 9, 40, bytes.len() - 3] {
         std::fs::write(file(3), &bytes[..cut]).expect("write");

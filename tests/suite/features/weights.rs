@@ -4,7 +4,7 @@ use base64::Engine;
 use coseg::Error;
 use coseg::config::{SpatialConfig, SpatialSource};
 use coseg::segmentation::encoder::{load_spatial, metres_per_unit, random_weights};
-use coseg::segmentation::randla::{Form, RandlaEncoder};
+use coseg::segmentation::randla::RandlaEncoder;
 use coseg::weights::{Checkpoint, HostTensor};
 use std::path::PathBuf;
 
@@ -87,7 +87,7 @@ fn truncated_files_are_named_and_never_panic() {
 fn every_missing_misshapen_or_non_finite_tensor_is_named() {
     let device = crate::support::device();
     let whole = random_weights(3, 0);
-    let field = |weights: &Checkpoint| match RandlaEncoder::load(weights, Form::Frozen, &device) {
+    let field = |weights: &Checkpoint| match RandlaEncoder::load(weights, &device) {
         Err(Error::Input { field, .. }) => field,
         other => panic!("{:?}", other.map(|e| e.widths())),
     };
@@ -117,7 +117,7 @@ fn every_missing_misshapen_or_non_finite_tensor_is_named() {
 fn stored_again_an_encoder_is_the_same() {
     let device = crate::support::device();
     let weights = random_weights(6, 4);
-    let encoder = RandlaEncoder::load(&weights, Form::Trainable, &device).expect("weights");
+    let encoder = RandlaEncoder::load(&weights, &device).expect("weights");
     assert_eq!(encoder.inputs(), 6);
     assert_eq!(encoder.to_checkpoint("random RandLA weights"), weights);
 }

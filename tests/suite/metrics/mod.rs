@@ -1,5 +1,6 @@
 //! Tests of `coseg::metrics`.
 
+pub mod assignment;
 pub mod instance_metrics;
 pub mod properties;
 pub mod scores;

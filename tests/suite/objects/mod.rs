@@ -1,6 +1,5 @@
 //! Tests of `coseg::objects`.
 
-pub mod assignment;
 pub mod association;
 pub mod association_figures;
 pub mod compactness;

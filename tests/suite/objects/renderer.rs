@@ -98,7 +98,7 @@ fn a_frame_is_what_separate_passes_render() {
     let projected = Projected::new(&gaussians.splats(), &camera, &Settings::default()).unwrap();
     for different in [1, 2, 12, 13, 14, 30, 400] {
         let labels = labels(gaussians.len(), different);
-        let mut renderer = Renderer::new(
+        let renderer = Renderer::new(
             gaussians.clone(),
             Some(labels.clone()),
             options(),
@@ -177,7 +177,7 @@ fn equal_weights_go_to_the_lower_label() {
             min_coverage: 0.0,
             ..options()
         };
-        let mut renderer = Renderer::new(pair, Some(vec![9, 4]), options, &gpu).unwrap();
+        let renderer = Renderer::new(pair, Some(vec![9, 4]), options, &gpu).unwrap();
         let ids = renderer.frame(&camera).unwrap().labels.expect("labels").ids;
         let lower = ids.iter().filter(|&&id| id == 4).count();
         assert!(
@@ -237,7 +237,7 @@ fn what_is_no_scene_is_refused() {
         &["min_coverage NaN"],
     );
     for device in extra_device().into_iter().chain([crate::support::device()]) {
-        let mut renderer =
+        let renderer =
             Renderer::new(whole.clone(), Some(labels(400, 5)), options(), &device).unwrap();
         for (width, height) in [(0, 20), (20, 0), (1 << 33, 1 << 33)] {
             let error = renderer
@@ -264,7 +264,7 @@ fn labels_from_end_to_end_and_any_coverage() {
                 min_coverage,
                 ..options()
             };
-            let mut renderer =
+            let renderer =
                 Renderer::new(gaussians.clone(), Some(labels.clone()), options, &device).unwrap();
             renderer.frame(&camera).unwrap().labels.expect("labels").ids
         };
@@ -283,7 +283,7 @@ fn a_scene_without_gaussians_shows_the_background() {
     for device in extra_device().into_iter().chain([crate::support::device()]) {
         for labels in [None, Some(Vec::new())] {
             let with_labels = labels.is_some();
-            let mut renderer = Renderer::new(empty.clone(), labels, options(), &device).unwrap();
+            let renderer = Renderer::new(empty.clone(), labels, options(), &device).unwrap();
             let frame = renderer.frame(&camera(20, 15)).unwrap();
             assert_eq!(frame.rgb, options().background.repeat(300), "{device:?}");
             assert!(frame.alpha.iter().all(|&alpha| alpha == 0.0));
@@ -344,7 +344,7 @@ mod on_gpu {
             let start = |device| {
                 Renderer::new(gaussians.clone(), labels.clone(), options(), device).unwrap()
             };
-            let (mut renderer, mut host) = (start(&gpu), start(&crate::support::device()));
+            let (renderer, host) = (start(&gpu), start(&crate::support::device()));
             // Nothing to see, then more entries than there is room for, twice, and little again.
             for (i, camera) in [&away, &near, &near, &away, &near].into_iter().enumerate() {
                 let frame = on_device(Some(&gpu), || renderer.frame(camera).unwrap());

@@ -252,8 +252,7 @@ fn blended_label_losses() {
     };
     let labels = chosen.iter().map(label).collect();
     let pixels = Arc::new(LabelledPixels::new(
-        PixelWeights::Stored(Arc::new(weights)),
-        chosen,
+        PixelWeights::Stored(Arc::new(weights.select_rows(&chosen))),
         labels,
     ));
     let scores = waves(points * classes, 2.5);

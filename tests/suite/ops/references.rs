@@ -1,9 +1,18 @@
 //! A whole step of a stage with all custom operations replaced by their plain-tensor references.
 
 use crate::reconstruction::trainer::{config, scene};
-use coseg::config::{BuildingConfig, Config, Strategy};
-use coseg::ops::with_references;
+use burn::module::{Module, ModuleVisitor, Param};
+use burn::tensor::Tensor;
+use coseg::config::{BuildingConfig, Config, LabelSource, Resolution, Strategy, Variant};
+use coseg::data::{LabelMap, LoadOptions, Split, load};
+use coseg::objects::{Identities, LabelMaps, LabelRule, RenderOptions, Renderer, Votes, vote};
+use coseg::ops::{CustomOp, with_references};
+use coseg::pipeline::train_decoder::{DecoderModel, IdentityModel, Plan, Training};
+use coseg::pipeline::{Inputs, LiftedFeatures, decoder_training, encode};
+use coseg::progress::Silent;
+use coseg::raster::{Settings, SplatTensors};
 use coseg::reconstruction::{Trainer, TrainerState};
+use coseg::segmentation::loss::LabelLoss;
 
 /// Loss of a step, and the state after it, whose first moments are a tenth of the gradients.
 fn step(config: &Config) -> (f64, TrainerState) {
@@ -45,7 +54,7 @@ fn a_step_of_stage_one_equals_that_of_the_references() {
             ..config()
         };
         let (loss, got) = step(&config);
-        let (want_loss, want) = with_references(|| step(&config));
+        let (want_loss, want) = with_references(&CustomOp::ALL, || step(&config));
         assert!(
             (loss - want_loss).abs() < 1e-5 * want_loss,
             "{loss} against {want_loss}"
@@ -57,5 +66,152 @@ fn a_step_of_stage_one_equals_that_of_the_references() {
         }
         let means = |state: &TrainerState| state.gaussians.means.as_flattened().to_vec();
         assert_close("means after the step", &means(&got), &means(&want), 1e-3);
+    }
+}
+
+/// What stage two computes on the plates in one step: lifted features, votes, the loss, the decoder after the step with its
+/// moments (a tenth of the gradients), and label maps.
+struct StageTwo {
+    lifted: LiftedFeatures,
+    votes: Votes,
+    loss: f32,
+    /// First and second moments of each parameter.
+    moments: Vec<[Vec<f32>; 2]>,
+    maps: Vec<LabelMap>,
+}
+
+/// Adam's moments of each parameter of the decoder.
+fn moments(training: &Training<DecoderModel>) -> Vec<[Vec<f32>; 2]> {
+    struct Sizes(Vec<usize>);
+    impl ModuleVisitor for Sizes {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            self.0.push(param.val().shape().num_elements());
+        }
+    }
+    let mut sizes = Sizes(Vec::new());
+    training.model.module().visit(&mut sizes);
+    let state = training.optimizer_state();
+    let vector = |name: &str| {
+        let found = state.iter().find(|(found, _)| found == name);
+        found.expect("a moment").1.clone()
+    };
+    let [first, second] = [vector("first moment"), vector("second moment")];
+    assert_eq!(sizes.0.iter().sum::<usize>(), first.len());
+    let mut start = 0;
+    let of_parameter = |size| {
+        let range = start..start + size;
+        start = range.end;
+        [first[range.clone()].to_vec(), second[range].to_vec()]
+    };
+    sizes.0.into_iter().map(of_parameter).collect()
+}
+
+fn stage_two(config: &Config) -> StageTwo {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let (gaussians, labels) = crate::support::plates::plates();
+    let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
+    let (device, settings) = (crate::support::device(), Settings::default());
+    let progress = &mut Silent;
+    let lifted = LiftedFeatures::of_views(&scene, &gaussians, config, &settings, &device, progress);
+    let inputs = Inputs {
+        scene: &scene,
+        gaussians: &gaussians,
+        lifted: lifted.expect("features"),
+        semantics: None,
+        config,
+        settings,
+        device: &device,
+    };
+    let plan = Plan::new(&config.segmentation, LabelLoss::Ce, 0);
+    let encodings = encode(&inputs, &config.spatial).expect("encoded");
+    let input = encodings.decoder_input(Variant::Ours, &inputs);
+    let input = input.expect("the decoder's input");
+    let votes = vote(
+        &gaussians,
+        scene.split(Split::Train),
+        &scene.classes,
+        &settings,
+        &device,
+    );
+    let votes = votes.expect("votes");
+    let prior = Some(votes.log_shares(0.02));
+    let mut views = inputs.training_views();
+    let mut training = decoder_training(Variant::Ours, &plan, &input, prior, &inputs, views.len());
+    let loss = training.step(&mut views, &plan).expect("a step");
+    let identities = Identities {
+        scores: (0..gaussians.len() * scene.classes.len())
+            .map(|i| (i as f32 * 1.7).sin())
+            .collect(),
+        classes: scene.classes.len(),
+    };
+    let splats = SplatTensors::new(&gaussians, &device);
+    let renderer = Renderer::new(
+        gaussians.clone(),
+        Some(labels),
+        RenderOptions::default(),
+        &device,
+    )
+    .expect("a scene");
+    let mut maps = Vec::new();
+    for view in scene.split(Split::Test) {
+        let seen = splats.seen_by(&view.camera, &settings);
+        for source in [LabelSource::Labels, LabelSource::Scores] {
+            let rule = LabelRule {
+                source,
+                min_coverage: 0.5,
+            };
+            let map = LabelMaps::new(&identities, &scene.classes, rule).of(&seen);
+            maps.push(map.expect("a map"));
+        }
+        let frame = renderer.frame(&view.camera).expect("a frame");
+        maps.push(frame.labels.expect("labels"));
+    }
+    let moments = moments(&training);
+    StageTwo {
+        loss,
+        moments,
+        maps,
+        votes,
+        lifted: inputs.lifted.expect("lifted"),
+    }
+}
+
+#[test]
+fn a_step_of_stage_two_equals_that_of_the_references() {
+    for resolution in [Resolution::Image, Resolution::Feature] {
+        let mut config = Config::default();
+        config.unprojection.resolution = resolution;
+        let got = stage_two(&config);
+        let want = with_references(&CustomOp::ALL, || stage_two(&config));
+        assert_eq!(got.lifted.kept, want.lifted.kept);
+        for (got, want) in got.lifted.lifted.iter().zip(&want.lifted.lifted) {
+            assert_close("lifted features", got, want, 1e-4);
+        }
+        assert_close("votes", &got.votes.table, &want.votes.table, 1e-4);
+        let (loss, want_loss) = (got.loss, want.loss);
+        assert!(
+            (loss - want_loss).abs() < 1e-4 * want_loss && want_loss > 0.0,
+            "{loss} against {want_loss}"
+        );
+        // Moments alone: the first step of a parameter has only the sign of its gradient.
+        let mut checked = 0;
+        for (k, (got, want)) in got.moments.iter().zip(&want.moments).enumerate() {
+            for (got, want) in got.iter().zip(want) {
+                if want.iter().all(|moment| *moment == 0.0) {
+                    assert!(got.iter().all(|moment| *moment == 0.0), "parameter {k}");
+                } else {
+                    assert_close(&format!("parameter {k}"), got, want, 2e-3);
+                    checked += 1;
+                }
+            }
+        }
+        assert!(checked > 8, "{checked} moments are not zero");
+        for (got, want) in got.maps.iter().zip(&want.maps) {
+            let differ = got.ids.iter().zip(&want.ids).filter(|(a, b)| a != b);
+            let (differ, all) = (differ.count(), want.ids.len());
+            assert!(differ * 500 <= all, "{differ} of {all} labels differ");
+            assert!(want.ids.iter().any(|id| *id > 0), "no label");
+        }
     }
 }

@@ -18,8 +18,12 @@ fn views_show_the_same_pixels_and_blend_alike() {
     crate::support::plates::scene(folder.path());
     let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
     let (gaussians, _) = crate::support::plates::plates();
-    // With and without room for the Gaussians that a view shows, and of all pixels, which are listed once, or some.
-    for (budget, share) in [(1 << 20, 0.25), (0, 0.25), (1 << 20, 1.0), (0, 1.0)] {
+    // With and without room for the Gaussians that a view shows; all of its pixels, or some.
+    for (weight_cache_mb, share) in [(1, 0.25), (0, 0.25), (1, 1.0), (0, 1.0)] {
+        let config = SegmentationConfig {
+            weight_cache_mb,
+            ..SegmentationConfig::default()
+        };
         let views = |device: &Device| {
             let train = scene.split(Split::Train);
             TrainingViews::new(
@@ -27,8 +31,7 @@ fn views_show_the_same_pixels_and_blend_alike() {
                 train,
                 &scene.classes,
                 Settings::default(),
-                0.5,
-                budget,
+                &config,
                 device,
             )
         };

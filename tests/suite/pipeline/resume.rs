@@ -159,8 +159,12 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     let (base, out) = (config(folder.path()), folder.path().join("run"));
     let done = whole(&base, &out);
     let notes = coseg::report::Report::notes_of(&done, &base);
-    let loss = "generalised cross-entropy, q = 0.7, after 3 steps of cross-entropy";
-    assert!(notes.iter().any(|note| note.contains(loss)), "{notes:?}");
+    for part in [
+        "segmentation.loss = {\"gce\":{\"exponent\":0.7",
+        ", after 3 steps of cross-entropy",
+    ] {
+        assert!(notes.concat().contains(part), "{part}: {notes:?}");
+    }
     let refusal = |edit: &dyn Fn(&mut Config)| {
         let mut config = base.clone();
         edit(&mut config);

@@ -6,8 +6,8 @@ use coseg::config::{
 };
 use coseg::data::{Classes, LabelMap, LabelRuns, LoadOptions, Split, load};
 use coseg::objects::{Identities, LabelMaps, LabelRule, hard_label_map, vote};
-use coseg::pipeline::train_decoder::{ClassRecall, IdentityModel, Plan, TrainingViews, train_step};
-use coseg::pipeline::{Inputs, Outcome, Spatial, decoder_row, run};
+use coseg::pipeline::train_decoder::{Plan, TrainingViews};
+use coseg::pipeline::{Inputs, Outcome, decoder_training, encode, run};
 use coseg::progress::Silent;
 use coseg::random::{Purpose, stream};
 use coseg::raster::{Projected, Settings, SplatTensors};
@@ -341,11 +341,10 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
     let device = crate::support::device();
     let scores = |average: bool, iterations: usize| {
         let mut config = Config::default();
-        (
-            config.segmentation.average,
-            config.segmentation.warmup,
-            config.segmentation.iterations,
-        ) = (average, 0.5, 40);
+        config.segmentation.average = average;
+        config.segmentation.warmup = 0.5;
+        config.segmentation.iterations = 40;
+        config.segmentation.lr = 1e-2;
         let plan = Plan {
             iterations,
             ..Plan::new(&config.segmentation, LabelLoss::Ce, 0)
@@ -360,25 +359,17 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
             settings,
             device: &device,
         };
-        let mut spatial = Spatial::default();
-        let source = spatial
-            .source(Variant::NoImageFeatures, &inputs)
-            .expect("encoded");
+        let variant = Variant::NoImageFeatures;
+        let input = encode(&inputs, &config.spatial).expect("encoded");
+        let input = input.decoder_input(variant, &inputs).expect("features");
         let mut views = inputs.training_views();
-        let mut model = decoder_row(
-            Variant::NoImageFeatures,
-            1e-2,
-            &plan,
-            source,
-            &inputs,
-            &mut views,
-        )
-        .expect("a decoder");
-        let mut recalls = ClassRecall::new(views.classes());
-        for i in 0..4 {
-            train_step(&mut model, &mut views, &plan, &mut recalls, i).expect("a step");
+        let prior = vec![0.0; gaussians.len() * scene.classes.len()];
+        let mut training =
+            decoder_training(variant, &plan, &input, Some(prior), &inputs, views.len());
+        for _ in 0..4 {
+            training.step(&mut views, &plan).expect("a step");
         }
-        model.identities().expect("identities").scores
+        training.identities().scores
     };
     assert_ne!(
         scores(true, 4),
@@ -393,7 +384,7 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
 }
 
 #[test]
-fn all_pixels_of_a_view_are_listed_once_as_far_as_the_budget_reaches() {
+fn what_a_view_shows_is_computed_once_as_far_as_the_budget_reaches() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
     let scene = load(folder.path(), &LoadOptions::default()).expect("scene");
@@ -403,16 +394,19 @@ fn all_pixels_of_a_view_are_listed_once_as_far_as_the_budget_reaches() {
     #[cfg(not(feature = "wgpu"))]
     let devices = [Some(crate::support::device())];
     for device in devices.into_iter().flatten() {
-        // Whether the same view's second draw has the list of its first, and how many pixels are on it.
-        let draw = |budget: usize, share: f64| {
+        // Whether the same view's second draw has the labels of its first, and how many pixels were drawn.
+        let draw = |weight_cache_mb: usize, share: f64| {
             let (train, settings) = (scene.split(Split::Train), Settings::default());
+            let config = SegmentationConfig {
+                weight_cache_mb,
+                ..SegmentationConfig::default()
+            };
             let mut views = TrainingViews::new(
                 &gaussians,
                 train,
                 &scene.classes,
                 settings,
-                0.5,
-                budget,
+                &config,
                 &device,
             );
             let mut drawn = || {
@@ -422,21 +416,13 @@ fn all_pixels_of_a_view_are_listed_once_as_far_as_the_budget_reaches() {
                     .pixels
             };
             let (first, second) = (drawn(), drawn());
-            assert_eq!(
-                (&first.rows[..], &first.labels),
-                (&second.rows[..], &second.labels),
-                "{device:?}"
-            );
-            (
-                Arc::ptr_eq(&first.rows, &second.rows)
-                    && Arc::ptr_eq(&first.labels, &second.labels),
-                first.rows.len(),
-            )
+            assert_eq!(first.labels, second.labels, "{device:?}");
+            (Arc::ptr_eq(&first.labels, &second.labels), first.len())
         };
-        let (kept, all) = draw(1 << 24, 1.0);
-        assert!(kept && all > 100, "{all} listed on {device:?}");
+        let (kept, all) = draw(16, 1.0);
+        assert!(kept && all > 100, "{all} drawn on {device:?}");
         assert_eq!(draw(0, 1.0), (false, all), "{device:?}");
-        let (kept, some) = draw(1 << 24, 0.25);
-        assert!(!kept && some < all, "{some} of {all} on {device:?}");
+        let (_, some) = draw(16, 0.25);
+        assert!(some < all, "{some} of {all} on {device:?}");
     }
 }

@@ -7,5 +7,6 @@ pub mod raster_contract;
 #[cfg(feature = "wgpu")]
 pub mod raster_gpu;
 pub mod raster_gradients;
+pub mod references;
 #[cfg(feature = "wgpu")]
 pub mod tile_capacity;

@@ -3,9 +3,9 @@
 use coseg::config::{Config, Variant};
 use coseg::data::{Class, Classes, LabelMap, Split, View};
 use coseg::metrics::ImageScores;
+use coseg::pipeline::Seconds;
 use coseg::report::{
     BuildingHistory, Command, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Scores,
-    Seconds,
 };
 use coseg::report::{TestScores, peak_memory_bytes, pictures};
 use coseg::splat::camera::Camera;

@@ -76,9 +76,9 @@ fn pixels(rows: usize, points: usize) -> Arc<LabelledPixels> {
         }
     };
     let labels = chosen.iter().map(label).collect();
+    let weights = mixing(rows, points, 4).select_rows(&chosen);
     Arc::new(LabelledPixels::new(
-        PixelWeights::Stored(Arc::new(mixing(rows, points, 4))),
-        chosen,
+        PixelWeights::Stored(Arc::new(weights)),
         labels,
     ))
 }
@@ -172,7 +172,7 @@ fn blended_label_loss_survives_certainty_and_emptiness() {
             value[0]
         );
     }
-    let labels = Arc::new(vec![UNLABELLED; pixels.rows.len()]);
+    let labels = Arc::new(vec![UNLABELLED; pixels.len()]);
     let nothing = Arc::new(LabelledPixels {
         labels,
         ..(*pixels).clone()

@@ -1,5 +1,6 @@
 //! The generalised Jensen-Shannon loss against its definition; dropout of channels.
 
+use crate::support::joined_pyramid;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use coseg::config::{SpatialConfig, SpatialSource};
 use coseg::pipeline::train_decoder::dropped_channels;
@@ -159,15 +160,14 @@ fn dropout_is_a_scaling_of_the_frozen_channels() {
         scale: 1.0,
     };
     let encoding = encode(&encoder, &cloud, 3, &device).expect("finite");
-    let pyramid = Pyramid::new(
+    let pyramid = joined_pyramid(
         &encoding,
         &[],
         Switches {
             image: false,
             ..Switches::default()
         },
-    )
-    .expect("features");
+    );
 
     let factors = dropped_channels(&pyramid, 0.25, 3, 7);
     assert_eq!(factors, dropped_channels(&pyramid, 0.25, 3, 7));
@@ -182,7 +182,7 @@ fn dropout_is_a_scaling_of_the_frozen_channels() {
         all.len()
     );
 
-    let decoder = DecoderConfig::for_pyramid(&pyramid, CLASSES, true).init(&device);
+    let decoder = DecoderConfig::for_pyramid(&pyramid, CLASSES).init(&device);
     let mut scaled = pyramid.clone();
     for (level, factors) in scaled.levels.iter_mut().zip(&factors) {
         let factors = TensorData::new(factors.clone(), [1, factors.len()]);

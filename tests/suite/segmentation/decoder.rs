@@ -1,5 +1,6 @@
 //! The decoder: against Eq. 7 written out, its switches, its restriction, what it learns.
 
+use crate::support::joined_pyramid;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::Error;
@@ -30,7 +31,7 @@ fn largest_difference(a: Tensor<2>, b: Tensor<2>) -> f32 {
 }
 
 fn make(input: &Pyramid, layer_norm: bool, seed: u64, device: &Device) -> Decoder {
-    DecoderConfig::for_pyramid(input, 6, true)
+    DecoderConfig::for_pyramid(input, 6)
         .with_layer_norm(layer_norm)
         .with_seed(seed)
         .init(device)
@@ -67,7 +68,7 @@ fn scene(device: &Device) -> (Encoding, Vec<Tensor<2>>) {
 fn decodes_as_equation_7_says() {
     let device = plain_device();
     let (encoding, image) = scene(&device);
-    let input = Pyramid::new(&encoding, &image, Switches::default()).expect("features");
+    let input = joined_pyramid(&encoding, &image, Switches::default());
     let decoder = make(&input, false, 1, &device);
     let decoded = decoder.forward(&input);
     let logits = decoder.classify(decoded.hidden.clone());
@@ -153,7 +154,7 @@ fn a_restricted_input_decodes_to_the_same_rows() {
             ..Switches::default()
         },
     ] {
-        let input = Pyramid::new(&encoding, &image, switches).expect("features");
+        let input = joined_pyramid(&encoding, &image, switches);
         let decoder = make(&input, true, 1, &device);
         let whole = decoder.forward(&input);
         let dependencies = Dependencies::new(&input, rows.clone());
@@ -177,7 +178,7 @@ fn switches_leave_features_out() {
     let device = plain_device();
     let (encoding, image) = scene(&device);
     let count = |switches| {
-        let input = Pyramid::new(&encoding, &image, switches).expect("features");
+        let input = joined_pyramid(&encoding, &image, switches);
         let decoder = make(&input, false, 1, &device);
         assert_eq!(decoder.bytes(), 4 * decoder.num_params());
         decoder.num_params()
@@ -222,11 +223,9 @@ fn switches_leave_features_out() {
         single_scale: None,
     };
     assert!(matches!(
-        Pyramid::new(&encoding, &image, nothing),
-        Err(Error::Argument { .. })
-    ));
-    assert!(matches!(
-        Pyramid::new(&encoding, &image[..2], Switches::default()),
+        Pyramid::new(&encoding, nothing, |_, _| unreachable!(
+            "nothing reads images"
+        )),
         Err(Error::Argument { .. })
     ));
 }
@@ -235,7 +234,7 @@ fn switches_leave_features_out() {
 fn gradients_reach_every_parameter_and_equal_seeds_equal_weights() {
     let device = plain_device().autodiff();
     let (encoding, image) = scene(&device.clone().inner());
-    let input = Pyramid::new(&encoding, &image, Switches::default()).expect("features");
+    let input = joined_pyramid(&encoding, &image, Switches::default());
     let make = |seed| make(&input, true, seed, &device);
     let logits = |decoder: &Decoder| decoder.classify(decoder.forward(&input).hidden);
     let decoder = make(1);

@@ -1,16 +1,18 @@
 //! The decoder's step in parts: the gradients of the step at once, whatever the size of the parts.
 
+use crate::support::joined_pyramid;
+use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::{Tensor, TensorData};
 use coseg::config::{Blend, LabelLoss, SegmentationConfig, SpatialConfig, SpatialSource};
 use coseg::ops::SparseMatrix;
 use coseg::pipeline::train_decoder::{
-    DecoderInput, DecoderModel, DecoderPlan, Encoded, IdentityModel, NamedValues, ViewSample,
+    Adam, DecoderInput, DecoderModel, DecoderPlan, Encoded, IdentityModel, ViewSample,
 };
 use coseg::segmentation::decoder::DecoderConfig;
 use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
 use coseg::segmentation::loss::{self, CoSegLoss};
 use coseg::segmentation::pixels::{LabelledPixels, PixelWeights, UNLABELLED};
-use coseg::segmentation::pyramid::{Dependencies, Pyramid, Switches};
+use coseg::segmentation::pyramid::{Dependencies, Switches};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -22,11 +24,12 @@ struct Scene {
     means: Vec<[f32; 3]>,
     source: DecoderInput,
     drawn: ViewSample,
+    blend: Blend,
 }
 
 impl Scene {
     /// Of the scales that `switches` leave, in the whole scene's encoding; one view sees six of seven points.
-    fn new(switches: Switches) -> Self {
+    fn new(switches: Switches, blend: Blend) -> Self {
         let device = crate::support::device();
         let means: Vec<[f32; 3]> = (0..POINTS)
             .map(|i| std::array::from_fn(|a| (i as f32 * [0.37, 0.61, 0.83][a]).sin()))
@@ -51,7 +54,7 @@ impl Scene {
                 Tensor::from_data(TensorData::new::<f32, _>(values, [POINTS, 8]), &device)
             })
             .collect();
-        let pyramid = Pyramid::new(&encoding, &image, switches).expect("features");
+        let pyramid = joined_pyramid(&encoding, &image, switches);
         let source = DecoderInput::Scene(Encoded {
             pyramid,
             points: (0..POINTS as u32).collect(),
@@ -76,11 +79,7 @@ impl Scene {
             }
         };
         let weights = PixelWeights::Stored(Arc::new(weights));
-        let pixels = LabelledPixels::new(
-            weights,
-            (0..PIXELS as u32).collect(),
-            (0..PIXELS).map(label).collect(),
-        );
+        let pixels = LabelledPixels::new(weights, (0..PIXELS).map(label).collect());
         Self {
             means,
             source,
@@ -88,6 +87,7 @@ impl Scene {
                 visible: Arc::new(visible),
                 pixels,
             },
+            blend,
         }
     }
 }
@@ -101,36 +101,33 @@ fn model<'a>(
 ) -> DecoderModel<'a> {
     let plan = DecoderPlan {
         config,
-        rate: 1e-2,
         regularised,
         size: [POINTS, CLASSES],
         dropout: matches!(config.loss, LabelLoss::Gjs { .. }).then_some(0.3),
-        average_from: None,
         seed: 3,
     };
     let device = crate::support::device().autodiff();
     let pyramid = &scene.source.scene().pyramid;
-    let decoder = DecoderConfig::for_pyramid(pyramid, CLASSES, pyramid.levels.len() > 1)
+    let decoder = DecoderConfig::for_pyramid(pyramid, CLASSES)
         .with_seed(1)
         .init(&device);
-    let fused = DecoderModel::new(decoder, &scene.source, &scene.means, 1, plan, &device);
-    if !prior {
-        return fused;
+    let mut model = DecoderModel::new(
+        decoder.clone(),
+        &scene.source,
+        &scene.means,
+        1,
+        plan,
+        &device,
+    );
+    if prior {
+        let shares = (0..POINTS * CLASSES)
+            .map(|i| (i as f32 * 0.71).sin())
+            .collect();
+        model = model.with_prior(shares);
+        // The prior silences the last layer: taken back, so that every parameter has a gradient.
+        model.set_module(decoder);
     }
-    // The prior silences the last layer: taken back, so that every parameter has a gradient.
-    let first: NamedValues = fused.state();
-    let shares = (0..POINTS * CLASSES)
-        .map(|i| (i as f32 * 0.71).sin())
-        .collect();
-    let mut fused = fused.with_prior(shares);
-    let value = |name: &str| {
-        first
-            .iter()
-            .find(|(n, _)| n == name)
-            .map(|(_, v)| v.clone())
-    };
-    fused.restore(&value).expect("its own parameters");
-    fused
+    model
 }
 
 fn config(blend: Blend, chunk: usize) -> SegmentationConfig {
@@ -143,38 +140,75 @@ fn config(blend: Blend, chunk: usize) -> SegmentationConfig {
     }
 }
 
-/// Losses and state after some steps.
-fn trained(model: &mut DecoderModel, scene: &Scene, steps: usize) -> (Vec<f32>, NamedValues) {
+/// The loss of the first step, and the gradient of each parameter of the model.
+fn gradients(model: &mut DecoderModel, scene: &Scene) -> (f32, Vec<(String, Vec<f32>)>) {
+    let (loss, gradient) = step(model, scene, 0);
+    let mut lengths = Lengths::default();
+    model.module().visit(&mut lengths);
+    let mut first = 0;
+    let named = lengths.found.into_iter().map(|(name, length)| {
+        first += length;
+        (name, gradient[first - length..first].to_vec())
+    });
+    let named: Vec<_> = named.collect();
+    assert_eq!(first, gradient.len());
+    (loss, named)
+}
+
+/// Loss and gradient `[P]` of a step.
+fn step(model: &mut DecoderModel, scene: &Scene, iteration: usize) -> (f32, Vec<f32>) {
     let label = loss::LabelLoss::Gjs { pi: 0.9 };
     let loss = CoSegLoss {
         lambda: [0.8, 20.0],
         ..label.into()
     };
-    let losses = (0..steps).map(|_| {
-        let prediction = model.predict(0, &scene.drawn).expect("a prediction");
-        let loss = loss
-            .forward(
-                prediction.scores,
-                &scene.drawn.pixels,
-                prediction.regularisation,
-            )
-            .expect("a loss");
-        model
-            .step(loss.clone().inner(), &mut loss.backward(), 1.0)
-            .expect("a step")
-    });
-    (losses.collect(), model.state())
+    let (drawn, blend) = (&scene.drawn, scene.blend);
+    let decoded = model
+        .decode(0, &drawn.visible, iteration)
+        .expect("a prediction");
+    let scores = drawn
+        .blended(decoded.scores.clone(), blend)
+        .expect("scores");
+    let loss = loss
+        .forward(scores, &drawn.pixels, decoded.regularisation.clone())
+        .expect("a loss");
+    let gradient = model.gradient(0, &decoded, &mut loss.backward());
+    let gradient = gradient.into_data().into_vec().expect("f32");
+    (loss.inner().into_scalar(), gradient)
 }
 
-/// Adam's first moments after one step are a tenth of the gradients.
-fn gradients((losses, state): (Vec<f32>, NamedValues)) -> (f32, Vec<(String, Vec<f32>)>) {
-    (
-        losses[0],
-        state
-            .into_iter()
-            .filter(|(name, _)| name.starts_with("m."))
-            .collect(),
-    )
+/// Losses and gradients of some steps of gradient descent.
+fn trained(model: &mut DecoderModel, scene: &Scene, steps: usize) -> Vec<(f32, Vec<f32>)> {
+    let mut adam = Adam::new(1e-2, None);
+    let step = |iteration| {
+        let (loss, gradient) = step(model, scene, iteration);
+        let device = crate::support::device();
+        let values = TensorData::new(gradient.clone(), [gradient.len()]);
+        let module = model.module().clone();
+        model.set_module(adam.step(module, Tensor::from_data(values, &device), 1.0));
+        (loss, gradient)
+    };
+    (0..steps).map(step).collect()
+}
+
+/// Names and lengths of parameters.
+#[derive(Default)]
+struct Lengths {
+    path: Vec<String>,
+    found: Vec<(String, usize)>,
+}
+
+impl ModuleVisitor for Lengths {
+    fn enter_module(&mut self, name: &str, _container: &str) {
+        self.path.push(name.to_owned());
+    }
+    fn exit_module(&mut self, _name: &str, _container: &str) {
+        self.path.pop();
+    }
+    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+        let length = param.val().shape().num_elements();
+        self.found.push((self.path.join("."), length));
+    }
 }
 
 #[test]
@@ -205,17 +239,13 @@ fn parts_of_any_size_give_the_gradients_of_the_step_at_once() {
         ),
         (single, Blend::Probabilities, true, true, js),
     ] {
-        let scene = Scene::new(switches);
+        let scene = Scene::new(switches, blend);
         let of = |chunk| {
             let config = SegmentationConfig {
                 loss: label_loss,
                 ..config(blend, chunk)
             };
-            gradients(trained(
-                &mut model(&scene, &config, regularised, prior),
-                &scene,
-                1,
-            ))
+            gradients(&mut model(&scene, &config, regularised, prior), &scene)
         };
         let (loss, whole) = of(0);
         let layers = if switches.single_scale.is_some() {
@@ -264,19 +294,20 @@ fn parts_of_any_size_give_the_gradients_of_the_step_at_once() {
 /// A whole step with all custom operations replaced by their plain-tensor references.
 #[test]
 fn a_step_by_references_has_the_same_loss_and_gradients() {
-    let scene = Scene::new(Switches::default());
     for (blend, chunk) in [
         (Blend::Probabilities, 0),
         (Blend::Probabilities, 300),
         (Blend::Logits, 0),
     ] {
+        let scene = Scene::new(Switches::default(), blend);
         let config = config(blend, chunk);
         let step = || {
             let mut model = model(&scene, &config, true, blend == Blend::Probabilities);
-            gradients(trained(&mut model, &scene, 1))
+            gradients(&mut model, &scene)
         };
         let (loss, found) = step();
-        let (reference_loss, references) = coseg::ops::with_references(step);
+        let (reference_loss, references) =
+            coseg::ops::with_references(&coseg::ops::CustomOp::ALL, step);
         assert!((loss - reference_loss).abs() <= 1e-6 * loss.abs());
         assert_eq!(found.len(), references.len());
         for ((name, got), (_, want)) in found.iter().zip(&references) {
@@ -290,15 +321,9 @@ fn a_step_by_references_has_the_same_loss_and_gradients() {
 
 #[test]
 fn the_regularisation_matters_in_parts_too() {
-    let scene = Scene::new(Switches::default());
+    let scene = Scene::new(Switches::default(), Blend::Probabilities);
     let config = config(Blend::Probabilities, 200);
-    let of = |regularised| {
-        gradients(trained(
-            &mut model(&scene, &config, regularised, false),
-            &scene,
-            1,
-        ))
-    };
+    let of = |regularised| gradients(&mut model(&scene, &config, regularised, false), &scene);
     let ((with, a), (without, b)) = (of(true), of(false));
     assert!(with > without + 1e-3, "{with} and {without}");
     assert_ne!(a, b);
@@ -306,7 +331,7 @@ fn the_regularisation_matters_in_parts_too() {
 
 #[test]
 fn parts_have_the_same_bits_at_any_number_of_threads() {
-    let scene = Scene::new(Switches::default());
+    let scene = Scene::new(Switches::default(), Blend::Probabilities);
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
@@ -317,15 +342,15 @@ fn parts_have_the_same_bits_at_any_number_of_threads() {
     };
     let (one, two) = (run(1), run(2));
     assert!(one == two);
-    assert!(one.0[3] < one.0[0], "four steps help: {:?}", one.0);
+    let losses: Vec<f32> = one.iter().map(|(loss, _)| *loss).collect();
+    assert!(losses[3] < losses[0], "four steps help: {losses:?}");
 }
 
 #[test]
 fn points_of_coarse_levels_decode_as_in_the_whole() {
-    let scene = Scene::new(Switches::default());
+    let scene = Scene::new(Switches::default(), Blend::Probabilities);
     let pyramid = &scene.source.scene().pyramid;
-    let decoder =
-        DecoderConfig::for_pyramid(pyramid, CLASSES, true).init(&crate::support::device());
+    let decoder = DecoderConfig::for_pyramid(pyramid, CLASSES).init(&crate::support::device());
     let whole = decoder.forward(pyramid);
     let wanted = [vec![], vec![], vec![3, 17, 60], vec![0, 9, 20]];
     let kept = Dependencies::of_levels(pyramid, wanted.clone());

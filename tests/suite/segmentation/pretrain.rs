@@ -1,10 +1,12 @@
 //! Pretraining on procedural rooms: it learns, it repeats, and what it stores is what it trained.
 
+use crate::support::point_probe::linear_probe;
 use coseg::segmentation::encoder::random_weights;
 use coseg::segmentation::pixels::UNLABELLED;
-use coseg::segmentation::pretrain::{PretrainOptions, TrainedEncoder, pretrain, room};
-use coseg::segmentation::probe::{LabelledCloud, linear_probe};
-use coseg::segmentation::randla::{Form, RandlaEncoder};
+use coseg::segmentation::pretrain::{
+    LabelledCloud, PretrainOptions, TrainedEncoder, pretrain, room,
+};
+use coseg::segmentation::randla::RandlaEncoder;
 use coseg::weights::Checkpoint;
 use coseg::{Error, Result};
 use rand::{Rng, SeedableRng};
@@ -219,7 +221,7 @@ fn probe_table() {
     let mut add = |name: &str, weights: Checkpoint| {
         encoders.push((
             name.to_owned(),
-            RandlaEncoder::load(&weights, Form::Frozen, &device).expect("RandLA weights"),
+            RandlaEncoder::load(&weights, &device).expect("RandLA weights"),
         ));
     };
     if let Some(file) = std::env::var_os("COSEG_PROBE_WEIGHTS") {

@@ -5,7 +5,7 @@ use coseg::Error;
 use coseg::config::{SpatialConfig, SpatialSource};
 use coseg::segmentation::encoder::{Cloud, encode, load_spatial, random_weights};
 use coseg::segmentation::neighbours::Neighbours;
-use coseg::segmentation::randla::{Form, LAYERS, RandlaEncoder};
+use coseg::segmentation::randla::{LAYERS, RandlaEncoder};
 use coseg::segmentation::sampling::{Hierarchy, SampledLevel};
 use coseg::weights::Checkpoint;
 use glam::DVec3;
@@ -105,12 +105,8 @@ fn encoder_equals_the_published_one_on_its_stored_activations() {
     let bytes = std::fs::read(dir.join("randlanet_parity_4096.safetensors")).expect("reference");
     let reference = reference(&bytes);
     let device = crate::support::device();
-    for (form, chunked) in [
-        (Form::Frozen, false),
-        (Form::Frozen, true),
-        (Form::Trainable, false),
-    ] {
-        let encoder = RandlaEncoder::load(&weights, form, &device).expect("RandLA weights");
+    for chunked in [false, true] {
+        let encoder = RandlaEncoder::load(&weights, &device).expect("RandLA weights");
         assert_eq!(
             (encoder.inputs(), encoder.widths()),
             (3, vec![32, 128, 256, 512])
@@ -121,13 +117,13 @@ fn encoder_equals_the_published_one_on_its_stored_activations() {
         for (n, (found, stored)) in levels.into_iter().zip(&reference.levels).enumerate() {
             let difference = largest_difference(found, stored);
             eprintln!(
-                "{form:?}, chunked {chunked}, level {}: largest difference {difference:.2e}",
+                "chunked {chunked}, level {}: largest difference {difference:.2e}",
                 n + 1
             );
             assert!(difference < 2e-3, "level {}: {difference}", n + 1);
         }
         let difference = largest_difference(coarsest, &reference.coarsest);
-        eprintln!("{form:?}, chunked {chunked}, coarsest: largest difference {difference:.2e}");
+        eprintln!("chunked {chunked}, coarsest: largest difference {difference:.2e}");
         assert!(difference < 2e-3, "coarsest: {difference}");
     }
 }
@@ -311,8 +307,7 @@ fn hard_clouds_encode_or_say_why_not() {
 #[test]
 fn encoders_of_colour_ask_for_it() {
     let device = crate::support::device();
-    let encoder =
-        RandlaEncoder::load(&random_weights(6, 1), Form::Frozen, &device).expect("weights");
+    let encoder = RandlaEncoder::load(&random_weights(6, 1), &device).expect("weights");
     let points = room(200, 1);
     let run = |colors: Option<&[[f32; 3]]>| {
         encode(

@@ -4,12 +4,15 @@ pub mod dino_reference;
 pub mod linear_probe;
 pub mod onnx;
 pub mod plates;
+pub mod point_probe;
 pub mod raster_reference;
 pub mod spoilt_masks;
 pub mod torch_file;
 
-use burn::tensor::Device;
+use burn::tensor::{Device, Int, Tensor, TensorData};
 use coseg::backend::device::BackendName;
+use coseg::segmentation::encoder::Encoding;
+use coseg::segmentation::pyramid::{Pyramid, Switches};
 use std::path::PathBuf;
 
 /// The device of tests that do not compare devices: ndarray, or the first CPU backend of the build.
@@ -35,6 +38,18 @@ pub fn gpu() -> Option<Device> {
     device
         .inspect_err(|error| eprintln!("SKIPPED: {error}"))
         .ok()
+}
+
+/// An encoding joined with `image`, f_d of each scale for the whole cloud.
+pub fn joined_pyramid(encoding: &Encoding, image: &[Tensor<2>], switches: Switches) -> Pyramid {
+    let joined = Pyramid::new(encoding, switches, |scale, rows| {
+        let rows: Vec<i64> = rows.iter().map(|&row| row.into()).collect();
+        let count = rows.len();
+        let rows = TensorData::new(rows, [count]);
+        let rows = Tensor::<1, Int>::from_data(rows, &image[scale].device());
+        Ok(image[scale].clone().select(0, rows))
+    });
+    joined.expect("features")
 }
 
 /// Asserts that the message of `error` contains all of `parts`.

@@ -115,20 +115,11 @@ impl<'a> Entry<'a> {
     pub fn centred(
         &self,
         field: &str,
-        [fx, fy]: [f64; 2],
-        [width, height]: [usize; 2],
+        focals: [f64; 2],
+        size: [usize; 2],
         c2w: &DMat4,
     ) -> Result<Camera> {
-        let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
-        let intrinsics = Intrinsics {
-            fx,
-            fy,
-            cx,
-            cy,
-            width,
-            height,
-        };
-        Camera::from_opencv(c2w, intrinsics).ok_or_else(|| {
+        Camera::from_opencv(c2w, Intrinsics::centred(focals, size)).ok_or_else(|| {
             let expected = "a rotation (orthonormal columns, determinant +1)";
             let help = "remove scale, shear and mirroring from the pose";
             self.error(field, &describe_rotation(c2w), expected, help)

@@ -5,7 +5,7 @@ mod graphdeco;
 mod nerfstudio;
 
 use super::layout;
-use super::transforms::{self, not_finite::nulled};
+use super::transforms::{self, not_finite::quoted};
 use crate::data::{LoadOptions, NamedCamera, Split};
 use crate::error::{Error, Result, invalid};
 use crate::files;
@@ -56,7 +56,7 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
     }
     let text = std::str::from_utf8(&bytes).map_err(|_| unusable("first bytes", "no text"))?;
     // Python writes NaN into JSON.
-    let (text, tokens) = nulled(text);
+    let (text, tokens) = quoted(text);
     let value: Value = serde_json::from_str(&text)
         .map_err(|e| files::json_error(path, &e, "JSON with cameras"))?;
     let cameras = if let Value::Array(list) = &value {

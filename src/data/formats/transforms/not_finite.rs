@@ -7,24 +7,27 @@ pub(crate) struct Token {
     pub text: &'static str,
 }
 
-/// `text` with each `NaN` and `Infinity` outside of strings replaced by `null`, and what was replaced, in order.
-pub(crate) fn nulled(text: &str) -> (String, Vec<Token>) {
+/// `text` with each `NaN` and `Infinity` outside of strings replaced by a string that names it and its line, and what was
+/// replaced, in order.
+pub(crate) fn quoted(text: &str) -> (String, Vec<Token>) {
     let mut out = String::with_capacity(text.len());
     let mut tokens = Vec::new();
-    let (mut rest, mut line, mut quoted) = (text, 1, false);
+    let mut rest = text;
+    let mut line = 1;
+    let mut in_string = false;
     while let Some(c) = rest.chars().next() {
         let mut words = ["NaN", "-Infinity", "Infinity"].into_iter();
-        if let Some(text) = words.find(|word| !quoted && rest.starts_with(word)) {
+        if let Some(text) = words.find(|word| !in_string && rest.starts_with(word)) {
             tokens.push(Token { line, text });
-            out.push_str("null");
+            out.push_str(&format!("\"{text} in line {line}\""));
             rest = &rest[text.len()..];
             continue;
         }
         let mut taken = c.len_utf8();
         match c {
-            '"' => quoted = !quoted,
+            '"' => in_string = !in_string,
             // An escaped character is taken together with its backslash.
-            '\\' if quoted => taken += rest[taken..].chars().next().map_or(0, char::len_utf8),
+            '\\' if in_string => taken += rest[taken..].chars().next().map_or(0, char::len_utf8),
             '\n' => line += 1,
             _ => {}
         }
@@ -40,8 +43,13 @@ mod tests {
 
     #[test]
     fn strings_stay_as_they_are() {
-        let (out, tokens) = nulled("{\"NaN\\\"NaN\": [1,\n NaN, -Infinity], \"b\": Infinity}");
-        assert_eq!(out, "{\"NaN\\\"NaN\": [1,\n null, null], \"b\": null}");
+        let (out, tokens) = quoted("{\"NaN\\\"NaN\": [1,\n NaN, -Infinity], \"b\": Infinity}");
+        let nan = "\"NaN in line 2\"";
+        let [minus, plus] = ["\"-Infinity in line 2\"", "\"Infinity in line 2\""];
+        assert_eq!(
+            out,
+            format!("{{\"NaN\\\"NaN\": [1,\n {nan}, {minus}], \"b\": {plus}}}")
+        );
         let found: Vec<_> = tokens.iter().map(|t| (t.line, t.text)).collect();
         assert_eq!(found, [(2, "NaN"), (2, "-Infinity"), (2, "Infinity")]);
     }

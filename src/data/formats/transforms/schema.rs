@@ -1,6 +1,6 @@
 //! The fields of a `transforms.json`, and the cameras that follow from them.
 
-use super::not_finite::{Token, nulled};
+use super::not_finite::quoted;
 use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS, describe_rotation, fits_f32};
 use crate::data::photos::lens::Lens;
 use crate::error::{Error, Result, invalid};
@@ -8,6 +8,7 @@ use crate::files;
 use crate::splat::camera::{Camera, Intrinsics};
 use glam::{DMat3, DMat4};
 use serde::Deserialize;
+use serde_json::Value;
 use std::path::Path;
 
 /// The file. Unknown keys are ignored: every tool adds its own.
@@ -22,9 +23,6 @@ pub(super) struct Transforms {
     pub train_filenames: Option<Vec<String>>,
     pub val_filenames: Option<Vec<String>>,
     pub test_filenames: Option<Vec<String>>,
-    /// What the file has where matrices hold `None`, in order.
-    #[serde(skip)]
-    not_finite: Vec<Token>,
 }
 
 /// One frame. Its own intrinsics come before those of the file.
@@ -36,8 +34,8 @@ pub(super) struct Frame {
     pub instance_path: Option<String>,
     pub mask_path: Option<String>,
     pub split: Option<String>,
-    /// `None` where the file has NaN or an infinity.
-    transform_matrix: Vec<Vec<Option<f64>>>,
+    /// Numbers, or text where the file has NaN or an infinity.
+    transform_matrix: Vec<Vec<Value>>,
     #[serde(flatten)]
     lens: LensFields,
 }
@@ -88,25 +86,16 @@ impl Transforms {
     pub fn read(path: &Path) -> Result<Self> {
         let original = files::text(path)?;
         // Python writes NaN into JSON. In a pose, the frame can be named.
-        let (text, tokens) = nulled(&original);
+        let (text, tokens) = quoted(&original);
         let expected = "transforms.json as nerfstudio and instant-ngp have it";
-        let mut file: Self =
-            serde_json::from_str(&text).map_err(|e| files::json_error(path, &e, expected))?;
-        if let Some(token) = tokens
-            .first()
-            .filter(|_| file.gaps().count() != tokens.len())
-        {
-            let line = original
-                .lines()
-                .nth(token.line - 1)
-                .unwrap_or_default()
-                .trim();
-            return Err(
-                invalid!(path, "line {}", token.line; found "{line}"; expected "finite numbers";
-                help "correct the file there or export it again"),
-            );
-        }
-        file.not_finite = tokens;
+        let file: Self = serde_json::from_str(&text).map_err(|e| {
+            let Some(token) = tokens.first() else {
+                return files::json_error(path, &e, expected);
+            };
+            let line = original.lines().nth(token.line - 1).unwrap_or_default();
+            invalid!(path, "line {}", token.line; found "{}", line.trim(); expected "finite numbers";
+                help "correct the file there or export it again")
+        })?;
         if file.frames.is_empty() {
             return Err(
                 invalid!(path, "frames"; found "no frames"; expected "at least one"; help "add views"),
@@ -132,26 +121,6 @@ impl Transforms {
     /// Whether the file says that the world's z axis points up.
     pub fn z_up(&self) -> bool {
         self.convention().contains("world z up")
-    }
-
-    /// Cells of matrices that hold no number, as (frame, row, column), in order.
-    fn gaps(&self) -> impl Iterator<Item = (usize, usize, usize)> {
-        let rows = self.frames.iter().enumerate();
-        let rows = rows.flat_map(|(i, frame)| {
-            frame
-                .transform_matrix
-                .iter()
-                .enumerate()
-                .map(move |row| (i, row))
-        });
-        let cells = rows.flat_map(|(i, (r, row))| {
-            row.iter()
-                .enumerate()
-                .map(move |(c, cell)| ((i, r, c), cell))
-        });
-        cells
-            .filter(|(_, cell)| cell.is_none())
-            .map(|(place, _)| place)
     }
 
     /// `frames[I] (FILE)`, for messages.
@@ -232,18 +201,13 @@ impl Transforms {
         }
         let mut m = DMat4::IDENTITY.to_cols_array_2d();
         for (r, row) in rows.iter().enumerate() {
-            for (c, &value) in row.iter().enumerate() {
-                m[r][c] = value.ok_or_else(|| {
-                    let gap = self.gaps().position(|gap| gap == (frame, r, c));
-                    let token = gap.and_then(|gap| self.not_finite.get(gap));
-                    let line = token.map_or(String::new(), |t| format!(", line {}", t.line));
-                    let found = token.map_or("null", |t| t.text).to_owned();
-                    error(format!("[{r}][{c}]{line}"), found, "a finite number")
+            for (c, value) in row.iter().enumerate() {
+                let number = value.as_f64().filter(|number| fits_f32(*number));
+                m[r][c] = number.ok_or_else(|| {
+                    let text = value.as_str().map(str::to_owned);
+                    let found = text.unwrap_or_else(|| value.to_string());
+                    error(format!("[{r}][{c}]"), found, "a finite number (f32)")
                 })?;
-                if !fits_f32(m[r][c]) {
-                    let found = format!("{:?}", m[r][c]);
-                    return Err(error(format!("[{r}][{c}]"), found, "a finite number (f32)"));
-                }
             }
         }
         if m[3] != [0.0, 0.0, 0.0, 1.0] {

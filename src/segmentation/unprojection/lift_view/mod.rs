@@ -1,12 +1,12 @@
 //! The operation `lift_view`: one view's part of Eq. 5, `W^T F` or `(W U)^T F`, added to the sums of the views before.
 //!
 //! The CPU's kernel folds the weights of each Gaussian to scalar weights per feature cell first (`fold`), then gathers each
-//! cell's features once (`cpu`). On a GPU the map is read bilinearly as a sparse product, and lifted by the adjoint of blending
-//! (`gpu`), which is also the reference in plain tensors.
+//! cell's features once (`cpu`). Elsewhere the map is read bilinearly as a sparse product, and lifted by the adjoint of blending
+//! (`tensors`). That is also the reference.
 
 mod cpu;
 mod fold;
-mod gpu;
+mod tensors;
 
 use crate::backend::Real;
 use crate::backend::device::in_host_memory;
@@ -14,11 +14,12 @@ use crate::config::Resolution;
 use crate::data::mask::Mask;
 use crate::error::{Error, Result};
 use crate::features::{FeatureMap, Lattice};
+use crate::ops::CustomOp;
 use crate::raster::{Projected, Settings, SplatTensors, Splats};
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
 use burn::tensor::Device;
-use gpu::TensorSums;
+use tensors::TensorSums;
 
 /// Sums over the views added so far, per Gaussian and scale.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -195,17 +196,18 @@ pub struct LiftedViews<'a> {
 
 enum Kernel {
     Cpu(Sums<f32>),
-    Gpu(Box<TensorSums>),
+    Tensors(Box<TensorSums>),
 }
 
 impl<'a> LiftedViews<'a> {
     /// No views yet, one entry of `channels` per scale.
     pub fn new(gaussians: &'a Gaussians, channels: &[usize], device: &Device) -> Self {
-        let kernel = if in_host_memory(device) || gaussians.is_empty() {
+        let by_cpu = in_host_memory(device) && !CustomOp::Raster.is_replaced();
+        let kernel = if by_cpu || gaussians.is_empty() {
             Kernel::Cpu(Sums::new(gaussians.len(), channels))
         } else {
             let splats = SplatTensors::new(gaussians, device);
-            Kernel::Gpu(Box::new(TensorSums::new(splats, channels)))
+            Kernel::Tensors(Box::new(TensorSums::new(splats, channels)))
         };
         Self { gaussians, kernel }
     }
@@ -225,7 +227,7 @@ impl<'a> LiftedViews<'a> {
         let splats = self.gaussians.splats();
         match &mut self.kernel {
             Kernel::Cpu(sums) => sums.add_used(&splats, camera, maps, mask, resolution, settings),
-            Kernel::Gpu(sums) => sums.add(&splats, camera, maps, mask, resolution, settings),
+            Kernel::Tensors(sums) => sums.add(&splats, camera, maps, mask, resolution, settings),
         }
     }
 
@@ -247,7 +249,7 @@ impl<'a> LiftedViews<'a> {
                 let pixels = mask.map_or(camera.width * camera.height, Mask::kept);
                 Ok((counts.into_iter().map(u64::from).collect(), pixels as u64))
             }
-            Kernel::Gpu(sums) => sums.disc_pixels(&splats, camera, mask, settings),
+            Kernel::Tensors(sums) => sums.disc_pixels(&splats, camera, mask, settings),
         }
     }
 
@@ -258,7 +260,7 @@ impl<'a> LiftedViews<'a> {
     pub fn finish(self) -> Result<Sums<f32>> {
         match self.kernel {
             Kernel::Cpu(sums) => Ok(sums),
-            Kernel::Gpu(sums) => sums.into_sums(),
+            Kernel::Tensors(sums) => sums.into_sums(),
         }
     }
 }

@@ -1,46 +1,19 @@
 //! A linear probe: how much of the classes can be read off frozen spatial features by one linear map.
 
-use super::encoder::{Cloud, Encoding, encode};
-use super::loss::{CoSegLoss, LabelLoss};
-use super::randla::{RandlaEncoder, host, parameter, tensor};
-use crate::error::Result;
-use crate::metrics::{Confusion, Void};
-use burn::module::Module;
+use burn::module::{Module, Param};
 use burn::nn::Linear;
 use burn::optim::{AdamConfig, GradientsParams};
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
+use coseg::Result;
+use coseg::metrics::Confusion;
+use coseg::segmentation::encoder::{Cloud, Encoding, encode};
+use coseg::segmentation::loss::{CoSegLoss, LabelLoss};
+use coseg::segmentation::pretrain::{LabelledCloud, Scores};
+use coseg::segmentation::randla::RandlaEncoder;
 use glam::DVec3;
 use rand::SeedableRng;
 use rand::seq::index;
 use rand_chacha::ChaCha8Rng;
-
-/// Labelled points of one place.
-#[derive(Clone, Debug, Default)]
-pub struct LabelledCloud {
-    /// `[N, 3]` metres, z up.
-    pub positions: Vec<[f32; 3]>,
-    /// `[N]` class indices, [`super::pixels::UNLABELLED`] where there is none.
-    pub labels: Vec<u16>,
-}
-
-/// How well labels can be told.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Scores {
-    /// Share of labelled points told right.
-    pub accuracy: f64,
-    /// Mean IoU over the classes present, all places together.
-    pub miou: f64,
-}
-
-impl Scores {
-    pub(crate) fn of(confusion: &Confusion) -> Self {
-        let of = |score: Option<f64>| score.unwrap_or_default();
-        Self {
-            accuracy: of(confusion.accuracy(Void::Wrong)),
-            miou: of(confusion.miou(Void::Wrong)),
-        }
-    }
-}
 
 /// Points of each place that the probe is fitted to, at most.
 const FITTED_POINTS: usize = 3_000;
@@ -91,11 +64,11 @@ pub fn linear_probe(
         let truth = cloud.labels.iter().map(|&l| usize::from(l));
         confusion.add(truth, best(&host(logits), classes));
     }
-    Ok(Scores::of(&confusion))
+    Ok(Scores::from(&confusion))
 }
 
 /// Index of the largest value of each row.
-pub(crate) fn best(logits: &[f32], classes: usize) -> Vec<usize> {
+fn best(logits: &[f32], classes: usize) -> Vec<usize> {
     let rows = logits.chunks_exact(classes);
     rows.map(|row| {
         (0..classes)
@@ -103,6 +76,14 @@ pub(crate) fn best(logits: &[f32], classes: usize) -> Vec<usize> {
             .unwrap_or(0)
     })
     .collect()
+}
+
+fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Tensor<D> {
+    Tensor::from_data(TensorData::new(values, shape), device)
+}
+
+fn host(tensor: Tensor<2>) -> Vec<f32> {
+    tensor.into_data().into_vec().expect("f32")
 }
 
 /// Features of all scales at every point, `[N, sum of widths]`.
@@ -189,8 +170,8 @@ fn fit(
 ) -> Linear {
     let device = device.clone().inner().autodiff();
     let mut map = Linear {
-        weight: parameter(vec![0.0; width * classes], [width, classes], &device),
-        bias: Some(parameter(vec![0.0; classes], [classes], &device)),
+        weight: Param::from_tensor(Tensor::zeros([width, classes], &device)),
+        bias: Some(Param::from_tensor(Tensor::zeros([classes], &device))),
     };
     let mut adam = AdamConfig::new().with_epsilon(1e-8).init();
     for step in 0..STEPS {

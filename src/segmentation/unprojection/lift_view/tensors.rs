@@ -207,7 +207,7 @@ impl TensorSums {
 /// A view whose maps are lifted, and its pixels that count.
 struct ProjectedPixels {
     view: SplatView,
-    /// 1 for pixels that the mask uses and 0 for the others, `[W H, 1]`; `None` without a mask.
+    /// 1 for pixels that the mask uses, else 0, `[W H, 1]`; `None` without a mask.
     used: Option<Tensor<2>>,
     /// `W^T 1` over the used pixels, `[N, 1]`.
     weights: Tensor<2>,

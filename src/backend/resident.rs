@@ -1,21 +1,23 @@
 //! Host values that stay on a device.
 
-use super::Gpu;
-use burn_cubecl::CubeDevice;
 use std::sync::{Mutex, PoisonError};
 
 /// The device copy of a host value, made at first use. It is not part of the value: a clone makes its own, and all copies compare
 /// equal.
-pub struct Resident<T>(Mutex<Option<(CubeDevice, T)>>);
+pub struct Resident<T>(Mutex<Option<T>>);
 
+#[cfg_attr(
+    not(feature = "cube"),
+    allow(dead_code, reason = "only GPUs keep copies")
+)]
 impl<T: Clone> Resident<T> {
-    /// The copy on the device of `gpu`, which `make` makes where there is none.
-    pub fn on(&self, gpu: &Gpu, make: impl FnOnce() -> T) -> T {
+    /// The copy for which `is_here` holds, which `make` makes where there is none.
+    pub fn get(&self, is_here: impl Fn(&T) -> bool, make: impl FnOnce() -> T) -> T {
         // A panic in `make` leaves the slot as it was.
         let mut slot = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         match &*slot {
-            Some((device, copy)) if device == gpu.device() => copy.clone(),
-            _ => slot.insert((gpu.device().clone(), make())).1.clone(),
+            Some(copy) if is_here(copy) => copy.clone(),
+            _ => slot.insert(make()).clone(),
         }
     }
 }

@@ -1,8 +1,42 @@
-//! Shapes and float types of the inputs.
+//! What the rasterizer takes and returns.
 
-use super::RasterInput;
 use crate::error::{Error, Result};
 use burn::tensor::{DType, Tensor};
+
+/// What [`crate::raster::rasterize`] renders. All tensors have one float type and live on one device.
+#[derive(Clone, Debug)]
+pub struct RasterInput {
+    /// `[N, 3]`, world units.
+    pub means: Tensor<2>,
+    /// `[N, 3]`, natural logarithms.
+    pub log_scales: Tensor<2>,
+    /// `[N, 4]` (w, x, y, z), not normalised.
+    pub rotations: Tensor<2>,
+    /// `[N]`.
+    pub opacity_logits: Tensor<1>,
+    /// `[N, K, 3]`, `K = (degree + 1)^2`, degree 0 to 3: adds three colour channels.
+    pub sh: Option<Tensor<3>>,
+    /// Highest SH degree in use. Terms above it are left out and get a zero gradient.
+    pub active_sh_degree: usize,
+    /// `[N, C]`: adds C channels after the colour.
+    pub features: Option<Tensor<2>>,
+    /// `[N, 2]` or `[N, 4]`, any values. Its gradient is the screen-space gradient `(dL/du W/2, dL/dv H/2)`. Four columns add
+    /// the sums over pixels of the absolute values of both (AbsGS); a GPU has these for up to 8 channels.
+    pub screen: Option<Tensor<2>>,
+}
+
+/// What [`crate::raster::rasterize`] returns.
+#[derive(Clone, Debug)]
+pub struct RasterOutput {
+    /// `[H, W, 3 + C]`, colour first when SH were given. The background is part of the colour.
+    pub image: Tensor<3>,
+    /// What shows of the background, `[H, W]`.
+    pub transmittance: Tensor<2>,
+    /// Radius in pixels of every Gaussian, `[N]`, without autodiff; 0 = not visible.
+    pub radii: Tensor<1>,
+    /// The values of a [`ListCount`](super::ListCount), `[3]`, without autodiff.
+    pub tile_lists: Tensor<1>,
+}
 
 /// Sizes of a valid [`RasterInput`].
 pub(super) struct Sizes {

@@ -1,0 +1,278 @@
+//! Milliseconds of a rendered view, forward and with the backward pass, on any trained scene:
+//! `cargo bench --bench raster -- RUN --gaussians 10000,100000 --json coseg.json --export subject`.
+//!
+//! `--export` writes the Gaussians and cameras for other renderers, see `scripts/bench_gsplat.py`.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use clap::Parser;
+use coseg::backend::device;
+use coseg::backend::device::BackendName;
+use coseg::bench::{Figures, Machine, resampled};
+use coseg::data::formats::transforms::write_cameras;
+use coseg::data::{Limits, NamedCamera, Split, atomic, read_cameras};
+use coseg::error::{Error, Result};
+use coseg::objects::{RenderOptions, Renderer};
+use coseg::raster::{
+    ListCount, PairCounts, Projected, RasterInput, RasterOutput, Settings, rasterize_with_capacity,
+    tile_capacity,
+};
+use coseg::splat::camera::Camera;
+use coseg::splat::{Gaussians, ply};
+use glam::DVec3;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::hint::black_box;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Labels of a frame, and channels beside colour.
+const LABELS: usize = 20;
+/// A name, whether colour is rendered, and the number of channels beside it.
+const CHANNELS: [(&str, bool, usize); 3] = [
+    ("RGB", true, 0),
+    ("RGB + 20 classes", true, LABELS),
+    ("64 channels", false, 64),
+];
+const SIZES: [[usize; 2]; 2] = [[480, 360], [1920, 1080]];
+const VIEWS: usize = 6;
+
+#[derive(Parser)]
+struct Arguments {
+    /// Folder that `coseg train` wrote
+    run: PathBuf,
+    /// Numbers of Gaussians [default: that of the scene]
+    #[arg(long, value_delimiter = ',')]
+    gaussians: Vec<usize>,
+    /// Measured passes behind each median
+    #[arg(long, default_value_t = 5)]
+    repeats: usize,
+    /// Write the Gaussians and cameras into this folder
+    #[arg(long)]
+    export: Option<PathBuf>,
+    /// Write the figures to this file
+    #[arg(long)]
+    json: Option<PathBuf>,
+    /// Where to compute
+    #[arg(long)]
+    backend: Option<BackendName>,
+    /// What `cargo bench` passes
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+fn main() -> Result<()> {
+    let mut arguments = Arguments::parse();
+    let (backend, device) = device::choose(arguments.backend)?;
+    let machine = Machine::here(device::described(backend));
+    println!("{}", machine.text());
+    let scene = ply::read(&arguments.run.join("scene.ply"), &Limits::default())?;
+    let cameras = read_cameras(&arguments.run, Some(Split::Train))?;
+    let count = VIEWS.min(cameras.len());
+    let cameras: Vec<Camera> = (0..count)
+        .map(|i| cameras[i * cameras.len() / count].camera.clone())
+        .map(|camera| Camera {
+            center: camera.center - scene.origin,
+            ..camera
+        })
+        .collect();
+    if arguments.gaussians.is_empty() {
+        arguments.gaussians.push(scene.gaussians.len());
+    }
+    let mut all = Vec::new();
+    for &count in &arguments.gaussians {
+        let gaussians = resampled(&scene.gaussians, count, 0);
+        let mut figures = Figures::new("raster", count);
+        for [width, height] in SIZES {
+            let cameras: Vec<Camera> = cameras
+                .iter()
+                .map(|camera| camera.with_size(width, height))
+                .collect();
+            if let Some(folder) = &arguments.export {
+                export(folder, &gaussians, &cameras)?;
+            }
+            let view = View {
+                gaussians: &gaussians,
+                cameras: &cameras,
+                repeats: arguments.repeats,
+            };
+            view.measure(&format!("{width}x{height}"), &device, &mut figures)?;
+        }
+        println!("\n{}", figures.text());
+        all.push(figures);
+    }
+    if let Some(path) = &arguments.json {
+        let json = serde_json::json!({ "machine": machine, "sections": all });
+        atomic::write_bytes(path, format!("{json:#}\n").as_bytes())?;
+    }
+    Ok(())
+}
+
+/// Writes `gaussians_N.ply` and `cameras_WxH.json`.
+fn export(folder: &Path, gaussians: &Gaussians, cameras: &[Camera]) -> Result<()> {
+    let file = folder.join(format!("gaussians_{}.ply", gaussians.len()));
+    ply::write(&file, gaussians, DVec3::ZERO, None)?;
+    let named: Vec<NamedCamera> = cameras
+        .iter()
+        .enumerate()
+        .map(|(i, camera)| NamedCamera {
+            name: format!("view_{i}"),
+            split: Split::Train,
+            camera: camera.clone(),
+        })
+        .collect();
+    let [width, height] = [cameras[0].width, cameras[0].height];
+    write_cameras(
+        &folder.join(format!("cameras_{width}x{height}.json")),
+        &named,
+    )
+}
+
+/// Gaussians as cameras see them.
+struct View<'a> {
+    gaussians: &'a Gaussians,
+    cameras: &'a [Camera],
+    repeats: usize,
+}
+
+impl View<'_> {
+    fn measure(&self, size: &str, device: &Device, figures: &mut Figures) -> Result<()> {
+        for (name, colour, channels) in CHANNELS {
+            let input = self.input(colour, channels, device);
+            let forward = self.timed(&input, |output| {
+                Some(output.image.slice([0..1, 0..1, 0..1]))
+            });
+            let forward = match forward {
+                // Smaller cases may fit all the same.
+                Err(error @ Error::Limit { .. }) => {
+                    figures
+                        .notes
+                        .push(format!("{size}, {name}: left out, {error}"));
+                    continue;
+                }
+                forward => forward?,
+            };
+            figures.add(format!("{size}, {name}: forward"), "ms", &forward);
+            let input = self.input(colour, channels, &device.clone().autodiff());
+            let both = self.timed(&input, |output| {
+                let gradient = input.means.grad(&output.image.backward())?;
+                Some(gradient.slice([0..1, 0..1]).unsqueeze())
+            })?;
+            figures.add(format!("{size}, {name}: forward + backward"), "ms", &both);
+        }
+        figures.add(
+            format!("{size}: a frame with labels"),
+            "ms",
+            &self.frames(device)?,
+        );
+        let pairs = self.pairs()?;
+        let pixels: usize = self.cameras.iter().map(|c| c.width * c.height).sum();
+        let contributing = pairs.contributing as f64;
+        let evaluated = pairs.evaluated as f64 / contributing.max(1.0);
+        figures.add(
+            format!("{size}: pairs a pixel"),
+            "",
+            &[contributing / pixels as f64],
+        );
+        figures.add(format!("{size}: evaluated per pair"), "", &[evaluated]);
+        Ok(())
+    }
+
+    /// Milliseconds of the mean view, for each pass after the first.
+    fn passes(&self, mut pass: impl FnMut() -> Result<()>) -> Result<Vec<f64>> {
+        pass()?;
+        let timed = (0..self.repeats.max(1)).map(|_| {
+            let start = Instant::now();
+            pass()?;
+            Ok(1e3 * start.elapsed().as_secs_f64() / self.cameras.len() as f64)
+        });
+        timed.collect()
+    }
+
+    /// `finish` gives one value that is read back to wait for a GPU.
+    fn timed(
+        &self,
+        input: &RasterInput,
+        finish: impl Fn(RasterOutput) -> Option<Tensor<3>>,
+    ) -> Result<Vec<f64>> {
+        // A view's tile lists have the capacity of the pass before, as in training.
+        let mut capacities = vec![None; self.cameras.len()];
+        let settings = Settings::default();
+        self.passes(|| {
+            for (camera, capacity) in self.cameras.iter().zip(&mut capacities) {
+                let output =
+                    rasterize_with_capacity(input.clone(), camera, &settings, [0.0; 3], *capacity)?;
+                let tile_lists = output.tile_lists.clone();
+                let Some(value) = finish(output) else {
+                    continue;
+                };
+                let value = if value.device().is_autodiff() {
+                    value.inner()
+                } else {
+                    value
+                };
+                let both = Tensor::cat(vec![value.reshape([1]), tile_lists], 0);
+                let values: Vec<f32> = both.into_data().to_vec().expect("floats");
+                let count = ListCount::from_values(black_box(&values[1..]));
+                *capacity = count.map(|count| tile_capacity(count.entries));
+            }
+            Ok(())
+        })
+    }
+
+    /// The Gaussians as tensors, tracked where `device` is for autodiff.
+    fn input(&self, colour: bool, channels: usize, device: &Device) -> RasterInput {
+        let g = self.gaussians;
+        let n = g.len();
+        let features = (channels > 0).then(|| {
+            let mut rng = ChaCha8Rng::seed_from_u64(0);
+            let values: Vec<f32> = (0..n * channels).map(|_| rng.random()).collect();
+            leaf(values, [n, channels], device)
+        });
+        RasterInput {
+            means: leaf(g.means.as_flattened().to_vec(), [n, 3], device),
+            log_scales: leaf(g.log_scales.as_flattened().to_vec(), [n, 3], device),
+            rotations: leaf(g.rotations.as_flattened().to_vec(), [n, 4], device),
+            opacity_logits: leaf(g.opacity_logits.clone(), [n], device),
+            sh: colour.then(|| leaf(g.sh.clone(), [n, g.sh_len(), 3], device)),
+            active_sh_degree: g.sh_degree,
+            features,
+            screen: None,
+        }
+    }
+
+    /// Colour, coverage and label of each pixel in host memory, as `coseg render` makes them.
+    fn frames(&self, device: &Device) -> Result<Vec<f64>> {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let labels = (0..self.gaussians.len()).map(|_| rng.random_range(1..=LABELS as u16));
+        let labels = Some(labels.collect());
+        let options = RenderOptions::default();
+        let renderer = Renderer::new(self.gaussians.clone(), labels, options, device)?;
+        self.passes(|| {
+            for camera in self.cameras {
+                black_box(renderer.frame(camera)?);
+            }
+            Ok(())
+        })
+    }
+
+    /// A pair is a pixel and a Gaussian with alpha of alpha_min or more, before the pixel is full.
+    fn pairs(&self) -> Result<PairCounts> {
+        let mut sum = PairCounts::default();
+        for camera in self.cameras {
+            let projected = Projected::new(&self.gaussians.splats(), camera, &Settings::default())?;
+            let pairs = projected.count_pairs();
+            sum.evaluated += pairs.evaluated;
+            sum.contributing += pairs.contributing;
+        }
+        Ok(sum)
+    }
+}
+
+fn leaf<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Tensor<D> {
+    let tensor = Tensor::from_data(TensorData::new(values, shape), device);
+    if device.is_autodiff() {
+        tensor.require_grad()
+    } else {
+        tensor
+    }
+}

@@ -1,0 +1,70 @@
+//! How a variant is trained: losses, learning rates and pixels over the iterations.
+
+use crate::config::{self, Blend, SegmentationConfig};
+use crate::segmentation::loss::LabelLoss;
+
+/// How a variant is trained.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// Label loss after the warm-up.
+    pub loss: LabelLoss,
+    /// Iterations of cross-entropy before it.
+    pub warmup: usize,
+    /// All iterations.
+    pub iterations: usize,
+    /// Recall below which a class learns by a less robust loss, see [`super::ClassRecall`]; 0 is never.
+    pub least_recall: f64,
+    /// Weights of the label loss and of the 3D regularisation.
+    pub lambda: [f64; 2],
+    /// What is blended along a ray.
+    pub blend: Blend,
+    /// Share of the pixels in a step.
+    pub pixel_share: f64,
+    /// Whether the learning rate falls along a half cosine, to 1 % at the end.
+    pub decay: bool,
+    /// Seed of view order and pixel choice.
+    pub seed: u64,
+}
+
+impl Plan {
+    /// The plan of `config` under `loss`.
+    pub fn new(config: &SegmentationConfig, loss: LabelLoss, seed: u64) -> Self {
+        let warmup = match loss {
+            LabelLoss::Ce => 0,
+            _ => (config.warmup * config.iterations as f64).round() as usize,
+        };
+        let least_recall = match (loss, config.loss) {
+            (LabelLoss::Gce { .. }, config::LabelLoss::Gce { least_recall, .. }) => least_recall,
+            _ => 0.0,
+        };
+        Self {
+            loss,
+            warmup,
+            iterations: config.iterations,
+            least_recall,
+            lambda: [config.lambda_pix, config.lambda_reg],
+            blend: config.blend,
+            pixel_share: config.pixel_share,
+            decay: config.lr_decay,
+            seed,
+        }
+    }
+
+    /// Share of the learning rate at `iteration` (from 0).
+    pub fn rate_factor(&self, iteration: usize) -> f64 {
+        if !self.decay {
+            return 1.0;
+        }
+        let done = iteration as f64 / self.iterations.max(1) as f64;
+        0.01 + 0.99 * 0.5 * (1.0 + (std::f64::consts::PI * done).cos())
+    }
+
+    /// The label loss at `iteration`.
+    pub(super) fn label_loss(&self, iteration: usize) -> LabelLoss {
+        if iteration < self.warmup {
+            LabelLoss::Ce
+        } else {
+            self.loss
+        }
+    }
+}

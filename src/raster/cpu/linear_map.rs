@@ -1,0 +1,144 @@
+//! Blending with frozen geometry is a linear map `W`: it, its adjoint, and its pixels.
+
+use super::disc_pixels::{count, count_used};
+use super::footprint::Splat2;
+use super::projected::{Blended, CHUNK, Projected};
+use super::{blend, channel_blocks, labels, weights};
+use crate::backend::Real;
+use crate::data::mask::Mask;
+use crate::ops::SparseMatrix;
+use rayon::prelude::*;
+
+impl<E: Real> Projected<E> {
+    /// `S = W s` (Eq. 3-4) and the transmittance: `values` is `[N, channels]`, the image `[H, W, channels]`.
+    ///
+    /// # Panics
+    /// If `values` does not have `N * channels` entries.
+    pub fn blend(&self, values: &[E], channels: usize) -> Blended<E> {
+        assert_eq!(
+            values.len(),
+            self.len() * channels,
+            "blend: values against Gaussians times channels"
+        );
+        match channels {
+            0 => blend::blend::<E, 0>(self, &[], 0),
+            1 => blend::blend::<E, 1>(self, &self.in_depth_order(values, 1, 1), 1),
+            2 | 3 => {
+                blend::blend::<E, 3>(self, &self.in_depth_order(values, channels, 3), channels)
+            }
+            4..=8 => {
+                blend::blend::<E, 8>(self, &self.in_depth_order(values, channels, 8), channels)
+            }
+            9..=16 => {
+                blend::blend::<E, 16>(self, &self.in_depth_order(values, channels, 16), channels)
+            }
+            17..=24 => {
+                blend::blend::<E, 24>(self, &self.in_depth_order(values, channels, 24), channels)
+            }
+            _ => channel_blocks::blend(self, values, channels),
+        }
+    }
+
+    /// [`Projected::blend`] of `values`, `[N, C]`, and the label of each pixel, `[H, W]`: that whose Gaussians have the largest
+    /// summed alpha' T, ties to the lower one, and 0 where there are none. `labels` has one for each Gaussian.
+    ///
+    /// # Panics
+    /// If `values` does not have `N * C` entries, or `labels` N.
+    pub fn blend_labels<const C: usize>(
+        &self,
+        values: &[E],
+        labels: &[u16],
+    ) -> (Blended<E>, Vec<u16>) {
+        assert_eq!(
+            values.len(),
+            self.len() * C,
+            "blend_labels: values against Gaussians times channels"
+        );
+        assert_eq!(
+            labels.len(),
+            self.len(),
+            "blend_labels: one label a Gaussian"
+        );
+        let labels: Vec<u16> = self.ids.iter().map(|&id| labels[id as usize]).collect();
+        labels::blend::<E, C>(self, &self.in_depth_order(values, C, C), &labels)
+    }
+
+    /// `W^T y`: `image` is `[H, W, channels]`, the result `[N, channels]`; the adjoint of [`Projected::blend`].
+    ///
+    /// # Panics
+    /// If `image` does not have `H * W * channels` entries.
+    pub fn blend_adjoint(&self, image: &[E], channels: usize) -> Vec<E> {
+        let [w, h] = self.size();
+        assert_eq!(
+            image.len(),
+            w * h * channels,
+            "blend_adjoint: image against pixels times channels"
+        );
+        let sums = match channels {
+            0 => return Vec::new(),
+            1 => blend::adjoint::<E, 1>(self, image),
+            3 => blend::adjoint::<E, 3>(self, image),
+            _ => channel_blocks::adjoint(self, image, channels),
+        };
+        self.in_scene_order(&sums, channels)
+    }
+
+    /// `W^T 1`: the sum of alpha' T over all pixels, `[N]`.
+    pub fn weight_sums(&self) -> Vec<E> {
+        let [w, h] = self.size();
+        self.blend_adjoint(&vec![E::one(); w * h], 1)
+    }
+
+    /// `W` itself: rows are `pixels` (row-major indices; all when `None`), columns the N Gaussians, entries front to back.
+    ///
+    /// Values are exactly the weights that [`Projected::blend`] applies, rounded to `f32`.
+    ///
+    /// # Panics
+    /// If a pixel index is outside the image.
+    pub fn weights(&self, pixels: Option<&[u32]>) -> SparseMatrix {
+        weights::weights(self, pixels)
+    }
+
+    /// Algorithm 1's counter: pixels whose centre lies within [`Projected::radii`] of the projected centre, in the image.
+    pub fn counts(&self) -> Vec<u32> {
+        self.used_counts(None)
+    }
+
+    /// [`Projected::counts`] of the pixels that `mask`, of the camera's size, uses.
+    pub fn used_counts(&self, mask: Option<&Mask>) -> Vec<u32> {
+        let disc = |(splat, &id): (&Splat2, &u32)| (splat.center, self.radii()[id as usize]);
+        let discs: Vec<_> = self
+            .splats
+            .par_iter()
+            .zip(&self.ids)
+            .with_min_len(CHUNK)
+            .map(disc)
+            .collect();
+        let mut visible = vec![0; discs.len()];
+        let before = mask.map(|mask| used_before(mask, self.size()));
+        let chunks = visible.par_chunks_mut(CHUNK).zip(discs.par_chunks(CHUNK));
+        chunks.for_each(|(counts, discs)| match &before {
+            Some(before) => count_used(discs, self.size(), before, counts),
+            None => count(discs, self.size(), counts),
+        });
+        let mut counts = vec![0; self.len()];
+        for (count, &id) in visible.into_iter().zip(&self.ids) {
+            counts[id as usize] = count;
+        }
+        counts
+    }
+}
+
+/// For each row how many pixels are used before each one, and at last in all, `[height, width + 1]`.
+fn used_before(mask: &Mask, [width, height]: [usize; 2]) -> Vec<u32> {
+    let mut before = Vec::with_capacity(height * (width + 1));
+    for row in 0..height {
+        let mut sum = 0;
+        before.push(sum);
+        before.extend((row * width..(row + 1) * width).map(|pixel| {
+            sum += u32::from(mask.uses(pixel));
+            sum
+        }));
+    }
+    before
+}

@@ -1,0 +1,40 @@
+//! What the backward passes over tiles read of the pixels, and the rows of sums that they write.
+
+use super::footprint::{Splat2, UNIT};
+use crate::backend::Real;
+
+/// Sums of a row besides those of the values, for each Gaussian: moments, and the two of absolute values.
+pub(in crate::raster) const fn geometry_sums(absolute: bool) -> usize {
+    if absolute { 8 } else { 6 }
+}
+
+/// Change of the kernels' `u` and `v` as the centre moves by a pixel: `u` along x, `u` along y, `v` along y.
+#[inline(always)]
+pub(in crate::raster) fn drift<E: Real>(s: &Splat2) -> [E; 3] {
+    [UNIT * s.du, -UNIT * s.du * s.slope, UNIT * s.dv].map(E::of)
+}
+
+/// What the backward pass over a tile reads besides the projection.
+#[derive(Clone, Copy)]
+pub(in crate::raster) struct PixelGradients<'a, E> {
+    /// The rendered image, `[H, W, C]`, background included.
+    pub image: &'a [E],
+    pub transmittance: &'a [E],
+    pub d_image: &'a [E],
+    pub d_transmittance: Option<&'a [E]>,
+}
+
+impl<E: Real> PixelGradients<'_, E> {
+    /// `d_image . image + d_transmittance transmittance` of a pixel: `R` before the first Gaussian.
+    #[inline(always)]
+    pub fn budget(&self, pixel: usize, channels: usize) -> E {
+        let at = pixel * channels;
+        let mut sum = self
+            .d_transmittance
+            .map_or(E::zero(), |d| d[pixel] * self.transmittance[pixel]);
+        for c in 0..channels {
+            sum += self.d_image[at + c] * self.image[at + c];
+        }
+        sum
+    }
+}

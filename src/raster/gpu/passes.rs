@@ -1,0 +1,156 @@
+//! The forward and the backward pass.
+
+use super::blend;
+use super::inputs::Inputs;
+use super::parameters;
+use super::pixel_sums::{PixelGradients, pixel_sums, row_bytes};
+use super::prepare::{Prepared, Scenery, check_size, prepare};
+use super::sh;
+use crate::backend::gpu::Gpu;
+use crate::error::Result;
+use burn::backend::ops::FloatTensorOps;
+use burn::tensor::Slice;
+use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
+
+/// What the forward pass leaves for the backward pass.
+pub(crate) struct Forward {
+    prepared: Prepared,
+    /// What was blended, `[N, C]`, colours first.
+    values: CubeTensor,
+    /// `[H, W]`.
+    pub transmittance: CubeTensor,
+}
+
+/// Gradients in the order of the inputs.
+pub(crate) struct Gradients {
+    pub means: CubeTensor,
+    pub log_scales: CubeTensor,
+    pub rotations: CubeTensor,
+    pub logits: CubeTensor,
+    pub sh: Option<CubeTensor>,
+    pub features: Option<CubeTensor>,
+    /// `[N, 2]`, or `[N, 4]` with sums of absolute values.
+    pub screen: CubeTensor,
+}
+
+/// Renders `inputs`, at least one Gaussian and one channel: the image `[H, W, C]`, or `None` when an input holds a NaN or an
+/// infinity.
+///
+/// With `room`, a capacity in tile entries, nothing is read back. The caller reads [`Forward::summary`], and discards the image
+/// and its gradients if the capacity did not suffice or rows were not finite.
+///
+/// # Errors
+/// [`Error::Config`] for settings out of range, [`Error::Argument`] for an unusable camera, [`Error::Limit`] for what the device
+/// cannot hold, [`Error::Device`] when it fails.
+pub(in crate::raster) fn forward(
+    inputs: &Inputs,
+    scenery: Scenery<'_>,
+    room: Option<usize>,
+) -> Result<Option<(CubeTensor, Forward)>> {
+    let gpu = Gpu::of(&inputs.means);
+    let harmonics = inputs.harmonics();
+    let channels = inputs.channels();
+    let pixels = scenery.camera.width.saturating_mul(scenery.camera.height);
+    check_size(
+        &gpu,
+        "pixels times channels",
+        pixels.saturating_mul(channels.max(1)),
+        size_of::<f32>(),
+    )?;
+    for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
+        check_size(
+            &gpu,
+            "values of the Gaussians",
+            tensor.meta.num_elements(),
+            size_of::<f32>(),
+        )?;
+    }
+    let Some(prepared) = prepare(&gpu, inputs, scenery, room)? else {
+        return Ok(None);
+    };
+    let Prepared {
+        view, projected, ..
+    } = &prepared;
+    let colours = harmonics.map(|h| sh::colours(&gpu, &inputs.means, &h, &projected.radii, view));
+    let values = inputs.values(colours);
+    let (image, transmittance) = blend::blend(&gpu, &prepared, &values, channels);
+    Ok(Some((
+        image,
+        Forward {
+            prepared,
+            values,
+            transmittance,
+        },
+    )))
+}
+
+impl Forward {
+    /// Non-finite rows, tile entries beyond the capacity, and tile entries, as floats.
+    pub fn summary(&self) -> CubeTensor {
+        self.prepared.summary.clone()
+    }
+
+    /// Radii in pixels, `[N]`, `u32`; 0 = culled.
+    pub fn radii(&self) -> CubeTensor {
+        self.prepared.projected.radii.clone()
+    }
+
+    /// Gradients of all inputs. `image` is the output of [`forward`]; `d_image` (`[H, W, C]`) and `d_transmittance` (`[H, W]`) are
+    /// contiguous. `absolute` adds sums of absolute screen-space gradients, for at most [`super::ABSOLUTE_CHANNELS`] channels.
+    pub fn backward(
+        &self,
+        inputs: &Inputs,
+        image: &CubeTensor,
+        d_image: &CubeTensor,
+        d_transmittance: Option<&CubeTensor>,
+        absolute: bool,
+    ) -> Gradients {
+        let gpu = Gpu::of(&inputs.means);
+        let Prepared {
+            view, projected, ..
+        } = &self.prepared;
+        let pixels = PixelGradients {
+            image,
+            d_image,
+            transmittance: &self.transmittance,
+            d_transmittance,
+            absolute,
+        };
+        let values = Some(&self.values);
+        let sums = pixel_sums(&gpu, &self.prepared, values, &pixels, row_bytes(&gpu));
+        let d = parameters::backward(
+            &gpu,
+            inputs,
+            view,
+            &projected.splats,
+            &projected.radii,
+            &sums.moments,
+        );
+        let harmonics = inputs.harmonics();
+        let features = inputs.features.as_ref().map(|_| match &harmonics {
+            None => sums.values.clone(),
+            Some(_) => {
+                let after_colours = [Slice::full(), Slice::from(3..)];
+                CubeBackend::float_slice(sums.values.clone(), &after_colours)
+            }
+        });
+        let sh = harmonics.map(|harmonics| {
+            let from = sh::ColourGradients {
+                values: &self.values,
+                d_values: &sums.values,
+                radii: &projected.radii,
+            };
+            sh::backward(&gpu, &inputs.means, &harmonics, &from, view, &d.means)
+        });
+        Gradients {
+            means: d.means,
+            log_scales: d.log_scales,
+            rotations: d.rotations,
+            logits: d.logits,
+            sh,
+            features,
+            screen: d.screen,
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! Projection and tile lists of a view.
+
+use super::inputs::Inputs;
+use super::lists::{self, Order, Report, TileEntries};
+use super::project::{self, ProjectedScene};
+use super::{scan, view};
+use crate::backend::gpu::{Gpu, add_non_finite};
+use crate::error::{Error, Result};
+use crate::raster::cpu::geometry::Viewpoint;
+use crate::raster::settings::Settings;
+use crate::splat::camera::Camera;
+use burn::tensor::DType;
+use burn_cubecl::cubecl::prelude::*;
+use burn_cubecl::tensor::CubeTensor;
+
+/// Camera, settings and background.
+#[derive(Clone, Copy)]
+pub(crate) struct Scenery<'a> {
+    pub camera: &'a Camera,
+    pub settings: &'a Settings,
+    pub background: [f64; 3],
+}
+
+/// A view's projection and tile lists.
+pub(super) struct Prepared {
+    pub view: CubeTensor,
+    pub projected: ProjectedScene,
+    pub order: Order,
+    pub entries: TileEntries,
+    pub size: [usize; 2],
+    /// [`Report::summary`].
+    pub summary: CubeTensor,
+}
+
+/// [`Error::Limit`] when `count` of `what`, of `bytes` each, exceed the largest allocation of the device or 32 bits.
+pub(super) fn check_size(gpu: &Gpu, what: &str, count: usize, bytes: usize) -> Result<()> {
+    let limit = (gpu.largest() / bytes.max(1)).min(scan::CEILING as usize - 1);
+    if count <= limit {
+        return Ok(());
+    }
+    Err(Error::Limit {
+        what: format!("{what} on this device"),
+        found: count.to_string(),
+        limit: limit.to_string(),
+        help: "render a smaller image or fewer channels, remove very large Gaussians, or use a CPU backend".into(),
+    })
+}
+
+/// Projects and sorts `inputs`; `None` when an input holds a NaN or an infinity. `room` as in [`forward`].
+pub(super) fn prepare(
+    gpu: &Gpu,
+    inputs: &Inputs,
+    scenery: Scenery<'_>,
+    room: Option<usize>,
+) -> Result<Option<Prepared>> {
+    let Scenery {
+        camera,
+        settings,
+        background,
+    } = scenery;
+    settings.check()?;
+    let viewpoint = Viewpoint::new(camera)?;
+    // The background is part of colours alone.
+    let behind = if inputs.sh.is_some() {
+        background
+    } else {
+        [0.0; 3]
+    };
+    let size = viewpoint.size;
+    let len = inputs.len();
+    check_size(gpu, "Gaussians", len, project::SPLAT * size_of::<f32>())?;
+    let view = gpu.upload(
+        &view::constants(&viewpoint, camera, settings, behind),
+        DType::F32,
+    );
+    let report = Report::new(gpu);
+    let everywhere = settings.alpha_min == 0.0;
+    for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
+        add_non_finite(gpu, tensor, tensor.meta.num_elements(), &report.counts);
+    }
+    let projected = project::project(gpu, inputs, &view, &report.counts, everywhere);
+    let fits = |count: usize| {
+        check_size(
+            gpu,
+            "entries of the tile lists of one view",
+            count,
+            size_of::<u32>(),
+        )
+    };
+    let room = room.filter(|&room| fits(room).is_ok());
+    let most = room.unwrap_or(scan::CEILING as usize);
+    let order = lists::depth_order(gpu, &projected, len, size, everywhere, &report, most);
+    let count = match room {
+        Some(room) => room,
+        None => {
+            let [non_finite, count] = read_report(gpu, &report.counts)?;
+            if non_finite > 0 {
+                return Ok(None);
+            }
+            fits(count as usize)?;
+            count as usize
+        }
+    };
+    let entries = lists::tile_entries(
+        gpu,
+        &projected,
+        &order,
+        count,
+        room.is_some(),
+        size,
+        everywhere,
+    );
+    Ok(Some(Prepared {
+        view,
+        projected,
+        order,
+        entries,
+        size,
+        summary: report.summary,
+    }))
+}
+
+/// Non-finite rows, and entries.
+fn read_report(gpu: &Gpu, report: &CubeTensor) -> Result<[u32; 2]> {
+    let words = read_words(gpu, report)?;
+    match words[..] {
+        [non_finite, entries, ..] => Ok([non_finite, entries]),
+        _ => Err(device_error(gpu, "a readback came short".into())),
+    }
+}
+
+fn device_error(gpu: &Gpu, reason: String) -> Error {
+    Error::Device {
+        device: gpu.client.name().into(),
+        reason,
+        help: "see whether the device has memory left, or choose a CPU backend".into(),
+    }
+}
+
+pub(super) fn read_words(gpu: &Gpu, tensor: &CubeTensor) -> Result<Vec<u32>> {
+    match gpu.client.read_one(tensor.handle.clone()) {
+        Ok(bytes) => Ok(u32::from_bytes(&bytes).to_vec()),
+        Err(error) => Err(device_error(
+            gpu,
+            format!("reading from the device failed: {error:?}"),
+        )),
+    }
+}

@@ -1,0 +1,92 @@
+//! [`rasterize`], with gradients to every input.
+
+use super::backend::RasterBackend;
+use super::input::{RasterInput, RasterOutput, sizes};
+use super::reference;
+use super::tensors::{RasterCall, RasterPass, RasterTensors};
+use crate::error::Result;
+use crate::ops::CustomOp;
+use crate::raster::settings::Settings;
+use crate::splat::camera::Camera;
+use burn::backend::Dispatch;
+use burn::tensor::Tensor;
+use std::sync::Arc;
+
+/// Renders `input` seen by `camera` (Eq. 1-4), with gradients to every input.
+///
+/// `background` is added to the colour channels as `T b`. Gradients also flow from the transmittance. The SH gradient
+/// includes the path of the viewing direction to the means.
+///
+/// # Errors
+/// [`Error::Argument`](crate::Error::Argument) for shapes or float types that disagree, neither `sh` nor `features`, or an SH
+/// degree above 3; [`Error::NonFinite`](crate::Error::NonFinite) for a NaN or an infinity in any input; otherwise as
+/// [`Projected::new`](crate::raster::Projected::new).
+pub fn rasterize(
+    input: RasterInput,
+    camera: &Camera,
+    settings: &Settings,
+    background: [f32; 3],
+) -> Result<RasterOutput> {
+    rasterize_with_capacity(input, camera, settings, background, None)
+}
+
+/// [`rasterize`] without waiting for a GPU.
+///
+/// A GPU counts the entries of the tile lists, and the host reads the count to allocate the lists. With a `tile_capacity` the
+/// host allocates that many entries at once (about 28 bytes each while lists are sorted) and reads nothing. Read
+/// [`RasterOutput::tile_lists`] later, together with other results: if the [`ListCount`](super::ListCount) is not sound, neither the output nor
+/// its gradients are valid. Then call again without a capacity, for the image or for the error that names the non-finite input.
+/// With enough capacity the output has the same bits as that of [`rasterize`]. The CPU ignores the capacity, and so does a GPU
+/// whose largest buffer holds fewer entries.
+///
+/// # Errors
+/// As [`rasterize`]. Non-finite inputs are an error only without a capacity.
+pub fn rasterize_with_capacity(
+    input: RasterInput,
+    camera: &Camera,
+    settings: &Settings,
+    background: [f32; 3],
+    tile_capacity: Option<usize>,
+) -> Result<RasterOutput> {
+    let sizes = sizes(&input)?;
+    if CustomOp::Raster.is_replaced() {
+        return reference::rasterize(input, camera, settings, background);
+    }
+    let call = RasterCall {
+        camera: camera.clone(),
+        settings: *settings,
+        background: background.map(f64::from),
+        has_sh: input.sh.is_some(),
+        has_features: input.features.is_some(),
+        sh_degree: sizes.sh_terms.isqrt() - 1,
+        active_sh_degree: input.active_sh_degree,
+        absolute_screen: sizes.absolute_screen,
+        tile_capacity,
+    };
+    let place = (&input.means.device(), input.means.dtype());
+    let absent = || Tensor::<2>::zeros([sizes.gaussians, 0], place).into_dispatch();
+    let tensors = RasterTensors {
+        means: input.means.into_dispatch(),
+        log_scales: input.log_scales.into_dispatch(),
+        rotations: input.rotations.into_dispatch(),
+        opacity_logits: input.opacity_logits.into_dispatch(),
+        sh: input.sh.map_or_else(absent, Tensor::into_dispatch),
+        features: input.features.map_or_else(absent, Tensor::into_dispatch),
+        screen: input.screen.map_or_else(absent, Tensor::into_dispatch),
+    };
+    match Dispatch::raster_forward(tensors, Arc::new(call)) {
+        RasterPass::Done {
+            image,
+            transmittance,
+            radii,
+            tile_lists,
+            ..
+        } => Ok(RasterOutput {
+            image: Tensor::from_dispatch(image),
+            transmittance: Tensor::from_dispatch(transmittance),
+            radii: Tensor::from_dispatch(radii).inner(),
+            tile_lists: Tensor::from_dispatch(tile_lists).inner(),
+        }),
+        RasterPass::Failed(error) => Err(error),
+    }
+}
