@@ -1,6 +1,7 @@
 //! Association of label maps whose ids differ from view to view.
 
 use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 
 /// How ids of raw labels become one id per object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -14,19 +15,12 @@ pub enum Association {
 }
 
 /// Options of the association over Gaussians. No key sets them; tests change them.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, SmartDefault)]
 pub struct AssociationConfig {
     /// Passes over all views; the first forms groups, the others assign every view again.
+    #[default(4)]
     pub sweeps: usize,
     /// Groups with a smaller share of all labelled weight are dropped, 0 to 1.
+    #[default(1e-5)]
     pub min_weight: f64,
-}
-
-impl Default for AssociationConfig {
-    fn default() -> Self {
-        Self {
-            sweeps: 4,
-            min_weight: 1e-5,
-        }
-    }
 }

@@ -3,44 +3,32 @@
 use super::range::{Range, checked};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 use std::path::PathBuf;
 
 /// How the Gaussians are densified. A name alone stands for the strategy with its defaults.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(rename_all = "lowercase")]
 pub enum Strategy {
     /// Adaptive density control (Kerbl et al. 2023): Gaussians with a large screen-space gradient are cloned or split,
     /// transparent and huge ones are pruned, opacities are reset now and then.
+    #[default]
     Adc(AdcConfig),
     /// 3DGS-MCMC (Kheradmand et al. 2024, arXiv 2404.09591): noise on the means, transparent Gaussians move onto opaque ones,
     /// and their number grows to `max_gaussians`. Nothing is reset.
     Mcmc(McmcConfig),
 }
 
-impl Default for Strategy {
-    fn default() -> Self {
-        Self::Adc(AdcConfig::default())
-    }
-}
-
 /// Settings of [`Strategy::Adc`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct AdcConfig {
     /// The screen-space gradient sums absolute values over pixels, so that the two sides of an edge do not cancel (AbsGS,
     /// Ye et al. 2024, arXiv 2404.10484).
+    #[default(true)]
     pub absgrad: bool,
     /// Threshold on the mean screen-space gradient |(dL/du W/2, dL/dv H/2)|; absent: 8e-4, or 2e-4 without `absgrad`.
     pub threshold: Option<f32>,
-}
-
-impl Default for AdcConfig {
-    fn default() -> Self {
-        Self {
-            absgrad: true,
-            threshold: None,
-        }
-    }
 }
 
 impl AdcConfig {
@@ -54,63 +42,61 @@ impl AdcConfig {
 /// Settings of [`Strategy::Mcmc`]. Lengths are in units of the scene's extent (1.1 times the largest distance of a camera from
 /// the mean one), so that the constants mean the same in every scene. The fields marked `serde(skip)` have the values of
 /// 3DGS-MCMC. No key sets them; tests on small scenes change them.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct McmcConfig {
     /// A densification adds this share of the present Gaussians; short runs need more to reach the cap early.
+    #[default(0.05)]
     pub growth: f64,
     /// Weight of the mean opacity in the loss.
     #[serde(skip)]
+    #[default(0.01)]
     pub opacity_reg: f64,
     /// Weight of the mean standard deviation, in extents, in the loss.
     #[serde(skip)]
+    #[default(0.01)]
     pub scale_reg: f64,
     /// Opacity of initial Gaussians.
     #[serde(skip)]
+    #[default(0.5)]
     pub init_opacity: f32,
     /// Standard deviation of initial Gaussians, in rms distances to their three neighbours.
     #[serde(skip)]
+    #[default(0.1)]
     pub init_scale: f32,
-}
-
-impl Default for McmcConfig {
-    fn default() -> Self {
-        Self {
-            growth: 0.05,
-            opacity_reg: 0.01,
-            scale_reg: 0.01,
-            init_opacity: 0.5,
-            init_scale: 0.1,
-        }
-    }
 }
 
 /// Stage one (3DGS): 0.8 L1 + 0.2 (1 - SSIM), Adam, a strategy of densification. The fields marked `serde(skip)` have the values
 /// of 3DGS (Kerbl et al. 2023). No key sets them; tests with short runs change them. A learning rate of 0 freezes its parameter, but
 /// for densification and resets.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct BuildingConfig {
     /// Optimiser steps. 0 takes `gaussians` as they are, and needs them.
+    #[default(7_000)]
     pub iterations: usize,
     /// Gaussians to begin with: a 3DGS PLY of this or another trainer, in the world units and axes of the cameras. Absent:
     /// the scene's points.
     #[serde(deserialize_with = "super::optional_path")]
     pub gaussians: Option<PathBuf>,
     /// Highest SH degree, 0 to 3.
+    #[default(3)]
     pub sh_degree: usize,
     /// Learning rate of the means at the start, times the scene extent; 1 % of it at the end.
+    #[default(1.6e-4)]
     pub lr_means: f64,
     /// How the Gaussians are densified.
     #[serde(deserialize_with = "super::by_name")]
     pub strategy: Strategy,
     /// Each step until densification ends has another background colour instead of `raster.background`, so that surfaces of
     /// that colour become opaque. Photos with transparent pixels keep `raster.background`.
+    #[default(true)]
     pub random_background: bool,
     /// No more Gaussians than this; larger initial clouds are thinned to it. 0 means no limit, which `strategy = "mcmc"`
     /// does not take: it grows to the limit.
     pub max_gaussians: usize,
     /// Points when the scene has no initial cloud.
+    #[default(20_000)]
     pub random_points: usize,
     /// Iterations between held-out evaluations; 0 means ten in the run.
     pub eval_every: usize,
@@ -119,21 +105,26 @@ pub struct BuildingConfig {
     pub checkpoint_every: usize,
     /// Learning rate of the opacity logits.
     #[serde(skip)]
+    #[default(5e-2)]
     pub lr_opacity: f64,
     /// Iterations between densifications.
     #[serde(skip)]
+    #[default(100)]
     pub densify_every: usize,
     /// First densification: the smaller of this and 8 % of the run.
     #[serde(skip)]
+    #[default(500)]
     pub densify_from: usize,
     /// Densification ends at this share of the run; absent: 0.5, or 0.8 with [`Strategy::Mcmc`].
     #[serde(skip)]
     pub densify_until: Option<f32>,
     /// Gaussians less opaque than this are pruned, or moved by [`Strategy::Mcmc`].
     #[serde(skip)]
+    #[default(0.005)]
     pub prune_opacity: f32,
     /// Smallest number of iterations between opacity resets; at least 5 passes over the views are kept as well.
     #[serde(skip)]
+    #[default(1_000)]
     pub reset_every: usize,
 }
 
@@ -184,34 +175,12 @@ impl BuildingConfig {
     }
 }
 
-impl Default for BuildingConfig {
-    fn default() -> Self {
-        Self {
-            iterations: 7_000,
-            gaussians: None,
-            sh_degree: 3,
-            lr_means: 1.6e-4,
-            strategy: Strategy::default(),
-            random_background: true,
-            max_gaussians: 0,
-            random_points: 20_000,
-            eval_every: 0,
-            checkpoint_every: 0,
-            lr_opacity: 5e-2,
-            densify_every: 100,
-            densify_from: 500,
-            densify_until: None,
-            prune_opacity: 0.005,
-            reset_every: 1_000,
-        }
-    }
-}
-
 /// Blending: the cap of alpha' and what lies behind the scene.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct RasterConfig {
     /// Cap of alpha'; 0.99 matches graphdeco, 0.999 gsplat 1.5.
+    #[default(0.999)]
     pub alpha_max: f64,
     /// Background, linear blend weight T, sRGB 0..1.
     pub background: [f32; 3],
@@ -222,14 +191,5 @@ impl RasterConfig {
         checked!(self, "raster": { alpha_max: Share });
         let mut channels = self.background.into_iter();
         channels.try_for_each(|channel| Range::Unit.check("raster.background", channel))
-    }
-}
-
-impl Default for RasterConfig {
-    fn default() -> Self {
-        Self {
-            alpha_max: 0.999,
-            background: [0.0; 3],
-        }
     }
 }

@@ -4,6 +4,7 @@ use super::Association;
 use super::range::checked;
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 use std::path::{Component, Path, PathBuf};
 
 /// Value of [`DataConfig::masks`] that turns masks off.
@@ -20,7 +21,7 @@ pub(crate) fn same_folder(a: &str, b: &str) -> bool {
 }
 
 /// Where the scene comes from.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct DataConfig {
     /// Scene folder; absent means the built-in scene.
@@ -30,9 +31,11 @@ pub struct DataConfig {
     pub layout: Layout,
     /// File within `dir` that lists frames, of layout `transforms`. Where the usual one is not there, `transforms_train.json` and
     /// `transforms_test.json` (else `transforms_val.json`) are read together.
+    #[default("transforms.json".into())]
     pub transforms: String,
     /// Folder of photos within `dir`, of layout `colmap`. Its photos may be smaller than the model says, in the same
     /// proportion: cameras are scaled to them.
+    #[default("images".into())]
     pub images: String,
     /// Folder of raw labels within `dir`; replaces the folder named in the frames. Empty: as the frames say.
     pub raw_labels: String,
@@ -48,39 +51,21 @@ pub struct DataConfig {
     /// Whether ids of raw labels are class ids, or hold within their view only and are associated after stage one.
     pub association: Association,
     /// Every how many frames of each split one is used; 1 uses all.
+    #[default(1)]
     pub stride: usize,
     /// No more frames than this, evenly chosen; 0 means no limit.
     pub max_frames: usize,
     /// Photos whose longer side has more pixels are reduced to this many, their cameras and label maps with them; 0 means no
     /// limit.
+    #[default(1_600)]
     pub max_side: usize,
     /// Megabytes (2^20 bytes) of decoded photos kept in memory, 3 bytes a pixel; the others are decoded at each use. No result
-    /// depends on it, and no key sets it.
+    /// depends on it. No key sets it; tests change it.
     #[serde(skip)]
+    #[default(1_024)]
     pub decoded_mb: usize,
     /// Class table that ScanNet's label ids are mapped to.
     pub scannet_classes: ScannetClasses,
-}
-
-impl Default for DataConfig {
-    fn default() -> Self {
-        Self {
-            dir: None,
-            layout: Layout::Auto,
-            transforms: "transforms.json".into(),
-            images: "images".into(),
-            raw_labels: String::new(),
-            masks: String::new(),
-            raw_labels_note: String::new(),
-            raw_format: RawFormat::Auto,
-            association: Association::None,
-            stride: 1,
-            max_frames: 0,
-            max_side: 1_600,
-            decoded_mb: 1_024,
-            scannet_classes: ScannetClasses::Nyu40,
-        }
-    }
 }
 
 impl DataConfig {

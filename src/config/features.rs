@@ -3,6 +3,7 @@
 use super::range::checked;
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 use std::path::PathBuf;
 
 /// Where 2D image features come from.
@@ -26,7 +27,7 @@ pub enum FeatureSource {
 }
 
 /// 2D image features.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct FeatureConfig {
     /// The extractor.
@@ -35,12 +36,14 @@ pub struct FeatureConfig {
     #[serde(deserialize_with = "super::optional_path")]
     pub weights: Option<PathBuf>,
     /// Dimensions kept by PCA, per scale.
+    #[default(64)]
     pub dimensions: usize,
     /// Folder of cached maps, keyed by content; absent means no cache.
     #[serde(deserialize_with = "super::optional_path")]
     pub cache_dir: Option<PathBuf>,
-    /// Whether the four blocks of a DINO ViT take its final layer normalisation. No key sets it.
+    /// Whether the four blocks of a DINO ViT take its final layer normalisation. No key sets it; tests change it.
     #[serde(skip)]
+    #[default(true)]
     pub final_norm: bool,
 }
 
@@ -60,18 +63,6 @@ impl FeatureConfig {
             format!("a path to {network} weights, because features.source asks for {network}");
         let help = "give it, or set features.source = \"auto\"";
         Err(Error::config("features.weights", "nothing", expected, help))
-    }
-}
-
-impl Default for FeatureConfig {
-    fn default() -> Self {
-        Self {
-            source: FeatureSource::Auto,
-            weights: None,
-            dimensions: 64,
-            cache_dir: None,
-            final_norm: true,
-        }
     }
 }
 
@@ -98,7 +89,7 @@ pub enum Resolution {
 }
 
 /// Lifting 2D features onto Gaussians (Eq. 5, Algorithm 1).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct UnprojectionConfig {
     /// The divisor.
@@ -107,21 +98,12 @@ pub struct UnprojectionConfig {
     pub resolution: Resolution,
     /// Gaussians counted on fewer than this share of all training pixels are pruned, if they are on fewer than
     /// `attendance_pixels` too.
+    #[default(1e-5)]
     pub attendance: f64,
     /// Gaussians counted on this many pixels of all training views together stay, however many pixels there are: of hundreds of
     /// large photos a share alone would prune what only a dozen of them show. 0 is no such limit, as in the paper.
+    #[default(40.0)]
     pub attendance_pixels: f64,
-}
-
-impl Default for UnprojectionConfig {
-    fn default() -> Self {
-        Self {
-            normalisation: Normalisation::Weight,
-            resolution: Resolution::Image,
-            attendance: 1e-5,
-            attendance_pixels: 40.0,
-        }
-    }
 }
 
 impl UnprojectionConfig {
@@ -166,25 +148,16 @@ pub enum Encode {
 }
 
 /// The frozen RandLA encoder.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct SpatialConfig {
     /// Which weights.
     pub source: SpatialSource,
     /// Metres per world unit, applied before encoding; 0 means from the camera extent.
+    #[default(1.0)]
     pub scale: f64,
     /// What is encoded at once.
     pub encode: Encode,
-}
-
-impl Default for SpatialConfig {
-    fn default() -> Self {
-        Self {
-            source: SpatialSource::Builtin,
-            scale: 1.0,
-            encode: Encode::Scene,
-        }
-    }
 }
 
 impl SpatialConfig {

@@ -4,6 +4,7 @@ use super::Variant;
 use super::range::{Range, checked};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 
 /// Smallest and largest exponent of the GCE loss; at the first the loss is cross-entropy within f32's digits.
 pub const GCE_EXPONENTS: [f64; 2] = [1e-6, 1.0];
@@ -110,44 +111,59 @@ pub enum Prior {
 }
 
 /// Stage two: segmentation identities. No key sets the fields marked `serde(skip)`; tests on small scenes change them.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct SegmentationConfig {
     /// Optimiser steps of each trained variant.
+    #[default(2_000)]
     pub iterations: usize,
     /// Variants to train and score. The scene stores `ours` where present, else the last one. Absent: [`Variant::COMPARED`],
     /// or [`Variant::UNSCORED`] where no held-out view has a truth.
     pub rows: Option<Vec<Variant>>,
     /// Learning rate of the decoder.
+    #[default(6e-3)]
     pub lr: f64,
     /// The learning rate falls along a half cosine to 1 % at the end (the paper keeps it constant).
+    #[default(true)]
     pub lr_decay: bool,
     /// Frozen features are brought to mean 0 and spread 1 per channel before the decoder (not in the paper).
+    #[default(true)]
     pub standardise: bool,
     /// What is blended, in training and in the stored identities.
+    #[default(Blend::Probabilities)]
     pub blend: Blend,
     /// What the decoder's scores are added to; `votes` needs `blend = "probabilities"`.
+    #[default(Prior::Votes)]
     pub prior: Prior,
     /// Loss of the variant `ours`.
     #[serde(deserialize_with = "super::by_name")]
+    #[default(LabelLoss::GCE)]
     pub loss: LabelLoss,
     /// Weight of the label loss.
+    #[default(0.8)]
     pub lambda_pix: f64,
     /// Weight of the 3D regularisation (Eq. 9).
+    #[default(0.2)]
     pub lambda_reg: f64,
     /// Share of the run that trains with cross-entropy before any other loss.
+    #[default(0.1)]
     pub warmup: f64,
     /// Identities come from the mean of the decoder's parameters over the steps after the warm-up (not in the paper).
+    #[default(true)]
     pub average: bool,
     /// What label maps are rendered from.
+    #[default(LabelSource::Labels)]
     pub render: LabelSource,
     /// Pixels whose coverage 1 - T is below this are not trained on and show no label.
+    #[default(0.5)]
     pub min_coverage: f64,
     /// Share of the labelled pixels of a view that a step uses, in (0, 1].
+    #[default(1.0)]
     pub pixel_share: f64,
     /// Megabytes (2^20 bytes) for the blending weights of the training views, shared by all variants. On a GPU they hold the
     /// Gaussians that each view shows. The decoder keeps half as much again for what it prepares per view. The rest is
     /// computed at each use, to the same bits.
+    #[default(2_048)]
     pub weight_cache_mb: usize,
     /// Iterations between held-out evaluations; 0 means ten in the run.
     pub eval_every: usize,
@@ -156,13 +172,16 @@ pub struct SegmentationConfig {
     pub checkpoint_every: usize,
     /// Sampled Gaussians of the 3D regularisation, at most.
     #[serde(skip)]
+    #[default(1_000)]
     pub reg_samples: usize,
     /// Neighbours of each sample in the 3D regularisation.
     #[serde(skip)]
+    #[default(5)]
     pub reg_neighbours: usize,
     /// Gaussians decoded together in a training step, which bounds the memory of the decoder's layers. Views that show more
     /// are decoded in parts, twice, for the same gradients. 0: all at once.
     #[serde(skip)]
+    #[default(65_536)]
     pub decoder_chunk: usize,
 }
 
@@ -201,33 +220,5 @@ impl SegmentationConfig {
             ));
         }
         Ok(())
-    }
-}
-
-impl Default for SegmentationConfig {
-    fn default() -> Self {
-        Self {
-            iterations: 2_000,
-            rows: None,
-            lr: 6e-3,
-            lr_decay: true,
-            standardise: true,
-            blend: Blend::Probabilities,
-            prior: Prior::Votes,
-            loss: LabelLoss::GCE,
-            lambda_pix: 0.8,
-            lambda_reg: 0.2,
-            warmup: 0.1,
-            average: true,
-            render: LabelSource::Labels,
-            min_coverage: 0.5,
-            pixel_share: 1.0,
-            weight_cache_mb: 2_048,
-            eval_every: 0,
-            checkpoint_every: 0,
-            reg_samples: 1_000,
-            reg_neighbours: 5,
-            decoder_chunk: 65_536,
-        }
     }
 }

@@ -1,4 +1,4 @@
-//! Files that are either the old one or the whole new one: written under a temporary name, synced, renamed.
+//! Atomic writes: a file is written under a temporary name, synced and renamed.
 
 use crate::error::{Error, Result};
 use std::fs::{self, File};
@@ -74,7 +74,7 @@ pub fn remove(path: impl AsRef<Path>) -> Result<()> {
     }
 }
 
-/// Whether both names lead to one existing file, which must then not be read and written over.
+/// Whether both names lead to the same existing file, which must not be overwritten while it is read.
 pub fn same_file(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }

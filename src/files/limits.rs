@@ -1,27 +1,21 @@
-//! Bounds on what a scene may claim, checked before anything of that size is allocated.
+//! Limits on sizes that files declare, checked before memory is allocated.
 
 use crate::error::{Error, Result};
+use smart_default::SmartDefault;
 use std::path::Path;
 
 /// Largest sizes that loaders accept; raise a field to load more.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, SmartDefault)]
 pub struct Limits {
     /// Frames of one scene.
+    #[default(65_536)]
     pub views: usize,
     /// Pixels of one image.
+    #[default(1 << 27)]
     pub image_pixels: u64,
     /// Rows of a point cloud or Gaussian file.
+    #[default(1 << 28)]
     pub points: u64,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self {
-            views: 65_536,
-            image_pixels: 1 << 27,
-            points: 1 << 28,
-        }
-    }
 }
 
 impl Limits {

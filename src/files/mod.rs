@@ -49,7 +49,7 @@ pub(crate) fn names(dir: &Path, keep: impl Fn(&str, &Path) -> bool) -> Vec<Strin
     names
 }
 
-/// The kind of a file by its first bytes, of those kinds that get mixed up.
+/// The kind of a file by its first bytes, for kinds that users confuse.
 pub(crate) fn kind(bytes: &[u8]) -> Option<&'static str> {
     let first = bytes.iter().find(|byte| !byte.is_ascii_whitespace());
     match bytes {

@@ -1,4 +1,4 @@
-//! Scalar columns of a PLY element, read and written in blocks of rows: what point clouds and Gaussian scenes share.
+//! Scalar columns of a PLY element, read and written in blocks of rows, for point clouds and Gaussian scenes.
 //!
 //! The format itself is `ply-rs-bw`'s. Its rows are addressed by property name; here every wanted property is renamed
 //! once, in a private copy of the element definition, to its column number, so that no row compares names.

@@ -4,7 +4,7 @@ use super::encode::{Encodings, Inputs, encode, spatial_of};
 use super::evaluate::{HeldOut, Scores};
 use super::train_decoder::{
     Adam, DecoderInput, DecoderModel, DecoderPlan, IdentityModel, PerGaussian, Plan, Schedule,
-    Training, TrainingRun, TrainingViews,
+    Training, TrainingViews,
 };
 use crate::config::{Prior, SegmentationConfig, SpatialConfig, Variant};
 use crate::data::Split;
@@ -270,12 +270,7 @@ impl<'a> StageTwo<'a> {
             }
             Ok(miou)
         };
-        let run = training.run(&mut self.views, plan, &schedule, &mut evaluate, progress)?;
-        let TrainingRun {
-            curve,
-            earlier_seconds,
-            finished,
-        } = run;
+        let finished = training.run(&mut self.views, plan, &schedule, &mut evaluate, progress)?;
         if finished && last.is_none() {
             let identities = training.identities();
             let scores = held_out.score(&identities, inputs)?;
@@ -286,9 +281,9 @@ impl<'a> StageTwo<'a> {
             identities,
             learnable_bytes: training.learnable_bytes(),
             rate: Some(rate),
-            seconds: curve.last().map_or(0.0, |p| p.seconds),
-            earlier_seconds,
-            curve,
+            seconds: training.curve.last().map_or(0.0, |p| p.seconds),
+            earlier_seconds: training.earlier_seconds,
+            curve: training.curve,
             ..VariantOutcome::new(variant, scores.unwrap_or_default())
         })
     }

@@ -199,7 +199,7 @@ impl Dependencies {
 /// The rows `rows` of `features`, with gradient to them.
 pub(crate) fn select(features: &Tensor<2>, rows: &[u32]) -> Tensor<2> {
     let [count, channels] = features.dims();
-    if channels == 0 {
+    if channels == 0 || rows.is_empty() {
         // Some backends refuse tensors without values.
         return Tensor::zeros([rows.len(), 0], &features.device());
     }

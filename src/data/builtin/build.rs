@@ -1,4 +1,4 @@
-//! Assembling objects out of solids.
+//! Builds objects from solids.
 
 use super::patterns::{Material, Pattern};
 use super::shapes::{Shape, Solid};

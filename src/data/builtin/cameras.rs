@@ -11,18 +11,18 @@ use std::f64::consts::{PI, TAU};
 pub const TEST_DISTANCE: f64 = 0.3;
 /// Free space around every camera, metres.
 const FREE: f64 = 0.32;
-/// Depth that nine tenths of a picture are to exceed, metres.
+/// Depth that nine tenths of a picture should exceed, metres.
 const NEAR: f64 = 1.1;
 
-/// A camera with its use and its place along the walk (0..1), by which runs of neighbouring views are defined.
+/// A camera, its split, and its place along the walk (0..1), which defines neighbouring views.
 pub(super) struct Shot {
     pub camera: Camera,
     pub split: Split,
     pub along: f64,
 }
 
-/// Training cameras along a walk of two rounds, an outer one that looks across the room and an inner one that looks
-/// about; test cameras between and beside them. Training views come first.
+/// Training cameras on a walk of two rounds: the outer one looks across the room, the inner one at the walls. Test cameras
+/// stand between and beside them. Training views come first.
 pub(super) fn shots(
     room: &Room,
     (width, height): (usize, usize),
@@ -111,8 +111,8 @@ fn walk(room: &Room, start: f64, along: f64) -> (DVec3, DVec3) {
     (eye, target)
 }
 
-/// How well a camera at `eye` that looks at `target` stands, 1 and more being good: free space around it, and not more
-/// than a tenth of the picture filled by things near by.
+/// Quality of a camera at `eye` that looks at `target`; 1 or more is good. A good camera has free space around it, and near
+/// objects fill at most a tenth of its picture.
 fn goodness(room: &Room, eye: DVec3, target: DVec3) -> f64 {
     let free = room.clearance(eye) / FREE;
     if free < 0.7 || (eye.abs().truncate() - room.size.truncate() / 2.0).max_element() > -FREE {
@@ -128,7 +128,7 @@ fn goodness(room: &Room, eye: DVec3, target: DVec3) -> f64 {
     free.min(depths[4] / NEAR)
 }
 
-/// The nearest good place to `eye`, on a spiral around it.
+/// The good place nearest to `eye`, searched on a spiral around it.
 fn good_place(room: &Room, eye: DVec3, target: DVec3) -> DVec3 {
     let mut best = (goodness(room, eye, target), eye);
     for step in 1..250 {

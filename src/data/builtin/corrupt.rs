@@ -1,4 +1,4 @@
-//! Simulated raw labels: what an imperfect 2D segmenter, run photo by photo, might say.
+//! Simulated raw labels, with the errors of a 2D segmenter that sees one photo at a time.
 
 use super::noise::noise;
 use crate::data::LabelMap;
@@ -8,7 +8,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// How labels are spoilt. Probabilities are those of an object of ordinary difficulty at `strength` 1.
+/// How labels are corrupted. Probabilities hold for an object of average difficulty at `strength` 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Corruption {
     /// Multiplies every probability below, and the warp.
@@ -69,13 +69,13 @@ impl Default for Corruption {
     }
 }
 
-/// Spoils the true `labels` of views in walking order (neighbours in the list are neighbours in space); `instances`
+/// Corrupts the true `labels` of views in walking order (neighbours in the list are neighbours in space); `instances`
 /// are the object ids of the same pixels. Returns maps of the same sizes, the same for the same seed at any thread
 /// count.
 ///
 /// The model, in the order it is applied:
 /// 1. *Objects.* Each object has a difficulty (log-normal, mean 1, at most 3), lower for those that fill much of a
-///    view. A two-state chain along the views puts it in and out of runs in which it wears one wrong class; its
+///    view. A two-state chain along the views puts it in and out of runs in which it has one wrong class; its
 ///    stationary share is `run_share` x difficulty (at most 0.8), its mean run `run_length` views. Two runs in three
 ///    of one object take the same wrong class, so some objects are wrong in the same way in most views.
 /// 2. *Segments.* Each view has a quality (0.6-1.4). Every connected piece of an object not in a run may swap its
@@ -94,7 +94,7 @@ pub fn corrupt(
         .enumerate()
         .map(|(i, (map, ids))| {
             let mut rng = fork(seed, 2, i as u64);
-            let mut out = spoil_segments(map, ids, i, &objects, params, &mut rng);
+            let mut out = corrupt_segments(map, ids, i, &objects, params, &mut rng);
             warp(&mut out, params.warp * params.strength, &mut rng);
             void_borders(&mut out, params, &mut rng);
             out
@@ -108,13 +108,13 @@ fn fork(seed: u64, purpose: u64, index: u64) -> ChaCha8Rng {
     rng
 }
 
-/// What holds for objects over all views.
+/// Properties of objects that hold in all views.
 struct Objects {
     /// Difficulty by instance.
     difficulty: BTreeMap<u16, f64>,
     /// Wrong class by (instance, class) and view.
     runs: BTreeMap<(u16, u16), Vec<Option<u16>>>,
-    /// Classes to mistake each class for.
+    /// The classes that each class is mistaken for.
     wrong: BTreeMap<u16, Vec<u16>>,
 }
 
@@ -177,7 +177,7 @@ fn largest_shares(
     largest
 }
 
-/// The wrong class of an object in each view, a two-state chain.
+/// The wrong class of an object in each view, from a two-state Markov chain.
 fn run(
     views: usize,
     hard: f64,
@@ -266,7 +266,7 @@ fn segments(map: &LabelMap, ids: &[u16], ignore: u16) -> Vec<Segment> {
     found
 }
 
-fn spoil_segments(
+fn corrupt_segments(
     map: &LabelMap,
     ids: &[u16],
     view: usize,

@@ -1,4 +1,4 @@
-//! Drawing a furnished room: walls with windows and pictures, a seating group, a dining group, cabinets and lamps.
+//! Draws a furnished room: walls with windows and pictures, a seating group, a dining group, cabinets and lamps.
 
 use super::build::{Builder, class};
 use super::furniture::Kind;
@@ -8,13 +8,13 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// A room while it is being furnished: what is taken on the floor and on the walls.
+/// The occupied places of a room, on the floor and on the walls.
 pub(super) struct Plan {
     /// Width (x), depth (y), height (z), metres; the floor's centre is the origin.
     pub size: DVec3,
-    /// Taken rectangles of the floor.
+    /// Occupied rectangles of the floor.
     floor: Vec<(DVec2, DVec2)>,
-    /// Taken rectangles of each wall: from, to along the wall; from, to in height.
+    /// Occupied rectangles of each wall: from, to along the wall; from, to in height.
     walls: [Vec<[f64; 4]>; 4],
 }
 
@@ -39,7 +39,7 @@ impl Plan {
         flat.extend(z)
     }
 
-    /// Whether a rectangle lies in the room, `gap` off everything on the floor.
+    /// Whether a rectangle lies in the room, at least `gap` from everything on the floor.
     fn fits(&self, low: DVec2, high: DVec2, gap: f64) -> bool {
         let reach = self.size.truncate() / 2.0 + 1e-9;
         low.cmpge(-reach).all()
@@ -50,7 +50,7 @@ impl Plan {
                 .all(|&(l, h)| (low - gap).cmpge(h).any() || (high + gap).cmple(l).any())
     }
 
-    /// Takes the floor under a `w` x `d` piece at `at`, turned by `yaw`, if it is free.
+    /// Occupies the floor under a `w` x `d` piece at `at`, turned by `yaw`, if it is free.
     fn take_floor(&mut self, at: DVec3, yaw: f64, w: f64, d: f64, gap: f64) -> bool {
         let r = DMat2::from_angle(yaw);
         let reach = r.x_axis.abs() * w / 2.0 + r.y_axis.abs() * d / 2.0;
@@ -62,7 +62,7 @@ impl Plan {
         free
     }
 
-    /// Takes a rectangle of wall `k` if it is free.
+    /// Occupies a rectangle of wall `k` if it is free.
     pub fn take_wall(&mut self, k: usize, [s0, s1, z0, z1]: [f64; 4], gap: f64) -> bool {
         let inside = s0 >= -self.length(k) / 2.0 + 0.1 && s1 <= self.length(k) / 2.0 - 0.1;
         let free = inside
@@ -75,7 +75,7 @@ impl Plan {
         free
     }
 
-    /// Finds room for a piece with its back to a wall; tries `walls` in turn at random places.
+    /// Finds a place for a piece with its back to a wall. Tries random places on each of `walls` in turn.
     fn place_at_wall(
         &mut self,
         walls: &[usize],
@@ -115,7 +115,7 @@ pub(super) struct Decorator<'a> {
     pub rng: &'a mut ChaCha8Rng,
 }
 
-/// Draws a room; returns its parts and its extents, which `size` overrides.
+/// Draws a room; returns its parts and its extents. `size` replaces the random extents.
 pub(super) fn furnish(size: Option<DVec3>, rng: &mut ChaCha8Rng) -> (Builder, DVec3) {
     let width = rng.random_range(4.6..6.8);
     let depth = rng.random_range(4.2..5.8);
@@ -284,7 +284,7 @@ impl Decorator<'_> {
             let at = self.plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
             let variant = self.rng.random_range(0..12);
             self.put(kind, at, yaw(k), size, variant);
-            // Something tall on a low cabinet needs free wall behind it.
+            // A lamp on a low cabinet needs free wall behind it.
             let low = matches!(kind, Kind::Sideboard | Kind::Chest);
             let (from, to) = (s - size[0] / 2.0, s + size[0] / 2.0);
             let above = [from, to, size[2] + 0.05, size[2] + 0.5];

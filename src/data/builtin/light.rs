@@ -1,4 +1,4 @@
-//! View-independent light: soft daylight from windows, lamps with shadows, and ambient occlusion, kept in light maps.
+//! View-independent light: soft daylight from windows, lamps with shadows, and ambient occlusion, stored in light maps.
 
 use super::build::Light;
 use super::shapes::Solids;
@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 
 /// Reach of ambient occlusion, metres.
 const REACH: f64 = 1.5;
-/// Offset of shadow rays off their surface, metres.
+/// Distance of shadow rays from their surface, metres.
 const LIFT: f64 = 2e-3;
 
 /// Solids and lights: all that light depends on.
@@ -162,11 +162,7 @@ impl LightMap {
     pub fn at(&self, p: DVec3, half: DVec3) -> DVec3 {
         let q = p / half;
         let a = q.abs();
-        let axis = if a.x >= a.y && a.x >= a.z {
-            0
-        } else {
-            2 - usize::from(a.y >= a.z)
-        };
+        let axis = a.max_position();
         let side = &self.sides[2 * axis + usize::from(q[axis] > 0.0)];
         let scale = 1.0 / a[axis];
         let cell = |v: f64, n: usize| {
@@ -189,7 +185,7 @@ impl LightMap {
     }
 }
 
-/// 3x3 mean over texels that see light; buried texels take their neighbours' mean, so no dark fringes form.
+/// 3x3 mean over texels that receive light. Buried texels take the mean of their neighbours, which avoids dark fringes.
 fn smooth(raw: &[(DVec3, f64)], columns: usize, rows: usize) -> Vec<[f32; 3]> {
     let mean = |i: usize, reach: usize| {
         let (x, y) = (i % columns, i / columns);

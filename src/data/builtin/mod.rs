@@ -27,6 +27,7 @@ use build::class;
 use glam::DVec3;
 use rand::Rng;
 use room::{Purpose, stream};
+use smart_default::SmartDefault;
 
 /// Seed of the scene that `train` runs on without arguments, the same for everyone and for every `--seed`.
 pub const EVALUATED_SEED: u64 = 0x0c05_e600_0000_0003;
@@ -63,36 +64,28 @@ pub fn classes() -> Classes {
 }
 
 /// What [`scene_with`] makes.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, SmartDefault)]
 pub struct BuiltinOptions {
     /// Seed of room, cameras, points and raw labels.
+    #[default(EVALUATED_SEED)]
     pub seed: u64,
     /// Image width, pixels.
+    #[default(320)]
     pub width: usize,
     /// Image height, pixels.
+    #[default(240)]
     pub height: usize,
     /// Number of training views.
+    #[default(48)]
     pub train_views: usize,
     /// Number of test views.
+    #[default(12)]
     pub test_views: usize,
     /// Number of initial points (fewer in tiny scenes, where 8 cm cells run out).
+    #[default(12_000)]
     pub points: usize,
-    /// How raw labels are spoilt.
+    /// How raw labels are corrupted.
     pub corruption: Corruption,
-}
-
-impl Default for BuiltinOptions {
-    fn default() -> Self {
-        Self {
-            seed: EVALUATED_SEED,
-            width: 320,
-            height: 240,
-            train_views: 48,
-            test_views: 12,
-            points: 12_000,
-            corruption: Corruption::default(),
-        }
-    }
 }
 
 /// The built-in scene of a seed at its full size: 48 training and 12 test views of 320x240. [`EVALUATED_SEED`] gives
@@ -109,21 +102,18 @@ pub fn scene(seed: u64) -> Scene {
 /// # Errors
 /// [`Error::Argument`] when there are no training views or a side of the image is 0 or above 8192 pixels.
 pub fn scene_with(options: &BuiltinOptions) -> Result<Scene> {
-    for (key, value, low, high) in [
-        ("builtin.width", options.width, 1, 8192),
-        ("builtin.height", options.height, 1, 8192),
-        ("builtin.train_views", options.train_views, 1, 100_000),
-        ("builtin.test_views", options.test_views, 0, 100_000),
-    ] {
-        if !(low..=high).contains(&value) {
-            let expected = format!("{low} to {high}");
-            return Err(Error::argument(
-                key,
-                value.to_string(),
-                expected,
-                "change the option",
-            ));
-        }
+    let out_of_range = [
+        ("builtin.width", options.width, 1..=8192),
+        ("builtin.height", options.height, 1..=8192),
+        ("builtin.train_views", options.train_views, 1..=100_000),
+        ("builtin.test_views", options.test_views, 0..=100_000),
+    ]
+    .into_iter()
+    .find(|(_, value, range)| !range.contains(value));
+    if let Some((key, value, range)) = out_of_range {
+        let expected = format!("{} to {}", range.start(), range.end());
+        let help = "change the option";
+        return Err(Error::argument(key, value.to_string(), expected, help));
     }
     Ok(assemble(options))
 }

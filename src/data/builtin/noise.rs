@@ -1,20 +1,12 @@
 //! Hashes, smooth value noise and small curves for procedural patterns.
 
+use crate::data::labels::palette::linear;
 use glam::DVec3;
 
 /// A colour in linear light from an sRGB code such as `0xc08040`.
 pub(super) fn rgb(code: u32) -> DVec3 {
     let channel = |shift: u32| linear(f64::from(code >> shift & 255) / 255.0);
     DVec3::new(channel(16), channel(8), channel(0))
-}
-
-/// sRGB transfer function, to linear light.
-pub(super) fn linear(s: f64) -> f64 {
-    if s <= 0.04045 {
-        s / 12.92
-    } else {
-        ((s + 0.055) / 1.055).powf(2.4)
-    }
 }
 
 /// A hash of three integers, uniform in 0..1.

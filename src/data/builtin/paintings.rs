@@ -1,4 +1,4 @@
-//! Pictures on the walls and the landscape outside the windows.
+//! Pictures for the walls, and the landscape outside the windows.
 
 use super::noise::{band, cloud, fold, noise, rgb, step};
 use glam::DVec3;

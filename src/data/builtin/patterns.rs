@@ -41,7 +41,7 @@ pub(super) enum Pattern {
     Gradient(DVec3, DVec3),
 }
 
-/// A pattern with its own light.
+/// A pattern, and how it reflects and emits light.
 #[derive(Clone, Debug)]
 pub(super) struct Material {
     /// Colour pattern.
@@ -54,7 +54,7 @@ pub(super) struct Material {
     pub lit: f64,
 }
 
-/// A point of a surface as patterns see it.
+/// A surface point in the coordinates that patterns use.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Spot {
     /// Local point.
@@ -75,11 +75,7 @@ impl Spot {
     /// The spot of local point `p` with local `normal`.
     pub fn new(solid: &Solid, p: DVec3, normal: DVec3) -> Self {
         let (half, n) = (solid.half, normal.abs());
-        let axis = if n.z >= n.x && n.z >= n.y {
-            2
-        } else {
-            usize::from(n.y > n.x)
-        };
+        let axis = n.max_position();
         let round = matches!(solid.shape, Shape::Ellipsoid | Shape::Frustum(..)) && axis < 2;
         let (u, v, face) = match axis {
             _ if round => (
@@ -154,7 +150,7 @@ impl Material {
                 grain(light, dark, along, across, seed) * tone * (1.0 - 0.12 * strips)
             }
             Pattern::Stripes(a, b, period) => {
-                // The inner part of cushions and of walls alike: stripes upright on side faces, along x on top.
+                // Upright on side faces, along x on top.
                 let x = if axis == 2 { p.y } else { u };
                 a.lerp(b, step(-0.012, 0.012, fold(x, period).abs() - period / 4.0))
             }

@@ -1,4 +1,4 @@
-//! Point clouds: the initial cloud of a scene, and labelled clouds of other rooms to pretrain the point encoder on.
+//! Point clouds: the initial cloud of a scene, and labelled clouds of other rooms for pretraining the point encoder.
 
 use super::room::{Purpose, Room, Truth, stream};
 use crate::data::Points;
@@ -23,9 +23,9 @@ pub struct LabelledPoints {
     pub classes: Vec<u16>,
 }
 
-/// `count` points of a random room, as the means of a trained Gaussian scene lie: on surfaces visible from standing
-/// places inside, denser where they were seen from near, 1-2 cm off the surface, with 1 % of outliers (which keep the
-/// class of the nearest thing along their ray). Layout, furniture, colours and lights are drawn from `seed`, of a
+/// `count` points of a random room, distributed like the means of trained Gaussians: on surfaces visible from standing places,
+/// denser near those, 1-2 cm off the surface, with 1 % of outliers (which keep the class of the first object along their
+/// ray). Layout, furniture, colours and lights are drawn from `seed`, of a
 /// random stream that no scene uses: whatever the seed, the room is not one that [`super::scene`] makes.
 /// Takes time in proportion to `count`.
 pub fn labelled_points(seed: u64, count: usize) -> LabelledPoints {
@@ -48,14 +48,14 @@ pub fn labelled_points(seed: u64, count: usize) -> LabelledPoints {
             continue;
         };
         let p = eye + d * hit.t;
-        // Thinned as long as that succeeds; a cloud denser than the cells fills up at random.
+        // One point for each cell, until too few cells are empty.
         if taken.insert((p / cell).floor().as_i64vec3()) || tries > 6 * count {
             let offset = gauss3(rng) * noise;
             rays.push((eye, d, hit, offset, rng.random::<f64>()));
         }
     }
     let made = rays.par_iter().map(|(eye, d, hit, offset, fate)| {
-        // Outliers float somewhere before their surface.
+        // Outliers lie in front of their surface.
         let share = if *fate < 0.01 { 0.3 + 65.0 * fate } else { 1.0 };
         let p = *eye + *d * (hit.t * share) + *offset;
         let color = room.shade(hit, *eye, *d, (16, 2));
@@ -72,7 +72,7 @@ pub fn labelled_points(seed: u64, count: usize) -> LabelledPoints {
     }
 }
 
-/// Standing places with a little free space around.
+/// Standing places with free space around them.
 fn eyes(room: &Room, rng: &mut ChaCha8Rng) -> Vec<DVec3> {
     let mut eyes = Vec::new();
     let reach = room.size / 2.0 - 0.5;

@@ -12,7 +12,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-/// What is drawn from a seed. Rooms of different purposes come from unrelated random streams.
+/// What random numbers are drawn for. Each purpose has its own random stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Purpose {
     /// The room of a scene with photos.
@@ -47,7 +47,7 @@ pub struct Truth {
     pub depth: Vec<f32>,
 }
 
-/// Least number of objects of some classes in a room of a scene.
+/// Smallest number of objects of some classes in the room of a scene.
 const LEAST: [(u16, usize); 7] = [
     (class::WINDOW, 3),
     (class::PICTURE, 5),
@@ -66,7 +66,7 @@ pub struct Room {
     pub(super) solids: Solids,
     materials: Vec<Material>,
     lights: Vec<Light>,
-    /// One a solid; empty where light is computed point by point.
+    /// One for each solid; empty if light is computed for each point.
     light_maps: Vec<LightMap>,
 }
 
@@ -77,7 +77,7 @@ impl Room {
         loop {
             let (b, size) = layout::furnish(Some(DVec3::new(6.4, 5.2, 2.7)), &mut rng);
             let count = layout::census(&b);
-            // About one layout in a few passes, so this ends soon.
+            // A few layouts are enough.
             if LEAST
                 .iter()
                 .all(|(class, least)| count[usize::from(*class)] >= *least)
@@ -89,7 +89,7 @@ impl Room {
         }
     }
 
-    /// A room to learn from: drawn from another stream than every scene's, of any size and furnishing.
+    /// A room to pretrain on, of random size and furnishing. Its random stream differs from that of scenes.
     pub(super) fn for_pretraining(seed: u64) -> Self {
         let (b, size) = layout::furnish(None, &mut stream(seed, Purpose::Pretraining));
         Self::new(b, size)
@@ -150,7 +150,7 @@ impl Room {
         color.to_array().map(display)
     }
 
-    /// Smallest distance from `p` to a piece of furniture or a wall, metres; a lower bound for round shapes.
+    /// Distance from `p` to the nearest piece of furniture or wall, metres; a lower bound for round shapes.
     pub fn clearance(&self, p: DVec3) -> f64 {
         self.solids
             .all

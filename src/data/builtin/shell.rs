@@ -1,4 +1,4 @@
-//! What belongs to the building: walls, floor, ceiling, windows, pictures, rugs.
+//! The building: walls, floor, ceiling, windows, pictures, rugs.
 
 use super::build::{Light, class};
 use super::layout::{Decorator, yaw};
@@ -21,7 +21,7 @@ const PAINTS: [[u32; 2]; 6] = [
 ];
 
 impl Decorator<'_> {
-    /// Walls with skirting, floor, ceiling with beams or a cornice.
+    /// Walls with skirting, floor, ceiling with or without beams.
     pub fn shell(&mut self) {
         self.floor();
         self.walls();
@@ -91,17 +91,6 @@ impl Decorator<'_> {
                 let x = (i as f64 + 0.5) * w / n - w / 2.0;
                 o.cuboid([x, 0.0, -0.06], [0.14, d, 0.12], self.style.woods[1]);
             }
-            return;
-        }
-        for (x, y) in [(0.0, 0.5), (0.0, -0.5), (0.5, 0.0), (-0.5, 0.0)] {
-            let along_x = if x == 0.0 { 1.0 } else { 0.0 };
-            let size = [
-                (along_x * w).max(0.12),
-                ((1.0 - along_x) * d).max(0.12),
-                0.08,
-            ];
-            let at = [x * (w - 0.12), y * (d - 0.12), -0.04];
-            o.cuboid(at, size, self.style.white);
         }
     }
 

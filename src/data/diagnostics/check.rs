@@ -1,4 +1,4 @@
-//! Everything that is wrong with a scene folder, at once.
+//! Finds all faults of a scene folder in one pass.
 
 use super::{notices, photometric_poses, poses};
 use crate::config::Layout;
@@ -14,9 +14,9 @@ use std::path::Path;
 /// What [`check`] found.
 #[derive(Debug, Default)]
 pub struct Checked {
-    /// How the folder is laid out, where that is clear.
+    /// The layout of the folder, if it could be determined.
     pub layout: Option<Layout>,
-    /// Frames that were looked at.
+    /// Number of frames that were checked.
     pub frames: usize,
     /// All faults, in the order of frames and then of the files of the scene.
     pub problems: Vec<Error>,
@@ -24,8 +24,8 @@ pub struct Checked {
     pub notices: Vec<String>,
 }
 
-/// Looks at every file that [`crate::data::load`] would read, decodes it, and continues after each fault. Needs memory for
-/// a few images only.
+/// Decodes every file that [`crate::data::load`] would read and continues after each fault. Only a few images are in memory at
+/// once.
 pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
     let mut problems = Problems::default();
     let mut checked = Checked::default();
@@ -42,7 +42,7 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
     checked
 }
 
-/// Checks the files of a listing; the answer is notices.
+/// Checks the files of a listing. Faults go to `problems`; notices are returned.
 fn check_listing(listing: &Listing, options: &LoadOptions, problems: &mut Problems) -> Vec<String> {
     let limits = &options.limits;
     problems.keep(listing.check_sizes(limits));
@@ -95,15 +95,15 @@ fn check_listing(listing: &Listing, options: &LoadOptions, problems: &mut Proble
     notices
 }
 
-/// What was found in the files of a frame.
+/// Findings in the files of a frame.
 #[derive(Default)]
 struct FrameCheck {
     faults: Vec<Error>,
-    /// Whether its raw labels are unlabelled in every pixel, where it has any that can be read.
+    /// Whether its raw labels have no labelled pixel; `None` if there are none that can be read.
     void: Option<bool>,
-    /// Its pixels and how many of them its mask leaves out, where it has a mask.
+    /// If it has a mask, its pixels and the pixels that the mask leaves out.
     masked: Option<[usize; 2]>,
-    /// Whether its labels may be of a turned photo, while no size shows it.
+    /// Whether its labels may belong to a turned photo, which sizes alone do not show.
     turned: bool,
 }
 

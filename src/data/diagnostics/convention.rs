@@ -4,7 +4,7 @@ use crate::config::Layout;
 use crate::splat::camera::Camera;
 use glam::{DMat3, DVec3};
 
-/// How a rotation and a translation are meant.
+/// How a rotation and a translation are to be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Convention {
     /// They map world to camera coordinates, not back.
@@ -60,7 +60,7 @@ impl Convention {
         DMat3::from_diagonal(DVec3::new(1.0, sign, sign))
     }
 
-    /// `camera` as it is when its pose, which was read in the convention `as_read`, is read in this one.
+    /// `camera`, whose pose was read in the convention `as_read`, with the pose read in this convention instead.
     pub fn reread(self, as_read: Self, camera: &Camera) -> Camera {
         let rotation = as_read.axes() * camera.rotation;
         let (rotation, translation) = if as_read.to_camera {

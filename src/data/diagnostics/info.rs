@@ -1,4 +1,4 @@
-//! What a scene folder holds, in figures and small pictures, without holding all of it in memory.
+//! The contents of a scene folder as figures and thumbnails. Only a few images are in memory at once.
 
 use super::notices;
 use crate::data::formats::frame::Frame;
@@ -30,9 +30,9 @@ pub struct Info {
     pub test: usize,
     /// Width, height and number of the photos of each size, most first.
     pub sizes: Vec<(usize, usize, usize)>,
-    /// Photos with lens distortion, which loading takes out.
+    /// Photos with lens distortion, which loading removes.
     pub distorted: usize,
-    /// Views of which masks leave pixels out.
+    /// Views with masks that leave out pixels.
     pub masked: usize,
     /// Share of the pixels of all views that masks leave out, 0 to 1.
     pub left_out: f64,
@@ -44,7 +44,7 @@ pub struct Info {
     pub labelled: usize,
     /// Views with raw labels.
     pub raw_labelled: usize,
-    /// Segments of all raw labels, where their ids mean something within a view only (`data.association`); else 0.
+    /// Segments of all raw labels if their ids are valid only within a view (`data.association`); else 0.
     pub segments: usize,
     /// Views with true instances.
     pub instances: usize,
@@ -87,7 +87,7 @@ pub struct ClassShare {
 struct FrameInfo {
     size: (usize, usize),
     distorted: bool,
-    /// Pixels as they are used.
+    /// Pixels of the view, after reduction.
     pixels: usize,
     /// Pixels that a mask leaves out.
     left_out: usize,
@@ -239,7 +239,7 @@ fn camera_box(listing: &Listing) -> CameraBox {
     }
 }
 
-/// A view made small.
+/// A small copy of a view.
 #[derive(Clone, Debug)]
 pub struct Thumbnail {
     /// Name of the view.

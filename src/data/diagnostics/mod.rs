@@ -1,6 +1,6 @@
-//! What is wrong with a scene folder, what it holds, and what loads but is seldom intended.
+//! What is wrong with a scene folder, what it holds, and what is probably a mistake.
 //!
-//! Faults are errors, and stop loading. Notices are sentences for what loads but is seldom intended.
+//! A fault is an error and stops loading. A notice is a sentence about input that loads but is probably a mistake.
 
 pub(crate) mod check;
 mod convention;

@@ -1,4 +1,4 @@
-//! Notices on poses, intrinsics, labels and the initial cloud: what loads but is seldom intended.
+//! Notices on poses, intrinsics, labels and the initial cloud: input that loads but is probably a mistake.
 
 use crate::config::Layout;
 use crate::data::formats::frame::{Frame, reduced};
@@ -13,11 +13,11 @@ use glam::DVec3;
 use std::collections::HashMap;
 use std::path::Path;
 
-/// Cameras nearer to each other than this, in world units, stand at one place.
+/// Cameras that are nearer to each other than this, in world units, count as being at one place.
 const ONE_PLACE: f64 = 1e-6;
-/// Fields of view, in degrees, outside of which no lens without fisheye projection lies.
+/// Range of the fields of view, in degrees, of lenses without fisheye projection.
 const FIELD_OF_VIEW: [f64; 2] = [5.0, 170.0];
-/// Distances of the farthest camera from the mean of all, in metres, of captures in a room.
+/// Range of the distance from the farthest camera to the mean of all, in metres, for captures of a room.
 const EXTENT: [f64; 2] = [1.0, 4.0];
 
 /// Focal length, principal point and length of one side of a photo.
@@ -45,8 +45,8 @@ fn frame_names(frames: &[&Frame]) -> String {
     first_names(&names)
 }
 
-/// Cameras of a COLMAP model, whose unit is arbitrary, at distances that are unusual for metres, where `unit_is_metre`.
-/// Without labels nothing needs the unit.
+/// Cameras of a COLMAP model, whose unit is arbitrary, with distances that are unusual in metres. Checked if `unit_is_metre`.
+/// Without labels the unit does not matter.
 fn unit(listing: &Listing, unit_is_metre: bool) -> Option<String> {
     let labelled = listing.frames.iter().any(|frame| frame.raw.is_some());
     let mean = listing.origin();
@@ -65,7 +65,7 @@ fn unit(listing: &Listing, unit_is_metre: bool) -> Option<String> {
     })
 }
 
-/// Photos that are reduced to `most` pixels a side; 0 is no limit.
+/// Photos that are reduced to at most `most` pixels a side; 0 means no limit.
 fn large_photos(listing: &Listing, most: usize) -> Option<String> {
     let is_large =
         |frame: &&Frame| !frame.resizable && frame.camera.width.max(frame.camera.height) > most;
@@ -96,8 +96,7 @@ fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<String> {
     })
 }
 
-/// Masks that leave most of their views out. `masked` are the pixels of each view with a mask, and how many the mask leaves
-/// out.
+/// Masks that leave out most of their views. `masked` has, for each view with a mask, its pixels and the pixels left out.
 pub(crate) fn inverted_masks(masked: impl Iterator<Item = [usize; 2]>) -> Option<String> {
     let (mut views, mut all, mut left_out) = (0, 0, 0);
     for [pixels, out] in masked {
@@ -163,7 +162,7 @@ pub(crate) fn cameras(listing: &Listing) -> Vec<String> {
         .collect()
 }
 
-/// Frames that have exactly the pose of another one.
+/// Frames that have exactly the same pose as another one.
 fn equal_poses(posed: &[&Frame]) -> Option<String> {
     let mut first: HashMap<Vec<u64>, &str> = HashMap::new();
     let mut pairs = Vec::new();
@@ -187,7 +186,7 @@ fn equal_poses(posed: &[&Frame]) -> Option<String> {
     })
 }
 
-/// Principal points outside of the photo. `side` gives focal length, principal point and length of one side.
+/// Principal points outside the photo. `side` gives focal length, principal point and length of one side.
 fn outside_center(posed: &[&Frame], side: Side, field: &str) -> Option<String> {
     let is_outside = |frame: &&&Frame| {
         let [_, center, length] = side(&frame.camera);
@@ -240,8 +239,8 @@ fn without_raw(listing: &Listing) -> Option<String> {
     })
 }
 
-/// Training frames whose raw labels are unlabelled in every pixel. `train` are those with raw labels: name, and whether it
-/// is so.
+/// Training frames whose raw labels have no labelled pixel. `train` has the name of each frame with raw labels, and whether that
+/// is the case.
 pub(crate) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Option<String> {
     let train: Vec<_> = train.collect();
     let void: Vec<&str> = train
@@ -264,7 +263,7 @@ pub(crate) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Opti
     })
 }
 
-/// Photos whose labels may be of a turned copy, while no size shows it. Each frame comes with whether it is so.
+/// Photos whose labels may belong to a turned copy, which sizes alone do not show. Each frame comes with that answer.
 pub(crate) fn turned<'a>(frames: impl Iterator<Item = (&'a Frame, bool)>) -> Option<String> {
     let turned: Vec<&Frame> = frames
         .filter(|(_, turned)| *turned)
@@ -281,8 +280,8 @@ pub(crate) fn turned<'a>(frames: impl Iterator<Item = (&'a Frame, bool)>) -> Opt
     })
 }
 
-/// A notice where only the size of a map says that lens distortion is already taken out of it. Looks at the first raw labels
-/// of a photo with distortion.
+/// A notice if only the size of a map suggests that lens distortion was removed from it. It looks at the first raw labels of a
+/// photo with distortion.
 fn assumed_undistorted(listing: &Listing, options: &LoadOptions) -> Option<String> {
     let mut distorted = listing
         .frames

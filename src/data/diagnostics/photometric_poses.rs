@@ -1,4 +1,4 @@
-//! Which convention of poses makes neighbouring photos show the same things, where there is no cloud.
+//! Finds the convention of poses in which neighbouring photos show the same things. Used if there is no cloud.
 //!
 //! Blocks of a small copy of a photo are searched in the next one at several depths (a plane sweep). With the right
 //! convention they are found; with another they are compared along wrong lines, and found by chance only.
@@ -14,7 +14,7 @@ use image::RgbImage;
 use image::imageops::{grayscale, thumbnail};
 use rayon::prelude::*;
 
-/// Most pairs of neighbours that are looked at, evenly chosen; fewer than the second number are not enough.
+/// Largest number of neighbouring pairs that are compared, evenly chosen; with fewer than the second number there is no verdict.
 const PAIRS: usize = 12;
 const TOO_FEW_PAIRS: usize = 4;
 /// Pixels across a small photo, and across a block.
@@ -39,7 +39,7 @@ const FOUND: f64 = 0.45;
 const TIMES: f64 = 1.4;
 const SHOWN: f64 = 0.25;
 
-/// A notice where neighbouring photos of the listing fit better in another convention than in that of its layout.
+/// A notice if neighbouring photos fit better in another convention than in that of the layout.
 pub(super) fn better_convention(listing: &Listing, limits: &Limits) -> Option<String> {
     let frames = listing
         .frames
@@ -84,7 +84,7 @@ pub(super) fn better_convention(listing: &Listing, limits: &Limits) -> Option<St
     })
 }
 
-/// A photo made small, grey in 0..1, with its camera.
+/// A small copy of a photo, grey in 0..1, with its camera.
 struct SmallPhoto {
     camera: Camera,
     grey: Vec<f64>,

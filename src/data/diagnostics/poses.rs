@@ -1,4 +1,4 @@
-//! Whether poses are read in the convention they were written in: with another one, training fails without an error.
+//! Checks that poses are read in the convention in which they were written. With a wrong one, training fails without an error.
 //!
 //! A pose is a rotation and a translation, which may be camera-to-world or world-to-camera, in OpenGL or in OpenCV axes.
 //! The layout defines which; a folder that was put together by hand may hold another one. The initial cloud shows it: with
@@ -19,13 +19,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Most cameras, photos and points that are looked at, evenly chosen.
+/// Largest number of cameras, photos and points that are examined, evenly chosen.
 const CAMERAS: usize = 256;
 const PHOTOS: usize = 16;
 const POINTS: usize = 4_096;
-/// Fewer points than this are not enough.
+/// With fewer points there is no verdict.
 const TOO_FEW_POINTS: usize = 100;
-/// Cells across and down a photo. In each the nearest point is compared: it may hide the others.
+/// Cells across and down a photo. Only the nearest point of a cell is compared, because it may hide the others.
 const CELLS: usize = 24;
 /// Points that a photo must hold to be compared.
 const COMPARED: usize = 8;
@@ -43,19 +43,19 @@ const READ: f64 = 0.5;
 /// one, as rooms have points on all sides. Wrong conventions above the first bound are not reported.
 const UNSEEN: f64 = 0.5;
 const SEEN: f64 = 0.9;
-/// That share where points and photos have nothing to do with each other.
+/// The share below which points and photos are unrelated.
 const ELSEWHERE: f64 = 0.02;
 
-/// What the cloud says against the poses.
+/// A conflict between the cloud and the poses.
 #[derive(Debug)]
 pub(crate) enum Verdict {
-    /// They are of another convention.
+    /// The poses follow another convention.
     Misread(Error),
-    /// They fit in no convention: a notice.
+    /// They fit in no convention. This is a notice.
     Unrelated(String),
 }
 
-/// A camera in world units, and perhaps its photo.
+/// A camera in world units, with its photo if that is compared.
 struct Shot {
     camera: Camera,
     photo: Option<Arc<RgbImage>>,
@@ -82,7 +82,7 @@ struct Fit {
     agreement: f64,
 }
 
-/// What the points of a listing say. Points of depth images depend on the poses; they are made anew.
+/// Compares the points of a listing with its poses. Points of depth images depend on the poses and are computed again.
 pub(crate) fn of_listing(listing: &Listing, points: &Points, limits: &Limits) -> Option<Verdict> {
     let posed: Vec<&Frame> = listing.frames.iter().filter(|frame| frame.posed).collect();
     let depth = match &listing.cloud {
@@ -142,7 +142,7 @@ pub(crate) fn of_listing(listing: &Listing, points: &Points, limits: &Limits) ->
     judge(listing.layout, &listing.file, &shots, &made)
 }
 
-/// What the points of a scene say, which must not come from depth images. `file` lists its frames.
+/// Compares the points of a scene, which must not come from depth images, with its poses. `file` lists its frames.
 pub(crate) fn of_scene(layout: Layout, file: &Path, scene: &Scene) -> Option<Verdict> {
     // Before photos are decoded for it.
     if scene.points.len() < TOO_FEW_POINTS {
@@ -235,7 +235,7 @@ fn judge(layout: Layout, file: &Path, shots: &[Shot], anchors: &[Anchor]) -> Opt
     })
 }
 
-/// The fault of poses that are meant in another convention; `found` says how well both fit.
+/// The fault of poses in another convention; `found` says how well both conventions fit.
 fn misread(layout: Layout, file: &Path, found: &str, meant: Convention) -> Verdict {
     let mut path = file.to_owned();
     let field = match layout {

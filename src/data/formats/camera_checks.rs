@@ -1,16 +1,16 @@
-//! What the cameras of every format are checked against.
+//! Limits and checks for the cameras of all formats.
 
 use crate::error::{Error, invalid};
 use glam::{DMat3, DMat4};
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-/// Focal lengths outside of this range are mistakes, pixels.
+/// Range of plausible focal lengths, pixels.
 pub(crate) const FOCAL: RangeInclusive<f64> = 1e-3..=1e9;
-/// Principal points farther from the image corner are mistakes, pixels.
+/// Largest plausible distance of a principal point from the image corner, pixels.
 pub(crate) const MAX_PIXELS: f64 = 1e9;
 
-/// Whether a number is finite as f32 too.
+/// Whether a number is finite in f32 as well.
 pub(crate) fn fits_f32(value: f64) -> bool {
     (value as f32).is_finite()
 }

@@ -1,4 +1,4 @@
-//! An initial cloud from depth images, for recorded sequences that come with them.
+//! An initial cloud from the depth images of a recorded sequence.
 
 use super::frame::Frame;
 use super::listing::in_order;
@@ -9,13 +9,13 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
-/// Most frames that are looked at, evenly chosen among those trained on, and most points of the cloud.
+/// Largest number of training frames that are used, evenly chosen, and of points in the cloud.
 const FRAMES: usize = 64;
 const POINTS: usize = 50_000;
 
 /// Depth images of a sequence: 16-bit grey PNG, distance along the viewing direction, 0 where it is unknown.
 pub(crate) struct Depth {
-    /// File of each frame of the listing, where it has one.
+    /// File of each frame of the listing, if it has one.
     pub files: Vec<Option<PathBuf>>,
     /// Value of one world unit.
     pub scale: f64,

@@ -16,16 +16,16 @@ pub(crate) struct Frame {
     pub name: String,
     pub split: Split,
     pub image: PathBuf,
-    /// `false` where the photo is known to be missing, which was reported.
+    /// `false` if the photo is missing, which was reported.
     pub present: bool,
     /// Pose and intrinsics of the photo as stored, in world units.
     pub camera: Camera,
-    /// `false` where the pose or the intrinsics cannot be read, which was reported.
+    /// `false` if the pose or the intrinsics cannot be read, which was reported.
     pub posed: bool,
     pub lens: Lens,
     /// A photo of another size is accepted, and the camera scaled to it.
     pub resizable: bool,
-    /// Which pixels are used; all of them without one.
+    /// Mask of the pixels that are used; without one, all are used.
     pub mask: Option<PathBuf>,
     pub truth: Option<PathBuf>,
     /// Raw labels: a map, or a folder of masks.
@@ -60,7 +60,7 @@ impl Frame {
         }
     }
 
-    /// Reads the photo's file, not yet decoded, and settles the camera. `file` lists the frames, for messages.
+    /// Reads the photo's file without decoding it, and gives the camera for its size. `file` lists the frames, for messages.
     pub fn open(&self, file: &Path, limits: &Limits) -> Result<(ImageFile, Geometry)> {
         if !self.image.is_file() {
             return Err(Error::missing_file(
@@ -101,12 +101,12 @@ impl Frame {
         })
     }
 
-    /// The camera for the size that the frame's own camera has.
+    /// The camera for the size of the frame's own camera.
     pub fn own_geometry(&self) -> Result<Geometry> {
         self.geometry((self.camera.width, self.camera.height))
     }
 
-    /// Whether it has labels or a mask that may be of a turned copy of the photo in `file`, while no size shows it.
+    /// Whether it has labels or a mask that may belong to a turned copy of the photo in `file`, which sizes alone do not show.
     pub fn may_be_turned(&self, file: &ImageFile) -> bool {
         let maps = [&self.truth, &self.raw, &self.instances, &self.mask];
         maps.into_iter().any(Option::is_some) && file.turns_without_trace()
@@ -124,8 +124,8 @@ pub(crate) fn joined_name(photo: &Path) -> String {
     parts.collect::<Vec<_>>().join("_")
 }
 
-/// The size to which a photo is reduced so that no side is longer than `most` pixels; `None` where it stays as it is, as
-/// it always does for a `most` of 0.
+/// The size to which a photo is reduced so that no side is longer than `most` pixels; `None` if it stays as it is. A `most` of
+/// 0 means no limit.
 pub(crate) fn reduced((width, height): (usize, usize), most: usize) -> Option<(usize, usize)> {
     let longer = width.max(height);
     let side = |length: usize| ((length * most) as f64 / longer as f64).round().max(1.0) as usize;
@@ -133,13 +133,13 @@ pub(crate) fn reduced((width, height): (usize, usize), most: usize) -> Option<(u
 }
 
 impl Geometry {
-    /// Reduces the photo so that no side is longer than `most` pixels; 0 is no limit.
+    /// Reduces the photo so that no side is longer than `most` pixels; 0 means no limit.
     pub fn limited_to(mut self, most: usize) -> Self {
         self.preprocessing.size = reduced((self.camera.width, self.camera.height), most);
         self
     }
 
-    /// The camera of the view: that of the photo as it is used.
+    /// The camera of the view, after reduction.
     pub fn view_camera(&self) -> Camera {
         match self.preprocessing.size {
             Some((width, height)) => self.camera.resized(width, height),
@@ -147,12 +147,12 @@ impl Geometry {
         }
     }
 
-    /// What is done to the photo's file.
+    /// How the photo's file becomes the view's image.
     pub fn preprocessing(&self) -> Preprocessing {
         self.preprocessing.clone()
     }
 
-    /// The photo as it is used.
+    /// The photo of the view.
     pub fn photo(&self, file: &ImageFile) -> Result<RgbImage> {
         Ok(self.preprocessing.decode(file)?.0)
     }

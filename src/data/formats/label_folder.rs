@@ -7,7 +7,7 @@ use crate::data::LoadOptions;
 use crate::data::labels::mask_file::Masks;
 use std::path::{Path, PathBuf};
 
-/// The folders of a scene whose frames name no files of their own: `labels`, `labels_raw`, `instances` and masks.
+/// Folders of label maps and masks for layouts whose frames name no such files: `labels`, `labels_raw`, `instances`, masks.
 pub(crate) struct SideFolders {
     truth: LabelFolder,
     raw: LabelFolder,

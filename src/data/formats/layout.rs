@@ -9,7 +9,7 @@ use crate::error::{Error, Result, invalid};
 use crate::files::names;
 use std::path::Path;
 
-/// Folders within a folder without a layout that are looked at for one.
+/// Largest number of inner folders that are searched for a layout.
 const MOST_FOLDERS: usize = 256;
 
 impl Layout {
@@ -84,7 +84,7 @@ fn detect(dir: &Path, options: &LoadOptions) -> Result<Layout> {
     }
 }
 
-/// Layouts whose files lie in `dir`, with a file that shows it. Blender's files count where there is nothing else.
+/// Layouts whose files are in `dir`, each with such a file. Blender's files count only if there is no other layout.
 fn markers(dir: &Path, options: &LoadOptions) -> Vec<(Layout, String)> {
     let found = [
         (Layout::Transforms, transforms::marker(dir, options)),

@@ -1,4 +1,4 @@
-//! What a scene folder of any layout says before a photo is decoded, and the scene that follows from it.
+//! The contents of a scene folder of any layout before photos are decoded, and the scene made from them.
 
 use super::colmap;
 use super::depth::Depth;
@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// The frames of a folder with all that is known of them.
+/// The frames of a folder and everything known about them.
 pub(crate) struct Listing {
     /// How the folder is laid out; never `auto`.
     pub layout: Layout,
@@ -42,7 +42,7 @@ pub(crate) struct Listing {
     pub cloud: Cloud,
     /// Whether +z is up in the world; else the cameras tell.
     pub z_up: bool,
-    /// What is left out or assumed, in sentences.
+    /// Sentences on what is left out or assumed.
     pub notices: Vec<String>,
 }
 
@@ -60,7 +60,7 @@ pub(crate) enum Cloud {
     Depth(Depth),
 }
 
-/// Faults that do not keep the rest of a folder from being looked at.
+/// Faults collected while the rest of a folder is checked.
 #[derive(Default)]
 pub(crate) struct Problems(Vec<Error>);
 
@@ -91,7 +91,7 @@ impl Problems {
 
 impl Listing {
     /// A listing without a cloud. Its class table is that of the folder, or where labels need one and the folder has none,
-    /// the one of the `dataset`. Raw labels are settled later.
+    /// the one of the `dataset`. Raw labels are added by [`Listing::with_raw_labels`].
     pub fn new(
         dir: &Path,
         options: &LoadOptions,
@@ -122,7 +122,7 @@ impl Listing {
         }
     }
 
-    /// Settles how the raw labels are stored. Where that fails they are left out, which is a fault.
+    /// Determines how the raw labels are stored. If that fails, a fault is recorded and they are left out.
     pub fn with_raw_labels(
         mut self,
         dir: &Path,
@@ -193,8 +193,8 @@ impl Listing {
         level_up(&cameras)
     }
 
-    /// Decodes everything, a few files at a time. The second value tells of each frame whether its photo may have been turned
-    /// for its labels.
+    /// Decodes everything, a few files at a time. The second value says for each frame whether its labels may belong to a
+    /// turned photo.
     pub fn load(&self, dir: &Path, options: &LoadOptions) -> Result<(Scene, Vec<bool>)> {
         self.check_sizes(&options.limits)?;
         let cache = Arc::new(PhotoCache::new(options.decoded_mb.saturating_mul(1 << 20)));
@@ -216,7 +216,7 @@ impl Listing {
         Ok((scene, turned))
     }
 
-    /// The view of a frame, and whether its photo may have been turned for its labels.
+    /// The view of a frame, and whether its labels may belong to a turned photo.
     fn view(
         &self,
         frame: &Frame,
@@ -254,7 +254,7 @@ impl Listing {
         Ok((view, frame.may_be_turned(&file)))
     }
 
-    /// The classes of the scene: of the table of a whole dataset, only those that some view has.
+    /// The classes of the scene. Of a table for a whole dataset, only classes that occur in some view.
     fn classes_of(&self, views: &[View]) -> Classes {
         let mut classes = self.classes.clone();
         if self.occurring_classes {

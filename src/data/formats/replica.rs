@@ -1,4 +1,4 @@
-//! Replica as two papers rendered it, which is what everybody trains on:
+//! Replica as two papers rendered it:
 //! NICE-SLAM (`results/frame%06d.jpg`, `traj.txt`, `cam_params.json` beside or above the scene; no labels) and
 //! Semantic-NeRF (`rgb/rgb_N.png`, `semantic_class/semantic_class_N.png`, `traj_w_c.txt`).
 //!
@@ -21,7 +21,7 @@ use crate::splat::camera::Intrinsics;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// Trajectory, folder of photos, what precedes their numbers.
+/// Trajectory, folder of photos, and the prefix of their numbers.
 const NICE_SLAM: [&str; 3] = ["traj.txt", "results", "frame"];
 const SEMANTIC_NERF: [&str; 3] = ["traj_w_c.txt", "rgb", "rgb_"];
 

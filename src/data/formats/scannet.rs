@@ -1,7 +1,7 @@
 //! ScanNet scenes as its SensReader exports them: `color/N.jpg`, `pose/N.txt` (camera-to-world, OpenCV axes),
 //! `intrinsic/intrinsic_color.txt`, and `label-filt/N.png` whose ids `scannetv2-labels.combined.tsv` maps to classes.
 //!
-//! Frames that the tracker lost have poses of infinities: they are left out and counted.
+//! Frames that the tracker lost have infinite poses. They are left out and counted.
 
 use super::camera_checks::FOCAL;
 use super::frame::Frame;

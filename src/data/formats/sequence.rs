@@ -1,4 +1,4 @@
-//! What recorded sequences (Replica, ScanNet) share: files with a number in their names, poses as text, depth images.
+//! Shared by recorded sequences (Replica, ScanNet): numbered files, poses as text, depth images.
 
 use super::camera_checks::{fits_f32, not_a_rotation};
 use super::depth::Depth;
@@ -96,13 +96,13 @@ pub(crate) fn cloud(
     Cloud::Depth(Depth { files, scale })
 }
 
-/// A camera-to-world matrix in OpenCV axes, row by row. Lost poses hold infinities.
+/// A camera-to-world matrix in OpenCV axes, row by row. Lost poses are infinite.
 pub(crate) type Pose = [f64; 16];
 
-/// Reads 16 numbers separated by blanks; `field` says where in `path` they stand.
+/// Reads 16 numbers separated by blanks; `field` names their place in `path`.
 ///
 /// # Errors
-/// There are more or fewer, or they are no numbers.
+/// There are not exactly 16 numbers.
 pub(crate) fn pose(text: &str, path: &Path, field: &str) -> Result<Pose> {
     let error = |found: String| {
         invalid!(path, "{field}"; found "{found}";

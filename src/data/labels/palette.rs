@@ -49,16 +49,18 @@ fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
         .sqrt()
 }
 
+/// An sRGB value in 0..1 in linear light.
+pub(crate) fn linear(s: f64) -> f64 {
+    if s <= 0.040_45 {
+        s / 12.92
+    } else {
+        ((s + 0.055) / 1.055).powf(2.4)
+    }
+}
+
 /// sRGB to OKLab (B. Ottosson, "A perceptual color space for image processing", 2020).
 fn oklab(rgb: [u8; 3]) -> [f64; 3] {
-    let linear = rgb.map(|v| {
-        let v = f64::from(v) / 255.0;
-        if v <= 0.040_45 {
-            v / 12.92
-        } else {
-            ((v + 0.055) / 1.055).powf(2.4)
-        }
-    });
+    let linear = rgb.map(|v| linear(f64::from(v) / 255.0));
     let multiply =
         |m: [[f64; 3]; 3], v: [f64; 3]| m.map(|r| r[0] * v[0] + r[1] * v[1] + r[2] * v[2]);
     let cones = multiply(

@@ -1,4 +1,4 @@
-//! PNG and JPEG files, whole or refused: decoders forgive files that were cut off, training would not.
+//! PNG and JPEG files. Incomplete files are refused, because decoders accept files that were cut off.
 
 use crate::data::Limits;
 use crate::error::{Error, Result, invalid};

@@ -28,7 +28,7 @@ pub(super) fn form_groups<'a>(
     views: &'a [ViewSegments],
     config: &AssociationConfig,
     progress: &mut Progress,
-) -> std::result::Result<Vec<Assigned<'a>>, End> {
+) -> Result<Vec<Assigned<'a>>, End> {
     let order = view_order(views, groups.owners().len());
     let mut assigned = vec![Assigned::default(); views.len()];
     let mut sizes = Vec::new();
@@ -64,7 +64,7 @@ fn merge_groups(
     assigned: &mut [Assigned<'_>],
     above: f64,
     progress: &mut Progress,
-) -> std::result::Result<Vec<f64>, End> {
+) -> Result<Vec<f64>, End> {
     loop {
         progress(0)?;
         let visible = visible_in_views(groups, views);

@@ -78,7 +78,10 @@ pub struct Training<M> {
     adam: Adam,
     recall: ClassRecall,
     iteration: usize,
-    curve: Vec<CurvePoint>,
+    /// One point for each evaluation.
+    pub curve: Vec<CurvePoint>,
+    /// Seconds of training before the checkpoint that was resumed.
+    pub earlier_seconds: f64,
     /// Seconds so far.
     seconds: f64,
     /// Losses since the last point of the curve.
@@ -112,17 +115,6 @@ pub struct Schedule {
 /// Scores a model on the held-out views: the pooled mIoU, or none without such views.
 pub type Evaluate<'a, M> = &'a mut dyn FnMut(&Training<M>) -> Result<Option<f64>>;
 
-/// The outcome of [`Training::run`], beside the trained model.
-#[derive(Clone, Debug, PartialEq)]
-pub struct TrainingRun {
-    /// One point for each evaluation.
-    pub curve: Vec<CurvePoint>,
-    /// Seconds of training before the checkpoint that was resumed.
-    pub earlier_seconds: f64,
-    /// Whether training reached the end of the plan; otherwise it was stopped.
-    pub finished: bool,
-}
-
 impl<M: IdentityModel> Training<M> {
     /// `model` before its first step, with scores for `classes` classes.
     pub fn new(model: M, adam: Adam, classes: usize) -> Self {
@@ -132,6 +124,7 @@ impl<M: IdentityModel> Training<M> {
             recall: ClassRecall::new(classes),
             iteration: 0,
             curve: Vec::new(),
+            earlier_seconds: 0.0,
             seconds: 0.0,
             losses: Losses::default(),
         }
@@ -221,7 +214,8 @@ impl<M: IdentityModel> Training<M> {
         self.model.identities(module)
     }
 
-    /// Trains by `plan` from the checkpoint, or from the start without one, to the end or until `progress` stops it.
+    /// Trains by `plan` from the checkpoint, or from the start without one, to the end or until `progress` stops it. Returns
+    /// whether it reached the end.
     ///
     /// # Errors
     /// Those of [`Training::step`]; the last checkpoint stays as it was. Those of reading or writing the checkpoint;
@@ -233,9 +227,9 @@ impl<M: IdentityModel> Training<M> {
         schedule: &Schedule,
         evaluate: Evaluate<M>,
         progress: &mut dyn Progress,
-    ) -> Result<TrainingRun> {
+    ) -> Result<bool> {
         self.resume(plan, schedule)?;
-        let earlier_seconds = self.seconds;
+        self.earlier_seconds = self.seconds;
         progress.event(&Event::Started {
             stage: schedule.variant,
             done: self.iteration,
@@ -273,11 +267,7 @@ impl<M: IdentityModel> Training<M> {
         if finished {
             progress.event(&Event::Finished);
         }
-        Ok(TrainingRun {
-            curve: self.curve.clone(),
-            earlier_seconds,
-            finished,
-        })
+        Ok(finished)
     }
 
     /// A new point of the curve.

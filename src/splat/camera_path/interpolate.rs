@@ -64,7 +64,7 @@ impl CameraPath {
             let third = steps[i].knots / 3.0;
             let [start, end] = [velocities(&steps, i), velocities(&steps, i + 1)];
             let [a, b] = [pair[0], pair[1]];
-            let intrinsics = |t: f64| a.intrinsics.lerp(b.intrinsics, t);
+            let intrinsics = |t: f64| a.intrinsics + t * (b.intrinsics - a.intrinsics);
             let after = a.moved(start.map(|v| third * v), intrinsics(1.0 / 3.0));
             let before = b.moved(end.map(|v| -third * v), intrinsics(2.0 / 3.0));
             [a, after, before, b]
@@ -162,7 +162,9 @@ impl Key {
     fn mix(self, other: Self, t: f64) -> Self {
         let shift = t * (other.center - self.center);
         let turn = t * turn(self.rotation, other.rotation);
-        self.moved([shift, turn], self.intrinsics.lerp(other.intrinsics, t))
+        // In this form equal intrinsics stay the same to the last bit.
+        let intrinsics = self.intrinsics + t * (other.intrinsics - self.intrinsics);
+        self.moved([shift, turn], intrinsics)
     }
 }
 

@@ -1,4 +1,4 @@
-//! Fields of a JSON object, with errors that say where they are.
+//! Fields of a JSON object, with errors that name file and field.
 
 use crate::data::Limits;
 use crate::data::formats::camera_checks::{FOCAL, describe_rotation, fits_f32};
@@ -67,7 +67,7 @@ impl<'a> Entry<'a> {
         Ok(list)
     }
 
-    /// A number that is finite as f32 too.
+    /// A number that is finite in f32 as well.
     pub fn number(&self, field: &str) -> Result<f64> {
         self.read(field, "a finite number (f32)", number)
     }

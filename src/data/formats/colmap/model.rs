@@ -12,7 +12,7 @@ use std::path::{Component, Path, PathBuf};
 /// Parents of numbered models, relative to the scene folder: the mapper writes one for each piece of the scene that it
 /// could not join to the others. The last is nerfstudio's. A model may also lie in `sparse` itself.
 const PLACES: [&str; 3] = ["sparse/N", "sparse", "colmap/sparse/N"];
-/// Most files in a folder of photos that are looked at.
+/// Largest number of files in a folder of photos that are listed.
 const MOST_FILES: usize = 100_000;
 
 /// The files of a model.

@@ -1,4 +1,4 @@
-//! The values of a model file one after the other, the same for both forms: `.bin` is little-endian with counts first,
+//! Reads the values of a model file in order, for both forms: `.bin` is little-endian with counts first,
 //! `.txt` has one item a line, two lines an image, and comments behind `#`.
 
 use super::AGAIN;
@@ -44,7 +44,7 @@ pub(super) struct Binary {
     length: u64,
     /// What the items are called in messages.
     item: &'static str,
-    /// Number of items, how many were begun, and where the last one starts.
+    /// Number of items, how many were started, and where the last one starts.
     count: u64,
     begun: u64,
     start: u64,
@@ -94,7 +94,7 @@ impl<'p> Reader<'p> {
         })
     }
 
-    /// How many items there are, where the file says so in advance.
+    /// Number of items, if the file gives it in advance.
     pub fn count(&self) -> Option<u64> {
         match &self.form {
             Form::Binary(binary) => Some(binary.count),

@@ -30,10 +30,10 @@ use rayon::prelude::*;
 use sources::{Kept, Source, Sources};
 use std::path::{Path, PathBuf};
 
-/// Initial clouds as tools name them, which a file may have forgotten to name.
+/// Usual names of initial clouds, for files that do not name theirs.
 const CLOUDS: [&str; 3] = ["points.ply", "sparse_pc.ply", "points3D.ply"];
 
-/// Loads the scene in folder `dir` from its `transforms.json`, whatever else lies there.
+/// Loads the scene in folder `dir` from its `transforms.json`, even if the folder has other layouts too.
 ///
 /// As [`crate::data::load`]; `up` is +z when the file's `convention` says `world z up`, else that of its cameras
 /// ([`crate::splat::camera::level_up`]). `split` of the frames is `train`, `test` or `val` (also `validation`, `eval`), or
@@ -68,7 +68,7 @@ pub(crate) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
     })
 }
 
-/// Files of `dir` that may be meant.
+/// Files of `dir` that the user may have meant.
 pub(crate) fn alternatives(dir: &Path) -> Vec<String> {
     let mut names = names(dir, |name, _| {
         name.starts_with("transforms") && name.ends_with(".json")

@@ -5,7 +5,7 @@ use super::sources::Sources;
 use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
 
-/// A folder that holds a file for each frame, or for some.
+/// A folder with a file for each frame, or for some of them.
 pub(super) struct NamedFolder {
     folder: PathBuf,
     /// The path that a frame gives for its file.
@@ -30,7 +30,7 @@ impl NamedFolder {
         }
     }
 
-    /// Files that may be meant for a frame, the likeliest first: the path that the frame gives, then the path of its photo,
+    /// Possible files of a frame, the likeliest first: the path that the frame gives, then the path of its photo,
     /// both below the folder and without leading folders as long as no two frames share one file; then the view's name.
     fn files(&self, frame: &Frame, name: &str) -> Vec<PathBuf> {
         let mut files = Vec::new();
@@ -48,7 +48,7 @@ impl NamedFolder {
         (self.given)(frame).map_or(Vec::new(), |path| self.of_given.unique(path))
     }
 
-    /// The file of a frame, where it is there.
+    /// The file of a frame, if it exists.
     pub fn file(&self, frame: &Frame, name: &str) -> Option<PathBuf> {
         self.files(frame, name)
             .into_iter()

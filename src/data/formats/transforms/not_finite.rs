@@ -1,6 +1,6 @@
 //! JSON as Python writes it for numbers that are not finite: `NaN` and `Infinity`, which no JSON parser takes.
 
-/// A word that is no JSON.
+/// A word that is not valid JSON.
 pub(crate) struct Token {
     /// Line in the file, from 1.
     pub line: usize,

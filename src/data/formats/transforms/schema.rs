@@ -1,4 +1,4 @@
-//! The fields of a `transforms.json`, and the cameras that follow from them.
+//! The fields of a `transforms.json`, and the cameras that they give.
 
 use super::not_finite::quoted;
 use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS, describe_rotation, fits_f32};
@@ -64,7 +64,7 @@ struct LensFields {
 }
 
 impl LensFields {
-    /// These fields, and those of `all` where they are missing.
+    /// These fields, with missing ones taken from `all`.
     fn or(&self, all: &Self) -> Self {
         let mut merged = self.clone();
         macro_rules! fill {
@@ -75,14 +75,14 @@ impl LensFields {
     }
 }
 
-/// Models that are a pinhole once the distortion is taken out.
+/// Models that are pinholes once the distortion is removed.
 const PINHOLE_MODELS: &str =
     "PINHOLE SIMPLE_PINHOLE OPENCV OPENCV_PINHOLE FULL_OPENCV SIMPLE_RADIAL RADIAL";
 
 const UNDISTORT: &str = "undistort the images (colmap image_undistorter) and export again";
 
 impl Transforms {
-    /// Reads the file and checks what concerns it as a whole.
+    /// Reads the file and checks it as a whole.
     pub fn read(path: &Path) -> Result<Self> {
         let original = files::text(path)?;
         // Python writes NaN into JSON. In a pose, the frame can be named.

@@ -1,4 +1,4 @@
-//! The file that lists the frames, or the files, one for each split, as Blender's scenes of NeRF have them.
+//! The file that lists the frames, or one file for each split, as in the Blender scenes of NeRF.
 
 use super::schema::Transforms;
 use super::splits::{self, Splits};
@@ -17,7 +17,7 @@ const VALIDATION: &str = "transforms_val.json";
 
 /// The files that list the frames of a folder.
 pub(super) struct Sources {
-    /// For messages: the file, or several in one text.
+    /// The file, or the names of several, for messages.
     pub file: PathBuf,
     /// At least one.
     pub files: Vec<Source>,
@@ -89,7 +89,7 @@ impl Sources {
         Ok(sources)
     }
 
-    /// One file, whatever lies beside it.
+    /// Reads one file and ignores others in the same folder.
     pub fn of_file(path: &Path, problems: &mut Problems) -> Result<Self> {
         let file = path.to_owned();
         let mut sources = Self {
@@ -101,7 +101,7 @@ impl Sources {
         Ok(sources)
     }
 
-    /// Reads a file, whose frames are all of `split` where there is one.
+    /// Reads a file. If `split` is given, all of its frames belong to it.
     fn add(&mut self, path: PathBuf, split: Option<Split>, problems: &mut Problems) -> Result<()> {
         let transforms = Transforms::read(&path)?;
         let splits = match split {

@@ -1,4 +1,4 @@
-//! Which frames of a `transforms.json` are trained on and which are held out: `split` of the frames, or nerfstudio's
+//! Which frames of a `transforms.json` are for training and which are held out: `split` of the frames, or nerfstudio's
 //! `train_filenames`, `val_filenames` and `test_filenames`.
 
 use super::schema::Transforms;
@@ -8,19 +8,19 @@ use crate::error::invalid;
 use std::collections::HashMap;
 use std::path::Path;
 
-/// The frames that are read: index in the file, and the split, which the file gives for all of them or none.
+/// The frames that are read: index in the file, and the split, which the file gives either for all frames or for none.
 pub(super) type Splits = Vec<(usize, Option<Split>)>;
 
-/// What a file says of a frame.
+/// The use of a frame as its file gives it.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Use {
     Train,
-    /// For choosing settings, where there are test frames besides.
+    /// For choosing settings, if there are test frames too.
     Validation,
     Test,
 }
 
-/// All `count` frames of a file, of one split.
+/// All `count` frames of a file, with one split.
 pub(super) fn all(count: usize, split: Option<Split>) -> Splits {
     (0..count).map(|i| (i, split)).collect()
 }
