@@ -68,6 +68,7 @@ pub mod raster;
 pub mod reconstruction;
 pub mod report;
 pub mod segmentation;
+pub mod segmenter;
 pub mod splat;
 pub mod viewer;
 pub mod weights;

@@ -8,10 +8,11 @@ use clap::Args;
 use coseg::config::Association;
 use coseg::data::formats::transforms;
 use coseg::data::{MapGeometry, Split};
-use coseg::error::Result;
+use coseg::error::{Error, Result};
 use coseg::objects::{Semantics, associate, vote};
 use coseg::raster::Settings;
 use coseg::splat::ply;
+use std::path::Path;
 
 const HELP: &str = "\
 The ids of instance masks often mean nothing in other views. Segments that cover the same Gaussians get one id.
@@ -41,6 +42,7 @@ impl AssociateArgs {
     pub fn run(self) -> Result<()> {
         let mut config = self.input.config()?;
         config.data.association = Association::Gaussians;
+        check_own(&self.input.out)?;
         let settings = Settings::from(&config.raster);
         let device = self.input.device()?;
         let (mut scene, ply) = self.input.read(&config, &device)?;
@@ -91,4 +93,24 @@ impl AssociateArgs {
         shown.print("held-out views, rendered");
         Ok(())
     }
+}
+
+/// Refuses a folder with label maps or classes that an earlier run of this command did not write.
+fn check_own(out: &Path) -> Result<()> {
+    let maps = out.join("labels");
+    let is_used = maps.is_dir() || out.join("classes.json").exists();
+    if !is_used || maps.join(MapGeometry::FILE).is_file() {
+        return Ok(());
+    }
+    let found = format!(
+        "{}, which holds labels or classes.json of others",
+        out.display()
+    );
+    let expected = "a new folder, or one that `coseg associate` wrote";
+    Err(Error::argument(
+        "--out",
+        found,
+        expected,
+        "name a new folder",
+    ))
 }

@@ -112,6 +112,9 @@ impl InfoArgs {
     fn run(self) -> Result<()> {
         let config = self.settings.load(Some(&self.dir), None)?;
         let options = LoadOptions::for_training(&config);
+        if let Some(path) = &self.sheet {
+            data::check_output_file("--sheet", path, (&self.dir, &options))?;
+        }
         let info = data::info(&self.dir, &options)?;
         if let Some(path) = &self.sheet {
             let (tiles, classes) = data::thumbnails(&self.dir, &options, SHEET.0, SHEET.1)?;

@@ -45,6 +45,8 @@ impl LabelledArgs {
     pub fn read(&self, config: &Config, device: &Device) -> Result<(Scene, PlyScene)> {
         let options = LoadOptions::from(config);
         data::locate(&self.data, &options)?;
+        let outputs = [self.out.as_path(), &self.out.join("labels")];
+        data::check_outputs("--out", &outputs, Some((&self.data, &options)))?;
         let path = scene_path(&self.scene)?;
         if atomic::same_file(&path, &self.out.join(SCENE)) {
             let found = self.out.display().to_string();

@@ -9,6 +9,7 @@ mod eval;
 mod fault_list;
 mod held_out;
 mod interrupt;
+mod label;
 mod labelled;
 mod object_scene;
 mod objects;
@@ -67,6 +68,7 @@ const EXAMPLES: &str = "\
 Examples:
   coseg train                                  the built-in room, both stages, into runs/builtin
   coseg train --data scenes/living --out runs/living
+  coseg label --data scenes/living --model segmenter.onnx --out labels/living
   coseg data check scenes/living               all problems of a folder at once
   coseg train --resume runs/living             continue a run that was stopped
   coseg eval runs/living                       its scores on the held-out views
@@ -87,6 +89,8 @@ Exit code: 0 success, 1 an error that says what to do, 2 a mistake on the comman
 pub enum Command {
     /// Turn photos and raw label maps into a segmented Gaussian scene
     Train(train::TrainArgs),
+    /// Label photos by a 2D segmenter: label maps, scores, classes
+    Label(label::LabelArgs),
     /// Check a scene folder, or describe it
     Data(data::DataArgs),
     /// Score a run on held-out views
@@ -116,6 +120,7 @@ impl Command {
     pub fn run(self) -> Result<ExitCode> {
         let done = match self {
             Self::Train(args) => return args.run(),
+            Self::Label(args) => return args.run(),
             Self::Data(args) => args.run(),
             Self::Eval(args) => args.run(),
             Self::Render(args) => args.run(),

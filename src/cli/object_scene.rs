@@ -4,7 +4,7 @@ use super::scene_file::{
     CLASSES, classes_beside, copy_cameras, has_extension, read_scene, scene_path,
 };
 use clap::Args;
-use coseg::data::{Classes, atomic};
+use coseg::data::{Classes, LoadOptions, atomic, check_output_file};
 use coseg::error::{Error, Result};
 use coseg::objects::{Object, inventory};
 use coseg::splat::ply::PlyScene;
@@ -60,6 +60,9 @@ impl ObjectSceneArgs {
                 expected,
                 "name a new file",
             ));
+        }
+        if let Some(folder) = out.parent() {
+            check_output_file("--out", out, (folder, &LoadOptions::default()))?;
         }
         if !has_extension(out, "ply") {
             let help = "end the name in .ply; other tools convert that to their formats";

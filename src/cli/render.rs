@@ -9,7 +9,9 @@ use super::values::{alpha_max, numbers};
 use super::{BackendArgs, terminal};
 use clap::{Args, ValueEnum};
 use coseg::data::formats::transforms;
-use coseg::data::{Classes, LabelMap, Limits, NamedCamera, Split, atomic, read_cameras};
+use coseg::data::{
+    Classes, LabelMap, Limits, LoadOptions, NamedCamera, Split, atomic, check_outputs, read_cameras,
+};
 use coseg::error::Result;
 use coseg::objects::{Frame, RenderOptions, Renderer};
 use coseg::raster::Settings;
@@ -132,6 +134,13 @@ impl RenderArgs {
         let keys = cameras_path(self.cameras.as_deref(), &path)?;
         self.path.check(&self.out, &keys)?;
         let config = rendering_beside(&path);
+        let scene = self
+            .cameras
+            .as_deref()
+            .filter(|dir| dir.is_dir())
+            .or(config.data.dir.as_deref());
+        let options = LoadOptions::from(&config);
+        check_outputs("--out", &[&self.out], scene.map(|dir| (dir, &options)))?;
         let mut raster = config.raster;
         raster.alpha_max = self.alpha_max.unwrap_or(raster.alpha_max);
         raster.background = self.background.unwrap_or(raster.background);

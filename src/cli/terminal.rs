@@ -32,6 +32,9 @@ pub fn report_panics() {
     let trace = std::env::var_os("RUST_BACKTRACE").is_some_and(|v| v != "0");
     let default = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
+        if coseg::segmenter::is_guarded() {
+            return;
+        }
         let payload = info.payload();
         let text = payload
             .downcast_ref::<&str>()

@@ -1,6 +1,7 @@
 //! `coseg train`: the main job.
 
 use super::held_out::Scores;
+use super::label::SegmenterArgs;
 use super::progress::Bars;
 use super::run_folder::{IDENTITIES, REPORT, RunFolder};
 use super::scene_file::{CAMERAS, SCENE, VIEWER, cameras_of, scene_path};
@@ -11,7 +12,7 @@ use coseg::config::Config;
 use coseg::data;
 use coseg::data::formats::transforms;
 use coseg::data::{LoadOptions, Split, atomic};
-use coseg::error::Result;
+use coseg::error::{Error, Result};
 use coseg::pipeline;
 use coseg::pipeline::{Outcome, VariantOutcome};
 use coseg::report::{Command, Metrics, Report, held_out_views};
@@ -37,6 +38,7 @@ The run folder gets
   cameras.json   the views as a transforms.json, for render and objects
   config.toml    all settings as run
   renders/       held-out views: colour, labels, error maps
+  labels/        with --segmenter: label maps and scores of all photos, as `coseg label` writes them
   checkpoint/    the state that --resume continues from
 
 Ctrl-C, or SIGTERM, saves a checkpoint and stops after the step or view; a second one stops at once. The report and the other
@@ -55,6 +57,7 @@ Examples:
   coseg train --data scenes/living --set data.raw_labels=labels_raw --set segmentation.rows=raw,vote,ours
   coseg train --config configs/fox.toml --data scenes/fox --out runs/fox
   coseg train --data scenes/fox --set features.source=dino --set features.weights=dino_deitsmall8_pretrain.pth
+  coseg train --data scenes/fox --segmenter net.onnx --classes mine.toml      photos alone: labels them first
   coseg train --data scenes/fox --scene other/point_cloud.ply          stage two alone, on Gaussians of another trainer
   coseg train --data scenes/fox --scene other/point_cloud.ply --set building.iterations=2000      trained further first
   coseg train --resume runs/fox
@@ -70,6 +73,11 @@ pub struct TrainArgs {
     /// 3DGS PLY of this or another trainer whose Gaussians to label, instead of building new ones
     #[arg(long, value_name = "FILE.ply|RUN", conflicts_with = "resume")]
     scene: Option<PathBuf>,
+    /// Label the photos first, by this semantic segmenter, into labels/ of the run folder; `coseg label --help`
+    #[arg(long, value_name = "FILE.onnx", conflicts_with = "resume")]
+    segmenter: Option<PathBuf>,
+    #[command(flatten)]
+    labelling: SegmenterArgs,
     /// Run folder to write [default: runs/NAME of the scene, with a number if that is taken]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -88,9 +96,12 @@ pub struct TrainArgs {
 impl TrainArgs {
     /// Trains or resumes, and writes the run folder unless the run is stopped.
     pub fn run(mut self) -> Result<ExitCode> {
-        let (run, config) = self.settle()?;
+        let (run, mut config) = self.settle()?;
         if let Some(dir) = &config.data.dir {
-            data::locate(dir, &LoadOptions::from(&config))?;
+            let options = LoadOptions::from(&config);
+            data::locate(dir, &options)?;
+            let renders = run.path().join("renders");
+            data::check_outputs("--out", &[run.path(), &renders], Some((dir, &options)))?;
         }
         let (backend, device) = self.backend.choose()?;
         let threads = rayon::current_num_threads();
@@ -101,6 +112,10 @@ impl TrainArgs {
             run.path().display()
         ));
         interrupt::watch();
+        if self.label(&run, &mut config)? {
+            terminal::note("stopped; the same command continues");
+            return Ok(ExitCode::from(interrupt::EXIT));
+        }
         let command = Command {
             line: command_line(),
             device: device_text,
@@ -121,6 +136,28 @@ impl TrainArgs {
         terminal::say(&format!("report: {}", run.file(REPORT).display()));
         terminal::say(&viewer);
         Ok(ExitCode::SUCCESS)
+    }
+
+    /// Labels the photos by the segmenter, if one is given; its labels become the raw ones. True where it was stopped.
+    fn label(&self, run: &RunFolder, config: &mut Config) -> Result<bool> {
+        let Some(model) = &self.segmenter else {
+            return self.labelling.expect_none().map(|()| false);
+        };
+        let Some(dir) = &config.data.dir else {
+            let expected = "a scene folder whose photos it labels";
+            return Err(Error::argument(
+                "--segmenter",
+                "the built-in room",
+                expected,
+                "add --data DIR",
+            ));
+        };
+        let labels = run.path().join("labels");
+        let scene = (dir.as_path(), &LoadOptions::from(&*config));
+        let done = self.labelling.label_for_training(scene, model, &labels)?;
+        let labels = labels.canonicalize().unwrap_or(labels);
+        config.data.raw_labels = labels.display().to_string();
+        Ok(done.stopped)
     }
 
     /// The run folder and the settings, with absolute paths: a run is resumed and scored from other folders too.

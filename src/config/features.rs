@@ -19,6 +19,8 @@ pub enum FeatureSource {
     Mobilenetv2,
     /// A DINO ViT of any size, the ends of the quarters of its depth (the paper).
     Dino,
+    /// The tensor of this name within the ONNX segmenter of `features.weights`, as in `coseg label`.
+    Segmenter(String),
     /// Maps read from the files of this folder: `STEM.N.npy` ([H, W, C] f32, N = 1..4) or `STEM.safetensors` (tensors
     /// `scale1`..`scale4`).
     Import(PathBuf),
@@ -51,6 +53,7 @@ impl FeatureConfig {
         let network = match self.source {
             FeatureSource::Mobilenetv2 => "MobileNetV2",
             FeatureSource::Dino => "DINO",
+            FeatureSource::Segmenter(_) => "segmenter",
             _ => return Ok(()),
         };
         if self.weights.is_some() {

@@ -7,6 +7,7 @@ pub(crate) mod diagnostics;
 pub mod formats;
 pub mod labels;
 mod options;
+mod outputs;
 pub mod photos;
 
 pub use self::diagnostics::check::{Checked, check};
@@ -17,7 +18,9 @@ pub use self::formats::manifest::{ClassTable, ExpectedFile, Manifest};
 pub use self::labels::label_runs::LabelRuns;
 pub use self::labels::map_geometry::MapGeometry;
 pub use self::labels::palette::class_color;
+pub use self::labels::scores::{LabelScores, ScoreGrid, ScoreMap, ViewScores};
 pub use self::options::LoadOptions;
+pub use self::outputs::{check_output_file, check_outputs};
 pub use self::photos::photo::Photo;
 pub use self::photos::photo_cache::PhotoCache;
 
@@ -196,6 +199,8 @@ pub struct View {
     pub truth: Option<LabelRuns>,
     /// Raw labels of a 2D segmenter, where given. In test views they only score the 2D baseline.
     pub raw: Option<LabelRuns>,
+    /// Where the class probabilities of [`View::raw`] are, if the segmenter's scores lie beside the map.
+    pub scores: Option<ViewScores>,
     /// The segments of [`View::raw`] as far as they are known, where its ids are segments of this view, not classes.
     pub segments: Vec<Segment>,
     /// True instance ids, where known; 0 is none. Only for scoring.

@@ -13,6 +13,7 @@ mod lattice;
 mod map;
 pub mod mobilenet;
 mod pca;
+mod segmenter;
 
 pub use self::extract::{FeatureSet, PCA_CELLS, Reduction, ViewFeatures, extract};
 pub(crate) use self::lattice::Axis;
@@ -23,6 +24,7 @@ pub use self::pca::{Moments, Pca};
 use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::View;
 use crate::error::{Error, Result};
+use crate::segmenter::Tap;
 use crate::weights::file_digest;
 use burn::tensor::{Device, Tensor, TensorData};
 use image::RgbImage;
@@ -58,6 +60,15 @@ pub enum Extractor {
         /// Whether maps take the final layer normalisation.
         final_norm: bool,
     },
+    /// A tensor within a semantic segmenter, see [`Tap`].
+    Segmenter {
+        /// The network.
+        tap: Box<Tap>,
+        /// Where it was read from.
+        path: PathBuf,
+        /// Name of the tensor.
+        tensor: String,
+    },
     /// Maps read from files of this folder, see [`Extractor::maps`].
     Import(PathBuf),
 }
@@ -82,6 +93,13 @@ impl Extractor {
                 Self::mobilenet(weights("MobileNetV2")?, device)
             }
             FeatureSource::Dino => Self::dino(weights("DINO")?, config.final_norm, device),
+            FeatureSource::Segmenter(tensor) => {
+                let path = weights("segmenter")?;
+                let tap = Box::new(Tap::load(path, tensor)?);
+                let path = path.to_owned();
+                let tensor = tensor.clone();
+                Ok(Self::Segmenter { tap, path, tensor })
+            }
             FeatureSource::Import(dir) if dir.is_dir() => Ok(Self::Import(dir.clone())),
             FeatureSource::Import(dir) => {
                 let error = std::io::ErrorKind::NotFound.into();
@@ -109,12 +127,15 @@ impl Extractor {
         })
     }
 
-    /// Name for reports: `descriptor`, `mobilenetv2 FILE`, `dino FILE` or `imported DIR`.
+    /// Name for reports: `descriptor`, `mobilenetv2 FILE`, `dino FILE`, `segmenter FILE, TENSOR` or `imported DIR`.
     pub fn name(&self) -> String {
         match self {
             Self::Descriptor => "descriptor".into(),
             Self::MobileNetV2 { path, .. } => format!("mobilenetv2 {}", path.display()),
             Self::Dino { path, .. } => format!("dino {}", path.display()),
+            Self::Segmenter { path, tensor, .. } => {
+                format!("segmenter {}, {tensor}", path.display())
+            }
             Self::Import(dir) => format!("imported {}", dir.display()),
         }
     }
@@ -141,6 +162,7 @@ impl Extractor {
             Self::Descriptor => Ok(descriptor::describe(&*pixels()?)),
             Self::MobileNetV2 { net, .. } => net.maps(&*pixels()?),
             Self::Dino { net, .. } => net.maps(&*pixels()?),
+            Self::Segmenter { tap, .. } => segmenter::maps(tap, &*pixels()?),
             Self::Import(dir) => import::read(dir, name),
         }
     }
@@ -153,6 +175,9 @@ impl Extractor {
             Self::Dino {
                 hash, final_norm, ..
             } => Some(format!("{} {hash} norm {final_norm}", dino::VERSION)),
+            Self::Segmenter { tap, tensor, .. } => {
+                Some(format!("{} {} {tensor}", segmenter::VERSION, tap.digest()))
+            }
             Self::Import(_) => None,
         }
     }

@@ -21,6 +21,16 @@ pub(crate) fn json<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<T
     serde_json::from_str(&text(path)?).map_err(|e| json_error(path, &e, expected))
 }
 
+/// The TOML `text` of the file at `path`; `expected` describes its form in errors.
+pub(crate) fn toml<T: DeserializeOwned>(text: &str, path: &Path, expected: &str) -> Result<T> {
+    toml::from_str(text).map_err(|e: toml::de::Error| {
+        let start = e.span().map_or(0, |span| span.start);
+        let line = text.bytes().take(start).filter(|&b| b == b'\n').count() + 1;
+        invalid!(path, "line {line}"; found "{}", e.message().replace('\n', ", ");
+            expected "{expected}"; help "correct the file there")
+    })
+}
+
 /// The error for JSON that does not parse.
 pub(crate) fn json_error(path: &Path, e: &serde_json::Error, expected: &str) -> Error {
     invalid!(path, "line {}", e.line(); found "{e}"; expected "{expected}";

@@ -1,6 +1,6 @@
 //! Pictures: coloured label maps with legends, error maps, floats as 8-bit images.
 
-use crate::data::{Classes, LabelMap};
+use crate::data::{Classes, LabelMap, class_color};
 use crate::error::{Error, Result};
 use font8x8::legacy::BASIC_LEGACY;
 use image::{Rgb, RgbImage};
@@ -43,6 +43,12 @@ pub fn colored(labels: &LabelMap, classes: &Classes) -> RgbImage {
         None => UNKNOWN,
     };
     per_pixel(labels.width, labels.height, |p| color(labels.ids[p]))
+}
+
+/// A map of segments in a colour for each, whatever the classes.
+pub fn colored_segments(segments: &LabelMap) -> RgbImage {
+    let color = |id: u16| if id == 0 { UNLABELLED } else { class_color(id) };
+    per_pixel(segments.width, segments.height, |p| color(segments.ids[p]))
 }
 
 /// Light where the labels equal the truth, red where they differ, grey where the truth has no label.

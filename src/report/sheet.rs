@@ -1,75 +1,93 @@
-//! A contact sheet: small photos with their labels, names and splits in one picture.
+//! A contact sheet: small photos with their raw and true labels side by side, in one picture.
 
-use super::pictures::{GLYPH, colored, draw_text, with_legend};
+use super::pictures::{GLYPH, colored, colored_segments, draw_text, with_legend};
 use crate::data::{Classes, LabelMap, Split, Thumbnail};
 use image::imageops::replace;
 use image::{Rgb, RgbImage};
 
-/// Photos in a row.
+/// Pictures in a row, about.
 const COLUMNS: usize = 5;
-/// Pixels between them.
+/// Pixels between views.
 const GAP: usize = 6;
-/// Height of the line with the name, pixels.
+/// Height of the line with the captions, pixels.
 const CAPTION: usize = GLYPH + 5;
 
-/// Photos in rows of five; where some have label maps, these are below them, with a legend at the end.
+/// Views in rows: each its photo, then its raw and its true labels where some view has them, with captions. A legend of the
+/// classes at the end. Where raw labels are segments, each has a colour of its own.
 pub fn contact_sheet(tiles: &[Thumbnail], classes: &Classes) -> RgbImage {
-    let width = tiles
-        .iter()
-        .map(|tile| tile.photo.width() as usize)
-        .max()
-        .unwrap_or(1);
-    let height = tiles
-        .iter()
-        .map(|tile| tile.photo.height() as usize)
-        .max()
-        .unwrap_or(1);
-    let labelled = tiles.iter().any(|tile| tile.labels.is_some());
-    let cell = [
-        width + GAP,
-        height * (1 + usize::from(labelled)) + CAPTION + GAP,
-    ];
-    let columns = COLUMNS.min(tiles.len()).max(1);
+    let side = |of: fn(&RgbImage) -> u32| {
+        tiles
+            .iter()
+            .map(|tile| of(&tile.photo) as usize)
+            .max()
+            .unwrap_or(1)
+    };
+    let (width, height) = (side(RgbImage::width), side(RgbImage::height));
+    let has = |of: fn(&Thumbnail) -> &Option<LabelMap>| tiles.iter().any(|tile| of(tile).is_some());
+    let (has_raw, has_truth) = (has(|tile| &tile.raw), has(|tile| &tile.truth));
+    let parts = 1 + usize::from(has_raw) + usize::from(has_truth);
+    let cell = [width * parts + GAP, height + CAPTION + GAP];
+    let columns = COLUMNS.div_ceil(parts).min(tiles.len()).max(1);
     let rows = tiles.len().div_ceil(columns);
     let size = [columns * cell[0] + GAP, rows * cell[1] + GAP].map(|v| v as u32);
     let mut sheet = RgbImage::from_pixel(size[0], size[1], Rgb([250, 250, 248]));
     for (i, tile) in tiles.iter().enumerate() {
-        let at = [GAP + i % columns * cell[0], GAP + i / columns * cell[1]];
-        let [x, y] = at.map(|v| v as i64);
-        replace(&mut sheet, &tile.photo, x, y);
-        if let Some(labels) = &tile.labels {
-            replace(&mut sheet, &colored(labels, classes), x, y + height as i64);
-        }
         let split = if tile.split == Split::Test {
             "test "
         } else {
             ""
         };
-        let room = width / GLYPH;
-        let caption: String = format!("{split}{}", tile.name).chars().take(room).collect();
-        draw_text(
-            &mut sheet,
-            (at[0], at[1] + cell[1] - CAPTION - GAP + 3),
-            1,
-            &caption,
-        );
+        let raw = tile.raw.as_ref().map(|raw| {
+            if tile.are_segments {
+                colored_segments(raw)
+            } else {
+                colored(raw, classes)
+            }
+        });
+        let truth = tile.truth.as_ref().map(|truth| colored(truth, classes));
+        let pictures = [
+            (
+                true,
+                Some(tile.photo.clone()),
+                format!("{split}{}", tile.name),
+            ),
+            (
+                has_raw,
+                raw,
+                if tile.are_segments {
+                    "segments"
+                } else {
+                    "raw labels"
+                }
+                .to_owned(),
+            ),
+            (has_truth, truth, "true labels".to_owned()),
+        ];
+        let mut x = GAP + i % columns * cell[0];
+        let y = GAP + i / columns * cell[1];
+        for (_, picture, caption) in pictures.into_iter().filter(|(shown, ..)| *shown) {
+            if let Some(picture) = picture {
+                replace(&mut sheet, &picture, x as i64, y as i64);
+                let caption: String = caption.chars().take(width / GLYPH).collect();
+                draw_text(&mut sheet, (x, y + height + 3), 1, &caption);
+            }
+            x += width;
+        }
     }
-    if !labelled {
-        return sheet;
-    }
-    let ids = tiles
+    with_legend(&sheet, &shown(tiles), classes)
+}
+
+/// The ids of classes that the sheet shows, as a map without pixels.
+fn shown(tiles: &[Thumbnail]) -> LabelMap {
+    let raw = tiles
         .iter()
-        .filter_map(|tile| tile.labels.as_ref())
-        .flat_map(|map| &map.ids)
-        .copied()
-        .collect();
-    with_legend(
-        &sheet,
-        &LabelMap {
-            width: 0,
-            height: 0,
-            ids,
-        },
-        classes,
-    )
+        .filter(|tile| !tile.are_segments)
+        .filter_map(|tile| tile.raw.as_ref());
+    let truth = tiles.iter().filter_map(|tile| tile.truth.as_ref());
+    let ids = raw.chain(truth).flat_map(|map| &map.ids).copied().collect();
+    LabelMap {
+        width: 0,
+        height: 0,
+        ids,
+    }
 }

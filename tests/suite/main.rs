@@ -13,6 +13,7 @@ mod raster;
 mod reconstruction;
 mod report;
 mod segmentation;
+mod segmenter;
 mod splat;
 mod support;
 mod viewer;

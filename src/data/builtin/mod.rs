@@ -167,6 +167,7 @@ fn assemble(options: &BuiltinOptions) -> Scene {
                 mask: None,
                 truth: Some(truth.labels.into()),
                 raw: Some(raw.into()),
+                scores: None,
                 segments: Vec::new(),
                 instances: Some(instances.into()),
             }

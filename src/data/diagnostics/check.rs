@@ -135,6 +135,8 @@ impl FrameCheck {
             let raw = problems.keep(labels.raw()).flatten();
             check.void = raw.map(|raw| raw.map.ids.iter().all(|&id| id == listing.unlabelled()));
             problems.keep(labels.instances());
+            let scores = labels.scores();
+            scores.map(|scores| problems.keep(scores.read(&listing.classes)));
         }
         check.faults = problems.all();
         check

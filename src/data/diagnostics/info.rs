@@ -248,8 +248,12 @@ pub struct Thumbnail {
     pub split: Split,
     /// The photo, undistorted; black where a mask leaves pixels out.
     pub photo: RgbImage,
-    /// True labels, or else raw labels, in the size of the photo.
-    pub labels: Option<LabelMap>,
+    /// Raw labels, where there are some; of the photo's size.
+    pub raw: Option<LabelMap>,
+    /// Whether the ids of raw labels are segments of this view.
+    pub are_segments: bool,
+    /// True labels, where there are some; of the photo's size.
+    pub truth: Option<LabelMap>,
 }
 
 /// At most `count` views, evenly chosen, `width` pixels wide, and the class table for their labels.
@@ -279,16 +283,17 @@ pub fn thumbnails(
         let height = height.clamp(1, 4 * u64::from(width)) as u32;
         let photo = resize(&photo, width.max(1), height, FilterType::Triangle);
         let labels = FrameLabels::new(&listing, frame, &geometry, &known, limits, mask.as_ref());
-        let map = match labels.truth()? {
-            Some(truth) => Some(truth),
-            None => labels.raw()?.map(|raw| raw.map),
-        };
         let size = (photo.width() as usize, photo.height() as usize);
+        let small = |map: LabelMap| map.resized(size.0, size.1);
+        let raw = labels.raw()?.map(|raw| small(raw.map));
+        let truth = labels.truth()?.map(small);
         Ok(Thumbnail {
             name: frame.name.clone(),
             split: frame.split,
             photo,
-            labels: map.map(|map| map.resized(size.0, size.1)),
+            raw,
+            are_segments: listing.raw.are_segments(),
+            truth,
         })
     }))?;
     Ok((made, listing.classes))

@@ -4,9 +4,9 @@ use crate::config::Layout;
 use crate::data::formats::frame::{Frame, reduced};
 use crate::data::formats::layout;
 use crate::data::formats::listing::{Cloud, Listing, Problems, first_names};
-use crate::data::labels::{map_geometry, mask_file};
+use crate::data::labels::mask_file;
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{LoadOptions, Scene, Split};
+use crate::data::{LoadOptions, MapGeometry, Scene, Split};
 use crate::error::Result;
 use crate::splat::camera::Camera;
 use glam::DVec3;
@@ -301,7 +301,7 @@ fn assumed_undistorted(listing: &Listing, options: &LoadOptions) -> Option<Strin
             map.display(),
             size.0,
             size.1,
-            map.with_file_name(map_geometry::FILE).display()
+            map.with_file_name(MapGeometry::FILE).display()
         )
     })
 }

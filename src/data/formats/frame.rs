@@ -1,5 +1,6 @@
 //! One posed photo of a scene folder, and the camera of the view that it becomes.
 
+use crate::data::labels::scores::Placement;
 use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::photos::lens::{Lens, Undistortion};
 use crate::data::photos::photo::Preprocessing;
@@ -8,6 +9,7 @@ use crate::error::{Error, Result, invalid};
 use crate::splat::camera::Camera;
 use image::RgbImage;
 use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
 
 /// One posed photo.
 pub(crate) struct Frame {
@@ -167,6 +169,18 @@ impl Geometry {
             Some(MapGeometry::Undistorted) => self.resized(map),
             None if self.is_reduced_size((map.width, map.height)) => map,
             None | Some(MapGeometry::Photos) => self.labels_of_photo(map),
+        }
+    }
+
+    /// How the view lies on its photo, or on maps of the undistorted one where a file beside the maps `declared` them so.
+    pub fn placement(&self, declared: Option<MapGeometry>) -> Placement {
+        let view = self.view_camera();
+        let of_photo = declared != Some(MapGeometry::Undistorted);
+        let undistortion = self.preprocessing.undistortion.clone();
+        Placement {
+            view: [view.width, view.height],
+            photo: [self.camera.width, self.camera.height],
+            undistortion: undistortion.filter(|_| of_photo).map(Arc::new),
         }
     }
 

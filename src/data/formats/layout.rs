@@ -133,6 +133,22 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
         found += &format!(", but a folder {folder} of layout {layout}");
         help = format!("give {}", dir.join(folder).display());
     }
+    let is_photo = |name: &str, _: &Path| {
+        let name = name.to_lowercase();
+        [".jpg", ".jpeg", ".png"]
+            .iter()
+            .any(|ending| name.ends_with(ending))
+    };
+    let photos = [dir.to_owned(), dir.join("images")]
+        .iter()
+        .map(|folder| names(folder, is_photo).len())
+        .max();
+    if let Some(photos) = photos.filter(|photos| *photos > 1 && help == "give another folder") {
+        found = format!("{photos} photos and no poses");
+        help = "find the poses first, by COLMAP (docs/from-photos.md, 1); then `coseg train --data DIR --segmenter FILE.onnx` \
+            makes the label maps too"
+            .to_owned();
+    }
     invalid!(dir, "{}", options.transforms; found "{found}";
         expected "cameras and frames: transforms.json (nerfstudio, instant-ngp), transforms_train.json with \
             transforms_test.json (Blender), sparse/0 or sparse with cameras and images as .bin or .txt (COLMAP), \

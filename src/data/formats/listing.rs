@@ -234,6 +234,7 @@ impl Listing {
         let labels = FrameLabels::new(self, frame, &geometry, known, limits, mask.as_ref());
         let truth = labels.truth()?.map(LabelRuns::from);
         let raw = labels.raw()?;
+        let scores = labels.scores();
         let (raw, segments) = raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
         let instances = labels.instances()?.map(LabelRuns::from);
         let mut camera = geometry.view_camera();
@@ -246,6 +247,7 @@ impl Listing {
             mask,
             truth,
             raw,
+            scores,
             segments,
             instances,
         };

@@ -58,13 +58,11 @@ impl Manifest {
     /// [`Error::Io`]; [`Error::Input`] naming line and fault: no TOML, unknown or missing keys, a class table that
     /// there is not.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = files::text(path)?;
-        toml::from_str(&text).map_err(|e: toml::de::Error| {
-            let start = e.span().map_or(0, |span| span.start);
-            let line = text.bytes().take(start).filter(|&b| b == b'\n').count() + 1;
-            invalid!(path, "line {line}"; found "{}", e.message().replace('\n', ", ");
-                expected "a manifest as in data_manifests/"; help "correct the file there")
-        })
+        files::toml(
+            &files::text(path)?,
+            path,
+            "a manifest as in data_manifests/",
+        )
     }
 
     /// `options` with the layout and class table of the manifest.

@@ -106,13 +106,17 @@ impl Classes {
     /// # Errors
     /// [`crate::Error::Io`].
     pub fn write(&self, path: &Path) -> Result<()> {
+        atomic::write_bytes(path, self.text().as_bytes())
+    }
+
+    /// The content of the file that [`Classes::write`] writes.
+    pub(crate) fn text(&self) -> String {
         let file = ClassFile {
             ignore: self.ignore,
             classes: self.entries.iter().map(ClassEntry::from).collect(),
         };
-        atomic::write(path, |out| {
-            serde_json::to_writer_pretty(out, &file).map_err(Into::into)
-        })
+        // Plain data always has a JSON form.
+        serde_json::to_string_pretty(&file).unwrap_or_default()
     }
 }
 

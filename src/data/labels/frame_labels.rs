@@ -3,9 +3,10 @@
 use super::raw::RawMap;
 use crate::data::formats::frame::{Frame, Geometry};
 use crate::data::formats::listing::Listing;
+use crate::data::labels::scores;
 use crate::data::mask::Mask;
 use crate::data::photos::image_file::{ImageFile, proportional};
-use crate::data::{LabelMap, Limits};
+use crate::data::{LabelMap, Limits, ViewScores};
 use crate::error::{Error, Result};
 use std::path::Path;
 
@@ -77,6 +78,15 @@ impl<'a> FrameLabels<'a> {
         )?;
         let map = self.in_view(path, raw.map, self.listing.unlabelled());
         Ok(Some(RawMap { map, ..raw }))
+    }
+
+    /// The scores of the raw labels, where they lie beside the map.
+    pub fn scores(&self) -> Option<ViewScores> {
+        let ids = self.listing.raw.score_ids()?;
+        let map = self.frame.raw.as_ref()?;
+        let file = scores::path_of(map).filter(|file| file.is_file())?;
+        let placement = self.geometry.placement(self.listing.geometries.of(map));
+        Some(ViewScores::new(file, ids, placement, self.limits))
     }
 
     /// A grey label map of the size of its file.

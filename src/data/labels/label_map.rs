@@ -2,10 +2,10 @@
 
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Limits, atomic};
-use crate::error::{Result, invalid};
+use crate::error::{Error, Result, invalid};
 use image::{DynamicImage, GrayImage, ImageBuffer, Luma, codecs::png::PngEncoder};
 use std::collections::BTreeSet;
-use std::io;
+use std::io::{self, Write};
 use std::path::Path;
 
 /// The id that datasets and segmenters write for unlabelled pixels (Cityscapes, ADE20K, mmsegmentation).
@@ -122,21 +122,31 @@ impl LabelMap {
         self.write_as(path, true)
     }
 
+    /// The bytes of the file that [`LabelMap::write`] writes.
+    pub(crate) fn png(&self) -> Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        let encoded = self.encode(&mut bytes, self.ids.iter().any(|&id| id > 255));
+        encoded.map_err(|e| Error::io("label map", "encode", e))?;
+        Ok(bytes)
+    }
+
     fn write_as(&self, path: &Path, wide: bool) -> Result<()> {
+        atomic::write(path, |out| self.encode(out, wide))
+    }
+
+    fn encode(&self, out: impl Write, wide: bool) -> io::Result<()> {
         let (width, height) = (self.width as u32, self.height as u32);
         let wrong_size = || io::Error::other("label ids do not fill the image");
-        atomic::write(path, |out| {
-            let encoder = PngEncoder::new(out);
-            let written = if wide {
-                let image = ImageBuffer::<Luma<u16>, _>::from_raw(width, height, &self.ids[..]);
-                image.ok_or_else(wrong_size)?.write_with_encoder(encoder)
-            } else {
-                let ids = self.ids.iter().map(|&id| id as u8).collect();
-                GrayImage::from_raw(width, height, ids)
-                    .ok_or_else(wrong_size)?
-                    .write_with_encoder(encoder)
-            };
-            written.map_err(io::Error::other)
-        })
+        let encoder = PngEncoder::new(out);
+        let written = if wide {
+            let image = ImageBuffer::<Luma<u16>, _>::from_raw(width, height, &self.ids[..]);
+            image.ok_or_else(wrong_size)?.write_with_encoder(encoder)
+        } else {
+            let ids = self.ids.iter().map(|&id| id as u8).collect();
+            GrayImage::from_raw(width, height, ids)
+                .ok_or_else(wrong_size)?
+                .write_with_encoder(encoder)
+        };
+        written.map_err(io::Error::other)
     }
 }

@@ -9,9 +9,6 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
-/// The file's name.
-pub(crate) const FILE: &str = "geometry.json";
-
 /// Which camera the label maps of a folder belong to, as `geometry.json` in it says.
 ///
 /// Without that file maps belong to the stored photos, except maps of the very size that `data.max_side` reduces a
@@ -26,21 +23,30 @@ pub enum MapGeometry {
 }
 
 /// The file.
-#[derive(Serialize, Deserialize)]
+#[derive(Deserialize)]
 struct File {
     maps: MapGeometry,
 }
 
 impl MapGeometry {
+    /// The name of the file.
+    pub const FILE: &str = "geometry.json";
+
     /// Writes `{"maps": "undistorted"}` or `{"maps": "photos"}` into `geometry.json` of `folder`, which is made if absent.
     ///
     /// # Errors
     /// [`crate::Error::Io`].
     pub fn write(self, folder: &Path) -> Result<()> {
-        atomic::write(folder.join(FILE), |out| {
-            serde_json::to_writer(&mut *out, &File { maps: self })?;
-            std::io::Write::write_all(out, b"\n")
-        })
+        atomic::write_bytes(folder.join(Self::FILE), self.text().as_bytes())
+    }
+
+    /// The content of the file.
+    pub(crate) fn text(self) -> String {
+        let maps = match self {
+            Self::Undistorted => "undistorted",
+            Self::Photos => "photos",
+        };
+        format!("{{\"maps\":\"{maps}\"}}\n")
     }
 
     fn read(path: &Path) -> Result<Self> {
@@ -62,9 +68,9 @@ impl MapGeometries {
         let folders: BTreeSet<&Path> = maps.flatten().filter_map(|map| map.parent()).collect();
         let files = folders
             .into_iter()
-            .filter(|folder| folder.join(FILE).is_file());
+            .filter(|folder| folder.join(MapGeometry::FILE).is_file());
         let read = |folder: &Path| {
-            let geometry = problems.keep(MapGeometry::read(&folder.join(FILE)))?;
+            let geometry = problems.keep(MapGeometry::read(&folder.join(MapGeometry::FILE)))?;
             Some((folder.to_owned(), geometry))
         };
         Self(files.filter_map(read).collect())

@@ -8,3 +8,4 @@ pub(crate) mod map_geometry;
 pub(crate) mod mask_file;
 pub(crate) mod palette;
 pub(crate) mod raw;
+pub mod scores;

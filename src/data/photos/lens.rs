@@ -112,7 +112,7 @@ impl Undistortion {
     }
 
     /// Where the pinhole's pixel coordinates lie in the photo.
-    fn source(&self, u: f64, v: f64) -> (f64, f64) {
+    pub fn source(&self, u: f64, v: f64) -> (f64, f64) {
         let (x, y) = self.normalised(u, v);
         let (x, y) = self.lens.distort(x, y);
         (

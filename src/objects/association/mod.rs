@@ -107,6 +107,7 @@ impl Association {
         for (view, map) in scene.views.iter_mut().zip(self.maps) {
             view.raw = map;
             view.truth = None;
+            view.scores = None;
             view.segments.clear();
         }
     }

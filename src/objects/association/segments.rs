@@ -169,6 +169,7 @@ mod tests {
             mask: None,
             truth: None,
             raw: None,
+            scores: None,
             segments: Vec::new(),
             instances: None,
         };

@@ -362,6 +362,7 @@ fn extraction_reduces_the_maps_and_names_the_file() {
             mask: None,
             truth: None,
             raw: None,
+            scores: None,
             segments: Vec::new(),
             instances: None,
         }

@@ -38,6 +38,7 @@ fn view(name: &str, split: Split, image: RgbImage, truth: Option<LabelMap>) -> V
         mask: None,
         truth,
         raw: None,
+        scores: None,
         segments: Vec::new(),
         instances: None,
     }

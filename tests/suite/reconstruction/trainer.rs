@@ -70,6 +70,7 @@ pub fn scene() -> Scene {
                 mask: None,
                 truth: None,
                 raw: None,
+                scores: None,
                 segments: Vec::new(),
                 instances: None,
             }

@@ -1,3 +1,4 @@
 //! Tests of `coseg::report`.
 
 pub mod results;
+mod sheet;

@@ -91,6 +91,7 @@ fn views(classes: &Classes) -> Vec<View> {
         mask: None,
         truth: Some(truth.clone().into()),
         raw: Some(labels(9.0 + i as f64).into()),
+        scores: None,
         segments: Vec::new(),
         instances: None,
     };

@@ -294,6 +294,7 @@ pub fn view(name: String, camera: Camera) -> View {
         mask: None,
         truth: None,
         raw: None,
+        scores: None,
         segments: Vec::new(),
         instances: None,
     }

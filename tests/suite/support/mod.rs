@@ -2,6 +2,7 @@
 
 pub mod dino_reference;
 pub mod linear_probe;
+pub mod onnx;
 pub mod plates;
 pub mod point_probe;
 pub mod raster_reference;

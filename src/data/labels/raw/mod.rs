@@ -3,15 +3,18 @@
 mod ade20k;
 mod coco;
 mod masks;
+mod named;
 
 use super::frame_labels::expect_file;
 use crate::config::{Association, RawFormat};
 use crate::data::formats::frame::Frame;
 use crate::data::formats::listing::Listing;
+use crate::data::labels::scores::ScoreIds;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Limits, LoadOptions, Segment};
 use crate::error::{Error, Result, invalid};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Help for unknown ids that may be no classes.
 const IF_SEGMENTS: &str = "; where ids mean something in their view alone (instance masks), \
@@ -22,10 +25,14 @@ pub(crate) struct RawLabels {
     source: Source,
     /// Ids are segments of their view, not classes.
     segments: bool,
+    /// The ids of scores beside the maps; `None` where maps of this kind have no scores.
+    scores: Option<Arc<ScoreIds>>,
 }
 
 enum Source {
     Grey,
+    /// Grey maps of ids of the class table beside them.
+    Named(named::OwnClasses),
     Coco(coco::Panoptic),
     /// With the class id of each class of ADE20K.
     Ade20k(Vec<Option<u16>>),
@@ -107,7 +114,10 @@ pub(crate) fn needs_classes(
     }
     let is_raw =
         frames.iter().any(|frame| frame.raw.is_some()) && options.association == Association::None;
-    (is_raw && detect(dir, options, frames) == RawFormat::Grey).then_some(IF_SEGMENTS)
+    let first = frames.iter().find_map(|frame| frame.raw.as_ref())?;
+    let is_named = named::table(dir, &folder(dir, options, first)).is_some();
+    let is_grey = is_raw && detect(dir, options, frames) == RawFormat::Grey;
+    (is_grey && !is_named).then_some(IF_SEGMENTS)
 }
 
 /// The format that the options name, or that of the first map.
@@ -154,6 +164,7 @@ impl RawLabels {
         Self {
             source: Source::Grey,
             segments: false,
+            scores: None,
         }
     }
 
@@ -173,7 +184,20 @@ impl RawLabels {
         let segments = options.association != Association::None;
         let mut vocabulary = None;
         let source = match detect(dir, options, frames) {
-            RawFormat::Auto | RawFormat::Grey => Source::Grey,
+            RawFormat::Auto | RawFormat::Grey if segments => Source::Grey,
+            RawFormat::Auto | RawFormat::Grey => {
+                let table = named::table(dir, &folder(dir, options, first));
+                match table
+                    .map(|file| named::OwnClasses::read(&file, classes))
+                    .transpose()?
+                {
+                    Some((own, known)) => {
+                        vocabulary = Some(known);
+                        Source::Named(own)
+                    }
+                    None => Source::Grey,
+                }
+            }
             RawFormat::CocoPanoptic => {
                 let panoptic = coco::Panoptic::read(&folder(dir, options, first), classes)?;
                 vocabulary = Some(panoptic.vocabulary.clone());
@@ -195,12 +219,37 @@ impl RawLabels {
                 ));
             }
         };
-        Ok((Self { source, segments }, vocabulary))
+        let known = vocabulary.as_ref().map_or(classes, |own| &own.classes);
+        let scores = match &source {
+            _ if segments => None,
+            Source::Grey => Some(
+                known
+                    .entries
+                    .iter()
+                    .map(|class| (class.id, class.id))
+                    .collect(),
+            ),
+            Source::Named(own) => Some(own.ids.clone()),
+            Source::Coco(_) | Source::Ade20k(_) | Source::Masks => None,
+        };
+        Ok((
+            Self {
+                source,
+                segments,
+                scores: scores.map(Arc::new),
+            },
+            vocabulary,
+        ))
     }
 
     /// Whether ids are segments of their view.
     pub fn are_segments(&self) -> bool {
         self.segments
+    }
+
+    /// The ids of scores that may lie beside the maps.
+    pub fn score_ids(&self) -> Option<Arc<ScoreIds>> {
+        self.scores.clone()
     }
 
     /// Reads the map at `path` of a photo of the size `photo`; `check_size` refuses files of the wrong size. With the class
@@ -240,6 +289,11 @@ impl RawLabels {
                     Vec::new()
                 };
                 Ok(RawMap { map, segments })
+            }
+            Source::Named(own) => {
+                let mut map = LabelMap::decode(path, &file)?;
+                own.translate(path, &mut map, classes.ignore)?;
+                Ok(without_segments(map))
             }
             Source::Grey | Source::Masks => {
                 let mut map = LabelMap::decode(path, &file)?;

@@ -1,0 +1,72 @@
+//! Grey maps whose ids are those of a class table beside them, as `coseg label` writes both.
+
+use super::Vocabulary;
+use crate::data::labels::scores::ScoreIds;
+use crate::data::{Classes, LabelMap};
+use crate::error::Result;
+use std::path::{Path, PathBuf};
+
+/// The name of the table.
+const FILE: &str = "classes.json";
+
+/// The class table of a folder of maps, where it has one of its own. The maps of the scene folder `dir` itself are in the
+/// scene's table.
+pub(super) fn table(dir: &Path, maps: &Path) -> Option<PathBuf> {
+    let file = maps.join(FILE);
+    let is_scene = || crate::files::atomic::same_file(&file, &dir.join(FILE));
+    (file.is_file() && !is_scene()).then_some(file)
+}
+
+/// The table of the maps, next to the scene's.
+pub(super) struct OwnClasses {
+    classes: Classes,
+    known: Vec<u16>,
+    /// Class id in the scene of each id of the maps, where the scene has the class.
+    pub ids: ScoreIds,
+}
+
+impl OwnClasses {
+    /// Reads the table in `file` and matches it by name with `classes`, the scene's, which may be empty.
+    ///
+    /// # Errors
+    /// As [`Classes::read`]; no class of the table is one of the scene.
+    pub fn read(file: &Path, classes: &Classes) -> Result<(Self, Vocabulary)> {
+        let own = Classes::read(file)?;
+        let names: Vec<(u16, &str)> = own
+            .entries
+            .iter()
+            .map(|class| (class.id, class.name.as_str()))
+            .collect();
+        let vocabulary = if classes.is_empty() {
+            Vocabulary {
+                classes: own.clone(),
+                ids: names.iter().map(|(id, _)| Some(*id)).collect(),
+                notice: None,
+            }
+        } else {
+            Vocabulary::new(file, classes, &names)?
+        };
+        let matched = names.iter().zip(&vocabulary.ids);
+        let ids = matched
+            .filter_map(|((id, _), class)| Some((*id, (*class)?)))
+            .collect();
+        let known = own.lookup();
+        Ok((
+            Self {
+                classes: own,
+                known,
+                ids,
+            },
+            vocabulary,
+        ))
+    }
+
+    /// Replaces the ids of a map by the scene's; classes that the scene lacks become `unlabelled`.
+    pub fn translate(&self, path: &Path, map: &mut LabelMap, unlabelled: u16) -> Result<()> {
+        map.settle_ids(path, &self.classes, &self.known, "")?;
+        for id in &mut map.ids {
+            *id = self.ids.get(id).copied().unwrap_or(unlabelled);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,166 @@
+//! Scores of raw labels: class probabilities for each pixel, as a segmenter gave them.
+
+mod file;
+
+pub use self::file::{ScoreGrid, ScoreMap};
+
+use crate::data::photos::lens::Undistortion;
+use crate::data::{Classes, Limits};
+use crate::error::Result;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Folder beside the maps that holds the scores.
+const FOLDER: &str = "scores";
+/// Extension of their files.
+const EXTENSION: &str = "scores";
+
+/// The file with the scores of a label map: `scores/NAME.scores` beside `NAME.png`.
+pub fn path_of(map: &Path) -> Option<PathBuf> {
+    Some(
+        map.parent()?
+            .join(name_of(&map.file_stem()?.to_string_lossy())),
+    )
+}
+
+/// The path within the folder of the maps of the scores of `NAME.png`.
+pub(crate) fn name_of(name: &str) -> String {
+    format!("{FOLDER}/{name}.{EXTENSION}")
+}
+
+/// Class id of the scene for each id in files of scores; classes that the scene lacks are not in it.
+pub(crate) type ScoreIds = HashMap<u16, u16>;
+
+/// The scores of a view's raw labels, in their file.
+#[derive(Clone, Debug)]
+pub struct ViewScores {
+    file: PathBuf,
+    ids: Arc<ScoreIds>,
+    placement: Placement,
+    limits: Limits,
+}
+
+/// How a view lies on its photo.
+#[derive(Clone, Debug)]
+pub(crate) struct Placement {
+    /// Pixels across and down of the view.
+    pub view: [usize; 2],
+    /// Pixels across and down of its photo as stored.
+    pub photo: [usize; 2],
+    /// From the photo to the view, where the lens distorts and the scores are of the distorted photo.
+    pub undistortion: Option<Arc<Undistortion>>,
+}
+
+impl Placement {
+    /// Where a point of the view lies on the photo, as shares of its width and height.
+    fn shares(&self, x: f64, y: f64) -> [f64; 2] {
+        let [width, height] = self.photo.map(|n| n as f64);
+        let mut point = (
+            x / self.view[0] as f64 * width,
+            y / self.view[1] as f64 * height,
+        );
+        if let Some(undistortion) = &self.undistortion {
+            point = undistortion.source(point.0, point.1);
+        }
+        [point.0 / width, point.1 / height]
+    }
+}
+
+impl ViewScores {
+    pub(crate) fn new(
+        file: PathBuf,
+        ids: Arc<ScoreIds>,
+        placement: Placement,
+        limits: &Limits,
+    ) -> Self {
+        Self {
+            file,
+            ids,
+            placement,
+            limits: limits.clone(),
+        }
+    }
+
+    /// The file.
+    pub fn file(&self) -> &Path {
+        &self.file
+    }
+
+    /// Reads the file. Classes that are not in `classes`, the table of the scene, are left out.
+    ///
+    /// # Errors
+    /// As [`ScoreMap::read`].
+    pub fn read(&self, classes: &Classes) -> Result<LabelScores> {
+        let map = ScoreMap::read(&self.file, &self.limits)?;
+        let index = |id: &u16| classes.index(*self.ids.get(id)?).map(|index| index as u16);
+        let indices = map.ids.iter().map(index).collect();
+        Ok(LabelScores {
+            map,
+            indices,
+            placement: self.placement.clone(),
+        })
+    }
+}
+
+/// The scores of a view's raw labels in memory: class probabilities of any of its pixels.
+#[derive(Clone, Debug)]
+pub struct LabelScores {
+    map: ScoreMap,
+    /// Class index of each of the map's ids; `None` where it is no class of the scene.
+    indices: Vec<Option<u16>>,
+    placement: Placement,
+}
+
+impl LabelScores {
+    /// The probabilities of the classes at the centre of the pixel in column `x`, row `y` of the view: (class index,
+    /// probability) of the classes that the four cells around it name, most probable first, of sum 1. They are bilinear on
+    /// the grid, then renormalised. Empty where no class of the scene is known. `found` is emptied first.
+    pub fn at(&self, x: usize, y: usize, found: &mut Vec<(u16, f32)>) {
+        found.clear();
+        let shares = self.placement.shares(x as f64 + 0.5, y as f64 + 0.5);
+        let grid = &self.map.grid;
+        let axis = |a: usize, cells: usize| {
+            let place = grid.scale[a] * shares[a] * grid.photo[a] as f64 + grid.offset[a];
+            // A point outside, or not finite, takes the border.
+            let place = place.max(0.0).min((cells - 1) as f64);
+            (place as usize, place.fract() as f32)
+        };
+        let ((left, fx), (top, fy)) = (axis(0, self.map.width), axis(1, self.map.height));
+        for (row, wy) in [(top, 1.0 - fy), (top + 1, fy)] {
+            for (column, wx) in [(left, 1.0 - fx), (left + 1, fx)] {
+                if wx * wy > 0.0 {
+                    self.add_cell(row * self.map.width + column, wx * wy, found);
+                }
+            }
+        }
+        let sum: f32 = found.iter().map(|(_, p)| p).sum();
+        found.iter_mut().for_each(|(_, p)| *p /= sum);
+        found.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+    }
+
+    /// Adds the probabilities of a cell, times `weight`.
+    fn add_cell(&self, cell: usize, weight: f32, found: &mut Vec<(u16, f32)>) {
+        let cells = self.map.width * self.map.height;
+        for n in 0..self.map.classes {
+            let Some(class) = self.indices[n * cells + cell] else {
+                continue;
+            };
+            let share = weight * f32::from(self.map.probabilities[n * cells + cell]) / 255.0;
+            match found.iter_mut().find(|(other, _)| *other == class) {
+                Some((_, sum)) => *sum += share,
+                None => found.push((class, share)),
+            }
+        }
+    }
+
+    /// Pixels across and down of the view.
+    pub fn size(&self) -> [usize; 2] {
+        self.placement.view
+    }
+
+    /// The stored scores, in ids of the file.
+    pub fn map(&self) -> &ScoreMap {
+        &self.map
+    }
+}

@@ -1,0 +1,133 @@
+//! Folders that commands may write into: none that holds a scene's own files.
+
+use super::LoadOptions;
+use super::formats::frame::Frame;
+use super::formats::layout;
+use super::formats::listing::{Cloud, Problems};
+use crate::error::{Error, Result};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// Folders above an output folder that are looked at for a scene.
+const LEVELS: usize = 3;
+/// Names of folders in a scene that are read as true labels, true instances and masks once they are there.
+const RESERVED: [&str; 3] = ["labels", "instances", "masks"];
+
+/// Refuses to write into `folders` where one of them is a scene folder, or is read by the loader of the scene in folder `dir` or
+/// of a scene above it: photos, poses, label maps or masks would be overwritten. `option` named the folders.
+///
+/// # Errors
+/// [`Error::Argument`].
+pub fn check_outputs(
+    option: &str,
+    folders: &[&Path],
+    scene: Option<(&Path, &LoadOptions)>,
+) -> Result<()> {
+    let read = scene
+        .map(|(dir, options)| folders_read(dir, options))
+        .unwrap_or_default();
+    for folder in folders {
+        let place = absolute(folder);
+        if is_scene(&place) || read.contains(&place) || is_read_by_scene_above(&place) {
+            let found = format!("{}, which holds files of a scene", folder.display());
+            let expected =
+                "a folder of its own: photos, poses, label maps and classes are never overwritten";
+            return Err(Error::argument(
+                option,
+                found,
+                expected,
+                "name a new folder",
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses to write `file` where it is a photo, a label map, a mask, the cloud or the class table of the scene in folder `dir`.
+///
+/// # Errors
+/// [`Error::Argument`].
+pub fn check_output_file(
+    option: &str,
+    file: &Path,
+    (dir, options): (&Path, &LoadOptions),
+) -> Result<()> {
+    let place = absolute(file);
+    let own = files_read(dir, options)
+        .into_iter()
+        .chain([dir.join("classes.json")]);
+    if own.map(|file| absolute(&file)).all(|file| file != place) {
+        return Ok(());
+    }
+    let found = format!("{}, a file of the scene", file.display());
+    Err(Error::argument(
+        option,
+        found,
+        "another file",
+        "name a new file",
+    ))
+}
+
+fn is_scene(folder: &Path) -> bool {
+    layout::locate(folder, &LoadOptions::default()).is_ok()
+}
+
+fn is_read_by_scene_above(folder: &Path) -> bool {
+    let is_reserved = folder
+        .file_name()
+        .is_some_and(|name| RESERVED.iter().any(|reserved| name == *reserved));
+    let mut above = folder.ancestors().skip(1).take(LEVELS).enumerate();
+    above.any(|(level, dir)| {
+        is_scene(dir)
+            && (level == 0 && is_reserved
+                || folders_read(dir, &LoadOptions::default()).contains(folder))
+    })
+}
+
+/// The folders whose files make the scene in folder `dir`.
+fn folders_read(dir: &Path, options: &LoadOptions) -> BTreeSet<PathBuf> {
+    let files = files_read(dir, options);
+    // Raw labels may be folders themselves.
+    let folders = files
+        .iter()
+        .filter(|file| file.is_dir())
+        .map(PathBuf::as_path);
+    let parents = files.iter().filter_map(|file| file.parent());
+    folders.chain(parents).chain([dir]).map(absolute).collect()
+}
+
+/// Photos, label maps, masks and the initial cloud of the scene in folder `dir`.
+fn files_read(dir: &Path, options: &LoadOptions) -> Vec<PathBuf> {
+    // Faults of the scene are reported where it is loaded.
+    let listing = layout::list(dir, options, &mut Problems::default());
+    let cloud = listing.iter().filter_map(|listing| match &listing.cloud {
+        Cloud::Ply(file) => Some(file.clone()),
+        _ => None,
+    });
+    let files = |frame: &Frame| {
+        let maps = [&frame.mask, &frame.truth, &frame.raw, &frame.instances];
+        let maps = maps.into_iter().flatten().cloned();
+        [frame.image.clone()]
+            .into_iter()
+            .chain(maps)
+            .collect::<Vec<_>>()
+    };
+    let frames = listing.iter().flat_map(|listing| &listing.frames);
+    frames.flat_map(files).chain(cloud).collect()
+}
+
+/// The path without links, as far as it is there.
+fn absolute(path: &Path) -> PathBuf {
+    let mut rest = Vec::new();
+    let full = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    for above in full.ancestors() {
+        if let Ok(place) = above.canonicalize() {
+            return rest
+                .into_iter()
+                .rev()
+                .fold(place, |place: PathBuf, name| place.join(name));
+        }
+        rest.extend(above.file_name());
+    }
+    full
+}

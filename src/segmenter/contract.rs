@@ -1,0 +1,398 @@
+//! The contract of a segmenter: how a photo becomes its input, and what its output says about the photo.
+
+use crate::data::ScoreGrid;
+use crate::error::{Error, Result};
+use crate::files;
+use image::RgbImage;
+use image::imageops::{FilterType, resize};
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+/// The contracts that come with the program, by name.
+const SHIPPED: [(&str, &str); 3] = [
+    (
+        "deeplab_mnv2_ade20k",
+        include_str!("../../configs/segmenters/deeplab_mnv2_ade20k.toml"),
+    ),
+    (
+        "segformer_ade20k",
+        include_str!("../../configs/segmenters/segformer_ade20k.toml"),
+    ),
+    (
+        "torchvision_voc",
+        include_str!("../../configs/segmenters/torchvision_voc.toml"),
+    ),
+];
+/// Longest side of an input, pixels.
+const LONGEST: usize = 8192;
+
+/// How a network reads photos and what its output means. `configs/segmenters/` has examples.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Contract {
+    /// The network's input.
+    pub input: Input,
+    /// The network's output.
+    pub output: Output,
+    /// The network's classes.
+    pub classes: Names,
+    /// Where it was read from.
+    #[serde(skip)]
+    pub file: PathBuf,
+}
+
+/// From a photo to the tensor that a network reads.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Input {
+    /// Name of the tensor; without it, the network must have one input.
+    pub tensor: Option<String>,
+    /// Order of its dimensions.
+    pub layout: Layout,
+    /// Pixels across and down.
+    pub size: [usize; 2],
+    /// How the photo is made to fit.
+    pub resize: Resize,
+    /// Where a photo lies that does not fill the input.
+    #[serde(default)]
+    pub place: Place,
+    /// Red, green and blue, 0 to 255, of pixels beside the photo.
+    #[serde(default)]
+    pub pad: [f32; 3],
+    /// Subtracted from red, green and blue, which are 0 to 255.
+    pub mean: [f32; 3],
+    /// What they are divided by then.
+    pub std: [f32; 3],
+}
+
+/// What a network's output says.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Output {
+    /// Name of the tensor; without it, the network must have one output.
+    pub tensor: Option<String>,
+    /// Order of its dimensions.
+    pub layout: Layout,
+    /// Input pixels from one cell to the next.
+    pub stride: usize,
+    /// Where the cells lie.
+    pub alignment: Alignment,
+    /// What its values are.
+    pub values: Values,
+    /// Index of the class that means none of the others.
+    pub none: Option<usize>,
+}
+
+/// The classes of a network.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Names {
+    /// In the order of the output's channels.
+    pub names: Vec<String>,
+}
+
+/// Order of the dimensions of a tensor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Layout {
+    /// Batch, channels, rows, columns.
+    Nchw,
+    /// Batch, rows, columns, channels.
+    Nhwc,
+}
+
+/// How a photo is made to fit an input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Resize {
+    /// Scaled to fit inside, its proportions kept.
+    Fit,
+    /// Scaled to fill the input.
+    Stretch,
+}
+
+/// Where a photo lies that does not fill the input.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Place {
+    /// In the upper left corner.
+    #[default]
+    TopLeft,
+    /// In the middle.
+    Center,
+}
+
+/// Where the cells of an output lie on the input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Alignment {
+    /// Cell i is at the centre of pixel `stride * i` (`align_corners = True`).
+    Corners,
+    /// Cell i is in the middle of the `stride` pixels from `stride * i` on (`align_corners = False`).
+    HalfPixel,
+}
+
+/// What the values of an output are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Values {
+    /// Arguments of a softmax over the classes.
+    Logits,
+    /// Probabilities of the classes.
+    Probabilities,
+}
+
+/// Where a photo lies in an input.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placed {
+    /// Pixels across and down of the photo as stored.
+    pub photo: [usize; 2],
+    /// Column and row of its upper left corner in the input.
+    pub at: [usize; 2],
+    /// Pixels across and down in the input.
+    pub size: [usize; 2],
+}
+
+impl Contract {
+    /// The contract for the network in `model`: the file or the shipped contract that `given` names; without it the file of
+    /// the model's name with the extension `toml` beside it, or the shipped contract of the model's name.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] that lists the shipped contracts where none is found; as [`Contract::parse`].
+    pub fn find(model: &Path, given: Option<&str>) -> Result<Self> {
+        if let Some(given) = given {
+            return Self::shipped(given).unwrap_or_else(|| {
+                let file = Path::new(given);
+                if file.is_file() {
+                    Self::read(file)
+                } else {
+                    Err(unknown(given))
+                }
+            });
+        }
+        let beside = model.with_extension("toml");
+        if beside.is_file() {
+            return Self::read(&beside);
+        }
+        let stem = model.file_stem().unwrap_or_default().to_string_lossy();
+        Self::shipped(&stem).unwrap_or_else(|| Err(unknown(&stem)))
+    }
+
+    /// Names of the shipped contracts.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        SHIPPED.iter().map(|(name, _)| *name)
+    }
+
+    fn shipped(name: &str) -> Option<Result<Self>> {
+        let (name, text) = SHIPPED.iter().find(|(shipped, _)| *shipped == name)?;
+        Some(Self::parse(text, Path::new(name)))
+    }
+
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; as [`Contract::parse`].
+    pub fn read(file: &Path) -> Result<Self> {
+        Self::parse(&files::text(file)?, file)
+    }
+
+    /// Parses the TOML `text` of `file`.
+    ///
+    /// # Errors
+    /// [`Error::Input`] naming line or key: malformed TOML, unknown or missing keys, values out of range, names twice.
+    pub fn parse(text: &str, file: &Path) -> Result<Self> {
+        let mut contract: Self = files::toml(text, file, "a contract as in configs/segmenters/")?;
+        contract.file = file.to_owned();
+        contract.check()?;
+        Ok(contract)
+    }
+
+    fn check(&self) -> Result<()> {
+        let wrong = |key: &str, found: String, expected: &str| {
+            Err(Error::input(
+                &self.file,
+                key,
+                found,
+                expected,
+                "correct the contract",
+            ))
+        };
+        let (input, output, names) = (&self.input, &self.output, &self.classes.names);
+        let in_range = |side: &usize| (1..=LONGEST).contains(side);
+        if !input.size.iter().all(in_range) {
+            return wrong(
+                "input.size",
+                format!("{:?}", input.size),
+                "sides of 1 to 8192 pixels",
+            );
+        }
+        let numbers = [input.pad, input.mean, input.std];
+        if !numbers.as_flattened().iter().all(|v| v.is_finite()) || input.std.contains(&0.0) {
+            return wrong(
+                "input",
+                format!("pad, mean, std {numbers:?}"),
+                "finite numbers, std not 0",
+            );
+        }
+        if output.stride == 0 || output.stride > input.size[0].min(input.size[1]) {
+            return wrong(
+                "output.stride",
+                output.stride.to_string(),
+                "1 or more, within the input",
+            );
+        }
+        if !(2..=usize::from(u16::MAX)).contains(&names.len()) {
+            return wrong(
+                "classes.names",
+                format!("{} names", names.len()),
+                "2 to 65535 names",
+            );
+        }
+        if let Some(none) = output.none.filter(|none| *none >= names.len()) {
+            return wrong(
+                "output.none",
+                none.to_string(),
+                &format!("an index below {}", names.len()),
+            );
+        }
+        let twice = (0..names.len()).find(|&i| {
+            names[..i]
+                .iter()
+                .any(|name| plain(name) == plain(&names[i]))
+        });
+        if let Some(i) = twice {
+            return wrong(
+                "classes.names",
+                format!("{:?} twice", names[i]),
+                "different names",
+            );
+        }
+        Ok(())
+    }
+
+    /// Shape of the input tensor.
+    pub fn input_shape(&self) -> [usize; 4] {
+        let [width, height] = self.input.size;
+        match self.input.layout {
+            Layout::Nchw => [1, 3, height, width],
+            Layout::Nhwc => [1, height, width, 3],
+        }
+    }
+
+    /// Cells of the output, across and down.
+    pub fn cells(&self) -> [usize; 2] {
+        self.input.size.map(|side| match self.output.alignment {
+            Alignment::Corners => (side - 1) / self.output.stride + 1,
+            Alignment::HalfPixel => side.div_ceil(self.output.stride),
+        })
+    }
+
+    /// Shape of the output tensor.
+    pub fn output_shape(&self) -> [usize; 4] {
+        let ([width, height], classes) = (self.cells(), self.classes.names.len());
+        match self.output.layout {
+            Layout::Nchw => [1, classes, height, width],
+            Layout::Nhwc => [1, height, width, classes],
+        }
+    }
+
+    /// Where a photo of this size lies in the input.
+    pub fn placed(&self, photo: [usize; 2]) -> Placed {
+        let room = self.input.size;
+        let size = match self.input.resize {
+            Resize::Stretch => room,
+            Resize::Fit => {
+                let scale = |a: usize| room[a] as f64 / photo[a] as f64;
+                let scale = scale(0).min(scale(1));
+                [0, 1].map(|a| ((photo[a] as f64 * scale).round() as usize).clamp(1, room[a]))
+            }
+        };
+        let at = match self.input.place {
+            Place::TopLeft => [0, 0],
+            Place::Center => [0, 1].map(|a| (room[a] - size[a]) / 2),
+        };
+        Placed { photo, at, size }
+    }
+
+    /// The input tensor for a photo, and where the photo lies in it.
+    pub fn prepare(&self, photo: &RgbImage) -> (Vec<f32>, Placed) {
+        let placed = self.placed([photo.width() as usize, photo.height() as usize]);
+        let [width, height] = placed.size.map(|n| n as u32);
+        // As wide as the reduction, like the bilinear filter of Pillow.
+        let small = resize(photo, width, height, FilterType::Triangle);
+        let input = &self.input;
+        let [across, down] = input.size;
+        let value = |channel: usize, v: f32| (v - input.mean[channel]) / input.std[channel];
+        let place = |channel: usize, x: usize, y: usize| match input.layout {
+            Layout::Nchw => (channel * down + y) * across + x,
+            Layout::Nhwc => (y * across + x) * 3 + channel,
+        };
+        let mut values = vec![0.0; 3 * across * down];
+        for channel in 0..3 {
+            for y in 0..down {
+                for x in 0..across {
+                    values[place(channel, x, y)] = value(channel, input.pad[channel]);
+                }
+            }
+        }
+        for (x, y, pixel) in small.enumerate_pixels() {
+            let (x, y) = (x as usize + placed.at[0], y as usize + placed.at[1]);
+            for channel in 0..3 {
+                values[place(channel, x, y)] = value(channel, f32::from(pixel.0[channel]));
+            }
+        }
+        (values, placed)
+    }
+
+    /// Where the cells of the output lie on a photo.
+    pub fn grid(&self, placed: &Placed) -> ScoreGrid {
+        let stride = self.output.stride as f64;
+        let scale = |a: usize| placed.size[a] as f64 / placed.photo[a] as f64 / stride;
+        let offset = |a: usize| match self.output.alignment {
+            Alignment::Corners => (placed.at[a] as f64 - 0.5) / stride,
+            Alignment::HalfPixel => placed.at[a] as f64 / stride - 0.5,
+        };
+        ScoreGrid {
+            photo: placed.photo,
+            scale: [0, 1].map(scale),
+            offset: [0, 1].map(offset),
+        }
+    }
+}
+
+/// A name for comparison.
+pub(super) fn plain(name: &str) -> String {
+    name.trim().to_lowercase().replace(['-', '_'], " ")
+}
+
+/// `names`, those nearest to `name` first.
+pub(super) fn nearest_first<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+    let name = plain(name);
+    let likeness = |other: &str| strsim::jaro_winkler(&name, &plain(other));
+    let mut names: Vec<&str> = names.collect();
+    names.sort_by(|a, b| likeness(b).total_cmp(&likeness(a)));
+    names
+}
+
+fn unknown(name: &str) -> Error {
+    let shipped = nearest_first(name, Contract::names()).join(", ");
+    Error::argument(
+        "--contract",
+        format!("no contract {name:?}"),
+        format!("a TOML file, or one of {shipped}"),
+        "name one, or write a file of the model's name with the extension toml beside it (docs/data.md)",
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shipped_contracts_parse() {
+        for name in Contract::names() {
+            let contract = Contract::find(Path::new("model.onnx"), Some(name)).expect(name);
+            assert!(contract.cells().iter().all(|n| *n > 1), "{name}");
+        }
+    }
+}

@@ -1,0 +1,238 @@
+//! Label maps and scores of all photos of a scene folder.
+
+use super::index::{self, Index};
+use super::mapping::{ClassFile, Mapping};
+use super::model::Network;
+use crate::config::Association;
+use crate::data::formats::frame::Frame;
+use crate::data::formats::layout;
+use crate::data::formats::listing::{Listing, Problems};
+use crate::data::labels::scores;
+use crate::data::{Limits, LoadOptions, MapGeometry, check_outputs};
+use crate::error::Result;
+use crate::progress::{Progress, Viewing};
+use std::collections::BTreeSet;
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc;
+
+/// Bytes of memory that photos in work take at most, the network's weights aside.
+const MEMORY: usize = 700 << 20;
+/// Bytes for each pixel of a photo: decoded, its label map, and both while they are encoded.
+const PIXEL_BYTES: usize = 12;
+/// Changes with the arithmetic: labels of another version are made again.
+const VERSION: &str = "coseg label 1";
+
+/// What to label, with what, and where to.
+#[derive(Debug)]
+pub struct Job<'a> {
+    /// The scene folder.
+    pub dir: &'a Path,
+    /// How it is read; all frames that the options pick are labelled.
+    pub options: &'a LoadOptions,
+    /// The network.
+    pub network: &'a Network,
+    /// The user's classes; without them those of the network that occur.
+    pub classes: Option<&'a ClassFile>,
+    /// Classes of each cell of the scores.
+    pub best: usize,
+    /// The folder to write.
+    pub out: &'a Path,
+}
+
+/// What was done.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Labelled {
+    /// Photos of the scene.
+    pub photos: usize,
+    /// Photos whose labels were there already.
+    pub cached: usize,
+    /// Classes in the class table.
+    pub classes: usize,
+    /// Whether `progress` stopped it; the same call continues.
+    pub stopped: bool,
+}
+
+/// Labels all photos of a scene folder: `NAME.png` and `scores/NAME.scores` for each view, `classes.json`, `geometry.json`, and
+/// `label.json`, which lists what was written. Photos are read as they are stored. Labels that are there already and follow
+/// from the same network, contract, classes and photo are kept.
+///
+/// # Errors
+/// Those of the loader for frames and photos; as [`Mapping::of_user`]; [`crate::Error::Argument`] for a folder that the scene's files
+/// lie in; [`crate::Error::Input`] for a folder with other files, and for files in it that were changed since; as
+/// [`Network::run`]; [`crate::Error::Io`].
+pub fn label_scene(job: &Job<'_>, progress: &mut dyn Progress) -> Result<Labelled> {
+    check_outputs("--out", &[job.out], Some((job.dir, job.options)))?;
+    let listing = frames(job)?;
+    let (contract, scene) = (&job.network.contract, &listing.classes);
+    let mapping = match job.classes {
+        Some(user) => Mapping::of_user(contract, user, scene)?,
+        None => Mapping::all(contract),
+    };
+    let mut index = Index::open(job.out)?;
+    index.made_from(&[
+        ("model", job.network.file.display().to_string()),
+        ("contract", contract.file.display().to_string()),
+        (
+            "classes",
+            job.classes
+                .map_or_else(String::new, |user| user.file.display().to_string()),
+        ),
+    ]);
+    // Before the maps, so that no maps are there without it.
+    index.write(&[(
+        MapGeometry::FILE.to_owned(),
+        MapGeometry::Photos.text().into_bytes(),
+    )])?;
+    let work = Work {
+        listing: &listing,
+        limits: &job.options.limits,
+        network: job.network,
+        recipe: format!(
+            "{VERSION}\n{}\n{contract:?}\n{}\n{}\n",
+            job.network.digest,
+            mapping.text(),
+            job.best
+        ),
+        mapping: &mapping,
+        best: job.best,
+        index: Mutex::new(index),
+    };
+    let (cached, stopped) = work.run(progress)?;
+    let mut index = work
+        .index
+        .into_inner()
+        .unwrap_or_else(|poisoned| poisoned.into_inner());
+    let done = Labelled {
+        photos: listing.frames.len(),
+        cached,
+        classes: 0,
+        stopped,
+    };
+    if stopped {
+        return Ok(done);
+    }
+    let mut classes = mapping.classes;
+    if mapping.keeps_occurring {
+        let ids = index.ids(listing.frames.iter().map(|frame| frame.name.as_str()));
+        classes.entries.retain(|class| ids.contains(&class.id));
+    }
+    index.write(&[("classes.json".to_owned(), classes.text().into_bytes())])?;
+    Ok(Labelled {
+        classes: classes.len(),
+        ..done
+    })
+}
+
+/// The frames of the scene. Its raw labels, if it has any, do not matter.
+fn frames(job: &Job<'_>) -> Result<Listing> {
+    let options = LoadOptions {
+        // Raw labels in any format, with or without classes, pass as segments.
+        association: Association::Gaussians,
+        ..job.options.clone()
+    };
+    let mut problems = Problems::default();
+    let listing = layout::list(job.dir, &options, &mut problems)?;
+    problems.first()?;
+    Ok(listing)
+}
+
+/// The photos to label.
+struct Work<'a> {
+    listing: &'a Listing,
+    limits: &'a Limits,
+    network: &'a Network,
+    mapping: &'a Mapping,
+    best: usize,
+    /// What labels follow from, the photo aside.
+    recipe: String,
+    index: Mutex<Index>,
+}
+
+impl Work<'_> {
+    /// Labels the photos, several at a time. Returns how many were labelled before, and whether `progress` stopped it.
+    fn run(&self, progress: &mut dyn Progress) -> Result<(usize, bool)> {
+        let frames = &self.listing.frames;
+        let mut viewing = Viewing::begin(progress, "labels", frames.len());
+        let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
+        let (sender, done) = mpsc::channel();
+        let mut cached = 0;
+        let mut result = Ok(());
+        std::thread::scope(|scope| {
+            for _ in 0..self.workers() {
+                let (sender, next, stop) = (sender.clone(), &next, &stop);
+                scope.spawn(move || {
+                    while let Some(frame) = frames.get(next.fetch_add(1, Ordering::Relaxed)) {
+                        if stop.load(Ordering::Relaxed) || sender.send(self.label(frame)).is_err() {
+                            return;
+                        }
+                    }
+                });
+            }
+            drop(sender);
+            for labelled in &done {
+                match labelled {
+                    Ok(was_cached) => cached += usize::from(was_cached),
+                    Err(error) if result.is_ok() => result = Err(error),
+                    Err(_) => {}
+                }
+                if result.is_err() || viewing.looked(1) == ControlFlow::Break(()) {
+                    stop.store(true, Ordering::Relaxed);
+                }
+            }
+        });
+        result?;
+        let stopped = stop.into_inner();
+        if !stopped {
+            viewing.end();
+        }
+        Ok((cached, stopped))
+    }
+
+    /// Photos that are labelled side by side.
+    fn workers(&self) -> usize {
+        let pixels = |frame: &Frame| frame.camera.width * frame.camera.height;
+        let largest = self.listing.frames.iter().map(pixels).max().unwrap_or(0);
+        let bytes = self.network.working_bytes() + PIXEL_BYTES * largest;
+        (MEMORY / bytes.max(1)).clamp(1, rayon::current_num_threads())
+    }
+
+    /// Labels a photo; true where its labels were there already.
+    fn label(&self, frame: &Frame) -> Result<bool> {
+        let (file, _) = frame.open(&self.listing.file, self.limits)?;
+        let photo: String = file
+            .digest()
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect();
+        let key = index::digest(format!("{}{photo}", self.recipe).as_bytes());
+        let name = frame.name.replace(['/', '\\'], "_");
+        let names = [format!("{name}.png"), scores::name_of(&name)];
+        {
+            let index = self.index();
+            if index.is_current(&frame.name, &key, &names) {
+                return Ok(true);
+            }
+            names.iter().try_for_each(|name| index.check_own(name))?;
+        }
+        let logits = self.network.run(&file.decode_rgb()?)?;
+        let (map, scores) = logits.labels(self.mapping, self.best);
+        let path = Path::new(&names[1]);
+        let files = [
+            (names[0].clone(), map.png()?),
+            (names[1].clone(), scores.encode(path, self.limits)?),
+        ];
+        let ids: BTreeSet<u16> = map.ids.iter().copied().collect();
+        self.index().add(&frame.name, key, ids, &files)?;
+        Ok(false)
+    }
+
+    fn index(&self) -> std::sync::MutexGuard<'_, Index> {
+        // A worker that fails leaves the index as it is on disk, or ahead of it.
+        self.index
+            .lock()
+            .unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+}

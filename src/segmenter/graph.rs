@@ -1,0 +1,265 @@
+//! The graph of an ONNX file, checked before the library sees it.
+
+use super::contract::{Contract, nearest_first};
+use crate::error::{Error, Result, invalid};
+use std::collections::HashSet;
+use std::path::Path;
+use tract_onnx::pb::{GraphProto, ModelProto, TensorProto, ValueInfoProto};
+use tract_onnx::pb::{tensor_proto, tensor_shape_proto, type_proto};
+use tract_onnx::prelude::Framework;
+
+/// Names of tensors that an error lists.
+const LISTED: usize = 12;
+/// What to do about a network that does not fit.
+pub(super) const OTHER: &str =
+    "choose the contract of this network (--contract), or export the network again";
+
+pub(super) fn one_line(text: &str) -> String {
+    let line: String = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    line.chars().take(400).collect()
+}
+
+fn not_onnx(file: &Path, found: &str) -> Error {
+    invalid!(file, "model"; found "{found}"; expected "an ONNX network"; help "copy or export it again")
+}
+
+/// The network in `bytes` with one output: `tensor`, which may be any tensor within it, or the contract's. The second value is
+/// the output's name.
+///
+/// # Errors
+/// [`Error::Input`] for bytes that are no ONNX, weights that lie in other files or do not fill their shapes, operators that the
+/// library lacks, and an input or output of another name or shape than the contract says.
+pub(super) fn read(
+    file: &Path,
+    bytes: &[u8],
+    contract: &Contract,
+    tensor: Option<&str>,
+) -> Result<(ModelProto, String)> {
+    let mut proto = decode(file, bytes)?;
+    let graph = proto
+        .graph
+        .as_mut()
+        .ok_or_else(|| not_onnx(file, "a file without a graph"))?;
+    graph
+        .initializer
+        .iter()
+        .try_for_each(|weights| check_weights(file, weights))?;
+    check_operators(file, graph)?;
+    check_input(file, graph, contract)?;
+    tensor.map_or(Ok(()), |tensor| expose(file, graph, tensor))?;
+    let name = tensor.or(contract.output.tensor.as_deref());
+    let output = choose_output(file, graph, name)?;
+    Ok((proto, output))
+}
+
+fn decode(file: &Path, bytes: &[u8]) -> Result<ModelProto> {
+    if let Some(kind) = crate::files::kind(bytes) {
+        return Err(not_onnx(file, kind));
+    }
+    let proto = tract_onnx::onnx().proto_model_for_read(&mut &*bytes);
+    proto.map_err(|e| {
+        let found = format!(
+            "{} bytes that are damaged or cut off ({})",
+            bytes.len(),
+            one_line(&format!("{e:#}"))
+        );
+        not_onnx(file, &found)
+    })
+}
+
+/// Refuses weights that do not fill their shape.
+fn check_weights(file: &Path, weights: &TensorProto) -> Result<()> {
+    let name = &weights.name;
+    if weights.data_location == Some(tensor_proto::DataLocation::External as i32) {
+        return Err(
+            invalid!(file, "tensor {name}"; found "weights in another file"; expected "weights in this file";
+            help "save the network as one file; in Python: onnx.save(onnx.load(path), path)"),
+        );
+    }
+    let shape = &weights.dims;
+    let volume = shape.iter().try_fold(1_u128, |all, &side| {
+        all.checked_mul(u128::try_from(side).ok()?)
+    });
+    let stored = [
+        weights.float_data.len(),
+        weights.int32_data.len(),
+        weights.int64_data.len(),
+        weights.double_data.len(),
+        weights.uint64_data.len(),
+        weights.string_data.len(),
+    ];
+    let raw = weights.raw_data.len() as u128;
+    let bytes = value_bytes(weights.data_type);
+    let fits = volume.is_some_and(|volume| {
+        let is_raw = bytes.is_some_and(|bytes| Some(raw) == volume.checked_mul(bytes));
+        if raw > 0 {
+            is_raw
+        } else {
+            volume == stored.iter().map(|n| *n as u128).sum::<u128>()
+        }
+    });
+    if fits {
+        return Ok(());
+    }
+    Err(
+        invalid!(file, "tensor {name}"; found "shape {shape:?} with {raw} bytes, {} numbers", stored.iter().sum::<usize>();
+        expected "as many values as the shape has"; help "copy or export the network again"),
+    )
+}
+
+/// Bytes of a value of an ONNX type.
+fn value_bytes(kind: i32) -> Option<u128> {
+    use tensor_proto::DataType as Type;
+    Some(match Type::try_from(kind).ok()? {
+        Type::Uint8 | Type::Int8 | Type::Bool => 1,
+        Type::Uint16 | Type::Int16 | Type::Float16 | Type::Bfloat16 => 2,
+        Type::Float | Type::Int32 | Type::Uint32 => 4,
+        Type::Double | Type::Int64 | Type::Uint64 => 8,
+        _ => return None,
+    })
+}
+
+fn check_operators(file: &Path, graph: &GraphProto) -> Result<()> {
+    let known = tract_onnx::onnx().op_register.0;
+    let unknown = graph
+        .node
+        .iter()
+        .find(|node| !known.contains_key(&node.op_type));
+    unknown.map_or(Ok(()), |node| {
+        Err(
+            invalid!(file, "operator {:?}", node.name; found "{:?}", node.op_type; expected "an operator that tract implements";
+            help "export the network with other operators or another opset"),
+        )
+    })
+}
+
+/// Refuses a network whose inputs are not the one of the contract.
+fn check_input(file: &Path, graph: &GraphProto, contract: &Contract) -> Result<()> {
+    let weights: HashSet<&str> = graph
+        .initializer
+        .iter()
+        .map(|weights| weights.name.as_str())
+        .collect();
+    let inputs: Vec<&ValueInfoProto> = graph
+        .input
+        .iter()
+        .filter(|input| !weights.contains(input.name.as_str()))
+        .collect();
+    let named = |input: &ValueInfoProto| {
+        contract
+            .input
+            .tensor
+            .as_ref()
+            .is_none_or(|name| *name == input.name)
+    };
+    let [input] = inputs[..] else {
+        return Err(
+            invalid!(file, "inputs"; found "{}", described(&inputs); expected "one input"; help "{OTHER}"),
+        );
+    };
+    if !named(input) {
+        let expected = contract.input.tensor.as_deref().unwrap_or_default();
+        return Err(invalid!(file, "inputs"; found "{}", described(&inputs);
+            expected "{expected:?}, as {} says", contract.file.display(); help "{OTHER}"));
+    }
+    let expected = contract.input_shape();
+    let declared = shape(input);
+    let fits = declared.as_ref().is_none_or(|declared| {
+        let same = |(found, expected): (&Option<i64>, &usize)| {
+            found.is_none_or(|found| found == *expected as i64)
+        };
+        declared.len() == expected.len() && declared.iter().zip(&expected).all(same)
+    });
+    if fits {
+        return Ok(());
+    }
+    Err(
+        invalid!(file, "tensor {}", input.name; found "shape {}", shape_text(declared.as_deref());
+        expected "{expected:?}, as {} says", contract.file.display(); help "{OTHER}"),
+    )
+}
+
+/// Makes the named output, or the only one, the network's only output; returns its name.
+fn choose_output(file: &Path, graph: &mut GraphProto, name: Option<&str>) -> Result<String> {
+    let outputs: Vec<&ValueInfoProto> = graph.output.iter().collect();
+    let name = match (name, &outputs[..]) {
+        (Some(name), _) if outputs.iter().any(|output| output.name == name) => name.to_owned(),
+        (None, [output]) => output.name.clone(),
+        (name, _) => {
+            let expected = name.map_or(
+                "one output, or its name in the contract".to_owned(),
+                |name| format!("{name:?}"),
+            );
+            return Err(
+                invalid!(file, "outputs"; found "{}", described(&outputs); expected "{expected}"; help "{OTHER}"),
+            );
+        }
+    };
+    // The library takes this for granted.
+    let made = graph.node.iter().flat_map(|node| &node.output);
+    let given = graph.input.iter().map(|input| &input.name);
+    if !made.chain(given).any(|made| *made == name) {
+        return Err(
+            invalid!(file, "tensor {name}"; found "no operator that makes it"; expected "an output of the graph"; help "{OTHER}"),
+        );
+    }
+    graph.output.retain(|output| output.name == name);
+    graph.output.truncate(1);
+    Ok(name)
+}
+
+/// Names and shapes of inputs or outputs.
+fn described(all: &[&ValueInfoProto]) -> String {
+    let each = all
+        .iter()
+        .map(|one| format!("{} {}", one.name, shape_text(shape(one).as_deref())));
+    let text = each.collect::<Vec<_>>().join(", ");
+    if text.is_empty() {
+        "none".to_owned()
+    } else {
+        text
+    }
+}
+
+/// The declared dimensions; `None` for those that are open.
+fn shape(value: &ValueInfoProto) -> Option<Vec<Option<i64>>> {
+    let type_proto::Value::TensorType(tensor) = value.r#type.as_ref()?.value.as_ref()?;
+    let side = |side: &tensor_shape_proto::Dimension| match side.value {
+        Some(tensor_shape_proto::dimension::Value::DimValue(side)) if side >= 0 => Some(side),
+        _ => None,
+    };
+    Some(tensor.shape.as_ref()?.dim.iter().map(side).collect())
+}
+
+fn shape_text(shape: Option<&[Option<i64>]>) -> String {
+    let side = |side: &Option<i64>| side.map_or("?".to_owned(), |side| side.to_string());
+    shape.map_or("of open shape".to_owned(), |shape| {
+        format!(
+            "[{}]",
+            shape.iter().map(side).collect::<Vec<_>>().join(", ")
+        )
+    })
+}
+
+/// Makes a tensor within the graph one of its outputs.
+fn expose(file: &Path, graph: &mut GraphProto, tensor: &str) -> Result<()> {
+    let made: Vec<&str> = graph
+        .node
+        .iter()
+        .flat_map(|node| &node.output)
+        .map(String::as_str)
+        .collect();
+    if !made.contains(&tensor) {
+        let nearest = nearest_first(tensor, made.into_iter());
+        let nearest = nearest[..nearest.len().min(LISTED)].join(", ");
+        return Err(
+            invalid!(file, "tensor"; found "{tensor:?}"; expected "a tensor of the network, such as {nearest}";
+            help "correct the name"),
+        );
+    }
+    graph.output.push(ValueInfoProto {
+        name: tensor.to_owned(),
+        ..ValueInfoProto::default()
+    });
+    Ok(())
+}

@@ -1,0 +1,167 @@
+//! `label.json` in a folder of labels: which files `coseg label` wrote there, and what from.
+
+use crate::data::atomic;
+use crate::error::{Error, Result, invalid};
+use crate::files;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// The name of the file.
+pub(super) const FILE: &str = "label.json";
+
+/// What a folder of labels holds.
+#[derive(Debug)]
+pub(super) struct Index {
+    folder: PathBuf,
+    content: Content,
+}
+
+/// The file.
+#[derive(Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Content {
+    /// The network, its contract and the user's classes by name, for people.
+    made_from: BTreeMap<String, String>,
+    /// SHA-256 of each file that was written, by its path within the folder.
+    files: BTreeMap<String, String>,
+    /// The photos that are labelled, by view.
+    photos: BTreeMap<String, Entry>,
+}
+
+/// A labelled photo.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Entry {
+    /// SHA-256 of all that its labels follow from.
+    key: String,
+    /// Ids in its label map.
+    ids: BTreeSet<u16>,
+}
+
+impl Index {
+    /// The index of `folder`; empty where there is none.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Input`] for an index that does not parse, and for a folder that holds other files.
+    pub fn open(folder: &Path) -> Result<Self> {
+        let path = folder.join(FILE);
+        let content = if path.is_file() {
+            files::json(&path, "the index of a folder that `coseg label` wrote")?
+        } else {
+            if let Some(other) = files::names(folder, |name, _| !name.starts_with('.')).first() {
+                return Err(
+                    invalid!(folder, "{FILE}"; found "no such file, but {other}";
+                    expected "a new or empty folder, or one that `coseg label` wrote"; help "name a new folder"),
+                );
+            }
+            Content::default()
+        };
+        Ok(Self {
+            folder: folder.to_owned(),
+            content,
+        })
+    }
+
+    /// Notes what the labels are made from.
+    pub fn made_from(&mut self, parts: &[(&str, String)]) {
+        let parts = parts
+            .iter()
+            .map(|(name, text)| ((*name).to_owned(), text.clone()));
+        self.content.made_from = parts.collect();
+    }
+
+    /// Whether the labels of a photo are there and follow from what has the digest `key`.
+    pub fn is_current(&self, view: &str, key: &str, names: &[String]) -> bool {
+        let is_same = self
+            .content
+            .photos
+            .get(view)
+            .is_some_and(|entry| entry.key == key);
+        is_same && names.iter().all(|name| self.is_ours(name).unwrap_or(false))
+    }
+
+    /// Whether the file is there as it was written; `None` where it is not there.
+    fn is_ours(&self, name: &str) -> Option<bool> {
+        let bytes = std::fs::read(self.folder.join(name)).ok()?;
+        Some(self.content.files.get(name) == Some(&digest(&bytes)))
+    }
+
+    /// Refuses to overwrite a file that was not written by this command, or was changed since.
+    pub fn check_own(&self, name: &str) -> Result<()> {
+        if self.is_ours(name).unwrap_or(true) {
+            return Ok(());
+        }
+        let found = if self.content.files.contains_key(name) {
+            "a file that was changed since it was written"
+        } else {
+            "a file of somebody else"
+        };
+        Err(
+            invalid!(self.folder.join(name), "content"; found "{found}"; expected "a file as `coseg label` wrote it";
+            help "move it away, or name another folder"),
+        )
+    }
+
+    /// Writes files with `bytes`, after an index that names them: a run that is cut off knows its own files.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; as [`Index::check_own`].
+    pub fn write(&mut self, files: &[(String, Vec<u8>)]) -> Result<()> {
+        let mut changed = Vec::new();
+        for file @ (name, bytes) in files {
+            self.check_own(name)?;
+            let new = digest(bytes);
+            let is_written =
+                self.content.files.get(name) == Some(&new) && self.folder.join(name).is_file();
+            if is_written {
+                continue;
+            }
+            self.content.files.insert(name.clone(), new);
+            atomic::remove(self.folder.join(name))?;
+            changed.push(file);
+        }
+        self.store()?;
+        changed
+            .into_iter()
+            .try_for_each(|(name, bytes)| atomic::write_bytes(self.folder.join(name), bytes))
+    }
+
+    /// Writes the labels of a photo and notes them.
+    ///
+    /// # Errors
+    /// As [`Index::write`].
+    pub fn add(
+        &mut self,
+        view: &str,
+        key: String,
+        ids: BTreeSet<u16>,
+        files: &[(String, Vec<u8>)],
+    ) -> Result<()> {
+        self.content
+            .photos
+            .insert(view.to_owned(), Entry { key, ids });
+        self.write(files)
+    }
+
+    /// The ids that occur in the label maps of `views`.
+    pub fn ids<'a>(&self, views: impl Iterator<Item = &'a str>) -> BTreeSet<u16> {
+        let entries = views.filter_map(|view| self.content.photos.get(view));
+        entries
+            .flat_map(|entry| entry.ids.iter().copied())
+            .collect()
+    }
+
+    fn store(&self) -> Result<()> {
+        let path = self.folder.join(FILE);
+        let text = serde_json::to_vec_pretty(&self.content)
+            .map_err(|e| Error::io(&path, "encode", e.into()))?;
+        atomic::write_bytes(&path, &text)
+    }
+}
+
+/// SHA-256 in hexadecimal digits.
+pub(super) fn digest(bytes: &[u8]) -> String {
+    format!("{:x}", Sha256::digest(bytes))
+}

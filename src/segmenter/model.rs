@@ -1,0 +1,242 @@
+//! The network: an ONNX file that fits its contract.
+
+use super::contract::Contract;
+use super::graph::{self, OTHER, one_line};
+use crate::error::{Error, Result, invalid};
+use sha2::{Digest, Sha256};
+use std::cell::Cell;
+use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use tract_onnx::pb::ModelProto;
+use tract_onnx::prelude::{
+    Datum, Framework, InferenceFact, InferenceModelExt, IntoRunnable, Tensor, TractError,
+    TypedFact, TypedModel, TypedRunnableModel, tvec,
+};
+
+/// Most values of a tensor within a network: 4 GB.
+const LARGEST: u128 = 1 << 30;
+
+/// A network that was read and prepared for one size of input.
+pub struct Network {
+    /// How it reads photos and what it says.
+    pub contract: Contract,
+    /// The file.
+    pub file: PathBuf,
+    /// SHA-256 of the file, in hexadecimal digits.
+    pub digest: String,
+    output: String,
+    /// Shape of the output.
+    shape: [usize; 4],
+    plan: Arc<TypedRunnableModel>,
+}
+
+impl fmt::Debug for Network {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Network")
+            .field("file", &self.file)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Network {
+    /// Reads the ONNX file and prepares the network for the input of `contract`.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Input`] naming tensor or operator: a file that is cut off or no ONNX, weights that lie in other
+    /// files or do not fill their shapes, operators that are not implemented, inputs and outputs of other names, types
+    /// or shapes than the contract says; [`Error::Limit`] for tensors of more than 4 GB.
+    pub fn load(file: &Path, contract: Contract) -> Result<Self> {
+        Self::open(file, contract, None)
+    }
+
+    /// [`Network::load`] with `tensor` for the output: any tensor within the network that has four dimensions.
+    pub(super) fn open(file: &Path, contract: Contract, tensor: Option<&str>) -> Result<Self> {
+        let bytes = std::fs::read(file).map_err(|e| Error::io(file, "read", e))?;
+        let digest = format!("{:x}", Sha256::digest(&bytes));
+        let (proto, output) = graph::read(file, &bytes, &contract, tensor)?;
+        drop(bytes);
+        let typed = guarded(file, || typed(&proto, &contract))?;
+        drop(proto);
+        check_sizes(file, &typed)?;
+        let fact = guarded(file, || typed.output_fact(0).cloned())?;
+        let shape = match tensor {
+            None => check_output(file, &fact, &output, &contract)?,
+            Some(_) => shape_of_map(file, &fact, &output)?,
+        };
+        let plan = guarded(file, || typed.into_optimized()?.into_runnable())?;
+        Ok(Self {
+            contract,
+            file: file.to_owned(),
+            digest,
+            output,
+            shape,
+            plan,
+        })
+    }
+
+    /// The output for an input of the contract's shape, row-major.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where the network fails, and for an output of another shape than the contract says;
+    /// [`Error::NonFinite`].
+    pub(super) fn output(&self, input: &[f32]) -> Result<Vec<f32>> {
+        let shape = self.contract.input_shape();
+        let outputs = guarded(&self.file, || {
+            let input = Tensor::from_shape(&shape, input)?;
+            let outputs = self.plan.run(tvec!(input.into()))?;
+            let values = outputs[0].to_plain_array_view::<f32>()?;
+            Ok((
+                values.shape().to_vec(),
+                values.iter().copied().collect::<Vec<f32>>(),
+            ))
+        });
+        let (shape, values) = outputs?;
+        if shape != self.shape {
+            return Err(wrong_output(
+                &self.file,
+                &self.output,
+                format!("{shape:?}"),
+                &self.contract,
+            ));
+        }
+        let name = || format!("{} of {}", self.output, self.file.display());
+        match values.iter().position(|v| !v.is_finite()) {
+            Some(row) => Err(Error::non_finite(name(), row)),
+            None => Ok(values),
+        }
+    }
+
+    /// Shape of the output.
+    pub(super) fn shape(&self) -> [usize; 4] {
+        self.shape
+    }
+
+    /// Bytes of memory that a photo takes while the network runs, about: the largest layer with its inputs, twice.
+    pub(super) fn working_bytes(&self) -> usize {
+        let model = self.plan.model();
+        let volume = |fact: &TypedFact| {
+            let shape = fact.shape.as_concrete().unwrap_or_default();
+            shape.iter().product::<usize>()
+        };
+        let layer = |node: &tract_onnx::prelude::TypedNode| {
+            let inputs = model.node_input_facts(node.id).unwrap_or_default();
+            let inputs = inputs
+                .iter()
+                .filter(|fact| fact.konst.is_none())
+                .map(|fact| volume(fact));
+            let outputs = node.outputs.iter().map(|output| volume(&output.fact));
+            inputs.chain(outputs).sum::<usize>()
+        };
+        8 * model.nodes().iter().map(layer).max().unwrap_or(0)
+    }
+}
+
+thread_local! {
+    /// Whether this thread is in [`guarded`].
+    static GUARDED: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Whether a panic of this thread becomes an error: then a program need not report it.
+pub fn is_guarded() -> bool {
+    GUARDED.get()
+}
+
+/// Runs `work` of the ONNX library. Its errors and, for files that it did not foresee, its panics become errors.
+fn guarded<T>(file: &Path, work: impl FnOnce() -> Result<T, TractError>) -> Result<T> {
+    GUARDED.set(true);
+    let caught = catch_unwind(AssertUnwindSafe(work));
+    GUARDED.set(false);
+    let found = match caught {
+        Ok(Ok(value)) => return Ok(value),
+        Ok(Err(error)) => one_line(&format!("{error:#}")),
+        Err(_) => "a graph that is malformed".to_owned(),
+    };
+    Err(
+        invalid!(file, "network"; found "{found}"; expected "an ONNX network that tract runs"; help "{OTHER}"),
+    )
+}
+
+/// The network for the contract's input.
+fn typed(proto: &ModelProto, contract: &Contract) -> Result<TypedModel, TractError> {
+    // Declared shapes within the graph may be of another batch or size.
+    let onnx = tract_onnx::onnx().with_ignore_value_info(true);
+    let mut model = onnx.model_for_proto_model(proto)?;
+    let shape = contract.input_shape();
+    model.set_input_fact(0, InferenceFact::dt_shape(f32::datum_type(), shape))?;
+    model.into_typed()
+}
+
+/// Refuses tensors that no memory holds.
+fn check_sizes(file: &Path, model: &TypedModel) -> Result<()> {
+    for node in model.nodes() {
+        for output in &node.outputs {
+            let Some(shape) = output.fact.shape.as_concrete() else {
+                continue;
+            };
+            let volume: u128 = shape
+                .iter()
+                .fold(1, |all, &side| all.saturating_mul(side as u128));
+            if volume > LARGEST {
+                return Err(Error::Limit {
+                    what: format!(
+                        "{}: values of tensor {} of shape {shape:?}",
+                        file.display(),
+                        node.name
+                    ),
+                    found: volume.to_string(),
+                    limit: LARGEST.to_string(),
+                    help: "use a smaller network or a smaller input".into(),
+                });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Type and shape of a tensor.
+fn described(fact: &TypedFact) -> String {
+    let shape = fact.shape.as_concrete();
+    let shape = shape.map_or_else(|| format!("{:?}", fact.shape), |shape| format!("{shape:?}"));
+    format!("{:?} {shape}", fact.datum_type)
+}
+
+/// The shape of the output, which must be the contract's.
+fn check_output(
+    file: &Path,
+    fact: &TypedFact,
+    name: &str,
+    contract: &Contract,
+) -> Result<[usize; 4]> {
+    let expected = contract.output_shape();
+    let fits =
+        fact.datum_type == f32::datum_type() && fact.shape.as_concrete() == Some(&expected[..]);
+    if fits {
+        return Ok(expected);
+    }
+    Err(wrong_output(file, name, described(fact), contract))
+}
+
+/// The shape of a tensor within the network, which must be one map of a photo.
+fn shape_of_map(file: &Path, fact: &TypedFact, name: &str) -> Result<[usize; 4]> {
+    let shape = fact
+        .shape
+        .as_concrete()
+        .and_then(|shape| <[usize; 4]>::try_from(shape).ok());
+    let is_map = |shape: &[usize; 4]| {
+        fact.datum_type == f32::datum_type() && shape[0] == 1 && !shape.contains(&0)
+    };
+    shape.filter(is_map).ok_or_else(|| {
+        invalid!(file, "tensor {name}"; found "{}", described(fact); expected "F32 [1, channels, rows, columns]";
+            help "name another tensor")
+    })
+}
+
+fn wrong_output(file: &Path, name: &str, found: String, contract: &Contract) -> Error {
+    let [width, height] = contract.input.size;
+    invalid!(file, "tensor {name}"; found "{found}";
+        expected "F32 {:?}: {} classes and stride {} for an input of {width}x{height}, as {} says",
+            contract.output_shape(), contract.classes.names.len(), contract.output.stride, contract.file.display();
+        help "{OTHER}")
+}

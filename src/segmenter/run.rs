@@ -1,0 +1,317 @@
+//! What a network says about a photo: a label map of its size, and the scores of the best classes.
+
+use super::contract::{Layout, Values};
+use super::mapping::Mapping;
+use super::model::Network;
+use crate::data::{LabelMap, ScoreGrid, ScoreMap};
+use crate::error::Result;
+use image::RgbImage;
+
+/// Cells of scores on the longer side, at most: outputs that are finer are averaged over blocks.
+const MOST_CELLS: usize = 192;
+/// Probability of the listed classes below which a place is unlabelled: none of them would be stored.
+const NIL: f32 = 0.5 / 255.0;
+
+/// The output of a network for a photo, cut to the cells that the photo needs.
+#[derive(Clone, Debug)]
+pub struct Logits {
+    /// Where the cells lie.
+    pub grid: ScoreGrid,
+    /// Cells across.
+    pub width: usize,
+    /// Cells down.
+    pub height: usize,
+    /// `[height, width, classes]`.
+    pub values: Vec<f32>,
+    /// What the values are.
+    pub kind: Values,
+}
+
+/// Scores of the classes of the labels.
+struct Mapped<'a> {
+    grid: ScoreGrid,
+    width: usize,
+    height: usize,
+    /// Logits or probabilities, `[height, width, channels]`.
+    values: Vec<f32>,
+    /// Probability of all classes that are not dropped, `[height, width]`.
+    listed: Vec<f32>,
+    kind: Values,
+    mapping: &'a Mapping,
+}
+
+impl Network {
+    /// Runs the network on a photo.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] where the network fails; [`crate::Error::NonFinite`].
+    pub fn run(&self, photo: &RgbImage) -> Result<Logits> {
+        let (input, placed) = self.contract.prepare(photo);
+        let values = self.output(&input)?;
+        let mut grid = self.contract.grid(&placed);
+        let ([across, down], classes) = (self.contract.cells(), self.contract.classes.names.len());
+        let needed = |a: usize, cells: usize| {
+            let place = |pixel: f64| grid.scale[a] * pixel + grid.offset[a];
+            let first = (place(0.5).max(0.0) as usize).min(cells - 1);
+            let last = (place(grid.photo[a] as f64 - 0.5).max(0.0).ceil() as usize)
+                .clamp(first, cells - 1);
+            first..last + 1
+        };
+        let (columns, rows) = (needed(0, across), needed(1, down));
+        let mut cut = Vec::with_capacity(rows.len() * columns.len() * classes);
+        for row in rows.clone() {
+            for column in columns.clone() {
+                let cell = row * across + column;
+                match self.contract.output.layout {
+                    Layout::Nhwc => cut.extend_from_slice(&values[cell * classes..][..classes]),
+                    Layout::Nchw => {
+                        cut.extend((0..classes).map(|class| values[class * across * down + cell]))
+                    }
+                }
+            }
+        }
+        grid.offset[0] -= columns.start as f64;
+        grid.offset[1] -= rows.start as f64;
+        Ok(Logits {
+            grid,
+            width: columns.len(),
+            height: rows.len(),
+            values: cut,
+            kind: self.contract.output.values,
+        })
+    }
+}
+
+impl Logits {
+    /// The label map of the photo's size, and the `best` most probable classes of each cell.
+    pub fn labels(&self, mapping: &Mapping, best: usize) -> (LabelMap, ScoreMap) {
+        let mapped = self.mapped(mapping);
+        (mapped.map(), mapped.scores(best))
+    }
+
+    /// The classes of the labels: the probability of a class is the sum of those that it consists of.
+    fn mapped<'a>(&self, mapping: &'a Mapping) -> Mapped<'a> {
+        let (classes, channels) = (mapping.channels.len(), mapping.ids.len());
+        let cells = self.width * self.height;
+        let mut values = Vec::with_capacity(cells * channels);
+        let mut listed = Vec::with_capacity(cells);
+        let keeps_all = mapping
+            .channels
+            .iter()
+            .enumerate()
+            .all(|(class, channel)| *channel == Some(class));
+        let mut sums = vec![0.0_f32; channels];
+        for cell in self.values.chunks_exact(classes) {
+            let weights = weights(cell, self.kind);
+            let all: f32 = weights.iter().sum();
+            sums.fill(0.0);
+            for (weight, channel) in weights.iter().zip(&mapping.channels) {
+                if let Some(channel) = channel {
+                    sums[*channel] += weight;
+                }
+            }
+            listed.push(if all > 0.0 {
+                sums.iter().sum::<f32>() / all
+            } else {
+                0.0
+            });
+            match self.kind {
+                // A class of its own keeps its logit.
+                Values::Logits if keeps_all => values.extend_from_slice(cell),
+                Values::Logits => {
+                    let most = largest(cell);
+                    let logit = |sum: &f32| most + sum.max(f32::MIN_POSITIVE).ln();
+                    values.extend(sums.iter().map(logit));
+                }
+                Values::Probabilities => values.extend_from_slice(&sums),
+            }
+        }
+        Mapped {
+            grid: self.grid,
+            width: self.width,
+            height: self.height,
+            values,
+            listed,
+            kind: self.kind,
+            mapping,
+        }
+    }
+}
+
+/// The two cells around a pixel on one axis, and the share of the second.
+#[derive(Clone, Copy)]
+struct Between {
+    first: usize,
+    second: usize,
+    share: f32,
+}
+
+impl Between {
+    /// For each pixel of an axis `a` with `cells` cells. Pixels outside take the border.
+    fn axis(grid: &ScoreGrid, a: usize, cells: usize) -> Vec<Self> {
+        let pixel = |pixel: usize| {
+            let place = grid.scale[a] * (pixel as f64 + 0.5) + grid.offset[a];
+            let place = place.clamp(0.0, (cells - 1) as f64);
+            let first = place as usize;
+            Self {
+                first,
+                second: (first + 1).min(cells - 1),
+                share: place.fract() as f32,
+            }
+        };
+        (0..grid.photo[a]).map(pixel).collect()
+    }
+
+    fn of(&self, first: f32, second: f32) -> f32 {
+        first + self.share * (second - first)
+    }
+}
+
+impl Mapped<'_> {
+    /// The class of the highest value at each pixel of the photo, values bilinear between the cells.
+    fn map(&self) -> LabelMap {
+        let channels = self.mapping.ids.len();
+        let columns = Between::axis(&self.grid, 0, self.width);
+        let mut ids = Vec::with_capacity(self.grid.photo[0] * self.grid.photo[1]);
+        let mut row = Vec::new();
+        let mut listed = Vec::new();
+        let mut candidates = Vec::new();
+        for down in Between::axis(&self.grid, 1, self.height) {
+            self.blend_rows(down, &self.values, channels, &mut row);
+            self.blend_rows(down, &self.listed, 1, &mut listed);
+            let mut interval = None;
+            for across in &columns {
+                let [left, right] =
+                    [across.first, across.second].map(|cell| &row[cell * channels..][..channels]);
+                if interval != Some(across.first) {
+                    interval = Some(across.first);
+                    find_candidates(left, right, &mut candidates);
+                }
+                let value = |channel: usize| across.of(left[channel], right[channel]);
+                let best = candidates.iter().copied().reduce(|best, other| {
+                    if value(other) > value(best) {
+                        other
+                    } else {
+                        best
+                    }
+                });
+                let is_known = across.of(listed[across.first], listed[across.second]) >= NIL;
+                let id = best
+                    .filter(|_| is_known)
+                    .map_or(self.mapping.classes.ignore, |best| self.mapping.ids[best]);
+                ids.push(id);
+            }
+        }
+        LabelMap {
+            width: self.grid.photo[0],
+            height: self.grid.photo[1],
+            ids,
+        }
+    }
+
+    /// A row of `values` with `channels` values a cell, between two rows of cells.
+    fn blend_rows(&self, down: Between, values: &[f32], channels: usize, row: &mut Vec<f32>) {
+        let [upper, lower] = [down.first, down.second]
+            .map(|y| &values[y * self.width * channels..][..self.width * channels]);
+        row.clear();
+        row.extend(upper.iter().zip(lower).map(|(&a, &b)| down.of(a, b)));
+    }
+
+    /// The `best` most probable classes of each cell, or block of cells.
+    fn scores(&self, best: usize) -> ScoreMap {
+        let block = self.width.max(self.height).div_ceil(MOST_CELLS);
+        let [width, height] = [self.width, self.height].map(|n| n.div_ceil(block));
+        let classes = best.clamp(1, self.mapping.ids.len());
+        let mut ids = vec![0; classes * width * height];
+        let mut probabilities = vec![0; classes * width * height];
+        let mut sums = vec![0.0_f32; self.mapping.ids.len()];
+        let mut order: Vec<usize> = Vec::new();
+        for cell in 0..width * height {
+            self.mean_probabilities([cell % width, cell / width], block, &mut sums);
+            let is_stored = |channel: &usize| {
+                sums[*channel] >= 1.0 / 255.0
+                    && self.mapping.ids[*channel] != self.mapping.classes.ignore
+            };
+            order.clear();
+            order.extend((0..sums.len()).filter(is_stored));
+            order.sort_by(|&a, &b| sums[b].total_cmp(&sums[a]));
+            for (n, &channel) in order.iter().take(classes).enumerate() {
+                ids[n * width * height + cell] = self.mapping.ids[channel];
+                // Rounded down, so that they never add up to more than 1.
+                probabilities[n * width * height + cell] = (255.0 * sums[channel]) as u8;
+            }
+        }
+        let (scale, offset) = (self.grid.scale, self.grid.offset);
+        let grid = ScoreGrid {
+            photo: self.grid.photo,
+            scale: scale.map(|scale| scale / block as f64),
+            offset: offset.map(|offset| (offset + 0.5) / block as f64 - 0.5),
+        };
+        let id_limit = self
+            .mapping
+            .ids
+            .iter()
+            .max()
+            .map_or(1, |id| u32::from(*id) + 1);
+        ScoreMap {
+            grid,
+            width,
+            height,
+            classes,
+            id_limit,
+            ids,
+            probabilities,
+        }
+    }
+
+    /// The probabilities of the channels, mean over a block of cells. All 0 where those of the listed classes are nil.
+    fn mean_probabilities(&self, [column, row]: [usize; 2], block: usize, sums: &mut [f32]) {
+        sums.fill(0.0);
+        let mut cells = 0.0;
+        for y in row * block..((row + 1) * block).min(self.height) {
+            for x in column * block..((column + 1) * block).min(self.width) {
+                cells += 1.0;
+                let cell = y * self.width + x;
+                if self.listed[cell] < NIL {
+                    continue;
+                }
+                let values = &self.values[cell * sums.len()..][..sums.len()];
+                let weights = weights(values, self.kind);
+                let all: f32 = weights.iter().sum();
+                sums.iter_mut()
+                    .zip(weights)
+                    .for_each(|(sum, weight)| *sum += weight / all);
+            }
+        }
+        sums.iter_mut().for_each(|sum| *sum /= cells);
+    }
+}
+
+/// Probabilities up to a common factor.
+fn weights(values: &[f32], kind: Values) -> Vec<f32> {
+    let most = largest(values);
+    let weight = |value: &f32| match kind {
+        Values::Logits => (value - most).exp(),
+        Values::Probabilities => value.max(0.0),
+    };
+    values.iter().map(weight).collect()
+}
+
+fn largest(values: &[f32]) -> f32 {
+    values.iter().copied().fold(f32::NEG_INFINITY, f32::max)
+}
+
+/// The channels that can be the highest somewhere between two cells: those that reach the best lower end.
+fn find_candidates(left: &[f32], right: &[f32], found: &mut Vec<usize>) {
+    let ends = || left.iter().zip(right);
+    let least = ends()
+        .map(|(&a, &b)| a.min(b))
+        .fold(f32::NEG_INFINITY, f32::max);
+    found.clear();
+    found.extend(
+        ends()
+            .enumerate()
+            .filter(|(_, (a, b))| a.max(**b) >= least)
+            .map(|(channel, _)| channel),
+    );
+}

@@ -1,0 +1,102 @@
+//! Features from within a segmenter: any tensor of the network as a map over the photo.
+
+use super::contract::{Alignment, Contract, Layout};
+use super::model::Network;
+use crate::error::Result;
+use image::RgbImage;
+use std::path::Path;
+
+/// A network of which a tensor within is read.
+#[derive(Debug)]
+pub struct Tap {
+    network: Network,
+}
+
+/// Features whose cells divide a photo evenly.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TapMap {
+    /// Cells across.
+    pub width: usize,
+    /// Cells down.
+    pub height: usize,
+    /// Features of a cell.
+    pub channels: usize,
+    /// `[height, width, channels]`.
+    pub values: Vec<f32>,
+}
+
+impl Tap {
+    /// The tensor of this name within the network in `file`, whose contract lies beside it or is shipped under its name.
+    ///
+    /// # Errors
+    /// As [`Contract::find`] and [`Network::load`]; [`crate::Error::Input`] for a name that the network does not have, listing
+    /// the nearest ones, and for a tensor that is no map.
+    pub fn load(file: &Path, tensor: &str) -> Result<Self> {
+        let contract = Contract::find(file, None)?;
+        let network = Network::open(file, contract, Some(tensor))?;
+        Ok(Self { network })
+    }
+
+    /// SHA-256 of the network's file, in hexadecimal digits.
+    pub fn digest(&self) -> &str {
+        &self.network.digest
+    }
+
+    /// The features of a photo, bilinear between the cells of the tensor; what lies beside the photo is left out.
+    ///
+    /// # Errors
+    /// As [`Network::run`].
+    pub fn map(&self, photo: &RgbImage) -> Result<TapMap> {
+        let contract = &self.network.contract;
+        let (input, placed) = contract.prepare(photo);
+        let values = self.network.output(&input)?;
+        let shape = self.network.shape();
+        let [down, across, channels] = match contract.output.layout {
+            Layout::Nchw => [shape[2], shape[3], shape[1]],
+            Layout::Nhwc => [shape[1], shape[2], shape[3]],
+        };
+        let value = |x: usize, y: usize, channel: usize| match contract.output.layout {
+            Layout::Nchw => values[(channel * down + y) * across + x],
+            Layout::Nhwc => values[(y * across + x) * channels + channel],
+        };
+        let axis = |a: usize, cells: usize| -> Vec<(usize, f32)> {
+            let side = contract.input.size[a] as f64;
+            let (at, size) = (placed.at[a] as f64, placed.size[a] as f64);
+            let count = (cells as f64 * size / side).round().max(1.0) as usize;
+            let place = |i: usize| {
+                let input = at + (i as f64 + 0.5) * size / count as f64;
+                let place = match contract.output.alignment {
+                    Alignment::Corners => {
+                        (input - 0.5) * (cells as f64 - 1.0) / (side - 1.0).max(1.0)
+                    }
+                    Alignment::HalfPixel => input * cells as f64 / side - 0.5,
+                };
+                let place = place.clamp(0.0, (cells - 1) as f64);
+                (place as usize, place.fract() as f32)
+            };
+            (0..count).map(place).collect()
+        };
+        let columns = axis(0, across);
+        let rows = axis(1, down);
+        let mut found = Vec::with_capacity(rows.len() * columns.len() * channels);
+        for &(top, fy) in &rows {
+            let bottom = (top + 1).min(down - 1);
+            for &(left, fx) in &columns {
+                let right = (left + 1).min(across - 1);
+                for channel in 0..channels {
+                    let blend = |y: usize| {
+                        let [a, b] = [left, right].map(|x| value(x, y, channel));
+                        a + fx * (b - a)
+                    };
+                    found.push(blend(top) + fy * (blend(bottom) - blend(top)));
+                }
+            }
+        }
+        Ok(TapMap {
+            width: columns.len(),
+            height: rows.len(),
+            channels,
+            values: found,
+        })
+    }
+}

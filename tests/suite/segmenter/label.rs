@@ -1,0 +1,274 @@
+//! `coseg label`: a folder of labels from photos, what loaders make of it, and what is never overwritten.
+
+use crate::cli::commands::{fails, succeeds, utf8};
+use crate::support::onnx::Onnx;
+use crate::support::plates::{HEIGHT, WIDTH, scene};
+use coseg::data::{Classes, LabelMap, LoadOptions, View, load};
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+/// The plates and a network that tells their colours apart.
+fn plates() -> (TempDir, PathBuf, PathBuf) {
+    let folder = tempfile::tempdir().expect("folder");
+    let dir = folder.path().join("scene");
+    std::fs::create_dir(&dir).expect("scene");
+    scene(&dir);
+    let model = Onnx::write_sound(folder.path(), WIDTH, HEIGHT);
+    (folder, dir, model)
+}
+
+fn classes(folder: &Path) -> PathBuf {
+    let file = folder.join("mine.toml");
+    let text = "[classes]\nred = [\"crimson\"]\ngreen = [\"lime\"]\nblue = [\"navy\"]\nwall = [\"plaster\", \"nothing\"]\n";
+    std::fs::write(&file, text).expect("classes");
+    file
+}
+
+fn views(dir: &Path, labels: &Path) -> (Vec<View>, Classes) {
+    let options = LoadOptions {
+        raw_labels: Some(utf8(labels).into()),
+        ..LoadOptions::default()
+    };
+    let scene = load(dir, &options).expect("scene");
+    (scene.views, scene.classes)
+}
+
+/// Share of pixels with true labels where the raw ones agree.
+fn agreement(view: &View) -> f64 {
+    let [truth, raw] = [&view.truth, &view.raw].map(|map| map.as_ref().expect("map").map().ids);
+    let known: Vec<_> = truth
+        .iter()
+        .zip(&raw)
+        .filter(|(truth, _)| **truth != 0)
+        .collect();
+    known.iter().filter(|(truth, raw)| truth == raw).count() as f64 / known.len() as f64
+}
+
+#[test]
+fn photos_become_labels_with_scores_in_the_classes_of_the_scene() {
+    let (folder, dir, model) = plates();
+    let out = folder.path().join("labels");
+    let mine = classes(folder.path());
+    let arguments = [
+        "label",
+        "--data",
+        utf8(&dir),
+        "--model",
+        utf8(&model),
+        "--classes",
+        utf8(&mine),
+        "--out",
+        utf8(&out),
+    ];
+    let said = succeeds(&arguments);
+    assert!(
+        said.contains("6 photos, 0 labelled before; 4 classes"),
+        "{said}"
+    );
+    let (views, table) = views(&dir, &out);
+    let mut found = Vec::new();
+    for view in &views {
+        let agreement = agreement(view);
+        assert!(agreement > 0.85, "{}: {agreement}", view.name);
+        let scores = view
+            .scores
+            .as_ref()
+            .expect("scores")
+            .read(&table)
+            .expect("read");
+        let raw = view.raw.as_ref().expect("raw").map();
+        let mut same = 0;
+        for pixel in 0..WIDTH * HEIGHT {
+            scores.at(pixel % WIDTH, pixel / WIDTH, &mut found);
+            let sum: f32 = found.iter().map(|(_, p)| p).sum();
+            assert!(
+                (sum - 1.0).abs() < 1e-5 && found.is_sorted_by(|a, b| a.1 >= b.1),
+                "{found:?}"
+            );
+            same += usize::from(table.entries[usize::from(found[0].0)].id == raw.ids[pixel]);
+        }
+        // Probabilities and logits blend differently between cells.
+        assert!(same as f64 > 0.9 * (WIDTH * HEIGHT) as f64, "{same}");
+    }
+    // Again: nothing is computed, nothing is written.
+    let written = |name: &str| {
+        std::fs::metadata(out.join(name))
+            .expect("file")
+            .modified()
+            .expect("time")
+    };
+    let before = ["v0.png", "scores/v3.scores", "classes.json"].map(written);
+    let said = succeeds(&arguments);
+    assert!(said.contains("6 photos, 6 labelled before"), "{said}");
+    assert_eq!(
+        before,
+        ["v0.png", "scores/v3.scores", "classes.json"].map(written)
+    );
+    // A file that is missing is made again, and only that photo.
+    std::fs::remove_file(out.join("scores/v3.scores")).expect("remove");
+    assert!(succeeds(&arguments).contains("5 labelled before"));
+    assert!(out.join("scores/v3.scores").is_file());
+}
+
+#[test]
+fn without_a_list_the_classes_are_those_that_occur() {
+    let (folder, dir, model) = plates();
+    for name in ["classes.json", "transforms.json"] {
+        let path = dir.join(name);
+        let text = std::fs::read_to_string(&path).expect("read");
+        std::fs::remove_file(&path).expect("remove");
+        if name == "transforms.json" {
+            std::fs::write(path, text.replace("label_path", "other_path")).expect("write");
+        }
+    }
+    let out = folder.path().join("labels");
+    succeeds(&[
+        "label",
+        "--data",
+        utf8(&dir),
+        "--model",
+        utf8(&model),
+        "--out",
+        utf8(&out),
+    ]);
+    let (views, table) = views(&dir, &out);
+    let names: Vec<&str> = table
+        .entries
+        .iter()
+        .map(|class| class.name.as_str())
+        .collect();
+    assert_eq!(
+        names,
+        ["crimson", "lime", "navy", "plaster"],
+        "the table lies beside the maps"
+    );
+    assert!(
+        views
+            .iter()
+            .all(|view| view.raw.is_some() && view.scores.is_some())
+    );
+}
+
+#[test]
+fn what_the_command_did_not_write_is_refused() {
+    let (folder, dir, model) = plates();
+    let label = |out: &Path| {
+        [
+            "label",
+            "--data",
+            utf8(&dir),
+            "--model",
+            utf8(&model),
+            "--out",
+            utf8(out),
+        ]
+        .map(str::to_owned)
+    };
+    let refused = |out: &Path, parts: &[&str]| {
+        let arguments = label(out);
+        let message = fails(&arguments.each_ref().map(String::as_str), 1);
+        parts
+            .iter()
+            .for_each(|part| assert!(message.contains(part), "{part}: {message}"));
+    };
+    let before = snapshot(&dir);
+    for inside in ["", "images", "labels", "raw"] {
+        refused(&dir.join(inside), &["--out", "files of a scene"]);
+    }
+    assert!(snapshot(&dir) == before, "nothing in the scene changed");
+    let used = folder.path().join("used");
+    std::fs::create_dir(&used).expect("folder");
+    std::fs::write(used.join("notes.txt"), "mine").expect("write");
+    refused(&used, &["label.json", "notes.txt", "new folder"]);
+    // A map that somebody corrected.
+    let out = folder.path().join("out");
+    succeeds(&label(&out).each_ref().map(String::as_str));
+    let map = out.join("v2.png");
+    let mut ids = LabelMap::read(&map, &Default::default()).expect("map");
+    ids.ids[0] = 3;
+    ids.write(&map).expect("write");
+    let corrected = std::fs::read(&map).expect("read");
+    refused(&out, &["v2.png", "changed since"]);
+    assert!(std::fs::read(&map).expect("read") == corrected);
+}
+
+#[test]
+fn no_command_writes_into_a_scene() {
+    let (folder, dir, model) = plates();
+    let ply = dir.join("plates.ply");
+    let [data, ply, model] = [&dir, &ply, &model].map(|path| utf8(path).to_owned());
+    // The labels of a COLMAP scene lie where `associate` puts its own.
+    let outs = ["", "images", "labels", "raw", "images/../labels"]
+        .map(|name| utf8(&dir.join(name)).to_owned());
+    let before = snapshot(&dir);
+    for out in &outs {
+        let lines: [&[&str]; 5] = [
+            &["associate", "--scene", &ply, "--data", &data],
+            &["vote", "--scene", &ply, "--data", &data],
+            &["render", "--scene", &ply, "--cameras", &data],
+            &["train", "--data", &data],
+            &["train", "--data", &data, "--segmenter", &model],
+        ];
+        for line in lines {
+            let line = [line, &["--out", out]].concat();
+            let message = fails(&line, 1);
+            assert!(message.contains("--out"), "{line:?}: {message}");
+            assert!(snapshot(&dir) == before, "{line:?}");
+        }
+    }
+    let photo = utf8(&dir.join("images/v0.png")).to_owned();
+    assert!(fails(&["data", "info", &data, "--sheet", &photo], 1).contains("--sheet"));
+    assert!(snapshot(&dir) == before);
+    // Labels that others made stay where they are.
+    let taken = folder.path().join("taken");
+    std::fs::create_dir_all(taken.join("labels")).expect("folder");
+    std::fs::write(taken.join("labels/v0.png"), "mine").expect("write");
+    let message = fails(
+        &[
+            "associate",
+            "--scene",
+            &ply,
+            "--data",
+            &data,
+            "--out",
+            utf8(&taken),
+        ],
+        1,
+    );
+    assert!(message.contains("of others"), "{message}");
+}
+
+#[test]
+fn photos_alone_get_told_what_to_do() {
+    let folder = tempfile::tempdir().expect("folder");
+    let images = folder.path().join("images");
+    std::fs::create_dir(&images).expect("folder");
+    for name in ["a.jpg", "b.JPG", "c.png"] {
+        std::fs::write(images.join(name), "photo").expect("write");
+    }
+    for dir in [folder.path(), &images] {
+        let message = fails(&["train", "--data", utf8(dir)], 1);
+        for part in [
+            "3 photos and no poses",
+            "docs/from-photos.md",
+            "--segmenter",
+        ] {
+            assert!(message.contains(part), "{part}: {message}");
+        }
+    }
+}
+
+/// All files below a folder with their contents.
+fn snapshot(dir: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(dir).expect("folder") {
+        let path = entry.expect("entry").path();
+        if path.is_dir() {
+            files.extend(snapshot(&path));
+        } else {
+            files.push((path.clone(), std::fs::read(path).expect("file")));
+        }
+    }
+    files.sort();
+    files
+}

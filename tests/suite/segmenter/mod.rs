@@ -1,0 +1,7 @@
+//! `coseg::segmenter`: contracts, networks, labels of a scene folder, and the network of `../shared` against its reference.
+
+mod contract;
+mod features;
+mod label;
+mod model;
+mod parity;
