@@ -12,7 +12,6 @@ use crate::raster::settings::Settings;
 use crate::splat::ZERO_QUATERNION;
 use crate::splat::camera::Camera;
 use crate::splat::sh::{C0, C1, C2, C3};
-use burn::tensor::activation::{log_sigmoid, sigmoid};
 use burn::tensor::{Int, Tensor, TensorData};
 
 /// The frozen blending weights of a view.
@@ -296,6 +295,11 @@ fn project(
     }
 }
 
+/// `1 / (1 + e^-x)`: burn's own sigmoid rounds to f32.
+fn opacities(logits: &Tensor<2>) -> Tensor<2> {
+    (logits.clone().neg().exp() + 1.0).recip()
+}
+
 /// `ceil(3 sqrt(lambda_max))`, `[1, N]` without autodiff; 0 where the ellipse of `alpha_min` is empty or off-screen.
 fn radii(
     projected: &Footprints,
@@ -306,7 +310,7 @@ fn radii(
     let [xx, b, yy] = projected.covariance.clone().map(Tensor::inner);
     let half = (xx.clone() - yy.clone()) * 0.5;
     let lambda = (xx.clone() + yy.clone()) * 0.5 + (half.square() + b.square()).sqrt();
-    let tau = log_sigmoid(logits.clone().inner()) - settings.alpha_min.ln();
+    let tau = opacities(logits).inner().log() - settings.alpha_min.ln();
     let mut hidden = tau.clone().lower_elem(0.0);
     let edges = [camera.width, camera.height].map(|edge| edge as f64);
     for (axis, variance) in [xx, yy].into_iter().enumerate() {
@@ -331,7 +335,7 @@ fn alphas(
     let across = yy.clone() * dx - b * dy.clone();
     let distance =
         across.square() / (yy.clone() * projected.determinant.clone()) + dy.square() / yy;
-    let alpha = sigmoid(logits.clone()) * (distance * -0.5).exp() * projected.front.clone();
+    let alpha = opacities(logits) * (distance * -0.5).exp() * projected.front.clone();
     let alpha = alpha.clamp_max(settings.alpha_max);
     let faint = alpha.clone().inner().lower_elem(settings.alpha_min);
     alpha.mask_fill(faint, 0.0)

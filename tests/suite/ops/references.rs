@@ -13,6 +13,7 @@ use coseg::progress::Silent;
 use coseg::raster::{Settings, SplatTensors};
 use coseg::reconstruction::{Trainer, TrainerState};
 use coseg::segmentation::loss::LabelLoss;
+use glam::Vec3;
 
 /// Loss of a step, and the state after it, whose first moments are a tenth of the gradients.
 fn step(config: &Config) -> (f64, TrainerState) {
@@ -109,15 +110,24 @@ fn moments(training: &Training<DecoderModel>) -> Vec<[Vec<f32>; 2]> {
 fn stage_two(config: &Config) -> StageTwo {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
-    let (gaussians, labels) = crate::support::plates::plates();
+    let (mut gaussians, labels) = crate::support::plates::plates();
     let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
+    for mean in &mut gaussians.means {
+        let moved = Vec3::from(*mean) - scene.origin.as_vec3();
+        *mean = moved.to_array();
+    }
     let (device, settings) = (crate::support::device(), Settings::default());
-    let progress = &mut Silent;
-    let lifted = LiftedFeatures::of_views(&scene, &gaussians, config, &settings, &device, progress);
+    let lifted =
+        LiftedFeatures::of_views(&scene, &gaussians, config, &settings, &device, &mut Silent)
+            .expect("features")
+            .expect("not stopped");
+    let gaussians = gaussians.select(&lifted.kept);
+    let kept = lifted.kept.iter();
+    let labels = kept.map(|&i| labels[i as usize]).collect();
     let inputs = Inputs {
         scene: &scene,
         gaussians: &gaussians,
-        lifted: lifted.expect("features"),
+        lifted: Some(lifted),
         semantics: None,
         config,
         settings,
