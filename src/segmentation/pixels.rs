@@ -20,7 +20,7 @@ pub enum PixelWeights {
     /// Computed anew at each use, on a GPU.
     Rendered {
         /// The V Gaussians in the view.
-        view: SplatView,
+        view: Box<SplatView>,
         /// Row-major numbers of the P pixels.
         pixels: Arc<Vec<u32>>,
     },
@@ -142,7 +142,7 @@ fn rendered(
     let shown = (0..).zip(&weights).filter(|(_, weight)| **weight > 0.0);
     let visible: Vec<u32> = shown.map(|(gaussian, _)| gaussian).collect();
     let weights = PixelWeights::Rendered {
-        view: view.of_gaussians(&visible),
+        view: Box::new(view.of_gaussians(&visible)),
         pixels: Arc::new(pixels.clone()),
     };
     Ok((visible, pixels, weights))

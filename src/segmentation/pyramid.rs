@@ -130,6 +130,9 @@ impl Pyramid {
     pub fn scaled(&self, factors: &[Vec<f32>]) -> Self {
         let mut scaled = self.clone();
         for (level, factors) in scaled.levels.iter_mut().zip(factors) {
+            if level.features.dims()[0] == 0 {
+                continue;
+            }
             let factors = TensorData::new(factors.clone(), [1, factors.len()]);
             let factors = Tensor::from_data(factors, &level.features.device());
             level.features = level.features.clone() * factors;

@@ -148,15 +148,6 @@ fn a_run_folder_stands_for_its_files() {
         utf8(&voted),
     ]);
     assert!(voted.join("scene.ply").is_file());
-    let said = succeeds(&[
-        "bench",
-        "--quick",
-        "--only",
-        "raster",
-        "--scene",
-        utf8(&run),
-    ]);
-    assert!(said.contains("scene.ply"), "{said}");
     // What is edited is not written over.
     let own = run.join("scene.ply");
     let message = fails(

@@ -527,7 +527,7 @@ fn a_run_trains_on_objects_and_scores_them() {
     let page = fs::read_to_string(run.join("report.html")).expect("page");
     assert!(
         page.contains("Objects against true instances")
-            && page.contains("Association put the 16 segments"),
+            && page.contains("Association joined the 16 segments"),
         "the page says so"
     );
     let classes = Classes::read(&run.join("classes.json")).expect("classes");
