@@ -217,7 +217,7 @@ impl SegmentationConfig {
             ));
         }
         if let Some(exponent) = self.prior_exponent {
-            range::UNIT.check("segmentation.prior_exponent", exponent)?;
+            Range::Unit.check("segmentation.prior_exponent", exponent)?;
         }
         if self.prior != Prior::None && self.blend == Blend::Logits {
             return Err(Error::config(
