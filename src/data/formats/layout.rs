@@ -144,7 +144,7 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
         .map(|folder| names(folder, is_photo).len())
         .max();
     if let Some(photos) = photos.filter(|photos| *photos > 1 && help == "give another folder") {
-        found = format!("{photos} photos and no poses");
+        found = format!("no such file, but {photos} photos without poses");
         help = "find the poses first, by COLMAP (docs/from-photos.md, 1); then `coseg train --data DIR --segmenter FILE.onnx` \
             makes the label maps too"
             .to_owned();

@@ -13,6 +13,7 @@ use coseg::random::{Purpose, stream};
 use coseg::raster::{Projected, Settings, SplatTensors};
 use coseg::reconstruction::initialization;
 use coseg::segmentation::loss::LabelLoss;
+use glam::Vec3;
 use std::sync::Arc;
 
 fn trained(edit: impl Fn(&mut SegmentationConfig)) -> Outcome {
@@ -111,7 +112,10 @@ fn labels_of_pixels_can_come_from_identities() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
     let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
-    let gaussians = initialization::from_points(&scene.points, 0, 2.0).expect("Gaussians");
+    let (mut gaussians, _) = crate::support::plates::plates();
+    for mean in &mut gaussians.means {
+        *mean = (Vec3::from(*mean) - scene.origin.as_vec3()).to_array();
+    }
     let device = crate::support::device();
     let mut views = TrainingViews::new(
         &gaussians,

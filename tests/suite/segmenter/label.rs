@@ -249,7 +249,7 @@ fn photos_alone_get_told_what_to_do() {
     for dir in [folder.path(), &images] {
         let message = fails(&["train", "--data", utf8(dir)], 1);
         for part in [
-            "3 photos and no poses",
+            "3 photos without poses",
             "docs/from-photos.md",
             "--segmenter",
         ] {
