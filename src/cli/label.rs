@@ -64,7 +64,7 @@ pub struct LabelArgs {
 /// How a segmenter is used.
 #[derive(Args, Debug, Default)]
 pub struct SegmenterArgs {
-    /// How the network reads photos: a TOML file or a shipped contract [default: FILE.toml beside the model, or its name]
+    /// How the network reads photos: a TOML or a shipped contract [default: the model's name]
     #[arg(long, value_name = "FILE|NAME")]
     contract: Option<String>,
     /// The classes of the labels, a TOML [default: those of the network that occur]

@@ -73,7 +73,7 @@ pub struct TrainArgs {
     /// 3DGS PLY of this or another trainer whose Gaussians to label, instead of building new ones
     #[arg(long, value_name = "FILE.ply|RUN", conflicts_with = "resume")]
     scene: Option<PathBuf>,
-    /// Label the photos first, by this semantic segmenter, into labels/ of the run folder; `coseg label --help`
+    /// Label the photos first by this segmenter, into labels/ of the run folder; see `coseg label --help`
     #[arg(long, value_name = "FILE.onnx", conflicts_with = "resume")]
     segmenter: Option<PathBuf>,
     #[command(flatten)]

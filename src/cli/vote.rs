@@ -25,8 +25,7 @@ Example:
 pub struct VoteArgs {
     #[command(flatten)]
     input: LabelledArgs,
-    /// Pool the votes over superpoints (patches of one surface and colour), and correct them for classes that the labels name too
-    /// often
+    /// Pool the votes over patches of one surface, corrected for classes named too often
     #[arg(long)]
     pooled: bool,
 }

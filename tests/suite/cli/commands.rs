@@ -67,6 +67,7 @@ fn help_names_every_command_and_shows_examples() {
     let help = succeeds(&["--help"]);
     for word in [
         "train",
+        "label",
         "data",
         "eval",
         "render",
@@ -84,6 +85,7 @@ fn help_names_every_command_and_shows_examples() {
     }
     for command in [
         "train",
+        "label",
         "data",
         "eval",
         "render",
