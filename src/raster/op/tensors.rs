@@ -91,6 +91,10 @@ pub(crate) struct RasterCall {
     /// Whether the gradient of the screen has the columns of AbsGS.
     pub(super) absolute_screen: bool,
     /// Entries to allocate for the tile lists on a GPU; without it the GPU counts them first.
+    #[cfg_attr(
+        not(feature = "cube"),
+        allow(dead_code, reason = "only a GPU allocates by it")
+    )]
     pub(super) tile_capacity: Option<usize>,
 }
 
