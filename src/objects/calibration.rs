@@ -24,6 +24,7 @@ const SHRINKAGE: f64 = 0.03;
 const SMOOTHING: f64 = 0.1;
 /// Share below which a class counts as absent from a superpoint.
 const LEAST: f64 = 1e-6;
+
 /// What the votes of a scene say about its labels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibration {

@@ -60,18 +60,13 @@ pub(crate) struct Lists {
 }
 
 impl Lists {
-    /// Of `inputs`; `None` when an input holds a NaN or an infinity. `entries` is the number of tile entries, if lists of the same
-    /// inputs and view were made before: then nothing is read back, and the inputs count as finite.
+    /// Of `inputs`; `None` when an input holds a NaN or an infinity.
     ///
     /// # Errors
     /// As [`super::forward`].
-    pub fn new(
-        inputs: &Inputs,
-        scenery: Scenery<'_>,
-        entries: Option<usize>,
-    ) -> Result<Option<Self>> {
+    pub fn new(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<Self>> {
         let gpu = Gpu::of(&inputs.means);
-        let prepared = prepare(&gpu, inputs, scenery, entries)?;
+        let prepared = prepare(&gpu, inputs, scenery, None)?;
         Ok(prepared.map(|prepared| Self {
             prepared,
             counts: OnceLock::new(),
@@ -81,11 +76,6 @@ impl Lists {
     /// Bytes of projection and lists.
     pub fn bytes(&self) -> usize {
         100 * self.prepared.order.len + 8 * self.prepared.entries.len
-    }
-
-    /// Entries of the tile lists.
-    pub fn entries(&self) -> usize {
-        self.prepared.entries.len
     }
 
     /// Colours `[N, 3]` of the Gaussians with these means, from coefficients `[N, K, 3]` of degree `degree`.

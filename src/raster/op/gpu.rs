@@ -136,11 +136,8 @@ pub(super) fn project_view(
         settings: &call.settings,
         background: [0.0; 3],
     };
-    match Lists::new(&inputs, scenery, call.entries.get().copied())? {
-        Some(lists) => {
-            call.entries.get_or_init(|| lists.entries());
-            Ok(ProjectedView::Gpu(Arc::new(lists)))
-        }
+    match Lists::new(&inputs, scenery)? {
+        Some(lists) => Ok(ProjectedView::Gpu(Arc::new(lists))),
         // The CPU's own check names tensor and row.
         None => {
             cpu::project_view::<CubeBackend>(means, log_scales, rotations, opacity_logits, call)

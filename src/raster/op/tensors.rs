@@ -6,7 +6,7 @@ use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
 use burn::backend::{Backend, ExtensionType, tensor::FloatTensor};
 use std::fmt::{Debug, Formatter};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 /// The tensors of one call; absent ones are empty.
 #[derive(Clone, Debug, ExtensionType)]
@@ -115,12 +115,6 @@ impl RasterCall {
 pub(crate) struct ViewCall {
     pub(super) camera: Camera,
     pub(super) settings: Settings,
-    /// Entries of the tile lists, once a GPU has counted them for the same Gaussians and camera.
-    #[cfg_attr(
-        not(feature = "cube"),
-        allow(dead_code, reason = "only a GPU counts entries")
-    )]
-    pub(super) entries: Arc<OnceLock<usize>>,
 }
 
 /// Result of a forward pass.

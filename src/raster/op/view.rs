@@ -50,7 +50,6 @@ impl SplatTensors {
             call: Arc::new(ViewCall {
                 camera: camera.clone(),
                 settings: *settings,
-                entries: Arc::default(),
             }),
             projected: Arc::default(),
         }
