@@ -7,7 +7,7 @@ use clap::Args;
 use coseg::config::Association;
 use coseg::data::Split;
 use coseg::error::{Error, Result};
-use coseg::objects::{pooled_vote, vote};
+use coseg::objects::{pooled_vote, vote, weighted_vote};
 use coseg::raster::Settings;
 use coseg::splat::ply;
 
@@ -49,12 +49,12 @@ impl VoteArgs {
             let (data, field) = (&self.input.data, "raw_label_path");
             return Err(Error::input(data, field, "nothing", expected, help));
         }
-        let train = scene.split(Split::Train);
-        let votes = vote(&ply.gaussians, train, &scene.classes, &settings, &device)?;
+        let (gaussians, train) = (&ply.gaussians, scene.split(Split::Train));
         let identities = if self.pooled {
-            pooled_vote(&ply.gaussians, &votes, config.segmentation.prior_exponent)?.identities
+            let votes = weighted_vote(gaussians, train, &scene.classes, &settings, &device)?;
+            pooled_vote(gaussians, &votes, config.segmentation.prior_exponent)?.identities
         } else {
-            votes.identities()
+            vote(gaussians, train, &scene.classes, &settings, &device)?.identities()
         };
         let ids = identities.ids(&scene.classes);
         let path = self.input.out.join("scene.ply");

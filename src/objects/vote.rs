@@ -9,9 +9,11 @@ use crate::backend::device::read;
 use crate::data::{Classes, View};
 use crate::error::Result;
 use crate::metrics::Agreement;
-use crate::raster::{Settings, SplatTensors, SplatView, one_hot};
+use crate::raster::{Settings, SplatTensors, SplatView};
 use crate::splat::Gaussians;
+use crate::splat::camera::Camera;
 use burn::tensor::{Device, IndexingUpdateOp, Int, Tensor, TensorData};
+use glam::Vec3;
 
 /// Summed weights of each class on each Gaussian.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,7 +24,7 @@ pub struct Votes {
     pub classes: usize,
 }
 
-/// Collects the votes of all `views` that have raw labels, on `device`.
+/// Collects the votes of all `views` that have raw labels, on `device`: one vote of each labelled pixel for its class.
 ///
 /// # Errors
 /// Those of [`SplatView::blend_adjoint`].
@@ -33,32 +35,145 @@ pub fn vote<'a>(
     settings: &Settings,
     device: &Device,
 ) -> Result<Votes> {
-    let count = classes.len();
-    if gaussians.is_empty() || count == 0 {
+    let cast = |view: &View| Ok(ViewVotes::of_labels(view, classes));
+    collect(gaussians, views, classes.len(), cast, settings, device)
+}
+
+/// Votes for labels of a network: as [`vote`], but labelled pixels of views with scores divide their vote among classes as the
+/// network does, and the votes of a view on a Gaussian are multiplied by its distance from the camera. Near views have the most
+/// pixels of a Gaussian, but the network sees too little of an object in them.
+///
+/// # Errors
+/// Those of [`vote`] and of [`ViewScores::read`](crate::data::ViewScores::read).
+pub fn weighted_vote<'a>(
+    gaussians: &Gaussians,
+    views: impl Iterator<Item = &'a View>,
+    classes: &Classes,
+    settings: &Settings,
+    device: &Device,
+) -> Result<Votes> {
+    let cast = |view: &View| {
+        let votes = ViewVotes::of_scores(view, classes)?;
+        let weights = distances(gaussians, &view.camera, device);
+        Ok(ViewVotes {
+            weights: Some(weights),
+            ..votes
+        })
+    };
+    collect(gaussians, views, classes.len(), cast, settings, device)
+}
+
+/// Sums what the views with raw labels `cast`.
+fn collect<'a>(
+    gaussians: &Gaussians,
+    views: impl Iterator<Item = &'a View>,
+    classes: usize,
+    cast: impl Fn(&View) -> Result<ViewVotes>,
+    settings: &Settings,
+    device: &Device,
+) -> Result<Votes> {
+    if gaussians.is_empty() || classes == 0 {
         return Ok(Votes {
             table: Vec::new(),
-            classes: count,
+            classes,
         });
     }
-    let lookup = classes.lookup();
     let splats = SplatTensors::new(gaussians, device);
-    let mut tables = VoteTables::new(&splats, count);
-    for view in views {
-        let Some(raw) = &view.raw else { continue };
-        let labels: Vec<u16> = raw
-            .map()
-            .ids
-            .into_iter()
-            .map(|id| lookup[usize::from(id)])
-            .collect();
-        // Only the classes that the view shows, so that neither time nor memory grows with those of the whole scene.
-        let mut shown = labels.clone();
-        shown.sort_unstable();
-        shown.dedup();
-        shown.retain(|&class| usize::from(class) < count);
-        tables.add(&splats.seen_by(&view.camera, settings), &labels, &shown)?;
+    let mut tables = VoteTables::new(&splats, classes);
+    for view in views.filter(|view| view.raw.is_some()) {
+        tables.add(&splats.seen_by(&view.camera, settings), &cast(view)?)?;
     }
     tables.read()
+}
+
+/// The distance of each Gaussian from the camera, `[N, 1]`.
+fn distances(gaussians: &Gaussians, camera: &Camera, device: &Device) -> Tensor<2> {
+    let distance = |mean: &[f32; 3]| (Vec3::from(*mean).as_dvec3() - camera.center).length() as f32;
+    let distances: Vec<f32> = gaussians.means.iter().map(distance).collect();
+    let size = [distances.len(), 1];
+    Tensor::from_data(TensorData::new(distances, size), device)
+}
+
+/// What a view votes for.
+struct ViewVotes {
+    /// Class index and share of each vote, pixel by pixel in row order.
+    votes: Vec<(u16, f32)>,
+    /// End of the votes of each pixel.
+    ends: Vec<usize>,
+    /// Factor of the votes on each Gaussian, `[N, 1]`.
+    weights: Option<Tensor<2>>,
+}
+
+impl ViewVotes {
+    /// The raw label of each pixel.
+    fn of_labels(view: &View, classes: &Classes) -> Self {
+        Self::of_pixels(view, classes, |_, class, votes| votes.push((class, 1.0)))
+    }
+
+    /// The scores of each pixel that has a raw label; the label itself where the view or the pixel has no scores.
+    fn of_scores(view: &View, classes: &Classes) -> Result<Self> {
+        let Some(scores) = &view.scores else {
+            return Ok(Self::of_labels(view, classes));
+        };
+        let (scores, width) = (scores.read(classes)?, view.camera.width);
+        let mut found = Vec::new();
+        Ok(Self::of_pixels(view, classes, |pixel, class, votes| {
+            scores.at(pixel % width, pixel / width, &mut found);
+            if found.is_empty() {
+                found.push((class, 1.0));
+            }
+            votes.extend_from_slice(&found);
+        }))
+    }
+
+    /// `add` adds the votes of a labelled pixel, given its number and class, to the list of all.
+    fn of_pixels(
+        view: &View,
+        classes: &Classes,
+        mut add: impl FnMut(usize, u16, &mut Vec<(u16, f32)>),
+    ) -> Self {
+        let lookup = classes.lookup();
+        let ids = view.raw.as_ref().map_or_else(Vec::new, |raw| raw.map().ids);
+        let mut votes = Vec::new();
+        let mut ends = Vec::with_capacity(ids.len());
+        for (pixel, id) in ids.into_iter().enumerate() {
+            let class = lookup[usize::from(id)];
+            if usize::from(class) < classes.len() {
+                add(pixel, class, &mut votes);
+            }
+            ends.push(votes.len());
+        }
+        Self {
+            votes,
+            ends,
+            weights: None,
+        }
+    }
+
+    /// The classes that any pixel votes for, ascending.
+    fn shown(&self) -> Vec<u16> {
+        let mut shown = vec![false; 1 << 16];
+        (self.votes.iter()).for_each(|(class, _)| shown[usize::from(*class)] = true);
+        (0..=u16::MAX)
+            .filter(|&class| shown[usize::from(class)])
+            .collect()
+    }
+
+    /// The votes of each pixel for the classes `part`, ascending: `[P, len]`.
+    fn image(&self, part: &[u16], device: &Device) -> Tensor<2> {
+        let mut values = vec![0.0; self.ends.len() * part.len()];
+        let mut first = 0;
+        for (row, &end) in values.chunks_exact_mut(part.len()).zip(&self.ends) {
+            for (class, weight) in &self.votes[first..end] {
+                if let Ok(column) = part.binary_search(class) {
+                    row[column] += weight;
+                }
+            }
+            first = end;
+        }
+        let size = [self.ends.len(), part.len()];
+        Tensor::from_data(TensorData::new(values, size), device)
+    }
 }
 
 /// Votes on a device until all views are in.
@@ -89,23 +204,25 @@ impl VoteTables {
         }
     }
 
-    /// Adds `view`, whose pixels have the classes `labels`; `shown` lists those below the number of classes, ascending.
-    fn add(&mut self, view: &SplatView, labels: &[u16], shown: &[u16]) -> Result<()> {
+    /// Adds the votes that `view` casts.
+    fn add(&mut self, view: &SplatView, cast: &ViewVotes) -> Result<()> {
         let (height, width) = (view.camera().height, view.camera().width);
         let device = view.device();
-        let labels: Vec<f32> = labels.iter().map(|&class| f32::from(class)).collect();
-        let labels = Tensor::<2>::from_data(TensorData::new(labels, [height * width, 1]), &device);
         let table_of = |class: u16| usize::from(class) / self.width;
+        // Only the classes that the view shows, so that neither time nor memory grows with those of the whole scene.
+        let shown = cast.shown();
         for part in shown.chunk_by(|&a, &b| table_of(a) == table_of(b)) {
             let Some(&class) = part.first() else { continue };
             let number = table_of(class);
             for block in view.channel_blocks(part.len()) {
                 let part = &part[block];
-                let values = part.iter().map(|&class| f32::from(class)).collect();
-                let image = one_hot(&labels, values);
-                let sums = view
+                let image = cast.image(part, &device);
+                let mut sums = view
                     .blend_adjoint(image.reshape([height, width, part.len()]))?
                     .sums;
+                if let Some(weights) = &cast.weights {
+                    sums = sums * weights.clone();
+                }
                 let columns = part
                     .iter()
                     .map(|&class| i64::from(class) - (number * self.width) as i64)
@@ -234,7 +351,6 @@ impl Votes {
 mod tests {
     use super::*;
     use crate::backend::device::{BackendName, device_of_tests};
-    use crate::splat::camera::Camera;
     use glam::{DMat3, DVec3};
 
     #[test]
@@ -267,8 +383,28 @@ mod tests {
             center: DVec3::ZERO,
         };
         let classes = 7;
-        // 7 is no class.
-        let labels: Vec<u16> = (0..32 * 24).map(|pixel| (pixel / 5 % 8) as u16).collect();
+        // Every eighth run of five pixels votes for nothing; the others divide their vote.
+        let votes_of = |pixel: usize, shown: &[u16]| -> Vec<(u16, f32)> {
+            let class = (pixel / 5 % 8) as u16;
+            let other = (class + 3) % 7;
+            let votes = [(class, 0.75), (other, 0.25)];
+            votes
+                .into_iter()
+                .filter(|(c, _)| class < 7 && shown.contains(c))
+                .collect()
+        };
+        let pixels = |shown: &[u16]| {
+            let mut pixels = ViewVotes {
+                votes: Vec::new(),
+                ends: Vec::new(),
+                weights: None,
+            };
+            for pixel in 0..32 * 24 {
+                pixels.votes.extend(votes_of(pixel, shown));
+                pixels.ends.push(pixels.votes.len());
+            }
+            pixels
+        };
         for device in BackendName::compiled()
             .iter()
             .filter_map(|&name| device_of_tests(name))
@@ -277,10 +413,9 @@ mod tests {
                 let splats = SplatTensors::new(&gaussians, &device);
                 let view = splats.seen_by(&camera, &Settings::default());
                 let mut votes = VoteTables::of_width(&splats, classes, width);
-                votes
-                    .add(&view, &labels, &[0, 1, 2, 3, 4, 5, 6])
-                    .expect("votes");
-                votes.add(&view, &labels, &[1, 6]).expect("votes");
+                let all = pixels(&[0, 1, 2, 3, 4, 5, 6]);
+                votes.add(&view, &all).expect("votes");
+                votes.add(&view, &pixels(&[1, 6])).expect("votes");
                 votes.read().expect("readable")
             };
             let whole = votes(classes);

@@ -10,7 +10,9 @@ use crate::config::{Association, Prior, SegmentationConfig, SpatialConfig, Varia
 use crate::data::Split;
 use crate::error::Result;
 use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
-use crate::objects::{Identities, NeighbourGraph, PooledVote, Votes, pooled_vote, vote};
+use crate::objects::{
+    Identities, NeighbourGraph, PooledVote, Votes, pooled_vote, vote, weighted_vote,
+};
 use crate::progress::{CurvePoint, Progress};
 use crate::provenance::Provenance;
 use crate::segmentation::decoder::DecoderConfig;
@@ -268,7 +270,7 @@ impl<'a> StageTwo<'a> {
             device,
             ..
         } = self.inputs;
-        let views = scene.split(Split::Train).filter(|v| v.raw.is_some());
+        let views = scene.split(Split::Train);
         let votes = vote(gaussians, views, &scene.classes, settings, device)?;
         Ok(self.votes.get_or_init(|| votes))
     }
@@ -279,7 +281,16 @@ impl<'a> StageTwo<'a> {
             return Ok(pooled);
         }
         let exponent = self.inputs.config.segmentation.prior_exponent;
-        let pooled = pooled_vote(self.inputs.gaussians, self.votes()?, exponent)?;
+        let Inputs {
+            scene,
+            gaussians,
+            settings,
+            device,
+            ..
+        } = self.inputs;
+        let views = scene.split(Split::Train);
+        let votes = weighted_vote(gaussians, views, &scene.classes, settings, device)?;
+        let pooled = pooled_vote(gaussians, &votes, exponent)?;
         Ok(self.pooled.get_or_init(|| pooled))
     }
 

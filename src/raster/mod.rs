@@ -16,7 +16,7 @@ mod settings;
 pub use self::cpu::{
     Blended, Positions, Projected, Rendered, SplatGradients, TilePairs, eval_sh, render,
 };
-pub(crate) use self::op::{GaussianLabels, Largest, one_hot};
+pub(crate) use self::op::{GaussianLabels, Largest};
 pub use self::op::{
     Lifted, ListCount, RasterInput, RasterOutput, SplatTensors, SplatView, rasterize,
     rasterize_with_capacity, tile_capacity,

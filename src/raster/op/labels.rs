@@ -174,7 +174,7 @@ impl GaussianLabels {
 }
 
 /// 1 where the one value of a row of `[rows, 1]` is the value of the column, `[rows, values]`.
-pub(crate) fn one_hot(of_rows: &Tensor<2>, values: Vec<f32>) -> Tensor<2> {
+fn one_hot(of_rows: &Tensor<2>, values: Vec<f32>) -> Tensor<2> {
     let rows = of_rows.dims()[0];
     let columns = values.len();
     let values = Tensor::<2>::from_data(TensorData::new(values, [1, columns]), &of_rows.device());

@@ -18,7 +18,7 @@ mod tile_lists;
 mod view;
 
 pub use self::input::{RasterInput, RasterOutput};
-pub(crate) use self::labels::{GaussianLabels, Largest, one_hot};
+pub(crate) use self::labels::{GaussianLabels, Largest};
 pub use self::rasterize::{rasterize, rasterize_with_capacity};
 pub use self::splats::SplatTensors;
 pub use self::tile_lists::{ListCount, tile_capacity};

@@ -2,8 +2,11 @@
 
 use crate::cli::commands::{fails, succeeds, utf8};
 use crate::support::onnx::Onnx;
-use crate::support::plates::{HEIGHT, WIDTH, scene};
+use crate::support::plates::{self, HEIGHT, WIDTH, scene};
 use coseg::data::{Classes, LabelMap, LoadOptions, View, load};
+use coseg::objects::{vote, weighted_vote};
+use coseg::raster::Settings;
+use glam::Vec3;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
@@ -271,4 +274,58 @@ fn snapshot(dir: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     }
     files.sort();
     files
+}
+
+#[test]
+fn pixels_divide_their_vote_by_their_scores_and_distance_weighs_it() {
+    let (folder, dir, model) = plates();
+    let out = folder.path().join("labels");
+    let mine = classes(folder.path());
+    let label = ["label", "--data", utf8(&dir), "--model", utf8(&model)];
+    let options = ["--classes", utf8(&mine), "--out", utf8(&out)];
+    succeeds(&[&label[..], &options].concat());
+    let options = LoadOptions {
+        raw_labels: Some(utf8(&out).into()),
+        ..LoadOptions::default()
+    };
+    let loaded = load(&dir, &options).expect("scene");
+    let (mut gaussians, _) = plates::plates();
+    for mean in &mut gaussians.means {
+        *mean = (Vec3::from(*mean) - loaded.origin.as_vec3()).to_array();
+    }
+    let (classes, settings, device) = (
+        &loaded.classes,
+        Settings::default(),
+        crate::support::device(),
+    );
+    let view = &loaded.views[0];
+    let hard = View {
+        scores: None,
+        ..view.clone()
+    };
+    let labels = vote(&gaussians, [view].into_iter(), classes, &settings, &device).unwrap();
+    let weighted =
+        |view| weighted_vote(&gaussians, [view].into_iter(), classes, &settings, &device).unwrap();
+    let (scores, weighted_labels) = (weighted(view), weighted(&hard));
+    let rows = |votes: &coseg::objects::Votes| -> Vec<Vec<f32>> {
+        let rows = votes.table.chunks_exact(classes.len());
+        rows.map(<[f32]>::to_vec).collect()
+    };
+    let (labels, scores, weighted_labels) = (rows(&labels), rows(&scores), rows(&weighted_labels));
+    let close = |a: f32, b: f32| (a - b).abs() <= 1e-4 * b.abs() + 1e-6;
+    let mut divided = 0;
+    for (i, mean) in gaussians.means.iter().enumerate() {
+        let distance = (Vec3::from(*mean).as_dvec3() - view.camera.center).length() as f32;
+        for (found, label) in weighted_labels[i].iter().zip(&labels[i]) {
+            assert!(close(*found, distance * label), "{i}: {found} of {label}");
+        }
+        let [all, of_scores] = [&labels[i], &scores[i]].map(|row| row.iter().sum::<f32>());
+        assert!(
+            close(of_scores, distance * all),
+            "{i}: {of_scores} of {all}"
+        );
+        let named = |row: &[f32]| row.iter().filter(|vote| **vote > 0.0).count();
+        divided += usize::from(named(&scores[i]) > named(&labels[i]));
+    }
+    assert!(divided > 0, "no pixel divides its vote");
 }
