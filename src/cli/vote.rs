@@ -49,12 +49,15 @@ impl VoteArgs {
             let (data, field) = (&self.input.data, "raw_label_path");
             return Err(Error::input(data, field, "nothing", expected, help));
         }
-        let (gaussians, train) = (&ply.gaussians, scene.split(Split::Train));
+        let gaussians = &ply.gaussians;
+        let views = || scene.split(Split::Train);
+        let votes = vote(gaussians, views(), &scene.classes, &settings, &device)?;
         let identities = if self.pooled {
-            let votes = weighted_vote(gaussians, train, &scene.classes, &settings, &device)?;
-            pooled_vote(gaussians, &votes, config.segmentation.prior_exponent)?.identities
+            let weighted = || weighted_vote(gaussians, views(), &scene.classes, &settings, &device);
+            let exponent = config.segmentation.prior_exponent;
+            pooled_vote(gaussians, &votes, weighted, exponent)?.identities
         } else {
-            vote(gaussians, train, &scene.classes, &settings, &device)?.identities()
+            votes.identities()
         };
         let ids = identities.ids(&scene.classes);
         let path = self.input.out.join("scene.ply");

@@ -83,49 +83,62 @@ pub struct PooledVote {
     pub strength: f64,
 }
 
-/// Pools the votes of `gaussians` over superpoints and calibrates them, as far as the errors of the labels prefer frequent classes.
-/// Other labels keep the votes of each Gaussian by itself: these average their errors away. `exponent` is used for labels of any
-/// kind.
+/// Pools votes over superpoints and calibrates them, as far as the errors of the labels prefer frequent classes: a network makes
+/// such errors. Other labels keep the plain `votes` of each Gaussian by itself: these average their errors away. `weighted` are
+/// the votes that are pooled ([`weighted_vote`](super::weighted_vote)); they are asked for only where they are needed. `exponent`
+/// is used for labels of any kind.
 ///
 /// # Errors
-/// [`crate::Error::NonFinite`] when a centre is not finite.
+/// [`crate::Error::NonFinite`] when a centre is not finite; those of `weighted`.
 ///
 /// # Panics
-/// If `votes` are of another number of Gaussians.
+/// If votes are of another number of Gaussians or classes.
 pub fn pooled_vote(
     gaussians: &Gaussians,
     votes: &Votes,
+    weighted: impl FnOnce() -> Result<Votes>,
     exponent: Option<f64>,
 ) -> Result<PooledVote> {
     let classes = votes.classes;
     let graph = SurfaceGraph::new(gaussians, NEIGHBOURS)?;
     let preference = preference_inside(votes, &graph);
     let strength = exponent.map_or_else(|| strength(preference), |_| 1.0);
+    let weighted = if strength > 0.0 {
+        weighted()?
+    } else {
+        votes.clone()
+    };
     let superpoints = SCALES.map(|scale| graph.superpoints(scale, LEAST));
-    let pooled = superpoints.each_ref().map(|s| PooledVotes::new(votes, s));
+    let pooled = superpoints
+        .each_ref()
+        .map(|s| PooledVotes::new(&weighted, s));
     let calibration = Calibration::fit(&pooled[FITTED], exponent);
     tracing::info!(
         "{} superpoints; label errors prefer frequent classes by {preference:.2}, corrected by {strength:.2}",
         superpoints[FITTED].count
     );
     let mut scores = vec![0.0; votes.table.len()];
+    let tables = [votes, &weighted].map(|votes| votes.table.par_chunks_exact(classes.max(1)));
+    let [plain, weighted] = tables;
     let rows = scores
         .par_chunks_exact_mut(classes.max(1))
-        .zip(votes.table.par_chunks_exact(classes.max(1)));
-    rows.enumerate().for_each(|(gaussian, (scores, own))| {
-        let mut shares = vec![0.0; classes];
-        let voted = add_shares(&mut shares, own);
-        let own = shares.clone();
-        for (pooled, superpoints) in pooled.iter().zip(&superpoints) {
-            let row = pooled.row(superpoints.of[gaussian]);
-            shares.iter_mut().zip(row).for_each(|(s, p)| *s += p);
-        }
-        calibration.apply(&mut shares);
-        let strength = if voted { strength } else { 1.0 };
-        for ((score, p), own) in scores.iter_mut().zip(shares).zip(own) {
-            *score = (strength * p + (1.0 - strength) * own) as f32;
-        }
-    });
+        .zip(plain.zip(weighted));
+    rows.enumerate()
+        .for_each(|(gaussian, (scores, (plain, weighted)))| {
+            let mut own = vec![0.0; classes];
+            let voted = add_shares(&mut own, plain);
+            let mut shares = vec![0.0; classes];
+            add_shares(&mut shares, weighted);
+            for (pooled, superpoints) in pooled.iter().zip(&superpoints) {
+                let row = pooled.row(superpoints.of[gaussian]);
+                shares.iter_mut().zip(row).for_each(|(s, p)| *s += p);
+            }
+            calibration.apply(&mut shares);
+            let strength = if voted { strength } else { 1.0 };
+            for ((score, p), own) in scores.iter_mut().zip(shares).zip(own) {
+                *score = (strength * p + (1.0 - strength) * own) as f32;
+            }
+        });
     let identities = Identities { scores, classes };
     Ok(PooledVote {
         identities,
@@ -216,7 +229,7 @@ mod tests {
             table.extend(row);
         }
         let votes = Votes { table, classes: 3 };
-        let identities = pooled_vote(&gaussians, &votes, Some(0.0))
+        let identities = pooled_vote(&gaussians, &votes, || Ok(votes.clone()), Some(0.0))
             .unwrap()
             .identities;
         for (i, row) in identities.scores.chunks_exact(3).enumerate() {

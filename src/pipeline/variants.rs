@@ -288,9 +288,11 @@ impl<'a> StageTwo<'a> {
             device,
             ..
         } = self.inputs;
-        let views = scene.split(Split::Train);
-        let votes = weighted_vote(gaussians, views, &scene.classes, settings, device)?;
-        let pooled = pooled_vote(gaussians, &votes, exponent)?;
+        let weighted = || {
+            let views = scene.split(Split::Train);
+            weighted_vote(gaussians, views, &scene.classes, settings, device)
+        };
+        let pooled = pooled_vote(gaussians, self.votes()?, weighted, exponent)?;
         Ok(self.pooled.get_or_init(|| pooled))
     }
 
