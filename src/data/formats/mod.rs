@@ -12,7 +12,6 @@ pub(crate) mod frame;
 pub(crate) mod label_folder;
 pub(crate) mod layout;
 pub(crate) mod listing;
-pub(crate) mod manifest;
 pub(crate) mod points;
 pub(crate) mod replica;
 pub(crate) mod scannet;
