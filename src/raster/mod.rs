@@ -18,4 +18,4 @@ pub use self::cpu::{
 };
 pub(crate) use self::op::{GaussianLabels, Largest, one_hot};
 pub use self::op::{Lifted, RasterInput, RasterOutput, SplatTensors, SplatView, rasterize};
-pub use self::settings::{PairCounts, Settings, Splats, Stats};
+pub use self::settings::{Settings, Splats};

@@ -264,7 +264,7 @@ impl<'a> Trainer<'a> {
             }
             let stop = progress.stop();
             if stop || self.schedule.saves(iteration) {
-                self.save(progress)?;
+                self.save()?;
             }
             if stop {
                 return Ok(());
@@ -321,14 +321,11 @@ impl<'a> Trainer<'a> {
         ImageScores::of_view(&image, view)
     }
 
-    fn save(&self, progress: &mut dyn Progress) -> Result<()> {
-        if let Some(path) = &self.checkpoint {
-            self.state()?.save(path)?;
-            progress.event(&Event::Saved {
-                iteration: self.iteration,
-            });
+    fn save(&self) -> Result<()> {
+        match &self.checkpoint {
+            Some(path) => self.state()?.save(path),
+            None => Ok(()),
         }
-        Ok(())
     }
 
     /// Learning rates of the parameters, in their order.

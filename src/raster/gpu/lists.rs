@@ -7,7 +7,6 @@ use super::radix_sort::sort_positions;
 use super::scan::exclusive_sums;
 use crate::backend::gpu::{Gpu, arg};
 use crate::raster::cpu::footprint::TILE;
-use burn::tensor::DType;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
