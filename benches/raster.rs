@@ -12,10 +12,7 @@ use coseg::data::formats::transforms::write_cameras;
 use coseg::data::{Limits, NamedCamera, Split, atomic, read_cameras};
 use coseg::error::{Error, Result};
 use coseg::objects::{RenderOptions, Renderer};
-use coseg::raster::{
-    ListCount, PairCounts, Projected, RasterInput, RasterOutput, Settings, rasterize_with_capacity,
-    tile_capacity,
-};
+use coseg::raster::{Projected, RasterInput, RasterOutput, Settings, rasterize};
 use coseg::splat::camera::Camera;
 use coseg::splat::{Gaussians, ply};
 use glam::DVec3;
@@ -166,14 +163,8 @@ impl View<'_> {
         );
         let pairs = self.pairs()?;
         let pixels: usize = self.cameras.iter().map(|c| c.width * c.height).sum();
-        let contributing = pairs.contributing as f64;
-        let evaluated = pairs.evaluated as f64 / contributing.max(1.0);
-        figures.add(
-            format!("{size}: pairs a pixel"),
-            "",
-            &[contributing / pixels as f64],
-        );
-        figures.add(format!("{size}: evaluated per pair"), "", &[evaluated]);
+        let each = pairs as f64 / pixels as f64;
+        figures.add(format!("{size}: pairs a pixel"), "", &[each]);
         Ok(())
     }
 
@@ -194,14 +185,10 @@ impl View<'_> {
         input: &RasterInput,
         finish: impl Fn(RasterOutput) -> Option<Tensor<3>>,
     ) -> Result<Vec<f64>> {
-        // A view's tile lists have the capacity of the pass before, as in training.
-        let mut capacities = vec![None; self.cameras.len()];
         let settings = Settings::default();
         self.passes(|| {
-            for (camera, capacity) in self.cameras.iter().zip(&mut capacities) {
-                let output =
-                    rasterize_with_capacity(input.clone(), camera, &settings, [0.0; 3], *capacity)?;
-                let tile_lists = output.tile_lists.clone();
+            for camera in self.cameras {
+                let output = rasterize(input.clone(), camera, &settings, [0.0; 3])?;
                 let Some(value) = finish(output) else {
                     continue;
                 };
@@ -210,10 +197,8 @@ impl View<'_> {
                 } else {
                     value
                 };
-                let both = Tensor::cat(vec![value.reshape([1]), tile_lists], 0);
-                let values: Vec<f32> = both.into_data().to_vec().expect("floats");
-                let count = ListCount::from_values(black_box(&values[1..]));
-                *capacity = count.map(|count| tile_capacity(count.entries));
+                let value: Vec<f32> = value.into_data().to_vec().expect("floats");
+                black_box(value);
             }
             Ok(())
         })
@@ -256,13 +241,11 @@ impl View<'_> {
     }
 
     /// A pair is a pixel and a Gaussian with alpha of alpha_min or more, before the pixel is full.
-    fn pairs(&self) -> Result<PairCounts> {
-        let mut sum = PairCounts::default();
+    fn pairs(&self) -> Result<usize> {
+        let mut sum = 0;
         for camera in self.cameras {
             let projected = Projected::new(&self.gaussians.splats(), camera, &Settings::default())?;
-            let pairs = projected.count_pairs();
-            sum.evaluated += pairs.evaluated;
-            sum.contributing += pairs.contributing;
+            sum += projected.weights(None).entries().1.len();
         }
         Ok(sum)
     }

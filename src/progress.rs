@@ -46,11 +46,6 @@ pub enum Event {
         /// Transparent Gaussians moved onto opaque ones.
         relocated: usize,
     },
-    /// A checkpoint was written.
-    Saved {
-        /// After this iteration.
-        iteration: usize,
-    },
     /// The stage is done. Not sent for stages that were stopped early.
     Finished,
 }

@@ -61,20 +61,20 @@ pub(crate) fn floats(bytes: &[u8], dtype: Dtype) -> Option<Vec<f32>> {
 
 /// All floating-point tensors of a weight file.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Checkpoint {
+pub struct WeightFile {
     /// Where they came from, for messages.
     pub origin: PathBuf,
-    /// By name, without a leading `module.` and without the prefix of [`Checkpoint::under`].
+    /// By name, without a leading `module.` and without the prefix of [`WeightFile::under`].
     pub tensors: BTreeMap<String, HostTensor>,
     /// The file's own notes (safetensors only).
     pub metadata: BTreeMap<String, String>,
-    /// The network that [`Checkpoint::get`] asks for in its messages.
+    /// The network that [`WeightFile::get`] asks for in its messages.
     pub network: &'static str,
     /// What precedes the names in the file.
     pub prefix: String,
 }
 
-impl Checkpoint {
+impl WeightFile {
     /// Reads a `.safetensors` file, or anything else as a PyTorch checkpoint (zip, legacy or tar), nested under
     /// `model_state_dict`, `state_dict`, `model` or not at all.
     ///
@@ -84,10 +84,10 @@ impl Checkpoint {
         Self::open_where(path, |_| true)
     }
 
-    /// [`Checkpoint::open`] for the tensors whose name in the file `keep` accepts: the rest is not read from PyTorch files.
+    /// [`WeightFile::open`] for the tensors whose name in the file `keep` accepts: the rest is not read from PyTorch files.
     ///
     /// # Errors
-    /// As [`Checkpoint::open`].
+    /// As [`WeightFile::open`].
     pub fn open_where(path: impl AsRef<Path>, keep: impl Fn(&str) -> bool) -> Result<Self> {
         let path = path.as_ref();
         let safetensors = path
@@ -99,7 +99,7 @@ impl Checkpoint {
         }
         std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
         let reader = PytorchReader::new(path).map_err(|e| unreadable(path, "checkpoint", e))?;
-        let mut checkpoint = Self {
+        let mut weights = Self {
             origin: path.to_owned(),
             ..Self::default()
         };
@@ -118,9 +118,9 @@ impl Checkpoint {
                 .iter()
                 .find_map(|n| name.strip_prefix(n)?.strip_prefix('.'))
                 .unwrap_or(name);
-            checkpoint.insert(name, HostTensor { shape, values });
+            weights.insert(name, HostTensor { shape, values });
         }
-        Ok(checkpoint)
+        Ok(weights)
     }
 
     /// Reads the bytes of a safetensors file; `origin` names them in messages.
@@ -141,7 +141,7 @@ impl Checkpoint {
             .flatten()
             .map(|(k, v)| (k.clone(), v.clone()))
             .collect();
-        let mut checkpoint = Self {
+        let mut weights = Self {
             origin: origin.to_owned(),
             metadata,
             ..Self::default()
@@ -149,10 +149,10 @@ impl Checkpoint {
         for (name, view) in file.iter().filter(|(name, _)| keep(name)) {
             if let Some(values) = floats(view.data(), view.dtype()) {
                 let shape = view.shape().to_vec();
-                checkpoint.insert(name, HostTensor { shape, values });
+                weights.insert(name, HostTensor { shape, values });
             }
         }
-        Ok(checkpoint)
+        Ok(weights)
     }
 
     /// The bytes of a safetensors file with these tensors and notes.
@@ -175,7 +175,7 @@ impl Checkpoint {
         self
     }
 
-    /// The same, with the network named that messages of [`Checkpoint::get`] ask for.
+    /// The same, with the network named that messages of [`WeightFile::get`] ask for.
     pub fn of_network(mut self, network: &'static str) -> Self {
         self.network = network;
         self
@@ -230,7 +230,7 @@ impl Checkpoint {
         }
     }
 
-    /// The error for a tensor that [`Checkpoint::network`] cannot use.
+    /// The error for a tensor that [`WeightFile::network`] cannot use.
     pub(crate) fn problem(
         &self,
         name: &str,

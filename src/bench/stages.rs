@@ -10,7 +10,6 @@ use crate::pipeline::Inputs;
 use crate::pipeline::lift::lift;
 use crate::pipeline::variants::train_variants;
 use crate::progress::{Event, Progress};
-use crate::raster::Settings;
 use crate::reconstruction::{Trainer, TrainerState};
 use crate::report::peak_memory_bytes;
 use crate::splat::Gaussians;
@@ -107,13 +106,8 @@ fn stage_two(
     };
     let [features, unprojection] = lifted.seconds;
     let inputs = Inputs {
-        scene,
-        gaussians: &lifted.gaussians,
         lifted: lifted.features,
-        semantics: None,
-        config: &config,
-        settings: Settings::from(&config.raster),
-        device,
+        ..Inputs::new(scene, &lifted.gaussians, &config, device)
     };
     let folder = tempfile::tempdir().map_err(|e| Error::io(std::env::temp_dir(), "create", e))?;
     train_variants(&inputs, folder.path(), &mut clock)?;

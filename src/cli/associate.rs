@@ -1,15 +1,15 @@
 //! `coseg associate`: one id for each object, from label maps whose ids differ from view to view.
 
-use super::held_out::{Truth, scored_views};
 use super::labelled::LabelledArgs;
 use super::scene_file::cameras_of;
-use super::terminal;
+use super::{held_out, terminal};
 use clap::Args;
 use coseg::config::Association;
 use coseg::data::formats::transforms;
 use coseg::data::{MapGeometry, Split};
 use coseg::error::{Error, Result};
 use coseg::objects::{Semantics, associate, vote};
+use coseg::pipeline::{HeldOut, Inputs};
 use coseg::raster::Settings;
 use coseg::splat::ply;
 use std::path::Path;
@@ -82,15 +82,14 @@ impl AssociateArgs {
             out.display()
         ));
 
-        let truth = Truth::Objects(classes, semantics.as_ref());
-        let views = scored_views(&scene, &truth);
-        let own: Vec<_> = views
-            .filter_map(|view| Some((view, view.raw.clone()?)))
-            .collect();
-        truth.score(&own).print("held-out views, maps");
-        let shown =
-            truth.score_identities(&identities, &ply.gaussians, &scene, &config, &device)?;
-        shown.print("held-out views, rendered");
+        let inputs = Inputs {
+            semantics: semantics.as_ref(),
+            ..Inputs::new(&scene, &ply.gaussians, &config, &device)
+        };
+        let views = HeldOut::new(&inputs);
+        held_out::print(&views.score_raw(&inputs).0, "held-out views, maps");
+        let rendered = views.score(&identities, &inputs)?;
+        held_out::print(&rendered, "held-out views, rendered");
         Ok(())
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{Settings, fault_list, terminal};
 use clap::{Args, Subcommand};
-use coseg::data::{self, Info, LoadOptions, Manifest, atomic};
+use coseg::data::{self, Info, LoadOptions, atomic};
 use coseg::error::{Error, Result};
 use coseg::report::pictures;
 use coseg::report::sheet::contact_sheet;
@@ -17,7 +17,6 @@ ScanNet exports. The files in the folder decide, or --set data.layout=NAME.
 
 Examples:
   coseg data check scenes/living
-  coseg data check room_0/Sequence_1 --manifest data_manifests/replica_room_0.toml
   coseg data info scenes/living --sheet living.png
   coseg data info scans/scene0000_00 --set data.stride=20 --json";
 
@@ -42,9 +41,6 @@ struct CheckArgs {
     /// Scene folder
     #[arg(value_name = "DIR")]
     dir: PathBuf,
-    /// Manifest of the scene: gives the layout and names files that must exist
-    #[arg(long, value_name = "FILE.toml")]
-    manifest: Option<PathBuf>,
     /// Print every problem, not only the first few of each kind
     #[arg(long)]
     all: bool,
@@ -80,22 +76,14 @@ impl DataArgs {
 impl CheckArgs {
     fn run(self) -> Result<()> {
         let config = self.settings.load(Some(&self.dir), None)?;
-        let mut options = LoadOptions::for_training(&config);
-        let mut found = Vec::new();
-        if let Some(path) = &self.manifest {
-            let manifest = Manifest::read(path)?;
-            options = manifest.options(&options);
-            found = manifest.check(&self.dir);
-        }
-        let checked = data::check(&self.dir, &options);
-        found.extend(checked.problems);
+        let checked = data::check(&self.dir, &LoadOptions::for_training(&config));
         for notice in &checked.notices {
             terminal::note(&format!("note: {notice}"));
         }
-        fault_list::print(&found, self.all);
+        fault_list::print(&checked.problems, self.all);
         let layout = checked.layout.map_or("unknown", |layout| layout.name());
         let field = format!("layout {layout}, {} frames", checked.frames);
-        let count = match found.len() {
+        let count = match checked.problems.len() {
             0 => {
                 terminal::say(&format!("{}: {field}, no problems", self.dir.display()));
                 return Ok(());

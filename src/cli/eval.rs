@@ -1,17 +1,16 @@
 //! `coseg eval`: the scores of a run.
 
-use super::held_out::{Scores, Truth, rendered, scored_views};
 use super::run_folder::{IDENTITIES, RunFolder};
 use super::scene_file::SCENE;
-use super::terminal;
+use super::{held_out, terminal};
 use clap::Args;
 use coseg::backend::device::open_cpu;
 use coseg::config::{Association, Config, Variant};
-use coseg::data::{Classes, Limits, Scene, Split};
+use coseg::data::{Classes, Limits, Split};
 use coseg::error::{Error, Result};
 use coseg::metrics::ImageScores;
-use coseg::objects::{Identities, LabelRule, Semantics, hard_label_map};
-use coseg::raster::{Projected, Settings, render};
+use coseg::objects::{Identities, Semantics};
+use coseg::pipeline::{HeldOut, Inputs, Pictures, load_scene};
 use coseg::report::{RowScores, TestScores};
 use coseg::splat::ply;
 use coseg::splat::ply::PlyScene;
@@ -50,21 +49,28 @@ impl EvalArgs {
         let mut config = run.config(&[])?;
         config.data.dir = self.data.or(config.data.dir);
         let ply = ply::read(&run.file(SCENE), &Limits::default())?;
-        let scene = coseg::pipeline::load_scene(&config)?.with_origin(ply.origin);
+        let mut scene = load_scene(&config)?.with_origin(ply.origin);
         let classes = run.classes()?;
+        let mut semantics = None;
         let is_associated = config.data.association != Association::None;
-        if !is_associated {
+        if is_associated {
+            // True labels have no ids of objects.
+            semantics = Semantics::of(&scene);
+            scene.views.iter_mut().for_each(|view| view.truth = None);
+        } else {
             same_classes(&scene.classes, &classes)?;
         }
-        let identities = identities(&run, &ply)?;
-        let semantics = Semantics::of(&scene);
-        let truth = if is_associated {
-            Truth::Objects(&classes, semantics.as_ref())
-        } else {
-            Truth::Labels(&classes)
+        scene.classes = classes;
+        let device = open_cpu()?;
+        let inputs = Inputs {
+            semantics: semantics.as_ref(),
+            ..Inputs::new(&scene, &ply.gaussians, &config, &device)
         };
-        let views = image_scores(&scene, &ply, &config)?;
-        let labels = label_scores(&scene, &ply, identities.as_ref(), &config, &truth)?;
+        let views = image_scores(&inputs)?;
+        let labels = match identities(&run, &ply)? {
+            Some(identities) => Some(HeldOut::new(&inputs).score(&identities, &inputs)?),
+            None => None,
+        };
         let mean = ImageScores::mean(&views.values().copied().collect::<Vec<_>>());
         if self.json {
             let held_out = views.len();
@@ -98,8 +104,8 @@ impl EvalArgs {
             terminal::say(&format!("images: PSNR {psnr:.2} dB, SSIM {ssim:.4}"));
         }
         if let Some(scores) = labels {
-            scores.print(if is_associated { "objects" } else { "labels" });
-            scores.print_classes(&scene.classes);
+            held_out::print(&scores, if is_associated { "objects" } else { "labels" });
+            held_out::print_classes(&scores, &scene.classes);
         }
         Ok(())
     }
@@ -147,48 +153,15 @@ fn identities(run: &RunFolder, ply: &PlyScene) -> Result<Option<Identities>> {
 }
 
 /// Scores of the rendered colours of each held-out view.
-fn image_scores(
-    scene: &Scene,
-    ply: &PlyScene,
-    config: &Config,
-) -> Result<BTreeMap<String, ImageScores>> {
-    let settings = Settings::from(&config.raster);
-    let bar = terminal::bar("eval", scene.split(Split::Test).count() as u64);
-    let views = scene
-        .split(Split::Test)
-        .map(|view| {
-            let background = config.raster.background;
-            let rendered = render(&ply.gaussians, &view.camera, &settings, background)?;
-            bar.inc(1);
-            let scores = ImageScores::of_view(&rendered.rgb, view)?;
-            Ok((view.name.clone(), scores))
-        })
-        .collect();
+fn image_scores(inputs: &Inputs) -> Result<BTreeMap<String, ImageScores>> {
+    let bar = terminal::bar("eval", inputs.scene.split(Split::Test).count() as u64);
+    let mut pictures = Pictures::new(inputs.gaussians, inputs.config, inputs.device)?;
+    let views = inputs.scene.split(Split::Test).map(|view| {
+        let (_, scores) = pictures.of(view)?;
+        bar.inc(1);
+        Ok((view.name.clone(), scores))
+    });
+    let views = views.collect();
     bar.finish_and_clear();
     views
-}
-
-/// Scores of the identities, or else of the labels in the PLY; nothing without either.
-fn label_scores(
-    scene: &Scene,
-    ply: &PlyScene,
-    identities: Option<&Identities>,
-    config: &Config,
-    truth: &Truth<'_>,
-) -> Result<Option<Scores>> {
-    let gaussians = &ply.gaussians;
-    if let Some(identities) = identities {
-        let scores = truth.score_identities(identities, gaussians, scene, config, &open_cpu()?)?;
-        return Ok(Some(scores));
-    }
-    let Some(labels) = &ply.labels else {
-        return Ok(None);
-    };
-    let settings = Settings::from(&config.raster);
-    let least = LabelRule::from(&config.segmentation).min_coverage;
-    let maps = rendered(scored_views(scene, truth), |camera| {
-        let projected = Projected::new(&gaussians.splats(), camera, &settings)?;
-        Ok(hard_label_map(&projected, labels, least))
-    })?;
-    Ok(Some(truth.score(&maps)))
 }

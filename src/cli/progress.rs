@@ -109,7 +109,6 @@ impl Progress for Bars {
                     None => self.print(point, point.seconds),
                 }
             }
-            Event::Densified { .. } | Event::Saved { .. } => {}
             Event::Finished => {
                 self.print_end();
                 self.clear();

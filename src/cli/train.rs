@@ -1,6 +1,6 @@
 //! `coseg train`: the main job.
 
-use super::held_out::Scores;
+use super::held_out;
 use super::label::SegmenterArgs;
 use super::progress::Bars;
 use super::run_folder::{IDENTITIES, REPORT, RunFolder};
@@ -14,7 +14,7 @@ use coseg::data::formats::transforms;
 use coseg::data::{LoadOptions, Split, atomic};
 use coseg::error::{Error, Result};
 use coseg::pipeline;
-use coseg::pipeline::{Outcome, VariantOutcome};
+use coseg::pipeline::{HeldOutScores, Outcome, VariantOutcome};
 use coseg::report::{Command, Metrics, Report, held_out_views};
 use coseg::splat::ply;
 use coseg::viewer::Viewer;
@@ -337,11 +337,11 @@ fn summary(outcome: &Outcome) {
         return;
     }
     for row in &outcome.rows {
-        let scores = Scores {
+        let scores = HeldOutScores {
             labels: row.scores.clone(),
             instances: row.instances.clone(),
             semantic: row.semantic.clone(),
         };
-        scores.print(row.row.title());
+        held_out::print(&scores, row.row.title());
     }
 }

@@ -1,13 +1,13 @@
 //! `coseg vote`: labels for Gaussians by a vote of raw label maps.
 
-use super::held_out::{Truth, scored_views};
 use super::labelled::LabelledArgs;
-use super::terminal;
+use super::{held_out, terminal};
 use clap::Args;
 use coseg::config::Association;
 use coseg::data::Split;
 use coseg::error::{Error, Result};
 use coseg::objects::{pooled_vote, vote, weighted_vote};
+use coseg::pipeline::{HeldOut, Inputs};
 use coseg::raster::Settings;
 use coseg::splat::ply;
 
@@ -69,11 +69,10 @@ impl VoteArgs {
             path.display(),
             ids.len() - unseen
         ));
-        let truth = Truth::Labels(&scene.classes);
-        let scores =
-            truth.score_identities(&identities, &ply.gaussians, &scene, &config, &device)?;
-        let views = scored_views(&scene, &truth).count();
-        scores.print(&format!("{views} held-out views"));
+        let inputs = Inputs::new(&scene, &ply.gaussians, &config, &device);
+        let views = HeldOut::new(&inputs);
+        let scores = views.score(&identities, &inputs)?;
+        held_out::print(&scores, &format!("{} held-out views", views.len()));
         Ok(())
     }
 }

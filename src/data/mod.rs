@@ -14,7 +14,6 @@ pub use self::diagnostics::check::{Checked, check};
 pub use self::diagnostics::info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
 pub use self::formats::camera_file::read_cameras;
 pub use self::formats::layout::locate;
-pub use self::formats::manifest::{ClassTable, ExpectedFile, Manifest};
 pub use self::labels::label_runs::LabelRuns;
 pub use self::labels::map_geometry::MapGeometry;
 pub use self::labels::palette::class_color;

@@ -9,7 +9,8 @@ pub(crate) use self::limits::check_limit;
 
 use crate::error::{Error, Result, invalid};
 use serde::de::DeserializeOwned;
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 /// The text of a file.
 pub(crate) fn text(path: &Path) -> Result<String> {
@@ -47,6 +48,41 @@ pub(crate) fn names(dir: &Path, keep: impl Fn(&str, &Path) -> bool) -> Vec<Strin
         .collect();
     names.sort_unstable();
     names
+}
+
+/// Files by the number in their names.
+pub(crate) type Numbered = BTreeMap<usize, PathBuf>;
+
+/// Files of `folder` named `prefix`, a number, and one of `extensions`: `rgb_10.png` follows `rgb_9.png`.
+///
+/// # Errors
+/// The folder cannot be read; two files have the same number.
+pub(crate) fn numbered(folder: &Path, prefix: &str, extensions: &[&str]) -> Result<Numbered> {
+    let mut files = Numbered::new();
+    for entry in std::fs::read_dir(folder).map_err(|e| Error::io(folder, "list", e))? {
+        let path = entry.map_err(|e| Error::io(folder, "list", e))?.path();
+        let extension = path
+            .extension()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .to_lowercase();
+        let stem = path.file_stem().and_then(|stem| stem.to_str());
+        let digits = stem
+            .and_then(|stem| stem.strip_prefix(prefix))
+            .filter(|digits| {
+                digits.bytes().all(|b| b.is_ascii_digit()) && extensions.contains(&&*extension)
+            });
+        let Some(number) = digits.and_then(|digits| digits.parse().ok()) else {
+            continue;
+        };
+        if let Some(other) = files.insert(number, path.clone()) {
+            return Err(
+                invalid!(folder, "number {number}"; found "{} and {}", other.display(), path.display();
+                expected "one file for each number"; help "remove one of the two"),
+            );
+        }
+    }
+    Ok(files)
 }
 
 /// The kind of a file by its first bytes, for kinds that users confuse.

@@ -3,7 +3,6 @@
 mod association;
 mod calibration;
 mod compactness;
-mod hard_labels;
 mod identities;
 mod inventory;
 mod label_maps;
@@ -17,7 +16,6 @@ mod vote;
 pub use self::association::{Association, Group, associate, associate_until};
 pub use self::calibration::{Calibration, preference, strength};
 pub use self::compactness::NeighbourGraph;
-pub use self::hard_labels::hard_label_map;
 pub use self::identities::Identities;
 pub use self::inventory::{Object, Picked, inventory, pick};
 pub use self::label_maps::{LabelMaps, LabelRule};

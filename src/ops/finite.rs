@@ -23,24 +23,9 @@ impl FiniteCheck {
     /// # Errors
     /// [`crate::Error::Device`] when the device does not return the values.
     pub fn read(self, loss: Tensor<1>) -> Result<(f32, bool)> {
-        let (value, finite, _) = self.read_with(loss, None)?;
-        Ok((value, finite))
-    }
-
-    /// [`FiniteCheck::read`], with the values of `others` (`[n]`, without autodiff) in the same readback.
-    ///
-    /// # Errors
-    /// As [`FiniteCheck::read`].
-    pub fn read_with(
-        self,
-        loss: Tensor<1>,
-        others: Option<Tensor<1>>,
-    ) -> Result<(f32, bool, Vec<f32>)> {
-        let sums = self.sums.len();
-        let all = std::iter::once(loss).chain(self.sums).chain(others);
-        let mut found = read("loss", Tensor::cat(all.collect(), 0))?;
-        let others = found.split_off(1 + sums);
+        let all = std::iter::once(loss).chain(self.sums);
+        let found = read("loss", Tensor::cat(all.collect(), 0))?;
         let finite = found.iter().all(|value| value.is_finite());
-        Ok((found[0], finite, others))
+        Ok((found[0], finite))
     }
 }

@@ -34,6 +34,24 @@ pub struct Inputs<'a> {
 }
 
 impl<'a> Inputs<'a> {
+    /// Of `gaussians`, without lifted features and semantics.
+    pub fn new(
+        scene: &'a Scene,
+        gaussians: &'a Gaussians,
+        config: &'a Config,
+        device: &'a Device,
+    ) -> Self {
+        Self {
+            scene,
+            gaussians,
+            lifted: None,
+            semantics: None,
+            config,
+            settings: Settings::from(&config.raster),
+            device,
+        }
+    }
+
     /// The labelled training views.
     pub fn training_views(&self) -> TrainingViews<'a> {
         TrainingViews::new(

@@ -20,7 +20,7 @@ pub(crate) mod variants;
 
 pub use self::associate::Associated;
 pub use self::encode::{Encodings, Inputs, encode};
-pub use self::evaluate::{Pictures, score_images};
+pub use self::evaluate::{HeldOut, HeldOutScores, Pictures, score_images};
 pub use self::initial_scene::compare_with_photos;
 pub use self::lift::{LiftedFeatures, Pruned};
 pub use self::run::{Outcome, Seconds, load_scene, run};

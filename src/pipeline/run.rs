@@ -12,7 +12,6 @@ use crate::error::Result;
 use crate::metrics::ImageScores;
 use crate::objects::{Identities, Semantics, has_truth};
 use crate::progress::{CurvePoint, Progress};
-use crate::raster::Settings;
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
@@ -217,13 +216,9 @@ impl Outcome {
         }
         let clock = Instant::now();
         let inputs = Inputs {
-            scene: &self.scene,
-            gaussians: &self.gaussians,
             lifted: lifted.features,
             semantics: self.semantics.as_ref(),
-            config,
-            settings: Settings::from(&config.raster),
-            device,
+            ..Inputs::new(&self.scene, &self.gaussians, config, device)
         };
         let trained = train_variants(&inputs, &files.checkpoints, progress)?;
         self.rows = trained.rows;

@@ -1,7 +1,7 @@
 //! The variants of the label table: what each is, and its training and scoring.
 
 use super::encode::{Encodings, Inputs, encode, spatial_of};
-use super::evaluate::{HeldOut, Scores};
+use super::evaluate::{HeldOut, HeldOutScores};
 use super::train_decoder::{
     Adam, DecoderInput, DecoderModel, DecoderPlan, IdentityModel, PerGaussian, Plan, Schedule,
     Training, TrainingViews,
@@ -61,7 +61,7 @@ pub struct VariantOutcome {
 
 impl VariantOutcome {
     /// A variant without identities or training.
-    fn new(row: Variant, scores: Scores) -> Self {
+    fn new(row: Variant, scores: HeldOutScores) -> Self {
         Self {
             row,
             identities: None,
@@ -321,7 +321,7 @@ impl<'a> StageTwo<'a> {
         let (held_out, inputs) = (&self.held_out, self.inputs);
         let schedule = schedule(variant, inputs, self.checkpoints)?;
         // Of the last iteration.
-        let mut last: Option<(Identities, Scores)> = None;
+        let mut last: Option<(Identities, HeldOutScores)> = None;
         let mut evaluate = |training: &Training<M>| {
             if held_out.is_empty() {
                 return Ok(None);

@@ -17,8 +17,5 @@ pub use self::cpu::{
     Blended, Positions, Projected, Rendered, SplatGradients, TilePairs, eval_sh, render,
 };
 pub(crate) use self::op::{GaussianLabels, Largest};
-pub use self::op::{
-    Lifted, ListCount, RasterInput, RasterOutput, SplatTensors, SplatView, rasterize,
-    rasterize_with_capacity, tile_capacity,
-};
-pub use self::settings::{PairCounts, Settings, Splats, Stats};
+pub use self::op::{Lifted, RasterInput, RasterOutput, SplatTensors, SplatView, rasterize};
+pub use self::settings::{Settings, Splats};

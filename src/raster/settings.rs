@@ -1,4 +1,4 @@
-//! What the rasterizer is given and what it counts.
+//! What the rasterizer is given.
 
 use crate::backend::Real;
 use crate::config::RasterConfig;
@@ -155,32 +155,4 @@ impl Gaussians {
             opacity_logits: &self.opacity_logits,
         }
     }
-}
-
-/// What happened to the Gaussians of one view.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Stats {
-    /// Gaussians given.
-    pub gaussians: usize,
-    /// Gaussians in the tile lists.
-    pub visible: usize,
-    /// Culled: at or before the near plane.
-    pub behind: usize,
-    /// Culled: the alpha_min ellipse is empty or outside the image.
-    pub off_screen: usize,
-    /// Culled: the projection overflowed although the input was finite.
-    pub non_finite: usize,
-    /// Zero quaternions, taken as the identity.
-    pub zero_quaternions: usize,
-    /// Entries of all tile lists.
-    pub tile_entries: usize,
-}
-
-/// (Pixel, Gaussian) pairs of one view; the unit of the timings.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct PairCounts {
-    /// Pairs whose alpha' was computed, idle vector lanes included.
-    pub evaluated: u64,
-    /// Pairs with alpha' of at least alpha_min, before the pixel's stop.
-    pub contributing: u64,
 }

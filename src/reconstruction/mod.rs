@@ -1,6 +1,5 @@
 //! Stage one: 3D Gaussians from posed photos (3DGS, Kerbl et al. 2023; 3DGS-MCMC, Kheradmand et al. 2024).
 
-mod capacity;
 pub mod densify;
 pub mod initialization;
 pub mod mcmc;

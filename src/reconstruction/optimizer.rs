@@ -4,7 +4,7 @@ use super::densify::{Densification, reset_opacity};
 use crate::backend::device::read;
 use crate::error::{Error, Result};
 use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
-use crate::raster::{ListCount, SplatTensors};
+use crate::raster::SplatTensors;
 use crate::splat::Gaussians;
 use burn::tensor::{Bool, Device, Gradients, Int, Tensor, TensorData};
 use std::sync::Arc;
@@ -102,19 +102,14 @@ fn gradient<const D: usize>(leaf: Tensor<D>, gradients: &mut Gradients) -> Tenso
 pub struct ParameterGradients([Tensor<2>; 5]);
 
 impl ParameterGradients {
-    /// Checks that `loss` and all gradients are finite, and returns the loss. One readback returns the count of the tile lists
-    /// too. `None` where the lists are incomplete.
+    /// The value of `loss`, read back together with the check that it and all gradients are finite.
     ///
     /// # Errors
     /// [`Error::NonFinite`] naming the loss, or the gradient and its first bad row.
-    pub fn check(&self, loss: Tensor<1>, tile_lists: Tensor<1>) -> Result<Option<Checked>> {
+    pub fn check(&self, loss: Tensor<1>) -> Result<f64> {
         let mut check = FiniteCheck::default();
         self.0.iter().for_each(|gradient| check.add(gradient));
-        let (value, finite, lists) = check.read_with(loss, Some(tile_lists))?;
-        let lists = ListCount::from_values(&lists);
-        if lists.is_some_and(|lists| !lists.is_sound) {
-            return Ok(None);
-        }
+        let (value, finite) = check.read(loss)?;
         if !value.is_finite() {
             return Err(Error::non_finite("loss", 0));
         }
@@ -124,10 +119,7 @@ impl ParameterGradients {
                 find_non_finite(name, gradient)?;
             }
         }
-        Ok(Some(Checked {
-            loss: value.into(),
-            entries: lists.map(|lists| lists.entries),
-        }))
+        Ok(value.into())
     }
 }
 
@@ -143,15 +135,6 @@ pub fn find_non_finite<const D: usize>(name: &str, gradient: &Tensor<D>) -> Resu
         Some(i) => Err(Error::non_finite(name, i / width)),
         None => Ok(()),
     }
-}
-
-/// What [`ParameterGradients::check`] found.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Checked {
-    /// The value of the loss.
-    pub loss: f64,
-    /// Entries of the tile lists, where a GPU counted them.
-    pub entries: Option<usize>,
 }
 
 impl Parameters {

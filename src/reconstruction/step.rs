@@ -1,12 +1,12 @@
 //! The forward and backward pass over one view: loss and gradients, before they change anything.
 
 use super::Trainer;
-use super::optimizer::{Checked, ParameterGradients};
+use super::optimizer::ParameterGradients;
 use crate::data::View;
 use crate::error::Result;
 use crate::ops::photometric_loss;
 use crate::random::{Purpose, stream};
-use crate::raster::{RasterInput, RasterOutput, rasterize_with_capacity};
+use crate::raster::{RasterInput, RasterOutput, rasterize};
 use burn::tensor::Tensor;
 use rand::Rng;
 
@@ -20,28 +20,11 @@ pub(crate) struct Pass {
     pub screen: Option<Tensor<2>>,
     /// `[N]`, pixels; 0 for culled Gaussians.
     pub radii: Tensor<1>,
-    pub checked: Checked,
+    /// The value of the loss.
+    pub loss: f64,
 }
 
 impl Trainer<'_> {
-    /// The pass of `iteration` over `view`, whose index is `index`. Its tile lists get the capacity that they needed last time,
-    /// so that a pass on a GPU reads back once, at its end.
-    pub(crate) fn pass(&mut self, index: usize, view: &View, iteration: usize) -> Result<Pass> {
-        let capacity = self.capacities.of(index, self.parameters.len());
-        let pass = match self.try_pass(index, view, iteration, capacity)? {
-            Some(pass) => pass,
-            // Without a given capacity the lists are complete, or there is an error.
-            None => self
-                .try_pass(index, view, iteration, None)?
-                .ok_or_else(|| crate::Error::non_finite("raster input", 0))?,
-        };
-        if let Some(entries) = pass.checked.entries {
-            self.capacities
-                .record(index, entries, self.parameters.len());
-        }
-        Ok(pass)
-    }
-
     /// Colour behind the scene in `iteration`.
     fn background(&self, view: &View, iteration: usize) -> [f32; 3] {
         let random =
@@ -53,14 +36,8 @@ impl Trainer<'_> {
         }
     }
 
-    /// `None` where `capacity` was too small, or an input is not finite.
-    fn try_pass(
-        &mut self,
-        index: usize,
-        view: &View,
-        iteration: usize,
-        capacity: Option<usize>,
-    ) -> Result<Option<Pass>> {
+    /// The pass of `iteration` over `view`, whose index is `index`.
+    pub(crate) fn pass(&mut self, index: usize, view: &View, iteration: usize) -> Result<Pass> {
         let target = self.targets.get(index, view)?;
         let leaves = self.parameters.leaves();
         let screen = self.screen();
@@ -75,24 +52,20 @@ impl Trainer<'_> {
             screen: screen.clone(),
         };
         let background = self.background(view, iteration);
-        let RasterOutput {
-            image,
-            radii,
-            tile_lists,
-            ..
-        } = rasterize_with_capacity(input, &view.camera, &self.settings, background, capacity)?;
+        let RasterOutput { image, radii, .. } =
+            rasterize(input, &view.camera, &self.settings, background)?;
         let loss = photometric_loss(image, &target, SSIM_WEIGHT);
         let loss = self.regularised(loss, &leaves);
         let mut gradients = loss.backward();
         let screen = screen.and_then(|screen| screen.grad_remove(&mut gradients));
         let gradients = leaves.gradients(&mut gradients);
-        let checked = gradients.check(loss.inner(), tile_lists)?;
-        Ok(checked.map(|checked| Pass {
+        let loss = gradients.check(loss.inner())?;
+        Ok(Pass {
             gradients,
             screen,
             radii,
-            checked,
-        }))
+            loss,
+        })
     }
 }
 
@@ -123,47 +96,12 @@ mod tests {
     }
 
     #[test]
-    fn too_little_capacity_costs_time_and_nothing_else() {
-        let Some((scene, device)) = scene() else {
-            return;
-        };
-        let run = |spoil: bool| {
-            let mut trainer = Trainer::new(&scene, &Config::default(), &device).expect("valid");
-            (0..5)
-                .map(|_| {
-                    for view in 0..2 {
-                        if spoil {
-                            trainer.capacities.record(view, 1, usize::MAX);
-                        }
-                    }
-                    let step = trainer.step().expect("finite");
-                    let capacity = (0..2)
-                        .filter_map(|view| trainer.capacities.of(view, 3_000))
-                        .max()
-                        .expect("a GPU counts");
-                    // A spoilt capacity has 4,097 entries, and this is a fifth and as many more than the view had.
-                    assert!(
-                        capacity > 10_000,
-                        "a view has more entries than a spoilt capacity: {capacity}"
-                    );
-                    step.loss.to_bits()
-                })
-                .collect::<Vec<_>>()
-        };
-        assert_eq!(run(true), run(false));
-    }
-
-    #[test]
-    fn what_is_not_finite_is_named_in_views_with_a_capacity_too() {
+    fn what_is_not_finite_is_named_on_a_gpu_too() {
         let Some((scene, device)) = scene() else {
             return;
         };
         let mut trainer = Trainer::new(&scene, &Config::default(), &device).expect("valid");
         (0..2 * VIEWS).for_each(|_| assert!(trainer.step().expect("finite").loss > 0.0));
-        assert!(
-            (0..VIEWS).all(|view| trainer.capacities.of(view, 3_000).is_some()),
-            "all have been seen"
-        );
         let (mut gaussians, first, second) = trainer.parameters.to_host().expect("readable");
         gaussians.means[21][1] = f32::NAN;
         trainer.parameters = Parameters::new(gaussians, first, second, &device);

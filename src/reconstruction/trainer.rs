@@ -1,6 +1,5 @@
 //! Training of stage one.
 
-use super::capacity::Capacities;
 use super::densify::{Densified, GradientAccumulator};
 use super::initialization::initial_gaussians;
 use super::optimizer::Parameters;
@@ -64,7 +63,6 @@ pub struct Trainer<'a> {
     pub(super) targets: Targets,
     pub(super) parameters: Parameters,
     pub(super) statistics: GradientAccumulator,
-    pub(super) capacities: Capacities,
     pub(super) iteration: usize,
     pub(super) losses: (f64, u64),
     curve: Vec<CurvePoint>,
@@ -115,7 +113,6 @@ impl<'a> Trainer<'a> {
             checkpoint: None,
             provenance,
             statistics: GradientAccumulator::new(state.stats, &device),
-            capacities: Capacities::new(train.len()),
             device,
             train,
             test: scene.split(Split::Test).collect(),
@@ -201,7 +198,7 @@ impl<'a> Trainer<'a> {
             gradients,
             screen,
             radii,
-            checked,
+            loss,
         } = pass;
         if let Some(gradient) = screen {
             self.statistics.record(gradient, radii);
@@ -210,7 +207,7 @@ impl<'a> Trainer<'a> {
             .step(gradients, &self.rates(iteration), iteration as u32);
         self.add_noise(iteration);
         self.iteration = iteration;
-        self.losses.0 += checked.loss;
+        self.losses.0 += loss;
         self.losses.1 += 1;
         let densified = if self.schedule.densifies(iteration) {
             Some(self.densify()?)
@@ -226,7 +223,7 @@ impl<'a> Trainer<'a> {
         Ok(StepReport {
             iteration,
             view,
-            loss: checked.loss,
+            loss,
             gaussians,
             densified,
             reset,
@@ -267,7 +264,7 @@ impl<'a> Trainer<'a> {
             }
             let stop = progress.stop();
             if stop || self.schedule.saves(iteration) {
-                self.save(progress)?;
+                self.save()?;
             }
             if stop {
                 return Ok(());
@@ -324,14 +321,11 @@ impl<'a> Trainer<'a> {
         ImageScores::of_view(&image, view)
     }
 
-    fn save(&self, progress: &mut dyn Progress) -> Result<()> {
-        if let Some(path) = &self.checkpoint {
-            self.state()?.save(path)?;
-            progress.event(&Event::Saved {
-                iteration: self.iteration,
-            });
+    fn save(&self) -> Result<()> {
+        match &self.checkpoint {
+            Some(path) => self.state()?.save(path),
+            None => Ok(()),
         }
-        Ok(())
     }
 
     /// Learning rates of the parameters, in their order.

@@ -38,11 +38,3 @@ pub struct RowHistory {
     /// Held-out mIoU, pooled, 0..1.
     pub miou: Vec<Sample>,
 }
-
-/// The rise of a curve over the last fifth of its run; `None` with fewer than three measurements.
-pub fn late_gain(samples: &[Sample]) -> Option<f64> {
-    let &(end, last) = samples.last()?;
-    let start = end - end / 5;
-    let &(_, before) = samples.iter().rfind(|(iteration, _)| *iteration <= start)?;
-    (samples.len() >= 3).then_some(last - before)
-}

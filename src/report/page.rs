@@ -1,6 +1,5 @@
 //! `report.html`: one page that needs nothing else.
 
-use super::history::late_gain;
 use super::units::{bytes, duration, percent, signed, thousands};
 use super::{Report, curves, tables, views};
 use crate::config::Variant;
@@ -34,8 +33,8 @@ pub(super) fn page(report: &Report<'_>, path: &Path) -> Result<Markup> {
                     @if !m.test.labels.is_empty() { (labels(report)) }
                     h2 { "Held-out views" }
                     (pictures)
-                    (charts("Building the Gaussians", flattened(report), &curves::building(report)))
-                    (charts("Learning the labels", None, &curves::segmentation(report)))
+                    (charts("Building the Gaussians", &curves::building(report)))
+                    (charts("Learning the labels", &curves::segmentation(report)))
                     h2 { "Time and memory" }
                     div.two {
                         div { (tables::times(report)) }
@@ -123,29 +122,19 @@ fn labels(report: &Report<'_>) -> Markup {
         @for part in [
             tables::instances(report),
             tables::objects_by_class(report),
-            tables::compactness(report),
             tables::class_iou(report),
         ].into_iter().flatten() { (part) }
     }
 }
 
 /// A section of charts; nothing without charts.
-fn charts(title: &str, text: Option<String>, charts: &[Markup]) -> Markup {
+fn charts(title: &str, charts: &[Markup]) -> Markup {
     html! {
         @if !charts.is_empty() {
             h2 { (title) }
-            @if let Some(text) = text { p.quiet { (text) } }
             div.charts { @for chart in charts { (chart) } }
         }
     }
-}
-
-/// How much the held-out PSNR still changed at the end.
-fn flattened(report: &Report<'_>) -> Option<String> {
-    let gain = signed(late_gain(&report.metrics.curves.building.psnr)?, 2);
-    Some(format!(
-        "The held-out PSNR changed by {gain} dB over the last fifth of the run."
-    ))
 }
 
 fn notes(report: &Report<'_>) -> Markup {

@@ -5,7 +5,7 @@ use super::curves::color;
 use super::units::{bytes, duration, percent, thousands};
 use super::{Report, RowScores};
 use crate::config::Variant;
-use crate::metrics::{Compactness, InstanceScores, SemanticScores};
+use crate::metrics::{InstanceScores, SemanticScores};
 use maud::{Markup, html};
 
 /// A table whose wide content scrolls on its own.
@@ -163,28 +163,6 @@ pub(super) fn objects_by_class(report: &Report<'_>) -> Option<Markup> {
         (row_table(&rows, &columns))
         h3 { "IoU by class of the objects, %" }
         (class_table(&rows, classes))
-    })
-}
-
-/// How compact identities are, and how far the raw labels agree; nothing where no row has it.
-pub(super) fn compactness(report: &Report<'_>) -> Option<Markup> {
-    let rows = rows_with(report, |scores| scores.compactness.as_ref());
-    let agreement = rows_with(report, |scores| scores.agreement);
-    let columns: [Column<Compactness>; 1] = [("neighbours that differ, %", |c| {
-        percent(Some(c.neighbours_differ))
-    })];
-    (!rows.is_empty()).then(|| {
-        html! {
-            h3 { "Compactness" }
-            p.quiet {
-                "Pairs of neighbouring Gaussians whose labels differ: borders between things, and specks."
-                @if let Some((_, a)) = agreement.first() {
-                    " The votes of the raw labels on a Gaussian have a mean entropy of " (format!("{:.3}", a.entropy))
-                    " nats. On " (percent(Some(a.contested))) " % of the Gaussians the winner has less than two thirds of them."
-                }
-            }
-            (row_table(&rows, &columns))
-        }
     })
 }
 

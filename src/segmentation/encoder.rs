@@ -8,7 +8,7 @@ use super::sampling::Hierarchy;
 use crate::config::{SpatialConfig, SpatialSource};
 use crate::error::{Error, Result};
 use crate::ops::SparseMatrix;
-use crate::weights::{Checkpoint, HostTensor, file_digest};
+use crate::weights::{HostTensor, WeightFile, file_digest};
 use burn::tensor::{Device, Tensor};
 use glam::{DQuat, DVec3};
 use rand::{Rng, SeedableRng};
@@ -228,7 +228,7 @@ pub fn load_spatial(
         SpatialSource::Random => (random_weights(3, seed), "random".to_owned()),
         SpatialSource::Pretrained(path) => {
             let weights =
-                Checkpoint::open(path)?.of_network("RandLA-Net (keys `dilated_res_blocks.*`)");
+                WeightFile::open(path)?.of_network("RandLA-Net (keys `dilated_res_blocks.*`)");
             (weights, format!("pretrained {}", path.display()))
         }
     };
@@ -252,17 +252,17 @@ pub(crate) fn spatial_digest(config: &SpatialConfig) -> Result<Option<String>> {
 ///
 /// # Errors
 /// [`Error::Input`] when the build embedded a broken file.
-pub fn builtin_weights() -> Result<Checkpoint> {
-    Checkpoint::from_safetensors(BUILTIN, "built-in RandLA weights")
+pub fn builtin_weights() -> Result<WeightFile> {
+    WeightFile::from_safetensors(BUILTIN, "built-in RandLA weights")
 }
 
 /// Untrained weights (He-uniform, running statistics 0 and 1) in the layout of the published checkpoints: where
 /// pretraining starts, and the ablation row `random`. `inputs` is 3 or 6.
-pub fn random_weights(inputs: usize, seed: u64) -> Checkpoint {
+pub fn random_weights(inputs: usize, seed: u64) -> WeightFile {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut weights = Checkpoint {
+    let mut weights = WeightFile {
         origin: "random RandLA weights".into(),
-        ..Checkpoint::default()
+        ..WeightFile::default()
     };
     add_random_mlp(&mut weights, "fc0", [inputs, WIDTHS[0]], &mut rng);
     let mut input = WIDTHS[0];
@@ -287,7 +287,7 @@ pub fn random_weights(inputs: usize, seed: u64) -> Checkpoint {
 }
 
 /// Adds a shared MLP's `conv.weight` and `bn.bn.*` under `name`.
-fn add_random_mlp(weights: &mut Checkpoint, name: &str, shape: [usize; 2], rng: &mut ChaCha8Rng) {
+fn add_random_mlp(weights: &mut WeightFile, name: &str, shape: [usize; 2], rng: &mut ChaCha8Rng) {
     add_random_matrix(weights, &format!("{name}.conv.weight"), shape, rng);
     let statistics = [
         ("weight", 1.0),
@@ -306,7 +306,7 @@ fn add_random_mlp(weights: &mut Checkpoint, name: &str, shape: [usize; 2], rng: 
 
 /// Adds a matrix `[out, in]`, uniform as He et al. 2015 choose it.
 fn add_random_matrix(
-    weights: &mut Checkpoint,
+    weights: &mut WeightFile,
     name: &str,
     [input, output]: [usize; 2],
     rng: &mut ChaCha8Rng,

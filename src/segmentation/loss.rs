@@ -1,10 +1,9 @@
 //! The CoSeg loss (Eq. 8 to 10): a noise-robust label loss on rendered class scores, and closeness of neighbours in 3D.
 
 use super::pixels::{LabelledPixels, UNLABELLED, one_hot};
-use super::pyramid::select;
 use crate::config::{self, SegmentationConfig};
 use crate::error::Result;
-use crate::ops::{SparseMatrix, sparse_apply};
+use crate::ops::{SparseMatrix, select, sparse_apply};
 use burn::tensor::activation::{log_softmax, softmax};
 use burn::tensor::{Tensor, TensorData};
 use std::sync::Arc;

@@ -12,7 +12,7 @@ use super::sampling::Hierarchy;
 use crate::data::builtin::{PRETRAINING_SEEDS, classes, labelled_points};
 use crate::error::{Error, Result};
 use crate::metrics::{Confusion, Void};
-use crate::weights::Checkpoint;
+use crate::weights::WeightFile;
 use burn::module::Module;
 use burn::optim::{AdamConfig, GradientsParams};
 use burn::tensor::{Device, Tensor};
@@ -103,7 +103,7 @@ impl From<&Confusion> for Scores {
 #[derive(Clone, Debug)]
 pub struct TrainedEncoder {
     /// In the layout of the published checkpoints; its notes hold seed, sizes and scores.
-    pub weights: Checkpoint,
+    pub weights: WeightFile,
     /// Scores of encoder and head on the held-out rooms.
     pub held_out: Scores,
     /// Mean loss of each tenth of the run.
@@ -342,7 +342,7 @@ fn finish(
     options: &PretrainOptions,
     device: &Device,
 ) -> Result<TrainedEncoder> {
-    let mut weights = student.encoder.to_checkpoint("pretrained RandLA weights");
+    let mut weights = student.encoder.to_weight_file("pretrained RandLA weights");
     let plain = device.clone().inner();
     let encoder = RandlaEncoder::load(&weights, &plain)?;
     let head = student.head.valid();

@@ -2,7 +2,7 @@
 
 use super::encoder::Encoding;
 use crate::error::{Error, Result};
-use crate::ops::{SparseMatrix, sparse_apply};
+use crate::ops::{SparseMatrix, select};
 use burn::tensor::{Tensor, TensorData};
 use std::sync::Arc;
 
@@ -197,17 +197,6 @@ impl Dependencies {
         let levels = levels.map(|(rows, upsample)| 4 * rows.len() + upsample.bytes());
         levels.sum::<usize>() + 4 * self.top.len()
     }
-}
-
-/// The rows `rows` of `features`, with gradient to them.
-pub(crate) fn select(features: &Tensor<2>, rows: &[u32]) -> Tensor<2> {
-    let [count, channels] = features.dims();
-    if channels == 0 || rows.is_empty() {
-        // Some backends refuse tensors without values.
-        return Tensor::zeros([rows.len(), 0], &features.device());
-    }
-    let rows = SparseMatrix::selection(rows.to_vec(), count);
-    sparse_apply(features.clone(), Arc::new(rows))
 }
 
 /// Per-channel mean and spread of a pyramid's frozen features.

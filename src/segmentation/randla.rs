@@ -4,10 +4,10 @@
 //! the first neighbours: sums over neighbours then add long contiguous arrays. 1x1 convolutions are linear layers. Key names and wiring are those of the PyTorch port
 //! whose checkpoints are published.
 
-use super::pyramid::select;
 use super::sampling::{Hierarchy, SampledLevel};
 use crate::error::{Error, Result};
-use crate::weights::{Checkpoint, HostTensor};
+use crate::ops::select;
+use crate::weights::{HostTensor, WeightFile};
 use burn::module::{Module, Param, RunningState};
 use burn::nn::{BatchNorm, BatchNormConfig, Linear};
 use burn::tensor::activation::relu;
@@ -40,7 +40,7 @@ pub(crate) fn leaky_relu(x: Tensor<2>) -> Tensor<2> {
 
 /// Reads modules from a checkpoint, on a device.
 struct Loader<'a> {
-    weights: &'a Checkpoint,
+    weights: &'a WeightFile,
     device: &'a Device,
 }
 
@@ -127,7 +127,7 @@ impl SharedMlp {
         leaky_relu(self.linear(x))
     }
 
-    fn save(&self, weights: &mut Checkpoint, name: &str) {
+    fn save(&self, weights: &mut WeightFile, name: &str) {
         save_matrix(weights, &format!("{name}.conv.weight"), &self.linear);
         for (part, values) in [
             ("weight", self.norm.gamma.val()),
@@ -145,7 +145,7 @@ impl SharedMlp {
     }
 }
 
-fn save_matrix(weights: &mut Checkpoint, name: &str, linear: &Linear) {
+fn save_matrix(weights: &mut WeightFile, name: &str, linear: &Linear) {
     let [input, output] = linear.weight.dims();
     let values = transposed(&host(linear.weight.val()), output, input);
     let shape = vec![output, input];
@@ -160,7 +160,7 @@ pub struct AttentivePooling {
 }
 
 impl AttentivePooling {
-    fn save(&self, weights: &mut Checkpoint, name: &str) {
+    fn save(&self, weights: &mut WeightFile, name: &str) {
         save_matrix(weights, &format!("{name}.fc.weight"), &self.score);
         self.mlp.save(weights, &format!("{name}.mlp"));
     }
@@ -195,7 +195,7 @@ pub struct ResidualBlock {
 }
 
 impl ResidualBlock {
-    fn save(&self, weights: &mut Checkpoint, n: usize) {
+    fn save(&self, weights: &mut WeightFile, n: usize) {
         let name = |part: &str| block_name(n, part);
         self.narrow.save(weights, &name("mlp1"));
         self.first_code.save(weights, &name("lfa.mlp1"));
@@ -266,7 +266,7 @@ impl RandlaEncoder {
     /// # Errors
     /// [`Error::Input`] naming the tensor that is missing, has another shape than its neighbours ask for, or is not
     /// finite.
-    pub fn load(weights: &Checkpoint, device: &Device) -> Result<Self> {
+    pub fn load(weights: &WeightFile, device: &Device) -> Result<Self> {
         let loader = Loader { weights, device };
         let [stem, inputs] = match weights.shape("fc0.conv.weight")? {
             [stem, inputs, ..] if matches!(inputs, 3 | 6) => [*stem, *inputs],
@@ -296,10 +296,10 @@ impl RandlaEncoder {
     }
 
     /// All weights under the names that [`RandlaEncoder::load`] reads.
-    pub fn to_checkpoint(&self, origin: &str) -> Checkpoint {
-        let mut weights = Checkpoint {
+    pub fn to_weight_file(&self, origin: &str) -> WeightFile {
+        let mut weights = WeightFile {
             origin: origin.into(),
-            ..Checkpoint::default()
+            ..WeightFile::default()
         };
         self.stem.save(&mut weights, "fc0");
         for (n, block) in self.blocks.iter().enumerate() {

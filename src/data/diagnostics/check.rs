@@ -3,8 +3,8 @@
 use super::{notices, photometric_poses, poses};
 use crate::config::Layout;
 use crate::data::formats::frame::Frame;
+use crate::data::formats::frame_labels::FrameLabels;
 use crate::data::formats::listing::{Listing, Problems};
-use crate::data::labels::frame_labels::FrameLabels;
 use crate::data::{LoadOptions, Split};
 use crate::error::Error;
 use rayon::prelude::*;

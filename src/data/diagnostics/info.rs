@@ -2,8 +2,8 @@
 
 use super::notices;
 use crate::data::formats::frame::Frame;
+use crate::data::formats::frame_labels::FrameLabels;
 use crate::data::formats::listing::{Listing, Problems, in_order, scene_name};
-use crate::data::labels::frame_labels::FrameLabels;
 use crate::data::labels::raw::RawMap;
 use crate::data::options::evenly;
 use crate::data::{Classes, LabelMap, LoadOptions, Split};

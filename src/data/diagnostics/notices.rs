@@ -4,7 +4,7 @@ use crate::config::Layout;
 use crate::data::formats::frame::{Frame, reduced};
 use crate::data::formats::layout;
 use crate::data::formats::listing::{Cloud, Listing, Problems, first_names};
-use crate::data::labels::mask_file;
+use crate::data::formats::mask_file;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{LoadOptions, MapGeometry, Scene, Split};
 use crate::error::Result;

@@ -2,9 +2,9 @@
 
 use super::frame::{Frame, joined_name};
 use super::listing::Problems;
+use super::mask_file::Masks;
 use crate::config::Layout;
 use crate::data::LoadOptions;
-use crate::data::labels::mask_file::Masks;
 use std::path::{Path, PathBuf};
 
 /// Folders of label maps and masks for layouts whose frames name no such files: `labels`, `labels_raw`, `instances`, masks.

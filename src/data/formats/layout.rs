@@ -165,7 +165,11 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         Layout::Scannet => scannet::list(dir, options, problems),
     }?;
     let mut listing = listing.with_raw_labels(dir, options, problems);
-    listing.geometries = MapGeometries::read(&listing.frames, problems);
+    let maps = listing
+        .frames
+        .iter()
+        .flat_map(|frame| [&frame.truth, &frame.raw, &frame.instances]);
+    listing.geometries = MapGeometries::read(maps.flatten(), |fault| problems.push(fault));
     let unread = unread_transforms(dir, options, listing.layout);
     listing.notices.extend(unread);
     Ok(listing)

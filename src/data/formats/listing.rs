@@ -3,8 +3,8 @@
 use super::colmap;
 use super::depth::Depth;
 use super::frame::Frame;
+use super::frame_labels::FrameLabels;
 use crate::config::Layout;
-use crate::data::labels::frame_labels::FrameLabels;
 use crate::data::labels::map_geometry::MapGeometries;
 use crate::data::labels::raw::{self, RawLabels};
 use crate::data::{
@@ -101,7 +101,11 @@ impl Listing {
         dataset: Option<Classes>,
         problems: &mut Problems,
     ) -> Self {
-        let labelled = raw::needs_classes(dir, options, &frames);
+        let labelled = if frames.iter().any(|frame| frame.truth.is_some()) {
+            Some("")
+        } else {
+            raw::needs_classes(dir, options, &raw_maps(&frames))
+        };
         let own = dir.join("classes.json").is_file();
         let dataset = dataset.filter(|_| labelled.is_some() && !own);
         let occurring_classes = dataset.is_some();
@@ -129,7 +133,8 @@ impl Listing {
         options: &LoadOptions,
         problems: &mut Problems,
     ) -> Self {
-        match problems.keep(RawLabels::settle(dir, options, &self)) {
+        let settled = RawLabels::settle(dir, options, &raw_maps(&self.frames), &self.classes);
+        match problems.keep(settled) {
             Some((raw, vocabulary)) => {
                 self.raw = raw;
                 if let Some(vocabulary) = vocabulary {
@@ -277,6 +282,14 @@ impl Listing {
         }
         classes
     }
+}
+
+/// The raw labels of the frames that have some.
+fn raw_maps(frames: &[Frame]) -> Vec<&Path> {
+    frames
+        .iter()
+        .filter_map(|frame| frame.raw.as_deref())
+        .collect()
 }
 
 /// Names that a notice lists.

@@ -58,7 +58,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let is_nice_slam = version == NICE_SLAM;
     let [trajectory, folder, prefix] = version;
     let path = dir.join(trajectory);
-    let photos = sequence::numbered(&dir.join(folder), prefix, &EXTENSIONS)?;
+    let photos = files::numbered(&dir.join(folder), prefix, &EXTENSIONS)?;
     let text = files::text(&path)?;
     let rows = text
         .lines()

@@ -44,7 +44,7 @@ pub(crate) fn expect(dir: &Path) -> Result<()> {
 
 /// Lists the frames of the folder.
 pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
-    let photos = sequence::numbered(&dir.join("color"), "", &EXTENSIONS)?;
+    let photos = files::numbered(&dir.join("color"), "", &EXTENSIONS)?;
     let pose_file = |image: &Path| {
         let name = image.with_extension("txt");
         dir.join("pose").join(name.file_name().unwrap_or_default())

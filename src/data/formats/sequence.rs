@@ -6,49 +6,14 @@ use super::frame::Frame;
 use super::label_folder::SideFolders;
 use super::listing::Cloud;
 use crate::data::Split;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Result, invalid};
+use crate::files::{Numbered, numbered};
 use crate::splat::camera::{Camera, Intrinsics};
 use glam::DMat4;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Value of a metre in depth images.
 pub(crate) const MILLIMETRES: f64 = 1000.0;
-
-/// Files by the number in their names.
-pub(crate) type Numbered = BTreeMap<usize, PathBuf>;
-
-/// Files of `folder` named `prefix`, a number, and one of `extensions`: `rgb_10.png` follows `rgb_9.png`.
-///
-/// # Errors
-/// The folder cannot be read; two files have the same number.
-pub(crate) fn numbered(folder: &Path, prefix: &str, extensions: &[&str]) -> Result<Numbered> {
-    let mut files = Numbered::new();
-    for entry in std::fs::read_dir(folder).map_err(|e| Error::io(folder, "list", e))? {
-        let path = entry.map_err(|e| Error::io(folder, "list", e))?.path();
-        let extension = path
-            .extension()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .to_lowercase();
-        let stem = path.file_stem().and_then(|stem| stem.to_str());
-        let digits = stem
-            .and_then(|stem| stem.strip_prefix(prefix))
-            .filter(|digits| {
-                digits.bytes().all(|b| b.is_ascii_digit()) && extensions.contains(&&*extension)
-            });
-        let Some(number) = digits.and_then(|digits| digits.parse().ok()) else {
-            continue;
-        };
-        if let Some(other) = files.insert(number, path.clone()) {
-            return Err(
-                invalid!(folder, "number {number}"; found "{} and {}", other.display(), path.display();
-                expected "one file for each number"; help "remove one of the two"),
-            );
-        }
-    }
-    Ok(files)
-}
 
 /// The first of `folders` of label maps that is there, whose files are named `prefix` and a number; none without a folder.
 pub(crate) fn numbered_maps(dir: &Path, folders: &[&str], prefix: &str) -> Result<Numbered> {

@@ -150,3 +150,14 @@ impl LabelMap {
         written.map_err(io::Error::other)
     }
 }
+
+/// Refuses a label map that is not there.
+pub(crate) fn expect_file(path: &Path) -> Result<()> {
+    if path.is_file() {
+        return Ok(());
+    }
+    Err(Error::missing_file(
+        path,
+        "put the label map there, or do not name it",
+    ))
+}

@@ -1,9 +1,7 @@
 //! Which camera label maps belong to, as a file beside them says.
 
 use crate::data::atomic;
-use crate::data::formats::frame::Frame;
-use crate::data::formats::listing::Problems;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::files;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeSet, HashMap};
@@ -60,18 +58,15 @@ impl MapGeometry {
 pub(crate) struct MapGeometries(HashMap<PathBuf, MapGeometry>);
 
 impl MapGeometries {
-    /// Of the folders that the maps of `frames` lie in.
-    pub fn read(frames: &[Frame], problems: &mut Problems) -> Self {
-        let maps = frames
-            .iter()
-            .flat_map(|frame| [&frame.truth, &frame.raw, &frame.instances]);
-        let folders: BTreeSet<&Path> = maps.flatten().filter_map(|map| map.parent()).collect();
+    /// Of the folders that `maps` lie in. `fault` receives what is wrong with their files.
+    pub fn read<'a>(maps: impl Iterator<Item = &'a PathBuf>, mut fault: impl FnMut(Error)) -> Self {
+        let folders: BTreeSet<&Path> = maps.filter_map(|map| map.parent()).collect();
         let files = folders
             .into_iter()
             .filter(|folder| folder.join(MapGeometry::FILE).is_file());
         let read = |folder: &Path| {
-            let geometry = problems.keep(MapGeometry::read(&folder.join(MapGeometry::FILE)))?;
-            Some((folder.to_owned(), geometry))
+            let geometry = MapGeometry::read(&folder.join(MapGeometry::FILE));
+            Some((folder.to_owned(), geometry.map_err(&mut fault).ok()?))
         };
         Self(files.filter_map(read).collect())
     }

@@ -37,8 +37,8 @@ struct PhotoFile {
     limits: Limits,
     preprocessing: Preprocessing,
     cache: Arc<PhotoCache>,
-    /// Its number in the cache.
-    number: usize,
+    /// The pixels, where the cache had room for them.
+    kept: Option<Arc<RgbImage>>,
 }
 
 impl Photo {
@@ -51,7 +51,7 @@ impl Photo {
     ) -> Result<Self> {
         let (pixels, transparent) = preprocessing.decode(file)?;
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
-        let number = cache.admit(pixels);
+        let kept = cache.admits(pixels.as_raw().len());
         let (path, digest) = (file.path().to_owned(), file.digest());
         let file = PhotoFile {
             path,
@@ -59,7 +59,7 @@ impl Photo {
             limits: limits.clone(),
             preprocessing,
             cache: cache.clone(),
-            number,
+            kept: kept.then(|| Arc::new(pixels)),
         };
         Ok(Self {
             width,
@@ -92,7 +92,10 @@ impl Photo {
     pub fn pixels(&self) -> Result<Arc<RgbImage>> {
         match &self.source {
             Source::Pixels(pixels) => Ok(pixels.clone()),
-            Source::File(file) => file.cache.get(file.number, || file.read()),
+            Source::File(file) => match &file.kept {
+                Some(pixels) => Ok(pixels.clone()),
+                None => Ok(Arc::new(file.read()?)),
+            },
         }
     }
 

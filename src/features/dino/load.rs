@@ -6,7 +6,7 @@
 use super::position::PositionEmbedding;
 use super::{Block, HEAD, QUERIES, Vit};
 use crate::error::Result;
-use crate::weights::Checkpoint;
+use crate::weights::WeightFile;
 use burn::module::Param;
 use burn::nn::{LayerNorm, LayerNormConfig, Linear};
 use burn::tensor::{Device, Tensor, TensorData};
@@ -38,9 +38,9 @@ impl Vit {
     pub fn load(path: &Path, device: &Device) -> Result<Self> {
         // The student and the optimiser's state are three quarters of a full checkpoint.
         let needed = |name: &str| !name.starts_with("student.") && !name.starts_with("optimizer.");
-        let mut file = network(Checkpoint::open_where(path, needed)?);
+        let mut file = network(WeightFile::open_where(path, needed)?);
         if !file.tensors.contains_key("cls_token") {
-            file = network(Checkpoint::open(path)?);
+            file = network(WeightFile::open(path)?);
         }
         let weights = Weights { file, device };
         weights.check_kind()?;
@@ -66,7 +66,7 @@ impl Vit {
 }
 
 /// The tensors of the network in `file`: of the teacher, else of one under neither name, else of the student.
-fn network(file: Checkpoint) -> Checkpoint {
+fn network(file: WeightFile) -> WeightFile {
     let rank = |prefix: &str| {
         let mut parts = prefix.split('.');
         match parts.find(|part| ["teacher", "student"].contains(part)) {
@@ -87,7 +87,7 @@ fn network(file: Checkpoint) -> Checkpoint {
 
 /// The weights of a file and where they go.
 struct Weights<'a> {
-    file: Checkpoint,
+    file: WeightFile,
     device: &'a Device,
 }
 

@@ -5,7 +5,7 @@
 
 use super::{BLOCKS, Block, Convolution, MobileNetV2, STEM};
 use crate::error::Result;
-use crate::weights::Checkpoint;
+use crate::weights::WeightFile;
 use burn::module::Param;
 use burn::tensor::{Device, Tensor, TensorData};
 use std::path::Path;
@@ -49,7 +49,7 @@ impl MobileNetV2 {
 
 /// The tensors of a file that no layer has taken yet.
 struct Weights<'a> {
-    file: Checkpoint,
+    file: WeightFile,
     /// Whether keys are torchvision's.
     nested: bool,
     device: &'a Device,
@@ -57,7 +57,7 @@ struct Weights<'a> {
 
 impl<'a> Weights<'a> {
     fn open(path: &Path, device: &'a Device) -> Result<Self> {
-        let file = Checkpoint::open(path)?.of_network(NETWORK);
+        let file = WeightFile::open(path)?.of_network(NETWORK);
         // `features.` and its parents, such as `module.`.
         let parents = |key: &String| Some(key.strip_suffix("0.0.weight")?.to_owned());
         let mut prefixes = file.tensors.keys().filter_map(parents);

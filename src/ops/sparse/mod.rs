@@ -85,3 +85,14 @@ pub fn sparse_apply_plain(x: Tensor<2>, matrix: &SparseMatrix) -> Tensor<2> {
     let terms = x.select(0, numbers(columns.collect())) * weights;
     out.select_assign(0, numbers(rows.collect()), terms, IndexingUpdateOp::Add)
 }
+
+/// The rows `rows` of `features`, with gradient to them.
+pub(crate) fn select(features: &Tensor<2>, rows: &[u32]) -> Tensor<2> {
+    let [count, channels] = features.dims();
+    if channels == 0 || rows.is_empty() {
+        // Some backends refuse tensors without values.
+        return Tensor::zeros([rows.len(), 0], &features.device());
+    }
+    let rows = SparseMatrix::selection(rows.to_vec(), count);
+    sparse_apply(features.clone(), Arc::new(rows))
+}

@@ -20,9 +20,9 @@ pub struct HeldOut<'a> {
     semantics: Option<&'a Semantics>,
 }
 
-/// Held-out scores of one variant.
+/// Held-out scores of one variant, or of other label maps.
 #[derive(Clone, Debug, Default)]
-pub struct Scores {
+pub struct HeldOutScores {
     /// Against true labels, void predictions counted as wrong.
     pub labels: LabelScores,
     /// Against true instances, where classes are objects that association found.
@@ -31,7 +31,7 @@ pub struct Scores {
     pub semantic: Option<SemanticScores>,
 }
 
-impl Scores {
+impl HeldOutScores {
     /// The mIoU of a training curve.
     pub fn miou(&self) -> Option<f64> {
         let [instances, semantic] = [
@@ -55,6 +55,11 @@ impl<'a> HeldOut<'a> {
         }
     }
 
+    /// Number of views.
+    pub fn len(&self) -> usize {
+        self.views.len()
+    }
+
     /// Whether there are none: nothing can be scored.
     pub fn is_empty(&self) -> bool {
         self.views.is_empty()
@@ -64,9 +69,9 @@ impl<'a> HeldOut<'a> {
     ///
     /// # Errors
     /// As [`LabelMaps::of`].
-    pub fn score(&self, identities: &Identities, inputs: &Inputs) -> Result<Scores> {
+    pub fn score(&self, identities: &Identities, inputs: &Inputs) -> Result<HeldOutScores> {
         if self.is_empty() {
-            return Ok(Scores::default());
+            return Ok(HeldOutScores::default());
         }
         let rule = LabelRule::from(&inputs.config.segmentation);
         let maps = LabelMaps::new(identities, &inputs.scene.classes, rule);
@@ -79,15 +84,15 @@ impl<'a> HeldOut<'a> {
     }
 
     /// Scores of the raw labels of the views, and those against true labels with void predictions left out.
-    pub fn score_raw(&self, inputs: &Inputs) -> (Scores, Option<LabelScores>) {
+    pub fn score_raw(&self, inputs: &Inputs) -> (HeldOutScores, Option<LabelScores>) {
         let raw = |&view: &&'a View| Some((view, view.raw.clone()?));
         let raw: Vec<_> = self.views.iter().filter_map(raw).collect();
         let void_left_out = (!self.objects).then(|| self.labels(&raw, inputs, Void::LeftOut));
         (self.scores(&raw, inputs), void_left_out)
     }
 
-    fn scores(&self, found: &[(&View, LabelRuns)], inputs: &Inputs) -> Scores {
-        Scores {
+    fn scores(&self, found: &[(&View, LabelRuns)], inputs: &Inputs) -> HeldOutScores {
+        HeldOutScores {
             labels: self.labels(found, inputs, Void::Wrong),
             instances: self.instances(found),
             semantic: self

@@ -3,5 +3,5 @@
 mod held_out;
 mod pictures;
 
-pub(crate) use self::held_out::{HeldOut, Scores};
+pub use self::held_out::{HeldOut, HeldOutScores};
 pub use self::pictures::{Pictures, score_images};

@@ -260,7 +260,6 @@ impl<M: IdentityModel> Training<M> {
                 && (stop || due(schedule.checkpoint_every))
             {
                 self.save(&schedule.provenance, path)?;
-                progress.event(&Event::Saved { iteration });
             }
         }
         let finished = self.iteration >= plan.iterations;

@@ -6,7 +6,7 @@ use super::{Decoded, IdentityModel};
 use crate::config::Blend;
 use crate::error::Result;
 use crate::objects::Identities;
-use crate::segmentation::pyramid::select;
+use crate::ops::select;
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
 

@@ -121,10 +121,10 @@ fn sigmoid(x: f64) -> f64 {
 }
 
 /// A unit quaternion, the length it was divided by, and whether it stands in for a zero one.
-pub(super) struct Unit {
+struct Unit {
     q: [f64; 4],
     length: f64,
-    pub zero: bool,
+    zero: bool,
 }
 
 impl Unit {
@@ -206,7 +206,7 @@ pub(super) struct Ewa {
     inside: [bool; 2],
     /// Rows of `J W`.
     jw: [Vec3; 2],
-    pub unit: Unit,
+    unit: Unit,
     columns: [Vec3; 3],
     scale: Vec3,
     /// Rows of `M`.

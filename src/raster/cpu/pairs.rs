@@ -6,7 +6,6 @@ use super::projected::Projected;
 use super::tile_loop::{Pass, walk};
 use crate::backend::Real;
 use crate::backend::simd::{Kernel, Lanes};
-use crate::raster::settings::PairCounts;
 
 /// Initial capacity of the lists: pairs of one Gaussian in a tile.
 const USUAL: usize = 24;
@@ -23,7 +22,6 @@ pub(super) struct Pairs<E, const GEOMETRY: bool> {
     pub weights: Vec<E>,
     /// alpha' and the kernels' u, v of each pair when `GEOMETRY`.
     pub geometry: Vec<[E; 3]>,
-    pub counts: PairCounts,
 }
 
 impl<E: Real, const GEOMETRY: bool> Pairs<E, GEOMETRY> {
@@ -65,7 +63,6 @@ impl<E: Real, const GEOMETRY: bool> Kernel<E> for Gather<'_, E, GEOMETRY> {
             pixels: Vec::new(),
             weights: Vec::new(),
             geometry: Vec::new(),
-            counts: PairCounts::default(),
         };
         pairs.resize(USUAL * self.tile.ranks.len());
         let mut pass = PairPass {
@@ -76,7 +73,6 @@ impl<E: Real, const GEOMETRY: bool> Kernel<E> for Gather<'_, E, GEOMETRY> {
         walk(s, self.p, self.tile, &mut pass);
         let PairPass { mut pairs, len, .. } = pass;
         pairs.resize(len);
-        pairs.counts.contributing = len as u64;
         pairs
     }
 }
@@ -104,7 +100,6 @@ impl<E: Real, S: Lanes<E>, const GEOMETRY: bool> Pass<E> for PairPass<E, S, GEOM
         let mut len = self.len;
         footprint.for_each(|strip| {
             let (alpha, weight) = self.rule.absorb(footprint, &mut pairs.t, strip);
-            pairs.counts.evaluated += S::LANES as u64;
             if len + S::LANES > pairs.pixels.len() {
                 pairs.resize(2 * len + S::LANES);
             }

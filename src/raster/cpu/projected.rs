@@ -6,7 +6,7 @@ use super::projection::{Visible, project};
 use super::tiles::{TileLists, depth_order, tile_lists};
 use crate::backend::Real;
 use crate::error::Result;
-use crate::raster::settings::{Settings, Splats, Stats};
+use crate::raster::settings::{Settings, Splats};
 use crate::splat::camera::Camera;
 use rayon::prelude::*;
 use std::marker::PhantomData;
@@ -25,7 +25,6 @@ pub struct Projected<E> {
     pub(in crate::raster) ids: Vec<u32>,
     pub(in crate::raster) tiles: TileLists,
     radii: Vec<u32>,
-    stats: Stats,
     scalar: PhantomData<E>,
 }
 
@@ -42,7 +41,7 @@ impl<E: Real> Projected<E> {
     /// Projects and sorts `splats` for `camera`.
     ///
     /// Culled: Gaussians at or before the near plane, with an alpha_min ellipse that is empty or outside the image, or
-    /// whose projection overflows; [`Projected::stats`] counts them.
+    /// whose projection overflows.
     ///
     /// # Errors
     /// [`crate::Error::Config`] for settings out of range; [`crate::Error::Argument`] for array lengths that disagree or an unusable
@@ -54,12 +53,12 @@ impl<E: Real> Projected<E> {
         let viewpoint = Viewpoint::new(camera)?;
         let n = splats.len();
         let mut radii = vec![0; n];
-        let chunks: Vec<(Vec<Visible>, Stats)> = radii
+        let chunks: Vec<Vec<Visible>> = radii
             .par_chunks_mut(CHUNK)
             .enumerate()
             .map(|(chunk, radii)| {
                 let mut visible = Vec::with_capacity(radii.len());
-                let stats = project(
+                project(
                     splats,
                     chunk * CHUNK,
                     &viewpoint,
@@ -67,24 +66,13 @@ impl<E: Real> Projected<E> {
                     radii,
                     &mut visible,
                 );
-                (visible, stats)
+                visible
             })
             .collect();
-        let mut stats = Stats::default();
-        for (_, s) in &chunks {
-            stats.gaussians += s.gaussians;
-            stats.visible += s.visible;
-            stats.behind += s.behind;
-            stats.off_screen += s.off_screen;
-            stats.non_finite += s.non_finite;
-            stats.zero_quaternions += s.zero_quaternions;
-        }
         // Depths of the visible ones, and where in `chunks` they are.
-        let (mut depths, mut places) = (
-            Vec::with_capacity(stats.visible),
-            Vec::with_capacity(stats.visible),
-        );
-        for (chunk, (visible, _)) in chunks.iter().enumerate() {
+        let count = chunks.iter().map(Vec::len).sum();
+        let (mut depths, mut places) = (Vec::with_capacity(count), Vec::with_capacity(count));
+        for (chunk, visible) in chunks.iter().enumerate() {
             depths.extend(visible.iter().map(|v| v.depth));
             places.extend((0..visible.len()).map(|i| (chunk * CHUNK + i) as u32));
         }
@@ -94,12 +82,11 @@ impl<E: Real> Projected<E> {
             .with_min_len(CHUNK)
             .map(|i| {
                 let place = places[i as usize] as usize;
-                let Visible { id, splat, .. } = chunks[place / CHUNK].0[place % CHUNK];
+                let Visible { id, splat, .. } = chunks[place / CHUNK][place % CHUNK];
                 (id, splat)
             })
             .unzip_into_vecs(&mut ids, &mut ordered);
         let tiles = tile_lists(&ordered, viewpoint.size)?;
-        stats.tile_entries = tiles.ranks.len();
         Ok(Self {
             viewpoint,
             settings: *settings,
@@ -107,7 +94,6 @@ impl<E: Real> Projected<E> {
             ids,
             tiles,
             radii,
-            stats,
             scalar: PhantomData,
         })
     }
@@ -140,9 +126,9 @@ impl<E: Real> Projected<E> {
         &self.radii
     }
 
-    /// What was culled and why.
-    pub fn stats(&self) -> Stats {
-        self.stats
+    /// Entries of all tile lists.
+    pub fn tile_entries(&self) -> usize {
+        self.tiles.ranks.len()
     }
 
     /// Position in depth order of each Gaussian of the scene, `u32::MAX` for a culled one.

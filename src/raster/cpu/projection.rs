@@ -9,8 +9,7 @@ use super::geometry::{Ewa, Splat3, Viewpoint, dot};
 use crate::backend::Real;
 use crate::backend::elementary::{exp, ln_1p_unit};
 use crate::backend::simd::wide_kernel;
-use crate::raster::settings::{Settings, Splats, Stats};
-use crate::splat::ZERO_QUATERNION;
+use crate::raster::settings::{Settings, Splats};
 
 /// Gaussians of one loop.
 const BLOCK: usize = 32;
@@ -25,16 +24,6 @@ pub(super) struct Visible {
     /// Index in the scene.
     pub id: u32,
     pub splat: Splat2,
-}
-
-/// Whether a Gaussian is visible, or why not. As wide as `f64`, so that loops over both become vectors.
-#[derive(Clone, Copy, PartialEq)]
-#[repr(u64)]
-enum Fate {
-    InSight,
-    Behind,
-    OffScreen,
-    NonFinite,
 }
 
 /// Constants of one view.
@@ -53,7 +42,7 @@ wide_kernel! {
     pub(super) fn project(
         splats: &Splats<'_, E>, first: usize, viewpoint: &Viewpoint, settings: &Settings,
         radii: &mut [u32], visible: &mut Vec<Visible>,
-    ) -> Stats => project_all
+    ) => project_all
 }
 
 #[inline(always)]
@@ -64,7 +53,7 @@ fn project_all<E: Real, const _FMA: bool>(
     settings: &Settings,
     radii: &mut [u32],
     visible: &mut Vec<Visible>,
-) -> Stats {
+) {
     let Settings {
         near,
         low_pass,
@@ -77,57 +66,35 @@ fn project_all<E: Real, const _FMA: bool>(
         low_pass,
         ln_alpha_min: alpha_min.ln(),
     };
-    let mut stats = Stats {
-        gaussians: radii.len(),
-        ..Stats::default()
-    };
     let mut in_sight = Vec::with_capacity(radii.len());
     for start in (0..radii.len()).step_by(BLOCK) {
         let ids = first + start..first + radii.len().min(start + BLOCK);
-        let fates = sift(splats, ids.start, ids.len(), &view);
-        for (id, fate) in ids.zip(fates) {
-            match fate {
-                Fate::InSight => in_sight.push(id),
-                Fate::Behind => stats.behind += 1,
-                Fate::NonFinite => stats.non_finite += 1,
-                Fate::OffScreen => {
-                    stats.off_screen += 1;
-                    let squares: f64 = Splat3::read(splats, id)
-                        .rotation
-                        .iter()
-                        .map(|q| q * q)
-                        .sum();
-                    stats.zero_quaternions += usize::from(squares < ZERO_QUATERNION);
-                }
-            }
-        }
+        let sifted = sift(splats, ids.start, ids.len(), &view);
+        in_sight.extend(
+            ids.zip(sifted)
+                .filter(|(_, seen)| *seen != 0)
+                .map(|(id, _)| id),
+        );
     }
-    let before = visible.len();
     for ids in in_sight.chunks(BLOCK) {
         let block = Block::new(splats, ids, &view);
         for (l, &id) in ids.iter().enumerate() {
-            stats.zero_quaternions += usize::from(block.zero[l] != 0.0);
-            match block.fate::<E>(l, &view) {
-                Fate::InSight => {
-                    radii[id - first] = block.radius(l);
-                    visible.push(Visible {
-                        depth: block.depth[l],
-                        id: id as u32,
-                        splat: block.splat(l),
-                    });
-                }
-                Fate::NonFinite => stats.non_finite += 1,
-                Fate::OffScreen | Fate::Behind => stats.off_screen += 1,
+            if block.is_visible::<E>(l, &view) {
+                radii[id - first] = block.radius(l);
+                visible.push(Visible {
+                    depth: block.depth[l],
+                    id: id as u32,
+                    splat: block.splat(l),
+                });
             }
         }
     }
-    stats.visible = visible.len() - before;
-    stats
 }
 
-/// The cheap test: a sphere around each of the Gaussians `first..first + len` against the image.
+/// The cheap test: a sphere around each of the Gaussians `first..first + len` against the image. 0 for those that are certainly
+/// outside or not finite, else 1: as wide as `f64`, so that loops over both become vectors.
 #[inline(always)]
-fn sift<E: Real>(splats: &Splats<'_, E>, first: usize, len: usize, view: &View) -> [Fate; BLOCK] {
+fn sift<E: Real>(splats: &Splats<'_, E>, first: usize, len: usize, view: &View) -> [u64; BLOCK] {
     let mut mean = [[0.0; BLOCK]; 3];
     let (mut log_scale, mut logit) = ([0.0; BLOCK], [0.0; BLOCK]);
     let rows = splats.means[3 * first..]
@@ -150,7 +117,7 @@ fn sift<E: Real>(splats: &Splats<'_, E>, first: usize, len: usize, view: &View) 
         low_pass,
         ln_alpha_min,
     } = *view;
-    let mut fates = [Fate::InSight; BLOCK];
+    let mut seen = [0; BLOCK];
     for l in 0..BLOCK {
         let p = v.to_camera([mean[0][l], mean[1][l], mean[2][l]]);
         let largest = exp(log_scale[l]);
@@ -167,18 +134,16 @@ fn sift<E: Real>(splats: &Splats<'_, E>, first: usize, len: usize, view: &View) 
                 v.focal[a] * ratio + v.principal[a],
                 (2.0 * variance * tau).sqrt(),
             );
-            // False where something overflowed: the projection counts that case.
+            // False where something overflowed: the projection decides that case.
             out |= (variance < 1e30)
                 & ((center + reach < -1.0) | (center - reach > v.size[a] as f64 + 1.0));
         }
-        let fate = if out { Fate::OffScreen } else { Fate::InSight };
-        let fate = if p[2] <= near { Fate::Behind } else { fate };
         let finite = (p[0].abs() < f64::INFINITY)
             & (p[1].abs() < f64::INFINITY)
             & (p[2].abs() < f64::INFINITY);
-        fates[l] = if finite { fate } else { Fate::NonFinite };
+        seen[l] = u64::from(finite & (p[2] > near) & !out);
     }
-    fates
+    seen
 }
 
 /// Projected Gaussians, a column for each value; [`Splat2`] says what they are.
@@ -197,8 +162,6 @@ struct Block {
     /// Larger eigenvalue of the covariance, pixels squared.
     lambda: Column,
     depth: Column,
-    /// 1 for a zero quaternion, else 0.
-    zero: Column,
 }
 
 impl Block {
@@ -235,7 +198,6 @@ impl Block {
             xx: none,
             lambda: none,
             depth: none,
-            zero: none,
         };
         for l in 0..BLOCK {
             let p = v.to_camera([mean[0][l], mean[1][l], mean[2][l]]);
@@ -278,14 +240,13 @@ impl Block {
             out.xx[l] = xx;
             out.lambda[l] = 0.5 * (xx + yy) + (half * half + b * b).sqrt();
             out.depth[l] = p[2];
-            out.zero[l] = if ewa.unit.zero { 1.0 } else { 0.0 };
         }
         out
     }
 
+    /// Whether Gaussian `l` is in the image and what the kernels use of it is finite, in their type too.
     #[inline(always)]
-    fn fate<E: Real>(&self, l: usize, view: &View) -> Fate {
-        // What the kernels use must also be representable in their type.
+    fn is_visible<E: Real>(&self, l: usize, view: &View) -> bool {
         let fits = |x: f64| E::of(x).is_normal();
         let finite = [
             self.center[0][l],
@@ -295,20 +256,13 @@ impl Block {
         ]
         .iter()
         .all(|v| v.is_finite());
-        if !finite || !fits(self.du[l]) || !fits(self.dv[l]) {
-            return Fate::NonFinite;
-        }
         let out = |a: usize| {
             let (center, reach) = (self.center[a][l], self.reach[a][l]);
             center + reach < 0.0 || center - reach > view.point.size[a] as f64
         };
         // The logarithm of the smallest normal `f64`.
         let nothing = self.tau[l] < 0.0 || self.log_opacity[l] < -708.396_418_532_264_1;
-        if nothing || out(0) || out(1) {
-            Fate::OffScreen
-        } else {
-            Fate::InSight
-        }
+        finite && fits(self.du[l]) && fits(self.dv[l]) && !nothing && !out(0) && !out(1)
     }
 
     /// `ceil(3 sqrt(lambda_max))`, at least 1.

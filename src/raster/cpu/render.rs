@@ -3,7 +3,7 @@
 use super::projected::{Blended, Projected};
 use super::sh::visible_colours;
 use crate::error::Result;
-use crate::raster::settings::{Settings, Stats};
+use crate::raster::settings::Settings;
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
 
@@ -14,8 +14,6 @@ pub struct Rendered {
     pub rgb: Vec<f32>,
     /// What shows of the background, `[H, W]`.
     pub transmittance: Vec<f32>,
-    /// What was culled and why.
-    pub stats: Stats,
 }
 
 /// Renders the colours of `gaussians` seen by `camera` over `background`.
@@ -42,9 +40,5 @@ pub fn render(
             *value += t * behind;
         }
     }
-    Ok(Rendered {
-        rgb,
-        transmittance,
-        stats: projected.stats(),
-    })
+    Ok(Rendered { rgb, transmittance })
 }

@@ -6,7 +6,6 @@ use super::projected::Projected;
 use super::tiles::TileLists;
 use crate::backend::Real;
 use crate::data::mask::Mask;
-use crate::raster::settings::PairCounts;
 use rayon::prelude::*;
 
 /// Contributing pairs of one tile, Gaussian by Gaussian, front to back.
@@ -45,25 +44,13 @@ impl<E: Real> TilePairs<'_, E> {
 }
 
 impl<E: Real> Projected<E> {
-    /// Runs `f` over all tiles in parallel, with the tile's number (row-major) and its part of `entries`. `entries` has
-    /// `Stats::tile_entries` elements: one for each Gaussian of each tile, in order, including those behind
-    /// [`TilePairs::len`]. Results are in the order of the tiles.
+    /// Runs `f` over all tiles in parallel, with the tile's number (row-major), its pairs of the pixels that `mask` uses, and
+    /// its part of `entries`. `entries` has [`Projected::tile_entries`] elements: one for each Gaussian of each tile, in order,
+    /// including those behind [`TilePairs::len`]. Results are in the order of the tiles.
     ///
     /// # Panics
     /// If `entries` has another length.
     pub fn map_tiles<T: Send, R: Send>(
-        &self,
-        entries: &mut [T],
-        f: impl Fn(usize, &TilePairs<'_, E>, &mut [T]) -> R + Sync,
-    ) -> Vec<R> {
-        self.map_used_tiles(None, entries, f)
-    }
-
-    /// [`Projected::map_tiles`] without the pairs of pixels that `mask` leaves out.
-    ///
-    /// # Panics
-    /// If `entries` has another length.
-    pub fn map_used_tiles<T: Send, R: Send>(
         &self,
         mask: Option<&Mask>,
         entries: &mut [T],
@@ -105,19 +92,6 @@ impl<E: Real> Projected<E> {
             ranks: self.ranks(),
             tiles: &self.tiles,
         }
-    }
-
-    /// Evaluated and contributing pairs.
-    pub fn count_pairs(&self) -> PairCounts {
-        let counts = self.map_tiles(&mut vec![(); self.tiles.ranks.len()], |_, tile, _| {
-            tile.pairs.counts
-        });
-        counts
-            .iter()
-            .fold(PairCounts::default(), |a, b| PairCounts {
-                evaluated: a.evaluated + b.evaluated,
-                contributing: a.contributing + b.contributing,
-            })
     }
 }
 

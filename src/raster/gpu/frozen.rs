@@ -66,7 +66,7 @@ impl Lists {
     /// As [`super::forward`].
     pub fn new(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<Self>> {
         let gpu = Gpu::of(&inputs.means);
-        let prepared = prepare(&gpu, inputs, scenery, None)?;
+        let prepared = prepare(&gpu, inputs, scenery)?;
         Ok(prepared.map(|prepared| Self {
             prepared,
             counts: OnceLock::new(),

@@ -7,7 +7,6 @@ use super::radix_sort::sort_positions;
 use super::scan::exclusive_sums;
 use crate::backend::gpu::{Gpu, arg};
 use crate::raster::cpu::footprint::TILE;
-use burn::tensor::DType;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
@@ -43,27 +42,15 @@ fn count_tiles(
     counts[rank] = sum;
 }
 
-/// Reports the total number of entries to the host, and as floats with the entries beyond the capacity `room`, so that the host
-/// can read them together with other floats.
+/// Reports the total number of entries to the host.
 #[cube(launch)]
-fn report_total(
-    offsets: &[u32],
-    report: &[Atomic<u32>],
-    summary: &mut [f32],
-    gaussians: u32,
-    room: u32,
-) {
+fn report_total(offsets: &[u32], report: &[Atomic<u32>], gaussians: u32) {
     if ABSOLUTE_POS == 0 {
-        let total = offsets[gaussians as usize];
-        report[1].store(total);
-        summary[0] = f32::cast_from(report[0].load());
-        // Exactly zero if the capacity sufficed; the rounded total would not tell.
-        summary[1] = f32::cast_from(total - min(total, room));
-        summary[2] = f32::cast_from(total);
+        report[1].store(offsets[gaussians as usize]);
     }
 }
 
-/// Tile and Gaussian of every entry within the capacity `room`, and where the entries of each rank end.
+/// Tile and Gaussian of every entry, and where the entries of each rank end.
 #[cube(launch)]
 fn emit_entries(
     splats: &[f32],
@@ -73,7 +60,6 @@ fn emit_entries(
     gaussian_of: &mut [u32],
     ends: &mut [u32],
     gaussians: u32,
-    room: u32,
     width: u32,
     height: u32,
     #[comptime] everywhere: bool,
@@ -83,7 +69,7 @@ fn emit_entries(
         terminate!();
     }
     let mut at = offsets[rank];
-    let end = min(offsets[rank + 1], room);
+    let end = offsets[rank + 1];
     if at < end {
         let tiles_across = (width + (TILE - 1) as u32) / TILE as u32;
         let tiles_down = (height + (TILE - 1) as u32) / TILE as u32;
@@ -158,32 +144,14 @@ pub(super) struct Order {
     pub len: usize,
 }
 
-/// Where the count of the tile entries goes.
-pub(super) struct Report {
-    /// Non-finite rows, and entries, capped at [`super::scan::CEILING`]: `u32`.
-    pub counts: CubeTensor,
-    /// Non-finite rows, entries beyond the capacity, and entries, as floats.
-    pub summary: CubeTensor,
-}
-
-impl Report {
-    pub fn new(gpu: &Gpu) -> Self {
-        Self {
-            counts: gpu.upload(&[0_u32, 0], DType::U32),
-            summary: gpu.floats([3]),
-        }
-    }
-}
-
-/// Sorts by depth and counts tiles. Writes the number of entries, and of those beyond `room`, to `report`.
+/// Sorts by depth and counts tiles. Writes the number of entries, capped at [`super::scan::CEILING`], to `report[1]`.
 pub(super) fn depth_order(
     gpu: &Gpu,
     scene: &ProjectedScene,
     len: usize,
     size: [usize; 2],
     everywhere: bool,
-    report: &Report,
-    room: usize,
+    report: &CubeTensor,
 ) -> Order {
     let (_, ids) = sort_positions(gpu, scene.depths.clone(), len, 32);
     let counts = gpu.words(len + 1);
@@ -206,17 +174,15 @@ pub(super) fn depth_order(
         gpu.cubes_for(1),
         gpu.dim(),
         arg(&offsets),
-        arg(&report.counts),
-        arg(&report.summary),
+        arg(report),
         len as u32,
-        room as u32,
     );
     Order { ids, offsets, len }
 }
 
 /// Entries sorted by tile, front to back within each.
 pub(super) struct TileEntries {
-    /// Number of entries, or the capacity: unused entries come last, on no tile.
+    /// Number of entries.
     pub len: usize,
     /// Start and end of each tile's list, row-major.
     pub ranges: CubeTensor,
@@ -233,13 +199,12 @@ pub(super) fn tile_counts(size: [usize; 2]) -> [usize; 2] {
     size.map(|s| s.div_ceil(TILE))
 }
 
-/// The entries of `order`: all `len` of them, or with `padded` those that fit a capacity of `len`.
+/// The `len` entries of `order`.
 pub(super) fn tile_entries(
     gpu: &Gpu,
     scene: &ProjectedScene,
     order: &Order,
     len: usize,
-    padded: bool,
     size: [usize; 2],
     everywhere: bool,
 ) -> TileEntries {
@@ -255,11 +220,7 @@ pub(super) fn tile_entries(
         };
     }
     let (gaussian_of, gaussians, ends) = (gpu.words(len), gpu.words(len), gpu.words(order.len));
-    let tiles = if padded {
-        gpu.filled(len, tile_count as u32)
-    } else {
-        gpu.words(len)
-    };
+    let tiles = gpu.words(len);
     emit_entries::launch(
         &gpu.client,
         gpu.cubes_for(order.len),
@@ -271,7 +232,6 @@ pub(super) fn tile_entries(
         arg(&gaussian_of),
         arg(&ends),
         order.len as u32,
-        len as u32,
         size[0] as u32,
         size[1] as u32,
         everywhere,

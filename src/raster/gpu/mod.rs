@@ -3,12 +3,11 @@
 //! They follow the CPU's formulas step by step, in `f32`. The camera centre is split into two floats, and the exponent is
 //! `-(u^2 + v^2)` with the determinant as a sum of positive terms: rounding costs digits, never splats. The kernels use no
 //! subgroup operation and no float atomic, and sum in a fixed order, so that a device returns the same bits every time. A forward
-//! pass reads back once: the number of tile entries and the number of non-finite rows. With a tile capacity it reads nothing.
+//! pass reads back once: the number of tile entries and the number of non-finite rows.
 //!
 //! Memory besides inputs and outputs, in bytes: 64 for each Gaussian (100 in the backward pass), 28 for each tile entry during the
 //! sort and 8 afterwards. The backward pass and the adjoint take up to 128 for each tile entry (80 where cubes have 32 KB of shared
-//! memory), 1 GiB at most: more entries go through in slabs. Sums of absolute values add 8 for each Gaussian and tile entry. A
-//! tile capacity counts as entries.
+//! memory), 1 GiB at most: more entries go through in slabs. Sums of absolute values add 8 for each Gaussian and tile entry.
 
 mod backward;
 mod blend;
@@ -132,7 +131,7 @@ mod fixture {
                 settings,
                 background: [0.0; 3],
             };
-            let prepared = prepare(&gpu, &inputs, scenery, None).expect("a working device");
+            let prepared = prepare(&gpu, &inputs, scenery).expect("a working device");
             Some(Self {
                 prepared: prepared.expect("finite"),
                 gpu,

@@ -37,16 +37,12 @@ pub(crate) struct Gradients {
 /// Renders `inputs`, at least one Gaussian and one channel: the image `[H, W, C]`, or `None` when an input holds a NaN or an
 /// infinity.
 ///
-/// With `room`, a capacity in tile entries, nothing is read back. The caller reads [`Forward::summary`], and discards the image
-/// and its gradients if the capacity did not suffice or rows were not finite.
-///
 /// # Errors
 /// [`Error::Config`] for settings out of range, [`Error::Argument`] for an unusable camera, [`Error::Limit`] for what the device
 /// cannot hold, [`Error::Device`] when it fails.
 pub(in crate::raster) fn forward(
     inputs: &Inputs,
     scenery: Scenery<'_>,
-    room: Option<usize>,
 ) -> Result<Option<(CubeTensor, Forward)>> {
     let gpu = Gpu::of(&inputs.means);
     let harmonics = inputs.harmonics();
@@ -66,7 +62,7 @@ pub(in crate::raster) fn forward(
             size_of::<f32>(),
         )?;
     }
-    let Some(prepared) = prepare(&gpu, inputs, scenery, room)? else {
+    let Some(prepared) = prepare(&gpu, inputs, scenery)? else {
         return Ok(None);
     };
     let Prepared {
@@ -86,11 +82,6 @@ pub(in crate::raster) fn forward(
 }
 
 impl Forward {
-    /// Non-finite rows, tile entries beyond the capacity, and tile entries, as floats.
-    pub fn summary(&self) -> CubeTensor {
-        self.prepared.summary.clone()
-    }
-
     /// Radii in pixels, `[N]`, `u32`; 0 = culled.
     pub fn radii(&self) -> CubeTensor {
         self.prepared.projected.radii.clone()

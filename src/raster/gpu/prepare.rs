@@ -1,7 +1,7 @@
 //! Projection and tile lists of a view.
 
 use super::inputs::Inputs;
-use super::lists::{self, Order, Report, TileEntries};
+use super::lists::{self, Order, TileEntries};
 use super::project::{self, ProjectedScene};
 use super::{scan, view};
 use crate::backend::gpu::{Gpu, add_non_finite};
@@ -28,8 +28,6 @@ pub(super) struct Prepared {
     pub order: Order,
     pub entries: TileEntries,
     pub size: [usize; 2],
-    /// [`Report::summary`].
-    pub summary: CubeTensor,
 }
 
 /// [`Error::Limit`] when `count` of `what`, of `bytes` each, exceed the largest allocation of the device or 32 bits.
@@ -46,12 +44,11 @@ pub(super) fn check_size(gpu: &Gpu, what: &str, count: usize, bytes: usize) -> R
     })
 }
 
-/// Projects and sorts `inputs`; `None` when an input holds a NaN or an infinity. `room` as in [`forward`].
+/// Projects and sorts `inputs`; `None` when an input holds a NaN or an infinity.
 pub(super) fn prepare(
     gpu: &Gpu,
     inputs: &Inputs,
     scenery: Scenery<'_>,
-    room: Option<usize>,
 ) -> Result<Option<Prepared>> {
     let Scenery {
         camera,
@@ -73,50 +70,28 @@ pub(super) fn prepare(
         &view::constants(&viewpoint, camera, settings, behind),
         DType::F32,
     );
-    let report = Report::new(gpu);
+    // Non-finite rows, and entries of the tile lists.
+    let report = gpu.upload(&[0_u32, 0], DType::U32);
     let everywhere = settings.alpha_min == 0.0;
     for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
-        add_non_finite(gpu, tensor, tensor.meta.num_elements(), &report.counts);
+        add_non_finite(gpu, tensor, tensor.meta.num_elements(), &report);
     }
-    let projected = project::project(gpu, inputs, &view, &report.counts, everywhere);
-    let fits = |count: usize| {
-        check_size(
-            gpu,
-            "entries of the tile lists of one view",
-            count,
-            size_of::<u32>(),
-        )
-    };
-    let room = room.filter(|&room| fits(room).is_ok());
-    let most = room.unwrap_or(scan::CEILING as usize);
-    let order = lists::depth_order(gpu, &projected, len, size, everywhere, &report, most);
-    let count = match room {
-        Some(room) => room,
-        None => {
-            let [non_finite, count] = read_report(gpu, &report.counts)?;
-            if non_finite > 0 {
-                return Ok(None);
-            }
-            fits(count as usize)?;
-            count as usize
-        }
-    };
-    let entries = lists::tile_entries(
-        gpu,
-        &projected,
-        &order,
-        count,
-        room.is_some(),
-        size,
-        everywhere,
-    );
+    let projected = project::project(gpu, inputs, &view, &report, everywhere);
+    let order = lists::depth_order(gpu, &projected, len, size, everywhere, &report);
+    let [non_finite, count] = read_report(gpu, &report)?;
+    if non_finite > 0 {
+        return Ok(None);
+    }
+    let what = "entries of the tile lists of one view";
+    check_size(gpu, what, count as usize, size_of::<u32>())?;
+    let count = count as usize;
+    let entries = lists::tile_entries(gpu, &projected, &order, count, size, everywhere);
     Ok(Some(Prepared {
         view,
         projected,
         order,
         entries,
         size,
-        summary: report.summary,
     }))
 }
 

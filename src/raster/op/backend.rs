@@ -15,7 +15,7 @@ use std::sync::Arc;
 custom_op! {
     /// Backend side of [`crate::raster::rasterize`] and of [`SplatView`](super::SplatView).
     pub(crate) trait RasterBackend {
-        /// Image, transmittance, radii and the count of the tile lists.
+        /// Image, transmittance and radii.
         fn raster_forward(#[extension_type] tensors: RasterTensors<Self>, call: Arc<RasterCall>) -> RasterPass<Self>;
         /// Projection and tile lists of frozen geometry: `[N, 3]`, `[N, 3]`, `[N, 4]`, `[N]`.
         fn project_view(
@@ -66,15 +66,14 @@ mod autodiff {
     ) -> RasterPass<Autodiff<B, C>> {
         let tracked = tensors.into_array();
         let tensors = RasterTensors::<B>::from_array(tracked.clone().map(|t| t.into_parts().0));
-        let (image, transmittance, radii, tile_lists, saved) =
+        let (image, transmittance, radii, saved) =
             match B::raster_forward(tensors.clone(), call.clone()) {
                 RasterPass::Done {
                     image,
                     transmittance,
                     radii,
-                    tile_lists,
                     saved,
-                } => (image, transmittance, radii, tile_lists, saved),
+                } => (image, transmittance, radii, saved),
                 RasterPass::Failed(error) => return RasterPass::Failed(error),
             };
         let (image_shape, pixel_shape) = (image.shape(), transmittance.shape());
@@ -100,7 +99,6 @@ mod autodiff {
             image: part::<Autodiff<B, C>>(both.clone(), 0..values, image_shape),
             transmittance: part::<Autodiff<B, C>>(both, values..values + pixels, pixel_shape),
             radii: Autodiff::<B, C>::from_inner(radii),
-            tile_lists: Autodiff::<B, C>::from_inner(tile_lists),
             saved,
         }
     }

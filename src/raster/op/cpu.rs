@@ -28,11 +28,9 @@ pub(super) fn raster_forward<B: HostBackend>(
             Err(error) => return RasterPass::Failed(error),
         };
         let radii: Vec<E> = forward.projected.radii().iter().map(|&r| E::of(f64::from(r))).collect();
-        let entries = E::of(forward.projected.stats().tile_entries as f64);
         RasterPass::Done {
             image: B::tensor::<E>(image, &[h, w, channels], &device),
             transmittance: B::tensor::<E>(forward.transmittance.clone(), &[h, w], &device),
-            tile_lists: B::tensor::<E>(vec![E::default(), E::default(), entries], &[3], &device),
             radii: B::tensor::<E>(radii, &[forward.projected.len()], &device),
             saved: forward.into(),
         }

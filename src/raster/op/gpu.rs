@@ -50,12 +50,11 @@ pub(super) fn raster_forward(
         settings: &call.settings,
         background: call.background,
     };
-    match gpu::forward(&inputs(&tensors, &call), scenery, call.tile_capacity) {
+    match gpu::forward(&inputs(&tensors, &call), scenery) {
         Ok(Some((image, forward))) => RasterPass::Done {
             image,
             transmittance: forward.transmittance.clone(),
             radii: cast(forward.radii(), DType::F32),
-            tile_lists: forward.summary(),
             saved: SavedForward::Gpu(Arc::new(forward)),
         },
         // The CPU's own check names tensor and row.

@@ -34,8 +34,6 @@ pub struct RasterOutput {
     pub transmittance: Tensor<2>,
     /// Radius in pixels of every Gaussian, `[N]`, without autodiff; 0 = not visible.
     pub radii: Tensor<1>,
-    /// The values of a [`ListCount`](super::ListCount), `[3]`, without autodiff.
-    pub tile_lists: Tensor<1>,
 }
 
 /// Sizes of a valid [`RasterInput`].

@@ -14,12 +14,10 @@ mod rasterize;
 mod reference;
 mod splats;
 mod tensors;
-mod tile_lists;
 mod view;
 
 pub use self::input::{RasterInput, RasterOutput};
 pub(crate) use self::labels::{GaussianLabels, Largest};
-pub use self::rasterize::{rasterize, rasterize_with_capacity};
+pub use self::rasterize::rasterize;
 pub use self::splats::SplatTensors;
-pub use self::tile_lists::{ListCount, tile_capacity};
 pub use self::view::{Lifted, SplatView};

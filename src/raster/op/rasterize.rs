@@ -27,27 +27,6 @@ pub fn rasterize(
     settings: &Settings,
     background: [f32; 3],
 ) -> Result<RasterOutput> {
-    rasterize_with_capacity(input, camera, settings, background, None)
-}
-
-/// [`rasterize`] without waiting for a GPU.
-///
-/// A GPU counts the entries of the tile lists, and the host reads the count to allocate the lists. With a `tile_capacity` the
-/// host allocates that many entries at once (about 28 bytes each while lists are sorted) and reads nothing. Read
-/// [`RasterOutput::tile_lists`] later, together with other results: if the [`ListCount`](super::ListCount) is not sound, neither the output nor
-/// its gradients are valid. Then call again without a capacity, for the image or for the error that names the non-finite input.
-/// With enough capacity the output has the same bits as that of [`rasterize`]. The CPU ignores the capacity, and so does a GPU
-/// whose largest buffer holds fewer entries.
-///
-/// # Errors
-/// As [`rasterize`]. Non-finite inputs are an error only without a capacity.
-pub fn rasterize_with_capacity(
-    input: RasterInput,
-    camera: &Camera,
-    settings: &Settings,
-    background: [f32; 3],
-    tile_capacity: Option<usize>,
-) -> Result<RasterOutput> {
     let sizes = sizes(&input)?;
     if CustomOp::Raster.is_replaced() {
         return reference::rasterize(input, camera, settings, background);
@@ -61,7 +40,6 @@ pub fn rasterize_with_capacity(
         sh_degree: sizes.sh_terms.isqrt() - 1,
         active_sh_degree: input.active_sh_degree,
         absolute_screen: sizes.absolute_screen,
-        tile_capacity,
     };
     let place = (&input.means.device(), input.means.dtype());
     let absent = || Tensor::<2>::zeros([sizes.gaussians, 0], place).into_dispatch();
@@ -79,13 +57,11 @@ pub fn rasterize_with_capacity(
             image,
             transmittance,
             radii,
-            tile_lists,
             ..
         } => Ok(RasterOutput {
             image: Tensor::from_dispatch(image),
             transmittance: Tensor::from_dispatch(transmittance),
             radii: Tensor::from_dispatch(radii).inner(),
-            tile_lists: Tensor::from_dispatch(tile_lists).inner(),
         }),
         RasterPass::Failed(error) => Err(error),
     }

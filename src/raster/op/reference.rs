@@ -80,9 +80,7 @@ pub(super) fn rasterize(
         let behind = Tensor::<3>::from_data(behind, (&image.device(), image.dtype()));
         image = image + transmittance.clone().reshape([height, width, 1]) * behind;
     }
-    let place = (&image.device().inner(), image.dtype());
     Ok(RasterOutput {
-        tile_lists: Tensor::zeros([3], place),
         radii: view.radii,
         image,
         transmittance,

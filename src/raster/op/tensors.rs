@@ -90,12 +90,6 @@ pub(crate) struct RasterCall {
     pub(super) active_sh_degree: usize,
     /// Whether the gradient of the screen has the columns of AbsGS.
     pub(super) absolute_screen: bool,
-    /// Entries to allocate for the tile lists on a GPU; without it the GPU counts them first.
-    #[cfg_attr(
-        not(feature = "cube"),
-        allow(dead_code, reason = "only a GPU allocates by it")
-    )]
-    pub(super) tile_capacity: Option<usize>,
 }
 
 impl RasterCall {
@@ -128,8 +122,6 @@ pub(crate) enum RasterPass<B: Backend> {
         transmittance: FloatTensor<B>,
         /// `[N]`.
         radii: FloatTensor<B>,
-        /// `[3]`, see [`ListCount`](super::ListCount).
-        tile_lists: FloatTensor<B>,
         /// What the backward pass reads.
         saved: SavedForward,
     },

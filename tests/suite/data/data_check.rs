@@ -1,15 +1,15 @@
-//! `coseg data check` and `info`, manifests, and the layouts that nothing tells apart.
+//! `coseg data check` and `info`, and the layouts that nothing tells apart.
 
 use crate::cli::commands::{fails, read_json, succeeds, utf8};
 use crate::support::plates::scene;
 use coseg::config::{Config, Layout};
 use coseg::data::check;
-use coseg::data::{LabelMap, LoadOptions, Manifest, load, locate};
+use coseg::data::{LabelMap, LoadOptions, load, locate};
 use serde_json::json;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// Changes the scene's manifest.
+/// Changes the scene's `transforms.json`.
 pub fn edit(dir: &Path, change: impl Fn(&mut serde_json::Value)) {
     let path = dir.join("transforms.json");
     let mut value = read_json(&path);
@@ -293,88 +293,5 @@ fn layouts_are_told_apart_or_asked_for() {
             .unwrap_err()
             .to_string();
         assert!(message.contains(part), "{message}");
-    }
-}
-
-fn manifests() -> Vec<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data_manifests");
-    let mut paths: Vec<PathBuf> = fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .collect();
-    paths.sort();
-    paths
-}
-
-#[test]
-fn all_manifests_parse() {
-    let paths = manifests();
-    for path in &paths {
-        let manifest = Manifest::read(path).unwrap_or_else(|e| panic!("{e}"));
-        assert!(manifest.source.starts_with("http") && !manifest.files.is_empty());
-        assert!(matches!(manifest.layout, Layout::Replica | Layout::Scannet));
-    }
-    let names: Vec<_> = paths
-        .iter()
-        .map(|p| p.file_stem().unwrap().to_string_lossy().into_owned())
-        .collect();
-    for room in [
-        "office_0", "office_1", "office_2", "office_3", "office_4", "room_0", "room_1", "room_2",
-    ] {
-        assert!(names.contains(&format!("replica_{room}")), "{room}");
-    }
-    assert_eq!(
-        names
-            .iter()
-            .filter(|name| name.starts_with("scannet_"))
-            .count(),
-        10
-    );
-}
-
-#[test]
-fn manifests_say_what_is_missing() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("m.toml");
-    let text = "source = \"here\"\nlayout = \"transforms\"\n[[files]]\npath = \"images/v{}.png\"\ncount = 8\n[[files]]\n\
-        path = \"classes.json\"\nsize = 3\n[[files]]\npath = \"plates.ply\"\nsha256 = \"00\"\n";
-    fs::write(&path, text).unwrap();
-    scene(folder.path());
-    let message = fails(
-        &[
-            "data",
-            "check",
-            utf8(folder.path()),
-            "--manifest",
-            utf8(&path),
-        ],
-        1,
-    );
-    for part in [
-        "v6.png",
-        "and 1 more of 8 are missing",
-        "classes.json: size",
-        "expected 3 bytes",
-        "plates.ply: sha256",
-        "unpack the dataset again (here)",
-        "3 problems",
-    ] {
-        assert!(message.contains(part), "{part}: {message}");
-    }
-    for (from, to, parts) in [
-        (
-            "layout = \"transforms\"",
-            "layout = \"blender\"",
-            ["line 2", "blender"],
-        ),
-        ("source", "sauce = 0\nsource", ["line 1", "sauce"]),
-        ("layout", "classes = \"coco\"\nlayout", ["line 2", "coco"]),
-    ] {
-        fs::write(&path, text.replacen(from, to, 1)).unwrap();
-        let message = Manifest::read(&path).unwrap_err().to_string();
-        assert!(
-            message.contains("m.toml") && parts.iter().all(|part| message.contains(part)),
-            "{message}"
-        );
     }
 }

@@ -5,7 +5,7 @@ use coseg::Error;
 use coseg::config::{SpatialConfig, SpatialSource};
 use coseg::segmentation::encoder::{load_spatial, metres_per_unit, random_weights};
 use coseg::segmentation::randla::RandlaEncoder;
-use coseg::weights::{Checkpoint, HostTensor};
+use coseg::weights::{HostTensor, WeightFile};
 use std::path::PathBuf;
 
 /// What `torch.save` writes for `{"epoch": 3, "model_state_dict": {"module.fc0.conv.weight": [2, 3, 1] of 1, 2, 3, 4, 5, 6.5,
@@ -37,7 +37,7 @@ fn pytorch_file(dir: &tempfile::TempDir, length: usize) -> PathBuf {
 #[test]
 fn reads_nested_data_parallel_pytorch_checkpoints() {
     let dir = tempfile::tempdir().expect("a folder");
-    let weights = Checkpoint::open(pytorch_file(&dir, usize::MAX)).expect("a PyTorch file");
+    let weights = WeightFile::open(pytorch_file(&dir, usize::MAX)).expect("a PyTorch file");
     assert_eq!(
         weights.tensors.keys().collect::<Vec<_>>(),
         ["fc0.conv.weight"]
@@ -59,7 +59,7 @@ fn reads_nested_data_parallel_pytorch_checkpoints() {
 fn truncated_files_are_named_and_never_panic() {
     let dir = tempfile::tempdir().expect("a folder");
     for length in (0..900).step_by(50) {
-        let found = Checkpoint::open(pytorch_file(&dir, length));
+        let found = WeightFile::open(pytorch_file(&dir, length));
         assert!(
             matches!(&found, Err(Error::Input { path, .. }) if path.ends_with("weights.pth")),
             "{length}: {found:?}"
@@ -71,15 +71,15 @@ fn truncated_files_are_named_and_never_panic() {
     let path = dir.path().join("weights.safetensors");
     for length in [0, 7, 8, 100, 5_000, bytes.len() / 2, bytes.len() - 1] {
         std::fs::write(&path, &bytes[..length]).expect("a writable folder");
-        let found = Checkpoint::open(&path);
+        let found = WeightFile::open(&path);
         assert!(
             matches!(&found, Err(Error::Input { path: p, .. }) if *p == path),
             "{length}: {found:?}"
         );
     }
-    let missing = Checkpoint::open(dir.path().join("none.safetensors"));
+    let missing = WeightFile::open(dir.path().join("none.safetensors"));
     assert!(matches!(missing, Err(Error::Io { .. })), "{missing:?}");
-    let missing = Checkpoint::open(dir.path().join("none.pth"));
+    let missing = WeightFile::open(dir.path().join("none.pth"));
     assert!(matches!(missing, Err(Error::Io { .. })), "{missing:?}");
 }
 
@@ -87,7 +87,7 @@ fn truncated_files_are_named_and_never_panic() {
 fn every_missing_misshapen_or_non_finite_tensor_is_named() {
     let device = crate::support::device();
     let whole = random_weights(3, 0);
-    let field = |weights: &Checkpoint| match RandlaEncoder::load(weights, &device) {
+    let field = |weights: &WeightFile| match RandlaEncoder::load(weights, &device) {
         Err(Error::Input { field, .. }) => field,
         other => panic!("{:?}", other.map(|e| e.widths())),
     };
@@ -119,7 +119,7 @@ fn stored_again_an_encoder_is_the_same() {
     let weights = random_weights(6, 4);
     let encoder = RandlaEncoder::load(&weights, &device).expect("weights");
     assert_eq!(encoder.inputs(), 6);
-    assert_eq!(encoder.to_checkpoint("random RandLA weights"), weights);
+    assert_eq!(encoder.to_weight_file("random RandLA weights"), weights);
 }
 
 #[test]

@@ -2,12 +2,13 @@
 
 use crate::cli::commands::{fails, read_json, succeeds, utf8};
 use crate::objects::association_figures::rendered;
+use crate::support::hard_labels::hard_label_map;
 use crate::support::plates::{self, camera, plates};
 use crate::support::spoilt_masks::{Noise, shuffled, spoilt};
 use coseg::config::{self, AssociationConfig, Variant};
 use coseg::data::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, load};
 use coseg::metrics::{InstanceScores, instance_scores};
-use coseg::objects::{self, associate, associate_until, hard_label_map};
+use coseg::objects::{self, associate, associate_until};
 use coseg::pipeline::run;
 use coseg::progress::Silent;
 use coseg::raster::{Projected, Settings};

@@ -1,9 +1,10 @@
 //! Objects of a labelled scene: listed, picked, removed, turned and moved.
 
 use crate::cli::commands::{fails, succeeds, utf8};
+use crate::support::hard_labels::hard_label_map;
 use crate::support::plates::{HEIGHT, WIDTH, camera, plates, scene};
 use coseg::data::{Classes, Limits, ObjectOf};
-use coseg::objects::{hard_label_map, inventory, pick};
+use coseg::objects::{inventory, pick};
 use coseg::raster::{Projected, Settings, render};
 use coseg::splat::camera::Camera;
 use coseg::splat::{Gaussians, Motion, ply};

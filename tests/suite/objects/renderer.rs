@@ -1,8 +1,9 @@
 //! Frames of a labelled scene: those of separate passes on the host, and the same on a GPU.
 
+use crate::support::hard_labels::hard_label_map;
 use crate::support::raster_reference::{camera, cloud, numbers};
 use burn::tensor::Device;
-use coseg::objects::{RenderOptions, Renderer, hard_label_map};
+use coseg::objects::{RenderOptions, Renderer};
 use coseg::raster::{Projected, Settings, render};
 use coseg::splat::Gaussians;
 use coseg::splat::camera::Camera;

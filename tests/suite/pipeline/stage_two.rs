@@ -1,11 +1,12 @@
 //! Stage two on the plates: what the decoder starts from, what is stored, how learning rates are chosen.
 
+use crate::support::hard_labels::hard_label_map;
 use coseg::Error;
 use coseg::config::{
     Association, Blend, BuildingConfig, Config, LabelSource, Prior, SegmentationConfig, Variant,
 };
 use coseg::data::{Classes, LabelMap, LabelRuns, LoadOptions, Split, load};
-use coseg::objects::{Identities, LabelMaps, LabelRule, hard_label_map, vote};
+use coseg::objects::{Identities, LabelMaps, LabelRule, vote};
 use coseg::pipeline::train_decoder::{Plan, TrainingViews};
 use coseg::pipeline::{Inputs, Outcome, decoder_training, encode, run};
 use coseg::progress::Silent;

@@ -8,5 +8,3 @@ pub mod raster_contract;
 pub mod raster_gpu;
 pub mod raster_gradients;
 pub mod references;
-#[cfg(feature = "wgpu")]
-pub mod tile_capacity;

@@ -7,7 +7,7 @@ use coseg::segmentation::pretrain::{
     LabelledCloud, PretrainOptions, TrainedEncoder, pretrain, room,
 };
 use coseg::segmentation::randla::RandlaEncoder;
-use coseg::weights::Checkpoint;
+use coseg::weights::WeightFile;
 use coseg::{Error, Result};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -41,7 +41,7 @@ fn the_loss_falls_and_the_stored_file_is_what_was_trained() {
     );
     let bytes = trained.weights.to_safetensors().expect("whole tensors");
     let read =
-        Checkpoint::from_safetensors(&bytes, "pretrained RandLA weights").expect("just written");
+        WeightFile::from_safetensors(&bytes, "pretrained RandLA weights").expect("just written");
     assert_eq!(read, trained.weights);
     assert!(
         read.metadata["options"].contains("seed: 0") && read.metadata.contains_key("held_out_miou")
@@ -99,9 +99,9 @@ fn impossible_sizes_are_refused() {
     }
 }
 
-fn shipped() -> Checkpoint {
+fn shipped() -> WeightFile {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/randla_builtin.safetensors");
-    Checkpoint::open(file).expect("weights")
+    WeightFile::open(file).expect("weights")
 }
 
 #[test]
@@ -218,19 +218,19 @@ fn probe_table() {
     let device = crate::support::device();
     let shared = crate::support::shared_dir();
     let mut encoders = Vec::new();
-    let mut add = |name: &str, weights: Checkpoint| {
+    let mut add = |name: &str, weights: WeightFile| {
         encoders.push((
             name.to_owned(),
             RandlaEncoder::load(&weights, &device).expect("RandLA weights"),
         ));
     };
     if let Some(file) = std::env::var_os("COSEG_PROBE_WEIGHTS") {
-        add("file", Checkpoint::open(file).expect("weights"));
+        add("file", WeightFile::open(file).expect("weights"));
     }
     (0..2).for_each(|seed| add(&format!("random, seed {seed}"), random_weights(3, seed)));
     if let Some(dir) = &shared {
         let file = dir.join("weights/randlanet/randlanet_semantickitti.safetensors");
-        add("SemanticKITTI", Checkpoint::open(file).expect("weights"));
+        add("SemanticKITTI", WeightFile::open(file).expect("weights"));
     }
     let rooms: Vec<LabelledCloud> = (0..12).map(|i| room(0, 2_000 + i, 40_000)).collect();
     let mut scenes = vec![(

@@ -7,7 +7,7 @@ use coseg::segmentation::encoder::{Cloud, encode, load_spatial, random_weights};
 use coseg::segmentation::neighbours::Neighbours;
 use coseg::segmentation::randla::{LAYERS, RandlaEncoder};
 use coseg::segmentation::sampling::{Hierarchy, SampledLevel};
-use coseg::weights::Checkpoint;
+use coseg::weights::WeightFile;
 use glam::DVec3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -101,7 +101,7 @@ fn encoder_equals_the_published_one_on_its_stored_activations() {
     };
     let dir = dir.join("weights/randlanet");
     let weights =
-        Checkpoint::open(dir.join("randlanet_semantickitti.safetensors")).expect("weights");
+        WeightFile::open(dir.join("randlanet_semantickitti.safetensors")).expect("weights");
     let bytes = std::fs::read(dir.join("randlanet_parity_4096.safetensors")).expect("reference");
     let reference = reference(&bytes);
     let device = crate::support::device();

@@ -555,8 +555,8 @@ fn timing() {
     ];
     let pairs = Projected::<f32>::new(&scene.splats(), camera, &Settings::default())
         .expect("view")
-        .count_pairs();
-    eprintln!("{pairs:?}");
+        .weights(None);
+    eprintln!("{} pairs", pairs.entries().1.len());
     for resolution in [Resolution::Feature, Resolution::Image] {
         let mut sums = Sums::<f32>::new(count, &[64; 4]);
         let start = std::time::Instant::now();

@@ -1,6 +1,7 @@
 //! Scenes, references and devices that several tests share.
 
 pub mod dino_reference;
+pub mod hard_labels;
 pub mod linear_probe;
 pub mod onnx;
 pub mod plates;

@@ -1,7 +1,7 @@
 //! A small scene for tests of the program: three coloured plates before a wall, photographed and labelled.
 
+use crate::support::hard_labels::hard_label_map;
 use coseg::data::{Classes, LabelMap};
-use coseg::objects::hard_label_map;
 use coseg::raster::{Projected, Settings, render};
 use coseg::splat::camera::{Camera, Intrinsics};
 use coseg::splat::{Gaussians, ply};

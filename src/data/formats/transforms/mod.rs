@@ -16,8 +16,8 @@ pub use crate::data::options::LoadOptions;
 
 use super::frame::Frame;
 use super::listing::{Cloud, Listing, Problems};
+use super::mask_file::Masks;
 use crate::config::Layout;
-use crate::data::labels::mask_file::Masks;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::photos::lens::Lens;

@@ -1,12 +1,11 @@
 //! A folder of binary masks for each photo, as Segment Anything's `amg.py` writes them: `0.png`, `1.png`, and so on, and
 //! perhaps `metadata.csv`.
 
-use crate::data::formats::sequence::{Numbered, numbered};
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{LabelMap, Limits};
 use crate::error::{Error, Result, invalid};
 use crate::files::check_limit;
-use crate::files::{self, names};
+use crate::files::{self, Numbered, names, numbered};
 use std::collections::BTreeSet;
 use std::path::Path;
 

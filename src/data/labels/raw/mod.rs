@@ -5,10 +5,8 @@ mod coco;
 mod masks;
 mod named;
 
-use super::frame_labels::expect_file;
+use super::label_map::expect_file;
 use crate::config::{Association, RawFormat};
-use crate::data::formats::frame::Frame;
-use crate::data::formats::listing::Listing;
 use crate::data::labels::scores::ScoreIds;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Limits, LoadOptions, Segment};
@@ -102,28 +100,22 @@ impl Vocabulary {
     }
 }
 
-/// Whether the labels of the frames need a class table: all but raw labels that bring their own or have none. The answer is
-/// what to add to the help where the table is missing.
+/// Whether the raw labels `maps` need a class table: all but those that bring their own or have none. The answer is what to add
+/// to the help where the table is missing.
 pub(crate) fn needs_classes(
     dir: &Path,
     options: &LoadOptions,
-    frames: &[Frame],
+    maps: &[&Path],
 ) -> Option<&'static str> {
-    if frames.iter().any(|frame| frame.truth.is_some()) {
-        return Some("");
-    }
-    let is_raw =
-        frames.iter().any(|frame| frame.raw.is_some()) && options.association == Association::None;
-    let first = frames.iter().find_map(|frame| frame.raw.as_ref())?;
-    let is_named = named::table(dir, &folder(dir, options, first)).is_some();
-    let is_grey = is_raw && detect(dir, options, frames) == RawFormat::Grey;
+    let is_named = named::table(dir, &folder(dir, options, maps.first()?)).is_some();
+    let is_grey =
+        options.association == Association::None && detect(dir, options, maps) == RawFormat::Grey;
     (is_grey && !is_named).then_some(IF_SEGMENTS)
 }
 
 /// The format that the options name, or that of the first map.
-fn detect(dir: &Path, options: &LoadOptions, frames: &[Frame]) -> RawFormat {
-    let mut maps = frames.iter().filter_map(|frame| frame.raw.as_ref());
-    let Some(first) = maps.find(|map| map.exists()) else {
+fn detect(dir: &Path, options: &LoadOptions, maps: &[&Path]) -> RawFormat {
+    let Some(first) = maps.iter().find(|map| map.exists()) else {
         return if options.raw_format == RawFormat::Auto {
             RawFormat::Grey
         } else {
@@ -168,22 +160,23 @@ impl RawLabels {
         }
     }
 
-    /// The format of the raw labels of `listing`, and the segmenter's vocabulary where the format has one.
+    /// The format of the raw labels `maps` of a scene with the table `classes`, and the segmenter's vocabulary where the format
+    /// has one.
     ///
     /// # Errors
     /// As for [`crate::data::load`]; [`Error::Config`] for masks without association.
     pub fn settle(
         dir: &Path,
         options: &LoadOptions,
-        listing: &Listing,
+        maps: &[&Path],
+        classes: &Classes,
     ) -> Result<(Self, Option<Vocabulary>)> {
-        let (frames, classes) = (&listing.frames, &listing.classes);
-        let Some(first) = frames.iter().find_map(|frame| frame.raw.as_ref()) else {
+        let Some(first) = maps.first() else {
             return Ok((Self::grey(), None));
         };
         let segments = options.association != Association::None;
         let mut vocabulary = None;
-        let source = match detect(dir, options, frames) {
+        let source = match detect(dir, options, maps) {
             RawFormat::Auto | RawFormat::Grey if segments => Source::Grey,
             RawFormat::Auto | RawFormat::Grey => {
                 let table = named::table(dir, &folder(dir, options, first));

@@ -35,8 +35,8 @@ pub(super) fn lift_view<E: Real>(
         .iter()
         .map(|(lattice, _)| Taps::new(lattice, camera))
         .collect();
-    let mut entries = vec![Entry::default(); projected.stats().tile_entries];
-    let tiles = projected.map_used_tiles(mask, &mut entries, |tile, pairs, own| {
+    let mut entries = vec![Entry::default(); projected.tile_entries()];
+    let tiles = projected.map_tiles(mask, &mut entries, |tile, pairs, own| {
         fold_tile(tile, pairs, &taps, own)
     });
     let view = Folded {

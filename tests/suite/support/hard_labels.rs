@@ -1,7 +1,7 @@
 //! Label maps of scenes that have one label a Gaussian.
 
-use crate::data::LabelMap;
-use crate::raster::Projected;
+use coseg::data::LabelMap;
+use coseg::raster::Projected;
 
 /// Renders one label per Gaussian: at each pixel the label whose Gaussians have the largest summed alpha' T, ties to the
 /// lower id, and 0 where 1 - T is below `min_coverage`.

@@ -1,13 +1,14 @@
 //! The label maps of a frame, as the camera of its view sees them.
 
-use super::raw::RawMap;
-use crate::data::formats::frame::{Frame, Geometry};
-use crate::data::formats::listing::Listing;
+use super::frame::{Frame, Geometry};
+use super::listing::Listing;
+use crate::data::labels::label_map::expect_file;
+use crate::data::labels::raw::RawMap;
 use crate::data::labels::scores;
 use crate::data::mask::Mask;
 use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::{LabelMap, Limits, ViewScores};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use std::path::Path;
 
 /// Reads the label maps of a frame.
@@ -129,15 +130,4 @@ impl<'a> FrameLabels<'a> {
         });
         file.expect_size(size, &whose)
     }
-}
-
-/// Refuses a label map that is not there.
-pub(crate) fn expect_file(path: &Path) -> Result<()> {
-    if path.is_file() {
-        return Ok(());
-    }
-    Err(Error::missing_file(
-        path,
-        "put the label map there, or do not name it",
-    ))
 }

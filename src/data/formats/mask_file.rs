@@ -1,9 +1,9 @@
 //! Masks of photos as PNG files: black pixels are left out, all others are used.
 
+use super::frame::{Frame, Geometry};
+use super::label_folder::LabelFolder;
+use super::listing::Problems;
 use crate::config::{Layout, NO_MASKS, same_folder};
-use crate::data::formats::frame::{Frame, Geometry};
-use crate::data::formats::label_folder::LabelFolder;
-use crate::data::formats::listing::Problems;
 use crate::data::mask::Mask;
 use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::{LabelMap, Limits, LoadOptions};
