@@ -1,9 +1,10 @@
 //! Scores: PSNR, SSIM, mIoU and accuracy of label maps, association accuracy and panoptic
-//! quality of instance maps, also by class.
+//! quality of instance maps, also by class, Calinski-Harabasz and Davies-Bouldin of clusterings.
 //!
 //! No score is ever NaN: where there is nothing to score the answer is `None`.
 
 mod assignment;
+mod clusters;
 mod compactness;
 mod image;
 mod instances;
@@ -11,6 +12,7 @@ mod labels;
 mod semantic;
 
 pub use self::assignment::assignment;
+pub use self::clusters::{calinski_harabasz, davies_bouldin};
 pub use self::compactness::{Agreement, Compactness};
 pub use self::image::{ImageScores, PSNR_CAP, psnr, ssim};
 pub use self::instances::{InstanceScores, PanopticQuality, Quality, instance_scores};

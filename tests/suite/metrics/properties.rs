@@ -1,7 +1,9 @@
 //! Properties of the scores: bounds, symmetries, and independence of the numbers of ids and of the order of rows.
 
 use coseg::data::Classes;
-use coseg::metrics::{Void, instance_scores, label_scores, psnr, ssim};
+use coseg::metrics::{
+    Void, calinski_harabasz, davies_bouldin, instance_scores, label_scores, psnr, ssim,
+};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
@@ -88,5 +90,35 @@ proptest! {
         let own = instance_scores(views.iter().map(|(t, _)| (t, t)));
         prop_assert!(own.accuracy.is_none_or(|accuracy| accuracy == 1.0));
         prop_assert!(own.scene.pq.is_none_or(|pq| pq == 1.0));
+    }
+
+    #[test]
+    fn cluster_indices_do_not_depend_on_order_scale_or_place(
+        rows in vec((vec((-64_i16..64).prop_map(|x| f32::from(x) / 64.0), 3), 0_u16..5), 8..40),
+        turn in 0_usize..8,
+        ids in order(),
+    ) {
+        let scores = |rows: &[(Vec<f32>, u16)]| {
+            let features = rows.iter().flat_map(|(row, _)| row.iter().copied());
+            let features: Vec<f32> = features.collect();
+            let labels: Vec<u16> = rows.iter().map(|(_, label)| *label).collect();
+            [calinski_harabasz, davies_bouldin].map(|index| index(&features, 3, &labels))
+        };
+        let mut others: Vec<(Vec<f32>, u16)> = rows
+            .iter()
+            .map(|(row, label)| {
+                let row = row.iter().map(|x| 4.0 * x + 8.0).collect();
+                (row, 7 + ids[usize::from(*label)])
+            })
+            .collect();
+        others.rotate_left(turn);
+        for (a, b) in scores(&rows).into_iter().zip(scores(&others)) {
+            let same = match (a, b) {
+                (Some(a), Some(b)) => (a / b - 1.0).abs() < 1e-3,
+                (a, b) => a == b,
+            };
+            prop_assert!(same, "{a:?} {b:?}");
+            prop_assert!(a.is_none_or(|a| a >= 0.0));
+        }
     }
 }

@@ -3,7 +3,10 @@
 use coseg::data::Classes;
 use coseg::data::formats::transforms::{LoadOptions, load};
 use coseg::data::{Scene, Split};
-use coseg::metrics::{Confusion, ImageScores, PSNR_CAP, Void, label_scores, psnr, ssim};
+use coseg::metrics::{
+    Confusion, ImageScores, PSNR_CAP, Void, calinski_harabasz, davies_bouldin, label_scores, psnr,
+    ssim,
+};
 
 /// v = 0.5 + 0.4 sin(0.31 x + 0.7 c + p) cos(0.23 y - 0.4 c) + 0.1 sin(1.7 x p + 2.3 y), rounded to f32.
 fn image(height: usize, width: usize, p: f64) -> Vec<f32> {
@@ -184,5 +187,55 @@ fn raw_labels_of_a_real_scene_match_scikit_learn() {
                 assert!((f - w).abs() < 1e-9, "{raw} {void:?}: {found:?} {want:?}");
             }
         }
+    }
+}
+
+/// X[i, b] = sin(0.9 i (b + 1)) + 1.5 cos(2 l + b) with l = i^2 mod 7 mod 4, plus `shift`; label ids with gaps.
+fn clusters(shift: f32) -> (Vec<f32>, Vec<u16>) {
+    let label = |i: usize| i * i % 7 % 4;
+    let features = (0..60).flat_map(|i| {
+        (0..5).map(move |b| {
+            let (i, b, l) = (i as f64, f64::from(b), label(i) as f64);
+            ((0.9 * i * (b + 1.0)).sin() + 1.5 * (2.0 * l + b).cos()) as f32 + shift
+        })
+    });
+    (
+        features.collect(),
+        (0..60).map(|i| 5 + 40 * label(i) as u16).collect(),
+    )
+}
+
+#[test]
+fn cluster_indices_match_scikit_learn() {
+    // calinski_harabasz_score and davies_bouldin_score on f64 copies.
+    for (shift, ch, db) in [
+        (0.0, 62.457587289679, 0.864080638821),
+        (1000.0, 62.457509317051, 0.864081042359),
+    ] {
+        let (features, labels) = clusters(shift);
+        let found = calinski_harabasz(&features, 5, &labels).expect("value");
+        assert!((found / ch - 1.0).abs() < 1e-7, "{found} {ch}");
+        let found = davies_bouldin(&features, 5, &labels).expect("value");
+        assert!((found / db - 1.0).abs() < 1e-7, "{found} {db}");
+    }
+}
+
+#[test]
+fn cluster_indices_of_degenerate_cases_are_absent() {
+    let (features, labels) = clusters(0.0);
+    for index in [calinski_harabasz, davies_bouldin] {
+        assert_eq!(index(&[], 5, &[]), None);
+        assert_eq!(index(&features, 5, &[1; 60]), None, "one cluster");
+        assert_eq!(
+            index(&features, 5, &(0..60).collect::<Vec<u16>>()),
+            None,
+            "a cluster a row"
+        );
+        assert_eq!(index(&features, 4, &labels), None, "lengths disagree");
+        assert_eq!(index(&features, 0, &labels), None);
+        assert_eq!(index(&[1.0; 300], 5, &labels), None, "all rows equal");
+        let mut broken = features.clone();
+        broken[7] = f32::INFINITY;
+        assert_eq!(index(&broken, 5, &labels), None);
     }
 }
