@@ -140,6 +140,9 @@ pub struct SegmentationConfig {
     pub prior: Prior,
     /// Exponent of the class frequencies that pooled votes are divided by, 0 to 1. Absent: it follows from the votes.
     pub prior_exponent: Option<f64>,
+    /// Share of the vote in the identities that decoders learned, 0 to 1. Absent: raw labels that the vote has not seen decide, where
+    /// the decoder starts from votes that are not pooled; else 0.
+    pub vote_share: Option<f64>,
     /// Loss of the variant `ours`.
     #[serde(deserialize_with = "super::by_name")]
     #[default(LabelLoss::GCE)]
@@ -218,6 +221,9 @@ impl SegmentationConfig {
         }
         if let Some(exponent) = self.prior_exponent {
             Range::Unit.check("segmentation.prior_exponent", exponent)?;
+        }
+        if let Some(share) = self.vote_share {
+            Range::Unit.check("segmentation.vote_share", share)?;
         }
         if self.prior != Prior::None && self.blend == Blend::Logits {
             return Err(Error::config(

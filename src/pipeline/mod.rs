@@ -17,6 +17,7 @@ pub(crate) mod lift;
 mod reconstruct;
 mod run;
 pub(crate) mod variants;
+mod vote_share;
 
 pub use self::associate::Associated;
 pub use self::encode::{Encodings, Inputs, encode};

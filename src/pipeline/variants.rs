@@ -6,6 +6,7 @@ use super::train_decoder::{
     Adam, DecoderInput, DecoderModel, DecoderPlan, IdentityModel, PerGaussian, Plan, Schedule,
     Training, TrainingViews,
 };
+use super::vote_share::{best_share, mixed};
 use crate::config::{Association, Prior, SegmentationConfig, SpatialConfig, Variant};
 use crate::data::Split;
 use crate::error::Result;
@@ -20,6 +21,7 @@ use crate::segmentation::encoder::spatial_digest;
 use crate::segmentation::loss::LabelLoss;
 use std::cell::OnceCell;
 use std::path::Path;
+use std::time::Instant;
 
 /// Learning rate of per-Gaussian identities.
 const LR_PER_GAUSSIAN: f64 = 5e-2;
@@ -53,6 +55,8 @@ pub struct VariantOutcome {
     pub learnable_bytes: usize,
     /// Learning rate, where there is one.
     pub rate: Option<f64>,
+    /// Share of the vote in the identities of a decoder.
+    pub vote_share: Option<f64>,
     /// Seconds of training.
     pub seconds: f64,
     /// The share of them of earlier parts of a resumed run.
@@ -74,6 +78,7 @@ impl VariantOutcome {
             curve: Vec::new(),
             learnable_bytes: 0,
             rate: None,
+            vote_share: None,
             seconds: 0.0,
             earlier_seconds: 0.0,
         }
@@ -227,7 +232,32 @@ impl<'a> StageTwo<'a> {
         }
         let training = decoder_training(variant, &plan, &input, prior, inputs, self.views.len());
         let rate = inputs.config.segmentation.lr;
-        self.trained(variant, training, &plan, rate, progress)
+        let outcome = self.trained(variant, training, &plan, rate, progress)?;
+        self.with_votes(outcome)
+    }
+
+    /// `outcome` with the share of the vote that the settings ask for.
+    fn with_votes(&self, mut outcome: VariantOutcome) -> Result<VariantOutcome> {
+        let Some(trained) = &outcome.identities else {
+            return Ok(outcome);
+        };
+        let start = Instant::now();
+        let share = match self.inputs.config.segmentation.vote_share {
+            Some(share) => share as f32,
+            None if self.prior_kind()? == Prior::Votes => {
+                best_share(trained, self.votes()?, self.inputs)?
+            }
+            None => 0.0,
+        };
+        if share > 0.0 {
+            let identities = mixed(trained, self.votes()?, share);
+            let scores = self.held_out.score(&identities, self.inputs)?;
+            outcome.take_scores(scores);
+            outcome.identities = Some(identities);
+        }
+        outcome.vote_share = Some(f64::from(share));
+        outcome.seconds += start.elapsed().as_secs_f64();
+        Ok(outcome)
     }
 
     /// What decoders start from. Votes are not pooled where that would correct nothing, nor those of objects of association: two of

@@ -1,0 +1,145 @@
+//! The share of the vote in trained identities.
+//!
+//! A decoder labels Gaussians with like features alike. That corrects wrong labels, but it loses what only the labels of a Gaussian
+//! tell, and where labels are good, the vote is better. Which is the case can be read from raw labels that the vote has not seen.
+//! Errors must not repeat in all views: labels that need the pooled vote say nothing here.
+
+use super::encode::Inputs;
+use crate::data::{Split, View};
+use crate::error::Result;
+use crate::metrics::{Confusion, Void};
+use crate::objects::{Identities, LabelMaps, LabelRule, Votes, vote};
+use crate::raster::SplatTensors;
+
+/// Shares of the vote that are tried.
+const SHARES: [f32; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+/// Runs of training views in file order that are left out of the vote one after the other. Whole runs, because an error often
+/// lasts over neighbouring views.
+const RUNS: usize = 6;
+/// Views of a run whose raw labels are compared.
+const VIEWS: usize = 4;
+/// Keeps the logarithm of a probability finite.
+const LEAST_PROBABILITY: f32 = 1e-8;
+
+/// The logits of `(1 - share) softmax(trained) + share votes`, where the votes of a Gaussian sum to 1. Gaussians without votes keep
+/// the trained probabilities.
+///
+/// # Panics
+/// If the votes are of another number of Gaussians or classes.
+pub(super) fn mixed(trained: &Identities, votes: &Votes, share: f32) -> Identities {
+    assert_eq!(
+        trained.scores.len(),
+        votes.table.len(),
+        "one row of votes for each Gaussian"
+    );
+    let classes = trained.classes;
+    let mut mixed = trained.softmax();
+    let rows = mixed.scores.chunks_exact_mut(classes.max(1));
+    for (row, votes) in rows.zip(votes.table.chunks_exact(classes.max(1))) {
+        let total: f32 = votes.iter().sum();
+        let share = if total > 0.0 { share } else { 0.0 };
+        for (p, vote) in row.iter_mut().zip(votes) {
+            let voted = vote / total.max(f32::MIN_POSITIVE);
+            *p = ((1.0 - share) * *p + share * voted + LEAST_PROBABILITY).ln();
+        }
+    }
+    mixed
+}
+
+/// The share of `votes` whose label maps agree best with raw labels of training views: the mIoU of views whose run the votes leave
+/// out. The smallest of equal ones; 0 with fewer than two labelled views.
+///
+/// # Errors
+/// Those of [`vote`] and of [`LabelMaps::of`].
+pub(super) fn best_share(trained: &Identities, votes: &Votes, inputs: &Inputs) -> Result<f32> {
+    let (scene, classes) = (inputs.scene, &inputs.scene.classes);
+    let views: Vec<&View> = scene
+        .split(Split::Train)
+        .filter(|view| view.raw.is_some())
+        .collect();
+    if views.len() < 2 {
+        return Ok(0.0);
+    }
+    let splats = SplatTensors::new(inputs.gaussians, inputs.device);
+    let rule = LabelRule::from(&inputs.config.segmentation);
+    let mut confusions = SHARES.map(|_| Confusion::new(classes.len()));
+    for run in views.chunks(views.len().div_ceil(RUNS)) {
+        let own = vote(
+            inputs.gaussians,
+            run.iter().copied(),
+            classes,
+            &inputs.settings,
+            inputs.device,
+        )?;
+        let others = without(votes, &own);
+        for (share, confusion) in SHARES.into_iter().zip(&mut confusions) {
+            let identities = mixed(trained, &others, share);
+            let maps = LabelMaps::new(&identities, classes, rule);
+            for view in run.iter().step_by(run.len().div_ceil(VIEWS)) {
+                let Some(raw) = &view.raw else { continue };
+                let found = maps.of(&splats.seen_by(&view.camera, &inputs.settings))?;
+                confusion.add_ids(classes, &raw.map().ids, &found.ids);
+            }
+        }
+    }
+    let agreement = confusions.map(|confusion| confusion.miou(Void::Wrong).unwrap_or(0.0));
+    let mut best = 0;
+    for (index, value) in agreement.iter().enumerate() {
+        if *value > agreement[best] {
+            best = index;
+        }
+    }
+    tracing::info!(
+        "agreement with raw labels for shares {SHARES:?} of the vote: {agreement:.4?}; taken: {}",
+        SHARES[best]
+    );
+    Ok(SHARES[best])
+}
+
+/// `votes` without those of a part of the views. Differences within rounding are no votes.
+fn without(votes: &Votes, part: &Votes) -> Votes {
+    let rest = |(all, part): (&f32, &f32)| {
+        let rest = all - part;
+        if rest > 1e-4 * all { rest } else { 0.0 }
+    };
+    Votes {
+        table: votes.table.iter().zip(&part.table).map(rest).collect(),
+        classes: votes.classes,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mixtures_are_logits_of_the_mean() {
+        let trained = Identities {
+            scores: vec![1.0, 2.0, 3.0, -50.0, 0.0, 50.0],
+            classes: 3,
+        };
+        let votes = Votes {
+            table: vec![3.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+            classes: 3,
+        };
+        let p = trained.softmax().scores;
+        let found = mixed(&trained, &votes, 0.25).softmax().scores;
+        for (c, share) in [0.75, 0.25, 0.0].into_iter().enumerate() {
+            assert!((found[c] - (0.75 * p[c] + 0.25 * share)).abs() < 1e-6);
+            assert!((found[3 + c] - p[3 + c]).abs() < 1e-6, "no votes");
+        }
+    }
+
+    #[test]
+    fn rounding_leaves_no_votes() {
+        let all = Votes {
+            table: vec![0.1 + 0.2, 2.0, 5.0],
+            classes: 3,
+        };
+        let part = Votes {
+            table: vec![0.299_999_97, 0.5, 0.0],
+            classes: 3,
+        };
+        assert_eq!(without(&all, &part).table, [0.0, 1.5, 5.0]);
+    }
+}
