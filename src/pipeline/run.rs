@@ -6,7 +6,7 @@ use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
 use super::variants::{VariantOutcome, train_variants};
-use crate::config::{Association, Config, Variant};
+use crate::config::{Association, Config, LabelLoss, LabelsBy, Variant};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::Result;
 use crate::metrics::ImageScores;
@@ -140,7 +140,7 @@ pub fn run(
 ) -> Result<Outcome> {
     let start = Instant::now();
     let scene = load(config, LoadOptions::for_training)?;
-    let config = &with_variants(config, &scene);
+    let config = &settled(config, &scene);
     if !config.segmentation.rows().is_empty() && !has_raw_labels(&scene) {
         tracing::warn!(
             "no training view has raw labels: only the Gaussians are built (raw_label_path in transforms.json or the folder \
@@ -235,9 +235,13 @@ impl Outcome {
     }
 }
 
-/// `config` with the variants to train: the default ones where it names none.
-fn with_variants(config: &Config, scene: &Scene) -> Config {
+/// `config` with everything that follows from the scene: who made the labels, and with them the loss; the variants to train, where
+/// it names none.
+fn settled(config: &Config, scene: &Scene) -> Config {
     let mut config = config.clone();
+    if has_raw_labels(scene) {
+        trust_labels(&mut config, scene);
+    }
     if config.segmentation.rows.is_none() {
         // The semantics of stage two: association has yet to come.
         let semantics = Semantics::of(scene);
@@ -250,6 +254,34 @@ fn with_variants(config: &Config, scene: &Scene) -> Config {
         config.segmentation.rows = Some(variants);
     }
     config
+}
+
+/// Share of labelled training photos up to which labels are taken for hand-made: a network labels all of them.
+const FEW: f64 = 0.25;
+
+/// Decides who made the labels. Where a person did, cross-entropy takes the place of the default loss, which withstands errors that
+/// such labels do not have.
+fn trust_labels(config: &mut Config, scene: &Scene) {
+    if config.data.labels_by == LabelsBy::Auto {
+        let views = || scene.split(Split::Train);
+        let labelled = views().filter(|view| view.raw.is_some()).count() as f64;
+        let has_scores = views().any(|view| view.scores.is_some());
+        let is_few = labelled <= FEW * views().count() as f64;
+        config.data.labels_by = if scene.drawn || (is_few && !has_scores) {
+            LabelsBy::Hand
+        } else {
+            LabelsBy::Network
+        };
+    }
+    if config.data.labels_by == LabelsBy::Hand {
+        if config.segmentation.loss == LabelLoss::GCE {
+            config.segmentation.loss = LabelLoss::Ce;
+        }
+        tracing::info!(
+            "labels made by hand are trusted: ours learns them under {:?} (data.labels_by)",
+            config.segmentation.loss
+        );
+    }
 }
 
 /// Whether stage two has something to train on.

@@ -22,7 +22,7 @@ impl SideFolders {
             truth: LabelFolder::new(dir.join("labels")),
             raw: LabelFolder {
                 folder: dir.join(raw.unwrap_or("labels_raw")),
-                // Each photo must have a map in a folder that the user names.
+                // Some photo must have a map in a folder that the user names.
                 required: raw.is_some(),
             },
             instances: LabelFolder::new(dir.join("instances")),
@@ -36,6 +36,7 @@ impl SideFolders {
             mask: self.masks.of_photo(photo),
             truth: self.truth.map(photo),
             raw: self.raw.map(photo),
+            drawn: self.raw.drawn(photo),
             instances: self.instances.map(photo),
             ..frame
         }
@@ -68,6 +69,14 @@ impl LabelFolder {
         };
         let usual = || Some(names[0].clone()).filter(|_| self.required);
         self.file(photo).or_else(masks).or_else(usual)
+    }
+
+    /// The JSON file of a photo, named as [`LabelFolder::file`].
+    fn drawn(&self, photo: &Path) -> Option<PathBuf> {
+        let names = self.names(photo).into_iter();
+        names
+            .map(|path| path.with_extension("json"))
+            .find(|path| path.is_file())
     }
 
     /// The file of a photo: its path with `.png` for its extension or behind it, the name of its view, or its stem.

@@ -97,10 +97,11 @@ impl Listing {
         options: &LoadOptions,
         layout: Layout,
         file: PathBuf,
-        frames: Vec<Frame>,
+        mut frames: Vec<Frame>,
         dataset: Option<Classes>,
         problems: &mut Problems,
     ) -> Self {
+        raw::choose_files(dir, options, &mut frames);
         let labelled = raw::needs_classes(dir, options, &frames);
         let own = dir.join("classes.json").is_file();
         let dataset = dataset.filter(|_| labelled.is_some() && !own);
@@ -131,6 +132,11 @@ impl Listing {
     ) -> Self {
         match problems.keep(RawLabels::settle(dir, options, &self)) {
             Some((raw, vocabulary)) => {
+                // One file may hold the shapes of all photos.
+                let is_empty =
+                    |frame: &&mut Frame| raw.are_drawn() && !raw.has_drawing(&frame.name);
+                let without = self.frames.iter_mut().filter(is_empty);
+                without.for_each(|frame| frame.raw = None);
                 self.raw = raw;
                 if let Some(vocabulary) = vocabulary {
                     self.occurring_classes |= self.classes.is_empty();
@@ -210,6 +216,7 @@ impl Listing {
             classes: self.classes_of(&views),
             views,
             points: self.points(origin, &options.limits)?,
+            drawn: self.raw.are_drawn(),
             origin,
             up: self.up(),
         };

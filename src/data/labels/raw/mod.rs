@@ -2,17 +2,22 @@
 
 mod ade20k;
 mod coco;
+mod coco_instances;
+mod drawing;
+mod labelme;
 mod masks;
 mod named;
 
+use self::drawing::Drawing;
 use super::frame_labels::expect_file;
 use crate::config::{Association, RawFormat};
 use crate::data::formats::frame::Frame;
-use crate::data::formats::listing::Listing;
+use crate::data::formats::listing::{Listing, first_names};
 use crate::data::labels::scores::ScoreIds;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Limits, LoadOptions, Segment};
 use crate::error::{Error, Result, invalid};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -37,6 +42,8 @@ enum Source {
     /// With the class id of each class of ADE20K.
     Ade20k(Vec<Option<u16>>),
     Masks,
+    /// Shapes, by the names of the frames.
+    Drawn(HashMap<String, Drawing>),
 }
 
 /// A decoded map, of the size of its file.
@@ -54,7 +61,7 @@ pub(crate) struct Vocabulary {
     pub classes: Classes,
     /// Class id of each of the segmenter's classes, in its order.
     ids: Vec<Option<u16>>,
-    /// Which classes are left out.
+    /// What is left out.
     pub notice: Option<String>,
 }
 
@@ -72,7 +79,6 @@ impl Vocabulary {
                 notice: None,
             });
         }
-        let plain = |name: &str| name.trim().to_lowercase().replace(['-', '_'], " ");
         let find = |(_, name): &(u16, &str)| {
             let class = classes
                 .entries
@@ -90,15 +96,54 @@ impl Vocabulary {
                 help "rename the classes of classes.json, or remove it where there are no true labels"),
             );
         }
+        let others = names.iter().zip(&ids).filter(|(_, id)| id.is_none());
+        let others: Vec<&str> = others.map(|((_, name), _)| *name).collect();
         let notice = format!(
-            "{found} of the {all} classes of {} are in the class table by name; pixels of the others are unlabelled",
-            file.display()
+            "{found} of the {all} classes of {} are in the class table by name; pixels of the others are unlabelled: {}",
+            file.display(),
+            first_names(&others)
         );
         Ok(Self {
             classes: classes.clone(),
             ids,
             notice: (found < all).then_some(notice),
         })
+    }
+}
+
+/// A name of a class as it is compared.
+fn plain(name: &str) -> String {
+    name.trim().to_lowercase().replace(['-', '_'], " ")
+}
+
+/// Decides which files hold the raw labels of `frames`: label maps, shapes of LabelMe, or a COCO file for all. Photos without a
+/// file in the folder that the options name are unlabelled, unless none has one.
+pub(crate) fn choose_files(dir: &Path, options: &LoadOptions, frames: &mut [Frame]) {
+    let wanted = |format| [RawFormat::Auto, format].contains(&options.raw_format);
+    let is_json = |path: &PathBuf| path.extension().is_some_and(|e| e == "json");
+    for frame in frames.iter_mut().filter(|_| options.raw_labels.is_none()) {
+        // A frame may name the file.
+        frame.drawn = frame.raw.clone().filter(is_json).or(frame.drawn.take());
+    }
+    if wanted(RawFormat::Labelme) && labelme::is_used(frames) {
+        frames
+            .iter_mut()
+            .for_each(|frame| frame.raw = frame.drawn.take());
+        return;
+    }
+    let exists = |frame: &Frame| frame.raw.as_ref().is_some_and(|path| path.exists());
+    let has_maps = frames.iter().any(exists);
+    if wanted(RawFormat::CocoInstances)
+        && !has_maps
+        && let Some(file) = coco_instances::find(dir, options)
+    {
+        // Which photos it labels is known once it was read.
+        frames
+            .iter_mut()
+            .for_each(|frame| frame.raw = Some(file.clone()));
+    } else if has_maps && options.raw_labels.is_some() {
+        let without = frames.iter_mut().filter(|frame| !exists(frame));
+        without.for_each(|frame| frame.raw = None);
     }
 }
 
@@ -135,6 +180,17 @@ fn detect(dir: &Path, options: &LoadOptions, frames: &[Frame]) -> RawFormat {
     }
     if first.is_dir() {
         return RawFormat::Masks;
+    }
+    if first
+        .extension()
+        .is_some_and(|extension| extension == "json")
+    {
+        let is_coco = coco_instances::find(dir, options).as_ref() == Some(first);
+        return if is_coco {
+            RawFormat::CocoInstances
+        } else {
+            RawFormat::Labelme
+        };
     }
     // A file that cannot be read is reported where it is read.
     let Ok(file) = ImageFile::open(first, &options.limits) else {
@@ -207,6 +263,17 @@ impl RawLabels {
                 let own = vocabulary.insert(ade20k::vocabulary(first, classes)?);
                 Source::Ade20k(own.ids.clone())
             }
+            RawFormat::Labelme => {
+                let (drawings, known) = labelme::read(frames, classes)?;
+                vocabulary = Some(known);
+                Source::Drawn(drawings)
+            }
+            RawFormat::CocoInstances => {
+                let read = coco_instances::read(first, frames, classes, &options.limits);
+                let (drawings, known) = read?;
+                vocabulary = Some(known);
+                Source::Drawn(drawings)
+            }
             RawFormat::Masks if segments => Source::Masks,
             RawFormat::Masks => {
                 let expected = "\"gaussians\", as raw labels are folders of masks, whose ids differ from view to view";
@@ -230,7 +297,7 @@ impl RawLabels {
                     .collect(),
             ),
             Source::Named(own) => Some(own.ids.clone()),
-            Source::Coco(_) | Source::Ade20k(_) | Source::Masks => None,
+            Source::Coco(_) | Source::Ade20k(_) | Source::Masks | Source::Drawn(_) => None,
         };
         Ok((
             Self {
@@ -247,16 +314,35 @@ impl RawLabels {
         self.segments
     }
 
+    /// Whether labels are shapes that somebody drew.
+    pub fn are_drawn(&self) -> bool {
+        self.drawings().is_some()
+    }
+
+    /// Whether somebody drew labels on the photo of this name.
+    pub fn has_drawing(&self, name: &str) -> bool {
+        self.drawings()
+            .is_some_and(|drawings| drawings.contains_key(name))
+    }
+
+    /// The shapes by the names of the frames.
+    fn drawings(&self) -> Option<&HashMap<String, Drawing>> {
+        match &self.source {
+            Source::Drawn(drawings) => Some(drawings),
+            _ => None,
+        }
+    }
+
     /// The ids of scores that may lie beside the maps.
     pub fn score_ids(&self) -> Option<Arc<ScoreIds>> {
         self.scores.clone()
     }
 
-    /// Reads the map at `path` of a photo of the size `photo`; `check_size` refuses files of the wrong size. With the class
-    /// table comes its lookup.
+    /// Reads the map at `path` of a photo of the size `photo` and the name `name`; `check_size` refuses files of the wrong size.
+    /// With the class table comes its lookup.
     pub fn read(
         &self,
-        path: &Path,
+        (name, path): (&str, &Path),
         photo: (usize, usize),
         (classes, known): (&Classes, &[u16]),
         limits: &Limits,
@@ -269,18 +355,21 @@ impl RawLabels {
         if let Source::Masks = self.source {
             return masks::read(path, photo, limits, check_size).map(without_segments);
         }
+        let with_classes = |raw: RawMap| {
+            if self.segments {
+                raw
+            } else {
+                without_segments(by_class(&raw, classes))
+            }
+        };
         expect_file(path)?;
+        if let Some(drawing) = self.drawings().and_then(|drawings| drawings.get(name)) {
+            return drawing.paint(photo).map(with_classes);
+        }
         let file = ImageFile::open(path, limits)?;
         check_size(&file)?;
         match &self.source {
-            Source::Coco(panoptic) => {
-                let raw = panoptic.decode(path, &file)?;
-                Ok(if self.segments {
-                    raw
-                } else {
-                    without_segments(by_class(&raw, classes))
-                })
-            }
+            Source::Coco(panoptic) => panoptic.decode(path, &file).map(with_classes),
             Source::Ade20k(ids) => {
                 let map = ade20k::decode(path, &file, ids, classes.ignore)?;
                 let segments = if self.segments {
@@ -295,7 +384,7 @@ impl RawLabels {
                 own.translate(path, &mut map, classes.ignore)?;
                 Ok(without_segments(map))
             }
-            Source::Grey | Source::Masks => {
+            Source::Grey | Source::Masks | Source::Drawn(_) => {
                 let mut map = LabelMap::decode(path, &file)?;
                 if !self.segments {
                     map.settle_ids(path, classes, known, IF_SEGMENTS)?;
