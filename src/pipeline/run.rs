@@ -6,7 +6,7 @@ use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
 use super::variants::{VariantOutcome, train_variants};
-use crate::config::{Association, Config, LabelLoss, LabelsBy, Variant};
+use crate::config::{Association, Config, LabelLoss, LabelsBy, Prior, Variant};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::Result;
 use crate::metrics::ImageScores;
@@ -259,8 +259,8 @@ fn settled(config: &Config, scene: &Scene) -> Config {
 /// Share of labelled training photos up to which labels are taken for hand-made: a network labels all of them.
 const FEW: f64 = 0.25;
 
-/// Decides who made the labels. Where a person did, cross-entropy takes the place of the default loss, which withstands errors that
-/// such labels do not have.
+/// Decides who made the labels. Where a person did, cross-entropy and the votes of each Gaussian take the place of the default loss
+/// and of the pooled votes, which withstand and correct errors that such labels do not have.
 fn trust_labels(config: &mut Config, scene: &Scene) {
     if config.data.labels_by == LabelsBy::Auto {
         let views = || scene.split(Split::Train);
@@ -277,9 +277,13 @@ fn trust_labels(config: &mut Config, scene: &Scene) {
         if config.segmentation.loss == LabelLoss::GCE {
             config.segmentation.loss = LabelLoss::Ce;
         }
+        if config.segmentation.prior == Prior::Pooled {
+            config.segmentation.prior = Prior::Votes;
+        }
         tracing::info!(
-            "labels made by hand are trusted: ours learns them under {:?} (data.labels_by)",
-            config.segmentation.loss
+            "labels made by hand are trusted: `ours` is trained under {:?} from the prior {:?} (data.labels_by)",
+            config.segmentation.loss,
+            config.segmentation.prior
         );
     }
 }
@@ -287,4 +291,62 @@ fn trust_labels(config: &mut Config, scene: &Scene) {
 /// Whether stage two has something to train on.
 fn has_raw_labels(scene: &Scene) -> bool {
     scene.split(Split::Train).any(|view| view.raw.is_some()) && !scene.classes.is_empty()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::data::builtin::{BuiltinOptions, scene_with};
+
+    /// A scene in which `labelled` of eight training photos have raw labels.
+    fn scene(labelled: usize) -> Scene {
+        let options = BuiltinOptions {
+            width: 32,
+            height: 24,
+            train_views: 8,
+            test_views: 1,
+            points: 100,
+            ..BuiltinOptions::default()
+        };
+        let mut scene = scene_with(&options).expect("scene");
+        let train = scene.views.iter_mut().filter(|v| v.split == Split::Train);
+        train.skip(labelled).for_each(|view| view.raw = None);
+        scene
+    }
+
+    fn decided(scene: &Scene, change: impl Fn(&mut Config)) -> (LabelsBy, LabelLoss, Prior) {
+        let mut config = Config::default();
+        change(&mut config);
+        let settled = settled(&config, scene);
+        (
+            settled.data.labels_by,
+            settled.segmentation.loss,
+            settled.segmentation.prior,
+        )
+    }
+
+    #[test]
+    fn labels_by_hand_are_trusted() {
+        let hand = (LabelsBy::Hand, LabelLoss::Ce, Prior::Votes);
+        let network = (LabelsBy::Network, LabelLoss::GCE, Prior::Pooled);
+        assert_eq!(decided(&scene(2), |_| ()), hand);
+        assert_eq!(decided(&scene(3), |_| ()), network);
+        let mut drawn = scene(8);
+        assert_eq!(decided(&drawn, |_| ()), network);
+        assert_eq!(decided(&drawn, |c| c.data.labels_by = LabelsBy::Hand), hand);
+        drawn.drawn = true;
+        assert_eq!(decided(&drawn, |_| ()), hand);
+        assert_eq!(
+            decided(&drawn, |c| c.data.labels_by = LabelsBy::Network),
+            network
+        );
+        // What the user chose stays.
+        let chosen = decided(&drawn, |c| {
+            c.segmentation.loss = LabelLoss::Mae;
+            c.segmentation.prior = Prior::None;
+        });
+        assert_eq!(chosen, (LabelsBy::Hand, LabelLoss::Mae, Prior::None));
+        // Nothing is decided without labels.
+        assert_eq!(decided(&scene(0), |_| ()).0, LabelsBy::Auto);
+    }
 }
