@@ -119,24 +119,26 @@ fn plain(name: &str) -> String {
 /// Decides which files hold the raw labels of `frames`: label maps, shapes of LabelMe, or a COCO file for all. Photos without a
 /// file in the folder that the options name are unlabelled, unless none has one.
 pub(crate) fn choose_files(dir: &Path, options: &LoadOptions, frames: &mut [Frame]) {
-    let wanted = |format| [RawFormat::Auto, format].contains(&options.raw_format);
+    let labelme_fits = matches!(options.raw_format, RawFormat::Auto | RawFormat::Labelme);
     let is_json = |path: &PathBuf| path.extension().is_some_and(|e| e == "json");
     for frame in frames.iter_mut().filter(|_| options.raw_labels.is_none()) {
         // A frame may name the file.
         frame.drawn = frame.raw.clone().filter(is_json).or(frame.drawn.take());
     }
-    if wanted(RawFormat::Labelme) && labelme::is_used(frames) {
+    if labelme_fits && labelme::is_used(frames) {
         frames
             .iter_mut()
-            .for_each(|frame| frame.raw = frame.drawn.take());
+            .for_each(|frame| frame.raw = frame.drawn.clone());
         return;
     }
+    frames.iter_mut().for_each(|frame| frame.drawn = None);
     let exists = |frame: &Frame| frame.raw.as_ref().is_some_and(|path| path.exists());
     let has_maps = frames.iter().any(exists);
-    if wanted(RawFormat::CocoInstances)
-        && !has_maps
-        && let Some(file) = coco_instances::find(dir, options)
-    {
+    let is_coco = match options.raw_format {
+        RawFormat::Auto => !has_maps,
+        format => format == RawFormat::CocoInstances,
+    };
+    if let Some(file) = coco_instances::find(dir, options).filter(|_| is_coco) {
         // Which photos it labels is known once it was read.
         frames
             .iter_mut()
@@ -181,16 +183,11 @@ fn detect(dir: &Path, options: &LoadOptions, frames: &[Frame]) -> RawFormat {
     if first.is_dir() {
         return RawFormat::Masks;
     }
-    if first
-        .extension()
-        .is_some_and(|extension| extension == "json")
-    {
-        let is_coco = coco_instances::find(dir, options).as_ref() == Some(first);
-        return if is_coco {
-            RawFormat::CocoInstances
-        } else {
-            RawFormat::Labelme
-        };
+    if frames.iter().any(|frame| frame.drawn.is_some()) {
+        return RawFormat::Labelme;
+    }
+    if coco_instances::find(dir, options).as_ref() == Some(first) {
+        return RawFormat::CocoInstances;
     }
     // A file that cannot be read is reported where it is read.
     let Ok(file) = ImageFile::open(first, &options.limits) else {
