@@ -49,7 +49,8 @@ pub struct DataConfig {
     pub raw_labels_note: String,
     /// How raw labels are stored.
     pub raw_format: RawFormat,
-    /// Who made the raw labels. Those made by hand are trusted: `ours` is trained under cross-entropy instead of the default loss.
+    /// Who made the raw labels. Those made by hand are trusted: `ours` is trained under cross-entropy and from plain votes, instead of
+    /// the default loss and pooled votes.
     pub labels_by: LabelsBy,
     /// Whether ids of raw labels are class ids, or hold within their view only and are associated after stage one.
     pub association: Association,
